@@ -1,0 +1,97 @@
+"""The comparison with the review of modal-analysis methods: ``python experiments/paper/compare.py --out out``."""
+
+import argparse
+import time
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import section3  # noqa: E402
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn  # noqa: E402
+
+PARTS = (
+    "noise-free",
+    "definitions",
+    "diagrams",
+    "errors",
+    "prediction",
+    "figure 9",
+    "masses",
+    "estimators",
+    "aircraft",
+)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("out"), help="folder of the table and the pictures")
+    parser.add_argument("--only", nargs="*", choices=PARTS, default=PARTS, help="some parts only")
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+    text = ["# Beside the review of aircraft modal-analysis methods\n"]
+    began = time.perf_counter()
+    columns = (
+        TextColumn("{task.description:12s}"),
+        BarColumn(),
+        TextColumn("{task.completed}/{task.total}"),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns) as progress:
+        for part in args.only:
+            text += run(part, args.out, progress)
+            (args.out / "paper.md").write_text("\n".join(text))
+    text.append(f"\nMade in {time.perf_counter() - began:.0f} s.\n")
+    (args.out / "paper.md").write_text("\n".join(text))
+    print(args.out / "paper.md")
+
+
+def run(part: str, out: Path, progress: Progress) -> list[str]:
+    """One part of the comparison, as markdown."""
+    if part == "aircraft":
+        import section5
+
+        task = progress.add_task(part, total=section5.STEPS)
+        return ["## Section 5: a large aircraft\n", *section5.study(out, lambda: progress.advance(task))]
+    totals = {
+        "errors": len(section3.METHODS) * 6,
+        "masses": 6,
+        "prediction": 36,
+        "estimators": len(section3.ESTIMATORS) + 6,
+    }
+    task = progress.add_task(part, total=totals.get(part, 1))
+    advance = lambda: progress.advance(task)  # noqa: E731
+    if part == "errors":
+        first, second = section3.error_curves(out, advance)
+        return [
+            "## Figures 7, 8: errors over noise\n",
+            first,
+            "### LSCF damping: predicted against drawn [%]\n",
+            second,
+        ]
+    if part == "prediction":
+        return ["## LSCF damping bias in white noise: predicted against drawn\n", section3.prediction(advance)]
+    if part == "masses":
+        return ["## Modal mass and MAC\n", section3.masses(advance)]
+    if part == "estimators":
+        return [
+            "## Damping by estimator (circular Gaussian noise of the same variance)\n",
+            section3.estimators(advance),
+        ]
+    titles = {
+        "noise-free": ("## Section 3: without noise\n", section3.noise_free),
+        "definitions": ("## Which noise definition fits -83 % on mode 3\n", section3.definitions),
+        "diagrams": ("## Figures 1, 4-6: stabilization diagrams at 15 % noise\n", lambda: section3.diagrams(out)),
+        "figure 9": ("## Figure 9: +50 % on the damping of mode 1\n", lambda: section3.imposed_damping(out)),
+    }
+    title, make = titles[part]
+    if part == "definitions":
+        section3.noisy_picture(out)
+    result = make()
+    advance()
+    return [title, result]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,60 @@
+"""Checks that turn unusable numbers into errors that say what was seen and what is needed."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+ENABLE_DOUBLE = 'jax.config.update("jax_enable_x64", True)'
+
+
+def is_traced(*arrays: Any) -> bool:
+    """Whether any of ``arrays`` is being traced (by jit, grad or vmap), so that its values cannot be looked at."""
+    return any(isinstance(a, jax.core.Tracer) for a in arrays)
+
+
+def require_double(what: str) -> None:
+    """Refuse to work in single precision.
+
+    Raises
+    ------
+    ValueError
+        If 64-bit numbers are not enabled in JAX; the message holds the line to add.
+    """
+    if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+        raise ValueError(f"{what} needs double precision; add this line before the first use of JAX: {ENABLE_DOUBLE}")
+
+
+def as_double(value: Any, what: str, complex_: bool = False) -> jax.Array:
+    """Return ``value`` as a float64 or complex128 array, and refuse single precision input that would look double.
+
+    Raises
+    ------
+    ValueError
+        If 64-bit numbers are off, or ``value`` was stored in single precision.
+    """
+    require_double(what)
+    dtype = getattr(value, "dtype", None)
+    if dtype is not None and np.dtype(dtype) in (np.dtype("float32"), np.dtype("complex64")):
+        raise ValueError(
+            f"{what} is in single precision ({dtype}); modal analysis over many lines loses poles in it. "
+            f"Convert it knowingly with .astype('{'complex128' if complex_ else 'float64'}')"
+        )
+    return jnp.asarray(value, dtype=jnp.complex128 if complex_ else jnp.float64)
+
+
+def require_finite(value: Any, what: str) -> None:
+    """Refuse NaN and infinity, naming how many there are and where the first one stands.
+
+    Raises
+    ------
+    ValueError
+        If a concrete ``value`` holds a number that is not finite (traced values are not looked at).
+    """
+    if is_traced(value):
+        return
+    bad = ~np.isfinite(np.asarray(value))
+    if bad.any():
+        first = tuple(int(k) for k in np.argwhere(bad)[0])
+        raise ValueError(f"{what} holds {int(bad.sum())} values that are not finite, the first at index {first}")

@@ -1,0 +1,74 @@
+"""The ``modalax`` command: arguments to the calls of the package. It imports little until a command runs."""
+
+import sys
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import typer
+
+from modalax.cli.convert import convert
+from modalax.cli.demo import demo
+from modalax.cli.diagnose import causes, diagnose
+from modalax.cli.fit import fit
+from modalax.cli.simulate import simulate
+
+# The parent of typer's usage errors, wherever this version of typer keeps it.
+USAGE_ERROR: type[Exception] = typer.BadParameter.__mro__[1]
+UNUSABLE = 2
+
+app = typer.Typer(
+    name="modalax",
+    help="Experimental modal analysis: identify, simulate, diagnose.",
+    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+@app.callback()
+def options(
+    debug: bool = typer.Option(False, "--debug", help="Show the whole traceback of an error."),
+) -> None:
+    """Experimental modal analysis: identify, simulate, diagnose."""
+
+
+for command in (demo, fit, simulate, diagnose, causes, convert):
+    app.command()(command)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit status: 0 done, 2 for unusable input, told in one line on stderr."""
+    arguments = list(sys.argv[1:] if argv is None else argv) or ["--help"]
+    # It may stand anywhere, so that it can be added to the end of a line that has just failed.
+    debug = "--debug" in arguments
+    arguments = [a for a in arguments if a != "--debug"]
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("default", UserWarning)
+            warnings.showwarning = show_note
+            return typer.main.get_command(app).main(arguments, prog_name="modalax", standalone_mode=False) or 0
+    except (ValueError, OSError, ImportError, USAGE_ERROR) as error:
+        if debug:
+            raise
+        print(f"modalax: {one_line(error)}", file=sys.stderr)
+        return UNUSABLE
+    except (KeyboardInterrupt, typer.Abort):
+        print("modalax: stopped", file=sys.stderr)
+        return 130
+
+
+def show_note(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
+    """Tell a warning about the data in one line; those meant for programmers are left out."""
+    if issubclass(category, UserWarning):
+        print(f"note: {' '.join(str(message).split())}", file=sys.stderr)
+
+
+def one_line(error: BaseException) -> str:
+    """Say in one line what was wrong with which file."""
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        text = f"{error.filename}: {error.strerror}"
+    elif isinstance(error, USAGE_ERROR):
+        text = f"{error.format_message()} (modalax --help tells the arguments)"  # pyright: ignore
+    else:
+        text = str(error) or type(error).__name__
+    return " ".join(text.split())

@@ -1,0 +1,163 @@
+"""What the commands share: double precision, the compilation cache, output files, messages."""
+
+import json
+import math
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+DataArgument = Annotated[Path, typer.Argument(metavar="DATA", help="Measured FRFs (UFF, npz, mat, NetCDF or Zarr).")]
+BandOption = Annotated[
+    tuple[float, float] | None, typer.Option("--band", metavar="LO HI", help="Frequency band [Hz].", show_default=False)
+]
+JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result to this JSON file.")]
+ReportOption = Annotated[Path | None, typer.Option("--report", help="Write a report that any browser opens.")]
+PicturesOption = Annotated[Path | None, typer.Option("--out", help="Write pictures (PNG) into this folder.")]
+OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist already.")]
+
+
+def start() -> None:
+    """Set what must stand before JAX is used: double precision, threads, the folder of compiled programs."""
+    import jax
+    import platformdirs
+    import threadpoolctl
+
+    if not {"OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"} & set(os.environ):
+        # The matrices are small: threads of the linear algebra library would only wait for each other.
+        threadpoolctl.threadpool_limits(1, "blas")
+    jax.config.update("jax_enable_x64", True)
+    if "JAX_LOGGING_LEVEL" not in os.environ:
+        # Each program taken from the cache otherwise logs two screens about processor features, as an error.
+        jax.config.update("jax_logging_level", "CRITICAL")
+    if jax.config.jax_compilation_cache_dir is None and "JAX_COMPILATION_CACHE_DIR" not in os.environ:  # pyright: ignore
+        folder = Path(platformdirs.user_cache_dir("modalax", appauthor=False)) / "compiled"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            return  # A home that cannot be written to only costs the time of compiling again.
+        jax.config.update("jax_compilation_cache_dir", str(folder))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+
+def check_free(*paths: Path | None, overwrite: bool) -> None:
+    """Refuse to replace files, before any work is done.
+
+    Raises
+    ------
+    ValueError
+        If one exists and ``overwrite`` is not set, or its folder does not exist.
+    """
+    for path in paths:
+        if path is None:
+            continue
+        if path.exists() and not overwrite:
+            raise ValueError(f"{path} exists already; choose another name or add --overwrite")
+        if not path.absolute().parent.is_dir():
+            raise ValueError(f"{path}: the folder {path.absolute().parent} does not exist; make it first")
+
+
+def check_folder(folder: Path | None, overwrite: bool) -> None:
+    """Refuse to write pictures among files that are there already.
+
+    Raises
+    ------
+    ValueError
+        If the folder holds something and ``overwrite`` is not set, or is a file.
+    """
+    if folder is None or not folder.exists():
+        return
+    if not folder.is_dir():
+        raise ValueError(f"{folder} is a file; --out needs a folder")
+    if any(folder.iterdir()) and not overwrite:
+        raise ValueError(f"{folder} is not empty; choose another folder or add --overwrite")
+
+
+def free_folder(folder: Path) -> Path:
+    """Return ``folder``, or ``folder-2``, ``folder-3``, ... if it is taken."""
+    choice, k = folder, 1
+    while choice.exists():
+        k += 1
+        choice = folder.with_name(f"{folder.name}-{k}")
+    return choice
+
+
+def plain(value: Any) -> Any:
+    """Turn ``value`` into what JSON holds: numbers that are not finite become null."""
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    if isinstance(value, complex):
+        return [plain(value.real), plain(value.imag)]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write a result as JSON that every reader takes."""
+    path.write_text(json.dumps(plain(value), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+@contextmanager
+def working(what: str) -> Iterator[Callable[[str], None]]:
+    """Show that something is going on: a spinner on a terminal, lines elsewhere; on stderr.
+
+    What it gives is called with each step in turn.
+    """
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    if console.is_terminal:
+        with console.status(f"{what} ...") as status:
+            yield lambda step: status.update(f"{what}: {step} ...")
+    else:
+        console.print(f"{what} ...", highlight=False, markup=False, soft_wrap=True)
+        yield lambda step: console.print(f"  {step}", highlight=False, markup=False, soft_wrap=True)
+
+
+def note(text: str) -> None:
+    """Tell something beside the result, on stderr."""
+    typer.echo(text, err=True)
+
+
+def read_measurement(path: Path) -> Any:
+    """Read FRFs, and say so if the file holds a model.
+
+    Raises
+    ------
+    ValueError
+        If the file holds no measurement.
+    """
+    from modalax.data import Measurement
+    from modalax.files import load
+
+    found = load(path)
+    if not isinstance(found, Measurement):
+        raise ValueError(f"{path} holds a {type(found).__name__}; measured FRFs are needed here")
+    return found
+
+
+def read_simulation(path: Path) -> Any:
+    """Read matrices or a modal model, and say so if the file holds measured FRFs.
+
+    Raises
+    ------
+    ValueError
+        If the file holds no simulation.
+    """
+    from modalax.files import load
+    from modalax.model import ModalModel, Structure
+
+    found = load(path)
+    if not isinstance(found, Structure | ModalModel):
+        raise ValueError(
+            f"{path} holds a {type(found).__name__}; a simulation (M, C, K or a modal model) is needed here"
+        )
+    return found

@@ -1,0 +1,22 @@
+"""``modalax convert``: from one kind of file to another."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from modalax.cli.common import OverwriteOption, check_free, note, start
+
+
+def convert(
+    source: Annotated[Path, typer.Argument(metavar="IN", help="File to read; its kind is found out.")],
+    target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write; its ending tells the kind.")],
+    overwrite: OverwriteOption = False,
+) -> None:
+    """Read FRFs or a model from one kind of file and write it to another."""
+    check_free(target, overwrite=overwrite)
+    start()
+    from modalax.files import load, save
+
+    save(load(source), target, overwrite=overwrite)
+    note(f"{target} written")

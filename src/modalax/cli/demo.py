@@ -1,0 +1,118 @@
+"""``modalax demo``: the whole story on a system whose truth is known."""
+
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from modalax.cli.common import OverwriteOption, check_folder, free_folder, note, start, working, write_json
+
+NOISE = 0.15
+DEFAULT = Path("modalax-demo")
+
+
+def demo(
+    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder for pictures and report.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the noise and of the second hidden effect.")] = 0,
+    overwrite: OverwriteOption = False,
+) -> None:
+    """Run the whole story on the five-degree-of-freedom system of the aircraft modal-analysis review."""
+    if out is None and DEFAULT.exists() and not overwrite:
+        out = free_folder(DEFAULT)
+        note(f"{DEFAULT} exists already; writing to {out}")
+    out = DEFAULT if out is None else out
+    check_folder(out, overwrite)
+    begin = time.perf_counter()
+    start()
+    from rich.console import Console
+
+    from modalax.cli.virtual import hidden_joint, random_effect
+    from modalax.model.examples import five_dof
+    from modalax.show.report import Page
+
+    console = Console()
+    out.mkdir(parents=True, exist_ok=True)
+    sections = identify_story(console, out, seed)
+    joint, law = hidden_joint()
+    sections += diagnosis_story(console, out, "2", "A hidden joint", joint, seed + 1, law)
+    sections += diagnosis_story(
+        console, out, "3", "A hidden effect by chance", random_effect(seed, five_dof().dofs), seed + 2
+    )
+    page = Page("modalax demo", "Five degrees of freedom, measured virtually, so that the truth is known", (), sections)
+    (out / "report.html").write_text(page.html(), encoding="utf-8")
+    note(f"done in {time.perf_counter() - begin:.0f} s")
+    print(f"Pictures and results: {out.absolute()}")
+    print(f"Report, opens in any browser: {(out / 'report.html').absolute()}")
+
+
+def identify_story(console: Any, out: Path, seed: int) -> list[Any]:
+    """Part 1: modes with error bars from noisy FRFs, beside the truth."""
+    import jax
+    import numpy as np
+
+    from modalax.cli.tables import mode_table
+    from modalax.identify import fit as identify
+    from modalax.model.examples import five_dof
+    from modalax.show import save_fit_pictures
+    from modalax.show.report.fit import fit_sections
+
+    structure = five_dof()
+    truth = structure.modal()
+    console.rule(f"1. Modes from FRFs with {100 * NOISE:.0f} % noise", align="left")
+    frf = structure.frf(np.arange(200, 701) / 10, inputs=["1"]).add_noise(jax.random.key(seed), NOISE)
+    with working("Identifying the modes (the first time on a machine also compiles)") as progress:
+        fit = identify(frf, progress=progress)
+    answer = fit.to_dict()
+    known = matched(answer, np.asarray(truth.frequency_hz), np.asarray(truth.damping_ratio))
+    console.print(mode_table(answer["modes"], known))
+    with working("Drawing"):
+        save_fit_pictures(fit, out, truth=known)
+        write_json(out / "modes.json", answer)
+    return numbered("1", fit_sections(fit, answer["modes"], known))
+
+
+def diagnosis_story(
+    console: Any, out: Path, number: str, title: str, hidden: Any, seed: int, joint: Any = None
+) -> list[Any]:
+    """Parts 2 and 3: a virtual test of a structure that is not quite the simulation, and what is found."""
+    from modalax.cli.tables import print_diagnosis
+    from modalax.cli.virtual import LEVELS, virtual_test
+    from modalax.diagnose import diagnose
+    from modalax.model.examples import five_dof
+    from modalax.show.diagnosis import diagnosis_pictures
+    from modalax.show.fit import save_pictures
+    from modalax.show.report import Section
+    from modalax.show.report.diagnosis import diagnosis_sections
+
+    levels = ", ".join(f"{force:g}" for force in LEVELS)
+    console.rule(f"{number}. {title}: a test at {levels} N beside the simulation", align="left")
+    with working("Testing virtually"):
+        measurement = virtual_test(hidden, seed, joint)
+    with working("Comparing, screening all causes at all places, refitting (a minute the first time)"):
+        diagnosis = diagnose(measurement, five_dof())
+    answer = diagnosis.to_dict()
+    print_diagnosis(console, answer)
+    console.print(f"hidden was: {hidden}", style="dim", highlight=False, markup=False)
+    with working("Drawing"):
+        pictures = diagnosis_pictures(diagnosis)
+        save_pictures({f"diagnosis{number}_{name}": figure for name, figure in pictures.items()}, out)
+        write_json(out / f"diagnosis{number}.json", answer)
+    story = Section("Hidden effect", [f"The structure tested differs from the simulation by this: {hidden}."])
+    return numbered(number, [story, *diagnosis_sections(diagnosis, answer)])
+
+
+def numbered(number: str, sections: list[Any]) -> list[Any]:
+    """Sections with the number of their part before the title."""
+    from dataclasses import replace
+
+    return [replace(section, title=f"{number}. {section.title}") for section in sections]
+
+
+def matched(answer: dict[str, Any], frequency_hz: Any, damping_ratio: Any) -> tuple[Any, Any]:
+    """True frequency and damping beside each identified mode: those of the nearest true mode."""
+    import numpy as np
+
+    found = np.array([m["frequency_hz"] for m in answer["modes"]])
+    nearest = np.argmin(np.abs(found[:, None] - frequency_hz[None]), axis=1)
+    return frequency_hz[nearest], damping_ratio[nearest]

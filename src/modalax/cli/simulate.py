@@ -1,0 +1,198 @@
+"""``modalax simulate``: a model, with non-linear joints or without, to the FRFs it predicts."""
+
+import tomllib
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from modalax.cli.common import OverwriteOption, check_free, note, read_simulation, start, working
+
+
+class FRFForm(StrEnum):
+    """Quantities of the response."""
+
+    receptance = "receptance"
+    mobility = "mobility"
+    accelerance = "accelerance"
+
+
+def simulate(
+    simulation: Annotated[Path, typer.Argument(metavar="SIM", help="Matrices M, C, K or a modal model (npz).")],
+    joints: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="JOINTS",
+            help="Joints as 'elasto_slip:3,5:k=2e4,slip_force=4' (law:DoFs:parameters, SI), or a TOML file of them.",
+            show_default=False,
+        ),
+    ] = None,
+    force: Annotated[
+        list[float] | None, typer.Option("--force", help="Force amplitude [N]; repeat for more runs.")
+    ] = None,
+    band: Annotated[
+        tuple[float, float] | None, typer.Option("--band", metavar="LO HI", help="Frequencies [Hz].")
+    ] = None,
+    step: Annotated[float, typer.Option("--step", help="Distance of the frequency lines [Hz].")] = 0.1,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="DATA", help="File of FRFs to write.")
+    ] = None,
+    joint: Annotated[list[str] | None, typer.Option("--joint", help="A joint, as the argument JOINTS.")] = None,
+    input: Annotated[str | None, typer.Option("--input", help="Driven DoF; the first by default.")] = None,
+    form: Annotated[FRFForm, typer.Option(help="Quantity of the response.")] = FRFForm.receptance,
+    harmonics: Annotated[int, typer.Option(help="Harmonics kept where there are joints.")] = 3,
+    noise: Annotated[float, typer.Option(help="Noise added, as a fraction of each channel's rms.")] = 0.0,
+    seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 0,
+    overwrite: OverwriteOption = False,
+) -> None:
+    """Predict FRFs at one or more force amplitudes."""
+    if output is None:
+        raise ValueError("simulate needs -o DATA, the file to write the FRFs to")
+    if band is None:
+        raise ValueError("simulate needs --band LO HI, the frequencies to simulate [Hz]")
+    levels = [] if force is None else force
+    if any(not level > 0 for level in levels):
+        raise ValueError(f"--force {min(levels):g}: a force amplitude must be above 0 N")
+    check_free(output, overwrite=overwrite)
+    start()
+    from modalax.files import save
+
+    freq = frequencies(*band, step)
+    structure = read_simulation(simulation)
+    parts = [part for spec in [*(joints or []), *(joint or [])] for part in read_joints(spec)]
+    if parts and not levels:
+        raise ValueError("joints make the response depend on the force: give --force N")
+    with working(f"Simulating {len(freq)} lines at {len(levels) or 1} force amplitudes"):
+        measurement = predict(structure, parts, freq, levels, input, form.value, harmonics)
+    if noise:
+        measurement = with_noise(measurement, noise, seed)
+    save(measurement, output, overwrite=overwrite)
+    note(f"{output}: {measurement.runs} runs, {len(freq)} lines, {len(measurement.outputs)} outputs")
+
+
+def frequencies(lower: float, upper: float, step: float) -> Any:
+    """Frequency lines of a band, both ends included where the step meets them.
+
+    Raises
+    ------
+    ValueError
+        If the band is empty or the step not positive.
+    """
+    import numpy as np
+
+    if not 0 <= lower < upper:
+        raise ValueError(f"--band {lower:g} {upper:g}: needs 0 <= LO < HI")
+    if not step > 0:
+        raise ValueError(f"--step {step:g}: the distance of the lines must be above 0 Hz")
+    return lower + step * np.arange(int(np.floor((upper - lower) / step * (1 + 1e-12))) + 1)
+
+
+def read_joints(spec: str) -> list[tuple[Any, tuple[str, ...]]]:
+    """Read joints, each as (law, DoFs), from ``law:dofs:parameters`` or from a TOML file.
+
+    The file holds tables ``[[joint]]`` with ``law``, ``where`` (one or two DoFs) and the parameters.
+
+    Raises
+    ------
+    ValueError
+        Naming what is unknown and what there is.
+    """
+    if spec.endswith(".toml"):
+        return _joints_of_file(Path(spec))
+    law, _, rest = spec.partition(":")
+    places, _, values = rest.rpartition(":")
+    if not places:
+        raise ValueError(f"joint {spec!r}: needs law:dofs:parameters, for example elasto_slip:3,5:k=2e4,slip_force=4")
+    parameters = {}
+    for item in values.split(","):
+        name, equals, value = item.partition("=")
+        if not equals:
+            raise ValueError(f"joint {spec!r}: parameter {item!r} needs name=value")
+        parameters[name.strip()] = value
+    return [make_joint(spec, law.strip(), [p.strip() for p in places.split(",")], parameters)]
+
+
+def _joints_of_file(path: Path) -> list[tuple[Any, tuple[str, ...]]]:
+    try:
+        tables = tomllib.loads(path.read_text(encoding="utf-8")).get("joint", [])
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{path}: {error}") from error
+    if not tables:
+        raise ValueError(f"{path} holds no table [[joint]] with law, where and parameters")
+    found = []
+    for k, table in enumerate(tables):
+        missing = {"law", "where"} - set(table)
+        if missing:
+            raise ValueError(f"{path}, joint {k + 1}: lacks {', '.join(sorted(missing))}")
+        parameters = {name: value for name, value in table.items() if name not in ("law", "where")}
+        where = [table["where"]] if isinstance(table["where"], str) else [str(w) for w in table["where"]]
+        found.append(make_joint(f"{path}, joint {k + 1}", table["law"], where, parameters))
+    return found
+
+
+def make_joint(what: str, law: str, where: list[str], parameters: dict[str, Any]) -> tuple[Any, tuple[str, ...]]:
+    """Make one joint of the catalogue.
+
+    Raises
+    ------
+    ValueError
+        If the law or a parameter is unknown, missing or no number.
+    """
+    from modalax.simulate.joints import CATALOGUE
+
+    if law not in CATALOGUE:
+        raise ValueError(f"joint {what}: no law {law!r}; there are {', '.join(CATALOGUE)}")
+    kind = CATALOGUE[law]
+    if not 1 <= len(where) <= 2:
+        raise ValueError(f"joint {what}: sits at {len(where)} DoFs; it needs one (to ground) or two")
+    unknown = set(parameters) - set(kind.units)
+    if unknown:
+        wanted = ", ".join(f"{name} [{unit}]" for name, unit in kind.units.items())
+        raise ValueError(f"joint {what}: {law} has no parameter {', '.join(sorted(unknown))}; it has {wanted}")
+    try:
+        values = {name: numbers(value) for name, value in parameters.items()}
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"joint {what}: a parameter is no number: {error}") from error
+    for name, value in values.items():
+        low, high = kind.bounds[name]
+        for number in value if isinstance(value, list) else [value]:
+            if not low <= number <= high:
+                raise ValueError(f"joint {what}: {name} is {number:g}; it must lie within {low:g} and {high:g}")
+    try:
+        return kind(**values), tuple(where)
+    except TypeError as error:
+        wanted = ", ".join(f"{name} [{unit}]" for name, unit in kind.units.items())
+        raise ValueError(f"joint {what}: {law} needs {wanted}") from error
+
+
+def numbers(value: Any) -> float | list[float]:
+    """Read one number, or several from a list or from text with semicolons."""
+    if isinstance(value, str) and ";" in value:
+        value = value.split(";")
+    return [float(v) for v in value] if isinstance(value, list) else float(value)
+
+
+def predict(
+    structure: Any, joints: list[Any], freq: Any, levels: list[float], input: str | None, form: str, harmonics: int
+) -> Any:
+    """Predict the measurement: by the receptance where there is no joint, else by harmonic balance."""
+    from modalax.simulate.harmonic import simulate as run
+
+    known = getattr(structure, "dofs", None) or structure.inputs
+    laws, places = [law for law, _ in joints], [where for _, where in joints]
+    level = levels or [float("nan")]
+    options: dict[str, Any] = {"harmonics": harmonics} if joints else {}
+    return run(
+        structure, laws, places, freq, level, inputs=[known[0] if input is None else input], form=form, **options
+    )
+
+
+def with_noise(measurement: Any, relative: float, seed: int) -> Any:
+    """Add noise to every run, each of its own."""
+    import jax
+
+    from modalax.data import Measurement
+
+    keys = jax.random.split(jax.random.key(seed), measurement.runs)
+    return Measurement.from_frfs([measurement.run(k).add_noise(keys[k], relative) for k in range(measurement.runs)])

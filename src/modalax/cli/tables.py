@@ -1,0 +1,103 @@
+"""Results as tables on the terminal."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from modalax.show.numbers import with_error
+
+
+def new_table(title: str) -> Table:
+    """Make an empty table in the look of all tables here."""
+    return Table(title=title, title_justify="left", caption_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+
+
+def mode_table(modes: Sequence[Mapping[str, Any]], truth: tuple[Any, Any] | None = None) -> Table:
+    """Make a table of the modes of ``Fit.to_dict()``, beside true frequencies and damping ratios where known."""
+    table = new_table("Modes, ± one standard deviation")
+    table.caption = "Bias: what noise does to the damping in the diagram, as predicted; the refinement removes it."
+    true = ["true"] if truth is not None else []
+    for name in ("Mode", "Frequency [Hz]", *true, "Damping [%]", *true, "MPC", "Bias [%]"):
+        table.add_column(name, justify="right", no_wrap=True, style="dim" if name == "true" else None)
+    for k, mode in enumerate(modes):
+        bias = mode.get("predicted_damping_bias")
+        row = [
+            str(k + 1),
+            with_error(mode["frequency_hz"], mode["frequency_std_hz"]),
+            with_error(mode["damping_ratio"], mode["damping_ratio_std"], 100.0),
+            f"{mode['mpc']:.3f}",
+            "" if bias is None else f"{100 * bias / mode['damping_ratio']:+.2g}",
+        ]
+        if truth is not None:
+            row.insert(3, f"{100 * float(truth[1][k]):.4g}")
+            row.insert(2, f"{float(truth[0][k]):.5g}")
+        table.add_row(*row)
+    return table
+
+
+def cause_table(causes: Sequence[Any]) -> Table:
+    """Make a table of causes; those that stand for one slug in two forms share a row."""
+    table = new_table("Causes that a diagnosis can name")
+    table.add_column("Cause", no_wrap=True)
+    table.add_column("Parameters")
+    table.add_column("The simulation lacks")
+    seen: dict[str, tuple[dict[str, None], str]] = {}
+    for cause in causes:
+        words, summary = seen.setdefault(cause.slug, ({}, cause.summary))
+        words.update({f"{p.name} [{p.unit}]": None for p in cause.parameters})
+    for slug, (words, summary) in seen.items():
+        table.add_row(slug, escape(", ".join(words)), escape(summary))
+    return table
+
+
+def print_diagnosis(console: Console, answer: Mapping[str, Any]) -> None:
+    """Print ``Diagnosis.to_dict()``: verdict, causes, rivals, advice and gain."""
+    meaning = {
+        "clean": "nothing is wrong with the simulation that this data could show",
+        "named": "the simulation lacks what follows",
+        "ambiguous": "several explanations fit; this data cannot tell them apart",
+        "unknown": "something is wrong that no known cause explains",
+    }
+    verdict = answer["verdict"]
+    console.print(f"[bold]{verdict}[/bold]: {meaning.get(verdict, '')}", highlight=False)
+    if answer["causes"]:
+        table = new_table("Causes in the extended simulation")
+        for name, justify in (("Cause", "left"), ("Where", "left"), ("Probability", "right"), ("Parameters", "left")):
+            table.add_column(name, justify=justify)  # pyright: ignore[reportArgumentType]
+        for cause in answer["causes"]:
+            table.add_row(
+                cause["name"],
+                escape(place(cause["where"])),
+                f"{cause['probability']:.3f}",
+                escape(parameters(cause["parameters"])),
+            )
+        console.print(table)
+    for rival in answer["alternatives"]:
+        text = " and ".join(f"{c['name']} at {place(c['where'])}" for c in rival)
+        console.print(f"  or: {text}", highlight=False, markup=False)
+    if answer["advice"]:
+        console.print(f"to tell them apart: {answer['advice']}", highlight=False, markup=False)
+    gain = answer.get("gain")
+    if gain:
+        console.print(
+            f"held out: {gain['held_out']}; chi-square a real sample {gain['chi2_before']:.3g} before, "
+            f"{gain['chi2_after']:.3g} after; log-likelihood gain "
+            f"{with_error(gain['log_likelihood_gain'], gain['log_likelihood_gain_std'])} nats",
+            highlight=False,
+            markup=False,
+        )  # fmt: skip
+
+
+def place(where: Sequence[Any]) -> str:
+    """Where a cause sits, as text."""
+    return " - ".join(str(w) for w in where) or "everywhere"
+
+
+def parameters(values: Mapping[str, Mapping[str, Any]]) -> str:
+    """Parameters of a cause with standard deviations and units."""
+    told = (f"{name} = {with_error(p['value'], p['std'])} {p['unit'].replace('-', '')}" for name, p in values.items())
+    return ", ".join(text.strip() for text in told)

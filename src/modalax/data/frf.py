@@ -1,0 +1,288 @@
+"""Measured frequency response functions: the values, their axis, their noise and their names."""
+
+from collections.abc import Sequence
+from typing import Any, Literal, get_args
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex, Float
+
+from modalax._numerics.checks import as_double, is_traced, require_finite
+
+Form = Literal["receptance", "mobility", "accelerance"]
+DERIVATIVES: dict[str, int] = {"receptance": 0, "mobility": 1, "accelerance": 2}
+
+
+def default_names(count: int, kind: str) -> tuple[str, ...]:
+    """Names ``kind1``, ``kind2``, ... for channels that have none."""
+    return tuple(f"{kind}{k + 1}" for k in range(count))
+
+
+def check_form(form: str) -> str:
+    """Return ``form`` if it is one of receptance, mobility, accelerance.
+
+    Raises
+    ------
+    ValueError
+        If it is another word.
+    """
+    if form not in get_args(Form):
+        raise ValueError(f"form is {form!r}; it must be one of {', '.join(get_args(Form))}")
+    return form
+
+
+def check_names(names: Sequence[str], count: int, axis: str) -> tuple[str, ...]:
+    """Return ``names`` as a tuple of ``count`` different strings.
+
+    Raises
+    ------
+    ValueError
+        If their number differs from ``count`` or a name stands twice.
+    """
+    names = tuple(str(n) for n in names)
+    if len(names) != count:
+        raise ValueError(f"{len(names)} names for {count} {axis}: {axis} needs one name a channel")
+    twice = sorted({n for n in names if names.count(n) > 1})
+    if twice:
+        raise ValueError(f"{axis} names {', '.join(twice)} stand more than once; each channel needs its own")
+    return names
+
+
+def check_axis(freq: Any) -> None:
+    """Refuse a frequency axis that does not increase or is negative (traced values are not looked at).
+
+    Raises
+    ------
+    ValueError
+        Naming the first line at fault.
+    """
+    if is_traced(freq):
+        return
+    require_finite(freq, "freq")
+    values = np.asarray(freq)
+    if values.size == 0:
+        raise ValueError("freq holds 0 lines; at least 1 is needed")
+    if values[0] < 0:
+        raise ValueError(f"freq starts at {values[0]:g} Hz; frequencies are counted from 0 Hz up")
+    back = np.flatnonzero(np.diff(values) <= 0)
+    if back.size:
+        k = int(back[0])
+        raise ValueError(
+            f"freq must increase: line {k + 1} is {values[k + 1]:g} Hz after {values[k]:g} Hz; sort the lines first"
+        )
+
+
+def band_slice(freq: Any, lower: float, upper: float) -> slice:
+    """The lines of ``freq`` [Hz] within ``lower`` <= f <= ``upper`` [Hz].
+
+    Raises
+    ------
+    ValueError
+        If the band is upside down or holds no line.
+    """
+    values = np.asarray(freq)
+    if not lower < upper:
+        raise ValueError(f"the band {lower:g} to {upper:g} Hz is empty; its first limit must be the smaller one")
+    inside = np.flatnonzero((values >= lower * (1 - 1e-12)) & (values <= upper * (1 + 1e-12)))
+    if inside.size == 0:
+        raise ValueError(
+            f"the band {lower:g} to {upper:g} Hz holds no line; the data covers {values[0]:g} to {values[-1]:g} Hz"
+        )
+    return slice(int(inside[0]), int(inside[-1]) + 1)
+
+
+class FRF(eqx.Module):
+    r"""One run of measured frequency response functions :math:`H_{oi}(\omega_f)`.
+
+    Attributes
+    ----------
+    freq
+        Frequency of each line, increasing, shape ``(f,)`` [Hz].
+    H
+        Response of output ``o`` to a unit force at input ``i``, shape ``(f, o, i)`` [m/N, (m/s)/N or (m/s^2)/N],
+        for the time convention :math:`e^{+j\omega t}`.
+    variance
+        :math:`E|e|^2` of each complex sample (of the averaged FRF), shape ``(f, o, i)``, or None where unknown.
+    coherence
+        Ordinary coherence :math:`\gamma^2` of each sample, shape ``(f, o, i)``, or None.
+    level
+        Force amplitude of the run [N]; NaN where unknown.
+    added_decay
+        Decay rate that an exponential window added to every mode [1/s]; 0 where none. ``identify`` takes it out.
+    form
+        ``receptance``, ``mobility`` or ``accelerance``.
+    outputs, inputs
+        DoF names.
+    averages
+        Number of independent repeats behind ``variance``; None where it is exactly known or unknown.
+    """
+
+    freq: Float[Array, " f"]
+    H: Complex[Array, "f o i"]
+    variance: Float[Array, "f o i"] | None
+    coherence: Float[Array, "f o i"] | None
+    level: Float[Array, ""]
+    added_decay: Float[Array, ""]
+    form: str = eqx.field(static=True)
+    outputs: tuple[str, ...] = eqx.field(static=True)
+    inputs: tuple[str, ...] = eqx.field(static=True)
+    averages: int | None = eqx.field(static=True)
+
+    def __init__(
+        self,
+        freq: Any,
+        H: Any,
+        *,
+        form: str = "receptance",
+        variance: Any = None,
+        coherence: Any = None,
+        level: Any = float("nan"),
+        added_decay: Any = 0.0,
+        outputs: Sequence[str] | None = None,
+        inputs: Sequence[str] | None = None,
+        averages: int | None = None,
+    ):
+        check_axis(freq)
+        self.freq = as_double(freq, "freq")
+        self.H = as_double(H, "H", complex_=True)
+        if self.H.ndim != 3 or self.freq.ndim != 1 or self.H.shape[0] != self.freq.shape[0]:
+            raise ValueError(
+                f"H has shape {self.H.shape} for {self.freq.shape[0]} frequency lines; it needs (f, o, i): "
+                "frequency line, output, input"
+            )
+        require_finite(self.H, "H")
+        self.variance = None if variance is None else jnp.broadcast_to(as_double(variance, "variance"), self.H.shape)
+        if self.variance is not None:
+            require_finite(self.variance, "variance")
+            if not is_traced(self.variance) and bool((self.variance < 0).any()):
+                raise ValueError(f"variance holds negative values (smallest {float(self.variance.min()):g})")
+        self.coherence = (
+            None if coherence is None else jnp.broadcast_to(as_double(coherence, "coherence"), self.H.shape)
+        )
+        self.level = as_double(level, "level")
+        self.added_decay = as_double(added_decay, "added_decay")
+        self.form = check_form(form)
+        _, n_out, n_in = self.H.shape
+        self.outputs = check_names(default_names(n_out, "o") if outputs is None else outputs, n_out, "outputs")
+        self.inputs = check_names(default_names(n_in, "i") if inputs is None else inputs, n_in, "inputs")
+        if averages is not None and averages < 1:
+            raise ValueError(f"averages is {averages}; at least 1 repeat is needed")
+        self.averages = averages
+
+    @property
+    def omega(self) -> Float[Array, " f"]:
+        """Circular frequency of each line [rad/s]."""
+        return 2 * jnp.pi * self.freq
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Numbers of lines, outputs and inputs."""
+        n_lines, n_out, n_in = self.H.shape
+        return n_lines, n_out, n_in
+
+    def replace(self, **changes: Any) -> "FRF":
+        """A copy with some attributes changed and everything checked again."""
+        fields = dict(
+            freq=self.freq, H=self.H, variance=self.variance, coherence=self.coherence, level=self.level,
+            added_decay=self.added_decay, form=self.form, outputs=self.outputs, inputs=self.inputs,
+            averages=self.averages,
+        )  # fmt: skip
+        return FRF(**{**fields, **changes})
+
+    def lines(self, which: Any) -> "FRF":
+        """The FRF at some lines only (a slice, or increasing indices)."""
+        take = lambda a: None if a is None else a[which]  # noqa: E731
+        return self.replace(
+            freq=self.freq[which], H=self.H[which], variance=take(self.variance), coherence=take(self.coherence)
+        )
+
+    def band(self, lower: float, upper: float) -> "FRF":
+        """The lines with ``lower`` <= f <= ``upper`` [Hz].
+
+        Raises
+        ------
+        ValueError
+            If no line lies within.
+        """
+        return self.lines(band_slice(self.freq, lower, upper))
+
+    def pick(self, outputs: Sequence[str] | None = None, inputs: Sequence[str] | None = None) -> "FRF":
+        """Some outputs and inputs by name, in the order asked for.
+
+        Raises
+        ------
+        ValueError
+            If a name is not measured; the message lists those that are.
+        """
+        o = _indices(self.outputs, outputs, "output")
+        i = _indices(self.inputs, inputs, "input")
+        take = lambda a: None if a is None else a[:, o][:, :, i]  # noqa: E731
+        return self.replace(
+            H=take(self.H), variance=take(self.variance), coherence=take(self.coherence),
+            outputs=[self.outputs[k] for k in o], inputs=[self.inputs[k] for k in i],
+        )  # fmt: skip
+
+    def to_form(self, form: str) -> "FRF":
+        r"""The FRF as receptance, mobility or accelerance, by factors :math:`s^{\pm n}`.
+
+        :math:`s = j\omega`, or :math:`j\omega + \sigma` where an exponential window added the decay :math:`\sigma`:
+        that is where the windowed record evaluates H.
+
+        Raises
+        ------
+        ValueError
+            If a division by zero frequency is asked for: drop the line at 0 Hz first.
+        """
+        steps = DERIVATIVES[check_form(form)] - DERIVATIVES[self.form]
+        if steps == 0:
+            return self
+        s = 1j * self.omega + self.added_decay
+        if steps < 0 and not is_traced(s) and complex(s[0]) == 0:
+            raise ValueError(
+                f"{self.form} at 0 Hz has no {form}: drop that line first, for example with .lines(slice(1, None))"
+            )
+        factor = s[:, None, None] ** steps
+        variance = None if self.variance is None else self.variance * jnp.abs(factor) ** 2
+        return self.replace(H=self.H * factor, variance=variance, form=form)
+
+    def transpose(self) -> "FRF":
+        """Outputs and inputs exchanged; with reciprocity the same structure measured the other way round."""
+        turn = lambda a: None if a is None else jnp.swapaxes(a, 1, 2)  # noqa: E731
+        return self.replace(
+            H=turn(self.H), variance=turn(self.variance), coherence=turn(self.coherence),
+            outputs=self.inputs, inputs=self.outputs,
+        )  # fmt: skip
+
+    def add_noise(self, key: jax.Array, relative: float, reference: str = "rms") -> "FRF":
+        r"""The FRF with circular Gaussian noise :math:`e` added, and its variance recorded.
+
+        Parameters
+        ----------
+        relative
+            Noise level: standard deviation of the complex error divided by the reference.
+        reference
+            ``rms``: each channel's root mean square over the lines; ``peak``: its largest magnitude;
+            ``local``: the magnitude of each sample.
+        """
+        size = jnp.abs(self.H)
+        scale = {
+            "rms": lambda: jnp.sqrt(jnp.mean(size**2, axis=0, keepdims=True)),
+            "peak": lambda: jnp.max(size, axis=0, keepdims=True),
+            "local": lambda: size,
+        }
+        if reference not in scale:
+            raise ValueError(f"reference is {reference!r}; it must be one of {', '.join(scale)}")
+        sigma = jnp.broadcast_to(relative * scale[reference](), self.H.shape)
+        real, imag = jax.random.normal(key, (2, *self.H.shape))
+        return self.replace(H=self.H + sigma * (real + 1j * imag) / jnp.sqrt(2.0), variance=sigma**2)
+
+
+def _indices(names: tuple[str, ...], wanted: Sequence[str] | None, axis: str) -> list[int]:
+    if wanted is None:
+        return list(range(len(names)))
+    missing = [w for w in wanted if w not in names]
+    if missing:
+        raise ValueError(f"no {axis} named {', '.join(map(repr, missing))}; there are {', '.join(names)}")
+    return [names.index(w) for w in wanted]

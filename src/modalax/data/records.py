@@ -1,0 +1,339 @@
+"""Time records to FRFs: continuous random excitation, repeated blocks, hammer hits."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from modalax._numerics.checks import as_double, is_traced, require_finite
+from modalax.data.frf import FRF, band_slice
+from modalax.data.hits import find_hits, good_hits
+from modalax.data.spectra import Spectra, estimate, ordinary_coherence, spectra, spectral_lines
+from modalax.data.windows import effective_averages, exponential_window, force_window, taper
+
+
+class Quantity(NamedTuple):
+    """What a response is in SI units."""
+
+    form: str
+    factor: float
+
+
+QUANTITIES = {
+    "m": Quantity("receptance", 1.0),
+    "m/s": Quantity("mobility", 1.0),
+    "m/s^2": Quantity("accelerance", 1.0),
+    "g": Quantity("accelerance", 9.80665),
+}
+# Forces whose coherency matrix has a smallest eigenvalue below this are one force for all that can be measured.
+DEPENDENT = 1e-10
+
+
+def quantity(unit: str) -> Quantity:
+    """What a response in ``unit`` is.
+
+    Raises
+    ------
+    ValueError
+        If the unit is not known; the message lists those that are.
+    """
+    if unit not in QUANTITIES:
+        raise ValueError(f"unit is {unit!r}; a response can be in {', '.join(QUANTITIES)}")
+    return QUANTITIES[unit]
+
+
+def frf_from_records(
+    force: Any,
+    response: Any,
+    fs: float,
+    *,
+    unit: str,
+    block: float,
+    overlap: float = 0.5,
+    window: str = "hann",
+    estimator: str = "H1",
+    band: tuple[float, float] | None = None,
+    level: Any = float("nan"),
+    outputs: Sequence[str] | None = None,
+    inputs: Sequence[str] | None = None,
+) -> FRF:
+    r"""FRF of a continuous record, by averaging overlapping blocks (Welch).
+
+    Parameters
+    ----------
+    force
+        Forces, shape ``(t,)`` for one or ``(t, i)`` [N].
+    response
+        Responses, shape ``(t,)`` for one or ``(t, o)`` [``unit``].
+    fs
+        Sampling rate [Hz].
+    unit
+        Unit of the responses: ``m``, ``m/s``, ``m/s^2`` or ``g``; it decides the form of the FRF.
+    block
+        Length of a block [s]; lines are ``1/block`` apart.
+    overlap
+        Share of a block that the next one repeats.
+    window
+        Taper of each block by its name in ``scipy.signal``.
+    estimator
+        ``H1``, ``H2`` or ``Hv``; see :func:`modalax.data.spectra.estimate`.
+    band
+        Lines to keep [Hz]; all but 0 Hz and half the sampling rate if None.
+    level, outputs, inputs
+        As in :class:`modalax.data.FRF`.
+
+    Returns
+    -------
+    FRF
+        With ordinary coherence and the variance of the averaged FRF. ``averages`` is the number of independent
+        repeats with the degrees of freedom of that variance: effective blocks (:func:`effective_averages`) less
+        inputs plus one, rounded down. What leaks out of a block counts as noise in both, but it also makes a bias.
+
+    Raises
+    ------
+    ValueError
+        If shapes, block or unit do not fit, a force is dead at a line, or the forces are one.
+    """
+    force, response = _record(force, "force"), _record(response, "response")
+    if len(force) != len(response):
+        raise ValueError(f"force has {len(force)} samples and response {len(response)}; they need the same clock")
+    samples = round(block * fs)
+    if not 0 <= overlap < 1 or not 3 <= samples <= len(force):
+        raise ValueError(
+            f"blocks of {samples} samples with overlap {overlap:g} from a record of {len(force)}; a block needs at "
+            "least 3 samples, no more than the record, and an overlap of at least 0 and below 1"
+        )
+    step = max(1, round(samples * (1 - overlap)))
+    starts = np.arange(0, len(force) - samples + 1, step)
+    blocks = lambda a: a[starts[:, None] + np.arange(samples)]  # noqa: E731
+    factors = taper(window, samples)
+    averages = effective_averages(factors, step, len(starts))
+    still = lambda a: a - a.mean(axis=1, keepdims=True)  # noqa: E731
+    averaged = spectra(still(blocks(force)), still(blocks(response)), float(fs), jnp.asarray(factors), averages)
+    lines = spectral_lines(samples, fs)
+    return _as_frf(averaged, lines, estimator, unit, band, level=level, outputs=outputs, inputs=inputs)
+
+
+def frf_from_blocks(
+    force: Any,
+    response: Any,
+    fs: float,
+    *,
+    unit: str,
+    estimator: str = "H1",
+    window: Any = None,
+    decay: Any = 0.0,
+    band: tuple[float, float] | None = None,
+    level: Any = float("nan"),
+    outputs: Sequence[str] | None = None,
+    inputs: Sequence[str] | None = None,
+) -> FRF:
+    r"""FRF of independent blocks: hits, bursts, sweeps, or periods of a periodic excitation.
+
+    Parameters
+    ----------
+    force
+        Blocks of the forces, shape ``(m, t, i)`` [N].
+    response
+        Blocks of the responses, shape ``(m, t, o)`` [``unit``].
+    fs
+        Sampling rate [Hz].
+    unit
+        Unit of the responses: ``m``, ``m/s``, ``m/s^2`` or ``g``; it decides the form of the FRF.
+    estimator
+        ``H1``, ``H2`` or ``Hv``; see :func:`modalax.data.spectra.estimate`.
+    window
+        Factors ``(t,)`` on all channels, such as :func:`modalax.data.windows.taper`; none by default.
+    decay
+        Decay rate of an exponential window on all channels [1/s]; kept in ``added_decay`` for identification to take
+        back out.
+    band, level, outputs, inputs
+        As for :func:`frf_from_records`.
+
+    Returns
+    -------
+    FRF
+        With ordinary coherence, variance and averages where there are more blocks than inputs.
+
+    Raises
+    ------
+    ValueError
+        If shapes or unit do not fit, there are fewer blocks than inputs, a force is dead at a line, or the forces
+        are one.
+    """
+    force, response = as_double(force, "force"), as_double(response, "response")
+    if force.ndim != 3 or response.ndim != 3 or force.shape[:2] != response.shape[:2]:
+        raise ValueError(
+            f"force has shape {force.shape} and response {response.shape}; they need (m, t, i) and (m, t, o) with one "
+            "m and t: block, sample, channel"
+        )
+    count, samples, _ = force.shape
+    factors = jnp.ones(samples) if window is None else as_double(window, "window")
+    factors = factors * exponential_window(samples, fs, decay)
+    averaged = spectra(force, response, float(fs), factors, float(count))
+    lines = spectral_lines(samples, fs)
+    return _as_frf(
+        averaged, lines, estimator, unit, band, level=level, outputs=outputs, inputs=inputs, added_decay=decay
+    )  # fmt: skip
+
+
+def frf_from_hits(
+    force: Any,
+    response: Any,
+    fs: float,
+    *,
+    unit: str,
+    block: float,
+    trigger: float = 0.2,
+    pretrigger: float = 0.0,
+    contact: float | None = None,
+    decay: Any = 0.0,
+    full_scale: Any = None,
+    keep_all: bool = False,
+    estimator: str = "H1",
+    band: tuple[float, float] | None = None,
+    outputs: Sequence[str] | None = None,
+    input: str | None = None,
+) -> FRF:
+    """FRF of a record of several hammer hits at one point.
+
+    Hits are found and cut by :func:`modalax.data.hits.find_hits`; double hits and overloads are left out with a
+    warning. The mean before the trigger is taken off each channel, the force is windowed around the contact, and the
+    exponential window goes on all channels alike.
+
+    Parameters
+    ----------
+    force
+        Force record, shape ``(t,)`` [N].
+    response
+        Response records, shape ``(t,)`` for one or ``(t, o)`` [``unit``].
+    fs
+        Sampling rate [Hz].
+    unit
+        Unit of the responses: ``m``, ``m/s``, ``m/s^2`` or ``g``; it decides the form of the FRF.
+    block, trigger, pretrigger, full_scale
+        How hits are found; see :func:`modalax.data.hits.find_hits`.
+    contact
+        Duration of the force window from the trigger on [s]; no force window if None.
+    decay
+        Decay rate of the exponential window [1/s], for example ``decay_to(0.01, block)``.
+    keep_all
+        Keep double hits and overloads too. A double hit only thins out the spectrum of the force at some lines; an
+        overload makes a wrong FRF.
+    estimator, band, outputs
+        As for :func:`frf_from_records`; ``input`` names the point hit. ``level`` is left unknown: a hit has no force
+        amplitude.
+
+    Raises
+    ------
+    ValueError
+        If no usable hit is found, or shapes or unit do not fit.
+    """
+    force, response = np.asarray(_record(force, "force")), np.asarray(_record(response, "response"))
+    if force.shape[1] != 1:
+        raise ValueError(f"force has {force.shape[1]} channels; a record of hits has 1, the hammer")
+    hits = find_hits(
+        force[:, 0], response, fs, block=block, trigger=trigger, pretrigger=pretrigger, full_scale=full_scale
+    )
+    if not keep_all:
+        hits = good_hits(hits)
+    blocks_f, blocks_x = hits.cut(force), hits.cut(response)
+    before = round(pretrigger * fs)
+    if before:
+        blocks_f, blocks_x = (b - b[:, :before].mean(axis=1, keepdims=True) for b in (blocks_f, blocks_x))
+    if contact is not None:
+        # The threshold is crossed on the way up: what comes before it within one contact is kept as well.
+        start = max(0.0, pretrigger - contact)
+        keep = force_window(hits.samples, fs, pretrigger + contact, start, ramp=contact / 2)
+        blocks_f = blocks_f * np.asarray(keep)[:, None]
+    return frf_from_blocks(
+        blocks_f, blocks_x, fs, unit=unit, estimator=estimator, decay=decay, band=band, outputs=outputs,
+        inputs=None if input is None else [input],
+    )  # fmt: skip
+
+
+def average_frfs(frfs: Sequence[FRF]) -> FRF:
+    r"""Mean of repeated FRFs and its variance from their scatter, :math:`\sum_k|H_k-\bar H|^2/(m(m-1))`.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than 2, or they differ in lines, channels or form.
+    """
+    if len(frfs) < 2:
+        raise ValueError(f"{len(frfs)} FRFs; at least 2 repeats are needed for a variance")
+    first = frfs[0]
+    for k, frf in enumerate(frfs[1:], start=1):
+        same = (frf.outputs, frf.inputs, frf.form, frf.shape) == (first.outputs, first.inputs, first.form, first.shape)
+        if not same or not np.array_equal(np.asarray(frf.freq), np.asarray(first.freq)):
+            raise ValueError(f"FRF {k} differs from FRF 0 in its lines, channels or form; they must be the same")
+        if not is_traced(frf.added_decay) and float(frf.added_decay) != float(first.added_decay):
+            raise ValueError(
+                f"FRF {k} has an added decay of {float(frf.added_decay):g} 1/s and FRF 0 of "
+                f"{float(first.added_decay):g}; average FRFs of one exponential window only"
+            )
+    stack = jnp.stack([frf.H for frf in frfs])
+    mean = stack.mean(axis=0)
+    scatter = stack - mean
+    variance = jnp.sum(scatter.real**2 + scatter.imag**2, axis=0) / (len(frfs) * (len(frfs) - 1))
+    return first.replace(H=mean, variance=variance, coherence=None, averages=len(frfs))
+
+
+def _record(value: Any, what: str) -> Float[Array, "t c"]:
+    record = as_double(value, what)
+    if record.ndim not in (1, 2):
+        raise ValueError(f"{what} has shape {record.shape}; a record needs (t,) for one channel or (t, channel)")
+    require_finite(record, what)
+    return record[:, None] if record.ndim == 1 else record
+
+
+def _as_frf(
+    s: Spectra,
+    freq: Float[np.ndarray, " f"],
+    estimator: str,
+    unit: str,
+    band: tuple[float, float] | None,
+    **rest: Any,
+) -> FRF:
+    """The FRF in SI units, with what its variance rests on."""
+    form, factor = quantity(unit)
+    if band is not None:
+        which = band_slice(freq, *band)
+        freq = freq[which]
+        s = Spectra(s.freq[which], s.force[which], s.cross[which], s.response[which], s.averages)
+    _check_forces(s, freq)
+    H, variance = estimate(s, estimator)
+    # With just as many blocks as inputs every H fits them without a rest: nothing is known of the noise.
+    freedom = s.averages - s.force.shape[-1]
+    known = freedom > 1e-9
+    return FRF(
+        freq, factor * H, form=form, variance=factor**2 * variance if known else None,
+        coherence=ordinary_coherence(s) if known else None, averages=int(freedom + 1 + 1e-9) if known else None,
+        **rest,
+    )  # fmt: skip
+
+
+def _check_forces(s: Spectra, freq: Float[np.ndarray, " f"]) -> None:
+    inputs = s.force.shape[-1]
+    if s.averages < inputs * (1 - 1e-9):
+        raise ValueError(f"{s.averages:.3g} independent blocks for {inputs} forces; at least {inputs} are needed")
+    if is_traced(s.force):
+        return
+    force = np.asarray(s.force)
+    power = np.real(np.diagonal(force, axis1=1, axis2=2))
+    dead = np.argwhere(power <= 0)
+    if len(dead):
+        line, channel = dead[0]
+        raise ValueError(
+            f"force {channel + 1} is zero at {len(dead)} lines, the first at {freq[line]:g} Hz; keep to a band that is "
+            "excited"
+        )
+    size = np.sqrt(power)
+    smallest = np.linalg.eigvalsh(force / (size[:, :, None] * size[:, None, :]))[:, 0]
+    if smallest.min() < DEPENDENT:
+        raise ValueError(
+            f"the {inputs} forces are one at {freq[smallest.argmin()]:g} Hz: their coherency matrix has a smallest "
+            f"eigenvalue of {smallest.min():.1g}, at least {DEPENDENT:g} is needed; drive them by independent signals"
+        )

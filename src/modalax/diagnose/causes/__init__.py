@@ -1,0 +1,20 @@
+"""The catalogue of causes, one family a file."""
+
+from modalax.diagnose.causes.base import Cause, JointCause, LocalCause, Parameter, Place, Scene, strengths
+from modalax.diagnose.causes.channels import CHANNELS, ChannelCause
+from modalax.diagnose.causes.joints import JOINTS
+from modalax.diagnose.causes.lines import MainsHum
+from modalax.diagnose.causes.local import LOCAL
+from modalax.diagnose.causes.modal import MODAL
+from modalax.diagnose.causes.patterns import PATTERNS
+
+
+def catalogue() -> list[Cause]:
+    """All causes known, the linear ones first; some slugs stand twice, for two forms of one cause."""
+    return [*LOCAL, *MODAL, *CHANNELS, *PATTERNS, MainsHum(), *JOINTS]
+
+
+__all__ = [
+    "Cause", "ChannelCause", "JointCause", "LocalCause", "MainsHum", "Parameter", "Place", "Scene", "catalogue",
+    "strengths",
+]  # fmt: skip

@@ -1,0 +1,233 @@
+r"""What a cause is: a slug, parameters, places, and a map at one stage of the prediction.
+
+A cause of your own is a class with its parameters, its places and one map. A fractional-derivative joint::
+
+    class Fractional(LocalCause):
+        slug = "fractional_joint"
+        parameters = (Parameter("coefficient", "N s^a/m"), Parameter("order", "-", 0.1, 0.9, log=False))
+
+        def impedance(self, s, p):
+            return p[0] * s ** p[1]
+
+        def grid(self, scene, place):
+            return strengths(scene.stiffness_scale(place), [[0.3], [0.5], [0.7]])
+
+    modalax.diagnose.diagnose(measurement, simulation, causes=[*catalogue(), Fractional()])
+
+The first parameter is the strength: at 0 the cause is not there. Places and parameters are data, so each class is
+compiled once for all of them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex, Float
+
+INFINITE = float("inf")
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One unknown of a cause: name, SI unit, bounds, and whether it is searched on a logarithmic scale."""
+
+    name: str
+    unit: str
+    lower: float = -INFINITE
+    upper: float = INFINITE
+    log: bool = False
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a cause sits: names for the answer, and integers (DoFs, channel, mode or variant) for the map."""
+
+    where: tuple[Any, ...]
+    index: tuple[int, int, int] = (0, -1, 0)
+
+
+@dataclass
+class Scene:
+    """What causes may look at when they choose places and starting values; numpy, unpadded.
+
+    Attributes
+    ----------
+    freq, omega
+        Lines [Hz], [rad/s], shape ``(f,)``.
+    dofs, outputs, inputs
+        Names.
+    frequency_hz, damping_ratio
+        Of the modes of the simulation.
+    receptance
+        Between all DoFs and themselves or pairs: ``drive(a, b)`` gives :math:`b^T H b`, shape ``(f,)`` [m/N].
+    levels
+        Force amplitudes [N].
+    """
+
+    freq: np.ndarray
+    dofs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    inputs: tuple[str, ...]
+    frequency_hz: np.ndarray
+    damping_ratio: np.ndarray
+    levels: np.ndarray
+    plant: Any
+    scaled: bool = True
+    form: str = "receptance"
+    cache: dict[Any, Any] = field(default_factory=dict)
+
+    @property
+    def omega(self) -> np.ndarray:
+        """Circular frequencies [rad/s]."""
+        return 2 * np.pi * self.freq
+
+    def _gains(self) -> tuple[np.ndarray, np.ndarray]:
+        if "gains" not in self.cache:
+            s, poles = 1j * self.omega[:, None], np.asarray(self.plant.poles)
+            self.cache["gains"] = 1 / (s - poles), 1 / (s - poles.conj())
+        return self.cache["gains"]
+
+    def _direction(self, place: Place) -> tuple[np.ndarray, np.ndarray]:
+        psi, part = np.asarray(self.plant.shapes), np.asarray(self.plant.participation)
+        a, b = place.index[:2]
+        return (psi[:, a] - psi[:, b], part[:, a] - part[:, b]) if b >= 0 else (psi[:, a], part[:, a])
+
+    def drive(self, place: Place) -> np.ndarray:
+        """Receptance across a place, shape ``(f,)`` [m/N]."""
+        u, v = self._gains()
+        psi, part = self._direction(place)
+        return u @ (psi * part) + v @ (psi * part).conj()
+
+    def motion(self, place: Place) -> np.ndarray:
+        """Relative displacement across a place for each input, shape ``(f, i)`` [m/N]."""
+        u, v = self._gains()
+        psi, _ = self._direction(place)
+        part = np.asarray(self.plant.participation)[:, [self.dofs.index(name) for name in self.inputs]]
+        return u @ (psi[:, None] * part) + v @ (psi[:, None] * part).conj()
+
+    def stiffness_scale(self, place: Place) -> float:
+        """A stiffness [N/m] that would matter at a place: one over the median receptance across it."""
+        return float(1 / max(np.median(np.abs(self.drive(place))), 1e-300))
+
+    def amplitudes(self, place: Place, fractions: Sequence[float]) -> np.ndarray:
+        """Amplitudes [m] across a place, as fractions of the largest undisturbed one of the largest level."""
+        return float(np.abs(self.motion(place)).max()) * float(self.levels.max()) * np.asarray(fractions)
+
+    def pairs(self, ground: bool = True, both: bool = True) -> list[Place]:
+        """Every DoF to ground and every pair."""
+        if not self.scaled:
+            return []
+        single = [Place((name,), (k, -1, 0)) for k, name in enumerate(self.dofs)] if ground else []
+        pairs = [
+            Place((self.dofs[a], self.dofs[b]), (a, b, 0))
+            for a in range(len(self.dofs))
+            for b in range(a + 1, len(self.dofs))
+        ]
+        return single + (pairs if both else [])
+
+    def channels(self) -> list[Place]:
+        """Every measured output."""
+        return [Place((name,), (k, -1, 0)) for k, name in enumerate(self.outputs)]
+
+
+def strengths(
+    scale: float, shapes: Sequence[Sequence[float]] = ((),), sizes: Sequence[float] = (1e-4, 0.03, 0.2, 1.0),
+    both: bool = True,
+) -> np.ndarray:  # fmt: skip
+    """Starting values: the first parameter at ``sizes`` times ``scale`` (and its negatives), the others at ``shapes``.
+
+    Shape ``(start, parameter)``; the first size stands for the derivative at zero.
+    """
+    signs = (1.0, -1.0) if both else (1.0,)
+    return np.array([[sign * size * scale, *shape] for shape in shapes for size in sizes for sign in signs])
+
+
+class Cause:
+    """Base of all causes; see the module's docstring for an example.
+
+    Attributes
+    ----------
+    slug
+        Name in the answer.
+    stage
+        Where the map acts: ``laplace``, ``modes``, ``kernel``, ``local``, ``joint``, ``channels``.
+    parameters
+        Unknowns, the strength first; may be empty (a sign, a swap).
+    per_run
+        Whether the effect depends on the run or its level.
+    fidelity
+        Relative error of the predicted effect itself; a misfit below it is no sign of an unknown cause.
+    prior
+        Weight of the cause before the data, relative to others.
+    unseen
+        Number of parameters that FRFs do not show to first order, and that therefore cost nothing.
+    """
+
+    slug: ClassVar[str] = ""
+    stage: ClassVar[str] = ""
+    parameters: ClassVar[tuple[Parameter, ...]] = ()
+    per_run: ClassVar[bool] = False
+    fidelity: ClassVar[float] = 0.0
+    prior: ClassVar[float] = 1.0
+    unseen: ClassVar[int] = 0
+    summary: ClassVar[str] = ""
+
+    def places(self, scene: Scene) -> list[Place]:
+        """Where the cause may sit."""
+        return [Place(())]
+
+    def grid(self, scene: Scene, place: Place) -> np.ndarray:
+        """Parameter vectors to screen at, shape ``(start, parameter)``."""
+        raise NotImplementedError(f"{type(self).__name__} needs grid(scene, place)")
+
+    def report(self, p: np.ndarray, place: Place) -> dict[str, tuple[Any, str]]:
+        """Parameters as told in the answer: value and unit by name."""
+        return {q.name: (p[k], q.unit) for k, q in enumerate(self.parameters)}
+
+    def __hash__(self) -> int:
+        return hash((type(self), tuple(sorted(vars(self).items()))))
+
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other) and vars(self) == vars(other)
+
+
+class LocalCause(Cause):
+    r"""A linear impedance :math:`Z(s)` [N/m] on a direction: :math:`H - H b (1/Z + b^T H b)^{-1} b^T H`."""
+
+    stage = "local"
+
+    def places(self, scene: Scene) -> list[Place]:
+        """Every DoF to ground and every pair."""
+        return scene.pairs()
+
+    def impedance(self, s: Complex[Array, " f"], p: Float[Array, " p"]) -> Complex[Array, " f"]:
+        """Force a unit relative displacement [N/m]."""
+        raise NotImplementedError(f"{type(self).__name__} needs impedance(s, p)")
+
+
+class JointCause(Cause):
+    """A non-linear joint, by its law in :mod:`modalax.simulate`."""
+
+    stage = "joint"
+    per_run = True
+
+    def places(self, scene: Scene) -> list[Place]:
+        """Every DoF to ground and every pair."""
+        return scene.pairs()
+
+    def law(self, p: Float[Array, " p"]) -> Any:
+        """The joint with parameters ``p``."""
+        raise NotImplementedError(f"{type(self).__name__} needs law(p)")
+
+    def impedance(self, A: Array, omega: Array, p: Float[Array, " p"]) -> Complex[Array, "..."]:
+        """Describing function at amplitude ``A`` [m], [N/m]."""
+        return self.law(p).describing(A, omega)
+
+
+def gather(columns: Array, index: Array, axis: int = -1) -> Array:
+    """Column of a direction: that of the first DoF less that of the second, where there is one."""
+    first = jnp.take(columns, index[0], axis=axis)
+    second = jnp.take(columns, jnp.maximum(index[1], 0), axis=axis)
+    return first - jnp.where(index[1] >= 0, 1.0, 0.0) * second

@@ -1,0 +1,186 @@
+"""Faults of the measurement: gains, signs, swaps, delays, units, sensors' mass, noise on the force."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex
+
+from modalax.diagnose.causes.base import Cause, Parameter, Place, Scene, strengths
+
+
+def _one(count: int, k: Array) -> Array:
+    """1 at channel ``k``, 0 elsewhere, shape ``(o, 1)``."""
+    return (jnp.arange(count) == k).astype(float)[:, None]
+
+
+class ChannelCause(Cause):
+    """A map of the predicted FRF, shape ``(run, f, o, i)``."""
+
+    stage = "channels"
+
+    def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
+        """The FRF as measured."""
+        raise NotImplementedError(f"{type(self).__name__} needs channels(H, at, where, extra, p)")
+
+
+class ChannelGain(ChannelCause):
+    r"""Calibration of one sensor, row times :math:`1 + g`."""
+
+    slug = "channel_gain"
+    summary = "calibration of one sensor"
+    parameters = (Parameter("gain", "-", -0.999),)
+
+    def places(self, scene: Scene) -> list[Place]:
+        """Every output."""
+        return scene.channels()
+
+    def grid(self, scene: Scene, place: Place) -> np.ndarray:
+        """Linear in the gain, so one size does."""
+        return np.array([[1e-3], [-1e-3]])
+
+    def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
+        """Scale one row."""
+        return H * (1 + p[0] * _one(H.shape[2], where[0]))
+
+
+class ChannelSign(ChannelCause):
+    """One sensor with the wrong sign."""
+
+    slug = "channel_sign"
+    summary = "sign of one sensor"
+
+    def places(self, scene: Scene) -> list[Place]:
+        """Every output."""
+        return scene.channels()
+
+    def grid(self, scene: Scene, place: Place) -> np.ndarray:
+        """No unknowns."""
+        return np.zeros((1, 0))
+
+    def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
+        """Turn one row."""
+        return H * (1 - 2 * _one(H.shape[2], where[0]))
+
+
+class ChannelSwap(ChannelCause):
+    """Two sensors exchanged."""
+
+    slug = "channel_swap"
+    summary = "two sensors exchanged"
+
+    def places(self, scene: Scene) -> list[Place]:
+        """Every pair of outputs."""
+        names = scene.outputs
+        return [Place((names[a], names[b]), (a, b, 0)) for a in range(len(names)) for b in range(a + 1, len(names))]
+
+    def grid(self, scene: Scene, place: Place) -> np.ndarray:
+        """No unknowns."""
+        return np.zeros((1, 0))
+
+    def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
+        """Exchange two rows."""
+        first, second = jnp.take(H, where[0], axis=2), jnp.take(H, where[1], axis=2)
+        a, b = _one(H.shape[2], where[0]), _one(H.shape[2], where[1])
+        return H * (1 - a - b) + second[:, :, None] * a + first[:, :, None] * b
+
+
+class TimeDelay(ChannelCause):
+    r"""A delay of one channel or of all, :math:`e^{-j\omega\tau}`."""
+
+    slug = "time_delay"
+    summary = "delay of one sensor or of all"
+    parameters = (Parameter("delay", "s"),)
+
+    def places(self, scene: Scene) -> list[Place]:
+        """All outputs together, then every one."""
+        return [Place((), (-1, -1, 0))] + (scene.channels() if len(scene.outputs) > 1 else [])
+
+    def grid(self, scene: Scene, place: Place) -> np.ndarray:
+        """Up to a full turn of the phase at the end of the band."""
+        return strengths(1 / (2 * np.pi * scene.freq[-1]), ((),), (1e-3, 0.2, 0.7, 1.5, 3.0))
+
+    def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
+        """Turn the phase of one row or of all."""
+        which = jnp.where(where[0] < 0, 1.0, _one(H.shape[2], where[0]))
+        return H * jnp.exp(-1j * at.s.imag[:, None, None] * p[0] * which)
+
+
+class Units(ChannelCause):
+    r"""One integration or differentiation too many, :math:`(j\omega)^{\pm1}`."""
+
+    slug = "units"
+    summary = "one integration or differentiation"
+
+    def places(self, scene: Scene) -> list[Place]:
+        """Down and up."""
+        return [Place((), (k, -1, 0)) for k in (-1, 1)]
+
+    def grid(self, scene: Scene, place: Place) -> np.ndarray:
+        """No unknowns."""
+        return np.zeros((1, 0))
+
+    def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
+        """Differentiate or integrate."""
+        s = (1j * at.s.imag)[:, None, None]
+        return H * jnp.where(where[0] > 0, s, 1 / s)
+
+
+class SensorMass(ChannelCause):
+    r"""A roving sensor loads only its own FRFs: row times :math:`1/(1 + s^2 m H_{ss})`."""
+
+    slug = "sensor_mass"
+    summary = "mass of a roving sensor"
+    parameters = (Parameter("mass", "kg", 0.0),)
+
+    def places(self, scene: Scene) -> list[Place]:
+        """Every output."""
+        return scene.channels() if scene.scaled else []
+
+    def grid(self, scene: Scene, place: Place) -> np.ndarray:
+        """Around one over the accelerance."""
+        at = Place(place.where, (scene.dofs.index(scene.outputs[place.index[0]]), -1, 0))
+        return strengths(scene.stiffness_scale(at) / float(np.median(scene.omega)) ** 2, both=False)
+
+    def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
+        """Load one row."""
+        own = jnp.take(at.own, where[0], axis=1)
+        loaded = 1 / (1 + at.s**2 * p[0] * own)
+        return H * (1 + (loaded[:, None, None] - 1) * _one(H.shape[2], where[0]))
+
+
+class ForceDropout(ChannelCause):
+    r"""Noise on a force that falls where the drive point moves easily biases H1 low.
+
+    :math:`H/(1 + \kappa\,|1 + \mu\,Y/\max|Y||^2)` with Y the mobility of the drive point: a shaker of mechanical
+    impedance :math:`\mu/\max|Y|`. The variant takes the accelerance instead (a shaker whose mass matters).
+    """
+
+    slug = "force_dropout"
+    summary = "force lost at resonances"
+    fidelity = 0.02
+    parameters = (
+        Parameter("noise_to_force", "-", 0.0),
+        Parameter("relative_impedance", "-", 0.1, 1e3, log=True),
+    )
+
+    def places(self, scene: Scene) -> list[Place]:
+        """Two kinds of shaker."""
+        return [Place((), (0, -1, k)) for k in range(2)] if scene.scaled else []
+
+    def grid(self, scene: Scene, place: Place) -> np.ndarray:
+        """Sharp to flat."""
+        return np.array([[size / mu**2, mu] for mu in (1.0, 3.0, 10.0, 100.0) for size in (1e-4, 0.1)])
+
+    def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
+        """Divide by one and the noise-to-force ratio."""
+        s = (1j * at.s.imag)[:, None]
+        mobility = at.drive * jnp.where(where[2] == 0, s, s**2)
+        top = jnp.maximum(jnp.max(jnp.abs(mobility), axis=0, keepdims=True), 1e-300)
+        ratio = jnp.abs(1 + p[1] * mobility / top) ** 2
+        return H / (1 + p[0] * ratio[:, None, :])
+
+
+CHANNELS: tuple[Any, ...] = (
+    ChannelGain(), ChannelSign(), ChannelSwap(), TimeDelay(), Units(), SensorMass(), ForceDropout(),
+)  # fmt: skip

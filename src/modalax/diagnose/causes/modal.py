@@ -1,0 +1,256 @@
+"""Causes that act on every mode alike, or on one: damping, windows, records, sweeps, drift."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex
+
+from modalax.diagnose.causes.base import Cause, Parameter, Place, Scene, strengths
+
+HANN_TERMS = 3
+
+
+class ModalDamping(Cause):
+    r"""The damping ratio of one mode changed by a part, :math:`c_r (1 + \delta)`."""
+
+    slug = "modal_damping"
+    stage = "modes"
+    summary = "damping ratio of one mode"
+    parameters = (Parameter("relative_change", "-", -0.999),)
+
+    def places(self, scene: Scene) -> list[Place]:
+        """Every mode in or near the band."""
+        low, high = 0.9 * scene.freq[0], 1.1 * scene.freq[-1]
+        inside = np.flatnonzero((scene.frequency_hz >= low) & (scene.frequency_hz <= high))
+        return [Place((int(r) + 1,), (int(r), -1, 0)) for r in inside]
+
+    def grid(self, scene: Scene, place: Place) -> np.ndarray:
+        """Half to five times."""
+        return np.array([[1e-4], [-1e-4], [0.3], [-0.3], [1.0], [-0.6], [3.0]])
+
+    def modes(self, modes: Any, where: Array, p: Array, runs: int) -> Any:
+        """Scale one damping coefficient."""
+        return type(modes)(modes.k, modes.c.at[:, where[0]].multiply(1 + p[0]), modes.h)
+
+
+class StructuralDamping(Cause):
+    r"""Hysteretic instead of viscous damping, :math:`2 j\zeta\omega_r\omega \to 2 j\zeta\omega_r^2` in a share.
+
+    The second variant takes one loss factor for all modes instead of :math:`2\zeta_r`.
+    """
+
+    slug = "structural_damping"
+    stage = "modes"
+    summary = "hysteretic instead of viscous damping"
+
+    parameters = (Parameter("share", "-", 0.0, 2.0),)
+
+    def grid(self, scene: Scene, place: Place) -> np.ndarray:
+        """From a little to all."""
+        return np.array([[1e-3], [0.3], [1.0]])
+
+    def modes(self, modes: Any, where: Array, p: Array, runs: int) -> Any:
+        """Move a share of each damping term."""
+        return type(modes)(modes.k, modes.c * (1 - p[0]), modes.h + p[0] * modes.c * jnp.sqrt(modes.k))
+
+
+class LossFactor(Cause):
+    r"""Hysteretic damping with one loss factor for all modes, :math:`2 j\zeta\omega_r\omega \to j\eta\omega_r^2`."""
+
+    slug = "structural_damping"
+    stage = "modes"
+    summary = "one loss factor instead of viscous damping"
+    parameters = (Parameter("loss_factor", "-", 1e-5, 1.0, log=True),)
+
+    def grid(self, scene: Scene, place: Place) -> np.ndarray:
+        """Around twice the damping ratios."""
+        eta = 2 * float(np.median(scene.damping_ratio))
+        return np.array([[eta * x] for x in (0.5, 1.0, 2.0)])
+
+    def modes(self, modes: Any, where: Array, p: Array, runs: int) -> Any:
+        """Viscous terms out, one loss factor in."""
+        return type(modes)(modes.k, 0.0 * modes.c, modes.h + p[0] * modes.k)
+
+
+class TimeVarying(Cause):
+    r"""All stiffness drifts from run to run, :math:`K(1 + \delta\,n/(N-1))` in run n = 0 ... N-1."""
+
+    slug = "time_varying"
+    stage = "modes"
+    per_run = True
+    summary = "the structure drifts from run to run"
+    parameters = (Parameter("relative_stiffness_drift", "-", -0.95),)
+
+    def places(self, scene: Scene) -> list[Place]:
+        """Nowhere in particular, if there are several runs."""
+        return [Place(())] if len(scene.levels) > 1 else []
+
+    def grid(self, scene: Scene, place: Place) -> np.ndarray:
+        """Small drifts both ways."""
+        return strengths(1.0, ((),), (1e-6, 1e-3, 1e-2, 5e-2))
+
+    def modes(self, modes: Any, where: Array, p: Array, runs: int) -> Any:
+        """Scale the stiffness of each run."""
+        course = jnp.linspace(0.0, 1.0, runs)[:, None] if runs > 1 else jnp.zeros((1, 1))
+        return type(modes)(modes.k * (1 + p[0] * course), modes.c + 0 * course, modes.h + 0 * course)
+
+
+class TimeVaryingSteps(Cause):
+    r"""Each run after the first has a stiffness of its own, :math:`K(1 + \delta_n)`."""
+
+    slug = "time_varying"
+    stage = "modes"
+    per_run = True
+    summary = "the structure changes between runs"
+
+    def __init__(self, runs: int):
+        self.runs = runs
+        self.parameters = tuple(Parameter(f"relative_stiffness_run_{n + 1}", "-", -0.95) for n in range(1, runs))
+
+    def places(self, scene: Scene) -> list[Place]:
+        """Nowhere in particular, if there are three runs or more."""
+        return [Place(())] if len(scene.levels) == self.runs and self.runs > 2 else []
+
+    def grid(self, scene: Scene, place: Place) -> np.ndarray:
+        """Drifts both ways, early and late."""
+        late = np.linspace(0.0, 1.0, self.runs)[1:]
+        early = np.sqrt(late)
+        return np.array([size * way for size in (1e-6, -1e-6, 3e-3, -3e-3) for way in (early, late**3)])
+
+    def modes(self, modes: Any, where: Array, p: Array, runs: int) -> Any:
+        """Scale the stiffness of each run."""
+        factor = jnp.concatenate([jnp.ones(1), 1 + p[: runs - 1]])[:, None]
+        return type(modes)(modes.k * factor, modes.c * jnp.ones_like(factor), modes.h * jnp.ones_like(factor))
+
+
+class ExponentialWindow(Cause):
+    r"""The decay an impact window adds, :math:`H(s + \sigma)`."""
+
+    slug = "exponential_window"
+    stage = "laplace"
+    summary = "decay added by an impact window"
+    parameters = (Parameter("decay", "1/s", 0.0),)
+
+    def grid(self, scene: Scene, place: Place) -> np.ndarray:
+        """Around the decay of the modes."""
+        rate = 2 * np.pi * float(np.median(scene.frequency_hz * scene.damping_ratio))
+        return np.array([[rate * x] for x in (1e-4, 0.1, 0.5, 2.0)])
+
+    def shift(self, p: Array) -> Array:
+        """Shift of the Laplace variable."""
+        return p[0]
+
+
+class Leakage(Cause):
+    r"""Finite records of length T: the impulse response is seen through a window that falls with the delay.
+
+    Random force through a boxcar window gives :math:`1 - t/T`, through a Hann window its autocorrelation; an impact
+    record that is cut off ends at T. The variant is the third number of the place.
+    """
+
+    slug = "leakage"
+    stage = "kernel"
+    fidelity = 0.02
+    summary = "finite record length"
+    parameters = (Parameter("inverse_record_length", "Hz", 1e-6, log=True),)
+
+    def places(self, scene: Scene) -> list[Place]:
+        """One a window."""
+        return [Place((), (0, -1, k)) for k in range(3)]
+
+    def grid(self, scene: Scene, place: Place) -> np.ndarray:
+        """Around the line spacing and the half-power widths."""
+        step = float(np.median(np.diff(scene.freq))) if len(scene.freq) > 1 else 1.0
+        return np.array([[step * x] for x in (1.0, 0.1, 0.2, 0.4, 0.7, 1.5, 2.5, 5.0)])
+
+    def report(self, p: np.ndarray, place: Place) -> dict[str, tuple[Any, str]]:
+        """The length itself."""
+        return {"record_length": (1 / p[0], "s")}
+
+    def kernel(self, x: Array, where: Array, p: Array) -> Complex[Array, "..."]:
+        r"""What :math:`1/x`, the transform of :math:`e^{-xt}`, becomes through the window."""
+        return jnp.where(
+            where[2] == 0, _hann(x, 1 / p[0]), jnp.where(where[2] == 1, _boxcar(x, 1 / p[0]), _cut(x, 1 / p[0]))
+        )
+
+
+def _cut(x: Array, T: Array) -> Array:
+    r""":math:`\int_0^T e^{-xt}dt`."""
+    return (1 - jnp.exp(-x * T)) / x
+
+
+def _boxcar(x: Array, T: Array) -> Array:
+    r""":math:`\int_0^T (1 - t/T) e^{-xt}dt`."""
+    return 1 / x - (1 - jnp.exp(-x * T)) / (x**2 * T)
+
+
+def _hann(x: Array, T: Array) -> Array:
+    r""":math:`\int_0^T \rho(t/T) e^{-xt}dt`, :math:`\rho` the autocorrelation of a Hann window.
+
+    :math:`\rho(u) = \frac23(1-u)(1 + \frac12\cos 2\pi u) + \frac{1}{2\pi}\sin 2\pi u`.
+    """
+    y = 2j * jnp.pi / T
+    ramp = lambda z: _boxcar(z, T)  # noqa: E731
+    cosine = 0.5 * (ramp(x - y) + ramp(x + y))
+    sine = (_cut(x - y, T) - _cut(x + y, T)) / 2j
+    return 2 / 3 * (ramp(x) + 0.5 * cosine) + sine / (2 * jnp.pi)
+
+
+class FastSweep(Cause):
+    r"""A linear sweep too fast for the resonances: the impulse response is seen times :math:`e^{jS t^2/2}`.
+
+    :math:`\int_0^\infty e^{-xt + jSt^2/2}dt = \frac12\sqrt{\pi/b}\,\mathrm{erfcx}(x/(2\sqrt b))`, :math:`b = -jS/2`;
+    for slow sweeps :math:`H - \frac j2 S H''`. The second variant is a logarithmic sweep, S growing as the frequency.
+    """
+
+    slug = "fast_sweep"
+    stage = "kernel"
+    fidelity = 0.03
+    summary = "a sweep too fast for the resonances"
+    parameters = (Parameter("sweep_rate", "Hz/s"),)
+
+    def places(self, scene: Scene) -> list[Place]:
+        """One a kind of sweep."""
+        return [Place((), (0, -1, 0))]
+
+    def grid(self, scene: Scene, place: Place) -> np.ndarray:
+        """Fractions of the rate that passes a half-power width in its own ring time."""
+        width = float(np.median(scene.frequency_hz * scene.damping_ratio))
+        return strengths(2 * np.pi * width**2, ((),), (1e-3, 0.05, 0.3, 1.0, 4.0))
+
+    def kernel(self, x: Array, where: Array, p: Array) -> Complex[Array, "..."]:
+        r"""What :math:`1/x` becomes."""
+        rate = 2 * jnp.pi * p[0]
+        b = -0.5j * jnp.where(jnp.abs(rate) < 1e-12, 1e-12, rate)
+        root = jnp.sqrt(b)
+        return 0.5 * jnp.sqrt(jnp.pi) / root * erfcx(x / (2 * root))
+
+
+def _weideman(count: int) -> tuple[float, np.ndarray]:
+    """Coefficients of Weideman's rational approximation of the Faddeeva function (1994, SIAM J. Num. Anal. 31)."""
+    m = 2 * count
+    k = np.arange(-m + 1, m)
+    L = np.sqrt(count / np.sqrt(2))
+    t = L * np.tan(k * np.pi / (2 * m))
+    f = np.concatenate([[0.0], np.exp(-(t**2)) * (L**2 + t**2)])
+    a = np.real(np.fft.fft(np.fft.fftshift(f))) / (2 * m)
+    return float(L), np.flipud(a[1 : count + 1])
+
+
+_L, _A = _weideman(40)
+
+
+def erfcx(z: Complex[Array, "..."]) -> Complex[Array, "..."]:
+    r"""Scaled complementary error function :math:`e^{z^2}\mathrm{erfc}(z)` of complex numbers, to about 1e-12."""
+    right = z.real >= 0
+    w = 1j * jnp.where(right, z, -z)
+    ratio = (_L + 1j * w) / (_L - 1j * w)
+    value = 2 * jnp.polyval(jnp.asarray(_A), ratio) / (_L - 1j * w) ** 2 + (1 / np.sqrt(np.pi)) / (_L - 1j * w)
+    square = jnp.where(right, 0.0, z**2)
+    return jnp.where(right, value, 2 * jnp.exp(square) - value)
+
+
+MODAL: tuple[Any, ...] = (
+    ModalDamping(), StructuralDamping(), LossFactor(), ExponentialWindow(), Leakage(), FastSweep(), TimeVarying(),
+)  # fmt: skip

@@ -1,0 +1,130 @@
+r"""Is anything wrong, and what: significance of the screening, posterior of the hypotheses, verdict."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.stats
+
+from modalax.diagnose.causes.patterns import PatternCause
+from modalax.diagnose.fit import Hypothesis
+from modalax.diagnose.omnibus import Omnibus
+from modalax.diagnose.screen import Residual, Trial
+
+ALARM = 0.01  # nominal chance of an alarm where nothing is wrong
+SHARES = {"scores": 0.6, "patterns": 0.1, "hum": 0.1, "omnibus": 0.2}  # of the alarms, by kind of test
+CERTAIN = 0.95  # posterior from which a single name is given
+RIVAL = 0.005  # posterior below which a rival is not worth naming
+
+
+@dataclass(frozen=True)
+class Detection:
+    """Chance, under noise alone, of what each kind of test saw, and what it stands for.
+
+    Attributes
+    ----------
+    p_values
+        By kind of test, corrected for the number of trials of that kind.
+    threshold
+        Size of a score that counts as significant.
+    """
+
+    p_values: dict[str, float]
+    threshold: float
+
+    @property
+    def p_value(self) -> float:
+        """Of all tests together."""
+        return min(1.0, min(self.p_values[k] / SHARES[k] for k in self.p_values))
+
+    @property
+    def anything(self) -> bool:
+        """Whether something is wrong."""
+        return self.p_value < ALARM
+
+
+def effective_number(directions: np.ndarray, state: Residual) -> float:
+    r"""Number of independent directions that scores behave like, :math:`(\sum\sqrt\lambda)^2/\sum\lambda`.
+
+    Galwey (2009), Genetic Epidemiology 33:559, for the eigenvalues of the scores' correlation matrix.
+    """
+    if not len(directions):
+        return 1.0
+    C = directions @ directions.T
+    if len(state.inner):
+        across = directions @ state.nuisance.reshape(len(state.nuisance), -1).T
+        C = C - across @ state.inner @ across.T
+    scale = np.sqrt(np.maximum(np.diag(C), 1e-300))
+    values = np.maximum(np.linalg.eigvalsh(C / scale[:, None] / scale[None]), 0.0)
+    return float(np.sqrt(values).sum() ** 2 / values.sum())
+
+
+def detect(trials: Sequence[Trial], states: dict[bool, Residual], remains: Omnibus, spread: float = 1.0) -> Detection:
+    """Significance of the largest score, of patterns over channels, of hum and of the omnibus test."""
+    count, top = 0.0, 0.0
+    scored = [t for t in trials if np.isfinite(t.z)]
+    for side in states:
+        mine = [t for t in scored if t.cause.per_run == side]
+        kept = [t.direction for t in mine if t.direction is not None]
+        if mine and kept:
+            D = np.concatenate(kept)
+            looked = sum(t.trials for t in mine)
+            # places that were not kept add to the number of tests no more than as many of those kept
+            count += effective_number(D, states[side]) * max(1.0, (looked / len(D)) ** 0.5)
+    top = max((_significant(t) for t in scored), default=0.0)
+    count = max(count, 1.0)
+    p = {
+        "scores": -math.expm1(count * math.log1p(-min(2 * scipy.stats.norm.sf(top / spread), 1 - 1e-12))),
+        "patterns": min((_pattern_p(t, spread) for t in trials if isinstance(t.cause, PatternCause)), default=1.0),
+        "hum": min((_hum_p(t) for t in trials if t.cause.stage == "lines"), default=1.0),
+        "omnibus": remains.p_value,
+    }
+    single = -math.expm1(math.log1p(-ALARM * SHARES["scores"]) / count)
+    return Detection(p, float(scipy.stats.norm.isf(single / 2)) * spread)
+
+
+def _significant(t: Trial) -> float:
+    """The score, where its sign is one that the cause can have; and that of finite sizes."""
+    return max(math.sqrt(max(t.gain, 0.0)), 0.0)
+
+
+def _pattern_p(t: Trial, spread: float) -> float:
+    """Chance of so large a gain: the largest singular value of noise, at every separate frequency."""
+    terms, outputs, inputs = t.extra.shape
+    live_o = int((np.abs(t.extra).max(axis=(0, 2)) > 0).sum())
+    live_i = int((np.abs(t.extra).max(axis=(0, 1)) > 0).sum())
+    dof = terms * (math.sqrt(live_o) + math.sqrt(live_i)) ** 2 if min(live_o, live_i) > 1 else terms * live_o * live_i
+    return float(min(1.0, scipy.stats.chi2.sf(t.gain / spread**2, dof) * (60 if terms == 1 else 6)))
+
+
+def _hum_p(t: Trial) -> float:
+    return float(min(1.0, 20 * scipy.stats.chi2.sf(-t.extra.chi2, t.extra.freedom)))
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """One set of causes, the best hypothesis that says so, and its probability among all that were fitted."""
+
+    names: frozenset[tuple[str, tuple[Any, ...]]]
+    best: Hypothesis
+    log_evidence: float
+    probability: float
+
+
+def posterior(hypotheses: Sequence[tuple[Hypothesis, float]]) -> list[Ranked]:
+    """Probabilities of sets of causes from log evidences; forms of one cause at one place add up."""
+    if not hypotheses:
+        return []
+    top = max(value for _, value in hypotheses)
+    groups: dict[Any, list[tuple[Hypothesis, float]]] = {}
+    for h, value in hypotheses:
+        groups.setdefault(h.names, []).append((h, value))
+    weights = {names: sum(math.exp(v - top) for _, v in members) for names, members in groups.items()}
+    total = sum(weights.values())
+    ranked = []
+    for names, members in groups.items():
+        best, value = max(members, key=lambda m: m[1])
+        ranked.append(Ranked(names, best, value, weights[names] / total))
+    return sorted(ranked, key=lambda r: -r.probability)

@@ -1,0 +1,268 @@
+r"""Elements at one place, for all places at little cost.
+
+An element between two points changes the receptance by :math:`H_b\,y`, one column over the outputs times one number
+for each run, line and input, :math:`y = -\frac{Z}{1 + Z\,b^THb}\,b^TH`. Its scores and its fit need the outputs only
+through :math:`S = H_b^H w r`, :math:`N = H_b^H w^2 H_b` and the same products with the nuisance directions, which are
+made once for all places; then every law and threshold costs no more than a few numbers a line.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from modalax.diagnose.causes.base import Cause, Place
+from modalax.diagnose.fit import Hypothesis
+from modalax.diagnose.predict import equivalent
+from modalax.diagnose.problem import Problem
+from modalax.diagnose.quick import Target, fit_quick
+from modalax.diagnose.screen import KEPT_PLACES, KEPT_SHAPES, Residual, Trial, best_trial, smallest
+
+BATCH = 32
+PROMISING = 4  # places of each kind at which finite sizes are tried
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """Products of the receptances with residual, weights and nuisances, for every DoF of the simulation.
+
+    Attributes
+    ----------
+    to_outputs, from_inputs
+        Receptances, shapes ``(f, o, dof)`` and ``(f, dof, i)``.
+    between
+        Receptances between DoFs, shape ``(f, dof, dof)``.
+    S, T
+        Products with the residual ``(run, f, dof, i)`` and with the nuisances ``(k, run, f, dof, i)``.
+    weight2
+        Squared weights, shape ``(run, f, o, i)``.
+    inner
+        Inverse information of the nuisances, shape ``(k, k)``.
+    """
+
+    to_outputs: np.ndarray
+    from_inputs: np.ndarray
+    between: np.ndarray
+    S: np.ndarray
+    T: np.ndarray
+    weight2: np.ndarray
+    inner: np.ndarray
+    omega: np.ndarray
+    level: np.ndarray
+
+
+def complex_of(value: np.ndarray, runs: int) -> np.ndarray:
+    """Whitened arrays ``(..., o, i, run f 2)`` as complex ``(..., run, f, o, i)``."""
+    z = value.reshape(*value.shape[:-1], runs, -1, 2)
+    z = z[..., 0] + 1j * z[..., 1]
+    return np.moveaxis(z, (-4, -3), (-2, -1))
+
+
+def reduce(problem: Problem, theta: np.ndarray, state: Residual) -> Reduced:
+    """Make the products for one residual.
+
+    Parameters
+    ----------
+    theta
+        Logarithmic changes of the modal frequencies and damping ratios, shape ``(2, n)``.
+    """
+    plant = problem.plant
+    s = 1j * np.asarray(problem.omega)[:, None]
+    k = np.asarray(plant.stiffness) * np.exp(2 * theta[0])
+    c = np.asarray(plant.damping) * np.exp(theta[0] + theta[1])
+    poles = np.asarray(plant.poles)
+    D = s**2 + c * s + k + 1j * np.asarray(plant.hysteresis)
+    gains = np.concatenate([(s - poles.conj()) / D, (s - poles) / D], axis=1)
+    psi, part = np.asarray(plant.shapes), np.asarray(plant.participation)
+    psi, part = np.concatenate([psi, psi.conj()]), np.concatenate([part, part.conj()])
+    o, i = np.asarray(problem.outputs), np.asarray(problem.inputs)
+    upper, lower = np.asarray(plant.upper), np.asarray(plant.lower)
+    far = upper + lower / s[:, :, None] ** 2
+    H = (psi.T[None] * gains[:, None]) @ part + far
+    weight = np.asarray(problem.weight)
+    runs = weight.shape[0]
+    r = weight * complex_of(state.value, runs)
+    H_o = H[:, o]
+    S = np.einsum("fod,rfoi->rfdi", H_o.conj(), r, optimize=True)
+    G = complex_of(state.nuisance, runs) if len(state.nuisance) else np.zeros((0, *weight.shape), complex)
+    T = (
+        np.stack([np.einsum("fod,rfoi->rfdi", H_o.conj(), weight * g, optimize=True) for g in G])
+        if len(G)
+        else np.zeros((0, *S.shape), complex)
+    )
+    return Reduced(
+        H_o, H[:, :, i], H, S, T, weight**2, state.inner, np.asarray(problem.omega), np.asarray(problem.level)
+    )
+
+
+@dataclass(frozen=True)
+class At:
+    """Products at some places, stacked along the first axis."""
+
+    motion: np.ndarray
+    drive: np.ndarray
+    S: np.ndarray
+    N: np.ndarray
+    T: np.ndarray
+
+
+def at_places(reduced: Reduced, places: Sequence[Place]) -> At:
+    """Products at directions over the DoFs."""
+    a = np.array([p.index[0] for p in places])
+    b = np.array([p.index[1] for p in places])
+    second = np.where(b >= 0, 1.0, 0.0)
+    b = np.maximum(b, 0)
+
+    def pair(x: np.ndarray, axis: int) -> np.ndarray:
+        """Along ``axis``, first DoF less second; places first."""
+        x = np.moveaxis(x, axis, 0)
+        return x[a] - second.reshape(-1, *[1] * (x.ndim - 1)) * x[b]
+
+    H = reduced.between
+    drive = H[:, a, a] - second * (H[:, a, b] + H[:, b, a]) + second * H[:, b, b]
+    column = np.abs(pair(reduced.to_outputs, 2)) ** 2
+    N = np.einsum("pfo,rfoi->prfi", column, reduced.weight2, optimize=True)
+    T = np.moveaxis(pair(reduced.T, 3), 0, 0) if len(reduced.T) else np.zeros((len(a), 0, *N.shape[1:]), complex)
+    return At(pair(reduced.from_inputs, 1), drive.T, pair(reduced.S, 2), N, T)
+
+
+def _change(cause: Cause, solve: bool, p: Any, motion: Any, drive: Any, omega: Any, level: Any) -> Any:
+    """The number y of each run, line and input."""
+    if cause.stage == "local":
+        Z = cause.impedance(1j * omega, p)  # pyright: ignore[reportAttributeAccessIssue]
+        return (-(Z / (1 + Z * drive))[:, None] * motion)[None]
+    if solve:
+        Z = equivalent(cause, p, omega, drive[None], motion[None], level)
+        return -Z / (1 + Z * drive[None, :, None]) * motion[None]
+    A = level[:, None, None] * jnp.abs(motion) + 1e-300
+    return -cause.impedance(A, omega[None, :, None], p) * motion[None]  # pyright: ignore[reportAttributeAccessIssue]
+
+
+@partial(jax.jit, static_argnames=("cause", "solve"))
+def _scores(cause, solve, p, owner, motion, drive, S, N, T, omega, level):
+    def one(p, k):
+        y = _change(cause, solve, p, motion[k], drive[k], omega, level)
+        return (
+            jnp.sum(jnp.abs(y) ** 2 * N[k]), jnp.sum((y.conj() * S[k]).real),
+            jnp.sum((y.conj() * T[k]).real, axis=(1, 2, 3)), y * jnp.ones(S[k].shape),
+        )  # fmt: skip
+
+    return jax.vmap(one)(p, owner)
+
+
+def _fill(x: np.ndarray, size: int) -> np.ndarray:
+    return np.concatenate([x, np.repeat(x[-1:], size - len(x), axis=0)]) if len(x) < size else x
+
+
+def score(
+    cause: Cause, reduced: Reduced, at: At, grids: list[np.ndarray], finite: bool
+) -> tuple[list[np.ndarray], list[np.ndarray], dict[tuple[int, int], np.ndarray]]:
+    """Squared lengths and products with the residual of every trial at every place, and a few changes themselves."""
+    solve = finite or cause.stage == "local"
+    params = np.concatenate(grids)
+    owner = np.concatenate([np.full(len(g), k) for k, g in enumerate(grids)])
+    row = np.concatenate([np.arange(len(g)) for g in grids])
+    some = set(np.unique(np.linspace(0, len(grids) - 1, KEPT_PLACES).astype(int)).tolist())
+    square, product, kept = np.empty(len(params)), np.empty(len(params)), {}
+    inner = reduced.inner
+    for start in range(0, len(params), BATCH):
+        take = np.arange(start, min(start + BATCH, len(params)))
+        mine = np.unique(owner[take])
+        local = np.searchsorted(mine, owner[take])
+        n = BATCH
+        sq, pr, across, y = _scores(
+            cause, solve, _fill(params[take], BATCH), _fill(local, BATCH), _fill(at.motion[mine], n),
+            _fill(at.drive[mine], n), _fill(at.S[mine], n), _fill(at.N[mine], n), _fill(at.T[mine], n), reduced.omega,
+            reduced.level,
+        )  # fmt: skip
+        across = np.asarray(across)[: len(take)]
+        square[take] = np.asarray(sq)[: len(take)] - np.einsum("pk,kl,pl->p", across, inner, across)
+        product[take] = np.asarray(pr)[: len(take)]
+        if not finite:
+            y = np.asarray(y)
+            kept |= {(int(owner[t]), int(row[t])): y[j] for j, t in enumerate(take) if owner[t] in some}
+    ends = np.cumsum([len(g) for g in grids])[:-1]
+    return np.split(square, ends), np.split(product, ends), kept
+
+
+def screen_elements(
+    cause: Cause, scene: Any, reduced: Reduced, at: At, places: list[Place], weight: np.ndarray,
+    finite: bool = True,
+) -> list[Trial]:  # fmt: skip
+    """Derivatives at all places, and finite sizes at the promising ones."""
+    grids = [cause.grid(scene, place) for place in places]
+    small = [g[smallest(g)] for g in grids]
+    square, product, kept = score(cause, reduced, at, small, False)
+    trials = []
+    for k, place in enumerate(places):
+        trial = best_trial(cause, place, small[k], square[k], product[k])
+        mine = [kept[k, j] for j in range(len(small[k])) if (k, j) in kept][:KEPT_SHAPES]
+        if mine:
+            column = _column(reduced, place)
+            flat = [_flat(weight * np.einsum("fo,rfi->rfoi", column, y)) for y in mine]
+            trial = replace(trial, direction=np.stack(flat))
+        trials.append(trial)
+    if not finite:
+        return trials
+    order = np.argsort([-t.gain for t in trials])[:PROMISING]
+    some = At(at.motion[order], at.drive[order], at.S[order], at.N[order], at.T[order])
+    square, product, _ = score(cause, reduced, some, [grids[k] for k in order], True)
+    for j, k in enumerate(order):
+        new, old = best_trial(cause, places[k], grids[k], square[j], product[j]), trials[k]
+        trials[k] = replace(new, direction=old.direction, z=old.z, error=old.error, trials=old.trials)
+    return trials
+
+
+def _column(reduced: Reduced, place: Place) -> np.ndarray:
+    a, b = place.index[:2]
+    H = reduced.to_outputs
+    return H[:, :, a] - (H[:, :, b] if b >= 0 else 0.0)
+
+
+def _flat(z: np.ndarray) -> np.ndarray:
+    """Complex ``(run, f, o, i)`` as whitened arrays are laid out, flat."""
+    return np.stack([z.real, z.imag], axis=-1).transpose(2, 3, 0, 1, 4).ravel()
+
+
+def element_target(reduced: Reduced, starts: list[Hypothesis]) -> Target:
+    """Products at the places of some hypotheses, real and imaginary parts apart."""
+    at = at_places(reduced, [h.places[0] for h in starts])
+    both = lambda z, axis: np.stack([z.real, z.imag], axis=axis)  # noqa: E731
+    rows = len(starts)
+    return Target(
+        np.stack([at.N, at.N], axis=1).reshape(rows, -1), both(at.S, 1).reshape(rows, -1),
+        both(at.T, 2).reshape(rows, at.T.shape[1], -1), reduced.inner,
+    )  # fmt: skip
+
+
+def element_changes(
+    reduced: Reduced, at: At, starts: list[Hypothesis], owner: np.ndarray, params: np.ndarray
+) -> np.ndarray:
+    """The number y of each trial, shape ``(trial, 2 run f i)``."""
+    cause = starts[0].causes[0]
+    parts = []
+    for k in range(0, len(params), BATCH):
+        take = np.arange(k, min(k + BATCH, len(params)))
+        y = _scores(
+            cause, True, _fill(params[take], BATCH), _fill(owner[take], BATCH), _fill(at.motion, BATCH),
+            _fill(at.drive, BATCH), _fill(at.S, BATCH), _fill(at.N, BATCH), _fill(at.T, BATCH), reduced.omega,
+            reduced.level,
+        )[3]  # fmt: skip
+        parts.append(np.asarray(y)[: len(take)])
+    y = np.concatenate(parts)
+    return np.stack([y.real, y.imag], axis=1).reshape(len(y), -1)
+
+
+def fit_elements(
+    study: Any, starts: list[Hypothesis], reduced: Reduced, base: Hypothesis, rounds: int
+) -> list[Hypothesis]:
+    """Fit single elements from several starts, nuisances marginalised in linear order."""
+
+    def changes(part: list[Hypothesis], owner: np.ndarray, params: np.ndarray) -> np.ndarray:
+        return element_changes(reduced, at_places(reduced, [h.places[0] for h in part]), part, owner, params)
+
+    return fit_quick(study, base, starts, lambda part: element_target(reduced, part), changes, rounds)

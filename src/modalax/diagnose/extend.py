@@ -1,0 +1,210 @@
+"""The extended simulation: the old one and the causes found, as an ordinary simulation."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from modalax.data import FRF
+from modalax.data.frf import DERIVATIVES, check_form
+from modalax.diagnose.causes import catalogue
+from modalax.diagnose.causes.base import Cause
+from modalax.diagnose.fit import Hypothesis
+from modalax.diagnose.plant import plant_of
+from modalax.diagnose.predict import predict
+from modalax.diagnose.problem import Problem
+from modalax.model import ModalModel, Structure
+
+
+class ExtendedSimulation(eqx.Module):
+    r"""A simulation with causes added, which predicts any DoF, level and band.
+
+    Attributes
+    ----------
+    base
+        The simulation as it was.
+    params
+        Parameters of each cause; the leaves that gradients flow to.
+    spread
+        Standard deviation of each parameter, None where it is not known.
+    theta
+        Adapted logarithms of the modal frequencies and damping ratios, shape ``(2, n)``.
+    extras
+        Sizes over the channels of causes that need them, or None.
+    causes, places
+        What was added, and where.
+    outputs, inputs
+        Channels that places of channel faults refer to.
+    """
+
+    base: Structure | ModalModel
+    params: tuple[Array, ...]
+    spread: tuple[Array, ...]
+    theta: Float[Array, "two n"]
+    extras: tuple[Any, ...]
+    causes: tuple[Cause, ...] = eqx.field(static=True)
+    places: tuple[Any, ...] = eqx.field(static=True)
+    outputs: tuple[str, ...] = eqx.field(static=True)
+    inputs: tuple[str, ...] = eqx.field(static=True)
+    lowest_hz: float = eqx.field(static=True)
+
+    @property
+    def slugs(self) -> tuple[str, ...]:
+        """Causes by name."""
+        return tuple(c.slug for c in self.causes)
+
+    def predict(
+        self, level: Any, freq: Any, *, form: str = "receptance", outputs: Sequence[str] | None = None,
+        inputs: Sequence[str] | None = None, measured: bool = True,
+    ) -> FRF:  # fmt: skip
+        """The FRF at a force level [N] and frequencies [Hz] between DoFs by name.
+
+        Parameters
+        ----------
+        measured
+            Whether faults of the measurement (gains, delays, windows) are to be seen in it; False gives the
+            structure itself.
+
+        Raises
+        ------
+        ValueError
+            If a fault of a channel is to be shown on other channels than the measured ones.
+        """
+        outputs = self.outputs if outputs is None else tuple(outputs)
+        inputs = self.inputs if inputs is None else tuple(inputs)
+        keep = [k for k, c in enumerate(self.causes) if measured or c.stage in ("modes", "local", "joint")]
+        other = [self.causes[k].slug for k in keep if self.causes[k].stage == "channels"]
+        if other and (outputs, inputs) != (self.outputs, self.inputs):
+            raise ValueError(
+                f"{', '.join(other)} is known on the measured channels only; ask for these, or for measured=False"
+            )
+        plant = plant_of(self.base, self.lowest_hz)
+        freq = jnp.asarray(freq, jnp.float64)
+        omega = 2 * jnp.pi * freq
+        shape = (1, freq.shape[0], len(outputs), len(inputs))
+        problem = Problem(
+            omega, jnp.zeros(shape, jnp.complex128), jnp.ones(shape), jnp.asarray(level, jnp.float64).reshape(1),
+            jnp.array([plant.index(n) for n in outputs]), jnp.array([plant.index(n) for n in inputs]), plant,
+            shape[1], (shape[2], shape[3]),
+        )  # fmt: skip
+        index = np.array([self.places[k].index for k in keep], dtype=np.int64).reshape(-1, 3)
+        theta = self.theta[:, : plant.poles.shape[0]]
+        H = _predict(
+            tuple(self.causes[k] for k in keep), index, tuple(self.extras[k] for k in keep),
+            tuple(self.params[k] for k in keep), theta, problem,
+        )  # fmt: skip
+        factor = (1j * omega)[:, None, None] ** DERIVATIVES[check_form(form)]
+        return FRF(freq, H[0] * factor, form=form, outputs=outputs, inputs=inputs, level=level)
+
+    def frf(
+        self, freq: Any, *, level: Any = 1.0, form: str = "receptance", outputs: Sequence[str] | None = None,
+        inputs: Sequence[str] | None = None,
+    ) -> FRF:  # fmt: skip
+        """The same with the level last, as the other simulations have it."""
+        return self.predict(level, freq, form=form, outputs=outputs, inputs=inputs)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Everything as plain arrays, for a file; :func:`from_arrays` reads them."""
+        base = self.base
+        if isinstance(base, Structure):
+            out = {"kind": "structure", "M": base.M, "C": base.C, "K": base.K, "D": base.D, "dofs": list(base.dofs)}
+        else:
+            out = {
+                "kind": "modal", "poles": base.poles, "shapes": base.shapes, "participation": base.participation,
+                "upper": base.upper, "lower": base.lower, "model_outputs": list(base.outputs),
+                "model_inputs": list(base.inputs),
+            }  # fmt: skip
+        out |= {
+            "frequency_std": base.frequency_std, "damping_std": base.damping_std, "theta": self.theta,
+            "outputs": list(self.outputs), "inputs": list(self.inputs), "lowest_hz": self.lowest_hz,
+            "causes": [_key(c) for c in self.causes],
+        }  # fmt: skip
+        for k, place in enumerate(self.places):
+            out |= {f"where_{k}": [str(w) for w in place.where], f"index_{k}": list(place.index)}
+            out |= {f"params_{k}": self.params[k], f"spread_{k}": self.spread[k]}
+            if self.extras[k] is not None:
+                out[f"extra_{k}"] = self.extras[k]
+        return {name: np.asarray(value) for name, value in out.items()}
+
+    def save(self, path: Any) -> None:
+        """Write to an ``.npz`` file."""
+        np.savez_compressed(path, **self.arrays())  # pyright: ignore[reportArgumentType]
+
+
+_predict = jax.jit(predict, static_argnums=0)
+
+
+def _key(cause: Cause) -> str:
+    own = ",".join(
+        f"{k}={v}" for k, v in sorted(vars(cause).items()) if isinstance(v, bool | int | str) and k != "summary"
+    )
+    return f"{type(cause).__name__}({own})"
+
+
+def extend(study: Any, h: Hypothesis) -> ExtendedSimulation:
+    """The extended simulation of a fitted hypothesis."""
+    n = len(plant_of(study.simulation, float(study.scene.freq[0])).poles)
+    assert h.theta is not None
+    theta = (h.theta * study.nuisance.spread)[:, :n]
+    spread, k = [], 0
+    for cause, p in zip(h.causes, h.params, strict=True):
+        count = len(p)
+        variance = np.diag(h.covariance)[k : k + count] if h.covariance is not None else np.full(count, np.nan)
+        scale = np.array([p[j] if q.log else 1.0 for j, q in enumerate(cause.parameters)])
+        spread.append(jnp.asarray(np.sqrt(np.maximum(variance, 0.0)) * np.abs(scale)))
+        k += count
+    n_out, n_in = study.problem.channels
+    extras = tuple(None if e is None else jnp.asarray(e[:, :n_out, :n_in]) for e in h.extras)
+    return ExtendedSimulation(
+        study.simulation, tuple(jnp.asarray(p) for p in h.params), tuple(spread), jnp.asarray(theta), extras,
+        h.causes, h.places, study.scene.outputs, study.scene.inputs, float(study.scene.freq[0]),
+    )  # fmt: skip
+
+
+def from_arrays(arrays: Any, causes: Sequence[Cause] | None = None) -> ExtendedSimulation:
+    """Read back what :meth:`ExtendedSimulation.arrays` gave (an open ``.npz`` file does as well).
+
+    Parameters
+    ----------
+    causes
+        Where to look for the causes; the catalogue if None.
+
+    Raises
+    ------
+    ValueError
+        If a cause is not known.
+    """
+    from modalax.diagnose.causes.base import Place
+    from modalax.diagnose.causes.modal import TimeVaryingSteps
+
+    known = {_key(c): c for c in (catalogue() if causes is None else causes)}
+    known |= {_key(c): c for c in (TimeVaryingSteps(n) for n in range(3, 12))}
+    claims = {"frequency_std": arrays["frequency_std"], "damping_std": arrays["damping_std"]}
+    names = lambda key: [str(n) for n in arrays[key]]  # noqa: E731
+    if str(arrays["kind"]) == "structure":
+        base = Structure(arrays["M"], arrays["C"], arrays["K"], names("dofs"), D=arrays["D"], **claims)
+    else:
+        base = ModalModel(
+            arrays["poles"], arrays["shapes"], arrays["participation"], upper=arrays["upper"],
+            lower=arrays["lower"], outputs=names("model_outputs"), inputs=names("model_inputs"), **claims,
+        )  # fmt: skip
+    keys = names("causes")
+    strange = [k for k in keys if k not in known]
+    if strange:
+        raise ValueError(f"cause {strange[0]} is unknown; known are {', '.join(sorted(known))}")
+    every = range(len(keys))
+    places = tuple(
+        Place(tuple(names(f"where_{k}")), tuple(int(v) for v in arrays[f"index_{k}"]))  # pyright: ignore[reportArgumentType]
+        for k in every
+    )
+    return ExtendedSimulation(
+        base, tuple(jnp.asarray(arrays[f"params_{k}"]) for k in every),
+        tuple(jnp.asarray(arrays[f"spread_{k}"]) for k in every), jnp.asarray(arrays["theta"]),
+        tuple(jnp.asarray(arrays[f"extra_{k}"]) if f"extra_{k}" in arrays else None for k in every),
+        tuple(known[k] for k in keys), places, tuple(names("outputs")), tuple(names("inputs")),
+        float(arrays["lowest_hz"]),
+    )  # fmt: skip

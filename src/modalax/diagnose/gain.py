@@ -1,0 +1,105 @@
+r"""What an extension gains on data that it was not fitted to: a level, a repeat, a column, or whole blocks of lines."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from modalax.diagnose.fit import ROUNDS, Hypothesis
+from modalax.diagnose.search import refit, state_of
+from modalax.diagnose.study import Study
+
+BLOCKS = 16  # stretches of the band where there is nothing else to hold out; every fourth is
+RESAMPLED = 400
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Before and after on the held-out block.
+
+    Attributes
+    ----------
+    held_out
+        What was held out, in words.
+    chi2_before, chi2_after
+        Per real sample; 1 is what noise alone gives.
+    log_likelihood_gain, log_likelihood_gain_std
+        In nats, with its standard deviation by resampling blocks of lines.
+    """
+
+    held_out: str
+    chi2_before: float
+    chi2_after: float
+    log_likelihood_gain: float
+    log_likelihood_gain_std: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """As in the answer's file."""
+        return {
+            "held_out": self.held_out, "chi2_before": self.chi2_before, "chi2_after": self.chi2_after,
+            "log_likelihood_gain": self.log_likelihood_gain,
+            "log_likelihood_gain_std": self.log_likelihood_gain_std,
+        }  # fmt: skip
+
+
+def held_out_block(study: Study) -> tuple[str, np.ndarray]:
+    """Name of the block that is held out, and its mask, shape ``(run, f, o, i)`` as padded.
+
+    A force level beyond the fitted ones, else a repeat, else a column, else every fourth stretch of lines.
+    """
+    mask = np.zeros(study.problem.weight.shape, bool)
+    level = np.asarray(study.measurement.level)
+    runs, lines = mask.shape[0], study.problem.lines
+    n_in = study.problem.channels[1]
+    if runs > 1 and np.isfinite(level).all() and len(np.unique(level)) == runs:
+        k = int(np.argmax(level))
+        mask[k] = True
+        return f"run {k + 1} at {level[k]:.4g} N, the highest level", mask
+    if runs > 1:
+        mask[-1] = True
+        return f"run {runs}, the last repeat", mask
+    if n_in > 1:
+        mask[..., n_in - 1] = True
+        return f"the column of input {study.scene.inputs[-1]}", mask
+    edges = np.linspace(0, lines, min(BLOCKS, max(lines // 4, 2)) + 1).astype(int)
+    for k in range(1, len(edges) - 1, 4):
+        mask[:, edges[k] : edges[k + 1]] = True
+    return f"every fourth of {len(edges) - 1} blocks of neighbouring lines", mask
+
+
+def measure(study: Study, null: Hypothesis, found: Hypothesis) -> Gain:
+    """Fit both without the held-out block and compare them on it."""
+    words, mask = held_out_block(study)
+    weight = np.asarray(study.problem.weight)
+    drop = np.zeros(weight.shape[1], bool)
+    if found.hum is not None:
+        drop[: len(found.hum.lines)] = found.hum.lines
+    weight = np.where(drop[None, :, None, None], 0.0, weight)
+    seen = study.reweighted(np.where(mask, 0.0, weight))
+    unseen = study.reweighted(np.where(mask, weight, 0.0))
+    before = _on(seen, unseen, replace(null, theta=np.zeros_like(null.theta)))
+    after = before if not found.causes else _on(seen, unseen, found)
+    live = np.asarray(unseen.problem.weight) > 0
+    count = 2 * int(live.sum())
+    if count == 0:
+        return Gain(words, float("nan"), float("nan"), 0.0, 0.0)
+    by_line = 0.5 * (np.abs(before) ** 2 - np.abs(after) ** 2).sum(axis=(0, 2, 3))[: study.problem.lines]
+    blocks = np.array([b.sum() for b in np.array_split(by_line, min(BLOCKS, len(by_line)))])
+    rng = np.random.default_rng(0)
+    draws = blocks[rng.integers(len(blocks), size=(RESAMPLED, len(blocks)))].sum(axis=1)
+    return Gain(
+        words, float((np.abs(before) ** 2).sum() / count), float((np.abs(after) ** 2).sum() / count),
+        float(by_line.sum()), float(draws.std()),
+    )  # fmt: skip
+
+
+def _on(seen: Study, unseen: Study, h: Hypothesis) -> np.ndarray:
+    """Whitened residuals on the held-out block of what was fitted to the rest."""
+    null = seen.fit([replace(h, causes=(), places=(), extras=(), params=(), hum=None)], ROUNDS)[0]
+    if not h.causes:
+        return unseen.residual(null)
+    if len(h.causes) == 1 and not seen.nuisance.active:
+        fitted = refit(seen, null, [h], state_of(seen, null))[0]
+    else:
+        fitted = seen.fit([h], ROUNDS)[0]
+    return unseen.residual(fitted)

@@ -1,0 +1,191 @@
+r"""The simulation as one set of modal arrays, whatever kind it was.
+
+Every place that a cause can sit at is a direction over DoFs, and the receptance between directions is read from
+these arrays, so that neither the number of DoFs nor the kind of simulation matters to a cause.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import scipy.linalg
+from jaxtyping import Array, Complex, Float
+
+from modalax.model import ModalModel, Structure
+
+RIGID_SHIFT = 1e-4  # a free structure is held by springs that put its rigid modes at this fraction of the band's start
+
+
+class Plant(eqx.Module):
+    r"""Modal arrays of a simulation, :math:`H_{de}(s) = \sum_r \psi_{rd} L_{re} u_r(s) + \psi_{rd}^* L_{re}^* v_r(s)`.
+
+    With :math:`D_r = s^2 + c_r s + k_r` the two gains of a mode are :math:`u_r = (s - \lambda_r^*)/D_r` and
+    :math:`v_r = (s - \lambda_r)/D_r`: :math:`1/(s-\lambda_r)` and its partner as long as nothing is changed, and the
+    right answer when only :math:`c_r` or :math:`k_r` changes while mass and shape stay.
+
+    Attributes
+    ----------
+    poles
+        :math:`\lambda_r` [rad/s], shape ``(n,)``.
+    shapes, participation
+        :math:`\psi_{rd}` and :math:`L_{rd}` at every DoF, shape ``(n, dof)``.
+    stiffness, damping
+        :math:`k_r = |\lambda_r|^2` [1/s^2] and :math:`c_r = -2\,\mathrm{Re}\lambda_r` [1/s], shape ``(n,)``.
+    hysteresis
+        :math:`h_r` [1/s^2] of structural damping, shape ``(n,)``; its coupling between modes is left out.
+    upper, lower
+        Residual terms between DoFs, shape ``(dof, dof)``; zero where there are none.
+    frequency_std, damping_std
+        Relative standard deviation that the author claims, shape ``(n,)``.
+    dofs
+        Names of the DoFs.
+    scaled
+        Whether the receptance between any two DoFs is known (a modal model without drive point knows only
+        the measured ones).
+    """
+
+    poles: Complex[Array, " n"]
+    shapes: Complex[Array, "n dof"]
+    participation: Complex[Array, "n dof"]
+    stiffness: Float[Array, " n"]
+    damping: Float[Array, " n"]
+    hysteresis: Float[Array, " n"]
+    upper: Complex[Array, "dof dof"]
+    lower: Complex[Array, "dof dof"]
+    frequency_std: Float[Array, " n"]
+    damping_std: Float[Array, " n"]
+    dofs: tuple[str, ...] = eqx.field(static=True)
+    scaled: bool = eqx.field(static=True)
+
+    def index(self, dof: str) -> int:
+        """Position of a DoF by name; ``ValueError`` lists the names if there is no such one."""
+        if dof not in self.dofs:
+            raise ValueError(
+                f"the measurement has a DoF {dof!r} that the simulation lacks; it has {', '.join(self.dofs)}"
+            )
+        return self.dofs.index(dof)
+
+    @property
+    def frequency_hz(self) -> np.ndarray:
+        """Natural frequencies [Hz]."""
+        return np.sqrt(np.asarray(self.stiffness)) / (2 * np.pi)
+
+
+def plant_of(simulation: Structure | ModalModel, lowest_hz: float) -> Plant:
+    """The modal arrays of a simulation.
+
+    Parameters
+    ----------
+    lowest_hz
+        Start of the band, for the shift of rigid modes [Hz].
+
+    Raises
+    ------
+    ValueError
+        If it is neither a structure nor a modal model, or its mass matrix is singular.
+    """
+    if isinstance(simulation, Structure):
+        return _from_structure(simulation, lowest_hz)
+    if isinstance(simulation, ModalModel):
+        return _from_modal(simulation)
+    raise ValueError(f"a simulation is a Structure or a ModalModel, not a {type(simulation).__name__}")
+
+
+def _from_structure(structure: Structure, lowest_hz: float) -> Plant:
+    M, C, K = (np.asarray(A) for A in (structure.M, structure.C, structure.K))
+    n = len(M)
+    if np.linalg.matrix_rank(M) < n:
+        raise ValueError(f"M is singular: rank {np.linalg.matrix_rank(M)} of {n}; condense the massless DoFs first")
+    # In the coordinates of the undamped modes the state matrix is well scaled and nearly block diagonal.
+    symmetric = 0.5 * (K + K.T)
+    squares, phi = scipy.linalg.eigh(symmetric, 0.5 * (M + M.T))
+    # The weakest spring that still parts a rigid mode's double zero eigenvalue.
+    shift = (RIGID_SHIFT * 2 * np.pi * max(lowest_hz, 1e-3)) ** 2 if squares[0] < 1e-9 * abs(squares[-1]) else 0.0
+    mass = phi.T @ M @ phi
+    stiff = np.linalg.solve(mass, phi.T @ K @ phi) + shift * np.eye(n)
+    damp = np.linalg.solve(mass, phi.T @ C @ phi)
+    state = np.block([[np.zeros((n, n)), np.eye(n)], [-stiff, -damp]])
+    unit = np.sqrt(np.abs(squares).max())
+    scale = np.r_[np.full(n, 1.0), np.full(n, unit)]
+    values, vectors = np.linalg.eig(state * scale[None] / scale[:, None])
+    left = np.linalg.inv(vectors)[:, n:] / unit
+    right = vectors[:n].T
+    upper = values.imag > 1e-10 * unit
+    real = np.abs(values.imag) <= 1e-10 * unit
+    # A real pole is stored as half a pair with itself.
+    keep = np.concatenate([np.flatnonzero(upper), np.flatnonzero(real)])
+    half = np.where(real[keep], 0.5, 1.0)[:, None]
+    poles = np.where(real[keep], values[keep].real + 0j, values[keep])
+    shapes = right[keep] @ phi.T
+    part = half * (left[keep] @ np.linalg.inv(mass) @ phi.T)
+    turn = np.take_along_axis(shapes, np.abs(shapes).argmax(axis=1)[:, None], axis=1)
+    order = np.argsort(np.abs(poles))
+    pair = int(upper.sum())
+    f_std, d_std = (
+        np.concatenate([np.broadcast_to(np.asarray(std), (n,))[:pair], np.zeros(len(keep) - pair)])
+        for std in (structure.frequency_std, structure.damping_std)
+    )
+    return _build(
+        poles[order], (shapes / turn)[order], (part * turn)[order], structure.dofs,
+        frequency_std=_in_order(f_std, real[keep][order]), damping_std=_in_order(d_std, real[keep][order]),
+        hysteresis=_nearest(structure, phi, squares, mass, poles[order], real[keep][order]),
+    )  # fmt: skip
+
+
+def _nearest(
+    structure: Structure, phi: np.ndarray, squares: np.ndarray, mass: np.ndarray, poles: np.ndarray, real: np.ndarray
+) -> np.ndarray:
+    """Structural damping of each pole, that of the undamped mode next to it in frequency."""
+    modal = np.einsum("dr,de,er->r", phi, np.asarray(structure.D), phi) / np.diag(mass)
+    own = np.abs(np.abs(poles)[:, None] - np.sqrt(np.abs(squares))[None]).argmin(axis=1)
+    return np.where(real, 0.0, modal[own])
+
+
+def _in_order(std: np.ndarray, real: np.ndarray) -> np.ndarray:
+    """Claims a vibrating mode, put where those modes stand among real poles."""
+    out = np.zeros(len(real))
+    out[~real] = std[: int((~real).sum())]
+    return out
+
+
+def _from_modal(model: ModalModel) -> Plant:
+    dofs = model.outputs + tuple(name for name in model.inputs if name not in model.outputs)
+    known = bool(model.drive_points())
+    if known:
+        a = np.asarray(model.modal_a())[:, None]
+    else:
+        a = np.ones((len(model.poles), 1))
+    shapes = np.asarray(model.shapes)
+    part = np.asarray(model.participation)
+    only_driven = [model.inputs.index(name) for name in dofs[len(model.outputs) :]]
+    shapes_all = np.concatenate([shapes, part[:, only_driven] * a], axis=1)
+    part_all = np.stack(
+        [
+            part[:, model.inputs.index(name)] if name in model.inputs else shapes_all[:, k] / a[:, 0]
+            for k, name in enumerate(dofs)
+        ],
+        axis=1,
+    )
+    return _build(
+        np.asarray(model.poles), shapes_all, part_all, dofs,
+        frequency_std=np.asarray(model.frequency_std), damping_std=np.asarray(model.damping_std),
+        upper=np.asarray(model._residual(model.upper, dofs, dofs)),
+        lower=np.asarray(model._residual(model.lower, dofs, dofs)), scaled=known,
+    )  # fmt: skip
+
+
+def _build(
+    poles: Any, shapes: Any, part: Any, dofs: tuple[str, ...], *, frequency_std: Any, damping_std: Any,
+    hysteresis: Any = None, upper: Any = None, lower: Any = None, scaled: bool = True,
+) -> Plant:  # fmt: skip
+    zero = jnp.zeros((len(dofs), len(dofs)), jnp.complex128)
+    poles = jnp.asarray(poles, jnp.complex128)
+    return Plant(
+        poles, jnp.asarray(shapes, jnp.complex128), jnp.asarray(part, jnp.complex128),
+        jnp.abs(poles) ** 2, -2 * poles.real,
+        jnp.zeros(poles.shape) if hysteresis is None else jnp.asarray(hysteresis, jnp.float64),
+        zero if upper is None else jnp.asarray(upper, jnp.complex128),
+        zero if lower is None else jnp.asarray(lower, jnp.complex128),
+        jnp.asarray(frequency_std, jnp.float64), jnp.asarray(damping_std, jnp.float64), tuple(dofs), scaled,
+    )  # fmt: skip

@@ -1,0 +1,126 @@
+r"""Data and simulation brought together: receptances, weights and the modal arrays, on common channels."""
+
+import math
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex, Float, Int
+
+from modalax.diagnose.plant import Plant
+
+
+class Problem(eqx.Module):
+    r"""What every cause is asked about.
+
+    Axes are padded to a few sizes, so that functions compiled for one measurement serve the next; padded samples
+    have weight zero.
+
+    Attributes
+    ----------
+    omega
+        Circular frequencies [rad/s], shape ``(f,)``.
+    data
+        Measured receptances, shape ``(run, f, o, i)`` [m/N].
+    weight
+        :math:`\sqrt2/\sigma` of each sample, 0 where it is left out, so that the real and imaginary parts of
+        ``weight * (data - prediction)`` have unit variance.
+    level
+        Force amplitude of each run [N].
+    outputs, inputs
+        Positions of the channels among the DoFs of the plant.
+    plant
+        The simulation.
+    lines, channels
+        True numbers of lines, and of outputs and inputs, before padding.
+    """
+
+    omega: Float[Array, " f"]
+    data: Complex[Array, "run f o i"]
+    weight: Float[Array, "run f o i"]
+    level: Float[Array, " run"]
+    outputs: Int[Array, " o"]
+    inputs: Int[Array, " i"]
+    plant: Plant
+    lines: int = eqx.field(static=True)
+    channels: tuple[int, int] = eqx.field(static=True)
+
+    @property
+    def samples(self) -> int:
+        """Number of real numbers that count."""
+        return 2 * int(np.count_nonzero(np.asarray(self.weight)))
+
+    def pooled(self) -> tuple["Problem", float]:
+        """All runs as one, for what does not depend on the run, and the chi-square that this leaves out."""
+        if self.data.shape[0] == 1:
+            return self, 0.0
+        square = np.asarray(self.weight) ** 2
+        total = square.sum(axis=0, keepdims=True)
+        mean = (square * np.asarray(self.data)).sum(axis=0, keepdims=True) / np.where(total > 0, total, 1.0)
+        rest = float((square * np.abs(np.asarray(self.data) - mean) ** 2).sum())
+        one = eqx.tree_at(
+            lambda p: (p.data, p.weight, p.level),
+            self,
+            (jnp.asarray(mean), jnp.asarray(np.sqrt(total)), self.level[:1]),
+        )
+        return one, rest
+
+    def weighted(self, weight: Any) -> "Problem":
+        """The same with other weights (a block left out)."""
+        return eqx.tree_at(lambda p: p.weight, self, jnp.asarray(weight))
+
+
+def bucket(count: int) -> int:
+    """The next of 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, ... that holds ``count``."""
+    if count <= 4:
+        return count
+    power = 2 ** math.floor(math.log2(count))
+    return power if count == power else (power * 3 // 2 if count <= power * 3 // 2 else power * 2)
+
+
+def make_problem(
+    freq: np.ndarray, data: np.ndarray, sigma: np.ndarray, level: np.ndarray,
+    outputs: tuple[str, ...], inputs: tuple[str, ...], plant: Plant,
+) -> Problem:  # fmt: skip
+    """Pad and weight receptances.
+
+    Parameters
+    ----------
+    data, sigma
+        Receptances and the standard deviations of their complex errors, shape ``(run, f, o, i)`` [m/N].
+    """
+    runs, lines, n_out, n_in = data.shape
+    shape = (runs, bucket(lines), bucket(n_out), bucket(n_in))
+    pads = [(0, new - old) for new, old in zip(shape, data.shape, strict=True)]
+    weight = np.where(sigma > 0, math.sqrt(2) / np.where(sigma > 0, sigma, 1.0), 0.0)
+    where = np.array([plant.index(name) for name in outputs]), np.array([plant.index(name) for name in inputs])
+    return Problem(
+        jnp.asarray(np.pad(2 * np.pi * freq, pads[1], mode="edge")),
+        jnp.asarray(np.pad(data, pads)),
+        jnp.asarray(np.pad(weight, pads)),
+        jnp.asarray(level),
+        jnp.asarray(np.pad(where[0], pads[2])),
+        jnp.asarray(np.pad(where[1], pads[3])),
+        padded(plant),
+        lines,
+        (n_out, n_in),
+    )
+
+
+def padded(plant: Plant) -> Plant:
+    """The plant with modes and DoFs that do nothing, up to a common size."""
+    n, dofs = plant.shapes.shape
+    more, wide = bucket(n) - n, bucket(dofs) - dofs
+    unit = float(np.median(np.asarray(plant.stiffness)))
+    rate = math.sqrt(unit)
+    fill = lambda a, value: jnp.concatenate([a, jnp.full(more, value, a.dtype)])  # noqa: E731
+    grow = lambda a: jnp.pad(a, ((0, more), (0, wide)))  # noqa: E731
+    square = lambda a: jnp.pad(a, ((0, wide), (0, wide)))  # noqa: E731
+    return Plant(
+        fill(plant.poles, -0.6 * rate + 0.8j * rate), grow(plant.shapes), grow(plant.participation),
+        fill(plant.stiffness, unit), fill(plant.damping, 1.2 * rate), fill(plant.hysteresis, 0.0),
+        square(plant.upper), square(plant.lower),
+        fill(plant.frequency_std, 0.0), fill(plant.damping_std, 0.0),
+        (), plant.scaled,
+    )  # fmt: skip

@@ -1,0 +1,312 @@
+r"""Screening: what every cause at every place would explain, by its efficient score and at a few finite sizes.
+
+With g the change of the whitened prediction and r the residual, nuisances projected out,
+:math:`z = \langle g, r\rangle/|g|` is standard normal where the cause is absent, and
+:math:`2\langle g,r\rangle - |g|^2` is the chi-square that exactly this size would take away.
+"""
+
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from modalax.diagnose.causes.base import Cause, Place, Scene
+from modalax.diagnose.causes.patterns import PatternCause
+from modalax.diagnose.fit import Hypothesis, Nuisance, projected
+from modalax.diagnose.predict import predict
+from modalax.diagnose.problem import Problem
+from modalax.diagnose.quick import Target, fit_quick
+from modalax.diagnose.study import Study
+
+BATCH = 32
+MANY_PLACES = 40  # beyond this, finite sizes are tried only where the derivative looks promising
+KEPT = 12
+KEPT_PLACES, KEPT_SHAPES = 8, 4
+NOWHERE = np.zeros((0, 3), np.int64)
+
+
+@dataclass
+class Trial:
+    """One cause at one place: the best start found and what it explains.
+
+    Attributes
+    ----------
+    gain
+        Chi-square that the start takes away, with the size optimal where the effect is linear.
+    z
+        Score at the derivative, standard normal without the cause; NaN where there is none.
+    start
+        Parameters to start from; ``starts`` holds further ones.
+    direction
+        Unit directions of the derivative, shape ``(shape, samples)``.
+    error
+        Standard deviation of the strength from the derivative.
+    trials
+        Number of derivatives looked at.
+    """
+
+    cause: Cause
+    place: Place
+    gain: float
+    z: float
+    start: np.ndarray
+    starts: list[np.ndarray] = field(default_factory=list)
+    extra: Any = None
+    direction: np.ndarray | None = None
+    error: float = np.nan
+    trials: int = 1
+
+
+@dataclass(frozen=True)
+class Residual:
+    """Residual of the present hypothesis and its nuisance directions.
+
+    Attributes
+    ----------
+    value
+        Whitened, projected, shape ``(o, i, run f 2)``.
+    nuisance
+        Directions of the modal parameters times their spread, shape ``(k, o, i, run f 2)``.
+    inner
+        :math:`(I + G^TG)^{-1}`, shape ``(k, k)``.
+    """
+
+    value: np.ndarray
+    nuisance: np.ndarray
+    inner: np.ndarray
+
+
+@partial(jax.jit, static_argnames=("cause",))
+def _scores(cause, index, params, base, theta, spread, basis, residual, directions, problem):
+    """Products of the change that each set of parameters makes, for a batch."""
+
+    def one(k, p):
+        H = predict((cause,), k[None], (None,), (p,), theta * spread, problem)
+        g = projected(problem.weight * (H - base), basis)
+        across = jnp.einsum("koin,oin->k", directions, g)
+        return jnp.sum(g * g), jnp.sum(g * residual), across, g.ravel()
+
+    return jax.vmap(one)(index, params)
+
+
+@jax.jit
+def _plain(theta, spread, problem):
+    return predict((), NOWHERE, (), (), theta * spread, problem)
+
+
+@jax.jit
+def _nuisance_directions(theta, spread, basis, problem):
+    def whitened(t):
+        return projected(problem.weight * predict((), NOWHERE, (), (), t * spread, problem), basis)
+
+    J = jax.jacfwd(whitened)(theta)
+    return jnp.moveaxis(J.reshape(*J.shape[:3], -1), -1, 0)
+
+
+def nuisance_of(theta: np.ndarray, study: Study) -> np.ndarray:
+    """Directions of the modal parameters times their spread, those that do something."""
+    problem, nuisance = study.problem, study.nuisance
+    if not nuisance.active:
+        return np.zeros((0, *problem.data.shape[2:], 2 * problem.data.shape[0] * problem.data.shape[1]))
+    G = np.asarray(_nuisance_directions(theta, nuisance.spread, nuisance.basis, problem))
+    study.cache["live"] = live_of(G)
+    return G[study.cache["live"]]
+
+
+def live_of(G: np.ndarray) -> np.ndarray:
+    """Which modal parameters do anything."""
+    return np.flatnonzero(np.abs(G).reshape(len(G), -1).max(axis=1) > 0)
+
+
+def screen(
+    causes: list[tuple[Cause, Place, np.ndarray]], theta: np.ndarray, residual: Residual, problem: Problem,
+    nuisance: Nuisance, keep: bool = False,
+) -> list[Trial]:  # fmt: skip
+    """Scores of one kind of cause at all the places and parameters given.
+
+    Parameters
+    ----------
+    causes
+        The same cause, its places and the parameters to try there.
+    keep
+        Whether to keep the unit directions.
+    """
+    if not causes:
+        return []
+    cause = causes[0][0]
+    index = np.concatenate([np.repeat([place.index], len(grid), axis=0) for _, place, grid in causes])
+    params = np.concatenate([grid for *_, grid in causes])
+    owner = np.concatenate([np.full(len(grid), k) for k, (*_, grid) in enumerate(causes)])
+    size = batch_of(problem)
+    base = _plain(theta, nuisance.spread, problem)
+    small = np.concatenate([smallest(grid) for *_, grid in causes])
+    # a few places stand for all where only the likeness of directions is wanted
+    some = set(np.unique(np.linspace(0, len(causes) - 1, KEPT_PLACES).astype(int)).tolist())
+    rows: list[int] = []
+    parts: list[list[np.ndarray]] = [[], [], [], []]
+    for k in range(0, len(params), size):
+        take = np.arange(k, min(k + size, len(params)))
+        fill = np.concatenate([take, np.full(size - len(take), take[-1])])
+        got = _scores(
+            cause, index[fill], params[fill], base, theta, nuisance.spread, nuisance.basis, residual.value,
+            residual.nuisance, problem,
+        )  # fmt: skip
+        for part, value in zip(parts[:3], got[:3], strict=True):
+            part.append(np.asarray(value)[: len(take)])
+        if keep:
+            wanted = [row for row, t in enumerate(take) if small[t] and owner[t] in some]
+            parts[3].append(np.asarray(got[3])[wanted])
+            rows += [int(take[row]) for row in wanted]
+    square, product, across = (np.concatenate(p) for p in parts[:3])
+    directions = dict(zip(rows, np.concatenate(parts[3]), strict=True)) if keep else {}
+    if len(residual.inner):
+        square = square - np.einsum("pk,kl,pl->p", across, residual.inner, across)
+    out = []
+    for k, (_, place, grid) in enumerate(causes):
+        mine = np.flatnonzero(owner == k)
+        kept = [directions[r] for r in mine if r in directions]
+        trial = best_trial(cause, place, grid, square[mine], product[mine])
+        out.append(replace(trial, direction=np.stack(kept[:KEPT_SHAPES])) if kept else trial)
+    return out
+
+
+def best_trial(cause: Cause, place: Place, grid: np.ndarray, square: np.ndarray, product: np.ndarray) -> Trial:
+    """The best start at one place."""
+    ok = np.isfinite(square) & np.isfinite(product) & (square > 1e-300)
+    square, product = np.where(ok, square, 1.0), np.where(ok, product, 0.0)
+    z = product / np.sqrt(square)
+    exact = 2 * product - square
+    if not len(cause.parameters):
+        best = int(np.argmax(np.where(ok, exact, -np.inf)))
+        return Trial(cause, place, float(exact[best]), float(z[best]), grid[best])
+    small = smallest(grid)
+    size = product / square
+    lower = cause.parameters[0].lower
+    linear = np.where(small & ok, z**2, -np.inf)
+    linear = np.where((lower >= 0) & (size < 0), -np.inf, linear)
+    # a linear estimate is a start, not a promise: the effect of that size may be quite different
+    value = np.maximum(np.where(ok, exact, -np.inf), linear)
+    order = np.argsort(-value)
+    starts = []
+    for k in order[:6]:
+        p = grid[k].copy()
+        if linear[k] >= exact[k]:
+            p[0] = p[0] * size[k]
+        starts.append(p)
+    derivative = int(np.argmax(np.where(small & ok, np.abs(z), -1.0)))
+    error = abs(float(grid[derivative, 0])) / np.sqrt(float(square[derivative]))
+    gain = float(value[order[0]])
+    return Trial(
+        cause, place, gain if np.isfinite(gain) else 0.0, float(z[derivative]), starts[0], starts[1:],
+        error=error, trials=int(small.sum()),
+    )  # fmt: skip
+
+
+def smallest(grid: np.ndarray) -> np.ndarray:
+    """Rows that stand for the derivative: the least strength of each set of other parameters."""
+    if not grid.shape[1]:
+        return np.ones(len(grid), bool)
+    size = np.abs(grid[:, 0])
+    return size <= size.min() * 1.001 if grid.shape[1] == 1 else size <= _least_by_shape(grid)
+
+
+def _least_by_shape(grid: np.ndarray) -> np.ndarray:
+    _, which = np.unique(grid[:, 1:], axis=0, return_inverse=True)
+    least = np.array([np.abs(grid[which == k, 0]).min() for k in range(which.max() + 1)])
+    return least[which] * 1.001
+
+
+def screen_cause(
+    cause: Cause, scene: Scene, theta: np.ndarray, residual: Residual, problem: Problem, nuisance: Nuisance,
+    keep: bool,
+) -> list[Trial]:  # fmt: skip
+    """One kind of cause at all its places: derivatives everywhere, finite sizes where they may matter."""
+    places = cause.places(scene)
+    if not places:
+        return []
+    grids = [(cause, place, cause.grid(scene, place)) for place in places]
+    if len(places) <= MANY_PLACES or not cause.parameters:
+        return screen(grids, theta, residual, problem, nuisance, keep)
+    first = [(c, place, grid[smallest(grid)]) for c, place, grid in grids]
+    trials = screen(first, theta, residual, problem, nuisance, keep)
+    order = np.argsort([-t.gain for t in trials])[:KEPT]
+    better = screen([grids[k] for k in order], theta, residual, problem, nuisance, False)
+    for k, trial in zip(order, better, strict=True):
+        old = trials[k]
+        trials[k] = replace(trial, direction=old.direction, z=old.z, error=old.error, trials=old.trials)
+    return trials
+
+
+def fit_screened(
+    study: Study, starts: list[Hypothesis], state: Residual, base: Hypothesis, rounds: int
+) -> list[Hypothesis]:
+    """Fit single causes of any kind but elements and patterns, through the changes that screening computes."""
+    cause = starts[0].causes[0]
+    problem, nuisance, _ = study.side(cause.per_run)
+    plain = _plain(base.theta, nuisance.spread, problem)
+    size = batch_of(problem)
+    K = len(state.inner)
+    aim = Target(np.ones((1, 1)), state.value.reshape(1, -1), state.nuisance.reshape(1, K, -1), state.inner)
+
+    def changes(part: list[Hypothesis], owner: np.ndarray, params: np.ndarray) -> np.ndarray:
+        index = np.stack([h.index[0] for h in part])[owner]
+        parts = []
+        for k in range(0, len(params), size):
+            take = np.arange(k, min(k + size, len(params)))
+            fill = np.concatenate([take, np.full(size - len(take), take[-1])])
+            got = _scores(
+                cause, index[fill], params[fill], plain, base.theta, nuisance.spread, nuisance.basis, state.value,
+                state.nuisance, problem,
+            )  # fmt: skip
+            parts.append(np.asarray(got[3])[: len(take)])
+        return np.concatenate(parts)
+
+    return fit_quick(study, base, starts, lambda part: aim, changes, rounds)
+
+
+def batch_of(problem: Problem) -> int:
+    """How many trials are worked on together."""
+    return max(1, min(BATCH, int(4e7 / max(problem.data.size, 1))))
+
+
+def screen_pattern(cause: PatternCause, scene: Scene, residual: Residual, problem: Problem) -> Trial:
+    """Best shape parameters and real sizes in every channel, by linear least squares at each trial."""
+    s = 1j * np.asarray(problem.omega)
+    weight = np.asarray(problem.weight)
+    runs = weight.shape[0]
+    r = residual.value.reshape(*residual.value.shape[:2], runs, -1, 2)
+    r = (r[..., 0] + 1j * r[..., 1]).transpose(2, 3, 0, 1)
+    best, found, sizes = -np.inf, None, None
+    w2 = (weight**2).sum(axis=0)
+    wr = (weight * r).sum(axis=0)
+    trials = cause.shapes(scene)
+    for q in trials:
+        B = np.asarray(cause.curves(s, q))
+        gram = np.real(np.einsum("tf,uf,foi->oitu", B.conj(), B, w2))
+        right = np.real(np.einsum("tf,foi->oit", B.conj(), wr))
+        ridge = 1e-12 * np.trace(gram, axis1=-2, axis2=-1)[..., None, None] + 1e-300
+        a = np.linalg.solve(gram + ridge * np.eye(gram.shape[-1]), right[..., None])[..., 0]
+        a = low_rank(a, gram)
+        value = float(2 * np.sum(a * right) - np.einsum("oit,oitu,oiu->", a, gram, a))
+        if value > best:
+            best, found, sizes = value, q, a
+    assert found is not None and sizes is not None
+    extra = np.moveaxis(sizes, -1, 0)
+    start = np.concatenate([np.ones(cause.terms), found])
+    return Trial(cause, Place(()), best, np.nan, start, extra=extra)
+
+
+def low_rank(a: np.ndarray, gram: np.ndarray) -> np.ndarray:
+    """Sizes of rank one over outputs and inputs for each term, weighted alike (one mode has one shape)."""
+    if min(a.shape[:2]) < 2:
+        return a
+    out = np.empty_like(a)
+    for t in range(a.shape[-1]):
+        row = np.sqrt(np.maximum(gram[..., t, t].mean(axis=1), 1e-300))
+        col = np.sqrt(np.maximum(gram[..., t, t].mean(axis=0), 1e-300))
+        U, d, V = np.linalg.svd(a[..., t] * row[:, None] * col[None], full_matrices=False)
+        out[..., t] = d[0] * np.outer(U[:, 0], V[0]) / row[:, None] / col[None]
+    return out

@@ -1,0 +1,268 @@
+r"""From screening to fitted hypotheses: single causes first, then one more at a time and pairs of the leading ones."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from modalax.diagnose.causes.base import Cause
+from modalax.diagnose.causes.lines import HumLines, MainsHum
+from modalax.diagnose.causes.patterns import PatternCause
+from modalax.diagnose.elements import Reduced, at_places, complex_of, fit_elements, reduce, screen_elements
+from modalax.diagnose.fit import ROUNDS, Hypothesis
+from modalax.diagnose.problem import bucket
+from modalax.diagnose.screen import Residual, Trial, fit_screened, nuisance_of, screen_cause, screen_pattern
+from modalax.diagnose.study import Study, hum_of
+
+FIRST_ROUNDS = 4
+STARTS = 2  # further starts of the leading trials of each kind
+IN_FULL = 4  # leading hypotheses fitted with the modal parameters in full
+A_KIND, LIKELY, ALTOGETHER = 3, 40, 150  # candidates refitted of one kind, of one kind near the best, and in all
+SPARE = 4  # directions kept free for the parameters of causes already found
+MORE_CAUSES = 5.0  # nats that each cause after the first costs before the data: two things are rarely wrong at once
+
+
+@dataclass(frozen=True)
+class Screening:
+    """All trials, and the trial directions of each side (all runs together, or apart)."""
+
+    trials: list[Trial]
+    theta: np.ndarray
+
+    @property
+    def ranked(self) -> list[Trial]:
+        """By falling gain."""
+        return sorted(self.trials, key=lambda t: -t.gain)
+
+
+@dataclass(frozen=True)
+class State:
+    """What a hypothesis leaves, with the runs apart (True) and together (False), and the products for elements."""
+
+    sides: dict[bool, Residual]
+    reduced: dict[bool, Reduced]
+    whole: np.ndarray
+
+
+def state_of(study: Study, h: Hypothesis, jacobian: np.ndarray | None = None) -> State:
+    """Residual of a hypothesis with the directions that are not to count: modal spread, and fitted parameters."""
+    assert h.theta is not None
+    whole = study.residual(h)
+    value = _real(whole)
+    G = nuisance_of(h.theta, study)
+    width = bucket(len(G) + SPARE)
+    more = G[:0] if jacobian is None else jacobian[:width]
+    # directions of length zero keep the shapes the same, before and after causes were found
+    G = np.concatenate([G, more, np.zeros((max(width - len(G) - len(more), 0), *G.shape[1:]))])
+    flat = G.reshape(len(G), -1)
+    inner = np.linalg.inv(np.eye(len(G)) + flat @ flat.T)
+    apart = Residual(value, G, inner)
+    together = Residual(_pooled(study, value), _pooled(study, G), inner)
+    theta = h.theta * study.nuisance.spread
+    sides = {True: apart, False: together}
+    reduced = {}
+    if study.question == "fixed" and study.scene.scaled:
+        reduced = {True: reduce(study.problem, theta, apart), False: reduce(study.pooled, theta, together)}
+    return State(sides, reduced, whole)
+
+
+def _real(z: np.ndarray) -> np.ndarray:
+    """Complex ``(..., run, f, o, i)`` laid out as whitened residuals, ``(..., o, i, run f 2)``."""
+    z = np.moveaxis(np.stack([z.real, z.imag], axis=-1), (-3, -2), (-5, -4))
+    return z.reshape(*z.shape[:-3], -1)
+
+
+def _pooled(study: Study, value: np.ndarray) -> np.ndarray:
+    """All runs as one: what a direction that is the same in every run sees."""
+    runs = study.problem.weight.shape[0]
+    if runs == 1 or not value.size:
+        return value[..., : value.shape[-1] // runs]
+    weight, total = np.asarray(study.problem.weight), np.asarray(study.pooled.weight)
+    z = (complex_of(value, runs) * weight).sum(axis=-4, keepdims=True) / np.where(total > 0, total, 1.0)
+    return _real(z)
+
+
+def screen_all(study: Study, h: Hypothesis, causes: Sequence[Cause], state: State, finite: bool = True) -> Screening:
+    """Screen every cause at every place on what a hypothesis leaves; ``finite`` tries larger sizes of joints too."""
+    assert h.theta is not None
+    trials: list[Trial] = []
+    products: dict[Any, Any] = {}
+    for cause in causes:
+        side = cause.per_run
+        problem, nuisance, _ = study.side(side)
+        if isinstance(cause, PatternCause):
+            trials.append(screen_pattern(cause, study.scene, state.sides[side], problem))
+        elif isinstance(cause, MainsHum):
+            for place in cause.places(study.scene):
+                lines = hum_of(cause, place, study, state.whole)
+                if lines.lines.any():
+                    trials.append(Trial(cause, place, -lines.chi2, np.nan, np.array([lines.amplitude]), extra=lines))
+        elif is_element(cause) and state.reduced:
+            places = cause.places(study.scene)
+            key = (side, tuple(p.index for p in places))
+            if key not in products:
+                products[key] = at_places(state.reduced[side], places)
+            weight = np.asarray(problem.weight)
+            trials += screen_elements(cause, study.scene, state.reduced[side], products[key], places, weight, finite)
+        else:
+            trials += screen_cause(cause, study.scene, h.theta, state.sides[side], problem, nuisance, True)
+    return Screening(trials, h.theta)
+
+
+def is_element(cause: Cause) -> bool:
+    """Whether a cause acts on one relative displacement."""
+    return cause.stage == "joint" or (cause.stage == "local" and not hasattr(cause, "matrix"))
+
+
+def chosen(trials: list[Trial]) -> list[Trial]:
+    """Trials worth a fit: the best few of each kind, if they are not hopeless beside the best of all."""
+    ranked = sorted((t for t in trials if t.gain > 0), key=lambda t: -t.gain)
+    if not ranked:
+        return []
+    best, count, out = ranked[0].gain, {}, []
+    for t in ranked:
+        seen = count.get(t.cause, 0)
+        if seen < (LIKELY if t.gain > 0.6 * best else A_KIND) and (
+            t.gain > 0.15 * best or (seen == 0 and t.gain > 0.02 * best)
+        ):
+            out.append(t)
+            count[t.cause] = seen + 1
+    return out[:ALTOGETHER]
+
+
+def fit_single(study: Study, null: Hypothesis, trials: list[Trial], state: State) -> list[Hypothesis]:
+    """Fit each trial alone, from several starts."""
+    fine: list[Hypothesis] = []
+    for cause in dict.fromkeys(t.cause for t in trials):
+        mine = [t for t in trials if t.cause == cause]
+        if cause.stage == "lines":
+            fine += [with_hum(null, t.extra) for t in mine]
+            continue
+        starts = [
+            _start(null, t, p) for k, t in enumerate(mine) for p in [t.start, *t.starts[: STARTS if k < 4 else 0]]
+        ]
+        fine += refit(study, null, starts, state)
+    band = (float(study.scene.freq[0]), float(study.scene.freq[-1]))
+    fine = _best_of_each(fine, band)
+    if study.nuisance.active and fine:
+        # far from the simulation the modal parameters follow in other than linear ways
+        close = [h for h in fine if h.causes and h.hum is None and h.chi2 < fine[0].chi2 + 12.0][:IN_FULL]
+        kept = [h for h in fine if not any(h is other for other in close)]
+        fine = _best_of_each(study.fit(close, ROUNDS) + kept, band)
+    return fine
+
+
+def refit(study: Study, null: Hypothesis, starts: list[Hypothesis], state: State) -> list[Hypothesis]:
+    """Fit hypotheses of one kind, each of one cause."""
+    if not starts:
+        return []
+    cause = starts[0].causes[0]
+    if isinstance(cause, PatternCause):
+        return [_settle_pattern(study, h) for h in study.fit(starts, ROUNDS)]
+    if is_element(cause) and state.reduced:
+        return fit_elements(study, starts, state.reduced[cause.per_run], null, ROUNDS + 6)
+    return fit_screened(study, starts, state.sides[cause.per_run], null, ROUNDS)
+
+
+def fit_further(study: Study, base: Hypothesis, trials: list[Trial]) -> list[Hypothesis]:
+    """Fit ``base`` with each trial added, everything together."""
+    found = study.fit([_start(base, t, t.start) for t in trials if t.cause.stage != "lines"], ROUNDS)
+    found = [_settle_pattern(study, h) for h in found]
+    if base.hum is None:
+        found += [with_hum(base, t.extra) for t in trials if t.cause.stage == "lines"]
+    return _best_of_each(found, (float(study.scene.freq[0]), float(study.scene.freq[-1])))
+
+
+def _start(base: Hypothesis, trial: Trial, p: np.ndarray) -> Hypothesis:
+    low = np.array([q.lower for q in trial.cause.parameters])
+    high = np.array([q.upper for q in trial.cause.parameters])
+    h = base.with_cause(trial.cause, trial.place, trial.extra, np.clip(p, low, high) if len(low) else p)
+    return replace(h, freedom=cost_of(h.causes, h.extras) + (h.hum.freedom if h.hum is not None else 0.0))
+
+
+def cost_of(causes: Sequence[Cause], extras: Sequence[Any]) -> float:
+    """Number of unknowns that causes cost."""
+    total = 0.0
+    for cause, extra in zip(causes, extras, strict=True):
+        if isinstance(cause, PatternCause):
+            total += cause.cost(*extra.shape[1:])
+        else:
+            total += len(cause.parameters) - cause.unseen
+    return total
+
+
+def _settle_pattern(study: Study, h: Hypothesis) -> Hypothesis:
+    """Estimate the sizes in the channels again at the fitted shape, and fit again."""
+    which = [k for k, c in enumerate(h.causes) if isinstance(c, PatternCause)]
+    for _ in range(3):
+        if not which:
+            return h
+        before = h.chi2
+        for k in which:
+            cause = h.causes[k]
+            assert isinstance(cause, PatternCause)
+            off = np.concatenate([np.zeros(cause.terms), h.params[k][cause.terms :]])
+            bare = replace(h, params=(*h.params[:k], off, *h.params[k + 1 :]))
+            fixed = _Fixed(cause, h.params[k][cause.terms :])
+            side = state_of(study, bare).sides[False]
+            t = screen_pattern(fixed, study.scene, side, study.pooled)  # pyright: ignore[reportArgumentType]
+            trial = replace(
+                h, extras=(*h.extras[:k], t.extra, *h.extras[k + 1 :]),
+                params=(*h.params[:k], t.start, *h.params[k + 1 :]),
+            )  # fmt: skip
+            new = study.fit([trial], FIRST_ROUNDS)[0]
+            h = new if new.chi2 < h.chi2 else h
+        if before - h.chi2 < 0.1:
+            break
+    return h
+
+
+@dataclass
+class _Fixed(PatternCause):
+    """A pattern cause at one shape."""
+
+    cause: PatternCause
+    q: np.ndarray
+
+    @property
+    def terms(self) -> int:
+        return self.cause.terms
+
+    def shapes(self, scene: Any) -> np.ndarray:
+        return self.q[None]
+
+    def curves(self, s: Any, q: Any) -> Any:
+        return self.cause.curves(s, q)
+
+
+def with_hum(h: Hypothesis, lines: HumLines) -> Hypothesis:
+    """The same with some lines explained by hum; what was fitted stays."""
+    return replace(h, chi2=h.chi2 + lines.chi2, freedom=h.freedom + lines.freedom, hum=lines)
+
+
+def _sensible(h: Hypothesis, band: tuple[float, float]) -> bool:
+    """Whether every mode that was added still lies on its own side of the band's ends."""
+    pairs = zip(h.causes, h.params, strict=True)
+    return all(c.fits(p, *band) for c, p in pairs if isinstance(c, PatternCause))
+
+
+def _best_of_each(hypotheses: list[Hypothesis], band: tuple[float, float]) -> list[Hypothesis]:
+    best: dict[Any, Hypothesis] = {}
+    for h in hypotheses:
+        if not _sensible(h, band):
+            continue
+        key = (h.causes, h.places, h.hum is None)
+        if np.isfinite(h.chi2) and (key not in best or h.chi2 < best[key].chi2):
+            best[key] = h
+    return sorted(best.values(), key=lambda h: h.chi2)
+
+
+def evidence(h: Hypothesis, study: Study, multiplicity: dict[Cause, int], samples: int) -> float:
+    """Logarithm of the evidence: Schwarz's criterion and the prior of the causes, spread over their places."""
+    value = -0.5 * h.chi2 - 0.5 * h.freedom * math.log(max(samples, 30))
+    value -= MORE_CAUSES * max(len(h.names) - 1, 0)
+    for cause in h.causes:  # hum has one place and weight 1
+        value += math.log(cause.prior) - math.log(max(multiplicity.get(cause, 1), 1))
+    return value

@@ -1,0 +1,217 @@
+"""One measurement against one simulation: everything that the steps of a diagnosis share."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import jax
+import numpy as np
+
+from modalax.data import FRF, Measurement
+from modalax.data.frf import DERIVATIVES
+from modalax.diagnose.causes.base import Cause, Place, Scene
+from modalax.diagnose.causes.lines import HumLines, MainsHum
+from modalax.diagnose.fit import WIDE, Hypothesis, Nuisance, fit_many, free_basis, residual_of, searched
+from modalax.diagnose.noise import Noise, noise_of
+from modalax.diagnose.plant import plant_of
+from modalax.diagnose.predict import predict
+from modalax.diagnose.problem import Problem, make_problem
+from modalax.model import ModalModel, Structure
+
+
+@dataclass(frozen=True)
+class Study:
+    """Data, simulation, noise and nuisances.
+
+    Attributes
+    ----------
+    measurement
+        As receptances, without the line at 0 Hz.
+    problem, pooled
+        With the runs apart and together; ``rest`` is the chi-square between runs that pooling leaves out.
+    scene
+        What causes may look at.
+    nuisance
+        Modal parameters that may adapt; ``pooled_nuisance`` is the same for the pooled problem.
+    question
+        ``fixed`` or ``free``.
+    notes
+        Sentences for the answer.
+    """
+
+    measurement: Measurement
+    simulation: Structure | ModalModel
+    noise: Noise
+    problem: Problem
+    pooled: Problem
+    rest: float
+    scene: Scene
+    nuisance: Nuisance
+    pooled_nuisance: Nuisance
+    question: str
+    notes: tuple[str, ...]
+    cache: dict[Any, Any] = field(default_factory=dict)
+
+    def side(self, per_run: bool) -> tuple[Problem, Nuisance, float]:
+        """The problem that a hypothesis needs, its nuisance, and the chi-square to add."""
+        return (self.problem, self.nuisance, 0.0) if per_run else (self.pooled, self.pooled_nuisance, self.rest)
+
+    def fit(self, starts: Sequence[Hypothesis], rounds: int) -> list[Hypothesis]:
+        """Fit hypotheses of any kinds; chi-squares are those of all runs."""
+        out: list[Hypothesis | None] = [None] * len(starts)
+        for kind in {h.causes for h in starts}:
+            which = [k for k, h in enumerate(starts) if h.causes == kind]
+            problem, nuisance, rest = self.side(starts[which[0]].per_run)
+            for k, h in zip(which, fit_many([starts[k] for k in which], problem, nuisance, rounds), strict=True):
+                out[k] = replace(h, chi2=h.chi2 + rest)
+        return [h for h in out if h is not None]
+
+    def residual(self, h: Hypothesis) -> np.ndarray:
+        """Whitened residual of a hypothesis, complex, shape ``(run, f, o, i)`` as padded."""
+        problem, nuisance = self.problem, self.nuisance
+        r = np.asarray(
+            residual_of(h.causes, h.index, h.extras, searched(h), h.theta, nuisance.spread, nuisance.basis, problem)
+        )
+        r = r.reshape(*r.shape[:2], problem.data.shape[0], -1, 2)
+        return (r[..., 0] + 1j * r[..., 1]).transpose(2, 3, 0, 1)
+
+    def prediction(self, h: Hypothesis) -> np.ndarray:
+        """Receptances of a hypothesis at the measured lines and channels, shape ``(run, f, o, i)``, unpadded."""
+        H = np.asarray(
+            _predict_jit(h.causes, h.index, h.extras, h.params, h.theta * self.nuisance.spread, self.problem)
+        )
+        n_out, n_in = self.problem.channels
+        shape = (self.problem.data.shape[0], *H.shape[1:])
+        return np.broadcast_to(H, shape)[:, : self.problem.lines, :n_out, :n_in]
+
+    def live(self) -> np.ndarray:
+        """Which samples count, shape ``(run, f, o, i)`` as padded."""
+        return np.asarray(self.problem.weight) > 0
+
+    def without(self, lines: np.ndarray) -> "Study":
+        """The same with some lines left out (hum)."""
+        mask = np.zeros(self.problem.data.shape[1], bool)
+        mask[: len(lines)] = lines
+        keep = np.where(mask, 0.0, 1.0)[None, :, None, None]
+        return self.reweighted(np.asarray(self.problem.weight) * keep)
+
+    def reweighted(self, weight: np.ndarray) -> "Study":
+        """The same with other weights."""
+        problem = self.problem.weighted(weight)
+        pooled, rest = problem.pooled()
+        free = self.question == "free"
+        return replace(
+            self, problem=problem, pooled=pooled, rest=rest, cache={},
+            nuisance=replace(self.nuisance, basis=free_basis(problem) if free else None),
+            pooled_nuisance=replace(self.pooled_nuisance, basis=free_basis(pooled) if free else None),
+        )  # fmt: skip
+
+
+_predict_jit = jax.jit(predict, static_argnums=0)
+
+
+def hum_of(cause: MainsHum, place: Place, study: Study, residual: np.ndarray) -> HumLines:
+    """What hum would explain of a residual, shape ``(run, f, o, i)``."""
+    lines = study.problem.lines
+    r = residual.transpose(0, 2, 3, 1).reshape(-1, residual.shape[1])[:, :lines]
+    live = study.live().transpose(0, 2, 3, 1).reshape(r.shape[0], -1)[:, :lines]
+    return cause.explain(study.scene.freq, float(place.index[0]), r, live)
+
+
+def as_measurement(data: Measurement | FRF) -> Measurement:
+    """Receptances without the line at 0 Hz, and a standing level where none is known.
+
+    Raises
+    ------
+    ValueError
+        If it is neither a measurement nor an FRF, or no line is left.
+    """
+    if isinstance(data, FRF):
+        data = Measurement.from_frfs([data])
+    if not isinstance(data, Measurement):
+        raise ValueError(f"a measurement is a Measurement or an FRF, not a {type(data).__name__}")
+    if float(data.freq[0]) == 0:
+        if len(data.freq) < 2:
+            raise ValueError("the measurement holds only the line at 0 Hz; at least one other is needed")
+        take = lambda a: None if a is None else a[:, 1:]  # noqa: E731
+        data = data.replace(
+            freq=data.freq[1:], H=data.H[:, 1:], variance=take(data.variance), coherence=take(data.coherence)
+        )
+    return data
+
+
+def make_study(data: Measurement | FRF, simulation: Structure | ModalModel, question: str = "auto") -> Study:
+    """Bring a measurement and a simulation together.
+
+    Raises
+    ------
+    ValueError
+        If a measured DoF is not in the simulation, or ``question`` is not ``auto``, ``fixed`` or ``free``.
+    """
+    if question not in ("auto", "fixed", "free"):
+        raise ValueError(f"question is {question!r}; it must be auto, fixed or free")
+    measurement = as_measurement(data)
+    freq = np.asarray(measurement.freq)
+    plant = plant_of(simulation, float(freq[0]))
+    level = np.asarray(measurement.level)
+    notes = []
+    if np.isnan(level).any():
+        known = np.nanmedian(level) if np.isfinite(level).any() else 1.0
+        level = np.where(np.isnan(level), known, level)
+        notes.append(f"force levels unknown, taken as {known:g} N: thresholds of joints scale with that")
+    asked, why = _question(question, simulation)
+    notes.append(why)
+    order = DERIVATIVES[measurement.form]
+    unit = (2j * np.pi * freq[:, None, None]) ** order
+    receptance = np.asarray(measurement.H) / unit
+    zero = np.zeros(receptance.shape)
+    draft = make_problem(freq, receptance, zero, level, measurement.outputs, measurement.inputs, plant)
+    n_out, n_in = draft.channels
+    still = np.zeros((2, draft.plant.stiffness.shape[0]))
+    predicted = np.asarray(_predict_jit((), np.zeros((0, 3), int), (), (), still, draft))[0, : len(freq), :n_out, :n_in]
+    noise = noise_of(measurement, predicted * unit)
+    notes.append(noise.source)
+    sigma = noise.sigma / np.abs(unit)
+    problem = make_problem(freq, receptance, sigma, level, measurement.outputs, measurement.inputs, plant)
+    pooled, rest = problem.pooled()
+    spread = np.stack([np.asarray(problem.plant.frequency_std), np.asarray(problem.plant.damping_std)])
+    free = asked == "free"
+    if free:
+        live = np.abs(np.asarray(problem.plant.shapes)).max(axis=1) > 0
+        spread = np.where(live, WIDE, 0.0) * np.ones((2, 1))
+    scene = Scene(
+        freq, plant.dofs, measurement.outputs, measurement.inputs, plant.frequency_hz,
+        np.asarray(plant.damping / (2 * np.sqrt(plant.stiffness))), level, plant, plant.scaled, measurement.form,
+    )  # fmt: skip
+    return Study(
+        measurement, simulation, noise, problem, pooled, rest, scene,
+        Nuisance(spread, free_basis(problem) if free else None),
+        Nuisance(spread, free_basis(pooled) if free else None), asked, tuple(notes),
+    )  # fmt: skip
+
+
+def _question(question: str, simulation: Structure | ModalModel) -> tuple[str, str]:
+    if question != "auto":
+        return question, f"the {question.upper()} question was asked for"
+    fitted = isinstance(simulation, ModalModel) and bool(
+        np.abs(np.asarray(simulation.upper)).max(initial=0) + np.abs(np.asarray(simulation.lower)).max(initial=0) > 0
+    )
+    if fitted:
+        return "free", (
+            "the simulation is a modal fit (it has residual terms), so its modal parameters are free (FREE question): "
+            "only what no linear modal model explains is named"
+        )
+    return "fixed", (
+        "the data is held against this simulation and the spread its author claims (FIXED question); "
+        "ask with question='free' for what no linear modal model explains"
+    )
+
+
+def causes_of(causes: Sequence[Cause] | None, study: Study, default: Sequence[Cause]) -> list[Cause]:
+    """The causes to look for: those given, or the catalogue, and under FREE only those that it can see."""
+    chosen = list(default if causes is None else causes)
+    if study.question == "free" and causes is None:
+        chosen = [
+            c for c in chosen if c.stage in ("joint", "kernel", "lines") or c.per_run or c.slug == "force_dropout"
+        ]
+    return chosen

@@ -1,0 +1,243 @@
+"""Measurements, structures and modal models as named arrays, the content of ``.npz`` and ``.mat`` files."""
+
+import difflib
+import warnings
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from modalax.data.frf import FRF
+from modalax.data.measurement import Measurement
+from modalax.model.modal import ModalModel, poles_from
+from modalax.model.structure import Structure
+
+Arrays = Mapping[str, Any]
+Saved = Measurement | Structure | ModalModel
+
+MEASUREMENT_KEYS = (
+    "freq", "H", "variance", "averages", "coherence", "added_decay", "level", "outputs", "inputs", "form", "axes",
+)  # fmt: skip
+STRUCTURE_KEYS = ("M", "C", "K", "D", "dofs", "frequency_std", "damping_std")
+MODEL_KEYS = (
+    "poles", "frequency_hz", "damping_ratio", "shapes", "participation", "modal_a", "modal_mass", "upper", "lower",
+    "outputs", "inputs", "frequency_std", "damping_std",
+)  # fmt: skip
+READ_KEYS = frozenset((*MEASUREMENT_KEYS, *STRUCTURE_KEYS, *MODEL_KEYS))
+
+
+def to_arrays(what: Any) -> dict[str, np.ndarray]:
+    """Named arrays of ``what``, as the file contract has them; an :class:`FRF` becomes a measurement of one run."""
+    if isinstance(what, FRF):
+        what = Measurement.from_frfs([what])
+    if isinstance(what, Measurement):
+        return _measurement_arrays(what)
+    if isinstance(what, Structure):
+        damping = ("C", "D") if np.any(np.asarray(what.D)) else ("C",)
+        names, labels = ("M", *damping, "K", "frequency_std", "damping_std"), ("dofs",)
+    elif isinstance(what, ModalModel):
+        names = ("poles", "shapes", "participation", "upper", "lower", "frequency_std", "damping_std")
+        labels = ("outputs", "inputs")
+    else:
+        raise ValueError(f"a {type(what).__name__} cannot be saved; give a Measurement, FRF, Structure or ModalModel")
+    arrays = {name: np.asarray(getattr(what, name)) for name in names}
+    return arrays | {label: np.array(getattr(what, label), dtype=str) for label in labels}
+
+
+def _measurement_arrays(measurement: Measurement) -> dict[str, np.ndarray]:
+    arrays = {
+        "freq": np.asarray(measurement.freq), "H": np.asarray(measurement.H), "level": np.asarray(measurement.level),
+        "outputs": np.array(measurement.outputs, dtype=str), "inputs": np.array(measurement.inputs, dtype=str),
+        "form": np.array(measurement.form),
+    }  # fmt: skip
+    for name in ("variance", "coherence", "averages"):
+        if getattr(measurement, name) is not None:
+            arrays[name] = np.asarray(getattr(measurement, name))
+    if float(measurement.added_decay) != 0:
+        arrays["added_decay"] = np.asarray(measurement.added_decay)
+    return arrays
+
+
+def from_arrays(arrays: Arrays) -> Saved:
+    """The measurement, structure or modal model that named arrays hold, told apart by their names.
+
+    Raises
+    ------
+    ValueError
+        If an array is missing, has wrong axes, holds NaN, or the set is of none of the three kinds.
+    """
+    if "H" in arrays or "freq" in arrays:
+        _hint(arrays, MEASUREMENT_KEYS)
+        return _measurement(arrays)
+    if {"M", "K"} & set(arrays):
+        _hint(arrays, STRUCTURE_KEYS)
+        return _structure(arrays)
+    if {"poles", "shapes"} & set(arrays):
+        _hint(arrays, MODEL_KEYS)
+        return _model(arrays)
+    raise ValueError(
+        f"holds {', '.join(sorted(arrays)) or 'nothing'}; a measurement needs freq, H, form, outputs, inputs, "
+        "a structure M, C, K, dofs, a modal model poles, shapes, participation, outputs, inputs"
+    )
+
+
+def _hint(arrays: Arrays, known: tuple[str, ...]) -> None:
+    """Say so where a name that is not read looks like a slip of one that is."""
+    for name in sorted(set(arrays) - set(known)):
+        lower = {k.lower(): k for k in known if k not in arrays}
+        close = difflib.get_close_matches(name.lower(), list(lower), n=1, cutoff=0.8)
+        if close:
+            warnings.warn(
+                f"array {name!r} is not read; should it be named {lower[close[0]]!r}?", UserWarning, stacklevel=4
+            )
+
+
+def _need(arrays: Arrays, names: tuple[str, ...], kind: str) -> None:
+    missing = [name for name in names if name not in arrays]
+    if missing:
+        raise ValueError(
+            f"no {' and no '.join(missing)} in it; a {kind} file needs {', '.join(names)} "
+            f"(here: {', '.join(sorted(arrays))})"
+        )
+
+
+def _numbers(arrays: Arrays, name: str, complex_: bool = False) -> np.ndarray:
+    """An array in double precision; single precision in a file is a choice of storage and converts exactly."""
+    value = np.asarray(arrays[name])
+    if value.dtype.kind not in ("biufc" if complex_ else "biuf"):
+        raise ValueError(f"{name} has type {value.dtype}; it needs {'complex' if complex_ else 'real'} numbers")
+    return value.astype(np.complex128 if complex_ else np.float64)
+
+
+def _words(arrays: Arrays, name: str) -> list[str]:
+    """Names from an array of text, bytes or whole numbers."""
+    value = np.atleast_1d(np.asarray(arrays[name]))
+    if value.dtype.kind == "S":
+        value = np.char.decode(value, "utf-8")
+    if value.dtype.kind not in "UTOiu":
+        raise ValueError(f"{name} has type {value.dtype}; it needs text, one name a channel")
+    return [str(item).strip() for item in value.ravel()]
+
+
+def _measurement(arrays: Arrays) -> Measurement:
+    _need(arrays, ("freq", "H", "form", "outputs", "inputs"), "measurement")
+    if np.asarray(arrays["H"]).dtype.kind != "c":
+        raise ValueError(f"H has type {np.asarray(arrays['H']).dtype}; FRFs are complex, a magnitude is not enough")
+    freq, H = _numbers(arrays, "freq").squeeze(), _numbers(arrays, "H", complex_=True)
+    freq = np.atleast_1d(freq)
+    outputs, inputs = _words(arrays, "outputs"), _words(arrays, "inputs")
+    axes = " ".join(_words(arrays, "axes")).split() if "axes" in arrays else ["run", "f", "o", "i"]
+    if axes not in (["run", "f", "o", "i"], ["f", "o", "i"]):
+        raise ValueError(f"axes says {' '.join(axes)!r}; it must be 'run f o i' or 'f o i'")
+    single = axes == ["f", "o", "i"]
+    _check_axes(H, axes, {"f": len(freq), "o": len(outputs), "i": len(inputs)})
+    optional = {}
+    for name in ("variance", "coherence"):
+        if name in arrays:
+            value = _numbers(arrays, name)
+            if value.shape != H.shape:
+                raise ValueError(f"{name} has shape {value.shape} and H {H.shape}; they must be the same")
+            optional[name] = value[None] if single else value
+    if "averages" in arrays:
+        optional["averages"] = _whole(arrays, "averages")
+    if "added_decay" in arrays:
+        optional["added_decay"] = float(_numbers(arrays, "added_decay").item())
+    level = np.atleast_1d(_numbers(arrays, "level").squeeze()) if "level" in arrays else None
+    return Measurement(
+        freq, H[None] if single else H, form=_words(arrays, "form")[0], level=level, outputs=outputs, inputs=inputs,
+        **optional,
+    )  # fmt: skip
+
+
+def _whole(arrays: Arrays, name: str) -> int:
+    value = _numbers(arrays, name)
+    if value.size != 1 or float(value.item()) != int(value.item()):
+        raise ValueError(f"{name} is {value.tolist()}; it needs one whole number")
+    return int(value.item())
+
+
+def _check_axes(H: np.ndarray, axes: list[str], lengths: dict[str, int]) -> None:
+    """Compare the axes of H with the lengths of freq, outputs and inputs, and name the one that is wrong."""
+    wanted = f"({', '.join(axes)}) = ({', '.join(str(lengths.get(a, 'run')) for a in axes)})"
+    if H.ndim != len(axes):
+        advice = "; for one run save H[None], or add axes = 'f o i'" if (H.ndim, len(axes)) == (3, 4) else ""
+        raise ValueError(f"H has {H.ndim} axes, shape {H.shape}; it needs {wanted}{advice}")
+    wrong = [k for k, a in enumerate(axes) if a in lengths and H.shape[k] != lengths[a]]
+    if not wrong:
+        return
+    k = wrong[0]
+    what = {"f": "frequency lines", "o": "outputs", "i": "inputs"}[axes[k]]
+    elsewhere = [j for j in range(H.ndim) if H.shape[j] == lengths[axes[k]]]
+    hint = f"; axis {elsewhere[0]} has that length: are the axes in another order?" if elsewhere else ""
+    raise ValueError(
+        f"H has shape {H.shape}: its axis {k} holds {H.shape[k]} for {lengths[axes[k]]} {what}; it needs {wanted}{hint}"
+    )
+
+
+def _structure(arrays: Arrays) -> Structure:
+    _need(arrays, ("M", "C", "K", "dofs"), "structure")
+    for name in ("M", "C", "K"):
+        if np.asarray(arrays[name]).dtype == np.float32:
+            warnings.warn(
+                f"{name} is stored in single precision; natural frequencies, differences of large numbers, suffer",
+                UserWarning,
+                stacklevel=4,
+            )
+    M, C, K = (np.atleast_2d(_numbers(arrays, name)) for name in ("M", "C", "K"))
+    D = np.atleast_2d(_numbers(arrays, "D")) if "D" in arrays else None
+    return Structure(M, C, K, _words(arrays, "dofs"), D=D, **_claims(arrays))
+
+
+def _claims(arrays: Arrays) -> dict[str, np.ndarray]:
+    claims = {}
+    for name in ("frequency_std", "damping_std"):
+        if name in arrays:
+            value = _numbers(arrays, name).squeeze()
+            if not (np.isfinite(value) & (value >= 0)).all():
+                raise ValueError(f"{name} is {value.tolist()}; a relative standard deviation is 0 or positive")
+            claims[name] = value
+    return claims
+
+
+def _model(arrays: Arrays) -> ModalModel:
+    if "poles" in arrays or "frequency_hz" not in arrays:
+        _need(arrays, ("poles", "shapes", "outputs"), "modal model")
+        poles = np.atleast_1d(_numbers(arrays, "poles", complex_=True).squeeze())
+    else:
+        _need(arrays, ("frequency_hz", "damping_ratio", "shapes", "outputs"), "modal model")
+        poles = np.asarray(
+            poles_from(*(np.atleast_1d(_numbers(arrays, k).squeeze()) for k in ("frequency_hz", "damping_ratio")))
+        )
+    shapes = np.atleast_2d(_numbers(arrays, "shapes", complex_=True))
+    outputs = _words(arrays, "outputs")
+    if shapes.shape != (len(poles), len(outputs)):
+        raise ValueError(
+            f"shapes has shape {shapes.shape}; {len(poles)} poles and {len(outputs)} outputs need "
+            f"({len(poles)}, {len(outputs)})"
+        )
+    inputs, participation = _participation(arrays, poles, shapes, outputs)
+    terms = {k: _numbers(arrays, k, complex_=True) for k in ("upper", "lower") if k in arrays}
+    return ModalModel(poles, shapes, participation, outputs=outputs, inputs=inputs, **terms, **_claims(arrays))
+
+
+def _participation(
+    arrays: Arrays, poles: np.ndarray, shapes: np.ndarray, outputs: list[str]
+) -> tuple[list[str], np.ndarray]:
+    """Inputs and their participation, given as such or through modal a or modal mass and reciprocity."""
+    if "participation" in arrays:
+        _need(arrays, ("participation", "inputs"), "modal model")
+        return _words(arrays, "inputs"), np.atleast_2d(_numbers(arrays, "participation", complex_=True))
+    if "modal_a" not in arrays and "modal_mass" not in arrays:
+        raise ValueError("no participation in it; a modal model file needs participation, modal_a or modal_mass")
+    if "modal_a" in arrays:
+        a = _numbers(arrays, "modal_a", complex_=True)
+    else:
+        a = 2j * np.imag(poles) * _numbers(arrays, "modal_mass", complex_=True).reshape(-1)
+    a = a.reshape(-1)
+    if len(a) != len(poles) or (a == 0).any():
+        raise ValueError(f"{len(a)} modal scalings, {int((a == 0).sum())} of them zero, for {len(poles)} poles")
+    inputs = _words(arrays, "inputs") if "inputs" in arrays else outputs
+    unknown = [name for name in inputs if name not in outputs]
+    if unknown:
+        raise ValueError(f"inputs {', '.join(unknown)} have no shape component: they are not among the outputs")
+    return inputs, shapes[:, [outputs.index(name) for name in inputs]] / a[:, None]

@@ -1,0 +1,128 @@
+"""Measurements as labelled arrays of xarray, and through it as NetCDF and Zarr."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from modalax.data.frf import FRF
+from modalax.data.measurement import Measurement
+from modalax.files.arrays import Saved, from_arrays, to_arrays
+
+UNITS = {"receptance": "m/N", "mobility": "(m/s)/N", "accelerance": "(m/s^2)/N"}
+DIMS = ("run", "freq", "output", "input")
+SAMPLES = ("H", "variance", "coherence")
+
+
+def _xarray() -> Any:
+    try:
+        import xarray
+    except ImportError as error:
+        raise ValueError("labelled arrays need xarray: pip install 'modalax[files]'") from error
+    return xarray
+
+
+def to_xarray(measurement: Any) -> Any:
+    """The measurement as an ``xarray.Dataset``: ``H``, ``variance``, ``coherence`` over (run, freq, output, input).
+
+    Coordinates are ``freq`` [Hz], ``level`` [N] over the runs and the DoF names; attributes are ``form`` and, where
+    known, ``averages`` and ``added_decay``.
+
+    Parameters
+    ----------
+    measurement
+        A :class:`Measurement`, or an :class:`FRF` as one run.
+
+    Raises
+    ------
+    ValueError
+        If the object is neither, or xarray is not there.
+    """
+    if not isinstance(measurement, Measurement | FRF):
+        raise ValueError(f"a {type(measurement).__name__} has no labelled form; save it as .npz")
+    arrays = to_arrays(measurement)
+    form = str(arrays["form"])
+    attributes: dict[str, Any] = {"form": form, "time_convention": "exp(+j omega t)"}
+    attributes |= {name: arrays[name].item() for name in ("averages", "added_decay") if name in arrays}
+    units = {"H": UNITS[form], "variance": f"({UNITS[form]})^2", "coherence": "1"}
+    return _xarray().Dataset(
+        {name: (DIMS, arrays[name], {"units": units[name]}) for name in SAMPLES if name in arrays},
+        coords={
+            "freq": ("freq", arrays["freq"], {"units": "Hz"}),
+            "level": ("run", arrays["level"], {"units": "N"}),
+            "output": ("output", arrays["outputs"]),
+            "input": ("input", arrays["inputs"]),
+        },
+        attrs=attributes,
+    )
+
+
+def from_xarray(dataset: Any) -> Measurement:
+    """The measurement of an ``xarray.Dataset`` as :func:`to_xarray` makes it; the order of the axes does not matter.
+
+    Raises
+    ------
+    ValueError
+        If a variable, coordinate, axis or attribute is missing.
+    """
+    names = set(dataset.variables)
+    missing = [name for name in ("H", "freq", "output", "input") if name not in names]
+    if missing or "form" not in dataset.attrs:
+        raise ValueError(
+            f"no {', '.join(missing) or 'attribute form'} in the dataset, which holds "
+            f"{', '.join(sorted(map(str, names)))}; needed are H (run, freq, output, input), freq, output, input "
+            "and the attribute form"
+        )
+    absent = [d for d in DIMS[1:] if d not in dataset["H"].dims]
+    if absent:
+        raise ValueError(f"H has the axes {', '.join(map(str, dataset['H'].dims))}; it needs {', '.join(DIMS)}")
+    if "run" not in dataset["H"].dims:
+        dataset = dataset.expand_dims("run")
+    arrays: dict[str, Any] = {
+        name: dataset[name].transpose(*DIMS).to_numpy() for name in SAMPLES if name in dataset.variables
+    }
+    arrays |= {"freq": dataset["freq"].to_numpy(), "form": np.array(dataset.attrs["form"])}
+    arrays |= {f"{axis}s": dataset[axis].to_numpy().astype(str) for axis in ("output", "input")}
+    if "level" in dataset.variables:
+        arrays["level"] = dataset["level"].to_numpy()
+    arrays |= {name: dataset.attrs[name] for name in ("averages", "added_decay") if name in dataset.attrs}
+    measurement = from_arrays(arrays)
+    assert isinstance(measurement, Measurement)
+    return measurement
+
+
+def read_labelled(path: Path, kind: str) -> Saved:
+    """Read a NetCDF file or a Zarr store.
+
+    NetCDF has no complex numbers of its own; they stand as pairs of real ones, named ``<name>_real``, ``<name>_imag``.
+
+    Raises
+    ------
+    ValueError
+        If the file is damaged or holds no measurement.
+    """
+    xarray = _xarray()
+    try:
+        how = {"engine": "zarr", "consolidated": False} if kind == "zarr" else {}
+        with xarray.open_dataset(path, **how) as lazy:
+            dataset = lazy.load()
+    except ImportError as error:
+        raise ValueError(f"{error}: pip install 'modalax[files]'") from error
+    except (OSError, RuntimeError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"cannot be read as {'Zarr' if kind == 'zarr' else 'NetCDF'} ({error})") from error
+    if "H_real" in dataset and "H_imag" in dataset:
+        H = dataset["H_real"] + 1j * dataset["H_imag"]
+        dataset = dataset.drop_vars(["H_real", "H_imag"]).assign(H=H)
+    return from_xarray(dataset)
+
+
+def write_labelled(what: Any, path: Path, kind: str) -> None:
+    """Write a measurement as NetCDF or Zarr."""
+    dataset = to_xarray(what)
+    H = dataset["H"]
+    parts = {"H_real": H.real.assign_attrs(H.attrs), "H_imag": H.imag.assign_attrs(H.attrs)}
+    dataset = dataset.drop_vars("H").assign(parts)
+    if kind == "zarr":
+        dataset.to_zarr(path, mode="w", consolidated=False, zarr_format=2)
+    else:
+        dataset.to_netcdf(path, engine="h5netcdf")

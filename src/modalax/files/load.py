@@ -1,0 +1,153 @@
+"""``load`` and ``save``: one call for every kind of file."""
+
+import os
+import shutil
+import tempfile
+import warnings
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+
+from modalax._numerics.checks import require_double
+from modalax.data.causality import looks_conjugated
+from modalax.data.measurement import Measurement
+from modalax.files.arrays import Saved
+from modalax.files.messages import about
+from modalax.files.npz import read_npz, write_npz
+from modalax.files.sniff import kind_to_write, sniff
+
+
+def load(
+    path: str | os.PathLike[str],
+    *,
+    conjugate: bool | str = "detect",
+    **options: Any,
+) -> Saved:
+    """Read a measurement, a structure or a modal model from a file of any kind.
+
+    What the file is, is told from its content: NumPy ``.npz``, UFF (58 ASCII and binary, 55, 2414), MATLAB ``.mat``,
+    NetCDF or Zarr.
+
+    Parameters
+    ----------
+    path
+        The file, or the folder of a Zarr store.
+    conjugate
+        ``"detect"``: FRFs that look conjugated (:func:`modalax.data.looks_conjugated`) are turned back, with a
+        warning that says so. True: they are conjugated. False: they are taken as they are.
+    **options
+        Choices for UFF files, passed to :func:`modalax.files.uff.read_uff`: ``form``, ``complete``.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If the file cannot be used; the message, of one line, names the file, what was seen and what would be right.
+    """
+    path = Path(path)
+    require_double("load")
+    with about(path):
+        what = _read(path, sniff(path), options)
+        if isinstance(what, Measurement):
+            what = _in_convention(what, conjugate)
+    return what
+
+
+def _read(path: Path, kind: str, options: dict[str, Any]) -> Saved:
+    if kind == "uff":
+        from modalax.files.uff import read_uff
+
+        return read_uff(path, **options)
+    if options:
+        raise ValueError(f"option {', '.join(options)} is for UFF files, this one is {kind}")
+    if kind == "npz":
+        return read_npz(path)
+    if kind in ("mat", "mat73"):
+        from modalax.files.mat import read_mat
+
+        return read_mat(path)
+    from modalax.files.labelled import read_labelled
+
+    return read_labelled(path, kind)
+
+
+def _in_convention(measurement: Measurement, conjugate: bool | str) -> Measurement:
+    if conjugate not in (True, False, "detect"):
+        raise ValueError(f"conjugate is {conjugate!r}; it must be True, False or 'detect'")
+    if conjugate == "detect":
+        conjugate = looks_conjugated(measurement)
+        if conjugate:
+            warnings.warn(
+                "the FRFs look conjugated (their phase rises through the resonances, time convention e^-jwt) and "
+                "were conjugated back; load(..., conjugate=True) does so without this warning, conjugate=False "
+                "keeps them as they are",
+                UserWarning,
+                stacklevel=2,
+            )
+    return measurement.replace(H=jnp.conj(measurement.H)) if conjugate else measurement
+
+
+def save(
+    what: Any,
+    path: str | os.PathLike[str],
+    overwrite: bool = False,
+    **options: Any,
+) -> None:
+    """Write a measurement, a structure or a modal model; the ending of ``path`` says which kind of file.
+
+    ``.npz``, ``.uff`` (also ``.unv``, ``.uf``), ``.mat``, ``.nc`` (NetCDF) or ``.zarr``. Nothing is left half
+    written: the file appears when it is whole.
+
+    Parameters
+    ----------
+    what
+        A :class:`Measurement`, :class:`FRF` (written as one run), :class:`Structure` or :class:`ModalModel`;
+        structures go to ``.npz`` and ``.mat`` only.
+    path
+        The file.
+    overwrite
+        Whether a file of that name may be replaced.
+    **options
+        Choices for UFF files, passed to :func:`modalax.files.uff.write_uff`: ``binary``, ``geometry``.
+
+    Raises
+    ------
+    ValueError
+        If the file exists and ``overwrite`` is False, or its kind cannot hold ``what``.
+    FileNotFoundError
+        If the folder does not exist.
+    """
+    path = Path(path)
+    with about(path):
+        kind = kind_to_write(path)
+        if path.exists() and not overwrite:
+            raise ValueError(f"{path} exists already; choose another name, or pass overwrite=True to replace it")
+        if not path.parent.is_dir():
+            raise FileNotFoundError(f"{path}: there is no folder {path.parent}")
+        if options and kind != "uff":
+            raise ValueError(f"option {', '.join(options)} is for UFF files, this one is {kind}")
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=".modalax-") as folder:
+            part = Path(folder) / f"part{path.suffix.lower()}"
+            _write(what, part, kind, options)
+            if path.is_dir():
+                shutil.rmtree(path)
+            os.replace(part, path)
+
+
+def _write(what: Any, path: Path, kind: str, options: dict[str, Any]) -> None:
+    if kind == "npz":
+        write_npz(what, path)
+    elif kind == "uff":
+        from modalax.files.uff import write_uff
+
+        write_uff(what, path, **options)
+    elif kind == "mat":
+        from modalax.files.mat import write_mat
+
+        write_mat(what, path)
+    else:
+        from modalax.files.labelled import write_labelled
+
+        write_labelled(what, path, kind)

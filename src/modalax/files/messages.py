@@ -1,0 +1,23 @@
+"""Errors and warnings that name the file they are about."""
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+
+@contextmanager
+def about(path: Path) -> Iterator[None]:
+    """Put the name of the file before the message of every error and warning raised inside."""
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        try:
+            yield
+        except ValueError as error:
+            text = " ".join(str(error).split())
+            raise ValueError(text if str(path) in text else f"{path}: {text}") from error
+    for warning in heard:
+        text = str(warning.message)
+        if issubclass(warning.category, UserWarning) and str(path) not in text:
+            text = f"{path}: {text}"
+        warnings.warn(text, warning.category, stacklevel=4)

@@ -1,0 +1,70 @@
+"""What kind of file it is, from its content: the ending alone is not trusted."""
+
+from pathlib import Path
+
+KINDS = "UFF (ASCII or binary), NumPy .npz, MATLAB .mat, NetCDF or Zarr"
+WRITTEN = {
+    ".npz": "npz", ".uff": "uff", ".unv": "uff", ".uf": "uff", ".mat": "mat", ".nc": "netcdf", ".zarr": "zarr",
+}  # fmt: skip
+_MAGIC = (
+    (b"PK\x03\x04", "npz"),
+    (b"PK\x05\x06", "npz"),
+    (b"\x93NUMPY", "npy"),
+    (b"MATLAB 5.0 MAT-file", "mat"),
+    (b"MATLAB 7.3 MAT-file", "mat73"),
+    (b"\x89HDF\r\n\x1a\n", "netcdf"),
+    (b"CDF\x01", "netcdf"),
+    (b"CDF\x02", "netcdf"),
+)
+
+
+def sniff(path: Path) -> str:
+    """Kind of the file: ``npz``, ``uff``, ``mat``, ``mat73``, ``netcdf`` or ``zarr``.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If the content is of no kind that can be read; the message says how it begins.
+    """
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such file")
+    if path.is_dir():
+        if any((path / name).exists() for name in ("zarr.json", ".zgroup", ".zmetadata")):
+            return "zarr"
+        raise ValueError(f"{path}: a folder that is not a Zarr store; give a file ({KINDS})")
+    with path.open("rb") as file:
+        head = file.read(4096)
+    if not head:
+        raise ValueError(f"{path}: the file is empty (0 bytes); needed is {KINDS}")
+    for magic, kind in _MAGIC:
+        if head.startswith(magic):
+            if kind == "npy":
+                raise ValueError(
+                    f"{path}: one NumPy array (.npy), which names neither its axes nor its frequencies; "
+                    "save an .npz with freq, H, form, outputs and inputs"
+                )
+            return kind
+    first = next((line for line in head.splitlines() if line.strip()), b"")
+    if first.strip() == b"-1":
+        return "uff"
+    raise ValueError(f"{path}: neither of {KINDS}; the file begins with {_shown(first)}")
+
+
+def _shown(line: bytes) -> str:
+    return repr(line[:40].decode("latin-1") + ("..." if len(line) > 40 else ""))
+
+
+def kind_to_write(path: Path) -> str:
+    """Kind of file that the ending of ``path`` asks for.
+
+    Raises
+    ------
+    ValueError
+        If the ending is not known; the message lists those that are.
+    """
+    kind = WRITTEN.get(path.suffix.lower())
+    if kind is None:
+        raise ValueError(f"{path}: ending {path.suffix!r} is not one that can be written; use {', '.join(WRITTEN)}")
+    return kind

@@ -1,0 +1,224 @@
+"""Universal files: what they hold, set by set, by pyuff; here FRFs (58) are put together and taken apart."""
+
+import contextlib
+import tempfile
+import warnings
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from modalax.data.frf import FRF
+from modalax.data.geometry import Geometry
+from modalax.data.measurement import Measurement
+from modalax.files.messages import about
+from modalax.files.sniff import sniff
+from modalax.files.uff_functions import function_sets, functions_of, measurement_of
+from modalax.files.uff_nodes import Modes, geometry_of, geometry_sets, mode_sets, modes_of
+from modalax.files.uff_units import SI, units_of
+from modalax.model.modal import ModalModel
+from modalax.model.structure import Structure
+
+Set = Mapping[str, Any]
+READ = (15, 55, 58, 82, 151, 164, 2411, 2412, 2414)
+# Columns of the second line of a binary data set 58 that hold the number of bytes after the header.
+N_BYTES = slice(31, 43)
+
+
+def _pyuff() -> Any:
+    try:
+        import pyuff
+    except ImportError as error:
+        raise ValueError("reading and writing UFF needs pyuff: pip install 'modalax[files]'") from error
+    return pyuff
+
+
+def read_sets(path: Path) -> list[dict[str, Any]]:
+    """All data sets of kinds that are known here, each with the units (``"units"``) that stand before it.
+
+    Raises
+    ------
+    ValueError
+        If the file is cut short or a set is damaged; the message names the set.
+    """
+    pyuff = _pyuff()
+    _require_whole(path)
+    file = pyuff.UFF(str(path))
+    sets, units = [], None
+    for k, kind in enumerate(int(t) for t in file.get_set_types()):
+        if kind not in READ:
+            continue
+        try:
+            # pyuff prints what it cannot do; what is missing is judged here.
+            with contextlib.redirect_stdout(None):
+                found = file.read_sets(k)
+        except Exception as error:
+            reason = error.__context__ or error
+            raise ValueError(f"data set {k + 1}, of type {kind}, is damaged: {reason}") from error
+        units = units_of(found) if kind == 164 else units
+        sets.append({**found, "units": units})
+    if not sets:
+        held = ", ".join(str(t) for t in sorted({int(t) for t in file.get_set_types()})) or "none"
+        raise ValueError(f"holds no data set that is read here ({', '.join(map(str, READ))}); its types: {held}")
+    return sets
+
+
+def _require_whole(path: Path) -> None:
+    """Refuse a file whose last set is not closed: pyuff would drop that set without a word."""
+    with path.open("rb") as file:
+        file.seek(0, 2)
+        file.seek(max(0, file.tell() - 400))
+        tail = file.read().rstrip()
+    if not tail.endswith(b"-1"):
+        raise ValueError("the file is cut short: its last data set is not closed by a line '    -1'; copy it again")
+
+
+def read_uff(path: Path, form: str | None = None, complete: bool = False) -> Measurement | ModalModel:
+    """Read the FRFs of a universal file, or, where it has none, its scaled mode shapes.
+
+    Parameters
+    ----------
+    path
+        The file.
+    form
+        ``receptance``, ``mobility`` or ``accelerance``, for files that do not tell, or tell it wrongly.
+    complete
+        Where some pairs of output and input are missing: True drops the channels that lack them, with a warning
+        that names them; False refuses.
+
+    Raises
+    ------
+    ValueError
+        If there is nothing to use; the message says what the file holds.
+    """
+    sets = read_sets(path)
+    functions = functions_of([s for s in sets if s["type"] == 58])
+    if any(f.kind == "frf" for f in functions):
+        shapes = sum(s["type"] in (55, 2414) for s in sets)
+        if shapes:
+            warnings.warn(
+                f"beside the FRFs it holds {shapes} data sets of shapes; modalax.files.load_modes reads mode shapes",
+                UserWarning,
+                stacklevel=4,
+            )
+        return measurement_of(functions, form, complete)
+    modes = modes_of(sets)
+    if modes is not None:
+        return modes.model()
+    kinds = sorted({f.title for f in functions}) + sorted({f"type {s['type']}" for s in sets if s["type"] != 58})
+    raise ValueError(
+        f"holds {', '.join(kinds)} but neither FRFs nor mode shapes; nodes and lines are read by "
+        "modalax.files.load_geometry"
+    )
+
+
+def load_geometry(path: Path | str) -> Geometry:
+    """Nodes and lines of a universal file (15, 2411, 82, 2412), in metres.
+
+    Raises
+    ------
+    FileNotFoundError, ValueError
+        If there is no such file, or it holds no nodes.
+    """
+    path = Path(path)
+    with about(path):
+        return geometry_of(_universal(path))
+
+
+def load_modes(path: Path | str) -> Modes:
+    """Mode shapes of a universal file (55, 2414), scaled or not.
+
+    Raises
+    ------
+    FileNotFoundError, ValueError
+        If there is no such file, or it holds no mode shapes.
+    """
+    path = Path(path)
+    with about(path):
+        modes = modes_of(_universal(path))
+        if modes is None:
+            raise ValueError("holds no mode shapes (data set 55 or 2414 at nodes)")
+    return modes
+
+
+def _universal(path: Path) -> list[dict[str, Any]]:
+    kind = sniff(path)
+    if kind != "uff":
+        raise ValueError(f"is a file of kind {kind}; nodes and mode shapes are read from universal files")
+    return read_sets(path)
+
+
+def write_uff(what: Any, path: Path, binary: bool = True, geometry: Geometry | None = None) -> None:
+    """Write FRFs (58), or the shapes of a modal model (55), with units (164) and, if given, geometry (2411, 82).
+
+    Parameters
+    ----------
+    what
+        A measurement or a modal model.
+    path
+        The file.
+    binary
+        True keeps every digit. False writes text: 12 digits of the FRF, and 6 of the frequencies where they are not
+        evenly spaced by a step of at most 6 digits. Shapes are always text, of 6 digits.
+    geometry
+        Nodes and lines to go with them.
+
+    Raises
+    ------
+    ValueError
+        If the object cannot be held by a universal file.
+    """
+    if isinstance(what, Structure):
+        raise ValueError("a Structure (M, C, K) has no place in a universal file; save it as .npz or .mat")
+    if isinstance(what, ModalModel):
+        names = (*what.outputs, *what.inputs)
+        body = mode_sets(what, geometry)
+    elif isinstance(what, Measurement | FRF):
+        measurement = Measurement.from_frfs([what]) if isinstance(what, FRF) else what
+        names = (*measurement.outputs, *measurement.inputs)
+        body = function_sets(measurement, binary, geometry)
+    else:
+        raise ValueError(f"a {type(what).__name__} cannot be written to a universal file")
+    places = [] if geometry is None else geometry_sets(geometry, names)
+    with path.open("wb") as file:
+        for chunk in _encoded([_header(), SI, *places, *body]):
+            file.write(chunk)
+
+
+def _header() -> dict[str, Any]:
+    from importlib.metadata import version
+
+    return {
+        "type": 151, "model_name": "NONE", "description": "NONE", "db_app": "modalax",
+        "program": f"modalax {version('modalax')}",
+    }  # fmt: skip
+
+
+def _encoded(sets: Any) -> Iterator[bytes]:
+    """Bytes of each data set, as pyuff writes it to a file of its own.
+
+    Adding set after set to one file would make pyuff read the whole file again each time, a cost that grows with the
+    square of the number of channels.
+    """
+    pyuff = _pyuff()
+    with tempfile.TemporaryDirectory() as folder:
+        part = Path(folder) / "part.uff"
+        for one in sets:
+            part.unlink(missing_ok=True)
+            with warnings.catch_warnings():
+                # In binary, pyuff leaves closing the file to the garbage collector.
+                warnings.simplefilter("ignore", ResourceWarning)
+                # Its mode "overwrite" loses the header of binary sets; "add" to a file that is not there does not.
+                pyuff.UFF(str(part)).write_sets(dict(one), mode="add")
+            chunk = part.read_bytes()
+            yield _true_size(chunk, one) if one.get("binary") else chunk
+
+
+def _true_size(chunk: bytes, one: Set) -> bytes:
+    """Write the true number of data bytes into the header: pyuff counts 8 a line, whatever a line holds."""
+    columns = (2 if np.iscomplexobj(one["data"]) else 1) + (not one["abscissa_spacing"])
+    start = chunk.index(b"\n") + 1
+    line = bytearray(chunk[start : chunk.index(b"\n", start)])
+    line[N_BYTES] = b"%12d" % (8 * columns * len(one["data"]))
+    return chunk[:start] + bytes(line) + chunk[start + len(line) :]

@@ -1,0 +1,312 @@
+"""Functions at nodal DoFs (data set 58): a grid of outputs and inputs from single FRFs, and back."""
+
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from modalax.data.dofs import DIRECTIONS, parse_dof
+from modalax.data.frf import DERIVATIVES
+from modalax.data.geometry import Geometry
+from modalax.data.measurement import Measurement
+from modalax.files.uff_units import form_of, response_scale
+
+FUNCTIONS = {
+    0: "general functions", 1: "time responses", 2: "autospectra", 3: "cross spectra", 4: "FRFs",
+    5: "transmissibilities", 6: "coherences", 9: "power spectral densities", 12: "spectra",
+}  # fmt: skip
+ORDINATE = {
+    "receptance": (8, "Displacement", "m"), "mobility": (11, "Velocity", "m/s"),
+    "accelerance": (12, "Acceleration", "m/s^2"),
+}  # fmt: skip
+FORCE = (13, "Force", "N")
+# Words in the identification lines that carry what the format has no field for.
+OUTPUT, INPUT, RUN, VARIANCE = "modalax output ", "modalax input ", "modalax run ", "modalax variance"
+STEP_DIGITS = "%13.5e"
+SAME_AXIS = 1e-9
+
+
+class Function(NamedTuple):
+    """One function of the file, in SI: what it is, between which DoFs, its lines and values."""
+
+    kind: str
+    title: str
+    output: str
+    input: str
+    form: str | None
+    freq: np.ndarray
+    values: np.ndarray
+    about_run: str
+
+
+def functions_of(sets: Sequence[Mapping[str, Any]]) -> list[Function]:
+    """The functions of data sets 58, with names, forms and units made out.
+
+    Raises
+    ------
+    ValueError
+        If a set holds fewer values than it announces.
+    """
+    entities = {s[key].strip() for s in sets for key in ("rsp_ent_name", "ref_ent_name")} - {"", "NONE"}
+    return [_function(k, s, prefixed=len(entities) > 1) for k, s in enumerate(sets)]
+
+
+def _function(k: int, found: Mapping[str, Any], prefixed: bool) -> Function:
+    count, values = found["num_pts"], np.asarray(found["data"])
+    if len(values) < count:
+        raise ValueError(
+            f"function {k + 1} is cut short: it holds {len(values)} of the {count} values that it announces"
+        )
+    title = FUNCTIONS.get(found["func_type"], f"functions of type {found['func_type']}")
+    kind = {4: "frf", 6: "coherence"}.get(found["func_type"], "other")
+    scale = response_scale(found) if kind == "frf" else 1.0
+    if found["id1"].startswith(VARIANCE):
+        kind = "variance"
+    names = [
+        found[line][len(mark) :].strip() if found[line].startswith(mark) else _name(found, side, prefixed)
+        for line, mark, side in (("id4", OUTPUT, "rsp"), ("id5", INPUT, "ref"))
+    ]
+    about_run = found["id2"][len(RUN) :] if found["id2"].startswith(RUN) else ""
+    return Function(
+        kind,
+        title,
+        names[0],
+        names[1],
+        form_of(found),
+        np.asarray(found["x"])[:count],
+        scale * values[:count],
+        about_run,
+    )
+
+
+def _name(found: Mapping[str, Any], side: str, prefixed: bool) -> str:
+    node, code, entity = found[f"{side}_node"], found[f"{side}_dir"], found[f"{side}_ent_name"].strip()
+    name = f"{entity}:{node}" if prefixed and entity not in ("", "NONE") else str(node)
+    if code == 0:
+        return name
+    if not 1 <= abs(code) <= len(DIRECTIONS):
+        raise ValueError(f"direction code {code} of node {node} is not known; it is -6 to 6")
+    return f"{name}:{'-' if code < 0 else '+'}{DIRECTIONS[abs(code) - 1]}"
+
+
+Cells = dict[tuple[str, str], list[Function]]
+
+
+def measurement_of(functions: Sequence[Function], form: str | None, complete: bool) -> Measurement:
+    """A measurement from single FRFs; a pair of DoFs that stands several times makes several runs.
+
+    Raises
+    ------
+    ValueError
+        If pairs are missing or stand unequally often, axes or forms differ, or the form is not known.
+    """
+    frfs = [f for f in functions if f.kind == "frf"]
+    form = form or _common_form(frfs)
+    freq = _common_axis(frfs)
+    cells = _cells(frfs)
+    outputs = list(dict.fromkeys(f.output for f in frfs))
+    inputs = list(dict.fromkeys(f.input for f in frfs))
+    outputs, inputs = _complete_grid(cells, outputs, inputs, complete)
+    runs = _runs({key: cells[key] for key in cells if key[0] in outputs and key[1] in inputs})
+    grid = lambda table: np.array(  # noqa: E731
+        [[[table[o, i][r].values for i in inputs] for o in outputs] for r in range(runs)]
+    ).transpose(0, 3, 1, 2)
+    extra = {}
+    for kind in ("coherence", "variance"):
+        table = _cells([f for f in functions if f.kind == kind])
+        if table and all(len(table.get((o, i), ())) == runs for o in outputs for i in inputs):
+            extra[kind] = np.real(grid(table))
+        elif table:
+            warnings.warn(f"a {kind} stands beside some FRFs only and was left out", UserWarning, stacklevel=5)
+    _tell_left_out(functions)
+    first = cells[outputs[0], inputs[0]]
+    return Measurement(
+        freq, grid(cells).astype(complex), form=form, outputs=outputs, inputs=inputs, **extra, **_run_facts(first)
+    )
+
+
+def _cells(functions: Sequence[Function]) -> Cells:
+    table: Cells = {}
+    for f in functions:
+        table.setdefault((f.output, f.input), []).append(f)
+    return table
+
+
+def _common_form(frfs: Sequence[Function]) -> str:
+    forms = sorted({f.form or "unknown" for f in frfs})
+    if forms == ["unknown"]:
+        raise ValueError(
+            "its FRFs do not say whether they are receptance, mobility or accelerance (ordinate type); "
+            "pass form='accelerance', for example"
+        )
+    if len(forms) > 1:
+        example = {name: next(f for f in frfs if (f.form or "unknown") == name) for name in forms}
+        shown = ", ".join(f"{name} ({f.output}/{f.input})" for name, f in example.items())
+        raise ValueError(f"its FRFs are of different forms: {shown}; one form is needed, or pass form=...")
+    return forms[0]
+
+
+def _common_axis(frfs: Sequence[Function]) -> np.ndarray:
+    first = frfs[0]
+    for f in frfs[1:]:
+        if len(f.freq) != len(first.freq):
+            raise ValueError(
+                f"FRF {f.output}/{f.input} has {len(f.freq)} lines, {first.output}/{first.input} has "
+                f"{len(first.freq)}; all need one frequency axis"
+            )
+        if np.abs(f.freq - first.freq).max() > SAME_AXIS * np.abs(first.freq).max():
+            raise ValueError(
+                f"FRFs {f.output}/{f.input} and {first.output}/{first.input} have different frequencies; "
+                "all need one axis"
+            )
+    return first.freq
+
+
+def _complete_grid(cells: Cells, outputs: list[str], inputs: list[str], complete: bool) -> tuple[list[str], list[str]]:
+    """Outputs and inputs between which every FRF is there."""
+    missing = [(o, i) for o in outputs for i in inputs if (o, i) not in cells]
+    if not missing:
+        return outputs, inputs
+    if not complete:
+        shown = ", ".join(f"{o}/{i}" for o, i in missing[:6]) + (", ..." if len(missing) > 6 else "")
+        raise ValueError(
+            f"{len(missing)} of {len(outputs) * len(inputs)} FRFs (output/input) are missing: {shown}; "
+            "complete=True leaves out the channels that lack them"
+        )
+    dropped = []
+    while missing:
+        lacks = {("output", o): sum(m[0] == o for m in missing) / len(inputs) for o, _ in missing}
+        lacks |= {("input", i): sum(m[1] == i for m in missing) / len(outputs) for _, i in missing}
+        side, name = max(lacks, key=lambda key: lacks[key])
+        (outputs if side == "output" else inputs).remove(name)
+        dropped.append(f"{side} {name}")
+        missing = [(o, i) for o, i in missing if o in outputs and i in inputs]
+    warnings.warn(f"left out, because some of their FRFs are missing: {', '.join(dropped)}", UserWarning, stacklevel=6)
+    return outputs, inputs
+
+
+def _runs(cells: Cells) -> int:
+    counts = {key: len(found) for key, found in cells.items()}
+    most = max(counts, key=lambda key: counts[key])
+    least = min(counts, key=lambda key: counts[key])
+    if counts[most] != counts[least]:
+        raise ValueError(
+            f"FRF {'/'.join(most)} stands {counts[most]} times, {'/'.join(least)} {counts[least]} times; "
+            "runs need every FRF equally often"
+        )
+    return counts[most]
+
+
+def _tell_left_out(functions: Sequence[Function]) -> None:
+    titles = [f.title for f in functions if f.kind == "other"]
+    if titles:
+        counted = ", ".join(f"{titles.count(t)} {t}" for t in sorted(set(titles)))
+        warnings.warn(f"beside the FRFs it holds {counted}, which were left out", UserWarning, stacklevel=5)
+
+
+def _run_facts(first: Sequence[Function]) -> dict[str, Any]:
+    """Level, added decay and averages, from the words that files of our own carry."""
+    words = [f.about_run.split() for f in first]
+    facts = [dict(zip(w[1::2], w[2::2], strict=False)) for w in words]
+    if not all("level" in f for f in facts):
+        return {}
+    common: dict[str, Any] = {"level": np.array([float(f["level"]) for f in facts])}
+    common["added_decay"] = float(facts[0].get("added_decay", 0.0))
+    if "averages" in facts[0]:
+        common["averages"] = int(facts[0]["averages"])
+    return common
+
+
+def node_numbers(nodes: Sequence[str], geometry: Geometry | None) -> dict[str, int]:
+    """A number for each node: its name where that is one, else the next that is free."""
+    names = list(dict.fromkeys([*(geometry.nodes if geometry is not None else ()), *nodes]))
+    numbers = {name: int(name) for name in names if name.isascii() and name.isdecimal() and str(int(name)) == name}
+    free = max(numbers.values(), default=0)
+    for name in names:
+        if name not in numbers:
+            free += 1
+            numbers[name] = free
+    return numbers
+
+
+def function_sets(measurement: Measurement, binary: bool, geometry: Geometry | None) -> Iterator[dict[str, Any]]:
+    """Data sets 58 of a measurement: FRFs, then coherences and variances.
+
+    Raises
+    ------
+    ValueError
+        If there is one line only, which the format cannot hold.
+    """
+    freq = np.asarray(measurement.freq)
+    if len(freq) < 2:
+        raise ValueError("a universal file needs 2 frequency lines or more, here is 1")
+    even = _is_even(freq)
+    if not (even or binary) and any(float(STEP_DIGITS % f) != f for f in freq):
+        warnings.warn("text UFF keeps 6 digits of these frequencies; binary=True keeps all", UserWarning, stacklevel=6)
+    numbers = node_numbers([parse_dof(n).node for n in (*measurement.outputs, *measurement.inputs)], geometry)
+    order = DERIVATIVES[measurement.form]
+    tables = {"frf": measurement.H, "coherence": measurement.coherence, "variance": measurement.variance}
+    common = {
+        "type": 58, "binary": int(binary), "load_case_id": 0, "x": freq, "abscissa_spacing": int(even),
+        "abscissa_spec_data_type": 18, "abscissa_axis_lab": "Frequency", "abscissa_axis_units_lab": "Hz",
+        "z_axis_spec_data_type": 0,
+    }  # fmt: skip
+    for kind, table in tables.items():
+        if table is None:
+            continue
+        values = np.asarray(table)
+        for r in range(measurement.runs):
+            for o, out in enumerate(measurement.outputs):
+                for i, into in enumerate(measurement.inputs):
+                    yield {
+                        **common, **_ordinate(kind, measurement.form), **_ends(out, into, numbers), "ver_num": r,
+                        "id1": _title(kind, out, into, order), "id2": _about_run(measurement, r),
+                        "data": values[r, :, o, i].copy(),
+                    }  # fmt: skip
+
+
+def _title(kind: str, out: str, into: str, order: int) -> str:
+    word = {"frf": ("Receptance", "Mobility", "Accelerance")[order], "coherence": "Coherence", "variance": VARIANCE}[
+        kind
+    ]
+    return f"{word} {out} / {into}"[:80]
+
+
+def _is_even(freq: np.ndarray) -> bool:
+    """Whether first line and step, as the format prints them, give the axis back."""
+    first, step = float(STEP_DIGITS % freq[0]), float(STEP_DIGITS % (freq[1] - freq[0]))
+    return bool(np.allclose(first + step * np.arange(len(freq)), freq, rtol=0, atol=1e-14 * freq[-1]))
+
+
+def _ordinate(kind: str, form: str) -> dict[str, Any]:
+    code, label, unit = ORDINATE[form]
+    if kind != "frf":
+        code, label, unit = (0, "NONE", "NONE")
+    force, force_label, newton = FORCE if kind == "frf" else (0, "NONE", "NONE")
+    return {
+        "func_type": {"frf": 4, "coherence": 6, "variance": 0}[kind],
+        "ordinate_spec_data_type": code, "ordinate_axis_lab": label, "ordinate_axis_units_lab": unit,
+        "orddenom_spec_data_type": force, "orddenom_axis_lab": force_label, "orddenom_axis_units_lab": newton,
+    }  # fmt: skip
+
+
+def _ends(out: str, into: str, numbers: Mapping[str, int]) -> dict[str, Any]:
+    """Nodes and directions; names that these do not give back also stand in the identification lines."""
+    ends: dict[str, Any] = {}
+    for side, name, line, mark in (("rsp", out, "id4", OUTPUT), ("ref", into, "id5", INPUT)):
+        dof = parse_dof(name)
+        code = 0 if dof.direction is None else dof.sign * (DIRECTIONS.index(dof.direction) + 1)
+        ends |= {f"{side}_node": numbers[dof.node], f"{side}_dir": code}
+        if f"{numbers[dof.node]}" != dof.node or dof.name != name:
+            if len(mark + name) > 80:
+                raise ValueError(
+                    f"DoF name {name!r} is {len(name)} letters long; universal files hold {80 - len(mark)}"
+                )
+            ends[line] = mark + name
+    return ends
+
+
+def _about_run(measurement: Measurement, run: int) -> str:
+    words = f"{RUN}{run} level {float(measurement.level[run])!r} added_decay {float(measurement.added_decay)!r}"
+    return words if measurement.averages is None else f"{words} averages {measurement.averages}"

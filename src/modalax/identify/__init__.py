@@ -1,0 +1,39 @@
+"""Measured FRFs to a modal model."""
+
+from modalax.identify.bias import DampingBias, predicted_damping_bias
+from modalax.identify.fdpi import NormalModes, fdpi, fdpi_normal_modes
+from modalax.identify.fit import Fit, fit
+from modalax.identify.lsce import lsce
+from modalax.identify.lscf import lscf
+from modalax.identify.plscf import plscf
+from modalax.identify.refine import Refined, refine
+from modalax.identify.residues import residues
+from modalax.identify.search import missing_modes, mode_scores
+from modalax.identify.select import Selection, best_order, select, select_near
+from modalax.identify.stabilize import Stability, stabilization
+from modalax.identify.tables import PoleTable
+
+__all__ = [
+    "DampingBias",
+    "Fit",
+    "NormalModes",
+    "PoleTable",
+    "Refined",
+    "Selection",
+    "Stability",
+    "best_order",
+    "fdpi",
+    "fdpi_normal_modes",
+    "fit",
+    "lsce",
+    "lscf",
+    "missing_modes",
+    "mode_scores",
+    "plscf",
+    "predicted_damping_bias",
+    "refine",
+    "residues",
+    "select",
+    "select_near",
+    "stabilization",
+]

@@ -1,0 +1,173 @@
+r"""Rows of the linearised problem :math:`H(\omega) A(u) \approx B(u)` and its triangular factor.
+
+Shared by :func:`lscf` (every FRF a row of its own, one reference) and :func:`plscf` (every output a row over all
+references). The numerator is eliminated by projecting on the complement of an orthonormal basis of its powers.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Complex, Float, Inexact
+
+from modalax.data.frf import FRF
+from modalax.identify.fraction import check_constraint, coefficients, roots
+from modalax.identify.moments import factor_from_moments
+from modalax.identify.tables import PoleTable
+from modalax.identify.zoom import Zoom, check_orders, orthonormal_powers, zoom
+
+SOLVERS = ("auto", "qr", "moments")
+LARGE = 1e10  # floating-point operations from which on ``auto`` takes the moments
+WEIGHTS = ("unit", "magnitude", "variance")
+LAST = {"a0": "last", "aN": "first", "norm": "norm"}
+
+
+def weights_of(frf: FRF, kind: str) -> Float[Array, "f o i"]:
+    r"""Weight of each sample: 1, :math:`|H|^{-1}` or :math:`\sigma^{-1}`.
+
+    Raises
+    ------
+    ValueError
+        If the kind is unknown, or variance weights are asked for and there is no variance, or a zero one.
+    """
+    if kind not in WEIGHTS:
+        raise ValueError(f"weights is {kind!r}; it must be one of {', '.join(WEIGHTS)}")
+    if kind == "unit":
+        return jnp.ones(frf.H.shape)
+    if kind == "magnitude":
+        size = jnp.abs(frf.H)
+        return 1 / jnp.maximum(size, 1e-12 * jnp.max(size))
+    if frf.variance is None:
+        raise ValueError("weights 'variance' needs an FRF with a variance; this one has none")
+    if not isinstance(frf.variance, jax.core.Tracer) and bool((np.asarray(frf.variance) <= 0).any()):
+        raise ValueError("weights 'variance' needs variances above zero; some are zero, so their weight is infinite")
+    return 1 / jnp.sqrt(frf.variance)
+
+
+def triangular_factor(
+    H: Complex[Array, "f row i"],
+    weight: Float[Array, "f row"],
+    u: Complex[Array, " f"],
+    order: int,
+    numerator: int,
+    real: bool,
+    ridge: Float[Array, ""],
+    shared: bool,
+    also: Inexact[Array, "row2 m"] | None = None,
+) -> Inexact[Array, "m m"]:
+    r"""Triangular factor of the projected columns :math:`P^\perp [H u^0, H u^1, \dots]`, all rows stacked.
+
+    One row after the other is added to the factor (a sequential QR), so the memory does not grow with the number
+    of outputs. ``ridge`` adds :math:`\rho I` to the normal matrix, relative to its mean diagonal; ``also`` are further
+    rows for the factor, such as those that noise adds on average.
+    """
+    f, n_rows, size = H.shape
+    m = (order + 1) * size
+    powers = u[:, None] ** jnp.arange(order + 1)
+    common = orthonormal_powers(u, weight[:, 0], numerator, real) if shared else None
+    energy = jnp.sum(jnp.abs(H * weight[:, :, None]) ** 2) / size
+    start = jnp.sqrt(ridge * energy) * jnp.eye(m)
+
+    def add(R: Array, row: tuple[Array, Array]) -> tuple[Array, None]:
+        h, w = row
+        Y = (powers[:, :, None] * (h * w[:, None])[:, None, :]).reshape(f, m)
+        Y = jnp.concatenate([Y.real, Y.imag]) if real else Y
+        Q = orthonormal_powers(u, w, numerator, real) if common is None else common
+        for _ in range(2):  # the second pass removes what rounding left of the first
+            Y = Y - Q @ (Q.conj().T @ Y)
+        return jnp.linalg.qr(jnp.concatenate([R, Y]), mode="r"), None
+
+    rows = (jnp.swapaxes(H, 0, 1), jnp.swapaxes(weight, 0, 1))
+    start = start if real else start.astype(jnp.complex128)
+    if also is not None:
+        start = jnp.linalg.qr(jnp.concatenate([start, also]), mode="r")
+    R, _ = lax.scan(add, start, rows)
+    return R
+
+
+def poles_of_factor(
+    R: Inexact[Array, "m m"], orders: tuple[int, ...], size: int, constraint: str, real: bool, zoomed: Zoom, method: str
+) -> PoleTable:
+    """All orders of a stabilization diagram from the factor of the largest, in one vmap."""
+    A = jax.vmap(lambda n: coefficients(R, n, size, LAST[check_constraint(constraint)]))(jnp.asarray(orders))
+    u, w, valid = jax.vmap(roots)(A, jnp.asarray(orders))
+    poles = zoomed.poles(jnp.where(valid, u, 1.0))
+    if real:  # each root has a mirror image below the band, which means nothing
+        valid = valid & (poles.imag > zoomed.centre)
+    w = w / jnp.maximum(jnp.linalg.norm(w, axis=-1, keepdims=True), 1e-300)
+    return PoleTable(jnp.where(valid, poles, 0.0), valid, w if size > 1 else None, orders, method)
+
+
+def matrix_fraction(
+    frf: FRF,
+    H: Complex[Array, "f row i"],
+    weight: Float[Array, "f row"],
+    *,
+    orders: object,
+    constraint: str,
+    real: bool,
+    arc: float,
+    ridge: Float[Array, ""] | float,
+    numerator: int | None,
+    shared: bool,
+    solver: str,
+    method: str,
+) -> PoleTable:
+    """Everything that LSCF and polyreference LSCF share; see :func:`lscf` for the arguments."""
+    found = check_orders(orders, frf.freq.shape[0], limits(frf))
+    if not 0 < arc <= 1:
+        raise ValueError(f"arc is {arc:g}; it is the part of the circle that the band covers, above 0 and up to 1")
+    moments = use_moments(solver, H.shape, found[-1], shared)
+    top = found[-1] if numerator is None else numerator
+    return _estimate(frf, H, weight, jnp.asarray(ridge), found, constraint, real, arc, top, shared, moments, method)
+
+
+@eqx.filter_jit
+def _estimate(
+    frf: FRF, H: Array, weight: Array, ridge: Array, orders: tuple[int, ...], constraint: str, real: bool, arc: float,
+    numerator: int, shared: bool, moments: bool, method: str,
+) -> PoleTable:  # fmt: skip
+    zoomed = zoom(frf.omega, arc, real)
+    u = zoomed.circle(frf.omega)
+    if moments:
+        R = factor_from_moments(H, weight[:, 0], u, orders[-1], numerator, real, ridge)
+    else:
+        R = triangular_factor(H, weight, u, orders[-1], numerator, real, ridge, shared)
+    return without_window(poles_of_factor(R, orders, H.shape[2], constraint, real, zoomed, method), frf)
+
+
+def use_moments(solver: str, shape: tuple[int, ...], order: int, shared: bool) -> bool:
+    """Whether to go through the moments: as asked for, or where the orthogonal factorisation would be long.
+
+    Raises
+    ------
+    ValueError
+        If the solver is unknown, or moments are asked for with weights that differ between outputs.
+    """
+    if solver not in SOLVERS:
+        raise ValueError(f"solver is {solver!r}; it must be one of {', '.join(SOLVERS)}")
+    if solver == "moments" and not shared:
+        raise ValueError(
+            "solver 'moments' needs weights 'unit': with other weights every output has a numerator basis of its own"
+        )
+    lines, rows, size = shape
+    return solver == "moments" or (
+        solver == "auto" and shared and 8.0 * rows * lines * ((order + 1) * size) ** 2 > LARGE
+    )
+
+
+def without_window(table: PoleTable, frf: FRF) -> PoleTable:
+    """Take the decay that an exponential window added back out of every pole."""
+    return PoleTable(
+        jnp.where(table.valid, table.poles + frf.added_decay, table.poles),
+        table.valid, table.participation, table.orders, table.method,
+    )  # fmt: skip
+
+
+def limits(frf: FRF) -> tuple[float, float]:
+    """First and last frequency of an FRF [Hz], NaN under a transformation, for messages."""
+    if isinstance(frf.freq, jax.core.Tracer):
+        return float("nan"), float("nan")
+    values = np.asarray(frf.freq)  # a constant indexed by JAX inside jit would be traced
+    return float(values[0]), float(values[-1])

@@ -1,0 +1,301 @@
+"""Maximum-likelihood refinement of poles, participation, shapes and residual terms together."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Bool, Float, Int
+
+from modalax._numerics.checks import is_traced
+from modalax._numerics.levenberg import LevenbergMarquardt
+from modalax.data.frf import FRF
+from modalax.identify.errors import shape_errors, spread_rest
+from modalax.identify.likelihood import Parts, frozen_slots, make_problem, objective, pack, parts, unpack
+from modalax.identify.residues import check_size, model_of, sigma_of
+from modalax.model.modal import ModalModel
+
+REASONS = (
+    "the likelihood has a maximum here",
+    "the search ran out of steps; start nearer, or fit fewer modes",
+    "the data and the start do not make a finite likelihood",
+    "a mode lost its damping: at its frequency the data holds no resonance",
+    "a mode left the neighbourhood of its start, the frequency moved by more than five half-bandwidths",
+)
+UNIT = 1e-9  # standard deviation assumed where none is known, relative to the FRF
+
+
+class Refined(eqx.Module):
+    r"""Result of :func:`refine`.
+
+    Attributes
+    ----------
+    model
+        The modal model of largest likelihood, shapes with their largest component 1.
+    frequency_std_hz, damping_std
+        Standard deviation of each natural frequency [Hz] and damping ratio [-], shape ``(n,)``.
+    shape_std
+        Standard deviation of real and imaginary part of each shape component, as one complex number, ``(n, o)``.
+    modal_mass_std
+        Standard deviation of the real part of the modal mass [kg], shape ``(n,)``; None without a drive point.
+    covariance
+        Covariance of :math:`(\ln\omega, \ln\zeta)` of all modes, shape ``(2 n, 2 n)``.
+    noise_scale
+        Root of the residual's sum of squares a degree of freedom: near 1 where the variances are right; where there
+        was none, the standard deviation of the FRF's complex samples itself.
+    evidence
+        By how much the sum of squares would rise without each mode, shape ``(n,)``: about twice the number of
+        outputs for a mode that is not there.
+    chi2, dof
+        Sum of squares of the whitened residual (real and imaginary parts), and its degrees of freedom.
+    whiteness
+        p-value of the hypothesis that the whitened residual is uncorrelated from line to line.
+    log_likelihood
+        Up to a constant of the data.
+    residual
+        Whitened residual, complex with unit variance, shape ``(f, o, i)``.
+    success
+        Whether a maximum was found.
+    reason_code
+        Index of the reason in ``REASONS``.
+    steps
+        Iterations.
+    """
+
+    model: ModalModel
+    frequency_std_hz: Float[Array, " n"]
+    damping_std: Float[Array, " n"]
+    shape_std: Array
+    modal_mass_std: Float[Array, " n"] | None
+    covariance: Float[Array, "p p"]
+    evidence: Float[Array, " n"]
+    noise_scale: Float[Array, ""]
+    chi2: Float[Array, ""]
+    dof: Float[Array, ""]
+    whiteness: Float[Array, ""]
+    log_likelihood: Float[Array, ""]
+    residual: Array
+    success: Bool[Array, ""]
+    reason_code: Int[Array, ""]
+    steps: Int[Array, ""]
+
+    @property
+    def reason(self) -> str:
+        """Why the search ended, in words."""
+        return REASONS[int(self.reason_code)]
+
+
+def refine(
+    frf: FRF,
+    model: ModalModel,
+    *,
+    residuals: str = "complex",
+    real_modes: bool = False,
+    weights: str | Float[Array, "f o i"] = "auto",
+    covariance: str = "gauss-newton",
+    scale_errors: str = "auto",
+    max_steps: int = 60,
+    slots: int | None = None,
+) -> Refined:
+    r"""Maximise the likelihood of the noise-weighted FRFs, :math:`\min_\theta \sum 2|H - \hat H(\theta)|^2/\sigma^2`.
+
+    Shapes and residual terms are eliminated where they are linear (variable projection), so the search runs over
+    :math:`\ln\omega`, :math:`\ln\zeta` and participation only, all real; stability of the poles is built in.
+
+    Parameters
+    ----------
+    frf
+        The FRF in the band, with its variance where there is one.
+    model
+        The start: poles and participation count, its shapes do not. Unstable poles start from 0.1 % damping.
+    residuals, real_modes, weights
+        As for :func:`residues`.
+    covariance
+        ``gauss-newton`` (inverse information: right for the stated noise) or ``sandwich`` (right for other noise
+        too, as long as the samples are independent).
+    scale_errors
+        ``auto``: errors are scaled by the residual where there is no variance, or where the residual is larger than
+        the variance explains (by more than five standard deviations); ``never``; ``always``.
+    max_steps
+        Most iterations.
+    slots
+        Number of modes to compile for, so that fits of fewer modes share one compiled function; the number of modes
+        if None.
+
+    Returns
+    -------
+    Refined
+        With standard deviations of everything, tests of the residual, and a reason if it failed.
+
+    Raises
+    ------
+    ValueError
+        If there are more unknowns than samples, or an option is unknown.
+
+    Notes
+    -----
+    Golub and Pereyra (1973); Kaufman (1975); Guillaume, Verboven and Vanlanduit (1998) for modal analysis. White
+    (1982) for the sandwich. The roles of outputs and inputs are exchanged where there are more inputs than outputs.
+    """
+    if covariance not in ("gauss-newton", "sandwich"):
+        raise ValueError(f"covariance is {covariance!r}; it must be gauss-newton or sandwich")
+    if scale_errors not in ("auto", "never", "always"):
+        raise ValueError(f"scale_errors is {scale_errors!r}; it must be auto, never or always")
+    check_size(frf, model.poles.shape[0], residuals)
+    sigma = sigma_of(frf, weights)
+    known = frf.variance is not None and isinstance(weights, str) and weights != "unit"
+    if not known:  # far below the data, so that the search ends at rounding whatever the unit
+        sigma = sigma * UNIT * jnp.sqrt(jnp.mean(jnp.abs(frf.H / sigma) ** 2))
+    turned = frf.shape[2] > frf.shape[1]
+    if turned:
+        frf, model, sigma = frf.transpose(), model.transpose(), jnp.swapaxes(sigma, 1, 2)
+    n = model.poles.shape[0]
+    empty = max((slots or n) - n, 0)
+    result = _refine(
+        frf, _padded(model, empty), sigma, residuals, real_modes, covariance, scale_errors, known, max_steps, turned,
+        _is_shared(sigma), jnp.concatenate([jnp.ones(n), jnp.zeros(empty)]),
+    )  # fmt: skip
+    result = _cut(result, n) if empty else result
+    return _turned(result) if turned else result
+
+
+def _is_shared(sigma: Array) -> bool:
+    """Whether the deviations of all outputs are multiples of one another."""
+    if is_traced(sigma):
+        return False
+    ratio = np.asarray(sigma) / np.asarray(sigma)[:, :1]
+    return bool(np.allclose(ratio, ratio[:1, :, :1], rtol=1e-9, atol=0))
+
+
+def _padded(model: ModalModel, empty: int) -> ModalModel:
+    if not empty:
+        return model
+    pad = lambda a, value: jnp.concatenate([a, jnp.full((empty, *a.shape[1:]), value, a.dtype)])  # noqa: E731
+    return model.replace(
+        poles=pad(model.poles, model.poles[0]), shapes=pad(model.shapes, 1.0),
+        participation=pad(model.participation, 1.0), frequency_std=0.0, damping_std=0.0,
+    )  # fmt: skip
+
+
+def _cut(result: Refined, n: int) -> Refined:
+    """The result without its empty slots."""
+    m = result.model
+    model = m.replace(
+        poles=m.poles[:n], shapes=m.shapes[:n], participation=m.participation[:n], frequency_std=0.0, damping_std=0.0
+    )
+    mass = None if result.modal_mass_std is None else result.modal_mass_std[:n]
+    return dataclasses.replace(
+        result, model=model, frequency_std_hz=result.frequency_std_hz[:n], damping_std=result.damping_std[:n],
+        shape_std=result.shape_std[:n], modal_mass_std=mass, covariance=result.covariance[: 2 * n, : 2 * n],
+        evidence=result.evidence[:n],
+    )  # fmt: skip
+
+
+@eqx.filter_jit
+def _refine(
+    frf: FRF, model: ModalModel, sigma: Array, residuals: str, real_modes: bool, covariance: str, scale_errors: str,
+    known: bool, max_steps: int, turned: bool, shared: bool,
+    active: Array,
+) -> Refined:  # fmt: skip
+    omega0 = jnp.abs(model.poles)
+    zeta0 = jnp.clip(-model.poles.real / omega0, 1e-3, 0.5)
+    zeta0 = jnp.where(model.poles.real < 0, jnp.maximum(-model.poles.real / omega0, 1e-6), zeta0)
+    poles = -zeta0 * omega0 + 1j * omega0 * jnp.sqrt(1 - zeta0**2)
+    pivot = jax.lax.stop_gradient(jnp.argmax(jnp.abs(model.participation), axis=1))
+    problem = make_problem(frf, sigma, pivot, residuals, real_modes, active, shared)
+    part = model.participation.real.astype(jnp.complex128) if real_modes else model.participation
+    start = pack(poles, part, pivot)
+    solution = optx.minimise(
+        objective, LevenbergMarquardt(), start.ravel(), args=problem, has_aux=True, max_steps=max_steps, throw=False
+    )
+    theta = solution.value.reshape(start.shape)
+    poles, participation = unpack(theta, pivot)
+    found = parts(theta, problem)
+    used = jnp.sum(problem.weight[:, : problem.samples] > 0)
+    empty = jnp.sum(1 - active)
+    unknowns = found.x.size + theta.size - empty * (theta.shape[1] + (1 if real_modes else 2) * found.x.shape[0])
+    dof = jnp.maximum(used - unknowns, 1).astype(float)
+    chi2 = 2 * jnp.sum(found.cost)
+    variance = chi2 / dof
+    inflate = jnp.ones(()) if scale_errors == "never" else variance
+    if scale_errors == "auto" and known:
+        inflate = jnp.where(variance > 1 + 5 * jnp.sqrt(2 / dof), variance, 1.0)
+    cov = _covariance(found, covariance, frozen_slots(problem, theta))
+    full = _rescaled(found, inflate)
+    cov = cov * (1.0 if covariance == "sandwich" else inflate)
+    q = theta.shape[1]
+    pick = (jnp.arange(theta.shape[0])[:, None] * q + jnp.arange(2)[None, :]).ravel()
+    std = jnp.sqrt(jnp.maximum(jnp.diag(cov), 0.0)).reshape(theta.shape)
+    refined = model_of(found.x, problem, poles, participation, frf)
+    shape_std, mass_std, evidence = shape_errors(theta, full, cov, problem.real_modes, refined, pivot, turned)
+    if turned:  # the shapes asked for are the participation here, whose errors the covariance holds
+        shape_std = spread_rest(std, pivot)
+    residual = _complex_rows(found.residual[:, : problem.samples], frf)
+    code = _reason(solution, start, theta, chi2, active)
+    return Refined(
+        model=refined,
+        frequency_std_hz=jnp.exp(theta[:, 0]) / (2 * jnp.pi) * std[:, 0],
+        damping_std=jnp.exp(theta[:, 1]) * std[:, 1],
+        shape_std=shape_std,
+        modal_mass_std=mass_std,
+        covariance=cov[pick][:, pick],
+        evidence=evidence,
+        noise_scale=jnp.sqrt(variance) * (1.0 if known else jnp.sqrt(jnp.mean(sigma**2))),
+        chi2=chi2,
+        dof=dof,
+        whiteness=_whiteness(residual),
+        log_likelihood=-0.5 * chi2 + jnp.sum(jnp.log(jnp.where(problem.weight > 0, problem.weight, 1.0))),
+        residual=residual,
+        success=code == 0,
+        reason_code=code,
+        steps=solution.stats["num_steps"],
+    )
+
+
+def _rescaled(found: Parts, inflate: Array) -> Parts:
+    return eqx.tree_at(lambda p: p.inverse, found, found.inverse * jnp.sqrt(inflate))
+
+
+def _covariance(found: Parts, kind: str, frozen: Float[Array, "p p"]) -> Float[Array, "p p"]:
+    r"""Inverse of the summed Gauss-Newton matrix :math:`S`, or :math:`S^{-1} B S^{-1}` with the scores' :math:`B`."""
+    S = jnp.sum(found.matrix, axis=0) + frozen
+    root = jnp.sqrt(jnp.where(jnp.diag(S) > 0, jnp.diag(S), 1.0))
+    inverse = jnp.linalg.inv(S / (root[:, None] * root[None, :])) / (root[:, None] * root[None, :])
+    return inverse if kind == "gauss-newton" else inverse @ jnp.sum(found.scores, axis=0) @ inverse
+
+
+def _turned(result: Refined) -> Refined:
+    """The result for exchanged roles, turned back: the participation there are shapes here."""
+    return eqx.tree_at(
+        lambda r: (r.model, r.residual),
+        result,
+        (result.model.transpose().normalised("max"), jnp.swapaxes(result.residual, 1, 2)),
+    )
+
+
+def _complex_rows(residual: Float[Array, "o m"], frf: FRF) -> Array:
+    f, o, i = frf.shape
+    half = f * i
+    z = (residual[:, :half] + 1j * residual[:, half:]) / jnp.sqrt(2.0)
+    return jnp.moveaxis(z.reshape(o, f, i), 0, 1)
+
+
+def _whiteness(residual: Array, lags: int = 3) -> Float[Array, ""]:
+    r"""Portmanteau test, :math:`2N\sum_k|\rho_k|^2 \sim \chi^2` over the first lags of every channel (Box-Pierce)."""
+    n = residual.shape[0]
+    power = jnp.maximum(jnp.sum(jnp.abs(residual) ** 2, axis=0), 1e-300)
+    rho = jnp.stack([jnp.sum(residual[k:] * residual[: n - k].conj(), axis=0) / power for k in range(1, lags + 1)])
+    statistic = 2 * n * jnp.sum(jnp.abs(rho) ** 2)
+    return jax.scipy.stats.chi2.sf(statistic, 2.0 * lags * power.size)
+
+
+def _reason(solution: optx.Solution, start: Array, theta: Array, chi2: Array, active: Array) -> Int[Array, ""]:
+    moved = jnp.abs(theta[:, 0] - start[:, 0]) > 5 * jnp.maximum(jnp.exp(start[:, 1]), jnp.exp(theta[:, 1])) + 0.02
+    finished = solution.result == optx.RESULTS.successful
+    lost = jnp.any((active > 0) & (theta[:, 1] < jnp.log(1e-7)))
+    code = jnp.where(jnp.any(moved), 4, 0)
+    code = jnp.where(lost, 3, code)
+    code = jnp.where(finished, code, 1)
+    return jnp.where(jnp.isfinite(chi2) & jnp.all(jnp.isfinite(theta)), code, 2)

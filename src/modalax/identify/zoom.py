@@ -1,0 +1,101 @@
+r"""The band mapped on an arc of the unit circle, so that the same mode comes out of any band that holds it.
+
+With :math:`u(\omega) = e^{-j(\omega-\omega_c)T}`, :math:`\omega_c` the centre of the band and :math:`T` such that the
+band covers a chosen part of the circle, every power of :math:`u` has magnitude one on the lines whatever the band,
+and a pole follows from a root by :math:`\lambda = j\omega_c - \ln(u)/T`.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Complex, Float, Int
+
+
+class Zoom(eqx.Module):
+    r"""The map from circular frequency to the unit circle.
+
+    Attributes
+    ----------
+    centre
+        :math:`\omega_c`, the frequency that goes to :math:`u = 1` [rad/s].
+    step
+        :math:`T`, the sampling time of the zoomed signal [s].
+    """
+
+    centre: Float[Array, ""]
+    step: Float[Array, ""]
+
+    def circle(self, omega: Float[Array, " f"]) -> Complex[Array, " f"]:
+        r""":math:`u = e^{-j(\omega-\omega_c)T}` of each line."""
+        return jnp.exp(-1j * (omega - self.centre) * self.step)
+
+    def poles(self, roots: Complex[Array, "..."]) -> Complex[Array, "..."]:
+        r"""Poles :math:`\lambda = j\omega_c - \ln(u)/T` [rad/s] of roots :math:`u`."""
+        return 1j * self.centre - jnp.log(roots) / self.step
+
+
+def zoom(omega: Float[Array, " f"], arc: float, real: bool) -> Zoom:
+    r"""The map that spreads the band of ``omega`` over the part ``arc`` of the circle.
+
+    With complex coefficients the band's centre goes to :math:`u = 1`. With real ones the roots come in conjugate
+    pairs, so the band must lie on the upper half of the circle, and its mirror image on the lower half.
+    """
+    span = omega[-1] - omega[0]
+    if real:
+        step = jnp.pi * arc / span
+        margin = (jnp.pi - step * span) / 2
+        return Zoom(omega[0] - margin / step, step)
+    return Zoom((omega[0] + omega[-1]) / 2, 2 * jnp.pi * arc / span)
+
+
+def full_circle(n_lines: int) -> float:
+    """The arc at which ``n_lines`` equispaced lines fill the circle evenly."""
+    return (n_lines - 1) / n_lines
+
+
+def orthonormal_powers(
+    u: Complex[Array, " f"], weight: Float[Array, " f"], degree: int, real: bool
+) -> Complex[Array, "f k"] | Float[Array, "f2 k"]:
+    r"""Orthonormal basis of :math:`w\,u^k, k = 0 \dots` ``degree``, by Arnoldi's process.
+
+    Powers on an arc are nearly dependent, so the plain Vandermonde matrix loses all digits at a few dozen degrees
+    (Brubeck, Nakatsukasa and Trefethen, 2021). With ``real`` the basis spans real combinations: real and imaginary
+    parts are stacked, shape ``(2 f, k)``.
+    """
+    start = weight.astype(jnp.complex128)
+    start = start / jnp.linalg.norm(start)
+    n = u.shape[0]
+    basis = jnp.zeros((n, degree + 1), jnp.complex128).at[:, 0].set(start)
+
+    def body(k: Int[Array, ""], basis: Array) -> Array:
+        v = u * basis[:, k]
+        for _ in range(2):  # twice is enough (Kahan, Parlett)
+            inner = basis.conj().T @ v
+            v = v - basis @ (inner.real if real else inner)
+        return basis.at[:, k + 1].set(v / jnp.linalg.norm(v))
+
+    basis = lax.fori_loop(0, degree, body, basis)
+    return jnp.concatenate([basis.real, basis.imag]) if real else basis
+
+
+def check_orders(orders: object, n_lines: int, band: tuple[float, float], floor: int = 1) -> tuple[int, ...]:
+    """Return the orders, rising, or say why they cannot be used with ``n_lines`` lines.
+
+    Raises
+    ------
+    ValueError
+        With the order asked for and the number of lines it needs.
+    """
+    try:
+        found = tuple(sorted({int(n) for n in np.atleast_1d(np.asarray(orders))}))
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"orders is {orders!r}; it must be an integer or a sequence of integers") from error
+    if not found:
+        raise ValueError("orders is empty; at least one order is needed")
+    if found[0] < floor:
+        raise ValueError(f"order {found[0]} is below {floor}, the smallest that makes a model")
+    need = 2 * (found[-1] + 1)
+    if n_lines < need:
+        raise ValueError(f"order {found[-1]} needs {need} lines, the band {band[0]:g}-{band[1]:g} Hz holds {n_lines}")
+    return found

@@ -1,0 +1,269 @@
+"""The modal model: poles, shapes, participation and residual terms, and the FRF they make."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex, Float
+
+from modalax._numerics.checks import as_double, is_traced
+from modalax.data.frf import DERIVATIVES, FRF, check_form, check_names
+
+
+def poles_from(frequency_hz: Any, damping_ratio: Any) -> Complex[Array, " n"]:
+    r"""Poles :math:`\lambda = -\zeta\omega + j\omega\sqrt{1-\zeta^2}` [rad/s] of frequencies [Hz] and ratios."""
+    omega = 2 * jnp.pi * as_double(frequency_hz, "frequency")
+    zeta = as_double(damping_ratio, "damping ratio")
+    return -zeta * omega + 1j * omega * jnp.sqrt(1 - zeta**2)
+
+
+class ModalModel(eqx.Module):
+    r"""A linear structure in modal form.
+
+    The receptance between input ``i`` and output ``o`` is
+
+    .. math:: H_{oi}(\omega) = \sum_r \left(\frac{\psi_{ro} L_{ri}}{j\omega - \lambda_r}
+              + \frac{\psi_{ro}^* L_{ri}^*}{j\omega - \lambda_r^*}\right) + U_{oi} - \frac{W_{oi}}{\omega^2},
+
+    and mobility and accelerance are :math:`j\omega` and :math:`-\omega^2` times that, so that each residual term
+    takes the form that suits them.
+
+    Attributes
+    ----------
+    poles
+        :math:`\lambda_r`, imaginary part positive, shape ``(n,)`` [rad/s].
+    shapes
+        Mode shapes :math:`\psi_{ro}`, shape ``(n, o)`` [-].
+    participation
+        Modal participation :math:`L_{ri}`, shape ``(n, i)``; ``shapes`` times ``participation`` are the residues
+        of the receptance [m/(N s)].
+    upper, lower
+        Residual terms :math:`U` [m/N] and :math:`W` [1/kg] of the modes above and below the band, shape ``(o, i)``.
+    outputs, inputs
+        DoF names.
+    frequency_std, damping_std
+        Relative standard deviation that the author claims for each frequency and damping ratio, shape ``(n,)``.
+    """
+
+    poles: Complex[Array, " n"]
+    shapes: Complex[Array, "n o"]
+    participation: Complex[Array, "n i"]
+    upper: Complex[Array, "o i"]
+    lower: Complex[Array, "o i"]
+    frequency_std: Float[Array, " n"]
+    damping_std: Float[Array, " n"]
+    outputs: tuple[str, ...] = eqx.field(static=True)
+    inputs: tuple[str, ...] = eqx.field(static=True)
+
+    def __init__(
+        self,
+        poles: Any,
+        shapes: Any,
+        participation: Any,
+        *,
+        outputs: Sequence[str],
+        inputs: Sequence[str],
+        upper: Any = None,
+        lower: Any = None,
+        frequency_std: Any = 0.0,
+        damping_std: Any = 0.0,
+    ):
+        self.poles = as_double(poles, "poles", complex_=True)
+        self.shapes = as_double(shapes, "shapes", complex_=True)
+        self.participation = as_double(participation, "participation", complex_=True)
+        n = self.poles.shape[0]
+        if self.shapes.ndim != 2 or self.participation.ndim != 2 or {len(self.shapes), len(self.participation)} != {n}:
+            raise ValueError(
+                f"{n} poles with shapes {self.shapes.shape} and participation {self.participation.shape}; "
+                "they need shapes (n, o) and (n, i)"
+            )
+        if not is_traced(self.poles) and bool((self.poles.imag <= 0).any()):
+            raise ValueError("a pole has no positive imaginary part; store each conjugate pair once, by its upper pole")
+        o, i = self.shapes.shape[1], self.participation.shape[1]
+        zero = jnp.zeros((o, i), jnp.complex128)
+        self.upper = zero if upper is None else jnp.broadcast_to(as_double(upper, "upper", complex_=True), (o, i))
+        self.lower = zero if lower is None else jnp.broadcast_to(as_double(lower, "lower", complex_=True), (o, i))
+        self.frequency_std = jnp.broadcast_to(as_double(frequency_std, "frequency_std"), (n,))
+        self.damping_std = jnp.broadcast_to(as_double(damping_std, "damping_std"), (n,))
+        self.outputs = check_names(outputs, o, "outputs")
+        self.inputs = check_names(inputs, i, "inputs")
+
+    @classmethod
+    def from_real_modes(
+        cls, frequency_hz: Any, damping_ratio: Any, shapes: Any, modal_mass: Any, dofs: Sequence[str]
+    ) -> "ModalModel":
+        r"""Modes of a proportionally damped structure, residues :math:`\phi_o\phi_i/(2 j \omega_d m)`.
+
+        Parameters
+        ----------
+        frequency_hz, damping_ratio, modal_mass
+            Shape ``(n,)`` [Hz], [-], [kg].
+        shapes
+            Real shapes, shape ``(n, dof)`` [-].
+        """
+        poles = poles_from(frequency_hz, damping_ratio)
+        phi = as_double(shapes, "shapes")
+        mass = as_double(modal_mass, "modal_mass")
+        return cls(poles, phi, phi / (2j * poles.imag * mass)[:, None], outputs=dofs, inputs=dofs)
+
+    @property
+    def frequency_hz(self) -> Float[Array, " n"]:
+        r"""Natural frequencies :math:`|\lambda|/2\pi` [Hz]."""
+        return jnp.abs(self.poles) / (2 * jnp.pi)
+
+    @property
+    def damping_ratio(self) -> Float[Array, " n"]:
+        r"""Damping ratios :math:`-\mathrm{Re}\lambda/|\lambda|` [-]."""
+        return -self.poles.real / jnp.abs(self.poles)
+
+    @property
+    def residues(self) -> Complex[Array, "n o i"]:
+        """Residues of the receptance [m/(N s)]."""
+        return self.shapes[:, :, None] * self.participation[:, None, :]
+
+    def replace(self, **changes: Any) -> "ModalModel":
+        """A copy with some attributes changed and everything checked again."""
+        fields = dict(
+            poles=self.poles, shapes=self.shapes, participation=self.participation, upper=self.upper,
+            lower=self.lower, frequency_std=self.frequency_std, damping_std=self.damping_std, outputs=self.outputs,
+            inputs=self.inputs,
+        )  # fmt: skip
+        return ModalModel(**{**fields, **changes})
+
+    def transpose(self) -> "ModalModel":
+        """Outputs and inputs exchanged; with reciprocity the same structure measured the other way round."""
+        return self.replace(
+            shapes=self.participation, participation=self.shapes, upper=self.upper.T, lower=self.lower.T,
+            outputs=self.inputs, inputs=self.outputs,
+        )  # fmt: skip
+
+    def drive_points(self) -> tuple[str, ...]:
+        """DoFs that are both output and input."""
+        return tuple(name for name in self.inputs if name in self.outputs)
+
+    def modal_a(self, drive_point: str | None = None) -> Complex[Array, " n"]:
+        r"""Modal a of each mode, :math:`a_r = \psi_{rd}/L_{rd}`, so that residues are :math:`\psi\psi^T/a`.
+
+        Parameters
+        ----------
+        drive_point
+            The DoF that is output and input; the first such DoF if None.
+
+        Raises
+        ------
+        ValueError
+            If no DoF, or not this one, is both measured and driven: the scaling is then unknown.
+        """
+        known = self.drive_points()
+        if not known:
+            raise ValueError("no DoF is both output and input; modal mass needs a drive point FRF")
+        if drive_point is not None and drive_point not in known:
+            raise ValueError(f"{drive_point!r} is not a drive point; there are {', '.join(known)}")
+        name = known[0] if drive_point is None else drive_point
+        return self.shapes[:, self.outputs.index(name)] / self.participation[:, self.inputs.index(name)]
+
+    def modal_mass(self, drive_point: str | None = None) -> Complex[Array, " n"]:
+        r"""Modal mass :math:`m_r = a_r/(2j\omega_{d,r})` for the shapes as scaled [kg]; complex for complex modes."""
+        return self.modal_a(drive_point) / (2j * self.poles.imag)
+
+    def normalised(self, how: str = "max") -> "ModalModel":
+        """The same model with each shape scaled and turned: its largest component, or its 2-norm, becomes 1.
+
+        Parameters
+        ----------
+        how
+            ``max``: the largest component becomes exactly 1; ``norm``: the 2-norm becomes 1 and the largest
+            component real and positive.
+        """
+        top = jnp.take_along_axis(self.shapes, jnp.argmax(jnp.abs(self.shapes), axis=1)[:, None], axis=1)
+        if how == "max":
+            scale = top
+        elif how == "norm":
+            scale = top / jnp.abs(top) * jnp.linalg.norm(self.shapes, axis=1, keepdims=True)
+        else:
+            raise ValueError(f"how is {how!r}; it must be max or norm")
+        return self.replace(shapes=self.shapes / scale, participation=self.participation * scale)
+
+    def frf(
+        self,
+        freq: Any,
+        *,
+        form: str = "receptance",
+        outputs: Sequence[str] | None = None,
+        inputs: Sequence[str] | None = None,
+        added_decay: Any = 0.0,
+    ) -> FRF:
+        """The FRF at any frequencies [Hz], and between any DoFs: unmeasured pairs follow from reciprocity.
+
+        With ``added_decay`` [1/s] as an exponential window would make it measured.
+
+        Raises
+        ------
+        ValueError
+            If a DoF is unknown, or an input that was not driven is asked for and there is no drive point.
+        """
+        freq = as_double(freq, "freq")
+        out_names = self.outputs if outputs is None else tuple(outputs)
+        in_names = self.inputs if inputs is None else tuple(inputs)
+        unknown = [n for n in (*out_names, *in_names) if n not in self.outputs and n not in self.inputs]
+        if unknown:
+            raise ValueError(f"no DoF named {', '.join(unknown)}; the model has {', '.join(self.outputs)}")
+        psi, part = self._at_outputs(out_names), self._at_inputs(in_names)
+        s = as_double(added_decay, "added_decay") + 2j * jnp.pi * freq
+        near = 1 / (s[:, None] - self.poles)
+        far = 1 / (s[:, None] - self.poles.conj())
+        H = jnp.einsum("fn,no,ni->foi", near, psi, part) + jnp.einsum("fn,no,ni->foi", far, psi.conj(), part.conj())
+        power = DERIVATIVES[check_form(form)]
+        H = H * s[:, None, None] ** power
+        H = H + self._residual(self.upper, out_names, in_names) * s[:, None, None] ** power
+        safe = jnp.where(s == 0, 1.0, s)[:, None, None] if power < 2 else s[:, None, None]
+        H = H + self._residual(self.lower, out_names, in_names) * safe ** (power - 2)
+        return FRF(freq, H, form=form, outputs=out_names, inputs=in_names, added_decay=added_decay)
+
+    def _at_outputs(self, names: tuple[str, ...]) -> Complex[Array, "n o"]:
+        """Shape components at DoFs that may only have been driven (there by reciprocity)."""
+        columns = [
+            self.shapes[:, self.outputs.index(n)]
+            if n in self.outputs
+            else self.participation[:, self.inputs.index(n)] * self.modal_a()
+            for n in names
+        ]
+        return jnp.stack(columns, axis=1)
+
+    def _at_inputs(self, names: tuple[str, ...]) -> Complex[Array, "n i"]:
+        """Participation at DoFs that may only have been measured (there by reciprocity)."""
+        columns = [
+            self.participation[:, self.inputs.index(n)]
+            if n in self.inputs
+            else self.shapes[:, self.outputs.index(n)] / self.modal_a()
+            for n in names
+        ]
+        return jnp.stack(columns, axis=1)
+
+    def _residual(self, term: Array, outs: tuple[str, ...], ins: tuple[str, ...]) -> Complex[Array, "o i"]:
+        """A residual term between DoFs, its transpose where only that was measured, zero where neither was."""
+        if outs == self.outputs and ins == self.inputs:
+            return term
+        if not jnp.size(term):
+            return jnp.zeros((len(outs), len(ins)), jnp.complex128)
+        rows = []
+        for o in outs:
+            for i in ins:
+                if o in self.outputs and i in self.inputs:
+                    rows.append(term[self.outputs.index(o), self.inputs.index(i)])
+                elif i in self.outputs and o in self.inputs:
+                    rows.append(term[self.outputs.index(i), self.inputs.index(o)])
+                else:
+                    rows.append(jnp.zeros((), jnp.complex128))
+        return jnp.stack(rows).reshape(len(outs), len(ins))
+
+
+def in_order(model: ModalModel) -> ModalModel:
+    """The same model with its modes by rising frequency."""
+    order = np.argsort(np.asarray(model.frequency_hz))
+    return model.replace(
+        poles=model.poles[order], shapes=model.shapes[order], participation=model.participation[order],
+        frequency_std=model.frequency_std[order], damping_std=model.damping_std[order],
+    )  # fmt: skip

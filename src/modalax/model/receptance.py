@@ -1,0 +1,247 @@
+r"""Receptance of any structure along directions, and what a local linear change does to it.
+
+A change of impedance :math:`Z(\omega)` between the directions :math:`b` turns the receptance :math:`H` into
+
+.. math:: H' = H - H b\,(1 + Z\,b^T H b)^{-1} Z\,b^T H,
+
+safe at :math:`Z = 0`, where its derivative is :math:`-H b\,Z' b^T H`. It needs the receptance at a few DoFs only, so it
+works on matrices and on modal models alike.
+"""
+
+import abc
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex, Float
+from typing_extensions import override
+
+from modalax._numerics.checks import as_double, is_traced
+from modalax.data.frf import DERIVATIVES, FRF, check_form
+from modalax.model.modal import ModalModel
+from modalax.model.structure import Structure
+
+
+def dof_names(structure: "AnyStructure") -> tuple[str, ...]:
+    """Names of the DoFs over which directions are given: outputs, then inputs that are no outputs, of a modal model."""
+    if isinstance(structure, ModalModel):
+        return structure.outputs + tuple(n for n in structure.inputs if n not in structure.outputs)
+    if isinstance(structure, Modified):
+        return dof_names(structure.base)
+    return structure.dofs
+
+
+def directions(structure: "AnyStructure", places: Sequence[Sequence[str]]) -> Float[Array, "j n"]:
+    """Directions of places: ``[a, b]`` is +1 at a and -1 at b (relative displacement), ``[a]`` is a to the ground.
+
+    Raises
+    ------
+    ValueError
+        If a place has no DoF, more than two, the same one twice, or an unknown one.
+    """
+    names = dof_names(structure)
+    b = np.zeros((len(places), len(names)))
+    for row, place in zip(b, places, strict=True):
+        if isinstance(place, str) or len(place) not in (1, 2) or len(set(place)) != len(place):
+            raise ValueError(
+                f"place {place!r} must be [dof, dof], two different ones, or [dof] for a joint to the ground"
+            )
+        for name, sign in zip(place, (1.0, -1.0), strict=False):
+            if name not in names:
+                raise ValueError(f"no DoF named {name!r}; the structure has {', '.join(names)}")
+            row[names.index(name)] = sign
+    return jnp.asarray(b)
+
+
+def receptance(structure: "AnyStructure", omega: Any, rows: Any, columns: Any) -> Complex[Array, "f l r"]:
+    r"""Receptance :math:`L\,H(\omega)\,R` [m/N] of a structure of any kind along directions.
+
+    Parameters
+    ----------
+    omega
+        Circular frequencies, shape ``(f,)`` [rad/s].
+    rows, columns
+        Directions over :func:`dof_names`, shapes ``(l, n)`` and ``(n, r)``.
+
+    Raises
+    ------
+    ValueError
+        If a modal model lacks the drive point that scales a DoF which was only measured or only driven.
+    """
+    if isinstance(structure, ModalModel):
+        return _of_modal_model(structure, as_double(omega, "omega"), jnp.asarray(rows), jnp.asarray(columns))
+    return structure.along(omega, rows, columns)
+
+
+def _of_modal_model(
+    model: ModalModel, omega: Float[Array, " f"], rows: Float[Array, "l n"], columns: Float[Array, "n r"]
+) -> Complex[Array, "f l r"]:
+    names = dof_names(model)
+    used = tuple(n for n, needed in zip(names, _used(rows, 0), strict=True) if needed)
+    driven = tuple(n for n, needed in zip(names, _used(columns, 1), strict=True) if needed)
+    left = rows[:, jnp.array([names.index(n) for n in used], dtype=int)].astype(complex)
+    right = columns[jnp.array([names.index(n) for n in driven], dtype=int)].astype(complex)
+    psi, part = model._at_outputs(used) @ left.T, model._at_inputs(driven) @ right
+    s = 1j * omega
+    H = jnp.einsum("fn,nl,nr->flr", 1 / (s[:, None] - model.poles), psi, part)
+    far = 1 / (s[:, None] - model.poles.conj())
+    # rows and columns are real, so conjugating the products conjugates the modes
+    H = H + jnp.einsum("fn,nl,nr->flr", far, psi.conj(), part.conj())
+    upper = left @ model._residual(model.upper, used, driven) @ right
+    lower = left @ model._residual(model.lower, used, driven) @ right
+    still = (s == 0)[:, None, None]
+    at_rest = jnp.where(lower == 0, 0.0, jnp.inf)
+    return H + upper + jnp.where(still, at_rest, lower / jnp.where(still, 1.0, s[:, None, None] ** 2))
+
+
+def _used(weights: Any, axis: int) -> list[bool]:
+    """Which DoFs have any weight; all of them where the weights are traced."""
+    if is_traced(weights):
+        return [True] * weights.shape[1 - axis]
+    return [bool(u) for u in np.any(np.asarray(weights) != 0, axis=axis)]
+
+
+def modify(
+    H_oi: Complex[Array, "f o i"],
+    H_ob: Complex[Array, "f o b"],
+    H_bb: Complex[Array, "f b b"],
+    H_bi: Complex[Array, "f b i"],
+    Z: Complex[Array, "f b b"],
+) -> Complex[Array, "f o i"]:
+    r"""Receptance after local changes, :math:`H_{oi} - H_{ob}(1 + Z H_{bb})^{-1} Z H_{bi}` [m/N].
+
+    Parameters
+    ----------
+    Z
+        Impedance of the changes between their directions [N/m].
+    """
+    inner = jnp.eye(Z.shape[-1]) + Z @ H_bb
+    return H_oi - H_ob @ jnp.linalg.solve(inner, Z @ H_bi)
+
+
+class Change(eqx.Module):
+    """A local linear element on a direction."""
+
+    @abc.abstractmethod
+    def impedance(self, omega: Float[Array, " f"]) -> Complex[Array, " f"]:
+        """Force over relative displacement Z [N/m] at circular frequencies [rad/s]."""
+
+
+class Spring(Change):
+    r"""A spring, :math:`Z = k` [N/m]; negative to take stiffness away."""
+
+    k: Any
+
+    @override
+    def impedance(self, omega: Float[Array, " f"]) -> Complex[Array, " f"]:
+        return self.k * jnp.ones_like(omega) + 0j
+
+
+class Damper(Change):
+    r"""A viscous damper, :math:`Z = j\omega c`, c in [N s/m]."""
+
+    c: Any
+
+    @override
+    def impedance(self, omega: Float[Array, " f"]) -> Complex[Array, " f"]:
+        return 1j * omega * self.c
+
+
+class Mass(Change):
+    r"""A lumped mass, :math:`Z = -\omega^2 m`, m in [kg]."""
+
+    m: Any
+
+    @override
+    def impedance(self, omega: Float[Array, " f"]) -> Complex[Array, " f"]:
+        return -(omega**2) * self.m + 0j
+
+
+class TunedMass(Change):
+    r"""An attached oscillator, :math:`Z = -\omega^2 m\frac{k + j\omega c}{k + j\omega c - \omega^2 m}`.
+
+    Attributes
+    ----------
+    m, k, c
+        Mass [kg], stiffness [N/m] and damping [N s/m] of the oscillator.
+    """
+
+    m: Any
+    k: Any
+    c: Any = 0.0
+
+    @classmethod
+    def at(cls, m: Any, frequency_hz: Any, damping_ratio: Any) -> "TunedMass":
+        """An oscillator by its own frequency [Hz] and damping ratio when its base is held."""
+        own = 2 * jnp.pi * frequency_hz
+        return cls(m, m * own**2, 2 * damping_ratio * own * m)
+
+    @override
+    def impedance(self, omega: Float[Array, " f"]) -> Complex[Array, " f"]:
+        link, inertia = self.k + 1j * omega * self.c, -(omega**2) * self.m
+        return inertia * link / (link + inertia)
+
+
+class Modified(eqx.Module):
+    """A structure with local linear changes, known by its receptance.
+
+    Attributes
+    ----------
+    base
+        The structure before.
+    b
+        Direction of each change over the DoFs of ``base``, shape ``(j, n)``.
+    changes
+        The elements.
+    """
+
+    base: "Structure | ModalModel | Modified"
+    b: Float[Array, "j n"]
+    changes: tuple[Change, ...]
+
+    def along(self, omega: Any, rows: Any, columns: Any) -> Complex[Array, "f l r"]:
+        """Receptance [m/N] between directions, as :func:`receptance`."""
+        omega, rows, columns = as_double(omega, "omega"), jnp.asarray(rows), jnp.asarray(columns)
+        o, i = rows.shape[0], columns.shape[1]
+        H = receptance(self.base, omega, jnp.concatenate([rows, self.b]), jnp.concatenate([columns, self.b.T], axis=1))
+        Z = jnp.stack([change.impedance(omega) for change in self.changes], axis=-1)[:, :, None] * jnp.eye(len(self.b))
+        return modify(H[:, :o, :i], H[:, :o, i:], H[:, o:, i:], H[:, o:, :i], Z)
+
+    def frf(
+        self,
+        freq: Any,
+        *,
+        form: str = "receptance",
+        outputs: Sequence[str] | None = None,
+        inputs: Sequence[str] | None = None,
+    ) -> FRF:
+        """The FRF at frequencies [Hz] between DoFs by name (all of them by default)."""
+        return frf(self, freq, form=form, outputs=outputs, inputs=inputs)
+
+
+AnyStructure = Structure | ModalModel | Modified
+
+
+def change(structure: AnyStructure, place: Sequence[str], element: Change) -> Modified:
+    """The structure with ``element`` at ``place``: ``[dof, dof]``, or ``[dof]`` to the ground (for a mass: the DoF)."""
+    return Modified(structure, directions(structure, [place]), (element,))
+
+
+def frf(
+    structure: AnyStructure,
+    freq: Any,
+    *,
+    form: str = "receptance",
+    outputs: Sequence[str] | None = None,
+    inputs: Sequence[str] | None = None,
+) -> FRF:
+    """The FRF of a structure of any kind at frequencies [Hz] between DoFs by name (all of them by default)."""
+    freq, names = as_double(freq, "freq"), dof_names(structure)
+    outputs = names if outputs is None else tuple(outputs)
+    inputs = names if inputs is None else tuple(inputs)
+    rows, columns = directions(structure, [[n] for n in outputs]), directions(structure, [[n] for n in inputs]).T
+    s = (2j * jnp.pi * freq)[:, None, None]
+    H = receptance(structure, 2 * jnp.pi * freq, rows, columns) * s ** DERIVATIVES[check_form(form)]
+    return FRF(freq, H, form=form, outputs=outputs, inputs=inputs)

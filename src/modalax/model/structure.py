@@ -1,0 +1,191 @@
+"""A structure as mass, damping and stiffness matrices, and its receptance."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import scipy.linalg
+from jaxtyping import Array, Complex, Float
+
+from modalax._numerics.checks import as_double, is_traced, require_finite
+from modalax.data.frf import DERIVATIVES, FRF, check_form, check_names, default_names
+from modalax.model.modal import ModalModel, in_order
+from modalax.model.solve import receptance_along
+
+
+class Structure(eqx.Module):
+    r"""Linear structure :math:`M\ddot x + C\dot x + K x = F`; stiffness :math:`K + jD` if damping is hysteretic.
+
+    Attributes
+    ----------
+    M, C, K
+        Mass [kg], damping [N s/m] and stiffness [N/m], shape ``(n, n)``.
+    dofs
+        DoF names, ``n`` of them.
+    frequency_std, damping_std
+        Relative standard deviation that the author claims for each modal frequency and damping ratio: one number
+        or one a mode (0: taken as exact).
+    D
+        Structural (hysteretic) damping [N/m], shape ``(n, n)``: the imaginary part of the stiffness for
+        :math:`\omega > 0`; zero unless given.
+    """
+
+    M: Float[Array, "n n"]
+    C: Float[Array, "n n"]
+    K: Float[Array, "n n"]
+    frequency_std: Float[Array, "..."]
+    damping_std: Float[Array, "..."]
+    D: Float[Array, "n n"]
+    dofs: tuple[str, ...] = eqx.field(static=True)
+
+    def __init__(
+        self,
+        M: Any,
+        C: Any,
+        K: Any,
+        dofs: Sequence[str] | None = None,
+        *,
+        frequency_std: Any = 0.0,
+        damping_std: Any = 0.0,
+        D: Any = None,
+    ):
+        self.M, self.C, self.K = (as_double(A, name) for A, name in ((M, "M"), (C, "C"), (K, "K")))
+        self.D = jnp.zeros_like(self.K) if D is None else as_double(D, "D")
+        n = self.M.shape[0]
+        for A, name in ((self.M, "M"), (self.C, "C"), (self.K, "K"), (self.D, "D")):
+            if A.shape != (n, n):
+                raise ValueError(f"{name} has shape {A.shape}; M, C and K need one shape (n, n), here ({n}, {n})")
+            require_finite(A, name)
+        self.dofs = check_names(default_names(n, "") if dofs is None else dofs, n, "dofs")
+        self.frequency_std = as_double(frequency_std, "frequency_std")
+        self.damping_std = as_double(damping_std, "damping_std")
+
+    @classmethod
+    def from_modes(
+        cls,
+        frequency_hz: Any,
+        damping_ratio: Any,
+        shapes: Any,
+        modal_mass: Any,
+        dofs: Sequence[str] | None = None,
+        **claims: Any,
+    ) -> "Structure":
+        r"""Matrices of a complete set of real modes, :math:`M = P^{-T}\mathrm{diag}(m)P^{-1}` and so on.
+
+        Parameters
+        ----------
+        frequency_hz, damping_ratio, modal_mass
+            Shape ``(n,)`` [Hz], [-], [kg].
+        shapes
+            Shape ``(n, n)``, mode by row.
+        """
+        P = as_double(shapes, "shapes").T
+        omega, zeta = 2 * jnp.pi * as_double(frequency_hz, "frequency"), as_double(damping_ratio, "damping ratio")
+        mass = as_double(modal_mass, "modal_mass")
+        inverse = jnp.linalg.inv(P)
+        build = lambda d: inverse.T @ (d[:, None] * inverse)  # noqa: E731
+        return cls(build(mass), build(2 * zeta * omega * mass), build(omega**2 * mass), dofs, **claims)
+
+    def index(self, dof: str) -> int:
+        """Position of a DoF by name; ``ValueError`` lists the names if there is no such one."""
+        if dof not in self.dofs:
+            raise ValueError(f"no DoF named {dof!r}; the structure has {', '.join(self.dofs)}")
+        return self.dofs.index(dof)
+
+    def replace(self, **changes: Any) -> "Structure":
+        """A copy with some attributes changed and everything checked again."""
+        fields = dict(
+            M=self.M, C=self.C, K=self.K, D=self.D, dofs=self.dofs, frequency_std=self.frequency_std,
+            damping_std=self.damping_std,
+        )  # fmt: skip
+        return Structure(**{**fields, **changes})
+
+    def along(self, omega: Any, rows: Any, columns: Any) -> Complex[Array, "f l r"]:
+        r"""Receptance between directions, :math:`L (K + jD + j\omega C - \omega^2 M)^{-1} R` [m/N].
+
+        Parameters
+        ----------
+        omega
+            Circular frequencies, shape ``(f,)`` [rad/s].
+        rows, columns
+            Directions over the DoFs, shapes ``(l, n)`` and ``(n, r)``.
+        """
+        rows, columns = as_double(rows, "rows"), as_double(columns, "columns")
+        return receptance_along(self.M, self.C, self.K, self.D, as_double(omega, "omega"), rows, columns)
+
+    def receptance(self, omega: Any, outputs: Sequence[str], inputs: Sequence[str]) -> Complex[Array, "f o i"]:
+        r""":math:`(K + jD + j\omega C - \omega^2 M)^{-1}` [m/N] at frequencies [rad/s] between DoFs by name."""
+        eye = np.eye(len(self.dofs))
+        o, i = [self.index(n) for n in outputs], [self.index(n) for n in inputs]
+        return self.along(omega, eye[o], eye[:, i])
+
+    def frf(
+        self,
+        freq: Any,
+        *,
+        form: str = "receptance",
+        outputs: Sequence[str] | None = None,
+        inputs: Sequence[str] | None = None,
+    ) -> FRF:
+        """The FRF at frequencies [Hz] between DoFs by name (all of them by default)."""
+        freq = as_double(freq, "freq")
+        outputs = self.dofs if outputs is None else tuple(outputs)
+        inputs = self.dofs if inputs is None else tuple(inputs)
+        s = (2j * jnp.pi * freq)[:, None, None]
+        H = self.receptance(2 * jnp.pi * freq, outputs, inputs) * s ** DERIVATIVES[check_form(form)]
+        return FRF(freq, H, form=form, outputs=outputs, inputs=inputs)
+
+    def modal(self) -> ModalModel:
+        r"""All modes: shapes :math:`\psi`, residues :math:`\psi\psi^T/a` with :math:`a = \psi^T(2\lambda M + C)\psi`.
+
+        Free-body modes have no pole pair; they make the lower residual term :math:`\phi\phi^T/m`.
+
+        Raises
+        ------
+        ValueError
+            If M is singular, a mode is over-damped, a free-body mode is damped, or the damping is hysteretic, which has
+            no poles.
+        """
+        if is_traced(self.M, self.C, self.K, self.D):
+            raise ValueError("modal() works on numbers, not inside jit or grad; call it outside")
+        if np.any(self.D):
+            raise ValueError("a structure with hysteretic damping D has no poles; give modal damping ratios instead")
+        M, C, K = (np.asarray(A) for A in (self.M, self.C, self.K))
+        n = len(M)
+        rank = np.linalg.matrix_rank(M)
+        if rank < n:
+            raise ValueError(f"M is singular: rank {rank} of {n}; condense the massless DoFs first")
+        free = _free_body_modes(M, C, K)
+        lower = free @ free.T
+        keep = scipy.linalg.null_space(free.T @ M) if free.shape[1] else np.eye(n)
+        m, c, k = (keep.T @ A @ keep for A in (M, C, K))
+        size = len(m)
+        state = np.block(
+            [[np.zeros((size, size)), np.eye(size)], [-np.linalg.solve(m, k), -np.linalg.solve(m, c)]]
+        )  # fmt: skip
+        poles, vectors = (np.asarray(part) for part in np.linalg.eig(state))
+        up = np.imag(poles) > 1e-9 * np.abs(poles).max(initial=0.0)
+        if up.sum() != size:
+            raise ValueError(
+                f"{size} modes have stiffness but only {int(up.sum())} vibrate; over-damped modes have no pole pair"
+            )
+        poles, psi = poles[up], vectors[:size, up].T @ keep.T
+        psi = psi / np.take_along_axis(psi, np.abs(psi).argmax(axis=1)[:, None], axis=1)
+        a = np.einsum("nd,nde,ne->n", psi, 2 * poles[:, None, None] * M + C, psi)
+        return in_order(
+            ModalModel(
+                poles, psi, psi / a[:, None], outputs=self.dofs, inputs=self.dofs, lower=lower,
+                frequency_std=self.frequency_std, damping_std=self.damping_std,
+            )
+        )  # fmt: skip
+
+
+def _free_body_modes(M: np.ndarray, C: np.ndarray, K: np.ndarray) -> np.ndarray:
+    """Mass-normalised shapes without stiffness, shape ``(n, count)``."""
+    values, vectors = scipy.linalg.eigh(K, M)
+    free = vectors[:, np.abs(values) < 1e-11 * np.abs(values).max()]
+    if free.size and np.abs(C @ free).max() > 1e-9 * np.abs(C).max():
+        raise ValueError("a free-body mode is damped against the ground; it has no pole pair and no residual term")
+    return free

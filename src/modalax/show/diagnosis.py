@@ -1,0 +1,110 @@
+"""Pictures of a diagnosis: where the simulation fails, and how the extended one does."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from modalax.data import Measurement
+from modalax.diagnose.diagnosis import Diagnosis
+from modalax.show.fit import save_pictures
+from modalax.show.residuals import plot_residual_map
+from modalax.show.style import BLACK, BLUE, ORANGE, frequency_axis, frf_label, look, new_figure
+
+MOST_ROWS = 60
+
+
+def run_names(level: np.ndarray) -> list[str]:
+    """Name of each run: its force [N] where that is known."""
+    return [f"run {k + 1}" if np.isnan(force) else f"{force:.4g} N" for k, force in enumerate(np.asarray(level))]
+
+
+def residual_rows(data: Measurement, before: Any, after: Any) -> tuple[list[str], np.ndarray, np.ndarray]:
+    """Names of the rows of a map (channel and run), and two residuals ``(run, f, o, i)`` as ``(row, f)``.
+
+    Of very many rows those that the first residual is largest at are kept.
+    """
+    before, after = np.asarray(before), np.asarray(after)
+    runs, _, outputs, inputs = before.shape
+    index = [(r, o, i) for i in range(inputs) for o in range(outputs) for r in range(runs)]
+    energy = np.sum(np.abs(before) ** 2, axis=1)
+    if len(index) > MOST_ROWS:
+        index = sorted(sorted(index, key=lambda k: -energy[k])[:MOST_ROWS], key=lambda k: (k[2], k[1], k[0]))
+    force = [""] if runs == 1 else [f", {name}" for name in run_names(np.asarray(data.level))]
+    names = [f"{data.outputs[o]} from {data.inputs[i]}{force[r]}" for r, o, i in index]
+    return (
+        names,
+        np.stack([before[r, :, o, i] for r, o, i in index]),
+        np.stack([after[r, :, o, i] for r, o, i in index]),
+    )
+
+
+def worst_channel(diagnosis: Diagnosis) -> tuple[int, int]:
+    """Output and input that the simulation misses most."""
+    energy = np.sum(np.abs(np.asarray(diagnosis.residual_before)) ** 2, axis=(0, 1))
+    o, i = np.unravel_index(int(np.argmax(energy)), energy.shape)
+    return int(o), int(i)
+
+
+def plot_comparison(diagnosis: Diagnosis, output: str | None = None, input: str | None = None, most: int = 6) -> Figure:
+    """One FRF at each force level: measured, simulated, and by the extended simulation.
+
+    Parameters
+    ----------
+    output, input
+        The channel by name; the one that the simulation misses most by default.
+    most
+        At most this many runs are drawn, spread over all.
+    """
+    data = diagnosis.study.measurement
+    o, i = worst_channel(diagnosis)
+    o = o if output is None else data.outputs.index(output)
+    i = i if input is None else data.inputs.index(input)
+    runs = np.unique(np.linspace(0, data.runs - 1, min(most, data.runs)).round().astype(int))
+    names = run_names(np.asarray(data.level))
+    with look():
+        columns = min(3, len(runs))
+        rows = -(-len(runs) // columns)
+        fig = new_figure(3.3 * columns + 1.2, 2.9 * rows + 0.7)
+        axes = fig.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+        for k, ax in enumerate(axes.flat):
+            ax.set_visible(k < len(runs))
+            if k >= len(runs):
+                continue
+            r = runs[k]
+            curves = (
+                (np.asarray(data.H)[r, :, o, i], {"color": BLACK, "marker": ".", "markersize": 3, "linestyle": "none"}),
+                (diagnosis.predicted_before[r, :, o, i], {"color": BLUE, "linestyle": "--"}),
+                (diagnosis.predicted_after[r, :, o, i], {"color": ORANGE}),
+            )
+            for (values, style), label in zip(curves, ("measured", "simulation", "extended simulation"), strict=True):
+                ax.semilogy(diagnosis.freq, np.abs(np.asarray(values)), label=label, **style)
+            ax.set_title(names[r])
+            frequency_axis(ax, diagnosis.freq)
+            ax.tick_params(labelbottom=k + columns >= len(runs))
+            ax.set_xlabel("Frequency [Hz]" if k + columns >= len(runs) else "")
+            ax.set_ylabel(frf_label(data.form) if k % columns == 0 else "")
+        handles, labels = axes[0, 0].get_legend_handles_labels()
+        fig.legend(handles, labels, loc="outside lower center", ncols=3)
+        fig.suptitle(f"FRF from {data.inputs[i]} to {data.outputs[o]}")
+    return fig
+
+
+def diagnosis_pictures(diagnosis: Diagnosis) -> dict[str, Figure]:
+    """Draw a diagnosis: maps of the residual before and after, and the FRF that is missed most at each level."""
+    names, before, after = residual_rows(
+        diagnosis.study.measurement, diagnosis.residual_before, diagnosis.residual_after
+    )
+    residuals, panels = (
+        (before, None) if diagnosis.extended is None else (np.stack([before, after]), ["before", "after"])
+    )
+    return {
+        "residuals": plot_residual_map(diagnosis.freq, residuals, names, panels=panels),
+        "comparison": plot_comparison(diagnosis),
+    }
+
+
+def save_diagnosis_pictures(diagnosis: Diagnosis, folder: Path) -> list[Path]:
+    """Write the pictures of a diagnosis as PNG files into a folder and return their paths."""
+    return save_pictures(diagnosis_pictures(diagnosis), folder)

@@ -1,0 +1,170 @@
+"""The report of a diagnosis."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from modalax.diagnose.diagnosis import Diagnosis
+from modalax.show.diagnosis import residual_rows, run_names
+from modalax.show.numbers import with_error
+from modalax.show.report.page import Page, Plot, Section, Table
+from modalax.show.report.plots import bar_plot, comparison_plot, residual_plot
+
+MEANING = {
+    "clean": "Nothing is wrong with the simulation that this data could show.",
+    "named": "The simulation lacks what is named here.",
+    "ambiguous": "Several explanations fit, and this data cannot tell them apart.",
+    "unknown": "Something is wrong that no known cause explains.",
+}
+MOST_CANDIDATES = 12
+
+
+def place(where: Sequence[Any]) -> str:
+    """Where a cause sits, as text."""
+    return " - ".join(str(w) for w in where) or "everywhere"
+
+
+def told(causes: Sequence[Mapping[str, Any]]) -> str:
+    """A set of causes as text."""
+    return " and ".join(f"{c['name']} at {place(c['where'])}" for c in causes)
+
+
+def interval(value: float | None, std: float | None) -> str:
+    """Range that holds the value with 95 %."""
+    if value is None or std is None or not math.isfinite(std):
+        return "not known"
+    return f"{value - 1.96 * std:.5g} to {value + 1.96 * std:.5g}"
+
+
+def cause_rows(causes: Sequence[Mapping[str, Any]]) -> Table:
+    """Parameters of the causes with intervals."""
+    rows = []
+    for cause in causes:
+        first = [cause["name"], place(cause["where"]), f"{cause['probability']:.3f}"]
+        items = list(cause["parameters"].items()) or [("", None)]
+        for k, (name, p) in enumerate(items):
+            cells = ["", "", ""] if p is None else [
+                f"{name} [{p['unit']}]", with_error(p["value"], p["std"]), interval(p["value"], p["std"])
+            ]  # fmt: skip
+            rows.append([*(first if k == 0 else ["", "", ""]), *cells])
+    head = ["Cause", "Where", "Probability", "Parameter", "Value ± standard deviation", "95 % interval"]
+    return Table(head, rows, "What the extended simulation contains.", text_columns=(0, 1, 3))
+
+
+def gain_rows(gain: Mapping[str, Any]) -> Table:
+    """What the extension gains on the data it was not fitted to."""
+    likelihood = with_error(gain["log_likelihood_gain"], gain["log_likelihood_gain_std"])
+    rows = [
+        ["Chi-square a real sample (1 is noise alone)", f"{gain['chi2_before']:.4g}", f"{gain['chi2_after']:.4g}"],
+        ["Gain of log-likelihood [nats]", "", likelihood],
+    ]
+    return Table(["On the held-out block", "Simulation", "Extended"], rows, f"Held out: {gain['held_out']}.")
+
+
+def diagnosis_sections(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> list[Section]:
+    """Sections of a diagnosis: answer, gain, FRFs, residuals, candidates, smallest detectable effects."""
+    text = [MEANING.get(answer["verdict"], "")]
+    if answer["alternatives"]:
+        text += [f"As well it may be {told(rival)}." for rival in answer["alternatives"]]
+    if answer["advice"]:
+        text.append(f"To tell them apart: {answer['advice']}")
+    # A probability of 0.95 allows 1 in 20 to be wrong; a reader must know what it is a probability of.
+    text.append(
+        "Probabilities compare the causes of the catalogue with one another, each with its place and parameters."
+    )
+    first = Section("Answer", text, [cause_rows(answer["causes"])] if answer["causes"] else [])
+    names, before, after = residual_rows(
+        diagnosis.study.measurement, diagnosis.residual_before, diagnosis.residual_after
+    )
+    maps = [("simulation", before)] + ([("extended simulation", after)] if diagnosis.extended is not None else [])
+    sections = [first]
+    if diagnosis.extended is not None:
+        sections.append(Section("Gain", [], [gain_rows(answer["gain"])]))
+    sections += [
+        Section("Measured and simulated FRFs", [], [_frfs(diagnosis)]),
+        Section("Residuals", [_tests(diagnosis)], [residual_plot(diagnosis.freq, maps, names)]),
+    ]
+    if diagnosis.candidates:
+        sections.append(Section("Candidates", [], _candidates(diagnosis)))
+    sections.append(Section("Smallest effects that would have been seen", [], [_smallest(diagnosis, answer)]))
+    sections.append(Section("What was assumed", [f"{note[:1].upper()}{note[1:]}." for note in diagnosis.notes]))
+    return sections
+
+
+def _frfs(diagnosis: Diagnosis) -> Plot:
+    data = diagnosis.study.measurement
+    extended = diagnosis.predicted_after if diagnosis.extended is not None else None
+    return comparison_plot(
+        diagnosis.freq, data.H, diagnosis.predicted_before, extended, data.form, data.outputs, data.inputs,
+        run_names(np.asarray(data.level)),
+    )  # fmt: skip
+
+
+def _tests(diagnosis: Diagnosis) -> str:
+    before, after = diagnosis.naming.before, diagnosis.naming.after
+    text = f"The simulation leaves a largest deviation of {before.z:.3g} standard deviations ({before.where})"
+    if diagnosis.extended is None:
+        return f"{text}."
+    return f"{text}; the extended one {after.z:.3g} (chance under noise alone {after.p_value:.2g})."
+
+
+def _candidates(diagnosis: Diagnosis) -> list[Table | Plot]:
+    leading = diagnosis.candidates[:MOST_CANDIDATES]
+    names = [
+        " and ".join(
+            f"{c.slug} at {place(p.where)}" for c, p in zip(r.best.causes, r.best.places, strict=True)
+        ) or "mains_hum"
+        for r in leading
+    ]  # fmt: skip
+    rows = [[n, f"{r.probability:.4f}", f"{r.log_evidence - leading[0].log_evidence:.4g}"] for n, r in
+            zip(names, leading, strict=True)]  # fmt: skip
+    caption = f"The {len(leading)} leading of {len(diagnosis.candidates)} sets that were fitted in full."
+    head = ["Set of causes", "Probability", "Log evidence to the first [nats]"]
+    chart = bar_plot(
+        names[:6], [r.probability for r in leading[:6]], "Probability [-]", "Probabilities of the leading sets."
+    )
+    return [chart, Table(head, rows, caption)]
+
+
+def _smallest(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> Table:
+    units = {
+        t.cause.slug: f"{t.cause.parameters[0].name} [{t.cause.parameters[0].unit}]"
+        for t in diagnosis.naming.screening.trials
+        if t.cause.parameters
+    }
+    rows = [
+        [slug, units.get(slug, ""), f"{value:.3g}"] for slug, value in sorted(answer["smallest_detectable"].items())
+    ]
+    caption = "Strength that nine in ten such measurements would have shown, at a middling place."
+    return Table(["Cause", "Strength", "Smallest"], rows, caption, text_columns=(0, 1))
+
+
+def diagnosis_facts(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Key facts on top of the page."""
+    data = diagnosis.study.measurement
+    facts = [("Verdict", answer["verdict"])]
+    if answer["causes"]:
+        facts.append(("Cause", told(answer["causes"])))
+        facts.append(("Probability", f"{answer['causes'][0]['probability']:.3f}"))
+        facts.append(
+            ("Held-out chi-square", f"{answer['gain']['chi2_before']:.3g} to {answer['gain']['chi2_after']:.3g}")
+        )
+    facts.append(("Runs, outputs, inputs", f"{data.runs}, {len(data.outputs)}, {len(data.inputs)}"))
+    facts.append(("Band", f"{diagnosis.freq[0]:.5g} to {diagnosis.freq[-1]:.5g} Hz"))
+    facts.append(("Question", diagnosis.question))
+    return facts
+
+
+def diagnosis_report(diagnosis: Diagnosis, title: str = "Diagnosis") -> str:
+    """Make the report of a :class:`modalax.diagnose.Diagnosis` as the text of one self-contained HTML file.
+
+    Raises
+    ------
+    ImportError
+        If plotly or jinja2 is not installed.
+    """
+    answer = diagnosis.to_dict()
+    sections = diagnosis_sections(diagnosis, answer)
+    return Page(title, "What a simulation gets wrong", diagnosis_facts(diagnosis, answer), sections).html()

@@ -1,0 +1,82 @@
+"""The report of a fit."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from modalax.model.indicators import auto_mac
+from modalax.show.matrices import mode_names
+from modalax.show.numbers import with_error
+from modalax.show.report.page import Page, Section, Table
+from modalax.show.report.plots import frf_plot, mac_plot, modes_plot, shape_plot, stabilization_plot
+
+
+def mode_rows(modes: Sequence[Mapping[str, Any]], truth: tuple[Any, Any] | None = None) -> Table:
+    """Table of modes, from ``Fit.to_dict()["modes"]``."""
+    head = ["Mode", "Frequency [Hz]", "Damping [%]", "MPC [-]"]
+    rows = [
+        [
+            str(k + 1),
+            with_error(m["frequency_hz"], m["frequency_std_hz"]),
+            with_error(m["damping_ratio"], m["damping_ratio_std"], 100.0),
+            f"{m['mpc']:.4f}",
+        ]
+        for k, m in enumerate(modes)
+    ]
+    if truth is not None:
+        head += ["True frequency [Hz]", "True damping [%]"]
+        for k, row in enumerate(rows):
+            row += [f"{float(truth[0][k]):.5g}", f"{100 * float(truth[1][k]):.4g}"]
+    return Table(head, rows, "± is one standard deviation.", text_columns=())
+
+
+def fit_sections(fit: Any, modes: Sequence[Mapping[str, Any]], truth: tuple[Any, Any] | None = None) -> list[Section]:
+    """Sections of a fit: modes, FRFs, stabilization, shapes."""
+    model = fit.model
+    refined = fit.refined
+    if refined is None:
+        how = "The poles were not refined, so they have no standard deviations."
+    elif bool(refined.success):
+        how = "The poles, shapes and residual terms were refined together by maximum likelihood."
+    else:
+        how = f"The refinement by maximum likelihood did not converge: {refined.reason}"
+    inside = np.asarray(fit.inside)
+    psi, frequency = model.shapes[inside], np.asarray(model.frequency_hz)[inside]
+    shapes: list[Any] = [shape_plot(psi, model.outputs, frequency)]
+    if len(model.outputs) > 1 and len(modes) > 1:
+        names = mode_names(frequency)
+        shapes.append(mac_plot(auto_mac(psi), names, names, "Auto-MAC of the mode shapes."))
+    return [
+        Section("Modes", [how], [mode_rows(modes, truth), modes_plot(modes, truth)]),
+        Section("Measured and synthesised FRFs", [], [frf_plot(fit.frf, model)]),
+        Section(
+            "Stabilization diagram",
+            [f"Estimator: {fit.table.method}, orders {min(fit.table.orders)} to {max(fit.table.orders)}."],
+            [stabilization_plot(fit.table, fit.stability, fit.frf, frequency)],
+        ),
+        Section("Mode shapes", [], shapes),
+    ]
+
+
+def fit_report(fit: Any, title: str = "Modes", truth: tuple[Any, Any] | None = None) -> str:
+    """Make the report of a :class:`modalax.identify.Fit` as the text of one self-contained HTML file.
+
+    Raises
+    ------
+    ImportError
+        If plotly or jinja2 is not installed.
+    """
+    answer = fit.to_dict()
+    freq = np.asarray(fit.frf.freq)
+    lines, outputs, inputs = fit.frf.shape
+    facts = [
+        ("Modes", str(len(answer["modes"]))),
+        ("Band", f"{freq[0]:.5g} to {freq[-1]:.5g} Hz"),
+        ("Lines", str(lines)),
+        ("Outputs x inputs", f"{outputs} x {inputs}"),
+        ("FRF", fit.frf.form),
+        ("Unexplained energy", f"{100 * answer['unexplained']:.3g} %"),
+    ]
+    page = Page(title, "Experimental modal analysis", facts, fit_sections(fit, answer["modes"], truth))
+    return page.html()

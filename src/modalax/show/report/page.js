@@ -1,0 +1,96 @@
+"use strict";
+(function () {
+  const dark = window.matchMedia("(prefers-color-scheme: dark)");
+  const config = {responsive: true, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d"]};
+  const plots = Array.from(document.querySelectorAll(".plot"));
+  let printing = false;
+
+  function colours() {
+    return dark.matches && !printing
+      ? {ink: "#e4e8ec", line: "#39424d", ground: "#14181d"}
+      : {ink: "#1c2128", line: "#d9dee3", ground: "#ffffff"};
+  }
+
+  // A copy of a figure in the colours of the page; the stored figure stays as it came.
+  function themed(figure) {
+    const c = colours();
+    const layout = Object.assign({}, figure.layout, {
+      paper_bgcolor: c.ground, plot_bgcolor: c.ground,
+      font: Object.assign({}, figure.layout.font, {color: c.ink}),
+      hoverlabel: {namelength: -1},
+    });
+    for (const key of Object.keys(layout)) {
+      if (/^[xy]axis\d*$/.test(key)) {
+        layout[key] = Object.assign({}, layout[key], {gridcolor: c.line, zerolinecolor: c.line, linecolor: c.ink});
+      }
+    }
+    const data = figure.data.map(function (trace) {
+      if (trace.meta !== "ink") return trace;
+      const copy = Object.assign({}, trace);
+      if (trace.line) copy.line = Object.assign({}, trace.line, {color: c.ink});
+      if (trace.marker) copy.marker = Object.assign({}, trace.marker, {color: c.ink});
+      return copy;
+    });
+    return {data: data, layout: layout};
+  }
+
+  function choice(div) {
+    const select = document.querySelector('select[data-for="' + div.id + '"]');
+    return div.choices[select ? Number(select.value) : 0].figure;
+  }
+
+  function draw(div) {
+    const figure = themed(choice(div));
+    return Plotly.react(div, figure.data, figure.layout, config);
+  }
+
+  // The range of every axis of one direction, moved by a part of its length and scaled about its middle.
+  function view(div, letter, shift, scale) {
+    const change = {};
+    for (const key of Object.keys(div._fullLayout)) {
+      if (!new RegExp("^" + letter + "axis\\d*$").test(key)) continue;
+      const range = div._fullLayout[key].range;
+      if (!range || typeof range[0] !== "number") continue;
+      const middle = (range[0] + range[1]) / 2 + shift * (range[1] - range[0]);
+      const half = (range[1] - range[0]) / 2 * scale;
+      change[key + ".range"] = [middle - half, middle + half];
+    }
+    return Plotly.relayout(div, change);
+  }
+
+  function showAll(div) {
+    const change = {};
+    for (const key of Object.keys(div._fullLayout)) {
+      if (/^[xy]axis\d*$/.test(key)) change[key + ".autorange"] = true;
+    }
+    return Plotly.relayout(div, change).then(function () { return draw(div); });
+  }
+
+  function onKey(event) {
+    if (event.target !== event.currentTarget || event.ctrlKey || event.metaKey || event.altKey) return;
+    const div = event.currentTarget;
+    const act = {
+      ArrowLeft: () => view(div, "x", -0.15, 1), ArrowRight: () => view(div, "x", 0.15, 1),
+      ArrowUp: () => view(div, "y", 0.15, 1), ArrowDown: () => view(div, "y", -0.15, 1),
+      "+": () => view(div, "x", 0, 0.7), "=": () => view(div, "x", 0, 0.7), "-": () => view(div, "x", 0, 1 / 0.7),
+      "0": () => showAll(div),
+    }[event.key];
+    if (act) { event.preventDefault(); act(); }
+  }
+
+  for (const div of plots) {
+    div.choices = JSON.parse(document.getElementById(div.dataset.source).textContent);
+    div.addEventListener("keydown", onKey);
+    draw(div);
+  }
+  for (const select of document.querySelectorAll("select[data-for]")) {
+    select.addEventListener("change", function () { draw(document.getElementById(select.dataset.for)); });
+  }
+  dark.addEventListener("change", function () { plots.forEach(draw); });
+  window.addEventListener("beforeprint", function () {
+    printing = true;
+    plots.forEach(function (div) { draw(div); Plotly.Plots.resize(div); });
+  });
+  window.addEventListener("afterprint", function () { printing = false; plots.forEach(draw); });
+  document.documentElement.dataset.ready = "yes";
+})();

@@ -1,0 +1,172 @@
+r"""Fourier coefficients of joint forces under periodic motion, by alternating frequency and time.
+
+A motion is :math:`x(t) = \sum_k \mathrm{Re}(q_k e^{jk\omega t})` over the harmonics kept; the mean, k = 0, is real.
+With odd harmonics and odd laws half a cycle says all.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex, Float
+
+from modalax.simulate.joints import Hysteretic, Joint, Memoryless
+
+Harmonics = tuple[int, ...]
+
+
+def choose_harmonics(joints: tuple[Joint, ...], harmonics: int | tuple[int, ...]) -> Harmonics:
+    """All harmonics up to a highest: the odd ones if every law is odd, else all with the mean; a tuple is kept.
+
+    Raises
+    ------
+    ValueError
+        If the fundamental is not among them, or one is negative.
+    """
+    if isinstance(harmonics, int):
+        odd = all(joint.odd for joint in joints)
+        harmonics = tuple(range(1, harmonics + 1, 2)) if odd else tuple(range(harmonics + 1))
+    kept = tuple(sorted(set(harmonics)))
+    if 1 not in kept or kept[0] < 0:
+        raise ValueError(f"harmonics {kept} must hold the fundamental, 1, and none below 0")
+    return kept
+
+
+def real_size(joints: int, harmonics: Harmonics) -> int:
+    """Number of real unknowns: two for each joint and harmonic, one for the mean."""
+    return joints * (2 * len(harmonics) - (0 in harmonics))
+
+
+def to_real(q: Complex[Array, "j h"], harmonics: Harmonics) -> Float[Array, " r"]:
+    """Stack real parts, then imaginary parts (none for the mean)."""
+    return jnp.concatenate([q.real.ravel(), q[:, 0 in harmonics :].imag.ravel()])
+
+
+def to_complex(y: Float[Array, " r"], joints: int, harmonics: Harmonics) -> Complex[Array, "j h"]:
+    """Undo :func:`to_real`."""
+    split = joints * len(harmonics)
+    imag = y[split:].reshape(joints, -1)
+    if 0 in harmonics:
+        imag = jnp.concatenate([jnp.zeros((joints, 1)), imag], axis=1)
+    return y[:split].reshape(joints, -1) + 1j * imag
+
+
+def has_closed_form(joint: Joint) -> bool:
+    """Whether the joint's class states its describing function instead of integrating it."""
+    return type(joint).describing not in (Memoryless.describing, Hysteretic.describing)
+
+
+def joint_forces(
+    joints: tuple[Joint, ...],
+    q: Complex[Array, "j h"],
+    omega: Float[Array, ""],
+    harmonics: Harmonics,
+    samples: int,
+) -> Complex[Array, "j h"]:
+    """Force harmonics [N] of each joint under its own displacement harmonics ``q`` [m].
+
+    One harmonic of a joint that states its describing function is exact; otherwise ``samples`` times of a cycle serve.
+    """
+    rows = []
+    for joint, own in zip(joints, q, strict=True):
+        if harmonics == (1,) and has_closed_form(joint):
+            rows.append(joint.describing(_modulus(own), omega) * own)
+        elif isinstance(joint, Hysteretic):
+            rows.append(_with_memory(joint, own, omega, harmonics, samples))
+        else:
+            assert isinstance(joint, Memoryless)
+            rows.append(_memoryless(joint, own, omega, harmonics, samples))
+    return jnp.stack(rows)
+
+
+def _modulus(z: Complex[Array, " h"]) -> Float[Array, " h"]:
+    """Absolute value with derivative 0 at 0."""
+    square = z.real**2 + z.imag**2
+    still = square == 0
+    return jnp.where(still, 0.0, jnp.sqrt(jnp.where(still, 1.0, square)))
+
+
+def _half(joint: Joint, harmonics: Harmonics) -> bool:
+    return joint.odd and all(k % 2 for k in harmonics)
+
+
+def _times(harmonics: Harmonics, samples: int, half: bool) -> np.ndarray:
+    """Phases of a cycle, or of its first half, the end included."""
+    count = samples // 2 if half else samples
+    return 2 * np.pi * np.arange(count + 1) / samples
+
+
+def _motion(
+    q: Complex[Array, " h"], omega: Float[Array, ""], harmonics: Harmonics, tau: np.ndarray
+) -> tuple[Float[Array, " t"], Float[Array, " t"]]:
+    """Displacement and velocity at the phases ``tau``."""
+    k = np.array(harmonics)
+    cosine, sine = jnp.cos(np.outer(tau, k)), jnp.sin(np.outer(tau, k))
+    x = cosine @ q.real - sine @ q.imag
+    v = -omega * ((sine * k) @ q.real + (cosine * k) @ q.imag)
+    return x, v
+
+
+def _coefficients(f: Float[Array, " t"], tau: np.ndarray, harmonics: Harmonics) -> Complex[Array, " h"]:
+    """Fourier coefficients of samples that fill the cycle, or of half a cycle of an odd motion."""
+    k = np.array(harmonics)
+    angle, weight = np.outer(k, tau), np.where(k == 0, 1.0, 2.0) / len(tau)
+    return jnp.asarray(weight) * (jnp.cos(angle) @ f - 1j * (jnp.sin(angle) @ f))
+
+
+def _memoryless(
+    joint: Memoryless, q: Complex[Array, " h"], omega: Float[Array, ""], harmonics: Harmonics, samples: int
+) -> Complex[Array, " h"]:
+    tau = _times(harmonics, samples, _half(joint, harmonics))[:-1]
+    x, v = _motion(q, omega, harmonics, tau)
+    return _coefficients(joint.force(x, v), tau, harmonics)
+
+
+def _with_memory(
+    joint: Hysteretic, q: Complex[Array, " h"], omega: Float[Array, ""], harmonics: Harmonics, samples: int
+) -> Complex[Array, " h"]:
+    r"""Step around the cycle until the loop is closed, turning points met exactly, and take each step's mean force.
+
+    Means instead of samples keep the answer continuous where the force jumps; that they are means over a step is taken
+    back out by the factor of the box. A jump, as in Coulomb friction, leaves :math:`(k\pi/\mathrm{samples})^2/3` of
+    harmonic k.
+    """
+    half = _half(joint, harmonics)
+    tau = _times(harmonics, samples, half)
+    x, v = _motion(q, omega, harmonics, tau)
+    step = tau[1] / omega
+    old, new, v_old, v_new = x[:-1], x[1:], v[:-1], v[1:]
+    turns = v_old * v_new < 0
+    share = jnp.where(turns, v_old / jnp.where(turns, v_old - v_new, 1.0), 1.0)
+    # the turning point seen from either end, blended so that it moves smoothly from one step into the next
+    from_old, from_new = old + 0.5 * v_old * share * step, new - 0.5 * v_new * (1 - share) * step
+    turn = jnp.where(turns, (1 - share) * from_old + share * from_new, new)
+    v_turn = jnp.where(turns, 0.0, v_new)
+    bow_in = 0.5 * (v_old - v_turn) * share * step
+    bow_out = 0.5 * (v_turn - v_new) * (1 - share) * step
+
+    def advance(state: Any, part: tuple[Array, ...]) -> tuple[Any, Array]:
+        old, turn, new, share, bow_in, bow_out = part
+        mean = share * joint.average(state, old, turn, bow_in)
+        state, _ = joint.step(state, old, turn)
+        mean = mean + (1 - share) * joint.average(state, turn, new, bow_out)
+        state, _ = joint.step(state, turn, new)
+        return state, mean
+
+    def settle(state: Any, part: tuple[Array, ...]) -> tuple[Any, None]:
+        old, turn, new = part
+        state, _ = joint.step(state, old, turn)
+        return joint.step(state, turn, new)[0], None
+
+    state, _ = joint.step(joint.initial_state(), jnp.zeros_like(x[0]), x[0])
+    laps = 2 * joint.settle - 1 if half else joint.settle
+    for lap in range(laps):
+        sign = -1.0 if half and lap % 2 else 1.0
+        state, _ = jax.lax.scan(settle, state, (sign * old, sign * turn, sign * new))
+    sign = -1.0 if half else 1.0
+    way = (sign * old, sign * turn, sign * new, share, sign * bow_in, sign * bow_out)
+    _, mean = jax.lax.scan(advance, state, way)
+    k = np.array(harmonics)
+    box = np.sinc(k / samples)
+    return _coefficients(sign * mean, 0.5 * (tau[:-1] + tau[1:]), harmonics) / box

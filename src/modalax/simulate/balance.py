@@ -1,0 +1,156 @@
+r"""Harmonic balance on the relative coordinates of the joints, at one frequency: :math:`q + (b^T H b) f(q) = b^T H F`.
+
+A few real unknowns, whatever the size of the structure. Finding the answer and differentiating it are kept apart: a
+damped Newton iteration that tries several step lengths at once and starts anew where it sticks finds the answer;
+optimistix takes it from there and carries its derivatives by the implicit function theorem.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import lineax as lx
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Bool, Complex, Float
+
+from modalax.simulate.aft import Harmonics, joint_forces, real_size, to_complex, to_real
+from modalax.simulate.joints import Joint
+
+STEPS = np.array([1.0, 0.5, 0.2, 0.05, 0.01])
+"""Step lengths tried at once in every damped Newton step."""
+CLOSED = 1e-9
+"""A balance whose residual is below this part of the motion without joints counts as solved."""
+TIGHT = 1e-12
+"""Residual at which the search stops; one more Newton step follows."""
+
+
+class Line(NamedTuple):
+    """What the balance at one frequency needs of the structure.
+
+    Attributes
+    ----------
+    G
+        Receptance between the joints at each harmonic, shape ``(h, j, j)`` [m/N].
+    u
+        Motion of the joints' ends without joint forces, shape ``(h, j)`` [m].
+    omega
+        Circular frequency of the excitation [rad/s].
+    """
+
+    G: Complex[Array, "*batch h j j"]
+    u: Complex[Array, "*batch h j"]
+    omega: Float[Array, "*batch"]
+
+
+class Plan(NamedTuple):
+    """Orders of a balance, all static."""
+
+    joints: int
+    harmonics: Harmonics
+    samples: int
+
+    @property
+    def size(self) -> int:
+        """Number of real unknowns."""
+        return real_size(self.joints, self.harmonics)
+
+    def real(self, q: Complex[Array, "j h"]) -> Float[Array, " r"]:
+        """Harmonics as reals."""
+        return to_real(q, self.harmonics)
+
+    def complex(self, y: Float[Array, " r"]) -> Complex[Array, "j h"]:
+        """Reals as harmonics."""
+        return to_complex(y, self.joints, self.harmonics)
+
+
+def residual(plan: Plan, q: Complex[Array, "j h"], joints: tuple[Joint, ...], line: Line) -> Complex[Array, "j h"]:
+    """What is missing to balance, ``q + G f(q) - u`` [m]."""
+    f = joint_forces(joints, q, line.omega, plan.harmonics, plan.samples)
+    return q + jnp.einsum("hjk,kh->jh", line.G, f) - line.u.T
+
+
+def motion_scale(line: Line) -> Float[Array, "*batch"]:
+    """Largest motion without joint forces [m], 1 where there is none."""
+    largest = jnp.max(jnp.abs(line.u), axis=(-2, -1))
+    return jnp.where(largest > 0, largest, 1.0)
+
+
+def _scaled(y: Float[Array, " r"], args: tuple[Plan, tuple[Joint, ...], Line, Array]) -> Float[Array, " r"]:
+    """The residual as reals, over the scale of the motion."""
+    plan, joints, line, scale = args
+    return plan.real(residual(plan, scale * plan.complex(y), joints, line)) / scale
+
+
+class _Search(NamedTuple):
+    """State of a search: where it is, its start, steps since, and the best so far."""
+
+    y: Array
+    start: Array
+    count: Array
+    best: Array
+    left: Array
+
+
+def find(
+    plan: Plan, joints: tuple[Joint, ...], line: Line, starts: Float[Array, "s r"], limit: int = 25
+) -> tuple[Float[Array, " r"], Float[Array, ""]]:
+    """Damped Newton iteration from each start (scaled reals) in turn until one leads to a solution.
+
+    Returns where it ends and the residual left there. Not differentiated: see :func:`polish`.
+    """
+    args = (plan, joints, line, motion_scale(line))
+
+    def both(y: Float[Array, " r"]) -> tuple[Array, Array]:
+        missing = _scaled(y, args)
+        return missing, missing
+
+    def go_on(s: _Search) -> Bool[Array, ""]:
+        return (s.left > TIGHT) & (s.start < len(starts))
+
+    def improve(s: _Search) -> _Search:
+        jacobian, missing = jax.jacfwd(both, has_aux=True)(s.y)
+        before = jnp.max(jnp.abs(missing))
+        tried = s.y - STEPS[:, None] * jnp.linalg.solve(jacobian, missing)
+        sizes = jnp.max(jnp.abs(jax.vmap(lambda y: _scaled(y, args))(tried)), axis=1)
+        sizes = jnp.where(jnp.isfinite(sizes), sizes, jnp.inf)
+        # the full step where it serves nearly as well, so that the end is quadratic
+        choice = jnp.where(sizes[0] < 0.5 * before, 0, jnp.argmin(sizes))
+        after = sizes[choice]
+        record = after < s.left
+        best, left = jnp.where(record, tried[choice], s.best), jnp.where(record, after, s.left)
+        over = ~(after < before) | (s.count >= limit)
+        # a search that cannot go on below the rounding of the residual is at its end, not stuck
+        start = jnp.where(over, jnp.where(left < CLOSED, len(starts), s.start + 1), s.start)
+        y = jnp.where(over, starts[jnp.minimum(start, len(starts) - 1)], tried[choice])
+        return _Search(y, start, jnp.where(over, 0, s.count + 1), best, left)
+
+    zero = jnp.zeros((), int)
+    end = jax.lax.while_loop(go_on, improve, _Search(starts[0], zero, zero, starts[0], jnp.array(jnp.inf)))
+    return end.best, end.left
+
+
+def polish(
+    plan: Plan, joints: tuple[Joint, ...], line: Line, y: Float[Array, " r"]
+) -> tuple[Complex[Array, "j h"], Float[Array, ""]]:
+    """One Newton step from a solution, differentiable in joints, receptance and excitation by the implicit function.
+
+    Returns the joints' displacement harmonics [m] and the residual left, over the motion without joints.
+    """
+    scale = jax.lax.stop_gradient(motion_scale(line))
+    args = (plan, joints, line, scale)
+    y = jax.lax.stop_gradient(y)
+    solution = optx.root_find(
+        _scaled, optx.Newton(rtol=1e-12, atol=1e-14, linear_solver=lx.LU()), y, args,
+        max_steps=1, throw=False, adjoint=optx.ImplicitAdjoint(linear_solver=lx.LU()),
+    )  # fmt: skip
+    # where nothing was found an undamped step may lead anywhere; the best point found is kept there
+    before = jnp.max(jnp.abs(_scaled(y, args)))
+    value = jnp.where(before < CLOSED, solution.value, y)
+    left = jnp.minimum(before, jnp.max(jnp.abs(_scaled(solution.value, args))))
+    return scale * plan.complex(value), jax.lax.stop_gradient(left)
+
+
+def stop(tree: Any) -> Any:
+    """The same numbers without derivatives."""
+    return jax.tree.map(jax.lax.stop_gradient, tree)

@@ -1,0 +1,192 @@
+r"""A whole response branch, through its folds, by pseudo-arclength continuation of the harmonic balance.
+
+Unknowns are the joints' harmonics and the frequency. A step goes along the tangent and is corrected at right angles to
+it; its length follows the number of corrections. Nothing here looks at values, so a trace is one compiled scan.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Complex, Float
+
+from modalax._numerics.checks import as_double
+from modalax.model.modal import ModalModel
+from modalax.model.receptance import AnyStructure, directions, receptance
+from modalax.model.solve import DIRECT_DOFS
+from modalax.model.structure import Structure
+from modalax.simulate.aft import Harmonics, choose_harmonics
+from modalax.simulate.balance import CLOSED, Line, Plan, find, motion_scale, residual
+from modalax.simulate.joints import Joint
+
+CORRECTIONS = 8
+"""Newton corrections allowed in a step."""
+LONGEST, SHORTEST = 0.05, 1e-7
+"""Limits of a step, in parts of the band and of the largest motion."""
+
+
+class Branch(eqx.Module):
+    """Points along a response branch, in the order in which the trace met them.
+
+    Attributes
+    ----------
+    freq
+        Excitation frequency of each point, shape ``(s,)`` [Hz]; it turns back at folds.
+    q
+        Displacement harmonics across the joints, shape ``(s, j, h)`` [m].
+    arc
+        Arclength, in parts of the band and of the largest motion together, shape ``(s,)`` [-].
+    direction
+        How the frequency changes along the branch, shape ``(s,)`` [Hz]; it changes sign at folds.
+    valid
+        Which points belong to the branch: False after its end in the band, or where no step succeeded.
+    harmonics
+        Which harmonics.
+    """
+
+    freq: Float[Array, " s"]
+    q: Complex[Array, "s j h"]
+    arc: Float[Array, " s"]
+    direction: Float[Array, " s"]
+    valid: Bool[Array, " s"]
+    harmonics: Harmonics = eqx.field(static=True)
+
+    def folds(self) -> np.ndarray:
+        """Frequencies [Hz] at which the branch turns back; between two points the direction changes evenly."""
+        ok = np.asarray(self.valid)
+        freq, arc, way = (np.asarray(a)[ok] for a in (self.freq, self.arc, self.direction))
+        k = np.flatnonzero(way[1:] * way[:-1] < 0)
+        return freq[k] + 0.5 * (arc[k + 1] - arc[k]) * way[k] ** 2 / (way[k] - way[k + 1])
+
+
+class _Problem(NamedTuple):
+    """What a trace needs: the structure as a function of frequency, and its scales."""
+
+    structure: AnyStructure
+    joints: tuple[Joint, ...]
+    b: Array
+    force: Array
+    low: Array
+    width: Array
+    scale: Array
+
+
+def _line(plan: Plan, p: _Problem, omega: Float[Array, ""]) -> Line:
+    k = jnp.array(plan.harmonics)
+    columns = jnp.concatenate([p.b.T, p.force[:, None]], axis=1)
+    H = receptance(p.structure, omega * k, p.b, columns)
+    u = jnp.where((k == 1)[:, None], H[:, :, -1], 0.0)
+    return Line(H[:, :, :-1], u, omega)
+
+
+def _missing(plan: Plan, p: _Problem, z: Float[Array, " r1"]) -> Float[Array, " r"]:
+    line = _line(plan, p, p.low + p.width * z[-1])
+    return plan.real(residual(plan, p.scale * plan.complex(z[:-1]), p.joints, line)) / p.scale
+
+
+def _tangent(jacobian: Float[Array, "r r1"], before: Float[Array, " r1"]) -> Float[Array, " r1"]:
+    """Direction of the branch, on the side of the tangent before."""
+    square = jnp.concatenate([jacobian, before[None]])
+    t = jnp.linalg.solve(square, jnp.zeros_like(before).at[-1].set(1.0))
+    return t / jnp.linalg.norm(t)
+
+
+class _State(NamedTuple):
+    z: Array
+    t: Array
+    step: Array
+    ended: Array
+
+
+@eqx.filter_jit
+def _trace(plan: Plan, p: _Problem, points: int, downward: bool) -> tuple[Array, Array, Array, Array]:
+    line = _line(plan, p, p.low + p.width * (1.0 if downward else 0.0))
+    free = plan.real(line.u.T / motion_scale(line))
+    y, left = find(plan, p.joints, line, jnp.stack([c * free for c in (1.0, 0.3, 0.05, 0.0)]))
+    z = jnp.append(y * motion_scale(line) / p.scale, 1.0 if downward else 0.0)
+    slope = jax.jacfwd(lambda z: _missing(plan, p, z))
+    outward = jnp.zeros_like(z).at[-1].set(-1.0 if downward else 1.0)
+    start = _State(z, _tangent(slope(z), outward), jnp.array(0.1 * LONGEST), left > CLOSED)
+
+    def correct(s: _State) -> tuple[Array, Array, Array]:
+        ahead = s.z + s.step * s.t
+
+        def newton(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+            z, _, count = carry
+            square = jnp.concatenate([slope(z), s.t[None]])
+            both = jnp.append(_missing(plan, p, z), s.t @ (z - ahead))
+            z = z - jnp.linalg.solve(square, both)
+            return z, jnp.max(jnp.abs(_missing(plan, p, z))), count + 1
+
+        go_on = lambda c: (c[1] > 0.01 * CLOSED) & (c[2] < CORRECTIONS)  # noqa: E731
+        return jax.lax.while_loop(go_on, newton, (ahead, jnp.array(jnp.inf), jnp.zeros((), int)))
+
+    def advance(s: _State, _: None) -> tuple[_State, tuple[Array, Array, Array]]:
+        z, left, count = correct(s)
+        far = jnp.linalg.norm(z - s.z) > 2 * s.step
+        good = (left < CLOSED) & ~far & ~s.ended
+        t = jnp.where(good, _tangent(slope(jnp.where(good, z, s.z)), s.t), s.t)
+        # a sharp turn or many corrections ask for shorter steps
+        calm = (count <= 3) & (t @ s.t > 0.98)
+        longer = jnp.where(calm, 1.5, jnp.where((count > 5) | (t @ s.t < 0.9), 0.6, 1.0))
+        step = jnp.clip(s.step * jnp.where(good, longer, 0.4), SHORTEST, LONGEST)
+        z = jnp.where(good, z, s.z)
+        ended = s.ended | (z[-1] < -1e-9) | (z[-1] > 1 + 1e-9)
+        return _State(z, t, step, ended), (z, t[-1], good & ~ended)
+
+    _, (zs, way, valid) = jax.lax.scan(advance, start, None, length=points)
+    return zs[:, -1], zs[:, :-1], way, valid
+
+
+def follow_branch(
+    structure: AnyStructure,
+    joints: Sequence[Joint],
+    places: Sequence[Sequence[str]],
+    band: tuple[float, float],
+    level: Any,
+    *,
+    input: str,
+    harmonics: int | tuple[int, ...] = 1,
+    samples: int = 128,
+    points: int = 400,
+    downward: bool = False,
+) -> Branch:
+    """Follow the response branch at one force level from one end of a band, through all folds, unstable parts included.
+
+    Parameters
+    ----------
+    band
+        Frequencies between which the branch is followed [Hz].
+    level
+        Force amplitude [N] at the DoF ``input``.
+    points
+        Steps made; points after the branch left the band are marked as not valid.
+    downward
+        Start at the upper end of the band.
+
+    Raises
+    ------
+    ValueError
+        If the band is empty, or a large structure with hysteretic damping has to be taken apart into modes.
+    """
+    low, high = (2 * np.pi * float(f) for f in band)
+    if not 0 < low < high:
+        raise ValueError(f"the band {band[0]:g} to {band[1]:g} Hz must rise and lie above 0 Hz")
+    kept = choose_harmonics(tuple(joints), harmonics)
+    if isinstance(structure, Structure) and len(structure.dofs) > DIRECT_DOFS:
+        structure = structure.modal()
+    b, force = directions(structure, places), as_double(level, "level") * directions(structure, [[input]])[0]
+    grid = jnp.linspace(low, high, 400)
+    plan = Plan(len(joints), kept, samples)
+    scale = jnp.max(jnp.abs(receptance(structure, grid, b, force[:, None])))
+    if isinstance(structure, ModalModel) and structure.outputs != structure.inputs:
+        raise ValueError("continuation needs a modal model whose outputs and inputs are the same DoFs")
+    p = _Problem(structure, tuple(joints), b, force, jnp.array(low), jnp.array(high - low), scale)
+    share, ys, way, valid = _trace(plan, p, points, downward)
+    q = scale * jax.vmap(plan.complex)(ys)
+    arc = jnp.cumsum(jnp.linalg.norm(jnp.diff(jnp.column_stack([ys, share]), axis=0, prepend=0.0), axis=1))
+    width = (high - low) / (2 * np.pi)
+    return Branch(low / (2 * np.pi) + width * share, q, arc, width * way, valid, kept)

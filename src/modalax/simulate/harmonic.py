@@ -1,0 +1,265 @@
+r"""Predicted FRFs of a structure with non-linear joints, by harmonic balance over frequencies and force levels.
+
+The joints' relative displacements q solve :math:`q + (b^T H b) f(q) = b^T H F`; all other motion follows linearly,
+:math:`x = H F - H b f`. Cost beyond the receptance does not depend on the size of the structure.
+"""
+
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Complex, Float
+
+from modalax._numerics.checks import as_double, is_traced
+from modalax.data.frf import DERIVATIVES, check_axis, check_form
+from modalax.data.measurement import Measurement
+from modalax.model.receptance import AnyStructure, directions, dof_names, receptance
+from modalax.simulate.aft import Harmonics, choose_harmonics, joint_forces
+from modalax.simulate.balance import Line, Plan
+from modalax.simulate.joints import Joint
+from modalax.simulate.sweep import solve_lines, solved
+
+SAMPLES = 128
+
+
+class Response(eqx.Module):
+    r"""Steady motion of a structure with joints under a sine force, at each level and frequency, for each input.
+
+    Harmonics are complex amplitudes, :math:`x(t) = \sum_k \mathrm{Re}(X_k e^{jk\omega t})`.
+
+    Attributes
+    ----------
+    freq, level
+        Excitation frequencies, shape ``(f,)`` [Hz], and force amplitudes, shape ``(level,)`` [N].
+    q, force
+        Displacement across each joint [m] and its force [N], shape ``(level, f, j, h, i)``.
+    X
+        Displacement of the outputs [m], shape ``(level, f, o, h, i)``.
+    residual
+        What is missing to balance, over the motion without joints, shape ``(level, f, i)`` [-].
+    harmonics, outputs, inputs
+        Which harmonics, and the DoF names.
+    """
+
+    freq: Float[Array, " f"]
+    level: Float[Array, " level"]
+    q: Complex[Array, "level f j h i"]
+    force: Complex[Array, "level f j h i"]
+    X: Complex[Array, "level f o h i"]
+    residual: Float[Array, "level f i"]
+    harmonics: Harmonics = eqx.field(static=True)
+    outputs: tuple[str, ...] = eqx.field(static=True)
+    inputs: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def converged(self) -> Bool[Array, "level f i"]:
+        """Which points are solved; elsewhere the numbers are the best that was found."""
+        return solved(self.residual)
+
+    @property
+    def fundamental(self) -> Complex[Array, "level f o i"]:
+        """Displacement of the outputs at the excitation frequency [m]."""
+        return self.X[:, :, :, self.harmonics.index(1)]
+
+    def frf_values(self, form: str = "receptance") -> Complex[Array, "level f o i"]:
+        """Fundamental response over force."""
+        factor = (2j * jnp.pi * self.freq) ** DERIVATIVES[check_form(form)]
+        return self.fundamental * factor[:, None, None] / self.level[:, None, None, None]
+
+    def measurement(self, form: str = "receptance") -> Measurement:
+        """The FRFs as a measurement, one run a level."""
+        return Measurement(
+            self.freq, self.frf_values(form), level=self.level, form=form, outputs=self.outputs, inputs=self.inputs
+        )
+
+
+class Receptances(eqx.Module):
+    """What harmonic balance needs of the structure, whatever kind it is.
+
+    Attributes
+    ----------
+    joints
+        Between the joints at each harmonic, shape ``(f, h, j, j)`` [m/N].
+    outputs
+        From the joints to the outputs at each harmonic, shape ``(f, h, o, j)``.
+    driven, direct
+        From the inputs to the joints, ``(f, j, i)``, and to the outputs, ``(f, o, i)``, at the fundamental.
+    omega
+        Circular frequencies [rad/s].
+    """
+
+    joints: Complex[Array, "f h j j"]
+    outputs: Complex[Array, "f h o j"]
+    driven: Complex[Array, "f j i"]
+    direct: Complex[Array, "f o i"]
+    omega: Float[Array, " f"]
+
+
+def receptances(
+    structure: AnyStructure, b: Float[Array, "j n"], omega: Any, outputs: Any, inputs: Any, harmonics: Harmonics
+) -> Receptances:
+    """Receptances at all harmonics; ``outputs`` and ``inputs`` are directions, shapes ``(o, n)`` and ``(i, n)``.
+
+    Raises
+    ------
+    ValueError
+        If the structure floats freely and a mean displacement is among the harmonics.
+    """
+    omega = as_double(omega, "omega")
+    j, f, h = b.shape[0], omega.shape[0], len(harmonics)
+    all_omega = (omega[:, None] * jnp.array(harmonics)).ravel()
+    to_joints = receptance(structure, all_omega, jnp.concatenate([b, outputs]), b.T).reshape(f, h, -1, j)
+    if 0 in harmonics and not is_traced(to_joints) and not bool(jnp.all(jnp.isfinite(to_joints))):
+        raise ValueError(
+            "the structure floats freely at 0 Hz, so a joint whose law is not odd has no mean position there; "
+            "hold the structure, or choose harmonics without 0"
+        )
+    at_one = receptance(structure, omega, jnp.concatenate([b, outputs]), inputs.T)
+    return Receptances(to_joints[:, :, :j], to_joints[:, :, j:], at_one[:, :j], at_one[:, j:], omega)
+
+
+def balance_levels(
+    R: Receptances, joints: tuple[Joint, ...], level: Any, plan: Plan, downward: bool = False
+) -> tuple[Complex[Array, "level f j h i"], Float[Array, "level f i"]]:
+    """Joint displacements [m] at all levels [N] and inputs, and the residuals; pure, differentiable, jit and vmap."""
+    at = plan.harmonics.index(1)
+    u = jnp.zeros((*R.joints.shape[:2], *R.driven.shape[1:]), complex).at[:, at].set(R.driven)
+
+    def one(level: Float[Array, ""], u: Complex[Array, "f h j"]) -> tuple[Array, Array]:
+        return solve_lines(plan, joints, Line(R.joints, level * u, R.omega), downward)
+
+    over_inputs = jax.vmap(one, in_axes=(None, -1), out_axes=-1)
+    return jax.vmap(over_inputs, in_axes=(0, None))(jnp.asarray(level), u)
+
+
+def respond(
+    R: Receptances, joints: tuple[Joint, ...], q: Complex[Array, "level f j h i"], level: Any, plan: Plan
+) -> tuple[Complex[Array, "level f j h i"], Complex[Array, "level f o h i"]]:
+    """Joint forces [N] and output displacements [m] that belong to joint displacements."""
+    force = jax.vmap(
+        jax.vmap(
+            jax.vmap(lambda q, w: joint_forces(joints, q, w, plan.harmonics, plan.samples), (-1, None), -1), (0, 0)
+        ),
+        (0, None),
+    )(q, R.omega)
+    X = -jnp.einsum("fhoj,lfjhi->lfohi", R.outputs, force)
+    at = plan.harmonics.index(1)
+    return force, X.at[:, :, :, at].add(jnp.asarray(level)[:, None, None, None] * R.direct)
+
+
+def harmonic_balance(
+    structure: AnyStructure,
+    joints: Sequence[Joint],
+    places: Sequence[Sequence[str]],
+    freq: Any,
+    level: Any,
+    *,
+    inputs: Sequence[str],
+    outputs: Sequence[str] | None = None,
+    harmonics: int | tuple[int, ...] = 1,
+    samples: int = SAMPLES,
+    sweep: str = "up",
+) -> Response:
+    r"""Balance a structure with joints under sine forces of constant amplitude.
+
+    Parameters
+    ----------
+    structure
+        Matrices, a modal model, or either with local changes.
+    joints, places
+        The joints, and where each sits: ``[dof, dof]`` or ``[dof]`` to the ground.
+    freq
+        Excitation frequencies, increasing, shape ``(f,)`` [Hz].
+    level
+        Force amplitudes, one number or shape ``(level,)`` [N].
+    inputs
+        DoFs at which the force acts, one at a time.
+    outputs
+        DoFs whose motion is wanted; all by default.
+    harmonics
+        Highest harmonic: all up to it, with the mean, are kept, only the odd ones if all laws are odd; or which ones.
+    samples
+        Times of a cycle at which forces are evaluated, where more than a describing function is needed.
+    sweep
+        ``up`` or ``down``: which branch is returned where there are several.
+
+    Raises
+    ------
+    ValueError
+        If joints and places differ in number, or a name, harmonic, level or frequency cannot be used.
+    """
+    freq = as_double(freq, "freq")
+    check_axis(freq)
+    if len(joints) != len(places) or not joints:
+        raise ValueError(
+            f"{len(joints)} joints for {len(places)} places; at least one joint, and a place for each, is needed"
+        )
+    if sweep not in ("up", "down"):
+        raise ValueError(f"sweep is {sweep!r}; it must be up or down")
+    level = jnp.atleast_1d(as_double(level, "level"))
+    if not is_traced(level) and not bool(jnp.all(level > 0)):
+        raise ValueError(f"level holds {float(jnp.min(level)):g} N; force amplitudes must be above 0")
+    joints, kept = tuple(joints), choose_harmonics(tuple(joints), harmonics)
+    if samples < 4 * max(kept) or samples % 2:
+        raise ValueError(
+            f"{samples} samples for harmonic {max(kept)}; an even number of at least {4 * max(kept)} is needed"
+        )
+    out_names = dof_names(structure) if outputs is None else tuple(outputs)
+    plan = Plan(len(joints), kept, samples)
+    b, o, i = (directions(structure, p) for p in (places, [[n] for n in out_names], [[n] for n in inputs]))
+    R = receptances(structure, b, 2 * jnp.pi * freq, o, i, kept)
+    q, left, force, X = _answer(R, joints, level, plan, sweep == "down")
+    return Response(freq, level, q, force, X, left, kept, out_names, tuple(inputs))
+
+
+@eqx.filter_jit
+def _answer(
+    R: Receptances, joints: tuple[Joint, ...], level: Float[Array, " level"], plan: Plan, downward: bool
+) -> tuple[Array, Array, Array, Array]:
+    q, left = balance_levels(R, joints, level, plan, downward)
+    return q, left, *respond(R, joints, q, level, plan)
+
+
+def simulate(
+    structure: AnyStructure,
+    joints: Sequence[Joint],
+    places: Sequence[Sequence[str]],
+    freq: Any,
+    level: Any,
+    *,
+    inputs: Sequence[str],
+    outputs: Sequence[str] | None = None,
+    form: str = "receptance",
+    **orders: Any,
+) -> Measurement:
+    """Predicted FRFs at each level, one run a level; without joints the linear ones.
+
+    Parameters are those of :func:`harmonic_balance`. Lines that did not converge are warned of.
+    """
+    if not joints:
+        from modalax.model.receptance import frf
+
+        linear = frf(structure, freq, form=form, outputs=outputs, inputs=inputs)
+        level = jnp.atleast_1d(as_double(level, "level"))
+        H = jnp.broadcast_to(linear.H, (level.shape[0], *linear.H.shape))
+        return Measurement(linear.freq, H, level=level, form=form, outputs=linear.outputs, inputs=linear.inputs)
+    response = harmonic_balance(structure, joints, places, freq, level, inputs=inputs, outputs=outputs, **orders)
+    if not is_traced(response.residual):
+        _warn_of_unsolved(response)
+    return response.measurement(form)
+
+
+def _warn_of_unsolved(response: Response) -> None:
+    failed = np.argwhere(~np.asarray(response.converged))
+    if len(failed):
+        run, line, _ = failed[0]
+        warnings.warn(
+            f"{len(failed)} of {response.residual.size} points did not converge, the first at "
+            f"{float(response.freq[line]):g} Hz and {float(response.level[run]):g} N; "
+            "try more samples, finer lines or fewer harmonics",
+            stacklevel=3,
+        )

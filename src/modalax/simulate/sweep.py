@@ -1,0 +1,94 @@
+"""Many lines and levels: a quick sweep with few harmonics picks the branch, then all lines are balanced at once."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Complex, Float
+
+from modalax.simulate.aft import Harmonics, has_closed_form
+from modalax.simulate.balance import CLOSED, Line, Plan, find, motion_scale, polish, stop
+from modalax.simulate.joints import Joint
+
+LOAD_STEPS = 12
+"""Steps in which the force is raised to its level on the first line of a sweep."""
+SWEEP_SAMPLES = 64
+TURNS = np.array([1.0, 0.3, -0.3, 0.05, -1.0, 1j, -1j, -2.0, 0.0])
+"""Where a search starts anew, in parts of the motion without joints."""
+AMPLITUDES = np.geomspace(1e-5, 1e3, 129)
+
+
+def few(plan: Plan, joints: tuple[Joint, ...]) -> Plan:
+    """The cheapest balance that still shows which branch a line is on: fundamental, and mean where a law is not odd."""
+    mean = (0,) if 0 in plan.harmonics and not all(joint.odd for joint in joints) else ()
+    return Plan(plan.joints, (*mean, 1), min(plan.samples, SWEEP_SAMPLES))
+
+
+def _pick(line: Line, have: Harmonics, want: Harmonics) -> Line:
+    at = jnp.array([have.index(k) for k in want])
+    return Line(line.G[..., at, :, :], line.u[..., at, :], line.omega)
+
+
+def _pad(q: Complex[Array, "j h"], have: Harmonics, want: Harmonics) -> Complex[Array, "j h2"]:
+    return jnp.zeros((q.shape[0], len(want)), complex).at[:, jnp.array([want.index(k) for k in have])].set(q)
+
+
+def amplitude_roots(joint: Joint, line: Line) -> Complex[Array, " 2"]:
+    r"""Smallest and largest motion that one joint allows, roots of :math:`A\,|1 + G N(A)| = |u|` on a grid of A [m]."""
+    G, u = line.G[0, 0, 0], line.u[0, 0]
+    A = AMPLITUDES * motion_scale(line)
+    mismatch = jnp.log(jnp.abs(1 + G * joint.describing(A, line.omega)) * A) - jnp.log(jnp.maximum(jnp.abs(u), 1e-300))
+    crossing = mismatch[:-1] * mismatch[1:] <= 0
+    share = mismatch[:-1] / jnp.where(crossing, mismatch[:-1] - mismatch[1:], 1.0)
+    root = jnp.exp(jnp.log(A[:-1]) + jnp.where(crossing, share, 0.0) * np.log(AMPLITUDES[1] / AMPLITUDES[0]))
+    ends = jnp.stack([root[jnp.argmax(crossing)], root[-1 - jnp.argmax(crossing[::-1])]])
+    return u / (1 + G * joint.describing(ends, line.omega))
+
+
+def branch(plan: Plan, joints: tuple[Joint, ...], lines: Line) -> Float[Array, "f r"]:
+    """Solutions (scaled reals) of a sweep through ``lines`` in their order, each started from the one before.
+
+    The force is raised to its level on the first line. Where the branch ends, at a fold, the search starts anew from
+    the motion without joints, from smaller ones and from rest: the jump.
+    """
+    share = jnp.linspace(0.0, 1.0, LOAD_STEPS + 1)[1:]
+    raised = jax.tree.map(lambda a: jnp.broadcast_to(a[0], (LOAD_STEPS, *a.shape[1:])), lines)
+    raised = raised._replace(u=share[:, None, None] * raised.u)
+    way = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), raised, lines)
+
+    def advance(q: Complex[Array, "j h"], line: Line) -> tuple[Complex[Array, "j h"], Array]:
+        scale = motion_scale(line)
+        anew = jnp.asarray(TURNS)[:, None, None] * line.u.T / scale
+        if plan.joints == 1 and plan.harmonics == (1,) and has_closed_form(joints[0]):
+            anew = jnp.concatenate([amplitude_roots(joints[0], line)[:, None, None] / scale, anew])
+        starts = jnp.concatenate([plan.real(q)[None] / scale, jax.vmap(plan.real)(anew)])
+        y, _ = find(plan, joints, line, starts)
+        return scale * plan.complex(y), y
+
+    _, ys = jax.lax.scan(advance, raised.u[0].T, way)
+    return ys[LOAD_STEPS:]
+
+
+def solve_lines(
+    plan: Plan, joints: tuple[Joint, ...], lines: Line, downward: bool = False
+) -> tuple[Complex[Array, "f j h"], Float[Array, " f"]]:
+    """Balance of every line of one level on the branch of an upward (or downward) sweep; differentiable.
+
+    Returns displacement harmonics of the joints [m] and the residual left, over the motion without joints.
+    """
+    cheap = few(plan, joints)
+    given = stop((joints, lines))
+    turn = (lambda a: a[::-1]) if downward else (lambda a: a)
+    coarse_lines = _pick(given[1], plan.harmonics, cheap.harmonics)
+    coarse = turn(branch(cheap, given[0], jax.tree.map(turn, coarse_lines)))
+
+    def finish(y: Float[Array, " r"], line: Line) -> Float[Array, " r2"]:
+        whole = plan.real(_pad(cheap.complex(y), cheap.harmonics, plan.harmonics))
+        return find(plan, given[0], line, jnp.stack([whole, 0.9 * whole, 1.1 * whole]))[0]
+
+    ends = coarse if plan == cheap else jax.vmap(finish)(coarse, given[1])
+    return jax.vmap(lambda y, n: polish(plan, joints, n, y))(ends, lines)
+
+
+def solved(left: Float[Array, "..."]) -> Bool[Array, "..."]:
+    """Which balances closed."""
+    return left < CLOSED

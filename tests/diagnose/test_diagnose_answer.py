@@ -1,0 +1,162 @@
+"""A measurement and a simulation in, the answer out."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import modalax
+from modalax import Measurement, Structure
+from modalax.diagnose import ChannelCause, LocalCause, Parameter, Place, diagnose, strengths
+from modalax.diagnose.causes.channels import ChannelGain, ChannelSign, TimeDelay
+from modalax.diagnose.causes.local import AddedMass, JointStiffness, LocalDamper
+from modalax.diagnose.extend import from_arrays
+from modalax.model.examples import five_dof
+
+FREQ = np.linspace(20.0, 70.0, 128)
+FEW = [JointStiffness(), LocalDamper(), AddedMass(), ChannelGain(), ChannelSign(), TimeDelay()]
+
+
+def measured(structure, seed=0, noise=0.02, runs=1, change=None, form="mobility"):
+    H = np.asarray(structure.frf(FREQ, inputs=("1", "4"), form=form).H)
+    H = np.repeat((H if change is None else change(H))[None], runs, axis=0)
+    rng = np.random.default_rng(seed)
+    sigma = noise * np.sqrt((np.abs(H) ** 2).mean(axis=1, keepdims=True)) * np.ones(H.shape)
+    H = H + sigma * (rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape)) / np.sqrt(2)
+    return Measurement(FREQ, H, variance=sigma**2, form=form, outputs=structure.dofs, inputs=("1", "4"))
+
+
+def with_spring(k):
+    S = five_dof()
+    b = np.eye(5)[2] - np.eye(5)[4]
+    return Structure(S.M, S.C, np.asarray(S.K) + k * np.outer(b, b), S.dofs)
+
+
+def test_nothing_is_found_where_nothing_is_wrong():
+    verdicts = [diagnose(measured(five_dof(), seed), five_dof(), causes=FEW).verdict for seed in range(3)]
+    assert verdicts.count("clean") >= 2  # one alarm in a hundred is nominal
+
+
+def test_a_spring_is_named_placed_and_measured():
+    k = 2500.0
+    found = diagnose(measured(with_spring(k), 1), five_dof(), causes=FEW)
+    answer = found.to_dict()
+    assert answer["verdict"] == "named"
+    (cause,) = answer["causes"]
+    assert (cause["name"], sorted(cause["where"])) == ("joint_stiffness", ["3", "5"])
+    told = cause["parameters"]["stiffness"]
+    assert told["unit"] == "N/m"
+    assert abs(told["value"] - k) < 4 * told["std"] < 0.2 * k
+    assert answer["alternatives"] == [] and answer["advice"] is None
+    gain = answer["gain"]
+    assert gain["chi2_after"] < 1.1 < gain["chi2_before"]
+    assert gain["log_likelihood_gain"] > gain["log_likelihood_gain_std"] > 0
+    assert answer["smallest_detectable"]["joint_stiffness"] > 0
+
+
+def test_a_sign_and_a_gain_are_not_taken_for_each_other():
+    turn = np.ones((1, 5, 1))
+    turn[0, 3] = -1.0
+    answer = diagnose(measured(five_dof(), 2, change=lambda H: H * turn), five_dof(), causes=FEW).to_dict()
+    assert [(c["name"], c["where"]) for c in answer["causes"]] == [("channel_sign", ["4"])]
+    turn[0, 3] = 1.15
+    answer = diagnose(measured(five_dof(), 2, change=lambda H: H * turn), five_dof(), causes=FEW).to_dict()
+    (cause,) = answer["causes"]
+    assert (cause["name"], cause["where"]) == ("channel_gain", ["4"])
+    assert abs(cause["parameters"]["gain"]["value"] - 0.15) < 4 * cause["parameters"]["gain"]["std"]
+
+
+@pytest.mark.slow
+def test_two_causes_are_both_named():
+    turn = np.ones((1, 5, 1))
+    turn[0, 1] = 0.85
+    answer = diagnose(measured(with_spring(4000.0), 3, change=lambda H: H * turn), five_dof(), causes=FEW).to_dict()
+    assert {c["name"] for c in answer["causes"]} == {"joint_stiffness", "channel_gain"}
+    assert answer["verdict"] == "named"
+
+
+class Crosstalk(ChannelCause):
+    """A fault of one's own: a share of the first output in the second."""
+
+    slug = "crosstalk"
+    parameters = (Parameter("share", "-"),)
+
+    def places(self, scene):
+        return [Place(tuple(scene.outputs[:2]), (0, 1, 0))]
+
+    def grid(self, scene, place):
+        return strengths(1.0, ((),), (1e-3,))
+
+    def channels(self, H, at, where, extra, p):
+        return H.at[:, :, 1].add(p[0] * H[:, :, 0])
+
+
+class Fractional(LocalCause):
+    """A joint of one's own: a force between a spring's and a damper's."""
+
+    slug = "fractional_joint"
+    parameters = (Parameter("coefficient", "N s^a/m", 0.0), Parameter("order", "-", 0.1, 0.9))
+
+    def impedance(self, s, p):
+        return p[0] * s ** p[1]
+
+    def grid(self, scene, place):
+        return strengths(scene.stiffness_scale(place) / 10, [[0.3], [0.7]], both=False)
+
+
+@pytest.mark.slow
+def test_what_is_not_in_the_catalogue_is_not_named_and_is_named_once_it_is():
+    def mix(H):
+        H = H.copy()
+        H[:, 1] += 0.25 * H[:, 0]
+        return H
+
+    data = measured(five_dof(), 4, change=mix)
+    assert diagnose(data, five_dof(), causes=[JointStiffness(), ChannelSign()]).verdict == "unknown"
+    answer = diagnose(data, five_dof(), causes=[JointStiffness(), ChannelSign(), Crosstalk(), Fractional()]).to_dict()
+    assert [c["name"] for c in answer["causes"]] == ["crosstalk"]
+    assert abs(answer["causes"][0]["parameters"]["share"]["value"] - 0.25) < 0.02
+
+
+def test_the_extended_simulation_predicts_saves_and_differentiates(tmp_path):
+    found = diagnose(measured(with_spring(2500.0), 5), five_dof(), causes=FEW).extended
+    assert found is not None
+    other = np.linspace(15.0, 80.0, 40)
+    k = float(found.params[0][0])
+    exact = np.asarray(with_spring(k).frf(other, outputs=("2",), inputs=("5",), form="accelerance").H)
+    got = np.asarray(found.predict(3.0, other, outputs=("2",), inputs=("5",), form="accelerance").H)
+    assert np.abs(got - exact).max() < 1e-9 * np.abs(exact).max()
+    found.save(tmp_path / "extended.npz")
+    with np.load(tmp_path / "extended.npz") as arrays:
+        back = from_arrays(arrays)
+    np.testing.assert_allclose(np.asarray(back.frf(other).H), np.asarray(found.frf(other).H), rtol=1e-12)
+    slope = jax.grad(
+        lambda p: jnp.abs(jax.tree.map(lambda x: x, _with(found, p)).predict(1.0, FREQ[:3]).H[1, 0, 0]) * 1e6
+    )(found.params[0])
+    assert np.isfinite(np.asarray(slope)).all() and float(jnp.abs(slope[0])) > 0
+
+
+def _with(extended, p):
+    import equinox as eqx
+
+    return eqx.tree_at(lambda e: e.params[0], extended, p)
+
+
+def test_bad_input_is_refused_in_words():
+    S = five_dof()
+    data = measured(S)
+    with pytest.raises(ValueError, match="question is 'both'"):
+        diagnose(data, S, question="both")
+    with pytest.raises(ValueError, match="DoF 'x'"):
+        diagnose(data.replace(outputs=("x", "2", "3", "4", "5")), S, causes=FEW)
+    assert modalax.diagnose(data, S, causes=FEW).question == "fixed"
+
+
+@pytest.mark.slow
+def test_the_whole_catalogue_names_a_joint_at_three_levels():
+    """Takes about a minute, nearly all of it compilation."""
+    S = five_dof()
+    found = diagnose(measured(with_spring(2500.0), 6, runs=3).replace(level=[1.0, 2.0, 4.0]), S)
+    best = found.candidates[0]
+    assert best.names == {("joint_stiffness", ("3", "5"))}
+    assert found.verdict in ("named", "ambiguous")

@@ -1,0 +1,74 @@
+"""Variances from few repeats, missing ones, and the tests that know no cause."""
+
+import numpy as np
+import pytest
+
+from modalax.data import Measurement
+from modalax.diagnose.noise import noise_of, scatter_freedom
+from modalax.diagnose.omnibus import omnibus
+from modalax.model.examples import five_dof
+
+FREQ = np.linspace(15.0, 75.0, 400)
+
+
+def noisy(kind, repeats, seed, given=True):
+    rng = np.random.default_rng(seed)
+    H = np.asarray(five_dof().frf(FREQ, outputs=("1", "2", "3"), inputs=("1",), form="accelerance").H)
+    size = np.abs(H) if kind == "relative" else np.sqrt((np.abs(H) ** 2).mean(axis=0)) * np.ones(H.shape)
+    if kind == "coloured":
+        size = size * (FREQ / 40.0)[:, None, None] ** 1.5
+    sigma = 0.03 * size
+    e = (rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape)) / np.sqrt(2) * sigma
+    variance = sigma**2 * rng.gamma(repeats - 1, 1 / (repeats - 1), H.shape) if repeats else sigma**2
+    M = Measurement(
+        FREQ, (H + e)[None], variance=variance[None] if given else None, form="accelerance", averages=repeats,
+        outputs=("1", "2", "3"), inputs=("1",),
+    )  # fmt: skip
+    return M, H, sigma
+
+
+@pytest.mark.parametrize("kind", ["absolute", "relative", "coloured"])
+@pytest.mark.parametrize("repeats", [3, 6])
+def test_smoothed_variances_give_light_tails(kind, repeats):
+    """Line by line, three repeats would put 13 % beyond 3.5; smoothed, next to nothing."""
+    far, ratio = [], []
+    for seed in range(4):
+        M, H, sigma = noisy(kind, repeats, seed)
+        found = noise_of(M, H)
+        r = np.sqrt(2) * (np.asarray(M.H)[0] - H) / found.sigma[0]
+        far.append(np.mean(np.abs(np.concatenate([r.real, r.imag])) > 3.5))
+        ratio.append(np.median(found.sigma[0] / sigma))
+    assert np.mean(far) < 0.003  # 0.0005 nominal; measured 0.0002 to 0.001
+    assert abs(np.mean(ratio) - 1) < 0.05  # measured within 0.02
+
+
+def test_missing_variances_are_estimated_and_said_so():
+    M, H, sigma = noisy("absolute", None, 0, given=False)
+    found = noise_of(M, H)
+    assert "no variances given" in found.source
+    assert abs(np.median(found.sigma[0] / sigma) - 1) < 0.1
+
+
+def test_repeats_are_recognised_from_the_scatter():
+    M, _, _ = noisy("absolute", 6, 1)
+    assert 6 < scatter_freedom(np.asarray(M.variance)) < 16  # 10 expected
+    exact, _, _ = noisy("absolute", None, 1)
+    assert scatter_freedom(np.asarray(exact.variance)) == np.inf
+
+
+def test_too_few_lines_without_variances_is_refused():
+    M, H, _ = noisy("absolute", None, 0, given=False)
+    short = M.replace(freq=M.freq[:6], H=M.H[:, :6])
+    with pytest.raises(ValueError, match="6 lines are too few"):
+        noise_of(short, H[:6])
+
+
+def test_the_omnibus_test_keeps_its_promise_and_sees_spread_effects():
+    rng = np.random.default_rng(0)
+    shape, live = (2, 200, 3, 1), np.ones((2, 200, 3, 1), bool)
+    draw = lambda: rng.normal(size=shape) + 1j * rng.normal(size=shape)  # noqa: E731
+    p = np.array([omnibus(draw(), live, np.inf).p_value for _ in range(400)])
+    assert (p < 0.01).mean() <= 0.02  # nominal 0.01 at most
+    bump = np.exp(-(((np.arange(200) - 90) / 8.0) ** 2))[None, :, None, None]
+    seen = [omnibus(draw() + 1.2 * bump, live, np.inf).p_value < 0.01 for _ in range(20)]
+    assert np.mean(seen) > 0.9

@@ -1,0 +1,197 @@
+"""What causes do to a predicted FRF, against the same change made in the matrices or in closed form."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.special
+
+from modalax.diagnose.causes import catalogue
+from modalax.diagnose.causes.channels import SensorMass
+from modalax.diagnose.causes.joints import CubicStiffness
+from modalax.diagnose.causes.local import AddedMass, Gyroscopic, JointStiffness, LocalDamper, TunedMass
+from modalax.diagnose.causes.modal import ExponentialWindow, FastSweep, ModalDamping, _hann, erfcx
+from modalax.diagnose.plant import plant_of
+from modalax.diagnose.predict import predict
+from modalax.diagnose.problem import make_problem
+from modalax.model import Structure
+from modalax.model.examples import five_dof
+
+FREQ = np.linspace(18.0, 70.0, 60)
+# The modal sum and the matrix inverse agree to 3e-14 of the largest receptance; a hundred times that is allowed.
+ROUNDING = 3e-12
+SLUGS = """modal_damping structural_damping local_damper joint_stiffness added_mass sensor_mass tuned_mass missing_mode
+out_of_band channel_gain channel_sign channel_swap time_delay units exponential_window leakage fast_sweep mains_hum
+force_dropout coulomb_friction elasto_slip cubic_stiffness gap quadratic_damping bilinear_stiffness gyroscopic
+time_varying""".split()
+
+
+def problem_of(structure, level=(1.0,)):
+    shape = (len(level), len(FREQ), 3, 2)
+    return make_problem(
+        FREQ, np.zeros(shape, complex), np.ones(shape), np.array(level), ("2", "1", "5"), ("1", "3"),
+        plant_of(structure, FREQ[0]),
+    )  # fmt: skip
+
+
+def predicted(structure, cause, index, p, level=(1.0,)):
+    problem = problem_of(structure, level)
+    n = problem.plant.stiffness.shape[0]
+    where = jnp.array([index])
+    H = predict((cause,), where, (None,), (jnp.asarray(p),), jnp.zeros((2, n)), problem)
+    return np.asarray(H)[:, : len(FREQ), :3, :2]
+
+
+def from_matrices(M, C, K):
+    dofs = [str(k + 1) for k in range(len(M))]
+    return np.asarray(Structure(M, C, K, dofs).frf(FREQ, outputs=("2", "1", "5"), inputs=("1", "3")).H)
+
+
+def direction(n, *which):
+    e = np.zeros(n)
+    e[which[0]] = 1.0
+    if len(which) > 1:
+        e[which[1]] = -1.0
+    return np.outer(e, e)
+
+
+def test_every_slug_of_the_answer_has_a_cause():
+    assert {c.slug for c in catalogue()} == set(SLUGS)
+
+
+@pytest.mark.parametrize(
+    ("cause", "index", "p", "matrix", "where"),
+    [
+        (JointStiffness(), (2, 4, 0), 9e3, "K", (2, 4)),
+        (JointStiffness(), (3, -1, 0), -4e3, "K", (3,)),
+        (LocalDamper(), (0, 1, 0), 25.0, "C", (0, 1)),
+        (AddedMass(), (2, -1, 0), 0.2, "M", (2,)),
+    ],
+)
+def test_a_local_element_equals_its_term_in_the_matrices(cause, index, p, matrix, where):
+    S = five_dof()
+    matrices = {"M": np.asarray(S.M), "C": np.asarray(S.C), "K": np.asarray(S.K)}
+    matrices[matrix] = matrices[matrix] + p * direction(5, *where)
+    expected = from_matrices(**matrices)
+    got = predicted(S, cause, index, [p])[0]
+    assert np.abs(got - expected).max() < ROUNDING * np.abs(expected).max() * 10
+
+
+def test_a_tuned_mass_equals_one_more_dof():
+    S, m, f, zeta = five_dof(), 0.05, 36.0, 0.02
+    w = 2 * np.pi * f
+    grow = lambda A, a, d: np.block([[A + a * direction(5, 1), -a * np.eye(5)[:, [1]]], [-a * np.eye(5)[[1]], d]])  # noqa: E731
+    k, c = m * w**2, 2 * zeta * w * m
+    expected = from_matrices(
+        grow(np.asarray(S.M), 0.0, m), grow(np.asarray(S.C), c, c), grow(np.asarray(S.K), k, k)
+    )  # fmt: skip
+    got = predicted(S, TunedMass(), (1, -1, 0), [m, f, zeta])[0]
+    assert np.abs(got - expected).max() < 10 * ROUNDING * np.abs(expected).max()
+
+
+def test_gyroscopic_coupling_breaks_reciprocity_as_the_matrices_do():
+    S, g = five_dof(), 12.0
+    G = np.zeros((5, 5))
+    G[1, 3], G[3, 1] = g, -g
+    expected = from_matrices(np.asarray(S.M), np.asarray(S.C) + G, np.asarray(S.K))
+    got = predicted(S, Gyroscopic(), (1, 3, 0), [g])[0]
+    assert np.abs(got - expected).max() < 10 * ROUNDING * np.abs(expected).max()
+
+
+def test_modal_damping_equals_the_structure_with_that_ratio():
+    S = five_dof()
+    model = S.modal()
+    phi, zeta = np.asarray(model.shapes).real, np.full(5, 0.02)
+    zeta[2] *= 1.4
+    other = Structure.from_modes(model.frequency_hz, zeta, phi, np.asarray(model.modal_mass()).real, S.dofs)
+    expected = np.asarray(other.frf(FREQ, outputs=("2", "1", "5"), inputs=("1", "3")).H)
+    got = predicted(S, ModalDamping(), (2, -1, 0), [0.4])[0]
+    # the shapes of the example are real to 1e-9 only, as its matrices come from rounded tables
+    assert np.abs(got - expected).max() < 1e-7 * np.abs(expected).max()
+
+
+def test_a_sensor_loads_its_own_row_only():
+    S, m = five_dof(), 0.1
+    bare = from_matrices(np.asarray(S.M), np.asarray(S.C), np.asarray(S.K))
+    loaded = from_matrices(np.asarray(S.M) + m * direction(5, 4), np.asarray(S.C), np.asarray(S.K))
+    got = predicted(S, SensorMass(), (2, -1, 0), [m])[0]
+    assert np.abs(got[:, 2] - loaded[:, 2]).max() < 10 * ROUNDING * np.abs(loaded).max()
+    assert np.abs(got[:, :2] - bare[:, :2]).max() < 10 * ROUNDING * np.abs(bare).max()
+
+
+def test_an_exponential_window_shifts_every_pole():
+    S, decay = five_dof(), 1.7
+    model = S.modal()
+    expected = np.asarray(
+        model.replace(poles=model.poles - decay).frf(FREQ, outputs=("2", "1", "5"), inputs=("1", "3")).H
+    )
+    got = predicted(S, ExponentialWindow(), (0, -1, 0), [decay])[0]
+    assert np.abs(got - expected).max() < 10 * ROUNDING * np.abs(expected).max()
+
+
+def test_a_slow_sweep_bends_the_frf_as_its_second_derivative():
+    """H - (j/2) S H'' for a small rate; the next term is of the order of its square."""
+    S, rate = five_dof(), 1e-3
+    model = S.modal()
+    s = 2j * np.pi * FREQ[:, None]
+    poles = np.asarray(model.poles)
+    R = np.asarray(model.residues)[:, [1, 0, 4]][:, :, [0, 2]]
+    second = -2 / (s - poles) ** 3, -2 / (s - poles.conj()) ** 3  # d2/domega2 of 1/(j omega - pole)
+    curve = np.einsum("fn,noi->foi", second[0], R) + np.einsum("fn,noi->foi", second[1], R.conj())
+    plain = from_matrices(np.asarray(S.M), np.asarray(S.C), np.asarray(S.K))
+    change = predicted(S, FastSweep(), (0, -1, 0), [rate])[0] - plain
+    expected = -0.5j * 2 * np.pi * rate * curve
+    assert np.abs(change - expected).max() < 2e-3 * np.abs(expected).max()  # next order: measured 5e-4
+
+
+def test_a_cubic_joint_solves_its_own_describing_function_equation():
+    S, k3, level = five_dof(), 2e9, (2.0, 5.0)
+    got = predicted(S, CubicStiffness(), (2, 4, 0), [k3], level)
+    b = np.eye(5)[2] - np.eye(5)[4]
+    H = np.asarray(S.frf(FREQ).H)
+    for run, force in enumerate(level):
+        free = H[:, :, 0] @ b * force
+        flat = np.einsum("d,fde,e->f", b, H, b)
+        change = got[run, :, :, 0] - H[:, [1, 0, 4], 0]
+        joint = -(H[:, [1, 0, 4]] @ b)
+        f1 = (change / joint)[:, 0] * force  # the joint's fundamental force, from what it does to an output
+        q = free - flat * f1
+        law = 0.75 * k3 * np.abs(q) ** 2 * q
+        assert np.abs(f1 - law).max() < 1e-5 * np.abs(law).max()  # two polishing steps leave 1e-8
+
+
+def test_the_scaled_error_function_against_scipy():
+    rng = np.random.default_rng(1)
+    z = np.concatenate([rng.normal(size=50) * 4 + 1j * rng.normal(size=50) * 4, [120 + 3j, 1e-3j]])
+    z = z[(z**2).real < 300]
+    expected = scipy.special.wofz(1j * z)
+    assert np.abs(np.asarray(erfcx(jnp.asarray(z))) / expected - 1).max() < 1e-11  # measured 7e-15
+
+
+def test_the_hann_lag_window_against_its_autocorrelation():
+    T, x = 3.0, 0.7 + 5j
+    t = np.linspace(0, T, 4001)
+    w = 0.5 - 0.5 * np.cos(2 * np.pi * t / T)
+    lag = np.correlate(w, w, "full")[len(w) - 1 :]
+    numeric = np.trapezoid(lag / lag[0] * np.exp(-x * t), t)
+    assert (
+        abs(complex(_hann(jnp.asarray(x), jnp.asarray(T))) / numeric - 1) < 1e-5
+    )  # the trapezoidal rule is off by 2e-6
+
+
+def test_the_prediction_differentiates_and_maps():
+    S = five_dof()
+    problem = problem_of(S, (3.0,))
+    n = problem.plant.stiffness.shape[0]
+
+    def energy(k3):
+        where = jnp.array([[2, 4, 0]])
+        H = predict((CubicStiffness(),), where, (None,), (k3[None],), jnp.zeros((2, n)), problem)
+        return jnp.sum(jnp.abs(H) ** 2) * 1e6
+
+    at, step = jnp.array(1e8), 1e6
+    slope = float(jax.jit(jax.grad(energy))(at))
+    numeric = float((energy(at + step) - energy(at - step)) / (2 * step))
+    assert abs(slope / numeric - 1) < 3e-4  # measured 3.5e-5
+    many = jax.vmap(energy)(jnp.array([0.0, 1e8]))
+    assert abs(float(many[1]) / float(energy(at)) - 1) < 1e-12

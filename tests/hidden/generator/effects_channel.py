@@ -1,0 +1,162 @@
+"""Hidden faults of the measurement: sensors, windows, records, sweeps, hum and force.
+
+Gain, sign, swap, delay and integration act on a channel's spectrum as exact factors, so the time records are not made.
+The exponential window is the exact shift s -> s + sigma of the whole transfer function (the force of an impact falls
+at t = 0, where the window is 1). Finite records and sweeps use the exact mean of the estimator, derived from the
+weight that the processing puts on the impulse response (``plant.py``); the tests compare it with time records.
+"""
+
+import numpy as np
+
+from .effect import Effect, Setup
+from .plant import boxcar_kernel, hann_kernel, sweep_kernel, truncated_kernel
+from .systems import log_uniform
+
+
+def _output(setup: Setup, rng) -> tuple[int, str]:
+    o = int(rng.integers(len(setup.outputs)))
+    return o, setup.system.dofs[setup.outputs[o]]
+
+
+def scale_rows(which, factor):
+    """A post hook that multiplies output rows by ``factor(setup, size)``, shape () or (f,)."""
+
+    def post(H, setup, size, plants):
+        H = H.copy()
+        value = np.asarray(factor(setup, size))
+        H[:, :, which] *= value[..., None, None] if value.ndim else value
+        return H
+
+    return post
+
+
+def channel_gain(setup: Setup, rng) -> Effect:
+    o, name = _output(setup, rng)
+    sign = 1.0 if rng.random() < 0.5 else -1.0
+    change = lambda s: s if sign > 0 else -s / (1 + s)  # noqa: E731
+    return Effect(
+        "channel_gain", [name], 1e-4, 10.0, lambda s: {"gain": (change(s), "-")},
+        post=scale_rows([o], lambda setup, s: 1 + change(s)),
+    )  # fmt: skip
+
+
+def channel_sign(setup: Setup, rng) -> Effect:
+    o, name = _output(setup, rng)
+    return Effect("channel_sign", [name], 1, 1, lambda s: {}, post=scale_rows([o], lambda u, s: -1.0), natural=1.0)
+
+
+def channel_swap(setup: Setup, rng) -> Effect:
+    a, b = sorted(rng.choice(len(setup.outputs), 2, replace=False).tolist())
+
+    def post(H, setup, size, plants):
+        H = H.copy()
+        H[:, :, [a, b]] = H[:, :, [b, a]]
+        return H
+
+    where = [setup.system.dofs[setup.outputs[k]] for k in (a, b)]
+    return Effect("channel_swap", where, 1, 1, lambda s: {}, post=post, natural=1.0)
+
+
+def time_delay(setup: Setup, rng) -> Effect:
+    o, name = _output(setup, rng)
+    everywhere = rng.random() < 0.35
+    which = list(range(len(setup.outputs))) if everywhere else [o]
+    sign = 1.0 if rng.random() < 0.8 else -1.0
+    unit = 1 / (2 * np.pi * setup.freq[-1])
+    return Effect(
+        "time_delay", [] if everywhere else [name], 1e-5 * unit, unit, lambda s: {"delay": (sign * s, "s")},
+        post=scale_rows(which, lambda setup, s: np.exp(-1j * setup.omega * sign * s)),
+        variant="all" if everywhere else "one",
+    )  # fmt: skip
+
+
+def units(setup: Setup, rng) -> Effect:
+    power = {"receptance": 1, "accelerance": -1}.get(setup.form, int(rng.choice([-1, 1])))
+    return Effect(
+        "units", [], 1, 1, lambda s: {"derivatives": (float(power), "-")},
+        post=lambda H, setup, s, plants: H * (1j * setup.omega[:, None, None]) ** power, natural=1.0,
+    )  # fmt: skip
+
+
+def exponential_window(setup: Setup, rng) -> Effect:
+    """Every mode seems to decay faster by ``size`` [1/s]."""
+    return Effect(
+        "exponential_window", [], 1e-4, 2 * np.pi * setup.freq[-1], lambda s: {"decay": (s, "1/s")}, shift=lambda s: s
+    )
+
+
+def leakage(setup: Setup, rng) -> Effect:
+    """Records of finite length 1/size [s]: Hann or boxcar windows on random force, or an impact cut off."""
+    kind = str(rng.choice(["hann", "hann", "hann", "boxcar", "cut impact"]))
+    kernel = {"hann": hann_kernel, "boxcar": boxcar_kernel, "cut impact": truncated_kernel}[kind]
+    return Effect(
+        "leakage", [], 1e-3 * setup.freq[0], 2 * setup.freq[-1], lambda s: {"inverse_record_length": (s, "Hz")},
+        kernel=lambda s: lambda x: kernel(x, 1 / s), variant=kind,
+    )  # fmt: skip
+
+
+def fast_sweep(setup: Setup, rng) -> Effect:
+    """Linear sweep, up or down, at ``size`` Hz/s, demodulated at its instant frequency."""
+    sign = 1.0 if rng.random() < 0.6 else -1.0
+    return Effect(
+        "fast_sweep", [], 1e-3, 1e4, lambda s: {"sweep_rate": (sign * s, "Hz/s")},
+        kernel=lambda s: lambda x: sweep_kernel(x, sign * 2 * np.pi * s), variant="up" if sign > 0 else "down",
+    )  # fmt: skip
+
+
+def hann_line(x: np.ndarray) -> np.ndarray:
+    """Line of the DFT of a Hann-windowed unit complex exponential, for a line ``x`` above the tone (1 at x = 0)."""
+    box = lambda u: np.sinc(u) * np.exp(-1j * np.pi * u)  # noqa: E731
+    return box(x) - 0.5 * (box(x - 1) + box(x + 1))
+
+
+def mains_hum(setup: Setup, rng) -> Effect:
+    """Pick-up at the mains frequency and its multiples, through a Hann window; random phase in each run and input."""
+    df = float(setup.freq[1] - setup.freq[0])
+    inside = [m for m in (50.0, 60.0) if setup.freq[0] < m < setup.freq[-1]]
+    base = float(rng.choice(inside)) if inside else 50.0
+    mains = base * (1 + rng.normal() * 2e-4)
+    count = max(1, int(setup.freq[-1] / base))
+    weights = np.array([1.0, *(log_uniform(rng, 0.05, 0.6, count - 1) if count > 1 else [])])
+    gains = log_uniform(rng, 0.3, 1.5, len(setup.outputs)) * rng.choice([-1, 1], len(setup.outputs))
+    shape = (len(setup.level), len(setup.inputs), count)
+    phase = rng.uniform(0, 2 * np.pi, shape)
+    spread = np.sqrt(np.mean(np.abs(setup.frf(setup.plant)) ** 2))
+    reference = np.nanmax(setup.level) if np.isfinite(setup.level).any() else 1.0
+    force = np.where(np.isfinite(setup.level), setup.level, reference) / reference
+
+    def post(H, setup, size, plants):
+        lines = np.stack([w * hann_line((setup.freq - mains * (k + 1)) / df) for k, w in enumerate(weights)])
+        hum = np.einsum("kf,rik->rfi", lines, np.exp(1j * phase)) / force[:, None, None]
+        return H + size * spread * gains[None, None, :, None] * hum[:, :, None, :]
+
+    return Effect("mains_hum", [], 1e-4, 1e3, lambda s: {"frequency": (mains, "Hz")}, post=post)
+
+
+def force_dropout(setup: Setup, rng) -> Effect:
+    """A shaker's force falls where the drive point moves easily; noise on its signal then biases H1 low."""
+    stinger = float(log_uniform(rng, 3, 30))
+    ratio = []
+    for i in setup.inputs:
+        e = setup.system.direction(i, -1)
+        mobility = setup.plant.receptance(1j * setup.omega, e[None], e[None])[:, 0, 0] * 1j * setup.omega
+        ratio.append(np.abs(1 + stinger * mobility / np.abs(mobility).max()) ** 2)
+    ratio = np.stack(ratio, axis=1)
+    return Effect(
+        "force_dropout", [], 1e-5, 1e2, lambda s: {"noise_to_force": (s, "-")},
+        post=lambda H, setup, s, plants: H / (1 + s * ratio)[None, :, None, :],
+    )  # fmt: skip
+
+
+CHANNEL = {
+    "channel_gain": channel_gain,
+    "channel_sign": channel_sign,
+    "channel_swap": channel_swap,
+    "time_delay": time_delay,
+    "units": units,
+    "exponential_window": exponential_window,
+    "leakage": leakage,
+    "fast_sweep": fast_sweep,
+    "mains_hum": mains_hum,
+    "force_dropout": force_dropout,
+}

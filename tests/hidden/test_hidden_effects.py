@@ -1,0 +1,70 @@
+"""A small draw of hidden effects that a diagnosis must find: cause and place, or a set that holds the truth.
+
+The truth is opened only here, after the answer. All cases share the structures and sizes of three tests, so that
+one compilation serves them; the large draw with its marks is in ``experiments/diagnosis``.
+"""
+
+import generator
+import pytest
+
+from modalax.diagnose import diagnose
+from modalax.files import load
+
+STRUCTURES = {"chain": ("masses", 35), "beam": ("frame", 12), "other chain": ("masses", 20)}
+QUICK = [
+    ("joint_stiffness", "beam"), ("added_mass", "chain"), ("local_damper", "other chain"), ("channel_gain", "chain"),
+    ("channel_swap", "other chain"), ("missing_mode", "beam"), ("cubic_stiffness", "chain"), ("mains_hum", "beam"),
+]  # fmt: skip
+LONG = [
+    ("modal_damping", "beam"), ("tuned_mass", "chain"), ("sensor_mass", "other chain"), ("time_delay", "beam"),
+    ("exponential_window", "chain"), ("fast_sweep", "other chain"), ("leakage", "chain"), ("gap", "beam"),
+    ("elasto_slip", "chain"), ("coulomb_friction", "other chain"), ("quadratic_damping", "beam"),
+    ("time_varying", "chain"), ("force_dropout", "other chain"), ("added_mass", "beam"), ("units", "chain"),
+]  # fmt: skip
+
+
+def draw(seed: int, cause: str, structure: str, variance: str = "16"):
+    family, number = STRUCTURES[structure]
+    plan = dict(spread=False, variance=variance, inputs=1, runs=3, structure=number)
+    return generator.draw_case(seed, cause, 30.0, family, **plan)
+
+
+def answer(case, folder):
+    case.save(folder / "open", folder / "hidden" / "truth.json")
+    return diagnose(load(folder / "open" / "measurement.npz"), load(folder / "open" / "simulation.npz")).to_dict()
+
+
+def names(causes):
+    return sorted(c["name"] for c in causes)
+
+
+def check_found(case, said):
+    assert said["verdict"] in ("named", "ambiguous")
+    truth = case.truth["causes"]
+    assert names(truth) in [names(s) for s in (said["causes"], *said["alternatives"])]
+    if said["verdict"] == "named":
+        assert {str(w) for w in said["causes"][0]["where"]} == {str(w) for w in truth[0]["where"]}
+
+
+@pytest.mark.parametrize(("cause", "structure"), QUICK)
+def test_hidden_effect_is_found(cause, structure, tmp_path):
+    case = draw(100, cause, structure)
+    check_found(case, answer(case, tmp_path))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("cause", "structure"), LONG)
+def test_hidden_effect_is_found_in_the_longer_draw(cause, structure, tmp_path):
+    case = draw(200, cause, structure)
+    check_found(case, answer(case, tmp_path))
+
+
+@pytest.mark.parametrize("variance", ["exact", "6"])
+def test_nothing_is_found_where_nothing_is_wrong(variance, tmp_path):
+    said = answer(draw(100, "clean", "chain", variance), tmp_path)
+    assert said["verdict"] == "clean" and said["causes"] == []
+
+
+def test_a_cause_that_no_catalogue_holds_gets_no_confident_name(tmp_path):
+    said = answer(draw(100, "outside:crosstalk", "chain"), tmp_path)
+    assert said["verdict"] in ("unknown", "ambiguous")

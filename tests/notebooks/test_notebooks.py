@@ -1,0 +1,43 @@
+"""Every notebook runs from top to bottom without an error, in an empty folder."""
+
+import os
+from pathlib import Path
+
+import nbformat
+import pytest
+from nbclient import NotebookClient
+
+ROOT = Path(__file__).parents[2]
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+DATA = Path(os.environ.get("MODALAX_DATA", ROOT.parent / "shared" / "data"))
+SECONDS = 900
+
+
+def needs_measured_data(notebook: nbformat.NotebookNode) -> bool:
+    """Notebooks say so in their metadata: ``{"modalax": {"measured": true}}``."""
+    return bool(notebook.metadata.get("modalax", {}).get("measured", False))
+
+
+@pytest.mark.slow
+@pytest.mark.measured
+# The kernel's client opens sockets and event loops of its own; what they leave behind is not ours to mend.
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_notebook_runs(path, tmp_path, monkeypatch):
+    notebook = nbformat.read(path, as_version=4)
+    if needs_measured_data(notebook) and not DATA.is_dir():
+        pytest.skip(f"{path.name} needs the measured data; name its folder in MODALAX_DATA")
+    if DATA.is_dir():
+        monkeypatch.setenv("MODALAX_DATA", str(DATA))
+    NotebookClient(notebook, timeout=SECONDS, resources={"metadata": {"path": str(tmp_path)}}).execute()
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_notebook_is_written_to_be_read(path):
+    """It starts with a title, explains itself between the code, and no cell was stored with an error."""
+    notebook = nbformat.read(path, as_version=4)
+    first = notebook.cells[0]
+    assert first.cell_type == "markdown" and first.source.startswith("# ")
+    assert sum(cell.cell_type == "markdown" for cell in notebook.cells) >= 3
+    stored = [output for cell in notebook.cells for output in cell.get("outputs", [])]
+    assert not [output for output in stored if output.output_type == "error"]

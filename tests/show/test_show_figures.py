@@ -1,0 +1,166 @@
+"""Pictures: that they show what they should, with units on the axes, without pyplot."""
+
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from modalax.identify import PoleTable
+from modalax.model.examples import five_dof
+from modalax.show import mode_names, plot_frf, plot_frf_grid, plot_levels, plot_mac, plot_modes, plot_residual_map
+from modalax.show.frf import strongest, synthesised
+from modalax.show.numbers import with_error
+from modalax.show.residuals import bin_lines
+from modalax.show.stabilization import plot_stabilization, pole_kinds
+
+
+@pytest.fixture(scope="module")
+def structure():
+    return five_dof()
+
+
+@pytest.fixture(scope="module")
+def measured(structure):
+    frf = structure.frf(jnp.linspace(20, 70, 251), inputs=["1", "3"]).add_noise(jax.random.key(0), 0.1)
+    size = jnp.abs(frf.H) ** 2
+    return frf.replace(coherence=size / (size + frf.variance))
+
+
+def labels(fig: Figure) -> str:
+    fig.canvas.draw()
+    texts = [t for ax in fig.axes for t in (ax.get_xlabel(), ax.get_ylabel(), ax.get_title())]
+    return " | ".join([*texts, fig.get_supxlabel(), fig.get_supylabel(), fig.get_suptitle()])
+
+
+def test_no_picture_goes_through_pyplot():
+    """pyplot keeps every figure alive and picks a window system; nothing here may import it."""
+    code = "import modalax.show, sys; print('matplotlib.pyplot' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
+
+
+def test_frf_shows_every_view_with_units(measured, structure):
+    fig = plot_frf(measured, structure, output="2", input="1")
+    text = labels(fig)
+    for wanted in ("|H| [m/N]", "Phase [°]", "Coherence [-]", "Re H [m/N]", "Im H [m/N]", "Frequency [Hz]", "1 to 2"):
+        assert wanted in text
+    magnitude = fig.axes[0]
+    lines = {line.get_label(): np.asarray(line.get_ydata()) for line in magnitude.lines}
+    H = np.asarray(measured.pick(["2"], ["1"]).H)[:, 0, 0]
+    exact = np.asarray(structure.frf(measured.freq, outputs=["2"], inputs=["1"]).H)[:, 0, 0]
+    np.testing.assert_allclose(lines["measured"], np.abs(H))
+    np.testing.assert_allclose(lines["fitted"], np.abs(exact))
+    error = next(v for k, v in lines.items() if k.startswith("|measured - fitted|"))
+    np.testing.assert_allclose(error, np.abs(H - exact))
+    assert any(k.startswith("noise") for k in lines)
+
+
+@pytest.mark.parametrize(("form", "unit"), [("mobility", "(m/s)/N"), ("accelerance", "(m/s²)/N")])
+def test_unit_follows_the_form(measured, form, unit):
+    text = labels(plot_frf(measured.to_form(form)))
+    assert f"|H| [{unit}]" in text
+
+
+def test_strongest_channel_is_drawn_by_default(measured):
+    energy = np.sum(np.abs(np.asarray(measured.H)) ** 2, axis=0)
+    o, i = np.unravel_index(energy.argmax(), energy.shape)
+    assert strongest(measured) == (measured.outputs[o], measured.inputs[i])
+
+
+def test_a_fit_on_other_lines_is_refused(measured, structure):
+    other = structure.frf(jnp.linspace(20, 71, 251), inputs=["1", "3"])
+    with pytest.raises(ValueError, match="same frequencies"):
+        synthesised(measured, other)
+
+
+def test_grid_draws_the_strongest_channels(measured, structure):
+    fig = plot_frf_grid(measured, structure.modal(), most=4)
+    assert sum(ax.get_visible() for ax in fig.axes) == 4
+    assert "|H| [m/N]" in labels(fig)
+
+
+def test_levels_are_named_by_force():
+    H = np.ones((3, 11)) * (1 + 1j)
+    fig = plot_levels(np.arange(11), H, [1.0, 2.5, np.nan])
+    names = [t.get_text() for t in fig.axes[0].get_legend().get_texts()]
+    assert names == ["1 N", "2.5 N", "run 3"]
+
+
+@pytest.fixture(scope="module")
+def table():
+    poles = np.array([[-1 + 100j, -2 + 200j, 0], [-1 + 100j, -2 + 220j, 5 + 300j]])
+    return PoleTable(jnp.asarray(poles), jnp.asarray([[True, True, False], [True] * 3]), None, (2, 4), "lscf")
+
+
+def test_pole_kinds(table):
+    """Shape stability counts only for a pole stable in damping, and damping only for one stable in frequency."""
+    frequency = np.array([[True, True, True], [True, False, True]])
+    damping = np.array([[True, False, True], [True, True, True]])
+    shape = np.array([[False, True, True], [True, True, True]])
+    kinds = pole_kinds(table, SimpleNamespace(frequency=frequency, damping=damping, shape=shape))
+    np.testing.assert_array_equal(kinds, [[2, 1, -1], [3, 0, -1]])
+    np.testing.assert_array_equal(pole_kinds(table, None), [[0, 0, -1], [0, 0, -1]])
+
+
+def test_stabilization_marks_poles_where_they_are(table, measured):
+    flags = SimpleNamespace(frequency=np.ones((2, 3), bool), damping=np.ones((2, 3), bool), shape=np.ones((2, 3), bool))
+    fig = plot_stabilization(table, flags, measured, selected_hz=[31.8])
+    text = labels(fig)
+    assert "Model order" in text and "√CMIF [m/N]" in text
+    points = np.concatenate([c.get_offsets() for c in fig.axes[0].collections])
+    # 100 rad/s is 15.9 Hz, out of the band of the FRFs.
+    np.testing.assert_allclose(sorted(points[:, 0]), np.sort(np.abs([-2 + 200j, -2 + 220j])) / (2 * np.pi))
+
+
+def test_mac_holds_the_values(structure):
+    values = np.array([[1.0, 0.25, 0.0], [0.1, 0.9, 0.04]])
+    fig = plot_mac(values, rows=mode_names([10, 20]), row_title="Measured", column_title="Computed")
+    ax = fig.axes[0]
+    np.testing.assert_array_equal(ax.images[0].get_array(), values)
+    assert [t.get_text() for t in ax.texts] == ["100", "25", "0", "10", "90", "4"]
+    assert "Measured" in labels(fig) and "Computed" in labels(fig)
+
+
+def test_modes_with_and_without_standard_deviations():
+    fig = plot_modes([10, 20], [0.01, 0.02], frequency_std_hz=[0.1, np.nan], reference=([10, 20], [0.02, 0.02]))
+    text = labels(fig)
+    assert all(unit in text for unit in ("Natural frequency [Hz]", "Damping ratio [%]", "Damping deviation [%]"))
+    deviation = fig.axes[2].lines[1].get_ydata()
+    np.testing.assert_allclose(deviation, [-50, 0], atol=1e-12)
+    assert plot_modes([10.0], [0.01]).axes[0].get_ylim()[1] > 1
+
+
+def test_residual_map_of_noise_is_one():
+    """Means over bins of |r|^2/2 with unit variance a real part are 1 within their own scatter."""
+    rng = np.random.default_rng(3)
+    r = rng.normal(size=(4, 5000)) + 1j * rng.normal(size=(4, 5000))
+    mean, edges = bin_lines(np.arange(5000.0), np.abs(r) ** 2 / 2, 50)
+    assert mean.shape == (4, 50) and edges.shape == (51,)
+    # 100 samples a bin: standard deviation 0.1; five of them for 200 bins.
+    assert np.abs(mean - 1).max() < 0.5
+    assert edges[0] == -0.5 and edges[-1] == 4999.5
+    fig = plot_residual_map(np.arange(5000.0), np.stack([r, 3 * r]), list("abcd"), panels=["before", "after"])
+    assert "before" in labels(fig) and "noise alone" in labels(fig)
+
+
+def test_residual_map_of_a_single_line():
+    assert plot_residual_map([5.0], np.ones((2, 1)), ["a", "b"]).axes
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "unit", "text"),
+    [
+        (26.0612, 0.0123, 1.0, "26.061 ± 0.012"),
+        (0.02, 0.00041, 100.0, "2.000 ± 0.041"),
+        (1234.5, 23.0, 1.0, "1234 ± 23"),
+        (3.14159, None, 1.0, "3.1416"),
+        (3.14159, float("nan"), 1.0, "3.1416"),
+    ],
+)
+def test_a_value_is_written_to_the_place_of_its_error(value, std, unit, text):
+    assert with_error(value, std, unit) == text

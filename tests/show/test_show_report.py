@@ -1,0 +1,247 @@
+"""The HTML report: one file, escaped, alive in a real browser without a network."""
+
+import html as html_module
+import json
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from modalax.identify import PoleTable
+from modalax.model.examples import five_dof
+from modalax.model.modal import ModalModel
+from modalax.show.report import Page, Plot, Section, Table, fit_report
+from modalax.show.report.plots import MOST_LINES, axis_of, bar_plot, comparison_plot, frf_plot, residual_plot, thinned
+
+NASTY = "1<b>\"&'</script><script>window.broken=1</script><img src=x onerror=window.broken=1>"
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
+needs_browser = pytest.mark.skipif(BROWSER is None, reason="no chromium or chrome on this machine")
+
+
+@pytest.fixture(scope="module")
+def fit():
+    """What a fit gives, made by hand from the true modes, with names that try to break out."""
+    truth = five_dof().modal()
+    outputs = (NASTY, *"2345")
+    model = ModalModel(truth.poles, truth.shapes, truth.participation, outputs=outputs, inputs=truth.inputs)
+    frf = model.frf(jnp.linspace(20, 70, 501), inputs=["3", "2"]).add_noise(jax.random.key(1), 0.1)
+    model = ModalModel(truth.poles, truth.shapes, truth.participation[:, [2, 1]], outputs=outputs, inputs=("3", "2"))
+    rng = np.random.default_rng(0)
+    orders = tuple(range(5, 31))
+    poles = np.full((26, 30), -1 + 1j)
+    poles[:, :5] = np.asarray(truth.poles)
+    poles[:, 5:] = 2j * np.pi * rng.uniform(20, 70, (26, 25)) - 1
+    valid = np.arange(30)[None] < np.array(orders)[:, None]
+    stable = valid & (np.arange(30) < 5)
+    modes = [
+        {
+            "frequency_hz": float(f), "frequency_std_hz": 0.01, "damping_ratio": float(z), "damping_ratio_std": None,
+            "predicted_damping_bias": None, "mpc": 1.0, "shape": [],
+        }
+        for f, z in zip(truth.frequency_hz, truth.damping_ratio, strict=True)
+    ]  # fmt: skip
+    return SimpleNamespace(
+        frf=frf,
+        model=model,
+        table=PoleTable(jnp.asarray(poles), jnp.asarray(valid), None, orders, "lscf"),
+        stability=SimpleNamespace(frequency=stable, damping=stable, shape=stable),
+        refined=None,
+        inside=np.ones(5, bool),
+        to_dict=lambda: {"modes": modes, "unexplained": 0.0123},
+    )
+
+
+@pytest.fixture(scope="module")
+def report(fit):
+    return fit_report(fit, title=f"Modes of {NASTY}")
+
+
+class Reader(HTMLParser):
+    """Tags, addresses and heading of a page, as a browser reads them."""
+
+    def __init__(self, text: str):
+        super().__init__()
+        self.tags, self.addresses, self.heading, self._inside = [], [], "", False
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.addresses += [value for name, value in attrs if name in ("src", "href", "action", "poster", "data")]
+        assert not [name for name, _ in attrs if name.startswith("on")]
+        self._inside = tag == "h1"
+
+    def handle_data(self, data):
+        if self._inside:
+            self.heading += data
+
+    def handle_endtag(self, tag):
+        self._inside = False
+
+
+def test_report_loads_nothing_and_is_small(report):
+    page = Reader(report)
+    assert page.addresses and all(a.startswith("#") or a == "data:," for a in page.addresses), page.addresses
+    styles = "".join(re.findall(r"<style>(.*?)</style>", report, re.S))
+    assert styles and "url(" not in styles and "@import" not in styles
+    assert len(report.encode()) < 7e6  # plotly itself is 4.6 to 5 MB
+
+
+def test_names_are_escaped(report):
+    page = Reader(report)
+    assert page.heading == f"Modes of {NASTY}"
+    assert not {"img", "b"} & set(page.tags)
+    data = re.findall(r'<script type="application/json"[^>]*>(.*?)</script>', report, re.S)
+    assert len(data) == 5 and page.tags.count("script") == 5 + 2
+    for text in data:
+        assert "<" not in text and json.loads(text)
+
+
+def test_numbers_of_the_table_are_those_of_the_fit(report):
+    assert "26.060 ± 0.010" in report and "62.600 ± 0.010" in report
+    assert "1.23 %" in report
+
+
+def test_a_page_without_plotly_says_what_to_install(monkeypatch):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "plotly.offline", None)
+    with pytest.raises(ImportError, match=r"modalax\[report\]"):
+        Page("empty").html()
+
+
+def test_very_many_lines_are_thinned_and_keep_their_peaks():
+    structure = five_dof()
+    freq = jnp.linspace(20, 70, 3 * MOST_LINES)
+    frf = structure.frf(freq, outputs=["1"], inputs=["1"])
+    which = thinned(frf)
+    assert len(which) == MOST_LINES and (np.diff(which) > 0).all()
+    size = np.abs(np.asarray(frf.H)[:, 0, 0])
+    peaks = np.flatnonzero((size[1:-1] > size[:-2]) & (size[1:-1] > size[2:])) + 1
+    assert len(peaks) >= 3 and set(peaks) <= set(which)
+    assert "peaks kept" in frf_plot(frf, structure).caption
+
+
+def test_large_measurements_stay_within_the_budget():
+    rng = np.random.default_rng(0)
+    structure = five_dof()
+    frf = structure.frf(jnp.linspace(20, 70, 1601), inputs=["1"])
+    wide = frf.replace(
+        H=jnp.asarray(rng.normal(size=(1601, 200, 1)) + 1j), outputs=[f"o{k}" for k in range(200)], variance=1.0
+    )
+    plot = frf_plot(wide, wide)
+    size = sum(len(figure.to_json()) for _, figure in plot.figures)
+    assert size < 4e6 and f"of {200} channels" in plot.caption
+
+
+def test_equispaced_axis_is_written_by_start_and_step():
+    assert axis_of(np.linspace(20, 70, 501)) == {"x0": 20.0, "dx": pytest.approx(0.1)}
+    np.testing.assert_allclose(axis_of(np.array([1.0, 2.0, 4.0]))["x"], [1, 2, 4])
+
+
+PROBE = """
+<script>
+(async function () {
+  const seen = {errors: []};
+  const wait = (ms) => new Promise((done) => setTimeout(done, ms));
+  const key = (el, k) => el.dispatchEvent(new KeyboardEvent("keydown", {key: k, bubbles: true, cancelable: true}));
+  try {
+    await wait(300);
+    const plots = Array.from(document.querySelectorAll(".plot"));
+    seen.plots = plots.map((p) => p.querySelectorAll(".main-svg").length > 0);
+    const select = document.querySelector("select[data-for]");
+    const div = document.getElementById(select.dataset.for);
+    const first = div.calcdata[0][5].y;
+    select.value = "1";
+    select.dispatchEvent(new Event("change"));
+    await wait(300);
+    seen.chosen = div.calcdata[0][5].y !== first;
+    const range = () => div._fullLayout.xaxis.range.slice();
+    const width = () => range()[1] - range()[0];
+    const all = range();
+    key(div, "+"); await wait(200); seen.zoomed = width() / (all[1] - all[0]);
+    const before = range()[0];
+    key(div, "ArrowRight"); await wait(200); seen.moved = range()[0] - before;
+    key(div, "0"); await wait(300); seen.reset = Math.abs(width() / (all[1] - all[0]) - 1);
+    Plotly.Fx.hover(div, [{curveNumber: 0, pointNumber: 10}], "xy");
+    await wait(300);
+    seen.hover = div.querySelectorAll(".hoverlayer .hovertext").length;
+    seen.ink = div.querySelector(".ytick text").style.fill;
+    seen.ground = getComputedStyle(document.documentElement).backgroundColor;
+    seen.broken = window.broken === undefined ? 0 : 1;
+    seen.overflow = document.documentElement.scrollWidth - document.documentElement.clientWidth;
+    const ids = Array.from(document.querySelectorAll("[id]")).map((e) => e.id);
+    seen.twice = ids.length - new Set(ids).size;
+  } catch (error) { seen.errors.push(String(error)); }
+  const out = document.createElement("pre");
+  out.id = "seen";
+  out.textContent = JSON.stringify(seen);
+  document.body.append(out);
+})();
+</script>
+"""
+
+
+def browse(page, folder, *flags):
+    """Open a page in a fresh headless browser; give its document after 8 virtual seconds and its console lines."""
+    command = [
+        BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run",
+        f"--user-data-dir={folder / 'profile'}", "--virtual-time-budget=8000", "--enable-logging=stderr",
+        "--window-size=1280,1000", "--host-resolver-rules=MAP * ~NOTFOUND", *flags, page.as_uri(),
+    ]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    return done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+
+
+@needs_browser
+@pytest.mark.slow
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+def test_report_lives_in_a_browser(report, tmp_path, dark):
+    page = tmp_path / "report.html"
+    page.write_text(report.replace("</body>", PROBE + "</body>"), encoding="utf-8")
+    flags = ["--blink-settings=preferredColorScheme=0"] if dark else ["--blink-settings=preferredColorScheme=1"]
+    dom, console = browse(page, tmp_path, "--dump-dom", *flags)
+    assert console == []
+    seen = json.loads(html_module.unescape(re.search(r'<pre id="seen">(.*?)</pre>', dom, re.S).group(1)))
+    assert seen["errors"] == []
+    assert seen["plots"] == [True] * 5
+    assert seen["chosen"] and seen["hover"] >= 1
+    assert seen["zoomed"] == pytest.approx(0.7, rel=1e-6)
+    assert seen["moved"] > 0 and seen["reset"] < 1e-6
+    assert seen["broken"] == 0 and seen["twice"] == 0
+    assert seen["overflow"] <= 0  # nothing wider than the window
+    grounds = {"light": "rgb(255, 255, 255)", "dark": "rgb(20, 24, 29)"}
+    assert seen["ground"] == grounds["dark" if dark else "light"]
+    assert seen["ink"].startswith("rgb(228" if dark else "rgb(28")
+
+
+@needs_browser
+@pytest.mark.slow
+def test_report_prints(report, tmp_path):
+    page, paper = tmp_path / "report.html", tmp_path / "report.pdf"
+    page.write_text(report, encoding="utf-8")
+    browse(page, tmp_path, f"--print-to-pdf={paper}")
+    content = paper.read_bytes()
+    assert content.startswith(b"%PDF")
+    pages = len(re.findall(rb"/Type\s*/Page\b", content))
+    assert 2 <= pages <= 8
+
+
+def test_every_kind_of_plot_renders():
+    rng = np.random.default_rng(0)
+    r = rng.normal(size=(2, 3, 100)) + 1j * rng.normal(size=(2, 3, 100))
+    freq, H = np.linspace(10, 20, 100), np.moveaxis(r, 2, 1)[..., None]
+    parts = [
+        residual_plot(freq, [("before", r[0]), ("after", r[1])], ["<a>", "b", "c"]),
+        bar_plot(["<x>", "y"], [0.9, 0.1], "Probability [-]", "Candidates."),
+        comparison_plot(freq, H, H * 1.1, None, "mobility", ["a", "b", "c"], ["<i>"], ["1 N", "2 N"]),
+        Table(["a", "b"], [["<1>", "2"]], "caption"),
+    ]
+    text = Page("All", sections=[Section("One", ["<p>"], parts)]).html()
+    assert "&lt;p&gt;" in text and "&lt;1&gt;" in text and text.count('class="plot"') == 3
+    assert isinstance(parts[0], Plot) and "\\u0026lt;a\\u0026gt;" in text

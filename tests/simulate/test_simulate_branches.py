@@ -1,0 +1,116 @@
+"""Continuation through folds, stability, backbone curves: the Duffing oscillator and a Jenkins joint in closed form."""
+
+import numpy as np
+import pytest
+
+from modalax.model import Structure
+from modalax.model.examples import five_dof
+from modalax.simulate.backbone import backbone
+from modalax.simulate.continuation import follow_branch
+from modalax.simulate.control import constant_response
+from modalax.simulate.joints import CubicSpring, ElastoSlip
+from modalax.simulate.stability import floquet_exponents
+
+M, C, K, K3, FORCE = 1.0, 2.0, 1e4, 5e7, 3.0
+DUFFING = Structure([[M]], [[C]], [[K]], ["x"])
+
+
+def closed_form_frequencies(amplitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    stiff = K + 0.75 * K3 * amplitude**2
+    p, q = C**2 - 2 * M * stiff, stiff**2 - (FORCE / amplitude) ** 2
+    root = np.sqrt(np.where(p**2 >= 4 * M**2 * q, p**2 - 4 * M**2 * q, np.nan))
+    low, high = (-p - root) / (2 * M**2), (-p + root) / (2 * M**2)
+    return tuple(np.sqrt(np.where(square > 0, square, np.nan)) / (2 * np.pi) for square in (low, high))
+
+
+@pytest.fixture(scope="module")
+def branch():
+    return follow_branch(DUFFING, [CubicSpring(K3)], [["x"]], (10.0, 26.0), FORCE, input="x", points=260)
+
+
+def test_the_branch_is_the_closed_form_and_crosses_the_band(branch):
+    ok = np.asarray(branch.valid)
+    freq, A = np.asarray(branch.freq)[ok], np.abs(np.asarray(branch.q)[ok, 0, 0])
+    w = 2 * np.pi * freq
+    np.testing.assert_allclose((K + 0.75 * K3 * A**2 - M * w**2) ** 2 + C**2 * w**2, (FORCE / A) ** 2, rtol=1e-6)
+    assert freq[-1] > 25.0 and freq[0] < 11.0
+
+
+def test_both_folds_lie_where_the_closed_form_puts_them(branch):
+    A = np.linspace(1e-4, 2e-2, 400001)
+    low, high = closed_form_frequencies(A)
+    top = np.nanargmax(low)
+    expected = np.array([low[top], np.nanmin(high[A < 0.7 * A[top]])])
+    folds = branch.folds()
+    assert len(folds) == 2
+    # a parabola between two points of the trace: measured 2e-5 relative
+    np.testing.assert_allclose(folds, expected, rtol=3e-4)
+
+
+def test_only_the_middle_of_the_branch_is_unstable(branch):
+    ok = np.asarray(branch.valid)
+    exponents = floquet_exponents(
+        DUFFING, (CubicSpring(K3),), [["x"]], branch.freq[ok], branch.q[ok], branch.harmonics, samples=32
+    )
+    unstable = np.asarray(exponents.real.max(axis=1)) > 0
+    back = np.asarray(branch.direction)[ok] < 0
+    # points next to a fold have an exponent next to 0, where one harmonic is not enough to tell
+    clear = np.abs(np.asarray(branch.direction)[ok]) > 0.5
+    assert back[clear].sum() > 5
+    np.testing.assert_array_equal(unstable[clear], back[clear])
+
+
+def test_exponents_of_a_linear_structure_are_its_poles():
+    s = five_dof()
+    exponents = floquet_exponents(
+        s, (CubicSpring(0.0),), [["3", "5"]], np.array([7.0]), np.zeros((1, 1, 1), complex), (1,), samples=32
+    )[0]
+    # each exponent is a pole shifted by whole multiples of the excitation frequency, so real parts are the poles'
+    expected = np.sort(np.repeat(np.asarray(s.modal().poles).real, 2))
+    np.testing.assert_allclose(np.sort(np.asarray(exponents).real)[-2:], expected[-2:], rtol=1e-6)
+    assert np.all(np.min(np.abs(np.asarray(exponents).real[:, None] / expected - 1), axis=1) < 1e-6)
+
+
+def test_duffing_backbone_is_the_closed_form():
+    A = np.geomspace(1e-4, 2e-2, 12)
+    found = backbone(DUFFING, [CubicSpring(K3)], [["x"]], 1, A)
+    omega = np.sqrt(K + 0.75 * K3 * A**2)
+    assert bool(found.converged.all())
+    np.testing.assert_allclose(found.frequency_hz, omega / (2 * np.pi), rtol=1e-9)
+    np.testing.assert_allclose(found.damping_ratio, C / (2 * omega), rtol=1e-9)
+
+
+def test_backbone_of_a_jenkins_oscillator_is_its_describing_function():
+    A, joint = np.geomspace(1e-5, 2e-2, 15), ElastoSlip(5e3, 4.0)
+    found = backbone(DUFFING, [joint], [["x"]], 1, A)
+    N = np.asarray(joint.describing(A, 100.0))
+    omega = np.sqrt(K + N.real)
+    assert bool(found.converged.all())
+    np.testing.assert_allclose(found.frequency_hz, omega / (2 * np.pi), rtol=1e-9)
+    np.testing.assert_allclose(found.damping_ratio, (C + N.imag / omega) / (2 * omega), rtol=1e-9)
+
+
+def test_backbone_of_the_five_dof_system_starts_linear_and_softens():
+    s, joint = five_dof(), ElastoSlip(9.6e3, 2.3, -9.6e3)
+    found = backbone(s, [joint], [["3", "5"]], 2, np.geomspace(1e-5, 3e-3, 10), harmonics=3)
+    assert bool(found.converged.all())
+    assert float(found.frequency_hz[0]) == pytest.approx(36.84, rel=1e-6)
+    assert float(found.damping_ratio[0]) == pytest.approx(0.02, rel=1e-6)
+    assert float(found.frequency_hz[-1]) < 35.5 and float(np.max(found.damping_ratio)) > 0.03
+
+
+def test_messages_say_what_was_seen():
+    with pytest.raises(ValueError, match="must rise"):
+        follow_branch(DUFFING, [CubicSpring(1.0)], [["x"]], (3.0, 2.0), 1.0, input="x")
+    with pytest.raises(ValueError, match="mode 2 asked for"):
+        backbone(DUFFING, [CubicSpring(1.0)], [["x"]], 2, [1e-3])
+
+
+def test_force_that_holds_a_duffing_oscillator_is_the_closed_form():
+    freq, A = np.linspace(12.0, 24.0, 61), 8e-3
+    held = constant_response(DUFFING, [CubicSpring(K3)], [["x"]], freq, A, held="x", input="x")
+    w = 2 * np.pi * freq
+    assert bool(held.converged.all())
+    np.testing.assert_allclose(held.force, A * np.hypot(K + 0.75 * K3 * A**2 - M * w**2, C * w), rtol=1e-8)
+    np.testing.assert_allclose(np.abs(held.X[:, 0]), A, rtol=1e-9)
+    assert held.measurement("accelerance").inputs == ("x",)

@@ -1,0 +1,236 @@
+"""The command line: what it refuses and how it says so, conversion, simulation, quick help."""
+
+import json
+import os
+import subprocess
+import sys
+
+import jax
+import numpy as np
+import pytest
+
+from modalax.cli import main
+from modalax.cli.common import free_folder, plain
+from modalax.cli.simulate import frequencies, read_joints
+from modalax.data import Measurement
+from modalax.files import load, save
+from modalax.model.examples import five_dof
+
+
+@pytest.fixture(autouse=True)
+def own_cache(monkeypatch, tmp_path_factory):
+    """Compiled programs of a test run do not go to the user's cache."""
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """A structure and two runs of its FRFs."""
+    folder = tmp_path_factory.mktemp("files")
+    structure = five_dof()
+    frf = structure.frf(np.arange(200, 701) / 10, inputs=["1"])
+    runs = [frf.add_noise(jax.random.key(k), 0.01).replace(level=float(k + 1)) for k in range(2)]
+    save(structure, folder / "structure.npz")
+    save(Measurement.from_frfs(runs), folder / "two.npz")
+    return folder
+
+
+def refused(capsys, *arguments):
+    """Run a command that must end with status 2 and one line on stderr; give that line."""
+    assert main([str(a) for a in arguments]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    lines = captured.err.splitlines()
+    assert len(lines) == 1 and lines[0].startswith("modalax: "), captured.err
+    return lines[0]
+
+
+def processor_seconds():
+    """Processor time of finished child processes, which other work on the machine does not stretch."""
+    times = os.times()
+    return times.children_user + times.children_system
+
+
+def test_help_is_quick_and_names_every_command():
+    start = processor_seconds()
+    done = subprocess.run([sys.executable, "-m", "modalax", "--help"], capture_output=True, text=True, check=True)
+    seconds = processor_seconds() - start
+    for name in ("demo", "fit", "simulate", "diagnose", "causes", "convert"):
+        assert name in done.stdout
+    assert seconds < 5  # 1.0 to 1.7 s, most of it importing JAX; optimistix and matplotlib would add 3 s
+
+
+def test_help_imports_neither_pictures_nor_solvers():
+    code = (
+        "import sys; from modalax.cli import main\n"
+        "try: main(['--help'])\nexcept SystemExit: pass\n"
+        "print([m for m in ('matplotlib', 'optimistix', 'plotly', 'pyuff') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_no_argument_shows_the_help(capsys):
+    assert main([]) == 0
+    assert "simulate" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["fit", "absent.uff"], ["absent.uff"]),
+        (["fit"], ["DATA"]),
+        (["nonsense"], ["nonsense"]),
+        (["fit", "absent.npz", "--order", "many"], ["--order"]),
+        (["fit", "absent.npz", "--method", "fft"], ["fft", "lscf", "fdpi"]),
+        (["simulate", "absent.npz", "--band", "1", "2", "-o", "out.npz"], ["absent.npz"]),
+        (["simulate", "absent.npz", "--force", "1", "--band", "1", "2"], ["-o DATA"]),
+        (["simulate", "absent.npz", "--force", "1", "-o", "x.npz"], ["--band"]),
+        (["simulate", "absent.npz", "--force", "-1", "--band", "1", "2", "-o", "x.npz"], ["-1", "above 0"]),
+        (["diagnose", "absent.npz"], ["--simulation"]),
+        (["convert", "absent.uff", "out.npz"], ["absent.uff"]),
+    ],
+)
+def test_unusable_input_is_told_in_one_line(capsys, monkeypatch, tmp_path, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    line = refused(capsys, *arguments)
+    assert all(word in line for word in words), line
+
+
+def test_debug_shows_where_it_failed(tmp_path):
+    with pytest.raises((ValueError, OSError)):
+        main(["fit", str(tmp_path / "absent.npz"), "--debug"])
+
+
+def test_a_model_is_no_measurement_and_the_other_way_round(capsys, files, tmp_path):
+    line = refused(capsys, "fit", files / "structure.npz")
+    assert "structure.npz" in line and "Structure" in line and "FRFs" in line
+    line = refused(capsys, "simulate", files / "two.npz", "--band", "20", "70", "-o", tmp_path / "x.npz")
+    assert "two.npz" in line and "simulation" in line
+
+
+def test_existing_files_are_kept(capsys, files, tmp_path):
+    target = tmp_path / "there.npz"
+    target.write_text("mine")
+    line = refused(capsys, "convert", files / "two.npz", target)
+    assert "there.npz" in line and "--overwrite" in line
+    assert target.read_text() == "mine"
+    assert main(["convert", str(files / "two.npz"), str(target), "--overwrite"]) == 0
+    assert load(target).runs == 2
+
+
+def test_output_into_an_absent_folder_is_refused_before_working(capsys, files, tmp_path):
+    line = refused(capsys, "fit", files / "two.npz", "--json", tmp_path / "no" / "f.json")
+    assert "does not exist" in line
+
+
+def test_convert_keeps_the_numbers(files, tmp_path, capsys):
+    target = tmp_path / "two.mat"
+    assert main(["convert", str(files / "two.npz"), str(target)]) == 0
+    before, after = load(files / "two.npz"), load(target)
+    np.testing.assert_array_equal(after.H, before.H)
+    assert after.outputs == before.outputs and after.form == before.form
+
+
+def test_linear_simulation(files, tmp_path, capsys):
+    target = tmp_path / "sim.npz"
+    arguments = ["simulate", files / "structure.npz", "--force", 2, "--force", 6, "--band", 20, 70, "--step", 0.5]
+    assert main([*map(str, arguments), "--input", "3", "--form", "mobility", "-o", str(target)]) == 0
+    got = load(target)
+    exact = five_dof().frf(np.arange(20, 70.25, 0.5), form="mobility", inputs=["3"])
+    assert got.form == "mobility" and got.inputs == ("3",) and got.runs == 2
+    np.testing.assert_array_equal(got.level, [2.0, 6.0])
+    np.testing.assert_allclose(got.freq, exact.freq, rtol=1e-14)
+    np.testing.assert_allclose(got.H[1], exact.H, rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_slipping_joint_softens_with_the_force(files, tmp_path, capsys):
+    """Far above slip the joint hardly holds: the FRF comes near to that without it; far below it is linear."""
+    target = tmp_path / "joint.npz"
+    arguments = ["simulate", files / "structure.npz", "coulomb_friction:3,5:slip_force=1", "--harmonics", 1]
+    arguments += ["--force", 1, "--force", 1000, "--band", 34, 38, "--step", 1, "-o", target]
+    assert main([str(a) for a in arguments]) == 0
+    got = load(target)
+    free = np.asarray(five_dof().frf(got.freq, inputs=["1"]).H)
+    far = [np.linalg.norm(H - free) / np.linalg.norm(free) for H in np.asarray(got.H)]
+    assert far[0] > 0.1  # 1 N against a friction of 1 N
+    assert far[1] < 0.01  # 1000 N against it
+
+
+def test_simulated_noise_has_the_size_asked_for(files, tmp_path, capsys):
+    target = tmp_path / "noisy.npz"
+    arguments = ["simulate", files / "structure.npz", "--band", 20, 70, "--noise", 0.2, "--seed", 3, "-o", target]
+    assert main([str(a) for a in arguments]) == 0
+    got = load(target)
+    exact = np.asarray(five_dof().frf(got.freq, inputs=["1"]).H)
+    error = np.asarray(got.H[0]) - exact
+    ratio = np.sqrt(np.mean(np.abs(error) ** 2, axis=0) / np.mean(np.abs(exact) ** 2, axis=0))
+    # 501 complex samples a channel: relative scatter of a standard deviation 1/sqrt(2*501) = 3 %; five of them.
+    np.testing.assert_allclose(ratio, 0.2, rtol=0.16)
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "step", "count"), [(20, 70, 0.1, 501), (0, 1, 0.3, 4), (33.3, 33.9, 0.2, 4), (5, 6, 2, 1)]
+)
+def test_frequency_lines_hold_both_ends_where_the_step_meets_them(lower, upper, step, count):
+    freq = frequencies(float(lower), float(upper), float(step))
+    assert len(freq) == count and freq[0] == lower and freq[-1] <= upper * (1 + 1e-12)
+
+
+def test_joints_are_read_from_words_and_from_a_file(tmp_path):
+    [(joint, where)] = read_joints("elasto_slip:3,5:k=2e4,slip_force=4")
+    assert joint.slug == "elasto_slip" and where == ("3", "5")
+    assert float(joint.k) == 2e4 and float(joint.slip_force) == 4
+    # DoF names hold colons of their own.
+    [(joint, where)] = read_joints("cubic_stiffness:12:+Z,13:-Z:k3=1e9")
+    assert where == ("12:+Z", "13:-Z") and float(joint.k3) == 1e9
+    path = tmp_path / "joints.toml"
+    path.write_text('[[joint]]\nlaw = "coulomb_friction"\nwhere = "3"\nslip_force = 2\n')
+    joints = read_joints(str(path))
+    assert [(j.slug, w) for j, w in joints] == [("coulomb_friction", ("3",))]
+
+
+@pytest.mark.parametrize(
+    ("spec", "words"),
+    [
+        ("elasto_slip", ["law:dofs:parameters"]),
+        ("glue:3,5:k=1", ["glue", "elasto_slip"]),
+        ("elasto_slip:3,5:k=1", ["k [N/m]", "slip_force [N]"]),
+        ("elasto_slip:3,5:k=1,q=2", ["q", "slip_force [N]"]),
+        ("elasto_slip:3,5:k=-1,slip_force=2", ["-1"]),
+        ("elasto_slip:3,5:k=much,slip_force=2", ["much"]),
+        ("elasto_slip:3,4,5:k=1,slip_force=2", ["3 DoFs"]),
+    ],
+)
+def test_a_wrong_joint_is_explained(spec, words):
+    with pytest.raises(ValueError) as error:
+        read_joints(spec)
+    assert all(word in str(error.value) for word in words), str(error.value)
+
+
+def test_a_free_folder_is_found(tmp_path):
+    first = tmp_path / "demo"
+    assert free_folder(first) == first
+    first.mkdir()
+    (tmp_path / "demo-2").mkdir()
+    assert free_folder(first) == tmp_path / "demo-3"
+
+
+def test_json_has_no_numbers_that_are_none():
+    value = {"a": np.array([1.0, np.nan]), "b": (np.float64("inf"), 2 + 1j), "c": [np.int64(3), None, "x", True]}
+    assert json.loads(json.dumps(plain(value), allow_nan=False)) == {
+        "a": [1.0, None],
+        "b": [None, [2.0, 1.0]],
+        "c": [3, None, "x", True],
+    }
+
+
+def test_a_warning_becomes_a_note(files, tmp_path, capsys):
+    """FRFs of the other time convention are turned back, and that is told without a file name and line of code."""
+    measured = load(files / "two.npz")
+    save(measured.replace(H=np.conj(measured.H)), tmp_path / "turned.npz")
+    assert main(["convert", str(tmp_path / "turned.npz"), str(tmp_path / "right.npz")]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0].startswith("note: ") and "turned.npz" in lines[0] and "conjugat" in lines[0]
+    np.testing.assert_allclose(load(tmp_path / "right.npz").H, measured.H)

@@ -1,0 +1,122 @@
+"""The layout holds: imports run one way, modules stay short, and importing the package stays light."""
+
+import ast
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+SOURCE = Path(__file__).parents[1] / "src" / "modalax"
+MODULES = sorted(SOURCE.rglob("*.py"))
+LONGEST_MODULE = 400
+# A folder may import itself and what stands in an earlier row; what stands in the same row knows nothing of its
+# neighbour. The model is what files hold, and the indicators of a model need no file.
+LAYERS = (
+    {"_numerics"},
+    {"data"},
+    {"model"},
+    {"files"},
+    {"identify", "simulate"},
+    {"diagnose"},
+    {"campaign"},
+    {"show"},
+    {"cli"},
+    {"__main__"},
+)
+RANK = {name: rank for rank, row in enumerate(LAYERS) for name in row}
+DRAWING = {"matplotlib", "plotly", "jinja2"}
+OPTIONAL = {"pyuff", "xarray", "zarr", "h5netcdf", "pooch", "plotly", "jinja2", "diffrax"}
+
+
+def layer_of(path: Path) -> str:
+    return path.relative_to(SOURCE).parts[0].removesuffix(".py")
+
+
+def imported(tree: ast.AST, inside_functions: bool = True) -> list[tuple[str, int]]:
+    """Every module named by an import statement, with its line; what only a type checker imports is left out."""
+    found = []
+    for node in statements(tree, inside_functions):
+        if isinstance(node, ast.Import):
+            found += [(alias.name, node.lineno) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"line {node.lineno}: relative import; write the whole name"
+            module = node.module or ""
+            found.append((module, node.lineno))
+            if module == "modalax":
+                found += [(f"modalax.{alias.name}", node.lineno) for alias in node.names]
+    return found
+
+
+def statements(tree: ast.AST, inside_functions: bool) -> Iterator[ast.AST]:
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.FunctionDef | ast.Lambda) and not inside_functions:
+            continue
+        if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING"):
+            continue
+        yield node
+        yield from statements(node, inside_functions)
+
+
+def wrong_imports(path: Path, source: str) -> list[str]:
+    """Imports of ``source``, the text of the module at ``path``, that run upward or sideways."""
+    own = layer_of(path)
+    if own == "__init__":
+        return []
+    wrong = []
+    for name, line in imported(ast.parse(source)):
+        parts = name.split(".")
+        if parts[0] != "modalax" or len(parts) < 2 or parts[1] not in RANK:
+            continue
+        if parts[1] != own and RANK[parts[1]] >= RANK[own]:
+            wrong.append(f"{path.name}:{line} ({own}) imports {name}")
+    return wrong
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(SOURCE)))
+def test_imports_run_downward(path):
+    assert layer_of(path) in RANK or layer_of(path) == "__init__", f"{path} stands in no known folder"
+    assert not wrong_imports(path, path.read_text())
+
+
+@pytest.mark.parametrize(
+    ("module", "line"),
+    [
+        ("identify/lscf.py", "from modalax.simulate.harmonic import solve"),
+        ("simulate/harmonic.py", "import modalax.identify"),
+        ("data/frf.py", "from modalax.model import ModalModel"),
+        ("model/modal.py", "from modalax import show"),
+        ("diagnose/decide.py", "def f():\n    from modalax.show import plot_frf"),
+    ],
+)
+def test_an_upward_or_sideways_import_is_seen(module, line):
+    assert wrong_imports(SOURCE / module, line)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(SOURCE)))
+def test_module_is_short_and_keeps_optional_packages_inside_functions(path):
+    text = path.read_text()
+    assert len(text.splitlines()) <= LONGEST_MODULE
+    tree = ast.parse(text)
+    top = {name.split(".")[0] for name, _ in imported(tree, inside_functions=False)}
+    assert not top & OPTIONAL, "an optional package is imported when the module is"
+    if layer_of(path) != "show":
+        assert not {name.split(".")[0] for name, _ in imported(tree)} & DRAWING, "only modalax.show draws"
+
+
+def test_importing_the_package_is_light():
+    """``import modalax`` draws in no plotting or file package and leaves JAX's precision alone."""
+    heavy = sorted(DRAWING | OPTIONAL | {"typer", "rich", "IPython", "tkinter"})
+    code = (
+        "import sys, modalax, jax; "
+        f"print([m for m in {heavy} if m in sys.modules], jax.config.jax_enable_x64, modalax.__version__)"
+    )
+    start = os.times()
+    done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=False)
+    end = os.times()
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("[] False "), done.stdout
+    # Processor time: 1.0 to 1.7 s, most of it JAX itself; an import that compiles or draws would take 3 s more.
+    assert end.children_user + end.children_system - start.children_user - start.children_system < 5
