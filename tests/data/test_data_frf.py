@@ -229,3 +229,14 @@ def test_few_lines_of_a_drive_point_are_decided_by_its_energy():
 
 def test_one_line_is_undecided():
     assert not looks_conjugated(FRF([5.0], np.full((1, 1, 1), -1j)))
+
+
+def test_constant_variance_is_checked_under_jit_too():
+    freq, H = np.arange(1.0, 5.0), np.ones((4, 1, 1), complex)
+    made = jax.jit(lambda H: FRF(freq, H, variance=1e-3).variance)(H)
+    np.testing.assert_array_equal(made, np.full(H.shape, 1e-3))
+    runs = jax.jit(lambda H: Measurement(freq, H, variance=2e-3).variance)(H[None])
+    np.testing.assert_array_equal(runs, np.full((1, *H.shape), 2e-3))
+    for make in (FRF, lambda f, H, **k: Measurement(f, H[None], **k)):
+        with pytest.raises(ValueError, match="negative values"):
+            jax.jit(lambda H, make=make: make(freq, H, variance=-1.0).H)(H)

@@ -226,3 +226,16 @@ def test_unusable_input_is_refused():
         stepped_sine(structure, [], [], [5.0], 1.0, inputs=["m"], sweep="sideways")
     with pytest.raises(ValueError, match="8 steps a period"):
         stepped_sine(structure, [], [], [5.0], 1.0, inputs=["m"], steps=8)
+
+
+def test_creep_that_the_steps_resolve_is_an_elasto_slip_law():
+    structure, fs, creep = oscillator(), 2000.0, 2e-4
+    push = smooth_push(np.arange(1000) / fs)[:, None]
+    given = {"inputs": ["m"], "places": [["m"]], "fs": fs, "force": push}
+    creeping, rigid, slip = (
+        np.asarray(respond(structure, [joint], **given).response)[:, 0]
+        for joint in (CoulombFriction(5.0, creep), CoulombFriction(5.0), ElastoSlip(5.0 / creep, 5.0))
+    )
+    np.testing.assert_allclose(creeping, slip, atol=1e-12 * np.abs(slip).max())
+    # creep of a twentieth of the motion: it differs, but not by more than that
+    assert 1e-3 < np.abs(creeping - rigid).max() / np.abs(rigid).max() < 0.2

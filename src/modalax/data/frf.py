@@ -93,6 +93,22 @@ def band_slice(freq: Any, lower: float, upper: float) -> slice:
     return slice(int(inside[0]), int(inside[-1]) + 1)
 
 
+def check_variance(variance: Any) -> None:
+    """Refuse a variance that is negative or not finite; as given, for under ``jit`` all that is made of it is traced.
+
+    Raises
+    ------
+    ValueError
+        With the smallest value, or the first that is not finite.
+    """
+    if is_traced(variance):
+        return
+    require_finite(variance, "variance")
+    smallest = float(np.min(np.asarray(variance), initial=np.inf))
+    if smallest < 0:
+        raise ValueError(f"variance holds negative values (smallest {smallest:g})")
+
+
 class FRF(eqx.Module):
     r"""One run of measured frequency response functions :math:`H_{oi}(\omega_f)`.
 
@@ -155,9 +171,7 @@ class FRF(eqx.Module):
         require_finite(self.H, "H")
         self.variance = None if variance is None else jnp.broadcast_to(as_double(variance, "variance"), self.H.shape)
         if self.variance is not None:
-            require_finite(self.variance, "variance")
-            if not is_traced(self.variance) and bool((self.variance < 0).any()):
-                raise ValueError(f"variance holds negative values (smallest {float(self.variance.min()):g})")
+            check_variance(variance)
         self.coherence = (
             None if coherence is None else jnp.broadcast_to(as_double(coherence, "coherence"), self.H.shape)
         )

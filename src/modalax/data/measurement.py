@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from modalax._numerics.checks import as_double, is_traced, require_finite
-from modalax.data.frf import FRF, band_slice, check_axis, check_form, check_names, default_names
+from modalax._numerics.checks import as_double, require_finite
+from modalax.data.frf import FRF, band_slice, check_axis, check_form, check_names, check_variance, default_names
 
 
 class Measurement(eqx.Module):
@@ -27,6 +27,9 @@ class Measurement(eqx.Module):
         Ordinary coherence, shape ``(run, f, o, i)``, or None.
     level
         Force amplitude of each run, shape ``(run,)`` [N]; NaN where unknown.
+    force
+        Force amplitude of each run at each line, shape ``(run, f)`` [N], or None where the force was the same at all
+        lines. A shaker's controller seldom holds it through a resonance, and a joint feels the force of its own line.
     added_decay
         Decay rate that an exponential window added [1/s].
     form, outputs, inputs, averages
@@ -38,6 +41,7 @@ class Measurement(eqx.Module):
     variance: Float[Array, "run f o i"] | None
     coherence: Float[Array, "run f o i"] | None
     level: Float[Array, " run"]
+    force: Float[Array, "run f"] | None
     added_decay: Float[Array, ""]
     form: str = eqx.field(static=True)
     outputs: tuple[str, ...] = eqx.field(static=True)
@@ -53,6 +57,7 @@ class Measurement(eqx.Module):
         variance: Any = None,
         coherence: Any = None,
         level: Any = None,
+        force: Any = None,
         added_decay: Any = 0.0,
         outputs: Sequence[str] | None = None,
         inputs: Sequence[str] | None = None,
@@ -70,13 +75,14 @@ class Measurement(eqx.Module):
         runs, _, n_out, n_in = self.H.shape
         self.variance = None if variance is None else jnp.broadcast_to(as_double(variance, "variance"), self.H.shape)
         if self.variance is not None:
-            require_finite(self.variance, "variance")
-            if not is_traced(self.variance) and bool((self.variance < 0).any()):
-                raise ValueError(f"variance holds negative values (smallest {float(self.variance.min()):g})")
+            check_variance(variance)
         self.coherence = (
             None if coherence is None else jnp.broadcast_to(as_double(coherence, "coherence"), self.H.shape)
         )
-        self.level = jnp.full(runs, jnp.nan) if level is None else as_double(level, "level")
+        self.force = None if force is None else _forces(force, self.H.shape[:2])
+        if level is None:
+            level = jnp.full(runs, jnp.nan) if self.force is None else self.force.mean(axis=1)
+        self.level = as_double(level, "level")
         if self.level.shape != (runs,):
             raise ValueError(f"level has shape {self.level.shape} for {runs} runs; it needs one force amplitude a run")
         self.added_decay = as_double(added_decay, "added_decay")
@@ -155,7 +161,7 @@ class Measurement(eqx.Module):
         """A copy with some attributes changed and everything checked again."""
         fields = dict(
             freq=self.freq, H=self.H, variance=self.variance, coherence=self.coherence, level=self.level,
-            added_decay=self.added_decay, form=self.form, outputs=self.outputs, inputs=self.inputs,
+            force=self.force, added_decay=self.added_decay, form=self.form, outputs=self.outputs, inputs=self.inputs,
             averages=self.averages,
         )  # fmt: skip
         return Measurement(**{**fields, **changes})
@@ -165,9 +171,18 @@ class Measurement(eqx.Module):
         which = band_slice(self.freq, lower, upper)
         take = lambda a: None if a is None else a[:, which]  # noqa: E731
         return self.replace(
-            freq=self.freq[which], H=self.H[:, which], variance=take(self.variance), coherence=take(self.coherence)
-        )
+            freq=self.freq[which], H=self.H[:, which], variance=take(self.variance), coherence=take(self.coherence),
+            force=take(self.force),
+        )  # fmt: skip
 
     def to_form(self, form: str) -> "Measurement":
         """All runs as receptance, mobility or accelerance, as :meth:`FRF.to_form`."""
-        return Measurement.from_frfs([self.run(k).to_form(form) for k in range(self.runs)])
+        return Measurement.from_frfs([self.run(k).to_form(form) for k in range(self.runs)]).replace(force=self.force)
+
+
+def _forces(force: Any, shape: tuple[int, ...]) -> Float[Array, "run f"]:
+    force = as_double(force, "force")
+    if force.shape != shape:
+        raise ValueError(f"force has shape {force.shape}; it needs one amplitude a run and line, shape {shape}")
+    require_finite(force, "force")
+    return force

@@ -130,6 +130,33 @@ def find(
     return end.best, end.left
 
 
+class _OneStep(optx.AbstractRootFinder):
+    """A single Newton step with the Jacobian column by column: a third of what a linearised function costs here."""
+
+    rtol: float = 0.0
+    atol: float = 0.0
+    norm: Any = optx.max_norm
+
+    def init(self, fn: Any, y: Any, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: Any) -> Array:
+        return jnp.array(False)
+
+    def step(self, fn: Any, y: Any, args: Any, options: Any, state: Any, tags: Any) -> tuple[Array, Array, Any]:
+        def both(y: Array) -> tuple[Array, tuple[Array, Any]]:
+            missing, aux = fn(y, args)
+            return missing, (missing, aux)
+
+        jacobian, (missing, aux) = jax.jacfwd(both, has_aux=True)(y)
+        return y - jnp.linalg.solve(jacobian, missing), jnp.array(True), aux
+
+    def terminate(self, fn: Any, y: Any, args: Any, options: Any, state: Any, tags: Any) -> tuple[Array, Any]:
+        return state, optx.RESULTS.successful
+
+    def postprocess(
+        self, fn: Any, y: Any, aux: Any, args: Any, options: Any, state: Any, tags: Any, result: Any
+    ) -> tuple[Any, Any, dict[str, Any]]:
+        return y, aux, {}
+
+
 def polish(
     plan: Plan, joints: tuple[Joint, ...], line: Line, y: Float[Array, " r"]
 ) -> tuple[Complex[Array, "j h"], Float[Array, ""]]:
@@ -141,9 +168,8 @@ def polish(
     args = (plan, joints, line, scale)
     y = jax.lax.stop_gradient(y)
     solution = optx.root_find(
-        _scaled, optx.Newton(rtol=1e-12, atol=1e-14, linear_solver=lx.LU()), y, args,
-        max_steps=1, throw=False, adjoint=optx.ImplicitAdjoint(linear_solver=lx.LU()),
-    )  # fmt: skip
+        _scaled, _OneStep(), y, args, max_steps=1, throw=False, adjoint=optx.ImplicitAdjoint(linear_solver=lx.LU())
+    )
     # where nothing was found an undamped step may lead anywhere; the best point found is kept there
     before = jnp.max(jnp.abs(_scaled(y, args)))
     value = jnp.where(before < CLOSED, solution.value, y)

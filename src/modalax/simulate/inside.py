@@ -3,7 +3,8 @@ r"""Joint laws inside a step of time marching: from the motion of the joint's en
 Within a step the ends move as the cubic that fits displacement and velocity at both sides. The law is sampled on it at
 ``FINE`` intervals, so contact and slip that begin or end inside a step are met there; the force enters the structure
 by its first three Legendre moments :math:`c_k = (2k+1)\int_0^1 f P_k\,ds`. Dry friction is a law of the velocity with a
-jump: there the instant of standstill is found in closed form, and from it on the slider sticks or turns.
+jump: there the instant of standstill is found in closed form, and from it on the slider sticks or turns. Where the
+steps resolve its creep, it is the elasto-slip law that it then is.
 """
 
 from functools import singledispatch
@@ -110,6 +111,11 @@ def _(joint: Hysteretic) -> Any:
 
 @push.register
 def _(joint: Hysteretic, state: Any, way: Way, own: Array, guess: Array) -> Push:
+    return _step_along(joint, state, way)
+
+
+def _step_along(joint: Hysteretic, state: Any, way: Way) -> Push:
+    """A law with memory along the fine intervals."""
     x, _ = fine_way(way)
     first = joint.step(state, x[0], x[0])[1]
     f = [first]
@@ -121,12 +127,22 @@ def _(joint: Hysteretic, state: Any, way: Way, own: Array, guess: Array) -> Push
 
 @rest.register
 def _(joint: CoulombFriction) -> Any:
-    """Sticking: the state is the direction of slip, 0 where the slider sticks."""
-    return jnp.zeros_like(joint.slip_force)
+    """Sticking: the direction of slip, 0 where the slider sticks, and the force of the creeping contact."""
+    return jnp.zeros_like(joint.slip_force), joint.initial_state()
 
 
 @push.register
 def _(joint: CoulombFriction, state: Any, way: Way, own: Array, guess: Array) -> Push:
+    direction, force = state
+    rigid, creeping = _rigid_friction(joint, direction, way, own, guess), _step_along(joint, force, way)
+    # creep is resolved where it is no less than the way that friction itself makes the structure go in a step
+    resolved = joint.creep >= joint.slip_force * jnp.abs(own[0, 0])
+    moments, end = (jnp.where(resolved, c, r) for c, r in zip(creeping[:2], rigid[:2], strict=True))
+    return Push(moments, end, (rigid.state, creeping.state))
+
+
+def _rigid_friction(joint: CoulombFriction, state: Array, way: Way, own: Array, guess: Array) -> Push:
+    """Friction that holds without creep, the standstill found within the step."""
     limit = joint.slip_force
     # the motion if the slider goes on as it did
     forward = state * limit

@@ -121,7 +121,8 @@ class CoulombFriction(Hysteretic):
     slip_force
         Friction force F [N].
     creep
-        Displacement :math:`x_c` before slip [m].
+        Displacement :math:`x_c` before slip [m]. Time marching takes it as none where its steps are too long to follow
+        it, as they are for the default.
     """
 
     slip_force: Float[Array, ""] = parameter()
