@@ -50,6 +50,21 @@ def test_one_run_of_one_channel_with_unknown_level_keeps_its_axes(tmp_path, endi
     same(Measurement.from_frfs([frf]), loaded)
 
 
+@pytest.mark.parametrize("ending", ["npz", "mat", "nc"])
+def test_the_force_at_every_line_comes_back(tmp_path, ending):
+    saved = measurement()
+    force = np.random.default_rng(1).uniform(1.0, 2.0, (2, 101))
+    saved = saved.replace(force=force, level=force.mean(axis=1))
+    modalax.save(saved, tmp_path / f"data.{ending}")
+    loaded = modalax.load(tmp_path / f"data.{ending}")
+    same(saved, loaded)
+    np.testing.assert_array_equal(np.asarray(loaded.force), force)
+    assert loaded.band(30.0, 40.0).force.shape == (2, loaded.band(30.0, 40.0).freq.shape[0])
+    np.testing.assert_array_equal(np.asarray(loaded.to_form("mobility").force), force)
+    with pytest.raises(ValueError, match="one amplitude a run and line"):
+        saved.replace(force=force[:, :-1])
+
+
 @pytest.mark.parametrize("ending", ["npz", "mat"])
 def test_structure_comes_back_exactly(tmp_path, ending):
     s = five_dof()

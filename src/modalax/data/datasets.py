@@ -210,12 +210,19 @@ def _plane_geometry(points: np.ndarray, outline: np.ndarray, near: tuple[int, ..
     return Geometry([*names, *SENSOR_NODES], np.array([*plane, *points[list(near)]]), lines)
 
 
-def brake_reuss_beam() -> Measurement:
+def brake_reuss_beam(drive_point: bool = False) -> Measurement:
     """Free beam with a bolted lap joint, stepped sine through its first bending mode at four controlled force levels.
 
     One output, one input, 41 lines from 79.2 to 81.2 Hz, accelerance of the fundamental [(m/s^2)/N]; ``level`` is the
-    mean force amplitude over the lines [N], which the controller let vary by about a third. The phase falls from 0 to
-    -180 degrees: the accelerometer counts against the force.
+    mean force amplitude over the lines [N], which the controller let vary by about a third, ``force`` that of each line.
+    The phase falls from 0 to -180 degrees: the accelerometer counts against the force.
+
+    Parameters
+    ----------
+    drive_point
+        Turn the sign of the accelerometer and give force and response one name, ``beam``. As long as one mode stands
+        for the band, a response elsewhere is that of the drive point times a constant, so that only the scale of the
+        modal mass, and with it of forces and displacements in a joint, stays open.
 
     Raises
     ------
@@ -225,8 +232,8 @@ def brake_reuss_beam() -> Measurement:
     raw = np.load(data_file("brake_reuss_beam/force_control.npz"))
     H = raw["acceleration_m_s2"] / raw["force_n"] * np.exp(1j * raw["phase_rad"])
     return Measurement(
-        raw["frequency_hz"][0], H[:, :, None, None], form="accelerance", level=raw["force_n"].mean(axis=1),
-        outputs=["response"], inputs=["force"],
+        raw["frequency_hz"][0], (-H if drive_point else H)[:, :, None, None], form="accelerance", force=raw["force_n"],
+        outputs=["beam" if drive_point else "response"], inputs=["beam" if drive_point else "force"],
     )  # fmt: skip
 
 

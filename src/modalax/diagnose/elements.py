@@ -138,7 +138,7 @@ def _change(cause: Cause, solve: bool, p: Any, motion: Any, drive: Any, omega: A
     if solve:
         Z = equivalent(cause, p, omega, drive[None], motion[None], level)
         return -Z / (1 + Z * drive[None, :, None]) * motion[None]
-    A = level[:, None, None] * jnp.abs(motion) + 1e-300
+    A = level[:, :, None] * jnp.abs(motion) + 1e-300
     return -cause.impedance(A, omega[None, :, None], p) * motion[None]  # pyright: ignore[reportAttributeAccessIssue]
 
 

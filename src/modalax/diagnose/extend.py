@@ -61,7 +61,7 @@ class ExtendedSimulation(eqx.Module):
         self, level: Any, freq: Any, *, form: str = "receptance", outputs: Sequence[str] | None = None,
         inputs: Sequence[str] | None = None, measured: bool = True,
     ) -> FRF:  # fmt: skip
-        """The FRF at a force level [N] and frequencies [Hz] between DoFs by name.
+        """The FRF at a force level [N], one or one a line, and frequencies [Hz] between DoFs by name.
 
         Parameters
         ----------
@@ -87,7 +87,7 @@ class ExtendedSimulation(eqx.Module):
         omega = 2 * jnp.pi * freq
         shape = (1, freq.shape[0], len(outputs), len(inputs))
         problem = Problem(
-            omega, jnp.zeros(shape, jnp.complex128), jnp.ones(shape), jnp.asarray(level, jnp.float64).reshape(1),
+            omega, jnp.zeros(shape, jnp.complex128), jnp.ones(shape), jnp.broadcast_to(jnp.asarray(level, jnp.float64), freq.shape)[None],
             jnp.array([plant.index(n) for n in outputs]), jnp.array([plant.index(n) for n in inputs]), plant,
             shape[1], (shape[2], shape[3]),
         )  # fmt: skip
@@ -98,7 +98,7 @@ class ExtendedSimulation(eqx.Module):
             tuple(self.params[k] for k in keep), theta, problem,
         )  # fmt: skip
         factor = (1j * omega)[:, None, None] ** DERIVATIVES[check_form(form)]
-        return FRF(freq, H[0] * factor, form=form, outputs=outputs, inputs=inputs, level=level)
+        return FRF(freq, H[0] * factor, form=form, outputs=outputs, inputs=inputs, level=jnp.mean(jnp.asarray(level)))
 
     def frf(
         self, freq: Any, *, level: Any = 1.0, form: str = "receptance", outputs: Sequence[str] | None = None,

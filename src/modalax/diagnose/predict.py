@@ -39,13 +39,13 @@ class Channels(eqx.Module):
     drive
         The same of each input's DoF, shape ``(f, i)`` [m/N].
     level
-        Force amplitudes [N].
+        Force amplitudes of each run and line [N].
     """
 
     s: Complex[Array, " f"]
     own: Complex[Array, "f o"]
     drive: Complex[Array, "f i"]
-    level: Float[Array, " run"]
+    level: Float[Array, "run f"]
 
 
 def predict(
@@ -138,11 +138,29 @@ def _assemble(s: Array, gains: Array, at: list[Any], problem: Problem) -> tuple[
                 H_bi[:, :, count:] - H_bb[:, :, count:, :count] @ X @ H_bi[:, :, :count],
                 H_bb[:, :, count:, count:] - H_bb[:, :, count:, :count] @ X @ H_bb[:, :, :count, count:],
             )
-    for k, (cause, _, p) in enumerate(joints):
+    places = [jnp.asarray(w) for _, w, _ in joints]
+    for k, (cause, where, p) in enumerate(joints):
         drive_bb, motion = H_bb[:, :, k, k], H_bi[:, :, k]
-        Z = equivalent(cause, p, problem.omega, drive_bb, motion, problem.level)
+        first = 1.0
+        if len(joints) > 1:
+            # joints at one place share one motion: the first of them stands for all
+            same = [jnp.all(where == other).astype(float) for other in places]
+            first = jnp.prod(1 - jnp.stack([jnp.zeros(()), *same[:k]]))
+            cause, p = Together(tuple(c for c, _, _ in joints)), (tuple(q for *_, q in joints), tuple(same))
+        Z = first * equivalent(cause, p, problem.omega, drive_bb, motion, problem.level)
         H = H - H_ob[..., k, None] * (Z / (1 + Z * drive_bb[..., None]) * motion)[:, :, None]
     return H, channels
+
+
+class Together:
+    """Joints side by side at one place: their forces add up."""
+
+    def __init__(self, causes: tuple[Any, ...]):
+        self.causes = causes
+
+    def impedance(self, A: Array, omega: Array, p: tuple[tuple[Array, ...], tuple[Array, ...]]) -> Array:
+        """Sum of the describing functions; the second of ``p`` is 1 for the causes at this place, else 0."""
+        return sum(s * c.impedance(A, omega, q) for c, q, s in zip(self.causes, *p, strict=True))
 
 
 def _columns(cause: Cause, where: Array, psi: Array, part: Array) -> tuple[Array, Array]:
@@ -163,7 +181,7 @@ def _block_diagonal(blocks: list[Array]) -> Array:
 
 
 def equivalent(
-    cause: Any, p: Array, omega: Array, drive: Array, motion: Array, level: Array
+    cause: Any, p: Any, omega: Array, drive: Array, motion: Array, level: Array
 ) -> Complex[Array, "run f i"]:
     r"""Equivalent stiffness of a joint in place, from :math:`A\,|1 + N(A)\,b^THb| = |b^THF|`.
 
@@ -177,7 +195,7 @@ def equivalent(
     motion
         :math:`b^TH`, shape ``(run or 1, f, i)`` [m/N].
     """
-    free = level[:, None, None] * jnp.abs(motion) + TINY
+    free = level[:, :, None] * jnp.abs(motion) + TINY
     flat = jnp.broadcast_to(drive[..., None], free.shape)
     w = omega[None, :, None]
 

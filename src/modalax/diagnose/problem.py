@@ -27,7 +27,7 @@ class Problem(eqx.Module):
         :math:`\sqrt2/\sigma` of each sample, 0 where it is left out, so that the real and imaginary parts of
         ``weight * (data - prediction)`` have unit variance.
     level
-        Force amplitude of each run [N].
+        Force amplitude of each run at each line [N].
     outputs, inputs
         Positions of the channels among the DoFs of the plant.
     plant
@@ -39,7 +39,7 @@ class Problem(eqx.Module):
     omega: Float[Array, " f"]
     data: Complex[Array, "run f o i"]
     weight: Float[Array, "run f o i"]
-    level: Float[Array, " run"]
+    level: Float[Array, "run f"]
     outputs: Int[Array, " o"]
     inputs: Int[Array, " i"]
     plant: Plant
@@ -89,6 +89,8 @@ def make_problem(
     ----------
     data, sigma
         Receptances and the standard deviations of their complex errors, shape ``(run, f, o, i)`` [m/N].
+    level
+        Force amplitudes [N] of the runs, shape ``(run,)``, or of each of their lines, shape ``(run, f)``.
     """
     runs, lines, n_out, n_in = data.shape
     shape = (runs, bucket(lines), bucket(n_out), bucket(n_in))
@@ -99,7 +101,11 @@ def make_problem(
         jnp.asarray(np.pad(2 * np.pi * freq, pads[1], mode="edge")),
         jnp.asarray(np.pad(data, pads)),
         jnp.asarray(np.pad(weight, pads)),
-        jnp.asarray(level),
+        jnp.asarray(
+            np.pad(
+                np.broadcast_to(level if np.ndim(level) == 2 else level[:, None], data.shape[:2]), pads[:2], mode="edge"
+            )
+        ),
         jnp.asarray(np.pad(where[0], pads[2])),
         jnp.asarray(np.pad(where[1], pads[3])),
         padded(plant),

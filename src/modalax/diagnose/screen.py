@@ -79,7 +79,8 @@ class Residual:
     inner: np.ndarray
 
 
-@partial(jax.jit, static_argnames=("cause",))
+# each cause is compiled for a few runs: little optimisation takes half the time
+@partial(jax.jit, static_argnames=("cause",), compiler_options={"xla_backend_optimization_level": 0})
 def _scores(cause, index, params, base, theta, spread, basis, residual, directions, problem):
     """Products of the change that each set of parameters makes, for a batch."""
 

@@ -135,8 +135,9 @@ def as_measurement(data: Measurement | FRF) -> Measurement:
             raise ValueError("the measurement holds only the line at 0 Hz; at least one other is needed")
         take = lambda a: None if a is None else a[:, 1:]  # noqa: E731
         data = data.replace(
-            freq=data.freq[1:], H=data.H[:, 1:], variance=take(data.variance), coherence=take(data.coherence)
-        )
+            freq=data.freq[1:], H=data.H[:, 1:], variance=take(data.variance), coherence=take(data.coherence),
+            force=take(data.force),
+        )  # fmt: skip
     return data
 
 
@@ -159,20 +160,21 @@ def make_study(data: Measurement | FRF, simulation: Structure | ModalModel, ques
         known = np.nanmedian(level) if np.isfinite(level).any() else 1.0
         level = np.where(np.isnan(level), known, level)
         notes.append(f"force levels unknown, taken as {known:g} N: thresholds of joints scale with that")
+    force = level if measurement.force is None else np.asarray(measurement.force)
     asked, why = _question(question, simulation)
     notes.append(why)
     order = DERIVATIVES[measurement.form]
     unit = (2j * np.pi * freq[:, None, None]) ** order
     receptance = np.asarray(measurement.H) / unit
     zero = np.zeros(receptance.shape)
-    draft = make_problem(freq, receptance, zero, level, measurement.outputs, measurement.inputs, plant)
+    draft = make_problem(freq, receptance, zero, force, measurement.outputs, measurement.inputs, plant)
     n_out, n_in = draft.channels
     still = np.zeros((2, draft.plant.stiffness.shape[0]))
     predicted = np.asarray(_predict_jit((), np.zeros((0, 3), int), (), (), still, draft))[0, : len(freq), :n_out, :n_in]
     noise = noise_of(measurement, predicted * unit)
     notes.append(noise.source)
     sigma = noise.sigma / np.abs(unit)
-    problem = make_problem(freq, receptance, sigma, level, measurement.outputs, measurement.inputs, plant)
+    problem = make_problem(freq, receptance, sigma, force, measurement.outputs, measurement.inputs, plant)
     pooled, rest = problem.pooled()
     spread = np.stack([np.asarray(problem.plant.frequency_std), np.asarray(problem.plant.damping_std)])
     free = asked == "free"

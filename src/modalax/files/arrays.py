@@ -16,7 +16,7 @@ Arrays = Mapping[str, Any]
 Saved = Measurement | Structure | ModalModel
 
 MEASUREMENT_KEYS = (
-    "freq", "H", "variance", "averages", "coherence", "added_decay", "level", "outputs", "inputs", "form", "axes",
+    "freq", "H", "variance", "averages", "coherence", "added_decay", "level", "force", "outputs", "inputs", "form", "axes",
 )  # fmt: skip
 STRUCTURE_KEYS = ("M", "C", "K", "D", "dofs", "frequency_std", "damping_std")
 MODEL_KEYS = (
@@ -50,7 +50,7 @@ def _measurement_arrays(measurement: Measurement) -> dict[str, np.ndarray]:
         "outputs": np.array(measurement.outputs, dtype=str), "inputs": np.array(measurement.inputs, dtype=str),
         "form": np.array(measurement.form),
     }  # fmt: skip
-    for name in ("variance", "coherence", "averages"):
+    for name in ("variance", "coherence", "averages", "force"):
         if getattr(measurement, name) is not None:
             arrays[name] = np.asarray(getattr(measurement, name))
     if float(measurement.added_decay) != 0:
@@ -142,6 +142,8 @@ def _measurement(arrays: Arrays) -> Measurement:
         optional["averages"] = _whole(arrays, "averages")
     if "added_decay" in arrays:
         optional["added_decay"] = float(_numbers(arrays, "added_decay").item())
+    if "force" in arrays:
+        optional["force"] = np.atleast_2d(_numbers(arrays, "force"))
     level = np.atleast_1d(_numbers(arrays, "level").squeeze()) if "level" in arrays else None
     return Measurement(
         freq, H[None] if single else H, form=_words(arrays, "form")[0], level=level, outputs=outputs, inputs=inputs,

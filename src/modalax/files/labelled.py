@@ -26,7 +26,7 @@ def to_xarray(measurement: Any) -> Any:
     """The measurement as an ``xarray.Dataset``: ``H``, ``variance``, ``coherence`` over (run, freq, output, input).
 
     Coordinates are ``freq`` [Hz], ``level`` [N] over the runs and the DoF names; attributes are ``form`` and, where
-    known, ``averages`` and ``added_decay``.
+    known, ``averages`` and ``added_decay``. A force that differs from line to line is ``force`` over (run, freq).
 
     Parameters
     ----------
@@ -45,8 +45,9 @@ def to_xarray(measurement: Any) -> Any:
     attributes: dict[str, Any] = {"form": form, "time_convention": "exp(+j omega t)"}
     attributes |= {name: arrays[name].item() for name in ("averages", "added_decay") if name in arrays}
     units = {"H": UNITS[form], "variance": f"({UNITS[form]})^2", "coherence": "1"}
+    force = {"force": (DIMS[:2], arrays["force"], {"units": "N"})} if "force" in arrays else {}
     return _xarray().Dataset(
-        {name: (DIMS, arrays[name], {"units": units[name]}) for name in SAMPLES if name in arrays},
+        {name: (DIMS, arrays[name], {"units": units[name]}) for name in SAMPLES if name in arrays} | force,
         coords={
             "freq": ("freq", arrays["freq"], {"units": "Hz"}),
             "level": ("run", arrays["level"], {"units": "N"}),
@@ -83,6 +84,8 @@ def from_xarray(dataset: Any) -> Measurement:
     }
     arrays |= {"freq": dataset["freq"].to_numpy(), "form": np.array(dataset.attrs["form"])}
     arrays |= {f"{axis}s": dataset[axis].to_numpy().astype(str) for axis in ("output", "input")}
+    if "force" in dataset.variables:
+        arrays["force"] = dataset["force"].transpose(*DIMS[:2]).to_numpy()
     if "level" in dataset.variables:
         arrays["level"] = dataset["level"].to_numpy()
     arrays |= {name: dataset.attrs[name] for name in ("averages", "added_decay") if name in dataset.attrs}

@@ -13,6 +13,7 @@ from modalax.data.frf import FRF
 from modalax.data.measurement import Measurement
 from modalax.identify.bias import predicted_damping_bias
 from modalax.identify.fdpi import fdpi
+from modalax.identify.likelihood import UNDAMPED
 from modalax.identify.lsce import lsce
 from modalax.identify.lscf import lscf
 from modalax.identify.noise import residual_sigma, smooth_variance
@@ -29,7 +30,9 @@ from modalax.model.modal import ModalModel
 
 ESTIMATORS = {"lscf": lscf, "plscf": plscf, "lsce": lsce, "fdpi": fdpi}
 POLES = 40  # poles of the highest order of a first diagram; doubled while the modes fill it
-ROUNDS = 4  # most rounds of adding and dropping modes
+ROUNDS = 8  # most rounds of adding and dropping modes
+SHARE = 1.0
+HEAVY = 0.25  # damping ratio above which a pole is background, not a mode
 DROP, ADD = 1e-6, 1e-6  # chances of keeping, or of adding, a mode that is not there
 
 
@@ -230,7 +233,7 @@ def _likelihood(
 ) -> tuple[ModalModel, Refined]:
     options: dict[str, Any] = {"residuals": residuals, "real_modes": real_modes}
     # Weights that are only guessed call for errors that do not rely on them.
-    kind = "gauss-newton" if known else "sandwich"
+    kind = "gauss-newton" if known else "robust"
     sigma: Any = "auto"
     tell(f"maximum likelihood, {model.poles.size} modes")
     refined = _maximise(frf, model, sigma, kind, **options)
@@ -259,7 +262,7 @@ def _likelihood(
         refined = _maximise(frf, _restart(frf, refined.model.poles[~drop], sigma, **options), sigma, kind, **options)
     if not known and not _exact(frf, refined):
         # What is a mode was judged where the data is quiet; its damping is judged at the peaks as well.
-        half = residual_sigma(frf, refined, sigma, share=0.5)
+        half = residual_sigma(frf, refined, sigma, share=SHARE, proportional=True)
         last = _maximise(frf, refined.model, half, kind, **options)
         if bool(last.success):
             refined, sigma = last, half
@@ -292,8 +295,9 @@ def _without_need(frf: FRF, refined: Refined) -> np.ndarray:
     zeta = np.asarray(model.damping_ratio)
     lower, upper = float(frf.freq[0]), float(frf.freq[-1])
     f = np.asarray(model.frequency_hz)
-    away = (f < lower - 0.5 * (upper - lower)) | (f > upper + 0.5 * (upper - lower))
-    return weak | (zeta > 0.4) | (zeta < 1e-7) | away
+    away = (f < max(lower - 0.5 * (upper - lower), 0.1 * lower)) | (f > upper + 0.5 * (upper - lower))
+    inside = (f > lower) & (f < upper)
+    return weak | (zeta > HEAVY) | ((zeta <= UNDAMPED) & inside) | away
 
 
 def _summary(

@@ -18,6 +18,9 @@ from jaxtyping import Array, Complex, Float, Int
 
 from modalax.data.frf import DERIVATIVES, FRF
 
+UNDAMPED = 1e-7  # damping ratio below which a mode has none
+LAGS = 8  # lines over which a residual that is not white is taken to be correlated
+
 
 class Problem(eqx.Module):
     r"""What the likelihood needs of the data; one row an output.
@@ -110,7 +113,8 @@ def unpack(theta: Float[Array, "n q"], pivot: Int[Array, " n"]) -> tuple[Complex
     """Poles and participation (one at the pivot) of real unknowns."""
     omega, zeta = jnp.exp(theta[:, 0]), jnp.exp(theta[:, 1])
     # Past critical damping the pole pair would stop vibrating; the square root must not see that during a search.
-    zeta = jnp.minimum(zeta, 0.999)
+    # Below the other end the data cannot tell: a mode outside the band may go there and stay.
+    zeta = jnp.clip(zeta, UNDAMPED, 0.999)
     poles = -zeta * omega + 1j * omega * jnp.sqrt(1 - zeta**2)
     n, q = theta.shape
     free = (q - 2) // 2
@@ -199,6 +203,8 @@ class Parts(eqx.Module):
         Change of ``x`` with the non-linear unknowns, shape ``(k, p)``.
     scores
         Projected derivative times residual a sample pair, summed as an outer product (for the sandwich), ``(p, p)``.
+    lagged
+        The same with the pairs of up to ``LAGS`` lines on either side, weighted by a triangle, ``(p, p)``.
     """
 
     x: Float[Array, "... k"]
@@ -209,6 +215,7 @@ class Parts(eqx.Module):
     inverse: Float[Array, "... k k"]
     coupling: Float[Array, "... k p"]
     scores: Float[Array, "... p p"]
+    lagged: Float[Array, "... p p"]
 
 
 def _linear(C: Array, w: Array, y: Array) -> tuple[Array, Array, Array, Array]:
@@ -223,7 +230,7 @@ def _linear(C: Array, w: Array, y: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def _normal_of_row(
-    C: Array, dC: Array, w: Array, y: Array, samples: int, full: bool
+    C: Array, dC: Array, w: Array, y: Array, samples: int, inputs: int, full: bool
 ) -> tuple[Array, Array, Array] | Parts:
     Q, R, norm, x = _linear(C, w, y)
     residual = y - Q @ (Q.T @ y)
@@ -240,7 +247,16 @@ def _normal_of_row(
     inverse = solve_triangular(R, jnp.eye(R.shape[0])) / norm[:, None]
     half = samples // 2
     pairs = P[:half] * residual[:half, None] + P[half:samples] * residual[half:samples, None]
-    return Parts(x, residual, cost, gradient, matrix, inverse, inverse @ QD, pairs.T @ pairs)
+    return Parts(x, residual, cost, gradient, matrix, inverse, inverse @ QD, pairs.T @ pairs, _lagged(pairs, inputs))
+
+
+def _lagged(pairs: Float[Array, "h p"], inputs: int) -> Float[Array, "p p"]:
+    r"""Scores of neighbouring lines with one another, :math:`\sum_l (1-|l|/L)\sum_k s_ks_{k+l}^T` (Newey, West 1987)."""
+    lines = pairs.reshape(-1, inputs, pairs.shape[1]).sum(axis=1)
+    padded = jnp.pad(lines, ((LAGS, LAGS), (0, 0)))
+    triangle = 1 - jnp.abs(jnp.arange(-LAGS, LAGS + 1)) / (LAGS + 1)
+    near = sum(triangle[k] * padded[k : k + lines.shape[0]] for k in range(2 * LAGS + 1))
+    return lines.T @ near
 
 
 def _normal_of_all(C: Array, dC: Array, w: Array, Y: Array) -> tuple[Array, Array, Array]:
@@ -285,7 +301,7 @@ def objective(flat: Float[Array, " p"], problem: Problem) -> tuple[Array, tuple[
     C, dC = _columns(frozen, data), _column_derivatives(frozen, data)
 
     def row(pair: tuple[Array, Array]) -> tuple[Array, Array, Array]:
-        return _normal_of_row(C, dC, *pair, samples=problem.samples, full=False)  # pyright: ignore[reportReturnType]
+        return _normal_of_row(C, dC, *pair, problem.samples, problem.inputs, full=False)  # pyright: ignore[reportReturnType]
 
     if problem.shared:
         cost, gradient, matrix = _normal_of_all(C, dC, data.weight[0], data.y)
@@ -298,8 +314,10 @@ def objective(flat: Float[Array, " p"], problem: Problem) -> tuple[Array, tuple[
 
 
 def frozen_slots(problem: Problem, theta: Float[Array, "n q"]) -> Float[Array, "p p"]:
-    """Unit diagonal for the unknowns of empty slots, which the data does not see."""
-    return jnp.diag(jnp.broadcast_to((1 - problem.active)[:, None], theta.shape).ravel())
+    """Unit diagonal for the unknowns that the data does not see: those of empty slots, and dampings at their limits."""
+    blind = jnp.broadcast_to((1 - problem.active)[:, None], theta.shape)
+    limit = (theta[:, 1] <= jnp.log(UNDAMPED)) | (theta[:, 1] >= jnp.log(0.999))
+    return jnp.diag(blind.at[:, 1].max(jnp.where(limit, 1.0, 0.0)).ravel())
 
 
 @jax.custom_jvp
@@ -321,7 +339,7 @@ def parts(theta: Float[Array, "n q"], problem: Problem) -> Parts:
     C, dC = _columns(theta, problem), _column_derivatives(theta, problem)
 
     def row(pair: tuple[Array, Array]) -> Parts:
-        return _normal_of_row(C, dC, *pair, samples=problem.samples, full=True)  # pyright: ignore[reportReturnType]
+        return _normal_of_row(C, dC, *pair, problem.samples, problem.inputs, full=True)  # pyright: ignore[reportReturnType]
 
     return lax.map(row, (problem.weight, problem.y))
 

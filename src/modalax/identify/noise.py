@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 from modalax.data.frf import FRF
 from modalax.identify.refine import UNIT, Refined
 
+STEPS = 60  # of the fit of the two parts of a variance
 ENOUGH = 32  # repeats from which on a variance needs no smoothing
 
 
@@ -27,30 +28,65 @@ def smooth_variance(frf: FRF) -> FRF:
     return frf.replace(variance=_running_mean(np.asarray(frf.variance), half))
 
 
-def residual_sigma(frf: FRF, refined: Refined, sigma: Any, share: float = 1.0) -> Float[Array, "f o i"]:
-    r"""Standard deviation of each sample from the residual: a size a channel times a course over frequency.
+def residual_sigma(
+    frf: FRF, refined: Refined, sigma: Any, share: float = 1.0, proportional: bool = False
+) -> Float[Array, "f o i"]:
+    r"""Standard deviation of each sample from the residual: a size a channel times a course, and a part of the FRF.
 
-    The course is a running mean square over the lines, shared by the channels of the longer axis. Noise and model
-    error are not told apart, and model error is largest at the peaks, which hold the damping: with ``share`` below 1
-    the weights go only part of the way (in logarithms) from equal ones to those of the residual. A floor
-    at a tenth of the typical deviation keeps lines from dominating that the model passes through by chance.
+    .. math:: v_{kc} = a_c\,g_k + b\,|\hat H_{kc}|^2
+
+    The course :math:`g` over frequency is a running mean square over the lines, shared by the channels of the longer
+    axis. With ``proportional`` the second term, noise or model error in proportion to the response, is fitted too, by
+    maximum likelihood of the residual's power; else :math:`b = 0`, the safer choice while modes are still missing.
+
+    Noise and model error are not told apart, and model error is largest at the peaks, which hold the damping: with
+    ``share`` below 1 the weights go only part of the way (in logarithms) from equal ones to those of the residual. A
+    floor at a tenth of the typical deviation keeps lines from dominating that the model passes through by chance.
+
+    Notes
+    -----
+    A non-negative factorisation in Itakura and Saito's divergence, by the multiplicative steps of Fevotte, Bertin and
+    Durrieu (2009).
     """
+    H = np.asarray(frf.H)
     if isinstance(sigma, str):
-        scale = UNIT * np.sqrt(np.mean(np.abs(np.asarray(frf.H)) ** 2))
+        scale = UNIT * np.sqrt(np.mean(np.abs(H) ** 2))
         sigma = np.full(frf.H.shape, scale)
     else:
         weight = np.asarray(sigma)
-        sigma = weight * UNIT * np.sqrt(np.mean(np.abs(np.asarray(frf.H) / weight) ** 2))
-    power = np.abs(np.asarray(refined.residual)) ** 2 * sigma**2
+        sigma = weight * UNIT * np.sqrt(np.mean(np.abs(H / weight) ** 2))
+    whitened = np.asarray(refined.residual) * sigma
+    power = np.abs(whitened) ** 2
     axis = 2 if frf.shape[2] > frf.shape[1] else 1  # the longer axis, whose channels share a course over frequency
-    size = np.maximum(np.median(power, axis=(0, 3 - axis), keepdims=True), 1e-300)
-    course = np.mean(power / size, axis=axis, keepdims=True)
     half = max(8, len(power) // 60)
-    local = _running_mean(course, half)
-    local = np.maximum(local, 1e-2 * np.median(local, axis=0, keepdims=True))
-    rounding = (1e-13 * np.abs(np.asarray(frf.H)).max()) ** 2 + 1e-300
-    variance = np.maximum(local * size, rounding)
+    size = np.maximum(np.median(power, axis=(0, 3 - axis), keepdims=True), 1e-300)
+    course = _running_mean(np.mean(power / size, axis=axis, keepdims=True), half)
+    course = np.maximum(course, 1e-2 * np.median(course, axis=0, keepdims=True))
+    rounding = (1e-13 * np.abs(H).max()) ** 2 + 1e-300
+    variance = course * size
+    if proportional:
+        variance = _two_parts(power + rounding, np.abs(H - whitened) ** 2, size, course, axis, half)
+    variance = np.maximum(variance, rounding)
     return jnp.asarray(np.sqrt(variance**share * np.mean(variance) ** (1 - share)))
+
+
+def _two_parts(
+    power: np.ndarray, response: np.ndarray, size: np.ndarray, course: np.ndarray, axis: int, half: int
+) -> np.ndarray:
+    """Variances ``a g + b response`` of the largest likelihood for exponentially distributed powers."""
+    part = 0.1 * np.mean(power) / np.mean(response)
+    lines = (0, 3 - axis)
+    for _ in range(STEPS):
+        course = np.maximum(course, 1e-2 * np.median(course, axis=0, keepdims=True))
+        v = course * size + part * response
+        part *= np.sqrt(np.sum(power / v**2 * response) / np.sum(response / v))
+        v = course * size + part * response
+        up, down = (np.sum(t * course, axis=lines, keepdims=True) for t in (power / v**2, 1 / v))
+        size = size * np.sqrt(up / down)
+        v = course * size + part * response
+        up, down = (np.sum(t * size, axis=axis, keepdims=True) for t in (power / v**2, 1 / v))
+        course = course * np.sqrt(_running_mean(up, half) / _running_mean(down, half))
+    return course * size + part * response
 
 
 def _running_mean(values: np.ndarray, half: int) -> np.ndarray:

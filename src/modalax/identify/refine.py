@@ -13,7 +13,7 @@ from modalax._numerics.checks import is_traced
 from modalax._numerics.levenberg import LevenbergMarquardt
 from modalax.data.frf import FRF
 from modalax.identify.errors import shape_errors, spread_rest
-from modalax.identify.likelihood import Parts, frozen_slots, make_problem, objective, pack, parts, unpack
+from modalax.identify.likelihood import UNDAMPED, Parts, frozen_slots, make_problem, objective, pack, parts, unpack
 from modalax.identify.residues import check_size, model_of, sigma_of
 from modalax.model.modal import ModalModel
 
@@ -24,6 +24,8 @@ REASONS = (
     "a mode lost its damping: at its frequency the data holds no resonance",
     "a mode left the neighbourhood of its start, the frequency moved by more than five half-bandwidths",
 )
+MANY = 20  # rows from which on their scores tell how much rows differ
+CORRELATED = 1e-3  # p-value of the whiteness test below which lines are taken to be correlated
 UNIT = 1e-9  # standard deviation assumed where none is known, relative to the FRF
 
 
@@ -113,8 +115,9 @@ def refine(
     residuals, real_modes, weights
         As for :func:`residues`.
     covariance
-        ``gauss-newton`` (inverse information: right for the stated noise) or ``sandwich`` (right for other noise
-        too, as long as the samples are independent).
+        ``gauss-newton`` (inverse information: right for the stated noise), ``sandwich`` (right for other noise
+        too, as long as the samples are independent), or ``robust`` (the larger of the two; and where the residual is
+        not white, also that of scores summed over neighbouring lines, or over whole rows where there are many).
     scale_errors
         ``auto``: errors are scaled by the residual where there is no variance, or where the residual is larger than
         the variance explains (by more than five standard deviations); ``never``; ``always``.
@@ -137,10 +140,10 @@ def refine(
     Notes
     -----
     Golub and Pereyra (1973); Kaufman (1975); Guillaume, Verboven and Vanlanduit (1998) for modal analysis. White
-    (1982) for the sandwich. The roles of outputs and inputs are exchanged where there are more inputs than outputs.
+    (1982) for the sandwich; Newey and West (1987), Liang and Zeger (1986) for its sums over lines and rows. The roles of outputs and inputs are exchanged where there are more inputs than outputs.
     """
-    if covariance not in ("gauss-newton", "sandwich"):
-        raise ValueError(f"covariance is {covariance!r}; it must be gauss-newton or sandwich")
+    if covariance not in ("gauss-newton", "sandwich", "robust"):
+        raise ValueError(f"covariance is {covariance!r}; it must be gauss-newton, sandwich or robust")
     if scale_errors not in ("auto", "never", "always"):
         raise ValueError(f"scale_errors is {scale_errors!r}; it must be auto, never or always")
     check_size(frf, model.poles.shape[0], residuals)
@@ -222,9 +225,10 @@ def _refine(
     inflate = jnp.ones(()) if scale_errors == "never" else variance
     if scale_errors == "auto" and known:
         inflate = jnp.where(variance > 1 + 5 * jnp.sqrt(2 / dof), variance, 1.0)
-    cov = _covariance(found, covariance, frozen_slots(problem, theta))
+    residual = _complex_rows(found.residual[:, : problem.samples], frf)
+    whiteness = _whiteness(residual)
+    cov = _covariance(found, covariance, frozen_slots(problem, theta), inflate, whiteness)
     full = _rescaled(found, inflate)
-    cov = cov * (1.0 if covariance == "sandwich" else inflate)
     q = theta.shape[1]
     pick = (jnp.arange(theta.shape[0])[:, None] * q + jnp.arange(2)[None, :]).ravel()
     std = jnp.sqrt(jnp.maximum(jnp.diag(cov), 0.0)).reshape(theta.shape)
@@ -232,8 +236,7 @@ def _refine(
     shape_std, mass_std, evidence = shape_errors(theta, full, cov, problem.real_modes, refined, pivot, turned)
     if turned:  # the shapes asked for are the participation here, whose errors the covariance holds
         shape_std = spread_rest(std, pivot)
-    residual = _complex_rows(found.residual[:, : problem.samples], frf)
-    code = _reason(solution, start, theta, chi2, active)
+    code = _reason(solution, start, theta, chi2, active, frf.omega)
     return Refined(
         model=refined,
         frequency_std_hz=jnp.exp(theta[:, 0]) / (2 * jnp.pi) * std[:, 0],
@@ -245,7 +248,7 @@ def _refine(
         noise_scale=jnp.sqrt(variance) * (1.0 if known else jnp.sqrt(jnp.mean(sigma**2))),
         chi2=chi2,
         dof=dof,
-        whiteness=_whiteness(residual),
+        whiteness=whiteness,
         log_likelihood=-0.5 * chi2 + jnp.sum(jnp.log(jnp.where(problem.weight > 0, problem.weight, 1.0))),
         residual=residual,
         success=code == 0,
@@ -258,12 +261,28 @@ def _rescaled(found: Parts, inflate: Array) -> Parts:
     return eqx.tree_at(lambda p: p.inverse, found, found.inverse * jnp.sqrt(inflate))
 
 
-def _covariance(found: Parts, kind: str, frozen: Float[Array, "p p"]) -> Float[Array, "p p"]:
-    r"""Inverse of the summed Gauss-Newton matrix :math:`S`, or :math:`S^{-1} B S^{-1}` with the scores' :math:`B`."""
+def _covariance(
+    found: Parts, kind: str, frozen: Float[Array, "p p"], inflate: Array, whiteness: Array
+) -> Float[Array, "p p"]:
+    r"""Inverse of the summed Gauss-Newton matrix :math:`S`, :math:`S^{-1} B S^{-1}` with the scores' :math:`B`, or both.
+
+    The robust one has the correlations of the sandwich and the largest variance of each unknown.
+    """
     S = jnp.sum(found.matrix, axis=0) + frozen
     root = jnp.sqrt(jnp.where(jnp.diag(S) > 0, jnp.diag(S), 1.0))
     inverse = jnp.linalg.inv(S / (root[:, None] * root[None, :])) / (root[:, None] * root[None, :])
-    return inverse if kind == "gauss-newton" else inverse @ jnp.sum(found.scores, axis=0) @ inverse
+    plain = inverse * inflate
+    if kind == "gauss-newton":
+        return plain
+    sandwich = inverse @ jnp.sum(found.scores, axis=0) @ inverse
+    if kind == "sandwich":
+        return sandwich
+    rows = found.gradient.shape[0]
+    outer = found.gradient.T @ found.gradient if rows >= MANY else jnp.sum(found.lagged, axis=0)
+    sandwich = jnp.where(whiteness < CORRELATED, inverse @ outer @ inverse, sandwich)
+    own = jnp.where(jnp.diag(sandwich) > 0, jnp.diag(sandwich), 1.0)
+    grow = jnp.sqrt(jnp.maximum(jnp.diag(plain) / own, 1.0))
+    return sandwich * grow[:, None] * grow[None, :]
 
 
 def _turned(result: Refined) -> Refined:
@@ -291,11 +310,15 @@ def _whiteness(residual: Array, lags: int = 3) -> Float[Array, ""]:
     return jax.scipy.stats.chi2.sf(statistic, 2.0 * lags * power.size)
 
 
-def _reason(solution: optx.Solution, start: Array, theta: Array, chi2: Array, active: Array) -> Int[Array, ""]:
+def _reason(
+    solution: optx.Solution, start: Array, theta: Array, chi2: Array, active: Array, omega: Array
+) -> Int[Array, ""]:
     moved = jnp.abs(theta[:, 0] - start[:, 0]) > 5 * jnp.maximum(jnp.exp(start[:, 1]), jnp.exp(theta[:, 1])) + 0.02
     finished = solution.result == optx.RESULTS.successful
-    lost = jnp.any((active > 0) & (theta[:, 1] < jnp.log(1e-7)))
-    code = jnp.where(jnp.any(moved), 4, 0)
+    own = jnp.exp(theta[:, 0])
+    inside = (active > 0) & (own > jnp.min(omega)) & (own < jnp.max(omega))  # further out the data need not tell
+    lost = jnp.any(inside & (theta[:, 1] <= jnp.log(UNDAMPED)))
+    code = jnp.where(jnp.any(moved & inside), 4, 0)
     code = jnp.where(lost, 3, code)
     code = jnp.where(finished, code, 1)
     return jnp.where(jnp.isfinite(chi2) & jnp.all(jnp.isfinite(theta)), code, 2)

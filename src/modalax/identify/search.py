@@ -60,20 +60,25 @@ def missing_modes(
 ) -> Complex[Array, " n"]:
     r"""Poles at which the residual asks for a further mode, strongest first.
 
-    Looks on a grid of frequencies, half a bandwidth apart, and the damping ratios 0.1 to 3 %. A pole counts if its
-    statistic exceeds the :math:`\chi^2` quantile at ``level`` shared among all poles of the grid, after scaling by
-    the residual's own level, so that a model that does not fit elsewhere does not call for modes everywhere.
+    Looks on a grid of frequencies, half a bandwidth apart, and the damping ratios 0.1 to 3 %; a fifth of the band
+    beyond its ends too, for a mode there shows inside as a slope. A pole counts if its statistic exceeds the
+    :math:`\chi^2` quantile at ``level`` shared among all poles of the grid, after scaling by the residual's own
+    level, so that a model that does not fit elsewhere does not call for modes everywhere. What a pole explains is taken
+    out of the residual before the next one is looked for (orthogonal matching pursuit; Pati, Rezaiifar and
+    Krishnaprasad 1993), so that one mode does not call for several. A pole outside the band is given alone.
 
     Returns
     -------
     Array
         At most ``most`` poles, no two within two bandwidths of each other, possibly none.
     """
-    lower, upper = (float(frf.freq[0]), float(frf.freq[-1])) if inside is None else inside
+    first, last = float(frf.freq[0]), float(frf.freq[-1])
+    beyond = 0.2 * (last - first)
+    lower, upper = (max(first - beyond, 0.0), last + beyond) if inside is None else inside
     grid = []
     step = float((frf.freq[-1] - frf.freq[0]) / max(len(frf.freq) - 1, 1))
     for zeta in DAMPINGS:
-        f = lower
+        f = max(lower, step)
         while f < upper:
             grid.append((f, zeta))
             f += max(zeta * f, 0.5 * step)
@@ -85,17 +90,37 @@ def missing_modes(
     wide = max(5, len(frf.freq) // 5)
     local = _running_median(np.asarray(variance[:, 0, 0]), wide)
     scale = jnp.asarray(np.sqrt(np.maximum(local, 1e-300)))[:, None, None]
-    score = np.asarray(mode_scores(frf, refined.residual / scale, sigma, poles))
     threshold = float(_chi2_quantile(level / len(where), 2 * channels))
     found: list[complex] = []
-    for k in np.argsort(-score):
-        pole = complex(poles[k])
-        if score[k] < threshold or len(found) == most:
+    allowed = np.ones(len(where), bool)
+    residual = refined.residual / scale
+    while len(found) < most:
+        score = np.where(allowed, np.asarray(mode_scores(frf, residual, sigma, poles)), -np.inf)
+        best = int(np.argmax(score))
+        if score[best] < threshold:
             break
-        apart = all(abs(pole.imag - p.imag) > 4 * max(-pole.real, -p.real) for p in found)
-        if apart:
-            found.append(pole)
+        pole = complex(poles[best])
+        found.append(pole)
+        allowed &= np.abs(np.asarray(poles.imag) - pole.imag) > 4 * np.maximum(-np.asarray(poles.real), -pole.real)
+        residual = jnp.asarray(_without(frf, np.asarray(refined.residual / scale), np.asarray(sigma), found))
+        if not (allowed.any() and first < pole.imag / (2 * np.pi) < last):
+            break
+    within = [p for p in found if first < p.imag / (2 * np.pi) < last]
+    found = found[:1] if found and found[0] not in within else within
     return jnp.asarray(np.array(found, dtype=complex))
+
+
+def _without(frf: FRF, residual: np.ndarray, sigma: np.ndarray, poles: list[complex]) -> np.ndarray:
+    """The residual after the best multiples of the poles' responses were taken out of each channel."""
+    s = float(frf.added_decay) + 1j * np.asarray(frf.omega)
+    kernels = s[:, None] ** DERIVATIVES[frf.form] / (s[:, None] - np.array(poles))
+    shape = residual.shape
+    out, weight = residual.reshape(len(s), -1).copy(), (1 / sigma).reshape(len(s), -1)
+    for c in range(out.shape[1]):
+        K = kernels * weight[:, c : c + 1]
+        K = K / np.maximum(np.linalg.norm(K, axis=0), 1e-300)
+        out[:, c] -= K @ np.linalg.lstsq(K, out[:, c], rcond=None)[0]
+    return out.reshape(shape)
 
 
 def _running_median(values: np.ndarray, width: int) -> np.ndarray:
