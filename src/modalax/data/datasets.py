@@ -214,8 +214,8 @@ def brake_reuss_beam(drive_point: bool = False) -> Measurement:
     """Free beam with a bolted lap joint, stepped sine through its first bending mode at four controlled force levels.
 
     One output, one input, 41 lines from 79.2 to 81.2 Hz, accelerance of the fundamental [(m/s^2)/N]; ``level`` is the
-    mean force amplitude over the lines [N], which the controller let vary by about a third, ``force`` that of each line.
-    The phase falls from 0 to -180 degrees: the accelerometer counts against the force.
+    mean force amplitude over the lines [N], which the controller let vary by about a third, ``force`` that of
+    each line. The phase falls from 0 to -180 degrees: the accelerometer counts against the force.
 
     Parameters
     ----------

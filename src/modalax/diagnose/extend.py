@@ -87,7 +87,8 @@ class ExtendedSimulation(eqx.Module):
         omega = 2 * jnp.pi * freq
         shape = (1, freq.shape[0], len(outputs), len(inputs))
         problem = Problem(
-            omega, jnp.zeros(shape, jnp.complex128), jnp.ones(shape), jnp.broadcast_to(jnp.asarray(level, jnp.float64), freq.shape)[None],
+            omega, jnp.zeros(shape, jnp.complex128), jnp.ones(shape),
+            jnp.broadcast_to(jnp.asarray(level, jnp.float64), freq.shape)[None],
             jnp.array([plant.index(n) for n in outputs]), jnp.array([plant.index(n) for n in inputs]), plant,
             shape[1], (shape[2], shape[3]),
         )  # fmt: skip

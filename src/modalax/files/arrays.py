@@ -16,7 +16,8 @@ Arrays = Mapping[str, Any]
 Saved = Measurement | Structure | ModalModel
 
 MEASUREMENT_KEYS = (
-    "freq", "H", "variance", "averages", "coherence", "added_decay", "level", "force", "outputs", "inputs", "form", "axes",
+    "freq", "H", "variance", "averages", "coherence", "added_decay", "level", "force", "outputs", "inputs", "form",
+    "axes",
 )  # fmt: skip
 STRUCTURE_KEYS = ("M", "C", "K", "D", "dofs", "frequency_std", "damping_std")
 MODEL_KEYS = (
