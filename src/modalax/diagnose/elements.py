@@ -110,8 +110,8 @@ class At:
     T: np.ndarray
 
 
-def at_places(reduced: Reduced, places: Sequence[Place]) -> At:
-    """Products at directions over the DoFs."""
+def at_places(reduced: Reduced, places: Sequence[Place], targets: bool = True) -> At:
+    """Products at directions over the DoFs; without ``targets`` only what the changes need."""
     a = np.array([p.index[0] for p in places])
     b = np.array([p.index[1] for p in places])
     second = np.where(b >= 0, 1.0, 0.0)
@@ -124,10 +124,13 @@ def at_places(reduced: Reduced, places: Sequence[Place]) -> At:
 
     H = reduced.between
     drive = H[:, a, a] - second * (H[:, a, b] + H[:, b, a]) + second * H[:, b, b]
+    S = pair(reduced.S, 2)
+    if not targets:
+        return At(pair(reduced.from_inputs, 1), drive.T, S, S[:0], S[:0])
     column = np.abs(pair(reduced.to_outputs, 2)) ** 2
     N = np.einsum("pfo,rfoi->prfi", column, reduced.weight2, optimize=True)
     T = np.moveaxis(pair(reduced.T, 3), 0, 0) if len(reduced.T) else np.zeros((len(a), 0, *N.shape[1:]), complex)
-    return At(pair(reduced.from_inputs, 1), drive.T, pair(reduced.S, 2), N, T)
+    return At(pair(reduced.from_inputs, 1), drive.T, S, N, T)
 
 
 def _change(cause: Cause, solve: bool, p: Any, motion: Any, drive: Any, omega: Any, level: Any) -> Any:
@@ -142,20 +145,36 @@ def _change(cause: Cause, solve: bool, p: Any, motion: Any, drive: Any, omega: A
     return -cause.impedance(A, omega[None, :, None], p) * motion[None]  # pyright: ignore[reportAttributeAccessIssue]
 
 
-@partial(jax.jit, static_argnames=("cause", "solve"))
-def _scores(cause, solve, p, owner, motion, drive, S, N, T, omega, level):
+@partial(jax.jit, static_argnames=("cause", "solve"), compiler_options={"xla_backend_optimization_level": 1})
+def _changes(cause, solve, p, owner, motion, drive, omega, level):
     def one(p, k):
-        y = _change(cause, solve, p, motion[k], drive[k], omega, level)
-        return (
-            jnp.sum(jnp.abs(y) ** 2 * N[k]), jnp.sum((y.conj() * S[k]).real),
-            jnp.sum((y.conj() * T[k]).real, axis=(1, 2, 3)), y * jnp.ones(S[k].shape),
-        )  # fmt: skip
+        return _change(cause, solve, p, motion[k], drive[k], omega, level)
 
     return jax.vmap(one)(p, owner)
 
 
+def changes(cause: Cause, solve: bool, params: np.ndarray, owner: np.ndarray, at: At, reduced: Reduced) -> np.ndarray:
+    """The number y of each trial at the place that owns it, shape ``(trial, run, f, i)``."""
+    parts = []
+    for start in range(0, len(params), BATCH):
+        take = slice(start, start + BATCH)
+        mine, local = np.unique(owner[take], return_inverse=True)
+        y = _changes(
+            cause, solve, _fill(params[take], BATCH), _fill(local, BATCH), _fill(at.motion[mine], BATCH),
+            _fill(at.drive[mine], BATCH), reduced.omega, reduced.level,
+        )  # fmt: skip
+        parts.append(np.asarray(y)[: len(local)])
+    y = np.concatenate(parts)
+    return np.broadcast_to(y, (len(y), *at.S.shape[1:]))
+
+
 def _fill(x: np.ndarray, size: int) -> np.ndarray:
     return np.concatenate([x, np.repeat(x[-1:], size - len(x), axis=0)]) if len(x) < size else x
+
+
+def _parts(z: np.ndarray, first: int) -> np.ndarray:
+    """Real numbers of complex arrays whose axes from ``first`` on are samples."""
+    return np.ascontiguousarray(z).reshape(*z.shape[:first], -1).view(np.float64)
 
 
 def score(
@@ -163,30 +182,32 @@ def score(
 ) -> tuple[list[np.ndarray], list[np.ndarray], dict[tuple[int, int], np.ndarray]]:
     """Squared lengths and products with the residual of every trial at every place, and a few changes themselves."""
     solve = finite or cause.stage == "local"
-    params = np.concatenate(grids)
-    owner = np.concatenate([np.full(len(g), k) for k, g in enumerate(grids)])
-    row = np.concatenate([np.arange(len(g)) for g in grids])
     some = set(np.unique(np.linspace(0, len(grids) - 1, KEPT_PLACES).astype(int)).tolist())
-    square, product, kept = np.empty(len(params)), np.empty(len(params)), {}
-    inner = reduced.inner
-    for start in range(0, len(params), BATCH):
-        take = np.arange(start, min(start + BATCH, len(params)))
-        mine = np.unique(owner[take])
-        local = np.searchsorted(mine, owner[take])
-        n = BATCH
-        sq, pr, across, y = _scores(
-            cause, solve, _fill(params[take], BATCH), _fill(local, BATCH), _fill(at.motion[mine], n),
-            _fill(at.drive[mine], n), _fill(at.S[mine], n), _fill(at.N[mine], n), _fill(at.T[mine], n), reduced.omega,
-            reduced.level,
-        )  # fmt: skip
-        across = np.asarray(across)[: len(take)]
-        square[take] = np.asarray(sq)[: len(take)] - np.einsum("pk,kl,pl->p", across, inner, across)
-        product[take] = np.asarray(pr)[: len(take)]
-        if not finite:
-            y = np.asarray(y)
-            kept |= {(int(owner[t]), int(row[t])): y[j] for j, t in enumerate(take) if owner[t] in some}
-    ends = np.cumsum([len(g) for g in grids])[:-1]
-    return np.split(square, ends), np.split(product, ends), kept
+    square, product, kept = [], [], {}
+    for start in range(0, len(grids), BATCH):
+        places = range(start, min(start + BATCH, len(grids)))
+        params = np.concatenate([grids[k] for k in places])
+        owner = np.concatenate([np.full(len(grids[k]), k) for k in places])
+        every = changes(cause, solve, params, owner, at, reduced)
+        for k in places:
+            y = every[owner == k]
+            flat = _parts(y, 1)
+            across = flat @ _parts(at.T[k], 1).T
+            length = (flat**2) @ np.repeat(at.N[k].ravel(), 2)
+            square.append(length - np.einsum("pk,kl,pl->p", across, reduced.inner, across))
+            product.append(flat @ _parts(at.S[k], 0))
+            if not finite and k in some:
+                kept |= {(k, j): y[j] for j in range(len(y))}
+    return square, product, kept
+
+
+def grids_of(cause: Cause, scene: Any, places: list[Place]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Parameters to try at each place, and those of them that stand for the derivative; made once a scene."""
+    key = ("grids", cause, len(places))
+    if key not in scene.cache:
+        grids = [cause.grid(scene, place) for place in places]
+        scene.cache[key] = grids, [g[smallest(g)] for g in grids]
+    return scene.cache[key]
 
 
 def screen_elements(
@@ -194,8 +215,7 @@ def screen_elements(
     finite: bool = True,
 ) -> list[Trial]:  # fmt: skip
     """Derivatives at all places, and finite sizes at the promising ones."""
-    grids = [cause.grid(scene, place) for place in places]
-    small = [g[smallest(g)] for g in grids]
+    grids, small = grids_of(cause, scene, places)
     square, product, kept = score(cause, reduced, at, small, False)
     trials = []
     for k, place in enumerate(places):
@@ -229,32 +249,9 @@ def _flat(z: np.ndarray) -> np.ndarray:
 
 
 def element_target(reduced: Reduced, starts: list[Hypothesis]) -> Target:
-    """Products at the places of some hypotheses, real and imaginary parts apart."""
+    """Products at the places of some hypotheses, real and imaginary parts in turn."""
     at = at_places(reduced, [h.places[0] for h in starts])
-    both = lambda z, axis: np.stack([z.real, z.imag], axis=axis)  # noqa: E731
-    rows = len(starts)
-    return Target(
-        np.stack([at.N, at.N], axis=1).reshape(rows, -1), both(at.S, 1).reshape(rows, -1),
-        both(at.T, 2).reshape(rows, at.T.shape[1], -1), reduced.inner,
-    )  # fmt: skip
-
-
-def element_changes(
-    reduced: Reduced, at: At, starts: list[Hypothesis], owner: np.ndarray, params: np.ndarray
-) -> np.ndarray:
-    """The number y of each trial, shape ``(trial, 2 run f i)``."""
-    cause = starts[0].causes[0]
-    parts = []
-    for k in range(0, len(params), BATCH):
-        take = np.arange(k, min(k + BATCH, len(params)))
-        y = _scores(
-            cause, True, _fill(params[take], BATCH), _fill(owner[take], BATCH), _fill(at.motion, BATCH),
-            _fill(at.drive, BATCH), _fill(at.S, BATCH), _fill(at.N, BATCH), _fill(at.T, BATCH), reduced.omega,
-            reduced.level,
-        )[3]  # fmt: skip
-        parts.append(np.asarray(y)[: len(take)])
-    y = np.concatenate(parts)
-    return np.stack([y.real, y.imag], axis=1).reshape(len(y), -1)
+    return Target(np.repeat(at.N.reshape(len(starts), -1), 2, axis=1), _parts(at.S, 1), _parts(at.T, 2), reduced.inner)
 
 
 def fit_elements(
@@ -262,7 +259,8 @@ def fit_elements(
 ) -> list[Hypothesis]:
     """Fit single elements from several starts, nuisances marginalised in linear order."""
 
-    def changes(part: list[Hypothesis], owner: np.ndarray, params: np.ndarray) -> np.ndarray:
-        return element_changes(reduced, at_places(reduced, [h.places[0] for h in part]), part, owner, params)
+    def moved(part: list[Hypothesis], owner: np.ndarray, params: np.ndarray) -> np.ndarray:
+        at = at_places(reduced, [h.places[0] for h in part], targets=False)
+        return _parts(changes(part[0].causes[0], True, params, owner, at, reduced), 1)
 
-    return fit_quick(study, base, starts, lambda part: element_target(reduced, part), changes, rounds)
+    return fit_quick(study, base, starts, lambda part: element_target(reduced, part), moved, rounds)

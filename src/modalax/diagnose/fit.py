@@ -18,10 +18,11 @@ from jaxtyping import Array
 from modalax.diagnose.causes.base import Cause, Place
 from modalax.diagnose.causes.lines import HumLines
 from modalax.diagnose.predict import predict
-from modalax.diagnose.problem import Problem
+from modalax.diagnose.problem import Problem, bucket
 
 WIDE = 0.2  # prior spread of log frequency and log damping when the modes are free
 ROUNDS, SETTLED = 14, 5e-3  # steps of the search; change of chi-square at which it ends
+NEGLIGIBLE = 3e-4  # squared length of a modal parameter's effect, in standard deviations, below which it is left out
 BATCH_SAMPLES = 400_000  # complex numbers times unknowns that one batch of candidates may hold
 
 
@@ -35,15 +36,45 @@ class Nuisance:
         Standard deviations of log frequency and log damping; 0 where they are exact.
     basis
         Orthonormal whitened directions, shape ``(o, i, run f 2, k)``, or None.
+    live
+        Which modal parameters can show in the data within their spread, as numbers in the flat order of ``spread``.
     """
 
     spread: np.ndarray
-    basis: Any = None
+    basis: Any
+    live: np.ndarray
 
     @property
     def active(self) -> bool:
         """Whether there is any modal parameter to adapt."""
-        return bool((self.spread > 0).any())
+        return len(self.live) > 0
+
+    @property
+    def chooser(self) -> np.ndarray:
+        """One row a live parameter (and empty ones up to a common size), shape ``(k, 2 n)``."""
+        rows = np.zeros((bucket(len(self.live)) if self.active else 0, self.spread.size))
+        rows[np.arange(len(self.live)), self.live] = 1.0
+        return rows
+
+
+def make_nuisance(spread: np.ndarray, basis: Any, problem: Problem) -> Nuisance:
+    """Find out which modal parameters matter."""
+    if not (spread > 0).any():
+        return Nuisance(spread, basis, np.zeros(0, np.int64))
+    G = np.asarray(modal_directions(np.zeros(spread.shape), spread, basis, problem))
+    return Nuisance(spread, basis, np.flatnonzero((G.reshape(len(G), -1) ** 2).sum(axis=1) > NEGLIGIBLE))
+
+
+@partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+def modal_directions(theta, spread, basis, problem):
+    """Change of the whitened prediction by each modal parameter times its spread, shape ``(2 n, o, i, run f 2)``."""
+
+    def one(t):
+        H = predict((), np.zeros((0, 3), np.int64), (), (), t * spread, problem)
+        return projected(problem.weight * H, basis)
+
+    J = jax.jacfwd(one)(theta)
+    return jnp.moveaxis(J.reshape(*J.shape[:3], -1), -1, 0)
 
 
 @dataclass(frozen=True)
@@ -155,29 +186,26 @@ def whitened(
     return projected(problem.weight * (problem.data - H), basis)
 
 
-@partial(jax.jit, static_argnames=("causes", "nuisance"))
-def _normal_one(causes, nuisance, index, extras, u, theta, spread, basis, problem):
-    def residual(x):
-        inner = x[u.shape[0] :].reshape(theta.shape) if nuisance else theta
-        return whitened(causes, index, extras, x[: u.shape[0]], inner, spread, basis, problem).ravel()
+@partial(jax.jit, static_argnames=("causes",))
+def _normal_one(causes, index, extras, x, chooser, spread, basis, problem):
+    count = x.shape[0] - chooser.shape[0]
 
-    x = jnp.concatenate([u, theta.ravel()]) if nuisance else u
+    def residual(x):
+        theta = (x[count:] @ chooser).reshape(spread.shape)
+        return whitened(causes, index, extras, x[:count], theta, spread, basis, problem).ravel()
+
     r = residual(x)
     if not x.shape[0]:
         return r @ r, jnp.zeros((0, 0)), jnp.zeros(0)
     J = jax.jacfwd(residual)(x)
     chi2, A, g = r @ r, J.T @ J, J.T @ r
-    if nuisance:
-        prior = jnp.concatenate([jnp.zeros_like(u), jnp.ones(theta.size)])
-        chi2, A, g = chi2 + jnp.sum(theta**2), A + jnp.diag(prior), g + prior * x
-    return chi2, A, g
+    prior = jnp.concatenate([jnp.zeros(count), jnp.ones(chooser.shape[0])])
+    return chi2 + jnp.sum(prior * x**2), A + jnp.diag(prior), g + prior * x
 
 
-@partial(jax.jit, static_argnames=("causes", "nuisance"))
-def _normal_many(causes, nuisance, index, extras, u, theta, spread, basis, problem):
-    return jax.vmap(lambda k, e, v, t: _normal_one(causes, nuisance, k, e, v, t, spread, basis, problem))(
-        index, extras, u, theta
-    )
+@partial(jax.jit, static_argnames=("causes",))
+def _normal_many(causes, index, extras, x, chooser, spread, basis, problem):
+    return jax.vmap(lambda k, e, v: _normal_one(causes, k, e, v, chooser, spread, basis, problem))(index, extras, x)
 
 
 @partial(jax.jit, static_argnames=("causes",))
@@ -198,7 +226,7 @@ def fit_many(
     """Fit hypotheses of one kind (same causes, different places and starts), in batches of a fixed size."""
     if not starts:
         return []
-    unknowns = max(1, len(searched(starts[0])) + (nuisance.spread.size if nuisance.active else 0))
+    unknowns = max(1, len(searched(starts[0])) + len(nuisance.chooser))
     size = 4 if problem.data.size * unknowns * 4 <= 40 * BATCH_SAMPLES and len(starts) > 1 else 1
     out: list[Hypothesis] = []
     for k in range(0, len(starts), size):
@@ -219,19 +247,15 @@ def _fit_batch(starts: list[Hypothesis], problem: Problem, nuisance: Nuisance, r
     low, high = bounds_of(causes)
     count = u.shape[1]
 
-    size = theta.shape[1:]
+    chooser = nuisance.chooser
 
     def normal(x: np.ndarray) -> Any:
-        v, t = x[:, :count], (x[:, count:].reshape(-1, *size) if nuisance.active else theta)
-        return _normal_many(causes, nuisance.active, index, extras, v, t, nuisance.spread, nuisance.basis, problem)
+        return _normal_many(causes, index, extras, x, chooser, nuisance.spread, nuisance.basis, problem)
 
-    if nuisance.active:
-        start = np.concatenate([u, theta.reshape(len(u), -1)], axis=1)
-        free = np.full(theta[0].size, np.inf)
-        x, chi2, A, open_ = damped(normal, start, np.concatenate([low, -free]), np.concatenate([high, free]), rounds)
-        u, theta = x[:, :count], x[:, count:].reshape(-1, *size)
-    else:
-        u, chi2, A, open_ = damped(normal, u, low, high, rounds)
+    free = np.full(len(chooser), np.inf)
+    start = np.concatenate([u, theta.reshape(len(u), -1) @ chooser.T], axis=1)
+    x, chi2, A, open_ = damped(normal, start, np.concatenate([low, -free]), np.concatenate([high, free]), rounds)
+    u, theta = x[:, :count], (x[:, count:] @ chooser).reshape(theta.shape)
     out = []
     for b, h in enumerate(starts):
         params = [np.asarray(from_search(c, v)) for c, v in zip(causes, split(causes, u[b]), strict=True)]

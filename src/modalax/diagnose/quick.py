@@ -113,6 +113,6 @@ def _moved(study: Study, base: Hypothesis, shift: np.ndarray) -> np.ndarray:
     assert base.theta is not None
     theta = np.array(base.theta)
     if study.nuisance.active:
-        live = study.cache["live"]
+        live = study.nuisance.live
         theta.ravel()[live] -= shift[: len(live)]
     return theta

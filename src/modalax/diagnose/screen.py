@@ -15,7 +15,7 @@ import numpy as np
 
 from modalax.diagnose.causes.base import Cause, Place, Scene
 from modalax.diagnose.causes.patterns import PatternCause
-from modalax.diagnose.fit import Hypothesis, Nuisance, projected
+from modalax.diagnose.fit import Hypothesis, Nuisance, modal_directions, projected
 from modalax.diagnose.predict import predict
 from modalax.diagnose.problem import Problem
 from modalax.diagnose.quick import Target, fit_quick
@@ -98,28 +98,12 @@ def _plain(theta, spread, problem):
     return predict((), NOWHERE, (), (), theta * spread, problem)
 
 
-@jax.jit
-def _nuisance_directions(theta, spread, basis, problem):
-    def whitened(t):
-        return projected(problem.weight * predict((), NOWHERE, (), (), t * spread, problem), basis)
-
-    J = jax.jacfwd(whitened)(theta)
-    return jnp.moveaxis(J.reshape(*J.shape[:3], -1), -1, 0)
-
-
 def nuisance_of(theta: np.ndarray, study: Study) -> np.ndarray:
-    """Directions of the modal parameters times their spread, those that do something."""
+    """Directions of the modal parameters times their spread, those that show."""
     problem, nuisance = study.problem, study.nuisance
     if not nuisance.active:
         return np.zeros((0, *problem.data.shape[2:], 2 * problem.data.shape[0] * problem.data.shape[1]))
-    G = np.asarray(_nuisance_directions(theta, nuisance.spread, nuisance.basis, problem))
-    study.cache["live"] = live_of(G)
-    return G[study.cache["live"]]
-
-
-def live_of(G: np.ndarray) -> np.ndarray:
-    """Which modal parameters do anything."""
-    return np.flatnonzero(np.abs(G).reshape(len(G), -1).max(axis=1) > 0)
+    return np.asarray(modal_directions(theta, nuisance.spread, nuisance.basis, problem))[nuisance.live]
 
 
 def screen(

@@ -11,7 +11,16 @@ from modalax.data import FRF, Measurement
 from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.causes.base import Cause, Place, Scene
 from modalax.diagnose.causes.lines import HumLines, MainsHum
-from modalax.diagnose.fit import WIDE, Hypothesis, Nuisance, fit_many, free_basis, residual_of, searched
+from modalax.diagnose.fit import (
+    WIDE,
+    Hypothesis,
+    Nuisance,
+    fit_many,
+    free_basis,
+    make_nuisance,
+    residual_of,
+    searched,
+)
 from modalax.diagnose.noise import Noise, noise_of
 from modalax.diagnose.plant import plant_of
 from modalax.diagnose.predict import predict
@@ -181,14 +190,14 @@ def make_study(data: Measurement | FRF, simulation: Structure | ModalModel, ques
     if free:
         live = np.abs(np.asarray(problem.plant.shapes)).max(axis=1) > 0
         spread = np.where(live, WIDE, 0.0) * np.ones((2, 1))
+    nuisance = make_nuisance(spread, free_basis(problem) if free else None, problem)
     scene = Scene(
         freq, plant.dofs, measurement.outputs, measurement.inputs, plant.frequency_hz,
         np.asarray(plant.damping / (2 * np.sqrt(plant.stiffness))), level, plant, plant.scaled, measurement.form,
     )  # fmt: skip
     return Study(
         measurement, simulation, noise, problem, pooled, rest, scene,
-        Nuisance(spread, free_basis(problem) if free else None),
-        Nuisance(spread, free_basis(pooled) if free else None), asked, tuple(notes),
+        nuisance, replace(nuisance, basis=free_basis(pooled) if free else None), asked, tuple(notes),
     )  # fmt: skip
 
 
