@@ -1,12 +1,13 @@
 """Harmonic balance against time marching, for every joint of the catalogue and past a fold on both branches.
 
-The two routes share the joint's law and nothing else. Printed: the largest difference of the fundamentals over all
-outputs and lines, over the peak, at rising numbers of harmonics.
+The two routes share the joint's law and nothing else. Printed: how many harmonics are needed until the largest
+difference of the fundamentals, over all outputs and lines, is below 1e-4 of the peak, and that difference there and one
+rung lower. ``python experiments/simulate/hb_against_march.py``; with ``--only SLUG ...`` some joints only.
 """
 
 import argparse
 import time
-from typing import Any
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -24,6 +25,7 @@ from modalax.simulate.joints import (  # noqa: E402
     ElastoSlip,
     Gap,
     Iwan,
+    Joint,
     OneSidedGap,
     ParallelJenkins,
     PolynomialDamping,
@@ -31,7 +33,7 @@ from modalax.simulate.joints import (  # noqa: E402
     PreloadedGap,
     QuadraticDamping,
 )
-from modalax.simulate.stepped import stepped_sine  # noqa: E402
+from modalax.simulate.stepped import SteppedSine, stepped_sine  # noqa: E402
 
 JOINTS = [
     CubicSpring(2e9),
@@ -50,72 +52,99 @@ JOINTS = [
 ]
 
 
-def compare(joint: Any, harmonics: list[int], freq: Any, structure: Any, place: list[str], level: float, **march: Any):
-    """Difference over the peak at each number of harmonics, both answers, and the marching's own report."""
-    marched = stepped_sine(structure, [joint], [place], freq, level, inputs=[structure.dofs[0]], **march)
-    answers = [
-        harmonic_balance(
-            structure, [joint], [place], freq, level, inputs=[structure.dofs[0]], harmonics=h,
-            samples=max(1024, 32 * h), sweep="down" if march.get("sweep") == "down" else "up",
-        ).fundamental
-        for h in harmonics
-    ]  # fmt: skip
-    peak = np.abs(marched.X).max()
-    return [float(np.abs(marched.X - a).max() / peak) for a in answers], answers, marched
+LADDER = (1, 3, 5, 9, 15, 31, 63, 127, 255, 511)
+WANTED = 1e-4
 
 
-def catalogue(harmonics: list[int], steps: int, lines: int, only: list[str]) -> None:
-    freq = np.linspace(33.0, 39.0, lines)
-    print(f"joint 3-5 of the five-DoF system, 6 N at DoF 1, {lines} lines 33..39 Hz, {steps} steps a period")
+class Case(NamedTuple):
+    """A structure, where its joint sits, and the sine that drives it."""
+
+    structure: Structure
+    place: list[str]
+    freq: np.ndarray
+    level: float
+
+
+def balanced(joint: Joint, case: Case, harmonics: int, sweep: str) -> np.ndarray:
+    """Fundamentals of all outputs by harmonic balance."""
+    found = harmonic_balance(
+        case.structure, [joint], [case.place], case.freq, case.level, inputs=[case.structure.dofs[0]],
+        harmonics=harmonics, samples=max(512, 32 * harmonics), sweep="down" if sweep == "down" else "up",
+    )  # fmt: skip
+    return np.asarray(found.fundamental)
+
+
+def needed(joint: Joint, case: Case, sweep: str, steps: int, highest: int) -> tuple[dict[int, float], SteppedSine]:
+    """Difference over the peak by harmonics: the rung of the ladder that suffices, and its neighbour below."""
+    marched = stepped_sine(
+        case.structure, [joint], [case.place], case.freq, case.level, inputs=[case.structure.dofs[0]], sweep=sweep,
+        steps=steps,
+    )  # fmt: skip
+    X, seen = np.asarray(marched.X), {}
+
+    def difference(rung: int) -> float:
+        h = LADDER[rung]
+        if h not in seen:
+            seen[h] = float(np.abs(X - balanced(joint, case, h, sweep)).max() / np.abs(X).max())
+        return seen[h]
+
+    rung = 2
+    while difference(rung) >= WANTED and rung + 1 < len(LADDER) and LADDER[rung + 1] <= highest:
+        rung += 1
+    while rung and difference(rung - 1) < WANTED:
+        rung -= 1
+    return dict(sorted(seen.items())), marched
+
+
+def report(name: str, seen: dict[int, float], marched: SteppedSine, began: float) -> None:
+    met = [h for h, e in seen.items() if e < WANTED]
+    cells = ", ".join(f"{h}: {e:.1e}" for h, e in seen.items())
+    settled = "" if bool(np.all(np.asarray(marched.settled))) else ", NOT SETTLED"
     print(
-        f"{'joint':22}"
-        + "".join(f"{f'H = {h}':>10}" for h in harmonics)
-        + f"{'last two, 1/H':>16}{'periods':>9}{'s':>6}"
+        f"| {name} | {met[0] if met else 'more'} | {cells} | {int(np.asarray(marched.periods).max())}{settled} | "
+        f"{time.perf_counter() - began:.0f} |",
+        flush=True,
     )
+
+
+def head(what: str) -> None:
+    columns = (what, "harmonics for 1e-4", "difference by highest harmonic", "periods marched", "s")
+    print("\n| " + " | ".join(columns) + " |\n" + "| --- " * len(columns) + "|", flush=True)
+
+
+def catalogue(only: list[str], steps: int, lines: int, highest: int) -> None:
+    """Every joint in place of the link 3-5 of the five-DoF system."""
+    case = Case(five_dof(), ["3", "5"], np.linspace(33.0, 39.0, lines), 6.0)
+    head(f"beside link 3-5, 6 N at DoF 1, {lines} lines 33..39 Hz, {steps} steps a period")
     for joint in [j for j in JOINTS if not only or j.slug in only]:
         began = time.perf_counter()
-        errors, answers, marched = compare(
-            joint, harmonics, freq, five_dof(), ["3", "5"], 6.0, sweep="each", steps=steps
-        )  # fmt: skip
-        # where the error falls as 1/H (dry friction that sticks), the limit of the last two is the answer
-        a, b = harmonics[-2:]
-        limit = (b * answers[-1] - a * answers[-2]) / (b - a)
-        extrapolated = np.abs(marched.X - limit).max() / np.abs(marched.X).max()
-        print(
-            f"{joint.slug:22}"
-            + "".join(f"{e:10.1e}" for e in errors)
-            + f"{extrapolated:16.1e}{int(marched.periods.max()):9d}{time.perf_counter() - began:6.0f}"
-            + ("" if bool(marched.settled.all()) else "  NOT SETTLED"),
-            flush=True,
-        )
+        report(joint.slug, *needed(joint, case, "each", steps, highest), began)
 
 
-def fold(harmonics: list[int], steps: int) -> None:
-    """A Duffing oscillator over its fold: the upper branch going up, the lower one going down."""
+def folds(steps: int, highest: int) -> None:
+    """Oscillators over their folds: the upper branch going up, the lower one going down."""
     omega, zeta = 2 * np.pi * 20.0, 0.02
-    duffing = Structure([[1.0]], [[2 * zeta * omega]], [[omega**2]], ["mass"])
-    freq = np.linspace(20.0, 24.0, 17)
-    joint = CubicSpring(4e8)
-    found = {}
-    for sweep in ("up", "down"):
-        errors, _, marched = compare(joint, harmonics, freq, duffing, ["mass"], 10.0, sweep=sweep, steps=steps)
-        found[sweep] = np.abs(np.asarray(marched.X))[0, :, 0, 0]
-        print(
-            f"Duffing, {sweep:5}" + "".join(f"  H = {h}: {e:.1e}" for h, e in zip(harmonics, errors, strict=True)),
-            f" settled {bool(marched.settled.all())}",
-            flush=True,
-        )
-    two = np.abs(found["up"] - found["down"]) > 0.05 * found["up"].max()
-    print(f"two branches at {int(two.sum())} of {len(freq)} lines, {freq[two].min():.2f} to {freq[two].max():.2f} Hz")
+    single = Structure([[1.0]], [[2 * zeta * omega]], [[omega**2]], ["mass"])
+    head(f"past a fold, 10 N on one mass, 17 lines 20..24 Hz, {steps} steps a period")
+    for joint in (CubicSpring(4e8), Gap(1e4, 3e-3)):
+        case, size = Case(single, ["mass"], np.linspace(20.0, 24.0, 17), 10.0), {}
+        for sweep in ("up", "down"):
+            began = time.perf_counter()
+            seen, marched = needed(joint, case, sweep, steps, highest)
+            size[sweep] = np.abs(np.asarray(marched.X))[0, :, 0, 0]
+            report(f"{joint.slug}, {sweep}", seen, marched, began)
+        two = np.abs(size["up"] - size["down"]) > 0.05 * size["up"].max()
+        where = f"{case.freq[two].min():.2f} to {case.freq[two].max():.2f} Hz" if two.any() else "nowhere"
+        print(f"| two branches at {int(two.sum())} of {len(case.freq)} lines, {where} | | | | |", flush=True)
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--harmonics", type=int, nargs="+", default=[1, 5, 15, 31])
     parser.add_argument("--steps", type=int, default=256)
     parser.add_argument("--lines", type=int, default=7)
-    parser.add_argument("--only", nargs="*", default=[], metavar="SLUG", help="these joints, without the fold")
+    parser.add_argument("--highest", type=int, default=255, help="most harmonics tried")
+    parser.add_argument("--only", nargs="*", default=[], metavar="SLUG", help="these joints, without the folds")
     given = parser.parse_args()
     if not given.only:
-        fold(given.harmonics, given.steps)
-    catalogue(given.harmonics, given.steps, given.lines, given.only)
+        folds(given.steps, given.highest)
+    catalogue(given.only, given.steps, given.lines, given.highest)

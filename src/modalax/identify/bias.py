@@ -100,7 +100,7 @@ def pole_paths(
     """
     problem = linear_problem(frf, order, **options)
     table = _along(problem, scales)
-    found, certain = _follow(table.poles, table.valid, poles - frf.added_decay)
+    found, certain = follow_poles(table.poles, table.valid, poles - frf.added_decay)
     return found + frf.added_decay, certain
 
 
@@ -146,7 +146,7 @@ def predicted_damping_bias(frf: FRF, poles: Complex[Array, " n"], order: int, **
 @eqx.filter_jit
 def _bias(problem: LinearProblem, poles: Complex[Array, " n"], decay: Float[Array, ""]) -> DampingBias:
     table = _along(problem, jnp.concatenate([jnp.geomspace(SMALLEST, 1.0, STEPS)]))
-    found, certain = _follow(table.poles, table.valid, poles - decay)
+    found, certain = follow_poles(table.poles, table.valid, poles - decay)
     end = found[-1] + decay
     zeta, expected = -poles.real / jnp.abs(poles), -end.real / jnp.abs(end)
     valid = certain[-1] & (expected > 0)
@@ -193,7 +193,7 @@ def _along(problem: LinearProblem, scales: Float[Array, " t"]) -> PoleTable:
     return PoleTable(tables.poles[:, 0], tables.valid[:, 0], None, (problem.order,), problem.method)
 
 
-def _follow(
+def follow_poles(
     poles: Complex[Array, "t p"], valid: Bool[Array, "t p"], start: Complex[Array, " n"]
 ) -> tuple[Complex[Array, "t n"], Bool[Array, "t n"]]:
     """The successors of ``start`` along the first axis; certain while no other root is nearly as close."""

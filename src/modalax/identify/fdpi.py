@@ -75,16 +75,16 @@ def fdpi(
     degree = 2 * -(-found[-1] // n_out)
     comps = [-(-2 * n // degree) for n in found]
     terms = degree if residual is None else residual
-    return _estimate(frf, _weight(frf, weights), found, tuple(comps), degree, terms)
+    return _estimate(frf, line_weight(frf, weights), found, tuple(comps), degree, terms)
 
 
 @eqx.filter_jit
 def _estimate(
     frf: FRF, weight: Float[Array, "f i"], orders: tuple[int, ...], comps: tuple[int, ...], degree: int, terms: int
 ) -> PoleTable:
-    s, Hc, _, top = _principal(frf, weight, comps[-1])
-    R = _factor(s, Hc, weight, degree, terms)
-    scaled, valid = jax.vmap(lambda c: _poles(R, comps[-1], c, degree))(jnp.asarray(comps))
+    s, Hc, _, top = principal_responses(frf, weight, comps[-1])
+    R = system_factor(s, Hc, weight, degree, terms)
+    scaled, valid = jax.vmap(lambda c: system_poles(R, comps[-1], c, degree))(jnp.asarray(comps))
     poles = jnp.where(valid, scaled * top, 0.0)
     return without_window(PoleTable(poles, valid & (poles.imag > 0), None, orders, "fdpi"), frf)
 
@@ -102,9 +102,9 @@ def fdpi_normal_modes(frf: FRF, order: int, *, weights: str = "unit", residual: 
     if order > frf.shape[1]:
         raise ValueError(f"order {order} needs {order} outputs for real normal modes, the FRF has {frf.shape[1]}")
     check_orders(order, frf.shape[0] * frf.shape[2], limits(frf))
-    weight = _weight(frf, weights)
-    s, Hc, V, top = _principal(frf, weight, order)
-    R = _factor(s, Hc, weight, 2, 2 if residual is None else residual)
+    weight = line_weight(frf, weights)
+    s, Hc, V, top = principal_responses(frf, weight, order)
+    R = system_factor(s, Hc, weight, 2, 2 if residual is None else residual)
     A = _blocks(R, order, jnp.asarray(order), 2)
     squares, vectors = jnp.linalg.eig(A[0])
     rank = jnp.argsort(jnp.where(squares.real > 0, squares.real, jnp.inf))
@@ -114,11 +114,12 @@ def fdpi_normal_modes(frf: FRF, order: int, *, weights: str = "unit", residual: 
     return NormalModes(frequency, shapes / top_component)
 
 
-def _weight(frf: FRF, weights: str) -> Float[Array, "f i"]:
+def line_weight(frf: FRF, weights: str) -> Float[Array, "f i"]:
+    """Weight of each line of each input, from the mean variance that the outputs' weights stand for."""
     return 1 / jnp.sqrt(jnp.mean(weights_of(frf, weights) ** -2, axis=1))
 
 
-def _principal(frf: FRF, weight: Float[Array, "f i"], count: int) -> tuple[Array, Array, Array, Array]:
+def principal_responses(frf: FRF, weight: Float[Array, "f i"], count: int) -> tuple[Array, Array, Array, Array]:
     """Scaled variable, the first ``count`` principal responses ``(f, i, c)``, their directions, and the scale."""
     rows = jnp.swapaxes(frf.H * weight[:, None, :], 1, 2).reshape(-1, frf.shape[1])
     gram = rows.real.T @ rows.real + rows.imag.T @ rows.imag
@@ -128,7 +129,7 @@ def _principal(frf: FRF, weight: Float[Array, "f i"], count: int) -> tuple[Array
     return 1j * frf.omega / top, jnp.swapaxes(frf.H, 1, 2) @ V, V, top
 
 
-def _factor(
+def system_factor(
     s: Complex[Array, " f"], Hc: Complex[Array, "f i c"], weight: Float[Array, "f i"], degree: int, terms: int
 ) -> Float[Array, "m m"]:
     """Triangular factor of the real rows ``[B columns, s^0 Hc, ..., s^degree Hc]``, without its B part."""
@@ -160,9 +161,10 @@ def _blocks(R: Float[Array, "m m"], comps: int, used: Int[Array, ""], degree: in
     return jnp.concatenate([A, jnp.eye(comps)[None]])
 
 
-def _poles(
+def system_poles(
     R: Float[Array, "m m"], comps: int, used: Int[Array, ""], degree: int
 ) -> tuple[Complex[Array, " p"], Bool[Array, " p"]]:
+    """Eigenvalues in the scaled variable for the first ``used`` components, and which of them belong to these."""
     A = _blocks(R, comps, used, degree)
     fixed = lax.stop_gradient(A)
     m = degree * comps

@@ -77,23 +77,23 @@ def lsce(
 def _estimate(
     frf: FRF, ridge: Array, orders: tuple[int, ...], constraint: str, real: bool, skip: int, samples: int
 ) -> PoleTable:
-    n_lines, _, size = frf.shape
-    span = frf.omega[-1] - frf.omega[0]
+    h, zoomed = impulse_response(frf, real)
+    R = prediction_factor(h[skip:samples], orders[-1], ridge)
+    return without_window(poles_of_factor(R, orders, frf.shape[2], constraint, real, zoomed, "lsce"), frf)
+
+
+def impulse_response(frf: FRF, real: bool) -> tuple[Complex[Array, "t o i"] | Float[Array, "t o i"], Zoom]:
+    """Inverse Fourier transform of the band alone, and the map from its roots to poles."""
+    n_lines, span = frf.shape[0], frf.omega[-1] - frf.omega[0]
     if real:
-        h = jnp.fft.irfft(frf.H, axis=0)
-        zoomed = Zoom(frf.omega[0], jnp.pi / span)
-    else:
-        step = 2 * jnp.pi / (span * n_lines / (n_lines - 1))
-        zoomed = Zoom((frf.omega[0] + frf.omega[-1]) / 2, step)
-        turn = jnp.exp(-0.5j * span * step * jnp.arange(n_lines))
-        h = jnp.fft.ifft(frf.H, axis=0) * turn[:, None, None]
-    R = _prediction_factor(h[skip:samples], orders[-1], ridge)
-    return without_window(poles_of_factor(R, orders, size, constraint, real, zoomed, "lsce"), frf)
+        return jnp.fft.irfft(frf.H, axis=0), Zoom(frf.omega[0], jnp.pi / span)
+    step = 2 * jnp.pi / (span * n_lines / (n_lines - 1))
+    turn = jnp.exp(-0.5j * span * step * jnp.arange(n_lines))
+    h = jnp.fft.ifft(frf.H, axis=0) * turn[:, None, None]
+    return h, Zoom((frf.omega[0] + frf.omega[-1]) / 2, step)
 
 
-def _prediction_factor(
-    h: Complex[Array, "t o i"] | Float[Array, "t o i"], order: int, ridge: Float[Array, ""]
-) -> Array:
+def prediction_factor(h: Complex[Array, "t o i"] | Float[Array, "t o i"], order: int, ridge: Float[Array, ""]) -> Array:
     """Triangular factor of the rows ``h(m), h(m-1), ...``, one output after the other."""
     t, _, size = h.shape
     m = (order + 1) * size

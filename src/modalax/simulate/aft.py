@@ -159,12 +159,16 @@ def _with_memory(
         state, _ = joint.step(state, old, turn)
         return joint.step(state, turn, new)[0], None
 
-    state, _ = joint.step(joint.initial_state(), jnp.zeros_like(x[0]), x[0])
-    laps = 2 * joint.settle - 1 if half else joint.settle
-    for lap in range(laps):
-        sign = -1.0 if half and lap % 2 else 1.0
-        state, _ = jax.lax.scan(settle, state, (sign * old, sign * turn, sign * new))
-    sign = -1.0 if half else 1.0
+    def run(state: Any, sign: float) -> Any:
+        return jax.lax.scan(settle, state, (sign * old, sign * turn, sign * new))[0]
+
+    state, sign = joint.step(joint.initial_state(), jnp.zeros_like(x[0]), x[0])[0], 1.0
+    if half and type(joint).close is Hysteretic.close:
+        # the last half cycle is read, so one less has to be run
+        for _ in range(2 * joint.settle - 1):
+            state, sign = run(state, sign), -sign
+    else:
+        state = joint.close(lambda s: run(run(s, 1.0), -1.0) if half else run(s, 1.0), state)
     way = (sign * old, sign * turn, sign * new, share, sign * bow_in, sign * bow_out)
     _, mean = jax.lax.scan(advance, state, way)
     k = np.array(harmonics)

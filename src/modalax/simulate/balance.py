@@ -23,6 +23,8 @@ CLOSED = 1e-9
 """A balance whose residual is below this part of the motion without joints counts as solved."""
 TIGHT = 1e-12
 """Residual at which the search stops; one more Newton step follows."""
+FOLD = 1e-5
+"""Margin below which a derivative is not given: the rounding of the balance alone makes it wrong by a hundredth."""
 
 
 class Line(NamedTuple):
@@ -131,14 +133,17 @@ def find(
 
 
 class _OneStep(optx.AbstractRootFinder):
-    """A single Newton step with the Jacobian column by column: a third of what a linearised function costs here."""
+    r"""A single Newton step with the Jacobian column by column: a third of what a linearised function costs here.
+
+    Its state is the margin of the balance, :math:`1/\|J^{-1}\|`.
+    """
 
     rtol: float = 0.0
     atol: float = 0.0
     norm: Any = optx.max_norm
 
     def init(self, fn: Any, y: Any, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: Any) -> Array:
-        return jnp.array(False)
+        return jnp.array(jnp.inf)
 
     def step(self, fn: Any, y: Any, args: Any, options: Any, state: Any, tags: Any) -> tuple[Array, Array, Any]:
         def both(y: Array) -> tuple[Array, tuple[Array, Any]]:
@@ -146,10 +151,11 @@ class _OneStep(optx.AbstractRootFinder):
             return missing, (missing, aux)
 
         jacobian, (missing, aux) = jax.jacfwd(both, has_aux=True)(y)
-        return y - jnp.linalg.solve(jacobian, missing), jnp.array(True), aux
+        inverse = jnp.linalg.inv(jacobian)
+        return y - inverse @ missing, 1 / jnp.max(jnp.sum(jnp.abs(inverse), axis=1)), aux
 
     def terminate(self, fn: Any, y: Any, args: Any, options: Any, state: Any, tags: Any) -> tuple[Array, Any]:
-        return state, optx.RESULTS.successful
+        return jnp.isfinite(state), optx.RESULTS.successful
 
     def postprocess(
         self, fn: Any, y: Any, aux: Any, args: Any, options: Any, state: Any, tags: Any, result: Any
@@ -157,12 +163,23 @@ class _OneStep(optx.AbstractRootFinder):
         return y, aux, {}
 
 
+def _without_derivative(value: Array, given: Any, where: Array) -> Array:
+    """The same numbers; ``where`` says so, derivatives by all that is ``given`` are NaN, and no solve has to see it."""
+    leaves = [leaf for leaf in jax.tree.leaves(given) if jnp.issubdtype(jnp.result_type(leaf), jnp.inexact)]
+    of = jnp.sum(jnp.stack([jnp.sum(leaf.real) + jnp.sum(leaf.imag) for leaf in leaves]))
+    # the root of 0 has an infinite slope, and zero times it is NaN; its value is 0, and so is its slope elsewhere
+    nothing = 0.0 * jnp.sqrt(jnp.where(where, of - jax.lax.stop_gradient(of), 1.0))
+    return jnp.where(where, jax.lax.stop_gradient(value), value) + nothing
+
+
 def polish(
     plan: Plan, joints: tuple[Joint, ...], line: Line, y: Float[Array, " r"]
-) -> tuple[Complex[Array, "j h"], Float[Array, ""]]:
+) -> tuple[Complex[Array, "j h"], Float[Array, ""], Float[Array, ""]]:
     """One Newton step from a solution, differentiable in joints, receptance and excitation by the implicit function.
 
-    Returns the joints' displacement harmonics [m] and the residual left, over the motion without joints.
+    Returns the joints' displacement harmonics [m], the residual left, over the motion without joints, and the margin:
+    how much the balance changes, at least, with a unit of motion. It is 0 at a fold, where the motion has no
+    derivative; below ``FOLD`` derivatives are NaN.
     """
     scale = jax.lax.stop_gradient(motion_scale(line))
     args = (plan, joints, line, scale)
@@ -172,9 +189,12 @@ def polish(
     )
     # where nothing was found an undamped step may lead anywhere; the best point found is kept there
     before = jnp.max(jnp.abs(_scaled(y, args)))
+    margin = jax.lax.stop_gradient(solution.state)
+    margin = jnp.where(jnp.isfinite(margin), margin, 0.0)
     value = jnp.where(before < CLOSED, solution.value, y)
+    value = _without_derivative(value, (joints, line), margin < FOLD)
     left = jnp.minimum(before, jnp.max(jnp.abs(_scaled(solution.value, args))))
-    return scale * plan.complex(value), jax.lax.stop_gradient(left)
+    return scale * plan.complex(value), jax.lax.stop_gradient(left), margin
 
 
 def stop(tree: Any) -> Any:

@@ -19,7 +19,7 @@ from modalax.data.frf import DERIVATIVES, check_axis, check_form
 from modalax.data.measurement import Measurement
 from modalax.model.receptance import AnyStructure, directions, dof_names, receptance
 from modalax.simulate.aft import Harmonics, choose_harmonics, joint_forces
-from modalax.simulate.balance import Line, Plan
+from modalax.simulate.balance import FOLD, Line, Plan
 from modalax.simulate.joints import Joint
 from modalax.simulate.sweep import solve_lines, solved
 
@@ -41,6 +41,8 @@ class Response(eqx.Module):
         Displacement of the outputs [m], shape ``(level, f, o, h, i)``.
     residual
         What is missing to balance, over the motion without joints, shape ``(level, f, i)`` [-].
+    margin
+        How much the balance changes, at least, with a unit of motion, shape ``(level, f, i)`` [-]: 0 at a fold.
     harmonics, outputs, inputs
         Which harmonics, and the DoF names.
     """
@@ -51,6 +53,7 @@ class Response(eqx.Module):
     force: Complex[Array, "level f j h i"]
     X: Complex[Array, "level f o h i"]
     residual: Float[Array, "level f i"]
+    margin: Float[Array, "level f i"]
     harmonics: Harmonics = eqx.field(static=True)
     outputs: tuple[str, ...] = eqx.field(static=True)
     inputs: tuple[str, ...] = eqx.field(static=True)
@@ -59,6 +62,14 @@ class Response(eqx.Module):
     def converged(self) -> Bool[Array, "level f i"]:
         """Which points are solved; elsewhere the numbers are the best that was found."""
         return solved(self.residual)
+
+    @property
+    def at_fold(self) -> Bool[Array, "level f i"]:
+        """Which points lie at a fold: two motions merge there, neither has a derivative, and gradients are NaN.
+
+        Move the line, or differentiate along the branch, see :func:`modalax.simulate.follow_branch`.
+        """
+        return self.margin < FOLD
 
     @property
     def fundamental(self) -> Complex[Array, "level f o i"]:
@@ -124,12 +135,12 @@ def receptances(
 
 def balance_levels(
     R: Receptances, joints: tuple[Joint, ...], level: Any, plan: Plan, downward: bool = False
-) -> tuple[Complex[Array, "level f j h i"], Float[Array, "level f i"]]:
-    """Joint displacements [m] at all levels [N] and inputs, and the residuals; pure, differentiable, jit and vmap."""
+) -> tuple[Complex[Array, "level f j h i"], Float[Array, "level f i"], Float[Array, "level f i"]]:
+    """Joint displacements [m] at all levels [N] and inputs, residuals and margins; pure, differentiable, jit, vmap."""
     at = plan.harmonics.index(1)
     u = jnp.zeros((*R.joints.shape[:2], *R.driven.shape[1:]), complex).at[:, at].set(R.driven)
 
-    def one(level: Float[Array, ""], u: Complex[Array, "f h j"]) -> tuple[Array, Array]:
+    def one(level: Float[Array, ""], u: Complex[Array, "f h j"]) -> tuple[Array, Array, Array]:
         return solve_lines(plan, joints, Line(R.joints, level * u, R.omega), downward)
 
     over_inputs = jax.vmap(one, in_axes=(None, -1), out_axes=-1)
@@ -187,6 +198,12 @@ def harmonic_balance(
     sweep
         ``up`` or ``down``: which branch is returned where there are several.
 
+    Returns
+    -------
+    Response
+        Differentiable in joints, structure, level and frequency, except where two branches merge: at ``at_fold`` the
+        derivative does not exist and comes out as NaN.
+
     Raises
     ------
     ValueError
@@ -212,16 +229,16 @@ def harmonic_balance(
     plan = Plan(len(joints), kept, samples)
     b, o, i = (directions(structure, p) for p in (places, [[n] for n in out_names], [[n] for n in inputs]))
     R = receptances(structure, b, 2 * jnp.pi * freq, o, i, kept)
-    q, left, force, X = _answer(R, joints, level, plan, sweep == "down")
-    return Response(freq, level, q, force, X, left, kept, out_names, tuple(inputs))
+    q, left, margin, force, X = _answer(R, joints, level, plan, sweep == "down")
+    return Response(freq, level, q, force, X, left, margin, kept, out_names, tuple(inputs))
 
 
 @eqx.filter_jit
 def _answer(
     R: Receptances, joints: tuple[Joint, ...], level: Float[Array, " level"], plan: Plan, downward: bool
-) -> tuple[Array, Array, Array, Array]:
-    q, left = balance_levels(R, joints, level, plan, downward)
-    return q, left, *respond(R, joints, q, level, plan)
+) -> tuple[Array, Array, Array, Array, Array]:
+    q, left, margin = balance_levels(R, joints, level, plan, downward)
+    return q, left, margin, *respond(R, joints, q, level, plan)
 
 
 def simulate(

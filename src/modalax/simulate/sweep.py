@@ -70,10 +70,10 @@ def branch(plan: Plan, joints: tuple[Joint, ...], lines: Line) -> Float[Array, "
 
 def solve_lines(
     plan: Plan, joints: tuple[Joint, ...], lines: Line, downward: bool = False
-) -> tuple[Complex[Array, "f j h"], Float[Array, " f"]]:
+) -> tuple[Complex[Array, "f j h"], Float[Array, " f"], Float[Array, " f"]]:
     """Balance of every line of one level on the branch of an upward (or downward) sweep; differentiable.
 
-    Returns displacement harmonics of the joints [m] and the residual left, over the motion without joints.
+    Returns displacement harmonics of the joints [m], the residual left, over the motion without joints, and the margin.
     """
     cheap = few(plan, joints)
     given = stop((joints, lines))

@@ -2,6 +2,7 @@
 
 import abc
 import math
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -108,6 +109,12 @@ class Hysteretic(Joint):
     def step(self, state: Any, x_old: Any, x_new: Any) -> tuple[Any, Float[Array, "..."]]:
         """State and force [N] after the straight way from ``x_old`` to ``x_new`` [m]."""
 
+    def close(self, lap: Callable[[Any], Any], state: Any) -> Any:
+        """State with which the loop is closed, from one near it: ``lap``, a cycle, leaves it as it is."""
+        for _ in range(self.settle):
+            state = lap(state)
+        return state
+
     def average(self, state: Any, x_old: Any, x_new: Any, bow: Any = 0.0) -> Float[Array, "..."]:
         r"""Mean force [N] over the time of a step that does not turn back; Simpson's rule unless given exactly.
 
@@ -156,10 +163,11 @@ def _loop(joint: Hysteretic, x: Float[Array, "*batch points"]) -> Float[Array, "
             state, f = joint.step(state, old, new)
             return (state, new), f
 
-        start = (joint.step(joint.initial_state(), jnp.zeros(()), way[0])[0], way[0])
-        _, f = jax.lax.scan(advance, start, jnp.tile(way, joint.settle + 1))
-        # sample k of the last cycle was reached from sample k - 1, so position k of the tail is sample k itself
-        return f[-way.shape[0] :]
+        def lap(state: Any) -> Any:
+            return jax.lax.scan(advance, (state, way[-1]), way)[0][0]
+
+        start = joint.step(joint.initial_state(), jnp.zeros(()), way[-1])[0]
+        return jax.lax.scan(advance, (joint.close(lap, start), way[-1]), way)[1]
 
     flat = x.reshape(-1, x.shape[-1])
     return jax.vmap(one)(flat).reshape(x.shape)

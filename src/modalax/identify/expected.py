@@ -1,0 +1,211 @@
+r"""What noise does to the mean of LSCE and FDPI: their expected normal equations, as :mod:`.normal` has LSCF's.
+
+**LSCE.** The rows are lagged samples of the band's impulse response, an inverse Fourier transform of the lines, so
+noise of variance :math:`\sigma^2_{foi}` on the FRFs adds to their normal matrix
+
+.. math:: C_{kl} = \frac{t-n}{F^2} \sum_f u_f^{l-k} \sum_o \sigma^2_{foi}
+
+for each reference i: with an even noise a ridge and nothing else. That the band is cut, so that the response is no sum
+of exponentials, is in the rows of the FRF without noise and needs no term of its own.
+
+**FDPI.** The rows are :math:`s^k H V`, real and imaginary parts stacked, less what the polynomial B(s) takes up:
+
+.. math:: C_{kl} = \sum_{f,i} w_{fi}^2 (1-\ell_{fi})\,\mathrm{Re}(\bar s_f^k s_f^l)\,V^T\mathrm{diag}(\sigma^2_{foi})V,
+
+:math:`\ell` the mean leverage of the two rows of a line; noise also turns the principal directions V, on average to
+those of the expected Gram matrix.
+
+As for LSCF these are the poles of the mean matrix, not the mean of the poles: where a mode scatters by more than its
+bias, as weak modes do at LSCE orders far above the number of poles, the scatter adds a shift of its own.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Complex, Float
+
+from modalax._numerics.checks import as_double
+from modalax.data.frf import FRF
+from modalax.identify.bias import SMALLEST, STEPS, DampingBias, follow_poles
+from modalax.identify.fdpi import line_weight, system_factor, system_poles
+from modalax.identify.fraction import check_constraint
+from modalax.identify.lsce import impulse_response, prediction_factor
+from modalax.identify.lscf import RIDGE
+from modalax.identify.normal import variance_of
+from modalax.identify.polynomial import limits, poles_of_factor
+from modalax.identify.tables import PoleTable
+from modalax.identify.zoom import check_orders
+
+
+def expected_lsce_bias(
+    frf: FRF,
+    poles: Complex[Array, " n"],
+    order: int,
+    *,
+    variance: Any = None,
+    constraint: str = "aN",
+    real: bool = False,
+    part: float = 0.5,
+    skip: int = 0,
+    ridge: float = RIDGE,
+) -> DampingBias:
+    r"""Bias that noise and the cut band give the damping of each mode in LSCE, without drawing any noise.
+
+    Parameters
+    ----------
+    frf
+        The FRF without noise, at the lines of the measurement.
+    poles
+        Where the modes are, shape ``(n,)`` [rad/s].
+    order
+        The order at which the estimate was read off.
+    variance
+        :math:`E|e|^2` of each sample, ``(f, o, i)`` or a number; that of ``frf`` by default.
+    constraint, real, part, skip, ridge
+        As in :func:`modalax.identify.lsce`.
+
+    Returns
+    -------
+    DampingBias
+        Expected minus true value of each mode. The poles of the mean normal matrix, not the mean of the poles.
+
+    Raises
+    ------
+    ValueError
+        As :func:`modalax.identify.lsce`, and if there is no variance.
+    """
+    sigma2 = variance_of(frf, variance)
+    samples = int(round(part * (2 * (frf.shape[0] - 1) if real else frf.shape[0])))
+    (order,) = check_orders(order, samples - skip, limits(frf))
+    return _lsce_bias(
+        frf, as_double(poles, "poles", complex_=True), sigma2, order, check_constraint(constraint), real, skip, samples,
+        ridge,
+    )  # fmt: skip
+
+
+@eqx.filter_jit
+def _lsce_bias(
+    frf: FRF,
+    poles: Array,
+    sigma2: Array,
+    order: int,
+    constraint: str,
+    real: bool,
+    skip: int,
+    samples: int,
+    ridge: float,
+) -> DampingBias:
+    lines, _, size = frf.shape
+    h, zoomed = impulse_response(frf, real)
+    signal = prediction_factor(h[skip:samples], order, jnp.asarray(ridge))
+    # the transform spreads each line evenly over the samples; of the two end lines irfft takes the real part alone
+    share = jnp.full(lines, 2.0).at[jnp.array([0, -1])].set(0.5) if real else jnp.ones(lines)
+    length = 2 * (lines - 1) if real else lines
+    density = (samples - skip - order) / length**2 * share[:, None] * jnp.sum(sigma2, axis=1)
+    powers = zoomed.circle(frf.omega)[:, None] ** jnp.arange(order + 1)
+    rows = powers[None, :, :, None] * (jnp.sqrt(density).T[:, :, None, None] * jnp.eye(size)[:, None, None, :])
+    rows = rows.reshape(size * lines, -1)
+    noise = jnp.linalg.qr(jnp.concatenate([rows.real, rows.imag]) if real else rows, mode="r")
+
+    def found(R: Array) -> PoleTable:
+        return poles_of_factor(R, (order,), size, constraint, real, zoomed, "lsce")
+
+    return _bias(signal, noise, found, poles, frf.added_decay)
+
+
+def expected_fdpi_bias(
+    frf: FRF,
+    poles: Complex[Array, " n"],
+    order: int,
+    *,
+    variance: Any = None,
+    weights: str = "unit",
+    residual: int | None = None,
+) -> DampingBias:
+    """Bias that noise gives the damping of each mode in FDPI, without drawing any noise.
+
+    Parameters
+    ----------
+    frf, poles, order, variance
+        As :func:`expected_lsce_bias`.
+    weights, residual
+        As in :func:`modalax.identify.fdpi`.
+
+    Returns
+    -------
+    DampingBias
+        Expected minus true value of each mode. The poles of the mean normal matrix, not the mean of the poles.
+
+    Raises
+    ------
+    ValueError
+        As :func:`modalax.identify.fdpi`, and if there is no variance.
+    """
+    sigma2 = variance_of(frf, variance)
+    n_lines, n_out, n_in = frf.shape
+    (order,) = check_orders(order, n_lines * n_in, limits(frf))
+    degree = 2 * -(-order // n_out)
+    terms = degree if residual is None else residual
+    poles = as_double(poles, "poles", complex_=True)
+    return _fdpi_bias(frf, poles, sigma2, line_weight(frf, weights), order, -(-2 * order // degree), degree, terms)
+
+
+@eqx.filter_jit
+def _fdpi_bias(
+    frf: FRF, poles: Array, sigma2: Array, weight: Array, order: int, comps: int, degree: int, terms: int
+) -> DampingBias:
+    rows = jnp.swapaxes(frf.H * weight[:, None, :], 1, 2).reshape(-1, frf.shape[1])
+    gram = (rows.conj().T @ rows).real + jnp.diag(jnp.sum(weight[:, None, :] ** 2 * sigma2, axis=(0, 2)))
+    V = jnp.linalg.eigh(gram)[1][:, ::-1][:, :comps]
+    top = frf.omega[-1]
+    s = 1j * frf.omega / top
+    signal = system_factor(s, jnp.swapaxes(frf.H, 1, 2) @ V, weight, degree, terms)
+    kept = weight**2 * (1 - _numerator_leverage(s, weight, terms))
+    powers = s[:, None] ** jnp.arange(degree + 1)
+
+    def add(R: Array, output: tuple[Array, Array]) -> tuple[Array, None]:
+        v, s2 = output
+        density = jnp.sqrt(jnp.maximum(jnp.sum(kept * s2, axis=1), 0.0))
+        Y = (powers * density[:, None])[:, :, None] * v
+        Y = Y.reshape(len(Y), -1)
+        return jnp.linalg.qr(jnp.concatenate([R, Y.real, Y.imag]), mode="r"), None
+
+    noise, _ = lax.scan(add, jnp.zeros_like(signal), (V, jnp.swapaxes(sigma2, 0, 1)))
+
+    def found(R: Array) -> PoleTable:
+        scaled, valid = system_poles(R, comps, jnp.asarray(comps), degree)
+        at = jnp.where(valid, scaled * top, 0.0)
+        return PoleTable(at[None], (valid & (at.imag > 0))[None], None, (order,), "fdpi")
+
+    return _bias(signal, noise, found, poles, frf.added_decay)
+
+
+def _numerator_leverage(s: Complex[Array, " f"], weight: Float[Array, "f i"], terms: int) -> Float[Array, "f i"]:
+    """Part of a line's noise that the polynomial B takes up: the mean of its real and its imaginary row."""
+
+    def one(w: Array) -> Array:
+        columns = (s[:, None] ** jnp.arange(terms + 1)) * w[:, None]
+        Q = jnp.linalg.qr(jnp.concatenate([columns.real, columns.imag]))[0]
+        return jnp.sum(Q**2, axis=1).reshape(2, -1).mean(axis=0)
+
+    return jnp.stack([one(w) for w in weight.T], axis=1)
+
+
+def _bias(
+    signal: Array, noise: Array, found: Callable[[Array], PoleTable], poles: Complex[Array, " n"], decay: Array
+) -> DampingBias:
+    """Each mode followed from hardly any noise to all of it."""
+
+    def at(scale: Array) -> tuple[Array, Array]:
+        table = found(jnp.linalg.qr(jnp.concatenate([signal, jnp.sqrt(scale) * noise]), mode="r"))
+        return table.poles[0], table.valid[0]
+
+    along, valid = lax.map(at, jnp.geomspace(SMALLEST, 1.0, STEPS))
+    path, certain = follow_poles(along, valid, poles - decay)
+    end = path[-1] + decay
+    zeta, expected = -poles.real / jnp.abs(poles), -end.real / jnp.abs(end)
+    shift = jnp.abs(end) / jnp.abs(poles) - 1
+    return DampingBias(end, expected - zeta, expected / zeta - 1, shift, certain[-1] & (expected > 0))
