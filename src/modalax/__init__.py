@@ -11,11 +11,19 @@ from typing import Any
 
 from modalax.data import FRF, Measurement
 from modalax.files import load, save
+from modalax.files.arrays import register
 from modalax.model import ModalModel, Structure
 
 __version__ = "0.1.0"
 
 __all__ = ["FRF", "Measurement", "ModalModel", "Structure", "__version__", "diagnose", "load", "save"]
+
+
+def _extended(arrays: Any, **options: Any) -> Any:
+    return importlib.import_module("modalax.diagnose.extend").from_arrays(arrays, **options)
+
+
+register("causes", _extended)
 
 
 def __getattr__(name: str) -> Any:

@@ -144,19 +144,20 @@ def read_measurement(path: Path) -> Any:
     return found
 
 
-def read_simulation(path: Path) -> Any:
-    """Read matrices or a modal model, and say so if the file holds measured FRFs.
+def read_simulation(path: Path, extended: bool = False) -> Any:
+    """Read matrices, a modal model or, if ``extended``, an extended simulation; say so if the file holds measured FRFs.
 
     Raises
     ------
     ValueError
         If the file holds no simulation.
     """
+    from modalax.diagnose.extend import ExtendedSimulation
     from modalax.files import load
     from modalax.model import ModalModel, Structure
 
     found = load(path)
-    if not isinstance(found, Structure | ModalModel):
+    if not isinstance(found, Structure | ModalModel) and not (extended and isinstance(found, ExtendedSimulation)):
         raise ValueError(
             f"{path} holds a {type(found).__name__}; a simulation (M, C, K or a modal model) is needed here"
         )

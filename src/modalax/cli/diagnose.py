@@ -38,7 +38,7 @@ def diagnose(
     check_free(json, report, overwrite=overwrite)
     check_folder(out, overwrite)
     start()
-    measurement, model = read_measurement(data), read_simulation(simulation)
+    measurement, model = read_measurement(data), read_simulation(simulation, extended=True)
     from rich.console import Console
 
     from modalax.cli.tables import print_diagnosis

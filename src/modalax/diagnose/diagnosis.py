@@ -125,7 +125,7 @@ class Diagnosis:
 
 def diagnose(
     measurement: Measurement | FRF,
-    simulation: Structure | ModalModel,
+    simulation: Structure | ModalModel | ExtendedSimulation,
     *,
     question: str = "auto",
     causes: Sequence[Cause] | None = None,
@@ -137,7 +137,8 @@ def diagnose(
     measurement
         Runs of FRFs, of any form; force levels [N] where joints are in question.
     simulation
-        What was expected; its DoFs hold all measured ones by name.
+        What was expected; its DoFs hold all measured ones by name. An extended simulation keeps what it has, at the
+        parameters it has, and what is found comes on top.
     question
         ``fixed``: does the data agree with *this* simulation, within the spread its author claims? ``free``: does any
         linear modal model explain the data? ``auto`` takes ``free`` for a modal fit (a modal model with residual

@@ -131,9 +131,11 @@ class ExtendedSimulation(eqx.Module):
                 out[f"extra_{k}"] = self.extras[k]
         return {name: np.asarray(value) for name, value in out.items()}
 
-    def save(self, path: Any) -> None:
-        """Write to an ``.npz`` file."""
-        np.savez_compressed(path, **self.arrays())  # pyright: ignore[reportArgumentType]
+    def save(self, path: Any, overwrite: bool = False) -> None:
+        """Write to an ``.npz`` file; :func:`modalax.load` reads it."""
+        from modalax.files import save
+
+        save(self, path, overwrite)
 
 
 _predict = jax.jit(predict, static_argnums=0)
@@ -148,9 +150,10 @@ def _key(cause: Cause) -> str:
 
 def extend(study: Any, h: Hypothesis) -> ExtendedSimulation:
     """The extended simulation of a fitted hypothesis."""
-    n = len(plant_of(study.simulation, float(study.scene.freq[0])).poles)
+    old = study.simulation if isinstance(study.simulation, ExtendedSimulation) else None
+    n = len(study.scene.plant.poles)
     assert h.theta is not None
-    theta = (h.theta * study.nuisance.spread)[:, :n]
+    theta = jnp.asarray((h.theta * study.nuisance.spread)[:, :n])
     spread, k = [], 0
     for cause, p in zip(h.causes, h.params, strict=True):
         count = len(p)
@@ -160,9 +163,15 @@ def extend(study: Any, h: Hypothesis) -> ExtendedSimulation:
         k += count
     n_out, n_in = study.problem.channels
     extras = tuple(None if e is None else jnp.asarray(e[:, :n_out, :n_in]) for e in h.extras)
+    params = tuple(jnp.asarray(p) for p in h.params)
+    channels = study.scene.outputs, study.scene.inputs, float(study.scene.freq[0])
+    if old is None:
+        return ExtendedSimulation(
+            study.simulation, params, tuple(spread), theta, extras, h.causes, h.places, *channels
+        )  # fmt: skip
     return ExtendedSimulation(
-        study.simulation, tuple(jnp.asarray(p) for p in h.params), tuple(spread), jnp.asarray(theta), extras,
-        h.causes, h.places, study.scene.outputs, study.scene.inputs, float(study.scene.freq[0]),
+        old.base, old.params + params, old.spread + tuple(spread), old.theta + theta, old.extras + extras,
+        old.causes + h.causes, old.places + h.places, *channels,
     )  # fmt: skip
 
 
@@ -172,7 +181,7 @@ def from_arrays(arrays: Any, causes: Sequence[Cause] | None = None) -> ExtendedS
     Parameters
     ----------
     causes
-        Where to look for the causes; the catalogue if None.
+        Causes of one's own, beside those of the catalogue.
 
     Raises
     ------
@@ -180,9 +189,10 @@ def from_arrays(arrays: Any, causes: Sequence[Cause] | None = None) -> ExtendedS
         If a cause is not known.
     """
     from modalax.diagnose.causes.base import Place
+    from modalax.diagnose.causes.microslip import MicroSlip
     from modalax.diagnose.causes.modal import TimeVaryingSteps
 
-    known = {_key(c): c for c in (catalogue() if causes is None else causes)}
+    known = {_key(c): c for c in (*catalogue(), MicroSlip(), *(causes or ()))}
     known |= {_key(c): c for c in (TimeVaryingSteps(n) for n in range(3, 12))}
     claims = {"frequency_std": arrays["frequency_std"], "damping_std": arrays["damping_std"]}
     names = lambda key: [str(n) for n in arrays[key]]  # noqa: E731
@@ -196,7 +206,10 @@ def from_arrays(arrays: Any, causes: Sequence[Cause] | None = None) -> ExtendedS
     keys = names("causes")
     strange = [k for k in keys if k not in known]
     if strange:
-        raise ValueError(f"cause {strange[0]} is unknown; known are {', '.join(sorted(known))}")
+        raise ValueError(
+            f"cause {strange[0]} is unknown: a cause of one's own is told by load(..., causes=[...]); known are "
+            f"{', '.join(sorted(known))}"
+        )
     every = range(len(keys))
     places = tuple(
         Place(tuple(names(f"where_{k}")), tuple(int(v) for v in arrays[f"index_{k}"]))  # pyright: ignore[reportArgumentType]

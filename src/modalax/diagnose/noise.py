@@ -153,8 +153,9 @@ def smoothed(variance: np.ndarray, H: np.ndarray, freedom: float, clip: float | 
 
 def _two_parts(value: np.ndarray, basis: list[np.ndarray], rounds: int = 60) -> np.ndarray:
     """Non-negative parts of a variance by maximum likelihood for chi-square scatter (multiplicative updates)."""
-    mean = np.maximum(value.mean(axis=1, keepdims=True), 1e-300)
-    parts = [0.5 * mean for _ in basis]
+    mean = np.maximum(value.mean(axis=1, keepdims=True), 1e-290)
+    value = value / mean  # squares of the smallest variances would be nothing
+    parts = [0.5 * np.ones_like(mean) for _ in basis]
     model = np.sum([a * g for a, g in zip(parts, basis, strict=True)], axis=0)
     for _ in range(rounds):
         parts = [
@@ -162,5 +163,5 @@ def _two_parts(value: np.ndarray, basis: list[np.ndarray], rounds: int = 60) -> 
             for a, g in zip(parts, basis, strict=True)
         ]
         total = np.sum([a * g for a, g in zip(parts, basis, strict=True)], axis=0)
-        model = np.maximum(total, 1e-12 * mean)
-    return model
+        model = np.maximum(total, 1e-12)
+    return model * mean

@@ -49,7 +49,7 @@ class Channels(eqx.Module):
 
 
 def predict(
-    causes: Sequence[Any], index: Any, extras: Sequence[Any], params: Sequence[Array],
+    causes: Sequence[Any], index: Any, extras: Sequence[Any], params: Sequence[Any],
     theta: Float[Array, "two n"], problem: Problem,
 ) -> Complex[Array, "run f o i"]:  # fmt: skip
     """Receptances with causes in place; the run axis has length 1 where no cause depends on the run.
@@ -66,6 +66,10 @@ def predict(
         Relative changes of the modal frequencies and damping ratios (logarithms).
     """
     at = list(zip(causes, index, extras, params, strict=True))
+    if problem.held is not None:
+        held = problem.held
+        at = list(zip(held.causes, held.index, held.extras, held.params, strict=True)) + at
+        theta = theta + held.theta
     plant = problem.plant
     s = 1j * problem.omega
     for cause, _, _, p in at:
@@ -160,7 +164,8 @@ class Together:
 
     def impedance(self, A: Array, omega: Array, p: tuple[tuple[Array, ...], tuple[Array, ...]]) -> Array:
         """Sum of the describing functions; the second of ``p`` is 1 for the causes at this place, else 0."""
-        return sum(s * c.impedance(A, omega, q) for c, q, s in zip(self.causes, *p, strict=True))
+        parts = [s * c.impedance(A, omega, q) for c, q, s in zip(self.causes, *p, strict=True)]
+        return jnp.sum(jnp.stack(parts), axis=0)
 
 
 def _columns(cause: Cause, where: Array, psi: Array, part: Array) -> tuple[Array, Array]:
@@ -199,7 +204,7 @@ def equivalent(
     flat = jnp.broadcast_to(drive[..., None], free.shape)
     w = omega[None, :, None]
 
-    def miss(log_a: Array, free: Array, flat: Array, p: Array) -> Array:
+    def miss(log_a: Array, free: Array, flat: Array, p: Any) -> Array:
         A = jnp.exp(log_a)
         return log_a + jnp.log(jnp.abs(1 + cause.impedance(A, w, p) * flat) + TINY) - jnp.log(free)
 

@@ -11,6 +11,16 @@ from jaxtyping import Array, Complex, Float, Int
 from modalax.diagnose.plant import Plant
 
 
+class Held(eqx.Module):
+    """Causes that the simulation itself has already, with their parameters: an extended simulation diagnosed again."""
+
+    index: Int[Array, "cause 3"]
+    extras: tuple[Any, ...]
+    params: tuple[Array, ...]
+    theta: Float[Array, "two n"]
+    causes: tuple[Any, ...] = eqx.field(static=True)
+
+
 class Problem(eqx.Module):
     r"""What every cause is asked about.
 
@@ -34,6 +44,8 @@ class Problem(eqx.Module):
         The simulation.
     lines, channels
         True numbers of lines, and of outputs and inputs, before padding.
+    held
+        What the simulation has beside its modes, or None.
     """
 
     omega: Float[Array, " f"]
@@ -45,6 +57,7 @@ class Problem(eqx.Module):
     plant: Plant
     lines: int = eqx.field(static=True)
     channels: tuple[int, int] = eqx.field(static=True)
+    held: Held | None = None
 
     @property
     def samples(self) -> int:
@@ -53,7 +66,7 @@ class Problem(eqx.Module):
 
     def pooled(self) -> tuple["Problem", float]:
         """All runs as one, for what does not depend on the run, and the chi-square that this leaves out."""
-        if self.data.shape[0] == 1:
+        if self.data.shape[0] == 1 or (self.held is not None and any(c.per_run for c in self.held.causes)):
             return self, 0.0
         square = np.asarray(self.weight) ** 2
         total = square.sum(axis=0, keepdims=True)
@@ -81,7 +94,7 @@ def bucket(count: int) -> int:
 
 def make_problem(
     freq: np.ndarray, data: np.ndarray, sigma: np.ndarray, level: np.ndarray,
-    outputs: tuple[str, ...], inputs: tuple[str, ...], plant: Plant,
+    outputs: tuple[str, ...], inputs: tuple[str, ...], plant: Plant, held: Held | None = None,
 ) -> Problem:  # fmt: skip
     """Pad and weight receptances.
 
@@ -111,7 +124,14 @@ def make_problem(
         padded(plant),
         lines,
         (n_out, n_in),
+        None if held is None else _padded_held(held, pads, bucket(len(plant.poles))),
     )
+
+
+def _padded_held(held: Held, pads: list[tuple[int, int]], modes: int) -> Held:
+    extras = tuple(None if e is None else jnp.pad(e, ((0, 0), pads[2], pads[3])) for e in held.extras)
+    theta = jnp.pad(held.theta, ((0, 0), (0, modes - held.theta.shape[1])))
+    return Held(held.index, extras, held.params, theta, held.causes)
 
 
 def padded(plant: Plant) -> Plant:

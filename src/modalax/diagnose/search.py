@@ -63,7 +63,7 @@ def state_of(study: Study, h: Hypothesis, jacobian: np.ndarray | None = None) ->
     theta = h.theta * study.nuisance.spread
     sides = {True: apart, False: together}
     reduced = {}
-    if study.question == "fixed" and study.scene.scaled:
+    if study.question == "fixed" and study.scene.scaled and study.problem.held is None:
         reduced = {True: reduce(study.problem, theta, apart), False: reduce(study.pooled, theta, together)}
     return State(sides, reduced, whole)
 
@@ -77,6 +77,8 @@ def _real(z: np.ndarray) -> np.ndarray:
 def _pooled(study: Study, value: np.ndarray) -> np.ndarray:
     """All runs as one: what a direction that is the same in every run sees."""
     runs = study.problem.weight.shape[0]
+    if study.pooled is study.problem:
+        return value
     if runs == 1 or not value.size:
         return value[..., : value.shape[-1] // runs]
     weight, total = np.asarray(study.problem.weight), np.asarray(study.pooled.weight)

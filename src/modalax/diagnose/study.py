@@ -5,12 +5,14 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from modalax.data import FRF, Measurement
 from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.causes.base import Cause, Place, Scene
 from modalax.diagnose.causes.lines import HumLines, MainsHum
+from modalax.diagnose.extend import ExtendedSimulation
 from modalax.diagnose.fit import (
     WIDE,
     Hypothesis,
@@ -24,7 +26,7 @@ from modalax.diagnose.fit import (
 from modalax.diagnose.noise import Noise, noise_of
 from modalax.diagnose.plant import plant_of
 from modalax.diagnose.predict import predict
-from modalax.diagnose.problem import Problem, make_problem
+from modalax.diagnose.problem import Held, Problem, make_problem
 from modalax.model import ModalModel, Structure
 
 
@@ -49,7 +51,7 @@ class Study:
     """
 
     measurement: Measurement
-    simulation: Structure | ModalModel
+    simulation: Structure | ModalModel | ExtendedSimulation
     noise: Noise
     problem: Problem
     pooled: Problem
@@ -150,7 +152,9 @@ def as_measurement(data: Measurement | FRF) -> Measurement:
     return data
 
 
-def make_study(data: Measurement | FRF, simulation: Structure | ModalModel, question: str = "auto") -> Study:
+def make_study(
+    data: Measurement | FRF, simulation: Structure | ModalModel | ExtendedSimulation, question: str = "auto"
+) -> Study:
     """Bring a measurement and a simulation together.
 
     Raises
@@ -162,7 +166,8 @@ def make_study(data: Measurement | FRF, simulation: Structure | ModalModel, ques
         raise ValueError(f"question is {question!r}; it must be auto, fixed or free")
     measurement = as_measurement(data)
     freq = np.asarray(measurement.freq)
-    plant = plant_of(simulation, float(freq[0]))
+    base, held = _taken_apart(simulation, measurement)
+    plant = plant_of(base, float(freq[0]))
     level = np.asarray(measurement.level)
     notes = []
     if np.isnan(level).any():
@@ -170,20 +175,20 @@ def make_study(data: Measurement | FRF, simulation: Structure | ModalModel, ques
         level = np.where(np.isnan(level), known, level)
         notes.append(f"force levels unknown, taken as {known:g} N: thresholds of joints scale with that")
     force = level if measurement.force is None else np.asarray(measurement.force)
-    asked, why = _question(question, simulation)
+    asked, why = _question(question, base)
     notes.append(why)
     order = DERIVATIVES[measurement.form]
     unit = (2j * np.pi * freq[:, None, None]) ** order
     receptance = np.asarray(measurement.H) / unit
     zero = np.zeros(receptance.shape)
-    draft = make_problem(freq, receptance, zero, force, measurement.outputs, measurement.inputs, plant)
+    draft = make_problem(freq, receptance, zero, force, measurement.outputs, measurement.inputs, plant, held)
     n_out, n_in = draft.channels
     still = np.zeros((2, draft.plant.stiffness.shape[0]))
     predicted = np.asarray(_predict_jit((), np.zeros((0, 3), int), (), (), still, draft))[0, : len(freq), :n_out, :n_in]
     noise = noise_of(measurement, predicted * unit)
     notes.append(noise.source)
     sigma = noise.sigma / np.abs(unit)
-    problem = make_problem(freq, receptance, sigma, force, measurement.outputs, measurement.inputs, plant)
+    problem = make_problem(freq, receptance, sigma, force, measurement.outputs, measurement.inputs, plant, held)
     pooled, rest = problem.pooled()
     spread = np.stack([np.asarray(problem.plant.frequency_std), np.asarray(problem.plant.damping_std)])
     free = asked == "free"
@@ -199,6 +204,23 @@ def make_study(data: Measurement | FRF, simulation: Structure | ModalModel, ques
         measurement, simulation, noise, problem, pooled, rest, scene,
         nuisance, replace(nuisance, basis=free_basis(pooled) if free else None), asked, tuple(notes),
     )  # fmt: skip
+
+
+def _taken_apart(
+    simulation: Structure | ModalModel | ExtendedSimulation, measurement: Measurement
+) -> tuple[Structure | ModalModel, Held | None]:
+    """Modes and, of an extended simulation, what it has beside them."""
+    if not isinstance(simulation, ExtendedSimulation):
+        return simulation, None
+    faults = [c.slug for c in simulation.causes if c.stage == "channels"]
+    channels = measurement.outputs, measurement.inputs
+    if faults and channels != (simulation.outputs, simulation.inputs):
+        raise ValueError(
+            f"the extended simulation has {', '.join(faults)} on outputs {', '.join(simulation.outputs)} and inputs "
+            f"{', '.join(simulation.inputs)}; the measurement has {', '.join(channels[0])} and {', '.join(channels[1])}"
+        )
+    index = jnp.array([p.index for p in simulation.places], dtype=jnp.int64).reshape(-1, 3)
+    return simulation.base, Held(index, simulation.extras, simulation.params, simulation.theta, simulation.causes)
 
 
 def _question(question: str, simulation: Structure | ModalModel) -> tuple[str, str]:
@@ -221,6 +243,9 @@ def _question(question: str, simulation: Structure | ModalModel) -> tuple[str, s
 def causes_of(causes: Sequence[Cause] | None, study: Study, default: Sequence[Cause]) -> list[Cause]:
     """The causes to look for: those given, or the catalogue, and under FREE only those that it can see."""
     chosen = list(default if causes is None else causes)
+    held = study.problem.held
+    if held is not None and any(c.stage == "kernel" for c in held.causes):
+        chosen = [c for c in chosen if c.stage != "kernel"]  # one record or sweep is what it is
     if study.question == "free" and causes is None:
         chosen = [
             c for c in chosen if c.stage in ("joint", "kernel", "lines") or c.per_run or c.slug == "force_dropout"

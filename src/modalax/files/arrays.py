@@ -2,7 +2,7 @@
 
 import difflib
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from modalax.model.modal import ModalModel, poles_from
 from modalax.model.structure import Structure
 
 Arrays = Mapping[str, Any]
-Saved = Measurement | Structure | ModalModel
+Saved = Measurement | Structure | ModalModel | Any
 
 MEASUREMENT_KEYS = (
     "freq", "H", "variance", "averages", "coherence", "added_decay", "level", "force", "outputs", "inputs", "form",
@@ -27,12 +27,25 @@ MODEL_KEYS = (
 READ_KEYS = frozenset((*MEASUREMENT_KEYS, *STRUCTURE_KEYS, *MODEL_KEYS))
 
 
+OTHERS: dict[str, Callable[..., Any]] = {}  # by an array that no other kind has
+
+
+def register(mark: str, reader: Callable[..., Any]) -> None:
+    """Let files that hold the array ``mark`` be read by ``reader``, which takes the arrays and the caller's options.
+
+    What such a reader returns is saved through its method ``arrays()``, which gives them back.
+    """
+    OTHERS[mark] = reader
+
+
 def to_arrays(what: Any) -> dict[str, np.ndarray]:
     """Named arrays of ``what``, as the file contract has them; an :class:`FRF` becomes a measurement of one run."""
     if isinstance(what, FRF):
         what = Measurement.from_frfs([what])
     if isinstance(what, Measurement):
         return _measurement_arrays(what)
+    if hasattr(what, "arrays"):
+        return what.arrays()
     if isinstance(what, Structure):
         damping = ("C", "D") if np.any(np.asarray(what.D)) else ("C",)
         names, labels = ("M", *damping, "K", "frequency_std", "damping_std"), ("dofs",)
@@ -40,7 +53,10 @@ def to_arrays(what: Any) -> dict[str, np.ndarray]:
         names = ("poles", "shapes", "participation", "upper", "lower", "frequency_std", "damping_std")
         labels = ("outputs", "inputs")
     else:
-        raise ValueError(f"a {type(what).__name__} cannot be saved; give a Measurement, FRF, Structure or ModalModel")
+        raise ValueError(
+            f"a {type(what).__name__} cannot be saved; give a Measurement, FRF, Structure, ModalModel "
+            "or extended simulation"
+        )
     arrays = {name: np.asarray(getattr(what, name)) for name in names}
     return arrays | {label: np.array(getattr(what, label), dtype=str) for label in labels}
 
@@ -59,7 +75,7 @@ def _measurement_arrays(measurement: Measurement) -> dict[str, np.ndarray]:
     return arrays
 
 
-def from_arrays(arrays: Arrays) -> Saved:
+def from_arrays(arrays: Arrays, **options: Any) -> Saved:
     """The measurement, structure or modal model that named arrays hold, told apart by their names.
 
     Raises
@@ -67,6 +83,10 @@ def from_arrays(arrays: Arrays) -> Saved:
     ValueError
         If an array is missing, has wrong axes, holds NaN, or the set is of none of the three kinds.
     """
+    for mark in OTHERS.keys() & set(arrays):
+        return OTHERS[mark](arrays, **options)
+    if options:
+        raise ValueError(f"option {', '.join(options)} is for extended simulations and UFF files, this is neither")
     if "H" in arrays or "freq" in arrays:
         _hint(arrays, MEASUREMENT_KEYS)
         return _measurement(arrays)

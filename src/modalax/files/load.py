@@ -24,7 +24,7 @@ def load(
     conjugate: bool | str = "detect",
     **options: Any,
 ) -> Saved:
-    """Read a measurement, a structure or a modal model from a file of any kind.
+    """Read a measurement, a structure, a modal model or an extended simulation from a file of any kind.
 
     What the file is, is told from its content: NumPy ``.npz``, UFF (58 ASCII and binary, 55, 2414), MATLAB ``.mat``,
     NetCDF or Zarr.
@@ -37,7 +37,8 @@ def load(
         ``"detect"``: FRFs that look conjugated (:func:`modalax.data.looks_conjugated`) are turned back, with a
         warning that says so. True: they are conjugated. False: they are taken as they are.
     **options
-        Choices for UFF files, passed to :func:`modalax.files.uff.read_uff`: ``form``, ``complete``.
+        Choices for UFF files, passed to :func:`modalax.files.uff.read_uff`: ``form``, ``complete``; for an extended
+        simulation ``causes``, those of one's own that it holds.
 
     Raises
     ------
@@ -60,10 +61,10 @@ def _read(path: Path, kind: str, options: dict[str, Any]) -> Saved:
         from modalax.files.uff import read_uff
 
         return read_uff(path, **options)
-    if options:
-        raise ValueError(f"option {', '.join(options)} is for UFF files, this one is {kind}")
     if kind == "npz":
-        return read_npz(path)
+        return read_npz(path, **options)
+    if options:
+        raise ValueError(f"option {', '.join(options)} is for UFF and .npz files, this one is {kind}")
     if kind in ("mat", "mat73"):
         from modalax.files.mat import read_mat
 
@@ -95,7 +96,7 @@ def save(
     overwrite: bool = False,
     **options: Any,
 ) -> None:
-    """Write a measurement, a structure or a modal model; the ending of ``path`` says which kind of file.
+    """Write a measurement, a structure, a modal model or an extended simulation; the ending of ``path`` says the kind.
 
     ``.npz``, ``.uff`` (also ``.unv``, ``.uf``), ``.mat``, ``.nc`` (NetCDF) or ``.zarr``. Nothing is left half
     written: the file appears when it is whole.
@@ -104,7 +105,7 @@ def save(
     ----------
     what
         A :class:`Measurement`, :class:`FRF` (written as one run), :class:`Structure` or :class:`ModalModel`;
-        structures go to ``.npz`` and ``.mat`` only.
+        structures go to ``.npz`` and ``.mat`` only, an extended simulation to ``.npz``.
     path
         The file.
     overwrite
@@ -139,6 +140,8 @@ def save(
 def _write(what: Any, path: Path, kind: str, options: dict[str, Any]) -> None:
     if kind == "npz":
         write_npz(what, path)
+    elif hasattr(what, "arrays"):
+        raise ValueError(f"a {type(what).__name__} goes to .npz only, not to {path.suffix}")
     elif kind == "uff":
         from modalax.files.uff import write_uff
 

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from modalax.files.arrays import READ_KEYS, Saved, from_arrays, to_arrays
+from modalax.files.arrays import OTHERS, READ_KEYS, Saved, from_arrays, to_arrays
 
 
-def read_npz(path: Path) -> Saved:
-    """Read a measurement, structure or modal model.
+def read_npz(path: Path, **options: Any) -> Saved:
+    """Read a measurement, structure, modal model or extended simulation.
 
     Raises
     ------
@@ -22,12 +22,13 @@ def read_npz(path: Path) -> Saved:
     try:
         # Opened here, because np.load leaves the file open when the archive is damaged.
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            special = not OTHERS.keys().isdisjoint(archive.files)
             for name in archive.files:
                 # What is not read may hold anything; only its name is kept, to see slips of the pen.
-                arrays[name] = _array(archive, name) if name in READ_KEYS else None
+                arrays[name] = _array(archive, name) if special or name in READ_KEYS else None
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError, KeyError) as error:
         raise ValueError(f"the .npz archive is damaged or cut short ({error}); copy or save it again") from error
-    return from_arrays(arrays)
+    return from_arrays(arrays, **options)
 
 
 def _array(archive: np.lib.npyio.NpzFile, name: str) -> np.ndarray:
@@ -43,6 +44,6 @@ def _array(archive: np.lib.npyio.NpzFile, name: str) -> np.ndarray:
 
 
 def write_npz(what: Any, path: Path) -> None:
-    """Write a measurement, structure or modal model."""
+    """Write a measurement, structure, modal model or extended simulation."""
     with path.open("wb") as file:
         np.savez(file, **to_arrays(what))  # pyright: ignore[reportArgumentType]

@@ -1,0 +1,200 @@
+"""What a diagnosis takes: modal models, missing variances, single levels and references, extended simulations again."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import modalax
+from modalax import Measurement, ModalModel
+from modalax.diagnose import ExtendedSimulation, JointCause, Parameter, diagnose
+from modalax.diagnose.causes.channels import ChannelGain
+from modalax.diagnose.causes.joints import CubicStiffness, QuadraticDamping
+from modalax.diagnose.causes.local import AddedMass, JointStiffness
+from modalax.diagnose.causes.microslip import MicroSlip
+from modalax.diagnose.extend import extend
+from modalax.diagnose.fit import Hypothesis
+from modalax.diagnose.predict import predict
+from modalax.diagnose.study import make_study
+from modalax.model import Structure
+from modalax.model.examples import five_dof
+
+FREQ = np.linspace(20.0, 70.0, 128)
+FEW = [JointStiffness(), ChannelGain()]
+
+
+def with_spring(k):
+    S = five_dof()
+    b = np.eye(5)[2] - np.eye(5)[4]
+    return Structure(S.M, S.C, np.asarray(S.K) + k * np.outer(b, b), S.dofs)
+
+
+def noisy(H, seed, noise=0.02, given=True, **more):
+    H = np.asarray(H)
+    rng = np.random.default_rng(seed)
+    sigma = noise * np.sqrt((np.abs(H) ** 2).mean(axis=1, keepdims=True)) * np.ones(H.shape)
+    H = H + sigma * (rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape)) / np.sqrt(2)
+    return Measurement(FREQ, H, variance=sigma**2 if given else None, form="mobility", **more)
+
+
+def linear(structure, seed, inputs=("1", "4"), runs=1, **more):
+    H = np.asarray(structure.frf(FREQ, inputs=inputs, form="mobility").H)
+    return noisy(np.repeat(H[None], runs, axis=0), seed, outputs=structure.dofs, inputs=inputs, **more)
+
+
+def named(answer):
+    return [(c["name"], sorted(map(str, c["where"]))) for c in answer["causes"]]
+
+
+@pytest.mark.slow
+def test_a_modal_model_is_a_simulation_in_python_and_from_a_file(tmp_path):
+    modal = five_dof().modal()
+    assert isinstance(modal, ModalModel)
+    data = linear(with_spring(2500.0), 1)
+    modalax.save(modal, tmp_path / "modes.npz")
+    modalax.save(data, tmp_path / "data.npz")
+    here = diagnose(data, modal, causes=FEW).to_dict()
+    there = diagnose(modalax.load(tmp_path / "data.npz"), modalax.load(tmp_path / "modes.npz"), causes=FEW).to_dict()
+    assert here["verdict"] == "named" and here["question"] == "fixed"
+    assert named(here) == named(there) == [("joint_stiffness", ["3", "5"])]
+    told = here["causes"][0]["parameters"]["stiffness"]
+    assert abs(told["value"] - 2500.0) < 4 * told["std"]
+
+
+def test_missing_variances_are_estimated_from_the_data_and_said_so():
+    found = diagnose(linear(with_spring(4000.0), 2, given=False), five_dof(), causes=FEW)
+    assert any("no variances given; estimated from the scatter" in note for note in found.notes)
+    assert named(found.to_dict()) == [("joint_stiffness", ["3", "5"])]
+    several = diagnose(linear(with_spring(4000.0), 2, given=False, runs=3, level=[1.0] * 3), five_dof(), causes=FEW)
+    assert any("no variances given; estimated from the repeated runs" in note for note in several.notes)
+    assert named(several.to_dict()) == [("joint_stiffness", ["3", "5"])]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("inputs", [("1",), ("1", "3", "4")])
+def test_one_reference_and_several(inputs):
+    found = diagnose(linear(with_spring(4000.0), 3, inputs=inputs), five_dof(), causes=FEW)
+    assert ("joint_stiffness", ["3", "5"]) in named(found.to_dict())
+
+
+@pytest.mark.parametrize("level", [[2.0], [np.nan]])
+def test_one_level_and_an_unknown_one(level):
+    found = diagnose(linear(with_spring(4000.0), 4, level=level), five_dof(), causes=[JointStiffness(), AddedMass()])
+    assert named(found.to_dict()) == [("joint_stiffness", ["3", "5"])]
+    assert any("force levels unknown" in note for note in found.notes) == bool(np.isnan(level[0]))
+
+
+def extended_by(causes, indices, params):
+    """An extended simulation put together by hand."""
+    S = five_dof()
+    study = make_study(linear(S, 0), S)
+    from modalax.diagnose.causes.base import Place
+
+    places = tuple(Place(tuple(S.dofs[k] for k in i[:2] if k >= 0), i) for i in indices)
+    n = study.problem.plant.stiffness.shape[0]
+    h = Hypothesis(causes, places, (None,) * len(causes), tuple(np.asarray(p, float) for p in params), np.zeros((2, n)))
+    return extend(study, h)
+
+
+def test_an_extended_simulation_is_saved_loaded_and_refused_where_it_cannot_go(tmp_path):
+    extended = extended_by((JointStiffness(), CubicStiffness()), ((2, 4, 0), (1, -1, 0)), ([2500.0], [1e8]))
+    modalax.save(extended, tmp_path / "extended.npz")
+    back = modalax.load(tmp_path / "extended.npz")
+    assert isinstance(back, ExtendedSimulation) and back.slugs == ("joint_stiffness", "cubic_stiffness")
+    first, second = (np.asarray(e.predict(3.0, FREQ, form="mobility").H) for e in (extended, back))
+    np.testing.assert_array_equal(first, second)
+    with pytest.raises(ValueError, match="goes to .npz only"):
+        modalax.save(extended, tmp_path / "extended.mat")
+    with pytest.raises(ValueError, match="exists already"):
+        extended.save(tmp_path / "extended.npz")
+    with pytest.raises(ValueError, match="option causes"):
+        modalax.save(five_dof(), tmp_path / "plain.npz")
+        modalax.load(tmp_path / "plain.npz", causes=[])
+
+
+class Hardening(JointCause):
+    """A law of one's own."""
+
+    slug = "hardening"
+    parameters = (Parameter("rate", "N/m^2"),)
+
+    def impedance(self, A, omega, p):
+        return p[0] * A + 0j
+
+
+def test_a_law_of_ones_own_is_loaded_when_told(tmp_path):
+    extended = extended_by((Hardening(),), ((2, 4, 0),), ([1e6],))
+    modalax.save(extended, tmp_path / "own.npz")
+    with pytest.raises(ValueError, match="Hardening"):
+        modalax.load(tmp_path / "own.npz")
+    back = modalax.load(tmp_path / "own.npz", causes=[Hardening()])
+    np.testing.assert_array_equal(np.asarray(back.frf(FREQ).H), np.asarray(extended.frf(FREQ).H))
+
+
+@pytest.mark.slow
+def test_an_extended_simulation_is_diagnosed_again(tmp_path):
+    """What it has is not found again, what it lacks is, and the next extension holds both."""
+    data = linear(with_spring(2500.0), 5)
+    turn = np.ones((1, 1, 5, 1))
+    turn[0, 0, 3] = 1.2
+    first = diagnose(data, five_dof(), causes=FEW).extended
+    assert first is not None
+    modalax.save(first, tmp_path / "extended.npz")
+    again = modalax.load(tmp_path / "extended.npz")
+    assert diagnose(data, again, causes=FEW).verdict == "clean"
+    second = diagnose(data.replace(H=np.asarray(data.H) * turn), again, causes=FEW)
+    assert named(second.to_dict()) == [("channel_gain", ["4"])]
+    assert second.extended is not None and second.extended.slugs == ("joint_stiffness", "channel_gain")
+    predicted = second.extended.predict(1.0, FREQ, form="mobility")
+    miss = np.asarray(predicted.H) - second.predicted_after[0]
+    assert np.abs(miss).max() < 1e-9 * np.abs(second.predicted_after).max()
+
+
+@pytest.mark.slow
+def test_a_joint_that_is_known_is_kept_at_every_level():
+    known = extended_by((CubicStiffness(),), ((2, 4, 0),), ([4e9],))
+    levels = [1.0, 2.0, 4.0]
+    H = np.stack([np.asarray(known.predict(v, FREQ, form="mobility", inputs=("1", "4")).H) for v in levels])
+    data = noisy(H, 6, outputs=known.outputs, inputs=("1", "4"), level=levels)
+    causes = [CubicStiffness(), QuadraticDamping(), JointStiffness(), ChannelGain()]
+    assert diagnose(data, five_dof(), causes=causes).verdict != "clean"
+    assert diagnose(data, known, causes=causes).verdict == "clean"
+    turn = np.ones((1, 1, 5, 1))
+    turn[0, 0, 1] = 0.85
+    found = diagnose(data.replace(H=np.asarray(data.H) * turn), known, causes=causes)
+    assert named(found.to_dict()) == [("channel_gain", ["2"])]
+
+
+def test_joints_at_one_place_share_one_motion():
+    """A cubic spring in two halves is the same cubic spring."""
+    whole = extended_by((CubicStiffness(),), ((2, 4, 0),), ([4e9],))
+    halves = extended_by((CubicStiffness(), CubicStiffness()), ((2, 4, 0), (2, 4, 0)), ([1e9], [3e9]))
+    a, b, none = (np.asarray(e.predict(3.0, FREQ).H) for e in (whole, halves, five_dof_extended()))
+    assert np.abs(a - b).max() < 1e-9 * np.abs(a - none).max()
+
+
+def five_dof_extended():
+    return extended_by((JointStiffness(),), ((2, 4, 0),), ([0.0],))
+
+
+@pytest.mark.slow
+def test_the_force_of_every_line_counts():
+    """A line at another force is the same line of a run held at that force."""
+    known = extended_by((MicroSlip(),), ((2, 4, 0),), ([200.0, 1.0],))
+    force = np.linspace(1.0, 2.0, len(FREQ))
+    got = np.asarray(known.predict(force, FREQ).H)
+    for k in (0, 40, 127):
+        alone = np.asarray(known.predict(force[k], FREQ).H)[k]
+        assert np.abs(got[k] - alone).max() < 1e-12 * np.abs(alone).max()
+    data = Measurement(FREQ, got[None], force=force[None], outputs=known.outputs, inputs=known.inputs)
+    study = make_study(data, known)
+    n = study.problem.plant.stiffness.shape[0]
+    H = predict((), jnp.zeros((0, 3), int), (), (), jnp.zeros((2, n)), study.problem)
+    assert np.abs(np.asarray(H)[0, :128, :5, :2] - got).max() < 1e-9 * np.abs(got).max()
+    plain = eqx.tree_at(lambda p: p.level, study.problem, study.problem.level * 0 + 1.5)
+    assert (
+        np.abs(
+            np.asarray(predict((), jnp.zeros((0, 3), int), (), (), jnp.zeros((2, n)), plain))[0, :128, :5, :2] - got
+        ).max()
+        > 1e-4 * np.abs(got).max()
+    )
