@@ -194,6 +194,12 @@ def test_brake_reuss_beam(measured):
     assert np.all(np.diff(beam.level) > 0)
     assert not looks_conjugated(beam)
     assert looks_conjugated(beam.replace(H=beam.H.conj()))
+    assert beam.force.shape == (4, 41)
+    np.testing.assert_allclose(beam.level, beam.force.mean(axis=1))
+    turned = datasets.brake_reuss_beam(drive_point=True)
+    assert turned.outputs == turned.inputs == ("beam",)
+    # at a drive point the imaginary part of the accelerance is positive all through the resonance
+    assert (np.asarray(turned.H).imag > 0).all()
 
 
 @pytest.mark.measured

@@ -1,12 +1,15 @@
 """Laws of a joint fitted together with the mode, on an oscillator whose answer is known in closed form."""
 
+import os
+from pathlib import Path
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from modalax import Measurement, ModalModel
 from modalax.diagnose.causes.channels import ChannelGain
-from modalax.diagnose.causes.joints import CubicStiffness, QuadraticDamping
+from modalax.diagnose.causes.joints import CubicStiffness, GapContact, QuadraticDamping
 from modalax.diagnose.causes.microslip import MicroSlip
 from modalax.diagnose.laws import compare_laws, modes_at
 
@@ -91,3 +94,32 @@ def test_what_cannot_be_asked_is_refused():
     blind = ModalModel([1j * 250 - 1], [[1.0]], [[1e-3]], outputs=["1"], inputs=["2"])
     with pytest.raises(ValueError, match="no scale"):
         compare_laws(data.replace(inputs=("2",)), blind, [[]], place="1", sigma=sigma)
+
+
+@pytest.mark.slow
+@pytest.mark.measured
+def test_a_bolted_beam_is_predicted_beyond_the_fitted_levels(monkeypatch):
+    """Three levels fitted, the highest predicted five times better than by the mode of the lowest (measured 7.6)."""
+    from modalax.data.datasets import brake_reuss_beam
+    from modalax.identify import refine, residues
+    from modalax.model.modal import poles_from
+
+    folder = Path(os.environ.get("MODALAX_DATA", Path(__file__).parents[3] / "shared" / "data"))
+    if not (folder / "brake_reuss_beam").is_dir():
+        pytest.skip(f"no measured data in {folder}; name their folder in MODALAX_DATA")
+    monkeypatch.setenv("MODALAX_DATA", str(folder))
+    beam = brake_reuss_beam(drive_point=True)
+    low, H = beam.run(0), np.asarray(beam.H)
+    lower = beam.replace(H=beam.H[:3], level=beam.level[:3], force=beam.force[:3])
+    mode = refine(low, residues(low, poles_from([80.25], [0.002]), residuals="none"), residuals="none").model
+    (found,) = compare_laws(
+        lower, mode, [[MicroSlip(), GapContact()]], place="beam", sigma=0.025 * np.abs(np.asarray(lower.H))
+    )
+    before = np.linalg.norm(np.asarray(mode.frf(beam.freq, form="accelerance").H) - H[3])
+    after = np.linalg.norm(np.asarray(found.extended.predict(beam.force[3], beam.freq, form="accelerance").H) - H[3])
+    assert after < before / 5
+    value, std = modes_at(found, np.array([3e-5, 1.4e-4, 2.2e-4]))
+    low_, turn, high = value[0, 0]
+    assert turn < low_ - 0.2 and high > turn + 0.08  # falls by 0.33 Hz and rises by 0.16 Hz
+    assert value[1, 0, 2] > 2.5 * value[1, 0, 0]
+    assert np.isfinite(std).all() and (std > 0).all() and std[0].max() < 0.05

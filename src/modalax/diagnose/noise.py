@@ -16,6 +16,7 @@ from modalax.data import Measurement
 
 ENOUGH = 300.0  # degrees of freedom at which a variance is as good as known
 FLOOR = 1e-7  # least standard deviation, over the root mean square of the channel
+AROUND = 15  # lines over which the scatter with and without the simulation is compared
 THIRD = np.array([1.0, -3.0, 3.0, -1.0]) / np.sqrt(20.0)
 
 
@@ -100,7 +101,10 @@ def _from_data(measurement: Measurement, H: np.ndarray, predicted: np.ndarray) -
         raise ValueError(
             f"no variances given, and {H.shape[1]} lines are too few to estimate them; at least 8 are needed"
         )
-    rough = np.minimum(_third_difference(H), _third_difference(H - predicted[None]))
+    # whichever varies less around a line; chosen line by line, the smaller of two would be too small
+    plain, beside = _third_difference(H), _third_difference(H - predicted[None])
+    around = [uniform_filter1d(e, AROUND, axis=1, mode="nearest") for e in (plain, beside)]
+    rough = np.where(around[0] <= around[1], plain, beside)
     variance = smoothed(rough, H, 2.0, clip=5.0)
     return Noise(np.sqrt(variance), "no variances given; estimated from the scatter between neighbouring lines", 2.0)
 
