@@ -17,9 +17,11 @@ PARTS = (
     "diagrams",
     "errors",
     "prediction",
+    "expected",
     "figure 9",
     "masses",
     "estimators",
+    "joint",
     "aircraft",
 )
 
@@ -40,7 +42,8 @@ def main() -> None:
     )
     with Progress(*columns) as progress:
         for part in args.only:
-            text += run(part, args.out, progress)
+            start = time.perf_counter()
+            text += [*run(part, args.out, progress), f"({part}: {time.perf_counter() - start:.0f} s)\n"]
             (args.out / "paper.md").write_text("\n".join(text))
     text.append(f"\nMade in {time.perf_counter() - began:.0f} s.\n")
     (args.out / "paper.md").write_text("\n".join(text))
@@ -54,10 +57,17 @@ def run(part: str, out: Path, progress: Progress) -> list[str]:
 
         task = progress.add_task(part, total=section5.STEPS)
         return ["## Section 5: a large aircraft\n", *section5.study(out, lambda: progress.advance(task))]
+    if part == "joint":
+        import section4
+
+        task = progress.add_task(part, total=section4.STEPS)
+        text = section4.study(out, section4.DRAWS, lambda _: progress.advance(task))
+        return [text.replace("\n#", "\n##").replace("# Section", "## Section", 1)]
     totals = {
         "errors": len(section3.METHODS) * 6,
         "masses": 6,
         "prediction": 36,
+        "expected": len(section3.EXPECTED) * len(section3.EXPECTED_LEVELS),
         "estimators": len(section3.ESTIMATORS) + 6,
     }
     task = progress.add_task(part, total=totals.get(part, 1))
@@ -72,6 +82,8 @@ def run(part: str, out: Path, progress: Progress) -> list[str]:
         ]
     if part == "prediction":
         return ["## LSCF damping bias in white noise: predicted against drawn\n", section3.prediction(advance)]
+    if part == "expected":
+        return ["## LSCE and FDPI damping bias in white noise: predicted against drawn\n", section3.expected(advance)]
     if part == "masses":
         return ["## Modal mass and MAC\n", section3.masses(advance)]
     if part == "estimators":

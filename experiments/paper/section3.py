@@ -30,6 +30,7 @@ from system import (
 from modalax.data.frf import FRF
 from modalax.identify import fdpi, lsce, lscf, plscf, predicted_damping_bias, refine, residues, stabilization
 from modalax.identify.consistent import compensated, gtls, subspace
+from modalax.identify.expected import expected_fdpi_bias, expected_lsce_bias
 from modalax.identify.reweighted import reweighted
 from modalax.identify.spread import second_order
 from modalax.identify.tables import PoleTable
@@ -254,6 +255,43 @@ def prediction(advance: Callable[[], None]) -> str:
         ["form", "order", "first order: within 3 % of the bias or two standard errors", "with the second order",
          "largest gap [% of the damping]", "flagged as lost"], rows,
     )  # fmt: skip
+
+
+EXPECTED: dict[str, tuple[Callable, Callable]] = {
+    "LSCE, order 16": (partial(lsce, orders=16), partial(expected_lsce_bias, order=16)),
+    "LSCE, order 32": (partial(lsce, orders=32), partial(expected_lsce_bias, order=32)),
+    "LSCE backward, order 32": (
+        partial(lsce, orders=32, constraint="a0"), partial(expected_lsce_bias, order=32, constraint="a0")
+    ),
+    "FDPI, order 5": (partial(fdpi, orders=5), partial(expected_fdpi_bias, order=5)),
+    "FDPI, order 8": (partial(fdpi, orders=8), partial(expected_fdpi_bias, order=8)),
+}  # fmt: skip
+EXPECTED_LEVELS = (0.0, 0.01, 0.05, 0.15)
+
+
+def expected(advance: Callable[[], None]) -> str:
+    """Damping bias of LSCE and FDPI from their expected normal equations, against drawn; 0 % is the cut band alone."""
+    base, rows = noisy_case(list(DEFINITIONS)[0]), []
+    for name, (estimator, predict) in EXPECTED.items():
+        for level in EXPECTED_LEVELS:
+            bias = predict(base, TRUE, variance=base.variance * max(level, 1e-9) ** 2)
+            count = DRAWS if level else 1
+            poles, valid = map(
+                np.asarray,
+                draw_poles(base, jnp.asarray(level), 21, estimator=estimator, sampler=gaussian, count=count),
+            )
+            near = np.argmin(np.where(valid[:, :, None], abs(poles[:, :, None] - np.asarray(bias.poles)), np.inf), 1)
+            found = np.take_along_axis(poles, near, axis=1)
+            drawn = 100 * (-found.real / np.abs(found) / ZETA - 1)
+            row = [name, f"{100 * level:g}"]
+            for mode in range(5):
+                flag = "" if bool(bias.valid[mode]) else " flagged"
+                told = f"{100 * float(bias.relative_damping[mode]):+.2f}"
+                error = f" ± {drawn[:, mode].std() / np.sqrt(count):.2f}" if level else ""
+                row.append(f"{told} against {drawn[:, mode].mean():+.2f}{error}{flag}")
+            rows.append(row)
+            advance()
+    return table(["method", "noise [%]", *[f"mode {k}: predicted against drawn [%]" for k in range(1, 6)]], rows)
 
 
 def _stats(found: np.ndarray, mode: int) -> tuple[float, float, float, float, int]:
