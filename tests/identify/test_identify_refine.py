@@ -110,8 +110,10 @@ class TestRefine:
             return found.model.shapes, found.shape_std, found.model.modal_mass().real, found.modal_mass_std
 
         shapes, std, mass, mass_std = jax.jit(jax.vmap(draw))(jax.random.split(jax.random.key(1), 200))
-        # Mode 3, hardly seen at the drive point, failed this test and is left out; why was not worked out.
-        well = np.array([0, 1, 3, 4])
+        # Measured over 1,000 draws (experiments/identify): 0.96 to 1.01, mode 3, hardly seen at the drive point, too.
+        # Mode 2 is left out: its two largest components differ by 1e-4, so which of them is the one that the shape is
+        # scaled to changes from draw to draw.
+        well = np.array([0, 2, 3, 4])
         z = np.asarray((shapes - exact.shapes).real / jnp.where(std.real > 0, std.real, 1))[:, well]
         some = np.asarray(std.real.min(axis=0))[well] > 0
         assert np.all(abs(z.std(axis=0)[some] - 1) < 0.25)

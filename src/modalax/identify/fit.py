@@ -6,22 +6,19 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-import scipy.stats
 from jaxtyping import Array, Bool, Float
 
 from modalax.data.frf import FRF
 from modalax.data.measurement import Measurement
 from modalax.identify.bias import predicted_damping_bias
 from modalax.identify.fdpi import fdpi
-from modalax.identify.likelihood import UNDAMPED
 from modalax.identify.lsce import lsce
 from modalax.identify.lscf import lscf
-from modalax.identify.noise import residual_sigma, smooth_variance
+from modalax.identify.noise import smooth_variance
 from modalax.identify.plscf import plscf
 from modalax.identify.refine import Refined
-from modalax.identify.refine import refine as maximise
 from modalax.identify.residues import residues as fit_residues
-from modalax.identify.search import missing_modes
+from modalax.identify.rounds import likelihood_rounds, synthesis
 from modalax.identify.select import Selection, best_order, select
 from modalax.identify.stabilize import Stability, stabilization
 from modalax.identify.tables import PoleTable
@@ -30,10 +27,6 @@ from modalax.model.modal import ModalModel
 
 ESTIMATORS = {"lscf": lscf, "plscf": plscf, "lsce": lsce, "fdpi": fdpi}
 POLES = 40  # poles of the highest order of a first diagram; doubled while the modes fill it
-ROUNDS = 8  # most rounds of adding and dropping modes
-SHARE = 1.0
-HEAVY = 0.25  # damping ratio above which a pole is background, not a mode
-DROP, ADD = 1e-6, 1e-6  # chances of keeping, or of adding, a mode that is not there
 
 
 class Fit(eqx.Module):
@@ -193,18 +186,12 @@ def fit(
             f"{float(frf.freq[-1]):g} Hz; widen the band or raise the order (now {table.orders[-1]})"
         )
     weighted = smooth_variance(frf)
-    known = weighted.variance is not None
     model = fit_residues(weighted, selection.poles, residuals=residuals, real_modes=real_modes)
     refined = None
     if refine:
-        model, refined = _likelihood(weighted, model, known, residuals, real_modes, tell)
+        model, refined = likelihood_rounds(weighted, model, tell, residuals=residuals, real_modes=real_modes)
     tell("summing up")
     return _summary(frf, weighted, model, refined, table, selection, data is not frf)
-
-
-def synthesis(model: ModalModel, frf: FRF) -> FRF:
-    """The model's FRF where and as ``frf`` was measured."""
-    return model.frf(frf.freq, form=frf.form, outputs=frf.outputs, inputs=frf.inputs, added_decay=frf.added_decay)
 
 
 def _diagram(frf: FRF, name: str, order: int | None) -> tuple[PoleTable, Selection]:
@@ -226,78 +213,6 @@ def _diagram(frf: FRF, name: str, order: int | None) -> tuple[PoleTable, Selecti
         if order is not None or not full or top >= lines // 4 - 1 or poles >= 4 * POLES:
             return table, selection
         poles *= 2
-
-
-def _likelihood(
-    frf: FRF, model: ModalModel, known: bool, residuals: str, real_modes: bool, tell: Callable[[str], None]
-) -> tuple[ModalModel, Refined]:
-    options: dict[str, Any] = {"residuals": residuals, "real_modes": real_modes}
-    # Weights that are only guessed call for errors that do not rely on them.
-    kind = "gauss-newton" if known else "robust"
-    sigma: Any = "auto"
-    tell(f"maximum likelihood, {model.poles.size} modes")
-    refined = _maximise(frf, model, sigma, kind, **options)
-    for turn in range(ROUNDS):
-        if not known:
-            sigma = residual_sigma(frf, refined, sigma)
-        drop = _without_need(frf, refined)
-        if drop.any() and not drop.all():
-            model = _restart(frf, refined.model.poles[~drop], sigma, **options)
-            tell(f"maximum likelihood, {model.poles.size} modes")
-            refined = _maximise(frf, model, sigma, kind, **options)
-        actual = jnp.sqrt(frf.variance) if known else sigma
-        search = turn < ROUNDS - 1 and not _exact(frf, refined)
-        extra = missing_modes(frf, refined, actual, level=ADD) if search else jnp.zeros(0)
-        if extra.size == 0:
-            if not known and turn == 0:
-                refined = _maximise(frf, refined.model, sigma, kind, **options)
-                continue
-            break
-        poles = jnp.concatenate([refined.model.poles, extra])
-        model = _restart(frf, poles[jnp.argsort(jnp.abs(poles))], sigma, **options)
-        tell(f"maximum likelihood, {model.poles.size} modes")
-        refined = _maximise(frf, model, sigma, kind, **options)
-    drop = _without_need(frf, refined)
-    if drop.any() and not drop.all():
-        refined = _maximise(frf, _restart(frf, refined.model.poles[~drop], sigma, **options), sigma, kind, **options)
-    if not known and not _exact(frf, refined):
-        # What is a mode was judged where the data is quiet; its damping is judged at the peaks as well.
-        half = residual_sigma(frf, refined, sigma, share=SHARE, proportional=True)
-        last = _maximise(frf, refined.model, half, kind, **options)
-        if bool(last.success):
-            refined, sigma = last, half
-    order = np.argsort(np.asarray(refined.model.frequency_hz))
-    if (np.diff(order) < 0).any():
-        refined = _maximise(frf, _restart(frf, refined.model.poles[order], sigma, **options), sigma, kind, **options)
-    return refined.model, refined
-
-
-def _maximise(frf: FRF, model: ModalModel, sigma: Any, kind: str, **options: Any) -> Refined:
-    """Refine in slots of eight, so that adding or dropping a mode seldom compiles anew."""
-    return maximise(frf, model, weights=sigma, covariance=kind, slots=8 * -(-model.poles.size // 8), **options)
-
-
-def _restart(frf: FRF, poles: Array, sigma: Any, **options: Any) -> ModalModel:
-    return fit_residues(frf, poles, weights=sigma, **options)
-
-
-def _exact(frf: FRF, refined: Refined) -> bool:
-    """Whether only rounding is left, in which no mode can be looked for."""
-    made = synthesis(refined.model, frf)
-    return float(jnp.sum(jnp.abs(frf.H - made.H) ** 2)) < 1e-22 * float(jnp.sum(jnp.abs(frf.H) ** 2))
-
-
-def _without_need(frf: FRF, refined: Refined) -> np.ndarray:
-    """Modes whose shape could be noise, whose damping left the range of modes, or that sit on another one."""
-    model = refined.model
-    dof = 2 * max(frf.shape[1], frf.shape[2])
-    weak = np.asarray(refined.evidence) < scipy.stats.chi2.isf(DROP, dof + 2)
-    zeta = np.asarray(model.damping_ratio)
-    lower, upper = float(frf.freq[0]), float(frf.freq[-1])
-    f = np.asarray(model.frequency_hz)
-    away = (f < max(lower - 0.5 * (upper - lower), 0.1 * lower)) | (f > upper + 0.5 * (upper - lower))
-    inside = (f > lower) & (f < upper)
-    return weak | (zeta > HEAVY) | ((zeta <= UNDAMPED) & inside) | away
 
 
 def _summary(

@@ -91,10 +91,10 @@ def _companion(A: Array, order: Array) -> tuple[Array, Array]:
     k, size, _ = A.shape
     m = (k - 1) * size
     # w^T A(u) = 0 is A(u)^T w = 0; the leading block is that of the order asked for.
-    transposed = jnp.swapaxes(A, 1, 2).astype(jnp.complex128)
+    transposed = jnp.swapaxes(A, 1, 2)
     lead = lax.dynamic_index_in_dim(transposed, order, keepdims=False)
     body = -jnp.linalg.solve(lead, transposed[:-1])
-    shift = jnp.diag(jnp.ones(m - size, jnp.complex128), size) if m > size else jnp.zeros((m, m), jnp.complex128)
+    shift = jnp.diag(jnp.ones(m - size, A.dtype), size) if m > size else jnp.zeros((m, m), A.dtype)
     row = jnp.swapaxes(body, 0, 1).reshape(size, m)
     low = order * size
     index = jnp.arange(m)

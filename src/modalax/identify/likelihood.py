@@ -19,6 +19,7 @@ from jaxtyping import Array, Complex, Float, Int
 from modalax.data.frf import DERIVATIVES, FRF
 
 UNDAMPED = 1e-7  # damping ratio below which a mode has none
+FAR = (-20.0, 25.0)  # logarithms of the circular frequencies that a mode may run off to
 LAGS = 8  # lines over which a residual that is not white is taken to be correlated
 
 
@@ -39,6 +40,8 @@ class Problem(eqx.Module):
         The reference at which each mode's participation is fixed to one, shape ``(n,)``.
     active
         1 for modes, 0 for empty slots that only keep the shapes of arrays equal from fit to fit, shape ``(n,)``.
+    held
+        1 for modes whose damping keeps its value, because the band does not tell it, shape ``(n,)``.
     power
         Number of time derivatives of the form: 0, 1, 2 for receptance, mobility, accelerance.
     inputs
@@ -57,6 +60,7 @@ class Problem(eqx.Module):
     weight: Float[Array, "o m"]
     pivot: Int[Array, " n"]
     active: Float[Array, " n"]
+    held: Float[Array, " n"]
     power: int = eqx.field(static=True)
     inputs: int = eqx.field(static=True)
     residuals: str = eqx.field(static=True)
@@ -82,9 +86,11 @@ def make_problem(
     real_modes: bool,
     active: Float[Array, " n"] | None = None,
     shared: bool = False,
+    held: Float[Array, " n"] | None = None,
 ) -> Problem:
     r"""Stack an FRF whose complex samples have standard deviation ``sigma``, each real part :math:`\sigma/\sqrt2`."""
     active = jnp.ones(pivot.shape) if active is None else active
+    held = jnp.zeros(pivot.shape) if held is None else held
     weight = jnp.sqrt(2.0) / sigma
     if DERIVATIVES[frf.form] < 2:  # the lower residual term is infinite at 0 Hz unless the form is accelerance
         weight = jnp.where((frf.omega == 0)[:, None, None] & (residuals != "none"), 0.0, weight)
@@ -94,7 +100,7 @@ def make_problem(
     extra = jnp.ones((w.shape[0], pivot.shape[0] * (1 if real_modes else 2)))
     return Problem(
         frf.omega, frf.added_decay, jnp.concatenate([y.real, y.imag, 0 * extra], axis=1),
-        jnp.concatenate([w, w, extra], axis=1), pivot, active, DERIVATIVES[frf.form], frf.H.shape[2], residuals,
+        jnp.concatenate([w, w, extra], axis=1), pivot, active, held, DERIVATIVES[frf.form], frf.H.shape[2], residuals,
         real_modes, shared,
     )  # fmt: skip
 
@@ -111,7 +117,7 @@ def pack(poles: Complex[Array, " n"], participation: Complex[Array, "n i"], pivo
 
 def unpack(theta: Float[Array, "n q"], pivot: Int[Array, " n"]) -> tuple[Complex[Array, " n"], Complex[Array, "n i"]]:
     """Poles and participation (one at the pivot) of real unknowns."""
-    omega, zeta = jnp.exp(theta[:, 0]), jnp.exp(theta[:, 1])
+    omega, zeta = jnp.exp(jnp.clip(theta[:, 0], *FAR)), jnp.exp(theta[:, 1])
     # Past critical damping the pole pair would stop vibrating; the square root must not see that during a search.
     # Below the other end the data cannot tell: a mode outside the band may go there and stay.
     zeta = jnp.clip(zeta, UNDAMPED, 0.999)
@@ -183,6 +189,7 @@ def _column_derivatives(theta: Float[Array, "n q"], problem: Problem) -> Float[A
         theta, problem.pivot, problem.s, problem.power, problem.real_modes
     )
     n, _, c, q = d.shape
+    d = d.at[..., 1].multiply(1 - problem.held[:, None, None])
     return jnp.concatenate([d * problem.active[:, None, None, None], jnp.zeros((n, n * c, c, q))], axis=1)
 
 
@@ -251,7 +258,7 @@ def _normal_of_row(
 
 
 def _lagged(pairs: Float[Array, "h p"], inputs: int) -> Float[Array, "p p"]:
-    r"""Scores of neighbouring lines with one another, :math:`\sum_l (1-|l|/L)\sum_k s_ks_{k+l}^T` (Newey, West 1987)."""
+    r"""Scores of neighbouring lines together, :math:`\sum_l (1-|l|/L)\sum_k s_ks_{k+l}^T` (Newey, West 1987)."""
     lines = pairs.reshape(-1, inputs, pairs.shape[1]).sum(axis=1)
     padded = jnp.pad(lines, ((LAGS, LAGS), (0, 0)))
     triangle = 1 - jnp.abs(jnp.arange(-LAGS, LAGS + 1)) / (LAGS + 1)
@@ -314,10 +321,12 @@ def objective(flat: Float[Array, " p"], problem: Problem) -> tuple[Array, tuple[
 
 
 def frozen_slots(problem: Problem, theta: Float[Array, "n q"]) -> Float[Array, "p p"]:
-    """Unit diagonal for the unknowns that the data does not see: those of empty slots, and dampings at their limits."""
+    """Unit diagonal for unknowns that the data does not see: those of empty slots, dampings held or at their limits."""
     blind = jnp.broadcast_to((1 - problem.active)[:, None], theta.shape)
     limit = (theta[:, 1] <= jnp.log(UNDAMPED)) | (theta[:, 1] >= jnp.log(0.999))
-    return jnp.diag(blind.at[:, 1].max(jnp.where(limit, 1.0, 0.0)).ravel())
+    gone = (theta[:, 0] <= FAR[0]) | (theta[:, 0] >= FAR[1])
+    blind = blind.at[:, 0].max(jnp.where(gone, 1.0, 0.0)).at[:, 1].max(jnp.where(limit, 1.0, problem.held))
+    return jnp.diag(blind.ravel())
 
 
 @jax.custom_jvp

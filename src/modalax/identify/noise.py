@@ -65,27 +65,35 @@ def residual_sigma(
     rounding = (1e-13 * np.abs(H).max()) ** 2 + 1e-300
     variance = course * size
     if proportional:
-        variance = _two_parts(power + rounding, np.abs(H - whitened) ** 2, size, course, axis, half)
+        variance = _two_parts(power + rounding, np.abs(H - whitened) ** 2, course, axis, half)
     variance = np.maximum(variance, rounding)
     return jnp.asarray(np.sqrt(variance**share * np.mean(variance) ** (1 - share)))
 
 
-def _two_parts(
-    power: np.ndarray, response: np.ndarray, size: np.ndarray, course: np.ndarray, axis: int, half: int
-) -> np.ndarray:
-    """Variances ``a g + b response`` of the largest likelihood for exponentially distributed powers."""
+def _two_parts(power: np.ndarray, response: np.ndarray, course: np.ndarray, axis: int, half: int) -> np.ndarray:
+    """Variances ``a g + b response`` of the largest likelihood for exponentially distributed powers.
+
+    The course is piecewise linear between nodes ``half`` lines apart, so that every step raises the likelihood.
+    """
+    lines = np.arange(len(power))
+    nodes = np.linspace(0, len(power) - 1, max(2, round(len(power) / half)))
+    hats = np.array([np.interp(lines, nodes, row) for row in np.eye(len(nodes))]).T
+    height = np.array([np.mean(course[np.abs(lines - k) <= half], axis=0) for k in nodes])
+    course = np.tensordot(hats, height, 1)
+    size = np.mean(power / course, axis=0, keepdims=True)
     part = 0.1 * np.mean(power) / np.mean(response)
-    lines = (0, 3 - axis)
     for _ in range(STEPS):
-        course = np.maximum(course, 1e-2 * np.median(course, axis=0, keepdims=True))
         v = course * size + part * response
         part *= np.sqrt(np.sum(power / v**2 * response) / np.sum(response / v))
         v = course * size + part * response
-        up, down = (np.sum(t * course, axis=lines, keepdims=True) for t in (power / v**2, 1 / v))
-        size = size * np.sqrt(up / down)
+        size = size * np.sqrt(
+            np.sum(power / v**2 * course, axis=0, keepdims=True) / np.sum(course / v, axis=0, keepdims=True)
+        )
         v = course * size + part * response
         up, down = (np.sum(t * size, axis=axis, keepdims=True) for t in (power / v**2, 1 / v))
-        course = course * np.sqrt(_running_mean(up, half) / _running_mean(down, half))
+        height = height * np.sqrt(np.tensordot(hats.T, up, 1) / np.tensordot(hats.T, down, 1))
+        course = np.tensordot(hats, height, 1)
+        course = np.maximum(course, 1e-2 * np.median(course, axis=0, keepdims=True))
     return course * size + part * response
 
 

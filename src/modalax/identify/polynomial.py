@@ -4,6 +4,8 @@ Shared by :func:`lscf` (every FRF a row of its own, one reference) and :func:`pl
 references). The numerator is eliminated by projecting on the complement of an orthonormal basis of its powers.
 """
 
+from itertools import pairwise
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -18,6 +20,7 @@ from modalax.identify.tables import PoleTable
 from modalax.identify.zoom import Zoom, check_orders, orthonormal_powers, zoom
 
 SOLVERS = ("auto", "qr", "moments")
+LONG = 100  # poles of the highest order from which on a diagram is done in parts
 LARGE = 1e10  # floating-point operations from which on ``auto`` takes the moments
 WEIGHTS = ("unit", "magnitude", "variance")
 LAST = {"a0": "last", "aN": "first", "norm": "norm"}
@@ -89,14 +92,35 @@ def triangular_factor(
 def poles_of_factor(
     R: Inexact[Array, "m m"], orders: tuple[int, ...], size: int, constraint: str, real: bool, zoomed: Zoom, method: str
 ) -> PoleTable:
-    """All orders of a stabilization diagram from the factor of the largest, in one vmap."""
-    A = jax.vmap(lambda n: coefficients(R, n, size, LAST[check_constraint(constraint)]))(jnp.asarray(orders))
-    u, w, valid = jax.vmap(roots)(A, jnp.asarray(orders))
+    """All orders of a stabilization diagram from the factor of the largest: one vmap for orders of about a size.
+
+    Eigenvalues cost the cube of the size they are padded to, so long diagrams are done in up to four parts.
+    """
+    count = orders[-1] * size
+    parts = []
+    for part in _parts_of(orders, size):
+        m = (part[-1] + 1) * size
+        given = jnp.asarray(part)
+        A = jax.vmap(lambda n, m=m: coefficients(R[:m, :m], n, size, LAST[check_constraint(constraint)]))(given)
+        pad = count - part[-1] * size
+        u, w, valid = jax.vmap(roots)(A, given)
+        rows = ((0, 0), (0, pad))
+        parts.append((jnp.pad(u, rows), jnp.pad(w, (*rows, (0, 0))), jnp.pad(valid, rows)))
+    u, w, valid = (jnp.concatenate([p[k] for p in parts]) for k in range(3))
     poles = zoomed.poles(jnp.where(valid, u, 1.0))
     if real:  # each root has a mirror image below the band, which means nothing
         valid = valid & (poles.imag > zoomed.centre)
     w = w / jnp.maximum(jnp.linalg.norm(w, axis=-1, keepdims=True), 1e-300)
     return PoleTable(jnp.where(valid, poles, 0.0), valid, w if size > 1 else None, orders, method)
+
+
+def _parts_of(orders: tuple[int, ...], size: int) -> list[tuple[int, ...]]:
+    """Orders in groups that end at 40, 60, 80 and 100 % of the highest; one group where that is low."""
+    if orders[-1] * size < LONG:
+        return [orders]
+    ends = [0.0, 0.4 * orders[-1], 0.6 * orders[-1], 0.8 * orders[-1], orders[-1]]
+    groups = [tuple(n for n in orders if low < n <= high) for low, high in pairwise(ends)]
+    return [g for g in groups if g]
 
 
 def matrix_fraction(

@@ -24,6 +24,7 @@ REASONS = (
     "a mode lost its damping: at its frequency the data holds no resonance",
     "a mode left the neighbourhood of its start, the frequency moved by more than five half-bandwidths",
 )
+REACH = 2.0  # half-bandwidths outside the band from which on a mode keeps the damping of its start
 MANY = 20  # rows from which on their scores tell how much rows differ
 CORRELATED = 1e-3  # p-value of the whiteness test below which lines are taken to be correlated
 UNIT = 1e-9  # standard deviation assumed where none is known, relative to the FRF
@@ -105,6 +106,7 @@ def refine(
 
     Shapes and residual terms are eliminated where they are linear (variable projection), so the search runs over
     :math:`\ln\omega`, :math:`\ln\zeta` and participation only, all real; stability of the poles is built in.
+    Modes that start more than two half-bandwidths outside the band keep their damping, which the band does not tell.
 
     Parameters
     ----------
@@ -140,7 +142,8 @@ def refine(
     Notes
     -----
     Golub and Pereyra (1973); Kaufman (1975); Guillaume, Verboven and Vanlanduit (1998) for modal analysis. White
-    (1982) for the sandwich; Newey and West (1987), Liang and Zeger (1986) for its sums over lines and rows. The roles of outputs and inputs are exchanged where there are more inputs than outputs.
+    (1982) for the sandwich; Newey and West (1987), Liang and Zeger (1986) for its sums over lines and rows. The roles
+    of outputs and inputs are exchanged where there are more inputs than outputs.
     """
     if covariance not in ("gauss-newton", "sandwich", "robust"):
         raise ValueError(f"covariance is {covariance!r}; it must be gauss-newton, sandwich or robust")
@@ -207,7 +210,9 @@ def _refine(
     zeta0 = jnp.where(model.poles.real < 0, jnp.maximum(-model.poles.real / omega0, 1e-6), zeta0)
     poles = -zeta0 * omega0 + 1j * omega0 * jnp.sqrt(1 - zeta0**2)
     pivot = jax.lax.stop_gradient(jnp.argmax(jnp.abs(model.participation), axis=1))
-    problem = make_problem(frf, sigma, pivot, residuals, real_modes, active, shared)
+    reach = REACH * zeta0 * omega0
+    outside = (omega0 + reach < jnp.min(frf.omega)) | (omega0 - reach > jnp.max(frf.omega))
+    problem = make_problem(frf, sigma, pivot, residuals, real_modes, active, shared, outside.astype(float))
     part = model.participation.real.astype(jnp.complex128) if real_modes else model.participation
     start = pack(poles, part, pivot)
     solution = optx.minimise(
@@ -264,7 +269,7 @@ def _rescaled(found: Parts, inflate: Array) -> Parts:
 def _covariance(
     found: Parts, kind: str, frozen: Float[Array, "p p"], inflate: Array, whiteness: Array
 ) -> Float[Array, "p p"]:
-    r"""Inverse of the summed Gauss-Newton matrix :math:`S`, :math:`S^{-1} B S^{-1}` with the scores' :math:`B`, or both.
+    r"""Inverse of the Gauss-Newton matrix :math:`S`, :math:`S^{-1} B S^{-1}` with the scores' :math:`B`, or both.
 
     The robust one has the correlations of the sandwich and the largest variance of each unknown.
     """

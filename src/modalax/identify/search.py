@@ -6,6 +6,8 @@ fit is white noise where nothing is missing, so a missing mode shows as the matc
 :math:`\chi^2` with two degrees of freedom a channel.
 """
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -13,17 +15,22 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from modalax.data.frf import DERIVATIVES, FRF
-from modalax.identify.refine import Refined
-from modalax.model.modal import poles_from
+from modalax.model.modal import ModalModel, poles_from
 
 DAMPINGS = (0.001, 0.003, 0.01, 0.03)
+NEW = 0.01  # part of a further mode's response that the present model should leave
+CHUNK = 256  # poles whose scores are taken at once
 
 
 @eqx.filter_jit
 def mode_scores(
-    frf: FRF, residual: Complex[Array, "f o i"], sigma: Float[Array, "f o i"], poles: Complex[Array, " g"]
+    frf: FRF,
+    residual: Complex[Array, "f o i"],
+    sigma: Float[Array, "f o i"],
+    poles: Complex[Array, " g"],
+    known: Complex[Array, " n"],
 ) -> Float[Array, " g"]:
-    r"""Matched-filter statistic :math:`S(\lambda)` of a further mode at each of some poles.
+    r"""Score statistic :math:`S(\lambda)` of a further mode at each of some poles.
 
     Parameters
     ----------
@@ -33,26 +40,63 @@ def mode_scores(
         Standard deviation of each complex sample that whitened it.
     poles
         Where to look, shape ``(g,)`` [rad/s].
+    known
+        Poles of the present fit, shape ``(n,)`` [rad/s]. Of a pole outside the band only what they, their changes and
+        residual terms do not make counts, for otherwise any slope at an end of the band would look like it. One weight
+        a line, the mean over the channels, decides on that.
     """
     s = frf.added_decay + 1j * frf.omega
-    power = DERIVATIVES[frf.form]
-    f = s.shape[0]
-    z = residual.reshape(f, -1)
-    w = (1 / sigma).reshape(f, -1)
+    lines, power = s.shape[0], DERIVATIVES[frf.form]
+    wz, w2 = (residual / sigma).reshape(lines, -1), (1 / sigma**2).reshape(lines, -1)
+    shared = jnp.sqrt(jnp.mean(w2 / jnp.mean(w2, axis=0), axis=1))
+    Q = _known_columns(s, power, shared, known)
+    z = _stack(residual.reshape(lines, -1).T)
+    z = z - (z @ Q) @ Q.T
+    left_wz = (z[:, :lines] + 1j * z[:, lines:]).T * jnp.sqrt(w2)
+    first, last = jnp.min(frf.omega), jnp.max(frf.omega)
+    count = poles.shape[0]
+    padded = jnp.concatenate([poles, jnp.full(-count % CHUNK, poles[0])]).reshape(-1, CHUNK)
 
-    def score(pole: Array) -> Array:
-        kernel = s**power / (s - pole)
-        inner = jnp.abs((kernel.conj()[:, None] * w * z).sum(axis=0)) ** 2
-        norm = (jnp.abs(kernel[:, None] * w) ** 2).sum(axis=0)
-        return jnp.sum(2 * inner / jnp.maximum(norm, 1e-300))
+    def chunk(some: Array) -> Array:
+        near, far = s**power / (s - some[:, None]), s**power / (s - some[:, None].conj())
+        pair = jnp.stack([near + far, 1j * (near - far)])  # responses to the real and the imaginary part of a residue
+        size = jnp.sum(jnp.abs(pair) ** 2, axis=0) @ w2
+        stacked = _stack(pair * shared)
+        left = stacked - (stacked @ Q) @ Q.T
+        whole = jnp.sum(stacked**2, axis=(0, 2))
 
-    return jax.lax.map(score, poles, batch_size=16)
+        def statistic(data: Array, columns: Array) -> Array:
+            inner = (pair.conj() @ data).real
+            gram = jnp.einsum("agm,bgm->gab", columns, columns) / whole[:, None, None]
+            # The ridge keeps what is all but known from counting much.
+            inverse = jnp.linalg.inv(gram + NEW * jnp.eye(2))
+            squares = jnp.einsum("agc,gab,bgc->gc", inner, inverse, inner)
+            return jnp.sum(2 * squares / jnp.maximum(size, 1e-300), axis=1)
+
+        inside = (some.imag >= first) & (some.imag <= last)
+        return jnp.where(inside, statistic(wz, stacked), statistic(left_wz, left))
+
+    return jax.lax.map(chunk, padded).ravel()[:count]
+
+
+def _known_columns(s: Array, power: int, weight: Array, known: Array) -> Float[Array, "m k"]:
+    """Orthonormal basis of what known modes, changes of their poles, and residual terms make of one channel."""
+    safe = jnp.where(s == 0, 1j * jnp.max(jnp.abs(s)), s)
+    near, far = 1 / (s - known[:, None]), 1 / (s - known[:, None].conj())
+    pairs = [near + far, 1j * (near - far), near**2 + far**2, 1j * (near**2 - far**2)]
+    terms = jnp.stack([safe**0, 1j * safe**0, safe**-2.0, 1j * safe**-2.0])
+    columns = _stack(jnp.concatenate([*pairs, terms]) * s**power * weight)
+    return jnp.linalg.qr((columns / jnp.maximum(jnp.linalg.norm(columns, axis=1, keepdims=True), 1e-300)).T)[0]
+
+
+def _stack(a: Array) -> Array:
+    return jnp.concatenate([a.real, a.imag], axis=-1)
 
 
 def missing_modes(
     frf: FRF,
-    refined: Refined,
-    sigma: Float[Array, "f o i"],
+    model: ModalModel,
+    sigma: Float[Array, "f o i"] | Sequence[Float[Array, "f o i"]],
     *,
     level: float = 1e-4,
     most: int = 4,
@@ -65,7 +109,20 @@ def missing_modes(
     :math:`\chi^2` quantile at ``level`` shared among all poles of the grid, after scaling by the residual's own
     level, so that a model that does not fit elsewhere does not call for modes everywhere. What a pole explains is taken
     out of the residual before the next one is looked for (orthogonal matching pursuit; Pati, Rezaiifar and
-    Krishnaprasad 1993), so that one mode does not call for several. A pole outside the band is given alone.
+    Krishnaprasad 1993), so that one mode does not call for several. At most one pole lies outside the band on a side.
+
+    Parameters
+    ----------
+    frf
+        The FRF.
+    model
+        The modal model as it is.
+    sigma
+        Standard deviation of each complex sample; of several, where it is not known, a pole must count with each.
+    level, most
+        Chance of a mode that is not there, and most modes to return.
+    inside
+        Frequencies to look at [Hz], the band and a fifth of it beyond by default.
 
     Returns
     -------
@@ -85,42 +142,56 @@ def missing_modes(
     where = np.array(grid)
     poles = poles_from(where[:, 0], where[:, 1])
     channels = frf.shape[1] * frf.shape[2]
-    variance = jnp.mean(jnp.abs(refined.residual) ** 2, axis=(1, 2), keepdims=True)
-    # The level of a neighbourhood far wider than a mode: a bad stretch of the band must not become modes.
-    wide = max(5, len(frf.freq) // 5)
-    local = _running_median(np.asarray(variance[:, 0, 0]), wide)
-    scale = jnp.asarray(np.sqrt(np.maximum(local, 1e-300)))[:, None, None]
     threshold = float(_chi2_quantile(level / len(where), 2 * channels))
+    made = model.frf(frf.freq, form=frf.form, outputs=frf.outputs, inputs=frf.inputs, added_decay=frf.added_decay)
+    deviations = list(sigma) if isinstance(sigma, (list, tuple)) else [jnp.asarray(sigma)]
+    residuals = [_levelled((frf.H - made.H) / s) for s in deviations]
+    rest = list(residuals)
     found: list[complex] = []
     allowed = np.ones(len(where), bool)
-    residual = refined.residual / scale
     while len(found) < most:
-        score = np.where(allowed, np.asarray(mode_scores(frf, residual, sigma, poles)), -np.inf)
+        scores = [np.asarray(mode_scores(frf, r, s, poles, model.poles)) for r, s in zip(rest, deviations, strict=True)]
+        score = np.where(allowed, np.min(scores, axis=0), -np.inf)
         best = int(np.argmax(score))
         if score[best] < threshold:
             break
         pole = complex(poles[best])
         found.append(pole)
         allowed &= np.abs(np.asarray(poles.imag) - pole.imag) > 4 * np.maximum(-np.asarray(poles.real), -pole.real)
-        residual = jnp.asarray(_without(frf, np.asarray(refined.residual / scale), np.asarray(sigma), found))
-        if not (allowed.any() and first < pole.imag / (2 * np.pi) < last):
+        if pole.imag < 2 * np.pi * first:  # one mode on a side explains most of a slope
+            allowed &= where[:, 0] >= first
+        if pole.imag > 2 * np.pi * last:
+            allowed &= where[:, 0] <= last
+        if not allowed.any():
             break
-    within = [p for p in found if first < p.imag / (2 * np.pi) < last]
-    found = found[:1] if found and found[0] not in within else within
+        pairs = zip(residuals, deviations, strict=True)
+        rest = [_without(frf, r, s, jnp.asarray(found)) for r, s in pairs]
     return jnp.asarray(np.array(found, dtype=complex))
 
 
-def _without(frf: FRF, residual: np.ndarray, sigma: np.ndarray, poles: list[complex]) -> np.ndarray:
+def _levelled(residual: Array) -> Array:
+    """Scaled to the level of a neighbourhood far wider than a mode: a bad stretch of the band must not become modes."""
+    power = np.asarray(jnp.mean(jnp.abs(residual) ** 2, axis=(1, 2)))
+    local = _running_median(power, max(5, len(power) // 5))
+    return residual / jnp.asarray(np.sqrt(np.maximum(local, 1e-300)))[:, None, None]
+
+
+@eqx.filter_jit
+def _without(frf: FRF, residual: Array, sigma: Array, poles: Array) -> Array:
     """The residual after the best multiples of the poles' responses were taken out of each channel."""
-    s = float(frf.added_decay) + 1j * np.asarray(frf.omega)
-    kernels = s[:, None] ** DERIVATIVES[frf.form] / (s[:, None] - np.array(poles))
-    shape = residual.shape
-    out, weight = residual.reshape(len(s), -1).copy(), (1 / sigma).reshape(len(s), -1)
-    for c in range(out.shape[1]):
-        K = kernels * weight[:, c : c + 1]
-        K = K / np.maximum(np.linalg.norm(K, axis=0), 1e-300)
-        out[:, c] -= K @ np.linalg.lstsq(K, out[:, c], rcond=None)[0]
-    return out.reshape(shape)
+    s = frf.added_decay + 1j * frf.omega
+    near, far = 1 / (s[:, None] - poles), 1 / (s[:, None] - poles.conj())
+    kernels = jnp.concatenate([near + far, 1j * (near - far)], axis=1) * s[:, None] ** DERIVATIVES[frf.form]
+
+    def channel(r: Array, weight: Array) -> Array:
+        K = _stack((kernels * weight[:, None]).T).T
+        Q = jnp.linalg.qr(K / jnp.maximum(jnp.linalg.norm(K, axis=0), 1e-300))[0]
+        rest = _stack(r)
+        rest = rest - Q @ (Q.T @ rest)
+        return rest[: len(s)] + 1j * rest[len(s) :]
+
+    flat = residual.reshape(len(s), -1)
+    return jax.vmap(channel, in_axes=1, out_axes=1)(flat, (1 / sigma).reshape(len(s), -1)).reshape(residual.shape)
 
 
 def _running_median(values: np.ndarray, width: int) -> np.ndarray:

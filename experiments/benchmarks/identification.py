@@ -1,0 +1,178 @@
+"""Poles beside sdypy-EMA in one run: ``python experiments/benchmarks/identification.py``.
+
+LSCF with real coefficients, every even degree up to the highest, on 5 outputs x 1 input x 501 lines (5 modes, to degree
+60) and on 458 x 1 x 3000 (42 modes, to degrees 120 and 200), without noise. The peer runs in a virtual environment that
+this script makes. Both sides run in processes of their own with one thread for linear algebra, cold once and then warm;
+the least warm time counts. Beside them the floor: the matrix products and eigenvalues without which no LSCF does,
+timed with NumPy. Seconds are wall-clock; the CPU seconds next to them show how much other work was in the way.
+"""
+
+import argparse
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+import venv
+from pathlib import Path
+
+THREADS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+PACKAGE = "sdypy-EMA==0.31.0"
+CASES = {"5 x 1 x 501": (5, 5, 501, 70.0, 60), "458 x 1 x 3000": (458, 42, 3000, 300.0, 120)}
+CASES["458 x 1 x 3000 "] = (458, 42, 3000, 300.0, 200)
+
+PEER = """
+import json, re, sys, time
+import numpy as np
+from sdypy import EMA
+peak = lambda: int(re.search(r"VmHWM:\\s+(\\d+)", open("/proc/self/status").read())[1]) / 1024
+given, degree, repeats = np.load(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+times = []
+for _ in range(repeats + 1):
+    began = time.perf_counter(), time.process_time()
+    model = EMA.Model(given["H"], given["freq"], lower=float(given["freq"][1]), upper=float(given["freq"][-1]),
+                      pol_order_high=degree // 2, frf_form="receptance")
+    model.get_poles(method="lscf", show_progress=False)
+    times.append((time.perf_counter() - began[0], time.process_time() - began[1]))
+f, z = model.pole_freq[-1], model.pole_xi[-1]
+near = [int(np.argmin(abs(f - t))) for t in given["true"]]
+print(json.dumps({"times": times, "peak": peak(),
+    "frequency": max(abs(f[k] / t - 1) for k, t in zip(near, given["true"])),
+    "damping": max(abs(z[k] / t - 1) for k, t in zip(near, given["zeta"]))}))
+"""
+
+
+def peak() -> float:
+    """Largest memory of this process so far [MB], which Linux counts from its own start, not from its parent's."""
+    found = re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text())
+    return int(found[1]) / 1024 if found else float("nan")
+
+
+def write_case(name: str, path: Path) -> None:
+    """Modes spread over the band, FRFs from 0 Hz."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    import numpy as np
+
+    from modalax.model import ModalModel
+
+    outputs, modes, lines, top, _ = CASES[name]
+    rng = np.random.default_rng(1)
+    f = np.linspace(0.06, 0.94, modes) * top * (1 + 0.004 * rng.uniform(-1, 1, modes))
+    zeta = rng.uniform(0.003, 0.01, modes)
+    shapes = rng.normal(size=(modes, outputs))
+    model = ModalModel.from_real_modes(f, zeta, shapes, np.ones(modes), [str(k) for k in range(outputs)])
+    freq = np.linspace(0, top, lines)
+    H = np.asarray(model.frf(freq, inputs=["0"]).H)[:, :, 0].T
+    np.savez(path, H=H, freq=freq, true=f, zeta=zeta)
+
+
+def own(path: str, degree: int, repeats: int, real: bool) -> dict:
+    """Our side, in a process of its own."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    import numpy as np
+
+    from modalax.data.frf import FRF
+    from modalax.identify import lscf
+
+    given = np.load(path)
+    frf = FRF(given["freq"], given["H"].T[:, :, None])
+    orders = range(2, degree + 1, 2) if real else range(1, degree // 2 + 1)
+    times = []
+    for _ in range(repeats + 1):
+        began = time.perf_counter(), time.process_time()
+        table = jax.block_until_ready(lscf(frf, orders, real=real))
+        times.append((time.perf_counter() - began[0], time.process_time() - began[1]))
+    poles = np.asarray(table.poles[-1])[np.asarray(table.valid[-1])]
+    f, z = np.abs(poles) / 2 / np.pi, -poles.real / np.abs(poles)
+    near = [int(np.argmin(abs(f - t))) for t in given["true"]]
+    return {
+        "times": times,
+        "peak": peak(),
+        "frequency": max(abs(f[k] / t - 1) for k, t in zip(near, given["true"], strict=True)),
+        "damping": max(abs(z[k] / t - 1) for k, t in zip(near, given["zeta"], strict=True)),
+    }
+
+
+def floor(path: str, degree: int) -> dict:
+    """Moments of all FRFs by FFT, one pair of products an output, and every order's eigenvalues."""
+    import numpy as np
+
+    H = np.load(path)["H"]
+    rng = np.random.default_rng(0)
+    began = time.perf_counter()
+    np.fft.irfft(H, axis=1)
+    np.fft.irfft(np.sum(np.abs(H) ** 2, axis=0))
+    moments = time.perf_counter() - began
+    W, S = rng.normal(size=(2, degree + 1, degree + 1))
+    began = time.perf_counter()
+    for _ in range(len(H)):
+        T = W @ S
+        T.T @ T
+    products = time.perf_counter() - began
+    began = time.perf_counter()
+    for n in range(2, degree + 1, 2):
+        np.linalg.eigvals(np.diag(np.ones(n - 1), 1) + np.outer(np.eye(n)[-1], rng.normal(size=n)))
+    return {"moments": moments, "products": products, "eigenvalues": time.perf_counter() - began}
+
+
+def peer_python() -> Path:
+    """A virtual environment with the peer in it, kept for the next run."""
+    home = Path(tempfile.gettempdir()) / "modalax-benchmark-sdypy"
+    python = home / "bin" / "python"
+    if not python.exists():
+        venv.create(home, with_pip=True)
+        subprocess.run([python, "-m", "pip", "install", "-q", PACKAGE], check=True)
+    return python
+
+
+def call(command: list[str]) -> dict:
+    """Run and read the last line of the output."""
+    done = subprocess.run(command, env={**os.environ, **THREADS}, check=True, capture_output=True, text=True)
+    return json.loads(done.stdout.strip().splitlines()[-1])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--part", nargs=4, help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.part:
+        what, path, degree, repeats = args.part
+        sides = {"floor": lambda: floor(path, int(degree))}
+        sides |= {w: lambda w=w: own(path, int(degree), int(repeats), w == "real") for w in ("real", "complex")}
+        print(json.dumps(sides[what]()))
+        return
+    python = peer_python()
+    print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
+    head = ("case", "degree", "side", "cold [s]", "warm [s]", "warm CPU [s]", "memory [MB]", "frequency", "damping")
+    print("| " + " | ".join(head) + " |\n" + "| --- " * len(head) + "|", flush=True)
+    with tempfile.TemporaryDirectory() as folder:
+        for name, (*_, degree) in CASES.items():
+            path, script = str(Path(folder) / "case.npz"), Path(folder) / "peer.py"
+            write_case(name, Path(path))
+            script.write_text(PEER, encoding="utf-8")
+            me = [sys.executable, __file__, "--part"]
+            sides = {"sdypy-EMA": [str(python), str(script), path, str(degree), str(args.repeats)]}
+            sides |= {f"modalax, {w}": [*me, w, path, str(degree), str(args.repeats)] for w in ("real", "complex")}
+            for side, command in sides.items():
+                r = call(command)
+                cold, warm = r["times"][0][0], min(t[0] for t in r["times"][1:])
+                cpu = min(t[1] for t in r["times"][1:])
+                print(
+                    f"| {name.strip()} | {degree} | {side} | {cold:.2f} | {warm:.3f} | {cpu:.3f} | {r['peak']:.0f} | "
+                    f"{r['frequency']:.0e} | {r['damping']:.0e} |",
+                    flush=True,
+                )
+            low = call([*me, "floor", path, str(degree), "0"])
+            parts = ", ".join(f"{k} {v:.3f}" for k, v in low.items())
+            print(f"| {name.strip()} | {degree} | floor: {parts} | | {sum(low.values()):.3f} | | | | |", flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,150 @@
+"""The whole way from FRFs to modes where nothing but the FRFs is given."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from modalax.data import FRF
+from modalax.identify import best_order, fit, lscf, missing_modes, refine, residues, select
+from modalax.identify.noise import residual_sigma
+from modalax.model import ModalModel
+
+FREQ = np.linspace(20, 110, 601)
+
+
+def noisy(model, seed, level, kind, form="receptance", inputs=("1",)):
+    """FRFs with noise of a size that is not said: even over the lines, or in proportion to the response."""
+    rng = np.random.default_rng(seed)
+    clean = model.frf(FREQ, inputs=list(inputs), form=form)
+    size = np.abs(np.asarray(clean.H))
+    sigma = level * (size if kind == "relative" else np.sqrt((size**2).mean(axis=0, keepdims=True)) + 0 * size)
+    noise = sigma * (rng.normal(size=size.shape) + 1j * rng.normal(size=size.shape)) / np.sqrt(2)
+    return FRF(FREQ, clean.H + noise, form=form, outputs=clean.outputs, inputs=clean.inputs), sigma
+
+
+def six(frequency, seed):
+    rng = np.random.default_rng(seed)
+    n = len(frequency)
+    return ModalModel.from_real_modes(
+        frequency, rng.uniform(0.003, 0.02, n), rng.normal(size=(n, 6)), rng.uniform(0.5, 2, n), list("123456")
+    )
+
+
+@pytest.fixture(scope="module")
+def outside():
+    """Four modes in the band, one a little below it and one a little above."""
+    return six([15.5, 31.0, 52.0, 55.0, 88.0, 117.0], 1)
+
+
+@pytest.mark.parametrize("kind", ["even", "relative"])
+def test_noise_is_read_off_the_residual(kind, outside):
+    """Typical deviation within 15 %, and no likelihood lost against the true one (it has more freedom)."""
+    frf, sigma = noisy(outside, 0, 0.05, kind)
+    refined = refine(frf, residues(frf, outside.poles))
+    found = np.asarray(residual_sigma(frf, refined, "auto", proportional=True))
+    assert abs(np.median(found / sigma) - 1) < 0.15
+    error = np.abs(np.asarray(frf.H) - np.asarray(outside.frf(FREQ, inputs=["1"]).H)) ** 2
+
+    def likelihood(s):
+        return -np.mean(np.log(s**2) + error / s**2)
+
+    assert likelihood(found) > likelihood(sigma) - 0.03
+
+
+def test_mode_below_the_band_is_looked_for_below_it(outside):
+    frf, sigma = noisy(outside, 0, 0.01, "even", form="accelerance")
+    model = residues(frf, outside.poles[1:])
+    found = np.abs(np.asarray(missing_modes(frf, model, jnp.asarray(sigma)))) / (2 * np.pi)
+    assert found.size == 1
+    assert 10 < found[0] < 20  # near 15.5 Hz: a slope at the end of the band says no more
+
+
+def test_nothing_is_missing_where_nothing_is(outside):
+    frf, sigma = noisy(outside, 1, 0.05, "relative")
+    model = refine(frf, residues(frf, outside.poles), weights=jnp.asarray(sigma)).model
+    assert missing_modes(frf, model, [jnp.asarray(sigma)]).size == 0
+
+
+def test_robust_errors_are_the_plain_ones_in_white_noise(paper_frf, paper):
+    frf = paper_frf.add_noise(jax.random.key(0), 0.05)
+    start = residues(frf, paper.poles)
+    plain, robust = (refine(frf, start, covariance=kind) for kind in ("gauss-newton", "robust"))
+    ratio = np.asarray(robust.damping_std / plain.damping_std)
+    assert np.all(ratio > 1 - 1e-9)
+    assert np.all(ratio < 1.3)
+
+
+def test_robust_errors_grow_where_rows_differ():
+    """The frequency of one mode scatters by 0.1 % from row to row: no noise model of independent lines sees that."""
+    rng = np.random.default_rng(0)
+    freq = np.linspace(45, 55, 201)
+    s = 2j * np.pi * freq[:, None]
+    omega = 2 * np.pi * 50 * (1 + 1e-3 * rng.normal(size=40))
+    poles = omega * (-0.01 + 1j * np.sqrt(1 - 1e-4))
+    H = 1 / (s - poles) + 1 / (s - poles.conj()) + 1e-6 * rng.normal(size=(201, 40))
+    frf = FRF(freq, H[:, :, None], outputs=[str(k) for k in range(40)], inputs=["0"])
+    start = residues(frf, [complex(poles.mean())])
+    plain, robust = (refine(frf, start, covariance=kind) for kind in ("gauss-newton", "robust"))
+    due = 50e-3 / np.sqrt(40)  # of the mean frequency over the rows
+    assert 0.6 < float(robust.frequency_std_hz[0]) / due < 1.6
+    assert float(plain.frequency_std_hz[0]) < 0.5 * due
+
+
+def test_long_diagrams_in_parts_are_the_short_ones(forty):
+    """From 100 poles on orders are grouped by size; the poles of an order stay the same."""
+    frf = forty.frf(np.arange(0, 1000) * 0.1, inputs=["a"])
+    long, short = lscf(frf, [30, 50, 100]), lscf(frf, [30, 50], numerator=100)
+    for row in (0, 1):
+        one, two = (np.asarray(t.poles[row])[np.asarray(t.valid[row])] for t in (long, short))
+        assert len(one) == len(two) == (30, 50)[row]
+        assert np.all(np.min(np.abs(one[:, None] - two), axis=1) < 1e-6 * np.abs(one))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["even", "relative"])
+@pytest.mark.parametrize("level", [0.01, 0.1])
+def test_fit_finds_all_modes_and_no_others(kind, level, outside):
+    """Noise of unknown size: the right number of modes, and errors that the stated deviations allow."""
+    frf, _ = noisy(outside, 3, level, kind, inputs=("1", "4"))
+    found = fit(frf)
+    inside = np.asarray(found.inside)
+    f, zeta = np.asarray(found.model.frequency_hz)[inside], np.asarray(found.model.damping_ratio)[inside]
+    assert f.size == 4
+    assert found.refined is not None
+    true_f, true_zeta = np.asarray(outside.frequency_hz)[1:5], np.asarray(outside.damping_ratio)[1:5]
+    z = np.concatenate(
+        [
+            (f - true_f) / np.asarray(found.refined.frequency_std_hz)[inside],
+            (zeta - true_zeta) / np.asarray(found.refined.damping_std)[inside],
+        ]
+    )
+    assert np.max(np.abs(z)) < 4
+    assert np.sqrt(np.mean(z**2)) < 2
+
+
+@pytest.mark.slow
+def test_same_modes_out_of_thirty_random_bands(forty, errors, poles_of):
+    """Modes inside by three half-bandwidths: 1e-6 in frequency and 1e-4 in damping at the order chosen by itself, and
+    1e-5 and 1e-3 at every higher one."""
+    rng = np.random.default_rng(30)
+    whole = forty.frf(np.arange(0, 3500) * 0.05, inputs=["a"])
+    f, zeta = np.asarray(forty.frequency_hz), np.asarray(forty.damping_ratio)
+    for k in range(30):
+        width = rng.uniform(25, 110)
+        lower = 0.0 if k % 5 == 0 else rng.uniform(0, 150 - width)
+        band = (lower, lower + width)
+        inside = (f - 3 * zeta * f > band[0]) & (f + 3 * zeta * f < band[1])
+        # Every band with as many lines, so that all share one compiled function.
+        step = max(1, int(width / 0.05) // 500)
+        first = int(round(lower / 0.05))
+        frf = whole.lines(slice(first, first + 500 * step, step))
+        inside &= f + 3 * zeta * f < float(frf.freq[-1])
+        orders = range(20, 101, 4)
+        table = lscf(frf, orders)
+        chosen = best_order(table, select(table, band=(float(frf.freq[0]), float(frf.freq[-1])), max_damping=0.1))
+        for order in [n for n in orders if n >= chosen]:
+            limits = (1e-6, 1e-4) if order == chosen else (1e-5, 1e-3)
+            frequency, damping = errors(poles_of(table, order), forty, inside)
+            assert frequency < limits[0], (band, order)
+            assert damping < limits[1], (band, order)
