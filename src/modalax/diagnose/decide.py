@@ -61,8 +61,19 @@ def effective_number(directions: np.ndarray, state: Residual) -> float:
     return float(np.sqrt(values).sum() ** 2 / values.sum())
 
 
-def detect(trials: Sequence[Trial], states: dict[bool, Residual], remains: Omnibus, spread: float = 1.0) -> Detection:
-    """Significance of the largest score, of patterns over channels, of hum and of the omnibus test."""
+def detect(
+    trials: Sequence[Trial], states: dict[bool, Residual], remains: Omnibus, spread: float = 1.0,
+    tolerated: float = 0.0,
+) -> Detection:  # fmt: skip
+    """Significance of the largest score, of patterns over channels, of hum and of the omnibus test.
+
+    Parameters
+    ----------
+    spread
+        By how much estimated variances widen the scores.
+    tolerated
+        Chi-square that the known inexactness of a law may leave.
+    """
     count, top = 0.0, 0.0
     scored = [t for t in trials if np.isfinite(t.z)]
     for side in states:
@@ -73,11 +84,14 @@ def detect(trials: Sequence[Trial], states: dict[bool, Residual], remains: Omnib
             looked = sum(t.trials for t in mine)
             # places that were not kept add to the number of tests no more than as many of those kept
             count += effective_number(D, states[side]) * max(1.0, (looked / len(D)) ** 0.5)
-    top = max((_significant(t) for t in scored), default=0.0)
+    top = max((math.sqrt(max(t.gain - tolerated, 0.0)) for t in scored), default=0.0)
     count = max(count, 1.0)
+    patterns = [t for t in trials if isinstance(t.cause, PatternCause)]
     p = {
         "scores": -math.expm1(count * math.log1p(-min(2 * scipy.stats.norm.sf(top / spread), 1 - 1e-12))),
-        "patterns": min((_pattern_p(t, spread) for t in trials if isinstance(t.cause, PatternCause)), default=1.0),
+        "patterns": min(
+            (_pattern_p(t, spread, tolerated) for t in trials if isinstance(t.cause, PatternCause)), default=1.0
+        ),
         "hum": min((_hum_p(t) for t in trials if t.cause.stage == "lines"), default=1.0),
         "omnibus": remains.p_value,
     }
@@ -85,18 +99,13 @@ def detect(trials: Sequence[Trial], states: dict[bool, Residual], remains: Omnib
     return Detection(p, float(scipy.stats.norm.isf(single / 2)) * spread)
 
 
-def _significant(t: Trial) -> float:
-    """The score, where its sign is one that the cause can have; and that of finite sizes."""
-    return max(math.sqrt(max(t.gain, 0.0)), 0.0)
-
-
-def _pattern_p(t: Trial, spread: float) -> float:
+def _pattern_p(t: Trial, spread: float, tolerated: float) -> float:
     """Chance of so large a gain: the largest singular value of noise, at every separate frequency."""
     terms, outputs, inputs = t.extra.shape
     live_o = int((np.abs(t.extra).max(axis=(0, 2)) > 0).sum())
     live_i = int((np.abs(t.extra).max(axis=(0, 1)) > 0).sum())
     dof = terms * (math.sqrt(live_o) + math.sqrt(live_i)) ** 2 if min(live_o, live_i) > 1 else terms * live_o * live_i
-    return float(min(1.0, scipy.stats.chi2.sf(t.gain / spread**2, dof) * (60 if terms == 1 else 6)))
+    return float(min(1.0, scipy.stats.chi2.sf((t.gain - tolerated) / spread**2, dof) * (60 if terms == 1 else 6)))
 
 
 def _hum_p(t: Trial) -> float:

@@ -12,10 +12,21 @@ from modalax.diagnose.decide import CERTAIN, RIVAL, Detection, Ranked, detect, p
 from modalax.diagnose.fit import ROUNDS, Hypothesis, jacobian_of, searched
 from modalax.diagnose.omnibus import Omnibus, omnibus
 from modalax.diagnose.screen import Trial
-from modalax.diagnose.search import Screening, chosen, evidence, fit_further, fit_single, screen_all, state_of
+from modalax.diagnose.search import (
+    Screening,
+    chosen,
+    evidence,
+    fit_further,
+    fit_single,
+    is_element,
+    screen_all,
+    state_of,
+)
 from modalax.diagnose.study import Study
 
 LEFT = 0.002  # chance under noise below which a residual is said to hold something more
+LEFT_BY_SEVERAL = 0.05  # the same where several causes are needed
+PLACED = 0.8  # posterior of the leading places from which sure names are given
 DEEPEST = 3  # causes in one answer
 LEADING = 2  # hypotheses that a further cause is added to
 FURTHER = 3  # causes tried on each
@@ -66,42 +77,83 @@ def name(study: Study, causes: Sequence[Cause]) -> Naming:
     detection = detect(screening.trials, state.sides, before, _spread(freedom))
     if not detection.anything:
         return Naming("clean", [], null, screening, detection, before, before)
-    many = _multiplicity(screening.trials)
+    places = _place_weights(screening.trials, study)
     samples = study.problem.samples
 
     def weigh(found: list[Hypothesis]) -> list[Ranked]:
-        return posterior([(h, evidence(h, study, many, samples)) for h in found])
+        return posterior([(h, evidence(h, places, samples)) for h in found])
 
     found = fit_single(study, null, chosen(screening.trials), state)
     ranked = weigh(found)
     if not ranked or ranked[0].best.chi2 > null.chi2 - 9.0:
         return Naming("unknown", [], null, screening, detection, before, before)
-    after = _remains(study, ranked[0].best, null)
+    rests: dict[Any, Rest] = {}
+
+    def rest(h: Hypothesis) -> Rest:
+        if id(h) not in rests:
+            rests[id(h)] = _rest(study, h, null, causes)
+        return rests[id(h)]
+
     for depth in range(2, DEEPEST + 1):
-        further = _further(study, ranked, causes)
-        if not further and after.p_value > LEFT:
-            break
-        deeper = []
-        for base, trials in further or _any_further(study, ranked, causes):
-            deeper += fit_further(study, base, trials)
-        new = weigh(found + deeper)
-        if not new or len(new[0].names) < depth:
+        leading = [r.best for r in ranked if r.log_evidence > ranked[0].log_evidence - 40.0][:LEADING]
+        worth = _worth(study) if rest(leading[0]).p_value > LEFT else 0.0
+        pairs = [(h, rest(h).trials) for h in leading if rest(h).trials and rest(h).trials[0].gain > worth]
+        new = weigh(found + [k for h, trials in pairs for k in fit_further(study, h, trials[:FURTHER])])
+        if not pairs or len(new[0].names) < depth:
             ranked = new or ranked
             break
-        found, ranked = found + deeper, new
-        after = _remains(study, ranked[0].best, null)
-    return Naming(_verdict(ranked, after), ranked, null, screening, detection, before, after)
+        found, ranked = [r.best for r in new] + found, new
+    last = rest(ranked[0].best)
+    return Naming(_verdict(ranked, last.p_value), ranked, null, screening, detection, before, last.omnibus)
 
 
-def _verdict(ranked: list[Ranked], after: Omnibus) -> str:
-    if after.p_value < LEFT:
+def _verdict(ranked: list[Ranked], left: float) -> str:
+    """Named only if the names are sure, their places nearly so, and nothing hints at something more.
+
+    Two causes together can imitate a third thing, the more so at one place: they must leave less behind.
+    """
+    best = ranked[0]
+    slugs = sorted(slug for slug, _ in best.names)
+    if left < LEFT or (len(slugs) > 1 and left < LEFT_BY_SEVERAL):
         return "unknown"
-    return "named" if ranked[0].probability >= CERTAIN else "ambiguous"
+    alike = sum(r.probability for r in ranked if sorted(slug for slug, _ in r.names) == slugs)
+    sure = alike >= CERTAIN and best.probability >= PLACED and not _one_joint(best.best)
+    return "named" if sure else "ambiguous"
+
+
+def _one_joint(h: Hypothesis) -> bool:
+    """Whether several elements sit at one place: together they may be one joint of a law that no one listed."""
+    at = [p.where for c, p in zip(h.causes, h.places, strict=True) if is_element(c)]
+    return len(set(at)) < len(at)
+
+
+@dataclass(frozen=True)
+class Rest:
+    """What a hypothesis leaves: further causes by falling gain, the chance of so much under noise, the omnibus test."""
+
+    trials: list[Trial]
+    p_value: float
+    omnibus: Omnibus
+
+
+def _rest(study: Study, h: Hypothesis, null: Hypothesis, causes: Sequence[Cause]) -> Rest:
+    """Screen what a hypothesis leaves, less what the laws' own inexactness may leave."""
+    used = study if h.hum is None else study.without(h.hum.lines)
+    fidelity = max((c.fidelity for c in h.causes), default=0.0)
+    tolerated = fidelity**2 * max(null.chi2 - h.chi2, 0.0)
+    after = omnibus(used.residual(h), used.live(), study.noise.freedom, tolerated)
+    state = state_of(used, h, _jacobian(used, h))
+    trials = screen_all(used, h, causes, state, finite=False).trials
+    if h.hum is not None:
+        trials = [t for t in trials if t.cause.stage != "lines"]
+    p_value = detect(trials, state.sides, after, _spread(study.noise.freedom), tolerated).p_value
+    trials = [t for t in chosen(trials) if (t.cause.slug, t.place.where) not in h.names]
+    return Rest(sorted(trials, key=lambda t: -t.gain), p_value, after)
 
 
 def rivals(ranked: list[Ranked]) -> list[Ranked]:
-    """Sets worth telling beside the leading one."""
-    return [r for r in ranked[1:] if r.probability >= RIVAL]
+    """Sets worth telling beside the leading one; the next best at least."""
+    return [r for r in ranked[1:] if r.probability >= RIVAL] or ranked[1:2]
 
 
 def _empty(study: Study) -> Hypothesis:
@@ -113,45 +165,25 @@ def _spread(freedom: float) -> float:
     return 1.0 + (0.1 / freedom if np.isfinite(freedom) else 0.0)
 
 
-def _multiplicity(trials: Sequence[Trial]) -> dict[Cause, int]:
-    count: dict[Cause, int] = {}
+def _place_weights(trials: Sequence[Trial], study: Study) -> dict[tuple[Cause, Any], float]:
+    """How likely each place of each cause is before the data."""
+    by_cause: dict[Cause, list[Any]] = {}
     for t in trials:
-        count[t.cause] = count.get(t.cause, 0) + 1
-    return count
+        by_cause.setdefault(t.cause, []).append(t.place)
+    return {
+        (cause, place): float(w)
+        for cause, places in by_cause.items()
+        for place, w in zip(places, study.scene.weights(places) if is_element(cause) else _even(places), strict=True)
+    }
 
 
-def _remains(study: Study, h: Hypothesis, null: Hypothesis) -> Omnibus:
-    """Omnibus test of what a hypothesis leaves, less what the laws' own inexactness may leave."""
-    used = study if h.hum is None else study.without(h.hum.lines)
-    fidelity = max((c.fidelity for c in h.causes), default=0.0)
-    effect = max(null.chi2 - h.chi2, 0.0)
-    return omnibus(used.residual(h), used.live(), study.noise.freedom, fidelity**2 * effect)
-
-
-def _further(study: Study, ranked: list[Ranked], causes: Sequence[Cause]) -> list[Any]:
-    """Leading hypotheses whose residual still scores significantly, with the causes to add."""
-    return [pair for pair in _any_further(study, ranked, causes) if pair[1][0].gain > _worth(study)]
+def _even(places: Sequence[Any]) -> np.ndarray:
+    return np.full(len(places), 1 / len(places))
 
 
 def _worth(study: Study) -> float:
     """Chi-square that a further cause must promise."""
     return 22.0 + math.log(max(study.problem.samples, 30))
-
-
-def _any_further(study: Study, ranked: list[Ranked], causes: Sequence[Cause]) -> list[Any]:
-    out = []
-    top = ranked[0].log_evidence
-    for r in [r for r in ranked if r.log_evidence > top - 40.0][:LEADING]:
-        h = r.best
-        used = study if h.hum is None else study.without(h.hum.lines)
-        trials = screen_all(used, h, causes, state_of(used, h, _jacobian(used, h)), finite=False).trials
-        if h.hum is not None:
-            trials = [t for t in trials if t.cause.stage != "lines"]
-        known = h.names
-        trials = [t for t in chosen(trials) if (t.cause.slug, t.place.where) not in known]
-        if trials:
-            out.append((h, sorted(trials, key=lambda t: -t.gain)[:FURTHER]))
-    return out
 
 
 def _jacobian(study: Study, h: Hypothesis) -> np.ndarray:

@@ -21,6 +21,7 @@ STARTS = 2  # further starts of the leading trials of each kind
 IN_FULL = 4  # leading hypotheses fitted with the modal parameters in full
 A_KIND, LIKELY, ALTOGETHER = 3, 40, 150  # candidates refitted of one kind, of one kind near the best, and in all
 SPARE = 4  # directions kept free for the parameters of causes already found
+ONE_SENSOR = 0.97  # share of a mode's energy at one output beyond which it is that sensor's fault
 MORE_CAUSES = 5.0  # nats that each cause after the first costs before the data: two things are rarely wrong at once
 
 
@@ -245,9 +246,16 @@ def with_hum(h: Hypothesis, lines: HumLines) -> Hypothesis:
 
 
 def _sensible(h: Hypothesis, band: tuple[float, float]) -> bool:
-    """Whether every mode that was added still lies on its own side of the band's ends."""
-    pairs = zip(h.causes, h.params, strict=True)
-    return all(c.fits(p, *band) for c, p in pairs if isinstance(c, PatternCause))
+    """Whether every mode that was added lies on its own side of the band's ends and is more than one sensor's."""
+    each = zip(h.causes, h.params, h.extras, strict=True)
+    return all(c.fits(p, *band) and not _one_sensor(e) for c, p, e in each if isinstance(c, PatternCause))
+
+
+def _one_sensor(sizes: np.ndarray) -> bool:
+    """Whether the sizes of a mode, ``(term, o, i)``, are all but one output's nearly zero: no mode of a structure."""
+    energy = (np.asarray(sizes) ** 2).sum(axis=(0, 2))
+    live = int((energy > 0).sum())
+    return live > 2 and float(energy.max()) > ONE_SENSOR * float(energy.sum())
 
 
 def _best_of_each(hypotheses: list[Hypothesis], band: tuple[float, float]) -> list[Hypothesis]:
@@ -261,10 +269,10 @@ def _best_of_each(hypotheses: list[Hypothesis], band: tuple[float, float]) -> li
     return sorted(best.values(), key=lambda h: h.chi2)
 
 
-def evidence(h: Hypothesis, study: Study, multiplicity: dict[Cause, int], samples: int) -> float:
-    """Logarithm of the evidence: Schwarz's criterion and the prior of the causes, spread over their places."""
+def evidence(h: Hypothesis, places: dict[tuple[Cause, Any], float], samples: int) -> float:
+    """Logarithm of the evidence: Schwarz's criterion and the prior of the causes and of their places."""
     value = -0.5 * h.chi2 - 0.5 * h.freedom * math.log(max(samples, 30))
     value -= MORE_CAUSES * max(len(h.names) - 1, 0)
-    for cause in h.causes:  # hum has one place and weight 1
-        value += math.log(cause.prior) - math.log(max(multiplicity.get(cause, 1), 1))
+    for cause, place in zip(h.causes, h.places, strict=True):  # hum has one place and weight 1
+        value += math.log(cause.prior) + math.log(places.get((cause, place), 1.0))
     return value

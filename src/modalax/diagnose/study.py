@@ -199,11 +199,22 @@ def make_study(
     scene = Scene(
         freq, plant.dofs, measurement.outputs, measurement.inputs, plant.frequency_hz,
         np.asarray(plant.damping / (2 * np.sqrt(plant.stiffness))), level, plant, plant.scaled, measurement.form,
+        _coupled(base),
     )  # fmt: skip
     return Study(
         measurement, simulation, noise, problem, pooled, rest, scene,
         nuisance, replace(nuisance, basis=free_basis(pooled) if free else None), asked, tuple(notes),
     )  # fmt: skip
+
+
+def _coupled(simulation: Structure | ModalModel) -> np.ndarray | None:
+    """Which DoFs the matrices of a structure couple; None where all are (condensed matrices) or nothing is known."""
+    if not isinstance(simulation, Structure):
+        return None
+    K = np.abs(np.asarray(simulation.K))
+    unit = np.sqrt(np.maximum(np.diag(K), 1e-300))
+    coupled = K / unit[:, None] / unit[None] > 1e-6
+    return None if coupled.all() else coupled
 
 
 def _taken_apart(

@@ -63,36 +63,67 @@ class Yardstick:
     """Distance of an effect in standard deviations, as a perfect detector sees it.
 
     White samples ``delta = sqrt(2) dH / sigma`` (real and imaginary parts each of unit variance). With a claimed
-    spread of the simulation's frequencies and dampings, ``d^2 = delta' (I + J L J')^-1 delta`` for the
-    sensitivities J to each mode's relative frequency and damping error and their variances L: the part of the effect
-    that such errors could imitate counts less. Without a claim d is plainly the length of ``delta``.
+    spread of the simulation's frequencies and dampings, ``d^2 = min over t of |delta - m(t)|^2 + |t|^2`` for the
+    change ``m(t)`` that modes off by ``t`` claimed standard deviations make: what such errors could imitate counts
+    less. For small ones this is ``delta' (I + J J')^-1 delta`` with the sensitivities J. Without a claim d is plainly
+    the length of ``delta``.
     """
 
     weight: np.ndarray  # sqrt(2)/sigma
-    J: np.ndarray  # (sample, parameter), complex, whitened, over all runs
-    core: np.ndarray  # (L^-1 + J'J)^-1
+    modes: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None  # s, gain, omega, zeta, pairs
+    claims: tuple[float, float]
+    J: np.ndarray  # (sample, parameter), complex, whitened, over all runs, in units of the claimed spread
+    core: np.ndarray  # (I + J'J)^-1
 
     @classmethod
     def of(cls, setup: Setup, sigma: np.ndarray, frequency_std: float, damping_std: float) -> "Yardstick":
         weight = np.sqrt(2) / sigma
         if frequency_std == 0 and damping_std == 0:
-            return cls(weight, np.zeros((weight.size, 0), complex), np.zeros((0, 0)))
+            return cls(weight, None, (0.0, 0.0), np.zeros((weight.size, 0), complex), np.zeros((0, 0)))
         omega, zeta, shapes = setup.system.modes()
         s = 1j * setup.omega[:, None]
-        D = omega**2 + 2 * zeta * omega * s + s**2
-        by_frequency = -(2 * omega**2 + 2 * zeta * omega * s) / D**2 * frequency_std
-        by_damping = -2 * zeta * omega * s / D**2 * damping_std
         pairs = np.einsum("or,ir->oir", shapes[setup.outputs], shapes[setup.inputs])
         gain = s[:, :1] ** DERIVATIVES[setup.form]
-        parts = [np.einsum("fr,oir->foir", gain * by, pairs) for by in (by_frequency, by_damping)]
-        J = np.concatenate(parts, axis=-1)
-        J = (weight[..., None] * J[None]).reshape(weight.size, -1)  # in units of the claimed spread, so L = I
-        return cls(weight, J, np.linalg.inv(np.eye(J.shape[1]) + (J.conj().T @ J).real))
+        modes, claims = (s, gain, omega, zeta, pairs), (frequency_std, damping_std)
+        J = cls._moved(weight, modes, claims, np.zeros(2 * len(omega)))[1]
+        return cls(weight, modes, claims, J, np.linalg.inv(np.eye(J.shape[1]) + (J.conj().T @ J).real))
+
+    @staticmethod
+    def _moved(weight, modes, claims, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What modes off by ``t`` change, whitened, and its derivatives (over all runs)."""
+        s, gain, omega, zeta, pairs = modes
+        n = len(omega)
+        w, z = omega * np.exp(t[:n] * claims[0]), zeta * np.exp(t[n:] * claims[1])
+        D, D0 = w**2 + 2 * z * w * s + s**2, omega**2 + 2 * zeta * omega * s + s**2
+        by_frequency = -(2 * w**2 + 2 * z * w * s) / D**2 * claims[0]
+        by_damping = -2 * z * w * s / D**2 * claims[1]
+        m = np.einsum("fr,oir->foi", gain * (1 / D - 1 / D0), pairs)
+        J = np.concatenate([np.einsum("fr,oir->foir", gain * by, pairs) for by in (by_frequency, by_damping)], axis=-1)
+        return (weight * m).ravel(), (weight[..., None] * J[None]).reshape(weight.size, -1)
 
     def plain(self, dH: np.ndarray) -> float:
         return float(np.linalg.norm(self.weight * dH))
 
     def distance(self, dH: np.ndarray) -> float:
         delta = (self.weight * dH).ravel()
-        g = (self.J.conj().T @ delta).real
-        return float(np.sqrt(max(np.vdot(delta, delta).real - g @ self.core @ g, 0.0)))
+        best = float(np.vdot(delta, delta).real)
+        if self.modes is None:
+            return best**0.5
+        t = np.zeros(2 * len(self.modes[2]))
+        moved = lambda t: self._moved(self.weight, self.modes, self.claims, t)  # noqa: E731
+        m, J = moved(t)
+        for _ in range(12):
+            step = np.linalg.solve(np.eye(len(t)) + (J.conj().T @ J).real, (J.conj().T @ (delta - m)).real - t)
+            for shrink in (1.0, 0.3, 0.1, 0.03):
+                new = t + shrink * step
+                m_new, J_new = moved(new)
+                value = float(np.linalg.norm(delta - m_new) ** 2 + new @ new)
+                if value < best:
+                    break
+            else:
+                break
+            settled = best - value < 1e-6 * best
+            t, m, J, best = new, m_new, J_new, value
+            if settled:
+                break
+        return best**0.5

@@ -26,7 +26,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
+from modalax.data.dofs import parse_dof
+
 INFINITE = float("inf")
+NEIGHBOURS, GROUND = 0.6, 0.2  # shares of joints between coupled DoFs, and to ground
+UNLIKE = 0.02  # weight of a pair of DoFs of unlike directions
 
 
 @dataclass(frozen=True)
@@ -64,6 +68,8 @@ class Scene:
         Between all DoFs and themselves or pairs: ``drive(a, b)`` gives :math:`b^T H b`, shape ``(f,)`` [m/N].
     levels
         Force amplitudes [N].
+    coupled
+        Which DoFs a spring or damper of the simulation couples, shape ``(dof, dof)``; None where it does not say.
     """
 
     freq: np.ndarray
@@ -76,6 +82,7 @@ class Scene:
     plant: Any
     scaled: bool = True
     form: str = "receptance"
+    coupled: np.ndarray | None = None
     cache: dict[Any, Any] = field(default_factory=dict)
 
     @property
@@ -126,6 +133,25 @@ class Scene:
             for b in range(a + 1, len(self.dofs))
         ]
         return single + (pairs if both else [])
+
+    def weights(self, places: Sequence[Place]) -> np.ndarray:
+        """How likely each place is before the data, summing to 1.
+
+        Between DoFs that the simulation couples ``NEIGHBOURS``, to ground ``GROUND``, the rest anywhere else; a
+        displacement less a rotation, or one along another axis, is hardly a joint's motion.
+        """
+        a, b = np.array([p.index[:2] for p in places]).reshape(-1, 2).T
+        if (b < 0).all() or not len(places):
+            return np.full(len(places), 1 / max(len(places), 1))
+        directions = [parse_dof(name).direction for name in self.dofs]
+        alike = np.array([y < 0 or directions[x] == directions[y] for x, y in zip(a, b, strict=True)])
+        near = np.zeros(len(a), bool) if self.coupled is None else (b >= 0) & self.coupled[a, np.maximum(b, 0)]
+        kinds = ((near & alike, NEIGHBOURS), (b < 0, GROUND), (np.ones(len(a), bool), 1 - NEIGHBOURS - GROUND))
+        out = np.zeros(len(a))
+        for mask, share in kinds:
+            part = mask * np.where(alike, 1.0, UNLIKE)
+            out += share * part / part.sum() if part.any() else 0.0
+        return out / out.sum()
 
     def channels(self) -> list[Place]:
         """Every measured output."""
