@@ -89,9 +89,7 @@ def detect(
     patterns = [t for t in trials if isinstance(t.cause, PatternCause)]
     p = {
         "scores": -math.expm1(count * math.log1p(-min(2 * scipy.stats.norm.sf(top / spread), 1 - 1e-12))),
-        "patterns": min(
-            (_pattern_p(t, spread, tolerated) for t in trials if isinstance(t.cause, PatternCause)), default=1.0
-        ),
+        "patterns": min((_pattern_p(t, spread, tolerated) for t in patterns), default=1.0),
         "hum": min((_hum_p(t) for t in trials if t.cause.stage == "lines"), default=1.0),
         "omnibus": remains.p_value,
     }
