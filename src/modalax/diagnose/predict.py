@@ -162,7 +162,7 @@ class Together:
     def __init__(self, causes: tuple[Any, ...]):
         self.causes = causes
 
-    def impedance(self, A: Array, omega: Array, p: tuple[tuple[Array, ...], tuple[Array, ...]]) -> Array:
+    def impedance(self, A: Array, omega: Array, p: tuple[tuple[Any, ...], tuple[Array, ...]]) -> Array:
         """Sum of the describing functions; the second of ``p`` is 1 for the causes at this place, else 0."""
         parts = [s * c.impedance(A, omega, q) for c, q, s in zip(self.causes, *p, strict=True)]
         return jnp.sum(jnp.stack(parts), axis=0)
