@@ -143,7 +143,7 @@ def main() -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     import modalax
 
-    modalax.save(args.out / "aeroplane.npz", plane.frf)
+    modalax.save(plane.frf, args.out / "aeroplane.npz", overwrite=True)
     began = time.perf_counter()
     found = fit(plane.frf, band=BAND, progress=lambda text: print(f"{time.perf_counter() - began:6.1f} s  {text}"))
     print(f"fit with compiling: {time.perf_counter() - began:.0f} s, load {os.getloadavg()[0]:.1f}")

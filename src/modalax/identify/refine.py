@@ -27,6 +27,7 @@ REASONS = (
 REACH = 2.0  # half-bandwidths outside the band from which on a mode keeps the damping of its start
 MANY = 20  # rows from which on their scores tell how much rows differ
 CORRELATED = 1e-3  # p-value of the whiteness test below which lines are taken to be correlated
+OUT_OF_STEPS = 1  # index of its reason
 UNIT = 1e-9  # standard deviation assumed where none is known, relative to the FRF
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Array
 from modalax.data.frf import FRF
 from modalax.identify.likelihood import UNDAMPED
 from modalax.identify.noise import residual_sigma
-from modalax.identify.refine import CORRELATED, Refined, refine
+from modalax.identify.refine import CORRELATED, OUT_OF_STEPS, Refined, refine
 from modalax.identify.residues import residues
 from modalax.identify.search import missing_modes
 from modalax.model.indicators import mac
@@ -111,13 +111,12 @@ def likelihood_rounds(
         sigma = search.weights()
         if search.prune(sigma):
             sigma = search.weights()
-        idle = 0 if search.refined.model.poles.size > count else idle + 1
-        count = max(count, search.refined.model.poles.size)
-        tried, have = np.abs(np.asarray(extra)) / (2 * np.pi), np.asarray(search.refined.model.frequency_hz)
-        if (tried < lower).any() and not (have < lower).any():  # a slope that no mode below the band explains
-            window[0] = lower
-        if (tried > upper).any() and not (have > upper).any():
-            window[1] = upper
+        tried = np.abs(np.asarray(extra)) / (2 * np.pi)
+        _close_sides(window, tried, search, (lower, upper))
+        if search.refined.model.poles.size > count:
+            idle, count = 0, search.refined.model.poles.size
+        elif ((tried > lower) & (tried < upper)).any():
+            idle += 1
         extra = jnp.zeros(0)
         if turn < ROUNDS - 1 and idle < IDLE and not search.exact():
             extra = missing_modes(
@@ -138,6 +137,15 @@ def likelihood_rounds(
     return search.refined.model, search.refined
 
 
+def _close_sides(window: list[float], tried: np.ndarray, search: _Search, band: tuple[float, float]) -> None:
+    """Seek no further beyond an end of the band where a mode was tried and did not stay."""
+    have = np.asarray(search.refined.model.frequency_hz)
+    if (tried < band[0]).any() and not (have < band[0]).any():
+        window[0] = band[0]
+    if (tried > band[1]).any() and not (have > band[1]).any():
+        window[1] = band[1]
+
+
 def _weigh_again(search: _Search) -> None:
     """Modes were sought where the data is quiet; now the peaks get their own weight, and modes must stand that too.
 
@@ -149,9 +157,13 @@ def _weigh_again(search: _Search) -> None:
         if not search.prune(search.sigma):
             break
     if float(search.refined.whiteness) < CORRELATED:
-        before = search.refined, search.sigma
-        search.again(search.weights(proportional=True, share=SHARE))
-        if not bool(search.refined.success):
+        before, sigma = (search.refined, search.sigma), search.weights(proportional=True, share=SHARE)
+        for _ in range(LAST):
+            search.again(sigma)
+            if int(search.refined.reason_code) != OUT_OF_STEPS:
+                break
+        # Each step lowers the cost, so a search that only ran out of steps is still better than none.
+        if int(search.refined.reason_code) not in (0, OUT_OF_STEPS):
             search.refined, search.sigma = before
 
 

@@ -109,7 +109,7 @@ def missing_modes(
     :math:`\chi^2` quantile at ``level`` shared among all poles of the grid, after scaling by the residual's own
     level, so that a model that does not fit elsewhere does not call for modes everywhere. What a pole explains is taken
     out of the residual before the next one is looked for (orthogonal matching pursuit; Pati, Rezaiifar and
-    Krishnaprasad 1993), so that one mode does not call for several. At most one pole lies outside the band on a side.
+    Krishnaprasad 1993), so that one mode does not call for several. A pole outside the band comes alone.
 
     Parameters
     ----------
@@ -158,15 +158,12 @@ def missing_modes(
         pole = complex(poles[best])
         found.append(pole)
         allowed &= np.abs(np.asarray(poles.imag) - pole.imag) > 4 * np.maximum(-np.asarray(poles.real), -pole.real)
-        if pole.imag < 2 * np.pi * first:  # one mode on a side explains most of a slope
-            allowed &= where[:, 0] >= first
-        if pole.imag > 2 * np.pi * last:
-            allowed &= where[:, 0] <= last
-        if not allowed.any():
+        if not (allowed.any() and first < pole.imag / (2 * np.pi) < last):
             break
         pairs = zip(residuals, deviations, strict=True)
         rest = [_without(frf, r, s, jnp.asarray(found)) for r, s in pairs]
-    return jnp.asarray(np.array(found, dtype=complex))
+    within = [p for p in found if first < p.imag / (2 * np.pi) < last]
+    return jnp.asarray(np.array(found[:1] if found and found[0] not in within else within, dtype=complex))
 
 
 def _levelled(residual: Array) -> Array:
