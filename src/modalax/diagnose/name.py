@@ -81,7 +81,7 @@ def name(study: Study, causes: Sequence[Cause]) -> Naming:
     samples = study.problem.samples
 
     def weigh(found: list[Hypothesis]) -> list[Ranked]:
-        return posterior([(h, evidence(h, places, samples)) for h in found])
+        return posterior([(h, evidence(h, places, samples, null.chi2)) for h in found])
 
     found = fit_single(study, null, chosen(screening.trials), state)
     ranked = weigh(found)
