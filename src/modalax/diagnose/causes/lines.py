@@ -70,9 +70,11 @@ class MainsHum(Cause):
             Which samples count, same shape.
         """
         best = HumLines(np.zeros(len(freq), bool), 0.0, 1.0, 0.0, fundamental)
-        for reach in (0.5, 1.5, 2.5, 4.5, 8.5):
+        for reach in (0.5, 1.5, 2.5):
             mask, gain, top, count = np.zeros(len(freq), bool), 0.0, 0.0, 0.0
             for near in self.lines(freq, fundamental, reach):
+                if _wide(near, residual, live):
+                    continue
                 # the size falls away from the multiple: each distance has its own
                 x2 = np.abs(residual[:, near]) ** 2
                 n = 2 * live[:, near].sum(axis=0)
@@ -85,3 +87,15 @@ class MainsHum(Cause):
             if gain - 2 * count > -best.chi2 - 2 * best.freedom:
                 best = HumLines(mask, -gain, max(count, 1.0), float(np.sqrt(top)), fundamental)
         return best
+
+
+def _wide(near: np.ndarray, residual: np.ndarray, live: np.ndarray) -> bool:
+    """Whether the lines beside those at a multiple are raised as well: a resonance is, hum through a window is not."""
+    lines = residual.shape[1]
+    beside = [k for k in (*range(near[0] - 6, near[0] - 1), *range(near[-1] + 2, near[-1] + 7)) if 0 <= k < lines]
+    count = int(live[:, beside].sum())
+    if count == 0:
+        return False
+    excess = float((np.abs(residual[:, beside]) ** 2).sum() / (2 * count) - 1)
+    inside = (np.abs(residual[:, near]) ** 2).sum(axis=0) / np.maximum(2 * live[:, near].sum(axis=0), 1) - 1
+    return excess > 0.1 * max(float(inside.max()), 0.0) + 3 / np.sqrt(count)
