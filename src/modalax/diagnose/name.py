@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,7 @@ from modalax.diagnose.study import Study
 
 LEFT = 0.002  # chance under noise below which a residual is said to hold something more
 LEFT_BY_SEVERAL = 0.05  # the same where several causes are needed
+TRUSTED = 3.0  # degrees of freedom of each variance below which they prove nothing of a rest that no cause scores on
 PLACED = 0.8  # posterior of the leading places from which sure names are given
 DEEPEST = 3  # causes in one answer
 LEADING = 2  # hypotheses that a further cause is added to
@@ -146,6 +147,8 @@ def _rest(study: Study, h: Hypothesis, null: Hypothesis, causes: Sequence[Cause]
     trials = screen_all(used, h, causes, state, finite=False).trials
     if h.hum is not None:
         trials = [t for t in trials if t.cause.stage != "lines"]
+    if study.noise.freedom < TRUSTED:  # the noise is no better known than what the omnibus test would say of it
+        after = replace(after, p_value=1.0)
     p_value = detect(trials, state.sides, after, _spread(study.noise.freedom), tolerated).p_value
     trials = [t for t in chosen(trials) if (t.cause.slug, t.place.where) not in h.names]
     return Rest(sorted(trials, key=lambda t: -t.gain), p_value, after)
@@ -162,7 +165,7 @@ def _empty(study: Study) -> Hypothesis:
 
 def _spread(freedom: float) -> float:
     """By how much estimated variances widen the scores."""
-    return 1.0 + (0.1 / freedom if np.isfinite(freedom) else 0.0)
+    return 1.0 + (0.3 / freedom if np.isfinite(freedom) else 0.0)
 
 
 def _place_weights(trials: Sequence[Trial], study: Study) -> dict[tuple[Cause, Any], float]:

@@ -21,6 +21,7 @@ STARTS = 2  # further starts of the leading trials of each kind
 IN_FULL = 4  # leading hypotheses fitted with the modal parameters in full
 A_KIND, LIKELY, ALTOGETHER = 3, 40, 150  # candidates refitted of one kind, of one kind near the best, and in all
 SPARE = 4  # directions kept free for the parameters of causes already found
+FAR = 100.0  # times the largest strength that a cause is screened at, beyond which a fit is no explanation
 ONE_SENSOR = 0.97  # share of a mode's energy at one output beyond which it is that sensor's fault
 MORE_CAUSES = 5.0  # nats that each cause after the first costs before the data: two things are rarely wrong at once
 
@@ -152,7 +153,7 @@ def fit_single(study: Study, null: Hypothesis, trials: list[Trial], state: State
         ]
         fine += refit(study, null, starts, state)
     band = (float(study.scene.freq[0]), float(study.scene.freq[-1]))
-    fine = _best_of_each(fine, band)
+    fine = _best_of_each([h for h in fine if _moderate(h, study)], band)
     if study.nuisance.active and fine:
         # far from the simulation the modal parameters follow in other than linear ways
         close = [h for h in fine if h.causes and h.hum is None and h.chi2 < fine[0].chi2 + 12.0][:IN_FULL]
@@ -176,7 +177,7 @@ def refit(study: Study, null: Hypothesis, starts: list[Hypothesis], state: State
 def fit_further(study: Study, base: Hypothesis, trials: list[Trial]) -> list[Hypothesis]:
     """Fit ``base`` with each trial added, everything together."""
     found = study.fit([_start(base, t, t.start) for t in trials if t.cause.stage != "lines"], ROUNDS)
-    found = [_settle_pattern(study, h) for h in found]
+    found = [h for h in (_settle_pattern(study, h) for h in found) if _moderate(h, study)]
     if base.hum is None:
         found += [with_hum(base, t.extra) for t in trials if t.cause.stage == "lines"]
     return _best_of_each(found, (float(study.scene.freq[0]), float(study.scene.freq[-1])))
@@ -253,6 +254,19 @@ def _sensible(h: Hypothesis, band: tuple[float, float]) -> bool:
     """Whether every mode that was added lies on its own side of the band's ends and is more than one sensor's."""
     each = zip(h.causes, h.params, h.extras, strict=True)
     return all(c.fits(p, *band) and not _one_sensor(e) for c, p, e in each if isinstance(c, PatternCause))
+
+
+def _moderate(h: Hypothesis, study: Study) -> bool:
+    """Whether every strength is within reach of those that the cause is looked for with; no damper of 1e9 N s/m."""
+    for cause, place, p in zip(h.causes, h.places, h.params, strict=True):
+        if isinstance(cause, PatternCause) or not len(p):
+            continue
+        key = ("reach", cause, place)
+        if key not in study.scene.cache:
+            study.scene.cache[key] = float(np.abs(cause.grid(study.scene, place)[:, 0]).max())
+        if abs(p[0]) > FAR * study.scene.cache[key]:
+            return False
+    return True
 
 
 def _one_sensor(sizes: np.ndarray) -> bool:
