@@ -13,7 +13,7 @@ from modalax.identify.likelihood import UNDAMPED
 from modalax.identify.noise import residual_sigma
 from modalax.identify.refine import CORRELATED, OUT_OF_STEPS, Refined, refine
 from modalax.identify.residues import residues
-from modalax.identify.search import missing_modes
+from modalax.identify.search import NEAR, missing_modes
 from modalax.model.indicators import mac
 from modalax.model.modal import ModalModel
 
@@ -105,7 +105,7 @@ def likelihood_rounds(
     lower, upper = float(frf.freq[0]), float(frf.freq[-1])
     beyond = 0.2 * (upper - lower)
     window = [max(lower - beyond, 0.0), upper + beyond]
-    extra = jnp.zeros(0)
+    extra, avoid = jnp.zeros(0), []
     count, idle = 0, 0
     for turn in range(ROUNDS):
         sigma = search.weights()
@@ -113,6 +113,8 @@ def likelihood_rounds(
             sigma = search.weights()
         tried = np.abs(np.asarray(extra)) / (2 * np.pi)
         _close_sides(window, tried, search, (lower, upper))
+        have = np.asarray(search.refined.model.frequency_hz)
+        avoid += [f for f in tried if (np.abs(have - f) > NEAR * f).all()]
         if search.refined.model.poles.size > count:
             idle, count = 0, search.refined.model.poles.size
         elif ((tried > lower) & (tried < upper)).any():
@@ -120,7 +122,7 @@ def likelihood_rounds(
         extra = jnp.zeros(0)
         if turn < ROUNDS - 1 and idle < IDLE and not search.exact():
             extra = missing_modes(
-                frf, search.refined.model, search.deviations(), level=ADD, inside=(window[0], window[1])
+                frf, search.refined.model, search.deviations(), level=ADD, inside=(window[0], window[1]), avoid=avoid
             )
         if extra.size:
             search.restart(jnp.concatenate([search.refined.model.poles, extra]), sigma)
@@ -140,9 +142,9 @@ def likelihood_rounds(
 def _close_sides(window: list[float], tried: np.ndarray, search: _Search, band: tuple[float, float]) -> None:
     """Seek no further beyond an end of the band where a mode was tried and did not stay."""
     have = np.asarray(search.refined.model.frequency_hz)
-    if (tried < band[0]).any() and not (have < band[0]).any():
+    if (tried <= band[0]).any() and not (have <= band[0]).any():
         window[0] = band[0]
-    if (tried > band[1]).any() and not (have > band[1]).any():
+    if (tried >= band[1]).any() and not (have >= band[1]).any():
         window[1] = band[1]
 
 

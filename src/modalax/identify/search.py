@@ -19,6 +19,7 @@ from modalax.model.modal import ModalModel, poles_from
 
 DAMPINGS = (0.001, 0.003, 0.01, 0.03)
 NEW = 0.01  # part of a further mode's response that the present model should leave
+NEAR = 0.01  # part of a frequency within which a further mode is the same that was tried before
 CHUNK = 256  # poles whose scores are taken at once
 
 
@@ -101,6 +102,7 @@ def missing_modes(
     level: float = 1e-4,
     most: int = 4,
     inside: tuple[float, float] | None = None,
+    avoid: Sequence[float] = (),
 ) -> Complex[Array, " n"]:
     r"""Poles at which the residual asks for a further mode, strongest first.
 
@@ -123,6 +125,8 @@ def missing_modes(
         Chance of a mode that is not there, and most modes to return.
     inside
         Frequencies to look at [Hz], the band and a fifth of it beyond by default.
+    avoid
+        Frequencies [Hz] where a mode was tried and did not stay; none is returned within ``NEAR`` of them.
 
     Returns
     -------
@@ -149,7 +153,9 @@ def missing_modes(
     rest = list(residuals)
     found: list[complex] = []
     allowed = np.ones(len(where), bool)
-    while len(found) < most:
+    for f in avoid:
+        allowed &= np.abs(where[:, 0] - f) > max(NEAR * f, 2 * step)
+    while len(found) < most and allowed.any():
         scores = [np.asarray(mode_scores(frf, r, s, poles, model.poles)) for r, s in zip(rest, deviations, strict=True)]
         score = np.where(allowed, np.min(scores, axis=0), -np.inf)
         best = int(np.argmax(score))
