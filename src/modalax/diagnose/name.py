@@ -14,10 +14,12 @@ from modalax.diagnose.omnibus import Omnibus, omnibus
 from modalax.diagnose.screen import Trial
 from modalax.diagnose.search import (
     Screening,
+    best_of_each,
     chosen,
     evidence,
     fit_further,
     fit_single,
+    from_home,
     is_element,
     screen_all,
     state_of,
@@ -85,6 +87,8 @@ def name(study: Study, causes: Sequence[Cause]) -> Naming:
         return posterior([(h, evidence(h, places, samples, null.chi2)) for h in found])
 
     found = fit_single(study, null, chosen(screening.trials), state)
+    band = (float(study.scene.freq[0]), float(study.scene.freq[-1]))
+    found = best_of_each(found + from_home(study, null, causes), band)
     ranked = weigh(found)
     if not ranked or ranked[0].best.chi2 > null.chi2 - 9.0:
         return Naming("unknown", [], null, screening, detection, before, before)

@@ -21,6 +21,7 @@ STARTS = 2  # further starts of the leading trials of each kind
 IN_FULL = 4  # leading hypotheses fitted with the modal parameters in full
 A_KIND, LIKELY, ALTOGETHER = 3, 40, 150  # candidates refitted of one kind, of one kind near the best, and in all
 SPARE = 4  # directions kept free for the parameters of causes already found
+STRAYED = 8.0  # claimed standard deviations of a modal parameter beyond which the simulation alone led it astray
 FAR = 100.0  # times the largest strength that a cause is screened at, beyond which a fit is no explanation
 ONE_SENSOR = 0.97  # share of a mode's energy at one output beyond which it is that sensor's fault
 MORE_CAUSES = 5.0  # nats that each cause after the first costs before the data: two things are rarely wrong at once
@@ -41,11 +42,15 @@ class Screening:
 
 @dataclass(frozen=True)
 class State:
-    """What a hypothesis leaves, with the runs apart (True) and together (False), and the products for elements."""
+    """What a hypothesis leaves, with the runs apart (True) and together (False), and the products for elements.
+
+    ``drop`` is the chi-square that the parameters would still take away if they moved to their best.
+    """
 
     sides: dict[bool, Residual]
     reduced: dict[bool, Reduced]
     whole: np.ndarray
+    drop: float
 
 
 def state_of(study: Study, h: Hypothesis, jacobian: np.ndarray | None = None) -> State:
@@ -71,7 +76,7 @@ def state_of(study: Study, h: Hypothesis, jacobian: np.ndarray | None = None) ->
     reduced = {}
     if study.question == "fixed" and study.scene.scaled and study.problem.held is None:
         reduced = {True: reduce(study.problem, theta, apart), False: reduce(study.pooled, theta, together)}
-    return State(sides, reduced, whole)
+    return State(sides, reduced, whole, float(slope @ inner @ slope))
 
 
 def _real(z: np.ndarray) -> np.ndarray:
@@ -90,6 +95,20 @@ def _pooled(study: Study, value: np.ndarray) -> np.ndarray:
     weight, total = np.asarray(study.problem.weight), np.asarray(study.pooled.weight)
     z = (complex_of(value, runs) * weight).sum(axis=-4, keepdims=True) / np.where(total > 0, total, 1.0)
     return _real(z)
+
+
+def from_home(study: Study, null: Hypothesis, causes: Sequence[Cause]) -> list[Hypothesis]:
+    """Single causes looked for where the simulation has its modes, if what is wrong drove these far off.
+
+    The modes then move in linear order about where the simulation has them.
+    """
+    assert null.theta is not None
+    if np.abs(null.theta).max(initial=0.0) <= STRAYED:
+        return []
+    home = study.fit([replace(null, theta=np.zeros_like(null.theta))], 0)[0]
+    state = state_of(study, home)
+    trials = screen_all(study, home, causes, state).trials
+    return fit_single(study, replace(home, chi2=home.chi2 - state.drop), chosen(trials), state)
 
 
 def screen_all(study: Study, h: Hypothesis, causes: Sequence[Cause], state: State, finite: bool = True) -> Screening:
@@ -153,12 +172,12 @@ def fit_single(study: Study, null: Hypothesis, trials: list[Trial], state: State
         ]
         fine += refit(study, null, starts, state)
     band = (float(study.scene.freq[0]), float(study.scene.freq[-1]))
-    fine = _best_of_each([h for h in fine if _moderate(h, study)], band)
+    fine = best_of_each([h for h in fine if _moderate(h, study)], band)
     if study.nuisance.active and fine:
         # far from the simulation the modal parameters follow in other than linear ways
         close = [h for h in fine if h.causes and h.hum is None and h.chi2 < fine[0].chi2 + 12.0][:IN_FULL]
         kept = [h for h in fine if not any(h is other for other in close)]
-        fine = _best_of_each(study.fit(close, ROUNDS) + kept, band)
+        fine = best_of_each(study.fit(close, ROUNDS) + kept, band)
     return fine
 
 
@@ -180,7 +199,7 @@ def fit_further(study: Study, base: Hypothesis, trials: list[Trial]) -> list[Hyp
     found = [h for h in (_settle_pattern(study, h) for h in found) if _moderate(h, study)]
     if base.hum is None:
         found += [with_hum(base, t.extra) for t in trials if t.cause.stage == "lines"]
-    return _best_of_each(found, (float(study.scene.freq[0]), float(study.scene.freq[-1])))
+    return best_of_each(found, (float(study.scene.freq[0]), float(study.scene.freq[-1])))
 
 
 def _start(base: Hypothesis, trial: Trial, p: np.ndarray) -> Hypothesis:
@@ -276,7 +295,8 @@ def _one_sensor(sizes: np.ndarray) -> bool:
     return live > 2 and float(energy.max()) > ONE_SENSOR * float(energy.sum())
 
 
-def _best_of_each(hypotheses: list[Hypothesis], band: tuple[float, float]) -> list[Hypothesis]:
+def best_of_each(hypotheses: list[Hypothesis], band: tuple[float, float]) -> list[Hypothesis]:
+    """The best fit of each set of causes and places, by rising chi-square."""
     best: dict[Any, Hypothesis] = {}
     for h in hypotheses:
         if not _sensible(h, band):
