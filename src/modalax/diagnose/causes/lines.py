@@ -98,4 +98,4 @@ def _wide(near: np.ndarray, residual: np.ndarray, live: np.ndarray) -> bool:
         return False
     excess = float((np.abs(residual[:, beside]) ** 2).sum() / (2 * count) - 1)
     inside = (np.abs(residual[:, near]) ** 2).sum(axis=0) / np.maximum(2 * live[:, near].sum(axis=0), 1) - 1
-    return excess > 0.1 * max(float(inside.max()), 0.0) + 3 / np.sqrt(count)
+    return bool(excess > 0.1 * max(float(inside.max()), 0.0) + 3 / np.sqrt(count))
