@@ -22,7 +22,7 @@ IN_FULL = 4  # leading hypotheses fitted with the modal parameters in full
 A_KIND, LIKELY, ALTOGETHER = 3, 40, 150  # candidates refitted of one kind, of one kind near the best, and in all
 SPARE = 4  # directions kept free for the parameters of causes already found
 STRAYED = 8.0  # claimed standard deviations of a modal parameter beyond which the simulation alone led it astray
-FAR = 100.0  # times the largest strength that a cause is screened at, beyond which a fit is no explanation
+FAR = 1e4  # times the largest strength that a cause is screened at, beyond which a fit is no explanation
 ONE_SENSOR = 0.97  # share of a mode's energy at one output beyond which it is that sensor's fault
 MORE_CAUSES = 5.0  # nats that each cause after the first costs before the data: two things are rarely wrong at once
 
