@@ -17,6 +17,7 @@ import tempfile
 import time
 import venv
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -67,10 +68,10 @@ def ours(case: tuple, lines: int, repeats: int) -> tuple[float, float, float, An
     structure, place, joint, band, levels = case
     freq, name = np.linspace(*band, lines), structure.dofs[0]
     b, ends = directions(structure, [list(place)]), directions(structure, [[name]])
-    alone = lambda: receptances(structure, b, 2 * np.pi * freq, ends, ends, HARMONICS)  # noqa: E731
-    whole = lambda: harmonic_balance(  # noqa: E731
-        structure, [joint], [list(place)], freq, levels, inputs=[name], outputs=[name], harmonics=HARMONICS,
-        samples=SAMPLES,
+    alone = partial(receptances, structure, b, 2 * np.pi * freq, ends, ends, HARMONICS)
+    whole = partial(
+        harmonic_balance, structure, [joint], [list(place)], freq, levels, inputs=[name], outputs=[name],
+        harmonics=HARMONICS, samples=SAMPLES,
     )  # fmt: skip
     cold, warm, response = least(whole, repeats)
     return cold, warm, least(alone, repeats)[1], response

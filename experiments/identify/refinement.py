@@ -12,13 +12,13 @@ import time
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
+import numpy as np
+
+from modalax.identify import refine, residues
+from modalax.model.examples import five_dof
 
 jax.config.update("jax_enable_x64", True)
-import jax.numpy as jnp  # noqa: E402
-import numpy as np  # noqa: E402
-
-from modalax.identify import refine, residues  # noqa: E402
-from modalax.model.examples import five_dof  # noqa: E402
 
 LEVELS = (0.01, 0.05, 0.10, 0.25)
 FREQ = np.arange(200, 701) * 0.1

@@ -16,22 +16,20 @@ import sys
 import time
 from pathlib import Path
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
 import jax
+import numpy as np
+import scipy.optimize
+from rich.console import Console
+from rich.table import Table
+from threadpoolctl import threadpool_limits
+
+from modalax.data.datasets import UliegePlane, uliege_plane
+from modalax.identify import Fit, fit, residues
+from modalax.model.indicators import mac
+from modalax.model.modal import poles_from
 
 jax.config.update("jax_enable_x64", True)
-
-import numpy as np  # noqa: E402
-import scipy.optimize  # noqa: E402
-from rich.console import Console  # noqa: E402
-from rich.table import Table  # noqa: E402
-
-from modalax.data.datasets import UliegePlane, uliege_plane  # noqa: E402
-from modalax.identify import Fit, fit, residues  # noqa: E402
-from modalax.model.indicators import mac  # noqa: E402
-from modalax.model.modal import poles_from  # noqa: E402
+threadpool_limits(1)
 
 BAND = (12.0, 180.0)
 # Frequency [Hz] and damping [%] by those who made the test, with a PolyMAX of their own.

@@ -5,29 +5,22 @@ of the joint are compared, and the best is asked to predict the level that was h
 """
 
 import argparse
-import os
 from pathlib import Path
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import jax
 import jax.numpy as jnp
 import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 from scipy.optimize import least_squares
+from threadpoolctl import threadpool_limits
 
-jax.config.update("jax_enable_x64", True)
-
-from modalax.data import Measurement  # noqa: E402
-from modalax.data.datasets import brake_reuss_beam  # noqa: E402
-from modalax.diagnose import diagnose  # noqa: E402
-from modalax.diagnose.causes.joints import (  # noqa: E402
+from modalax.data import Measurement
+from modalax.data.datasets import brake_reuss_beam
+from modalax.diagnose import diagnose
+from modalax.diagnose.causes.joints import (
     BilinearStiffness,
     CoulombFriction,
     CubicStiffness,
@@ -35,11 +28,15 @@ from modalax.diagnose.causes.joints import (  # noqa: E402
     GapContact,
     QuadraticDamping,
 )
-from modalax.diagnose.causes.microslip import MicroSlip  # noqa: E402
-from modalax.diagnose.laws import Explained, compare_laws, modes_at  # noqa: E402
-from modalax.identify import refine, residues  # noqa: E402
-from modalax.model import ModalModel  # noqa: E402
-from modalax.model.modal import poles_from  # noqa: E402
+from modalax.diagnose.causes.microslip import MicroSlip
+from modalax.diagnose.laws import Explained, compare_laws, modes_at
+from modalax.identify import refine, residues
+from modalax.model import ModalModel
+from modalax.model.modal import poles_from
+
+matplotlib.use("Agg")
+jax.config.update("jax_enable_x64", True)
+threadpool_limits(1)
 
 KNOTS = 9
 CATALOGUE = [CoulombFriction(), ElastoSlip(True), CubicStiffness(), GapContact(), QuadraticDamping()]

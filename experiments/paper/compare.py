@@ -5,11 +5,10 @@ import time
 from pathlib import Path
 
 import matplotlib
+import section3
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 matplotlib.use("Agg")
-
-import section3  # noqa: E402
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn  # noqa: E402
 
 PARTS = (
     "noise-free",

@@ -14,19 +14,19 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import matplotlib
+import matplotlib.pyplot as plt
+import numpy as np
+from system import DEFINITIONS, OWN, STRUCTURE, TRUE, ZETA, gaussian, table, uniform_own
+
+from modalax.data.frf import FRF
+from modalax.identify import fdpi, lsce, lscf, residues, select, stabilization
+from modalax.identify.bandwidth import bandwidth_test
+from modalax.model.receptance import directions
+from modalax.show.stabilization import plot_stabilization
+from modalax.simulate import harmonic_balance
+from modalax.simulate.joints import ElastoSlip
 
 matplotlib.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
-from system import DEFINITIONS, OWN, STRUCTURE, TRUE, ZETA, gaussian, table, uniform_own  # noqa: E402
-
-from modalax.data.frf import FRF  # noqa: E402
-from modalax.identify import fdpi, lsce, lscf, residues, select, stabilization  # noqa: E402
-from modalax.identify.bandwidth import bandwidth_test  # noqa: E402
-from modalax.model.receptance import directions  # noqa: E402
-from modalax.show.stabilization import plot_stabilization  # noqa: E402
-from modalax.simulate import harmonic_balance  # noqa: E402
-from modalax.simulate.joints import ElastoSlip  # noqa: E402
 
 PLACE = ["3", "5"]
 STEPS, DRAWS = 8, 30
@@ -303,8 +303,7 @@ def tables_3_and_4(x: np.ndarray, draws: int, form: str, noise: str) -> str:
             if theirs is not None:
                 away = [f"{abs(t - m) / max(s, 1e-9):.1f}" for t, m, s in zip(theirs, mean, spread, strict=True)]
             rows3.append([*name, paper[0], ours[0], away[0], paper[1], ours[1], away[1], f"{100 * ok.mean():.0f}"])
-            percent = lambda pair: [f"{100 * (v / p - 1):+.1f}" for v, p in zip(pair, PUBLISHED[1:], strict=True)]  # noqa: E731
-            theirs4, ours4 = dashes if theirs is None else percent(theirs), percent(mean)
+            theirs4, ours4 = dashes if theirs is None else off_published(theirs), off_published(mean)
             rows4.append([*name, theirs4[0], ours4[0], theirs4[1], ours4[1]])
     head3 = [
         "", "band [Hz]", "f review", "f ours [Hz]", "in spreads", "damping review", "ours [%]", "in spreads",
@@ -366,14 +365,17 @@ def _fit_picture(data: FRF, clean: FRF, method: str, estimator: object, orders: 
     plt.close(figure)
 
 
+def off_published(pair: np.ndarray) -> list[str]:
+    """How far a frequency and a damping are from the published ones, in per cent."""
+    return [f"{100 * (v / p - 1):+.1f}" for v, p in zip(pair, PUBLISHED[1:], strict=True)]
+
+
 def report_harmonics(x: np.ndarray) -> str:
     """How the FRFs at 6 N change with the number of harmonics."""
     freq = np.arange(100, 351) * 0.2
     law, kept = joint(jnp.asarray(x)), (1, 3, 5, 9, 15)
-    run = lambda h: harmonic_balance(  # noqa: E731
-        STRUCTURE, [law], [PLACE], freq, FORCE, inputs=["1"], harmonics=h, samples=256
-    )
-    made = {h: np.asarray(run(h).fundamental[0, :, :, 0]) for h in kept}
+    run = partial(harmonic_balance, STRUCTURE, [law], [PLACE], freq, FORCE, inputs=["1"], samples=256)
+    made = {h: np.asarray(run(harmonics=h).fundamental[0, :, :, 0]) for h in kept}
     best = made[kept[-1]]
     near = np.abs(freq - 35.0) < 3.0
     rows = [

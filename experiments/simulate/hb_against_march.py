@@ -12,12 +12,10 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-jax.config.update("jax_enable_x64", True)
-
-from modalax.model import Structure  # noqa: E402
-from modalax.model.examples import five_dof  # noqa: E402
-from modalax.simulate.harmonic import harmonic_balance  # noqa: E402
-from modalax.simulate.joints import (  # noqa: E402
+from modalax.model import Structure
+from modalax.model.examples import five_dof
+from modalax.simulate.harmonic import harmonic_balance
+from modalax.simulate.joints import (
     BilinearSpring,
     BoucWen,
     CoulombFriction,
@@ -33,7 +31,9 @@ from modalax.simulate.joints import (  # noqa: E402
     PreloadedGap,
     QuadraticDamping,
 )
-from modalax.simulate.stepped import SteppedSine, stepped_sine  # noqa: E402
+from modalax.simulate.stepped import SteppedSine, stepped_sine
+
+jax.config.update("jax_enable_x64", True)
 
 JOINTS = [
     CubicSpring(2e9),
