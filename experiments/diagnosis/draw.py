@@ -74,17 +74,21 @@ def main() -> None:
             continue
         start = time.perf_counter()
         seed = zlib.crc32(f"{args.seed} {name} {args.family}".encode())
-        case = draw_case(
-            seed,
-            cause,
-            d,
-            family,
-            variance=variance,
-            structure=structure,
-            runs=args.runs,
-            inputs=args.inputs,
-            rivals=True,
-        )
+        try:
+            case = draw_case(
+                seed,
+                cause,
+                d,
+                family,
+                variance=variance,
+                structure=structure,
+                runs=args.runs,
+                inputs=args.inputs,
+                rivals=True,
+            )
+        except ValueError as error:  # some causes cannot be as large on some structures
+            print(f"{name} is left out: {error}")
+            continue
         case.save(args.folder / "cases" / name, args.folder / "truth" / f"{name}.json")
         slow.append((time.perf_counter() - start, name))
     if slow:
