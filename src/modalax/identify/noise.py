@@ -28,9 +28,7 @@ def smooth_variance(frf: FRF) -> FRF:
     return frf.replace(variance=_running_mean(np.asarray(frf.variance), half))
 
 
-def residual_sigma(
-    frf: FRF, refined: Refined, sigma: Any, share: float = 1.0, proportional: bool = False
-) -> Float[Array, "f o i"]:
+def residual_sigma(frf: FRF, refined: Refined, sigma: Any, proportional: bool = False) -> Float[Array, "f o i"]:
     r"""Standard deviation of each sample from the residual: a size a channel times a course, and a part of the FRF.
 
     .. math:: v_{kc} = a_c\,g_k + b\,|\hat H_{kc}|^2
@@ -39,9 +37,8 @@ def residual_sigma(
     axis. With ``proportional`` the second term, noise or model error in proportion to the response, is fitted too, by
     maximum likelihood of the residual's power; else :math:`b = 0`, the safer choice while modes are still missing.
 
-    Noise and model error are not told apart, and model error is largest at the peaks, which hold the damping: with
-    ``share`` below 1 the weights go only part of the way (in logarithms) from equal ones to those of the residual. A
-    floor at a tenth of the typical deviation keeps lines from dominating that the model passes through by chance.
+    Noise and model error are not told apart. A floor at a tenth of the typical deviation keeps lines from dominating
+    that the model passes through by chance.
 
     Notes
     -----
@@ -67,7 +64,7 @@ def residual_sigma(
     if proportional:
         variance = _two_parts(power + rounding, np.abs(H - whitened) ** 2, course, axis, half)
     variance = np.maximum(variance, rounding)
-    return jnp.asarray(np.sqrt(variance**share * np.mean(variance) ** (1 - share)))
+    return jnp.asarray(np.sqrt(variance))
 
 
 def _two_parts(power: np.ndarray, response: np.ndarray, course: np.ndarray, axis: int, half: int) -> np.ndarray:

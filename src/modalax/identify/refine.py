@@ -23,11 +23,12 @@ REASONS = (
     "the data and the start do not make a finite likelihood",
     "a mode lost its damping: at its frequency the data holds no resonance",
     "a mode left the neighbourhood of its start, the frequency moved by more than five half-bandwidths",
+    "no one linear model makes all FRFs: some modes' poles are those of least squares where they dominate",
 )
 REACH = 2.0  # half-bandwidths outside the band from which on a mode keeps the damping of its start
 MANY = 20  # rows from which on their scores tell how much rows differ
 CORRELATED = 1e-3  # p-value of the whiteness test below which lines are taken to be correlated
-OUT_OF_STEPS = 1  # index of its reason
+OUT_OF_STEPS, CONTRADICTION = 1, 5  # indices of their reasons
 UNIT = 1e-9  # standard deviation assumed where none is known, relative to the FRF
 
 
@@ -61,7 +62,7 @@ class Refined(eqx.Module):
     residual
         Whitened residual, complex with unit variance, shape ``(f, o, i)``.
     success
-        Whether a maximum was found.
+        Whether a maximum was found, or what stands for one where no linear model makes all FRFs.
     reason_code
         Index of the reason in ``REASONS``.
     steps
@@ -232,7 +233,7 @@ def _refine(
     if scale_errors == "auto" and known:
         inflate = jnp.where(variance > 1 + 5 * jnp.sqrt(2 / dof), variance, 1.0)
     residual = _complex_rows(found.residual[:, : problem.samples], frf)
-    whiteness = _whiteness(residual)
+    whiteness = whiteness_of(residual)
     cov = _covariance(found, covariance, frozen_slots(problem, theta), inflate, whiteness)
     full = _rescaled(found, inflate)
     q = theta.shape[1]
@@ -307,7 +308,7 @@ def _complex_rows(residual: Float[Array, "o m"], frf: FRF) -> Array:
     return jnp.moveaxis(z.reshape(o, f, i), 0, 1)
 
 
-def _whiteness(residual: Array, lags: int = 3) -> Float[Array, ""]:
+def whiteness_of(residual: Array, lags: int = 3) -> Float[Array, ""]:
     r"""Portmanteau test, :math:`2N\sum_k|\rho_k|^2 \sim \chi^2` over the first lags of every channel (Box-Pierce)."""
     n = residual.shape[0]
     power = jnp.maximum(jnp.sum(jnp.abs(residual) ** 2, axis=0), 1e-300)

@@ -10,8 +10,9 @@ from jaxtyping import Array
 
 from modalax.data.frf import FRF
 from modalax.identify.likelihood import UNDAMPED
+from modalax.identify.local import fit_where_dominant
 from modalax.identify.noise import residual_sigma
-from modalax.identify.refine import CORRELATED, OUT_OF_STEPS, Refined, refine
+from modalax.identify.refine import CORRELATED, Refined, refine
 from modalax.identify.residues import residues
 from modalax.identify.search import NEAR, missing_modes
 from modalax.model.indicators import mac
@@ -22,7 +23,6 @@ IDLE = 2  # rounds without a further mode after which no more are sought
 STEPS = 60  # most iterations of one search
 HEAVY = 0.25  # damping ratio above which a pole is background, not a mode
 NARROW = 0.01  # half-bandwidth in lines below which a pole is one bad line, not a mode
-SHARE = 0.5  # how far model error may take the weights
 MANY_DOFS, ALIKE, CLOSE = 10, 0.9, 3.0  # fewest DoFs, MAC, and distance in half-bandwidths, of halves of a mode
 DROP, ADD = 1e-6, 1e-6  # chances of keeping, or of adding, a mode that is not there
 
@@ -151,22 +151,17 @@ def _close_sides(window: list[float], tried: np.ndarray, search: _Search, band: 
 def _weigh_again(search: _Search) -> None:
     """Modes were sought where the data is quiet; now the peaks get their own weight, and modes must stand that too.
 
-    A residual that is not white is model error; then the weights go half the way back to equal ones, so that the peaks,
-    where it is largest and which hold the damping, count.
+    A residual that is not white is model error. Where rows contradict each other, modes that then leave much of the
+    response unexplained are fitted anew where they dominate.
     """
     for _ in range(LAST):
         search.again(search.weights(proportional=True))
         if not search.prune(search.sigma):
             break
-    if float(search.refined.whiteness) < CORRELATED:
-        before, sigma = (search.refined, search.sigma), search.weights(proportional=True, share=SHARE)
-        for _ in range(LAST):
-            search.again(sigma)
-            if int(search.refined.reason_code) != OUT_OF_STEPS:
-                break
-        # Each step lowers the cost, so a search that only ran out of steps is still better than none.
-        if int(search.refined.reason_code) not in (0, OUT_OF_STEPS):
-            search.refined, search.sigma = before
+    if float(search.refined.whiteness) >= CORRELATED:
+        return
+    search.tell("modes where they dominate")
+    search.refined = fit_where_dominant(search.frf, search.refined, **search.options)
 
 
 def _without_need(frf: FRF, refined: Refined) -> np.ndarray:
