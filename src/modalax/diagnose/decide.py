@@ -107,7 +107,7 @@ def _pattern_p(t: Trial, spread: float, tolerated: float) -> float:
 
 
 def _hum_p(t: Trial) -> float:
-    return float(min(1.0, 20 * scipy.stats.chi2.sf(-t.extra.chi2, t.extra.freedom)))
+    return min(1.0, 2 * t.extra.p_value)  # two fundamentals
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ through :math:`S = H_b^H w r`, :math:`N = H_b^H w^2 H_b` and the same products w
 made once for all places; then every law and threshold costs no more than a few numbers a line.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -28,14 +28,18 @@ PROMISING = 4  # places of each kind at which finite sizes are tried
 
 @dataclass(frozen=True)
 class Reduced:
-    """Products of the receptances with residual, weights and nuisances, for every DoF of the simulation.
+    """Products of the receptances with residual, weights and nuisances, in the coordinates of the modes.
 
     Attributes
     ----------
-    to_outputs, from_inputs
-        Receptances, shapes ``(f, o, dof)`` and ``(f, dof, i)``.
-    between
-        Receptances between DoFs, shape ``(f, dof, dof)``.
+    gains
+        Of the modes and of their conjugates, shape ``(f, m)``.
+    shapes, participation
+        At every DoF of the simulation, shape ``(m, dof)``.
+    upper, lower
+        Residual terms between DoFs, shape ``(dof, dof)``; None where there are none.
+    outputs, inputs
+        DoFs of the channels.
     S, T
         Products with the residual ``(run, f, dof, i)`` and with the nuisances ``(k, run, f, dof, i)``.
     weight2
@@ -44,15 +48,49 @@ class Reduced:
         Inverse information of the nuisances, shape ``(k, k)``.
     """
 
-    to_outputs: np.ndarray
-    from_inputs: np.ndarray
-    between: np.ndarray
+    gains: np.ndarray
+    shapes: np.ndarray
+    participation: np.ndarray
+    upper: np.ndarray | None
+    lower: np.ndarray | None
+    outputs: np.ndarray
+    inputs: np.ndarray
     S: np.ndarray
     T: np.ndarray
     weight2: np.ndarray
     inner: np.ndarray
     omega: np.ndarray
     level: np.ndarray
+
+    def motion(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Receptance from the inputs to places, shape ``(place, f, i)``; ``b`` below 0 is the ground."""
+        left, right = _along(self.shapes, a, b), self.participation[:, self.inputs]
+        H = np.stack([self.gains @ (left * right[:, i, None]) for i in range(right.shape[1])], axis=-1)
+        H = H + self._far(lambda R: _along(R[:, self.inputs].T, a, b).T[None])
+        return H.transpose(1, 0, 2)
+
+    def column(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Receptance from places to the outputs, shape ``(f, o, place)``."""
+        H = (self.shapes[:, self.outputs].T * self.gains[:, None]) @ _along(self.participation, a, b)
+        return H + self._far(lambda R: _along(R[self.outputs], a, b)[None])
+
+    def drive(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Receptance across places, shape ``(place, f)``."""
+        H = self.gains @ (_along(self.shapes, a, b) * _along(self.participation, a, b))
+        both = lambda R: np.einsum("kk->k", _along(_along(R, a, b).T, a, b))  # noqa: E731
+        return (H + self._far(lambda R: both(R)[None])).T
+
+    def _far(self, at: Callable[[np.ndarray], np.ndarray]) -> Any:
+        """What the residual terms add, over the lines."""
+        if self.upper is None or self.lower is None:
+            return 0.0
+        upper, lower = at(self.upper), at(self.lower)
+        return upper - lower / self.omega.reshape(-1, *[1] * (lower.ndim - 1)) ** 2
+
+
+def _along(x: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Columns of the first DoFs less those of the second, where there is one."""
+    return x[:, a] - np.where(b >= 0, 1.0, 0.0) * x[:, np.maximum(b, 0)]
 
 
 def complex_of(value: np.ndarray, runs: int) -> np.ndarray:
@@ -81,22 +119,24 @@ def reduce(problem: Problem, theta: np.ndarray, state: Residual) -> Reduced:
     psi, part = np.concatenate([psi, psi.conj()]), np.concatenate([part, part.conj()])
     o, i = np.asarray(problem.outputs), np.asarray(problem.inputs)
     upper, lower = np.asarray(plant.upper), np.asarray(plant.lower)
-    far = upper + lower / s[:, :, None] ** 2
-    H = (psi.T[None] * gains[:, None]) @ part + far
+    far = bool(np.abs(upper).max(initial=0.0) + np.abs(lower).max(initial=0.0) > 0)
     weight = np.asarray(problem.weight)
     runs = weight.shape[0]
-    r = weight * complex_of(state.value, runs)
-    H_o = H[:, o]
-    S = np.einsum("fod,rfoi->rfdi", H_o.conj(), r, optimize=True)
+    away = (upper[o] - lower[o] / np.asarray(problem.omega)[:, None, None] ** 2).conj() if far else None
+
+    def back(x: np.ndarray) -> np.ndarray:
+        """From the outputs to every DoF, through the conjugate receptances."""
+        modal = np.einsum("mo,rfoi->rfmi", psi[:, o].conj(), x, optimize=True) * gains.conj()[..., None]
+        out = np.einsum("md,rfmi->rfdi", part.conj(), modal, optimize=True)
+        return out if away is None else out + np.einsum("fod,rfoi->rfdi", away, x, optimize=True)
+
+    S = back(weight * complex_of(state.value, runs))
     G = complex_of(state.nuisance, runs) if len(state.nuisance) else np.zeros((0, *weight.shape), complex)
-    T = (
-        np.stack([np.einsum("fod,rfoi->rfdi", H_o.conj(), weight * g, optimize=True) for g in G])
-        if len(G)
-        else np.zeros((0, *S.shape), complex)
-    )
+    T = np.stack([back(weight * g) for g in G]) if len(G) else np.zeros((0, *S.shape), complex)
     return Reduced(
-        H_o, H[:, :, i], H, S, T, weight**2, state.inner, np.asarray(problem.omega), np.asarray(problem.level)
-    )
+        gains, psi, part, upper if far else None, lower if far else None, o, i, S, T, weight**2, state.inner,
+        np.asarray(problem.omega), np.asarray(problem.level),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -110,27 +150,43 @@ class At:
     T: np.ndarray
 
 
-def at_places(reduced: Reduced, places: Sequence[Place], targets: bool = True) -> At:
-    """Products at directions over the DoFs; without ``targets`` only what the changes need."""
-    a = np.array([p.index[0] for p in places])
-    b = np.array([p.index[1] for p in places])
-    second = np.where(b >= 0, 1.0, 0.0)
-    b = np.maximum(b, 0)
+def at_places(reduced: Reduced, places: Sequence[Place], targets: bool = True, apart: At | None = None) -> At:
+    """Products at directions over the DoFs.
+
+    Parameters
+    ----------
+    targets
+        Whether ``N`` and ``T`` are wanted as well as what the changes need.
+    apart
+        The same with the runs apart, if ``reduced`` has them pooled and it is there already.
+    """
+    a, b = ends(places)
 
     def pair(x: np.ndarray, axis: int) -> np.ndarray:
         """Along ``axis``, first DoF less second; places first."""
         x = np.moveaxis(x, axis, 0)
-        return x[a] - second.reshape(-1, *[1] * (x.ndim - 1)) * x[b]
+        second = np.where(b >= 0, 1.0, 0.0).reshape(-1, *[1] * (x.ndim - 1))
+        return x[a] - second * x[np.maximum(b, 0)]
 
-    H = reduced.between
-    drive = H[:, a, a] - second * (H[:, a, b] + H[:, b, a]) + second * H[:, b, b]
     S = pair(reduced.S, 2)
+    if apart is not None:
+        T = pair(reduced.T, 3) if len(reduced.T) else apart.T[:, :, :1]
+        return At(apart.motion, apart.drive, S, apart.N.sum(axis=1, keepdims=True), T)
+    motion, drive = reduced.motion(a, b), reduced.drive(a, b)
     if not targets:
-        return At(pair(reduced.from_inputs, 1), drive.T, S, S[:0], S[:0])
-    column = np.abs(pair(reduced.to_outputs, 2)) ** 2
-    N = np.einsum("pfo,rfoi->prfi", column, reduced.weight2, optimize=True)
-    T = np.moveaxis(pair(reduced.T, 3), 0, 0) if len(reduced.T) else np.zeros((len(a), 0, *N.shape[1:]), complex)
-    return At(pair(reduced.from_inputs, 1), drive.T, S, N, T)
+        return At(motion, drive, S, S[:0], S[:0])
+    N = []
+    for k in range(0, len(a), BATCH):
+        column = np.abs(reduced.column(a[k : k + BATCH], b[k : k + BATCH])) ** 2
+        N.append(np.einsum("fop,rfoi->prfi", column, reduced.weight2, optimize=True))
+    T = pair(reduced.T, 3) if len(reduced.T) else np.zeros((len(a), 0, *S.shape[1:]), complex)
+    return At(motion, drive, S, np.concatenate(N), T)
+
+
+def ends(places: Sequence[Place]) -> tuple[np.ndarray, np.ndarray]:
+    """Both DoFs of each place; the second is -1 at the ground."""
+    index = np.array([p.index[:2] for p in places]).reshape(-1, 2)
+    return index[:, 0], index[:, 1]
 
 
 def _change(cause: Cause, solve: bool, p: Any, motion: Any, drive: Any, omega: Any, level: Any) -> Any:
@@ -222,7 +278,7 @@ def screen_elements(
         trial = best_trial(cause, place, small[k], square[k], product[k])
         mine = [kept[k, j] for j in range(len(small[k])) if (k, j) in kept][:KEPT_SHAPES]
         if mine:
-            column = _column(reduced, place)
+            column = reduced.column(*ends([place]))[..., 0]
             flat = [_flat(weight * np.einsum("fo,rfi->rfoi", column, y)) for y in mine]
             trial = replace(trial, direction=np.stack(flat))
         trials.append(trial)
@@ -235,12 +291,6 @@ def screen_elements(
         new, old = best_trial(cause, places[k], grids[k], square[j], product[j]), trials[k]
         trials[k] = replace(new, direction=old.direction, z=old.z, error=old.error, trials=old.trials)
     return trials
-
-
-def _column(reduced: Reduced, place: Place) -> np.ndarray:
-    a, b = place.index[:2]
-    H = reduced.to_outputs
-    return H[:, :, a] - (H[:, :, b] if b >= 0 else 0.0)
 
 
 def _flat(z: np.ndarray) -> np.ndarray:

@@ -3,13 +3,13 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.decide import CERTAIN, RIVAL, Detection, Ranked, detect, posterior
 from modalax.diagnose.fit import ROUNDS, Hypothesis, jacobian_of, searched
+from modalax.diagnose.noise import TRUSTED
 from modalax.diagnose.omnibus import Omnibus, omnibus
 from modalax.diagnose.screen import Trial
 from modalax.diagnose.search import (
@@ -17,10 +17,12 @@ from modalax.diagnose.search import (
     best_of_each,
     chosen,
     evidence,
+    exchanged,
     fit_further,
     fit_single,
     from_home,
     is_element,
+    promise,
     screen_all,
     state_of,
 )
@@ -28,7 +30,6 @@ from modalax.diagnose.study import Study
 
 LEFT = 0.002  # chance under noise below which a residual is said to hold something more
 LEFT_BY_SEVERAL = 0.05  # the same where several causes are needed
-TRUSTED = 3.0  # degrees of freedom of each variance below which they prove nothing of a rest that no cause scores on
 PLACED = 0.8  # posterior of the leading places from which sure names are given
 DEEPEST = 3  # causes in one answer
 LEADING = 2  # hypotheses that a further cause is added to
@@ -77,37 +78,37 @@ def name(study: Study, causes: Sequence[Cause]) -> Naming:
     before = omnibus(study.residual(null), live, freedom)
     state = state_of(study, null)
     screening = screen_all(study, null, causes, state)
-    detection = detect(screening.trials, state.sides, before, _spread(freedom))
+    detection = detect(screening.trials, state.sides, before, study.noise.spread)
     if not detection.anything:
         return Naming("clean", [], null, screening, detection, before, before)
-    places = _place_weights(screening.trials, study)
     samples = study.problem.samples
 
     def weigh(found: list[Hypothesis]) -> list[Ranked]:
-        return posterior([(h, evidence(h, places, samples, null.chi2)) for h in found])
+        each = best_of_each(found, study)
+        return posterior([(h, evidence(h, study.scene, samples, null.chi2)) for h in each])
 
-    found = fit_single(study, null, chosen(screening.trials), state)
-    band = (float(study.scene.freq[0]), float(study.scene.freq[-1]))
-    found = best_of_each(found + from_home(study, null, causes), band)
+    found = fit_single(study, null, chosen(screening.trials), state) + from_home(study, null, causes)
     ranked = weigh(found)
     if not ranked or ranked[0].best.chi2 > null.chi2 - 9.0:
         return Naming("unknown", [], null, screening, detection, before, before)
-    rests: dict[Any, Rest] = {}
+    rests: dict[int, tuple[Hypothesis, Rest]] = {}  # the hypothesis is kept, so that its number stays its own
 
     def rest(h: Hypothesis) -> Rest:
         if id(h) not in rests:
-            rests[id(h)] = _rest(study, h, null, causes)
-        return rests[id(h)]
+            rests[id(h)] = h, _rest(study, h, null, causes)
+        return rests[id(h)][1]
 
     for depth in range(2, DEEPEST + 1):
         leading = [r.best for r in ranked if r.log_evidence > ranked[0].log_evidence - 40.0][:LEADING]
         worth = _worth(study) if rest(leading[0]).p_value > LEFT else 0.0
         pairs = [(h, rest(h).trials) for h in leading if rest(h).trials and rest(h).trials[0].gain > worth]
-        new = weigh(found + [k for h, trials in pairs for k in fit_further(study, h, trials[:FURTHER])])
-        if not pairs or len(new[0].names) < depth:
-            ranked = new or ranked
+        found += [k for h, trials in pairs for k in fit_further(study, h, trials[:FURTHER])]
+        ranked = weigh(found)
+        if not pairs or len(ranked[0].names) < depth:
             break
-        found, ranked = [r.best for r in new] + found, new
+        # the first cause was found while the second still hid its like
+        found += exchanged(study, ranked[0].best, lambda h: rest(h).trials, FURTHER)
+        ranked = weigh(found)
     last = rest(ranked[0].best)
     return Naming(_verdict(ranked, last.p_value), ranked, null, screening, detection, before, last.omnibus)
 
@@ -134,7 +135,7 @@ def _one_joint(h: Hypothesis) -> bool:
 
 @dataclass(frozen=True)
 class Rest:
-    """What a hypothesis leaves: further causes by falling gain, the chance of so much under noise, the omnibus test."""
+    """What a hypothesis leaves: further causes, the best first, the chance of so much under noise, the omnibus test."""
 
     trials: list[Trial]
     p_value: float
@@ -153,9 +154,10 @@ def _rest(study: Study, h: Hypothesis, null: Hypothesis, causes: Sequence[Cause]
         trials = [t for t in trials if t.cause.stage != "lines"]
     if study.noise.freedom < TRUSTED:  # the noise is no better known than what the omnibus test would say of it
         after = replace(after, p_value=1.0)
-    p_value = detect(trials, state.sides, after, _spread(study.noise.freedom), tolerated).p_value
+    p_value = detect(trials, state.sides, after, study.noise.spread, tolerated).p_value
     trials = [t for t in chosen(trials) if (t.cause.slug, t.place.where) not in h.names]
-    return Rest(sorted(trials, key=lambda t: -t.gain), p_value, after)
+    samples = used.problem.samples
+    return Rest(sorted(trials, key=lambda t: -promise(t, study.scene, samples)), p_value, after)
 
 
 def rivals(ranked: list[Ranked]) -> list[Ranked]:
@@ -165,27 +167,6 @@ def rivals(ranked: list[Ranked]) -> list[Ranked]:
 
 def _empty(study: Study) -> Hypothesis:
     return Hypothesis(theta=np.zeros((2, study.problem.plant.stiffness.shape[0])))
-
-
-def _spread(freedom: float) -> float:
-    """By how much estimated variances widen the scores."""
-    return 1.0 + (0.3 / freedom if np.isfinite(freedom) else 0.0)
-
-
-def _place_weights(trials: Sequence[Trial], study: Study) -> dict[tuple[Cause, Any], float]:
-    """How likely each place of each cause is before the data."""
-    by_cause: dict[Cause, list[Any]] = {}
-    for t in trials:
-        by_cause.setdefault(t.cause, []).append(t.place)
-    return {
-        (cause, place): float(w)
-        for cause, places in by_cause.items()
-        for place, w in zip(places, study.scene.weights(places) if is_element(cause) else _even(places), strict=True)
-    }
-
-
-def _even(places: Sequence[Any]) -> np.ndarray:
-    return np.full(len(places), 1 / len(places))
 
 
 def _worth(study: Study) -> float:

@@ -2,8 +2,8 @@ r"""How noisy each sample is: variances from few repeats smoothed, missing ones 
 
 A variance from M repeats is :math:`\sigma^2\chi^2_\nu/\nu` with :math:`\nu = 2(M-1)`; used line by line, M = 3 puts
 13 % of the whitened residuals beyond 3.5 instead of 0.05 %. The variance of a channel is therefore taken as a constant
-and a part that follows the magnitude of the response, times a slow function of frequency, and fitted to all lines
-together.
+and parts that follow the magnitude of the response, measured and expected, times a slow function of frequency, fitted
+to all lines together.
 """
 
 from dataclasses import dataclass
@@ -17,6 +17,7 @@ from modalax.data import Measurement
 ENOUGH = 300.0  # degrees of freedom at which a variance is as good as known
 FLOOR = 1e-7  # least standard deviation, over the root mean square of the channel
 AROUND = 15  # lines over which the scatter with and without the simulation is compared
+TRUSTED = 3.0  # degrees of freedom of each variance below which it was read from neighbouring lines
 THIRD = np.array([1.0, -3.0, 3.0, -1.0]) / np.sqrt(20.0)
 
 
@@ -38,6 +39,13 @@ class Noise:
     source: str
     freedom: float
 
+    @property
+    def spread(self) -> float:
+        """By how much estimated variances widen the scores; those read from neighbouring lines err by a third."""
+        if not np.isfinite(self.freedom):
+            return 1.0
+        return 1.0 + 0.3 / self.freedom + (0.15 if self.freedom < TRUSTED else 0.0)
+
 
 def noise_of(measurement: Measurement, predicted: np.ndarray) -> Noise:
     """Standard deviation of every sample.
@@ -50,15 +58,15 @@ def noise_of(measurement: Measurement, predicted: np.ndarray) -> Noise:
     H = np.asarray(measurement.H)
     size = np.sqrt(np.mean(np.abs(H) ** 2, axis=1, keepdims=True))
     if measurement.variance is not None and float(np.max(np.asarray(measurement.variance))) > 0:
-        noise = _given(measurement, H)
+        noise = _given(measurement, H, predicted)
     elif measurement.coherence is not None and measurement.averages is not None:
-        noise = _from_coherence(measurement, H)
+        noise = _from_coherence(measurement, H, predicted)
     else:
         noise = _from_data(measurement, H, predicted)
     return Noise(np.maximum(noise.sigma, FLOOR * np.maximum(size, 1e-300)), noise.source, noise.freedom)
 
 
-def _given(measurement: Measurement, H: np.ndarray) -> Noise:
+def _given(measurement: Measurement, H: np.ndarray, predicted: np.ndarray) -> Noise:
     variance = np.asarray(measurement.variance)
     freedom = scatter_freedom(variance) if measurement.averages is None else 2.0 * (measurement.averages - 1)
     if freedom >= ENOUGH:
@@ -68,15 +76,15 @@ def _given(measurement: Measurement, H: np.ndarray) -> Noise:
         if measurement.averages is None
         else f"from {measurement.averages} repeats"
     )
-    smooth = smoothed(variance, H, max(freedom, 1.0))
+    smooth = smoothed(variance, H, predicted, max(freedom, 1.0))
     return Noise(np.sqrt(smooth), f"variances as given ({told}), smoothed over frequency", freedom)
 
 
-def _from_coherence(measurement: Measurement, H: np.ndarray) -> Noise:
+def _from_coherence(measurement: Measurement, H: np.ndarray, predicted: np.ndarray) -> Noise:
     gamma = np.clip(np.asarray(measurement.coherence), 1e-6, 1 - 1e-9)
     averages = int(measurement.averages or 1)
     variance = np.abs(H) ** 2 * (1 - gamma) / (gamma * averages)
-    smooth = smoothed(variance, H, max(2.0 * (averages - 1), 1.0))
+    smooth = smoothed(variance, H, predicted, max(2.0 * (averages - 1), 1.0))
     return Noise(
         np.sqrt(smooth), "no variances given; taken from the coherence, which mixes noise, leakage and non-linearity",
         2.0 * (averages - 1),
@@ -95,7 +103,9 @@ def _from_data(measurement: Measurement, H: np.ndarray, predicted: np.ndarray) -
             variance[g] = H[g].var(axis=0, ddof=1)
         freedom = 2.0 * (min(map(len, groups)) - 1)
         return Noise(
-            np.sqrt(smoothed(variance, H, freedom)), "no variances given; estimated from the repeated runs", freedom
+            np.sqrt(smoothed(variance, H, predicted, freedom)),
+            "no variances given; estimated from the repeated runs",
+            freedom,
         )
     if H.shape[1] < 8:
         raise ValueError(
@@ -105,7 +115,7 @@ def _from_data(measurement: Measurement, H: np.ndarray, predicted: np.ndarray) -
     plain, beside = _third_difference(H), _third_difference(H - predicted[None])
     around = [uniform_filter1d(e, AROUND, axis=1, mode="nearest") for e in (plain, beside)]
     rough = np.where(around[0] <= around[1], plain, beside)
-    variance = smoothed(rough, H, 2.0, clip=5.0)
+    variance = smoothed(rough, H, predicted, 2.0, clip=5.0)
     return Noise(np.sqrt(variance), "no variances given; estimated from the scatter between neighbouring lines", 2.0)
 
 
@@ -128,19 +138,27 @@ def scatter_freedom(variance: np.ndarray) -> float:
     return float(np.interp(-spread, -scipy.special.polygamma(1, grid / 2), grid)) if spread > 2 / ENOUGH else np.inf
 
 
-def smoothed(variance: np.ndarray, H: np.ndarray, freedom: float, clip: float | None = None) -> np.ndarray:
+def smoothed(
+    variance: np.ndarray, H: np.ndarray, predicted: np.ndarray, freedom: float, clip: float | None = None
+) -> np.ndarray:  # fmt: skip
     """Variances fitted over all lines of each channel.
 
     Parameters
     ----------
     variance
         Line by line, shape ``(run, f, o, i)``, each with ``freedom`` degrees of freedom.
+    predicted
+        What the simulation expects, shape ``(f, o, i)``.
     clip
         Ratio to the fit beyond which a line counts no further (what is no noise must not raise the estimate).
     """
     lines = variance.shape[1]
     size = uniform_filter1d(np.abs(H) ** 2, 3, axis=1, mode="nearest")
-    basis = [np.ones_like(size), size / np.maximum(size.mean(axis=1, keepdims=True), 1e-300)]
+    shapes = [size, np.broadcast_to(np.abs(predicted) ** 2, H.shape)]
+    if len(H) > 1:  # the other runs show narrow peaks as they are, and do not share a run's own errors
+        square = np.abs(H) ** 2
+        shapes.append((square.sum(axis=0, keepdims=True) - square) / (len(H) - 1))
+    basis = [np.ones_like(size), *(x / np.maximum(x.mean(axis=1, keepdims=True), 1e-300) for x in shapes)]
     width = int(np.clip(round(160 / freedom), 7, max(7, lines // 3))) | 1
     value, fit = variance, np.broadcast_to(variance.mean(axis=1, keepdims=True), variance.shape)
     for _ in range(1 if clip is None else 8):
@@ -159,7 +177,7 @@ def _two_parts(value: np.ndarray, basis: list[np.ndarray], rounds: int = 60) -> 
     """Non-negative parts of a variance by maximum likelihood for chi-square scatter (multiplicative updates)."""
     mean = np.maximum(value.mean(axis=1, keepdims=True), 1e-290)
     value = value / mean  # squares of the smallest variances would be nothing
-    parts = [0.5 * np.ones_like(mean) for _ in basis]
+    parts = [np.ones_like(mean) / len(basis) for _ in basis]
     model = np.sum([a * g for a, g in zip(parts, basis, strict=True)], axis=0)
     for _ in range(rounds):
         parts = [

@@ -5,8 +5,8 @@ With g the change of the whitened prediction and r the residual, nuisances proje
 :math:`2\langle g,r\rangle - |g|^2` is the chi-square that exactly this size would take away.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 import jax
@@ -24,6 +24,7 @@ from modalax.diagnose.study import Study
 BATCH = 32
 MANY_PLACES = 40  # beyond this, finite sizes are tried only where the derivative looks promising
 KEPT = 12
+LARGE = 1e6  # samples times modes from which a screening is compiled with care
 KEPT_PLACES, KEPT_SHAPES = 8, 4
 NOWHERE = np.zeros((0, 3), np.int64)
 
@@ -79,11 +80,13 @@ class Residual:
     inner: np.ndarray
 
 
-# each cause is compiled for a few runs: little optimisation takes half the time
-@partial(jax.jit, static_argnames=("cause",), compiler_options={"xla_backend_optimization_level": 0})
 def _scores(cause, index, params, base, theta, spread, basis, residual, directions, problem):
     """Products of the change that each set of parameters makes, for a batch."""
+    run = _scores_large if problem.data.size * problem.plant.poles.size > LARGE else _scores_small
+    return run(cause, index, params, base, theta, spread, basis, residual, directions, problem)
 
+
+def _score_all(cause, index, params, base, theta, spread, basis, residual, directions, problem):
     def one(k, p):
         H = predict((cause,), k[None], (None,), (p,), theta * spread, problem)
         g = projected(problem.weight * (H - base), basis)
@@ -91,6 +94,11 @@ def _scores(cause, index, params, base, theta, spread, basis, residual, directio
         return jnp.sum(g * g), jnp.sum(g * residual), across, g.ravel()
 
     return jax.vmap(one)(index, params)
+
+
+# each cause is compiled for a few runs: little optimisation takes half the time, and pays where a run is short
+_scores_small = jax.jit(_score_all, static_argnames=("cause",), compiler_options={"xla_backend_optimization_level": 0})
+_scores_large = jax.jit(_score_all, static_argnames=("cause",))
 
 
 @jax.jit
@@ -205,11 +213,10 @@ def _least_by_shape(grid: np.ndarray) -> np.ndarray:
 
 
 def screen_cause(
-    cause: Cause, scene: Scene, theta: np.ndarray, residual: Residual, problem: Problem, nuisance: Nuisance,
-    keep: bool,
+    cause: Cause, scene: Scene, places: Sequence[Place], theta: np.ndarray, residual: Residual, problem: Problem,
+    nuisance: Nuisance, keep: bool,
 ) -> list[Trial]:  # fmt: skip
-    """One kind of cause at all its places: derivatives everywhere, finite sizes where they may matter."""
-    places = cause.places(scene)
+    """One kind of cause at its places: derivatives everywhere, finite sizes where they may matter."""
     if not places:
         return []
     grids = [(cause, place, cause.grid(scene, place)) for place in places]

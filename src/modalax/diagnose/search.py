@@ -1,22 +1,25 @@
 r"""From screening to fitted hypotheses: single causes first, then one more at a time and pairs of the leading ones."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from modalax.diagnose.causes.base import Cause
+from modalax.diagnose.causes.base import Cause, Place, Scene
+from modalax.diagnose.causes.channels import ChannelSwap
 from modalax.diagnose.causes.lines import HumLines, MainsHum
 from modalax.diagnose.causes.patterns import PatternCause
 from modalax.diagnose.elements import Reduced, at_places, complex_of, fit_elements, reduce, screen_elements
 from modalax.diagnose.fit import ROUNDS, Hypothesis
+from modalax.diagnose.places import MANY, likely_swaps, shortlist
 from modalax.diagnose.problem import bucket
 from modalax.diagnose.screen import Residual, Trial, fit_screened, nuisance_of, screen_cause, screen_pattern
 from modalax.diagnose.study import Study, hum_of
 
 FIRST_ROUNDS = 4
+PATIENT = 4 * ROUNDS  # steps of a fit in full: a window and the damping of all modes share a long valley
 STARTS = 2  # further starts of the leading trials of each kind
 IN_FULL = 4  # leading hypotheses fitted with the modal parameters in full
 A_KIND, LIKELY, ALTOGETHER = 3, 40, 150  # candidates refitted of one kind, of one kind near the best, and in all
@@ -51,6 +54,22 @@ class State:
     reduced: dict[bool, Reduced]
     whole: np.ndarray
     drop: float
+    cache: dict[Any, Any] = field(default_factory=dict)
+
+    def nearest(self, study: Study, cause: Cause, places: list[Any]) -> list[Any]:
+        """The places of a cause, or of very many those that are worth a look."""
+        kind = "skew" if hasattr(cause, "matrix") else "swap" if isinstance(cause, ChannelSwap) else "element"
+        key = (kind, id(places))
+        if key not in self.cache:
+            if kind == "swap":
+                problem = study.problem
+                which = likely_swaps(np.asarray(problem.data), np.asarray(problem.weight), self.whole, places)
+            elif self.reduced and kind in ("skew", "element"):
+                which = shortlist(self.reduced[True], self.sides[True].nuisance, places, kind == "skew")
+            else:
+                which = range(len(places))
+            self.cache[key] = places, [places[k] for k in which]  # the list is kept so that its number stays its own
+        return self.cache[key][1]
 
 
 def state_of(study: Study, h: Hypothesis, jacobian: np.ndarray | None = None) -> State:
@@ -128,13 +147,21 @@ def screen_all(study: Study, h: Hypothesis, causes: Sequence[Cause], state: Stat
                     trials.append(Trial(cause, place, -lines.chi2, np.nan, np.array([lines.amplitude]), extra=lines))
         elif is_element(cause) and state.reduced:
             places = cause.places(study.scene)
-            key = (side, tuple(p.index for p in places))
-            if key not in products:
-                products[key] = at_places(state.reduced[side], places)
+            if (side, id(places)) not in products:
+                near = state.nearest(study, cause, places)
+                apart = products.setdefault((True, id(places)), (near, at_places(state.reduced[True], near)))[1]
+                one = study.pooled is study.problem
+                pooled = apart if one else at_places(state.reduced[False], near, apart=apart)
+                products[False, id(places)] = near, pooled
+            near, at = products[side, id(places)]
             weight = np.asarray(problem.weight)
-            trials += screen_elements(cause, study.scene, state.reduced[side], products[key], places, weight, finite)
+            found = screen_elements(cause, study.scene, state.reduced[side], at, near, weight, finite)
+            trials += [replace(t, trials=round(t.trials * len(places) / len(near))) for t in found]
         else:
-            trials += screen_cause(cause, study.scene, h.theta, state.sides[side], problem, nuisance, True)
+            places = cause.places(study.scene)
+            near = state.nearest(study, cause, places) if len(places) > MANY else places
+            found = screen_cause(cause, study.scene, near, h.theta, state.sides[side], problem, nuisance, True)
+            trials += [replace(t, trials=round(t.trials * len(places) / len(near))) for t in found]
     return Screening(trials, h.theta)
 
 
@@ -171,13 +198,12 @@ def fit_single(study: Study, null: Hypothesis, trials: list[Trial], state: State
             _start(null, t, p) for k, t in enumerate(mine) for p in [t.start, *t.starts[: STARTS if k < 4 else 0]]
         ]
         fine += refit(study, null, starts, state)
-    band = (float(study.scene.freq[0]), float(study.scene.freq[-1]))
-    fine = best_of_each([h for h in fine if _moderate(h, study)], band)
+    fine = best_of_each([h for h in fine if _moderate(h, study)], study)
     if study.nuisance.active and fine:
         # far from the simulation the modal parameters follow in other than linear ways
         close = [h for h in fine if h.causes and h.hum is None and h.chi2 < fine[0].chi2 + 12.0][:IN_FULL]
         kept = [h for h in fine if not any(h is other for other in close)]
-        fine = best_of_each(study.fit(close, ROUNDS) + kept, band)
+        fine = best_of_each(study.fit(close, PATIENT) + kept, study)
     return fine
 
 
@@ -195,11 +221,44 @@ def refit(study: Study, null: Hypothesis, starts: list[Hypothesis], state: State
 
 def fit_further(study: Study, base: Hypothesis, trials: list[Trial]) -> list[Hypothesis]:
     """Fit ``base`` with each trial added, everything together."""
-    found = study.fit([_start(base, t, t.start) for t in trials if t.cause.stage != "lines"], ROUNDS)
-    found = [h for h in (_settle_pattern(study, h) for h in found) if _moderate(h, study)]
+    found = fit_together(study, [_start(base, t, t.start) for t in trials if t.cause.stage != "lines"])
+    found = [h for h in found if _moderate(h, study)]
     if base.hum is None:
         found += [with_hum(base, t.extra) for t in trials if t.cause.stage == "lines"]
-    return best_of_each(found, (float(study.scene.freq[0]), float(study.scene.freq[-1])))
+    return best_of_each(found, study)
+
+
+def fit_together(study: Study, starts: list[Hypothesis]) -> list[Hypothesis]:
+    """Fit hypotheses in full; where hum is among the causes, to the lines that it leaves alone."""
+    hum = starts[0].hum if starts else None
+    used = study if hum is None else study.without(hum.lines)
+    fine = [_settle_pattern(used, h) for h in used.fit(starts, PATIENT)]
+    if hum is None:
+        return fine
+    out = []
+    for h in fine:
+        whole = study.residual(h)
+        lines = hum_of(MainsHum(), Place((), (round(hum.frequency), -1, 0)), study, whole)
+        chi2 = h.chi2 + float((np.abs(whole[:, : len(hum.lines)][:, hum.lines]) ** 2).sum())
+        bare = replace(h, chi2=chi2, freedom=h.freedom - hum.freedom, hum=None)
+        out.append(with_hum(bare, lines) if lines.lines.any() else bare)
+    return out
+
+
+def exchanged(study: Study, h: Hypothesis, rest: Callable[[Hypothesis], list[Trial]], count: int) -> list[Hypothesis]:
+    """Hypotheses with one of several causes taken out and the most promising others put in its place."""
+    out: list[Hypothesis] = []
+    for j in range(len(h.causes)):
+        keep = [k for k in range(len(h.causes)) if k != j]
+        pick = lambda items: tuple(items[k] for k in keep)  # noqa: B023, E731
+        base = replace(
+            h, causes=pick(h.causes), places=pick(h.places), extras=pick(h.extras), params=pick(h.params),
+            covariance=None, freedom=0.0,
+        )  # fmt: skip
+        base = replace(base, freedom=cost_of(base.causes, base.extras) + (h.hum.freedom if h.hum else 0.0))
+        base = fit_together(study, [base])[0]
+        out += [base, *fit_further(study, base, rest(base)[:count])]
+    return out
 
 
 def _start(base: Hypothesis, trial: Trial, p: np.ndarray) -> Hypothesis:
@@ -224,7 +283,7 @@ def _settle_pattern(study: Study, h: Hypothesis) -> Hypothesis:
     """Estimate the sizes in the channels again at the fitted shape, and fit again."""
     which = [k for k, c in enumerate(h.causes) if isinstance(c, PatternCause)]
     for _ in range(3):
-        if not which:
+        if not which or not np.isfinite(h.chi2):
             return h
         before = h.chi2
         for k in which:
@@ -269,10 +328,11 @@ def with_hum(h: Hypothesis, lines: HumLines) -> Hypothesis:
     return replace(h, chi2=h.chi2 + lines.chi2, freedom=h.freedom + lines.freedom, hum=lines)
 
 
-def _sensible(h: Hypothesis, band: tuple[float, float]) -> bool:
+def _sensible(h: Hypothesis, study: Study) -> bool:
     """Whether every mode that was added lies on its own side of the band's ends and is more than one sensor's."""
+    low, high = float(study.scene.freq[0]), float(study.scene.freq[-1])
     each = zip(h.causes, h.params, h.extras, strict=True)
-    return all(c.fits(p, *band) and not _one_sensor(e) for c, p, e in each if isinstance(c, PatternCause))
+    return all(c.fits(p, low, high) and not _one_sensor(e, study) for c, p, e in each if isinstance(c, PatternCause))
 
 
 def _moderate(h: Hypothesis, study: Study) -> bool:
@@ -288,26 +348,30 @@ def _moderate(h: Hypothesis, study: Study) -> bool:
     return True
 
 
-def _one_sensor(sizes: np.ndarray) -> bool:
-    """Whether the sizes of a mode, ``(term, o, i)``, are all but one output's nearly zero: no mode of a structure."""
-    energy = (np.asarray(sizes) ** 2).sum(axis=(0, 2))
+def _one_sensor(sizes: np.ndarray, study: Study) -> bool:
+    """Whether a mode shows at one output and in the noise of the others: no mode of a structure does.
+
+    ``sizes`` has the shape ``(term, o, i)``; they are compared in units of each channel's noise.
+    """
+    unit = np.asarray(study.pooled.weight)[0].max(axis=0)
+    energy = ((np.asarray(sizes) * unit) ** 2).sum(axis=(0, 2))
     live = int((energy > 0).sum())
     return live > 2 and float(energy.max()) > ONE_SENSOR * float(energy.sum())
 
 
-def best_of_each(hypotheses: list[Hypothesis], band: tuple[float, float]) -> list[Hypothesis]:
+def best_of_each(hypotheses: list[Hypothesis], study: Study) -> list[Hypothesis]:
     """The best fit of each set of causes and places, by rising chi-square."""
     best: dict[Any, Hypothesis] = {}
     for h in hypotheses:
-        if not _sensible(h, band):
+        if not _sensible(h, study):
             continue
-        key = (h.causes, h.places, h.hum is None)
+        key = (frozenset(zip(h.causes, h.places, strict=True)), h.hum is None)
         if np.isfinite(h.chi2) and (key not in best or h.chi2 < best[key].chi2):
             best[key] = h
     return sorted(best.values(), key=lambda h: h.chi2)
 
 
-def evidence(h: Hypothesis, places: dict[tuple[Cause, Any], float], samples: int, null_chi2: float) -> float:
+def evidence(h: Hypothesis, scene: Scene, samples: int, null_chi2: float) -> float:
     r"""Logarithm of the evidence: Schwarz's criterion and the prior of the causes and of their places.
 
     The shape of a missing mode over the channels, of D sizes, is weighed with a prior as wide as the effect is large
@@ -322,5 +386,30 @@ def evidence(h: Hypothesis, places: dict[tuple[Cause, Any], float], samples: int
             value += 0.5 * sizes * max(each - 1 - math.log(max((null_chi2 - h.chi2) / sizes, 1.0)), 0.0)
     value -= MORE_CAUSES * max(len(h.names) - 1, 0)
     for cause, place in zip(h.causes, h.places, strict=True):  # hum has one place and weight 1
-        value += math.log(cause.prior) + math.log(places.get((cause, place), 1.0))
+        value += math.log(cause.prior) + math.log(_weight(cause, place, scene))
     return value
+
+
+def promise(t: Trial, scene: Scene, samples: int) -> float:
+    """Twice the log evidence that a trial promises to add, roughly: its gain, less what its unknowns and place cost."""
+    each = math.log(max(samples, 30))
+    if isinstance(t.cause, PatternCause):
+        sizes = t.cause.terms * (sum(t.extra.shape[1:]) - 1)
+        cost = (len(t.cause.parameters) - t.cause.terms) * each + sizes * min(
+            each, 1 + math.log(max(t.gain / sizes, 1.0))
+        )
+    elif t.cause.stage == "lines":
+        cost = t.extra.freedom * each
+    else:
+        cost = (len(t.cause.parameters) - t.cause.unseen) * each
+    return t.gain - cost + 2 * math.log(t.cause.prior) + 2 * math.log(_weight(t.cause, t.place, scene))
+
+
+def _weight(cause: Cause, place: Place, scene: Scene) -> float:
+    """How likely a place of a cause is before the data."""
+    key = ("weights", cause)
+    if key not in scene.cache:
+        places = cause.places(scene)
+        told = scene.weights(places) if is_element(cause) else np.full(len(places), 1 / max(len(places), 1))
+        scene.cache[key] = {p.index: float(w) for p, w in zip(places, told, strict=True)}
+    return scene.cache[key].get(place.index, 1.0)

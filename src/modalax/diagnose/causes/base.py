@@ -18,6 +18,7 @@ The first parameter is the strength: at 0 the cause is not there. Places and par
 compiled once for all of them.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
@@ -116,23 +117,27 @@ class Scene:
 
     def stiffness_scale(self, place: Place) -> float:
         """A stiffness [N/m] that would matter at a place: one over the median receptance across it."""
-        return float(1 / max(np.median(np.abs(self.drive(place))), 1e-300))
+        key = ("stiffness", place.index)
+        if key not in self.cache:
+            self.cache[key] = float(1 / max(np.median(np.abs(self.drive(place))), 1e-300))
+        return self.cache[key]
 
     def amplitudes(self, place: Place, fractions: Sequence[float]) -> np.ndarray:
         """Amplitudes [m] across a place, as fractions of the largest undisturbed one of the largest level."""
-        return float(np.abs(self.motion(place)).max()) * float(self.levels.max()) * np.asarray(fractions)
+        key = ("amplitude", place.index)
+        if key not in self.cache:
+            self.cache[key] = float(np.abs(self.motion(place)).max()) * float(self.levels.max())
+        return self.cache[key] * np.asarray(fractions)
 
     def pairs(self, ground: bool = True, both: bool = True) -> list[Place]:
         """Every DoF to ground and every pair."""
-        if not self.scaled:
-            return []
-        single = [Place((name,), (k, -1, 0)) for k, name in enumerate(self.dofs)] if ground else []
-        pairs = [
-            Place((self.dofs[a], self.dofs[b]), (a, b, 0))
-            for a in range(len(self.dofs))
-            for b in range(a + 1, len(self.dofs))
-        ]
-        return single + (pairs if both else [])
+        key = ("pairs", ground, both)
+        if key not in self.cache:
+            names = self.dofs if self.scaled else ()
+            single = [Place((name,), (k, -1, 0)) for k, name in enumerate(names)] if ground else []
+            pairs = [Place((names[a], names[b]), (a, b, 0)) for a, b in itertools.combinations(range(len(names)), 2)]
+            self.cache[key] = single + (pairs if both else [])
+        return self.cache[key]
 
     def weights(self, places: Sequence[Place]) -> np.ndarray:
         """How likely each place is before the data, summing to 1.
@@ -143,9 +148,10 @@ class Scene:
         a, b = np.array([p.index[:2] for p in places]).reshape(-1, 2).T
         if (b < 0).all() or not len(places):
             return np.full(len(places), 1 / max(len(places), 1))
-        directions = [parse_dof(name).direction for name in self.dofs]
-        alike = np.array([y < 0 or directions[x] == directions[y] for x, y in zip(a, b, strict=True)])
-        near = np.zeros(len(a), bool) if self.coupled is None else (b >= 0) & self.coupled[a, np.maximum(b, 0)]
+        _, direction = np.unique([str(parse_dof(name).direction) for name in self.dofs], return_inverse=True)
+        other = np.maximum(b, 0)
+        alike = (b < 0) | (direction[a] == direction[other])
+        near = np.zeros(len(a), bool) if self.coupled is None else (b >= 0) & self.coupled[a, other]
         kinds = ((near & alike, NEIGHBOURS), (b < 0, GROUND), (np.ones(len(a), bool), 1 - NEIGHBOURS - GROUND))
         out = np.zeros(len(a))
         for mask, share in kinds:

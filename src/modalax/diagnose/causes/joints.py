@@ -38,6 +38,7 @@ class ElastoSlip(JointCause):
 
     slug = "elasto_slip"
     fidelity = 0.01
+    prior = 0.5  # each of its two forms
     parameters = (Parameter("stiffness", "N/m", 0.0), Parameter("slip_displacement", "m", 1e-15, log=True))
 
     def __init__(self, replaced: bool):
@@ -122,7 +123,7 @@ class BilinearStiffness(JointCause):
     slug = "bilinear_stiffness"
     summary = "a spring that differs in push and pull"
     fidelity = 0.01
-    prior = 0.035  # its fundamental FRF is a spring's: the spring is named, and this stands among its rivals
+    prior = 0.02  # its fundamental FRF is a spring's: the spring is named, and this stands among its rivals
     unseen = 1
     parameters = (Parameter("mean_stiffness", "N/m"), Parameter("asymmetry", "-", 0.0, 3.0))
     asymmetries = (0.3, 1.0)

@@ -6,6 +6,9 @@ import numpy as np
 
 from modalax.diagnose.causes.base import Cause, Parameter, Place, Scene
 
+DRAWS = 1000  # of noise alone, against which hum is judged
+REACHES = (0.5, 1.5, 2.5)  # line spacings that hum may leak into
+
 
 @dataclass(frozen=True)
 class HumLines:
@@ -24,6 +27,8 @@ class HumLines:
         Spread of the hum over that of the noise at the strongest harmonic.
     frequency
         Fundamental [Hz].
+    p_value
+        Chance of so much at such lines under noise alone.
     """
 
     lines: np.ndarray
@@ -31,6 +36,7 @@ class HumLines:
     freedom: float
     amplitude: float
     frequency: float
+    p_value: float
 
 
 class MainsHum(Cause):
@@ -69,33 +75,58 @@ class MainsHum(Cause):
         live
             Which samples count, same shape.
         """
-        best = HumLines(np.zeros(len(freq), bool), 0.0, 1.0, 0.0, fundamental)
-        for reach in (0.5, 1.5, 2.5):
-            mask, gain, top, count = np.zeros(len(freq), bool), 0.0, 0.0, 0.0
-            for near in self.lines(freq, fundamental, reach):
-                if _wide(near, residual, live):
-                    continue
-                # the size falls away from the multiple: each distance has its own
-                x2 = np.abs(residual[:, near]) ** 2
-                n = 2 * live[:, near].sum(axis=0)
-                mean = x2.sum(axis=0) / np.maximum(n, 1)
-                tau2 = np.maximum(mean - 1, 0.0)
-                more = float((n * (tau2 - np.log1p(tau2))).sum())
-                if more > 4.0 * len(near):
-                    mask[near] = True
-                    gain, top, count = gain + more, max(top, float(tau2.max())), count + len(near)
-            if gain - 2 * count > -best.chi2 - 2 * best.freedom:
-                best = HumLines(mask, -gain, max(count, 1.0), float(np.sqrt(top)), fundamental)
-        return best
+        power = (np.abs(residual) ** 2 * live).sum(axis=0)[None]
+        count = 2 * live.sum(axis=0)
+        tried = [(near, _raised(power, count, near)) for near in (self.lines(freq, fundamental, r) for r in REACHES)]
+        worth = [_worth(*t)[0] for t in tried]
+        sets, gains = tried[int(np.argmax(worth))]
+        chosen = [near for near, gain in zip(sets, gains, strict=True) if gain[0] > 0]
+        mask = np.zeros(len(freq), bool)
+        if not chosen:
+            return HumLines(mask, 0.0, 1.0, 0.0, fundamental, 1.0)
+        mask[np.concatenate(chosen)] = True
+        top = float((power[0, mask] / np.maximum(count[mask], 1)).max() - 1)
+        noise = np.random.default_rng(0).chisquare(np.maximum(count, 1), (DRAWS, len(freq))) * (count > 0)
+        null = np.max([_worth(near, _raised(noise, count, near)) for near, _ in tried], axis=0)
+        return HumLines(
+            mask, -float(sum(g[0] for g in gains)), float(mask.sum()), float(np.sqrt(top)), fundamental,
+            _tail(max(worth), null),
+        )  # fmt: skip
 
 
-def _wide(near: np.ndarray, residual: np.ndarray, live: np.ndarray) -> bool:
-    """Whether the lines beside those at a multiple are raised as well: a resonance is, hum through a window is not."""
-    lines = residual.shape[1]
-    beside = [k for k in (*range(near[0] - 6, near[0] - 1), *range(near[-1] + 2, near[-1] + 7)) if 0 <= k < lines]
-    count = int(live[:, beside].sum())
-    if count == 0:
-        return False
-    excess = float((np.abs(residual[:, beside]) ** 2).sum() / (2 * count) - 1)
-    inside = (np.abs(residual[:, near]) ** 2).sum(axis=0) / np.maximum(2 * live[:, near].sum(axis=0), 1) - 1
-    return bool(excess > 0.1 * max(float(inside.max()), 0.0) + 3 / np.sqrt(count))
+def _raised(power: np.ndarray, count: np.ndarray, sets: list[np.ndarray]) -> list[np.ndarray]:
+    r"""What hum of its own size at each line explains, :math:`n(\tau^2 - \ln(1 + \tau^2))`, for each set of lines.
+
+    0 where that is too little to count, or where the lines beside are raised as well: a resonance is, hum through a
+    window is not. ``power`` holds the sums of squares over the ``count`` samples of each line, shape ``(draw, f)``.
+    """
+    lines = len(count)
+    more = power / np.maximum(count, 1) - 1
+    tau2 = np.maximum(more, 0.0)
+    each = count * (tau2 - np.log1p(tau2))
+    out = []
+    for near in sets:
+        gain = each[:, near].sum(axis=1)
+        beside = [k for k in (*range(near[0] - 6, near[0] - 1), *range(near[-1] + 2, near[-1] + 7)) if 0 <= k < lines]
+        around = int(count[beside].sum())
+        if around:
+            excess = power[:, beside].sum(axis=1) / around - 1
+            wide = excess > 0.1 * tau2[:, near].max(axis=1) + 3 / np.sqrt(around / 2)
+            gain = np.where(wide, 0.0, gain)
+        out.append(np.where(gain > 4.0 * len(near), gain, 0.0))
+    return out
+
+
+def _worth(sets: list[np.ndarray], gains: list[np.ndarray]) -> np.ndarray:
+    """Gain of all sets less two for each line."""
+    return np.sum([g - 2.0 * len(near) * (g > 0) for near, g in zip(sets, gains, strict=True)], axis=0)
+
+
+def _tail(value: float, null: np.ndarray) -> float:
+    """Chance that a draw of the null exceeds a value; beyond the draws, its tail falls as that of a chi-square."""
+    high = float(np.quantile(null, 0.95))
+    beyond = null[null > high] - high
+    if value <= high or not len(beyond):
+        rare = 1 / len(null) if not len(beyond) else 1.0
+        return float(max((null >= value).mean(), rare * np.exp(-0.5 * max(value - high, 0.0))))
+    return float(len(beyond) / len(null) * np.exp(-(value - high) / max(float(beyond.mean()), 2.0)))

@@ -43,6 +43,7 @@ class StructuralDamping(Cause):
     slug = "structural_damping"
     stage = "modes"
     summary = "hysteretic instead of viscous damping"
+    prior = 0.5  # each of its two forms
 
     parameters = (Parameter("share", "-", 0.0, 2.0),)
 
@@ -61,6 +62,7 @@ class LossFactor(Cause):
     slug = "structural_damping"
     stage = "modes"
     summary = "one loss factor instead of viscous damping"
+    prior = 0.5
     parameters = (Parameter("loss_factor", "-", 1e-5, 1.0, log=True),)
 
     def grid(self, scene: Scene, place: Place) -> np.ndarray:

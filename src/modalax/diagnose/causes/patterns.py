@@ -60,8 +60,9 @@ class MissingMode(PatternCause):
         return (1 / (s**2 + 2 * q[1] * w * s + w**2))[None]
 
     def fits(self, p: np.ndarray, low: float, high: float) -> bool:
-        """Only a mode within the band."""
-        return bool(0.98 * low <= p[1] <= 1.02 * high)
+        """Only a mode within the band, its damping within its limits and not at one of them."""
+        damping = self.parameters[2]
+        return bool(0.98 * low <= p[1] <= 1.02 * high and 1.5 * damping.lower < p[2] < damping.upper / 1.5)
 
 
 class OutOfBand(PatternCause):

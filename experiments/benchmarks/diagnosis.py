@@ -1,0 +1,134 @@
+"""Seconds a diagnosis: ``python experiments/benchmarks/diagnosis.py [--cases 5 100 458]``.
+
+A joint that slips is hidden in the paper's five-DoF system at three levels, and in nets of 100 and 458 masses on
+springs, all of them measured (458 DoFs have 105,111 places for a joint). Each is diagnosed twice in one process, with
+other noise the second time: the first time compiles (unless the compilation cache has it, which is said), the second
+is warm. Apart from that: the screening alone of every joint at every place.
+"""
+
+import argparse
+import os
+import resource
+import tempfile
+import time
+
+os.environ.setdefault("OMP_NUM_THREADS", "2")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "2")
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+
+import jax
+import numpy as np
+
+from modalax import Measurement, Structure
+from modalax.diagnose import diagnose
+from modalax.diagnose.causes import catalogue
+from modalax.diagnose.fit import ROUNDS, Hypothesis
+from modalax.diagnose.search import is_element, screen_all, state_of
+from modalax.diagnose.study import make_study
+from modalax.model.examples import five_dof
+from modalax.simulate import harmonic_balance
+from modalax.simulate.joints import ElastoSlip
+
+LEVELS = (1.0, 3.0, 9.0)
+DISTANCE = 30.0  # between the lowest and the highest level, in standard deviations
+
+
+def net(count: int) -> Structure:
+    """Masses at random points, each on springs to its nearest neighbours and softly to the ground."""
+    rng = np.random.default_rng(count)
+    points = rng.uniform(size=(count, 2))
+    K = np.diag(rng.uniform(2e3, 4e3, count))
+    for a in range(count):
+        near = np.argsort(((points - points[a]) ** 2).sum(axis=1))[1:5]
+        for b in near:
+            k = rng.uniform(0.5e6, 2e6)
+            K[[a, b, a, b], [a, b, b, a]] += [k, k, -k, -k]
+    M = np.diag(rng.uniform(0.5, 1.5, count))
+    return Structure(M, 1e-4 * K + 0.2 * M, K)
+
+
+def case(count: int) -> tuple[Structure, list[str], np.ndarray, np.ndarray]:
+    """The simulation, where a spring that slips is hidden, the lines, and the FRFs of the three levels."""
+    simulation = five_dof() if count == 5 else net(count)
+    modes, names = simulation.modal(), simulation.dofs
+    hz = np.sort(np.abs(np.asarray(modes.poles))) / (2 * np.pi)
+    freq = np.linspace(20.0, 70.0, 501) if count == 5 else np.linspace(0.8 * hz[0], 1.03 * hz[29], 500)
+    place = [names[2], names[4]] if count == 5 else [names[0]]  # between masses of a large net a spring hardly shows
+    quiet = np.asarray(modes.frf(freq, outputs=place, inputs=[names[0]]).H)[:, :, 0]
+    motion = np.abs(quiet[:, 0] - quiet[:, 1]) if len(place) > 1 else np.abs(quiet[:, 0])
+    spring, across = 1e-6 / float(np.median(motion)), float(motion.max()) * LEVELS[0]
+    for _ in range(40):
+        joint = ElastoSlip(spring, 0.3 * across * spring, 0.0)
+        response = harmonic_balance(
+            modes, [joint], [place], freq, np.array(LEVELS), inputs=[names[0]], outputs=list(names), harmonics=(1,)
+        )
+        H = np.asarray(response.frf_values())
+        distance = np.sqrt(2) * np.linalg.norm((H[0] - H[-1]) / spread_of(H)[0])
+        if distance > DISTANCE:
+            return simulation, place, freq, H
+        spring *= min(10.0, 1.2 * DISTANCE / distance)
+    raise ValueError(f"no spring at {' and '.join(place)} shows in {count} DoFs")
+
+
+def spread_of(H: np.ndarray) -> np.ndarray:
+    """Standard deviation of the noise, 2 % of each channel's root mean square."""
+    return 0.02 * np.sqrt((np.abs(H) ** 2).mean(axis=1, keepdims=True)) * np.ones(H.shape)
+
+
+def noisy(simulation: Structure, freq: np.ndarray, H: np.ndarray, seed: int) -> Measurement:
+    """What a noisy test gives."""
+    rng, sigma = np.random.default_rng(seed), spread_of(H)
+    e = (rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape)) / np.sqrt(2)
+    return Measurement(
+        freq, H + sigma * e, outputs=simulation.dofs, inputs=simulation.dofs[:1], level=np.array(LEVELS),
+        variance=sigma**2,
+    )  # fmt: skip
+
+
+def screened(measurement: Measurement, simulation: Structure) -> tuple[float, int, int]:
+    """Seconds that the screening of every element at every place takes, and the numbers of causes and places."""
+    study = make_study(measurement, simulation)
+    count = study.problem.plant.stiffness.shape[0]
+    null = study.fit([Hypothesis(theta=np.zeros((2, count)))], ROUNDS)[0]
+    causes = [c for c in catalogue() if is_element(c)]
+    places = len(study.scene.pairs())
+    took = []
+    for _ in range(2):
+        start = time.perf_counter()
+        screen_all(study, null, causes, state_of(study, null))
+        took.append(time.perf_counter() - start)
+    return took[-1], len(causes), places
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", type=int, nargs="*", default=[5, 100, 458])
+    parser.add_argument("--cache", help="folder of the compilation cache; a new and empty one by default")
+    args = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    with tempfile.TemporaryDirectory() as folder:
+        jax.config.update("jax_compilation_cache_dir", args.cache or folder)
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+        print("| DoFs, all measured | lines x levels | first | warm | answer | elements screened | memory |")
+        print("|---|---|---|---|---|---|---|")
+        for count in args.cases:
+            simulation, place, freq, H = case(count)
+            took, said = [], None
+            for seed in range(2):
+                start = time.perf_counter()
+                said = diagnose(noisy(simulation, freq, H, seed), simulation)
+                took.append(time.perf_counter() - start)
+            assert said is not None
+            seconds, causes, places = screened(noisy(simulation, freq, H, 2), simulation)
+            told = ", ".join(f"{c['name']} {'-'.join(c['where'])}" for c in said.causes)
+            memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+            print(
+                f"| {count} | {len(freq)} x {len(LEVELS)} | {took[0]:.1f} s | {took[1]:.1f} s | {said.verdict}: {told} "
+                f"(hidden: elasto_slip {'-'.join(place)}) | {causes} kinds at {places} places: {seconds:.1f} s | "
+                f"{memory:.1f} GiB |",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()
