@@ -47,13 +47,15 @@ class Screening:
 class State:
     """What a hypothesis leaves, with the runs apart (True) and together (False), and the products for elements.
 
-    ``drop`` is the chi-square that the parameters would still take away if they moved to their best.
+    ``drop`` is the chi-square that the parameters would still take away if they moved to their best, and ``shift``
+    that move of the modal parameters, in units of their spread, shape ``(2, n)``.
     """
 
     sides: dict[bool, Residual]
     reduced: dict[bool, Reduced]
     whole: np.ndarray
     drop: float
+    shift: np.ndarray
     cache: dict[Any, Any] = field(default_factory=dict)
 
     def nearest(self, study: Study, cause: Cause, places: list[Any]) -> list[Any]:
@@ -95,7 +97,9 @@ def state_of(study: Study, h: Hypothesis, jacobian: np.ndarray | None = None) ->
     reduced = {}
     if study.question == "fixed" and study.scene.scaled and study.problem.held is None:
         reduced = {True: reduce(study.problem, theta, apart), False: reduce(study.pooled, theta, together)}
-    return State(sides, reduced, whole, float(slope @ inner @ slope))
+    shift = np.zeros(h.theta.size)
+    shift[study.nuisance.live] = (inner @ slope)[: len(study.nuisance.live)]
+    return State(sides, reduced, whole, float(slope @ inner @ slope), shift.reshape(h.theta.shape))
 
 
 def _real(z: np.ndarray) -> np.ndarray:
@@ -215,8 +219,10 @@ def refit(study: Study, null: Hypothesis, starts: list[Hypothesis], state: State
     if isinstance(cause, PatternCause):
         return [_settle_pattern(study, h) for h in study.fit(starts, ROUNDS)]
     if is_element(cause) and state.reduced:
-        return fit_elements(study, starts, state.reduced[cause.per_run], null, ROUNDS + 6)
-    return fit_screened(study, starts, state.sides[cause.per_run], null, ROUNDS)
+        found = fit_elements(study, starts, state.reduced[cause.per_run], null, ROUNDS + 6)
+    else:
+        found = fit_screened(study, starts, state.sides[cause.per_run], null, ROUNDS)
+    return [replace(h, theta=h.theta + state.shift) for h in found if h.theta is not None]
 
 
 def fit_further(study: Study, base: Hypothesis, trials: list[Trial]) -> list[Hypothesis]:

@@ -167,8 +167,9 @@ def _weigh_again(search: _Search) -> None:
 def _without_need(frf: FRF, refined: Refined) -> np.ndarray:
     """Modes whose shape could be noise, whose damping left the range of modes, or that lie far outside."""
     model = refined.model
-    dof = 2 * max(frf.shape[1], frf.shape[2])
-    weak = np.asarray(refined.evidence) < scipy.stats.chi2.isf(DROP, dof + 2)
+    # A residue matrix of rank one and a pole: what noise alone would fit to itself as a further mode.
+    dof = 2 * (frf.shape[1] + frf.shape[2] - 1) + 2
+    weak = np.asarray(refined.evidence) < scipy.stats.chi2.isf(DROP, dof)
     zeta, f = np.asarray(model.damping_ratio), np.asarray(model.frequency_hz)
     lower, upper = float(frf.freq[0]), float(frf.freq[-1])
     away = (f < max(lower - 0.5 * (upper - lower), 0.1 * lower)) | (f > upper + 0.5 * (upper - lower))
