@@ -68,3 +68,11 @@ def test_nothing_is_found_where_nothing_is_wrong(variance, tmp_path):
 def test_a_cause_that_no_catalogue_holds_gets_no_confident_name(tmp_path):
     said = answer(draw(100, "outside:crosstalk", "chain"), tmp_path)
     assert said["verdict"] in ("unknown", "ambiguous")
+
+
+def test_wrong_units_are_named_although_the_simulation_may_be_a_little_off(tmp_path):
+    """The modes would have to move by thousands of claimed standard deviations to follow such an effect."""
+    plan = dict(spread=True, variance="16", inputs=1, runs=3, structure=12)
+    case = generator.draw_case(300, "units", 30.0, "frame", **plan)
+    said = answer(case, tmp_path)
+    assert said["verdict"] == "named" and names(said["causes"]) == ["units"]

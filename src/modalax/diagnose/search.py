@@ -123,15 +123,17 @@ def _pooled(study: Study, value: np.ndarray) -> np.ndarray:
 def from_home(study: Study, null: Hypothesis, causes: Sequence[Cause]) -> list[Hypothesis]:
     """Single causes looked for where the simulation has its modes, if what is wrong drove these far off.
 
-    The modes then move in linear order about where the simulation has them.
+    The modes then move in linear order about where the simulation has them; the leading ones are fitted from there too.
     """
     assert null.theta is not None
     if np.abs(null.theta).max(initial=0.0) <= STRAYED:
         return []
     home = study.fit([replace(null, theta=np.zeros_like(null.theta))], 0)[0]
     state = state_of(study, home)
-    trials = screen_all(study, home, causes, state).trials
-    return fit_single(study, replace(home, chi2=home.chi2 - state.drop), chosen(trials), state)
+    trials = [t for t in screen_all(study, home, causes, state).trials if t.cause.stage != "lines"]
+    found = fit_single(study, replace(home, chi2=home.chi2 - state.drop), chosen(trials), state)
+    again = [replace(h, theta=np.zeros_like(null.theta)) for h in found[: 2 * IN_FULL]]
+    return best_of_each(found + study.fit(again, PATIENT), study)
 
 
 def screen_all(study: Study, h: Hypothesis, causes: Sequence[Cause], state: State, finite: bool = True) -> Screening:
