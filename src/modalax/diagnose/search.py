@@ -337,10 +337,10 @@ def with_hum(h: Hypothesis, lines: HumLines) -> Hypothesis:
 
 
 def _sensible(h: Hypothesis, study: Study) -> bool:
-    """Whether every mode that was added lies on its own side of the band's ends and is more than one sensor's."""
+    """Whether every cause still means what its name says, and every mode that was added is more than one sensor's."""
     low, high = float(study.scene.freq[0]), float(study.scene.freq[-1])
     each = zip(h.causes, h.params, h.extras, strict=True)
-    return all(c.fits(p, low, high) and not _one_sensor(e, study) for c, p, e in each if isinstance(c, PatternCause))
+    return all(c.fits(p, low, high) and not (isinstance(c, PatternCause) and _one_sensor(e, study)) for c, p, e in each)
 
 
 def _moderate(h: Hypothesis, study: Study) -> bool:

@@ -214,6 +214,10 @@ class Cause:
         """Parameter vectors to screen at, shape ``(start, parameter)``."""
         raise NotImplementedError(f"{type(self).__name__} needs grid(scene, place)")
 
+    def fits(self, p: np.ndarray, low: float, high: float) -> bool:
+        """Whether fitted parameters still mean this cause in a band [Hz]."""
+        return True
+
     def report(self, p: np.ndarray, place: Place) -> dict[str, tuple[Any, str]]:
         """Parameters as told in the answer: value and unit by name."""
         return {q.name: (p[k], q.unit) for k, q in enumerate(self.parameters)}

@@ -27,10 +27,6 @@ class PatternCause(ChannelCause):
         """Number of unknowns: a shape over the channels for each term, and the shape parameters."""
         return float(self.terms * (outputs + inputs - 1) + len(self.parameters) - self.terms)
 
-    def fits(self, p: np.ndarray, low: float, high: float) -> bool:
-        """Whether fitted parameters still mean this cause in a band [Hz]."""
-        return True
-
     def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
         """Add the terms."""
         curves = self.curves(at.s, p[self.terms :])
