@@ -7,7 +7,7 @@ made once for all places; then every law and threshold costs no more than a few 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -23,6 +23,7 @@ from modalax.diagnose.quick import Target, fit_quick
 from modalax.diagnose.screen import KEPT_PLACES, KEPT_SHAPES, Residual, Trial, best_trial, smallest
 
 BATCH = 32
+LARGE = 200_000  # samples from which fewer directions are kept
 PROMISING = 4  # places of each kind at which finite sizes are tried
 
 
@@ -61,6 +62,7 @@ class Reduced:
     inner: np.ndarray
     omega: np.ndarray
     level: np.ndarray
+    cache: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
 
     def motion(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Receptance from the inputs to places, shape ``(place, f, i)``; ``b`` below 0 is the ground."""
@@ -71,8 +73,17 @@ class Reduced:
 
     def column(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Receptance from places to the outputs, shape ``(f, o, place)``."""
-        H = (self.shapes[:, self.outputs].T * self.gains[:, None]) @ _along(self.participation, a, b)
+        right = _along(self.participation, a, b).T
+        H = (self.gains[:, None] * right).reshape(-1, self.gains.shape[1]) @ self.shapes[:, self.outputs]
+        H = H.reshape(len(self.gains), len(right), -1).transpose(0, 2, 1)
         return H + self._far(lambda R: _along(R[self.outputs], a, b)[None])
+
+    def column_at(self, place: Place) -> np.ndarray:
+        """The same at one place, kept for the next cause, shape ``(f, o)``."""
+        key = place.index[:2]
+        if key not in self.cache:
+            self.cache[key] = self.column(*ends([place]))[..., 0]
+        return self.cache[key]
 
     def drive(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Receptance across places, shape ``(place, f)``."""
@@ -117,6 +128,8 @@ def reduce(problem: Problem, theta: np.ndarray, state: Residual) -> Reduced:
     gains = np.concatenate([(s - poles.conj()) / D, (s - poles) / D], axis=1)
     psi, part = np.asarray(plant.shapes), np.asarray(plant.participation)
     psi, part = np.concatenate([psi, psi.conj()]), np.concatenate([part, part.conj()])
+    there = np.abs(psi).max(axis=1) > 0  # the others only fill up
+    gains, psi, part = np.ascontiguousarray(gains[:, there]), psi[there], part[there]
     o, i = np.asarray(problem.outputs), np.asarray(problem.inputs)
     upper, lower = np.asarray(plant.upper), np.asarray(plant.lower)
     far = bool(np.abs(upper).max(initial=0.0) + np.abs(lower).max(initial=0.0) > 0)
@@ -238,7 +251,8 @@ def score(
 ) -> tuple[list[np.ndarray], list[np.ndarray], dict[tuple[int, int], np.ndarray]]:
     """Squared lengths and products with the residual of every trial at every place, and a few changes themselves."""
     solve = finite or cause.stage == "local"
-    some = set(np.unique(np.linspace(0, len(grids) - 1, KEPT_PLACES).astype(int)).tolist())
+    kinds = KEPT_PLACES if reduced.weight2.size < LARGE else KEPT_PLACES // 3
+    some = set(np.unique(np.linspace(0, len(grids) - 1, kinds).astype(int)).tolist())
     square, product, kept = [], [], {}
     for start in range(0, len(grids), BATCH):
         places = range(start, min(start + BATCH, len(grids)))
@@ -278,7 +292,7 @@ def screen_elements(
         trial = best_trial(cause, place, small[k], square[k], product[k])
         mine = [kept[k, j] for j in range(len(small[k])) if (k, j) in kept][:KEPT_SHAPES]
         if mine:
-            column = reduced.column(*ends([place]))[..., 0]
+            column = reduced.column_at(place)
             flat = [_flat(weight * np.einsum("fo,rfi->rfoi", column, y)) for y in mine]
             trial = replace(trial, direction=np.stack(flat))
         trials.append(trial)
