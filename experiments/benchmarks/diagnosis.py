@@ -22,8 +22,9 @@ import numpy as np
 from modalax import Measurement, Structure
 from modalax.diagnose import diagnose
 from modalax.diagnose.causes import catalogue
+from modalax.diagnose.evidence import is_element
 from modalax.diagnose.fit import ROUNDS, Hypothesis
-from modalax.diagnose.search import is_element, screen_all, state_of
+from modalax.diagnose.search import screen_all, state_of
 from modalax.diagnose.study import make_study
 from modalax.model.examples import five_dof
 from modalax.simulate import harmonic_balance

@@ -8,6 +8,7 @@ import numpy as np
 
 from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.decide import CERTAIN, RIVAL, Detection, Ranked, detect, posterior
+from modalax.diagnose.evidence import evidence, is_element, promise
 from modalax.diagnose.fit import ROUNDS, Hypothesis, jacobian_of, searched
 from modalax.diagnose.noise import TRUSTED
 from modalax.diagnose.omnibus import Omnibus, omnibus
@@ -16,13 +17,10 @@ from modalax.diagnose.search import (
     Screening,
     best_of_each,
     chosen,
-    evidence,
     exchanged,
     fit_further,
     fit_single,
     from_home,
-    is_element,
-    promise,
     screen_all,
     state_of,
 )
@@ -30,7 +28,7 @@ from modalax.diagnose.study import Study
 
 LEFT = 0.002  # chance under noise below which a residual is said to hold something more
 LEFT_BY_SEVERAL = 0.05  # the same where several causes are needed
-PLACED = 0.8  # posterior of the leading places from which sure names are given
+PLACED = 0.8  # posterior of each leading place from which sure names are given
 DEEPEST = 3  # causes in one answer
 LEADING = 2  # hypotheses that a further cause is added to
 FURTHER = 3  # causes tried on each
@@ -123,7 +121,8 @@ def _verdict(ranked: list[Ranked], left: float) -> str:
     if left < LEFT or (len(slugs) > 1 and left < LEFT_BY_SEVERAL):
         return "unknown"
     alike = sum(r.probability for r in ranked if sorted(slug for slug, _ in r.names) == slugs)
-    sure = alike >= CERTAIN and best.probability >= PLACED and not _one_joint(best.best)
+    placed = best.probability >= PLACED ** len(slugs)
+    sure = alike >= CERTAIN and placed and not _one_joint(best.best)
     return "named" if sure else "ambiguous"
 
 

@@ -1,17 +1,17 @@
 r"""From screening to fitted hypotheses: single causes first, then one more at a time and pairs of the leading ones."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from modalax.diagnose.causes.base import Cause, Place, Scene
+from modalax.diagnose.causes.base import Cause, Place
 from modalax.diagnose.causes.channels import ChannelSwap
 from modalax.diagnose.causes.lines import HumLines, MainsHum
 from modalax.diagnose.causes.patterns import PatternCause
 from modalax.diagnose.elements import Reduced, at_places, complex_of, fit_elements, reduce, screen_elements
+from modalax.diagnose.evidence import is_element
 from modalax.diagnose.fit import ROUNDS, Hypothesis
 from modalax.diagnose.places import MANY, likely_swaps, shortlist
 from modalax.diagnose.problem import bucket
@@ -27,7 +27,6 @@ SPARE = 4  # directions kept free for the parameters of causes already found
 STRAYED = 8.0  # claimed standard deviations of a modal parameter beyond which the simulation alone led it astray
 FAR = 1e4  # times the largest strength that a cause is screened at, beyond which a fit is no explanation
 ONE_SENSOR = 0.97  # share of a mode's energy at one output beyond which it is that sensor's fault
-MORE_CAUSES = 5.0  # nats that each cause after the first costs before the data: two things are rarely wrong at once
 
 
 @dataclass(frozen=True)
@@ -169,11 +168,6 @@ def screen_all(study: Study, h: Hypothesis, causes: Sequence[Cause], state: Stat
             found = screen_cause(cause, study.scene, near, h.theta, state.sides[side], problem, nuisance, True)
             trials += [replace(t, trials=round(t.trials * len(places) / len(near))) for t in found]
     return Screening(trials, h.theta)
-
-
-def is_element(cause: Cause) -> bool:
-    """Whether a cause acts on one relative displacement."""
-    return cause.stage == "joint" or (cause.stage == "local" and not hasattr(cause, "matrix"))
 
 
 def chosen(trials: list[Trial]) -> list[Trial]:
@@ -377,47 +371,3 @@ def best_of_each(hypotheses: list[Hypothesis], study: Study) -> list[Hypothesis]
         if np.isfinite(h.chi2) and (key not in best or h.chi2 < best[key].chi2):
             best[key] = h
     return sorted(best.values(), key=lambda h: h.chi2)
-
-
-def evidence(h: Hypothesis, scene: Scene, samples: int, null_chi2: float) -> float:
-    r"""Logarithm of the evidence: Schwarz's criterion and the prior of the causes and of their places.
-
-    The shape of a missing mode over the channels, of D sizes, is weighed with a prior as wide as the effect is large
-    instead, :math:`\frac D2(1 + \ln(\Delta\chi^2/D))` (empirical Bayes; George and Foster 2000, Biometrika 87:731):
-    a few lines tell each size, not all.
-    """
-    each = math.log(max(samples, 30))
-    value = -0.5 * h.chi2 - 0.5 * h.freedom * each
-    for cause, extra in zip(h.causes, h.extras, strict=True):
-        if isinstance(cause, PatternCause):
-            sizes = cause.terms * (sum(extra.shape[1:]) - 1)
-            value += 0.5 * sizes * max(each - 1 - math.log(max((null_chi2 - h.chi2) / sizes, 1.0)), 0.0)
-    value -= MORE_CAUSES * max(len(h.names) - 1, 0)
-    for cause, place in zip(h.causes, h.places, strict=True):  # hum has one place and weight 1
-        value += math.log(cause.prior) + math.log(_weight(cause, place, scene))
-    return value
-
-
-def promise(t: Trial, scene: Scene, samples: int) -> float:
-    """Twice the log evidence that a trial promises to add, roughly: its gain, less what its unknowns and place cost."""
-    each = math.log(max(samples, 30))
-    if isinstance(t.cause, PatternCause):
-        sizes = t.cause.terms * (sum(t.extra.shape[1:]) - 1)
-        cost = (len(t.cause.parameters) - t.cause.terms) * each + sizes * min(
-            each, 1 + math.log(max(t.gain / sizes, 1.0))
-        )
-    elif t.cause.stage == "lines":
-        cost = t.extra.freedom * each
-    else:
-        cost = (len(t.cause.parameters) - t.cause.unseen) * each
-    return t.gain - cost + 2 * math.log(t.cause.prior) + 2 * math.log(_weight(t.cause, t.place, scene))
-
-
-def _weight(cause: Cause, place: Place, scene: Scene) -> float:
-    """How likely a place of a cause is before the data."""
-    key = ("weights", cause)
-    if key not in scene.cache:
-        places = cause.places(scene)
-        told = scene.weights(places) if is_element(cause) else np.full(len(places), 1 / max(len(places), 1))
-        scene.cache[key] = {p.index: float(w) for p, w in zip(places, told, strict=True)}
-    return scene.cache[key].get(place.index, 1.0)
