@@ -22,7 +22,7 @@ from modalax.diagnose.problem import Problem
 from modalax.diagnose.quick import Target, fit_quick
 from modalax.diagnose.screen import KEPT_PLACES, KEPT_SHAPES, Residual, Trial, best_trial, smallest
 
-BATCH = 32
+BATCH, FEW = 32, 4  # trials worked on together, and in the small batches of a fit's last steps
 LARGE = 200_000  # samples from which fewer directions are kept
 PROMISING = 4  # places of each kind at which finite sizes are tried
 
@@ -222,17 +222,24 @@ def _changes(cause, solve, p, owner, motion, drive, omega, level):
     return jax.vmap(one)(p, owner)
 
 
-def changes(cause: Cause, solve: bool, params: np.ndarray, owner: np.ndarray, at: At, reduced: Reduced) -> np.ndarray:
-    """The number y of each trial at the place that owns it, shape ``(trial, run, f, i)``."""
-    parts = []
-    for start in range(0, len(params), BATCH):
-        take = slice(start, start + BATCH)
+def changes(
+    cause: Cause, solve: bool, params: np.ndarray, owner: np.ndarray, at: At, reduced: Reduced, few: bool = False
+) -> np.ndarray:
+    """The number y of each trial at the place that owns it, shape ``(trial, run, f, i)``.
+
+    ``few`` allows small batches, compiled apart, so that little is filled up.
+    """
+    parts, start = [], 0
+    while start < len(params):
+        size = FEW if few and len(params) - start <= BATCH // 2 else BATCH
+        take = slice(start, start + size)
         mine, local = np.unique(owner[take], return_inverse=True)
         y = _changes(
-            cause, solve, _fill(params[take], BATCH), _fill(local, BATCH), _fill(at.motion[mine], BATCH),
-            _fill(at.drive[mine], BATCH), reduced.omega, reduced.level,
+            cause, solve, _fill(params[take], size), _fill(local, size), _fill(at.motion[mine], size),
+            _fill(at.drive[mine], size), reduced.omega, reduced.level,
         )  # fmt: skip
         parts.append(np.asarray(y)[: len(local)])
+        start += size
     y = np.concatenate(parts)
     return np.broadcast_to(y, (len(y), *at.S.shape[1:]))
 
@@ -325,6 +332,6 @@ def fit_elements(
 
     def moved(part: list[Hypothesis], owner: np.ndarray, params: np.ndarray) -> np.ndarray:
         at = at_places(reduced, [h.places[0] for h in part], targets=False)
-        return _parts(changes(part[0].causes[0], True, params, owner, at, reduced), 1)
+        return _parts(changes(part[0].causes[0], True, params, owner, at, reduced, few=True), 1)
 
     return fit_quick(study, base, starts, lambda part: element_target(reduced, part), moved, rounds)

@@ -249,7 +249,7 @@ def _fit_batch(starts: list[Hypothesis], problem: Problem, nuisance: Nuisance, r
 
     chooser = nuisance.chooser
 
-    def normal(x: np.ndarray) -> Any:
+    def normal(x: np.ndarray, _: np.ndarray) -> Any:
         return _normal_many(causes, index, extras, x, chooser, nuisance.spread, nuisance.basis, problem)
 
     free = np.full(len(chooser), np.inf)
@@ -277,7 +277,8 @@ def damped(
     Parameters
     ----------
     normal
-        Gives chi-square, normal matrix and gradient of half the chi-square at each row of ``x``.
+        Gives chi-square, normal matrix and gradient of half the chi-square at each row of ``x``, from ``x`` and which
+        rows are still moving; what it gives for the others is not looked at.
 
     Returns
     -------
@@ -285,12 +286,12 @@ def damped(
         Unknowns, chi-squares, normal matrices, and which were still moving.
     """
 
-    def checked(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        chi2, A, g = (np.asarray(a) for a in normal(x))
+    def checked(x: np.ndarray, moving: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        chi2, A, g = (np.asarray(a) for a in normal(x, moving))
         bad = ~(np.isfinite(chi2) & np.isfinite(A).all(axis=(1, 2)) & np.isfinite(g).all(axis=1))
         return np.where(bad, np.inf, chi2), np.nan_to_num(A), np.nan_to_num(g)
 
-    chi2, A, g = checked(x)
+    chi2, A, g = checked(x, np.ones(len(x), bool))
     damping = np.full(len(x), 1e-3)
     moving = np.isfinite(chi2) & (x.shape[1] > 0)
     for _ in range(rounds):
@@ -298,7 +299,7 @@ def damped(
             break
         step = np.stack([_step(A[b], g[b], damping[b]) for b in range(len(x))])
         trial = np.where(moving[:, None], np.clip(x + step, low, high), x)
-        new_chi2, new_A, new_g = checked(trial)
+        new_chi2, new_A, new_g = checked(trial, moving)
         better = moving & (new_chi2 <= chi2)
         drop = np.where(better, chi2 - new_chi2, np.inf)
         x = np.where(better[:, None], trial, x)

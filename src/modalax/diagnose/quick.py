@@ -40,6 +40,11 @@ class Target:
     nuisance: np.ndarray
     inner: np.ndarray
 
+    def of(self, rows: np.ndarray) -> "Target":
+        """The same for some hypotheses."""
+        take = lambda a: a if len(a) == 1 else a[rows]  # noqa: E731
+        return Target(take(self.weight), take(self.toward), take(self.nuisance), self.inner)
+
     def normal(self, e: np.ndarray, J: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Chi-square less that of the simulation, normal matrix and gradient, for changes ``(row, sample)``."""
         c = np.einsum("bks,bs->bk", np.broadcast_to(self.nuisance, (len(e), *self.nuisance.shape[1:])), e)
@@ -79,12 +84,15 @@ def fit_quick(
         u0 = np.stack([to_search(cause, h.params[0]) for h in part])
         size = np.where([q.log for q in cause.parameters], 1.0, np.maximum(np.abs(u0), 1e-12)) if u0.size else u0
 
-        def normal(u: np.ndarray, part: Any = part, aim: Target = aim, size: np.ndarray = size) -> Any:
-            count = u.shape[1]
-            step = STEP * np.maximum(np.where([q.log for q in cause.parameters], 1.0, np.abs(u)), 1e-3 * size)
+        def normal(
+            u: np.ndarray, moving: np.ndarray, part: Any = part, aim: Target = aim, size: np.ndarray = size
+        ) -> Any:
+            rows, every, count = np.flatnonzero(moving), len(u), u.shape[1]
+            u = u[rows]
+            step = STEP * np.maximum(np.where([q.log for q in cause.parameters], 1.0, np.abs(u)), 1e-3 * size[rows])
             step = np.where(u + step > high, -step, step)
             points = np.concatenate([u[:, None], u[:, None] + step[:, None, :] * np.eye(count)[None]], axis=1)
-            owner = np.repeat(np.arange(len(u)), count + 1)
+            owner = np.repeat(rows, count + 1)
             E = changes(part, owner, plain(cause, points.reshape(len(u) * (count + 1), count)))
             E = E.reshape(len(u), count + 1, -1)
             J = (
@@ -92,7 +100,10 @@ def fit_quick(
                 if count
                 else np.zeros((len(u), E.shape[2], 0))
             )
-            return aim.normal(E[:, 0], J)
+            full = np.full(every, np.inf), np.zeros((every, count, count)), np.zeros((every, count))
+            for whole, some in zip(full, aim.of(rows).normal(E[:, 0], J), strict=True):
+                whole[rows] = some
+            return full
 
         u, value, A, still = damped(normal, u0, low, high, rounds)
         last = changes(part, np.arange(len(part)), plain(cause, u))
