@@ -11,6 +11,7 @@ from modalax.data import FRF, Measurement
 from modalax.diagnose.advice import advise
 from modalax.diagnose.causes import catalogue
 from modalax.diagnose.causes.base import Cause
+from modalax.diagnose.causes.imitators import IMITATORS
 from modalax.diagnose.causes.modal import TimeVaryingSteps
 from modalax.diagnose.decide import Ranked
 from modalax.diagnose.extend import ExtendedSimulation, extend
@@ -66,8 +67,8 @@ class Diagnosis:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was assumed, in sentences."""
-        return self.study.notes
+        """What was assumed, in sentences, and what beside the catalogue the data looks like."""
+        return self.study.notes + self.naming.notes
 
     @property
     def candidates(self) -> list[Ranked]:
@@ -160,7 +161,8 @@ def diagnose(
     study = make_study(measurement, simulation, question)
     runs = study.problem.data.shape[0]
     default = catalogue() + ([TimeVaryingSteps(runs)] if runs > 2 else [])
-    naming = name(study, causes_of(causes, study, default))
+    doubted = IMITATORS if causes is None else ()
+    naming = name(study, causes_of(causes, study, default), causes_of(None, study, doubted))
     found = naming.best
     n_out, n_in = study.problem.channels
     cut = lambda a: a[:, : study.problem.lines, :n_out, :n_in]  # noqa: E731

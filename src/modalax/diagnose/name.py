@@ -8,6 +8,7 @@ import numpy as np
 
 from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.decide import CERTAIN, RIVAL, Detection, Ranked, detect, posterior
+from modalax.diagnose.doubt import apart, imitations, likeness
 from modalax.diagnose.evidence import evidence, is_element, promise
 from modalax.diagnose.fit import ROUNDS, Hypothesis, jacobian_of, searched
 from modalax.diagnose.noise import TRUSTED
@@ -52,6 +53,8 @@ class Naming:
         Significance of what the simulation leaves.
     before, after
         Omnibus tests of the null and of the best hypothesis.
+    notes
+        Sentences for the answer.
     """
 
     verdict: str
@@ -61,6 +64,7 @@ class Naming:
     detection: Detection
     before: Omnibus
     after: Omnibus
+    notes: tuple[str, ...] = ()
 
     @property
     def best(self) -> Hypothesis:
@@ -68,8 +72,8 @@ class Naming:
         return self.ranked[0].best if self.ranked else self.null
 
 
-def name(study: Study, causes: Sequence[Cause]) -> Naming:
-    """Search the causes of one study."""
+def name(study: Study, causes: Sequence[Cause], imitators: Sequence[Cause] = ()) -> Naming:
+    """Search the causes of one study; ``imitators`` have no name, but may explain better what is about to be named."""
     null = study.fit([_empty(study)], ROUNDS)[0]
     freedom = study.noise.freedom
     live = study.live()
@@ -108,7 +112,12 @@ def name(study: Study, causes: Sequence[Cause]) -> Naming:
         found += exchanged(study, ranked[0].best, lambda h: rest(h).trials, FURTHER)
         ranked = weigh(found)
     last = rest(ranked[0].best)
-    return Naming(_verdict(ranked, last.p_value), ranked, null, screening, detection, before, last.omnibus)
+    verdict, notes = _verdict(ranked, last.p_value), ()
+    if verdict == "named" and imitators and ranked[0].best.hum is None:
+        ranked, nameless = apart(weigh(found + imitations(study, null, state, ranked[0].best, imitators)), imitators)
+        likelier = sum(r.probability for r in nameless) > 0.5
+        verdict, notes = "unknown" if likelier else _verdict(ranked, last.p_value), likeness(nameless)
+    return Naming(verdict, ranked, null, screening, detection, before, last.omnibus, notes)
 
 
 def _verdict(ranked: list[Ranked], left: float) -> str:

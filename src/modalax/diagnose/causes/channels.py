@@ -153,7 +153,8 @@ class ForceDropout(ChannelCause):
     r"""Noise on a force that falls where the drive point moves easily biases H1 low.
 
     :math:`H/(1 + \kappa\,|1 + \mu\,Y/\max|Y||^2)` with Y the mobility of the drive point: a shaker of mechanical
-    impedance :math:`\mu/\max|Y|`. The variant takes the accelerance instead (a shaker whose mass matters).
+    impedance :math:`\mu/\max|Y|`. Variants take the accelerance or the receptance instead (a shaker whose mass or
+    spring matters), and :math:`1 + \mu^2|Y|^2/\max|Y|^2` where the force falls by more than its own path.
     """
 
     slug = "force_dropout"
@@ -165,8 +166,8 @@ class ForceDropout(ChannelCause):
     )
 
     def places(self, scene: Scene) -> list[Place]:
-        """Two kinds of shaker."""
-        return [Place((), (0, -1, k)) for k in range(2)] if scene.scaled else []
+        """Six kinds of shaker."""
+        return [Place((), (0, -1, k)) for k in range(6)] if scene.scaled else []
 
     def grid(self, scene: Scene, place: Place) -> np.ndarray:
         """Sharp to flat."""
@@ -175,9 +176,9 @@ class ForceDropout(ChannelCause):
     def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
         """Divide by one and the noise-to-force ratio."""
         s = (1j * at.s.imag)[:, None]
-        mobility = at.drive * jnp.where(where[2] == 0, s, s**2)
-        top = jnp.maximum(jnp.max(jnp.abs(mobility), axis=0, keepdims=True), 1e-300)
-        ratio = jnp.abs(1 + p[1] * mobility / top) ** 2
+        moves = at.drive * s ** jnp.array([1, 2, 0])[where[2] % 3]
+        moves = moves / jnp.maximum(jnp.max(jnp.abs(moves), axis=0, keepdims=True), 1e-300)
+        ratio = jnp.where(where[2] < 3, jnp.abs(1 + p[1] * moves) ** 2, 1 + p[1] ** 2 * jnp.abs(moves) ** 2)
         return H / (1 + p[0] * ratio[:, None, :])
 
 

@@ -8,7 +8,7 @@ from jaxtyping import Array, Complex
 
 from modalax.diagnose.causes.base import Cause, Parameter, Place, Scene, strengths
 
-HANN_TERMS = 3
+HANN_CURVATURE = 2 * np.pi**2 / 3  # a Hann window's autocorrelation is 1 - this (t/T)^2 at first
 
 
 class ModalDamping(Cause):
@@ -148,7 +148,8 @@ class Leakage(Cause):
     r"""Finite records of length T: the impulse response is seen through a window that falls with the delay.
 
     Random force through a boxcar window gives :math:`1 - t/T`, through a Hann window its autocorrelation; an impact
-    record that is cut off ends at T. The variant is the third number of the place.
+    record that is cut off ends at T; the last is what any smooth window does at first, :math:`H + \beta H''`. The
+    variant is the third number of the place.
     """
 
     slug = "leakage"
@@ -159,7 +160,7 @@ class Leakage(Cause):
 
     def places(self, scene: Scene) -> list[Place]:
         """One a window."""
-        return [Place((), (0, -1, k)) for k in range(3)]
+        return [Place((), (0, -1, k)) for k in range(4)]
 
     def grid(self, scene: Scene, place: Place) -> np.ndarray:
         """Around the line spacing and the half-power widths."""
@@ -172,9 +173,9 @@ class Leakage(Cause):
 
     def kernel(self, x: Array, where: Array, p: Array) -> Complex[Array, "..."]:
         r"""What :math:`1/x`, the transform of :math:`e^{-xt}`, becomes through the window."""
-        return jnp.where(
-            where[2] == 0, _hann(x, 1 / p[0]), jnp.where(where[2] == 1, _boxcar(x, 1 / p[0]), _cut(x, 1 / p[0]))
-        )
+        T = 1 / p[0]
+        ends = jnp.where(where[2] == 2, _cut(x, T), 1 / x - HANN_CURVATURE * 2 / (x**3 * T**2))
+        return jnp.where(where[2] == 0, _hann(x, T), jnp.where(where[2] == 1, _boxcar(x, T), ends))
 
 
 def _cut(x: Array, T: Array) -> Array:
@@ -203,7 +204,7 @@ class FastSweep(Cause):
     r"""A linear sweep too fast for the resonances: the impulse response is seen times :math:`e^{jS t^2/2}`.
 
     :math:`\int_0^\infty e^{-xt + jSt^2/2}dt = \frac12\sqrt{\pi/b}\,\mathrm{erfcx}(x/(2\sqrt b))`, :math:`b = -jS/2`;
-    for slow sweeps :math:`H - \frac j2 S H''`. The second variant is a logarithmic sweep, S growing as the frequency.
+    for slow sweeps :math:`H - \frac j2 S H''`, which is the second variant.
     """
 
     slug = "fast_sweep"
@@ -213,8 +214,8 @@ class FastSweep(Cause):
     parameters = (Parameter("sweep_rate", "Hz/s"),)
 
     def places(self, scene: Scene) -> list[Place]:
-        """One a kind of sweep."""
-        return [Place((), (0, -1, 0))]
+        """Exact, and to first order."""
+        return [Place((), (0, -1, k)) for k in range(2)]
 
     def grid(self, scene: Scene, place: Place) -> np.ndarray:
         """Fractions of the rate that passes a half-power width in its own ring time."""
@@ -226,7 +227,8 @@ class FastSweep(Cause):
         rate = 2 * jnp.pi * p[0]
         b = -0.5j * jnp.where(jnp.abs(rate) < 1e-12, 1e-12, rate)
         root = jnp.sqrt(b)
-        return 0.5 * jnp.sqrt(jnp.pi) / root * erfcx(x / (2 * root))
+        exact = 0.5 * jnp.sqrt(jnp.pi) / root * erfcx(x / (2 * root))
+        return jnp.where(where[2] == 0, exact, 1 / x + 1j * rate / x**3)
 
 
 def _weideman(count: int) -> tuple[float, np.ndarray]:

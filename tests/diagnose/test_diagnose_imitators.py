@@ -1,0 +1,146 @@
+"""What the catalogue has no name for: its laws against matrices and closed forms, and the doubt that it casts."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from modalax.diagnose.causes import catalogue
+from modalax.diagnose.causes.base import Place
+from modalax.diagnose.causes.imitators import (
+    IMITATORS,
+    AcCoupling,
+    AllStiffness,
+    ClippedSensor,
+    Crosstalk,
+    FollowerStiffness,
+    ForceGain,
+    FractionalJoint,
+    HystereticJoint,
+    MaxwellElement,
+    OneWayDamper,
+    PowerDamper,
+    PowerSpring,
+    SensorLowpass,
+)
+from modalax.diagnose.decide import posterior
+from modalax.diagnose.doubt import apart, likeness
+from modalax.diagnose.fit import Hypothesis
+from modalax.diagnose.plant import plant_of
+from modalax.diagnose.predict import predict
+from modalax.diagnose.problem import make_problem
+from modalax.model.examples import five_dof
+from modalax.simulate import joints
+
+FREQ = np.linspace(18.0, 70.0, 40)
+S = 2j * np.pi * FREQ
+OUTPUTS, INPUTS = ("2", "1", "5"), ("1", "3")
+ROUNDING = 3e-11  # of the largest receptance: the modal sum against the inverse of the matrices
+
+
+def predicted(cause, index, p, level=(1.0,)):
+    structure = five_dof()
+    shape = (len(level), len(FREQ), len(OUTPUTS), len(INPUTS))
+    problem = make_problem(
+        FREQ, np.zeros(shape, complex), np.ones(shape), np.array(level), OUTPUTS, INPUTS, plant_of(structure, FREQ[0])
+    )
+    theta = jnp.zeros((2, problem.plant.stiffness.shape[0]))
+    H = predict((cause,), jnp.array([index]), (None,), (jnp.asarray(p),), theta, problem)
+    return np.asarray(H)[:, : len(FREQ), : len(OUTPUTS), : len(INPUTS)]
+
+
+def solved(change=None):
+    """Receptances from the dynamic stiffness with a change at every line, shape ``(f, o, i)``."""
+    M, C, K = (np.asarray(getattr(five_dof(), name)) for name in "MCK")
+    D = S[:, None, None] ** 2 * M + S[:, None, None] * C + K
+    if change is not None:
+        D = D + change
+    return np.linalg.inv(D)[:, [1, 0, 4]][:, :, [0, 2]]
+
+
+def across(a, b):
+    e = np.zeros(5)
+    e[a], e[b] = 1.0, -1.0
+    return np.outer(e, e)[None]
+
+
+ONE = np.zeros((1, 5, 5))
+ONE[0, 1, 3] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("cause", "index", "p", "change"),
+    [
+        (FractionalJoint(), (1, 3, 0), [900.0, 0.4], 900.0 * S[:, None, None] ** 0.4 * across(1, 3)),
+        (MaxwellElement(), (1, 3, 0), [5e3, 4e-3], (5e3 * S * 4e-3 / (1 + S * 4e-3))[:, None, None] * across(1, 3)),
+        (HystereticJoint(), (1, 3, 0), [2e3], 2e3j * across(1, 3)),
+        (OneWayDamper(False), (1, 3, 0), [30.0], 30.0 * S[:, None, None] * ONE),
+        (OneWayDamper(True), (1, 3, 0), [30.0], 30.0 * S[:, None, None] * ONE.transpose(0, 2, 1)),
+        (FollowerStiffness(), (1, 3, 0), [4e3], 4e3 * (ONE - ONE.transpose(0, 2, 1))),
+        (AllStiffness(), (0, -1, 0), [0.03], 0.03 * np.asarray(five_dof().K)[None]),
+    ],
+)
+def test_an_element_equals_its_dynamic_stiffness(cause, index, p, change):
+    expected = solved(change)
+    assert np.abs(predicted(cause, index, p)[0] - expected).max() < ROUNDING * np.abs(expected).max()
+    assert np.abs(expected - solved()).max() > 1e-3 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize(
+    ("cause", "index", "p", "factor"),
+    [
+        (AcCoupling(), (2, -1, 0), [6.0], S / (S + 2 * np.pi * 6.0)),
+        (SensorLowpass(), (2, -1, 0), [1e-3], 1 / (1 + S * 1e-3)),
+    ],
+)
+def test_a_filter_acts_on_its_own_row(cause, index, p, factor):
+    expected = solved()
+    expected[:, 2] *= factor[:, None]
+    assert np.abs(predicted(cause, index, p)[0] - expected).max() < ROUNDING * np.abs(expected).max()
+
+
+def test_gains_of_the_force_and_crosstalk():
+    H = solved()
+    size = ROUNDING * np.abs(H).max()
+    assert np.abs(predicted(ForceGain(), (-1, -1, 0), [0.1])[0] - 1.1 * H).max() < size
+    assert np.abs(predicted(ForceGain(), (1, -1, 0), [0.1])[0] - H * np.array([1.0, 1.1])).max() < size
+    leaked = H.copy()
+    leaked[:, 0] += 0.2 * H[:, 2]
+    assert np.abs(predicted(Crosstalk(), (0, 2, 0), [0.2])[0] - leaked).max() < size
+
+
+def test_a_clipped_sensor_gives_the_fundamental_of_a_clipped_sine():
+    H, level = solved(), np.array([1.0, 20.0])
+    acceleration = np.abs(S[:, None] ** 2 * H[:, 1]) * level[:, None, None]
+    ceiling = 0.4 * acceleration.max()
+    turn = 2 * np.pi * (np.arange(4096) + 0.5) / 4096
+    cut = np.clip(acceleration[..., None] * np.sin(turn), -ceiling, ceiling)
+    fundamental = 2 * (cut * np.sin(turn)).mean(axis=-1) / acceleration
+    expected = np.stack([H, H])
+    expected[:, :, 1] *= fundamental
+    got = predicted(ClippedSensor(), (1, 2, 0), [1 / ceiling], level)
+    assert np.abs(got - expected).max() < 1e-6 * np.abs(H).max()
+    assert fundamental.min() < 0.6
+
+
+def test_power_laws_hold_the_known_ones():
+    A, omega = jnp.array([1e-4, 3e-4]), jnp.array([100.0, 100.0])
+    k3, c2 = 4e10, 5e3
+    cubic = joints.CubicSpring(jnp.array(k3)).describing(A, omega)
+    assert np.allclose(PowerSpring().impedance(A, omega, jnp.array([0.75 * k3 * 1e-8, 2.0])), cubic, rtol=1e-12)
+    drag = joints.QuadraticDamping(jnp.array(c2)).describing(A, omega)
+    c0 = 8 / (3 * np.pi) * c2 * 100.0 * 1e-4
+    assert np.allclose(PowerDamper().impedance(A, omega, jnp.array([c0, 1.0])), drag, rtol=1e-12)
+
+
+def test_no_imitator_bears_a_name_of_the_catalogue_and_each_is_rare():
+    assert not {c.slug for c in IMITATORS} & {c.slug for c in catalogue()}
+    assert max(c.prior for c in IMITATORS) < 0.1
+
+
+def test_doubt_is_told_apart_and_in_words():
+    gap = Hypothesis((catalogue()[0],), (Place(("1",), (0, -1, 0)),), chi2=10.0)
+    other = Hypothesis((AcCoupling(),), (Place(("7",), (6, -1, 0)),), chi2=9.0)
+    named, nameless = apart(posterior([(gap, 0.0), (other, 1.0)]), IMITATORS)
+    assert [r.best for r in named] == [gap] and [r.best for r in nameless] == [other]
+    assert "high-pass filter of one sensor at 7" in likeness(nameless)[0] and "0.73" in likeness(nameless)[0]
+    assert likeness([]) == ()
