@@ -24,6 +24,7 @@ from modalax.simulate.joints import (
     quadrature,
 )
 from modalax.simulate.joints.contact import contact_share
+from modalax.simulate.joints.friction import slide_average
 
 JOINTS = [
     CubicSpring(2e9),
@@ -171,3 +172,20 @@ def test_messages_say_what_was_seen():
         ParallelJenkins([1.0, 2.0], [1.0])
     with pytest.raises(ValueError, match="needs one number"):
         CubicSpring([1.0, 2.0])
+
+
+def test_mean_force_of_a_slider_has_the_derivatives_of_finite_differences():
+    """First and second ones: stuck, slip that begins on the way, slip all the way; forwards and backwards."""
+    h, atol = 1e-4, 1e-7  # central differences of numbers near one: measured 2e-9 and 3e-9
+    for push, way, bow in ((0.1, 0.5, 0.1), (0.4, 1.2, 0.5), (0.4, 1.2, -0.7), (1.6, 1.2, 0.3), (0.2, -1.9, 0.4)):
+        at = jnp.array([push, 1.5, 2.0, way, bow])
+
+        def mean(v):
+            return slide_average(*v)
+
+        first, second = jax.jacfwd(mean)(at), jax.jacfwd(jax.jacrev(mean))(at)
+        for k in range(5):
+            move = h * jnp.eye(5)[k]
+            np.testing.assert_allclose(first[k], (mean(at + move) - mean(at - move)) / (2 * h), atol=atol)
+            slope = (jax.jacfwd(mean)(at + move) - jax.jacfwd(mean)(at - move)) / (2 * h)
+            np.testing.assert_allclose(second[k], slope, atol=atol)

@@ -146,13 +146,10 @@ def _with_memory(
     bow_in = 0.5 * (v_old - v_turn) * share * step
     bow_out = 0.5 * (v_turn - v_new) * (1 - share) * step
 
-    def advance(state: Any, part: tuple[Array, ...]) -> tuple[Any, Array]:
-        old, turn, new, share, bow_in, bow_out = part
-        mean = share * joint.average(state, old, turn, bow_in)
-        state, _ = joint.step(state, old, turn)
-        mean = mean + (1 - share) * joint.average(state, turn, new, bow_out)
-        state, _ = joint.step(state, turn, new)
-        return state, mean
+    def advance(state: Any, part: tuple[Array, ...]) -> tuple[Any, tuple[Any, Any]]:
+        old, turn, new = part
+        turned, _ = joint.step(state, old, turn)
+        return joint.step(turned, turn, new)[0], (state, turned)
 
     def settle(state: Any, part: tuple[Array, ...]) -> tuple[Any, None]:
         old, turn, new = part
@@ -169,8 +166,10 @@ def _with_memory(
             state, sign = run(state, sign), -sign
     else:
         state = joint.close(lambda s: run(run(s, 1.0), -1.0) if half else run(s, 1.0), state)
-    way = (sign * old, sign * turn, sign * new, share, sign * bow_in, sign * bow_out)
-    _, mean = jax.lax.scan(advance, state, way)
+    old, turn, new = sign * old, sign * turn, sign * new
+    _, (before, turned) = jax.lax.scan(advance, state, (old, turn, new))
+    average = jax.vmap(joint.average)
+    mean = share * average(before, old, turn, sign * bow_in) + (1 - share) * average(turned, turn, new, sign * bow_out)
     k = np.array(harmonics)
     box = np.sinc(k / samples)
     return _coefficients(sign * mean, 0.5 * (tau[:-1] + tau[1:]), harmonics) / box

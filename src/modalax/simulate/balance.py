@@ -1,7 +1,7 @@
 r"""Harmonic balance on the relative coordinates of the joints, at one frequency: :math:`q + (b^T H b) f(q) = b^T H F`.
 
 A few real unknowns, whatever the size of the structure. Finding the answer and differentiating it are kept apart: a
-damped Newton iteration that tries several step lengths at once and starts anew where it sticks finds the answer;
+damped Newton iteration that tries several step lengths and starts anew where it sticks finds the answer;
 optimistix takes it from there and carries its derivatives by the implicit function theorem.
 """
 
@@ -18,7 +18,7 @@ from modalax.simulate.aft import Harmonics, joint_forces, real_size, to_complex,
 from modalax.simulate.joints import Joint
 
 STEPS = np.array([1.0, 0.5, 0.2, 0.05, 0.01])
-"""Step lengths tried at once in every damped Newton step."""
+"""Step lengths of a damped Newton step: the full one, and the best of all where that does not serve."""
 CLOSED = 1e-9
 """A balance whose residual is below this part of the motion without joints counts as solved."""
 TIGHT = 1e-12
@@ -84,6 +84,12 @@ def _scaled(y: Float[Array, " r"], args: tuple[Plan, tuple[Joint, ...], Line, Ar
     return plan.real(residual(plan, scale * plan.complex(y), joints, line)) / scale
 
 
+def left_over(plan: Plan, joints: tuple[Joint, ...], line: Line, y: Float[Array, " r"]) -> Float[Array, ""]:
+    """Largest part of the residual at ``y`` (scaled reals), over the motion without joints."""
+    left = jnp.max(jnp.abs(_scaled(y, (plan, joints, line, motion_scale(line)))))
+    return jnp.where(jnp.isfinite(left), left, jnp.inf)
+
+
 class _Search(NamedTuple):
     """State of a search: where it is, its start, steps since, and the best so far."""
 
@@ -112,23 +118,29 @@ def find(
 
     def improve(s: _Search) -> _Search:
         jacobian, missing = jax.jacfwd(both, has_aux=True)(s.y)
-        before = jnp.max(jnp.abs(missing))
-        tried = s.y - STEPS[:, None] * jnp.linalg.solve(jacobian, missing)
-        sizes = jnp.max(jnp.abs(jax.vmap(lambda y: _scaled(y, args))(tried)), axis=1)
-        sizes = jnp.where(jnp.isfinite(sizes), sizes, jnp.inf)
-        # the full step where it serves nearly as well, so that the end is quadratic
-        choice = jnp.where(sizes[0] < 0.5 * before, 0, jnp.argmin(sizes))
-        after = sizes[choice]
+        before, step = jnp.max(jnp.abs(missing)), jnp.linalg.solve(jacobian, missing)
+
+        def unhappy(t: tuple[Array, Array]) -> Bool[Array, ""]:
+            # the full step where it serves nearly as well, so that the end is quadratic
+            return (t[0] == 0) | (t[0] < len(STEPS)) & ~(t[1][0] < 0.5 * before)
+
+        def attempt(t: tuple[Array, Array]) -> tuple[Array, Array]:
+            k, sizes = t
+            return k + 1, sizes.at[k].set(left_over(plan, joints, line, s.y - jnp.asarray(STEPS)[k] * step))
+
+        _, sizes = jax.lax.while_loop(unhappy, attempt, (zero, jnp.full(len(STEPS), jnp.inf)))
+        choice = jnp.argmin(sizes)
+        after, tried = sizes[choice], s.y - jnp.asarray(STEPS)[choice] * step
         record = after < s.left
-        best, left = jnp.where(record, tried[choice], s.best), jnp.where(record, after, s.left)
+        best, left = jnp.where(record, tried, s.best), jnp.where(record, after, s.left)
         over = ~(after < before) | (s.count >= limit)
         # a search that cannot go on below the rounding of the residual is at its end, not stuck
         start = jnp.where(over, jnp.where(left < CLOSED, len(starts), s.start + 1), s.start)
-        y = jnp.where(over, starts[jnp.minimum(start, len(starts) - 1)], tried[choice])
+        y = jnp.where(over, starts[jnp.minimum(start, len(starts) - 1)], tried)
         return _Search(y, start, jnp.where(over, 0, s.count + 1), best, left)
 
-    zero = jnp.zeros((), int)
-    end = jax.lax.while_loop(go_on, improve, _Search(starts[0], zero, zero, starts[0], jnp.array(jnp.inf)))
+    zero, first = jnp.zeros((), int), left_over(plan, joints, line, starts[0])
+    end = jax.lax.while_loop(go_on, improve, _Search(starts[0], zero, zero, starts[0], first))
     return end.best, end.left
 
 

@@ -137,14 +137,12 @@ def balance_levels(
     R: Receptances, joints: tuple[Joint, ...], level: Any, plan: Plan, downward: bool = False
 ) -> tuple[Complex[Array, "level f j h i"], Float[Array, "level f i"], Float[Array, "level f i"]]:
     """Joint displacements [m] at all levels [N] and inputs, residuals and margins; pure, differentiable, jit, vmap."""
-    at = plan.harmonics.index(1)
+    at, level, i = plan.harmonics.index(1), jnp.asarray(level), R.driven.shape[-1]
     u = jnp.zeros((*R.joints.shape[:2], *R.driven.shape[1:]), complex).at[:, at].set(R.driven)
-
-    def one(level: Float[Array, ""], u: Complex[Array, "f h j"]) -> tuple[Array, Array, Array]:
-        return solve_lines(plan, joints, Line(R.joints, level * u, R.omega), downward)
-
-    over_inputs = jax.vmap(one, in_axes=(None, -1), out_axes=-1)
-    return jax.vmap(over_inputs, in_axes=(0, None))(jnp.asarray(level), u)
+    sweeps = (level[:, None, None, None, None] * jnp.moveaxis(u, -1, 0)).reshape(-1, *u.shape[:-1])
+    made = solve_lines(plan, joints, Line(R.joints, sweeps, R.omega), downward)
+    q, left, margin = (jnp.moveaxis(a.reshape(level.shape[0], i, *a.shape[1:]), 1, -1) for a in made)
+    return q, left, margin
 
 
 def respond(

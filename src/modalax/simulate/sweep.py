@@ -1,12 +1,15 @@
 """Many lines and levels: a quick sweep with few harmonics picks the branch, then all lines are balanced at once."""
 
+from collections.abc import Callable
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Complex, Float
+from jaxtyping import Array, Bool, Complex, Float, Int
 
 from modalax.simulate.aft import Harmonics, has_closed_form
-from modalax.simulate.balance import CLOSED, Line, Plan, find, motion_scale, polish, stop
+from modalax.simulate.balance import CLOSED, Line, Plan, find, left_over, motion_scale, polish, stop
 from modalax.simulate.joints import Joint
 
 LOAD_STEPS = 12
@@ -15,6 +18,8 @@ SWEEP_SAMPLES = 64
 TURNS = np.array([1.0, 0.3, -0.3, 0.05, -1.0, 1j, -1j, -2.0, 0.0])
 """Where a search starts anew, in parts of the motion without joints."""
 AMPLITUDES = np.geomspace(1e-5, 1e3, 129)
+CHUNK = 64
+"""Lines that are balanced together: the easy ones do not wait for the hardest of all, and all stays in cache."""
 
 
 def few(plan: Plan, joints: tuple[Joint, ...]) -> Plan:
@@ -68,25 +73,52 @@ def branch(plan: Plan, joints: tuple[Joint, ...], lines: Line) -> Float[Array, "
     return ys[LOAD_STEPS:]
 
 
+def in_chunks(solve: Callable[[Array], Any], lanes: Int[Array, " n"]) -> Any:
+    """``solve`` for every lane by its number, ``CHUNK`` at a time; the last lane fills the last chunk."""
+    count = lanes.shape[0]
+    size = min(CHUNK, count)
+    chunks = -(-count // size)
+    at = lanes[jnp.minimum(jnp.arange(chunks * size), count - 1)].reshape(chunks, size)
+    made = jax.lax.map(jax.vmap(solve), at)
+    return jax.tree.map(lambda a: a.reshape(chunks * size, *a.shape[2:])[:count], made)
+
+
 def solve_lines(
     plan: Plan, joints: tuple[Joint, ...], lines: Line, downward: bool = False
-) -> tuple[Complex[Array, "f j h"], Float[Array, " f"], Float[Array, " f"]]:
-    """Balance of every line of one level on the branch of an upward (or downward) sweep; differentiable.
+) -> tuple[Complex[Array, "s f j h"], Float[Array, "s f"], Float[Array, "s f"]]:
+    """Balance of every line of every sweep on the branch of an upward (or downward) sweep; differentiable.
 
-    Returns displacement harmonics of the joints [m], the residual left, over the motion without joints, and the margin.
+    ``lines.u`` has a leading axis of sweeps (levels and inputs). Returns displacement harmonics of the joints [m], the
+    residual left, over the motion without joints, and the margin.
     """
     cheap = few(plan, joints)
-    given = stop((joints, lines))
+    own, given = stop((joints, lines))
     turn = (lambda a: a[::-1]) if downward else (lambda a: a)
-    coarse_lines = _pick(given[1], plan.harmonics, cheap.harmonics)
-    coarse = turn(branch(cheap, given[0], jax.tree.map(turn, coarse_lines)))
 
-    def finish(y: Float[Array, " r"], line: Line) -> Float[Array, " r2"]:
-        whole = plan.real(_pad(cheap.complex(y), cheap.harmonics, plan.harmonics))
-        return find(plan, given[0], line, jnp.stack([whole, 0.9 * whole, 1.1 * whole]))[0]
+    def swept(u: Complex[Array, "f h j"]) -> Float[Array, "f r"]:
+        few_harmonics = _pick(given._replace(u=u), plan.harmonics, cheap.harmonics)
+        return turn(branch(cheap, own, jax.tree.map(turn, few_harmonics)))
 
-    ends = coarse if plan == cheap else jax.vmap(finish)(coarse, given[1])
-    return jax.vmap(lambda y, n: polish(plan, joints, n, y))(ends, lines)
+    coarse = jax.vmap(swept)(given.u)
+    sweeps, f = coarse.shape[:2]
+    coarse = coarse.reshape(sweeps * f, -1)
+
+    def line(of: Line, k: Int[Array, ""]) -> Line:
+        return Line(of.G[k % f], of.u.reshape(sweeps * f, *of.u.shape[2:])[k], of.omega[k % f])
+
+    def whole(k: Int[Array, ""]) -> Float[Array, " r"]:
+        return plan.real(_pad(cheap.complex(coarse[k]), cheap.harmonics, plan.harmonics))
+
+    def finish(k: Int[Array, ""]) -> Float[Array, " r"]:
+        return find(plan, own, line(given, k), whole(k)[None] * jnp.array([1.0, 0.9, 1.1])[:, None])[0]
+
+    lanes, ends = jnp.arange(sweeps * f), coarse
+    if plan != cheap:
+        # lines of like difficulty together, so that a chunk of easy ones is done at once
+        order = jnp.argsort(in_chunks(lambda k: left_over(plan, own, line(given, k), whole(k)), lanes))
+        ends = jnp.zeros((sweeps * f, plan.size)).at[order].set(in_chunks(finish, order))
+    made = in_chunks(lambda k: polish(plan, joints, line(lines, k), ends[k]), lanes)
+    return jax.tree.map(lambda a: a.reshape(sweeps, f, *a.shape[1:]), made)
 
 
 def solved(left: Float[Array, "..."]) -> Bool[Array, "..."]:

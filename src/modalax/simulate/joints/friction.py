@@ -4,6 +4,7 @@ from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
+from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Complex, Float
 from typing_extensions import override
 
@@ -56,16 +57,46 @@ def slide_average(force: Any, limit: Any, k: Any, way: Any, bow: Any) -> Float[A
     """
     length, side = jnp.abs(way), jnp.where(way < 0, -1.0, 1.0)
     curve = jnp.clip(side * bow, -length, length)
-    left = jnp.maximum(limit / k - side * force / k, 0.0)
+    return side * _mean_push(*jnp.broadcast_arrays(side * force, limit, k, length, curve))
+
+
+def _onset(force: Array, limit: Array, k: Array, length: Array, curve: Array) -> Array:
+    """Share of the time of a step before slip begins; 1 where it does not."""
+    left = jnp.maximum(limit - force, 0.0) / k
     slips = left < length
     # the smaller root of curve s^2 - (length + curve) s + left = 0, in the form that does not cancel
     slope = length + curve
     inner = jnp.where(slips, slope**2 - 4 * curve * left, 1.0)
     root = jnp.sqrt(jnp.where(inner > 0, inner, 0.0) + jnp.where(inner > 0, 0.0, 1e-300))
     divisor = jnp.where(slips, slope + root, 1.0)
-    s = jnp.where(slips, jnp.minimum(2 * left / jnp.where(divisor > 0, divisor, 1.0), 1.0), 1.0)
-    stretched = length * s**2 / 2 + curve * (s**2 / 2 - s**3 / 3)
-    return force * s + side * (k * stretched + (1 - s) * limit)
+    return jnp.where(slips, jnp.minimum(2 * left / jnp.where(divisor > 0, divisor, 1.0), 1.0), 1.0)
+
+
+@jax.custom_jvp
+def _mean_push(force: Array, limit: Array, k: Array, length: Array, curve: Array) -> Array:
+    """Mean force of a slider that is pushed on in the direction of positive forces.
+
+    When slip begins does not matter to first order, because the force does not jump there: so its derivative needs no
+    derivative of a root.
+    """
+    s = _onset(force, limit, k, length, curve)
+    return force * s + k * (length * s**2 / 2 + curve * (s**2 / 2 - s**3 / 3)) + (1 - s) * limit
+
+
+def _mean_push_jvp(primals: tuple[Array, ...], tangents: tuple[Any, ...]) -> tuple[Array, Array]:
+    force, limit, k, length, curve = primals
+    s = _onset(*primals)
+    by_length, by_curve = s**2 / 2, s**2 / 2 - s**3 / 3
+    value = force * s + k * (length * by_length + curve * by_curve) + (1 - s) * limit
+    slopes = (s, 1 - s, length * by_length + curve * by_curve, k * by_length, k * by_curve)
+    change = jnp.zeros_like(value)
+    for slope, tangent in zip(slopes, tangents, strict=True):
+        if not isinstance(tangent, SymbolicZero):
+            change = change + slope * tangent
+    return value, change
+
+
+_mean_push.defjvp(_mean_push_jvp, symbolic_zeros=True)
 
 
 class ElastoSlip(Hysteretic):
