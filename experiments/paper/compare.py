@@ -4,6 +4,7 @@ import argparse
 import time
 from pathlib import Path
 
+import jax
 import matplotlib
 import section3
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -41,6 +42,7 @@ def main() -> None:
     )
     with Progress(*columns) as progress:
         for part in args.only:
+            jax.clear_caches()  # compiled functions of all parts together are more than a process may map
             start = time.perf_counter()
             text += [*run(part, args.out, progress), f"({part}: {time.perf_counter() - start:.0f} s)\n"]
             (args.out / "paper.md").write_text("\n".join(text))

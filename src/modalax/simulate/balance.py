@@ -105,7 +105,8 @@ def find(
 ) -> tuple[Float[Array, " r"], Float[Array, ""]]:
     """Damped Newton iteration from each start (scaled reals) in turn until one leads to a solution.
 
-    Returns where it ends and the residual left there. Not differentiated: see :func:`polish`.
+    Returns where it ends and the residual left there. Not differentiated: see :func:`polish`, whose one step is all
+    that a first start needs which is solved already.
     """
     args = (plan, joints, line, motion_scale(line))
 
@@ -114,7 +115,8 @@ def find(
         return missing, missing
 
     def go_on(s: _Search) -> Bool[Array, ""]:
-        return (s.left > TIGHT) & (s.start < len(starts))
+        fresh = (s.start == 0) & (s.count == 0)
+        return (s.left > jnp.where(fresh, CLOSED, TIGHT)) & (s.start < len(starts))
 
     def improve(s: _Search) -> _Search:
         jacobian, missing = jax.jacfwd(both, has_aux=True)(s.y)
