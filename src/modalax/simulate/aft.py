@@ -102,17 +102,18 @@ def _motion(
 ) -> tuple[Float[Array, " t"], Float[Array, " t"]]:
     """Displacement and velocity at the phases ``tau``."""
     k = np.array(harmonics)
-    cosine, sine = jnp.cos(np.outer(tau, k)), jnp.sin(np.outer(tau, k))
-    x = cosine @ q.real - sine @ q.imag
-    v = -omega * ((sine * k) @ q.real + (cosine * k) @ q.imag)
-    return x, v
+    cosine, sine = np.cos(np.outer(tau, k)), np.sin(np.outer(tau, k))
+    parts = jnp.concatenate([q.real, q.imag])
+    x = np.concatenate([cosine, -sine], axis=1) @ parts
+    return x, -omega * (np.concatenate([sine * k, cosine * k], axis=1) @ parts)
 
 
 def _coefficients(f: Float[Array, " t"], tau: np.ndarray, harmonics: Harmonics) -> Complex[Array, " h"]:
     """Fourier coefficients of samples that fill the cycle, or of half a cycle of an odd motion."""
     k = np.array(harmonics)
-    angle, weight = np.outer(k, tau), np.where(k == 0, 1.0, 2.0) / len(tau)
-    return jnp.asarray(weight) * (jnp.cos(angle) @ f - 1j * (jnp.sin(angle) @ f))
+    angle, weight = np.outer(k, tau), np.where(k == 0, 1.0, 2.0)[:, None] / len(tau)
+    both = np.concatenate([weight * np.cos(angle), -weight * np.sin(angle)]) @ f
+    return both[: len(k)] + 1j * both[len(k) :]
 
 
 def _memoryless(
@@ -146,10 +147,14 @@ def _with_memory(
     bow_in = 0.5 * (v_old - v_turn) * share * step
     bow_out = 0.5 * (v_turn - v_new) * (1 - share) * step
 
-    def advance(state: Any, part: tuple[Array, ...]) -> tuple[Any, tuple[Any, Any]]:
-        old, turn, new = part
+    def advance(state: Any, part: tuple[Array, ...]) -> tuple[Any, Any]:
+        old, turn, new, *rest = part
         turned, _ = joint.step(state, old, turn)
-        return joint.step(turned, turn, new)[0], (state, turned)
+        seen = (state, turned) if single else average(state, turned, old, turn, new, *rest)
+        return joint.step(turned, turn, new)[0], seen
+
+    def average(state: Any, turned: Any, old: Any, turn: Any, new: Any, share: Any, bow_in: Any, bow_out: Any) -> Any:
+        return share * joint.average(state, old, turn, bow_in) + (1 - share) * joint.average(turned, turn, new, bow_out)
 
     def settle(state: Any, part: tuple[Array, ...]) -> tuple[Any, None]:
         old, turn, new = part
@@ -166,10 +171,12 @@ def _with_memory(
             state, sign = run(state, sign), -sign
     else:
         state = joint.close(lambda s: run(run(s, 1.0), -1.0) if half else run(s, 1.0), state)
-    old, turn, new = sign * old, sign * turn, sign * new
-    _, (before, turned) = jax.lax.scan(advance, state, (old, turn, new))
-    average = jax.vmap(joint.average)
-    mean = share * average(before, old, turn, sign * bow_in) + (1 - share) * average(turned, turn, new, sign * bow_out)
+    way = (sign * old, sign * turn, sign * new, share, sign * bow_in, sign * bow_out)
+    # one number of state: all means at once after the steps; many sliders at all times would fill the memory
+    single = len(jax.tree.leaves(state)) == 1 and all(leaf.ndim == 0 for leaf in jax.tree.leaves(state))
+    mean = jax.lax.scan(advance, state, way)[1]
+    if single:
+        mean = jax.vmap(average)(*mean, *way)
     k = np.array(harmonics)
     box = np.sinc(k / samples)
     return _coefficients(sign * mean, 0.5 * (tau[:-1] + tau[1:]), harmonics) / box
