@@ -17,7 +17,7 @@ import numpy as np
 
 from modalax.diagnose.causes.base import Cause, Place
 from modalax.diagnose.fit import Hypothesis
-from modalax.diagnose.predict import equivalent
+from modalax.diagnose.predict import Modes, equivalent, gains_of
 from modalax.diagnose.problem import Problem
 from modalax.diagnose.quick import Target, fit_quick
 from modalax.diagnose.screen import KEPT_PLACES, KEPT_SHAPES, Residual, Trial, best_trial, smallest
@@ -120,14 +120,10 @@ def reduce(problem: Problem, theta: np.ndarray, state: Residual) -> Reduced:
         Logarithmic changes of the modal frequencies and damping ratios, shape ``(2, n)``.
     """
     plant = problem.plant
-    s = 1j * np.asarray(problem.omega)[:, None]
-    k = np.asarray(plant.stiffness) * np.exp(2 * theta[0])
-    c = np.asarray(plant.damping) * np.exp(theta[0] + theta[1])
-    poles = np.asarray(plant.poles)
-    D = s**2 + c * s + k + 1j * np.asarray(plant.hysteresis)
-    gains = np.concatenate([(s - poles.conj()) / D, (s - poles) / D], axis=1)
-    psi, part = np.asarray(plant.shapes), np.asarray(plant.participation)
-    psi, part = np.concatenate([psi, psi.conj()]), np.concatenate([part, part.conj()])
+    k, c, *ends_of = plant.adapted(jnp.asarray(theta))
+    still = Modes(k[None], c[None], plant.hysteresis[None])
+    gains = np.asarray(gains_of(1j * problem.omega, still, plant.poles, [], plant.mixing is not None))[0]
+    psi, part = (np.concatenate([a, a.conj()]) for a in map(np.asarray, ends_of))
     there = np.abs(psi).max(axis=1) > 0  # the others only fill up
     gains, psi, part = np.ascontiguousarray(gains[:, there]), psi[there], part[there]
     o, i = np.asarray(problem.outputs), np.asarray(problem.inputs)

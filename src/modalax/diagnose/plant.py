@@ -12,6 +12,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Array, Complex, Float
 
+from modalax.diagnose.mixing import Mixing, mixing_of
 from modalax.model import ModalModel, Structure
 
 RIGID_SHIFT = 1e-4  # a free structure is held by springs that put its rigid modes at this fraction of the band's start
@@ -43,6 +44,8 @@ class Plant(eqx.Module):
     scaled
         Whether the receptance between any two DoFs is known (a modal model without drive point knows only
         the measured ones).
+    mixing
+        How the complex modes follow the undamped ones, where dampers couple these and their spread is claimed.
     """
 
     poles: Complex[Array, " n"]
@@ -57,6 +60,18 @@ class Plant(eqx.Module):
     damping_std: Float[Array, " n"]
     dofs: tuple[str, ...] = eqx.field(static=True)
     scaled: bool = eqx.field(static=True)
+    mixing: Mixing | None = None
+
+    def adapted(self, theta: Float[Array, "2 n"]) -> tuple[Array, Array, Array, Array]:
+        """Stiffness, damping, shapes and participation with logarithmic changes of frequencies and damping ratios."""
+        if self.mixing is None:
+            k, c = self.stiffness * jnp.exp(2 * theta[0]), self.damping * jnp.exp(theta[0] + theta[1])
+            return k, c, self.shapes, self.participation
+        by = lambda a: jnp.tensordot(theta, a, 2)  # noqa: E731
+        return (
+            self.stiffness * jnp.exp(by(self.mixing.k)), self.damping * jnp.exp(by(self.mixing.c)),
+            self.shapes + by(self.mixing.shapes), self.participation + by(self.mixing.participation),
+        )  # fmt: skip
 
     def index(self, dof: str) -> int:
         """Position of a DoF by name; ``ValueError`` lists the names if there is no such one."""
@@ -122,14 +137,20 @@ def _from_structure(structure: Structure, lowest_hz: float) -> Plant:
     turn = np.take_along_axis(shapes, np.abs(shapes).argmax(axis=1)[:, None], axis=1)
     order = np.argsort(np.abs(poles))
     pair = int(upper.sum())
-    f_std, d_std = (
-        np.concatenate([np.broadcast_to(np.asarray(std), (n,))[:pair], np.zeros(len(keep) - pair)])
-        for std in (structure.frequency_std, structure.damping_std)
-    )
+    claims = [np.broadcast_to(np.asarray(std), (n,)) for std in (structure.frequency_std, structure.damping_std)]
+    f_std, d_std = (np.concatenate([std[:pair], np.zeros(len(keep) - pair)]) for std in claims)
+    mixing = None
+    if not real.any():
+        mixing = mixing_of(stiff, damp, values, right.T, left @ np.linalg.inv(mass), keep[order], phi, np.stack(claims))
+        if mixing is not None:  # in the lengths that are stored
+            by = turn[order]
+            mixing = eqx.tree_at(
+                lambda m: (m.shapes, m.participation), mixing, (mixing.shapes / by, mixing.participation * by)
+            )
     return _build(
         poles[order], (shapes / turn)[order], (part * turn)[order], structure.dofs,
         frequency_std=_in_order(f_std, real[keep][order]), damping_std=_in_order(d_std, real[keep][order]),
-        hysteresis=_nearest(structure, phi, squares, mass, poles[order], real[keep][order]),
+        hysteresis=_nearest(structure, phi, squares, mass, poles[order], real[keep][order]), mixing=mixing,
     )  # fmt: skip
 
 
@@ -177,7 +198,7 @@ def _from_modal(model: ModalModel) -> Plant:
 
 def _build(
     poles: Any, shapes: Any, part: Any, dofs: tuple[str, ...], *, frequency_std: Any, damping_std: Any,
-    hysteresis: Any = None, upper: Any = None, lower: Any = None, scaled: bool = True,
+    hysteresis: Any = None, upper: Any = None, lower: Any = None, scaled: bool = True, mixing: Mixing | None = None,
 ) -> Plant:  # fmt: skip
     zero = jnp.zeros((len(dofs), len(dofs)), jnp.complex128)
     poles = jnp.asarray(poles, jnp.complex128)
@@ -187,5 +208,5 @@ def _build(
         jnp.zeros(poles.shape) if hysteresis is None else jnp.asarray(hysteresis, jnp.float64),
         zero if upper is None else jnp.asarray(upper, jnp.complex128),
         zero if lower is None else jnp.asarray(lower, jnp.complex128),
-        jnp.asarray(frequency_std, jnp.float64), jnp.asarray(damping_std, jnp.float64), tuple(dofs), scaled,
+        jnp.asarray(frequency_std, jnp.float64), jnp.asarray(damping_std, jnp.float64), tuple(dofs), scaled, mixing,
     )  # fmt: skip

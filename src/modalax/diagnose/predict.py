@@ -75,32 +75,39 @@ def predict(
     for cause, _, _, p in at:
         if cause.stage == "laplace":
             s = s + cause.shift(p)
-    modes = Modes(
-        (plant.stiffness * jnp.exp(2 * theta[0]))[None], (plant.damping * jnp.exp(theta[0] + theta[1]))[None],
-        plant.hysteresis[None],
-    )  # fmt: skip
+    k, c, shapes, participation = plant.adapted(theta)
+    modes = Modes(k[None], c[None], plant.hysteresis[None])
     for cause, where, _, p in at:
         if cause.stage == "modes":
             modes = cause.modes(modes, where, p, problem.level.shape[0])
-    gains = _gains(s, modes, plant.poles, [(c, w, p) for c, w, _, p in at if c.stage == "kernel"])
-    H, channels = _assemble(s, gains, at, problem)
+    kernels = [(c, w, p) for c, w, _, p in at if c.stage == "kernel"]
+    gains = gains_of(s, modes, plant.poles, kernels, plant.mixing is not None)
+    H, channels = _assemble(s, gains, at, eqx.tree_at(_SHAPES, problem, (shapes, participation)))
     for cause, where, extra, p in at:
         if cause.stage == "channels":
             H = cause.channels(H, channels, where, extra, p)
     return H
 
 
-def _gains(s: Array, modes: Modes, poles: Array, kernels: list[Any]) -> Complex[Array, "run f m"]:
-    """Gains of the modes and of their conjugates, side by side."""
+_SHAPES = lambda problem: (problem.plant.shapes, problem.plant.participation)  # noqa: E731
+
+
+def gains_of(s: Array, modes: Modes, poles: Array, kernels: list[Any], mixing: bool) -> Complex[Array, "run f m"]:
+    """Gains of the modes and of their conjugates, side by side.
+
+    Where complex modes follow the undamped ones, so do their residues, which then belong to the poles as they are.
+    """
     s = s[None, :, None]
-    if not kernels:
-        D = s**2 + modes.c[:, None] * s + modes.k[:, None] + 1j * modes.h[:, None]
+    D = s**2 + modes.c[:, None] * s + modes.k[:, None] + 1j * modes.h[:, None]
+    if not kernels and not mixing:
         return jnp.concatenate([(s - poles.conj()) / D, (s - poles) / D], axis=-1)
-    cause, where, p = kernels[0]
     root = jnp.sqrt(modes.k[:, None] - 0.25 * modes.c[:, None] ** 2 + 0j)
     moved = -0.5 * modes.c[:, None] + 1j * root
     ratio = poles.imag / jnp.where(jnp.abs(root) > 0, root, 1.0)
     ratio = jnp.where(jnp.abs(poles.imag) > 0, ratio, 1.0)
+    if not kernels:
+        return jnp.concatenate([ratio * (s - moved + 2j * root) / D, ratio * (s - moved) / D], axis=-1)
+    cause, where, p = kernels[0]
     return jnp.concatenate(
         [ratio * cause.kernel(s - moved, where, p), ratio * cause.kernel(s - moved.conj(), where, p)], axis=-1
     )

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float, Int
 
+from modalax.diagnose.mixing import Mixing
 from modalax.diagnose.plant import Plant
 
 
@@ -148,5 +149,13 @@ def padded(plant: Plant) -> Plant:
         fill(plant.stiffness, unit), fill(plant.damping, 1.2 * rate), fill(plant.hysteresis, 0.0),
         square(plant.upper), square(plant.lower),
         fill(plant.frequency_std, 0.0), fill(plant.damping_std, 0.0),
-        (), plant.scaled,
+        (), plant.scaled, _padded_mixing(plant.mixing, more, wide),
     )  # fmt: skip
+
+
+def _padded_mixing(mixing: Mixing | None, more: int, wide: int) -> Mixing | None:
+    if mixing is None:
+        return None
+    square = lambda a: jnp.pad(a, ((0, 0), (0, more), (0, more)))  # noqa: E731
+    cube = lambda a: jnp.pad(a, ((0, 0), (0, more), (0, more), (0, wide)))  # noqa: E731
+    return Mixing(square(mixing.k), square(mixing.c), cube(mixing.shapes), cube(mixing.participation))

@@ -1,0 +1,91 @@
+"""Complex modes of a structure whose dampers couple them, where the undamped modes are off, against the matrices."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.linalg
+
+from modalax.diagnose.elements import reduce
+from modalax.diagnose.plant import plant_of
+from modalax.diagnose.predict import predict
+from modalax.diagnose.problem import make_problem
+from modalax.diagnose.screen import Residual
+from modalax.model import Structure
+from modalax.model.examples import five_dof
+
+FREQ = np.linspace(18.0, 70.0, 120)
+NAMES = ("1", "2", "3", "4", "5")
+
+
+def coupled(damper: float, std: float = 0.01) -> Structure:
+    """The five-DoF system with dampers at two places only."""
+    S = five_dof()
+    C = np.asarray(S.C).copy()
+    C[0, 0] += damper
+    C[np.ix_([2, 4], [2, 4])] += damper * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    return Structure(S.M, C, S.K, NAMES, frequency_std=std, damping_std=10 * std)
+
+
+def changed(structure: Structure, theta: np.ndarray) -> np.ndarray:
+    """Receptances from the matrices with frequencies and damping ratios of the undamped modes changed."""
+    M, C, K = (np.asarray(getattr(structure, name)) for name in "MCK")
+    square, phi = scipy.linalg.eigh(K, M)
+    own = np.einsum("dr,de,er->r", phi, C, phi)
+    back = M @ phi
+    K = K + (back * square * np.expm1(2 * theta[0])) @ back.T
+    C = C + (back * own * np.expm1(theta[0] + theta[1])) @ back.T
+    s = 2j * np.pi * FREQ[:, None, None]
+    return np.linalg.inv(s**2 * M + s * C + K)
+
+
+def adapted(structure: Structure, theta: np.ndarray) -> np.ndarray:
+    shape = (1, len(FREQ), 5, 5)
+    problem = make_problem(
+        FREQ, np.zeros(shape, complex), np.ones(shape), np.ones(1), NAMES, NAMES, plant_of(structure, FREQ[0])
+    )
+    full = np.zeros((2, problem.plant.stiffness.shape[0]))
+    full[:, :5] = theta
+    H = predict((), np.zeros((0, 3), int), (), (), jnp.asarray(full), problem)
+    return np.asarray(H)[0, : len(FREQ), :5, :5]
+
+
+def test_real_modes_need_no_mixing_and_claims_are_what_asks_for_it():
+    S = five_dof()
+    M, K = np.asarray(S.M), np.asarray(S.K)
+    assert plant_of(Structure(M, 1e-4 * K + 0.2 * M, K, NAMES, frequency_std=0.01), 1.0).mixing is None
+    assert plant_of(coupled(30.0, std=0.0), 1.0).mixing is None
+    assert plant_of(coupled(30.0), 1.0).mixing is not None
+
+
+@pytest.mark.parametrize("kind", [0, 1])
+def test_complex_modes_follow_to_first_order(kind):
+    """The error left falls as the square of the change, and is far below what is missed without mixing."""
+    S, rng = coupled(60.0), np.random.default_rng(3)
+    way = np.zeros((2, 5))
+    way[kind] = rng.normal(size=5)
+    error, missed = [], []
+    for size in (1e-3, 1e-2):
+        exact = changed(S, size * way)
+        top = np.abs(exact).max()
+        error.append(np.abs(adapted(S, size * way) - exact).max() / top)
+        bare = Structure(S.M, S.C, S.K, NAMES)  # no claims, so each complex mode is taken for an undamped one
+        missed.append(np.abs(adapted(bare, size * way) - exact).max() / top)
+    assert 30 < error[1] / error[0] < 300
+    assert error[0] < 0.05 * missed[0]
+
+
+def test_nothing_changes_at_zero_and_elements_see_the_same_receptances():
+    S = coupled(60.0)
+    theta = np.random.default_rng(5).normal(size=(2, 5)) * np.array([[3e-3], [0.05]])
+    assert np.abs(adapted(S, 0 * theta) - changed(S, 0 * theta)).max() < 1e-11 * np.abs(changed(S, 0 * theta)).max()
+    shape = (1, len(FREQ), 5, 5)
+    problem = make_problem(
+        FREQ, np.zeros(shape, complex), np.ones(shape), np.ones(1), NAMES, NAMES, plant_of(S, FREQ[0])
+    )
+    full = np.zeros((2, problem.plant.stiffness.shape[0]))
+    full[:, :5] = theta
+    padded = problem.weight.shape
+    none = Residual(np.zeros((*padded[2:], 2 * padded[1])), np.zeros((0, *padded[2:], 2 * padded[1])), np.zeros((0, 0)))
+    columns = reduce(problem, full, none).column(np.arange(5), np.full(5, -1))
+    expected = adapted(S, theta)
+    assert np.abs(columns[: len(FREQ), :5] - expected).max() < 1e-12 * np.abs(expected).max()
