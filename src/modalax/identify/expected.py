@@ -28,6 +28,7 @@ from jax import lax
 from jaxtyping import Array, Complex, Float
 
 from modalax._numerics.checks import as_double
+from modalax._numerics.powers import powers
 from modalax.data.frf import FRF
 from modalax.identify.bias import SMALLEST, STEPS, DampingBias, follow_poles
 from modalax.identify.fdpi import line_weight, system_factor, system_poles
@@ -105,8 +106,8 @@ def _lsce_bias(
     share = jnp.full(lines, 2.0).at[jnp.array([0, -1])].set(0.5) if real else jnp.ones(lines)
     length = 2 * (lines - 1) if real else lines
     density = (samples - skip - order) / length**2 * share[:, None] * jnp.sum(sigma2, axis=1)
-    powers = zoomed.circle(frf.omega)[:, None] ** jnp.arange(order + 1)
-    rows = powers[None, :, :, None] * (jnp.sqrt(density).T[:, :, None, None] * jnp.eye(size)[:, None, None, :])
+    columns = powers(zoomed.circle(frf.omega), order + 1)
+    rows = columns[None, :, :, None] * (jnp.sqrt(density).T[:, :, None, None] * jnp.eye(size)[:, None, None, :])
     rows = rows.reshape(size * lines, -1)
     noise = jnp.linalg.qr(jnp.concatenate([rows.real, rows.imag]) if real else rows, mode="r")
 
@@ -134,15 +135,7 @@ def expected_fdpi_bias(
     weights, residual
         As in :func:`modalax.identify.fdpi`.
 
-    Returns
-    -------
-    DampingBias
-        Expected minus true value of each mode. The poles of the mean normal matrix, not the mean of the poles.
-
-    Raises
-    ------
-    ValueError
-        As :func:`modalax.identify.fdpi`, and if there is no variance.
+    What it returns and raises is as there, with the messages of :func:`modalax.identify.fdpi`.
     """
     sigma2 = variance_of(frf, variance)
     n_lines, n_out, n_in = frf.shape
@@ -164,12 +157,12 @@ def _fdpi_bias(
     s = 1j * frf.omega / top
     signal = system_factor(s, jnp.swapaxes(frf.H, 1, 2) @ V, weight, degree, terms)
     kept = weight**2 * (1 - _numerator_leverage(s, weight, terms))
-    powers = s[:, None] ** jnp.arange(degree + 1)
+    columns = powers(s, degree + 1)
 
     def add(R: Array, output: tuple[Array, Array]) -> tuple[Array, None]:
         v, s2 = output
         density = jnp.sqrt(jnp.maximum(jnp.sum(kept * s2, axis=1), 0.0))
-        Y = (powers * density[:, None])[:, :, None] * v
+        Y = (columns * density[:, None])[:, :, None] * v
         Y = Y.reshape(len(Y), -1)
         return jnp.linalg.qr(jnp.concatenate([R, Y.real, Y.imag]), mode="r"), None
 
@@ -187,7 +180,7 @@ def _numerator_leverage(s: Complex[Array, " f"], weight: Float[Array, "f i"], te
     """Part of a line's noise that the polynomial B takes up: the mean of its real and its imaginary row."""
 
     def one(w: Array) -> Array:
-        columns = (s[:, None] ** jnp.arange(terms + 1)) * w[:, None]
+        columns = powers(s, terms + 1) * w[:, None]
         Q = jnp.linalg.qr(jnp.concatenate([columns.real, columns.imag]))[0]
         return jnp.sum(Q**2, axis=1).reshape(2, -1).mean(axis=0)
 

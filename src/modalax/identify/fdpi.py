@@ -9,6 +9,7 @@ from jax import lax
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Bool, Complex, Float, Int
 
+from modalax._numerics.powers import powers
 from modalax.data.frf import FRF
 from modalax.identify.fraction import polish
 from modalax.identify.polynomial import limits, weights_of, without_window
@@ -134,10 +135,10 @@ def system_factor(
 ) -> Float[Array, "m m"]:
     """Triangular factor of the real rows ``[B columns, s^0 Hc, ..., s^degree Hc]``, without its B part."""
     f, n_in, _ = Hc.shape
-    powers = s[:, None] ** jnp.arange(degree + 1)
-    left = (powers[:, None, :, None] * Hc[:, :, None, :] * weight[:, :, None, None]).reshape(f * n_in, -1)
+    left = powers(s, degree + 1)[:, None, :, None] * Hc[:, :, None, :]
+    left = (left * weight[:, :, None, None]).reshape(f * n_in, -1)
     eye = jnp.eye(n_in)
-    right = (s[:, None] ** jnp.arange(terms + 1))[:, None, :, None] * eye[None, :, None, :]
+    right = powers(s, terms + 1)[:, None, :, None] * eye[None, :, None, :]
     right = (right * weight[:, :, None, None]).reshape(f * n_in, -1)
     A = jnp.concatenate([right, left], axis=1)
     A = jnp.concatenate([A.real, A.imag])

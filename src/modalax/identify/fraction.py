@@ -11,9 +11,12 @@ whole stabilization diagram, and nothing is squared.
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Bool, Complex, Inexact, Int
+
+from modalax._numerics.powers import powers
 
 CONSTRAINTS = ("a0", "aN", "norm")
 
@@ -117,7 +120,7 @@ def polish(A: Array, u: Array, w: Array) -> tuple[Array, Array]:
     size = A.shape[1]
     u, w = lax.stop_gradient(u), lax.stop_gradient(w)
     c = w.conj()
-    powers = jnp.arange(A.shape[0])
+    exponent = np.arange(1, A.shape[0])
     outside = jnp.abs(u) > 1
     # Outside the disc high powers overflow: there the reversed polynomial in 1/u is the one to evaluate.
     B = jnp.where(outside, A[::-1], A)
@@ -126,9 +129,8 @@ def polish(A: Array, u: Array, w: Array) -> tuple[Array, Array]:
     v = jnp.where(far, 1.0, v)
 
     def value(v: Array) -> tuple[Array, Array]:
-        p = v**powers
-        d = jnp.where(powers > 0, powers * v ** jnp.maximum(powers - 1, 0), 0.0)
-        return jnp.tensordot(p, B, 1).T, jnp.tensordot(d, B, 1).T
+        p = powers(v, A.shape[0])
+        return jnp.tensordot(p, B, 1).T, jnp.tensordot(exponent * p[:-1], B[1:], 1).T
 
     start = v
     for _ in range(2):

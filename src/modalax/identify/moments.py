@@ -11,6 +11,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Complex, Float, Inexact
 
+from modalax._numerics.powers import powers
+
 CUT = 1e-12  # eigenvalues of the numerator's Gram matrix below this part of the largest are not seen on the arc
 
 
@@ -31,7 +33,8 @@ def factor_from_moments(
     m = (order + 1) * size
     top = max(order, numerator)
     w2 = weight**2
-    span = u[:, None] ** jnp.arange(-top, top + 1)  # |u| = 1, so negative powers are conjugates
+    ahead = powers(u, top + 1)
+    span = jnp.concatenate([ahead[:, :0:-1].conj(), ahead], axis=1)  # |u| = 1: negative powers are conjugates
     gram = _toeplitz(w2 @ span, numerator + 1, numerator + 1, top)
     whiten = _inverse_root(gram.real if real else gram)
     c = jnp.einsum("fri,fd->rid", H * w2[:, None, None], span)

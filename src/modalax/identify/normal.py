@@ -17,6 +17,7 @@ from jax import lax
 from jaxtyping import Array, Complex, Float, Inexact
 
 from modalax._numerics.checks import as_double
+from modalax._numerics.powers import powers
 from modalax.data.frf import FRF
 from modalax.identify.fraction import check_constraint
 from modalax.identify.lscf import ARC, RIDGE
@@ -69,7 +70,7 @@ class LinearProblem(eqx.Module):
 
     def powers(self) -> Complex[Array, "f k"]:
         """The powers 0 to ``order`` of the variable on the lines."""
-        return self.u[:, None] ** jnp.arange(self.order + 1)
+        return powers(self.u, self.order + 1)
 
     def basis_of(self, weight: Float[Array, " f"]) -> Array:
         """Orthonormal basis of the numerators of a row with this weight."""

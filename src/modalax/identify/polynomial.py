@@ -13,6 +13,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Complex, Float, Inexact
 
+from modalax._numerics.powers import powers
 from modalax.data.frf import FRF
 from modalax.identify.fraction import check_constraint, coefficients, roots
 from modalax.identify.moments import factor_from_moments
@@ -67,18 +68,18 @@ def triangular_factor(
     """
     f, n_rows, size = H.shape
     m = (order + 1) * size
-    powers = u[:, None] ** jnp.arange(order + 1)
+    columns = powers(u, order + 1)
     common = orthonormal_powers(u, weight[:, 0], numerator, real) if shared else None
     energy = jnp.sum(jnp.abs(H * weight[:, :, None]) ** 2) / size
     start = jnp.sqrt(ridge * energy) * jnp.eye(m)
 
     def add(R: Array, row: tuple[Array, Array]) -> tuple[Array, None]:
         h, w = row
-        Y = (powers[:, :, None] * (h * w[:, None])[:, None, :]).reshape(f, m)
+        Y = (columns[:, :, None] * (h * w[:, None])[:, None, :]).reshape(f, m)
         Y = jnp.concatenate([Y.real, Y.imag]) if real else Y
         Q = orthonormal_powers(u, w, numerator, real) if common is None else common
-        for _ in range(2):  # the second pass removes what rounding left of the first
-            Y = Y - Q @ (Q.conj().T @ Y)
+        # what rounding leaves of Q is no more than rounding makes elsewhere, so a second pass would not serve
+        Y = Y - Q @ (Q.conj().T @ Y)
         return jnp.linalg.qr(jnp.concatenate([R, Y]), mode="r"), None
 
     rows = (jnp.swapaxes(H, 0, 1), jnp.swapaxes(weight, 0, 1))

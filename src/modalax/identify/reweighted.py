@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Complex, Float, Int
 
+from modalax._numerics.powers import powers
 from modalax.data.frf import FRF
 from modalax.identify.fraction import coefficients, roots
 from modalax.identify.lscf import RIDGE
@@ -60,7 +61,7 @@ def reweighted(
     u, f, top = zoomed.circle(frf.omega), frf.H.shape[0], found[-1]
     H, weight = frf.H.reshape(f, -1, 1), weights_of(frf, weights).reshape(f, -1)
     degree = top if numerator is None else numerator
-    powers = u[:, None] ** jnp.arange(top + 1)
+    columns = powers(u, top + 1)
 
     def one(order: Int[Array, ""]) -> tuple[Array, Array]:
         def solve(size: Float[Array, " f"]) -> Complex[Array, "k i i"]:
@@ -70,7 +71,7 @@ def reweighted(
             return coefficients(R, order, 1, LAST[constraint])
 
         def again(_: Array, A: Array) -> Array:
-            size = jnp.abs(powers @ A[:, 0, 0])
+            size = jnp.abs(columns @ A[:, 0, 0])
             # A floor keeps a root on the circle from taking all the weight.
             return solve(jnp.maximum(size / jnp.max(size), 1e-4))
 

@@ -63,20 +63,23 @@ def orthonormal_powers(
     (Brubeck, Nakatsukasa and Trefethen, 2021). With ``real`` the basis spans real combinations: real and imaginary
     parts are stacked, shape ``(2 f, k)``.
     """
-    start = weight.astype(jnp.complex128)
-    start = start / jnp.linalg.norm(start)
     n = u.shape[0]
-    basis = jnp.zeros((n, degree + 1), jnp.complex128).at[:, 0].set(start)
+    start = jnp.concatenate([weight, jnp.zeros(n)]) if real else weight.astype(jnp.complex128)
+    rows = jnp.zeros((degree + 1, start.shape[0]), start.dtype).at[0].set(start / jnp.linalg.norm(start))
 
-    def body(k: Int[Array, ""], basis: Array) -> Array:
-        v = u * basis[:, k]
+    def times_u(v: Array) -> Array:
+        if not real:
+            return u * v
+        a, b = v[:n], v[n:]
+        return jnp.concatenate([u.real * a - u.imag * b, u.real * b + u.imag * a])
+
+    def body(k: Int[Array, ""], rows: Array) -> Array:
+        v = times_u(rows[k])
         for _ in range(2):  # twice is enough (Kahan, Parlett)
-            inner = basis.conj().T @ v
-            v = v - basis @ (inner.real if real else inner)
-        return basis.at[:, k + 1].set(v / jnp.linalg.norm(v))
+            v = v - (rows.conj() @ v) @ rows
+        return rows.at[k + 1].set(v / jnp.linalg.norm(v))
 
-    basis = lax.fori_loop(0, degree, body, basis)
-    return jnp.concatenate([basis.real, basis.imag]) if real else basis
+    return lax.fori_loop(0, degree, body, rows).T
 
 
 def check_orders(orders: object, n_lines: int, band: tuple[float, float], floor: int = 1) -> tuple[int, ...]:
