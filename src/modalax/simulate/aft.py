@@ -104,15 +104,15 @@ def _motion(
     k = np.array(harmonics)
     cosine, sine = np.cos(np.outer(tau, k)), np.sin(np.outer(tau, k))
     parts = jnp.concatenate([q.real, q.imag])
-    x = np.concatenate([cosine, -sine], axis=1) @ parts
-    return x, -omega * (np.concatenate([sine * k, cosine * k], axis=1) @ parts)
+    x = jnp.asarray(np.concatenate([cosine, -sine], axis=1)) @ parts
+    return x, -omega * (jnp.asarray(np.concatenate([sine * k, cosine * k], axis=1)) @ parts)
 
 
 def _coefficients(f: Float[Array, " t"], tau: np.ndarray, harmonics: Harmonics) -> Complex[Array, " h"]:
     """Fourier coefficients of samples that fill the cycle, or of half a cycle of an odd motion."""
     k = np.array(harmonics)
     angle, weight = np.outer(k, tau), np.where(k == 0, 1.0, 2.0)[:, None] / len(tau)
-    both = np.concatenate([weight * np.cos(angle), -weight * np.sin(angle)]) @ f
+    both = jnp.asarray(np.concatenate([weight * np.cos(angle), -weight * np.sin(angle)])) @ f
     return both[: len(k)] + 1j * both[len(k) :]
 
 
@@ -174,9 +174,8 @@ def _with_memory(
     way = (sign * old, sign * turn, sign * new, share, sign * bow_in, sign * bow_out)
     # one number of state: all means at once after the steps; many sliders at all times would fill the memory
     single = len(jax.tree.leaves(state)) == 1 and all(leaf.ndim == 0 for leaf in jax.tree.leaves(state))
-    mean = jax.lax.scan(advance, state, way)[1]
-    if single:
-        mean = jax.vmap(average)(*mean, *way)
+    seen = jax.lax.scan(advance, state, way)[1]
+    mean = jax.vmap(average)(seen[0], seen[1], *way) if single else seen
     k = np.array(harmonics)
     box = np.sinc(k / samples)
     return _coefficients(sign * mean, 0.5 * (tau[:-1] + tau[1:]), harmonics) / box
