@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 
 from modalax.data import Measurement
+from modalax.diagnose.name import with_noise_beside
 from modalax.diagnose.noise import noise_of, scatter_freedom
 from modalax.diagnose.omnibus import omnibus
+from modalax.diagnose.study import make_study
+from modalax.model import Structure
 from modalax.model.examples import five_dof
 
 FREQ = np.linspace(15.0, 75.0, 400)
@@ -72,3 +75,32 @@ def test_the_omnibus_test_keeps_its_promise_and_sees_spread_effects():
     bump = np.exp(-(((np.arange(200) - 90) / 8.0) ** 2))[None, :, None, None]
     seen = [omnibus(draw() + 1.2 * bump, live, np.inf).p_value < 0.01 for _ in range(20)]
     assert np.mean(seen) > 0.9
+
+
+def test_noise_that_all_channels_share_is_read_off_the_lines():
+    """A hump of the noise over frequency, variances missing: the whitened residuals are even along frequency."""
+    rng, count = np.random.default_rng(8), 12
+    H = np.asarray(five_dof().frf(FREQ, outputs=("1", "2", "3", "4"), inputs=("1", "2", "3"), form="accelerance").H)
+    hump = 1 + 3 * np.exp(-(((FREQ - 50.0) / 3.0) ** 2))
+    sigma = 0.02 * np.sqrt((np.abs(H) ** 2).mean(axis=0)) * hump[:, None, None]
+    e = (rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape)) / np.sqrt(2) * sigma
+    M = Measurement(FREQ, (H + e)[None], form="accelerance", outputs=("1", "2", "3", "4"), inputs=("1", "2", "3"))
+    power = (np.abs(e / noise_of(M, H).sigma[0]) ** 2).mean(axis=(1, 2))
+    assert power.std() < 2 / np.sqrt(count)  # chance alone makes half of that
+    assert 0.7 < power[np.abs(FREQ - 50) < 2].mean() < 1.3
+
+
+def test_noise_is_read_again_beside_the_simulation_as_it_fits():
+    """Sharp peaks that the simulation has a little off look like noise until its modes have moved there."""
+    S, rng = five_dof(), np.random.default_rng(2)
+    freq, names = np.linspace(15.0, 75.0, 150), ("1", "2", "3")
+    K = np.asarray(S.K) * 1.01
+    truth = Structure(S.M, 0.2 * np.asarray(S.C), K, S.dofs)
+    simulation = Structure(S.M, 0.2 * np.asarray(S.C), S.K, S.dofs, frequency_std=0.01, damping_std=0.1)
+    H = np.asarray(truth.frf(freq, outputs=names, inputs=("1",)).H)
+    sigma = 0.002 * np.sqrt((np.abs(H) ** 2).mean(axis=0)) * np.ones(H.shape)
+    e = (rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape)) / np.sqrt(2) * sigma
+    study = make_study(Measurement(freq, (H + e)[None], outputs=names, inputs=("1",)), simulation)
+    before = np.median(study.noise.sigma / sigma)
+    after = np.median(with_noise_beside(study).noise.sigma / sigma)
+    assert before > 1.5 and 0.85 < after < 1.25

@@ -8,7 +8,7 @@ import scipy.special
 
 from modalax.diagnose.causes import catalogue
 from modalax.diagnose.causes.channels import SensorMass
-from modalax.diagnose.causes.joints import CubicStiffness
+from modalax.diagnose.causes.joints import CubicStiffness, DriftingSpring
 from modalax.diagnose.causes.local import AddedMass, Gyroscopic, JointStiffness, LocalDamper, TunedMass
 from modalax.diagnose.causes.modal import ExponentialWindow, FastSweep, ModalDamping, _hann, erfcx
 from modalax.diagnose.plant import plant_of
@@ -75,6 +75,16 @@ def test_a_local_element_equals_its_term_in_the_matrices(cause, index, p, matrix
     expected = from_matrices(**matrices)
     got = predicted(S, cause, index, [p])[0]
     assert np.abs(got - expected).max() < ROUNDING * np.abs(expected).max() * 10
+
+
+def test_a_drifting_spring_equals_its_term_in_each_run():
+    S, drift = five_dof(), 4e3
+    got = predicted(S, DriftingSpring(), (2, 4, 0), [drift], level=(1.0, 3.0, 2.0))
+    for run, share in enumerate((0.0, 0.5, 1.0)):
+        expected = from_matrices(
+            np.asarray(S.M), np.asarray(S.C), np.asarray(S.K) + share * drift * direction(5, 2, 4)
+        )  # fmt: skip
+        assert np.abs(got[run] - expected).max() < 10 * ROUNDING * np.abs(expected).max()
 
 
 def test_a_tuned_mass_equals_one_more_dof():

@@ -17,7 +17,7 @@ from modalax.diagnose.decide import Ranked
 from modalax.diagnose.extend import ExtendedSimulation, extend
 from modalax.diagnose.fit import Hypothesis
 from modalax.diagnose.gain import Gain, measure
-from modalax.diagnose.name import Naming, name, rivals
+from modalax.diagnose.name import Naming, name, rivals, with_noise_beside
 from modalax.diagnose.study import Study, causes_of, make_study
 from modalax.model import ModalModel, Structure
 
@@ -158,7 +158,7 @@ def diagnose(
         If double precision is off, a measured DoF is not in the simulation, or the data holds too few lines.
     """
     require_double("diagnose")
-    study = make_study(measurement, simulation, question)
+    study = with_noise_beside(make_study(measurement, simulation, question))
     runs = study.problem.data.shape[0]
     default = catalogue() + ([TimeVaryingSteps(runs)] if runs > 2 else [])
     doubted = IMITATORS if causes is None else ()

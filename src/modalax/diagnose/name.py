@@ -25,14 +25,15 @@ from modalax.diagnose.search import (
     screen_all,
     state_of,
 )
-from modalax.diagnose.study import Study
+from modalax.diagnose.study import Study, noise_beside
 
 LEFT = 0.002  # chance under noise below which a residual is said to hold something more
-LEFT_BY_SEVERAL = 0.05  # the same where several causes are needed
+LEFT_BY_SEVERAL = 0.01  # the same where several causes are needed
 PLACED = 0.8  # posterior of each leading place from which sure names are given
 DEEPEST = 3  # causes in one answer
 LEADING = 2  # hypotheses that a further cause is added to
 FURTHER = 3  # causes tried on each
+AGAIN = 2  # times that noise read off the lines is read again
 
 
 @dataclass(frozen=True)
@@ -74,8 +75,7 @@ class Naming:
 
 def name(study: Study, causes: Sequence[Cause], imitators: Sequence[Cause] = ()) -> Naming:
     """Search the causes of one study; ``imitators`` have no name, but may explain better what is about to be named."""
-    null = study.fit([_empty(study)], ROUNDS)[0]
-    freedom = study.noise.freedom
+    freedom, null = study.noise.freedom, study.fit([empty(study)], ROUNDS)[0]
     live = study.live()
     before = omnibus(study.residual(null), live, freedom)
     state = state_of(study, null)
@@ -118,6 +118,16 @@ def name(study: Study, causes: Sequence[Cause], imitators: Sequence[Cause] = ())
         likelier = sum(r.probability for r in nameless) > 0.5
         verdict, notes = "unknown" if likelier else _verdict(ranked, last.p_value), likeness(nameless)
     return Naming(verdict, ranked, null, screening, detection, before, last.omnibus, notes)
+
+
+def with_noise_beside(study: Study) -> Study:
+    """The same study with noise that had to be read off the lines read beside the simulation as it fits."""
+    for _ in range(AGAIN):
+        noise = noise_beside(study, study.fit([empty(study)], ROUNDS)[0])
+        if noise is None:
+            return study
+        study = study.with_noise(noise)
+    return study
 
 
 def _verdict(ranked: list[Ranked], left: float) -> str:
@@ -173,7 +183,8 @@ def rivals(ranked: list[Ranked]) -> list[Ranked]:
     return [r for r in ranked[1:] if r.probability >= RIVAL] or ranked[1:2]
 
 
-def _empty(study: Study) -> Hypothesis:
+def empty(study: Study) -> Hypothesis:
+    """The simulation alone."""
     return Hypothesis(theta=np.zeros((2, study.problem.plant.stiffness.shape[0])))
 
 

@@ -10,13 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.special
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import median_filter, uniform_filter1d
 
 from modalax.data import Measurement
 
 ENOUGH = 300.0  # degrees of freedom at which a variance is as good as known
 FLOOR = 1e-7  # least standard deviation, over the root mean square of the channel
 AROUND = 15  # lines over which the scatter with and without the simulation is compared
+SHARED = 9  # lines over which the course that all channels share is taken
 TRUSTED = 3.0  # degrees of freedom of each variance below which it was read from neighbouring lines
 THIRD = np.array([1.0, -3.0, 3.0, -1.0]) / np.sqrt(20.0)
 
@@ -41,10 +42,8 @@ class Noise:
 
     @property
     def spread(self) -> float:
-        """By how much estimated variances widen the scores; those read from neighbouring lines err by a third."""
-        if not np.isfinite(self.freedom):
-            return 1.0
-        return 1.0 + 0.3 / self.freedom + (0.15 if self.freedom < TRUSTED else 0.0)
+        """By how much estimated variances widen the scores."""
+        return 1.0 + 0.3 / self.freedom if np.isfinite(self.freedom) else 1.0
 
 
 def noise_of(measurement: Measurement, predicted: np.ndarray) -> Noise:
@@ -165,12 +164,20 @@ def smoothed(
         model = _two_parts(value, basis)
         fit = model * uniform_filter1d(value / model, width, axis=1, mode="nearest")
         if clip is not None:
+            fit = fit * _shared(value / fit)
             value = np.minimum(variance, clip * fit)
     if clip is None:
         # a line whose own estimate is far above the smooth one knows something that the smooth one does not
         far = scipy.special.gammainccinv(freedom / 2, 1e-6) * 2 / freedom
         fit = np.where(variance > far * fit, variance, fit)
     return fit
+
+
+def _shared(ratio: np.ndarray) -> np.ndarray:
+    """How the noise of all channels together goes over frequency, single lines left out, shape ``(1, f, 1, 1)``."""
+    line = ratio.mean(axis=(0, 2, 3))
+    smooth = uniform_filter1d(median_filter(line, SHARED, mode="nearest"), SHARED // 2, mode="nearest")
+    return smooth[None, :, None, None]
 
 
 def _two_parts(value: np.ndarray, basis: list[np.ndarray], rounds: int = 60) -> np.ndarray:

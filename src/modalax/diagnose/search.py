@@ -60,7 +60,7 @@ class State:
     def nearest(self, study: Study, cause: Cause, places: list[Any]) -> list[Any]:
         """The places of a cause, or of very many those that are worth a look."""
         kind = "skew" if hasattr(cause, "matrix") else "swap" if isinstance(cause, ChannelSwap) else "element"
-        key = (kind, id(places))
+        key = (kind, *alike(places))
         if key not in self.cache:
             if kind == "swap":
                 problem = study.problem
@@ -69,8 +69,13 @@ class State:
                 which = shortlist(self.reduced[True], self.sides[True].nuisance, places, kind == "skew")
             else:
                 which = range(len(places))
-            self.cache[key] = places, [places[k] for k in which]  # the list is kept so that its number stays its own
-        return self.cache[key][1]
+            self.cache[key] = which
+        return [places[k] for k in self.cache[key]]
+
+
+def alike(places: Sequence[Place]) -> tuple[Any, ...]:
+    """The same for lists of the same directions over the DoFs."""
+    return (len(places), places[0].index, places[-1].index) if places else (0,)
 
 
 def state_of(study: Study, h: Hypothesis, jacobian: np.ndarray | None = None) -> State:
@@ -152,13 +157,12 @@ def screen_all(study: Study, h: Hypothesis, causes: Sequence[Cause], state: Stat
                     trials.append(Trial(cause, place, -lines.chi2, np.nan, np.array([lines.amplitude]), extra=lines))
         elif is_element(cause) and state.reduced:
             places = cause.places(study.scene)
-            if (side, id(places)) not in products:
-                near = state.nearest(study, cause, places)
-                apart = products.setdefault((True, id(places)), (near, at_places(state.reduced[True], near)))[1]
+            near, key = state.nearest(study, cause, places), alike(places)
+            if (side, key) not in products:
+                apart = products.setdefault((True, key), at_places(state.reduced[True], near))
                 one = study.pooled is study.problem
-                pooled = apart if one else at_places(state.reduced[False], near, apart=apart)
-                products[False, id(places)] = near, pooled
-            near, at = products[side, id(places)]
+                products[False, key] = apart if one else at_places(state.reduced[False], near, apart=apart)
+            at = products[side, key]
             weight = np.asarray(problem.weight)
             found = screen_elements(cause, study.scene, state.reduced[side], at, near, weight, finite)
             trials += [replace(t, trials=round(t.trials * len(places) / len(near))) for t in found]

@@ -23,7 +23,7 @@ from modalax.diagnose.fit import (
     residual_of,
     searched,
 )
-from modalax.diagnose.noise import Noise, noise_of
+from modalax.diagnose.noise import TRUSTED, Noise, noise_of
 from modalax.diagnose.plant import plant_of
 from modalax.diagnose.predict import predict
 from modalax.diagnose.problem import Held, Problem, make_problem
@@ -105,6 +105,16 @@ class Study:
         mask[: len(lines)] = lines
         keep = np.where(mask, 0.0, 1.0)[None, :, None, None]
         return self.reweighted(np.asarray(self.problem.weight) * keep)
+
+    def with_noise(self, noise: Noise) -> "Study":
+        """The same with the noise known better."""
+        order = DERIVATIVES[self.measurement.form]
+        sigma = noise.sigma / (2 * np.pi * self.scene.freq[:, None, None]) ** order
+        weight = np.zeros(self.problem.weight.shape)
+        n_out, n_in = self.problem.channels
+        weight[:, : self.problem.lines, :n_out, :n_in] = np.sqrt(2) / sigma
+        weight = np.where(self.live(), weight, 0.0)
+        return replace(self.reweighted(weight), noise=noise)
 
     def reweighted(self, weight: np.ndarray) -> "Study":
         """The same with other weights."""
@@ -205,6 +215,15 @@ def make_study(
         measurement, simulation, noise, problem, pooled, rest, scene,
         nuisance, replace(nuisance, basis=free_basis(pooled) if free else None), asked, tuple(notes),
     )  # fmt: skip
+
+
+def noise_beside(study: Study, null: Hypothesis) -> Noise | None:
+    """Noise that had to be read off the lines, once more beside the simulation as it fits; None where it was given."""
+    if study.noise.freedom >= TRUSTED or study.question == "free":
+        return None
+    order = DERIVATIVES[study.measurement.form]
+    predicted = study.prediction(null)[0] * (2j * np.pi * study.scene.freq[:, None, None]) ** order
+    return noise_of(study.measurement, predicted)
 
 
 def _coupled(simulation: Structure | ModalModel) -> np.ndarray | None:

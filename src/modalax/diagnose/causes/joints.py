@@ -5,6 +5,7 @@ Thresholds are screened at fractions of the amplitude that the undisturbed struc
 
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
@@ -144,7 +145,37 @@ class BilinearStiffness(JointCause):
         }
 
 
+class DriftingSpring(JointCause):
+    r"""One spring that drifts from run to run, by :math:`\delta\,n/(N-1)` in run n = 0 ... N-1."""
+
+    slug = "time_varying"
+    summary = "one joint drifts from run to run"
+    prior = 0.5
+    parameters = (Parameter("stiffness_drift", "N/m"),)
+
+    def places(self, scene: Scene) -> list[Place]:
+        """Anywhere, if there are several runs; the answer tells no place."""
+        if len(scene.levels) < 2:
+            return []
+        if "drifting" not in scene.cache:
+            scene.cache["drifting"] = [Place((), p.index) for p in scene.pairs()]
+        return scene.cache["drifting"]
+
+    def grid(self, scene: Scene, place: Place) -> np.ndarray:
+        """Softer and stiffer, around one over the receptance."""
+        return strengths(scene.stiffness_scale(place))
+
+    def impedance(self, A: Array, omega: Array, p: Array) -> Array:
+        """The stiffness gained up to each run, the first axis of ``A``."""
+        course = jnp.linspace(0.0, 1.0, A.shape[0]) if A.shape[0] > 1 else jnp.zeros(1)
+        return p[0] * course[:, None, None] + 0j * A
+
+    def report(self, p: np.ndarray, place: Place) -> dict[str, tuple[Any, str]]:
+        """The drift from the first run to the last."""
+        return {"stiffness_drift": (p[0], "N/m")}
+
+
 JOINTS: tuple[Any, ...] = (
     CoulombFriction(), ElastoSlip(False), ElastoSlip(True), CubicStiffness(), GapContact(), QuadraticDamping(),
-    BilinearStiffness(),
+    BilinearStiffness(), DriftingSpring(),
 )  # fmt: skip

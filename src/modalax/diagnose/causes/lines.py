@@ -7,6 +7,7 @@ import numpy as np
 from modalax.diagnose.causes.base import Cause, Parameter, Place, Scene
 
 DRAWS = 1000  # of noise alone, against which hum is judged
+FEW_LINES = 16  # away from hum, below which nothing is known of how uneven the noise is
 REACHES = (0.5, 1.5, 2.5)  # line spacings that hum may leak into
 
 
@@ -86,12 +87,27 @@ class MainsHum(Cause):
             return HumLines(mask, 0.0, 1.0, 0.0, fundamental, 1.0)
         mask[np.concatenate(chosen)] = True
         top = float((power[0, mask] / np.maximum(count[mask], 1)).max() - 1)
-        noise = np.random.default_rng(0).chisquare(np.maximum(count, 1), (DRAWS, len(freq))) * (count > 0)
+        noise = _null(power[0], count, np.concatenate([np.concatenate(near) for near, _ in tried]))
         null = np.max([_worth(near, _raised(noise, count, near)) for near, _ in tried], axis=0)
         return HumLines(
             mask, -float(sum(g[0] for g in gains)), float(mask.sum()), float(np.sqrt(top)), fundamental,
             _tail(max(worth), null),
         )  # fmt: skip
+
+
+def _null(power: np.ndarray, count: np.ndarray, near: np.ndarray) -> np.ndarray:
+    """Draws of the sums of squares under noise alone, as uneven from line to line as away from the lines of hum.
+
+    Known variances leave a scatter of 2/n; what lies beyond that is how well the noise of a line is known at all.
+    """
+    rng, n = np.random.default_rng(0), np.maximum(count, 1)
+    away = np.setdiff1d(np.flatnonzero(count > 0), near)
+    draws = rng.chisquare(n, (DRAWS, len(n))) * (count > 0)
+    if len(away) < FEW_LINES:
+        return draws
+    more = float(np.var(power[away] / n[away]) - np.mean(2 / n[away]))
+    uneven = max(more - 3 * np.mean(2 / n[away]) * np.sqrt(2 / len(away)), 0.0)  # beyond what chance may make of it
+    return draws * rng.gamma(1 / uneven, uneven, draws.shape) if uneven > 0 else draws
 
 
 def _raised(power: np.ndarray, count: np.ndarray, sets: list[np.ndarray]) -> list[np.ndarray]:
