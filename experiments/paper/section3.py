@@ -354,7 +354,7 @@ def _likelihood(base: FRF, level: float, count: int) -> np.ndarray:
     found = []
     for key in jax.random.split(jax.random.key(13), count):
         data = with_noise(base, gaussian(key, base, jnp.asarray(level)), jnp.asarray(level))
-        start = METHODS["subspace"](data)
+        start = _fit_table("subspace", data)
         poles = pick(np.asarray(start.poles), np.asarray(start.valid))[0]
         if np.isnan(poles).any():
             found.append(np.full(5, np.nan, complex))

@@ -17,7 +17,7 @@ FRF_CLEAN = STRUCTURE.frf(np.arange(200, 701, 4) * 0.1, inputs=["1"])
 RMS = jnp.sqrt(jnp.mean(jnp.abs(FRF_CLEAN.H) ** 2, axis=0, keepdims=True))
 
 
-@pytest.mark.parametrize(("constraint", "order"), [("a0", 16), ("aN", 10)])
+@pytest.mark.parametrize(("constraint", "order"), [("a0", 16), pytest.param("aN", 10, marks=pytest.mark.slow)])
 def test_mean_and_spread_of_the_poles(constraint, order):
     variance = jnp.broadcast_to(2 * (0.08 * RMS) ** 2, FRF_CLEAN.H.shape)
     options = dict(variance=variance, arc=1.0, constraint=constraint)

@@ -80,9 +80,9 @@ def test_without_noise_the_modes_are_there(name):
 
 
 def test_table_has_a_row_an_order():
-    table = subspace(CLEAN, [6, 10, 14], aperture=40)
-    assert table.orders == (6, 10, 14)
-    assert np.asarray(table.valid).sum(axis=1).tolist() == [6, 10, 14]
+    table = subspace(CLEAN, [6, 10], aperture=24)
+    assert table.orders == (6, 10)
+    assert np.asarray(table.valid).sum(axis=1).tolist() == [6, 10]
     table = compensated(CLEAN, [8, 12], variance=1e-14)
     assert np.asarray(table.valid).sum(axis=1).tolist() == [8, 12]
 

@@ -9,9 +9,10 @@ The estimators differ in what they take from that:
 - :func:`gtls` takes the eigenvector of the smallest eigenvalue: generalised total least squares.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
@@ -75,7 +76,14 @@ def subspace(
     if n <= found[-1]:
         raise ValueError(f"order {found[-1]} needs an aperture of at least {found[-1] + 1}, this one is {n}")
     problem, R, H = _whitened(frf, n, variance=variance, weights=weights, arc=arc, numerator=numerator)
-    top = found[-1]
+    return _table(problem, *_shift_invariant(R, H, found), found, frf, "subspace")
+
+
+@eqx.filter_jit
+def _shift_invariant(
+    R: Complex[Array, "k k"], H: Complex[Array, "k j"], orders: tuple[int, ...]
+) -> tuple[Complex[Array, "order p"], Bool[Array, "order p"]]:
+    n, top = H.shape[1], orders[-1]
     Q = jnp.linalg.svd(R)[2][:top].T
     F = Q[:n].conj().T @ (H.T @ Q)
     last = Q[n]
@@ -88,8 +96,7 @@ def subspace(
         shift = F_p + jnp.outer(r.conj(), r @ F_p) / (1 - jnp.sum(jnp.abs(r) ** 2))
         return _eigenvalues(shift, inside)
 
-    u, valid = jax.vmap(one)(jnp.asarray(found))
-    return _table(problem, u, valid, found, frf, "subspace")
+    return jax.vmap(one)(jnp.asarray(orders))
 
 
 def compensated(
@@ -129,20 +136,19 @@ def compensated(
         frf, found[-1], variance=_known(frf, variance), weights=weights, arc=arc, numerator=numerator
     )
     rows = problem.H.shape[1] * (problem.u.shape[0] - problem.numerator - 1)
-    M = R.conj().T @ R
+    return _table(problem, *_polynomial_roots(R, H, found, (rows, keep)), found, frf, "compensated")
 
-    def coefficients(n: Int[Array, ""]) -> Complex[Array, " k"]:
-        index = jnp.arange(R.shape[0])
-        inside = index < n
-        block = jnp.where(inside[:, None] & inside[None, :], M, jnp.diag(jnp.where(inside, 0.0, 1e-3)))
-        right = jnp.where(inside, lax.dynamic_index_in_dim(M, n, axis=1, keepdims=False), 0.0)
-        values, vectors = jnp.linalg.eigh(block)
-        edge = (1 + keep * jnp.sqrt(n / rows)) ** 2
-        inverse = jnp.where(values > edge, 1 / jnp.where(values > edge, values - 1, 1.0), 0.0)
-        x = -vectors @ (inverse * (vectors.conj().T @ right))
-        return jnp.where(inside, x, 0.0) + (index == n)
 
-    return _polynomial_table(problem, H, coefficients, found, frf, "compensated")
+def _compensated(R: Complex[Array, "k k"], n: Int[Array, ""], rows: int, keep: float) -> Complex[Array, " k"]:
+    index = jnp.arange(R.shape[0])
+    inside, M = index < n, R.conj().T @ R
+    block = jnp.where(inside[:, None] & inside[None, :], M, jnp.diag(jnp.where(inside, 0.0, 1e-3)))
+    right = jnp.where(inside, lax.dynamic_index_in_dim(M, n, axis=1, keepdims=False), 0.0)
+    values, vectors = jnp.linalg.eigh(block)
+    edge = (1 + keep * jnp.sqrt(n / rows)) ** 2
+    inverse = jnp.where(values > edge, 1 / jnp.where(values > edge, values - 1, 1.0), 0.0)
+    x = -vectors @ (inverse * (vectors.conj().T @ right))
+    return jnp.where(inside, x, 0.0) + (index == n)
 
 
 def gtls(
@@ -178,16 +184,14 @@ def gtls(
     """
     found = check_orders(orders, frf.freq.shape[0], limits(frf))
     problem, R, H = _whitened(frf, found[-1], variance=variance, weights=weights, arc=arc, numerator=numerator)
+    return _table(problem, *_polynomial_roots(R, H, found, None), found, frf, "gtls")
 
-    def coefficients(n: Int[Array, ""]) -> Complex[Array, " k"]:
-        inside = jnp.arange(R.shape[0]) <= n
-        masked = jnp.where(
-            inside[:, None] & inside[None, :], R, jnp.diag(jnp.where(inside, 0.0, 2 * jnp.linalg.norm(R)))
-        )
-        c = jnp.linalg.svd(masked)[2][-1].conj()
-        return jnp.where(inside, c, 0.0) / c[n]
 
-    return _polynomial_table(problem, H, coefficients, found, frf, "gtls")
+def _smallest(R: Complex[Array, "k k"], n: Int[Array, ""]) -> Complex[Array, " k"]:
+    inside = jnp.arange(R.shape[0]) <= n
+    masked = jnp.where(inside[:, None] & inside[None, :], R, jnp.diag(jnp.where(inside, 0.0, 2 * jnp.linalg.norm(R))))
+    c = jnp.linalg.svd(masked)[2][-1].conj()
+    return jnp.where(inside, c, 0.0) / c[n]
 
 
 def _known(frf: FRF, variance: Any) -> Any:
@@ -208,6 +212,11 @@ def _whitened(frf: FRF, n: int, *, variance: Any, **options: Any) -> tuple[Linea
     if variance is None and frf.variance is None:
         variance = jnp.mean(jnp.abs(frf.H) ** 2)
     problem = linear_problem(frf, n, variance=variance, **options)
+    return problem, *_white_factor(problem)
+
+
+@eqx.filter_jit
+def _white_factor(problem: LinearProblem) -> tuple[Array, Array]:
     basis, H = _noise_basis(problem)
 
     def add(R: Array, row: tuple[Array, Array]) -> tuple[Array, None]:
@@ -219,9 +228,9 @@ def _whitened(frf: FRF, n: int, *, variance: Any, **options: Any) -> tuple[Linea
         return jnp.linalg.qr(jnp.concatenate([R, Y]), mode="r"), None
 
     common = problem.basis_of(problem.weight[:, 0]) if problem.shared else None
-    start = jnp.zeros((n + 1, n + 1), jnp.complex128)
+    start = jnp.zeros((problem.order + 1, problem.order + 1), jnp.complex128)
     R, _ = lax.scan(add, start, (problem.H[:, :, 0].T, problem.weight.T))
-    return problem, R, H
+    return R, H
 
 
 def _noise_basis(problem: LinearProblem) -> tuple[Complex[Array, "f k"], Complex[Array, "k j"]]:
@@ -251,26 +260,24 @@ def _eigenvalues(A: Complex[Array, "p p"], inside: Bool[Array, " p"]) -> tuple[C
     return u, jnp.isfinite(u) & (jnp.abs(u) < _DUMMY / 2) & (jnp.abs(u) > 0)
 
 
-def _polynomial_table(
-    problem: LinearProblem,
-    H: Complex[Array, "k j"],
-    coefficients: Callable[[Array], Array],
-    orders: tuple[int, ...],
-    frf: FRF,
-    method: str,
-) -> PoleTable:
-    """Roots of polynomials given in Arnoldi's basis: eigenvalues of the recurrence with its last column changed."""
-    n = problem.order
+@eqx.filter_jit
+def _polynomial_roots(
+    R: Complex[Array, "k k"], H: Complex[Array, "k j"], orders: tuple[int, ...], noise: tuple[int, float] | None
+) -> tuple[Complex[Array, "order p"], Bool[Array, "order p"]]:
+    """Roots of polynomials given in Arnoldi's basis: eigenvalues of the recurrence with its last column changed.
+
+    The polynomials are those of :func:`compensated`, whose rows and margin are in ``noise``, or of :func:`gtls`.
+    """
+    n = H.shape[1]
 
     def one(order: Int[Array, ""]) -> tuple[Complex[Array, " p"], Bool[Array, " p"]]:
-        c = coefficients(order)
+        c = _smallest(R, order) if noise is None else _compensated(R, order, *noise)
         inside = jnp.arange(n) < order
         block = jnp.where(inside[:, None] & inside[None, :], H[:n], 0.0)
         column = jnp.where(inside, c[:n], 0.0) * H[order, order - 1]
         return _eigenvalues(block - jnp.where((jnp.arange(n) == order - 1)[None, :], column[:, None], 0.0), inside)
 
-    u, valid = jax.vmap(one)(jnp.asarray(orders))
-    return _table(problem, u, valid, orders, frf, method)
+    return jax.vmap(one)(jnp.asarray(orders))
 
 
 def _table(problem: LinearProblem, u: Array, valid: Array, orders: tuple[int, ...], frf: FRF, method: str) -> PoleTable:

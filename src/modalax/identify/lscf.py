@@ -47,7 +47,9 @@ def lscf(
         Added to the normal matrix, relative to its mean diagonal. The default only decides between solutions that
         fit equally well to rounding: the one of least norm.
     numerator
-        Degree of the numerators for all orders; the largest order if None.
+        Degree of the numerators for all orders; the largest order if None, so that one factorisation serves all. A
+        numerator far above the order takes up much of what is no pole: orders that are to be read off FRFs of a
+        non-linear structure are better computed each for itself.
     solver
         ``qr``: orthogonal factorisation, exact to rounding; ``moments``: normal matrix from moments, far faster for
         many outputs, but blind below :math:`10^{-8}` of the largest FRF; ``auto``: moments for large sets.
