@@ -8,6 +8,7 @@ import generator
 import pytest
 
 from modalax.diagnose import diagnose
+from modalax.diagnose.causes import catalogue
 from modalax.files import load
 
 STRUCTURES = {"chain": ("masses", 35), "beam": ("frame", 12), "other chain": ("masses", 20)}
@@ -74,5 +75,9 @@ def test_wrong_units_are_named_although_the_simulation_may_be_a_little_off(tmp_p
     """The modes would have to move by thousands of claimed standard deviations to follow such an effect."""
     plan = dict(spread=True, variance="16", inputs=1, runs=3, structure=12)
     case = generator.draw_case(300, "units", 30.0, "frame", **plan)
-    said = answer(case, tmp_path)
-    assert said["verdict"] == "named" and names(said["causes"]) == ["units"]
+    case.save(tmp_path / "open", tmp_path / "hidden" / "truth.json")
+    channels = [c for c in catalogue() if c.stage in ("channels", "modes")]
+    said = diagnose(
+        load(tmp_path / "open" / "measurement.npz"), load(tmp_path / "open" / "simulation.npz"), causes=channels
+    )
+    assert said.verdict == "named" and names(said.causes) == ["units"]
