@@ -7,12 +7,12 @@ import pytest
 
 from modalax import Measurement, Structure
 from modalax.diagnose import places as many
-from modalax.diagnose.causes.base import Place
+from modalax.diagnose.causes.base import Place, Scene
 from modalax.diagnose.causes.lines import MainsHum
 from modalax.diagnose.causes.local import JointStiffness, LocalDamper
 from modalax.diagnose.elements import at_places, ends, score
 from modalax.diagnose.fit import Hypothesis
-from modalax.diagnose.search import state_of
+from modalax.diagnose.search import hums, state_of
 from modalax.diagnose.study import make_study
 
 
@@ -130,3 +130,29 @@ def test_hum_that_stands_out_is_found_at_its_lines():
     found = MainsHum().explain(freq, 50.0, noise, live)
     assert found.p_value < 1e-6
     assert set(freq[found.lines]) >= {50.0, 100.0, 150.0}
+
+
+def test_a_mode_narrower_than_the_lines_at_the_mains_frequency_is_hum():
+    freq = np.linspace(20.0, 110.0, 301)
+    none = np.zeros(0)
+    scene = Scene(freq, ("1",), ("1",), ("1",), none, none, np.ones(1), None)
+    told = [
+        hums(np.array([1.0, f, zeta]), scene) for f, zeta in ((50.1, 1e-3), (100.2, 5e-4), (47.0, 1e-3), (50.1, 0.01))
+    ]
+    assert told == [True, True, False, False]
+
+
+def test_hum_is_judged_by_how_uneven_the_noise_is_elsewhere():
+    rng = np.random.default_rng(4)
+    freq = np.linspace(20.0, 110.0, 301)
+    noise = rng.normal(size=(40, 301)) + 1j * rng.normal(size=(40, 301))
+    even = MainsHum().explain(freq, 50.0, noise, np.ones(noise.shape, bool))
+    uneven = noise * np.sqrt(rng.gamma(4.0, 0.25, 301))
+    assert even.p_value > 0.01
+    assert MainsHum().explain(freq, 50.0, uneven, np.ones(noise.shape, bool)).p_value > 0.001
+    k = int(np.abs(freq - 50.0).argmin())
+    plain, doubted = noise.copy(), uneven.copy()
+    for x in (plain, doubted):
+        x[:, k] *= 1.7
+    assert MainsHum().explain(freq, 50.0, plain, np.ones(noise.shape, bool)).p_value < 1e-4
+    assert MainsHum().explain(freq, 50.0, doubted, np.ones(noise.shape, bool)).p_value > 1e-4

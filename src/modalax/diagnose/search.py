@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from modalax.diagnose.causes.base import Cause, Place
+from modalax.diagnose.causes.base import Cause, Place, Scene
 from modalax.diagnose.causes.channels import ChannelSwap
-from modalax.diagnose.causes.lines import HumLines, MainsHum
+from modalax.diagnose.causes.lines import REACHES, HumLines, MainsHum
 from modalax.diagnose.causes.patterns import PatternCause
 from modalax.diagnose.elements import Reduced, at_places, complex_of, fit_elements, reduce, screen_elements
 from modalax.diagnose.evidence import is_element
@@ -337,8 +337,27 @@ def with_hum(h: Hypothesis, lines: HumLines) -> Hypothesis:
 def _sensible(h: Hypothesis, study: Study) -> bool:
     """Whether every cause still means what its name says, and every mode that was added is more than one sensor's."""
     low, high = float(study.scene.freq[0]), float(study.scene.freq[-1])
-    each = zip(h.causes, h.params, h.extras, strict=True)
-    return all(c.fits(p, low, high) and not (isinstance(c, PatternCause) and _one_sensor(e, study)) for c, p, e in each)
+    for c, p, extra in zip(h.causes, h.params, h.extras, strict=True):
+        if not c.fits(p, low, high):
+            return False
+        if isinstance(c, PatternCause) and (
+            _one_sensor(extra, study) or (c.slug == "missing_mode" and hums(p, study.scene))
+        ):
+            return False
+    return True
+
+
+def hums(p: np.ndarray, scene: Scene) -> bool:
+    """Whether a mode is narrower than the lines can show, and at a multiple of the mains frequency.
+
+    ``p`` holds size, frequency [Hz] and damping ratio.
+    """
+    freq, hum = scene.freq, MainsHum()
+    near = int(np.abs(freq - p[1]).argmin())
+    if len(freq) < 3 or 2 * p[2] * p[1] > 0.5 * np.gradient(freq)[near]:
+        return False
+    reached = [k for place in hum.places(scene) for k in hum.lines(freq, float(place.index[0]), REACHES[-1])]
+    return any(near in lines for lines in reached)
 
 
 def _moderate(h: Hypothesis, study: Study) -> bool:
