@@ -125,7 +125,8 @@ class TestRefine:
 
     def test_roving_input_gives_the_same(self, paper):
         """Outputs and inputs exchanged: the same modes, the same errors."""
-        frf = paper.frf(FREQ, inputs=["1", "3"]).add_noise(jax.random.key(0), 0.02)
+        frf = paper.frf(FREQ, inputs=["1", "3"], form="accelerance").add_noise(jax.random.key(0), 0.02)
+        frf = frf.replace(variance=None)  # compiled already for exact data
         one = refine(frf, start_of(frf, paper))
         turned = frf.transpose()
         two = refine(turned, start_of(turned, paper))
