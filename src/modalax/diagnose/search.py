@@ -155,8 +155,9 @@ def screen_all(study: Study, h: Hypothesis, causes: Sequence[Cause], state: Stat
                 lines = hum_of(cause, place, study, state.whole)
                 if lines.lines.any():
                     trials.append(Trial(cause, place, -lines.chi2, np.nan, np.array([lines.amplitude]), extra=lines))
+        elif not (places := cause.places(study.scene)):
+            continue
         elif is_element(cause) and state.reduced:
-            places = cause.places(study.scene)
             near, key = state.nearest(study, cause, places), alike(places)
             if (side, key) not in products:
                 apart = products.setdefault((True, key), at_places(state.reduced[True], near))
@@ -167,7 +168,6 @@ def screen_all(study: Study, h: Hypothesis, causes: Sequence[Cause], state: Stat
             found = screen_elements(cause, study.scene, state.reduced[side], at, near, weight, finite)
             trials += [replace(t, trials=round(t.trials * len(places) / len(near))) for t in found]
         else:
-            places = cause.places(study.scene)
             near = state.nearest(study, cause, places) if len(places) > MANY else places
             found = screen_cause(cause, study.scene, near, h.theta, state.sides[side], problem, nuisance, True)
             trials += [replace(t, trials=round(t.trials * len(places) / len(near))) for t in found]
