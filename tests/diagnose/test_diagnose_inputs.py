@@ -8,6 +8,7 @@ import pytest
 import modalax
 from modalax import Measurement, ModalModel
 from modalax.diagnose import ExtendedSimulation, JointCause, Parameter, diagnose
+from modalax.diagnose.causes import catalogue
 from modalax.diagnose.causes.channels import ChannelGain
 from modalax.diagnose.causes.joints import CubicStiffness, QuadraticDamping
 from modalax.diagnose.causes.local import AddedMass, JointStiffness
@@ -198,3 +199,16 @@ def test_the_force_of_every_line_counts():
         ).max()
         > 1e-4 * np.abs(got).max()
     )
+
+
+def test_one_run_has_nothing_that_drifts():
+    S = five_dof()
+    freq = np.linspace(15.0, 75.0, 100)
+    H = np.asarray(S.frf(freq, outputs=("1", "2"), inputs=("1",)).H)
+    sigma = 0.02 * np.abs(H).max() * np.ones(H.shape)
+    rng = np.random.default_rng(1)
+    H = H + sigma * (rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape)) / np.sqrt(2)
+    one = Measurement(freq, H[None], outputs=("1", "2"), inputs=("1",), variance=sigma[None] ** 2)
+    drifting = [c for c in catalogue() if c.slug == "time_varying"]
+    assert len(drifting) >= 2
+    assert diagnose(one, S, causes=drifting).verdict == "clean"
