@@ -9,6 +9,14 @@ from modalax.model import ModalModel
 FREQ = np.arange(200, 701) * 0.1
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _compiled_quickly():
+    """These tests are nearly all compilation, which takes a third less without the compiler's expensive passes."""
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)
+
+
 def start_of(frf, model, **options):
     """Residues at poles that are off by up to half a bandwidth, and dampings by up to 90 %."""
     shift = jnp.array([3e-3, -2e-3, 4e-3, -3e-3, 1e-3])
