@@ -9,13 +9,16 @@ import modalax
 from modalax import Measurement, ModalModel
 from modalax.diagnose import ExtendedSimulation, JointCause, Parameter, diagnose
 from modalax.diagnose.causes import catalogue
+from modalax.diagnose.causes.base import Place
 from modalax.diagnose.causes.channels import ChannelGain
-from modalax.diagnose.causes.joints import CubicStiffness, QuadraticDamping
+from modalax.diagnose.causes.joints import CubicStiffness, DriftingSpring, ElastoSlip, GapContact, QuadraticDamping
 from modalax.diagnose.causes.local import AddedMass, JointStiffness
 from modalax.diagnose.causes.microslip import MicroSlip
+from modalax.diagnose.drifting import joints_for_drifts
 from modalax.diagnose.extend import extend
 from modalax.diagnose.fit import Hypothesis
 from modalax.diagnose.predict import predict
+from modalax.diagnose.search import state_of
 from modalax.diagnose.study import make_study
 from modalax.model import Structure
 from modalax.model.examples import five_dof
@@ -212,3 +215,27 @@ def test_one_run_has_nothing_that_drifts():
     drifting = [c for c in catalogue() if c.slug == "time_varying"]
     assert len(drifting) >= 2
     assert diagnose(one, S, causes=drifting).verdict == "clean"
+
+
+def test_a_stiff_joint_that_lets_go_is_told_from_one_that_drifts():
+    """Stuck at the lowest level, slipping at the highest: far from any small size, but a drifting spring is near."""
+    S, k, levels = with_spring(3e5), 3e5, np.array([1.0, 8.0, 64.0])
+    place = Place(("3", "5"), (2, 4, 0))
+    study = make_study(Measurement(FREQ, np.zeros((3, 128, 3, 1)), outputs=("1", "3", "5"), inputs=("1",),
+                                   level=levels, variance=np.ones((3, 128, 3, 1))), S)  # fmt: skip
+    across = float(study.scene.amplitudes(place, (1.0,))[0])
+    null = Hypothesis(theta=np.zeros((2, study.problem.plant.stiffness.shape[0])))
+    true = null.with_cause(ElastoSlip(True), place, None, np.array([k, 0.2 * across]))
+    H = np.broadcast_to(study.prediction(true), (3, 128, 3, 1))
+    sigma = 0.02 * np.sqrt((np.abs(H) ** 2).mean(axis=1, keepdims=True)) * np.ones(H.shape)
+    rng = np.random.default_rng(6)
+    noisy = H + sigma * (rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape)) / np.sqrt(2)
+    M = Measurement(FREQ, noisy, outputs=("1", "3", "5"), inputs=("1",), level=levels, variance=sigma**2)
+    study = make_study(M, S)
+    null = study.fit([null], 1)[0]
+    drifted = study.fit([null.with_cause(DriftingSpring(), Place((), (2, 4, 0)), None, np.array([-0.5 * k]))], 20)
+    found = joints_for_drifts(study, null, drifted, [ElastoSlip(True), GapContact()], state_of(study, null))
+    best = min(found, key=lambda h: h.chi2)
+    assert isinstance(best.causes[0], ElastoSlip) and best.chi2 < drifted[0].chi2 - 50
+    assert best.params[0][0] == pytest.approx(k, rel=0.05)
+    assert joints_for_drifts(study, null, [true], [ElastoSlip(True)], state_of(study, null)) == []

@@ -71,6 +71,14 @@ def test_a_cause_that_no_catalogue_holds_gets_no_confident_name(tmp_path):
     assert said["verdict"] in ("unknown", "ambiguous")
 
 
+def test_what_the_data_looks_like_beside_the_catalogue_is_told(tmp_path):
+    """A sensor behind a high-pass filter leads in phase, as one with a negative delay does."""
+    case = draw(100, "outside:ac_coupling", "chain")
+    said = answer(case, tmp_path)
+    assert said["verdict"] in ("unknown", "ambiguous")
+    assert "ac_coupling" in said["advice"] and f"at {case.truth['causes'][0]['where'][0]}" in said["advice"]
+
+
 def test_wrong_units_are_named_although_the_simulation_may_be_a_little_off(tmp_path):
     """The modes would have to move by thousands of claimed standard deviations to follow such an effect."""
     plan = dict(spread=True, variance="16", inputs=1, runs=3, structure=12)

@@ -67,8 +67,8 @@ class Diagnosis:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was assumed, in sentences, and what beside the catalogue the data looks like."""
-        return self.study.notes + self.naming.notes
+        """What was assumed, in sentences."""
+        return self.study.notes
 
     @property
     def candidates(self) -> list[Ranked]:
@@ -104,10 +104,12 @@ class Diagnosis:
 
     @property
     def advice(self) -> str | None:
-        """What to measure to tell the alternatives apart."""
+        """What to measure to tell the alternatives apart, and what beside the catalogue the data looks like."""
         if self.verdict in ("clean", "named"):
             return None
-        return advise(self.verdict, [self.naming.ranked[0], *rivals(self.naming.ranked)] if self.naming.ranked else [])
+        ranked = self.naming.ranked
+        told = advise(self.verdict, [ranked[0], *rivals(ranked)] if ranked else [])
+        return "; ".join([*self.naming.notes, told])
 
     def to_dict(self) -> dict[str, Any]:
         """The answer as plain data, in the agreed form."""

@@ -9,6 +9,7 @@ import numpy as np
 from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.decide import CERTAIN, RIVAL, Detection, Ranked, detect, posterior
 from modalax.diagnose.doubt import apart, imitations, likeness
+from modalax.diagnose.drifting import joints_for_drifts
 from modalax.diagnose.evidence import evidence, is_element, promise
 from modalax.diagnose.fit import ROUNDS, Hypothesis, jacobian_of, searched
 from modalax.diagnose.noise import TRUSTED
@@ -90,6 +91,7 @@ def name(study: Study, causes: Sequence[Cause], imitators: Sequence[Cause] = ())
         return posterior([(h, evidence(h, study.scene, samples, null.chi2)) for h in each])
 
     found = fit_single(study, null, chosen(screening.trials), state) + from_home(study, null, causes)
+    found += joints_for_drifts(study, null, best_of_each(found, study), causes, state)
     ranked = weigh(found)
     if not ranked or ranked[0].best.chi2 > null.chi2 - 9.0:
         return Naming("unknown", [], null, screening, detection, before, before)
@@ -113,7 +115,7 @@ def name(study: Study, causes: Sequence[Cause], imitators: Sequence[Cause] = ())
         ranked = weigh(found)
     last = rest(ranked[0].best)
     verdict, notes = _verdict(ranked, last.p_value), ()
-    if verdict == "named" and imitators and ranked[0].best.hum is None:
+    if verdict != "ambiguous" and imitators and ranked[0].best.hum is None:
         ranked, nameless = apart(weigh(found + imitations(study, null, state, ranked[0].best, imitators)), imitators)
         likelier = sum(r.probability for r in nameless) > 0.5
         verdict, notes = "unknown" if likelier else _verdict(ranked, last.p_value), likeness(nameless)
