@@ -1,0 +1,79 @@
+"""False alarms on clean sets: ``python experiments/diagnosis/alarms.py FOLDER``.
+
+Only the first question is asked of each case called ``clean-*`` of a draw, whether anything is wrong at all: an answer
+other than ``clean`` needs a chance below ``decide.ALARM`` under noise. That takes seconds a case, so a thousand are
+within reach. ``FOLDER/alarms.csv`` keeps the chances by kind of test; cases that are in it are not asked again.
+"""
+
+import argparse
+import csv
+import json
+from pathlib import Path
+
+from answer import prepare
+from marks import Share
+from rich.progress import track
+
+COLUMNS = ("case", "variance", "noise", "spread", "p", "scores", "patterns", "hum", "omnibus")
+
+
+def chances(case: Path) -> dict[str, float]:
+    """Chance of what each kind of test saw, and of all together."""
+    from modalax.diagnose.causes import catalogue
+    from modalax.diagnose.causes.modal import TimeVaryingSteps
+    from modalax.diagnose.decide import detect
+    from modalax.diagnose.fit import ROUNDS
+    from modalax.diagnose.name import empty, with_noise_beside
+    from modalax.diagnose.omnibus import omnibus
+    from modalax.diagnose.search import screen_all, state_of
+    from modalax.diagnose.study import causes_of, make_study
+    from modalax.files import load
+
+    study = with_noise_beside(make_study(load(case / "measurement.npz"), load(case / "simulation.npz")))
+    runs = study.problem.data.shape[0]
+    causes = causes_of(None, study, catalogue() + ([TimeVaryingSteps(runs)] if runs > 2 else []))
+    null = study.fit([empty(study)], ROUNDS)[0]
+    remains = omnibus(study.residual(null), study.live(), study.noise.freedom)
+    state = state_of(study, null)
+    trials = screen_all(study, null, causes, state).trials
+    found = detect(trials, state.sides, remains, study.noise.spread)
+    return {"p": found.p_value, **found.p_values}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    folder = parser.parse_args().folder
+    prepare()
+    kept = folder / "alarms.csv"
+    rows = list(csv.DictReader(kept.open())) if kept.exists() else []
+    known = {r["case"] for r in rows}
+    todo = [c for c in sorted((folder / "cases").glob("clean-*")) if c.name not in known]
+    with kept.open("a", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS)
+        if not rows:
+            writer.writeheader()
+        for case in track(todo, "asking"):
+            truth = json.loads((folder / "truth" / f"{case.name}.json").read_text())
+            row = {
+                "case": case.name, "variance": truth["noise"]["variance"], "noise": truth["noise"]["kind"],
+                "spread": truth["frequency_std"] > 0, **chances(case),
+            }  # fmt: skip
+            writer.writerow(row)
+            file.flush()
+            rows.append({k: str(v) for k, v in row.items()})
+    for key in ("variance", "noise", "spread"):
+        for value in sorted({r[key] for r in rows}):
+            print(f"{key} {value}: {Share.of([r for r in rows if r[key] == value], alarmed)}")
+    print(f"all: {Share.of(rows, alarmed)}")
+
+
+def alarmed(row: dict[str, str]) -> bool:
+    """Whether anything was said to be wrong."""
+    from modalax.diagnose.decide import ALARM
+
+    return float(row["p"]) < ALARM
+
+
+if __name__ == "__main__":
+    main()
