@@ -42,8 +42,10 @@ class Noise:
 
     @property
     def spread(self) -> float:
-        """By how much estimated variances widen the scores."""
-        return 1.0 + 0.3 / self.freedom if np.isfinite(self.freedom) else 1.0
+        """By how much estimated variances widen the scores; those read off the lines a little more."""
+        if not np.isfinite(self.freedom):
+            return 1.0
+        return 1.0 + 0.3 / self.freedom + (0.05 if self.freedom < TRUSTED else 0.0)
 
 
 def noise_of(measurement: Measurement, predicted: np.ndarray) -> Noise:

@@ -106,7 +106,7 @@ def _null(power: np.ndarray, count: np.ndarray, near: np.ndarray) -> np.ndarray:
     if len(away) < FEW_LINES:
         return draws
     more = float(np.var(power[away] / n[away]) - np.mean(2 / n[away]))
-    uneven = max(more - 3 * np.mean(2 / n[away]) * np.sqrt(2 / len(away)), 0.0)  # beyond what chance may make of it
+    uneven = max(more - np.mean(2 / n[away]) * np.sqrt(2 / len(away)), 0.0)  # beyond what chance makes of it
     return draws * rng.gamma(1 / uneven, uneven, draws.shape) if uneven > 0 else draws
 
 
