@@ -1,12 +1,14 @@
 """What a diagnosis takes: modal models, missing variances, single levels and references, extended simulations again."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import modalax
 from modalax import Measurement, ModalModel
+from modalax._numerics.programs import release_programs
 from modalax.diagnose import ExtendedSimulation, JointCause, Parameter, diagnose
 from modalax.diagnose.causes import catalogue
 from modalax.diagnose.causes.base import Place
@@ -239,3 +241,16 @@ def test_a_stiff_joint_that_lets_go_is_told_from_one_that_drifts():
     assert isinstance(best.causes[0], ElastoSlip) and best.chi2 < drifted[0].chi2 - 50
     assert best.params[0][0] == pytest.approx(k, rel=0.05)
     assert joints_for_drifts(study, null, [true], [ElastoSlip(True)], state_of(study, null)) == []
+
+
+def test_compiled_programs_go_before_a_process_is_full(tmp_path, monkeypatch):
+    """A process that has used up its memory maps ends without an exception."""
+    gone = []
+    monkeypatch.setattr(jax, "clear_caches", lambda: gone.append(True))
+    maps, limit = tmp_path / "maps", tmp_path / "limit"
+    limit.write_text("100\n")
+    maps.write_text("a map\n" * 59)
+    assert not release_programs(maps, limit) and not gone
+    maps.write_text("a map\n" * 61)
+    assert release_programs(maps, limit) and gone
+    assert not release_programs(tmp_path / "no such file", limit)

@@ -1,1 +1,1 @@
-"""Mathematics with no idea of modes."""
+"""Mathematics with no idea of modes, and what it runs on."""

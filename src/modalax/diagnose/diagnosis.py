@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from modalax._numerics.checks import require_double
+from modalax._numerics.programs import release_programs
 from modalax.data import FRF, Measurement
 from modalax.diagnose.advice import advise
 from modalax.diagnose.causes import catalogue
@@ -160,6 +161,7 @@ def diagnose(
         If double precision is off, a measured DoF is not in the simulation, or the data holds too few lines.
     """
     require_double("diagnose")
+    release_programs()
     study = with_noise_beside(make_study(measurement, simulation, question))
     runs = study.problem.data.shape[0]
     default = catalogue() + ([TimeVaryingSteps(runs)] if runs > 2 else [])
