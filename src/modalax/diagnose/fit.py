@@ -23,6 +23,7 @@ from modalax.diagnose.problem import Problem, bucket
 WIDE = 0.2  # prior spread of log frequency and log damping when the modes are free
 ROUNDS, SETTLED = 14, 5e-3  # steps of the search; change of chi-square at which it ends
 NEGLIGIBLE = 3e-4  # squared length of a modal parameter's effect, in standard deviations, below which it is left out
+NOWHERE = np.zeros((0, 3), np.int64)
 BATCH_SAMPLES = 400_000  # complex numbers times unknowns that one batch of candidates may hold
 
 
@@ -62,7 +63,12 @@ def make_nuisance(spread: np.ndarray, basis: Any, problem: Problem) -> Nuisance:
     if not (spread > 0).any():
         return Nuisance(spread, basis, np.zeros(0, np.int64))
     G = np.asarray(modal_directions(np.zeros(spread.shape), spread, basis, problem))
-    return Nuisance(spread, basis, np.flatnonzero((G.reshape(len(G), -1) ** 2).sum(axis=1) > NEGLIGIBLE))
+    # data far larger than was expected (wrong units) shows a modal parameter by as much more
+    miss = residual_of((), NOWHERE, (), np.zeros(0), np.zeros(spread.shape), spread, None, problem)
+    measured = float(np.sum(np.abs(np.asarray(problem.weight * problem.data)) ** 2))
+    predicted = np.asarray(projected(problem.weight * problem.data, None)) - np.asarray(miss)
+    larger = max(1.0, measured / max(float(np.sum(predicted**2)), 1e-300))
+    return Nuisance(spread, basis, np.flatnonzero((G.reshape(len(G), -1) ** 2).sum(axis=1) * larger > NEGLIGIBLE))
 
 
 @partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
