@@ -20,23 +20,13 @@ COLUMNS = ("case", "variance", "noise", "spread", "p", "scores", "patterns", "hu
 def chances(case: Path) -> dict[str, float]:
     """Chance of what each kind of test saw, and of all together."""
     from modalax.diagnose.causes import catalogue
-    from modalax.diagnose.causes.modal import TimeVaryingSteps
-    from modalax.diagnose.decide import detect
-    from modalax.diagnose.fit import ROUNDS
-    from modalax.diagnose.name import empty, with_noise_beside
-    from modalax.diagnose.omnibus import omnibus
-    from modalax.diagnose.search import screen_all, state_of
+    from modalax.diagnose.name import look, with_noise_beside
     from modalax.diagnose.study import causes_of, make_study
     from modalax.files import load
 
     study = with_noise_beside(make_study(load(case / "measurement.npz"), load(case / "simulation.npz")))
-    runs = study.problem.data.shape[0]
-    causes = causes_of(None, study, catalogue() + ([TimeVaryingSteps(runs)] if runs > 2 else []))
-    null = study.fit([empty(study)], ROUNDS)[0]
-    remains = omnibus(study.residual(null), study.live(), study.noise.freedom)
-    state = state_of(study, null)
-    trials = screen_all(study, null, causes, state).trials
-    found = detect(trials, state.sides, remains, study.noise.spread)
+    causes = causes_of(None, study, catalogue(study.problem.data.shape[0]))
+    found = look(study, causes).detection
     return {"p": found.p_value, **found.p_values}
 
 

@@ -8,11 +8,13 @@ import pytest
 from modalax import Measurement, Structure
 from modalax.diagnose import places as many
 from modalax.diagnose.causes.base import Place, Scene
-from modalax.diagnose.causes.lines import MainsHum
-from modalax.diagnose.causes.local import JointStiffness, LocalDamper
+from modalax.diagnose.causes.channels import ChannelGain, ChannelSwap
+from modalax.diagnose.causes.lines import MainsHum, hums
+from modalax.diagnose.causes.local import Gyroscopic, JointStiffness, LocalDamper
+from modalax.diagnose.causes.patterns import MissingMode
 from modalax.diagnose.elements import at_places, ends, score
 from modalax.diagnose.fit import Hypothesis
-from modalax.diagnose.search import hums, state_of
+from modalax.diagnose.search import state_of
 from modalax.diagnose.study import make_study
 
 
@@ -122,6 +124,20 @@ def test_noise_alone_is_rarely_called_hum():
     assert np.mean(np.array(values) < 0.01) < 0.04  # 0.01 nominal
 
 
+def test_only_places_between_many_dofs_and_swaps_are_shortlisted(monkeypatch):
+    """A sensor's number is no DoF's: every sensor is looked at, however many."""
+    structure = grid(12, False)
+    study, state = study_of(structure, sprung(structure, 2, 5, 2e3))
+    monkeypatch.setattr("modalax.diagnose.search.MANY", 10)
+    monkeypatch.setattr("modalax.diagnose.places.MANY", 10)
+    monkeypatch.setattr("modalax.diagnose.places.KEPT", 5)
+    kept = []
+    for cause in (ChannelGain(), JointStiffness(), Gyroscopic(), ChannelSwap()):
+        places = cause.places(study.scene)
+        kept.append((len(places), len(state.nearest(study, cause, places))))
+    assert kept == [(12, 12), (78, 5), (66, 5), (66, 5)]
+
+
 def test_hum_that_stands_out_is_found_at_its_lines():
     freq, live = np.arange(30.0, 210.0, 0.5), np.ones((24, 360), bool)
     rng = np.random.default_rng(0)
@@ -136,10 +152,9 @@ def test_a_mode_narrower_than_the_lines_at_the_mains_frequency_is_hum():
     freq = np.linspace(20.0, 110.0, 301)
     none = np.zeros(0)
     scene = Scene(freq, ("1",), ("1",), ("1",), none, none, np.ones(1), None)
-    told = [
-        hums(np.array([1.0, f, zeta]), scene) for f, zeta in ((50.1, 1e-3), (100.2, 5e-4), (47.0, 1e-3), (50.1, 0.01))
-    ]
-    assert told == [True, True, False, False]
+    modes = ((50.1, 1e-3), (100.2, 5e-4), (60.0, 5e-4), (47.0, 1e-3), (50.1, 0.01))
+    assert [hums(f, zeta, freq) for f, zeta in modes] == [True, True, True, False, False]
+    assert [MissingMode().fits(np.array([1.0, *m]), scene) for m in modes] == [False, False, False, True, True]
 
 
 def test_hum_is_judged_by_how_uneven_the_noise_is_elsewhere():

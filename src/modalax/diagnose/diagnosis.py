@@ -13,7 +13,6 @@ from modalax.diagnose.advice import advise
 from modalax.diagnose.causes import catalogue
 from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.causes.imitators import IMITATORS
-from modalax.diagnose.causes.modal import TimeVaryingSteps
 from modalax.diagnose.decide import Ranked
 from modalax.diagnose.extend import ExtendedSimulation, extend
 from modalax.diagnose.fit import Hypothesis
@@ -163,8 +162,7 @@ def diagnose(
     require_double("diagnose")
     release_programs()
     study = with_noise_beside(make_study(measurement, simulation, question))
-    runs = study.problem.data.shape[0]
-    default = catalogue() + ([TimeVaryingSteps(runs)] if runs > 2 else [])
+    default = catalogue(study.problem.data.shape[0])
     doubted = IMITATORS if causes is None else ()
     naming = name(study, causes_of(causes, study, default), causes_of(None, study, doubted))
     found = naming.best

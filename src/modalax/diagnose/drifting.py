@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modalax.diagnose.causes.base import Cause, Place
+from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.causes.joints import FRACTIONS, DriftingSpring
 from modalax.diagnose.fit import Hypothesis
 from modalax.diagnose.search import State, refit
@@ -28,10 +28,6 @@ def joints_for_drifts(
     for cause in laws:
         place = next((p for p in cause.places(study.scene) if p.index == at), None)
         if place is not None:
-            starts = [np.array([k * drift, x]) for k in SIZES for x in _thresholds(study, place)]
+            starts = [np.array([k * drift, x]) for k in SIZES for x in study.scene.amplitudes(place, FRACTIONS)]
             out += refit(study, null, [null.with_cause(cause, place, None, p) for p in starts], state)
     return out
-
-
-def _thresholds(study: Study, place: Place) -> np.ndarray:
-    return study.scene.amplitudes(place, FRACTIONS)

@@ -17,6 +17,7 @@ from modalax.diagnose.omnibus import Omnibus, omnibus
 from modalax.diagnose.screen import Trial
 from modalax.diagnose.search import (
     Screening,
+    State,
     best_of_each,
     chosen,
     exchanged,
@@ -35,6 +36,26 @@ DEEPEST = 3  # causes in one answer
 LEADING = 2  # hypotheses that a further cause is added to
 FURTHER = 3  # causes tried on each
 AGAIN = 2  # times that noise read off the lines is read again
+
+
+@dataclass(frozen=True)
+class Look:
+    """The simulation alone beside the data: what it leaves, what the causes would explain of that, and the chance."""
+
+    null: Hypothesis
+    omnibus: Omnibus
+    state: State
+    screening: Screening
+    detection: Detection
+
+
+def look(study: Study, causes: Sequence[Cause]) -> Look:
+    """Whether anything is wrong at all."""
+    null = study.fit([empty(study)], ROUNDS)[0]
+    before = omnibus(study.residual(null), study.live(), study.noise.freedom)
+    state = state_of(study, null)
+    screening = screen_all(study, null, causes, state)
+    return Look(null, before, state, screening, detect(screening.trials, state.sides, before, study.noise.spread))
 
 
 @dataclass(frozen=True)
@@ -76,12 +97,8 @@ class Naming:
 
 def name(study: Study, causes: Sequence[Cause], imitators: Sequence[Cause] = ()) -> Naming:
     """Search the causes of one study; ``imitators`` have no name, but may explain better what is about to be named."""
-    freedom, null = study.noise.freedom, study.fit([empty(study)], ROUNDS)[0]
-    live = study.live()
-    before = omnibus(study.residual(null), live, freedom)
-    state = state_of(study, null)
-    screening = screen_all(study, null, causes, state)
-    detection = detect(screening.trials, state.sides, before, study.noise.spread)
+    first = look(study, causes)
+    null, before, state, screening, detection = first.null, first.omnibus, first.state, first.screening, first.detection
     if not detection.anything:
         return Naming("clean", [], null, screening, detection, before, before)
     samples = study.problem.samples

@@ -67,7 +67,10 @@ class Plant(eqx.Module):
         if self.mixing is None:
             k, c = self.stiffness * jnp.exp(2 * theta[0]), self.damping * jnp.exp(theta[0] + theta[1])
             return k, c, self.shapes, self.participation
-        by = lambda a: jnp.tensordot(theta, a, 2)  # noqa: E731
+
+        def by(a: Array) -> Array:
+            return jnp.tensordot(theta, a, 2)
+
         return (
             self.stiffness * jnp.exp(by(self.mixing.k)), self.damping * jnp.exp(by(self.mixing.c)),
             self.shapes + by(self.mixing.shapes), self.participation + by(self.mixing.participation),

@@ -82,14 +82,15 @@ def predict(
             modes = cause.modes(modes, where, p, problem.level.shape[0])
     kernels = [(c, w, p) for c, w, _, p in at if c.stage == "kernel"]
     gains = gains_of(s, modes, plant.poles, kernels, plant.mixing is not None)
-    H, channels = _assemble(s, gains, at, eqx.tree_at(_SHAPES, problem, (shapes, participation)))
+    H, channels = _assemble(s, gains, at, eqx.tree_at(_shapes, problem, (shapes, participation)))
     for cause, where, extra, p in at:
         if cause.stage == "channels":
             H = cause.channels(H, channels, where, extra, p)
     return H
 
 
-_SHAPES = lambda problem: (problem.plant.shapes, problem.plant.participation)  # noqa: E731
+def _shapes(problem: Any) -> tuple[Any, Any]:
+    return problem.plant.shapes, problem.plant.participation
 
 
 def gains_of(s: Array, modes: Modes, poles: Array, kernels: list[Any], mixing: bool) -> Complex[Array, "run f m"]:

@@ -4,6 +4,7 @@ import math
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float, Int
@@ -156,6 +157,5 @@ def padded(plant: Plant) -> Plant:
 def _padded_mixing(mixing: Mixing | None, more: int, wide: int) -> Mixing | None:
     if mixing is None:
         return None
-    square = lambda a: jnp.pad(a, ((0, 0), (0, more), (0, more)))  # noqa: E731
-    cube = lambda a: jnp.pad(a, ((0, 0), (0, more), (0, more), (0, wide)))  # noqa: E731
-    return Mixing(square(mixing.k), square(mixing.c), cube(mixing.shapes), cube(mixing.participation))
+    widths = ((0, 0), (0, more), (0, more), (0, wide))  # the first three for stiffness and damping
+    return jax.tree.map(lambda a: jnp.pad(a, widths[: a.ndim]), mixing)

@@ -42,8 +42,8 @@ class Target:
 
     def of(self, rows: np.ndarray) -> "Target":
         """The same for some hypotheses."""
-        take = lambda a: a if len(a) == 1 else a[rows]  # noqa: E731
-        return Target(take(self.weight), take(self.toward), take(self.nuisance), self.inner)
+        weight, toward, nuisance = (a if len(a) == 1 else a[rows] for a in (self.weight, self.toward, self.nuisance))
+        return Target(weight, toward, nuisance, self.inner)
 
     def normal(self, e: np.ndarray, J: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Chi-square less that of the simulation, normal matrix and gradient, for changes ``(row, sample)``."""

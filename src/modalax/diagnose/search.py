@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from modalax.diagnose.causes.base import Cause, Place, Scene
+from modalax.diagnose.causes.base import Cause, Place
 from modalax.diagnose.causes.channels import ChannelSwap
-from modalax.diagnose.causes.lines import REACHES, HumLines, MainsHum
+from modalax.diagnose.causes.lines import HumLines, MainsHum
 from modalax.diagnose.causes.patterns import PatternCause
 from modalax.diagnose.elements import Reduced, at_places, complex_of, fit_elements, reduce, screen_elements
 from modalax.diagnose.evidence import is_element
@@ -59,17 +59,17 @@ class State:
 
     def nearest(self, study: Study, cause: Cause, places: list[Any]) -> list[Any]:
         """The places of a cause, or of very many those that are worth a look."""
-        kind = "skew" if hasattr(cause, "matrix") else "swap" if isinstance(cause, ChannelSwap) else "element"
-        key = (kind, *alike(places))
+        skew, swap = hasattr(cause, "matrix"), isinstance(cause, ChannelSwap)
+        between_dofs = bool(self.reduced) and (skew or is_element(cause))
+        if len(places) <= MANY or not (swap or between_dofs):
+            return places
+        key = (swap, skew, *alike(places))
         if key not in self.cache:
-            if kind == "swap":
-                problem = study.problem
-                which = likely_swaps(np.asarray(problem.data), np.asarray(problem.weight), self.whole, places)
-            elif self.reduced and kind in ("skew", "element"):
-                which = shortlist(self.reduced[True], self.sides[True].nuisance, places, kind == "skew")
-            else:
-                which = range(len(places))
-            self.cache[key] = which
+            problem = study.problem
+            self.cache[key] = (
+                likely_swaps(np.asarray(problem.data), np.asarray(problem.weight), self.whole, places) if swap
+                else shortlist(self.reduced[True], self.sides[True].nuisance, places, skew)
+            )  # fmt: skip
         return [places[k] for k in self.cache[key]]
 
 
@@ -168,7 +168,7 @@ def screen_all(study: Study, h: Hypothesis, causes: Sequence[Cause], state: Stat
             found = screen_elements(cause, study.scene, state.reduced[side], at, near, weight, finite)
             trials += [replace(t, trials=round(t.trials * len(places) / len(near))) for t in found]
         else:
-            near = state.nearest(study, cause, places) if len(places) > MANY else places
+            near = state.nearest(study, cause, places)
             found = screen_cause(cause, study.scene, near, h.theta, state.sides[side], problem, nuisance, True)
             trials += [replace(t, trials=round(t.trials * len(places) / len(near))) for t in found]
     return Screening(trials, h.theta)
@@ -336,28 +336,10 @@ def with_hum(h: Hypothesis, lines: HumLines) -> Hypothesis:
 
 def _sensible(h: Hypothesis, study: Study) -> bool:
     """Whether every cause still means what its name says, and every mode that was added is more than one sensor's."""
-    low, high = float(study.scene.freq[0]), float(study.scene.freq[-1])
     for c, p, extra in zip(h.causes, h.params, h.extras, strict=True):
-        if not c.fits(p, low, high):
-            return False
-        if isinstance(c, PatternCause) and (
-            _one_sensor(extra, study) or (c.slug == "missing_mode" and hums(p, study.scene))
-        ):
+        if not c.fits(p, study.scene) or (isinstance(c, PatternCause) and _one_sensor(extra, study)):
             return False
     return True
-
-
-def hums(p: np.ndarray, scene: Scene) -> bool:
-    """Whether a mode is narrower than the lines can show, and at a multiple of the mains frequency.
-
-    ``p`` holds size, frequency [Hz] and damping ratio.
-    """
-    freq, hum = scene.freq, MainsHum()
-    near = int(np.abs(freq - p[1]).argmin())
-    if len(freq) < 3 or 2 * p[2] * p[1] > 0.5 * np.gradient(freq)[near]:
-        return False
-    reached = [k for place in hum.places(scene) for k in hum.lines(freq, float(place.index[0]), REACHES[-1])]
-    return any(near in lines for lines in reached)
 
 
 def _moderate(h: Hypothesis, study: Study) -> bool:

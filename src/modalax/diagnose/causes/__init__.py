@@ -5,13 +5,17 @@ from modalax.diagnose.causes.channels import CHANNELS, ChannelCause
 from modalax.diagnose.causes.joints import JOINTS
 from modalax.diagnose.causes.lines import MainsHum
 from modalax.diagnose.causes.local import LOCAL
-from modalax.diagnose.causes.modal import MODAL
+from modalax.diagnose.causes.modal import MODAL, TimeVaryingSteps
 from modalax.diagnose.causes.patterns import PATTERNS
 
 
-def catalogue() -> list[Cause]:
-    """All causes known, the linear ones first; some slugs stand twice, for two forms of one cause."""
-    return [*LOCAL, *MODAL, *CHANNELS, *PATTERNS, MainsHum(), *JOINTS]
+def catalogue(runs: int = 1) -> list[Cause]:
+    """All causes known, the linear ones first; some slugs stand twice, for forms of one cause.
+
+    One form has an unknown for each of three ``runs`` or more.
+    """
+    steps = [TimeVaryingSteps(runs)] if runs > 2 else []
+    return [*LOCAL, *MODAL, *CHANNELS, *PATTERNS, MainsHum(), *JOINTS, *steps]
 
 
 __all__ = [

@@ -214,8 +214,8 @@ class Cause:
         """Parameter vectors to screen at, shape ``(start, parameter)``."""
         raise NotImplementedError(f"{type(self).__name__} needs grid(scene, place)")
 
-    def fits(self, p: np.ndarray, low: float, high: float) -> bool:
-        """Whether fitted parameters still mean this cause in a band [Hz]."""
+    def fits(self, p: np.ndarray, scene: Scene) -> bool:
+        """Whether fitted parameters still mean this cause at the lines that were measured."""
         return True
 
     def report(self, p: np.ndarray, place: Place) -> dict[str, tuple[Any, str]]:

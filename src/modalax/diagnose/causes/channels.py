@@ -9,9 +9,14 @@ from jaxtyping import Array, Complex
 from modalax.diagnose.causes.base import Cause, Parameter, Place, Scene, strengths
 
 
-def _one(count: int, k: Array) -> Array:
-    """1 at channel ``k``, 0 elsewhere, shape ``(o, 1)``."""
-    return (jnp.arange(count) == k).astype(float)[:, None]
+def one_row(H: Array, k: Array) -> Array:
+    """1 at output ``k`` of FRFs ``(..., o, i)``, 0 elsewhere, shape ``(o, 1)``."""
+    return (jnp.arange(H.shape[-2]) == k).astype(float)[:, None]
+
+
+def scaled_row(H: Array, k: Array, gain: Array) -> Array:
+    """FRFs ``(run, f, o, i)`` with the row of output ``k`` times a gain that broadcasts over them."""
+    return H * (1 + (gain - 1) * one_row(H, k))
 
 
 class ChannelCause(Cause):
@@ -41,7 +46,7 @@ class ChannelGain(ChannelCause):
 
     def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
         """Scale one row."""
-        return H * (1 + p[0] * _one(H.shape[2], where[0]))
+        return scaled_row(H, where[0], 1 + p[0])
 
 
 class ChannelSign(ChannelCause):
@@ -60,7 +65,7 @@ class ChannelSign(ChannelCause):
 
     def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
         """Turn one row."""
-        return H * (1 - 2 * _one(H.shape[2], where[0]))
+        return scaled_row(H, where[0], jnp.array(-1.0))
 
 
 class ChannelSwap(ChannelCause):
@@ -81,7 +86,7 @@ class ChannelSwap(ChannelCause):
     def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
         """Exchange two rows."""
         first, second = jnp.take(H, where[0], axis=2), jnp.take(H, where[1], axis=2)
-        a, b = _one(H.shape[2], where[0]), _one(H.shape[2], where[1])
+        a, b = one_row(H, where[0]), one_row(H, where[1])
         return H * (1 - a - b) + second[:, :, None] * a + first[:, :, None] * b
 
 
@@ -102,7 +107,7 @@ class TimeDelay(ChannelCause):
 
     def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
         """Turn the phase of one row or of all."""
-        which = jnp.where(where[0] < 0, 1.0, _one(H.shape[2], where[0]))
+        which = jnp.where(where[0] < 0, 1.0, one_row(H, where[0]))
         return H * jnp.exp(-1j * at.s.imag[:, None, None] * p[0] * which)
 
 
@@ -146,7 +151,7 @@ class SensorMass(ChannelCause):
         """Load one row."""
         own = jnp.take(at.own, where[0], axis=1)
         loaded = 1 / (1 + at.s**2 * p[0] * own)
-        return H * (1 + (loaded[:, None, None] - 1) * _one(H.shape[2], where[0]))
+        return scaled_row(H, where[0], loaded[:, None, None])
 
 
 class ForceDropout(ChannelCause):

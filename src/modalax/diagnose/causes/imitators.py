@@ -12,7 +12,7 @@ from jaxtyping import Array, Complex, Float
 
 from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.causes.base import Cause, JointCause, LocalCause, Parameter, Place, Scene, strengths
-from modalax.diagnose.causes.channels import ChannelCause, _one
+from modalax.diagnose.causes.channels import ChannelCause, one_row, scaled_row
 from modalax.diagnose.causes.local import median_omega
 from modalax.diagnose.causes.microslip import REFERENCE, MicroSlip
 
@@ -79,7 +79,6 @@ class OneWayDamper(LocalCause):
     summary = "a velocity feedback from one DoF to another"
     prior = RARE
     parameters = (Parameter("coefficient", "N s/m"),)
-    turned = False
 
     def __init__(self, turned: bool):
         self.turned = turned
@@ -223,7 +222,7 @@ class AcCoupling(ChannelCause):
     def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
         """Filter one row."""
         gain = 1 / (1 - 2j * jnp.pi * p[0] / at.s.imag)
-        return H * (1 + (gain[:, None, None] - 1) * _one(H.shape[2], where[0]))
+        return scaled_row(H, where[0], gain[:, None, None])
 
 
 class SensorLowpass(ChannelCause):
@@ -245,7 +244,7 @@ class SensorLowpass(ChannelCause):
     def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
         """Filter one row."""
         gain = 1 / (1 + 1j * at.s.imag * p[0])
-        return H * (1 + (gain[:, None, None] - 1) * _one(H.shape[2], where[0]))
+        return scaled_row(H, where[0], gain[:, None, None])
 
 
 class Crosstalk(ChannelCause):
@@ -270,7 +269,7 @@ class Crosstalk(ChannelCause):
 
     def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
         """Add to one row."""
-        return H + p[0] * jnp.take(H, where[1], axis=2)[:, :, None] * _one(H.shape[2], where[0])
+        return H + p[0] * jnp.take(H, where[1], axis=2)[:, :, None] * one_row(H, where[0])
 
 
 class ClippedSensor(ChannelCause):
@@ -300,7 +299,7 @@ class ClippedSensor(ChannelCause):
         size = jnp.abs(row) * at.level[:, :, None] * jnp.abs(at.s)[:, None] ** where[1]
         rho = jnp.minimum(1 / jnp.maximum(p[0] * size, 1e-30), 1 - 1e-12)
         gain = 2 / jnp.pi * (jnp.arcsin(rho) + rho * jnp.sqrt(1 - rho**2))
-        return H * (1 + (gain[:, :, None] - 1) * _one(H.shape[2], where[0]))
+        return scaled_row(H, where[0], gain[:, :, None])
 
 
 IMITATORS: tuple[Cause, ...] = (

@@ -150,7 +150,7 @@ class DriftingSpring(JointCause):
 
     slug = "time_varying"
     summary = "one joint drifts from run to run"
-    prior = 0.5
+    prior = 0.3
     parameters = (Parameter("stiffness_drift", "N/m"),)
 
     def places(self, scene: Scene) -> list[Place]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from modalax.diagnose.causes.base import Cause, Parameter, Place, Scene
 
+MAINS = (50.0, 60.0)  # Hz
 DRAWS = 1000  # of noise alone, against which hum is judged
 FEW_LINES = 16  # away from hum, below which nothing is known of how uneven the noise is
 REACHES = (0.5, 1.5, 2.5)  # line spacings that hum may leak into
@@ -51,7 +52,7 @@ class MainsHum(Cause):
     def places(self, scene: Scene) -> list[Place]:
         """Nowhere in particular, if the band holds such a line."""
         low, high = scene.freq[0], scene.freq[-1]
-        inside = [f for f in (50.0, 60.0) if np.floor(high * 1.002 / f) * f >= low * 0.998 and high * 1.002 >= f]
+        inside = [f for f in MAINS if np.floor(high * 1.002 / f) * f >= low * 0.998 and high * 1.002 >= f]
         return [Place((), (int(f), -1, 0)) for f in inside]
 
     def lines(self, freq: np.ndarray, fundamental: float, reach: float) -> list[np.ndarray]:
@@ -93,6 +94,15 @@ class MainsHum(Cause):
             mask, -float(sum(g[0] for g in gains)), float(mask.sum()), float(np.sqrt(top)), fundamental,
             _tail(max(worth), null),
         )  # fmt: skip
+
+
+def hums(frequency: float, damping_ratio: float, freq: np.ndarray) -> bool:
+    """Whether a mode is narrower than the lines [Hz] can show, and at a multiple of a mains frequency."""
+    near = int(np.abs(freq - frequency).argmin())
+    if len(freq) < 3 or 2 * damping_ratio * frequency > 0.5 * np.gradient(freq)[near]:
+        return False
+    reached = [k for mains in MAINS for k in MainsHum().lines(freq, mains, REACHES[-1])]
+    return any(near in lines for lines in reached)
 
 
 def _null(power: np.ndarray, count: np.ndarray, near: np.ndarray) -> np.ndarray:

@@ -88,9 +88,9 @@ class TunedMass(LocalCause):
         shapes = [(f, z) for f in np.geomspace(low, high, count) for z in (0.01, 0.05)]
         return strengths(scene.stiffness_scale(place) / median_omega(scene) ** 2, shapes, (1e-4, 3e-3), both=False)
 
-    def fits(self, p: np.ndarray, low: float, high: float) -> bool:
+    def fits(self, p: np.ndarray, scene: Scene) -> bool:
         """Only where it splits or draws a peak; far below the band it is a damper to ground, far above it a mass."""
-        return bool(0.7 * low <= p[1] <= 1.4 * high)
+        return bool(0.7 * scene.freq[0] <= p[1] <= 1.4 * scene.freq[-1])
 
     def impedance(self, s: Complex[Array, " f"], p: Float[Array, " p"]) -> Complex[Array, " f"]:
         r"""Dynamic stiffness of a mass on a spring and damper."""

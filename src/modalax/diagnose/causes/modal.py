@@ -82,6 +82,7 @@ class TimeVarying(Cause):
     stage = "modes"
     per_run = True
     summary = "the structure drifts from run to run"
+    prior = 0.4  # of the three forms of a drift
     parameters = (Parameter("relative_stiffness_drift", "-", -0.95),)
 
     def places(self, scene: Scene) -> list[Place]:
@@ -105,6 +106,7 @@ class TimeVaryingSteps(Cause):
     stage = "modes"
     per_run = True
     summary = "the structure changes between runs"
+    prior = 0.3
 
     def __init__(self, runs: int):
         self.runs = runs

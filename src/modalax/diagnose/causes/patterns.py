@@ -8,6 +8,7 @@ from jaxtyping import Array, Complex
 
 from modalax.diagnose.causes.base import Parameter, Scene
 from modalax.diagnose.causes.channels import ChannelCause
+from modalax.diagnose.causes.lines import hums
 
 
 class PatternCause(ChannelCause):
@@ -55,10 +56,11 @@ class MissingMode(PatternCause):
         w = 2 * jnp.pi * q[0]
         return (1 / (s**2 + 2 * q[1] * w * s + w**2))[None]
 
-    def fits(self, p: np.ndarray, low: float, high: float) -> bool:
-        """Only a mode within the band, its damping within its limits and not at one of them."""
-        damping = self.parameters[2]
-        return bool(0.98 * low <= p[1] <= 1.02 * high and 1.5 * damping.lower < p[2] < damping.upper / 1.5)
+    def fits(self, p: np.ndarray, scene: Scene) -> bool:
+        """Only a mode within the band that is no hum, its damping within its limits and not at one of them."""
+        low, high, damping = scene.freq[0], scene.freq[-1], self.parameters[2]
+        inside = 0.98 * low <= p[1] <= 1.02 * high and 1.5 * damping.lower < p[2] < damping.upper / 1.5
+        return bool(inside and not hums(p[1], p[2], scene.freq))
 
 
 class OutOfBand(PatternCause):
@@ -96,10 +98,10 @@ class OutOfBand(PatternCause):
         """The distances are hardly seen: one unknown for all."""
         return self.terms * (outputs + inputs - 1) + 1.0
 
-    def fits(self, p: np.ndarray, low: float, high: float) -> bool:
+    def fits(self, p: np.ndarray, scene: Scene) -> bool:
         """Only modes outside the band."""
         at = dict(zip(self.sides, p[self.terms :], strict=True))
-        return bool(at.get("upper", np.inf) > high and at.get("lower", 0.0) < low)
+        return bool(at.get("upper", np.inf) > scene.freq[-1] and at.get("lower", 0.0) < scene.freq[0])
 
 
 PATTERNS: tuple[Any, ...] = (MissingMode(), OutOfBand("upper"), OutOfBand("lower"), OutOfBand("both"))
