@@ -20,9 +20,8 @@ from modalax.diagnose.fit import Hypothesis
 from modalax.diagnose.predict import Modes, equivalent, gains_of
 from modalax.diagnose.problem import Problem
 from modalax.diagnose.quick import Target, fit_quick
-from modalax.diagnose.screen import KEPT_PLACES, KEPT_SHAPES, Residual, Trial, best_trial, smallest
+from modalax.diagnose.screen import BATCH, FEW, KEPT_PLACES, KEPT_SHAPES, Residual, Trial, best_trial, smallest
 
-BATCH, FEW = 32, 4  # trials worked on together, and in the small batches of a fit's last steps
 LARGE = 200_000  # samples from which fewer directions are kept
 PROMISING = 4  # places of each kind at which finite sizes are tried
 

@@ -5,12 +5,12 @@ With g the change of the whitened prediction and r the residual, nuisances proje
 :math:`2\langle g,r\rangle - |g|^2` is the chi-square that exactly this size would take away.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from modalax.diagnose.causes.base import Cause, Place, Scene
@@ -21,10 +21,9 @@ from modalax.diagnose.problem import Problem
 from modalax.diagnose.quick import Target, fit_quick
 from modalax.diagnose.study import Study
 
-BATCH = 32
+BATCH, FEW = 32, 4  # trials worked on together, and in the small batches of a fit
 MANY_PLACES = 40  # beyond this, finite sizes are tried only where the derivative looks promising
 KEPT = 12
-LARGE = 1e6  # samples times modes from which a screening is compiled with care
 KEPT_PLACES, KEPT_SHAPES = 8, 4
 NOWHERE = np.zeros((0, 3), np.int64)
 
@@ -80,25 +79,33 @@ class Residual:
     inner: np.ndarray
 
 
-def _scores(cause, index, params, base, theta, spread, basis, residual, directions, problem):
-    """Products of the change that each set of parameters makes, for a batch."""
-    run = _scores_large if problem.data.size * problem.plant.poles.size > LARGE else _scores_small
-    return run(cause, index, params, base, theta, spread, basis, residual, directions, problem)
-
-
-def _score_all(cause, index, params, base, theta, spread, basis, residual, directions, problem):
+@partial(jax.jit, static_argnames=("cause",), compiler_options={"xla_backend_optimization_level": 1})
+def _changes(cause, index, params, base, theta, spread, basis, problem):
     def one(k, p):
         H = predict((cause,), k[None], (None,), (p,), theta * spread, problem)
-        g = projected(problem.weight * (H - base), basis)
-        across = jnp.einsum("koin,oin->k", directions, g)
-        return jnp.sum(g * g), jnp.sum(g * residual), across, g.ravel()
+        return projected(problem.weight * (H - base), basis).ravel()
 
     return jax.vmap(one)(index, params)
 
 
-# each cause is compiled for a few runs: little optimisation takes half the time, and pays where a run is short
-_scores_small = jax.jit(_score_all, static_argnames=("cause",), compiler_options={"xla_backend_optimization_level": 0})
-_scores_large = jax.jit(_score_all, static_argnames=("cause",))
+def changes_in_batches(
+    cause: Cause, index: np.ndarray, params: np.ndarray, base: Any, theta: np.ndarray, nuisance: Nuisance,
+    problem: Problem, few: bool = False,
+) -> Iterator[np.ndarray]:  # fmt: skip
+    """Whitened changes of the prediction by one cause at many places and parameters, shape ``(trial, samples)``.
+
+    Every batch is filled up to one of two sizes, so that each cause is compiled once or twice; ``few`` allows the
+    smaller one.
+    """
+    most, start = batch_of(problem), 0
+    while start < len(params):
+        size = min(FEW, most) if few and len(params) - start <= most // 2 else most
+        take = slice(start, start + size)
+        at, p = index[take], params[take]
+        fill = np.minimum(np.arange(size), len(p) - 1)
+        y = _changes(cause, at[fill], p[fill], base, theta, nuisance.spread, nuisance.basis, problem)
+        yield np.asarray(y)[: len(p)]
+        start += size
 
 
 @jax.jit
@@ -133,28 +140,20 @@ def screen(
     index = np.concatenate([np.repeat([place.index], len(grid), axis=0) for _, place, grid in causes])
     params = np.concatenate([grid for *_, grid in causes])
     owner = np.concatenate([np.full(len(grid), k) for k, (*_, grid) in enumerate(causes)])
-    size = batch_of(problem)
     base = _plain(theta, nuisance.spread, problem)
     small = np.concatenate([smallest(grid) for *_, grid in causes])
     # a few places stand for all where only the likeness of directions is wanted
-    some = set(np.unique(np.linspace(0, len(causes) - 1, KEPT_PLACES).astype(int)).tolist())
-    rows: list[int] = []
-    parts: list[list[np.ndarray]] = [[], [], [], []]
-    for k in range(0, len(params), size):
-        take = np.arange(k, min(k + size, len(params)))
-        fill = np.concatenate([take, np.full(size - len(take), take[-1])])
-        got = _scores(
-            cause, index[fill], params[fill], base, theta, nuisance.spread, nuisance.basis, residual.value,
-            residual.nuisance, problem,
-        )  # fmt: skip
-        for part, value in zip(parts[:3], got[:3], strict=True):
-            part.append(np.asarray(value)[: len(take)])
-        if keep:
-            wanted = [row for row, t in enumerate(take) if small[t] and owner[t] in some]
-            parts[3].append(np.asarray(got[3])[wanted])
-            rows += [int(take[row]) for row in wanted]
-    square, product, across = (np.concatenate(p) for p in parts[:3])
-    directions = dict(zip(rows, np.concatenate(parts[3]), strict=True)) if keep else {}
+    some = np.unique(np.linspace(0, len(causes) - 1, KEPT_PLACES).astype(int))
+    wanted = small & np.isin(owner, some) & keep
+    toward, K = residual.value.ravel(), len(residual.inner)
+    flat = residual.nuisance.reshape(K, -1)
+    directions: dict[int, np.ndarray] = {}
+    parts, row = [], 0
+    for y in changes_in_batches(cause, index, params, base, theta, nuisance, problem):
+        parts.append((np.einsum("pn,pn->p", y, y), y @ toward, y @ flat.T))
+        directions |= {row + int(k): y[k].copy() for k in np.flatnonzero(wanted[row : row + len(y)])}
+        row += len(y)
+    square, product, across = (np.concatenate(p) for p in zip(*parts, strict=True))
     if len(residual.inner):
         square = square - np.einsum("pk,kl,pl->p", across, residual.inner, across)
     out = []
@@ -239,22 +238,13 @@ def fit_screened(
     cause = starts[0].causes[0]
     problem, nuisance, _ = study.side(cause.per_run)
     plain = _plain(base.theta, nuisance.spread, problem)
-    size = batch_of(problem)
     K = len(state.inner)
     aim = Target(np.ones((1, 1)), state.value.reshape(1, -1), state.nuisance.reshape(1, K, -1), state.inner)
 
     def changes(part: list[Hypothesis], owner: np.ndarray, params: np.ndarray) -> np.ndarray:
         index = np.stack([h.index[0] for h in part])[owner]
-        parts = []
-        for k in range(0, len(params), size):
-            take = np.arange(k, min(k + size, len(params)))
-            fill = np.concatenate([take, np.full(size - len(take), take[-1])])
-            got = _scores(
-                cause, index[fill], params[fill], plain, base.theta, nuisance.spread, nuisance.basis, state.value,
-                state.nuisance, problem,
-            )  # fmt: skip
-            parts.append(np.asarray(got[3])[: len(take)])
-        return np.concatenate(parts)
+        batches = changes_in_batches(cause, index, params, plain, base.theta, nuisance, problem, few=True)
+        return np.concatenate(list(batches))
 
     return fit_quick(study, base, starts, lambda part: aim, changes, rounds)
 

@@ -170,10 +170,10 @@ def strengths(
 ) -> np.ndarray:  # fmt: skip
     """Starting values: the first parameter at ``sizes`` times ``scale`` (and its negatives), the others at ``shapes``.
 
-    Shape ``(start, parameter)``; the first size stands for the derivative at zero.
+    Shape ``(start, parameter)``; the first size stands for the derivative at zero, which has one sign only.
     """
-    signs = (1.0, -1.0) if both else (1.0,)
-    return np.array([[sign * size * scale, *shape] for shape in shapes for size in sizes for sign in signs])
+    signed = [*sizes, *(-size for size in sizes[1:])] if both else sizes
+    return np.array([[size * scale, *shape] for shape in shapes for size in signed])
 
 
 class Cause:

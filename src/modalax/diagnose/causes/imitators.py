@@ -195,7 +195,7 @@ class ForceGain(ChannelCause):
 
     def grid(self, scene: Scene, place: Place) -> np.ndarray:
         """Linear in the gain, so one size does."""
-        return np.array([[1e-3], [-1e-3]])
+        return np.array([[1e-3]])
 
     def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
         """Scale columns."""
@@ -265,7 +265,7 @@ class Crosstalk(ChannelCause):
 
     def grid(self, scene: Scene, place: Place) -> np.ndarray:
         """Linear in the share, so one size does."""
-        return np.array([[1e-3], [-1e-3]])
+        return np.array([[1e-3]])
 
     def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
         """Add to one row."""

@@ -27,7 +27,7 @@ class ModalDamping(Cause):
 
     def grid(self, scene: Scene, place: Place) -> np.ndarray:
         """Half to five times."""
-        return np.array([[1e-4], [-1e-4], [0.3], [-0.3], [1.0], [-0.6], [3.0]])
+        return np.array([[1e-4], [0.3], [-0.3], [1.0], [-0.6], [3.0]])
 
     def modes(self, modes: Any, where: Array, p: Array, runs: int) -> Any:
         """Scale one damping coefficient."""
@@ -120,7 +120,7 @@ class TimeVaryingSteps(Cause):
         """Drifts both ways, early and late."""
         late = np.linspace(0.0, 1.0, self.runs)[1:]
         early = np.sqrt(late)
-        return np.array([size * way for size in (1e-6, -1e-6, 3e-3, -3e-3) for way in (early, late**3)])
+        return np.array([size * way for size in (1e-6, 3e-3, -3e-3) for way in (early, late**3)])
 
     def modes(self, modes: Any, where: Array, p: Array, runs: int) -> Any:
         """Scale the stiffness of each run."""
