@@ -5,11 +5,16 @@ import numpy as np
 import pytest
 import scipy.linalg
 
+from modalax import Measurement
+from modalax.diagnose.causes.modal import ModalDamping
 from modalax.diagnose.elements import reduce
+from modalax.diagnose.name import empty, look
 from modalax.diagnose.plant import plant_of
 from modalax.diagnose.predict import predict
 from modalax.diagnose.problem import make_problem
 from modalax.diagnose.screen import Residual
+from modalax.diagnose.search import screen_all, state_of
+from modalax.diagnose.study import make_study
 from modalax.model import Structure
 from modalax.model.examples import five_dof
 
@@ -26,7 +31,7 @@ def coupled(damper: float, std: float = 0.01) -> Structure:
     return Structure(S.M, C, S.K, NAMES, frequency_std=std, damping_std=10 * std)
 
 
-def changed(structure: Structure, theta: np.ndarray) -> np.ndarray:
+def changed(structure: Structure, theta: np.ndarray, freq: np.ndarray = FREQ) -> np.ndarray:
     """Receptances from the matrices with frequencies and damping ratios of the undamped modes changed."""
     M, C, K = (np.asarray(getattr(structure, name)) for name in "MCK")
     square, phi = scipy.linalg.eigh(K, M)
@@ -34,15 +39,16 @@ def changed(structure: Structure, theta: np.ndarray) -> np.ndarray:
     back = M @ phi
     K = K + (back * square * np.expm1(2 * theta[0])) @ back.T
     C = C + (back * own * np.expm1(theta[0] + theta[1])) @ back.T
-    s = 2j * np.pi * FREQ[:, None, None]
+    s = 2j * np.pi * freq[:, None, None]
     return np.linalg.inv(s**2 * M + s * C + K)
 
 
-def adapted(structure: Structure, theta: np.ndarray) -> np.ndarray:
+def adapted(structure: Structure, theta: np.ndarray, centre: np.ndarray | None = None) -> np.ndarray:
     shape = (1, len(FREQ), 5, 5)
     problem = make_problem(
-        FREQ, np.zeros(shape, complex), np.ones(shape), np.ones(1), NAMES, NAMES, plant_of(structure, FREQ[0])
-    )
+        FREQ, np.zeros(shape, complex), np.ones(shape), np.ones(1), NAMES, NAMES,
+        plant_of(structure, FREQ[0], centre),
+    )  # fmt: skip
     full = np.zeros((2, problem.plant.stiffness.shape[0]))
     full[:, :5] = theta
     H = predict((), np.zeros((0, 3), int), (), (), jnp.asarray(full), problem)
@@ -72,6 +78,43 @@ def test_complex_modes_follow_to_first_order(kind):
         missed.append(np.abs(adapted(bare, size * way) - exact).max() / top)
     assert 30 < error[1] / error[0] < 300
     assert error[0] < 0.05 * missed[0]
+
+
+@pytest.mark.parametrize("kind", [0, 1])
+def test_complex_modes_are_exact_where_they_are_centred(kind):
+    S, theta = coupled(60.0), np.zeros((2, 5))
+    theta[kind] = np.random.default_rng(4).normal(size=5) * (0.02, 0.3)[kind]
+    exact = changed(S, theta)
+    top = np.abs(exact).max()
+    assert np.abs(adapted(S, theta, centre=theta) - exact).max() < 1e-10 * top
+    assert np.abs(adapted(S, 1.01 * theta, centre=theta) - changed(S, 1.01 * theta)).max() < 1e-4 * top
+    assert np.abs(adapted(S, theta) - exact).max() > 1e-3 * top
+
+
+def test_a_centre_means_nothing_where_no_modes_are_coupled():
+    S = five_dof()
+    alone = Structure(S.M, 1e-4 * np.asarray(S.K), S.K, NAMES, frequency_std=0.01)
+    centred, plain = plant_of(alone, 1.0, np.full((2, 5), 0.1)), plant_of(alone, 1.0)
+    np.testing.assert_array_equal(np.asarray(centred.poles), np.asarray(plain.poles))
+
+
+def test_second_order_of_coupled_modes_is_no_finding():
+    """Two close modes coupled by their dampers, their damping off by more than what parts them, as claimed."""
+    M, freq = np.eye(3), np.linspace(10.0, 60.0, 150)
+    K = (2 * np.pi) ** 2 * (np.diag([1000.0, 1020.0, 1900.0]) + 8.0 * (np.eye(3, k=1) + np.eye(3, k=-1)))
+    C = np.diag([4.0, 4.0, 6.0]) + 3.0 * (np.eye(3, k=1) + np.eye(3, k=-1))
+    S = Structure(M, C, K, NAMES[:3], frequency_std=0.005, damping_std=0.3)
+    rng = np.random.default_rng(1)
+    theta = np.array([0.005 * rng.normal(size=3), [0.5, -0.4, 0.1]])
+    exact = changed(S, theta, freq)[None].repeat(2, axis=0)
+    sigma = 0.01 * np.sqrt((np.abs(exact) ** 2).mean(axis=1, keepdims=True)) * np.ones(exact.shape)
+    noise = (rng.normal(size=exact.shape) + 1j * rng.normal(size=exact.shape)) * sigma / np.sqrt(2)
+    data = Measurement(freq, exact + noise, variance=sigma**2, outputs=NAMES[:3], inputs=NAMES[:3], level=[1.0, 2.0])
+    study = make_study(data, S)
+    causes = [ModalDamping()]
+    assert not look(study, causes).detection.anything
+    bare = screen_all(study, (null := study.fit([empty(study)], 14)[0]), causes, state_of(study, null)).trials
+    assert max(abs(t.z) for t in bare) > 6.0
 
 
 def test_nothing_changes_at_zero_and_elements_see_the_same_receptances():

@@ -165,7 +165,7 @@ def diagnose(
     default = catalogue(study.problem.data.shape[0])
     doubted = IMITATORS if causes is None else ()
     naming = name(study, causes_of(causes, study, default), causes_of(None, study, doubted))
-    found = naming.best
+    found, (alone, study) = naming.best, naming.studies
     n_out, n_in = study.problem.channels
     cut = lambda a: a[:, : study.problem.lines, :n_out, :n_in]  # noqa: E731
     unit = (2j * np.pi * study.scene.freq[:, None, None]) ** {"receptance": 0, "mobility": 1, "accelerance": 2}[
@@ -173,9 +173,9 @@ def diagnose(
     ]
     return Diagnosis(
         naming.verdict, naming, study, extend(study, found) if found.causes else None,
-        measure(study, naming.null, found), study.scene.freq,
-        cut(study.residual(naming.null)), cut(study.residual(found)),
-        study.prediction(naming.null) * unit, study.prediction(found) * unit,
+        measure(naming.studies, naming.null, found), study.scene.freq,
+        cut(alone.residual(naming.null)), cut(study.residual(found)),
+        alone.prediction(naming.null) * unit, study.prediction(found) * unit,
     )  # fmt: skip
 
 

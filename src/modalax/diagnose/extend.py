@@ -82,7 +82,7 @@ class ExtendedSimulation(eqx.Module):
             raise ValueError(
                 f"{', '.join(other)} is known on the measured channels only; ask for these, or for measured=False"
             )
-        plant = plant_of(self.base, self.lowest_hz)
+        plant = plant_of(self.base, self.lowest_hz, concrete(self.theta))
         freq = jnp.asarray(freq, jnp.float64)
         omega = 2 * jnp.pi * freq
         shape = (1, freq.shape[0], len(outputs), len(inputs))
@@ -139,6 +139,11 @@ class ExtendedSimulation(eqx.Module):
 
 
 _predict = jax.jit(predict, static_argnums=0)
+
+
+def concrete(theta: Any) -> np.ndarray | None:
+    """The modal parameters that complex modes are made exact about; None under a derivative by them."""
+    return None if isinstance(theta, jax.core.Tracer) else np.asarray(theta)
 
 
 def _key(cause: Cause) -> str:

@@ -67,19 +67,19 @@ def held_out_block(study: Study) -> tuple[str, np.ndarray]:
     return f"every fourth of {len(edges) - 1} blocks of neighbouring lines", mask
 
 
-def measure(study: Study, null: Hypothesis, found: Hypothesis) -> Gain:
-    """Fit both without the held-out block and compare them on it."""
+def measure(studies: tuple[Study, Study], null: Hypothesis, found: Hypothesis) -> Gain:
+    """Fit both without the held-out block, each in its own study, and compare them on it."""
+    study = studies[0]
     words, mask = held_out_block(study)
     weight = np.asarray(study.problem.weight)
     drop = np.zeros(weight.shape[1], bool)
     if found.hum is not None:
         drop[: len(found.hum.lines)] = found.hum.lines
     weight = np.where(drop[None, :, None, None], 0.0, weight)
-    seen = study.reweighted(np.where(mask, 0.0, weight))
-    unseen = study.reweighted(np.where(mask, weight, 0.0))
-    before = _on(seen, unseen, replace(null, theta=np.zeros_like(null.theta)))
-    after = before if not found.causes else _on(seen, unseen, found)
-    live = np.asarray(unseen.problem.weight) > 0
+    kept, left = np.where(mask, 0.0, weight), np.where(mask, weight, 0.0)
+    before = _on(studies[0], kept, left, replace(null, theta=np.zeros_like(null.theta)))
+    after = before if not found.causes else _on(studies[1], kept, left, found)
+    live = left > 0
     count = 2 * int(live.sum())
     if count == 0:
         return Gain(words, float("nan"), float("nan"), 0.0, 0.0)
@@ -93,8 +93,9 @@ def measure(study: Study, null: Hypothesis, found: Hypothesis) -> Gain:
     )  # fmt: skip
 
 
-def _on(seen: Study, unseen: Study, h: Hypothesis) -> np.ndarray:
+def _on(study: Study, kept: np.ndarray, left: np.ndarray, h: Hypothesis) -> np.ndarray:
     """Whitened residuals on the held-out block of what was fitted to the rest."""
+    seen, unseen = study.reweighted(kept), study.reweighted(left)
     null = seen.fit([replace(h, causes=(), places=(), extras=(), params=(), hum=None)], ROUNDS)[0]
     if not h.causes:
         return unseen.residual(null)

@@ -27,17 +27,20 @@ class Mixing(eqx.Module):
         Of the logarithms of each complex mode's stiffness and damping, shape ``(2, n, n)``.
     shapes, participation
         Beside what a real mode would do, shape ``(2, n, n, dof)``.
+    centre
+        Logarithmic changes about which these hold, shape ``(2, n)``.
     """
 
     k: Float[Array, "2 n n"]
     c: Float[Array, "2 n n"]
     shapes: Complex[Array, "2 n n dof"]
     participation: Complex[Array, "2 n n dof"]
+    centre: Float[Array, "2 n"]
 
 
 def mixing_of(
     stiffness: np.ndarray, damping: np.ndarray, poles: np.ndarray, right: np.ndarray, left: np.ndarray,
-    kept: np.ndarray, shapes: np.ndarray, claimed: np.ndarray,
+    kept: np.ndarray, shapes: np.ndarray, claimed: np.ndarray, centre: np.ndarray,
 ) -> Mixing | None:  # fmt: skip
     """Derivatives of the kept complex modes; None where modes are not coupled, nothing is claimed or poles are real.
 
@@ -54,6 +57,8 @@ def mixing_of(
         Undamped mode shapes, shape ``(dof, n)``.
     claimed
         Standard deviations of log frequency and log damping ratio, shape ``(2, n)``.
+    centre
+        Logarithmic changes that the matrices hold already, shape ``(2, n)``.
     """
     n = len(stiffness)
     own = np.sqrt(np.maximum(np.diag(damping), 1e-300))
@@ -81,4 +86,4 @@ def mixing_of(
         out[1][kind, p] = -2 * moved.real / c
         out[2][kind, p] = to_shape - length[:, None] * disp[kept]
         out[3][kind, p] = to_part + (length + moved.imag / poles[kept].imag)[:, None] * part[kept]
-    return Mixing(*(jnp.asarray(a) for a in out))
+    return Mixing(*map(jnp.asarray, (*out, centre)))

@@ -16,6 +16,7 @@ from modalax.diagnose.noise import TRUSTED
 from modalax.diagnose.omnibus import Omnibus, omnibus
 from modalax.diagnose.screen import Trial
 from modalax.diagnose.search import (
+    PATIENT,
     Screening,
     State,
     best_of_each,
@@ -32,9 +33,11 @@ from modalax.diagnose.study import Study, noise_beside
 LEFT = 0.002  # chance under noise below which a residual is said to hold something more
 LEFT_BY_SEVERAL = 0.01  # the same where several causes are needed
 PLACED = 0.8  # posterior of each leading place from which sure names are given
+NEAR = 12.0  # nats behind the best up to which hypotheses are fitted again where complex modes are exact
 DEEPEST = 3  # causes in one answer
 LEADING = 2  # hypotheses that a further cause is added to
 FURTHER = 3  # causes tried on each
+CENTRED = 3  # times that complex modes are made exact about what was fitted
 AGAIN = 2  # times that noise read off the lines is read again
 
 
@@ -42,6 +45,7 @@ AGAIN = 2  # times that noise read off the lines is read again
 class Look:
     """The simulation alone beside the data: what it leaves, what the causes would explain of that, and the chance."""
 
+    study: Study
     null: Hypothesis
     omnibus: Omnibus
     state: State
@@ -51,11 +55,24 @@ class Look:
 
 def look(study: Study, causes: Sequence[Cause]) -> Look:
     """Whether anything is wrong at all."""
+    first = _look(study, causes)
+    if not first.detection.anything or study.problem.plant.mixing is None:
+        return first
+    # complex modes follow undamped ones to first order only: what that leaves is no finding
+    about = study
+    for _ in range(CENTRED):
+        about = about.centred(about.fit([empty(study)], ROUNDS)[0].theta)
+    again = _look(about, causes)
+    return first if again.detection.anything else again
+
+
+def _look(study: Study, causes: Sequence[Cause]) -> Look:
     null = study.fit([empty(study)], ROUNDS)[0]
     before = omnibus(study.residual(null), study.live(), study.noise.freedom)
     state = state_of(study, null)
     screening = screen_all(study, null, causes, state)
-    return Look(null, before, state, screening, detect(screening.trials, state.sides, before, study.noise.spread))
+    found = detect(screening.trials, state.sides, before, study.noise.spread)
+    return Look(study, null, before, state, screening, found)
 
 
 @dataclass(frozen=True)
@@ -76,6 +93,8 @@ class Naming:
         Significance of what the simulation leaves.
     before, after
         Omnibus tests of the null and of the best hypothesis.
+    studies
+        In which the null and the best hypothesis were fitted: the same but for what complex modes are exact about.
     notes
         Sentences for the answer.
     """
@@ -87,6 +106,7 @@ class Naming:
     detection: Detection
     before: Omnibus
     after: Omnibus
+    studies: tuple[Study, Study]
     notes: tuple[str, ...] = ()
 
     @property
@@ -100,7 +120,7 @@ def name(study: Study, causes: Sequence[Cause], imitators: Sequence[Cause] = ())
     first = look(study, causes)
     null, before, state, screening, detection = first.null, first.omnibus, first.state, first.screening, first.detection
     if not detection.anything:
-        return Naming("clean", [], null, screening, detection, before, before)
+        return Naming("clean", [], null, screening, detection, before, before, (first.study, first.study))
     samples = study.problem.samples
 
     def weigh(found: list[Hypothesis]) -> list[Ranked]:
@@ -111,7 +131,12 @@ def name(study: Study, causes: Sequence[Cause], imitators: Sequence[Cause] = ())
     found += joints_for_drifts(study, null, best_of_each(found, study), causes, state)
     ranked = weigh(found)
     if not ranked or ranked[0].best.chi2 > null.chi2 - 9.0:
-        return Naming("unknown", [], null, screening, detection, before, before)
+        return Naming("unknown", [], null, screening, detection, before, before, (study, study))
+    alone, study = study, study.centred(ranked[0].best.theta)
+    if study is not alone:
+        near = [r.best for r in ranked if r.log_evidence > ranked[0].log_evidence - NEAR and r.best.hum is None]
+        found = study.fit(near, PATIENT) + [h for h in found if not any(h is other for other in near)]
+        ranked = weigh(found)
     rests: dict[int, tuple[Hypothesis, Rest]] = {}  # the hypothesis is kept, so that its number stays its own
 
     def rest(h: Hypothesis) -> Rest:
@@ -136,7 +161,7 @@ def name(study: Study, causes: Sequence[Cause], imitators: Sequence[Cause] = ())
         ranked, nameless = apart(weigh(found + imitations(study, null, state, ranked[0].best, imitators)), imitators)
         likelier = sum(r.probability for r in nameless) > 0.5
         verdict, notes = "unknown" if likelier else _verdict(ranked, last.p_value), likeness(nameless)
-    return Naming(verdict, ranked, null, screening, detection, before, last.omnibus, notes)
+    return Naming(verdict, ranked, null, screening, detection, before, last.omnibus, (alone, study), notes)
 
 
 def with_noise_beside(study: Study) -> Study:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.special
-from scipy.ndimage import median_filter, uniform_filter1d
+from scipy.ndimage import correlate1d, median_filter, uniform_filter1d
 
 from modalax.data import Measurement
 
@@ -19,6 +19,7 @@ FLOOR = 1e-7  # least standard deviation, over the root mean square of the chann
 AROUND = 15  # lines over which the scatter with and without the simulation is compared
 SHARED = 9  # lines over which the course that all channels share is taken
 TRUSTED = 3.0  # degrees of freedom of each variance below which it was read from neighbouring lines
+ROUNDS = 12  # of parts and course in turn
 THIRD = np.array([1.0, -3.0, 3.0, -1.0]) / np.sqrt(20.0)
 
 
@@ -161,13 +162,16 @@ def smoothed(
         shapes.append((square.sum(axis=0, keepdims=True) - square) / (len(H) - 1))
     basis = [np.ones_like(size), *(x / np.maximum(x.mean(axis=1, keepdims=True), 1e-300) for x in shapes)]
     width = int(np.clip(round(160 / freedom), 7, max(7, lines // 3))) | 1
-    value, fit = variance, np.broadcast_to(variance.mean(axis=1, keepdims=True), variance.shape)
-    for _ in range(1 if clip is None else 8):
-        model = _two_parts(value, basis)
-        fit = model * uniform_filter1d(value / model, width, axis=1, mode="nearest")
+    value, fit, course = variance, variance, np.ones((1, lines, 1, 1))
+    for _ in range(1 if clip is None else ROUNDS):
+        beside = [course * basis[0], *basis[1:]]
+        told = beside if clip is None else [correlate1d(g, THIRD**2, axis=1, mode="nearest", origin=-1) for g in beside]
+        parts, model = _parts(value, told)
+        slow = uniform_filter1d(value / model, width, axis=1, mode="nearest")
+        fit = slow * sum(a * g for a, g in zip(parts, beside, strict=True))
         if clip is not None:
-            fit = fit * _shared(value / fit)
-            value = np.minimum(variance, clip * fit)
+            value = np.minimum(variance, clip * slow * model)
+            course = _shared(value / model, parts[0] * told[0] / model, course)
     if clip is None:
         # a line whose own estimate is far above the smooth one knows something that the smooth one does not
         far = scipy.special.gammainccinv(freedom / 2, 1e-6) * 2 / freedom
@@ -175,15 +179,19 @@ def smoothed(
     return fit
 
 
-def _shared(ratio: np.ndarray) -> np.ndarray:
-    """How the noise of all channels together goes over frequency, single lines left out, shape ``(1, f, 1, 1)``."""
-    line = ratio.mean(axis=(0, 2, 3))
-    smooth = uniform_filter1d(median_filter(line, SHARED, mode="nearest"), SHARED // 2, mode="nearest")
-    return smooth[None, :, None, None]
+def _shared(ratio: np.ndarray, share: np.ndarray, course: np.ndarray) -> np.ndarray:
+    """How the noise that does not follow the response goes over frequency in all channels, shape ``(1, f, 1, 1)``.
+
+    The multiplicative update for chi-square scatter (Fevotte, Bertin and Durrieu 2009, Neural Computation 21:793),
+    single lines left out. ``ratio`` is that of the variances to the model, ``share`` the part of this noise in it.
+    """
+    line = course.ravel() * (share * ratio).sum(axis=(0, 2, 3)) / np.maximum(share.sum(axis=(0, 2, 3)), 1e-300)
+    smooth = uniform_filter1d(median_filter(np.log(line), SHARED, mode="nearest"), SHARED // 2, mode="nearest")
+    return np.exp(smooth - smooth.mean())[None, :, None, None]
 
 
-def _two_parts(value: np.ndarray, basis: list[np.ndarray], rounds: int = 60) -> np.ndarray:
-    """Non-negative parts of a variance by maximum likelihood for chi-square scatter (multiplicative updates)."""
+def _parts(value: np.ndarray, basis: list[np.ndarray], rounds: int = 60) -> tuple[list[np.ndarray], np.ndarray]:
+    """Non-negative parts of a variance by maximum likelihood for chi-square scatter, and their sum (same source)."""
     mean = np.maximum(value.mean(axis=1, keepdims=True), 1e-290)
     value = value / mean  # squares of the smallest variances would be nothing
     parts = [np.ones_like(mean) / len(basis) for _ in basis]
@@ -195,4 +203,4 @@ def _two_parts(value: np.ndarray, basis: list[np.ndarray], rounds: int = 60) -> 
         ]
         total = np.sum([a * g for a, g in zip(parts, basis, strict=True)], axis=0)
         model = np.maximum(total, 1e-12)
-    return model * mean
+    return [a * mean for a in parts], model * mean

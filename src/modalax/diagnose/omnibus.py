@@ -84,7 +84,7 @@ def omnibus(residual: np.ndarray, live: np.ndarray, freedom: float, tolerated: f
 
 
 def _stretches(value: np.ndarray, live: np.ndarray, stretch: int) -> tuple[np.ndarray, np.ndarray]:
-    """Sums over half-overlapping... plain stretches of lines, and how many samples each holds."""
+    """Sums over stretches of neighbouring lines, and how many samples each holds."""
     pad = -value.shape[1] % stretch
     shape = (value.shape[0], -1, stretch, *value.shape[2:])
     fill = ((0, 0), (0, pad), (0, 0), (0, 0))

@@ -64,16 +64,17 @@ class Plant(eqx.Module):
 
     def adapted(self, theta: Float[Array, "2 n"]) -> tuple[Array, Array, Array, Array]:
         """Stiffness, damping, shapes and participation with logarithmic changes of frequencies and damping ratios."""
-        if self.mixing is None:
+        mixing = self.mixing
+        if mixing is None:
             k, c = self.stiffness * jnp.exp(2 * theta[0]), self.damping * jnp.exp(theta[0] + theta[1])
             return k, c, self.shapes, self.participation
 
         def by(a: Array) -> Array:
-            return jnp.tensordot(theta, a, 2)
+            return jnp.tensordot(theta - mixing.centre, a, 2)
 
         return (
-            self.stiffness * jnp.exp(by(self.mixing.k)), self.damping * jnp.exp(by(self.mixing.c)),
-            self.shapes + by(self.mixing.shapes), self.participation + by(self.mixing.participation),
+            self.stiffness * jnp.exp(by(mixing.k)), self.damping * jnp.exp(by(mixing.c)),
+            self.shapes + by(mixing.shapes), self.participation + by(mixing.participation),
         )  # fmt: skip
 
     def index(self, dof: str) -> int:
@@ -90,13 +91,16 @@ class Plant(eqx.Module):
         return np.sqrt(np.asarray(self.stiffness)) / (2 * np.pi)
 
 
-def plant_of(simulation: Structure | ModalModel, lowest_hz: float) -> Plant:
+def plant_of(simulation: Structure | ModalModel, lowest_hz: float, centre: np.ndarray | None = None) -> Plant:
     """The modal arrays of a simulation.
 
     Parameters
     ----------
     lowest_hz
         Start of the band, for the shift of rigid modes [Hz].
+    centre
+        Logarithmic changes of the undamped modes' frequencies and damping ratios about which complex modes that follow
+        them are to be exact, shape ``(2, n)``; 0 by default, and without a meaning where there is no mixing.
 
     Raises
     ------
@@ -104,13 +108,17 @@ def plant_of(simulation: Structure | ModalModel, lowest_hz: float) -> Plant:
         If it is neither a structure nor a modal model, or its mass matrix is singular.
     """
     if isinstance(simulation, Structure):
-        return _from_structure(simulation, lowest_hz)
+        n = len(simulation.dofs)
+        about = np.zeros((2, n)) if centre is None else np.asarray(centre)[:, :n]
+        plant = _from_structure(simulation, lowest_hz, about)
+        followed = plant.mixing is not None or not about.any()
+        return plant if followed else _from_structure(simulation, lowest_hz, np.zeros((2, n)))
     if isinstance(simulation, ModalModel):
         return _from_modal(simulation)
     raise ValueError(f"a simulation is a Structure or a ModalModel, not a {type(simulation).__name__}")
 
 
-def _from_structure(structure: Structure, lowest_hz: float) -> Plant:
+def _from_structure(structure: Structure, lowest_hz: float, centre: np.ndarray) -> Plant:
     M, C, K = (np.asarray(A) for A in (structure.M, structure.C, structure.K))
     n = len(M)
     if np.linalg.matrix_rank(M) < n:
@@ -123,6 +131,8 @@ def _from_structure(structure: Structure, lowest_hz: float) -> Plant:
     mass = phi.T @ M @ phi
     stiff = np.linalg.solve(mass, phi.T @ K @ phi) + shift * np.eye(n)
     damp = np.linalg.solve(mass, phi.T @ C @ phi)
+    stiff[np.diag_indices(n)] *= np.exp(2 * centre[0])
+    damp[np.diag_indices(n)] *= np.exp(centre[0] + centre[1])
     state = np.block([[np.zeros((n, n)), np.eye(n)], [-stiff, -damp]])
     unit = np.sqrt(np.abs(squares).max())
     scale = np.r_[np.full(n, 1.0), np.full(n, unit)]
@@ -144,7 +154,8 @@ def _from_structure(structure: Structure, lowest_hz: float) -> Plant:
     f_std, d_std = (np.concatenate([std[:pair], np.zeros(len(keep) - pair)]) for std in claims)
     mixing = None
     if not real.any():
-        mixing = mixing_of(stiff, damp, values, right.T, left @ np.linalg.inv(mass), keep[order], phi, np.stack(claims))
+        back = left @ np.linalg.inv(mass)
+        mixing = mixing_of(stiff, damp, values, right.T, back, keep[order], phi, np.stack(claims), centre)
         if mixing is not None:  # in the lengths that are stored
             by = turn[order]
             mixing = eqx.tree_at(

@@ -157,5 +157,5 @@ def padded(plant: Plant) -> Plant:
 def _padded_mixing(mixing: Mixing | None, more: int, wide: int) -> Mixing | None:
     if mixing is None:
         return None
-    widths = ((0, 0), (0, more), (0, more), (0, wide))  # the first three for stiffness and damping
+    widths = ((0, 0), (0, more), (0, more), (0, wide))  # the first three for stiffness and damping, two for the centre
     return jax.tree.map(lambda a: jnp.pad(a, widths[: a.ndim]), mixing)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -26,7 +27,7 @@ from modalax.diagnose.fit import (
 from modalax.diagnose.noise import TRUSTED, Noise, noise_of
 from modalax.diagnose.plant import plant_of
 from modalax.diagnose.predict import predict
-from modalax.diagnose.problem import Held, Problem, make_problem
+from modalax.diagnose.problem import Held, Problem, make_problem, padded
 from modalax.model import ModalModel, Structure
 
 
@@ -116,6 +117,22 @@ class Study:
         weight = np.where(self.live(), weight, 0.0)
         return replace(self.reweighted(weight), noise=noise)
 
+    def centred(self, theta: np.ndarray) -> "Study":
+        """The same with complex modes that follow undamped ones exact about other modal parameters.
+
+        ``theta`` is in units of the spread, as that of a hypothesis; where modes are not coupled nothing changes.
+        """
+        mixing, held = self.problem.plant.mixing, self.problem.held
+        if mixing is None or self.question == "free":
+            return self
+        base = self.simulation.base if isinstance(self.simulation, ExtendedSimulation) else self.simulation
+        about = theta * self.nuisance.spread + (0.0 if held is None else np.asarray(held.theta))
+        plant = padded(plant_of(base, float(self.scene.freq[0]), about))
+        if plant.mixing is None:
+            return self
+        problem, pooled = (eqx.tree_at(lambda p: p.plant, p, plant) for p in (self.problem, self.pooled))
+        return replace(self, problem=problem, pooled=problem if self.pooled is self.problem else pooled, cache={})
+
     def reweighted(self, weight: np.ndarray) -> "Study":
         """The same with other weights."""
         problem = self.problem.weighted(weight)
@@ -177,7 +194,7 @@ def make_study(
     measurement = as_measurement(data)
     freq = np.asarray(measurement.freq)
     base, held = _taken_apart(simulation, measurement)
-    plant = plant_of(base, float(freq[0]))
+    plant = plant_of(base, float(freq[0]), None if held is None else np.asarray(held.theta))
     level = np.asarray(measurement.level)
     notes = []
     if np.isnan(level).any():
