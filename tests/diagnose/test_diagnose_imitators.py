@@ -21,6 +21,8 @@ from modalax.diagnose.causes.imitators import (
     PowerDamper,
     PowerSpring,
     SensorLowpass,
+    SensorResonance,
+    StrayForce,
 )
 from modalax.diagnose.decide import posterior
 from modalax.diagnose.doubt import apart, likeness
@@ -55,6 +57,21 @@ def solved(change=None):
     if change is not None:
         D = D + change
     return np.linalg.inv(D)[:, [1, 0, 4]][:, :, [0, 2]]
+
+
+def test_stray_force_and_resonant_mount_against_closed_forms():
+    H = solved()
+    M, C, K = (np.asarray(getattr(five_dof(), name)) for name in "MCK")
+    whole = np.linalg.inv(S[:, None, None] ** 2 * M + S[:, None, None] * C + K)
+    stray = H.copy()
+    stray[:, :, 1] += 0.2 * whole[:, [1, 0, 4], 3]
+    found = predicted(StrayForce(), (1, 3, 0), [0.2])[0]
+    assert np.abs(found - stray).max() < ROUNDING * np.abs(H).max()
+    w = 2 * np.pi * 40.0
+    mount = H.copy()
+    mount[:, 2] *= (1 - 0.3 * S**2 / (S**2 + 0.04 * w * S + w**2))[:, None]
+    found = predicted(SensorResonance(), (2, -1, 0), [0.3, 40.0, 0.02])[0]
+    assert np.abs(found - mount).max() < ROUNDING * np.abs(H).max()
 
 
 def across(a, b):

@@ -40,12 +40,21 @@ class Channels(eqx.Module):
         The same of each input's DoF, shape ``(f, i)`` [m/N].
     level
         Force amplitudes of each run and line [N].
+    gains, shapes, participation
+        Of the modes and their conjugates, shapes ``(f, m)``, ``(m, o)`` at the outputs and ``(m, dof)``.
     """
 
     s: Complex[Array, " f"]
     own: Complex[Array, "f o"]
     drive: Complex[Array, "f i"]
     level: Float[Array, "run f"]
+    gains: Complex[Array, "f m"]
+    shapes: Complex[Array, "m o"]
+    participation: Complex[Array, "m dof"]
+
+    def column(self, dof: Array) -> Complex[Array, "f o"]:
+        """Receptance from any DoF to the outputs [m/N]."""
+        return (self.gains * jnp.take(self.participation, dof, axis=1)) @ self.shapes
 
 
 def predict(
@@ -128,7 +137,7 @@ def _assemble(s: Array, gains: Array, at: list[Any], problem: Problem) -> tuple[
     H = between(psi[:, o], part[:, i]) + far[0](o, i) + far[1](o, i) / s[:, None, None] ** 2
     own = jnp.einsum("fm,mo->fo", gains[0], psi[:, o] * part[:, o])
     drive = jnp.einsum("fm,mi->fi", gains[0], psi[:, i] * part[:, i])
-    channels = Channels(s, own, drive, problem.level)
+    channels = Channels(s, own, drive, problem.level, gains[0], psi[:, o], part)
     local = [(c, w, p) for c, w, _, p in at if c.stage == "local"]
     joints = [(c, w, p) for c, w, _, p in at if c.stage == "joint"]
     if not local and not joints:

@@ -272,6 +272,65 @@ class Crosstalk(ChannelCause):
         return H + p[0] * jnp.take(H, where[1], axis=2)[:, :, None] * one_row(H, where[0])
 
 
+class SensorResonance(ChannelCause):
+    r"""One sensor on a mount or cable that resonates.
+
+    Row times :math:`1 - g s^2/(s^2 + 2\zeta\omega_c s + \omega_c^2)`.
+    """
+
+    slug = "sensor_resonance"
+    summary = "a resonance of the mount of one sensor"
+    prior = RARE
+    parameters = (
+        Parameter("share", "-"),
+        Parameter("frequency", "Hz", 1e-3, log=True),
+        Parameter("damping_ratio", "-", 1e-4, 0.5, log=True),
+    )
+
+    def places(self, scene: Scene) -> list[Place]:
+        """Every output."""
+        return scene.channels()
+
+    def grid(self, scene: Scene, place: Place) -> np.ndarray:
+        """Frequencies dense enough that no resonance falls between two; linear in the share, so one size does."""
+        low, high = scene.freq[0], scene.freq[-1]
+        count = int(np.clip(np.log(high / low) / 0.05, 8, 40))
+        return strengths(1.0, [(f, 0.025) for f in np.geomspace(low, high, count)], (1e-4,))
+
+    def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
+        """Scale one row."""
+        s, w = 1j * at.s.imag, 2 * jnp.pi * p[1]
+        gain = 1 - p[0] * s**2 / (s**2 + 2 * p[2] * w * s + w**2)
+        return scaled_row(H, where[0], gain[:, None, None])
+
+
+class StrayForce(ChannelCause):
+    r"""A share of the force of one input also acts on another DoF, as in an oblique hit: :math:`H_{oi} + g H_{oj}`."""
+
+    slug = "stray_force"
+    summary = "a share of the force acts elsewhere"
+    prior = RARE
+    parameters = (Parameter("share", "-"),)
+    most = 60  # DoFs beyond which there are too many places
+
+    def places(self, scene: Scene) -> list[Place]:
+        """Every input with every other DoF."""
+        names = scene.dofs if scene.scaled and len(scene.dofs) <= self.most else ()
+        return [
+            Place((name, dof), (i, k, 0)) for i, name in enumerate(scene.inputs) for k, dof in enumerate(names)
+            if dof != name
+        ]  # fmt: skip
+
+    def grid(self, scene: Scene, place: Place) -> np.ndarray:
+        """Linear in the share, so one size does."""
+        return np.array([[1e-3]])
+
+    def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
+        """Add to one column."""
+        which = (jnp.arange(H.shape[3]) == where[0]).astype(float)
+        return H + p[0] * at.column(where[1])[None, :, :, None] * which
+
+
 class ClippedSensor(ChannelCause):
     r"""One sensor that clips: the fundamental of a clipped sine, by the amplitude of its own quantity."""
 
@@ -305,5 +364,5 @@ class ClippedSensor(ChannelCause):
 IMITATORS: tuple[Cause, ...] = (
     FractionalJoint(), MaxwellElement(), HystereticJoint(), OneWayDamper(False), OneWayDamper(True),
     FollowerStiffness(), PowerSpring(), PowerDamper(), RareMicroSlip(), AllStiffness(), ForceGain(), AcCoupling(),
-    SensorLowpass(), Crosstalk(), ClippedSensor(),
+    SensorLowpass(), SensorResonance(), Crosstalk(), StrayForce(), ClippedSensor(),
 )  # fmt: skip
