@@ -153,7 +153,7 @@ def hum_of(cause: MainsHum, place: Place, study: Study, residual: np.ndarray) ->
     lines = study.problem.lines
     r = residual.transpose(0, 2, 3, 1).reshape(-1, residual.shape[1])[:, :lines]
     live = study.live().transpose(0, 2, 3, 1).reshape(r.shape[0], -1)[:, :lines]
-    return cause.explain(study.scene.freq, float(place.index[0]), r / study.noise.spread, live)
+    return cause.explain(study.scene.freq, float(place.index[0]), r / study.noise.line_spread, live)
 
 
 def as_measurement(data: Measurement | FRF) -> Measurement:
