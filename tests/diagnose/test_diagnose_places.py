@@ -1,6 +1,7 @@
 """Which of very many places are worth a look, and lines at the mains frequency, against what is exact."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from modalax.diagnose.causes.channels import ChannelGain, ChannelSwap
 from modalax.diagnose.causes.lines import MainsHum, hums
 from modalax.diagnose.causes.local import Gyroscopic, JointStiffness, LocalDamper
 from modalax.diagnose.causes.patterns import MissingMode
-from modalax.diagnose.elements import at_places, ends, score
+from modalax.diagnose.elements import at_places, ends, factors_of, score
 from modalax.diagnose.fit import Hypothesis
 from modalax.diagnose.search import state_of
 from modalax.diagnose.study import make_study
@@ -56,7 +57,7 @@ def test_gain_of_free_springs_and_dampers_is_that_of_the_elements(claimed):
     study, state = study_of(structure, sprung(grid(8, False), 2, 5, 2e3))
     every, reduced = study.scene.pairs(), state.reduced[True]
     a, b = ends(every)
-    found = many.gains_at(reduced, state.sides[True].nuisance, a, b)
+    found = many.gains_at(reduced, many.sketch(reduced, state.sides[True].nuisance), a, b)
     at = at_places(reduced, every)
     w, runs = reduced.omega, reduced.S.shape[0]
     for k in range(len(every)):
@@ -78,7 +79,7 @@ def test_a_spring_alone_explains_no_more_than_free_springs_and_dampers():
     structure = grid(8, True)
     study, state = study_of(structure, sprung(grid(8, False), 2, 5, 2e3))
     every, reduced = study.scene.pairs(), state.reduced[True]
-    free = many.gains_at(reduced, state.sides[True].nuisance, *ends(every))
+    free = many.gains_at(reduced, many.sketch(reduced, state.sides[True].nuisance), *ends(every))
     at = at_places(reduced, every)
     for cause in (JointStiffness(), LocalDamper()):
         square, product, _ = score(cause, reduced, at, [cause.grid(study.scene, p)[:1] for p in every], False)
@@ -96,8 +97,34 @@ def test_few_lines_and_random_sums_find_the_place_among_many(monkeypatch):
     monkeypatch.setattr(many, "KEPT", 20)
     monkeypatch.setattr(many, "LINES", 40)
     monkeypatch.setattr(many, "SUMS", 12)
-    kept = [every[k].index[:2] for k in many.shortlist(state.reduced[True], state.sides[True].nuisance, every)]
+    few = many.sketch(state.reduced[True], state.sides[True].nuisance)
+    kept = [every[k].index[:2] for k in many.shortlist(state.reduced[True], few, every)]
     assert len(kept) == 20 and (3, 11) in kept
+
+
+def test_gains_of_many_modes_beyond_the_band_are_few_alike():
+    """150 modes of which 12 are in the band: two short factors hold all their gains; of 150 in it they could not."""
+    s = 2j * np.pi * np.linspace(10.0, 40.0, 400)[:, None]
+    for low, high, kept in ((4.0, 300.0, True), (10.0, 40.0, False)):
+        omega = 2 * np.pi * np.linspace(low, high, 150)
+        poles = omega * (-0.002 + 1j)
+        gains = np.concatenate([1 / (s - poles), 1 / (s - poles.conj())], axis=1)
+        found = factors_of(gains)
+        assert (found is not None) == kept
+        if found is not None:
+            assert len(found[1]) <= 100
+            assert np.abs(gains - found[0] @ found[1]).max() < 1e-13 * np.abs(gains).max()
+    structure = grid(20, False)
+    study, state = study_of(structure, structure)
+    reduced = replace(state.reduced[True], factors=tuple(np.linalg.qr(state.reduced[True].gains)))
+    a, b = ends(study.scene.pairs()[10:40])
+    found = reduced.column(a, b)
+    direct = replace(reduced, factors=None).column(a, b)
+    H = np.asarray(structure.frf(study.scene.freq, inputs=structure.dofs).H)
+    exact = H[:, :, a] - np.where(b >= 0, 1.0, 0.0) * H[:, :, np.maximum(b, 0)]
+    top = np.abs(direct).max()
+    assert np.abs(found - direct).max() < 1e-11 * top
+    assert np.abs(found[: len(H), : H.shape[1]] - exact).max() < 1e-8 * top
 
 
 def test_an_exchange_of_outputs_is_among_those_kept(monkeypatch):

@@ -23,6 +23,8 @@ from modalax.diagnose.quick import Target, fit_quick
 from modalax.diagnose.screen import BATCH, FEW, KEPT_PLACES, KEPT_SHAPES, Residual, Trial, best_trial, smallest
 
 LARGE = 200_000  # samples from which fewer directions are kept
+ROUNDING = 1e-9  # of the largest component, below which the imaginary part of shapes is that of the eigensolver
+WIDTHS = (40, 64, 100, 160)  # ranks tried for the gains of many modes
 PROMISING = 4  # places of each kind at which finite sizes are tried
 
 
@@ -46,6 +48,8 @@ class Reduced:
         Squared weights, shape ``(run, f, o, i)``.
     inner
         Inverse information of the nuisances, shape ``(k, k)``.
+    factors
+        Two matrices whose product the gains are, where that is much shorter (modes beyond the band are alike in it).
     """
 
     gains: np.ndarray
@@ -61,6 +65,7 @@ class Reduced:
     inner: np.ndarray
     omega: np.ndarray
     level: np.ndarray
+    factors: tuple[np.ndarray, np.ndarray] | None = None
     cache: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
 
     def motion(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -72,10 +77,31 @@ class Reduced:
 
     def column(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Receptance from places to the outputs, shape ``(f, o, place)``."""
-        right = _along(self.participation, a, b).T
-        H = (self.gains[:, None] * right).reshape(-1, self.gains.shape[1]) @ self.shapes[:, self.outputs]
-        H = H.reshape(len(self.gains), len(right), -1).transpose(0, 2, 1)
+        lines, gains = (None, self.gains) if self.factors is None else self.factors
+        modes = gains.shape[1] // 2
+        right = _along(self.participation, a, b).T[:, :modes]
+        own, conjugate = gains[:, None, :modes] * right, gains[:, None, modes:] * right.conj()
+        # shapes and their conjugates, so that products with real matrices do; of real modes half of them
+        shape = self.shapes[:modes, self.outputs]
+        H = _times_real(own + conjugate, shape.real)
+        if np.abs(shape.imag).max(initial=0.0) > ROUNDING * np.abs(shape).max(initial=0.0):
+            H = H + 1j * _times_real(own - conjugate, shape.imag)
+        H = H.reshape(len(gains), -1) if lines is None else lines @ H.reshape(len(gains), -1)
+        H = H.reshape(len(self.gains), len(a), -1).transpose(0, 2, 1)
         return H + self._far(lambda R: _along(R[self.outputs], a, b)[None])
+
+    def summed(self, line: int, sums: np.ndarray) -> np.ndarray:
+        """Receptance from every DoF to sums ``(q, o)`` of the outputs at one line, shape ``(q, dof)``."""
+        modes = self.gains.shape[1] // 2
+        u, v = self.gains[line, :modes, None], self.gains[line, modes:, None]
+        shape, right = self.shapes[:modes, self.outputs], self.participation[:modes]
+        H = _times_real((u * right + v * right.conj()).T, shape.real @ sums.T)
+        if np.abs(shape.imag).max(initial=0.0) > ROUNDING * np.abs(shape).max(initial=0.0):
+            H = H + 1j * _times_real((u * right - v * right.conj()).T, shape.imag @ sums.T)
+        if self.upper is not None and self.lower is not None:
+            far = self.upper[self.outputs] - self.lower[self.outputs] / self.omega[line] ** 2
+            H = H + (sums @ far).T
+        return H.T
 
     def column_at(self, place: Place) -> np.ndarray:
         """The same at one place, kept for the next cause, shape ``(f, o)``."""
@@ -96,6 +122,26 @@ class Reduced:
             return 0.0
         upper, lower = at(self.upper), at(self.lower)
         return upper - lower / self.omega.reshape(-1, *[1] * (lower.ndim - 1)) ** 2
+
+
+def factors_of(gains: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Factors of the gains by random combinations (Halko, Martinsson and Tropp 2011, SIAM Rev. 53:217)."""
+    rng = np.random.default_rng(0)
+    for width in WIDTHS:
+        if 3 * width > min(gains.shape):
+            return None
+        Q = np.linalg.qr(gains @ rng.normal(size=(gains.shape[1], width)))[0]
+        B = Q.conj().T @ gains
+        if np.abs(gains - Q @ B).max() < 1e-13 * np.abs(gains).max():
+            return Q, B
+    return None
+
+
+def _times_real(z: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Complex arrays times a real matrix along the last axis, shape ``(rows, columns of x)``."""
+    z, out = z.reshape(-1, len(x)), np.empty((z.size // len(x), x.shape[1]), complex)
+    out.real, out.imag = z.real @ x, z.imag @ x
+    return out
 
 
 def _along(x: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -143,7 +189,7 @@ def reduce(problem: Problem, theta: np.ndarray, state: Residual) -> Reduced:
     T = np.stack([back(weight * g) for g in G]) if len(G) else np.zeros((0, *S.shape), complex)
     return Reduced(
         gains, psi, part, upper if far else None, lower if far else None, o, i, S, T, weight**2, state.inner,
-        np.asarray(problem.omega), np.asarray(problem.level),
+        np.asarray(problem.omega), np.asarray(problem.level), factors_of(gains),
     )  # fmt: skip
 
 

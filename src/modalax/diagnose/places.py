@@ -10,7 +10,7 @@ decides which places are looked at; what is said of these is exact.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,19 +22,33 @@ KEPT = 150  # of them
 LINES, SUMS = 96, 32  # lines and random sums of outputs from which lengths are taken
 
 
-def shortlist(reduced: Reduced, nuisance: np.ndarray, places: Sequence[Place], skew: bool = False) -> np.ndarray:
+@dataclass(frozen=True)
+class Sketch:
+    """Some lines and random sums of the outputs: receptances ``(run, line, i, sum, dof)``, and the nuisances there.
+
+    ``back`` has the shape ``(k, run, line, dof, i)``; each line stands for ``count`` lines.
+    """
+
+    lines: np.ndarray
+    count: np.ndarray
+    H: np.ndarray
+    back: np.ndarray
+    inner: np.ndarray
+
+
+def shortlist(reduced: Reduced, few: Sketch, places: Sequence[Place], skew: bool = False) -> np.ndarray:
     """Numbers of the places at which a spring and a damper in each run would explain most.
 
     Parameters
     ----------
-    nuisance
-        Whitened directions that do not count, shape ``(k, o, i, run f 2)``.
+    few
+        Of the same residual.
     skew
         Whether the places are those of a skew coupling between two DoFs instead.
     """
     if len(places) <= MANY:
         return np.arange(len(places))
-    return np.sort(np.argsort(-gains_at(reduced, nuisance, *ends(places), skew))[:KEPT])
+    return np.sort(np.argsort(-gains_at(reduced, few, *ends(places), skew))[:KEPT])
 
 
 def likely_swaps(data: np.ndarray, weight: np.ndarray, residual: np.ndarray, places: Sequence[Place]) -> np.ndarray:
@@ -56,9 +70,8 @@ def likely_swaps(data: np.ndarray, weight: np.ndarray, residual: np.ndarray, pla
     return np.sort(np.argsort(more[a, b] + more[b, a])[:KEPT])
 
 
-def gains_at(reduced: Reduced, nuisance: np.ndarray, a: np.ndarray, b: np.ndarray, skew: bool = False) -> np.ndarray:
+def gains_at(reduced: Reduced, few: Sketch, a: np.ndarray, b: np.ndarray, skew: bool = False) -> np.ndarray:
     """Chi-square that free springs and dampers would take away at each place (dampers alone in a skew coupling)."""
-    few = _sketch(reduced, nuisance)
     runs, dofs = reduced.weight2.shape[0], np.arange(reduced.shapes.shape[1])
     motion = reduced.motion(dofs, np.full(len(dofs), -1)).transpose(1, 2, 0)  # (f, i, dof)
     products, across, square = [], [], []
@@ -95,30 +108,16 @@ def _at(form: np.ndarray, a: np.ndarray, b: np.ndarray, skew: bool) -> np.ndarra
     return form[a, a] + np.where(b >= 0, mixed, 0.0)
 
 
-@dataclass(frozen=True)
-class Sketch:
-    """Some lines and random sums of the outputs: receptances ``(run, line, i, sum, dof)``, and the nuisances there.
-
-    ``back`` has the shape ``(k, run, line, dof, i)``; each line stands for ``count`` lines.
-    """
-
-    lines: np.ndarray
-    count: np.ndarray
-    H: np.ndarray
-    back: np.ndarray
-    inner: np.ndarray
-
-
-def _sketch(reduced: Reduced, nuisance: np.ndarray) -> Sketch:
+def sketch(reduced: Reduced, nuisance: np.ndarray) -> Sketch:
+    """Take some lines and sums; ``nuisance`` are whitened directions that do not count, ``(k, o, i, run f 2)``."""
     rng = np.random.default_rng(0)
     n_out, runs = len(reduced.outputs), reduced.weight2.shape[0]
     lines, count = _lines_that_matter(reduced)
     signs = rng.choice([-1.0, 1.0], (SUMS, n_out)) / np.sqrt(SUMS) if n_out > SUMS else np.eye(n_out)
-    dofs = np.arange(reduced.shapes.shape[1])
-    some = replace(reduced, gains=reduced.gains[lines], omega=reduced.omega[lines])
     weight = np.sqrt(reduced.weight2[:, lines])
-    H_o = some.column(dofs, np.full(len(dofs), -1))
-    H = np.einsum("so,rfoi,fod->rfisd", signs, weight, H_o, optimize=True)
+    sums = signs * np.moveaxis(weight, (1, 0, 3), (0, 1, 2))[:, :, :, None]  # (line, run, i, sum, o)
+    H = np.stack([reduced.summed(int(k), s.reshape(-1, n_out)) for k, s in zip(lines, sums, strict=True)])
+    H = np.moveaxis(H.reshape(*sums.shape[:-1], -1), 1, 0)
     G = complex_of(nuisance, runs)[:, :, lines] if len(nuisance) else np.zeros((0, *weight.shape), complex)
     G = np.einsum("so,krfoi->krfis", signs, G, optimize=True)
     back = np.einsum("rfisd,krfis->krfdi", H.conj(), G, optimize=True)

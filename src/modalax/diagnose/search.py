@@ -13,7 +13,7 @@ from modalax.diagnose.causes.patterns import PatternCause
 from modalax.diagnose.elements import Reduced, at_places, complex_of, fit_elements, reduce, screen_elements
 from modalax.diagnose.evidence import is_element
 from modalax.diagnose.fit import ROUNDS, Hypothesis
-from modalax.diagnose.places import MANY, likely_swaps, shortlist
+from modalax.diagnose.places import MANY, Sketch, likely_swaps, shortlist, sketch
 from modalax.diagnose.problem import bucket
 from modalax.diagnose.screen import Residual, Trial, fit_screened, nuisance_of, screen_cause, screen_pattern
 from modalax.diagnose.study import Study, hum_of
@@ -68,9 +68,14 @@ class State:
             problem = study.problem
             self.cache[key] = (
                 likely_swaps(np.asarray(problem.data), np.asarray(problem.weight), self.whole, places) if swap
-                else shortlist(self.reduced[True], self.sides[True].nuisance, places, skew)
+                else shortlist(self.reduced[True], self._few(), places, skew)
             )  # fmt: skip
         return [places[k] for k in self.cache[key]]
+
+    def _few(self) -> Sketch:
+        if "few" not in self.cache:
+            self.cache["few"] = sketch(self.reduced[True], self.sides[True].nuisance)
+        return self.cache["few"]
 
 
 def alike(places: Sequence[Place]) -> tuple[Any, ...]:
