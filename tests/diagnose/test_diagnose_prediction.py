@@ -10,7 +10,7 @@ from modalax.diagnose.causes import catalogue
 from modalax.diagnose.causes.channels import SensorMass
 from modalax.diagnose.causes.joints import CubicStiffness, DriftingSpring
 from modalax.diagnose.causes.local import AddedMass, Gyroscopic, JointStiffness, LocalDamper, TunedMass
-from modalax.diagnose.causes.modal import ExponentialWindow, FastSweep, ModalDamping, _hann, erfcx
+from modalax.diagnose.causes.modal import ExponentialWindow, FastSweep, Leakage, ModalDamping, _hann, erfcx
 from modalax.diagnose.plant import plant_of
 from modalax.diagnose.predict import predict
 from modalax.diagnose.problem import make_problem
@@ -26,16 +26,16 @@ force_dropout coulomb_friction elasto_slip cubic_stiffness gap quadratic_damping
 time_varying""".split()
 
 
-def problem_of(structure, level=(1.0,)):
+def problem_of(structure, level=(1.0,), order=0):
     shape = (len(level), len(FREQ), 3, 2)
     return make_problem(
         FREQ, np.zeros(shape, complex), np.ones(shape), np.array(level), ("2", "1", "5"), ("1", "3"),
-        plant_of(structure, FREQ[0]),
+        plant_of(structure, FREQ[0]), order=order,
     )  # fmt: skip
 
 
-def predicted(structure, cause, index, p, level=(1.0,)):
-    problem = problem_of(structure, level)
+def predicted(structure, cause, index, p, level=(1.0,), order=0):
+    problem = problem_of(structure, level, order)
     n = problem.plant.stiffness.shape[0]
     where = jnp.array([index])
     H = predict((cause,), where, (None,), (jnp.asarray(p),), jnp.zeros((2, n)), problem)
@@ -137,6 +137,28 @@ def test_an_exponential_window_shifts_every_pole():
     )
     got = predicted(S, ExponentialWindow(), (0, -1, 0), [decay])[0]
     assert np.abs(got - expected).max() < 10 * ROUNDING * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("order", [0, 1, 2])
+def test_windows_act_on_the_response_that_was_measured(order):
+    """Velocities and accelerations through a decaying window and a record that ends, integrated in time.
+
+    A blow on the masses at rest: x'' = M^-1 (f delta - C x' - K x), so an accelerance holds an instant part.
+    """
+    S, decay, T = five_dof(), 1.3, 0.4
+    M, C, K = (np.asarray(getattr(S, name)) for name in "MCK")
+    A = np.block([[np.zeros((5, 5)), np.eye(5)], [-np.linalg.solve(M, K), -np.linalg.solve(M, C)]])
+    poles, V = np.linalg.eig(A)
+    start = np.linalg.solve(V, np.vstack([np.zeros((5, 2)), np.linalg.inv(M)[:, [0, 2]]]))
+    s = 2j * np.pi * FREQ
+    instant = np.linalg.inv(M)[[1, 0, 4]][:, [0, 2]] if order == 2 else 0.0
+    right = V[[1, 0, 4]][:, :, None] * start * (poles**order)[:, None]  # of each pole's decay in time
+    for cause, p, ends in ((ExponentialWindow(), [decay], None), (Leakage(), [1 / T], T)):
+        x = (s[:, None] + (0.0 if ends else decay)) - poles
+        through = (1 - np.exp(-x * ends)) / x if ends else 1 / x
+        expected = (np.einsum("fn,oni->foi", through, right) + instant) / s[:, None, None] ** order
+        got = predicted(S, cause, (0, -1, 2), p, order=order)[0]
+        assert np.abs(got - expected).max() < 10 * ROUNDING * np.abs(expected).max()
 
 
 def test_a_slow_sweep_bends_the_frf_as_its_second_derivative():

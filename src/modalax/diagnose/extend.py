@@ -90,7 +90,7 @@ class ExtendedSimulation(eqx.Module):
             omega, jnp.zeros(shape, jnp.complex128), jnp.ones(shape),
             jnp.broadcast_to(jnp.asarray(level, jnp.float64), freq.shape)[None],
             jnp.array([plant.index(n) for n in outputs]), jnp.array([plant.index(n) for n in inputs]), plant,
-            shape[1], (shape[2], shape[3]),
+            shape[1], (shape[2], shape[3]), None, DERIVATIVES[check_form(form)],
         )  # fmt: skip
         index = np.array([self.places[k].index for k in keep], dtype=np.int64).reshape(-1, 3)
         theta = self.theta[:, : plant.poles.shape[0]]

@@ -32,7 +32,7 @@ from modalax.diagnose.study import Study, noise_beside
 
 LEFT = 0.002  # chance under noise below which a residual is said to hold something more
 LEFT_BY_SEVERAL = 0.01  # the same where several causes are needed
-PLACED = 0.8  # posterior of each leading place from which sure names are given
+PLACED = 0.5  # posterior of the leading places beyond which a sure name is given: likelier there than anywhere else
 NEAR = 12.0  # nats behind the best up to which hypotheses are fitted again where complex modes are exact
 DEEPEST = 3  # causes in one answer
 LEADING = 2  # hypotheses that a further cause is added to
@@ -176,7 +176,7 @@ def with_noise_beside(study: Study) -> Study:
 
 
 def _verdict(ranked: list[Ranked], left: float) -> str:
-    """Named only if the names are sure, their places nearly so, and nothing hints at something more.
+    """Named only if the names are sure, their places likelier than all others, and nothing hints at something more.
 
     Two causes together can imitate a third thing, the more so at one place: they must leave less behind.
     """
@@ -185,7 +185,7 @@ def _verdict(ranked: list[Ranked], left: float) -> str:
     if left < LEFT or (len(slugs) > 1 and left < LEFT_BY_SEVERAL):
         return "unknown"
     alike = sum(r.probability for r in ranked if sorted(slug for slug, _ in r.names) == slugs)
-    placed = best.probability >= PLACED ** len(slugs)
+    placed = best.probability > PLACED
     sure = alike >= CERTAIN and placed and not _one_joint(best.best)
     return "named" if sure else "ambiguous"
 

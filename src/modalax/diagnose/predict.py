@@ -90,8 +90,10 @@ def predict(
         if cause.stage == "modes":
             modes = cause.modes(modes, where, p, problem.level.shape[0])
     kernels = [(c, w, p) for c, w, _, p in at if c.stage == "kernel"]
-    gains = gains_of(s, modes, plant.poles, kernels, plant.mixing is not None)
+    gains = gains_of(s, modes, plant.poles, kernels, plant.mixing is not None, problem.order)
     H, channels = _assemble(s, gains, at, eqx.tree_at(_shapes, problem, (shapes, participation)))
+    if any(cause.stage == "laplace" for cause, *_ in at):  # the window was on what was measured, not on displacements
+        H = H * ((s / s.imag / 1j) ** problem.order)[:, None, None]
     for cause, where, extra, p in at:
         if cause.stage == "channels":
             H = cause.channels(H, channels, where, extra, p)
@@ -102,10 +104,15 @@ def _shapes(problem: Any) -> tuple[Any, Any]:
     return problem.plant.shapes, problem.plant.participation
 
 
-def gains_of(s: Array, modes: Modes, poles: Array, kernels: list[Any], mixing: bool) -> Complex[Array, "run f m"]:
-    """Gains of the modes and of their conjugates, side by side.
+def gains_of(
+    s: Array, modes: Modes, poles: Array, kernels: list[Any], mixing: bool, order: int = 0
+) -> Complex[Array, "run f m"]:
+    r"""Gains of the modes and of their conjugates, side by side.
 
     Where complex modes follow the undamped ones, so do their residues, which then belong to the poles as they are.
+    A kernel :math:`\kappa(x)` in place of :math:`1/x` acts on the response that was measured, the n-th derivative of
+    the displacement, so :math:`1/x` becomes :math:`1/x + (\lambda/s)^n(\kappa(x) - 1/x)`, :math:`x = s - \lambda`: what
+    answers at once, the direct part of an accelerance, no window alters.
     """
     s = s[None, :, None]
     D = s**2 + modes.c[:, None] * s + modes.k[:, None] + 1j * modes.h[:, None]
@@ -118,9 +125,12 @@ def gains_of(s: Array, modes: Modes, poles: Array, kernels: list[Any], mixing: b
     if not kernels:
         return jnp.concatenate([ratio * (s - moved + 2j * root) / D, ratio * (s - moved) / D], axis=-1)
     cause, where, p = kernels[0]
-    return jnp.concatenate(
-        [ratio * cause.kernel(s - moved, where, p), ratio * cause.kernel(s - moved.conj(), where, p)], axis=-1
-    )
+
+    def through(pole: Array) -> Array:
+        plain = 1 / (s - pole)
+        return ratio * (plain + (pole / s) ** order * (cause.kernel(s - pole, where, p) - plain))
+
+    return jnp.concatenate([through(moved), through(moved.conj())], axis=-1)
 
 
 def _assemble(s: Array, gains: Array, at: list[Any], problem: Problem) -> tuple[Array, Channels]:

@@ -48,6 +48,8 @@ class Problem(eqx.Module):
         True numbers of lines, and of outputs and inputs, before padding.
     held
         What the simulation has beside its modes, or None.
+    order
+        Derivatives of the displacement that were measured: windows and sweeps act on these.
     """
 
     omega: Float[Array, " f"]
@@ -57,9 +59,10 @@ class Problem(eqx.Module):
     outputs: Int[Array, " o"]
     inputs: Int[Array, " i"]
     plant: Plant
-    lines: int = eqx.field(static=True)
-    channels: tuple[int, int] = eqx.field(static=True)
+    lines: int
+    channels: tuple[int, int]
     held: Held | None = None
+    order: int = eqx.field(static=True, default=0)
 
     @property
     def samples(self) -> int:
@@ -97,6 +100,7 @@ def bucket(count: int) -> int:
 def make_problem(
     freq: np.ndarray, data: np.ndarray, sigma: np.ndarray, level: np.ndarray,
     outputs: tuple[str, ...], inputs: tuple[str, ...], plant: Plant, held: Held | None = None,
+    order: int = 0,
 ) -> Problem:  # fmt: skip
     """Pad and weight receptances.
 
@@ -106,6 +110,8 @@ def make_problem(
         Receptances and the standard deviations of their complex errors, shape ``(run, f, o, i)`` [m/N].
     level
         Force amplitudes [N] of the runs, shape ``(run,)``, or of each of their lines, shape ``(run, f)``.
+    order
+        Derivatives of the displacement that were measured (2 for accelerations).
     """
     runs, lines, n_out, n_in = data.shape
     shape = (runs, bucket(lines), bucket(n_out), bucket(n_in))
@@ -127,6 +133,7 @@ def make_problem(
         lines,
         (n_out, n_in),
         None if held is None else _padded_held(held, pads, bucket(len(plant.poles))),
+        order,
     )
 
 

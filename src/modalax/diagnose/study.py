@@ -208,14 +208,14 @@ def make_study(
     unit = (2j * np.pi * freq[:, None, None]) ** order
     receptance = np.asarray(measurement.H) / unit
     zero = np.zeros(receptance.shape)
-    draft = make_problem(freq, receptance, zero, force, measurement.outputs, measurement.inputs, plant, held)
+    draft = make_problem(freq, receptance, zero, force, measurement.outputs, measurement.inputs, plant, held, order)
     n_out, n_in = draft.channels
     still = np.zeros((2, draft.plant.stiffness.shape[0]))
     predicted = np.asarray(_predict_jit((), np.zeros((0, 3), int), (), (), still, draft))[0, : len(freq), :n_out, :n_in]
     noise = noise_of(measurement, predicted * unit)
     notes.append(noise.source)
     sigma = noise.sigma / np.abs(unit)
-    problem = make_problem(freq, receptance, sigma, force, measurement.outputs, measurement.inputs, plant, held)
+    problem = make_problem(freq, receptance, sigma, force, measurement.outputs, measurement.inputs, plant, held, order)
     pooled, rest = problem.pooled()
     spread = np.stack([np.asarray(problem.plant.frequency_std), np.asarray(problem.plant.damping_std)])
     free = asked == "free"
