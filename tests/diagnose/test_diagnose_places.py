@@ -13,8 +13,11 @@ from modalax.diagnose.causes.channels import ChannelGain, ChannelSwap
 from modalax.diagnose.causes.lines import MainsHum, hums
 from modalax.diagnose.causes.local import Gyroscopic, JointStiffness, LocalDamper
 from modalax.diagnose.causes.patterns import MissingMode
+from modalax.diagnose.decide import detect
 from modalax.diagnose.elements import at_places, ends, factors_of, score
 from modalax.diagnose.fit import Hypothesis
+from modalax.diagnose.omnibus import Omnibus
+from modalax.diagnose.screen import Residual, Trial
 from modalax.diagnose.search import state_of
 from modalax.diagnose.study import make_study
 
@@ -198,3 +201,18 @@ def test_hum_is_judged_by_how_uneven_the_noise_is_elsewhere():
         x[:, k] *= 1.7
     assert MainsHum().explain(freq, 50.0, plain, np.ones(noise.shape, bool)).p_value < 1e-4
     assert MainsHum().explain(freq, 50.0, doubted, np.ones(noise.shape, bool)).p_value > 1e-4
+
+
+def test_effects_that_overflow_are_left_out_of_the_count_of_tests():
+    """Wrong units drive the modes of a simulation with claimed errors so far that some effect is infinite there."""
+    D = np.random.default_rng(3).normal(size=(3, 40))
+    side = Residual(np.zeros((2, 1, 20)), np.zeros((0, 2, 1, 20)), np.zeros((0, 0)))
+    quiet = Omnibus(1.0, 0.0, "", (0.0, 0.0))
+
+    def found(directions):
+        t = Trial(JointStiffness(), Place(("1",), (0, -1, 0)), 16.0, 4.0, np.ones(1), direction=directions, trials=3)
+        return detect([t], {True: side, False: side}, quiet)
+
+    spoilt = np.concatenate([D, np.full((1, 40), np.nan)])
+    assert found(spoilt).p_value == found(D).p_value
+    assert 0 < found(np.full((1, 40), np.inf)).p_value <= found(D).p_value < 0.01

@@ -79,8 +79,9 @@ def detect(
     for side in states:
         mine = [t for t in scored if t.cause.per_run == side]
         kept = [t.direction for t in mine if t.direction is not None]
-        if mine and kept:
-            D = np.concatenate(kept)
+        D = np.concatenate(kept) if kept else np.zeros((0, 1))
+        D = D[np.isfinite(D).all(axis=1)]  # where the modes were driven far off, some effects overflow
+        if len(D):
             looked = sum(t.trials for t in mine)
             # places that were not kept add to the number of tests no more than as many of those kept
             count += effective_number(D, states[side]) * max(1.0, (looked / len(D)) ** 0.5)

@@ -22,6 +22,7 @@ FIRST_ROUNDS = 4
 PATIENT = 4 * ROUNDS  # steps of a fit in full: a window and the damping of all modes share a long valley
 STARTS = 2  # further starts of the leading trials of each kind
 CLOSE = 12.0  # chi-square above the best up to which a hypothesis is fitted in full
+PROMISES = 8  # trials of one kind fitted in full where linear nuisances did not let them keep what they promised
 IN_FULL = 4  # leading hypotheses fitted with the modal parameters in full
 A_KIND, LIKELY, ALTOGETHER = 3, 40, 150  # candidates refitted of one kind, of one kind near the best, and in all
 SPARE = 4  # directions kept free for the parameters of causes already found
@@ -213,7 +214,7 @@ def fit_single(study: Study, null: Hypothesis, trials: list[Trial], state: State
         # far from the simulation the modal parameters follow in other than linear ways
         close = [h for h in fine if h.causes and h.hum is None and h.chi2 < fine[0].chi2 + CLOSE][:IN_FULL]
         kept = [h for h in fine if not any(h is other for other in close)]
-        close += _broken_promises(null, trials, fine)[:IN_FULL]
+        close += _broken_promises(null, trials, fine)[: 4 * PROMISES]
         fine = best_of_each(study.fit(close, PATIENT) + kept, study)
     return fine
 
@@ -221,10 +222,11 @@ def fit_single(study: Study, null: Hypothesis, trials: list[Trial], state: State
 def _broken_promises(null: Hypothesis, trials: list[Trial], fine: list[Hypothesis]) -> list[Hypothesis]:
     """Starts of trials that promise to be among the best but whose fit, with linear nuisances, fell far short."""
     reached = {(h.causes, h.places): h.chi2 for h in reversed(fine)}
-    out = []
+    out: list[Hypothesis] = []
     for t in sorted(trials, key=lambda t: -t.gain):
         promised, found = null.chi2 - t.gain, reached.get(((t.cause,), (t.place,)), np.inf)
-        if t.cause.stage != "lines" and promised < fine[0].chi2 + CLOSE and found > promised + CLOSE:
+        few = sum(h.causes == (t.cause,) for h in out) < PROMISES
+        if t.cause.stage != "lines" and few and promised < fine[0].chi2 + CLOSE and found > promised + CLOSE:
             out.append(_start(null, t, t.start))
     return out
 
