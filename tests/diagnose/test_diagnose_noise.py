@@ -121,3 +121,14 @@ def test_missing_variances_stay_right_at_peaks_of_a_few_lines(kind):
     ratio = (noise_of(M, H).sigma ** 2 / sigma**2).mean(axis=(0, 2, 3))
     assert 0.9 < np.median(ratio) < 1.1
     assert np.quantile(np.abs(np.log(ratio)), 0.95) < 0.32  # measured 0.16 to 0.30 for five seeds
+
+
+@pytest.mark.parametrize("gain", [1.0, 1.01, 0.0])
+def test_data_without_noise_or_with_a_dead_channel_has_finite_deviations(gain):
+    names, scale = ("1", "2", "3"), np.array([1.0, gain, 1.0])[:, None]
+    H = np.asarray(five_dof().frf(FREQ, outputs=names, inputs=("1",)).H)
+    M = Measurement(FREQ, np.stack([H * scale] * 2), outputs=names, inputs=("1",), level=[1.0, 2.0])
+    for predicted in (H, H * scale):
+        sigma = noise_of(M, predicted).sigma
+        assert np.isfinite(sigma).all() and (sigma > 0).all()
+        assert sigma[:, :, 0].max() < 1e-4 * np.abs(H[:, 0]).max()

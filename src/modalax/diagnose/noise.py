@@ -160,7 +160,9 @@ def smoothed(
     clip
         Ratio to the fit beyond which a line counts no further (what is no noise must not raise the estimate).
     """
-    lines = variance.shape[1]
+    lines, level = variance.shape[1], np.mean(np.abs(H) ** 2, axis=1, keepdims=True)
+    # no variance is nothing at all: data may be free of noise, or a channel dead
+    variance = np.maximum(variance, FLOOR**2 * np.maximum(level, 1e-12 * level.max()) + 1e-280)
     size = uniform_filter1d(np.abs(H) ** 2, 3, axis=1, mode="nearest")
     shapes = [size, np.broadcast_to(np.abs(predicted) ** 2, H.shape)]
     if len(H) > 1:  # the other runs show narrow peaks as they are, and do not share a run's own errors
@@ -204,7 +206,11 @@ def _parts(value: np.ndarray, basis: list[np.ndarray], rounds: int = 60) -> tupl
     model = np.sum([a * g for a, g in zip(parts, basis, strict=True)], axis=0)
     for _ in range(rounds):
         parts = [
-            a * np.sqrt((g * value / model**2).sum(axis=1, keepdims=True) / (g / model).sum(axis=1, keepdims=True))
+            a
+            * np.sqrt(
+                (g * value / model**2).sum(axis=1, keepdims=True)
+                / np.maximum((g / model).sum(axis=1, keepdims=True), 1e-300)
+            )
             for a, g in zip(parts, basis, strict=True)
         ]
         total = np.sum([a * g for a, g in zip(parts, basis, strict=True)], axis=0)
