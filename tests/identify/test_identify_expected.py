@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from modalax.identify import fdpi, lsce
-from modalax.identify.expected import expected_fdpi_bias, expected_lsce_bias
+from modalax.identify.expected import expected_fdpi_bias, expected_lsce_bias, lsce_moments
 
 SLOW = pytest.mark.slow
 
@@ -77,3 +77,22 @@ def test_messages_say_what_is_needed(paper, paper_frf):
         expected_lsce_bias(paper_frf, paper.poles, 16)
     with pytest.raises(ValueError, match="order 300 needs 602 lines"):
         expected_lsce_bias(paper_frf, paper.poles, 300, variance=1.0)
+
+
+def test_lsce_moments_are_those_of_the_draws_and_crowded_modes_are_flagged(paper, paper_frf):
+    frf = paper_frf.lines(slice(None, None, 2))
+    variance = white(frf, 0.05)
+    bias = expected_lsce_bias(frf, paper.poles, 32, variance=variance, constraint="a0")
+    moments = lsce_moments(frf, bias.poles, 32, variance=variance, constraint="a0")
+    found = dampings(*draws(frf, variance, lambda f: lsce(f, 32, constraint="a0"), 100), bias.poles)
+    # a standard deviation from 100 draws is known to 7 %
+    np.testing.assert_allclose(
+        np.asarray(moments.damping_std)[[0, 1, 3, 4]], found.std(axis=0)[[0, 1, 3, 4]], rtol=0.25
+    )
+    # forward prediction far above the ten poles that there are: stable computational poles between the modes
+    crowded = expected_lsce_bias(frf, paper.poles, 32, variance=variance)
+    assert bool(crowded.valid[0]) and not bool(crowded.valid[2])
+    scatter = lsce_moments(frf, crowded.poles, 32, variance=variance).scatter
+    assert float(scatter[2]) > 5 * float(scatter[0])
+    with pytest.raises(ValueError, match="one reference"):
+        lsce_moments(frf, bias.poles, 32, variance=variance, constraint="norm")

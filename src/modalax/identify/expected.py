@@ -15,8 +15,9 @@ of exponentials, is in the rows of the FRF without noise and needs no term of it
 :math:`\ell` the mean leverage of the two rows of a line; noise also turns the principal directions V, on average to
 those of the expected Gram matrix.
 
-As for LSCF these are the poles of the mean matrix, not the mean of the poles: where a mode scatters by more than its
-bias, as weak modes do at LSCE orders far above the number of poles, the scatter adds a shift of its own.
+As for LSCF these are the poles of the mean matrix, not the mean of the poles. Far above the number of poles LSCE puts
+its computational poles close to the modes; where a mode scatters by a tenth of the way to the next one they mix, the
+mean shifts, and the prediction is flagged.
 """
 
 from collections.abc import Callable
@@ -37,8 +38,11 @@ from modalax.identify.lsce import impulse_response, prediction_factor
 from modalax.identify.lscf import RIDGE
 from modalax.identify.normal import variance_of
 from modalax.identify.polynomial import limits, poles_of_factor
+from modalax.identify.spread import FIXED, PoleMoments, Window, moments_of
 from modalax.identify.tables import PoleTable
-from modalax.identify.zoom import check_orders
+from modalax.identify.zoom import Zoom, check_orders
+
+CROWDED = 0.1
 
 
 def expected_lsce_bias(
@@ -71,50 +75,127 @@ def expected_lsce_bias(
     Returns
     -------
     DampingBias
-        Expected minus true value of each mode. The poles of the mean normal matrix, not the mean of the poles.
+        Expected minus true value of each mode. The poles of the mean normal matrix, not the mean of the poles. Not
+        ``valid`` also where a mode scatters (:func:`lsce_moments`) by a tenth of the distance to the next expected
+        pole; that is known for one reference, complex coefficients and the constraints ``a0`` and ``aN``.
 
     Raises
     ------
     ValueError
         As :func:`modalax.identify.lsce`, and if there is no variance.
     """
-    sigma2 = variance_of(frf, variance)
+    poles, sigma2 = as_double(poles, "poles", complex_=True), variance_of(frf, variance)
+    problem = _lsce_problem(frf, sigma2, order, constraint, real, part, skip, ridge)
+    bias, others = _lsce_bias(problem, poles)
+    if real or frf.shape[2] > 1 or constraint not in FIXED:
+        return bias
+    crowded = _lsce_moments(problem, bias.poles).scatter > CROWDED * others
+    return eqx.tree_at(lambda b: b.valid, bias, bias.valid & ~crowded)
+
+
+def lsce_moments(
+    frf: FRF,
+    expected: Complex[Array, " n"],
+    order: int,
+    *,
+    variance: Any = None,
+    constraint: str = "aN",
+    part: float = 0.5,
+    skip: int = 0,
+    ridge: float = RIDGE,
+) -> PoleMoments:
+    """Mean, to second order, and standard deviation of LSCE poles in noise, as :func:`.spread.second_order` for LSCF.
+
+    Parameters
+    ----------
+    frf
+        The FRF without noise, with one reference.
+    expected
+        The poles to look at: ``expected_lsce_bias(...).poles``.
+    order, variance, constraint, part, skip, ridge
+        As :func:`expected_lsce_bias`; complex coefficients.
+
+    Returns
+    -------
+    PoleMoments
+        Trustworthy where the scatter is small beside the distance to the next pole.
+
+    Raises
+    ------
+    ValueError
+        As :func:`expected_lsce_bias`; for several references, or the norm as constraint, which are not worked out.
+    """
+    if frf.shape[2] > 1 or constraint not in FIXED:
+        raise ValueError(
+            f"lsce_moments knows one reference and the constraints a0 and aN; this is {frf.shape[2]} references, "
+            f"{constraint}"
+        )
+    problem = _lsce_problem(frf, variance_of(frf, variance), order, constraint, False, part, skip, ridge)
+    return _lsce_moments(problem, as_double(expected, "expected", complex_=True))
+
+
+class _Prediction(eqx.Module):
+    """What both need of LSCE: FRF, variance and the samples of the impulse response in use."""
+
+    frf: FRF
+    sigma2: Float[Array, "f o i"]
+    ridge: Float[Array, ""]
+    order: int = eqx.field(static=True)
+    constraint: str = eqx.field(static=True)
+    real: bool = eqx.field(static=True)
+    skip: int = eqx.field(static=True)
+    samples: int = eqx.field(static=True)
+
+    def factors(self) -> tuple[Array, Array, Zoom]:
+        """Triangular factors of the normal matrix without noise and of what noise adds, and the map on the circle."""
+        lines, _, size = self.frf.shape
+        h, zoomed = impulse_response(self.frf, self.real)
+        signal = prediction_factor(h[self.skip : self.samples], self.order, self.ridge)
+        # the transform spreads each line evenly over the samples; of the two end lines irfft takes the real part alone
+        share = jnp.full(lines, 2.0).at[jnp.array([0, -1])].set(0.5) if self.real else jnp.ones(lines)
+        length = 2 * (lines - 1) if self.real else lines
+        used = self.samples - self.skip - self.order
+        density = used / length**2 * share[:, None] * jnp.sum(self.sigma2, axis=1)
+        columns = powers(zoomed.circle(self.frf.omega), self.order + 1)
+        rows = columns[None, :, :, None] * (jnp.sqrt(density).T[:, :, None, None] * jnp.eye(size)[:, None, None, :])
+        rows = rows.reshape(size * lines, -1)
+        noise = jnp.linalg.qr(jnp.concatenate([rows.real, rows.imag]) if self.real else rows, mode="r")
+        return signal, noise, zoomed
+
+
+def _lsce_problem(
+    frf: FRF, sigma2: Array, order: int, constraint: str, real: bool, part: float, skip: int, ridge: float
+) -> _Prediction:
     samples = int(round(part * (2 * (frf.shape[0] - 1) if real else frf.shape[0])))
     (order,) = check_orders(order, samples - skip, limits(frf))
-    return _lsce_bias(
-        frf, as_double(poles, "poles", complex_=True), sigma2, order, check_constraint(constraint), real, skip, samples,
-        ridge,
-    )  # fmt: skip
+    return _Prediction(frf, sigma2, jnp.asarray(ridge), order, check_constraint(constraint), real, skip, samples)
 
 
 @eqx.filter_jit
-def _lsce_bias(
-    frf: FRF,
-    poles: Array,
-    sigma2: Array,
-    order: int,
-    constraint: str,
-    real: bool,
-    skip: int,
-    samples: int,
-    ridge: float,
-) -> DampingBias:
-    lines, _, size = frf.shape
-    h, zoomed = impulse_response(frf, real)
-    signal = prediction_factor(h[skip:samples], order, jnp.asarray(ridge))
-    # the transform spreads each line evenly over the samples; of the two end lines irfft takes the real part alone
-    share = jnp.full(lines, 2.0).at[jnp.array([0, -1])].set(0.5) if real else jnp.ones(lines)
-    length = 2 * (lines - 1) if real else lines
-    density = (samples - skip - order) / length**2 * share[:, None] * jnp.sum(sigma2, axis=1)
-    columns = powers(zoomed.circle(frf.omega), order + 1)
-    rows = columns[None, :, :, None] * (jnp.sqrt(density).T[:, :, None, None] * jnp.eye(size)[:, None, None, :])
-    rows = rows.reshape(size * lines, -1)
-    noise = jnp.linalg.qr(jnp.concatenate([rows.real, rows.imag]) if real else rows, mode="r")
+def _lsce_moments(problem: _Prediction, expected: Array) -> PoleMoments:
+    signal, noise, zoomed = problem.factors()
+    frf, first = problem.frf, problem.skip + problem.order
+    P = Window(frf.shape[0], first, problem.samples)
+    outputs = [(frf.H[:, k, 0], problem.sigma2[:, k, 0], P) for k in range(frf.shape[1])]
+    R = jnp.linalg.qr(jnp.concatenate([signal, noise]), mode="r")
+    basis = powers(zoomed.circle(frf.omega), problem.order + 1)
+    decay = frf.added_decay
+    return moments_of(R, basis, outputs, problem.constraint, zoomed, expected - decay, decay)
+
+
+@eqx.filter_jit
+def _lsce_bias(problem: _Prediction, poles: Array) -> tuple[DampingBias, Float[Array, " n"]]:
+    """The bias, and how far the next expected pole is from each mode's [rad/s]."""
+    signal, noise, zoomed = problem.factors()
+    size, decay = problem.frf.shape[2], problem.frf.added_decay
 
     def found(R: Array) -> PoleTable:
-        return poles_of_factor(R, (order,), size, constraint, real, zoomed, "lsce")
+        return poles_of_factor(R, (problem.order,), size, problem.constraint, problem.real, zoomed, "lsce")
 
-    return _bias(signal, noise, found, poles, frf.added_decay)
+    bias = _bias(signal, noise, found, poles, decay)
+    table = found(jnp.linalg.qr(jnp.concatenate([signal, noise]), mode="r"))
+    distance = jnp.where(table.valid[0], jnp.abs(table.poles[0] + decay - bias.poles[:, None]), jnp.inf)
+    return bias, jnp.sort(distance, axis=1)[:, 1]
 
 
 def expected_fdpi_bias(
