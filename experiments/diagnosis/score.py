@@ -11,6 +11,7 @@ from pathlib import Path
 import answer
 import figures
 import numpy as np
+from held_out import ASKED, excesses
 from marks import Mark, Share, coverage, load, near, oracle, reliability, right
 
 BANDS = (3.0, 5.0, 6.5, 8.0, 12.0, 20.0, 30.0, 50.0, np.inf)
@@ -19,6 +20,16 @@ BANDS = (3.0, 5.0, 6.5, 8.0, 12.0, 20.0, 30.0, 50.0, np.inf)
 def table(header: list[str], rows: list[list]) -> str:
     lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
     return "\n".join([*lines, *("| " + " | ".join(str(c) for c in row) + " |" for row in rows)])
+
+
+def held_out(folder: Path, marks: list[Mark]) -> str:
+    """Chi-square on what was held out, after the extension, over the true model's there."""
+    rows = []
+    for kind, ratio in excesses(folder, marks).items():
+        share = Share(int((ratio <= ASKED).sum()), len(ratio))
+        spent = ", ".join(f"{q:.3f}" for q in np.quantile(ratio, (0.5, 0.9, 1.0)))
+        rows.append([kind, share, spent])
+    return table(["variance", f"at most {ASKED:g} times the true model's", "median, 90 %, largest"], rows)
 
 
 def must_show(marks: list[Mark]) -> str:
@@ -127,6 +138,7 @@ def main() -> None:
         by_cause(marks), "## Stated probability against share right",
         table(["stated", "mean", "right"], [[f"{a:g}-{b:.3g}", f"{p:.3f}", s] for a, b, p, s in reliability(marks)]),
         "## Intervals", table(["parameter", "holds the truth"], [[k, s] for k, s in sorted(coverage(marks).items())]),
+        "## Held-out chi-square of what was named right", held_out(args.folder, marks),
         "## Confident wrong names", wrong_names(marks), *(f"![{f.stem}]({f.name})" for f in drawn),
     ]  # fmt: skip
     (out / "marks.md").write_text("\n\n".join(parts) + "\n")

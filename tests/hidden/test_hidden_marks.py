@@ -3,10 +3,13 @@
 import importlib
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import scipy.stats
+
+from modalax.diagnose.gain import held_out_block
 
 SCRIPTS = Path(__file__).parents[2] / "experiments" / "diagnosis"
 
@@ -81,3 +84,25 @@ def test_reliability_puts_probabilities_into_bins(marks):
     assert len(rows) == 1
     low, high, stated, share = rows[0]
     assert (low, high, share.hits, share.count) == (0.95, 0.99, 3, 4) and stated == pytest.approx(0.97)
+
+
+@pytest.mark.parametrize(
+    ("level", "inputs", "words"),
+    [
+        ([1.0, 3.0, 2.0], 2, "run 2 at"),
+        ([1.0, 1.0], 2, "run 2, the last"),
+        ([1.0], 2, "the column"),
+        ([1.0], 1, "every"),
+    ],
+)
+def test_the_block_held_out_is_read_back_from_its_words(marks, level, inputs, words):
+    shape = (len(level), 50, 3, inputs)
+    problem = SimpleNamespace(weight=np.ones(shape), lines=50, channels=(3, inputs))
+    scene = SimpleNamespace(inputs=tuple(f"in{k}" for k in range(inputs)))
+    said, mask = held_out_block(
+        SimpleNamespace(problem=problem, scene=scene, measurement=SimpleNamespace(level=np.array(level)))
+    )
+    assert said.startswith(words)
+    np.testing.assert_array_equal(importlib.import_module("held_out").held_out_mask(said, shape), mask)
+    with pytest.raises(ValueError, match="held out is 'Tuesday'"):
+        importlib.import_module("held_out").held_out_mask("Tuesday", shape)
