@@ -3,7 +3,6 @@
 import importlib
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -97,11 +96,7 @@ def test_reliability_puts_probabilities_into_bins(marks):
 )
 def test_the_block_held_out_is_read_back_from_its_words(marks, level, inputs, words):
     shape = (len(level), 50, 3, inputs)
-    problem = SimpleNamespace(weight=np.ones(shape), lines=50, channels=(3, inputs))
-    scene = SimpleNamespace(inputs=tuple(f"in{k}" for k in range(inputs)))
-    said, mask = held_out_block(
-        SimpleNamespace(problem=problem, scene=scene, measurement=SimpleNamespace(level=np.array(level)))
-    )
+    said, mask = held_out_block(np.array(level), tuple(f"in{k}" for k in range(inputs)), shape, 50)
     assert said.startswith(words)
     np.testing.assert_array_equal(importlib.import_module("held_out").held_out_mask(said, shape), mask)
     with pytest.raises(ValueError, match="held out is 'Tuesday'"):

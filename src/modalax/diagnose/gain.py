@@ -42,15 +42,15 @@ class Gain:
         }  # fmt: skip
 
 
-def held_out_block(study: Study) -> tuple[str, np.ndarray]:
-    """Name of the block that is held out, and its mask, shape ``(run, f, o, i)`` as padded.
+def held_out_block(
+    level: np.ndarray, inputs: tuple[str, ...], shape: tuple[int, ...], lines: int
+) -> tuple[str, np.ndarray]:
+    """Name of the block that is held out, and its mask of ``shape`` ``(run, f, o, i)``, ``lines`` of them real.
 
     A force level beyond the fitted ones, else a repeat, else a column, else every fourth stretch of lines.
     """
-    mask = np.zeros(study.problem.weight.shape, bool)
-    level = np.asarray(study.measurement.level)
-    runs, lines = mask.shape[0], study.problem.lines
-    n_in = study.problem.channels[1]
+    mask = np.zeros(shape, bool)
+    runs, n_in = shape[0], len(inputs)
     if runs > 1 and np.isfinite(level).all() and len(np.unique(level)) == runs:
         k = int(np.argmax(level))
         mask[k] = True
@@ -60,7 +60,7 @@ def held_out_block(study: Study) -> tuple[str, np.ndarray]:
         return f"run {runs}, the last repeat", mask
     if n_in > 1:
         mask[..., n_in - 1] = True
-        return f"the column of input {study.scene.inputs[-1]}", mask
+        return f"the column of input {inputs[-1]}", mask
     edges = np.linspace(0, lines, min(BLOCKS, max(lines // 4, 2)) + 1).astype(int)
     for k in range(1, len(edges) - 1, 4):
         mask[:, edges[k] : edges[k + 1]] = True
@@ -70,8 +70,9 @@ def held_out_block(study: Study) -> tuple[str, np.ndarray]:
 def measure(studies: tuple[Study, Study], null: Hypothesis, found: Hypothesis) -> Gain:
     """Fit both without the held-out block, each in its own study, and compare them on it."""
     study = studies[0]
-    words, mask = held_out_block(study)
     weight = np.asarray(study.problem.weight)
+    level, lines = np.asarray(study.measurement.level), study.problem.lines
+    words, mask = held_out_block(level, study.measurement.inputs, weight.shape, lines)
     drop = np.zeros(weight.shape[1], bool)
     if found.hum is not None:
         drop[: len(found.hum.lines)] = found.hum.lines
@@ -83,7 +84,7 @@ def measure(studies: tuple[Study, Study], null: Hypothesis, found: Hypothesis) -
     count = 2 * int(live.sum())
     if count == 0:
         return Gain(words, float("nan"), float("nan"), 0.0, 0.0)
-    by_line = 0.5 * (np.abs(before) ** 2 - np.abs(after) ** 2).sum(axis=(0, 2, 3))[: study.problem.lines]
+    by_line = 0.5 * (np.abs(before) ** 2 - np.abs(after) ** 2).sum(axis=(0, 2, 3))[:lines]
     blocks = np.array([b.sum() for b in np.array_split(by_line, min(BLOCKS, len(by_line)))])
     rng = np.random.default_rng(0)
     draws = blocks[rng.integers(len(blocks), size=(RESAMPLED, len(blocks)))].sum(axis=1)
