@@ -438,4 +438,4 @@ def test_structures_are_sound(family):
         low = zeta[(omega > 0.99 * first) & (omega < 5 * first)]
         assert 0.001 < low.min() and low.max() < 0.15
         assert all(0 <= a < system.n and -1 <= b < system.n and a != b and k >= 0 for a, b, k in system.places)
-    assert len(kinds) >= 2
+    assert len(kinds) >= (1 if family == "review" else 2)

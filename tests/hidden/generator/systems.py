@@ -1,5 +1,7 @@
 """Structures to hide an effect in: spring-mass networks, beam frames, and a third kind kept for the last exam.
 
+The fourth is the five-degree-of-freedom system of the aircraft modal-analysis review, whose modes are given.
+
 Units are SI; a system's ``places`` are where a local element may sit: ``(a, b, k)`` joins DoFs ``a`` and ``b``
 (``b = -1`` is the ground), and ``k`` is the stiffness [N/m] of a spring that the system already has there, or 0.
 """
@@ -9,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg
 
-FAMILIES = ("masses", "frame", "third")
+FAMILIES = ("masses", "frame", "third", "review")
 
 
 @dataclass(frozen=True)
@@ -318,9 +320,32 @@ def _torsion_tree(rng) -> System:
     return System(M, C, K, [f"disc{k + 1}" for k in range(n)], shafts, "third", "torsion tree", "modal")
 
 
+# the review's system ---------------------------------------------------------------------------------------------
+
+SHAPES = """
+0.7147  1.0000 -0.0911 -0.9230 -0.6083
+0.7166  0.9999 -0.1493  1.0000 -0.1937
+0.7981  0.2257  0.1554 -0.1518  1.0000
+0.8518 -0.5166  1.0000  0.1231 -0.3936
+1.0000 -0.8590 -0.5860  0.0196 -0.2041
+"""
+
+
+def review(rng: np.random.Generator) -> System:
+    """Tables 1 and 2 of the review: modes, modal masses, 2 % damping; any two DoFs may be joined, or one grounded."""
+    shapes = np.array(SHAPES.split(), float).reshape(5, 5) / np.sqrt([2.52, 1.97, 0.90, 1.09, 1.05])
+    inverse = np.linalg.inv(shapes)
+    omega = 2 * np.pi * np.array([26.06, 36.84, 51.47, 56.21, 62.60])
+    K = inverse.T @ np.diag(omega**2) @ inverse
+    M, C = inverse.T @ inverse, inverse.T @ np.diag(0.04 * omega) @ inverse
+    places = [(a, b, max(-float(K[a, b]), 0.0)) for a in range(5) for b in range(a + 1, 5)]
+    places += [(a, -1, 0.0) for a in range(5)]
+    return System(M, C, (K + K.T) / 2, [str(k + 1) for k in range(5)], places, "review", "five masses", "modal")
+
+
 def draw_system(rng: np.random.Generator, family: str) -> System:
     """A random system of a family; its first elastic mode lies between 4 and 60 Hz."""
-    build = {"masses": masses, "frame": frame, "third": third}
+    build = {"masses": masses, "frame": frame, "third": third, "review": review}
     if family not in build:
         raise ValueError(f"family is {family!r}; it must be one of {', '.join(FAMILIES)}")
     system = build[family](rng)
