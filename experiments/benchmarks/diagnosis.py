@@ -24,7 +24,8 @@ from modalax.diagnose import diagnose
 from modalax.diagnose.causes import catalogue
 from modalax.diagnose.evidence import is_element
 from modalax.diagnose.fit import ROUNDS, Hypothesis
-from modalax.diagnose.search import screen_all, state_of
+from modalax.diagnose.search import screen_all
+from modalax.diagnose.state import state_of
 from modalax.diagnose.study import make_study
 from modalax.model.examples import five_dof
 from modalax.simulate import harmonic_balance

@@ -20,7 +20,7 @@ from modalax.diagnose.drifting import joints_for_drifts
 from modalax.diagnose.extend import extend
 from modalax.diagnose.fit import Hypothesis
 from modalax.diagnose.predict import predict
-from modalax.diagnose.search import state_of
+from modalax.diagnose.state import state_of
 from modalax.diagnose.study import make_study
 from modalax.model import Structure
 from modalax.model.examples import five_dof

@@ -13,7 +13,8 @@ from modalax.diagnose.plant import plant_of
 from modalax.diagnose.predict import predict
 from modalax.diagnose.problem import make_problem
 from modalax.diagnose.screen import Residual
-from modalax.diagnose.search import screen_all, state_of
+from modalax.diagnose.search import screen_all
+from modalax.diagnose.state import state_of
 from modalax.diagnose.study import make_study
 from modalax.model import Structure
 from modalax.model.examples import five_dof

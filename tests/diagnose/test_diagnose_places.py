@@ -18,7 +18,7 @@ from modalax.diagnose.elements import at_places, ends, factors_of, score
 from modalax.diagnose.fit import Hypothesis
 from modalax.diagnose.omnibus import Omnibus
 from modalax.diagnose.screen import Residual, Trial
-from modalax.diagnose.search import state_of
+from modalax.diagnose.state import state_of
 from modalax.diagnose.study import make_study
 
 
@@ -158,7 +158,7 @@ def test_only_places_between_many_dofs_and_swaps_are_shortlisted(monkeypatch):
     """A sensor's number is no DoF's: every sensor is looked at, however many."""
     structure = grid(12, False)
     study, state = study_of(structure, sprung(structure, 2, 5, 2e3))
-    monkeypatch.setattr("modalax.diagnose.search.MANY", 10)
+    monkeypatch.setattr("modalax.diagnose.state.MANY", 10)
     monkeypatch.setattr("modalax.diagnose.places.MANY", 10)
     monkeypatch.setattr("modalax.diagnose.places.KEPT", 5)
     kept = []

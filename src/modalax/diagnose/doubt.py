@@ -5,7 +5,8 @@ from collections.abc import Sequence
 from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.decide import Ranked
 from modalax.diagnose.fit import Hypothesis
-from modalax.diagnose.search import State, fit_single, screen_all
+from modalax.diagnose.search import fit_single, screen_all
+from modalax.diagnose.state import State
 from modalax.diagnose.study import Study
 
 SHARE = 0.5  # of what the leading hypothesis explains, below which a trial is not worth a fit

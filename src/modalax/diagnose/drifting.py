@@ -7,7 +7,8 @@ import numpy as np
 from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.causes.joints import FRACTIONS, DriftingSpring
 from modalax.diagnose.fit import Hypothesis
-from modalax.diagnose.search import State, refit
+from modalax.diagnose.search import refit
+from modalax.diagnose.state import State
 from modalax.diagnose.study import Study
 
 SIZES = (0.6, 1.0, 1.6)  # stiffness of the joint over the drift seen

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from modalax.diagnose.fit import ROUNDS, Hypothesis
-from modalax.diagnose.search import refit, state_of
+from modalax.diagnose.search import refit
+from modalax.diagnose.state import state_of
 from modalax.diagnose.study import Study
 
 BLOCKS = 16  # stretches of the band where there is nothing else to hold out; every fourth is

@@ -18,7 +18,6 @@ from modalax.diagnose.screen import Trial
 from modalax.diagnose.search import (
     PATIENT,
     Screening,
-    State,
     best_of_each,
     chosen,
     exchanged,
@@ -26,8 +25,8 @@ from modalax.diagnose.search import (
     fit_single,
     from_home,
     screen_all,
-    state_of,
 )
+from modalax.diagnose.state import State, state_of
 from modalax.diagnose.study import Study, noise_beside
 
 LEFT = 0.002  # chance under noise below which a residual is said to hold something more

@@ -1,21 +1,19 @@
 r"""From screening to fitted hypotheses: single causes first, then one more at a time and pairs of the leading ones."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from modalax.diagnose.causes.base import Cause, Place
-from modalax.diagnose.causes.channels import ChannelSwap
 from modalax.diagnose.causes.lines import HumLines, MainsHum
 from modalax.diagnose.causes.patterns import PatternCause
-from modalax.diagnose.elements import Reduced, at_places, complex_of, fit_elements, reduce, screen_elements
+from modalax.diagnose.elements import at_places, fit_elements, screen_elements
 from modalax.diagnose.evidence import is_element
 from modalax.diagnose.fit import ROUNDS, Hypothesis
-from modalax.diagnose.places import MANY, Sketch, likely_swaps, shortlist, sketch
-from modalax.diagnose.problem import bucket
-from modalax.diagnose.screen import Residual, Trial, fit_screened, nuisance_of, screen_cause, screen_pattern
+from modalax.diagnose.screen import Trial, fit_screened, screen_cause, screen_pattern
+from modalax.diagnose.state import State, alike, state_of
 from modalax.diagnose.study import Study, hum_of
 
 FIRST_ROUNDS = 4
@@ -23,9 +21,12 @@ PATIENT = 4 * ROUNDS  # steps of a fit in full: a window and the damping of all 
 STARTS = 2  # further starts of the leading trials of each kind
 CLOSE = 12.0  # chi-square above the best up to which a hypothesis is fitted in full
 PROMISES = 8  # trials of one kind fitted in full where linear nuisances did not let them keep what they promised
+SLACK, LOOKED_AT = (
+    0.15,
+    48,
+)  # of what the best explains, that a promise may fall short by; trials then looked at, at most
 IN_FULL = 4  # leading hypotheses fitted with the modal parameters in full
 A_KIND, LIKELY, ALTOGETHER = 3, 40, 150  # candidates refitted of one kind, of one kind near the best, and in all
-SPARE = 4  # directions kept free for the parameters of causes already found
 STRAYED = 8.0  # claimed standard deviations of a modal parameter beyond which the simulation alone led it astray
 FAR = 1e4  # times the largest strength that a cause is screened at, beyond which a fit is no explanation
 ONE_SENSOR = 0.97  # share of a mode's energy at one output beyond which it is that sensor's fault
@@ -42,93 +43,6 @@ class Screening:
     def ranked(self) -> list[Trial]:
         """By falling gain."""
         return sorted(self.trials, key=lambda t: -t.gain)
-
-
-@dataclass(frozen=True)
-class State:
-    """What a hypothesis leaves, with the runs apart (True) and together (False), and the products for elements.
-
-    ``drop`` is the chi-square that the parameters would still take away if they moved to their best, and ``shift``
-    that move of the modal parameters, in units of their spread, shape ``(2, n)``.
-    """
-
-    sides: dict[bool, Residual]
-    reduced: dict[bool, Reduced]
-    whole: np.ndarray
-    drop: float
-    shift: np.ndarray
-    cache: dict[Any, Any] = field(default_factory=dict)
-
-    def nearest(self, study: Study, cause: Cause, places: list[Any]) -> list[Any]:
-        """The places of a cause, or of very many those that are worth a look."""
-        skew, swap = hasattr(cause, "matrix"), isinstance(cause, ChannelSwap)
-        between_dofs = bool(self.reduced) and (skew or is_element(cause))
-        if len(places) <= MANY or not (swap or between_dofs):
-            return places
-        key = (swap, skew, *alike(places))
-        if key not in self.cache:
-            problem = study.problem
-            self.cache[key] = (
-                likely_swaps(np.asarray(problem.data), np.asarray(problem.weight), self.whole, places) if swap
-                else shortlist(self.reduced[True], self._few(), places, skew)
-            )  # fmt: skip
-        return [places[k] for k in self.cache[key]]
-
-    def _few(self) -> Sketch:
-        if "few" not in self.cache:
-            self.cache["few"] = sketch(self.reduced[True], self.sides[True].nuisance)
-        return self.cache["few"]
-
-
-def alike(places: Sequence[Place]) -> tuple[Any, ...]:
-    """The same for lists of the same directions over the DoFs."""
-    return (len(places), places[0].index, places[-1].index) if places else (0,)
-
-
-def state_of(study: Study, h: Hypothesis, jacobian: np.ndarray | None = None) -> State:
-    """Residual of a hypothesis with the directions that are not to count: modal spread, and fitted parameters."""
-    assert h.theta is not None
-    whole = study.residual(h)
-    value = _real(whole)
-    G = nuisance_of(h.theta, study)
-    width = bucket(len(G) + SPARE)
-    more = G[:0] if jacobian is None else jacobian[:width]
-    # directions of length zero keep the shapes the same, before and after causes were found
-    G = np.concatenate([G, more, np.zeros((max(width - len(G) - len(more), 0), *G.shape[1:]))])
-    flat = G.reshape(len(G), -1)
-    inner = np.linalg.inv(np.eye(len(G)) + flat @ flat.T)
-    # as if the parameters stood exactly where chi-square is least: no score may live on their being slightly off
-    slope = flat @ value.ravel()
-    slope[: len(study.nuisance.live)] -= h.theta.ravel()[study.nuisance.live]
-    value = value - ((inner @ slope) @ flat).reshape(value.shape)
-    apart = Residual(value, G, inner)
-    together = Residual(_pooled(study, value), _pooled(study, G), inner)
-    theta = h.theta * study.nuisance.spread
-    sides = {True: apart, False: together}
-    reduced = {}
-    if study.question == "fixed" and study.scene.scaled and study.problem.held is None:
-        reduced = {True: reduce(study.problem, theta, apart), False: reduce(study.pooled, theta, together)}
-    shift = np.zeros(h.theta.size)
-    shift[study.nuisance.live] = (inner @ slope)[: len(study.nuisance.live)]
-    return State(sides, reduced, whole, float(slope @ inner @ slope), shift.reshape(h.theta.shape))
-
-
-def _real(z: np.ndarray) -> np.ndarray:
-    """Complex ``(..., run, f, o, i)`` laid out as whitened residuals, ``(..., o, i, run f 2)``."""
-    z = np.moveaxis(np.stack([z.real, z.imag], axis=-1), (-3, -2), (-5, -4))
-    return z.reshape(*z.shape[:-3], -1)
-
-
-def _pooled(study: Study, value: np.ndarray) -> np.ndarray:
-    """All runs as one: what a direction that is the same in every run sees."""
-    runs = study.problem.weight.shape[0]
-    if study.pooled is study.problem:
-        return value
-    if runs == 1 or not value.size:
-        return value[..., : value.shape[-1] // runs]
-    weight, total = np.asarray(study.problem.weight), np.asarray(study.pooled.weight)
-    z = (complex_of(value, runs) * weight).sum(axis=-4, keepdims=True) / np.where(total > 0, total, 1.0)
-    return _real(z)
 
 
 def from_home(study: Study, null: Hypothesis, causes: Sequence[Cause]) -> list[Hypothesis]:
@@ -214,21 +128,32 @@ def fit_single(study: Study, null: Hypothesis, trials: list[Trial], state: State
         # far from the simulation the modal parameters follow in other than linear ways
         close = [h for h in fine if h.causes and h.hum is None and h.chi2 < fine[0].chi2 + CLOSE][:IN_FULL]
         kept = [h for h in fine if not any(h is other for other in close)]
-        close += _broken_promises(null, trials, fine)[: 4 * PROMISES]
-        fine = best_of_each(study.fit(close, PATIENT) + kept, study)
+        likely, maybe = _broken_promises(null, trials, fine)
+        looked = study.fit(maybe, FIRST_ROUNDS)
+        close += likely + [h for h in looked if h.chi2 < fine[0].chi2 + 2 * CLOSE]
+        fine = best_of_each(study.fit(close, PATIENT) + looked + kept, study)
     return fine
 
 
-def _broken_promises(null: Hypothesis, trials: list[Trial], fine: list[Hypothesis]) -> list[Hypothesis]:
-    """Starts of trials that promise to be among the best but whose fit, with linear nuisances, fell far short."""
+def _broken_promises(
+    null: Hypothesis, trials: list[Trial], fine: list[Hypothesis]
+) -> tuple[list[Hypothesis], list[Hypothesis]]:
+    """Starts of trials whose fit, with linear nuisances, fell far short of what they promised.
+
+    First those that promised to be among the best, worth a fit in full; then those that did so but for some of what the
+    best explains, as promises are linear too: worth a look.
+    """
     reached = {(h.causes, h.places): h.chi2 for h in reversed(fine)}
-    out: list[Hypothesis] = []
+    best, slack = fine[0].chi2 + CLOSE, SLACK * (null.chi2 - fine[0].chi2)
+    likely: list[Hypothesis] = []
+    maybe: list[Hypothesis] = []
     for t in sorted(trials, key=lambda t: -t.gain):
         promised, found = null.chi2 - t.gain, reached.get(((t.cause,), (t.place,)), np.inf)
-        few = sum(h.causes == (t.cause,) for h in out) < PROMISES
-        if t.cause.stage != "lines" and few and promised < fine[0].chi2 + CLOSE and found > promised + CLOSE:
-            out.append(_start(null, t, t.start))
-    return out
+        if t.cause.stage == "lines" or promised > best + slack or found < promised + CLOSE:
+            continue
+        few = promised < best and sum(h.causes == (t.cause,) for h in likely) < PROMISES
+        (likely if few else maybe).append(_start(null, t, t.start))
+    return likely[: 4 * PROMISES], maybe[:LOOKED_AT]
 
 
 def refit(study: Study, null: Hypothesis, starts: list[Hypothesis], state: State) -> list[Hypothesis]:
