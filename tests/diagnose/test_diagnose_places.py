@@ -145,7 +145,7 @@ def test_an_exchange_of_outputs_is_among_those_kept(monkeypatch):
 
 
 def test_noise_alone_is_rarely_called_hum():
-    freq, live = np.arange(30.0, 210.0, 0.5), np.ones((24, 360), bool)
+    freq, live = np.arange(30.0, 210.0, 0.5), np.ones((4, 6, 360), bool)
     rng, values = np.random.default_rng(0), []
     for _ in range(200):
         noise = rng.normal(size=live.shape) + 1j * rng.normal(size=live.shape)
@@ -169,13 +169,33 @@ def test_only_places_between_many_dofs_and_swaps_are_shortlisted(monkeypatch):
 
 
 def test_hum_that_stands_out_is_found_at_its_lines():
-    freq, live = np.arange(30.0, 210.0, 0.5), np.ones((24, 360), bool)
+    freq, live = np.arange(30.0, 210.0, 0.5), np.ones((4, 6, 360), bool)
     rng = np.random.default_rng(0)
     noise = rng.normal(size=live.shape) + 1j * rng.normal(size=live.shape)
-    noise[:, np.isin(freq, (50.0, 100.0, 150.0))] *= 2.0
+    noise[..., np.isin(freq, (50.0, 100.0, 150.0))] *= 2.0
     found = MainsHum().explain(freq, 50.0, noise, live)
     assert found.p_value < 1e-6
     assert set(freq[found.lines]) >= {50.0, 100.0, 150.0}
+
+
+def one_source(freq, size, rng, width):
+    """Noise of 6 runs and inputs at 9 outputs, and a source at 60 Hz that the outputs share, ``width`` in spacings."""
+    noise = rng.normal(size=(6, 9, len(freq))) + 1j * rng.normal(size=(6, 9, len(freq)))
+    lines = np.exp(-0.5 * ((freq - 60.0) / (width * np.diff(freq)[0])) ** 2)
+    source = (rng.normal(size=6) * np.exp(2j * np.pi * rng.uniform(size=6)))[:, None] * rng.normal(size=9)
+    signal = source[..., None] * lines
+    return noise + size * signal / np.linalg.norm(signal)
+
+
+def test_one_source_is_found_where_each_channel_alone_hides_it():
+    """At 9 standard deviations over 54 channels the sum of squares is hardly out of its scatter; the rank tells."""
+    freq, rng = np.arange(20.0, 110.0, 0.3), np.random.default_rng(3)
+    live = np.ones((6, 9, len(freq)), bool)
+    found = [MainsHum().explain(freq, 60.0, one_source(freq, 9.0, rng, 0.7), live) for _ in range(20)]
+    assert sum(h.p_value < 1e-3 and -h.chi2 > 10 for h in found) >= 18
+    assert all(np.abs(freq[h.lines] - 60.0).max() < 1.0 for h in found if h.lines.any())
+    wide = [MainsHum().explain(freq, 60.0, one_source(freq, 40.0, rng, 12.0), live) for _ in range(5)]
+    assert all(not h.lines.any() for h in wide)  # a resonance, seen by all outputs too
 
 
 def test_a_mode_narrower_than_the_lines_at_the_mains_frequency_is_hum():
@@ -190,7 +210,7 @@ def test_a_mode_narrower_than_the_lines_at_the_mains_frequency_is_hum():
 def test_hum_is_judged_by_how_uneven_the_noise_is_elsewhere():
     rng = np.random.default_rng(4)
     freq = np.linspace(20.0, 110.0, 301)
-    noise = rng.normal(size=(40, 301)) + 1j * rng.normal(size=(40, 301))
+    noise = rng.normal(size=(4, 10, 301)) + 1j * rng.normal(size=(4, 10, 301))
     even = MainsHum().explain(freq, 50.0, noise, np.ones(noise.shape, bool))
     uneven = noise * np.sqrt(rng.gamma(4.0, 0.25, 301))
     assert even.p_value > 0.01
@@ -198,7 +218,7 @@ def test_hum_is_judged_by_how_uneven_the_noise_is_elsewhere():
     k = int(np.abs(freq - 50.0).argmin())
     plain, doubted = noise.copy(), uneven.copy()
     for x in (plain, doubted):
-        x[:, k] *= 1.7
+        x[..., k] *= 1.7
     assert MainsHum().explain(freq, 50.0, plain, np.ones(noise.shape, bool)).p_value < 1e-4
     assert MainsHum().explain(freq, 50.0, doubted, np.ones(noise.shape, bool)).p_value > 1e-4
 

@@ -151,8 +151,13 @@ _predict_jit = jax.jit(predict, static_argnums=0)
 def hum_of(cause: MainsHum, place: Place, study: Study, residual: np.ndarray) -> HumLines:
     """What hum would explain of a residual, shape ``(run, f, o, i)``."""
     lines = study.problem.lines
-    r = residual.transpose(0, 2, 3, 1).reshape(-1, residual.shape[1])[:, :lines]
-    live = study.live().transpose(0, 2, 3, 1).reshape(r.shape[0], -1)[:, :lines]
+
+    def columns(x: np.ndarray) -> np.ndarray:
+        """Shape ``(run i, o, f)``."""
+        x = x.transpose(0, 3, 2, 1)
+        return x.reshape(-1, *x.shape[2:])[..., :lines]
+
+    r, live = columns(residual), columns(study.live())
     return cause.explain(study.scene.freq, float(place.index[0]), r / study.noise.line_spread, live)
 
 

@@ -1,10 +1,14 @@
-r"""Mains hum: lines at 50 or 60 Hz and its multiples where the residual is larger than the noise allows."""
+r"""Mains hum: lines at 50 or 60 Hz and its multiples where the residual is larger than the noise allows.
+
+Each sample there has its own hum, or all have that of one source (:mod:`.pickup`), whichever explains more.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from modalax.diagnose.causes.base import Cause, Parameter, Place, Scene
+from modalax.diagnose.causes.pickup import pickup
 
 MAINS = (50.0, 60.0)  # Hz
 DRAWS = 1000  # of noise alone, against which hum is judged
@@ -73,27 +77,35 @@ class MainsHum(Cause):
         Parameters
         ----------
         residual
-            Whitened, complex, shape ``(channel, f)``; both parts have unit variance under noise alone.
+            Whitened, complex, shape ``(column, o, f)``, a column an input of a run; both parts have unit variance
+            under noise alone.
         live
             Which samples count, same shape.
         """
+        shaped, residual, live = (residual, live), _flat(residual), _flat(live)
         power = (np.abs(residual) ** 2 * live).sum(axis=0)[None]
         count = 2 * live.sum(axis=0)
         tried = [(near, _raised(power, count, near)) for near in (self.lines(freq, fundamental, r) for r in REACHES)]
         worth = [_worth(*t)[0] for t in tried]
         sets, gains = tried[int(np.argmax(worth))]
         chosen = [near for near, gain in zip(sets, gains, strict=True) if gain[0] > 0]
+        gain, p_value = float(sum(g[0] for g in gains)), 1.0
+        uneven = _unevenness(power[0], count, np.concatenate([np.concatenate(near) for near, _ in tried]))
+        if chosen:
+            noise = _null(count, uneven)
+            p_value = _tail(
+                max(worth), np.max([_worth(near, _raised(noise, count, near)) for near, _ in tried], axis=0)
+            )
+        source = pickup(freq, fundamental, *shaped, uneven, _tail)
+        if sum(source.gains) > gain:
+            chosen, gain = source.sets, sum(source.gains)
         mask = np.zeros(len(freq), bool)
         if not chosen:
             return HumLines(mask, 0.0, 1.0, 0.0, fundamental, 1.0)
         mask[np.concatenate(chosen)] = True
-        top = float((power[0, mask] / np.maximum(count[mask], 1)).max() - 1)
-        noise = _null(power[0], count, np.concatenate([np.concatenate(near) for near, _ in tried]))
-        null = np.max([_worth(near, _raised(noise, count, near)) for near, _ in tried], axis=0)
-        return HumLines(
-            mask, -float(sum(g[0] for g in gains)), float(mask.sum()), float(np.sqrt(top)), fundamental,
-            _tail(max(worth), null),
-        )  # fmt: skip
+        top = max(float((power[0, mask] / np.maximum(count[mask], 1)).max() - 1), 0.0)
+        p_value = min(1.0, 2 * min(p_value, source.p_value))
+        return HumLines(mask, -gain, float(mask.sum()), float(np.sqrt(top)), fundamental, p_value)
 
 
 def hums(frequency: float, damping_ratio: float, freq: np.ndarray) -> bool:
@@ -105,18 +117,27 @@ def hums(frequency: float, damping_ratio: float, freq: np.ndarray) -> bool:
     return any(near in lines for lines in reached)
 
 
-def _null(power: np.ndarray, count: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """Draws of the sums of squares under noise alone, as uneven from line to line as away from the lines of hum.
+def _flat(x: np.ndarray) -> np.ndarray:
+    return x.reshape(-1, x.shape[-1])
 
-    Known variances leave a scatter of 2/n; what lies beyond that is how well the noise of a line is known at all.
+
+def _unevenness(power: np.ndarray, count: np.ndarray, near: np.ndarray) -> float:
+    """Variance of how well the noise of a line is known, from the lines away from hum.
+
+    Known variances leave a scatter of 2/n there; what lies beyond that, and beyond what chance makes of it, is this.
     """
-    rng, n = np.random.default_rng(0), np.maximum(count, 1)
+    n = np.maximum(count, 1)
     away = np.setdiff1d(np.flatnonzero(count > 0), near)
-    draws = rng.chisquare(n, (DRAWS, len(n))) * (count > 0)
     if len(away) < FEW_LINES:
-        return draws
+        return 0.0
     more = float(np.var(power[away] / n[away]) - np.mean(2 / n[away]))
-    uneven = max(more - np.mean(2 / n[away]) * np.sqrt(2 / len(away)), 0.0)  # beyond what chance makes of it
+    return max(more - float(np.mean(2 / n[away])) * float(np.sqrt(2 / len(away))), 0.0)
+
+
+def _null(count: np.ndarray, uneven: float) -> np.ndarray:
+    """Draws of the sums of squares under noise alone, as uneven from line to line as away from the lines of hum."""
+    rng = np.random.default_rng(0)
+    draws = rng.chisquare(np.maximum(count, 1), (DRAWS, len(count))) * (count > 0)
     return draws * rng.gamma(1 / uneven, uneven, draws.shape) if uneven > 0 else draws
 
 
