@@ -18,6 +18,7 @@ ENOUGH = 300.0  # degrees of freedom at which a variance is as good as known
 FLOOR = 1e-7  # least standard deviation, over the root mean square of the channel
 AROUND = 15  # lines over which the scatter with and without the simulation is compared
 SHARED = 9  # lines over which the course that all channels share is taken
+SMOOTHED = 160.0  # degrees of freedom that the lines of one smoothing window have together
 TRUSTED = 3.0  # degrees of freedom of each variance below which it was read from neighbouring lines
 ROUNDS = 12  # of parts and course in turn
 READ_LINES = 1.12  # widening of a line's sum where variances were read off the lines; 166 clean sets: 1.2 % below 0.01
@@ -48,6 +49,11 @@ class Noise:
         if not np.isfinite(self.freedom):
             return 1.0
         return 1.0 + 0.3 / self.freedom + (0.05 if self.freedom < TRUSTED else 0.0)
+
+    @property
+    def known(self) -> float:
+        """Degrees of freedom to which the variance of a channel about a line is known."""
+        return SMOOTHED if np.isfinite(self.freedom) else float("inf")
 
     @property
     def line_spread(self) -> float:
@@ -169,7 +175,7 @@ def smoothed(
         square = np.abs(H) ** 2
         shapes.append((square.sum(axis=0, keepdims=True) - square) / (len(H) - 1))
     basis = [np.ones_like(size), *(x / np.maximum(x.mean(axis=1, keepdims=True), 1e-300) for x in shapes)]
-    width = int(np.clip(round(160 / freedom), 7, max(7, lines // 3))) | 1
+    width = int(np.clip(round(SMOOTHED / freedom), 7, max(7, lines // 3))) | 1
     value, fit, course = variance, variance, np.ones((1, lines, 1, 1))
     for _ in range(1 if clip is None else ROUNDS):
         beside = [course * basis[0], *basis[1:]]

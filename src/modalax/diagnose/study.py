@@ -158,7 +158,8 @@ def hum_of(cause: MainsHum, place: Place, study: Study, residual: np.ndarray) ->
         return x.reshape(-1, *x.shape[2:])[..., :lines]
 
     r, live = columns(residual), columns(study.live())
-    return cause.explain(study.scene.freq, float(place.index[0]), r / study.noise.line_spread, live)
+    noise = study.noise
+    return cause.explain(study.scene.freq, float(place.index[0]), r / noise.line_spread, live, noise.known)
 
 
 def as_measurement(data: Measurement | FRF) -> Measurement:

@@ -71,7 +71,9 @@ class MainsHum(Cause):
                 sets.append(near)
         return sets
 
-    def explain(self, freq: np.ndarray, fundamental: float, residual: np.ndarray, live: np.ndarray) -> HumLines:
+    def explain(
+        self, freq: np.ndarray, fundamental: float, residual: np.ndarray, live: np.ndarray, known: float = np.inf
+    ) -> HumLines:
         """Best reach and sizes for whitened residuals.
 
         Parameters
@@ -81,6 +83,8 @@ class MainsHum(Cause):
             under noise alone.
         live
             Which samples count, same shape.
+        known
+            Degrees of freedom to which the variance of each channel is known.
         """
         shaped, residual, live = (residual, live), _flat(residual), _flat(live)
         power = (np.abs(residual) ** 2 * live).sum(axis=0)[None]
@@ -96,7 +100,7 @@ class MainsHum(Cause):
             p_value = _tail(
                 max(worth), np.max([_worth(near, _raised(noise, count, near)) for near, _ in tried], axis=0)
             )
-        source = pickup(freq, fundamental, *shaped, uneven, _tail)
+        source = pickup(freq, fundamental, *shaped, uneven, known, _tail)
         if sum(source.gains) > gain:
             chosen, gain = source.sets, sum(source.gains)
         mask = np.zeros(len(freq), bool)

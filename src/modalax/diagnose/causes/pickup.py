@@ -65,6 +65,7 @@ def pickup(
     residual: np.ndarray,
     live: np.ndarray,
     uneven: float,
+    known: float,
     tail: Callable[[float, np.ndarray], float],
 ) -> Pickup:
     """Look for one source at the multiples of a mains frequency.
@@ -77,12 +78,14 @@ def pickup(
         Which samples count, same shape.
     uneven
         Variance of the factor by which the noise of a line may be off.
+    known
+        Degrees of freedom to which the variance of each channel is known.
     tail
         Chance that draws of the null, its second argument, exceed the first.
     """
     step = np.gradient(freq) if len(freq) > 1 else np.ones(1)
     used = live.any(axis=2)
-    null = _null(used.tobytes(), used.shape)
+    null = _null(used.tobytes(), used.shape, known)
     if uneven > 0:
         null = null * np.random.default_rng(1).gamma(1 / uneven, uneven, len(null))
     unknowns = max(2.0 * (used.any(axis=0).sum() + used.any(axis=1).sum() - 1), 2.0)
@@ -115,12 +118,13 @@ def _summed(residual: np.ndarray, live: np.ndarray, s: np.ndarray) -> np.ndarray
 
 
 @lru_cache(maxsize=16)
-def _null(used: bytes, shape: tuple[int, int]) -> np.ndarray:
-    """Draws of :func:`largest` under noise alone, of the channels that are used."""
+def _null(used: bytes, shape: tuple[int, int], known: float) -> np.ndarray:
+    """Draws of :func:`largest` under noise alone: of channels that are used, with variances so well known."""
     live = np.frombuffer(used, bool).reshape(shape)
     rng = np.random.default_rng(0)
     count = max(100, min(DRAWS, int(4e6 / max(live.size, 1))))
-    return largest((rng.normal(size=(count, *shape)) + 1j * rng.normal(size=(count, *shape))) * live)
+    y = (rng.normal(size=(count, *shape)) + 1j * rng.normal(size=(count, *shape))) * live
+    return largest(y / np.sqrt(rng.gamma(known / 2, 2 / known, y.shape)) if np.isfinite(known) else y)
 
 
 def _explained(value: Any, unknowns: float) -> Any:
