@@ -14,7 +14,7 @@ from modalax.diagnose.causes.lines import MainsHum, hums
 from modalax.diagnose.causes.local import Gyroscopic, JointStiffness, LocalDamper
 from modalax.diagnose.causes.patterns import MissingMode
 from modalax.diagnose.decide import detect
-from modalax.diagnose.elements import at_places, ends, factors_of, score
+from modalax.diagnose.elements import at_places, ends, factors_of, reduce, score
 from modalax.diagnose.fit import Hypothesis
 from modalax.diagnose.omnibus import Omnibus
 from modalax.diagnose.screen import Residual, Trial
@@ -128,6 +128,26 @@ def test_gains_of_many_modes_beyond_the_band_are_few_alike():
     top = np.abs(direct).max()
     assert np.abs(found - direct).max() < 1e-11 * top
     assert np.abs(found[: len(H), : H.shape[1]] - exact).max() < 1e-8 * top
+
+
+def test_products_of_pooled_runs_are_the_sums_of_those_of_the_runs():
+    structure = grid(12, True)
+    runs = [structure.frf(np.linspace(2.0, 40.0, 90), inputs=("1", "5")) for _ in range(3)]
+    rng = np.random.default_rng(1)
+    data = np.stack([np.asarray(r.H) * (1 + 0.05 * rng.normal(size=r.shape)) for r in runs])
+    sigma2 = np.abs(data).max() ** 2 * rng.uniform(1e-4, 2e-4, data.shape)
+    m = Measurement(
+        runs[0].freq, data, variance=sigma2, level=np.array([1.0, 2.0, 4.0]), outputs=runs[0].outputs,
+        inputs=runs[0].inputs, form="receptance",
+    )  # fmt: skip
+    study = make_study(m, structure)
+    null = study.fit([Hypothesis(theta=np.zeros((2, study.problem.plant.stiffness.shape[0])))], 4)[0]
+    state = state_of(study, null)
+    assert study.pooled is not study.problem
+    direct = reduce(study.pooled, null.theta * study.nuisance.spread, state.sides[False])
+    for name in ("S", "T", "weight2", "level"):
+        a, b = np.asarray(getattr(state.reduced[False], name)), np.asarray(getattr(direct, name))
+        assert a.size and a.shape == b.shape and np.abs(a - b).max() <= 1e-11 * max(np.abs(b).max(), 1e-300)
 
 
 def test_an_exchange_of_outputs_is_among_those_kept(monkeypatch):

@@ -193,6 +193,13 @@ def reduce(problem: Problem, theta: np.ndarray, state: Residual) -> Reduced:
     )  # fmt: skip
 
 
+def as_one(apart: Reduced, pooled: Problem) -> Reduced:
+    """The products with all runs as one: pooled residuals times their weight are the sums of those of the runs."""
+    weight2, level = np.asarray(pooled.weight) ** 2, np.asarray(pooled.level)
+    S, T = apart.S.sum(axis=0, keepdims=True), apart.T.sum(axis=1, keepdims=True)
+    return replace(apart, S=S, T=T, weight2=weight2, level=level)
+
+
 @dataclass(frozen=True)
 class At:
     """Products at some places, stacked along the first axis."""

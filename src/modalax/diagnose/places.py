@@ -74,15 +74,18 @@ def gains_at(reduced: Reduced, few: Sketch, a: np.ndarray, b: np.ndarray, skew: 
     """Chi-square that free springs and dampers would take away at each place (dampers alone in a skew coupling)."""
     runs, dofs = reduced.weight2.shape[0], np.arange(reduced.shapes.shape[1])
     motion = reduced.motion(dofs, np.full(len(dofs), -1)).transpose(1, 2, 0)  # (f, i, dof)
-    products, across, square = [], [], []
-    for power in (1,) if skew else (0, 1):
+    products, across = [], []
+    powers = (1,) if skew else (0, 1)
+    counts = np.stack([few.count * reduced.omega[few.lines] ** (2 * power) for power in powers])
+    square = [_length(few.H[run], counts, motion[few.lines], a, b, skew) for run in range(runs)]
+    for power in powers:
         pushed = (-((1j * reduced.omega) ** power)[:, None, None] * motion).conj()
         for run in range(runs):
             seen = few.count[:, None, None] * pushed[few.lines]
             products.append(_form(pushed, reduced.S[run], a, b, skew))
             across.append([_form(seen, back, a, b, skew) for back in few.back[:, run]])
-            square.append(_length(few.H[run], few.count, pushed[few.lines].conj(), a, b, skew))
-    p, d = np.stack(products, axis=-1), np.maximum(np.stack(square, axis=-1), 1e-300)
+    lengths = np.stack(square, axis=1).reshape(len(products), -1)  # by power, then by run
+    p, d = np.stack(products, axis=-1), np.maximum(lengths.T, 1e-300)
     gram = d[..., None] * np.eye(p.shape[1])
     if len(few.inner):
         T = np.moveaxis(np.array(across), -1, 0)  # (place, q, k)
@@ -127,21 +130,26 @@ def sketch(reduced: Reduced, nuisance: np.ndarray) -> Sketch:
 
 
 def _length(
-    H: np.ndarray, count: np.ndarray, pushed: np.ndarray, a: np.ndarray, b: np.ndarray, skew: bool
+    H: np.ndarray, counts: np.ndarray, motion: np.ndarray, a: np.ndarray, b: np.ndarray, skew: bool
 ) -> np.ndarray:
-    """Squared lengths of the changes of one run, whose receptances are ``H``, shape ``(line, i, sum, dof)``."""
-    other, total = np.maximum(b, 0), np.zeros(len(a))
+    """Squared lengths of the changes of one run, whose receptances are ``H``, shape ``(line, i, sum, dof)``.
+
+    One row for each row of ``counts``: what a line counts for a spring, and for a damper.
+    """
+    other, total = np.maximum(b, 0), np.zeros((len(counts), len(a)))
     for line in range(len(H)):
+        value = np.zeros(len(a))
         for i in range(H.shape[1]):
             cross = H[line, i].conj().T @ H[line, i]
-            own, m = np.real(np.diagonal(cross)), pushed[line, i]
+            own, m = np.real(np.diagonal(cross)), motion[line, i]
             if skew:
-                value = own[a] * np.abs(m[other]) ** 2 + own[other] * np.abs(m[a]) ** 2
-                value = value - 2 * np.real(m[other].conj() * m[a] * cross[a, other])
+                value += own[a] * np.abs(m[other]) ** 2 + own[other] * np.abs(m[a]) ** 2
+                value -= 2 * np.real(m[other].conj() * m[a] * cross[a, other])
             else:
                 pair = own[a] + np.where(b >= 0, own[other] - 2 * np.real(cross[a, other]), 0.0)
-                value = np.abs(m[a] - np.where(b >= 0, m[other], 0.0)) ** 2 * pair
-            total += count[line] * value
+                value += np.abs(m[a] - np.where(b >= 0, m[other], 0.0)) ** 2 * pair
+        for row, count in zip(total, counts[:, line], strict=True):
+            row += count * value
     return total
 
 

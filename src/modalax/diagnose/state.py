@@ -8,7 +8,7 @@ import numpy as np
 
 from modalax.diagnose.causes.base import Cause, Place
 from modalax.diagnose.causes.channels import ChannelSwap
-from modalax.diagnose.elements import Reduced, complex_of, reduce
+from modalax.diagnose.elements import Reduced, as_one, complex_of, reduce
 from modalax.diagnose.evidence import is_element
 from modalax.diagnose.fit import Hypothesis
 from modalax.diagnose.places import MANY, Sketch, likely_swaps, shortlist, sketch
@@ -82,7 +82,8 @@ def state_of(study: Study, h: Hypothesis, jacobian: np.ndarray | None = None) ->
     sides = {True: apart, False: together}
     reduced = {}
     if study.question == "fixed" and study.scene.scaled and study.problem.held is None:
-        reduced = {True: reduce(study.problem, theta, apart), False: reduce(study.pooled, theta, together)}
+        every = reduce(study.problem, theta, apart)
+        reduced = {True: every, False: every if study.pooled is study.problem else as_one(every, study.pooled)}
     shift = np.zeros(h.theta.size)
     shift[study.nuisance.live] = (inner @ slope)[: len(study.nuisance.live)]
     return State(sides, reduced, whole, float(slope @ inner @ slope), shift.reshape(h.theta.shape))
