@@ -186,7 +186,9 @@ def reduce(problem: Problem, theta: np.ndarray, state: Residual) -> Reduced:
 
     S = back(weight * complex_of(state.value, runs))
     G = complex_of(state.nuisance, runs) if len(state.nuisance) else np.zeros((0, *weight.shape), complex)
-    T = np.stack([back(weight * g) for g in G]) if len(G) else np.zeros((0, *S.shape), complex)
+    T = np.zeros((len(G), *S.shape), complex)
+    for k in np.flatnonzero(G.reshape(len(G), -1).any(axis=1)):  # the others only fill up
+        T[k] = back(weight * G[k])
     return Reduced(
         gains, psi, part, upper if far else None, lower if far else None, o, i, S, T, weight**2, state.inner,
         np.asarray(problem.omega), np.asarray(problem.level), factors_of(gains),
@@ -238,8 +240,8 @@ def at_places(reduced: Reduced, places: Sequence[Place], targets: bool = True, a
         return At(motion, drive, S, S[:0], S[:0])
     N = []
     for k in range(0, len(a), BATCH):
-        column = np.abs(reduced.column(a[k : k + BATCH], b[k : k + BATCH])) ** 2
-        N.append(np.einsum("fop,rfoi->prfi", column, reduced.weight2, optimize=True))
+        column = reduced.column(a[k : k + BATCH], b[k : k + BATCH])
+        N.append(np.einsum("fop,rfoi->prfi", column.real**2 + column.imag**2, reduced.weight2, optimize=True))
     T = pair(reduced.T, 3) if len(reduced.T) else np.zeros((len(a), 0, *S.shape[1:]), complex)
     return At(motion, drive, S, np.concatenate(N), T)
 
@@ -342,14 +344,13 @@ def screen_elements(
     """Derivatives at all places, and finite sizes at the promising ones."""
     grids, small = grids_of(cause, scene, places)
     square, product, kept = score(cause, reduced, at, small, False)
-    trials = []
+    trials, laid_out = [], np.ascontiguousarray(weight.transpose(2, 3, 0, 1))
     for k, place in enumerate(places):
         trial = best_trial(cause, place, small[k], square[k], product[k])
         mine = [kept[k, j] for j in range(len(small[k])) if (k, j) in kept][:KEPT_SHAPES]
         if mine:
-            column = reduced.column_at(place)
-            flat = [_flat(weight * np.einsum("fo,rfi->rfoi", column, y)) for y in mine]
-            trial = replace(trial, direction=np.stack(flat))
+            column = np.ascontiguousarray(reduced.column_at(place).T)
+            trial = replace(trial, direction=np.stack([_direction(laid_out, column, y) for y in mine]))
         trials.append(trial)
     if not finite:
         return trials
@@ -362,9 +363,11 @@ def screen_elements(
     return trials
 
 
-def _flat(z: np.ndarray) -> np.ndarray:
-    """Complex ``(run, f, o, i)`` as whitened arrays are laid out, flat."""
-    return np.stack([z.real, z.imag], axis=-1).transpose(2, 3, 0, 1, 4).ravel()
+def _direction(weight: np.ndarray, column: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Whitened change, flat, of weights ``(o, i, run, f)``, a column ``(o, f)`` and numbers ``(run, f, i)``."""
+    change = column[:, None, None] * np.ascontiguousarray(y.transpose(2, 0, 1))
+    change *= weight
+    return change.view(np.float64).ravel()
 
 
 def element_target(reduced: Reduced, starts: list[Hypothesis]) -> Target:

@@ -18,7 +18,7 @@ from modalax.diagnose.causes.base import Place
 from modalax.diagnose.elements import Reduced, complex_of, ends
 
 MANY = 450  # places beyond which only some are looked at
-KEPT = 150  # of them
+KEPT = 100  # of them
 LINES, SUMS = 96, 32  # lines and random sums of outputs from which lengths are taken
 
 
