@@ -86,17 +86,18 @@ def test_reliability_puts_probabilities_into_bins(marks):
 
 
 @pytest.mark.parametrize(
-    ("level", "inputs", "words"),
+    ("level", "inputs", "alike", "words"),
     [
-        ([1.0, 3.0, 2.0], 2, "run 2 at"),
-        ([1.0, 1.0], 2, "run 2, the last"),
-        ([1.0], 2, "the column"),
-        ([1.0], 1, "every"),
+        ([1.0, 3.0, 2.0], 2, True, "run 2 at"),
+        ([1.0, 1.0], 2, True, "run 2, the last"),
+        ([1.0, 1.0], 2, False, "the column"),
+        ([1.0], 2, True, "the column"),
+        ([1.0, 2.0], 1, False, "every"),
     ],
 )
-def test_the_block_held_out_is_read_back_from_its_words(marks, level, inputs, words):
+def test_the_block_held_out_is_read_back_from_its_words(marks, level, inputs, alike, words):
     shape = (len(level), 50, 3, inputs)
-    said, mask = held_out_block(np.array(level), tuple(f"in{k}" for k in range(inputs)), shape, 50)
+    said, mask = held_out_block(np.array(level), tuple(f"in{k}" for k in range(inputs)), shape, 50, alike)
     assert said.startswith(words)
     np.testing.assert_array_equal(importlib.import_module("held_out").held_out_mask(said, shape), mask)
     with pytest.raises(ValueError, match="held out is 'Tuesday'"):

@@ -44,19 +44,20 @@ class Gain:
 
 
 def held_out_block(
-    level: np.ndarray, inputs: tuple[str, ...], shape: tuple[int, ...], lines: int
+    level: np.ndarray, inputs: tuple[str, ...], shape: tuple[int, ...], lines: int, alike: bool = True
 ) -> tuple[str, np.ndarray]:
     """Name of the block that is held out, and its mask of ``shape`` ``(run, f, o, i)``, ``lines`` of them real.
 
-    A force level beyond the fitted ones, else a repeat, else a column, else every fourth stretch of lines.
+    A force level beyond the fitted ones, else a repeat, else a column, else every fourth stretch of lines. Runs that
+    are not ``alike`` but for their level have parameters of their own and cannot be held out.
     """
     mask = np.zeros(shape, bool)
     runs, n_in = shape[0], len(inputs)
-    if runs > 1 and np.isfinite(level).all() and len(np.unique(level)) == runs:
+    if alike and runs > 1 and np.isfinite(level).all() and len(np.unique(level)) == runs:
         k = int(np.argmax(level))
         mask[k] = True
         return f"run {k + 1} at {level[k]:.4g} N, the highest level", mask
-    if runs > 1:
+    if alike and runs > 1:
         mask[-1] = True
         return f"run {runs}, the last repeat", mask
     if n_in > 1:
@@ -73,7 +74,8 @@ def measure(studies: tuple[Study, Study], null: Hypothesis, found: Hypothesis) -
     study = studies[0]
     weight = np.asarray(study.problem.weight)
     level, lines = np.asarray(study.measurement.level), study.problem.lines
-    words, mask = held_out_block(level, study.measurement.inputs, weight.shape, lines)
+    alike = not any(c.each_run for c in found.causes)
+    words, mask = held_out_block(level, study.measurement.inputs, weight.shape, lines, alike)
     drop = np.zeros(weight.shape[1], bool)
     if found.hum is not None:
         drop[: len(found.hum.lines)] = found.hum.lines

@@ -189,6 +189,8 @@ class Cause:
         Unknowns, the strength first; may be empty (a sign, a swap).
     per_run
         Whether the effect depends on the run or its level.
+    each_run
+        Whether a run has parameters of its own, so that it cannot be predicted from the others.
     fidelity
         Relative error of the predicted effect itself; a misfit below it is no sign of an unknown cause.
     prior
@@ -201,6 +203,7 @@ class Cause:
     stage: ClassVar[str] = ""
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     per_run: ClassVar[bool] = False
+    each_run: ClassVar[bool] = False
     fidelity: ClassVar[float] = 0.0
     prior: ClassVar[float] = 1.0
     unseen: ClassVar[int] = 0

@@ -150,6 +150,7 @@ class DriftingSpring(JointCause):
 
     slug = "time_varying"
     summary = "one joint drifts from run to run"
+    each_run = True
     prior = 0.3
     parameters = (Parameter("stiffness_drift", "N/m"),)
 

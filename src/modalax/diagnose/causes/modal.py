@@ -81,6 +81,7 @@ class TimeVarying(Cause):
     slug = "time_varying"
     stage = "modes"
     per_run = True
+    each_run = True
     summary = "the structure drifts from run to run"
     prior = 0.4  # of the three forms of a drift
     parameters = (Parameter("relative_stiffness_drift", "-", -0.95),)
@@ -105,6 +106,7 @@ class TimeVaryingSteps(Cause):
     slug = "time_varying"
     stage = "modes"
     per_run = True
+    each_run = True
     summary = "the structure changes between runs"
     prior = 0.3
 
