@@ -1,7 +1,8 @@
 """Diagnose every case of a draw without its truth: ``python experiments/diagnosis/answer.py FOLDER``.
 
 Writes ``FOLDER/answers/NAME.json``: what ``modalax.diagnose(...).to_dict()`` says, and the seconds it took. Answers
-that are there already are kept. ``--part 1/2`` and ``--part 2/2`` share a draw between two processes.
+that are there already are kept. ``--part 1/2`` and ``--part 2/2`` share a draw between two processes. ``--question
+free`` asks what no linear model explains, into ``FOLDER/answers-free``.
 """
 
 import argparse
@@ -16,14 +17,14 @@ import jax
 from rich.progress import track
 
 
-def answer(folder: Path) -> dict:
+def answer(folder: Path, question: str = "auto") -> dict:
     """The diagnosis of one case, or the error that it ended in."""
     from modalax.diagnose import diagnose
     from modalax.files import load
 
     start = time.perf_counter()
     try:
-        said = diagnose(load(folder / "measurement.npz"), load(folder / "simulation.npz"))
+        said = diagnose(load(folder / "measurement.npz"), load(folder / "simulation.npz"), question=question)
         result = said.to_dict()
     except Exception as error:  # one bad case must not end a long draw; it is counted and shown
         result = {"verdict": "error", "causes": [], "alternatives": [], "error": f"{type(error).__name__}: {error}"}
@@ -40,16 +41,23 @@ def prepare() -> None:
     warnings.simplefilter("ignore")
 
 
-def run(folder: Path, part: tuple[int, int] = (1, 1), only: str = "", redo: bool = False) -> None:
+def answers_to(question: str) -> str:
+    """Folder of the answers to a question."""
+    return "answers" if question == "auto" else f"answers-{question}"
+
+
+def run(
+    folder: Path, part: tuple[int, int] = (1, 1), only: str = "", redo: bool = False, question: str = "auto"
+) -> None:
     prepare()
     cases = [p for p in (folder / "cases").iterdir() if only in p.name]
     # in no order of causes, so that a draw that is stopped early is still a fair sample
     cases = sorted(cases, key=lambda p: zlib.crc32(p.name.encode()))[part[0] - 1 :: part[1]]
-    out = folder / "answers"
+    out = folder / answers_to(question)
     out.mkdir(exist_ok=True)
     todo = [c for c in cases if redo or not (out / f"{c.name}.json").exists()]
     for case in track(todo, "diagnosing"):
-        (out / f"{case.name}.json").write_text(json.dumps(answer(case), indent=1))
+        (out / f"{case.name}.json").write_text(json.dumps(answer(case, question), indent=1))
 
 
 def main() -> None:
@@ -58,9 +66,10 @@ def main() -> None:
     parser.add_argument("--part", default="1/1")
     parser.add_argument("--only", default="", help="cases whose name holds this")
     parser.add_argument("--redo", action="store_true")
+    parser.add_argument("--question", default="auto", choices=("auto", "fixed", "free"))
     args = parser.parse_args()
     first, parts = (int(n) for n in args.part.split("/"))
-    run(args.folder, (first, parts), args.only, args.redo)
+    run(args.folder, (first, parts), args.only, args.redo, args.question)
 
 
 if __name__ == "__main__":

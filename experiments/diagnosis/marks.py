@@ -117,10 +117,10 @@ class Mark:
         return found
 
 
-def load(folder: Path) -> list[Mark]:
+def load(folder: Path, answers: str = "answers") -> list[Mark]:
     """Marks of all cases that have an answer."""
     marks = []
-    for answer in sorted((folder / "answers").glob("*.json")):
+    for answer in sorted((folder / answers).glob("*.json")):
         truth = json.loads((folder / "truth" / answer.name).read_text())
         marks.append(Mark(answer.stem, truth, json.loads(answer.read_text())))
     return marks
