@@ -76,7 +76,7 @@ class Reduced:
         return H.transpose(1, 0, 2)
 
     def column(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Receptance from places to the outputs, shape ``(f, o, place)``."""
+        """Receptance from places to the outputs, shape ``(f, place, o)``."""
         lines, gains = (None, self.gains) if self.factors is None else self.factors
         modes = gains.shape[1] // 2
         right = _along(self.participation, a, b).T[:, :modes]
@@ -87,8 +87,8 @@ class Reduced:
         if np.abs(shape.imag).max(initial=0.0) > ROUNDING * np.abs(shape).max(initial=0.0):
             H = H + 1j * _times_real(own - conjugate, shape.imag)
         H = H.reshape(len(gains), -1) if lines is None else lines @ H.reshape(len(gains), -1)
-        H = H.reshape(len(self.gains), len(a), -1).transpose(0, 2, 1)
-        return H + self._far(lambda R: _along(R[self.outputs], a, b)[None])
+        H = H.reshape(len(self.gains), len(a), -1)
+        return H + self._far(lambda R: _along(R[self.outputs], a, b).T[None])
 
     def summed(self, line: int, sums: np.ndarray) -> np.ndarray:
         """Receptance from every DoF to sums ``(q, o)`` of the outputs at one line, shape ``(q, dof)``."""
@@ -107,7 +107,7 @@ class Reduced:
         """The same at one place, kept for the next cause, shape ``(f, o)``."""
         key = place.index[:2]
         if key not in self.cache:
-            self.cache[key] = self.column(*ends([place]))[..., 0]
+            self.cache[key] = self.column(*ends([place]))[:, 0]
         return self.cache[key]
 
     def drive(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -238,10 +238,12 @@ def at_places(reduced: Reduced, places: Sequence[Place], targets: bool = True, a
     motion, drive = reduced.motion(a, b), reduced.drive(a, b)
     if not targets:
         return At(motion, drive, S, S[:0], S[:0])
-    N = []
+    N, (runs, lines, outputs, inputs) = [], reduced.weight2.shape
+    weight2 = np.ascontiguousarray(reduced.weight2.transpose(1, 2, 0, 3)).reshape(lines, outputs, -1)
     for k in range(0, len(a), BATCH):
         column = reduced.column(a[k : k + BATCH], b[k : k + BATCH])
-        N.append(np.einsum("fop,rfoi->prfi", column.real**2 + column.imag**2, reduced.weight2, optimize=True))
+        square = (column.real**2 + column.imag**2) @ weight2
+        N.append(square.reshape(lines, -1, runs, inputs).transpose(1, 2, 0, 3))
     T = pair(reduced.T, 3) if len(reduced.T) else np.zeros((len(a), 0, *S.shape[1:]), complex)
     return At(motion, drive, S, np.concatenate(N), T)
 
