@@ -187,8 +187,9 @@ def reduce(problem: Problem, theta: np.ndarray, state: Residual) -> Reduced:
     S = back(weight * complex_of(state.value, runs))
     G = complex_of(state.nuisance, runs) if len(state.nuisance) else np.zeros((0, *weight.shape), complex)
     T = np.zeros((len(G), *S.shape), complex)
-    for k in np.flatnonzero(G.reshape(len(G), -1).any(axis=1)):  # the others only fill up
-        T[k] = back(weight * G[k])
+    for k, g in enumerate(G):
+        if g.any():  # the others only fill up
+            T[k] = back(weight * g)
     return Reduced(
         gains, psi, part, upper if far else None, lower if far else None, o, i, S, T, weight**2, state.inner,
         np.asarray(problem.omega), np.asarray(problem.level), factors_of(gains),
