@@ -12,12 +12,12 @@ from modalax.diagnose.causes.base import Place, Scene
 from modalax.diagnose.causes.channels import ChannelGain, ChannelSwap
 from modalax.diagnose.causes.lines import MainsHum, hums
 from modalax.diagnose.causes.local import Gyroscopic, JointStiffness, LocalDamper
-from modalax.diagnose.causes.patterns import MissingMode
+from modalax.diagnose.causes.patterns import MissingMode, OutOfBand
 from modalax.diagnose.decide import detect
 from modalax.diagnose.elements import at_places, ends, factors_of, reduce, score
 from modalax.diagnose.fit import Hypothesis
 from modalax.diagnose.omnibus import Omnibus
-from modalax.diagnose.screen import Residual, Trial
+from modalax.diagnose.screen import Residual, Trial, screen_pattern
 from modalax.diagnose.state import state_of
 from modalax.diagnose.study import make_study
 
@@ -256,3 +256,18 @@ def test_effects_that_overflow_are_left_out_of_the_count_of_tests():
     spoilt = np.concatenate([D, np.full((1, 40), np.nan)])
     assert found(spoilt).p_value == found(D).p_value
     assert 0 < found(np.full((1, 40), np.inf)).p_value <= found(D).p_value < 0.01
+
+
+def test_several_far_modes_of_unlike_shapes_are_residual_terms_in_every_channel():
+    structure = grid(8, False)
+    study, state = study_of(structure, structure, lines=60)
+    runs, lines, n_out, n_in = study.problem.weight.shape
+    size = np.random.default_rng(2).normal(size=(n_out, n_in))  # of no low rank: as many shapes as inputs
+    z = np.zeros((runs, lines, n_out, n_in), complex)
+    z += size * (np.asarray(study.problem.weight) > 0)
+    value = np.moveaxis(np.stack([z.real, z.imag], axis=-1), (2, 3), (0, 1)).reshape(n_out, n_in, -1)
+    there = replace(state.sides[True], value=value)
+    one, several = (screen_pattern(OutOfBand("upper", k), study.scene, there, study.problem) for k in (False, True))
+    everything = float((value**2).sum())
+    assert several.gain > 0.99 * everything and one.gain < 0.9 * everything
+    assert OutOfBand("upper").sizes(5, 2) == 6 and OutOfBand("both", several=True).sizes(5, 2) == 20

@@ -87,7 +87,8 @@ def detect(
             count += effective_number(D, states[side]) * max(1.0, (looked / len(D)) ** 0.5)
     top = max((math.sqrt(max(t.gain - tolerated, 0.0)) for t in scored), default=0.0)
     count = max(count, 1.0)
-    patterns = [t for t in trials if isinstance(t.cause, PatternCause)]
+    # one mode a side shows nearly all that several would
+    patterns = [t for t in trials if isinstance(t.cause, PatternCause) and not t.cause.several]
     p = {
         "scores": -math.expm1(count * math.log1p(-min(2 * scipy.stats.norm.sf(top / spread), 1 - 1e-12))),
         "patterns": min((_pattern_p(t, spread, tolerated) for t in patterns), default=1.0),

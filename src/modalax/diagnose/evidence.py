@@ -28,7 +28,7 @@ def evidence(h: Hypothesis, scene: Scene, samples: int, null_chi2: float) -> flo
     value = -0.5 * h.chi2 - 0.5 * h.freedom * each
     for cause, extra in zip(h.causes, h.extras, strict=True):
         if isinstance(cause, PatternCause):
-            sizes = cause.terms * (sum(extra.shape[1:]) - 1)
+            sizes = cause.sizes(*extra.shape[1:])
             value += 0.5 * sizes * max(each - 1 - math.log(max((null_chi2 - h.chi2) / sizes, 1.0)), 0.0)
     value -= MORE_CAUSES * max(len(h.names) - 1, 0)
     for cause, place in zip(h.causes, h.places, strict=True):  # hum has one place and weight 1
@@ -40,7 +40,7 @@ def promise(t: Trial, scene: Scene, samples: int) -> float:
     """Twice the log evidence that a trial promises to add, roughly: its gain, less what its unknowns and place cost."""
     each = math.log(max(samples, 30))
     if isinstance(t.cause, PatternCause):
-        sizes = t.cause.terms * (sum(t.extra.shape[1:]) - 1)
+        sizes = t.cause.sizes(*t.extra.shape[1:])
         cost = (len(t.cause.parameters) - t.cause.terms) * each + sizes * min(
             each, 1 + math.log(max(t.gain / sizes, 1.0))
         )

@@ -271,7 +271,7 @@ def screen_pattern(cause: PatternCause, scene: Scene, residual: Residual, proble
         right = np.real(np.einsum("tf,foi->oit", B.conj(), wr))
         ridge = 1e-12 * np.trace(gram, axis1=-2, axis2=-1)[..., None, None] + 1e-300
         a = np.linalg.solve(gram + ridge * np.eye(gram.shape[-1]), right[..., None])[..., 0]
-        a = low_rank(a, gram)
+        a = a if cause.several else low_rank(a, gram)
         value = float(2 * np.sum(a * right) - np.einsum("oit,oitu,oiu->", a, gram, a))
         if value > best:
             best, found, sizes = value, q, a

@@ -70,6 +70,8 @@ def screen_all(study: Study, h: Hypothesis, causes: Sequence[Cause], state: Stat
         side = cause.per_run
         problem, nuisance, _ = study.side(side)
         if isinstance(cause, PatternCause):
+            if cause.several and min(problem.channels) < 2:  # nothing else than one
+                continue
             trials.append(screen_pattern(cause, study.scene, state.sides[side], problem))
         elif isinstance(cause, MainsHum):
             for place in cause.places(study.scene):
@@ -262,6 +264,10 @@ class _Fixed(PatternCause):
 
     cause: PatternCause
     q: np.ndarray
+
+    @property
+    def several(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.cause.several
 
     @property
     def terms(self) -> int:

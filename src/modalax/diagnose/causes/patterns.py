@@ -12,9 +12,18 @@ from modalax.diagnose.causes.lines import hums
 
 
 class PatternCause(ChannelCause):
-    """Terms whose real size in each channel is estimated from the data: ``extra``, shape ``(term, o, i)``."""
+    """Terms whose real size in each channel is estimated from the data: ``extra``, shape ``(term, o, i)``.
+
+    Attributes
+    ----------
+    terms
+        Number of terms.
+    several
+        Whether a term stands for several modes, whose shapes together leave its sizes free; else it has rank one.
+    """
 
     terms = 1
+    several = False
 
     def shapes(self, scene: Scene) -> np.ndarray:
         """Trial values of the shape parameters, shape ``(trial, parameter - terms)``."""
@@ -25,8 +34,12 @@ class PatternCause(ChannelCause):
         raise NotImplementedError(f"{type(self).__name__} needs curves(s, q)")
 
     def cost(self, outputs: int, inputs: int) -> float:
-        """Number of unknowns: a shape over the channels for each term, and the shape parameters."""
-        return float(self.terms * (outputs + inputs - 1) + len(self.parameters) - self.terms)
+        """Number of unknowns: the sizes, and the shape parameters."""
+        return float(self.sizes(outputs, inputs) + len(self.parameters) - self.terms)
+
+    def sizes(self, outputs: int, inputs: int) -> int:
+        """Number of unknown sizes: for each term a shape over outputs and inputs, or one for each channel."""
+        return self.terms * (outputs * inputs if self.several else outputs + inputs - 1)
 
     def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
         """Add the terms."""
@@ -66,13 +79,14 @@ class MissingMode(PatternCause):
 class OutOfBand(PatternCause):
     r"""Modes above and below the band, :math:`1/(\omega_u^2 + s^2)` and :math:`1/(\omega_l^2 + s^2)` without damping.
 
-    Far away these are the residual terms :math:`R_U` and :math:`-R_L/\omega^2`.
+    Far away these are the residual terms :math:`R_U` and :math:`-R_L/\omega^2`: of one mode a side, or of ``several``.
     """
 
     slug = "out_of_band"
 
-    def __init__(self, side: str):
-        self.side = side
+    def __init__(self, side: str, several: bool = False):
+        self.side, self.several = side, several
+        self.prior = 0.3 if several else 1.0
         self.sides = ("upper", "lower") if side == "both" else (side,)
         self.terms = len(self.sides)
         self.summary = f"residual terms: {' and '.join(self.sides)}"
@@ -96,7 +110,7 @@ class OutOfBand(PatternCause):
 
     def cost(self, outputs: int, inputs: int) -> float:
         """The distances are hardly seen: one unknown for all."""
-        return self.terms * (outputs + inputs - 1) + 1.0
+        return self.sizes(outputs, inputs) + 1.0
 
     def fits(self, p: np.ndarray, scene: Scene) -> bool:
         """Only modes outside the band."""
@@ -104,4 +118,7 @@ class OutOfBand(PatternCause):
         return bool(at.get("upper", np.inf) > scene.freq[-1] and at.get("lower", 0.0) < scene.freq[0])
 
 
-PATTERNS: tuple[Any, ...] = (MissingMode(), OutOfBand("upper"), OutOfBand("lower"), OutOfBand("both"))
+SIDES = ("upper", "lower", "both")
+PATTERNS: tuple[Any, ...] = (
+    MissingMode(), *(OutOfBand(side) for side in SIDES), *(OutOfBand(side, several=True) for side in SIDES),
+)  # fmt: skip
