@@ -85,29 +85,47 @@ def pickup(
     """
     step = np.gradient(freq) if len(freq) > 1 else np.ones(1)
     used = live.any(axis=2)
-    null = _null(used.tobytes(), used.shape, known)
-    if uneven > 0:
-        null = null * np.random.default_rng(1).gamma(1 / uneven, uneven, len(null))
-    unknowns = max(2.0 * (used.any(axis=0).sum() + used.any(axis=1).sum() - 1), 2.0)
-    usual = float(np.median(_explained(null, unknowns)))
-    sets, gains, chances, trials = [], [], [1.0], 0
+    null = _Null(used, uneven, known)
+    tones, values, harmonics = [], [], []
     for k in range(1, int(freq[-1] * 1.002 // fundamental) + 1):
         at = k * fundamental
         middle = int(np.abs(freq - at).argmin())
         if not live[..., middle].any() or abs(freq[middle] - at) > step[middle] + STRAY * at:
             continue
         offsets = (0.0, STRAY * at, -STRAY * at) if STRAY * at > 0.25 * step[middle] else (0.0,)
-        tones = [s for off in offsets for s in tone_lines((freq - at - off) / step[middle])]
-        values = [float(largest(_summed(residual, live, s))) for s in tones]
-        trials += len(tones)
-        best = int(np.argmax(values))
-        gain = float(_explained(values[best], unknowns)) - usual
-        if gain < LEAST or _is_wide(residual, live, tones[best], values[best], float(null.mean())):
-            continue
-        sets.append(np.flatnonzero(np.abs(tones[best]) > 0.05))
-        gains.append(gain)
-        chances.append(tail(values[best], null))
-    return Pickup(sets, gains, min(1.0, trials * min(chances)))
+        mine = [s for off in offsets for s in tone_lines((freq - at - off) / step[middle])]
+        found = [float(largest(_summed(residual, live, s))) for s in mine]
+        best = int(np.argmax(found))
+        tones += mine
+        if not _is_wide(residual, live, mine[best], found[best], float(null.draws.mean())):
+            values.append(found[best])
+            harmonics.append(mine[best])
+    gains = [null.gain(v) for v in values]
+    sets = [np.flatnonzero(np.abs(s) > 0.05) for s in harmonics]
+    single = [k for k, gain in enumerate(gains) if gain >= LEAST]
+    chance = min((tail(values[k], null.draws) for k in single), default=1.0)
+    if len(harmonics) > 1:  # the channels pick up all harmonics in the same proportion, or nearly so
+        every = _Null(np.tile(used, (len(harmonics), 1)), uneven, known)
+        value = float(largest(np.concatenate([_summed(residual, live, s) for s in harmonics])))
+        together = tail(value, every.draws)
+        if together < chance and every.gain(value) >= LEAST:
+            return Pickup(sets, [every.gain(value) / len(sets)] * len(sets), min(1.0, (len(tones) + 1) * together))
+    return Pickup([sets[k] for k in single], [gains[k] for k in single], min(1.0, (len(tones) + 1) * chance))
+
+
+class _Null:
+    """Noise alone: draws of :func:`largest`, and what a value explains beyond what it would explain of noise."""
+
+    def __init__(self, used: np.ndarray, uneven: float, known: float):
+        self.draws = _null(used.tobytes(), used.shape, known)
+        if uneven > 0:
+            self.draws = self.draws * np.random.default_rng(1).gamma(1 / uneven, uneven, len(self.draws))
+        self.unknowns = max(2.0 * (used.any(axis=0).sum() + used.any(axis=1).sum() - 1), 2.0)
+        self.usual = float(np.median(_explained(self.draws, self.unknowns)))
+
+    def gain(self, value: float) -> float:
+        """Chi-square explained, less what the unknowns cost and what is usual."""
+        return float(_explained(value, self.unknowns)) - self.usual
 
 
 def _summed(residual: np.ndarray, live: np.ndarray, s: np.ndarray) -> np.ndarray:
