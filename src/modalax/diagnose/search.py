@@ -58,6 +58,8 @@ def from_home(study: Study, null: Hypothesis, causes: Sequence[Cause]) -> list[H
     trials = [t for t in screen_all(study, home, causes, state).trials if t.cause.stage != "lines"]
     found = fit_single(study, replace(home, chi2=home.chi2 - state.drop), chosen(trials), state)
     again = [replace(h, theta=np.zeros_like(null.theta)) for h in found[: 2 * IN_FULL]]
+    # what changes all channels and has no size (units) promises nothing until the modes have moved with it
+    again += [_start(home, t, t.start) for t in trials if not t.cause.parameters and not t.place.where]
     return best_of_each(found + study.fit(again, PATIENT), study)
 
 
