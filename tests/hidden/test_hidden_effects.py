@@ -5,10 +5,14 @@ one compilation serves them; the large draw with its marks is in ``experiments/d
 """
 
 import generator
+import numpy as np
 import pytest
 
 from modalax.diagnose import diagnose
 from modalax.diagnose.causes import catalogue
+from modalax.diagnose.name import empty
+from modalax.diagnose.search import STRAYED, from_home
+from modalax.diagnose.study import make_study
 from modalax.files import load
 
 STRUCTURES = {"chain": ("masses", 35), "beam": ("frame", 12), "other chain": ("masses", 20)}
@@ -91,3 +95,14 @@ def test_wrong_units_are_named_although_the_simulation_may_be_a_little_off(tmp_p
         load(tmp_path / "open" / "measurement.npz"), load(tmp_path / "open" / "simulation.npz"), causes=channels
     )
     assert said.verdict == "named" and names(said.causes) == ["units"]
+
+
+def test_units_are_looked_for_where_the_simulation_has_its_modes(tmp_path):
+    """With the modes where the simulation has them wrong units explain little; with the modes led astray, nothing."""
+    case = generator.draw_case(1378351706, "units", 8.0, "frame", inputs=2, runs=3, structure=210)
+    case.save(tmp_path)
+    study = make_study(load(tmp_path / "measurement.npz"), load(tmp_path / "simulation.npz"))
+    null = study.fit([empty(study)], 14)[0]
+    found = from_home(study, null, [c for c in catalogue() if c.stage not in ("joint", "lines")])
+    assert np.abs(null.theta).max() > STRAYED
+    assert found[0].chi2 < 1.2 * study.problem.samples < 1e-3 * null.chi2
