@@ -97,6 +97,7 @@ def test_wrong_units_are_named_although_the_simulation_may_be_a_little_off(tmp_p
     assert said.verdict == "named" and names(said.causes) == ["units"]
 
 
+@pytest.mark.slow
 def test_units_are_looked_for_where_the_simulation_has_its_modes(tmp_path):
     """With the modes where the simulation has them wrong units explain little; with the modes led astray, nothing."""
     case = generator.draw_case(1378351706, "units", 8.0, "frame", inputs=2, runs=3, structure=210)
