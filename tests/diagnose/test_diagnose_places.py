@@ -15,6 +15,7 @@ from modalax.diagnose.causes.local import Gyroscopic, JointStiffness, LocalDampe
 from modalax.diagnose.causes.patterns import MissingMode, OutOfBand
 from modalax.diagnose.decide import detect
 from modalax.diagnose.elements import at_places, ends, factors_of, reduce, score
+from modalax.diagnose.extend import _key
 from modalax.diagnose.fit import Hypothesis
 from modalax.diagnose.omnibus import Omnibus
 from modalax.diagnose.screen import Residual, Trial, screen_pattern
@@ -174,6 +175,16 @@ def test_noise_alone_is_rarely_called_hum():
     assert np.mean(np.array(values) < 0.01) < 0.04  # 0.01 nominal
 
 
+@pytest.mark.parametrize(
+    "freq", [np.arange(30.0, 49.93, 0.05), np.r_[30.0:45.0:0.3, 55.0:59.0:0.3]], ids=["ends just below", "has a gap"]
+)
+def test_no_hum_is_looked_for_where_no_line_is(freq):
+    scene = Scene(freq, ("1",), ("1",), ("1",), np.zeros(0), np.zeros(0), np.ones(1), None)
+    assert MainsHum().places(scene) == []
+    found = MainsHum().explain(freq, 50.0, np.full((3, 4, len(freq)), 9.0 + 0j), np.ones((3, 4, len(freq)), bool))
+    assert found.p_value == 1.0 and not found.lines.any()
+
+
 def test_only_places_between_many_dofs_and_swaps_are_shortlisted(monkeypatch):
     """A sensor's number is no DoF's: every sensor is looked at, however many."""
     structure = grid(12, False)
@@ -271,3 +282,5 @@ def test_several_far_modes_of_unlike_shapes_are_residual_terms_in_every_channel(
     everything = float((value**2).sum())
     assert several.gain > 0.99 * everything and one.gain < 0.9 * everything
     assert OutOfBand("upper").sizes(5, 2) == 6 and OutOfBand("both", several=True).sizes(5, 2) == 20
+    keys = [_key(OutOfBand(side, k)) for side in ("upper", "lower", "both") for k in (False, True)]
+    assert len(set(keys)) == 6  # they are saved and loaded apart

@@ -21,10 +21,8 @@ PATIENT = 4 * ROUNDS  # steps of a fit in full: a window and the damping of all 
 STARTS = 2  # further starts of the leading trials of each kind
 CLOSE = 12.0  # chi-square above the best up to which a hypothesis is fitted in full
 PROMISES = 8  # trials of one kind fitted in full where linear nuisances did not let them keep what they promised
-SLACK, LOOKED_AT = (
-    0.15,
-    48,
-)  # of what the best explains, that a promise may fall short by; trials then looked at, at most
+SLACK = 0.15  # of what the best explains, that a promise may fall short by and still be worth a look
+LOOKED_AT = 48  # trials that get such a look, at most
 IN_FULL = 4  # leading hypotheses fitted with the modal parameters in full
 A_KIND, LIKELY, ALTOGETHER = 3, 40, 150  # candidates refitted of one kind, of one kind near the best, and in all
 STRAYED = 8.0  # claimed standard deviations of a modal parameter beyond which the simulation alone led it astray

@@ -42,7 +42,7 @@ from modalax.identify.spread import FIXED, PoleMoments, Window, moments_of
 from modalax.identify.tables import PoleTable
 from modalax.identify.zoom import Zoom, check_orders
 
-CROWDED = 0.1
+CROWDED = 0.1  # of the distance to the next expected pole, from which a mode's scatter mixes the two
 
 
 def expected_lsce_bias(
@@ -134,7 +134,7 @@ def lsce_moments(
     return _lsce_moments(problem, as_double(expected, "expected", complex_=True))
 
 
-class _Prediction(eqx.Module):
+class _LinearPrediction(eqx.Module):
     """What both need of LSCE: FRF, variance and the samples of the impulse response in use."""
 
     frf: FRF
@@ -165,14 +165,14 @@ class _Prediction(eqx.Module):
 
 def _lsce_problem(
     frf: FRF, sigma2: Array, order: int, constraint: str, real: bool, part: float, skip: int, ridge: float
-) -> _Prediction:
+) -> _LinearPrediction:
     samples = int(round(part * (2 * (frf.shape[0] - 1) if real else frf.shape[0])))
     (order,) = check_orders(order, samples - skip, limits(frf))
-    return _Prediction(frf, sigma2, jnp.asarray(ridge), order, check_constraint(constraint), real, skip, samples)
+    return _LinearPrediction(frf, sigma2, jnp.asarray(ridge), order, check_constraint(constraint), real, skip, samples)
 
 
 @eqx.filter_jit
-def _lsce_moments(problem: _Prediction, expected: Array) -> PoleMoments:
+def _lsce_moments(problem: _LinearPrediction, expected: Array) -> PoleMoments:
     signal, noise, zoomed = problem.factors()
     frf, first = problem.frf, problem.skip + problem.order
     P = Window(frf.shape[0], first, problem.samples)
@@ -184,7 +184,7 @@ def _lsce_moments(problem: _Prediction, expected: Array) -> PoleMoments:
 
 
 @eqx.filter_jit
-def _lsce_bias(problem: _Prediction, poles: Array) -> tuple[DampingBias, Float[Array, " n"]]:
+def _lsce_bias(problem: _LinearPrediction, poles: Array) -> tuple[DampingBias, Float[Array, " n"]]:
     """The bias, and how far the next expected pole is from each mode's [rad/s]."""
     signal, noise, zoomed = problem.factors()
     size, decay = problem.frf.shape[2], problem.frf.added_decay

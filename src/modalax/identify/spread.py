@@ -107,16 +107,16 @@ def moments_of(
     expected: Complex[Array, " n"],
     decay: Float[Array, ""],
 ) -> PoleMoments:
-    r"""Moments of the poles of any estimator whose normal matrix is a sum of :math:`\Phi^H D^* P D \\Phi`.
+    r"""Moments of the poles of any estimator whose normal matrix is a sum of :math:`\Phi^H D^* P D \Phi`.
 
     Parameters
     ----------
     R
-        Triangular factor of the expected normal matrix.
+        Triangular factor of the expected normal matrix, shape ``(k, k)``.
     basis
-        :math:`\Phi`, the powers of the variable on the lines.
+        :math:`\Phi`, the powers of the variable on the lines, shape ``(f, k)``.
     outputs
-        FRF, noise variance (both weighted) and :math:`P` of each output.
+        FRF, noise variance (both weighted), shape ``(f,)`` each, and :math:`P` of each output.
     constraint, zoomed
         The constraint of the estimator, and its map on the circle.
     expected

@@ -54,10 +54,8 @@ class MainsHum(Cause):
     parameters = (Parameter("relative_amplitude", "-", 0.0),)
 
     def places(self, scene: Scene) -> list[Place]:
-        """Nowhere in particular, if the band holds such a line."""
-        low, high = scene.freq[0], scene.freq[-1]
-        inside = [f for f in MAINS if np.floor(high * 1.002 / f) * f >= low * 0.998 and high * 1.002 >= f]
-        return [Place((), (int(f), -1, 0)) for f in inside]
+        """Nowhere in particular, if there are lines that such hum reaches."""
+        return [Place((), (int(f), -1, 0)) for f in MAINS if self.lines(scene.freq, f, REACHES[0])]
 
     def lines(self, freq: np.ndarray, fundamental: float, reach: float) -> list[np.ndarray]:
         """Lines within ``reach`` line spacings of each multiple."""
@@ -86,6 +84,8 @@ class MainsHum(Cause):
         known
             Degrees of freedom to which the variance of each channel is known.
         """
+        if not self.lines(freq, fundamental, REACHES[0]):
+            return HumLines(np.zeros(len(freq), bool), 0.0, 1.0, 0.0, fundamental, 1.0)
         shaped, residual, live = (residual, live), _flat(residual), _flat(live)
         power = (np.abs(residual) ** 2 * live).sum(axis=0)[None]
         count = 2 * live.sum(axis=0)

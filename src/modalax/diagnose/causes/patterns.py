@@ -85,11 +85,12 @@ class OutOfBand(PatternCause):
     slug = "out_of_band"
 
     def __init__(self, side: str, several: bool = False):
-        self.side, self.several = side, several
-        self.prior = 0.3 if several else 1.0
+        self.side = side
+        if several:
+            self.several, self.prior = True, 0.3
         self.sides = ("upper", "lower") if side == "both" else (side,)
         self.terms = len(self.sides)
-        self.summary = f"residual terms: {' and '.join(self.sides)}"
+        self.summary = f"residual terms{' of several modes' * several}: {' and '.join(self.sides)}"
         self.parameters = tuple(Parameter(name, "-") for name in self.sides) + tuple(
             Parameter(f"{name}_frequency", "Hz", 1e-6, 1e7, log=True) for name in self.sides
         )
