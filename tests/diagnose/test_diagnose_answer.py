@@ -8,6 +8,7 @@ import pytest
 import modalax
 from modalax import Measurement, Structure
 from modalax.diagnose import ChannelCause, LocalCause, Parameter, Place, diagnose, strengths
+from modalax.diagnose.causes import catalogue
 from modalax.diagnose.causes.channels import ChannelGain, ChannelSign, TimeDelay
 from modalax.diagnose.causes.local import AddedMass, JointStiffness, LocalDamper
 from modalax.diagnose.extend import from_arrays
@@ -52,6 +53,17 @@ def test_a_spring_is_named_placed_and_measured():
     assert gain["chi2_after"] < 1.1 < gain["chi2_before"]
     assert gain["log_likelihood_gain"] > gain["log_likelihood_gain_std"] > 0
     assert answer["smallest_detectable"]["joint_stiffness"] > 0
+
+
+def test_the_smallest_detectable_drift_is_one_of_all_stiffness_not_of_a_spring():
+    """Forms of a cause differ in what their strength is: a part of the stiffness, or newtons a metre."""
+    forms = [c for c in catalogue(3) if c.slug == "time_varying"]
+    assert {c.parameters[0].unit for c in forms} == {"-", "N/m"}
+    data = measured(five_dof(), 1)
+    found = diagnose(data.replace(H=np.repeat(data.H, 3, 0), variance=np.repeat(data.variance, 3, 0), level=[1, 1, 1]),
+                     five_dof(), causes=forms)  # fmt: skip
+    assert found.strength_parameters["time_varying"].name == "relative_stiffness_drift"
+    assert 0 < found.smallest_detectable["time_varying"] < 0.1
 
 
 def test_a_sign_and_a_gain_are_not_taken_for_each_other():

@@ -11,7 +11,7 @@ from modalax._numerics.programs import release_programs
 from modalax.data import FRF, Measurement
 from modalax.diagnose.advice import advise
 from modalax.diagnose.causes import catalogue
-from modalax.diagnose.causes.base import Cause
+from modalax.diagnose.causes.base import Cause, Parameter
 from modalax.diagnose.causes.imitators import IMITATORS
 from modalax.diagnose.decide import Ranked
 from modalax.diagnose.extend import ExtendedSimulation, extend
@@ -90,17 +90,27 @@ class Diagnosis:
         return [_names(r.best) for r in rivals(self.naming.ranked)]
 
     @property
-    def smallest_detectable(self) -> dict[str, float]:
-        """Strength of each cause that nine in ten such measurements would have shown, at a middling place."""
-        out: dict[str, float] = {}
-        for slug in {t.cause.slug for t in self.naming.screening.trials}:
-            errors = [
-                t.error for t in self.naming.screening.trials
-                if t.cause.slug == slug and np.isfinite(t.error) and len(t.cause.parameters)
-            ]  # fmt: skip
-            if errors:
-                out[slug] = float(np.median(errors) * (self.naming.detection.threshold + POWER))
+    def strength_parameters(self) -> dict[str, Parameter]:
+        """What the strength of each cause is: the first parameter of the first of its forms."""
+        out: dict[str, Parameter] = {}
+        for t in self.naming.screening.trials:
+            if t.cause.parameters:
+                out.setdefault(t.cause.slug, t.cause.parameters[0])
         return out
+
+    @property
+    def smallest_detectable(self) -> dict[str, float]:
+        """Strength of each cause that nine in ten such measurements would have shown, at a middling place.
+
+        Of the forms of a cause (a drift of everything, of one spring) those that have the same strength.
+        """
+        errors: dict[str, list[float]] = {}
+        strengths = self.strength_parameters
+        for t in self.naming.screening.trials:
+            if t.cause.parameters and t.cause.parameters[0] == strengths[t.cause.slug] and np.isfinite(t.error):
+                errors.setdefault(t.cause.slug, []).append(t.error)
+        least = self.naming.detection.threshold + POWER
+        return {slug: float(np.median(values) * least) for slug, values in errors.items()}
 
     @property
     def advice(self) -> str | None:

@@ -129,13 +129,10 @@ def _candidates(diagnosis: Diagnosis) -> list[Table | Plot]:
 
 
 def _smallest(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> Table:
-    units = {
-        t.cause.slug: f"{t.cause.parameters[0].name} [{t.cause.parameters[0].unit}]"
-        for t in diagnosis.naming.screening.trials
-        if t.cause.parameters
-    }
+    strengths = diagnosis.strength_parameters
     rows = [
-        [slug, units.get(slug, ""), f"{value:.3g}"] for slug, value in sorted(answer["smallest_detectable"].items())
+        [slug, f"{strengths[slug].name} [{strengths[slug].unit}]", f"{value:.3g}"]
+        for slug, value in sorted(answer["smallest_detectable"].items())
     ]
     caption = "Strength that nine in ten such measurements would have shown, at a middling place."
     return Table(["Cause", "Strength", "Smallest"], rows, caption, text_columns=(0, 1))
