@@ -2,8 +2,8 @@
 
 LSCF with real coefficients, every even degree up to the highest, on 5 outputs x 1 input x 501 lines (5 modes, to degree
 60) and on 458 x 1 x 3000 (42 modes, to degrees 120 and 200), without noise. The peer runs in a virtual environment that
-this script makes. Both sides run in processes of their own with one thread for linear algebra, cold once and then warm;
-the least warm time counts. Beside them the floor: the matrix products and eigenvalues without which no LSCF does,
+this script makes. Both sides run in processes of their own on one core, cold once (nothing compiled before) and then
+warm; the least warm time counts. Beside them the floor: the matrix products and eigenvalues without which no LSCF does,
 timed with NumPy. Seconds are wall-clock; the CPU seconds next to them show how much other work was in the way.
 """
 
@@ -133,7 +133,8 @@ def peer_python() -> Path:
 
 def call(command: list[str]) -> dict:
     """Run and read the last line of the output."""
-    done = subprocess.run(command, env={**os.environ, **THREADS}, check=True, capture_output=True, text=True)
+    kept = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"}  # cold is cold
+    done = subprocess.run(command, env={**kept, **THREADS}, check=True, capture_output=True, text=True)
     return json.loads(done.stdout.strip().splitlines()[-1])
 
 
@@ -149,6 +150,8 @@ def main() -> None:
         print(json.dumps(sides[what]()))
         return
     python = peer_python()
+    if hasattr(os, "sched_setaffinity"):  # one core a side, whatever pools the libraries keep
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
     head = ("case", "degree", "side", "cold [s]", "warm [s]", "warm CPU [s]", "memory [MB]", "frequency", "damping")
     print("| " + " | ".join(head) + " |\n" + "| --- " * len(head) + "|", flush=True)

@@ -7,7 +7,7 @@ from modalax.data import FRF
 from modalax.identify import best_order, fdpi, fdpi_normal_modes, lsce, lscf, plscf, select, select_near, stabilization
 from modalax.identify.moments import factor_from_moments
 from modalax.identify.polynomial import triangular_factor
-from modalax.identify.zoom import zoom
+from modalax.identify.zoom import orthonormal_powers, zoom
 
 # What the estimators reach without noise on the paper's system. Seen:
 # 1e-15 in frequency and 1e-13 in damping for all four from order 20 (FDPI: 5) on.
@@ -264,3 +264,18 @@ class TestRefusals:
     def test_normal_modes_need_outputs(self, paper_frf):
         with pytest.raises(ValueError, match="order 6 needs 6 outputs"):
             fdpi_normal_modes(paper_frf, 6)
+
+
+@pytest.mark.parametrize("real", [False, True])
+@pytest.mark.parametrize("arc", [0.05, 0.8, 1.0])
+def test_the_basis_of_powers_is_orthonormal_and_spans_the_powers(arc, real):
+    """Weights over six decades and an arc on which plain powers are dependent to rounding."""
+    rng = np.random.default_rng(5)
+    omega = 2 * np.pi * jnp.sort(jnp.asarray(rng.uniform(10.0, 40.0, 300)))
+    u, weight = zoom(omega, arc, real).circle(omega), 10 ** rng.uniform(-3, 3, 300)
+    Q = np.asarray(orthonormal_powers(u, jnp.asarray(weight), 60, real))
+    assert np.abs(Q.conj().T @ Q - np.eye(61)).max() < 1e-11
+    rows = weight[:, None] * np.asarray(u)[:, None] ** np.arange(61)
+    rows = np.concatenate([rows.real, rows.imag]) if real else rows
+    left = rows - Q @ (Q.conj().T @ rows)
+    assert (np.linalg.norm(left, axis=0) < 1e-11 * np.linalg.norm(rows, axis=0)).all()
