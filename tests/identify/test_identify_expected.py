@@ -96,3 +96,16 @@ def test_lsce_moments_are_those_of_the_draws_and_crowded_modes_are_flagged(paper
     assert float(scatter[2]) > 5 * float(scatter[0])
     with pytest.raises(ValueError, match="one reference"):
         lsce_moments(frf, bias.poles, 32, variance=variance, constraint="norm")
+
+
+def test_fdpi_with_more_modes_than_there_are_flags_the_one_that_mixes(paper, paper_frf):
+    """Eight modes from four principal responses: a computational pole beside the hardly excited mode 3."""
+    frf = paper_frf.lines(slice(None, None, 2))
+    variance = white(frf, 0.01)
+    bias = expected_fdpi_bias(frf, paper.poles, 8, variance=variance)
+    assert np.asarray(bias.valid).tolist() == [True, True, False, True, True]
+    found = dampings(*draws(frf, variance, lambda f: fdpi(f, 8), 50), bias.poles)
+    predicted, error = 0.02 + np.asarray(bias.damping), found.std(axis=0) / 50**0.5
+    good = np.asarray(bias.valid)
+    assert np.all(np.abs(found.mean(axis=0) - predicted)[good] < 3.3 * error[good] + 0.005 * 0.02)
+    assert error[2] > 5 * error[good].max()

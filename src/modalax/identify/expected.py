@@ -15,8 +15,8 @@ of exponentials, is in the rows of the FRF without noise and needs no term of it
 :math:`\ell` the mean leverage of the two rows of a line; noise also turns the principal directions V, on average to
 those of the expected Gram matrix.
 
-As for LSCF these are the poles of the mean matrix, not the mean of the poles. Far above the number of poles LSCE puts
-its computational poles close to the modes; where a mode scatters by a tenth of the way to the next one they mix, the
+As for LSCF these are the poles of the mean matrix, not the mean of the poles. Far above the number of poles both put
+computational poles close to the modes; where a mode scatters by a tenth of the way to the next one they mix, the
 mean shifts, and the prediction is flagged.
 """
 
@@ -24,6 +24,7 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Complex, Float
@@ -32,7 +33,7 @@ from modalax._numerics.checks import as_double
 from modalax._numerics.powers import powers
 from modalax.data.frf import FRF
 from modalax.identify.bias import SMALLEST, STEPS, DampingBias, follow_poles
-from modalax.identify.fdpi import line_weight, system_factor, system_poles
+from modalax.identify.fdpi import eigenbasis, line_weight, system_factor, system_poles
 from modalax.identify.fraction import check_constraint
 from modalax.identify.lsce import impulse_response, prediction_factor
 from modalax.identify.lscf import RIDGE
@@ -216,7 +217,8 @@ def expected_fdpi_bias(
     weights, residual
         As in :func:`modalax.identify.fdpi`.
 
-    What it returns and raises is as there, with the messages of :func:`modalax.identify.fdpi`.
+    What it returns and raises is as there, with the messages of :func:`modalax.identify.fdpi`. The scatter by which
+    crowded modes are told is of first order in the noise, the turn of the principal directions included.
     """
     sigma2 = variance_of(frf, variance)
     n_lines, n_out, n_in = frf.shape
@@ -224,37 +226,66 @@ def expected_fdpi_bias(
     degree = 2 * -(-order // n_out)
     terms = degree if residual is None else residual
     poles = as_double(poles, "poles", complex_=True)
-    return _fdpi_bias(frf, poles, sigma2, line_weight(frf, weights), order, -(-2 * order // degree), degree, terms)
+    comps = -(-2 * order // degree)
+    problem = _DirectIdentification(frf, sigma2, line_weight(frf, weights), order, comps, degree, terms)
+    return _fdpi_bias(problem, poles)
+
+
+class _DirectIdentification(eqx.Module):
+    """What is fixed of FDPI while the FRF varies."""
+
+    frf: FRF
+    sigma2: Float[Array, "f o i"]
+    weight: Float[Array, "f i"]
+    order: int = eqx.field(static=True)
+    comps: int = eqx.field(static=True)
+    degree: int = eqx.field(static=True)
+    terms: int = eqx.field(static=True)
+
+    def factors(self, H: Complex[Array, "f o i"]) -> tuple[Array, Array]:
+        """Triangular factors of the normal matrix of these FRFs and of what noise adds."""
+        weight = self.weight
+        rows = jnp.swapaxes(H * weight[:, None, :], 1, 2).reshape(-1, H.shape[1])
+        gram = (rows.conj().T @ rows).real + jnp.diag(jnp.sum(weight[:, None, :] ** 2 * self.sigma2, axis=(0, 2)))
+        V = eigenbasis(gram)[1][:, : self.comps]
+        s = 1j * self.frf.omega / self.frf.omega[-1]
+        signal = system_factor(s, jnp.swapaxes(H, 1, 2) @ V, weight, self.degree, self.terms)
+        kept = weight**2 * (1 - _numerator_leverage(s, weight, self.terms))
+        columns = powers(s, self.degree + 1)
+
+        def add(R: Array, output: tuple[Array, Array]) -> tuple[Array, None]:
+            v, s2 = output
+            density = jnp.sqrt(jnp.maximum(jnp.sum(kept * s2, axis=1), 0.0))
+            Y = (columns * density[:, None])[:, :, None] * v
+            Y = Y.reshape(len(Y), -1)
+            return jnp.linalg.qr(jnp.concatenate([R, Y.real, Y.imag]), mode="r"), None
+
+        noise, _ = lax.scan(add, jnp.zeros_like(signal), (V, jnp.swapaxes(self.sigma2, 0, 1)))
+        return signal, noise
+
+    def found(self, R: Array) -> PoleTable:
+        """The poles of a triangular factor [rad/s]."""
+        scaled, valid = system_poles(R, self.comps, jnp.asarray(self.comps), self.degree)
+        at = jnp.where(valid, scaled * self.frf.omega[-1], 0.0)
+        return PoleTable(at[None], (valid & (at.imag > 0))[None], None, (self.order,), "fdpi")
 
 
 @eqx.filter_jit
-def _fdpi_bias(
-    frf: FRF, poles: Array, sigma2: Array, weight: Array, order: int, comps: int, degree: int, terms: int
-) -> DampingBias:
-    rows = jnp.swapaxes(frf.H * weight[:, None, :], 1, 2).reshape(-1, frf.shape[1])
-    gram = (rows.conj().T @ rows).real + jnp.diag(jnp.sum(weight[:, None, :] ** 2 * sigma2, axis=(0, 2)))
-    V = jnp.linalg.eigh(gram)[1][:, ::-1][:, :comps]
-    top = frf.omega[-1]
-    s = 1j * frf.omega / top
-    signal = system_factor(s, jnp.swapaxes(frf.H, 1, 2) @ V, weight, degree, terms)
-    kept = weight**2 * (1 - _numerator_leverage(s, weight, terms))
-    columns = powers(s, degree + 1)
+def _fdpi_bias(problem: _DirectIdentification, poles: Array) -> DampingBias:
+    frf, decay = problem.frf, problem.frf.added_decay
+    bias = _bias(*problem.factors(frf.H), problem.found, poles, decay)
 
-    def add(R: Array, output: tuple[Array, Array]) -> tuple[Array, None]:
-        v, s2 = output
-        density = jnp.sqrt(jnp.maximum(jnp.sum(kept * s2, axis=1), 0.0))
-        Y = (columns * density[:, None])[:, :, None] * v
-        Y = Y.reshape(len(Y), -1)
-        return jnp.linalg.qr(jnp.concatenate([R, Y.real, Y.imag]), mode="r"), None
+    def near(H: Array) -> tuple[Array, Array]:
+        """Real and imaginary parts of each mode's pole, and how far the next one is [rad/s]."""
+        table = problem.found(jnp.linalg.qr(jnp.concatenate(problem.factors(H)), mode="r"))
+        apart = jnp.abs(table.poles[0] + decay - bias.poles[:, None])
+        distance, index = lax.top_k(-jnp.where(table.valid[0], apart, jnp.inf), 2)
+        pole = table.poles[0][index[:, 0]]
+        return jnp.stack([pole.real, pole.imag]), -distance[:, 1]
 
-    noise, _ = lax.scan(add, jnp.zeros_like(signal), (V, jnp.swapaxes(sigma2, 0, 1)))
-
-    def found(R: Array) -> PoleTable:
-        scaled, valid = system_poles(R, comps, jnp.asarray(comps), degree)
-        at = jnp.where(valid, scaled * top, 0.0)
-        return PoleTable(at[None], (valid & (at.imag > 0))[None], None, (order,), "fdpi")
-
-    return _bias(signal, noise, found, poles, frf.added_decay)
+    slopes, others = jax.jacrev(near, has_aux=True)(frf.H)
+    scatter = jnp.sqrt(jnp.sum(jnp.abs(slopes) ** 2 * problem.sigma2 / 2, axis=(0, 2, 3, 4)))
+    return eqx.tree_at(lambda b: b.valid, bias, bias.valid & (scatter < CROWDED * others))
 
 
 def _numerator_leverage(s: Complex[Array, " f"], weight: Float[Array, "f i"], terms: int) -> Float[Array, "f i"]:

@@ -123,11 +123,30 @@ def line_weight(frf: FRF, weights: str) -> Float[Array, "f i"]:
 def principal_responses(frf: FRF, weight: Float[Array, "f i"], count: int) -> tuple[Array, Array, Array, Array]:
     """Scaled variable, the first ``count`` principal responses ``(f, i, c)``, their directions, and the scale."""
     rows = jnp.swapaxes(frf.H * weight[:, None, :], 1, 2).reshape(-1, frf.shape[1])
-    gram = rows.real.T @ rows.real + rows.imag.T @ rows.imag
-    _, V = jnp.linalg.eigh(lax.stop_gradient(gram))
-    V = V[:, ::-1][:, :count]
+    V = eigenbasis(rows.real.T @ rows.real + rows.imag.T @ rows.imag)[1][:, :count]
     top = frf.omega[-1]
     return 1j * frf.omega / top, jnp.swapaxes(frf.H, 1, 2) @ V, V, top
+
+
+@jax.custom_jvp
+def eigenbasis(gram: Float[Array, "o o"]) -> tuple[Float[Array, " o"], Float[Array, "o o"]]:
+    """Eigenvalues of a symmetric matrix, falling, and its eigenvectors.
+
+    The derivative turns no vectors of one eigenvalue (to 1e-12 of the largest) into each other. Which of them stand
+    there is arbitrary, and what is asked of their space does not depend on it.
+    """
+    values, vectors = jnp.linalg.eigh(gram)
+    return values[::-1], vectors[:, ::-1]
+
+
+@eigenbasis.defjvp
+def _turn(primals: tuple[Array], tangents: tuple[Array]) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    values, vectors = eigenbasis(*primals)
+    change = vectors.T @ tangents[0] @ vectors
+    gap = values[None, :] - values[:, None]
+    apart = jnp.abs(gap) > 1e-12 * jnp.abs(values[0])
+    turn = jnp.where(apart, change / jnp.where(apart, gap, 1.0), 0.0)
+    return (values, vectors), (jnp.diagonal(change), vectors @ turn)
 
 
 def system_factor(
