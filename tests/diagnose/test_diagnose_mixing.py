@@ -6,7 +6,7 @@ import pytest
 import scipy.linalg
 
 from modalax import Measurement
-from modalax.diagnose.causes.modal import ModalDamping
+from modalax.diagnose.causes.modal import LossFactor, ModalDamping, StructuralDamping
 from modalax.diagnose.elements import reduce
 from modalax.diagnose.name import empty, look
 from modalax.diagnose.plant import plant_of
@@ -133,3 +133,35 @@ def test_nothing_changes_at_zero_and_elements_see_the_same_receptances():
     columns = np.swapaxes(reduce(problem, full, none).column(np.arange(5), np.full(5, -1)), 1, 2)
     expected = adapted(S, theta)
     assert np.abs(columns[: len(FREQ), :5] - expected).max() < 1e-12 * np.abs(expected).max()
+
+
+def hysteretic(structure: Structure, share: float, loss: float | None = None) -> np.ndarray:
+    """Receptances from the matrices: a share of the viscous damping out, hysteretic damping of undamped modes in."""
+    M, C, K = (np.asarray(getattr(structure, name)) for name in "MCK")
+    square, phi = scipy.linalg.eigh(K, M)
+    own = np.einsum("dr,de,er->r", phi, C, phi) * np.sqrt(square) if loss is None else loss * square
+    back = M @ phi
+    s = 2j * np.pi * FREQ[:, None, None]
+    return np.linalg.inv(s**2 * M + s * (1 - share) * C + K + 1j * share * (back * own) @ back.T)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 1.0])
+def test_hysteretic_damping_takes_the_coupling_of_the_modes_with_it(share):
+    """Against the matrices; the complex shapes left as they are would miss most of the effect."""
+    S = coupled(5.0)
+    shape = (1, len(FREQ), 5, 5)
+    problem = make_problem(
+        FREQ, np.zeros(shape, complex), np.ones(shape), np.ones(1), NAMES, NAMES, plant_of(S, FREQ[0])
+    )
+    theta = jnp.zeros((2, problem.plant.stiffness.shape[0]))
+
+    def ours(cause, p):
+        H = predict((cause,), jnp.zeros((1, 3), int), (None,), (jnp.array([p]),), theta, problem)
+        return np.asarray(H)[0, : len(FREQ), :5, :5]
+
+    without = hysteretic(S, 0.0)
+    exact = hysteretic(S, share)
+    error = np.linalg.norm(ours(StructuralDamping(), share) - exact) / np.linalg.norm(exact - without)
+    assert error < (1e-9 if share == 1.0 else 0.07)  # of the effect; what is left is of second order
+    if share == 1.0:
+        np.testing.assert_allclose(ours(LossFactor(), 0.03), hysteretic(S, 1.0, 0.03), rtol=1e-8)

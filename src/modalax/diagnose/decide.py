@@ -6,15 +6,17 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy.special
 import scipy.stats
 
 from modalax.diagnose.causes.patterns import PatternCause
 from modalax.diagnose.fit import Hypothesis
 from modalax.diagnose.omnibus import Omnibus
-from modalax.diagnose.screen import Residual, Trial
+from modalax.diagnose.screen import Residual, Trial, independent
 
 ALARM = 0.01  # nominal chance of an alarm where nothing is wrong
 SHARES = {"scores": 0.6, "patterns": 0.1, "hum": 0.1, "omnibus": 0.2}  # of the alarms, by kind of test
+WHEREABOUTS = 3  # of modes that the simulation may lack: in band, above it, below it
 CERTAIN = 0.95  # posterior from which a single name is given
 RIVAL = 0.005  # posterior below which a rival is not worth naming
 
@@ -46,10 +48,7 @@ class Detection:
 
 
 def effective_number(directions: np.ndarray, state: Residual) -> float:
-    r"""Number of independent directions that scores behave like, :math:`(\sum\sqrt\lambda)^2/\sum\lambda`.
-
-    Galwey (2009), Genetic Epidemiology 33:559, for the eigenvalues of the scores' correlation matrix.
-    """
+    """Number of independent directions that scores behave like."""
     if not len(directions):
         return 1.0
     C = directions @ directions.T
@@ -57,8 +56,7 @@ def effective_number(directions: np.ndarray, state: Residual) -> float:
         across = directions @ state.nuisance.reshape(len(state.nuisance), -1).T
         C = C - across @ state.inner @ across.T
     scale = np.sqrt(np.maximum(np.diag(C), 1e-300))
-    values = np.maximum(np.linalg.eigvalsh(C / scale[:, None] / scale[None]), 0.0)
-    return float(np.sqrt(values).sum() ** 2 / values.sum())
+    return independent(C / scale[:, None] / scale[None])
 
 
 def detect(
@@ -100,12 +98,21 @@ def detect(
 
 
 def _pattern_p(t: Trial, spread: float, tolerated: float) -> float:
-    """Chance of so large a gain: the largest singular value of noise, at every separate frequency."""
+    r"""Chance of so large a gain: the largest singular value of noise, at every separate frequency.
+
+    The square of the largest singular value of ``o x i`` normal numbers exceeds a high level with the chance
+    :math:`\kappa\,P(\chi^2_{o+i-1} > x)`, :math:`\kappa = \sqrt\pi\,\Gamma(\tfrac{o+i-1}2) / (\Gamma(\tfrac o2)
+    \Gamma(\tfrac i2))`: the leading term of Adler's and Taylor's expansion (2007) over the two unit spheres. It is
+    never above the sum of all squares.
+    """
     terms, outputs, inputs = t.extra.shape
-    live_o = int((np.abs(t.extra).max(axis=(0, 2)) > 0).sum())
-    live_i = int((np.abs(t.extra).max(axis=(0, 1)) > 0).sum())
-    dof = terms * (math.sqrt(live_o) + math.sqrt(live_i)) ** 2 if min(live_o, live_i) > 1 else terms * live_o * live_i
-    return float(min(1.0, scipy.stats.chi2.sf((t.gain - tolerated) / spread**2, dof) * (60 if terms == 1 else 6)))
+    o = int((np.abs(t.extra).max(axis=(0, 2)) > 0).sum())
+    i = int((np.abs(t.extra).max(axis=(0, 1)) > 0).sum())
+    gamma = scipy.special.gammaln
+    log_kappa = 0.5 * math.log(math.pi) + gamma((o + i - 1) / 2) - gamma(o / 2) - gamma(i / 2)
+    gain = (t.gain - tolerated) / spread**2
+    one_shape = math.exp(terms * log_kappa) * scipy.stats.chi2.sf(gain, terms * (o + i - 1))
+    return float(min(1.0, WHEREABOUTS * t.trials * min(one_shape, scipy.stats.chi2.sf(gain, terms * o * i))))
 
 
 def _hum_p(t: Trial) -> float:

@@ -7,11 +7,16 @@ of the state matrix (Fox and Kapoor 1968, AIAA J. 6:2426, for undamped systems; 
 
 .. math:: y_s\,dA\,x_r = -y_{sp}\,x_{pr}\,(dK_p + \lambda_r\,d\Gamma_{pp}),\qquad
           d\lambda_r = y_r\,dA\,x_r,\qquad dx_r = \sum_{s\ne r}\frac{y_s\,dA\,x_r}{\lambda_r - \lambda_s}\,x_s .
+
+Where a share of the viscous damping goes, so does its coupling: :class:`Uncoupled`.
 """
+
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+import scipy.optimize
 from jaxtyping import Array, Complex, Float
 
 COUPLED = 1e-6  # coupling of two modes' damping over the geometric mean of their own, below which there is none
@@ -38,6 +43,68 @@ class Mixing(eqx.Module):
     centre: Float[Array, "2 n"]
 
 
+class Uncoupled(eqx.Module):
+    r"""The undamped modes beside the complex ones, for a share t of the viscous damping kept.
+
+    To first order in the damping a complex shape stands off the undamped one by a part that grows with t, and its
+    :math:`|\lambda|^2` and :math:`-2\,\mathrm{Re}\lambda/t` by parts that grow with :math:`t^2`.
+
+    Attributes
+    ----------
+    k, c
+        Of the undamped modes over those of the complex modes, shape ``(n,)``.
+    shapes, participation
+        Of the undamped modes in the lengths of the complex ones, shape ``(n, dof)``.
+    """
+
+    k: Float[Array, " n"]
+    c: Float[Array, " n"]
+    shapes: Complex[Array, "n dof"]
+    participation: Complex[Array, "n dof"]
+
+    def at(self, t: Any, k: Array, c: Array, shapes: Array, participation: Array) -> tuple[Array, ...]:
+        """Stiffness, damping (still of all), shapes and participation with the share t of the viscous damping."""
+        return (
+            k * (1 + (1 - t**2) * (self.k - 1)), c * (1 + (1 - t**2) * (self.c - 1)),
+            self.shapes + t * (shapes - self.shapes), self.participation + t * (participation - self.participation),
+        )  # fmt: skip
+
+
+def is_coupled(damping: np.ndarray) -> bool:
+    """Whether damping in the coordinates of the undamped modes couples them."""
+    own = np.sqrt(np.maximum(np.diag(damping), 1e-300))
+    return bool(np.abs(damping / own[:, None] / own[None] - np.eye(len(own))).max(initial=0.0) >= COUPLED)
+
+
+def uncoupled_of(
+    stiffness: np.ndarray, damping: np.ndarray, poles: np.ndarray, shapes: np.ndarray, undamped: np.ndarray,
+    inverse: np.ndarray,
+) -> Uncoupled | None:  # fmt: skip
+    """The undamped modes beside complex ones; None where dampers do not couple them.
+
+    Parameters
+    ----------
+    stiffness, damping
+        In the coordinates of the undamped modes, mass one, shape ``(n, n)``.
+    poles, shapes
+        Of the complex modes, shapes ``(n,)`` and ``(n, dof)``.
+    undamped, inverse
+        Undamped shapes of mass one, shape ``(dof, n)``, and the inverse of that.
+    """
+    if not is_coupled(damping):
+        return None
+    share = shapes @ inverse.T  # of each undamped mode in each complex one
+    own = scipy.optimize.linear_sum_assignment(-(np.abs(share) ** 2))[1]
+    length = share[np.arange(len(own)), own][:, None]
+    alike = undamped.T[own]
+    return Uncoupled(
+        *map(jnp.asarray, (
+            np.diag(stiffness)[own] / np.abs(poles) ** 2, np.diag(damping)[own] / (-2 * poles.real),
+            alike * length, alike / length / (2j * poles.imag[:, None]),
+        )),
+    )  # fmt: skip
+
+
 def mixing_of(
     stiffness: np.ndarray, damping: np.ndarray, poles: np.ndarray, right: np.ndarray, left: np.ndarray,
     kept: np.ndarray, shapes: np.ndarray, claimed: np.ndarray, centre: np.ndarray,
@@ -61,9 +128,7 @@ def mixing_of(
         Logarithmic changes that the matrices hold already, shape ``(2, n)``.
     """
     n = len(stiffness)
-    own = np.sqrt(np.maximum(np.diag(damping), 1e-300))
-    coupled = np.abs(damping / own[:, None] / own[None] - np.eye(n)).max(initial=0.0)
-    if coupled < COUPLED or n > MOST or len(kept) != n or not (claimed > 0).any():
+    if not is_coupled(damping) or n > MOST or len(kept) != n or not (claimed > 0).any():
         return None
     away = poles[None] - poles[:, None]  # (s, r)
     near = np.abs(away) < 1e-12 * np.abs(poles).max()

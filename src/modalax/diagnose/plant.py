@@ -12,7 +12,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Array, Complex, Float
 
-from modalax.diagnose.mixing import Mixing, mixing_of
+from modalax.diagnose.mixing import Mixing, Uncoupled, mixing_of, uncoupled_of
 from modalax.model import ModalModel, Structure
 
 RIGID_SHIFT = 1e-4  # a free structure is held by springs that put its rigid modes at this fraction of the band's start
@@ -46,6 +46,8 @@ class Plant(eqx.Module):
         the measured ones).
     mixing
         How the complex modes follow the undamped ones, where dampers couple these and their spread is claimed.
+    uncoupled
+        The undamped modes, where dampers couple them.
     """
 
     poles: Complex[Array, " n"]
@@ -61,6 +63,7 @@ class Plant(eqx.Module):
     dofs: tuple[str, ...] = eqx.field(static=True)
     scaled: bool = eqx.field(static=True)
     mixing: Mixing | None = None
+    uncoupled: Uncoupled | None = None
 
     def adapted(self, theta: Float[Array, "2 n"]) -> tuple[Array, Array, Array, Array]:
         """Stiffness, damping, shapes and participation with logarithmic changes of frequencies and damping ratios."""
@@ -152,7 +155,7 @@ def _from_structure(structure: Structure, lowest_hz: float, centre: np.ndarray) 
     pair = int(upper.sum())
     claims = [np.broadcast_to(np.asarray(std), (n,)) for std in (structure.frequency_std, structure.damping_std)]
     f_std, d_std = (np.concatenate([std[:pair], np.zeros(len(keep) - pair)]) for std in claims)
-    mixing = None
+    mixing = uncoupled = None
     if not real.any():
         back = left @ np.linalg.inv(mass)
         mixing = mixing_of(stiff, damp, values, right.T, back, keep[order], phi, np.stack(claims), centre)
@@ -161,10 +164,13 @@ def _from_structure(structure: Structure, lowest_hz: float, centre: np.ndarray) 
             mixing = eqx.tree_at(
                 lambda m: (m.shapes, m.participation), mixing, (mixing.shapes / by, mixing.participation * by)
             )
+        stored = (shapes / turn)[order]
+        uncoupled = uncoupled_of(stiff, damp, poles[order], stored, phi, np.linalg.solve(mass, phi.T @ M))
     return _build(
         poles[order], (shapes / turn)[order], (part * turn)[order], structure.dofs,
         frequency_std=_in_order(f_std, real[keep][order]), damping_std=_in_order(d_std, real[keep][order]),
         hysteresis=_nearest(structure, phi, squares, mass, poles[order], real[keep][order]), mixing=mixing,
+        uncoupled=uncoupled,
     )  # fmt: skip
 
 
@@ -213,6 +219,7 @@ def _from_modal(model: ModalModel) -> Plant:
 def _build(
     poles: Any, shapes: Any, part: Any, dofs: tuple[str, ...], *, frequency_std: Any, damping_std: Any,
     hysteresis: Any = None, upper: Any = None, lower: Any = None, scaled: bool = True, mixing: Mixing | None = None,
+    uncoupled: Uncoupled | None = None,
 ) -> Plant:  # fmt: skip
     zero = jnp.zeros((len(dofs), len(dofs)), jnp.complex128)
     poles = jnp.asarray(poles, jnp.complex128)
@@ -223,4 +230,5 @@ def _build(
         zero if upper is None else jnp.asarray(upper, jnp.complex128),
         zero if lower is None else jnp.asarray(lower, jnp.complex128),
         jnp.asarray(frequency_std, jnp.float64), jnp.asarray(damping_std, jnp.float64), tuple(dofs), scaled, mixing,
+        uncoupled,
     )  # fmt: skip

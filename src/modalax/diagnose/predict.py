@@ -4,6 +4,7 @@ Stages follow the way of the signal: the modes, what a finite record or a sweep 
 one non-linear joint, and the channels. Everything is written on the receptance, so that any causes can be combined.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -85,12 +86,16 @@ def predict(
         if cause.stage == "laplace":
             s = s + cause.shift(p)
     k, c, shapes, participation = plant.adapted(theta)
+    follow, kept = plant.mixing is not None, [cause.viscous(p) for cause, _, _, p in at if hasattr(cause, "viscous")]
+    if kept and plant.uncoupled is not None:
+        k, c, shapes, participation = plant.uncoupled.at(math.prod(kept), k, c, shapes, participation)
+        follow = True
     modes = Modes(k[None], c[None], plant.hysteresis[None])
     for cause, where, _, p in at:
         if cause.stage == "modes":
             modes = cause.modes(modes, where, p, problem.level.shape[0])
     kernels = [(c, w, p) for c, w, _, p in at if c.stage == "kernel"]
-    gains = gains_of(s, modes, plant.poles, kernels, plant.mixing is not None, problem.order)
+    gains = gains_of(s, modes, plant.poles, kernels, follow, problem.order)
     H, channels = _assemble(s, gains, at, eqx.tree_at(_shapes, problem, (shapes, participation)))
     if any(cause.stage == "laplace" for cause, *_ in at):  # the window was on what was measured, not on displacements
         H = H * ((s / s.imag / 1j) ** problem.order)[:, None, None]

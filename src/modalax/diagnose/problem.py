@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float, Int
 
-from modalax.diagnose.mixing import Mixing
+from modalax.diagnose.mixing import Mixing, Uncoupled
 from modalax.diagnose.plant import Plant
 
 
@@ -157,7 +157,7 @@ def padded(plant: Plant) -> Plant:
         fill(plant.stiffness, unit), fill(plant.damping, 1.2 * rate), fill(plant.hysteresis, 0.0),
         square(plant.upper), square(plant.lower),
         fill(plant.frequency_std, 0.0), fill(plant.damping_std, 0.0),
-        (), plant.scaled, _padded_mixing(plant.mixing, more, wide),
+        (), plant.scaled, _padded_mixing(plant.mixing, more, wide), _padded_uncoupled(plant.uncoupled, more, wide),
     )  # fmt: skip
 
 
@@ -166,3 +166,10 @@ def _padded_mixing(mixing: Mixing | None, more: int, wide: int) -> Mixing | None
         return None
     widths = ((0, 0), (0, more), (0, more), (0, wide))  # the first three for stiffness and damping, two for the centre
     return jax.tree.map(lambda a: jnp.pad(a, widths[: a.ndim]), mixing)
+
+
+def _padded_uncoupled(uncoupled: Uncoupled | None, more: int, wide: int) -> Uncoupled | None:
+    if uncoupled is None:
+        return None
+    one, grow = (lambda a: jnp.pad(a, (0, more), constant_values=1.0)), (lambda a: jnp.pad(a, ((0, more), (0, wide))))
+    return Uncoupled(one(uncoupled.k), one(uncoupled.c), grow(uncoupled.shapes), grow(uncoupled.participation))

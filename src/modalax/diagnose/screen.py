@@ -264,9 +264,10 @@ def screen_pattern(cause: PatternCause, scene: Scene, residual: Residual, proble
     best, found, sizes = -np.inf, None, None
     w2 = (weight**2).sum(axis=0)
     wr = (weight * r).sum(axis=0)
-    trials = cause.shapes(scene)
-    for q in trials:
+    drawn = []
+    for q in cause.shapes(scene):
         B = np.asarray(cause.curves(s, q))
+        drawn.append(B)
         gram = np.real(np.einsum("tf,uf,foi->oitu", B.conj(), B, w2))
         right = np.real(np.einsum("tf,foi->oit", B.conj(), wr))
         ridge = 1e-12 * np.trace(gram, axis1=-2, axis2=-1)[..., None, None] + 1e-300
@@ -278,7 +279,24 @@ def screen_pattern(cause: PatternCause, scene: Scene, residual: Residual, proble
     assert found is not None and sizes is not None
     extra = np.moveaxis(sizes, -1, 0)
     start = np.concatenate([np.ones(cause.terms), found])
-    return Trial(cause, Place(()), best, np.nan, start, extra=extra)
+    looked = np.prod([independent(_over_lines(curves, w2)) for curves in np.swapaxes(drawn, 0, 1)])
+    return Trial(cause, Place(()), best, np.nan, start, extra=extra, trials=round(looked))
+
+
+def _over_lines(curves: np.ndarray, weight2: np.ndarray) -> np.ndarray:
+    """Correlation of curves (trial, f) as they stand in weighted lines, with real sizes."""
+    scaled = curves * np.sqrt(weight2.mean(axis=(1, 2)))
+    unit = scaled / np.maximum(np.linalg.norm(scaled, axis=1, keepdims=True), 1e-300)
+    return np.real(unit @ unit.conj().T)
+
+
+def independent(correlation: np.ndarray) -> float:
+    r"""Number of independent scores that correlated ones behave like, :math:`(\sum\sqrt\lambda)^2/\sum\lambda`.
+
+    Galwey (2009), Genetic Epidemiology 33:559, for the eigenvalues of the correlation matrix.
+    """
+    values = np.maximum(np.linalg.eigvalsh(correlation), 0.0)
+    return float(np.sqrt(values).sum() ** 2 / values.sum())
 
 
 def low_rank(a: np.ndarray, gram: np.ndarray) -> np.ndarray:

@@ -37,7 +37,8 @@ class ModalDamping(Cause):
 class StructuralDamping(Cause):
     r"""Hysteretic instead of viscous damping, :math:`2 j\zeta\omega_r\omega \to 2 j\zeta\omega_r^2` in a share.
 
-    The second variant takes one loss factor for all modes instead of :math:`2\zeta_r`.
+    What couples the modes in the viscous damping goes with that share. The second variant takes one loss factor for all
+    modes instead of :math:`2\zeta_r`.
     """
 
     slug = "structural_damping"
@@ -50,6 +51,10 @@ class StructuralDamping(Cause):
     def grid(self, scene: Scene, place: Place) -> np.ndarray:
         """From a little to all."""
         return np.array([[1e-3], [0.3], [1.0]])
+
+    def viscous(self, p: Array) -> Array:
+        """Share of the viscous damping that stays, coupling of the modes included."""
+        return 1 - p[0]
 
     def modes(self, modes: Any, where: Array, p: Array, runs: int) -> Any:
         """Move a share of each damping term."""
@@ -69,6 +74,10 @@ class LossFactor(Cause):
         """Around twice the damping ratios."""
         eta = 2 * float(np.median(scene.damping_ratio))
         return np.array([[eta * x] for x in (0.5, 1.0, 2.0)])
+
+    def viscous(self, p: Array) -> float:
+        """Share of the viscous damping that stays."""
+        return 0.0
 
     def modes(self, modes: Any, where: Array, p: Array, runs: int) -> Any:
         """Viscous terms out, one loss factor in."""
