@@ -14,7 +14,7 @@ import numpy as np
 
 from modalax.model import Structure
 from modalax.model.examples import five_dof
-from modalax.simulate.harmonic import harmonic_balance
+from modalax.simulate.harmonic import Response, harmonic_balance
 from modalax.simulate.joints import (
     BilinearSpring,
     BoucWen,
@@ -65,27 +65,37 @@ class Case(NamedTuple):
     level: float
 
 
-def balanced(joint: Joint, case: Case, harmonics: int, sweep: str) -> np.ndarray:
-    """Fundamentals of all outputs by harmonic balance."""
-    found = harmonic_balance(
+def balanced(joint: Joint, case: Case, harmonics: int, sweep: str) -> Response:
+    """All outputs by harmonic balance."""
+    return harmonic_balance(
         case.structure, [joint], [case.place], case.freq, case.level, inputs=[case.structure.dofs[0]],
         harmonics=harmonics, samples=max(512, 32 * harmonics), sweep="down" if sweep == "down" else "up",
     )  # fmt: skip
-    return np.asarray(found.fundamental)
 
 
-def needed(joint: Joint, case: Case, sweep: str, steps: int, highest: int) -> tuple[dict[int, float], SteppedSine]:
-    """Difference over the peak by harmonics: the rung of the ladder that suffices, and its neighbour below."""
+def needed(
+    joint: Joint, case: Case, sweep: str, steps: int, highest: int, limit: bool = False
+) -> tuple[dict[int, float], SteppedSine]:
+    """Difference over the peak by harmonics: the rung of the ladder that suffices, and its neighbour below.
+
+    ``limit``: of the limit of all harmonics, as told by a rung and the one below.
+    """
     marched = stepped_sine(
         case.structure, [joint], [case.place], case.freq, case.level, inputs=[case.structure.dofs[0]], sweep=sweep,
         steps=steps,
     )  # fmt: skip
-    X, seen = np.asarray(marched.X), {}
+    X, seen, solved = np.asarray(marched.X), {}, {}
+
+    def by(h: int) -> Response:
+        if h not in solved:
+            solved[h] = balanced(joint, case, h, sweep)
+        return solved[h]
 
     def difference(rung: int) -> float:
         h = LADDER[rung]
         if h not in seen:
-            seen[h] = float(np.abs(X - balanced(joint, case, h, sweep)).max() / np.abs(X).max())
+            found = by(h).limit(by(LADDER[rung - 1])) if limit and rung else by(h).fundamental
+            seen[h] = float(np.abs(X - np.asarray(found)).max() / np.abs(X).max())
         return seen[h]
 
     rung = 2
@@ -119,6 +129,8 @@ def catalogue(only: list[str], steps: int, lines: int, highest: int) -> None:
     for joint in [j for j in JOINTS if not only or j.slug in only]:
         began = time.perf_counter()
         report(joint.slug, *needed(joint, case, "each", steps, highest), began)
+        if isinstance(joint, CoulombFriction):
+            report(f"{joint.slug}, limit", *needed(joint, case, "each", steps, highest, limit=True), began)
 
 
 def folds(steps: int, highest: int) -> None:

@@ -129,6 +129,19 @@ def test_stuck_friction_holds_a_sine_below_its_limit():
     assert np.abs(held.X).max() < 1e-9 * np.abs(freed.X).max()
 
 
+def test_dry_friction_in_the_limit_of_all_harmonics():
+    """A jump leaves an error of first order in one over the harmonics, which two responses tell apart."""
+    friction, at = [CoulombFriction(5.0)], dict(inputs=["m"])
+    marched = np.asarray(stepped_sine(oscillator(), friction, [["m"]], [8.0], 8.0, steps=64, **at).X)
+    coarse, fine = (
+        harmonic_balance(oscillator(), friction, [["m"]], [8.0], 8.0, harmonics=h, samples=512, **at) for h in (7, 15)
+    )
+    error = [np.abs(np.asarray(X) - marched).max() for X in (coarse.fundamental, fine.fundamental, fine.limit(coarse))]
+    assert error[1] < 0.6 * error[0] and error[2] < 0.1 * error[1] and error[2] < 1e-3 * np.abs(marched).max()
+    with pytest.raises(ValueError, match="highest 15 and 7"):
+        coarse.limit(fine)
+
+
 def test_a_mass_thrown_against_a_stop_comes_back_with_its_speed():
     mass, k, gap, fs = 2.0, 8e5, 1e-3, 20_000.0
     free = Structure([[mass]], [[0.0]], [[0.0]], ["m"])

@@ -76,6 +76,27 @@ class Response(eqx.Module):
         """Displacement of the outputs at the excitation frequency [m]."""
         return self.X[:, :, :, self.harmonics.index(1)]
 
+    def limit(self, coarse: "Response") -> Complex[Array, "level f o i"]:
+        r"""Fundamental in the limit of all harmonics [m], from this and a ``coarse`` response with fewer.
+
+        A force that jumps, as in dry friction, leaves an error in proportion to :math:`1/(h + 1)`, ``h`` the highest
+        harmonic, so that :math:`((h+1)X_h - (h'+1)X_{h'})/(h - h')` is better than both (Richardson, 1911). Laws
+        without jumps converge faster, and need no limit.
+
+        Raises
+        ------
+        ValueError
+            If the two have other lines, levels or DoFs, or ``coarse`` does not have fewer harmonics.
+        """
+        h, fewer = max(self.harmonics), max(coarse.harmonics)
+        same = (self.outputs, self.inputs, self.X.shape[:2]) == (coarse.outputs, coarse.inputs, coarse.X.shape[:2])
+        if not same or fewer >= h:
+            raise ValueError(
+                f"the limit needs two responses alike but for fewer harmonics in the coarse one: highest {fewer} and "
+                f"{h}, {coarse.X.shape[:2]} and {self.X.shape[:2]} levels and lines"
+            )
+        return ((h + 1) * self.fundamental - (fewer + 1) * coarse.fundamental) / (h - fewer)
+
     def frf_values(self, form: str = "receptance") -> Complex[Array, "level f o i"]:
         """Fundamental response over force."""
         factor = (2j * jnp.pi * self.freq) ** DERIVATIVES[check_form(form)]
