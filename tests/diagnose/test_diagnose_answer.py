@@ -1,5 +1,7 @@
 """A measurement and a simulation in, the answer out."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,9 +12,13 @@ from modalax import Measurement, Structure
 from modalax.diagnose import ChannelCause, LocalCause, Parameter, Place, diagnose, strengths
 from modalax.diagnose.causes import catalogue
 from modalax.diagnose.causes.channels import ChannelGain, ChannelSign, TimeDelay
+from modalax.diagnose.causes.joints import QuadraticDamping
 from modalax.diagnose.causes.local import AddedMass, JointStiffness, LocalDamper
+from modalax.diagnose.diagnosis import _if_it_predicts
 from modalax.diagnose.extend import from_arrays
 from modalax.model.examples import five_dof
+from modalax.simulate import simulate
+from modalax.simulate.joints import PolynomialDamping
 
 FREQ = np.linspace(20.0, 70.0, 128)
 FEW = [JointStiffness(), LocalDamper(), AddedMass(), ChannelGain(), ChannelSign(), TimeDelay()]
@@ -128,6 +134,25 @@ def test_what_is_not_in_the_catalogue_is_not_named_and_is_named_once_it_is():
     answer = diagnose(data, five_dof(), causes=[JointStiffness(), ChannelSign(), Crosstalk(), Fractional()]).to_dict()
     assert [c["name"] for c in answer["causes"]] == ["crosstalk"]
     assert abs(answer["causes"][0]["parameters"]["share"]["value"] - 0.25) < 0.02
+
+
+def test_causes_that_imitate_another_law_do_not_predict_the_level_held_out():
+    """A damper of third degree by two quadratic ones: together they fit it, but not what they were not fitted to."""
+    S, levels = five_dof(), [1.0, 3.0, 9.0]
+    joint = dict(level=levels, inputs=["1", "4"], form="mobility", harmonics=3)
+    H = np.asarray(simulate(S, [PolynomialDamping([20.0], (3,))], [["3", "5"]], FREQ, **joint).H)
+    rng = np.random.default_rng(1)
+    sigma = 0.02 * np.sqrt((np.abs(H) ** 2).mean(axis=1, keepdims=True)) * np.ones(H.shape)
+    noisy = H + sigma * (rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape)) / np.sqrt(2)
+    data = Measurement(FREQ, noisy, variance=sigma**2, form="mobility", outputs=S.dofs, inputs=("1", "4"), level=levels)
+    found = diagnose(data, S, causes=[QuadraticDamping()])
+    assert found.verdict == "unknown" and len(found.naming.best.causes) > 1
+    assert found.gain.fails and found.gain.chi2_after > 2 * found.gain.chi2_within
+    # where nothing else had given it away, this would
+    sure = _if_it_predicts(replace(found.naming, verdict="named"), found.gain)
+    assert sure.verdict == "unknown" and "highest level" in sure.notes[-1]
+    true = diagnose(measured(with_spring(2500.0), 6, runs=3).replace(level=levels), S, causes=FEW)
+    assert true.verdict == "named" and abs(true.gain.missed) < 4 and not true.gain.fails
 
 
 def test_the_extended_simulation_predicts_saves_and_differentiates(tmp_path):

@@ -1,7 +1,7 @@
 """``diagnose``: a measurement and a simulation in, what is wrong and what it gains to mend it out."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -175,6 +175,8 @@ def diagnose(
     default = catalogue(study.problem.data.shape[0])
     doubted = IMITATORS if causes is None else ()
     naming = name(study, causes_of(causes, study, default), causes_of(None, study, doubted))
+    gain = measure(naming.studies, naming.null, naming.best)
+    naming = _if_it_predicts(naming, gain)
     found, (alone, study) = naming.best, naming.studies
     n_out, n_in = study.problem.channels
     cut = lambda a: a[:, : study.problem.lines, :n_out, :n_in]  # noqa: E731
@@ -183,10 +185,21 @@ def diagnose(
     ]
     return Diagnosis(
         naming.verdict, naming, study, extend(study, found) if found.causes else None,
-        measure(naming.studies, naming.null, found), study.scene.freq,
+        gain, study.scene.freq,
         cut(alone.residual(naming.null)), cut(study.residual(found)),
         alone.prediction(naming.null) * unit, study.prediction(found) * unit,
     )  # fmt: skip
+
+
+def _if_it_predicts(naming: Naming, gain: Gain) -> Naming:
+    """Several causes together can imitate a third thing on what they are fitted to, but hardly predict it elsewhere."""
+    if naming.verdict != "named" or len(naming.best.causes) < 2 or not gain.fails:
+        return naming
+    said = (
+        f"fitted without {gain.held_out}, {' and '.join(c.slug for c in naming.best.causes)} leave a chi-square of "
+        f"{gain.chi2_after:.2f} a sample there, fitted with it {gain.chi2_within:.2f}: something else that they imitate"
+    )
+    return replace(naming, verdict="unknown", notes=(*naming.notes, said))
 
 
 def _names(h: Hypothesis) -> list[dict[str, Any]]:

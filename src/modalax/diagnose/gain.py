@@ -5,13 +5,15 @@ from typing import Any
 
 import numpy as np
 
-from modalax.diagnose.fit import ROUNDS, Hypothesis
+from modalax.diagnose.fit import ROUNDS, Hypothesis, jacobian_of, searched
 from modalax.diagnose.search import refit
 from modalax.diagnose.state import state_of
 from modalax.diagnose.study import Study
 
 BLOCKS = 16  # stretches of the band where there is nothing else to hold out; every fourth is
 RESAMPLED = 400
+MISSED = 4.0  # standard deviations, and
+FARTHER = 1.05  # factor on chi-square, from which causes are said not to predict what they were not fitted to
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,11 @@ class Gain:
         Per real sample; 1 is what noise alone gives.
     log_likelihood_gain, log_likelihood_gain_std
         In nats, with its standard deviation by resampling blocks of lines.
+    missed
+        By how many standard deviations the chi-square on the block exceeds that of a fit to all data by more than what
+        the errors of the parameters fitted without it explain. Not small where the causes are not the true ones.
+    chi2_within
+        Per real sample of the block after a fit to all data.
     """
 
     held_out: str
@@ -33,6 +40,13 @@ class Gain:
     chi2_after: float
     log_likelihood_gain: float
     log_likelihood_gain_std: float
+    missed: float = 0.0
+    chi2_within: float = float("nan")
+
+    @property
+    def fails(self) -> bool:
+        """Whether the causes fail to predict the block: beyond their errors, and by more than a little."""
+        return self.missed > MISSED and self.chi2_after > FARTHER * self.chi2_within
 
     def to_dict(self) -> dict[str, Any]:
         """As in the answer's file."""
@@ -81,8 +95,9 @@ def measure(studies: tuple[Study, Study], null: Hypothesis, found: Hypothesis) -
         drop[: len(found.hum.lines)] = found.hum.lines
     weight = np.where(drop[None, :, None, None], 0.0, weight)
     kept, left = np.where(mask, 0.0, weight), np.where(mask, weight, 0.0)
-    before = _on(studies[0], kept, left, replace(null, theta=np.zeros_like(null.theta)))
-    after = before if not found.causes else _on(studies[1], kept, left, found)
+    before = _on(studies[0], kept, left, replace(null, theta=np.zeros_like(null.theta)))[0]
+    after, missed = (before, 0.0) if not found.causes else _on(studies[1], kept, left, found)
+    within = np.abs(studies[1].reweighted(left).residual(found)) ** 2
     live = left > 0
     count = 2 * int(live.sum())
     if count == 0:
@@ -93,18 +108,39 @@ def measure(studies: tuple[Study, Study], null: Hypothesis, found: Hypothesis) -
     draws = blocks[rng.integers(len(blocks), size=(RESAMPLED, len(blocks)))].sum(axis=1)
     return Gain(
         words, float((np.abs(before) ** 2).sum() / count), float((np.abs(after) ** 2).sum() / count),
-        float(by_line.sum()), float(draws.std()),
+        float(by_line.sum()), float(draws.std()), missed, float(within.sum() / count),
     )  # fmt: skip
 
 
-def _on(study: Study, kept: np.ndarray, left: np.ndarray, h: Hypothesis) -> np.ndarray:
-    """Whitened residuals on the held-out block of what was fitted to the rest."""
+def _on(study: Study, kept: np.ndarray, left: np.ndarray, h: Hypothesis) -> tuple[np.ndarray, float]:
+    """Whitened residuals on the held-out block of what was fitted to the rest, and by how much it is missed."""
     seen, unseen = study.reweighted(kept), study.reweighted(left)
     null = seen.fit([replace(h, causes=(), places=(), extras=(), params=(), hum=None)], ROUNDS)[0]
     if not h.causes:
-        return unseen.residual(null)
+        return unseen.residual(null), 0.0
     if len(h.causes) == 1 and not seen.nuisance.active:
         fitted = refit(seen, null, [h], state_of(seen, null))[0]
     else:
         fitted = seen.fit([h], ROUNDS)[0]
-    return unseen.residual(fitted)
+    residual = unseen.residual(fitted)
+    return residual, _missed(unseen, residual, h, fitted)
+
+
+def _missed(unseen: Study, residual: np.ndarray, h: Hypothesis, fitted: Hypothesis) -> float:
+    r"""Excess of the block's chi-square over that of ``h``, in standard deviations of what parameter errors add.
+
+    Errors of covariance C add :math:`|J\delta|^2 - 2 e^T J\delta`, of mean :math:`\mathrm{tr}\,S`, :math:`S = J^T J C`,
+    and variance :math:`2\,\mathrm{tr}\,S^2 + 4\,\mathrm{tr}\,S`.
+    """
+    if fitted.covariance is None or not len(searched(fitted)):
+        return 0.0
+    slopes = jacobian_of(
+        fitted.causes, fitted.index, fitted.extras, searched(fitted), fitted.theta, unseen.nuisance.spread,
+        unseen.nuisance.basis, unseen.problem,
+    )  # fmt: skip
+    J = np.asarray(slopes).reshape(len(searched(fitted)), -1)
+    S: np.ndarray = J @ J.T @ fitted.covariance[: len(J), : len(J)]
+    free = float(np.count_nonzero(np.abs(fitted.theta) > 0))
+    mean, spread = np.trace(S) + free, np.sqrt(max(2 * np.trace(S @ S) + 4 * np.trace(S) + 6 * free, 1.0))
+    excess = float((np.abs(residual) ** 2).sum() - (np.abs(unseen.residual(h)) ** 2).sum())
+    return float((excess - mean) / spread)
