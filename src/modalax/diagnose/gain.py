@@ -140,7 +140,7 @@ def _missed(unseen: Study, residual: np.ndarray, h: Hypothesis, fitted: Hypothes
     )  # fmt: skip
     J = np.asarray(slopes).reshape(len(searched(fitted)), -1)
     S: np.ndarray = J @ J.T @ fitted.covariance[: len(J), : len(J)]
-    free = float(np.count_nonzero(np.abs(fitted.theta) > 0))
+    free = float((np.asarray(fitted.theta) != 0).sum())
     mean, spread = np.trace(S) + free, np.sqrt(max(2 * np.trace(S @ S) + 4 * np.trace(S) + 6 * free, 1.0))
     excess = float((np.abs(residual) ** 2).sum() - (np.abs(unseen.residual(h)) ** 2).sum())
     return float((excess - mean) / spread)
