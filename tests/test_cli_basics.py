@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 
@@ -189,6 +190,23 @@ def test_joints_are_read_from_words_and_from_a_file(tmp_path):
     path.write_text('[[joint]]\nlaw = "coulomb_friction"\nwhere = "3"\nslip_force = 2\n')
     joints = read_joints(str(path))
     assert [(j.slug, w) for j, w in joints] == [("coulomb_friction", ("3",))]
+    [(joint, _)] = read_joints("polynomial_stiffness:3,5:coefficients=1e3;2e9,powers=1;3")
+    assert joint.powers == (1, 3) and [float(c) for c in joint.coefficients] == [1e3, 2e9]
+    path.write_text('[[joint]]\nlaw = "polynomial_damping"\nwhere = ["3", "5"]\ncoefficients = 4\npowers = 2\n')
+    [(joint, _)] = read_joints(str(path))
+    assert joint.powers == (2,) and float(joint.coefficients[0]) == 4
+
+
+def test_a_wrong_file_of_joints_is_explained(tmp_path):
+    path = tmp_path / "joints.toml"
+    for text, words in (
+        ("", "holds no table"),
+        ('[[joint]]\nlaw = "gap"\n', "joint 1: lacks where"),
+        ("[[joint", "joints.toml: "),
+    ):
+        path.write_text(text)
+        with pytest.raises(ValueError, match=re.escape(words)):
+            read_joints(str(path))
 
 
 @pytest.mark.parametrize(
@@ -201,6 +219,8 @@ def test_joints_are_read_from_words_and_from_a_file(tmp_path):
         ("elasto_slip:3,5:k=-1,slip_force=2", ["-1"]),
         ("elasto_slip:3,5:k=much,slip_force=2", ["much"]),
         ("elasto_slip:3,4,5:k=1,slip_force=2", ["3 DoFs"]),
+        ("polynomial_stiffness:3,5:coefficients=1e3,powers=1.5", ["powers is 1.5", "whole numbers"]),
+        ("polynomial_stiffness:3,5:coefficients=1e3", ["coefficients [N/m^p]", "powers"]),
     ],
 )
 def test_a_wrong_joint_is_explained(spec, words):

@@ -42,8 +42,8 @@ def test_links_into_the_project_lead_somewhere():
 
 
 def test_every_extra_named_in_the_readme_exists():
-    named = {e for group in re.findall(r"modalax\[([\w,]+)\]", README) for e in group.split(",")}
-    assert named <= set(PROJECT["optional-dependencies"])
+    named = {e for group in re.findall(r"'\.\[([\w,]+)\]'", README) for e in group.split(",")}
+    assert {"report", "test", "all"} <= named <= set(PROJECT["optional-dependencies"])
 
 
 @pytest.mark.slow

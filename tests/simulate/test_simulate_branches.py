@@ -71,6 +71,16 @@ def test_exponents_of_a_linear_structure_are_its_poles():
     assert np.all(np.min(np.abs(np.asarray(exponents).real[:, None] / expected - 1), axis=1) < 1e-6)
 
 
+def test_structural_damping_takes_half_its_loss_factor_times_the_frequency():
+    """An oscillator at rest: (lambda + j omega)^2 m + k(1 + j eta) = 0 for what turns with the excitation."""
+    eta, k = 0.04, 400.0
+    s = Structure([[1.0]], [[0.0]], [[k]], ["x"], D=[[eta * k]])
+    at = np.array([3.0])
+    exponents = floquet_exponents(s, (CubicSpring(0.0),), [["x"]], at, np.zeros((1, 1, 1), complex), (1,), samples=32)
+    exact = -np.real(np.sqrt(-k * (1 + 1j * eta) + 0j))
+    np.testing.assert_allclose(np.asarray(exponents.real).max(), exact, rtol=1e-9)
+
+
 def test_duffing_backbone_is_the_closed_form():
     A = np.geomspace(1e-4, 2e-2, 12)
     found = backbone(DUFFING, [CubicSpring(K3)], [["x"]], 1, A)

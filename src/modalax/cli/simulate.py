@@ -1,5 +1,6 @@
 """``modalax simulate``: a model, with non-linear joints or without, to the FRFs it predicts."""
 
+import dataclasses
 import tomllib
 from enum import StrEnum
 from pathlib import Path
@@ -144,26 +145,39 @@ def make_joint(what: str, law: str, where: list[str], parameters: dict[str, Any]
     if law not in CATALOGUE:
         raise ValueError(f"joint {what}: no law {law!r}; there are {', '.join(CATALOGUE)}")
     kind = CATALOGUE[law]
+    whole = [f.name for f in dataclasses.fields(kind) if f.metadata.get("static")]  # powers, numbers of elements
     if not 1 <= len(where) <= 2:
         raise ValueError(f"joint {what}: sits at {len(where)} DoFs; it needs one (to ground) or two")
-    unknown = set(parameters) - set(kind.units)
+    wanted = ", ".join([*(f"{name} [{unit}]" for name, unit in kind.units.items()), *whole])
+    unknown = set(parameters) - set(kind.units) - set(whole)
     if unknown:
-        wanted = ", ".join(f"{name} [{unit}]" for name, unit in kind.units.items())
         raise ValueError(f"joint {what}: {law} has no parameter {', '.join(sorted(unknown))}; it has {wanted}")
-    try:
-        values = {name: numbers(value) for name, value in parameters.items()}
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"joint {what}: a parameter is no number: {error}") from error
-    for name, value in values.items():
-        low, high = kind.bounds[name]
-        for number in value if isinstance(value, list) else [value]:
-            if not low <= number <= high:
-                raise ValueError(f"joint {what}: {name} is {number:g}; it must lie within {low:g} and {high:g}")
+    values = _values(what, kind, whole, parameters)
     try:
         return kind(**values), tuple(where)
     except TypeError as error:
-        wanted = ", ".join(f"{name} [{unit}]" for name, unit in kind.units.items())
         raise ValueError(f"joint {what}: {law} needs {wanted}") from error
+
+
+def _values(what: str, kind: Any, whole: list[str], parameters: dict[str, Any]) -> dict[str, Any]:
+    """Parameters of a law as numbers within its bounds; whole numbers for what is in ``whole``."""
+    try:
+        values: dict[str, Any] = {name: numbers(value) for name, value in parameters.items()}
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"joint {what}: a parameter is no number: {error}") from error
+    for name, value in values.items():
+        several = value if isinstance(value, list) else [value]
+        if name in whole:
+            if any(v != int(v) for v in several):
+                raise ValueError(f"joint {what}: {name} is {parameters[name]}; whole numbers are needed")
+            values[name] = tuple(int(v) for v in several) if name == "powers" else int(several[0])
+            continue
+        low, high = kind.bounds[name]
+        for number in several:
+            if not low <= number <= high:
+                raise ValueError(f"joint {what}: {name} is {number:g}; it must lie within {low:g} and {high:g}")
+        values[name] = several if "powers" in whole else value
+    return values
 
 
 def numbers(value: Any) -> float | list[float]:

@@ -1,6 +1,7 @@
 """Measured FRFs to a modal model."""
 
 from modalax.identify.bias import DampingBias, predicted_damping_bias
+from modalax.identify.consistent import compensated, gtls, subspace
 from modalax.identify.fdpi import NormalModes, fdpi, fdpi_normal_modes
 from modalax.identify.fit import Fit, fit
 from modalax.identify.lsce import lsce
@@ -8,6 +9,7 @@ from modalax.identify.lscf import lscf
 from modalax.identify.plscf import plscf
 from modalax.identify.refine import Refined, refine
 from modalax.identify.residues import residues
+from modalax.identify.reweighted import reweighted
 from modalax.identify.search import missing_modes, mode_scores
 from modalax.identify.select import Selection, best_order, select, select_near
 from modalax.identify.stabilize import Stability, stabilization
@@ -22,9 +24,11 @@ __all__ = [
     "Selection",
     "Stability",
     "best_order",
+    "compensated",
     "fdpi",
     "fdpi_normal_modes",
     "fit",
+    "gtls",
     "lsce",
     "lscf",
     "missing_modes",
@@ -33,7 +37,9 @@ __all__ = [
     "predicted_damping_bias",
     "refine",
     "residues",
+    "reweighted",
     "select",
     "select_near",
     "stabilization",
+    "subspace",
 ]

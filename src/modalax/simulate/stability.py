@@ -31,7 +31,8 @@ def floquet_exponents(
     r"""Floquet exponents :math:`\lambda` [1/s] of each motion, two a DoF; stable where all real parts are negative.
 
     Joint forces are linearised along the motion; for a joint with memory that is the change from one closed loop to the
-    next, so its disturbances are taken as slow against a cycle.
+    next, so its disturbances are taken as slow against a cycle. Structural damping D acts on each harmonic as
+    :math:`jD`, and on the mean, where it has no meaning, as the viscous damping :math:`D/\omega` of the motion.
 
     Parameters
     ----------
@@ -42,18 +43,19 @@ def floquet_exponents(
     n, top = len(structure.dofs), max(harmonics)
     full = tuple(range(top + 1))
     b = np.asarray(directions(structure, places))
-    M, C, K = (np.asarray(A) for A in (structure.M, structure.C, structure.K))
+    M, C, K, D = (np.asarray(A) for A in (structure.M, structure.C, structure.K, structure.D))
     size = 2 * top + 1
     turn = np.zeros((size, size))  # d/dt of (mean, cosines, sines), over omega
     for k in range(1, top + 1):
         turn[k, top + k], turn[top + k, k] = k, -k
+    quarter, mean = np.sign(turn), np.diag(np.eye(size)[0])  # j times each harmonic
     # sines are minus the imaginary parts
     sign = np.concatenate([np.ones(top + 1), -np.ones(top)])
 
     def one(freq: Float[Array, ""], q: Complex[Array, "j h"]) -> Complex[Array, " e"]:
         omega = 2 * jnp.pi * freq
         rate = omega * turn
-        hill = jnp.kron(M, rate @ rate) + jnp.kron(C, rate) + jnp.kron(K, np.eye(size))
+        hill = jnp.kron(M, rate @ rate) + jnp.kron(C, rate) + jnp.kron(K, np.eye(size)) + jnp.kron(D, quarter)
         for joint, direction, own in zip(joints, b, q, strict=True):
             whole = jnp.zeros((1, top + 1), complex).at[0, jnp.array(harmonics)].set(own)
 
@@ -62,7 +64,7 @@ def floquet_exponents(
 
             slope = jax.jacfwd(force)(to_real(whole, full)) * sign[:, None] * sign[None]
             hill = hill + jnp.kron(np.outer(direction, direction), slope)
-        damping = 2 * jnp.kron(M, rate) + jnp.kron(C, np.eye(size))
+        damping = 2 * jnp.kron(M, rate) + jnp.kron(C, np.eye(size)) + jnp.kron(D / omega, mean)
         inertia = np.kron(np.linalg.inv(M), np.eye(size))
         eye, zero = np.eye(n * size), np.zeros((n * size, n * size))
         state = jnp.block([[zero, eye], [-inertia @ hill, -inertia @ damping]])
