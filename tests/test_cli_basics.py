@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from modalax.cli import main
-from modalax.cli.common import free_folder, plain
+from modalax.cli.common import check_folder, free_folder, plain
 from modalax.cli.simulate import frequencies, read_joints
 from modalax.data import Measurement
 from modalax.files import load, save
@@ -177,6 +177,26 @@ def test_simulated_noise_has_the_size_asked_for(files, tmp_path, capsys):
 def test_frequency_lines_hold_both_ends_where_the_step_meets_them(lower, upper, step, count):
     freq = frequencies(float(lower), float(upper), float(step))
     assert len(freq) == count and freq[0] == lower and freq[-1] <= upper * (1 + 1e-12)
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [((50.0, 20.0, 0.1), "--band 50 20: needs 0 <= LO < HI"), ((20.0, 50.0, 0.0), "--step 0: the distance")],
+)
+def test_a_band_without_lines_is_explained(lines, words):
+    with pytest.raises(ValueError, match=words):
+        frequencies(*lines)
+
+
+def test_a_folder_for_pictures_is_not_filled_twice(tmp_path):
+    check_folder(tmp_path / "new", overwrite=False)
+    taken = tmp_path / "file"
+    taken.write_text("x")
+    with pytest.raises(ValueError, match="is a file; --out needs a folder"):
+        check_folder(taken, overwrite=True)
+    with pytest.raises(ValueError, match="is not empty; choose another folder or add --overwrite"):
+        check_folder(tmp_path, overwrite=False)
+    check_folder(tmp_path, overwrite=True)
 
 
 def test_joints_are_read_from_words_and_from_a_file(tmp_path):

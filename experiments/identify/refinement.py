@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from modalax.identify import refine, residues
+from modalax.identify import cramer_rao, refine, residues
 from modalax.model.examples import five_dof
 
 jax.config.update("jax_enable_x64", True)
@@ -57,7 +57,7 @@ def draws(level: float, count: int, seed: int) -> dict[str, tuple[np.ndarray, np
 def bound(level: float) -> np.ndarray:
     """Cramer-Rao bound of each damping ratio."""
     frf = CLEAN.replace(variance=CLEAN.add_noise(jax.random.key(0), level).variance)
-    return np.asarray(refine(frf, START, scale_errors="never").damping_std)
+    return np.asarray(cramer_rao(EXACT, frf).damping_std)
 
 
 def truths() -> dict[str, np.ndarray]:

@@ -271,3 +271,32 @@ def test_single_precision_of_jax_is_refused_with_the_line_to_add(tmp_path):
         "load needs double precision; add this line before the first use of JAX: "
         'jax.config.update("jax_enable_x64", True)'
     )
+
+
+def test_text_in_place_of_numbers(tmp_path):
+    refused(with_npz(tmp_path, freq=np.array(["a"] * N)), "freq has type <U1; it needs real numbers")
+
+
+@pytest.mark.parametrize(
+    ("scaling", "pattern"),
+    [
+        ({"modal_a": np.array([1j, 0j])}, "2 modal scalings, 1 of them zero, for 2 poles"),
+        ({"modal_mass": np.ones(3)}, "shapes|modal scalings|broadcast"),
+        ({}, "needs participation, modal_a or modal_mass"),
+    ],
+)
+def test_scalings_of_a_modal_model_that_fit_no_modes(tmp_path, scaling, pattern):
+    poles = np.array([-1 + 60j, -2 + 90j])
+    path = tmp_path / "model.npz"
+    np.savez(path, poles=poles, shapes=np.ones((2, 3)), outputs=np.array(["1", "2", "3"]), **scaling)
+    refused(path, pattern)
+
+
+def test_a_dataset_without_its_axes(tmp_path):
+    from modalax.files.labelled import from_xarray, to_xarray
+
+    dataset = to_xarray(modalax.load(with_npz(tmp_path)))
+    with pytest.raises(ValueError, match="no output in the dataset, which holds"):
+        from_xarray(dataset.drop_vars("output"))
+    with pytest.raises(ValueError, match=r"H has the axes run, line, output, input; it needs run, freq, output, input"):
+        from_xarray(dataset.assign(H=(("run", "line", "output", "input"), dataset["H"].to_numpy())))

@@ -140,3 +140,14 @@ def test_same_modes_out_of_thirty_random_bands(forty, errors, poles_of):
             frequency, damping = errors(poles_of(table, order), forty, inside)
             assert frequency < limits[0], (band, order)
             assert damping < limits[1], (band, order)
+
+
+def test_what_cannot_be_fitted_is_said():
+    shape = (64, 2, 1)
+    freq = np.linspace(10.0, 20.0, 64)
+    with pytest.raises(ValueError, match="zero throughout the band"):
+        fit(FRF(freq, np.zeros(shape, complex)))
+    rng = np.random.default_rng(0)
+    noise = FRF(freq, rng.normal(size=shape) + 1j * rng.normal(size=shape))
+    with pytest.raises(ValueError, match="method is 'era'; it must be one of"):
+        fit(noise, method="era")

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from modalax.identify import refine, residues
+from modalax.identify import cramer_rao, refine, residues
 from modalax.model import ModalModel
 
 FREQ = np.arange(200, 701) * 0.1
@@ -15,6 +15,35 @@ def _compiled_quickly():
     jax.config.update("jax_disable_most_optimizations", True)
     yield
     jax.config.update("jax_disable_most_optimizations", False)
+
+
+def test_the_cramer_rao_bound_is_the_inverse_of_fishers_information():
+    """Against the derivatives of pole-residue sums, two close modes at three outputs, uneven noise."""
+    model = ModalModel.from_real_modes(
+        [30.0, 31.0], [0.01, 0.02], np.array([[1.0, 0.5, -0.7], [0.3, 1.0, 0.8]]), [2.0, 1.0], ["1", "2", "3"]
+    )
+    freq = np.linspace(25.0, 36.0, 80)
+    clean = model.frf(freq, inputs=["1"])
+    variance = np.random.default_rng(0).uniform(0.5, 2.0, clean.H.shape) * float(jnp.abs(clean.H).max()) ** 2 * 1e-4
+    bound = cramer_rao(model, clean.replace(variance=variance), residuals="none")
+    s = 2j * jnp.pi * jnp.asarray(freq)[:, None, None]
+    R = jnp.einsum("ro,r->ro", model.shapes, model.participation[:, 0])
+
+    def samples(x):
+        f, zeta, parts = x[:2], x[2:4], x[4:].reshape(2, 2, 3)
+        pole = 2 * jnp.pi * f * (-zeta + 1j * jnp.sqrt(1 - zeta**2))
+        own = parts[0] + 1j * parts[1]
+        H = (own / (s - pole[:, None]) + own.conj() / (s - pole.conj()[:, None])).sum(axis=1)
+        return jnp.stack([H.real, H.imag])
+
+    x = jnp.concatenate([model.frequency_hz, model.damping_ratio, R.real.ravel(), R.imag.ravel()])
+    J = jax.jacfwd(samples)(x) * jnp.sqrt(2 / jnp.asarray(variance[:, :, 0]))[None, :, :, None]
+    J = J.reshape(-1, len(x))
+    std = np.sqrt(np.diag(np.linalg.inv(np.asarray(J.T @ J))))
+    np.testing.assert_allclose(bound.frequency_std_hz, std[:2], rtol=1e-5)
+    np.testing.assert_allclose(bound.damping_std, std[2:4], rtol=1e-5)
+    with pytest.raises(ValueError, match="needs a noise variance"):
+        cramer_rao(model, clean)
 
 
 def start_of(frf, model, **options):

@@ -4,7 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.integrate
 from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
 
 from modalax.model import Structure
 from modalax.model.examples import five_dof
@@ -22,6 +24,7 @@ from modalax.simulate.joints import (
     PolynomialStiffness,
     QuadraticDamping,
 )
+from modalax.simulate.joints.base import Memoryless, parameter
 
 M, C, K = 1.0, 2.0, 1e4  # 15.9 Hz, 1 %
 DUFFING = Structure([[M]], [[C]], [[K]], ["x"])
@@ -252,3 +255,28 @@ def test_bouc_wen_loop_is_closed_where_little_is_lost_a_cycle(harmonics):
         found, expected = force(BoucWen, amplitude), force(Patient, amplitude)
         # measured 4e-11 where 200 cycles were run
         assert np.max(np.abs(found - expected)) < 1e-9 * np.max(np.abs(expected))
+
+
+class Softening(Memoryless):
+    """A law of a user's own: nothing but its parameters and its force."""
+
+    limit: Float[Array, ""] = parameter()
+    reach: Float[Array, ""] = parameter()
+
+    def force(self, x, v):
+        return self.limit * jnp.tanh(x / self.reach)
+
+
+def test_a_law_of_ones_own_against_integration_in_time():
+    m, c, k, f, F, joint = 1.0, 3.0, 2500.0, 9.0, 20.0, Softening(15.0, 4e-3)
+    structure = Structure([[m]], [[c]], [[k]], ["x"])
+    found = harmonic_balance(structure, [joint], [["x"]], [f], F, inputs=["x"], harmonics=21, samples=512)
+    w, cycles = 2 * np.pi * f, 120
+
+    def rate(t, y):
+        return [y[1], (F * np.cos(w * t) - c * y[1] - k * y[0] - 15.0 * np.tanh(y[0] / 4e-3)) / m]
+
+    t = (cycles + np.arange(256) / 256) / f
+    y = scipy.integrate.solve_ivp(rate, (0, t[-1]), [0.0, 0.0], t_eval=t, rtol=1e-10, atol=1e-13, method="DOP853").y[0]
+    exact = 2 * np.mean(y * np.exp(-1j * w * t))
+    assert abs(complex(found.fundamental[0, 0, 0, 0]) / exact - 1) < 1e-6

@@ -1,6 +1,7 @@
 """Measured FRFs to a modal model."""
 
 from modalax.identify.bias import DampingBias, predicted_damping_bias
+from modalax.identify.bound import Bound, cramer_rao
 from modalax.identify.consistent import compensated, gtls, subspace
 from modalax.identify.fdpi import NormalModes, fdpi, fdpi_normal_modes
 from modalax.identify.fit import Fit, fit
@@ -16,6 +17,7 @@ from modalax.identify.stabilize import Stability, stabilization
 from modalax.identify.tables import PoleTable
 
 __all__ = [
+    "Bound",
     "DampingBias",
     "Fit",
     "NormalModes",
@@ -25,6 +27,7 @@ __all__ = [
     "Stability",
     "best_order",
     "compensated",
+    "cramer_rao",
     "fdpi",
     "fdpi_normal_modes",
     "fit",

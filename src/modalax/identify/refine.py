@@ -139,7 +139,7 @@ def refine(
     Raises
     ------
     ValueError
-        If there are more unknowns than samples, or an option is unknown.
+        If there are more unknowns than samples, an option is unknown, or an input is not in the model.
 
     Notes
     -----
@@ -152,6 +152,7 @@ def refine(
     if scale_errors not in ("auto", "never", "always"):
         raise ValueError(f"scale_errors is {scale_errors!r}; it must be auto, never or always")
     check_size(frf, model.poles.shape[0], residuals)
+    model = _at_inputs(model, frf.inputs)
     sigma = sigma_of(frf, weights)
     known = frf.variance is not None and isinstance(weights, str) and weights != "unit"
     if not known:  # far below the data, so that the search ends at rounding whatever the unit
@@ -185,6 +186,13 @@ def _padded(model: ModalModel, empty: int) -> ModalModel:
         poles=pad(model.poles, model.poles[0]), shapes=pad(model.shapes, 1.0),
         participation=pad(model.participation, 1.0), frequency_std=0.0, damping_std=0.0,
     )  # fmt: skip
+
+
+def _at_inputs(model: ModalModel, inputs: tuple[str, ...]) -> ModalModel:
+    """The model with the participation of these inputs alone; as it is where there are as many."""
+    if model.participation.shape[1] == len(inputs):
+        return model
+    return ModalModel(model.poles, model.shapes, model._at_inputs(inputs), outputs=model.outputs, inputs=inputs)
 
 
 def _cut(result: Refined, n: int) -> Refined:
