@@ -185,7 +185,8 @@ def test_exponential_window_is_taken_back_out(paper, errors, poles_of):
     assert errors(poles_of(fdpi(frf, 5), 5), paper)[1] < DAMPING
 
 
-GRADIENTS = [(lscf, 12, {}), (plscf, 6, {}), (lsce, 14, {}), (fdpi, 5, {}), (fdpi, 3, {}), (fdpi, 8, {}),
+GRADIENTS = [(lscf, 12, {}), (plscf, 6, {}), (lsce, 14, {}), (fdpi, 5, {}), (fdpi, 8, {}),
+             pytest.param(fdpi, 3, {}, marks=pytest.mark.slow),
              (lscf, 12, {"constraint": "norm"})]  # fmt: skip
 
 

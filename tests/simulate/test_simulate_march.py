@@ -129,6 +129,7 @@ def test_stuck_friction_holds_a_sine_below_its_limit():
     assert np.abs(held.X).max() < 1e-9 * np.abs(freed.X).max()
 
 
+@pytest.mark.slow
 def test_dry_friction_in_the_limit_of_all_harmonics():
     """A jump leaves an error of first order in one over the harmonics, which two responses tell apart."""
     friction, at = [CoulombFriction(5.0)], dict(inputs=["m"])

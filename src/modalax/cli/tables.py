@@ -19,7 +19,10 @@ def new_table(title: str) -> Table:
 def mode_table(modes: Sequence[Mapping[str, Any]], truth: tuple[Any, Any] | None = None) -> Table:
     """Make a table of the modes of ``Fit.to_dict()``, beside true frequencies and damping ratios where known."""
     table = new_table("Modes, ± one standard deviation")
-    table.caption = "Bias: what noise does to the damping in the diagram, as predicted; the refinement removes it."
+    table.caption = (
+        "Bias: what noise does to the damping in the diagram, as predicted (none: the mode is lost in it); the "
+        "refinement removes it."
+    )
     true = ["true"] if truth is not None else []
     for name in ("Mode", "Frequency [Hz]", *true, "Damping [%]", *true, "MPC", "Bias [%]"):
         table.add_column(name, justify="right", no_wrap=True, style="dim" if name == "true" else None)

@@ -29,8 +29,11 @@ def mode_rows(modes: Sequence[Mapping[str, Any]], truth: tuple[Any, Any] | None 
         head += ["True frequency [Hz]", "True damping [%]"]
         for k, row in enumerate(rows):
             row += [f"{float(truth[0][k]):.5g}", f"{100 * float(truth[1][k]):.4g}"]
-    words = "± is one standard deviation. Bias: what noise does to the damping in the diagram, as predicted; the "
-    return Table(head, rows, words + "refinement removes it.", text_columns=())
+    words = (
+        "± is one standard deviation. Bias: what noise does to the damping in the diagram, as predicted (none: the "
+        "mode is lost in it); the refinement removes it."
+    )
+    return Table(head, rows, words, text_columns=())
 
 
 def _bias(mode: Mapping[str, Any]) -> str:
