@@ -242,14 +242,21 @@ class _DirectIdentification(eqx.Module):
     degree: int = eqx.field(static=True)
     terms: int = eqx.field(static=True)
 
-    def factors(self, H: Complex[Array, "f o i"]) -> tuple[Array, Array]:
-        """Triangular factors of the normal matrix of these FRFs and of what noise adds."""
+    def directions(self, H: Complex[Array, "f o i"]) -> tuple[Array, Array]:
+        """The variable, and the principal directions of these FRFs in the noise."""
         weight = self.weight
         rows = jnp.swapaxes(H * weight[:, None, :], 1, 2).reshape(-1, H.shape[1])
         gram = (rows.conj().T @ rows).real + jnp.diag(jnp.sum(weight[:, None, :] ** 2 * self.sigma2, axis=(0, 2)))
-        V = eigenbasis(gram)[1][:, : self.comps]
-        s = 1j * self.frf.omega / self.frf.omega[-1]
-        signal = system_factor(s, jnp.swapaxes(H, 1, 2) @ V, weight, self.degree, self.terms)
+        return 1j * self.frf.omega / self.frf.omega[-1], eigenbasis(gram)[1][:, : self.comps]
+
+    def factor(self, H: Complex[Array, "f o i"], noise: Array | None = None) -> Array:
+        """Triangular factor of the normal matrix of these FRFs, with the factor of what noise adds if there is one."""
+        s, V = self.directions(H)
+        return system_factor(s, jnp.swapaxes(H, 1, 2) @ V, self.weight, self.degree, self.terms, noise)
+
+    def noise(self) -> Array:
+        """Triangular factor of what noise adds to the normal matrix."""
+        weight, (s, V) = self.weight, self.directions(self.frf.H)
         kept = weight**2 * (1 - _numerator_leverage(s, weight, self.terms))
         columns = powers(s, self.degree + 1)
 
@@ -260,8 +267,8 @@ class _DirectIdentification(eqx.Module):
             Y = Y.reshape(len(Y), -1)
             return jnp.linalg.qr(jnp.concatenate([R, Y.real, Y.imag]), mode="r"), None
 
-        noise, _ = lax.scan(add, jnp.zeros_like(signal), (V, jnp.swapaxes(self.sigma2, 0, 1)))
-        return signal, noise
+        m = (self.degree + 1) * self.comps
+        return lax.scan(add, jnp.zeros((m, m)), (V, jnp.swapaxes(self.sigma2, 0, 1)))[0]
 
     def found(self, R: Array) -> PoleTable:
         """The poles of a triangular factor [rad/s]."""
@@ -273,11 +280,13 @@ class _DirectIdentification(eqx.Module):
 @eqx.filter_jit
 def _fdpi_bias(problem: _DirectIdentification, poles: Array) -> DampingBias:
     frf, decay = problem.frf, problem.frf.added_decay
-    bias = _bias(*problem.factors(frf.H), problem.found, poles, decay)
+    noise = problem.noise()
+    bias = _bias(problem.factor(frf.H), noise, problem.found, poles, decay)
 
     def near(H: Array) -> tuple[Array, Array]:
         """Real and imaginary parts of each mode's pole, and how far the next one is [rad/s]."""
-        table = problem.found(jnp.linalg.qr(jnp.concatenate(problem.factors(H)), mode="r"))
+        # one factorisation of all rows: without noise the FRFs may leave nothing, and that has no derivative
+        table = problem.found(problem.factor(H, noise))
         apart = jnp.abs(table.poles[0] + decay - bias.poles[:, None])
         distance, index = lax.top_k(-jnp.where(table.valid[0], apart, jnp.inf), 2)
         pole = table.poles[0][index[:, 0]]

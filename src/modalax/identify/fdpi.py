@@ -150,9 +150,13 @@ def _turn(primals: tuple[Array], tangents: tuple[Array]) -> tuple[tuple[Array, A
 
 
 def system_factor(
-    s: Complex[Array, " f"], Hc: Complex[Array, "f i c"], weight: Float[Array, "f i"], degree: int, terms: int
-) -> Float[Array, "m m"]:
-    """Triangular factor of the real rows ``[B columns, s^0 Hc, ..., s^degree Hc]``, without its B part."""
+    s: Complex[Array, " f"], Hc: Complex[Array, "f i c"], weight: Float[Array, "f i"], degree: int, terms: int,
+    also: Float[Array, "k m"] | None = None,
+) -> Float[Array, "m m"]:  # fmt: skip
+    """Triangular factor of the real rows ``[B columns, s^0 Hc, ..., s^degree Hc]``, without its B part.
+
+    ``also`` are further rows in which B has no part.
+    """
     f, n_in, _ = Hc.shape
     left = powers(s, degree + 1)[:, None, :, None] * Hc[:, :, None, :]
     left = (left * weight[:, :, None, None]).reshape(f * n_in, -1)
@@ -162,6 +166,8 @@ def system_factor(
     A = jnp.concatenate([right, left], axis=1)
     A = jnp.concatenate([A.real, A.imag])
     count = right.shape[1]
+    if also is not None:
+        A = jnp.concatenate([A, jnp.pad(also, ((0, 0), (count, 0)))])
     return jnp.linalg.qr(A, mode="r")[count:, count:]
 
 
