@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from modalax.data import FRF
-from modalax.identify import best_order, fit, lscf, missing_modes, refine, residues, select
+from modalax.identify import best_order, fit, lscf, missing_modes, plscf, refine, residues, select
 from modalax.identify.noise import residual_sigma
 from modalax.model import ModalModel
 
@@ -116,11 +116,12 @@ def test_fit_finds_all_modes_and_no_others(kind, level, outside):
 
 
 @pytest.mark.slow
-def test_same_modes_out_of_thirty_random_bands(forty, errors, poles_of):
+@pytest.mark.parametrize(("estimator", "inputs"), [(lscf, "a"), (plscf, "ac")], ids=["lscf", "plscf, two inputs"])
+def test_same_modes_out_of_thirty_random_bands(estimator, inputs, forty, errors, poles_of):
     """Modes inside by three half-bandwidths: 1e-6 in frequency and 1e-4 in damping at the order chosen by itself, and
-    1e-5 and 1e-3 at every higher one."""
+    1e-5 and 1e-3 at every higher one. Seen: 3e-12 and 7e-11 at most, with the solver that is taken by itself."""
     rng = np.random.default_rng(30)
-    whole = forty.frf(np.arange(0, 3500) * 0.05, inputs=["a"])
+    whole = forty.frf(np.arange(0, 3500) * 0.05, inputs=list(inputs))
     f, zeta = np.asarray(forty.frequency_hz), np.asarray(forty.damping_ratio)
     for k in range(30):
         width = rng.uniform(25, 110)
@@ -132,8 +133,8 @@ def test_same_modes_out_of_thirty_random_bands(forty, errors, poles_of):
         first = int(round(lower / 0.05))
         frf = whole.lines(slice(first, first + 500 * step, step))
         inside &= f + 3 * zeta * f < float(frf.freq[-1])
-        orders = range(20, 101, 4)
-        table = lscf(frf, orders)
+        orders = range(20 // len(inputs), 100 // len(inputs) + 1, 4 // len(inputs))
+        table = estimator(frf, orders)
         chosen = best_order(table, select(table, band=(float(frf.freq[0]), float(frf.freq[-1])), max_damping=0.1))
         for order in [n for n in orders if n >= chosen]:
             limits = (1e-6, 1e-4) if order == chosen else (1e-5, 1e-3)

@@ -226,16 +226,3 @@ class TestRefine:
             refine(paper_frf, start, covariance="x")
         with pytest.raises(ValueError, match="scale_errors is 'x'"):
             refine(paper_frf, start, scale_errors="x")
-
-    def test_gradient_through_the_refinement(self, paper_frf, paper):
-        frf = paper_frf.add_noise(jax.random.key(0), 0.02)
-        start = residues(frf, paper.poles)
-        direction = np.random.default_rng(0).normal(size=frf.H.shape) * float(jnp.sqrt(frf.variance.mean()))
-
-        def modal(t):
-            model = refine(frf.replace(H=frf.H + t * direction), start).model
-            return jnp.concatenate([jnp.log(model.frequency_hz), model.damping_ratio])
-
-        exact = jax.jacfwd(modal)(0.0)
-        numeric = (modal(0.05) - modal(-0.05)) / 0.1
-        assert np.allclose(exact, numeric, rtol=1e-3, atol=1e-9)

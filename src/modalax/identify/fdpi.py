@@ -107,9 +107,11 @@ def fdpi_normal_modes(frf: FRF, order: int, *, weights: str = "unit", residual: 
     s, Hc, V, top = principal_responses(frf, weight, order)
     R = system_factor(s, Hc, weight, 2, 2 if residual is None else residual)
     A = _blocks(R, order, jnp.asarray(order), 2)
-    squares, vectors = jnp.linalg.eig(A[0])
+    values, vectors = jnp.linalg.eig(lax.stop_gradient(A[0]))
+    pencil = jnp.stack([A[0].T, -jnp.eye(order)]).astype(jnp.complex128)  # w^T (A_0^T - u I) = 0
+    squares, vectors = jax.vmap(polish, in_axes=(None, 0, 0))(pencil, values, vectors.T)
     rank = jnp.argsort(jnp.where(squares.real > 0, squares.real, jnp.inf))
-    shapes = (vectors.T[rank] @ V.T).real
+    shapes = (vectors[rank] @ V.T).real
     top_component = jnp.take_along_axis(shapes, jnp.argmax(jnp.abs(shapes), axis=1)[:, None], axis=1)
     frequency = jnp.sqrt(jnp.maximum(squares.real[rank], 0.0)) * top / (2 * jnp.pi)
     return NormalModes(frequency, shapes / top_component)

@@ -12,7 +12,7 @@ from modalax._numerics.checks import is_traced
 from modalax.data.frf import FRF
 from modalax.identify.fraction import check_constraint
 from modalax.identify.lscf import RIDGE
-from modalax.identify.polynomial import limits, poles_of_factor, without_window
+from modalax.identify.polynomial import limits, poles_of_factor, weights_of, without_window
 from modalax.identify.tables import PoleTable
 from modalax.identify.zoom import Zoom, check_orders
 
@@ -21,6 +21,7 @@ def lsce(
     frf: FRF,
     orders: int | Sequence[int],
     *,
+    weights: str = "unit",
     constraint: str = "aN",
     real: bool = False,
     part: float = 0.5,
@@ -38,6 +39,10 @@ def lsce(
         The FRF, cut to the band of interest; its lines must be equispaced.
     orders
         Degrees of the prediction; order ``n`` with ``i`` references has ``n i`` poles.
+    weights
+        ``unit``, ``magnitude`` or ``variance``, averaged over lines and references to one weight an output,
+        :math:`w_o^{-2} = \mathrm{mean}_{ki} w_{oki}^{-2}`. Weights that differ from line to line would filter the
+        impulse responses, which then are no sums of exponentials: the poles would be wrong without any noise.
     constraint
         ``aN`` (the coefficient of the newest sample is one: forward prediction, the classical choice), ``a0``
         (backward prediction, whose computational poles are unstable) or ``norm``.
@@ -59,7 +64,7 @@ def lsce(
     Raises
     ------
     ValueError
-        If the lines are not equispaced, or too few for an order.
+        If the lines are not equispaced, or too few for an order, or an option is unknown.
 
     Notes
     -----
@@ -70,15 +75,17 @@ def lsce(
         raise ValueError(f"part is {part:g}; it is the part of the impulse response to use, above 0 and up to 1")
     samples = int(round(part * (2 * (frf.shape[0] - 1) if real else frf.shape[0])))
     found = check_orders(orders, samples - skip, limits(frf))
-    return _estimate(frf, jnp.asarray(ridge), found, check_constraint(constraint), real, skip, samples)
+    weight = 1 / jnp.sqrt(jnp.mean(weights_of(frf, weights) ** -2, axis=(0, 2)))
+    return _estimate(frf, weight, jnp.asarray(ridge), found, check_constraint(constraint), real, skip, samples)
 
 
 @eqx.filter_jit
 def _estimate(
-    frf: FRF, ridge: Array, orders: tuple[int, ...], constraint: str, real: bool, skip: int, samples: int
-) -> PoleTable:
+    frf: FRF, weight: Float[Array, " o"], ridge: Array, orders: tuple[int, ...], constraint: str, real: bool, skip: int,
+    samples: int,
+) -> PoleTable:  # fmt: skip
     h, zoomed = impulse_response(frf, real)
-    R = prediction_factor(h[skip:samples], orders[-1], ridge)
+    R = prediction_factor(h[skip:samples] * weight[:, None], orders[-1], ridge)
     return without_window(poles_of_factor(R, orders, frf.shape[2], constraint, real, zoomed, "lsce"), frf)
 
 

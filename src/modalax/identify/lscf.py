@@ -52,7 +52,9 @@ def lscf(
         non-linear structure are better computed each for itself.
     solver
         ``qr``: orthogonal factorisation, exact to rounding; ``moments``: normal matrix from moments, far faster for
-        many outputs, but blind below :math:`10^{-8}` of the largest FRF; ``auto``: moments for large sets.
+        many outputs, but blind below :math:`10^{-8}` of the largest FRF, so that without noise crowded modes come out
+        to 4e-5 in frequency and 2e-3 in damping only; ``auto``: moments for large sets (over 60 FRFs of 3000 lines
+        at order 80).
 
     Returns
     -------

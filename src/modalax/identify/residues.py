@@ -4,6 +4,7 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from modalax._numerics.checks import as_double, is_traced
@@ -114,7 +115,7 @@ def sigma_of(frf: FRF, weights: str | Float[Array, "f o i"]) -> Float[Array, "f 
         raise ValueError("weights 'variance' needs an FRF with a variance; this one has none")
     if weights == "unit" or frf.variance is None:
         return jnp.ones(frf.H.shape)
-    if not is_traced(frf.variance) and not bool((frf.variance > 0).any()):
+    if not is_traced(frf.variance) and not (np.asarray(frf.variance) > 0).any():
         return jnp.ones(frf.H.shape)
     # A sample said to be exact would outweigh all others: it gets the smallest variance that is not zero.
     smallest = jnp.min(jnp.where(frf.variance > 0, frf.variance, jnp.inf))

@@ -79,7 +79,7 @@ class ModalModel(eqx.Module):
                 f"{n} poles with shapes {self.shapes.shape} and participation {self.participation.shape}; "
                 "they need shapes (n, o) and (n, i)"
             )
-        if not is_traced(self.poles) and bool((self.poles.imag <= 0).any()):
+        if not is_traced(self.poles) and (np.asarray(self.poles).imag <= 0).any():
             raise ValueError("a pole has no positive imaginary part; store each conjugate pair once, by its upper pole")
         o, i = self.shapes.shape[1], self.participation.shape[1]
         zero = jnp.zeros((o, i), jnp.complex128)
