@@ -9,6 +9,7 @@ from modalax.data import FRF
 from modalax.identify import best_order, fit, lscf, missing_modes, plscf, refine, residues, select
 from modalax.identify.noise import residual_sigma
 from modalax.model import ModalModel
+from modalax.model.indicators import mpc
 
 FREQ = np.linspace(20, 110, 601)
 
@@ -141,6 +142,30 @@ def test_same_modes_out_of_thirty_random_bands(estimator, inputs, forty, errors,
             frequency, damping = errors(poles_of(table, order), forty, inside)
             assert frequency < limits[0], (band, order)
             assert damping < limits[1], (band, order)
+
+
+def test_score_of_a_mode_is_of_stability_collinearity_and_energy(outside):
+    """A fit without refinement; what each mode makes is summed here from its own FRF."""
+    frf, _ = noisy(outside, 3, 0.1, "even", inputs=("1", "4"))
+    found = fit(frf, refine=False)
+    model, total = found.model, float(jnp.sum(jnp.abs(frf.H) ** 2))
+    for r in np.flatnonzero(np.asarray(found.inside)):
+        own = ModalModel(
+            model.poles[r : r + 1], model.shapes[r : r + 1], model.participation[r : r + 1],
+            outputs=model.outputs, inputs=model.inputs,
+        )  # fmt: skip
+        energy = float(jnp.sum(jnp.abs(own.frf(FREQ).H) ** 2)) / total
+        assert float(found.energy[r]) == pytest.approx(energy, rel=0.02)  # the lower pole adds a little
+        strength = energy / (energy + float(found.unexplained))
+        mean = (float(found.stability_score[r]) + float(mpc(own.shapes)[0]) + strength) / 3
+        assert float(found.score[r]) == pytest.approx(mean, abs=0.01)
+    modes = found.to_dict()["modes"]
+    assert [m["score"] for m in modes] == pytest.approx(np.asarray(found.score)[np.asarray(found.inside)])
+    # The weakest is known least.
+    assert np.argmin([m["energy"] for m in modes]) == np.argmin([m["score"] for m in modes])
+    # With a roving hammer the shapes run along the inputs, and so does collinearity.
+    roving = fit(frf.transpose(), refine=False)
+    assert np.allclose(roving.mpc, found.mpc, atol=1e-9)
 
 
 def test_what_cannot_be_fitted_is_said():

@@ -24,7 +24,10 @@ def mode_table(modes: Sequence[Mapping[str, Any]], truth: tuple[Any, Any] | None
         "refinement removes it."
     )
     true = ["true"] if truth is not None else []
-    for name in ("Mode", "Frequency [Hz]", *true, "Damping [%]", *true, "MPC", "Bias [%]"):
+    score = ["Score"] if truth is None else []  # 80 columns do not hold both
+    if score:
+        table.caption = f"Score: mean of stability, MPC and strength against what is unexplained. {table.caption}"
+    for name in ("Mode", "Frequency [Hz]", *true, "Damping [%]", *true, "MPC", *score, "Bias [%]"):
         table.add_column(name, justify="right", no_wrap=True, style="dim" if name == "true" else None)
     for k, mode in enumerate(modes):
         bias = mode.get("predicted_damping_bias")
@@ -33,6 +36,7 @@ def mode_table(modes: Sequence[Mapping[str, Any]], truth: tuple[Any, Any] | None
             with_error(mode["frequency_hz"], mode["frequency_std_hz"]),
             with_error(mode["damping_ratio"], mode["damping_ratio_std"], 100.0),
             f"{mode['mpc']:.3f}",
+            *(f"{mode['score']:.2f}" for _ in score),
             "" if bias is None else f"{100 * bias / mode['damping_ratio']:+.2g}",
         ]
         if truth is not None:

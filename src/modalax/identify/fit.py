@@ -50,7 +50,8 @@ class Fit(eqx.Module):
         Bias that noise gives the damping in the diagram's estimator, at ``order``, shape ``(n,)``; NaN where it
         cannot be predicted; None without a noise variance or for other estimators.
     mpc
-        Modal phase collinearity, shape ``(n,)``.
+        Modal phase collinearity of the shapes, or of the participation where there are more inputs than outputs (a
+        roving hammer), shape ``(n,)``.
     stability_score
         Part of the orders at which each mode stands in the diagram, shape ``(n,)``; 0 for modes found in the
         residual only.
@@ -73,6 +74,19 @@ class Fit(eqx.Module):
     energy: Float[Array, " n"]
     unexplained: Float[Array, ""]
     order: int = eqx.field(static=True)
+
+    @property
+    def score(self) -> Float[Array, " n"]:
+        r"""How sure each mode is, the mean of three numbers from 0 to 1: shape ``(n,)``.
+
+        .. math:: \tfrac13\Big(\text{stability} + \mathrm{MPC} + \frac{e_r}{e_r + u}\Big)
+
+        The last compares the mode's part of the sum of squares, :math:`e_r`, with what all modes leave, :math:`u`. A
+        mean, because a true mode may well lack one: a weak one energy, one of non-proportional damping collinearity,
+        one that was found in the residual stability.
+        """
+        strength = self.energy / (self.energy + self.unexplained)
+        return (self.stability_score + self.mpc + strength) / 3
 
     def synthesised(self) -> FRF:
         """The model's FRF at the lines of the fit."""
@@ -119,6 +133,7 @@ class Fit(eqx.Module):
             "modal_mass_std_kg": None if refined is None else pick(refined.modal_mass_std),
             "modal_a": None if a is None else pair(a[r]),
             "drive_point": drive[0] if drive else None,
+            "score": float(self.score[r]),
             "stability": float(self.stability_score[r]),
             "energy": float(self.energy[r]),
         }
@@ -236,7 +251,7 @@ def _summary(
         selection=selection,
         refined=refined,
         predicted_damping_bias=_bias(frf, weighted, made, model, table, order, turned),
-        mpc=mpc(model.shapes),
+        mpc=mpc(model.shapes if frf.shape[1] >= frf.shape[2] else model.participation),
         stability_score=jnp.asarray(score),
         energy=_energies(model, frf) / total,
         unexplained=jnp.sum(jnp.abs(frf.H - made.H) ** 2) / total,

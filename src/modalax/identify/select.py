@@ -22,7 +22,8 @@ class Selection(eqx.Module):
     participation
         Shape ``(n, i)``, or None where the estimator has none.
     score
-        Part of the orders (from the first at which the mode showed) that have the mode, in 0..1, shape ``(n,)``.
+        Part of the orders (from the first at which the mode showed) that have the mode, in 0..1, shape ``(n,)``: the
+        stability, which is all that a diagram tells. ``Fit.score`` adds shape and energy.
     spread
         Median change from order to order, relative to :math:`|\lambda|`, shape ``(n,)``.
     order
