@@ -11,7 +11,7 @@ import modalax
 from modalax import Measurement, Structure
 from modalax.diagnose import ChannelCause, LocalCause, Parameter, Place, diagnose, strengths
 from modalax.diagnose.causes import catalogue
-from modalax.diagnose.causes.channels import ChannelGain, ChannelSign, TimeDelay
+from modalax.diagnose.causes.channels import ChannelGain, ChannelSign, CommonDelay, TimeDelay
 from modalax.diagnose.causes.joints import QuadraticDamping
 from modalax.diagnose.causes.local import AddedMass, JointStiffness, LocalDamper
 from modalax.diagnose.diagnosis import _if_it_predicts
@@ -21,7 +21,7 @@ from modalax.simulate import simulate
 from modalax.simulate.joints import PolynomialDamping
 
 FREQ = np.linspace(20.0, 70.0, 128)
-FEW = [JointStiffness(), LocalDamper(), AddedMass(), ChannelGain(), ChannelSign(), TimeDelay()]
+FEW = [JointStiffness(), LocalDamper(), AddedMass(), ChannelGain(), ChannelSign(), TimeDelay(), CommonDelay()]
 
 
 def measured(structure, seed=0, noise=0.02, runs=1, change=None, form="mobility"):

@@ -10,9 +10,10 @@ import scipy.special
 import scipy.stats
 
 from modalax.diagnose.causes.patterns import PatternCause
+from modalax.diagnose.changes import Residual
 from modalax.diagnose.fit import Hypothesis
 from modalax.diagnose.omnibus import Omnibus
-from modalax.diagnose.screen import Residual, Trial, independent
+from modalax.diagnose.screen import Trial, independent
 
 ALARM = 0.01  # nominal chance of an alarm where nothing is wrong
 SHARES = {"scores": 0.6, "patterns": 0.1, "hum": 0.1, "omnibus": 0.2}  # of the alarms, by kind of test

@@ -16,11 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from modalax.diagnose.causes.base import Cause, Place
+from modalax.diagnose.changes import BATCH, FEW, Residual
 from modalax.diagnose.fit import Hypothesis
 from modalax.diagnose.predict import Modes, equivalent, gains_of
 from modalax.diagnose.problem import Problem
 from modalax.diagnose.quick import Target, fit_quick
-from modalax.diagnose.screen import BATCH, FEW, KEPT_PLACES, KEPT_SHAPES, Residual, Trial, best_trial, smallest
+from modalax.diagnose.screen import KEPT_PLACES, KEPT_SHAPES, Trial, best_trial, smallest
 
 LARGE = 200_000  # samples from which fewer directions are kept
 ROUNDING = 1e-9  # of the largest component, below which the imaginary part of shapes is that of the eigensolver

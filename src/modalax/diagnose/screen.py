@@ -5,27 +5,23 @@ With g the change of the whitened prediction and r the residual, nuisances proje
 :math:`2\langle g,r\rangle - |g|^2` is the chi-square that exactly this size would take away.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
-import jax
 import numpy as np
 
 from modalax.diagnose.causes.base import Cause, Place, Scene
 from modalax.diagnose.causes.patterns import PatternCause
-from modalax.diagnose.fit import Hypothesis, Nuisance, modal_directions, projected
-from modalax.diagnose.predict import predict
+from modalax.diagnose.changes import Residual, changes_in_batches, plain, rows_of
+from modalax.diagnose.fit import Hypothesis, Nuisance, modal_directions
 from modalax.diagnose.problem import Problem
 from modalax.diagnose.quick import Target, fit_quick
 from modalax.diagnose.study import Study
 
-BATCH, FEW = 32, 4  # trials worked on together, and in the small batches of a fit
 MANY_PLACES = 40  # beyond this, finite sizes are tried only where the derivative looks promising
 KEPT = 12
 KEPT_PLACES, KEPT_SHAPES = 8, 4
-NOWHERE = np.zeros((0, 3), np.int64)
 
 
 @dataclass
@@ -60,59 +56,6 @@ class Trial:
     trials: int = 1
 
 
-@dataclass(frozen=True)
-class Residual:
-    """Residual of the present hypothesis and its nuisance directions.
-
-    Attributes
-    ----------
-    value
-        Whitened, projected, shape ``(o, i, run f 2)``.
-    nuisance
-        Directions of the modal parameters times their spread, shape ``(k, o, i, run f 2)``.
-    inner
-        :math:`(I + G^TG)^{-1}`, shape ``(k, k)``.
-    """
-
-    value: np.ndarray
-    nuisance: np.ndarray
-    inner: np.ndarray
-
-
-@partial(jax.jit, static_argnames=("cause",), compiler_options={"xla_backend_optimization_level": 1})
-def _changes(cause, index, params, base, theta, spread, basis, problem):
-    def one(k, p):
-        H = predict((cause,), k[None], (None,), (p,), theta * spread, problem)
-        return projected(problem.weight * (H - base), basis).ravel()
-
-    return jax.vmap(one)(index, params)
-
-
-def changes_in_batches(
-    cause: Cause, index: np.ndarray, params: np.ndarray, base: Any, theta: np.ndarray, nuisance: Nuisance,
-    problem: Problem, few: bool = False,
-) -> Iterator[np.ndarray]:  # fmt: skip
-    """Whitened changes of the prediction by one cause at many places and parameters, shape ``(trial, samples)``.
-
-    Every batch is filled up to one of two sizes, so that each cause is compiled once or twice; ``few`` allows the
-    smaller one.
-    """
-    most, start = batch_of(problem), 0
-    while start < len(params):
-        size = min(FEW, most) if few and len(params) - start <= most // 2 else most
-        take = slice(start, start + size)
-        at, p = index[take], params[take]
-        fill = np.minimum(np.arange(size), len(p) - 1)
-        y = _changes(cause, at[fill], p[fill], base, theta, nuisance.spread, nuisance.basis, problem)
-        yield np.asarray(y)[: len(p)]
-        start += size
-
-
-@jax.jit
-def _plain(theta, spread, problem):
-    return predict((), NOWHERE, (), (), theta * spread, problem)
-
-
 def nuisance_of(theta: np.ndarray, study: Study) -> np.ndarray:
     """Directions of the modal parameters times their spread, those that show."""
     problem, nuisance = study.problem, study.nuisance
@@ -140,18 +83,19 @@ def screen(
     index = np.concatenate([np.repeat([place.index], len(grid), axis=0) for _, place, grid in causes])
     params = np.concatenate([grid for *_, grid in causes])
     owner = np.concatenate([np.full(len(grid), k) for k, (*_, grid) in enumerate(causes)])
-    base = _plain(theta, nuisance.spread, problem)
+    base = plain(theta, nuisance.spread, problem)
     small = np.concatenate([smallest(grid) for *_, grid in causes])
     # a few places stand for all where only the likeness of directions is wanted
     some = np.unique(np.linspace(0, len(causes) - 1, KEPT_PLACES).astype(int))
     wanted = small & np.isin(owner, some) & keep
-    toward, K = residual.value.ravel(), len(residual.inner)
-    flat = residual.nuisance.reshape(K, -1)
+    rows = rows_of(cause, index, problem)
     directions: dict[int, np.ndarray] = {}
     parts, row = [], 0
     for y in changes_in_batches(cause, index, params, base, theta, nuisance, problem):
-        parts.append((np.einsum("pn,pn->p", y, y), y @ toward, y @ flat.T))
-        directions |= {row + int(k): y[k].copy() for k in np.flatnonzero(wanted[row : row + len(y)])}
+        here = None if rows is None else rows[row : row + len(y)]
+        parts.append(_products(y, residual.target(here)))
+        for k in np.flatnonzero(wanted[row : row + len(y)]):
+            directions[row + int(k)] = _whole(y[k], None if here is None else here[k], residual.value.shape)
         row += len(y)
     square, product, across = (np.concatenate(p) for p in zip(*parts, strict=True))
     if len(residual.inner):
@@ -163,6 +107,23 @@ def screen(
         trial = best_trial(cause, place, grid, square[mine], product[mine])
         out.append(replace(trial, direction=np.stack(kept[:KEPT_SHAPES])) if kept else trial)
     return out
+
+
+def _products(y: np.ndarray, aim: Target) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Squares of changes ``(trial, sample)``, and their products with the residual and with the nuisances."""
+    square = np.einsum("pn,pn->p", y, y)
+    if len(aim.toward) == 1 < len(y):
+        return square, y @ aim.toward[0], y @ aim.nuisance[0].T
+    return square, np.einsum("pn,pn->p", y, aim.toward), (aim.nuisance @ y[..., None])[..., 0]
+
+
+def _whole(y: np.ndarray, rows: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:
+    """A change in all samples, from that of some outputs."""
+    if rows is None:
+        return y.copy()
+    out = np.zeros(shape)
+    out[rows] = y.reshape(len(rows), *shape[1:])
+    return out.ravel()
 
 
 def best_trial(cause: Cause, place: Place, grid: np.ndarray, square: np.ndarray, product: np.ndarray) -> Trial:
@@ -237,21 +198,22 @@ def fit_screened(
     """Fit single causes of any kind but elements and patterns, through the changes that screening computes."""
     cause = starts[0].causes[0]
     problem, nuisance, _ = study.side(cause.per_run)
-    plain = _plain(base.theta, nuisance.spread, problem)
-    K = len(state.inner)
-    aim = Target(np.ones((1, 1)), state.value.reshape(1, -1), state.nuisance.reshape(1, K, -1), state.inner)
+    before = plain(base.theta, nuisance.spread, problem)
+    whole = state.target()
+
+    def places(part: list[Hypothesis]) -> np.ndarray:
+        return np.stack([h.index[0] for h in part])
+
+    def target(part: list[Hypothesis]) -> Target:
+        rows = rows_of(cause, places(part), problem)
+        return whole if rows is None else state.target(rows)
 
     def changes(part: list[Hypothesis], owner: np.ndarray, params: np.ndarray) -> np.ndarray:
-        index = np.stack([h.index[0] for h in part])[owner]
-        batches = changes_in_batches(cause, index, params, plain, base.theta, nuisance, problem, few=True)
+        index = places(part)[owner]
+        batches = changes_in_batches(cause, index, params, before, base.theta, nuisance, problem, few=True)
         return np.concatenate(list(batches))
 
-    return fit_quick(study, base, starts, lambda part: aim, changes, rounds)
-
-
-def batch_of(problem: Problem) -> int:
-    """How many trials are worked on together."""
-    return max(1, min(BATCH, int(4e7 / max(problem.data.size, 1))))
+    return fit_quick(study, base, starts, target, changes, rounds)
 
 
 def screen_pattern(cause: PatternCause, scene: Scene, residual: Residual, problem: Problem) -> Trial:

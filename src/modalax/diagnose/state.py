@@ -8,12 +8,13 @@ import numpy as np
 
 from modalax.diagnose.causes.base import Cause, Place
 from modalax.diagnose.causes.channels import ChannelSwap
+from modalax.diagnose.changes import Residual
 from modalax.diagnose.elements import Reduced, as_one, complex_of, reduce
 from modalax.diagnose.evidence import is_element
 from modalax.diagnose.fit import Hypothesis
 from modalax.diagnose.places import MANY, Sketch, likely_swaps, shortlist, sketch
 from modalax.diagnose.problem import bucket
-from modalax.diagnose.screen import Residual, nuisance_of
+from modalax.diagnose.screen import nuisance_of
 from modalax.diagnose.study import Study
 
 SPARE = 4  # directions kept free for the parameters of causes already found

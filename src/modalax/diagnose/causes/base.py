@@ -195,6 +195,8 @@ class Cause:
         Relative error of the predicted effect itself; a misfit below it is no sign of an unknown cause.
     prior
         Weight of the cause before the data, relative to others.
+    rows
+        Number of outputs that the effect is confined to, the first of the place's numbers; 0 where it may be any.
     unseen
         Number of parameters that FRFs do not show to first order, and that therefore cost nothing.
     """
@@ -207,6 +209,7 @@ class Cause:
     fidelity: ClassVar[float] = 0.0
     prior: ClassVar[float] = 1.0
     unseen: ClassVar[int] = 0
+    rows: ClassVar[int] = 0
     summary: ClassVar[str] = ""
 
     def places(self, scene: Scene) -> list[Place]:

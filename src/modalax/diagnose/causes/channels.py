@@ -34,6 +34,7 @@ class ChannelGain(ChannelCause):
 
     slug = "channel_gain"
     summary = "calibration of one sensor"
+    rows = 1
     parameters = (Parameter("gain", "-", -0.999),)
 
     def places(self, scene: Scene) -> list[Place]:
@@ -54,6 +55,7 @@ class ChannelSign(ChannelCause):
 
     slug = "channel_sign"
     summary = "sign of one sensor"
+    rows = 1
 
     def places(self, scene: Scene) -> list[Place]:
         """Every output."""
@@ -73,6 +75,7 @@ class ChannelSwap(ChannelCause):
 
     slug = "channel_swap"
     summary = "two sensors exchanged"
+    rows = 2
 
     def places(self, scene: Scene) -> list[Place]:
         """Every pair of outputs."""
@@ -91,24 +94,40 @@ class ChannelSwap(ChannelCause):
 
 
 class TimeDelay(ChannelCause):
-    r"""A delay of one channel or of all, :math:`e^{-j\omega\tau}`."""
+    r"""A delay of one channel, :math:`e^{-j\omega\tau}`."""
 
     slug = "time_delay"
-    summary = "delay of one sensor or of all"
+    summary = "delay of one sensor"
     parameters = (Parameter("delay", "s"),)
+    prior = 0.5
+    rows = 1
 
     def places(self, scene: Scene) -> list[Place]:
-        """All outputs together, then every one."""
-        return [Place((), (-1, -1, 0))] + (scene.channels() if len(scene.outputs) > 1 else [])
+        """Every output, if there are several."""
+        return scene.channels() if len(scene.outputs) > 1 else []
 
     def grid(self, scene: Scene, place: Place) -> np.ndarray:
         """Up to a full turn of the phase at the end of the band."""
         return strengths(1 / (2 * np.pi * scene.freq[-1]), ((),), (1e-3, 0.2, 0.7, 1.5, 3.0))
 
     def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
-        """Turn the phase of one row or of all."""
-        which = jnp.where(where[0] < 0, 1.0, one_row(H, where[0]))
-        return H * jnp.exp(-1j * at.s.imag[:, None, None] * p[0] * which)
+        """Turn the phase of one row."""
+        return H * jnp.exp(-1j * at.s.imag[:, None, None] * p[0] * one_row(H, where[0]))
+
+
+class CommonDelay(TimeDelay):
+    r"""A delay of all channels beside the force, :math:`e^{-j\omega\tau}`."""
+
+    summary = "delay of all sensors"
+    rows = 0
+
+    def places(self, scene: Scene) -> list[Place]:
+        """All outputs together."""
+        return [Place(())]
+
+    def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
+        """Turn the phase of all."""
+        return H * jnp.exp(-1j * at.s.imag[:, None, None] * p[0])
 
 
 class Units(ChannelCause):
@@ -136,6 +155,7 @@ class SensorMass(ChannelCause):
 
     slug = "sensor_mass"
     summary = "mass of a roving sensor"
+    rows = 1
     parameters = (Parameter("mass", "kg", 0.0),)
 
     def places(self, scene: Scene) -> list[Place]:
@@ -188,5 +208,5 @@ class ForceDropout(ChannelCause):
 
 
 CHANNELS: tuple[Any, ...] = (
-    ChannelGain(), ChannelSign(), ChannelSwap(), TimeDelay(), Units(), SensorMass(), ForceDropout(),
+    ChannelGain(), ChannelSign(), ChannelSwap(), TimeDelay(), CommonDelay(), Units(), SensorMass(), ForceDropout(),
 )  # fmt: skip

@@ -209,6 +209,7 @@ class AcCoupling(ChannelCause):
     slug = "ac_coupling"
     summary = "high-pass filter of one sensor"
     prior = RARE
+    rows = 1
     parameters = (Parameter("corner_frequency", "Hz", 0.0),)
 
     def places(self, scene: Scene) -> list[Place]:
@@ -231,6 +232,7 @@ class SensorLowpass(ChannelCause):
     slug = "sensor_lowpass"
     summary = "low-pass filter of one sensor"
     prior = RARE / 2
+    rows = 1
     parameters = (Parameter("time_constant", "s", 0.0),)
 
     def places(self, scene: Scene) -> list[Place]:
@@ -281,6 +283,7 @@ class SensorResonance(ChannelCause):
     slug = "sensor_resonance"
     summary = "a resonance of the mount of one sensor"
     prior = RARE
+    rows = 1
     parameters = (
         Parameter("share", "-"),
         Parameter("frequency", "Hz", 1e-3, log=True),
@@ -338,6 +341,7 @@ class ClippedSensor(ChannelCause):
     summary = "one sensor saturates"
     per_run = True
     prior = RARE
+    rows = 1
     fidelity = 0.01
     parameters = (Parameter("inverse_ceiling", "1/unit", 0.0),)
 
