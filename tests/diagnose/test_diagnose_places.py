@@ -7,18 +7,20 @@ import numpy as np
 import pytest
 
 from modalax import Measurement, Structure
+from modalax.diagnose import changes
 from modalax.diagnose import places as many
 from modalax.diagnose.causes.base import Place, Scene
-from modalax.diagnose.causes.channels import ChannelGain, ChannelSwap
+from modalax.diagnose.causes.channels import ChannelGain, ChannelSwap, SensorMass
 from modalax.diagnose.causes.lines import MainsHum, hums
 from modalax.diagnose.causes.local import Gyroscopic, JointStiffness, LocalDamper
 from modalax.diagnose.causes.patterns import MissingMode, OutOfBand
+from modalax.diagnose.changes import Residual
 from modalax.diagnose.decide import detect
 from modalax.diagnose.elements import at_places, ends, factors_of, reduce, score
 from modalax.diagnose.extend import _key
 from modalax.diagnose.fit import Hypothesis
 from modalax.diagnose.omnibus import Omnibus
-from modalax.diagnose.screen import Residual, Trial, screen_pattern
+from modalax.diagnose.screen import Trial, screen_cause, screen_pattern
 from modalax.diagnose.state import state_of
 from modalax.diagnose.study import make_study
 
@@ -284,3 +286,27 @@ def test_several_far_modes_of_unlike_shapes_are_residual_terms_in_every_channel(
     assert OutOfBand("upper").sizes(5, 2) == 6 and OutOfBand("both", several=True).sizes(5, 2) == 20
     keys = [_key(OutOfBand(side, k)) for side in ("upper", "lower", "both") for k in (False, True)]
     assert len(set(keys)) == 6  # they are saved and loaded apart
+
+
+@pytest.mark.parametrize("cause", [SensorMass(), ChannelSwap()], ids=lambda c: c.slug)
+def test_causes_of_single_sensors_explain_what_they_would_over_all_outputs(cause, monkeypatch):
+    structure = grid(8, True)
+    loaded = Structure(structure.M + np.diag([0, 0, 0.02, 0, 0, 0, 0, 0]), structure.C, structure.K, structure.dofs)
+    study, state = study_of(structure, loaded, lines=40)
+    problem, nuisance, residual = study.side(False)[0], study.side(False)[1], state.sides[False]
+    places = cause.places(study.scene)
+    assert changes.rows_of(cause, np.array([p.index for p in places]), problem) is not None
+
+    def screened():
+        theta = np.zeros((2, problem.plant.stiffness.shape[0]))
+        return screen_cause(cause, study.scene, places, theta, residual, problem, nuisance, True)
+
+    own = screened()
+    monkeypatch.setattr(changes, "rows_of", lambda *_: None)
+    monkeypatch.setattr("modalax.diagnose.screen.rows_of", lambda *_: None)
+    for one, whole in zip(own, screened(), strict=True):
+        np.testing.assert_allclose(one.gain, whole.gain, rtol=1e-9, atol=1e-9)
+        assert (one.direction is None) == (whole.direction is None)
+        if one.direction is not None:
+            np.testing.assert_allclose(one.direction, whole.direction, atol=1e-12 * np.abs(whole.direction).max())
+    assert len({round(t.gain, 6) for t in own}) == len(places)  # a gain of its own at each place
