@@ -4,7 +4,9 @@ import argparse
 import time
 from pathlib import Path
 
+import bias
 import jax
+import masses
 import matplotlib
 import section3
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -66,10 +68,10 @@ def run(part: str, out: Path, progress: Progress) -> list[str]:
         return [text.replace("\n#", "\n##").replace("# Section", "## Section", 1)]
     totals = {
         "errors": len(section3.METHODS) * 6,
-        "masses": 6,
+        "masses": 9,
         "prediction": 36,
-        "expected": len(section3.EXPECTED) * len(section3.EXPECTED_LEVELS),
-        "estimators": len(section3.ESTIMATORS) + 6,
+        "expected": len(bias.EXPECTED) * len(bias.EXPECTED_LEVELS),
+        "estimators": len(bias.ESTIMATORS),
     }
     task = progress.add_task(part, total=totals.get(part, 1))
     advance = lambda: progress.advance(task)  # noqa: E731
@@ -84,21 +86,21 @@ def run(part: str, out: Path, progress: Progress) -> list[str]:
             second,
         ]
     if part == "prediction":
-        return ["## LSCF damping bias in white noise: predicted against drawn\n", section3.prediction(advance)]
+        return ["## LSCF damping bias in white noise: predicted against drawn\n", bias.prediction(advance)]
     if part == "expected":
-        return ["## LSCE and FDPI damping bias in white noise: predicted against drawn\n", section3.expected(advance)]
+        return ["## LSCE and FDPI damping bias in white noise: predicted against drawn\n", bias.expected(advance)]
     if part == "masses":
-        return ["## Modal mass and MAC\n", section3.masses(advance)]
+        return ["## Modal mass and MAC\n", masses.masses(advance)]
     if part == "estimators":
         return [
             "## Damping by estimator (circular Gaussian noise of the same variance)\n",
-            section3.estimators(advance),
+            bias.estimators(advance),
         ]
     titles = {
         "noise-free": ("## Section 3: without noise\n", section3.noise_free),
         "definitions": ("## Which noise definition fits -83 % on mode 3\n", section3.definitions),
         "diagrams": ("## Figures 1, 4-6: stabilization diagrams at 15 % noise\n", lambda: section3.diagrams(out)),
-        "figure 9": ("## Figure 9: +50 % on the damping of mode 1\n", lambda: section3.imposed_damping(out)),
+        "figure 9": ("## Figure 9: +50 % on the damping of mode 1\n", lambda: masses.imposed_damping(out)),
     }
     title, make = titles[part]
     if part == "definitions":

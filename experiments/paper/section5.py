@@ -12,6 +12,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
+from meter import Meter
 from scipy.optimize import linear_sum_assignment
 from system import table
 
@@ -109,7 +110,7 @@ def study(out: Path, advance: Callable[[], None]) -> list[str]:
     plane = aircraft()
     advance()
     found: dict[str, np.ndarray] = {name: np.full(MODES, np.nan, complex) for name in (*ESTIMATORS, LIKELIHOOD)}
-    spent = dict.fromkeys(found, 0.0)
+    meter = Meter()
     truth = np.abs(plane.poles) / (2 * np.pi)
     width = round((EDGES[1] - EDGES[0] + 2 * MARGIN) / STEP)  # one number of lines, so one compilation
     for low, high in zip(EDGES[:-1], EDGES[1:], strict=True):
@@ -120,18 +121,16 @@ def study(out: Path, advance: Callable[[], None]) -> list[str]:
         around = np.flatnonzero((truth >= low - MARGIN) & (truth < high + MARGIN))
         matched = {}
         for name, estimator in ESTIMATORS.items():
-            tick = time.perf_counter()
-            matched[name] = _matched(plane, frf, estimator(frf), around)
+            with meter.running(name):
+                matched[name] = _matched(plane, frf, estimator(frf), around)
             found[name][here] = matched[name][np.isin(around, here)]
-            spent[name] += time.perf_counter() - tick
-        tick = time.perf_counter()
         # a mode that is left out bends its neighbours, so each starts from the first method that has it
         start = np.full(len(around), np.nan, complex)
         for name in START:
             start = np.where(np.isfinite(start), start, matched[name])
-        refined = _matched(plane, frf, _likelihood(frf, start), around)
+        with meter.running(LIKELIHOOD):
+            refined = _matched(plane, frf, _likelihood(frf, start), around)
         found[LIKELIHOOD][here] = refined[np.isin(around, here)]
-        spent[LIKELIHOOD] += time.perf_counter() - tick
         advance()
     _draw(out, plane, found)
     (out / "section5_modes.md").write_text(_mode_by_mode(plane, found))
@@ -139,7 +138,7 @@ def study(out: Path, advance: Callable[[], None]) -> list[str]:
         f"{sum(SENSORS.values())} sensors, 4 exciters, {MODES} modes, {len(plane.freq)} lines: "
         f"{plane.H.nbytes / 1e6:.0f} MB of FRFs, {time.perf_counter() - began:.0f} s in all.\n"
     )
-    return [head, _counts(plane, found, spent), _against_fdpi(found)]
+    return [head, _counts(plane, found, meter), _against_fdpi(found)]
 
 
 def _matched(plane: Aircraft, frf: FRF, result: PoleTable, around: np.ndarray) -> np.ndarray:
@@ -205,7 +204,7 @@ ESTIMATORS: dict[str, Callable[[FRF], PoleTable]] = {
 }
 
 
-def _counts(plane: Aircraft, found: dict[str, np.ndarray], spent: dict[str, float]) -> str:
+def _counts(plane: Aircraft, found: dict[str, np.ndarray], meter: Meter) -> str:
     rows = []
     for name, poles in found.items():
         df = 100 * (np.abs(poles) / np.abs(plane.poles) - 1)
@@ -216,11 +215,13 @@ def _counts(plane: Aircraft, found: dict[str, np.ndarray], spent: dict[str, floa
         rows.append([
             name, str(there.sum()), f"{(abs(df[there]) > 1).sum()} / {(abs(df[linear]) > 1).sum()}",
             f"{(abs(dz[there]) > 50).sum()} / {(abs(dz[linear]) > 50).sum()}", f"{(dz[there] < 0).sum()}",
-            f"{np.median(dz[linear]):+.1f}", f"{np.median(abs(dz[linear])):.1f}", f"{spent[name]:.0f}",
+            f"{np.median(dz[linear]):+.1f}", f"{np.median(abs(dz[linear])):.1f}", f"{meter.seconds[name]:.0f}",
+            f"{meter.megabytes[name]:.0f}",
         ])  # fmt: skip
     return table(
         ["method", "modes found", "frequency off by more than 1 %: all / linear", "damping off by more than 50 %",
-         "damping underestimated", "median damping error, linear [%]", "median size of it [%]", "seconds"], rows,
+         "damping underestimated", "median damping error, linear [%]", "median size of it [%]", "seconds",
+         "peak memory above what was held before [MB]"], rows,
     )  # fmt: skip
 
 
