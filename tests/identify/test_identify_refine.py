@@ -3,8 +3,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from modalax.identify import cramer_rao, refine, residues
+from modalax.identify import cramer_rao, lscf, refine, residues
 from modalax.model import ModalModel
+from modalax.model.modal import poles_from
 
 FREQ = np.arange(200, 701) * 0.1
 
@@ -214,11 +215,47 @@ class TestRefine:
         assert float(missing.whiteness) < 1e-12
         assert float(missing.noise_scale) > 2
 
+    @pytest.mark.slow
+    def test_same_maximum_from_lscf_as_from_the_truth_in_loud_noise(self, paper_frf, paper):
+        """25 % noise: LSCF gives the third mode a damping that is low by four fifths and more, or none."""
+        for seed in range(6):
+            frf = paper_frf.add_noise(jax.random.key(100 + seed), 0.25)
+            table = lscf(frf, 32)
+            ok = np.asarray(table.valid[0] & (table.poles[0].imag > 0))
+            poles = np.asarray(table.poles[0])[ok]
+            near = np.abs(poles - np.asarray(paper.poles)[:, None]).argmin(axis=1)
+            assert len(set(near)) == 5
+            found = refine(frf, residues(frf, poles[near]))
+            best = refine(frf, residues(frf, paper.poles))
+            assert found.success, found.reason
+            assert np.allclose(found.chi2, best.chi2, rtol=1e-9)
+            assert np.allclose(found.model.poles, best.model.poles, rtol=1e-5)
+
     def test_reasons(self, paper_frf, paper):
         frf = paper_frf.add_noise(jax.random.key(0), 0.05)
         short = refine(frf, start_of(frf, paper), max_steps=2)
         assert not bool(short.success)
         assert "ran out of steps" in short.reason
+
+    @pytest.mark.parametrize(
+        ("mode", "start", "weights", "reason"),
+        [
+            ((10.0, 0.01), (10.05, 0.02), "auto", "a maximum here"),
+            ((10.0, 0.01), (12.0, 0.005), "auto", "left the neighbourhood of its start"),
+            ((16.0, 0.01), (14.0, 0.02), "auto", "left the neighbourhood of its start"),  # beyond the band
+            ((10.013, 1e-9), (10.02, 0.002), "auto", "lost its damping"),
+            ((10.0, 0.01), (10.05, 0.02), jnp.full((201, 1, 1), 1e-300), "do not make a finite likelihood"),
+        ],
+        ids=["none", "moved", "moved out of the band", "no damping", "weights beyond numbers"],
+    )
+    def test_every_reason_of_a_failure(self, mode, start, weights, reason):
+        """One mode from 5 to 15 Hz, 1 % noise. Out of steps stands above, contradicting rows in a file of their own."""
+        one = ModalModel.from_real_modes([mode[0]], [mode[1]], [[1.0]], [2.0], ["p"])
+        frf = one.frf(np.linspace(5, 15, 201)).add_noise(jax.random.key(0), 0.01)
+        poles = poles_from([start[0]], [start[1]])
+        result = refine(frf, residues(frf, poles, residuals="none"), residuals="none", weights=weights)
+        assert reason in result.reason
+        assert bool(result.success) == (reason == "a maximum here")
 
     def test_refusals(self, paper_frf, paper):
         start = residues(paper_frf, paper.poles)

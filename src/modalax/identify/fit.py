@@ -18,7 +18,7 @@ from modalax.identify.noise import smooth_variance
 from modalax.identify.plscf import plscf
 from modalax.identify.refine import Refined
 from modalax.identify.residues import residues as fit_residues
-from modalax.identify.rounds import likelihood_rounds, synthesis
+from modalax.identify.rounds import diagram_poles, likelihood_rounds, synthesis
 from modalax.identify.select import Selection, best_order, select
 from modalax.identify.stabilize import Stability, stabilization
 from modalax.identify.tables import PoleTable
@@ -154,7 +154,8 @@ def fit(
 
     Modes that last over the orders of the diagram are refined together; then modes that the residual asks for are
     added and modes without evidence dropped, until neither is left. Without a noise variance the noise is estimated
-    from the residual, line by line and channel by channel, and the fit repeated with it.
+    from the residual, line by line and channel by channel, and the fit repeated with it. FRFs that are all but free of
+    noise keep the diagram's poles where modes beyond the band are seen: the same modes then come out of any band.
 
     Parameters
     ----------
@@ -204,7 +205,10 @@ def fit(
     model = fit_residues(weighted, selection.poles, residuals=residuals, real_modes=real_modes)
     refined = None
     if refine:
-        model, refined = likelihood_rounds(weighted, model, tell, residuals=residuals, real_modes=real_modes)
+        how = {"residuals": residuals, "real_modes": real_modes}
+        refined = diagram_poles(weighted, model, selection.spread, tell, **how)
+        refined = refined or likelihood_rounds(weighted, model, tell, **how)
+        model = refined.model
     tell("summing up")
     return _summary(frf, weighted, model, refined, table, selection, data is not frf)
 

@@ -24,11 +24,12 @@ REASONS = (
     "a mode lost its damping: at its frequency the data holds no resonance",
     "a mode left the neighbourhood of its start, the frequency moved by more than five half-bandwidths",
     "no one linear model makes all FRFs: some modes' poles are those of least squares where they dominate",
+    "the poles are the diagram's: they are known better than any modal model of the band makes the FRFs",
 )
 REACH = 2.0  # half-bandwidths outside the band from which on a mode keeps the damping of its start
 MANY = 20  # rows from which on their scores tell how much rows differ
 CORRELATED = 1e-3  # p-value of the whiteness test below which lines are taken to be correlated
-OUT_OF_STEPS, CONTRADICTION = 1, 5  # indices of their reasons
+OUT_OF_STEPS, CONTRADICTION, HELD = 1, 5, 6  # indices of their reasons
 UNIT = 1e-9  # standard deviation assumed where none is known, relative to the FRF
 
 
@@ -330,10 +331,13 @@ def _reason(
 ) -> Int[Array, ""]:
     moved = jnp.abs(theta[:, 0] - start[:, 0]) > 5 * jnp.maximum(jnp.exp(start[:, 1]), jnp.exp(theta[:, 1])) + 0.02
     finished = solution.result == optx.RESULTS.successful
-    own = jnp.exp(theta[:, 0])
-    inside = (active > 0) & (own > jnp.min(omega)) & (own < jnp.max(omega))  # further out the data need not tell
+    # A mode that lies outside the band, and did from the start, the data need not tell.
+    began, inside = (
+        (active > 0) & (log > jnp.log(jnp.min(omega))) & (log < jnp.log(jnp.max(omega)))
+        for log in (start[:, 0], theta[:, 0])
+    )
     lost = jnp.any(inside & (theta[:, 1] <= jnp.log(UNDAMPED)))
-    code = jnp.where(jnp.any(moved & inside), 4, 0)
+    code = jnp.where(jnp.any(moved & (began | inside)), 4, 0)
     code = jnp.where(lost, 3, code)
     code = jnp.where(finished, code, 1)
     return jnp.where(jnp.isfinite(chi2) & jnp.all(jnp.isfinite(theta)), code, 2)

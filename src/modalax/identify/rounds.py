@@ -1,18 +1,19 @@
 """Rounds of maximum likelihood: modes that the residual asks for are added, modes without evidence dropped."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 import scipy.stats
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from modalax.data.frf import FRF
 from modalax.identify.likelihood import UNDAMPED
 from modalax.identify.local import fit_where_dominant
 from modalax.identify.noise import residual_sigma
-from modalax.identify.refine import CORRELATED, Refined, refine
+from modalax.identify.refine import CORRELATED, HELD, Refined, refine
 from modalax.identify.residues import residues
 from modalax.identify.search import NEAR, missing_modes
 from modalax.model.indicators import mac
@@ -25,6 +26,7 @@ HEAVY = 0.25  # damping ratio above which a pole is background, not a mode
 NARROW = 0.01  # half-bandwidth in lines below which a pole is one bad line, not a mode
 MANY_DOFS, ALIKE, CLOSE = 10, 0.9, 3.0  # fewest DoFs, MAC, and distance in half-bandwidths, of halves of a mode
 DROP, ADD = 1e-6, 1e-6  # chances of keeping, or of adding, a mode that is not there
+SHARP = 1e-6  # change of the diagram's poles from order to order below which they are kept where the model lacks modes
 
 
 def synthesis(model: ModalModel, frf: FRF) -> FRF:
@@ -85,9 +87,44 @@ class _Search:
         return True
 
 
-def likelihood_rounds(
-    frf: FRF, model: ModalModel, tell: Callable[[str], None], **options: Any
-) -> tuple[ModalModel, Refined]:
+def diagram_poles(
+    frf: FRF, model: ModalModel, spread: Float[Array, " n"], tell: Callable[[str], None], **options: Any
+) -> Refined | None:
+    r"""The model with its poles as they are, where the diagram knows them better than the likelihood can.
+
+    With next to no noise, modes beyond the band are all that keeps a modal model of the band from the FRFs, and the
+    likelihood bends those inside to make what they do. The diagram's polynomials hold them. So where its poles repeat
+    within ``SHARP`` and the likelihood leaves a residual that is not white, the poles stay; their deviation is the
+    change from order to order (forty modes, noise of 0 to 1e-6: errors were a fifth of that, root mean square).
+
+    Parameters
+    ----------
+    spread
+        Change of each pole from order to order of the diagram, relative to its size, shape ``(n,)``.
+    frf, model, tell, options
+        As for :func:`likelihood_rounds`.
+
+    Returns
+    -------
+    Refined or None
+        None where the likelihood is the better judge.
+    """
+    if float(jnp.median(spread)) > SHARP:
+        return None
+    search = _Search(frf, model, tell, options)
+    if search.exact() or float(search.refined.whiteness) >= CORRELATED:
+        return None
+    tell("the diagram's poles are kept")
+    held = refine(frf, model, covariance=search.kind, max_steps=0, **options)
+    old = jnp.sqrt(jnp.diag(held.covariance))
+    scale = jnp.stack([spread, spread / model.damping_ratio], axis=1).ravel() / jnp.where(old > 0, old, 1.0)
+    return dataclasses.replace(
+        held, frequency_std_hz=spread * model.frequency_hz, damping_std=spread,
+        covariance=scale[:, None] * held.covariance * scale, success=jnp.array(True), reason_code=jnp.array(HELD),
+    )  # fmt: skip
+
+
+def likelihood_rounds(frf: FRF, model: ModalModel, tell: Callable[[str], None], **options: Any) -> Refined:
     """The modal model of largest likelihood with as many modes as the data call for.
 
     Parameters
@@ -136,7 +173,7 @@ def likelihood_rounds(
     order = np.argsort(np.asarray(search.refined.model.frequency_hz))
     if (np.diff(order) < 0).any():
         search.restart(search.refined.model.poles, search.sigma)
-    return search.refined.model, search.refined
+    return search.refined
 
 
 def _close_sides(window: list[float], tried: np.ndarray, search: _Search, band: tuple[float, float]) -> None:
