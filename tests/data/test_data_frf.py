@@ -134,6 +134,30 @@ def test_frf_under_jit_vmap_and_grad():
     np.testing.assert_allclose(jax.grad(power)(value), slope, rtol=1e-8)
 
 
+def test_measurement_under_jit_vmap_and_grad():
+    m = Measurement.from_frfs([frf(level=1.0), frf(level=2.0).replace(H=2 * frf().H)])
+    got = jax.jit(lambda m: m.to_form("mobility"))(m)
+    np.testing.assert_allclose(got.H, m.to_form("mobility").H, rtol=1e-14)
+    assert (got.outputs, got.inputs, got.form, got.averages) == (m.outputs, m.inputs, "mobility", 4)
+    np.testing.assert_allclose(got.level, m.level)
+
+    def power(gain):
+        louder = m.replace(H=m.H * gain[:, None, None, None])
+        return sum(jnp.sum(jnp.abs(louder.run(k).to_form("accelerance").H) ** 2) for k in range(m.runs))
+
+    gain, step = jnp.array([1.7, 0.4]), 1e-6
+    slope = [(power(gain + step * e) - power(gain - step * e)) / (2 * step) for e in jnp.eye(2)]
+    np.testing.assert_allclose(jax.grad(power)(gain), slope, rtol=1e-8)
+    several = jax.vmap(power)(jnp.stack([gain, 2 * gain]))
+    np.testing.assert_allclose(several, power(gain) * np.array([1.0, 4.0]), rtol=1e-12)
+    for data in (m, frf()):
+        with pytest.raises(ValueError, match="cut the band before"):
+            jax.jit(lambda x: x.band(2.0, 3.0).H)(data)
+    # A run taken under vmap over the runs is that run.
+    runs = jax.vmap(lambda H, level: FRF(m.freq, H, form=m.form, level=level).to_form("mobility"))(m.H, m.level)
+    np.testing.assert_allclose(runs.H[1], m.run(1).to_form("mobility").H, rtol=1e-14)
+
+
 def test_measurement_gathers_runs_and_gives_them_back():
     runs = [frf(level=1.0), frf(level=2.0).replace(H=2 * frf().H)]
     m = Measurement.from_frfs(runs)

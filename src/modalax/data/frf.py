@@ -80,8 +80,10 @@ def band_slice(freq: Any, lower: float, upper: float) -> slice:
     Raises
     ------
     ValueError
-        If the band is upside down or holds no line.
+        If the band is upside down or holds no line, or the frequencies are being traced.
     """
+    if is_traced(freq):
+        raise ValueError("how many lines a band holds is not known inside jit, vmap or grad; cut the band before")
     values = np.asarray(freq)
     if not lower < upper:
         raise ValueError(f"the band {lower:g} to {upper:g} Hz is empty; its first limit must be the smaller one")

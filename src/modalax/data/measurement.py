@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from modalax._numerics.checks import as_double, require_finite
+from modalax._numerics.checks import as_double, is_traced, require_finite
 from modalax.data.frf import FRF, band_slice, check_axis, check_form, check_names, check_variance, default_names
 
 
@@ -100,13 +100,14 @@ class Measurement(eqx.Module):
         Raises
         ------
         ValueError
-            If the runs differ in lines, channels or form, or only some have a variance.
+            If the runs differ in lines, channels or form; traced frequencies are taken to be the same.
         """
         first = frfs[0]
         for k, frf in enumerate(frfs[1:], start=1):
             same = (frf.outputs, frf.inputs, frf.form, frf.shape) == (
                 first.outputs, first.inputs, first.form, first.shape)  # fmt: skip
-            if not same or not np.array_equal(np.asarray(frf.freq), np.asarray(first.freq)):
+            known = not is_traced(frf.freq, first.freq)
+            if not same or (known and not np.array_equal(np.asarray(frf.freq), np.asarray(first.freq))):
                 raise ValueError(f"run {k} differs from run 0 in its lines, channels or form; they must be the same")
         stack = lambda name: (  # noqa: E731
             None if any(getattr(f, name) is None for f in frfs) else jnp.stack([getattr(f, name) for f in frfs])
