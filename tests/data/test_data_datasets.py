@@ -1,11 +1,13 @@
 """Signs of hits and places of sensors from data: on made-up tests with known truth, then on the measured ones."""
 
+import hashlib
 import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from modalax import Measurement, load
 from modalax.data import datasets, looks_conjugated
 from modalax.data.roving import copied_hits, hit_signs, reciprocal_places
 
@@ -104,6 +106,30 @@ def test_another_version_of_a_file_is_refused(tmp_path, monkeypatch):
         datasets.silverbox()
 
 
+def test_a_file_in_the_cache_is_found_where_the_named_folder_lacks_it(tmp_path, monkeypatch):
+    pooch = pytest.importorskip("pooch")
+    cache = tmp_path / "cache"
+    monkeypatch.setattr(pooch, "os_cache", lambda name: str(cache))
+    content = b"five hits"
+    monkeypatch.setitem(datasets.HASHES, "hammer_hits/measurements_1.npy", hashlib.sha256(content).hexdigest())
+    name = "hammer_hits/measurements_1.npy"
+    for folder in (None, tmp_path / "empty"):
+        monkeypatch.delenv("MODALAX_DATA", raising=False)
+        if folder is not None:
+            monkeypatch.setenv("MODALAX_DATA", str(folder))
+        (cache / "hammer_hits").mkdir(parents=True, exist_ok=True)
+        (cache / name).write_bytes(content)
+        assert datasets.data_file(name) == cache / name
+        (cache / name).unlink()
+        with pytest.raises(FileNotFoundError) as caught:
+            datasets.data_file(name)
+        assert str(cache) in str(caught.value) and "MODALAX_DATA" in str(caught.value)
+        assert folder is None or str(caught.value).startswith(str(folder / name))
+    # One folder given is the only one.
+    with pytest.raises(FileNotFoundError, match="other"):
+        datasets.data_file(name, tmp_path / "other")
+
+
 def test_every_file_has_an_origin():
     assert {name.split("/")[0] for name in datasets.HASHES} == set(datasets.ORIGIN)
 
@@ -185,6 +211,23 @@ class TestPlane:
         ends = xyz[plane.geometry.segments]
         # Nodes are 50 mm apart along, 100 mm across; between the left and right roots as well.
         assert np.abs(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) - 0.075).max() < 0.0251
+
+
+@pytest.mark.measured
+@pytest.mark.parametrize("name", datasets.FRFS)
+def test_files_of_published_frfs_load_by_themselves(name, measured, tmp_path):
+    """By name and hash; a file that only has the name is refused as any other, with what it would need."""
+    with pytest.warns(UserWarning, match=f"{name}: the published measurement .* names, signs and units are from there"):
+        loaded = load(MEASURED / name)
+    expected = datasets.FRFS[name](MEASURED)
+    expected = expected if isinstance(expected, Measurement) else Measurement.from_frfs([expected])
+    np.testing.assert_array_equal(loaded.H, expected.H)
+    assert (loaded.outputs, loaded.inputs, loaded.form) == (expected.outputs, expected.inputs, "accelerance")
+    other = tmp_path / name
+    other.parent.mkdir()
+    np.savez(other, freq=np.arange(3.0), H=np.ones((2, 3), complex))
+    with pytest.raises(ValueError, match="no form and no outputs and no inputs in it; a measurement file needs"):
+        load(other)
 
 
 @pytest.mark.measured

@@ -1,6 +1,8 @@
 """Measured data of others: found in a local folder, checked by hash, read into the objects of this package."""
 
+import hashlib
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -42,11 +44,12 @@ HASHES = {
 }
 
 
-def data_file(name: str) -> Path:
+def data_file(name: str, folder: Path | None = None) -> Path:
     """Path of a data file, for example ``steel_beam/frf.npz``, after its hash was checked.
 
-    The folder is that of the environment variable ``MODALAX_DATA``, or else pooch's cache folder for modalax. Nothing
-    is downloaded: the originals carry licences of their own, or none.
+    It is looked for in ``folder`` alone if one is given, else in the folder that the environment variable
+    ``MODALAX_DATA`` names, then in pooch's cache folder for modalax. Nothing is downloaded: the originals carry
+    licences of their own, or none.
 
     Raises
     ------
@@ -55,21 +58,49 @@ def data_file(name: str) -> Path:
     ValueError
         If it is another version of the file.
     """
-    try:
-        import pooch
-    except ImportError as error:
-        raise ImportError("the example measurements need pooch: pip install 'modalax[data]'") from error
-    named = os.environ.get(FOLDER)
-    path = (Path(named) if named else Path(pooch.os_cache("modalax"))) / name
-    origin = ORIGIN[name.split("/")[0]]
+    named, origin = os.environ.get(FOLDER), ORIGIN[name.split("/")[0]]
+    path = (folder or (Path(named) if named else _cache())) / name
     if not path.is_file():
-        raise FileNotFoundError(
-            f"{path}: no such file; get it from {origin}; put it there, or set {FOLDER} to the folder that holds {name}"
-        )
-    found = pooch.file_hash(str(path), alg="sha256")
+        cached = path if folder else _cache() / name
+        also = "" if cached == path else f" (or to {cached})"
+        if not cached.is_file():
+            raise FileNotFoundError(
+                f"{path}: no such file; get it from {origin}; put it there{also}, or set {FOLDER} to the folder that "
+                f"holds {name}"
+            )
+        path = cached
+    found = _sha256(path)
     if found != HASHES[name]:
         raise ValueError(f"{path}: sha256 is {found}, known is {HASHES[name]}; get that version from {origin}")
     return path
+
+
+def _cache() -> Path:
+    try:
+        import pooch
+    except ImportError as error:
+        raise ImportError(
+            f"set {FOLDER} to the folder of the example measurements, or install their cache: "
+            "pip install 'modalax[data]'"
+        ) from error
+    return Path(pooch.os_cache("modalax"))
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def known_measurement(path: Path) -> FRF | Measurement | None:
+    """The FRFs of a data set known here, names, signs and units included, if ``path`` is its file; else None.
+
+    It is the file if it has the name, the folder's name and the hash.
+    """
+    path = path.absolute()
+    name = f"{path.parent.name}/{path.name}"
+    if name not in FRFS or _sha256(path) != HASHES[name]:
+        return None
+    return FRFS[name](path.parents[1])
 
 
 class UliegePlane(eqx.Module):
@@ -122,7 +153,9 @@ SIGN_BAND, SIGN_SHAPES = (10.0, 110.0), 6
 SENSOR_NODES = ("101", "102", "103")
 
 
-def uliege_plane(averages: int | None = None, at_hits: bool = False, copies: bool = False) -> UliegePlane:
+def uliege_plane(
+    averages: int | None = None, at_hits: bool = False, copies: bool = False, folder: Path | None = None
+) -> UliegePlane:
     r"""Laboratory aeroplane, roving hammer; signs of the hits and places of the accelerometers from the data.
 
     *Signs.* The files do not tell whether a point was hit from one side or the other. The force channel does not
@@ -155,15 +188,17 @@ def uliege_plane(averages: int | None = None, at_hits: bool = False, copies: boo
         (see above); otherwise they are nodes 101 to 103.
     copies
         Keep hits whose record is a copy.
+    folder
+        Where the data set's folder is (:func:`data_file`).
 
     Raises
     ------
     FileNotFoundError, ValueError
         If the files are not there, or other ones (:func:`data_file`).
     """
-    raw, fe = (np.load(data_file(f"uliege_plane/{name}.npz")) for name in ("frf", "fe_modes"))
+    raw, fe = (np.load(data_file(f"uliege_plane/{name}.npz", folder)) for name in ("frf", "fe_modes"))
     points, outline = (
-        np.loadtxt(data_file(f"uliege_plane/{name}.csv"), delimiter=",", skiprows=1) / 1000
+        np.loadtxt(data_file(f"uliege_plane/{name}.csv", folder), delimiter=",", skiprows=1) / 1000
         for name in ("node_shock", "node_structure")
     )
     records, count = list(RECORDS), len(points)
@@ -210,7 +245,7 @@ def _plane_geometry(points: np.ndarray, outline: np.ndarray, near: tuple[int, ..
     return Geometry([*names, *SENSOR_NODES], np.array([*plane, *points[list(near)]]), lines)
 
 
-def brake_reuss_beam(drive_point: bool = False) -> Measurement:
+def brake_reuss_beam(drive_point: bool = False, folder: Path | None = None) -> Measurement:
     """Free beam with a bolted lap joint, stepped sine through its first bending mode at four controlled force levels.
 
     One output, one input, 41 lines from 79.2 to 81.2 Hz, accelerance of the fundamental [(m/s^2)/N]; ``level`` is the
@@ -223,13 +258,15 @@ def brake_reuss_beam(drive_point: bool = False) -> Measurement:
         Turn the sign of the accelerometer and give force and response one name, ``beam``. As long as one mode stands
         for the band, a response elsewhere is that of the drive point times a constant, so that only the scale of the
         modal mass, and with it of forces and displacements in a joint, stays open.
+    folder
+        Where the data set's folder is (:func:`data_file`).
 
     Raises
     ------
     FileNotFoundError, ValueError
         If the file is not there, or another one (:func:`data_file`).
     """
-    raw = np.load(data_file("brake_reuss_beam/force_control.npz"))
+    raw = np.load(data_file("brake_reuss_beam/force_control.npz", folder))
     H = raw["acceleration_m_s2"] / raw["force_n"] * np.exp(1j * raw["phase_rad"])
     return Measurement(
         raw["frequency_hz"][0], (-H if drive_point else H)[:, :, None, None], form="accelerance", force=raw["force_n"],
@@ -252,24 +289,37 @@ class SteelBeam(eqx.Module):
     geometry: Geometry
 
 
-def steel_beam() -> SteelBeam:
+def steel_beam(folder: Path | None = None) -> SteelBeam:
     """Steel beam, nine hits, one accelerometer at the fourth, 0 to 1000 Hz.
 
     The accelerometer points along -X against the hits, as its drive-point FRF shows, whose imaginary part is negative
     at every resonance; here the sign is turned, so that every DoF is along +X. Values are stored in single precision.
+
+    Parameters
+    ----------
+    folder
+        Where the data set's folder is (:func:`data_file`).
 
     Raises
     ------
     FileNotFoundError, ValueError
         If the file is not there, or another one (:func:`data_file`).
     """
-    raw = np.load(data_file("steel_beam/frf.npz"))
+    raw = np.load(data_file("steel_beam/frf.npz", folder))
     z = raw["z_hammer_m"]
     names = [str(k + 1) for k in range(len(z))]
     sensor = names[int(np.argmin(np.abs(z - raw["z_accel_m"])))]
     H = -raw["H"].astype(complex).T[:, None]
     frf = FRF(raw["freq"], H, form="accelerance", outputs=[f"{sensor}:+X"], inputs=[f"{n}:+X" for n in names])
     return SteelBeam(frf, Geometry(names, np.stack([0 * z, 0 * z, z], axis=1), [names]))
+
+
+# Files of FRFs, and how they are read from the folder that holds the data sets' folders.
+FRFS: dict[str, Callable[[Path], FRF | Measurement]] = {
+    "uliege_plane/frf.npz": lambda folder: uliege_plane(folder=folder).frf,
+    "brake_reuss_beam/force_control.npz": lambda folder: brake_reuss_beam(folder=folder),
+    "steel_beam/frf.npz": lambda folder: steel_beam(folder).frf,
+}
 
 
 class Records(eqx.Module):

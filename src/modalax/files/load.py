@@ -27,7 +27,8 @@ def load(
     """Read a measurement, a structure, a modal model or an extended simulation from a file of any kind.
 
     What the file is, is told from its content: NumPy ``.npz``, UFF (58 ASCII and binary, 55, 2414), MATLAB ``.mat``,
-    NetCDF or Zarr.
+    NetCDF or Zarr. Files of the published measurements in :mod:`modalax.data.datasets` are recognised, with a warning
+    that says so.
 
     Parameters
     ----------
@@ -62,7 +63,13 @@ def _read(path: Path, kind: str, options: dict[str, Any]) -> Saved:
 
         return read_uff(path, **options)
     if kind == "npz":
-        return read_npz(path, **options)
+        try:
+            return read_npz(path, **options)
+        except ValueError:
+            published = _published(path)
+            if published is None:
+                raise
+            return published
     if options:
         raise ValueError(f"option {', '.join(options)} is for UFF and .npz files, this one is {kind}")
     if kind in ("mat", "mat73"):
@@ -72,6 +79,22 @@ def _read(path: Path, kind: str, options: dict[str, Any]) -> Saved:
     from modalax.files.labelled import read_labelled
 
     return read_labelled(path, kind)
+
+
+def _published(path: Path) -> Measurement | None:
+    """A published measurement that is known here, whose file holds neither names nor units."""
+    from modalax.data.datasets import known_measurement
+
+    known = known_measurement(path)
+    if known is None:
+        return None
+    warnings.warn(
+        f"the published measurement {path.absolute().parent.name}, which modalax.data.datasets knows: names, signs and "
+        "units are from there",
+        UserWarning,
+        stacklevel=2,
+    )
+    return known if isinstance(known, Measurement) else Measurement.from_frfs([known])
 
 
 def _in_convention(measurement: Measurement, conjugate: bool | str) -> Measurement:
