@@ -176,6 +176,16 @@ def test_paths_start_at_the_modes_and_end_at_the_prediction():
     assert np.asarray(certain)[-1][good].all()
 
 
+def test_a_diagrams_bias_is_that_of_each_of_its_orders():
+    frf = review_frf(step=10)
+    variance = white(frf, 0.05)
+    all_orders = predicted_damping_bias(frf, TRUE, [8, 12], variance=variance)
+    assert all_orders.damping.shape == (2, 5)
+    one = predicted_damping_bias(frf, TRUE, 8, variance=variance, numerator=12)
+    np.testing.assert_allclose(all_orders.damping[0], one.damping, rtol=1e-8)
+    assert np.array_equal(all_orders.valid[0], one.valid)
+
+
 def test_prediction_needs_a_variance_and_a_known_method():
     with pytest.raises(ValueError, match="needs a noise variance"):
         predicted_damping_bias(review_frf(step=5), TRUE, 8)

@@ -37,6 +37,7 @@ def dampings(poles, valid, near):
 CASES = {
     "LSCE forward": (lsce, expected_lsce_bias, 16, {}, 0.05, 0.002),
     "LSCE backward": (lsce, expected_lsce_bias, 32, {"constraint": "a0"}, 0.05, 0.003),
+    "LSCE weighted": (lsce, expected_lsce_bias, 16, {"weights": "variance"}, 0.05, 0.003),
     "LSCE real": (lsce, expected_lsce_bias, 24, {"real": True}, 0.05, 0.004),
     "FDPI": (fdpi, expected_fdpi_bias, 5, {}, 0.05, 0.006),
     "FDPI without residual": (fdpi, expected_fdpi_bias, 5, {"residual": 0}, 0.05, 0.006),
@@ -48,7 +49,8 @@ def test_predicted_damping_bias_is_the_mean_over_draws(paper, paper_frf, case):
     estimator, predict, order, options, level, second = CASES[case]
     frf = paper_frf.lines(slice(None, None, 2))
     variance = white(frf, level)
-    bias = predict(frf, paper.poles, order, variance=variance, **options)
+    frf = frf.replace(variance=variance)
+    bias = predict(frf, paper.poles, order, **options)
     poles, valid = draws(frf, variance, lambda f: estimator(f, order, **options), 100)
     found = dampings(poles, valid, bias.poles)
     predicted, error = 0.02 + np.asarray(bias.damping), found.std(axis=0) / 10
@@ -109,3 +111,23 @@ def test_fdpi_with_more_modes_than_there_are_flags_the_one_that_mixes(paper, pap
     good = np.asarray(bias.valid)
     assert np.all(np.abs(found.mean(axis=0) - predicted)[good] < 3.3 * error[good] + 0.005 * 0.02)
     assert error[2] > 5 * error[good].max()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("predict", [expected_lsce_bias, expected_fdpi_bias])
+def test_derivatives_of_the_bias_agree_with_differences(paper, paper_frf, predict):
+    """First and second, with respect to the logarithm of the noise variance and the gain of a sample."""
+    frf = paper_frf.lines(slice(None, None, 10))
+    variance = white(frf, 0.03)
+
+    def bias(at):
+        louder = eqx.tree_at(lambda f: f.H, frf, frf.H.at[20, 1, 0].multiply(at[1]))
+        return predict(louder, paper.poles, 5, variance=variance * jnp.exp(at[0])).relative_damping[1]
+
+    slope, bend = jax.jit(jax.grad(bias)), jax.jit(jax.hessian(bias))
+    at, steps = jnp.array([0.1, 1.05]), 1e-3 * jnp.eye(2)
+    first = [(bias(at + h) - bias(at - h)) / 2e-3 for h in steps]
+    second = [(slope(at + h) - slope(at - h)) / 2e-3 for h in steps]
+    # the truncation of the differences
+    np.testing.assert_allclose(slope(at), first, rtol=1e-4)
+    np.testing.assert_allclose(bend(at), second, rtol=1e-4)

@@ -8,7 +8,9 @@ small noise to the full one, so that its pole is known even where it ends far fr
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Complex, Float
 
@@ -23,28 +25,39 @@ SMALLEST, STEPS = 1e-6, 33
 
 
 class DampingBias(eqx.Module):
-    r"""Predicted bias of each mode's LSCF or pLSCF estimate: expected value minus true value.
+    r"""Predicted bias of each mode's estimate: expected value minus true value.
+
+    All of shape ``(n,)`` where one order was asked for, ``(order, n)`` for a sequence of orders.
 
     Attributes
     ----------
     poles
-        Poles that the estimator gives on average, shape ``(n,)`` [rad/s].
+        Poles that the estimator gives on average [rad/s].
     damping
-        Bias of the damping ratio, shape ``(n,)`` [-].
+        Bias of the damping ratio [-].
     relative_damping
-        The same divided by the damping ratio, shape ``(n,)``.
+        The same divided by the damping ratio.
     relative_frequency
-        Bias of the frequency divided by it, shape ``(n,)``.
+        Bias of the frequency divided by it.
     valid
         False where the prediction cannot be trusted: the mode is lost in the noise on average (its pole left the
         stable half, or another root came as close), or it is not among the noise-free poles of this order.
     """
 
-    poles: Complex[Array, " n"]
-    damping: Float[Array, " n"]
-    relative_damping: Float[Array, " n"]
-    relative_frequency: Float[Array, " n"]
-    valid: Bool[Array, " n"]
+    poles: Complex[Array, "*order n"]
+    damping: Float[Array, "*order n"]
+    relative_damping: Float[Array, "*order n"]
+    relative_frequency: Float[Array, "*order n"]
+    valid: Bool[Array, "*order n"]
+
+    @classmethod
+    def between(
+        cls, true: Complex[Array, " n"], expected: Complex[Array, " n"], known: Bool[Array, " n"]
+    ) -> "DampingBias":
+        """The bias of the expected poles; not valid either where they are unstable."""
+        zeta, mean = -true.real / jnp.abs(true), -expected.real / jnp.abs(expected)
+        shift = jnp.abs(expected) / jnp.abs(true) - 1
+        return cls(expected, mean - zeta, mean / zeta - 1, shift, known & (mean > 0))
 
 
 def expected_poles(frf: FRF, orders: Any, *, scale: Any = 1.0, **options: Any) -> PoleTable:
@@ -99,12 +112,12 @@ def pole_paths(
         Shape ``(t, n)``; ``certain`` is False from where a mode's successor was in doubt.
     """
     problem = linear_problem(frf, order, **options)
-    table = _along(problem, scales)
-    found, certain = follow_poles(table.poles, table.valid, poles - frf.added_decay)
+    along, valid = _along(problem, scales, (order,))
+    found, certain = follow_poles(along[:, 0], valid[:, 0], poles - frf.added_decay)
     return found + frf.added_decay, certain
 
 
-def predicted_damping_bias(frf: FRF, poles: Complex[Array, " n"], order: int, **options: Any) -> DampingBias:
+def predicted_damping_bias(frf: FRF, poles: Complex[Array, " n"], orders: Any, **options: Any) -> DampingBias:
     r"""Bias that noise gives the damping of each mode in LSCF or pLSCF, without drawing any noise.
 
     Parameters
@@ -114,9 +127,9 @@ def predicted_damping_bias(frf: FRF, poles: Complex[Array, " n"], order: int, **
         not the measurement itself, whose noise would count twice.
     poles
         The model's poles, shape ``(n,)`` [rad/s].
-    order
-        The order at which the estimate was read off. If it was one row of a diagram of several orders, pass that
-        diagram's highest order as ``numerator``.
+    orders
+        The orders of the diagram, ``table.orders``, or the one that the estimate was read off. If that is one of
+        several whose numerators had the highest degree, as is the default, pass that degree as ``numerator``.
     **options
         ``variance``: :math:`E|e|^2` of each sample, ``(f, o, i)`` or a number; that of ``frf`` by default.
         ``method``: ``lscf`` (default) or ``plscf``. And the options of that method as they were used: ``weights``,
@@ -125,7 +138,8 @@ def predicted_damping_bias(frf: FRF, poles: Complex[Array, " n"], order: int, **
     Returns
     -------
     DampingBias
-        Expected minus true value of each mode, with a flag where it cannot be trusted.
+        Expected minus true value of each mode, beside the poles of every order if there are several, with a flag
+        where it cannot be trusted.
 
     Raises
     ------
@@ -134,23 +148,29 @@ def predicted_damping_bias(frf: FRF, poles: Complex[Array, " n"], order: int, **
 
     Notes
     -----
+    :func:`modalax.identify.fit` has a model and carries this beside each of its dampings; a bare :class:`PoleTable` has
+    none, and the derivative of its own poles with respect to the noise is too far from the whole bias to stand for it.
+
     The poles of the mean normal matrix, not the mean of the poles: the spread of the normal matrix adds a term of
     second order, see :func:`modalax.identify.spread.second_order`. With ``magnitude`` weights, which depend on the
     noise, the prediction takes the weights of the noise-free FRF.
     """
-    problem = linear_problem(frf, order, **options)
+    found = check_orders(orders, frf.freq.shape[0], (float("nan"), float("nan")))
+    problem = linear_problem(frf, found[-1], **options)
     poles = as_double(poles, "poles", complex_=True)
-    return _bias(problem, poles, frf.added_decay)
+    bias = _bias(problem, poles, frf.added_decay, found)
+    return jax.tree.map(lambda a: a[0], bias) if np.ndim(orders) == 0 else bias
 
 
 @eqx.filter_jit
-def _bias(problem: LinearProblem, poles: Complex[Array, " n"], decay: Float[Array, ""]) -> DampingBias:
-    table = _along(problem, jnp.concatenate([jnp.geomspace(SMALLEST, 1.0, STEPS)]))
-    found, certain = follow_poles(table.poles, table.valid, poles - decay)
-    end = found[-1] + decay
-    zeta, expected = -poles.real / jnp.abs(poles), -end.real / jnp.abs(end)
-    valid = certain[-1] & (expected > 0)
-    return DampingBias(end, expected - zeta, expected / zeta - 1, jnp.abs(end) / jnp.abs(poles) - 1, valid)
+def _bias(problem: LinearProblem, poles: Array, decay: Array, orders: tuple[int, ...]) -> DampingBias:
+    along, valid = _along(problem, jnp.geomspace(SMALLEST, 1.0, STEPS), orders)
+
+    def one(along: Array, valid: Array) -> DampingBias:
+        found, certain = follow_poles(along, valid, poles - decay)
+        return DampingBias.between(poles, found[-1] + decay, certain[-1])
+
+    return jax.vmap(one, in_axes=1)(along, valid)
 
 
 def one_pole_shift(noise: Any, energy: Any, step: Any) -> Float[Array, ""]:
@@ -180,17 +200,18 @@ def _table(problem: LinearProblem, R: Array, orders: tuple[int, ...]) -> PoleTab
     return poles_of_factor(R, orders, problem.size, problem.constraint, problem.real, problem.zoomed, problem.method)
 
 
-def _along(problem: LinearProblem, scales: Float[Array, " t"]) -> PoleTable:
-    """Expected poles at every scale, one row a scale; signal and noise are factorised once."""
+def _along(
+    problem: LinearProblem, scales: Float[Array, " t"], orders: tuple[int, ...]
+) -> tuple[Complex[Array, "t order p"], Bool[Array, "t order p"]]:
+    """Expected poles of every order at every scale, and which are poles; signal and noise are factorised once."""
     # The ridge of the signal alone: it only decides where signal and noise leave the coefficients open.
     signal, noise = factor(problem), jnp.linalg.qr(noise_rows(problem), mode="r")
 
-    def at(scale: Array) -> PoleTable:
-        R = jnp.linalg.qr(jnp.concatenate([signal, jnp.sqrt(scale) * noise]), mode="r")
-        return _table(problem, R, (problem.order,))
+    def at(scale: Array) -> tuple[Array, Array]:
+        table = _table(problem, jnp.linalg.qr(jnp.concatenate([signal, jnp.sqrt(scale) * noise]), mode="r"), orders)
+        return table.poles, table.valid
 
-    tables = lax.map(at, scales)
-    return PoleTable(tables.poles[:, 0], tables.valid[:, 0], None, (problem.order,), problem.method)
+    return lax.map(at, scales)
 
 
 def follow_poles(

@@ -38,7 +38,7 @@ from modalax.identify.fraction import check_constraint
 from modalax.identify.lsce import impulse_response, prediction_factor
 from modalax.identify.lscf import RIDGE
 from modalax.identify.normal import variance_of
-from modalax.identify.polynomial import limits, poles_of_factor
+from modalax.identify.polynomial import limits, poles_of_factor, weights_of
 from modalax.identify.spread import FIXED, PoleMoments, Window, moments_of
 from modalax.identify.tables import PoleTable
 from modalax.identify.zoom import Zoom, check_orders
@@ -52,6 +52,7 @@ def expected_lsce_bias(
     order: int,
     *,
     variance: Any = None,
+    weights: str = "unit",
     constraint: str = "aN",
     real: bool = False,
     part: float = 0.5,
@@ -70,7 +71,7 @@ def expected_lsce_bias(
         The order at which the estimate was read off.
     variance
         :math:`E|e|^2` of each sample, ``(f, o, i)`` or a number; that of ``frf`` by default.
-    constraint, real, part, skip, ridge
+    weights, constraint, real, part, skip, ridge
         As in :func:`modalax.identify.lsce`.
 
     Returns
@@ -86,7 +87,7 @@ def expected_lsce_bias(
         As :func:`modalax.identify.lsce`, and if there is no variance.
     """
     poles, sigma2 = as_double(poles, "poles", complex_=True), variance_of(frf, variance)
-    problem = _lsce_problem(frf, sigma2, order, constraint, real, part, skip, ridge)
+    problem = _lsce_problem(frf, sigma2, order, weights, constraint, real, part, skip, ridge)
     bias, others = _lsce_bias(problem, poles)
     if real or frf.shape[2] > 1 or constraint not in FIXED:
         return bias
@@ -100,6 +101,7 @@ def lsce_moments(
     order: int,
     *,
     variance: Any = None,
+    weights: str = "unit",
     constraint: str = "aN",
     part: float = 0.5,
     skip: int = 0,
@@ -113,7 +115,7 @@ def lsce_moments(
         The FRF without noise, with one reference.
     expected
         The poles to look at: ``expected_lsce_bias(...).poles``.
-    order, variance, constraint, part, skip, ridge
+    order, variance, weights, constraint, part, skip, ridge
         As :func:`expected_lsce_bias`; complex coefficients.
 
     Returns
@@ -131,7 +133,7 @@ def lsce_moments(
             f"lsce_moments knows one reference and the constraints a0 and aN; this is {frf.shape[2]} references, "
             f"{constraint}"
         )
-    problem = _lsce_problem(frf, variance_of(frf, variance), order, constraint, False, part, skip, ridge)
+    problem = _lsce_problem(frf, variance_of(frf, variance), order, weights, constraint, False, part, skip, ridge)
     return _lsce_moments(problem, as_double(expected, "expected", complex_=True))
 
 
@@ -165,10 +167,12 @@ class _LinearPrediction(eqx.Module):
 
 
 def _lsce_problem(
-    frf: FRF, sigma2: Array, order: int, constraint: str, real: bool, part: float, skip: int, ridge: float
+    frf: FRF, sigma2: Array, order: int, weights: str, constraint: str, real: bool, part: float, skip: int, ridge: float
 ) -> _LinearPrediction:
     samples = int(round(part * (2 * (frf.shape[0] - 1) if real else frf.shape[0])))
     (order,) = check_orders(order, samples - skip, limits(frf))
+    weight = 1 / jnp.sqrt(jnp.mean(weights_of(frf, weights) ** -2, axis=(0, 2), keepdims=True))
+    frf, sigma2 = eqx.tree_at(lambda f: f.H, frf, frf.H * weight), sigma2 * weight**2
     return _LinearPrediction(frf, sigma2, jnp.asarray(ridge), order, check_constraint(constraint), real, skip, samples)
 
 
@@ -193,10 +197,10 @@ def _lsce_bias(problem: _LinearPrediction, poles: Array) -> tuple[DampingBias, F
     def found(R: Array) -> PoleTable:
         return poles_of_factor(R, (problem.order,), size, problem.constraint, problem.real, zoomed, "lsce")
 
-    bias = _bias(signal, noise, found, poles, decay)
+    followed = lax.stop_gradient(_bias(signal, noise, found, poles, decay))
     table = found(jnp.linalg.qr(jnp.concatenate([signal, noise]), mode="r"))
-    distance = jnp.where(table.valid[0], jnp.abs(table.poles[0] + decay - bias.poles[:, None]), jnp.inf)
-    return bias, jnp.sort(distance, axis=1)[:, 1]
+    ends, others = _nearest(table, followed.poles - decay)
+    return DampingBias.between(poles, ends + decay, followed.valid), others
 
 
 def expected_fdpi_bias(
@@ -260,15 +264,14 @@ class _DirectIdentification(eqx.Module):
         kept = weight**2 * (1 - _numerator_leverage(s, weight, self.terms))
         columns = powers(s, self.degree + 1)
 
-        def add(R: Array, output: tuple[Array, Array]) -> tuple[Array, None]:
-            v, s2 = output
-            density = jnp.sqrt(jnp.maximum(jnp.sum(kept * s2, axis=1), 0.0))
-            Y = (columns * density[:, None])[:, :, None] * v
-            Y = Y.reshape(len(Y), -1)
-            return jnp.linalg.qr(jnp.concatenate([R, Y.real, Y.imag]), mode="r"), None
+        def one(s2: Array) -> Array:
+            Y = columns * jnp.sqrt(jnp.maximum(jnp.sum(kept * s2, axis=1), 0.0))[:, None]
+            return jnp.linalg.qr(jnp.concatenate([Y.real, Y.imag]), mode="r")
 
-        m = (self.degree + 1) * self.comps
-        return lax.scan(add, jnp.zeros((m, m)), (V, jnp.swapaxes(self.sigma2, 0, 1)))[0]
+        # every factor of full rank: that of some of the outputs alone would have no derivative
+        factors = lax.map(one, jnp.swapaxes(self.sigma2, 0, 1))
+        rows = factors[:, :, :, None] * V[:, None, None, :]
+        return jnp.linalg.qr(rows.reshape(-1, (self.degree + 1) * self.comps), mode="r")
 
     def found(self, R: Array) -> PoleTable:
         """The poles of a triangular factor [rad/s]."""
@@ -281,20 +284,18 @@ class _DirectIdentification(eqx.Module):
 def _fdpi_bias(problem: _DirectIdentification, poles: Array) -> DampingBias:
     frf, decay = problem.frf, problem.frf.added_decay
     noise = problem.noise()
-    bias = _bias(problem.factor(frf.H), noise, problem.found, poles, decay)
+    # the followed modes only tell which poles are meant: without noise the FRFs may leave nothing of the normal matrix,
+    # and that has no derivative; all rows in one factorisation have one
+    followed = lax.stop_gradient(_bias(problem.factor(frf.H), noise, problem.found, poles, decay))
 
-    def near(H: Array) -> tuple[Array, Array]:
-        """Real and imaginary parts of each mode's pole, and how far the next one is [rad/s]."""
-        # one factorisation of all rows: without noise the FRFs may leave nothing, and that has no derivative
-        table = problem.found(problem.factor(H, noise))
-        apart = jnp.abs(table.poles[0] + decay - bias.poles[:, None])
-        distance, index = lax.top_k(-jnp.where(table.valid[0], apart, jnp.inf), 2)
-        pole = table.poles[0][index[:, 0]]
-        return jnp.stack([pole.real, pole.imag]), -distance[:, 1]
+    def near(H: Array) -> tuple[Array, tuple[Array, Array]]:
+        """Real and imaginary parts of each mode's pole; the pole again, and how far the next one is [rad/s]."""
+        pole, other = _nearest(problem.found(problem.factor(H, noise)), followed.poles - decay)
+        return jnp.stack([pole.real, pole.imag]), (pole, other)
 
-    slopes, others = jax.jacrev(near, has_aux=True)(frf.H)
+    slopes, (ends, others) = jax.jacrev(near, has_aux=True)(frf.H)
     scatter = jnp.sqrt(jnp.sum(jnp.abs(slopes) ** 2 * problem.sigma2 / 2, axis=(0, 2, 3, 4)))
-    return eqx.tree_at(lambda b: b.valid, bias, bias.valid & (scatter < CROWDED * others))
+    return DampingBias.between(poles, ends + decay, followed.valid & (scatter < CROWDED * others))
 
 
 def _numerator_leverage(s: Complex[Array, " f"], weight: Float[Array, "f i"], terms: int) -> Float[Array, "f i"]:
@@ -308,10 +309,17 @@ def _numerator_leverage(s: Complex[Array, " f"], weight: Float[Array, "f i"], te
     return jnp.stack([one(w) for w in weight.T], axis=1)
 
 
+def _nearest(table: PoleTable, targets: Complex[Array, " n"]) -> tuple[Complex[Array, " n"], Float[Array, " n"]]:
+    """The pole next to each target, and how far from the target the one after it is [rad/s]."""
+    apart = jnp.where(table.valid[0], jnp.abs(table.poles[0] - targets[:, None]), jnp.inf)
+    distance, index = lax.top_k(-apart, 2)
+    return table.poles[0][index[:, 0]], -distance[:, 1]
+
+
 def _bias(
     signal: Array, noise: Array, found: Callable[[Array], PoleTable], poles: Complex[Array, " n"], decay: Array
 ) -> DampingBias:
-    """Each mode followed from hardly any noise to all of it."""
+    """Each mode followed from hardly any noise to all of it; which pole it ends on is what this is for."""
 
     def at(scale: Array) -> tuple[Array, Array]:
         table = found(jnp.linalg.qr(jnp.concatenate([signal, jnp.sqrt(scale) * noise]), mode="r"))
@@ -319,7 +327,4 @@ def _bias(
 
     along, valid = lax.map(at, jnp.geomspace(SMALLEST, 1.0, STEPS))
     path, certain = follow_poles(along, valid, poles - decay)
-    end = path[-1] + decay
-    zeta, expected = -poles.real / jnp.abs(poles), -end.real / jnp.abs(end)
-    shift = jnp.abs(end) / jnp.abs(poles) - 1
-    return DampingBias(end, expected - zeta, expected / zeta - 1, shift, certain[-1] & (expected > 0))
+    return DampingBias.between(poles, path[-1] + decay, certain[-1])
