@@ -7,8 +7,10 @@ import pytest
 import scipy.signal
 
 from modalax.model import Structure
-from modalax.simulate.bench import Bench, Sensor, butterworth, hammer_test, multisine_test, random_test, sweep_test
+from modalax.simulate import harmonic_balance
+from modalax.simulate.bench import Bench, Sensor, butterworth
 from modalax.simulate.joints import CubicSpring
+from modalax.simulate.procedures import hammer_test, multisine_test, random_test, stepped_test, sweep_test
 
 OMEGA = 2 * np.pi * 20.0
 STRUCTURE = Structure([[1.0]], [[2 * 0.03 * OMEGA]], [[OMEGA**2]], ["m"])
@@ -82,6 +84,33 @@ def test_a_hardening_spring_raises_the_frequency_with_the_level():
     assert peaks[0] == pytest.approx(20.0, abs=0.5) and peaks[1] > peaks[0] + 0.5
 
 
+STEPS = {"block": 1.0, "settle": 3.0, "repeats": 4}
+LINES, PUSH = np.arange(18.0, 26.0), 10.0
+
+
+@pytest.mark.parametrize("sweep", [pytest.param("up", marks=pytest.mark.slow), "down"])
+def test_stepped_sine_through_sensors_is_the_branch_of_harmonic_balance_times_their_response(sweep):
+    joint = {"joints": [CubicSpring(4e8)], "places": [["m"]]}
+    accelerometer = Sensor(gain=0.95, delay=8e-4, noise=0.5, lowpass=60.0, highpass=0.5, order=2)
+    load_cell = Sensor(gain=1.02, delay=2e-4)
+    held = bench(force_sensor=load_cell, response_sensor=accelerometer, **joint)
+    measured = stepped_test(held, KEY, PUSH, LINES, downward=sweep == "down", **STEPS)
+    balanced = harmonic_balance(
+        STRUCTURE, freq=LINES, level=PUSH, inputs=["m"], harmonics=5, samples=64, sweep=sweep, **joint
+    )
+    s = 2j * np.pi * LINES
+    b, a = scipy.signal.butter(2, 2 * np.pi * 60.0, analog=True)
+    response = 0.95 * np.exp(-s * 8e-4) * np.polyval(b, s) / np.polyval(a, s) * s / (s + np.pi)
+    expected = np.asarray(balanced.frf_values("accelerance"))[0, :, 0, 0] * response / (1.02 * np.exp(-s * 2e-4))
+    size = np.abs(expected)
+    # two branches: only going up does the resonance last to the last line
+    assert (size[-1] > 0.9 * size.max()) == (sweep == "up")
+    off, sigma = np.asarray(measured.H)[0, :, 0, 0] - expected, np.sqrt(np.asarray(measured.variance)[0, :, 0, 0])
+    # noise, as large as it is said to be: measured 4e-4 of the peak, and 1.0 to 1.2 of what is said
+    assert np.max(np.abs(off)) < 1e-3 * size.max()
+    assert 0.5 < np.sqrt(np.mean(np.abs(off) ** 2) / np.mean(sigma**2)) < 2
+
+
 def test_same_key_same_records_other_key_others():
     noisy, force = bench(response_sensor=Sensor(noise=0.1)), np.zeros((1, 1024, 1))
     first, again, other = (noisy.record(k, force).response for k in (KEY, KEY, jax.random.key(4)))
@@ -94,5 +123,7 @@ def test_unusable_input_is_refused():
         bench(force_sensor=[Sensor(), Sensor()])
     with pytest.raises(ValueError, match="needs \\(run, t, i\\)"):
         bench().record(KEY, np.zeros((5, 1)))
+    with pytest.raises(ValueError, match="9.25 periods of 18.5 Hz"):
+        stepped_test(bench(), KEY, 1.0, [18.0, 18.5], block=0.5, settle=1.0)
     with pytest.raises(ValueError, match="holds 12.8 samples"):
         multisine_test(bench(), KEY, 1.0, band=(10.0, 40.0), period=0.1)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from modalax.simulate.excitation import burst, hammer, random, swept_sine
+from modalax.simulate.excitation import burst, hammer, random, stepped, swept_sine
 
 
 @pytest.mark.parametrize("logarithmic", [False, True])
@@ -23,6 +23,19 @@ def test_sweep_passes_its_frequencies_when_it_should(start, stop, logarithmic):
     assert np.allclose(seen, expected, rtol=2e-2)
     assert len(force) / fs == pytest.approx(4.0 if logarithmic else 6.0, abs=1 / fs)
     assert np.abs(force).max() == pytest.approx(3.0, rel=1e-3)
+
+
+def test_stepped_sines_follow_one_another_without_a_jump():
+    fs, lines = 500.0, [7.3, 12.9, 4.1]
+    force = np.asarray(stepped(lines, 1.3, fs, amplitude=2.0)).reshape(3, -1)
+    assert force.shape == (3, 650)
+    for line, part in zip(lines, force, strict=True):
+        # a sine: the sum of its neighbours is 2 cos(2 pi f / fs) times the sample
+        np.testing.assert_allclose(part[2:] + part[:-2], 2 * np.cos(2 * np.pi * line / fs) * part[1:-1], atol=1e-9)
+    turns = np.sum(np.array(lines)) * 1.3
+    assert force[0, 0] == 0 and np.abs(np.diff(force.ravel())).max() < 2.0 * 2 * np.pi * 12.9 / fs
+    after = np.asarray(stepped([*lines, 5.0], 1.3, fs, amplitude=2.0))[3 * 650]
+    assert after == pytest.approx(2.0 * np.sin(2 * np.pi * turns), abs=1e-9)
 
 
 def test_random_has_its_power_in_its_band():
@@ -48,6 +61,8 @@ def test_burst_ends_in_silence():
 def test_unusable_input_is_refused():
     with pytest.raises(ValueError, match="must be above 0"):
         swept_sine(0.0, 10.0, 1.0, 100.0)
+    with pytest.raises(ValueError, match="line at 0 Hz"):
+        stepped([0.0, 5.0], 1.0, 100.0)
     with pytest.raises(ValueError, match="60 Hz at a sampling rate of 100 Hz"):
         swept_sine(10.0, 60.0, 1.0, 100.0)
     with pytest.raises(ValueError, match="is 2 samples long"):

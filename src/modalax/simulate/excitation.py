@@ -1,4 +1,4 @@
-"""Forces of a test: sines swept up or down, band-limited noise and bursts of it, hammer pulses. Multisines are in data.
+"""Forces of a test: sines swept or stepped, band-limited noise and bursts of it, hammer pulses. Multisines are in data.
 
 All are records of shape ``(t,)`` [N]; those with chance in them take a JAX key.
 """
@@ -53,6 +53,25 @@ def swept_sine(
     else:
         phase = start * t + 0.5 * sign * rate * t**2
     return amplitude * jnp.sin(2 * jnp.pi * phase)
+
+
+def stepped(freq: Any, dwell: float, fs: float, *, amplitude: Any = 1.0) -> Float[Array, " t"]:
+    """Sines one after the other in the order of ``freq`` [Hz], each for ``dwell`` [s], the phase running on.
+
+    Raises
+    ------
+    ValueError
+        If a frequency is not positive, or the sampling is too slow for the highest.
+    """
+    freq = np.asarray(freq, dtype=float)
+    if not freq.min() > 0:
+        raise ValueError(f"a line at {freq.min():g} Hz; a sine needs a frequency above 0")
+    _check_rate(freq.max(), fs)
+    samples = round(dwell * fs)
+    # whole turns are left out of the phase at the start of a line, so that a long test loses no digits
+    begin = np.concatenate([[0.0], np.cumsum(freq * samples / fs)[:-1]]) % 1.0
+    phase = begin[:, None] + freq[:, None] * np.arange(samples) / fs
+    return amplitude * jnp.sin(2 * jnp.pi * phase).ravel()
 
 
 def random(
