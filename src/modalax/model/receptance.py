@@ -55,6 +55,24 @@ def directions(structure: "AnyStructure", places: Sequence[Sequence[str]]) -> Fl
     return jnp.asarray(b)
 
 
+def seen_at(model: ModalModel, dofs: Sequence[str]) -> ModalModel:
+    """The modal model with these DoFs as outputs and inputs alike; pairs that were not measured by reciprocity.
+
+    Raises
+    ------
+    ValueError
+        If a DoF is unknown, or there is no drive point that scales one which was only measured or only driven.
+    """
+    names = tuple(dofs)
+    unknown = [n for n in names if n not in dof_names(model)]
+    if unknown:
+        raise ValueError(f"no DoF named {', '.join(unknown)}; the model has {', '.join(dof_names(model))}")
+    return model.replace(
+        shapes=model._at_outputs(names), participation=model._at_inputs(names), outputs=names, inputs=names,
+        upper=model._residual(model.upper, names, names), lower=model._residual(model.lower, names, names),
+    )  # fmt: skip
+
+
 def receptance(structure: "AnyStructure", omega: Any, rows: Any, columns: Any) -> Complex[Array, "f l r"]:
     r"""Receptance :math:`L\,H(\omega)\,R` [m/N] of a structure of any kind along directions.
 

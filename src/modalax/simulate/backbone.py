@@ -18,11 +18,15 @@ import scipy.linalg
 from jaxtyping import Array, Bool, Complex, Float
 
 from modalax._numerics.checks import as_double
-from modalax.model.receptance import directions
+from modalax.model.modal import ModalModel
+from modalax.model.receptance import AnyStructure, Modified, directions, seen_at
 from modalax.model.structure import Structure
-from modalax.simulate.aft import Harmonics, choose_harmonics, joint_forces
-from modalax.simulate.balance import CLOSED, Plan
+from modalax.simulate.aft import Harmonics, joint_forces
+from modalax.simulate.balance import CLOSED, Plan, make_plan
 from modalax.simulate.joints import Joint
+
+COMPLEX = 0.05
+"""Largest imaginary part of a mode's shape, over the shape, that is dropped where a modal model is followed."""
 
 
 class Backbone(eqx.Module):
@@ -56,12 +60,56 @@ class Backbone(eqx.Module):
 
 
 class _Modes(NamedTuple):
-    """The structure in its real modes: squares of frequencies, damping matrices, and the joints' parts."""
+    """The structure in its real modes, shapes mass-normalised.
+
+    Attributes
+    ----------
+    square
+        Squares of circular frequencies, shape ``(n,)`` [rad^2/s^2].
+    damping, hysteretic
+        Viscous and structural damping between the modes, shape ``(n, n)`` [1/s], [1/s^2].
+    part
+        Motion across the joints in each mode, shape ``(n, j)`` [1/sqrt(kg)].
+    static
+        Compliance of modes left out, between the joints, shape ``(j, j)`` [m/N].
+    """
 
     square: Array
     damping: Array
     hysteretic: Array
     part: Array
+    static: Array
+
+
+def _modes_of(structure: Structure | ModalModel, places: Sequence[Sequence[str]], most: int | None) -> _Modes:
+    """The lowest ``most`` modes; a modal model's residual terms become free-body modes and static compliance."""
+    if isinstance(structure, Structure):
+        square, shapes = scipy.linalg.eigh(np.asarray(structure.K), np.asarray(structure.M))
+        square, shapes = square[:most], shapes[:, :most]
+        b = np.asarray(directions(structure, places))
+        C, D = (shapes.T @ np.asarray(A) @ shapes for A in (structure.C, structure.D))
+        return _Modes(*(jnp.asarray(A) for A in (square, C, D, shapes.T @ b.T, np.zeros((len(b), len(b))))))
+    small = seen_at(structure, sorted({dof for place in places for dof in place}))
+    b = np.asarray(directions(small, places))
+    poles, shapes, driven = (np.asarray(a)[:most] for a in (small.poles, small.shapes, small.participation))
+    # residues of a real mode are phi phi^T / (2 j omega_d)
+    top = np.argmax(np.abs(shapes), axis=1)[:, None]
+    driven, seen = (np.take_along_axis(a, top, axis=1) for a in (driven, shapes))
+    phi = shapes * np.sqrt(2j * poles.imag[:, None] * driven / seen)
+    turned = np.abs(phi.imag).max(axis=1) / np.abs(phi).max(axis=1)
+    if turned.max() > COMPLEX:
+        worst = int(np.argmax(turned))
+        raise ValueError(
+            f"the shape of mode {worst + 1} has an imaginary part of {100 * turned[worst]:.2g} % at the joints; a "
+            f"backbone needs real modes (at most {100 * COMPLEX:g} %), or matrices"
+        )
+    weight, free = np.linalg.eigh(b @ np.asarray(small.lower).real @ b.T)
+    free = free[:, weight > 1e-12 * weight.max()] * np.sqrt(weight[weight > 1e-12 * weight.max()])
+    square = np.concatenate([np.abs(poles) ** 2, np.zeros(free.shape[1])])
+    damping = np.diag(np.concatenate([-2 * poles.real, np.zeros(free.shape[1])]))
+    part = np.concatenate([phi.real @ b.T, free.T])
+    upper = b @ np.asarray(small.upper).real @ b.T
+    return _Modes(*(jnp.asarray(A) for A in (square, damping, np.zeros_like(damping), part, upper)))
 
 
 def _missing(y: Float[Array, " r"], args: tuple) -> Float[Array, " r"]:
@@ -83,7 +131,7 @@ def _missing(y: Float[Array, " r"], args: tuple) -> Float[Array, " r"]:
             balance = (Z[mode] @ eta - push[mode]) / (own * a)
         else:
             eta = jnp.linalg.solve(Z, push)
-        rows.append(q[:, h] - modes.part.T @ eta)
+        rows.append(q[:, h] - modes.part.T @ eta + modes.static @ f[:, h])
     joint_part = plan.real(jnp.stack(rows, axis=1)) / a
     return jnp.concatenate([joint_part, jnp.stack([balance.real, balance.imag])])
 
@@ -107,7 +155,7 @@ def _follow(plan: Plan, mode: int, joints: tuple[Joint, ...], modes: _Modes, amp
 
 
 def backbone(
-    structure: Structure,
+    structure: AnyStructure,
     joints: Sequence[Joint],
     places: Sequence[Sequence[str]],
     mode: int,
@@ -121,8 +169,11 @@ def backbone(
 
     Parameters
     ----------
+    structure
+        Matrices, or a modal model of real modes (of nearly real ones the real part is taken).
     mode
-        Number of the mode of the linear structure, from 1.
+        Number of the mode of the linear structure, from 1 (free-body modes of a modal model, which are residual terms,
+        are not counted).
     amplitudes
         Fundamentals of the modal coordinate (mass-normalised shape), rising from where the joints are nearly linear,
         shape ``(a,)`` [m sqrt(kg)].
@@ -132,22 +183,20 @@ def backbone(
     Raises
     ------
     ValueError
-        If there is no such mode, or an amplitude is not above 0.
+        If there is no such mode, an amplitude is not above 0, joints and places differ in number, or the modes of a
+        modal model are complex.
     """
+    if isinstance(structure, Modified):
+        raise ValueError("a backbone needs matrices or a modal model; add local changes to the matrices (add_spring)")
     amplitudes = as_double(amplitudes, "amplitudes")
     if not bool(jnp.all(amplitudes > 0)):
         raise ValueError(f"amplitudes hold {float(jnp.min(amplitudes)):g}; they must be above 0")
-    square, shapes = scipy.linalg.eigh(np.asarray(structure.K), np.asarray(structure.M))
-    count = len(square) if modes is None else min(modes, len(square))
+    plan = make_plan(joints, places, harmonics, samples)
+    taken = _modes_of(structure, places, modes)
+    count = len(taken.square)
     if not 1 <= mode <= count:
         raise ValueError(f"mode {mode} asked for; modes are counted from 1 to {count}")
-    square, shapes = square[:count], shapes[:, :count]
-    kept = choose_harmonics(tuple(joints), harmonics)
-    b = np.asarray(directions(structure, places))
-    C, D = (shapes.T @ np.asarray(A) @ shapes for A in (structure.C, structure.D))
-    taken = _Modes(jnp.asarray(square), jnp.asarray(C), jnp.asarray(D), jnp.asarray(shapes.T @ b.T))
-    plan = Plan(len(joints), kept, samples)
     ys, left = _follow(plan, mode - 1, tuple(joints), taken, amplitudes)
     q = amplitudes[:, None, None] * jax.vmap(plan.complex)(ys[:, :-2])
-    frequency = ys[:, -2] * np.sqrt(square[mode - 1]) / (2 * np.pi)
-    return Backbone(amplitudes, frequency, ys[:, -1], q, left, kept)
+    frequency = ys[:, -2] * jnp.sqrt(taken.square[mode - 1]) / (2 * np.pi)
+    return Backbone(amplitudes, frequency, ys[:, -1], q, left, plan.harmonics)

@@ -5,6 +5,7 @@ damped Newton iteration that tries several step lengths and starts anew where it
 optimistix takes it from there and carries its derivatives by the implicit function theorem.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -14,7 +15,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Complex, Float
 
-from modalax.simulate.aft import Harmonics, joint_forces, real_size, to_complex, to_real
+from modalax.simulate.aft import Harmonics, choose_harmonics, joint_forces, real_size, to_complex, to_real
 from modalax.simulate.joints import Joint
 
 STEPS = np.array([1.0, 0.5, 0.2, 0.05, 0.01])
@@ -64,6 +65,28 @@ class Plan(NamedTuple):
     def complex(self, y: Float[Array, " r"]) -> Complex[Array, "j h"]:
         """Reals as harmonics."""
         return to_complex(y, self.joints, self.harmonics)
+
+
+def make_plan(
+    joints: Sequence[Joint], places: Sequence[Sequence[str]], harmonics: int | tuple[int, ...], samples: int
+) -> Plan:
+    """Orders of a balance of ``joints``, each at its place.
+
+    Raises
+    ------
+    ValueError
+        If joints and places differ in number, there is no joint, or harmonics and samples do not fit.
+    """
+    if len(joints) != len(places) or not joints:
+        raise ValueError(
+            f"{len(joints)} joints for {len(places)} places; at least one joint, and a place for each, is needed"
+        )
+    kept = choose_harmonics(tuple(joints), harmonics)
+    if samples < 4 * max(kept) or samples % 2:
+        raise ValueError(
+            f"{samples} samples for harmonic {max(kept)}; an even number of at least {4 * max(kept)} is needed"
+        )
+    return Plan(len(joints), kept, samples)
 
 
 def residual(plan: Plan, q: Complex[Array, "j h"], joints: tuple[Joint, ...], line: Line) -> Complex[Array, "j h"]:

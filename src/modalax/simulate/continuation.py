@@ -15,11 +15,11 @@ from jaxtyping import Array, Bool, Complex, Float
 
 from modalax._numerics.checks import as_double
 from modalax.model.modal import ModalModel
-from modalax.model.receptance import AnyStructure, directions, receptance
+from modalax.model.receptance import AnyStructure, directions, receptance, seen_at
 from modalax.model.solve import DIRECT_DOFS
 from modalax.model.structure import Structure
-from modalax.simulate.aft import Harmonics, choose_harmonics
-from modalax.simulate.balance import CLOSED, Line, Plan, find, motion_scale, residual
+from modalax.simulate.aft import Harmonics
+from modalax.simulate.balance import CLOSED, Line, Plan, find, make_plan, motion_scale, residual
 from modalax.simulate.joints import Joint
 
 CORRECTIONS = 8
@@ -170,23 +170,23 @@ def follow_branch(
     Raises
     ------
     ValueError
-        If the band is empty, or a large structure with hysteretic damping has to be taken apart into modes.
+        If the band is empty, joints and places differ in number, a large structure with hysteretic damping has to be
+        taken apart into modes, or a modal model has no drive point that scales a DoF.
     """
     low, high = (2 * np.pi * float(f) for f in band)
     if not 0 < low < high:
         raise ValueError(f"the band {band[0]:g} to {band[1]:g} Hz must rise and lie above 0 Hz")
-    kept = choose_harmonics(tuple(joints), harmonics)
+    plan = make_plan(joints, places, harmonics, samples)
     if isinstance(structure, Structure) and len(structure.dofs) > DIRECT_DOFS:
         structure = structure.modal()
+    if isinstance(structure, ModalModel):
+        structure = seen_at(structure, sorted({input, *(dof for place in places for dof in place)}))
     b, force = directions(structure, places), as_double(level, "level") * directions(structure, [[input]])[0]
     grid = jnp.linspace(low, high, 400)
-    plan = Plan(len(joints), kept, samples)
     scale = jnp.max(jnp.abs(receptance(structure, grid, b, force[:, None])))
-    if isinstance(structure, ModalModel) and structure.outputs != structure.inputs:
-        raise ValueError("continuation needs a modal model whose outputs and inputs are the same DoFs")
     p = _Problem(structure, tuple(joints), b, force, jnp.array(low), jnp.array(high - low), scale)
     share, ys, way, valid = _trace(plan, p, points, downward)
     q = scale * jax.vmap(plan.complex)(ys)
     arc = jnp.cumsum(jnp.linalg.norm(jnp.diff(jnp.column_stack([ys, share]), axis=0, prepend=0.0), axis=1))
     width = (high - low) / (2 * np.pi)
-    return Branch(low / (2 * np.pi) + width * share, q, arc, width * way, valid, kept)
+    return Branch(low / (2 * np.pi) + width * share, q, arc, width * way, valid, plan.harmonics)

@@ -10,12 +10,12 @@ import lineax as lx
 import optimistix as optx
 from jaxtyping import Array, Complex, Float
 
-from modalax._numerics.checks import as_double
+from modalax._numerics.checks import as_double, is_traced
 from modalax.data.frf import check_axis
 from modalax.data.measurement import Measurement
-from modalax.model.receptance import AnyStructure, directions
-from modalax.simulate.aft import choose_harmonics, joint_forces
-from modalax.simulate.balance import CLOSED, Line, Plan, residual
+from modalax.model.receptance import AnyStructure, directions, dof_names
+from modalax.simulate.aft import joint_forces
+from modalax.simulate.balance import CLOSED, Line, Plan, make_plan, residual
 from modalax.simulate.harmonic import SAMPLES, Receptances, receptances
 from modalax.simulate.joints import Joint
 
@@ -100,11 +100,11 @@ def constant_response(
     *,
     held: str,
     input: str,
-    outputs: Sequence[str] = (),
+    outputs: Sequence[str] | None = None,
     harmonics: int | tuple[int, ...] = 1,
     samples: int = SAMPLES,
 ) -> ControlledResponse:
-    """Force that holds the fundamental displacement of a DoF at an amplitude, line by line.
+    """Force that holds the fundamental displacement of a DoF at an amplitude, line by line; differentiable.
 
     Held at one amplitude a single joint acts as a linear one, so resonances neither lean nor jump.
 
@@ -115,20 +115,22 @@ def constant_response(
     input
         DoF at which the force acts.
     outputs
-        Further DoFs whose motion is wanted.
+        DoFs whose motion is wanted; all by default.
+    harmonics, samples
+        As for :func:`modalax.simulate.harmonic_balance`.
 
     Raises
     ------
     ValueError
-        If the amplitude is not above 0 or a name is unknown.
+        If the amplitude is not above 0, joints and places differ in number, or a name or harmonic cannot be used.
     """
     freq, amplitude = as_double(freq, "freq"), as_double(amplitude, "amplitude")
     check_axis(freq)
-    if not bool(amplitude > 0):
+    if not is_traced(amplitude) and not bool(amplitude > 0):
         raise ValueError(f"amplitude is {float(amplitude):g} m; it must be above 0")
-    kept = choose_harmonics(tuple(joints), harmonics)
-    names = (held, *(n for n in outputs if n != held))
-    b, o, i = (directions(structure, p) for p in (places, [[n] for n in names], [[input]]))
-    R = receptances(structure, b, 2 * jnp.pi * freq, o, i, kept)
-    force, X, left = _hold(Plan(len(joints), kept, samples), tuple(joints), R, amplitude)
-    return ControlledResponse(freq, force, X, left, names, input)
+    plan = make_plan(joints, places, harmonics, samples)
+    names = dof_names(structure) if outputs is None else tuple(outputs)
+    b, o, i = (directions(structure, p) for p in (places, [[n] for n in (held, *names)], [[input]]))
+    R = receptances(structure, b, 2 * jnp.pi * freq, o, i, plan.harmonics)
+    force, X, left = _hold(plan, tuple(joints), R, amplitude)
+    return ControlledResponse(freq, force, X[:, 1:], left, names, input)

@@ -18,8 +18,8 @@ from modalax._numerics.checks import as_double, is_traced
 from modalax.data.frf import DERIVATIVES, check_axis, check_form
 from modalax.data.measurement import Measurement
 from modalax.model.receptance import AnyStructure, directions, dof_names, receptance
-from modalax.simulate.aft import Harmonics, choose_harmonics, joint_forces
-from modalax.simulate.balance import FOLD, Line, Plan
+from modalax.simulate.aft import Harmonics, joint_forces
+from modalax.simulate.balance import FOLD, Line, Plan, make_plan
 from modalax.simulate.joints import Joint
 from modalax.simulate.sweep import solve_lines, solved
 
@@ -230,26 +230,17 @@ def harmonic_balance(
     """
     freq = as_double(freq, "freq")
     check_axis(freq)
-    if len(joints) != len(places) or not joints:
-        raise ValueError(
-            f"{len(joints)} joints for {len(places)} places; at least one joint, and a place for each, is needed"
-        )
     if sweep not in ("up", "down"):
         raise ValueError(f"sweep is {sweep!r}; it must be up or down")
     level = jnp.atleast_1d(as_double(level, "level"))
     if not is_traced(level) and not bool(jnp.all(level > 0)):
         raise ValueError(f"level holds {float(jnp.min(level)):g} N; force amplitudes must be above 0")
-    joints, kept = tuple(joints), choose_harmonics(tuple(joints), harmonics)
-    if samples < 4 * max(kept) or samples % 2:
-        raise ValueError(
-            f"{samples} samples for harmonic {max(kept)}; an even number of at least {4 * max(kept)} is needed"
-        )
+    plan = make_plan(joints, places, harmonics, samples)
     out_names = dof_names(structure) if outputs is None else tuple(outputs)
-    plan = Plan(len(joints), kept, samples)
     b, o, i = (directions(structure, p) for p in (places, [[n] for n in out_names], [[n] for n in inputs]))
-    R = receptances(structure, b, 2 * jnp.pi * freq, o, i, kept)
-    q, left, margin, force, X = _answer(R, joints, level, plan, sweep == "down")
-    return Response(freq, level, q, force, X, left, margin, kept, out_names, tuple(inputs))
+    R = receptances(structure, b, 2 * jnp.pi * freq, o, i, plan.harmonics)
+    q, left, margin, force, X = _answer(R, tuple(joints), level, plan, sweep == "down")
+    return Response(freq, level, q, force, X, left, margin, plan.harmonics, out_names, tuple(inputs))
 
 
 @eqx.filter_jit

@@ -12,14 +12,14 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from modalax._numerics.checks import as_double
-from modalax.model.receptance import directions
+from modalax.model.receptance import AnyStructure, directions
 from modalax.model.structure import Structure
 from modalax.simulate.aft import Harmonics, joint_forces, to_complex, to_real
 from modalax.simulate.joints import Joint
 
 
 def floquet_exponents(
-    structure: Structure,
+    structure: AnyStructure,
     joints: tuple[Joint, ...],
     places: Any,
     freq: Any,
@@ -36,10 +36,19 @@ def floquet_exponents(
 
     Parameters
     ----------
+    structure
+        Matrices; what a modal model leaves out has a compliance but no motion of its own.
     freq, q, harmonics
         Frequency, shape ``(s,)`` [Hz], and joint displacement, ``(s, j, h)`` [m], of each motion, as from
         :func:`modalax.simulate.follow_branch`.
+
+    Raises
+    ------
+    ValueError
+        If the structure is not given by matrices.
     """
+    if not isinstance(structure, Structure):
+        raise ValueError(f"stability needs matrices, a Structure, and was given a {type(structure).__name__}")
     n, top = len(structure.dofs), max(harmonics)
     full = tuple(range(top + 1))
     b = np.asarray(directions(structure, places))
