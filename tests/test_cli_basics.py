@@ -88,6 +88,12 @@ def test_no_argument_shows_the_help(capsys):
         (["simulate", "absent.npz", "--force", "1", "--band", "1", "2"], ["-o DATA"]),
         (["simulate", "absent.npz", "--force", "1", "-o", "x.npz"], ["--band"]),
         (["simulate", "absent.npz", "--force", "-1", "--band", "1", "2", "-o", "x.npz"], ["-1", "above 0"]),
+        (
+            ["simulate", "a.npz", "--force", "1", "--amplitude", "1e-3", "--band", "1", "2", "-o", "x.npz"],
+            ["--force", "--amplitude", "one of them"],
+        ),
+        (["simulate", "a.npz", "--held", "3", "--band", "1", "2", "-o", "x.npz"], ["--held 3", "--amplitude"]),
+        (["simulate", "a.npz", "--amplitude", "0", "--band", "1", "2", "-o", "x.npz"], ["--amplitude 0", "above 0"]),
         (["diagnose", "absent.npz"], ["--simulation"]),
         (["convert", "absent.uff", "out.npz"], ["absent.uff"]),
     ],
@@ -157,6 +163,30 @@ def test_a_slipping_joint_softens_with_the_force(files, tmp_path, capsys):
     far = [np.linalg.norm(H - free) / np.linalg.norm(free) for H in np.asarray(got.H)]
     assert far[0] > 0.1  # 1 N against a friction of 1 N
     assert far[1] < 0.01  # 1000 N against it
+
+
+@pytest.mark.slow
+def test_sweeps_up_and_down_and_a_held_response_of_a_hardening_spring(tmp_path, capsys):
+    """Closed form of one harmonic: (k + 3/4 k3 A^2 - m w^2 + j c w) X = F."""
+    m, c, k, k3 = 1.0, 2.0, 1e4, 5e7
+    model, target = tmp_path / "duffing.npz", tmp_path / "out.npz"
+    np.savez(model, M=[[m]], C=[[c]], K=[[k]], dofs=["x"])
+
+    def run(*options):
+        arguments = ["simulate", model, f"cubic_stiffness:x:k3={k3}", "--band", 15, 22, "--step", 0.25]
+        assert main([str(a) for a in [*arguments, "--harmonics", 1, *options, "-o", target, "--overwrite"]]) == 0
+        return load(target)
+
+    size = {}
+    for sweep in ("up", "down"):
+        got = run("--force", 3, "--sweep", sweep)
+        X, w = 3 * np.asarray(got.H)[0, :, 0, 0], 2 * np.pi * np.asarray(got.freq)
+        size[sweep] = np.abs(X)
+        np.testing.assert_allclose((k + 0.75 * k3 * np.abs(X) ** 2 - m * w**2 + 1j * c * w) * X, 3, rtol=1e-8)
+    assert (size["up"] > 2 * size["down"]).sum() > 3
+    got = run("--amplitude", 4e-3, "--amplitude", 8e-3, "--held", "x")
+    for A, H in zip((4e-3, 8e-3), np.asarray(got.H)[:, :, 0, 0], strict=True):
+        np.testing.assert_allclose(1 / H, k + 0.75 * k3 * A**2 - m * w**2 + 1j * c * w, rtol=1e-7)
 
 
 def test_simulated_noise_has_the_size_asked_for(files, tmp_path, capsys):

@@ -11,6 +11,13 @@ import typer
 from modalax.cli.common import OverwriteOption, check_free, note, read_simulation, start, working
 
 
+class Sweep(StrEnum):
+    """Direction of a sweep."""
+
+    up = "up"
+    down = "down"
+
+
 class FRFForm(StrEnum):
     """Quantities of the response."""
 
@@ -42,6 +49,18 @@ def simulate(
     joint: Annotated[list[str] | None, typer.Option("--joint", help="A joint, as the argument JOINTS.")] = None,
     input: Annotated[str | None, typer.Option("--input", help="Driven DoF; the first by default.")] = None,
     form: Annotated[FRFForm, typer.Option(help="Quantity of the response.")] = FRFForm.receptance,
+    sweep: Annotated[
+        Sweep, typer.Option(help="Direction of the sweep: which motion, where a joint allows several.")
+    ] = Sweep.up,
+    amplitude: Annotated[
+        list[float] | None,
+        typer.Option(
+            "--amplitude", help="Hold this displacement [m] by the force, instead of --force; repeat for more runs."
+        ),
+    ] = None,
+    held: Annotated[
+        str | None, typer.Option("--held", help="DoF held at --amplitude; the driven one by default.")
+    ] = None,
     harmonics: Annotated[int, typer.Option(help="Harmonics kept where there are joints.")] = 3,
     noise: Annotated[float, typer.Option(help="Noise added, as a fraction of each channel's rms.")] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 0,
@@ -52,9 +71,8 @@ def simulate(
         raise ValueError("simulate needs -o DATA, the file to write the FRFs to")
     if band is None:
         raise ValueError("simulate needs --band LO HI, the frequencies to simulate [Hz]")
-    levels = [] if force is None else force
-    if any(not level > 0 for level in levels):
-        raise ValueError(f"--force {min(levels):g}: a force amplitude must be above 0 N")
+    levels, amplitudes = force or [], amplitude or []
+    _check_control(levels, amplitudes, held)
     check_free(output, overwrite=overwrite)
     start()
     from modalax.files import save
@@ -62,10 +80,16 @@ def simulate(
     freq = frequencies(*band, step)
     structure = read_simulation(simulation)
     parts = [part for spec in [*(joints or []), *(joint or [])] for part in read_joints(spec)]
-    if parts and not levels:
-        raise ValueError("joints make the response depend on the force: give --force N")
-    with working(f"Simulating {len(freq)} lines at {len(levels) or 1} force amplitudes"):
-        measurement = predict(structure, parts, freq, levels, input, form.value, harmonics)
+    if parts and not levels and not amplitudes:
+        raise ValueError("joints make the response depend on the force: give --force N, or --amplitude M to hold it")
+    known = getattr(structure, "dofs", None) or structure.inputs
+    driven = known[0] if input is None else input
+    if amplitudes and parts:
+        with working(f"Simulating {len(freq)} lines at {len(amplitudes)} held amplitudes"):
+            measurement = hold(structure, parts, freq, amplitudes, driven, held or driven, form.value, harmonics)
+    else:
+        with working(f"Simulating {len(freq)} lines at {len(levels) or 1} force amplitudes"):
+            measurement = predict(structure, parts, freq, levels, driven, form.value, harmonics, sweep.value)
     if noise:
         measurement = with_noise(measurement, noise, seed)
     save(measurement, output, overwrite=overwrite)
@@ -188,18 +212,67 @@ def numbers(value: Any) -> float | list[float]:
 
 
 def predict(
-    structure: Any, joints: list[Any], freq: Any, levels: list[float], input: str | None, form: str, harmonics: int
+    structure: Any,
+    joints: list[Any],
+    freq: Any,
+    levels: list[float],
+    input: str,
+    form: str,
+    harmonics: int,
+    sweep: str,
 ) -> Any:
     """Predict the measurement: by the receptance where there is no joint, else by harmonic balance."""
     from modalax.simulate.harmonic import simulate as run
 
-    known = getattr(structure, "dofs", None) or structure.inputs
     laws, places = [law for law, _ in joints], [where for _, where in joints]
     level = levels or [float("nan")]
-    options: dict[str, Any] = {"harmonics": harmonics} if joints else {}
-    return run(
-        structure, laws, places, freq, level, inputs=[known[0] if input is None else input], form=form, **options
-    )
+    options: dict[str, Any] = {"harmonics": harmonics, "sweep": sweep} if joints else {}
+    return run(structure, laws, places, freq, level, inputs=[input], form=form, **options)
+
+
+def hold(
+    structure: Any,
+    joints: list[Any],
+    freq: Any,
+    amplitudes: list[float],
+    input: str,
+    held: str,
+    form: str,
+    harmonics: int,
+) -> Any:
+    """Predict the FRFs of tests that hold a response at each of several amplitudes [m].
+
+    Raises
+    ------
+    ValueError
+        If there are lines at which no force was found.
+    """
+    from modalax.data import Measurement
+    from modalax.simulate.control import constant_response
+
+    laws, places = [law for law, _ in joints], [where for _, where in joints]
+    runs = []
+    for amplitude in amplitudes:
+        run = constant_response(structure, laws, places, freq, amplitude, held=held, input=input, harmonics=harmonics)
+        failed = run.freq[~run.converged]
+        if len(failed):
+            raise ValueError(
+                f"--amplitude {amplitude:g}: no force was found that holds it at {len(failed)} of {len(freq)} lines, "
+                f"the first at {float(failed[0]):g} Hz; take finer lines or fewer harmonics"
+            )
+        runs.append(run.measurement(form).run(0))
+    return Measurement.from_frfs(runs)
+
+
+def _check_control(levels: list[float], amplitudes: list[float], held: str | None) -> None:
+    if any(not level > 0 for level in levels):
+        raise ValueError(f"--force {min(levels):g}: a force amplitude must be above 0 N")
+    if any(not amplitude > 0 for amplitude in amplitudes):
+        raise ValueError(f"--amplitude {min(amplitudes):g}: a displacement amplitude must be above 0 m")
+    if levels and amplitudes:
+        raise ValueError("--force holds the force and --amplitude the response: give one of them")
+    if held is not None and not amplitudes:
+        raise ValueError(f"--held {held}: says where --amplitude is held; give --amplitude M")
 
 
 def with_noise(measurement: Any, relative: float, seed: int) -> Any:
