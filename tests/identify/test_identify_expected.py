@@ -37,7 +37,7 @@ def dampings(poles, valid, near):
 CASES = {
     "LSCE forward": (lsce, expected_lsce_bias, 16, {}, 0.05, 0.002),
     "LSCE backward": (lsce, expected_lsce_bias, 32, {"constraint": "a0"}, 0.05, 0.003),
-    "LSCE weighted": (lsce, expected_lsce_bias, 16, {"weights": "variance"}, 0.05, 0.003),
+    "LSCE weighted": (lsce, expected_lsce_bias, 32, {"constraint": "a0", "weights": "variance"}, 0.05, 0.003),
     "LSCE real": (lsce, expected_lsce_bias, 24, {"real": True}, 0.05, 0.004),
     "FDPI": (fdpi, expected_fdpi_bias, 5, {}, 0.05, 0.006),
     "FDPI without residual": (fdpi, expected_fdpi_bias, 5, {"residual": 0}, 0.05, 0.006),
