@@ -9,7 +9,7 @@ import pytest
 
 from modalax.cli import main
 from modalax.cli.virtual import FREQ, LEVELS, hidden_joint, random_effect, virtual_test
-from modalax.data import Measurement
+from modalax.data import Geometry, Measurement
 from modalax.files import save
 from modalax.model import Structure
 from modalax.model.examples import five_dof
@@ -47,6 +47,23 @@ def test_fit_writes_what_it_says(tmp_path, capsys):
     # A second time, nothing is replaced.
     assert main([*arguments, "--report", str(names["f.html"])]) == 2
     assert "--overwrite" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_fit_draws_the_shapes_on_the_nodes_of_a_universal_file(tmp_path, capsys):
+    structure = five_dof()
+    frf = structure.frf(np.arange(200, 701) / 10, inputs=["1"]).add_noise(jax.random.key(0), 0.02)
+    frf = frf.replace(outputs=[f"{k}:+Z" for k in range(1, 6)], inputs=["1:+Z"])
+    nodes = [str(k) for k in range(1, 6)]
+    geometry = Geometry(nodes, np.stack([np.arange(5.0), np.zeros(5), np.zeros(5)], axis=1), [nodes])
+    for name, where in (("with", geometry), ("without", None)):
+        save(frf, tmp_path / f"{name}.uff", geometry=where)
+        target = tmp_path / name
+        report = target.with_suffix(".html")
+        arguments = ["fit", str(tmp_path / f"{name}.uff"), "--no-refine", "--out", str(target), "--report", str(report)]
+        assert main(arguments) == 0
+        assert (target / "shapes.png").exists() == (where is not None)
+        assert ("Mode shapes on the geometry" in report.read_text()) == (where is not None)
 
 
 @pytest.mark.slow

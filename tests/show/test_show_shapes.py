@@ -5,8 +5,9 @@ import pytest
 from PIL import Image
 
 from modalax.data.geometry import Geometry
+from modalax.model import ModalModel
 from modalax.show import animate_shape, plot_shape, plot_shapes
-from modalax.show.shapes import LARGEST
+from modalax.show.shapes import LARGEST, along
 
 
 @pytest.fixture
@@ -52,6 +53,37 @@ def test_names_without_direction_cannot_move(beam):
 def test_several_shapes_side_by_side(beam):
     fig = plot_shapes(beam, [f"{k}:+Z" for k in range(5)], np.eye(5), titles=list("abcde"))
     assert [ax.get_title() for ax in fig.axes] == list("abcde")
+
+
+def test_shapes_of_a_report_stand_where_those_of_a_picture_do(beam):
+    """Rest and displaced points of the lines, with a gap between two pieces; turned and scaled as in a picture."""
+    pytest.importorskip("plotly")
+    from modalax.show.report.plots import shape_plot_3d
+
+    dofs, shape = [f"{k}:+Z" for k in range(5)], np.array([0, 1.0, 2.0, 1.0, 0]) * np.exp(0.4j)
+    plot = shape_plot_3d(beam, dofs, [shape, shape], [12.0, 30.0])
+    assert [label for label, _ in plot.figures] == ["1: 12 Hz", "2: 30 Hz"]
+    rest, moved = plot.figures[0][1].data
+    assert len(rest.x) == 3 * 4 and np.isnan(rest.x[2::3]).all()
+    ends = np.delete(np.arange(12), np.arange(2, 12, 3))
+    node = np.array([0, 1, 1, 2, 2, 3, 3, 4])
+    np.testing.assert_allclose(np.asarray(rest.x)[ends], np.asarray(beam.xyz)[node, 0], atol=1e-6)
+    lifted = np.abs(np.asarray(moved.z)[ends])
+    np.testing.assert_allclose(lifted, LARGEST * 2.0 * np.array([0, 1, 2, 1, 0])[node] / 2, atol=1e-6)
+
+
+def test_shapes_run_along_the_side_with_more_dofs_that_move_nodes(beam):
+    model = ModalModel.from_real_modes(
+        [10.0, 20.0], [0.01, 0.01], np.arange(1.0, 11.0).reshape(2, 5), [1.0, 1.0],
+        ["0:+Z", "1:-Z", "2:+RY", "4", "9:+Z"],
+    )  # fmt: skip
+    for one in (model.replace(participation=model.participation[:, :1], inputs=["0:+Z"],
+                              upper=np.zeros((5, 1)), lower=np.zeros((5, 1))),
+                model.replace(shapes=model.shapes[:, :1], outputs=["0:+Z"],
+                              upper=np.zeros((1, 5)), lower=np.zeros((1, 5)))):  # fmt: skip
+        dofs, shapes = along(beam, one)
+        assert dofs == ["0:+Z", "1:-Z"]
+        np.testing.assert_allclose(shapes[:, 1] / shapes[:, 0], [2.0, 7 / 6], rtol=1e-12)
 
 
 def test_animation_is_a_gif_that_repeats(beam, tmp_path):

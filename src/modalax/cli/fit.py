@@ -64,7 +64,8 @@ def fit(
     print(f"unexplained part of the measured energy: {100 * answer['unexplained']:.3g} %")
     if result.refined is not None and not bool(result.refined.success):
         note(f"the refinement did not converge: {result.refined.reason}")
-    write_outputs(result, answer, json, report, out, title=f"Modes of {data.name}")
+    geometry = nodes_beside(data) if report or out else None
+    write_outputs(result, answer, json, report, out, f"Modes of {data.name}", geometry)
 
 
 def one_run(measurement: Any, run: int | None, path: Path) -> Any:
@@ -82,8 +83,27 @@ def one_run(measurement: Any, run: int | None, path: Path) -> Any:
     return measurement.run(0 if run is None else run - 1)
 
 
+def nodes_beside(path: Path) -> Any:
+    """The nodes and lines that a universal file holds beside its FRFs; None where there are none."""
+    from modalax.files import load_geometry
+    from modalax.files.sniff import sniff
+
+    if sniff(path) != "uff":
+        return None
+    try:
+        return load_geometry(path)
+    except ValueError:
+        return None
+
+
 def write_outputs(
-    result: Any, answer: dict[str, Any], json: Path | None, report: Path | None, out: Path | None, title: str
+    result: Any,
+    answer: dict[str, Any],
+    json: Path | None,
+    report: Path | None,
+    out: Path | None,
+    title: str,
+    geometry: Any,
 ) -> None:
     """Write what was asked for of a fit."""
     if json is not None:
@@ -93,11 +113,11 @@ def write_outputs(
         from modalax.show.report import fit_report
 
         with working("Writing the report"):
-            report.write_text(fit_report(result, title=title), encoding="utf-8")
+            report.write_text(fit_report(result, title=title, geometry=geometry), encoding="utf-8")
         note(f"report: {report}")
     if out is not None:
         from modalax.show import save_fit_pictures
 
         with working("Drawing"):
-            written = save_fit_pictures(result, out)
+            written = save_fit_pictures(result, out, geometry=geometry)
         note(f"pictures: {', '.join(str(p) for p in written)}")

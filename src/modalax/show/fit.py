@@ -5,18 +5,20 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from modalax.data.geometry import Geometry
 from modalax.identify.fit import Fit
 from modalax.model.indicators import auto_mac
 from modalax.show.frf import plot_frf, plot_frf_grid
 from modalax.show.matrices import mode_names, plot_mac
 from modalax.show.modes import plot_modes
+from modalax.show.shapes import along, plot_shapes
 from modalax.show.stabilization import plot_stabilization
 
 Truth = tuple[np.ndarray, np.ndarray]
 
 
-def fit_pictures(fit: Fit, truth: Truth | None = None) -> dict[str, Figure]:
-    """Draw a fit: stabilization, modes with error bars, FRFs over the measurement, auto-MAC.
+def fit_pictures(fit: Fit, truth: Truth | None = None, geometry: Geometry | None = None) -> dict[str, Figure]:
+    """Draw a fit: stabilization, modes with error bars, FRFs over the measurement, auto-MAC, shapes on the geometry.
 
     Parameters
     ----------
@@ -24,6 +26,8 @@ def fit_pictures(fit: Fit, truth: Truth | None = None) -> dict[str, Figure]:
         A :class:`modalax.identify.Fit`.
     truth
         True frequencies [Hz] and damping ratios of the modes in the band, where known.
+    geometry
+        Where the DoFs are, where known.
     """
     model, refined = fit.model, fit.refined
     inside = np.asarray(fit.inside)
@@ -43,15 +47,20 @@ def fit_pictures(fit: Fit, truth: Truth | None = None) -> dict[str, Figure]:
     }
     if len(fit.frf.outputs) * len(fit.frf.inputs) > 1:
         pictures["frfs"] = plot_frf_grid(fit.frf, model)
+    names = mode_names(frequency)
+    dofs, shapes = ([], np.zeros((0, 0))) if geometry is None else along(geometry, model)
+    if geometry is not None and dofs:
+        pictures["shapes"] = plot_shapes(geometry, dofs, shapes[inside], titles=names)
     if len(model.outputs) > 1 and len(frequency) > 1:
-        names = mode_names(frequency)
         pictures["auto_mac"] = plot_mac(auto_mac(model.shapes[inside]), rows=names, columns=names, title="Auto-MAC")
     return pictures
 
 
-def save_fit_pictures(fit: Fit, folder: Path, truth: Truth | None = None) -> list[Path]:
+def save_fit_pictures(
+    fit: Fit, folder: Path, truth: Truth | None = None, geometry: Geometry | None = None
+) -> list[Path]:
     """Write the pictures of a fit as PNG files into a folder, which is made if need be, and return their paths."""
-    return save_pictures(fit_pictures(fit, truth), folder)
+    return save_pictures(fit_pictures(fit, truth, geometry), folder)
 
 
 def save_pictures(pictures: dict[str, Figure], folder: Path) -> list[Path]:

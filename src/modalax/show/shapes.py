@@ -9,8 +9,10 @@ from matplotlib.animation import PillowWriter
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
+from modalax.data.dofs import parse_dof
 from modalax.data.geometry import Geometry
 from modalax.model.indicators import mean_phase
+from modalax.model.modal import ModalModel
 from modalax.show.style import GREY, look
 
 VIEW = (28.0, -58.0)
@@ -56,7 +58,7 @@ def plot_shapes(
     width: float = 3.2,
 ) -> Figure:
     """Draw several mode shapes, ``(mode, dof)``, beside one another; parameters as :func:`plot_shape`."""
-    vectors = [_moving(geometry, dofs, shape) for shape in np.asarray(shapes)]
+    vectors = [moving(geometry, dofs, shape) for shape in np.asarray(shapes)]
     columns = min(4, len(vectors))
     rows = -(-len(vectors) // columns)
     with look():
@@ -91,7 +93,7 @@ def animate_shape(
         raise ValueError(f"{path.name}: animations are written as .gif")
     if frames < 2:
         raise ValueError(f"{frames} frames asked for; a cycle needs at least 2")
-    vector = _moving(geometry, dofs, shape)
+    vector = moving(geometry, dofs, shape)
     writer = PillowWriter(fps=max(1, round(frames / seconds)))
     with look():
         fig = Figure(figsize=(5.8, 4.4))
@@ -106,7 +108,7 @@ def animate_shape(
     return path
 
 
-def _moving(geometry: Geometry, dofs: Sequence[str], shape: Any) -> np.ndarray:
+def moving(geometry: Geometry, dofs: Sequence[str], shape: Any) -> np.ndarray:
     """Displacement of every node, complex ``(node, 3)``, turned so that most of it is real.
 
     Raises
@@ -129,6 +131,17 @@ def _moving(geometry: Geometry, dofs: Sequence[str], shape: Any) -> np.ndarray:
         weight = 1 / np.maximum(distance[near], 1e-9 * (distance.max() or 1.0)) ** 2
         vectors[k] = weight @ vectors[measured][near] / weight.sum()
     return vectors
+
+
+def along(geometry: Geometry, model: ModalModel) -> tuple[list[str], np.ndarray]:
+    """DoFs that move nodes of the geometry, and the shapes at them, shape ``(mode, dof)``.
+
+    They are the outputs, or the inputs where there are more of them (a roving hammer).
+    """
+    model = model if len(model.outputs) >= len(model.inputs) else model.transpose()
+    dofs = [parse_dof(name) for name in model.outputs]
+    keep = [k for k, d in enumerate(dofs) if d.node in geometry.nodes and d.direction in ("X", "Y", "Z")]
+    return [model.outputs[k] for k in keep], np.asarray(model.shapes)[:, keep]
 
 
 def _draw(ax: Any, geometry: Geometry, u: np.ndarray, top: float, view: tuple[float, float], labels: bool) -> None:

@@ -5,11 +5,13 @@ from typing import Any
 
 import numpy as np
 
+from modalax.data.geometry import Geometry
 from modalax.model.indicators import auto_mac
 from modalax.show.matrices import mode_names
 from modalax.show.numbers import with_error
 from modalax.show.report.page import Page, Section, Table
-from modalax.show.report.plots import frf_plot, mac_plot, modes_plot, shape_plot, stabilization_plot
+from modalax.show.report.plots import frf_plot, mac_plot, modes_plot, shape_plot, shape_plot_3d, stabilization_plot
+from modalax.show.shapes import along
 
 
 def mode_rows(modes: Sequence[Mapping[str, Any]], truth: tuple[Any, Any] | None = None) -> Table:
@@ -42,7 +44,12 @@ def _bias(mode: Mapping[str, Any]) -> str:
     return "" if bias is None else f"{100 * bias / mode['damping_ratio']:+.2g}"
 
 
-def fit_sections(fit: Any, modes: Sequence[Mapping[str, Any]], truth: tuple[Any, Any] | None = None) -> list[Section]:
+def fit_sections(
+    fit: Any,
+    modes: Sequence[Mapping[str, Any]],
+    truth: tuple[Any, Any] | None = None,
+    geometry: Geometry | None = None,
+) -> list[Section]:
     """Sections of a fit: modes, FRFs, stabilization, shapes."""
     model = fit.model
     refined = fit.refined
@@ -55,6 +62,9 @@ def fit_sections(fit: Any, modes: Sequence[Mapping[str, Any]], truth: tuple[Any,
     inside = np.asarray(fit.inside)
     psi, frequency = model.shapes[inside], np.asarray(model.frequency_hz)[inside]
     shapes: list[Any] = [shape_plot(psi, model.outputs, frequency)]
+    dofs, moved = ([], psi) if geometry is None else along(geometry, model)
+    if geometry is not None and dofs:
+        shapes.insert(0, shape_plot_3d(geometry, dofs, moved[inside], frequency))
     if len(model.outputs) > 1 and len(modes) > 1:
         names = mode_names(frequency)
         shapes.append(mac_plot(auto_mac(psi), names, names, "Auto-MAC of the mode shapes."))
@@ -70,8 +80,12 @@ def fit_sections(fit: Any, modes: Sequence[Mapping[str, Any]], truth: tuple[Any,
     ]
 
 
-def fit_report(fit: Any, title: str = "Modes", truth: tuple[Any, Any] | None = None) -> str:
+def fit_report(
+    fit: Any, title: str = "Modes", truth: tuple[Any, Any] | None = None, geometry: Geometry | None = None
+) -> str:
     """Make the report of a :class:`modalax.identify.Fit` as the text of one self-contained HTML file.
+
+    With a geometry the mode shapes are drawn on it as well.
 
     Raises
     ------
@@ -89,5 +103,5 @@ def fit_report(fit: Any, title: str = "Modes", truth: tuple[Any, Any] | None = N
         ("FRF", fit.frf.form),
         ("Unexplained energy", f"{100 * answer['unexplained']:.3g} %"),
     ]
-    page = Page(title, "Experimental modal analysis", facts, fit_sections(fit, answer["modes"], truth))
+    page = Page(title, "Experimental modal analysis", facts, fit_sections(fit, answer["modes"], truth, geometry))
     return page.html()

@@ -7,11 +7,13 @@ from typing import Any
 import numpy as np
 
 from modalax.data.frf import FRF
+from modalax.data.geometry import Geometry
 from modalax.identify.tables import PoleTable
 from modalax.model.indicators import cmif, sum_frf
 from modalax.show.frf import Predicts, synthesised
 from modalax.show.report.page import NEEDS, Plot
 from modalax.show.residuals import bin_lines
+from modalax.show.shapes import LARGEST, moving
 from modalax.show.stabilization import KINDS, Flags, pole_kinds
 from modalax.show.style import FREQUENCY, GREEN, GREY, ORANGE, frf_label
 
@@ -223,6 +225,39 @@ def shape_plot(shapes: Any, outputs: Sequence[str], frequency_hz: Any) -> Plot:
         fig.update_yaxes(title="Shape [-]", range=[-1.1, 1.1])
         figures.append((f"{k + 1}: {f:.5g} Hz", fig))
     return Plot(figures, "Mode shapes, each scaled to its largest component.", "Bars of the shape components.", "Mode")
+
+
+def shape_plot_3d(geometry: Geometry, dofs: Sequence[str], shapes: Any, frequency_hz: Any) -> Plot:
+    """Mode shapes, ``(mode, dof)``, on the geometry: at rest in grey, displaced coloured by how far, one at a time."""
+    go = graph_objects()
+    xyz, pieces = np.asarray(geometry.xyz), geometry.segments
+    size = float(np.ptp(xyz, axis=0).max()) or 1.0
+    # One trace for all lines: a missing point between two pieces lifts the pen.
+    order = np.concatenate([np.append(piece, -1) for piece in pieces]) if len(pieces) else np.arange(len(xyz))
+    figures = []
+    for k, (shape, f) in enumerate(zip(np.asarray(shapes), np.asarray(frequency_hz), strict=True)):
+        u = np.real(moving(geometry, dofs, shape))
+        u = u / (np.linalg.norm(u, axis=1).max() or 1.0)
+        fig = go.Figure()
+        for points, colour, name, width in (
+            (xyz, GREY, "at rest", 2), (xyz + LARGEST * size * u, np.linalg.norm(u, axis=1), "displaced", 4),
+        ):  # fmt: skip
+            x, y, z = np.where(order[:, None] < 0, np.nan, points[order]).round(6).T
+            tint = {"color": colour if isinstance(colour, str) else colour[order].round(4), "colorscale": "Viridis"}
+            mode = "lines+markers" if len(pieces) else "markers"
+            fig.add_trace(
+                go.Scatter3d(
+                    x=x, y=y, z=z, mode=mode, name=name, line={**tint, "width": width}, marker={**tint, "size": 2.5},
+                    text=[escape(geometry.nodes[n]) if n >= 0 else "" for n in order], hoverinfo="text",
+                )
+            )  # fmt: skip
+        axes = {f"{a}axis": {"title": f"{a} [m]"} for a in "xyz"}
+        fig.update_layout(
+            template="none", scene={"aspectmode": "data", **axes}, margin={"l": 0, "r": 0, "t": 30, "b": 0}
+        )
+        figures.append((f"{k + 1}: {f:.5g} Hz", fig))
+    words = "Mode shapes at the instant of largest displacement, enlarged; drag to turn."
+    return Plot(figures, words, "Mode shapes on the geometry.", "Mode", height=520)
 
 
 def mac_plot(matrix: Any, rows: Sequence[str], columns: Sequence[str], caption: str) -> Plot:
