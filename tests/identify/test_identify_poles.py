@@ -1,13 +1,31 @@
+import dataclasses
+import subprocess
+import sys
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.linalg
 
-from modalax.data import FRF
-from modalax.identify import best_order, fdpi, fdpi_normal_modes, lsce, lscf, plscf, select, select_near, stabilization
+from modalax.data import FRF, looks_conjugated
+from modalax.identify import (
+    best_order,
+    fdpi,
+    fdpi_normal_modes,
+    fit,
+    lsce,
+    lscf,
+    plscf,
+    residues,
+    select,
+    select_near,
+    stabilization,
+)
 from modalax.identify.moments import factor_from_moments
 from modalax.identify.polynomial import triangular_factor
 from modalax.identify.zoom import orthonormal_powers, zoom
+from modalax.model.examples import five_dof
 from modalax.model.indicators import mac
 
 # What the estimators reach without noise on the paper's system. Seen:
@@ -146,6 +164,55 @@ class TestPeersDefects:
             select_near(table, [26, 45])
         with pytest.raises(ValueError, match="no mode of its own"):
             select_near(table, [26.0, 26.1])
+
+    def test_shapes_of_unit_modal_mass_are_those_of_the_matrices(self, paper_frf, paper):
+        """Elsewhere shapes are A / sqrt(A_dp), too large or small by sqrt(2 w_d); here phi^T M phi = 1."""
+        structure = five_dof()
+        squares, vectors = scipy.linalg.eigh(np.asarray(structure.K), np.asarray(structure.M))
+        model = residues(paper_frf, paper.poles)
+        phi = np.asarray(model.shapes / jnp.sqrt(model.modal_mass("1"))[:, None])
+        signs = np.sign(phi.real[:, :1] * vectors.T[:, :1])
+        np.testing.assert_allclose(signs * phi, vectors.T, atol=1e-9 * np.abs(vectors).max())
+        np.testing.assert_allclose(model.frequency_hz, np.sqrt(squares) / (2 * np.pi), rtol=1e-10)
+        # and they rebuild the FRF
+        np.testing.assert_allclose(
+            model.frf(paper_frf.freq).H, paper_frf.H, atol=1e-10 * float(jnp.abs(paper_frf.H).max())
+        )
+
+    def test_conjugated_frfs_are_not_fitted_without_a_word(self, paper_frf):
+        """Their poles are the mirror images, all unstable; a file with such FRFs is turned back and said to be."""
+        turned = paper_frf.add_noise(jax.random.key(0), 0.01)
+        turned = turned.replace(H=turned.H.conj())
+        assert looks_conjugated(turned)
+        with pytest.raises(ValueError, match="FRFs look conjugated"):
+            fit(turned)
+
+    def test_nothing_is_overwritten_in_place(self, paper_frf):
+        """A second estimate leaves the data and the first one as they were, and neither can be written to."""
+        noisy = paper_frf.add_noise(jax.random.key(0), 0.01)
+        first = lscf(noisy, range(8, 13))
+        selection = select(first)
+        before = [np.array(leaf) for leaf in jax.tree.leaves((noisy, first, selection))]
+        select(lscf(noisy, range(8, 13), constraint="aN"), min_orders=2)
+        stabilization(first, frequency_tol=0.1)
+        residues(noisy, selection.poles)
+        for was, now in zip(before, jax.tree.leaves((noisy, first, selection)), strict=True):
+            np.testing.assert_array_equal(was, now)
+        for thing, name in ((noisy, "H"), (first, "poles"), (selection, "score")):
+            with pytest.raises(dataclasses.FrozenInstanceError):
+                setattr(thing, name, getattr(thing, name))
+
+    def test_warnings_are_heard_after_the_import(self):
+        """In an interpreter of its own: nobody's warnings are switched off wholesale (NumPy does so with three texts)."""
+        code = (
+            "import warnings; before = list(warnings.filters)\n"
+            "import modalax, modalax.identify, modalax.files, modalax.diagnose\n"
+            "print([f for f in warnings.filters if f not in before and f[0] == 'ignore' and f[1] is None])\n"
+            "for kind in (UserWarning, RuntimeWarning, FutureWarning): warnings.warn('heard', kind)"
+        )
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+        assert done.stdout.strip() == "[]"
+        assert done.stderr.count("Warning: heard") == 3
 
 
 def test_moments_give_the_same_normal_matrix(paper):

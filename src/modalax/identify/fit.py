@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from modalax.data.causality import looks_conjugated
 from modalax.data.frf import FRF
 from modalax.data.measurement import Measurement
 from modalax.identify.bias import predicted_damping_bias
@@ -182,7 +183,8 @@ def fit(
     Raises
     ------
     ValueError
-        If the method is unknown, the band too short, or no mode was found.
+        If the method is unknown, the band too short, or no mode was found; conjugated FRFs, which have none, are said
+        to be.
     """
     tell = progress or (lambda text: None)
     frf = frf.frf if isinstance(frf, Measurement) else frf
@@ -197,6 +199,11 @@ def fit(
     data = frf.transpose() if turned and name in ("plscf", "lsce", "fdpi") else frf
     table, selection = _diagram(data, name, order)
     if selection.poles.size == 0:
+        if looks_conjugated(frf):
+            raise ValueError(
+                "the FRFs look conjugated (time convention e^-jwt), so that every mode is unstable; fit their complex "
+                "conjugate: frf.replace(H=frf.H.conj())"
+            )
         raise ValueError(
             f"no mode lasts over the orders of the diagram between {float(frf.freq[0]):g} and "
             f"{float(frf.freq[-1]):g} Hz; widen the band or raise the order (now {table.orders[-1]})"
