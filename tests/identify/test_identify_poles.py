@@ -203,7 +203,7 @@ class TestPeersDefects:
                 setattr(thing, name, getattr(thing, name))
 
     def test_warnings_are_heard_after_the_import(self):
-        """In an interpreter of its own: nobody's warnings are switched off wholesale (NumPy does so with three texts)."""
+        """In an interpreter of its own: no warnings are switched off wholesale (NumPy does so with three texts)."""
         code = (
             "import warnings; before = list(warnings.filters)\n"
             "import modalax, modalax.identify, modalax.files, modalax.diagnose\n"
