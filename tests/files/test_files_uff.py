@@ -446,6 +446,25 @@ def test_shapes_of_data_set_2414(tmp_path):
     np.testing.assert_allclose(np.real(m.modal_mass("3:+Z")), [2.0], rtol=1e-14)
 
 
+def test_complex_shapes_of_data_set_2414(tmp_path):
+    """By hand again: the pole and modal a stand in the last line of numbers, real and imaginary parts side by side."""
+    pole, a = complex(-1.25, 78.5), complex(-0.004, 350.0)
+    shape = {3: [0, 0.25 - 0.125j, 1.0], 7: [0, 0, -0.5 + 0.0625j]}
+    lines = [f"{-1:6d}", f"{2414:6d}", f"{1:10d}", "Mode 1", f"{1:10d}", *["NONE"] * 5]
+    lines += ["".join(f"{v:10d}" for v in (1, 3, 2, 8, 5, 3)), "".join(f"{v:10d}" for v in (1, 0, 1, 0, 0, 1, 0, 0))]
+    lines += ["".join(f"{v:10d}" for v in (0, 0)), "".join(f"{0.0:13.5e}" for _ in range(6))]
+    lines += ["".join(f"{v:13.5e}" for v in (pole.real, pole.imag, a.real, a.imag, 0.0, 0.0))]
+    for node, values in shape.items():
+        parts = [part for v in values for part in (complex(v).real, complex(v).imag)]
+        lines += [f"{node:10d}", "".join(f"{v:13.5e}" for v in parts)]
+    (tmp_path / "a.unv").write_text("\n".join([*lines, f"{-1:6d}", ""]))
+    m = modalax.load(tmp_path / "a.unv")
+    assert m.outputs == ("3:+Y", "3:+Z", "7:+Z")
+    np.testing.assert_array_equal(m.shapes, [[0.25 - 0.125j, 1.0, -0.5 + 0.0625j]])
+    assert complex(m.poles[0]) == pole
+    np.testing.assert_allclose(np.asarray(m.modal_a("3:+Z"))[0], a, rtol=1e-12)
+
+
 @pytest.mark.slow
 def test_large_file_is_written_and_read_in_linear_time(tmp_path):
     """458 sensors, 3000 lines: adding set by set through pyuff would read 11 MB 458 times."""

@@ -152,6 +152,9 @@ def _universal(path: Path) -> list[dict[str, Any]]:
 def write_uff(what: Any, path: Path, binary: bool = True, geometry: Geometry | None = None) -> None:
     """Write FRFs (58), or the shapes of a modal model (55), with units (164) and, if given, geometry (2411, 82).
 
+    Shapes do not go to 2414, though they are read from it: pyuff 2.5 writes a negative number there one column too
+    wide, as the real part of every pole is, so that fixed columns (its own among them) read the frequency as 0.
+
     Parameters
     ----------
     what
