@@ -347,24 +347,40 @@ def one_by_one(method: str, frf: FRF) -> PoleTable:
     return PoleTable(poles, valid, None, tuple(SHOWN[method]), method.lower())
 
 
-def diagrams(x: np.ndarray, form: str, noise: str, out: Path) -> str:
+def poles_a_peak(data: FRF) -> np.ndarray:
+    """Steady LSCF poles within 2.5 Hz of each mode, mean over orders 24 to 40, each computed for itself."""
+    found = one_by_one("LSCF", data)
+    flags = stabilization(found)
+    steady = np.asarray(flags.frequency) & np.asarray(flags.damping) & np.asarray(found.physical(20.0, 70.0, 0.1))
+    hertz = np.abs(np.asarray(found.poles)) / (2 * np.pi)
+    return np.array([(steady & (np.abs(hertz - f) < 2.5))[4:].sum(1).mean() for f in np.abs(TRUE) / (2 * np.pi)])
+
+
+def diagrams(x: np.ndarray, form: str, noise: str, out: Path, draws: int = DRAWS) -> str:
     """Figures 12 and 14 to 16: diagrams without and with noise, what they lead to, and poles a peak."""
     clean = bent_frf(x, form).band(20.0, 70.0)
-    loud = clean.replace(H=noisy_copies(bent_frf(x, form), noise, 1)[0, 199:700])
-    rows = []
+    noisy = noisy_copies(bent_frf(x, form), noise, draws)[:, 199:700]
+    loud = clean.replace(H=noisy[0])
     for label, file, data in (
         ("without noise", "fig12_lscf_clean", clean),
         ("with 15 % noise", "fig12_lscf_noisy", loud),
     ):
         found = one_by_one("LSCF", data)
-        flags = stabilization(found)
-        figure = plot_stabilization(found, flags, data, title=f"LSCF, {FORCE:g} N, {label}")
+        figure = plot_stabilization(found, stabilization(found), data, title=f"LSCF, {FORCE:g} N, {label}")
         figure.savefig(out / f"{file}.png", dpi=110)
         plt.close(figure)
-        steady = np.asarray(flags.frequency) & np.asarray(flags.damping) & np.asarray(found.physical(20.0, 70.0, 0.1))
-        hertz = np.abs(np.asarray(found.poles)) / (2 * np.pi)
-        counts = [(steady & (np.abs(hertz - f) < 2.5))[4:].sum(1).mean() for f in np.abs(TRUE) / (2 * np.pi)]
-        rows.append([label, *[f"{c:.2f}" for c in counts]])
+    many = np.array([poles_a_peak(clean.replace(H=H)) for H in noisy])
+    rows = [
+        ["without noise", *[f"{c:.2f}" for c in poles_a_peak(clean)]],
+        [
+            f"with 15 % noise, {draws} draws",
+            *[f"{m:.2f} ± {s:.2f}" for m, s in zip(many.mean(0), many.std(0), strict=True)],
+        ],
+        [
+            "draws with more than one at an order",
+            *[f"{100 * (many > 1).mean(0)[k]:.0f} %" for k in range(many.shape[1])],
+        ],
+    ]
     for number, method in zip((14, 15, 16), ORDERS, strict=True):
         _fit_picture(loud.band(20.0, 45.0), clean, method, out / f"fig{number}_{method.lower()}.png")
     head = ["steady poles within 2.5 Hz of", *[f"mode {k}" for k in range(1, 6)]]
@@ -472,7 +488,7 @@ def study(out: Path, draws: int, tell: Callable[[str], object]) -> str:
     if draws:
         parts += [
             variants, lambda: "".join(tables_3_and_4(x, draws, *reading) for reading in chosen),
-            lambda: diagrams(x, *chosen[0], out),
+            lambda: diagrams(x, *chosen[0], out, draws),
             lambda: report_bandwidth(x, draws),
         ]  # fmt: skip
     for part in parts:
