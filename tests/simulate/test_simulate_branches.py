@@ -102,6 +102,22 @@ def test_backbone_of_a_jenkins_oscillator_is_its_describing_function():
     np.testing.assert_allclose(found.damping_ratio, (C + N.imag / omega) / (2 * omega), rtol=1e-9)
 
 
+def test_backbone_of_the_two_dof_system_of_kerschen_peeters_golinval_and_vakakis():
+    """Mech. Syst. Signal Process. 23 (2009) 170-194: x1'' + 2 x1 - x2 + x1^3/2 = 0, x2'' + 2 x2 - x1 = 0.
+
+    Of its in-phase mode they give 1 rad/s where it is linear and sqrt(2) rad/s, the first mass at rest, at high energy.
+    """
+    s = Structure(np.eye(2), np.zeros((2, 2)), [[2.0, -1.0], [-1.0, 2.0]], ["1", "2"])
+    found = backbone(s, [CubicSpring(0.5)], [["1"]], 1, np.geomspace(1e-3, 60.0, 25))
+    omega, A1 = 2 * np.pi * np.asarray(found.frequency_hz), np.abs(np.asarray(found.q)[:, 0, 0])
+    assert bool(found.converged.all())
+    # one harmonic: (2 - w^2) A1 - A1/(2 - w^2) + 3/8 A1^3 = 0
+    np.testing.assert_allclose(0.375 * A1**2, 1 / (2 - omega**2) - (2 - omega**2), rtol=1e-7, atol=1e-8)
+    assert omega[0] == pytest.approx(1.0, abs=1e-6)
+    assert np.all(np.diff(omega) > 0) and np.sqrt(2) - 0.03 < omega[-1] < np.sqrt(2)
+    np.testing.assert_allclose(found.damping_ratio, 0.0, atol=1e-12)
+
+
 def test_backbone_of_the_five_dof_system_starts_linear_and_softens():
     s, joint = five_dof(), ElastoSlip(9.6e3, 2.3, -9.6e3)
     found = backbone(s, [joint], [["3", "5"]], 2, np.geomspace(1e-5, 3e-3, 10), harmonics=3)

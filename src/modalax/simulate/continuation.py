@@ -156,6 +156,9 @@ def follow_branch(
 ) -> Branch:
     """Follow the response branch at one force level from one end of a band, through all folds, unstable parts included.
 
+    Where a hard contact begins, a branch may turn back by more than a right angle at once; no step ahead leads on from
+    there, and the valid points end.
+
     Parameters
     ----------
     band

@@ -3,6 +3,12 @@ r"""Time marching of a structure with joints: the second route, which knows noth
 The linear part is propagated exactly (:mod:`modalax.simulate.blocks`); within a step the joints' forces and the motion
 they make agree to rounding (:mod:`modalax.simulate.inside`). The only error is that of the force along a step: fourth
 order in the step for smooth laws, second order in an eighth of it where contact or slip begins inside.
+
+A general solver of differential equations is not used, because a joint here is a law from one displacement to the next
+(:class:`modalax.simulate.joints.Hysteretic`): rigid friction has no rate, a law of a user's own need not have one, and
+steps stay as long as the excitation asks, whatever the highest mode of the structure. Where neither matters it is not
+the faster: on five DoFs with one Jenkins element, written as a rate, diffrax's order-8 Runge-Kutta method came within
+1.5e-7 of one second of motion in 0.06 s of processor, this within 3.7e-7 in 0.65 s (256 steps a period, with set-up).
 """
 
 from collections.abc import Sequence
