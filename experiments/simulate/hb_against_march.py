@@ -138,7 +138,7 @@ def folds(steps: int, highest: int) -> None:
     omega, zeta = 2 * np.pi * 20.0, 0.02
     single = Structure([[1.0]], [[2 * zeta * omega]], [[omega**2]], ["mass"])
     head(f"past a fold, 10 N on one mass, 17 lines 20..24 Hz, {steps} steps a period")
-    for joint in (CubicSpring(4e8), Gap(1e4, 3e-3)):
+    for joint in (CubicSpring(4e8), Gap(1e4, 3e-3), OneSidedGap(1.5e4, 3e-3)):
         case, size = Case(single, ["mass"], np.linspace(20.0, 24.0, 17), 10.0), {}
         for sweep in ("up", "down"):
             began = time.perf_counter()
