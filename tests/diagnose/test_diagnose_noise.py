@@ -45,6 +45,25 @@ def test_smoothed_variances_give_light_tails(kind, repeats):
     assert abs(np.mean(ratio) - 1) < 0.05  # measured within 0.02
 
 
+@pytest.mark.parametrize(("repeats", "shared", "within"), [(6, True, 1.7), (30, True, 1.3), (30, False, 1.3)])
+def test_noise_that_rises_towards_a_narrow_peak_is_not_taken_for_a_part_of_it(repeats, shared, within):
+    """One sharp mode where the noise is largest: a part that follows it would be many times the noise at its lines."""
+    rng, centre, pole = np.random.default_rng(3), 22.0, 2 * np.pi * 22.0 * (-0.0008 + 1j)
+    H = 1 / (2j * np.pi * FREQ[:, None, None] - pole) * np.array([1.0, 0.6, 0.3])[:, None] + 0.01
+    slopes = np.full(3, -1.5) if shared else np.array([-1.5, -0.8, 1.0])
+    sigma = 0.02 * np.sqrt((np.abs(H) ** 2).mean(axis=0)) * (FREQ[:, None, None] / 40.0) ** slopes[:, None]
+    peak = np.abs(FREQ - centre) < 0.3
+    ratio = []
+    for _ in range(4):
+        e = (rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape)) / np.sqrt(2) * sigma
+        variance = sigma**2 * rng.gamma(repeats - 1, 1 / (repeats - 1), H.shape)
+        M = Measurement(
+            FREQ, (H + e)[None], variance=variance[None], averages=repeats, outputs=("1", "2", "3"), inputs=("1",)
+        )
+        ratio.append((noise_of(M, H).sigma[0] / sigma)[peak])
+    assert np.abs(np.log(np.median(ratio, axis=0))).max() < np.log(within)  # three to four without the course
+
+
 def test_missing_variances_are_estimated_and_said_so():
     M, H, sigma = noisy("absolute", None, 0, given=False)
     found = noise_of(M, H)

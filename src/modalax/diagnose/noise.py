@@ -3,7 +3,9 @@ r"""How noisy each sample is: variances from few repeats smoothed, missing ones 
 A variance from M repeats is :math:`\sigma^2\chi^2_\nu/\nu` with :math:`\nu = 2(M-1)`; used line by line, M = 3 puts
 13 % of the whitened residuals beyond 3.5 instead of 0.05 %. The variance of a channel is therefore taken as a constant
 and parts that follow the magnitude of the response, measured and expected, times a slow function of frequency, fitted
-to all lines together.
+to all lines together. The constant has a course over frequency, that of all channels first and, where variances are
+given, that of each output then: what rises towards a narrow peak would else be taken for a part that follows the
+response, and be many times too large at the peak itself.
 """
 
 from dataclasses import dataclass
@@ -17,11 +19,12 @@ from modalax.data import Measurement
 ENOUGH = 300.0  # degrees of freedom at which a variance is as good as known
 FLOOR = 1e-7  # least standard deviation, over the root mean square of the channel
 AROUND = 15  # lines over which the scatter with and without the simulation is compared
-SHARED = 9  # lines over which the course that all channels share is taken
+SHARED, GIVEN = 9, 15  # lines over which the course of the noise is taken, read off the lines or given
 SMOOTHED = 160.0  # degrees of freedom that the lines of one smoothing window have together
 TRUSTED = 3.0  # degrees of freedom of each variance below which it was read from neighbouring lines
 TIED = 4.0  # lines that the noise floor of all channels counts for, where variances are read off the lines
-ROUNDS = 12  # of parts and course in turn
+ROUNDS = 12  # of parts and course in turn; the second half of them is each output's own, where variances are given
+RARE = 1e-6  # chance below which a line's own variance is believed instead
 READ_LINES = 1.12  # widening of a line's sum where variances were read off the lines; 166 clean sets: 1.2 % below 0.01
 THIRD = np.array([1.0, -3.0, 3.0, -1.0]) / np.sqrt(20.0)
 # Lines of third differences that tell as much as one: the sum of their squared correlations. A variance known to one
@@ -182,7 +185,7 @@ def smoothed(
     basis = [np.ones_like(size), *(x / np.maximum(x.mean(axis=1, keepdims=True), 1e-300) for x in shapes)]
     width = int(np.clip(round(SMOOTHED / freedom), 7, max(7, lines // 3))) | 1
     value, fit, course = variance, variance, np.ones((1, lines, 1, 1))
-    for _ in range(1 if clip is None else ROUNDS):
+    for k in range(ROUNDS):
         beside = [course * basis[0], *basis[1:]]
         told = beside if clip is None else [correlate1d(g, THIRD**2, axis=1, mode="nearest", origin=-1) for g in beside]
         parts, model = _parts(value, told, 0.0 if clip is None else TIED)
@@ -190,25 +193,29 @@ def smoothed(
         fit = slow * sum(a * g for a, g in zip(parts, beside, strict=True))
         if clip is not None:
             value = np.minimum(variance, clip * slow * model)
-            course = _shared(value / model, parts[0] * told[0] / model, course)
+        over, about = ((0, 2, 3), SHARED) if clip is not None else ((0, 3) if k >= ROUNDS // 2 else (0, 2, 3), GIVEN)
+        course = _course(value / model, parts[0] * told[0] / model, course, over, about)
     if clip is not None:
         fit = fit * (1 + DEPENDENT * (1 / width + 2 / lines))
     else:
-        # a line whose own estimate is far above the smooth one knows something that the smooth one does not
-        far = scipy.special.gammainccinv(freedom / 2, 1e-6) * 2 / freedom
-        fit = np.where(variance > far * fit, variance, fit)
+        # a line whose own estimate is far off the smooth one knows something that the smooth one does not
+        high = scipy.special.gammainccinv(freedom / 2, RARE) * 2 / freedom
+        low = scipy.special.gammaincinv(freedom / 2, RARE) * 2 / freedom
+        fit = np.where((variance > high * fit) | (variance < low * fit), variance, fit)
     return fit
 
 
-def _shared(ratio: np.ndarray, share: np.ndarray, course: np.ndarray) -> np.ndarray:
-    """How the noise that does not follow the response goes over frequency in all channels, shape ``(1, f, 1, 1)``.
+def _course(ratio: np.ndarray, share: np.ndarray, course: np.ndarray, over: tuple[int, ...], about: int) -> np.ndarray:
+    """How the noise that does not follow the response goes over frequency, the same along the axes ``over``.
 
     The multiplicative update for chi-square scatter (Fevotte, Bertin and Durrieu 2009, Neural Computation 21:793),
-    single lines left out. ``ratio`` is that of the variances to the model, ``share`` the part of this noise in it.
+    single lines of ``about`` left out. ``ratio`` is that of the variances to the model, ``share`` the part of this
+    noise in it.
     """
-    line = course.ravel() * (share * ratio).sum(axis=(0, 2, 3)) / np.maximum(share.sum(axis=(0, 2, 3)), 1e-300)
-    smooth = uniform_filter1d(median_filter(np.log(line), SHARED, mode="nearest"), SHARED // 2, mode="nearest")
-    return np.exp(smooth - smooth.mean())[None, :, None, None]
+    told = (share * ratio).sum(axis=over, keepdims=True) / np.maximum(share.sum(axis=over, keepdims=True), 1e-300)
+    line = median_filter(np.log(np.maximum(course * told, 1e-300)), (1, about, 1, 1), mode="nearest")
+    smooth = uniform_filter1d(line, about // 2, axis=1, mode="nearest")
+    return np.exp(smooth - smooth.mean(axis=1, keepdims=True))
 
 
 def _parts(
