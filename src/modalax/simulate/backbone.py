@@ -40,6 +40,8 @@ class Backbone(eqx.Module):
         Of the mode at that amplitude, shape ``(a,)`` [Hz], [-].
     q
         Displacement harmonics across the joints, shape ``(a, j, h)`` [m].
+    modal
+        Displacement harmonics of all modes of the linear structure, mass-normalised, shape ``(a, n, h)`` [m sqrt(kg)].
     residual
         What is missing to balance, relative to the amplitude, shape ``(a,)`` [-].
     harmonics
@@ -50,6 +52,7 @@ class Backbone(eqx.Module):
     frequency_hz: Float[Array, " a"]
     damping_ratio: Float[Array, " a"]
     q: Complex[Array, "a j h"]
+    modal: Complex[Array, "a n h"]
     residual: Float[Array, " a"]
     harmonics: Harmonics = eqx.field(static=True)
 
@@ -57,6 +60,28 @@ class Backbone(eqx.Module):
     def converged(self) -> Bool[Array, " a"]:
         """Which amplitudes are solved."""
         return self.residual < CLOSED
+
+    @property
+    def loss(self) -> Float[Array, " a"]:
+        r"""Energy that joints and damping take in each cycle [J], shape ``(a,)``.
+
+        What the artificial damping puts in, :math:`2\pi\zeta\omega^2\sum_k k^2\|\eta_k\|^2` over the harmonics k.
+        """
+        square = (jnp.asarray(self.harmonics) ** 2 * jnp.abs(self.modal) ** 2).sum(axis=(1, 2))
+        return 2 * jnp.pi * self.damping_ratio * (2 * jnp.pi * self.frequency_hz) ** 2 * square
+
+    def force(self, shape: Any) -> Float[Array, " a"]:
+        r"""Amplitude of the force that holds each amplitude at phase resonance [N], shape ``(a,)``.
+
+        A sine force a quarter cycle ahead of the displacement u where it acts puts in :math:`\pi F|u_1|` a cycle, which
+        must be what is lost.
+
+        Parameters
+        ----------
+        shape
+            Mass-normalised mode shapes of the linear structure where the force acts, shape ``(n,)`` [1/sqrt(kg)].
+        """
+        return self.loss / (jnp.pi * jnp.abs(self.modal[:, :, self.harmonics.index(1)] @ as_double(shape, "shape")))
 
 
 class _Modes(NamedTuple):
@@ -114,13 +139,18 @@ def _modes_of(structure: Structure | ModalModel, places: Sequence[Sequence[str]]
 
 def _missing(y: Float[Array, " r"], args: tuple) -> Float[Array, " r"]:
     """Balance of the joints' motion over the amplitude, and of the mode itself over its stiffness."""
+    return _balance(y, args)[0]
+
+
+def _balance(y: Float[Array, " r"], args: tuple) -> tuple[Float[Array, " r"], Complex[Array, "n h"]]:
+    """What is missing, and the motion of all modes."""
     plan, mode, joints, modes, a = args
     own = modes.square[mode]
     omega, zeta = jnp.sqrt(own) * y[-2], y[-1]
     q = a * plan.complex(y[:-2])
     f = joint_forces(joints, q, omega, plan.harmonics, plan.samples)
     others = np.delete(np.arange(len(modes.square)), mode)
-    rows, balance = [], jnp.zeros((), complex)
+    rows, motion, balance = [], [], jnp.zeros((), complex)
     for h, k in enumerate(plan.harmonics):
         extra = modes.damping - 2 * zeta * omega * jnp.eye(len(modes.square))
         Z = jnp.diag(modes.square - (k * omega) ** 2) + 1j * (k * omega * extra + np.sign(k) * modes.hysteretic)
@@ -131,27 +161,30 @@ def _missing(y: Float[Array, " r"], args: tuple) -> Float[Array, " r"]:
             balance = (Z[mode] @ eta - push[mode]) / (own * a)
         else:
             eta = jnp.linalg.solve(Z, push)
+        motion.append(eta)
         rows.append(q[:, h] - modes.part.T @ eta + modes.static @ f[:, h])
     joint_part = plan.real(jnp.stack(rows, axis=1)) / a
-    return jnp.concatenate([joint_part, jnp.stack([balance.real, balance.imag])])
+    return jnp.concatenate([joint_part, jnp.stack([balance.real, balance.imag])]), jnp.stack(motion, axis=1)
 
 
 @eqx.filter_jit
-def _follow(plan: Plan, mode: int, joints: tuple[Joint, ...], modes: _Modes, amplitudes: Array) -> tuple[Array, Array]:
+def _follow(
+    plan: Plan, mode: int, joints: tuple[Joint, ...], modes: _Modes, amplitudes: Array
+) -> tuple[Array, Array, Array]:
     start = jnp.zeros(plan.size + 2).at[-2].set(1.0)
     start = start.at[jnp.arange(plan.joints) * len(plan.harmonics) + plan.harmonics.index(1)].set(modes.part[mode])
 
-    def advance(y: Array, a: Array) -> tuple[Array, tuple[Array, Array]]:
+    def advance(y: Array, a: Array) -> tuple[Array, tuple[Array, Array, Array]]:
         args = (plan, mode, joints, modes, a)
         solution = optx.root_find(
             _missing, optx.Dogleg(rtol=1e-12, atol=1e-14, linear_solver=lx.AutoLinearSolver(well_posed=None)), y, args,
             max_steps=60, throw=False, adjoint=optx.ImplicitAdjoint(),
         )  # fmt: skip
         y = solution.value
-        return y, (y, jnp.max(jnp.abs(_missing(y, args))))
+        missing, motion = _balance(y, args)
+        return y, (y, motion, jnp.max(jnp.abs(missing)))
 
-    _, (ys, left) = jax.lax.scan(advance, start, amplitudes)
-    return ys, left
+    return jax.lax.scan(advance, start, amplitudes)[1]
 
 
 def backbone(
@@ -196,7 +229,7 @@ def backbone(
     count = len(taken.square)
     if not 1 <= mode <= count:
         raise ValueError(f"mode {mode} asked for; modes are counted from 1 to {count}")
-    ys, left = _follow(plan, mode - 1, tuple(joints), taken, amplitudes)
+    ys, modal, left = _follow(plan, mode - 1, tuple(joints), taken, amplitudes)
     q = amplitudes[:, None, None] * jax.vmap(plan.complex)(ys[:, :-2])
     frequency = ys[:, -2] * jnp.sqrt(taken.square[mode - 1]) / (2 * np.pi)
-    return Backbone(amplitudes, frequency, ys[:, -1], q, left, plan.harmonics)
+    return Backbone(amplitudes, frequency, ys[:, -1], q, modal, left, plan.harmonics)
