@@ -18,7 +18,7 @@ from modalax.diagnose.changes import Residual
 from modalax.diagnose.decide import detect
 from modalax.diagnose.elements import at_places, ends, factors_of, reduce, score
 from modalax.diagnose.extend import _key
-from modalax.diagnose.fit import Hypothesis
+from modalax.diagnose.fit import Hypothesis, covariance_of
 from modalax.diagnose.omnibus import Omnibus
 from modalax.diagnose.screen import Trial, screen_cause, screen_pattern
 from modalax.diagnose.state import state_of
@@ -310,3 +310,13 @@ def test_causes_of_single_sensors_explain_what_they_would_over_all_outputs(cause
         if one.direction is not None:
             np.testing.assert_allclose(one.direction, whole.direction, atol=1e-12 * np.abs(whole.direction).max())
     assert len({round(t.gain, 6) for t in own}) == len(places)  # a gain of its own at each place
+
+
+def test_what_the_data_does_not_show_has_no_small_error():
+    """Two unknowns that act alike: their sum is known, each alone is not."""
+    J = np.array([[1.0, 1.0], [2.0, 2.0], [3.0, 3.0]]) * np.array([1e6, 1.0])
+    std = np.sqrt(np.diag(covariance_of(J.T @ J)))
+    assert (std * np.array([1e6, 1.0]) > 1e4).all()
+    A = np.array([[2.0, 0.3], [0.3, 0.05]])
+    np.testing.assert_allclose(covariance_of(A), np.linalg.inv(A))
+    assert covariance_of(np.diag([4.0, 0.0]))[0, 0] == 0.25 and covariance_of(np.diag([4.0, 0.0]))[1, 1] > 1e9

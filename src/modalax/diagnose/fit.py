@@ -23,6 +23,7 @@ from modalax.diagnose.problem import Problem, bucket
 WIDE = 0.2  # prior spread of log frequency and log damping when the modes are free
 ROUNDS, SETTLED = 14, 5e-3  # steps of the search; change of chi-square at which it ends
 NEGLIGIBLE = 3e-4  # squared length of a modal parameter's effect, in standard deviations, below which it is left out
+UNSEEN = 1e-12  # share of the information below which a combination of unknowns is not seen
 NOWHERE = np.zeros((0, 3), np.int64)
 BATCH_SAMPLES = 400_000  # complex numbers times unknowns that one batch of candidates may hold
 
@@ -268,7 +269,7 @@ def _fit_batch(starts: list[Hypothesis], problem: Problem, nuisance: Nuisance, r
         out.append(
             replace(
                 h, params=tuple(params), theta=theta[b], chi2=float(chi2[b]),
-                covariance=_covariance(A[b])[:count, :count],
+                covariance=covariance_of(A[b])[:count, :count],
                 reason="still moving" if open_[b] else "settled",
             )
         )  # fmt: skip
@@ -324,9 +325,12 @@ def _step(A: np.ndarray, g: np.ndarray, damping: float) -> np.ndarray:
     return -np.linalg.lstsq(scaled, g / scale, rcond=None)[0] / scale
 
 
-def _covariance(A: np.ndarray) -> np.ndarray:
-    scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
-    return np.linalg.pinv(A / scale[:, None] / scale[None], rcond=1e-14) / scale[:, None] / scale[None]
+def covariance_of(A: np.ndarray) -> np.ndarray:
+    """Inverse of a normal matrix; along what it does not show the variance is all but infinite, not nothing."""
+    diagonal = np.diag(A)
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    value, V = np.linalg.eigh(A / scale[:, None] / scale[None])
+    return (V / np.maximum(value, UNSEEN)) @ V.T / scale[:, None] / scale[None]
 
 
 @partial(jax.jit, static_argnames=("causes",))

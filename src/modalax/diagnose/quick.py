@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from modalax.diagnose.causes.base import Cause
-from modalax.diagnose.fit import Hypothesis, bounds_of, damped, to_search
+from modalax.diagnose.fit import Hypothesis, bounds_of, covariance_of, damped, to_search
 from modalax.diagnose.study import Study
 
 STEP = 1e-4  # of an unknown, for differences
@@ -112,7 +112,7 @@ def fit_quick(
             out.append(
                 replace(
                     h, params=(plain(cause, u[j]),), chi2=base.chi2 + float(value[j]),
-                    theta=_moved(study, base, aim.inner @ c[j]), covariance=np.linalg.pinv(A[j], hermitian=True),
+                    theta=_moved(study, base, aim.inner @ c[j]), covariance=covariance_of(A[j]),
                     reason="still moving" if still[j] else "settled",
                 )
             )  # fmt: skip

@@ -196,11 +196,13 @@ def time_varying(setup: Setup, rng) -> Effect:
     if springs and rng.random() < 0.3:
         a, b, k = springs[int(rng.integers(len(springs)))]
         e = setup.system.direction(a, b)
-        K, kind = k * np.outer(e, e), "one spring"
+        K, kind, told = k * np.outer(e, e), "one spring", ("stiffness_drift", k, "N/m")
     else:
-        K, kind = setup.system.K, "whole structure"
+        K, kind, told = setup.system.K, "whole structure", ("relative_stiffness_drift", 1.0, "-")
+    name, of, unit = told
     return Effect(
-        "time_varying", [], 1e-5, 0.9, lambda size: {"relative_stiffness_drift": (sign * size, "-")},
+        "time_varying", [], 1e-5, 0.9,
+        lambda size: {name: (sign * size * course[-1] * of, unit)},  # from the first run to the last
         plant=lambda p, size, run: p.add(K=sign * size * course[run] * K), variant=kind, notes={"per_run": True},
     )  # fmt: skip
 
