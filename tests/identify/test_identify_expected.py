@@ -61,6 +61,7 @@ def test_predicted_damping_bias_is_the_mean_over_draws(paper, paper_frf, case):
     assert np.max(np.abs(found.mean(axis=0) - 0.02)[good] / error[good]) > 4
 
 
+@pytest.mark.slow
 def test_without_noise_only_the_cut_band_is_left(paper, paper_frf):
     frf = paper_frf.lines(slice(None, None, 2))
     tiny = 1e-24 * float(jnp.max(jnp.abs(frf.H)) ** 2)
@@ -81,6 +82,7 @@ def test_messages_say_what_is_needed(paper, paper_frf):
         expected_lsce_bias(paper_frf, paper.poles, 300, variance=1.0)
 
 
+@pytest.mark.slow
 def test_lsce_moments_are_those_of_the_draws_and_crowded_modes_are_flagged(paper, paper_frf):
     frf = paper_frf.lines(slice(None, None, 2))
     variance = white(frf, 0.05)

@@ -38,7 +38,7 @@ def outside():
     return six([15.5, 31.0, 52.0, 55.0, 88.0, 117.0], 1)
 
 
-@pytest.mark.parametrize("kind", ["even", "relative"])
+@pytest.mark.parametrize("kind", ["even", pytest.param("relative", marks=pytest.mark.slow)])
 def test_noise_is_read_off_the_residual(kind, outside):
     """Typical deviation within 15 %, and no likelihood lost against the true one (it has more freedom)."""
     frf, sigma = noisy(outside, 0, 0.05, kind)
@@ -61,12 +61,14 @@ def test_mode_below_the_band_is_looked_for_below_it(outside):
     assert 10 < found[0] < 20  # near 15.5 Hz: a slope at the end of the band says no more
 
 
+@pytest.mark.slow
 def test_nothing_is_missing_where_nothing_is(outside):
     frf, sigma = noisy(outside, 1, 0.05, "relative")
     model = refine(frf, residues(frf, outside.poles), weights=jnp.asarray(sigma)).model
     assert missing_modes(frf, model, [jnp.asarray(sigma)]).size == 0
 
 
+@pytest.mark.slow
 def test_robust_errors_grow_where_rows_differ():
     """The frequency of one mode scatters by 0.1 % from row to row: no noise model of independent lines sees that."""
     rng = np.random.default_rng(0)
@@ -83,6 +85,7 @@ def test_robust_errors_grow_where_rows_differ():
     assert float(plain.frequency_std_hz[0]) < 0.5 * due
 
 
+@pytest.mark.slow
 def test_long_diagrams_in_parts_are_the_short_ones(forty):
     """From 100 poles on orders are grouped by size; the poles of an order stay the same."""
     # Without noise the unstable computational poles are a matter of rounding.

@@ -72,7 +72,7 @@ ESTIMATES = {
 }
 
 
-SLOW = {"lscf, aN", "lscf, moments", "fdpi, fewer", "fdpi, more", "reweighted", "residues"}  # for what they compile
+SLOW = {"refine", "lscf, aN", "lscf, moments", "fdpi, fewer", "fdpi, more", "reweighted", "residues"}  # to compile
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow if n in SLOW else ()) for n in ESTIMATES])

@@ -70,6 +70,7 @@ def test_participation_of_several_inputs_is_that_of_the_modes(paper):
         assert np.all(1 - np.asarray(mac(exact, table.participation[0, near])).diagonal() < 1e-12)
 
 
+@pytest.mark.slow
 def test_weights_of_lsce_count_outputs_by_their_noise(paper):
     """Output 2 with ten times the noise of the others: weighted, the damping scatters less."""
     clean = paper.frf(np.arange(200, 701) * 0.1, outputs=["1", "2", "3"], inputs=["1"])
@@ -279,6 +280,7 @@ def test_exponential_window_is_taken_back_out(paper, errors, poles_of):
     assert errors(poles_of(fdpi(frf, 5), 5), paper)[1] < DAMPING
 
 
+@pytest.mark.slow
 def test_second_derivative_through_the_roots(paper_frf, paper):
     frf = paper_frf.add_noise(jax.random.key(0), 0.01)
     direction = np.random.default_rng(0).normal(size=frf.H.shape) * float(jnp.abs(frf.H).mean())

@@ -123,6 +123,7 @@ class TestRefine:
         assert frequency < 1e-13
         assert damping < 1e-12
 
+    @pytest.mark.slow
     def test_honest_at_ten_percent(self, paper_frf, paper):
         """Standardised errors over 200 draws in one vmap: mean 0, spread 1, 95 % intervals that hold the truth."""
         found = draws(5, 0.10, paper_frf, start_of(paper_frf, paper))

@@ -138,6 +138,7 @@ def test_backbone_of_a_modal_model_is_that_of_its_matrices():
     np.testing.assert_allclose(by_modes.damping_ratio, by_matrices.damping_ratio, rtol=1e-7)
 
 
+@pytest.mark.slow
 def test_backbone_of_a_few_modes_with_static_correction_is_that_of_all():
     """Twelve masses in a row, free at both ends, of which five elastic modes and the residual terms are kept."""
     n, k = 12, 1e5

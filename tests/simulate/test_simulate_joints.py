@@ -174,6 +174,7 @@ def test_messages_say_what_was_seen():
         CubicSpring([1.0, 2.0])
 
 
+@pytest.mark.slow
 def test_mean_force_of_a_slider_has_the_derivatives_of_finite_differences():
     """First and second ones: stuck, slip that begins on the way, slip all the way; forwards and backwards."""
     h, atol = 1e-4, 1e-7  # central differences of numbers near one: measured 2e-9 and 3e-9
