@@ -24,7 +24,7 @@ SMOOTHED = 160.0  # degrees of freedom that the lines of one smoothing window ha
 TRUSTED = 3.0  # degrees of freedom of each variance below which it was read from neighbouring lines
 TIED = 4.0  # lines that the noise floor of all channels counts for, where variances are read off the lines
 ROUNDS = 12  # of parts and course in turn; the second half of them is each output's own, where variances are given
-RARE = 1e-6  # chance below which a line's own variance is believed instead
+RARE, SMALL = 1e-6, 1e-4  # chances below which a line's own variance, large or small, counts against its neighbours'
 READ_LINES = 1.12  # widening of a line's sum where variances were read off the lines; 166 clean sets: 1.2 % below 0.01
 THIRD = np.array([1.0, -3.0, 3.0, -1.0]) / np.sqrt(20.0)
 # Lines of third differences that tell as much as one: the sum of their squared correlations. A variance known to one
@@ -198,10 +198,11 @@ def smoothed(
     if clip is not None:
         fit = fit * (1 + DEPENDENT * (1 / width + 2 / lines))
     else:
-        # a line whose own estimate is far off the smooth one knows something that the smooth one does not
+        # a line whose own estimate is far above the smooth one knows something that the smooth one does not; far below,
+        # it bounds the variance, and is not believed itself, which would be the smallest of thousands
         high = scipy.special.gammainccinv(freedom / 2, RARE) * 2 / freedom
-        low = scipy.special.gammaincinv(freedom / 2, RARE) * 2 / freedom
-        fit = np.where((variance > high * fit) | (variance < low * fit), variance, fit)
+        low = scipy.special.gammaincinv(freedom / 2, SMALL) * 2 / freedom
+        fit = np.minimum(np.where(variance > high * fit, variance, fit), variance / low)
     return fit
 
 
