@@ -77,15 +77,18 @@ def _imposed(frf: FRF, wrong: jax.Array) -> jax.Array:
 def _draw_imposed(frf: FRF, wrong: jax.Array, *, sampler: Callable, count: int) -> jax.Array:
     """The four numbers of noisy copies in one vmap, shape ``(draw, 4)``."""
     level = jnp.asarray(0.15)
-    one = lambda key: _imposed(with_noise(frf, sampler(key, frf, level), level), wrong)  # noqa: E731
+
+    def one(key: jax.Array) -> jax.Array:
+        return _imposed(with_noise(frf, sampler(key, frf, level), level), wrong)
+
     return jax.vmap(one)(jax.random.split(jax.random.key(5), count))
 
 
 def _as_far(drawn: np.ndarray) -> float:
     """Part of the draws at least as far from their mean as the review, by Mahalanobis' distance."""
-    inverse = np.linalg.inv(np.cov(drawn.T))
-    square = lambda x: np.einsum("...i,ij,...j", x - drawn.mean(axis=0), inverse, x - drawn.mean(axis=0))  # noqa: E731
-    return float(np.mean(square(drawn) >= square(REVIEW)))
+    away = np.vstack([REVIEW, drawn]) - drawn.mean(axis=0)
+    square = np.einsum("di,ij,dj->d", away, np.linalg.inv(np.cov(drawn.T)), away)
+    return float(np.mean(square[1:] >= square[0]))
 
 
 def _draw_fit(out: Path, wrong: np.ndarray) -> None:

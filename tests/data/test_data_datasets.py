@@ -1,8 +1,6 @@
 """Signs of hits and places of sensors from data: on made-up tests with known truth, then on the measured ones."""
 
 import hashlib
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +8,6 @@ import pytest
 from modalax import Measurement, load
 from modalax.data import datasets, looks_conjugated
 from modalax.data.roving import copied_hits, hit_signs, reciprocal_places
-
-MEASURED = Path(os.environ.get("MODALAX_DATA") or Path(__file__).parents[3] / "shared" / "data")
 
 
 def plate(hits: int, modes: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -134,20 +130,9 @@ def test_every_file_has_an_origin():
     assert {name.split("/")[0] for name in datasets.HASHES} == set(datasets.ORIGIN)
 
 
-@pytest.fixture
-def measured(monkeypatch):
-    if not MEASURED.is_dir():
-        pytest.skip("measured data is absent: set MODALAX_DATA to its folder")
-    monkeypatch.setenv("MODALAX_DATA", str(MEASURED))
-
-
 @pytest.fixture(scope="module")
-def plane():
-    if not (MEASURED / "uliege_plane").is_dir():
-        pytest.skip("measured data is absent: set MODALAX_DATA to its folder")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("MODALAX_DATA", str(MEASURED))
-        return datasets.uliege_plane()
+def plane(measured):
+    return datasets.uliege_plane()
 
 
 @pytest.mark.measured
@@ -159,9 +144,9 @@ class TestPlane:
         assert plane.outside_fe < 0.02
         assert plane.sign_agreement.min() > 0.7
 
-    def test_signs_do_not_hang_on_the_band_or_the_number_of_shapes(self, plane):
-        raw = np.load(MEASURED / "uliege_plane" / "frf.npz")
-        fe = np.load(MEASURED / "uliege_plane" / "fe_modes.npz")["shape"]
+    def test_signs_do_not_hang_on_the_band_or_the_number_of_shapes(self, plane, measured):
+        raw = np.load(measured / "uliege_plane" / "frf.npz")
+        fe = np.load(measured / "uliege_plane" / "fe_modes.npz")["shape"]
         H = raw["H"][list(datasets.RECORDS)].transpose(2, 1, 0)
         shapes = fe[:, np.arange(74), np.where(np.arange(74) < 68, 2, 0)]
         truth = np.ones(74)
@@ -184,8 +169,8 @@ class TestPlane:
         # Measured 0.21; a wrong sign at the tip would make it 1.8.
         assert np.abs(np.diff(shape)).max() < 0.3 * np.abs(shape).max()
 
-    def test_units_and_drive_point(self, plane):
-        raw = np.load(MEASURED / "uliege_plane" / "frf.npz")
+    def test_units_and_drive_point(self, plane, measured):
+        raw = np.load(measured / "uliege_plane" / "frf.npz")
         H = np.asarray(plane.frf.H[:, 0, plane.frf.inputs.index("3:+Z")])
         np.testing.assert_allclose(np.abs(H), 9.80665 * np.abs(raw["H"][3, 0]), rtol=1e-12)
         np.testing.assert_allclose(
@@ -218,8 +203,8 @@ class TestPlane:
 def test_files_of_published_frfs_load_by_themselves(name, measured, tmp_path):
     """By name and hash; a file that only has the name is refused as any other, with what it would need."""
     with pytest.warns(UserWarning, match=f"{name}: the published measurement .* names, signs and units are from there"):
-        loaded = load(MEASURED / name)
-    expected = datasets.FRFS[name](MEASURED)
+        loaded = load(measured / name)
+    expected = datasets.FRFS[name](measured)
     expected = expected if isinstance(expected, Measurement) else Measurement.from_frfs([expected])
     np.testing.assert_array_equal(loaded.H, expected.H)
     assert (loaded.outputs, loaded.inputs, loaded.form) == (expected.outputs, expected.inputs, "accelerance")

@@ -1,8 +1,5 @@
 """Best linear approximation against closed forms of polynomial non-linearities, and on measured multisines."""
 
-import os
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +10,6 @@ import scipy.signal
 from modalax.data import bla_fast, bla_robust, cut_periods, excited_lines, frf_from_records, multisine
 from modalax.data.bla import BestLinear
 
-MEASURED = Path(os.environ.get("MODALAX_DATA", Path(__file__).parents[3] / "shared" / "data"))
 N, FS = 1024, 1024.0
 SQUARE, CUBE = 0.2, 0.05
 ODD = np.arange(1, 151, 2)
@@ -296,11 +292,8 @@ def resonance(frf, lower=40.0, upper=110.0):
 
 
 @pytest.mark.measured
-def test_silverbox_hardens_and_its_distortion_is_odd():
-    path = MEASURED / "silverbox" / "SNLS80mV.mat"
-    if not path.exists():
-        pytest.skip(f"no {path}; name the folder of measured data by MODALAX_DATA")
-    record = scipy.io.loadmat(path)
+def test_silverbox_hardens_and_its_distortion_is_odd(measured):
+    record = scipy.io.loadmat(measured / "silverbox" / "SNLS80mV.mat")
     force, response = record["V1"][0].astype(float), record["V2"][0].astype(float)
     fs = 1e7 / 2**14
     # Ten odd multisines of 8192 samples, 8692 apart: each has a run-in that repeats the end of its period.

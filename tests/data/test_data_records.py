@@ -1,8 +1,5 @@
 """Time records to FRFs: exact on noise-free periods, honest about noise against Monte Carlo, scipy as second route."""
 
-import os
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,7 +12,6 @@ from modalax.data.windows import decay_to, effective_averages, exponential_windo
 from modalax.model.examples import five_dof
 
 FS = 256.0
-MEASURED = Path(os.environ.get("MODALAX_DATA", Path(__file__).parents[3] / "shared" / "data"))
 
 
 def periodic(inputs=("1", "3"), outputs=("1", "2", "5"), blocks=3, samples=256, seed=0, form="receptance"):
@@ -421,10 +417,8 @@ def test_unusable_input_is_said(call, message):
 
 
 @pytest.mark.measured
-def test_measured_hammer_hits_give_clean_frfs():
-    files = [MEASURED / "hammer_hits" / f"measurements_{k}.npy" for k in range(1, 6)]
-    if not all(f.exists() for f in files):
-        pytest.skip(f"no hammer hits in {MEASURED}; name their folder by MODALAX_DATA")
+def test_measured_hammer_hits_give_clean_frfs(measured):
+    files = [measured / "hammer_hits" / f"measurements_{k}.npy" for k in range(1, 6)]
     records = np.concatenate([np.load(f) for f in files], axis=1)
     fs = 25_600.0
     # The record's units are unknown; the form does not matter for peaks and coherence.

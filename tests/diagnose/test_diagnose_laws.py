@@ -1,8 +1,5 @@
 """Laws of a joint fitted together with the mode, on an oscillator whose answer is known in closed form."""
 
-import os
-from pathlib import Path
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -98,16 +95,12 @@ def test_what_cannot_be_asked_is_refused():
 
 @pytest.mark.slow
 @pytest.mark.measured
-def test_a_bolted_beam_is_predicted_beyond_the_fitted_levels(monkeypatch):
+def test_a_bolted_beam_is_predicted_beyond_the_fitted_levels(measured):
     """Three levels fitted, the highest predicted five times better than by the mode of the lowest (measured 7.6)."""
     from modalax.data.datasets import brake_reuss_beam
     from modalax.identify import refine, residues
     from modalax.model.modal import poles_from
 
-    folder = Path(os.environ.get("MODALAX_DATA", Path(__file__).parents[3] / "shared" / "data"))
-    if not (folder / "brake_reuss_beam").is_dir():
-        pytest.skip(f"no measured data in {folder}; name their folder in MODALAX_DATA")
-    monkeypatch.setenv("MODALAX_DATA", str(folder))
     beam = brake_reuss_beam(drive_point=True)
     low, H = beam.run(0), np.asarray(beam.H)
     lower = beam.replace(H=beam.H[:3], level=beam.level[:3], force=beam.force[:3])

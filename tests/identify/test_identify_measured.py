@@ -1,15 +1,11 @@
 """The automatic fit on measured structures, beside what others published."""
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from modalax.data.datasets import uliege_plane
 from modalax.identify import fit
 
-MEASURED = Path(os.environ.get("MODALAX_DATA") or Path(__file__).parents[3] / "shared" / "data")
 # Natural frequencies [Hz] by those who made the test, with a PolyMAX of their own.
 PUBLISHED = np.array(
     [18.843, 40.122, 87.852, 89.652, 97.071, 105.200, 118.013, 125.214, 125.584, 129.952, 135.276, 143.372, 166.266]
@@ -18,10 +14,9 @@ PUBLISHED = np.array(
 
 @pytest.mark.slow
 @pytest.mark.measured
-@pytest.mark.skipif(not (MEASURED / "uliege_plane").is_dir(), reason="measured data is absent: set MODALAX_DATA")
-def test_all_published_modes_of_the_aeroplane_are_found():
+def test_all_published_modes_of_the_aeroplane_are_found(measured):
     """No frequency is given; each published mode has one of its own within 0.15 %, two pairs of them close."""
-    found = fit(uliege_plane(folder=MEASURED).frf, band=(12.0, 180.0))
+    found = fit(uliege_plane().frf, band=(12.0, 180.0))
     frequency = np.asarray(found.model.frequency_hz)[np.asarray(found.inside)]
     near = np.abs(frequency[None, :] / PUBLISHED[:, None] - 1).argmin(axis=1)
     assert len(set(near)) == len(PUBLISHED)

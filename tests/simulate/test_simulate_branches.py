@@ -103,6 +103,8 @@ def test_backbone_of_a_jenkins_oscillator_is_its_describing_function():
     lost = np.pi * C * omega * A**2 + 4 * 4.0 * np.maximum(A - 4.0 / 5e3, 0.0)  # damper and slip, a cycle
     np.testing.assert_allclose(found.loss, lost, rtol=1e-8)
     np.testing.assert_allclose(found.force([1.0]), lost / (np.pi * A), rtol=1e-8)
+    with pytest.raises(ValueError, match=r"shape is \(2,\); the backbone holds 1 modes"):
+        found.force([1.0, 0.5])
 
 
 def test_backbone_of_the_two_dof_system_of_kerschen_peeters_golinval_and_vakakis():

@@ -80,8 +80,16 @@ class Backbone(eqx.Module):
         ----------
         shape
             Mass-normalised mode shapes of the linear structure where the force acts, shape ``(n,)`` [1/sqrt(kg)].
+
+        Raises
+        ------
+        ValueError
+            If there is no component for each mode.
         """
-        return self.loss / (jnp.pi * jnp.abs(self.modal[:, :, self.harmonics.index(1)] @ as_double(shape, "shape")))
+        shape = as_double(shape, "shape")
+        if shape.shape != self.modal.shape[1:2]:
+            raise ValueError(f"shape is {shape.shape}; the backbone holds {self.modal.shape[1]} modes")
+        return self.loss / (jnp.pi * jnp.abs(self.modal[:, :, self.harmonics.index(1)] @ shape))
 
 
 class _Modes(NamedTuple):

@@ -95,10 +95,9 @@ def multisine_test(
     lines = excited_lines("full", *band, bench.rate, samples)
     one = jnp.tile(multisine(chance, lines, samples)[0], (periods + skip, 1))
     kept = bench.record(noise, one * levels[:, None, None])
-    cut = lambda a: cut_periods(a, count, skip)  # noqa: E731
     return Measurement.from_frfs(
         [
-            _from_blocks(kept, cut(f), cut(x), band=band, level=level)
+            _from_blocks(kept, cut_periods(f, count, skip), cut_periods(x, count, skip), band=band, level=level)
             for f, x, level in zip(kept.force, kept.response, levels, strict=True)
         ]
     )
@@ -136,13 +135,10 @@ def sweep_test(
     one = one[: len(one) // bench.oversample * bench.oversample]
     force = jnp.repeat(levels, repeats)[:, None, None] * one[None, :, None]
     kept = bench.record(key, force)
-    blocks = lambda a: a.reshape(len(levels), repeats, *a.shape[1:])  # noqa: E731
+    force, response = (a.reshape(len(levels), repeats, *a.shape[1:]) for a in (kept.force, kept.response))
     band = band or (min(start, stop), max(start, stop))
     return Measurement.from_frfs(
-        [
-            _from_blocks(kept, f, x, band=band, level=level)
-            for f, x, level in zip(blocks(kept.force), blocks(kept.response), levels, strict=True)
-        ]
+        [_from_blocks(kept, f, x, band=band, level=level) for f, x, level in zip(force, response, levels, strict=True)]
     )
 
 
