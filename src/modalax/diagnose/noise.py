@@ -184,17 +184,17 @@ def smoothed(
         shapes.append((square.sum(axis=0, keepdims=True) - square) / (len(H) - 1))
     basis = [np.ones_like(size), *(x / np.maximum(x.mean(axis=1, keepdims=True), 1e-300) for x in shapes)]
     width = int(np.clip(round(SMOOTHED / freedom), 7, max(7, lines // 3))) | 1
-    value, fit, course = variance, variance, np.ones((1, lines, 1, 1))
+    value, fit, course, given = variance, variance, np.ones((1, lines, 1, 1)), clip is None
     for k in range(ROUNDS):
         beside = [course * basis[0], *basis[1:]]
-        told = beside if clip is None else [correlate1d(g, THIRD**2, axis=1, mode="nearest", origin=-1) for g in beside]
-        parts, model = _parts(value, told, 0.0 if clip is None else TIED)
+        told = beside if given else [correlate1d(g, THIRD**2, axis=1, mode="nearest", origin=-1) for g in beside]
+        parts, model = _parts(value, told, 0.0 if given else TIED)
         slow = uniform_filter1d(value / model, width, axis=1, mode="nearest")
         fit = slow * sum(a * g for a, g in zip(parts, beside, strict=True))
         if clip is not None:
             value = np.minimum(variance, clip * slow * model)
-        over, about = ((0, 2, 3), SHARED) if clip is not None else ((0, 3) if k >= ROUNDS // 2 else (0, 2, 3), GIVEN)
-        course = _course(value / model, parts[0] * told[0] / model, course, over, about)
+        over = (0, 3) if given and k >= ROUNDS // 2 else (0, 2, 3)
+        course = _course(value / model, parts[0] * told[0] / model, course, over, GIVEN if given else SHARED)
     if clip is not None:
         fit = fit * (1 + DEPENDENT * (1 / width + 2 / lines))
     else:
