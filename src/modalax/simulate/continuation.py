@@ -1,7 +1,10 @@
 r"""A whole response branch, through its folds, by pseudo-arclength continuation of the harmonic balance.
 
 Unknowns are the joints' harmonics and the frequency. A step goes along the tangent and is corrected at right angles to
-it; its length follows the number of corrections. Nothing here looks at values, so a trace is one compiled scan.
+it; its length follows the number of corrections. Where a contact begins, a branch has a corner and may turn back by
+more than a right angle: no step ahead leads on. Then a step goes along the tangent of the far side, in the direction
+that keeps the sign of the determinant of Jacobian and tangent (the orientation of a piecewise smooth path; Allgower and
+Georg, Numerical Continuation Methods, 1990). Nothing here looks at values, so a trace is one compiled scan.
 """
 
 from collections.abc import Sequence
@@ -26,6 +29,8 @@ CORRECTIONS = 8
 """Newton corrections allowed in a step."""
 LONGEST, SHORTEST = 0.05, 1e-7
 """Limits of a step, in parts of the band and of the largest motion."""
+CORNER = 1e-4
+"""A step of this length or less that fails is followed by one round the corner."""
 
 
 class Branch(eqx.Module):
@@ -94,10 +99,18 @@ def _tangent(jacobian: Float[Array, "r r1"], before: Float[Array, " r1"]) -> Flo
     return t / jnp.linalg.norm(t)
 
 
+def _orientation(jacobian: Float[Array, "r r1"], t: Float[Array, " r1"]) -> Float[Array, ""]:
+    """Sign of the determinant of Jacobian and tangent, the same on both sides of a corner."""
+    return jnp.linalg.slogdet(jnp.concatenate([jacobian, t[None]]))[0]
+
+
 class _State(NamedTuple):
+    """Where a trace is, its direction and next step; ``corner`` is whether that is to go round one."""
+
     z: Array
     t: Array
     step: Array
+    corner: Array
     ended: Array
 
 
@@ -109,15 +122,20 @@ def _trace(plan: Plan, p: _Problem, points: int, downward: bool) -> tuple[Array,
     z = jnp.append(y * motion_scale(line) / p.scale, 1.0 if downward else 0.0)
     slope = jax.jacfwd(lambda z: _missing(plan, p, z))
     outward = jnp.zeros_like(z).at[-1].set(-1.0 if downward else 1.0)
-    start = _State(z, _tangent(slope(z), outward), jnp.array(0.1 * LONGEST), left > CLOSED)
+    start = _State(z, _tangent(slope(z), outward), jnp.array(0.1 * LONGEST), jnp.array(False), left > CLOSED)
 
-    def correct(s: _State) -> tuple[Array, Array, Array]:
-        ahead = s.z + s.step * s.t
+    def round_the_corner(s: _State) -> Array:
+        beyond = slope(s.z + s.step * s.t)
+        t = _tangent(beyond, s.t)
+        return t * _orientation(beyond, t) * _orientation(slope(s.z), s.t)
+
+    def correct(s: _State, t: Array) -> tuple[Array, Array, Array]:
+        ahead = s.z + s.step * t
 
         def newton(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
             z, _, count = carry
-            square = jnp.concatenate([slope(z), s.t[None]])
-            both = jnp.append(_missing(plan, p, z), s.t @ (z - ahead))
+            square = jnp.concatenate([slope(z), t[None]])
+            both = jnp.append(_missing(plan, p, z), t @ (z - ahead))
             z = z - jnp.linalg.solve(square, both)
             return z, jnp.max(jnp.abs(_missing(plan, p, z))), count + 1
 
@@ -125,17 +143,21 @@ def _trace(plan: Plan, p: _Problem, points: int, downward: bool) -> tuple[Array,
         return jax.lax.while_loop(go_on, newton, (ahead, jnp.array(jnp.inf), jnp.zeros((), int)))
 
     def advance(s: _State, _: None) -> tuple[_State, tuple[Array, Array, Array]]:
-        z, left, count = correct(s)
-        far = jnp.linalg.norm(z - s.z) > 2 * s.step
-        good = (left < CLOSED) & ~far & ~s.ended
-        t = jnp.where(good, _tangent(slope(jnp.where(good, z, s.z)), s.t), s.t)
+        way = jax.lax.cond(s.corner, round_the_corner, lambda s: s.t, s)
+        z, left, count = correct(s, way)
+        chord = z - s.z
+        far = jnp.linalg.norm(chord) > 2 * s.step
+        back = jnp.linalg.norm(chord + jnp.linalg.norm(chord) * s.t) < 1e-3 * jnp.linalg.norm(chord)
+        good = (left < CLOSED) & ~far & ~back & ~s.ended
+        t = jnp.where(good, _tangent(slope(jnp.where(good, z, s.z)), way), s.t)
+        corner = ~good & ~s.corner & (s.step <= CORNER)
         # a sharp turn or many corrections ask for shorter steps
-        calm = (count <= 3) & (t @ s.t > 0.98)
-        longer = jnp.where(calm, 1.5, jnp.where((count > 5) | (t @ s.t < 0.9), 0.6, 1.0))
-        step = jnp.clip(s.step * jnp.where(good, longer, 0.4), SHORTEST, LONGEST)
+        calm = (count <= 3) & (t @ way > 0.98)
+        longer = jnp.where(calm, 1.5, jnp.where((count > 5) | (t @ way < 0.9), 0.6, 1.0))
+        step = jnp.clip(s.step * jnp.where(good, longer, jnp.where(corner, 1.0, 0.4)), SHORTEST, LONGEST)
         z = jnp.where(good, z, s.z)
         ended = s.ended | (z[-1] < -1e-9) | (z[-1] > 1 + 1e-9)
-        return _State(z, t, step, ended), (z, t[-1], good & ~ended)
+        return _State(z, t, step, corner, ended), (z, t[-1], good & ~ended)
 
     _, (zs, way, valid) = jax.lax.scan(advance, start, None, length=points)
     return zs[:, -1], zs[:, :-1], way, valid
@@ -156,8 +178,8 @@ def follow_branch(
 ) -> Branch:
     """Follow the response branch at one force level from one end of a band, through all folds, unstable parts included.
 
-    Where a hard contact begins, a branch may turn back by more than a right angle at once; no step ahead leads on from
-    there, and the valid points end.
+    A hard contact needs many samples: the branch has a corner wherever one more of them is in contact, and may end
+    where they are too few.
 
     Parameters
     ----------
