@@ -147,22 +147,25 @@ def _with_memory(
     bow_in = 0.5 * (v_old - v_turn) * share * step
     bow_out = 0.5 * (v_turn - v_new) * (1 - share) * step
 
-    def advance(state: Any, part: tuple[Array, ...]) -> tuple[Any, Any]:
-        old, turn, new, *rest = part
-        turned, _ = joint.step(state, old, turn)
-        seen = (state, turned) if single else average(state, turned, old, turn, new, *rest)
-        return joint.step(turned, turn, new)[0], seen
-
     def average(state: Any, turned: Any, old: Any, turn: Any, new: Any, share: Any, bow_in: Any, bow_out: Any) -> Any:
         return share * joint.average(state, old, turn, bow_in) + (1 - share) * joint.average(turned, turn, new, bow_out)
 
-    def settle(state: Any, part: tuple[Array, ...]) -> tuple[Any, None]:
-        old, turn, new = part
-        state, _ = joint.step(state, old, turn)
-        return joint.step(state, turn, new)[0], None
+    def go(state: Any, ends: tuple[Array, Array]) -> tuple[Any, Any]:
+        return joint.step(state, *ends)[0], state
 
-    def run(state: Any, sign: float) -> Any:
-        return jax.lax.scan(settle, state, (sign * old, sign * turn, sign * new))[0]
+    def advance(state: Any, part: tuple[Array, ...]) -> tuple[Any, Any]:
+        old, turn, new, *rest = part
+        turned = joint.step(state, old, turn)[0]
+        return joint.step(turned, turn, new)[0], average(state, turned, old, turn, new, *rest)
+
+    # every step as two, up to its turning point and from there
+    begin, end = jnp.stack([old, turn], axis=1).ravel(), jnp.stack([turn, new], axis=1).ravel()
+
+    def run(state: Any, sign: Any) -> Any:
+        return jax.lax.scan(go, state, (sign * begin, sign * end))[0]
+
+    def both(state: Any) -> Any:
+        return jax.lax.scan(lambda state, sign: (run(state, sign), None), state, jnp.array([1.0, -1.0]))[0]
 
     state, sign = joint.step(joint.initial_state(), jnp.zeros_like(x[0]), x[0])[0], 1.0
     if half and type(joint).close is Hysteretic.close:
@@ -170,12 +173,15 @@ def _with_memory(
         for _ in range(2 * joint.settle - 1):
             state, sign = run(state, sign), -sign
     else:
-        state = joint.close(lambda s: run(run(s, 1.0), -1.0) if half else run(s, 1.0), state)
+        state = joint.close(both if half else lambda s: run(s, 1.0), state)
     way = (sign * old, sign * turn, sign * new, share, sign * bow_in, sign * bow_out)
     # one number of state: all means at once after the steps; many sliders at all times would fill the memory
     single = len(jax.tree.leaves(state)) == 1 and all(leaf.ndim == 0 for leaf in jax.tree.leaves(state))
-    seen = jax.lax.scan(advance, state, way)[1]
-    mean = jax.vmap(average)(seen[0], seen[1], *way) if single else seen
+    if single:
+        states = jax.lax.scan(go, state, (sign * begin, sign * end))[1]
+        mean = jax.vmap(average)(*(jax.tree.map(lambda a, k=k: a[k::2], states) for k in (0, 1)), *way)
+    else:
+        mean = jax.lax.scan(advance, state, way)[1]
     k = np.array(harmonics)
     box = np.sinc(k / samples)
     return _coefficients(sign * mean, 0.5 * (tau[:-1] + tau[1:]), harmonics) / box

@@ -171,12 +171,14 @@ class BoucWen(Hysteretic):
     @override
     def close(self, lap: Callable[[Any], Any], state: Any) -> Float[Array, "..."]:
         """By Newton's iteration: where little is lost a cycle, the start would be remembered over many of them."""
-        for _ in range(CLOSING):
+
+        def newton(state: Array, _: None) -> tuple[Array, None]:
             after, slope = jax.jvp(lap, (state,), (jnp.ones_like(state),))
             forgets = 1 - slope > 1e-12  # not at all where the motion is so small that the law is a spring
             state = state + jnp.where(forgets, (after - state) / jnp.where(forgets, 1 - slope, 1.0), 0.0)
-            state = jnp.clip(state, -self.x_y, self.x_y)
-        return state
+            return jnp.clip(state, -self.x_y, self.x_y), None
+
+        return jax.lax.scan(newton, state, None, length=CLOSING)[0]
 
     def _rate(self, z: Any, way: Any) -> Float[Array, "..."]:
         size = jnp.abs(z) / self.x_y
@@ -189,9 +191,22 @@ class BoucWen(Hysteretic):
         # a step far longer than the yield displacement only has to saturate; limited, Runge-Kutta stays stable there
         limit = 2 * self.x_y / self.n
         z, way = state, jnp.clip((x_new - x_old) / self.substeps, -limit, limit)
-        for _ in range(self.substeps):
+
+        def runge_kutta(z: Array, _: None) -> tuple[Array, None]:
             first = self._rate(z, way)
             second = self._rate(z + 0.5 * first, way)
             third = self._rate(z + 0.5 * second, way)
-            z = z + (first + 2 * second + 2 * third + self._rate(z + third, way)) / 6
-        return z, self.k * (self.alpha * x_new + (1 - self.alpha) * z)
+            return z + (first + 2 * second + 2 * third + self._rate(z + third, way)) / 6, None
+
+        z = jax.lax.scan(runge_kutta, z, None, length=self.substeps)[0]
+        return z, self._force(z, x_new)
+
+    @override
+    def average(self, state: Any, x_old: Any, x_new: Any, bow: Any = 0.0) -> Float[Array, "..."]:
+        # Simpson's rule; the second half of the way goes on from the first
+        middle = 0.5 * (x_old + x_new) + 0.25 * bow
+        half, force = self.step(state, x_old, middle)
+        return (self._force(state, x_old) + 4 * force + self.step(half, middle, x_new)[1]) / 6
+
+    def _force(self, z: Any, x: Any) -> Float[Array, "..."]:
+        return self.k * (self.alpha * x + (1 - self.alpha) * z)
