@@ -304,7 +304,9 @@ def damped(
     for _ in range(rounds):
         if not moving.any():
             break
-        step = np.stack([_step(A[b], g[b], damping[b]) for b in range(len(x))])
+        # what stands at a bound and is pushed against it stays there; the others do not step as if it moved
+        held = ((x <= low) & (g > 0)) | ((x >= high) & (g < 0))
+        step = np.stack([_step(A[b], g[b], damping[b], held[b]) for b in range(len(x))])
         trial = np.where(moving[:, None], np.clip(x + step, low, high), x)
         new_chi2, new_A, new_g = checked(trial, moving)
         better = moving & (new_chi2 <= chi2)
@@ -318,11 +320,13 @@ def damped(
     return x, chi2, A, moving
 
 
-def _step(A: np.ndarray, g: np.ndarray, damping: float) -> np.ndarray:
-    scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
-    scaled = A / scale[:, None] / scale[None]
+def _step(A: np.ndarray, g: np.ndarray, damping: float, held: np.ndarray) -> np.ndarray:
+    free, out = ~held, np.zeros(len(g))
+    scale = np.sqrt(np.maximum(np.diag(A)[free], 1e-300))
+    scaled = A[np.ix_(free, free)] / scale[:, None] / scale[None]
     scaled[np.diag_indices_from(scaled)] += damping + 1e-12
-    return -np.linalg.lstsq(scaled, g / scale, rcond=None)[0] / scale
+    out[free] = -np.linalg.lstsq(scaled, g[free] / scale, rcond=None)[0] / scale
+    return out
 
 
 def covariance_of(A: np.ndarray) -> np.ndarray:
