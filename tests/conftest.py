@@ -1,4 +1,6 @@
 import os
+import shutil
+import tempfile
 from pathlib import Path
 
 # The matrices here are small: threads of the linear algebra library would only wait for each other.
@@ -12,6 +14,23 @@ import pytest  # noqa: E402
 
 matplotlib.use("Agg")
 jax.config.update("jax_enable_x64", True)
+PROGRAMS = pytest.StashKey[str]()
+
+
+def pytest_configure(config):
+    """What one process of the tests has compiled serves the others, for as long as they run."""
+    if hasattr(config, "workerinput") or "JAX_COMPILATION_CACHE_DIR" in os.environ:
+        return
+    folder = config.stash[PROGRAMS] = tempfile.mkdtemp(prefix="modalax-programs-")
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = folder  # for processes to come
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.2"
+    jax.config.update("jax_compilation_cache_dir", folder)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+
+def pytest_unconfigure(config):
+    if PROGRAMS in config.stash:
+        shutil.rmtree(config.stash[PROGRAMS], ignore_errors=True)
 
 
 @pytest.fixture(scope="module")
