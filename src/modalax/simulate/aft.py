@@ -179,7 +179,8 @@ def _with_memory(
     single = len(jax.tree.leaves(state)) == 1 and all(leaf.ndim == 0 for leaf in jax.tree.leaves(state))
     if single:
         states = jax.lax.scan(go, state, (sign * begin, sign * end))[1]
-        mean = jax.vmap(average)(*(jax.tree.map(lambda a, k=k: a[k::2], states) for k in (0, 1)), *way)
+        before, turned = (jax.tree.map(lambda a, k=k: a[k::2], states) for k in (0, 1))
+        mean = jax.vmap(average)(before, turned, *way)
     else:
         mean = jax.lax.scan(advance, state, way)[1]
     k = np.array(harmonics)
