@@ -3,6 +3,8 @@ import shutil
 import tempfile
 from pathlib import Path
 
+import pytest
+
 # The matrices here are small: threads of the linear algebra library would only wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -10,7 +12,6 @@ os.environ.setdefault("NPROC", "16")  # as modalax does on import, here before a
 
 import jax  # noqa: E402
 import matplotlib  # noqa: E402
-import pytest  # noqa: E402
 
 matplotlib.use("Agg")
 jax.config.update("jax_enable_x64", True)

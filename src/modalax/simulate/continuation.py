@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
-from modalax._numerics.checks import as_double
+from modalax._numerics.checks import as_double, is_traced
 from modalax.model.modal import ModalModel
 from modalax.model.receptance import AnyStructure, directions, receptance, seen_at
 from modalax.model.solve import DIRECT_DOFS
@@ -31,6 +31,8 @@ LONGEST, SHORTEST = 0.05, 1e-7
 """Limits of a step, in parts of the band and of the largest motion."""
 CORNER = 1e-4
 """A step of this length or less that fails is followed by one round the corner."""
+BACK = 1e-3
+"""Angle to the way it came within which a step has gone back, not round a corner."""
 
 
 class Branch(eqx.Module):
@@ -147,7 +149,7 @@ def _trace(plan: Plan, p: _Problem, points: int, downward: bool) -> tuple[Array,
         z, left, count = correct(s, way)
         chord = z - s.z
         far = jnp.linalg.norm(chord) > 2 * s.step
-        back = jnp.linalg.norm(chord + jnp.linalg.norm(chord) * s.t) < 1e-3 * jnp.linalg.norm(chord)
+        back = jnp.linalg.norm(chord + jnp.linalg.norm(chord) * s.t) < BACK * jnp.linalg.norm(chord)
         good = (left < CLOSED) & ~far & ~back & ~s.ended
         t = jnp.where(good, _tangent(slope(jnp.where(good, z, s.z)), way), s.t)
         corner = ~good & ~s.corner & (s.step <= CORNER)
@@ -179,7 +181,7 @@ def follow_branch(
     """Follow the response branch at one force level from one end of a band, through all folds, unstable parts included.
 
     A hard contact needs many samples: the branch has a corner wherever one more of them is in contact, and may end
-    where they are too few.
+    where they are too few (a mass with a stop twenty times as stiff: 512 are, 4,096 are not).
 
     Parameters
     ----------
@@ -195,8 +197,9 @@ def follow_branch(
     Raises
     ------
     ValueError
-        If the band is empty, joints and places differ in number, a large structure with hysteretic damping has to be
-        taken apart into modes, or a modal model has no drive point that scales a DoF.
+        If the band is empty, no motion is found where the branch starts, joints and places differ in number, a large
+        structure with hysteretic damping has to be taken apart into modes, or a modal model has no drive point that
+        scales a DoF.
     """
     low, high = (2 * np.pi * float(f) for f in band)
     if not 0 < low < high:
@@ -211,6 +214,11 @@ def follow_branch(
     scale = jnp.max(jnp.abs(receptance(structure, grid, b, force[:, None])))
     p = _Problem(structure, tuple(joints), b, force, jnp.array(low), jnp.array(high - low), scale)
     share, ys, way, valid = _trace(plan, p, points, downward)
+    if not is_traced(valid) and not bool(valid.any()):
+        raise ValueError(
+            f"no motion was found at {band[1] if downward else band[0]:g} Hz, where the branch is to start; "
+            "start at the other end or elsewhere, or take more samples or fewer harmonics"
+        )
     q = scale * jax.vmap(plan.complex)(ys)
     arc = jnp.cumsum(jnp.linalg.norm(jnp.diff(jnp.column_stack([ys, share]), axis=0, prepend=0.0), axis=1))
     width = (high - low) / (2 * np.pi)
