@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 import scipy.special
 
+from modalax.diagnose import coefficients as pieces
 from modalax.diagnose.causes import catalogue
 from modalax.diagnose.causes.channels import SensorMass
-from modalax.diagnose.causes.joints import CubicStiffness, DriftingSpring
+from modalax.diagnose.causes.joints import CubicStiffness, DriftingSpring, ElastoSlip
 from modalax.diagnose.causes.local import AddedMass, Gyroscopic, JointStiffness, LocalDamper, TunedMass
 from modalax.diagnose.causes.modal import ExponentialWindow, FastSweep, Leakage, ModalDamping, _hann, erfcx
 from modalax.diagnose.plant import plant_of
-from modalax.diagnose.predict import predict
+from modalax.diagnose.predict import equivalent, predict
 from modalax.diagnose.problem import make_problem
 from modalax.model import Structure
 from modalax.model.examples import five_dof
@@ -227,3 +228,26 @@ def test_the_prediction_differentiates_and_maps():
     assert abs(slope / numeric - 1) < 3e-4  # measured 3.5e-5
     many = jax.vmap(energy)(jnp.array([0.0, 1e8]))
     assert abs(float(many[1]) / float(energy(at)) - 1) < 1e-12
+
+
+@pytest.mark.parametrize("cause", [TunedMass(), ElastoSlip(False), DriftingSpring()])
+@pytest.mark.parametrize("lengths", [(64, 256), (5, 1000)])
+def test_elements_in_pieces_are_the_elements_of_whole_trials(cause, lengths, monkeypatch):
+    """Samples cut anywhere, filled up or not, against each trial over all its runs, lines and inputs at once."""
+    monkeypatch.setattr(pieces, "SHORT", lengths[0])
+    monkeypatch.setattr(pieces, "LONG", lengths[1])
+    rng, places, lines, inputs = np.random.default_rng(4), 3, 17, 2
+    motion = 1e-5 * rng.normal(size=(places, lines, inputs, 2)).view(complex)[..., 0]
+    drive = 1e-5 * rng.normal(size=(places, lines, 2)).view(complex)[..., 0]
+    omega, level = np.linspace(60.0, 90.0, lines), np.array([[1.0], [2.0], [5.0]]) * rng.uniform(0.9, 1.1, (1, lines))
+    typical = {"tuned_mass": [2.0, 12.0, 0.1], "elasto_slip": [4e4, 2e-5], "time_varying": [4e4]}[cause.slug]
+    params, owner = typical * rng.uniform(0.5, 2.0, (7, len(typical))), np.array([2, 0, 1, 1, 0, 2, 2])
+    y = pieces.coefficients(cause, True, params, owner, motion, drive, omega, level)
+    for k, place in enumerate(owner):
+        p, w, H, F = map(jnp.asarray, (params[k], omega, drive[place][None], motion[place][None]))
+        if cause.stage == "local":
+            Z = cause.impedance(1j * w, p)[None, :, None]
+        else:
+            Z = equivalent(cause, p, w, H, F, jnp.asarray(level))
+        # the amplitude is polished by three Newton steps, which near the onset of slip leave 4e-7
+        assert y[k] == pytest.approx(np.asarray(-Z / (1 + Z * H[..., None]) * F), rel=1e-6)

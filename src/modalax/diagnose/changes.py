@@ -19,7 +19,7 @@ from modalax.diagnose.predict import predict
 from modalax.diagnose.problem import Problem
 from modalax.diagnose.quick import Target
 
-BATCH, FEW = 32, 4  # trials worked on together, and in the small batches of a fit
+BATCH, WHOLE = 32, 8  # trials worked on together: of single rows or elements, and of all channels
 NOWHERE = np.zeros((0, 3), np.int64)
 
 
@@ -82,17 +82,16 @@ def _changes_of_rows(cause, index, params, base, theta, spread, basis, problem):
 
 def changes_in_batches(
     cause: Cause, index: np.ndarray, params: np.ndarray, base: Any, theta: np.ndarray, nuisance: Nuisance,
-    problem: Problem, few: bool = False,
+    problem: Problem,
 ) -> Iterator[np.ndarray]:  # fmt: skip
     """Whitened changes of the prediction by one cause at many places and parameters, shape ``(trial, samples)``.
 
     The samples are those of the rows that the cause touches (:func:`rows_of`), or all. Every batch is filled up to one
-    of two sizes, so that each cause is compiled once or twice; ``few`` allows the smaller one.
+    size, so that each cause is compiled once.
     """
     some = rows_of(cause, index, problem) is not None
-    change, most, start = _changes_of_rows if some else _changes, BATCH if some else batch_of(problem), 0
+    change, size, start = _changes_of_rows if some else _changes, BATCH if some else whole_of(problem), 0
     while start < len(params):
-        size = min(FEW, most) if few and len(params) - start <= most // 2 else most
         take = slice(start, start + size)
         at, p = index[take], params[take]
         fill = np.minimum(np.arange(size), len(p) - 1)
@@ -107,6 +106,6 @@ def plain(theta, spread, problem):
     return predict((), NOWHERE, (), (), theta * spread, problem)
 
 
-def batch_of(problem: Problem) -> int:
-    """How many trials are worked on together."""
-    return max(1, min(BATCH, int(4e7 / max(problem.data.size, 1))))
+def whole_of(problem: Problem) -> int:
+    """How many trials of all channels are worked on together."""
+    return max(1, min(WHOLE, int(4e7 / max(problem.data.size, 1))))

@@ -8,17 +8,16 @@ made once for all places; then every law and threshold costs no more than a few 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from modalax.diagnose.causes.base import Cause, Place
-from modalax.diagnose.changes import BATCH, FEW, Residual
+from modalax.diagnose.changes import BATCH, Residual
+from modalax.diagnose.coefficients import coefficients
 from modalax.diagnose.fit import Hypothesis
-from modalax.diagnose.predict import Modes, equivalent, gains_of
+from modalax.diagnose.predict import Modes, gains_of
 from modalax.diagnose.problem import Problem
 from modalax.diagnose.quick import Target, fit_quick
 from modalax.diagnose.screen import KEPT_PLACES, KEPT_SHAPES, Trial, best_trial, smallest
@@ -256,50 +255,10 @@ def ends(places: Sequence[Place]) -> tuple[np.ndarray, np.ndarray]:
     return index[:, 0], index[:, 1]
 
 
-def _change(cause: Cause, solve: bool, p: Any, motion: Any, drive: Any, omega: Any, level: Any) -> Any:
-    """The number y of each run, line and input."""
-    if cause.stage == "local":
-        Z = cause.impedance(1j * omega, p)  # pyright: ignore[reportAttributeAccessIssue]
-        return (-(Z / (1 + Z * drive))[:, None] * motion)[None]
-    if solve:
-        Z = equivalent(cause, p, omega, drive[None], motion[None], level)
-        return -Z / (1 + Z * drive[None, :, None]) * motion[None]
-    A = level[:, :, None] * jnp.abs(motion) + 1e-300
-    return -cause.impedance(A, omega[None, :, None], p) * motion[None]  # pyright: ignore[reportAttributeAccessIssue]
-
-
-@partial(jax.jit, static_argnames=("cause", "solve"), compiler_options={"xla_backend_optimization_level": 1})
-def _changes(cause, solve, p, owner, motion, drive, omega, level):
-    def one(p, k):
-        return _change(cause, solve, p, motion[k], drive[k], omega, level)
-
-    return jax.vmap(one)(p, owner)
-
-
-def changes(
-    cause: Cause, solve: bool, params: np.ndarray, owner: np.ndarray, at: At, reduced: Reduced, few: bool = False
-) -> np.ndarray:
-    """The number y of each trial at the place that owns it, shape ``(trial, run, f, i)``.
-
-    ``few`` allows small batches, compiled apart, so that little is filled up.
-    """
-    parts, start = [], 0
-    while start < len(params):
-        size = FEW if few and len(params) - start <= BATCH // 2 else BATCH
-        take = slice(start, start + size)
-        mine, local = np.unique(owner[take], return_inverse=True)
-        y = _changes(
-            cause, solve, _fill(params[take], size), _fill(local, size), _fill(at.motion[mine], size),
-            _fill(at.drive[mine], size), reduced.omega, reduced.level,
-        )  # fmt: skip
-        parts.append(np.asarray(y)[: len(local)])
-        start += size
-    y = np.concatenate(parts)
+def changes(cause: Cause, solve: bool, params: np.ndarray, owner: np.ndarray, at: At, reduced: Reduced) -> np.ndarray:
+    """The number y of each trial at the place that owns it, shape ``(trial, run, f, i)``."""
+    y = coefficients(cause, solve, params, owner, at.motion, at.drive, reduced.omega, reduced.level)
     return np.broadcast_to(y, (len(y), *at.S.shape[1:]))
-
-
-def _fill(x: np.ndarray, size: int) -> np.ndarray:
-    return np.concatenate([x, np.repeat(x[-1:], size - len(x), axis=0)]) if len(x) < size else x
 
 
 def _parts(z: np.ndarray, first: int) -> np.ndarray:
@@ -387,6 +346,6 @@ def fit_elements(
 
     def moved(part: list[Hypothesis], owner: np.ndarray, params: np.ndarray) -> np.ndarray:
         at = at_places(reduced, [h.places[0] for h in part], targets=False)
-        return _parts(changes(part[0].causes[0], True, params, owner, at, reduced, few=True), 1)
+        return _parts(changes(part[0].causes[0], True, params, owner, at, reduced), 1)
 
     return fit_quick(study, base, starts, lambda part: element_target(reduced, part), moved, rounds)

@@ -210,7 +210,7 @@ def fit_screened(
 
     def changes(part: list[Hypothesis], owner: np.ndarray, params: np.ndarray) -> np.ndarray:
         index = places(part)[owner]
-        batches = changes_in_batches(cause, index, params, before, base.theta, nuisance, problem, few=True)
+        batches = changes_in_batches(cause, index, params, before, base.theta, nuisance, problem)
         return np.concatenate(list(batches))
 
     return fit_quick(study, base, starts, target, changes, rounds)
