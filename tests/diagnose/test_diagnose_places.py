@@ -11,9 +11,10 @@ from modalax.diagnose import changes
 from modalax.diagnose import places as many
 from modalax.diagnose.causes.base import Place, Scene
 from modalax.diagnose.causes.channels import ChannelGain, ChannelSwap, SensorMass
-from modalax.diagnose.causes.lines import MainsHum, hums
+from modalax.diagnose.causes.lines import MainsHum, _tail, hums
 from modalax.diagnose.causes.local import Gyroscopic, JointStiffness, LocalDamper
 from modalax.diagnose.causes.patterns import MissingMode, OutOfBand
+from modalax.diagnose.causes.pickup import pickup
 from modalax.diagnose.changes import Residual
 from modalax.diagnose.decide import detect
 from modalax.diagnose.elements import at_places, ends, factors_of, reduce, score
@@ -229,6 +230,19 @@ def test_one_source_is_found_where_each_channel_alone_hides_it():
     assert all(np.abs(freq[h.lines] - 60.0).max() < 1.0 for h in found if h.lines.any())
     wide = [MainsHum().explain(freq, 60.0, one_source(freq, 40.0, rng, 12.0), live) for _ in range(5)]
     assert all(not h.lines.any() for h in wide)  # a resonance, seen by all outputs too
+
+
+@pytest.mark.parametrize(("step", "known"), [(0.5, np.inf), (0.05, 12.0)], ids=["one offset", "three, from repeats"])
+def test_forms_and_offsets_of_a_tone_are_counted_for_what_they_are(step, known):
+    """They are much alike: corrected as if each were a test of its own, a chance would be ten times too large."""
+    freq, rng, values = np.arange(30.0, 110.0, step), np.random.default_rng(6), []
+    live = np.ones((4, 6, len(freq)), bool)
+    for _ in range(600):
+        noise = rng.normal(size=live.shape) + 1j * rng.normal(size=live.shape)
+        if np.isfinite(known):
+            noise /= np.sqrt(rng.gamma(known / 2, 2 / known, live.shape))
+        values.append(pickup(freq, 50.0, noise, live, 0.0, known, _tail).p_value)
+    assert 0.02 < np.mean(np.array(values) < 0.05) < 0.075
 
 
 def test_a_mode_narrower_than_the_lines_at_the_mains_frequency_is_hum():

@@ -117,7 +117,7 @@ def _pattern_p(t: Trial, spread: float, tolerated: float) -> float:
 
 
 def _hum_p(t: Trial) -> float:
-    return min(1.0, 2 * t.extra.p_value)  # two fundamentals
+    return min(1.0, t.trials * t.extra.p_value)
 
 
 @dataclass(frozen=True)

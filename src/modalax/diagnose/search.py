@@ -74,10 +74,12 @@ def screen_all(study: Study, h: Hypothesis, causes: Sequence[Cause], state: Stat
                 continue
             trials.append(screen_pattern(cause, study.scene, state.sides[side], problem))
         elif isinstance(cause, MainsHum):
-            for place in cause.places(study.scene):
-                lines = hum_of(cause, place, study, state.whole)
+            mains = cause.places(study.scene)
+            for place in mains:
+                lines, size = hum_of(cause, place, study, state.whole), len(mains)
                 if lines.lines.any():
-                    trials.append(Trial(cause, place, -lines.chi2, np.nan, np.array([lines.amplitude]), extra=lines))
+                    start = np.array([lines.amplitude])
+                    trials.append(Trial(cause, place, -lines.chi2, np.nan, start, trials=size, extra=lines))
         elif not (places := cause.places(study.scene)):
             continue
         elif is_element(cause) and state.reduced:

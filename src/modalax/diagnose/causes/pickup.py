@@ -10,7 +10,6 @@ squares over all channels does not yet: of n outputs in m columns noise makes ab
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -84,70 +83,108 @@ def pickup(
         Chance that draws of the null, its second argument, exceed the first.
     """
     step = np.gradient(freq) if len(freq) > 1 else np.ones(1)
-    used = live.any(axis=2)
-    null = _Null(used, uneven, known)
-    tones, values, harmonics = [], [], []
+    tones: list[np.ndarray] = []
     for k in range(1, int(freq[-1] * 1.002 // fundamental) + 1):
         at = k * fundamental
         middle = int(np.abs(freq - at).argmin())
         if not live[..., middle].any() or abs(freq[middle] - at) > step[middle] + STRAY * at:
             continue
         offsets = (0.0, STRAY * at, -STRAY * at) if STRAY * at > 0.25 * step[middle] else (0.0,)
-        mine = [s for off in offsets for s in tone_lines((freq - at - off) / step[middle])]
-        found = [float(largest(_summed(residual, live, s))) for s in mine]
-        best = int(np.argmax(found))
-        tones += mine
-        if not _is_wide(residual, live, mine[best], found[best], float(null.draws.mean())):
-            values.append(found[best])
-            harmonics.append(mine[best])
-    gains = [null.gain(v) for v in values]
-    sets = [np.flatnonzero(np.abs(s) > 0.05) for s in harmonics]
-    single = [k for k, gain in enumerate(gains) if gain >= LEAST]
-    chance = min((tail(values[k], null.draws) for k in single), default=1.0)
-    if len(harmonics) > 1:  # the channels pick up all harmonics in the same proportion, or nearly so
-        every = _Null(np.tile(used, (len(harmonics), 1)), uneven, known)
-        value = float(largest(np.concatenate([_summed(residual, live, s) for s in harmonics])))
-        together = tail(value, every.draws)
-        if together < chance and every.gain(value) >= LEAST:
-            return Pickup(sets, [every.gain(value) / len(sets)] * len(sets), min(1.0, (len(tones) + 1) * together))
-    return Pickup([sets[k] for k in single], [gains[k] for k in single], min(1.0, (len(tones) + 1) * chance))
+        tones.append(np.array([s for off in offsets for s in tone_lines((freq - at - off) / step[middle])]))
+    if not tones:
+        return Pickup([], [], 1.0)
+    lines = np.flatnonzero(np.abs(np.concatenate(tones)).max(axis=0))
+    null = _null_of(live[..., lines], [t[:, lines] for t in tones], uneven, known)
+    best, found = zip(*(_best(residual, live, t) for t in tones), strict=True)
+    here = [
+        k for k, (s, value) in enumerate(zip(best, found, strict=True))
+        if not _is_wide(residual, live, s, value, float(null.single.mean()))
+    ]  # fmt: skip
+    unknowns = max(2.0 * (live.any(axis=(0, 2)).sum() + live.any(axis=(1, 2)).sum() - 1), 2.0)
+    gains = [_gain(found[k], null.strongest[:, k], unknowns) for k in here]
+    sets = [np.flatnonzero(np.abs(best[k]) > 0.05) for k in here]
+    alone = [j for j, gain in enumerate(gains) if gain >= LEAST]
+    chance = min((tail(found[here[j]], null.strongest.max(axis=1)) for j in alone), default=1.0)
+    ways = 1 + (len(tones) > 1)
+    if len(here) > 1:  # the channels pick up all harmonics in the same proportion, or nearly so
+        value = float(largest(np.concatenate([_summed(residual, live, best[k][None])[0] for k in here])))
+        gain = _gain(value, null.together, unknowns + 2.0 * live.any(axis=(1, 2)).sum() * (len(here) - 1))
+        # harmonics that were left out as too wide are missed here, and not in the null
+        together = tail(value, null.together)
+        if together < chance and gain >= LEAST:
+            return Pickup(sets, [gain / len(sets)] * len(sets), min(1.0, ways * together))
+    return Pickup([sets[j] for j in alone], [gains[j] for j in alone], min(1.0, ways * chance))
 
 
+@dataclass(frozen=True)
 class _Null:
-    """Noise alone: draws of :func:`largest`, and what a value explains beyond what it would explain of noise."""
+    """What noise alone makes, draw by draw.
 
-    def __init__(self, used: np.ndarray, uneven: float, known: float):
-        self.draws = _null(used.tobytes(), used.shape, known)
-        if uneven > 0:
-            self.draws = self.draws * np.random.default_rng(1).gamma(1 / uneven, uneven, len(self.draws))
-        self.unknowns = max(2.0 * (used.any(axis=0).sum() + used.any(axis=1).sum() - 1), 2.0)
-        self.usual = float(np.median(_explained(self.draws, self.unknowns)))
+    Attributes
+    ----------
+    single
+        Of the first form of the first tone, shape ``(draw,)``.
+    strongest
+        Of the best form of each tone, shape ``(draw, tone)``.
+    together
+        Of all tones, each in its best form, shape ``(draw,)``.
+    """
 
-    def gain(self, value: float) -> float:
-        """Chi-square explained, less what the unknowns cost and what is usual."""
-        return float(_explained(value, self.unknowns)) - self.usual
+    single: np.ndarray
+    strongest: np.ndarray
+    together: np.ndarray
 
 
-def _summed(residual: np.ndarray, live: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """What a tone of these lines has in each channel, of unit variance in each part under noise alone."""
-    lines = np.flatnonzero(s)
-    r, used, s = residual[..., lines], live[..., lines], s[lines]
-    return (r * used) @ s / np.sqrt(np.maximum(used @ s**2, 1e-300))
+def _null_of(live: np.ndarray, tones: list[np.ndarray], uneven: float, known: float) -> _Null:
+    """Draws of noise alone, looked through as the data are."""
+    forms = tuple(len(t) for t in tones)
+    null = _null(live.tobytes(), live.shape, np.concatenate(tones).tobytes(), forms, known)
+    if uneven <= 0:
+        return null
+    off = np.random.default_rng(1).gamma(1 / uneven, uneven, null.strongest.shape)
+    return _Null(null.single * off[:, 0], null.strongest * off, null.together * off[:, 0])
+
+
+def _best(residual: np.ndarray, live: np.ndarray, tone: np.ndarray) -> tuple[np.ndarray, float]:
+    """The form of a tone that explains most, and how much."""
+    values = largest(_summed(residual, live, tone))
+    return tone[int(np.argmax(values))], float(values.max())
+
+
+def _summed(residual: np.ndarray, live: np.ndarray, forms: np.ndarray) -> np.ndarray:
+    """What each form of a tone has in each channel, of unit variance under noise, shape ``(..., form, column, o)``."""
+    at = np.flatnonzero(np.abs(forms).max(axis=0))
+    r, used, forms = residual[..., at] * live[..., at], live[..., at].astype(float), forms[:, at]
+    return np.moveaxis(r @ forms.T, -1, -3) / np.sqrt(np.maximum(np.moveaxis(used @ forms.T**2, -1, -3), 1e-300))
 
 
 @lru_cache(maxsize=16)
-def _null(used: bytes, shape: tuple[int, int], known: float) -> np.ndarray:
-    """Draws of :func:`largest` under noise alone: of channels that are used, with variances so well known."""
+def _null(used: bytes, shape: tuple[int, ...], flat: bytes, forms: tuple[int, ...], known: float) -> _Null:
+    """Draws of noise alone at samples that are used, with variances so well known."""
     live = np.frombuffer(used, bool).reshape(shape)
-    rng = np.random.default_rng(0)
-    count = max(100, min(DRAWS, int(4e6 / max(live.size, 1))))
-    y = (rng.normal(size=(count, *shape)) + 1j * rng.normal(size=(count, *shape))) * live
-    return largest(y / np.sqrt(rng.gamma(known / 2, 2 / known, y.shape)) if np.isfinite(known) else y)
+    tones = np.split(np.frombuffer(flat).reshape(sum(forms), shape[-1]), np.cumsum(forms)[:-1])
+    rng, size = np.random.default_rng(0), live.size
+    left, parts = max(100, min(DRAWS, int(1e7 / max(size, 1)))), []
+    while left > 0:
+        count = min(left, max(1, int(1e6 / max(size, 1))))
+        left -= count
+        y = rng.normal(size=(count, *shape, 2)).view(complex)[..., 0]
+        if np.isfinite(known):
+            y /= np.sqrt(rng.gamma(known / 2, 2 / known, y.shape))
+        sums = [_summed(y, live, t) for t in tones]
+        values = [largest(x) for x in sums]  # (draw, form) of each tone
+        best = [x[np.arange(count), v.argmax(axis=1)] for x, v in zip(sums, values, strict=True)]
+        strongest = np.stack([v.max(axis=1) for v in values], axis=1)
+        together = largest(np.concatenate(best, axis=1)) if len(tones) > 1 else strongest[:, 0]
+        parts.append((values[0][:, 0], strongest, together))
+    single, strongest, together = (np.concatenate(p) for p in zip(*parts, strict=True))
+    return _Null(single, strongest, together)
 
 
-def _explained(value: Any, unknowns: float) -> Any:
-    r"""Chi-square less what so many unknowns of that size cost, :math:`x - k\ln(1 + x/k)`."""
-    return value - unknowns * np.log1p(value / unknowns)
+def _gain(value: float, null: np.ndarray, unknowns: float) -> float:
+    r"""Chi-square explained less what so many unknowns cost, :math:`x - k\ln(1 + x/k)`, beyond what is usual."""
+    value, usual = (x - unknowns * np.log1p(x / unknowns) for x in (value, np.median(null)))
+    return float(value - usual)
 
 
 def _is_wide(residual: np.ndarray, live: np.ndarray, tone: np.ndarray, value: float, noise: float) -> bool:
@@ -158,5 +195,5 @@ def _is_wide(residual: np.ndarray, live: np.ndarray, tone: np.ndarray, value: fl
         if moved[0] >= 0 and moved[-1] < len(tone) and live[..., moved].any():
             s = np.zeros(len(tone))
             s[moved] = tone[at]
-            beside.append(float(largest(_summed(residual, live, s))))
+            beside.append(float(largest(_summed(residual, live, s[None]))[0]))
     return bool(beside) and float(np.mean(beside)) - noise > ALSO_WIDE * (value - noise)
