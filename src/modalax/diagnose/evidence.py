@@ -31,8 +31,8 @@ def evidence(h: Hypothesis, scene: Scene, samples: int, null_chi2: float) -> flo
             sizes = cause.sizes(*extra.shape[1:])
             value += 0.5 * sizes * max(each - 1 - math.log(max((null_chi2 - h.chi2) / sizes, 1.0)), 0.0)
     value -= MORE_CAUSES * max(len(h.names) - 1, 0)
-    for cause, place in zip(h.causes, h.places, strict=True):  # hum has one place and weight 1
-        value += math.log(cause.prior) + math.log(_weight(cause, place, scene))
+    for cause, place, p in zip(h.causes, h.places, h.params, strict=True):  # hum has one place and weight 1
+        value += math.log(cause.prior) + math.log(_weight(cause, place, scene)) + math.log(cause.likely(p, scene))
     return value
 
 

@@ -17,6 +17,7 @@ from modalax.diagnose.study import Study
 
 STEP = 1e-4  # of an unknown, for differences
 AT_ONCE = 8  # hypotheses fitted side by side
+DEEPER = 0.5  # chi-square by which another minimum has to be the deeper one
 
 
 @dataclass(frozen=True)
@@ -106,6 +107,9 @@ def fit_quick(
             return full
 
         u, value, A, still = damped(normal, u0, low, high, rounds)
+        beside = _beside(study, part, aim, changes, u, value)
+        if beside is not None:
+            u, value, A, still = damped(normal, beside, low, high, rounds)
         last = changes(part, np.arange(len(part)), plain(cause, u))
         c = np.einsum("bks,bs->bk", np.broadcast_to(aim.nuisance, (len(part), *aim.nuisance.shape[1:])), last)
         for j, h in enumerate(part):
@@ -116,6 +120,26 @@ def fit_quick(
                     reason="still moving" if still[j] else "settled",
                 )
             )  # fmt: skip
+    return out
+
+
+def _beside(
+    study: Study, part: list[Hypothesis], aim: Target, changes: Any, u: np.ndarray, value: np.ndarray
+) -> np.ndarray | None:
+    """Unknowns with those of the best hypothesis where its cause has a deeper minimum beside; None if it has none."""
+    best = int(np.argmin(value))
+    cause, place = part[best].causes[0], part[best].places[0]
+    points = cause.nearby(plain(cause, u[best]), place, study.scene)
+    found = []
+    for k in range(0, len(points), AT_ONCE):
+        some = points[k : k + AT_ONCE]
+        owner = np.full(len(some), best)
+        E = changes(part, owner, some)
+        found += aim.of(owner).normal(E, np.zeros((*E.shape, 0)))[0].tolist()
+    if not found or min(found) > value[best] - DEEPER:
+        return None
+    out = u.copy()
+    out[best] = to_search(cause, points[int(np.argmin(found))])
     return out
 
 

@@ -224,6 +224,14 @@ class Cause:
         """Whether fitted parameters still mean this cause at the lines that were measured."""
         return True
 
+    def nearby(self, p: np.ndarray, place: Place, scene: Scene) -> np.ndarray:
+        """Parameters beside fitted ones where chi-square may have a deeper minimum, shape ``(point, parameter)``."""
+        return np.zeros((0, len(p)))
+
+    def likely(self, p: np.ndarray, scene: Scene) -> float:
+        """How likely parameters are before the data, relative to the likeliest."""
+        return 1.0
+
     def report(self, p: np.ndarray, place: Place) -> dict[str, tuple[Any, str]]:
         """Parameters as told in the answer: value and unit by name."""
         return {q.name: (p[k], q.unit) for k, q in enumerate(self.parameters)}

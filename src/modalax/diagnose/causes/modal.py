@@ -9,6 +9,8 @@ from jaxtyping import Array, Complex
 from modalax.diagnose.causes.base import Cause, Parameter, Place, Scene, strengths
 
 HANN_CURVATURE = 2 * np.pi**2 / 3  # a Hann window's autocorrelation is 1 - this (t/T)^2 at first
+RIPPLE, RIPPLES = 0.25, 100  # of a ripple of chi-square over the record's length, between points; points each way
+CUT, DECAYED = 2, 10.0  # variant of a record that ends in a step, and the decay beyond which no step is left
 
 
 class ModalDamping(Cause):
@@ -176,9 +178,30 @@ class Leakage(Cause):
         return [Place((), (0, -1, k)) for k in range(4)]
 
     def grid(self, scene: Scene, place: Place) -> np.ndarray:
-        """Around the line spacing and the half-power widths."""
+        """Around the line spacing, and where the response ends in a step, at every stage of the decay."""
         step = float(np.median(np.diff(scene.freq))) if len(scene.freq) > 1 else 1.0
-        return np.array([[step * x] for x in (1.0, 0.1, 0.2, 0.4, 0.7, 1.5, 2.5, 5.0)])
+        around = [step * x for x in (1.0, 0.1, 0.2, 0.4, 0.7, 1.5, 2.5, 5.0)]
+        rates = 2 * np.pi * scene.frequency_hz * scene.damping_ratio
+        rates = rates[(scene.frequency_hz > scene.freq[0]) & (scene.frequency_hz < scene.freq[-1]) & (rates > 0)]
+        if place.index[2] == CUT and len(rates):
+            # ripples of two lengths over one resonance are alike by exp(-decay |T1 - T2|), those far from it by less
+            slow, fast = float(rates.min()), float(rates.max())
+            lengths = [*np.geomspace(0.5 / fast, 1 / slow, 6), *(np.arange(1.1, DECAYED, 0.1) / slow)]
+            around += [1 / T for T in lengths]
+        return np.array(around)[:, None]
+
+    def nearby(self, p: np.ndarray, place: Place, scene: Scene) -> np.ndarray:
+        """Lines far from the resonances make chi-square ripple with the length of a record that ends in a step."""
+        if place.index[2] != CUT:
+            return np.zeros((0, 1))
+        apart = RIPPLE / (scene.freq[-1] - scene.freq[0])
+        lengths = 1 / p[0] + apart * np.arange(-RIPPLES, RIPPLES + 1)
+        return 1 / lengths[lengths > 0][:, None]
+
+    def likely(self, p: np.ndarray, scene: Scene) -> float:
+        """Lines of a record lie one over its length apart; where it is n times longer, all but one of n were left out."""
+        step = float(np.diff(scene.freq).min()) if len(scene.freq) > 1 else 0.0
+        return 1 / max(1.0, step / float(p[0]))
 
     def report(self, p: np.ndarray, place: Place) -> dict[str, tuple[Any, str]]:
         """The length itself."""
@@ -187,7 +210,7 @@ class Leakage(Cause):
     def kernel(self, x: Array, where: Array, p: Array) -> Complex[Array, "..."]:
         r"""What :math:`1/x`, the transform of :math:`e^{-xt}`, becomes through the window."""
         T = 1 / p[0]
-        ends = jnp.where(where[2] == 2, _cut(x, T), 1 / x - HANN_CURVATURE * 2 / (x**3 * T**2))
+        ends = jnp.where(where[2] == CUT, _cut(x, T), 1 / x - HANN_CURVATURE * 2 / (x**3 * T**2))
         return jnp.where(where[2] == 0, _hann(x, T), jnp.where(where[2] == 1, _boxcar(x, T), ends))
 
 
