@@ -199,7 +199,7 @@ class Leakage(Cause):
         return 1 / lengths[lengths > 0][:, None]
 
     def likely(self, p: np.ndarray, scene: Scene) -> float:
-        """Lines of a record lie one over its length apart; where it is n times longer, all but one of n were left out."""
+        """Lines of a record lie one over its length apart; of one n times longer all but one of n were left out."""
         step = float(np.diff(scene.freq).min()) if len(scene.freq) > 1 else 0.0
         return 1 / max(1.0, step / float(p[0]))
 
