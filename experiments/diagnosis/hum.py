@@ -2,7 +2,7 @@
 
 Hum on one line of all channels, of unknown gains and phases, in noise of known variance: the largest singular value of
 the channels is all that is left to look at. The level is what a chance of 0.001, the share of hum among the alarms,
-leaves each of the tones that are tried.
+leaves each of so many independent tries.
 """
 
 import argparse
@@ -13,7 +13,7 @@ import scipy.stats
 from modalax.diagnose.causes.pickup import largest
 from modalax.diagnose.decide import ALARM, SHARES
 
-TONES = 8  # three forms of a line, and one more for all harmonics together, at 50 and at 60 Hz
+TONES = 8  # what two mains frequencies, two ways of looking and the forms of a line, which are much alike, cost together
 
 
 def draw(rng: np.random.Generator, count: int, outputs: int, columns: int, d: float) -> np.ndarray:
