@@ -13,7 +13,7 @@ import scipy.stats
 from modalax.diagnose.causes.pickup import largest
 from modalax.diagnose.decide import ALARM, SHARES
 
-TONES = 8  # what two mains frequencies, two ways of looking and the forms of a line, which are much alike, cost together
+TONES = 8  # what two mains frequencies, two ways of looking and the forms of a line, much alike, cost together
 
 
 def draw(rng: np.random.Generator, count: int, outputs: int, columns: int, d: float) -> np.ndarray:
