@@ -76,7 +76,7 @@ class ExtendedSimulation(eqx.Module):
         """
         outputs = self.outputs if outputs is None else tuple(outputs)
         inputs = self.inputs if inputs is None else tuple(inputs)
-        keep = [k for k, c in enumerate(self.causes) if measured or c.stage in ("modes", "local", "joint")]
+        keep = [k for k, c in enumerate(self.causes) if measured or c.stage in ("undamped", "modes", "local", "joint")]
         other = [self.causes[k].slug for k in keep if self.causes[k].stage == "channels"]
         if other and (outputs, inputs) != (self.outputs, self.inputs):
             raise ValueError(

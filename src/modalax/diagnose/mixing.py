@@ -11,6 +11,7 @@ of the state matrix (Fox and Kapoor 1968, AIAA J. 6:2426, for undamped systems; 
 Where a share of the viscous damping goes, so does its coupling: :class:`Uncoupled`.
 """
 
+import itertools
 from typing import Any
 
 import equinox as eqx
@@ -136,7 +137,7 @@ def mixing_of(
     disp, part = (right.T @ shapes.T), (left @ shapes.T)  # every eigenvector at the DoFs
     k, c = np.abs(poles[kept]) ** 2, -2 * poles[kept].real
     out = [np.zeros((2, n, n)), np.zeros((2, n, n)), *(np.zeros((2, n, n, len(shapes)), complex) for _ in range(2))]
-    for kind, p in zip(*np.nonzero(claimed > 0), strict=True):
+    for kind, p in itertools.product(range(2), range(n)):
         change = (2 * stiffness[p, p] if kind == 0 else 0.0) + poles * damping[p, p]  # of each mode r
         product = -left[:, p][:, None] * right[p][None] * change[None]  # y_s dA x_r
         moved = np.diag(product)[kept]

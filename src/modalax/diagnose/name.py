@@ -42,7 +42,10 @@ AGAIN = 2  # times that noise read off the lines is read again
 
 @dataclass(frozen=True)
 class Look:
-    """The simulation alone beside the data: what it leaves, what the causes would explain of that, and the chance."""
+    """The simulation alone beside the data: what it leaves, what the causes would explain of that, and the chance.
+
+    Where dampers couple the modes, ``again`` is the same with complex modes exact about the parameters fitted to that.
+    """
 
     study: Study
     null: Hypothesis
@@ -50,6 +53,7 @@ class Look:
     state: State
     screening: Screening
     detection: Detection
+    again: "Look | None" = None
 
 
 def look(study: Study, causes: Sequence[Cause]) -> Look:
@@ -60,9 +64,9 @@ def look(study: Study, causes: Sequence[Cause]) -> Look:
     # complex modes follow undamped ones to first order only: what that leaves is no finding
     about = study
     for _ in range(CENTRED):
-        about = about.centred(about.fit([empty(study)], ROUNDS)[0].theta)
+        about = about.centred(about.fit([empty(study)], ROUNDS)[0])
     again = _look(about, causes)
-    return first if again.detection.anything else again
+    return replace(first, again=again) if again.detection.anything else again
 
 
 def _look(study: Study, causes: Sequence[Cause]) -> Look:
@@ -126,12 +130,12 @@ def name(study: Study, causes: Sequence[Cause], imitators: Sequence[Cause] = ())
         each = best_of_each(found, study)
         return posterior([(h, evidence(h, study.scene, samples, null.chi2)) for h in each])
 
-    found = fit_single(study, null, chosen(screening.trials), state) + from_home(study, null, causes)
+    found = _singles(study, first, causes)
     found += joints_for_drifts(study, null, best_of_each(found, study), causes, state)
     ranked = weigh(found)
     if not ranked or ranked[0].best.chi2 > null.chi2 - 9.0:
         return Naming("unknown", [], null, screening, detection, before, before, (study, study))
-    alone, study = study, study.centred(ranked[0].best.theta)
+    alone, study = study, study.centred(ranked[0].best)
     if study is not alone:
         near = [r.best for r in ranked if r.log_evidence > ranked[0].log_evidence - NEAR and r.best.hum is None]
         found = study.fit(near, PATIENT) + [h for h in found if not any(h is other for other in near)]
@@ -162,6 +166,17 @@ def name(study: Study, causes: Sequence[Cause], imitators: Sequence[Cause] = ())
         likelier = sum(r.probability for r in nameless) > 0.5
         verdict, notes = "unknown" if likelier else _verdict(ranked, last.p_value), likeness(nameless)
     return Naming(verdict, ranked, null, screening, detection, before, last.omnibus, (alone, study), notes)
+
+
+def _singles(study: Study, first: Look, causes: Sequence[Cause]) -> list[Hypothesis]:
+    """Single causes, fitted."""
+    found = fit_single(study, first.null, chosen(first.screening.trials), first.state)
+    found += from_home(study, first.null, causes)
+    if first.again is not None:  # a modal parameter far off is found where the modes follow it exactly
+        other = first.again
+        some = [t for t in chosen(other.screening.trials) if t.cause.stage == "undamped"]
+        found += fit_single(other.study, other.null, some, other.state) if some else []
+    return found
 
 
 def with_noise_beside(study: Study) -> Study:

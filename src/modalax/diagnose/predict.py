@@ -81,10 +81,8 @@ def predict(
         at = list(zip(held.causes, held.index, held.extras, held.params, strict=True)) + at
         theta = theta + held.theta
     plant = problem.plant
-    s = 1j * problem.omega
-    for cause, _, _, p in at:
-        if cause.stage == "laplace":
-            s = s + cause.shift(p)
+    s = 1j * problem.omega + sum(cause.shift(p) for cause, _, _, p in at if cause.stage == "laplace")
+    theta = theta + sum(cause.undamped(theta, where, p) for cause, where, _, p in at if cause.stage == "undamped")
     k, c, shapes, participation = plant.adapted(theta)
     follow, kept = plant.mixing is not None, [cause.viscous(p) for cause, _, _, p in at if hasattr(cause, "viscous")]
     if kept and plant.uncoupled is not None:

@@ -117,16 +117,19 @@ class Study:
         weight = np.where(self.live(), weight, 0.0)
         return replace(self.reweighted(weight), noise=noise)
 
-    def centred(self, theta: np.ndarray) -> "Study":
-        """The same with complex modes that follow undamped ones exact about other modal parameters.
+    def centred(self, h: Hypothesis) -> "Study":
+        """The same with complex modes that follow undamped ones exact about the modal parameters of a hypothesis.
 
-        ``theta`` is in units of the spread, as that of a hypothesis; where modes are not coupled nothing changes.
+        Where modes are not coupled nothing changes.
         """
         mixing, held = self.problem.plant.mixing, self.problem.held
         if mixing is None or self.question == "free":
             return self
         base = self.simulation.base if isinstance(self.simulation, ExtendedSimulation) else self.simulation
-        about = theta * self.nuisance.spread + (0.0 if held is None else np.asarray(held.theta))
+        about = h.theta * self.nuisance.spread + (0.0 if held is None else np.asarray(held.theta))
+        for cause, index, p in zip(h.causes, h.index, h.params, strict=True):
+            if cause.stage == "undamped":
+                about = about + np.asarray(cause.undamped(*map(jnp.asarray, (about, index, p))))
         plant = padded(plant_of(base, float(self.scene.freq[0]), about))
         if plant.mixing is None:
             return self

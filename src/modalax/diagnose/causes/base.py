@@ -184,7 +184,7 @@ class Cause:
     slug
         Name in the answer.
     stage
-        Where the map acts: ``laplace``, ``modes``, ``kernel``, ``local``, ``joint``, ``channels``.
+        Where the map acts: ``laplace``, ``undamped``, ``modes``, ``kernel``, ``local``, ``joint``, ``channels``.
     parameters
         Unknowns, the strength first; may be empty (a sign, a swap).
     per_run

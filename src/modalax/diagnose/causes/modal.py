@@ -17,7 +17,7 @@ class ModalDamping(Cause):
     r"""The damping ratio of one mode changed by a part, :math:`c_r (1 + \delta)`."""
 
     slug = "modal_damping"
-    stage = "modes"
+    stage = "undamped"
     summary = "damping ratio of one mode"
     parameters = (Parameter("relative_change", "-", -0.999),)
 
@@ -31,9 +31,9 @@ class ModalDamping(Cause):
         """Half to five times."""
         return np.array([[1e-4], [0.3], [-0.3], [1.0], [-0.6], [3.0]])
 
-    def modes(self, modes: Any, where: Array, p: Array, runs: int) -> Any:
-        """Scale one damping coefficient."""
-        return type(modes)(modes.k, modes.c.at[:, where[0]].multiply(1 + p[0]), modes.h)
+    def undamped(self, theta: Array, where: Array, p: Array) -> Array:
+        """What a damping ratio changes by, its logarithm; where dampers couple the modes, the complex ones follow."""
+        return jnp.zeros_like(theta).at[1, where[0]].set(jnp.log1p(p[0]))
 
 
 class StructuralDamping(Cause):
