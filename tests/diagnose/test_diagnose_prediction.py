@@ -251,3 +251,19 @@ def test_elements_in_pieces_are_the_elements_of_whole_trials(cause, monkeypatch)
             Z = solved(cause, p, w, H, F, jnp.asarray(level))
         # the amplitude is polished by three Newton steps, which near the onset of slip leave 4e-7
         assert y[k] == pytest.approx(np.asarray(-Z / (1 + Z * H[..., None]) * F), rel=1e-6)
+
+
+def test_an_impedance_that_does_not_follow_its_lines_says_so():
+    """Its first entry would else be taken at every line."""
+
+    class Tabled(JointStiffness):
+        slug = "tabled"
+
+        def impedance(self, s, p):
+            return p[0] * jnp.linspace(1.0, 2.0, 17) + 0j
+
+    one = np.ones((1, 17, 1), complex)
+    with pytest.raises(ValueError, match=r"impedance of 'tabled' has the shape \(17,\) at one line"):
+        pieces.coefficients(
+            Tabled(), True, np.ones((1, 1)), np.zeros(1, int), one, one[..., 0], np.ones(17), np.ones((1, 17))
+        )

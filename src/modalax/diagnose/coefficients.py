@@ -21,8 +21,13 @@ SHORT, LONG = 2048, 65536  # samples of a piece
 def _one(cause: Cause, solve: bool, p: Any, motion: Any, drive: Any, omega: Any, level: Any) -> Any:
     """At one line, for one input: motion and drive are numbers, ``level`` holds the runs, shape ``(run or 1,)``."""
     if cause.stage == "local":
-        Z = cause.impedance(1j * omega[None], p)[0]  # pyright: ignore[reportAttributeAccessIssue]
-        return (-Z / (1 + Z * drive) * motion)[None]
+        Z = cause.impedance(1j * omega[None], p)  # pyright: ignore[reportAttributeAccessIssue]
+        if jnp.shape(Z) != (1,):
+            raise ValueError(
+                f"the impedance of {cause.slug!r} has the shape {jnp.shape(Z)} at one line; it must have that of its "
+                "argument s, (1,) here: what it takes from a table of lines has to be interpolated at s"
+            )
+        return -Z / (1 + Z * drive) * motion
     if solve:
         Z = equivalent(cause, p, omega[None], drive[None, None], motion[None, None, None], level[:, None])[:, 0, 0]
         return -Z / (1 + Z * drive) * motion
@@ -51,6 +56,11 @@ def coefficients(
         Receptances from the inputs to the places, shape ``(place, f, i)``, and across them, ``(place, f)`` [m/N].
     level
         Force amplitudes, shape ``(run, f)`` [N].
+
+    Raises
+    ------
+    ValueError
+        If an impedance does not have the shape of the lines that it is asked at.
     """
     # trial, run, line, input; where the law follows the number of the run, all runs are in one sample
     if cause.stage == "joint":

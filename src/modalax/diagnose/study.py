@@ -127,7 +127,9 @@ class Study:
             return self
         base = self.simulation.base if isinstance(self.simulation, ExtendedSimulation) else self.simulation
         about = h.theta * self.nuisance.spread + (0.0 if held is None else np.asarray(held.theta))
-        for cause, index, p in zip(h.causes, h.index, h.params, strict=True):
+        every = list(zip(h.causes, h.index, h.params, strict=True))
+        every += [] if held is None else list(zip(held.causes, held.index, held.params, strict=True))
+        for cause, index, p in every:
             if cause.stage == "undamped":
                 about = about + np.asarray(cause.undamped(*map(jnp.asarray, (about, index, p))))
         plant = padded(plant_of(base, float(self.scene.freq[0]), about))

@@ -253,7 +253,7 @@ class LocalCause(Cause):
         return scene.pairs()
 
     def impedance(self, s: Complex[Array, " f"], p: Float[Array, " p"]) -> Complex[Array, " f"]:
-        """Force a unit relative displacement [N/m]."""
+        """Force a unit relative displacement [N/m], each line by itself: it is asked at one line as at many."""
         raise NotImplementedError(f"{type(self).__name__} needs impedance(s, p)")
 
 
@@ -272,7 +272,10 @@ class JointCause(Cause):
         raise NotImplementedError(f"{type(self).__name__} needs law(p)")
 
     def impedance(self, A: Array, omega: Array, p: Float[Array, " p"]) -> Complex[Array, "..."]:
-        """Describing function at amplitude ``A`` [m], [N/m]."""
+        """Describing function at amplitude ``A`` [m], [N/m], shape ``(run, f, i)`` as ``A``, each entry by itself.
+
+        Only where ``each_run`` is set may a run depend on its number, the first axis of ``A``.
+        """
         return self.law(p).describing(A, omega)
 
 

@@ -32,7 +32,10 @@ class ModalDamping(Cause):
         return np.array([[1e-4], [0.3], [-0.3], [1.0], [-0.6], [3.0]])
 
     def undamped(self, theta: Array, where: Array, p: Array) -> Array:
-        """What a damping ratio changes by, its logarithm; where dampers couple the modes, the complex ones follow."""
+        """Change of the logarithms of frequencies and damping ratios of the undamped modes, shape ``(2, n)``.
+
+        Where dampers couple these, the complex modes follow (:mod:`modalax.diagnose.mixing`).
+        """
         return jnp.zeros_like(theta).at[1, where[0]].set(jnp.log1p(p[0]))
 
 
