@@ -108,9 +108,9 @@ def uncoupled_of(
 
 def mixing_of(
     stiffness: np.ndarray, damping: np.ndarray, poles: np.ndarray, right: np.ndarray, left: np.ndarray,
-    kept: np.ndarray, shapes: np.ndarray, claimed: np.ndarray, centre: np.ndarray,
+    kept: np.ndarray, shapes: np.ndarray, centre: np.ndarray,
 ) -> Mixing | None:  # fmt: skip
-    """Derivatives of the kept complex modes; None where modes are not coupled, nothing is claimed or poles are real.
+    """Derivatives of the kept complex modes; None where modes are not coupled, very many, or not all kept.
 
     Parameters
     ----------
@@ -123,13 +123,11 @@ def mixing_of(
         Numbers of the n modes that are stored, by rising frequency.
     shapes
         Undamped mode shapes, shape ``(dof, n)``.
-    claimed
-        Standard deviations of log frequency and log damping ratio, shape ``(2, n)``.
     centre
         Logarithmic changes that the matrices hold already, shape ``(2, n)``.
     """
     n = len(stiffness)
-    if not is_coupled(damping) or n > MOST or len(kept) != n or not (claimed > 0).any():
+    if not is_coupled(damping) or n > MOST or len(kept) != n:
         return None
     away = poles[None] - poles[:, None]  # (s, r)
     near = np.abs(away) < 1e-12 * np.abs(poles).max()

@@ -59,7 +59,7 @@ class Look:
 def look(study: Study, causes: Sequence[Cause]) -> Look:
     """Whether anything is wrong at all."""
     first = _look(study, causes)
-    if not first.detection.anything or study.problem.plant.mixing is None:
+    if not first.detection.anything or study.problem.plant.mixing is None or not study.nuisance.active:
         return first
     # complex modes follow undamped ones to first order only: what that leaves is no finding
     about = study

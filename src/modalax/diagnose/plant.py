@@ -158,7 +158,7 @@ def _from_structure(structure: Structure, lowest_hz: float, centre: np.ndarray) 
     mixing = uncoupled = None
     if not real.any():
         back = left @ np.linalg.inv(mass)
-        mixing = mixing_of(stiff, damp, values, right.T, back, keep[order], phi, np.stack(claims), centre)
+        mixing = mixing_of(stiff, damp, values, right.T, back, keep[order], phi, centre)
         if mixing is not None:  # in the lengths that are stored
             by = turn[order]
             mixing = eqx.tree_at(
