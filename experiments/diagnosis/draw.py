@@ -27,8 +27,10 @@ STAGES = (
 )
 
 
-def plan(per_cause: int, clean: int, outside: int, pairs: int, causes: list[str] | None, sizes) -> list[tuple]:
-    """``(name, cause, d, variance)`` of every case; ``variance`` None is drawn."""
+def plan(
+    per_cause: int, clean: int, outside: int, pairs: int, causes: list[str] | None, sizes, variances
+) -> list[tuple]:
+    """``(name, cause, d, variance)`` of every case; ``variance`` None is drawn, ``variances`` are the clean ones'."""
     chosen = causes or CATALOGUE
     cases: list[tuple] = []
     for slug in chosen:
@@ -38,7 +40,7 @@ def plan(per_cause: int, clean: int, outside: int, pairs: int, causes: list[str]
         for slug in OUTSIDE_CATALOGUE:
             cases += [(f"{slug.replace(':', '-')}-{k:04d}", slug, (30.0, 50.0)[k % 2], None) for k in range(outside)]
     for k in range(clean):
-        cases.append((f"clean-{k:04d}", "clean", 0.0, VARIANCES[k % len(VARIANCES)]))
+        cases.append((f"clean-{k:04d}", "clean", 0.0, variances[k % len(variances)]))
     for k in range(pairs):
         rng = np.random.default_rng([97, k])
         a, b = rng.choice(len(STAGES), 2) if rng.random() < 0.3 else rng.choice(len(STAGES), 2, replace=False)
@@ -60,12 +62,14 @@ def main() -> None:
     parser.add_argument("--sizes", nargs="*", type=float, default=SIZES)
     parser.add_argument("--family", default="masses,frame", help="one, or several by commas; third for the exam")
     parser.add_argument("--structures", type=int, nargs="*", help="their seeds, in turn; each case its own by default")
+    parser.add_argument("--variance", choices=VARIANCES, help="of all clean cases; each in turn by default")
     parser.add_argument("--runs", type=int)
     parser.add_argument("--inputs", type=int)
     parser.add_argument("--seed", type=int, default=0, help="another seed, another draw")
     args = parser.parse_args()
     families = itertools.cycle(args.family.split(","))
-    todo = plan(args.per_cause, args.clean, args.outside, args.pairs, args.causes, args.sizes)
+    variances = [args.variance] if args.variance else list(VARIANCES)
+    todo = plan(args.per_cause, args.clean, args.outside, args.pairs, args.causes, args.sizes, variances)
     slow: list[tuple[float, str]] = []
     for k, (name, cause, d, variance) in enumerate(track(todo, "drawing")):
         family = next(families)
