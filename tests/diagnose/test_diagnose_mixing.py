@@ -169,6 +169,32 @@ def test_hysteretic_damping_takes_the_coupling_of_the_modes_with_it(share):
         np.testing.assert_allclose(ours(LossFactor(), 0.03), hysteretic(S, 1.0, 0.03), rtol=1e-8)
 
 
+@pytest.mark.parametrize("share", [0.2, 0.5])
+def test_close_modes_that_dampers_couple_are_exact_at_the_share_that_is_fitted(share):
+    """Two nearly equal oscillators, one damper: apart by less than they are wide, they turn into each other."""
+    K = 1e4 * np.array([[1.0, -0.02], [-0.02, 1.01]])
+    S = Structure(np.eye(2), np.array([[4.0, 0.0], [0.0, 0.4]]), K, ("1", "2"))
+    freq = np.linspace(13.0, 19.0, 120)
+    shape, s = (1, len(freq), 2, 2), 2j * np.pi * freq[:, None, None]
+    square, phi = scipy.linalg.eigh(K)
+    own = (phi * (np.einsum("dr,de,er->r", phi, S.C, phi) * np.sqrt(square))) @ phi.T
+    exact, without = (
+        np.linalg.inv(s**2 * np.eye(2) + s * (1 - q) * np.asarray(S.C) + K + 1j * q * own) for q in (share, 0)
+    )
+
+    def error(coupling):
+        plant = plant_of(S, freq[0], None, coupling)
+        problem = make_problem(
+            freq, np.zeros(shape, complex), np.ones(shape), np.ones(1), ("1", "2"), ("1", "2"), plant
+        )
+        theta = jnp.zeros((2, problem.plant.stiffness.shape[0]))
+        H = predict((StructuralDamping(),), jnp.zeros((1, 3), int), (None,), (jnp.array([share]),), theta, problem)
+        return np.linalg.norm(np.asarray(H)[0, : len(freq), :2, :2] - exact) / np.linalg.norm(exact - without)
+
+    assert error(1 - share) < 0.03
+    assert error(None) < 0.25
+
+
 @pytest.mark.parametrize("relative", [0.6, -0.5])
 def test_modal_damping_of_coupled_modes_is_followed_as_a_claimed_error_is(relative):
     """Elsewhere its score would live on how a real mode differs from the complex one, and drown in noise."""

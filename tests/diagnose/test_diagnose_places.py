@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.optimize
 
 from modalax import Measurement, Structure
 from modalax.diagnose import changes
@@ -21,7 +22,7 @@ from modalax.diagnose.elements import at_places, ends, factors_of, reduce, score
 from modalax.diagnose.extend import _key
 from modalax.diagnose.fit import Hypothesis, covariance_of, damped
 from modalax.diagnose.omnibus import Omnibus
-from modalax.diagnose.screen import Trial, screen_cause, screen_pattern
+from modalax.diagnose.screen import Trial, low_rank, screen_cause, screen_pattern, settled_rank
 from modalax.diagnose.state import state_of
 from modalax.diagnose.study import make_study
 
@@ -349,3 +350,28 @@ def test_an_unknown_pushed_against_its_bound_does_not_bend_the_steps_of_the_othe
     np.testing.assert_allclose(x, [[3 - 0.999 * 3, 0.0]] * 2, atol=1e-5)
     np.testing.assert_allclose(chi2, 9 * (1 - 0.999**2), rtol=1e-6)
     assert not moving.any()
+
+
+def test_a_shape_of_rank_one_is_the_best_however_unlike_the_channels_noise_is():
+    """Two terms, weights over two decades that no product of an output's and an input's describes; against scipy."""
+    rng = np.random.default_rng(3)
+    columns = rng.normal(size=(5, 3, 40, 2)) * 10.0 ** rng.uniform(-1.0, 1.0, (5, 3, 1, 1))
+    sizes = np.einsum("ot,it->oit", rng.normal(size=(5, 2)), rng.normal(size=(3, 2)))
+    data = np.einsum("oint,oit->oin", columns, sizes) + rng.normal(size=(5, 3, 40))
+    gram, right = np.einsum("oint,oinu->oitu", columns, columns), np.einsum("oint,oin->oit", columns, data)
+
+    def explained(a):
+        return 2 * np.sum(a * right) - np.einsum("oit,oitu,oiu->", a, gram, a)
+
+    def least(x):
+        u, v = x[:10].reshape(5, 2), x[10:].reshape(3, 2)
+        return (np.einsum("oint,ot,it->oin", columns, u, v) - data).ravel()
+
+    free = np.linalg.solve(gram, right[..., None])[..., 0]
+    start = low_rank(free, gram)
+    found = settled_rank(start, gram, right)
+    true = np.concatenate([sizes[:, 0].ravel(), (sizes[0] / sizes[0, 0]).ravel()])
+    best = np.sum(data**2) - 2 * scipy.optimize.least_squares(least, true, xtol=1e-14, ftol=1e-14).cost
+    assert explained(start) < best - 10  # what the unlike weights cost
+    assert explained(found) == pytest.approx(best, abs=0.05)
+    assert np.linalg.matrix_rank(found[..., 0], tol=1e-9 * np.abs(found).max()) == 1

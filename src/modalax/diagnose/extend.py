@@ -14,7 +14,7 @@ from modalax.data.frf import DERIVATIVES, check_form
 from modalax.diagnose.causes import catalogue
 from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.fit import Hypothesis
-from modalax.diagnose.plant import plant_of
+from modalax.diagnose.plant import kept_coupling, plant_of
 from modalax.diagnose.predict import predict
 from modalax.diagnose.problem import Problem
 from modalax.model import ModalModel, Structure
@@ -82,7 +82,8 @@ class ExtendedSimulation(eqx.Module):
             raise ValueError(
                 f"{', '.join(other)} is known on the measured channels only; ask for these, or for measured=False"
             )
-        plant = plant_of(self.base, self.lowest_hz, concrete(self.theta))
+        coupling = kept_coupling(zip(self.causes, self.params, strict=True))
+        plant = plant_of(self.base, self.lowest_hz, concrete(self.theta), concrete(coupling))
         freq = jnp.asarray(freq, jnp.float64)
         omega = 2 * jnp.pi * freq
         shape = (1, freq.shape[0], len(outputs), len(inputs))
@@ -141,9 +142,9 @@ class ExtendedSimulation(eqx.Module):
 _predict = jax.jit(predict, static_argnums=0)
 
 
-def concrete(theta: Any) -> np.ndarray | None:
-    """The modal parameters that complex modes are made exact about; None under a derivative by them."""
-    return None if isinstance(theta, jax.core.Tracer) else np.asarray(theta)
+def concrete(a: Any) -> np.ndarray | None:
+    """What complex modes are made exact about; None under a derivative by it."""
+    return None if isinstance(a, jax.core.Tracer) else np.asarray(a)
 
 
 def _key(cause: Cause) -> str:

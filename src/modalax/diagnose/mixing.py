@@ -21,6 +21,7 @@ import scipy.optimize
 from jaxtyping import Array, Complex, Float
 
 COUPLED = 1e-6  # coupling of two modes' damping over the geometric mean of their own, below which there is none
+Modes = tuple[np.ndarray, np.ndarray, np.ndarray]
 MOST = 100  # modes beyond which this is left out
 
 
@@ -45,30 +46,42 @@ class Mixing(eqx.Module):
 
 
 class Uncoupled(eqx.Module):
-    r"""The undamped modes beside the complex ones, for a share t of the viscous damping kept.
+    r"""The undamped modes, and those with a middling share of the coupling, beside the complex ones.
 
-    To first order in the damping a complex shape stands off the undamped one by a part that grows with t, and its
-    :math:`|\lambda|^2` and :math:`-2\,\mathrm{Re}\lambda/t` by parts that grow with :math:`t^2`.
+    With a share t of what couples the modes kept and each mode's own damping whole, a complex shape stands off the
+    undamped one by a part that grows with t to first order, and its :math:`|\lambda|^2` and
+    :math:`-2\,\mathrm{Re}\lambda` by parts that grow with :math:`t^2`. Interpolation in these goes through the
+    undamped modes at t = 0, those at ``middle``, and all of the coupling at t = 1, so it is exact there.
 
     Attributes
     ----------
     k, c
-        Of the undamped modes over those of the complex modes, shape ``(n,)``.
+        At t = 0 and ``middle`` over those of the complex modes, shape ``(2, n)``.
     shapes, participation
-        Of the undamped modes in the lengths of the complex ones, shape ``(n, dof)``.
+        At t = 0, ``middle`` and 1, in the lengths of the complex ones, shape ``(3, n, dof)``.
+    middle
+        The share of coupling in the second of these.
     """
 
-    k: Float[Array, " n"]
-    c: Float[Array, " n"]
-    shapes: Complex[Array, "n dof"]
-    participation: Complex[Array, "n dof"]
+    k: Float[Array, "2 n"]
+    c: Float[Array, "2 n"]
+    shapes: Complex[Array, "3 n dof"]
+    participation: Complex[Array, "3 n dof"]
+    middle: Float[Array, ""]
 
     def at(self, t: Any, k: Array, c: Array, shapes: Array, participation: Array) -> tuple[Array, ...]:
-        """Stiffness, damping (still of all), shapes and participation with the share t of the viscous damping."""
-        return (
-            k * (1 + (1 - t**2) * (self.k - 1)), c * (1 + (1 - t**2) * (self.c - 1)),
-            self.shapes + t * (shapes - self.shapes), self.participation + t * (participation - self.participation),
-        )  # fmt: skip
+        """Stiffness, damping (still of all), shapes and participation with the share t of the coupling."""
+        m = self.middle
+        first, square = through(t, m), through(t**2, m**2)
+        near = [jnp.tensordot(first, a, 1) + t * (now - a[2]) for a, now in (
+            (self.shapes, shapes), (self.participation, participation),
+        )]  # fmt: skip
+        return k * (square[:2] @ self.k + square[2]), c * (square[:2] @ self.c + square[2]), *near
+
+
+def through(t: Any, m: Any) -> Array:
+    """Weights of values at 0, m and 1 for the parabola through them at t (Lagrange)."""
+    return jnp.stack([(t - m) * (t - 1) / m, t * (t - 1) / (m * (m - 1)), t * (t - m) / (1 - m)])
 
 
 def is_coupled(damping: np.ndarray) -> bool:
@@ -78,32 +91,43 @@ def is_coupled(damping: np.ndarray) -> bool:
 
 
 def uncoupled_of(
-    stiffness: np.ndarray, damping: np.ndarray, poles: np.ndarray, shapes: np.ndarray, undamped: np.ndarray,
-    inverse: np.ndarray,
-) -> Uncoupled | None:  # fmt: skip
-    """The undamped modes beside complex ones; None where dampers do not couple them.
+    damping: np.ndarray, squares: np.ndarray, undamped: np.ndarray, inverse: np.ndarray, coupled: Modes,
+    middle: Modes, at: float,
+) -> Uncoupled:  # fmt: skip
+    """The undamped modes, and those with a share of the coupling, beside complex ones.
 
     Parameters
     ----------
-    stiffness, damping
-        In the coordinates of the undamped modes, mass one, shape ``(n, n)``.
-    poles, shapes
-        Of the complex modes, shapes ``(n,)`` and ``(n, dof)``.
+    damping, squares
+        Of the undamped modes, mass one, shape ``(n,)``.
     undamped, inverse
         Undamped shapes of mass one, shape ``(dof, n)``, and the inverse of that.
+    coupled, middle
+        Poles, shapes and participation of the complex modes with all of the coupling and with the share ``at`` of it,
+        shapes ``(n,)`` and ``(n, dof)``.
     """
-    if not is_coupled(damping):
-        return None
-    share = shapes @ inverse.T  # of each undamped mode in each complex one
-    own = scipy.optimize.linear_sum_assignment(-(np.abs(share) ** 2))[1]
-    length = share[np.arange(len(own)), own][:, None]
+    poles, shapes, participation = coupled
+    own, length = _own(shapes, inverse)
+    theirs, lengths = _own(middle[1], inverse)
+    order = np.argsort(theirs)[own]  # those that are most of the same undamped mode
+    scale = length / lengths[order]
     alike = undamped.T[own]
     return Uncoupled(
         *map(jnp.asarray, (
-            np.diag(stiffness)[own] / np.abs(poles) ** 2, np.diag(damping)[own] / (-2 * poles.real),
-            alike * length, alike / length / (2j * poles.imag[:, None]),
+            np.stack([squares[own], np.abs(middle[0][order]) ** 2]) / np.abs(poles) ** 2,
+            np.stack([damping[own], -2 * middle[0][order].real]) / (-2 * poles.real),
+            np.stack([alike * length, middle[1][order] * scale, shapes]),
+            np.stack([alike / length / (2j * poles.imag[:, None]), middle[2][order] / scale, participation]),
+            at,
         )),
     )  # fmt: skip
+
+
+def _own(shapes: np.ndarray, inverse: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which undamped mode each complex one is most of, and how much of it, shapes ``(n,)`` and ``(n, 1)``."""
+    share = shapes @ inverse.T
+    own = scipy.optimize.linear_sum_assignment(-(np.abs(share) ** 2))[1]
+    return own, share[np.arange(len(own)), own][:, None]
 
 
 def mixing_of(

@@ -1,8 +1,9 @@
 """Naming: detection, single causes, compounds up to three, and whether anything is left over."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -34,7 +35,7 @@ LEFT_BY_SEVERAL = 0.01  # the same where several causes are needed
 PLACED = 0.5  # posterior of the leading places beyond which a sure name is given: likelier there than anywhere else
 NEAR = 12.0  # nats behind the best up to which hypotheses are fitted again where complex modes are exact
 DEEPEST = 3  # causes in one answer
-LEADING = 2  # hypotheses that a further cause is added to
+LEADING, BEHIND = 2, 40.0  # hypotheses that a further cause is added to, and nats that these may be behind the best
 FURTHER = 3  # causes tried on each
 CENTRED = 3  # times that complex modes are made exact about what was fitted
 AGAIN = 2  # times that noise read off the lines is read again
@@ -148,12 +149,10 @@ def name(study: Study, causes: Sequence[Cause], imitators: Sequence[Cause] = ())
         return rests[id(h)][1]
 
     for depth in range(2, DEEPEST + 1):
-        leading = [r.best for r in ranked if r.log_evidence > ranked[0].log_evidence - 40.0][:LEADING]
-        worth = _worth(study) if rest(leading[0]).p_value > LEFT else 0.0
-        pairs = [(h, rest(h).trials) for h in leading if rest(h).trials and rest(h).trials[0].gain > worth]
-        found += [k for h, trials in pairs for k in fit_further(study, h, trials[:FURTHER])]
+        more = _more(study, ranked, rest)
+        found += more
         ranked = weigh(found)
-        if not pairs or len(ranked[0].names) < depth:
+        if not more or len(ranked[0].names) < depth:
             break
         # the first cause was found while the second still hid its like
         found += exchanged(study, ranked[0].best, lambda h: rest(h).trials, FURTHER)
@@ -166,6 +165,31 @@ def name(study: Study, causes: Sequence[Cause], imitators: Sequence[Cause] = ())
         likelier = sum(r.probability for r in nameless) > 0.5
         verdict, notes = "unknown" if likelier else _verdict(ranked, last.p_value), likeness(nameless)
     return Naming(verdict, ranked, null, screening, detection, before, last.omnibus, (alone, study), notes)
+
+
+def _more(study: Study, ranked: list[Ranked], rest: Callable[[Hypothesis], "Rest"]) -> list[Hypothesis]:
+    """The leading hypotheses with one cause more; others if none of those means what its name says any longer.
+
+    A tuned mass that stood for an added mass and a joint together becomes a mass once the joint is there.
+    """
+
+    def worthy(h: Hypothesis) -> bool:
+        worth = _worth(study) if rest(ranked[0].best).p_value > LEFT else 0.0
+        return bool(rest(h).trials) and rest(h).trials[0].gain > worth
+
+    def tried(some: list[Hypothesis]) -> list[Hypothesis]:
+        return [k for h in some if worthy(h) for k in fit_further(study, h, rest(h).trials[:FURTHER])]
+
+    leading = [r.best for r in ranked if r.log_evidence > ranked[0].log_evidence - BEHIND][:LEADING]
+    found = tried(leading)
+    if found or not worthy(leading[0]):
+        return found
+    reach = max(BEHIND, 0.5 * rest(leading[0]).trials[0].gain)
+    others: dict[Any, Hypothesis] = {}
+    for r in ranked:
+        if r.log_evidence > ranked[0].log_evidence - reach and r.best.hum is None:
+            others.setdefault(frozenset(slug for slug, _ in r.names), r.best)
+    return tried([h for h in others.values() if not any(h is one for one in leading)][:FURTHER])
 
 
 def _singles(study: Study, first: Look, causes: Sequence[Cause]) -> list[Hypothesis]:
@@ -190,7 +214,7 @@ def with_noise_beside(study: Study) -> Study:
 
 
 def _verdict(ranked: list[Ranked], left: float) -> str:
-    """Named only if the names are sure, their places likelier than all others, and nothing hints at something more.
+    """Named only if the names are sure, each place likelier than all others, and nothing hints at something more.
 
     Two causes together can imitate a third thing, the more so at one place: they must leave less behind.
     """
@@ -198,9 +222,9 @@ def _verdict(ranked: list[Ranked], left: float) -> str:
     slugs = sorted(slug for slug, _ in best.names)
     if left < LEFT or (len(slugs) > 1 and left < LEFT_BY_SEVERAL):
         return "unknown"
-    alike = sum(r.probability for r in ranked if sorted(slug for slug, _ in r.names) == slugs)
-    placed = best.probability > PLACED
-    sure = alike >= CERTAIN and placed and not _one_joint(best.best)
+    alike = [r for r in ranked if sorted(slug for slug, _ in r.names) == slugs]
+    placed = all(sum(r.probability for r in alike if one in r.names) > PLACED for one in best.names)
+    sure = sum(r.probability for r in alike) >= CERTAIN and placed and not _one_joint(best.best)
     return "named" if sure else "ambiguous"
 
 

@@ -4,6 +4,9 @@ Every place that a cause can sit at is a direction over DoFs, and the receptance
 these arrays, so that neither the number of DoFs nor the kind of simulation matters to a cause.
 """
 
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Any
 
 import equinox as eqx
@@ -12,9 +15,10 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Array, Complex, Float
 
-from modalax.diagnose.mixing import Mixing, Uncoupled, mixing_of, uncoupled_of
+from modalax.diagnose.mixing import Mixing, Uncoupled, is_coupled, mixing_of, uncoupled_of
 from modalax.model import ModalModel, Structure
 
+BESIDE = 0.05  # share of the coupling next to none and all in which complex modes are not computed
 RIGID_SHIFT = 1e-4  # a free structure is held by springs that put its rigid modes at this fraction of the band's start
 
 
@@ -94,7 +98,14 @@ class Plant(eqx.Module):
         return np.sqrt(np.asarray(self.stiffness)) / (2 * np.pi)
 
 
-def plant_of(simulation: Structure | ModalModel, lowest_hz: float, centre: np.ndarray | None = None) -> Plant:
+def kept_coupling(causes: Iterable[tuple[Any, Any]]) -> Any:
+    """Share of what couples the modes' damping that causes with these parameters leave."""
+    return math.prod(cause.viscous(p) for cause, p in causes if hasattr(cause, "viscous"))
+
+
+def plant_of(
+    simulation: Structure | ModalModel, lowest_hz: float, centre: np.ndarray | None = None, coupling: Any = None
+) -> Plant:  # fmt: skip
     """The modal arrays of a simulation.
 
     Parameters
@@ -104,6 +115,9 @@ def plant_of(simulation: Structure | ModalModel, lowest_hz: float, centre: np.nd
     centre
         Logarithmic changes of the undamped modes' frequencies and damping ratios about which complex modes that follow
         them are to be exact, shape ``(2, n)``; 0 by default, and without a meaning where there is no mixing.
+    coupling
+        Share of what couples the modes' damping at which complex modes are to be exact, beside all of it and none; one
+        half by default, and where it is next to these.
 
     Raises
     ------
@@ -113,15 +127,15 @@ def plant_of(simulation: Structure | ModalModel, lowest_hz: float, centre: np.nd
     if isinstance(simulation, Structure):
         n = len(simulation.dofs)
         about = np.zeros((2, n)) if centre is None else np.asarray(centre)[:, :n]
-        plant = _from_structure(simulation, lowest_hz, about)
+        plant = _from_structure(simulation, lowest_hz, about, coupling)
         followed = plant.mixing is not None or not about.any()
-        return plant if followed else _from_structure(simulation, lowest_hz, np.zeros((2, n)))
+        return plant if followed else _from_structure(simulation, lowest_hz, np.zeros((2, n)), coupling)
     if isinstance(simulation, ModalModel):
         return _from_modal(simulation)
     raise ValueError(f"a simulation is a Structure or a ModalModel, not a {type(simulation).__name__}")
 
 
-def _from_structure(structure: Structure, lowest_hz: float, centre: np.ndarray) -> Plant:
+def _from_structure(structure: Structure, lowest_hz: float, centre: np.ndarray, coupling: Any) -> Plant:
     M, C, K = (np.asarray(A) for A in (structure.M, structure.C, structure.K))
     n = len(M)
     if np.linalg.matrix_rank(M) < n:
@@ -136,15 +150,67 @@ def _from_structure(structure: Structure, lowest_hz: float, centre: np.ndarray) 
     damp = np.linalg.solve(mass, phi.T @ C @ phi)
     stiff[np.diag_indices(n)] *= np.exp(2 * centre[0])
     damp[np.diag_indices(n)] *= np.exp(centre[0] + centre[1])
+    found = _complex_modes(stiff, damp, phi, mass)
+    claims = [np.broadcast_to(np.asarray(std), (n,)) for std in (structure.frequency_std, structure.damping_std)]
+    pair = int((~found.real).sum())
+    f_std, d_std = (_in_order(std[:pair], found.real) for std in claims)
+    mixing = uncoupled = None
+    if not found.real.any():
+        back = found.left @ np.linalg.inv(mass)
+        mixing = mixing_of(stiff, damp, found.values, found.right.T, back, found.kept, phi, centre)
+        if mixing is not None:  # in the lengths that are stored
+            by = found.turn
+            mixing = eqx.tree_at(
+                lambda m: (m.shapes, m.participation), mixing, (mixing.shapes / by, mixing.participation * by)
+            )
+        own = np.diag(np.diag(damp))
+        share = 0.5 if coupling is None or not BESIDE < coupling < 1 - BESIDE else float(coupling)
+        less = _complex_modes(stiff, own + share * (damp - own), phi, mass)
+        if is_coupled(damp) and not less.real.any():
+            inverse = np.linalg.solve(mass, phi.T @ M)
+            uncoupled = uncoupled_of(np.diag(damp), np.diag(stiff), phi, inverse, found.modes, less.modes, share)
+    return _build(
+        found.poles, found.shapes, found.part, structure.dofs, frequency_std=f_std, damping_std=d_std,
+        hysteresis=_nearest(structure, phi, squares, mass, found.poles, found.real), mixing=mixing,
+        uncoupled=uncoupled,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Complex:
+    """All eigenvalues with displacement parts of right and left eigenvectors in rows, and the modes that are kept.
+
+    ``kept`` are the numbers of the modes by rising frequency, ``real`` tells those with a real pole, stored as half a
+    pair with itself; ``poles``, ``shapes`` and ``part`` are theirs, with 1 at the largest entry of a shape, which was
+    ``turn``.
+    """
+
+    values: np.ndarray
+    right: np.ndarray
+    left: np.ndarray
+    kept: np.ndarray
+    real: np.ndarray
+    poles: np.ndarray
+    shapes: np.ndarray
+    part: np.ndarray
+    turn: np.ndarray
+
+    @property
+    def modes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Poles, shapes and participation."""
+        return self.poles, self.shapes, self.part
+
+
+def _complex_modes(stiff: np.ndarray, damp: np.ndarray, phi: np.ndarray, mass: np.ndarray) -> _Complex:
+    n = len(stiff)
     state = np.block([[np.zeros((n, n)), np.eye(n)], [-stiff, -damp]])
-    unit = np.sqrt(np.abs(squares).max())
+    unit = np.sqrt(np.abs(np.diag(stiff)).max())
     scale = np.r_[np.full(n, 1.0), np.full(n, unit)]
     values, vectors = np.linalg.eig(state * scale[None] / scale[:, None])
     left = np.linalg.inv(vectors)[:, n:] / unit
     right = vectors[:n].T
     upper = values.imag > 1e-10 * unit
     real = np.abs(values.imag) <= 1e-10 * unit
-    # A real pole is stored as half a pair with itself.
     keep = np.concatenate([np.flatnonzero(upper), np.flatnonzero(real)])
     half = np.where(real[keep], 0.5, 1.0)[:, None]
     poles = np.where(real[keep], values[keep].real + 0j, values[keep])
@@ -152,25 +218,9 @@ def _from_structure(structure: Structure, lowest_hz: float, centre: np.ndarray) 
     part = half * (left[keep] @ np.linalg.inv(mass) @ phi.T)
     turn = np.take_along_axis(shapes, np.abs(shapes).argmax(axis=1)[:, None], axis=1)
     order = np.argsort(np.abs(poles))
-    pair = int(upper.sum())
-    claims = [np.broadcast_to(np.asarray(std), (n,)) for std in (structure.frequency_std, structure.damping_std)]
-    f_std, d_std = (np.concatenate([std[:pair], np.zeros(len(keep) - pair)]) for std in claims)
-    mixing = uncoupled = None
-    if not real.any():
-        back = left @ np.linalg.inv(mass)
-        mixing = mixing_of(stiff, damp, values, right.T, back, keep[order], phi, centre)
-        if mixing is not None:  # in the lengths that are stored
-            by = turn[order]
-            mixing = eqx.tree_at(
-                lambda m: (m.shapes, m.participation), mixing, (mixing.shapes / by, mixing.participation * by)
-            )
-        stored = (shapes / turn)[order]
-        uncoupled = uncoupled_of(stiff, damp, poles[order], stored, phi, np.linalg.solve(mass, phi.T @ M))
-    return _build(
-        poles[order], (shapes / turn)[order], (part * turn)[order], structure.dofs,
-        frequency_std=_in_order(f_std, real[keep][order]), damping_std=_in_order(d_std, real[keep][order]),
-        hysteresis=_nearest(structure, phi, squares, mass, poles[order], real[keep][order]), mixing=mixing,
-        uncoupled=uncoupled,
+    return _Complex(
+        values, right, left, keep[order], real[keep][order], poles[order], (shapes / turn)[order],
+        (part * turn)[order], turn[order],
     )  # fmt: skip
 
 

@@ -171,5 +171,7 @@ def _padded_mixing(mixing: Mixing | None, more: int, wide: int) -> Mixing | None
 def _padded_uncoupled(uncoupled: Uncoupled | None, more: int, wide: int) -> Uncoupled | None:
     if uncoupled is None:
         return None
-    one, grow = (lambda a: jnp.pad(a, (0, more), constant_values=1.0)), (lambda a: jnp.pad(a, ((0, more), (0, wide))))
-    return Uncoupled(one(uncoupled.k), one(uncoupled.c), grow(uncoupled.shapes), grow(uncoupled.participation))
+    one = lambda a: jnp.pad(a, ((0, 0), (0, more)), constant_values=1.0)  # noqa: E731
+    grow = lambda a: jnp.pad(a, ((0, 0), (0, more), (0, wide)))  # noqa: E731
+    u = uncoupled
+    return Uncoupled(one(u.k), one(u.c), grow(u.shapes), grow(u.participation), u.middle)

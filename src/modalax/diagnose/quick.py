@@ -17,6 +17,7 @@ from modalax.diagnose.study import Study
 
 STEP = 1e-4  # of an unknown, for differences
 AT_ONCE = 8  # hypotheses fitted side by side
+NEAREST, BESIDE = 200, 1e8  # points beside a fit that are looked at, at least, and samples of all of them together
 DEEPER = 0.5  # chi-square by which another minimum has to be the deeper one
 
 
@@ -130,6 +131,7 @@ def _beside(
     best = int(np.argmin(value))
     cause, place = part[best].causes[0], part[best].places[0]
     points = cause.nearby(plain(cause, u[best]), place, study.scene)
+    points = points[: max(NEAREST, int(BESIDE / max(aim.toward.shape[1], 1)))]
     found = []
     for k in range(0, len(points), AT_ONCE):
         some = points[k : k + AT_ONCE]

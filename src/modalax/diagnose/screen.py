@@ -232,9 +232,10 @@ def screen_pattern(cause: PatternCause, scene: Scene, residual: Residual, proble
         drawn.append(B)
         gram = np.real(np.einsum("tf,uf,foi->oitu", B.conj(), B, w2))
         right = np.real(np.einsum("tf,foi->oit", B.conj(), wr))
-        ridge = 1e-12 * np.trace(gram, axis1=-2, axis2=-1)[..., None, None] + 1e-300
-        a = np.linalg.solve(gram + ridge * np.eye(gram.shape[-1]), right[..., None])[..., 0]
-        a = a if cause.several else low_rank(a, gram)
+        a = _solved(gram, right)
+        if not cause.several:
+            a = low_rank(a, gram)
+            a = settled_rank(a, gram, right) if cause.exactly else a
         value = float(2 * np.sum(a * right) - np.einsum("oit,oitu,oiu->", a, gram, a))
         if value > best:
             best, found, sizes = value, q, a
@@ -272,3 +273,26 @@ def low_rank(a: np.ndarray, gram: np.ndarray) -> np.ndarray:
         U, d, V = np.linalg.svd(a[..., t] * row[:, None] * col[None], full_matrices=False)
         out[..., t] = d[0] * np.outer(U[:, 0], V[0]) / row[:, None] / col[None]
     return out
+
+
+def settled_rank(a: np.ndarray, gram: np.ndarray, right: np.ndarray, rounds: int = 300) -> np.ndarray:
+    r"""Sizes of rank one :math:`u_{to}v_{ti}` that explain most, however unlike the weights of the channels are.
+
+    Outputs' and inputs' shapes are solved for in turn (alternating least squares, which only ever gains), from ``a``
+    with the shape ``(o, i, t)``.
+    """
+    if min(a.shape[:2]) < 2:
+        return a
+    v = np.stack([np.linalg.svd(a[..., t])[2][0] for t in range(a.shape[-1])], axis=-1)
+    u = np.zeros((a.shape[0], a.shape[-1]))
+    for _ in range(rounds):
+        u = _solved(np.einsum("oitu,it,iu->otu", gram, v, v), np.einsum("oit,it->ot", right, v))
+        v = _solved(np.einsum("oitu,ot,ou->itu", gram, u, u), np.einsum("oit,ot->it", right, u))
+        size = np.maximum(np.linalg.norm(v, axis=0), 1e-300)
+        u, v = u * size, v / size
+    return u[:, None] * v[None]
+
+
+def _solved(gram: np.ndarray, right: np.ndarray) -> np.ndarray:
+    ridge = 1e-12 * np.trace(gram, axis1=-2, axis2=-1)[..., None, None] + 1e-300
+    return np.linalg.solve(gram + ridge * np.eye(gram.shape[-1]), right[..., None])[..., 0]

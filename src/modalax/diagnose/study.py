@@ -25,7 +25,7 @@ from modalax.diagnose.fit import (
     searched,
 )
 from modalax.diagnose.noise import TRUSTED, Noise, noise_of
-from modalax.diagnose.plant import plant_of
+from modalax.diagnose.plant import kept_coupling, plant_of
 from modalax.diagnose.predict import predict
 from modalax.diagnose.problem import Held, Problem, make_problem, padded
 from modalax.model import ModalModel, Structure
@@ -118,7 +118,7 @@ class Study:
         return replace(self.reweighted(weight), noise=noise)
 
     def centred(self, h: Hypothesis) -> "Study":
-        """The same with complex modes that follow undamped ones exact about the modal parameters of a hypothesis.
+        """The same with complex modes exact about the modal parameters, and the coupling kept, of a hypothesis.
 
         Where modes are not coupled nothing changes.
         """
@@ -132,7 +132,8 @@ class Study:
         for cause, index, p in every:
             if cause.stage == "undamped":
                 about = about + np.asarray(cause.undamped(*map(jnp.asarray, (about, index, p))))
-        plant = padded(plant_of(base, float(self.scene.freq[0]), about))
+        coupling = kept_coupling((cause, p) for cause, _, p in every)
+        plant = padded(plant_of(base, float(self.scene.freq[0]), about, coupling))
         if plant.mixing is None:
             return self
         problem, pooled = (eqx.tree_at(lambda p: p.plant, p, plant) for p in (self.problem, self.pooled))

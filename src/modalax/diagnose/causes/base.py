@@ -225,7 +225,10 @@ class Cause:
         return True
 
     def nearby(self, p: np.ndarray, place: Place, scene: Scene) -> np.ndarray:
-        """Parameters beside fitted ones where chi-square may have a deeper minimum, shape ``(point, parameter)``."""
+        """Parameters beside fitted ones where chi-square may have a deeper minimum, the nearest first.
+
+        Shape ``(point, parameter)``.
+        """
         return np.zeros((0, len(p)))
 
     def likely(self, p: np.ndarray, scene: Scene) -> float:

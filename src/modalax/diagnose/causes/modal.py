@@ -9,7 +9,7 @@ from jaxtyping import Array, Complex
 from modalax.diagnose.causes.base import Cause, Parameter, Place, Scene, strengths
 
 HANN_CURVATURE = 2 * np.pi**2 / 3  # a Hann window's autocorrelation is 1 - this (t/T)^2 at first
-RIPPLE, RIPPLES = 0.25, 100  # of a ripple of chi-square over the record's length, between points; points each way
+RIPPLE, RIPPLES = 0.25, 100  # of a ripple of chi-square over the record's length, between points; least each way
 CUT, DECAYED = 2, 10.0  # variant of a record that ends in a step, and the decay beyond which no step is left
 
 
@@ -184,8 +184,7 @@ class Leakage(Cause):
         """Around the line spacing, and where the response ends in a step, at every stage of the decay."""
         step = float(np.median(np.diff(scene.freq))) if len(scene.freq) > 1 else 1.0
         around = [step * x for x in (1.0, 0.1, 0.2, 0.4, 0.7, 1.5, 2.5, 5.0)]
-        rates = 2 * np.pi * scene.frequency_hz * scene.damping_ratio
-        rates = rates[(scene.frequency_hz > scene.freq[0]) & (scene.frequency_hz < scene.freq[-1]) & (rates > 0)]
+        rates = _decays(scene)
         if place.index[2] == CUT and len(rates):
             # ripples of two lengths over one resonance are alike by exp(-decay |T1 - T2|), those far from it by less
             slow, fast = float(rates.min()), float(rates.max())
@@ -197,9 +196,14 @@ class Leakage(Cause):
         """Lines far from the resonances make chi-square ripple with the length of a record that ends in a step."""
         if place.index[2] != CUT:
             return np.zeros((0, 1))
-        apart = RIPPLE / (scene.freq[-1] - scene.freq[0])
-        lengths = 1 / p[0] + apart * np.arange(-RIPPLES, RIPPLES + 1)
-        return 1 / lengths[lengths > 0][:, None]
+        apart, rates = RIPPLE / (scene.freq[-1] - scene.freq[0]), _decays(scene)
+        length = 1 / p[0]
+        first, last = length - RIPPLES * apart, length + RIPPLES * apart
+        if len(rates):
+            first, last = min(first, 0.5 / rates.max()), max(last, DECAYED / rates.min())
+        lengths = length + apart * np.arange(np.ceil((first - length) / apart), (last - length) / apart + 1)
+        lengths = lengths[lengths > 0]
+        return 1 / lengths[np.argsort(np.abs(lengths - length))][:, None]
 
     def likely(self, p: np.ndarray, scene: Scene) -> float:
         """Lines of a record lie one over its length apart; of one n times longer all but one of n were left out."""
@@ -215,6 +219,12 @@ class Leakage(Cause):
         T = 1 / p[0]
         ends = jnp.where(where[2] == CUT, _cut(x, T), 1 / x - HANN_CURVATURE * 2 / (x**3 * T**2))
         return jnp.where(where[2] == 0, _hann(x, T), jnp.where(where[2] == 1, _boxcar(x, T), ends))
+
+
+def _decays(scene: Scene) -> np.ndarray:
+    """Rates at which the modes in band decay [1/s]."""
+    rates = 2 * np.pi * scene.frequency_hz * scene.damping_ratio
+    return rates[(scene.frequency_hz > scene.freq[0]) & (scene.frequency_hz < scene.freq[-1]) & (rates > 0)]
 
 
 def _cut(x: Array, T: Array) -> Array:
