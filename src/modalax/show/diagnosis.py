@@ -4,11 +4,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from modalax.data import Measurement
 from modalax.diagnose.diagnosis import Diagnosis
 from modalax.show.fit import save_pictures
+from modalax.show.frf import draw_phase
 from modalax.show.residuals import plot_residual_map
 from modalax.show.style import BLACK, BLUE, ORANGE, frequency_axis, frf_label, look, new_figure
 
@@ -48,7 +50,7 @@ def worst_channel(diagnosis: Diagnosis) -> tuple[int, int]:
 
 
 def plot_comparison(diagnosis: Diagnosis, output: str | None = None, input: str | None = None, most: int = 6) -> Figure:
-    """One FRF at each force level: measured, simulated, and by the extended simulation.
+    """One FRF at each force level, magnitude and phase: measured, simulated, and by the extended simulation.
 
     Parameters
     ----------
@@ -66,29 +68,41 @@ def plot_comparison(diagnosis: Diagnosis, output: str | None = None, input: str 
     with look():
         columns = min(3, len(runs))
         rows = -(-len(runs) // columns)
-        fig = new_figure(3.3 * columns + 1.2, 2.9 * rows + 0.7)
-        axes = fig.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-        for k, ax in enumerate(axes.flat):
-            ax.set_visible(k < len(runs))
+        fig = new_figure(3.3 * columns + 1.2, 3.9 * rows + 0.7)
+        axes = fig.subplots(2 * rows, columns, sharex=True, sharey="row", squeeze=False, height_ratios=[2.4, 1] * rows)
+        for k in range(rows * columns):
+            top, under = axes[2 * (k // columns) : 2 * (k // columns) + 2, k % columns]
             if k >= len(runs):
+                top.set_visible(False)
+                under.set_visible(False)
                 continue
-            r = runs[k]
-            curves = (
-                (np.asarray(data.H)[r, :, o, i], {"color": BLACK, "marker": ".", "markersize": 3, "linestyle": "none"}),
-                (diagnosis.predicted_before[r, :, o, i], {"color": BLUE, "linestyle": "--"}),
-                (diagnosis.predicted_after[r, :, o, i], {"color": ORANGE}),
-            )
-            for (values, style), label in zip(curves, ("measured", "simulation", "extended simulation"), strict=True):
-                ax.semilogy(diagnosis.freq, np.abs(np.asarray(values)), label=label, **style)
-            ax.set_title(names[r])
-            frequency_axis(ax, diagnosis.freq)
-            ax.tick_params(labelbottom=k + columns >= len(runs))
-            ax.set_xlabel("Frequency [Hz]" if k + columns >= len(runs) else "")
-            ax.set_ylabel(frf_label(data.form) if k % columns == 0 else "")
+            _compared(top, under, diagnosis, (int(runs[k]), o, i))
+            top.set_title(names[runs[k]])
+            top.set_xlabel("")
+            last = k + columns >= len(runs)
+            under.tick_params(labelbottom=last)
+            under.set_xlabel("Frequency [Hz]" if last else "")
+            top.set_ylabel(frf_label(data.form) if k % columns == 0 else "")
+            under.set_ylabel("Phase [°]" if k % columns == 0 else "")
         handles, labels = axes[0, 0].get_legend_handles_labels()
         fig.legend(handles, labels, loc="outside lower center", ncols=3)
         fig.suptitle(f"FRF from {data.inputs[i]} to {data.outputs[o]}")
     return fig
+
+
+def _compared(top: Axes, under: Axes, diagnosis: Diagnosis, channel: tuple[int, int, int]) -> None:
+    r, o, i = channel
+    curves = (
+        (diagnosis.study.measurement.H, {"color": BLACK, "marker": ".", "markersize": 3, "linestyle": "none"}),
+        (diagnosis.predicted_before, {"color": BLUE, "linestyle": "--"}),
+        (diagnosis.predicted_after, {"color": ORANGE}),
+    )
+    for (every, style), label in zip(curves, ("measured", "simulation", "extended simulation"), strict=True):
+        values = np.asarray(every)[r, :, o, i]
+        top.semilogy(diagnosis.freq, np.abs(values), label=label, **style)
+        draw_phase(under, diagnosis.freq, values, **style)
+    for ax in (top, under):
+        frequency_axis(ax, diagnosis.freq)
 
 
 def diagnosis_pictures(diagnosis: Diagnosis) -> dict[str, Figure]:

@@ -193,15 +193,21 @@ def _magnitude(ax: Axes, one: FRF, model: np.ndarray | None, label: str) -> None
 
 
 def _phase(ax: Axes, freq: np.ndarray, H: np.ndarray, model: np.ndarray | None) -> None:
-    ax.plot(freq, np.degrees(np.angle(H)), ".", color=BLACK, markersize=2)
+    draw_phase(ax, freq, H, color=BLACK, marker=".", markersize=2, linestyle="none")
     if model is not None:
-        angle = np.degrees(np.angle(model))
-        # A line from -180 to 180 degrees is the same angle; drawn, it would look like a jump.
+        draw_phase(ax, freq, model, color=ORANGE)
+    ax.set_ylabel("Phase [°]")
+
+
+def draw_phase(ax: Axes, freq: Any, values: Any, **style: Any) -> None:
+    """Phase of complex values in degrees, as points or as a line that is broken where it passes 180 degrees."""
+    angle = np.degrees(np.angle(np.asarray(values)))
+    # A line from -180 to 180 degrees is the same angle; drawn, it would look like a jump.
+    if style.get("linestyle") != "none":
         angle[1:][np.abs(np.diff(angle)) > 180] = np.nan
-        ax.plot(freq, angle, color=ORANGE)
+    ax.plot(freq, angle, **style)
     ax.set_yticks([-180, -90, 0, 90, 180])
     ax.set_ylim(-200, 200)
-    ax.set_ylabel("Phase [°]")
 
 
 def _nyquist(ax: Axes, one: FRF, model: np.ndarray | None, label: str) -> None:

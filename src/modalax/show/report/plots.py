@@ -128,10 +128,14 @@ def _frf_figure(freq: np.ndarray, curves: tuple[np.ndarray, Any, Any], form: str
     if sigma is not None:
         add(sigma, "noise, 1 standard deviation", 1, line={"width": 1, "color": GREY, "dash": "dash"})
     fig.update_yaxes(type="log", title=frf_label(form), row=1, col=1)
+    _phase_below(fig, freq)
+    return fig
+
+
+def _phase_below(fig: Any, freq: Any) -> None:
     fig.update_yaxes(title="Phase [°]", tickvals=[-180, -90, 0, 90, 180], range=[-190, 190], row=2, col=1)
     fig.update_xaxes(title=FREQUENCY, row=2, col=1)
     fig.update_xaxes(range=[float(freq[0]), float(freq[-1])])
-    return fig
 
 
 def stabilization_plot(table: PoleTable, stability: Flags | None, frf: FRF, selected_hz: Any) -> Plot:
@@ -329,11 +333,11 @@ def comparison_plot(
     size = np.abs(np.asarray(measured))
     energy = np.sum(np.abs(np.asarray(measured) - np.asarray(simulated)) ** 2, axis=1) / np.sum(size**2, axis=1)
     order = sorted(np.ndindex(*energy.shape), key=lambda k: -energy[k])
-    most = max(2, int(BUDGET / (size.shape[1] * 3 * 4 * 4 / 3)))
+    most = max(2, int(BUDGET / (size.shape[1] * 6 * 4 * 4 / 3)))
     shown = sorted(order[:most], key=lambda k: (k[2], k[1], k[0]))
     axis, figures = axis_of(np.asarray(freq)), []
     for r, o, i in shown:
-        fig = base_figure(1)
+        fig = base_figure(2, [0.7, 0.3])
         curves = [
             ("measured", measured, {"mode": "markers", "marker": {"size": 4}, "meta": "ink"}),
             ("simulation", simulated, {"mode": "lines", "line": {"color": BLUE, "dash": "dash", "width": 1.6}}),
@@ -341,12 +345,14 @@ def comparison_plot(
         if extended is not None:
             curves.append(("extended simulation", extended, {"mode": "lines", "line": {"color": ORANGE, "width": 1.6}}))
         for name, values, style in curves:
-            y = np.abs(np.asarray(values)[r, :, o, i]).astype(np.float32)
-            fig.add_trace(go.Scatter(y=y, name=name, **axis, **style))
-        fig.update_yaxes(type="log", title=frf_label(form))
-        fig.update_xaxes(title=FREQUENCY, range=[float(freq[0]), float(freq[-1])])
+            value = np.asarray(values)[r, :, o, i]
+            for row, y in ((1, np.abs(value)), (2, np.degrees(np.angle(value)))):
+                trace = go.Scatter(y=y.astype(np.float32), name=name, showlegend=row == 1, **axis, **style)
+                fig.add_trace(trace, row=row, col=1)
+        fig.update_yaxes(type="log", title=frf_label(form), row=1, col=1)
+        _phase_below(fig, freq)
         figures.append((f"{outputs[o]} from {inputs[i]}" + (f", {runs[r]}" if len(runs) > 1 else ""), fig))
     caption = "Measured FRF, the simulation, and the extended simulation where there is one."
     if len(order) > len(shown):
         caption += f" The {len(shown)} of {len(order)} channels and runs that the simulation misses most."
-    return Plot(figures, caption, "Magnitudes of the measured and simulated FRFs over frequency.")
+    return Plot(figures, caption, "Magnitude and phase of the measured and simulated FRFs over frequency.", height=520)
