@@ -84,10 +84,10 @@ class Diagnosis:
 
     @property
     def alternatives(self) -> list[list[dict[str, Any]]]:
-        """Rivals of the leading set, without parameters."""
-        if self.verdict != "ambiguous":
+        """Rivals of the leading set, without parameters; of a named one those that differ in the place."""
+        if self.verdict not in ("ambiguous", "named"):
             return []
-        return [_names(r.best) for r in rivals(self.naming.ranked)]
+        return [_names(r.best) for r in rivals(self.verdict, self.naming.ranked)]
 
     @property
     def strength_parameters(self) -> dict[str, Parameter]:
@@ -115,10 +115,10 @@ class Diagnosis:
     @property
     def advice(self) -> str | None:
         """What to measure to tell the alternatives apart, and what beside the catalogue the data looks like."""
-        if self.verdict in ("clean", "named"):
+        if self.verdict == "clean" or (self.verdict == "named" and not self.alternatives):
             return None
         ranked = self.naming.ranked
-        told = advise(self.verdict, [ranked[0], *rivals(ranked)] if ranked else [])
+        told = advise(self.verdict, [ranked[0], *rivals(self.verdict, ranked)] if ranked else [])
         return "; ".join([*self.naming.notes, told])
 
     def to_dict(self) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from modalax.diagnose.study import Study
 MANY_PLACES = 40  # beyond this, finite sizes are tried only where the derivative looks promising
 KEPT = 12
 KEPT_PLACES, KEPT_SHAPES = 8, 4
+SETTLED = 1e-5  # change of a shape of length one at which it counts as found
 
 
 @dataclass
@@ -223,7 +224,7 @@ def screen_pattern(cause: PatternCause, scene: Scene, residual: Residual, proble
     runs = weight.shape[0]
     r = residual.value.reshape(*residual.value.shape[:2], runs, -1, 2)
     r = (r[..., 0] + 1j * r[..., 1]).transpose(2, 3, 0, 1)
-    best, found, sizes = -np.inf, None, None
+    best, found, at = -np.inf, None, None
     w2 = (weight**2).sum(axis=0)
     wr = (weight * r).sum(axis=0)
     drawn = []
@@ -233,13 +234,13 @@ def screen_pattern(cause: PatternCause, scene: Scene, residual: Residual, proble
         gram = np.real(np.einsum("tf,uf,foi->oitu", B.conj(), B, w2))
         right = np.real(np.einsum("tf,foi->oit", B.conj(), wr))
         a = _solved(gram, right)
-        if not cause.several:
-            a = low_rank(a, gram)
-            a = settled_rank(a, gram, right) if cause.exactly else a
-        value = float(2 * np.sum(a * right) - np.einsum("oit,oitu,oiu->", a, gram, a))
+        a = a if cause.several else low_rank(a, gram)
+        value = _explained(a, gram, right)
         if value > best:
-            best, found, sizes = value, q, a
-    assert found is not None and sizes is not None
+            best, found, at = value, q, (a, gram, right)
+    assert found is not None and at is not None
+    sizes = at[0] if cause.several else settled_rank(*at)
+    best = max(best, _explained(sizes, *at[1:]))
     extra = np.moveaxis(sizes, -1, 0)
     start = np.concatenate([np.ones(cause.terms), found])
     looked = np.prod([independent(_over_lines(curves, w2)) for curves in np.swapaxes(drawn, 0, 1)])
@@ -286,11 +287,18 @@ def settled_rank(a: np.ndarray, gram: np.ndarray, right: np.ndarray, rounds: int
     v = np.stack([np.linalg.svd(a[..., t])[2][0] for t in range(a.shape[-1])], axis=-1)
     u = np.zeros((a.shape[0], a.shape[-1]))
     for _ in range(rounds):
+        before = v
         u = _solved(np.einsum("oitu,it,iu->otu", gram, v, v), np.einsum("oit,it->ot", right, v))
         v = _solved(np.einsum("oitu,ot,ou->itu", gram, u, u), np.einsum("oit,ot->it", right, u))
         size = np.maximum(np.linalg.norm(v, axis=0), 1e-300)
         u, v = u * size, v / size
+        if np.abs(v - before).max() < SETTLED:
+            break
     return u[:, None] * v[None]
+
+
+def _explained(a: np.ndarray, gram: np.ndarray, right: np.ndarray) -> float:
+    return float(2 * np.sum(a * right) - np.einsum("oit,oitu,oiu->", a, gram, a))
 
 
 def _solved(gram: np.ndarray, right: np.ndarray) -> np.ndarray:

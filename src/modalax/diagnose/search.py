@@ -264,7 +264,6 @@ def _settle_pattern(study: Study, h: Hypothesis) -> Hypothesis:
 class _Fixed(PatternCause):
     """A pattern cause at one shape."""
 
-    exactly = True
     cause: PatternCause
     q: np.ndarray
 

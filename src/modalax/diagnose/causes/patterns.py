@@ -20,13 +20,10 @@ class PatternCause(ChannelCause):
         Number of terms.
     several
         Whether a term stands for several modes, whose shapes together leave its sizes free; else it has rank one.
-    exactly
-        Whether sizes of rank one are those that explain most, not only nearly so where channels are unlike in noise.
     """
 
     terms = 1
     several = False
-    exactly = False
 
     def shapes(self, scene: Scene) -> np.ndarray:
         """Trial values of the shape parameters, shape ``(trial, parameter - terms)``."""
