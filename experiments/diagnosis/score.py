@@ -38,6 +38,12 @@ def averaged(marks: list[Mark]) -> str:
     return f"{100 * np.mean(found):.1f} % ({len(found)} causes)" if found else "no cases"
 
 
+def reliable(marks: list[Mark]) -> str:
+    """Stated probability against the share right, by bins."""
+    rows = [[f"{a:g}-{b:.3g}", f"{p:.3f}", s] for a, b, p, s in reliability(marks)]
+    return table(["stated", "mean", "right"], rows)
+
+
 def must_show(marks: list[Mark]) -> str:
     """The marks that count, each beside what is asked."""
     clean = [m for m in marks if m.kind == "clean"]
@@ -174,7 +180,8 @@ def main() -> None:
     parts = [
         f"# Hidden effects: {len(marks)} cases", must_show(marks), "## By size", by_size(marks), "## By cause",
         by_cause(marks), "## Stated probability against share right",
-        table(["stated", "mean", "right"], [[f"{a:g}-{b:.3g}", f"{p:.3f}", s] for a, b, p, s in reliability(marks)]),
+        reliable(marks), "Of causes of the catalogue that the data could tell from others:",
+        reliable([m for m in marks if m.kind != "outside" and m.truth["separable"]]),
         "## Intervals", table(["parameter", "holds the truth"], [[k, s] for k, s in sorted(coverage(marks).items())]),
         "## Held-out chi-square of what was named right", held_out(args.folder, marks),
         "## Confident wrong names", wrong_names(marks), *(f"![{f.stem}]({f.name})" for f in drawn),

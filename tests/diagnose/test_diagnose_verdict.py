@@ -17,7 +17,7 @@ def ranked(*sets):
     """``(probability, (cause, *where), ...)`` each."""
     out = []
     for probability, *causes in sets:
-        places = tuple(Place(tuple(where), (hash(str(where)) % 7, -1, 0)) for _, *where in causes)
+        places = tuple(Place(tuple(where), (int(where[0]), -1, 0)) for _, *where in causes)
         h = Hypothesis(causes=tuple(c for c, *_ in causes), places=places)
         out.append(Ranked(h.names, h, 0.0, probability))
     return out
@@ -28,7 +28,7 @@ def told(verdict, some):
 
 
 def test_a_sure_law_is_named_at_its_likeliest_place_and_the_others_stand_beside():
-    some = ranked((0.45, (CUBIC, "1")), (0.40, (CUBIC, "2")), (0.13, (CUBIC, "3")), (0.02, (CUBIC, "4")))
+    some = ranked((0.55, (CUBIC, "1")), (0.30, (CUBIC, "2")), (0.13, (CUBIC, "3")), (0.02, (CUBIC, "4")))
     assert _verdict(some, 1.0) == "named"
     assert told("named", some) == [[("cubic_stiffness", ("2",))], [("cubic_stiffness", ("3",))]]
     assert "1, 2, 3" in advise("named", [some[0], *rivals("named", some)])
@@ -37,7 +37,7 @@ def test_a_sure_law_is_named_at_its_likeliest_place_and_the_others_stand_beside(
 @pytest.mark.parametrize(
     "some",
     [
-        ranked((0.34, (CUBIC, "1")), (0.33, (CUBIC, "2")), (0.33, (CUBIC, "3"))),  # the place is anywhere
+        ranked((0.48, (CUBIC, "1")), (0.47, (CUBIC, "2")), (0.05, (CUBIC, "3"))),  # the place is anywhere
         ranked((0.90, (CUBIC, "1")), (0.10, (SPRING, "1"))),  # another law
         ranked((1.0, (CUBIC, "1"), (SPRING, "1"))),  # two elements at one place: a joint of no listed law
     ],
@@ -49,10 +49,10 @@ def test_what_is_not_sure_is_a_set(some):
 
 
 def test_each_place_of_a_pair_counts_by_itself():
-    """0.3 for the leading places of both together, but 0.5 and 0.6 for each."""
+    """0.36 for the leading places of both together, but 0.6 for each."""
     some = ranked(
-        (0.30, (MASS, "1"), (CUBIC, "2")), (0.20, (MASS, "1"), (CUBIC, "3")),
-        (0.30, (MASS, "4"), (CUBIC, "2")), (0.20, (MASS, "4"), (CUBIC, "3")),
+        (0.36, (MASS, "1"), (CUBIC, "2")), (0.24, (MASS, "1"), (CUBIC, "3")),
+        (0.24, (MASS, "4"), (CUBIC, "2")), (0.16, (MASS, "4"), (CUBIC, "3")),
     )  # fmt: skip
     assert _verdict(some, 1.0) == "named"
     assert len(told("named", some)) == 3

@@ -20,8 +20,8 @@ import numpy as np
 import scipy.optimize
 from jaxtyping import Array, Complex, Float
 
+Triple = tuple[np.ndarray, np.ndarray, np.ndarray]  # poles, shapes and participation of modes
 COUPLED = 1e-6  # coupling of two modes' damping over the geometric mean of their own, below which there is none
-Modes = tuple[np.ndarray, np.ndarray, np.ndarray]
 MOST = 100  # modes beyond which this is left out
 
 
@@ -51,7 +51,8 @@ class Uncoupled(eqx.Module):
     With a share t of what couples the modes kept and each mode's own damping whole, a complex shape stands off the
     undamped one by a part that grows with t to first order, and its :math:`|\lambda|^2` and
     :math:`-2\,\mathrm{Re}\lambda` by parts that grow with :math:`t^2`. Interpolation in these goes through the
-    undamped modes at t = 0, those at ``middle``, and all of the coupling at t = 1, so it is exact there.
+    undamped modes at t = 0, those at ``middle``, and all of the coupling at t = 1, so it is exact there
+    (:func:`through`).
 
     Attributes
     ----------
@@ -91,8 +92,8 @@ def is_coupled(damping: np.ndarray) -> bool:
 
 
 def uncoupled_of(
-    damping: np.ndarray, squares: np.ndarray, undamped: np.ndarray, inverse: np.ndarray, coupled: Modes,
-    middle: Modes, at: float,
+    damping: np.ndarray, squares: np.ndarray, undamped: np.ndarray, inverse: np.ndarray, coupled: Triple,
+    middle: Triple, at: float,
 ) -> Uncoupled:  # fmt: skip
     """The undamped modes, and those with a share of the coupling, beside complex ones.
 

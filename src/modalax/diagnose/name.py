@@ -32,7 +32,7 @@ from modalax.diagnose.study import Study, noise_beside
 
 LEFT = 0.002  # chance under noise below which a residual is said to hold something more
 LEFT_BY_SEVERAL = 0.01  # the same where several causes are needed
-PLACED = 0.35  # posterior of each place beyond which sure names are given; the other places are told beside
+PLACED = 0.5  # posterior of each place beyond which sure names are given: likelier there than anywhere else
 ELSEWHERE = 0.05  # probability from which another place is told beside the named one
 NEAR = 12.0  # nats behind the best up to which hypotheses are fitted again where complex modes are exact
 DEEPEST = 3  # causes in one answer
@@ -215,7 +215,7 @@ def with_noise_beside(study: Study) -> Study:
 
 
 def _verdict(ranked: list[Ranked], left: float) -> str:
-    """Named only if the names are sure, each place likely enough, and nothing hints at something more.
+    """Named only if the names are sure, each place likelier than all others, and nothing hints at something more.
 
     Two causes together can imitate a third thing, the more so at one place: they must leave less behind.
     """

@@ -163,17 +163,26 @@ def _from_structure(structure: Structure, lowest_hz: float, centre: np.ndarray, 
             mixing = eqx.tree_at(
                 lambda m: (m.shapes, m.participation), mixing, (mixing.shapes / by, mixing.participation * by)
             )
-        own = np.diag(np.diag(damp))
-        share = 0.5 if coupling is None or not BESIDE < coupling < 1 - BESIDE else float(coupling)
-        less = _complex_modes(stiff, own + share * (damp - own), phi, mass)
-        if is_coupled(damp) and not less.real.any():
-            inverse = np.linalg.solve(mass, phi.T @ M)
-            uncoupled = uncoupled_of(np.diag(damp), np.diag(stiff), phi, inverse, found.modes, less.modes, share)
+        uncoupled = _uncoupled(found, stiff, damp, phi, mass, coupling)
     return _build(
         found.poles, found.shapes, found.part, structure.dofs, frequency_std=f_std, damping_std=d_std,
         hysteresis=_nearest(structure, phi, squares, mass, found.poles, found.real), mixing=mixing,
         uncoupled=uncoupled,
     )  # fmt: skip
+
+
+def _uncoupled(
+    found: "_Complex", stiff: np.ndarray, damp: np.ndarray, phi: np.ndarray, mass: np.ndarray, coupling: Any
+) -> Uncoupled | None:
+    """Undamped modes and those with a share of the coupling; None without coupling, or where these have real poles."""
+    if not is_coupled(damp):
+        return None
+    own = np.diag(np.diag(damp))
+    share = 0.5 if coupling is None or not BESIDE < coupling < 1 - BESIDE else float(coupling)
+    less = _complex_modes(stiff, own + share * (damp - own), phi, mass)
+    if less.real.any():
+        return None
+    return uncoupled_of(np.diag(damp), np.diag(stiff), phi, np.linalg.inv(phi), found.modes, less.modes, share)
 
 
 @dataclass(frozen=True)

@@ -171,7 +171,7 @@ def _padded_mixing(mixing: Mixing | None, more: int, wide: int) -> Mixing | None
 def _padded_uncoupled(uncoupled: Uncoupled | None, more: int, wide: int) -> Uncoupled | None:
     if uncoupled is None:
         return None
-    one = lambda a: jnp.pad(a, ((0, 0), (0, more)), constant_values=1.0)  # noqa: E731
-    grow = lambda a: jnp.pad(a, ((0, 0), (0, more), (0, wide)))  # noqa: E731
-    u = uncoupled
-    return Uncoupled(one(u.k), one(u.c), grow(u.shapes), grow(u.participation), u.middle)
+    modes = ((0, 0), (0, more))
+    k, c = (jnp.pad(a, modes, constant_values=1.0) for a in (uncoupled.k, uncoupled.c))
+    shapes, participation = (jnp.pad(a, (*modes, (0, wide))) for a in (uncoupled.shapes, uncoupled.participation))
+    return Uncoupled(k, c, shapes, participation, uncoupled.middle)

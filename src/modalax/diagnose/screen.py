@@ -279,8 +279,15 @@ def low_rank(a: np.ndarray, gram: np.ndarray) -> np.ndarray:
 def settled_rank(a: np.ndarray, gram: np.ndarray, right: np.ndarray, rounds: int = 300) -> np.ndarray:
     r"""Sizes of rank one :math:`u_{to}v_{ti}` that explain most, however unlike the weights of the channels are.
 
-    Outputs' and inputs' shapes are solved for in turn (alternating least squares, which only ever gains), from ``a``
-    with the shape ``(o, i, t)``.
+    Outputs' and inputs' shapes are solved for in turn, which only ever gains (Gabriel and Zamir 1979, Technometrics
+    21:489, for one term).
+
+    Parameters
+    ----------
+    a
+        Where to start, shape ``(o, i, t)``, in the units of the sizes.
+    gram, right
+        Products of the whitened terms with one another and with the residual, ``(o, i, t, t)`` and ``(o, i, t)``.
     """
     if min(a.shape[:2]) < 2:
         return a
