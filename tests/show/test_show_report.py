@@ -245,3 +245,14 @@ def test_every_kind_of_plot_renders():
     text = Page("All", sections=[Section("One", ["<p>"], parts)]).html()
     assert "&lt;p&gt;" in text and "&lt;1&gt;" in text and text.count('class="plot"') == 3
     assert isinstance(parts[0], Plot) and "\\u0026lt;a\\u0026gt;" in text
+
+
+def test_the_frf_that_the_simulation_misses_most_is_seen_first():
+    rng = np.random.default_rng(1)
+    H = rng.normal(size=(2, 50, 3, 1)) + 1j * rng.normal(size=(2, 50, 3, 1))
+    simulated = H.copy()
+    simulated[1, :, 2] *= -1  # the same magnitude
+    plot = comparison_plot(np.linspace(1, 2, 50), H, simulated, H, "mobility", ["a", "b", "c"], ["d"], ["1 N", "2 N"])
+    labels = [label for label, _ in plot.figures]
+    assert labels[0] == "c from d, 2 N" and labels[1:3] == ["a from d, 1 N", "a from d, 2 N"] and len(labels) == 6
+    assert [trace.yaxis for trace in plot.figures[0][1].data] == ["y", "y2"] * 3  # magnitude and phase

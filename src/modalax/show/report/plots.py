@@ -328,13 +328,17 @@ def comparison_plot(
     freq: Any, measured: Any, simulated: Any, extended: Any, form: str, outputs: Sequence[str], inputs: Sequence[str],
     runs: Sequence[str],
 ) -> Plot:  # fmt: skip
-    """Measured FRFs with a simulation and its extension, ``(run, f, o, i)`` each, one channel and run at a time."""
+    """Measured FRFs with a simulation and its extension, ``(run, f, o, i)`` each, one channel and run at a time.
+
+    The first is the one that the simulation misses most, relative to its size.
+    """
     go = graph_objects()
     size = np.abs(np.asarray(measured))
     energy = np.sum(np.abs(np.asarray(measured) - np.asarray(simulated)) ** 2, axis=1) / np.sum(size**2, axis=1)
     order = sorted(np.ndindex(*energy.shape), key=lambda k: -energy[k])
     most = max(2, int(BUDGET / (size.shape[1] * 6 * 4 * 4 / 3)))
-    shown = sorted(order[:most], key=lambda k: (k[2], k[1], k[0]))
+    worst, shown = order[0], order[:most]
+    shown = sorted(shown, key=lambda k: (k != worst, k[2], k[1], k[0]))  # the first is seen without choosing
     axis, figures = axis_of(np.asarray(freq)), []
     for r, o, i in shown:
         fig = base_figure(2, [0.7, 0.3])
