@@ -1,8 +1,8 @@
 r"""What noise does to the mean of LSCF and pLSCF: damping falls, frequency stays.
 
-The poles of the expected problem :math:`M_0 + C` (see :mod:`modalax.identify.normal`) are found by the whole solve,
-because in over-modelled orders :math:`M_0` is singular and no expansion about it exists. Each mode is followed from
-small noise to the full one, so that its pole is known even where it ends far from where it began.
+The poles of the expected problem :math:`M_0 + C` (see :mod:`modalax.identify.normal_equations`) are found by the whole
+solve, because in over-modelled orders :math:`M_0` is singular and no expansion about it exists. Each mode is followed
+from small noise to the full one, so that its pole is known even where it ends far from where it began.
 """
 
 from typing import Any
@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Complex, Float
 
 from modalax._numerics.checks import as_double
 from modalax.data.frf import FRF
-from modalax.identify.normal import LinearProblem, expected_factor, factor, linear_problem, noise_rows
+from modalax.identify.normal_equations import LinearProblem, expected_factor, factor, linear_problem, noise_rows
 from modalax.identify.polynomial import poles_of_factor, without_window
 from modalax.identify.tables import PoleTable
 from modalax.identify.zoom import check_orders

@@ -19,7 +19,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Complex, Int
 
 from modalax.data.frf import FRF
-from modalax.identify.normal import LinearProblem, linear_problem, noise_density
+from modalax.identify.normal_equations import LinearProblem, linear_problem, noise_density
 from modalax.identify.polynomial import limits, without_window
 from modalax.identify.tables import PoleTable
 from modalax.identify.zoom import check_orders

@@ -37,7 +37,7 @@ from modalax.identify.fdpi import eigenbasis, line_weight, system_factor, system
 from modalax.identify.fraction import check_constraint
 from modalax.identify.lsce import impulse_response, prediction_factor
 from modalax.identify.lscf import RIDGE
-from modalax.identify.normal import variance_of
+from modalax.identify.normal_equations import variance_of
 from modalax.identify.polynomial import limits, poles_of_factor, weights_of
 from modalax.identify.spread import FIXED, PoleMoments, Window, moments_of
 from modalax.identify.tables import PoleTable

@@ -15,11 +15,11 @@ from modalax.identify.bias import predicted_damping_bias
 from modalax.identify.fdpi import fdpi
 from modalax.identify.lsce import lsce
 from modalax.identify.lscf import lscf
+from modalax.identify.mode_search import diagram_poles, likelihood_rounds, synthesis
 from modalax.identify.noise import smooth_variance
 from modalax.identify.plscf import plscf
 from modalax.identify.refine import Refined
 from modalax.identify.residues import residues as fit_residues
-from modalax.identify.rounds import diagram_poles, likelihood_rounds, synthesis
 from modalax.identify.select import Selection, best_order, select
 from modalax.identify.stabilize import Stability, stabilization
 from modalax.identify.tables import PoleTable

@@ -12,9 +12,9 @@ from jaxtyping import Array, Bool, Float, Int
 from modalax._numerics.checks import is_traced
 from modalax._numerics.levenberg import LevenbergMarquardt
 from modalax.data.frf import FRF
-from modalax.identify.errors import shape_errors, spread_rest
 from modalax.identify.likelihood import UNDAMPED, Parts, frozen_slots, make_problem, objective, pack, parts, unpack
 from modalax.identify.residues import check_size, model_of, sigma_of
+from modalax.identify.shape_errors import shape_errors, spread_rest
 from modalax.model.modal import ModalModel
 
 REASONS = (

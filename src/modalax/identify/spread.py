@@ -21,7 +21,7 @@ from jaxtyping import Array, Complex, Float
 from modalax._numerics.checks import as_double
 from modalax.data.frf import FRF
 from modalax.identify.fraction import coefficients
-from modalax.identify.normal import LinearProblem, expected_factor, linear_problem
+from modalax.identify.normal_equations import LinearProblem, expected_factor, linear_problem
 from modalax.identify.polynomial import LAST
 from modalax.identify.zoom import Zoom
 

@@ -1,8 +1,8 @@
 r"""Time marching of a structure with joints: the second route, which knows nothing of harmonics.
 
 The linear part is propagated exactly (:mod:`modalax.simulate.blocks`); within a step the joints' forces and the motion
-they make agree to rounding (:mod:`modalax.simulate.inside`). The only error is that of the force along a step: fourth
-order in the step for smooth laws, second order in an eighth of it where contact or slip begins inside.
+they make agree to rounding (:mod:`modalax.simulate.joint_step`). The only error is that of the force along a step:
+fourth order in the step for smooth laws, second order in an eighth of it where contact or slip begins inside.
 
 A general solver of differential equations is not used, because a joint here is a law from one displacement to the next
 (:class:`modalax.simulate.joints.Hysteretic`): rigid friction has no rate, a law of a user's own need not have one, and
@@ -24,7 +24,7 @@ from modalax._numerics.checks import as_double, is_traced, require_finite
 from modalax.data.frf import DERIVATIVES, check_form
 from modalax.model.receptance import AnyStructure, directions, dof_names
 from modalax.simulate.blocks import MOMENTS, Blocks, Propagator, as_blocks, propagator
-from modalax.simulate.inside import initial_states, solve_step
+from modalax.simulate.joint_step import initial_states, solve_step
 from modalax.simulate.joints import Joint
 
 PASSES = 4
