@@ -50,6 +50,24 @@ def test_one_run_of_one_channel_with_unknown_level_keeps_its_axes(tmp_path, endi
     same(Measurement.from_frfs([frf]), loaded)
 
 
+@pytest.mark.parametrize("ending", ["npz", "mat"])
+def test_claimed_inaccuracy_and_pairs_of_a_structure_come_back(tmp_path, ending):
+    saved = five_dof().replace(stiffness_std=0.03, mass_std=0.01, pairs=[("1", "2"), ("3", "5")])
+    modalax.save(saved, tmp_path / f"model.{ending}")
+    loaded = modalax.load(tmp_path / f"model.{ending}")
+    assert loaded.pairs == (("1", "2"), ("3", "5"))
+    assert (float(loaded.stiffness_std), float(loaded.mass_std)) == (0.03, 0.01)
+    modalax.save(five_dof(), tmp_path / f"plain.{ending}")
+    plain = modalax.load(tmp_path / f"plain.{ending}")
+    assert plain.stiffness_std is None and plain.mass_std is None and plain.pairs is None
+
+
+@pytest.mark.parametrize("pairs", [[("1", "1")], [("1", "9")], [("1",)]])
+def test_pairs_need_two_dofs_of_the_structure(pairs):
+    with pytest.raises(ValueError, match="a pair is two different DoFs|no DoF named '9'"):
+        five_dof().replace(pairs=pairs)
+
+
 @pytest.mark.parametrize("ending", ["npz", "mat", "nc"])
 def test_the_force_at_every_line_comes_back(tmp_path, ending):
     saved = measurement()

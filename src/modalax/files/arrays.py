@@ -19,7 +19,8 @@ MEASUREMENT_KEYS = (
     "freq", "H", "variance", "averages", "coherence", "added_decay", "level", "force", "outputs", "inputs", "form",
     "axes",
 )  # fmt: skip
-STRUCTURE_KEYS = ("M", "C", "K", "D", "dofs", "frequency_std", "damping_std")
+CLAIMS = ("stiffness_std", "mass_std")
+STRUCTURE_KEYS = ("M", "C", "K", "D", "dofs", "frequency_std", "damping_std", *CLAIMS, "pairs")
 MODEL_KEYS = (
     "poles", "frequency_hz", "damping_ratio", "shapes", "participation", "modal_a", "modal_mass", "upper", "lower",
     "outputs", "inputs", "frequency_std", "damping_std",
@@ -48,7 +49,9 @@ def to_arrays(what: Any) -> dict[str, np.ndarray]:
         return what.arrays()
     if isinstance(what, Structure):
         damping = ("C", "D") if np.any(np.asarray(what.D)) else ("C",)
-        names, labels = ("M", *damping, "K", "frequency_std", "damping_std"), ("dofs",)
+        claims = [name for name in CLAIMS if getattr(what, name) is not None]
+        names = ("M", *damping, "K", "frequency_std", "damping_std", *claims)
+        labels = ("dofs",) if what.pairs is None else ("dofs", "pairs")
     elif isinstance(what, ModalModel):
         names = ("poles", "shapes", "participation", "upper", "lower", "frequency_std", "damping_std")
         labels = ("outputs", "inputs")
@@ -208,12 +211,23 @@ def _structure(arrays: Arrays) -> Structure:
             )
     M, C, K = (np.atleast_2d(_numbers(arrays, name)) for name in ("M", "C", "K"))
     D = np.atleast_2d(_numbers(arrays, "D")) if "D" in arrays else None
-    return Structure(M, C, K, _words(arrays, "dofs"), D=D, **_claims(arrays))
+    claims = _claims(arrays, ("frequency_std", "damping_std")) | _claims(arrays, CLAIMS)
+    return Structure(M, C, K, _words(arrays, "dofs"), D=D, pairs=_pairs(arrays), **claims)
 
 
-def _claims(arrays: Arrays) -> dict[str, np.ndarray]:
+def _pairs(arrays: Arrays) -> list[tuple[str, str]] | None:
+    """Pairs of DoF names, shape ``(p, 2)``; None where there are none in the file."""
+    if "pairs" not in arrays:
+        return None
+    shape, names = np.shape(arrays["pairs"]), _words(arrays, "pairs")
+    if len(shape) != 2 or shape[1] != 2:
+        raise ValueError(f"pairs has shape {shape}; it needs (p, 2), two DoF names a pair")
+    return list(zip(names[::2], names[1::2], strict=True))
+
+
+def _claims(arrays: Arrays, names: tuple[str, ...]) -> dict[str, np.ndarray]:
     claims = {}
-    for name in ("frequency_std", "damping_std"):
+    for name in names:
         if name in arrays:
             value = _numbers(arrays, name).squeeze()
             if not (np.isfinite(value) & (value >= 0)).all():
@@ -240,7 +254,8 @@ def _model(arrays: Arrays) -> ModalModel:
         )
     inputs, participation = _participation(arrays, poles, shapes, outputs)
     terms = {k: _numbers(arrays, k, complex_=True) for k in ("upper", "lower") if k in arrays}
-    return ModalModel(poles, shapes, participation, outputs=outputs, inputs=inputs, **terms, **_claims(arrays))
+    claims = _claims(arrays, ("frequency_std", "damping_std"))
+    return ModalModel(poles, shapes, participation, outputs=outputs, inputs=inputs, **terms, **claims)
 
 
 def _participation(

@@ -36,7 +36,7 @@ def _classic(path: Path) -> dict[str, Any]:
 def _text(value: Any) -> Any:
     """Cell arrays of text as arrays of text."""
     if isinstance(value, np.ndarray) and value.dtype == object:
-        return np.array([str(np.asarray(item).item()) for item in value.ravel()], dtype=str)
+        return np.array([str(np.asarray(item).item()) for item in value.ravel()], dtype=str).reshape(value.shape)
     return value
 
 
@@ -63,7 +63,8 @@ def _dataset(file: Any, node: Any) -> np.ndarray:
     if node.attrs.get("MATLAB_class") == b"char":
         return np.array(_letters(value), dtype=str)
     if value.dtype.kind == "O":
-        return np.array([_letters(np.asarray(file[ref][()])) for ref in value.T.ravel()], dtype=str)
+        words = [_letters(np.asarray(file[ref][()])) for ref in value.T.ravel()]
+        return np.array(words, dtype=str).reshape(value.T.shape)
     if value.dtype.names == ("real", "imag"):
         value = value["real"] + 1j * value["imag"]
     return value.T

@@ -27,6 +27,11 @@ class Structure(eqx.Module):
     frequency_std, damping_std
         Relative standard deviation that the author claims for each modal frequency and damping ratio: one number
         or one a mode (0: taken as exact).
+    stiffness_std, mass_std
+        Relative general inaccuracy of stiffness and mass that the author claims, each one number (0: exact); None
+        where nothing is claimed.
+    pairs
+        Pairs of DoF names between which springs, dampers and joints may sit; None: those that K couples.
     D
         Structural (hysteretic) damping [N/m], shape ``(n, n)``: the imaginary part of the stiffness for
         :math:`\omega > 0`; zero unless given.
@@ -38,7 +43,10 @@ class Structure(eqx.Module):
     frequency_std: Float[Array, "..."]
     damping_std: Float[Array, "..."]
     D: Float[Array, "n n"]
+    stiffness_std: Float[Array, ""] | None
+    mass_std: Float[Array, ""] | None
     dofs: tuple[str, ...] = eqx.field(static=True)
+    pairs: tuple[tuple[str, str], ...] | None = eqx.field(static=True)
 
     def __init__(
         self,
@@ -49,6 +57,9 @@ class Structure(eqx.Module):
         *,
         frequency_std: Any = 0.0,
         damping_std: Any = 0.0,
+        stiffness_std: Any = None,
+        mass_std: Any = None,
+        pairs: Sequence[Sequence[str]] | None = None,
         D: Any = None,
     ):
         self.M, self.C, self.K = (as_double(A, name) for A, name in ((M, "M"), (C, "C"), (K, "K")))
@@ -61,6 +72,15 @@ class Structure(eqx.Module):
         self.dofs = check_names(default_names(n, "") if dofs is None else dofs, n, "dofs")
         self.frequency_std = as_double(frequency_std, "frequency_std")
         self.damping_std = as_double(damping_std, "damping_std")
+        self.stiffness_std = None if stiffness_std is None else as_double(stiffness_std, "stiffness_std")
+        self.mass_std = None if mass_std is None else as_double(mass_std, "mass_std")
+        self.pairs = None if pairs is None else tuple(self._pair(pair) for pair in pairs)
+
+    def _pair(self, pair: Sequence[str]) -> tuple[str, str]:
+        """Two DoFs of this structure; ``ValueError`` says what is wrong with others."""
+        if len(pair) != 2 or pair[0] == pair[1]:
+            raise ValueError(f"pairs holds {list(pair)}; a pair is two different DoFs")
+        return self.dofs[self.index(str(pair[0]))], self.dofs[self.index(str(pair[1]))]
 
     @classmethod
     def from_modes(
@@ -98,7 +118,7 @@ class Structure(eqx.Module):
         """A copy with some attributes changed and everything checked again."""
         fields = dict(
             M=self.M, C=self.C, K=self.K, D=self.D, dofs=self.dofs, frequency_std=self.frequency_std,
-            damping_std=self.damping_std,
+            damping_std=self.damping_std, stiffness_std=self.stiffness_std, mass_std=self.mass_std, pairs=self.pairs,
         )  # fmt: skip
         return Structure(**{**fields, **changes})
 
