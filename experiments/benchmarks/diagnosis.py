@@ -22,11 +22,12 @@ import numpy as np
 from modalax import Measurement, Structure
 from modalax.diagnose import diagnose
 from modalax.diagnose.causes import catalogue
-from modalax.diagnose.evidence import is_element
-from modalax.diagnose.fit import ROUNDS, Hypothesis
-from modalax.diagnose.search import screen_all
-from modalax.diagnose.state import state_of
-from modalax.diagnose.study import make_study
+from modalax.diagnose.causes.base import is_element
+from modalax.diagnose.comparison import make_comparison
+from modalax.diagnose.fitting.gauss_newton import ROUNDS
+from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.screening.every_cause import screen_all
+from modalax.diagnose.screening.score_state import score_state_of
 from modalax.model.examples import five_dof
 from modalax.simulate import harmonic_balance
 from modalax.simulate.joints import ElastoSlip
@@ -89,15 +90,15 @@ def noisy(simulation: Structure, freq: np.ndarray, H: np.ndarray, seed: int) -> 
 
 def screened(measurement: Measurement, simulation: Structure) -> tuple[float, int, int]:
     """Seconds that the screening of every element at every place takes, and the numbers of causes and places."""
-    study = make_study(measurement, simulation)
-    count = study.problem.plant.stiffness.shape[0]
-    null = study.fit([Hypothesis(theta=np.zeros((2, count)))], ROUNDS)[0]
+    comparison = make_comparison(measurement, simulation)
+    count = comparison.problem.modal_form.stiffness.shape[0]
+    null = comparison.fit([Hypothesis(theta=np.zeros((2, count)))], ROUNDS)[0]
     causes = [c for c in catalogue() if is_element(c)]
-    places = len(study.scene.pairs())
+    places = len(comparison.scene.pairs())
     took = []
     for _ in range(2):
         start = time.perf_counter()
-        screen_all(study, null, causes, state_of(study, null))
+        screen_all(comparison, null, causes, score_state_of(comparison, null))
         took.append(time.perf_counter() - start)
     return took[-1], len(causes), places
 

@@ -20,13 +20,13 @@ COLUMNS = ("case", "variance", "noise", "spread", "p", "scores", "patterns", "hu
 def chances(case: Path) -> dict[str, float]:
     """Chance of what each kind of test saw, and of all together."""
     from modalax.diagnose.causes import catalogue
-    from modalax.diagnose.name import look, with_noise_beside
-    from modalax.diagnose.study import causes_of, make_study
+    from modalax.diagnose.comparison import causes_of, make_comparison, with_noise_beside
+    from modalax.diagnose.pipeline import look
     from modalax.files import load
 
-    study = with_noise_beside(make_study(load(case / "measurement.npz"), load(case / "simulation.npz")))
-    causes = causes_of(None, study, catalogue(study.problem.data.shape[0]))
-    found = look(study, causes).detection
+    comparison = with_noise_beside(make_comparison(load(case / "measurement.npz"), load(case / "simulation.npz")))
+    causes = causes_of(None, comparison, catalogue(comparison.problem.data.shape[0]))
+    found = look(comparison, causes).detection
     return {"p": found.p_value, **found.p_values}
 
 
@@ -60,7 +60,7 @@ def main() -> None:
 
 def alarmed(row: dict[str, str]) -> bool:
     """Whether anything was said to be wrong."""
-    from modalax.diagnose.decide import ALARM
+    from modalax.diagnose.decision.detection import ALARM
 
     return float(row["p"]) < ALARM
 

@@ -10,8 +10,8 @@ import argparse
 import numpy as np
 import scipy.stats
 
-from modalax.diagnose.causes.pickup import largest
-from modalax.diagnose.decide import ALARM, SHARES
+from modalax.diagnose.causes.hum_pickup import largest
+from modalax.diagnose.decision.detection import ALARM, SHARES
 
 TONES = 8  # what two mains frequencies, two ways of looking and the forms of a line, much alike, cost together
 

@@ -26,10 +26,10 @@ from modalax.diagnose.causes.joints import (
     CubicStiffness,
     ElastoSlip,
     GapContact,
+    MicroSlip,
     QuadraticDamping,
 )
-from modalax.diagnose.causes.microslip import MicroSlip
-from modalax.diagnose.laws import Explained, compare_laws, modes_at
+from modalax.diagnose.joint_laws import Explained, compare_laws, modes_at
 from modalax.identify import refine, residues
 from modalax.model import ModalModel
 from modalax.model.modal import poles_from

@@ -14,8 +14,8 @@ from modalax.diagnose.causes import catalogue
 from modalax.diagnose.causes.channels import ChannelGain, ChannelSign, CommonDelay, TimeDelay
 from modalax.diagnose.causes.joints import QuadraticDamping
 from modalax.diagnose.causes.local import AddedMass, JointStiffness, LocalDamper
-from modalax.diagnose.diagnosis import _if_it_predicts
 from modalax.diagnose.extend import from_arrays
+from modalax.diagnose.pipeline import _if_it_predicts
 from modalax.model.examples import five_dof
 from modalax.simulate import simulate
 from modalax.simulate.joints import PolynomialDamping

@@ -24,12 +24,12 @@ from modalax.diagnose.causes.imitators import (
     SensorResonance,
     StrayForce,
 )
-from modalax.diagnose.decide import posterior
-from modalax.diagnose.doubt import apart, likeness
-from modalax.diagnose.fit import Hypothesis
-from modalax.diagnose.plant import plant_of
-from modalax.diagnose.predict import predict
-from modalax.diagnose.problem import make_problem
+from modalax.diagnose.decision.posterior import posterior
+from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.prediction.frf import predict
+from modalax.diagnose.search.imitator_check import apart, likeness
+from modalax.diagnose.setup.modal_form import modal_form_of
+from modalax.diagnose.setup.problem import make_problem
 from modalax.model.examples import five_dof
 from modalax.simulate import joints
 
@@ -43,9 +43,15 @@ def predicted(cause, index, p, level=(1.0,)):
     structure = five_dof()
     shape = (len(level), len(FREQ), len(OUTPUTS), len(INPUTS))
     problem = make_problem(
-        FREQ, np.zeros(shape, complex), np.ones(shape), np.array(level), OUTPUTS, INPUTS, plant_of(structure, FREQ[0])
+        FREQ,
+        np.zeros(shape, complex),
+        np.ones(shape),
+        np.array(level),
+        OUTPUTS,
+        INPUTS,
+        modal_form_of(structure, FREQ[0]),
     )
-    theta = jnp.zeros((2, problem.plant.stiffness.shape[0]))
+    theta = jnp.zeros((2, problem.modal_form.stiffness.shape[0]))
     H = predict((cause,), jnp.array([index]), (None,), (jnp.asarray(p),), theta, problem)
     return np.asarray(H)[:, : len(FREQ), : len(OUTPUTS), : len(INPUTS)]
 

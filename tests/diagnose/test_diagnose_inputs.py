@@ -13,15 +13,15 @@ from modalax.diagnose import ExtendedSimulation, JointCause, Parameter, diagnose
 from modalax.diagnose.causes import catalogue
 from modalax.diagnose.causes.base import Place
 from modalax.diagnose.causes.channels import ChannelGain
-from modalax.diagnose.causes.joints import CubicStiffness, DriftingSpring, ElastoSlip, GapContact, QuadraticDamping
+from modalax.diagnose.causes.drift import DriftingSpring
+from modalax.diagnose.causes.joints import CubicStiffness, ElastoSlip, GapContact, MicroSlip, QuadraticDamping
 from modalax.diagnose.causes.local import AddedMass, JointStiffness
-from modalax.diagnose.causes.microslip import MicroSlip
-from modalax.diagnose.drifting import joints_for_drifts
+from modalax.diagnose.comparison import make_comparison
 from modalax.diagnose.extend import extend
-from modalax.diagnose.fit import Hypothesis
-from modalax.diagnose.predict import predict
-from modalax.diagnose.state import state_of
-from modalax.diagnose.study import make_study
+from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.prediction.frf import predict
+from modalax.diagnose.screening.score_state import score_state_of
+from modalax.diagnose.search.singles import joints_for_drifts
 from modalax.model import Structure
 from modalax.model.examples import five_dof
 
@@ -93,13 +93,13 @@ def test_one_level_and_an_unknown_one(level):
 def extended_by(causes, indices, params):
     """An extended simulation put together by hand."""
     S = five_dof()
-    study = make_study(linear(S, 0), S)
+    comparison = make_comparison(linear(S, 0), S)
     from modalax.diagnose.causes.base import Place
 
     places = tuple(Place(tuple(S.dofs[k] for k in i[:2] if k >= 0), i) for i in indices)
-    n = study.problem.plant.stiffness.shape[0]
+    n = comparison.problem.modal_form.stiffness.shape[0]
     h = Hypothesis(causes, places, (None,) * len(causes), tuple(np.asarray(p, float) for p in params), np.zeros((2, n)))
-    return extend(study, h)
+    return extend(comparison, h)
 
 
 def test_an_extended_simulation_is_saved_loaded_and_refused_where_it_cannot_go(tmp_path):
@@ -193,11 +193,11 @@ def test_the_force_of_every_line_counts():
         alone = np.asarray(known.predict(force[k], FREQ).H)[k]
         assert np.abs(got[k] - alone).max() < 1e-12 * np.abs(alone).max()
     data = Measurement(FREQ, got[None], force=force[None], outputs=known.outputs, inputs=known.inputs)
-    study = make_study(data, known)
-    n = study.problem.plant.stiffness.shape[0]
-    H = predict((), jnp.zeros((0, 3), int), (), (), jnp.zeros((2, n)), study.problem)
+    comparison = make_comparison(data, known)
+    n = comparison.problem.modal_form.stiffness.shape[0]
+    H = predict((), jnp.zeros((0, 3), int), (), (), jnp.zeros((2, n)), comparison.problem)
     assert np.abs(np.asarray(H)[0, :128, :5, :2] - got).max() < 1e-9 * np.abs(got).max()
-    plain = eqx.tree_at(lambda p: p.level, study.problem, study.problem.level * 0 + 1.5)
+    plain = eqx.tree_at(lambda p: p.level, comparison.problem, comparison.problem.level * 0 + 1.5)
     assert (
         np.abs(
             np.asarray(predict((), jnp.zeros((0, 3), int), (), (), jnp.zeros((2, n)), plain))[0, :128, :5, :2] - got
@@ -223,24 +223,26 @@ def test_a_stiff_joint_that_lets_go_is_told_from_one_that_drifts():
     """Stuck at the lowest level, slipping at the highest: far from any small size, but a drifting spring is near."""
     S, k, levels = with_spring(3e5), 3e5, np.array([1.0, 8.0, 64.0])
     place = Place(("3", "5"), (2, 4, 0))
-    study = make_study(Measurement(FREQ, np.zeros((3, 128, 3, 1)), outputs=("1", "3", "5"), inputs=("1",),
+    comparison = make_comparison(Measurement(FREQ, np.zeros((3, 128, 3, 1)), outputs=("1", "3", "5"), inputs=("1",),
                                    level=levels, variance=np.ones((3, 128, 3, 1))), S)  # fmt: skip
-    across = float(study.scene.amplitudes(place, (1.0,))[0])
-    null = Hypothesis(theta=np.zeros((2, study.problem.plant.stiffness.shape[0])))
+    across = float(comparison.scene.amplitudes(place, (1.0,))[0])
+    null = Hypothesis(theta=np.zeros((2, comparison.problem.modal_form.stiffness.shape[0])))
     true = null.with_cause(ElastoSlip(True), place, None, np.array([k, 0.2 * across]))
-    H = np.broadcast_to(study.prediction(true), (3, 128, 3, 1))
+    H = np.broadcast_to(comparison.prediction(true), (3, 128, 3, 1))
     sigma = 0.02 * np.sqrt((np.abs(H) ** 2).mean(axis=1, keepdims=True)) * np.ones(H.shape)
     rng = np.random.default_rng(6)
     noisy = H + sigma * (rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape)) / np.sqrt(2)
     M = Measurement(FREQ, noisy, outputs=("1", "3", "5"), inputs=("1",), level=levels, variance=sigma**2)
-    study = make_study(M, S)
-    null = study.fit([null], 1)[0]
-    drifted = study.fit([null.with_cause(DriftingSpring(), Place((), (2, 4, 0)), None, np.array([-0.5 * k]))], 20)
-    found = joints_for_drifts(study, null, drifted, [ElastoSlip(True), GapContact()], state_of(study, null))
+    comparison = make_comparison(M, S)
+    null = comparison.fit([null], 1)[0]
+    drifted = comparison.fit([null.with_cause(DriftingSpring(), Place((), (2, 4, 0)), None, np.array([-0.5 * k]))], 20)
+    found = joints_for_drifts(
+        comparison, null, drifted, [ElastoSlip(True), GapContact()], score_state_of(comparison, null)
+    )
     best = min(found, key=lambda h: h.chi2)
     assert isinstance(best.causes[0], ElastoSlip) and best.chi2 < drifted[0].chi2 - 50
     assert best.params[0][0] == pytest.approx(k, rel=0.05)
-    assert joints_for_drifts(study, null, [true], [ElastoSlip(True)], state_of(study, null)) == []
+    assert joints_for_drifts(comparison, null, [true], [ElastoSlip(True)], score_state_of(comparison, null)) == []
 
 
 def test_compiled_programs_go_before_a_process_is_full(tmp_path, monkeypatch):

@@ -9,17 +9,17 @@ import scipy.linalg
 
 from modalax import Measurement
 from modalax.diagnose import diagnose
+from modalax.diagnose.causes.damping import LossFactor, ModalDamping, StructuralDamping
 from modalax.diagnose.causes.local import AddedMass, JointStiffness, LocalDamper
-from modalax.diagnose.causes.modal import LossFactor, ModalDamping, StructuralDamping
-from modalax.diagnose.elements import reduce
-from modalax.diagnose.name import empty, look
-from modalax.diagnose.plant import plant_of
-from modalax.diagnose.predict import predict
-from modalax.diagnose.problem import make_problem
-from modalax.diagnose.screen import Residual
-from modalax.diagnose.search import screen_all
-from modalax.diagnose.state import state_of
-from modalax.diagnose.study import make_study
+from modalax.diagnose.comparison import empty, make_comparison
+from modalax.diagnose.pipeline import look
+from modalax.diagnose.prediction.frf import predict
+from modalax.diagnose.screening.every_cause import screen_all
+from modalax.diagnose.screening.local_elements import reduce
+from modalax.diagnose.screening.score_state import score_state_of
+from modalax.diagnose.screening.sensitivities import Residual
+from modalax.diagnose.setup.modal_form import modal_form_of
+from modalax.diagnose.setup.problem import make_problem
 from modalax.model import Structure
 from modalax.model.examples import five_dof
 
@@ -51,10 +51,10 @@ def changed(structure: Structure, theta: np.ndarray, freq: np.ndarray = FREQ) ->
 def adapted(
     structure: Structure, theta: np.ndarray, centre: np.ndarray | None = None, mixing: bool = True
 ) -> np.ndarray:
-    shape, plant = (1, len(FREQ), 5, 5), plant_of(structure, FREQ[0], centre)
-    plant = plant if mixing else replace(plant, mixing=None)
-    problem = make_problem(FREQ, np.zeros(shape, complex), np.ones(shape), np.ones(1), NAMES, NAMES, plant)
-    full = np.zeros((2, problem.plant.stiffness.shape[0]))
+    shape, modal_form = (1, len(FREQ), 5, 5), modal_form_of(structure, FREQ[0], centre)
+    modal_form = modal_form if mixing else replace(modal_form, mixing=None)
+    problem = make_problem(FREQ, np.zeros(shape, complex), np.ones(shape), np.ones(1), NAMES, NAMES, modal_form)
+    full = np.zeros((2, problem.modal_form.stiffness.shape[0]))
     full[:, :5] = theta
     H = predict((), np.zeros((0, 3), int), (), (), jnp.asarray(full), problem)
     return np.asarray(H)[0, : len(FREQ), :5, :5]
@@ -63,8 +63,8 @@ def adapted(
 def test_real_modes_need_no_mixing():
     S = five_dof()
     M, K = np.asarray(S.M), np.asarray(S.K)
-    assert plant_of(Structure(M, 1e-4 * K + 0.2 * M, K, NAMES, frequency_std=0.01), 1.0).mixing is None
-    assert plant_of(coupled(30.0, std=0.0), 1.0).mixing is not None
+    assert modal_form_of(Structure(M, 1e-4 * K + 0.2 * M, K, NAMES, frequency_std=0.01), 1.0).mixing is None
+    assert modal_form_of(coupled(30.0, std=0.0), 1.0).mixing is not None
 
 
 @pytest.mark.parametrize("kind", [0, 1])
@@ -97,7 +97,7 @@ def test_complex_modes_are_exact_where_they_are_centred(kind):
 def test_a_centre_means_nothing_where_no_modes_are_coupled():
     S = five_dof()
     alone = Structure(S.M, 1e-4 * np.asarray(S.K), S.K, NAMES, frequency_std=0.01)
-    centred, plain = plant_of(alone, 1.0, np.full((2, 5), 0.1)), plant_of(alone, 1.0)
+    centred, plain = modal_form_of(alone, 1.0, np.full((2, 5), 0.1)), modal_form_of(alone, 1.0)
     np.testing.assert_array_equal(np.asarray(centred.poles), np.asarray(plain.poles))
 
 
@@ -113,10 +113,12 @@ def test_second_order_of_coupled_modes_is_no_finding():
     sigma = 0.01 * np.sqrt((np.abs(exact) ** 2).mean(axis=1, keepdims=True)) * np.ones(exact.shape)
     noise = (rng.normal(size=exact.shape) + 1j * rng.normal(size=exact.shape)) * sigma / np.sqrt(2)
     data = Measurement(freq, exact + noise, variance=sigma**2, outputs=NAMES[:3], inputs=NAMES[:3], level=[1.0, 2.0])
-    study = make_study(data, S)
+    comparison = make_comparison(data, S)
     causes = [ModalDamping()]
-    assert not look(study, causes).detection.anything
-    bare = screen_all(study, (null := study.fit([empty(study)], 14)[0]), causes, state_of(study, null)).trials
+    assert not look(comparison, causes).detection.anything
+    bare = screen_all(
+        comparison, (null := comparison.fit([empty(comparison)], 14)[0]), causes, score_state_of(comparison, null)
+    ).trials
     assert max(abs(t.z) for t in bare) > 6.0
 
 
@@ -126,9 +128,9 @@ def test_nothing_changes_at_zero_and_elements_see_the_same_receptances():
     assert np.abs(adapted(S, 0 * theta) - changed(S, 0 * theta)).max() < 1e-11 * np.abs(changed(S, 0 * theta)).max()
     shape = (1, len(FREQ), 5, 5)
     problem = make_problem(
-        FREQ, np.zeros(shape, complex), np.ones(shape), np.ones(1), NAMES, NAMES, plant_of(S, FREQ[0])
+        FREQ, np.zeros(shape, complex), np.ones(shape), np.ones(1), NAMES, NAMES, modal_form_of(S, FREQ[0])
     )
-    full = np.zeros((2, problem.plant.stiffness.shape[0]))
+    full = np.zeros((2, problem.modal_form.stiffness.shape[0]))
     full[:, :5] = theta
     padded = problem.weight.shape
     none = Residual(np.zeros((*padded[2:], 2 * padded[1])), np.zeros((0, *padded[2:], 2 * padded[1])), np.zeros((0, 0)))
@@ -153,9 +155,9 @@ def test_hysteretic_damping_takes_the_coupling_of_the_modes_with_it(share):
     S = coupled(5.0)
     shape = (1, len(FREQ), 5, 5)
     problem = make_problem(
-        FREQ, np.zeros(shape, complex), np.ones(shape), np.ones(1), NAMES, NAMES, plant_of(S, FREQ[0])
+        FREQ, np.zeros(shape, complex), np.ones(shape), np.ones(1), NAMES, NAMES, modal_form_of(S, FREQ[0])
     )
-    theta = jnp.zeros((2, problem.plant.stiffness.shape[0]))
+    theta = jnp.zeros((2, problem.modal_form.stiffness.shape[0]))
 
     def ours(cause, p):
         H = predict((cause,), jnp.zeros((1, 3), int), (None,), (jnp.array([p]),), theta, problem)
@@ -183,11 +185,11 @@ def test_close_modes_that_dampers_couple_are_exact_at_the_share_that_is_fitted(s
     )
 
     def error(coupling):
-        plant = plant_of(S, freq[0], None, coupling)
+        modal_form = modal_form_of(S, freq[0], None, coupling)
         problem = make_problem(
-            freq, np.zeros(shape, complex), np.ones(shape), np.ones(1), ("1", "2"), ("1", "2"), plant
+            freq, np.zeros(shape, complex), np.ones(shape), np.ones(1), ("1", "2"), ("1", "2"), modal_form
         )
-        theta = jnp.zeros((2, problem.plant.stiffness.shape[0]))
+        theta = jnp.zeros((2, problem.modal_form.stiffness.shape[0]))
         H = predict((StructuralDamping(),), jnp.zeros((1, 3), int), (None,), (jnp.array([share]),), theta, problem)
         return np.linalg.norm(np.asarray(H)[0, : len(freq), :2, :2] - exact) / np.linalg.norm(exact - without)
 
@@ -203,9 +205,9 @@ def test_modal_damping_of_coupled_modes_is_followed_as_a_claimed_error_is(relati
     log[1, 2] = np.log1p(relative)
     problem = make_problem(
         FREQ, np.zeros(shape, complex), np.ones(shape), np.ones(1), NAMES, NAMES,
-        plant_of(structure, FREQ[0], log),
+        modal_form_of(structure, FREQ[0], log),
     )  # fmt: skip
-    where, theta = jnp.array([[2, -1, 0]]), jnp.zeros((2, problem.plant.stiffness.shape[0]))
+    where, theta = jnp.array([[2, -1, 0]]), jnp.zeros((2, problem.modal_form.stiffness.shape[0]))
     H = np.asarray(predict((ModalDamping(),), where, (None,), (jnp.array([relative]),), theta, problem))
     exact = changed(structure, log)
     assert np.abs(H[0, : len(FREQ), :5, :5] - exact).max() < 1e-9 * np.abs(exact).max()

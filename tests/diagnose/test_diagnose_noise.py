@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from modalax.data import Measurement
-from modalax.diagnose.name import with_noise_beside
-from modalax.diagnose.noise import noise_of, scatter_freedom
-from modalax.diagnose.omnibus import omnibus
-from modalax.diagnose.study import make_study
+from modalax.diagnose.comparison import make_comparison, with_noise_beside
+from modalax.diagnose.decision.omnibus import omnibus
+from modalax.diagnose.setup.noise import noise_of, scatter_freedom
 from modalax.model import Structure
 from modalax.model.examples import five_dof
 
@@ -129,9 +128,9 @@ def test_noise_is_read_again_beside_the_simulation_as_it_fits():
     H = np.asarray(truth.frf(freq, outputs=names, inputs=("1",)).H)
     sigma = 0.002 * np.sqrt((np.abs(H) ** 2).mean(axis=0)) * np.ones(H.shape)
     e = (rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape)) / np.sqrt(2) * sigma
-    study = make_study(Measurement(freq, (H + e)[None], outputs=names, inputs=("1",)), simulation)
-    before = np.median(study.noise.sigma / sigma)
-    after = np.median(with_noise_beside(study).noise.sigma / sigma)
+    comparison = make_comparison(Measurement(freq, (H + e)[None], outputs=names, inputs=("1",)), simulation)
+    before = np.median(comparison.noise.sigma / sigma)
+    after = np.median(with_noise_beside(comparison).noise.sigma / sigma)
     assert before > 1.5 and 0.85 < after < 1.25
 
 

@@ -8,23 +8,25 @@ import pytest
 import scipy.optimize
 
 from modalax import Measurement, Structure
-from modalax.diagnose import changes
-from modalax.diagnose import places as many
 from modalax.diagnose.causes.base import Place, Scene
 from modalax.diagnose.causes.channels import ChannelGain, ChannelSwap, SensorMass
-from modalax.diagnose.causes.lines import MainsHum, _tail, hums
+from modalax.diagnose.causes.hum_pickup import pickup
 from modalax.diagnose.causes.local import Gyroscopic, JointStiffness, LocalDamper
-from modalax.diagnose.causes.patterns import MissingMode, OutOfBand
-from modalax.diagnose.causes.pickup import pickup
-from modalax.diagnose.changes import Residual
-from modalax.diagnose.decide import WHEREABOUTS, _pattern_p, detect
-from modalax.diagnose.elements import at_places, ends, factors_of, reduce, score
+from modalax.diagnose.causes.mains_hum import MainsHum, _tail, hums
+from modalax.diagnose.causes.missing_modes import MissingMode, OutOfBand
+from modalax.diagnose.comparison import make_comparison
+from modalax.diagnose.decision.detection import WHEREABOUTS, _pattern_p, detect
+from modalax.diagnose.decision.omnibus import Omnibus
 from modalax.diagnose.extend import _key
-from modalax.diagnose.fit import Hypothesis, covariance_of, damped
-from modalax.diagnose.omnibus import Omnibus
-from modalax.diagnose.screen import Trial, low_rank, screen_cause, screen_pattern, settled_rank
-from modalax.diagnose.state import state_of
-from modalax.diagnose.study import make_study
+from modalax.diagnose.fitting.gauss_newton import covariance_of, damped
+from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.screening import sensitivities as changes
+from modalax.diagnose.screening import shortlist as many
+from modalax.diagnose.screening.local_elements import at_places, ends, factors_of, reduce, score
+from modalax.diagnose.screening.patterns import low_rank, screen_pattern, settled_rank
+from modalax.diagnose.screening.score_state import score_state_of
+from modalax.diagnose.screening.screen import Trial, screen_cause
+from modalax.diagnose.screening.sensitivities import Residual
 
 
 def grid(count, claimed):
@@ -39,17 +41,17 @@ def grid(count, claimed):
     return Structure(M, 1e-4 * K + 0.5 * M, K, names, frequency_std=0.01 * claimed, damping_std=0.1 * claimed)
 
 
-def study_of(structure, changed, lines=80, seed=0):
+def comparison_of(structure, changed, lines=80, seed=0):
     rng, freq = np.random.default_rng(seed), np.linspace(10.0, 120.0, lines)
     names = structure.dofs
     H = np.stack([np.asarray(changed.frf(freq, outputs=names, inputs=names[:2]).H)] * 2)
     sigma = 0.03 * np.sqrt((np.abs(H) ** 2).mean(axis=1, keepdims=True)) * np.ones(H.shape)
     e = (rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape)) * sigma / np.sqrt(2)
     data = Measurement(freq, H + e, variance=sigma**2, outputs=names, inputs=names[:2], level=[1.0, 2.0])
-    study = make_study(data, structure)
-    count = study.problem.plant.stiffness.shape[0]
-    null = study.fit([Hypothesis(theta=np.zeros((2, count)))], 10)[0]
-    return study, state_of(study, null)
+    comparison = make_comparison(data, structure)
+    count = comparison.problem.modal_form.stiffness.shape[0]
+    null = comparison.fit([Hypothesis(theta=np.zeros((2, count)))], 10)[0]
+    return comparison, score_state_of(comparison, null)
 
 
 def sprung(structure, a, b, k):
@@ -62,8 +64,8 @@ def sprung(structure, a, b, k):
 def test_gain_of_free_springs_and_dampers_is_that_of_the_elements(claimed):
     """Two runs, so four unknowns at each place: their normal equations by hand from the elements' own products."""
     structure = grid(8, claimed)
-    study, state = study_of(structure, sprung(grid(8, False), 2, 5, 2e3))
-    every, reduced = study.scene.pairs(), state.reduced[True]
+    comparison, state = comparison_of(structure, sprung(grid(8, False), 2, 5, 2e3))
+    every, reduced = comparison.scene.pairs(), state.reduced[True]
     a, b = ends(every)
     found = many.gains_at(reduced, many.sketch(reduced, state.sides[True].nuisance), a, b)
     at = at_places(reduced, every)
@@ -85,12 +87,12 @@ def test_gain_of_free_springs_and_dampers_is_that_of_the_elements(claimed):
 
 def test_a_spring_alone_explains_no_more_than_free_springs_and_dampers():
     structure = grid(8, True)
-    study, state = study_of(structure, sprung(grid(8, False), 2, 5, 2e3))
-    every, reduced = study.scene.pairs(), state.reduced[True]
+    comparison, state = comparison_of(structure, sprung(grid(8, False), 2, 5, 2e3))
+    every, reduced = comparison.scene.pairs(), state.reduced[True]
     free = many.gains_at(reduced, many.sketch(reduced, state.sides[True].nuisance), *ends(every))
     at = at_places(reduced, every)
     for cause in (JointStiffness(), LocalDamper()):
-        square, product, _ = score(cause, reduced, at, [cause.grid(study.scene, p)[:1] for p in every], False)
+        square, product, _ = score(cause, reduced, at, [cause.grid(comparison.scene, p)[:1] for p in every], False)
         alone = np.array([float(p[0] ** 2 / s[0]) for s, p in zip(square, product, strict=True)])
         # the change by the least strength that is tried differs from the derivative by a part in a thousand
         assert (alone <= 1.01 * free + 0.01).all()
@@ -98,8 +100,8 @@ def test_a_spring_alone_explains_no_more_than_free_springs_and_dampers():
 
 def test_few_lines_and_random_sums_find_the_place_among_many(monkeypatch):
     structure = grid(46, False)
-    study, state = study_of(structure, sprung(structure, 3, 11, 2e3), lines=160)
-    every = study.scene.pairs()
+    comparison, state = comparison_of(structure, sprung(structure, 3, 11, 2e3), lines=160)
+    every = comparison.scene.pairs()
     assert len(every) == 46 * 47 // 2
     monkeypatch.setattr(many, "MANY", 100)
     monkeypatch.setattr(many, "KEPT", 20)
@@ -123,12 +125,12 @@ def test_gains_of_many_modes_beyond_the_band_are_few_alike():
             assert len(found[1]) <= 100
             assert np.abs(gains - found[0] @ found[1]).max() < 1e-13 * np.abs(gains).max()
     structure = grid(20, False)
-    study, state = study_of(structure, structure)
+    comparison, state = comparison_of(structure, structure)
     reduced = replace(state.reduced[True], factors=tuple(np.linalg.qr(state.reduced[True].gains)))
-    a, b = ends(study.scene.pairs()[10:40])
+    a, b = ends(comparison.scene.pairs()[10:40])
     found = reduced.column(a, b)
     direct = replace(reduced, factors=None).column(a, b)
-    H = np.asarray(structure.frf(study.scene.freq, inputs=structure.dofs).H)
+    H = np.asarray(structure.frf(comparison.scene.freq, inputs=structure.dofs).H)
     exact = np.swapaxes(H[:, :, a] - np.where(b >= 0, 1.0, 0.0) * H[:, :, np.maximum(b, 0)], 1, 2)
     top = np.abs(direct).max()
     assert np.abs(found - direct).max() < 1e-11 * top
@@ -145,11 +147,11 @@ def test_products_of_pooled_runs_are_the_sums_of_those_of_the_runs():
         runs[0].freq, data, variance=sigma2, level=np.array([1.0, 2.0, 4.0]), outputs=runs[0].outputs,
         inputs=runs[0].inputs, form="receptance",
     )  # fmt: skip
-    study = make_study(m, structure)
-    null = study.fit([Hypothesis(theta=np.zeros((2, study.problem.plant.stiffness.shape[0])))], 4)[0]
-    state = state_of(study, null)
-    assert study.pooled is not study.problem
-    direct = reduce(study.pooled, null.theta * study.nuisance.spread, state.sides[False])
+    comparison = make_comparison(m, structure)
+    null = comparison.fit([Hypothesis(theta=np.zeros((2, comparison.problem.modal_form.stiffness.shape[0])))], 4)[0]
+    state = score_state_of(comparison, null)
+    assert comparison.pooled is not comparison.problem
+    direct = reduce(comparison.pooled, null.theta * comparison.nuisance.spread, state.sides[False])
     for name in ("S", "T", "weight2", "level"):
         a, b = np.asarray(getattr(state.reduced[False], name)), np.asarray(getattr(direct, name))
         assert a.size and a.shape == b.shape and np.abs(a - b).max() <= 1e-11 * max(np.abs(b).max(), 1e-300)
@@ -157,11 +159,11 @@ def test_products_of_pooled_runs_are_the_sums_of_those_of_the_runs():
 
 def test_an_exchange_of_outputs_is_among_those_kept(monkeypatch):
     structure = grid(12, False)
-    study, _ = study_of(structure, structure)
-    expected = np.asarray(study.problem.data)
+    comparison, _ = comparison_of(structure, structure)
+    expected = np.asarray(comparison.problem.data)
     data = expected.copy()
     data[:, :, [4, 9]] = data[:, :, [9, 4]]
-    weight = np.asarray(study.problem.weight)
+    weight = np.asarray(comparison.problem.weight)
     every = [Place((), (a, b, 0)) for a, b in itertools.combinations(range(12), 2)]
     monkeypatch.setattr(many, "MANY", 10)
     monkeypatch.setattr(many, "KEPT", 1)
@@ -192,14 +194,14 @@ def test_no_hum_is_looked_for_where_no_line_is(freq):
 def test_only_places_between_many_dofs_and_swaps_are_shortlisted(monkeypatch):
     """A sensor's number is no DoF's: every sensor is looked at, however many."""
     structure = grid(12, False)
-    study, state = study_of(structure, sprung(structure, 2, 5, 2e3))
-    monkeypatch.setattr("modalax.diagnose.state.MANY", 10)
-    monkeypatch.setattr("modalax.diagnose.places.MANY", 10)
-    monkeypatch.setattr("modalax.diagnose.places.KEPT", 5)
+    comparison, state = comparison_of(structure, sprung(structure, 2, 5, 2e3))
+    monkeypatch.setattr("modalax.diagnose.screening.score_state.MANY", 10)
+    monkeypatch.setattr("modalax.diagnose.screening.shortlist.MANY", 10)
+    monkeypatch.setattr("modalax.diagnose.screening.shortlist.KEPT", 5)
     kept = []
     for cause in (ChannelGain(), JointStiffness(), Gyroscopic(), ChannelSwap()):
-        places = cause.places(study.scene)
-        kept.append((len(places), len(state.nearest(study, cause, places))))
+        places = cause.places(comparison.scene)
+        kept.append((len(places), len(state.nearest(comparison, cause, places))))
     assert kept == [(12, 12), (78, 5), (66, 5), (66, 5)]
 
 
@@ -288,14 +290,16 @@ def test_effects_that_overflow_are_left_out_of_the_count_of_tests():
 
 def test_several_far_modes_of_unlike_shapes_are_residual_terms_in_every_channel():
     structure = grid(8, False)
-    study, state = study_of(structure, structure, lines=60)
-    runs, lines, n_out, n_in = study.problem.weight.shape
+    comparison, state = comparison_of(structure, structure, lines=60)
+    runs, lines, n_out, n_in = comparison.problem.weight.shape
     size = np.random.default_rng(2).normal(size=(n_out, n_in))  # of no low rank: as many shapes as inputs
     z = np.zeros((runs, lines, n_out, n_in), complex)
-    z += size * (np.asarray(study.problem.weight) > 0)
+    z += size * (np.asarray(comparison.problem.weight) > 0)
     value = np.moveaxis(np.stack([z.real, z.imag], axis=-1), (2, 3), (0, 1)).reshape(n_out, n_in, -1)
     there = replace(state.sides[True], value=value)
-    one, several = (screen_pattern(OutOfBand("upper", k), study.scene, there, study.problem) for k in (False, True))
+    one, several = (
+        screen_pattern(OutOfBand("upper", k), comparison.scene, there, comparison.problem) for k in (False, True)
+    )
     everything = float((value**2).sum())
     assert several.gain > 0.99 * everything and one.gain < 0.9 * everything
     assert OutOfBand("upper").sizes(5, 2) == 6 and OutOfBand("both", several=True).sizes(5, 2) == 20
@@ -307,18 +311,18 @@ def test_several_far_modes_of_unlike_shapes_are_residual_terms_in_every_channel(
 def test_causes_of_single_sensors_explain_what_they_would_over_all_outputs(cause, monkeypatch):
     structure = grid(8, True)
     loaded = Structure(structure.M + np.diag([0, 0, 0.02, 0, 0, 0, 0, 0]), structure.C, structure.K, structure.dofs)
-    study, state = study_of(structure, loaded, lines=40)
-    problem, nuisance, residual = study.side(False)[0], study.side(False)[1], state.sides[False]
-    places = cause.places(study.scene)
+    comparison, state = comparison_of(structure, loaded, lines=40)
+    problem, nuisance, residual = comparison.side(False)[0], comparison.side(False)[1], state.sides[False]
+    places = cause.places(comparison.scene)
     assert changes.rows_of(cause, np.array([p.index for p in places]), problem) is not None
 
     def screened():
-        theta = np.zeros((2, problem.plant.stiffness.shape[0]))
-        return screen_cause(cause, study.scene, places, theta, residual, problem, nuisance, True)
+        theta = np.zeros((2, problem.modal_form.stiffness.shape[0]))
+        return screen_cause(cause, comparison.scene, places, theta, residual, problem, nuisance, True)
 
     own = screened()
     monkeypatch.setattr(changes, "rows_of", lambda *_: None)
-    monkeypatch.setattr("modalax.diagnose.screen.rows_of", lambda *_: None)
+    monkeypatch.setattr("modalax.diagnose.screening.screen.rows_of", lambda *_: None)
     for one, whole in zip(own, screened(), strict=True):
         np.testing.assert_allclose(one.gain, whole.gain, rtol=1e-9, atol=1e-9)
         assert (one.direction is None) == (whole.direction is None)

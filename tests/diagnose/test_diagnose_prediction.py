@@ -6,15 +6,17 @@ import numpy as np
 import pytest
 import scipy.special
 
-from modalax.diagnose import coefficients as pieces
 from modalax.diagnose.causes import catalogue
 from modalax.diagnose.causes.channels import SensorMass
-from modalax.diagnose.causes.joints import CubicStiffness, DriftingSpring, ElastoSlip
+from modalax.diagnose.causes.damping import ModalDamping
+from modalax.diagnose.causes.drift import DriftingSpring
+from modalax.diagnose.causes.joints import CubicStiffness, ElastoSlip
 from modalax.diagnose.causes.local import AddedMass, Gyroscopic, JointStiffness, LocalDamper, TunedMass
-from modalax.diagnose.causes.modal import ExponentialWindow, FastSweep, Leakage, ModalDamping, _hann, erfcx
-from modalax.diagnose.plant import plant_of
-from modalax.diagnose.predict import equivalent, predict
-from modalax.diagnose.problem import make_problem
+from modalax.diagnose.causes.records import ExponentialWindow, FastSweep, Leakage, _hann, erfcx
+from modalax.diagnose.prediction import element_response as pieces
+from modalax.diagnose.prediction.frf import equivalent, predict
+from modalax.diagnose.setup.modal_form import modal_form_of
+from modalax.diagnose.setup.problem import make_problem
 from modalax.model import Structure
 from modalax.model.examples import five_dof
 
@@ -31,13 +33,13 @@ def problem_of(structure, level=(1.0,), order=0):
     shape = (len(level), len(FREQ), 3, 2)
     return make_problem(
         FREQ, np.zeros(shape, complex), np.ones(shape), np.array(level), ("2", "1", "5"), ("1", "3"),
-        plant_of(structure, FREQ[0]), order=order,
+        modal_form_of(structure, FREQ[0]), order=order,
     )  # fmt: skip
 
 
 def predicted(structure, cause, index, p, level=(1.0,), order=0):
     problem = problem_of(structure, level, order)
-    n = problem.plant.stiffness.shape[0]
+    n = problem.modal_form.stiffness.shape[0]
     where = jnp.array([index])
     H = predict((cause,), where, (None,), (jnp.asarray(p),), jnp.zeros((2, n)), problem)
     return np.asarray(H)[:, : len(FREQ), :3, :2]
@@ -215,7 +217,7 @@ def test_the_hann_lag_window_against_its_autocorrelation():
 def test_the_prediction_differentiates_and_maps():
     S = five_dof()
     problem = problem_of(S, (3.0,))
-    n = problem.plant.stiffness.shape[0]
+    n = problem.modal_form.stiffness.shape[0]
 
     def energy(k3):
         where = jnp.array([[2, 4, 0]])

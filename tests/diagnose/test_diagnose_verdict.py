@@ -2,13 +2,13 @@
 
 import pytest
 
-from modalax.diagnose.advice import advise
 from modalax.diagnose.causes.base import Place
 from modalax.diagnose.causes.joints import CubicStiffness
 from modalax.diagnose.causes.local import AddedMass, JointStiffness
-from modalax.diagnose.decide import Ranked
-from modalax.diagnose.fit import Hypothesis
-from modalax.diagnose.name import _verdict, rivals
+from modalax.diagnose.decision.advice import advise
+from modalax.diagnose.decision.posterior import Ranked
+from modalax.diagnose.decision.verdict import _verdict, rivals
+from modalax.diagnose.fitting.hypothesis import Hypothesis
 
 CUBIC, MASS, SPRING = CubicStiffness(), AddedMass(), JointStiffness()
 

@@ -10,9 +10,8 @@ import pytest
 
 from modalax.diagnose import diagnose
 from modalax.diagnose.causes import catalogue
-from modalax.diagnose.name import empty
-from modalax.diagnose.search import STRAYED, from_home
-from modalax.diagnose.study import make_study
+from modalax.diagnose.comparison import empty, make_comparison
+from modalax.diagnose.search.singles import STRAYED, from_home
 from modalax.files import load
 
 STRUCTURES = {"chain": ("masses", 35), "beam": ("frame", 12), "other chain": ("masses", 20)}
@@ -102,8 +101,8 @@ def test_units_are_looked_for_where_the_simulation_has_its_modes(tmp_path):
     """With the modes where the simulation has them wrong units explain little; with the modes led astray, nothing."""
     case = generator.draw_case(1378351706, "units", 8.0, "frame", inputs=2, runs=3, structure=210)
     case.save(tmp_path)
-    study = make_study(load(tmp_path / "measurement.npz"), load(tmp_path / "simulation.npz"))
-    null = study.fit([empty(study)], 14)[0]
-    found = from_home(study, null, [c for c in catalogue() if c.stage not in ("joint", "lines")])
+    comparison = make_comparison(load(tmp_path / "measurement.npz"), load(tmp_path / "simulation.npz"))
+    null = comparison.fit([empty(comparison)], 14)[0]
+    found = from_home(comparison, null, [c for c in catalogue() if c.stage not in ("joint", "lines")])
     assert np.abs(null.theta).max() > STRAYED
-    assert found[0].chi2 < 1.2 * study.problem.samples < 1e-3 * null.chi2
+    assert found[0].chi2 < 1.2 * comparison.problem.samples < 1e-3 * null.chi2

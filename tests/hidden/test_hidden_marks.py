@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from modalax.diagnose.gain import held_out_block
+from modalax.diagnose.holdout import held_out_block
 
 SCRIPTS = Path(__file__).parents[2] / "experiments" / "diagnosis"
 

@@ -19,8 +19,9 @@ from modalax.diagnose.causes import (
     catalogue,
     strengths,
 )
-from modalax.diagnose.diagnosis import Diagnosis, diagnose
 from modalax.diagnose.extend import ExtendedSimulation
+from modalax.diagnose.pipeline import diagnose
+from modalax.diagnose.result import Diagnosis
 
 __all__ = [
     "Cause", "ChannelCause", "Diagnosis", "ExtendedSimulation", "JointCause", "LocalCause", "Parameter", "Place",

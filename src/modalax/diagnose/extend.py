@@ -13,10 +13,10 @@ from modalax.data import FRF
 from modalax.data.frf import DERIVATIVES, check_form
 from modalax.diagnose.causes import catalogue
 from modalax.diagnose.causes.base import Cause
-from modalax.diagnose.fit import Hypothesis
-from modalax.diagnose.plant import kept_coupling, plant_of
-from modalax.diagnose.predict import predict
-from modalax.diagnose.problem import Problem
+from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.prediction.frf import predict
+from modalax.diagnose.setup.modal_form import kept_coupling, modal_form_of
+from modalax.diagnose.setup.problem import Problem
 from modalax.model import ModalModel, Structure
 
 
@@ -83,18 +83,18 @@ class ExtendedSimulation(eqx.Module):
                 f"{', '.join(other)} is known on the measured channels only; ask for these, or for measured=False"
             )
         coupling = kept_coupling(zip(self.causes, self.params, strict=True))
-        plant = plant_of(self.base, self.lowest_hz, concrete(self.theta), concrete(coupling))
+        modal_form = modal_form_of(self.base, self.lowest_hz, concrete(self.theta), concrete(coupling))
         freq = jnp.asarray(freq, jnp.float64)
         omega = 2 * jnp.pi * freq
         shape = (1, freq.shape[0], len(outputs), len(inputs))
         problem = Problem(
             omega, jnp.zeros(shape, jnp.complex128), jnp.ones(shape),
             jnp.broadcast_to(jnp.asarray(level, jnp.float64), freq.shape)[None],
-            jnp.array([plant.index(n) for n in outputs]), jnp.array([plant.index(n) for n in inputs]), plant,
-            shape[1], (shape[2], shape[3]), None, DERIVATIVES[check_form(form)],
+            jnp.array([modal_form.index(n) for n in outputs]), jnp.array([modal_form.index(n) for n in inputs]),
+            modal_form, shape[1], (shape[2], shape[3]), None, DERIVATIVES[check_form(form)],
         )  # fmt: skip
         index = np.array([self.places[k].index for k in keep], dtype=np.int64).reshape(-1, 3)
-        theta = self.theta[:, : plant.poles.shape[0]]
+        theta = self.theta[:, : modal_form.poles.shape[0]]
         H = _predict(
             tuple(self.causes[k] for k in keep), index, tuple(self.extras[k] for k in keep),
             tuple(self.params[k] for k in keep), theta, problem,
@@ -154,12 +154,12 @@ def _key(cause: Cause) -> str:
     return f"{type(cause).__name__}({own})"
 
 
-def extend(study: Any, h: Hypothesis) -> ExtendedSimulation:
+def extend(comparison: Any, h: Hypothesis) -> ExtendedSimulation:
     """The extended simulation of a fitted hypothesis."""
-    old = study.simulation if isinstance(study.simulation, ExtendedSimulation) else None
-    n = len(study.scene.plant.poles)
+    old = comparison.simulation if isinstance(comparison.simulation, ExtendedSimulation) else None
+    n = len(comparison.scene.modal_form.poles)
     assert h.theta is not None
-    theta = jnp.asarray((h.theta * study.nuisance.spread)[:, :n])
+    theta = jnp.asarray((h.theta * comparison.nuisance.spread)[:, :n])
     spread, k = [], 0
     for cause, p in zip(h.causes, h.params, strict=True):
         count = len(p)
@@ -167,13 +167,13 @@ def extend(study: Any, h: Hypothesis) -> ExtendedSimulation:
         scale = np.array([p[j] if q.log else 1.0 for j, q in enumerate(cause.parameters)])
         spread.append(jnp.asarray(np.sqrt(np.maximum(variance, 0.0)) * np.abs(scale)))
         k += count
-    n_out, n_in = study.problem.channels
+    n_out, n_in = comparison.problem.channels
     extras = tuple(None if e is None else jnp.asarray(e[:, :n_out, :n_in]) for e in h.extras)
     params = tuple(jnp.asarray(p) for p in h.params)
-    channels = study.scene.outputs, study.scene.inputs, float(study.scene.freq[0])
+    channels = comparison.scene.outputs, comparison.scene.inputs, float(comparison.scene.freq[0])
     if old is None:
         return ExtendedSimulation(
-            study.simulation, params, tuple(spread), theta, extras, h.causes, h.places, *channels
+            comparison.simulation, params, tuple(spread), theta, extras, h.causes, h.places, *channels
         )  # fmt: skip
     return ExtendedSimulation(
         old.base, old.params + params, old.spread + tuple(spread), old.theta + theta, old.extras + extras,
@@ -195,8 +195,8 @@ def from_arrays(arrays: Any, causes: Sequence[Cause] | None = None) -> ExtendedS
         If a cause is not known.
     """
     from modalax.diagnose.causes.base import Place
-    from modalax.diagnose.causes.microslip import MicroSlip
-    from modalax.diagnose.causes.modal import TimeVaryingSteps
+    from modalax.diagnose.causes.drift import TimeVaryingSteps
+    from modalax.diagnose.causes.joints import MicroSlip
 
     known = {_key(c): c for c in (*catalogue(), MicroSlip(), *(causes or ()))}
     known |= {_key(c): c for c in (TimeVaryingSteps(n) for n in range(3, 12))}

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from modalax.data import Measurement
-from modalax.diagnose.diagnosis import Diagnosis
+from modalax.diagnose.result import Diagnosis
 from modalax.show.fit import save_pictures
 from modalax.show.frf import draw_phase
 from modalax.show.residuals import plot_residual_map
@@ -59,7 +59,7 @@ def plot_comparison(diagnosis: Diagnosis, output: str | None = None, input: str 
     most
         At most this many runs are drawn, spread over all.
     """
-    data = diagnosis.study.measurement
+    data = diagnosis.comparison.measurement
     o, i = worst_channel(diagnosis)
     o = o if output is None else data.outputs.index(output)
     i = i if input is None else data.inputs.index(input)
@@ -93,7 +93,7 @@ def plot_comparison(diagnosis: Diagnosis, output: str | None = None, input: str 
 def _compared(top: Axes, under: Axes, diagnosis: Diagnosis, channel: tuple[int, int, int]) -> None:
     r, o, i = channel
     curves = (
-        (diagnosis.study.measurement.H, {"color": BLACK, "marker": ".", "markersize": 3, "linestyle": "none"}),
+        (diagnosis.comparison.measurement.H, {"color": BLACK, "marker": ".", "markersize": 3, "linestyle": "none"}),
         (diagnosis.predicted_before, {"color": BLUE, "linestyle": "--"}),
         (diagnosis.predicted_after, {"color": ORANGE}),
     )
@@ -108,7 +108,7 @@ def _compared(top: Axes, under: Axes, diagnosis: Diagnosis, channel: tuple[int, 
 def diagnosis_pictures(diagnosis: Diagnosis) -> dict[str, Figure]:
     """Draw a diagnosis: maps of the residual before and after, and the FRF that is missed most at each level."""
     names, before, after = residual_rows(
-        diagnosis.study.measurement, diagnosis.residual_before, diagnosis.residual_after
+        diagnosis.comparison.measurement, diagnosis.residual_before, diagnosis.residual_after
     )
     residuals, panels = (
         (before, None) if diagnosis.extended is None else (np.stack([before, after]), ["before", "after"])

@@ -80,7 +80,7 @@ class Scene:
     frequency_hz: np.ndarray
     damping_ratio: np.ndarray
     levels: np.ndarray
-    plant: Any
+    modal_form: Any
     scaled: bool = True
     form: str = "receptance"
     coupled: np.ndarray | None = None
@@ -93,12 +93,12 @@ class Scene:
 
     def _gains(self) -> tuple[np.ndarray, np.ndarray]:
         if "gains" not in self.cache:
-            s, poles = 1j * self.omega[:, None], np.asarray(self.plant.poles)
+            s, poles = 1j * self.omega[:, None], np.asarray(self.modal_form.poles)
             self.cache["gains"] = 1 / (s - poles), 1 / (s - poles.conj())
         return self.cache["gains"]
 
     def _direction(self, place: Place) -> tuple[np.ndarray, np.ndarray]:
-        psi, part = np.asarray(self.plant.shapes), np.asarray(self.plant.participation)
+        psi, part = np.asarray(self.modal_form.shapes), np.asarray(self.modal_form.participation)
         a, b = place.index[:2]
         return (psi[:, a] - psi[:, b], part[:, a] - part[:, b]) if b >= 0 else (psi[:, a], part[:, a])
 
@@ -112,7 +112,7 @@ class Scene:
         """Relative displacement across a place for each input, shape ``(f, i)`` [m/N]."""
         u, v = self._gains()
         psi, _ = self._direction(place)
-        part = np.asarray(self.plant.participation)[:, [self.dofs.index(name) for name in self.inputs]]
+        part = np.asarray(self.modal_form.participation)[:, [self.dofs.index(name) for name in self.inputs]]
         return u @ (psi[:, None] * part) + v @ (psi[:, None] * part).conj()
 
     def stiffness_scale(self, place: Place) -> float:
@@ -287,3 +287,8 @@ def gather(columns: Array, index: Array, axis: int = -1) -> Array:
     first = jnp.take(columns, index[0], axis=axis)
     second = jnp.take(columns, jnp.maximum(index[1], 0), axis=axis)
     return first - jnp.where(index[1] >= 0, 1.0, 0.0) * second
+
+
+def is_element(cause: Cause) -> bool:
+    """Whether a cause acts on one relative displacement."""
+    return cause.stage == "joint" or (cause.stage == "local" and not hasattr(cause, "matrix"))

@@ -13,8 +13,8 @@ from jaxtyping import Array, Complex, Float
 from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.causes.base import Cause, JointCause, LocalCause, Parameter, Place, Scene, strengths
 from modalax.diagnose.causes.channels import ChannelCause, one_row, scaled_row
+from modalax.diagnose.causes.joints import REFERENCE, MicroSlip
 from modalax.diagnose.causes.local import median_omega
-from modalax.diagnose.causes.microslip import REFERENCE, MicroSlip
 
 RARE = 0.05  # prior of each, relative to a cause of the catalogue
 

@@ -7,11 +7,14 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jax.scipy.special import gammaln
+from jaxtyping import Array, Complex
 
 from modalax.diagnose.causes.base import JointCause, Parameter, Place, Scene, strengths
 from modalax.simulate import joints
 
+REFERENCE = 1e-4  # amplitude at which the lost stiffness is told [m]
+EXPONENTS = (0.5, 1.0, 1.5)
 FRACTIONS = (0.03, 0.1, 0.2, 0.35, 0.6)  # thresholds over the largest amplitude
 SIZES = (1e-4, 0.05, 0.4)
 
@@ -145,38 +148,40 @@ class BilinearStiffness(JointCause):
         }
 
 
-class DriftingSpring(JointCause):
-    r"""One spring that drifts from run to run, by :math:`\delta\,n/(N-1)` in run n = 0 ... N-1."""
-
-    slug = "time_varying"
-    summary = "one joint drifts from run to run"
-    each_run = True
-    prior = 0.3
-    parameters = (Parameter("stiffness_drift", "N/m"),)
-
-    def places(self, scene: Scene) -> list[Place]:
-        """Anywhere, if there are several runs; the answer tells no place."""
-        if len(scene.levels) < 2:
-            return []
-        if "drifting" not in scene.cache:
-            scene.cache["drifting"] = [Place((), p.index) for p in scene.pairs()]
-        return scene.cache["drifting"]
-
-    def grid(self, scene: Scene, place: Place) -> np.ndarray:
-        """Softer and stiffer, around one over the receptance."""
-        return strengths(scene.stiffness_scale(place))
-
-    def impedance(self, A: Array, omega: Array, p: Array) -> Array:
-        """The stiffness gained up to each run, the first axis of ``A``."""
-        course = jnp.linspace(0.0, 1.0, A.shape[0]) if A.shape[0] > 1 else jnp.zeros(1)
-        return p[0] * course[:, None, None] + 0j * A
-
-    def report(self, p: np.ndarray, place: Place) -> dict[str, tuple[Any, str]]:
-        """The drift from the first run to the last."""
-        return {"stiffness_drift": (p[0], "N/m")}
-
-
 JOINTS: tuple[Any, ...] = (
     CoulombFriction(), ElastoSlip(False), ElastoSlip(True), CubicStiffness(), GapContact(), QuadraticDamping(),
-    BilinearStiffness(), DriftingSpring(),
+    BilinearStiffness(),
 )  # fmt: skip
+
+
+class MicroSlip(JointCause):
+    r"""Sliders whose strengths follow a power law: stiffness falls and damping rises as a power of the amplitude.
+
+    The force on first loading is :math:`Kx - \kappa x|x|^n`, later loops by Masing's rule. With K in the simulation,
+
+    .. math:: N(A) = \kappa_0 \Big(\frac{A}{A_0}\Big)^n\Big(-c_n + \frac{4jn}{\pi(n+2)}\Big),\qquad
+              c_n = \frac{4\,\Gamma(n+\frac32)\,(n+1)}{\sqrt\pi\,\Gamma(n+2)\,(n+2)},
+
+    at :math:`A_0` = 0.1 mm; n = 1 is Iwan's model with evenly distributed strengths. It is the microslip limit of
+    Segalman's four-parameter model (2005, J. Appl. Mech. 72:752), whose dissipation grows as :math:`A^{n+2}`.
+    """
+
+    slug = "micro_slip"
+    summary = "an interface that slips a little at a time"
+    fidelity = 0.01
+    parameters = (Parameter("lost_stiffness", "N/m", 0.0), Parameter("exponent", "-", 0.2, 2.0))
+
+    def grid(self, scene: Scene, place: Place) -> np.ndarray:
+        """Around the stiffness that matters, lost at the largest amplitude."""
+        largest = float(scene.amplitudes(place, (1.0,))[0])
+        scale = scene.stiffness_scale(place)
+        parts = [
+            strengths(scale * (REFERENCE / largest) ** n, [(n,)], (1e-4, 0.03, 0.2), both=False) for n in EXPONENTS
+        ]
+        return np.concatenate(parts)
+
+    def impedance(self, A: Array, omega: Array, p: Array) -> Complex[Array, "..."]:
+        """Stiffness lost and damping gained at amplitude ``A``."""
+        n = p[1]
+        c = 4 / jnp.sqrt(jnp.pi) * jnp.exp(gammaln(n + 1.5) - gammaln(n + 2)) * (n + 1) / (n + 2)
+        return p[0] * (A / REFERENCE) ** n * (-c + 4j * n / (jnp.pi * (n + 2)))

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from modalax.diagnose.diagnosis import Diagnosis
+from modalax.diagnose.result import Diagnosis
 from modalax.show.diagnosis import residual_rows, run_names
 from modalax.show.numbers import with_error
 from modalax.show.report.page import Page, Plot, Section, Table
@@ -76,7 +76,7 @@ def diagnosis_sections(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> list[
     )
     first = Section("Answer", text, [cause_rows(answer["causes"])] if answer["causes"] else [])
     names, before, after = residual_rows(
-        diagnosis.study.measurement, diagnosis.residual_before, diagnosis.residual_after
+        diagnosis.comparison.measurement, diagnosis.residual_before, diagnosis.residual_after
     )
     maps = [("simulation", before)] + ([("extended simulation", after)] if diagnosis.extended is not None else [])
     sections = [first]
@@ -94,7 +94,7 @@ def diagnosis_sections(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> list[
 
 
 def _frfs(diagnosis: Diagnosis) -> Plot:
-    data = diagnosis.study.measurement
+    data = diagnosis.comparison.measurement
     extended = diagnosis.predicted_after if diagnosis.extended is not None else None
     return comparison_plot(
         diagnosis.freq, data.H, diagnosis.predicted_before, extended, data.form, data.outputs, data.inputs,
@@ -140,7 +140,7 @@ def _smallest(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> Table:
 
 def diagnosis_facts(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Key facts on top of the page."""
-    data = diagnosis.study.measurement
+    data = diagnosis.comparison.measurement
     facts = [("Verdict", answer["verdict"])]
     if answer["causes"]:
         facts.append(("Cause", told(answer["causes"])))

@@ -1,0 +1,1 @@
+"""Chances, probabilities and the verdict: the only place where anything is decided."""

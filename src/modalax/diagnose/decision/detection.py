@@ -1,0 +1,116 @@
+r"""Is anything wrong: significance of what the screening and the omnibus tests saw."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.stats
+
+from modalax.diagnose.causes.missing_modes import PatternCause
+from modalax.diagnose.decision.omnibus import Omnibus
+from modalax.diagnose.screening.patterns import independent
+from modalax.diagnose.screening.screen import Trial
+from modalax.diagnose.screening.sensitivities import Residual
+
+ALARM = 0.01  # nominal chance of an alarm where nothing is wrong
+SHARES = {"scores": 0.6, "patterns": 0.1, "hum": 0.1, "omnibus": 0.2}  # of the alarms, by kind of test
+WHEREABOUTS = 3  # of modes that the simulation may lack: in band, above it, below it
+
+
+@dataclass(frozen=True)
+class Detection:
+    """Chance, under noise alone, of what each kind of test saw, and what it stands for.
+
+    Attributes
+    ----------
+    p_values
+        By kind of test, corrected for the number of trials of that kind.
+    threshold
+        Size of a score that counts as significant.
+    """
+
+    p_values: dict[str, float]
+    threshold: float
+
+    @property
+    def p_value(self) -> float:
+        """Of all tests together."""
+        return min(1.0, min(self.p_values[k] / SHARES[k] for k in self.p_values))
+
+    @property
+    def anything(self) -> bool:
+        """Whether something is wrong."""
+        return self.p_value < ALARM
+
+
+def effective_number(directions: np.ndarray, state: Residual) -> float:
+    """Number of independent directions that scores behave like."""
+    if not len(directions):
+        return 1.0
+    C = directions @ directions.T
+    if len(state.inner):
+        across = directions @ state.nuisance.reshape(len(state.nuisance), -1).T
+        C = C - across @ state.inner @ across.T
+    scale = np.sqrt(np.maximum(np.diag(C), 1e-300))
+    return independent(C / scale[:, None] / scale[None])
+
+
+def detect(
+    trials: Sequence[Trial], states: dict[bool, Residual], remains: Omnibus, spread: float = 1.0,
+    tolerated: float = 0.0,
+) -> Detection:  # fmt: skip
+    """Significance of the largest score, of patterns over channels, of hum and of the omnibus test.
+
+    Parameters
+    ----------
+    spread
+        By how much estimated variances widen the scores.
+    tolerated
+        Chi-square that the known inexactness of a law may leave.
+    """
+    count, top = 0.0, 0.0
+    scored = [t for t in trials if np.isfinite(t.z)]
+    for side in states:
+        mine = [t for t in scored if t.cause.per_run == side]
+        kept = [t.direction for t in mine if t.direction is not None]
+        D = np.concatenate(kept) if kept else np.zeros((0, 1))
+        D = D[np.isfinite(D).all(axis=1)]  # where the modes were driven far off, some effects overflow
+        if len(D):
+            looked = sum(t.trials for t in mine)
+            # places that were not kept add to the number of tests no more than as many of those kept
+            count += effective_number(D, states[side]) * max(1.0, (looked / len(D)) ** 0.5)
+    top = max((math.sqrt(max(t.gain - tolerated, 0.0)) for t in scored), default=0.0)
+    count = max(count, 1.0)
+    # one mode a side shows nearly all that several would
+    patterns = [t for t in trials if isinstance(t.cause, PatternCause) and not t.cause.several]
+    p = {
+        "scores": -math.expm1(count * math.log1p(-min(2 * scipy.stats.norm.sf(top / spread), 1 - 1e-12))),
+        "patterns": min((_pattern_p(t, spread, tolerated) for t in patterns), default=1.0),
+        "hum": min((_hum_p(t) for t in trials if t.cause.stage == "lines"), default=1.0),
+        "omnibus": remains.p_value,
+    }
+    single = -math.expm1(math.log1p(-ALARM * SHARES["scores"]) / count)
+    return Detection(p, float(scipy.stats.norm.isf(single / 2)) * spread)
+
+
+def _pattern_p(t: Trial, spread: float, tolerated: float) -> float:
+    r"""Chance of so large a gain: the largest singular value of noise, at every separate frequency.
+
+    The square of the largest singular value of ``o x i`` normal numbers exceeds a high level with the chance
+    :math:`\kappa\,P(\chi^2_{o+i-1} > x)`, :math:`\kappa = \sqrt\pi\,\Gamma(\tfrac{o+i-1}2) / (\Gamma(\tfrac o2)
+    \Gamma(\tfrac i2))`: the leading term of Adler's and Taylor's expansion (2007) over the two unit spheres. It is
+    never above the sum of all squares.
+    """
+    terms, outputs, inputs = t.extra.shape
+    o = int((np.abs(t.extra).max(axis=(0, 2)) > 0).sum())
+    i = int((np.abs(t.extra).max(axis=(0, 1)) > 0).sum())
+    gamma = scipy.special.gammaln
+    log_kappa = 0.5 * math.log(math.pi) + gamma((o + i - 1) / 2) - gamma(o / 2) - gamma(i / 2)
+    gain = (t.gain - tolerated) / spread**2
+    one_shape = math.exp(terms * log_kappa) * scipy.stats.chi2.sf(gain, terms * (o + i - 1))
+    return float(min(1.0, WHEREABOUTS * t.trials * min(one_shape, scipy.stats.chi2.sf(gain, terms * o * i))))
+
+
+def _hum_p(t: Trial) -> float:
+    return min(1.0, t.trials * t.extra.p_value)

@@ -1,0 +1,86 @@
+r"""Which hypothesis is the likeliest: Schwarz's criterion, and what is known of causes and places beforehand."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from modalax.diagnose.causes.base import Cause, Place, Scene, is_element
+from modalax.diagnose.causes.missing_modes import PatternCause
+from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.screening.screen import Trial
+
+MORE_CAUSES = 5.0  # nats that each cause after the first costs before the data: two things are rarely wrong at once
+
+
+def evidence(h: Hypothesis, scene: Scene, samples: int, null_chi2: float) -> float:
+    r"""Logarithm of the evidence: Schwarz's criterion and the prior of the causes and of their places.
+
+    The shape of a missing mode over the channels, of D sizes, is weighed with a prior as wide as the effect is large
+    instead, :math:`\frac D2(1 + \ln(\Delta\chi^2/D))` (empirical Bayes; George and Foster 2000, Biometrika 87:731):
+    a few lines tell each size, not all.
+    """
+    each = math.log(max(samples, 30))
+    value = -0.5 * h.chi2 - 0.5 * h.freedom * each
+    for cause, extra in zip(h.causes, h.extras, strict=True):
+        if isinstance(cause, PatternCause):
+            sizes = cause.sizes(*extra.shape[1:])
+            value += 0.5 * sizes * max(each - 1 - math.log(max((null_chi2 - h.chi2) / sizes, 1.0)), 0.0)
+    value -= MORE_CAUSES * max(len(h.names) - 1, 0)
+    for cause, place, p in zip(h.causes, h.places, h.params, strict=True):  # hum has one place and weight 1
+        value += math.log(cause.prior) + math.log(_weight(cause, place, scene)) + math.log(cause.likely(p, scene))
+    return value
+
+
+def promise(t: Trial, scene: Scene, samples: int) -> float:
+    """Twice the log evidence that a trial promises to add, roughly: its gain, less what its unknowns and place cost."""
+    each = math.log(max(samples, 30))
+    if isinstance(t.cause, PatternCause):
+        sizes = t.cause.sizes(*t.extra.shape[1:])
+        cost = (len(t.cause.parameters) - t.cause.terms) * each + sizes * min(
+            each, 1 + math.log(max(t.gain / sizes, 1.0))
+        )
+    elif t.cause.stage == "lines":
+        cost = t.extra.freedom * each
+    else:
+        cost = (len(t.cause.parameters) - t.cause.unseen) * each
+    return t.gain - cost + 2 * math.log(t.cause.prior) + 2 * math.log(_weight(t.cause, t.place, scene))
+
+
+def _weight(cause: Cause, place: Place, scene: Scene) -> float:
+    """How likely a place of a cause is before the data."""
+    key = ("weights", cause)
+    if key not in scene.cache:
+        places = cause.places(scene)
+        told = scene.weights(places) if is_element(cause) else np.full(len(places), 1 / max(len(places), 1))
+        scene.cache[key] = {p.index: float(w) for p, w in zip(places, told, strict=True)}
+    return scene.cache[key].get(place.index, 1.0)
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """One set of causes, the best hypothesis that says so, and its probability among all that were fitted."""
+
+    names: frozenset[tuple[str, tuple[Any, ...]]]
+    best: Hypothesis
+    log_evidence: float
+    probability: float
+
+
+def posterior(hypotheses: Sequence[tuple[Hypothesis, float]]) -> list[Ranked]:
+    """Probabilities of sets of causes from log evidences; forms of one cause at one place add up."""
+    if not hypotheses:
+        return []
+    top = max(value for _, value in hypotheses)
+    groups: dict[Any, list[tuple[Hypothesis, float]]] = {}
+    for h, value in hypotheses:
+        groups.setdefault(h.names, []).append((h, value))
+    weights = {names: sum(math.exp(v - top) for _, v in members) for names, members in groups.items()}
+    total = sum(weights.values())
+    ranked = []
+    for names, members in groups.items():
+        best, value = max(members, key=lambda m: m[1])
+        ranked.append(Ranked(names, best, value, weights[names] / total))
+    return sorted(ranked, key=lambda r: -r.probability)

@@ -1,0 +1,1 @@
+"""Hypotheses, their residuals and the search for their unknowns."""

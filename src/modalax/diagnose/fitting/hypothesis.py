@@ -1,0 +1,107 @@
+"""A hypothesis, that is causes at places with parameters, and its unknowns as they are searched."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from modalax.diagnose.causes.base import Cause, Place
+from modalax.diagnose.causes.mains_hum import HumLines
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """Causes at places, with parameters that were fitted.
+
+    Attributes
+    ----------
+    causes, places, extras, params
+        One entry a cause.
+    theta
+        Modal nuisances in units of their spread, shape ``(2, n)``.
+    chi2
+        Smallest chi-square, prior terms included.
+    covariance
+        Of the searched parameters (logarithms where a parameter is searched so), nuisances integrated out.
+    freedom
+        Number of unknowns that the causes cost.
+    reason
+        Why the search ended.
+    hum
+        Lines that mains hum reaches, left out of the fit; None without hum.
+    """
+
+    causes: tuple[Cause, ...] = ()
+    places: tuple[Place, ...] = ()
+    extras: tuple[Any, ...] = ()
+    params: tuple[np.ndarray, ...] = ()
+    theta: np.ndarray | None = None
+    chi2: float = np.inf
+    covariance: np.ndarray | None = None
+    freedom: float = 0.0
+    reason: str = ""
+    hum: HumLines | None = None
+
+    @property
+    def names(self) -> frozenset[tuple[str, tuple[Any, ...]]]:
+        """Slugs and places, as the answer tells them."""
+        found = {(c.slug, p.where) for c, p in zip(self.causes, self.places, strict=True)}
+        return frozenset(found | ({("mains_hum", ())} if self.hum is not None else set()))
+
+    @property
+    def per_run(self) -> bool:
+        """Whether any effect depends on the run."""
+        return any(c.per_run for c in self.causes)
+
+    @property
+    def index(self) -> np.ndarray:
+        """Places as numbers, shape ``(cause, 3)``."""
+        return np.array([p.index for p in self.places], dtype=np.int64).reshape(-1, 3)
+
+    def with_cause(self, cause: Cause, place: Place, extra: Any, p: np.ndarray) -> "Hypothesis":
+        """The same and one more cause, not fitted yet."""
+        return replace(
+            self, causes=(*self.causes, cause), places=(*self.places, place), extras=(*self.extras, extra),
+            params=(*self.params, np.asarray(p, float)), chi2=np.inf, covariance=None,
+        )  # fmt: skip
+
+
+def to_search(cause: Cause, p: np.ndarray) -> np.ndarray:
+    """Parameters as searched: logarithms where declared."""
+    log = np.array([q.log for q in cause.parameters], bool)
+    return np.where(log, np.log(np.maximum(p, 1e-300)), p) if len(log) else np.zeros(0)
+
+
+def from_search(cause: Cause, u: Any) -> Any:
+    """Parameters from what is searched."""
+    log = np.array([q.log for q in cause.parameters], bool)
+    if not len(log):
+        return jnp.zeros(0)
+    return jnp.where(log, jnp.exp(jnp.where(log, u, 0.0)), u)
+
+
+def split(causes: Sequence[Cause], u: Any) -> list[Any]:
+    """Searched unknowns of each cause."""
+    out, k = [], 0
+    for cause in causes:
+        n = len(cause.parameters)
+        out.append(u[k : k + n])
+        k += n
+    return out
+
+
+def bounds_of(causes: Sequence[Cause]) -> tuple[np.ndarray, np.ndarray]:
+    """Limits of the searched unknowns."""
+    low, high = [], []
+    for q in (q for cause in causes for q in cause.parameters):
+        low.append(np.log(max(q.lower, 1e-300)) if q.log else q.lower)
+        high.append(np.log(q.upper) if q.log else q.upper)
+    return np.array(low), np.array(high)
+
+
+def searched(h: Hypothesis) -> np.ndarray:
+    """All unknowns of a hypothesis as searched."""
+    parts = [to_search(c, p) for c, p in zip(h.causes, h.params, strict=True)]
+    return np.concatenate([np.zeros(0), *parts])

@@ -1,0 +1,62 @@
+r"""Modal parameters that may adapt while causes are fitted.
+
+A nuisance :math:`\theta` (relative changes of the modal frequencies and damping ratios) has the spread that the author
+of the simulation claims as its prior; the FREE question gives it a wide one and projects the modes' residues and the
+residual terms of every channel out as well.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from modalax.diagnose.fitting.residual import modal_directions, projected, residual_of
+from modalax.diagnose.setup.problem import Problem, bucket
+
+WIDE = 0.2  # prior spread of log frequency and log damping when the modes are free
+NEGLIGIBLE = 3e-4  # squared length of a modal parameter's effect, in standard deviations, below which it is left out
+NOWHERE = np.zeros((0, 3), np.int64)
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """Spread of the modal parameters, shape ``(2, n)``, and directions of each channel that do not count.
+
+    Attributes
+    ----------
+    spread
+        Standard deviations of log frequency and log damping; 0 where they are exact.
+    basis
+        Orthonormal whitened directions, shape ``(o, i, run f 2, k)``, or None.
+    live
+        Which modal parameters can show in the data within their spread, as numbers in the flat order of ``spread``.
+    """
+
+    spread: np.ndarray
+    basis: Any
+    live: np.ndarray
+
+    @property
+    def active(self) -> bool:
+        """Whether there is any modal parameter to adapt."""
+        return len(self.live) > 0
+
+    @property
+    def chooser(self) -> np.ndarray:
+        """One row a live parameter (and empty ones up to a common size), shape ``(k, 2 n)``."""
+        rows = np.zeros((bucket(len(self.live)) if self.active else 0, self.spread.size))
+        rows[np.arange(len(self.live)), self.live] = 1.0
+        return rows
+
+
+def make_nuisance(spread: np.ndarray, basis: Any, problem: Problem) -> Nuisance:
+    """Find out which modal parameters matter."""
+    if not (spread > 0).any():
+        return Nuisance(spread, basis, np.zeros(0, np.int64))
+    G = np.asarray(modal_directions(np.zeros(spread.shape), spread, basis, problem))
+    # data far larger than was expected (wrong units) shows a modal parameter by as much more
+    miss = residual_of((), NOWHERE, (), np.zeros(0), np.zeros(spread.shape), spread, None, problem)
+    measured = float(np.sum(np.abs(np.asarray(problem.weight * problem.data)) ** 2))
+    predicted = np.asarray(projected(problem.weight * problem.data, None)) - np.asarray(miss)
+    larger = max(1.0, measured / max(float(np.sum(predicted**2)), 1e-300))
+    return Nuisance(spread, basis, np.flatnonzero((G.reshape(len(G), -1) ** 2).sum(axis=1) * larger > NEGLIGIBLE))

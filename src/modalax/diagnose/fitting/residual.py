@@ -1,0 +1,77 @@
+"""Whitened residuals of a hypothesis and their derivatives."""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from modalax.diagnose.causes.base import Cause
+from modalax.diagnose.fitting.hypothesis import from_search, split
+from modalax.diagnose.prediction.frf import predict
+from modalax.diagnose.setup.problem import Problem
+
+
+@partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+def modal_directions(theta, spread, basis, problem):
+    """Change of the whitened prediction by each modal parameter times its spread, shape ``(2 n, o, i, run f 2)``."""
+
+    def one(t):
+        H = predict((), np.zeros((0, 3), np.int64), (), (), t * spread, problem)
+        return projected(problem.weight * H, basis)
+
+    J = jax.jacfwd(one)(theta)
+    return jnp.moveaxis(J.reshape(*J.shape[:3], -1), -1, 0)
+
+
+def projected(r: Array, basis: Any) -> Array:
+    """Real and imaginary parts of whitened residuals, shape ``(o, i, run f 2)``, free directions taken out."""
+    real = jnp.stack([r.real, r.imag], axis=-1)
+    real = jnp.moveaxis(real, (2, 3), (0, 1)).reshape(*r.shape[2:], -1)
+    if basis is None:
+        return real
+    return real - jnp.einsum("oink,oik->oin", basis, jnp.einsum("oink,oin->oik", basis, real))
+
+
+def whitened(
+    causes: Sequence[Cause], index: Array, extras: Any, u: Array, theta: Array, spread: Array, basis: Any,
+    problem: Problem,
+) -> Array:  # fmt: skip
+    """Whitened, projected residuals of a hypothesis."""
+    params = [from_search(c, v) for c, v in zip(causes, split(causes, u), strict=True)]
+    H = predict(causes, index, extras, params, theta * spread, problem)
+    return projected(problem.weight * (problem.data - H), basis)
+
+
+@partial(jax.jit, static_argnames=("causes",))
+def residual_of(causes, index, extras, u, theta, spread, basis, problem):
+    """Whitened residuals, shape ``(o, i, run f 2)``."""
+    return whitened(causes, index, extras, u, theta, spread, basis, problem)
+
+
+@partial(jax.jit, static_argnames=("causes",))
+def jacobian_of(causes, index, extras, u, theta, spread, basis, problem):
+    """Derivatives of the whitened residual by the searched unknowns, shape ``(unknown, o, i, run f 2)``."""
+    J = jax.jacfwd(lambda v: whitened(causes, index, extras, v, theta, spread, basis, problem))(u)
+    return jnp.moveaxis(J, -1, 0)
+
+
+def free_basis(problem: Problem) -> np.ndarray:
+    """Whitened directions that any linear modal model with the same poles can take, orthonormal in each channel."""
+    s = 1j * np.asarray(problem.omega)[:, None]
+    poles = np.asarray(problem.modal_form.poles)
+    live = np.abs(np.asarray(problem.modal_form.shapes)).max(axis=1) > 0
+    near, far = 1 / (s - poles[live]), 1 / (s - poles[live].conj())
+    columns = np.concatenate(
+        [near + far, 1j * (near - far), np.ones_like(s), 1j * np.ones_like(s), 1 / s**2, 1j / s**2], axis=1
+    )
+    weight = np.asarray(problem.weight)
+    A = weight.transpose(2, 3, 0, 1)[..., None] * columns
+    real = np.stack([A.real, A.imag], axis=-2).reshape(*A.shape[:2], -1, A.shape[-1])
+    norm = np.linalg.norm(real, axis=-2, keepdims=True)
+    Q, R = np.linalg.qr(real / np.where(norm > 0, norm, 1.0))
+    strong = np.abs(np.diagonal(R, axis1=-2, axis2=-1)) > 1e-9
+    return Q * strong[..., None, :]

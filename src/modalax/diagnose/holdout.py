@@ -1,0 +1,148 @@
+r"""What an extension gains on data that it was not fitted to: a level, a repeat, a column, or whole blocks of lines."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from modalax.diagnose.comparison import Comparison
+from modalax.diagnose.fitting.gauss_newton import ROUNDS
+from modalax.diagnose.fitting.hypothesis import Hypothesis, searched
+from modalax.diagnose.fitting.residual import jacobian_of
+from modalax.diagnose.screening.score_state import score_state_of
+from modalax.diagnose.search.singles import refit
+
+BLOCKS = 16  # stretches of the band where there is nothing else to hold out; every fourth is
+RESAMPLED = 400
+MISSED = 4.0  # standard deviations, and
+FARTHER = 1.05  # factor on chi-square, from which causes are said not to predict what they were not fitted to
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Before and after on the held-out block.
+
+    Attributes
+    ----------
+    held_out
+        What was held out, in words.
+    chi2_before, chi2_after
+        Per real sample; 1 is what noise alone gives.
+    log_likelihood_gain, log_likelihood_gain_std
+        In nats, with its standard deviation by resampling blocks of lines.
+    missed
+        By how many standard deviations the chi-square on the block exceeds that of a fit to all data by more than what
+        the errors of the parameters fitted without it explain. Not small where the causes are not the true ones.
+    chi2_within
+        Per real sample of the block after a fit to all data.
+    """
+
+    held_out: str
+    chi2_before: float
+    chi2_after: float
+    log_likelihood_gain: float
+    log_likelihood_gain_std: float
+    missed: float = 0.0
+    chi2_within: float = float("nan")
+
+    @property
+    def fails(self) -> bool:
+        """Whether the causes fail to predict the block: beyond their errors, and by more than a little."""
+        return self.missed > MISSED and self.chi2_after > FARTHER * self.chi2_within
+
+    def to_dict(self) -> dict[str, Any]:
+        """As in the answer's file."""
+        return {
+            "held_out": self.held_out, "chi2_before": self.chi2_before, "chi2_after": self.chi2_after,
+            "log_likelihood_gain": self.log_likelihood_gain,
+            "log_likelihood_gain_std": self.log_likelihood_gain_std,
+        }  # fmt: skip
+
+
+def held_out_block(
+    level: np.ndarray, inputs: tuple[str, ...], shape: tuple[int, ...], lines: int, alike: bool = True
+) -> tuple[str, np.ndarray]:
+    """Name of the block that is held out, and its mask of ``shape`` ``(run, f, o, i)``, ``lines`` of them real.
+
+    A force level beyond the fitted ones, else a repeat, else a column, else every fourth stretch of lines. Runs that
+    are not ``alike`` but for their level have parameters of their own and cannot be held out.
+    """
+    mask = np.zeros(shape, bool)
+    runs, n_in = shape[0], len(inputs)
+    if alike and runs > 1 and np.isfinite(level).all() and len(np.unique(level)) == runs:
+        k = int(np.argmax(level))
+        mask[k] = True
+        return f"run {k + 1} at {level[k]:.4g} N, the highest level", mask
+    if alike and runs > 1:
+        mask[-1] = True
+        return f"run {runs}, the last repeat", mask
+    if n_in > 1:
+        mask[..., n_in - 1] = True
+        return f"the column of input {inputs[-1]}", mask
+    edges = np.linspace(0, lines, min(BLOCKS, max(lines // 4, 2)) + 1).astype(int)
+    for k in range(1, len(edges) - 1, 4):
+        mask[:, edges[k] : edges[k + 1]] = True
+    return f"every fourth of {len(edges) - 1} blocks of neighbouring lines", mask
+
+
+def measure(comparisons: tuple[Comparison, Comparison], null: Hypothesis, found: Hypothesis) -> Gain:
+    """Fit both without the held-out block, each in its own comparison, and compare them on it."""
+    comparison = comparisons[0]
+    weight = np.asarray(comparison.problem.weight)
+    level, lines = np.asarray(comparison.measurement.level), comparison.problem.lines
+    alike = not any(c.each_run for c in found.causes)
+    words, mask = held_out_block(level, comparison.measurement.inputs, weight.shape, lines, alike)
+    drop = np.zeros(weight.shape[1], bool)
+    if found.hum is not None:
+        drop[: len(found.hum.lines)] = found.hum.lines
+    weight = np.where(drop[None, :, None, None], 0.0, weight)
+    kept, left = np.where(mask, 0.0, weight), np.where(mask, weight, 0.0)
+    before = _on(comparisons[0], kept, left, replace(null, theta=np.zeros_like(null.theta)))[0]
+    after, missed = (before, 0.0) if not found.causes else _on(comparisons[1], kept, left, found)
+    within = np.abs(comparisons[1].reweighted(left).residual(found)) ** 2
+    live = left > 0
+    count = 2 * int(live.sum())
+    if count == 0:
+        return Gain(words, float("nan"), float("nan"), 0.0, 0.0)
+    by_line = 0.5 * (np.abs(before) ** 2 - np.abs(after) ** 2).sum(axis=(0, 2, 3))[:lines]
+    blocks = np.array([b.sum() for b in np.array_split(by_line, min(BLOCKS, len(by_line)))])
+    rng = np.random.default_rng(0)
+    draws = blocks[rng.integers(len(blocks), size=(RESAMPLED, len(blocks)))].sum(axis=1)
+    return Gain(
+        words, float((np.abs(before) ** 2).sum() / count), float((np.abs(after) ** 2).sum() / count),
+        float(by_line.sum()), float(draws.std()), missed, float(within.sum() / count),
+    )  # fmt: skip
+
+
+def _on(comparison: Comparison, kept: np.ndarray, left: np.ndarray, h: Hypothesis) -> tuple[np.ndarray, float]:
+    """Whitened residuals on the held-out block of what was fitted to the rest, and by how much it is missed."""
+    seen, unseen = comparison.reweighted(kept), comparison.reweighted(left)
+    null = seen.fit([replace(h, causes=(), places=(), extras=(), params=(), hum=None)], ROUNDS)[0]
+    if not h.causes:
+        return unseen.residual(null), 0.0
+    if len(h.causes) == 1 and not seen.nuisance.active:
+        fitted = refit(seen, null, [h], score_state_of(seen, null))[0]
+    else:
+        fitted = seen.fit([h], ROUNDS)[0]
+    residual = unseen.residual(fitted)
+    return residual, _missed(unseen, residual, h, fitted)
+
+
+def _missed(unseen: Comparison, residual: np.ndarray, h: Hypothesis, fitted: Hypothesis) -> float:
+    r"""Excess of the block's chi-square over that of ``h``, in standard deviations of what parameter errors add.
+
+    Errors of covariance C add :math:`|J\delta|^2 - 2 e^T J\delta`, of mean :math:`\mathrm{tr}\,S`, :math:`S = J^T J C`,
+    and variance :math:`2\,\mathrm{tr}\,S^2 + 4\,\mathrm{tr}\,S`.
+    """
+    if fitted.covariance is None or not len(searched(fitted)):
+        return 0.0
+    slopes = jacobian_of(
+        fitted.causes, fitted.index, fitted.extras, searched(fitted), fitted.theta, unseen.nuisance.spread,
+        unseen.nuisance.basis, unseen.problem,
+    )  # fmt: skip
+    J = np.asarray(slopes).reshape(len(searched(fitted)), -1)
+    S: np.ndarray = J @ J.T @ fitted.covariance[: len(J), : len(J)]
+    free = float((np.asarray(fitted.theta) != 0).sum())
+    mean, spread = np.trace(S) + free, np.sqrt(max(2 * np.trace(S @ S) + 4 * np.trace(S) + 6 * free, 1.0))
+    excess = float((np.abs(residual) ** 2).sum() - (np.abs(unseen.residual(h)) ** 2).sum())
+    return float((excess - mean) / spread)

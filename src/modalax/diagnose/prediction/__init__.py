@@ -1,0 +1,1 @@
+"""What a simulation with causes in place predicts."""

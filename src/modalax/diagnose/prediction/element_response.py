@@ -1,0 +1,91 @@
+r"""The number :math:`y = -\frac{Z}{1 + Z\,b^THb}\,b^TH` of an element at a place, sample by sample.
+
+Trials, lines and inputs are laid out in a row and worked on in pieces of two lengths, so that what is compiled depends
+on the cause alone: measurements of any size share it.
+"""
+
+import math
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from modalax.diagnose.causes.base import Cause
+from modalax.diagnose.prediction.frf import equivalent
+
+SHORT, LONG = 2048, 65536  # samples of a piece
+
+
+def _one(cause: Cause, solve: bool, p: Any, motion: Any, drive: Any, omega: Any, level: Any) -> Any:
+    """At one line, for one input: motion and drive are numbers, ``level`` holds the runs, shape ``(run or 1,)``."""
+    if cause.stage == "local":
+        Z = cause.impedance(1j * omega[None], p)  # pyright: ignore[reportAttributeAccessIssue]
+        if jnp.shape(Z) != (1,):
+            raise ValueError(
+                f"the impedance of {cause.slug!r} has the shape {jnp.shape(Z)} at one line; it must have that of its "
+                "argument s, (1,) here: what it takes from a table of lines has to be interpolated at s"
+            )
+        return -Z / (1 + Z * drive) * motion
+    if solve:
+        Z = equivalent(cause, p, omega[None], drive[None, None], motion[None, None, None], level[:, None])[:, 0, 0]
+        return -Z / (1 + Z * drive) * motion
+    A = level[:, None, None] * jnp.abs(motion) + 1e-300
+    return -cause.impedance(A, omega[None, None, None], p)[:, 0, 0] * motion  # pyright: ignore[reportAttributeAccessIssue]
+
+
+@partial(jax.jit, static_argnames=("cause", "solve"), compiler_options={"xla_backend_optimization_level": 1})
+def _piece(cause, solve, p, motion, drive, omega, level):
+    return jax.vmap(partial(_one, cause, solve))(p, motion, drive, omega, level)
+
+
+def coefficients(
+    cause: Cause, solve: bool, params: np.ndarray, owner: np.ndarray, motion: np.ndarray, drive: np.ndarray,
+    omega: np.ndarray, level: np.ndarray,
+) -> np.ndarray:  # fmt: skip
+    """The number y of each trial at the place that owns it, shape ``(trial, run or 1, f, i)``.
+
+    Parameters
+    ----------
+    solve
+        Whether the amplitude across a joint is solved for; without, it is that of the structure without the joint.
+    params, owner
+        Parameters of each trial, shape ``(trial, parameter)``, and the number of its place.
+    motion, drive
+        Receptances from the inputs to the places, shape ``(place, f, i)``, and across them, ``(place, f)`` [m/N].
+    level
+        Force amplitudes, shape ``(run, f)`` [N].
+
+    Raises
+    ------
+    ValueError
+        If an impedance does not have the shape of the lines that it is asked at.
+    """
+    # trial, run, line, input; where the law follows the number of the run, all runs are in one sample
+    if cause.stage == "joint":
+        force = level.T[None, None, :, None] if cause.each_run else level[None, :, :, None, None]
+    else:
+        force = np.ones((1, 1, 1, 1, 1))
+    shape = len(params), force.shape[1], *motion.shape[1:]
+
+    def flat(x: np.ndarray) -> np.ndarray:
+        """All samples in a row."""
+        return np.broadcast_to(x, (*shape, *x.shape[4:])).reshape(math.prod(shape), *x.shape[4:])
+
+    samples = [
+        flat(params[:, None, None, None]), flat(motion[owner][:, None]), flat(drive[owner][:, None, :, None]),
+        flat(omega[None, None, :, None]), flat(force),
+    ]  # fmt: skip
+    out, start, size = [], 0, math.prod(shape)
+    while start < size:
+        length = LONG if size - start >= LONG else SHORT
+        out.append(_piece(cause, solve, *(_filled(x[start : start + length], length) for x in samples)))
+        start += length
+    every = np.concatenate([np.asarray(y) for y in out])[:size]
+    y = np.moveaxis(every.reshape(*shape, -1), -1, 2)
+    return y.reshape(len(params), -1, *motion.shape[1:])
+
+
+def _filled(x: np.ndarray, length: int) -> np.ndarray:
+    return np.concatenate([x, np.repeat(x[-1:], length - len(x), axis=0)]) if len(x) < length else x

@@ -1,0 +1,274 @@
+r"""The FRF that a simulation predicts once some causes are added to it.
+
+Stages follow the way of the signal: the modes, what a finite record or a sweep makes of them, local linear elements,
+one non-linear joint, and the channels. Everything is written on the receptance, so that any causes can be combined.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Complex, Float
+
+from modalax.diagnose.causes.base import Cause, gather
+from modalax.diagnose.setup.problem import Problem
+
+BRACKET, GRID, HALVINGS, POLISH = 60.0, 12, 8, 3  # search for the amplitude across a joint: range, points, bisections
+TINY = 1e-300
+
+
+class Modes(eqx.Module):
+    r"""Coefficients of :math:`D_r = s^2 + c_r s + k_r + j h_r`, shape ``(run or 1, n)``."""
+
+    k: Float[Array, "run n"]
+    c: Float[Array, "run n"]
+    h: Float[Array, "run n"]
+
+
+class Channels(eqx.Module):
+    """What a map on the channels may use: receptances of the simulation at the sensors and at the drive points.
+
+    Attributes
+    ----------
+    s
+        Laplace variable of each line, shape ``(f,)`` [rad/s].
+    own
+        Receptance of each output's DoF at itself, shape ``(f, o)`` [m/N].
+    drive
+        The same of each input's DoF, shape ``(f, i)`` [m/N].
+    level
+        Force amplitudes of each run and line [N].
+    gains, shapes, participation
+        Of the modes and their conjugates, shapes ``(f, m)``, ``(m, o)`` at the outputs and ``(m, dof)``.
+    """
+
+    s: Complex[Array, " f"]
+    own: Complex[Array, "f o"]
+    drive: Complex[Array, "f i"]
+    level: Float[Array, "run f"]
+    gains: Complex[Array, "f m"]
+    shapes: Complex[Array, "m o"]
+    participation: Complex[Array, "m dof"]
+
+    def column(self, dof: Array) -> Complex[Array, "f o"]:
+        """Receptance from any DoF to the outputs [m/N]."""
+        return (self.gains * jnp.take(self.participation, dof, axis=1)) @ self.shapes
+
+
+def predict(
+    causes: Sequence[Any], index: Any, extras: Sequence[Any], params: Sequence[Any],
+    theta: Float[Array, "two n"], problem: Problem,
+) -> Complex[Array, "run f o i"]:  # fmt: skip
+    """Receptances with causes in place; the run axis has length 1 where no cause depends on the run.
+
+    Parameters
+    ----------
+    index
+        Place of each cause, whole numbers, shape ``(cause, 3)``.
+    extras
+        Further data of each cause (a pattern over channels), or None.
+    params
+        Parameters of each cause.
+    theta
+        Relative changes of the modal frequencies and damping ratios (logarithms).
+    """
+    at = list(zip(causes, index, extras, params, strict=True))
+    if problem.held is not None:
+        held = problem.held
+        at = list(zip(held.causes, held.index, held.extras, held.params, strict=True)) + at
+        theta = theta + held.theta
+    modal_form = problem.modal_form
+    s = 1j * problem.omega + sum(cause.shift(p) for cause, _, _, p in at if cause.stage == "laplace")
+    theta = theta + sum(cause.undamped(theta, where, p) for cause, where, _, p in at if cause.stage == "undamped")
+    k, c, shapes, participation = modal_form.adapted(theta)
+    follow, kept = (
+        modal_form.mixing is not None,
+        [cause.viscous(p) for cause, _, _, p in at if hasattr(cause, "viscous")],
+    )
+    if kept and modal_form.uncoupled is not None:
+        k, c, shapes, participation = modal_form.uncoupled.at(math.prod(kept), k, c, shapes, participation)
+        follow = True
+    modes = Modes(k[None], c[None], modal_form.hysteresis[None])
+    for cause, where, _, p in at:
+        if cause.stage == "modes":
+            modes = cause.modes(modes, where, p, problem.level.shape[0])
+    kernels = [(c, w, p) for c, w, _, p in at if c.stage == "kernel"]
+    gains = gains_of(s, modes, modal_form.poles, kernels, follow, problem.order)
+    H, channels = _assemble(s, gains, at, eqx.tree_at(_shapes, problem, (shapes, participation)))
+    if any(cause.stage == "laplace" for cause, *_ in at):  # the window was on what was measured, not on displacements
+        H = H * ((s / s.imag / 1j) ** problem.order)[:, None, None]
+    for cause, where, extra, p in at:
+        if cause.stage == "channels":
+            H = cause.channels(H, channels, where, extra, p)
+    return H
+
+
+def _shapes(problem: Any) -> tuple[Any, Any]:
+    return problem.modal_form.shapes, problem.modal_form.participation
+
+
+def gains_of(
+    s: Array, modes: Modes, poles: Array, kernels: list[Any], mixing: bool, order: int = 0
+) -> Complex[Array, "run f m"]:
+    r"""Gains of the modes and of their conjugates, side by side.
+
+    Where complex modes follow the undamped ones, so do their residues, which then belong to the poles as they are.
+    A kernel :math:`\kappa(x)` in place of :math:`1/x` acts on the response that was measured, the n-th derivative of
+    the displacement, so :math:`1/x` becomes :math:`1/x + (\lambda/s)^n(\kappa(x) - 1/x)`, :math:`x = s - \lambda`: what
+    answers at once, the direct part of an accelerance, no window alters.
+    """
+    s = s[None, :, None]
+    D = s**2 + modes.c[:, None] * s + modes.k[:, None] + 1j * modes.h[:, None]
+    if not kernels and not mixing:
+        return jnp.concatenate([(s - poles.conj()) / D, (s - poles) / D], axis=-1)
+    root = jnp.sqrt(modes.k[:, None] - 0.25 * modes.c[:, None] ** 2 + 0j)
+    moved = -0.5 * modes.c[:, None] + 1j * root
+    ratio = poles.imag / jnp.where(jnp.abs(root) > 0, root, 1.0)
+    ratio = jnp.where(jnp.abs(poles.imag) > 0, ratio, 1.0)
+    if not kernels:
+        return jnp.concatenate([ratio * (s - moved + 2j * root) / D, ratio * (s - moved) / D], axis=-1)
+    cause, where, p = kernels[0]
+
+    def through(pole: Array) -> Array:
+        plain = 1 / (s - pole)
+        return ratio * (plain + (pole / s) ** order * (cause.kernel(s - pole, where, p) - plain))
+
+    return jnp.concatenate([through(moved), through(moved.conj())], axis=-1)
+
+
+def _assemble(s: Array, gains: Array, at: list[Any], problem: Problem) -> tuple[Array, Channels]:
+    """Receptances between the channels with local elements and a joint in place."""
+    modal_form = problem.modal_form
+    psi = jnp.concatenate([modal_form.shapes, modal_form.shapes.conj()])
+    part = jnp.concatenate([modal_form.participation, modal_form.participation.conj()])
+    far = (lambda o, i: modal_form.upper[o][:, i] - 0j, lambda o, i: modal_form.lower[o][:, i])
+
+    def between(left: Array, right: Array) -> Array:
+        return jnp.einsum("rfm,mx,my->rfxy", gains, left, right)
+
+    o, i = problem.outputs, problem.inputs
+    H = between(psi[:, o], part[:, i]) + far[0](o, i) + far[1](o, i) / s[:, None, None] ** 2
+    own = jnp.einsum("fm,mo->fo", gains[0], psi[:, o] * part[:, o])
+    drive = jnp.einsum("fm,mi->fi", gains[0], psi[:, i] * part[:, i])
+    channels = Channels(s, own, drive, problem.level, gains[0], psi[:, o], part)
+    local = [(c, w, p) for c, w, _, p in at if c.stage == "local"]
+    joints = [(c, w, p) for c, w, _, p in at if c.stage == "joint"]
+    if not local and not joints:
+        return H, channels
+    blocks = [_columns(c, w, psi, part) for c, w, _ in local + joints]
+    left, right = (jnp.concatenate([b[k] for b in blocks], axis=1) for k in (0, 1))
+    H_ob, H_bi, H_bb = between(psi[:, o], right), between(left, part[:, i]), between(left, right)
+    count = left.shape[1] - len(joints)
+    if local:
+        Z = _block_diagonal(
+            [c.matrix(s, p) if hasattr(c, "matrix") else c.impedance(s, p)[:, None, None] for c, _, p in local]
+        )
+        inner = jnp.eye(count) + Z @ H_bb[:, :, :count, :count]
+        X = jnp.linalg.solve(inner, jnp.broadcast_to(Z, inner.shape)) if count > 1 else Z / inner
+        H = H - H_ob[..., :count] @ X @ H_bi[:, :, :count]
+        if joints:
+            H_ob, H_bi, H_bb = (
+                H_ob[..., count:] - H_ob[..., :count] @ X @ H_bb[:, :, :count, count:],
+                H_bi[:, :, count:] - H_bb[:, :, count:, :count] @ X @ H_bi[:, :, :count],
+                H_bb[:, :, count:, count:] - H_bb[:, :, count:, :count] @ X @ H_bb[:, :, :count, count:],
+            )
+    places = [jnp.asarray(w) for _, w, _ in joints]
+    for k, (cause, where, p) in enumerate(joints):
+        drive_bb, motion = H_bb[:, :, k, k], H_bi[:, :, k]
+        first = 1.0
+        if len(joints) > 1:
+            # joints at one place share one motion: the first of them stands for all
+            same = [jnp.all(where == other).astype(float) for other in places]
+            first = jnp.prod(1 - jnp.stack([jnp.zeros(()), *same[:k]]))
+            cause, p = Together(tuple(c for c, _, _ in joints)), (tuple(q for *_, q in joints), tuple(same))
+        Z = first * equivalent(cause, p, problem.omega, drive_bb, motion, problem.level)
+        H = H - H_ob[..., k, None] * (Z / (1 + Z * drive_bb[..., None]) * motion)[:, :, None]
+    return H, channels
+
+
+class Together:
+    """Joints side by side at one place: their forces add up."""
+
+    def __init__(self, causes: tuple[Any, ...]):
+        self.causes = causes
+
+    def impedance(self, A: Array, omega: Array, p: tuple[tuple[Any, ...], tuple[Array, ...]]) -> Array:
+        """Sum of the describing functions; the second of ``p`` is 1 for the causes at this place, else 0."""
+        parts = [s * c.impedance(A, omega, q) for c, q, s in zip(self.causes, *p, strict=True)]
+        return jnp.sum(jnp.stack(parts), axis=0)
+
+
+def _columns(cause: Cause, where: Array, psi: Array, part: Array) -> tuple[Array, Array]:
+    if hasattr(cause, "matrix"):  # a coupling of two DoFs that is no spring between them
+        return psi[:, where[:2]], part[:, where[:2]]
+    return gather(psi, where)[:, None], gather(part, where)[:, None]
+
+
+def _block_diagonal(blocks: list[Array]) -> Array:
+    size = sum(b.shape[-1] for b in blocks)
+    out = jnp.zeros((blocks[0].shape[0], size, size), jnp.complex128)
+    k = 0
+    for b in blocks:
+        n = b.shape[-1]
+        out = out.at[:, k : k + n, k : k + n].set(b)
+        k += n
+    return out
+
+
+def equivalent(
+    cause: Any, p: Any, omega: Array, drive: Array, motion: Array, level: Array
+) -> Complex[Array, "run f i"]:
+    r"""Equivalent stiffness of a joint in place, from :math:`A\,|1 + N(A)\,b^THb| = |b^THF|`.
+
+    The smallest amplitude that solves it is found by bisection on a logarithmic scale and polished by one Newton
+    step, which also carries the derivatives.
+
+    Parameters
+    ----------
+    drive
+        :math:`b^THb`, shape ``(run or 1, f)`` [m/N].
+    motion
+        :math:`b^TH`, shape ``(run or 1, f, i)`` [m/N].
+    """
+    free = level[:, :, None] * jnp.abs(motion) + TINY
+    flat = jnp.broadcast_to(drive[..., None], free.shape)
+    w = omega[None, :, None]
+
+    def miss(log_a: Array, free: Array, flat: Array, p: Any) -> Array:
+        A = jnp.exp(log_a)
+        return log_a + jnp.log(jnp.abs(1 + cause.impedance(A, w, p) * flat) + TINY) - jnp.log(free)
+
+    fixed = jax.lax.stop_gradient((free, flat, p))
+    steps = jnp.log(BRACKET) * jnp.linspace(-1.0, 1.0, GRID)
+    start = jnp.log(fixed[0])
+    signs = jax.lax.map(lambda d: miss(start + d, *fixed), steps)
+    above = signs >= 0
+    first = jnp.where(above.any(axis=0), jnp.argmax(above, axis=0), GRID - 1)
+    high = start + steps[first]
+    low = start + steps[jnp.maximum(first - 1, 0)]
+
+    def halve(_: Any, ends: tuple[Array, Array]) -> tuple[Array, Array]:
+        a, b = ends
+        middle = 0.5 * (a + b)
+        up = miss(middle, *fixed) >= 0
+        return jnp.where(up, a, middle), jnp.where(up, middle, b)
+
+    low, high = jax.lax.fori_loop(0, HALVINGS, halve, (low, high))
+
+    def newton(_: Any, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        x, a, b = state
+        value, slope = jax.jvp(lambda x: miss(x, *fixed), (x,), (jnp.ones_like(x),))
+        a, b = jnp.where(value >= 0, a, x), jnp.where(value >= 0, x, b)
+        new = x - value / jnp.where(jnp.abs(slope) > 0.05, slope, 0.05)
+        return jnp.where((new > a) & (new < b), new, 0.5 * (a + b)), a, b
+
+    root = jax.lax.fori_loop(0, POLISH, newton, (0.5 * (low + high), low, high))[0]
+    root = jax.lax.stop_gradient(root)
+    _, slope = jax.jvp(lambda x: miss(x, *fixed), (root,), (jnp.ones_like(root),))
+    slope = jax.lax.stop_gradient(jnp.where(jnp.abs(slope) > 0.05, slope, jnp.where(slope < 0, -0.05, 0.05)))
+    settled = jnp.abs(miss(root, *fixed)) < 1e-3
+    log_a = root - jnp.where(settled, miss(root, free, flat, p) / slope, 0.0)
+    return cause.impedance(jnp.exp(log_a), w, p)

@@ -1,0 +1,216 @@
+"""The result of a diagnosis: verdict, causes, gain, and all that stands behind them."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from modalax.diagnose.causes.base import Cause, Parameter
+from modalax.diagnose.comparison import Comparison
+from modalax.diagnose.decision.advice import advise
+from modalax.diagnose.decision.detection import Detection
+from modalax.diagnose.decision.omnibus import Omnibus
+from modalax.diagnose.decision.posterior import Ranked
+from modalax.diagnose.decision.verdict import rivals
+from modalax.diagnose.extend import ExtendedSimulation
+from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.holdout import Gain
+from modalax.diagnose.screening.every_cause import Screening
+
+POWER = 1.28  # standard deviations above the threshold at which nine effects in ten are seen
+
+
+@dataclass(frozen=True)
+class Naming:
+    """What was found.
+
+    Attributes
+    ----------
+    verdict
+        ``clean``, ``named``, ``ambiguous`` or ``unknown``.
+    ranked
+        Sets of causes by falling probability.
+    null
+        The simulation alone, its modal parameters adapted within their spread.
+    screening
+        Of the null.
+    detection
+        Significance of what the simulation leaves.
+    before, after
+        Omnibus tests of the null and of the best hypothesis.
+    comparisons
+        In which the null and the best hypothesis were fitted: the same but for what complex modes are exact about.
+    notes
+        Sentences for the answer.
+    """
+
+    verdict: str
+    ranked: list[Ranked]
+    null: Hypothesis
+    screening: Screening
+    detection: Detection
+    before: Omnibus
+    after: Omnibus
+    comparisons: tuple[Comparison, Comparison]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def best(self) -> Hypothesis:
+        """The leading hypothesis; the null where nothing was found."""
+        return self.ranked[0].best if self.ranked else self.null
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What a simulation gets wrong.
+
+    Attributes
+    ----------
+    verdict
+        ``clean``, ``named``, ``ambiguous`` or ``unknown``.
+    naming
+        Everything behind the verdict: ``ranked`` sets of causes with probabilities, ``detection``, ``screening``
+        (all trials with gain and score), omnibus tests ``before`` and ``after``.
+    comparison
+        Data, noise, nuisances; ``study.notes`` says what was assumed.
+    extended
+        The extended simulation; None where nothing was found.
+    gain
+        On the held-out block.
+    freq
+        Lines [Hz], shape ``(f,)``.
+    residual_before, residual_after
+        Whitened residuals (both parts of unit variance under noise), complex, shape ``(run, f, o, i)``.
+    predicted_before, predicted_after
+        FRFs in the form of the measurement, shape ``(run, f, o, i)``.
+    """
+
+    verdict: str
+    naming: Naming
+    comparison: Comparison
+    extended: ExtendedSimulation | None
+    gain: Gain
+    freq: np.ndarray
+    residual_before: np.ndarray
+    residual_after: np.ndarray
+    predicted_before: np.ndarray
+    predicted_after: np.ndarray
+
+    @property
+    def question(self) -> str:
+        """``fixed`` (against this simulation) or ``free`` (against any linear modal model)."""
+        return self.comparison.question
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was assumed, in sentences."""
+        return self.comparison.notes
+
+    @property
+    def candidates(self) -> list[Ranked]:
+        """Sets of causes by falling probability."""
+        return self.naming.ranked
+
+    @property
+    def causes(self) -> list[dict[str, Any]]:
+        """What the extended model contains."""
+        if not self.naming.ranked or self.verdict == "clean":
+            return []
+        return _told(self.naming.best, self.naming.ranked[0].probability)
+
+    @property
+    def alternatives(self) -> list[list[dict[str, Any]]]:
+        """Rivals of the leading set, without parameters; of a named one those that differ in the place."""
+        if self.verdict not in ("ambiguous", "named"):
+            return []
+        return [_names(r.best) for r in rivals(self.verdict, self.naming.ranked)]
+
+    @property
+    def strength_parameters(self) -> dict[str, Parameter]:
+        """What the strength of each cause is: the first parameter of the first of its forms."""
+        out: dict[str, Parameter] = {}
+        for t in self.naming.screening.trials:
+            if t.cause.parameters:
+                out.setdefault(t.cause.slug, t.cause.parameters[0])
+        return out
+
+    @property
+    def smallest_detectable(self) -> dict[str, float]:
+        """Strength of each cause that nine in ten such measurements would have shown, at a middling place.
+
+        Of the forms of a cause (a drift of everything, of one spring) those that have the same strength.
+        """
+        errors: dict[str, list[float]] = {}
+        strengths = self.strength_parameters
+        for t in self.naming.screening.trials:
+            if t.cause.parameters and t.cause.parameters[0] == strengths[t.cause.slug] and np.isfinite(t.error):
+                errors.setdefault(t.cause.slug, []).append(t.error)
+        least = self.naming.detection.threshold + POWER
+        return {slug: float(np.median(values) * least) for slug, values in errors.items()}
+
+    @property
+    def advice(self) -> str | None:
+        """What to measure to tell the alternatives apart, and what beside the catalogue the data looks like."""
+        if self.verdict == "clean" or (self.verdict == "named" and not self.alternatives):
+            return None
+        ranked = self.naming.ranked
+        told = advise(self.verdict, [ranked[0], *rivals(self.verdict, ranked)] if ranked else [])
+        return "; ".join([*self.naming.notes, told])
+
+    def to_dict(self) -> dict[str, Any]:
+        """The answer as plain data, in the agreed form."""
+        return {
+            "verdict": self.verdict,
+            "causes": self.causes,
+            "alternatives": self.alternatives,
+            "advice": self.advice,
+            "smallest_detectable": self.smallest_detectable,
+            "gain": self.gain.to_dict(),
+            "question": self.question,
+            "notes": list(self.notes),
+            "p_value": self.naming.detection.p_value,
+        }
+
+
+def _names(h: Hypothesis) -> list[dict[str, Any]]:
+    told = [{"name": c.slug, "where": list(p.where)} for c, p in zip(h.causes, h.places, strict=True)]
+    return told + ([{"name": "mains_hum", "where": []}] if h.hum is not None else [])
+
+
+def _told(h: Hypothesis, probability: float) -> list[dict[str, Any]]:
+    out, k = [], 0
+    for cause, place, p in zip(h.causes, h.places, h.params, strict=True):
+        count = len(p)
+        cov = np.zeros((count, count)) if h.covariance is None else h.covariance[k : k + count, k : k + count]
+        scale = np.array([p[j] if q.log else 1.0 for j, q in enumerate(cause.parameters)])
+        out.append(
+            {
+                "name": cause.slug, "where": list(place.where), "probability": float(probability),
+                "parameters": _parameters(cause, place, p, cov * np.outer(scale, scale)),
+            }
+        )  # fmt: skip
+        k += count
+    if h.hum is not None:
+        out.append(
+            {
+                "name": "mains_hum", "where": [], "probability": float(probability),
+                "parameters": {"frequency": {"value": h.hum.frequency, "std": None, "unit": "Hz"}},
+            }
+        )  # fmt: skip
+    return out
+
+
+def _parameters(cause: Cause, place: Any, p: np.ndarray, cov: np.ndarray) -> dict[str, Any]:
+    """Values and standard deviations as reported, by first-order propagation."""
+    values = cause.report(p, place)
+    out = {}
+    for key, (value, unit) in values.items():
+        slope = np.zeros(len(p))
+        for j in range(len(p)):
+            step = 1e-6 * max(abs(p[j]), 1e-300)
+            moved = p.copy()
+            moved[j] += step
+            slope[j] = (cause.report(moved, place)[key][0] - value) / step
+        variance = float(slope @ cov @ slope) if len(p) else np.nan
+        out[key] = {"value": float(value), "std": float(np.sqrt(variance)) if variance > 0 else None, "unit": unit}
+    return out

@@ -1,0 +1,1 @@
+"""What every cause at every place would explain."""

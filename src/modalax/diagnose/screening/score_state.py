@@ -1,0 +1,110 @@
+"""What a hypothesis leaves, with all that may still move about it: the point that every screening starts from."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from modalax.diagnose.causes.base import Cause, Place, is_element
+from modalax.diagnose.causes.channels import ChannelSwap
+from modalax.diagnose.comparison import Comparison
+from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.screening.local_elements import Reduced, as_one, complex_of, reduce
+from modalax.diagnose.screening.screen import nuisance_of
+from modalax.diagnose.screening.sensitivities import Residual
+from modalax.diagnose.screening.shortlist import MANY, Sketch, likely_swaps, shortlist, sketch
+from modalax.diagnose.setup.problem import bucket
+
+SPARE = 4  # directions kept free for the parameters of causes already found
+
+
+@dataclass(frozen=True)
+class ScoreState:
+    """What a hypothesis leaves, with the runs apart (True) and together (False), and the products for elements.
+
+    ``drop`` is the chi-square that the parameters would still take away if they moved to their best, and ``shift``
+    that move of the modal parameters, in units of their spread, shape ``(2, n)``.
+    """
+
+    sides: dict[bool, Residual]
+    reduced: dict[bool, Reduced]
+    whole: np.ndarray
+    drop: float
+    shift: np.ndarray
+    cache: dict[Any, Any] = field(default_factory=dict)
+
+    def nearest(self, comparison: Comparison, cause: Cause, places: list[Any]) -> list[Any]:
+        """The places of a cause, or of very many those that are worth a look."""
+        skew, swap = hasattr(cause, "matrix"), isinstance(cause, ChannelSwap)
+        between_dofs = bool(self.reduced) and (skew or is_element(cause))
+        if len(places) <= MANY or not (swap or between_dofs):
+            return places
+        key = (swap, skew, *alike(places))
+        if key not in self.cache:
+            problem = comparison.problem
+            self.cache[key] = (
+                likely_swaps(np.asarray(problem.data), np.asarray(problem.weight), self.whole, places) if swap
+                else shortlist(self.reduced[True], self._few(), places, skew)
+            )  # fmt: skip
+        return [places[k] for k in self.cache[key]]
+
+    def _few(self) -> Sketch:
+        if "few" not in self.cache:
+            self.cache["few"] = sketch(self.reduced[True], self.sides[True].nuisance)
+        return self.cache["few"]
+
+
+def alike(places: Sequence[Place]) -> tuple[Any, ...]:
+    """The same for lists of the same directions over the DoFs."""
+    return (len(places), places[0].index, places[-1].index) if places else (0,)
+
+
+def score_state_of(comparison: Comparison, h: Hypothesis, jacobian: np.ndarray | None = None) -> ScoreState:
+    """Residual of a hypothesis with the directions that are not to count: modal spread, and fitted parameters."""
+    assert h.theta is not None
+    whole = comparison.residual(h)
+    value = _real(whole)
+    G = nuisance_of(h.theta, comparison)
+    width = bucket(len(G) + SPARE)
+    more = G[:0] if jacobian is None else jacobian[:width]
+    # directions of length zero keep the shapes the same, before and after causes were found
+    G = np.concatenate([G, more, np.zeros((max(width - len(G) - len(more), 0), *G.shape[1:]))])
+    flat = G.reshape(len(G), -1)
+    inner = np.linalg.inv(np.eye(len(G)) + flat @ flat.T)
+    # as if the parameters stood exactly where chi-square is least: no score may live on their being slightly off
+    slope = flat @ value.ravel()
+    slope[: len(comparison.nuisance.live)] -= h.theta.ravel()[comparison.nuisance.live]
+    value = value - ((inner @ slope) @ flat).reshape(value.shape)
+    apart = Residual(value, G, inner)
+    together = Residual(_pooled(comparison, value), _pooled(comparison, G), inner)
+    theta = h.theta * comparison.nuisance.spread
+    sides = {True: apart, False: together}
+    reduced = {}
+    if comparison.question == "fixed" and comparison.scene.scaled and comparison.problem.held is None:
+        every = reduce(comparison.problem, theta, apart)
+        reduced = {
+            True: every,
+            False: every if comparison.pooled is comparison.problem else as_one(every, comparison.pooled),
+        }
+    shift = np.zeros(h.theta.size)
+    shift[comparison.nuisance.live] = (inner @ slope)[: len(comparison.nuisance.live)]
+    return ScoreState(sides, reduced, whole, float(slope @ inner @ slope), shift.reshape(h.theta.shape))
+
+
+def _real(z: np.ndarray) -> np.ndarray:
+    """Complex ``(..., run, f, o, i)`` laid out as whitened residuals, ``(..., o, i, run f 2)``."""
+    z = np.moveaxis(np.stack([z.real, z.imag], axis=-1), (-3, -2), (-5, -4))
+    return z.reshape(*z.shape[:-3], -1)
+
+
+def _pooled(comparison: Comparison, value: np.ndarray) -> np.ndarray:
+    """All runs as one: what a direction that is the same in every run sees."""
+    runs = comparison.problem.weight.shape[0]
+    if comparison.pooled is comparison.problem:
+        return value
+    if runs == 1 or not value.size:
+        return value[..., : value.shape[-1] // runs]
+    weight, total = np.asarray(comparison.problem.weight), np.asarray(comparison.pooled.weight)
+    z = (complex_of(value, runs) * weight).sum(axis=-4, keepdims=True) / np.where(total > 0, total, 1.0)
+    return _real(z)

@@ -1,0 +1,217 @@
+r"""Screening: what every cause at every place would explain, by its efficient score and at a few finite sizes.
+
+With g the change of the whitened prediction and r the residual, nuisances projected out,
+:math:`z = \langle g, r\rangle/|g|` is standard normal where the cause is absent, and
+:math:`2\langle g,r\rangle - |g|^2` is the chi-square that exactly this size would take away.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from modalax.diagnose.causes.base import Cause, Place, Scene
+from modalax.diagnose.comparison import Comparison
+from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.fitting.nuisance import Nuisance
+from modalax.diagnose.fitting.residual import modal_directions
+from modalax.diagnose.screening.screening_fit import Target, fit_from_screening
+from modalax.diagnose.screening.sensitivities import Residual, changes_in_batches, plain, rows_of
+from modalax.diagnose.setup.problem import Problem
+
+MANY_PLACES = 40  # beyond this, finite sizes are tried only where the derivative looks promising
+KEPT = 12
+KEPT_PLACES, KEPT_SHAPES = 8, 4
+
+
+@dataclass
+class Trial:
+    """One cause at one place: the best start found and what it explains.
+
+    Attributes
+    ----------
+    gain
+        Chi-square that the start takes away, with the size optimal where the effect is linear.
+    z
+        Score at the derivative, standard normal without the cause; NaN where there is none.
+    start
+        Parameters to start from; ``starts`` holds further ones.
+    direction
+        Unit directions of the derivative, shape ``(shape, samples)``.
+    error
+        Standard deviation of the strength from the derivative.
+    trials
+        Number of derivatives looked at.
+    """
+
+    cause: Cause
+    place: Place
+    gain: float
+    z: float
+    start: np.ndarray
+    starts: list[np.ndarray] = field(default_factory=list)
+    extra: Any = None
+    direction: np.ndarray | None = None
+    error: float = np.nan
+    trials: int = 1
+
+
+def nuisance_of(theta: np.ndarray, comparison: Comparison) -> np.ndarray:
+    """Directions of the modal parameters times their spread, those that show."""
+    problem, nuisance = comparison.problem, comparison.nuisance
+    if not nuisance.active:
+        return np.zeros((0, *problem.data.shape[2:], 2 * problem.data.shape[0] * problem.data.shape[1]))
+    return np.asarray(modal_directions(theta, nuisance.spread, nuisance.basis, problem))[nuisance.live]
+
+
+def screen(
+    causes: list[tuple[Cause, Place, np.ndarray]], theta: np.ndarray, residual: Residual, problem: Problem,
+    nuisance: Nuisance, keep: bool = False,
+) -> list[Trial]:  # fmt: skip
+    """Scores of one kind of cause at all the places and parameters given.
+
+    Parameters
+    ----------
+    causes
+        The same cause, its places and the parameters to try there.
+    keep
+        Whether to keep the unit directions.
+    """
+    if not causes:
+        return []
+    cause = causes[0][0]
+    index = np.concatenate([np.repeat([place.index], len(grid), axis=0) for _, place, grid in causes])
+    params = np.concatenate([grid for *_, grid in causes])
+    owner = np.concatenate([np.full(len(grid), k) for k, (*_, grid) in enumerate(causes)])
+    base = plain(theta, nuisance.spread, problem)
+    small = np.concatenate([smallest(grid) for *_, grid in causes])
+    # a few places stand for all where only the likeness of directions is wanted
+    some = np.unique(np.linspace(0, len(causes) - 1, KEPT_PLACES).astype(int))
+    wanted = small & np.isin(owner, some) & keep
+    rows = rows_of(cause, index, problem)
+    directions: dict[int, np.ndarray] = {}
+    parts, row = [], 0
+    for y in changes_in_batches(cause, index, params, base, theta, nuisance, problem):
+        here = None if rows is None else rows[row : row + len(y)]
+        parts.append(_products(y, residual.target(here)))
+        for k in np.flatnonzero(wanted[row : row + len(y)]):
+            directions[row + int(k)] = _whole(y[k], None if here is None else here[k], residual.value.shape)
+        row += len(y)
+    square, product, across = (np.concatenate(p) for p in zip(*parts, strict=True))
+    if len(residual.inner):
+        square = square - np.einsum("pk,kl,pl->p", across, residual.inner, across)
+    out = []
+    for k, (_, place, grid) in enumerate(causes):
+        mine = np.flatnonzero(owner == k)
+        kept = [directions[r] for r in mine if r in directions]
+        trial = best_trial(cause, place, grid, square[mine], product[mine])
+        out.append(replace(trial, direction=np.stack(kept[:KEPT_SHAPES])) if kept else trial)
+    return out
+
+
+def _products(y: np.ndarray, aim: Target) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Squares of changes ``(trial, sample)``, and their products with the residual and with the nuisances."""
+    square = np.einsum("pn,pn->p", y, y)
+    if len(aim.toward) == 1 < len(y):
+        return square, y @ aim.toward[0], y @ aim.nuisance[0].T
+    return square, np.einsum("pn,pn->p", y, aim.toward), (aim.nuisance @ y[..., None])[..., 0]
+
+
+def _whole(y: np.ndarray, rows: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:
+    """A change in all samples, from that of some outputs."""
+    if rows is None:
+        return y.copy()
+    out = np.zeros(shape)
+    out[rows] = y.reshape(len(rows), *shape[1:])
+    return out.ravel()
+
+
+def best_trial(cause: Cause, place: Place, grid: np.ndarray, square: np.ndarray, product: np.ndarray) -> Trial:
+    """The best start at one place."""
+    ok = np.isfinite(square) & np.isfinite(product) & (square > 1e-300)
+    square, product = np.where(ok, square, 1.0), np.where(ok, product, 0.0)
+    z = product / np.sqrt(square)
+    exact = 2 * product - square
+    if not len(cause.parameters):
+        best = int(np.argmax(np.where(ok, exact, -np.inf)))
+        return Trial(cause, place, float(exact[best]), float(z[best]), grid[best])
+    small = smallest(grid)
+    size = product / square
+    lower = cause.parameters[0].lower
+    linear = np.where(small & ok, z**2, -np.inf)
+    linear = np.where((lower >= 0) & (size < 0), -np.inf, linear)
+    # a linear estimate is a start, not a promise: the effect of that size may be quite different
+    value = np.maximum(np.where(ok, exact, -np.inf), linear)
+    order = np.argsort(-value)
+    starts = []
+    for k in order[:6]:
+        p = grid[k].copy()
+        if linear[k] >= exact[k]:
+            p[0] = p[0] * size[k]
+        starts.append(p)
+    derivative = int(np.argmax(np.where(small & ok, np.abs(z), -1.0)))
+    error = abs(float(grid[derivative, 0])) / np.sqrt(float(square[derivative]))
+    gain = float(value[order[0]])
+    return Trial(
+        cause, place, gain if np.isfinite(gain) else 0.0, float(z[derivative]), starts[0], starts[1:],
+        error=error, trials=int(small.sum()),
+    )  # fmt: skip
+
+
+def smallest(grid: np.ndarray) -> np.ndarray:
+    """Rows that stand for the derivative: the least strength of each set of other parameters."""
+    if not grid.shape[1]:
+        return np.ones(len(grid), bool)
+    size = np.abs(grid[:, 0])
+    return size <= size.min() * 1.001 if grid.shape[1] == 1 else size <= _least_by_shape(grid)
+
+
+def _least_by_shape(grid: np.ndarray) -> np.ndarray:
+    _, which = np.unique(grid[:, 1:], axis=0, return_inverse=True)
+    least = np.array([np.abs(grid[which == k, 0]).min() for k in range(which.max() + 1)])
+    return least[which] * 1.001
+
+
+def screen_cause(
+    cause: Cause, scene: Scene, places: Sequence[Place], theta: np.ndarray, residual: Residual, problem: Problem,
+    nuisance: Nuisance, keep: bool,
+) -> list[Trial]:  # fmt: skip
+    """One kind of cause at its places: derivatives everywhere, finite sizes where they may matter."""
+    if not places:
+        return []
+    grids = [(cause, place, cause.grid(scene, place)) for place in places]
+    if len(places) <= MANY_PLACES or not cause.parameters:
+        return screen(grids, theta, residual, problem, nuisance, keep)
+    first = [(c, place, grid[smallest(grid)]) for c, place, grid in grids]
+    trials = screen(first, theta, residual, problem, nuisance, keep)
+    order = np.argsort([-t.gain for t in trials])[:KEPT]
+    better = screen([grids[k] for k in order], theta, residual, problem, nuisance, False)
+    for k, trial in zip(order, better, strict=True):
+        old = trials[k]
+        trials[k] = replace(trial, direction=old.direction, z=old.z, error=old.error, trials=old.trials)
+    return trials
+
+
+def fit_screened(
+    comparison: Comparison, starts: list[Hypothesis], state: Residual, base: Hypothesis, rounds: int
+) -> list[Hypothesis]:
+    """Fit single causes of any kind but elements and patterns, through the changes that screening computes."""
+    cause = starts[0].causes[0]
+    problem, nuisance, _ = comparison.side(cause.per_run)
+    before = plain(base.theta, nuisance.spread, problem)
+    whole = state.target()
+
+    def places(part: list[Hypothesis]) -> np.ndarray:
+        return np.stack([h.index[0] for h in part])
+
+    def target(part: list[Hypothesis]) -> Target:
+        rows = rows_of(cause, places(part), problem)
+        return whole if rows is None else state.target(rows)
+
+    def changes(part: list[Hypothesis], owner: np.ndarray, params: np.ndarray) -> np.ndarray:
+        index = places(part)[owner]
+        batches = changes_in_batches(cause, index, params, before, base.theta, nuisance, problem)
+        return np.concatenate(list(batches))
+
+    return fit_from_screening(comparison, base, starts, target, changes, rounds)

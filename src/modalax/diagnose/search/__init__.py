@@ -1,0 +1,1 @@
+"""From screened trials to fitted hypotheses of one cause and of several."""

@@ -1,0 +1,85 @@
+"""Hypotheses to start from, what they cost, and which of them still mean what they say."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from modalax.diagnose.causes.base import Cause
+from modalax.diagnose.causes.mains_hum import HumLines
+from modalax.diagnose.causes.missing_modes import PatternCause
+from modalax.diagnose.comparison import Comparison
+from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.screening.screen import Trial
+
+FAR = 1e4  # times the largest strength that a cause is screened at, beyond which a fit is no explanation
+ONE_SENSOR = 0.97  # share of a mode's energy at one output beyond which it is that sensor's fault
+
+
+def start_from(base: Hypothesis, trial: Trial, p: np.ndarray) -> Hypothesis:
+    """A hypothesis with the cause of a trial added, at parameters ``p`` within its bounds, not fitted yet."""
+    low = np.array([q.lower for q in trial.cause.parameters])
+    high = np.array([q.upper for q in trial.cause.parameters])
+    h = base.with_cause(trial.cause, trial.place, trial.extra, np.clip(p, low, high) if len(low) else p)
+    return replace(h, freedom=cost_of(h.causes, h.extras) + (h.hum.freedom if h.hum is not None else 0.0))
+
+
+def cost_of(causes: Sequence[Cause], extras: Sequence[Any]) -> float:
+    """Number of unknowns that causes cost."""
+    total = 0.0
+    for cause, extra in zip(causes, extras, strict=True):
+        if isinstance(cause, PatternCause):
+            total += cause.cost(*extra.shape[1:])
+        else:
+            total += len(cause.parameters) - cause.unseen
+    return total
+
+
+def with_hum(h: Hypothesis, lines: HumLines) -> Hypothesis:
+    """The same with some lines explained by hum; what was fitted stays."""
+    return replace(h, chi2=h.chi2 + lines.chi2, freedom=h.freedom + lines.freedom, hum=lines)
+
+
+def _sensible(h: Hypothesis, comparison: Comparison) -> bool:
+    """Whether every cause still means what its name says, and every mode that was added is more than one sensor's."""
+    for c, p, extra in zip(h.causes, h.params, h.extras, strict=True):
+        if not c.fits(p, comparison.scene) or (isinstance(c, PatternCause) and _one_sensor(extra, comparison)):
+            return False
+    return True
+
+
+def moderate(h: Hypothesis, comparison: Comparison) -> bool:
+    """Whether every strength is within reach of those that the cause is looked for with; no damper of 1e9 N s/m."""
+    for cause, place, p in zip(h.causes, h.places, h.params, strict=True):
+        if isinstance(cause, PatternCause) or not len(p):
+            continue
+        key = ("reach", cause, place)
+        if key not in comparison.scene.cache:
+            comparison.scene.cache[key] = float(np.abs(cause.grid(comparison.scene, place)[:, 0]).max())
+        if abs(p[0]) > FAR * comparison.scene.cache[key]:
+            return False
+    return True
+
+
+def _one_sensor(sizes: np.ndarray, comparison: Comparison) -> bool:
+    """Whether a mode shows at one output and in the noise of the others: no mode of a structure does.
+
+    ``sizes`` has the shape ``(term, o, i)``; they are compared in units of each channel's noise.
+    """
+    unit = np.asarray(comparison.pooled.weight)[0].max(axis=0)
+    energy = ((np.asarray(sizes) * unit) ** 2).sum(axis=(0, 2))
+    live = int((energy > 0).sum())
+    return live > 2 and float(energy.max()) > ONE_SENSOR * float(energy.sum())
+
+
+def best_of_each(hypotheses: list[Hypothesis], comparison: Comparison) -> list[Hypothesis]:
+    """The best fit of each set of causes and places, by rising chi-square."""
+    best: dict[Any, Hypothesis] = {}
+    for h in hypotheses:
+        if not _sensible(h, comparison):
+            continue
+        key = (frozenset(zip(h.causes, h.places, strict=True)), h.hum is None)
+        if np.isfinite(h.chi2) and (key not in best or h.chi2 < best[key].chi2):
+            best[key] = h
+    return sorted(best.values(), key=lambda h: h.chi2)

@@ -1,0 +1,143 @@
+"""Several causes together: what a hypothesis leaves, and one cause more to explain it."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from modalax.diagnose.causes.base import Cause, Place
+from modalax.diagnose.causes.mains_hum import MainsHum
+from modalax.diagnose.comparison import Comparison, hum_of
+from modalax.diagnose.decision.detection import detect
+from modalax.diagnose.decision.omnibus import Omnibus, omnibus
+from modalax.diagnose.decision.posterior import Ranked, promise
+from modalax.diagnose.decision.verdict import LEFT
+from modalax.diagnose.fitting.hypothesis import Hypothesis, searched
+from modalax.diagnose.fitting.residual import jacobian_of
+from modalax.diagnose.screening.every_cause import chosen, screen_all
+from modalax.diagnose.screening.score_state import score_state_of
+from modalax.diagnose.screening.screen import Trial
+from modalax.diagnose.search.candidates import best_of_each, cost_of, moderate, start_from, with_hum
+from modalax.diagnose.search.pattern_sizes import settle_pattern
+from modalax.diagnose.search.singles import PATIENT
+from modalax.diagnose.setup.noise import TRUSTED
+
+LEADING, BEHIND = 2, 40.0  # hypotheses that a further cause is added to, and nats that these may be behind the best
+FURTHER = 3  # causes tried on each
+
+
+def fit_further(comparison: Comparison, base: Hypothesis, trials: list[Trial]) -> list[Hypothesis]:
+    """Fit ``base`` with each trial added, everything together."""
+    found = fit_together(comparison, [start_from(base, t, t.start) for t in trials if t.cause.stage != "lines"])
+    found = [h for h in found if moderate(h, comparison)]
+    if base.hum is None:
+        found += [with_hum(base, t.extra) for t in trials if t.cause.stage == "lines"]
+    return best_of_each(found, comparison)
+
+
+def fit_together(comparison: Comparison, starts: list[Hypothesis]) -> list[Hypothesis]:
+    """Fit hypotheses in full; where hum is among the causes, to the lines that it leaves alone."""
+    hum = starts[0].hum if starts else None
+    used = comparison if hum is None else comparison.without(hum.lines)
+    fine = [settle_pattern(used, h) for h in used.fit(starts, PATIENT)]
+    if hum is None:
+        return fine
+    out = []
+    for h in fine:
+        whole = comparison.residual(h)
+        lines = hum_of(MainsHum(), Place((), (round(hum.frequency), -1, 0)), comparison, whole)
+        chi2 = h.chi2 + float((np.abs(whole[:, : len(hum.lines)][:, hum.lines]) ** 2).sum())
+        bare = replace(h, chi2=chi2, freedom=h.freedom - hum.freedom, hum=None)
+        out.append(with_hum(bare, lines) if lines.lines.any() else bare)
+    return out
+
+
+def exchanged(
+    comparison: Comparison, h: Hypothesis, rest: Callable[[Hypothesis], list[Trial]], count: int
+) -> list[Hypothesis]:
+    """Hypotheses with one of several causes taken out and the most promising others put in its place."""
+    out: list[Hypothesis] = []
+    for j in range(len(h.causes)):
+        keep = [k for k in range(len(h.causes)) if k != j]
+        pick = lambda items: tuple(items[k] for k in keep)  # noqa: B023, E731
+        base = replace(
+            h, causes=pick(h.causes), places=pick(h.places), extras=pick(h.extras), params=pick(h.params),
+            covariance=None, freedom=0.0,
+        )  # fmt: skip
+        base = replace(base, freedom=cost_of(base.causes, base.extras) + (h.hum.freedom if h.hum else 0.0))
+        base = fit_together(comparison, [base])[0]
+        out += [base, *fit_further(comparison, base, rest(base)[:count])]
+    return out
+
+
+def one_more_cause(
+    comparison: Comparison, ranked: list[Ranked], rest: Callable[[Hypothesis], "Rest"]
+) -> list[Hypothesis]:
+    """The leading hypotheses with one cause more; others if none of those means what its name says any longer.
+
+    A tuned mass that stood for an added mass and a joint together becomes a mass once the joint is there.
+    """
+
+    def worthy(h: Hypothesis) -> bool:
+        worth = _worth(comparison) if rest(ranked[0].best).p_value > LEFT else 0.0
+        return bool(rest(h).trials) and rest(h).trials[0].gain > worth
+
+    def tried(some: list[Hypothesis]) -> list[Hypothesis]:
+        return [k for h in some if worthy(h) for k in fit_further(comparison, h, rest(h).trials[:FURTHER])]
+
+    leading = [r.best for r in ranked if r.log_evidence > ranked[0].log_evidence - BEHIND][:LEADING]
+    found = tried(leading)
+    if found or not worthy(leading[0]):
+        return found
+    reach = max(BEHIND, 0.5 * rest(leading[0]).trials[0].gain)
+    others: dict[Any, Hypothesis] = {}
+    for r in ranked:
+        if r.log_evidence > ranked[0].log_evidence - reach and r.best.hum is None:
+            others.setdefault(frozenset(slug for slug, _ in r.names), r.best)
+    return tried([h for h in others.values() if not any(h is one for one in leading)][:FURTHER])
+
+
+@dataclass(frozen=True)
+class Rest:
+    """What a hypothesis leaves: further causes, the best first, the chance of so much under noise, the omnibus test."""
+
+    trials: list[Trial]
+    p_value: float
+    omnibus: Omnibus
+
+
+def rest_of(comparison: Comparison, h: Hypothesis, null: Hypothesis, causes: Sequence[Cause]) -> Rest:
+    """Screen what a hypothesis leaves, less what the laws' own inexactness may leave."""
+    used = comparison if h.hum is None else comparison.without(h.hum.lines)
+    fidelity = max((c.fidelity for c in h.causes), default=0.0)
+    tolerated = fidelity**2 * max(null.chi2 - h.chi2, 0.0)
+    after = omnibus(used.residual(h), used.live(), comparison.noise.freedom, tolerated)
+    state = score_state_of(used, h, _jacobian(used, h))
+    trials = screen_all(used, h, causes, state, finite=False).trials
+    if h.hum is not None:
+        trials = [t for t in trials if t.cause.stage != "lines"]
+    if comparison.noise.freedom < TRUSTED:  # the noise is no better known than what the omnibus test would say of it
+        after = replace(after, p_value=1.0)
+    p_value = detect(trials, state.sides, after, comparison.noise.spread, tolerated).p_value
+    trials = [t for t in chosen(trials) if (t.cause.slug, t.place.where) not in h.names]
+    samples = used.problem.samples
+    return Rest(sorted(trials, key=lambda t: -promise(t, comparison.scene, samples)), p_value, after)
+
+
+def _worth(comparison: Comparison) -> float:
+    """Chi-square that a further cause must promise."""
+    return 22.0 + math.log(max(comparison.problem.samples, 30))
+
+
+def _jacobian(comparison: Comparison, h: Hypothesis) -> np.ndarray:
+    """Directions of the fitted parameters, long enough to count as free."""
+    problem, nuisance = comparison.problem, comparison.nuisance
+    if not h.causes or not len(searched(h)):
+        return np.zeros((0, *problem.data.shape[2:], 2 * problem.data.shape[0] * problem.data.shape[1]))
+    J = np.asarray(
+        jacobian_of(h.causes, h.index, h.extras, searched(h), h.theta, nuisance.spread, nuisance.basis, problem)
+    )
+    norm = np.sqrt((J**2).sum(axis=(1, 2, 3), keepdims=True))
+    return J / np.where(norm > 0, norm, 1.0) * 1e4

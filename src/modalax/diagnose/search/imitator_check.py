@@ -1,0 +1,47 @@
+"""Whether a thing that the catalogue has no name for explains the data better than what was named."""
+
+from collections.abc import Sequence
+
+from modalax.diagnose.causes.base import Cause
+from modalax.diagnose.comparison import Comparison
+from modalax.diagnose.decision.posterior import Ranked
+from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.screening.every_cause import screen_all
+from modalax.diagnose.screening.score_state import ScoreState
+from modalax.diagnose.search.singles import fit_single
+
+SHARE = 0.5  # of what the leading hypothesis explains, below which a trial is not worth a fit
+FITS = 6  # trials of one kind
+TELL = 0.05  # probability from which a likeness is told
+
+
+def imitations(
+    comparison: Comparison, null: Hypothesis, state: ScoreState, best: Hypothesis, imitators: Sequence[Cause]
+) -> list[Hypothesis]:
+    """Each imitator alone at its best places, fitted."""
+    least = SHARE * (null.chi2 - best.chi2)
+    kept, count = [], dict.fromkeys(imitators, 0)
+    for t in sorted(screen_all(comparison, null, imitators, state).trials, key=lambda t: -t.gain):
+        if t.gain > least and count[t.cause] < FITS:
+            count[t.cause] += 1
+            kept.append(t)
+    return fit_single(comparison, null, kept, state)
+
+
+def apart(ranked: Sequence[Ranked], imitators: Sequence[Cause]) -> tuple[list[Ranked], list[Ranked]]:
+    """What has a name in the catalogue, and what has none."""
+    slugs = {c.slug for c in imitators}
+    nameless = [r for r in ranked if any(slug in slugs for slug, _ in r.names)]
+    return [r for r in ranked if r not in nameless], nameless
+
+
+def likeness(nameless: Sequence[Ranked]) -> tuple[str, ...]:
+    """A sentence on what the data looks like, if that is likely enough."""
+    if not nameless or sum(r.probability for r in nameless) < TELL:
+        return ()
+    cause, place = nameless[0].best.causes[0], nameless[0].best.places[0]
+    where = f" at {' and '.join(str(w) for w in place.where)}" if place.where else ""
+    return (
+        f"beside the catalogue, {cause.summary}{where} would explain the data "
+        f"({cause.slug}, probability {sum(r.probability for r in nameless):.2f})",
+    )

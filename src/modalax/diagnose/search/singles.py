@@ -1,0 +1,127 @@
+"""From screening to fitted hypotheses of one cause each."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from modalax.diagnose.causes.base import Cause, is_element
+from modalax.diagnose.causes.drift import DriftingSpring
+from modalax.diagnose.causes.joints import FRACTIONS
+from modalax.diagnose.causes.missing_modes import PatternCause
+from modalax.diagnose.comparison import Comparison
+from modalax.diagnose.fitting.gauss_newton import ROUNDS
+from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.screening.every_cause import chosen, screen_all
+from modalax.diagnose.screening.local_elements import fit_elements
+from modalax.diagnose.screening.score_state import ScoreState, score_state_of
+from modalax.diagnose.screening.screen import Trial, fit_screened
+from modalax.diagnose.search.candidates import best_of_each, moderate, start_from, with_hum
+from modalax.diagnose.search.pattern_sizes import FIRST_ROUNDS, settle_pattern
+
+SIZES = (0.6, 1.0, 1.6)  # stiffness of the joint over the drift seen
+PATIENT = 4 * ROUNDS  # steps of a fit in full: a window and the damping of all modes share a long valley
+STARTS = 2  # further starts of the leading trials of each kind
+CLOSE = 12.0  # chi-square above the best up to which a hypothesis is fitted in full
+PROMISES = 8  # trials of one kind fitted in full where linear nuisances did not let them keep what they promised
+SLACK = 0.15  # of what the best explains, that a promise may fall short by and still be worth a look
+LOOKED_AT = 48  # trials that get such a look, at most
+IN_FULL = 4  # leading hypotheses fitted with the modal parameters in full
+STRAYED = 8.0  # claimed standard deviations of a modal parameter beyond which the simulation alone led it astray
+
+
+def from_home(comparison: Comparison, null: Hypothesis, causes: Sequence[Cause]) -> list[Hypothesis]:
+    """Single causes looked for where the simulation has its modes, if what is wrong drove these far off.
+
+    The modes then move in linear order about where the simulation has them; the leading ones are fitted from there too.
+    """
+    assert null.theta is not None
+    if np.abs(null.theta).max(initial=0.0) <= STRAYED:
+        return []
+    home = comparison.fit([replace(null, theta=np.zeros_like(null.theta))], 0)[0]
+    state = score_state_of(comparison, home)
+    trials = [t for t in screen_all(comparison, home, causes, state).trials if t.cause.stage != "lines"]
+    found = fit_single(comparison, replace(home, chi2=home.chi2 - state.drop), chosen(trials), state)
+    again = [replace(h, theta=np.zeros_like(null.theta)) for h in found[: 2 * IN_FULL]]
+    # what changes all channels and has no size (units) promises nothing until the modes have moved with it
+    again += [start_from(home, t, t.start) for t in trials if not t.cause.parameters and not t.place.where]
+    return best_of_each(found + comparison.fit(again, PATIENT), comparison)
+
+
+def fit_single(comparison: Comparison, null: Hypothesis, trials: list[Trial], state: ScoreState) -> list[Hypothesis]:
+    """Fit each trial alone, from several starts."""
+    fine: list[Hypothesis] = []
+    for cause in dict.fromkeys(t.cause for t in trials):
+        mine = [t for t in trials if t.cause == cause]
+        if cause.stage == "lines":
+            fine += [with_hum(null, t.extra) for t in mine]
+            continue
+        starts = [
+            start_from(null, t, p) for k, t in enumerate(mine) for p in [t.start, *t.starts[: STARTS if k < 4 else 0]]
+        ]
+        fine += refit(comparison, null, starts, state)
+    fine = best_of_each([h for h in fine if moderate(h, comparison)], comparison)
+    if comparison.nuisance.active and fine:
+        # far from the simulation the modal parameters follow in other than linear ways
+        close = [h for h in fine if h.causes and h.hum is None and h.chi2 < fine[0].chi2 + CLOSE][:IN_FULL]
+        kept = [h for h in fine if not any(h is other for other in close)]
+        likely, maybe = _broken_promises(null, trials, fine)
+        looked = comparison.fit(maybe, FIRST_ROUNDS)
+        close += likely + [h for h in looked if h.chi2 < fine[0].chi2 + 2 * CLOSE]
+        fine = best_of_each(comparison.fit(close, PATIENT) + looked + kept, comparison)
+    return fine
+
+
+def _broken_promises(
+    null: Hypothesis, trials: list[Trial], fine: list[Hypothesis]
+) -> tuple[list[Hypothesis], list[Hypothesis]]:
+    """Starts of trials whose fit, with linear nuisances, fell far short of what they promised.
+
+    First those that promised to be among the best, worth a fit in full; then those that did so but for some of what the
+    best explains, as promises are linear too: worth a look.
+    """
+    reached = {(h.causes, h.places): h.chi2 for h in reversed(fine)}
+    best, slack = fine[0].chi2 + CLOSE, SLACK * (null.chi2 - fine[0].chi2)
+    likely: list[Hypothesis] = []
+    maybe: list[Hypothesis] = []
+    for t in sorted(trials, key=lambda t: -t.gain):
+        promised, found = null.chi2 - t.gain, reached.get(((t.cause,), (t.place,)), np.inf)
+        if t.cause.stage == "lines" or promised > best + slack or found < promised + CLOSE:
+            continue
+        few = promised < best and sum(h.causes == (t.cause,) for h in likely) < PROMISES
+        (likely if few else maybe).append(start_from(null, t, t.start))
+    return likely[: 4 * PROMISES], maybe[:LOOKED_AT]
+
+
+def refit(comparison: Comparison, null: Hypothesis, starts: list[Hypothesis], state: ScoreState) -> list[Hypothesis]:
+    """Fit hypotheses of one kind, each of one cause."""
+    if not starts:
+        return []
+    cause = starts[0].causes[0]
+    if isinstance(cause, PatternCause):
+        return [settle_pattern(comparison, h) for h in comparison.fit(starts, ROUNDS)]
+    if is_element(cause) and state.reduced:
+        found = fit_elements(comparison, starts, state.reduced[cause.per_run], null, ROUNDS + 6)
+    else:
+        found = fit_screened(comparison, starts, state.sides[cause.per_run], null, ROUNDS)
+    return [replace(h, theta=h.theta + state.shift) for h in found if h.theta is not None]
+
+
+def joints_for_drifts(
+    comparison: Comparison, null: Hypothesis, found: Sequence[Hypothesis], causes: Sequence[Cause], state: ScoreState
+) -> list[Hypothesis]:
+    """Joints of stiffness and threshold where the leading hypothesis is one spring that drifts.
+
+    A joint that is stiff at one level and lets go at the next is far from any small size that it is screened at.
+    """
+    if not found or not found[0].causes or not isinstance(found[0].causes[0], DriftingSpring):
+        return []
+    at, drift = found[0].places[0].index, abs(float(found[0].params[0][0]))
+    laws = [c for c in causes if c.stage == "joint" and [q.unit for q in c.parameters] == ["N/m", "m"]]
+    out: list[Hypothesis] = []
+    for cause in laws:
+        place = next((p for p in cause.places(comparison.scene) if p.index == at), None)
+        if place is not None:
+            starts = [np.array([k * drift, x]) for k in SIZES for x in comparison.scene.amplitudes(place, FRACTIONS)]
+            out += refit(comparison, null, [null.with_cause(cause, place, None, p) for p in starts], state)
+    return out

@@ -1,0 +1,1 @@
+"""Measurement and simulation brought to common arrays."""
