@@ -7,6 +7,7 @@ from typing import Any
 
 import typer
 
+from modalax import __version__
 from modalax.cli.convert import convert
 from modalax.cli.demo import demo
 from modalax.cli.diagnose import causes, diagnose
@@ -25,9 +26,20 @@ app = typer.Typer(
 )
 
 
+def show_version(wanted: bool) -> bool:
+    """Print the version and stop, if that is wanted."""
+    if wanted:
+        typer.echo(f"modalax {__version__}")
+        raise typer.Exit
+    return wanted
+
+
 @app.callback()
 def options(
     debug: bool = typer.Option(False, "--debug", help="Show the whole traceback of an error."),
+    version: bool = typer.Option(
+        False, "--version", help="Show the version and stop.", is_eager=True, callback=show_version
+    ),
 ) -> None:
     """Experimental modal analysis: identify, simulate, diagnose."""
 

@@ -10,6 +10,8 @@ from typing import Annotated, Any
 
 import typer
 
+from modalax.files.sniff import sniff
+
 DataArgument = Annotated[Path, typer.Argument(metavar="DATA", help="Measured FRFs (UFF, npz, mat, NetCDF or Zarr).")]
 BandOption = Annotated[
     tuple[float, float] | None, typer.Option("--band", metavar="LO HI", help="Frequency band [Hz].", show_default=False)
@@ -41,6 +43,20 @@ def start() -> None:
             return  # A home that cannot be written to only costs the time of compiling again.
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+
+def check_readable(*paths: Path) -> None:
+    """Refuse files that are missing, empty or of no known kind, before anything slow is imported.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If what it holds is of no kind that can be read.
+    """
+    for path in paths:
+        sniff(path)
 
 
 def check_free(*paths: Path | None, overwrite: bool) -> None:

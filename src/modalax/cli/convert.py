@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from modalax.cli.common import OverwriteOption, check_free, note, start
+from modalax.cli.common import OverwriteOption, check_free, check_readable, note, start
 
 
 def convert(
@@ -15,6 +15,7 @@ def convert(
 ) -> None:
     """Read FRFs or a model from one kind of file and write it to another."""
     check_free(target, overwrite=overwrite)
+    check_readable(source)
     start()
     from modalax.files import load, save
 

@@ -13,6 +13,7 @@ from modalax.cli.common import (
     ReportOption,
     check_folder,
     check_free,
+    check_readable,
     note,
     read_measurement,
     read_simulation,
@@ -37,6 +38,7 @@ def diagnose(
         raise ValueError("diagnose needs --simulation SIM, the model to compare with")
     check_free(json, report, overwrite=overwrite)
     check_folder(out, overwrite)
+    check_readable(data, simulation)
     start()
     measurement, model = read_measurement(data), read_simulation(simulation, extended=True)
     from rich.console import Console

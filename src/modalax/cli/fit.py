@@ -15,6 +15,7 @@ from modalax.cli.common import (
     ReportOption,
     check_folder,
     check_free,
+    check_readable,
     note,
     read_measurement,
     start,
@@ -49,6 +50,7 @@ def fit(
     """Identify the modes of measured FRFs: frequency, damping and shape with standard deviations."""
     check_free(json, report, overwrite=overwrite)
     check_folder(out, overwrite)
+    check_readable(data)
     start()
     frf = one_run(read_measurement(data), run, data)
     from rich.console import Console

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from modalax.cli.common import OverwriteOption, check_free, note, read_simulation, start, working
+from modalax.cli.common import OverwriteOption, check_free, check_readable, note, read_simulation, start, working
 
 
 class Sweep(StrEnum):
@@ -74,6 +74,7 @@ def simulate(
     levels, amplitudes = force or [], amplitude or []
     _check_control(levels, amplitudes, held)
     check_free(output, overwrite=overwrite)
+    check_readable(simulation)
     start()
     from modalax.files import save
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import equinox as eqx
 import numpy as np
-import scipy.io
 from jaxtyping import Float
 
 from modalax.data.frf import FRF
@@ -363,6 +362,8 @@ def silverbox() -> Records:
     FileNotFoundError, ValueError
         If the file is not there, or another one (:func:`data_file`).
     """
-    raw: dict[str, Any] = scipy.io.loadmat(data_file("silverbox/SNLS80mV.mat"))
+    from scipy.io import loadmat
+
+    raw: dict[str, Any] = loadmat(data_file("silverbox/SNLS80mV.mat"))
     rate = 1e7 / 2**14
     return Records(np.arange(raw["V1"].size) / rate, raw["V1"].astype(float), raw["V2"].astype(float), rate)

@@ -7,7 +7,6 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-import scipy.signal
 from jaxtyping import Array, Float
 
 from modalax._numerics.checks import as_double
@@ -21,8 +20,10 @@ def taper(name: str, samples: int) -> Float[np.ndarray, " t"]:
     ValueError
         If there is no such window.
     """
+    from scipy.signal import get_window  # a second to import, and few need it
+
     try:
-        return np.asarray(scipy.signal.get_window(name, samples, fftbins=True))
+        return np.asarray(get_window(name, samples, fftbins=True))
     except (ValueError, AttributeError) as error:
         raise ValueError(f"no window named {name!r}; use boxcar, hann, flattop or another of scipy.signal") from error
 

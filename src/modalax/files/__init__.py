@@ -1,6 +1,23 @@
-"""Measurements, structures, modal models and geometry from files and into files."""
+"""Measurements, structures, modal models and geometry from files and into files.
 
-from modalax.files.load import load, save
-from modalax.files.uff import load_geometry, load_modes
+Its names load when they are first asked for, so that a file can be found missing or of no known kind before JAX is
+imported.
+"""
+
+from typing import TYPE_CHECKING
+
+from modalax._lazy import lazily
+
+if TYPE_CHECKING:
+    from modalax.files.load_save import load, save
+    from modalax.files.uff import load_geometry, load_modes
 
 __all__ = ["load", "load_geometry", "load_modes", "save"]
+
+__getattr__, __dir__ = lazily(
+    __name__,
+    {
+        "load": "modalax.files.load_save", "save": "modalax.files.load_save",
+        "load_geometry": "modalax.files.uff", "load_modes": "modalax.files.uff",
+    },
+)  # fmt: skip

@@ -2,7 +2,7 @@
 
 import difflib
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -26,17 +26,7 @@ MODEL_KEYS = (
     "outputs", "inputs", "frequency_std", "damping_std",
 )  # fmt: skip
 READ_KEYS = frozenset((*MEASUREMENT_KEYS, *STRUCTURE_KEYS, *MODEL_KEYS))
-
-
-OTHERS: dict[str, Callable[..., Any]] = {}  # by an array that no other kind has
-
-
-def register(mark: str, reader: Callable[..., Any]) -> None:
-    """Let files that hold the array ``mark`` be read by ``reader``, which takes the arrays and the caller's options.
-
-    What such a reader returns is saved through its method ``arrays()``, which gives them back.
-    """
-    OTHERS[mark] = reader
+EXTENDED = "causes"  # the array that marks an extended simulation
 
 
 def to_arrays(what: Any) -> dict[str, np.ndarray]:
@@ -86,8 +76,11 @@ def from_arrays(arrays: Arrays, **options: Any) -> Saved:
     ValueError
         If an array is missing, has wrong axes, holds NaN, or the set is of none of the three kinds.
     """
-    for mark in OTHERS.keys() & set(arrays):
-        return OTHERS[mark](arrays, **options)
+    if EXTENDED in arrays:
+        # The one import upward (named in the test of the layers): only the diagnosis knows what its causes are.
+        from modalax.diagnose.extend import from_arrays as extended
+
+        return extended(arrays, **options)
     if options:
         raise ValueError(f"option {', '.join(options)} is for extended simulations and UFF files, this is neither")
     if "H" in arrays or "freq" in arrays:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from modalax.files.arrays import OTHERS, READ_KEYS, Saved, from_arrays, to_arrays
+from modalax.files.arrays import EXTENDED, READ_KEYS, Saved, from_arrays, to_arrays
 
 
 def read_npz(path: Path, **options: Any) -> Saved:
@@ -22,10 +22,10 @@ def read_npz(path: Path, **options: Any) -> Saved:
     try:
         # Opened here, because np.load leaves the file open when the archive is damaged.
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            special = not OTHERS.keys().isdisjoint(archive.files)
+            extended = EXTENDED in archive.files
             for name in archive.files:
                 # What is not read may hold anything; only its name is kept, to see slips of the pen.
-                arrays[name] = _array(archive, name) if special or name in READ_KEYS else None
+                arrays[name] = _array(archive, name) if extended or name in READ_KEYS else None
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError, KeyError) as error:
         raise ValueError(f"the .npz archive is damaged or cut short ({error}); copy or save it again") from error
     return from_arrays(arrays, **options)

@@ -6,7 +6,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-import scipy.stats
+import scipy.special
 from jaxtyping import Array, Float
 
 from modalax.data.frf import FRF
@@ -206,7 +206,7 @@ def _without_need(frf: FRF, refined: Refined) -> np.ndarray:
     model = refined.model
     # A residue matrix of rank one and a pole: what noise alone would fit to itself as a further mode.
     dof = 2 * (frf.shape[1] + frf.shape[2] - 1) + 2
-    weak = np.asarray(refined.evidence) < scipy.stats.chi2.isf(DROP, dof)
+    weak = np.asarray(refined.evidence) < scipy.special.chdtri(dof, DROP)
     zeta, f = np.asarray(model.damping_ratio), np.asarray(model.frequency_hz)
     lower, upper = float(frf.freq[0]), float(frf.freq[-1])
     away = (f < max(lower - 0.5 * (upper - lower), 0.1 * lower)) | (f > upper + 0.5 * (upper - lower))

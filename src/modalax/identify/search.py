@@ -12,6 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.special
 from jaxtyping import Array, Complex, Float
 
 from modalax.data.frf import DERIVATIVES, FRF
@@ -204,6 +205,4 @@ def _running_median(values: np.ndarray, width: int) -> np.ndarray:
 
 
 def _chi2_quantile(tail: float, dof: int) -> float:
-    import scipy.stats
-
-    return float(scipy.stats.chi2.isf(tail, dof))
+    return float(scipy.special.chdtri(dof, tail))
