@@ -164,3 +164,15 @@ def test_residual_map_of_a_single_line():
 )
 def test_a_value_is_written_to_the_place_of_its_error(value, std, unit, text):
     assert with_error(value, std, unit) == text
+
+
+def test_names_of_channels_are_drawn_letter_by_letter(structure):
+    names = ["$\\alpha_1$", "a$b", "x_{2}^$", "4", "5"]
+    frf = structure.frf(jnp.linspace(20, 70, 51), inputs=["1"]).replace(outputs=names, inputs=["$in$"])
+    fig = plot_frf_grid(frf)
+    drawn = labels(fig)
+    assert r"\$\alpha_1\$ from \$in\$" in drawn  # what matplotlib shows as $\alpha_1$
+    plot_frf(frf, output="$\\alpha_1$").canvas.draw()
+    fig = plot_residual_map(frf.freq, np.ones((5, 51)), names)
+    fig.canvas.draw()
+    assert fig.axes[0].get_yticklabels()[0].get_text() == r"\$\alpha_1\$"

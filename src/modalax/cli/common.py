@@ -3,7 +3,7 @@
 import json
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -59,37 +59,59 @@ def check_readable(*paths: Path) -> None:
         sniff(path)
 
 
-def check_free(*paths: Path | None, overwrite: bool) -> None:
-    """Refuse to replace files, before any work is done.
+def check_free(*paths: Path | None, overwrite: bool, inputs: Sequence[Path | None] = (), data: bool = False) -> None:
+    """Refuse outputs that would replace something, an input or each other, before any work is done.
+
+    Where they are ``data``, one named ``.zarr`` may replace a Zarr store.
 
     Raises
     ------
     ValueError
-        If one exists and ``overwrite`` is not set, or its folder does not exist.
+        If an output exists and ``overwrite`` is not set, is among the inputs, stands twice, or is no place for a file.
+    OSError
+        If its folder does not exist, or the file is read-only.
     """
-    for path in paths:
-        if path is None:
-            continue
-        if path.exists() and not overwrite:
-            raise ValueError(f"{path} exists already; choose another name or add --overwrite")
-        if not path.absolute().parent.is_dir():
-            raise ValueError(f"{path}: the folder {path.absolute().parent} does not exist; make it first")
+    from modalax.files.write import check_target
+
+    outputs = [p for p in paths if p is not None]
+    read = [p for p in inputs if p is not None]
+    for k, path in enumerate(outputs):
+        _check_apart(path, read)
+        twice = [other for other in outputs[:k] if _same(path, other)]
+        if twice:
+            raise ValueError(f"{path} is asked for twice as an output; give each output its own name")
+        check_target(path, overwrite, "add --overwrite", store=data and path.suffix.lower() == ".zarr")
 
 
-def check_folder(folder: Path | None, overwrite: bool) -> None:
+def check_folder(folder: Path | None, overwrite: bool, inputs: Sequence[Path | None] = ()) -> None:
     """Refuse to write pictures among files that are there already.
 
     Raises
     ------
     ValueError
-        If the folder holds something and ``overwrite`` is not set, or is a file.
+        If the folder holds something and ``overwrite`` is not set, is a file, or is an input.
     """
     if folder is None or not folder.exists():
         return
     if not folder.is_dir():
         raise ValueError(f"{folder} is a file; --out needs a folder")
+    _check_apart(folder, [p for p in inputs if p is not None])
     if any(folder.iterdir()) and not overwrite:
         raise ValueError(f"{folder} is not empty; choose another folder or add --overwrite")
+
+
+def _check_apart(path: Path, inputs: Sequence[Path]) -> None:
+    """Refuse an output that is an input, or that lies within an input that is a folder (a Zarr store)."""
+    for read in inputs:
+        if _same(path, read) or Path(os.path.realpath(read)) in Path(os.path.realpath(path)).parents:
+            raise ValueError(f"{path} is read as input ({read}), so nothing is written to it; choose another name")
+
+
+def _same(a: Path, b: Path) -> bool:
+    """Whether two names lead to one place, by links, other spellings or another case of letters."""
+    if a.exists() and b.exists():
+        return os.path.samefile(a, b)
+    return os.path.normcase(os.path.realpath(a)) == os.path.normcase(os.path.realpath(b))
 
 
 def free_folder(folder: Path) -> Path:
@@ -118,7 +140,9 @@ def plain(value: Any) -> Any:
 
 def write_json(path: Path, value: Any) -> None:
     """Write a result as JSON that every reader takes."""
-    path.write_text(json.dumps(plain(value), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    from modalax.files.write import write_text
+
+    write_text(path, json.dumps(plain(value), indent=1, allow_nan=False) + "\n")
 
 
 @contextmanager

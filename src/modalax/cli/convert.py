@@ -14,7 +14,7 @@ def convert(
     overwrite: OverwriteOption = False,
 ) -> None:
     """Read FRFs or a model from one kind of file and write it to another."""
-    check_free(target, overwrite=overwrite)
+    check_free(target, overwrite=overwrite, inputs=[source], data=True)
     check_readable(source)
     start()
     from modalax.files import load, save

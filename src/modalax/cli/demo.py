@@ -28,6 +28,7 @@ def demo(
     from rich.console import Console
 
     from modalax.cli.virtual import hidden_joint, random_effect
+    from modalax.files.write import write_text
     from modalax.model.examples import five_dof
     from modalax.show.report import Page
 
@@ -40,7 +41,7 @@ def demo(
         console, out, "3", "A hidden effect by chance", random_effect(seed, five_dof().dofs), seed + 2
     )
     page = Page("modalax demo", "Five degrees of freedom, measured virtually, so that the truth is known", (), sections)
-    (out / "report.html").write_text(page.html(), encoding="utf-8")
+    write_text(out / "report.html", page.html())
     note(f"done in {time.perf_counter() - begin:.0f} s")
     print(f"Pictures and results: {out.absolute()}")
     print(f"Report, opens in any browser: {(out / 'report.html').absolute()}")

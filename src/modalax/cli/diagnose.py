@@ -36,8 +36,8 @@ def diagnose(
     """Compare measured FRFs with a simulation: where it fails, why, and what mending it gains."""
     if simulation is None:
         raise ValueError("diagnose needs --simulation SIM, the model to compare with")
-    check_free(json, report, overwrite=overwrite)
-    check_folder(out, overwrite)
+    check_free(json, report, overwrite=overwrite, inputs=[data, simulation])
+    check_folder(out, overwrite, inputs=[data, simulation])
     check_readable(data, simulation)
     start()
     measurement, model = read_measurement(data), read_simulation(simulation, extended=True)
@@ -54,11 +54,11 @@ def diagnose(
         write_json(json, answer)
         note(f"result: {json}")
     if report is not None:
+        from modalax.files.write import write_text
         from modalax.show.report import diagnosis_report
 
         with working("Writing the report"):
-            text = diagnosis_report(result, title=f"{data.name} against {simulation.name}")
-            report.write_text(text, encoding="utf-8")
+            write_text(report, diagnosis_report(result, title=f"{data.name} against {simulation.name}"))
         note(f"report: {report}")
     if out is not None:
         from modalax.show import save_diagnosis_pictures

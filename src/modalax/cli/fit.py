@@ -48,8 +48,8 @@ def fit(
     overwrite: OverwriteOption = False,
 ) -> None:
     """Identify the modes of measured FRFs: frequency, damping and shape with standard deviations."""
-    check_free(json, report, overwrite=overwrite)
-    check_folder(out, overwrite)
+    check_free(json, report, overwrite=overwrite, inputs=[data])
+    check_folder(out, overwrite, inputs=[data])
     check_readable(data)
     start()
     frf = one_run(read_measurement(data), run, data)
@@ -112,10 +112,11 @@ def write_outputs(
         write_json(json, answer)
         note(f"result: {json}")
     if report is not None:
+        from modalax.files.write import write_text
         from modalax.show.report import fit_report
 
         with working("Writing the report"):
-            report.write_text(fit_report(result, title=title, geometry=geometry), encoding="utf-8")
+            write_text(report, fit_report(result, title=title, geometry=geometry))
         note(f"report: {report}")
     if out is not None:
         from modalax.show import save_fit_pictures

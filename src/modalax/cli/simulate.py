@@ -73,14 +73,16 @@ def simulate(
         raise ValueError("simulate needs --band LO HI, the frequencies to simulate [Hz]")
     levels, amplitudes = force or [], amplitude or []
     _check_control(levels, amplitudes, held)
-    check_free(output, overwrite=overwrite)
+    specs = [*(joints or []), *(joint or [])]
+    read = [simulation, *(Path(spec) for spec in specs if spec.endswith(".toml"))]
+    check_free(output, overwrite=overwrite, inputs=read, data=True)
     check_readable(simulation)
     start()
     from modalax.files import save
 
     freq = frequencies(*band, step)
     structure = read_simulation(simulation)
-    parts = [part for spec in [*(joints or []), *(joint or [])] for part in read_joints(spec)]
+    parts = [part for spec in specs for part in read_joints(spec)]
     if parts and not levels and not amplitudes:
         raise ValueError("joints make the response depend on the force: give --force N, or --amplitude M to hold it")
     known = getattr(structure, "dofs", None) or structure.inputs

@@ -1,5 +1,6 @@
 """Measurements as labelled arrays of xarray, and through it as NetCDF and Zarr."""
 
+import io
 from pathlib import Path
 from typing import Any
 
@@ -126,6 +127,20 @@ def write_labelled(what: Any, path: Path, kind: str) -> None:
     parts = {"H_real": H.real.assign_attrs(H.attrs), "H_imag": H.imag.assign_attrs(H.attrs)}
     dataset = dataset.drop_vars("H").assign(parts)
     if kind == "zarr":
-        dataset.to_zarr(path, mode="w", consolidated=False, zarr_format=2)
+        # With empty chunks written too, a chunk that is missing is one that was lost.
+        dataset.to_zarr(path, mode="w", consolidated=False, zarr_format=2, write_empty_chunks=True)
     else:
-        dataset.to_netcdf(path, engine="h5netcdf")
+        path.write_bytes(_netcdf(dataset))
+
+
+def _netcdf(dataset: Any) -> bytes:
+    """A NetCDF file made in memory: the HDF5 library does not survive a disk that is full."""
+    try:
+        import h5netcdf
+        from xarray.backends import H5NetCDFStore
+    except ImportError as error:
+        raise ValueError(f"{error}: pip install 'modalax[files]'") from error
+    content = io.BytesIO()
+    with h5netcdf.File(content, "w") as file:
+        dataset.dump_to_store(H5NetCDFStore(file))
+    return content.getvalue()

@@ -1,8 +1,6 @@
 """``load`` and ``save``: one call for every kind of file."""
 
 import os
-import shutil
-import tempfile
 import warnings
 from pathlib import Path
 from typing import Any
@@ -16,6 +14,7 @@ from modalax.files.arrays import Saved
 from modalax.files.messages import about
 from modalax.files.npz import read_npz, write_npz
 from modalax.files.sniff import kind_to_write, sniff
+from modalax.files.write import replacing
 
 
 def load(
@@ -122,7 +121,7 @@ def save(
     """Write a measurement, a structure, a modal model or an extended simulation; the ending of ``path`` says the kind.
 
     ``.npz``, ``.uff`` (also ``.unv``, ``.uf``), ``.mat``, ``.nc`` (NetCDF) or ``.zarr``. Nothing is left half
-    written: the file appears when it is whole.
+    written: the old file stands until the new one is whole and on the disk.
 
     Parameters
     ----------
@@ -132,32 +131,28 @@ def save(
     path
         The file.
     overwrite
-        Whether a file of that name may be replaced.
+        Whether a file or Zarr store of that name may be replaced; another folder never is, and of a symbolic link the
+        file it points to.
     **options
         Choices for UFF files, passed to :func:`modalax.files.uff.write_uff`: ``binary``, ``geometry``.
 
     Raises
     ------
     ValueError
-        If the file exists and ``overwrite`` is False, or its kind cannot hold ``what``.
+        If the file exists and ``overwrite`` is False, a folder that is not a Zarr store has its name, or its kind
+        cannot hold ``what``.
     FileNotFoundError
         If the folder does not exist.
+    OSError
+        If the disk is full or the folder read-only; what stood there is then unchanged.
     """
     path = Path(path)
     with about(path):
         kind = kind_to_write(path)
-        if path.exists() and not overwrite:
-            raise ValueError(f"{path} exists already; choose another name, or pass overwrite=True to replace it")
-        if not path.parent.is_dir():
-            raise FileNotFoundError(f"{path}: there is no folder {path.parent}")
         if options and kind != "uff":
             raise ValueError(f"option {', '.join(options)} is for UFF files, this one is {kind}")
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix=".modalax-") as folder:
-            part = Path(folder) / f"part{path.suffix.lower()}"
+        with replacing(path, overwrite, store=kind == "zarr") as part:
             _write(what, part, kind, options)
-            if path.is_dir():
-                shutil.rmtree(path)
-            os.replace(part, path)
 
 
 def _write(what: Any, path: Path, kind: str, options: dict[str, Any]) -> None:

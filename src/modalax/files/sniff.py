@@ -16,6 +16,7 @@ _MAGIC = (
     (b"CDF\x01", "netcdf"),
     (b"CDF\x02", "netcdf"),
 )
+_STORE = ("zarr.json", ".zgroup", ".zmetadata")
 
 
 def sniff(path: Path) -> str:
@@ -31,9 +32,11 @@ def sniff(path: Path) -> str:
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
     if path.is_dir():
-        if any((path / name).exists() for name in ("zarr.json", ".zgroup", ".zmetadata")):
+        if is_zarr(path):
             return "zarr"
         raise ValueError(f"{path}: a folder that is not a Zarr store; give a file ({KINDS})")
+    if not path.is_file():
+        raise ValueError(f"{path}: neither a file nor a folder (a device or a pipe); give a file ({KINDS})")
     with path.open("rb") as file:
         head = file.read(4096)
     if not head:
@@ -50,6 +53,18 @@ def sniff(path: Path) -> str:
     if first.strip() == b"-1":
         return "uff"
     raise ValueError(f"{path}: neither of {KINDS}; the file begins with {_shown(first)}")
+
+
+def is_zarr(folder: Path, alone: bool = False) -> bool:
+    """Whether a folder is a Zarr store; with ``alone`` one that holds nothing else beside its arrays and groups."""
+    if not any((folder / name).is_file() for name in _STORE):
+        return False
+    return not alone or all(
+        p.name in (*_STORE, ".zattrs")
+        if p.is_file() or p.is_symlink()
+        else any((p / name).is_file() for name in ("zarr.json", ".zarray", ".zgroup"))
+        for p in folder.iterdir()
+    )
 
 
 def _shown(line: bytes) -> str:

@@ -213,7 +213,12 @@ def _encoded(sets: Any) -> Iterator[bytes]:
                 # In binary, pyuff leaves closing the file to the garbage collector.
                 warnings.simplefilter("ignore", ResourceWarning)
                 # Its mode "overwrite" loses the header of binary sets; "add" to a file that is not there does not.
-                pyuff.UFF(str(part)).write_sets(dict(one), mode="add")
+                try:
+                    pyuff.UFF(str(part)).write_sets(dict(one), mode="add")
+                except Exception as error:  # pyuff says only that it failed; why, is the error before its own
+                    if isinstance(error.__context__, OSError):
+                        raise error.__context__ from None
+                    raise
             chunk = part.read_bytes()
             yield _true_size(chunk, one) if one.get("binary") else chunk
 

@@ -12,7 +12,7 @@ from modalax.diagnose.result import Diagnosis
 from modalax.show.fit import save_pictures
 from modalax.show.frf import draw_phase
 from modalax.show.residuals import plot_residual_map
-from modalax.show.style import BLACK, BLUE, ORANGE, frequency_axis, frf_label, look, new_figure
+from modalax.show.style import BLACK, BLUE, ORANGE, frequency_axis, frf_label, look, name_text, new_figure
 
 MOST_ROWS = 60
 
@@ -86,7 +86,7 @@ def plot_comparison(diagnosis: Diagnosis, output: str | None = None, input: str 
             under.set_ylabel("Phase [°]" if k % columns == 0 else "")
         handles, labels = axes[0, 0].get_legend_handles_labels()
         fig.legend(handles, labels, loc="outside lower center", ncols=3)
-        fig.suptitle(f"FRF from {data.inputs[i]} to {data.outputs[o]}")
+        fig.suptitle(f"FRF from {name_text(data.inputs[i])} to {name_text(data.outputs[o])}")
     return fig
 
 

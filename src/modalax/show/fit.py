@@ -1,11 +1,13 @@
 """All pictures of a fit."""
 
+import io
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from modalax.data.geometry import Geometry
+from modalax.files.write import write_bytes
 from modalax.identify.fit import Fit
 from modalax.model.indicators import auto_mac
 from modalax.show.frf import plot_frf, plot_frf_grid
@@ -64,10 +66,12 @@ def save_fit_pictures(
 
 
 def save_pictures(pictures: dict[str, Figure], folder: Path) -> list[Path]:
-    """Write figures as PNG files named by their keys."""
+    """Write figures as PNG files named by their keys, each whole or not at all."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for name, figure in pictures.items():
         paths.append(folder / f"{name}.png")
-        figure.savefig(paths[-1])
+        content = io.BytesIO()
+        figure.savefig(content, format="png")
+        write_bytes(paths[-1], content.getvalue())
     return paths

@@ -19,6 +19,7 @@ from modalax.show.style import (
     frequency_axis,
     frf_label,
     look,
+    name_text,
     new_figure,
 )
 
@@ -98,7 +99,7 @@ def plot_frf(
         top.tick_params(labelbottom=False)
         frequency_axis(last, freq)
         _nyquist(fig.add_subplot(grid[:, 1]), one, model, label)
-        fig.suptitle(f"FRF from {one.inputs[0]} to {one.outputs[0]}")
+        fig.suptitle(f"FRF from {name_text(one.inputs[0])} to {name_text(one.outputs[0])}")
     return fig
 
 
@@ -128,7 +129,7 @@ def plot_frf_grid(
             ax.semilogy(some.freq, np.abs(H[:, o, i]), color=BLACK, linewidth=0.9, label="measured")
             if model is not None:
                 ax.semilogy(some.freq, np.abs(model[:, o, i]), color=ORANGE, linewidth=1.1, label=label)
-            ax.set_title(f"{some.outputs[o]} from {some.inputs[i]}", fontsize=8)
+            ax.set_title(f"{name_text(some.outputs[o])} from {name_text(some.inputs[i])}", fontsize=8)
         for k, ax in enumerate(axes.flat):
             ax.set_visible(k < len(pairs))
             ax.tick_params(labelbottom=k + columns >= len(pairs))

@@ -11,6 +11,7 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
 from modalax.data.dofs import parse_dof
 from modalax.data.geometry import Geometry
+from modalax.files.write import replacing
 from modalax.model.indicators import mean_phase
 from modalax.model.modal import ModalModel
 from modalax.show.style import GREY, look
@@ -99,7 +100,7 @@ def animate_shape(
         fig = Figure(figsize=(5.8, 4.4))
         fig.subplots_adjust(0.0, 0.0, 0.92, 0.92)
         ax = fig.add_subplot(projection="3d")
-        with writer.saving(fig, str(path), dpi=80):
+        with replacing(path) as part, writer.saving(fig, str(part), dpi=80):
             for phase in 2 * np.pi * np.arange(frames) / frames:
                 ax.clear()
                 _draw(ax, geometry, np.real(vector * np.exp(1j * phase)), np.abs(vector).max(), view, True)

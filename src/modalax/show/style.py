@@ -58,8 +58,13 @@ def frequency_axis(ax: Axes, freq: Any) -> None:
         ax.set_xlim(float(values[0]), float(values[-1]))
 
 
+def name_text(name: Any) -> str:
+    """A channel's name as text that matplotlib draws letter by letter: a dollar sign in it begins no formula."""
+    return str(name).replace("$", r"\$")
+
+
 def short(names: Any, most: int = 40) -> list[str]:
     """Tick labels for channel names: every k-th is kept so that at most ``most`` remain, the others stay empty."""
-    names = [str(n) for n in names]
+    names = [name_text(n) for n in names]
     step = max(1, -(-len(names) // most))
     return [n if k % step == 0 else "" for k, n in enumerate(names)]
