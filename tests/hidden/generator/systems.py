@@ -128,47 +128,52 @@ def masses(rng: np.random.Generator) -> System:
 # beam frames ----------------------------------------------------------------------------------------------------
 
 
-def grillage(nodes: np.ndarray, elements: list[tuple[int, int, float, float, float]]):
-    """Euler-Bernoulli bending out of the plane with St Venant torsion; DoFs ``(w, theta_x, theta_y)`` a node.
+def beam(along: np.ndarray, EI: float, GJ: float, line_mass: float) -> tuple[np.ndarray, np.ndarray]:
+    """Mass and stiffness (6, 6) of a beam ``along`` a vector in the plane; DoFs ``(w, theta_x, theta_y)`` of each end.
 
-    ``elements`` are ``(first, last, EI, GJ, mass per length)``; the polar inertia is a small share of the mass.
+    Euler-Bernoulli bending out of the plane with St Venant torsion; the polar inertia is a small share of the mass.
     """
+    L = float(np.hypot(*along))
+    c, s = along / L
+    bend = np.array(
+        [
+            [12, 6 * L, -12, 6 * L],
+            [6 * L, 4 * L**2, -6 * L, 2 * L**2],
+            [-12, -6 * L, 12, -6 * L],
+            [6 * L, 2 * L**2, -6 * L, 4 * L**2],
+        ]
+    )
+    inertia = np.array(
+        [
+            [156, 22 * L, 54, -13 * L],
+            [22 * L, 4 * L**2, 13 * L, -3 * L**2],
+            [54, 13 * L, 156, -22 * L],
+            [-13 * L, -3 * L**2, -22 * L, 4 * L**2],
+        ]
+    )
+    # slope along the element: dw/dl = -c theta_y + s theta_x; twist: c theta_x + s theta_y
+    T = np.zeros((6, 6))
+    for node in range(2):
+        w, tx, ty = 3 * node, 3 * node + 1, 3 * node + 2
+        T[2 * node, w] = 1.0
+        T[2 * node + 1, tx], T[2 * node + 1, ty] = s, -c
+        T[4 + node, tx], T[4 + node, ty] = c, s
+    k, m = np.zeros((6, 6)), np.zeros((6, 6))
+    k[:4, :4], m[:4, :4] = EI / L**3 * bend, line_mass * L / 420 * inertia
+    k[4:, 4:] = GJ / L * np.array([[1, -1], [-1, 1]])
+    m[4:, 4:] = line_mass * L * (0.02 * L) ** 2 / 6 * np.array([[2, 1], [1, 2]])
+    return T.T @ m @ T, T.T @ k @ T
+
+
+def grillage(nodes: np.ndarray, elements: list[tuple[int, int, float, float, float]]):
+    """Mass and stiffness of beams; ``elements`` are ``(first, last, EI, GJ, mass per length)``."""
     size = 3 * len(nodes)
     K, M = np.zeros((size, size)), np.zeros((size, size))
-    for a, b, EI, GJ, line_mass in elements:
-        along = nodes[b] - nodes[a]
-        L = float(np.hypot(*along))
-        c, s = along / L
-        bend = np.array(
-            [
-                [12, 6 * L, -12, 6 * L],
-                [6 * L, 4 * L**2, -6 * L, 2 * L**2],
-                [-12, -6 * L, 12, -6 * L],
-                [6 * L, 2 * L**2, -6 * L, 4 * L**2],
-            ]
-        )
-        inertia = np.array(
-            [
-                [156, 22 * L, 54, -13 * L],
-                [22 * L, 4 * L**2, 13 * L, -3 * L**2],
-                [54, 13 * L, 156, -22 * L],
-                [-13 * L, -3 * L**2, -22 * L, 4 * L**2],
-            ]
-        )
-        # slope along the element: dw/dl = -c theta_y + s theta_x; twist: c theta_x + s theta_y
-        T = np.zeros((6, 6))
-        for node in range(2):
-            w, tx, ty = 3 * node, 3 * node + 1, 3 * node + 2
-            T[2 * node, w] = 1.0
-            T[2 * node + 1, tx], T[2 * node + 1, ty] = s, -c
-            T[4 + node, tx], T[4 + node, ty] = c, s
-        k, m = np.zeros((6, 6)), np.zeros((6, 6))
-        k[:4, :4], m[:4, :4] = EI / L**3 * bend, line_mass * L / 420 * inertia
-        k[4:, 4:] = GJ / L * np.array([[1, -1], [-1, 1]])
-        m[4:, 4:] = line_mass * L * (0.02 * L) ** 2 / 6 * np.array([[2, 1], [1, 2]])
-        at = np.r_[3 * a : 3 * a + 3, 3 * b : 3 * b + 3]
-        K[np.ix_(at, at)] += T.T @ k @ T
-        M[np.ix_(at, at)] += T.T @ m @ T
+    for a, b, *section in elements:
+        m, k = beam(nodes[b] - nodes[a], *section)
+        at = np.ix_(*[np.r_[3 * a : 3 * a + 3, 3 * b : 3 * b + 3]] * 2)
+        M[at] += m
+        K[at] += k
     return M, K
 
 
