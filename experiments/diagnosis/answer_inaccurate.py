@@ -24,6 +24,7 @@ def serve(pipe, budget: float | None) -> None:
 
     prepare()
     from modalax.diagnose.diagnosis import diagnose
+
     from modalax.files import load
 
     options = {"time": budget} if budget and "time" in inspect.signature(diagnose).parameters else {}
