@@ -1,0 +1,207 @@
+r"""Least squares of shapes in reduced coordinates, and what the unknowns of the poles change in it.
+
+The lines of the FRFs are gone: with the triangular factor :math:`U` of a channel's basis, of which the further terms
+are eliminated, its data are :math:`\beta`, its columns :math:`A = U_g a + U_h b` with few real pairs, and everything
+has as many rows as the basis has columns. Arrays have one axis for references and one for these rows.
+"""
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+TINY = 1e-14  # diagonal of a triangular factor whose column depends on those before it
+
+
+class Sums(NamedTuple):
+    """Half the squared residual, its gradient in the unknowns, and the Gauss-Newton matrix."""
+
+    cost: float
+    gradient: np.ndarray
+    matrix: np.ndarray
+
+
+class Row(NamedTuple):
+    """What one output adds.
+
+    Attributes
+    ----------
+    x
+        Unknowns of the shape components, shape ``(n c,)``.
+    inverse
+        Inverse of the triangular factor of their columns: ``inverse @ inverse.T`` is their covariance.
+    coupling
+        Change of ``x`` with the non-linear unknowns, shape ``(n c, p)``.
+    projected
+        Derivatives less what the linear unknowns make of them, shape ``(i, k, p)``.
+    residual
+        Shape ``(i, k)``.
+    lines
+        Makes the orthonormal columns of the reduced rows over the samples, ``(i, 2 f, k)``: real parts, then imaginary.
+    """
+
+    x: np.ndarray
+    inverse: np.ndarray
+    coupling: np.ndarray
+    projected: np.ndarray
+    residual: np.ndarray
+    lines: Callable[[], np.ndarray]
+
+
+class Slopes(NamedTuple):
+    """Real pairs of the columns ``(n, i, c, 2)``, of derivatives on kernels and on squares ``(n, i, c, q, 2)``."""
+
+    columns: np.ndarray
+    plain: np.ndarray
+    squared: np.ndarray
+
+
+def factor(A: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """QR of columns scaled to unit norm; also usable on dependent columns, also of stacks of matrices."""
+    rows, columns = A.shape[-2:]
+    if rows < columns:
+        raise np.linalg.LinAlgError(f"{rows} rows do not tell {columns} columns apart")
+    norm = np.linalg.norm(A, axis=-2)
+    norm = np.where(norm > 0, norm, 1.0)
+    Q, R = np.linalg.qr(A / norm[..., None, :])
+    index = np.arange(R.shape[-1])
+    diagonal = R[..., index, index]
+    R[..., index, index] = np.where(np.abs(diagonal) < TINY, TINY, diagonal)
+    return Q, R, norm
+
+
+class SharedOutputs:
+    r"""Outputs of one common weight: of one factorisation, and derivatives that are products of column and shape.
+
+    Parameters
+    ----------
+    U, beta
+        Shapes ``(i, k, 4 n)`` and ``(i, k, o)``.
+    rest
+        Squares of the data outside the basis.
+    slopes
+        Of the columns.
+    lines
+        Makes the columns of the reduced rows over the samples, of an output by its number.
+    size
+        Weight of each output, relative to that of the factorisation, shape ``(o,)``.
+    """
+
+    def __init__(
+        self, U: np.ndarray, beta: np.ndarray, rest: float, slopes: Slopes, lines: Callable[[int], np.ndarray],
+        size: np.ndarray,
+    ):  # fmt: skip
+        i, k, _ = U.shape
+        n, _, c, q, _ = slopes.plain.shape
+        self.inputs, self.n, self.c, self.q, self.size = i, n, c, q, size
+        g, h = U[..., : 2 * n].reshape(i, k, n, 2), U[..., 2 * n :].reshape(i, k, -1, 2)
+        A = np.einsum("ikne,nice->iknc", g, slopes.columns).reshape(i * k, n * c)
+        self.Q, self.R, self.norm = factor(A)
+        data = beta.reshape(i * k, -1)
+        projected = self.Q.T @ data
+        self.x = solve_triangular(self.R, projected, check_finite=False) / self.norm[:, None]
+        self.residual = data - self.Q @ projected
+        self.cost = 0.5 * (float(np.sum(self.residual**2)) + rest)
+        self._parts, self._lines = (g, h, slopes), lines
+
+    def _derivatives(self) -> tuple[np.ndarray, np.ndarray]:
+        """Projected derivatives of all columns, and their parts along these: ``(i k, n q c)``, ``(n c, n q c)``."""
+        g, h, slopes = self._parts
+        B = np.einsum("ikne,nicqe->iknqc", g, slopes.plain) + np.einsum("ikne,nicqe->iknqc", h, slopes.squared)
+        B = B.reshape(len(self.residual), -1)
+        along = self.Q.T @ B
+        return B - self.Q @ along, along
+
+    def sums(self) -> Sums:
+        """Cost, gradient and matrix over all outputs."""
+        n, c, q = self.n, self.c, self.q
+        B, _ = self._derivatives()
+        x = self.x.reshape(n, c, -1)
+        gradient = -np.einsum("nqco,nco->nq", (B.T @ self.residual).reshape(n, q, c, -1), x)
+        weight = (self.x @ self.x.T).reshape(n, 1, c, n, 1, c)
+        matrix = np.sum((B.T @ B).reshape(n, q, c, n, q, c) * weight, axis=(2, 5))
+        return Sums(self.cost, gradient.ravel(), matrix.reshape(n * q, n * q))
+
+    def solution(self) -> tuple[np.ndarray, np.ndarray]:
+        """Unknowns of the shapes of all outputs ``(o, n c)`` and the inverse of their triangular factors."""
+        inverse = solve_triangular(self.R, np.eye(len(self.R)), check_finite=False) / self.norm[:, None]
+        return self.x.T / self.size[:, None], inverse / self.size[:, None, None]
+
+    def rows(self) -> Iterator[Row]:
+        """Output after output."""
+        n, c, q = self.n, self.c, self.q
+        B, along = self._derivatives()
+        B = B.reshape(self.inputs, -1, n * q, c)
+        inverse = solve_triangular(self.R, np.eye(len(self.R)), check_finite=False) / self.norm[:, None]
+        coupling = (inverse @ along).reshape(n * c, n * q, c)
+        for k, (x, size, residual) in enumerate(zip(self.x.T, self.size, self.residual.T, strict=True)):
+            own = np.repeat(x.reshape(n, c), q, axis=0)
+            yield Row(
+                x / size, inverse / size, np.einsum("apc,pc->ap", coupling, own) / size,
+                np.einsum("ikpc,pc->ikp", B, own), residual.reshape(self.inputs, -1), partial(self._lines, k),
+            )  # fmt: skip
+
+
+class OwnOutputs:
+    """Outputs each of weights of its own; arrays as in :class:`SharedOutputs` with a first axis for outputs.
+
+    Parameters
+    ----------
+    U, beta
+        Shapes ``(o, i, k, 4 n)`` and ``(o, i, k)``.
+    rest
+        Squares of the data outside the basis.
+    slopes
+        Of the columns.
+    lines
+        Makes the columns of the reduced rows over the samples, of an output by its number.
+    """
+
+    def __init__(
+        self, U: np.ndarray, beta: np.ndarray, rest: float, slopes: Slopes, lines: Callable[[int], np.ndarray]
+    ):
+        o, i, k, _ = U.shape
+        n, _, c, q, _ = slopes.plain.shape
+        self.inputs, self.n, self.c, self.q = i, n, c, q
+        g, h = U[..., : 2 * n].reshape(o, i, k, n, 2), U[..., 2 * n :].reshape(o, i, k, -1, 2)
+        A = np.einsum("oikne,nice->oiknc", g, slopes.columns).reshape(o, i * k, n * c)
+        self.Q, self.R, self.norm = factor(A)
+        data = beta.reshape(o, i * k, 1)
+        projected = np.swapaxes(self.Q, 1, 2) @ data
+        self.x = np.linalg.solve(self.R, projected)[..., 0] / self.norm
+        self.residual = (data - self.Q @ projected)[..., 0]
+        self.cost = 0.5 * (float(np.sum(self.residual**2)) + rest)
+        self._parts, self._lines = (g, h, slopes), lines
+
+    def _derivatives(self) -> tuple[np.ndarray, np.ndarray]:
+        """Projected derivatives, and their parts along the columns: ``(o, i k, n q)``, ``(o, n c, n q)``."""
+        g, h, slopes = self._parts
+        x = self.x.reshape(-1, self.n, self.c)
+        plain, squared = (np.einsum("onc,nicqe->oinqe", x, part) for part in (slopes.plain, slopes.squared))
+        D = np.einsum("oikne,oinqe->oiknq", g, plain) + np.einsum("oikne,oinqe->oiknq", h, squared)
+        D = D.reshape(*self.residual.shape, -1)
+        along = np.swapaxes(self.Q, 1, 2) @ D
+        return D - self.Q @ along, along
+
+    def sums(self) -> Sums:
+        """Cost, gradient and matrix over these outputs."""
+        P, _ = self._derivatives()
+        P = P.reshape(-1, P.shape[2])
+        return Sums(self.cost, -self.residual.ravel() @ P, P.T @ P)
+
+    def solution(self) -> tuple[np.ndarray, np.ndarray]:
+        """Unknowns of the shapes of all outputs ``(o, n c)`` and the inverse of their triangular factors."""
+        return self.x, np.linalg.inv(self.R) / self.norm[:, :, None]
+
+    def rows(self) -> Iterator[Row]:
+        """Output after output."""
+        P, along = self._derivatives()
+        x, inverses = self.solution()
+        coupling = inverses @ along
+        for k, projected in enumerate(P):
+            yield Row(
+                x[k], inverses[k], coupling[k], projected.reshape(self.inputs, -1, projected.shape[1]),
+                self.residual[k].reshape(self.inputs, -1), partial(self._lines, k),
+            )  # fmt: skip
