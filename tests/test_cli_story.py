@@ -39,7 +39,7 @@ def test_fit_writes_what_it_says(tmp_path, capsys):
     for mode, f, zeta in zip(answer["modes"], truth.frequency_hz, truth.damping_ratio, strict=True):
         assert abs(mode["frequency_hz"] - f) < 4 * mode["frequency_std_hz"]
         assert abs(mode["damping_ratio"] - zeta) < 4 * mode["damping_ratio_std"]
-        assert 0.5 < mode["score"] <= 1 and f"{mode['score']:.2f}" in printed.out
+        assert 0.5 < mode["grade"] <= 1 and f"{mode['grade']:.2f}" in printed.out
         assert len(mode["shape"]) == 5 and set(map(len, mode["shape"])) == {2}
     assert "21 to 69 Hz" in names["f.html"].read_text()
     written = {p.name for p in names["pictures"].iterdir()}

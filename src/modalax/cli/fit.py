@@ -55,15 +55,18 @@ def fit(
     frf = one_run(read_measurement(data), run, data)
     from rich.console import Console
 
-    from modalax.cli.tables import mode_table
+    from modalax.cli.tables import mode_table, print_remarks
     from modalax.identify import fit as identify
 
     name = None if method is None else method.value
     with working("Identifying the modes (the first time on a machine also compiles)") as progress:
         result = identify(frf, method=name, order=order, refine=refine, band=band, progress=progress)
     answer = result.to_dict()
-    Console().print(mode_table(answer["modes"]))
-    print(f"unexplained part of the measured energy: {100 * answer['unexplained']:.3g} %")
+    console = Console()
+    console.print(mode_table(answer["modes"]))
+    print_remarks(console, answer)
+    if not refine:
+        note("not refined: no standard deviations; the scatter over the orders tells how far to trust a damping ratio")
     if result.refined is not None and not bool(result.refined.success):
         note(f"the refinement did not converge: {result.refined.reason}")
     geometry = nodes_beside(data) if report or out else None

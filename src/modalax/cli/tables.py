@@ -18,16 +18,21 @@ def new_table(title: str) -> Table:
 
 def mode_table(modes: Sequence[Mapping[str, Any]], truth: tuple[Any, Any] | None = None) -> Table:
     """Make a table of the modes of ``Fit.to_dict()``, beside true frequencies and damping ratios where known."""
-    table = new_table("Modes, ± one standard deviation")
+    refined = any(mode["frequency_std_hz"] is not None for mode in modes)
+    scattered = not refined and any(mode.get("frequency_scatter_hz") is not None for mode in modes)
+    table = new_table("Modes, ± one standard deviation" if refined else "Modes of the diagram, not refined")
     table.caption = (
         "Bias: what noise does to the damping in the diagram, as predicted (none: the mode is lost in it); the "
         "refinement removes it."
     )
     true = ["true"] if truth is not None else []
-    score = ["Score"] if truth is None else []  # 80 columns do not hold both
-    if score:
-        table.caption = f"Score: mean of stability, MPC and strength against what is unexplained. {table.caption}"
-    for name in ("Mode", "Frequency [Hz]", *true, "Damping [%]", *true, "MPC", *score, "Bias [%]"):
+    grade = ["Grade"] if truth is None else []  # 80 columns do not hold both
+    spread = ["Scatter [%]"] if scattered else []
+    if grade:
+        table.caption = f"Grade: how sure it is that this is a mode, 0 to 1. {table.caption}"
+    if spread:
+        table.caption = f"Scatter: by how much the damping changes over the orders of the diagram. {table.caption}"
+    for name in ("Mode", "Frequency [Hz]", *true, "Damping [%]", *true, *spread, "MPC", *grade, "Bias [%]"):
         table.add_column(name, justify="right", no_wrap=True, style="dim" if name == "true" else None)
     for k, mode in enumerate(modes):
         bias = mode.get("predicted_damping_bias")
@@ -35,8 +40,9 @@ def mode_table(modes: Sequence[Mapping[str, Any]], truth: tuple[Any, Any] | None
             str(k + 1),
             with_error(mode["frequency_hz"], mode["frequency_std_hz"]),
             with_error(mode["damping_ratio"], mode["damping_ratio_std"], 100.0),
+            *(_scatter(mode) for _ in spread),
             f"{mode['mpc']:.3f}",
-            *(f"{mode['score']:.2f}" for _ in score),
+            *(f"{mode['grade']:.2f}" for _ in grade),
             "" if bias is None else f"{100 * bias / mode['damping_ratio']:+.2g}",
         ]
         if truth is not None:
@@ -44,6 +50,26 @@ def mode_table(modes: Sequence[Mapping[str, Any]], truth: tuple[Any, Any] | None
             row.insert(2, f"{float(truth[0][k]):.5g}")
         table.add_row(*row)
     return table
+
+
+def _scatter(mode: Mapping[str, Any]) -> str:
+    scatter = mode.get("damping_scatter")
+    return "" if scatter is None else f"{100 * scatter / mode['damping_ratio']:.2g}"
+
+
+def print_remarks(console: Console, answer: Mapping[str, Any]) -> None:
+    """Print what ``Fit.to_dict()`` says of single modes, of the measurement, and of the part not explained."""
+    for k, mode in enumerate(answer["modes"]):
+        if mode["flags"]:
+            text = f"mode {k + 1}, {mode['frequency_hz']:.5g} Hz: {'; '.join(mode['flags'])}"
+            console.print(text, highlight=False, markup=False)
+    for note in answer["notes"]:
+        console.print(note, highlight=False, markup=False)
+    console.print(
+        f"unexplained part of the measured energy: {100 * answer['unexplained']:.3g} % "
+        f"({100 * answer['unexplained_noise']:.2g} % noise, {100 * answer['unexplained_misfit']:.2g} % misfit)",
+        highlight=False,
+    )
 
 
 def cause_table(causes: Sequence[Any]) -> Table:

@@ -1,143 +1,39 @@
 """From measured FRFs to a modal model with error bars, in one call."""
 
 from collections.abc import Callable
-from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from modalax.data.causality import looks_conjugated
 from modalax.data.frf import FRF
 from modalax.data.measurement import Measurement
+from modalax.identify.band import usable_lines
 from modalax.identify.bias import predicted_damping_bias
+from modalax.identify.close_modes import record_of
 from modalax.identify.fdpi import fdpi
+from modalax.identify.flags import Modes, flags_of, grades_of, notes_of
 from modalax.identify.lsce import lsce
 from modalax.identify.lscf import lscf
 from modalax.identify.mode_search import diagram_poles, likelihood_rounds, synthesis
+from modalax.identify.neighbourhood import residual_of
 from modalax.identify.noise import smooth_variance
 from modalax.identify.plscf import plscf
+from modalax.identify.quality import noise_part, quality_of, scatter_over_orders
 from modalax.identify.refine import Refined
 from modalax.identify.residues import residues as fit_residues
+from modalax.identify.result import Fit
 from modalax.identify.select import Selection, best_order, select
-from modalax.identify.stabilize import Stability, stabilization
+from modalax.identify.settle import settle, settle_diagram, with_misfit
+from modalax.identify.stabilize import stabilization
 from modalax.identify.tables import PoleTable
 from modalax.model.indicators import mpc
 from modalax.model.modal import ModalModel
 
 ESTIMATORS = {"lscf": lscf, "plscf": plscf, "lsce": lsce, "fdpi": fdpi}
+__all__ = ["ESTIMATORS", "Fit", "fit"]
 POLES = 40  # poles of the highest order of a first diagram; doubled while the modes fill it
-
-
-class Fit(eqx.Module):
-    """Everything that :func:`fit` found.
-
-    Attributes
-    ----------
-    frf
-        The FRF in the band, as it was fitted.
-    model
-        The modal model, its modes by rising frequency; modes just outside the band may be among them.
-    inside
-        Which of the modes lie in the band, shape ``(n,)``.
-    table, stability, selection
-        The stabilization diagram, its flags, and what was taken from it.
-    order
-        The order whose poles agree best with their neighbours.
-    refined
-        The maximum-likelihood result with its error bars; None if it was not asked for.
-    predicted_damping_bias
-        Bias that noise gives the damping in the diagram's estimator, at ``order``, shape ``(n,)``; NaN where it
-        cannot be predicted; None without a noise variance or for other estimators.
-    mpc
-        Modal phase collinearity of the shapes, or of the participation where there are more inputs than outputs (a
-        roving hammer), shape ``(n,)``.
-    stability_score
-        Part of the orders at which each mode stands in the diagram, shape ``(n,)``; 0 for modes found in the
-        residual only.
-    energy
-        Part of the FRFs' sum of squares that each mode makes, shape ``(n,)``.
-    unexplained
-        Part of the FRFs' sum of squares that the model does not make.
-    """
-
-    frf: FRF
-    model: ModalModel
-    inside: Bool[Array, " n"]
-    table: PoleTable
-    stability: Stability
-    selection: Selection
-    refined: Refined | None
-    predicted_damping_bias: Float[Array, " n"] | None
-    mpc: Float[Array, " n"]
-    stability_score: Float[Array, " n"]
-    energy: Float[Array, " n"]
-    unexplained: Float[Array, ""]
-    order: int = eqx.field(static=True)
-
-    @property
-    def score(self) -> Float[Array, " n"]:
-        r"""How sure each mode is, the mean of three numbers from 0 to 1: shape ``(n,)``.
-
-        .. math:: \tfrac13\Big(\text{stability} + \mathrm{MPC} + \frac{e_r}{e_r + u}\Big)
-
-        The last compares the mode's part of the sum of squares, :math:`e_r`, with what all modes leave, :math:`u`. A
-        mean, because a true mode may well lack one: a weak one energy, one of non-proportional damping collinearity,
-        one that was found in the residual stability.
-        """
-        strength = self.energy / (self.energy + self.unexplained)
-        return (self.stability_score + self.mpc + strength) / 3
-
-    def synthesised(self) -> FRF:
-        """The model's FRF at the lines of the fit."""
-        return synthesis(self.model, self.frf)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain numbers, as written by ``modalax fit --json``; what does not exist is None."""
-        refined = self.refined
-        modes = [self._mode(int(r)) for r in np.flatnonzero(np.asarray(self.inside))]
-        return {
-            "modes": modes,
-            "unexplained": float(self.unexplained),
-            "band_hz": [float(self.frf.freq[0]), float(self.frf.freq[-1])],
-            "form": self.frf.form,
-            "outputs": list(self.frf.outputs),
-            "inputs": list(self.frf.inputs),
-            "method": self.table.method,
-            "order": self.order,
-            "refined": refined is not None and bool(refined.success),
-            "reason": None if refined is None else refined.reason,
-            "noise_scale": None if refined is None else float(refined.noise_scale),
-            "whiteness_p": None if refined is None else float(refined.whiteness),
-            "modes_outside_band_hz": [float(f) for f in self.model.frequency_hz[~np.asarray(self.inside)]],
-        }
-
-    def _mode(self, r: int) -> dict[str, Any]:
-        model, refined = self.model, self.refined
-        drive = model.drive_points()
-        pick = lambda a: None if a is None or not np.isfinite(a[r]) else float(a[r])  # noqa: E731
-        mass = np.asarray(model.modal_mass()) if drive else None
-        a = np.asarray(model.modal_a()) if drive else None
-        pair = lambda z: [float(z.real), float(z.imag)]  # noqa: E731
-        return {
-            "frequency_hz": float(model.frequency_hz[r]),
-            "frequency_std_hz": None if refined is None else pick(refined.frequency_std_hz),
-            "damping_ratio": float(model.damping_ratio[r]),
-            "damping_ratio_std": None if refined is None else pick(refined.damping_std),
-            "predicted_damping_bias": pick(self.predicted_damping_bias),
-            "shape": [pair(z) for z in np.asarray(model.shapes[r])],
-            "shape_std": None if refined is None else [pair(z) for z in np.asarray(refined.shape_std[r])],
-            "participation": [pair(z) for z in np.asarray(model.participation[r])],
-            "mpc": float(self.mpc[r]),
-            "modal_mass_kg": None if mass is None else pair(mass[r]),
-            "modal_mass_std_kg": None if refined is None else pick(refined.modal_mass_std),
-            "modal_a": None if a is None else pair(a[r]),
-            "drive_point": drive[0] if drive else None,
-            "score": float(self.score[r]),
-            "stability": float(self.stability_score[r]),
-            "energy": float(self.energy[r]),
-        }
 
 
 def fit(
@@ -189,6 +85,7 @@ def fit(
     tell = progress or (lambda text: None)
     frf = frf.frf if isinstance(frf, Measurement) else frf
     frf = frf if band is None else frf.band(*band)
+    frf, notes = usable_lines(frf, choose=band is None)
     if not float(jnp.max(jnp.abs(frf.H))) > 0:
         raise ValueError("the FRFs are zero throughout the band; there is nothing to fit")
     turned = frf.shape[2] > frf.shape[1]
@@ -211,13 +108,15 @@ def fit(
     weighted = smooth_variance(frf)
     model = fit_residues(weighted, selection.poles, residuals=residuals, real_modes=real_modes)
     refined = None
-    if refine:
+    if not refine:
+        model = settle_diagram(weighted, model, residuals=residuals, real_modes=real_modes)
+    else:
         how = {"residuals": residuals, "real_modes": real_modes}
         refined = diagram_poles(weighted, model, selection.spread, tell, **how)
-        refined = refined or likelihood_rounds(weighted, model, tell, **how)
+        refined = settle(weighted, refined or likelihood_rounds(weighted, model, tell, **how), tell, **how)
         model = refined.model
     tell("summing up")
-    return _summary(frf, weighted, model, refined, table, selection, data is not frf)
+    return _summary(frf, weighted, model, refined, table, selection, data is not frf, notes)
 
 
 def _diagram(frf: FRF, name: str, order: int | None) -> tuple[PoleTable, Selection]:
@@ -243,16 +142,30 @@ def _diagram(frf: FRF, name: str, order: int | None) -> tuple[PoleTable, Selecti
 
 def _summary(
     frf: FRF, weighted: FRF, model: ModalModel, refined: Refined | None, table: PoleTable, selection: Selection,
-    turned: bool,
+    turned: bool, notes: list[str],
 ) -> Fit:  # fmt: skip
     order = best_order(table, selection)
     f = np.asarray(model.frequency_hz)
     inside = (f >= float(frf.freq[0])) & (f <= float(frf.freq[-1]))
     total = float(jnp.sum(jnp.abs(frf.H) ** 2))
     made = synthesis(model, frf)
+    residual = residual_of(weighted, model)
+    unexplained = float(np.sum(np.abs(residual) ** 2)) / total
+    record = record_of(weighted, model, residual, np.flatnonzero(inside))
+    noise = noise_part(weighted, residual, even=record is not None)
     seen = np.abs(np.asarray(selection.poles)[None, :] - np.asarray(model.poles)[:, None])
     near = seen.min(axis=1) < np.maximum(2 * np.abs(np.asarray(model.poles).real), 0.005 * np.abs(model.poles))
     score = np.where(near, np.asarray(selection.score)[seen.argmin(axis=1)], 0.0)
+    collinearity = mpc(model.along_longer_side().shapes)
+    scatter = scatter_over_orders(table, np.asarray(model.poles))
+    quality = quality_of(weighted, model)
+    refined = None if refined is None else with_misfit(refined, quality)
+    deviations = scatter if refined is None else (refined.frequency_std_hz, refined.damping_std)
+    modes = Modes(
+        weighted, model, np.asarray(deviations[0]), np.asarray(deviations[1]), refined is not None, score,
+        np.asarray(collinearity), quality, record,
+    )  # fmt: skip
+    grades = grades_of(modes)
     return Fit(
         frf=frf,
         model=model,
@@ -262,11 +175,17 @@ def _summary(
         selection=selection,
         refined=refined,
         predicted_damping_bias=_bias(frf, weighted, made, model, table, order, turned),
-        mpc=mpc(model.shapes if frf.shape[1] >= frf.shape[2] else model.participation),
+        mpc=collinearity,
         stability_score=jnp.asarray(score),
         energy=_energies(model, frf) / total,
-        unexplained=jnp.sum(jnp.abs(frf.H - made.H) ** 2) / total,
+        unexplained=jnp.asarray(unexplained),
+        noise=jnp.asarray(noise),
+        frequency_scatter_hz=jnp.asarray(scatter[0]),
+        damping_scatter=jnp.asarray(scatter[1]),
+        grade=jnp.asarray(grades),
         order=order,
+        flags=flags_of(modes),
+        notes=(*notes, *notes_of(modes, grades, noise, unexplained)),
     )
 
 

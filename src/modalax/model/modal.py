@@ -28,7 +28,8 @@ class ModalModel(eqx.Module):
               + \frac{\psi_{ro}^* L_{ri}^*}{j\omega - \lambda_r^*}\right) + U_{oi} - \frac{W_{oi}}{\omega^2},
 
     and mobility and accelerance are :math:`j\omega` and :math:`-\omega^2` times that, so that each residual term
-    takes the form that suits them.
+    takes the form that suits them. At 0 Hz the lower term of a receptance or mobility is left out: it stands for modes
+    below the lines as seen from above them, and would be infinite there.
 
     Attributes
     ----------
@@ -139,6 +140,15 @@ class ModalModel(eqx.Module):
             outputs=self.inputs, inputs=self.outputs,
         )  # fmt: skip
 
+    def along_longer_side(self) -> "ModalModel":
+        """The model with its shapes at the outputs, or at the inputs where there are more of them.
+
+        A hammer that roves over a structure has its shapes at the points that it hits, not at the few sensors.
+        """
+        if len(self.inputs) <= len(self.outputs):
+            return self
+        return self.transpose().normalised("max")
+
     def drive_points(self) -> tuple[str, ...]:
         """DoFs that are both output and input."""
         return tuple(name for name in self.inputs if name in self.outputs)
@@ -197,7 +207,8 @@ class ModalModel(eqx.Module):
     ) -> FRF:
         """The FRF at any frequencies [Hz], and between any DoFs: unmeasured pairs follow from reciprocity.
 
-        With ``added_decay`` [1/s] as an exponential window would make it measured.
+        With ``added_decay`` [1/s] as an exponential window would make it measured. At 0 Hz the lower residual term of
+        receptance and mobility, infinite there, is left out.
 
         Raises
         ------
@@ -218,8 +229,9 @@ class ModalModel(eqx.Module):
         power = DERIVATIVES[check_form(form)]
         H = H * s[:, None, None] ** power
         H = H + self._residual(self.upper, out_names, in_names) * s[:, None, None] ** power
-        safe = jnp.where(s == 0, 1.0, s)[:, None, None] if power < 2 else s[:, None, None]
-        H = H + self._residual(self.lower, out_names, in_names) * safe ** (power - 2)
+        safe = jnp.where(s == 0, 1.0, s)
+        mass_line = jnp.where((s == 0) & (power < 2), 0.0, safe ** (power - 2))
+        H = H + self._residual(self.lower, out_names, in_names) * mass_line[:, None, None]
         return FRF(freq, H, form=form, outputs=out_names, inputs=in_names, added_decay=added_decay)
 
     def _at_outputs(self, names: tuple[str, ...]) -> Complex[Array, "n o"]:

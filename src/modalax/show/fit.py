@@ -53,8 +53,9 @@ def fit_pictures(fit: Fit, truth: Truth | None = None, geometry: Geometry | None
     dofs, shapes = ([], np.zeros((0, 0))) if geometry is None else along(geometry, model)
     if geometry is not None and dofs:
         pictures["shapes"] = plot_shapes(geometry, dofs, shapes[inside], titles=names)
-    if len(model.outputs) > 1 and len(frequency) > 1:
-        pictures["auto_mac"] = plot_mac(auto_mac(model.shapes[inside]), rows=names, columns=names, title="Auto-MAC")
+    seen = model.along_longer_side()
+    if len(seen.outputs) > 1 and len(frequency) > 1:
+        pictures["auto_mac"] = plot_mac(auto_mac(seen.shapes[inside]), rows=names, columns=names, title="Auto-MAC")
     return pictures
 
 

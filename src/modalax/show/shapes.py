@@ -139,7 +139,7 @@ def along(geometry: Geometry, model: ModalModel) -> tuple[list[str], np.ndarray]
 
     They are the outputs, or the inputs where there are more of them (a roving hammer).
     """
-    model = model if len(model.outputs) >= len(model.inputs) else model.transpose()
+    model = model.along_longer_side()
     dofs = [parse_dof(name) for name in model.outputs]
     keep = [k for k, d in enumerate(dofs) if d.node in geometry.nodes and d.direction in ("X", "Y", "Z")]
     return [model.outputs[k] for k in keep], np.asarray(model.shapes)[:, keep]

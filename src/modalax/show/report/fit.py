@@ -16,13 +16,15 @@ from modalax.show.shapes import along
 
 def mode_rows(modes: Sequence[Mapping[str, Any]], truth: tuple[Any, Any] | None = None) -> Table:
     """Table of modes, from ``Fit.to_dict()["modes"]``."""
-    head = ["Mode", "Frequency [Hz]", "Damping [%]", "MPC [-]", "Bias of damping [%]"]
+    refined = any(m["frequency_std_hz"] is not None for m in modes)
+    head = ["Mode", "Frequency [Hz]", "Damping [%]", "MPC [-]", "Grade [-]", "Bias of damping [%]"]
     rows = [
         [
             str(k + 1),
             with_error(m["frequency_hz"], m["frequency_std_hz"]),
             with_error(m["damping_ratio"], m["damping_ratio_std"], 100.0),
             f"{m['mpc']:.4f}",
+            f"{m['grade']:.2f}" if "grade" in m else "",
             _bias(m),
         ]
         for k, m in enumerate(modes)
@@ -31,17 +33,30 @@ def mode_rows(modes: Sequence[Mapping[str, Any]], truth: tuple[Any, Any] | None 
         head += ["True frequency [Hz]", "True damping [%]"]
         for k, row in enumerate(rows):
             row += [f"{float(truth[0][k]):.5g}", f"{100 * float(truth[1][k]):.4g}"]
+    flagged = any(m.get("flags") for m in modes)
+    if flagged:
+        head.append("To be known")
+        for m, row in zip(modes, rows, strict=True):
+            row.append("; ".join(m.get("flags", ())))
     words = (
-        "± is one standard deviation. Bias: what noise does to the damping in the diagram, as predicted (none: the "
-        "mode is lost in it); the refinement removes it."
+        f"{'± is one standard deviation. ' if refined else ''}Grade: how sure it is that this is a mode, 0 to 1. Bias: "
+        "what noise does to the damping in the diagram, as predicted (none: the mode is lost in it); the refinement "
+        "removes it."
     )
-    return Table(head, rows, words, text_columns=())
+    return Table(head, rows, words, text_columns=(len(head) - 1,) if flagged else ())
 
 
 def _bias(mode: Mapping[str, Any]) -> str:
     """Predicted bias over the damping itself; nothing where the noise or the mode's place in it is not known."""
     bias = mode.get("predicted_damping_bias")
     return "" if bias is None else f"{100 * bias / mode['damping_ratio']:+.2g}"
+
+
+def _unexplained(answer: Mapping[str, Any]) -> str:
+    """The part not explained, and how much of it is noise where that is told."""
+    whole = f"{100 * answer['unexplained']:.3g} %"
+    noise = answer.get("unexplained_noise")
+    return whole if noise is None else f"{whole}, of which {100 * noise:.2g} % noise"
 
 
 def fit_sections(
@@ -54,22 +69,26 @@ def fit_sections(
     model = fit.model
     refined = fit.refined
     if refined is None:
-        how = "The poles were not refined, so they have no standard deviations."
+        how = (
+            "The poles are the diagram's and were not refined, so they have no standard deviations; their damping "
+            "ratios may be far off where they scatter over the orders."
+        )
     elif bool(refined.success):
         how = "The poles, shapes and residual terms were refined together by maximum likelihood."
     else:
         how = f"The refinement by maximum likelihood did not converge: {refined.reason}"
     inside = np.asarray(fit.inside)
-    psi, frequency = model.shapes[inside], np.asarray(model.frequency_hz)[inside]
-    shapes: list[Any] = [shape_plot(psi, model.outputs, frequency)]
+    seen = model.along_longer_side()
+    psi, frequency = seen.shapes[inside], np.asarray(model.frequency_hz)[inside]
+    shapes: list[Any] = [shape_plot(psi, seen.outputs, frequency)]
     dofs, moved = ([], psi) if geometry is None else along(geometry, model)
     if geometry is not None and dofs:
         shapes.insert(0, shape_plot_3d(geometry, dofs, moved[inside], frequency))
-    if len(model.outputs) > 1 and len(modes) > 1:
+    if len(seen.outputs) > 1 and len(modes) > 1:
         names = mode_names(frequency)
         shapes.append(mac_plot(auto_mac(psi), names, names, "Auto-MAC of the mode shapes."))
     return [
-        Section("Modes", [how], [mode_rows(modes, truth), modes_plot(modes, truth)]),
+        Section("Modes", [how, *getattr(fit, "notes", ())], [mode_rows(modes, truth), modes_plot(modes, truth)]),
         Section("Measured and synthesised FRFs", [], [frf_plot(fit.frf, model)]),
         Section(
             "Stabilization diagram",
@@ -101,7 +120,7 @@ def fit_report(
         ("Lines", str(lines)),
         ("Outputs x inputs", f"{outputs} x {inputs}"),
         ("FRF", fit.frf.form),
-        ("Unexplained energy", f"{100 * answer['unexplained']:.3g} %"),
+        ("Unexplained energy", _unexplained(answer)),
     ]
     page = Page(title, "Experimental modal analysis", facts, fit_sections(fit, answer["modes"], truth, geometry))
     return page.html()

@@ -1,0 +1,167 @@
+"""Whether two close modes are two, or one that the record or the hits made look like two."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import scipy.stats
+from jaxtyping import Complex, Float
+
+from modalax.data.frf import FRF
+from modalax.identify.neighbourhood import Kernel, Neighbourhood, around, best_poles
+from modalax.identify.record_window import RECORDS, record_kernel
+from modalax.model.indicators import mac
+from modalax.model.modal import ModalModel
+
+CHANCE = 1e-6  # of a second mode that is not there
+NEAR = 1.5  # distance of modes, in lines or in sums of their half-bandwidths, below which they are asked about
+ALIKE, FEW = 0.9, 4  # MAC from which on shapes are alike, and DoFs below which all are
+MISFIT = 4.0  # power of what two modes leave, over the noise's, above which no evidence for the second is taken
+STRONG = 5  # modes that are asked about the record
+PLAIN = 60.0  # rise of twice the log-likelihood, over those modes, from which on a record is named
+
+
+class Trial(NamedTuple):
+    """One way to explain the lines around some modes: twice the negative log-likelihood, unknowns, and poles."""
+
+    chi2: float
+    unknowns: int
+    poles: Complex[np.ndarray, " n"]
+
+
+def duration(frf: FRF) -> float | None:
+    """Length of a record whose lines these are, the inverse of their distance [s]; None where they are uneven."""
+    steps = np.diff(np.asarray(frf.freq))
+    if len(steps) < 2 or np.ptp(steps) > 1e-3 * np.median(steps):
+        return None
+    return float(1 / np.median(steps))
+
+
+def kernel_of(frf: FRF, record: str, T: float) -> Kernel:
+    """The kernel of a record, scaled as that of the steady state in the form of the FRF is at its peak."""
+    return lambda s, pole: record_kernel(s, pole, T, record)
+
+
+def two_modes(frf: FRF, model: ModalModel, residual: Complex[np.ndarray, "f o i"], pair: tuple[int, int]) -> bool:
+    r"""Whether the lines around two modes hold more than one mode can make in any usual record.
+
+    Compared with two poles are one pole in each kind of record (:data:`RECORDS`), and one pole that differs from input
+    to input or from output to output. Two modes stay two if they are likelier than each of these by a likelihood
+    ratio test at ``CHANCE``, its noise that of the lines or, where larger and correlated, what the best one leaves.
+    Where two poles leave far more than the noise and look alike, the second is a sign of misfit and not of a mode.
+    """
+    hood = around(frf, model, residual, pair)
+    two = _trial(hood, hood.poles)
+    mean = np.average(hood.poles, weights=np.sum(np.abs(hood.residues / hood.poles.real[:, None]) ** 2, axis=1))
+    broad = complex(mean.real - np.ptp(hood.poles.imag) / 2, mean.imag)
+    starts = [*hood.poles, mean, broad]
+    others = [_best(hood, starts)]
+    T = duration(frf)
+    if T is not None:
+        others += [_best(hood, starts, kernel_of(frf, r, T)) for r in RECORDS if r != "steady"]
+    one = others[0].poles
+    _, n_out, n_in = frf.shape
+    places = np.divmod(np.arange(n_out * n_in), n_in)
+    others += [_apart(hood, one, place) for place in places if place.max() > 0]
+    left = two.chi2 / max(2 * hood.data.size - two.unknowns, 1)
+    scale = _level(frf, left) * _correlation(hood.left(two.poles), left)
+    for other in others:
+        need = scipy.stats.chi2.isf(CHANCE, max(two.unknowns - other.unknowns, 1))
+        if (other.chi2 - two.chi2) / scale < need:
+            return False
+    return left < MISFIT or not _alike(model, pair)
+
+
+def _level(frf: FRF, left: float) -> float:
+    """Power of the noise in units of what whitened the data: what the best trial leaves, unless less than is known."""
+    return max(1.0, left) if frf.variance is not None else max(left, 1e-12)
+
+
+def _alike(model: ModalModel, pair: tuple[int, int]) -> bool:
+    """Whether the two modes' shapes tell them apart nowhere."""
+    longer = model.shapes if model.shapes.shape[1] >= model.participation.shape[1] else model.participation
+    return longer.shape[1] < FEW or float(mac(longer[pair[0]][None], longer[pair[1]][None])[0, 0]) > ALIKE
+
+
+def _trial(hood: Neighbourhood, start: Sequence[complex] | np.ndarray, kernel: Kernel | None = None) -> Trial:
+    poles, chi2 = best_poles(hood, start, kernel)
+    return Trial(2 * chi2, 2 * len(poles) * (1 + hood.data.shape[1]), poles)
+
+
+def _best(hood: Neighbourhood, starts: Sequence[complex], kernel: Kernel | None = None) -> Trial:
+    return min((_trial(hood, [s], kernel) for s in starts), key=lambda t: t.chi2)
+
+
+def _apart(hood: Neighbourhood, start: Sequence[complex] | np.ndarray, place: np.ndarray) -> Trial:
+    """One pole for each group of channels."""
+    trials = [_trial(hood.channels(place == k), start) for k in range(int(place.max()) + 1)]
+    return Trial(sum(t.chi2 for t in trials), sum(t.unknowns for t in trials), np.asarray(start))
+
+
+def _correlation(left: Complex[np.ndarray, "m c"], level: float) -> float:
+    """Lines that one independent one stands for, where the residual is more than noise."""
+    if level < 1.5 or len(left) < 3:
+        return 1.0
+    power = np.sum(np.abs(left) ** 2)
+    rho = float(np.sum(left[1:] * left[:-1].conj()).real / max(power, 1e-300))
+    return (1 + min(max(rho, 0.0), 0.9)) / (1 - min(max(rho, 0.0), 0.9))
+
+
+class Record(NamedTuple):
+    """A kind of record that explains the resonances better than a steady state.
+
+    Attributes
+    ----------
+    kind
+        A key of ``RECORDS``.
+    duration
+        Its length [s].
+    frequency_hz, damping_ratio
+        Of each mode through it, shape ``(n,)``; NaN for those not asked about.
+    """
+
+    kind: str
+    duration: float
+    frequency_hz: Float[np.ndarray, " n"]
+    damping_ratio: Float[np.ndarray, " n"]
+
+    def text(self) -> str:
+        """What kind of record."""
+        return RECORDS[self.kind].format(T=self.duration)
+
+
+def record_of(frf: FRF, model: ModalModel, residual: Complex[np.ndarray, "f o i"], which: np.ndarray) -> Record | None:
+    """The kind of record that the strongest of some modes show; None where a steady state explains them as well.
+
+    A kind is named if it raises twice the log-likelihood of these resonances by ``PLAIN``, in units of what it leaves,
+    and leaves less than half of the misfit. Only modes that have not died out by the end of the record can tell.
+    """
+    T = duration(frf)
+    if T is None or not len(which):
+        return None
+    poles = np.asarray(model.poles)
+    size = np.sum(np.abs(np.asarray(model.residues)) ** 2, axis=(1, 2)) / np.abs(poles.real) ** 2
+    lasting = np.array([k for k in which if -poles[k].real * T < 7], int)
+    strong = lasting[np.argsort(-size[lasting])][:STRONG]
+    if not len(strong):
+        return None
+    gains = dict.fromkeys(RECORDS, 0.0)
+    excess = dict.fromkeys(RECORDS, 0.0)
+    for r in strong:
+        hood = around(frf, model, residual, [int(r)])
+        samples = 2 * hood.data.size - 2 * (1 + hood.data.shape[1])
+        trials = {k: _trial(hood, hood.poles, kernel_of(frf, k, T)) for k in RECORDS}
+        least = min(t.chi2 for t in trials.values())
+        level = _level(frf, least / max(samples, 1))
+        for k, t in trials.items():
+            gains[k] += (trials["steady"].chi2 - t.chi2) / level
+            excess[k] += max(t.chi2 / level - samples, 0.0)
+    best = max(gains, key=lambda k: gains[k])
+    if best == "steady" or gains[best] < PLAIN or excess[best] > 0.5 * excess["steady"]:
+        return None
+    f, zeta = np.full(len(poles), np.nan), np.full(len(poles), np.nan)
+    for r in lasting:
+        hood = around(frf, model, residual, [int(r)])
+        pole = best_poles(hood, hood.poles, kernel_of(frf, best, T))[0][0]
+        f[r], zeta[r] = abs(pole) / (2 * np.pi), -pole.real / abs(pole)
+    return Record(best, T, f, zeta)

@@ -1,0 +1,120 @@
+r"""Whether channels, and lines, agree on the pole of a mode, and what the pole is worth where they do not.
+
+A change of a pole by :math:`\delta` changes the response of channel :math:`c` by :math:`\delta R_c/(s-\lambda)^2`. Each
+part of the data (an input, an output, a flank of the resonance) so asks for a change of its own. What these differ by
+beyond their noise is misfit: hits that find the structure changed, a sensor whose mass moves with it, a record too
+short. It enters the deviation of the pole as in a random-effects mean (DerSimonian and Laird 1986).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import scipy.stats
+from jaxtyping import Float
+
+from modalax.identify.neighbourhood import Neighbourhood
+
+FLANKS = (-1.0, 0.0, 1.0)  # half-bandwidths from the resonance at which its lines are parted
+CERTAIN = 1e-4  # chance of disagreement that noise makes, below which it counts
+
+SURE = 4.0  # standard deviations by noise from which on the shift of a group is no noise
+
+
+class Spread(NamedTuple):
+    r"""What groups of the data ask for beside each other.
+
+    Attributes
+    ----------
+    shift
+        Change of the pole's frequency that each group asks for, shape ``(g,)`` [Hz]; NaN for a group without say.
+    std
+        Their standard deviations by noise, shape ``(g,)`` [Hz].
+    between
+        Standard deviation of frequency [Hz] and of the decay over :math:`2\pi` [Hz] between groups, beyond noise.
+    error
+        Standard deviation of their weighted mean with that, for frequency [Hz] and decay [Hz].
+    chance
+        Chance that noise alone makes them differ so.
+    """
+
+    shift: Float[np.ndarray, " g"]
+    std: Float[np.ndarray, " g"]
+    between: tuple[float, float]
+    error: tuple[float, float]
+    chance: float
+
+    @property
+    def largest(self) -> float:
+        """Largest shift [Hz] of a group that its noise does not explain; 0 where noise explains all."""
+        if self.chance >= CERTAIN:
+            return 0.0
+        sure = np.abs(self.shift) > SURE * self.std
+        return float(np.max(np.abs(self.shift), where=sure, initial=0.0))
+
+
+def of_channels(hood: Neighbourhood, groups: np.ndarray, inflate: float = 1.0) -> Spread:
+    """What groups of channels ask for.
+
+    Parameters
+    ----------
+    hood
+        The lines around one mode.
+    groups
+        Number of the group of each channel, shape ``(c,)``.
+    inflate
+        Variance of the data in units of what whitened it, where that is known better.
+    """
+    change = hood.weight * hood.s**hood.power / (hood.s - hood.poles[0]) ** 2
+    Q = np.linalg.qr(hood.columns(hood.poles))[0]
+    own = change - Q @ (Q.conj().T @ change)
+    R = hood.residues[0]
+    size = np.abs(R) ** 2 * np.sum(np.abs(own) ** 2)
+    asked = R.conj() * (own.conj() @ hood.data)
+    count = int(groups.max()) + 1
+    weight, total = (np.bincount(groups, a, count) for a in (size, asked.real))
+    shift = np.array([total, np.bincount(groups, asked.imag, count)]) / np.maximum(weight, 1e-300)
+    return _spread(shift[1], shift[0], 2 * weight / inflate)
+
+
+def of_lines(hood: Neighbourhood, inflate: float = 1.0) -> Spread:
+    """What the parts of the resonance below, on either side of, and above its peak ask for."""
+    pole = hood.poles[0]
+    change = hood.weight * hood.s**hood.power / (hood.s - pole) ** 2
+    part = np.digitize((hood.s.imag - pole.imag) / -pole.real, FLANKS)
+    parted = change[:, None] * (part[:, None] == np.arange(len(FLANKS) + 1))
+    Q = np.linalg.qr(hood.columns(hood.poles))[0]
+    own = parted - Q @ (Q.conj().T @ parted)
+    R = hood.residues[0]
+    gram = own.conj().T @ own * np.sum(np.abs(R) ** 2)
+    right = own.conj().T @ (hood.data @ R.conj())
+    seen = np.real(np.diag(gram)) > 1e-9 * max(float(np.real(np.trace(gram))), 1e-300)
+    shift = np.full(len(seen), np.nan, complex)
+    weight = np.zeros(len(seen))
+    if seen.any():
+        inverse = np.linalg.pinv(gram[np.ix_(seen, seen)], rcond=1e-9)
+        shift[seen] = inverse @ right[seen]
+        weight[seen] = 2 / np.maximum(np.real(np.diag(inverse)) * inflate, 1e-300)
+    return _spread(shift.imag, shift.real, weight)
+
+
+def _spread(frequency: np.ndarray, decay: np.ndarray, weight: np.ndarray) -> Spread:
+    """Random-effects spread of the groups' shifts [rad/s], of weights inverse to their variances by noise."""
+    seen = weight > 1e-6 * max(float(weight.max(initial=0.0)), 1e-300)
+    w = weight[seen]
+    unit = 2 * np.pi
+    shift = np.where(seen, frequency, np.nan) / unit
+    std = np.where(seen, 1 / np.sqrt(np.where(seen, weight, 1.0)), np.nan) / unit
+    if len(w) < 2:
+        return Spread(shift, std, (0.0, 0.0), (0.0, 0.0), 1.0)
+    between, error, statistic = [], [], 0.0
+    for values in (frequency[seen], decay[seen]):
+        mean = np.sum(w * values) / np.sum(w)
+        q = float(np.sum(w * (values - mean) ** 2))
+        statistic += q
+        tau2 = max(0.0, (q - (len(w) - 1)) / (np.sum(w) - np.sum(w**2) / np.sum(w)))
+        between.append(np.sqrt(tau2) / unit)
+        error.append(np.sqrt(np.sum(w + w**2 * tau2)) / np.sum(w) / unit)
+    chance = float(scipy.stats.chi2.sf(statistic, 2 * (len(w) - 1)))
+    return Spread(
+        shift, std, (float(between[0]), float(between[1])), (float(error[0]), float(error[1])), chance
+    )  # fmt: skip

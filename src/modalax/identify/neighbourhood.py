@@ -1,0 +1,193 @@
+r"""The lines around some modes with everything else taken out, for questions that only they answer.
+
+There, channel by channel, :math:`D_c = \sum_r R_{rc} K(s, \lambda_r) + B b_c + e_c`: the modes asked about with a
+kernel :math:`K`, neighbours of fixed poles and a straight line in :math:`B`, and noise of unit variance. Few lines and
+few unknowns, so this is done with NumPy on the host.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import scipy.optimize
+from jaxtyping import Complex, Float
+
+from modalax.data.frf import DERIVATIVES, FRF
+from modalax.model.modal import ModalModel
+
+WIDTH, LINES = 8.0, 12  # reach of the lines on either side, in half-bandwidths and at least in lines
+MOST = 400  # lines; of more every second, third, ... is taken
+HALF, LEAST = 3, 0.1  # lines on either side over which noise is averaged, and its least part of the typical one
+ROUNDING = 1e-12  # least noise, relative to the largest FRF around
+
+Kernel = Callable[[np.ndarray, complex], np.ndarray]
+
+
+class Neighbourhood(NamedTuple):
+    """Whitened lines around some modes.
+
+    Attributes
+    ----------
+    s
+        Where the lines were evaluated, shape ``(m,)`` [1/s].
+    data
+        FRFs less all other modes, over their noise, shape ``(m, c)`` with channel ``o * inputs + i`` in place ``c``.
+    weight
+        What every kernel is multiplied with line by line, shape ``(m,)``.
+    fixed
+        Columns of neighbours and of a straight line, shape ``(m, k)``.
+    residues
+        Residues of the modes over the channels' noise, shape ``(n, c)``.
+    poles
+        Their poles, shape ``(n,)`` [rad/s].
+    power
+        Number of time derivatives of the form.
+    """
+
+    s: Complex[np.ndarray, " m"]
+    data: Complex[np.ndarray, "m c"]
+    weight: Float[np.ndarray, " m"]
+    fixed: Complex[np.ndarray, "m k"]
+    residues: Complex[np.ndarray, "n c"]
+    poles: Complex[np.ndarray, " n"]
+    power: int
+
+    def pole_kernel(self, s: np.ndarray, pole: complex) -> np.ndarray:
+        """The kernel of a steady state, in the form of the FRF."""
+        return s**self.power / (s - pole)
+
+    def columns(self, poles: Sequence[complex] | np.ndarray, kernel: Kernel | None = None) -> np.ndarray:
+        """Kernels of some poles with the fixed columns, shape ``(m, n + k)``, each of unit norm."""
+        kernel = self.pole_kernel if kernel is None else kernel
+        own = np.array([kernel(self.s, complex(p)) for p in poles]).reshape(-1, len(self.s)).T * self.weight[:, None]
+        A = np.concatenate([own, self.fixed], axis=1)
+        return A / np.maximum(np.linalg.norm(A, axis=0), 1e-300)
+
+    def left(
+        self, poles: Sequence[complex] | np.ndarray, kernel: Kernel | None = None, data: np.ndarray | None = None
+    ) -> Complex[np.ndarray, "m c"]:
+        """What the best residues leave of the data."""
+        data = self.data if data is None else data
+        Q = np.linalg.qr(self.columns(poles, kernel))[0]
+        return data - Q @ (Q.conj().T @ data)
+
+    def channels(self, which: np.ndarray) -> "Neighbourhood":
+        """The same lines of some channels."""
+        return self._replace(data=self.data[:, which], residues=self.residues[:, which])
+
+
+def around(
+    frf: FRF,
+    model: ModalModel,
+    residual: Complex[np.ndarray, "f o i"],
+    which: Sequence[int],
+    smooth: bool = False,
+) -> Neighbourhood:
+    """The lines around some modes of a model, with its other modes and residual terms taken out.
+
+    Parameters
+    ----------
+    frf, model
+        The FRF and a modal model of it.
+    residual
+        The FRF less what the model makes, as :func:`residual_of` gives it.
+    which
+        Indices of the modes.
+    smooth
+        Whether noise that is not known may change over the lines, so that no part of them is taken for quieter than it
+        is; sharp misfit then counts as noise where it is.
+    """
+    freq, poles = np.asarray(frf.freq), np.asarray(model.poles)
+    own = poles[list(which)]
+    width, centre = -own.real / (2 * np.pi), own.imag / (2 * np.pi)
+    step = float(np.median(np.diff(freq)))
+    reach = max(WIDTH * float(width.max()), LINES * step)
+    first, last = np.searchsorted(freq, [centre.min() - reach, centre.max() + reach])
+    first, last = max(0, min(first, len(freq) - 2 * LINES)), min(len(freq), max(last, 2 * LINES))
+    lines = slice(first, last, max(1, (last - first) // MOST))
+    s = np.asarray(frf.added_decay + 1j * frf.omega)
+    rest = residual[first:last].reshape(last - first, -1)
+    noise, course = channel_noise(frf, residual, slice(first, last), smooth)
+    power = DERIVATIVES[frf.form]
+    residues = np.asarray(model.residues)[list(which)].reshape(len(own), -1)
+    data = rest[:: lines.step] + (s[lines, None] ** power / (s[lines, None] - own)) @ residues
+    weight = 1 / course[:: lines.step]
+    others = [k for k in range(len(poles)) if k not in which and _within(poles[k], s[lines])]
+    straight = np.stack([np.ones(len(s[lines])), np.linspace(-1, 1, len(s[lines]))])
+    near = [s[lines] ** power / (s[lines] - poles[k]) for k in others]
+    fixed = (np.array([*straight, *near]) * weight).T.astype(complex)
+    whitened = data / noise * weight[:, None]
+    return Neighbourhood(s[lines], whitened, weight, fixed, residues / noise, own, power)
+
+
+def _within(pole: complex, s: np.ndarray) -> bool:
+    """Whether a pole acts on the lines other than as a straight line."""
+    margin = -2 * pole.real
+    return bool(s[0].imag - margin < pole.imag < s[-1].imag + margin)
+
+
+def residual_of(frf: FRF, model: ModalModel) -> Complex[np.ndarray, "f o i"]:
+    """The FRF less what the model makes."""
+    made = model.frf(frf.freq, form=frf.form, outputs=frf.outputs, inputs=frf.inputs, added_decay=frf.added_decay)
+    return np.asarray(frf.H - made.H)
+
+
+def channel_noise(
+    frf: FRF, residual: Complex[np.ndarray, "f o i"], lines: slice, smooth: bool = False
+) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, " m"]]:
+    """Standard deviation of each channel's noise in some lines, and its course over them (mean square 1).
+
+    From the variance where it is known; else from the scatter of the residual between neighbouring lines.
+    """
+    count = residual[lines].shape[0]
+    floor = ROUNDING * np.abs(np.asarray(frf.H[lines])).max() + 1e-300
+    if frf.variance is not None:
+        variance = np.asarray(frf.variance[lines]).reshape(count, -1) + floor**2
+        size = np.sqrt(variance.mean(axis=0))
+        course = np.sqrt(np.mean(variance / size**2, axis=1))
+        return size, course / np.sqrt(np.mean(course**2))
+    power = line_noise(residual[lines].reshape(count, -1)) + floor**2
+    size = np.sqrt(power.mean(axis=0))
+    if not smooth:
+        return size, np.ones(count)
+    course = np.convolve(np.pad(np.mean(power / size**2, axis=1), HALF, "edge"), np.ones(2 * HALF + 1), "valid")
+    course = np.sqrt(np.maximum(course, LEAST * np.median(course)))
+    return size, course / np.sqrt(np.mean(course**2))
+
+
+def line_noise(residual: Complex[np.ndarray, "m c"]) -> Float[np.ndarray, "m c"]:
+    r"""Power of what changes from line to line, :math:`|r_{k-1}-2r_k+r_{k+1}|^2/6`; that of the ends repeats.
+
+    Independent noise has this expectation; model error that is smooth over three lines adds nothing.
+    """
+    if len(residual) < 3:
+        return np.abs(residual) ** 2
+    inner = np.abs(residual[:-2] - 2 * residual[1:-1] + residual[2:]) ** 2 / 6
+    return np.concatenate([inner[:1], inner, inner[-1:]])
+
+
+def best_poles(
+    hood: Neighbourhood, start: Sequence[complex] | np.ndarray, kernel: Kernel | None = None
+) -> tuple[Complex[np.ndarray, " n"], float]:
+    """Poles that leave the least of the data, searched from a start, and the sum of squares that they leave."""
+    # Only the space that the channels span counts, so few columns stand for many channels.
+    vectors, sizes, _ = np.linalg.svd(hood.data, full_matrices=False)
+    data = vectors * sizes
+    start = np.asarray(start)
+    x0 = np.concatenate([np.log(np.abs(start)), np.log(np.maximum(-start.real / np.abs(start), 1e-6))])
+
+    def poles_of(x: np.ndarray) -> np.ndarray:
+        omega, zeta = np.exp(x[: len(start)]), np.exp(x[len(start) :])
+        return omega * (-zeta + 1j * np.sqrt(1 - zeta**2))
+
+    def rest(x: np.ndarray) -> np.ndarray:
+        r = hood.left(poles_of(x), kernel, data)
+        return np.concatenate([r.real.ravel(), r.imag.ravel()])
+
+    span = np.log([hood.s[0].imag, hood.s[-1].imag])
+    lower = np.r_[np.full(len(start), span[0]), np.full(len(start), np.log(1e-7))]
+    upper = np.r_[np.full(len(start), span[1]), np.full(len(start), np.log(0.5))]
+    scale = np.r_[np.exp(x0[len(start) :]), np.ones(len(start))]
+    x0 = np.clip(x0, lower + 1e-9, upper - 1e-9)
+    found = scipy.optimize.least_squares(rest, x0, x_scale=scale, bounds=(lower, upper), max_nfev=60, ftol=1e-10)
+    return poles_of(found.x), float(2 * found.cost)

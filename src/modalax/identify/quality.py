@@ -1,0 +1,124 @@
+r"""What the data tell of each mode: how far it stands out, and how well the parts of the data agree on it.
+
+All from the lines around the mode with everything else taken out (:mod:`modalax.identify.neighbourhood`), so that the
+same numbers exist with and without a refinement.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from modalax.data.frf import FRF
+from modalax.identify.disagreement import Spread, of_channels, of_lines
+from modalax.identify.neighbourhood import Neighbourhood, around, line_noise, residual_of
+from modalax.identify.tables import PoleTable
+from modalax.model.modal import ModalModel
+
+CORE = 2.0  # half-bandwidths about a resonance within which a mode is compared with what is left there
+REACH = 0.02  # part of a frequency within which a pole of another order may be the same mode
+LATE = 0.5  # part of the orders, from the highest down, whose poles tell the scatter
+
+
+class ModeQuality(NamedTuple):
+    """What the lines around one mode tell.
+
+    Attributes
+    ----------
+    gain
+        Rise of twice the log-likelihood of these lines by the mode, in units of the noise or of what is left if more.
+    unknowns
+        Real unknowns of the mode there: what noise alone would give.
+    share
+        Part of the response about the peak that is the mode's rather than left: 1 where nothing is left.
+    peak
+        Largest response of the mode over the noise's standard deviation at any line and channel.
+    channels
+        Number of channels that its response is spread over, the inverse participation ratio of their energies.
+    lines, inputs, outputs
+        What the flanks of the resonance, the inputs and the outputs ask for; None where there is only one.
+    """
+
+    gain: float
+    unknowns: int
+    share: float
+    peak: float
+    channels: float
+    lines: Spread
+    inputs: Spread | None
+    outputs: Spread | None
+
+    def error(self) -> tuple[float, float]:
+        """Largest standard deviation of frequency and of decay over 2 pi [Hz] that misfit gives the pole."""
+        told = [s for s in (self.lines, self.inputs, self.outputs) if s is not None and len(s.shift) > 1]
+        return max((s.error[0] for s in told), default=0.0), max((s.error[1] for s in told), default=0.0)
+
+
+def quality_of(frf: FRF, model: ModalModel) -> list[ModeQuality]:
+    """What the data tell of each mode of a model."""
+    residual = residual_of(frf, model)
+    return [_one(frf, around(frf, model, residual, [r], smooth=True)) for r in range(model.poles.size)]
+
+
+def _one(frf: FRF, hood: Neighbourhood) -> ModeQuality:
+    _, n_out, n_in = frf.shape
+    count = hood.data.shape[1]
+    left = hood.left(hood.poles)
+    without = hood.left(np.zeros(0))
+    samples = max(2 * (len(left) - 1 - hood.fixed.shape[1]) * count - 2, 1)
+    level = 2 * float(np.sum(np.abs(left) ** 2)) / samples
+    gain = 2 * float(np.sum(np.abs(without) ** 2) - np.sum(np.abs(left) ** 2)) / max(level, 1.0)
+    own = (hood.pole_kernel(hood.s, complex(hood.poles[0])) * hood.weight)[:, None] * hood.residues
+    width = -float(hood.poles[0].real)
+    distance = np.abs(hood.s.imag - hood.poles[0].imag)
+    core = distance <= max(CORE * width, float(np.partition(distance, 2)[2]))
+    mine, rest = np.sum(np.abs(own[core]) ** 2), np.sum(np.abs(left[core]) ** 2)
+    energy = np.abs(hood.residues[0]) ** 2
+    out, into = np.divmod(np.arange(count), n_in)
+    return ModeQuality(
+        gain=gain,
+        unknowns=2 * (n_out + n_in),
+        share=float(mine / max(mine + rest, 1e-300)),
+        peak=float(np.abs(own).max()),
+        channels=float(energy.sum() ** 2 / max(np.sum(energy**2), 1e-300)),
+        lines=of_lines(hood),
+        inputs=of_channels(hood, into) if n_in > 1 else None,
+        outputs=of_channels(hood, out) if n_out > 1 else None,
+    )
+
+
+def noise_part(frf: FRF, residual: np.ndarray, even: bool = False) -> float:
+    """Part of the FRFs' sum of squares that is noise in the residual, by the variance or else from line to line.
+
+    Where misfit is known to be as narrow as the lines, ``even`` takes the noise of a typical line for that of all.
+    """
+    rest = np.sum(np.abs(residual) ** 2)
+    if frf.variance is not None:
+        noise = np.sum(np.asarray(frf.variance))
+    else:
+        lines = line_noise(residual.reshape(len(residual), -1))
+        # The powers of complex noise are exponentially distributed: their median is ln 2 of their mean.
+        noise = np.sum(np.median(lines, axis=0)) * len(lines) / np.log(2) if even else np.sum(lines)
+    return float(min(float(noise), float(rest)) / np.sum(np.abs(np.asarray(frf.H)) ** 2))
+
+
+def scatter_over_orders(table: PoleTable, poles: np.ndarray) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """How much frequency [Hz] and damping ratio of each mode scatter over the higher orders of the diagram.
+
+    Half the distance between the 16 % and 84 % points of the nearest poles, within ``REACH``; NaN where fewer than
+    three orders have one.
+    """
+    physical = np.asarray(table.physical(max_damping=0.5))
+    late = range(int(LATE * len(table.orders)), len(table.orders))
+    f_scatter, z_scatter = np.full(len(poles), np.nan), np.full(len(poles), np.nan)
+    for r, pole in enumerate(poles):
+        seen = []
+        for row in late:
+            own = np.asarray(table.poles[row])[physical[row]]
+            near = own[np.abs(own - pole) < REACH * abs(pole)]
+            if len(near):
+                seen.append(near[np.argmin(np.abs(near - pole))])
+        if len(seen) >= 3:
+            f, zeta = np.abs(seen) / (2 * np.pi), -np.real(seen) / np.abs(seen)
+            f_scatter[r], z_scatter[r] = (0.5 * np.diff(np.percentile(a, [16, 84]))[0] for a in (f, zeta))
+    return f_scatter, z_scatter

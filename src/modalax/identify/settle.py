@@ -1,0 +1,182 @@
+"""The last look at a refined model: false modes dropped, close ones told apart, error bars that know the misfit."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import scipy.stats
+from jaxtyping import Bool, Float
+
+from modalax.data.frf import FRF
+from modalax.identify.close_modes import NEAR, two_modes
+from modalax.identify.disagreement import CERTAIN
+from modalax.identify.likelihood import UNDAMPED
+from modalax.identify.local import fit_where_dominant
+from modalax.identify.neighbourhood import residual_of
+from modalax.identify.noise import residual_sigma
+from modalax.identify.quality import ModeQuality, quality_of
+from modalax.identify.refine import CONTRADICTION, CORRELATED, HELD, UNIT, Refined, refine
+from modalax.identify.residues import residues
+from modalax.model.modal import ModalModel
+
+TURNS = 3  # most times that modes are dropped and the others refined again
+NARROW = 0.01  # half-bandwidth in lines below which a pole is one bad line
+CHANCE = 1e-6  # of the evidence of a mode in noise alone
+
+
+def settle(frf: FRF, refined: Refined, tell: Callable[[str], None], **options: Any) -> Refined:
+    """The result without modes that are none, refined again where there were any.
+
+    Dropped are modes in the band at the end of the range of damping, those whose evidence noise alone would give, and
+    the weaker of two close modes that one mode explains as well (:func:`two_modes`).
+
+    Parameters
+    ----------
+    frf, refined
+        The FRF, with its variance where it is known, and a result of maximum likelihood for it.
+    tell
+        Called with a word on each step.
+    options
+        ``residuals`` and ``real_modes``, as for :func:`refine`.
+
+    Raises
+    ------
+    ValueError
+        If no mode stands out of the noise.
+    """
+    if int(refined.reason_code) == HELD:
+        return refined
+    asked: set[tuple[float, float]] = set()
+    for _ in range(TURNS):
+        bad = at_bound(frf, refined) | _in_noise(frf, refined)
+        _require(frf, _inside(frf, refined.model) & ~bad)
+        bad |= _doubled(frf, refined.model, np.asarray(refined.evidence), bad, asked)
+        if not bad.any():
+            break
+        tell(f"{int(bad.sum())} modes dropped that the data do not need")
+        refined = _again(frf, refined, ~bad, **options)
+    _require(frf, _inside(frf, refined.model) & ~_gains(frf, refined.model)[1])
+    return refined
+
+
+def settle_diagram(frf: FRF, model: ModalModel, **options: Any) -> ModalModel:
+    """The model of a diagram's poles without those that noise makes and the weaker of two that are one.
+
+    Raises
+    ------
+    ValueError
+        If no mode stands out of the noise.
+    """
+    for _ in range(TURNS):
+        gains, weak = _gains(frf, model)
+        _require(frf, _inside(frf, model) & ~weak)
+        bad = weak | _doubled(frf, model, gains, weak, set())
+        if not bad.any():
+            break
+        model = residues(frf, model.poles[~bad], **options)
+    return model
+
+
+def _gains(frf: FRF, model: ModalModel) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    """By how much each mode raises the likelihood of the lines around it, and which do no more than in noise."""
+    quality = quality_of(frf, model)
+    gains = np.array([q.gain for q in quality])
+    return gains, gains < np.array([scipy.stats.chi2.isf(CHANCE, q.unknowns) for q in quality])
+
+
+def _require(frf: FRF, sound: np.ndarray) -> None:
+    if not sound.any():
+        raise ValueError(
+            f"no mode stands out of the noise between {float(frf.freq[0]):g} and {float(frf.freq[-1]):g} Hz; what "
+            "look like peaks are of the size that noise makes"
+        )
+
+
+def _inside(frf: FRF, model: ModalModel) -> Bool[np.ndarray, " n"]:
+    f = np.asarray(model.frequency_hz)
+    return (f >= float(frf.freq[0])) & (f <= float(frf.freq[-1]))
+
+
+def at_bound(frf: FRF, refined: Refined) -> Bool[np.ndarray, " n"]:
+    """Modes in the band without damping to speak of, or without a standard deviation."""
+    f, zeta = np.asarray(refined.model.frequency_hz), np.asarray(refined.model.damping_ratio)
+    step = float(np.median(np.diff(np.asarray(frf.freq))))
+    std = np.asarray(refined.damping_std)
+    lost = (zeta <= 1.01 * UNDAMPED) | (zeta * f < NARROW * step) | ~np.isfinite(std)
+    return _inside(frf, refined.model) & lost
+
+
+def _in_noise(frf: FRF, refined: Refined) -> Bool[np.ndarray, " n"]:
+    """Modes in the band whose evidence a pole and a residue matrix of rank one would find in noise alone."""
+    unknowns = 2 * (frf.shape[1] + frf.shape[2] - 1) + 2
+    need = scipy.stats.chi2.isf(CHANCE, unknowns)
+    return _inside(frf, refined.model) & (np.asarray(refined.evidence) < need)
+
+
+def _doubled(
+    frf: FRF, model: ModalModel, evidence: np.ndarray, gone: np.ndarray, asked: set[tuple[float, float]]
+) -> Bool[np.ndarray, " n"]:
+    """The weaker of each two close modes that the data do not tell apart; pairs kept once are not asked about again."""
+    f, width = np.asarray(model.frequency_hz), -np.asarray(model.poles.real) / (2 * np.pi)
+    step = float(np.median(np.diff(np.asarray(frf.freq))))
+    drop = np.zeros(len(f), bool)
+    residual = None
+    for a, b in zip(*np.triu_indices(len(f), 1), strict=True):
+        close = abs(f[a] - f[b]) < NEAR * max(step, width[a] + width[b])
+        pair = (round(float(f[a]), 6), round(float(f[b]), 6))
+        if not close or (gone | drop)[[a, b]].any() or pair in asked or not _inside(frf, model)[[a, b]].any():
+            continue
+        asked.add(pair)
+        residual = residual_of(frf, model) if residual is None else residual
+        if not two_modes(frf, model, residual, (int(a), int(b))):
+            drop[a if evidence[a] < evidence[b] else b] = True
+    return drop
+
+
+def _again(frf: FRF, refined: Refined, keep: np.ndarray, **options: Any) -> Refined:
+    """The other modes refined with the weights that their own residual gives, as the search ends."""
+    model = refined.model
+    model = model.replace(
+        poles=model.poles[keep], shapes=model.shapes[keep], participation=model.participation[keep],
+        frequency_std=0.0, damping_std=0.0,
+    )  # fmt: skip
+    known = frf.variance is not None
+    weights: Any = "auto"
+    if not known:
+        scale = UNIT * jnp.sqrt(jnp.mean(jnp.abs(frf.H) ** 2))
+        plain = dataclasses.replace(refined, residual=jnp.asarray(residual_of(frf, refined.model)) / scale)
+        weights = residual_sigma(frf, plain, "auto", proportional=True)
+    slots = 8 * -(-model.poles.size // 8)
+    kind = "gauss-newton" if known else "robust"
+    new = refine(frf, model, weights=weights, covariance=kind, slots=slots, **options)
+    if int(refined.reason_code) == CONTRADICTION and float(new.whiteness) < CORRELATED:
+        new = fit_where_dominant(frf, new, **options)
+    return new
+
+
+def with_misfit(refined: Refined, quality: list[ModeQuality]) -> Refined:
+    """The result with standard deviations of poles that know how much the parts of the data disagree on them.
+
+    Where flanks, inputs or outputs differ beyond noise, the deviation of their random-effects mean takes the place of
+    a smaller one. Correlations stay.
+    """
+    model = refined.model
+    f, zeta = np.asarray(model.frequency_hz), np.asarray(model.damping_ratio)
+    old = np.stack([np.asarray(refined.frequency_std_hz), np.asarray(refined.damping_std)], axis=1)
+    new = np.array([_with_spread(old[r], f[r], zeta[r], q) for r, q in enumerate(quality)]).reshape(-1, 2)
+    scale: Float[np.ndarray, " p"] = np.where(old > 0, new / np.where(old > 0, old, 1.0), 1.0).ravel()
+    return dataclasses.replace(
+        refined, frequency_std_hz=jnp.asarray(new[:, 0]), damping_std=jnp.asarray(new[:, 1]),
+        covariance=scale[:, None] * refined.covariance * scale,
+    )  # fmt: skip
+
+
+def _with_spread(std: np.ndarray, f: float, zeta: float, quality: ModeQuality) -> np.ndarray:
+    f_std, zeta_std = float(std[0]), float(std[1])
+    for spread in (quality.lines, quality.inputs, quality.outputs):
+        if spread is not None and spread.chance < CERTAIN:
+            f_std = max(f_std, spread.error[0])
+            zeta_std = max(zeta_std, float(np.hypot(spread.error[1], zeta * spread.error[0]) / f))
+    return np.array([f_std, zeta_std])

@@ -1,0 +1,106 @@
+"""Two modes or one: finite records, columns that disagree, and true doublets, each from a simulation of its kind."""
+
+import numpy as np
+import pytest
+
+from modalax.data import FRF
+from modalax.identify import residues
+from modalax.identify.close_modes import record_of, two_modes
+from modalax.identify.disagreement import CERTAIN, of_channels, of_lines
+from modalax.identify.neighbourhood import around, residual_of
+from modalax.identify.record_window import record_kernel
+from modalax.model.modal import poles_from
+
+FREQ = np.arange(40.0, 141.0)  # lines 1 Hz apart: records of 1 s
+
+
+def measured(frequency, zeta, outputs, inputs, record="steady", noise=1e-3, seed=0, shape_seed=1):
+    """FRFs of modes with random shapes seen through a kind of record, with even noise that is not told."""
+    rng, shapes = np.random.default_rng(seed), np.random.default_rng(shape_seed)
+    s = 2j * np.pi * FREQ
+    H = np.zeros((len(s), outputs, inputs), complex)
+    for pole in np.asarray(poles_from(frequency, zeta)):
+        R = np.outer(shapes.normal(size=outputs), shapes.normal(size=inputs)) / (2j * pole.imag)
+        near, far = record_kernel(s, pole, 1.0, record), record_kernel(s, pole.conj(), 1.0, record)
+        H += near[:, None, None] * R + far[:, None, None] * R.conj()
+    e = rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape)
+    return FRF(FREQ, H + noise * np.abs(H).mean() * e)
+
+
+def disagreeing(shift, zeta=0.005):
+    """One structure whose frequencies differ from column to column by the given parts."""
+    parts = [
+        measured(np.array([60.0, 120.0]) * (1 + d), [zeta, zeta], 3, 1, seed=k, noise=3e-4) for k, d in enumerate(shift)
+    ]
+    return FRF(FREQ, np.concatenate([p.H for p in parts], axis=2), inputs=["a", "b", "c"][: len(parts)])
+
+
+def fitted(frf, frequency, zeta):
+    model = residues(frf, poles_from(frequency, zeta))
+    return model, residual_of(frf, model)
+
+
+@pytest.mark.parametrize("record", ["steady", "hann", "random", "padded"])
+def test_one_mode_in_any_record_is_not_two(record):
+    frf = measured([60.0, 120.0], [5e-4, 0.01], 3, 1, record)
+    model, residual = fitted(frf, [59.9, 60.1, 120.0], [0.004, 0.004, 0.01])
+    assert not two_modes(frf, model, residual, (0, 1))
+
+
+def test_one_mode_that_columns_see_apart_is_not_two():
+    frf = disagreeing([0.0, 5e-4, -7e-4])
+    model, residual = fitted(frf, [59.96, 60.02, 120.0], [0.005, 0.005, 0.005])
+    assert not two_modes(frf, model, residual, (0, 1))
+
+
+@pytest.mark.parametrize(("outputs", "inputs"), [(4, 2), (6, 1), (1, 1)])
+def test_true_doublets_stay_two(outputs, inputs):
+    """A third of a line apart, half of it at one sensor: the evidence says two."""
+    apart = 0.3 if outputs > 1 else 0.8
+    frf = measured([60.0, 60.0 + apart, 120.0], [0.005] * 3, outputs, inputs, noise=1e-4)
+    model, residual = fitted(frf, [60.0, 60.0 + apart, 120.0], [0.005] * 3)
+    assert two_modes(frf, model, residual, (0, 1))
+
+
+@pytest.mark.parametrize("record", ["hann", "random"])
+def test_record_is_named_and_its_damping_taken_out(record):
+    frf = measured([60.0, 120.0], [5e-4, 4e-4], 3, 1, record)
+    model, residual = fitted(frf, [60.0, 120.0], [0.006, 0.004])
+    found = record_of(frf, model, residual, np.arange(2))
+    assert found is not None and found.kind == record
+    assert np.allclose(found.damping_ratio, [5e-4, 4e-4], rtol=0.05)
+    assert np.allclose(found.frequency_hz, [60.0, 120.0], rtol=1e-5)
+
+
+@pytest.mark.parametrize("zeta", [0.01, 1e-3])
+def test_no_record_is_named_where_a_steady_state_explains_all(zeta):
+    frf = measured([60.0, 120.0], [zeta, zeta], 3, 1)
+    model, residual = fitted(frf, [60.0, 120.0], [zeta, zeta])
+    assert record_of(frf, model, residual, np.arange(2)) is None
+
+
+def test_columns_tell_by_how_much_they_disagree():
+    frf = disagreeing([0.0, 5e-4, -7e-4])
+    model, residual = fitted(frf, [60.0, 120.0], [0.005, 0.005])
+    hood = around(frf, model, residual, [0])
+    inputs = of_channels(hood, np.tile(np.arange(3), 3))
+    assert inputs.chance < 1e-12
+    assert np.ptp(inputs.shift) == pytest.approx(60 * 12e-4, rel=0.1)
+    assert np.argsort(inputs.shift).tolist() == [2, 0, 1]
+    assert 0.5 < inputs.between[0] / np.std(inputs.shift, ddof=1) < 2
+    assert of_channels(hood, np.repeat(np.arange(3), 3)).chance > CERTAIN
+
+
+def test_parts_of_sound_data_agree():
+    """Over forty draws of the noise: chances are even, and the deviation of the mean is that of all data."""
+    chances, shifts = [], []
+    for seed in range(40):
+        frf = measured([60.0, 120.0], [0.01, 0.01], 3, 2, noise=0.02, seed=seed)
+        frf = frf.replace(variance=np.full(frf.H.shape, 2 * (0.02 * np.abs(np.asarray(frf.H)).mean()) ** 2))
+        hood = around(frf, *fitted(frf, [60.0, 120.0], [0.01, 0.01]), [0])
+        chances += [of_channels(hood, np.tile(np.arange(2), 3)).chance, of_lines(hood).chance]
+        spread = of_channels(hood, np.zeros(6, int))
+        shifts.append(spread.shift[0] / spread.std[0])
+    assert 0.3 < np.mean(chances) < 0.75
+    assert min(chances) > CERTAIN / 10
+    assert 0.75 < np.std(shifts) < 1.3

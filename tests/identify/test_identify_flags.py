@@ -1,0 +1,104 @@
+"""What a fit says of its modes and of the measurement, each from a simulation of its kind."""
+
+import numpy as np
+import pytest
+
+from modalax.data import FRF
+from modalax.identify import fit
+from modalax.model import ModalModel
+
+FREQ = np.linspace(0.5, 100, 200)
+
+
+def structure(seed=0, frequency=(20.0, 52.0, 90.0), zeta=0.02, points=6):
+    n = len(frequency)
+    shapes = np.random.default_rng(seed).normal(size=(n, points))
+    return ModalModel.from_real_modes(frequency, [zeta] * n, shapes, np.ones(n), [str(k + 1) for k in range(points)])
+
+
+def noisy(model, level, inputs=("1",), seed=0, freq=FREQ, form="accelerance"):
+    rng = np.random.default_rng(seed)
+    H = np.array(model.frf(freq, inputs=list(inputs), form=form).H)
+    size = level * np.sqrt(np.mean(np.abs(H) ** 2) / 2)
+    H += size * (rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape))
+    return FRF(freq, H, form=form, outputs=model.outputs, inputs=inputs)
+
+
+def test_unexplained_is_parted_into_noise_and_misfit():
+    """Noise as large as the response: it is half of all there is, whatever weak modes are lost in it."""
+    found = fit(noisy(structure(), 1.0), refine=False)
+    answer = found.to_dict()
+    assert 0.4 < answer["unexplained"] < 0.75
+    assert answer["unexplained_noise"] == pytest.approx(0.5, abs=0.06)
+    assert answer["unexplained_noise"] + answer["unexplained_misfit"] == pytest.approx(answer["unexplained"])
+    assert any("is noise" in note for note in answer["notes"])
+
+
+def test_misfit_is_not_called_noise():
+    """A smooth hump that no mode of the fit makes."""
+    clean = noisy(structure(), 1e-3)
+    hump = 2.0 * np.abs(np.asarray(clean.H)).max() * np.exp(-(((FREQ - 70) / 6) ** 2)) * np.exp(0.3j * FREQ)
+    found = fit(clean.replace(H=clean.H + hump[:, None, None]), refine=False, order=12)
+    assert float(found.noise) < 0.3 * float(found.unexplained)
+
+
+def test_a_line_at_0_hz_does_not_spoil_the_fit():
+    model = structure().replace(lower=np.full((6, 6), 0.1))
+    freq = np.arange(0, 200) * 0.5
+    H = np.array(model.frf(freq, form="mobility", inputs=["1"]).H)
+    H[0] = 1e3 * np.abs(H).max()
+    found = fit(FRF(freq, H, form="mobility"), refine=False)
+    assert float(found.unexplained) < 1e-6
+    assert "0 Hz" in found.notes[0]
+
+
+def test_noise_alone_has_no_mode():
+    rng = np.random.default_rng(3)
+    H = rng.normal(size=(200, 3, 1)) + 1j * rng.normal(size=(200, 3, 1))
+    with pytest.raises(ValueError, match=r"no mode (stands out of the noise|lasts)"):
+        fit(FRF(FREQ, H), refine=False)
+
+
+def test_modes_carry_flags_and_grades():
+    """Modes at the end of the band, seen by one sensor only, and complex."""
+    model = structure(frequency=(20.0, 52.0, 99.7))
+    shapes = np.array(model.shapes)
+    shapes[0, 1:] *= 1e-3
+    shapes[1] = np.exp(2j * np.pi * np.arange(6) / 6)
+    found = fit(noisy(model.replace(shapes=shapes), 1e-3), refine=False)
+    modes = found.to_dict()["modes"]
+    for f, word in ((20.0, "one sensor only"), (52.0, "complex (MPC 0.0"), (99.7, "edge of the band")):
+        mode = min(modes, key=lambda m: abs(m["frequency_hz"] - f))
+        assert abs(mode["frequency_hz"] - f) < 0.5
+        assert any(word in flag for flag in mode["flags"]), mode
+        assert sum("sensor only" in flag or "complex" in flag or "edge" in flag for flag in mode["flags"]) == 1
+    assert modes[-1]["grade"] > 0.95
+    assert np.argmin([m["grade"] for m in modes]) == 0  # the one that is nearly lost
+
+
+def test_columns_that_disagree_are_named_with_the_size():
+    """The third hit finds all frequencies 0.5 % lower."""
+    model = structure()
+    lower = model.replace(poles=0.995 * model.poles)
+    parts = [noisy(m, 1e-3, (name,)) for m, name in ((model, "1"), (model, "2"), (lower, "3"))]
+    frf = FRF(FREQ, np.concatenate([p.H for p in parts], 2), form="accelerance", inputs=["1", "2", "3"])
+    found = fit(frf, refine=False)
+    assert int(np.sum(np.asarray(found.inside))) == 3
+    (note,) = [n for n in found.notes if "inputs disagree" in n]
+    assert "3 has them" in note
+    assert any("lowest 3" in flag for flags in found.flags for flag in flags)
+
+
+def test_an_exponential_window_is_seen_in_equal_decays():
+    model = structure(frequency=(20.0, 52.0, 90.0), zeta=1e-4)
+    poles = np.array(model.poles) - 5.0
+    found = fit(noisy(model.replace(poles=poles), 1e-3), refine=False)
+    assert any("exponential window" in note for note in found.notes)
+
+
+def test_scatter_over_the_orders_tells_of_bad_damping():
+    """Without a refinement, noise makes damping scatter: the scatter is of the size of the errors."""
+    model = structure()
+    quiet, loud = (fit(noisy(model, level), refine=False) for level in (1e-3, 0.3))
+    tight, wide = (np.nanmax(np.asarray(f.damping_scatter / f.model.damping_ratio)) for f in (quiet, loud))
+    assert tight < 0.02 < wide
