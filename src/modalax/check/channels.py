@@ -1,0 +1,125 @@
+"""Channels that carry nothing of their own: dead ones, and ones that repeat another."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from modalax.check.finding import Finding, Picture, sureness
+from modalax.check.noise import MEDIAN, off_neighbours
+from modalax.check.study import Study
+
+# Lines of noise alone are as often alike as opposite; the likeness of neighbours is then below this many deviations.
+ALIKE = 5.0
+# No mode of a dead channel exceeds its standard deviation by this factor; among hundreds of residues of noise none does.
+VISIBLE = 4.5
+# Two channels share their noise if what they differ by is this little of the noise of both, and of the FRF.
+SHARED, EQUAL = 0.02, 0.05
+# Noise below this share of an FRF is rounding: equal channels of a calculation are then no sign of a copy.
+ROUNDING = 1e-6
+
+
+def dead(study: Study) -> Iterator[Finding]:
+    """Outputs and inputs in all of whose FRFs neither neighbouring lines are alike nor a mode is seen."""
+    likeness = _likeness(study.H)
+    ratio = np.abs(study.residues) / np.maximum(study.residue_std, np.finfo(float).tiny)
+    seen = ratio.max(axis=0, initial=0.0) > VISIBLE
+    alive = (likeness > ALIKE).any(axis=0) | (seen & ~study.silent[0])
+    if not alive.any():
+        return
+    for axis, names in ((1, study.outputs), (0, study.inputs)):
+        if len(names) < 2:
+            continue
+        for k in np.flatnonzero(~alive.any(axis=axis)):
+            zero = study.silent.take(k, axis=1 if axis else 2).all()
+            size = _share(study.H, k, axis)
+            yield Finding(
+                "dead", (names[k],), sure=0.99 if zero else 0.95, size=size, unit="rms of the others",
+                evidence="its FRFs are zero or constant at all lines" if zero else
+                "its FRFs are noise: no line resembles the next and no resonance of the other channels is in it",
+                advice="check the cable, the sensor and the channel's range, and measure it again or leave it out",
+                picture=_spectra(study, k, axis),
+            )  # fmt: skip
+
+
+def _likeness(H: np.ndarray) -> np.ndarray:
+    """Sum of products of neighbouring lines in standard deviations of products of noise, ``(run, o, i)``."""
+    size = np.abs(H)
+    unit = np.divide(H, np.sqrt(size), out=np.zeros_like(H), where=size > 0)
+    products = unit[:, 1:] * unit[:, :-1].conj()
+    spread = np.sqrt(np.sum(np.abs(products) ** 2, axis=1))
+    return np.abs(products.sum(axis=1)) / np.where(spread > 0, spread, 1.0)
+
+
+def _share(H: np.ndarray, k: int, axis: int) -> float:
+    """Root mean square of a channel over that of the middle of all others."""
+    power = np.sqrt(np.mean(np.abs(H) ** 2, axis=(0, 1, 3 if axis else 2)))
+    others = np.median(np.delete(power, k))
+    return float(power[k] / others) if others > 0 else 0.0
+
+
+def _spectra(study: Study, k: int, axis: int) -> Picture:
+    size = np.abs(study.H[0]).mean(axis=2 if axis else 1)
+    name = (study.outputs if axis else study.inputs)[k]
+    rest = np.median(np.delete(size, k, axis=1), axis=1)
+    return Picture(
+        [(name, study.freq, size[:, k]), ("middle of the others", study.freq, rest)], "Frequency [Hz]", "|H|", True
+    )
+
+
+def duplicated(study: Study) -> Iterator[Finding]:
+    """Pairs of outputs, of inputs and of runs that share even their noise."""
+    off = off_neighbours(study.H.transpose(0, 2, 3, 1)[..., None])[..., 0].transpose(0, 3, 1, 2)
+    for axis, names in ((2, study.outputs), (3, study.inputs), (0, None)):
+        noise, values = np.moveaxis(off, axis, 0), np.moveaxis(study.H, axis, 0)
+        noise, values = noise.reshape(len(noise), -1), values.reshape(len(values), -1)
+        titles = names or tuple(f"run {k + 1}" for k in range(len(values)))
+        for a in range(len(values)):
+            for b in range(a + 1, len(values)):
+                found = _copy(values[a], values[b], noise[a], noise[b])
+                if found is None:
+                    continue
+                factor, ratio = found
+                yield Finding(
+                    "duplicated", (titles[a], titles[b]), sure=float(np.clip(1 - ratio, 0, 0.99)),
+                    size=factor, unit="-",
+                    evidence=f"both hold the same data to {ratio:.2g} of their noise, times {factor:.4g}: two "
+                    "measurements never share their noise",
+                    advice="find out which of both was really measured, and leave the other out",
+                    picture=_pair(study, axis, a, b, titles),
+                )  # fmt: skip
+
+
+def _copy(a: np.ndarray, b: np.ndarray, off_a: np.ndarray, off_b: np.ndarray) -> tuple[float, float] | None:
+    """Factor between two channels and what they differ by over their noise; None if the noise is not shared."""
+    power = np.vdot(b, b).real
+    if power == 0 or not np.any(a):
+        return None
+    factor = np.vdot(b, a) / power
+    if np.linalg.norm(a - factor * b) > EQUAL * np.linalg.norm(a):
+        return None
+    noise = np.median(np.abs(off_a) ** 2 + np.abs(factor * off_b) ** 2) / MEDIAN
+    if np.sqrt(noise) < ROUNDING * np.sqrt(np.mean(np.abs(a) ** 2)):
+        return None
+    ratio = np.median(np.abs(off_a - factor * off_b) ** 2) / MEDIAN / noise
+    return (float(np.real(factor)), float(np.sqrt(ratio))) if ratio < SHARED else None
+
+
+def _pair(study: Study, axis: int, a: int, b: int, titles: tuple[str, ...]) -> Picture:
+    values = np.abs(np.moveaxis(study.H, axis, 0))
+    flat = [np.moveaxis(values[k], 1 if axis else 0, 0).reshape(len(study.freq), -1).mean(axis=1) for k in (a, b)]
+    return Picture(
+        [(titles[k], study.freq, v) for k, v in zip((a, b), flat, strict=True)], "Frequency [Hz]", "|H|", True
+    )
+
+
+def conjugated(study: Study) -> Iterator[Finding]:
+    """FRFs whose response would come before the force."""
+    if not study.conjugated:
+        return
+    yield Finding(
+        "conjugated", (), sure=sureness(-study.fall, 4.0), size=None,
+        evidence=f"the phase rises through the resonances ({-study.fall:.3g} standard deviations of chance): the "
+        "response would come before the force",
+        advice="conjugate the FRFs; the file is in the time convention e^-jwt, or force and response were exchanged in "
+        "the cross spectrum",
+    )  # fmt: skip

@@ -1,0 +1,100 @@
+"""What a check finds: one fault of the measurement, with its size, its evidence and what to do about it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+WORDS = (
+    "reversed", "swapped", "dead", "duplicated", "clipped", "drift", "double_hit", "short_pulse", "force_rolloff",
+    "record_too_short", "not_reciprocal", "calibration", "frequency_shift", "hum", "conjugated", "wrong_form", "delay",
+    "too_few_lines",
+)  # fmt: skip
+# A finding is told from this probability on.
+TOLD = 0.9
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Curves that show the evidence: ``(label, x, y)`` each, with the titles of both axes."""
+
+    curves: Sequence[tuple[str, np.ndarray, np.ndarray]]
+    x: str
+    y: str
+    logarithmic: bool = False
+    dots: bool = False
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One fault.
+
+    Attributes
+    ----------
+    what
+        One of ``WORDS``.
+    where
+        Names of the channels at fault; of all that may be, where the data cannot tell them apart; empty: everywhere.
+    size, interval, unit
+        How large the fault is, a range that holds it with about 95 %, and their unit; None where it has no size.
+    sure
+        Probability that the fault is real.
+    evidence, advice
+        What was seen, and what to do.
+    picture
+        Curves that show it, or None.
+    """
+
+    what: str
+    where: tuple[str, ...]
+    evidence: str
+    advice: str
+    sure: float
+    size: float | None = None
+    unit: str | None = None
+    interval: tuple[float, float] | None = None
+    picture: Picture | None = field(default=None, repr=False, compare=False)
+
+    def __post_init__(self):
+        if self.what not in WORDS:
+            raise ValueError(f"a finding of {self.what!r}; it must be one of {', '.join(WORDS)}")
+
+    def to_dict(self) -> dict[str, Any]:
+        """The finding as plain values."""
+        return {
+            "what": self.what, "where": list(self.where), "size": self.size, "unit": self.unit,
+            "interval": None if self.interval is None else list(self.interval), "sure": self.sure,
+            "evidence": self.evidence, "advice": self.advice,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Findings:
+    """All that was found, the surest first; empty for a sound measurement.
+
+    Attributes
+    ----------
+    findings
+        The faults.
+    about
+        What was looked at, and what could not be: sentences for the reader.
+    """
+
+    findings: tuple[Finding, ...]
+    about: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.findings)
+
+    def __iter__(self):
+        return iter(self.findings)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The findings as plain values, as ``modalax check --json`` writes them."""
+        return {"findings": [f.to_dict() for f in self.findings]}
+
+
+def sureness(z: float, threshold: float) -> float:
+    """Probability of a fault from how far its score exceeds the threshold at which it is told."""
+    return float(1 - (1 - TOLD) * np.exp(-max(z / threshold - 1, 0.0) * 2))

@@ -1,0 +1,158 @@
+r"""Wrong form: FRFs called receptance that are mobility or accelerance, and so on.
+
+One derivative turns the residues of all modes by 90 degrees. Two turn them by 180, and what tells that from a reversed
+sensor is the rest: below the first mode a structure is a spring or a mass, and at a drive point every part of the
+receptance, :math:`\sum_r a_r/(\omega_r^2-\omega^2) - b/\omega^2 + u`, has a positive constant.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.optimize import nnls
+
+from modalax.check.finding import Finding, Picture
+from modalax.check.phases import SCATTER, angles_of, misfit
+from modalax.check.study import Study
+from modalax.data.frf import DERIVATIVES
+
+FORMS = tuple(DERIVATIVES)
+# Share of the squares that a quarter turn must leave, and squares of scatter below which nothing is asked.
+QUARTER, ASKED = 0.15, 40.0
+# Residues of complex modes may turn by this angle at a drive point [rad].
+CONE = 0.35
+# How many times better another form must explain the drive points.
+BETTER = 2.0
+# Lines below this share of the first mode show the spring or the mass line; so many are needed, over such a range.
+BELOW, LINES, RANGE = 0.55, 6, 1.8
+# Slopes of |H| over frequency there, in powers: receptance is a spring (0) or a mass (-2).
+STEP_SLOPE = 0.35
+
+
+def wrong_form(study: Study) -> Iterator[Finding]:
+    """A form that the phases or the slopes contradict."""
+    turn = _turn(study) if study.explained else 0
+    slope = _slope(study)
+    drive = _drive_form(study) if study.explained else None
+    label = study.power
+    if abs(turn) == 1:
+        if drive is not None and drive[0] != label:
+            yield _finding(study, drive[0], "the residues of all modes are turned by 90 degrees", 0.99)
+        else:
+            options = [p for p in (label - 1, label + 1) if 0 <= p <= 2]
+            power = min(options, key=lambda p: 0.0 if slope is None else _off(slope, p))
+            yield _finding(study, power, "the residues of all modes are turned by 90 degrees", 0.98)
+        return
+    if drive is not None and drive[0] != label:
+        text = f"as {FORMS[drive[0]]} the drive points are {drive[1]:.3g} times closer to those of a passive structure"
+        yield _finding(study, drive[0], text, 0.97)
+    elif slope is not None and _off(slope, label) > 1 - STEP_SLOPE and turn == 0:
+        fits = [p for p in range(3) if _off(slope, p) < STEP_SLOPE and (p - label) % 2 == 0]
+        if len(fits) == 1:
+            text = f"below the first mode |H| goes with f^{slope:.2f}, where {study.form} goes with f^{label} (a spring) "
+            yield _finding(study, fits[0], text + f"or f^{label - 2} (a mass)", 0.95)
+
+
+def _off(slope: float, power: int) -> float:
+    return min(abs(slope - power), abs(slope - power + 2))
+
+
+def _turn(study: Study) -> int:
+    """1 if all residues lie a quarter turn off, 0 if they do not, 2 if all drive points are opposite."""
+    angles = angles_of(study)
+    if not len(angles.angle):
+        return 0
+    undirected = angles._replace(drive=np.zeros_like(angles.drive))
+    at_rest, quarter = misfit(undirected, 0.0), misfit(undirected, 0.0, np.pi / 2)
+    count = len(angles.angle)
+    if at_rest > ASKED and quarter < QUARTER * at_rest and quarter < 4 * count:
+        return 1
+    return 0
+
+
+def _slope(study: Study) -> float | None:
+    """Power of frequency that |H| follows below the first mode; None where that cannot be seen."""
+    if not len(study.modes.poles):
+        return None
+    first = study.modes.frequency.min()
+    below = np.flatnonzero(study.freq < BELOW * first)
+    if len(below) < LINES or study.freq[below[-1]] < RANGE * study.freq[below[0]]:
+        return None
+    f = study.freq[below]
+    # Springs and masses in parallel bend the line by 1 - (f/f1)^2; the first mode's part is taken out of it.
+    size = np.abs(study.H[0, below]) * (1 - (f / first) ** 2)[:, None, None]
+    clear = (study.sigma[0, below] < 0.25 * size).mean(axis=0) > 0.8
+    if not clear.any():
+        return None
+    x = np.log(f) - np.log(f).mean()
+    slopes = np.einsum("f,foi->oi", x, np.log(np.maximum(size, 1e-300))) / np.sum(x**2)
+    chosen = slopes[clear]
+    if len(chosen) < 2 and not study.drive_points:
+        return None
+    middle = float(np.median(chosen))
+    return middle if np.median(np.abs(chosen - middle)) < 0.3 else None
+
+
+def _drive_form(study: Study) -> tuple[int, float] | None:
+    """Form that makes all drive points passive, and how much better than the stated one either sign; or None."""
+    points = [p for p in study.drive_points if not study.silent[0, p.o, p.i]]
+    if not points or not _opposite(study):
+        return None
+    scores = np.array([[_passive_misfit(study, p, form, sign) for form in range(3) for sign in (1, -1)] for p in points])
+    total = scores.sum(axis=0).reshape(3, 2)
+    own = total[study.power].min()
+    others = total[:, 0].copy()
+    others[study.power] = np.inf
+    best = int(np.argmin(others))
+    if others[best] * BETTER < own:
+        return best, float(own / others[best])
+    # Several drive points all opposite: so many sensors are seldom reversed together.
+    if len(points) > 1 and others[best] < 1.1 * own and total[study.power, 0] > BETTER * others[best]:
+        return best, float(total[study.power, 0] / others[best])
+    return None
+
+
+def _opposite(study: Study) -> bool:
+    """Whether the residues at the drive points all lie about one angle that is not 0."""
+    angles = angles_of(study)
+    drive = angles.take(angles.drive)
+    if not len(drive.angle):
+        return False
+    mean = np.sum(drive.weight * np.exp(1j * drive.angle)) / np.sum(drive.weight)
+    return bool(abs(mean) > 0.8 and abs(np.angle(mean)) > 0.9)
+
+
+def _passive_misfit(study: Study, point, power: int, sign: int) -> float:
+    """What a sum of passive parts leaves of a drive point, in squares of noise and a share of the FRF."""
+    s = 2j * np.pi * study.freq
+    H = sign * point.sign * study.H[0, :, point.o, point.i]
+    weight = 1 / np.sqrt(study.sigma[0, :, point.o, point.i] ** 2 + (0.02 * np.abs(H)) ** 2)
+    poles = study.modes.poles
+    u, v = 1 / (s[:, None] - poles), 1 / (s[:, None] - poles.conj())
+    modes = []
+    for turn in (-CONE, 0.0, CONE):
+        a = -1j * np.exp(1j * turn)
+        modes.append((a * u + np.conj(a) * v) * np.abs(poles))
+    omega, low, high = s.imag, s.imag[0], s.imag[-1]
+    out = np.concatenate([low / np.array([3.0, 1.5, 1.15]), high * np.array([1.1, 1.4, 2.5])])
+    beyond = out**2 / (out**2 - omega[:, None] ** 2)
+    rest = np.stack([-((low / omega) ** 2), np.ones_like(omega)], axis=1)
+    columns = np.concatenate([*modes, beyond, rest], axis=1) * (s**power * weight)[:, None]
+    scale = np.linalg.norm(columns, axis=0)
+    lifted = np.concatenate([columns.real, columns.imag]) / scale
+    target = np.concatenate([(H * weight).real, (H * weight).imag])
+    return float(nnls(lifted, target, maxiter=50 * lifted.shape[1])[1] ** 2) / (2 * len(omega)) + SCATTER**2
+
+
+def _finding(study: Study, power: int, evidence: str, sure: float) -> Finding:
+    point = study.drive_points[0] if study.drive_points else None
+    o, i = (point.o, point.i) if point else (0, 0)
+    H = study.H[0, :, o, i]
+    return Finding(
+        "wrong_form", (), sure=sure, size=float(power - study.power), unit="time derivatives",
+        evidence=f"{evidence}: these FRFs are {FORMS[power]}, not {study.form}",
+        advice=f"read the file as {FORMS[power]}, or correct the unit of the responses",
+        picture=Picture(
+            [("real part", study.freq, H.real), ("imaginary part", study.freq, H.imag)], "Frequency [Hz]",
+            f"H({study.outputs[o]}, {study.inputs[i]})",
+        ),
+    )  # fmt: skip

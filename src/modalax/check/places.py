@@ -1,0 +1,145 @@
+r"""Signs and places of channels, told at places both driven and measured.
+
+What a passive and reciprocal structure cannot do: a residue :math:`A_r` of the receptance at a drive point is
+:math:`-j` times a positive number for real modes, and stays near it for the complex modes of light damping; residues
+between two drive points are the same both ways. Where that is broken, sign changes and exchanges of channels are tried
+one by one, and one is told if it mends everything.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from modalax.check.finding import Finding, Picture, sureness
+from modalax.check.study import Study
+
+# A residue may lie off its axis by this share of itself (complex modes), and by this share of the mode's largest.
+TURNED, OF_LARGEST = 0.15, 0.004
+# Reciprocity holds for complex modes too; this much is left to errors of the estimate.
+RECIPROCAL = 0.04
+# Squares of deviations over tolerances: what one term can add at most, from which sum on something is broken, and the
+# share of it that may be left when it is mended.
+MOST, BROKEN, MENDED = 40.0, 30.0, 0.2
+MOST_FAULTS = 3
+
+
+@dataclass(frozen=True)
+class Mend:
+    """A change of the channels that would explain what is broken."""
+
+    what: str
+    where: tuple[str, ...]
+    change: Callable[[np.ndarray], np.ndarray]
+
+
+def misplaced(study: Study) -> Iterator[Finding]:
+    """Reversed and swapped channels."""
+    _, residues, std = study.summed
+    if not study.drive_points or not study.explained:
+        return
+    mends = list(_mends(study))
+    first = before = broken(study, residues, std)
+    chosen: list[tuple[Mend, float]] = []
+    while before >= BROKEN and len(chosen) < MOST_FAULTS:
+        left = np.array([broken(study, m.change(residues), np.abs(m.change(std))) for m in mends])
+        best = int(np.argmin(left))
+        if left[best] > 0.7 * before:
+            break
+        chosen.append((mends[best], before - left[best]))
+        residues, std = mends[best].change(residues), np.abs(mends[best].change(std))
+        before = float(left[best])
+    # What leaves much behind was no explanation.
+    if chosen and before < max(BROKEN, MENDED * first):
+        yield from (_finding(study, mend, gain) for mend, gain in chosen)
+
+
+def broken(study: Study, residues: np.ndarray, std: np.ndarray) -> float:
+    """Sum over modes and drive points of squared violations of passivity and of reciprocal phases."""
+    largest = np.abs(residues).max(axis=(1, 2), initial=0.0)
+    total = 0.0
+    points = study.drive_points
+    for p in points:
+        own = 1j * p.sign * residues[:, p.o, p.i]
+        tolerance = std[:, p.o, p.i] ** 2 + (OF_LARGEST * largest) ** 2 + (TURNED * np.abs(own)) ** 2
+        total += np.sum(np.minimum(np.minimum(own.real, 0.0) ** 2 / tolerance, MOST))
+    for a, p in enumerate(points):
+        for q in points[a + 1 :]:
+            there, back = p.sign * residues[:, p.o, q.i], q.sign * residues[:, q.o, p.i]
+            # The pair may differ by a constant, the calibration of its channels.
+            clear = np.maximum(np.minimum(np.abs(there), np.abs(back)) / (std[:, p.o, q.i] + std[:, q.o, p.i]), 1e-9)
+            gain = _middle(np.abs(there) / np.maximum(np.abs(back), 1e-300), np.minimum(clear, 10.0))
+            back = gain * back
+            wrong = np.abs(there - back) ** 2
+            tolerance = std[:, p.o, q.i] ** 2 + (gain * std[:, q.o, p.i]) ** 2 + (OF_LARGEST * largest) ** 2
+            tolerance += RECIPROCAL**2 * (np.abs(there) + np.abs(back)) ** 2
+            total += np.sum(np.minimum(wrong / tolerance, MOST))
+    return float(total)
+
+
+def _middle(values: np.ndarray, weight: np.ndarray) -> float:
+    """Weighted median."""
+    if not len(values):
+        return 1.0
+    order = np.argsort(values)
+    total = np.cumsum(weight[order])
+    return float(values[order][np.searchsorted(total, total[-1] / 2)])
+
+
+def _mends(study: Study) -> Iterator[Mend]:
+    """All single sign changes and exchanges that drive points could tell."""
+    points = study.drive_points
+    if len(points) > 1 and len(study.inputs) > 1:
+        yield Mend("reversed", study.inputs, np.negative)
+    for p in points:
+        yield Mend("reversed", (p.name,), _flip(p.o))
+    for axis, names, driven in (
+        (1, study.outputs, {p.o for p in points}),
+        (2, study.inputs, {p.i for p in points}),
+    ):
+        for a in range(len(names)):
+            for b in range(a + 1, len(names)):
+                if {a, b} & driven:
+                    yield Mend("swapped", (names[a], names[b]), _exchange(axis, a, b))
+
+
+def _flip(o: int) -> Callable[[np.ndarray], np.ndarray]:
+    def change(values: np.ndarray) -> np.ndarray:
+        values = values.copy()
+        values[:, o] *= -1
+        return values
+
+    return change
+
+
+def _exchange(axis: int, a: int, b: int) -> Callable[[np.ndarray], np.ndarray]:
+    def change(values: np.ndarray) -> np.ndarray:
+        order = np.arange(values.shape[axis])
+        order[[a, b]] = b, a
+        return np.take(values, order, axis=axis)
+
+    return change
+
+
+def _finding(study: Study, mend: Mend, gain: float) -> Finding:
+    name = next(p for p in study.drive_points if mend.what == "swapped" or p.name in mend.where or len(mend.where) > 1)
+    if mend.what == "swapped":
+        name = next((p for p in study.drive_points if {study.outputs[p.o], study.inputs[p.i]} & set(mend.where)), name)
+    part = np.real((1j * 2 * np.pi * study.freq) ** (1 - study.power) * name.sign * study.H[0, :, name.o, name.i])
+    picture = Picture([(f"drive point {name.name}", study.freq, part)], "Frequency [Hz]", "Real part of the mobility")
+    if mend.what == "reversed":
+        return Finding(
+            "reversed", mend.where, sure=sureness(gain, BROKEN), size=-1.0, unit="-",
+            evidence="with its sign turned, every drive point takes up energy at every resonance and all reciprocal "
+            "pairs agree; as measured they do not",
+            advice="turn the sign of this sensor or hammer (mounting direction, cable, polarity setting); which of both "
+            "at this place cannot be told",
+            picture=picture,
+        )  # fmt: skip
+    return Finding(
+        "swapped", mend.where, sure=sureness(gain, BROKEN), size=None,
+        evidence="with the two exchanged, every drive point takes up energy at every resonance and all reciprocal pairs "
+        "agree; as measured they do not",
+        advice="exchange the two channels, or their names",
+        picture=picture,
+    )  # fmt: skip

@@ -1,0 +1,133 @@
+r"""Reciprocity: the response at one place to a force at another is the same both ways.
+
+A constant factor between the two is a matter of calibration, :math:`H_{pq}/H_{qp} = c_p/c_q` with :math:`c` the gain of
+the sensor over that of the hammer at a place; anything else is a structure, or a test, that is not reciprocal.
+"""
+
+from collections.abc import Iterator
+from itertools import combinations
+
+import numpy as np
+
+from modalax.check.finding import Finding, Picture, sureness
+from modalax.check.study import DrivePoint, Study
+
+# A calibration is told from this factor off 1 on, and from this many standard deviations.
+SMALLEST_GAIN, SURE = 0.03, 6.0
+# Energy of the difference of both directions over that of the FRF, gain taken out: told from here on.
+SMALLEST_DIFFERENCE = 0.004
+# The noise is known to about this factor.
+NOISE_FACTOR = 4.0
+
+
+def reciprocity(study: Study) -> Iterator[Finding]:
+    """Wrong calibration constants, and pairs that differ by more than a constant."""
+    pairs = {}
+    for p, q in combinations(study.drive_points, 2):
+        fit = _ratio(study, p, q)
+        if fit is not None:
+            pairs[p.name, q.name] = (p, q, *fit)
+    wild = {key for key, (*_, excess) in pairs.items() if excess > 1}
+    yield from _not_reciprocal(study, {key: pairs[key] for key in wild})
+    yield from _calibration(study, {key: value for key, value in pairs.items() if key not in wild})
+
+
+def _ratio(study: Study, p: DrivePoint, q: DrivePoint) -> tuple[float, float, float, float] | None:
+    """Factor between both directions, its standard deviation, difference left, and how far that exceeds noise."""
+    there, back = p.sign * study.H[:, :, p.o, q.i], q.sign * study.H[:, :, q.o, p.i]
+    n1, n2 = study.sigma[:, :, p.o, q.i], study.sigma[:, :, q.o, p.i]
+    weight = 1 / (n1**2 + n2**2)
+    # No few lines of a resonance decide alone: errors in proportion to the FRF are allowed for.
+    weight = 1 / (1 / weight + 0.01 * (np.abs(there) ** 2 + np.abs(back) ** 2))
+    aa, bb = np.sum(weight * np.abs(there) ** 2), np.sum(weight * np.abs(back) ** 2)
+    ab = np.sum(weight * np.conj(back) * there)
+    if aa <= 0 or bb <= 0:
+        return None
+    share = 0.5 * (np.sum(weight * n1**2) / aa + np.sum(weight * n2**2) / bb)
+    if share > 0.7:
+        return None
+    noise_a, noise_b = np.sum(weight * n1**2), np.sum(weight * n2**2)
+    size = np.sqrt(max(aa - noise_a, 1e-300) / max(bb - noise_b, 1e-300))
+    factor = np.sign(ab.real) * size if ab.real != 0 else size
+    left = np.sum(weight * np.abs(there - factor * back) ** 2)
+    expected = noise_a + factor**2 * noise_b
+    total = aa + factor**2 * bb
+    excess = (left - NOISE_FACTOR * expected) / (SMALLEST_DIFFERENCE * total)
+    lines = weight.size
+    std = abs(factor) * np.sqrt(max(expected, left) / (2 * total) / lines * 4)
+    # Lines at resonances carry all the weight where the noise is large.
+    effective = np.sum(weight * np.abs(there) ** 2) ** 2 / np.sum((weight * np.abs(there) ** 2) ** 2)
+    std = abs(factor) * np.sqrt(max(expected, left) / total / max(effective, 1.0))
+    return float(factor), float(std), float(left / total), float(excess)
+
+
+def _not_reciprocal(study: Study, pairs: dict) -> Iterator[Finding]:
+    if not pairs:
+        return
+    names = sorted({name for key in pairs for name in key})
+    common = [name for name in names if all(name in key for key in pairs)]
+    worst = max(pairs, key=lambda key: pairs[key][-1])
+    p, q, factor, _, left, excess = pairs[worst]
+    yield Finding(
+        "not_reciprocal", tuple(common if len(pairs) > 2 and len(common) == 1 else names),
+        sure=sureness(excess, 1.0), size=float(np.sqrt(left)), unit="of the FRF",
+        evidence=f"H({p.name}, {q.name}) and H({q.name}, {p.name}) differ by {100 * np.sqrt(left):.3g} % (rms), with "
+        f"the constant factor {factor:.4g} taken out; noise does not explain it",
+        advice="look for a sensor that loads the structure in one of the two set-ups, a hit beside its point or askew, "
+        "gyroscopic or moving parts, or a non-linear joint driven differently",
+        picture=_both_ways(study, p, q),
+    )  # fmt: skip
+
+
+def _calibration(study: Study, pairs: dict) -> Iterator[Finding]:
+    """Gains at places, from factors of all pairs: those off the middle of all are wrong."""
+    names = list(dict.fromkeys(name for key in pairs for name in key))
+    if len(names) < 2:
+        return
+    rows, values, weights = [], [], []
+    for (a, b), (_, _, factor, std, _, _) in pairs.items():
+        row = np.zeros(len(names))
+        row[names.index(a)], row[names.index(b)] = 1, -1
+        rows.append(row)
+        values.append(np.log(abs(factor)))
+        weights.append(1 / (std / abs(factor) + 0.003))
+    A, w = np.array(rows), np.array(weights)
+    covariance = np.linalg.pinv((A * w[:, None] ** 2).T @ A)
+    logs = covariance @ (A.T @ (w**2 * np.array(values)))
+    if len(names) == 2:
+        logs, spread = logs[0] - logs[1], 1 / w[0]
+        if abs(logs) > max(SMALLEST_GAIN, SURE * spread):
+            yield _gain(study, tuple(names), float(logs), float(spread), pairs)
+        return
+    logs = logs - np.median(logs)
+    std = np.sqrt(np.diag(covariance) + np.median(np.diag(covariance)))
+    for name, value, spread in zip(names, logs, std, strict=True):
+        if abs(value) > max(SMALLEST_GAIN, SURE * spread):
+            yield _gain(study, (name,), float(value), float(spread), pairs)
+
+
+def _gain(study: Study, where: tuple[str, ...], value: float, std: float, pairs: dict) -> Finding:
+    p, q = next((p, q) for key, (p, q, *_) in pairs.items() if set(where) & set(key))
+    factor = float(np.exp(value))
+    interval = (float(np.exp(value - 1.96 * std)), float(np.exp(value + 1.96 * std)))
+    places = f"at {where[0]} than elsewhere" if len(where) == 1 else f"between {where[0]} and {where[1]}"
+    return Finding(
+        "calibration", where, sure=sureness(abs(value) / max(SMALLEST_GAIN, SURE * std), 1.0), size=factor, unit="-",
+        interval=interval,
+        evidence=f"reciprocal FRFs differ by the constant factor {factor:.4g} ({interval[0]:.4g} to {interval[1]:.4g}) "
+        f"{places}, the same at all frequencies",
+        advice="check the sensitivities of sensor and hammer at these places; which of them is wrong, reciprocity cannot "
+        "tell (a hit on a known free mass does)",
+        picture=_both_ways(study, p, q),
+    )  # fmt: skip
+
+
+def _both_ways(study: Study, p: DrivePoint, q: DrivePoint) -> Picture:
+    there, back = study.H[0, :, p.o, q.i], study.H[0, :, q.o, p.i]
+    return Picture(
+        [
+            (f"{p.name} from {q.name}", study.freq, np.abs(there)),
+            (f"{q.name} from {p.name}", study.freq, np.abs(back)),
+        ],
+        "Frequency [Hz]", "|H|", True,
+    )  # fmt: skip

@@ -1,0 +1,62 @@
+r"""Lines and record length against the decay of the modes.
+
+A mode of half-power bandwidth :math:`2\zeta f` decays as :math:`e^{-\sigma t}`, and :math:`n` lines a bandwidth, with
+the record :math:`T = 1/\Delta f`, mean :math:`\sigma T = \pi n`: with one line a bandwidth 4 % of the response are
+still there when the record ends.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from modalax.check.finding import Finding, Picture, sureness
+from modalax.check.study import CLEAR, Study
+
+# Lines a half-power bandwidth: told below the first for most of the modes, below the second for any strong one.
+FEW, FEWEST = 1.5, 0.8
+STRONG = 0.1
+
+
+def resolution(study: Study) -> Iterator[Finding]:
+    """Too few lines over the half-power bandwidths."""
+    lines = lines_a_width(study)
+    if not len(lines):
+        return
+    middle, least = float(np.median(lines)), float(lines.min())
+    if middle >= FEW and least >= FEWEST:
+        return
+    size = least
+    score = max(FEW / max(middle, 1e-6), FEWEST / max(least, 1e-6))
+    modes = study.modes
+    yield Finding(
+        "too_few_lines", (), sure=sureness(score, 1.0), size=size, unit="lines a half-power bandwidth",
+        evidence=f"the narrowest mode has {least:.2g} lines within its half-power bandwidth, the middle of all "
+        f"{middle:.2g}; the peaks fall between the lines",
+        advice="measure with closer lines (a longer record or a zoom): four lines a half-power bandwidth show a peak",
+        picture=Picture(
+            [("modes", modes.frequency, modes.width / _step(study, modes.frequency))], "Frequency [Hz]",
+            "Lines a half-power bandwidth [-]", True, dots=True,
+        ),
+    )  # fmt: skip
+
+
+def strong_modes(study: Study) -> np.ndarray:
+    """Modes that matter: clear of the noise, and not tiny beside the strongest."""
+    ratio = np.max(np.abs(study.modes.residues) / study.modes.std, axis=1, initial=0.0)
+    peak = np.max(np.abs(study.modes.residues) / np.maximum(-study.modes.poles.real, 1e-300)[:, None], axis=1, initial=0)
+    peak = peak * np.abs(study.modes.poles) ** study.power
+    sure = study.modes.pole_std < 0.3 * -study.modes.poles.real
+    return np.flatnonzero((ratio > 2 * CLEAR) & sure & (peak > STRONG * peak.max(initial=0.0)))
+
+
+def lines_a_width(study: Study) -> np.ndarray:
+    """Lines within the half-power bandwidth of each strong mode."""
+    which = strong_modes(study)
+    return study.modes.width[which] / _step(study, study.modes.frequency[which])
+
+
+def _step(study: Study, at: np.ndarray) -> np.ndarray:
+    """Distance of lines near some frequencies [Hz]."""
+    gaps = np.diff(study.freq)
+    k = np.clip(np.searchsorted(study.freq, at) - 1, 0, len(gaps) - 1)
+    return gaps[k]
