@@ -21,7 +21,7 @@ LAYERS = (
     {"data"},
     {"model"},
     {"files"},
-    {"identify", "simulate"},
+    {"check", "identify", "simulate"},
     {"diagnose"},
     {"campaign"},
     {"show"},

@@ -11,6 +11,7 @@ from modalax._lazy import lazily
 
 if TYPE_CHECKING:
     from modalax import data, files, identify, model, show, simulate
+    from modalax.check import check
     from modalax.data import FRF, Geometry, Measurement
     from modalax.diagnose import diagnose
     from modalax.files import load, save
@@ -19,12 +20,12 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
-    "FRF", "Geometry", "Measurement", "ModalModel", "Structure", "__version__", "data", "diagnose", "files", "identify",
-    "load", "model", "save", "show", "simulate",
+    "FRF", "Geometry", "Measurement", "ModalModel", "Structure", "__version__", "check", "data", "diagnose", "files",
+    "identify", "load", "model", "save", "show", "simulate",
 ]  # fmt: skip
 
-# ``modalax.diagnose`` is the package and, called, its function ``diagnose``: see modalax/diagnose/__init__.py.
-PACKAGES = ("data", "diagnose", "files", "identify", "model", "show", "simulate")
+# ``modalax.check`` and ``modalax.diagnose`` are packages and, called, their functions of that name: see there.
+PACKAGES = ("check", "data", "diagnose", "files", "identify", "model", "show", "simulate")
 __getattr__, __dir__ = lazily(
     __name__,
     {name: f"{__name__}.{name}" for name in PACKAGES}

@@ -121,8 +121,10 @@ def draw_plant(rng, kind: str | None = None) -> Plant:
         e = np.zeros(len(w))
         e[a], e[b] = 1, -1 if rng.random() < 0.7 else 0
         c = (phi.T @ e) * elastic
-        share = log_uniform(rng, 0.3, 2.0) * np.median(2 * zeta[elastic] * w[elastic]) / np.median(c[elastic] ** 2 + 1e-12)
-        share = min(share, 0.1 * np.min((w[elastic] / np.maximum(c[elastic] ** 2, 1e-12))))
+        share = (
+            log_uniform(rng, 0.3, 2.0) * np.median(2 * zeta[elastic] * w[elastic]) / np.median(c[elastic] ** 2 + 1e-12)
+        )
+        share = min(share, 0.1 * np.min(w[elastic] / np.maximum(c[elastic] ** 2, 1e-12)))
         Cm += share * np.outer(c, c)
     keep = np.flatnonzero(elastic)
     n = len(keep)
@@ -191,12 +193,12 @@ def draw_axis(rng, plant: Plant, per_width: float | None = None) -> np.ndarray:
     """Lines over some of the first modes, so many a half-power bandwidth of the narrowest mode."""
     f, width = np.abs(plant.poles) / 2 / np.pi, -plant.poles.real / np.pi
     count = min(int(rng.integers(2, 9)), len(f))
-    while count > 1 and 1.3 * f[count - 1] / np.min(width[:count]) > 1500:
+    while count > 1 and 1.3 * f[count - 1] / np.min(width[:count]) > 600:
         count -= 1
     top = f[count - 1]
     high = min(1.3 * top, (top + f[count]) / 2) if count < len(f) else 1.3 * top
     per_width = per_width or float(log_uniform(rng, 2.5, 20))
-    step = max(np.min(width[:count]) / per_width, high / 4000)
+    step = max(np.min(width[:count]) / per_width, high / 1600)
     step = min(step, high / 120)
     low = step if rng.random() < 0.35 else float(rng.uniform(0.2, 0.8)) * f[0]
     first = max(1, round(low / step))
@@ -222,7 +224,7 @@ def softened(rng, plant: Plant, level: float) -> Plant:
     """The plant at a force: one mode or two a little lower and more damped, as a weak joint makes it."""
     poles = plant.poles.copy()
     for r in np.random.default_rng(7).choice(len(poles), min(2, len(poles)), replace=False):
-        w, sigma = abs(poles[r]), -poles[r].real
+        sigma = -poles[r].real
         poles[r] += -0.25j * sigma * level - 0.1 * sigma * level
     return replace(plant, poles=poles)
 

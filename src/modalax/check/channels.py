@@ -10,7 +10,7 @@ from modalax.check.study import Study
 
 # Lines of noise alone are as often alike as opposite; the likeness of neighbours is then below this many deviations.
 ALIKE = 5.0
-# No mode of a dead channel exceeds its standard deviation by this factor; among hundreds of residues of noise none does.
+# No mode of a dead channel exceeds its standard deviation by this factor; of hundreds of residues of noise none does.
 VISIBLE = 4.5
 # Two channels share their noise if what they differ by is this little of the noise of both, and of the FRF.
 SHARED, EQUAL = 0.02, 0.05
@@ -29,7 +29,7 @@ def dead(study: Study) -> Iterator[Finding]:
     for axis, names in ((1, study.outputs), (0, study.inputs)):
         if len(names) < 2:
             continue
-        for k in np.flatnonzero(~alive.any(axis=axis)):
+        for k in np.flatnonzero(~alive.any(axis=axis)).tolist():
             zero = study.silent.take(k, axis=1 if axis else 2).all()
             size = _share(study.H, k, axis)
             yield Finding(

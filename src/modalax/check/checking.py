@@ -1,8 +1,8 @@
 """The check of a measurement: every detector asked in turn."""
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from modalax.check.shifts import frequency_shift
 from modalax.check.study import Study, study_of
 from modalax.data.frf import FRF
 from modalax.data.measurement import Measurement
+from modalax.files import load
 
 Detector = Callable[[Study], Iterator[Finding]]
 # In this order: what an earlier one finds is mended, or left out, before the later ones look.
@@ -26,21 +27,29 @@ DETECTORS: tuple[Detector, ...] = (
 )  # fmt: skip
 
 
-def check(data: FRF | Measurement | Any) -> Findings:
+def check(data: FRF | Measurement | str | os.PathLike[str]) -> Findings:
     """Find what is wrong with a measurement, before any model.
+
+    What is looked for are faults of channels (reversed, swapped, dead, duplicated, delayed, wrong calibration), of the
+    excitation, of the record, and of the structure's rest during the test. A fault that the data cannot show, such as
+    a reversed sensor at a place that was never driven, is not told.
 
     Parameters
     ----------
     data
-        FRFs.
+        FRFs of one run or several, or a file that :func:`modalax.load` reads.
+
+    Returns
+    -------
+    Findings
+        Empty for a sound measurement.
 
     Raises
     ------
     ValueError
-        If it holds fewer than 8 lines above 0 Hz.
+        If the file holds no measurement, or fewer than 8 lines above 0 Hz.
     """
-    measurement = Measurement.from_frfs([data]) if isinstance(data, FRF) else data
-    study = study_of(measurement)
+    study = study_of(_measurement(data))
     found: list[Finding] = []
     for detector in DETECTORS:
         new = [f for f in detector(study) if f.sure >= TOLD]
@@ -49,6 +58,18 @@ def check(data: FRF | Measurement | Any) -> Findings:
         if study is None:
             break
     return Findings(tuple(sorted(found, key=lambda f: -f.sure)))
+
+
+def _measurement(data: FRF | Measurement | str | os.PathLike[str]) -> Measurement:
+    """What was measured, in the time convention of its file."""
+    if isinstance(data, FRF):
+        return Measurement.from_frfs([data])
+    if isinstance(data, Measurement):
+        return data
+    found = load(data, conjugate=False)
+    if not isinstance(found, Measurement):
+        raise ValueError(f"{data} holds a {type(found).__name__}; a measurement is needed here")
+    return found
 
 
 def mended(study: Study, found: Sequence[Finding]) -> Study | None:

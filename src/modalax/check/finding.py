@@ -60,6 +60,16 @@ class Finding:
         if self.what not in WORDS:
             raise ValueError(f"a finding of {self.what!r}; it must be one of {', '.join(WORDS)}")
 
+    @property
+    def place(self) -> str:
+        """Where it is, as text."""
+        return ", ".join(self.where) or "everywhere"
+
+    @property
+    def measure(self) -> str:
+        """How large it is, as text."""
+        return "" if self.size is None else f"{self.size:.4g} {(self.unit or '').replace('-', '')}".strip()
+
     def to_dict(self) -> dict[str, Any]:
         """The finding as plain values."""
         return {

@@ -48,7 +48,7 @@ def wrong_form(study: Study) -> Iterator[Finding]:
     elif slope is not None and _off(slope, label) > 1 - STEP_SLOPE and turn == 0:
         fits = [p for p in range(3) if _off(slope, p) < STEP_SLOPE and (p - label) % 2 == 0]
         if len(fits) == 1:
-            text = f"below the first mode |H| goes with f^{slope:.2f}, where {study.form} goes with f^{label} (a spring) "
+            text = f"below the first mode |H| goes with f^{slope:.2f}, {study.form} with f^{label} (a spring) "
             yield _finding(study, fits[0], text + f"or f^{label - 2} (a mass)", 0.95)
 
 
@@ -97,8 +97,9 @@ def _drive_form(study: Study) -> tuple[int, float] | None:
     points = [p for p in study.drive_points if not study.silent[0, p.o, p.i]]
     if not points or not _opposite(study):
         return None
-    scores = np.array([[_passive_misfit(study, p, form, sign) for form in range(3) for sign in (1, -1)] for p in points])
-    total = scores.sum(axis=0).reshape(3, 2)
+    total = np.array(
+        [[sum(_passive_misfit(study, p, form, sign) for p in points) for sign in (1, -1)] for form in range(3)]
+    )
     own = total[study.power].min()
     others = total[:, 0].copy()
     others[study.power] = np.inf

@@ -41,14 +41,15 @@ def hum(study: Study) -> Iterator[Finding]:
     yield Finding(
         "hum", (), sure=sureness(score, STANDS_OUT), size=share, unit="of the FRF there",
         evidence=f"single lines stand out at {shown} Hz, multiples of {mains:g} Hz, without the flanks of a resonance",
-        advice="look for ground loops, use insulated mounts and shielded cables, average more, or leave these lines out",
+        advice="look for ground loops, use insulated mounts and shielded cables, average more, or leave the lines out",
         picture=Picture([("left over by the modes, over the noise", study.freq, power)], "Frequency [Hz]", "[-]", True),
     )  # fmt: skip
 
 
 def _left_over(study: Study, step: float) -> np.ndarray:
     """Mean square of what the modes leave of all FRFs over their noise, with no mode narrower than two lines near a
-    multiple of the mains."""  # noqa: D205, D400, D415
+    multiple of the mains.
+    """  # noqa: D205, D400, D415
     poles = study.modes.poles
     f, width = np.abs(poles) / (2 * np.pi), -poles.real / np.pi
     near = np.zeros(len(poles), bool)
@@ -88,7 +89,7 @@ def _score(study: Study, power: np.ndarray, multiple: float, step: float) -> tup
     narrow = max(0.5 * 2 * LEAST_DAMPING * multiple / step, 0.05)
     flank = np.sum((narrow / np.abs(around - top)) ** 2) * power[top]
     seen = np.sum(power[around] - np.median(power[around]))
-    spread = np.sqrt(len(around)) * max(np.std(np.sort(power[around])[: -2]), 1e-12)
+    spread = np.sqrt(len(around)) * max(np.std(np.sort(power[around])[:-2]), 1e-12)
     alone = seen < 0.3 * flank or flank < 3 * spread and height > 3 * STANDS_OUT and _again(study, top)
     return float(height), bool(alone)
 

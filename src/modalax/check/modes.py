@@ -112,7 +112,7 @@ class Basis:
     """What an FRF is made of at given lines: modes and three smooth terms for all that lies outside the band."""
 
     def __init__(self, omega, power, weight):
-        self.s = 1j * omega
+        self.s: np.ndarray = 1j * np.asarray(omega)
         self.factor = weight * self.s**power
         middle = np.sqrt(omega[0] * omega[-1])
         self.smooth = np.stack([self.factor * (self.s / middle) ** p for p in SMOOTH_POWERS], axis=1)
@@ -131,6 +131,7 @@ class Basis:
 
 
 def lift(z: np.ndarray) -> np.ndarray:
+    """Real parts above imaginary parts."""
     return np.concatenate([z.real, z.imag])
 
 

@@ -132,14 +132,14 @@ def _finding(study: Study, mend: Mend, gain: float) -> Finding:
             "reversed", mend.where, sure=sureness(gain, BROKEN), size=-1.0, unit="-",
             evidence="with its sign turned, every drive point takes up energy at every resonance and all reciprocal "
             "pairs agree; as measured they do not",
-            advice="turn the sign of this sensor or hammer (mounting direction, cable, polarity setting); which of both "
+            advice="turn the sign of this sensor or hammer (mounting direction, cable, polarity); which of both "
             "at this place cannot be told",
             picture=picture,
         )  # fmt: skip
     return Finding(
         "swapped", mend.where, sure=sureness(gain, BROKEN), size=None,
-        evidence="with the two exchanged, every drive point takes up energy at every resonance and all reciprocal pairs "
-        "agree; as measured they do not",
+        evidence="with the two exchanged, every drive point takes up energy at every resonance and all reciprocal "
+        "pairs agree; as measured they do not",
         advice="exchange the two channels, or their names",
         picture=picture,
     )  # fmt: skip

@@ -43,7 +43,9 @@ def resolution(study: Study) -> Iterator[Finding]:
 def strong_modes(study: Study) -> np.ndarray:
     """Modes that matter: clear of the noise, and not tiny beside the strongest."""
     ratio = np.max(np.abs(study.modes.residues) / study.modes.std, axis=1, initial=0.0)
-    peak = np.max(np.abs(study.modes.residues) / np.maximum(-study.modes.poles.real, 1e-300)[:, None], axis=1, initial=0)
+    peak = np.max(
+        np.abs(study.modes.residues) / np.maximum(-study.modes.poles.real, 1e-300)[:, None], axis=1, initial=0
+    )
     peak = peak * np.abs(study.modes.poles) ** study.power
     sure = study.modes.pole_std < 0.3 * -study.modes.poles.real
     return np.flatnonzero((ratio > 2 * CLEAR) & sure & (peak > STRONG * peak.max(initial=0.0)))

@@ -11,8 +11,8 @@ from modalax.check.study import Study
 # A shift is told from this share of a half-power bandwidth on, and from this many standard deviations.
 SMALLEST_SHIFT, SURE = 0.12, 7.0
 STEPS = 3
-# Blocks up to this number are searched for modes each for itself; a shift must lower the squares around its mode by this
-# factor.
+# Blocks up to this number are searched for modes each for itself. A shift must lower the squares around its mode by the
+# second.
 MOST_OWN, WORTH = 12, 1.6
 # A mode of a block belongs to one of the whole within this many half-power bandwidths.
 SAME = 2.5
@@ -27,7 +27,9 @@ def frequency_shift(study: Study) -> Iterator[Finding]:
     everywhere = slice(None)
     blocks = []
     if runs > 1:
-        blocks.append(("run", [(k, everywhere, everywhere) for k in range(runs)], [f"run {k + 1}" for k in range(runs)]))
+        blocks.append(
+            ("run", [(k, everywhere, everywhere) for k in range(runs)], [f"run {k + 1}" for k in range(runs)])
+        )
     if ins > 1:
         blocks.append(("input", [(0, everywhere, i) for i in range(ins)], list(study.inputs)))
     if outs > 1:
@@ -80,9 +82,9 @@ def _between(study: Study, modes: list[int], kind: str, blocks: list, names: lis
         f"{abs(shift) / width:.2g} of its half-power bandwidth); moved: {', '.join(which)}",
         advice={
             "run": "let the structure settle, watch temperature and supports, and fit the runs one by one",
-            "input": "look for a sensor or shaker that was moved between the columns, or supports that changed; fit the "
-            "columns one by one",
-            "output": "a sensor that is moved from place to place loads the structure: use lighter ones, or dummy masses",
+            "input": "look for a sensor or shaker that was moved between the columns, or supports that changed; fit "
+            "the columns one by one",
+            "output": "a sensor moved from place to place loads the structure: use lighter ones, or dummy masses",
         }[kind],
         picture=Picture(
             [("frequency", np.arange(1.0, len(use) + 1), f)], f"Number of the {kind}",

@@ -8,6 +8,7 @@ from typing import Any
 import typer
 
 from modalax import __version__
+from modalax.cli.check import check
 from modalax.cli.convert import convert
 from modalax.cli.demo import demo
 from modalax.cli.diagnose import causes, diagnose
@@ -44,7 +45,7 @@ def options(
     """Experimental modal analysis: identify, simulate, diagnose."""
 
 
-for command in (demo, fit, simulate, diagnose, causes, convert):
+for command in (demo, fit, check, simulate, diagnose, causes, convert):
     app.command()(command)
 
 

@@ -1,7 +1,8 @@
 """Reports: one self-contained HTML file each, that opens without a network."""
 
+from modalax.show.report.check import check_report
 from modalax.show.report.diagnosis import diagnosis_report
 from modalax.show.report.fit import fit_report
 from modalax.show.report.page import Page, Plot, Section, Table
 
-__all__ = ["Page", "Plot", "Section", "Table", "diagnosis_report", "fit_report"]
+__all__ = ["Page", "Plot", "Section", "Table", "check_report", "diagnosis_report", "fit_report"]

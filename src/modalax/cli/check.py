@@ -1,0 +1,66 @@
+"""``modalax check``: what is wrong with a measurement, before any model."""
+
+from typing import Any
+
+from modalax.cli.common import (
+    DataArgument,
+    JsonOption,
+    OverwriteOption,
+    ReportOption,
+    check_free,
+    check_readable,
+    note,
+    start,
+    working,
+    write_json,
+)
+
+
+def check(
+    data: DataArgument,
+    json: JsonOption = None,
+    report: ReportOption = None,
+    overwrite: OverwriteOption = False,
+) -> None:
+    """Find what is wrong with a measurement: channels, hits, noise, records, reciprocity, form."""
+    check_free(json, report, overwrite=overwrite)
+    check_readable(data)
+    start()
+    from rich.console import Console
+
+    from modalax.check import check as look
+
+    with working("Checking the measurement"):
+        result = look(data)
+    print_findings(Console(), result)
+    if json is not None:
+        write_json(json, result.to_dict())
+        note(f"result: {json}")
+    if report is not None:
+        from modalax.show.report import check_report
+
+        with working("Writing the report"):
+            report.write_text(check_report(result, title=f"Check of {data.name}"), encoding="utf-8")
+        note(f"report: {report}")
+
+
+def print_findings(console: Any, result: Any) -> None:
+    """Print a table of the findings, and below it the evidence and the advice of each."""
+    from rich.markup import escape
+
+    from modalax.cli.tables import new_table
+
+    for line in result.about:
+        console.print(line, highlight=False, markup=False)
+    if not len(result):
+        console.print("nothing wrong was found")
+        return
+    table = new_table("Findings")
+    for name, justify in (("What", "left"), ("Where", "left"), ("Size", "right"), ("Sure", "right")):
+        table.add_column(name, justify=justify)  # pyright: ignore[reportArgumentType]
+    for f in result:
+        table.add_row(f.what, escape(f.place), f.measure, f"{f.sure:.2f}")
+    console.print(table)
+    for f in result:
+        console.print(f"{f.what} ({f.place}): {f.evidence}.", highlight=False, markup=False)
+        console.print(f"  to do: {f.advice}.", highlight=False, markup=False)
