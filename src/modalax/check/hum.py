@@ -20,15 +20,14 @@ STANDS_OUT, LEAST_DAMPING = 12.0, 2e-4
 def hum(study: Study) -> Iterator[Finding]:
     """Narrow lines at the mains frequency or its multiples."""
     step = np.median(np.diff(study.freq))
-    if len(study.freq) < 4 * TAIL:
+    # Where lines are wider apart than the multiples' own width, every line would be near one.
+    mains_seen = [m for m in MAINS if step <= m / (6 * SPREAD)]
+    if len(study.freq) < 4 * TAIL or not mains_seen:
         return
     power = _left_over(study, float(step))
     best: tuple[float, float, list[float]] | None = None
-    for mains in MAINS:
+    for mains in mains_seen:
         multiples = mains * np.arange(1, int(study.freq[-1] / mains) + 1)
-        # Where lines are wider apart than the multiples' own width, every line would be near one.
-        if not len(multiples) or step > mains / (6 * SPREAD):
-            continue
         scores = [(f, *_score(study, power, f, float(step))) for f in multiples]
         told = [(f, z) for f, z, alone in scores if z > STANDS_OUT and alone]
         if told and (best is None or sum(z for _, z in told) > best[0]):
