@@ -62,7 +62,7 @@ def test_the_command_writes_table_json_and_report(tmp_path, capsys):
 
 
 def test_unusable_input_is_told_in_one_line(tmp_path, capsys):
-    np.savez(tmp_path / "short.npz", freq=[1.0, 2.0], H=np.ones((1, 2, 1, 1)), outputs=["a"], inputs=["a"],
+    np.savez(tmp_path / "short.npz", freq=[1.0, 2.0], H=np.ones((1, 2, 1, 1)) + 0j, outputs=["a"], inputs=["a"],
              form="mobility")  # fmt: skip
     assert main(["check", str(tmp_path / "short.npz")]) == 2
     lines = capsys.readouterr().err.strip().splitlines()
