@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+import modalax
+
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -46,11 +48,31 @@ def test_every_extra_named_in_the_readme_exists():
     assert {"report", "test", "all"} <= named <= set(PROJECT["optional-dependencies"])
 
 
+def test_on_a_package_index_every_link_leads_to_the_repository():
+    """There the text stands alone: a relative path, of the picture above all, would lead nowhere."""
+    build = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["metadata"]["hooks"]
+    text = README
+    for change in build["fancy-pypi-readme"]["substitutions"]:
+        text = re.sub(change["pattern"], change["replacement"], text)
+    here, there = (re.findall(r"\]\(([^)]+)\)", t) for t in (README, text))
+    assert len(here) == len(there) and all("://" in target for target in there)
+    home = PROJECT["urls"]["Homepage"].removeprefix("https://github.com/")
+    moved = [(a, b) for a, b in zip(here, there, strict=True) if a != b]
+    assert all(home in b and b.endswith(a) and (ROOT / a).exists() for a, b in moved)
+    assert [b.startswith("https://raw.") for a, b in moved] == [a.endswith(".png") for a, b in moved]
+    assert any(a.endswith(".png") for a, _ in moved)
+
+
+def test_the_version_is_one_everywhere():
+    cited = (ROOT / ".github" / "CITATION.cff").read_text()
+    assert f"version: {PROJECT['version']}\n" in cited and PROJECT["version"] == modalax.__version__
+
+
 @pytest.mark.slow
 def test_the_first_example_in_python_runs():
-    """As it stands, in a fresh interpreter; it prints five frequencies and their standard deviations."""
+    """As it stands, in a fresh interpreter; it prints five modes with standard deviations."""
     code = re.findall(r"^```python\n(.*?)^```$", README, re.M | re.S)[0]
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    numbers = [float(n) for n in re.findall(r"\d+\.\d*(?:e-\d+)?", done.stdout)]
-    assert len(numbers) == 10 and 25 < numbers[0] < 27
+    modes = re.findall(r"^ +\d  (\d+\.\d+) ± (\d\.\d+)  (\d\.\d+) ± (\d\.\d+)  [01]\.\d{3}$", done.stdout, re.M)
+    assert len(modes) == 5 and 25 < float(modes[0][0]) < 27 and 1.5 < float(modes[0][2]) < 2.5, done.stdout

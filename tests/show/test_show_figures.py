@@ -14,7 +14,6 @@ from modalax.identify import PoleTable
 from modalax.model.examples import five_dof
 from modalax.show import mode_names, plot_frf, plot_frf_grid, plot_levels, plot_mac, plot_modes, plot_residual_map
 from modalax.show.frf import strongest, synthesised
-from modalax.show.numbers import with_error
 from modalax.show.residuals import bin_lines
 from modalax.show.stabilization import plot_stabilization, pole_kinds
 
@@ -150,20 +149,6 @@ def test_residual_map_of_noise_is_one():
 
 def test_residual_map_of_a_single_line():
     assert plot_residual_map([5.0], np.ones((2, 1)), ["a", "b"]).axes
-
-
-@pytest.mark.parametrize(
-    ("value", "std", "unit", "text"),
-    [
-        (26.0612, 0.0123, 1.0, "26.061 ± 0.012"),
-        (0.02, 0.00041, 100.0, "2.000 ± 0.041"),
-        (1234.5, 23.0, 1.0, "1234 ± 23"),
-        (3.14159, None, 1.0, "3.1416"),
-        (3.14159, float("nan"), 1.0, "3.1416"),
-    ],
-)
-def test_a_value_is_written_to_the_place_of_its_error(value, std, unit, text):
-    assert with_error(value, std, unit) == text
 
 
 def test_names_of_channels_are_drawn_letter_by_letter(structure):

@@ -8,7 +8,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from modalax.show.numbers import with_error
+from modalax._numerics.text import with_error
+from modalax.diagnose.summary import MEANING, causes_text, gain_text, parameters_text, place_text
 
 
 def new_table(title: str) -> Table:
@@ -89,14 +90,8 @@ def cause_table(causes: Sequence[Any]) -> Table:
 
 def print_diagnosis(console: Console, answer: Mapping[str, Any]) -> None:
     """Print ``Diagnosis.to_dict()``: verdict, causes, rivals, advice and gain."""
-    meaning = {
-        "clean": "nothing is wrong with the simulation that this data could show",
-        "named": "the simulation lacks what follows",
-        "ambiguous": "several explanations fit; this data cannot tell them apart",
-        "unknown": "something is wrong that no known cause explains",
-    }
     verdict = answer["verdict"]
-    console.print(f"[bold]{verdict}[/bold]: {meaning.get(verdict, '')}", highlight=False)
+    console.print(f"[bold]{verdict}[/bold]: {MEANING[verdict]}", highlight=False)
     if answer["causes"]:
         table = new_table("Causes in the extended simulation")
         for name, justify in (("Cause", "left"), ("Where", "left"), ("Probability", "right"), ("Parameters", "left")):
@@ -104,33 +99,15 @@ def print_diagnosis(console: Console, answer: Mapping[str, Any]) -> None:
         for cause in answer["causes"]:
             table.add_row(
                 cause["name"],
-                escape(place(cause["where"])),
+                escape(place_text(cause["where"])),
                 f"{cause['probability']:.3f}",
-                escape(parameters(cause["parameters"])),
+                escape(parameters_text(cause["parameters"])),
             )
         console.print(table)
     for rival in answer["alternatives"]:
-        text = " and ".join(f"{c['name']} at {place(c['where'])}" for c in rival)
-        console.print(f"  or: {text}", highlight=False, markup=False)
+        console.print(f"  or: {causes_text(rival)}", highlight=False, markup=False)
     if answer["advice"]:
         console.print(f"to tell them apart: {answer['advice']}", highlight=False, markup=False)
     gain = answer.get("gain")
     if gain:
-        console.print(
-            f"held out: {gain['held_out']}; chi-square a real sample {gain['chi2_before']:.3g} before, "
-            f"{gain['chi2_after']:.3g} after; log-likelihood gain "
-            f"{with_error(gain['log_likelihood_gain'], gain['log_likelihood_gain_std'])} nats",
-            highlight=False,
-            markup=False,
-        )  # fmt: skip
-
-
-def place(where: Sequence[Any]) -> str:
-    """Where a cause sits, as text."""
-    return " - ".join(str(w) for w in where) or "everywhere"
-
-
-def parameters(values: Mapping[str, Mapping[str, Any]]) -> str:
-    """Parameters of a cause with standard deviations and units."""
-    told = (f"{name} = {with_error(p['value'], p['std'])} {p['unit'].replace('-', '')}" for name, p in values.items())
-    return ", ".join(text.strip() for text in told)
+        console.print(gain_text(gain), highlight=False, markup=False)

@@ -1,7 +1,9 @@
 """What a simulation gets wrong, why, and what it gains to mend it.
 
-``modalax.diagnose(measurement, simulation)`` calls :func:`diagnose`; the same name is the package that holds the
-catalogue and the results.
+The package can be called: ``modalax.diagnose(measurement, simulation)`` is
+``modalax.diagnose.diagnose(measurement, simulation)``. Python binds the name of a package to its parent as soon as
+anything in it is imported, so a function of the same name there would come and go with the order of imports. Giving the
+package itself a ``__call__``, at the end of this module, makes the call work always.
 """
 
 import sys
@@ -19,18 +21,20 @@ from modalax.diagnose.causes import (
     catalogue,
     strengths,
 )
+from modalax.diagnose.causes.joints import MicroSlip
 from modalax.diagnose.extend import ExtendedSimulation
+from modalax.diagnose.joint_laws import Explained, compare_laws, modes_at
 from modalax.diagnose.pipeline import diagnose
 from modalax.diagnose.result import Diagnosis
 
 __all__ = [
-    "Cause", "ChannelCause", "Diagnosis", "ExtendedSimulation", "JointCause", "LocalCause", "Parameter", "Place",
-    "Scene", "catalogue", "diagnose", "strengths",
+    "Cause", "ChannelCause", "Diagnosis", "Explained", "ExtendedSimulation", "JointCause", "LocalCause", "MicroSlip",
+    "Parameter", "Place", "Scene", "catalogue", "compare_laws", "diagnose", "modes_at", "strengths",
 ]  # fmt: skip
 
 
 class _CallablePackage(types.ModuleType):
-    """The package itself, callable, so that ``modalax.diagnose(...)`` works whichever was imported first."""
+    """A package that is called as its function :func:`diagnose`."""
 
     def __call__(self, *args: Any, **kwargs: Any) -> Diagnosis:
         return diagnose(*args, **kwargs)

@@ -16,6 +16,7 @@ from modalax.diagnose.extend import ExtendedSimulation
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.holdout import Gain
 from modalax.diagnose.screening.every_cause import Screening
+from modalax.diagnose.summary import summary
 
 POWER = 1.28  # standard deviations above the threshold at which nine effects in ten are seen
 
@@ -95,6 +96,10 @@ class Diagnosis:
     residual_after: np.ndarray
     predicted_before: np.ndarray
     predicted_after: np.ndarray
+
+    def __str__(self) -> str:
+        """Verdict, causes and gain."""
+        return summary(self.to_dict())
 
     @property
     def question(self) -> str:

@@ -1,5 +1,6 @@
 """Measured FRFs to a modal model."""
 
+from modalax.identify.bandwidth import BandwidthTest, bandwidth_test
 from modalax.identify.bias import DampingBias, predicted_damping_bias
 from modalax.identify.bound import Bound, cramer_rao
 from modalax.identify.consistent import compensated, gtls, subspace
@@ -17,6 +18,7 @@ from modalax.identify.stabilize import Stability, stabilization
 from modalax.identify.tables import PoleTable
 
 __all__ = [
+    "BandwidthTest",
     "Bound",
     "DampingBias",
     "Fit",
@@ -25,6 +27,7 @@ __all__ = [
     "Refined",
     "Selection",
     "Stability",
+    "bandwidth_test",
     "best_order",
     "compensated",
     "cramer_rao",

@@ -11,6 +11,7 @@ from modalax.identify.mode_search import synthesis
 from modalax.identify.refine import Refined
 from modalax.identify.select import Selection
 from modalax.identify.stabilize import Stability
+from modalax.identify.summary import summary
 from modalax.identify.tables import PoleTable
 from modalax.model.modal import ModalModel
 
@@ -88,6 +89,10 @@ class Fit(eqx.Module):
         """
         strength = self.energy / (self.energy + self.unexplained)
         return (self.stability_score + self.mpc + strength) / 3
+
+    def __str__(self) -> str:
+        """The table of modes."""
+        return summary(self.to_dict())
 
     def synthesised(self) -> FRF:
         """The model's FRF at the lines of the fit."""

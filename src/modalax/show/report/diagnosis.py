@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from modalax._numerics.text import with_error
 from modalax.diagnose.result import Diagnosis
 from modalax.show.diagnosis import residual_rows, run_names
-from modalax.show.numbers import with_error
 from modalax.show.report.page import Page, Plot, Section, Table
 from modalax.show.report.plots import bar_plot, comparison_plot, residual_plot
 

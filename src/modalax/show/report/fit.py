@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from modalax._numerics.text import with_error
 from modalax.data.geometry import Geometry
 from modalax.model.indicators import auto_mac
 from modalax.show.matrices import mode_names
-from modalax.show.numbers import with_error
 from modalax.show.report.page import Page, Section, Table
 from modalax.show.report.plots import frf_plot, mac_plot, modes_plot, shape_plot, shape_plot_3d, stabilization_plot
 from modalax.show.shapes import along

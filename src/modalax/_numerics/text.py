@@ -1,0 +1,28 @@
+"""Numbers and tables as plain text."""
+
+import math
+from collections.abc import Sequence
+
+
+def with_error(value: float, std: float | None, unit: float = 1.0) -> str:
+    """Write a value and its standard deviation, the latter to two figures and the former to the same place."""
+    value = value * unit
+    if std is None or not math.isfinite(std) or std <= 0:
+        return f"{value:.5g}"
+    std = std * unit
+    if std >= 1e4:
+        return f"{value:.3g} ± {std:.2g}"
+    places = max(0, 1 - math.floor(math.log10(std)))
+    return f"{value:.{places}f} ± {std:.{places}f}"
+
+
+def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[int] = ()) -> str:
+    """Columns of text as wide as their longest entry, flush right but for the columns ``left``."""
+    every = [list(header), *map(list, rows)]
+    widths = [max(map(len, column)) for column in zip(*every, strict=True)]
+
+    def line(row: Sequence[str]) -> str:
+        cells = [x.ljust(w) if k in left else x.rjust(w) for k, (x, w) in enumerate(zip(row, widths, strict=True))]
+        return "  ".join(cells).rstrip()
+
+    return "\n".join([line(every[0]), "  ".join("-" * w for w in widths), *map(line, every[1:])])

@@ -1,0 +1,34 @@
+"""A fit as ``print`` shows it: one line on the whole, one on each mode."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from modalax._numerics.text import text_table, with_error
+
+
+def summary(answer: Mapping[str, Any]) -> str:
+    """The table of modes of ``Fit.to_dict()``: frequency and damping with standard deviations, MPC, flags."""
+    modes, (low, high) = answer["modes"], answer["band_hz"]
+    rows = [
+        [
+            str(k + 1),
+            with_error(mode["frequency_hz"], mode["frequency_std_hz"]),
+            with_error(mode["damping_ratio"], mode["damping_ratio_std"], 100.0),
+            f"{mode['mpc']:.3f}",
+            ", ".join(mode["flags"]),
+        ]
+        for k, mode in enumerate(modes)
+    ]
+    count = "1 mode" if len(modes) == 1 else f"{len(modes)} modes"
+    head = (
+        f"{count} from {low:g} to {high:g} Hz, {answer['method']} of order {answer['order']}, {_refinement(answer)}; "
+        f"unexplained part of the measured energy: {100 * answer['unexplained']:.3g} %"
+    )
+    table = text_table(("Mode", "Frequency [Hz]", "Damping [%]", "MPC", "Flags"), rows, left=(4,))
+    return "\n".join([head, table, *(f"note: {text}" for text in answer["notes"])])
+
+
+def _refinement(answer: Mapping[str, Any]) -> str:
+    if answer["refined"]:
+        return "refined (± one standard deviation)"
+    return "not refined" if answer["reason"] is None else f"refinement did not converge ({answer['reason']})"

@@ -1,0 +1,43 @@
+"""What ``print`` shows of a diagnosis."""
+
+from modalax.diagnose.summary import summary
+
+GAIN = {"held_out": "run 3", "chi2_before": 7.52, "chi2_after": 1.012, "log_likelihood_gain": 512.0,
+        "log_likelihood_gain_std": 4.0}  # fmt: skip
+SPRING = {
+    "name": "joint_stiffness", "where": ["3", "5"], "probability": 0.9871,
+    "parameters": {"stiffness": {"value": 2501.0, "std": 12.0, "unit": "N/m"}},
+}  # fmt: skip
+SIGN = {"name": "channel_sign", "where": ["4"], "probability": 0.9871, "parameters": {}}
+
+
+def test_a_named_diagnosis_is_told_in_a_table_and_its_gain():
+    told = summary({"verdict": "named", "causes": [SPRING, SIGN], "alternatives": [], "advice": None, "gain": GAIN})
+    assert told.splitlines() == [
+        "named: the simulation lacks what follows",
+        "Cause            Where  Probability  Parameters",
+        "---------------  -----  -----------  -------------------------",
+        "joint_stiffness  3 - 5        0.987  stiffness = 2501 ± 12 N/m",
+        "channel_sign     4            0.987",
+        "held out: run 3; chi-square per real sample 7.52 before, 1.01 after; log-likelihood gain 512.0 ± 4.0 nats",
+    ]
+
+
+def test_rivals_reasons_and_advice_are_told():
+    told = summary(
+        {
+            "verdict": "ambiguous", "causes": [SPRING], "alternatives": [[SIGN, {"name": "units", "where": []}]],
+            "advice": "measure DoF 4", "gain": None, "reasons": ["two sets fit alike"],
+        }
+    ).splitlines()  # fmt: skip
+    assert told[0].startswith("ambiguous: several explanations fit")
+    assert told[-3:] == [
+        "or: channel_sign at 4 and units at everywhere",
+        "because: two sets fit alike",
+        "to tell them apart: measure DoF 4",
+    ]
+
+
+def test_a_clean_one_is_one_line():
+    told = summary({"verdict": "clean", "causes": [], "alternatives": [], "advice": None, "gain": None})
+    assert told == "clean: nothing is wrong with the simulation that this data could show"
