@@ -26,8 +26,9 @@ def load(
     """Read a measurement, a structure, a modal model or an extended simulation from a file of any kind.
 
     What the file is, is told from its content: NumPy ``.npz``, UFF (58 ASCII and binary, 55, 2414), MATLAB ``.mat``,
-    NetCDF or Zarr. Files of the published measurements in :mod:`modalax.data.datasets` are recognised, with a warning
-    that says so.
+    NetCDF, Zarr, or matrices and modes of a finite-element program (Nastran, Abaqus, Ansys, Matrix Market; what was
+    found and assumed is told in warnings). Files of the published measurements in :mod:`modalax.data.datasets` are
+    recognised, with a warning that says so.
 
     Parameters
     ----------
@@ -38,7 +39,8 @@ def load(
         warning that says so. True: they are conjugated. False: they are taken as they are.
     **options
         Choices for UFF files, passed to :func:`modalax.files.uff.read_uff`: ``form``, ``complete``; for an extended
-        simulation ``causes``, those of one's own that it holds.
+        simulation ``causes``, those of one's own that it holds; for finite elements those of
+        :func:`modalax.files.finite_elements.import_finite_elements`: ``mass``, ``grids``, ``units``, ...
 
     Raises
     ------
@@ -69,6 +71,13 @@ def _read(path: Path, kind: str, options: dict[str, Any]) -> Saved:
             if published is None:
                 raise
             return published
+    if kind == "fe":
+        from modalax.files.finite_elements import import_finite_elements
+
+        found = import_finite_elements(path, **options)
+        for sentence in found.notes:
+            warnings.warn(sentence, UserWarning, stacklevel=2)
+        return found.simulation
     if options:
         raise ValueError(f"option {', '.join(options)} is for UFF and .npz files, this one is {kind}")
     if kind in ("mat", "mat73"):

@@ -3,6 +3,21 @@
 from pathlib import Path
 
 KINDS = "UFF (ASCII or binary), NumPy .npz, MATLAB .mat, NetCDF or Zarr"
+FINITE_ELEMENTS = (
+    ".pch",
+    ".pch1",
+    ".bdf",
+    ".dat",
+    ".nas",
+    ".mtx",
+    ".full",
+    ".hb",
+    ".rb",
+    ".mm",
+    ".f06",
+    ".op2",
+    ".rst",
+)
 WRITTEN = {
     ".npz": "npz", ".uff": "uff", ".unv": "uff", ".uf": "uff", ".mat": "mat", ".nc": "netcdf", ".zarr": "zarr",
 }  # fmt: skip
@@ -20,7 +35,7 @@ _STORE = ("zarr.json", ".zgroup", ".zmetadata")
 
 
 def sniff(path: Path) -> str:
-    """Kind of the file: ``npz``, ``uff``, ``mat``, ``mat73``, ``netcdf`` or ``zarr``.
+    """Kind of the file: ``npz``, ``uff``, ``mat``, ``mat73``, ``netcdf``, ``zarr`` or ``fe`` (finite elements).
 
     Raises
     ------
@@ -49,9 +64,15 @@ def sniff(path: Path) -> str:
                     "save an .npz with freq, H, form, outputs and inputs"
                 )
             return kind
-    first = next((line for line in head.splitlines() if line.strip()), b"")
+    return _text_kind(path, next((line for line in head.splitlines() if line.strip()), b""))
+
+
+def _text_kind(path: Path, first: bytes) -> str:
+    """Kind of a text file, by its first line or, for those of finite-element programs, its ending."""
     if first.strip() == b"-1":
         return "uff"
+    if path.suffix.lower() in FINITE_ELEMENTS or first.startswith((b"DMIG", b"%%MatrixMarket")):
+        return "fe"
     raise ValueError(f"{path}: neither of {KINDS}; the file begins with {_shown(first)}")
 
 

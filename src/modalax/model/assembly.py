@@ -5,13 +5,12 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-import scipy.linalg
 import scipy.sparse
 import scipy.sparse.linalg
 
 from modalax.model.modal import ModalModel
 from modalax.model.receptance import directions
-from modalax.model.structure import Structure
+from modalax.model.structure import Structure, real_modes
 
 
 def add_spring(structure: Structure, place: Sequence[str], k: Any) -> Structure:
@@ -57,7 +56,7 @@ def modal_damping(structure: Structure, damping_ratio: Any) -> Structure:
     The ratio is one number or one a mode. Works on numbers, not inside jit.
     """
     M, K = np.asarray(structure.M), np.asarray(structure.K)
-    square, modes = scipy.linalg.eigh(K, M)
+    square, modes, _ = real_modes(M, K)
     zeta = np.broadcast_to(np.asarray(damping_ratio, dtype=float), square.shape)
     across = M @ modes
     return structure.replace(C=across @ ((2 * zeta * np.sqrt(np.maximum(square, 0.0)))[:, None] * across.T), D=None)

@@ -7,12 +7,15 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
-from jaxtyping import Array, Complex, Float
+from jaxtyping import Array, Bool, Complex, Float
 
 from modalax._numerics.checks import as_double, is_traced, require_finite
 from modalax.data.frf import DERIVATIVES, FRF, check_form, check_names, default_names
 from modalax.model.modal import ModalModel, in_order
 from modalax.model.solve import receptance_along
+
+ROUNDING = 1e-13  # error of an eigenvalue, a DoF, relative to the sum of the magnitudes that make it
+PROPORTIONAL = 1e-12  # coupling of real modes by the damping below which there is none
 
 
 class Structure(eqx.Module):
@@ -177,21 +180,26 @@ class Structure(eqx.Module):
         rank = np.linalg.matrix_rank(M)
         if rank < n:
             raise ValueError(f"M is singular: rank {rank} of {n}; condense the massless DoFs first")
-        free = _free_body_modes(M, C, K)
-        lower = free @ free.T
-        keep = scipy.linalg.null_space(free.T @ M) if free.shape[1] else np.eye(n)
-        m, c, k = (keep.T @ A @ keep for A in (M, C, K))
-        size = len(m)
-        state = np.block(
-            [[np.zeros((size, size)), np.eye(size)], [-np.linalg.solve(m, k), -np.linalg.solve(m, c)]]
-        )  # fmt: skip
-        poles, vectors = (np.asarray(part) for part in np.linalg.eig(state))
-        up = np.imag(poles) > 1e-9 * np.abs(poles).max(initial=0.0)
-        if up.sum() != size:
+        square, phi, free = real_modes(M, K)
+        lower, phi, omega = phi[:, free] @ phi[:, free].T, phi[:, ~free], np.sqrt(square[~free])
+        c = phi.T @ C @ phi
+        _check_free(M, C, lower)
+        size = len(omega)
+        if np.abs(c - np.diag(np.diag(c))).max(initial=0.0) <= PROPORTIONAL * np.abs(c).max(initial=0.0):
+            poles = -np.diag(c) / 2 + np.sqrt((np.diag(c) / 2) ** 2 - omega**2 + 0j)
+            vectors = np.eye(size)
+        else:  # states are the modal velocities and the modal displacements times their frequencies
+            state = np.block([[np.zeros((size, size)), np.diag(omega)], [-np.diag(omega), -c]])
+            poles, vectors = (np.asarray(part) for part in np.linalg.eig(state))
+            up = np.imag(poles) > 0
+            up = np.imag(poles) > 1e-9 * np.abs(poles)
+            poles, vectors = poles[up], (vectors[:size] / omega[:, None])[:, up]
+        vibrate = int((np.imag(poles) > 1e-9 * np.abs(poles)).sum())
+        if vibrate != size:
             raise ValueError(
-                f"{size} modes have stiffness but only {int(up.sum())} vibrate; over-damped modes have no pole pair"
+                f"{size} modes have stiffness but only {vibrate} vibrate; over-damped modes have no pole pair"
             )
-        poles, psi = poles[up], vectors[:size, up].T @ keep.T
+        psi = (phi @ vectors).T
         psi = psi / np.take_along_axis(psi, np.abs(psi).argmax(axis=1)[:, None], axis=1)
         a = np.einsum("nd,nde,ne->n", psi, 2 * poles[:, None, None] * M + C, psi)
         return in_order(
@@ -202,10 +210,20 @@ class Structure(eqx.Module):
         )  # fmt: skip
 
 
-def _free_body_modes(M: np.ndarray, C: np.ndarray, K: np.ndarray) -> np.ndarray:
-    """Mass-normalised shapes without stiffness, shape ``(n, count)``."""
-    values, vectors = scipy.linalg.eigh(K, M)
-    free = vectors[:, np.abs(values) < 1e-11 * np.abs(values).max()]
-    if free.size and np.abs(C @ free).max() > 1e-9 * np.abs(C).max():
+def real_modes(
+    M: Float[np.ndarray, "n n"], K: Float[np.ndarray, "n n"]
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n n"], Bool[np.ndarray, " n"]]:
+    r"""Undamped modes: eigenvalues [1/s^2], mass-normalised shapes by column, and which are free-body modes.
+
+    Those are the modes whose eigenvalue is rounding: within :math:`10^{-13} n\sum_{ij}|\phi_iK_{ij}\phi_j|` of zero.
+    """
+    square, phi = scipy.linalg.eigh(K, M)
+    size = np.einsum("ir,ij,jr->r", np.abs(phi), np.abs(K), np.abs(phi), optimize=True)
+    free = np.abs(square) <= ROUNDING * len(M) * size
+    return np.where(free, 0.0, square), phi, free
+
+
+def _check_free(M: np.ndarray, C: np.ndarray, free: np.ndarray) -> None:
+    """Refuse damping of free-body motions, whose products of shapes are given, against the ground."""
+    if np.abs(C @ free @ M).max(initial=0.0) > 1e-9 * np.abs(C).max(initial=0.0):
         raise ValueError("a free-body mode is damped against the ground; it has no pole pair and no residual term")
-    return free

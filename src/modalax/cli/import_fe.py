@@ -1,0 +1,54 @@
+"""``modalax import-fe``: a simulation from the files of a finite-element program."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from modalax.cli.common import OverwriteOption, check_free, note, start
+
+
+def import_fe(
+    source: Annotated[
+        Path, typer.Argument(metavar="FILE", help="Nastran punch (DMIG, eigenvectors), Ansys .full, or the stiffness.")
+    ],
+    target: Annotated[Path, typer.Option("-o", "--out", metavar="OUT", help="Simulation to write (.npz).")],
+    mass: Annotated[Path | None, typer.Option("--mass", help="The mass, where it has a file of its own.")] = None,
+    damping_matrix: Annotated[Path | None, typer.Option("--damping-matrix", help="The viscous damping.")] = None,
+    grids: Annotated[
+        Path | None, typer.Option("--grids", help="Nastran deck: grid points, local axes, check of rigid bodies.")
+    ] = None,
+    units: Annotated[str, typer.Option("--units", help="m-N, mm-N, in-lbf, ft-lbf, mm-kgf, ...; seconds.")] = "m-N",
+    damping: Annotated[
+        float | None, typer.Option("--damping", help="Damping ratio of all modes, e.g. 0.01; 0 if not given.")
+    ] = None,
+    up_to: Annotated[
+        float | None, typer.Option("--up-to", metavar="HZ", help="Highest frequency of interest.", show_default=False)
+    ] = None,
+    keep: Annotated[str, typer.Option("--keep", metavar="DOF,...", help="DoFs to keep, e.g. '101:+Z' or '*:+Z'.")] = "",
+    matrices: Annotated[
+        tuple[str, str] | None, typer.Option("--matrices", metavar="K M", help="Names of stiffness and mass.")
+    ] = None,
+    overwrite: OverwriteOption = False,
+) -> None:
+    """Read mass, stiffness and damping, or modes, of a finite-element model and write them as a simulation."""
+    check_free(target, overwrite=overwrite)
+    if target.suffix.lower() not in (".npz", ".mat"):
+        raise ValueError(f"{target}: a simulation goes to .npz or .mat")
+    for path in (source, mass, damping_matrix, grids):
+        if path is not None and not path.is_file():
+            raise FileNotFoundError(f"{path}: no such file")
+    start()
+    from modalax.files import save
+    from modalax.files.finite_elements import import_finite_elements
+    from modalax.files.messages import about
+
+    with about(source):
+        found = import_finite_elements(
+            source, mass=mass, damping=damping_matrix, grids=grids, units=units, damping_ratio=damping, up_to_hz=up_to,
+            keep=[name.strip() for name in keep.split(",") if name.strip()], matrices=matrices,
+        )  # fmt: skip
+    for sentence in found.notes:
+        note(sentence)
+    save(found.simulation, target, overwrite=overwrite)
+    note(f"{target} written")

@@ -1,0 +1,389 @@
+"""Simulations from finite-element programs: matrices or modes in SI units, with DoFs named by grid point and direction.
+
+Nastran (DMIG punch, eigenvectors, decks for geometry), Abaqus ``.mtx``, Ansys ``.full``, Harwell-Boeing, Matrix Market.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.sparse
+
+from modalax.data.geometry import Geometry
+from modalax.files.matrices import Matrix, read_abaqus, read_ansys, read_plain
+from modalax.files.nastran import Grid, read_dmig, read_grids, read_lines, read_punched_modes
+from modalax.model.assembly import modal_damping, reduce_to_modes
+from modalax.model.condense import Condensed, condense, node_pairs, rigid_motions
+from modalax.model.modal import ModalModel
+from modalax.model.structure import Structure
+
+DIRECTIONS = ("X", "Y", "Z", "RX", "RY", "RZ")
+# Length [m] and force [N] of the systems of units in use; time is in seconds, and mass follows.
+UNITS = {
+    "m-N": (1.0, 1.0), "mm-N": (1e-3, 1.0), "cm-N": (1e-2, 1.0), "in-lbf": (0.0254, 4.4482216152605),
+    "ft-lbf": (0.3048, 4.4482216152605), "m-kgf": (1.0, 9.80665), "mm-kgf": (1e-3, 9.80665),
+}  # fmt: skip
+DENSE = 3000  # DoFs up to which matrices are condensed as they are
+MODES = 60  # modes kept of larger ones
+RIGID = 1e-4  # part of the first elastic eigenvalue below which a mode of a file counts as rigid
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A simulation from a finite-element program.
+
+    Attributes
+    ----------
+    simulation
+        Matrices, or a modal model where the file holds modes or is large.
+    notes
+        What was found, checked and assumed, a sentence each.
+    mass
+        Total mass along each axis that the matrices tell, by ``X``, ``Y``, ``Z`` [kg]; empty for modes.
+    geometry
+        Grid points [m] and the elements between them; None without a deck.
+    """
+
+    simulation: Structure | ModalModel
+    notes: tuple[str, ...]
+    mass: dict[str, float] = field(default_factory=dict)
+    geometry: Geometry | None = None
+
+
+def import_finite_elements(
+    path: Path,
+    *,
+    mass: Path | None = None,
+    damping: Path | None = None,
+    grids: Path | None = None,
+    units: str = "m-N",
+    damping_ratio: float | None = None,
+    up_to_hz: float | None = None,
+    keep: Sequence[str] = (),
+    matrices: tuple[str, str] | None = None,
+) -> Imported:
+    r"""Read stiffness and mass, or modes, that a finite-element program wrote.
+
+    Parameters
+    ----------
+    path
+        Nastran punch file or deck with DMIG matrices or eigenvectors, Ansys ``.full``, or the stiffness in a file of
+        its own: Abaqus ``.mtx``, Matrix Market, Harwell-Boeing.
+    mass, damping
+        Files of the mass and, if there is one, the viscous damping, where each matrix has its own.
+    grids
+        Nastran deck with the grid points: turns local displacement axes to the basic ones, gives the geometry and
+        checks that rigid-body motions cost no force.
+    units
+        ``m-N``, ``mm-N``, ``in-lbf`` and so on (:data:`UNITS`); the program's mass follows from force and length.
+    damping_ratio
+        Damping ratio of all modes, where the program tells none; 0 if None.
+    up_to_hz
+        Highest frequency of interest [Hz], see :func:`modalax.model.condense.condense`.
+    keep
+        DoFs, such as ``101:+Z`` or the pattern ``*:+Z``, that are not condensed, whatever their mass.
+    matrices
+        Names of stiffness and mass in a punch file that holds more than one of each.
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be used, the units are not known, or a DoF named does not exist.
+    """
+    if units not in UNITS:
+        raise ValueError(f"units are {units!r}; known are {', '.join(UNITS)}")
+    scale = UNITS[units]
+    deck = None if grids is None else read_grids(grids)
+    kind = kind_of(path)
+    if kind == "modes":
+        return _modes(path, deck, scale, damping_ratio)
+    K, M, C, notes = _matrices(path, kind, mass, damping, matrices)
+    return _Import(K, M, C, deck, scale, notes).finished(grids, units, damping_ratio, up_to_hz, keep)
+
+
+def kind_of(path: Path) -> str:
+    """What a file holds: ``dmig``, ``modes`` (Nastran), ``abaqus``, ``market``, ``boeing`` or ``ansys``.
+
+    Raises
+    ------
+    ValueError
+        If it is none of them; the message says what to ask the program for.
+    """
+    if path.suffix.lower() in (".full", ".rst", ".emat"):
+        return "ansys"
+    with path.open("rb") as file:
+        text = file.read(200_000).decode("latin-1")
+    if text.startswith("%%MatrixMarket"):
+        return "market"
+    lines = [line for line in text.splitlines() if line.strip()]
+    if any(line.startswith("$EIGENVECTOR") for line in lines[:20]):
+        return "modes"
+    if any(line.upper().startswith("DMIG") for line in lines):
+        return "dmig"
+    if any(line.upper().startswith(("GRID", "CEND", "BEGIN BULK", "SOL ")) for line in lines):
+        raise ValueError(
+            "a Nastran deck without matrices; let Nastran punch them (EXTSEOUT(STIF,MASS,DMIGPCH) or "
+            "PARAM,EXTOUT,DMIGPCH), give the punch file, and this deck for its grid points (grids, --grids)"
+        )
+    if path.suffix.lower() in (".hb", ".rb", ".rsa", ".rua", ".hbmat", ".matrix"):
+        return "boeing"
+    first = next((line for line in lines if not line.startswith("*")), "")
+    if len(first.replace(",", " ").split()) == 5:
+        return "abaqus"
+    raise ValueError(
+        "not a file of matrices or modes that is known: Nastran punch (DMIG, eigenvectors), Abaqus .mtx, Ansys .full, "
+        "Harwell-Boeing, Matrix Market"
+    )
+
+
+def _matrices(
+    path: Path, kind: str, mass: Path | None, damping: Path | None, names: tuple[str, str] | None
+) -> tuple[Matrix, Matrix, Matrix | None, list[str]]:
+    if kind == "dmig":
+        return _punched(path, names)
+    if kind == "ansys":
+        K, M = read_ansys(path)
+        return K, M, None, []
+    notes = []
+    if mass is None and kind == "abaqus":
+        mass = _partner(path)
+        if mass is not None:
+            path, mass = (mass, path) if "MASS" in path.name.upper() else (path, mass)
+            notes.append(f"stiffness from {path.name}, mass from {mass.name}")
+    if mass is None:
+        raise ValueError("one matrix alone; name the files of both, stiffness and mass (mass=..., --mass)")
+    read = {"abaqus": read_abaqus, "market": read_plain, "boeing": lambda p: read_plain(p, harwell_boeing=True)}[kind]
+    return read(path), read(mass), None if damping is None else read(damping), notes
+
+
+def _partner(path: Path) -> Path | None:
+    """The mass beside a stiffness by Abaqus, or the other way round: ``JOB_STIF1.mtx`` and ``JOB_MASS1.mtx``."""
+    for one, other in (("STIF", "MASS"), ("MASS", "STIF")):
+        if one in path.name.upper():
+            k = path.name.upper().rindex(one)
+            for step in ("", "1", "2", "3"):
+                tail = path.name[k + 4 :] if not step else f"{step}{path.suffix}"
+                beside = path.with_name(path.name[:k] + other + tail)
+                if beside.is_file():
+                    return beside
+    return None
+
+
+def _punched(path: Path, names: tuple[str, str] | None) -> tuple[Matrix, Matrix, Matrix | None, list[str]]:
+    """Stiffness, mass and viscous damping of a punch file, told by the first letter of their names: K, M, B."""
+    found = read_dmig(path)
+    if names is None:
+        lists = [[name for name in found if name.startswith(letter) and name[1:2] != "4"] for letter in "KMB"]
+        if len(lists[0]) != 1 or len(lists[1]) != 1 or len(lists[2]) > 1:
+            raise ValueError(
+                f"its matrices are {', '.join(found)}; one stiffness (K...) and one mass (M...) are needed, or name "
+                "the two (matrices=, --matrices)"
+            )
+        stiffness, mass = lists[0][0], lists[1][0]
+    else:
+        stiffness, mass = names
+        missing = [name for name in names if name not in found]
+        if missing:
+            raise ValueError(f"no matrix named {', '.join(missing)}; it holds {', '.join(found)}")
+        lists = [[], [], []]
+    C = found[lists[2][0]] if lists[2] else None
+    return found[stiffness], found[mass], C, [f"stiffness is {stiffness}, mass is {mass}"]
+
+
+def dof_name(point: int, component: int) -> str:
+    """``101:+Z`` for component 3 of grid point 101; the point alone for a scalar point (component 0)."""
+    return f"{point}:+{DIRECTIONS[component - 1]}" if component else str(point)
+
+
+class _Import:
+    """Matrices of one model on their way to a simulation in SI units."""
+
+    def __init__(
+        self, K: Matrix, M: Matrix, C: Matrix | None, deck: dict[int, Grid] | None, scale: tuple[float, float],
+        notes: list[str],
+    ):  # fmt: skip
+        self.dofs = tuple(sorted({*K.dofs, *M.dofs}))
+        self.digits, self.deck, self.notes = K.digits, deck, notes
+        length, force = scale
+        self.length = length
+        self.rotation = np.array([component > 3 for _, component in self.dofs])
+        unit = scipy.sparse.diags(np.where(self.rotation, 1.0, 1 / length) * np.sqrt(force * length))
+        turn = unit @ self._to_basic()
+        self.K, self.M = (turn @ A.on(self.dofs) @ turn.T for A in (K, M))
+        self.C = None if C is None else turn @ C.on(self.dofs) @ turn.T
+        self.names = [dof_name(*dof) for dof in self.dofs]
+
+    def _to_basic(self) -> Any:
+        """Turns local displacement axes to the basic ones, where a grid point has all three directions."""
+        at = {dof: k for k, dof in enumerate(self.dofs)}
+        T = scipy.sparse.lil_matrix(scipy.sparse.eye(len(self.dofs)))
+        left = []
+        for point in sorted({p for p, component in self.dofs if component}) if self.deck else []:
+            grid = self.deck.get(point) if self.deck else None
+            if grid is None or np.allclose(grid.axes, np.eye(3)):
+                continue
+            for first in (1, 4):
+                rows = [at[point, first + k] for k in range(3) if (point, first + k) in at]
+                if len(rows) == 3:
+                    T[np.ix_(rows, rows)] = grid.axes.T
+                elif rows:
+                    left.append(point)
+        if left:
+            self.notes.append(
+                f"{len(left)} grid points keep local axes, since not all of their directions are in the matrices "
+                f"({', '.join(map(str, left[:5]))}{', ...' if len(left) > 5 else ''})"
+            )
+        return T.tocsc()
+
+    def finished(
+        self, grids: Path | None, units: str, damping_ratio: float | None, up_to_hz: float | None, keep: Sequence[str]
+    ) -> Imported:
+        keep = self._named(keep)
+        total = self._mass()
+        told = ", ".join(f"{value:.6g} kg along {way}" for way, value in total.items())
+        self.notes.append(f"units {units}: total mass {told}" if told else f"units {units}")
+        geometry = None
+        if self.deck is not None and grids is not None:
+            geometry = self._geometry(read_lines(grids))
+            self.notes.append(self._rigid_check())
+        if self.C is None:
+            zeta = 0.0 if damping_ratio is None else damping_ratio
+            self.notes.append(
+                "no damping in the file and none given: all modes are undamped"
+                if damping_ratio is None else f"damping ratio of all modes {100 * zeta:g} %, as given"
+            )  # fmt: skip
+        if len(self.dofs) > DENSE:
+            simulation = self._by_modes(damping_ratio, keep)
+        else:
+            simulation = self._condensed(damping_ratio, up_to_hz, keep)
+        return Imported(simulation, tuple(self.notes), total, geometry)
+
+    def _named(self, patterns: Sequence[str]) -> list[str]:
+        """DoFs that match one of the patterns."""
+        found: dict[str, None] = {}
+        for pattern in patterns:
+            names = [name for name in self.names if fnmatchcase(name, pattern)]
+            if not names:
+                raise ValueError(f"no DoF named {pattern!r}; they are called like {', '.join(self.names[:4])}")
+            found.update(dict.fromkeys(names))
+        return list(found)
+
+    def _condensed(self, damping_ratio: float | None, up_to_hz: float | None, keep: Sequence[str]) -> Structure:
+        K = self.K.toarray()
+        small = condense(
+            self.M.toarray(), K, up_to_hz=up_to_hz, digits=self.digits, keep=[self.names.index(n) for n in keep]
+        )
+        self._tell(small)
+        at = np.flatnonzero(small.kept)
+        names = [self.names[k] for k in at]
+        points = [str(p) for p, _ in self.dofs]
+        ways = [DIRECTIONS[component - 1] if component else "" for _, component in self.dofs]
+        pairs = [(self.names[a], self.names[b]) for a, b in node_pairs(K, points, ways, small.kept)]
+        C = np.zeros_like(small.K) if self.C is None else self.C.toarray()[np.ix_(at, at)]
+        structure = Structure(small.M, C, small.K, names, pairs=pairs)
+        if self.C is None and damping_ratio:
+            structure = modal_damping(structure, damping_ratio)
+        return structure
+
+    def _tell(self, small: Condensed) -> None:
+        hertz = lambda square: np.sqrt(np.abs(square)) / (2 * np.pi)  # noqa: E731
+        elastic = small.eigenvalue[small.rigid :]
+        self.notes.append(
+            f"{small.rigid} rigid-body modes (by the matrices at up to {hertz(small.rigid_eigenvalue):.3g} Hz, which "
+            f"their {self.digits} digits allow: {hertz(small.rounding):.3g} Hz), {len(elastic)} elastic modes from "
+            f"{hertz(elastic[0]):.6g} to {hertz(elastic[-1]):.6g} Hz"
+        )
+        worst = float((small.deviation[small.rigid :] / (2 * elastic)).max())
+        if worst > 1e-6:
+            self.notes.append(
+                f"the digits of the file leave the elastic frequencies uncertain by up to {100 * worst:.2g} %"
+            )
+        if not small.kept.all():
+            self.notes.append(
+                f"{int((~small.kept).sum())} of {len(small.kept)} DoFs follow the others statically (little or no "
+                f"mass); frequencies change by at most {100 * small.change:.2g} %"
+            )
+
+    def _by_modes(self, damping_ratio: float | None, keep: Sequence[str]) -> ModalModel:
+        if not keep:
+            raise ValueError(
+                f"the model has {len(self.dofs)} DoFs, too many to keep as matrices; name those that are measured or "
+                "hold joints (keep=, --keep), and it enters as its modes and static correction"
+            )
+        self.notes.append(f"{MODES} modes and static correction at {len(keep)} of {len(self.dofs)} DoFs")
+        how = {"C": self.C} if self.C is not None else {"damping_ratio": damping_ratio or 0.0}
+        return reduce_to_modes(self.M, self.K, self.names, modes=MODES, keep=list(keep), **how)
+
+    def _mass(self) -> dict[str, float]:
+        """Mass that a unit translation of all points moves, by axis."""
+        out = {}
+        for k, way in enumerate("XYZ"):
+            r = np.array([float(component == k + 1) for _, component in self.dofs])
+            if r.any():
+                out[way] = float(r @ (self.M @ r))
+        return out
+
+    def _rigid_check(self) -> str:
+        points = [self.deck[p] if self.deck and p in self.deck else None for p, _ in self.dofs]
+        missing = sorted({p for (p, _), grid in zip(self.dofs, points, strict=True) if grid is None})
+        if missing:
+            return (
+                f"{len(missing)} points of the matrices are not in the deck (such as {missing[0]}); no rigid-body check"
+            )
+        xyz = np.array([grid.xyz * self.length for grid in points if grid is not None])
+        axes = np.eye(3)[[max(component - 1, 0) % 3 for _, component in self.dofs]]
+        R = rigid_motions(xyz, axes, self.rotation)
+        force, size = np.abs(self.K @ R).max(), (abs(self.K) @ np.abs(R)).max()
+        if force < 1e-6 * size:
+            return f"rigid-body motions by the geometry cost no force (to {force / size:.1g}): the model is free"
+        return f"rigid-body motions by the geometry cost force ({force / size:.1g} of what cancels): it is supported"
+
+    def _geometry(self, elements: list[tuple[int, ...]]) -> Geometry:
+        assert self.deck is not None
+        return geometry_of(self.deck, elements, self.length)
+
+
+def geometry_of(deck: dict[int, Grid], elements: Sequence[tuple[int, ...]], length: float) -> Geometry:
+    """Grid points of a deck and the lines of its elements; ``length`` is the deck's unit [m]."""
+    lines = [tuple(map(str, line)) for line in elements if all(p in deck for p in line)]
+    return Geometry([str(p) for p in deck], np.array([grid.xyz for grid in deck.values()]) * length, lines)
+
+
+def _modes(
+    path: Path, deck: dict[int, Grid] | None, scale: tuple[float, float], damping_ratio: float | None
+) -> Imported:
+    """Mass-normalised modes as a modal model: residues of the elastic ones, a lower residual term of the rigid ones."""
+    square, dofs, phi = read_punched_modes(path)
+    length, force = scale
+    rotation = np.array([component > 3 for _, component in dofs])
+    phi = phi * np.where(rotation, 1.0, length) / np.sqrt(force * length)
+    notes = [f"{len(square)} modes at {len(dofs)} DoFs, taken as normalised to unit modal mass (NORM MASS)"]
+    if deck is not None:
+        phi = _turned(phi, dofs, deck)
+    elastic = square[square > 0]
+    rigid = square < RIGID * np.median(elastic) * (elastic.size > 0)
+    if rigid.any():
+        notes.append(f"{int(rigid.sum())} rigid-body modes make the lower residual term")
+    if damping_ratio is None:
+        notes.append("no damping in the file and none given: all modes are undamped")
+    notes.append("modes that were not punched are missing: there is no static correction")
+    names = [dof_name(*dof) for dof in dofs]
+    frequency = np.sqrt(square[~rigid]) / (2 * np.pi)
+    model = ModalModel.from_real_modes(
+        frequency, np.full(len(frequency), damping_ratio or 0.0), phi[~rigid], np.ones(len(frequency)), names
+    )
+    geometry = None if deck is None else geometry_of(deck, [], length)
+    return Imported(model.replace(lower=phi[rigid].T @ phi[rigid]), tuple(notes), {}, geometry)
+
+
+def _turned(phi: np.ndarray, dofs: tuple[tuple[int, int], ...], deck: dict[int, Grid]) -> np.ndarray:
+    at, phi = {dof: k for k, dof in enumerate(dofs)}, phi.copy()
+    for point in sorted({p for p, _ in dofs} & set(deck)):
+        for first in (1, 4):
+            columns = [at[point, first + k] for k in range(3) if (point, first + k) in at]
+            if len(columns) == 3:
+                phi[:, columns] = phi[:, columns] @ deck[point].axes
+    return phi

@@ -1,0 +1,267 @@
+r"""Finite-element matrices made fit for dynamics: few enough degrees of freedom, and rigid-body modes truly rigid.
+
+Programs write matrices with a limited number of digits, which gives rigid-body modes a little stiffness of either
+sign; and they carry degrees of freedom of no mass, or of so little that they only spoil the numerics.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from jaxtyping import Bool, Float
+
+SURE = 5.0  # standard deviations of rounding within which an eigenvalue counts as zero
+EXACT = 1e-3  # largest relative change of a frequency of interest that condensation may make
+FIRST, FURTHER = 30.0, 1.5  # DoFs that follow statically vibrate so many times above the frequencies of interest
+MODES, PART = 30, 3  # elastic modes of interest where no frequency is given: so many, or one in so many
+LEAST = 1e-9  # eigenvalue of the mass matrix, scaled to a diagonal of one, below which a direction has no mass
+
+
+@dataclass(frozen=True)
+class Condensed:
+    """Matrices on the DoFs that were kept, and what was done to get there.
+
+    Attributes
+    ----------
+    M, K
+        Shape ``(n, n)``, in the units given.
+    kept
+        Which of the given DoFs are left, ``n`` of ``m``.
+    rigid
+        Number of rigid-body modes.
+    rigid_eigenvalue, rounding
+        Largest magnitude of their eigenvalues as given, and the standard deviation that the digits of the entries
+        give it [1/s^2].
+    eigenvalue, deviation
+        Of the modes of the matrices as given up to the frequency of interest, rising, with the standard deviation that
+        the digits leave, shape ``(mode,)`` [1/s^2]; rigid-body modes at 0.
+    change
+        Largest relative change of a frequency among these by the condensation.
+    """
+
+    M: Float[np.ndarray, "n n"]
+    K: Float[np.ndarray, "n n"]
+    kept: Bool[np.ndarray, " m"]
+    rigid: int
+    rigid_eigenvalue: float
+    rounding: float
+    eigenvalue: Float[np.ndarray, " mode"]
+    deviation: Float[np.ndarray, " mode"]
+    change: float
+
+
+def condense(
+    M: Float[np.ndarray, "m m"],
+    K: Float[np.ndarray, "m m"],
+    *,
+    up_to_hz: float | None = None,
+    digits: int = 15,
+    keep: Sequence[int] = (),
+) -> Condensed:
+    r"""Let DoFs of little mass follow the others statically, and free the stiffness of rounding in rigid-body modes.
+
+    DoFs follow one by one, that of largest :math:`K_{ii}/M_{ii}` first (Henshell and Ong 1975), each by Guyan's
+    transformation (1965), :math:`x_c = -K_{cc}^{-1}K_{ca}x_a`, exact where it has no mass. It ends where that ratio
+    comes within ``FIRST`` times the highest circular frequency of interest, squared; directions that then still have
+    all but no mass (a rotation about a slanting beam) get the mass that puts them there; if a frequency of interest
+    then differs by more than ``EXACT``, more DoFs are kept. Rigid-body modes are those whose eigenvalue is zero within
+    ``SURE`` standard deviations of the rounding,
+
+    .. math:: \sigma_r^2 = \tfrac1{12}\sum_{i\le j}(m_{ij}\phi_{ir}\phi_{jr}\,u_{ij})^2,
+
+    with :math:`u_{ij}` the last digit of an entry and :math:`m_{ij}` 1 on the diagonal, else 2; the stiffness becomes
+    :math:`P^TKP` with :math:`P = I - RR^TM`, :math:`R` these modes.
+
+    Parameters
+    ----------
+    M, K
+        Symmetric mass and stiffness, shape ``(m, m)``, in one system of units.
+    up_to_hz
+        Highest frequency of interest [Hz]; that of elastic mode ``MODES``, or a third of them all, if None.
+    digits
+        Significant digits of each entry.
+    keep
+        Positions of DoFs that stay whatever their mass, for example those that are measured.
+
+    Raises
+    ------
+    ValueError
+        If a matrix is not symmetric or the mass not positive, or a DoF has neither mass nor stiffness.
+    """
+    _check(M, K)
+    square, phi = lowest_modes(M, K)
+    deviation = _rounding(phi, _last_digit(K, digits))
+    zero = np.abs(square) < SURE * deviation + 1e-13 * _size(phi, K)
+    rigid = int(np.argmin(zero)) if not zero.all() else len(zero)
+    elastic = square[rigid:]
+    if not len(elastic):
+        raise ValueError("the matrices have rigid-body modes only; stiffness is missing")
+    top = elastic[min(MODES, -(-len(elastic) // PART)) - 1] if up_to_hz is None else (2 * np.pi * up_to_hz) ** 2
+    wanted = rigid + max(int((elastic <= top * (1 + 1e-9)).sum()), 1)
+    ratio = FIRST**2 * top
+    while True:
+        kept, m, k = _followed(M, K, ratio, set(keep))
+        m, at = _with_mass(m, k, ratio), np.flatnonzero(kept)
+        k = _freed(m, k, phi[at, :rigid])
+        enough = len(at) >= wanted
+        found = lowest_modes(m, k)[0][rigid:wanted] if enough else np.array([])
+        change = float(np.abs(np.sqrt(np.abs(found) / square[rigid:wanted]) - 1).max(initial=0.0)) if enough else np.inf
+        if change < EXACT or ratio > 1e12 * top:
+            break
+        ratio *= FURTHER**2
+    return Condensed(
+        m, k, kept, rigid, float(np.abs(square[:rigid]).max(initial=0.0)), float(deviation[:rigid].max(initial=0.0)),
+        np.where(np.arange(wanted) < rigid, 0.0, square[:wanted]), deviation[:wanted], change,
+    )  # fmt: skip
+
+
+def lowest_modes(
+    M: Float[np.ndarray, "n n"], K: Float[np.ndarray, "n n"]
+) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, "n r"]]:
+    r"""Modes of a stiffness and a mass matrix that may both be singular, those without mass left out.
+
+    The problem :math:`M\phi = \nu(K + sM)\phi`, :math:`\lambda = 1/\nu - s`, keeps the low modes exact, however stiff
+    the highest are.
+
+    Returns
+    -------
+    tuple
+        Eigenvalues, rising, shape ``(r,)`` [1/s^2], and mass-normalised modes, shape ``(n, r)``.
+
+    Raises
+    ------
+    ValueError
+        If some direction has neither mass nor stiffness.
+    """
+    mass = np.diag(M) > 0
+    shift = 1e-6 * float(np.median(np.diag(K)[mass] / np.diag(M)[mass]))
+    for _ in range(2):
+        try:
+            nu, phi = scipy.linalg.eigh(M, K + shift * M)
+        except np.linalg.LinAlgError:
+            loose = np.flatnonzero((np.diag(K) <= 0) & ~np.any(M, axis=1))
+            raise ValueError(
+                f"some direction has neither mass nor stiffness (DoFs {loose[:5].tolist()} have neither); leave it out"
+            ) from None
+        real = nu > 1e-12 * nu[-1]
+        nu, phi = nu[real][::-1], phi[:, real][:, ::-1]
+        value = 1 / nu - shift
+        shift = max(float(np.median(np.abs(value[:20]))), 1e-9 * abs(shift))
+    return value, phi / np.sqrt(nu)
+
+
+def _check(M: np.ndarray, K: np.ndarray) -> None:
+    for A, name in ((M, "mass"), (K, "stiffness")):
+        skew, size = np.abs(A - A.T).max(initial=0.0), np.abs(A).max(initial=0.0)
+        if not skew <= 1e-6 * size:
+            raise ValueError(f"the {name} matrix is not symmetric: entries differ by {skew:.3g} of {size:.3g}")
+    if np.diag(M).min() < 0 or not np.any(np.diag(M) > 0):
+        raise ValueError(f"the mass matrix is not positive: the smallest mass is {np.diag(M).min():.3g}")
+
+
+def _followed(M: np.ndarray, K: np.ndarray, ratio: float, keep: set[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Guyan's transformation for one DoF after another; which were kept, and their mass and stiffness."""
+    m, k = M.copy(), K.copy()
+    left = np.ones(len(M), bool)
+    free = np.array([i not in keep for i in range(len(M))])
+    while True:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            stiff = np.where(np.diag(m) > 0, np.diag(k) / np.diag(m), np.inf)
+        stiff = np.where(left & (free | ~np.isfinite(stiff)) & (np.diag(k) > 0), stiff, -np.inf)
+        c = int(np.argmax(stiff))
+        if not stiff[c] > ratio:
+            break
+        left[c] = False
+        t = np.where(left, -k[c] / k[c, c], 0.0)
+        mc, mcc = m[c].copy(), m[c, c]
+        m = m + np.outer(t, mc) + np.outer(mc, t) + mcc * np.outer(t, t)
+        k = k + np.outer(t, k[c])
+        m[c], m[:, c], k[c], k[:, c] = 0.0, 0.0, 0.0, 0.0
+    at = np.ix_(left, left)
+    return left, 0.5 * (m[at] + m[at].T), 0.5 * (k[at] + k[at].T)
+
+
+def _with_mass(M: np.ndarray, K: np.ndarray, ratio: float) -> np.ndarray:
+    """The mass, with what puts directions that have all but none at the eigenvalue ``ratio``."""
+    scale = np.sqrt(np.maximum(np.diag(M), 1e-300))
+    value, vectors = np.linalg.eigh(M / np.outer(scale, scale))
+    null = value < LEAST
+    if not null.any():
+        return M
+    N = vectors[:, null] / scale[:, None]
+    stiffness, turn = np.linalg.eigh(N.T @ K @ N)
+    directions = (vectors[:, null] @ turn) * scale[:, None]
+    return M + (directions * (stiffness / ratio)) @ directions.T
+
+
+def _freed(M: np.ndarray, K: np.ndarray, R: np.ndarray) -> np.ndarray:
+    """Stiffness that gives no force for motions R."""
+    if not R.shape[1]:
+        return K
+    R = R @ np.linalg.inv(np.linalg.cholesky(R.T @ M @ R)).T
+    P = np.eye(len(M)) - R @ (R.T @ M)
+    K = P.T @ K @ P
+    return 0.5 * (K + K.T)
+
+
+def _last_digit(K: np.ndarray, digits: int) -> np.ndarray:
+    with np.errstate(divide="ignore"):
+        unit = 10.0 ** (np.floor(np.log10(np.abs(K))) - (digits - 1))
+    return np.where(K == 0, 0.0, unit)
+
+
+def _rounding(phi: np.ndarray, ulp: np.ndarray) -> np.ndarray:
+    """Standard deviation of each eigenvalue from rounding of the stiffness, shape ``(n,)``."""
+    weight = 2.0 * ulp**2 - np.diag(np.diag(ulp**2))  # over all i, j: half of (2 u)^2, and u^2 on the diagonal
+    squares = phi**2
+    return np.sqrt(np.einsum("ir,ij,jr->r", squares, weight, squares, optimize=True) / 12)
+
+
+def _size(phi: np.ndarray, K: np.ndarray) -> np.ndarray:
+    r""":math:`\sum_{ij}|\phi_i K_{ij}\phi_j|`, what rounding in double precision acts on, shape ``(n,)``."""
+    return np.einsum("ir,ij,jr->r", np.abs(phi), np.abs(K), np.abs(phi), optimize=True)
+
+
+def node_pairs(
+    K: Float[np.ndarray, "m m"], nodes: Sequence[str], directions: Sequence[str], kept: Bool[np.ndarray, " m"]
+) -> list[tuple[int, int]]:
+    """Pairs of kept DoFs of one direction whose nodes an element joins: where a spring or joint may sit.
+
+    Parameters
+    ----------
+    K
+        Stiffness before the condensation, shape ``(m, m)``.
+    nodes, directions
+        Of each DoF.
+    kept
+        Which DoFs are left.
+    """
+    names, at = np.unique(np.asarray(nodes), return_inverse=True)
+    joined = np.zeros((len(names), len(names)), bool)
+    i, j = np.nonzero(K)
+    joined[at[i], at[j]] = True
+    place = {(int(at[d]), directions[d]): d for d in np.flatnonzero(kept).tolist()}
+    pairs = [(int(a), int(b)) for a, b in zip(*np.nonzero(np.triu(joined, 1)), strict=True)]
+    return [
+        (place[a, way], place[b, way])
+        for a, b in pairs for way in dict.fromkeys(directions) if (a, way) in place and (b, way) in place
+    ]  # fmt: skip
+
+
+def rigid_motions(
+    xyz: Float[np.ndarray, "m 3"], axes: Float[np.ndarray, "m 3"], rotation: Bool[np.ndarray, " m"]
+) -> Float[np.ndarray, "m 6"]:
+    r"""The six rigid-body motions at DoFs: translations along, rotations about x, y and z through the origin.
+
+    Parameters
+    ----------
+    xyz, axes
+        Position of each DoF and the unit vector of its direction.
+    rotation
+        Whether it is a rotation about that vector.
+    """
+    out = np.zeros((len(xyz), 6))
+    out[~rotation, :3] = axes[~rotation]
+    out[:, 3:] = np.where(rotation[:, None], axes, np.cross(xyz, axes))
+    return out
