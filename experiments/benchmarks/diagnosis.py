@@ -22,7 +22,7 @@ import numpy as np
 from modalax import Measurement, Structure
 from modalax.diagnose import diagnose
 from modalax.diagnose.causes import catalogue
-from modalax.diagnose.causes.base import is_element
+from modalax.diagnose.causes.base import ElementCause
 from modalax.diagnose.comparison import make_comparison
 from modalax.diagnose.fitting.gauss_newton import ROUNDS
 from modalax.diagnose.fitting.hypothesis import Hypothesis
@@ -93,7 +93,7 @@ def screened(measurement: Measurement, simulation: Structure) -> tuple[float, in
     comparison = make_comparison(measurement, simulation)
     count = comparison.problem.modal_form.stiffness.shape[0]
     null = comparison.fit([Hypothesis(theta=np.zeros((2, count)))], ROUNDS)[0]
-    causes = [c for c in catalogue() if is_element(c)]
+    causes = [c for c in catalogue() if isinstance(c, ElementCause)]
     places = len(comparison.scene.pairs())
     took = []
     for _ in range(2):

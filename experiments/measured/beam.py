@@ -26,9 +26,9 @@ from modalax.diagnose.causes.joints import (
     CubicStiffness,
     ElastoSlip,
     GapContact,
-    MicroSlip,
     QuadraticDamping,
 )
+from modalax.diagnose.causes.power_laws import MicroSlip
 from modalax.diagnose.joint_laws import Explained, compare_laws, modes_at
 from modalax.identify import refine, residues
 from modalax.model import ModalModel

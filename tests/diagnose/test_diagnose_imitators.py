@@ -4,26 +4,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from modalax.diagnose.causes import catalogue
-from modalax.diagnose.causes.base import Place
-from modalax.diagnose.causes.imitators import (
-    IMITATORS,
-    AcCoupling,
-    AllStiffness,
-    ClippedSensor,
-    Crosstalk,
-    FollowerStiffness,
-    ForceGain,
-    FractionalJoint,
-    HystereticJoint,
-    MaxwellElement,
-    OneWayDamper,
-    PowerDamper,
-    PowerSpring,
-    SensorLowpass,
-    SensorResonance,
-    StrayForce,
-)
+from modalax.diagnose.causes import catalogue, imitators
+from modalax.diagnose.causes.couplings import FollowerStiffness, OneWayDamper
+from modalax.diagnose.causes.drift import AllStiffness
+from modalax.diagnose.causes.forces import Crosstalk, ForceGain, StrayForce
+from modalax.diagnose.causes.power_laws import PowerDamper, PowerSpring
+from modalax.diagnose.causes.scene import Place
+from modalax.diagnose.causes.sensors import AcCoupling, ClippedSensor, SensorLowpass, SensorResonance
+from modalax.diagnose.causes.viscoelastic import FractionalJoint, HystereticJoint, MaxwellElement
 from modalax.diagnose.decision.posterior import posterior
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.prediction.frf import predict
@@ -156,14 +144,14 @@ def test_power_laws_hold_the_known_ones():
 
 
 def test_no_imitator_bears_a_name_of_the_catalogue_and_each_is_rare():
-    assert not {c.slug for c in IMITATORS} & {c.slug for c in catalogue()}
-    assert max(c.prior for c in IMITATORS) < 0.1
+    assert not {c.slug for c in imitators()} & {c.slug for c in catalogue()}
+    assert max(c.prior for c in imitators()) < 0.1
 
 
 def test_doubt_is_told_apart_and_in_words():
     gap = Hypothesis((catalogue()[0],), (Place(("1",), (0, -1, 0)),), chi2=10.0)
     other = Hypothesis((AcCoupling(),), (Place(("7",), (6, -1, 0)),), chi2=9.0)
-    named, nameless = apart(posterior([(gap, 0.0), (other, 1.0)]), IMITATORS)
+    named, nameless = apart(posterior([(gap, 0.0), (other, 1.0)]))
     assert [r.best for r in named] == [gap] and [r.best for r in nameless] == [other]
     assert "high-pass filter of one sensor at 7" in likeness(nameless)[0] and "0.73" in likeness(nameless)[0]
     assert likeness([]) == ()

@@ -11,11 +11,12 @@ from modalax import Measurement, ModalModel
 from modalax._numerics.programs import release_programs
 from modalax.diagnose import ExtendedSimulation, JointCause, Parameter, diagnose
 from modalax.diagnose.causes import catalogue
-from modalax.diagnose.causes.base import Place
 from modalax.diagnose.causes.channels import ChannelGain
 from modalax.diagnose.causes.drift import DriftingSpring
-from modalax.diagnose.causes.joints import CubicStiffness, ElastoSlip, GapContact, MicroSlip, QuadraticDamping
+from modalax.diagnose.causes.joints import CubicStiffness, ElastoSlip, GapContact, QuadraticDamping
 from modalax.diagnose.causes.local import AddedMass, JointStiffness
+from modalax.diagnose.causes.power_laws import MicroSlip
+from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.comparison import make_comparison
 from modalax.diagnose.extend import extend
 from modalax.diagnose.fitting.hypothesis import Hypothesis
@@ -94,7 +95,7 @@ def extended_by(causes, indices, params):
     """An extended simulation put together by hand."""
     S = five_dof()
     comparison = make_comparison(linear(S, 0), S)
-    from modalax.diagnose.causes.base import Place
+    from modalax.diagnose.causes.scene import Place
 
     places = tuple(Place(tuple(S.dofs[k] for k in i[:2] if k >= 0), i) for i in indices)
     n = comparison.problem.modal_form.stiffness.shape[0]

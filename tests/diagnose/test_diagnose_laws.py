@@ -6,7 +6,8 @@ import pytest
 
 from modalax import Measurement, ModalModel
 from modalax.diagnose.causes.channels import ChannelGain
-from modalax.diagnose.causes.joints import CubicStiffness, GapContact, MicroSlip, QuadraticDamping
+from modalax.diagnose.causes.joints import CubicStiffness, GapContact, QuadraticDamping
+from modalax.diagnose.causes.power_laws import MicroSlip
 from modalax.diagnose.joint_laws import compare_laws, modes_at
 
 MASS, HERTZ, ZETA, CUBIC = 2.0, 40.0, 0.004, 6e10

@@ -8,12 +8,12 @@ import pytest
 import scipy.optimize
 
 from modalax import Measurement, Structure
-from modalax.diagnose.causes.base import Place, Scene
 from modalax.diagnose.causes.channels import ChannelGain, ChannelSwap, SensorMass
 from modalax.diagnose.causes.hum_pickup import pickup
 from modalax.diagnose.causes.local import Gyroscopic, JointStiffness, LocalDamper
 from modalax.diagnose.causes.mains_hum import MainsHum, _tail, hums
 from modalax.diagnose.causes.missing_modes import MissingMode, OutOfBand
+from modalax.diagnose.causes.scene import Place, Scene
 from modalax.diagnose.comparison import make_comparison
 from modalax.diagnose.decision.detection import WHEREABOUTS, _pattern_p, detect
 from modalax.diagnose.decision.omnibus import Omnibus

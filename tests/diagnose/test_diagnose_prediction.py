@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.special
 
-from modalax.diagnose.causes import catalogue
+from modalax.diagnose.causes import LocalCause, catalogue
 from modalax.diagnose.causes.channels import SensorMass
 from modalax.diagnose.causes.damping import ModalDamping
 from modalax.diagnose.causes.drift import DriftingSpring
@@ -247,7 +247,7 @@ def test_elements_in_pieces_are_the_elements_of_whole_trials(cause, monkeypatch)
     solved = jax.jit(equivalent, static_argnums=0)
     for k, place in enumerate(owner):
         p, w, H, F = map(jnp.asarray, (params[k], omega, drive[place][None], motion[place][None]))
-        if cause.stage == "local":
+        if isinstance(cause, LocalCause):
             Z = cause.impedance(1j * w, p)[None, :, None]
         else:
             Z = solved(cause, p, w, H, F, jnp.asarray(level))

@@ -6,10 +6,10 @@ import scipy.linalg
 
 from modalax import Measurement
 from modalax.diagnose import diagnose
-from modalax.diagnose.causes.base import Scene
 from modalax.diagnose.causes.damping import ModalDamping
 from modalax.diagnose.causes.local import AddedMass, JointStiffness, TunedMass
 from modalax.diagnose.causes.records import CUT, ExponentialWindow, Leakage
+from modalax.diagnose.causes.scene import Scene
 from modalax.model.examples import five_dof
 
 FREQ = np.linspace(20.0, 66.0, 185)  # a quarter of a hertz apart

@@ -2,9 +2,9 @@
 
 import pytest
 
-from modalax.diagnose.causes.base import Place
 from modalax.diagnose.causes.joints import CubicStiffness
 from modalax.diagnose.causes.local import AddedMass, JointStiffness
+from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.decision.advice import advise
 from modalax.diagnose.decision.posterior import Ranked
 from modalax.diagnose.decision.verdict import _verdict, rivals

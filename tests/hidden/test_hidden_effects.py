@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from modalax.diagnose import diagnose
-from modalax.diagnose.causes import catalogue
+from modalax.diagnose.causes import ChannelCause, JointCause, LinesCause, ModesCause, catalogue
 from modalax.diagnose.comparison import empty, make_comparison
 from modalax.diagnose.search.singles import STRAYED, from_home
 from modalax.files import load
@@ -89,7 +89,7 @@ def test_wrong_units_are_named_although_the_simulation_may_be_a_little_off(tmp_p
     plan = dict(spread=True, variance="16", inputs=1, runs=3, structure=12)
     case = generator.draw_case(300, "units", 30.0, "frame", **plan)
     case.save(tmp_path / "open", tmp_path / "hidden" / "truth.json")
-    channels = [c for c in catalogue() if c.stage in ("channels", "modes")]
+    channels = [c for c in catalogue() if isinstance(c, ChannelCause | ModesCause)]
     said = diagnose(
         load(tmp_path / "open" / "measurement.npz"), load(tmp_path / "open" / "simulation.npz"), causes=channels
     )
@@ -103,6 +103,6 @@ def test_units_are_looked_for_where_the_simulation_has_its_modes(tmp_path):
     case.save(tmp_path)
     comparison = make_comparison(load(tmp_path / "measurement.npz"), load(tmp_path / "simulation.npz"))
     null = comparison.fit([empty(comparison)], 14)[0]
-    found = from_home(comparison, null, [c for c in catalogue() if c.stage not in ("joint", "lines")])
+    found = from_home(comparison, null, [c for c in catalogue() if not isinstance(c, JointCause | LinesCause)])
     assert np.abs(null.theta).max() > STRAYED
     assert found[0].chi2 < 1.2 * comparison.problem.samples < 1e-3 * null.chi2

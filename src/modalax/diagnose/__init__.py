@@ -13,23 +13,34 @@ from typing import Any
 from modalax.diagnose.causes import (
     Cause,
     ChannelCause,
+    CouplingCause,
+    ElementCause,
+    HystereticCause,
     JointCause,
+    KernelCause,
+    LinesCause,
     LocalCause,
+    ModesCause,
     Parameter,
+    PatternCause,
     Place,
     Scene,
+    UndampedCause,
+    WindowCause,
     catalogue,
     strengths,
 )
-from modalax.diagnose.causes.joints import MicroSlip
+from modalax.diagnose.causes.power_laws import MicroSlip
 from modalax.diagnose.extend import ExtendedSimulation
 from modalax.diagnose.joint_laws import Explained, compare_laws, modes_at
 from modalax.diagnose.pipeline import diagnose
 from modalax.diagnose.result import Diagnosis
 
 __all__ = [
-    "Cause", "ChannelCause", "Diagnosis", "Explained", "ExtendedSimulation", "JointCause", "LocalCause", "MicroSlip",
-    "Parameter", "Place", "Scene", "catalogue", "compare_laws", "diagnose", "modes_at", "strengths",
+    "Cause", "ChannelCause", "CouplingCause", "Diagnosis", "ElementCause", "Explained", "ExtendedSimulation",
+    "HystereticCause", "JointCause", "KernelCause", "LinesCause", "LocalCause", "MicroSlip", "ModesCause", "Parameter",
+    "PatternCause", "Place", "Scene", "UndampedCause", "WindowCause", "catalogue", "compare_laws", "diagnose",
+    "modes_at", "strengths",
 ]  # fmt: skip
 
 

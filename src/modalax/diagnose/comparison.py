@@ -11,8 +11,9 @@ import numpy as np
 
 from modalax.data import FRF, Measurement
 from modalax.data.frf import DERIVATIVES
-from modalax.diagnose.causes.base import Cause, Place, Scene
-from modalax.diagnose.causes.mains_hum import HumLines, MainsHum
+from modalax.diagnose.causes.base import Cause, LinesCause, UndampedCause
+from modalax.diagnose.causes.scene import Place, Scene
+from modalax.diagnose.causes.signals import HumLines
 from modalax.diagnose.extend import ExtendedSimulation
 from modalax.diagnose.fitting.gauss_newton import ROUNDS, fit_many
 from modalax.diagnose.fitting.hypothesis import Hypothesis, searched
@@ -126,7 +127,7 @@ class Comparison:
         every = list(zip(h.causes, h.index, h.params, strict=True))
         every += [] if held is None else list(zip(held.causes, held.index, held.params, strict=True))
         for cause, index, p in every:
-            if cause.stage == "undamped":
+            if isinstance(cause, UndampedCause):
                 about = about + np.asarray(cause.undamped(*map(jnp.asarray, (about, index, p))))
         coupling = kept_coupling((cause, p) for cause, _, p in every)
         modal_form = padded(modal_form_of(base, float(self.scene.freq[0]), about, coupling))
@@ -150,7 +151,7 @@ class Comparison:
 _predict_jit = jax.jit(predict, static_argnums=0)
 
 
-def hum_of(cause: MainsHum, place: Place, comparison: Comparison, residual: np.ndarray) -> HumLines:
+def hum_of(cause: LinesCause, place: Place, comparison: Comparison, residual: np.ndarray) -> HumLines:
     """What hum would explain of a residual, shape ``(run, f, o, i)``."""
     lines = comparison.problem.lines
 
@@ -271,7 +272,7 @@ def _taken_apart(
     """Modes and, of an extended simulation, what it has beside them."""
     if not isinstance(simulation, ExtendedSimulation):
         return simulation, None
-    faults = [c.slug for c in simulation.causes if c.stage == "channels"]
+    faults = [c.slug for c in simulation.causes if c.on_measured_channels]
     channels = measurement.outputs, measurement.inputs
     if faults and channels != (simulation.outputs, simulation.inputs):
         raise ValueError(
@@ -303,12 +304,10 @@ def causes_of(causes: Sequence[Cause] | None, comparison: Comparison, default: S
     """The causes to look for: those given, or the catalogue, and under FREE only those that it can see."""
     chosen = list(default if causes is None else causes)
     held = comparison.problem.held
-    if held is not None and any(c.stage == "kernel" for c in held.causes):
-        chosen = [c for c in chosen if c.stage != "kernel"]  # one record or sweep is what it is
+    if held is not None and any(c.only_one for c in held.causes):
+        chosen = [c for c in chosen if not c.only_one]  # one record or sweep is what it is
     if comparison.question == "free" and causes is None:
-        chosen = [
-            c for c in chosen if c.stage in ("joint", "kernel", "lines") or c.per_run or c.slug == "force_dropout"
-        ]
+        chosen = [c for c in chosen if c.visible_when_free or c.per_run]
     return chosen
 
 

@@ -11,8 +11,9 @@ from jaxtyping import Array, Float
 
 from modalax.data import FRF
 from modalax.data.frf import DERIVATIVES, check_form
-from modalax.diagnose.causes import catalogue
+from modalax.diagnose.causes import saved_causes
 from modalax.diagnose.causes.base import Cause
+from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.prediction.frf import predict
 from modalax.diagnose.setup.modal_form import kept_coupling, modal_form_of
@@ -76,8 +77,8 @@ class ExtendedSimulation(eqx.Module):
         """
         outputs = self.outputs if outputs is None else tuple(outputs)
         inputs = self.inputs if inputs is None else tuple(inputs)
-        keep = [k for k, c in enumerate(self.causes) if measured or c.stage in ("undamped", "modes", "local", "joint")]
-        other = [self.causes[k].slug for k in keep if self.causes[k].stage == "channels"]
+        keep = [k for k, c in enumerate(self.causes) if measured or c.in_structure]
+        other = [self.causes[k].slug for k in keep if self.causes[k].on_measured_channels]
         if other and (outputs, inputs) != (self.outputs, self.inputs):
             raise ValueError(
                 f"{', '.join(other)} is known on the measured channels only; ask for these, or for measured=False"
@@ -194,12 +195,7 @@ def from_arrays(arrays: Any, causes: Sequence[Cause] | None = None) -> ExtendedS
     ValueError
         If a cause is not known.
     """
-    from modalax.diagnose.causes.base import Place
-    from modalax.diagnose.causes.drift import TimeVaryingSteps
-    from modalax.diagnose.causes.joints import MicroSlip
-
-    known = {_key(c): c for c in (*catalogue(), MicroSlip(), *(causes or ()))}
-    known |= {_key(c): c for c in (TimeVaryingSteps(n) for n in range(3, 12))}
+    known = {_key(c): c for c in (*saved_causes(), *(causes or ()))}
     claims = {"frequency_std": arrays["frequency_std"], "damping_std": arrays["damping_std"]}
     names = lambda key: [str(n) for n in arrays[key]]  # noqa: E731
     if str(arrays["kind"]) == "structure":

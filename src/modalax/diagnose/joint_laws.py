@@ -22,7 +22,8 @@ from jaxtyping import Array, Float
 from modalax._numerics.checks import require_double
 from modalax.data import Measurement
 from modalax.data.frf import DERIVATIVES
-from modalax.diagnose.causes.base import Cause, JointCause, Place, Scene
+from modalax.diagnose.causes.base import Cause, JointCause
+from modalax.diagnose.causes.scene import Place, Scene
 from modalax.diagnose.extend import ExtendedSimulation
 from modalax.diagnose.fitting.hypothesis import bounds_of, from_search, split, to_search
 from modalax.diagnose.prediction.frf import predict
@@ -130,7 +131,7 @@ def compare_laws(
         is no input), or a cause is no joint.
     """
     require_double("compare_laws")
-    strange = [c.slug for c in itertools.chain(*laws) if c.stage != "joint"]
+    strange = [c.slug for c in itertools.chain(*laws) if not isinstance(c, JointCause)]
     if strange:
         raise ValueError(f"{strange[0]} is no law of a joint; compare_laws takes joint causes only")
     task = _task(measurement, simulation, place, sigma)

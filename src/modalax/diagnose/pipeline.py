@@ -8,9 +8,8 @@ import numpy as np
 from modalax._numerics.checks import require_double
 from modalax._numerics.programs import release_programs
 from modalax.data import FRF, Measurement
-from modalax.diagnose.causes import catalogue
-from modalax.diagnose.causes.base import Cause
-from modalax.diagnose.causes.imitators import IMITATORS
+from modalax.diagnose.causes import catalogue, imitators
+from modalax.diagnose.causes.base import Cause, UndampedCause
 from modalax.diagnose.comparison import Comparison, causes_of, empty, make_comparison, with_noise_beside
 from modalax.diagnose.decision.detection import Detection, detect
 from modalax.diagnose.decision.omnibus import Omnibus, omnibus
@@ -71,7 +70,7 @@ def diagnose(
     release_programs()
     comparison = with_noise_beside(make_comparison(measurement, simulation, question))
     default = catalogue(comparison.problem.data.shape[0])
-    doubted = IMITATORS if causes is None else ()
+    doubted = imitators() if causes is None else ()
     naming = name(comparison, causes_of(causes, comparison, default), causes_of(None, comparison, doubted))
     gain = measure(naming.comparisons, naming.null, naming.best)
     naming = _if_it_predicts(naming, gain)
@@ -180,9 +179,7 @@ def name(comparison: Comparison, causes: Sequence[Cause], imitators: Sequence[Ca
     verdict, notes = _verdict(ranked, last.p_value), ()
     hum = ranked[0].best.hum is not None and bool(ranked[0].best.causes)
     if verdict != "ambiguous" and imitators and not hum:
-        ranked, nameless = apart(
-            weigh(found + imitations(comparison, null, state, ranked[0].best, imitators)), imitators
-        )
+        ranked, nameless = apart(weigh(found + imitations(comparison, null, state, ranked[0].best, imitators)))
         likelier = sum(r.probability for r in nameless) > 0.5
         verdict, notes = "unknown" if likelier else _verdict(ranked, last.p_value), likeness(nameless)
     return Naming(verdict, ranked, null, screening, detection, before, last.omnibus, (alone, comparison), notes)
@@ -194,6 +191,6 @@ def _singles(comparison: Comparison, first: Look, causes: Sequence[Cause]) -> li
     found += from_home(comparison, first.null, causes)
     if first.again is not None:  # a modal parameter far off is found where the modes follow it exactly
         other = first.again
-        some = [t for t in chosen(other.screening.trials) if t.cause.stage == "undamped"]
+        some = [t for t in chosen(other.screening.trials) if isinstance(t.cause, UndampedCause)]
         found += fit_single(other.comparison, other.null, some, other.state) if some else []
     return found

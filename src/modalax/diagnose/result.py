@@ -5,7 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from modalax.diagnose.causes.base import Cause, Parameter
+from modalax.diagnose.causes.base import Cause
+from modalax.diagnose.causes.mains_hum import MainsHum
+from modalax.diagnose.causes.parameter import Parameter
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.decision.advice import advise
 from modalax.diagnose.decision.detection import Detection
@@ -178,8 +180,7 @@ class Diagnosis:
 
 
 def _names(h: Hypothesis) -> list[dict[str, Any]]:
-    told = [{"name": c.slug, "where": list(p.where)} for c, p in zip(h.causes, h.places, strict=True)]
-    return told + ([{"name": "mains_hum", "where": []}] if h.hum is not None else [])
+    return [{"name": c.slug, "where": list(p.where)} for c, p in h.parts]
 
 
 def _told(h: Hypothesis, probability: float) -> list[dict[str, Any]]:
@@ -196,12 +197,9 @@ def _told(h: Hypothesis, probability: float) -> list[dict[str, Any]]:
         )  # fmt: skip
         k += count
     if h.hum is not None:
-        out.append(
-            {
-                "name": "mains_hum", "where": [], "probability": float(probability),
-                "parameters": {"frequency": {"value": h.hum.frequency, "std": None, "unit": "Hz"}},
-            }
-        )  # fmt: skip
+        hum = MainsHum()
+        told = {name: {"value": value, "std": None, "unit": unit} for name, (value, unit) in hum.told(h.hum).items()}
+        out.append({"name": hum.slug, "where": [], "probability": float(probability), "parameters": told})
     return out
 
 

@@ -18,203 +18,110 @@ The first parameter is the strength: at 0 the cause is not there. Places and par
 compiled once for all of them.
 """
 
-import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from modalax.data.dofs import parse_dof
+from modalax.diagnose.causes.parameter import Parameter
+from modalax.diagnose.causes.scene import Place, Scene
+from modalax.diagnose.causes.signals import Channels, HumLines, ModalTerms
 
-INFINITE = float("inf")
-NEIGHBOURS, GROUND = 0.6, 0.2  # shares of joints between coupled DoFs, and to ground
-UNLIKE = 0.02  # weight of a pair of DoFs of unlike directions
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """One unknown of a cause: name, SI unit, bounds, and whether it is searched on a logarithmic scale."""
-
-    name: str
-    unit: str
-    lower: float = -INFINITE
-    upper: float = INFINITE
-    log: bool = False
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where a cause sits: names for the answer, and integers (DoFs, channel, mode or variant) for the map."""
-
-    where: tuple[Any, ...]
-    index: tuple[int, int, int] = (0, -1, 0)
-
-
-@dataclass
-class Scene:
-    """What causes may look at when they choose places and starting values; numpy, unpadded.
-
-    Attributes
-    ----------
-    freq, omega
-        Lines [Hz], [rad/s], shape ``(f,)``.
-    dofs, outputs, inputs
-        Names.
-    frequency_hz, damping_ratio
-        Of the modes of the simulation.
-    receptance
-        Between all DoFs and themselves or pairs: ``drive(a, b)`` gives :math:`b^T H b`, shape ``(f,)`` [m/N].
-    levels
-        Force amplitudes [N].
-    coupled
-        Which DoFs a spring or damper of the simulation couples, shape ``(dof, dof)``; None where it does not say.
-    """
-
-    freq: np.ndarray
-    dofs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    inputs: tuple[str, ...]
-    frequency_hz: np.ndarray
-    damping_ratio: np.ndarray
-    levels: np.ndarray
-    modal_form: Any
-    scaled: bool = True
-    form: str = "receptance"
-    coupled: np.ndarray | None = None
-    cache: dict[Any, Any] = field(default_factory=dict)
-
-    @property
-    def omega(self) -> np.ndarray:
-        """Circular frequencies [rad/s]."""
-        return 2 * np.pi * self.freq
-
-    def _gains(self) -> tuple[np.ndarray, np.ndarray]:
-        if "gains" not in self.cache:
-            s, poles = 1j * self.omega[:, None], np.asarray(self.modal_form.poles)
-            self.cache["gains"] = 1 / (s - poles), 1 / (s - poles.conj())
-        return self.cache["gains"]
-
-    def _direction(self, place: Place) -> tuple[np.ndarray, np.ndarray]:
-        psi, part = np.asarray(self.modal_form.shapes), np.asarray(self.modal_form.participation)
-        a, b = place.index[:2]
-        return (psi[:, a] - psi[:, b], part[:, a] - part[:, b]) if b >= 0 else (psi[:, a], part[:, a])
-
-    def drive(self, place: Place) -> np.ndarray:
-        """Receptance across a place, shape ``(f,)`` [m/N]."""
-        u, v = self._gains()
-        psi, part = self._direction(place)
-        return u @ (psi * part) + v @ (psi * part).conj()
-
-    def motion(self, place: Place) -> np.ndarray:
-        """Relative displacement across a place for each input, shape ``(f, i)`` [m/N]."""
-        u, v = self._gains()
-        psi, _ = self._direction(place)
-        part = np.asarray(self.modal_form.participation)[:, [self.dofs.index(name) for name in self.inputs]]
-        return u @ (psi[:, None] * part) + v @ (psi[:, None] * part).conj()
-
-    def stiffness_scale(self, place: Place) -> float:
-        """A stiffness [N/m] that would matter at a place: one over the median receptance across it."""
-        key = ("stiffness", place.index)
-        if key not in self.cache:
-            self.cache[key] = float(1 / max(np.median(np.abs(self.drive(place))), 1e-300))
-        return self.cache[key]
-
-    def amplitudes(self, place: Place, fractions: Sequence[float]) -> np.ndarray:
-        """Amplitudes [m] across a place, as fractions of the largest undisturbed one of the largest level."""
-        key = ("amplitude", place.index)
-        if key not in self.cache:
-            self.cache[key] = float(np.abs(self.motion(place)).max()) * float(self.levels.max())
-        return self.cache[key] * np.asarray(fractions)
-
-    def pairs(self, ground: bool = True, both: bool = True) -> list[Place]:
-        """Every DoF to ground and every pair."""
-        key = ("pairs", ground, both)
-        if key not in self.cache:
-            names = self.dofs if self.scaled else ()
-            single = [Place((name,), (k, -1, 0)) for k, name in enumerate(names)] if ground else []
-            pairs = [Place((names[a], names[b]), (a, b, 0)) for a, b in itertools.combinations(range(len(names)), 2)]
-            self.cache[key] = single + (pairs if both else [])
-        return self.cache[key]
-
-    def weights(self, places: Sequence[Place]) -> np.ndarray:
-        """How likely each place is before the data, summing to 1.
-
-        Between DoFs that the simulation couples ``NEIGHBOURS``, to ground ``GROUND``, the rest anywhere else; a
-        displacement less a rotation, or one along another axis, is hardly a joint's motion.
-        """
-        a, b = np.array([p.index[:2] for p in places]).reshape(-1, 2).T
-        if (b < 0).all() or not len(places):
-            return np.full(len(places), 1 / max(len(places), 1))
-        _, direction = np.unique([str(parse_dof(name).direction) for name in self.dofs], return_inverse=True)
-        other = np.maximum(b, 0)
-        alike = (b < 0) | (direction[a] == direction[other])
-        near = np.zeros(len(a), bool) if self.coupled is None else (b >= 0) & self.coupled[a, other]
-        kinds = ((near & alike, NEIGHBOURS), (b < 0, GROUND), (np.ones(len(a), bool), 1 - NEIGHBOURS - GROUND))
-        out = np.zeros(len(a))
-        for mask, share in kinds:
-            part = mask * np.where(alike, 1.0, UNLIKE)
-            out += share * part / part.sum() if part.any() else 0.0
-        return out / out.sum()
-
-    def channels(self) -> list[Place]:
-        """Every measured output."""
-        return [Place((name,), (k, -1, 0)) for k, name in enumerate(self.outputs)]
-
-
-def strengths(
-    scale: float, shapes: Sequence[Sequence[float]] = ((),), sizes: Sequence[float] = (1e-4, 0.03, 0.2, 1.0),
-    both: bool = True,
-) -> np.ndarray:  # fmt: skip
-    """Starting values: the first parameter at ``sizes`` times ``scale`` (and its negatives), the others at ``shapes``.
-
-    Shape ``(start, parameter)``; the first size stands for the derivative at zero, which has one sign only.
-    """
-    signed = [*sizes, *(-size for size in sizes[1:])] if both else sizes
-    return np.array([[size * scale, *shape] for shape in shapes for size in signed])
+RARE = 0.05  # prior, relative to other causes, of one that is only looked for to doubt a name
 
 
 class Cause:
-    """Base of all causes; see the module's docstring for an example.
+    """A thing that the simulation may lack: the base of all causes.
+
+    The classes below, one a stage of the prediction, add the map by which a cause acts; every other thing that the
+    diagnosis needs to know of a cause is one of these attributes and methods.
 
     Attributes
     ----------
     slug
-        Name in the answer.
-    stage
-        Where the map acts: ``laplace``, ``undamped``, ``modes``, ``kernel``, ``local``, ``joint``, ``channels``.
+        Name in the answer; forms of one cause share it.
+    summary
+        What the simulation lacks, in a few words.
+    advice
+        What to measure to tell this cause from others; empty where nothing in particular does.
     parameters
         Unknowns, the strength first; may be empty (a sign, a swap).
+    named
+        Whether the answer may give this name; the others are only looked for to doubt a name.
+    prior
+        Weight of the cause before the data, relative to others.
+    fidelity
+        Relative error of the predicted effect itself; a misfit below it is no sign of an unknown cause.
+    unseen
+        Number of parameters that FRFs do not show to first order, and that therefore cost nothing.
     per_run
         Whether the effect depends on the run or its level.
     each_run
         Whether a run has parameters of its own, so that it cannot be predicted from the others.
-    fidelity
-        Relative error of the predicted effect itself; a misfit below it is no sign of an unknown cause.
-    prior
-        Weight of the cause before the data, relative to others.
     rows
         Number of outputs that the effect is confined to, the first of the place's numbers; 0 where it may be any.
-    unseen
-        Number of parameters that FRFs do not show to first order, and that therefore cost nothing.
+    in_structure
+        Whether the cause belongs to the structure, not to how it was measured.
+    on_measured_channels
+        Whether the effect is known on the measured channels only.
+    only_one
+        Whether a test can have only one cause of this stage.
+    visible_when_free
+        Whether the effect shows although the modal parameters are free.
+    told_by_levels
+        Whether tests at several force levels tell the cause from its like.
+    has_threshold
+        Whether the law is a stiffness that sets in or lets go at a displacement: a stiffness [N/m] and that [m].
+    drifts
+        Whether a spring changes from run to run, as a joint that follows the level seems to.
+    needs_several_outputs
+        Whether an effect at one output alone would be that sensor's fault and not this cause.
+    strength_is_bounded
+        Whether a strength far beyond those that are screened means that the cause is no explanation.
+    leaves_out_lines
+        Whether the effect is whole lines that are left out of every other fit.
+    shortlist_by
+        How its likeliest places are found where there are very many: as those of an ``element``, of a skew
+        ``coupling``, of an ``exchange`` of outputs, or not at all (``none``).
     """
 
     slug: ClassVar[str] = ""
-    stage: ClassVar[str] = ""
+    summary: ClassVar[str] = ""
+    advice: ClassVar[str] = ""
     parameters: ClassVar[tuple[Parameter, ...]] = ()
+    named: ClassVar[bool] = True
+    prior: ClassVar[float] = 1.0
+    fidelity: ClassVar[float] = 0.0
+    unseen: ClassVar[int] = 0
     per_run: ClassVar[bool] = False
     each_run: ClassVar[bool] = False
-    fidelity: ClassVar[float] = 0.0
-    prior: ClassVar[float] = 1.0
-    unseen: ClassVar[int] = 0
     rows: ClassVar[int] = 0
-    summary: ClassVar[str] = ""
+    in_structure: ClassVar[bool] = False
+    on_measured_channels: ClassVar[bool] = False
+    only_one: ClassVar[bool] = False
+    visible_when_free: ClassVar[bool] = False
+    told_by_levels: ClassVar[bool] = False
+    has_threshold: ClassVar[bool] = False
+    drifts: ClassVar[bool] = False
+    needs_several_outputs: ClassVar[bool] = False
+    strength_is_bounded: ClassVar[bool] = True
+    leaves_out_lines: ClassVar[bool] = False
+    shortlist_by: ClassVar[Literal["element", "coupling", "exchange", "none"]] = "none"
+
+    @property
+    def judged_by(self) -> Literal["scores", "patterns", "hum", "none"]:
+        """The test that its significance is judged by."""
+        return "scores"
 
     def places(self, scene: Scene) -> list[Place]:
         """Where the cause may sit."""
         return [Place(())]
+
+    def weights(self, scene: Scene, places: Sequence[Place]) -> np.ndarray:
+        """How likely each place is before the data, summing to 1."""
+        return np.full(len(places), 1 / max(len(places), 1))
 
     def grid(self, scene: Scene, place: Place) -> np.ndarray:
         """Parameter vectors to screen at, shape ``(start, parameter)``."""
@@ -239,6 +146,18 @@ class Cause:
         """Parameters as told in the answer: value and unit by name."""
         return {q.name: (p[k], q.unit) for k, q in enumerate(self.parameters)}
 
+    def cost(self, extra: Any) -> float:
+        """Number of unknowns that the cause costs, ``extra`` being its further data."""
+        return len(self.parameters) - self.unseen
+
+    def promised_cost(self, extra: Any) -> float:
+        """The same of a trial that is not fitted yet, less its :meth:`free_sizes`."""
+        return self.cost(extra)
+
+    def free_sizes(self, extra: Any) -> int:
+        """Number of sizes in the channels that a few lines tell each, not all lines together."""
+        return 0
+
     def __hash__(self) -> int:
         return hash((type(self), tuple(sorted(vars(self).items()))))
 
@@ -246,29 +165,113 @@ class Cause:
         return type(self) is type(other) and vars(self) == vars(other)
 
 
-class LocalCause(Cause):
-    r"""A linear impedance :math:`Z(s)` [N/m] on a direction: :math:`H - H b (1/Z + b^T H b)^{-1} b^T H`."""
+class WindowCause(Cause):
+    """Stage 1: a shift of the Laplace variable, as an exponential window has."""
 
-    stage = "local"
+    def shift(self, p: Float[Array, " p"]) -> Array:
+        """Shift of the Laplace variable [rad/s]."""
+        raise NotImplementedError(f"{type(self).__name__} needs shift(p)")
+
+
+class UndampedCause(Cause):
+    """Stage 2: other frequencies or damping ratios of the undamped modes, which complex modes follow."""
+
+    in_structure = True
+
+    def undamped(self, theta: Float[Array, "2 n"], where: Array, p: Float[Array, " p"]) -> Float[Array, "2 n"]:
+        """Change of the logarithms of frequencies and damping ratios of the undamped modes."""
+        raise NotImplementedError(f"{type(self).__name__} needs undamped(theta, where, p)")
+
+
+class ModesCause(Cause):
+    """Stage 3: other terms of the modal equations."""
+
+    in_structure = True
+
+    def modes(self, modes: ModalTerms, where: Array, p: Float[Array, " p"], runs: int) -> ModalTerms:
+        """The terms with the cause in place."""
+        raise NotImplementedError(f"{type(self).__name__} needs modes(modes, where, p, runs)")
+
+
+class HystereticCause(ModesCause):
+    """Stage 3, where viscous damping goes and with it the coupling of the modes by dampers."""
+
+    def viscous(self, p: Float[Array, " p"]) -> Any:
+        """Share of the viscous damping that stays, coupling of the modes included."""
+        raise NotImplementedError(f"{type(self).__name__} needs viscous(p)")
+
+
+class KernelCause(Cause):
+    """Stage 4: what a finite record or a sweep makes of the decay of each mode."""
+
+    only_one = True
+    visible_when_free = True
+
+    def kernel(self, x: Complex[Array, "..."], where: Array, p: Float[Array, " p"]) -> Complex[Array, "..."]:
+        r"""What :math:`1/x`, the transform of :math:`e^{-xt}`, becomes."""
+        raise NotImplementedError(f"{type(self).__name__} needs kernel(x, where, p)")
+
+
+class ElementCause(Cause):
+    """An element that acts on one relative displacement, of two DoFs or of one and the ground."""
+
+    in_structure = True
+    shortlist_by = "element"
 
     def places(self, scene: Scene) -> list[Place]:
         """Every DoF to ground and every pair."""
         return scene.pairs()
+
+    def weights(self, scene: Scene, places: Sequence[Place]) -> np.ndarray:
+        """Likelier between DoFs that the simulation couples than anywhere else."""
+        return scene.weights(places)
+
+    def ends(self, columns: Array, where: Array) -> Array:
+        """What the element sees of modal columns ``(m, dof)``: their difference, shape ``(m, 1)``."""
+        return gather(columns, where)[:, None]
+
+
+class LocalCause(ElementCause):
+    r"""Stage 5: a linear impedance :math:`Z(s)` [N/m] on a direction, :math:`H - H b (1/Z + b^T H b)^{-1} b^T H`."""
 
     def impedance(self, s: Complex[Array, " f"], p: Float[Array, " p"]) -> Complex[Array, " f"]:
         """Force a unit relative displacement [N/m], each line by itself: it is asked at one line as at many."""
         raise NotImplementedError(f"{type(self).__name__} needs impedance(s, p)")
 
+    def block(self, s: Complex[Array, " f"], p: Float[Array, " p"]) -> Complex[Array, "f 1 1"]:
+        """The impedance as a matrix at every line."""
+        return self.impedance(s, p)[:, None, None]
 
-class JointCause(Cause):
-    """A non-linear joint, by its law in :mod:`modalax.simulate`."""
 
-    stage = "joint"
-    per_run = True
+class CouplingCause(Cause):
+    """Stage 5: a linear coupling of two DoFs that is no element between them, such as a skew one."""
+
+    in_structure = True
+    shortlist_by = "coupling"
 
     def places(self, scene: Scene) -> list[Place]:
-        """Every DoF to ground and every pair."""
-        return scene.pairs()
+        """Every pair."""
+        return scene.pairs(ground=False)
+
+    def matrix(self, s: Complex[Array, " f"], p: Float[Array, " p"]) -> Complex[Array, "f 2 2"]:
+        """Impedance between the two DoFs [N/m]."""
+        raise NotImplementedError(f"{type(self).__name__} needs matrix(s, p)")
+
+    def block(self, s: Complex[Array, " f"], p: Float[Array, " p"]) -> Complex[Array, "f 2 2"]:
+        """The same, by the name that elements have for it."""
+        return self.matrix(s, p)
+
+    def ends(self, columns: Array, where: Array) -> Array:
+        """What the coupling sees of modal columns ``(m, dof)``: both DoFs, shape ``(m, 2)``."""
+        return columns[:, where[:2]]
+
+
+class JointCause(ElementCause):
+    """Stage 6: a non-linear joint, by its law in :mod:`modalax.simulate`."""
+
+    per_run = True
+    visible_when_free = True
+    told_by_levels = True
 
     def law(self, p: Float[Array, " p"]) -> Any:
         """The joint with parameters ``p``."""
@@ -282,13 +285,96 @@ class JointCause(Cause):
         return self.law(p).describing(A, omega)
 
 
+class ChannelCause(Cause):
+    """Stage 7: a map of the predicted FRF, shape ``(run, f, o, i)``, as a fault of the measurement makes."""
+
+    on_measured_channels = True
+
+    def channels(
+        self, H: Complex[Array, "run f o i"], at: Channels, where: Array, extra: Any, p: Float[Array, " p"]
+    ) -> Complex[Array, "run f o i"]:
+        """The FRF as measured."""
+        raise NotImplementedError(f"{type(self).__name__} needs channels(H, at, where, extra, p)")
+
+
+class PatternCause(ChannelCause):
+    """Stage 7: terms whose real size in each channel is estimated from the data, ``extra``, shape ``(term, o, i)``.
+
+    Attributes
+    ----------
+    terms
+        Number of terms.
+    several
+        Whether a term stands for several modes, whose shapes together leave its sizes free; else it has rank one.
+    """
+
+    terms: int = 1
+    several: bool = False
+    needs_several_outputs = True
+    strength_is_bounded = False
+
+    @property
+    def judged_by(self) -> Literal["scores", "patterns", "hum", "none"]:
+        """The largest singular value; one mode shows nearly all that several would."""
+        return "none" if self.several else "patterns"
+
+    def shapes(self, scene: Scene) -> np.ndarray:
+        """Trial values of the shape parameters, shape ``(trial, parameter - terms)``."""
+        raise NotImplementedError(f"{type(self).__name__} needs shapes(scene)")
+
+    def curves(self, s: Any, q: Any) -> Any:
+        """The terms over frequency for shape parameters ``q``, shape ``(term, f)``."""
+        raise NotImplementedError(f"{type(self).__name__} needs curves(s, q)")
+
+    def cost(self, extra: Any) -> float:
+        """Number of unknowns: the sizes, and the shape parameters."""
+        return float(self.free_sizes(extra) + len(self.parameters) - self.terms)
+
+    def promised_cost(self, extra: Any) -> float:
+        """The shape parameters."""
+        return len(self.parameters) - self.terms
+
+    def free_sizes(self, extra: Any) -> int:
+        """Number of sizes: for each term a shape over outputs and inputs, or one for each channel."""
+        outputs, inputs = extra.shape[1:]
+        return self.terms * (outputs * inputs if self.several else outputs + inputs - 1)
+
+    def channels(
+        self, H: Complex[Array, "run f o i"], at: Channels, where: Array, extra: Any, p: Float[Array, " p"]
+    ) -> Complex[Array, "run f o i"]:
+        """Add the terms."""
+        curves = self.curves(at.s, p[self.terms :])
+        return H + jnp.einsum("t,tf,toi->foi", p[: self.terms], curves, extra)
+
+
+class LinesCause(Cause):
+    """Stage 8: narrow lines with an error of their own, which are left out of every other fit."""
+
+    visible_when_free = True
+    leaves_out_lines = True
+
+    @property
+    def judged_by(self) -> Literal["scores", "patterns", "hum", "none"]:
+        """Draws of noise alone at such lines."""
+        return "hum"
+
+    def explain(
+        self, freq: np.ndarray, fundamental: float, residual: np.ndarray, live: np.ndarray, known: float = np.inf
+    ) -> HumLines:
+        """Which lines are reached, and what that explains of whitened residuals ``(column, o, f)``."""
+        raise NotImplementedError(f"{type(self).__name__} needs explain(freq, fundamental, residual, live)")
+
+    def promised_cost(self, extra: HumLines) -> float:
+        """The unknown sizes, one a harmonic."""
+        return extra.freedom
+
+    def told(self, lines: HumLines) -> dict[str, tuple[Any, str]]:
+        """What the answer tells of the lines: value and unit by name."""
+        raise NotImplementedError(f"{type(self).__name__} needs told(lines)")
+
+
 def gather(columns: Array, index: Array, axis: int = -1) -> Array:
     """Column of a direction: that of the first DoF less that of the second, where there is one."""
     first = jnp.take(columns, index[0], axis=axis)
     second = jnp.take(columns, jnp.maximum(index[1], 0), axis=axis)
     return first - jnp.where(index[1] >= 0, 1.0, 0.0) * second
-
-
-def is_element(cause: Cause) -> bool:
-    """Whether a cause acts on one relative displacement."""
-    return cause.stage == "joint" or (cause.stage == "local" and not hasattr(cause, "matrix"))

@@ -6,7 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex
 
-from modalax.diagnose.causes.base import Cause, Parameter, Place, Scene, strengths
+from modalax.diagnose.causes.base import ChannelCause
+from modalax.diagnose.causes.parameter import Parameter, strengths
+from modalax.diagnose.causes.scene import Place, Scene
+from modalax.diagnose.causes.signals import Channels
 
 
 def one_row(H: Array, k: Array) -> Array:
@@ -19,20 +22,11 @@ def scaled_row(H: Array, k: Array, gain: Array) -> Array:
     return H * (1 + (gain - 1) * one_row(H, k))
 
 
-class ChannelCause(Cause):
-    """A map of the predicted FRF, shape ``(run, f, o, i)``."""
-
-    stage = "channels"
-
-    def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
-        """The FRF as measured."""
-        raise NotImplementedError(f"{type(self).__name__} needs channels(H, at, where, extra, p)")
-
-
 class ChannelGain(ChannelCause):
     r"""Calibration of one sensor, row times :math:`1 + g`."""
 
     slug = "channel_gain"
+    advice = "exchange the two sensors, or calibrate them"
     summary = "calibration of one sensor"
     rows = 1
     parameters = (Parameter("gain", "-", -0.999),)
@@ -45,7 +39,7 @@ class ChannelGain(ChannelCause):
         """Linear in the gain, so one size does."""
         return np.array([[1e-3]])
 
-    def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
+    def channels(self, H: Array, at: Channels, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
         """Scale one row."""
         return scaled_row(H, where[0], 1 + p[0])
 
@@ -54,6 +48,7 @@ class ChannelSign(ChannelCause):
     """One sensor with the wrong sign."""
 
     slug = "channel_sign"
+    advice = "turn one sensor and repeat"
     summary = "sign of one sensor"
     rows = 1
 
@@ -65,7 +60,7 @@ class ChannelSign(ChannelCause):
         """No unknowns."""
         return np.zeros((1, 0))
 
-    def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
+    def channels(self, H: Array, at: Channels, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
         """Turn one row."""
         return scaled_row(H, where[0], jnp.array(-1.0))
 
@@ -74,6 +69,8 @@ class ChannelSwap(ChannelCause):
     """Two sensors exchanged."""
 
     slug = "channel_swap"
+    shortlist_by = "exchange"
+    advice = "tap at each sensor and look which channel answers"
     summary = "two sensors exchanged"
     rows = 2
 
@@ -86,7 +83,7 @@ class ChannelSwap(ChannelCause):
         """No unknowns."""
         return np.zeros((1, 0))
 
-    def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
+    def channels(self, H: Array, at: Channels, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
         """Exchange two rows."""
         first, second = jnp.take(H, where[0], axis=2), jnp.take(H, where[1], axis=2)
         a, b = one_row(H, where[0]), one_row(H, where[1])
@@ -97,6 +94,7 @@ class TimeDelay(ChannelCause):
     r"""A delay of one channel, :math:`e^{-j\omega\tau}`."""
 
     slug = "time_delay"
+    advice = "calibrate the channels against each other on one sensor position"
     summary = "delay of one sensor"
     parameters = (Parameter("delay", "s"),)
     prior = 0.5
@@ -110,7 +108,7 @@ class TimeDelay(ChannelCause):
         """Up to a full turn of the phase at the end of the band."""
         return strengths(1 / (2 * np.pi * scene.freq[-1]), ((),), (1e-3, 0.2, 0.7, 1.5, 3.0))
 
-    def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
+    def channels(self, H: Array, at: Channels, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
         """Turn the phase of one row."""
         return H * jnp.exp(-1j * at.s.imag[:, None, None] * p[0] * one_row(H, where[0]))
 
@@ -125,7 +123,7 @@ class CommonDelay(TimeDelay):
         """All outputs together."""
         return [Place(())]
 
-    def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
+    def channels(self, H: Array, at: Channels, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
         """Turn the phase of all."""
         return H * jnp.exp(-1j * at.s.imag[:, None, None] * p[0])
 
@@ -134,6 +132,7 @@ class Units(ChannelCause):
     r"""One integration or differentiation too many, :math:`(j\omega)^{\pm1}`."""
 
     slug = "units"
+    advice = "check the unit of one channel against a known motion"
     summary = "one integration or differentiation"
 
     def places(self, scene: Scene) -> list[Place]:
@@ -144,7 +143,7 @@ class Units(ChannelCause):
         """No unknowns."""
         return np.zeros((1, 0))
 
-    def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
+    def channels(self, H: Array, at: Channels, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
         """Differentiate or integrate."""
         s = (1j * at.s.imag)[:, None, None]
         return H * jnp.where(where[0] > 0, s, 1 / s)
@@ -154,6 +153,7 @@ class SensorMass(ChannelCause):
     r"""A roving sensor loads only its own FRFs: row times :math:`1/(1 + s^2 m H_{ss})`."""
 
     slug = "sensor_mass"
+    advice = "repeat with a dummy mass at the sensor, or with the sensors all left in place"
     summary = "mass of a roving sensor"
     rows = 1
     parameters = (Parameter("mass", "kg", 0.0),)
@@ -167,7 +167,7 @@ class SensorMass(ChannelCause):
         at = Place(place.where, (scene.dofs.index(scene.outputs[place.index[0]]), -1, 0))
         return strengths(scene.stiffness_scale(at) / float(np.median(scene.omega)) ** 2, both=False)
 
-    def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
+    def channels(self, H: Array, at: Channels, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
         """Load one row."""
         own = jnp.take(at.own, where[0], axis=1)
         loaded = 1 / (1 + at.s**2 * p[0] * own)
@@ -183,6 +183,8 @@ class ForceDropout(ChannelCause):
     """
 
     slug = "force_dropout"
+    visible_when_free = True
+    advice = "estimate the FRF as Hv, or from the generator's signal as reference"
     summary = "force lost at resonances"
     fidelity = 0.02
     parameters = (
@@ -198,7 +200,7 @@ class ForceDropout(ChannelCause):
         """Sharp to flat."""
         return np.array([[size / mu**2, mu] for mu in (1.0, 3.0, 10.0, 100.0) for size in (1e-4, 0.1)])
 
-    def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
+    def channels(self, H: Array, at: Channels, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
         """Divide by one and the noise-to-force ratio."""
         s = (1j * at.s.imag)[:, None]
         moves = at.drive * s ** jnp.array([1, 2, 0])[where[2] % 3]

@@ -6,14 +6,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from modalax.diagnose.causes.base import Cause, Parameter, Place, Scene
+from modalax.diagnose.causes.base import HystereticCause, UndampedCause
+from modalax.diagnose.causes.parameter import Parameter
+from modalax.diagnose.causes.scene import Place, Scene
+from modalax.diagnose.causes.signals import ModalTerms
 
 
-class ModalDamping(Cause):
+class ModalDamping(UndampedCause):
     r"""The damping ratio of one mode changed by a part, :math:`c_r (1 + \delta)`."""
 
     slug = "modal_damping"
-    stage = "undamped"
+    advice = "check the settings of window and record length, or repeat without a window"
     summary = "damping ratio of one mode"
     parameters = (Parameter("relative_change", "-", -0.999),)
 
@@ -35,7 +38,7 @@ class ModalDamping(Cause):
         return jnp.zeros_like(theta).at[1, where[0]].set(jnp.log1p(p[0]))
 
 
-class StructuralDamping(Cause):
+class StructuralDamping(HystereticCause):
     r"""Hysteretic instead of viscous damping, :math:`2 j\zeta\omega_r\omega \to 2 j\zeta\omega_r^2` in a share.
 
     What couples the modes in the viscous damping goes with that share. The second variant takes one loss factor for all
@@ -43,7 +46,7 @@ class StructuralDamping(Cause):
     """
 
     slug = "structural_damping"
-    stage = "modes"
+    advice = "calibrate the delay between the channels, and widen the band"
     summary = "hysteretic instead of viscous damping"
     prior = 0.5  # each of its two forms
 
@@ -57,16 +60,16 @@ class StructuralDamping(Cause):
         """Share of the viscous damping that stays, coupling of the modes included."""
         return 1 - p[0]
 
-    def modes(self, modes: Any, where: Array, p: Array, runs: int) -> Any:
+    def modes(self, modes: ModalTerms, where: Array, p: Array, runs: int) -> ModalTerms:
         """Move a share of each damping term."""
-        return type(modes)(modes.k, modes.c * (1 - p[0]), modes.h + p[0] * modes.c * jnp.sqrt(modes.k))
+        return ModalTerms(modes.k, modes.c * (1 - p[0]), modes.h + p[0] * modes.c * jnp.sqrt(modes.k))
 
 
-class LossFactor(Cause):
+class LossFactor(HystereticCause):
     r"""Hysteretic damping with one loss factor for all modes, :math:`2 j\zeta\omega_r\omega \to j\eta\omega_r^2`."""
 
     slug = "structural_damping"
-    stage = "modes"
+    advice = "calibrate the delay between the channels, and widen the band"
     summary = "one loss factor instead of viscous damping"
     prior = 0.5
     parameters = (Parameter("loss_factor", "-", 1e-5, 1.0, log=True),)
@@ -80,9 +83,9 @@ class LossFactor(Cause):
         """Share of the viscous damping that stays."""
         return 0.0
 
-    def modes(self, modes: Any, where: Array, p: Array, runs: int) -> Any:
+    def modes(self, modes: ModalTerms, where: Array, p: Array, runs: int) -> ModalTerms:
         """Viscous terms out, one loss factor in."""
-        return type(modes)(modes.k, 0.0 * modes.c, modes.h + p[0] * modes.k)
+        return ModalTerms(modes.k, 0.0 * modes.c, modes.h + p[0] * modes.k)
 
 
 DAMPING: tuple[Any, ...] = (ModalDamping(), StructuralDamping(), LossFactor())

@@ -1,4 +1,4 @@
-"""A structure, or one joint of it, that changes from run to run."""
+"""Stiffness of the whole structure, or of one joint, that is off or changes from run to run."""
 
 from typing import Any
 
@@ -6,14 +6,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from modalax.diagnose.causes.base import Cause, JointCause, Parameter, Place, Scene, strengths
+from modalax.diagnose.causes.base import RARE, JointCause, ModesCause
+from modalax.diagnose.causes.parameter import Parameter, strengths
+from modalax.diagnose.causes.scene import Place, Scene
+from modalax.diagnose.causes.signals import ModalTerms
 
 
-class TimeVarying(Cause):
+class TimeVarying(ModesCause):
     r"""All stiffness drifts from run to run, :math:`K(1 + \delta\,n/(N-1))` in run n = 0 ... N-1."""
 
     slug = "time_varying"
-    stage = "modes"
+    advice = "repeat the first run at the end"
     per_run = True
     each_run = True
     summary = "the structure drifts from run to run"
@@ -28,17 +31,17 @@ class TimeVarying(Cause):
         """Small drifts both ways."""
         return strengths(1.0, ((),), (1e-6, 1e-3, 1e-2, 5e-2))
 
-    def modes(self, modes: Any, where: Array, p: Array, runs: int) -> Any:
+    def modes(self, modes: ModalTerms, where: Array, p: Array, runs: int) -> ModalTerms:
         """Scale the stiffness of each run."""
         course = jnp.linspace(0.0, 1.0, runs)[:, None] if runs > 1 else jnp.zeros((1, 1))
-        return type(modes)(modes.k * (1 + p[0] * course), modes.c + 0 * course, modes.h + 0 * course)
+        return ModalTerms(modes.k * (1 + p[0] * course), modes.c + 0 * course, modes.h + 0 * course)
 
 
-class TimeVaryingSteps(Cause):
+class TimeVaryingSteps(ModesCause):
     r"""Each run after the first has a stiffness of its own, :math:`K(1 + \delta_n)`."""
 
     slug = "time_varying"
-    stage = "modes"
+    advice = "repeat the first run at the end"
     per_run = True
     each_run = True
     summary = "the structure changes between runs"
@@ -58,16 +61,19 @@ class TimeVaryingSteps(Cause):
         early = np.sqrt(late)
         return np.array([size * way for size in (1e-6, 3e-3, -3e-3) for way in (early, late**3)])
 
-    def modes(self, modes: Any, where: Array, p: Array, runs: int) -> Any:
+    def modes(self, modes: ModalTerms, where: Array, p: Array, runs: int) -> ModalTerms:
         """Scale the stiffness of each run."""
         factor = jnp.concatenate([jnp.ones(1), 1 + p[: runs - 1]])[:, None]
-        return type(modes)(modes.k * factor, modes.c * jnp.ones_like(factor), modes.h * jnp.ones_like(factor))
+        return ModalTerms(modes.k * factor, modes.c * jnp.ones_like(factor), modes.h * jnp.ones_like(factor))
 
 
 class DriftingSpring(JointCause):
     r"""One spring that drifts from run to run, by :math:`\delta\,n/(N-1)` in run n = 0 ... N-1."""
 
     slug = "time_varying"
+    told_by_levels = False
+    drifts = True
+    advice = "repeat the first run at the end"
     summary = "one joint drifts from run to run"
     each_run = True
     prior = 0.3
@@ -93,3 +99,24 @@ class DriftingSpring(JointCause):
     def report(self, p: np.ndarray, place: Place) -> dict[str, tuple[Any, str]]:
         """The drift from the first run to the last."""
         return {"stiffness_drift": (p[0], "N/m")}
+
+
+class AllStiffness(ModesCause):
+    """All natural frequencies off by one share: Young's modulus, or the clock of the analyser."""
+
+    slug = "all_stiffness"
+    summary = "all natural frequencies off by one share"
+    named = False
+    prior = RARE
+    parameters = (Parameter("relative_stiffness", "-", -0.9),)
+
+    def grid(self, scene: Scene, place: Place) -> np.ndarray:
+        """Small changes both ways."""
+        return strengths(1.0, ((),), (1e-6, 1e-3, 1e-2, 5e-2))
+
+    def modes(self, modes: ModalTerms, where: Array, p: Array, runs: int) -> ModalTerms:
+        """Scale the stiffness."""
+        return ModalTerms(modes.k * (1 + p[0]), modes.c, modes.h)
+
+
+DRIFTS: tuple[Any, ...] = (TimeVarying(), AllStiffness())

@@ -5,16 +5,14 @@ Thresholds are screened at fractions of the amplitude that the undisturbed struc
 
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import gammaln
-from jaxtyping import Array, Complex
+from jaxtyping import Array
 
-from modalax.diagnose.causes.base import JointCause, Parameter, Place, Scene, strengths
+from modalax.diagnose.causes.base import JointCause
+from modalax.diagnose.causes.parameter import Parameter, strengths
+from modalax.diagnose.causes.scene import Place, Scene
 from modalax.simulate import joints
 
-REFERENCE = 1e-4  # amplitude at which the lost stiffness is told [m]
-EXPONENTS = (0.5, 1.0, 1.5)
 FRACTIONS = (0.03, 0.1, 0.2, 0.35, 0.6)  # thresholds over the largest amplitude
 SIZES = (1e-4, 0.05, 0.4)
 
@@ -41,6 +39,7 @@ class ElastoSlip(JointCause):
     r"""A spring in series with a slider; ``replaced`` where the spring was already in the simulation."""
 
     slug = "elasto_slip"
+    has_threshold = True
     fidelity = 0.01
     prior = 0.5  # each of its two forms
     parameters = (Parameter("stiffness", "N/m", 0.0), Parameter("slip_displacement", "m", 1e-15, log=True))
@@ -86,6 +85,7 @@ class GapContact(JointCause):
     """Stops on both sides of a free way."""
 
     slug = "gap"
+    has_threshold = True
     summary = "a free way between stops"
     fidelity = 0.01
     parameters = (Parameter("stiffness", "N/m", 0.0), Parameter("gap", "m", 1e-15, log=True))
@@ -125,6 +125,7 @@ class BilinearStiffness(JointCause):
     """
 
     slug = "bilinear_stiffness"
+    advice = "record the mean displacement and the even harmonics"
     summary = "a spring that differs in push and pull"
     fidelity = 0.01
     prior = 0.02  # its fundamental FRF is a spring's: the spring is named, and this stands among its rivals
@@ -152,36 +153,3 @@ JOINTS: tuple[Any, ...] = (
     CoulombFriction(), ElastoSlip(False), ElastoSlip(True), CubicStiffness(), GapContact(), QuadraticDamping(),
     BilinearStiffness(),
 )  # fmt: skip
-
-
-class MicroSlip(JointCause):
-    r"""Sliders whose strengths follow a power law: stiffness falls and damping rises as a power of the amplitude.
-
-    The force on first loading is :math:`Kx - \kappa x|x|^n`, later loops by Masing's rule. With K in the simulation,
-
-    .. math:: N(A) = \kappa_0 \Big(\frac{A}{A_0}\Big)^n\Big(-c_n + \frac{4jn}{\pi(n+2)}\Big),\qquad
-              c_n = \frac{4\,\Gamma(n+\frac32)\,(n+1)}{\sqrt\pi\,\Gamma(n+2)\,(n+2)},
-
-    at :math:`A_0` = 0.1 mm; n = 1 is Iwan's model with evenly distributed strengths. It is the microslip limit of
-    Segalman's four-parameter model (2005, J. Appl. Mech. 72:752), whose dissipation grows as :math:`A^{n+2}`.
-    """
-
-    slug = "micro_slip"
-    summary = "an interface that slips a little at a time"
-    fidelity = 0.01
-    parameters = (Parameter("lost_stiffness", "N/m", 0.0), Parameter("exponent", "-", 0.2, 2.0))
-
-    def grid(self, scene: Scene, place: Place) -> np.ndarray:
-        """Around the stiffness that matters, lost at the largest amplitude."""
-        largest = float(scene.amplitudes(place, (1.0,))[0])
-        scale = scene.stiffness_scale(place)
-        parts = [
-            strengths(scale * (REFERENCE / largest) ** n, [(n,)], (1e-4, 0.03, 0.2), both=False) for n in EXPONENTS
-        ]
-        return np.concatenate(parts)
-
-    def impedance(self, A: Array, omega: Array, p: Array) -> Complex[Array, "..."]:
-        """Stiffness lost and damping gained at amplitude ``A``."""
-        n = p[1]
-        c = 4 / jnp.sqrt(jnp.pi) * jnp.exp(gammaln(n + 1.5) - gammaln(n + 2)) * (n + 1) / (n + 2)
-        return p[0] * (A / REFERENCE) ** n * (-c + 4j * n / (jnp.pi * (n + 2)))

@@ -1,4 +1,4 @@
-"""Linear elements that the simulation lacks at one place: springs, dampers, masses, oscillators, gyroscopes."""
+"""Linear elements that the simulation lacks at one place: springs, dampers, masses, oscillators."""
 
 from typing import Any
 
@@ -6,7 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from modalax.diagnose.causes.base import LocalCause, Parameter, Place, Scene, strengths
+from modalax.diagnose.causes.base import LocalCause
+from modalax.diagnose.causes.parameter import Parameter, strengths
+from modalax.diagnose.causes.scene import Place, Scene
 
 
 def median_omega(scene: Scene) -> float:
@@ -50,6 +52,7 @@ class AddedMass(LocalCause):
     r"""A lumped mass, :math:`Z = s^2 m`."""
 
     slug = "added_mass"
+    advice = "repeat with a known mass added at the same place"
     summary = "a lumped mass"
     parameters = (Parameter("mass", "kg", 0.0),)
 
@@ -70,6 +73,7 @@ class TunedMass(LocalCause):
     r"""An attached oscillator, :math:`Z = s^2 m\,k_s/(s^2 + k_s)`, :math:`k_s = \omega_t^2 + 2\zeta\omega_t s`."""
 
     slug = "tuned_mass"
+    advice = "zoom into the split peak with a finer line spacing"
     summary = "an attached oscillator"
     parameters = (
         Parameter("mass", "kg", 0.0),
@@ -99,25 +103,4 @@ class TunedMass(LocalCause):
         return s**2 * p[0] * spring / (s**2 + spring)
 
 
-class Gyroscopic(LocalCause):
-    r"""Skew coupling of two DoFs, :math:`Z = s g\,(e_a e_b^T - e_b e_a^T)`: the FRFs are no longer reciprocal."""
-
-    slug = "gyroscopic"
-    summary = "skew coupling of two DoFs"
-    parameters = (Parameter("coupling", "N s/m"),)
-
-    def places(self, scene: Scene) -> list[Place]:
-        """Every pair."""
-        return scene.pairs(ground=False)
-
-    def grid(self, scene: Scene, place: Place) -> np.ndarray:
-        """Around one over the mobility."""
-        return strengths(scene.stiffness_scale(place) / median_omega(scene))
-
-    def matrix(self, s: Complex[Array, " f"], p: Float[Array, " p"]) -> Complex[Array, "f 2 2"]:
-        """Impedance between the two DoFs."""
-        skew = jnp.array([[0.0, 1.0], [-1.0, 0.0]])
-        return s[:, None, None] * p[0] * skew
-
-
-LOCAL: tuple[Any, ...] = (JointStiffness(), LocalDamper(), AddedMass(), TunedMass(), Gyroscopic())
+LOCAL: tuple[Any, ...] = (JointStiffness(), LocalDamper(), AddedMass(), TunedMass())

@@ -1,14 +1,17 @@
 r"""Mains hum: lines at 50 or 60 Hz and its multiples where the residual is larger than the noise allows.
 
-Each sample there has its own hum, or all have that of one source (:mod:`.pickup`), whichever explains more.
+Each sample there has its own hum, or all have that of one source (:mod:`.hum_pickup`), whichever explains more.
 """
 
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from modalax.diagnose.causes.base import Cause, Parameter, Place, Scene
+from modalax.diagnose.causes.base import LinesCause
 from modalax.diagnose.causes.hum_pickup import pickup
+from modalax.diagnose.causes.parameter import Parameter
+from modalax.diagnose.causes.scene import Place, Scene
+from modalax.diagnose.causes.signals import HumLines
 
 MAINS = (50.0, 60.0)  # Hz
 DRAWS = 1000  # of noise alone, against which hum is judged
@@ -16,40 +19,11 @@ FEW_LINES = 16  # away from hum, below which nothing is known of how uneven the 
 REACHES = (0.5, 1.5, 2.5)  # line spacings that hum may leak into
 
 
-@dataclass(frozen=True)
-class HumLines:
-    """Lines that hum reaches and what it explains.
-
-    Attributes
-    ----------
-    lines
-        Mask over the lines, shape ``(f,)``.
-    chi2
-        Minus twice the log likelihood of these lines with hum of unknown size and phase, less the constant of the
-        noise alone.
-    freedom
-        Unknown sizes, one a harmonic.
-    amplitude
-        Spread of the hum over that of the noise at the strongest harmonic.
-    frequency
-        Fundamental [Hz].
-    p_value
-        Chance of so much at such lines under noise alone.
-    """
-
-    lines: np.ndarray
-    chi2: float
-    freedom: float
-    amplitude: float
-    frequency: float
-    p_value: float
-
-
-class MainsHum(Cause):
+class MainsHum(LinesCause):
     r"""Narrow lines at 50 or 60 Hz and multiples: there the error has variance :math:`\sigma^2(1 + \tau^2)`."""
 
     slug = "mains_hum"
-    stage = "lines"
+    advice = "record a run without force"
     summary = "narrow lines at the mains frequency and its multiples"
     parameters = (Parameter("relative_amplitude", "-", 0.0),)
 
@@ -110,6 +84,10 @@ class MainsHum(Cause):
         top = max(float((power[0, mask] / np.maximum(count[mask], 1)).max() - 1), 0.0)
         p_value = min(1.0, 2 * min(p_value, source.p_value))
         return HumLines(mask, -gain, float(mask.sum()), float(np.sqrt(top)), fundamental, p_value)
+
+    def told(self, lines: HumLines) -> dict[str, tuple[Any, str]]:
+        """The fundamental."""
+        return {"frequency": (lines.frequency, "Hz")}
 
 
 def hums(frequency: float, damping_ratio: float, freq: np.ndarray) -> bool:

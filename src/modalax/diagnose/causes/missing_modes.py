@@ -4,53 +4,18 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Complex
 
-from modalax.diagnose.causes.base import Parameter, Scene
-from modalax.diagnose.causes.channels import ChannelCause
+from modalax.diagnose.causes.base import PatternCause
 from modalax.diagnose.causes.mains_hum import hums
-
-
-class PatternCause(ChannelCause):
-    """Terms whose real size in each channel is estimated from the data: ``extra``, shape ``(term, o, i)``.
-
-    Attributes
-    ----------
-    terms
-        Number of terms.
-    several
-        Whether a term stands for several modes, whose shapes together leave its sizes free; else it has rank one.
-    """
-
-    terms = 1
-    several = False
-
-    def shapes(self, scene: Scene) -> np.ndarray:
-        """Trial values of the shape parameters, shape ``(trial, parameter - terms)``."""
-        raise NotImplementedError(f"{type(self).__name__} needs shapes(scene)")
-
-    def curves(self, s: Any, q: Any) -> Any:
-        """The terms over frequency for shape parameters ``q``, shape ``(term, f)``."""
-        raise NotImplementedError(f"{type(self).__name__} needs curves(s, q)")
-
-    def cost(self, outputs: int, inputs: int) -> float:
-        """Number of unknowns: the sizes, and the shape parameters."""
-        return float(self.sizes(outputs, inputs) + len(self.parameters) - self.terms)
-
-    def sizes(self, outputs: int, inputs: int) -> int:
-        """Number of unknown sizes: for each term a shape over outputs and inputs, or one for each channel."""
-        return self.terms * (outputs * inputs if self.several else outputs + inputs - 1)
-
-    def channels(self, H: Array, at: Any, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
-        """Add the terms."""
-        curves = self.curves(at.s, p[self.terms :])
-        return H + jnp.einsum("t,tf,toi->foi", p[: self.terms], curves, extra)
+from modalax.diagnose.causes.parameter import Parameter
+from modalax.diagnose.causes.scene import Scene
 
 
 class MissingMode(PatternCause):
     r"""A whole mode in band, :math:`\phi\phi^T/(m (s^2 + 2\zeta\omega_x s + \omega_x^2))`."""
 
     slug = "missing_mode"
+    advice = "measure a second column of the FRF matrix"
     summary = "a whole mode in band"
     parameters = (
         Parameter("participation", "-"),
@@ -83,6 +48,7 @@ class OutOfBand(PatternCause):
     """
 
     slug = "out_of_band"
+    advice = "measure a wider band"
 
     def __init__(self, side: str, several: bool = False):
         self.side = side
@@ -109,9 +75,9 @@ class OutOfBand(PatternCause):
             out.append(w**2 / (w**2 + s**2) if name == "upper" else 1 / (w**2 + s**2))
         return jnp.stack(out)
 
-    def cost(self, outputs: int, inputs: int) -> float:
+    def cost(self, extra: Any) -> float:
         """The distances are hardly seen: one unknown for all."""
-        return self.sizes(outputs, inputs) + 1.0
+        return self.free_sizes(extra) + 1.0
 
     def fits(self, p: np.ndarray, scene: Scene) -> bool:
         """Only modes outside the band."""

@@ -6,18 +6,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex
 
-from modalax.diagnose.causes.base import Cause, Parameter, Place, Scene, strengths
+from modalax.diagnose.causes.base import KernelCause, WindowCause
+from modalax.diagnose.causes.parameter import Parameter, strengths
+from modalax.diagnose.causes.scene import Place, Scene
 
 HANN_CURVATURE = 2 * np.pi**2 / 3  # a Hann window's autocorrelation is 1 - this (t/T)^2 at first
 RIPPLE, RIPPLES = 0.25, 100  # of a ripple of chi-square over the record's length, between points; least each way
 CUT, DECAYED = 2, 10.0  # variant of a record that ends in a step, and the decay beyond which no step is left
 
 
-class ExponentialWindow(Cause):
+class ExponentialWindow(WindowCause):
     r"""The decay an impact window adds, :math:`H(s + \sigma)`."""
 
     slug = "exponential_window"
-    stage = "laplace"
+    advice = "repeat without the window, or with a longer record"
     summary = "decay added by an impact window"
     parameters = (Parameter("decay", "1/s", 0.0),)
 
@@ -31,7 +33,7 @@ class ExponentialWindow(Cause):
         return p[0]
 
 
-class Leakage(Cause):
+class Leakage(KernelCause):
     r"""Finite records of length T: the impulse response is seen through a window that falls with the delay.
 
     Random force through a boxcar window gives :math:`1 - t/T`, through a Hann window its autocorrelation; an impact
@@ -40,7 +42,7 @@ class Leakage(Cause):
     """
 
     slug = "leakage"
-    stage = "kernel"
+    advice = "repeat with a record twice as long"
     fidelity = 0.02
     summary = "finite record length"
     parameters = (Parameter("inverse_record_length", "Hz", 1e-6, log=True),)
@@ -118,7 +120,7 @@ def _hann(x: Array, T: Array) -> Array:
     return 2 / 3 * (ramp(x) + 0.5 * cosine) + sine / (2 * jnp.pi)
 
 
-class FastSweep(Cause):
+class FastSweep(KernelCause):
     r"""A linear sweep too fast for the resonances: the impulse response is seen times :math:`e^{jS t^2/2}`.
 
     :math:`\int_0^\infty e^{-xt + jSt^2/2}dt = \frac12\sqrt{\pi/b}\,\mathrm{erfcx}(x/(2\sqrt b))`, :math:`b = -jS/2`;
@@ -126,7 +128,7 @@ class FastSweep(Cause):
     """
 
     slug = "fast_sweep"
-    stage = "kernel"
+    advice = "sweep in both directions, or at half the rate"
     fidelity = 0.03
     summary = "a sweep too fast for the resonances"
     parameters = (Parameter("sweep_rate", "Hz/s"),)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.stats
 
-from modalax.diagnose.causes.missing_modes import PatternCause
 from modalax.diagnose.decision.omnibus import Omnibus
 from modalax.diagnose.screening.patterns import independent
 from modalax.diagnose.screening.screen import Trial
@@ -83,11 +82,11 @@ def detect(
     top = max((math.sqrt(max(t.gain - tolerated, 0.0)) for t in scored), default=0.0)
     count = max(count, 1.0)
     # one mode a side shows nearly all that several would
-    patterns = [t for t in trials if isinstance(t.cause, PatternCause) and not t.cause.several]
+    patterns = [t for t in trials if t.cause.judged_by == "patterns"]
     p = {
         "scores": -math.expm1(count * math.log1p(-min(2 * scipy.stats.norm.sf(top / spread), 1 - 1e-12))),
         "patterns": min((_pattern_p(t, spread, tolerated) for t in patterns), default=1.0),
-        "hum": min((_hum_p(t) for t in trials if t.cause.stage == "lines"), default=1.0),
+        "hum": min((_hum_p(t) for t in trials if t.cause.judged_by == "hum"), default=1.0),
         "omnibus": remains.p_value,
     }
     single = -math.expm1(math.log1p(-ALARM * SHARES["scores"]) / count)

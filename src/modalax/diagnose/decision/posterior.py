@@ -5,10 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from modalax.diagnose.causes.base import Cause, Place, Scene, is_element
-from modalax.diagnose.causes.missing_modes import PatternCause
+from modalax.diagnose.causes.base import Cause
+from modalax.diagnose.causes.scene import Place, Scene
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.screening.screen import Trial
 
@@ -25,8 +23,8 @@ def evidence(h: Hypothesis, scene: Scene, samples: int, null_chi2: float) -> flo
     each = math.log(max(samples, 30))
     value = -0.5 * h.chi2 - 0.5 * h.freedom * each
     for cause, extra in zip(h.causes, h.extras, strict=True):
-        if isinstance(cause, PatternCause):
-            sizes = cause.sizes(*extra.shape[1:])
+        sizes = cause.free_sizes(extra)
+        if sizes:
             value += 0.5 * sizes * max(each - 1 - math.log(max((null_chi2 - h.chi2) / sizes, 1.0)), 0.0)
     value -= MORE_CAUSES * max(len(h.names) - 1, 0)
     for cause, place, p in zip(h.causes, h.places, h.params, strict=True):  # hum has one place and weight 1
@@ -37,15 +35,9 @@ def evidence(h: Hypothesis, scene: Scene, samples: int, null_chi2: float) -> flo
 def promise(t: Trial, scene: Scene, samples: int) -> float:
     """Twice the log evidence that a trial promises to add, roughly: its gain, less what its unknowns and place cost."""
     each = math.log(max(samples, 30))
-    if isinstance(t.cause, PatternCause):
-        sizes = t.cause.sizes(*t.extra.shape[1:])
-        cost = (len(t.cause.parameters) - t.cause.terms) * each + sizes * min(
-            each, 1 + math.log(max(t.gain / sizes, 1.0))
-        )
-    elif t.cause.stage == "lines":
-        cost = t.extra.freedom * each
-    else:
-        cost = (len(t.cause.parameters) - t.cause.unseen) * each
+    cost, sizes = t.cause.promised_cost(t.extra) * each, t.cause.free_sizes(t.extra)
+    if sizes:
+        cost += sizes * min(each, 1 + math.log(max(t.gain / sizes, 1.0)))
     return t.gain - cost + 2 * math.log(t.cause.prior) + 2 * math.log(_weight(t.cause, t.place, scene))
 
 
@@ -54,8 +46,7 @@ def _weight(cause: Cause, place: Place, scene: Scene) -> float:
     key = ("weights", cause)
     if key not in scene.cache:
         places = cause.places(scene)
-        told = scene.weights(places) if is_element(cause) else np.full(len(places), 1 / max(len(places), 1))
-        scene.cache[key] = {p.index: float(w) for p, w in zip(places, told, strict=True)}
+        scene.cache[key] = {p.index: float(w) for p, w in zip(places, cause.weights(scene, places), strict=True)}
     return scene.cache[key].get(place.index, 1.0)
 
 

@@ -1,6 +1,6 @@
 """The verdict: clean, named, ambiguous or unknown."""
 
-from modalax.diagnose.causes.base import is_element
+from modalax.diagnose.causes.base import ElementCause
 from modalax.diagnose.decision.posterior import Ranked
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 
@@ -29,7 +29,7 @@ def _verdict(ranked: list[Ranked], left: float) -> str:
 
 def _one_joint(h: Hypothesis) -> bool:
     """Whether several elements sit at one place: together they may be one joint of a law that no one listed."""
-    at = [p.where for c, p in zip(h.causes, h.places, strict=True) if is_element(c)]
+    at = [p.where for c, p in zip(h.causes, h.places, strict=True) if isinstance(c, ElementCause)]
     return len(set(at)) < len(at)
 
 

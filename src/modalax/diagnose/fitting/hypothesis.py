@@ -7,8 +7,10 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from modalax.diagnose.causes.base import Cause, Place
-from modalax.diagnose.causes.mains_hum import HumLines
+from modalax.diagnose.causes.base import Cause
+from modalax.diagnose.causes.mains_hum import MainsHum
+from modalax.diagnose.causes.scene import Place
+from modalax.diagnose.causes.signals import HumLines
 
 
 @dataclass(frozen=True)
@@ -47,8 +49,13 @@ class Hypothesis:
     @property
     def names(self) -> frozenset[tuple[str, tuple[Any, ...]]]:
         """Slugs and places, as the answer tells them."""
-        found = {(c.slug, p.where) for c, p in zip(self.causes, self.places, strict=True)}
-        return frozenset(found | ({("mains_hum", ())} if self.hum is not None else set()))
+        return frozenset((c.slug, p.where) for c, p in self.parts)
+
+    @property
+    def parts(self) -> list[tuple[Cause, Place]]:
+        """Every cause with its place, hum included."""
+        hum: list[tuple[Cause, Place]] = [(MainsHum(), Place(()))] if self.hum is not None else []
+        return [*zip(self.causes, self.places, strict=True), *hum]
 
     @property
     def per_run(self) -> bool:

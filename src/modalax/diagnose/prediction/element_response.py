@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from modalax.diagnose.causes.base import Cause
+from modalax.diagnose.causes.base import Cause, JointCause, LocalCause
 from modalax.diagnose.prediction.frf import equivalent
 
 SHORT, LONG = 2048, 65536  # samples of a piece
@@ -20,7 +20,7 @@ SHORT, LONG = 2048, 65536  # samples of a piece
 
 def _one(cause: Cause, solve: bool, p: Any, motion: Any, drive: Any, omega: Any, level: Any) -> Any:
     """At one line, for one input: motion and drive are numbers, ``level`` holds the runs, shape ``(run or 1,)``."""
-    if cause.stage == "local":
+    if isinstance(cause, LocalCause):
         Z = cause.impedance(1j * omega[None], p)  # pyright: ignore[reportAttributeAccessIssue]
         if jnp.shape(Z) != (1,):
             raise ValueError(
@@ -63,7 +63,7 @@ def coefficients(
         If an impedance does not have the shape of the lines that it is asked at.
     """
     # trial, run, line, input; where the law follows the number of the run, all runs are in one sample
-    if cause.stage == "joint":
+    if isinstance(cause, JointCause):
         force = level.T[None, None, :, None] if cause.each_run else level[None, :, :, None, None]
     else:
         force = np.ones((1, 1, 1, 1, 1))

@@ -13,49 +13,22 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
-from modalax.diagnose.causes.base import Cause, gather
+from modalax.diagnose.causes.base import (
+    ChannelCause,
+    CouplingCause,
+    HystereticCause,
+    JointCause,
+    KernelCause,
+    LocalCause,
+    ModesCause,
+    UndampedCause,
+    WindowCause,
+)
+from modalax.diagnose.causes.signals import Channels, ModalTerms
 from modalax.diagnose.setup.problem import Problem
 
 BRACKET, GRID, HALVINGS, POLISH = 60.0, 12, 8, 3  # search for the amplitude across a joint: range, points, bisections
 TINY = 1e-300
-
-
-class Modes(eqx.Module):
-    r"""Coefficients of :math:`D_r = s^2 + c_r s + k_r + j h_r`, shape ``(run or 1, n)``."""
-
-    k: Float[Array, "run n"]
-    c: Float[Array, "run n"]
-    h: Float[Array, "run n"]
-
-
-class Channels(eqx.Module):
-    """What a map on the channels may use: receptances of the simulation at the sensors and at the drive points.
-
-    Attributes
-    ----------
-    s
-        Laplace variable of each line, shape ``(f,)`` [rad/s].
-    own
-        Receptance of each output's DoF at itself, shape ``(f, o)`` [m/N].
-    drive
-        The same of each input's DoF, shape ``(f, i)`` [m/N].
-    level
-        Force amplitudes of each run and line [N].
-    gains, shapes, participation
-        Of the modes and their conjugates, shapes ``(f, m)``, ``(m, o)`` at the outputs and ``(m, dof)``.
-    """
-
-    s: Complex[Array, " f"]
-    own: Complex[Array, "f o"]
-    drive: Complex[Array, "f i"]
-    level: Float[Array, "run f"]
-    gains: Complex[Array, "f m"]
-    shapes: Complex[Array, "m o"]
-    participation: Complex[Array, "m dof"]
-
-    def column(self, dof: Array) -> Complex[Array, "f o"]:
-        """Receptance from any DoF to the outputs [m/N]."""
-        return (self.gains * jnp.take(self.participation, dof, axis=1)) @ self.shapes
 
 
 def predict(
@@ -81,29 +54,32 @@ def predict(
         at = list(zip(held.causes, held.index, held.extras, held.params, strict=True)) + at
         theta = theta + held.theta
     modal_form = problem.modal_form
-    s = 1j * problem.omega + sum(cause.shift(p) for cause, _, _, p in at if cause.stage == "laplace")
-    theta = theta + sum(cause.undamped(theta, where, p) for cause, where, _, p in at if cause.stage == "undamped")
+    s = 1j * problem.omega + sum(cause.shift(p) for cause, _, _, p in of(WindowCause, at))
+    theta = theta + sum(cause.undamped(theta, where, p) for cause, where, _, p in of(UndampedCause, at))
     k, c, shapes, participation = modal_form.adapted(theta)
     follow, kept = (
         modal_form.mixing is not None,
-        [cause.viscous(p) for cause, _, _, p in at if hasattr(cause, "viscous")],
+        [cause.viscous(p) for cause, _, _, p in of(HystereticCause, at)],
     )
     if kept and modal_form.uncoupled is not None:
         k, c, shapes, participation = modal_form.uncoupled.at(math.prod(kept), k, c, shapes, participation)
         follow = True
-    modes = Modes(k[None], c[None], modal_form.hysteresis[None])
-    for cause, where, _, p in at:
-        if cause.stage == "modes":
-            modes = cause.modes(modes, where, p, problem.level.shape[0])
-    kernels = [(c, w, p) for c, w, _, p in at if c.stage == "kernel"]
+    modes = ModalTerms(k[None], c[None], modal_form.hysteresis[None])
+    for cause, where, _, p in of(ModesCause, at):
+        modes = cause.modes(modes, where, p, problem.level.shape[0])
+    kernels = [(c, w, p) for c, w, _, p in of(KernelCause, at)]
     gains = gains_of(s, modes, modal_form.poles, kernels, follow, problem.order)
     H, channels = _assemble(s, gains, at, eqx.tree_at(_shapes, problem, (shapes, participation)))
-    if any(cause.stage == "laplace" for cause, *_ in at):  # the window was on what was measured, not on displacements
+    if of(WindowCause, at):  # the window was on what was measured, not on displacements
         H = H * ((s / s.imag / 1j) ** problem.order)[:, None, None]
-    for cause, where, extra, p in at:
-        if cause.stage == "channels":
-            H = cause.channels(H, channels, where, extra, p)
+    for cause, where, extra, p in of(ChannelCause, at):
+        H = cause.channels(H, channels, where, extra, p)
     return H
+
+
+def of(stage: Any, at: list[Any]) -> list[Any]:
+    """Those of some causes, each with its place, extra and parameters, that act at one stage or several."""
+    return [one for one in at if isinstance(one[0], stage)]
 
 
 def _shapes(problem: Any) -> tuple[Any, Any]:
@@ -111,7 +87,7 @@ def _shapes(problem: Any) -> tuple[Any, Any]:
 
 
 def gains_of(
-    s: Array, modes: Modes, poles: Array, kernels: list[Any], mixing: bool, order: int = 0
+    s: Array, modes: ModalTerms, poles: Array, kernels: list[Any], mixing: bool, order: int = 0
 ) -> Complex[Array, "run f m"]:
     r"""Gains of the modes and of their conjugates, side by side.
 
@@ -154,18 +130,16 @@ def _assemble(s: Array, gains: Array, at: list[Any], problem: Problem) -> tuple[
     own = jnp.einsum("fm,mo->fo", gains[0], psi[:, o] * part[:, o])
     drive = jnp.einsum("fm,mi->fi", gains[0], psi[:, i] * part[:, i])
     channels = Channels(s, own, drive, problem.level, gains[0], psi[:, o], part)
-    local = [(c, w, p) for c, w, _, p in at if c.stage == "local"]
-    joints = [(c, w, p) for c, w, _, p in at if c.stage == "joint"]
+    local = [(c, w, p) for c, w, _, p in of((LocalCause, CouplingCause), at)]
+    joints = [(c, w, p) for c, w, _, p in of(JointCause, at)]
     if not local and not joints:
         return H, channels
-    blocks = [_columns(c, w, psi, part) for c, w, _ in local + joints]
+    blocks = [(c.ends(psi, w), c.ends(part, w)) for c, w, _ in local + joints]
     left, right = (jnp.concatenate([b[k] for b in blocks], axis=1) for k in (0, 1))
     H_ob, H_bi, H_bb = between(psi[:, o], right), between(left, part[:, i]), between(left, right)
     count = left.shape[1] - len(joints)
     if local:
-        Z = _block_diagonal(
-            [c.matrix(s, p) if hasattr(c, "matrix") else c.impedance(s, p)[:, None, None] for c, _, p in local]
-        )
+        Z = _block_diagonal([c.block(s, p) for c, _, p in local])
         inner = jnp.eye(count) + Z @ H_bb[:, :, :count, :count]
         X = jnp.linalg.solve(inner, jnp.broadcast_to(Z, inner.shape)) if count > 1 else Z / inner
         H = H - H_ob[..., :count] @ X @ H_bi[:, :, :count]
@@ -199,12 +173,6 @@ class Together:
         """Sum of the describing functions; the second of ``p`` is 1 for the causes at this place, else 0."""
         parts = [s * c.impedance(A, omega, q) for c, q, s in zip(self.causes, *p, strict=True)]
         return jnp.sum(jnp.stack(parts), axis=0)
-
-
-def _columns(cause: Cause, where: Array, psi: Array, part: Array) -> tuple[Array, Array]:
-    if hasattr(cause, "matrix"):  # a coupling of two DoFs that is no spring between them
-        return psi[:, where[:2]], part[:, where[:2]]
-    return gather(psi, where)[:, None], gather(part, where)[:, None]
 
 
 def _block_diagonal(blocks: list[Array]) -> Array:

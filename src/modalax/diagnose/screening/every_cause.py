@@ -1,14 +1,12 @@
 """Every cause screened at every place, and the trials among them that are worth a fit."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from modalax.diagnose.causes.base import Cause, is_element
-from modalax.diagnose.causes.mains_hum import MainsHum
-from modalax.diagnose.causes.missing_modes import PatternCause
+from modalax.diagnose.causes.base import Cause, ElementCause, LinesCause, PatternCause
 from modalax.diagnose.comparison import Comparison, hum_of
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.screening.local_elements import at_places, screen_elements
@@ -21,7 +19,7 @@ A_KIND, LIKELY, ALTOGETHER = 3, 40, 150  # candidates refitted of one kind, of o
 
 @dataclass(frozen=True)
 class Screening:
-    """All trials, and the trial directions of each side (all runs together, or apart)."""
+    """All trials, and the modal parameters about which they were made, shape ``(2, n)``."""
 
     trials: list[Trial]
     theta: np.ndarray
@@ -32,44 +30,85 @@ class Screening:
         return sorted(self.trials, key=lambda t: -t.gain)
 
 
+@dataclass(frozen=True)
+class _Screen:
+    """What a hypothesis leaves, ready to be screened for one kind of cause after the other.
+
+    Attributes
+    ----------
+    finite
+        Whether larger sizes of elements are tried too.
+    products
+        Products at the places of elements, kept for the next cause with the same places.
+    """
+
+    comparison: Comparison
+    theta: np.ndarray
+    state: ScoreState
+    finite: bool
+    products: dict[Any, Any] = field(default_factory=dict)
+
+    def trials(self, cause: Cause) -> list[Trial]:
+        """Trials of one cause at all its places."""
+        if isinstance(cause, PatternCause):
+            return self._pattern(cause)
+        if isinstance(cause, LinesCause):
+            return self._lines(cause)
+        places = cause.places(self.comparison.scene)
+        if not places:
+            return []
+        near = self.state.nearest(self.comparison, cause, places)
+        if isinstance(cause, ElementCause) and self.state.reduced:
+            found = self._element(cause, near, alike(places))
+        else:
+            problem, nuisance, _ = self.comparison.side(cause.per_run)
+            residual = self.state.sides[cause.per_run]
+            found = screen_cause(
+                cause, self.comparison.scene, near, self.theta, residual, problem, nuisance, keep=True
+            )  # fmt: skip
+        return [replace(t, trials=round(t.trials * len(places) / len(near))) for t in found]
+
+    def _pattern(self, cause: PatternCause) -> list[Trial]:
+        problem = self.comparison.side(cause.per_run)[0]
+        if cause.several and min(problem.channels) < 2:  # nothing else than one
+            return []
+        return [screen_pattern(cause, self.comparison.scene, self.state.sides[cause.per_run], problem)]
+
+    def _lines(self, cause: LinesCause) -> list[Trial]:
+        places, found = cause.places(self.comparison.scene), []
+        for place in places:
+            lines = hum_of(cause, place, self.comparison, self.state.whole)
+            if lines.lines.any():
+                start = np.array([lines.amplitude])
+                found.append(Trial(cause, place, -lines.chi2, np.nan, start, trials=len(places), extra=lines))
+        return found
+
+    def _element(self, cause: ElementCause, places: list[Any], key: Any) -> list[Trial]:
+        side, reduced = cause.per_run, self.state.reduced
+        if (side, key) not in self.products:
+            apart = self.products.setdefault((True, key), at_places(reduced[True], places))
+            one = self.comparison.pooled is self.comparison.problem
+            self.products[False, key] = apart if one else at_places(reduced[False], places, apart=apart)
+        weight = np.asarray(self.comparison.side(side)[0].weight)
+        at = self.products[side, key]
+        return screen_elements(cause, self.comparison.scene, reduced[side], at, places, weight, self.finite)
+
+
 def screen_all(
     comparison: Comparison, h: Hypothesis, causes: Sequence[Cause], state: ScoreState, finite: bool = True
 ) -> Screening:
-    """Screen every cause at every place on what a hypothesis leaves; ``finite`` tries larger sizes of joints too."""
+    """Screen every cause at every place on what a hypothesis leaves.
+
+    Parameters
+    ----------
+    state
+        Scores of what the hypothesis leaves, as :func:`~.score_state.score_state_of` gives them.
+    finite
+        Whether larger sizes of elements are tried too.
+    """
     assert h.theta is not None
-    trials: list[Trial] = []
-    products: dict[Any, Any] = {}
-    for cause in causes:
-        side = cause.per_run
-        problem, nuisance, _ = comparison.side(side)
-        if isinstance(cause, PatternCause):
-            if cause.several and min(problem.channels) < 2:  # nothing else than one
-                continue
-            trials.append(screen_pattern(cause, comparison.scene, state.sides[side], problem))
-        elif isinstance(cause, MainsHum):
-            mains = cause.places(comparison.scene)
-            for place in mains:
-                lines, size = hum_of(cause, place, comparison, state.whole), len(mains)
-                if lines.lines.any():
-                    start = np.array([lines.amplitude])
-                    trials.append(Trial(cause, place, -lines.chi2, np.nan, start, trials=size, extra=lines))
-        elif not (places := cause.places(comparison.scene)):
-            continue
-        elif is_element(cause) and state.reduced:
-            near, key = state.nearest(comparison, cause, places), alike(places)
-            if (side, key) not in products:
-                apart = products.setdefault((True, key), at_places(state.reduced[True], near))
-                one = comparison.pooled is comparison.problem
-                products[False, key] = apart if one else at_places(state.reduced[False], near, apart=apart)
-            at = products[side, key]
-            weight = np.asarray(problem.weight)
-            found = screen_elements(cause, comparison.scene, state.reduced[side], at, near, weight, finite)
-            trials += [replace(t, trials=round(t.trials * len(places) / len(near))) for t in found]
-        else:
-            near = state.nearest(comparison, cause, places)
-            found = screen_cause(cause, comparison.scene, near, h.theta, state.sides[side], problem, nuisance, True)
-            trials += [replace(t, trials=round(t.trials * len(places) / len(near))) for t in found]
-    return Screening(trials, h.theta)
+    screen = _Screen(comparison, h.theta, state, finite)
+    return Screening([t for cause in causes for t in screen.trials(cause)], h.theta)
 
 
 def chosen(trials: list[Trial]) -> list[Trial]:

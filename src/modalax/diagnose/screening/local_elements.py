@@ -13,10 +13,12 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from modalax.diagnose.causes.base import Cause, Place
+from modalax.diagnose.causes.base import Cause, LocalCause
+from modalax.diagnose.causes.scene import Place
+from modalax.diagnose.causes.signals import ModalTerms
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.prediction.element_response import coefficients
-from modalax.diagnose.prediction.frf import Modes, gains_of
+from modalax.diagnose.prediction.frf import gains_of
 from modalax.diagnose.screening.screen import KEPT_PLACES, KEPT_SHAPES, Trial, best_trial, smallest
 from modalax.diagnose.screening.screening_fit import Target, fit_from_screening
 from modalax.diagnose.screening.sensitivities import BATCH, Residual
@@ -166,7 +168,7 @@ def reduce(problem: Problem, theta: np.ndarray, state: Residual) -> Reduced:
     """
     modal_form = problem.modal_form
     k, c, *ends_of = modal_form.adapted(jnp.asarray(theta))
-    still = Modes(k[None], c[None], modal_form.hysteresis[None])
+    still = ModalTerms(k[None], c[None], modal_form.hysteresis[None])
     gains = np.asarray(gains_of(1j * problem.omega, still, modal_form.poles, [], modal_form.mixing is not None))[0]
     psi, part = (np.concatenate([a, a.conj()]) for a in map(np.asarray, ends_of))
     there = np.abs(psi).max(axis=1) > 0  # the others only fill up
@@ -270,7 +272,7 @@ def score(
     cause: Cause, reduced: Reduced, at: At, grids: list[np.ndarray], finite: bool
 ) -> tuple[list[np.ndarray], list[np.ndarray], dict[tuple[int, int], np.ndarray]]:
     """Squared lengths and products with the residual of every trial at every place, and a few changes themselves."""
-    solve = finite or cause.stage == "local"
+    solve = finite or isinstance(cause, LocalCause)
     kinds = KEPT_PLACES if reduced.weight2.size < LARGE else KEPT_PLACES // 3
     some = set(np.unique(np.linspace(0, len(grids) - 1, kinds).astype(int)).tolist())
     square, product, kept = [], [], {}

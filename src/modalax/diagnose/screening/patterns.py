@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from modalax.diagnose.causes.base import Place, Scene
-from modalax.diagnose.causes.missing_modes import PatternCause
+from modalax.diagnose.causes.base import PatternCause
+from modalax.diagnose.causes.scene import Place, Scene
 from modalax.diagnose.screening.screen import Trial
 from modalax.diagnose.screening.sensitivities import Residual
 from modalax.diagnose.setup.problem import Problem

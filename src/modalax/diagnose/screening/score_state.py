@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from modalax.diagnose.causes.base import Cause, Place, is_element
-from modalax.diagnose.causes.channels import ChannelSwap
+from modalax.diagnose.causes.base import Cause
+from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.screening.local_elements import Reduced, as_one, complex_of, reduce
@@ -36,8 +36,8 @@ class ScoreState:
 
     def nearest(self, comparison: Comparison, cause: Cause, places: list[Any]) -> list[Any]:
         """The places of a cause, or of very many those that are worth a look."""
-        skew, swap = hasattr(cause, "matrix"), isinstance(cause, ChannelSwap)
-        between_dofs = bool(self.reduced) and (skew or is_element(cause))
+        skew, swap = cause.shortlist_by == "coupling", cause.shortlist_by == "exchange"
+        between_dofs = bool(self.reduced) and cause.shortlist_by in ("element", "coupling")
         if len(places) <= MANY or not (swap or between_dofs):
             return places
         key = (swap, skew, *alike(places))

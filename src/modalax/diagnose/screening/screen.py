@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from modalax.diagnose.causes.base import Cause, Place, Scene
+from modalax.diagnose.causes.base import Cause
+from modalax.diagnose.causes.scene import Place, Scene
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.fitting.nuisance import Nuisance

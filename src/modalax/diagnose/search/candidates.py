@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from modalax.diagnose.causes.base import Cause
-from modalax.diagnose.causes.mains_hum import HumLines
-from modalax.diagnose.causes.missing_modes import PatternCause
+from modalax.diagnose.causes.signals import HumLines
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.screening.screen import Trial
@@ -27,13 +26,7 @@ def start_from(base: Hypothesis, trial: Trial, p: np.ndarray) -> Hypothesis:
 
 def cost_of(causes: Sequence[Cause], extras: Sequence[Any]) -> float:
     """Number of unknowns that causes cost."""
-    total = 0.0
-    for cause, extra in zip(causes, extras, strict=True):
-        if isinstance(cause, PatternCause):
-            total += cause.cost(*extra.shape[1:])
-        else:
-            total += len(cause.parameters) - cause.unseen
-    return total
+    return float(sum(cause.cost(extra) for cause, extra in zip(causes, extras, strict=True)))
 
 
 def with_hum(h: Hypothesis, lines: HumLines) -> Hypothesis:
@@ -44,7 +37,7 @@ def with_hum(h: Hypothesis, lines: HumLines) -> Hypothesis:
 def _sensible(h: Hypothesis, comparison: Comparison) -> bool:
     """Whether every cause still means what its name says, and every mode that was added is more than one sensor's."""
     for c, p, extra in zip(h.causes, h.params, h.extras, strict=True):
-        if not c.fits(p, comparison.scene) or (isinstance(c, PatternCause) and _one_sensor(extra, comparison)):
+        if not c.fits(p, comparison.scene) or (c.needs_several_outputs and _one_sensor(extra, comparison)):
             return False
     return True
 
@@ -52,7 +45,7 @@ def _sensible(h: Hypothesis, comparison: Comparison) -> bool:
 def moderate(h: Hypothesis, comparison: Comparison) -> bool:
     """Whether every strength is within reach of those that the cause is looked for with; no damper of 1e9 N s/m."""
     for cause, place, p in zip(h.causes, h.places, h.params, strict=True):
-        if isinstance(cause, PatternCause) or not len(p):
+        if not cause.strength_is_bounded or not len(p):
             continue
         key = ("reach", cause, place)
         if key not in comparison.scene.cache:

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from modalax.diagnose.causes.base import Cause, Place
+from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.causes.mains_hum import MainsHum
+from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.comparison import Comparison, hum_of
 from modalax.diagnose.decision.detection import detect
 from modalax.diagnose.decision.omnibus import Omnibus, omnibus
@@ -30,10 +31,10 @@ FURTHER = 3  # causes tried on each
 
 def fit_further(comparison: Comparison, base: Hypothesis, trials: list[Trial]) -> list[Hypothesis]:
     """Fit ``base`` with each trial added, everything together."""
-    found = fit_together(comparison, [start_from(base, t, t.start) for t in trials if t.cause.stage != "lines"])
+    found = fit_together(comparison, [start_from(base, t, t.start) for t in trials if not t.cause.leaves_out_lines])
     found = [h for h in found if moderate(h, comparison)]
     if base.hum is None:
-        found += [with_hum(base, t.extra) for t in trials if t.cause.stage == "lines"]
+        found += [with_hum(base, t.extra) for t in trials if t.cause.leaves_out_lines]
     return best_of_each(found, comparison)
 
 
@@ -117,7 +118,7 @@ def rest_of(comparison: Comparison, h: Hypothesis, null: Hypothesis, causes: Seq
     state = score_state_of(used, h, _jacobian(used, h))
     trials = screen_all(used, h, causes, state, finite=False).trials
     if h.hum is not None:
-        trials = [t for t in trials if t.cause.stage != "lines"]
+        trials = [t for t in trials if not t.cause.leaves_out_lines]
     if comparison.noise.freedom < TRUSTED:  # the noise is no better known than what the omnibus test would say of it
         after = replace(after, p_value=1.0)
     p_value = detect(trials, state.sides, after, comparison.noise.spread, tolerated).p_value

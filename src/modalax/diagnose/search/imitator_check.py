@@ -28,10 +28,9 @@ def imitations(
     return fit_single(comparison, null, kept, state)
 
 
-def apart(ranked: Sequence[Ranked], imitators: Sequence[Cause]) -> tuple[list[Ranked], list[Ranked]]:
+def apart(ranked: Sequence[Ranked]) -> tuple[list[Ranked], list[Ranked]]:
     """What has a name in the catalogue, and what has none."""
-    slugs = {c.slug for c in imitators}
-    nameless = [r for r in ranked if any(slug in slugs for slug, _ in r.names)]
+    nameless = [r for r in ranked if not all(c.named for c in r.best.causes)]
     return [r for r in ranked if r not in nameless], nameless
 
 

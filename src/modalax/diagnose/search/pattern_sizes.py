@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from modalax.diagnose.causes.missing_modes import PatternCause
+from modalax.diagnose.causes.base import PatternCause
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.screening.patterns import screen_pattern

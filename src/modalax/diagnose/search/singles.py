@@ -5,10 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from modalax.diagnose.causes.base import Cause, is_element
-from modalax.diagnose.causes.drift import DriftingSpring
+from modalax.diagnose.causes.base import Cause, ElementCause, PatternCause
 from modalax.diagnose.causes.joints import FRACTIONS
-from modalax.diagnose.causes.missing_modes import PatternCause
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.gauss_newton import ROUNDS
 from modalax.diagnose.fitting.hypothesis import Hypothesis
@@ -40,7 +38,7 @@ def from_home(comparison: Comparison, null: Hypothesis, causes: Sequence[Cause])
         return []
     home = comparison.fit([replace(null, theta=np.zeros_like(null.theta))], 0)[0]
     state = score_state_of(comparison, home)
-    trials = [t for t in screen_all(comparison, home, causes, state).trials if t.cause.stage != "lines"]
+    trials = [t for t in screen_all(comparison, home, causes, state).trials if not t.cause.leaves_out_lines]
     found = fit_single(comparison, replace(home, chi2=home.chi2 - state.drop), chosen(trials), state)
     again = [replace(h, theta=np.zeros_like(null.theta)) for h in found[: 2 * IN_FULL]]
     # what changes all channels and has no size (units) promises nothing until the modes have moved with it
@@ -53,7 +51,7 @@ def fit_single(comparison: Comparison, null: Hypothesis, trials: list[Trial], st
     fine: list[Hypothesis] = []
     for cause in dict.fromkeys(t.cause for t in trials):
         mine = [t for t in trials if t.cause == cause]
-        if cause.stage == "lines":
+        if cause.leaves_out_lines:
             fine += [with_hum(null, t.extra) for t in mine]
             continue
         starts = [
@@ -86,7 +84,7 @@ def _broken_promises(
     maybe: list[Hypothesis] = []
     for t in sorted(trials, key=lambda t: -t.gain):
         promised, found = null.chi2 - t.gain, reached.get(((t.cause,), (t.place,)), np.inf)
-        if t.cause.stage == "lines" or promised > best + slack or found < promised + CLOSE:
+        if t.cause.leaves_out_lines or promised > best + slack or found < promised + CLOSE:
             continue
         few = promised < best and sum(h.causes == (t.cause,) for h in likely) < PROMISES
         (likely if few else maybe).append(start_from(null, t, t.start))
@@ -100,7 +98,7 @@ def refit(comparison: Comparison, null: Hypothesis, starts: list[Hypothesis], st
     cause = starts[0].causes[0]
     if isinstance(cause, PatternCause):
         return [settle_pattern(comparison, h) for h in comparison.fit(starts, ROUNDS)]
-    if is_element(cause) and state.reduced:
+    if isinstance(cause, ElementCause) and state.reduced:
         found = fit_elements(comparison, starts, state.reduced[cause.per_run], null, ROUNDS + 6)
     else:
         found = fit_screened(comparison, starts, state.sides[cause.per_run], null, ROUNDS)
@@ -114,10 +112,10 @@ def joints_for_drifts(
 
     A joint that is stiff at one level and lets go at the next is far from any small size that it is screened at.
     """
-    if not found or not found[0].causes or not isinstance(found[0].causes[0], DriftingSpring):
+    if not found or not found[0].causes or not found[0].causes[0].drifts:
         return []
     at, drift = found[0].places[0].index, abs(float(found[0].params[0][0]))
-    laws = [c for c in causes if c.stage == "joint" and [q.unit for q in c.parameters] == ["N/m", "m"]]
+    laws = [c for c in causes if c.has_threshold]
     out: list[Hypothesis] = []
     for cause in laws:
         place = next((p for p in cause.places(comparison.scene) if p.index == at), None)

@@ -15,6 +15,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Array, Complex, Float
 
+from modalax.diagnose.causes.base import HystereticCause
 from modalax.diagnose.setup.complex_modes import Mixing, Uncoupled, is_coupled, mixing_of, uncoupled_of
 from modalax.model import ModalModel, Structure
 
@@ -100,7 +101,7 @@ class ModalForm(eqx.Module):
 
 def kept_coupling(causes: Iterable[tuple[Any, Any]]) -> Any:
     """Share of what couples the modes' damping that causes with these parameters leave."""
-    return math.prod(cause.viscous(p) for cause, p in causes if hasattr(cause, "viscous"))
+    return math.prod(cause.viscous(p) for cause, p in causes if isinstance(cause, HystereticCause))
 
 
 def modal_form_of(

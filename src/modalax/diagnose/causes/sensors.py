@@ -1,0 +1,131 @@
+"""Sensors that filter, resonate or saturate."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex
+
+from modalax.data.frf import DERIVATIVES
+from modalax.diagnose.causes.base import RARE, ChannelCause
+from modalax.diagnose.causes.channels import scaled_row
+from modalax.diagnose.causes.parameter import Parameter, strengths
+from modalax.diagnose.causes.scene import Place, Scene
+from modalax.diagnose.causes.signals import Channels
+
+
+class AcCoupling(ChannelCause):
+    r"""One sensor through a high-pass filter of first order, :math:`s/(s + \omega_c)`."""
+
+    slug = "ac_coupling"
+    summary = "high-pass filter of one sensor"
+    named = False
+    prior = RARE
+    rows = 1
+    parameters = (Parameter("corner_frequency", "Hz", 0.0),)
+
+    def places(self, scene: Scene) -> list[Place]:
+        """Every output."""
+        return scene.channels()
+
+    def grid(self, scene: Scene, place: Place) -> np.ndarray:
+        """Around the start of the band."""
+        return strengths(float(scene.freq[0]), ((),), (1e-4, 0.1, 0.5, 1.5), both=False)
+
+    def channels(self, H: Array, at: Channels, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
+        """Filter one row."""
+        gain = 1 / (1 - 2j * jnp.pi * p[0] / at.s.imag)
+        return scaled_row(H, where[0], gain[:, None, None])
+
+
+class SensorLowpass(ChannelCause):
+    r"""One sensor through a low-pass filter of first order, :math:`1/(1 + s\tau)`: nearly a delay."""
+
+    slug = "sensor_lowpass"
+    summary = "low-pass filter of one sensor"
+    named = False
+    prior = RARE / 2
+    rows = 1
+    parameters = (Parameter("time_constant", "s", 0.0),)
+
+    def places(self, scene: Scene) -> list[Place]:
+        """Every output."""
+        return scene.channels()
+
+    def grid(self, scene: Scene, place: Place) -> np.ndarray:
+        """Around the end of the band."""
+        return strengths(float(1 / scene.omega[-1]), ((),), (1e-4, 0.1, 0.5, 1.5), both=False)
+
+    def channels(self, H: Array, at: Channels, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
+        """Filter one row."""
+        gain = 1 / (1 + 1j * at.s.imag * p[0])
+        return scaled_row(H, where[0], gain[:, None, None])
+
+
+class SensorResonance(ChannelCause):
+    r"""One sensor on a mount or cable that resonates.
+
+    Row times :math:`1 - g s^2/(s^2 + 2\zeta\omega_c s + \omega_c^2)`.
+    """
+
+    slug = "sensor_resonance"
+    summary = "a resonance of the mount of one sensor"
+    named = False
+    prior = RARE
+    rows = 1
+    parameters = (
+        Parameter("share", "-"),
+        Parameter("frequency", "Hz", 1e-3, log=True),
+        Parameter("damping_ratio", "-", 1e-4, 0.5, log=True),
+    )
+
+    def places(self, scene: Scene) -> list[Place]:
+        """Every output."""
+        return scene.channels()
+
+    def grid(self, scene: Scene, place: Place) -> np.ndarray:
+        """Frequencies dense enough that no resonance falls between two; linear in the share, so one size does."""
+        low, high = scene.freq[0], scene.freq[-1]
+        count = int(np.clip(np.log(high / low) / 0.05, 8, 40))
+        return strengths(1.0, [(f, 0.025) for f in np.geomspace(low, high, count)], (1e-4,))
+
+    def channels(self, H: Array, at: Channels, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
+        """Scale one row."""
+        s, w = 1j * at.s.imag, 2 * jnp.pi * p[1]
+        gain = 1 - p[0] * s**2 / (s**2 + 2 * p[2] * w * s + w**2)
+        return scaled_row(H, where[0], gain[:, None, None])
+
+
+class ClippedSensor(ChannelCause):
+    r"""One sensor that clips: the fundamental of a clipped sine, by the amplitude of its own quantity."""
+
+    slug = "clipped_sensor"
+    summary = "one sensor saturates"
+    per_run = True
+    named = False
+    prior = RARE
+    rows = 1
+    fidelity = 0.01
+    parameters = (Parameter("inverse_ceiling", "1/unit", 0.0),)
+
+    def places(self, scene: Scene) -> list[Place]:
+        """Every output; the second number says what it measures."""
+        order = DERIVATIVES[scene.form]
+        return [Place((name,), (k, order, 0)) for k, name in enumerate(scene.outputs)]
+
+    def grid(self, scene: Scene, place: Place) -> np.ndarray:
+        """Ceilings a little or far below the largest response."""
+        at = Place(place.where, (scene.dofs.index(scene.outputs[place.index[0]]), -1, 0))
+        size = np.abs(scene.motion(at)) * scene.omega[:, None] ** place.index[1]
+        return np.array([[x / (float(size.max()) * float(scene.levels.max()))] for x in (1.05, 1.3, 2.0, 4.0)])
+
+    def channels(self, H: Array, at: Channels, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
+        """Scale one row by how much is cut off."""
+        row = jnp.take(H, where[0], axis=2)
+        size = jnp.abs(row) * at.level[:, :, None] * jnp.abs(at.s)[:, None] ** where[1]
+        rho = jnp.minimum(1 / jnp.maximum(p[0] * size, 1e-30), 1 - 1e-12)
+        gain = 2 / jnp.pi * (jnp.arcsin(rho) + rho * jnp.sqrt(1 - rho**2))
+        return scaled_row(H, where[0], gain[:, :, None])
+
+
+SENSORS: tuple[Any, ...] = (AcCoupling(), SensorLowpass(), SensorResonance(), ClippedSensor())
