@@ -148,7 +148,7 @@ class Cause:
 
     def cost(self, extra: Any) -> float:
         """Number of unknowns that the cause costs, ``extra`` being its further data."""
-        return len(self.parameters) - self.unseen
+        return float(len(self.parameters) - self.unseen)
 
     def promised_cost(self, extra: Any) -> float:
         """The same of a trial that is not fitted yet, less its :meth:`free_sizes`."""
@@ -332,7 +332,7 @@ class PatternCause(ChannelCause):
 
     def promised_cost(self, extra: Any) -> float:
         """The shape parameters."""
-        return len(self.parameters) - self.terms
+        return float(len(self.parameters) - self.terms)
 
     def free_sizes(self, extra: Any) -> int:
         """Number of sizes: for each term a shape over outputs and inputs, or one for each channel."""
