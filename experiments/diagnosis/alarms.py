@@ -1,7 +1,7 @@
 """False alarms on clean sets: ``python experiments/diagnosis/alarms.py FOLDER``.
 
 Only the first question is asked of each case called ``clean-*`` of a draw, whether anything is wrong at all: an answer
-other than ``clean`` needs a chance below ``decide.ALARM`` under noise. That takes seconds a case, so a thousand are
+other than ``clean`` needs a chance below ``Thresholds.alarm`` under noise. That takes seconds a case, so a thousand are
 within reach. ``FOLDER/alarms.csv`` keeps the chances by kind of test; cases that are in it are not asked again.
 """
 
@@ -21,7 +21,7 @@ def chances(case: Path) -> dict[str, float]:
     """Chance of what each kind of test saw, and of all together."""
     from modalax.diagnose.causes import catalogue
     from modalax.diagnose.comparison import causes_of, make_comparison, with_noise_beside
-    from modalax.diagnose.pipeline import look
+    from modalax.diagnose.search.look import look
     from modalax.files import load
 
     comparison = with_noise_beside(make_comparison(load(case / "measurement.npz"), load(case / "simulation.npz")))
@@ -60,9 +60,9 @@ def main() -> None:
 
 def alarmed(row: dict[str, str]) -> bool:
     """Whether anything was said to be wrong."""
-    from modalax.diagnose.decision.detection import ALARM
+    from modalax.diagnose.thresholds import THRESHOLDS
 
-    return float(row["p"]) < ALARM
+    return float(row["p"]) < THRESHOLDS.alarm
 
 
 if __name__ == "__main__":

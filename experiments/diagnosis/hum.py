@@ -11,7 +11,7 @@ import numpy as np
 import scipy.stats
 
 from modalax.diagnose.causes.hum_pickup import largest
-from modalax.diagnose.decision.detection import ALARM, SHARES
+from modalax.diagnose.thresholds import THRESHOLDS
 
 TONES = 8  # what two mains frequencies, two ways of looking and the forms of a line, much alike, cost together
 
@@ -31,7 +31,7 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=20_000)
     args = parser.parse_args()
     rng, shape = np.random.default_rng(0), (args.outputs, args.columns)
-    level = ALARM * SHARES["hum"] / TONES
+    level = THRESHOLDS.alarm * THRESHOLDS.share_of_hum / TONES
     null = largest(draw(rng, 10 * args.draws, *shape, 0.0))
     least = float(np.quantile(null, 1 - level))
     print(f"{shape[0]} outputs, {shape[1]} columns: hum counts from a squared singular value of {least:.1f}")

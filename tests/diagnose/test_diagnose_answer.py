@@ -14,8 +14,8 @@ from modalax.diagnose.causes import catalogue
 from modalax.diagnose.causes.channels import ChannelGain, ChannelSign, CommonDelay, TimeDelay
 from modalax.diagnose.causes.joints import QuadraticDamping
 from modalax.diagnose.causes.local import AddedMass, JointStiffness, LocalDamper
+from modalax.diagnose.decision.verdict import fails, verdict
 from modalax.diagnose.extend import from_arrays
-from modalax.diagnose.pipeline import _if_it_predicts
 from modalax.model.examples import five_dof
 from modalax.simulate import simulate
 from modalax.simulate.joints import PolynomialDamping
@@ -146,13 +146,18 @@ def test_causes_that_imitate_another_law_do_not_predict_the_level_held_out():
     noisy = H + sigma * (rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape)) / np.sqrt(2)
     data = Measurement(FREQ, noisy, variance=sigma**2, form="mobility", outputs=S.dofs, inputs=("1", "4"), level=levels)
     found = diagnose(data, S, causes=[QuadraticDamping()])
-    assert found.verdict == "unknown" and len(found.naming.best.causes) > 1
-    assert found.gain.fails and found.gain.chi2_after > 2 * found.gain.chi2_within
+    assert found.verdict == "unknown" and len(found.found.best.causes) > 1
+    assert fails(found.gain) and found.gain.chi2_after > 2 * found.gain.chi2_within
     # where nothing else had given it away, this would
-    sure = _if_it_predicts(replace(found.naming, verdict="named"), found.gain)
-    assert sure.verdict == "unknown" and "highest level" in sure.notes[-1]
+    certain = [replace(found.candidates[0], probability=1.0)]
+    leaves_noise = replace(found.found.leftover, p_value=0.5, nameless=0.0)
+    elements = [replace(c.best, places=tuple(Place((k,)) for k in range(len(c.best.causes)))) for c in certain]
+    certain = [replace(c, best=h, names=h.names) for c, h in zip(certain, elements, strict=True)]
+    assert verdict(certain, leaves_noise)[0] == "named"
+    word, reasons = verdict(certain, leaves_noise, found.gain)
+    assert word == "unknown" and "highest level" in reasons[0]
     true = diagnose(measured(with_spring(2500.0), 6, runs=3).replace(level=levels), S, causes=FEW)
-    assert true.verdict == "named" and abs(true.gain.missed) < 4 and not true.gain.fails
+    assert true.verdict == "named" and abs(true.gain.missed) < 4 and not fails(true.gain)
 
 
 def test_the_extended_simulation_predicts_saves_and_differentiates(tmp_path):

@@ -12,11 +12,9 @@ import scipy.optimize
 import scipy.stats
 
 from modalax.data import Measurement
-from modalax.diagnose.causes import catalogue
-from modalax.diagnose.causes.base import Cause, Parameter, Place, Scene
+from modalax.diagnose.causes import Cause, Parameter, PatternCause, Place, Scene, catalogue
 from modalax.diagnose.causes.local import JointStiffness
-from modalax.diagnose.causes.mains_hum import HumLines
-from modalax.diagnose.causes.missing_modes import PatternCause
+from modalax.diagnose.causes.signals import HumLines
 from modalax.diagnose.decision.detection import detect
 from modalax.diagnose.decision.omnibus import Omnibus
 from modalax.diagnose.decision.posterior import evidence, posterior, promise
@@ -123,7 +121,6 @@ class Shift(Cause):
     """A made cause with one parameter, at any of four places."""
 
     slug = "shift"
-    stage = "channels"
     parameters = (Parameter("size", "-"),)
 
     def places(self, scene):

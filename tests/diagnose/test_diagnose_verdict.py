@@ -1,16 +1,27 @@
-"""What is said of sets of causes with given probabilities."""
+"""What is said of sets of causes with given probabilities, and why: the rules of the verdict one by one."""
 
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
 import pytest
 
-from modalax.diagnose.causes.joints import CubicStiffness
+from modalax.diagnose.causes.joints import BilinearStiffness, CubicStiffness
 from modalax.diagnose.causes.local import AddedMass, JointStiffness
+from modalax.diagnose.causes.mains_hum import MainsHum
 from modalax.diagnose.causes.scene import Place
+from modalax.diagnose.causes.signals import HumLines
 from modalax.diagnose.decision.advice import advise
+from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.posterior import Ranked
-from modalax.diagnose.decision.verdict import _verdict, rivals
+from modalax.diagnose.decision.verdict import RULES, Leftover, rivals, verdict
 from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.thresholds import THRESHOLDS, Thresholds
 
 CUBIC, MASS, SPRING = CubicStiffness(), AddedMass(), JointStiffness()
+ALARM = Leftover(alarm=1e-6, explained=900.0, p_value=0.4)
+HELD = Gain("run 3 at 9 N, the highest level", 40.0, 1.02, 500.0, 20.0, missed=0.5, chi2_within=1.0)
+MISSED = replace(HELD, chi2_after=3.0, missed=9.0)
 
 
 def ranked(*sets):
@@ -23,43 +34,114 @@ def ranked(*sets):
     return out
 
 
-def told(verdict, some):
-    return [sorted(r.names) for r in rivals(verdict, some)]
+ONE = ranked((0.99, (CUBIC, "1")), (0.01, (SPRING, "1")))
+TWO = ranked((0.99, (CUBIC, "1"), (MASS, "2")), (0.01, (CUBIC, "1")))
+TABLE = [
+    # sets, leftover, held out, verdict, words of each reason in order
+    ([], Leftover(alarm=0.3), None, "clean", ["noise alone"]),
+    (ONE, replace(ALARM, alarm=0.01), HELD, "clean", ["noise alone"]),
+    ([], ALARM, None, "unknown", ["no cause"]),
+    (ONE, replace(ALARM, explained=8.9), HELD, "unknown", ["no cause"]),
+    (ONE, replace(ALARM, explained=9.0), HELD, "named", ["0.99"]),
+    (ONE, ALARM, HELD, "named", ["cubic_stiffness has a probability of 0.99"]),
+    (ONE, ALARM, MISSED, "named", ["0.99"]),  # one cause predicts or not; its errors say so
+    (ONE, replace(ALARM, p_value=0.0019), HELD, "unknown", ["leaves more than noise"]),
+    (ONE, replace(ALARM, p_value=0.002), HELD, "named", ["0.99"]),
+    (TWO, replace(ALARM, p_value=0.0099), HELD, "unknown", ["leaves more than noise"]),
+    (TWO, replace(ALARM, p_value=0.01), HELD, "named", ["added_mass and cubic_stiffness"]),
+    (TWO, ALARM, MISSED, "unknown", ["the highest level"]),
+    (TWO, ALARM, replace(MISSED, missed=4.0), "named", ["0.99"]),
+    (TWO, ALARM, replace(MISSED, chi2_within=2.9), "named", ["0.99"]),
+    (TWO, ALARM, None, "named", ["0.99"]),
+    (ONE, replace(ALARM, nameless=0.51, likeness="a clock"), HELD, "unknown", ["a clock"]),
+    (ONE, replace(ALARM, nameless=0.5), HELD, "named", ["0.99"]),
+    ([], replace(ALARM, nameless=1.0), HELD, "unknown", ["no cause", "beside the catalogue"]),
+    (ONE, replace(ALARM, p_value=1e-5, nameless=0.9), HELD, "unknown", ["more than noise", "beside the catalogue"]),
+    (ranked((0.9, (CUBIC, "1")), (0.1, (SPRING, "1"))), ALARM, HELD, "ambiguous", ["other causes compete"]),
+    (ranked((0.5, (CUBIC, "1")), (0.5, (CUBIC, "2"))), ALARM, HELD, "ambiguous", ["may sit elsewhere"]),
+    (ranked((1.0, (CUBIC, "1"), (SPRING, "1"))), ALARM, HELD, "ambiguous", ["one joint of another law"]),
+    (
+        ranked((0.4, (CUBIC, "1")), (0.4, (CUBIC, "2")), (0.2, (SPRING, "1"))), ALARM, HELD, "ambiguous",
+        ["other causes compete", "may sit elsewhere"],
+    ),
+    (ranked((0.5, (CUBIC, "1"), (SPRING, "1")), (0.5, (MASS, "3"))), ALARM, MISSED, "ambiguous", ["", "", "one joint"]),
+]  # fmt: skip
 
 
-def test_a_sure_law_is_named_at_its_likeliest_place_and_the_others_stand_beside():
-    some = ranked((0.55, (CUBIC, "1")), (0.30, (CUBIC, "2")), (0.13, (CUBIC, "3")), (0.02, (CUBIC, "4")))
-    assert _verdict(some, 1.0) == "named"
-    assert told("named", some) == [[("cubic_stiffness", ("2",))], [("cubic_stiffness", ("3",))]]
-    assert "1, 2, 3" in advise("named", [some[0], *rivals("named", some)])
+@pytest.mark.parametrize(("sets", "leftover", "held_out", "word", "reasons"), TABLE)
+def test_truth_table(sets, leftover, held_out, word, reasons):
+    said, why = verdict(sets, leftover, held_out)
+    assert said == word
+    assert len(why) == len(reasons) and all(part in one for part, one in zip(reasons, why, strict=True))
+
+
+def test_every_rule_decides_a_row_and_the_last_always_does():
+    assert [word for word, _ in RULES] == ["clean", *["unknown"] * 3, *["ambiguous"] * 3, "unknown", "named"]
+    reasons = " ".join(part for *_, parts in TABLE for part in parts)
+    assert all(p in reasons for p in ("noise alone", "no cause", "leaves more", "beside", "compete", "elsewhere"))
 
 
 @pytest.mark.parametrize(
-    "some",
+    ("name", "strict", "word"),
     [
-        ranked((0.48, (CUBIC, "1")), (0.47, (CUBIC, "2")), (0.05, (CUBIC, "3"))),  # the place is anywhere
-        ranked((0.90, (CUBIC, "1")), (0.10, (SPRING, "1"))),  # another law
-        ranked((1.0, (CUBIC, "1"), (SPRING, "1"))),  # two elements at one place: a joint of no listed law
+        ("alarm", 1e-9, "clean"), ("explains", 1e4, "unknown"), ("left", 0.5, "unknown"),
+        ("certain", 0.995, "ambiguous"), ("placed", 0.995, "ambiguous"), ("nameless", -0.1, "unknown"),
     ],
-    ids=["place", "law", "one place"],
-)
-def test_what_is_not_sure_is_a_set(some):
-    assert _verdict(some, 1.0) == "ambiguous"
-    assert len(rivals("ambiguous", some)) == len(some) - 1
+)  # fmt: skip
+def test_each_threshold_is_the_one_that_its_rule_asks(name, strict, word):
+    assert verdict(ONE, ALARM, HELD)[0] == "named"
+    assert verdict(ONE, ALARM, HELD, replace(THRESHOLDS, **{name: strict}))[0] == word
+
+
+@pytest.mark.parametrize(("name", "strict"), [("left_by_several", 0.5), ("missed", 0.4), ("farther", 0.9)])
+def test_thresholds_of_several_causes(name, strict):
+    gain = replace(HELD, missed=5.0) if name == "farther" else replace(HELD, chi2_after=1.2)
+    assert verdict(TWO, ALARM, gain)[0] == "named"
+    assert verdict(TWO, ALARM, gain, replace(THRESHOLDS, **{name: strict}))[0] == "unknown"
+
+
+def test_every_threshold_says_what_it_is_and_names_a_script_that_stands():
+    assert sum(THRESHOLDS.shares.values()) == pytest.approx(1.0)
+    rows = THRESHOLDS.table()
+    assert [row[0] for row in rows] == [f.name for f in fields(Thresholds)]
+    root = Path(__file__).parents[2]
+    for name, value, unit, meaning, script in rows:
+        assert np.isfinite(value) and unit and meaning.endswith(".") and meaning[0].isupper(), name
+        assert (root / script).is_file(), script
+
+
+def told(verdict, sets):
+    return [sorted(r.names) for r in rivals(verdict, sets)]
+
+
+def test_a_sure_law_is_named_at_its_likeliest_place_and_the_others_stand_beside():
+    sets = ranked((0.55, (CUBIC, "1")), (0.30, (CUBIC, "2")), (0.13, (CUBIC, "3")), (0.02, (CUBIC, "4")))
+    assert verdict(sets, ALARM)[0] == "named"
+    assert told("named", sets) == [[("cubic_stiffness", ("2",))], [("cubic_stiffness", ("3",))]]
+    assert "1, 2, 3" in advise("named", [sets[0], *rivals("named", sets)])
+
+
+def test_rivals_of_a_set_are_told_however_unlikely_the_next_best_is():
+    sets = ranked((0.94, (CUBIC, "1")), (0.04, (SPRING, "1")), (0.016, (MASS, "1")), (0.004, (MASS, "2")))
+    assert len(told("ambiguous", sets)) == 2
+    assert told("ambiguous", ranked((0.999, (CUBIC, "1")), (0.001, (SPRING, "1")))) == [[("joint_stiffness", ("1",))]]
 
 
 def test_each_place_of_a_pair_counts_by_itself():
     """0.36 for the leading places of both together, but 0.6 for each."""
-    some = ranked(
+    sets = ranked(
         (0.36, (MASS, "1"), (CUBIC, "2")), (0.24, (MASS, "1"), (CUBIC, "3")),
         (0.24, (MASS, "4"), (CUBIC, "2")), (0.16, (MASS, "4"), (CUBIC, "3")),
     )  # fmt: skip
-    assert _verdict(some, 1.0) == "named"
-    assert len(told("named", some)) == 3
+    assert verdict(sets, ALARM)[0] == "named"
+    assert len(told("named", sets)) == 3
 
 
-def test_what_is_left_makes_any_name_unknown():
-    sure = ranked((1.0, (CUBIC, "1")))
-    assert _verdict(sure, 1.0) == "named" and told("named", sure) == []
-    assert _verdict(sure, 1e-3) == "unknown"
-    assert _verdict(ranked((1.0, (MASS, "1"), (CUBIC, "2"))), 5e-3) == "unknown"
+def test_advice_is_that_of_the_causes():
+    laws = ranked((0.6, (CUBIC, "1")), (0.4, (BilinearStiffness(), "1")))
+    assert "three force levels" in advise("ambiguous", laws) and "even harmonics" in advise("ambiguous", laws)
+    h = Hypothesis(hum=HumLines(np.ones(3, bool), -30.0, 1.0, 2.0, 50.0, 1e-6))
+    hum = Ranked(h.names, h, 0.0, 0.5)
+    assert h.names == {("mains_hum", ())}
+    assert MainsHum.advice in advise("ambiguous", [*ranked((0.5, (MASS, "1"))), hum])
+    assert advise("ambiguous", ranked((0.9, (SPRING, "1")))) == "measure another column of the FRF matrix"

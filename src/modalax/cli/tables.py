@@ -92,6 +92,8 @@ def print_diagnosis(console: Console, answer: Mapping[str, Any]) -> None:
     """Print ``Diagnosis.to_dict()``: verdict, causes, rivals, advice and gain."""
     verdict = answer["verdict"]
     console.print(f"[bold]{verdict}[/bold]: {MEANING[verdict]}", highlight=False)
+    for reason in answer.get("reasons") or ():
+        console.print(f"because: {reason}", highlight=False, markup=False)
     if answer["causes"]:
         table = new_table("Causes in the extended simulation")
         for name, justify in (("Cause", "left"), ("Where", "left"), ("Probability", "right"), ("Parameters", "left")):

@@ -1,11 +1,11 @@
 r"""What an extension gains on data that it was not fitted to: a level, a repeat, a column, or whole blocks of lines."""
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
 from modalax.diagnose.comparison import Comparison
+from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.fitting.gauss_newton import ROUNDS
 from modalax.diagnose.fitting.hypothesis import Hypothesis, searched
 from modalax.diagnose.fitting.residual import jacobian_of
@@ -14,49 +14,6 @@ from modalax.diagnose.search.singles import refit
 
 BLOCKS = 16  # stretches of the band where there is nothing else to hold out; every fourth is
 RESAMPLED = 400
-MISSED = 4.0  # standard deviations, and
-FARTHER = 1.05  # factor on chi-square, from which causes are said not to predict what they were not fitted to
-
-
-@dataclass(frozen=True)
-class Gain:
-    """Before and after on the held-out block.
-
-    Attributes
-    ----------
-    held_out
-        What was held out, in words.
-    chi2_before, chi2_after
-        Per real sample; 1 is what noise alone gives.
-    log_likelihood_gain, log_likelihood_gain_std
-        In nats, with its standard deviation by resampling blocks of lines.
-    missed
-        By how many standard deviations the chi-square on the block exceeds that of a fit to all data by more than what
-        the errors of the parameters fitted without it explain. Not small where the causes are not the true ones.
-    chi2_within
-        Per real sample of the block after a fit to all data.
-    """
-
-    held_out: str
-    chi2_before: float
-    chi2_after: float
-    log_likelihood_gain: float
-    log_likelihood_gain_std: float
-    missed: float = 0.0
-    chi2_within: float = float("nan")
-
-    @property
-    def fails(self) -> bool:
-        """Whether the causes fail to predict the block: beyond their errors, and by more than a little."""
-        return self.missed > MISSED and self.chi2_after > FARTHER * self.chi2_within
-
-    def to_dict(self) -> dict[str, Any]:
-        """As in the answer's file."""
-        return {
-            "held_out": self.held_out, "chi2_before": self.chi2_before, "chi2_after": self.chi2_after,
-            "log_likelihood_gain": self.log_likelihood_gain,
-            "log_likelihood_gain_std": self.log_likelihood_gain_std,
-        }  # fmt: skip
 
 
 def held_out_block(

@@ -10,57 +10,14 @@ from modalax.diagnose.causes.mains_hum import MainsHum
 from modalax.diagnose.causes.parameter import Parameter
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.decision.advice import advise
-from modalax.diagnose.decision.detection import Detection
-from modalax.diagnose.decision.omnibus import Omnibus
+from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.posterior import Ranked
 from modalax.diagnose.decision.verdict import rivals
 from modalax.diagnose.extend import ExtendedSimulation
 from modalax.diagnose.fitting.hypothesis import Hypothesis
-from modalax.diagnose.holdout import Gain
-from modalax.diagnose.screening.every_cause import Screening
+from modalax.diagnose.search.explain import Explanation
 from modalax.diagnose.summary import summary
-
-POWER = 1.28  # standard deviations above the threshold at which nine effects in ten are seen
-
-
-@dataclass(frozen=True)
-class Naming:
-    """What was found.
-
-    Attributes
-    ----------
-    verdict
-        ``clean``, ``named``, ``ambiguous`` or ``unknown``.
-    ranked
-        Sets of causes by falling probability.
-    null
-        The simulation alone, its modal parameters adapted within their spread.
-    screening
-        Of the null.
-    detection
-        Significance of what the simulation leaves.
-    before, after
-        Omnibus tests of the null and of the best hypothesis.
-    comparisons
-        In which the null and the best hypothesis were fitted: the same but for what complex modes are exact about.
-    notes
-        Sentences for the answer.
-    """
-
-    verdict: str
-    ranked: list[Ranked]
-    null: Hypothesis
-    screening: Screening
-    detection: Detection
-    before: Omnibus
-    after: Omnibus
-    comparisons: tuple[Comparison, Comparison]
-    notes: tuple[str, ...] = ()
-
-    @property
-    def best(self) -> Hypothesis:
-        """The leading hypothesis; the null where nothing was found."""
-        return self.ranked[0].best if self.ranked else self.null
+from modalax.diagnose.thresholds import THRESHOLDS
 
 
 @dataclass(frozen=True)
@@ -71,9 +28,11 @@ class Diagnosis:
     ----------
     verdict
         ``clean``, ``named``, ``ambiguous`` or ``unknown``.
-    naming
-        Everything behind the verdict: ``ranked`` sets of causes with probabilities, ``detection``, ``screening``
-        (all trials with gain and score), omnibus tests ``before`` and ``after``.
+    reasons
+        Why this verdict, one clause each.
+    found
+        Everything behind the verdict: ``ranked`` sets of causes with probabilities, ``look`` with all trials and the
+        tests of the simulation alone, ``after`` with the test of what the leading set leaves.
     comparison
         Data, noise, nuisances; ``study.notes`` says what was assumed.
     extended
@@ -89,7 +48,8 @@ class Diagnosis:
     """
 
     verdict: str
-    naming: Naming
+    reasons: tuple[str, ...]
+    found: Explanation
     comparison: Comparison
     extended: ExtendedSimulation | None
     gain: Gain
@@ -116,27 +76,27 @@ class Diagnosis:
     @property
     def candidates(self) -> list[Ranked]:
         """Sets of causes by falling probability."""
-        return self.naming.ranked
+        return self.found.ranked
 
     @property
     def causes(self) -> list[dict[str, Any]]:
         """What the extended model contains."""
-        if not self.naming.ranked or self.verdict == "clean":
+        if not self.found.ranked or self.verdict == "clean":
             return []
-        return _told(self.naming.best, self.naming.ranked[0].probability)
+        return _told(self.found.best, self.found.ranked[0].probability)
 
     @property
     def alternatives(self) -> list[list[dict[str, Any]]]:
         """Rivals of the leading set, without parameters; of a named one those that differ in the place."""
         if self.verdict not in ("ambiguous", "named"):
             return []
-        return [_names(r.best) for r in rivals(self.verdict, self.naming.ranked)]
+        return [_names(r.best) for r in rivals(self.verdict, self.found.ranked)]
 
     @property
     def strength_parameters(self) -> dict[str, Parameter]:
         """What the strength of each cause is: the first parameter of the first of its forms."""
         out: dict[str, Parameter] = {}
-        for t in self.naming.screening.trials:
+        for t in self.found.look.screening.trials:
             if t.cause.parameters:
                 out.setdefault(t.cause.slug, t.cause.parameters[0])
         return out
@@ -149,10 +109,10 @@ class Diagnosis:
         """
         errors: dict[str, list[float]] = {}
         strengths = self.strength_parameters
-        for t in self.naming.screening.trials:
+        for t in self.found.look.screening.trials:
             if t.cause.parameters and t.cause.parameters[0] == strengths[t.cause.slug] and np.isfinite(t.error):
                 errors.setdefault(t.cause.slug, []).append(t.error)
-        least = self.naming.detection.threshold + POWER
+        least = self.found.look.detection.threshold + THRESHOLDS.power
         return {slug: float(np.median(values) * least) for slug, values in errors.items()}
 
     @property
@@ -160,9 +120,9 @@ class Diagnosis:
         """What to measure to tell the alternatives apart, and what beside the catalogue the data looks like."""
         if self.verdict == "clean" or (self.verdict == "named" and not self.alternatives):
             return None
-        ranked = self.naming.ranked
+        ranked = self.found.ranked
         told = advise(self.verdict, [ranked[0], *rivals(self.verdict, ranked)] if ranked else [])
-        return "; ".join([*self.naming.notes, told])
+        return "; ".join([*self.found.notes, told])
 
     def to_dict(self) -> dict[str, Any]:
         """The answer as plain data, in the agreed form."""
@@ -172,10 +132,11 @@ class Diagnosis:
             "alternatives": self.alternatives,
             "advice": self.advice,
             "smallest_detectable": self.smallest_detectable,
+            "reasons": list(self.reasons),
             "gain": self.gain.to_dict(),
             "question": self.question,
             "notes": list(self.notes),
-            "p_value": self.naming.detection.p_value,
+            "p_value": self.found.look.detection.p_value,
         }
 
 

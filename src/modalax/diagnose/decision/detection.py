@@ -11,9 +11,8 @@ from modalax.diagnose.decision.omnibus import Omnibus
 from modalax.diagnose.screening.patterns import independent
 from modalax.diagnose.screening.screen import Trial
 from modalax.diagnose.screening.sensitivities import Residual
+from modalax.diagnose.thresholds import THRESHOLDS
 
-ALARM = 0.01  # nominal chance of an alarm where nothing is wrong
-SHARES = {"scores": 0.6, "patterns": 0.1, "hum": 0.1, "omnibus": 0.2}  # of the alarms, by kind of test
 WHEREABOUTS = 3  # of modes that the simulation may lack: in band, above it, below it
 
 
@@ -35,12 +34,12 @@ class Detection:
     @property
     def p_value(self) -> float:
         """Of all tests together."""
-        return min(1.0, min(self.p_values[k] / SHARES[k] for k in self.p_values))
+        return min(1.0, min(self.p_values[k] / THRESHOLDS.shares[k] for k in self.p_values))
 
     @property
     def anything(self) -> bool:
         """Whether something is wrong."""
-        return self.p_value < ALARM
+        return self.p_value < THRESHOLDS.alarm
 
 
 def effective_number(directions: np.ndarray, state: Residual) -> float:
@@ -89,7 +88,7 @@ def detect(
         "hum": min((_hum_p(t) for t in trials if t.cause.judged_by == "hum"), default=1.0),
         "omnibus": remains.p_value,
     }
-    single = -math.expm1(math.log1p(-ALARM * SHARES["scores"]) / count)
+    single = -math.expm1(math.log1p(-THRESHOLDS.alarm * THRESHOLDS.share_of_scores) / count)
     return Detection(p, float(scipy.stats.norm.isf(single / 2)) * spread)
 
 

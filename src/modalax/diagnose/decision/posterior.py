@@ -9,8 +9,7 @@ from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.causes.scene import Place, Scene
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.screening.screen import Trial
-
-MORE_CAUSES = 5.0  # nats that each cause after the first costs before the data: two things are rarely wrong at once
+from modalax.diagnose.thresholds import THRESHOLDS
 
 
 def evidence(h: Hypothesis, scene: Scene, samples: int, null_chi2: float) -> float:
@@ -26,7 +25,7 @@ def evidence(h: Hypothesis, scene: Scene, samples: int, null_chi2: float) -> flo
         sizes = cause.free_sizes(extra)
         if sizes:
             value += 0.5 * sizes * max(each - 1 - math.log(max((null_chi2 - h.chi2) / sizes, 1.0)), 0.0)
-    value -= MORE_CAUSES * max(len(h.names) - 1, 0)
+    value -= THRESHOLDS.several_causes * max(len(h.names) - 1, 0)
     for cause, place, p in zip(h.causes, h.places, h.params, strict=True):  # hum has one place and weight 1
         value += math.log(cause.prior) + math.log(_weight(cause, place, scene)) + math.log(cause.likely(p, scene))
     return value

@@ -1,40 +1,215 @@
-"""The verdict: clean, named, ambiguous or unknown."""
+"""The verdict: one ordered list of rules over what was found, left and predicted."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 from modalax.diagnose.causes.base import ElementCause
+from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.posterior import Ranked
-from modalax.diagnose.fitting.hypothesis import Hypothesis
-
-CERTAIN = 0.95  # posterior from which a single name is given
-RIVAL = 0.005  # posterior below which a rival is not worth naming
-LEFT = 0.002  # chance under noise below which a residual is said to hold something more
-LEFT_BY_SEVERAL = 0.01  # the same where several causes are needed
-PLACED = 0.5  # posterior of each place beyond which sure names are given: likelier there than anywhere else
-ELSEWHERE = 0.05  # probability from which another place is told beside the named one
+from modalax.diagnose.thresholds import THRESHOLDS, Thresholds
 
 
-def _verdict(ranked: list[Ranked], left: float) -> str:
-    """Named only if the names are sure, each place likelier than all others, and nothing hints at something more.
+@dataclass(frozen=True)
+class Leftover:
+    """What the simulation leaves unexplained, with and without the causes that were found.
 
-    Two causes together can imitate a third thing, the more so at one place: they must leave less behind.
+    Attributes
+    ----------
+    alarm
+        Chance under noise alone of what the simulation leaves, over all kinds of tests.
+    explained
+        Chi-square that the best single cause takes away.
+    p_value
+        Chance under noise alone of what the leading set leaves.
+    nameless
+        Probability of things without a name in the answer beside the sets that have one.
+    likeness
+        What the likeliest of these is, in words.
     """
-    best = ranked[0]
-    slugs = sorted(slug for slug, _ in best.names)
-    if left < LEFT or (len(slugs) > 1 and left < LEFT_BY_SEVERAL):
-        return "unknown"
-    alike = [r for r in ranked if sorted(slug for slug, _ in r.names) == slugs]
-    placed = all(sum(r.probability for r in alike if one in r.names) > PLACED for one in best.names)
-    sure = sum(r.probability for r in alike) >= CERTAIN and placed and not _one_joint(best.best)
-    return "named" if sure else "ambiguous"
+
+    alarm: float
+    explained: float = 0.0
+    p_value: float = 1.0
+    nameless: float = 0.0
+    likeness: str = ""
 
 
-def _one_joint(h: Hypothesis) -> bool:
-    """Whether several elements sit at one place: together they may be one joint of a law that no one listed."""
+@dataclass(frozen=True)
+class Case:
+    """All that a rule may look at."""
+
+    ranked: Sequence[Ranked]
+    leftover: Leftover
+    held_out: Gain | None
+    limits: Thresholds
+
+    @property
+    def best(self) -> Ranked:
+        """The leading set of causes."""
+        return self.ranked[0]
+
+    @property
+    def names(self) -> str:
+        """The causes of the leading set, in words."""
+        return " and ".join(slug for slug, _ in sorted(self.best.names, key=str))
+
+    @property
+    def alike(self) -> list[Ranked]:
+        """Sets of the same names as the leading one, wherever they are."""
+        own = _slugs(self.best)
+        return [r for r in self.ranked if _slugs(r) == own]
+
+    @property
+    def certainty(self) -> float:
+        """Probability of the names, wherever they are."""
+        return sum(r.probability for r in self.alike)
+
+    @property
+    def unplaced(self) -> list[str]:
+        """Names whose likeliest place is not likelier than all others together."""
+        by_place = {one: sum(r.probability for r in self.alike if one in r.names) for one in self.best.names}
+        return sorted(slug for (slug, _), p in by_place.items() if p <= self.limits.placed)
+
+
+Rule = Callable[[Case], str | None]
+
+
+def nothing_stands_out(case: Case) -> str | None:
+    """Noise alone would leave as much as the simulation does."""
+    chance, limit = case.leftover.alarm, case.limits.alarm
+    return None if chance < limit else (
+        f"noise alone would leave as much as the simulation does with a chance of {chance:.2g} ({limit:g} would be an "
+        "alarm)"
+    )  # fmt: skip
+
+
+def nothing_explains(case: Case) -> str | None:
+    """No cause takes enough of it away."""
+    enough = case.ranked and case.leftover.explained >= case.limits.explains
+    return None if enough else "the simulation leaves more than noise, and no cause that was looked for explains it"
+
+
+def something_is_left(case: Case) -> str | None:
+    """What the causes leave is more than noise; several causes together must leave less than one."""
+    if not case.ranked:
+        return None
+    several = len(case.best.names) > 1
+    limit = max(case.limits.left, case.limits.left_by_several) if several else case.limits.left
+    chance = case.leftover.p_value
+    return None if chance >= limit else (
+        f"{case.names} leaves more than noise: a chance of {chance:.2g}, where {limit:g} is asked for"
+    )  # fmt: skip
+
+
+def nameless_is_likelier(case: Case) -> str | None:
+    """Something that the answer has no name for is likelier."""
+    p = case.leftover.nameless
+    return None if p <= case.limits.nameless else (
+        f"something beside the catalogue is likelier than any of its causes: {case.leftover.likeness or 'unlisted'} "
+        f"(probability {p:.2f})"
+    )  # fmt: skip
+
+
+def other_names_compete(case: Case) -> str | None:
+    """The names are not sure."""
+    p, asked = case.certainty, case.limits.certain
+    return (
+        None if p >= asked else f"{case.names} has a probability of {p:.3g}, less than {asked:g}: other causes compete"
+    )
+
+
+def places_compete(case: Case) -> str | None:
+    """A place is not likelier than all others together."""
+    names = case.unplaced
+    return (
+        None if not names else f"{' and '.join(names)} may sit elsewhere: no place is likelier than all others together"
+    )
+
+
+def elements_share_a_place(case: Case) -> str | None:
+    """Several elements at one place may together be one joint of a law that is not listed."""
+    h = case.best.best
     at = [p.where for c, p in zip(h.causes, h.places, strict=True) if isinstance(c, ElementCause)]
-    return len(set(at)) < len(at)
+    return None if len(set(at)) == len(at) else f"{case.names} at one place may be one joint of another law"
 
 
-def rivals(verdict: str, ranked: list[Ranked]) -> list[Ranked]:
+def held_out_is_missed(case: Case) -> str | None:
+    """Several causes can imitate a third thing on what they are fitted to, but hardly predict it elsewhere."""
+    gain, limits, several = case.held_out, case.limits, len(case.best.best.causes) > 1
+    if gain is None or not several or not fails(gain, limits):
+        return None
+    return (
+        f"fitted without {gain.held_out}, {case.names} leave a chi-square of {gain.chi2_after:.2f} a sample there, "
+        f"fitted with it {gain.chi2_within:.2f}: something else that they imitate"
+    )
+
+
+def named(case: Case) -> str | None:
+    """Nothing speaks against the names."""
+    return (
+        f"{case.names} has a probability of {case.certainty:.3g} among all causes that were looked for, and what it "
+        f"leaves has a chance of {case.leftover.p_value:.2g} under noise alone"
+    )
+
+
+RULES: tuple[tuple[str, Rule], ...] = (
+    ("clean", nothing_stands_out),
+    ("unknown", nothing_explains),
+    ("unknown", something_is_left),
+    ("unknown", nameless_is_likelier),
+    ("ambiguous", other_names_compete),
+    ("ambiguous", places_compete),
+    ("ambiguous", elements_share_a_place),
+    ("unknown", held_out_is_missed),
+    ("named", named),
+)
+
+
+def verdict(
+    ranked: Sequence[Ranked], leftover: Leftover, held_out: Gain | None = None, thresholds: Thresholds = THRESHOLDS
+) -> tuple[str, tuple[str, ...]]:
+    """What is said of the sets of causes that were found, and why.
+
+    The first of ``RULES`` that applies gives the verdict; those right after it that give the same one and apply too add
+    their reasons.
+
+    Parameters
+    ----------
+    ranked
+        Sets of causes by falling probability; empty where none was found.
+    leftover
+        What the simulation leaves, with and without the leading set.
+    held_out
+        How the leading set predicts a block that it was not fitted to; None where that is not known yet.
+    thresholds
+        Limits of the rules.
+
+    Returns
+    -------
+    tuple
+        ``clean``, ``named``, ``ambiguous`` or ``unknown``, and the reasons, each a clause.
+    """
+    case, word, reasons = Case(ranked, leftover, held_out, thresholds), "", []
+    for name, rule in RULES:
+        if word and name != word:
+            break
+        reason = rule(case)
+        if reason is not None:
+            word, reasons = name, [*reasons, reason]
+    return word, tuple(reasons)
+
+
+def fails(gain: Gain, thresholds: Thresholds = THRESHOLDS) -> bool:
+    """Whether causes fail to predict the block held out: beyond their parameters' errors, and by more than a little."""
+    return gain.missed > thresholds.missed and gain.chi2_after > thresholds.farther * gain.chi2_within
+
+
+def rivals(word: str, ranked: Sequence[Ranked], thresholds: Thresholds = THRESHOLDS) -> list[Ranked]:
     """Sets worth telling beside the leading one: other places of what is named, else the next best at least."""
-    if verdict == "named":
-        return [r for r in ranked[1:] if r.probability >= ELSEWHERE]
-    return [r for r in ranked[1:] if r.probability >= RIVAL] or ranked[1:2]
+    if word == "named":
+        return [r for r in ranked[1:] if r.probability >= thresholds.elsewhere]
+    return [r for r in ranked[1:] if r.probability >= thresholds.rival] or list(ranked[1:2])
+
+
+def _slugs(r: Ranked) -> list[str]:
+    return sorted(slug for slug, _ in r.names)

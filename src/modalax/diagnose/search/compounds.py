@@ -14,7 +14,6 @@ from modalax.diagnose.comparison import Comparison, hum_of
 from modalax.diagnose.decision.detection import detect
 from modalax.diagnose.decision.omnibus import Omnibus, omnibus
 from modalax.diagnose.decision.posterior import Ranked, promise
-from modalax.diagnose.decision.verdict import LEFT
 from modalax.diagnose.fitting.hypothesis import Hypothesis, searched
 from modalax.diagnose.fitting.residual import jacobian_of
 from modalax.diagnose.screening.every_cause import chosen, screen_all
@@ -24,6 +23,7 @@ from modalax.diagnose.search.candidates import best_of_each, cost_of, moderate, 
 from modalax.diagnose.search.pattern_sizes import settle_pattern
 from modalax.diagnose.search.singles import PATIENT
 from modalax.diagnose.setup.noise import TRUSTED
+from modalax.diagnose.thresholds import THRESHOLDS
 
 LEADING, BEHIND = 2, 40.0  # hypotheses that a further cause is added to, and nats that these may be behind the best
 FURTHER = 3  # causes tried on each
@@ -82,7 +82,7 @@ def one_more_cause(
     """
 
     def worthy(h: Hypothesis) -> bool:
-        worth = _worth(comparison) if rest(ranked[0].best).p_value > LEFT else 0.0
+        worth = _worth(comparison) if rest(ranked[0].best).p_value > THRESHOLDS.left else 0.0
         return bool(rest(h).trials) and rest(h).trials[0].gain > worth
 
     def tried(some: list[Hypothesis]) -> list[Hypothesis]:
@@ -129,7 +129,7 @@ def rest_of(comparison: Comparison, h: Hypothesis, null: Hypothesis, causes: Seq
 
 def _worth(comparison: Comparison) -> float:
     """Chi-square that a further cause must promise."""
-    return 22.0 + math.log(max(comparison.problem.samples, 30))
+    return THRESHOLDS.further_cause + math.log(max(comparison.problem.samples, 30))
 
 
 def _jacobian(comparison: Comparison, h: Hypothesis) -> np.ndarray:

@@ -9,10 +9,10 @@ from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.screening.every_cause import screen_all
 from modalax.diagnose.screening.score_state import ScoreState
 from modalax.diagnose.search.singles import fit_single
+from modalax.diagnose.thresholds import THRESHOLDS
 
 SHARE = 0.5  # of what the leading hypothesis explains, below which a trial is not worth a fit
 FITS = 6  # trials of one kind
-TELL = 0.05  # probability from which a likeness is told
 
 
 def imitations(
@@ -36,7 +36,7 @@ def apart(ranked: Sequence[Ranked]) -> tuple[list[Ranked], list[Ranked]]:
 
 def likeness(nameless: Sequence[Ranked]) -> tuple[str, ...]:
     """A sentence on what the data looks like, if that is likely enough."""
-    if not nameless or sum(r.probability for r in nameless) < TELL:
+    if not nameless or sum(r.probability for r in nameless) < THRESHOLDS.likeness:
         return ()
     cause, place = nameless[0].best.causes[0], nameless[0].best.places[0]
     where = f" at {' and '.join(str(w) for w in place.where)}" if place.where else ""

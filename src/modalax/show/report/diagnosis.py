@@ -66,6 +66,8 @@ def gain_rows(gain: Mapping[str, Any]) -> Table:
 def diagnosis_sections(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> list[Section]:
     """Sections of a diagnosis: answer, gain, FRFs, residuals, candidates, smallest detectable effects."""
     text = [MEANING.get(answer["verdict"], "")]
+    if answer["reasons"]:
+        text.append(f"Why: {'; '.join(answer['reasons'])}.")
     if answer["alternatives"]:
         text += [f"As well it may be {told(rival)}." for rival in answer["alternatives"]]
     if answer["advice"]:
@@ -103,7 +105,7 @@ def _frfs(diagnosis: Diagnosis) -> Plot:
 
 
 def _tests(diagnosis: Diagnosis) -> str:
-    before, after = diagnosis.naming.before, diagnosis.naming.after
+    before, after = diagnosis.found.look.omnibus, diagnosis.found.after
     text = f"The simulation leaves a largest deviation of {before.z:.3g} standard deviations ({before.where})"
     if diagnosis.extended is None:
         return f"{text}."

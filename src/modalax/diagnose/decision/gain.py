@@ -1,0 +1,40 @@
+"""What an extension gains on data that it was not fitted to."""
+
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Before and after on the held-out block.
+
+    Attributes
+    ----------
+    held_out
+        What was held out, in words.
+    chi2_before, chi2_after
+        Per real sample; 1 is what noise alone gives.
+    log_likelihood_gain, log_likelihood_gain_std
+        In nats, with its standard deviation by resampling blocks of lines.
+    missed
+        By how many standard deviations the chi-square on the block exceeds that of a fit to all data by more than what
+        the errors of the parameters fitted without it explain. Not small where the causes are not the true ones.
+    chi2_within
+        Per real sample of the block after a fit to all data.
+    """
+
+    held_out: str
+    chi2_before: float
+    chi2_after: float
+    log_likelihood_gain: float
+    log_likelihood_gain_std: float
+    missed: float = 0.0
+    chi2_within: float = float("nan")
+
+    def to_dict(self) -> dict[str, Any]:
+        """As in the answer's file."""
+        return {
+            "held_out": self.held_out, "chi2_before": self.chi2_before, "chi2_after": self.chi2_after,
+            "log_likelihood_gain": self.log_likelihood_gain,
+            "log_likelihood_gain_std": self.log_likelihood_gain_std,
+        }  # fmt: skip

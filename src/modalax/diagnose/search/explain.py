@@ -1,0 +1,142 @@
+"""The causes that explain what a simulation leaves: one alone, several together, and whether to doubt them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+from modalax.diagnose.causes.base import Cause, UndampedCause
+from modalax.diagnose.comparison import Comparison
+from modalax.diagnose.decision.omnibus import Omnibus
+from modalax.diagnose.decision.posterior import Ranked, evidence, posterior
+from modalax.diagnose.decision.verdict import Leftover, verdict
+from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.screening.every_cause import chosen
+from modalax.diagnose.search.candidates import best_of_each
+from modalax.diagnose.search.compounds import FURTHER, Rest, exchanged, one_more_cause, rest_of
+from modalax.diagnose.search.imitator_check import apart, imitations, likeness
+from modalax.diagnose.search.look import Look
+from modalax.diagnose.search.singles import PATIENT, fit_single, from_home, joints_for_drifts
+
+NEAR = 12.0  # nats behind the best up to which hypotheses are fitted again where complex modes are exact
+DEEPEST = 3  # causes in one answer
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What was found to explain what the simulation leaves.
+
+    Attributes
+    ----------
+    look
+        The simulation alone beside the data.
+    comparison
+        In which the sets of causes were fitted: that of ``look`` but for what complex modes are exact about.
+    ranked
+        Sets of causes by falling probability; empty where none was looked for or none explains anything.
+    leftover
+        What the simulation leaves, with and without the leading set.
+    after
+        Omnibus test of what the leading set leaves.
+    fitted
+        All hypotheses that were fitted.
+    notes
+        Sentences for the answer.
+    """
+
+    look: Look
+    comparison: Comparison
+    ranked: list[Ranked]
+    leftover: Leftover
+    after: Omnibus
+    fitted: list[Hypothesis] = field(default_factory=list, repr=False)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def best(self) -> Hypothesis:
+        """The leading hypothesis; the simulation alone where nothing was found."""
+        return self.ranked[0].best if self.ranked else self.look.null
+
+
+def explain(look: Look, causes: Sequence[Cause]) -> Explanation:
+    """Search single causes, then one more at a time, if what the simulation leaves is more than noise."""
+    leftover = Leftover(alarm=look.detection.p_value)
+    nothing = Explanation(look, look.comparison, [], leftover, look.omnibus)
+    if not look.detection.anything:
+        return nothing
+    fitted = singles(look, causes)
+    ranked = weigh(look, fitted)
+    explained = look.null.chi2 - ranked[0].best.chi2 if ranked else 0.0
+    leftover = replace(leftover, explained=explained)
+    if verdict(ranked, leftover)[0] == "unknown":
+        return replace(nothing, leftover=leftover)
+    comparison, fitted, ranked = centred(look, fitted, ranked)
+    ranked, fitted, rest = together(look, comparison, fitted, ranked, causes)
+    return Explanation(look, comparison, ranked, replace(leftover, p_value=rest.p_value), rest.omnibus, fitted)
+
+
+def doubt(found: Explanation, imitators: Sequence[Cause]) -> Explanation:
+    """Look for things without a name that may explain better what is about to be named."""
+    several_with_hum = found.best.hum is not None and bool(found.best.causes)
+    if not found.ranked or several_with_hum or verdict(found.ranked, found.leftover)[0] == "ambiguous":
+        return found
+    others = imitations(found.comparison, found.look.null, found.look.state, found.best, imitators)
+    ranked, nameless = apart(weigh(found.look, found.fitted + others, found.comparison))
+    notes = likeness(nameless)
+    leftover = replace(
+        found.leftover, nameless=sum(r.probability for r in nameless), likeness=notes[0] if notes else ""
+    )
+    return replace(found, ranked=ranked, leftover=leftover, notes=notes)
+
+
+def weigh(look: Look, fitted: list[Hypothesis], comparison: Comparison | None = None) -> list[Ranked]:
+    """Sets of causes with their probabilities among all that were fitted."""
+    used = comparison or look.comparison
+    samples = look.comparison.problem.samples
+    each = best_of_each(fitted, used)
+    return posterior([(h, evidence(h, used.scene, samples, look.null.chi2)) for h in each])
+
+
+def singles(look: Look, causes: Sequence[Cause]) -> list[Hypothesis]:
+    """Single causes, fitted."""
+    comparison, null = look.comparison, look.null
+    found = fit_single(comparison, null, chosen(look.screening.trials), look.state)
+    found += from_home(comparison, null, causes)
+    if look.again is not None:  # a modal parameter far off is found where the modes follow it exactly
+        other = look.again
+        trials = [t for t in chosen(other.screening.trials) if isinstance(t.cause, UndampedCause)]
+        found += fit_single(other.comparison, other.null, trials, other.state) if trials else []
+    return found + joints_for_drifts(comparison, null, best_of_each(found, comparison), causes, look.state)
+
+
+def centred(
+    look: Look, fitted: list[Hypothesis], ranked: list[Ranked]
+) -> tuple[Comparison, list[Hypothesis], list[Ranked]]:
+    """Make complex modes exact about the leading hypothesis, and fit those near it again."""
+    comparison = look.comparison.centred(ranked[0].best)
+    if comparison is look.comparison:
+        return comparison, fitted, ranked
+    near = [r.best for r in ranked if r.log_evidence > ranked[0].log_evidence - NEAR and r.best.hum is None]
+    fitted = comparison.fit(near, PATIENT) + [h for h in fitted if not any(h is other for other in near)]
+    return comparison, fitted, weigh(look, fitted, comparison)
+
+
+def together(
+    look: Look, comparison: Comparison, fitted: list[Hypothesis], ranked: list[Ranked], causes: Sequence[Cause]
+) -> tuple[list[Ranked], list[Hypothesis], Rest]:
+    """Add one cause at a time, as long as what is left asks for one and the leading set takes it up."""
+    rests: dict[int, tuple[Hypothesis, Rest]] = {}  # the hypothesis is kept, so that its number stays its own
+
+    def rest(h: Hypothesis) -> Rest:
+        if id(h) not in rests:
+            rests[id(h)] = h, rest_of(comparison, h, look.null, causes)
+        return rests[id(h)][1]
+
+    for depth in range(2, DEEPEST + 1):
+        more = one_more_cause(comparison, ranked, rest)
+        fitted = fitted + more
+        ranked = weigh(look, fitted, comparison)
+        if not more or len(ranked[0].names) < depth:
+            break
+        # the first cause was found while the second still hid its like
+        fitted = fitted + exchanged(comparison, ranked[0].best, lambda h: rest(h).trials, FURTHER)
+        ranked = weigh(look, fitted, comparison)
+    return ranked, fitted, rest(ranked[0].best)

@@ -1,0 +1,53 @@
+"""Whether anything is wrong at all: the simulation alone beside the data."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from modalax.diagnose.causes.base import Cause
+from modalax.diagnose.comparison import Comparison, empty
+from modalax.diagnose.decision.detection import Detection, detect
+from modalax.diagnose.decision.omnibus import Omnibus, omnibus
+from modalax.diagnose.fitting.gauss_newton import ROUNDS
+from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.screening.every_cause import Screening, screen_all
+from modalax.diagnose.screening.score_state import ScoreState, score_state_of
+
+CENTRED = 3  # times that complex modes are made exact about what was fitted
+
+
+@dataclass(frozen=True)
+class Look:
+    """The simulation alone beside the data: what it leaves, what the causes would explain of that, and the chance.
+
+    Where dampers couple the modes, ``again`` is the same with complex modes exact about the parameters fitted to that.
+    """
+
+    comparison: Comparison
+    null: Hypothesis
+    omnibus: Omnibus
+    state: ScoreState
+    screening: Screening
+    detection: Detection
+    again: "Look | None" = None
+
+
+def look(comparison: Comparison, causes: Sequence[Cause]) -> Look:
+    """Whether anything is wrong at all."""
+    first = _look(comparison, causes)
+    if not first.detection.anything or comparison.problem.modal_form.mixing is None or not comparison.nuisance.active:
+        return first
+    # complex modes follow undamped ones to first order only: what that leaves is no finding
+    about = comparison
+    for _ in range(CENTRED):
+        about = about.centred(about.fit([empty(comparison)], ROUNDS)[0])
+    again = _look(about, causes)
+    return replace(first, again=again) if again.detection.anything else again
+
+
+def _look(comparison: Comparison, causes: Sequence[Cause]) -> Look:
+    null = comparison.fit([empty(comparison)], ROUNDS)[0]
+    before = omnibus(comparison.residual(null), comparison.live(), comparison.noise.freedom)
+    state = score_state_of(comparison, null)
+    screening = screen_all(comparison, null, causes, state)
+    found = detect(screening.trials, state.sides, before, comparison.noise.spread)
+    return Look(comparison, null, before, state, screening, found)

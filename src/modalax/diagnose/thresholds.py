@@ -1,0 +1,111 @@
+"""The thresholds of the decision: value, unit, meaning, and the script that measures how well each is set."""
+
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+
+def _threshold(value: float, unit: str, meaning: str, measured_by: str) -> Any:
+    return field(default=value, metadata={"unit": unit, "meaning": meaning, "measured_by": measured_by})
+
+
+ALARMS = "experiments/diagnosis/alarms.py"
+SCORE = "experiments/diagnosis/score.py"
+HUM = "experiments/diagnosis/hum.py"
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """Every number that the verdict depends on; :meth:`table` tells what each means.
+
+    None of them is fitted: they were chosen beforehand, and the script of each measures, on draws of hidden cases, how
+    often the decision that it stands for is right.
+    """
+
+    alarm: float = _threshold(
+        0.01, "chance",
+        "Something is wrong where what the simulation leaves has less than this chance under noise alone.", ALARMS,
+    )  # fmt: skip
+    share_of_scores: float = _threshold(
+        0.6, "share of alarm", "The scores of all causes at all places together may raise this share of the alarms.",
+        ALARMS,
+    )  # fmt: skip
+    share_of_patterns: float = _threshold(
+        0.1, "share of alarm", "Modes that the simulation lacks may raise this share of the alarms.", ALARMS
+    )
+    share_of_hum: float = _threshold(
+        0.1, "share of alarm", "Hum at the mains frequency may raise this share of the alarms.", HUM
+    )
+    share_of_omnibus: float = _threshold(
+        0.2, "share of alarm", "The tests that know no cause may raise this share of the alarms.", ALARMS
+    )
+    explains: float = _threshold(
+        9.0, "chi-square",
+        "A set of causes explains something only if it takes more than this off the chi-square of the simulation.",
+        SCORE,
+    )  # fmt: skip
+    left: float = _threshold(
+        0.002, "chance",
+        "What a single cause leaves holds something more where it has less than this chance under noise alone.", SCORE,
+    )  # fmt: skip
+    left_by_several: float = _threshold(
+        0.01, "chance",
+        "What several causes leave holds something more below this chance, as several can imitate a third thing.",
+        SCORE,
+    )  # fmt: skip
+    further_cause: float = _threshold(
+        22.0, "chi-square",
+        "A further cause is tried where it promises more than this and the logarithm of the number of samples.", SCORE,
+    )  # fmt: skip
+    several_causes: float = _threshold(
+        5.0, "nats", "Each cause after the first costs this much before the data: two things are rarely wrong at once.",
+        SCORE,
+    )  # fmt: skip
+    nameless: float = _threshold(
+        0.5, "probability",
+        "No name is given where things without a name in the answer are together likelier than this.", SCORE,
+    )  # fmt: skip
+    certain: float = _threshold(
+        0.95, "probability", "Names are given where sets of just these names have at least this probability.", SCORE
+    )
+    placed: float = _threshold(
+        0.5, "probability", "Names are given where each has one place that is likelier than this.", SCORE
+    )
+    missed: float = _threshold(
+        4.0, "standard deviations",
+        "Several causes fail on the held-out block where its chi-square exceeds, by more than this, what the errors of "
+        "their parameters explain.", SCORE,
+    )  # fmt: skip
+    farther: float = _threshold(
+        1.05, "ratio of chi-squares",
+        "They fail only if that chi-square is also more than this many times the one of a fit to all data.", SCORE,
+    )  # fmt: skip
+    rival: float = _threshold(
+        0.005, "probability", "A rival of an ambiguous set is told from this probability on.", SCORE
+    )
+    elsewhere: float = _threshold(
+        0.05, "probability", "Another place of what is named is told from this probability on.", SCORE
+    )
+    likeness: float = _threshold(
+        0.05, "probability", "What the data looks like beside the catalogue is told from this probability on.", SCORE
+    )
+    power: float = _threshold(
+        1.28, "standard deviations",
+        "The smallest detectable strength lies this far above the threshold of a single score, so that nine effects in "
+        "ten of that strength are seen.", SCORE,
+    )  # fmt: skip
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """Shares of the alarms by kind of test, summing to 1."""
+        return {
+            "scores": self.share_of_scores, "patterns": self.share_of_patterns, "hum": self.share_of_hum,
+            "omnibus": self.share_of_omnibus,
+        }  # fmt: skip
+
+    def table(self) -> list[tuple[str, float, str, str, str]]:
+        """Rows of name, value, unit, meaning and the script that measures it."""
+        rows = ((f.name, getattr(self, f.name), f.metadata) for f in fields(self))
+        return [(name, value, m["unit"], m["meaning"], m["measured_by"]) for name, value, m in rows]
+
+
+THRESHOLDS = Thresholds()
