@@ -58,3 +58,22 @@ def require_finite(value: Any, what: str) -> None:
     if bad.any():
         first = tuple(int(k) for k in np.argwhere(bad)[0])
         raise ValueError(f"{what} holds {int(bad.sum())} values that are not finite, the first at index {first}")
+
+
+def require_range(value: Any, what: str, low: float, high: float, needs: str, unknown: bool = False) -> None:
+    """Refuse numbers outside ``low`` to ``high``, or not finite; ``unknown``: NaN stands for a number not known.
+
+    Raises
+    ------
+    ValueError
+        With the first number at fault and what ``needs`` says (traced values are not looked at).
+    """
+    if is_traced(value):
+        return
+    numbers = np.asarray(value, dtype=float)
+    bad = ~((numbers >= low) & (numbers <= high) & np.isfinite(numbers))
+    bad &= ~(np.isnan(numbers) & unknown)
+    if bad.any():
+        first = numbers[bad].ravel()[0]
+        count = f" ({int(bad.sum())} of {bad.size})" if bad.size > 1 else ""
+        raise ValueError(f"{what} is {first:g}{count}; {needs}")

@@ -1,5 +1,6 @@
 """Measured frequency response functions: the values, their axis, their noise and their names."""
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any, Literal, get_args
 
@@ -9,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from modalax._numerics.checks import as_double, is_traced, require_finite
+from modalax._numerics.checks import as_double, is_traced, require_finite, require_range
 
 Form = Literal["receptance", "mobility", "accelerance"]
 DERIVATIVES: dict[str, int] = {"receptance": 0, "mobility": 1, "accelerance": 2}
@@ -41,12 +42,16 @@ def check_names(names: Sequence[str], count: int, axis: str) -> tuple[str, ...]:
     ValueError
         If their number differs from ``count`` or a name stands twice.
     """
+    if isinstance(names, str):
+        raise ValueError(f"{axis} is the text {names!r}; it needs a list of names, one a channel")
     names = tuple(str(n) for n in names)
     if len(names) != count:
         raise ValueError(f"{len(names)} names for {count} {axis}: {axis} needs one name a channel")
-    twice = sorted({n for n in names if names.count(n) > 1})
+    twice = sorted(name for name, times in Counter(names).items() if times > 1)
     if twice:
-        raise ValueError(f"{axis} names {', '.join(twice)} stand more than once; each channel needs its own")
+        raise ValueError(f"{axis} names {', '.join(twice[:6])} stand more than once; each channel needs its own")
+    if any(not name.strip() for name in names):
+        raise ValueError(f"{axis} holds an empty name; each channel needs its own")
     return names
 
 
@@ -111,6 +116,26 @@ def check_variance(variance: Any) -> None:
         raise ValueError(f"variance holds negative values (smallest {smallest:g})")
 
 
+def check_beside(shape: tuple[int, ...], coherence: Any, level: Any, added_decay: Any, averages: Any) -> None:
+    """Refuse FRFs without runs, outputs or inputs, and numbers beside them that cannot be.
+
+    Raises
+    ------
+    ValueError
+        Naming the number seen and what is needed.
+    """
+    if 0 in shape:
+        raise ValueError(f"H has shape {shape}; at least one run, line, output and input are needed")
+    if coherence is not None:
+        # A thousandth above one is rounding of files in single precision, or of averages taken apart.
+        require_range(coherence, "coherence", -1e-3, 1 + 1e-3, "a coherence lies between 0 and 1")
+    positive = "a force amplitude is above 0 N and finite; NaN where it is not known"
+    require_range(level, "level", np.finfo(float).tiny, np.inf, positive, unknown=True)
+    require_range(added_decay, "added_decay", 0.0, np.inf, "a window adds a decay of 0 or more a second")
+    if averages is not None and (isinstance(averages, bool) or averages != int(averages) or averages < 1):
+        raise ValueError(f"averages is {averages}; it needs a whole number of repeats, at least 1")
+
+
 class FRF(eqx.Module):
     r"""One run of measured frequency response functions :math:`H_{oi}(\omega_f)`.
 
@@ -171,6 +196,7 @@ class FRF(eqx.Module):
                 "frequency line, output, input"
             )
         require_finite(self.H, "H")
+        check_beside(self.H.shape, coherence, level, added_decay, averages)
         self.variance = None if variance is None else jnp.broadcast_to(as_double(variance, "variance"), self.H.shape)
         if self.variance is not None:
             check_variance(variance)
@@ -183,8 +209,6 @@ class FRF(eqx.Module):
         _, n_out, n_in = self.H.shape
         self.outputs = check_names(default_names(n_out, "o") if outputs is None else outputs, n_out, "outputs")
         self.inputs = check_names(default_names(n_in, "i") if inputs is None else inputs, n_in, "inputs")
-        if averages is not None and averages < 1:
-            raise ValueError(f"averages is {averages}; at least 1 repeat is needed")
         self.averages = averages
 
     @property

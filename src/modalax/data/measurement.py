@@ -8,8 +8,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from modalax._numerics.checks import as_double, is_traced, require_finite
-from modalax.data.frf import FRF, band_slice, check_axis, check_form, check_names, check_variance, default_names
+from modalax._numerics.checks import as_double, is_traced, require_finite, require_range
+from modalax.data.frf import (
+    FRF,
+    band_slice,
+    check_axis,
+    check_beside,
+    check_form,
+    check_names,
+    check_variance,
+    default_names,
+)
 
 
 class Measurement(eqx.Module):
@@ -72,6 +81,7 @@ class Measurement(eqx.Module):
                 "run, frequency line, output, input"
             )
         require_finite(self.H, "H")
+        check_beside(self.H.shape, coherence, level, added_decay, averages)
         runs, _, n_out, n_in = self.H.shape
         self.variance = None if variance is None else jnp.broadcast_to(as_double(variance, "variance"), self.H.shape)
         if self.variance is not None:
@@ -89,8 +99,6 @@ class Measurement(eqx.Module):
         self.form = check_form(form)
         self.outputs = check_names(default_names(n_out, "o") if outputs is None else outputs, n_out, "outputs")
         self.inputs = check_names(default_names(n_in, "i") if inputs is None else inputs, n_in, "inputs")
-        if averages is not None and averages < 1:
-            raise ValueError(f"averages is {averages}; at least 1 repeat is needed")
         self.averages = averages
 
     @classmethod
@@ -186,4 +194,5 @@ def _forces(force: Any, shape: tuple[int, ...]) -> Float[Array, "run f"]:
     if force.shape != shape:
         raise ValueError(f"force has shape {force.shape}; it needs one amplitude a run and line, shape {shape}")
     require_finite(force, "force")
+    require_range(force, "force", np.finfo(float).tiny, np.inf, "a force amplitude is above 0 N")
     return force

@@ -9,6 +9,7 @@ import numpy as np
 
 from modalax.data.frf import FRF
 from modalax.data.measurement import Measurement
+from modalax.files.guard import LONGEST_NAME, check_names
 from modalax.model.modal import ModalModel, poles_from
 from modalax.model.structure import Structure
 
@@ -129,11 +130,33 @@ def _numbers(arrays: Arrays, name: str, complex_: bool = False) -> np.ndarray:
 def _words(arrays: Arrays, name: str) -> list[str]:
     """Names from an array of text, bytes or whole numbers."""
     value = np.atleast_1d(np.asarray(arrays[name]))
+    check_names(value.size, name)
     if value.dtype.kind == "S":
-        value = np.char.decode(value, "utf-8")
+        try:
+            value = np.char.decode(value, "utf-8")
+        except UnicodeDecodeError as error:
+            raise ValueError(f"{name} holds bytes that are no text in UTF-8 ({error})") from error
     if value.dtype.kind not in "UTOiu":
         raise ValueError(f"{name} has type {value.dtype}; it needs text, one name a channel")
-    return [str(item).strip() for item in value.ravel()]
+    words = [str(item).strip() for item in value.ravel()]
+    if any(len(word) > LONGEST_NAME or not word.isprintable() for word in words):
+        raise ValueError(f"{name} holds text that is no name: at most {LONGEST_NAME} letters, all printable, are read")
+    return words
+
+
+def _word(arrays: Arrays, name: str) -> str:
+    """One word, such as the form."""
+    words = _words(arrays, name)
+    if len(words) != 1 or not words[0]:
+        raise ValueError(f"{name} holds {len(words)} words ({', '.join(words[:4])}); it needs one")
+    return words[0]
+
+
+def _number(arrays: Arrays, name: str) -> float:
+    value = _numbers(arrays, name)
+    if value.size != 1 or not np.isfinite(value).all():
+        raise ValueError(f"{name} is {value.ravel()[:4].tolist()}, shape {value.shape}; it needs one finite number")
+    return float(value.item())
 
 
 def _measurement(arrays: Arrays) -> Measurement:
@@ -158,21 +181,21 @@ def _measurement(arrays: Arrays) -> Measurement:
     if "averages" in arrays:
         optional["averages"] = _whole(arrays, "averages")
     if "added_decay" in arrays:
-        optional["added_decay"] = float(_numbers(arrays, "added_decay").item())
+        optional["added_decay"] = _number(arrays, "added_decay")
     if "force" in arrays:
         optional["force"] = np.atleast_2d(_numbers(arrays, "force"))
     level = np.atleast_1d(_numbers(arrays, "level").squeeze()) if "level" in arrays else None
     return Measurement(
-        freq, H[None] if single else H, form=_words(arrays, "form")[0], level=level, outputs=outputs, inputs=inputs,
+        freq, H[None] if single else H, form=_word(arrays, "form"), level=level, outputs=outputs, inputs=inputs,
         **optional,
     )  # fmt: skip
 
 
 def _whole(arrays: Arrays, name: str) -> int:
-    value = _numbers(arrays, name)
-    if value.size != 1 or float(value.item()) != int(value.item()):
-        raise ValueError(f"{name} is {value.tolist()}; it needs one whole number")
-    return int(value.item())
+    value = _number(arrays, name)
+    if value != int(value):
+        raise ValueError(f"{name} is {value:g}; it needs one whole number")
+    return int(value)
 
 
 def _check_axes(H: np.ndarray, axes: list[str], lengths: dict[str, int]) -> None:

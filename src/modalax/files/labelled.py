@@ -9,10 +9,14 @@ import numpy as np
 from modalax.data.frf import FRF
 from modalax.data.measurement import Measurement
 from modalax.files.arrays import Saved, from_arrays, to_arrays
+from modalax.files.guard import reading
+from modalax.files.inside import check_datasets, check_store
+from modalax.files.units import force_factor, frequency_factor, plain, response_unit
 
 UNITS = {"receptance": "m/N", "mobility": "(m/s)/N", "accelerance": "(m/s^2)/N"}
 DIMS = ("run", "freq", "output", "input")
 SAMPLES = ("H", "variance", "coherence")
+READ = {*SAMPLES, *DIMS, "H_real", "H_imag", "level", "force"}
 
 
 def _xarray() -> Any:
@@ -80,6 +84,7 @@ def from_xarray(dataset: Any) -> Measurement:
         raise ValueError(f"H has the axes {', '.join(map(str, dataset['H'].dims))}; it needs {', '.join(DIMS)}")
     if "run" not in dataset["H"].dims:
         dataset = dataset.expand_dims("run")
+    _check_dims(dataset)
     arrays: dict[str, Any] = {
         name: dataset[name].transpose(*DIMS).to_numpy() for name in SAMPLES if name in dataset.variables
     }
@@ -90,9 +95,47 @@ def from_xarray(dataset: Any) -> Measurement:
     if "level" in dataset.variables:
         arrays["level"] = dataset["level"].to_numpy()
     arrays |= {name: dataset.attrs[name] for name in ("averages", "added_decay") if name in dataset.attrs}
-    measurement = from_arrays(arrays)
+    measurement = from_arrays(_in_si(arrays, dataset))
     assert isinstance(measurement, Measurement)
     return measurement
+
+
+def _check_dims(dataset: Any) -> None:
+    """Refuse variables along other axes than theirs."""
+    axes = {**dict.fromkeys(SAMPLES, DIMS), "force": DIMS[:2], "freq": DIMS[1:2], "level": DIMS[:1]}
+    for name, wanted in axes.items():
+        if name in dataset.variables and not set(dataset[name].dims) <= set(wanted):
+            raise ValueError(
+                f"{name} has the axes {', '.join(map(str, dataset[name].dims))}; needed: {', '.join(wanted)}"
+            )
+
+
+def _in_si(arrays: dict[str, Any], dataset: Any) -> dict[str, Any]:
+    """The arrays in Hz, N and m, by the attributes ``units``; those without one are in SI already.
+
+    Raises
+    ------
+    ValueError
+        If a unit is not known, or that of the FRFs is one of another form.
+    """
+    unit = {name: dataset[name].attrs.get("units") for name in dataset.variables}
+    form, told = str(dataset.attrs["form"]), unit.get("H") or unit.get("H_real")
+    size = 1.0
+    if told is not None:
+        found, size = response_unit(told)
+        if found != form:
+            raise ValueError(f"H is in {told!r}, which is the unit of {found}, and form says {form!r}; one is wrong")
+    factors = {"H": size, "variance": size**2}
+    factors["freq"] = 1.0 if unit.get("freq") is None else frequency_factor(unit["freq"])
+    for name in ("level", "force"):
+        factors[name] = 1.0 if unit.get(name) is None else force_factor(unit[name])
+    wrong = unit.get("variance")
+    if wrong is not None and told is not None and plain(wrong) not in (plain(told) + "2", plain(f"({told})^2")):
+        raise ValueError(f"variance is in {wrong!r}, and H in {told!r}; the variance is in the square of that")
+    return {
+        name: value if factors.get(name, 1.0) == 1.0 else np.asarray(value) * factors[name]
+        for name, value in arrays.items()
+    }
 
 
 def read_labelled(path: Path, kind: str) -> Saved:
@@ -106,18 +149,34 @@ def read_labelled(path: Path, kind: str) -> Saved:
         If the file is damaged or holds no measurement.
     """
     xarray = _xarray()
-    try:
-        how = {"engine": "zarr", "consolidated": False} if kind == "zarr" else {}
-        with xarray.open_dataset(path, **how) as lazy:
+    word = "Zarr store" if kind == "zarr" else "NetCDF file"
+    with reading(f"the {word}"):
+        others = _check(path, kind)
+        how: dict[str, Any] = {"engine": "zarr", "consolidated": False} if kind == "zarr" else {}
+        # Numbers stay numbers: units such as "days since" and packing by scale factors are of no use here.
+        with xarray.open_dataset(path, **how, decode_times=False, drop_variables=others) as lazy:
             dataset = lazy.load()
-    except ImportError as error:
-        raise ValueError(f"{error}: pip install 'modalax[files]'") from error
-    except (OSError, RuntimeError, KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"cannot be read as {'Zarr' if kind == 'zarr' else 'NetCDF'} ({error})") from error
     if "H_real" in dataset and "H_imag" in dataset:
-        H = dataset["H_real"] + 1j * dataset["H_imag"]
+        units = {"units": dataset["H_real"].attrs["units"]} if "units" in dataset["H_real"].attrs else {}
+        H = (dataset["H_real"] + 1j * dataset["H_imag"]).assign_attrs(units)
         dataset = dataset.drop_vars(["H_real", "H_imag"]).assign(H=H)
     return from_xarray(dataset)
+
+
+def _check(path: Path, kind: str) -> list[str]:
+    """Look at what a file declares before it is read; the names of the variables that are of no use."""
+    if kind == "zarr":
+        names = {p.name for p in path.iterdir() if p.is_dir()}
+        check_store(path, READ & names)
+        return sorted(names - READ)
+    with path.open("rb") as file:
+        if not file.read(8).startswith(b"\x89HDF"):
+            return []  # NetCDF 3 keeps its numbers as they are: a file holds what it declares
+    import h5py
+
+    with h5py.File(path, "r") as file:
+        check_datasets(file, READ & set(file), path)
+        return sorted(set(file) - READ)
 
 
 def write_labelled(what: Any, path: Path, kind: str) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 
 from modalax._numerics.checks import require_double
 from modalax.data.causality import looks_conjugated
@@ -15,6 +16,8 @@ from modalax.files.messages import about
 from modalax.files.npz import read_npz, write_npz
 from modalax.files.sniff import kind_to_write, sniff
 from modalax.files.write import replacing
+
+LARGEST = 1e30  # m/N, (m/s)/N or (m/s^2)/N; a grain of dust moves by 1e12 (m/s^2)/N
 
 
 def load(
@@ -49,13 +52,21 @@ def load(
     ValueError
         If the file cannot be used; the message, of one line, names the file, what was seen and what would be right.
     """
-    path = Path(path)
+    path = as_path(path)
     require_double("load")
     with about(path):
         what = _read(path, sniff(path), options)
         if isinstance(what, Measurement):
+            _check_magnitude(what)
             what = _in_convention(what, conjugate)
     return what
+
+
+def as_path(path: Any) -> Path:
+    """Return ``path`` as a path; ``ValueError`` if it is none."""
+    if not isinstance(path, str | os.PathLike) or "\0" in str(path):
+        raise ValueError(f"a file is named by text or a path, not by {path!r} ({type(path).__name__})")
+    return Path(path)
 
 
 def _read(path: Path, kind: str, options: dict[str, Any]) -> Saved:
@@ -103,6 +114,16 @@ def _published(path: Path) -> Measurement | None:
         stacklevel=2,
     )
     return known if isinstance(known, Measurement) else Measurement.from_frfs([known])
+
+
+def _check_magnitude(measurement: Measurement) -> None:
+    """Refuse values that no structure has, as bytes in the wrong order make them."""
+    size = np.abs(np.asarray(measurement.H))
+    if size.size and size.max() > LARGEST:
+        raise ValueError(
+            f"H reaches {size.max():.3g} (median {np.median(size):.3g}); no structure has such FRFs: is the byte order "
+            "or the kind of number wrong in the file's header?"
+        )
 
 
 def _in_convention(measurement: Measurement, conjugate: bool | str) -> Measurement:
@@ -155,7 +176,7 @@ def save(
     OSError
         If the disk is full or the folder read-only; what stood there is then unchanged.
     """
-    path = Path(path)
+    path = as_path(path)
     with about(path):
         kind = kind_to_write(path)
         if options and kind != "uff":

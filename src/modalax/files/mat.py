@@ -5,8 +5,11 @@ from typing import Any
 
 import numpy as np
 import scipy.io
+import scipy.sparse
 
 from modalax.files.arrays import READ_KEYS, Saved, from_arrays, to_arrays
+from modalax.files.guard import LONGEST_NAME, MORE, Refused, check_names, reading
+from modalax.files.inside import check_datasets, check_elements
 
 
 def read_mat(path: Path) -> Saved:
@@ -21,22 +24,28 @@ def read_mat(path: Path) -> Saved:
     """
     with path.open("rb") as file:
         newest = file.read(19) == b"MATLAB 7.3 MAT-file"
-    arrays = _newest(path) if newest else _classic(path)
-    return from_arrays(_with_short_axes(arrays))
+    return from_arrays(_with_short_axes(_newest(path) if newest else _classic(path)))
 
 
 def _classic(path: Path) -> dict[str, Any]:
-    try:
-        found = scipy.io.loadmat(path)
-    except (OSError, EOFError, TypeError, NotImplementedError, scipy.io.matlab.MatReadError) as error:
-        raise ValueError(f"the .mat file is damaged or cut short ({error}); copy or save it again") from error
-    return {name: _text(value) for name, value in found.items() if not name.startswith("__")}
+    with reading("the .mat file"):
+        check_elements(path, READ_KEYS)
+        names = [name for name, _, _ in scipy.io.whosmat(path)]
+        found = scipy.io.loadmat(path, variable_names=sorted(READ_KEYS))
+        return {name: _value(name, found[name]) if name in found else None for name in names}
 
 
-def _text(value: Any) -> Any:
-    """Cell arrays of text as arrays of text."""
+def _value(name: str, value: Any) -> Any:
+    """Cell arrays of text as arrays of it, sparse matrices in full."""
+    if scipy.sparse.issparse(value):
+        if value.shape[0] * value.shape[1] * 8 > MORE:
+            raise Refused(f"{name} is a sparse matrix of shape {value.shape}, too large to be written out in full")
+        return value.toarray()
     if isinstance(value, np.ndarray) and value.dtype == object:
-        return np.array([str(np.asarray(item).item()) for item in value.ravel()], dtype=str).reshape(value.shape)
+        words = [np.asarray(item) for item in value.ravel()]
+        if any(word.dtype.kind != "U" or word.size > 1 for word in words):
+            raise Refused(f"{name} is a cell array that holds other things than words")
+        return _words([str(word.item()) if word.size else "" for word in words], value.shape, name)
     return value
 
 
@@ -47,38 +56,50 @@ def _newest(path: Path) -> dict[str, Any]:
     except ImportError as error:
         raise ValueError("a .mat file of version 7.3 needs h5py: pip install 'modalax[files]'") from error
     arrays: dict[str, Any] = {}
-    try:
-        with h5py.File(path, "r") as file:
-            for name in READ_KEYS & set(file):
-                node = file[name]
-                if isinstance(node, h5py.Dataset):
-                    arrays[name] = _dataset(file, node)
-    except OSError as error:
-        raise ValueError(f"the .mat file is damaged or cut short ({error}); copy or save it again") from error
+    with reading("the .mat file"), h5py.File(path, "r") as file:
+        names = set(file) - {"#refs#", "#subsystem#"}
+        check_datasets(file, READ_KEYS & names, path)
+        for name in names:
+            arrays[name] = _dataset(file, name) if name in READ_KEYS else None
     return arrays
 
 
-def _dataset(file: Any, node: Any) -> np.ndarray:
-    value = np.asarray(node[()])
+def _dataset(file: Any, name: str) -> Any:
+    node = file[name]
+    if node.dtype.kind == "O":
+        check_names(node.size, name)
+        refs = np.asarray(node[()]).T
+        return _words([_letters(file[ref], name) for ref in refs.ravel()], refs.shape, name)
     if node.attrs.get("MATLAB_class") == b"char":
-        return np.array(_letters(value), dtype=str)
-    if value.dtype.kind == "O":
-        words = [_letters(np.asarray(file[ref][()])) for ref in value.T.ravel()]
-        return np.array(words, dtype=str).reshape(value.T.shape)
+        return np.array(_letters(node, name), dtype=str)
+    value = np.asarray(node[()])
     if value.dtype.names == ("real", "imag"):
         value = value["real"] + 1j * value["imag"]
     return value.T
 
 
-def _letters(codes: np.ndarray) -> str:
-    return "".join(chr(c) for c in codes.ravel())
+def _words(words: list[str], shape: tuple[int, ...], name: str) -> np.ndarray:
+    """Words as an array, which holds every one at the length of the longest."""
+    longest = max((len(word) for word in words), default=0)
+    if longest > LONGEST_NAME:
+        raise Refused(f"{name} holds a word of {longest} letters; names have at most {LONGEST_NAME}")
+    return np.array(words, dtype=str).reshape(shape)
+
+
+def _letters(node: Any, name: str) -> str:
+    if node.dtype.kind not in "iu" or node.size > LONGEST_NAME:
+        raise Refused(
+            f"{name} holds {node.size} items of type {node.dtype} where a word of at most "
+            f"{LONGEST_NAME} letters should be"
+        )
+    return "" if node.attrs.get("MATLAB_empty") else "".join(chr(c) for c in np.asarray(node[()]).ravel())
 
 
 def _with_short_axes(arrays: dict[str, Any]) -> dict[str, Any]:
     """Put back axes of length one at the end, where the names say that there is one channel."""
     shaped = dict(arrays)
     one = [key in arrays and np.size(arrays[key]) == 1 for key in ("outputs", "inputs")]
-    axes = "".join(np.atleast_1d(np.asarray(arrays.get("axes", "run f o i"))).ravel().tolist()).split()
+    axes = " ".join(str(word) for word in np.ravel(arrays.get("axes", "run f o i"))).split()
     for name in ("H", "variance", "coherence"):
         if name not in arrays or not one[1]:
             continue
@@ -97,4 +118,6 @@ def write_mat(what: Any, path: Path) -> None:
             cells = np.empty(value.shape, dtype=object)
             cells[:] = value.tolist()
             arrays[name] = cells
-    scipy.io.savemat(path, arrays, do_compression=True)
+    # What is large and shrinks far would be refused when it is read again.
+    large = sum(np.asarray(value).nbytes for value in arrays.values()) > MORE
+    scipy.io.savemat(path, arrays, do_compression=not large)

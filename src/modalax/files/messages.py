@@ -8,12 +8,24 @@ from pathlib import Path
 
 @contextmanager
 def about(path: Path) -> Iterator[None]:
-    """Put the name of the file before the message of every error and warning raised inside."""
+    """Put the name of the file before the message of every error and warning raised inside.
+
+    Raises
+    ------
+    ValueError
+        In place of every error but those of the operating system, which name the file themselves.
+    """
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always")
         try:
             yield
-        except ValueError as error:
+        except OSError:
+            raise
+        except Exception as error:
+            if not isinstance(error, ValueError):
+                error = ValueError(f"cannot be used: unexpected {type(error).__name__}: {error}").with_traceback(
+                    error.__traceback__
+                )
             text = " ".join(str(error).split())
             raise ValueError(text if str(path) in text else f"{path}: {text}") from error
     for warning in heard:

@@ -1,13 +1,13 @@
 """NumPy ``.npz``: the native files of this package."""
 
 import zipfile
-import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from modalax.files.arrays import EXTENDED, READ_KEYS, Saved, from_arrays, to_arrays
+from modalax.files.guard import Refused, bytes_of, check_size, reading
 
 
 def read_npz(path: Path, **options: Any) -> Saved:
@@ -18,29 +18,53 @@ def read_npz(path: Path, **options: Any) -> Saved:
     ValueError
         If the file is damaged or what it holds is not one of the three.
     """
-    arrays = {}
-    try:
-        # Opened here, because np.load leaves the file open when the archive is damaged.
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            extended = EXTENDED in archive.files
-            for name in archive.files:
-                # What is not read may hold anything; only its name is kept, to see slips of the pen.
-                arrays[name] = _array(archive, name) if extended or name in READ_KEYS else None
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, KeyError) as error:
-        raise ValueError(f"the .npz archive is damaged or cut short ({error}); copy or save it again") from error
-    return from_arrays(arrays, **options)
+    return from_arrays(npz_arrays(path), **options)
 
 
-def _array(archive: np.lib.npyio.NpzFile, name: str) -> np.ndarray:
-    try:
-        return archive[name]
-    except ValueError as error:
-        if "allow_pickle" not in str(error):
-            raise ValueError(f"array {name!r} is damaged or cut short ({error})") from error
-        raise ValueError(
-            f"array {name!r} was saved as Python objects, which is unsafe to read; "
-            "save text as np.array(names, dtype=str)"
-        ) from error
+def npz_arrays(path: Path) -> dict[str, Any]:
+    """The arrays of an archive; what is not read may hold anything: of it only the name is kept, and None.
+
+    Raises
+    ------
+    ValueError
+        If an array is damaged, was saved as Python objects, or declares another size than the archive has for it.
+    """
+    arrays: dict[str, Any] = {}
+    with reading("the .npz archive"), path.open("rb") as file, zipfile.ZipFile(file) as archive:
+        entries = {entry.filename.removesuffix(".npy"): entry for entry in archive.infolist()}
+        used = entries if EXTENDED in entries else READ_KEYS & set(entries)
+        check_size(sum(entries[name].file_size for name in used), path, "the .npz archive")
+        for name, entry in entries.items():
+            arrays[name] = _array(archive, entry, name) if name in used else None
+    return arrays
+
+
+def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, name: str) -> np.ndarray:
+    with reading(f"array {name!r}"):
+        with archive.open(entry) as stream:
+            header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+            version = np.lib.format.read_magic(stream)
+            if version not in header:
+                raise Refused(f"array {name!r} is of format {version}; formats 1.0 and 2.0 are read")
+            shape, _, dtype = header[version](stream)
+            if dtype.hasobject:
+                raise Refused(
+                    f"array {name!r} was saved as Python objects, which is unsafe to read; "
+                    "save text as np.array(names, dtype=str)"
+                )
+            left = entry.file_size - stream.tell()
+            # Text of no letters takes no room, however many items of it are declared.
+            if (
+                bytes_of(shape, dtype.itemsize) > max(left, 64)
+                or dtype.itemsize
+                and bytes_of(shape, dtype.itemsize) != left
+            ):
+                raise Refused(
+                    f"array {name!r} declares the shape {shape} of {dtype}, and the archive holds {left} bytes of it: "
+                    "it is damaged or cut short; copy or save it again"
+                )
+        with archive.open(entry) as stream:
+            return np.lib.format.read_array(stream, allow_pickle=False)
 
 
 def write_npz(what: Any, path: Path) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from modalax.data.frf import FRF
 from modalax.data.geometry import Geometry
 from modalax.data.measurement import Measurement
+from modalax.files.guard import reading
 from modalax.files.messages import about
 from modalax.files.sniff import sniff
 from modalax.files.uff_functions import function_sets, functions_of, measurement_of
@@ -44,22 +45,24 @@ def read_sets(path: Path) -> list[dict[str, Any]]:
     """
     pyuff = _pyuff()
     _require_whole(path)
-    file = pyuff.UFF(str(path))
+    with reading("the universal file"):
+        file = pyuff.UFF(str(path))
+        kinds = [int(t) for t in file.get_set_types()]
     sets, units = [], None
-    for k, kind in enumerate(int(t) for t in file.get_set_types()):
+    for k, kind in enumerate(kinds):
         if kind not in READ:
             continue
         try:
             # pyuff prints what it cannot do; what is missing is judged here.
             with contextlib.redirect_stdout(None):
                 found = file.read_sets(k)
+            units = units_of(found) if kind == 164 else units
         except Exception as error:
-            reason = error.__context__ or error
+            reason = " ".join(str(error.__context__ or error).split())[:300]
             raise ValueError(f"data set {k + 1}, of type {kind}, is damaged: {reason}") from error
-        units = units_of(found) if kind == 164 else units
         sets.append({**found, "units": units})
     if not sets:
-        held = ", ".join(str(t) for t in sorted({int(t) for t in file.get_set_types()})) or "none"
+        held = ", ".join(str(t) for t in sorted(set(kinds))) or "none"
         raise ValueError(f"holds no data set that is read here ({', '.join(map(str, READ))}); its types: {held}")
     return sets
 

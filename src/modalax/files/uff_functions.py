@@ -53,11 +53,7 @@ def functions_of(sets: Sequence[Mapping[str, Any]]) -> list[Function]:
 
 
 def _function(k: int, found: Mapping[str, Any], prefixed: bool) -> Function:
-    count, values = found["num_pts"], np.asarray(found["data"])
-    if len(values) < count:
-        raise ValueError(
-            f"function {k + 1} is cut short: it holds {len(values)} of the {count} values that it announces"
-        )
+    count, values = found.get("num_pts", 0), _values(k, found)
     title = FUNCTIONS.get(found["func_type"], f"functions of type {found['func_type']}")
     kind = {4: "frf", 6: "coherence"}.get(found["func_type"], "other")
     scale = response_scale(found) if kind == "frf" else 1.0
@@ -78,6 +74,28 @@ def _function(k: int, found: Mapping[str, Any], prefixed: bool) -> Function:
         scale * values[:count],
         about_run,
     )
+
+
+def _values(k: int, found: Mapping[str, Any]) -> np.ndarray:
+    """Values of one function, after its header was compared with them.
+
+    Raises
+    ------
+    ValueError
+        If the header does not fit the values, or an FRF is not complex.
+    """
+    kind, what = found.get("ord_data_type"), f"function {k + 1}"
+    if kind not in (2, 4, 5, 6):
+        raise ValueError(f"{what} has the ordinate data type {kind}; it is 2 or 4 (real), 5 or 6 (complex)")
+    if found["binary"] and found.get("byte_ordering") not in (1, 2):
+        raise ValueError(f"{what} has the byte order {found.get('byte_ordering')}; it is 1 (little) or 2 (big endian)")
+    if found["func_type"] == 4 and kind in (2, 4):
+        raise ValueError(f"{what}, an FRF, holds real numbers (ordinate data type {kind}); a magnitude is not enough")
+    count, values = found["num_pts"], np.asarray(found["data"])
+    if not 0 < count <= len(values) <= count + 1 + count // 50:  # some writers fill up the last record
+        state = "is cut short: it" if len(values) < count else "does not fit its header: it"
+        raise ValueError(f"{what} {state} holds {len(values)} of the {count} values that it announces")
+    return values
 
 
 def _name(found: Mapping[str, Any], side: str, prefixed: bool) -> str:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from modalax._numerics.checks import as_double, is_traced
+from modalax._numerics.checks import as_double, is_traced, require_finite, require_range
 from modalax.data.frf import DERIVATIVES, FRF, check_form, check_names
 
 
@@ -17,6 +17,21 @@ def poles_from(frequency_hz: Any, damping_ratio: Any) -> Complex[Array, " n"]:
     omega = 2 * jnp.pi * as_double(frequency_hz, "frequency")
     zeta = as_double(damping_ratio, "damping ratio")
     return -zeta * omega + 1j * omega * jnp.sqrt(1 - zeta**2)
+
+
+def claimed_std(value: Any, name: str, modes: int) -> Array:
+    """Relative standard deviations that an author claims: one number, or one a mode.
+
+    Raises
+    ------
+    ValueError
+        If there are others than that, or one is negative or not finite.
+    """
+    std = as_double(value, name)
+    if std.shape not in ((), (1,), (modes,)):
+        raise ValueError(f"{name} has shape {std.shape}; it needs one number, or one for each of {modes} modes")
+    require_range(value, name, 0.0, np.inf, "a relative standard deviation is 0 or positive")
+    return std
 
 
 class ModalModel(eqx.Module):
@@ -80,14 +95,21 @@ class ModalModel(eqx.Module):
                 f"{n} poles with shapes {self.shapes.shape} and participation {self.participation.shape}; "
                 "they need shapes (n, o) and (n, i)"
             )
+        for value, name in ((poles, "poles"), (shapes, "shapes"), (participation, "participation")):
+            require_finite(value, name)
         if not is_traced(self.poles) and (np.asarray(self.poles).imag <= 0).any():
             raise ValueError("a pole has no positive imaginary part; store each conjugate pair once, by its upper pole")
         o, i = self.shapes.shape[1], self.participation.shape[1]
+        if not o or not i:
+            raise ValueError(f"a modal model of {o} outputs and {i} inputs; at least one of each is needed")
+        for value, name in ((upper, "upper"), (lower, "lower")):
+            if value is not None:
+                require_finite(value, name)
         zero = jnp.zeros((o, i), jnp.complex128)
         self.upper = zero if upper is None else jnp.broadcast_to(as_double(upper, "upper", complex_=True), (o, i))
         self.lower = zero if lower is None else jnp.broadcast_to(as_double(lower, "lower", complex_=True), (o, i))
-        self.frequency_std = jnp.broadcast_to(as_double(frequency_std, "frequency_std"), (n,))
-        self.damping_std = jnp.broadcast_to(as_double(damping_std, "damping_std"), (n,))
+        self.frequency_std = jnp.broadcast_to(claimed_std(frequency_std, "frequency_std", n), (n,))
+        self.damping_std = jnp.broadcast_to(claimed_std(damping_std, "damping_std", n), (n,))
         self.outputs = check_names(outputs, o, "outputs")
         self.inputs = check_names(inputs, i, "inputs")
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Complex, Float
 
 from modalax._numerics.checks import as_double, is_traced, require_finite
 from modalax.data.frf import DERIVATIVES, FRF, check_form, check_names, default_names
-from modalax.model.modal import ModalModel, in_order
+from modalax.model.modal import ModalModel, claimed_std, in_order
 from modalax.model.solve import receptance_along
 
 ROUNDING = 1e-13  # error of an eigenvalue, a DoF, relative to the sum of the magnitudes that make it
@@ -67,16 +67,18 @@ class Structure(eqx.Module):
     ):
         self.M, self.C, self.K = (as_double(A, name) for A, name in ((M, "M"), (C, "C"), (K, "K")))
         self.D = jnp.zeros_like(self.K) if D is None else as_double(D, "D")
-        n = self.M.shape[0]
+        n = self.M.shape[0] if self.M.ndim else 0
+        if not n:
+            raise ValueError(f"M has shape {self.M.shape}; a structure needs at least one degree of freedom, M (n, n)")
         for A, name in ((self.M, "M"), (self.C, "C"), (self.K, "K"), (self.D, "D")):
             if A.shape != (n, n):
                 raise ValueError(f"{name} has shape {A.shape}; M, C and K need one shape (n, n), here ({n}, {n})")
             require_finite(A, name)
         self.dofs = check_names(default_names(n, "") if dofs is None else dofs, n, "dofs")
-        self.frequency_std = as_double(frequency_std, "frequency_std")
-        self.damping_std = as_double(damping_std, "damping_std")
-        self.stiffness_std = None if stiffness_std is None else as_double(stiffness_std, "stiffness_std")
-        self.mass_std = None if mass_std is None else as_double(mass_std, "mass_std")
+        self.frequency_std = claimed_std(frequency_std, "frequency_std", n)
+        self.damping_std = claimed_std(damping_std, "damping_std", n)
+        self.stiffness_std = None if stiffness_std is None else claimed_std(stiffness_std, "stiffness_std", 1)
+        self.mass_std = None if mass_std is None else claimed_std(mass_std, "mass_std", 1)
         self.pairs = None if pairs is None else tuple(self._pair(pair) for pair in pairs)
 
     def _pair(self, pair: Sequence[str]) -> tuple[str, str]:

@@ -1,0 +1,56 @@
+"""Units written as text: what they are in Hz, N and m."""
+
+import math
+import re
+
+from modalax.files.uff_units import FOOT, INCH, POUND_FORCE, STANDARD_GRAVITY
+
+FREQUENCIES = {"hz": 1.0, "1/s": 1.0, "s-1": 1.0, "khz": 1e3, "rad/s": 1 / (2 * math.pi), "rads-1": 1 / (2 * math.pi)}
+FORCES = {"n": 1.0, "kn": 1e3, "mn": 1e-3, "lbf": POUND_FORCE, "lb": POUND_FORCE}
+LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "µm": 1e-6, "in": INCH, "ft": FOOT}
+RATES = {"": "receptance", "/s": "mobility", "s-1": "mobility", "/s2": "accelerance", "s-2": "accelerance"}
+WHOLE = {"1/kg": "accelerance", "kg-1": "accelerance", "s/kg": "mobility", "s2/kg": "receptance"}
+
+
+def frequency_factor(unit: str) -> float:
+    """What one ``unit`` is in Hz; ``ValueError`` lists the units that are known."""
+    return _known(unit, FREQUENCIES, "frequencies", "Hz, kHz, rad/s")
+
+
+def force_factor(unit: str) -> float:
+    """What one ``unit`` is in N; ``ValueError`` lists the units that are known."""
+    return _known(unit, FORCES, "forces", "N, kN, lbf")
+
+
+def _known(unit: str, table: dict[str, float], what: str, shown: str) -> float:
+    # A capital M before N is mega, which no test needs and which would read as milli.
+    word = "" if str(unit).strip() == "MN" else plain(unit)
+    if word not in table:
+        raise ValueError(f"the unit of {what} is {unit!r}; known are {shown}")
+    return table[word]
+
+
+def plain(text: str) -> str:
+    """A unit in small letters, without brackets, spaces, signs of powers and products."""
+    return re.sub(r"[\s()\[\]^*·]", "", str(text).replace("²", "2").replace("−", "-").replace("⁻¹", "-1")).lower()
+
+
+def response_unit(unit: str) -> tuple[str, float]:
+    """Form and factor to SI of the unit of an FRF, such as ``m/N``, ``(mm/s)/N``, ``g/N`` or ``m s-2 N-1``.
+
+    Raises
+    ------
+    ValueError
+        If it is none; the message shows how units are written.
+    """
+    word = plain(unit)
+    if word in WHOLE:
+        return WHOLE[word], 1.0
+    response, force = re.sub(r"(?<=.)n-1$", "/n", word).rpartition("/")[::2]
+    if force in FORCES and "MN" not in str(unit):
+        if response in ("g", "gn"):
+            return "accelerance", STANDARD_GRAVITY / FORCES[force]
+        for length in sorted(LENGTHS, key=len, reverse=True):
+            if response.startswith(length) and response[len(length) :] in RATES:
+                return RATES[response[len(length) :]], LENGTHS[length] / FORCES[force]
+    raise ValueError(f"the unit of the FRFs is {unit!r}; it is written as m/N, (m/s)/N, (m/s^2)/N, mm/N, g/N or g/lbf")
