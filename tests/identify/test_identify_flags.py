@@ -102,3 +102,15 @@ def test_scatter_over_the_orders_tells_of_bad_damping():
     quiet, loud = (fit(noisy(model, level), refine=False) for level in (1e-3, 0.3))
     tight, wide = (np.nanmax(np.asarray(f.damping_scatter / f.model.damping_ratio)) for f in (quiet, loud))
     assert tight < 0.02 < wide
+
+
+def test_a_mode_hidden_in_the_whole_band_is_found_in_a_part_of_it():
+    """One resonance a thousand times stronger than its far neighbours, over many lines."""
+    model = structure(frequency=(52.0, 160.0, 171.0, 183.0), zeta=0.003, points=1)
+    participation = np.array(model.participation)
+    participation[1] *= 1e3
+    freq = np.arange(1, 1001) * 0.2
+    found = fit(noisy(model.replace(participation=participation), 2e-4, freq=freq, form="receptance"), refine=False)
+    f = np.asarray(found.model.frequency_hz)[np.asarray(found.inside)]
+    for true in (52.0, 160.0, 171.0, 183.0):
+        assert np.abs(f - true).min() < 0.1

@@ -10,7 +10,9 @@ from modalax.data.frf import DERIVATIVES, FRF
 FALL = 100.0
 LEADING = 0.05  # part of the FRFs' sum of squares that drift must hold before its lines are left out
 FROM_ZERO = 5.0  # lines, in steps between them: data that starts above this may start on the flank of a resonance
-BINS_AHEAD = 6  # bins of a quarter octave that must not lie lower where the fall is said to end
+STILL = 1.5  # fall over half an octave below which drift has ended; its power falls at least with the frequency
+BINS = 24  # lines, at least, among which drift is looked for
+MOST = 0.25  # part of the lines, at most, that drift may take
 
 
 def usable_lines(frf: FRF, choose: bool) -> tuple[FRF, list[str]]:
@@ -51,19 +53,21 @@ def drift_ends(frf: FRF) -> tuple[int, float]:
     As frequency falls to 0 Hz the accelerance of any structure becomes constant (free) or falls (supported): below its
     first resonance it never rises. So where the sum over the channels of :math:`|\omega^{2-p}H|^2`, in medians of
     quarter octaves, falls by ``FALL`` or more from the first line on, the lines up to the end of the fall are drift
-    of sensors over next to no force.
+    of sensors over next to no force. Each median stands for the largest of itself and the next two, so that a line that
+    is low by chance does not end it.
     """
     freq = np.asarray(frf.freq)
     step = float(np.median(np.diff(freq))) if len(freq) > 1 else 0.0
-    if len(freq) < 4 * BINS_AHEAD or freq[0] > FROM_ZERO * step or freq[0] <= 0:
+    if len(freq) < BINS or freq[0] > FROM_ZERO * step or freq[0] <= 0:
         return 0, 0.0
     energy = np.sum(np.abs(np.asarray(frf.H)) ** 2, axis=(1, 2))
-    size = energy * freq ** (2 * (2 - DERIVATIVES[frf.form]))
-    starts, level = _quarter_octaves(freq, size)
-    ends = [k for k in range(len(level) - 1) if level[k] <= 1.5 * level[k + 1 : k + 1 + BINS_AHEAD].min()]
-    if not ends or int(np.argmax(level[: ends[0] + 1])) > 1 or level[0] < FALL * level[ends[0]]:
+    starts, level = _quarter_octaves(freq, energy * freq ** (2 * (2 - DERIVATIVES[frf.form])))
+    top = np.max(np.lib.stride_tricks.sliding_window_view(level, 3), axis=1)
+    ends = np.flatnonzero(top[:-2] < STILL * top[2:])
+    end = int(ends[0]) if len(ends) else len(top) - 1
+    if top[0] < FALL * top[end] or starts[end] > MOST * len(freq):
         return 0, 0.0
-    return int(starts[ends[0]]), float(energy[: starts[ends[0]]].sum() / energy.sum())
+    return int(starts[end]), float(energy[: starts[end]].sum() / energy.sum())
 
 
 def _quarter_octaves(freq: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, Float[np.ndarray, " b"]]:

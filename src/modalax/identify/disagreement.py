@@ -17,6 +17,7 @@ from modalax.identify.neighbourhood import Neighbourhood
 FLANKS = (-1.0, 0.0, 1.0)  # half-bandwidths from the resonance at which its lines are parted
 CERTAIN = 1e-4  # chance of disagreement that noise makes, below which it counts
 
+FAR = 2.0  # half-bandwidths from which on what a group asks for is no shift of the mode
 SURE = 4.0  # standard deviations by noise from which on the shift of a group is no noise
 
 
@@ -52,7 +53,7 @@ class Spread(NamedTuple):
         return float(np.max(np.abs(self.shift), where=sure, initial=0.0))
 
 
-def of_channels(hood: Neighbourhood, groups: np.ndarray, inflate: float = 1.0) -> Spread:
+def of_channels(hood: Neighbourhood, groups: np.ndarray) -> Spread:
     """What groups of channels ask for.
 
     Parameters
@@ -61,8 +62,10 @@ def of_channels(hood: Neighbourhood, groups: np.ndarray, inflate: float = 1.0) -
         The lines around one mode.
     groups
         Number of the group of each channel, shape ``(c,)``.
-    inflate
-        Variance of the data in units of what whitened it, where that is known better.
+
+    Notes
+    -----
+    A channel in which another pole still leaves more than the noise counts by what it leaves.
     """
     change = hood.weight * hood.s**hood.power / (hood.s - hood.poles[0]) ** 2
     Q = np.linalg.qr(hood.columns(hood.poles))[0]
@@ -70,13 +73,16 @@ def of_channels(hood: Neighbourhood, groups: np.ndarray, inflate: float = 1.0) -
     R = hood.residues[0]
     size = np.abs(R) ** 2 * np.sum(np.abs(own) ** 2)
     asked = R.conj() * (own.conj() @ hood.data)
+    left = hood.data - Q @ (Q.conj().T @ hood.data) - own[:, None] * R * (asked / np.maximum(size, 1e-300))
+    level = np.sum(np.abs(left) ** 2, axis=0) / max(len(left) - Q.shape[1] - 1, 1)
+    sure = 1 / np.maximum(level, 1.0)
     count = int(groups.max()) + 1
-    weight, total = (np.bincount(groups, a, count) for a in (size, asked.real))
-    shift = np.array([total, np.bincount(groups, asked.imag, count)]) / np.maximum(weight, 1e-300)
-    return _spread(shift[1], shift[0], 2 * weight / inflate)
+    weight, decay, frequency = (np.bincount(groups, a * sure, count) for a in (size, asked.real, asked.imag))
+    weight = np.maximum(weight, 1e-300)
+    return _spread(frequency / weight, decay / weight, 2 * weight, FAR * -hood.poles[0].real)
 
 
-def of_lines(hood: Neighbourhood, inflate: float = 1.0) -> Spread:
+def of_lines(hood: Neighbourhood) -> Spread:
     """What the parts of the resonance below, on either side of, and above its peak ask for."""
     pole = hood.poles[0]
     change = hood.weight * hood.s**hood.power / (hood.s - pole) ** 2
@@ -93,13 +99,17 @@ def of_lines(hood: Neighbourhood, inflate: float = 1.0) -> Spread:
     if seen.any():
         inverse = np.linalg.pinv(gram[np.ix_(seen, seen)], rcond=1e-9)
         shift[seen] = inverse @ right[seen]
-        weight[seen] = 2 / np.maximum(np.real(np.diag(inverse)) * inflate, 1e-300)
-    return _spread(shift.imag, shift.real, weight)
+        weight[seen] = 2 / np.maximum(np.real(np.diag(inverse)), 1e-300)
+    return _spread(shift.imag, shift.real, weight, FAR * -pole.real)
 
 
-def _spread(frequency: np.ndarray, decay: np.ndarray, weight: np.ndarray) -> Spread:
-    """Random-effects spread of the groups' shifts [rad/s], of weights inverse to their variances by noise."""
+def _spread(frequency: np.ndarray, decay: np.ndarray, weight: np.ndarray, far: float) -> Spread:
+    """Random-effects spread of the groups' shifts [rad/s], of weights inverse to their variances by noise.
+
+    A group that asks for more than ``far`` [rad/s] does not show the mode but something else.
+    """
     seen = weight > 1e-6 * max(float(weight.max(initial=0.0)), 1e-300)
+    seen &= np.hypot(np.nan_to_num(frequency), np.nan_to_num(decay)) < far
     w = weight[seen]
     unit = 2 * np.pi
     shift = np.where(seen, frequency, np.nan) / unit

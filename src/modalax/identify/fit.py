@@ -12,28 +12,23 @@ from modalax.data.measurement import Measurement
 from modalax.identify.band import usable_lines
 from modalax.identify.bias import predicted_damping_bias
 from modalax.identify.close_modes import record_of
-from modalax.identify.fdpi import fdpi
+from modalax.identify.diagram import ESTIMATORS, diagram
 from modalax.identify.flags import Modes, flags_of, grades_of, notes_of
-from modalax.identify.lsce import lsce
-from modalax.identify.lscf import lscf
 from modalax.identify.mode_search import diagram_poles, likelihood_rounds, synthesis
 from modalax.identify.neighbourhood import residual_of
 from modalax.identify.noise import smooth_variance
-from modalax.identify.plscf import plscf
 from modalax.identify.quality import noise_part, quality_of, scatter_over_orders
 from modalax.identify.refine import Refined
 from modalax.identify.residues import residues as fit_residues
 from modalax.identify.result import Fit
-from modalax.identify.select import Selection, best_order, select
+from modalax.identify.select import Selection, best_order
 from modalax.identify.settle import settle, settle_diagram, with_misfit
 from modalax.identify.stabilize import stabilization
 from modalax.identify.tables import PoleTable
 from modalax.model.indicators import mpc
 from modalax.model.modal import ModalModel
 
-ESTIMATORS = {"lscf": lscf, "plscf": plscf, "lsce": lsce, "fdpi": fdpi}
 __all__ = ["ESTIMATORS", "Fit", "fit"]
-POLES = 40  # poles of the highest order of a first diagram; doubled while the modes fill it
 
 
 def fit(
@@ -94,7 +89,7 @@ def fit(
         raise ValueError(f"method is {name!r}; it must be one of {', '.join(ESTIMATORS)}")
     tell("stabilization diagram")
     data = frf.transpose() if turned and name in ("plscf", "lsce", "fdpi") else frf
-    table, selection = _diagram(data, name, order)
+    table, selection = diagram(data, name, order)
     if selection.poles.size == 0:
         if looks_conjugated(frf):
             raise ValueError(
@@ -117,27 +112,6 @@ def fit(
         model = refined.model
     tell("summing up")
     return _summary(frf, weighted, model, refined, table, selection, data is not frf, notes)
-
-
-def _diagram(frf: FRF, name: str, order: int | None) -> tuple[PoleTable, Selection]:
-    """Diagrams of rising highest order, until the modes no longer fill them."""
-    lines, n_out, n_in = frf.shape
-    size = n_in if name in ("plscf", "lsce") else 1
-    lower, upper = float(frf.freq[0]), float(frf.freq[-1])
-    margin = 0.05 * (upper - lower)
-    poles = POLES
-    while True:
-        top = order if order is not None else max(2, min(poles // size, lines // 4 - 1))
-        if name == "fdpi":
-            top = order if order is not None else max(2, min(poles // 2, lines * n_in // (4 * min(n_out, poles))))
-        first = 1 if name == "fdpi" else min(2, top)
-        step = max(1, top // 40)
-        table = ESTIMATORS[name](frf, sorted({*range(first, top + 1, step), top}))
-        selection = select(table, band=(max(lower - margin, 0.0), upper + margin))
-        full = 2.5 * selection.poles.size * (2 if name == "fdpi" else 1) > top * size
-        if order is not None or not full or top >= lines // 4 - 1 or poles >= 4 * POLES:
-            return table, selection
-        poles *= 2
 
 
 def _summary(

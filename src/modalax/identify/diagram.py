@@ -1,0 +1,100 @@
+"""Stabilization diagrams of the whole band and of parts of it, and the modes that last in them."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from modalax.data.frf import FRF
+from modalax.identify.fdpi import fdpi
+from modalax.identify.lsce import lsce
+from modalax.identify.lscf import lscf
+from modalax.identify.mode_search import SHARP
+from modalax.identify.plscf import plscf
+from modalax.identify.select import Selection, select
+from modalax.identify.tables import PoleTable
+
+ESTIMATORS = {"lscf": lscf, "plscf": plscf, "lsce": lsce, "fdpi": fdpi}
+POLES = 40  # poles of the highest order of a first diagram; doubled while the modes fill it
+LINES, PARTS = 400, 8  # lines for each part of the band that gets a diagram of its own, and most parts
+LASTING = 0.6  # part of the orders at which a mode must stand that only a part of the band shows
+
+
+def diagram(frf: FRF, name: str, order: int | None) -> tuple[PoleTable, Selection]:
+    """The diagram of the whole band, and the modes of it and of overlapping parts of the band.
+
+    One strong resonance, or many modes, can hide a clear one from the polynomials of the whole band; in a part of it
+    there is room. Of a mode that stands in both the pole that changes less from order to order is taken. Where an
+    order is given, or the poles of the whole band repeat to the last digits, parts are not looked at.
+
+    Parameters
+    ----------
+    frf
+        The FRFs.
+    name
+        Which estimator, a key of ``ESTIMATORS``.
+    order
+        Highest model order; chosen by the number of modes found if None.
+    """
+    table, selection = _whole(frf, name, order)
+    lines = len(frf.freq)
+    parts = min(lines // LINES, PARTS)
+    exact = selection.poles.size > 0 and float(jnp.median(selection.spread)) <= SHARP
+    if order is not None or parts < 2 or exact:
+        return table, selection
+    size = 2 * lines // (parts + 1)
+    starts = np.linspace(0, lines - size, parts).astype(int)
+    for k, start in enumerate(starts):
+        part = frf.lines(slice(int(start), int(start) + size))
+        found = _whole(part, name, None)[1]
+        # Of the overlap with its neighbours a part answers for the nearer half, up to the ends of the band.
+        quarter = size // 4
+        lower = float(part.freq[0 if k == 0 else quarter])
+        upper = float(part.freq[-1 if k == len(starts) - 1 else size - quarter])
+        selection = _merged(selection, found, lower, upper)
+    return table, selection
+
+
+def _merged(whole: Selection, part: Selection, lower: float, upper: float) -> Selection:
+    """The modes of the whole band with those between two frequencies [Hz] that a part tells better or alone."""
+    poles = np.array(whole.poles)
+    fields = {name: np.array(getattr(whole, name)) for name in ("score", "spread", "order")}
+    shares = None if whole.participation is None else np.array(whole.participation)
+    for k, pole in enumerate(np.asarray(part.poles)):
+        if not lower <= abs(pole) / (2 * np.pi) <= upper or float(part.score[k]) < LASTING:
+            continue
+        own = None if part.participation is None else np.asarray(part.participation[k])
+        apart = np.abs(poles - pole) / np.maximum(np.abs(poles.real), abs(pole.real)) if len(poles) else np.array([9.0])
+        near = int(np.argmin(apart))
+        if apart[near] > 1:
+            poles = np.append(poles, pole)
+            fields = {name: np.append(a, np.asarray(getattr(part, name)[k])) for name, a in fields.items()}
+            shares = None if shares is None or own is None else np.concatenate([shares, own[None]])
+        elif float(part.spread[k]) < fields["spread"][near]:
+            poles[near], fields["spread"][near], fields["order"][near] = pole, part.spread[k], part.order[k]
+            if shares is not None and own is not None:
+                shares[near] = own
+    rank = np.argsort(np.abs(poles))
+    return Selection(
+        jnp.asarray(poles[rank]), None if shares is None else jnp.asarray(shares[rank]),
+        jnp.asarray(fields["score"][rank]), jnp.asarray(fields["spread"][rank]), jnp.asarray(fields["order"][rank]),
+    )  # fmt: skip
+
+
+def _whole(frf: FRF, name: str, order: int | None) -> tuple[PoleTable, Selection]:
+    """Diagrams of rising highest order, until the modes no longer fill them."""
+    lines, n_out, n_in = frf.shape
+    size = n_in if name in ("plscf", "lsce") else 1
+    lower, upper = float(frf.freq[0]), float(frf.freq[-1])
+    margin = 0.05 * (upper - lower)
+    poles = POLES
+    while True:
+        top = order if order is not None else max(2, min(poles // size, lines // 4 - 1))
+        if name == "fdpi":
+            top = order if order is not None else max(2, min(poles // 2, lines * n_in // (4 * min(n_out, poles))))
+        first = 1 if name == "fdpi" else min(2, top)
+        step = max(1, top // 40)
+        table = ESTIMATORS[name](frf, sorted({*range(first, top + 1, step), top}))
+        selection = select(table, band=(max(lower - margin, 0.0), upper + margin))
+        full = 2.5 * selection.poles.size * (2 if name == "fdpi" else 1) > top * size
+        if order is not None or not full or top >= lines // 4 - 1 or poles >= 4 * POLES:
+            return table, selection
+        poles *= 2
