@@ -49,21 +49,24 @@ def test_fit_writes_what_it_says(tmp_path, capsys):
     assert "--overwrite" in capsys.readouterr().err
 
 
-@pytest.mark.slow
-def test_fit_draws_the_shapes_on_the_nodes_of_a_universal_file(tmp_path, capsys):
+@pytest.mark.parametrize("name", ["with", pytest.param("without", marks=pytest.mark.slow)])
+def test_fit_draws_the_shapes_on_the_nodes_of_a_universal_file(name, tmp_path, capsys):
     structure = five_dof()
     frf = structure.frf(np.arange(200, 701) / 10, inputs=["1"]).add_noise(jax.random.key(0), 0.02)
     frf = frf.replace(outputs=[f"{k}:+Z" for k in range(1, 6)], inputs=["1:+Z"])
     nodes = [str(k) for k in range(1, 6)]
     geometry = Geometry(nodes, np.stack([np.arange(5.0), np.zeros(5), np.zeros(5)], axis=1), [nodes])
-    for name, where in (("with", geometry), ("without", None)):
-        save(frf, tmp_path / f"{name}.uff", geometry=where)
-        target = tmp_path / name
-        report = target.with_suffix(".html")
-        arguments = ["fit", str(tmp_path / f"{name}.uff"), "--no-refine", "--out", str(target), "--report", str(report)]
-        assert main(arguments) == 0
-        assert (target / "shapes.png").exists() == (where is not None)
-        assert ("Mode shapes on the geometry" in report.read_text()) == (where is not None)
+    where = geometry if name == "with" else None
+    save(frf, tmp_path / f"{name}.uff", geometry=where)
+    target = tmp_path / name
+    report, answer = target.with_suffix(".html"), target.with_suffix(".json")
+    arguments = ["fit", str(tmp_path / f"{name}.uff"), "--no-refine", "--out", str(target), "--report", str(report)]
+    assert main([*arguments, "--json", str(answer)]) == 0
+    assert (target / "shapes.png").exists() == (where is not None)
+    assert ("Mode shapes on the geometry" in report.read_text()) == (where is not None)
+    found = [mode["frequency_hz"] for mode in json.loads(answer.read_text())["modes"]]
+    np.testing.assert_allclose(found, structure.modal().frequency_hz, rtol=2e-3)
+    assert "Frequency" in capsys.readouterr().out
 
 
 @pytest.mark.slow

@@ -84,7 +84,6 @@ def test_a_sign_and_a_gain_are_not_taken_for_each_other():
     assert abs(cause["parameters"]["gain"]["value"] - 0.15) < 4 * cause["parameters"]["gain"]["std"]
 
 
-@pytest.mark.slow
 def test_two_causes_are_both_named():
     turn = np.ones((1, 5, 1))
     turn[0, 1] = 0.85

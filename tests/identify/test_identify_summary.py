@@ -16,10 +16,11 @@ def test_modes_stand_in_a_table_with_error_bars_and_flags():
     assert summary(ANSWER).splitlines() == [
         "2 modes from 20 to 70 Hz, plscf of order 24, refined (± one standard deviation); unexplained part of the "
         "measured energy: 0.123 %",
-        "Mode  Frequency [Hz]    Damping [%]    MPC  Flags",
-        "----  --------------  -------------  -----  ----------------------------",
+        "Mode  Frequency [Hz]    Damping [%]    MPC",
+        "----  --------------  -------------  -----",
         "   1  26.061 ± 0.012  2.000 ± 0.041  0.999",
-        "   2            34.5            1.5  0.710  complex shape, no error bars",
+        "   2            34.5            1.5  0.710",
+        "mode 2: complex shape; no error bars",
         "note: lines at 0 Hz left out",
     ]
 

@@ -199,8 +199,7 @@ def browse(page, folder, *flags):
 
 
 @needs_browser
-@pytest.mark.slow
-@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize("dark", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["light", "dark"])
 def test_report_lives_in_a_browser(report, tmp_path, dark):
     page = tmp_path / "report.html"
     page.write_text(report.replace("</body>", PROBE + "</body>"), encoding="utf-8")

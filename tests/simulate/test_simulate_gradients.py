@@ -8,6 +8,7 @@ from jax.flatten_util import ravel_pytree
 
 from modalax.model import Structure
 from modalax.simulate import constant_response, harmonic_balance
+from modalax.simulate.aft import choose_harmonics, joint_forces
 from modalax.simulate.joints import (
     CATALOGUE,
     BilinearSpring,
@@ -91,6 +92,28 @@ def test_gradients_by_joint_structure_force_and_frequency_on_both_branches(joint
     seen = check(answer, (joint, matrices, FORCE, 1.0), *((lines,) for lines in sweeps))
     if len(at) == 1:
         assert seen[0][0] > seen[1][0] + np.log(2), "two branches must be there"
+
+
+@EVERY
+def test_gradients_of_the_force_harmonics_by_motion_frequency_and_parameters(joint, at):
+    """What each law alone puts into the derivatives of every answer."""
+    harmonics = choose_harmonics((joint,), 3)
+    q = jnp.array([[{0: 4e-4, 1: 6e-3 + 1e-3j, 2: 5e-4j, 3: 8e-4 - 3e-4j}[k] for k in harmonics]])
+
+    def answer(law, real, imag, omega):
+        f = joint_forces((law,), real + 1j * imag, omega, harmonics, 64)[0]
+        value = jnp.concatenate([f.real, f.imag])
+        return value, (value, jnp.array(True))
+
+    flat, build = ravel_pytree((joint, q.real, q.imag, 2 * np.pi * at[0]))
+    slope = jax.jit(jax.jacrev(lambda scales: answer(*build(flat * scales)), has_aux=True))
+    one, h = np.ones(flat.shape), 1e-6
+    found = slope(one)[0]
+    sides = [[slope(one + s)[1][0] for s in (step, -step)] for step in h * np.eye(len(flat))]
+    expected = np.stack([(up - down) / (2 * h) for up, down in sides], axis=-1)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7 * np.max(np.abs(expected)))
+    own = len(ravel_pytree(joint)[0])
+    assert np.any(np.asarray(found)[:, :own] != 0, axis=0).all(), "a parameter that has no influence is not tested"
 
 
 @pytest.mark.slow

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import scipy.stats
+import scipy.special
 from jaxtyping import Complex, Float
 
 from modalax.data.frf import FRF
@@ -66,7 +66,7 @@ def two_modes(frf: FRF, model: ModalModel, residual: Complex[np.ndarray, "f o i"
     left = two.chi2 / max(2 * hood.data.size - two.unknowns, 1)
     scale = _level(frf, left) * _correlation(hood.left(two.poles), left)
     for other in others:
-        need = scipy.stats.chi2.isf(CHANCE, max(two.unknowns - other.unknowns, 1))
+        need = scipy.special.chdtri(max(two.unknowns - other.unknowns, 1), CHANCE)
         if (other.chi2 - two.chi2) / scale < need:
             return False
     return left < MISFIT or not _alike(model, pair)

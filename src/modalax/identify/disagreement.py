@@ -9,7 +9,7 @@ short. It enters the deviation of the pole as in a random-effects mean (DerSimon
 from typing import NamedTuple
 
 import numpy as np
-import scipy.stats
+import scipy.special
 from jaxtyping import Float
 
 from modalax.identify.neighbourhood import Neighbourhood
@@ -124,7 +124,7 @@ def _spread(frequency: np.ndarray, decay: np.ndarray, weight: np.ndarray, far: f
         tau2 = max(0.0, (q - (len(w) - 1)) / (np.sum(w) - np.sum(w**2) / np.sum(w)))
         between.append(np.sqrt(tau2) / unit)
         error.append(np.sqrt(np.sum(w + w**2 * tau2)) / np.sum(w) / unit)
-    chance = float(scipy.stats.chi2.sf(statistic, 2 * (len(w) - 1)))
+    chance = float(scipy.special.chdtrc(2 * (len(w) - 1), statistic))
     return Spread(
         shift, std, (float(between[0]), float(between[1])), (float(error[0]), float(error[1])), chance
     )  # fmt: skip

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-import scipy.stats
+import scipy.special
 from jaxtyping import Float
 
 from modalax.data.frf import FRF
@@ -84,7 +84,7 @@ def _words(modes: Modes, r: int) -> list[str]:
     inside = first <= f <= last
     lost = inside and modes.refined and not np.isfinite(modes.damping_std[r])
     bound = zeta <= 1.01 * UNDAMPED or zeta > HEAVY or lost
-    weak = q.gain < scipy.stats.chi2.isf(CHANCE, q.unknowns)
+    weak = q.gain < scipy.special.chdtri(q.unknowns, CHANCE)
     count = modes.frf.shape[1] * modes.frf.shape[2]
     edge = min(f - first, last - f) < max(width, 1.5 * step)
     vague = np.isfinite(modes.damping_std[r]) and modes.damping_std[r] > VAGUE * zeta
@@ -171,7 +171,7 @@ def _grade(modes: Modes, r: int) -> float:
     std, f_std = float(modes.damping_std[r]), float(modes.frequency_std_hz[r])
     if zeta <= 1.01 * UNDAMPED or zeta > HEAVY or (inside and modes.refined and not np.isfinite(std)):
         return 0.0
-    noise = HALF_SURE * scipy.stats.chi2.isf(CHANCE, q.unknowns)
+    noise = HALF_SURE * scipy.special.chdtri(q.unknowns, CHANCE)
     deviation = 1.0
     if np.isfinite(std) and np.isfinite(f_std):
         deviation = 1 / (1 + (2 * std / zeta) ** 2) / (1 + (f_std / width) ** 2)

@@ -6,7 +6,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-import scipy.stats
+import scipy.special
 from jaxtyping import Bool, Float
 
 from modalax.data.frf import FRF
@@ -83,7 +83,7 @@ def _gains(frf: FRF, model: ModalModel) -> tuple[Float[np.ndarray, " n"], Bool[n
     """By how much each mode raises the likelihood of the lines around it, and which do no more than in noise."""
     quality = quality_of(frf, model)
     gains = np.array([q.gain for q in quality])
-    return gains, gains < np.array([scipy.stats.chi2.isf(CHANCE, q.unknowns) for q in quality])
+    return gains, gains < np.array([scipy.special.chdtri(q.unknowns, CHANCE) for q in quality])
 
 
 def _require(frf: FRF, sound: np.ndarray) -> None:
@@ -111,7 +111,7 @@ def at_bound(frf: FRF, refined: Refined) -> Bool[np.ndarray, " n"]:
 def _in_noise(frf: FRF, refined: Refined) -> Bool[np.ndarray, " n"]:
     """Modes in the band whose evidence a pole and a residue matrix of rank one would find in noise alone."""
     unknowns = 2 * (frf.shape[1] + frf.shape[2] - 1) + 2
-    need = scipy.stats.chi2.isf(CHANCE, unknowns)
+    need = scipy.special.chdtri(unknowns, CHANCE)
     return _inside(frf, refined.model) & (np.asarray(refined.evidence) < need)
 
 

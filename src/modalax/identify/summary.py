@@ -15,7 +15,6 @@ def summary(answer: Mapping[str, Any]) -> str:
             with_error(mode["frequency_hz"], mode["frequency_std_hz"]),
             with_error(mode["damping_ratio"], mode["damping_ratio_std"], 100.0),
             f"{mode['mpc']:.3f}",
-            ", ".join(mode["flags"]),
         ]
         for k, mode in enumerate(modes)
     ]
@@ -24,8 +23,9 @@ def summary(answer: Mapping[str, Any]) -> str:
         f"{count} from {low:g} to {high:g} Hz, {answer['method']} of order {answer['order']}, {_refinement(answer)}; "
         f"unexplained part of the measured energy: {100 * answer['unexplained']:.3g} %"
     )
-    table = text_table(("Mode", "Frequency [Hz]", "Damping [%]", "MPC", "Flags"), rows, left=(4,))
-    return "\n".join([head, table, *(f"note: {text}" for text in answer["notes"])])
+    table = text_table(("Mode", "Frequency [Hz]", "Damping [%]", "MPC"), rows)
+    flags = [f"mode {k + 1}: {'; '.join(mode['flags'])}" for k, mode in enumerate(modes) if mode["flags"]]
+    return "\n".join([head, table, *flags, *(f"note: {text}" for text in answer["notes"])])
 
 
 def _refinement(answer: Mapping[str, Any]) -> str:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.stats
+import scipy.special
 
 from modalax.diagnose.decision.omnibus import Omnibus
 from modalax.diagnose.screening.patterns import independent
@@ -83,13 +83,13 @@ def detect(
     # one mode a side shows nearly all that several would
     patterns = [t for t in trials if t.cause.judged_by == "patterns"]
     p = {
-        "scores": -math.expm1(count * math.log1p(-min(2 * scipy.stats.norm.sf(top / spread), 1 - 1e-12))),
+        "scores": -math.expm1(count * math.log1p(-min(2 * scipy.special.ndtr(-top / spread), 1 - 1e-12))),
         "patterns": min((_pattern_p(t, spread, tolerated) for t in patterns), default=1.0),
         "hum": min((_hum_p(t) for t in trials if t.cause.judged_by == "hum"), default=1.0),
         "omnibus": remains.p_value,
     }
     single = -math.expm1(math.log1p(-THRESHOLDS.alarm * THRESHOLDS.share_of_scores) / count)
-    return Detection(p, float(scipy.stats.norm.isf(single / 2)) * spread)
+    return Detection(p, float(-scipy.special.ndtri(single / 2)) * spread)
 
 
 def _pattern_p(t: Trial, spread: float, tolerated: float) -> float:
@@ -105,9 +105,9 @@ def _pattern_p(t: Trial, spread: float, tolerated: float) -> float:
     i = int((np.abs(t.extra).max(axis=(0, 1)) > 0).sum())
     gamma = scipy.special.gammaln
     log_kappa = 0.5 * math.log(math.pi) + gamma((o + i - 1) / 2) - gamma(o / 2) - gamma(i / 2)
-    gain = (t.gain - tolerated) / spread**2
-    one_shape = math.exp(terms * log_kappa) * scipy.stats.chi2.sf(gain, terms * (o + i - 1))
-    return float(min(1.0, WHEREABOUTS * t.trials * min(one_shape, scipy.stats.chi2.sf(gain, terms * o * i))))
+    gain = max(t.gain - tolerated, 0.0) / spread**2
+    one_shape = math.exp(terms * log_kappa) * scipy.special.chdtrc(terms * (o + i - 1), gain)
+    return float(min(1.0, WHEREABOUTS * t.trials * min(one_shape, scipy.special.chdtrc(terms * o * i, gain))))
 
 
 def _hum_p(t: Trial) -> float:

@@ -7,7 +7,7 @@ its amplitude, noise only as its square root, so that it is seen at a third of t
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.stats
+import scipy.special
 
 from modalax.diagnose.setup.noise import TRUSTED
 
@@ -75,12 +75,12 @@ def omnibus(residual: np.ndarray, live: np.ndarray, freedom: float, tolerated: f
                 p = -np.expm1(dof / 2 * np.log1p(-min(np.exp(-top / 2), 1 - 1e-16)))
                 tests.append(
                     (
-                        float(-scipy.stats.norm.ppf(min(max(p * 1.0, 1e-300), 1 - 1e-9))) / np.sqrt(spread),
+                        float(-scipy.special.ndtri(min(max(p * 1.0, 1e-300), 1 - 1e-9))) / np.sqrt(spread),
                         f"largest of {name}, {stretch} lines",
                     )
                 )
     z, where = max(tests, default=(0.0, ""))
-    return Omnibus(min(1.0, float(scipy.stats.norm.sf(z)) * max(len(tests), 1)), z, where, whiteness(r, live))
+    return Omnibus(min(1.0, float(scipy.special.ndtr(-z)) * max(len(tests), 1)), z, where, whiteness(r, live))
 
 
 def _stretches(value: np.ndarray, live: np.ndarray, stretch: int) -> tuple[np.ndarray, np.ndarray]:
