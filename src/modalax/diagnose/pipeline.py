@@ -36,6 +36,7 @@ from modalax.diagnose.result import Diagnosis
 from modalax.diagnose.search.explain import Explanation, doubt, explain
 from modalax.diagnose.search.look import look
 from modalax.model import ModalModel, Structure
+from modalax.model.entry import check_comparable
 
 
 def diagnose(
@@ -69,9 +70,11 @@ def diagnose(
     Raises
     ------
     ValueError
-        If double precision is off, a measured DoF is not in the simulation, or the data holds too few lines.
+        If double precision is off, a measured DoF is not in the simulation, the data holds too few lines to tell, or
+        data or simulation are of no passive structure (:func:`modalax.model.entry.check_comparable`).
     """
     require_double("diagnose")
+    check_comparable(measurement, simulation)
     release_programs()
     comparison = with_noise_beside(make_comparison(measurement, simulation, question))
     wanted = causes_of(causes, comparison, catalogue(comparison.problem.data.shape[0]))

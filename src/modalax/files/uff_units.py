@@ -31,7 +31,7 @@ def units_of(found: Mapping[str, Any]) -> Units:
         If a factor is not positive.
     """
     length, force = float(found["length"]), float(found["force"])
-    if not (length > 0 and force > 0):
+    if not (0 < length < 1e30 and 0 < force < 1e30):
         raise ValueError(
             f"data set 164 gives the factors {length:g} for length, {force:g} for force; they are positive"
         )

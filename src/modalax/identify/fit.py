@@ -6,7 +6,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from modalax.data.causality import looks_conjugated
 from modalax.data.frf import FRF
 from modalax.data.measurement import Measurement
 from modalax.identify.band import usable_lines
@@ -25,6 +24,7 @@ from modalax.identify.select import Selection, best_order
 from modalax.identify.settle import settle, settle_diagram, with_misfit
 from modalax.identify.stabilize import stabilization
 from modalax.identify.tables import PoleTable
+from modalax.model.entry import check_measured, check_order
 from modalax.model.indicators import mpc
 from modalax.model.modal import ModalModel
 
@@ -80,9 +80,9 @@ def fit(
     tell = progress or (lambda text: None)
     frf = frf.frf if isinstance(frf, Measurement) else frf
     frf = frf if band is None else frf.band(*band)
+    check_order(order)
     frf, notes = usable_lines(frf, choose=band is None)
-    if not float(jnp.max(jnp.abs(frf.H))) > 0:
-        raise ValueError("the FRFs are zero throughout the band; there is nothing to fit")
+    check_measured(frf)
     turned = frf.shape[2] > frf.shape[1]
     name = method or ("plscf" if min(frf.shape[1:]) > 1 else "lscf")
     if name not in ESTIMATORS:
@@ -91,11 +91,6 @@ def fit(
     data = frf.transpose() if turned and name in ("plscf", "lsce", "fdpi") else frf
     table, selection = diagram(data, name, order)
     if selection.poles.size == 0:
-        if looks_conjugated(frf):
-            raise ValueError(
-                "the FRFs look conjugated (time convention e^-jwt), so that every mode is unstable; fit their complex "
-                "conjugate: frf.replace(H=frf.H.conj())"
-            )
         raise ValueError(
             f"no mode lasts over the orders of the diagram between {float(frf.freq[0]):g} and "
             f"{float(frf.freq[-1]):g} Hz; widen the band or raise the order (now {table.orders[-1]})"

@@ -1,0 +1,96 @@
+"""What measurements and simulations must be before anything is concluded from them."""
+
+from typing import Any
+
+import numpy as np
+
+from modalax.data.causality import looks_conjugated
+from modalax.data.frf import FRF
+from modalax.data.measurement import Measurement
+from modalax.model.modal import ModalModel
+from modalax.model.structure import Structure
+
+FEWEST_LINES = 8  # two a half-power bandwidth of one mode and its foot; fewer leave nothing to compare
+UNEQUAL = 1e-6  # of the largest entry: the rounding of programs that write seven digits
+NEGATIVE = 1e-9  # of the largest eigenvalue
+
+
+def check_measured(measured: FRF | Measurement) -> None:
+    """Refuse FRFs that are zero throughout or in the other time convention.
+
+    Raises
+    ------
+    ValueError
+        Saying which, and what helps.
+    """
+    if not float(np.max(np.abs(np.asarray(measured.H)), initial=0.0)) > 0:
+        raise ValueError("the FRFs are zero throughout the band; there is nothing to fit or to compare")
+    if looks_conjugated(measured):
+        raise ValueError(
+            "the FRFs look conjugated (time convention e^-jwt), so that every mode would be unstable; take their "
+            "complex conjugate: .replace(H=measured.H.conj())"
+        )
+
+
+def check_order(order: Any) -> None:
+    """Refuse a model order that is no number of poles; ``ValueError`` says what it is. None leaves the choice open."""
+    if order is None:
+        return
+    if isinstance(order, bool) or not isinstance(order, int | float | np.number) or not (order == int(order) >= 1):
+        raise ValueError(f"order is {order}; it needs a whole number, at least 1")
+
+
+def check_comparable(measured: Any, simulation: Any) -> None:
+    """Refuse data and simulations from which no difference can be concluded.
+
+    Raises
+    ------
+    ValueError
+        If there are too few lines to tell, the FRFs are zero or conjugated, a variance is zero, or a matrix is not
+        symmetric or not that of a passive structure.
+    """
+    if not isinstance(measured, FRF | Measurement):
+        raise ValueError(f"a measurement is a Measurement or an FRF, not a {type(measured).__name__}; see modalax.load")
+    lines = len(measured.freq)
+    if lines < FEWEST_LINES:
+        raise ValueError(f"{lines} frequency lines are too few lines to tell; at least {FEWEST_LINES} are needed")
+    check_measured(measured)
+    if measured.variance is not None:
+        exact = int(np.sum(np.asarray(measured.variance) == 0))
+        if exact:
+            raise ValueError(
+                f"variance is 0 at {exact} of {measured.variance.size} samples, which no measurement is; leave the "
+                "variance out to have the noise estimated"
+            )
+    if isinstance(simulation, Structure):
+        check_passive(simulation)
+    elif isinstance(simulation, ModalModel):
+        growing = np.flatnonzero(np.asarray(simulation.poles).real > 0)
+        if growing.size:
+            raise ValueError(f"mode {growing[0] + 1} of the simulation has a negative damping ratio; it would grow")
+
+
+def check_passive(structure: Structure) -> None:
+    r"""Refuse matrices of no passive structure: M, C, D, K symmetric, nothing negative in any direction.
+
+    All may be singular: a rigid-body motion has no stiffness, and a DoF may have no mass.
+
+    Raises
+    ------
+    ValueError
+        Naming the matrix, with the largest difference or the smallest eigenvalue.
+    """
+    for name in ("M", "C", "D", "K"):
+        A = np.asarray(getattr(structure, name))
+        size, odd = np.abs(A).max(), np.abs(A - A.T).max()
+        if odd > UNEQUAL * size:
+            raise ValueError(
+                f"{name} is not symmetric (entries differ by up to {odd:.3g} of {size:.3g}); a structure without "
+                "gyroscopic or follower forces has symmetric matrices"
+            )
+        values = np.linalg.eigvalsh((A + A.T) / 2)
+        if values[0] < -NEGATIVE * np.abs(values).max() or (name == "M" and not values[-1] > 0):
+            raise ValueError(
+                f"{name} has the eigenvalue {values[0]:.3g}; it must be positive or zero in every direction"
+                f"{', and not zero throughout' if name == 'M' else ''}: is its sign wrong?"
+            )
