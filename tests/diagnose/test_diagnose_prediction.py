@@ -59,7 +59,7 @@ def direction(n, *which):
 
 
 def test_every_slug_of_the_answer_has_a_cause():
-    assert {c.slug for c in catalogue()} == set(SLUGS)
+    assert {c.slug for c in catalogue()} >= set(SLUGS)
 
 
 @pytest.mark.parametrize(
