@@ -30,23 +30,39 @@ class FractionalJoint(LocalCause):
         return p[0] * s ** p[1]
 
 
-class MaxwellElement(LocalCause):
-    r"""A spring and a damper in series, :math:`Z = k\,s\tau/(1 + s\tau)`."""
+class MaxwellJoint(LocalCause):
+    r"""A relaxation joint: a spring beside a spring and a damper in series.
 
-    slug = "maxwell_element"
-    summary = "a spring and a damper in series"
-    named = False
-    prior = RARE
-    parameters = (Parameter("stiffness", "N/m", 0.0), Parameter("time_constant", "s", 1e-9, log=True))
+    :math:`Z = k\left(r + \frac{s\tau}{1 + s\tau}\right)`, from :math:`kr` at rest to :math:`k(1 + r)` far above
+    :math:`1/\tau` (the standard linear solid; Zener 1948, Elasticity and Anelasticity of Metals).
+    """
+
+    slug = "maxwell_joint"
+    summary = "a joint that relaxes: a spring beside a spring and a damper in series"
+    advice = "widen the band on both sides of the frequency at which the joint relaxes"
+    prior = 0.2  # a spring and a damper are its limits
+    parameters = (
+        Parameter("relaxing_stiffness", "N/m", 0.0),
+        Parameter("relaxation_time", "s", 1e-9, log=True),
+        Parameter("lasting_share", "-", 0.0, 100.0),
+    )
 
     def grid(self, scene: Scene, place: Place) -> np.ndarray:
-        """Relaxing about mid-band."""
-        shapes = [(x / median_omega(scene),) for x in (0.3, 1.0, 3.0)]
+        """Relaxing about mid-band, with nothing and with as much that lasts."""
+        shapes = [(x / median_omega(scene), share) for x in (0.3, 1.0, 3.0) for share in (0.0, 1.0)]
         return strengths(scene.stiffness_scale(place), shapes, both=False)
 
     def impedance(self, s: Complex[Array, " f"], p: Float[Array, " p"]) -> Complex[Array, " f"]:
-        r""":math:`k\,s\tau/(1 + s\tau)`."""
-        return p[0] * s * p[1] / (1 + s * p[1])
+        r""":math:`k(r + s\tau/(1 + s\tau))`."""
+        return p[0] * (p[2] + s * p[1] / (1 + s * p[1]))
+
+    def report(self, p: np.ndarray, place: Place) -> dict[str, tuple[Any, str]]:
+        """Both stiffnesses rather than a share."""
+        return {
+            "relaxing_stiffness": (p[0], "N/m"),
+            "relaxation_time": (p[1], "s"),
+            "lasting_stiffness": (p[0] * p[2], "N/m"),
+        }
 
 
 class HystereticJoint(LocalCause):
@@ -67,4 +83,4 @@ class HystereticJoint(LocalCause):
         return 1j * p[0] + 0 * s
 
 
-VISCOELASTIC: tuple[Any, ...] = (FractionalJoint(), MaxwellElement(), HystereticJoint())
+VISCOELASTIC: tuple[Any, ...] = (FractionalJoint(), MaxwellJoint(), HystereticJoint())
