@@ -33,7 +33,7 @@ def diagnose(
     out: PicturesOption = None,
     overwrite: OverwriteOption = False,
 ) -> None:
-    """Compare measured FRFs with a simulation: where it fails, why, and what mending it gains."""
+    """Compare measured FRFs with a simulation: where it fails, why, and how much better it predicts once extended."""
     if simulation is None:
         raise ValueError("diagnose needs --simulation SIM, the model to compare with")
     check_free(json, report, overwrite=overwrite, inputs=[data, simulation])

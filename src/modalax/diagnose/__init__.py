@@ -1,4 +1,4 @@
-"""What a simulation gets wrong, why, and what it gains to mend it.
+"""What a simulation gets wrong, why, and how much better it predicts once extended.
 
 The package can be called: ``modalax.diagnose(measurement, simulation)`` is
 ``modalax.diagnose.diagnose(measurement, simulation)``. Python binds the name of a package to its parent as soon as

@@ -152,7 +152,15 @@ _predict_jit = jax.jit(predict, static_argnums=0)
 
 
 def hum_of(cause: LinesCause, place: Place, comparison: Comparison, residual: np.ndarray) -> HumLines:
-    """What hum would explain of a residual, shape ``(run, f, o, i)``."""
+    """Find what hum at the mains frequency would explain of a residual.
+
+    Parameters
+    ----------
+    place
+        Fundamental frequency, as the first number of the place.
+    residual
+        Whitened, complex, shape ``(run, f, o, i)``.
+    """
     lines = comparison.problem.lines
 
     def columns(x: np.ndarray) -> np.ndarray:
@@ -193,10 +201,19 @@ def make_comparison(
 ) -> Comparison:
     """Bring a measurement and a simulation together.
 
+    Parameters
+    ----------
+    data
+        Runs of FRFs of any form; a line at 0 Hz is left out.
+    simulation
+        A structure, a modal model or an extended simulation whose DoFs hold all measured ones by name.
+    question
+        ``auto``, ``fixed`` or ``free``, as :func:`~modalax.diagnose.diagnose` takes it.
+
     Raises
     ------
     ValueError
-        If a measured DoF is not in the simulation, or ``question`` is not ``auto``, ``fixed`` or ``free``.
+        If a measured DoF is not in the simulation, or ``question`` is not one of the three.
     """
     if question not in ("auto", "fixed", "free"):
         raise ValueError(f"question is {question!r}; it must be auto, fixed or free")
@@ -248,7 +265,7 @@ def make_comparison(
 
 
 def noise_beside(comparison: Comparison, null: Hypothesis) -> Noise | None:
-    """Noise that had to be read off the lines, once more beside the simulation as it fits; None where it was given."""
+    """Estimate noise again, given the simulation as it fits, if variances were missing; None where they were given."""
     if comparison.noise.freedom >= TRUSTED or comparison.question == "free":
         return None
     order = DERIVATIVES[comparison.measurement.form]
@@ -269,7 +286,7 @@ def _coupled(simulation: Structure | ModalModel) -> np.ndarray | None:
 def _taken_apart(
     simulation: Structure | ModalModel | ExtendedSimulation, measurement: Measurement
 ) -> tuple[Structure | ModalModel, Held | None]:
-    """Modes and, of an extended simulation, what it has beside them."""
+    """Modes and, of an extended simulation, what it has besides them."""
     if not isinstance(simulation, ExtendedSimulation):
         return simulation, None
     faults = [c.slug for c in simulation.causes if c.on_measured_channels]
@@ -301,7 +318,15 @@ def _question(question: str, simulation: Structure | ModalModel) -> tuple[str, s
 
 
 def causes_of(causes: Sequence[Cause] | None, comparison: Comparison, default: Sequence[Cause]) -> list[Cause]:
-    """The causes to look for: those given, or the catalogue, and under FREE only those that it can see."""
+    """Choose the causes to look for: those given, or of the catalogue those that the question can see.
+
+    Parameters
+    ----------
+    causes
+        What the user asked for; None for the whole catalogue.
+    default
+        The catalogue.
+    """
     chosen = list(default if causes is None else causes)
     held = comparison.problem.held
     if held is not None and any(c.only_one for c in held.causes):
@@ -312,7 +337,7 @@ def causes_of(causes: Sequence[Cause] | None, comparison: Comparison, default: S
 
 
 def with_noise_beside(comparison: Comparison) -> Comparison:
-    """The same comparison with noise that had to be read off the lines read beside the simulation as it fits."""
+    """Estimate the noise of missing variances again, with the simulation as it fits instead of as it came."""
     for _ in range(AGAIN):
         noise = noise_beside(comparison, comparison.fit([empty(comparison)], ROUNDS)[0])
         if noise is None:

@@ -19,10 +19,22 @@ RESAMPLED = 400
 def held_out_block(
     level: np.ndarray, inputs: tuple[str, ...], shape: tuple[int, ...], lines: int, alike: bool = True
 ) -> tuple[str, np.ndarray]:
-    """Name of the block that is held out, and its mask of ``shape`` ``(run, f, o, i)``, ``lines`` of them real.
+    """Choose the block that is held out, and mark it in a mask of shape ``(run, f, o, i)``.
 
-    A force level beyond the fitted ones, else a repeat, else a column, else every fourth stretch of lines. Runs that
-    are not ``alike`` but for their level have parameters of their own and cannot be held out.
+    It is a force level beyond the fitted ones, else a repeat, else a column, else every fourth stretch of lines.
+
+    Parameters
+    ----------
+    level
+        Force amplitude of each run [N].
+    inputs
+        Names of the inputs.
+    shape
+        Shape of the mask, which may be padded.
+    lines
+        True number of lines.
+    alike
+        Whether runs differ by their level only; others have parameters of their own and cannot be held out.
     """
     mask = np.zeros(shape, bool)
     runs, n_in = shape[0], len(inputs)
@@ -43,7 +55,17 @@ def held_out_block(
 
 
 def measure(comparisons: tuple[Comparison, Comparison], null: Hypothesis, found: Hypothesis) -> Gain:
-    """Fit both without the held-out block, each in its own comparison, and compare them on it."""
+    """Fit the simulation and the extended one without the held-out block, and compare them on it.
+
+    Parameters
+    ----------
+    comparisons
+        In which each of the two was fitted.
+    null
+        The simulation alone.
+    found
+        The leading set of causes.
+    """
     comparison = comparisons[0]
     weight = np.asarray(comparison.problem.weight)
     level, lines = np.asarray(comparison.measurement.level), comparison.problem.lines

@@ -103,7 +103,7 @@ class Diagnosis:
 
     @property
     def smallest_detectable(self) -> dict[str, float]:
-        """Strength of each cause that nine in ten such measurements would have shown, at a middling place.
+        """Strength of each cause that nine in ten such measurements would show, at a place of median sensitivity.
 
         Of the forms of a cause (a drift of everything, of one spring) those that have the same strength.
         """
@@ -117,7 +117,7 @@ class Diagnosis:
 
     @property
     def advice(self) -> str | None:
-        """What to measure to tell the alternatives apart, and what beside the catalogue the data looks like."""
+        """What to measure to tell the alternatives apart, and what the data looks like that has no name in the catalogue."""
         if self.verdict == "clean" or (self.verdict == "named" and not self.alternatives):
             return None
         ranked = self.found.ranked

@@ -67,7 +67,7 @@ def plot_residual_map(
             ax.set_title(f"{title}, {name}" if name else title)
         frequency_axis(axes[-1], binned[0][1])
         if picture is not None:
-            bar = fig.colorbar(picture, ax=list(axes), label="Energy a sample, 1 = noise alone")
+            bar = fig.colorbar(picture, ax=list(axes), label="Energy per sample, 1 = noise alone")
             right = np.arange(0, int(top) + 1, max(1, int(top) // 2))
             ticks = [*-right[:0:-1], *right]
             bar.set_ticks(ticks, labels=[f"{10.0**t:g}" for t in ticks])

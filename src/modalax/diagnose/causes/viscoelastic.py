@@ -31,14 +31,14 @@ class FractionalJoint(LocalCause):
 
 
 class MaxwellJoint(LocalCause):
-    r"""A relaxation joint: a spring beside a spring and a damper in series.
+    r"""A relaxation joint: a spring in parallel with a spring and a damper in series.
 
     :math:`Z = k\left(r + \frac{s\tau}{1 + s\tau}\right)`, from :math:`kr` at rest to :math:`k(1 + r)` far above
     :math:`1/\tau` (the standard linear solid; Zener 1948, Elasticity and Anelasticity of Metals).
     """
 
     slug = "maxwell_joint"
-    summary = "a joint that relaxes: a spring beside a spring and a damper in series"
+    summary = "a joint that relaxes: a spring in parallel with a spring and a damper in series"
     advice = "widen the band on both sides of the frequency at which the joint relaxes"
     prior = 0.2  # a spring and a damper are its limits
     parameters = (

@@ -13,11 +13,20 @@ from modalax.diagnose.thresholds import THRESHOLDS
 
 
 def evidence(h: Hypothesis, scene: Scene, samples: int, null_chi2: float) -> float:
-    r"""Logarithm of the evidence: Schwarz's criterion and the prior of the causes and of their places.
+    r"""Logarithm of the evidence: Schwarz's criterion plus the priors of the causes and of their places.
 
     The shape of a missing mode over the channels, of D sizes, is weighed with a prior as wide as the effect is large
     instead, :math:`\frac D2(1 + \ln(\Delta\chi^2/D))` (empirical Bayes; George and Foster 2000, Biometrika 87:731):
     a few lines tell each size, not all.
+
+    Parameters
+    ----------
+    h
+        Fitted causes.
+    samples
+        Number of real samples.
+    null_chi2
+        Chi-square of the simulation alone.
     """
     each = math.log(max(samples, 30))
     value = -0.5 * h.chi2 - 0.5 * h.freedom * each
@@ -32,7 +41,17 @@ def evidence(h: Hypothesis, scene: Scene, samples: int, null_chi2: float) -> flo
 
 
 def promise(t: Trial, scene: Scene, samples: int) -> float:
-    """Twice the log evidence that a trial promises to add, roughly: its gain, less what its unknowns and place cost."""
+    """Twice the log evidence that a trial promises to add: its gain, less what its unknowns and its place cost.
+
+    Parameters
+    ----------
+    t
+        A screened cause at a place, not fitted yet.
+    scene
+        Where places have their prior weights.
+    samples
+        Number of real samples.
+    """
     each = math.log(max(samples, 30))
     cost, sizes = t.cause.promised_cost(t.extra) * each, t.cause.free_sizes(t.extra)
     if sizes:

@@ -139,7 +139,7 @@ def held_out_is_missed(case: Case) -> str | None:
     if gain is None or not several or not fails(gain, limits):
         return None
     return (
-        f"fitted without {gain.held_out}, {case.names} leave a chi-square of {gain.chi2_after:.2f} a sample there, "
+        f"fitted without {gain.held_out}, {case.names} leave a chi-square of {gain.chi2_after:.2f} per sample there, "
         f"fitted with it {gain.chi2_within:.2f}: something else that they imitate"
     )
 
@@ -205,7 +205,19 @@ def fails(gain: Gain, thresholds: Thresholds = THRESHOLDS) -> bool:
 
 
 def rivals(word: str, ranked: Sequence[Ranked], thresholds: Thresholds = THRESHOLDS) -> list[Ranked]:
-    """Sets worth telling beside the leading one: other places of what is named, else the next best at least."""
+    """Choose the sets that are told beside the leading one.
+
+    Of a named set these are its other places; of any other the rivals, the next best at least.
+
+    Parameters
+    ----------
+    word
+        The verdict.
+    ranked
+        Sets of causes by falling probability.
+    thresholds
+        Least probability of another place of what is named, and of a rival of an ambiguous set.
+    """
     if word == "named":
         return [r for r in ranked[1:] if r.probability >= thresholds.elsewhere]
     return [r for r in ranked[1:] if r.probability >= thresholds.rival] or list(ranked[1:2])

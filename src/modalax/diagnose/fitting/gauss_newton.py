@@ -44,7 +44,17 @@ def _normal_many(causes, index, extras, x, chooser, spread, basis, problem):
 def fit_many(
     starts: Sequence[Hypothesis], problem: Problem, nuisance: Nuisance, rounds: int = ROUNDS
 ) -> list[Hypothesis]:
-    """Fit hypotheses of one kind (same causes, different places and starts), in batches of a fixed size."""
+    """Fit hypotheses of the same causes at different places or from different starts, in batches of a fixed size.
+
+    Parameters
+    ----------
+    starts
+        Hypotheses with the parameters to start from.
+    nuisance
+        Modal parameters that adapt with them.
+    rounds
+        Most steps of the search.
+    """
     if not starts:
         return []
     unknowns = max(1, len(searched(starts[0])) + len(nuisance.chooser))

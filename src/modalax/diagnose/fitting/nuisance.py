@@ -50,7 +50,17 @@ class Nuisance:
 
 
 def make_nuisance(spread: np.ndarray, basis: Any, problem: Problem) -> Nuisance:
-    """Find out which modal parameters matter."""
+    """Find out which modal parameters can show in the data within their spread.
+
+    Parameters
+    ----------
+    spread
+        Standard deviations of log frequency and log damping, shape ``(2, n)``.
+    basis
+        Whitened directions of each channel that do not count, or None.
+    problem
+        The data and the simulation.
+    """
     if not (spread > 0).any():
         return Nuisance(spread, basis, np.zeros(0, np.int64))
     G = np.asarray(modal_directions(np.zeros(spread.shape), spread, basis, problem))

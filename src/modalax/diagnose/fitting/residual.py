@@ -17,7 +17,19 @@ from modalax.diagnose.setup.problem import Problem
 
 @partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 def modal_directions(theta, spread, basis, problem):
-    """Change of the whitened prediction by each modal parameter times its spread, shape ``(2 n, o, i, run f 2)``."""
+    """Change of the whitened prediction by one standard deviation of each modal parameter.
+
+    The shape of the result is ``(2 n, o, i, run f 2)``.
+
+    Parameters
+    ----------
+    theta
+        Modal parameters in units of their spread, shape ``(2, n)``.
+    spread
+        Their standard deviations, shape ``(2, n)``.
+    basis
+        Directions that are taken out, or None.
+    """
 
     def one(t):
         H = predict((), np.zeros((0, 3), np.int64), (), (), t * spread, problem)
@@ -40,7 +52,19 @@ def whitened(
     causes: Sequence[Cause], index: Array, extras: Any, u: Array, theta: Array, spread: Array, basis: Any,
     problem: Problem,
 ) -> Array:  # fmt: skip
-    """Whitened, projected residuals of a hypothesis."""
+    """Whitened residuals of a hypothesis, free directions taken out, shape ``(o, i, run f 2)``.
+
+    Parameters
+    ----------
+    index, extras
+        Places as numbers and further data of each cause.
+    u
+        Unknowns of the causes as searched.
+    theta, spread
+        Modal parameters in units of their spread, and that spread, shape ``(2, n)``.
+    basis
+        Directions that are taken out, or None.
+    """
     params = [from_search(c, v) for c, v in zip(causes, split(causes, u), strict=True)]
     H = predict(causes, index, extras, params, theta * spread, problem)
     return projected(problem.weight * (problem.data - H), basis)

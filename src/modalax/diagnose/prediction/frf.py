@@ -89,12 +89,26 @@ def _shapes(problem: Any) -> tuple[Any, Any]:
 def gains_of(
     s: Array, modes: ModalTerms, poles: Array, kernels: list[Any], mixing: bool, order: int = 0
 ) -> Complex[Array, "run f m"]:
-    r"""Gains of the modes and of their conjugates, side by side.
+    r"""Gains of the modes and of their conjugates, shape ``(run, f, m)``.
 
-    Where complex modes follow the undamped ones, so do their residues, which then belong to the poles as they are.
     A kernel :math:`\kappa(x)` in place of :math:`1/x` acts on the response that was measured, the n-th derivative of
     the displacement, so :math:`1/x` becomes :math:`1/x + (\lambda/s)^n(\kappa(x) - 1/x)`, :math:`x = s - \lambda`: what
     answers at once, the direct part of an accelerance, no window alters.
+
+    Parameters
+    ----------
+    s
+        Laplace variable of each line [rad/s].
+    modes
+        Coefficients of the modal equations.
+    poles
+        Poles to which the residues belong.
+    kernels
+        What a record or a sweep makes of each decay: causes with place and parameters, of which the first counts.
+    mixing
+        Whether complex modes follow the undamped ones, so that residues belong to the poles as they are.
+    order
+        Derivatives of the displacement that were measured.
     """
     s = s[None, :, None]
     D = s**2 + modes.c[:, None] * s + modes.k[:, None] + 1j * modes.h[:, None]

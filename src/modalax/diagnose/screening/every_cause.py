@@ -112,7 +112,7 @@ def screen_all(
 
 
 def chosen(trials: list[Trial]) -> list[Trial]:
-    """Trials worth a fit: the best few of each kind, if they are not hopeless beside the best of all."""
+    """Trials worth a fit: the best few of each kind, unless the best of all explains far more."""
     ranked = sorted((t for t in trials if t.gain > 0), key=lambda t: -t.gain)
     if not ranked:
         return []

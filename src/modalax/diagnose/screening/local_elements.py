@@ -258,7 +258,19 @@ def ends(places: Sequence[Place]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def changes(cause: Cause, solve: bool, params: np.ndarray, owner: np.ndarray, at: At, reduced: Reduced) -> np.ndarray:
-    """The number y of each trial at the place that owns it, shape ``(trial, run, f, i)``."""
+    """The factor y by which an element changes the column of its place, shape ``(trial, run, f, i)``.
+
+    Parameters
+    ----------
+    cause
+        The element.
+    solve
+        Whether the amplitude across a joint is solved for, or that without the joint is taken.
+    params, owner
+        Parameters of each trial, shape ``(trial, parameter)``, and the number of its place.
+    at, reduced
+        Products at the places, and of the residual.
+    """
     y = coefficients(cause, solve, params, owner, at.motion, at.drive, reduced.omega, reduced.level)
     return np.broadcast_to(y, (len(y), *at.S.shape[1:]))
 
@@ -271,7 +283,19 @@ def _parts(z: np.ndarray, first: int) -> np.ndarray:
 def score(
     cause: Cause, reduced: Reduced, at: At, grids: list[np.ndarray], finite: bool
 ) -> tuple[list[np.ndarray], list[np.ndarray], dict[tuple[int, int], np.ndarray]]:
-    """Squared lengths and products with the residual of every trial at every place, and a few changes themselves."""
+    """Squared lengths of the changes of every trial and their products with the residual, nuisances projected out.
+
+    Parameters
+    ----------
+    cause
+        The element.
+    reduced, at
+        Products of the residual, and at the places.
+    grids
+        Parameters to try at each place, shape ``(trial, parameter)`` each.
+    finite
+        Whether sizes are finite, or stand for the derivative; of the latter a few changes are kept.
+    """
     solve = finite or isinstance(cause, LocalCause)
     kinds = KEPT_PLACES if reduced.weight2.size < LARGE else KEPT_PLACES // 3
     some = set(np.unique(np.linspace(0, len(grids) - 1, kinds).astype(int)).tolist())
@@ -294,7 +318,17 @@ def score(
 
 
 def grids_of(cause: Cause, scene: Any, places: list[Place]) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Parameters to try at each place, and those of them that stand for the derivative; made once a scene."""
+    """Parameters to try at each place, and those among them that stand for the derivative; made once a scene.
+
+    Parameters
+    ----------
+    cause
+        The element.
+    scene
+        What causes may look at; it keeps the result.
+    places
+        Where the element may sit.
+    """
     key = ("grids", cause, len(places))
     if key not in scene.cache:
         grids = [cause.grid(scene, place) for place in places]
@@ -344,7 +378,21 @@ def element_target(reduced: Reduced, starts: list[Hypothesis]) -> Target:
 def fit_elements(
     comparison: Any, starts: list[Hypothesis], reduced: Reduced, base: Hypothesis, rounds: int
 ) -> list[Hypothesis]:
-    """Fit single elements from several starts, nuisances marginalised in linear order."""
+    """Fit single elements from several starts, the modal parameters marginalised in linear order.
+
+    Parameters
+    ----------
+    comparison
+        Data and simulation.
+    starts
+        Hypotheses of one element each, all of one kind.
+    reduced
+        Products of the residual.
+    base
+        The hypothesis that leaves this residual.
+    rounds
+        Most steps of the search.
+    """
 
     def moved(part: list[Hypothesis], owner: np.ndarray, params: np.ndarray) -> np.ndarray:
         at = at_places(reduced, [h.places[0] for h in part], targets=False)

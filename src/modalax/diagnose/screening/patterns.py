@@ -12,7 +12,19 @@ SETTLED = 1e-5  # change of a shape of length one at which it counts as found
 
 
 def screen_pattern(cause: PatternCause, scene: Scene, residual: Residual, problem: Problem) -> Trial:
-    """Best shape parameters and real sizes in every channel, by linear least squares at each trial."""
+    """Find the shape parameters and the real size in every channel that explain most, by linear least squares.
+
+    Parameters
+    ----------
+    cause
+        Terms over frequency with shape parameters.
+    scene
+        What causes may look at.
+    residual
+        What is to be explained.
+    problem
+        Weights and lines.
+    """
     s = 1j * np.asarray(problem.omega)
     weight = np.asarray(problem.weight)
     runs = weight.shape[0]

@@ -61,7 +61,17 @@ def alike(places: Sequence[Place]) -> tuple[Any, ...]:
 
 
 def score_state_of(comparison: Comparison, h: Hypothesis, jacobian: np.ndarray | None = None) -> ScoreState:
-    """Residual of a hypothesis with the directions that are not to count: modal spread, and fitted parameters."""
+    """Residual of a hypothesis, with the directions along which it may still move projected out of all scores.
+
+    Parameters
+    ----------
+    comparison
+        Data and simulation.
+    h
+        The hypothesis.
+    jacobian
+        Directions of its fitted parameters, shape ``(unknown, o, i, run f 2)``; None without causes.
+    """
     assert h.theta is not None
     whole = comparison.residual(h)
     value = _real(whole)

@@ -129,7 +129,17 @@ def _whole(y: np.ndarray, rows: np.ndarray | None, shape: tuple[int, ...]) -> np
 
 
 def best_trial(cause: Cause, place: Place, grid: np.ndarray, square: np.ndarray, product: np.ndarray) -> Trial:
-    """The best start at one place."""
+    """Choose the best start at one place from squared lengths and products.
+
+    Parameters
+    ----------
+    cause, place
+        What is tried where.
+    grid
+        Parameters tried, shape ``(start, parameter)``.
+    square, product
+        Squared length of the change by each, and its product with the residual.
+    """
     ok = np.isfinite(square) & np.isfinite(product) & (square > 1e-300)
     square, product = np.where(ok, square, 1.0), np.where(ok, product, 0.0)
     z = product / np.sqrt(square)
@@ -178,7 +188,21 @@ def screen_cause(
     cause: Cause, scene: Scene, places: Sequence[Place], theta: np.ndarray, residual: Residual, problem: Problem,
     nuisance: Nuisance, keep: bool,
 ) -> list[Trial]:  # fmt: skip
-    """One kind of cause at its places: derivatives everywhere, finite sizes where they may matter."""
+    """Screen one kind of cause at its places: the derivative at all, finite sizes where they may matter.
+
+    Parameters
+    ----------
+    places
+        Where the cause may sit.
+    theta
+        Modal parameters in units of their spread.
+    residual
+        What is to be explained.
+    nuisance
+        Modal parameters that may adapt.
+    keep
+        Whether directions of the derivative are kept, to count independent tests.
+    """
     if not places:
         return []
     grids = [(cause, place, cause.grid(scene, place)) for place in places]
@@ -197,7 +221,21 @@ def screen_cause(
 def fit_screened(
     comparison: Comparison, starts: list[Hypothesis], state: Residual, base: Hypothesis, rounds: int
 ) -> list[Hypothesis]:
-    """Fit single causes of any kind but elements and patterns, through the changes that screening computes."""
+    """Fit single causes, other than elements and patterns, through the changes that screening computes.
+
+    Parameters
+    ----------
+    comparison
+        Data and simulation.
+    starts
+        Hypotheses of one cause each, all of one kind.
+    state
+        What is to be explained.
+    base
+        The hypothesis that leaves it.
+    rounds
+        Most steps of the search.
+    """
     cause = starts[0].causes[0]
     problem, nuisance, _ = comparison.side(cause.per_run)
     before = plain(base.theta, nuisance.spread, problem)

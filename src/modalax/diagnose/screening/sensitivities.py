@@ -52,7 +52,17 @@ class Residual:
 
 
 def rows_of(cause: Cause, index: np.ndarray, problem: Problem) -> np.ndarray | None:
-    """Outputs that a cause touches at each of some places, shape ``(place, row)``; None where it may touch any."""
+    """Outputs that a cause touches at each place, shape ``(place, row)``; None where it may touch any.
+
+    Parameters
+    ----------
+    cause
+        What is screened.
+    index
+        Places as numbers, shape ``(place, 3)``.
+    problem
+        Of how many outputs, and what the simulation has already.
+    """
     whole = not cause.rows or problem.held is not None or 4 * cause.rows > problem.data.shape[2]
     return None if whole else index[:, : cause.rows]
 

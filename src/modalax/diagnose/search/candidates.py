@@ -17,7 +17,17 @@ ONE_SENSOR = 0.97  # share of a mode's energy at one output beyond which it is t
 
 
 def start_from(base: Hypothesis, trial: Trial, p: np.ndarray) -> Hypothesis:
-    """A hypothesis with the cause of a trial added, at parameters ``p`` within its bounds, not fitted yet."""
+    """Add the cause of a trial to a hypothesis, at parameters within its bounds, not fitted yet.
+
+    Parameters
+    ----------
+    base
+        The hypothesis.
+    trial
+        The cause and its place.
+    p
+        Parameters to start from.
+    """
     low = np.array([q.lower for q in trial.cause.parameters])
     high = np.array([q.upper for q in trial.cause.parameters])
     h = base.with_cause(trial.cause, trial.place, trial.extra, np.clip(p, low, high) if len(low) else p)

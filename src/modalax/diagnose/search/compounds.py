@@ -30,7 +30,17 @@ FURTHER = 3  # causes tried on each
 
 
 def fit_further(comparison: Comparison, base: Hypothesis, trials: list[Trial]) -> list[Hypothesis]:
-    """Fit ``base`` with each trial added, everything together."""
+    """Add each trial to a hypothesis, and fit everything together.
+
+    Parameters
+    ----------
+    comparison
+        Data and simulation.
+    base
+        The hypothesis.
+    trials
+        Causes at places.
+    """
     found = fit_together(comparison, [start_from(base, t, t.start) for t in trials if not t.cause.leaves_out_lines])
     found = [h for h in found if moderate(h, comparison)]
     if base.hum is None:
@@ -58,7 +68,19 @@ def fit_together(comparison: Comparison, starts: list[Hypothesis]) -> list[Hypot
 def exchanged(
     comparison: Comparison, h: Hypothesis, rest: Callable[[Hypothesis], list[Trial]], count: int
 ) -> list[Hypothesis]:
-    """Hypotheses with one of several causes taken out and the most promising others put in its place."""
+    """Replace one of several causes after the other by the most promising others.
+
+    Parameters
+    ----------
+    comparison
+        Data and simulation.
+    h
+        The hypothesis with several causes.
+    rest
+        Gives the promising further causes of a hypothesis.
+    count
+        How many of these are tried for each.
+    """
     out: list[Hypothesis] = []
     for j in range(len(h.causes)):
         keep = [k for k in range(len(h.causes)) if k != j]
@@ -76,9 +98,19 @@ def exchanged(
 def one_more_cause(
     comparison: Comparison, ranked: list[Ranked], rest: Callable[[Hypothesis], "Rest"]
 ) -> list[Hypothesis]:
-    """The leading hypotheses with one cause more; others if none of those means what its name says any longer.
+    """Add one cause more to the leading hypotheses.
 
-    A tuned mass that stood for an added mass and a joint together becomes a mass once the joint is there.
+    Others are tried if none of those means what its name says any longer: a tuned mass that stood for an added mass and
+    a joint together becomes a mass once the joint is there.
+
+    Parameters
+    ----------
+    comparison
+        Data and simulation.
+    ranked
+        Sets of causes by falling probability.
+    rest
+        Gives what a hypothesis leaves.
     """
 
     def worthy(h: Hypothesis) -> bool:
@@ -110,7 +142,19 @@ class Rest:
 
 
 def rest_of(comparison: Comparison, h: Hypothesis, null: Hypothesis, causes: Sequence[Cause]) -> Rest:
-    """Screen what a hypothesis leaves, less what the laws' own inexactness may leave."""
+    """Screen what a hypothesis leaves, less what the inexactness of its laws may leave.
+
+    Parameters
+    ----------
+    comparison
+        Data and simulation.
+    h
+        The hypothesis.
+    null
+        The simulation alone.
+    causes
+        What to look for.
+    """
     used = comparison if h.hum is None else comparison.without(h.hum.lines)
     fidelity = max((c.fidelity for c in h.causes), default=0.0)
     tolerated = fidelity**2 * max(null.chi2 - h.chi2, 0.0)

@@ -88,7 +88,17 @@ def doubt(found: Explanation, imitators: Sequence[Cause]) -> Explanation:
 
 
 def weigh(look: Look, fitted: list[Hypothesis], comparison: Comparison | None = None) -> list[Ranked]:
-    """Sets of causes with their probabilities among all that were fitted."""
+    """Give sets of causes their probabilities among all hypotheses that were fitted.
+
+    Parameters
+    ----------
+    look
+        The simulation alone, whose chi-square and number of samples count.
+    fitted
+        The hypotheses.
+    comparison
+        In which they were fitted; that of ``look`` if None.
+    """
     used = comparison or look.comparison
     samples = look.comparison.problem.samples
     each = best_of_each(fitted, used)
@@ -110,7 +120,17 @@ def singles(look: Look, causes: Sequence[Cause]) -> list[Hypothesis]:
 def centred(
     look: Look, fitted: list[Hypothesis], ranked: list[Ranked]
 ) -> tuple[Comparison, list[Hypothesis], list[Ranked]]:
-    """Make complex modes exact about the leading hypothesis, and fit those near it again."""
+    """Make complex modes exact about the leading hypothesis, and fit those near it again.
+
+    Parameters
+    ----------
+    look
+        The simulation alone.
+    fitted
+        All hypotheses so far.
+    ranked
+        Sets of causes by falling probability.
+    """
     comparison = look.comparison.centred(ranked[0].best)
     if comparison is look.comparison:
         return comparison, fitted, ranked
@@ -122,7 +142,21 @@ def centred(
 def together(
     look: Look, comparison: Comparison, fitted: list[Hypothesis], ranked: list[Ranked], causes: Sequence[Cause]
 ) -> tuple[list[Ranked], list[Hypothesis], Rest]:
-    """Add one cause at a time, as long as what is left asks for one and the leading set takes it up."""
+    """Add one cause at a time, as long as what is left asks for one and the leading set takes it up.
+
+    Parameters
+    ----------
+    look
+        The simulation alone.
+    comparison
+        In which hypotheses are fitted.
+    fitted
+        All hypotheses so far.
+    ranked
+        Sets of causes by falling probability.
+    causes
+        What to look for.
+    """
     rests: dict[int, tuple[Hypothesis, Rest]] = {}  # the hypothesis is kept, so that its number stays its own
 
     def rest(h: Hypothesis) -> Rest:

@@ -18,7 +18,19 @@ FITS = 6  # trials of one kind
 def imitations(
     comparison: Comparison, null: Hypothesis, state: ScoreState, best: Hypothesis, imitators: Sequence[Cause]
 ) -> list[Hypothesis]:
-    """Each imitator alone at its best places, fitted."""
+    """Fit each imitator alone at its best places.
+
+    Parameters
+    ----------
+    comparison
+        Data and simulation.
+    null, state
+        The simulation alone, and what it leaves.
+    best
+        The leading hypothesis, beside which an imitator must stand.
+    imitators
+        Causes without a name in the answer.
+    """
     least = SHARE * (null.chi2 - best.chi2)
     kept, count = [], dict.fromkeys(imitators, 0)
     for t in sorted(screen_all(comparison, null, imitators, state).trials, key=lambda t: -t.gain):

@@ -17,7 +17,7 @@ CENTRED = 3  # times that complex modes are made exact about what was fitted
 
 @dataclass(frozen=True)
 class Look:
-    """The simulation alone beside the data: what it leaves, what the causes would explain of that, and the chance.
+    """The simulation against the data before any cause: what it leaves, what causes would explain, the chance.
 
     Where dampers couple the modes, ``again`` is the same with complex modes exact about the parameters fitted to that.
     """
@@ -32,7 +32,7 @@ class Look:
 
 
 def look(comparison: Comparison, causes: Sequence[Cause]) -> Look:
-    """Whether anything is wrong at all."""
+    """Ask whether anything is wrong at all."""
     first = _look(comparison, causes)
     if not first.detection.anything or comparison.problem.modal_form.mixing is None or not comparison.nuisance.active:
         return first

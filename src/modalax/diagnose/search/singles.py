@@ -29,9 +29,18 @@ STRAYED = 8.0  # claimed standard deviations of a modal parameter beyond which t
 
 
 def from_home(comparison: Comparison, null: Hypothesis, causes: Sequence[Cause]) -> list[Hypothesis]:
-    """Single causes looked for where the simulation has its modes, if what is wrong drove these far off.
+    """Look for single causes about the modes as the simulation has them, if the fit drove these far off.
 
     The modes then move in linear order about where the simulation has them; the leading ones are fitted from there too.
+
+    Parameters
+    ----------
+    comparison
+        Data and simulation.
+    null
+        The simulation alone, its modal parameters adapted.
+    causes
+        What to look for.
     """
     assert null.theta is not None
     if np.abs(null.theta).max(initial=0.0) <= STRAYED:
@@ -47,7 +56,17 @@ def from_home(comparison: Comparison, null: Hypothesis, causes: Sequence[Cause])
 
 
 def fit_single(comparison: Comparison, null: Hypothesis, trials: list[Trial], state: ScoreState) -> list[Hypothesis]:
-    """Fit each trial alone, from several starts."""
+    """Fit each trial alone, from several starts.
+
+    Parameters
+    ----------
+    comparison
+        Data and simulation.
+    null, state
+        The simulation alone, and what it leaves.
+    trials
+        Causes at places, the best first.
+    """
     fine: list[Hypothesis] = []
     for cause in dict.fromkeys(t.cause for t in trials):
         mine = [t for t in trials if t.cause == cause]
@@ -92,7 +111,17 @@ def _broken_promises(
 
 
 def refit(comparison: Comparison, null: Hypothesis, starts: list[Hypothesis], state: ScoreState) -> list[Hypothesis]:
-    """Fit hypotheses of one kind, each of one cause."""
+    """Fit hypotheses of one cause each, all of one kind.
+
+    Parameters
+    ----------
+    comparison
+        Data and simulation.
+    null, state
+        The simulation alone, and what it leaves.
+    starts
+        Hypotheses with the parameters to start from.
+    """
     if not starts:
         return []
     cause = starts[0].causes[0]
@@ -108,9 +137,20 @@ def refit(comparison: Comparison, null: Hypothesis, starts: list[Hypothesis], st
 def joints_for_drifts(
     comparison: Comparison, null: Hypothesis, found: Sequence[Hypothesis], causes: Sequence[Cause], state: ScoreState
 ) -> list[Hypothesis]:
-    """Joints of stiffness and threshold where the leading hypothesis is one spring that drifts.
+    """Fit joints of stiffness and threshold where the leading hypothesis is one spring that drifts.
 
     A joint that is stiff at one level and lets go at the next is far from any small size that it is screened at.
+
+    Parameters
+    ----------
+    comparison
+        Data and simulation.
+    null, state
+        The simulation alone, and what it leaves.
+    found
+        Fitted hypotheses, the best first.
+    causes
+        What to look for.
     """
     if not found or not found[0].causes or not found[0].causes[0].drifts:
         return []

@@ -46,7 +46,7 @@ class Mixing(eqx.Module):
 
 
 class Uncoupled(eqx.Module):
-    r"""The undamped modes, and those with a middling share of the coupling, beside the complex ones.
+    r"""The undamped modes, and those with part of the coupling, for interpolation towards the complex ones.
 
     With a share t of what couples the modes kept and each mode's own damping whole, a complex shape stands off the
     undamped one by a part that grows with t to first order, and its :math:`|\lambda|^2` and
@@ -95,7 +95,7 @@ def uncoupled_of(
     damping: np.ndarray, squares: np.ndarray, undamped: np.ndarray, inverse: np.ndarray, coupled: Triple,
     middle: Triple, at: float,
 ) -> Uncoupled:  # fmt: skip
-    """The undamped modes, and those with a share of the coupling, beside complex ones.
+    """Make the undamped modes and those with a share of the coupling, in the lengths of the complex ones.
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ READ_LINES = 1.12  # widening of a line's sum where variances were read off the 
 THIRD = np.array([1.0, -3.0, 3.0, -1.0]) / np.sqrt(20.0)
 # Lines of third differences that tell as much as one: the sum of their squared correlations. A variance known to one
 # part in n, and so are the parts it is made of, makes the mean of 1/variance too large by as much; 60 clean sets have
-# chi-squares of 1.065 a sample before this is put right.
+# chi-squares of 1.065 per sample without this correction.
 DEPENDENT = float(np.sum(np.correlate(THIRD, THIRD, "full") ** 2))
 
 

@@ -47,7 +47,7 @@ class Problem(eqx.Module):
     lines, channels
         True numbers of lines, and of outputs and inputs, before padding.
     held
-        What the simulation has beside its modes, or None.
+        What the simulation has besides its modes, or None.
     order
         Derivatives of the displacement that were measured: windows and sweeps act on these.
     """

@@ -57,7 +57,7 @@ def gain_rows(gain: Mapping[str, Any]) -> Table:
     """What the extension gains on the data it was not fitted to."""
     likelihood = with_error(gain["log_likelihood_gain"], gain["log_likelihood_gain_std"])
     rows = [
-        ["Chi-square a real sample (1 is noise alone)", f"{gain['chi2_before']:.4g}", f"{gain['chi2_after']:.4g}"],
+        ["Chi-square per real sample (1 is noise alone)", f"{gain['chi2_before']:.4g}", f"{gain['chi2_after']:.4g}"],
         ["Gain of log-likelihood [nats]", "", likelihood],
     ]
     return Table(["On the held-out block", "Simulation", "Extended"], rows, f"Held out: {gain['held_out']}.")
@@ -136,7 +136,7 @@ def _smallest(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> Table:
         [slug, f"{strengths[slug].name} [{strengths[slug].unit}]", f"{value:.3g}"]
         for slug, value in sorted(answer["smallest_detectable"].items())
     ]
-    caption = "Strength that nine in ten such measurements would have shown, at a middling place."
+    caption = "Strength that nine in ten such measurements would have shown, at a place of median sensitivity."
     return Table(["Cause", "Strength", "Smallest"], rows, caption, text_columns=(0, 1))
 
 

@@ -297,7 +297,7 @@ def residual_plot(freq: Any, maps: Sequence[tuple[str, Any]], rows: Sequence[str
                 z=np.log10(np.maximum(mean, 10**-top)).astype(np.float32), x=edges.astype(np.float32),
                 y=[escape(r) for r in rows], zmin=-top, zmax=top, colorscale="RdBu", reversescale=True,
                 customdata=mean.astype(np.float32),
-                colorbar={"title": {"text": "energy<br>a sample"}, "tickvals": ticks,
+                colorbar={"title": {"text": "energy<br>per sample"}, "tickvals": ticks,
                           "ticktext": [f"{10.0**t:g}" for t in ticks]},
                 hovertemplate="%{y}, %{x:.2f} Hz: %{customdata:.3g} times the noise<extra></extra>",
             )
