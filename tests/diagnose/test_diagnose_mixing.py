@@ -15,7 +15,7 @@ from modalax.diagnose.comparison import empty, make_comparison
 from modalax.diagnose.pipeline import look
 from modalax.diagnose.prediction.frf import predict
 from modalax.diagnose.screening.every_cause import screen_all
-from modalax.diagnose.screening.local_elements import reduce
+from modalax.diagnose.screening.products import reduce
 from modalax.diagnose.screening.score_state import score_state_of
 from modalax.diagnose.screening.sensitivities import Residual
 from modalax.diagnose.setup.modal_form import modal_form_of

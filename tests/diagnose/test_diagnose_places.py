@@ -22,8 +22,9 @@ from modalax.diagnose.fitting.gauss_newton import covariance_of, damped
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.screening import sensitivities as changes
 from modalax.diagnose.screening import shortlist as many
-from modalax.diagnose.screening.local_elements import at_places, ends, factors_of, reduce, score
+from modalax.diagnose.screening.local_elements import score
 from modalax.diagnose.screening.patterns import low_rank, screen_pattern, settled_rank
+from modalax.diagnose.screening.products import at_places, ends, factors_of, reduce
 from modalax.diagnose.screening.score_state import score_state_of
 from modalax.diagnose.screening.screen import Trial, screen_cause
 from modalax.diagnose.screening.sensitivities import Residual

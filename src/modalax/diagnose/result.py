@@ -117,7 +117,7 @@ class Diagnosis:
 
     @property
     def advice(self) -> str | None:
-        """What to measure to tell the alternatives apart, and what the data looks like that has no name in the catalogue."""
+        """What to measure to tell the alternatives apart, and what without a name the data looks like."""
         if self.verdict == "clean" or (self.verdict == "named" and not self.alternatives):
             return None
         ranked = self.found.ranked

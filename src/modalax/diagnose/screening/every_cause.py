@@ -9,8 +9,9 @@ import numpy as np
 from modalax.diagnose.causes.base import Cause, ElementCause, LinesCause, PatternCause
 from modalax.diagnose.comparison import Comparison, hum_of
 from modalax.diagnose.fitting.hypothesis import Hypothesis
-from modalax.diagnose.screening.local_elements import at_places, screen_elements
+from modalax.diagnose.screening.local_elements import screen_elements
 from modalax.diagnose.screening.patterns import screen_pattern
+from modalax.diagnose.screening.products import at_places
 from modalax.diagnose.screening.score_state import ScoreState, alike
 from modalax.diagnose.screening.screen import Trial, screen_cause
 

@@ -10,7 +10,7 @@ from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.hypothesis import Hypothesis
-from modalax.diagnose.screening.local_elements import Reduced, as_one, complex_of, reduce
+from modalax.diagnose.screening.products import Reduced, as_one, complex_of, reduce
 from modalax.diagnose.screening.screen import nuisance_of
 from modalax.diagnose.screening.sensitivities import Residual
 from modalax.diagnose.screening.shortlist import MANY, Sketch, likely_swaps, shortlist, sketch

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modalax.diagnose.causes.scene import Place
-from modalax.diagnose.screening.local_elements import Reduced, complex_of, ends
+from modalax.diagnose.screening.products import Reduced, complex_of, ends
 
 MANY = 450  # places beyond which only some are looked at
 KEPT = 100  # of them

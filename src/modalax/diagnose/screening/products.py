@@ -1,0 +1,244 @@
+r"""Products of receptances with residual, weights and nuisances, from which elements at all places are scored."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from modalax.diagnose.causes.scene import Place
+from modalax.diagnose.causes.signals import ModalTerms
+from modalax.diagnose.prediction.frf import gains_of
+from modalax.diagnose.screening.sensitivities import BATCH, Residual
+from modalax.diagnose.setup.problem import Problem
+
+ROUNDING = 1e-9  # of the largest component, below which the imaginary part of shapes is that of the eigensolver
+WIDTHS = (40, 64, 100, 160)  # ranks tried for the gains of many modes
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """Products of the receptances with residual, weights and nuisances, in the coordinates of the modes.
+
+    Attributes
+    ----------
+    gains
+        Of the modes and of their conjugates, shape ``(f, m)``.
+    shapes, participation
+        At every DoF of the simulation, shape ``(m, dof)``.
+    upper, lower
+        Residual terms between DoFs, shape ``(dof, dof)``; None where there are none.
+    outputs, inputs
+        DoFs of the channels.
+    S, T
+        Products with the residual ``(run, f, dof, i)`` and with the nuisances ``(k, run, f, dof, i)``.
+    weight2
+        Squared weights, shape ``(run, f, o, i)``.
+    inner
+        Inverse information of the nuisances, shape ``(k, k)``.
+    factors
+        Two matrices whose product the gains are, where that is much shorter (modes beyond the band are alike in it).
+    """
+
+    gains: np.ndarray
+    shapes: np.ndarray
+    participation: np.ndarray
+    upper: np.ndarray | None
+    lower: np.ndarray | None
+    outputs: np.ndarray
+    inputs: np.ndarray
+    S: np.ndarray
+    T: np.ndarray
+    weight2: np.ndarray
+    inner: np.ndarray
+    omega: np.ndarray
+    level: np.ndarray
+    factors: tuple[np.ndarray, np.ndarray] | None = None
+    cache: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
+
+    def motion(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Receptance from the inputs to places, shape ``(place, f, i)``; ``b`` below 0 is the ground."""
+        left, right = _along(self.shapes, a, b), self.participation[:, self.inputs]
+        H = np.stack([self.gains @ (left * right[:, i, None]) for i in range(right.shape[1])], axis=-1)
+        H = H + self._far(lambda R: _along(R[:, self.inputs].T, a, b).T[None])
+        return H.transpose(1, 0, 2)
+
+    def column(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Receptance from places to the outputs, shape ``(f, place, o)``."""
+        lines, gains = (None, self.gains) if self.factors is None else self.factors
+        modes = gains.shape[1] // 2
+        right = _along(self.participation, a, b).T[:, :modes]
+        own, conjugate = gains[:, None, :modes] * right, gains[:, None, modes:] * right.conj()
+        # shapes and their conjugates, so that products with real matrices do; of real modes half of them
+        shape = self.shapes[:modes, self.outputs]
+        H = _times_real(own + conjugate, shape.real)
+        if np.abs(shape.imag).max(initial=0.0) > ROUNDING * np.abs(shape).max(initial=0.0):
+            H = H + 1j * _times_real(own - conjugate, shape.imag)
+        H = H.reshape(len(gains), -1) if lines is None else lines @ H.reshape(len(gains), -1)
+        H = H.reshape(len(self.gains), len(a), -1)
+        return H + self._far(lambda R: _along(R[self.outputs], a, b).T[None])
+
+    def summed(self, line: int, sums: np.ndarray) -> np.ndarray:
+        """Receptance from every DoF to sums ``(q, o)`` of the outputs at one line, shape ``(q, dof)``."""
+        modes = self.gains.shape[1] // 2
+        u, v = self.gains[line, :modes, None], self.gains[line, modes:, None]
+        shape, right = self.shapes[:modes, self.outputs], self.participation[:modes]
+        H = _times_real((u * right + v * right.conj()).T, shape.real @ sums.T)
+        if np.abs(shape.imag).max(initial=0.0) > ROUNDING * np.abs(shape).max(initial=0.0):
+            H = H + 1j * _times_real((u * right - v * right.conj()).T, shape.imag @ sums.T)
+        if self.upper is not None and self.lower is not None:
+            far = self.upper[self.outputs] - self.lower[self.outputs] / self.omega[line] ** 2
+            H = H + (sums @ far).T
+        return H.T
+
+    def column_at(self, place: Place) -> np.ndarray:
+        """The same at one place, kept for the next cause, shape ``(f, o)``."""
+        key = place.index[:2]
+        if key not in self.cache:
+            self.cache[key] = self.column(*ends([place]))[:, 0]
+        return self.cache[key]
+
+    def drive(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Receptance across places, shape ``(place, f)``."""
+        H = self.gains @ (_along(self.shapes, a, b) * _along(self.participation, a, b))
+        both = lambda R: np.einsum("kk->k", _along(_along(R, a, b).T, a, b))  # noqa: E731
+        return (H + self._far(lambda R: both(R)[None])).T
+
+    def _far(self, at: Callable[[np.ndarray], np.ndarray]) -> Any:
+        """What the residual terms add, over the lines."""
+        if self.upper is None or self.lower is None:
+            return 0.0
+        upper, lower = at(self.upper), at(self.lower)
+        return upper - lower / self.omega.reshape(-1, *[1] * (lower.ndim - 1)) ** 2
+
+
+def factors_of(gains: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Factors of the gains by random combinations (Halko, Martinsson and Tropp 2011, SIAM Rev. 53:217)."""
+    rng = np.random.default_rng(0)
+    for width in WIDTHS:
+        if 3 * width > min(gains.shape):
+            return None
+        Q = np.linalg.qr(gains @ rng.normal(size=(gains.shape[1], width)))[0]
+        B = Q.conj().T @ gains
+        if np.abs(gains - Q @ B).max() < 1e-13 * np.abs(gains).max():
+            return Q, B
+    return None
+
+
+def _times_real(z: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Complex arrays times a real matrix along the last axis, shape ``(rows, columns of x)``."""
+    z, out = z.reshape(-1, len(x)), np.empty((z.size // len(x), x.shape[1]), complex)
+    out.real, out.imag = z.real @ x, z.imag @ x
+    return out
+
+
+def _along(x: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Columns of the first DoFs less those of the second, where there is one."""
+    return x[:, a] - np.where(b >= 0, 1.0, 0.0) * x[:, np.maximum(b, 0)]
+
+
+def complex_of(value: np.ndarray, runs: int) -> np.ndarray:
+    """Whitened arrays ``(..., o, i, run f 2)`` as complex ``(..., run, f, o, i)``."""
+    z = value.reshape(*value.shape[:-1], runs, -1, 2)
+    z = z[..., 0] + 1j * z[..., 1]
+    return np.moveaxis(z, (-4, -3), (-2, -1))
+
+
+def reduce(problem: Problem, theta: np.ndarray, state: Residual) -> Reduced:
+    """Make the products for one residual.
+
+    Parameters
+    ----------
+    theta
+        Logarithmic changes of the modal frequencies and damping ratios, shape ``(2, n)``.
+    """
+    modal_form = problem.modal_form
+    k, c, *ends_of = modal_form.adapted(jnp.asarray(theta))
+    still = ModalTerms(k[None], c[None], modal_form.hysteresis[None])
+    gains = np.asarray(gains_of(1j * problem.omega, still, modal_form.poles, [], modal_form.mixing is not None))[0]
+    psi, part = (np.concatenate([a, a.conj()]) for a in map(np.asarray, ends_of))
+    there = np.abs(psi).max(axis=1) > 0  # the others only fill up
+    gains, psi, part = np.ascontiguousarray(gains[:, there]), psi[there], part[there]
+    o, i = np.asarray(problem.outputs), np.asarray(problem.inputs)
+    upper, lower = np.asarray(modal_form.upper), np.asarray(modal_form.lower)
+    far = bool(np.abs(upper).max(initial=0.0) + np.abs(lower).max(initial=0.0) > 0)
+    weight = np.asarray(problem.weight)
+    runs = weight.shape[0]
+    away = (upper[o] - lower[o] / np.asarray(problem.omega)[:, None, None] ** 2).conj() if far else None
+
+    def back(x: np.ndarray) -> np.ndarray:
+        """From the outputs to every DoF, through the conjugate receptances."""
+        modal = np.einsum("mo,rfoi->rfmi", psi[:, o].conj(), x, optimize=True) * gains.conj()[..., None]
+        out = np.einsum("md,rfmi->rfdi", part.conj(), modal, optimize=True)
+        return out if away is None else out + np.einsum("fod,rfoi->rfdi", away, x, optimize=True)
+
+    S = back(weight * complex_of(state.value, runs))
+    G = complex_of(state.nuisance, runs) if len(state.nuisance) else np.zeros((0, *weight.shape), complex)
+    T = np.zeros((len(G), *S.shape), complex)
+    for k, g in enumerate(G):
+        if g.any():  # the others only fill up
+            T[k] = back(weight * g)
+    return Reduced(
+        gains, psi, part, upper if far else None, lower if far else None, o, i, S, T, weight**2, state.inner,
+        np.asarray(problem.omega), np.asarray(problem.level), factors_of(gains),
+    )  # fmt: skip
+
+
+def as_one(apart: Reduced, pooled: Problem) -> Reduced:
+    """The products with all runs as one: pooled residuals times their weight are the sums of those of the runs."""
+    weight2, level = np.asarray(pooled.weight) ** 2, np.asarray(pooled.level)
+    S, T = apart.S.sum(axis=0, keepdims=True), apart.T.sum(axis=1, keepdims=True)
+    return replace(apart, S=S, T=T, weight2=weight2, level=level)
+
+
+@dataclass(frozen=True)
+class At:
+    """Products at some places, stacked along the first axis."""
+
+    motion: np.ndarray
+    drive: np.ndarray
+    S: np.ndarray
+    N: np.ndarray
+    T: np.ndarray
+
+
+def at_places(reduced: Reduced, places: Sequence[Place], targets: bool = True, apart: At | None = None) -> At:
+    """Products at directions over the DoFs.
+
+    Parameters
+    ----------
+    targets
+        Whether ``N`` and ``T`` are wanted as well as what the changes need.
+    apart
+        The same with the runs apart, if ``reduced`` has them pooled and it is there already.
+    """
+    a, b = ends(places)
+
+    def pair(x: np.ndarray, axis: int) -> np.ndarray:
+        """Along ``axis``, first DoF less second; places first."""
+        x = np.moveaxis(x, axis, 0)
+        second = np.where(b >= 0, 1.0, 0.0).reshape(-1, *[1] * (x.ndim - 1))
+        return x[a] - second * x[np.maximum(b, 0)]
+
+    S = pair(reduced.S, 2)
+    if apart is not None:
+        T = pair(reduced.T, 3) if len(reduced.T) else apart.T[:, :, :1]
+        return At(apart.motion, apart.drive, S, apart.N.sum(axis=1, keepdims=True), T)
+    motion, drive = reduced.motion(a, b), reduced.drive(a, b)
+    if not targets:
+        return At(motion, drive, S, S[:0], S[:0])
+    N, (runs, lines, outputs, inputs) = [], reduced.weight2.shape
+    weight2 = np.ascontiguousarray(reduced.weight2.transpose(1, 2, 0, 3)).reshape(lines, outputs, -1)
+    for k in range(0, len(a), BATCH):
+        column = reduced.column(a[k : k + BATCH], b[k : k + BATCH])
+        square = (column.real**2 + column.imag**2) @ weight2
+        N.append(square.reshape(lines, -1, runs, inputs).transpose(1, 2, 0, 3))
+    T = pair(reduced.T, 3) if len(reduced.T) else np.zeros((len(a), 0, *S.shape[1:]), complex)
+    return At(motion, drive, S, np.concatenate(N), T)
+
+
+def ends(places: Sequence[Place]) -> tuple[np.ndarray, np.ndarray]:
+    """Both DoFs of each place; the second is -1 at the ground."""
+    index = np.array([p.index[:2] for p in places]).reshape(-1, 2)
+    return index[:, 0], index[:, 1]
