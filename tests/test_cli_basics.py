@@ -57,7 +57,7 @@ def test_help_is_quick_and_names_every_command():
     start = processor_seconds()
     done = subprocess.run([sys.executable, "-m", "modalax", "--help"], capture_output=True, text=True, check=True)
     seconds = processor_seconds() - start
-    for name in ("demo", "fit", "simulate", "diagnose", "causes", "convert"):
+    for name in ("demo", "frf", "fit", "simulate", "diagnose", "causes", "convert"):
         assert name in done.stdout
     assert seconds < 0.65  # 0.3 measured; JAX would add 0.7
 

@@ -13,6 +13,7 @@ from modalax.cli.convert import convert
 from modalax.cli.demo import demo
 from modalax.cli.diagnose import causes, diagnose
 from modalax.cli.fit import fit
+from modalax.cli.frf import frf
 from modalax.cli.import_fe import import_fe
 from modalax.cli.simulate import simulate
 
@@ -46,7 +47,7 @@ def options(
     """Experimental modal analysis: identify, simulate, diagnose."""
 
 
-for command in (demo, fit, check, simulate, diagnose, causes, convert, import_fe):
+for command in (demo, frf, check, fit, simulate, diagnose, causes, convert, import_fe):
     app.command()(command)
 
 

@@ -7,7 +7,9 @@ from modalax.data.frf import FRF, Form
 from modalax.data.geometry import Geometry
 from modalax.data.measurement import Measurement
 from modalax.data.multisine import cut_periods, excited_lines, multisine
+from modalax.data.recording import Recording, from_sep005
 from modalax.data.records import average_frfs, frf_from_blocks, frf_from_hits, frf_from_records
+from modalax.data.reduction import Reduction, frf_from_recording
 
 __all__ = [
     "BestLinear",
@@ -17,6 +19,8 @@ __all__ = [
     "Form",
     "Geometry",
     "Measurement",
+    "Recording",
+    "Reduction",
     "average_frfs",
     "bla_fast",
     "bla_robust",
@@ -24,7 +28,9 @@ __all__ = [
     "excited_lines",
     "frf_from_blocks",
     "frf_from_hits",
+    "frf_from_recording",
     "frf_from_records",
+    "from_sep005",
     "looks_conjugated",
     "multisine",
     "parse_dof",

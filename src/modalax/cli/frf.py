@@ -1,0 +1,177 @@
+"""``modalax frf``: time records to FRFs."""
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from modalax.cli.common import BandOption, OverwriteOption, check_free, note, start, working
+from modalax.files.record_kinds import kind_of
+
+RecordsArgument = Annotated[
+    list[Path], typer.Argument(metavar="RECORDS...", help="Time records: UFF 58, mat, npy, npz, csv, wav or HDF5.")
+]
+PAIR = "Several: repeat the option."
+
+
+def frf(
+    records: RecordsArgument,
+    target: Annotated[Path, typer.Option("--out", "-o", metavar="DATA", help="File of FRFs to write (npz, uff, ...).")],
+    force: Annotated[
+        list[str] | None,
+        typer.Option("--force", metavar="CH", help=f"Channel that is a force, by name or number. {PAIR}"),
+    ] = None,
+    response: Annotated[
+        list[str] | None, typer.Option("--response", metavar="CH", help=f"Channel to use as response. {PAIR}")
+    ] = None,
+    fs: Annotated[
+        float | None, typer.Option("--fs", metavar="HZ", help="Sampling rate, where the file has none.")
+    ] = None,
+    array: Annotated[str, typer.Option("--array", metavar="NAME", help="Array to read, of several in a file.")] = "",
+    unit: Annotated[
+        str | None, typer.Option("--unit", metavar="U", help="Unit of responses without one: m, mm, m/s, m/s^2, g ...")
+    ] = None,
+    units: Annotated[
+        list[str] | None, typer.Option("--units", metavar="CH=U", help=f"Unit of one channel. {PAIR}")
+    ] = None,
+    scale: Annotated[
+        list[str] | None, typer.Option("--scale", metavar="CH=X", help=f"Units a stored unit of one channel. {PAIR}")
+    ] = None,
+    names: Annotated[
+        list[str] | None, typer.Option("--name", metavar="CH=DOF", help=f"DoF of one channel, such as 12:+Z. {PAIR}")
+    ] = None,
+    kind: Annotated[
+        str | None, typer.Option("--kind", help="hits, multisine, sweep, blocks or random; told from the force.")
+    ] = None,
+    runs: Annotated[bool, typer.Option("--runs", help="Each file is a run of its own, as at rising levels.")] = False,
+    level: Annotated[
+        list[float] | None, typer.Option("--level", metavar="N", help=f"Force amplitude of each run. {PAIR}")
+    ] = None,
+    band: BandOption = None,
+    estimator: Annotated[str, typer.Option("--estimator", help="H1, H2 or Hv.")] = "H1",
+    block: Annotated[float | None, typer.Option("--block", metavar="S", help="Length of a block, or of a hit.")] = None,
+    overlap: Annotated[float, typer.Option("--overlap", help="Of blocks of random excitation.")] = 0.5,
+    window: Annotated[str, typer.Option("--window", help="On blocks of random excitation.")] = "hann",
+    period: Annotated[
+        int | None, typer.Option("--period", metavar="SAMPLES", help="Of a multisine; found from the force.")
+    ] = None,
+    skip: Annotated[int | None, typer.Option("--skip", metavar="PERIODS", help="Left out to settle.")] = None,
+    trigger: Annotated[float, typer.Option("--trigger", help="Of hits: share of the largest force.")] = 0.2,
+    pretrigger: Annotated[float | None, typer.Option("--pretrigger", metavar="S", help="Kept before a hit.")] = None,
+    contact: Annotated[
+        float | None, typer.Option("--force-window", metavar="S", help="Keep the force of a hit for so long only.")
+    ] = None,
+    remainder: Annotated[
+        float | None,
+        typer.Option("--exponential", metavar="SHARE", help="Exponential window on hits that leaves this share."),
+    ] = None,
+    keep_all: Annotated[bool, typer.Option("--keep-all", help="Keep double hits and overloads.")] = False,
+    roving: Annotated[
+        int, typer.Option("--roving", metavar="N", help="The hammer goes from point to point, N hits at each.")
+    ] = 0,
+    overwrite: OverwriteOption = False,
+) -> None:
+    """Turn time records into FRFs with coherence and noise; several files are repeats, or runs with --runs."""
+    check_free(target, overwrite=overwrite, inputs=records, data=True)
+    for path in records:
+        kind_of(path)
+    start()
+    import numpy as np
+
+    from modalax.data import Measurement
+    from modalax.data.reduction import frf_from_recording
+    from modalax.files import load_records, save
+
+    choices: dict[str, Any] = {
+        "kind": kind, "block": block, "overlap": overlap, "window": window, "estimator": estimator, "band": band,
+        "period": period, "skip": skip, "trigger": trigger, "pretrigger": pretrigger, "contact": contact,
+        "remainder": remainder, "keep_all": keep_all, "roving": roving,
+    }  # fmt: skip
+    _check_levels(level, len(records) if runs else 1)
+    rates, frfs, said = [], [], set()
+    with working("Time records to FRFs") as step:
+        for paths in [[p] for p in records] if runs else [records]:
+            step(f"reading {', '.join(p.name for p in paths[:3])}{' ...' if len(paths) > 3 else ''}")
+            with _once(said, paths):
+                recording = load_records(paths, fs=fs, array=array)
+                recording = recording.with_units(_pairs(units, "--units"))
+                recording = recording.scaled({k: _number(v, "--scale") for k, v in _pairs(scale, "--scale").items()})
+                recording = recording.renamed(_pairs(names, "--name"))
+                ends = {"force": _renamed(force, names), "response": _renamed(response, names)}
+                frfs.append(frf_from_recording(recording, **ends, unit=unit, **choices))
+            rates.append(recording.fs)
+    if level:
+        frfs = [f.replace(level=amount) for f, amount in zip(frfs, level, strict=True)]
+    measurement = Measurement.from_frfs(frfs)
+    save(measurement, target, overwrite=overwrite)
+    typer.echo(_told(measurement, rates[0]))
+    if runs and not np.isfinite(np.asarray(measurement.level)).all():
+        note("the force level of the runs is not known: none is a sine's; --level gives it in N")
+    note(f"{target} written")
+
+
+@contextmanager
+def _once(said: set[str], paths: list[Path]) -> Iterator[None]:
+    """Tell warnings that have not been told of an earlier file, also where an error ends the work."""
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always", UserWarning)
+        try:
+            yield
+        finally:
+            for warning in heard:
+                bare = str(warning.message).removeprefix(f"{paths[0]}: ")
+                if issubclass(warning.category, UserWarning) and bare not in said:
+                    said.add(bare)
+                    note(f"note: {' '.join(str(warning.message).split())}")
+
+
+def _renamed(wanted: list[str] | None, names: list[str] | None) -> list[str]:
+    """Channels asked for under their old names, by the new ones."""
+    new = _pairs(names, "--name")
+    return [new.get(c, c) for c in wanted or []]
+
+
+def _pairs(given: list[str] | None, option: str) -> dict[str, str]:
+    pairs = {}
+    for one in given or []:
+        channel, equals, value = one.rpartition("=")
+        if not equals or not channel or not value:
+            raise ValueError(f"{option} {one}: it needs a channel, an equals sign and what is said of it, such as 2=g")
+        pairs[channel] = value
+    return pairs
+
+
+def _number(text: str, option: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"{option} {text}: a number is needed") from None
+
+
+def _check_levels(level: list[float] | None, runs: int) -> None:
+    if level and len(level) != runs:
+        raise ValueError(f"--level is given {len(level)} times for {runs} runs; each run needs one, with --runs")
+
+
+def _told(measurement: Any, fs: float) -> str:
+    """One paragraph: what was made of the records."""
+    import numpy as np
+
+    runs, lines, outputs, inputs = measurement.H.shape
+    freq = np.asarray(measurement.freq)
+    text = [
+        f"{measurement.form}, {runs} run{'s' * (runs > 1)} of {outputs} output{'s' * (outputs > 1)} and {inputs} "
+        f"input{'s' * (inputs > 1)}, {lines} lines from {freq[0]:.6g} to {freq[-1]:.6g} Hz, sampled at {fs:g} Hz"
+    ]
+    if measurement.coherence is not None:
+        text.append(f"median coherence {float(np.median(np.asarray(measurement.coherence))):.4f}")
+    if measurement.variance is not None:
+        noise = np.sqrt(np.asarray(measurement.variance).sum() / (np.abs(np.asarray(measurement.H)) ** 2).sum())
+        text.append(f"noise {100 * noise:.2g} % of the FRFs")
+    text.append(f"{measurement.averages} averages" if measurement.averages else "no averages")
+    if float(measurement.added_decay):
+        text.append(f"added decay {float(measurement.added_decay):.4g} 1/s, which a fit takes back out")
+    return "; ".join(text)

@@ -1,0 +1,326 @@
+"""A time recording of several channels: which of them is the force, and in which units they are."""
+
+import re
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from modalax._numerics.checks import require_finite
+
+FORCE, RECEPTANCE, MOBILITY, ACCELERANCE = "force", "receptance", "mobility", "accelerance"
+SI = {FORCE: "N", RECEPTANCE: "m", MOBILITY: "m/s", ACCELERANCE: "m/s^2"}
+EVEN = 0.1  # of the step: what instants may be off by
+_LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
+_FORCES = {"n": 1.0, "kn": 1e3, "lbf": 4.4482216152605}
+_BY_NAME = (
+    (FORCE, r"force|hammer|load ?cell"), (ACCELERANCE, r"acc(el(eration|erometer)?)?"), (MOBILITY, r"vel(ocity)?"),
+    (RECEPTANCE, r"disp(lacement)?"),
+)  # fmt: skip
+
+
+class Unit(NamedTuple):
+    """What is measured (force, or a response by the form of its FRF), and the factor to SI."""
+
+    kind: str
+    factor: float
+
+
+def unit_of(label: str) -> Unit | None:
+    """The unit that a label means, such as ``N``, ``lbf``, ``g``, ``mm/s``, ``m/s2``; None if it is none of these."""
+    text = re.sub(r"[\s()\[\]*]", "", label).lower().replace("²", "2").replace("^", "").replace("µ", "u")
+    text = text.replace("μ", "u")
+    if text in _FORCES:
+        return Unit(FORCE, _FORCES[text])
+    if text in ("g", "gn"):
+        return Unit(ACCELERANCE, 9.80665)
+    for ending, kind in (("/s2", ACCELERANCE), ("/s/s", ACCELERANCE), ("/s", MOBILITY), ("", RECEPTANCE)):
+        if text.endswith(ending) and text.removesuffix(ending) in _LENGTHS:
+            return Unit(kind, _LENGTHS[text.removesuffix(ending)])
+    return None
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Time records of some channels, in one piece or in several of equal length.
+
+    Attributes
+    ----------
+    data
+        Samples, shape ``(segment, t, channel)``.
+    fs
+        Sampling rate [Hz].
+    channels
+        Name of each channel.
+    units
+        Unit of each channel as it was written; empty where the file says nothing.
+    numbers
+        Number of each channel in its file, from 1; time columns count, so these may begin at 2.
+    """
+
+    data: Float[np.ndarray, "segment t channel"]
+    fs: float
+    channels: tuple[str, ...]
+    units: tuple[str, ...]
+    numbers: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        count = len(self.channels)
+        if self.data.ndim != 3 or self.data.shape[2] != count or {len(self.units), len(self.numbers)} != {count}:
+            raise ValueError(
+                f"data of shape {self.data.shape} for {count} channels, {len(self.units)} units; it needs "
+                "(segment, t, channel), a name and a unit for each channel"
+            )
+        if not (np.isfinite(self.fs) and self.fs > 0):
+            raise ValueError(f"the sampling rate is {self.fs:g} Hz; it must be positive")
+        require_finite(self.data, "the records")
+
+    def listed(self) -> str:
+        """The channels in words: number, name, unit."""
+        named = zip(self.numbers, self.channels, self.units, strict=True)
+        return ", ".join(f"{k} {name}" + (f" [{unit}]" if unit else "") for k, name, unit in named)
+
+    def index(self, wanted: str | int) -> int:
+        """Place of a channel given by its name, or by its number in the file.
+
+        Raises
+        ------
+        ValueError
+            If there is no such channel; the message lists those that are there.
+        """
+        text = str(wanted).strip()
+        if text in self.channels:
+            return self.channels.index(text)
+        if text.isdigit() and int(text) in self.numbers:
+            return self.numbers.index(int(text))
+        raise ValueError(f"no channel {text!r}; there are {self.listed()}")
+
+    def with_units(self, units: Mapping[str | int, str]) -> "Recording":
+        """The same with the units of some channels set.
+
+        Raises
+        ------
+        ValueError
+            If a channel is not there.
+        """
+        given = {self.index(name): unit for name, unit in units.items()}
+        return replace(self, units=tuple(given.get(k, unit) for k, unit in enumerate(self.units)))
+
+    def renamed(self, names: Mapping[str | int, str]) -> "Recording":
+        """The same with some channels named, for example by their DoF.
+
+        Raises
+        ------
+        ValueError
+            If a channel is not there, or two would have one name.
+        """
+        given = {self.index(old): new for old, new in names.items()}
+        channels = tuple(given.get(k, name) for k, name in enumerate(self.channels))
+        if given and len(set(channels)) < len(channels):
+            raise ValueError(f"two channels would have one name: {', '.join(channels)}")
+        return replace(self, channels=channels)
+
+    def scaled(self, factors: Mapping[str | int, float]) -> "Recording":
+        """The same with some channels multiplied, for example by newtons a volt.
+
+        Raises
+        ------
+        ValueError
+            If a channel is not there.
+        """
+        gain = np.ones(len(self.channels))
+        for name, factor in factors.items():
+            gain[self.index(name)] = factor
+        return replace(self, data=self.data * gain)
+
+
+def joined(recordings: Sequence[Recording]) -> Recording:
+    """Several recordings of the same channels as the segments of one; longer ones are cut, with a warning.
+
+    Raises
+    ------
+    ValueError
+        If rates, channels or units differ.
+    """
+    first = recordings[0]
+    for k, other in enumerate(recordings[1:], start=2):
+        if (other.fs, other.channels, other.units) != (first.fs, first.channels, first.units):
+            raise ValueError(
+                f"recording {k} has {other.listed()} at {other.fs:g} Hz, the first {first.listed()} at {first.fs:g} "
+                "Hz; records taken together need the same channels, units and rate"
+            )
+    lengths = [r.data.shape[1] for r in recordings]
+    if len(set(lengths)) > 1:
+        warnings.warn(
+            f"the records have {min(lengths)} to {max(lengths)} samples; all are cut to the first {min(lengths)}",
+            stacklevel=2,
+        )
+    return replace(first, data=np.concatenate([r.data[:, : min(lengths)] for r in recordings]))
+
+
+class Channels(NamedTuple):
+    """Forces and responses in SI: shapes ``(segment, t, i)`` [N] and ``(segment, t, o)`` [``unit``]."""
+
+    force: Float[np.ndarray, "segment t i"]
+    response: Float[np.ndarray, "segment t o"]
+    unit: str
+    inputs: list[str]
+    outputs: list[str]
+
+
+def channels_of(
+    recording: Recording, force: Sequence[str | int] = (), response: Sequence[str | int] = (), unit: str | None = None
+) -> Channels:
+    """Tell forces from responses and bring both to SI; what was assumed is told by warnings.
+
+    Parameters
+    ----------
+    recording
+        The records.
+    force
+        Channels that are forces, by name or number. If none is given: those in a unit of force, or else those named
+        force, hammer or load cell.
+    response
+        Channels that are responses; if none is given, all others that can be.
+    unit
+        Unit of responses of which the recording does not say it.
+
+    Raises
+    ------
+    ValueError
+        If no force is found, a response has no known unit, or the responses are not of one form.
+    """
+    forces = [recording.index(c) for c in force] or _forces(recording)
+    by_name: dict[str, list[str]] = {}
+    responses = [recording.index(c) for c in response]
+    both = set(forces) & set(responses)
+    if both:
+        raise ValueError(f"channel {recording.channels[both.pop()]} is asked for as force and as response")
+    units = {k: _response_unit(recording, k, unit, by_name) for k in responses or range(len(recording.channels))}
+    for label, named in by_name.items():
+        warnings.warn(f"{', '.join(named)} without a unit: taken as {label} by name", stacklevel=2)
+    if not responses:
+        responses = [k for k in units if k not in forces and units[k] is not None]
+        left = [recording.channels[k] for k in units if k not in (*forces, *responses)]
+        if left and responses:
+            warnings.warn(f"neither force nor response, left out: {', '.join(left)}", stacklevel=2)
+    unknown = [k for k in responses if units[k] is None]
+    if unknown or not responses:
+        which = recording.channels[unknown[0]] if unknown else "the responses"
+        raise ValueError(
+            f"the unit of {which} is not known: say it (m, mm, m/s, mm/s, m/s^2, g); there are {recording.listed()}"
+        )
+    found = {k: u for k in responses if (u := units[k]) is not None}
+    forms = sorted({u.kind for u in found.values()})
+    if len(forms) > 1 or FORCE in forms:
+        raise ValueError(f"the responses are of {' and '.join(forms)}; choose channels of one kind of motion")
+    factors = []
+    for k in forces:
+        known = unit_of(recording.units[k])
+        if known is None or known.kind != FORCE:
+            said = f"in {recording.units[k]!r}" if recording.units[k] else "without a unit"
+            warnings.warn(f"force {recording.channels[k]} is {said}: taken as N", stacklevel=2)
+        factors.append(known.factor if known is not None and known.kind == FORCE else 1.0)
+    return Channels(
+        recording.data[:, :, forces] * factors, recording.data[:, :, responses] * [u.factor for u in found.values()],
+        SI[forms[0]], [recording.channels[k] for k in forces], [recording.channels[k] for k in responses],
+    )  # fmt: skip
+
+
+def _forces(recording: Recording) -> list[int]:
+    known = [unit_of(u) for u in recording.units]
+    by_unit = [k for k, u in enumerate(known) if u is not None and u.kind == FORCE]
+    by_name = [k for k, u in enumerate(known) if u is None and _kind_by_name(recording.channels[k]) == FORCE]
+    if not by_unit and not by_name:
+        raise ValueError(f"which channel is the force is not known: name it; there are {recording.listed()}")
+    chosen, why = (by_unit, "unit") if by_unit else (by_name, "name")
+    named = ", ".join(recording.channels[k] for k in chosen)
+    warnings.warn(f"force by its {why}: {named}", stacklevel=3)
+    return chosen
+
+
+def _response_unit(recording: Recording, k: int, unit: str | None, by_name: dict[str, list[str]]) -> Unit | None:
+    """Unit of a response; where its name alone tells, it is noted in ``by_name`` under that unit."""
+    label = recording.units[k]
+    known = unit_of(label)
+    if known is not None or (label and unit is None):
+        return known
+    if unit is not None:
+        known = unit_of(unit)
+        if known is None or known.kind == FORCE:
+            raise ValueError(f"unit is {unit!r}; a response is in m, mm, um, in, one of these a second or /s^2, or g")
+        return known
+    kind = _kind_by_name(recording.channels[k])
+    if kind in (None, FORCE):
+        return None
+    by_name.setdefault(SI[kind], []).append(recording.channels[k])
+    return Unit(kind, 1.0)
+
+
+def _kind_by_name(name: str) -> str | None:
+    text = name.lower().replace("_", " ")
+    return next((kind for kind, words in _BY_NAME if re.search(rf"\b({words})(\b|\d)", text)), None)
+
+
+def from_sep005(series: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> Recording:
+    """A recording from the time series dictionaries of SDyPy (SEP 005).
+
+    Each holds ``data`` (t,), ``name``, ``unit_str``, and the rate as ``fs`` or the instants as ``time``.
+
+    Parameters
+    ----------
+    series
+        One dictionary or a list of them.
+
+    Raises
+    ------
+    ValueError
+        If one lacks an entry, or they have not one rate and length.
+
+    References
+    ----------
+    SDyPy enhancement proposal 5, time series data format.
+    """
+    every = [series] if isinstance(series, Mapping) else list(series)
+    if not every:
+        raise ValueError("no time series given; at least a force and a response are needed")
+    rows, rates = [], []
+    for k, one in enumerate(every, start=1):
+        lacking = [key for key in ("data", "name", "unit_str") if key not in one]
+        lacking += ["fs or time"] if "fs" not in one and "time" not in one else []
+        if lacking:
+            raise ValueError(f"time series {k} has no {', '.join(lacking)}; SEP 005 needs data, name, unit_str and fs")
+        rows.append(np.asarray(one["data"], float).ravel())
+        rates.append(float(one["fs"]) if "fs" in one else rate_of(np.asarray(one["time"], float)))
+    if len({len(r) for r in rows}) > 1 or not np.allclose(rates, rates[0], rtol=1e-6):
+        sizes = ", ".join(f"{len(r)} at {fs:g} Hz" for r, fs in zip(rows, rates, strict=True))
+        raise ValueError(f"the time series have {sizes} samples; they need one length and one rate")
+    count = len(every)
+    return Recording(
+        np.stack(rows, axis=-1)[None], rates[0], tuple(str(o["name"]) for o in every),
+        tuple(str(o["unit_str"] or "") for o in every), tuple(range(1, count + 1)),
+    )  # fmt: skip
+
+
+def rate_of(time: Float[np.ndarray, " t"]) -> float:
+    """Sampling rate [Hz] of evenly spaced instants.
+
+    Raises
+    ------
+    ValueError
+        If they are not evenly spaced and rising.
+    """
+    count = len(time) - 1
+    step = float(time[-1] - time[0]) / count if count > 0 else 0.0
+    # stored to some digits, an instant is off by a part of the step, a sample that is missing by the whole
+    if not step > 0 or np.abs(time - time[0] - step * np.arange(count + 1)).max() > EVEN * step:
+        steps = np.diff(time) if count > 0 else np.zeros(1)
+        raise ValueError(
+            f"the instants are not evenly spaced: steps of {steps.min():g} to {steps.max():g} s; resample the records "
+            "to one rate"
+        )
+    rate = 1 / step
+    return float(np.round(rate)) if abs(rate - np.round(rate)) < 1e-4 * rate and rate > 10 else rate

@@ -1,0 +1,147 @@
+"""Time records from files of named arrays: MATLAB, NumPy ``.npz``, HDF5."""
+
+import re
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from modalax.data.recording import Recording, rate_of
+from modalax.files.records_tables import from_array, split_unit
+
+_RATE = re.compile(r"^(fs|f_s|fsamp\w*|sampl\w*_?(rate|freq\w*)|rate|sr)$", re.IGNORECASE)
+_STEP = re.compile(r"^(dt|ts|delta_?t|step|increment)$", re.IGNORECASE)
+_TIME = re.compile(r"^(t|time|times)$", re.IGNORECASE)
+LEAST = 16  # samples of what counts as a record
+
+
+def read_named(path: Path, kind: str, fs: float | None, array: str) -> Recording:
+    """All arrays of one length as channels, or one array by name; the rate from an entry such as ``Fs``, ``dt``, ``t``.
+
+    Raises
+    ------
+    ValueError
+        If the file is damaged, its arrays do not go together, or there is no rate.
+    """
+    arrays, units = {"npz": _npz, "mat": _mat, "hdf5": _hdf5}[kind](path)
+    rate = fs if fs is not None else _rate(arrays)
+    if array:
+        if array not in arrays:
+            raise ValueError(f"holds no array {array!r}; there are {_shown(arrays)}")
+        return from_array(arrays[array], rate, split_unit(array)[0])
+    long = {
+        k: v for k, v in arrays.items()
+        if v.dtype.kind in "iuf" and v.ndim and v.size and max(v.shape) >= LEAST and not _TIME.match(k)
+    }  # fmt: skip
+    if not long:
+        raise ValueError(f"holds no time records; its arrays: {_shown(arrays)}")
+    if any(v.ndim > 2 for v in long.values()) or len({max(v.shape) for v in long.values()}) > 1:
+        if len(long) == 1:
+            return from_array(next(iter(long.values())), rate, "")
+        raise ValueError(f"its arrays do not go together; say which one to read (array): {_shown(long)}")
+    if len(long) == 1 and next(iter(long.values())).ndim == 2:
+        name, value = next(iter(long.items()))
+        return from_array(value, rate, name)
+    if rate is None:
+        raise ValueError(
+            f"holds no sampling rate (such as Fs, dt or t); give it in Hz (fs); its arrays: {_shown(arrays)}"
+        )
+    rows, names, labels = [], [], []
+    for name, value in long.items():
+        value = np.moveaxis(np.atleast_2d(value.astype(float)), int(np.argmax(np.atleast_2d(value).shape)), -1)
+        plain, unit = split_unit(name)
+        rows += list(value)
+        names += [plain] if len(value) == 1 else [f"{plain} {k + 1}" for k in range(len(value))]
+        labels += [units.get(name, unit)] * len(value)
+    data = np.stack(rows, axis=-1)[None]
+    return Recording(data, rate, tuple(names), tuple(labels), tuple(range(1, len(names) + 1)))
+
+
+def _rate(arrays: dict[str, np.ndarray]) -> float | None:
+    for name, value in arrays.items():
+        if value.size == 1 and value.dtype.kind in "iuf":
+            number = float(value.ravel()[0])
+            if _RATE.match(name):
+                warnings.warn(f"sampling rate {number:g} Hz from its {name}", stacklevel=3)
+                return number
+            if _STEP.match(name):
+                warnings.warn(f"sampling rate {1 / number:g} Hz from its {name} = {number:g} s", stacklevel=3)
+                return 1 / number
+    for name, value in arrays.items():
+        if _TIME.match(name) and value.size >= LEAST and value.dtype.kind in "iuf":
+            rate = rate_of(value.ravel().astype(float))
+            warnings.warn(f"sampling rate {rate:g} Hz from its {name}", stacklevel=3)
+            return rate
+    return None
+
+
+def _shown(arrays: dict[str, np.ndarray]) -> str:
+    return ", ".join(f"{k} {v.shape}" for k, v in arrays.items()) or "none"
+
+
+Named = tuple[dict[str, np.ndarray], dict[str, str]]
+
+
+def _npz(path: Path) -> Named:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return {k: file[k] for k in file.files}, {}
+    except (ValueError, EOFError, OSError, KeyError) as error:
+        raise ValueError(f"the .npz file is damaged or holds objects ({error})") from error
+
+
+def _mat(path: Path) -> Named:
+    import scipy.io
+
+    try:
+        found = scipy.io.loadmat(path, squeeze_me=True, struct_as_record=False)
+    except (OSError, EOFError, TypeError, NotImplementedError, scipy.io.matlab.MatReadError) as error:
+        raise ValueError(f"the .mat file is damaged or cut short ({error}); copy or save it again") from error
+    arrays: dict[str, np.ndarray] = {}
+    for name, value in found.items():
+        if not name.startswith("__"):
+            arrays |= _unfolded(name, value)
+    return arrays, {}
+
+
+def _unfolded(name: str, value: Any) -> dict[str, np.ndarray]:
+    """An array by its name; the fields of a structure by ``structure.field``."""
+    if hasattr(value, "_fieldnames"):
+        found: dict[str, np.ndarray] = {}
+        for field in value._fieldnames:
+            found |= _unfolded(field if _RATE.match(field) or _STEP.match(field) else f"{name}.{field}",
+                               getattr(value, field))  # fmt: skip
+        return found
+    return {name: np.asarray(value)}
+
+
+def _hdf5(path: Path) -> Named:
+    try:
+        import h5py
+    except ImportError as error:
+        raise ValueError("reading HDF5 needs h5py: pip install 'modalax[files]'") from error
+    arrays: dict[str, np.ndarray] = {}
+    units: dict[str, str] = {}
+
+    def rates(attributes: Any) -> None:
+        for key, word in attributes.items():
+            if (_RATE.match(key) or _STEP.match(key)) and np.size(word) == 1:
+                arrays.setdefault(key, np.asarray(word, float))
+
+    def visit(name: str, node: Any) -> None:
+        if name.startswith("#") or not isinstance(node, h5py.Dataset) or node.dtype.kind not in "iuf":
+            return
+        arrays[name] = np.asarray(node[()])
+        word = next((node.attrs[key] for key in ("unit", "units", "unit_str") if key in node.attrs), None)
+        if word is not None:
+            units[name] = word.decode() if isinstance(word, bytes) else str(word)
+        rates(node.attrs)
+
+    try:
+        with h5py.File(path, "r") as file:
+            rates(file.attrs)
+            file.visititems(visit)
+    except OSError as error:
+        raise ValueError(f"the HDF5 file is damaged or cut short ({error}); copy or save it again") from error
+    return arrays, units

@@ -1,0 +1,203 @@
+"""Time records from tables that hold little else: one NumPy array, CSV or other text, WAV."""
+
+import re
+import struct
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from modalax.data.recording import Recording, rate_of
+
+_TIME = re.compile(r"^\s*(t|time|zeit|temps)\b", re.IGNORECASE)
+_UNIT = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]*)[\])]\s*$")
+
+
+def recording_of(table: np.ndarray, fs: float | None, names: list[str], units: list[str]) -> Recording:
+    """A recording from columns ``(t, column)``; a column of evenly rising time gives the rate.
+
+    Raises
+    ------
+    ValueError
+        If there is no rate, or nothing but time.
+    """
+    time = next((k for k, name in enumerate(names) if _TIME.match(name)), None)
+    if time is None and _is_time(table[:, 0]):
+        time = 0
+        warnings.warn(f"column 1 rises evenly from {table[0, 0]:g} and is taken as time in s", stacklevel=2)
+    keep = [k for k in range(table.shape[1]) if k != time]
+    if not keep:
+        raise ValueError(f"holds {table.shape[1]} columns, none beside time; a force and a response are needed")
+    if time is not None:
+        factor = {"ms": 1e-3, "us": 1e-6, "min": 60.0}.get(units[time].strip().lower(), 1.0)
+        own = rate_of(table[:, time] * factor)
+        if fs is not None and abs(own - fs) > 1e-3 * fs:
+            warnings.warn(f"its time column says {own:g} Hz; the {fs:g} Hz asked for count", stacklevel=2)
+        fs = own if fs is None else fs
+    if fs is None:
+        raise ValueError(
+            f"holds no sampling rate ({len(table)} samples of {table.shape[1]} channels); give it in Hz (fs)"
+        )
+    return Recording(
+        np.ascontiguousarray(table[None][:, :, keep]), fs, tuple(names[k] or f"channel {k + 1}" for k in keep),
+        tuple(units[k] for k in keep), tuple(k + 1 for k in keep),
+    )  # fmt: skip
+
+
+def _is_time(column: np.ndarray) -> bool:
+    if len(column) < 4 or not np.isfinite(column).all():
+        return False
+    try:
+        rate_of(column)
+    except ValueError:
+        return False
+    return True
+
+
+def split_unit(label: str) -> tuple[str, str]:
+    """Name and unit of a heading such as ``Force [N]`` or ``acc (m/s^2)``."""
+    found = _UNIT.match(label.strip())
+    return (found["name"].strip(), found["unit"].strip()) if found else (label.strip(), "")
+
+
+def read_npy(path: Path, fs: float | None) -> Recording:
+    """One array, time along its longest axis: ``(channel, t)``, ``(t, channel)`` or ``(segment, channel, t)``.
+
+    Raises
+    ------
+    ValueError
+        If it holds no numbers, is damaged, or its rate is not known.
+    """
+    try:
+        value = np.load(path, allow_pickle=False)
+    except (ValueError, EOFError, OSError) as error:
+        raise ValueError(f"the .npy file is damaged or holds objects ({error})") from error
+    return from_array(value, fs, "")
+
+
+def from_array(value: np.ndarray, fs: float | None, name: str) -> Recording:
+    """A recording from one array of numbers, time along its longest axis.
+
+    Raises
+    ------
+    ValueError
+        If it has no or more than three axes, or no numbers.
+    """
+    value = np.asarray(value)
+    if value.dtype.kind not in "iuf" or not 1 <= value.ndim <= 3 or min(value.shape) == 0:
+        raise ValueError(
+            f"holds {value.dtype} of shape {value.shape}; records are real numbers of shape (channel, t), (t, channel) "
+            "or (segment, channel, t)"
+        )
+    value = np.moveaxis(value.astype(float), int(np.argmax(value.shape)), -1)
+    label = lambda count: [f"{name or 'channel'} {k + 1}" for k in range(count)]  # noqa: E731
+    if value.ndim < 3:
+        rows = np.atleast_2d(value)
+        return recording_of(rows.T, fs, label(len(rows)), [""] * len(rows))
+    warnings.warn(
+        f"an array of shape {value.shape} is taken as {value.shape[0]} records of {value.shape[1]} channels",
+        stacklevel=2,
+    )
+    first = recording_of(value[0].T, fs, label(value.shape[1]), [""] * value.shape[1])
+    keep = [k - 1 for k in first.numbers]
+    data = np.ascontiguousarray(value[:, keep].transpose(0, 2, 1))
+    return Recording(data, first.fs, first.channels, first.units, first.numbers)
+
+
+def read_wav(path: Path, fs: float | None) -> Recording:
+    """A WAV file; whole numbers are brought to shares of full scale.
+
+    Raises
+    ------
+    ValueError
+        If it is damaged.
+    """
+    from scipy.io import wavfile
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", wavfile.WavFileWarning)
+            rate, data = wavfile.read(path)
+    except (ValueError, EOFError, OSError, struct.error) as error:
+        raise ValueError(f"the WAV file is damaged or of a kind that is not read ({error})") from error
+    data = np.reshape(data, (len(data), -1))
+    if data.dtype.kind in "iu":
+        middle = 128.0 if data.dtype == np.uint8 else 0.0
+        data = (data - middle) / (128.0 if data.dtype == np.uint8 else float(np.iinfo(data.dtype).max) + 1)
+        warnings.warn(
+            "its samples are shares of full scale, not physical units; scale each channel by what full scale is",
+            stacklevel=2,
+        )
+    if fs is not None and fs != rate:
+        warnings.warn(f"the file says {rate:g} Hz; the {fs:g} Hz asked for count", stacklevel=2)
+    names = [f"channel {k + 1}" for k in range(data.shape[1])]
+    return Recording(
+        data.astype(float)[None], float(fs or rate), tuple(names), ("",) * len(names), tuple(range(1, len(names) + 1))
+    )
+
+
+def read_text(path: Path, fs: float | None) -> Recording:
+    """Columns of numbers under lines of headings: commas, semicolons, tabs or blanks between; a comma in decimals too.
+
+    Raises
+    ------
+    ValueError
+        If there are no columns of numbers, or a line has another number of them.
+    """
+    raw = path.read_bytes()
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = raw.decode("latin-1")
+    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("%")]
+    separator, comma = _layout(lines)
+    split = lambda line: [c.strip().strip('"') for c in (line.split(separator) if separator else line.split())]  # noqa: E731
+    number = (lambda c: c.replace(",", ".")) if comma else (lambda c: c)
+    start = next((k for k, line in enumerate(lines) if _numbers(split(line), number) is not None), None)
+    if start is None:
+        raise ValueError(f"holds no line of numbers; its first line is {lines[0][:60]!r}")
+    rows = []
+    for k, line in enumerate(lines[start:], start=start + 1):
+        values = _numbers(split(line), number)
+        if values is None or (rows and len(values) != len(rows[0])):
+            raise ValueError(
+                f"line {k} (empty and comment lines not counted) reads {line[:60]!r}; {len(rows[0])} numbers as before "
+                "are needed"
+            )
+        rows.append(values)
+    table = np.array(rows)
+    names, units = _headings([split(line) for line in lines[:start]], table.shape[1])
+    return recording_of(table, fs, names, units)
+
+
+def _layout(lines: list[str]) -> tuple[str, bool]:
+    """Separator (empty: blanks) and whether decimals have a comma, from the last line of the file."""
+    last = lines[-1]
+    for separator in (";", "\t"):
+        if separator in last.strip():
+            return separator, "," in last
+    if "," in last:
+        alone = re.fullmatch(r"\s*[-+]?\d+,\d+(\s+[-+]?\d+,\d+)*\s*", last) and " " in last.strip()
+        return ("", True) if alone else (",", False)
+    return "", False
+
+
+def _numbers(cells: list[str], number) -> list[float] | None:
+    cells = cells[:-1] if len(cells) > 1 and not cells[-1] else cells
+    try:
+        return [float(number(c)) for c in cells]
+    except ValueError:
+        return None
+
+
+def _headings(rows: list[list[str]], columns: int) -> tuple[list[str], list[str]]:
+    """Names from the first heading with a cell for each column, units from brackets or from the next such line."""
+    rows = [[c.lstrip("#").strip() for c in row] for row in rows]
+    fitting = [row[:columns] for row in rows if columns <= len([*row]) <= columns + 1 and any(row)]
+    if not fitting:
+        return [f"channel {k + 1}" for k in range(columns)], [""] * columns
+    named = [split_unit(c) for c in fitting[0]]
+    names, units = [n for n, _ in named], [u for _, u in named]
+    if not any(units) and len(fitting) > 1:
+        units = [c.strip("[]() ") for c in fitting[1]]
+    return names, units

@@ -1,0 +1,100 @@
+"""``modalax frf``: from time records to a file of FRFs, and one clear line where that cannot be."""
+
+import numpy as np
+import pytest
+import scipy.signal
+
+from modalax.cli import main
+from modalax.files import load
+
+FS = 512.0
+B, A = [0.0, 1e-3], [1.0, -1.2, 0.8]
+
+
+def hits(count: int, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    force = np.zeros(int(FS * 1.2 * count))
+    force[(FS * (0.3 + 1.2 * np.arange(count))).astype(int)] = rng.uniform(50, 80, count)
+    force = np.convolve(force, np.hanning(7), "same")
+    x = scipy.signal.lfilter(B, A, force)
+    return np.array([np.arange(len(force)) / FS, force, x + 1e-6 * rng.normal(size=len(x))])
+
+
+@pytest.fixture
+def records(tmp_path):
+    head = "time [s],hammer [N],a [g]"
+    for k in (1, 2):
+        np.savetxt(tmp_path / f"run{k}.csv", hits(4, k).T, delimiter=",", header=head, comments="")
+    return tmp_path
+
+
+def test_hits_of_a_table_become_frfs(records, capsys):
+    target = records / "out.npz"
+    asked = ["frf", str(records / "run1.csv"), "-o", str(target), "--band", "10", "120"]
+    assert main([*asked, "--name", "hammer=1:+Z", "--name", "a=2:+Z"]) == 0
+    said = capsys.readouterr()
+    assert "accelerance, 1 run of 1 output and 1 input" in said.out and "4 averages" in said.out
+    assert "note: taken as hits" in said.err and "out.npz written" in said.err
+    measured = load(target)
+    assert measured.outputs == ("2:+Z",) and measured.inputs == ("1:+Z",) and measured.variance is not None
+    H = 9.80665 * scipy.signal.freqz(B, A, np.asarray(measured.freq), fs=FS)[1]
+    assert np.abs(np.asarray(measured.H[0, :, 0, 0]) - H).max() < 1e-3 * np.abs(H).max()
+    assert main(asked) == 2 and "exists already" in capsys.readouterr().err
+
+
+def test_files_are_runs_or_repeats(records, capsys):
+    both = ["frf", str(records / "run1.csv"), str(records / "run2.csv"), "--band", "10", "120", "--block", "0.8"]
+    assert main([*both, "-o", str(records / "runs.npz"), "--runs", "--level", "5", "--level", "10"]) == 0
+    runs = load(records / "runs.npz")
+    assert runs.H.shape[0] == 2 and np.allclose(np.asarray(runs.level), [5, 10])
+    notes = capsys.readouterr().err
+    assert notes.count("force by its unit") == 1
+    assert main([*both, "-o", str(records / "one.npz")]) == 0
+    assert load(records / "one.npz").averages == 8
+    assert main([*both, "-o", str(records / "x.npz"), "--level", "5", "--level", "6"]) == 2
+    assert "each run needs one" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--force", "load"], "no channel 'load'; there are 2 hammer [N], 3 a [g]"),
+        (["--kind", "taps"], "kind is 'taps'; it must be one of hits"),
+        (["--units", "hammer"], "needs a channel, an equals sign"),
+        (["--scale", "hammer=two"], "a number is needed"),
+        (["--units", "a=V"], "unit of the responses is not known"),
+        (["--estimator", "H3"], "estimator is 'H3'"),
+    ],
+)
+def test_what_does_not_fit_is_told_in_one_line(records, capsys, options, words):
+    assert main(["frf", str(records / "run1.csv"), "-o", str(records / "y.npz"), *options]) == 2
+    error = [line for line in capsys.readouterr().err.splitlines() if line.startswith("modalax:")]
+    assert len(error) == 1 and words in error[0], error
+    assert not (records / "y.npz").exists()
+
+
+@pytest.mark.measured
+def test_measured_hits_have_their_peaks(measured, tmp_path, capsys):
+    files = [str(p) for p in sorted((measured / "hammer_hits").glob("*.npy"))]
+    assert main(["frf", *files, "-o", str(tmp_path / "h.npz")]) == 2
+    assert "which channel is the force is not known" in capsys.readouterr().err
+    assert main(["frf", *files, "-o", str(tmp_path / "h.npz"), "--force", "2", "--unit", "m/s^2"]) == 0
+    found = load(tmp_path / "h.npz")
+    size = np.abs(np.asarray(found.H[0, :, 0, 0]))[:3000]
+    assert found.averages == 5 and {810, 851, 900, 2640} <= set(scipy.signal.find_peaks(size)[0] + 1)
+
+
+@pytest.mark.measured
+def test_a_measured_multisine_finds_its_force_rate_period_and_lines(measured, tmp_path, capsys):
+    level = [str(measured / "f16" / f"F16Data_FullMSine_Level{k}.mat") for k in (1, 7)]
+    assert main(["frf", *level, "--runs", "-o", str(tmp_path / "f.npz")]) == 0
+    said = capsys.readouterr().err
+    for words in ("400 Hz from its Fs", "force by its name: Force", "repeats every 8192 samples", "left out: Voltage"):
+        assert words in said
+    found = load(tmp_path / "f.npz")
+    assert found.H.shape == (2, 267, 3, 1) and np.isnan(np.asarray(found.level)).all()
+    freq = np.asarray(found.freq)
+    assert freq[0] == pytest.approx(2.0, abs=0.05) and freq[-1] == pytest.approx(15.0, abs=0.05)
+    torsion = (freq > 6.8) & (freq < 7.8)
+    peaks = [freq[torsion][np.abs(np.asarray(H[torsion, 2, 0])).argmax()] for H in found.H]
+    assert peaks[1] < peaks[0]  # friction at the interface softens with level
