@@ -13,7 +13,7 @@ from modalax.identify.kernels import limits
 from modalax.identify.projection import Projection
 from modalax.identify.reduced import Sums
 
-PATIENCE = 3  # steps that a mode may spend out of range before it is dropped
+PATIENCE = 10  # steps that a mode may spend out of range before it is dropped
 ROUNDING = 1e-31  # of the data's squares, what rounding of the data alone may leave
 STATISTICAL = 1e-3  # part of the sum of squares a degree of freedom that a step must gain
 

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from modalax._numerics.threads import one_thread
 from modalax.data.frf import FRF
 from modalax.data.measurement import Measurement
 from modalax.identify.band import usable_lines
@@ -13,12 +14,12 @@ from modalax.identify.bias import predicted_damping_bias
 from modalax.identify.close_modes import record_of
 from modalax.identify.diagram import ESTIMATORS, diagram
 from modalax.identify.flags import Modes, flags_of, grades_of, notes_of
+from modalax.identify.host import residues_on_host as fit_residues
 from modalax.identify.mode_search import diagram_poles, likelihood_rounds, synthesis
 from modalax.identify.neighbourhood import residual_of
 from modalax.identify.noise import smooth_variance
 from modalax.identify.quality import noise_part, quality_of, scatter_over_orders
 from modalax.identify.refine import Refined
-from modalax.identify.residues import residues as fit_residues
 from modalax.identify.result import Fit
 from modalax.identify.select import Selection, best_order
 from modalax.identify.settle import settle, settle_diagram, with_misfit
@@ -31,6 +32,7 @@ from modalax.model.modal import ModalModel
 __all__ = ["ESTIMATORS", "Fit", "fit"]
 
 
+@one_thread
 def fit(
     frf: FRF | Measurement,
     method: str | None = None,

@@ -11,18 +11,19 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
-from modalax.data.frf import DERIVATIVES, FRF
-from modalax.identify.refine import CONTRADICTION, OUT_OF_STEPS, UNIT, Refined, refine, whiteness_of
-from modalax.identify.residues import residues
-from modalax.model.modal import ModalModel
+from modalax.data.frf import FRF
+from modalax.identify.ascent import STATISTICAL
+from modalax.identify.host import PRECISE, modal_of, model_of, samples_of, shorter_side
+from modalax.identify.information import covariance
+from modalax.identify.kernels import residual_terms
+from modalax.identify.maximum import Maximum, Modal, Samples, linear_fit, maximise, response, whiteness_of
+from modalax.identify.refine import CONTRADICTION, CORRELATED, OUT_OF_STEPS, UNIT, Refined
 
 WIDTH, LINES = 8.0, 16  # reach of a mode's window in half-bandwidths, and at least in lines, on either side
 SWEEPS = 3  # over all groups, each with the responses of the others taken out
 GAIN = 0.01  # part of the FRFs' sum of squares that other poles must explain to be taken
 FOLDS = 8  # of the rows, for the errors
-SLOTS = 4  # numbers of modes are rounded up to multiples of this, so that few functions are compiled
 
 
 class _Group(NamedTuple):
@@ -33,10 +34,10 @@ class _Group(NamedTuple):
 
 
 class Moved(NamedTuple):
-    """A group of modes with its poles by least squares, and their deviations from row to row."""
+    """A group of modes with its poles by least squares, and deviations of frequency [Hz] and damping."""
 
     modes: np.ndarray
-    model: ModalModel
+    poles: np.ndarray
     frequency_std_hz: np.ndarray
     damping_std: np.ndarray
 
@@ -65,29 +66,28 @@ def fit_where_dominant(frf: FRF, refined: Refined, **options: Any) -> Refined:
         ones and those of a delete-a-group jackknife over ``FOLDS`` groups of neighbouring rows of the longer axis
         (Efron 1982); those of the other poles, of shapes and modal masses, and the evidence, stay as they were.
     """
-    groups = _groups(frf, refined.model)
-    moved = _moved(frf, refined.model, groups, **options)
+    samples, model = samples_of(frf, **options), modal_of(refined.model)
+    groups = _groups(samples, model)
+    moved = _moved(samples, model, groups)
     if not moved:
         return refined
-    poles = np.array(refined.model.poles)
+    poles = model.poles.copy()
     for group in moved:
-        poles[group.modes] = np.asarray(group.model.poles)
-    parts = _shapes(frf, poles, groups, **options)
+        poles[group.modes] = group.poles
+    parts = _shapes(samples, poles, groups)
     rank = np.concatenate([g.modes for g in groups])
     order = np.argsort(np.abs(poles[rank]))
-    join = lambda name: jnp.concatenate([getattr(p, name) for p in parts])[order]  # noqa: E731
-    bare = parts[0].replace(
-        poles=join("poles"), shapes=join("shapes"), participation=join("participation"), upper=0 * parts[0].upper,
-        lower=0 * parts[0].lower, frequency_std=0.0, damping_std=0.0,
-    )  # fmt: skip
-    upper, lower = _terms(_without(frf, [bare]), options.get("residuals", "complex"))
-    whole = bare.replace(upper=upper, lower=lower).normalised("max")
-    return _with_model(frf, _with_errors(refined, moved), whole, rank[order])
+    join = lambda k: np.concatenate([part[k] for part in parts])[order]  # noqa: E731
+    bare = Modal(join(0), join(1), join(2), 0 * model.upper, 0 * model.lower)
+    upper, lower = _terms(_without(samples, [bare]))
+    whole = bare._replace(upper=upper, lower=lower)
+    return _with_model(frf, samples, _with_errors(refined, moved), whole.normalised(), rank[order])
 
 
-def _groups(frf: FRF, model: ModalModel) -> list[_Group]:
+def _groups(samples: Samples, model: Modal) -> list[_Group]:
     """Modes of which one lies in the window of another, and so on from one to the next."""
-    f, width, freq = np.asarray(model.frequency_hz), -np.asarray(model.poles.real) / (2 * np.pi), np.asarray(frf.freq)
+    freq = samples.omega / (2 * np.pi)
+    f, width = np.abs(model.poles) / (2 * np.pi), -model.poles.real / (2 * np.pi)
     reach = np.maximum(WIDTH * width, LINES * np.median(np.diff(freq)))
     label = np.arange(len(f))
     for a in range(len(f)):
@@ -98,7 +98,7 @@ def _groups(frf: FRF, model: ModalModel) -> list[_Group]:
     for k in np.unique(label):
         g = np.flatnonzero(label == k)
         first, last = np.searchsorted(freq, (f[g] - reach[g]).min()), np.searchsorted(freq, (f[g] + reach[g]).max())
-        # One of few sizes, so that few functions are compiled; not more, for a neighbour's resonance must stay out.
+        # A neighbour's resonance must stay out, so the window is rather too narrow.
         size = int(2 ** (np.floor(4 * np.log2(max(last - first, 4 * len(g)))) / 4))
         size = min(max(size, 4 * len(g)), len(freq))
         start = int(np.clip((first + last - size) // 2, 0, len(freq) - size))
@@ -106,118 +106,106 @@ def _groups(frf: FRF, model: ModalModel) -> list[_Group]:
     return groups
 
 
-def _moved(frf: FRF, model: ModalModel, groups: list[_Group], **options: Any) -> list[Moved]:
+def _moved(samples: Samples, model: Modal, groups: list[_Group]) -> list[Moved]:
     """The groups that explain far more with other poles."""
-    need = GAIN * float(jnp.sum(jnp.abs(frf.H) ** 2))
-    parts = [_pick(model, g.modes) for g in groups]
-    taken: dict[int, tuple[FRF, Refined]] = {}
+    need = GAIN * float(np.sum(np.abs(samples.H) ** 2))
+    parts = [_bare(model.pick(g.modes)) for g in groups]
+    taken: dict[int, tuple[Samples, Maximum]] = {}
     for _ in range(SWEEPS):
         start, taken = list(parts), {}
         for k, g in enumerate(groups):
-            rest = _rest(frf, parts, k, g.window)
-            if float(jnp.sum(jnp.abs(frf.H[g.window]) ** 2)) < need:
+            if float(np.sum(np.abs(samples.H[g.window]) ** 2)) < need:
                 continue
-            parts[k] = residues(rest, model.poles[g.modes], weights="unit", **options)
-            if _left(rest, parts[k]) < need:
+            rest = _rest(samples, parts, k, g.window)
+            parts[k], error = linear_fit(rest, model.poles[g.modes], np.ones(rest.H.shape))
+            left = float(np.sum(np.abs(error) ** 2))
+            if left < need:
                 continue
-            free = _free(rest, parts[k].replace(poles=start[k].poles), **options)
-            if free is not None and _left(rest, parts[k]) - _left(rest, free.model) > need:
+            free = _free(rest, start[k].poles, shorter_side(parts[k], rest))
+            if free is not None and left - float(np.sum(np.abs(free.error) ** 2)) > need:
                 parts[k] = free.model
                 taken[k] = rest, free
-    return [Moved(groups[k].modes, free.model, *_jackknife(rest, free, **options)) for k, (rest, free) in taken.items()]
+    return [Moved(groups[k].modes, free.model.poles, *_jackknife(rest, free)) for k, (rest, free) in taken.items()]
 
 
-def _pick(model: ModalModel, which: np.ndarray) -> ModalModel:
-    return model.replace(
-        poles=model.poles[which], shapes=model.shapes[which], participation=model.participation[which],
-        frequency_std=0.0, damping_std=0.0,
-    )  # fmt: skip
+def _bare(model: Modal) -> Modal:
+    """Without residual terms, which each window has of its own."""
+    return model._replace(upper=0 * model.upper, lower=0 * model.lower)
 
 
-def _shapes(frf: FRF, poles: np.ndarray, groups: list[_Group], **options: Any) -> list[ModalModel]:
+def _shapes(samples: Samples, poles: np.ndarray, groups: list[_Group]) -> list[Modal]:
     """Shapes in each window; from the second sweep on every channel is weighed by its own residual there."""
-    parts: list[ModalModel] = []
+    parts: list[Modal] = []
     for sweep in range(1 + SWEEPS):
         for k, g in enumerate(groups):
-            rest = _rest(frf, parts, k, g.window)
-            weights = "unit"
+            rest = _rest(samples, parts, k, g.window)
+            sigma = np.ones(rest.H.shape)
             if sweep:
-                power = jnp.mean(jnp.abs(rest.H - _made(rest, parts[k])) ** 2, axis=0)
-                floor = 1e-24 * jnp.max(jnp.abs(rest.H)) ** 2 + 1e-300
-                weights = jnp.broadcast_to(jnp.sqrt(jnp.maximum(power, floor)), rest.H.shape)
-            part = residues(rest, poles[g.modes], weights=weights, **options)
+                left = rest.H - response(parts[k], rest)
+                floor = 1e-24 * np.max(np.abs(rest.H)) ** 2 + 1e-300
+                sigma = np.sqrt(np.maximum(np.mean(np.abs(left) ** 2, axis=0), floor)) * sigma
+            part, _ = linear_fit(rest, poles[g.modes], sigma)
             parts = [*parts[:k], part, *parts[k + 1 :]]
     return parts
 
 
-def _rest(frf: FRF, parts: list[ModalModel], own: int, window: slice) -> FRF:
-    return _without(frf.lines(window), [p for j, p in enumerate(parts) if j != own])
+def _rest(samples: Samples, parts: list[Modal], own: int, window: slice) -> Samples:
+    """A window less the responses of the other groups, without the residual terms that were fitted beside them."""
+    cut = samples._replace(s=samples.s[window], H=samples.H[window])
+    return _without(cut, [p for j, p in enumerate(parts) if j != own])
 
 
-def _without(frf: FRF, parts: list[ModalModel]) -> FRF:
-    """The FRF less the responses of other modes, without the residual terms that were fitted beside them.
-
-    By NumPy, for there are as many sizes as groups and each would be compiled.
-    """
-    s = np.asarray(frf.added_decay + 1j * frf.omega)
-    H = np.array(frf.H)
+def _without(samples: Samples, parts: list[Modal]) -> Samples:
+    H = samples.H
     for part in parts:
-        residue = np.asarray(part.residues)
-        for poles, R in ((np.asarray(part.poles), residue), (np.asarray(part.poles).conj(), residue.conj())):
-            kernel = s[:, None] ** DERIVATIVES[frf.form] / (s[:, None] - poles)
-            H -= np.tensordot(kernel, R, 1)
-    return frf.replace(H=H, variance=None)
+        H = H - response(_bare(part), samples)
+    return samples._replace(H=H)
 
 
-def _made(frf: FRF, model: ModalModel) -> Array:
-    return model.frf(frf.freq, form=frf.form, outputs=frf.outputs, inputs=frf.inputs, added_decay=frf.added_decay).H
-
-
-def _left(frf: FRF, model: ModalModel) -> float:
-    return float(jnp.sum(jnp.abs(frf.H - _made(frf, model)) ** 2))
-
-
-def _free(frf: FRF, start: ModalModel, **options: Any) -> Refined | None:
+def _free(samples: Samples, poles: np.ndarray, participation: np.ndarray, tol: float = PRECISE) -> Maximum | None:
     """Least squares with free poles; None where it found none in the neighbourhood of the start."""
-    slots = SLOTS * -(-start.poles.size // SLOTS)
-    result = refine(frf, start, weights="unit", covariance="robust", slots=slots, **options)
-    return result if int(result.reason_code) in (0, OUT_OF_STEPS) else None
+    result = maximise(samples, poles, participation, np.ones(samples.H.shape), known=False, tol=tol)
+    return result if result.reason in (0, OUT_OF_STEPS) else None
 
 
-def _jackknife(frf: FRF, whole: Refined, **options: Any) -> tuple[np.ndarray, np.ndarray]:
+def _jackknife(samples: Samples, whole: Maximum) -> tuple[np.ndarray, np.ndarray]:
     """Standard deviations of frequencies [Hz] and damping ratios, a group of neighbouring rows left out at a time."""
-    axis = 2 if frf.shape[2] > frf.shape[1] else 1
-    stated = np.asarray(whole.frequency_std_hz), np.asarray(whole.damping_std)
-    if frf.shape[axis] < FOLDS:
+    axis = 2 if samples.turned else 1
+    cov = covariance(
+        whole.projection, whole.at, kind="robust", inflate=whole.inflate, white=whole.whiteness >= CORRELATED
+    )  # fmt: skip
+    std = np.sqrt(np.maximum(np.diag(cov), 0)).reshape(whole.at.theta.shape)
+    stated = whole.frequency_hz * std[:, 0], whole.damping_ratio * std[:, 1]
+    if samples.H.shape[axis] < FOLDS:
         return stated
     found: list[np.ndarray] = []
-    for fold in np.array_split(np.arange(frf.shape[axis]), FOLDS):
-        # A row of zeros counts nothing, and keeps the shapes that functions are compiled for.
-        cut = jnp.moveaxis(jnp.moveaxis(frf.H, axis, 0).at[fold].set(0.0), 0, axis)
-        result = _free(frf.replace(H=cut), whole.model, **options)
+    for fold in np.array_split(np.arange(samples.H.shape[axis]), FOLDS):
+        cut = np.moveaxis(samples.H.copy(), axis, 0)
+        cut[fold] = 0.0  # a row of zeros counts nothing
+        part = samples._replace(H=np.moveaxis(cut, 0, axis))
+        result = _free(part, whole.model.poles, shorter_side(whole.model, samples), STATISTICAL)
         if result is not None:
-            found.append(np.stack([result.model.frequency_hz, result.model.damping_ratio]))
+            found.append(np.stack([result.frequency_hz, result.damping_ratio]))
     values = np.array(found).reshape(-1, 2, len(stated[0]))
     n = max(len(values), 2)
     spread = np.sqrt((n - 1) / n * np.sum((values - values.mean(axis=0)) ** 2, axis=0)) if len(values) else stated
     return np.maximum(spread[0], stated[0]), np.maximum(spread[1], stated[1])
 
 
-def _terms(frf: FRF, kind: str) -> tuple[Array, Array]:
+def _terms(samples: Samples) -> tuple[np.ndarray, np.ndarray]:
     """Upper and lower residual terms of each channel by least squares over the band."""
-    lines, n_out, n_in = frf.shape
-    zero = jnp.zeros((n_out, n_in), jnp.complex128)
-    if kind == "none":
+    lines, n_out, n_in = samples.H.shape
+    zero = np.zeros((n_out, n_in), complex)
+    if samples.residuals == "none":
         return zero, zero
-    power, s = DERIVATIVES[frf.form], np.asarray(frf.added_decay + 1j * frf.omega)
-    use = (s != 0) | (power == 2)
-    top, s = np.abs(s).max(), s[use]
-    columns = np.stack([(s / top) ** power, (s / top) ** (power - 2)], axis=1)
-    data = np.asarray(frf.H)[use].reshape(len(s), -1)
-    if kind == "real":
+    use = (samples.s != 0) | (samples.power == 2)
+    top = np.max(samples.omega)
+    columns = residual_terms(samples.s[use], samples.power, "real")
+    data = samples.H[use].reshape(int(use.sum()), -1)
+    if samples.residuals == "real":
         columns, data = (np.concatenate([a.real, a.imag]) for a in (columns, data))
     x = np.linalg.lstsq(columns, data, rcond=None)[0].astype(complex).reshape(2, n_out, n_in)
-    return jnp.asarray(x[0] / top**power), jnp.asarray(x[1] / top ** (power - 2))
+    return x[0] / top**samples.power, x[1] / top ** (samples.power - 2)
 
 
 def _with_errors(refined: Refined, moved: list[Moved]) -> Refined:
@@ -226,29 +214,32 @@ def _with_errors(refined: Refined, moved: list[Moved]) -> Refined:
     scale = np.ones((len(f_std), 2))
     for group in moved:
         k = group.modes
-        new = (group.frequency_std_hz / group.model.frequency_hz, group.damping_std / group.model.damping_ratio)
-        old = np.sqrt(np.asarray(jnp.diag(refined.covariance)).reshape(-1, 2)[k])
+        size = np.abs(group.poles)
+        new = (2 * np.pi * group.frequency_std_hz / size, -group.damping_std * size / group.poles.real)
+        old = np.sqrt(np.diag(np.asarray(refined.covariance)).reshape(-1, 2)[k])
         scale[k] = np.where(old > 0, np.stack(new, axis=1) / np.where(old > 0, old, 1.0), 1.0)
         f_std[k], zeta_std[k] = group.frequency_std_hz, group.damping_std
-    flat = jnp.asarray(scale.ravel())
+    flat = scale.ravel()
     return dataclasses.replace(
         refined, frequency_std_hz=jnp.asarray(f_std), damping_std=jnp.asarray(zeta_std),
-        covariance=flat[:, None] * refined.covariance * flat,
+        covariance=jnp.asarray(flat[:, None] * np.asarray(refined.covariance) * flat),
     )  # fmt: skip
 
 
-def _with_model(frf: FRF, refined: Refined, model: ModalModel, rank: np.ndarray) -> Refined:
+def _with_model(frf: FRF, samples: Samples, refined: Refined, model: Modal, rank: np.ndarray) -> Refined:
     """The result with another model, its modes the old ones in the order ``rank``, and its plain residual."""
-    sigma: Float[Array, ""] = UNIT * jnp.sqrt(jnp.mean(jnp.abs(frf.H) ** 2))
-    residual = (frf.H - _made(frf, model)) / sigma
-    chi2 = 2 * jnp.sum(jnp.abs(residual) ** 2)
+    sigma = UNIT * np.sqrt(np.mean(np.abs(samples.H) ** 2))
+    residual = (samples.H - response(model, samples)) / sigma
+    chi2 = 2 * np.sum(np.abs(residual) ** 2)
     pairs = (2 * rank[:, None] + np.arange(2)).ravel()
-    mass = refined.modal_mass_std
+    take = lambda a, k=rank: None if a is None else jnp.asarray(np.asarray(a)[k])  # noqa: E731
     return dataclasses.replace(
-        refined, model=model, frequency_std_hz=refined.frequency_std_hz[rank], damping_std=refined.damping_std[rank],
-        shape_std=refined.shape_std[rank], modal_mass_std=None if mass is None else mass[rank],
-        covariance=refined.covariance[pairs][:, pairs], evidence=refined.evidence[rank], chi2=chi2, residual=residual,
-        noise_scale=jnp.sqrt(chi2 / refined.dof) * sigma, whiteness=whiteness_of(residual),
-        log_likelihood=-0.5 * chi2 + 2 * residual.size * jnp.log(jnp.sqrt(2.0) / sigma), success=jnp.array(True),
-        reason_code=jnp.array(CONTRADICTION),
+        refined, model=model_of(model, frf), frequency_std_hz=take(refined.frequency_std_hz),
+        damping_std=take(refined.damping_std), shape_std=take(refined.shape_std),
+        modal_mass_std=take(refined.modal_mass_std), covariance=take(refined.covariance, np.ix_(pairs, pairs)),
+        evidence=take(refined.evidence), chi2=jnp.asarray(chi2), residual=jnp.asarray(residual),
+        noise_scale=jnp.asarray(np.sqrt(chi2 / float(refined.dof)) * sigma),
+        whiteness=jnp.asarray(whiteness_of(residual)),
+        log_likelihood=jnp.asarray(-0.5 * chi2 + 2 * residual.size * np.log(np.sqrt(2.0) / sigma)),
+        success=jnp.array(True), reason_code=jnp.array(CONTRADICTION),
     )  # fmt: skip

@@ -10,19 +10,21 @@ import scipy.special
 from jaxtyping import Array, Float
 
 from modalax.data.frf import FRF
-from modalax.identify.likelihood import UNDAMPED
+from modalax.identify.host import PRECISE, modal_of, refine_on_host, refined_of, samples_of, shorter_side
+from modalax.identify.kernels import UNDAMPED
 from modalax.identify.local import fit_where_dominant
-from modalax.identify.noise import residual_sigma
-from modalax.identify.refine import CORRELATED, HELD, Refined, refine
-from modalax.identify.residues import residues
-from modalax.identify.search import NEAR, missing_modes
-from modalax.model.indicators import mac
+from modalax.identify.maximum import Maximum, Samples, maximise
+from modalax.identify.noise import sigma_of_error
+from modalax.identify.refine import CORRELATED, HELD, Refined
+from modalax.identify.residues import sigma_of
+from modalax.identify.scan import NEAR, Grid, poles_missing
 from modalax.model.modal import ModalModel
 
 ROUNDS, LAST = 8, 3  # most rounds of adding and dropping modes, and of weighing them anew
 IDLE = 2  # rounds without a further mode after which no more are sought
 STEPS = 60  # most iterations of one search
 HEAVY = 0.25  # damping ratio above which a pole is background, not a mode
+GONE = 0.9  # damping ratio above which a mode will not come back
 NARROW = 0.01  # half-bandwidth in lines below which a pole is one bad line, not a mode
 MANY_DOFS, ALIKE, CLOSE = 10, 0.9, 3.0  # fewest DoFs, MAC, and distance in half-bandwidths, of halves of a mode
 DROP, ADD = 1e-6, 1e-6  # chances of keeping, or of adding, a mode that is not there
@@ -35,56 +37,75 @@ def synthesis(model: ModalModel, frf: FRF) -> FRF:
 
 
 class _Search:
-    """A modal model under way; ``sigma`` is what weighed its last refinement."""
+    """A modal model under way."""
 
     def __init__(self, frf: FRF, model: ModalModel, tell: Callable[[str], None], options: dict[str, Any]):
-        self.frf, self.tell, self.options = frf, tell, options
+        self.frf, self.tell, self.options, self.dropped = frf, tell, options, False
+        self.samples = samples_of(frf, **options)
+        self.grid: Grid | None = None
         self.known = frf.variance is not None
         # Weights that are only guessed call for errors that do not rely on them.
         self.kind = "gauss-newton" if self.known else "robust"
-        self.sigma: Any = "auto"
-        self.refined = self._maximise(model, self.sigma)
+        self.sigma = np.asarray(sigma_of(frf, "auto"))
+        modal = modal_of(model)
+        self.found = self._maximise(modal.poles, shorter_side(modal, self.samples), self.sigma)
 
-    def _maximise(self, model: ModalModel, sigma: Any) -> Refined:
-        """Refine in slots of eight, so that adding or dropping a mode seldom compiles anew."""
-        self.tell(f"maximum likelihood, {model.poles.size} modes")
-        slots = 8 * -(-model.poles.size // 8)
-        return refine(
-            self.frf, model, weights=sigma, covariance=self.kind, slots=slots, max_steps=STEPS, **self.options
+    def _maximise(self, poles: np.ndarray, participation: np.ndarray | None, sigma: np.ndarray, **how: Any) -> Maximum:
+        self.tell(f"maximum likelihood, {len(poles)} modes")
+        found = maximise(
+            self.samples, poles, participation, sigma, known=self.known, max_steps=STEPS, heavy=GONE, **how
         )
+        self.dropped = len(found.model.poles) < len(poles)
+        return found
 
-    def again(self, sigma: Any) -> None:
+    @property
+    def poles(self) -> np.ndarray:
+        """Of the modes as they are."""
+        return self.found.model.poles
+
+    def again(self, sigma: np.ndarray, **how: Any) -> None:
         """Refine from where it is with other weights."""
-        self.refined, self.sigma = self._maximise(self.refined.model, sigma), sigma
+        model, self.sigma = self.found.model, sigma
+        self.found = self._maximise(model.poles, shorter_side(model, self.samples), sigma, **how)
 
-    def restart(self, poles: Any, sigma: Any) -> None:
+    def restart(self, poles: np.ndarray, sigma: np.ndarray) -> None:
         """Refine from other poles."""
-        poles = jnp.asarray(poles)
-        model = residues(self.frf, poles[jnp.argsort(jnp.abs(poles))], weights=sigma, **self.options)
-        self.refined, self.sigma = self._maximise(model, sigma), sigma
+        self.found, self.sigma = self._maximise(poles[np.argsort(np.abs(poles))], None, sigma), sigma
 
-    def weights(self, **how: Any) -> Any:
+    def weights(self, proportional: bool = False) -> np.ndarray:
         """Weights for the next refinement: those given, or by the residual of the last one."""
-        return "auto" if self.known else residual_sigma(self.frf, self.refined, self.sigma, **how)
+        return self.sigma if self.known else sigma_of_error(self.samples.H, self.found.error, proportional)
 
-    def deviations(self) -> list[Array]:
+    def deviations(self) -> list[np.ndarray]:
         """What the noise may be: a mode must stand out of each."""
         if self.frf.variance is not None:
-            return [jnp.sqrt(self.frf.variance)]
+            return [np.sqrt(np.asarray(self.frf.variance))]
         return [self.weights(), self.weights(proportional=True)]
+
+    def missing(self, window: list[float], avoid: list[float]) -> np.ndarray:
+        """Poles at which the residual asks for a further mode."""
+        if self.grid is None:
+            self.grid = Grid(self.samples.s, self.samples.power, (window[0], window[1]))
+        return poles_missing(
+            self.grid, self.found.error, self.deviations(), self.poles, level=ADD, inside=(window[0], window[1]),
+            avoid=avoid,
+        )  # fmt: skip
 
     def exact(self) -> bool:
         """Whether only rounding is left, in which no mode can be looked for."""
-        made = synthesis(self.refined.model, self.frf)
-        return float(jnp.sum(jnp.abs(self.frf.H - made.H) ** 2)) < 1e-22 * float(jnp.sum(jnp.abs(self.frf.H) ** 2))
+        return float(np.sum(np.abs(self.found.error) ** 2)) < 1e-22 * float(np.sum(np.abs(self.samples.H) ** 2))
 
-    def prune(self, sigma: Any) -> bool:
-        """Drop modes without need and refine the others; whether there were any."""
-        drop = _without_need(self.frf, self.refined)
-        if not drop.any() or drop.all():
+    def prune(self, sigma: np.ndarray) -> bool:
+        """Drop modes without need and refine the others; whether there were any, on the way here or now."""
+        drop = _without_need(self.samples, self.found)
+        if drop.all() or not (drop.any() or self.dropped):
             return False
-        self.restart(self.refined.model.poles[~drop], sigma)
+        self.restart(self.poles[~drop], sigma)
         return True
+
+    def refined(self) -> Refined:
+        """The end of the search with its error bars."""
+        return refined_of(self.frf, self.found, self.kind)
 
 
 def diagram_poles(
@@ -112,10 +133,10 @@ def diagram_poles(
     if float(jnp.median(spread)) > SHARP:
         return None
     search = _Search(frf, model, tell, options)
-    if search.exact() or float(search.refined.whiteness) >= CORRELATED:
+    if search.exact() or search.found.whiteness >= CORRELATED:
         return None
     tell("the diagram's poles are kept")
-    held = refine(frf, model, covariance=search.kind, max_steps=0, **options)
+    held = refine_on_host(frf, model, covariance=search.kind, max_steps=0, **options)
     old = jnp.sqrt(jnp.diag(held.covariance))
     scale = jnp.stack([spread, spread / model.damping_ratio], axis=1).ravel() / jnp.where(old > 0, old, 1.0)
     return dataclasses.replace(
@@ -142,43 +163,54 @@ def likelihood_rounds(frf: FRF, model: ModalModel, tell: Callable[[str], None], 
     lower, upper = float(frf.freq[0]), float(frf.freq[-1])
     beyond = 0.2 * (upper - lower)
     window = [max(lower - beyond, 0.0), upper + beyond]
-    extra, avoid = jnp.zeros(0), []
+    extra, avoid = np.zeros(0), []
     count, idle = 0, 0
     for turn in range(ROUNDS):
         sigma = search.weights()
         if search.prune(sigma):
             sigma = search.weights()
-        tried = np.abs(np.asarray(extra)) / (2 * np.pi)
-        _close_sides(window, tried, search, (lower, upper))
-        have = np.asarray(search.refined.model.frequency_hz)
+        tried = np.abs(extra) / (2 * np.pi)
+        have = search.found.frequency_hz
+        _close_sides(window, tried, have, (lower, upper))
         avoid += [f for f in tried if (np.abs(have - f) > NEAR * f).all()]
-        if search.refined.model.poles.size > count:
-            idle, count = 0, search.refined.model.poles.size
+        if len(have) > count:
+            idle, count = 0, len(have)
         elif ((tried > lower) & (tried < upper)).any():
             idle += 1
-        extra = jnp.zeros(0)
+        extra = np.zeros(0)
         if turn < ROUNDS - 1 and idle < IDLE and not search.exact():
-            extra = missing_modes(
-                frf, search.refined.model, search.deviations(), level=ADD, inside=(window[0], window[1]), avoid=avoid
-            )
+            extra = search.missing(window, avoid)
         if extra.size:
-            search.restart(jnp.concatenate([search.refined.model.poles, extra]), sigma)
+            search.restart(np.concatenate([search.poles, extra]), sigma)
         elif search.known or turn > 0:
             break
         else:
             search.again(sigma)
+    return _settled(search)
+
+
+def _settled(search: _Search) -> Refined:
+    """The modes found with their last weights, to the last digit, by rising frequency, and with error bars.
+
+    A residual that is not white is model error. Where rows contradict each other, modes that then leave much of the
+    response unexplained are fitted anew where they dominate.
+    """
     search.prune(search.weights())
-    if not search.known and not search.exact():
+    guessed = not search.known and not search.exact()
+    if guessed:
         _weigh_again(search)
-    order = np.argsort(np.asarray(search.refined.model.frequency_hz))
+    order = np.argsort(search.found.frequency_hz)
     if (np.diff(order) < 0).any():
-        search.restart(search.refined.model.poles, search.sigma)
-    return search.refined
+        search.restart(search.poles, search.sigma)
+    search.again(search.sigma, tol=PRECISE)
+    if not guessed or search.found.whiteness >= CORRELATED:
+        return search.refined()
+    search.tell("modes where they dominate")
+    return fit_where_dominant(search.frf, search.refined(), **search.options)
 
 
-def _close_sides(window: list[float], tried: np.ndarray, search: _Search, band: tuple[float, float]) -> None:
+def _close_sides(window: list[float], tried: np.ndarray, have: np.ndarray, band: tuple[float, float]) -> None:
     """Seek no further beyond an end of the band where a mode was tried and did not stay."""
-    have = np.asarray(search.refined.model.frequency_hz)
     if (tried <= band[0]).any() and not (have <= band[0]).any():
         window[0] = band[0]
     if (tried >= band[1]).any() and not (have >= band[1]).any():
@@ -186,47 +218,39 @@ def _close_sides(window: list[float], tried: np.ndarray, search: _Search, band: 
 
 
 def _weigh_again(search: _Search) -> None:
-    """Modes were sought where the data is quiet; now the peaks get their own weight, and modes must stand that too.
-
-    A residual that is not white is model error. Where rows contradict each other, modes that then leave much of the
-    response unexplained are fitted anew where they dominate.
-    """
+    """Modes were sought where the data is quiet; now the peaks get their own weight, and modes must stand that too."""
     for _ in range(LAST):
         search.again(search.weights(proportional=True))
         if not search.prune(search.sigma):
             break
-    if float(search.refined.whiteness) >= CORRELATED:
-        return
-    search.tell("modes where they dominate")
-    search.refined = fit_where_dominant(search.frf, search.refined, **search.options)
 
 
-def _without_need(frf: FRF, refined: Refined) -> np.ndarray:
+def _without_need(samples: Samples, found: Maximum) -> np.ndarray:
     """Modes whose shape could be noise, whose damping left the range of modes, or that lie far outside."""
-    model = refined.model
     # A residue matrix of rank one and a pole: what noise alone would fit to itself as a further mode.
-    dof = 2 * (frf.shape[1] + frf.shape[2] - 1) + 2
-    weak = np.asarray(refined.evidence) < scipy.special.chdtri(dof, DROP)
-    zeta, f = np.asarray(model.damping_ratio), np.asarray(model.frequency_hz)
-    lower, upper = float(frf.freq[0]), float(frf.freq[-1])
+    lines, n_out, n_in = samples.H.shape
+    dof = 2 * (n_out + n_in - 1) + 2
+    weak = found.evidence < scipy.special.chdtri(dof, DROP)
+    zeta, f = found.damping_ratio, found.frequency_hz
+    lower, upper = samples.omega[0] / (2 * np.pi), samples.omega[-1] / (2 * np.pi)
     away = (f < max(lower - 0.5 * (upper - lower), 0.1 * lower)) | (f > upper + 0.5 * (upper - lower))
-    step = (upper - lower) / max(len(frf.freq) - 1, 1)
+    step = (upper - lower) / max(lines - 1, 1)
     bare = (f > lower) & (f < upper) & ((zeta <= 1.01 * UNDAMPED) | (zeta * f < NARROW * step))
-    return weak | (zeta > HEAVY) | bare | away | _halves(frf, refined)
+    return weak | (zeta > HEAVY) | bare | away | _halves(samples, found)
 
 
-def _halves(frf: FRF, refined: Refined) -> np.ndarray:
+def _halves(samples: Samples, found: Maximum) -> np.ndarray:
     """Weaker parts of modes that model error split: two close poles of one shape, in a residual that is not white.
 
     With fewer than ``MANY_DOFS`` DoFs different modes may look alike, so there nothing is taken for split.
     """
-    none = np.zeros(refined.model.poles.size, bool)
-    if max(frf.shape[1:]) < MANY_DOFS or float(refined.whiteness) >= CORRELATED:
-        return none
-    shapes = refined.model.participation if frf.shape[2] > frf.shape[1] else refined.model.shapes
-    alike = np.asarray(mac(shapes, shapes)) > ALIKE
-    poles, evidence = np.asarray(refined.model.poles), np.asarray(refined.evidence)
-    width = -poles.real
-    close = np.abs(poles[:, None] - poles) < CLOSE * (width[:, None] + width)
-    weaker = evidence[:, None] < evidence
+    model = found.model
+    if max(samples.H.shape[1:]) < MANY_DOFS or found.whiteness >= CORRELATED:
+        return np.zeros(len(model.poles), bool)
+    shapes = model.participation if samples.turned else model.shapes
+    shapes = shapes / np.linalg.norm(shapes, axis=1, keepdims=True)
+    alike = np.abs(shapes.conj() @ shapes.T) ** 2 > ALIKE
+    width = -model.poles.real
+    close = np.abs(model.poles[:, None] - model.poles) < CLOSE * (width[:, None] + width)
+    weaker = found.evidence[:, None] < found.evidence
     return (alike & close & weaker).any(axis=1)

@@ -46,15 +46,17 @@ def residual_sigma(frf: FRF, refined: Refined, sigma: Any, proportional: bool = 
     Durrieu (2009).
     """
     H = np.asarray(frf.H)
-    if isinstance(sigma, str):
-        scale = UNIT * np.sqrt(np.mean(np.abs(H) ** 2))
-        sigma = np.full(frf.H.shape, scale)
-    else:
+    scale = UNIT * np.sqrt(np.mean(np.abs(H) ** 2))
+    if not isinstance(sigma, str):
         weight = np.asarray(sigma)
-        sigma = weight * UNIT * np.sqrt(np.mean(np.abs(H / weight) ** 2))
-    whitened = np.asarray(refined.residual) * sigma
-    power = np.abs(whitened) ** 2
-    axis = 2 if frf.shape[2] > frf.shape[1] else 1  # the longer axis, whose channels share a course over frequency
+        scale = weight * UNIT * np.sqrt(np.mean(np.abs(H / weight) ** 2))
+    return jnp.asarray(sigma_of_error(H, np.asarray(refined.residual) * scale, proportional))
+
+
+def sigma_of_error(H: np.ndarray, error: np.ndarray, proportional: bool = False) -> np.ndarray:
+    """Standard deviation of each sample ``(f, o, i)`` from what a model leaves; see :func:`residual_sigma`."""
+    power = np.abs(error) ** 2
+    axis = 2 if H.shape[2] > H.shape[1] else 1  # the longer axis, whose channels share a course over frequency
     half = max(8, len(power) // 60)
     size = np.maximum(np.median(power, axis=(0, 3 - axis), keepdims=True), 1e-300)
     course = _running_mean(np.mean(power / size, axis=axis, keepdims=True), half)
@@ -62,9 +64,9 @@ def residual_sigma(frf: FRF, refined: Refined, sigma: Any, proportional: bool = 
     rounding = (1e-13 * np.abs(H).max()) ** 2 + 1e-300
     variance = course * size
     if proportional:
-        variance = _two_parts(power + rounding, np.abs(H - whitened) ** 2, course, axis, half)
+        variance = _two_parts(power + rounding, np.abs(H - error) ** 2, course, axis, half)
     variance = np.maximum(variance, rounding)
-    return jnp.asarray(np.sqrt(variance))
+    return np.sqrt(variance)
 
 
 def _two_parts(power: np.ndarray, response: np.ndarray, course: np.ndarray, axis: int, half: int) -> np.ndarray:
@@ -79,15 +81,26 @@ def _two_parts(power: np.ndarray, response: np.ndarray, course: np.ndarray, axis
     course = np.tensordot(hats, height, 1)
     size = np.mean(power / course, axis=0, keepdims=True)
     part = 0.1 * np.mean(power) / np.mean(response)
+    inverse, ratio = np.empty_like(power), np.empty_like(power)
+
+    def divide() -> None:
+        """One over the variance, and the power over its square."""
+        np.multiply(course, size, out=inverse)
+        np.multiply(response, part, out=ratio)
+        np.add(inverse, ratio, out=inverse)
+        np.reciprocal(inverse, out=inverse)
+        np.multiply(inverse, inverse, out=ratio)
+        np.multiply(ratio, power, out=ratio)
+
     for _ in range(STEPS):
-        v = course * size + part * response
-        part *= np.sqrt(np.sum(power / v**2 * response) / np.sum(response / v))
-        v = course * size + part * response
+        divide()
+        part *= np.sqrt(np.vdot(ratio, response) / np.vdot(response, inverse))
+        divide()
         size = size * np.sqrt(
-            np.sum(power / v**2 * course, axis=0, keepdims=True) / np.sum(course / v, axis=0, keepdims=True)
+            np.sum(ratio * course, axis=0, keepdims=True) / np.sum(inverse * course, axis=0, keepdims=True)
         )
-        v = course * size + part * response
-        up, down = (np.sum(t * size, axis=axis, keepdims=True) for t in (power / v**2, 1 / v))
+        divide()
+        up, down = (np.sum(t * size, axis=axis, keepdims=True) for t in (ratio, inverse))
         height = height * np.sqrt(np.tensordot(hats.T, up, 1) / np.tensordot(hats.T, down, 1))
         course = np.tensordot(hats, height, 1)
         course = np.maximum(course, 1e-2 * np.median(course, axis=0, keepdims=True))

@@ -13,10 +13,12 @@ matrix product, in coordinates that are orthonormal for the mean weight, so that
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from modalax.identify.kernels import Modes, coefficient_slopes, coefficients, kernels, pairs, unpack
 from modalax.identify.reduced import OwnOutputs, SharedOutputs, Slopes, Sums
 
+INDEPENDENT = 1e-5  # part of a column that those before it leave, from which on a Gram matrix tells it apart
 BLOCK = 2**25  # numbers that an array of one block of lines or outputs may hold
 
 
@@ -53,6 +55,7 @@ class Projection:
         self.terms = Q[: len(self.s)] + 1j * Q[len(self.s) :]
         self.outputs, self.inputs = self.y.shape[:2]
         self.samples = 2 * int(np.count_nonzero(self.weight))
+        self.real = [stacked(self.y[:, i]) for i in range(self.inputs)]
         size = np.sqrt(np.mean(self.weight**2, axis=(1, 2)))
         first = self.weight[int(np.argmax(size))]
         size = size / max(np.max(size), 1e-300)
@@ -111,7 +114,7 @@ class Projection:
             A = stacked((columns * row[:, None]).T).T
             norm = np.linalg.norm(A, axis=0)
             norm = np.where(norm > 0, norm, 1.0)
-            Q, R = np.linalg.qr(A / norm)
+            Q, R = orthonormal(A / norm)
             found.append((Q, R * norm))
         return found
 
@@ -120,9 +123,11 @@ class Projection:
         U, beta, rest = [], [], 0.0
         for i in range(self.inputs):
             Q, R = bases[i if len(bases) > 1 else 0]
-            y = stacked(self.y[:, i])
+            y = self.real[i]
             found = y @ Q
-            rest += float(np.sum((y - found @ Q.T) ** 2))
+            left = found @ Q.T
+            left -= y
+            rest += float(np.vdot(left, left))
             U.append(R[t:, t:])
             beta.append(found[:, t:].T)
         many = np.arange(self.inputs) if len(bases) > 1 else np.zeros(self.inputs, int)
@@ -193,6 +198,26 @@ def _slopes(modes: Modes, pivot: np.ndarray, held: np.ndarray) -> Slopes:
     for part in (plain, squared):
         part[..., 1] *= (1 - held)[:, None, None]
     return Slopes(pairs(coefficients(modes)), pairs(plain), pairs(squared))
+
+
+def orthonormal(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """QR of columns of unit norm, by two Cholesky factorisations where these are safe, else by reflections.
+
+    The second one brings orthogonality to rounding unless the first was of next to dependent columns (Yamamoto,
+    Nakatsukasa, Yanagisawa and Fukaya 2015).
+    """
+    whole = np.eye(A.shape[1])
+    Q = A
+    try:
+        for _ in range(2):
+            R = np.linalg.cholesky(Q.T @ Q).T
+            if np.min(np.diag(R)) < INDEPENDENT:
+                return np.linalg.qr(A)
+            Q = Q @ solve_triangular(R, np.eye(len(R)), check_finite=False)
+            whole = R @ whole
+    except np.linalg.LinAlgError:
+        return np.linalg.qr(A)
+    return Q, whole
 
 
 def stacked(a: np.ndarray) -> np.ndarray:

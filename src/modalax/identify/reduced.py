@@ -58,6 +58,11 @@ class Slopes(NamedTuple):
     squared: np.ndarray
 
 
+def combined(pair: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+    """Columns from pairs ``(..., n, 2)`` and real pairs of coefficients ``(..., n, q, 2)``: shape ``(..., n, q)``."""
+    return pair[..., None, 0] * coefficients[..., 0] + pair[..., None, 1] * coefficients[..., 1]
+
+
 def factor(A: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """QR of columns scaled to unit norm; also usable on dependent columns, also of stacks of matrices."""
     rows, columns = A.shape[-2:]
@@ -97,7 +102,7 @@ class SharedOutputs:
         n, _, c, q, _ = slopes.plain.shape
         self.inputs, self.n, self.c, self.q, self.size = i, n, c, q, size
         g, h = U[..., : 2 * n].reshape(i, k, n, 2), U[..., 2 * n :].reshape(i, k, -1, 2)
-        A = np.einsum("ikne,nice->iknc", g, slopes.columns).reshape(i * k, n * c)
+        A = combined(g, np.moveaxis(slopes.columns, 1, 0)[:, None]).reshape(i * k, n * c)
         self.Q, self.R, self.norm = factor(A)
         data = beta.reshape(i * k, -1)
         projected = self.Q.T @ data
@@ -109,7 +114,8 @@ class SharedOutputs:
     def _derivatives(self) -> tuple[np.ndarray, np.ndarray]:
         """Projected derivatives of all columns, and their parts along these: ``(i k, n q c)``, ``(n c, n q c)``."""
         g, h, slopes = self._parts
-        B = np.einsum("ikne,nicqe->iknqc", g, slopes.plain) + np.einsum("ikne,nicqe->iknqc", h, slopes.squared)
+        order = lambda part: np.transpose(part, (1, 0, 3, 2, 4)).reshape(self.inputs, 1, self.n, -1, 2)  # noqa: E731
+        B = combined(g, order(slopes.plain)) + combined(h, order(slopes.squared))
         B = B.reshape(len(self.residual), -1)
         along = self.Q.T @ B
         return B - self.Q @ along, along
@@ -166,7 +172,7 @@ class OwnOutputs:
         n, _, c, q, _ = slopes.plain.shape
         self.inputs, self.n, self.c, self.q = i, n, c, q
         g, h = U[..., : 2 * n].reshape(o, i, k, n, 2), U[..., 2 * n :].reshape(o, i, k, -1, 2)
-        A = np.einsum("oikne,nice->oiknc", g, slopes.columns).reshape(o, i * k, n * c)
+        A = combined(g, np.moveaxis(slopes.columns, 1, 0)[None, :, None]).reshape(o, i * k, n * c)
         self.Q, self.R, self.norm = factor(A)
         data = beta.reshape(o, i * k, 1)
         projected = np.swapaxes(self.Q, 1, 2) @ data
@@ -180,7 +186,7 @@ class OwnOutputs:
         g, h, slopes = self._parts
         x = self.x.reshape(-1, self.n, self.c)
         plain, squared = (np.einsum("onc,nicqe->oinqe", x, part) for part in (slopes.plain, slopes.squared))
-        D = np.einsum("oikne,oinqe->oiknq", g, plain) + np.einsum("oikne,oinqe->oiknq", h, squared)
+        D = combined(g, plain[:, :, None]) + combined(h, squared[:, :, None])
         D = D.reshape(*self.residual.shape, -1)
         along = np.swapaxes(self.Q, 1, 2) @ D
         return D - self.Q @ along, along

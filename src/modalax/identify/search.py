@@ -12,15 +12,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.special
 from jaxtyping import Array, Complex, Float
 
 from modalax.data.frf import DERIVATIVES, FRF
-from modalax.model.modal import ModalModel, poles_from
+from modalax.identify.scan import NEW, Grid, poles_missing
+from modalax.model.modal import ModalModel
 
-DAMPINGS = (0.001, 0.003, 0.01, 0.03)
-NEW = 0.01  # part of a further mode's response that the present model should leave
-NEAR = 0.01  # part of a frequency within which a further mode is the same that was tried before
 CHUNK = 256  # poles whose scores are taken at once
 
 
@@ -134,75 +131,11 @@ def missing_modes(
     Array
         At most ``most`` poles, no two within two bandwidths of each other, possibly none.
     """
-    first, last = float(frf.freq[0]), float(frf.freq[-1])
-    beyond = 0.2 * (last - first)
-    lower, upper = (max(first - beyond, 0.0), last + beyond) if inside is None else inside
-    grid = []
-    step = float((frf.freq[-1] - frf.freq[0]) / max(len(frf.freq) - 1, 1))
-    for zeta in DAMPINGS:
-        f = max(lower, step)
-        while f < upper:
-            grid.append((f, zeta))
-            f += max(zeta * f, 0.5 * step)
-    where = np.array(grid)
-    poles = poles_from(where[:, 0], where[:, 1])
-    channels = frf.shape[1] * frf.shape[2]
-    threshold = float(_chi2_quantile(level / len(where), 2 * channels))
     made = model.frf(frf.freq, form=frf.form, outputs=frf.outputs, inputs=frf.inputs, added_decay=frf.added_decay)
-    deviations = list(sigma) if isinstance(sigma, (list, tuple)) else [jnp.asarray(sigma)]
-    residuals = [_levelled((frf.H - made.H) / s) for s in deviations]
-    rest = list(residuals)
-    found: list[complex] = []
-    allowed = np.ones(len(where), bool)
-    for f in avoid:
-        allowed &= np.abs(where[:, 0] - f) > max(NEAR * f, 2 * step)
-    while len(found) < most and allowed.any():
-        scores = [np.asarray(mode_scores(frf, r, s, poles, model.poles)) for r, s in zip(rest, deviations, strict=True)]
-        score = np.where(allowed, np.min(scores, axis=0), -np.inf)
-        best = int(np.argmax(score))
-        if score[best] < threshold:
-            break
-        pole = complex(poles[best])
-        found.append(pole)
-        allowed &= np.abs(np.asarray(poles.imag) - pole.imag) > 4 * np.maximum(-np.asarray(poles.real), -pole.real)
-        if not (allowed.any() and first < pole.imag / (2 * np.pi) < last):
-            break
-        pairs = zip(residuals, deviations, strict=True)
-        rest = [_without(frf, r, s, jnp.asarray(found)) for r, s in pairs]
-    within = [p for p in found if first < p.imag / (2 * np.pi) < last]
-    return jnp.asarray(np.array(found[:1] if found and found[0] not in within else within, dtype=complex))
-
-
-def _levelled(residual: Array) -> Array:
-    """Scaled to the level of a neighbourhood far wider than a mode: a bad stretch of the band must not become modes."""
-    power = np.asarray(jnp.mean(jnp.abs(residual) ** 2, axis=(1, 2)))
-    local = _running_median(power, max(5, len(power) // 5))
-    return residual / jnp.asarray(np.sqrt(np.maximum(local, 1e-300)))[:, None, None]
-
-
-@eqx.filter_jit
-def _without(frf: FRF, residual: Array, sigma: Array, poles: Array) -> Array:
-    """The residual after the best multiples of the poles' responses were taken out of each channel."""
-    s = frf.added_decay + 1j * frf.omega
-    near, far = 1 / (s[:, None] - poles), 1 / (s[:, None] - poles.conj())
-    kernels = jnp.concatenate([near + far, 1j * (near - far)], axis=1) * s[:, None] ** DERIVATIVES[frf.form]
-
-    def channel(r: Array, weight: Array) -> Array:
-        K = _stack((kernels * weight[:, None]).T).T
-        Q = jnp.linalg.qr(K / jnp.maximum(jnp.linalg.norm(K, axis=0), 1e-300))[0]
-        rest = _stack(r)
-        rest = rest - Q @ (Q.T @ rest)
-        return rest[: len(s)] + 1j * rest[len(s) :]
-
-    flat = residual.reshape(len(s), -1)
-    return jax.vmap(channel, in_axes=1, out_axes=1)(flat, (1 / sigma).reshape(len(s), -1)).reshape(residual.shape)
-
-
-def _running_median(values: np.ndarray, width: int) -> np.ndarray:
-    padded = np.pad(values, width // 2, mode="reflect" if len(values) > width // 2 else "edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, width)
-    return np.median(windows, axis=1)[: len(values)]
-
-
-def _chi2_quantile(tail: float, dof: int) -> float:
-    return float(scipy.special.chdtri(dof, tail))
+    deviations = [np.asarray(d) for d in (sigma if isinstance(sigma, (list, tuple)) else [sigma])]
+    s = float(frf.added_decay) + 1j * np.asarray(frf.omega)
+    found = poles_missing(
+        Grid(s, DERIVATIVES[frf.form], inside), np.asarray(frf.H - made.H), deviations, np.asarray(model.poles),
+        level=level, most=most, avoid=avoid,
+    )  # fmt: skip
+    return jnp.asarray(found)

@@ -12,13 +12,13 @@ from jaxtyping import Bool, Float
 from modalax.data.frf import FRF
 from modalax.identify.close_modes import NEAR, two_modes
 from modalax.identify.disagreement import CERTAIN
+from modalax.identify.host import refine_on_host, residues_on_host
 from modalax.identify.likelihood import UNDAMPED
 from modalax.identify.local import fit_where_dominant
 from modalax.identify.neighbourhood import residual_of
 from modalax.identify.noise import residual_sigma
 from modalax.identify.quality import ModeQuality, quality_of
-from modalax.identify.refine import CONTRADICTION, CORRELATED, HELD, UNIT, Refined, refine
-from modalax.identify.residues import residues
+from modalax.identify.refine import CONTRADICTION, CORRELATED, HELD, UNIT, Refined
 from modalax.model.modal import ModalModel
 
 TURNS = 3  # most times that modes are dropped and the others refined again
@@ -39,7 +39,7 @@ def settle(frf: FRF, refined: Refined, tell: Callable[[str], None], **options: A
     tell
         Called with a word on each step.
     options
-        ``residuals`` and ``real_modes``, as for :func:`refine`.
+        ``residuals`` and ``real_modes``, as for :func:`modalax.identify.refine`.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def settle_diagram(frf: FRF, model: ModalModel, **options: Any) -> ModalModel:
         bad = weak | _doubled(frf, model, gains, weak, set())
         if not bad.any():
             break
-        model = residues(frf, model.poles[~bad], **options)
+        model = residues_on_host(frf, model.poles[~bad], **options)
     return model
 
 
@@ -148,9 +148,8 @@ def _again(frf: FRF, refined: Refined, keep: np.ndarray, **options: Any) -> Refi
         scale = UNIT * jnp.sqrt(jnp.mean(jnp.abs(frf.H) ** 2))
         plain = dataclasses.replace(refined, residual=jnp.asarray(residual_of(frf, refined.model)) / scale)
         weights = residual_sigma(frf, plain, "auto", proportional=True)
-    slots = 8 * -(-model.poles.size // 8)
     kind = "gauss-newton" if known else "robust"
-    new = refine(frf, model, weights=weights, covariance=kind, slots=slots, **options)
+    new = refine_on_host(frf, model, weights=weights, covariance=kind, **options)
     if int(refined.reason_code) == CONTRADICTION and float(new.whiteness) < CORRELATED:
         new = fit_where_dominant(frf, new, **options)
     return new

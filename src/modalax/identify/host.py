@@ -1,0 +1,101 @@
+"""Refinement and residues on the host, with the arguments and results of those in JAX.
+
+They give the numbers of :func:`modalax.identify.refine` and :func:`modalax.identify.residues` without compiling
+anything, and cannot be differentiated: for searches, whose sizes change from step to step.
+"""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from modalax.data.frf import DERIVATIVES, FRF
+from modalax.identify.deviations import shape_deviations
+from modalax.identify.information import covariance
+from modalax.identify.maximum import Maximum, Modal, Samples, linear_fit, maximise
+from modalax.identify.refine import CORRELATED, Refined
+from modalax.identify.residues import check_size, sigma_of
+from modalax.model.modal import ModalModel
+
+PRECISE = 1e-10  # part of a degree of freedom's sum of squares that a last step gains
+
+
+def samples_of(frf: FRF, residuals: str = "complex", real_modes: bool = False) -> Samples:
+    """The FRF as plain arrays."""
+    s = float(frf.added_decay) + 1j * np.asarray(frf.omega)
+    return Samples(s, np.asarray(frf.H), DERIVATIVES[frf.form], residuals, real_modes)
+
+
+def modal_of(model: ModalModel) -> Modal:
+    """The model as plain arrays."""
+    return Modal(*(np.asarray(a) for a in (model.poles, model.shapes, model.participation, model.upper, model.lower)))
+
+
+def model_of(modal: Modal, frf: FRF) -> ModalModel:
+    """The modal model of plain arrays, with the names of an FRF."""
+    still = np.zeros(len(modal.poles))
+    return ModalModel(
+        modal.poles, modal.shapes, modal.participation, outputs=frf.outputs, inputs=frf.inputs, upper=modal.upper,
+        lower=modal.lower, frequency_std=still, damping_std=still,
+    )  # fmt: skip
+
+
+def shorter_side(model: Modal, samples: Samples) -> np.ndarray:
+    """Participation along the shorter of outputs and inputs, which is what a search starts from."""
+    return model.shapes if samples.turned else model.participation
+
+
+def residues_on_host(
+    frf: FRF, poles: Any, *, residuals: str = "complex", real_modes: bool = False, weights: Any = "auto"
+) -> ModalModel:
+    """What :func:`modalax.identify.residues` gives for the same arguments."""
+    check_size(frf, len(poles), residuals)
+    samples = samples_of(frf, residuals, real_modes)
+    modal, _ = linear_fit(samples, np.asarray(poles), np.asarray(sigma_of(frf, weights)))
+    return model_of(modal, frf)
+
+
+def refine_on_host(
+    frf: FRF, model: ModalModel, *, residuals: str = "complex", real_modes: bool = False, weights: Any = "auto",
+    covariance: str = "gauss-newton", scale_errors: str = "auto", max_steps: int = 60, tol: float = PRECISE,
+) -> Refined:  # fmt: skip
+    """What :func:`modalax.identify.refine` gives for the same arguments.
+
+    Parameters
+    ----------
+    tol
+        As for :func:`modalax.identify.ascent.climb`.
+    """
+    check_size(frf, model.poles.shape[0], residuals)
+    samples = samples_of(frf, residuals, real_modes)
+    known = frf.variance is not None and isinstance(weights, str) and weights != "unit"
+    modal = modal_of(model)
+    found = maximise(
+        samples, modal.poles, shorter_side(modal, samples), np.asarray(sigma_of(frf, weights)), known=known,
+        max_steps=max_steps, tol=tol,
+    )  # fmt: skip
+    return refined_of(frf, found, covariance, scale_errors)
+
+
+def refined_of(frf: FRF, found: Maximum, kind: str, scale_errors: str = "auto") -> Refined:
+    """A search's end with its error bars; kinds and scaling as for :func:`modalax.identify.refine`."""
+    variance = found.chi2 / found.dof
+    inflate = {"never": 1.0, "always": variance}.get(scale_errors, found.inflate)
+    n, q = found.at.theta.shape
+    white = not found.whiteness < CORRELATED
+    cov = covariance(found.projection, found.at, kind=kind, inflate=inflate, white=white)
+    std = np.sqrt(np.maximum(np.diag(cov), 0.0)).reshape(n, q)
+    shape_std, mass_std = shape_deviations(found, cov, inflate, frf.outputs, frf.inputs)
+    pick = (np.arange(n)[:, None] * q + np.arange(2)).ravel()
+    weight = found.projection.weight
+    noise = 1.0 if found.known else np.sqrt(np.mean(found.sigma**2))
+    numbers = dict(
+        frequency_std_hz=np.exp(found.at.theta[:, 0]) / (2 * np.pi) * std[:, 0],
+        damping_std=np.exp(found.at.theta[:, 1]) * std[:, 1], shape_std=shape_std, modal_mass_std=mass_std,
+        covariance=cov[pick][:, pick], evidence=found.evidence * found.inflate / inflate,
+        noise_scale=np.sqrt(variance) * noise, chi2=found.chi2, dof=float(found.dof), whiteness=found.whiteness,
+        log_likelihood=-0.5 * found.chi2 + 2 * np.sum(np.log(weight[weight > 0])), residual=found.residual,
+        success=found.reason == 0, reason_code=found.reason, steps=found.at.steps,
+    )  # fmt: skip
+    arrays = {name: None if value is None else jnp.asarray(value) for name, value in numbers.items()}
+    return Refined(model=model_of(found.model, frf), **arrays)

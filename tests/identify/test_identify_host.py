@@ -1,0 +1,127 @@
+"""The refinement and the scan on the host beside those in JAX, and what a search relies on."""
+
+from importlib import import_module
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_info
+
+from modalax.data import FRF
+from modalax.identify import ascent, fit, mode_scores, refine, residues
+from modalax.identify import mode_search as module
+from modalax.identify.ascent import climb
+from modalax.identify.host import modal_of, refine_on_host, residues_on_host, samples_of
+from modalax.identify.kernels import pack
+from modalax.identify.maximum import response
+from modalax.identify.scan import Grid, _Scan
+from modalax.model import ModalModel
+
+FREQ = np.linspace(24, 44, 81)
+MODEL = ModalModel.from_real_modes(
+    [30.0, 37.0], [0.02, 0.015], [[1.0, 0.6, -0.4], [0.5, -1.0, 0.7]], [1.0, 2.0], list("abc")
+)
+FRF_ = MODEL.frf(FREQ, inputs=["a", "b"], form="accelerance").add_noise(jax.random.key(0), 0.02)
+KINDS = {
+    "known": (FRF_, "auto", "gauss-newton"),
+    "turned": (FRF_.transpose(), "auto", "robust"),
+    "unknown": (FRF_.replace(variance=None), "auto", "sandwich"),
+    "own weights": (FRF_.replace(variance=None), "noisy", "robust"),
+}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiled_quickly():
+    """These tests are nearly all compilation, which takes a third less without the compiler's expensive passes."""
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)
+
+
+@pytest.mark.parametrize("real_modes", [False, True])
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(k, marks=() if k == "known" else pytest.mark.slow) for k in ("known", "own weights", "turned")],
+)
+def test_residues_of_both(name, real_modes):
+    frf, weights, _ = KINDS[name]
+    weights = jnp.abs(frf.H) if weights == "noisy" else weights
+    one = residues(frf, MODEL.poles, weights=weights, real_modes=real_modes)
+    two = residues_on_host(frf, MODEL.poles, weights=weights, real_modes=real_modes)
+    for part in ("shapes", "participation", "upper", "lower"):
+        a, b = getattr(one, part), getattr(two, part)
+        np.testing.assert_allclose(b, a, rtol=1e-8, atol=1e-9 * float(jnp.abs(a).max()))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", KINDS)
+def test_refinement_of_both(name):
+    """Poles to 1e-9, deviations of everything, evidence, whiteness and noise."""
+    frf, weights, kind = KINDS[name]
+    weights = jnp.abs(frf.H) if weights == "noisy" else weights
+    start = residues(frf, MODEL.poles * (1 + 0.003j))
+    one, two = (call(frf, start, weights=weights, covariance=kind) for call in (refine, refine_on_host))
+    assert bool(one.success) and bool(two.success)
+    np.testing.assert_allclose(two.model.poles, one.model.poles, rtol=1e-9)
+    np.testing.assert_allclose(two.model.shapes, one.model.shapes, rtol=1e-6, atol=1e-8)
+    for part in (
+        "frequency_std_hz", "damping_std", "modal_mass_std", "covariance", "evidence", "noise_scale", "chi2", "dof",
+        "whiteness", "log_likelihood",
+    ):  # fmt: skip
+        a, b = np.asarray(getattr(one, part)), np.asarray(getattr(two, part))
+        np.testing.assert_allclose(b, a, rtol=2e-5, atol=1e-5 * np.abs(a).max(), err_msg=part)
+    np.testing.assert_allclose(two.shape_std, one.shape_std, rtol=2e-5, atol=1e-9)
+    np.testing.assert_allclose(two.residual, one.residual, atol=1e-5 * float(jnp.abs(one.residual).max()))
+
+
+def test_response_of_plain_arrays():
+    model = MODEL.replace(upper=jnp.ones((3, 3)) * 1e-5, lower=1j * jnp.ones((3, 3)))
+    for form in ("receptance", "accelerance"):
+        frf = model.frf(FREQ, form=form, added_decay=2.0)
+        found = response(modal_of(model), samples_of(frf))
+        np.testing.assert_allclose(found, frf.H, rtol=1e-12)
+
+
+def test_scan_of_both():
+    """Scores of the host, in single precision, beside those in JAX; inside the band and beyond it."""
+    rng = np.random.default_rng(0)
+    shape = FRF_.H.shape
+    residual, sigma = rng.normal(size=shape) + 1j * rng.normal(size=shape), rng.uniform(0.5, 2.0, shape)
+    s = 2j * np.pi * FREQ
+    grid = Grid(s, 2, (20.0, 50.0))
+    some = np.arange(0, len(grid.poles), 7)
+    known = np.asarray(MODEL.poles)
+    found = _Scan(grid, sigma.reshape(len(s), -1), known).scores(residual.reshape(len(s), -1), some)
+    expected = mode_scores(FRF_, residual, sigma, jnp.asarray(grid.poles[some]), jnp.asarray(known))
+    np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-2)
+    assert 0 < grid.inside[some].sum() < len(some)
+
+
+def test_a_mode_that_runs_away_is_dropped(monkeypatch):
+    """Of three starts for two modes the one that is out of range for some steps, from wherever it then is."""
+    monkeypatch.setattr(ascent, "PATIENCE", 3)
+    samples = samples_of(FRF_)
+    projection = samples.projection(np.sqrt(np.asarray(FRF_.variance)))
+    poles, part = np.append(np.asarray(MODEL.poles), [-5.0 + 170j]), np.ones((3, 2), complex)
+    theta = pack(poles, part, np.zeros(3, int))
+    at = climb(projection, theta, np.zeros(3, int), np.zeros(3), runaway=lambda t: t[:, 0] < np.log(185.0))
+    assert at.finished
+    assert at.kept.tolist() == [0, 1]
+
+
+def test_fit_compiles_no_refinement_and_leaves_the_threads_alone(monkeypatch):
+    """The search is done on the host: nothing of it may call the refinement in JAX."""
+    monkeypatch.setattr(import_module("modalax.identify.refine"), "_refine", None)
+    monkeypatch.setattr(import_module("modalax.identify.residues"), "_fit", None)
+    before = [pool["num_threads"] for pool in threadpool_info()]
+    seen = []
+    real = module.maximise
+    monkeypatch.setattr(
+        module, "maximise", lambda *a, **k: seen.append([p["num_threads"] for p in threadpool_info()]) or real(*a, **k)
+    )
+    frf = FRF(FREQ, FRF_.H, form="accelerance", outputs=FRF_.outputs, inputs=FRF_.inputs)
+    found = fit(frf)
+    assert np.allclose(found.model.frequency_hz, [30.0, 37.0], rtol=1e-2)
+    assert {n for row in seen for n in row} == {1}
+    assert [pool["num_threads"] for pool in threadpool_info()] == before
