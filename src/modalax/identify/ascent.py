@@ -107,7 +107,6 @@ def climb(
             break
         trial, ended = state.step(theta, best, frozen(theta, held, projection.real_modes), small)
         finished = finished or ended
-    assert best is not None or max_steps < 0
     best = _try(projection, theta, pivot, held) if best is None else best
     return Ascent(theta, pivot, held, kept, best, steps - 1, finished)
 

@@ -17,7 +17,7 @@ from modalax.identify.refine import CORRELATED, Refined
 from modalax.identify.residues import check_size, sigma_of
 from modalax.model.modal import ModalModel
 
-PRECISE = 1e-10  # part of a degree of freedom's sum of squares that a last step gains
+PRECISE = 1e-13  # part of a degree of freedom's sum of squares that a last step gains
 
 
 def samples_of(frf: FRF, residuals: str = "complex", real_modes: bool = False) -> Samples:
