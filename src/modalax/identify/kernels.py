@@ -107,10 +107,15 @@ def kernels(s: np.ndarray, power: int, poles: np.ndarray, squares: bool = True) 
 
     Mode after mode the pairs of the kernels, then mode after mode those of their squares.
     """
-    near, far = 1 / (s[:, None] - poles), 1 / (s[:, None] - poles.conj())
-    both = [(near, far), (near**2, far**2)] if squares else [(near, far)]
-    columns = [np.stack([a + b, 1j * (a - b)], axis=-1).reshape(len(s), -1) for a, b in both]
-    return np.concatenate(columns, axis=1) * (s**power)[:, None]
+    found = np.empty((len(s), 1 + squares, len(poles), 2), complex)
+    inverse = 1 / (s[:, None] - poles), 1 / (s[:, None] - poles.conj())
+    near, far = (s**power)[:, None] * inverse[0], (s**power)[:, None] * inverse[1]
+    for part in range(1 + squares):
+        if part:
+            near, far = near * inverse[0], far * inverse[1]
+        found[:, part, :, 0] = near + far
+        found[:, part, :, 1] = 1j * (near - far)
+    return found.reshape(len(s), -1)
 
 
 def residual_terms(s: np.ndarray, power: int, kind: str) -> np.ndarray:

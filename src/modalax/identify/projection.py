@@ -109,9 +109,10 @@ class Projection:
     def _bases(self, poles: np.ndarray, squares: bool) -> list[tuple[np.ndarray, np.ndarray]]:
         """Orthonormal basis of terms and kernels and its triangular factor, for each row of common weights."""
         columns = np.concatenate([self.terms, kernels(self.s, self.power, poles, squares)], axis=1)
+        columns = np.concatenate([columns.real, columns.imag])
         found = []
         for row in self.common:
-            A = stacked((columns * row[:, None]).T).T
+            A = columns * np.tile(row, 2)[:, None]
             norm = np.linalg.norm(A, axis=0)
             norm = np.where(norm > 0, norm, 1.0)
             Q, R = orthonormal(A / norm)
