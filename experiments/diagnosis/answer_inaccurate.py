@@ -23,7 +23,7 @@ def serve(pipe, budget: float | None) -> None:
     from answer import prepare
 
     prepare()
-    from modalax.diagnose.diagnosis import diagnose
+    from modalax.diagnose import diagnose
 
     from modalax.files import load
 
@@ -46,22 +46,25 @@ class Worker:
 
     def ask(self, folder: Path, limit: float) -> dict:
         """What is said of one case; ``no answer`` after ``limit`` seconds."""
+        start = time.perf_counter()
         if self.process is None:
             context = multiprocessing.get_context("spawn")
             self.pipe, other = context.Pipe()
             self.process = context.Process(target=serve, args=(other, self.budget), daemon=True)
             self.process.start()
-        self.pipe.send(str(folder))
+            other.close()  # so that the end of the process ends the waiting for it
         try:
+            self.pipe.send(str(folder))
             if self.pipe.poll(limit):
                 return self.pipe.recv()
             reason = f"stopped after {limit:g} s"
-        except EOFError:
-            reason = "the process ended"
+        except (EOFError, OSError):
+            self.process.join()
+            reason = f"the process ended with status {self.process.exitcode}"
         self.process.kill()
         self.process.join()
         self.process = None
-        return {"verdict": "no answer", "causes": [], "error": reason, "seconds": limit}
+        return {"verdict": "no answer", "causes": [], "error": reason, "seconds": time.perf_counter() - start}
 
 
 def answered(folder: Path) -> dict[str, dict]:

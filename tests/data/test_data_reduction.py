@@ -9,6 +9,7 @@ import scipy.signal
 from modalax.data import Recording, frf_from_recording, from_sep005
 from modalax.data.excitation import excitation_of, excited, period_of
 from modalax.data.recording import channels_of, joined, rate_of, unit_of
+from modalax.data.reduction import common_lines
 
 FS = 512.0
 # two resonances, at 40 and 110 Hz, that die away within half a second
@@ -151,6 +152,16 @@ def test_a_sweep_has_its_level_and_its_band():
     assert np.abs(np.asarray(frf.H[:, 0, 0]) - H).max() < 1e-3 * np.abs(H).max()
 
 
+def test_runs_keep_the_lines_that_all_have():
+    frf, _ = told(frf_from_recording, recording(multisine()[0]))
+    upper, lower = frf.band(20.0, 120.0), frf.band(15.0, 90.0)
+    kept, notes = told(common_lines, [upper, lower])
+    wanted = frf.band(20.0, 90.0)
+    assert all(np.array_equal(np.asarray(f.H), np.asarray(wanted.H)) for f in kept) and len(notes) == 1
+    with pytest.raises(ValueError, match="no frequency line in common"):
+        common_lines([frf.band(20.0, 40.0), frf.band(60.0, 90.0)])
+
+
 def test_random_records_are_averaged_and_pooled():
     rng = np.random.default_rng(3)
     force = rng.normal(size=(3, 32768))
@@ -216,6 +227,9 @@ def test_channels_that_do_not_fit_are_refused():
         told(channels_of, record_of(["f", "x"], ["N", ""]), unit="N")
     with pytest.raises(ValueError, match="one name"):
         two.renamed({"f": "x"})
+    assert np.array_equal(two.between(10 / FS, 20 / FS).data, two.data[:, 10:20])
+    with pytest.raises(ValueError, match="records of 0.125 s"):
+        two.between(0.1, 0.2)
     assert told(channels_of, two.scaled({"f": 2.0}), ["f"], ["x"])[0].force[0, 0, 0] == 2 * two.data[0, 0, 0]
 
 

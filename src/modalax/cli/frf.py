@@ -46,6 +46,10 @@ def frf(
     kind: Annotated[
         str | None, typer.Option("--kind", help="hits, multisine, sweep, blocks or random; told from the force.")
     ] = None,
+    time: Annotated[
+        tuple[float, float] | None,
+        typer.Option("--time", metavar="FROM TO", help="Part of the records to use [s].", show_default=False),
+    ] = None,
     runs: Annotated[bool, typer.Option("--runs", help="Each file is a run of its own, as at rising levels.")] = False,
     level: Annotated[
         list[float] | None, typer.Option("--level", metavar="N", help=f"Force amplitude of each run. {PAIR}")
@@ -82,7 +86,8 @@ def frf(
     import numpy as np
 
     from modalax.data import Measurement
-    from modalax.data.reduction import frf_from_recording
+    from modalax.data.recording import of_one_length
+    from modalax.data.reduction import common_lines, frf_from_recording
     from modalax.files import load_records, save
 
     choices: dict[str, Any] = {
@@ -90,24 +95,28 @@ def frf(
         "period": period, "skip": skip, "trigger": trigger, "pretrigger": pretrigger, "contact": contact,
         "remainder": remainder, "keep_all": keep_all, "roving": roving,
     }  # fmt: skip
+    ends = {"force": _renamed(force, names), "response": _renamed(response, names)}
     _check_levels(level, len(records) if runs else 1)
-    rates, frfs, said = [], [], set()
+    taken, frfs, said = [], [], set()
     with working("Time records to FRFs") as step:
         for paths in [[p] for p in records] if runs else [records]:
             step(f"reading {', '.join(p.name for p in paths[:3])}{' ...' if len(paths) > 3 else ''}")
             with _once(said, paths):
                 recording = load_records(paths, fs=fs, array=array)
+                recording = recording if time is None else recording.between(*time)
                 recording = recording.with_units(_pairs(units, "--units"))
                 recording = recording.scaled({k: _number(v, "--scale") for k, v in _pairs(scale, "--scale").items()})
                 recording = recording.renamed(_pairs(names, "--name"))
-                ends = {"force": _renamed(force, names), "response": _renamed(response, names)}
+            taken.append(recording)
+        for k, recording in enumerate(of_one_length(taken)):
+            step(f"averaging spectra{f' of run {k + 1}' if runs else ''}")
+            with _once(said, records[k:]):
                 frfs.append(frf_from_recording(recording, **ends, unit=unit, **choices))
-            rates.append(recording.fs)
     if level:
         frfs = [f.replace(level=amount) for f, amount in zip(frfs, level, strict=True)]
-    measurement = Measurement.from_frfs(frfs)
+    measurement = Measurement.from_frfs(common_lines(frfs))
     save(measurement, target, overwrite=overwrite)
-    typer.echo(_told(measurement, rates[0]))
+    typer.echo(_told(measurement, taken[0].fs))
     if runs and not np.isfinite(np.asarray(measurement.level)).all():
         note("the force level of the runs is not known: none is a sine's; --level gives it in N")
     note(f"{target} written")

@@ -109,6 +109,20 @@ class Recording:
         given = {self.index(name): unit for name, unit in units.items()}
         return replace(self, units=tuple(given.get(k, unit) for k, unit in enumerate(self.units)))
 
+    def between(self, start: float, stop: float) -> "Recording":
+        """The part of every segment from ``start`` to ``stop`` [s from its beginning].
+
+        Raises
+        ------
+        ValueError
+            If the records do not hold it.
+        """
+        length = self.data.shape[1] / self.fs
+        first, last = round(start * self.fs), round(stop * self.fs)
+        if not 0 <= first < last <= self.data.shape[1]:
+            raise ValueError(f"{start:g} to {stop:g} s of records of {length:g} s; it needs 0 <= start < stop <= end")
+        return replace(self, data=self.data[:, first:last])
+
     def renamed(self, names: Mapping[str | int, str]) -> "Recording":
         """The same with some channels named, for example by their DoF.
 
@@ -152,13 +166,18 @@ def joined(recordings: Sequence[Recording]) -> Recording:
                 f"recording {k} has {other.listed()} at {other.fs:g} Hz, the first {first.listed()} at {first.fs:g} "
                 "Hz; records taken together need the same channels, units and rate"
             )
+    return replace(first, data=np.concatenate([r.data for r in of_one_length(recordings)]))
+
+
+def of_one_length(recordings: Sequence[Recording]) -> list[Recording]:
+    """The recordings cut to the shortest, with a warning where that leaves something out."""
     lengths = [r.data.shape[1] for r in recordings]
     if len(set(lengths)) > 1:
         warnings.warn(
             f"the records have {min(lengths)} to {max(lengths)} samples; all are cut to the first {min(lengths)}",
-            stacklevel=2,
+            stacklevel=3,
         )
-    return replace(first, data=np.concatenate([r.data[:, : min(lengths)] for r in recordings]))
+    return [replace(r, data=r.data[:, : min(lengths)]) for r in recordings]
 
 
 class Channels(NamedTuple):

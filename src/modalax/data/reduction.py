@@ -119,6 +119,36 @@ def frf_from_recording(
     return _from_blocks(channels, recording.fs, how, found.kind)
 
 
+def common_lines(frfs: Sequence[FRF]) -> list[FRF]:
+    """FRFs at the lines that all of them have; which are left out is told by a warning.
+
+    Raises
+    ------
+    ValueError
+        If they have none in common.
+    """
+    axes = [np.asarray(f.freq) for f in frfs]
+    spacing = min(float(np.diff(a).min(initial=np.inf)) for a in axes)
+    tiny = 1e-6 * spacing
+
+    def among(few: np.ndarray, axis: np.ndarray) -> np.ndarray:
+        """Place of each line of ``few`` on the axis, -1 where it is not there."""
+        at = np.clip(np.searchsorted(axis, few - tiny), 0, len(axis) - 1)
+        return np.where(np.abs(axis[at] - few) < tiny, at, -1)
+
+    shared = axes[0]
+    for axis in axes[1:]:
+        shared = shared[among(shared, axis) >= 0]
+    if len(shared) == 0:
+        raise ValueError("the runs have no frequency line in common; records of one rate and length have")
+    if any(len(a) != len(shared) for a in axes):
+        warnings.warn(
+            f"the runs have {min(map(len, axes))} to {max(map(len, axes))} lines; the {len(shared)} of all are kept",
+            stacklevel=2,
+        )
+    return [f.lines(among(shared, a)).replace(freq=shared) for f, a in zip(frfs, axes, strict=True)]
+
+
 def _named(given: Sequence[str] | None, own: list[str], what: str) -> list[str]:
     if given is None:
         return own
