@@ -24,7 +24,6 @@ def serve(pipe, budget: float | None) -> None:
 
     prepare()
     from modalax.diagnose import diagnose
-
     from modalax.files import load
 
     options = {"time": budget} if budget and "time" in inspect.signature(diagnose).parameters else {}
