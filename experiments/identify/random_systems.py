@@ -181,40 +181,17 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--detail", action="store_true", help="name the missed, false and badly covered modes")
+    parser.add_argument("--seconds", type=float, default=np.inf, help="of wall time after which no system is begun")
     parser.add_argument("--no-refine", action="store_true", help="the diagram's modes, without intervals")
     args = parser.parse_args()
     tallies = {kind: Tally() for kind in (*KINDS, "all")}
     grades: tuple[list[float], list[float]] = [], []
-    began = time.process_time()
+    began, until = time.process_time(), time.perf_counter() + args.seconds
     for seed in range(args.first, args.first + args.count):
-        kind, model, frf, variance = draw(seed)
-        told = [tallies[kind], tallies["all"]]
-        for tally in told:
-            tally.systems += 1
-        plain = strength(model, frf, variance) > PLAIN if kind != "noise" else np.zeros(len(model.poles), bool)
-        start = time.process_time()
-        try:
-            found = fit(frf, refine=not args.no_refine)
-        except ValueError as error:
-            if plain.any() or args.detail:
-                print(f"{seed}, {kind}: {error}", flush=True)
-            for tally in told:
-                tally.plain += int(plain.sum())
-            continue
-        pairs, false = match(model, found, 3e-3 if kind == "hits differ" else 0.0)
-        pairs, false = ({}, [*pairs.values(), *false]) if kind == "noise" else (pairs, false)
-        z = deviations(model, found, pairs)
-        have = np.isin(np.arange(len(plain)), list(pairs))
-        for tally in told:
-            tally.plain += int(plain.sum())
-            tally.found += int((have & plain).sum())
-            tally.false += len(false)
-            tally.z += z
-        grade = np.asarray(found.grade)
-        grades[0].extend(grade[list(pairs.values())].tolist())
-        grades[1].extend(grade[false].tolist())
-        if args.detail:
-            detail(seed, kind, model, found, plain & ~have, false, pairs, z, time.process_time() - start)
+        if time.perf_counter() > until:
+            print(f"stopped before system {seed}")
+            break
+        one(seed, tallies, grades, not args.no_refine, args.detail)
     print("| kind | systems | plain modes found | false modes | 95 % intervals hold: frequency | damping |")
     print("|---" * 6 + "|")
     for kind, tally in tallies.items():
@@ -226,6 +203,38 @@ def main() -> None:
         f"{np.median(grades[1]) if grades[1] else np.nan:.2f}"
     )
     print(f"{time.process_time() - began:.0f} CPU s, load {os.getloadavg()[0]:.1f}")
+
+
+def one(
+    seed: int, tallies: dict[str, Tally], grades: tuple[list[float], list[float]], refine: bool, tell: bool
+) -> None:  # fmt: skip
+    """Draw, fit and count one system."""
+    kind, model, frf, variance = draw(seed)
+    plain = strength(model, frf, variance) > PLAIN if kind != "noise" else np.zeros(len(model.poles), bool)
+    told = [tallies[kind], tallies["all"]]
+    for tally in told:
+        tally.systems += 1
+        tally.plain += int(plain.sum())
+    start = time.process_time()
+    try:
+        found = fit(frf, refine=refine)
+    except ValueError as error:
+        if plain.any() or tell:
+            print(f"{seed}, {kind}: {error}", flush=True)
+        return
+    pairs, false = match(model, found, 3e-3 if kind == "hits differ" else 0.0)
+    pairs, false = ({}, [*pairs.values(), *false]) if kind == "noise" else (pairs, false)
+    z = deviations(model, found, pairs)
+    have = np.isin(np.arange(len(plain)), list(pairs))
+    for tally in told:
+        tally.found += int((have & plain).sum())
+        tally.false += len(false)
+        tally.z += z
+    grade = np.asarray(found.grade)
+    grades[0].extend(grade[list(pairs.values())].tolist())
+    grades[1].extend(grade[false].tolist())
+    if tell:
+        detail(seed, kind, model, found, plain & ~have, false, pairs, z, time.process_time() - start)
 
 
 def deviations(model: ModalModel, found: Fit, pairs: dict[int, int]) -> list[tuple[float, float]]:

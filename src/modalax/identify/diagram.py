@@ -80,21 +80,27 @@ def _merged(whole: Selection, part: Selection, lower: float, upper: float) -> Se
 
 
 def _whole(frf: FRF, name: str, order: int | None) -> tuple[PoleTable, Selection]:
-    """Diagrams of rising highest order, until the modes no longer fill them."""
+    """Diagrams of rising highest order, until twice the order shows no further mode."""
+    best = _at(frf, name, POLES, order)
+    poles = 2 * POLES
+    while order is None and poles <= 4 * POLES:
+        further = _at(frf, name, poles, None)
+        if further[0].orders[-1] == best[0].orders[-1] or further[1].poles.size <= best[1].poles.size:
+            break
+        best, poles = further, 2 * poles
+    return best
+
+
+def _at(frf: FRF, name: str, poles: int, order: int | None) -> tuple[PoleTable, Selection]:
+    """The diagram up to so many poles, or up to an order."""
     lines, n_out, n_in = frf.shape
     size = n_in if name in ("plscf", "lsce") else 1
     lower, upper = float(frf.freq[0]), float(frf.freq[-1])
     margin = 0.05 * (upper - lower)
-    poles = POLES
-    while True:
-        top = order if order is not None else max(2, min(poles // size, lines // 4 - 1))
-        if name == "fdpi":
-            top = order if order is not None else max(2, min(poles // 2, lines * n_in // (4 * min(n_out, poles))))
-        first = 1 if name == "fdpi" else min(2, top)
-        step = max(1, top // 40)
-        table = ESTIMATORS[name](frf, sorted({*range(first, top + 1, step), top}))
-        selection = select(table, band=(max(lower - margin, 0.0), upper + margin))
-        full = 2.5 * selection.poles.size * (2 if name == "fdpi" else 1) > top * size
-        if order is not None or not full or top >= lines // 4 - 1 or poles >= 4 * POLES:
-            return table, selection
-        poles *= 2
+    top = max(2, min(poles // size, lines // 4 - 1))
+    if name == "fdpi":
+        top = max(2, min(poles // 2, lines * n_in // (4 * min(n_out, poles))))
+    top = top if order is None else order
+    first = 1 if name == "fdpi" else min(2, top)
+    table = ESTIMATORS[name](frf, sorted({*range(first, top + 1, max(1, top // 40)), top}))
+    return table, select(table, band=(max(lower - margin, 0.0), upper + margin))

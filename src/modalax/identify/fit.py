@@ -130,7 +130,7 @@ def _summary(
     collinearity = mpc(model.along_longer_side().shapes)
     scatter = scatter_over_orders(table, np.asarray(model.poles))
     quality = quality_of(weighted, model)
-    refined = None if refined is None else with_misfit(refined, quality)
+    refined = None if refined is None else with_misfit(refined, quality, record)
     deviations = scatter if refined is None else (refined.frequency_std_hz, refined.damping_std)
     modes = Modes(
         weighted, model, np.asarray(deviations[0]), np.asarray(deviations[1]), refined is not None, score,

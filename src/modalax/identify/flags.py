@@ -19,7 +19,7 @@ HEAVY = 0.25  # damping ratio above which a pole is background
 ALONE = 1.1  # channels that a mode is spread over, below which one sensor holds it, of at least three
 VAGUE = 0.5  # standard deviation of the damping over the damping itself from which on it is called uncertain
 CHANCE = 1e-6  # of a gain that noise makes
-LOST = 0.05  # amplitude left at the end of a record from which on the record is called too short
+BROADENED = 0.05  # part of the damping that a record's window adds from which on the record is called too short
 MATTERS = 0.1  # disagreement on a frequency, in half-bandwidths, from which on it bends the FRFs visibly
 HALF_SURE = 3.0  # gain over that of noise at which evidence is half sure
 
@@ -123,8 +123,8 @@ def _record(modes: Modes, r: int) -> str:
     if record is None or not np.isfinite(record.damping_ratio[r]):
         return ""
     zeta = float(record.damping_ratio[r])
-    left = np.exp(-2 * np.pi * zeta * float(record.frequency_hz[r]) * record.duration)
-    return f"record too short: without its window the damping is {100 * zeta:.3g} %" if left > LOST else ""
+    broader = float(modes.model.damping_ratio[r]) > (1 + BROADENED) * zeta
+    return f"record too short: without its window the damping is {100 * zeta:.3g} %" if broader else ""
 
 
 def _sides(modes: Modes, r: int) -> list[tuple[Spread | None, tuple[str, ...], str]]:

@@ -10,7 +10,7 @@ import scipy.special
 from jaxtyping import Bool, Float
 
 from modalax.data.frf import FRF
-from modalax.identify.close_modes import NEAR, two_modes
+from modalax.identify.close_modes import NEAR, Record, two_modes
 from modalax.identify.disagreement import CERTAIN
 from modalax.identify.host import refine_on_host, residues_on_host
 from modalax.identify.likelihood import UNDAMPED
@@ -155,16 +155,19 @@ def _again(frf: FRF, refined: Refined, keep: np.ndarray, **options: Any) -> Refi
     return new
 
 
-def with_misfit(refined: Refined, quality: list[ModeQuality]) -> Refined:
+def with_misfit(refined: Refined, quality: list[ModeQuality], record: Record | None) -> Refined:
     """The result with standard deviations of poles that know how much the parts of the data disagree on them.
 
     Where flanks, inputs or outputs differ beyond noise, the deviation of their random-effects mean takes the place of
-    a smaller one. Correlations stay.
+    a smaller one; where the resonances show the window of a record, so does what it changes. Correlations stay.
     """
     model = refined.model
     f, zeta = np.asarray(model.frequency_hz), np.asarray(model.damping_ratio)
     old = np.stack([np.asarray(refined.frequency_std_hz), np.asarray(refined.damping_std)], axis=1)
     new = np.array([_with_spread(old[r], f[r], zeta[r], q) for r, q in enumerate(quality)]).reshape(-1, 2)
+    if record is not None:
+        change = np.abs(np.stack([record.frequency_hz - f, record.damping_ratio - zeta], axis=1))
+        new = np.maximum(new, np.nan_to_num(change, nan=0.0))
     scale: Float[np.ndarray, " p"] = np.where(old > 0, new / np.where(old > 0, old, 1.0), 1.0).ravel()
     return dataclasses.replace(
         refined, frequency_std_hz=jnp.asarray(new[:, 0]), damping_std=jnp.asarray(new[:, 1]),
