@@ -33,7 +33,7 @@ def spread(error, chance):
 
 def quality(chance):
     still = Spread(np.zeros(4), np.ones(4), (0.0, 0.0), (0.0, 0.0), 1.0)
-    return ModeQuality(1e4, 6, 1.0, 100.0, 2.0, still, spread((0.07, 0.02), chance), None)
+    return ModeQuality(1e4, 50.0, 1.0, 100.0, 2.0, still, spread((0.07, 0.02), chance), None)
 
 
 def test_modes_without_damping_or_deviation_are_at_a_bound():

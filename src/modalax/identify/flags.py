@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import numpy as np
-import scipy.special
 from jaxtyping import Float
 
 from modalax.data.frf import FRF
@@ -18,7 +17,6 @@ COMPLEX = 0.8  # MPC below which a shape is called complex
 HEAVY = 0.25  # damping ratio above which a pole is background
 ALONE = 1.1  # channels that a mode is spread over, below which one sensor holds it, of at least three
 VAGUE = 0.5  # standard deviation of the damping over the damping itself from which on it is called uncertain
-CHANCE = 1e-6  # of a gain that noise makes
 BROADENED = 0.05  # part of the damping that a record's window adds from which on the record is called too short
 MATTERS = 0.1  # disagreement on a frequency, in half-bandwidths, from which on it bends the FRFs visibly
 HALF_SURE = 3.0  # gain over that of noise at which evidence is half sure
@@ -84,7 +82,7 @@ def _words(modes: Modes, r: int) -> list[str]:
     inside = first <= f <= last
     lost = inside and modes.refined and not np.isfinite(modes.damping_std[r])
     bound = zeta <= 1.01 * UNDAMPED or zeta > HEAVY or lost
-    weak = q.gain < scipy.special.chdtri(q.unknowns, CHANCE)
+    weak = q.gain < q.chance_gain
     count = modes.frf.shape[1] * modes.frf.shape[2]
     edge = min(f - first, last - f) < max(width, 1.5 * step)
     vague = np.isfinite(modes.damping_std[r]) and modes.damping_std[r] > VAGUE * zeta
@@ -171,7 +169,7 @@ def _grade(modes: Modes, r: int) -> float:
     std, f_std = float(modes.damping_std[r]), float(modes.frequency_std_hz[r])
     if zeta <= 1.01 * UNDAMPED or zeta > HEAVY or (inside and modes.refined and not np.isfinite(std)):
         return 0.0
-    noise = HALF_SURE * scipy.special.chdtri(q.unknowns, CHANCE)
+    noise = HALF_SURE * q.chance_gain
     deviation = 1.0
     if np.isfinite(std) and np.isfinite(f_std):
         deviation = 1 / (1 + (2 * std / zeta) ** 2) / (1 + (f_std / width) ** 2)

@@ -7,6 +7,7 @@ same numbers exist with and without a refinement.
 from typing import NamedTuple
 
 import numpy as np
+import scipy.special
 from jaxtyping import Float
 
 from modalax.data.frf import FRF
@@ -15,6 +16,7 @@ from modalax.identify.neighbourhood import Neighbourhood, around, line_noise, re
 from modalax.identify.tables import PoleTable
 from modalax.model.modal import ModalModel
 
+CHANCE = 1e-6  # of a mode in noise alone
 CORE = 2.0  # half-bandwidths about a resonance within which a mode is compared with what is left there
 REACH = 0.02  # part of a frequency within which a pole of another order may be the same mode
 LATE = 0.5  # part of the orders, from the highest down, whose poles tell the scatter
@@ -27,8 +29,8 @@ class ModeQuality(NamedTuple):
     ----------
     gain
         Rise of twice the log-likelihood of these lines by the mode, in units of the noise or of what is left if more.
-    unknowns
-        Real unknowns of the mode there: what noise alone would give.
+    chance_gain
+        The gain that a pole put anywhere into noise alone exceeds with a probability of ``CHANCE``.
     share
         Part of the response about the peak that is the mode's rather than left: 1 where nothing is left.
     peak
@@ -40,7 +42,7 @@ class ModeQuality(NamedTuple):
     """
 
     gain: float
-    unknowns: int
+    chance_gain: float
     share: float
     peak: float
     channels: float
@@ -77,7 +79,7 @@ def _one(frf: FRF, hood: Neighbourhood) -> ModeQuality:
     out, into = np.divmod(np.arange(count), n_in)
     return ModeQuality(
         gain=gain,
-        unknowns=2 * (n_out + n_in),
+        chance_gain=_chance_gain(frf, 2 * (n_out + n_in), left.size),
         share=float(mine / max(mine + rest, 1e-300)),
         peak=float(np.abs(own).max()),
         channels=float(energy.sum() ** 2 / max(np.sum(energy**2), 1e-300)),
@@ -85,6 +87,17 @@ def _one(frf: FRF, hood: Neighbourhood) -> ModeQuality:
         inputs=of_channels(hood, into) if n_in > 1 else None,
         outputs=of_channels(hood, out) if n_out > 1 else None,
     )
+
+
+def _chance_gain(frf: FRF, unknowns: int, samples: int) -> float:
+    """Gain by chance: an F quantile where the noise was read off so many samples, shared among the lines."""
+    chance = CHANCE / len(frf.freq)
+    if frf.variance is not None:
+        return float(scipy.special.chdtri(unknowns, chance))
+    rest = scipy.special.betaincinv(
+        samples / 2, unknowns / 2, chance
+    )  # of a beta variable, 1 / (1 + unknowns F / samples)
+    return float(samples * (1 - rest) / rest)
 
 
 def noise_part(frf: FRF, residual: np.ndarray, even: bool = False) -> float:

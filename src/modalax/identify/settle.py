@@ -17,13 +17,12 @@ from modalax.identify.likelihood import UNDAMPED
 from modalax.identify.local import fit_where_dominant
 from modalax.identify.neighbourhood import residual_of
 from modalax.identify.noise import residual_sigma
-from modalax.identify.quality import ModeQuality, quality_of
+from modalax.identify.quality import CHANCE, ModeQuality, quality_of
 from modalax.identify.refine import CONTRADICTION, CORRELATED, HELD, UNIT, Refined
 from modalax.model.modal import ModalModel
 
 TURNS = 3  # most times that modes are dropped and the others refined again
 NARROW = 0.01  # half-bandwidth in lines below which a pole is one bad line
-CHANCE = 1e-6  # of the evidence of a mode in noise alone
 
 
 def settle(frf: FRF, refined: Refined, tell: Callable[[str], None], **options: Any) -> Refined:
@@ -83,7 +82,7 @@ def _gains(frf: FRF, model: ModalModel) -> tuple[Float[np.ndarray, " n"], Bool[n
     """By how much each mode raises the likelihood of the lines around it, and which do no more than in noise."""
     quality = quality_of(frf, model)
     gains = np.array([q.gain for q in quality])
-    return gains, gains < np.array([scipy.special.chdtri(q.unknowns, CHANCE) for q in quality])
+    return gains, gains < np.array([q.chance_gain for q in quality])
 
 
 def _require(frf: FRF, sound: np.ndarray) -> None:
