@@ -35,7 +35,19 @@ from modalax.model import ModalModel  # noqa: E402
 from modalax.model.examples import five_dof  # noqa: E402
 
 SECONDS, BYTES = 10, 1e9
-FORMATS = ("npz", "npz_structure", "npz_modes", "uff_text", "uff_binary", "uff_modes", "mat", "mat73", "nc", "zarr")
+FORMATS = (
+    "npz",
+    "npz_structure",
+    "npz_modes",
+    "uff_text",
+    "uff_binary",
+    "uff_modes",
+    "mat",
+    "mat73",
+    "nc",
+    "zarr",
+    "csv",
+)
 EXECUTION = (
     "pickle.find_class",
     "os.system",
@@ -76,9 +88,21 @@ def sound_files(folder: Path) -> dict[str, Path]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             modalax.save(value, paths[name], **options)
+    paths["csv"] = folder / "csv.csv"
+    write_table(paths["csv"], measurement())
     paths["mat73"] = folder / "mat73.mat"
     write_mat73(paths["mat73"], to_arrays(measurement()))
     return paths
+
+
+def write_table(path: Path, data: Measurement) -> None:
+    """A table of real and imaginary parts."""
+    H = np.asarray(data.H)[0].reshape(len(data.freq), -1)
+    names = [f"{o}/{i}" for o in data.outputs for i in data.inputs]
+    rows = [["freq", *(f"{part} {name}" for name in names for part in ("re", "im"))]]
+    for f, line in zip(np.asarray(data.freq), H, strict=True):
+        rows.append([f"{v:.12g}" for v in (f, *(p for value in line for p in (value.real, value.imag)))])
+    path.write_text("\n".join(",".join(row) for row in rows) + "\n", encoding="utf-8")
 
 
 def write_mat73(path: Path, arrays: dict[str, Any]) -> None:
@@ -141,8 +165,10 @@ def retold(content: bytes, rng: random.Random) -> bytes:
     """Replace a word of a text by an extreme one of the same width."""
     lines = content.split(b"\n")
     for _ in range(rng.choice([1, 2, 5])):
+        if not lines:
+            break
         k = rng.randrange(min(len(lines), 60)) if rng.random() < 0.6 else rng.randrange(len(lines))
-        words = lines[k].split()
+        words = lines[k].replace(b",", b" ").split()
         if words:
             word, new = rng.choice(words), rng.choice(EXTREME)
             width = max(len(word), len(new))
@@ -222,7 +248,7 @@ def make(name: str, sound: dict[str, Path], folder: Path, rng: random.Random) ->
         write_hostile(name, path, rng)
         return path
     content, other = source.read_bytes(), rng.choice([p for p in sound.values() if p.is_file()]).read_bytes()
-    text = name.startswith("uff") and rng.random() < 0.7
+    text = name.startswith(("uff", "csv")) and rng.random() < 0.7
     path.write_bytes(retold(content, rng) if text else damaged(content, other, rng))
     return path
 
@@ -283,7 +309,7 @@ def _loaded(path: Path) -> tuple[str, str]:
     try:
         with warnings.catch_warnings(), limited(SECONDS):
             warnings.simplefilter("ignore")
-            problem = unsound(modalax.load(path))
+            problem = unsound(modalax.load(path, **({"form": "receptance"} if path.suffix == ".csv" else {})))
         return ("accepted", problem) if problem else ("sound", "")
     except TimeoutError as error:
         return "hang", str(error)

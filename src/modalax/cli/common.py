@@ -12,7 +12,9 @@ import typer
 
 from modalax.files.sniff import sniff
 
-DataArgument = Annotated[Path, typer.Argument(metavar="DATA", help="Measured FRFs (UFF, npz, mat, NetCDF or Zarr).")]
+DataArgument = Annotated[
+    Path, typer.Argument(metavar="DATA", help="Measured FRFs (UFF, npz, mat, NetCDF, Zarr or CSV).")
+]
 BandOption = Annotated[
     tuple[float, float] | None, typer.Option("--band", metavar="LO HI", help="Frequency band [Hz].", show_default=False)
 ]
@@ -167,8 +169,8 @@ def note(text: str) -> None:
     typer.echo(text, err=True)
 
 
-def read_measurement(path: Path) -> Any:
-    """Read FRFs, and say so if the file holds a model.
+def read_measurement(path: Path, **told: Any) -> Any:
+    """Read FRFs, with what was told of the file, and say so if it holds a model.
 
     Raises
     ------
@@ -178,7 +180,7 @@ def read_measurement(path: Path) -> Any:
     from modalax.data import Measurement
     from modalax.files import load
 
-    found = load(path)
+    found = load(path, **told)
     if not isinstance(found, Measurement):
         raise ValueError(f"{path} holds a {type(found).__name__}; measured FRFs are needed here")
     return found

@@ -6,11 +6,26 @@ from typing import Annotated
 import typer
 
 from modalax.cli.common import OverwriteOption, check_free, check_readable, note, start
+from modalax.cli.told import (
+    AxesOption,
+    FormOption,
+    FrequencyUnitOption,
+    InputsOption,
+    OutputsOption,
+    UnitOption,
+    told,
+)
 
 
 def convert(
     source: Annotated[Path, typer.Argument(metavar="IN", help="File to read; its kind is found out.")],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write; its ending tells the kind.")],
+    form: FormOption = None,
+    unit: UnitOption = None,
+    frequency_unit: FrequencyUnitOption = None,
+    outputs: OutputsOption = None,
+    inputs: InputsOption = None,
+    axes: AxesOption = None,
     overwrite: OverwriteOption = False,
 ) -> None:
     """Read FRFs or a model from one kind of file and write it to another."""
@@ -19,5 +34,5 @@ def convert(
     start()
     from modalax.files import load, save
 
-    save(load(source), target, overwrite=overwrite)
+    save(load(source, **told(form, unit, frequency_unit, outputs, inputs, axes)), target, overwrite=overwrite)
     note(f"{target} written")

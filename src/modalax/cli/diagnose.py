@@ -21,6 +21,15 @@ from modalax.cli.common import (
     working,
     write_json,
 )
+from modalax.cli.told import (
+    AxesOption,
+    FormOption,
+    FrequencyUnitOption,
+    InputsOption,
+    OutputsOption,
+    UnitOption,
+    told,
+)
 
 
 def diagnose(
@@ -31,6 +40,12 @@ def diagnose(
     json: JsonOption = None,
     report: ReportOption = None,
     out: PicturesOption = None,
+    form: FormOption = None,
+    unit: UnitOption = None,
+    frequency_unit: FrequencyUnitOption = None,
+    outputs: OutputsOption = None,
+    inputs: InputsOption = None,
+    axes: AxesOption = None,
     overwrite: OverwriteOption = False,
 ) -> None:
     """Compare measured FRFs with a simulation: where it fails, why, and how much better it predicts once extended."""
@@ -40,7 +55,8 @@ def diagnose(
     check_folder(out, overwrite, inputs=[data, simulation])
     check_readable(data, simulation)
     start()
-    measurement, model = read_measurement(data), read_simulation(simulation, extended=True)
+    measurement = read_measurement(data, **told(form, unit, frequency_unit, outputs, inputs, axes))
+    model = read_simulation(simulation, extended=True)
     from rich.console import Console
 
     from modalax.cli.tables import print_diagnosis

@@ -22,6 +22,23 @@ from modalax.cli.common import (
     working,
     write_json,
 )
+from modalax.cli.told import (
+    AxesOption,
+    FormOption,
+    FrequencyUnitOption,
+    InputsOption,
+    OutputsOption,
+    UnitOption,
+    told,
+)
+
+
+class ResidualTerms(StrEnum):
+    """Terms that stand for the modes outside the band."""
+
+    complex = "complex"
+    real = "real"
+    none = "none"
 
 
 class Method(StrEnum):
@@ -42,17 +59,47 @@ def fit(
     order: Annotated[int | None, typer.Option(help="Largest model order; chosen by itself if not given.")] = None,
     refine: Annotated[bool, typer.Option("--refine/--no-refine", help="Refine by maximum likelihood.")] = True,
     run: Annotated[int | None, typer.Option(help="Which run of several, counted from 1.", show_default=False)] = None,
+    pick: Annotated[
+        list[float] | None, typer.Option("--pick", metavar="HZ", help="Fit the mode near it and no other; repeat.")
+    ] = None,
+    drop: Annotated[
+        list[float] | None, typer.Option("--drop", metavar="HZ", help="Leave out the mode near it; repeat.")
+    ] = None,
+    add: Annotated[list[float] | None, typer.Option("--add", metavar="HZ", help="Put in a mode there; repeat.")] = None,
+    without: Annotated[
+        list[str] | None, typer.Option("--without", metavar="NAME", help="Leave out an output or input; repeat.")
+    ] = None,
+    real_modes: Annotated[bool, typer.Option("--real-modes", help="Fit real normal modes.")] = False,
+    residuals: Annotated[
+        ResidualTerms, typer.Option("--residuals", help="Terms for the modes outside the band.")
+    ] = ResidualTerms.complex,
     json: JsonOption = None,
     report: ReportOption = None,
     out: PicturesOption = None,
+    modes: Annotated[
+        Path | None, typer.Option("--modes", metavar="FILE", help="Write the modes to .csv, .uff (55) or .npz.")
+    ] = None,
+    geometry: Annotated[
+        Path | None, typer.Option("--geometry", metavar="FILE", help="Places of the nodes: UFF, CSV or STL.")
+    ] = None,
+    form: FormOption = None,
+    unit: UnitOption = None,
+    frequency_unit: FrequencyUnitOption = None,
+    outputs: OutputsOption = None,
+    inputs: InputsOption = None,
+    axes: AxesOption = None,
     overwrite: OverwriteOption = False,
 ) -> None:
     """Identify the modes of measured FRFs: frequency, damping and shape with standard deviations."""
-    check_free(json, report, overwrite=overwrite, inputs=[data])
-    check_folder(out, overwrite, inputs=[data])
+    check_free(json, report, modes, overwrite=overwrite, inputs=[data, geometry])
+    check_folder(out, overwrite, inputs=[data, geometry])
     check_readable(data)
     start()
-    frf = one_run(read_measurement(data), run, data)
+    if modes is not None:
+        check_modes(modes)
+    measured = read_measurement(data, **told(form, unit, frequency_unit, outputs, inputs, axes))
+    places = None if geometry is None else read_geometry(geometry)
+    frf = one_run(measured, run, data)
     from rich.console import Console
 
     from modalax.cli.tables import mode_table, print_remarks
@@ -60,7 +107,10 @@ def fit(
 
     name = None if method is None else method.value
     with working("Identifying the modes (the first time on a machine also compiles)") as progress:
-        result = identify(frf, method=name, order=order, refine=refine, band=band, progress=progress)
+        result = identify(
+            frf, name, order, refine, band, residuals=residuals.value, real_modes=real_modes, pick=pick or None,
+            drop=drop, add=add, without=without or None, progress=progress,
+        )  # fmt: skip
     answer = result.to_dict()
     console = Console()
     console.print(mode_table(answer["modes"]))
@@ -69,8 +119,42 @@ def fit(
         note("not refined: no standard deviations; the scatter over the orders tells how far to trust a damping ratio")
     if result.refined is not None and not bool(result.refined.success):
         note(f"the refinement did not converge: {result.refined.reason}")
-    geometry = nodes_beside(data) if report or out else None
-    write_outputs(result, answer, json, report, out, f"Modes of {data.name}", geometry)
+    places = nodes_beside(data) if places is None and (report or out or modes) else places
+    if modes is not None:
+        write_modes(result, modes, places, overwrite)
+    write_outputs(result, answer, json, report, out, f"Modes of {data.name}", places)
+
+
+def check_modes(path: Path) -> None:
+    """Refuse a file for the modes whose ending is not known."""
+    from modalax.files.modes import check_modes_file
+
+    check_modes_file(path)
+
+
+def read_geometry(path: Path) -> Any:
+    """Places of the nodes; corners of triangles have no names of their own, and that is said."""
+    from modalax.files import load_geometry
+
+    if path.suffix.lower() == ".stl":
+        note(f"{path}: its corners are taken in metres and as nodes 1, 2, ... in the order in which they come")
+    return load_geometry(path)
+
+
+def write_modes(result: Any, path: Path, geometry: Any, overwrite: bool) -> None:
+    """Write the modes in the band."""
+    import numpy as np
+
+    from modalax.files import save_modes
+
+    inside, model, refined = np.asarray(result.inside), result.model, result.refined
+    kept = model.replace(
+        poles=model.poles[inside], shapes=model.shapes[inside], participation=model.participation[inside],
+        frequency_std=model.frequency_std[inside], damping_std=model.damping_std[inside],
+    )  # fmt: skip
+    std = (None, None) if refined is None else (refined.frequency_std_hz[inside], refined.damping_std[inside])
+    save_modes(kept, path, frequency_std_hz=std[0], damping_std=std[1], geometry=geometry, overwrite=overwrite)
+    note(f"modes: {path}")
 
 
 def one_run(measurement: Any, run: int | None, path: Path) -> Any:

@@ -264,6 +264,26 @@ class FRF(eqx.Module):
             outputs=[self.outputs[k] for k in o], inputs=[self.inputs[k] for k in i],
         )  # fmt: skip
 
+    def drop(self, names: Sequence[str]) -> "FRF":
+        """The FRF without some outputs and inputs, by name; a name that is both is left out on both sides.
+
+        Raises
+        ------
+        ValueError
+            If a name is not measured, or no output or input is left.
+        """
+        names = [names] if isinstance(names, str) else list(names)
+        unknown = [n for n in names if n not in self.outputs and n not in self.inputs]
+        if unknown:
+            there = ", ".join(dict.fromkeys((*self.outputs, *self.inputs)))
+            raise ValueError(f"no channel named {', '.join(map(repr, unknown))} to leave out; there are {there}")
+        outputs, inputs = ([n for n in side if n not in names] for side in (self.outputs, self.inputs))
+        if not outputs or not inputs:
+            raise ValueError(
+                f"without {', '.join(names)} there are {len(outputs)} outputs and {len(inputs)} inputs left"
+            )
+        return self.pick(outputs, inputs)
+
     def to_form(self, form: str) -> "FRF":
         r"""The FRF as receptance, mobility or accelerance, by factors :math:`s^{\pm n}`.
 

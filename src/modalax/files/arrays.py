@@ -10,6 +10,7 @@ import numpy as np
 from modalax.data.frf import FRF
 from modalax.data.measurement import Measurement
 from modalax.files.guard import LONGEST_NAME, check_names
+from modalax.files.plain import PLAIN_KEYS, Told, understood
 from modalax.model.modal import ModalModel, poles_from
 from modalax.model.structure import Structure
 
@@ -26,7 +27,8 @@ MODEL_KEYS = (
     "poles", "frequency_hz", "damping_ratio", "shapes", "participation", "modal_a", "modal_mass", "upper", "lower",
     "outputs", "inputs", "frequency_std", "damping_std",
 )  # fmt: skip
-READ_KEYS = frozenset((*MEASUREMENT_KEYS, *STRUCTURE_KEYS, *MODEL_KEYS))
+READ_KEYS = frozenset((*MEASUREMENT_KEYS, *STRUCTURE_KEYS, *MODEL_KEYS)) | PLAIN_KEYS
+NOTHING = Told()
 EXTENDED = "causes"  # the array that marks an extended simulation
 
 
@@ -69,8 +71,10 @@ def _measurement_arrays(measurement: Measurement) -> dict[str, np.ndarray]:
     return arrays
 
 
-def from_arrays(arrays: Arrays, **options: Any) -> Saved:
+def from_arrays(arrays: Arrays, told: Told = NOTHING, **options: Any) -> Saved:
     """The measurement, structure or modal model that named arrays hold, told apart by their names.
+
+    What measured FRFs do not say themselves may be ``told``.
 
     Raises
     ------
@@ -84,6 +88,10 @@ def from_arrays(arrays: Arrays, **options: Any) -> Saved:
         return extended(arrays, **options)
     if options:
         raise ValueError(f"option {', '.join(options)} is for extended simulations and UFF files, this is neither")
+    if not {"M", "K", "poles", "shapes"} & set(arrays):
+        arrays = understood(arrays, told)
+    elif told.words:
+        raise ValueError(f"option {', '.join(told.words)} is for measured FRFs, and this is a simulation")
     if "H" in arrays or "freq" in arrays:
         _hint(arrays, MEASUREMENT_KEYS)
         return _measurement(arrays)
@@ -110,8 +118,8 @@ def _hint(arrays: Arrays, known: tuple[str, ...]) -> None:
             )
 
 
-def _need(arrays: Arrays, names: tuple[str, ...], kind: str) -> None:
-    missing = [name for name in names if name not in arrays]
+def _need(arrays: Arrays, names: tuple[str, ...], kind: str, spared: tuple[str, ...] = ()) -> None:
+    missing = [name for name in names if name not in arrays and name not in spared]
     if missing:
         raise ValueError(
             f"no {' and no '.join(missing)} in it; a {kind} file needs {', '.join(names)} "
@@ -217,7 +225,11 @@ def _check_axes(H: np.ndarray, axes: list[str], lengths: dict[str, int]) -> None
 
 
 def _structure(arrays: Arrays) -> Structure:
-    _need(arrays, ("M", "C", "K", "dofs"), "structure")
+    _need(arrays, ("M", "C", "K", "dofs"), "structure", ("dofs",))
+    if "dofs" not in arrays:
+        warnings.warn(
+            "its DoFs have no names and are called 1, 2, ...; the array dofs names them", UserWarning, stacklevel=4
+        )
     for name in ("M", "C", "K"):
         if np.asarray(arrays[name]).dtype == np.float32:
             warnings.warn(
@@ -228,7 +240,8 @@ def _structure(arrays: Arrays) -> Structure:
     M, C, K = (np.atleast_2d(_numbers(arrays, name)) for name in ("M", "C", "K"))
     D = np.atleast_2d(_numbers(arrays, "D")) if "D" in arrays else None
     claims = _claims(arrays, ("frequency_std", "damping_std")) | _claims(arrays, CLAIMS)
-    return Structure(M, C, K, _words(arrays, "dofs"), D=D, pairs=_pairs(arrays), **claims)
+    dofs = _words(arrays, "dofs") if "dofs" in arrays else None
+    return Structure(M, C, K, dofs, D=D, pairs=_pairs(arrays), **claims)
 
 
 def _pairs(arrays: Arrays) -> list[tuple[str, str]] | None:

@@ -8,15 +8,17 @@ import numpy as np
 
 from modalax.data.frf import FRF
 from modalax.data.measurement import Measurement
-from modalax.files.arrays import Saved, from_arrays, to_arrays
+from modalax.files.arrays import NOTHING, Saved, from_arrays, to_arrays
 from modalax.files.guard import reading
 from modalax.files.inside import check_datasets, check_store
+from modalax.files.plain import PLAIN_KEYS, Told, plain_dataset
 from modalax.files.units import force_factor, frequency_factor, plain, response_unit
 
 UNITS = {"receptance": "m/N", "mobility": "(m/s)/N", "accelerance": "(m/s^2)/N"}
 DIMS = ("run", "freq", "output", "input")
 SAMPLES = ("H", "variance", "coherence")
-READ = {*SAMPLES, *DIMS, "H_real", "H_imag", "level", "force"}
+NAMES = {"o", "out", "outputs", "response", "i", "in", "inputs", "reference", "part", "complex", "reim"}
+READ = {*SAMPLES, *DIMS, *PLAIN_KEYS, *NAMES, "H_real", "H_imag", "level", "force"}
 
 
 def _xarray() -> Any:
@@ -63,14 +65,17 @@ def to_xarray(measurement: Any) -> Any:
     )
 
 
-def from_xarray(dataset: Any) -> Measurement:
+def from_xarray(dataset: Any, told: Told = NOTHING) -> Measurement:
     """The measurement of an ``xarray.Dataset`` as :func:`to_xarray` makes it; the order of the axes does not matter.
+
+    Real and imaginary parts may stand apart, as ``H_re`` and ``H_im`` or along a dimension of ``re`` and ``im``.
 
     Raises
     ------
     ValueError
         If a variable, coordinate, axis or attribute is missing.
     """
+    dataset = _as_told(plain_dataset(dataset), told)
     names = set(dataset.variables)
     missing = [name for name in ("H", "freq", "output", "input") if name not in names]
     if missing or "form" not in dataset.attrs:
@@ -98,6 +103,25 @@ def from_xarray(dataset: Any) -> Measurement:
     measurement = from_arrays(_in_si(arrays, dataset))
     assert isinstance(measurement, Measurement)
     return measurement
+
+
+def _as_told(dataset: Any, told: Told) -> Any:
+    """The dataset with the form that was told, or that the unit of its FRFs is of, and with units and names told."""
+    if told.axes is not None:
+        raise ValueError("option axes is for arrays without names of axes; this dataset names its own")
+    for side in ("output", "input"):
+        names = getattr(told, f"{side}s")
+        if names is not None:
+            dataset = dataset.assign_coords({side: (side, [str(n) for n in names])})
+    if "H" in dataset and told.unit is not None:
+        dataset = dataset.assign(H=dataset["H"].assign_attrs(units=told.unit))
+    if "freq" in dataset.coords and told.frequency_unit is not None:
+        dataset = dataset.assign_coords(freq=dataset["freq"].assign_attrs(units=told.frequency_unit))
+    form = told.form
+    if form is None and "H" in dataset and (told.unit is not None or "form" not in dataset.attrs):
+        unit = dataset["H"].attrs.get("units")
+        form = None if unit is None else response_unit(unit)[0]
+    return dataset if form is None else dataset.assign_attrs(form=form)
 
 
 def _check_dims(dataset: Any) -> None:
@@ -138,7 +162,7 @@ def _in_si(arrays: dict[str, Any], dataset: Any) -> dict[str, Any]:
     }
 
 
-def read_labelled(path: Path, kind: str) -> Saved:
+def read_labelled(path: Path, kind: str, told: Told = NOTHING) -> Saved:
     """Read a NetCDF file or a Zarr store.
 
     NetCDF has no complex numbers of its own; they stand as pairs of real ones, named ``<name>_real``, ``<name>_imag``.
@@ -156,11 +180,7 @@ def read_labelled(path: Path, kind: str) -> Saved:
         # Numbers stay numbers: units such as "days since" and packing by scale factors are of no use here.
         with xarray.open_dataset(path, **how, decode_times=False, drop_variables=others) as lazy:
             dataset = lazy.load()
-    if "H_real" in dataset and "H_imag" in dataset:
-        units = {"units": dataset["H_real"].attrs["units"]} if "units" in dataset["H_real"].attrs else {}
-        H = (dataset["H_real"] + 1j * dataset["H_imag"]).assign_attrs(units)
-        dataset = dataset.drop_vars(["H_real", "H_imag"]).assign(H=H)
-    return from_xarray(dataset)
+    return from_xarray(dataset, told)
 
 
 def _check(path: Path, kind: str) -> list[str]:

@@ -2,6 +2,7 @@
 
 import os
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,12 @@ import numpy as np
 from modalax._numerics.checks import require_double
 from modalax.data.causality import looks_conjugated
 from modalax.data.measurement import Measurement
-from modalax.files.arrays import Saved
+from modalax.files.arrays import Saved, from_arrays
 from modalax.files.messages import about
 from modalax.files.npz import read_npz, write_npz
+from modalax.files.plain import Told
 from modalax.files.sniff import kind_to_write, sniff
+from modalax.files.table import names_of_columns, read_table
 from modalax.files.write import replacing
 
 LARGEST = 1e30  # m/N, (m/s)/N or (m/s^2)/N; a grain of dust moves by 1e12 (m/s^2)/N
@@ -24,6 +27,12 @@ def load(
     path: str | os.PathLike[str],
     *,
     conjugate: bool | str = "detect",
+    form: str | None = None,
+    unit: str | None = None,
+    frequency_unit: str | None = None,
+    outputs: Sequence[str] | None = None,
+    inputs: Sequence[str] | None = None,
+    axes: str | None = None,
     **options: Any,
 ) -> Saved:
     """Read a measurement, a structure, a modal model or an extended simulation from a file of any kind.
@@ -40,8 +49,12 @@ def load(
     conjugate
         ``"detect"``: FRFs that look conjugated (:func:`modalax.data.looks_conjugated`) are turned back, with a
         warning that says so. True: they are conjugated. False: they are taken as they are.
+    form, unit, frequency_unit, outputs, inputs, axes
+        What a file of FRFs does not say itself (:class:`modalax.files.plain.Told`), as plain ``.npz`` and ``.mat``
+        files of frequencies and FRFs, and CSV: the form or the unit (``g/N``), names of the channels, the order of the
+        axes (``f o i``). What is guessed is said in a warning; what may mean two things is asked for.
     **options
-        Choices for UFF files, passed to :func:`modalax.files.uff.read_uff`: ``form``, ``complete``; for an extended
+        Choices for UFF files, passed to :func:`modalax.files.uff.read_uff`: ``complete``; for an extended
         simulation ``causes``, those of one's own that it holds; for finite elements those of
         :func:`modalax.files.finite_elements.import_finite_elements`: ``mass``, ``grids``, ``units``, ...
 
@@ -55,7 +68,7 @@ def load(
     path = as_path(path)
     require_double("load")
     with about(path):
-        what = _read(path, sniff(path), options)
+        what = _read(path, sniff(path), Told(form, unit, frequency_unit, outputs, inputs, axes), options)
         if isinstance(what, Measurement):
             _check_magnitude(what)
             what = _in_convention(what, conjugate)
@@ -69,19 +82,17 @@ def as_path(path: Any) -> Path:
     return Path(path)
 
 
-def _read(path: Path, kind: str, options: dict[str, Any]) -> Saved:
+def _read(path: Path, kind: str, told: Told, options: dict[str, Any]) -> Saved:
+    if kind in ("uff", "fe") and set(told.words) - ({"form"} if kind == "uff" else set()):
+        raise ValueError(
+            f"option {', '.join(told.words)} is for files that do not say it themselves, this one is {kind}"
+        )
     if kind == "uff":
         from modalax.files.uff import read_uff
 
-        return read_uff(path, **options)
+        return read_uff(path, form=told.form, **options)
     if kind == "npz":
-        try:
-            return read_npz(path, **options)
-        except ValueError:
-            published = _published(path)
-            if published is None:
-                raise
-            return published
+        return _published(path) or read_npz(path, told, **options)
     if kind == "fe":
         from modalax.files.finite_elements import import_finite_elements
 
@@ -94,10 +105,12 @@ def _read(path: Path, kind: str, options: dict[str, Any]) -> Saved:
     if kind in ("mat", "mat73"):
         from modalax.files.mat import read_mat
 
-        return read_mat(path)
+        return read_mat(path, told)
+    if kind == "table":
+        return from_arrays(names_of_columns(read_table(path), told.outputs, told.inputs), told)
     from modalax.files.labelled import read_labelled
 
-    return read_labelled(path, kind)
+    return read_labelled(path, kind, told)
 
 
 def _published(path: Path) -> Measurement | None:

@@ -7,12 +7,13 @@ import numpy as np
 import scipy.io
 import scipy.sparse
 
-from modalax.files.arrays import READ_KEYS, Saved, from_arrays, to_arrays
+from modalax.files.arrays import NOTHING, READ_KEYS, Saved, from_arrays, to_arrays
 from modalax.files.guard import LONGEST_NAME, MORE, Refused, check_names, reading
 from modalax.files.inside import check_datasets, check_elements
+from modalax.files.plain import Told
 
 
-def read_mat(path: Path) -> Saved:
+def read_mat(path: Path, told: Told = NOTHING) -> Saved:
     """Read a measurement, structure or modal model from a ``.mat`` file of any version.
 
     MATLAB drops trailing axes of length one; they are put back from the names of the inputs and outputs.
@@ -24,7 +25,7 @@ def read_mat(path: Path) -> Saved:
     """
     with path.open("rb") as file:
         newest = file.read(19) == b"MATLAB 7.3 MAT-file"
-    return from_arrays(_with_short_axes(_newest(path) if newest else _classic(path)))
+    return from_arrays(_with_short_axes(_newest(path) if newest else _classic(path)), told)
 
 
 def _classic(path: Path) -> dict[str, Any]:

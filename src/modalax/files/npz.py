@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from modalax.files.arrays import EXTENDED, READ_KEYS, Saved, from_arrays, to_arrays
+from modalax.files.arrays import EXTENDED, NOTHING, READ_KEYS, Saved, from_arrays, to_arrays
 from modalax.files.guard import Refused, bytes_of, check_size, reading
+from modalax.files.plain import Told
 
 
-def read_npz(path: Path, **options: Any) -> Saved:
+def read_npz(path: Path, told: Told = NOTHING, **options: Any) -> Saved:
     """Read a measurement, structure, modal model or extended simulation.
 
     Raises
@@ -18,7 +19,7 @@ def read_npz(path: Path, **options: Any) -> Saved:
     ValueError
         If the file is damaged or what it holds is not one of the three.
     """
-    return from_arrays(npz_arrays(path), **options)
+    return from_arrays(npz_arrays(path), told, **options)
 
 
 def npz_arrays(path: Path) -> dict[str, Any]:

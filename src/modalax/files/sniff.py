@@ -1,8 +1,9 @@
 """What kind of file it is, from its content: the ending alone is not trusted."""
 
+import re
 from pathlib import Path
 
-KINDS = "UFF (ASCII or binary), NumPy .npz, MATLAB .mat, NetCDF or Zarr"
+KINDS = "UFF (ASCII or binary), NumPy .npz, MATLAB .mat, NetCDF, Zarr or CSV"
 FINITE_ELEMENTS = (
     ".pch",
     ".pch1",
@@ -31,6 +32,7 @@ _MAGIC = (
     (b"CDF\x01", "netcdf"),
     (b"CDF\x02", "netcdf"),
 )
+FREQUENCY = re.compile(r"f|freq|frequency|frequenz", re.IGNORECASE)
 _STORE = ("zarr.json", ".zgroup", ".zmetadata")
 
 
@@ -64,16 +66,25 @@ def sniff(path: Path) -> str:
                     "save an .npz with freq, H, form, outputs and inputs"
                 )
             return kind
-    return _text_kind(path, next((line for line in head.splitlines() if line.strip()), b""))
+    lines = [line for line in head.splitlines() if line.strip()]
+    return _text_kind(path, lines[0] if lines else b"", lines)
 
 
-def _text_kind(path: Path, first: bytes) -> str:
+def _text_kind(path: Path, first: bytes, lines: list[bytes]) -> str:
     """Kind of a text file, by its first line or, for those of finite-element programs, its ending."""
     if first.strip() == b"-1":
         return "uff"
     if path.suffix.lower() in FINITE_ELEMENTS or first.startswith((b"DMIG", b"%%MatrixMarket")):
         return "fe"
+    if looks_like_table(next((line for line in lines if not line.startswith(b"#")), b"")):
+        return "table"
     raise ValueError(f"{path}: neither of {KINDS}; the file begins with {_shown(first)}")
+
+
+def looks_like_table(line: bytes) -> bool:
+    """Whether a line is a header of columns whose first is a frequency."""
+    text = line.decode("utf-8", errors="replace").strip().strip("\ufeff").strip('"')
+    return bool(FREQUENCY.fullmatch(re.split(r"[\s\[(,;_/]", text)[0]))
 
 
 def is_zarr(folder: Path, alone: bool = False) -> bool:

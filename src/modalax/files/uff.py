@@ -117,7 +117,7 @@ def read_uff(path: Path, form: str | None = None, complete: bool = False) -> Mea
 
 
 def load_geometry(path: Path | str) -> Geometry:
-    """Nodes and lines of a universal file (15, 2411, 82, 2412), in metres.
+    """Nodes and lines of a universal file (15, 2411, 82, 2412), a table of points (CSV) or triangles (STL), in metres.
 
     Raises
     ------
@@ -126,6 +126,10 @@ def load_geometry(path: Path | str) -> Geometry:
     """
     path = Path(path)
     with about(path):
+        if path.suffix.lower() in (".stl", ".csv") and path.is_file():
+            from modalax.files.points import geometry_of_points, geometry_of_triangles
+
+            return (geometry_of_triangles if path.suffix.lower() == ".stl" else geometry_of_points)(path)
         return geometry_of(_universal(path))
 
 

@@ -1,6 +1,6 @@
 """From measured FRFs to a modal model with error bars, in one call."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +11,7 @@ from modalax.data.frf import FRF
 from modalax.data.measurement import Measurement
 from modalax.identify.band import usable_lines
 from modalax.identify.bias import predicted_damping_bias
+from modalax.identify.chosen import choice_of, chosen_poles, fit_chosen
 from modalax.identify.close_modes import record_of
 from modalax.identify.diagram import ESTIMATORS, diagram
 from modalax.identify.flags import Modes, flags_of, grades_of, notes_of
@@ -42,6 +43,10 @@ def fit(
     *,
     residuals: str = "complex",
     real_modes: bool = False,
+    pick: Sequence[float] | None = None,
+    drop: Sequence[float] | None = None,
+    add: Sequence[float] | None = None,
+    without: Sequence[str] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Fit:
     r"""Identify all modes in a band: stabilization diagram, selection, residues, maximum likelihood.
@@ -65,6 +70,10 @@ def fit(
         Frequencies to fit [Hz]; all by default.
     residuals, real_modes
         As for :func:`residues`.
+    pick, drop, add
+        Frequencies [Hz] of modes: to fit these alone, to leave out of those found, to put in beside them.
+    without
+        Names of outputs and inputs to leave out.
     progress
         Called with a word on each step.
 
@@ -81,6 +90,7 @@ def fit(
     """
     tell = progress or (lambda text: None)
     frf = frf.frf if isinstance(frf, Measurement) else frf
+    frf = frf if without is None else frf.drop(without)
     frf = frf if band is None else frf.band(*band)
     check_order(order)
     frf, notes = usable_lines(frf, choose=band is None)
@@ -98,15 +108,21 @@ def fit(
             f"{float(frf.freq[-1]):g} Hz; widen the band or raise the order (now {table.orders[-1]})"
         )
     weighted = smooth_variance(frf)
+    choice = choice_of(pick, drop, add, (float(frf.freq[0]), float(frf.freq[-1])))
     model = fit_residues(weighted, selection.poles, residuals=residuals, real_modes=real_modes)
     refined = None
-    if not refine:
-        model = settle_diagram(weighted, model, residuals=residuals, real_modes=real_modes)
+    how = {"residuals": residuals, "real_modes": real_modes}
+    if choice.pick is not None:
+        pass  # what is picked is all there is to fit
+    elif not refine:
+        model = settle_diagram(weighted, model, **how)
     else:
-        how = {"residuals": residuals, "real_modes": real_modes}
         refined = diagram_poles(weighted, model, selection.spread, tell, **how)
         refined = settle(weighted, refined or likelihood_rounds(weighted, model, tell, **how), tell, **how)
         model = refined.model
+    if choice.any:
+        poles = chosen_poles(choice, model.poles, table)
+        model, refined = fit_chosen(weighted, poles, tell, refine, **how)
     tell("summing up")
     return _summary(frf, weighted, model, refined, table, selection, data is not frf, notes)
 

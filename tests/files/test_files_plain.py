@@ -1,0 +1,186 @@
+"""Plain files as laboratories hand them over: what they say is read, what is guessed is said, the rest is asked for."""
+
+import warnings
+
+import numpy as np
+import pytest
+import scipy.io
+
+import modalax
+from modalax import Measurement, Structure
+from modalax.files.labelled import from_xarray, to_xarray
+
+F = np.linspace(10.0, 21.0, 12)
+H = (1 / (225 - F**2 + 3j))[:, None, None] * np.array([[1.0, 0.5], [0.3, -0.2], [0.7, 0.1]])  # 3 outputs, 2 inputs
+
+
+def read(path, *notes: str, **told) -> Measurement:
+    """Load a file; the notes are all that is said."""
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        found = modalax.load(path, conjugate=False, **told)
+    texts = [str(w.message) for w in heard]
+    assert len(texts) == len(notes) and all(any(n in t for t in texts) for n in notes), texts
+    assert all(str(path) in t for t in texts)
+    return found
+
+
+def saved(path, **arrays):
+    (scipy.io.savemat(path, arrays) if path.suffix == ".mat" else np.savez(path, **arrays))
+    return path
+
+
+@pytest.mark.parametrize("ending", ["npz", "mat"])
+def test_frequencies_and_one_frf_alone(tmp_path, ending):
+    path = saved(tmp_path / f"a.{ending}", freq=F, H=H[:, 0, 0])
+    with pytest.raises(ValueError, match=r"a\.\w+: no form in it.*form='accelerance' \(--form accelerance\)"):
+        modalax.load(path)
+    found = read(path, "outputs have no names and are called o1;", "inputs have no names", form="accelerance")
+    assert (found.form, found.outputs, found.inputs) == ("accelerance", ("o1",), ("i1",))
+    np.testing.assert_array_equal(found.H[0, :, 0, 0], H[:, 0, 0])
+
+
+def test_several_columns_are_outputs_or_inputs_only_if_that_is_said(tmp_path):
+    path = saved(tmp_path / "a.npz", freq=F, H=H[:, :, 0])
+    with pytest.raises(ValueError, match=r"does not tell outputs from inputs; .*--outputs, --inputs.*--axes 'f o i'"):
+        modalax.load(path, form="mobility")
+    by_names = read(path, "inputs have no names", form="mobility", outputs=["a", "b", "c"])
+    by_axes = read(path, "o1 to o3", "called i1", form="mobility", axes="f o")
+    roving = read(path, "called o1;", "i1 to i3", form="mobility", axes="f i")
+    np.testing.assert_array_equal(by_names.H[0], H[:, :, :1])
+    np.testing.assert_array_equal(by_axes.H, by_names.H)
+    np.testing.assert_array_equal(roving.H[0], H[:, :, :1].transpose(0, 2, 1))
+    with pytest.raises(ValueError, match="fits no order of axes"):
+        modalax.load(path, form="mobility", outputs=["a", "b"])
+
+
+def test_three_axes_in_any_order_by_names_or_as_told(tmp_path):
+    path = saved(tmp_path / "a.npz", freq=F, H=H.transpose(2, 1, 0))
+    with pytest.raises(ValueError, match="does not tell outputs from inputs"):
+        modalax.load(path, form="receptance")
+    named = read(path, form="receptance", outputs=["1", "2", "3"], inputs=["1", "2"])
+    np.testing.assert_array_equal(named.H[0], H)
+    np.testing.assert_array_equal(read(path, "outputs", "inputs", form="receptance", axes="i o f").H[0], H)
+    for axes, pattern in (("f o i", "axes says 'f o i', but H has shape"), ("o i", "names each axis once")):
+        with pytest.raises(ValueError, match=pattern):
+            modalax.load(path, form="receptance", axes=axes)
+
+
+def test_as_many_lines_as_outputs_are_not_told_apart_by_length(tmp_path):
+    square = saved(tmp_path / "a.npz", freq=F, H=np.ones((12, 12)) + 0j)
+    with pytest.raises(ValueError, match="does not tell outputs from inputs"):
+        modalax.load(square, form="receptance", outputs=[str(k) for k in range(12)])
+
+
+@pytest.mark.parametrize("ending", ["npz", "mat"])
+@pytest.mark.parametrize("name", ["f", "frequency"])
+def test_usual_names(tmp_path, ending, name):
+    path = saved(tmp_path / f"a.{ending}", **{name: F, "FRF": H})
+    told = {"outputs": ["1", "2", "3"], "inputs": ["1", "2"], "unit": "g/N"}
+    found = read(path, f"{name} is taken as freq", "FRF is taken as H", **told)
+    assert found.form == "accelerance"
+    np.testing.assert_allclose(found.H[0], 9.80665 * H, rtol=1e-14)
+
+
+def test_parts_and_circular_frequency(tmp_path):
+    path = saved(tmp_path / "a.npz", omega=2 * np.pi * F, H_re=H.real, H_im=H.imag)
+    found = read(path, "circular frequency", "imaginary part", "o1 to o3", "i1 to i2", form="receptance", axes="f o i")
+    np.testing.assert_allclose(found.freq, F, rtol=1e-14)
+    np.testing.assert_array_equal(found.H[0], H)
+
+
+def test_units_that_are_told(tmp_path):
+    path = saved(tmp_path / "a.npz", freq=F / 1e3, H=H[:, 0, 0])
+    found = read(path, "outputs", "inputs", unit="mm/N", frequency_unit="kHz")
+    np.testing.assert_allclose(found.freq, F, rtol=1e-14)
+    np.testing.assert_allclose(found.H[0, :, 0, 0], 1e-3 * H[:, 0, 0], rtol=1e-14)
+    with pytest.raises(ValueError, match="mm/N is the unit of receptance, and form says 'mobility'"):
+        modalax.load(path, unit="mm/N", form="mobility")
+
+
+def test_a_file_of_the_contract_that_lacks_one_list_of_names_is_still_incomplete(tmp_path):
+    path = saved(tmp_path / "a.npz", freq=F, H=H[None], form="receptance", outputs=["1", "2", "3"])
+    with pytest.raises(ValueError, match="no inputs in it"):
+        modalax.load(path)
+    assert read(path, inputs=["1", "2"]).inputs == ("1", "2")
+
+
+def test_matrices_without_names(tmp_path):
+    path = saved(tmp_path / "s.npz", M=np.eye(2), C=np.zeros((2, 2)), K=np.eye(2))
+    with pytest.warns(UserWarning, match=r"s\.npz: its DoFs have no names and are called 1, 2"):
+        found = modalax.load(path)
+    assert isinstance(found, Structure) and found.dofs == ("1", "2")
+    with pytest.raises(ValueError, match="option form is for measured FRFs"):
+        modalax.load(path, form="receptance")
+
+
+def table(path, titles, columns, mark=",", decimal="."):
+    rows = [mark.join(f"{v:.17g}".replace(".", decimal) for v in row) for row in np.column_stack(columns)]
+    path.write_text("\n".join([mark.join(titles), *rows]) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(("mark", "decimal"), [(",", "."), (";", ","), ("\t", "."), ("\t", ",")])
+def test_table_of_named_pairs(tmp_path, mark, decimal):
+    names = [f"{o}:+Z/{i}:+Z" for o in (1, 2, 3) for i in (1, 2)]
+    titles = ["freq [Hz]", *(f"{part} {name}" for name in names for part in ("re", "im"))]
+    values = [part for column in H.reshape(12, 6).T for part in (column.real, column.imag)]
+    found = read(table(tmp_path / "a.csv", titles, [F, *values], mark, decimal), form="receptance")
+    assert found.outputs == ("1:+Z", "2:+Z", "3:+Z") and found.inputs == ("1:+Z", "2:+Z")
+    np.testing.assert_array_equal(found.H[0], H)
+    np.testing.assert_array_equal(found.freq, F)
+
+
+def test_table_of_magnitudes_and_phases(tmp_path):
+    one = H[:, 0, 0]
+    titles = ["f", "H11 mag", "H11 phase [deg]"]
+    path = table(tmp_path / "a.csv", titles, [F, np.abs(one), np.degrees(np.angle(one))])
+    found = read(path, "outputs", "inputs", form="accelerance")
+    np.testing.assert_allclose(found.H[0, :, 0, 0], one, rtol=1e-13)
+
+
+def test_table_whose_columns_are_outputs_of_one_input(tmp_path):
+    titles = ["freq", "Re(a)", "Im(a)", "Re(b)", "Im(b)"]
+    path = table(tmp_path / "a.csv", titles, [F, H[:, 0, 0].real, H[:, 0, 0].imag, H[:, 1, 0].real, H[:, 1, 0].imag])
+    with pytest.raises(ValueError, match="columns are named a, b, which does not tell outputs from inputs"):
+        modalax.load(path, form="receptance")
+    found = read(path, form="receptance", inputs=["hammer"])
+    assert found.outputs == ("a", "b") and found.inputs == ("hammer",)
+    np.testing.assert_array_equal(found.H[0], H[:, :2, :1])
+
+
+@pytest.mark.parametrize(
+    ("text", "pattern"),
+    [
+        ("freq;magnitude\n1;2\n", "magnitude|begins with 'freq;magnitude'"),
+        ("freq,re a,im a\n1,2\n", "line 2 has 2 columns, the header 3"),
+        ("freq,re a,im a\n1,2,x\n", "line 2 holds what is no number"),
+        ("freq,mag a,phase a\n1,2,3\n", "phase is in deg or rad"),
+        ("freq,re a\n1,2\n", "of FRF a there is real only"),
+        ("freq,re a,re a\n1,2,3\n", "stands twice"),
+        ("freq [furlong],re a,im a\n1,2,3\n", "unit of frequencies is 'furlong'"),
+        ("freq,re 1/2,im 1/2,re 2/1,im 2/1\n1,2,3,4,5\n", "FRF 1/1 is missing"),
+        ("freq\n1\n", "the table has the columns freq"),
+        ("freq,re a,im a\n", "shape|lines"),
+    ],
+)
+def test_tables_that_cannot_be_used(tmp_path, text, pattern):
+    path = tmp_path / "a.csv"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=pattern) as caught:
+        modalax.load(path, form="receptance")
+    assert str(path) in str(caught.value) and "unexpected" not in str(caught.value)
+
+
+def test_datasets_with_real_and_imaginary_parts():
+    xarray = pytest.importorskip("xarray")
+    m = Measurement(F, H[None], outputs=["1", "2", "3"], inputs=["1", "2"])
+    whole = to_xarray(m)
+    apart = whole.drop_vars("H").assign(H_re=whole["H"].real, H_im=whole["H"].imag).rename(output="o", input="i")
+    np.testing.assert_array_equal(from_xarray(apart).H, m.H)
+    stacked = xarray.concat([whole["H"].real, whole["H"].imag], dim="part").assign_coords(part=["re", "im"])
+    stacked.attrs["units"] = "m/N"
+    dataset = stacked.to_dataset(name="FRF").rename(freq="f")
+    found = from_xarray(dataset)
+    assert found.form == "receptance"
+    np.testing.assert_array_equal(found.H, m.H)
