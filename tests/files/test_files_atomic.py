@@ -2,6 +2,7 @@
 
 import errno
 import os
+import re
 import subprocess
 import sys
 import time
@@ -161,6 +162,22 @@ def test_the_rights_of_a_file_stay(tmp_path):
     path.chmod(0o640)
     write_bytes(path, b"new")
     assert path.read_bytes() == b"new" and path.stat().st_mode & 0o777 == 0o640
+
+
+def test_nothing_in_the_package_writes_but_through_the_one_writer():
+    """What writes to a place that the writer gave it is listed here."""
+    source = Path(modalax.__file__).parent
+    given = {"files/write.py", "files/labelled.py", "files/mat.py", "files/npz.py", "files/uff.py", "show/fit.py"}
+    wrong = []
+    for path in source.rglob("*.py"):
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+            writes = re.search(
+                r"\.write_(text|bytes)\(|open\([^)]*[\"'][wax]b?[\"']|savefig\(|savez?\(|savemat\(", line
+            )
+            own = "def " in line or "files import" in line or re.search(r"(?<![.\w])save\(", line)
+            if writes and not own and str(path.relative_to(source)) not in given:
+                wrong.append(f"{path.relative_to(source)}:{number}: {line.strip()}")
+    assert not wrong, wrong
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="the script of the faults forks")

@@ -23,7 +23,7 @@ def check(
     overwrite: OverwriteOption = False,
 ) -> None:
     """Find what is wrong with a measurement: channels, hits, noise, records, reciprocity, form."""
-    check_free(json, report, overwrite=overwrite)
+    check_free(json, report, overwrite=overwrite, inputs=[data])
     check_readable(data)
     start()
     from rich.console import Console
@@ -37,10 +37,11 @@ def check(
         write_json(json, result.to_dict())
         note(f"result: {json}")
     if report is not None:
+        from modalax.files.write import write_text
         from modalax.show.report import check_report
 
         with working("Writing the report"):
-            report.write_text(check_report(result, title=f"Check of {data.name}"), encoding="utf-8")
+            write_text(report, check_report(result, title=f"Check of {data.name}"))
         note(f"report: {report}")
 
 

@@ -32,7 +32,7 @@ def import_fe(
     overwrite: OverwriteOption = False,
 ) -> None:
     """Read mass, stiffness and damping, or modes, of a finite-element model and write them as a simulation."""
-    check_free(target, overwrite=overwrite)
+    check_free(target, overwrite=overwrite, inputs=[source, mass, damping_matrix, grids])
     if target.suffix.lower() not in (".npz", ".mat"):
         raise ValueError(f"{target}: a simulation goes to .npz or .mat")
     for path in (source, mass, damping_matrix, grids):
