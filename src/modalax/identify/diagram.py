@@ -14,6 +14,7 @@ from modalax.identify.tables import PoleTable
 
 ESTIMATORS = {"lscf": lscf, "plscf": plscf, "lsce": lsce, "fdpi": fdpi}
 POLES = 40  # poles of the highest order of a first diagram; doubled while the modes fill it
+FULL = 5  # poles for each mode found, below which higher orders may show more; each further order costs a compilation
 LINES, PARTS = 400, 8  # lines for each part of the band that gets a diagram of its own, and most parts
 LASTING = 0.6  # part of the orders at which a mode must stand that only a part of the band shows
 
@@ -80,10 +81,10 @@ def _merged(whole: Selection, part: Selection, lower: float, upper: float) -> Se
 
 
 def _whole(frf: FRF, name: str, order: int | None) -> tuple[PoleTable, Selection]:
-    """Diagrams of rising highest order, until twice the order shows no further mode."""
+    """Diagrams of rising highest order, until there is room for more modes or twice the order shows none."""
     best = _at(frf, name, POLES, order)
     poles = 2 * POLES
-    while order is None and poles <= 4 * POLES:
+    while order is None and poles <= 4 * POLES and FULL * best[1].poles.size > poles / 2:
         further = _at(frf, name, poles, None)
         if further[0].orders[-1] == best[0].orders[-1] or further[1].poles.size <= best[1].poles.size:
             break
