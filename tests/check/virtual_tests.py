@@ -258,7 +258,7 @@ def with_noise(rng, test: Test, sigma: np.ndarray | None = None) -> Test:
     """Noise, and what the laboratory says of it: nothing, its variance, or an estimate from repeats."""
     H = test.arrays["H"]
     if sigma is None:
-        sigma = noise_of(rng, test)
+        sigma = noise_of(rng, test) * test.truth.get("times", 1.0)
     e = (rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape)) / np.sqrt(2)
     arrays = {**test.arrays, "H": H + sigma * e}
     told = rng.random()
@@ -352,7 +352,7 @@ def put_duplicated(rng, test: Test) -> Test | None:
 
 def put_hum(rng, test: Test) -> Test | None:
     freq, H = test.arrays["freq"], test.arrays["H"].copy()
-    step = freq[1] - freq[0]
+    step, sigma = freq[1] - freq[0], noise_of(rng, test)
     mains = float(rng.choice([50.0, 60.0]))
     lines = [m for m in mains * np.arange(1, 8) if freq[0] + 20 * step < m < freq[-1] - 20 * step]
     if not lines or step > 3:
@@ -363,7 +363,7 @@ def put_hum(rng, test: Test) -> Test | None:
         at = (freq - m * mains_now) / step
         box = lambda u: np.sinc(u) * np.exp(-1j * np.pi * u)  # noqa: E731
         shape = box(at) - 0.5 * (box(at - 1) + box(at + 1)) if wide else (np.abs(at) <= 0.5).astype(complex)
-        local = np.abs(H[:, np.abs(at) < 15]).mean(axis=1, keepdims=True)
+        local = np.abs(H[:, np.abs(at) < 15]).mean(axis=1, keepdims=True) + 4 * sigma[:, :1]
         phase = np.exp(2j * np.pi * rng.random(H[:, :1].shape))
         H += local * log_uniform(rng, 0.5, 2.0) / (1 + k) * phase * shape[None, :, None, None]
     return _marked(test, "hum", [], H=H)
@@ -473,11 +473,125 @@ def put_too_few_lines(rng, test: Test) -> Test | None:
     return _marked(test, "too_few_lines", [], freq=freq[keep], H=test.arrays["H"][:, keep])
 
 
+def put_double_hit(rng, test: Test) -> Test | None:
+    """Noise of the responses over the force of a double hit."""
+    freq = test.arrays["freq"]
+    if len(freq) < 150:
+        return None
+    ripples = rng.uniform(6, min(60, len(freq) / 8))
+    tau = ripples / (freq[-1] - freq[0])
+    force = np.abs(1 + rng.uniform(0.3, 0.9) * np.exp(-2j * np.pi * freq * tau))
+    i = int(rng.integers(test.arrays["H"].shape[3]))
+    return _louder(test, 1 / force, i, "double_hit")
+
+
+def put_force_rolloff(rng, test: Test) -> Test | None:
+    freq = test.arrays["freq"]
+    if len(freq) < 150:
+        return None
+    x = (freq - freq[0]) / (freq[-1] - freq[0])
+    end = rng.uniform(0.6, 0.85)
+    fall = 10 ** (-rng.uniform(35, 60) / 20 * np.clip((x - end + 0.25) / (1.25 - end), 0, None))
+    i = int(rng.integers(test.arrays["H"].shape[3]))
+    return _louder(test, 1 / fall, i, "force_rolloff")
+
+
+def _louder(test: Test, factor: np.ndarray, i: int, what: str) -> Test:
+    times = np.ones(test.arrays["H"].shape)
+    times[..., i] *= factor[None, :, None]
+    test = _marked(test, what, [test.arrays["inputs"][i]])
+    return replace(test, truth={**test.truth, "times": times})
+
+
+def put_record_too_short(rng, test: Test) -> Test | None:
+    """Blocks as long as the lines are apart, cut off or under a window, from the impulse responses."""
+    freq, inside = test.arrays["freq"], _inside(test)
+    if not len(inside) or test.truth["nonlinear"]:
+        return None
+    decay = np.median(-test.plant.poles[inside].real)
+    remain = rng.uniform(0.15, 0.6)
+    T = -np.log(remain) / decay
+    step = 1 / T
+    count = int(freq[-1] / step)
+    first = max(1, int(np.ceil(freq[0] / step)))
+    if count - first < 60 or freq[0] > 0.7 * np.abs(test.plant.poles[0]) / 2 / np.pi:
+        return None
+    new = step * np.arange(first, count + 1)
+    s = 2j * np.pi * new
+    kind = str(rng.choice(["hit", "Hann", "Hann", "boxcar"]))
+    o, i = test.truth["o"], test.truth["i"]
+    H = np.zeros((len(new), len(o), len(i)), complex)
+    for sign in (1, -1):
+        poles = test.plant.poles if sign > 0 else test.plant.poles.conj()
+        A = test.plant.residues if sign > 0 else test.plant.residues.conj()
+        A = A[:, o][:, :, i] * poles[:, None, None] ** STEPS[test.arrays["form"]]
+        H += np.tensordot(_weighted((s[:, None] - poles) * T, kind) * T, A, 1)
+    if np.any(test.plant.rigid) and STEPS[test.arrays["form"]] < 2:
+        return None
+    far = test.plant.receptance(s, o, i) * s[:, None, None] ** STEPS[test.arrays["form"]]
+    for sign in (1, -1):
+        poles = test.plant.poles if sign > 0 else test.plant.poles.conj()
+        A = test.plant.residues if sign > 0 else test.plant.residues.conj()
+        A = A[:, o][:, :, i] * poles[:, None, None] ** STEPS[test.arrays["form"]]
+        far = far - np.tensordot(1 / (s[:, None] - poles), A, 1)
+    H = np.broadcast_to(H + far, (len(test.arrays["H"]), *H.shape)).copy()
+    return _marked(test, "record_too_short", [], freq=new, H=H)
+
+
+def _weighted(x: np.ndarray, kind: str) -> np.ndarray:
+    """Integral of w(t) exp(-x t) over 0..1, by Gauss-Legendre."""
+    t, w = np.polynomial.legendre.leggauss(60)
+    pieces = max(2, int(np.abs(x).max() / 40) + 1)
+    total = np.zeros(x.shape, complex)
+    for k in range(pieces):
+        time = (k + 0.5 * (t + 1)) / pieces
+        if kind == "hit":
+            window = np.ones_like(time)
+        elif kind == "boxcar":
+            window = 1 - time
+        else:
+            window = (1 - time) * (2 + np.cos(2 * np.pi * time)) / 3 + np.sin(2 * np.pi * time) / (2 * np.pi)
+        for tt, ww in zip(time, 0.5 * w * window / pieces, strict=True):
+            total += ww * np.exp(-x * tt)
+    return total
+
+
+def put_clipped(rng, test: Test) -> Test | None:
+    """A sensor that saturates: the fundamental of a cut-off sine, at two or three levels."""
+    H = test.arrays["H"].copy()
+    if len(H) < 2 or H.shape[2] < 2 or not np.isfinite(test.arrays["level"]).all():
+        return None
+    o = int(rng.integers(H.shape[2]))
+    level = test.arrays["level"]
+    size = np.abs(H[:, :, o]) * level[:, None, None]
+    limit = rng.uniform(0.35, 0.8) * size[-1].max()
+    over = np.maximum(size / limit, 1.0)
+    gain = 2 / np.pi * (np.arcsin(1 / over) + np.sqrt(np.maximum(1 - 1 / over**2, 0)) / over)
+    H[:, :, o] *= gain
+    return _marked(test, "clipped", [test.arrays["outputs"][o]], H=H)
+
+
+def put_drift(rng, test: Test) -> Test | None:
+    """A sensor whose accelerance rises towards 0 Hz: f^-1 to f^-2, of random phase or smooth."""
+    freq, H = test.arrays["freq"], test.arrays["H"].copy()
+    first = np.abs(test.plant.poles[0]) / 2 / np.pi
+    if freq[0] > 0.08 * first or freq[0] > 1.5 * (freq[1] - freq[0]) or len(freq[freq < 0.5 * first]) < 24:
+        return None
+    o = int(rng.integers(H.shape[2]))
+    top = np.abs(H[:, :, o]).max() * (freq[0] / first) ** (STEPS[test.arrays["form"]] - 2 + 0.5)
+    power = rng.uniform(1.0, 2.0) + 2 - STEPS[test.arrays["form"]]
+    random = rng.normal(size=H[:, :, o].shape) + 1j * rng.normal(size=H[:, :, o].shape)
+    phase = random / np.sqrt(2) if rng.random() < 0.5 else np.exp(2j * np.pi * rng.random())
+    H[:, :, o] += log_uniform(rng, 0.3, 3) * top * (freq[0] / freq)[None, :, None] ** power * phase
+    return _marked(test, "drift", [test.arrays["outputs"][o]], H=H)
+
+
 FAULTS = {
     "reversed": put_reversed, "swapped": put_swapped, "dead": put_dead, "duplicated": put_duplicated, "hum": put_hum,
     "conjugated": put_conjugated, "wrong_form": put_wrong_form, "delay": put_delay, "calibration": put_calibration,
     "not_reciprocal": put_not_reciprocal, "frequency_shift": put_frequency_shift,
-    "too_few_lines": put_too_few_lines,
+    "too_few_lines": put_too_few_lines, "double_hit": put_double_hit, "force_rolloff": put_force_rolloff,
+    "record_too_short": put_record_too_short, "clipped": put_clipped, "drift": put_drift,
 }  # fmt: skip
 AFTER_NOISE = ("duplicated", "dead")
 

@@ -10,8 +10,9 @@ from typing import Any
 
 from modalax.check.checking import check
 from modalax.check.finding import WORDS, Finding, Findings, Picture
+from modalax.check.records import Records
 
-__all__ = ["WORDS", "Finding", "Findings", "Picture", "check"]
+__all__ = ["WORDS", "Finding", "Findings", "Picture", "Records", "check"]
 
 
 class _CallablePackage(types.ModuleType):

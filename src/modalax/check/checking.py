@@ -3,31 +3,40 @@
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from modalax.check.channels import conjugated, dead, duplicated
+from modalax.check.excitation import excitation
 from modalax.check.finding import TOLD, Finding, Findings
 from modalax.check.form import FORMS, wrong_form
 from modalax.check.hum import hum
+from modalax.check.leakage import record_too_short
+from modalax.check.levels import clipped
 from modalax.check.phases import delay
 from modalax.check.places import misplaced
 from modalax.check.reciprocity import reciprocity
+from modalax.check.record_files import read_records
+from modalax.check.records import Records, record_findings
 from modalax.check.resolution import resolution
 from modalax.check.shifts import frequency_shift
+from modalax.check.slow import drift
 from modalax.check.study import Study, study_of
 from modalax.data.frf import FRF
 from modalax.data.measurement import Measurement
 from modalax.files import load
+from modalax.files.messages import about
 
 Detector = Callable[[Study], Iterator[Finding]]
 # In this order: what an earlier one finds is mended, or left out, before the later ones look.
 DETECTORS: tuple[Detector, ...] = (
-    conjugated, dead, duplicated, hum, resolution, wrong_form, frequency_shift, delay, misplaced, reciprocity,
+    conjugated, dead, duplicated, hum, drift, clipped, excitation, record_too_short, resolution, wrong_form,
+    frequency_shift, delay, misplaced, reciprocity,
 )  # fmt: skip
 
 
-def check(data: FRF | Measurement | str | os.PathLike[str]) -> Findings:
+def check(data: FRF | Measurement | Records | str | os.PathLike[str]) -> Findings:
     """Find what is wrong with a measurement, before any model.
 
     What is looked for are faults of channels (reversed, swapped, dead, duplicated, delayed, wrong calibration), of the
@@ -37,7 +46,7 @@ def check(data: FRF | Measurement | str | os.PathLike[str]) -> Findings:
     Parameters
     ----------
     data
-        FRFs of one run or several, or a file that :func:`modalax.load` reads.
+        FRFs of one run or several, time records (:class:`modalax.check.Records`), or a file that holds either.
 
     Returns
     -------
@@ -49,26 +58,66 @@ def check(data: FRF | Measurement | str | os.PathLike[str]) -> Findings:
     ValueError
         If the file holds no measurement, or fewer than 8 lines above 0 Hz.
     """
-    study = study_of(_measurement(data))
+    if isinstance(data, str | os.PathLike):
+        data = _read(Path(data))
+    if isinstance(data, Records):
+        return _check_records(data)
+    return Findings(_ordered(_findings(study_of(_measurement(data)), DETECTORS)))
+
+
+def _check_records(records: Records) -> Findings:
+    """What the blocks show, then what their FRFs do."""
+    found = list(record_findings(records))
+    told = {f.what for f in found}
+    if "dead" not in told:
+        # What blocks show directly needs no second telling from their spectra.
+        later = tuple(d for d in DETECTORS if d not in (excitation, drift, hum, resolution, record_too_short))
+        found += _findings(study_of(records.measurement()), later)
+        if records.hits and len(records.force) > 1 and not told & {"double_hit", "clipped"}:
+            found += _findings(study_of(records.measurement(each=True)), (frequency_shift,))
+    return Findings(_ordered(found))
+
+
+def _ordered(found: list[Finding]) -> tuple[Finding, ...]:
+    """Each fault once, the surest first."""
+    once = {(f.what, f.where): f for f in sorted(found, key=lambda f: f.sure)}
+    return tuple(sorted(once.values(), key=lambda f: -f.sure))
+
+
+def _findings(study: Study, detectors: Sequence[Detector]) -> list[Finding]:
     found: list[Finding] = []
-    for detector in DETECTORS:
-        new = [f for f in detector(study) if f.sure >= TOLD]
+    for detector in detectors:
+        new = [f for f in detector(study) if f.sure >= TOLD and not _explained(f, found)]
         found += new
-        study = mended(study, new)
-        if study is None:
+        mended_study = mended(study, new)
+        if mended_study is None:
             break
-    return Findings(tuple(sorted(found, key=lambda f: -f.sure)))
+        study = mended_study
+    return found
 
 
-def _measurement(data: FRF | Measurement | str | os.PathLike[str]) -> Measurement:
-    """What was measured, in the time convention of its file."""
-    if isinstance(data, FRF):
-        return Measurement.from_frfs([data])
-    if isinstance(data, Measurement):
-        return data
-    found = load(data, conjugate=False)
+def _explained(finding: Finding, found: Sequence[Finding]) -> bool:
+    """Whether what was found before is the cause of this finding too."""
+    told = {f.what for f in found}
+    return finding.what == "too_few_lines" and "record_too_short" in told
+
+
+def _measurement(data: FRF | Measurement) -> Measurement:
+    return Measurement.from_frfs([data]) if isinstance(data, FRF) else data
+
+
+def _read(path: Path) -> Measurement | Records:
+    """FRFs in the time convention of their file, or else time records."""
+    try:
+        found = load(path, conjugate=False)
+    except ValueError as error:
+        with about(path):
+            records = read_records(path) if path.is_file() else None
+        if records is None:
+            raise error
+        return records
     if not isinstance(found, Measurement):
-        raise ValueError(f"{data} holds a {type(found).__name__}; a measurement is needed here")
+        raise ValueError(f"{path} holds a {type(found).__name__}; measured FRFs or time records are needed here")
     return found
 
 

@@ -15,6 +15,8 @@ from modalax.check.study import CLEAR, Study
 
 # Angle by which complex modes may scatter [rad].
 SCATTER = 0.10
+# No angle is known better than this [rad].
+FLOOR = 0.03
 # A delay is told from this angle at the highest mode on [rad], and from this gain in squares of scatter on.
 SMALLEST_ANGLE, GAIN = 0.2, 30.0
 # Squares of scatter a residue that a good explanation may leave, and modes it takes.
@@ -85,30 +87,65 @@ def delay(study: Study) -> Iterator[Finding]:
     angles = angles_of(study) if study.explained else None
     if angles is None or len(np.unique(angles.mode)) < FEWEST_MODES:
         return
-    late = {}
-    for k in range(len(study.outputs)):
-        found = _late(angles.take(angles.o == k))
+    common = _late(_middles(angles))
+    if common is not None:
+        yield _delay_finding(study, angles, (), common)
+        angles = angles._replace(angle=angles.angle + angles.omega * common[0])
+    for k, name in enumerate(study.outputs):
+        own = angles.take(angles.o == k)
+        found = _late(_beside(own, angles.take(angles.o != k)))
         if found is not None:
-            late[k] = found
-    if len(late) > 0.5 * len(study.outputs) and len(late) > 1:
-        everywhere = _late(angles)
-        if everywhere is not None:
-            yield _delay_finding(study, angles, (), everywhere)
-            return
-    for k, found in late.items():
-        yield _delay_finding(study, angles.take(angles.o == k), (study.outputs[k],), found)
+            yield _delay_finding(study, own, (name,), found)
+
+
+def _middles(angles: Angles) -> Angles:
+    """The middle angle of each mode over all channels, as one entry a mode."""
+    entries = []
+    for r in np.unique(angles.mode):
+        own = angles.take(angles.mode == r)
+        middle = _middle(own)
+        scatter = np.sum(_apart(own.angle - middle) ** 2) + 2 * SCATTER**2
+        # Complex modes turn many channels the same way: many channels are no better than a few.
+        weight = 1 / (scatter / (len(own.angle) + 1) / min(len(own.angle), 3) + FLOOR**2)
+        entries.append((r, 0, 0, own.omega[0], middle, weight, False))
+    return Angles(*(np.array(column) for column in zip(*entries, strict=True)))
+
+
+def _beside(own: Angles, others: Angles) -> Angles:
+    """Angles of one channel off the middle of the other channels, weighted by how these scatter in each mode."""
+    angle, weight = own.angle.copy(), own.weight.copy()
+    for k, r in enumerate(own.mode):
+        rest = others.take(others.mode == r)
+        scatter = FLOOR**2 + 2 * SCATTER**2 / (len(rest.angle) + 1)
+        if len(rest.angle):
+            middle = _middle(rest)
+            angle[k] -= middle
+            scatter += np.sum(_apart(rest.angle - middle) ** 2) / (len(rest.angle) + 1)
+        weight[k] = 1 / (1 / own.weight[k] - SCATTER**2 + scatter)
+    return own._replace(angle=angle, weight=weight, drive=np.zeros_like(own.drive))
+
+
+def _middle(angles: Angles) -> float:
+    """Angle about which undirected angles lie [rad]: of the entries the one that is closest to all others."""
+    gaps = np.abs(_apart(angles.angle[:, None] - angles.angle[None, :]))
+    return float(_apart(angles.angle[np.argmin(gaps @ np.minimum(angles.weight, 1 / FLOOR**2))]))
+
+
+def _apart(angle: np.ndarray) -> np.ndarray:
+    """Angles of undirected lines, from -pi/2 to pi/2."""
+    return (angle + np.pi / 2) % np.pi - np.pi / 2
 
 
 def _late(angles: Angles) -> tuple[float, float, float] | None:
     """Delay, its standard deviation and its gain, where a delay explains the angles and nothing does not."""
-    modes = len(np.unique(angles.mode))
-    if modes < FEWEST_MODES:
+    if len(np.unique(angles.mode)) < FEWEST_MODES:
         return None
     before = misfit(angles, 0.0)
     tau, left, std = best_delay(angles)
     gain = before - left
     count = len(angles.angle)
-    if gain < GAIN or left > LEFT * count or left > 0.3 * before or abs(tau) * angles.omega.max() < SMALLEST_ANGLE:
+    top = angles.omega.max()
+    if gain < GAIN or left > LEFT * count or left > 0.3 * before or abs(tau) * top < SMALLEST_ANGLE:
         return None
     return tau, std * max(1.0, np.sqrt(left / max(count - 1, 1))), gain
 

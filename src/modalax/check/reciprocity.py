@@ -16,6 +16,8 @@ from modalax.check.study import DrivePoint, Study
 SMALLEST_GAIN, SURE = 0.03, 6.0
 # Energy of the difference of both directions over that of the FRF, gain taken out: told from here on.
 SMALLEST_DIFFERENCE = 0.004
+# Error of the ratio of two residues that no standard deviation tells.
+MODE_ERROR = 0.02
 # The noise is known to about this factor.
 NOISE_FACTOR = 4.0
 
@@ -26,7 +28,8 @@ def reciprocity(study: Study) -> Iterator[Finding]:
     for p, q in combinations(study.drive_points, 2):
         fit = _ratio(study, p, q)
         if fit is not None:
-            pairs[p.name, q.name] = (p, q, *fit)
+            factor, std, left, excess = fit
+            pairs[p.name, q.name] = (p, q, factor, std, left, max(excess, _by_modes(study, p, q)))
     wild = {key for key, (*_, excess) in pairs.items() if excess > 1}
     yield from _not_reciprocal(study, {key: pairs[key] for key in wild})
     yield from _calibration(study, {key: value for key, value in pairs.items() if key not in wild})
@@ -59,6 +62,23 @@ def _ratio(study: Study, p: DrivePoint, q: DrivePoint) -> tuple[float, float, fl
     effective = np.sum(weight * np.abs(there) ** 2) ** 2 / np.sum((weight * np.abs(there) ** 2) ** 2)
     std = abs(factor) * np.sqrt(max(expected, left) / total / max(effective, 1.0))
     return float(factor), float(std), float(left / total), float(excess)
+
+
+def _by_modes(study: Study, p: DrivePoint, q: DrivePoint) -> float:
+    """How far the ratio of both directions differs from mode to mode; 1 is told."""
+    _, residues, spread = study.summed
+    there, back = p.sign * residues[:, p.o, q.i], q.sign * residues[:, q.o, p.i]
+    relative = np.hypot(spread[:, p.o, q.i] / np.abs(there), spread[:, q.o, p.i] / np.abs(back))
+    clear = relative < 0.1
+    if clear.sum() < 2:
+        return 0.0
+    ratio, std = np.log(there[clear] / back[clear]), np.hypot(relative[clear], MODE_ERROR)
+    turned = np.abs(np.angle(np.exp(1j * ratio.imag)))
+    # A constant of either sign is a matter of channels.
+    turned = min((turned, np.pi - turned), key=lambda t: float(np.sum(t**2 / std**2)))
+    middle = np.sum(ratio.real / std**2) / np.sum(1 / std**2)
+    off = np.hypot(ratio.real - middle, turned) / std
+    return float(off.max() / SURE)
 
 
 def _not_reciprocal(study: Study, pairs: dict) -> Iterator[Finding]:

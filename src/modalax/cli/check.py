@@ -8,7 +8,6 @@ from modalax.cli.common import (
     OverwriteOption,
     ReportOption,
     check_free,
-    check_readable,
     note,
     start,
     working,
@@ -24,7 +23,8 @@ def check(
 ) -> None:
     """Find what is wrong with a measurement: channels, hits, noise, records, reciprocity, form."""
     check_free(json, report, overwrite=overwrite, inputs=[data])
-    check_readable(data)
+    if not data.exists():
+        raise FileNotFoundError(f"{data}: no such file")
     start()
     from rich.console import Console
 

@@ -1,0 +1,116 @@
+r"""What the noise of FRFs tells of the force: :math:`\mathrm{var}\,H \propto 1/|F|^2`.
+
+A hammer that touches twice, :math:`F = F_0(1 + a e^{-j\omega\tau})`, leaves ripples of period :math:`1/\tau` in the
+noise of all FRFs of its column; a force spectrum that ends inside the band leaves noise that grows to its end.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from modalax.check.finding import Finding, Picture, sureness
+from modalax.check.study import Study, running_mean
+
+# Ripples are told where one period holds this many times the middling power of all others, and from this amplitude of
+# log noise on; there must be so many of them in the band.
+RIPPLE, SMALLEST_RIPPLE, FEWEST = 60.0, 0.4, 4
+# Growth of the noise within the upper part of the band [dB], noise over FRF at its end, and how it must bend.
+GROWTH, LOST = 20.0, 0.5
+
+
+def excitation(study: Study) -> Iterator[Finding]:
+    """Double hits and forces that end inside the band, column by column."""
+    if len(study.freq) < 100:
+        return
+    for i, name in enumerate(study.inputs):
+        noise = _noise(study, i)
+        if noise is None:
+            continue
+        found = _end_of_force(study, i, name) or _ripple(study, noise, name)
+        if found is not None:
+            yield found
+
+
+def _noise(study: Study, i: int) -> np.ndarray | None:
+    """Logarithm of the noise power of a column, without what goes with the FRFs themselves, ``(f,)``."""
+    H = study.H[..., i].transpose(1, 0, 2).reshape(len(study.freq), -1)
+    if study.variance is not None:
+        power = study.variance[..., i].transpose(1, 0, 2).reshape(H.shape)
+    else:
+        if np.median(study.modes.misfit) > 2:
+            return None  # What the modes leave is more than noise.
+        left = (study.H[0] - study.modes.fitted.reshape(study.H[0].shape))[..., i]
+        H, power = study.H[0, ..., i], np.abs(left) ** 2
+    good = (power > 0).all(axis=0) & (np.abs(H) > 0).all(axis=0)
+    if not good.any():
+        return None
+    log, size = np.log(power[:, good]), np.log(np.abs(H[:, good]) ** 2)
+    # Noise of the responses does not follow the FRF, noise of the force does, and there is everything between.
+    strong = np.maximum(size, np.median(size, axis=0))
+    left = np.empty_like(log)
+    one = np.ones(len(log))
+    for k in range(log.shape[1]):
+        known = np.stack([one, size[:, k], strong[:, k]], axis=1)
+        known[:, 1:] -= known[:, 1:].mean(axis=0)
+        coefficients = np.linalg.lstsq(known, log[:, k], rcond=None)[0]
+        left[:, k] = log[:, k] - known[:, 1:] @ coefficients[1:]
+    return left.mean(axis=1)
+
+
+def _ripple(study: Study, noise: np.ndarray, name: str) -> Finding | None:
+    """A double hit, from a period in the noise that stands out."""
+    lines, step = len(noise), float(np.median(np.diff(study.freq)))
+    if np.ptp(np.diff(study.freq)) > 0.01 * step:
+        return None
+    smooth = running_mean(noise[:, None], max(5, lines // 8))[:, 0]
+    rest = (noise - smooth) * np.hanning(lines)
+    power = np.abs(np.fft.rfft(rest, 4 * lines)) ** 2
+    # Bins are 1/(4 lines step) of quefrency apart; slower ripples than FEWEST in the band belong to the smooth part.
+    first = 4 * max(FEWEST, 4)
+    k = first + int(np.argmax(power[first:]))
+    # An exact variance has no scatter of its own; a hundredth of its logarithm is no ripple either.
+    floor = np.median(power[first:]) / np.log(2) + 1e-4 * lines
+    score = power[k] / floor
+    amplitude = 2 * np.sqrt(power[k]) / np.sum(np.hanning(lines))
+    harmonic = power[2 * k - 4 : 2 * k + 5].max() if 2 * k + 5 < len(power) else 0.0
+    # The logarithm of |1 + a exp(-j w tau)| has harmonics that fall off; a ripple of resonances has others too.
+    others = np.delete(power, np.r_[:first, max(0, k - 8) : k + 9])
+    if score < RIPPLE or amplitude < SMALLEST_RIPPLE or np.sort(others)[-12] > 0.35 * power[k] or harmonic > power[k]:
+        return None
+    tau = k / (4 * lines * step)
+    size = float(np.clip(amplitude / 2, 0, 1))
+    return Finding(
+        "double_hit", (name,), sure=sureness(score, RIPPLE), size=float(tau), unit="s",
+        interval=(float(tau - 0.5 / (lines * step)), float(tau + 0.5 / (lines * step))),
+        evidence=f"the noise of all FRFs of this column rises and falls every {1 / tau:.4g} Hz: the hammer touched "
+        f"again {tau:.4g} s after the hit, with about {100 * size:.2g} % of it",
+        advice="repeat the hits that were double; a lighter hammer or a stiffer grip rebounds less",
+        picture=Picture([("noise power", study.freq, noise - noise.mean())], "Frequency [Hz]", "Log of noise [-]"),
+    )  # fmt: skip
+
+
+def _end_of_force(study: Study, i: int, name: str) -> Finding | None:
+    """A force spectrum that ends inside the band: the noise grows to the end, and drowns the FRFs there."""
+    lines = len(study.freq)
+    H, sigma = np.abs(study.H[..., i]), study.sigma[..., i]
+    share = np.sqrt(np.median(sigma**2, axis=(0, 2)) / np.maximum(np.median(H**2, axis=(0, 2)), 1e-300))
+    level = 10 / np.log(10) * np.log(np.median(sigma[:, :, :] ** 2, axis=(0, 2)))
+    # Receptances and mobilities are brought to accelerances, where the noise of accelerometers is even.
+    even = level + 20 * (2 - study.power) * np.log10(study.freq / study.freq[-1])
+    edges = np.linspace(0, lines, 11).round().astype(int)
+    in_parts = lambda y: np.array([np.median(y[a:b]) for a, b in zip(edges[:-1], edges[1:], strict=True)])  # noqa: E731
+    parts = min(in_parts(level), in_parts(even), key=lambda p: float(p[-1] - np.median(p[:6])))
+    growth = float(parts[-1] - np.median(parts[:6]))
+    end = float(np.median(share[edges[-2] :]))
+    steps = np.diff(parts[5:])
+    if growth < GROWTH or end < LOST or np.any(steps < -1.5):
+        return None
+    past = np.flatnonzero(level > np.median(parts[:6]) + GROWTH / 2)
+    limit = float(study.freq[past[0]])
+    return Finding(
+        "force_rolloff", (name,), sure=sureness(growth / GROWTH, 1.0), size=limit, unit="Hz",
+        evidence=f"the noise grows by {growth:.3g} dB towards the end of the band, to {end:.2g} of the FRFs there: the "
+        f"force has little energy above {limit:.4g} Hz",
+        advice="use a harder tip or a lighter hammer, or keep to the band below",
+        picture=Picture([("noise power", study.freq, level)], "Frequency [Hz]", "Noise power [dB]"),
+    )  # fmt: skip

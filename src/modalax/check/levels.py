@@ -1,0 +1,53 @@
+"""Sensors that saturate, told from runs at several force levels."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from modalax.check.finding import Finding, Picture, sureness
+from modalax.check.study import Study
+
+# Loss of gain of one output beside all others that is told, and in how many standard deviations.
+LOSS, SURE = 0.05, 6.0
+# Share of the lines, those of the largest response, that are compared.
+LOUD = 0.05
+
+
+def clipped(study: Study) -> Iterator[Finding]:
+    """Outputs that alone lose gain where their response is largest, the more the higher the force."""
+    level = study.level
+    if not np.isfinite(level).all() or len(level) < 2 or level.max() < 1.2 * level.min() or len(study.outputs) < 2:
+        return
+    low, high = int(np.argmin(level)), int(np.argmax(level))
+    ratio = np.log((np.abs(study.H[high]) + 1e-300) / (np.abs(study.H[low]) + 1e-300))
+    noise = np.hypot(
+        study.sigma[high] / (np.abs(study.H[high]) + 1e-300), study.sigma[low] / (np.abs(study.H[low]) + 1e-300)
+    )
+    for o, name in enumerate(study.outputs):
+        size = np.abs(study.H[low, :, o])
+        count = max(4, int(LOUD * size.size))
+        lines, columns = np.unravel_index(np.argsort(-size, axis=None)[:count], size.shape)
+        # Beside it the other outputs at the same lines: a structure that is not linear changes them all.
+        others = np.delete(np.arange(len(study.outputs)), o)
+        weight = 1 / (noise[lines][:, others][np.arange(count), :, columns] ** 2 + 1e-4)
+        beside = ratio[lines][:, others][np.arange(count), :, columns]
+        expected = np.sum(weight * beside, axis=1) / np.sum(weight, axis=1)
+        spread = np.sqrt(noise[lines, o, columns] ** 2 + 1 / np.sum(weight, axis=1) + 1e-4)
+        loss = expected - ratio[lines, o, columns]
+        mean = float(np.sum(loss / spread**2) / np.sum(1 / spread**2))
+        std = float(1 / np.sqrt(np.sum(1 / spread**2)))
+        quiet = np.median(expected) - np.median(ratio[:, o][noise[:, o] < 0.2]) if np.any(noise[:, o] < 0.2) else 0.0
+        scatter = float(np.median(np.abs(loss - mean)))
+        score = mean / max(LOSS, SURE * std, 1.5 * scatter)
+        if score > 1 and abs(quiet) < 0.6 * mean + 0.02:
+            yield Finding(
+                "clipped", (name,), sure=sureness(score, 1.0), size=float(1 - np.exp(-mean)), unit="of the peak",
+                interval=(float(1 - np.exp(-mean + 2 * std)), float(1 - np.exp(-mean - 2 * std))),
+                evidence=f"at its peaks this output loses {100 * (1 - np.exp(-mean)):.3g} % from {level[low]:.3g} to "
+                f"{level[high]:.3g} N, the other outputs at the same lines do not",
+                advice="choose a larger range for this channel, or a lower level",
+                picture=Picture(
+                    [(f"{level[k]:.3g} N", study.freq, np.abs(study.H[k, :, o]).max(axis=1)) for k in (low, high)],
+                    "Frequency [Hz]", "|H|", True,
+                ),
+            )  # fmt: skip

@@ -1,0 +1,54 @@
+"""Channels that drift: a response that grows towards 0 Hz as no structure's does."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from modalax.check.finding import Finding, Picture, sureness
+from modalax.check.study import Study
+
+# The lowest lines must lie below this share of the first mode, and so many lines within each of two octaves.
+LOW, LINES = 0.2, 4
+# Slope of the accelerance in the lowest octave, in powers of frequency: a structure has 0 (free) or 2 (held).
+SLOPE, NEXT = -0.8, -0.4
+# How much steeper than the other channels a channel alone must fall, for a slope that a free structure could have.
+STEEPER = 1.2
+
+
+def drift(study: Study) -> Iterator[Finding]:
+    """Outputs whose low-frequency lines rise towards 0 Hz."""
+    freq = study.freq
+    # What drifts may look like a broad mode near 0 Hz; a resonance there is narrow.
+    narrow = study.modes.width < 0.1 * study.modes.frequency
+    resonances = study.modes.frequency[(study.modes.frequency > 6 * freq[0]) | narrow]
+    first = float(resonances.min()) if len(resonances) else float(freq[-1])
+    one, two = (np.flatnonzero((freq >= a * freq[0]) & (freq < b * freq[0])) for a, b in ((1.0, 2.0), (2.0, 4.0)))
+    if freq[0] > LOW * first or min(len(one), len(two)) < LINES:
+        one = np.arange(min(8, len(freq)))
+        two = np.arange(8, min(24, len(freq)))
+        if len(two) < 12 or freq[two[-1]] > 0.6 * first or freq[one[-1]] < 2 * freq[0]:
+            return
+    size = np.sqrt(np.mean(np.abs(study.H) ** 2, axis=(0, 3))) + 1e-300
+    slopes = np.stack([_slope(freq, size, lines) for lines in (one, two)]) + 2 - study.power
+    told = (slopes[0] < SLOPE) & (slopes[1] < NEXT)
+    if len(study.outputs) > 2:
+        beside = np.array([np.median(np.delete(slopes[0], k)) for k in range(len(study.outputs))])
+        lone = (slopes[0] < beside - STEEPER) & (slopes[1] < beside - STEEPER / 2) & (slopes[0] < 0.4)
+        told |= lone
+    for k in np.flatnonzero(told).tolist():
+        energy = np.abs(study.H[:, :, k]) ** 2
+        share = float(energy[:, : two[-1] + 1].sum() / energy.sum())
+        yield Finding(
+            "drift", (study.outputs[k],), sure=sureness(max(slopes[0, k] / SLOPE, 1.0), 1.0), size=share,
+            unit="of the energy",
+            evidence=f"below {freq[two[-1]]:.3g} Hz the accelerance goes with f^{slopes[0, k]:.2g}, where a structure "
+            f"has f^0 (free) or f^2 (held); {100 * share:.3g} % of the channel's energy lies there",
+            advice="leave out the lowest lines, let the sensor settle, or use one that measures down to 0 Hz",
+            picture=Picture([(study.outputs[k], freq, size[:, k])], "Frequency [Hz]", "|H|", True),
+        )  # fmt: skip
+
+
+def _slope(freq: np.ndarray, size: np.ndarray, lines: np.ndarray) -> np.ndarray:
+    x = np.log(freq[lines])
+    x = x - x.mean()
+    return x @ np.log(size[lines]) / np.sum(x**2)
