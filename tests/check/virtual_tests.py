@@ -534,6 +534,7 @@ def put_record_too_short(rng, test: Test) -> Test | None:
         A = test.plant.residues if sign > 0 else test.plant.residues.conj()
         A = A[:, o][:, :, i] * poles[:, None, None] ** STEPS[test.arrays["form"]]
         far = far - np.tensordot(1 / (s[:, None] - poles), A, 1)
+    test = replace(test, truth={**test.truth, "window": kind})
     H = np.broadcast_to(H + far, (len(test.arrays["H"]), *H.shape)).copy()
     return _marked(test, "record_too_short", [], freq=new, H=H)
 
@@ -578,11 +579,11 @@ def put_drift(rng, test: Test) -> Test | None:
     if freq[0] > 0.08 * first or freq[0] > 1.5 * (freq[1] - freq[0]) or len(freq[freq < 0.5 * first]) < 24:
         return None
     o = int(rng.integers(H.shape[2]))
-    top = np.abs(H[:, :, o]).max() * (freq[0] / first) ** (STEPS[test.arrays["form"]] - 2 + 0.5)
+    top = np.abs(H[:, :, o, :]).max()
     power = rng.uniform(1.0, 2.0) + 2 - STEPS[test.arrays["form"]]
     random = rng.normal(size=H[:, :, o].shape) + 1j * rng.normal(size=H[:, :, o].shape)
     phase = random / np.sqrt(2) if rng.random() < 0.5 else np.exp(2j * np.pi * rng.random())
-    H[:, :, o] += log_uniform(rng, 0.3, 3) * top * (freq[0] / freq)[None, :, None] ** power * phase
+    H[:, :, o] += log_uniform(rng, 0.5, 5) * top * (freq[0] / freq)[None, :, None] ** power * phase
     return _marked(test, "drift", [test.arrays["outputs"][o]], H=H)
 
 

@@ -73,9 +73,14 @@ def _ripple(study: Study, noise: np.ndarray, name: str) -> Finding | None:
     score = power[k] / floor
     amplitude = 2 * np.sqrt(power[k]) / np.sum(np.hanning(lines))
     harmonic = power[2 * k - 4 : 2 * k + 5].max() if 2 * k + 5 < len(power) else 0.0
-    # The logarithm of |1 + a exp(-j w tau)| has harmonics that fall off; a ripple of resonances has others too.
-    others = np.delete(power, np.r_[:first, max(0, k - 8) : k + 9])
-    if score < RIPPLE or amplitude < SMALLEST_RIPPLE or np.sort(others)[-12] > 0.35 * power[k] or harmonic > power[k]:
+    # The logarithm of |1 + a exp(-j w tau)| has harmonics that fall off; a ripple of resonances has others.
+    others = np.delete(power, np.r_[:first, max(0, k - 8) : min(len(power), k + 9)])
+    if (
+        score < RIPPLE
+        or amplitude < SMALLEST_RIPPLE
+        or np.sort(others)[-min(12, len(others))] > 0.35 * power[k]
+        or harmonic > power[k]
+    ):
         return None
     tau = k / (4 * lines * step)
     size = float(np.clip(amplitude / 2, 0, 1))

@@ -50,7 +50,7 @@ def record_too_short(study: Study) -> Iterator[Finding]:
     few = which[lines < DECAYED]
     if not len(few):
         return
-    found = _windowed(study, few, step) or _cut(study, step)
+    found = _windowed(study, step) or _cut(study, step)
     if found is None:
         return
     decay, how, score, picture = found
@@ -91,7 +91,7 @@ class WindowedBasis(Basis):
         return np.concatenate([first + second, 1j * (first - second)])
 
 
-def _windowed(study: Study, modes: np.ndarray, step: float) -> tuple[float, str, float, Picture] | None:
+def _windowed(study: Study, step: float) -> tuple[float, str, float, Picture] | None:
     """Least decay over a record and the window that explains the peaks; None if modes alone do as well."""
     H = study.H[0].reshape(len(study.freq), -1)
     sigma = study.sigma[0].reshape(H.shape)
@@ -99,13 +99,14 @@ def _windowed(study: Study, modes: np.ndarray, step: float) -> tuple[float, str,
     # A share of the peaks stands for what no model of the noise knows.
     noise = sigma[:, strong].mean(axis=0) + 0.002 * np.abs(H[:, strong]).max(axis=0)
     X, omega, weight = H[:, strong] / noise, 2 * np.pi * study.freq, np.ones(len(H))
-    left, decay = {}, {}
+    left, decay, own = {}, {}, study.modes.poles
     for window in ("mode", "boxcar", "Hann"):
         basis = WindowedBasis(omega, study.power, weight, 1 / step, window)
         best = np.inf
         # A window widens the peaks; without it they are narrower, by how much the steps have to find.
         for narrower in (1.0,) if window == "mode" else (0.5, 0.15):
-            poles = study.modes.poles.real * narrower + 1j * study.modes.poles.imag
+            # Two poles stand for one peak where none has its form: close ones are taken as one.
+            poles = np.array([narrower * own[g].real.max() + 1j * own[g].imag.mean() for g in study.groups])
             for _ in range(8):
                 moved = improve(basis, poles, X)
                 if len(moved) != len(poles):
@@ -115,7 +116,7 @@ def _windowed(study: Study, modes: np.ndarray, step: float) -> tuple[float, str,
             _, U, _ = least_squares(basis.design(poles), Y)
             value = float(np.sum((Y - U @ (U.T @ Y)) ** 2))
             if value < best:
-                best, decay[window] = value, float(np.min(-poles.real[modes] / step))
+                best, decay[window] = value, float(np.min(-poles.real / step))
         left[window] = best
     best = min(("boxcar", "Hann"), key=lambda name: left[name])
     if left["mode"] < BETTER * left[best] or left["mode"] < 1.3 * X.size:

@@ -9,8 +9,8 @@ from modalax.check.study import Study
 
 # Loss of gain of one output beside all others that is told, and in how many standard deviations.
 LOSS, SURE = 0.05, 6.0
-# Share of the lines, those of the largest response, that are compared.
-LOUD = 0.05
+# Lines whose response exceeds this share of the output's largest are compared.
+LOUD = 0.85
 
 
 def clipped(study: Study) -> Iterator[Finding]:
@@ -25,20 +25,27 @@ def clipped(study: Study) -> Iterator[Finding]:
     )
     for o, name in enumerate(study.outputs):
         size = np.abs(study.H[low, :, o])
-        count = max(4, int(LOUD * size.size))
-        lines, columns = np.unravel_index(np.argsort(-size, axis=None)[:count], size.shape)
+        lines, columns = np.nonzero(size > LOUD * size.max())
+        count = len(lines)
         # Beside it the other outputs at the same lines: a structure that is not linear changes them all.
         others = np.delete(np.arange(len(study.outputs)), o)
         weight = 1 / (noise[lines][:, others][np.arange(count), :, columns] ** 2 + 1e-4)
         beside = ratio[lines][:, others][np.arange(count), :, columns]
-        expected = np.sum(weight * beside, axis=1) / np.sum(weight, axis=1)
-        spread = np.sqrt(noise[lines, o, columns] ** 2 + 1 / np.sum(weight, axis=1) + 1e-4)
+        # The other that lost most: a structure that is not linear may change few of them.
+        known = np.where(weight > 100, beside, np.inf)
+        use = np.isfinite(known).any(axis=1)
+        if not use.any():
+            continue
+        lines, columns, known, weight = lines[use], columns[use], known[use], weight[use]
+        least = np.argmin(known, axis=1)
+        expected = known[np.arange(len(lines)), least]
+        spread = np.sqrt(noise[lines, o, columns] ** 2 + 1 / weight[np.arange(len(lines)), least] + 1e-4)
         loss = expected - ratio[lines, o, columns]
         mean = float(np.sum(loss / spread**2) / np.sum(1 / spread**2))
         std = float(1 / np.sqrt(np.sum(1 / spread**2)))
         quiet = np.median(expected) - np.median(ratio[:, o][noise[:, o] < 0.2]) if np.any(noise[:, o] < 0.2) else 0.0
         scatter = float(np.median(np.abs(loss - mean)))
-        score = mean / max(LOSS, SURE * std, 1.5 * scatter)
+        score = mean / max(LOSS, SURE * std, 0.7 * scatter)
         if score > 1 and abs(quiet) < 0.6 * mean + 0.02:
             yield Finding(
                 "clipped", (name,), sure=sureness(score, 1.0), size=float(1 - np.exp(-mean)), unit="of the peak",

@@ -5,11 +5,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from modalax.check.finding import Finding, Picture, sureness
-from modalax.check.study import Study
+from modalax.check.study import CLEAR, Study
 
-# The lowest lines must lie below this share of the first mode, and so many lines within each of two octaves.
-LOW, LINES = 0.2, 4
-# Slope of the accelerance in the lowest octave, in powers of frequency: a structure has 0 (free) or 2 (held).
+# What is looked at, the lowest octaves, must end below this share of the first mode, and hold so many lines.
+BELOW, LINES = 0.7, 4
+# Slope of the accelerance in the lowest octaves and in those above, in powers of frequency: a structure has 0 (free)
+# or 2 (held).
 SLOPE, NEXT = -0.8, -0.4
 # How much steeper than the other channels a channel alone must fall, for a slope that a free structure could have.
 STEEPER = 1.2
@@ -18,16 +19,16 @@ STEEPER = 1.2
 def drift(study: Study) -> Iterator[Finding]:
     """Outputs whose low-frequency lines rise towards 0 Hz."""
     freq = study.freq
-    # What drifts may look like a broad mode near 0 Hz; a resonance there is narrow.
-    narrow = study.modes.width < 0.1 * study.modes.frequency
-    resonances = study.modes.frequency[(study.modes.frequency > 6 * freq[0]) | narrow]
+    # What drifts may look like a mode near 0 Hz; a resonance there is seen by most of the sensors.
+    clear = (np.abs(study.residues) > CLEAR * study.residue_std).any(axis=2)
+    shared = (clear.mean(axis=1) > 0.5) & (study.modes.width < 0.3 * study.modes.frequency)
+    resonances = study.modes.frequency[(study.modes.frequency > 8 * freq[0]) | shared]
     first = float(resonances.min()) if len(resonances) else float(freq[-1])
-    one, two = (np.flatnonzero((freq >= a * freq[0]) & (freq < b * freq[0])) for a, b in ((1.0, 2.0), (2.0, 4.0)))
-    if freq[0] > LOW * first or min(len(one), len(two)) < LINES:
-        one = np.arange(min(8, len(freq)))
-        two = np.arange(8, min(24, len(freq)))
-        if len(two) < 12 or freq[two[-1]] > 0.6 * first or freq[one[-1]] < 2 * freq[0]:
-            return
+    span = 4.0 if np.sum(freq < 4 * freq[0]) >= 6 else 8.0
+    one = np.flatnonzero(freq < 1.01 * span * freq[0])
+    two = np.flatnonzero((freq > 0.49 * span * freq[0]) & (freq < 2.01 * span * freq[0]))
+    if min(len(one), len(two)) < LINES or freq[two[-1]] > BELOW * first:
+        return
     size = np.sqrt(np.mean(np.abs(study.H) ** 2, axis=(0, 3))) + 1e-300
     slopes = np.stack([_slope(freq, size, lines) for lines in (one, two)]) + 2 - study.power
     told = (slopes[0] < SLOPE) & (slopes[1] < NEXT)
