@@ -6,7 +6,7 @@ by 180, which only a drive point can show.
 """
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -131,7 +131,7 @@ def _middle(angles: Angles) -> float:
     return float(_apart(angles.angle[np.argmin(gaps @ np.minimum(angles.weight, 1 / FLOOR**2))]))
 
 
-def _apart(angle: np.ndarray) -> np.ndarray:
+def _apart(angle: Any) -> Any:
     """Angles of undirected lines, from -pi/2 to pi/2."""
     return (angle + np.pi / 2) % np.pi - np.pi / 2
 

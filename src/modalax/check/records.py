@@ -149,7 +149,7 @@ def _second(size: np.ndarray) -> tuple[int, float]:
     if not far:
         return 0, 0.0
     second = max(far)
-    return abs(second[1] - first[1]), float(second[0] / first[0])
+    return int(abs(second[1] - first[1])), float(second[0] / first[0])
 
 
 def _short(records: Records) -> Iterator[Finding]:
