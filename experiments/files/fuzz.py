@@ -214,7 +214,8 @@ def write_hostile(name: str, path: Path, rng: random.Random) -> None:
     if name.startswith("npz"):
         (np.savez if rng.random() < 0.5 else np.savez_compressed)(path, **arrays)
     elif name == "mat":
-        scipy.io.savemat(path, {k: v for k, v in arrays.items() if v.dtype.kind not in "M"}, do_compression=True)
+        whole = {k: np.ascontiguousarray(v).reshape(v.shape) for k, v in arrays.items() if v.dtype.kind not in "M"}
+        scipy.io.savemat(path, whole, do_compression=True)
     else:
         write_mat73(path, {k: v for k, v in arrays.items() if v.dtype.kind in "fciuU"})
 
