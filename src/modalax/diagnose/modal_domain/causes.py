@@ -1,0 +1,80 @@
+"""Causes as finite changes in the modal domain: where each may sit, how large it usually is, and what it does."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from modalax.diagnose.modal_domain.coordinates import Coordinates
+
+KIND_OF = {"added_mass": "M", "joint_stiffness": "K", "local_damper": "C"}
+
+
+@dataclass(frozen=True)
+class Change:
+    """One cause at one place.
+
+    Attributes
+    ----------
+    slug, where
+        As told in the answer.
+    scale
+        Usual size, the standard deviation before the data, in the unit of the cause.
+    direction
+        Of a local change ``b b'``, in modal coordinates, shape ``(n,)``.
+    channel
+        Of a channel's fault: axis (0 output, 1 input) and number; for two outputs exchanged both numbers.
+    weight
+        Share among the places of its kind before the data.
+    """
+
+    slug: str
+    where: tuple[str, ...]
+    scale: float = 1.0
+    direction: np.ndarray | None = field(default=None, compare=False)
+    channel: tuple[int, ...] = ()
+    weight: float = 1.0
+
+    @property
+    def kind(self) -> str:
+        """K, C or M of a local change; empty for a channel's fault."""
+        return KIND_OF.get(self.slug, "")
+
+    @property
+    def sized(self) -> bool:
+        """Whether it has a size; a sign or a swap has none."""
+        return self.slug not in ("channel_sign", "channel_swap")
+
+    def transform(self, u: float, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
+        """Residues ``(k, o, i)`` as this fault of a channel shows them."""
+        if self.slug in ("channel_gain", "force_gain", "channel_sign"):
+            factor = -1.0 if self.slug == "channel_sign" else 1 + self.scale * u
+            out = residues.copy()
+            if self.channel[0] == 0:
+                out[:, self.channel[1]] *= factor
+            else:
+                out[:, :, self.channel[1]] *= factor
+            return out
+        if self.slug == "channel_swap":
+            out = residues.copy()
+            a, b = self.channel
+            out[:, [a, b]] = residues[:, [b, a]]
+            return out
+        if self.slug == "time_delay":
+            turn = np.exp(-poles * self.scale * u)[:, None]
+            out = residues.copy()
+            out[:, self.channel[1]] *= turn
+            return out
+        return residues
+
+    def transform_slope(self, u: float, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
+        """Derivative of :meth:`transform` by ``u``."""
+        out = np.zeros_like(residues)
+        if self.slug in ("channel_gain", "force_gain"):
+            if self.channel[0] == 0:
+                out[:, self.channel[1]] = self.scale * residues[:, self.channel[1]]
+            else:
+                out[:, :, self.channel[1]] = self.scale * residues[:, :, self.channel[1]]
+        elif self.slug == "time_delay":
+            turn = np.exp(-poles * self.scale * u)[:, None]
+            out[:, self.channel[1]] = -self.scale * poles[:, None] * turn * residues[:, self.channel[1]]
+        return out

@@ -1,0 +1,184 @@
+r"""A simulation in its modal coordinates: poles and residues under changes of mass, damping and stiffness.
+
+With shapes of unit modal mass the undamped simulation is :math:`I s^2 + \mathrm{diag}(\omega^2)`, and a change of the
+matrices is a symmetric matrix in these coordinates. Derivatives of poles and shapes are those of symmetric matrices,
+in closed form over all modes (Adhikari 2013).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+
+from modalax.model import Structure
+
+LARGEST = 90  # modal coordinates kept of large simulations, besides what the band needs
+FURTHER = 10  # modes above the band that are solved with their damping
+REPEATED = 1e-6  # relative distance of two poles below which they count as repeated in derivatives
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """A simulation in modal coordinates.
+
+    Attributes
+    ----------
+    frequencies
+        Natural circular frequencies without damping, shape ``(n,)`` [rad/s].
+    damping
+        Modal damping matrix, shape ``(n, n)`` [1/s].
+    shapes
+        Shapes of unit modal mass over all DoFs, shape ``(dof, n)``.
+    outputs, inputs
+        Rows of ``shapes`` at the measured channels, shapes ``(o, n)`` and ``(i, n)``.
+    solved
+        Modes that are solved with their damping, the lowest ones.
+    """
+
+    frequencies: np.ndarray
+    damping: np.ndarray
+    shapes: np.ndarray
+    outputs: np.ndarray
+    inputs: np.ndarray
+    solved: int
+
+    @property
+    def size(self) -> int:
+        """Number of modal coordinates."""
+        return len(self.frequencies)
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Modes of a changed simulation, by rising frequency, normalised so that residues are ``y x'``.
+
+    Attributes
+    ----------
+    poles
+        Shape ``(m,)`` [rad/s].
+    vectors
+        In the modal coordinates of the simulation, shape ``(m, n)``.
+    high
+        Real shapes and squared circular frequencies of the modes above, shapes ``(h, n)`` and ``(h,)``.
+    """
+
+    poles: np.ndarray
+    vectors: np.ndarray
+    high: tuple[np.ndarray, np.ndarray]
+
+
+def coordinates_of(
+    simulation: Structure, outputs: tuple[str, ...], inputs: tuple[str, ...], highest: float
+) -> Coordinates:
+    """Modal coordinates of a structure whose band ends at ``highest`` [rad/s]."""
+    M, C, K, D = (np.asarray(a) for a in (simulation.M, simulation.C, simulation.K, simulation.D))
+    values, shapes = scipy.linalg.eigh(K, M)
+    inside = int(np.count_nonzero(values < highest**2))
+    kept = min(len(values), max(LARGEST, 2 * inside + FURTHER))
+    frequencies, shapes = np.sqrt(np.maximum(values[:kept], 0.0)), shapes[:, :kept]
+    rate = np.sqrt(np.maximum(frequencies, 1e-3 * highest))
+    damping = shapes.T @ C @ shapes + (shapes.T @ D @ shapes) / rate[:, None] / rate
+    rows, columns = ([simulation.index(name) for name in names] for names in (outputs, inputs))
+    return Coordinates(
+        frequencies, damping, shapes, shapes[rows], shapes[columns], min(kept, inside + FURTHER)
+    )  # fmt: skip
+
+
+def modes_of(
+    c: Coordinates, dM: np.ndarray | None = None, dC: np.ndarray | None = None, dK: np.ndarray | None = None
+) -> Modes:
+    """Modes with changes added, shapes ``(n, n)`` in modal coordinates.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the changed mass is not positive.
+    """
+    A = np.diag(c.frequencies**2)
+    A = A if dK is None else A + dK
+    if dM is None:
+        values, Q = np.linalg.eigh(A)
+    else:
+        L = np.linalg.cholesky(np.eye(c.size) + dM)
+        half = scipy.linalg.solve_triangular(L, A, lower=True)
+        values, U = np.linalg.eigh(scipy.linalg.solve_triangular(L, half.T, lower=True))
+        Q = scipy.linalg.solve_triangular(L, U, lower=True, trans="T")
+    m = c.solved
+    low = Q[:, :m]
+    damping = low.T @ (c.damping if dC is None else c.damping + dC) @ low
+    state = np.block([[np.zeros((m, m)), np.eye(m)], [-np.diag(values[:m]), -damping]])
+    poles, vectors = np.linalg.eig(state)
+    up = poles.imag > 1e-6 * np.sqrt(np.abs(values[:m]).max())
+    poles, vectors = poles[up], vectors[:m, up].T
+    order = np.argsort(np.abs(poles))
+    poles, vectors = poles[order], vectors[order]
+    a = (2 * poles * (vectors**2).sum(axis=1)) + np.einsum("kr,rs,ks->k", vectors, damping, vectors)
+    return Modes(poles, (vectors / np.sqrt(a)[:, None]) @ low.T, (Q[:, m:].T, values[m:]))
+
+
+@dataclass(frozen=True)
+class Slopes:
+    """What derivatives of some modes need; ``which`` are their numbers.
+
+    For a change ``B`` of the dynamic stiffness at the pole, the pole moves by ``-v' B v`` and the shape at the outputs
+    by ``-G_o B v`` (and the same at the inputs), ``v`` the mode's vector.
+    """
+
+    poles: np.ndarray
+    vectors: np.ndarray
+    at_outputs: np.ndarray
+    at_inputs: np.ndarray
+    shape_outputs: np.ndarray
+    shape_inputs: np.ndarray
+    damping: np.ndarray | None = None
+
+
+def slopes_of(c: Coordinates, modes: Modes, which: np.ndarray) -> Slopes:
+    """Matrices of derivatives of the modes ``which``."""
+    poles = modes.poles[which]
+    every = np.concatenate([modes.poles, modes.poles.conj()])
+    vectors = np.concatenate([modes.vectors, modes.vectors.conj()])
+    apart = poles[:, None] - every
+    near = np.abs(apart) < REPEATED * np.abs(poles)[:, None]
+    inverse = np.where(near, 0.0, 1 / np.where(near, 1.0, apart))
+    high, squares = modes.high
+    static = 1 / (squares + poles[:, None] ** 2)
+
+    def matrix(rows: np.ndarray) -> np.ndarray:
+        out = np.einsum("kl,lo,ln->kon", inverse, vectors @ rows.T, vectors, optimize=True)
+        return out + np.einsum("kh,ho,hn->kon", static, high @ rows.T, high, optimize=True)
+
+    v = modes.vectors[which]
+    return Slopes(poles, v, matrix(c.outputs), matrix(c.inputs), v @ c.outputs.T, v @ c.inputs.T)
+
+
+POWER = {"K": 0, "C": 1, "M": 2}
+
+
+def pattern_slopes(t: Slopes, kind: str, patterns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Derivatives by the sizes of patterns, shape ``(p, n, n)``: of poles ``(k, p)``, of both shapes ``(k, p, o)``."""
+    count, n = patterns.shape[:2]
+    moved = (patterns.reshape(-1, n) @ t.vectors.T).reshape(count, n, -1)  # (p, n, k)
+    factor = t.poles ** POWER[kind]
+    own = np.einsum("kn,pnk->kp", t.vectors, moved, optimize=True)
+    out = np.matmul(t.at_outputs, moved.transpose(2, 1, 0)).transpose(0, 2, 1)
+    inn = np.matmul(t.at_inputs, moved.transpose(2, 1, 0)).transpose(0, 2, 1)
+    return _with_norm(t, kind, factor, own, out, inn)
+
+
+def direction_slopes(t: Slopes, kind: str, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The same for changes ``b b'`` of rank one, ``b`` of shape ``(p, n)``."""
+    across = t.vectors @ b.T  # (k, p)
+    out = np.matmul(t.at_outputs, b.T).transpose(0, 2, 1) * across[:, :, None]
+    inn = np.matmul(t.at_inputs, b.T).transpose(0, 2, 1) * across[:, :, None]
+    return _with_norm(t, kind, t.poles ** POWER[kind], across**2, out, inn)
+
+
+def _with_norm(
+    t: Slopes, kind: str, factor: np.ndarray, own: np.ndarray, out: np.ndarray, inn: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    # normalisation v'(2 s M + C)v = 1 moves with M and C themselves
+    norm = {"K": 0 * t.poles, "C": 0.5 + 0 * t.poles, "M": t.poles}[kind][:, None] * own
+    change_out = -factor[:, None, None] * out - norm[:, :, None] * t.shape_outputs[:, None, :]
+    change_in = -factor[:, None, None] * inn - norm[:, :, None] * t.shape_inputs[:, None, :]
+    return -factor[:, None] * own, change_out, change_in

@@ -1,0 +1,136 @@
+r"""Element by element: what the matrices of a simulation tell of the parts that it was put together from.
+
+The block :math:`K_{ij}` between two nodes is all that the elements between them leave off the diagonal. As these
+elements do not resist a rigid motion, :math:`K^e_{ii} = -K_{ij} T(r)`, ``T`` the rigid motion of node j that goes with
+that of node i at a distance ``r``; and ``r`` follows from the symmetry of :math:`K^e_{ii}`. What is left over on the
+diagonal is the support of each node. No coordinates are needed, and beams, trusses, springs and joints come out exactly.
+"""
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from modalax.data.dofs import parse_dof
+
+NEGLIGIBLE = 1e-7  # size of a coupling, relative to the diagonal, below which there is none
+AXES = ("X", "Y", "Z", "RX", "RY", "RZ")
+# Names such as 12z, n3_ry or 12.RX, besides those written 12:+Z
+_SHORT = re.compile(r"(?P<node>.*?[^A-Za-z]|[A-Za-z]+?)[_.\- ]?(?P<direction>[rR]?[xyzXYZ])")
+
+
+@dataclass(frozen=True)
+class Part:
+    """A contribution to a matrix; ``nodes`` are one or two, ``matrix`` has their DoFs ``dofs``."""
+
+    nodes: tuple[int, ...]
+    dofs: np.ndarray
+    matrix: np.ndarray
+
+    def full(self, size: int) -> np.ndarray:
+        """Over all DoFs."""
+        out = np.zeros((size, size))
+        out[np.ix_(self.dofs, self.dofs)] = self.matrix
+        return out
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """Which DoFs belong to one node; ``axis`` is 0 to 2 for displacements, 3 to 5 for rotations, -1 if unknown."""
+
+    members: list[np.ndarray]
+    axis: np.ndarray
+    sign: np.ndarray
+
+
+def nodes_of(dofs: tuple[str, ...]) -> Nodes:
+    """Nodes by the names of their DoFs; every DoF is a node of its own where names do not tell."""
+    found: dict[object, list[int]] = {}
+    axis, sign = np.full(len(dofs), -1), np.ones(len(dofs))
+    for k, name in enumerate(dofs):
+        node, direction, sign[k] = parse_dof(name)
+        short = None if direction is not None else _SHORT.fullmatch(name.strip())
+        if short is not None:
+            node, direction = short["node"].rstrip("_.- "), short["direction"].upper()
+        if direction in AXES:
+            axis[k] = AXES.index(direction)
+        found.setdefault((node,) if axis[k] >= 0 else name, []).append(k)
+    return Nodes([np.array(v) for v in found.values()], axis, sign)
+
+
+def _moves(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Rigid motion at axes ``b`` of a node by that at axes ``a`` of another: constant part and by each component of r."""
+    out = np.zeros((4, len(b), len(a)))
+    out[0] = (b[:, None] == a) & (b[:, None] >= 0)
+    # displacement of j = displacement of i + rotation x r
+    for axis, (first, second) in enumerate(((1, 2), (2, 0), (0, 1))):
+        for row, col, r, sign in ((first, axis, second, -1.0), (second, axis, first, 1.0)):
+            out[1 + r] += sign * np.outer(b == row, a == 3 + col)
+    return out
+
+
+def stiffness_parts(K: np.ndarray, nodes: Nodes) -> list[Part]:
+    """Parts that sum to a symmetric matrix: one a pair of coupled nodes, one a supported node."""
+    parts, rest = [], K.copy()
+    diagonal = np.sqrt(np.maximum(np.abs(np.diag(K)), 1e-300))
+    unit = np.abs(K) / diagonal[:, None] / diagonal
+    for i, a in enumerate(nodes.members):
+        for j in range(i):
+            b = nodes.members[j]
+            if unit[np.ix_(a, b)].max() < NEGLIGIBLE:
+                continue
+            block = K[np.ix_(a, b)]
+            signs = nodes.sign[a][:, None] * nodes.sign[b]
+            own_a, own_b = _ends(block * signs, nodes.axis[a], nodes.axis[b], diagonal[a], diagonal[b])
+            own_a, own_b = (own * nodes.sign[x][:, None] * nodes.sign[x] for own, x in ((own_a, a), (own_b, b)))
+            matrix = np.block([[own_a, block], [block.T, own_b]])
+            dofs = np.concatenate([a, b])
+            parts.append(Part((i, j), dofs, matrix))
+            rest[np.ix_(dofs, dofs)] -= matrix
+    for i, a in enumerate(nodes.members):
+        block = rest[np.ix_(a, a)]
+        if (np.abs(block) / diagonal[a][:, None] / diagonal[a]).max() > NEGLIGIBLE:
+            parts.append(Part((i,), a, (block + block.T) / 2))
+    return parts
+
+
+def _ends(block: np.ndarray, a: np.ndarray, b: np.ndarray, size_a: np.ndarray, size_b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Diagonal blocks of what couples two nodes by ``block`` and does not resist rigid motion."""
+    if (a < 0).any() or (b < 0).any():
+        return -np.diag(block.sum(axis=1)), -np.diag(block.sum(axis=0))
+    forth, back = _moves(a, b), _moves(b, a)
+    back[1:] *= -1
+    at_a = -np.einsum("xy,ryz->rxz", block, forth) / size_a[:, None] / size_a
+    at_b = -np.einsum("xy,rxz->ryz", block, back) / size_b[:, None] / size_b
+    skew = [np.concatenate([(m - m.T).ravel() for m in (p, q)]) for p, q in zip(at_a, at_b, strict=True)]
+    system = np.stack(skew[1:], axis=1)
+    weight = np.maximum(np.linalg.norm(system, axis=0), 1e-300)
+    r = np.linalg.lstsq(system / weight, -skew[0], rcond=1e-9)[0] / weight
+    own_a = (at_a[0] + np.tensordot(r, at_a[1:], 1)) * size_a[:, None] * size_a
+    own_b = (at_b[0] + np.tensordot(r, at_b[1:], 1)) * size_b[:, None] * size_b
+    return (own_a + own_a.T) / 2, (own_b + own_b.T) / 2
+
+
+def mass_parts(M: np.ndarray, nodes: Nodes) -> list[Part]:
+    """Parts that sum to a mass matrix: one a pair of coupled nodes, the diagonal shared out by how they couple."""
+    diagonal = np.sqrt(np.maximum(np.abs(np.diag(M)), 1e-300))
+    unit = np.abs(M) / diagonal[:, None] / diagonal
+    count = len(nodes.members)
+    coupling = np.array(
+        [[0.0 if i == j else float((unit[np.ix_(a, b)] ** 2).sum()) for j, b in enumerate(nodes.members)]
+         for i, a in enumerate(nodes.members)]
+    ).reshape(count, count)  # fmt: skip
+    coupling[coupling < NEGLIGIBLE**2] = 0.0
+    share = coupling / np.maximum(coupling.sum(axis=1, keepdims=True), 1e-300)
+    parts = []
+    for i, a in enumerate(nodes.members):
+        for j in range(i):
+            b = nodes.members[j]
+            if coupling[i, j] > 0:
+                block = M[np.ix_(a, b)]
+                ends = share[i, j] * M[np.ix_(a, a)], share[j, i] * M[np.ix_(b, b)]
+                matrix = np.block([[ends[0], block], [block.T, ends[1]]])
+                parts.append(Part((i, j), np.concatenate([a, b]), matrix))
+        if coupling[i].sum() == 0:
+            parts.append(Part((i,), a, M[np.ix_(a, a)]))
+    return parts

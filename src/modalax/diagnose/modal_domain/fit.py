@@ -1,0 +1,193 @@
+r"""Fits of hypotheses to measured modes, with the general inaccuracy beside, and their evidence.
+
+The unknowns ``x`` (parts of the inaccuracy over their sizes, causes over theirs) are standard normal before the data.
+Each step solves the linearised problem exactly; the sizes of the inaccuracy are learnt on the way (MacKay 1992,
+equations 2.15-2.20): the logarithmic evidence rises with :math:`\ln\epsilon` of a group by :math:`\sum(x^2 + V - 1)`,
+``V`` the posterior variances.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.state import Setting, State, slopes_at, state_at
+
+TEMPERATURES = (100.0, 10.0, 3.0)  # widening of the features' covariance in the first steps of a fit
+LAST = 12  # most steps at the true covariance
+SETTLED = 0.02  # change of log evidence at which a fit has ended
+SMALLEST = 1e-5  # least size of an inaccuracy: what no structure is known better to
+LARGEST = np.array([0.3, 0.3, 1.5])  # greatest sizes in stiffness, mass and damping: beyond it is no simulation
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A hypothesis fitted.
+
+    Attributes
+    ----------
+    causes
+        What it holds beside the general inaccuracy.
+    sizes
+        Of all patterns, relative to the whole.
+    u
+        Of causes, over their usual sizes.
+    epsilon
+        Learnt size of each group of the inaccuracy.
+    log_evidence
+        Up to what all hypotheses share.
+    covariance
+        Of ``u``.
+    chi2
+        Of the features, without what the prior costs.
+    determined
+        Number of well-determined parts of each group.
+    state
+        Predicted modes.
+    """
+
+    causes: tuple[Change, ...]
+    sizes: np.ndarray
+    u: np.ndarray
+    epsilon: np.ndarray
+    log_evidence: float
+    covariance: np.ndarray
+    chi2: float
+    determined: np.ndarray
+    state: State
+
+
+class _Linear:
+    """The problem linearised about a state; everything in the space of the unknowns."""
+
+    def __init__(self, setting: Setting, state: State, causes: tuple[Change, ...], sizes: np.ndarray, u: np.ndarray):
+        self.setting, self.group = setting, setting.inaccuracy.group_of
+        J = slopes_at(setting, state, causes, u)
+        x = np.concatenate([sizes, u])
+        self.target = state.difference + J @ x
+        self.gram, self.right = J.T @ J, J.T @ self.target
+        self.energy = float(self.target @ self.target)
+
+    def prior(self, epsilon: np.ndarray) -> np.ndarray:
+        """Standard deviation of each unknown."""
+        return np.concatenate([epsilon[self.group], np.ones(len(self.right) - len(self.group))])
+
+    def solve(self, epsilon: np.ndarray, temperature: float = 1.0) -> tuple[np.ndarray, np.ndarray, float]:
+        """Mean, covariance over the prior's, and log evidence."""
+        s = self.prior(epsilon)
+        inner = np.eye(len(s)) + s[:, None] * self.gram * s / temperature
+        L = np.linalg.cholesky(inner)
+        half = np.linalg.inv(L)
+        V = half.T @ half
+        h = s * self.right / temperature
+        z = V @ h
+        evidence = -0.5 * (self.energy / temperature - h @ z) - np.log(np.diag(L)).sum()
+        return s * z, V, float(evidence)
+
+    def learnt(self, epsilon: np.ndarray, temperature: float, rounds: int) -> np.ndarray:
+        """Sizes of greatest evidence, with their prior."""
+        a = self.setting.inaccuracy
+        for _ in range(rounds):
+            x, V, _ = self.solve(epsilon, temperature)
+            z2 = (x[: len(self.group)] / epsilon[self.group]) ** 2
+            known = 1 - np.diag(V)[: len(self.group)]
+            total = np.bincount(self.group, z2 - known, len(epsilon))
+            gamma = np.bincount(self.group, known, len(epsilon))
+            slope = total - np.log(epsilon / a.usual) / a.spread**2
+            step = slope / (2 * np.maximum(gamma, total + gamma) + 1 / a.spread**2)
+            epsilon = np.clip(epsilon * np.exp(np.clip(step, -1.0, 1.0)), SMALLEST, LARGEST)
+            if np.abs(step).max() < 0.01:
+                break
+        return epsilon
+
+
+def hyperprior(setting: Setting, epsilon: np.ndarray) -> float:
+    """Logarithmic prior of sizes of the inaccuracy, and what the width of their posterior adds is left out."""
+    a = setting.inaccuracy
+    return float(-0.5 * ((np.log(epsilon / a.usual) / a.spread) ** 2).sum())
+
+
+def fit(
+    setting: Setting, causes: tuple[Change, ...] = (), start: Fit | None = None, u: np.ndarray | None = None,
+    temperatures: tuple[float, ...] = TEMPERATURES,
+) -> Fit | None:  # fmt: skip
+    """Fit a hypothesis; None where it leads to no simulation that vibrates.
+
+    Parameters
+    ----------
+    start
+        A fit whose inaccuracy is the starting point; the simulation itself if None.
+    u
+        Sizes of the causes to start from.
+    """
+    a = setting.inaccuracy
+    sizes = np.zeros(len(a.group_of)) if start is None else start.sizes
+    epsilon = a.usual.copy() if start is None else start.epsilon
+    u = np.zeros(len(causes)) if u is None else np.asarray(u, float)
+    try:
+        state = state_at(setting, sizes, causes, u)
+        for temperature in temperatures:
+            for _ in range(3):
+                linear = _Linear(setting, state, causes, sizes, u)
+                epsilon = linear.learnt(epsilon, temperature, 2)
+                x, _, _ = linear.solve(epsilon, temperature)
+                state, sizes, u, moved = _step(setting, causes, state, sizes, u, x, linear.prior(epsilon), temperature)
+                if moved < 0.5:
+                    break
+        best: Fit | None = None
+        for _ in range(LAST):
+            linear = _Linear(setting, state, causes, sizes, u)
+            epsilon = linear.learnt(epsilon, 1.0, 8)
+            x, V, evidence = linear.solve(epsilon)
+            evidence += hyperprior(setting, epsilon)
+            known = 1 - np.diag(V)[: len(linear.group)]
+            scale = linear.prior(epsilon)
+            count = len(causes)
+            now = Fit(
+                causes, sizes, u, epsilon, evidence,
+                (V * np.outer(scale, scale))[len(V) - count :, len(V) - count :],
+                float(state.difference @ state.difference),
+                np.bincount(linear.group, known, len(epsilon)), state,
+            )  # fmt: skip
+            done = best is not None and abs(evidence - best.log_evidence) < SETTLED
+            best = now
+            if done:
+                break
+            state, sizes, u, moved = _step(setting, causes, state, sizes, u, x, scale, 1.0)
+            if moved < 1e-3:
+                break
+    except np.linalg.LinAlgError:
+        return None
+    return best
+
+
+def _step(
+    setting: Setting, causes: tuple[Change, ...], state: State, sizes: np.ndarray, u: np.ndarray, x: np.ndarray,
+    scale: np.ndarray, temperature: float,
+) -> tuple[State, np.ndarray, np.ndarray, float]:  # fmt: skip
+    """Towards the solution of the linear problem as far as the cost falls; also by how much it fell."""
+    old = np.concatenate([sizes, u])
+    n = len(sizes)
+    cost = lambda s, y: 0.5 * float(s.difference @ s.difference) / temperature + 0.5 * float(((y / scale) ** 2).sum())  # noqa: E731
+    before, part = cost(state, old), 1.0
+    for _ in range(7):
+        new = old + part * (x - old)
+        try:
+            trial = state_at(setting, new[:n], causes, new[n:])
+            after = cost(trial, new)
+            if after < before:
+                return trial, new[:n], new[n:], before - after
+        except np.linalg.LinAlgError:
+            pass
+        part /= 3
+    return state, sizes, u, 0.0
+
+
+def widths_of_sizes(f: Fit, setting: Setting) -> np.ndarray:
+    """Standard deviations of the logarithms of the learnt sizes."""
+    return 1 / np.sqrt(2 * f.determined + 1 / setting.inaccuracy.spread**2)
+
+
+def without_causes(f: Fit) -> Fit:
+    """The same inaccuracy, as a start for other causes."""
+    return replace(f, causes=(), u=np.zeros(0))

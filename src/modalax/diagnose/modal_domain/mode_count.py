@@ -1,0 +1,123 @@
+"""Which modes a measurement has in its band, found from the FRFs alone: added and dropped until evidence settles."""
+
+from dataclasses import replace
+
+import numpy as np
+import scipy.stats
+
+from modalax.diagnose.modal_domain.projection import Channels, Projected, project, refine
+
+CHANCE = 1e-8  # chance of a mode that is only noise
+DAMPINGS = (0.002, 0.007, 0.025)  # damping ratios that further modes are looked for at: light to welded structures
+HEAVY = 0.2  # damping ratio above which a pole is background and no mode
+CANDIDATES = 1500  # frequencies that further modes are looked for at
+ROUNDS = 16  # most rounds of adding and dropping
+AT_ONCE = 0.1  # share of the best candidate's gain from which others are added in the same round
+BEYOND = 0.01  # part of the band's ends by which a mode may lie outside
+
+
+def blind_modes(channels: Channels, start: np.ndarray | None = None) -> Projected:
+    """Modes in the band, by rising frequency.
+
+    Parameters
+    ----------
+    start
+        Poles to begin with, shape ``(n,)`` [rad/s]; none where everything is to be found from the residual.
+    """
+    found = refine(np.zeros(0, complex) if start is None else start, channels)
+    idle, best = 0, None
+    for _ in range(ROUNDS):
+        kept = _worth_keeping(found, channels)
+        if not kept.all():
+            found = refine(found.poles[kept], channels)
+        if best is None or found.chi2 < best.chi2 - _cost(channels):
+            best, idle = found, 0
+        else:
+            idle += 1
+        new = further_poles(found, channels)
+        if not len(new) or idle > 2:
+            break
+        found = refine(np.concatenate([found.poles, new]), channels)
+    for _ in range(4):
+        kept = _worth_keeping(found, channels)
+        if kept.all():
+            break
+        found = refine(found.poles[kept], channels)
+    if best is not None and best.chi2 < found.chi2 - _cost(channels) and _worth_keeping(best, channels).all():
+        found = best
+    order = np.argsort(np.abs(found.poles))
+    return project(found.poles[order], channels)[0]
+
+
+def _cost(channels: Channels) -> float:
+    """Chi-square that noise alone would gain a further mode."""
+    return float(scipy.stats.chi2.isf(CHANCE, 2 + 2 * channels.data.shape[1]))
+
+
+def misfit(found: Projected, channels: Channels) -> float:
+    """Chi-square per sample beyond which noise does not go; at least 1."""
+    unknowns = found.linear.shape[0] * found.linear.shape[1] + 2 * len(found.poles)
+    return max(1.0, found.chi2 / max(channels.samples - unknowns, 1))
+
+
+def mode_gains(found: Projected) -> np.ndarray:
+    """Chi-square that each mode explains with all others kept, shape ``(n,)``."""
+    out = np.zeros(len(found.poles))
+    for k in range(len(found.poles)):
+        block = found.linear[:, 2 * k : 2 * k + 2, 2 * k : 2 * k + 2]
+        a = np.stack([found.residues[k].real, found.residues[k].imag], axis=1)
+        out[k] = np.einsum("ci,cij,cj->", a, np.linalg.inv(block + 1e-300 * np.eye(2)), a)
+    return out
+
+
+def _worth_keeping(found: Projected, channels: Channels) -> np.ndarray:
+    size = np.abs(found.poles)
+    if not len(size):
+        return np.zeros(0, bool)
+    low, high = np.abs(channels.s[[0, -1]])
+    inside = (size > low * (1 - BEYOND)) & (size < high * (1 + BEYOND)) & (-found.poles.real < HEAVY * size)
+    step = np.median(np.diff(np.abs(channels.s)))
+    inside &= -found.poles.real > 0.01 * step
+    if not inside.all():
+        return inside
+    enough = mode_gains(found) > _cost(channels) * misfit(found, channels)
+    if enough.all():
+        return enough
+    kept = np.ones(len(size), bool)
+    kept[int(np.argmin(mode_gains(found)))] = False
+    return kept
+
+
+def further_poles(found: Projected, channels: Channels) -> np.ndarray:
+    """Poles that the residual asks for."""
+    rest = channels.weight * (channels.data - found.made(channels))
+    s = channels.s
+    step = max(1, len(s) // CANDIDATES)
+    grid = np.abs(s[::step])
+    spacing = np.median(np.diff(np.abs(s)))
+    best, where = np.zeros(len(grid)), np.zeros(len(grid), complex)
+    plain = replace(channels, outside=np.zeros(0, complex))
+    for zeta in DAMPINGS:
+        poles = -np.maximum(zeta * grid, 0.5 * spacing) + 1j * grid
+        gain = np.zeros(len(grid))
+        for part in np.array_split(np.arange(len(grid)), max(1, len(grid) * len(s) // 1_000_000)):
+            columns = plain.kernels(poles[part])
+            g = (columns.real.T @ rest.real + columns.imag.T @ rest.imag).reshape(len(part), 2, -1)
+            own = (np.abs(columns) ** 2).T @ channels.weight
+            own = own.reshape(len(part), 2, -1)
+            across = (columns[:, ::2].conj() * columns[:, 1::2]).real.T @ channels.weight
+            det = np.maximum(own[:, 0] * own[:, 1] - across**2, 1e-3 * own[:, 0] * own[:, 1])
+            det = np.maximum(det, 1e-300)
+            top = g[:, 0] ** 2 * own[:, 1] - 2 * g[:, 0] * g[:, 1] * across + g[:, 1] ** 2 * own[:, 0]
+            gain[part] = (top / det).sum(axis=1)
+        better = gain > best
+        best[better], where[better] = gain[better], poles[better]
+    least = _cost(channels) * misfit(found, channels)
+    padded = np.concatenate([[0.0], best, [0.0]])
+    peak = (padded[1:-1] >= padded[:-2]) & (padded[1:-1] > padded[2:]) & (best > max(least, AT_ONCE * best.max()))
+    chosen: list[complex] = []
+    for k in np.argsort(-best):
+        apart = all(abs(where[k] - x) > 3 * max(abs(x.real), spacing) for x in chosen)
+        if peak[k] and apart:
+            chosen.append(complex(where[k]))
+    return np.array(chosen[:12], complex)

@@ -1,0 +1,104 @@
+r"""All causes at all places at once, linearised where the inaccuracy alone explains the measurement.
+
+About the simulation itself a score means nothing once modes have moved by several bandwidths. But a cause is only a
+particular change of the matrices, and the general inaccuracy can make nearly any: fitted without a cause it stands where
+the data are, and from there each cause is told by how much likelier it makes the change that was needed.
+"""
+
+import numpy as np
+
+from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.features import paired, values_of
+from modalax.diagnose.modal_domain.fit import Fit
+from modalax.diagnose.modal_domain.state import Setting, screening_slopes, slopes_at, state_at
+
+SIZES = (0.03, 0.1, 0.25, 0.5, 0.9, 2.0)  # of a change over its usual size, either sign
+TOLERANT = 3.0  # times the usual inaccuracy that finite changes are screened with
+
+
+def finite(setting: Setting, candidates: list[Change]) -> tuple[np.ndarray, np.ndarray]:
+    r"""The same by finite changes of the simulation itself: least :math:`r^T\Sigma^{-1}r + u^2` of each, and its size.
+
+    Damping is taken mode by mode, which is exact enough to rank.
+    """
+    c, f, a = setting.coordinates, setting.features, setting.inaccuracy
+    state = state_at(setting, np.zeros(len(a.group_of)))
+    W = slopes_at(setting, state) * (TOLERANT * a.usual)[a.group_of]
+    L = np.linalg.cholesky(np.eye(W.shape[1]) + W.T @ W)
+    shrink = np.linalg.solve(L, W.T)
+
+    def distance(poles: np.ndarray, residues: np.ndarray) -> float:
+        pairs = paired(f, poles, residues)
+        r = setting.whitener @ (f.values - values_of(poles[pairs], residues[pairs] / f.units, f.tangent)).ravel()
+        h = shrink @ r
+        return float(r @ r - h @ h)
+
+    sizes = np.array([-s for s in SIZES[::-1]] + [*SIZES])
+    best, where = np.full(len(candidates), np.inf), np.zeros(len(candidates))
+    for k, cause in enumerate(candidates):
+        if cause.kind:
+            for u, poles, plain in _changed(setting, cause, sizes):
+                value = distance(poles, plain) + u**2
+                if value < best[k]:
+                    best[k], where[k] = value, u
+        else:
+            for u in sizes if cause.sized else (1.0,):
+                plain = cause.transform(u, state.modes.poles, state.plain)
+                value = distance(state.modes.poles, plain) + (u**2 if cause.sized else 0.0)
+                if value < best[k]:
+                    best[k], where[k] = value, u
+    return best, where
+
+
+def _changed(setting: Setting, cause: Change, sizes: np.ndarray) -> list[tuple[float, np.ndarray, np.ndarray]]:
+    """Size, poles and residues of the simulation with each size of a change of rank one."""
+    c = setting.coordinates
+    b = cause.direction
+    assert b is not None
+    m, count = c.solved, c.size
+    change = np.outer(b, b)
+    sizes = sizes[(sizes * cause.scale * float(b @ b) > -0.95) | (cause.kind != "M")]
+    if cause.kind == "C":
+        w = np.broadcast_to(c.frequencies[:m], (len(sizes), m))
+        Q = np.broadcast_to(np.eye(count)[:, :m], (len(sizes), count, m))
+    else:
+        A = np.diag(c.frequencies**2)
+        if cause.kind == "K":
+            stack = A + (sizes * cause.scale)[:, None, None] * change
+            values, Q = np.linalg.eigh(stack)
+        else:
+            # (I + a b b')^{-1/2} = I + g b b' with 1 + g b'b = (1 + a b'b)^{-1/2}
+            size = float(b @ b)
+            g = (1 / np.sqrt(1 + sizes * cause.scale * size) - 1) / size
+            half = np.eye(count) + g[:, None, None] * change
+            values, Q = np.linalg.eigh(half @ A @ half)
+            Q = half @ Q
+        w, Q = np.sqrt(np.maximum(values[:, :m], 1e-6)), Q[:, :, :m]
+    own = np.einsum("knr,nm,kmr->kr", Q, c.damping, Q, optimize=True)
+    if cause.kind == "C":
+        own = own + (sizes * cause.scale)[:, None] * b[:m] ** 2
+    own = np.clip(own, 1e-6 * w, 1.9 * w)
+    poles = -own / 2 + 1j * np.sqrt(w**2 - own**2 / 4)
+    out, inn = c.outputs @ Q, c.inputs @ Q
+    plain = np.einsum("kom,kim->kmoi", out, inn) / (2j * poles.imag)[:, :, None, None]
+    return [(float(u), p, r) for u, p, r in zip(sizes, poles, plain, strict=True)]
+
+
+def scores(setting: Setting, f: Fit, candidates: list[Change]) -> tuple[np.ndarray, np.ndarray]:
+    """Gain of log evidence by each candidate beside a fit, and its size over the usual one; -inf where it has none."""
+    J = slopes_at(setting, f.state, f.causes, f.u)
+    x = np.concatenate([f.sizes, f.u])
+    s = np.concatenate([f.epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
+    target = f.state.difference + J @ x
+    W = J * s
+    L = np.linalg.cholesky(np.eye(len(s)) + W.T @ W)
+    half = np.linalg.solve(L, W.T)
+    G = screening_slopes(setting, f.state, candidates, f.causes, f.u)
+    apart = half @ G
+    product = G.T @ target - apart.T @ (half @ target)
+    energy = np.maximum((G**2).sum(axis=0) - (apart**2).sum(axis=0), 0.0)
+    gain = 0.5 * product**2 / (1 + energy) - 0.5 * np.log1p(energy)
+    size = product / (1 + energy)
+    unsized = np.array([not c.sized for c in candidates])
+    gain[unsized] = -np.inf
+    return gain, size
