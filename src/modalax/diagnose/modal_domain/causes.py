@@ -4,8 +4,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from modalax.diagnose.modal_domain.coordinates import Coordinates
-
 KIND_OF = {"added_mass": "M", "joint_stiffness": "K", "local_damper": "C"}
 
 
@@ -21,6 +19,8 @@ class Change:
         Usual size, the standard deviation before the data, in the unit of the cause.
     direction
         Of a local change ``b b'``, in modal coordinates, shape ``(n,)``.
+    pattern
+        Of a change of a whole element instead, shape ``(n, n)``; its size is relative.
     channel
         Of a channel's fault: axis (0 output, 1 input) and number; for two outputs exchanged both numbers.
     weight
@@ -31,6 +31,7 @@ class Change:
     where: tuple[str, ...]
     scale: float = 1.0
     direction: np.ndarray | None = field(default=None, compare=False)
+    pattern: np.ndarray | None = field(default=None, compare=False)
     channel: tuple[int, ...] = ()
     weight: float = 1.0
 
@@ -43,6 +44,14 @@ class Change:
     def sized(self) -> bool:
         """Whether it has a size; a sign or a swap has none."""
         return self.slug not in ("channel_sign", "channel_swap")
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """Change of the matrix of its kind by its usual size, in modal coordinates."""
+        if self.pattern is not None:
+            return self.scale * self.pattern
+        assert self.direction is not None, "a channel's fault changes no matrix"
+        return self.scale * np.outer(self.direction, self.direction)
 
     def transform(self, u: float, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
         """Residues ``(k, o, i)`` as this fault of a channel shows them."""

@@ -13,7 +13,7 @@ import scipy.linalg
 from modalax.model import Structure
 
 LARGEST = 90  # modal coordinates kept of large simulations, besides what the band needs
-FURTHER = 10  # modes above the band that are solved with their damping
+FURTHER, AT_LEAST = 10, 45  # modes above the band, and in all, that are solved with their damping
 REPEATED = 1e-6  # relative distance of two poles below which they count as repeated in derivatives
 
 
@@ -80,7 +80,7 @@ def coordinates_of(
     damping = shapes.T @ C @ shapes + (shapes.T @ D @ shapes) / rate[:, None] / rate
     rows, columns = ([simulation.index(name) for name in names] for names in (outputs, inputs))
     return Coordinates(
-        frequencies, damping, shapes, shapes[rows], shapes[columns], min(kept, inside + FURTHER)
+        frequencies, damping, shapes, shapes[rows], shapes[columns], min(kept, max(inside + FURTHER, AT_LEAST))
     )  # fmt: skip
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from modalax.data.dofs import parse_dof
 
 NEGLIGIBLE = 1e-7  # size of a coupling, relative to the diagonal, below which there is none
+MANY = 7  # coupled nodes, itself among them, beyond which a node's elements cannot be told apart
 AXES = ("X", "Y", "Z", "RX", "RY", "RZ")
 # Names such as 12z, n3_ry or 12.RX, besides those written 12:+Z
 _SHORT = re.compile(r"(?P<node>.*?[^A-Za-z]|[A-Za-z]+?)[_.\- ]?(?P<direction>[rR]?[xyzXYZ])")
@@ -41,6 +42,30 @@ class Nodes:
     members: list[np.ndarray]
     axis: np.ndarray
     sign: np.ndarray
+
+    def hinges(self, K: np.ndarray) -> dict[int, int]:
+        """Nodes with rotations alone, and the node whose displacements each shares.
+
+        It is the one whose displacements, and not its rotations, go with all that the rotations are coupled to.
+        """
+        size = np.sqrt(np.maximum(np.abs(np.diag(K)), 1e-300))
+        unit = np.abs(K) / size[:, None] / size > NEGLIGIBLE
+        joined = lambda a, b: bool(len(a) and len(b) and unit[np.ix_(a, b)].any())  # noqa: E731
+        moves = [m[(self.axis[m] >= 0) & (self.axis[m] < 3)] for m in self.members]
+        turns = [m[self.axis[m] > 2] for m in self.members]
+        out = {}
+        for b in range(len(self.members)):
+            if len(moves[b]) or not len(turns[b]):
+                continue
+            near = [k for k in range(len(self.members)) if k != b and joined(self.members[k], turns[b])]
+            for a in near:
+                others = [c for c in near if c != a and len(moves[c])]
+                if others and joined(turns[a], turns[b]) and all(
+                    joined(moves[a], self.members[c]) and not joined(turns[a], self.members[c]) for c in others
+                ):
+                    out[b] = a
+                    break
+        return out
 
 
 def nodes_of(dofs: tuple[str, ...]) -> Nodes:
@@ -73,25 +98,58 @@ def stiffness_parts(K: np.ndarray, nodes: Nodes) -> list[Part]:
     """Parts that sum to a symmetric matrix: one a pair of coupled nodes, one a supported node."""
     parts, rest = [], K.copy()
     diagonal = np.sqrt(np.maximum(np.abs(np.diag(K)), 1e-300))
-    unit = np.abs(K) / diagonal[:, None] / diagonal
-    for i, a in enumerate(nodes.members):
-        for j in range(i):
-            b = nodes.members[j]
-            if unit[np.ix_(a, b)].max() < NEGLIGIBLE:
-                continue
-            block = K[np.ix_(a, b)]
-            signs = nodes.sign[a][:, None] * nodes.sign[b]
-            own_a, own_b = _ends(block * signs, nodes.axis[a], nodes.axis[b], diagonal[a], diagonal[b])
-            own_a, own_b = (own * nodes.sign[x][:, None] * nodes.sign[x] for own, x in ((own_a, a), (own_b, b)))
-            matrix = np.block([[own_a, block], [block.T, own_b]])
-            dofs = np.concatenate([a, b])
-            parts.append(Part((i, j), dofs, matrix))
-            rest[np.ix_(dofs, dofs)] -= matrix
+    hinges = nodes.hinges(K)
+
+    def ends_of(i: int, j: int) -> np.ndarray:
+        """DoFs of node i as an element to node j sees them."""
+        mine = nodes.members[i]
+        if i not in hinges:
+            return mine
+        host = nodes.members[hinges[i]]
+        return mine if hinges[i] == j else np.concatenate([host[nodes.axis[host] < 3], mine])
+
+    # elements that end at a hinge first: they take with them what seems to go from its host
+    pairs = [(i, j) for i in range(len(nodes.members)) for j in range(i)]
+    for i, j in sorted(pairs, key=lambda p: not (p[0] in hinges or p[1] in hinges)):
+        a, b = ends_of(i, j), ends_of(j, i)
+        if hinges.get(i) == j or hinges.get(j) == i:
+            a, b = (x[nodes.axis[x] > 2] for x in (nodes.members[i], nodes.members[j]))
+        if (i in hinges and not _joined(K, nodes.members[i], b)) or (j in hinges and not _joined(K, nodes.members[j], a)):
+            continue
+        block = rest[np.ix_(a, b)]
+        if (np.abs(block) / diagonal[a][:, None] / diagonal[b]).max() < NEGLIGIBLE or len(set(a) & set(b)):
+            continue
+        signs = nodes.sign[a][:, None] * nodes.sign[b]
+        own_a, own_b = _ends(block * signs, nodes.axis[a], nodes.axis[b], diagonal[a], diagonal[b])
+        own_a, own_b = (own * nodes.sign[x][:, None] * nodes.sign[x] for own, x in ((own_a, a), (own_b, b)))
+        matrix = np.block([[own_a, block], [block.T, own_b]])
+        dofs = np.concatenate([a, b])
+        rest[np.ix_(dofs, dofs)] -= matrix
+        parts += _springs_of((i, j), dofs, matrix) or [Part((i, j), dofs, matrix)]
     for i, a in enumerate(nodes.members):
         block = rest[np.ix_(a, a)]
         if (np.abs(block) / diagonal[a][:, None] / diagonal[a]).max() > NEGLIGIBLE:
             parts.append(Part((i,), a, (block + block.T) / 2))
     return parts
+
+
+def _joined(K: np.ndarray, a: np.ndarray, b: np.ndarray) -> bool:
+    size = np.sqrt(np.maximum(np.abs(np.diag(K)), 1e-300))
+    return bool((np.abs(K[np.ix_(a, b)]) / size[a][:, None] / size[b]).max(initial=0.0) > NEGLIGIBLE)
+
+
+def _springs_of(nodes: tuple[int, int], dofs: np.ndarray, matrix: np.ndarray) -> list[Part]:
+    """One part a spring where two nodes are joined by nothing else than springs from DoF to DoF; else none."""
+    half = len(dofs) // 2
+    block = -matrix[:half, half:] if len(dofs) == 2 * half else np.zeros((0, 0))
+    size = np.abs(matrix).max()
+    alike = block.size and np.abs(block - np.diag(np.diag(block))).max() < NEGLIGIBLE * size
+    if not alike or np.abs(matrix[:half, :half] - block).max() > NEGLIGIBLE * size:
+        return []
+    unit = np.array([[1.0, -1.0], [-1.0, 1.0]])
+    return [
+        Part(nodes, dofs[[k, half + k]], block[k, k] * unit) for k in range(half) if abs(block[k, k]) > NEGLIGIBLE * size
+    ]
 
 
 def _ends(block: np.ndarray, a: np.ndarray, b: np.ndarray, size_a: np.ndarray, size_b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -134,3 +192,26 @@ def mass_parts(M: np.ndarray, nodes: Nodes) -> list[Part]:
         if coupling[i].sum() == 0:
             parts.append(Part((i,), a, M[np.ix_(a, a)]))
     return parts
+
+
+def local_parts(A: np.ndarray) -> list[Part]:
+    r"""Parts of a matrix whose elements cannot be read off it, as after a condensation: one a degree of freedom.
+
+    :math:`A = F^T F` with ``F`` the symmetric root, whose rows are local: of a plate, its curvature about a point.
+    Every part :math:`f f^T` is as free of stiffness against rigid motions as the whole.
+    """
+    size = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    values, vectors = np.linalg.eigh(A / size[:, None] / size)
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T * size
+    every = np.arange(len(A))
+    return [Part((k,), every, np.outer(f, f)) for k, f in enumerate(root)]
+
+
+def parts_of(A: np.ndarray, nodes: Nodes, mass: bool = False) -> list[Part]:
+    """Parts of a stiffness or mass matrix: its elements where these can be read off, else local ones."""
+    diagonal = np.sqrt(np.maximum(np.abs(np.diag(A)), 1e-300))
+    unit = np.abs(A) / diagonal[:, None] / diagonal > NEGLIGIBLE
+    neighbours = [sum(bool(unit[np.ix_(a, b)].any()) for b in nodes.members) for a in nodes.members]
+    if np.median(neighbours) > MANY:
+        return local_parts(A)
+    return mass_parts(A, nodes) if mass else stiffness_parts(A, nodes)

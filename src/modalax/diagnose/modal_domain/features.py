@@ -14,7 +14,7 @@ import scipy.optimize
 from modalax.diagnose.modal_domain.projection import Projected
 
 # Deviations below which a feature says nothing about a model: ln frequency, ln damping, ln size, shape.
-FLOOR = (1e-4, 0.01, 4e-3, 2e-3)
+FLOOR = (2e-6, 2e-4, 1e-4, 5e-5)
 CLOSE = 0.25  # change of ln frequency that counts as much against a pair of modes as shapes at right angles
 SMEARED = 0.05  # standard deviation of ln frequency beyond which a mode is too uncertain to compare
 
@@ -78,7 +78,7 @@ def chosen(f: Features, which: np.ndarray) -> Features:
 
 def sure(f: Features) -> np.ndarray:
     """Which modes are known well enough to compare."""
-    std = np.sqrt(np.diag(f.covariance)).reshape(f.values.shape)
+    std = np.sqrt(np.maximum(np.diag(f.covariance), 0.0)).reshape(f.values.shape)
     return std[:, 0] < SMEARED
 
 

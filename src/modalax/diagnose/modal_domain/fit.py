@@ -14,6 +14,7 @@ from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.state import Setting, State, slopes_at, state_at
 
 TEMPERATURES = (100.0, 10.0, 3.0)  # widening of the features' covariance in the first steps of a fit
+LEARNING = 10.0  # greatest of these at which the sizes of the inaccuracy are learnt: far off, all seems inaccurate
 LAST = 12  # most steps at the true covariance
 SETTLED = 0.02  # change of log evidence at which a fit has ended
 SMALLEST = 1e-5  # least size of an inaccuracy: what no structure is known better to
@@ -129,7 +130,7 @@ def fit(
         for temperature in temperatures:
             for _ in range(3):
                 linear = _Linear(setting, state, causes, sizes, u)
-                epsilon = linear.learnt(epsilon, temperature, 2)
+                epsilon = linear.learnt(epsilon, temperature, 2) if temperature <= LEARNING else epsilon
                 x, _, _ = linear.solve(epsilon, temperature)
                 state, sizes, u, moved = _step(setting, causes, state, sizes, u, x, linear.prior(epsilon), temperature)
                 if moved < 0.5:

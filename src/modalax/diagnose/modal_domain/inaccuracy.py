@@ -10,15 +10,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from modalax.diagnose.modal_domain.coordinates import Coordinates
-from modalax.diagnose.modal_domain.elements import mass_parts, nodes_of, stiffness_parts
+from modalax.diagnose.modal_domain.elements import nodes_of, parts_of
 from modalax.model import Structure
 
 # Sizes where nothing is claimed, and the spread of their logarithms. Frequencies of finite-element models are off by
 # 1 to 5 % before updating and by 0.1 to 1 % after it (Mottershead and Friswell 1993; Simoen, De Roeck and Lombaert
 # 2015), damping ratios by 30 % and more.
 USUAL = {"stiffness": 0.01, "mass": 0.005, "damping": 0.3}
-UNKNOWN = 1.2
-CLAIMED = 0.5  # of a size that the author claims, who may well be out by a factor of two
+UNKNOWN = 2.0
+CLAIMED = 0.7  # of a size that the author claims, who may well be out by a factor of two
+RIGID = 1e-3  # frequency, relative to the highest, below which a mode is that of a rigid body
 BETWEEN = 0.1  # damping between modes, relative to that of the modes themselves
 KINDS = {"stiffness": "K", "mass": "M", "damping": "C"}
 
@@ -55,13 +56,13 @@ def inaccuracy_of(simulation: Structure, c: Coordinates, highest: float) -> Inac
     """Patterns of a structure whose band ends at ``highest`` [rad/s]."""
     M, K = np.asarray(simulation.M), np.asarray(simulation.K)
     nodes = nodes_of(simulation.dofs)
-    stiffness = np.stack([c.shapes[p.dofs].T @ p.matrix @ c.shapes[p.dofs] for p in stiffness_parts(K, nodes)])
-    mass = np.stack([c.shapes[p.dofs].T @ p.matrix @ c.shapes[p.dofs] for p in mass_parts(M, nodes)])
+    stiffness = np.stack([c.shapes[p.dofs].T @ p.matrix @ c.shapes[p.dofs] for p in parts_of(K, nodes)])
+    mass = np.stack([c.shapes[p.dofs].T @ p.matrix @ c.shapes[p.dofs] for p in parts_of(M, nodes, mass=True)])
     claims = {"stiffness": _claim(simulation, "stiffness_std"), "mass": _claim(simulation, "mass_std"),
               "damping": _claim(simulation, "damping_std")}  # fmt: skip
     frequency = _claim(simulation, "frequency_std")
     if frequency > 0 and claims["stiffness"] == 0:
-        inside = c.frequencies < highest
+        inside = (c.frequencies < highest) & (c.frequencies > RIGID * highest)
         share = np.einsum("pkk->kp", stiffness)[inside] / np.maximum(c.frequencies[inside, None] ** 2, 1e-300)
         moved = np.median(np.sqrt((share**2).sum(axis=1))) if inside.any() else 1.0
         claims["stiffness"] = 1.9 * frequency / max(moved, 1e-3)  # a third of it in mass takes the rest
@@ -77,7 +78,7 @@ def inaccuracy_of(simulation: Structure, c: Coordinates, highest: float) -> Inac
 
 
 def _claim(simulation: Structure, name: str) -> float:
-    value = np.asarray(getattr(simulation, name, 0.0), float)
+    value = np.asarray(0.0 if getattr(simulation, name) is None else getattr(simulation, name), float)
     return float(np.sqrt(np.mean(value**2))) if value.size else 0.0
 
 

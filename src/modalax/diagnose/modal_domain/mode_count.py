@@ -11,9 +11,12 @@ CHANCE = 1e-8  # chance of a mode that is only noise
 DAMPINGS = (0.002, 0.007, 0.025)  # damping ratios that further modes are looked for at: light to welded structures
 HEAVY = 0.2  # damping ratio above which a pole is background and no mode
 CANDIDATES = 1500  # frequencies that further modes are looked for at
+COARSE = 6  # steps of a refinement while modes are still added and dropped
 ROUNDS = 16  # most rounds of adding and dropping
 AT_ONCE = 0.1  # share of the best candidate's gain from which others are added in the same round
-BEYOND = 0.01  # part of the band's ends by which a mode may lie outside
+BEYOND = 0.1  # part of the band's ends by which a mode may lie outside
+MOST = 80  # modes in one band
+LINES = 4  # fewest lines a mode
 
 
 def blind_modes(channels: Channels, start: np.ndarray | None = None) -> Projected:
@@ -29,22 +32,25 @@ def blind_modes(channels: Channels, start: np.ndarray | None = None) -> Projecte
     for _ in range(ROUNDS):
         kept = _worth_keeping(found, channels)
         if not kept.all():
-            found = refine(found.poles[kept], channels)
+            found = refine(found.poles[kept], channels, COARSE)
         if best is None or found.chi2 < best.chi2 - _cost(channels):
             best, idle = found, 0
         else:
             idle += 1
         new = further_poles(found, channels)
-        if not len(new) or idle > 2:
+        most = min(MOST, len(channels.s) // LINES)
+        if not len(new) or idle > 1 or len(found.poles) >= most:
             break
-        found = refine(np.concatenate([found.poles, new]), channels)
+        new = new[: most - len(found.poles)]
+        found = refine(np.concatenate([found.poles, new]), channels, COARSE)
+    if best is not None and best.chi2 < found.chi2:
+        found = best
+    found = refine(found.poles, channels)
     for _ in range(4):
         kept = _worth_keeping(found, channels)
         if kept.all():
             break
         found = refine(found.poles[kept], channels)
-    if best is not None and best.chi2 < found.chi2 - _cost(channels) and _worth_keeping(best, channels).all():
-        found = best
     order = np.argsort(np.abs(found.poles))
     return project(found.poles[order], channels)[0]
 

@@ -1,17 +1,22 @@
 """Every cause at every place that the simulation's own topology has."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import Coordinates
-from modalax.diagnose.modal_domain.elements import Nodes, nodes_of
+from modalax.diagnose.modal_domain.elements import Nodes, nodes_of, parts_of
 from modalax.model import Structure
 
 COUPLED = 1e-6  # size of an element of K, relative to the diagonal, from which two DoFs are coupled
 GAIN, DELAY = 0.3, 3e-2  # usual error of a channel's gain; of a delay, as phase at the highest mode over pi
 LUMP = 0.3  # usual lumped mass, relative to the modal masses seen from its place
+JOINT = 0.4  # usual relative error of a joint or element that is wrong
+HELD, SUPPORTED = 6, 1e-3  # most DoFs of one support, and its least stiffness relative to all that holds the DoF
+# Chances of places of springs and dampers relative to each other, each shared out among its places
+SHARES = {"named": 0.4, "spring": 0.3, "element": 0.2, "support": 0.15, "coupled": 0.05, "ground": 0.05}
 UNLIKELY = 0.05  # weight of a pair of unlike directions, or of a rotation's inertia
 
 
@@ -39,6 +44,7 @@ def candidates_of(
             continue
         out.append(Change("joint_stiffness", where, stiffness, b, weight=weight))
         out.append(Change("local_damper", where, float(own.mean()) / mobile, b, weight=weight))
+    out += _elements(simulation, c, nodes)
     out += [Change("channel_gain", (n,), GAIN, channel=(0, k)) for k, n in enumerate(outputs)]
     out += [Change("channel_sign", (n,), channel=(0, k)) for k, n in enumerate(outputs)]
     out += [Change("force_gain", (n,), GAIN, channel=(1, k)) for k, n in enumerate(inputs)]
@@ -50,30 +56,51 @@ def candidates_of(
     return out
 
 
+def _elements(simulation: Structure, c: Coordinates, nodes: Nodes) -> list[Change]:
+    """Whole elements softer or stiffer; told at the pair of DoFs that they couple most."""
+    K = np.asarray(simulation.K)
+    size = np.sqrt(np.maximum(np.diag(K), 1e-300))
+    out = []
+    for part in (p for p in parts_of(K, nodes) if len(p.nodes) == 2 and len(p.dofs) > 2):
+        a, b = (np.intersect1d(nodes.members[k], part.dofs) for k in part.nodes)
+        if not len(a) or not len(b):
+            continue
+        unit = np.abs(K[np.ix_(a, b)]) / size[a][:, None] / size[b] * (nodes.axis[a][:, None] == nodes.axis[b])
+        i, j = np.unravel_index(np.argmax(unit), unit.shape)
+        where = simulation.dofs[a[i]], simulation.dofs[b[j]]
+        pattern = c.shapes[part.dofs].T @ part.matrix @ c.shapes[part.dofs]
+        out.append(Change("joint_stiffness", where, JOINT, pattern=pattern, weight=1.0))
+    return [replace(e, weight=SHARES["element"] / len(out)) for e in out]
+
+
 def _springs(
     simulation: Structure, c: Coordinates, nodes: Nodes, pairs: list[tuple[str, str]] | None
 ) -> list[tuple[tuple[str, ...], np.ndarray, float, float]]:
-    """Place, direction, usual stiffness and weight of springs: named pairs, coupled DoFs, and each DoF to ground."""
+    """Place, direction, usual change of stiffness and weight of springs.
+
+    Likeliest are the pairs that the simulation names and its own springs and supports, then other coupled DoFs and
+    each DoF to ground.
+    """
     K, dofs = np.asarray(simulation.K), simulation.dofs
     size = np.sqrt(np.maximum(np.diag(K), 1e-300))
     unit = np.abs(K) / size[:, None] / size
     asked = {frozenset(p) for p in pairs or ()}
-    named, coupled, ground = [], [], []
+    parts = parts_of(K, nodes)
+    own = {frozenset(p.dofs) for p in parts if len(p.nodes) == 2 and len(p.dofs) == 2}
+    held = {int(k): p.matrix[j, j] for p in parts if len(p.nodes) == 1 and len(p.dofs) <= HELD for j, k in enumerate(p.dofs)}
+    groups: dict[str, list] = {key: [] for key in SHARES}
     for a, b in itertools.combinations(range(len(dofs)), 2):
-        mine = frozenset((dofs[a], dofs[b])) in asked
-        if not mine and unit[a, b] < COUPLED:
-            continue
-        alike = nodes.axis[a] == nodes.axis[b]
-        if not mine and not alike:
+        key = "named" if frozenset((dofs[a], dofs[b])) in asked else "spring" if {a, b} in own else "coupled"
+        if key == "coupled" and (unit[a, b] < COUPLED or nodes.axis[a] != nodes.axis[b]):
             continue
         stiffness = abs(K[a, b]) if unit[a, b] > 1e-3 else min(K[a, a], K[b, b])
-        entry = (dofs[a], dofs[b]), c.shapes[a] - c.shapes[b], stiffness
-        (named if mine else coupled).append(entry)
+        groups[key].append(((dofs[a], dofs[b]), c.shapes[a] - c.shapes[b], JOINT * stiffness, 1.0))
     for a, name in enumerate(dofs):
-        ground.append(((name,), c.shapes[a], K[a, a], UNLIKELY if nodes.axis[a] > 2 else 1.0))
-    shares = (0.7, 0.2, 0.1) if named else (0.0, 0.8, 0.2)
+        supported = held.get(a, 0.0) > SUPPORTED * K[a, a]
+        entry = (name,), c.shapes[a], JOINT * (held[a] if supported else K[a, a])
+        groups["support" if supported else "ground"].append((*entry, UNLIKELY if nodes.axis[a] > 2 else 1.0))
     out = []
-    for share, group in zip(shares, (named, coupled, ground), strict=True):
-        total = sum(g[3] if len(g) > 3 else 1.0 for g in group)
-        out += [(g[0], g[1], float(g[2]), share * (g[3] if len(g) > 3 else 1.0) / total) for g in group]
+    for key, group in groups.items():
+        total = sum(g[3] for g in group)
+        out += [(where, b, float(k), SHARES[key] * weight / total) for where, b, k, weight in group]
     return out

@@ -13,6 +13,7 @@ import scipy.linalg
 
 STEPS = 25  # most Gauss-Newton steps of one refinement
 SETTLED = 1e-3  # decrease of chi-square per number of poles' parameters at which a refinement has ended
+WIDEST = 1e6  # damping of a step, relative to the information, at which there is no way on
 BLOCK = 2e7  # numbers that the products of columns may take at once
 
 
@@ -158,7 +159,13 @@ def refine(poles: np.ndarray, channels: Channels, steps: int = STEPS) -> Project
     for _ in range(steps):
         scale = np.sqrt(np.maximum(np.diag(found.information), 1e-300))
         unit = found.information / scale[:, None] / scale
-        step = scipy.linalg.solve(unit + damping * np.eye(len(unit)), gradient / scale, assume_a="pos") / scale
+        try:
+            step = scipy.linalg.solve(unit + damping * np.eye(len(unit)), gradient / scale, assume_a="pos") / scale
+        except np.linalg.LinAlgError:  # two poles on top of each other
+            damping = 100 * damping
+            if damping > WIDEST:
+                break
+            continue
         # a step of more than a half-bandwidth leaves what the derivatives know
         parts = step.reshape(-1, 2) @ np.array([1, 1j])
         half = np.abs(found.poles.real)
@@ -173,6 +180,6 @@ def refine(poles: np.ndarray, channels: Channels, steps: int = STEPS) -> Project
                 break
         else:
             damping *= 10
-            if damping > 1e6:
+            if damping > WIDEST:
                 break
     return found

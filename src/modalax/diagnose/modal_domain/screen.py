@@ -6,13 +6,16 @@ the data are, and from there each cause is told by how much likelier it makes th
 """
 
 import numpy as np
+import scipy.optimize
 
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.features import paired, values_of
 from modalax.diagnose.modal_domain.fit import Fit
-from modalax.diagnose.modal_domain.state import Setting, screening_slopes, slopes_at, state_at
+from modalax.diagnose.modal_domain.state import Setting, State, screening_slopes, slopes_at, state_at
 
 SIZES = (0.03, 0.1, 0.25, 0.5, 0.9, 2.0)  # of a change over its usual size, either sign
+FACTORS = np.array([0.4, 0.6, 0.8, 1.0, 1.25, 1.6, 2.2])  # of a size, about which it is refined
+STILL = 1e-4  # least frequency of a mode, relative to the highest; a rigid body has none
 TOLERANT = 3.0  # times the usual inaccuracy that finite changes are screened with
 
 
@@ -21,11 +24,8 @@ def finite(setting: Setting, candidates: list[Change]) -> tuple[np.ndarray, np.n
 
     Damping is taken mode by mode, which is exact enough to rank.
     """
-    c, f, a = setting.coordinates, setting.features, setting.inaccuracy
-    state = state_at(setting, np.zeros(len(a.group_of)))
-    W = slopes_at(setting, state) * (TOLERANT * a.usual)[a.group_of]
-    L = np.linalg.cholesky(np.eye(W.shape[1]) + W.T @ W)
-    shrink = np.linalg.solve(L, W.T)
+    f = setting.features
+    state, shrink = _tolerance(setting)
 
     def distance(poles: np.ndarray, residues: np.ndarray) -> float:
         pairs = paired(f, poles, residues)
@@ -50,33 +50,67 @@ def finite(setting: Setting, candidates: list[Change]) -> tuple[np.ndarray, np.n
     return best, where
 
 
+def _tolerance(setting: Setting) -> tuple[State, np.ndarray]:
+    """The simulation as it is, and what takes the usual inaccuracy out of a whitened difference ``r``, by ``|shrink r|``."""
+    a = setting.inaccuracy
+    state = state_at(setting, np.zeros(len(a.group_of)))
+    W = slopes_at(setting, state) * (TOLERANT * a.usual)[a.group_of]
+    L = np.linalg.cholesky(np.eye(W.shape[1]) + W.T @ W)
+    return state, np.linalg.solve(L, W.T)
+
+
+def refined(setting: Setting, causes: list[Change], sizes: list[float]) -> list[float]:
+    """Sizes of least distance near those of :func:`finite`, with the damping in full."""
+    still = np.zeros(len(setting.inaccuracy.group_of))
+    _, shrink = _tolerance(setting)
+
+    def distance(u: float, cause: Change) -> float:
+        try:
+            r = state_at(setting, still, (cause,), np.array([u])).difference
+        except np.linalg.LinAlgError:
+            return np.inf
+        h = shrink @ r
+        return float(r @ r - h @ h) + u**2
+
+    out = []
+    for cause, u in zip(causes, sizes, strict=True):
+        if cause.sized and u != 0:
+            trials = u * FACTORS
+            best = int(np.argmin([distance(t, cause) for t in trials]))
+            low, high = trials[max(best - 1, 0)], trials[min(best + 1, len(trials) - 1)]
+            found = scipy.optimize.minimize_scalar(
+                distance, args=(cause,), bounds=sorted((low, high)), method="bounded", options={"maxiter": 12}
+            )
+            u = float(found.x) if np.isfinite(found.fun) else u
+        out.append(u)
+    return out
+
+
 def _changed(setting: Setting, cause: Change, sizes: np.ndarray) -> list[tuple[float, np.ndarray, np.ndarray]]:
     """Size, poles and residues of the simulation with each size of a change of rank one."""
     c = setting.coordinates
-    b = cause.direction
-    assert b is not None
     m, count = c.solved, c.size
-    change = np.outer(b, b)
-    sizes = sizes[(sizes * cause.scale * float(b @ b) > -0.95) | (cause.kind != "M")]
+    change = cause.matrix
+    size = float(np.trace(change))
+    if cause.kind == "M":
+        sizes = sizes[sizes * size > -0.95]
     if cause.kind == "C":
         w = np.broadcast_to(c.frequencies[:m], (len(sizes), m))
         Q = np.broadcast_to(np.eye(count)[:, :m], (len(sizes), count, m))
     else:
         A = np.diag(c.frequencies**2)
         if cause.kind == "K":
-            stack = A + (sizes * cause.scale)[:, None, None] * change
-            values, Q = np.linalg.eigh(stack)
+            values, Q = np.linalg.eigh(A + sizes[:, None, None] * change)
         else:
-            # (I + a b b')^{-1/2} = I + g b b' with 1 + g b'b = (1 + a b'b)^{-1/2}
-            size = float(b @ b)
-            g = (1 / np.sqrt(1 + sizes * cause.scale * size) - 1) / size
-            half = np.eye(count) + g[:, None, None] * change
+            # of rank one: (I + u B)^{-1/2} = I + g B, 1 + g t = (1 + u t)^{-1/2}, t the trace of B
+            half = np.eye(count) + ((1 / np.sqrt(1 + sizes * size) - 1) / size)[:, None, None] * change
             values, Q = np.linalg.eigh(half @ A @ half)
             Q = half @ Q
-        w, Q = np.sqrt(np.maximum(values[:, :m], 1e-6)), Q[:, :, :m]
+        w, Q = np.sqrt(np.maximum(values[:, :m], 0.0)), Q[:, :, :m]
+    w = np.maximum(w, STILL * c.frequencies[m - 1])
     own = np.einsum("knr,nm,kmr->kr", Q, c.damping, Q, optimize=True)
     if cause.kind == "C":
-        own = own + (sizes * cause.scale)[:, None] * b[:m] ** 2
+        own = own + sizes[:, None] * np.diag(change)[:m]
     own = np.clip(own, 1e-6 * w, 1.9 * w)
     poles = -own / 2 + 1j * np.sqrt(w**2 - own**2 / 4)
     out, inn = c.outputs @ Q, c.inputs @ Q
@@ -102,3 +136,24 @@ def scores(setting: Setting, f: Fit, candidates: list[Change]) -> tuple[np.ndarr
     unsized = np.array([not c.sized for c in candidates])
     gain[unsized] = -np.inf
     return gain, size
+
+
+def replaced(setting: Setting, f: Fit, which: int, candidates: list[Change]) -> tuple[np.ndarray, np.ndarray]:
+    """The same by each candidate in the stead of one cause of a fit, linearised where that fit stands."""
+    J = slopes_at(setting, f.state, f.causes, f.u)
+    x = np.concatenate([f.sizes, f.u])
+    s = np.concatenate([f.epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
+    target = f.state.difference + J @ x
+    keep = np.arange(len(s)) != len(f.sizes) + which
+    if not f.causes[which].sized:
+        return np.full(len(candidates), -np.inf), np.zeros(len(candidates))
+    W = (J * s)[:, keep]
+    L = np.linalg.cholesky(np.eye(W.shape[1]) + W.T @ W)
+    half = np.linalg.solve(L, W.T)
+    G = screening_slopes(setting, f.state, candidates, f.causes, f.u)
+    apart = half @ G
+    product = G.T @ target - apart.T @ (half @ target)
+    energy = np.maximum((G**2).sum(axis=0) - (apart**2).sum(axis=0), 0.0)
+    gain = 0.5 * product**2 / (1 + energy) - 0.5 * np.log1p(energy)
+    gain[[not c.sized for c in candidates]] = -np.inf
+    return gain, product / (1 + energy)

@@ -72,7 +72,7 @@ def changes_of(setting: Setting, sizes: np.ndarray, causes: tuple[Change, ...], 
         start += len(patterns)
     for cause, size in zip(causes, u, strict=True):
         if cause.kind:
-            out[cause.kind] += size * cause.scale * np.outer(cause.direction, cause.direction)
+            out[cause.kind] += size * cause.matrix
     return {f"d{kind}": value for kind, value in out.items()}
 
 
@@ -108,9 +108,8 @@ def slopes_at(setting: Setting, state: State, causes: tuple[Change, ...] = (), u
     columns = [_through(setting, state, t, causes, u, *part) for part in parts]
     for k, (cause, size) in enumerate(zip(causes, u, strict=True)):
         if cause.kind:
-            assert cause.direction is not None
-            moved = direction_slopes(t, cause.kind, cause.direction[None])
-            columns.append(cause.scale * _through(setting, state, t, causes, u, *moved))
+            moved = pattern_slopes(t, cause.kind, cause.matrix[None])
+            columns.append(_through(setting, state, t, causes, u, *moved))
         else:
             columns.append(_channel_slope(setting, state, t, causes, u, k))
     return setting.whitener @ np.concatenate(columns, axis=1)
@@ -124,12 +123,16 @@ def screening_slopes(
     t = slopes_of(setting.coordinates, state.modes, state.pairs)
     out = np.zeros((len(setting.whitener), len(candidates)))
     for kind in "KCM":
-        which = [k for k, c in enumerate(candidates) if c.kind == kind]
+        which = [k for k, c in enumerate(candidates) if c.kind == kind and c.pattern is None]
         for start in range(0, len(which), 200):
             some = which[start : start + 200]
             moved = direction_slopes(t, kind, np.stack([candidates[k].direction for k in some]))
             scales = np.array([candidates[k].scale for k in some])
             out[:, some] = _through(setting, state, t, causes, u, *moved) * scales
+        whole = [k for k, c in enumerate(candidates) if c.kind == kind and c.pattern is not None]
+        if whole:
+            moved = pattern_slopes(t, kind, np.stack([candidates[k].matrix for k in whole]))
+            out[:, whole] = _through(setting, state, t, causes, u, *moved)
     for k, c in enumerate(candidates):
         if not c.kind and c.sized:
             out[:, k] = _channel_slope(setting, state, t, (*causes, c), np.append(u, 0.0), len(causes))[:, 0]

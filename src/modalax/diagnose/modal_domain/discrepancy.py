@@ -1,0 +1,63 @@
+r"""What no element explains: small changes of mass and stiffness between any two modes, sized by evidence.
+
+Matrices off element by element still share what their author left out: another beam theory, a distributed joint. With
+mode shapes known to a thousandth such a rest is seen, and must not be taken for a cause. It is the non-parametric model
+of Soize (2000), :math:`\delta\,\omega_r\omega_s z_{rs}` in stiffness and :math:`\delta z_{rs}` in mass, added to the
+covariance of the features once its size is learnt.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from modalax.diagnose.modal_domain.coordinates import pattern_slopes, slopes_of
+from modalax.diagnose.modal_domain.fit import Fit
+from modalax.diagnose.modal_domain.state import Setting, _through, slopes_at
+
+SIZES = (0.0, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # relative sizes that are tried
+BESIDE = 8  # modes above the band that those inside may be coupled with
+ON_DIAGONAL = np.sqrt(1.5)  # of the mode itself, relative to a coupling
+BLOCK = 100  # patterns at once
+
+
+def rest_slopes(setting: Setting, f: Fit) -> np.ndarray:
+    """Whitened derivatives by all couplings, shape ``(m, p)``."""
+    c = setting.coordinates
+    inside = min(c.size, int(f.state.pairs.max(initial=0)) + 3)
+    couples = [(r, s) for r in range(inside) for s in range(r, min(c.size, inside + BESIDE))]
+    t = slopes_of(c, f.state.modes, f.state.pairs)
+    scale = np.maximum(c.frequencies, 0.05 * c.frequencies[inside - 1])
+    columns = []
+    for kind in "KM":
+        for start in range(0, len(couples), BLOCK):
+            some = couples[start : start + BLOCK]
+            patterns = np.zeros((len(some), c.size, c.size))
+            for k, (r, s) in enumerate(some):
+                size = (scale[r] * scale[s] if kind == "K" else 1.0) * (ON_DIAGONAL if r == s else 1.0)
+                patterns[k, r, s] = patterns[k, s, r] = size
+            moved = pattern_slopes(t, kind, patterns)
+            columns.append(_through(setting, f.state, t, f.causes, f.u, *moved))
+    return setting.whitener @ np.concatenate(columns, axis=1)
+
+
+def learnt_rest(setting: Setting, fits: list[Fit], priors: list[float]) -> tuple[Setting, float]:
+    """The setting with the rest of greatest evidence over some fits, and its size."""
+    best, size, chosen = -np.inf, 0.0, None
+    for f, prior in zip(fits, priors, strict=True):
+        J = slopes_at(setting, f.state, f.causes, f.u)
+        target = f.state.difference + J @ np.concatenate([f.sizes, f.u])
+        scale = np.concatenate([f.epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
+        W = J * scale
+        known = np.eye(len(target)) + W @ W.T
+        rest = rest_slopes(setting, f)
+        rest = rest @ rest.T
+        for trial in SIZES:
+            L = np.linalg.cholesky(known + trial**2 * rest)
+            z = np.linalg.solve(L, target)
+            value = -0.5 * float(z @ z) - np.log(np.diag(L)).sum() + prior
+            if value > best:
+                best, size, chosen = value, trial, rest
+    if size == 0.0 or chosen is None:
+        return setting, 0.0
+    L = np.linalg.cholesky(np.eye(len(chosen)) + size**2 * chosen)
+    return replace(setting, whitener=np.linalg.solve(L, setting.whitener)), size

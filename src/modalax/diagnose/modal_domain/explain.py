@@ -1,0 +1,217 @@
+r"""What stands out beyond the general inaccuracy: screening, fits, and the probability of every explanation.
+
+Before the data, half of the probability is that nothing stands out; the rest is shared by kind of cause, then by place.
+A second cause is added where the first leaves something that is worth its price.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.discrepancy import learnt_rest
+from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
+from modalax.diagnose.modal_domain.screen import finite, refined, replaced, scores
+from modalax.diagnose.modal_domain.state import Setting
+
+NONE = 0.5  # probability before the data that nothing stands out
+SECOND = 0.1  # that a second cause stands out, where there is a first
+PRESCREENED = 150  # places of the leading linear scores, of each point of linearisation, tried with finite sizes
+FITTED, NEXT = 6, 4  # leading places of each screening that are fitted, and of the screening about the winner
+NEAR = 12.0  # nats behind the best up to which other places are fitted
+WORTH = 4.0  # nats by which a further cause must promise to pay for its price
+MOST = 2  # causes in one answer
+AGAIN = 6  # leading explanations that are fitted again beside what no element explains
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A set of causes, fitted.
+
+    Attributes
+    ----------
+    log_posterior
+        Log evidence and log prior.
+    probability
+        Among all explanations that were fitted.
+    """
+
+    fit: Fit
+    log_posterior: float
+    probability: float
+
+    @property
+    def causes(self) -> tuple[Change, ...]:
+        """What stands out."""
+        return self.fit.causes
+
+
+class Prior:
+    """Logarithmic prior probability of sets of causes."""
+
+    def __init__(self, candidates: Sequence[Change]):
+        self.kinds = {c.slug for c in candidates}
+        self.total = {slug: sum(c.weight for c in candidates if c.slug == slug) for slug in self.kinds}
+
+    def one(self, c: Change) -> float:
+        """Of a kind and a place."""
+        return math.log(max(c.weight, 1e-300) / self.total[c.slug] / len(self.kinds))
+
+    def of(self, causes: Sequence[Change]) -> float:
+        """Of a set."""
+        if not causes:
+            return math.log(NONE)
+        order = math.log((1 - NONE) * (1 - SECOND) if len(causes) == 1 else (1 - NONE) * SECOND)
+        return order + sum(self.one(c) for c in causes)
+
+
+def explain(
+    setting: Setting, candidates: list[Change], late: Callable[[], bool] = lambda: False,
+    tell: Callable[[str], None] = lambda _: None,
+) -> list[Explanation]:  # fmt: skip
+    """Explanations by falling probability; the best so far where time is up.
+
+    Parameters
+    ----------
+    late
+        Whether time is up.
+    tell
+        Called with what is being done.
+    """
+    prior = Prior(candidates)
+    null = fit(setting)
+    if null is None:
+        return []
+    found: dict[tuple[Change, ...], Fit] = {(): null}
+    tell(f"screening {len(candidates)} causes and places")
+    trials = _leading(setting, null, candidates, prior)
+    tell(f"fitting {len(trials)} of them")
+    for cause, u, start in trials:
+        _try(setting, found, (cause,), np.array([u]), start)
+        if late():
+            return _ranked(found, prior)
+    setting, found = _beside_the_rest(setting, found, prior, late)
+    for count in range(1, MOST + 1):
+        best = _ranked(found, prior)[0]
+        if late():
+            break
+        if best.causes:
+            _neighbours(setting, found, best.fit, candidates, prior, late)
+            best = _ranked(found, prior)[0]
+        if len(best.causes) >= MOST or not _further(setting, found, best.fit, candidates, prior, late):
+            break
+        if len(_ranked(found, prior)[0].causes) == len(best.causes):
+            break
+        setting, found = _beside_the_rest(setting, found, prior, late)
+    return _ranked(found, prior)
+
+
+def _beside_the_rest(
+    setting: Setting, found: dict[tuple[Change, ...], Fit], prior: Prior, late: Callable[[], bool]
+) -> tuple[Setting, dict[tuple[Change, ...], Fit]]:
+    """The leading explanations fitted again beside what no element explains."""
+    leading = _ranked(found, prior)[:AGAIN]
+    bare = [e for e in _ranked(found, prior) if not e.causes]
+    leading += [e for e in bare if all(e is not other for other in leading)]
+    some = leading[:2] + bare
+    new, size = learnt_rest(setting, [e.fit for e in some], [prior.of(e.causes) for e in some])
+    if size == 0.0 or late():
+        return setting, found
+    again: dict[tuple[Change, ...], Fit] = {}
+    for e in leading:
+        _try(new, again, e.causes, e.fit.u, without_causes(e.fit), gentle=False)
+    return (new, again) if again else (setting, found)
+
+
+def _try(
+    setting: Setting, found: dict[tuple[Change, ...], Fit], causes: tuple[Change, ...], u: np.ndarray,
+    start: Fit | None, gentle: bool = True,
+) -> None:  # fmt: skip
+    temperatures = {} if gentle else {"temperatures": (3.0,)}
+    trial = fit(setting, causes, start, u, **temperatures)
+    key = tuple(sorted(causes, key=lambda c: (c.slug, c.where, c.pattern is not None)))
+    if trial is not None and (key not in found or trial.log_evidence > found[key].log_evidence):
+        found[key] = trial
+
+
+def _leading(
+    setting: Setting, null: Fit, candidates: list[Change], prior: Prior
+) -> list[tuple[Change, float, Fit | None]]:
+    """Causes worth a fit, with sizes and inaccuracies to start from."""
+    share = np.array([prior.one(c) for c in candidates])
+    gain, size = scores(setting, null, candidates)
+    home, _ = scores(setting, _at_home(setting, null), candidates)
+    few = set(np.argsort(-(gain + share))[:PRESCREENED]) | set(np.argsort(-(home + share))[:PRESCREENED])
+    few |= {k for k, c in enumerate(candidates) if not c.kind}
+    some = sorted(few)
+    distance, where = finite(setting, [candidates[k] for k in some])
+    value = dict(zip(some, -0.5 * distance + share[some], strict=True))
+    order = sorted(some, key=lambda k: -value[k])
+    chosen = order[:FITTED]
+    kinds = {c.slug for c in candidates}
+    chosen += [next(k for k in order if candidates[k].slug == slug) for slug in kinds if any(
+        candidates[k].slug == slug for k in order)]  # fmt: skip
+    u = dict(zip(some, where, strict=True))
+    first = list(dict.fromkeys(chosen))
+    near = refined(setting, [candidates[k] for k in first], [float(u[k]) for k in first])
+    out: list[tuple[Change, float, Fit | None]] = [(candidates[k], v, None) for k, v in zip(first, near, strict=True)]
+    linear = [k for k in np.argsort(-(gain + share)) if np.isfinite(gain[k]) and gain[k] > 0][:FITTED]
+    start = without_causes(null)
+    return out + [(candidates[k], float(np.clip(size[k], -3, 3)), start) for k in linear]
+
+
+def _at_home(setting: Setting, null: Fit) -> Fit:
+    """The simulation as it is, with its usual inaccuracy."""
+    from dataclasses import replace
+
+    from modalax.diagnose.modal_domain.state import state_at
+
+    sizes = np.zeros_like(null.sizes)
+    return replace(null, sizes=sizes, epsilon=setting.inaccuracy.usual, state=state_at(setting, sizes))
+
+
+def _neighbours(
+    setting: Setting, found: dict[tuple[Change, ...], Fit], best: Fit, candidates: list[Change], prior: Prior,
+    late: Callable[[], bool],
+) -> None:  # fmt: skip
+    """Other places and kinds in the stead of each cause of the best, as they look from there."""
+    for k in range(len(best.causes)):
+        kept = tuple(c for j, c in enumerate(best.causes) if j != k)
+        gain, size = replaced(setting, best, k, candidates)
+        value = gain + np.array([prior.one(c) for c in candidates])
+        for j in np.argsort(-value)[: FITTED + NEXT]:
+            causes = (*kept, candidates[j])
+            known = any(set(key) == set(causes) and len(key) == len(causes) for key in found)
+            if late():
+                return
+            if known or value[j] < value.max() - NEAR or candidates[j] in kept:
+                continue
+            u = np.append(np.delete(best.u, k), np.clip(size[j], -3, 3))
+            _try(setting, found, causes, u, without_causes(best), gentle=False)
+
+
+def _further(
+    setting: Setting, found: dict[tuple[Change, ...], Fit], best: Fit, candidates: list[Change], prior: Prior,
+    late: Callable[[], bool],
+) -> bool:  # fmt: skip
+    """Add a cause where that promises to be worth its price; whether one was worth trying."""
+    gain, size = scores(setting, best, candidates)
+    value = gain + np.array([prior.one(c) for c in candidates]) + math.log(SECOND)
+    worth = [j for j in np.argsort(-value)[:NEXT] if value[j] > WORTH - math.log(10) and candidates[j] not in best.causes]
+    for j in worth:
+        if late():
+            break
+        u = np.append(best.u, np.clip(size[j], -3, 3))
+        _try(setting, found, (*best.causes, candidates[j]), u, without_causes(best), gentle=False)
+    return bool(worth)
+
+
+def _ranked(found: dict[tuple[Change, ...], Fit], prior: Prior) -> list[Explanation]:
+    values = {key: f.log_evidence + prior.of(key) for key, f in found.items()}
+    top = max(values.values())
+    weights = {key: math.exp(v - top) for key, v in values.items()}
+    total = sum(weights.values())
+    ranked = [Explanation(found[key], values[key], weights[key] / total) for key in found]
+    return sorted(ranked, key=lambda e: -e.log_posterior)

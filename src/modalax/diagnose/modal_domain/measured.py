@@ -1,0 +1,113 @@
+"""A measurement as its own modes: noise, runs brought together where they are alike, modes and features."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modalax.data import Measurement
+from modalax.data.frf import DERIVATIVES
+from modalax.diagnose.modal_domain.coordinates import Coordinates, modes_of
+from modalax.diagnose.modal_domain.features import Features, chosen, features_of, sure
+from modalax.diagnose.modal_domain.mode_count import blind_modes, misfit
+from modalax.diagnose.modal_domain.projection import Channels, Projected
+from modalax.diagnose.setup.noise import Noise, noise_of
+
+BELOW, ABOVE = 2, 3  # modes of the simulation on either side of the band that stand for all beyond it
+ASIDE = 0.1  # distance of these from the band, relative to its ends
+EDGE = 0.003  # part of the band's ends by which a mode that is compared may lie outside
+ALIKE = 5.0  # standard deviations of chi-square by which runs may differ and still count as alike
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What was measured, identified without the simulation.
+
+    Attributes
+    ----------
+    freq
+        Lines that were used [Hz], shape ``(f,)``.
+    noise
+        Standard deviations of every sample.
+    channels
+        The FRFs that were identified, runs averaged.
+    modes
+        Modes found.
+    misfit
+        Chi-square per sample that the modes leave; at least 1.
+    features
+        Of the modes that are known well enough.
+    runs
+        Which runs went into it; fewer than all where they differ by more than their noise.
+    unlike
+        Chi-square per sample of the runs about their mean; 1 under noise.
+    """
+
+    freq: np.ndarray
+    noise: Noise
+    channels: Channels
+    modes: Projected
+    misfit: float
+    features: Features
+    runs: np.ndarray
+    unlike: float
+
+
+def identify(measurement: Measurement, c: Coordinates) -> Measured:
+    """Identify a measurement (no line at 0 Hz) blind; the simulation only stands for the modes beyond the band."""
+    freq, H = np.asarray(measurement.freq), np.asarray(measurement.H)
+    order = DERIVATIVES[measurement.form]
+    s = 2j * np.pi * freq
+    outside = _outside(c, abs(s[0]), abs(s[-1]))
+    noise = noise_of(measurement, _first_guess(measurement, H))
+    runs, unlike = _alike(H, noise.sigma, np.asarray(measurement.level))
+    channels = _channels(s, H[runs], noise.sigma[runs], order, outside)
+    modes = blind_modes(channels)
+    if np.isfinite(noise.freedom):  # noise that was estimated is known better beside what is no noise
+        made = modes.made(channels).reshape(H.shape[1:])
+        noise = noise_of(measurement, made)
+        channels = _channels(s, H[runs], noise.sigma[runs], order, outside)
+        modes = blind_modes(channels, modes.poles)
+    left = misfit(modes, channels)
+    features = features_of(modes, *H.shape[2:], left)
+    size = np.abs(features.poles)
+    known = sure(features) & (size > abs(s[0]) * (1 - EDGE)) & (size < abs(s[-1]) * (1 + EDGE))
+    return Measured(freq, noise, channels, modes, left, chosen(features, known), runs, unlike)
+
+
+def _first_guess(measurement: Measurement, H: np.ndarray) -> np.ndarray:
+    """What noise is estimated beside at first: the mean of the runs where variances are known, else nothing."""
+    if measurement.variance is None and measurement.coherence is None:
+        return np.zeros(H.shape[1:], complex)
+    return H.mean(axis=0)
+
+
+def _outside(c: Coordinates, low: float, high: float) -> np.ndarray:
+    poles = modes_of(c).poles
+    size = np.abs(poles)
+    below, above = poles[size < low * (1 - ASIDE)], poles[size > high * (1 + ASIDE)]
+    return np.concatenate([below[-BELOW:], above[:ABOVE]])
+
+
+def _channels(s: np.ndarray, H: np.ndarray, sigma: np.ndarray, order: int, outside: np.ndarray) -> Channels:
+    weight = np.where(sigma > 0, 1 / np.maximum(sigma, 1e-300) ** 2, 0.0)
+    total = weight.sum(axis=0)
+    mean = (weight * H).sum(axis=0) / np.maximum(total, 1e-300)
+    flat = (len(s), -1)
+    return Channels(s, mean.reshape(flat), 2 * total.reshape(flat), order, outside)
+
+
+def _alike(H: np.ndarray, sigma: np.ndarray, level: np.ndarray) -> tuple[np.ndarray, float]:
+    """Runs that may be averaged: all where they agree, else those of the lowest level; and how far they disagree."""
+    runs = len(H)
+    every = np.arange(runs)
+    if runs == 1:
+        return every, 1.0
+    weight = 1 / np.maximum(sigma, 1e-300) ** 2
+    mean = (weight * H).sum(axis=0) / weight.sum(axis=0)
+    chi2 = 2 * float((weight * np.abs(H - mean) ** 2).sum())
+    freedom = 2 * (runs - 1) * mean.size
+    excess = (chi2 - freedom) / np.sqrt(2 * freedom)
+    if excess < ALIKE or chi2 < 1.05 * freedom:
+        return every, chi2 / freedom
+    lowest = every[level == np.nanmin(level)] if np.isfinite(level).any() else every[:1]
+    return lowest, chi2 / freedom
