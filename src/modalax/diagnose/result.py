@@ -11,12 +11,13 @@ from modalax.diagnose.causes.parameter import Parameter
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.decision.advice import advise
 from modalax.diagnose.decision.gain import Gain
+from modalax.diagnose.decision.omnibus import Omnibus
 from modalax.diagnose.decision.posterior import Ranked
 from modalax.diagnose.decision.verdict import rivals
 from modalax.diagnose.extend import ExtendedSimulation
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.search.explain import Explanation
-from modalax.diagnose.summary import summary
+from modalax.diagnose.summary import causes_text, summary
 from modalax.diagnose.thresholds import THRESHOLDS
 
 
@@ -77,6 +78,16 @@ class Diagnosis:
     def candidates(self) -> list[Ranked]:
         """Sets of causes by falling probability."""
         return self.found.ranked
+
+    @property
+    def candidate_rows(self) -> list[tuple[str, float, float]]:
+        """Name, probability and log evidence of each set of causes."""
+        return [(causes_text(_names(r.best)), r.probability, r.log_evidence) for r in self.candidates]
+
+    @property
+    def tests(self) -> tuple[Omnibus, Omnibus]:
+        """Tests of what the simulation leaves, and of what the extended one leaves."""
+        return self.found.look.omnibus, self.found.after
 
     @property
     def causes(self) -> list[dict[str, Any]]:

@@ -23,6 +23,8 @@ class Change:
         Of a change of a whole element instead, shape ``(n, n)``; its size is relative.
     channel
         Of a channel's fault: axis (0 output, 1 input) and number; for two outputs exchanged both numbers.
+    reference
+        What the simulation has at this place, that a size may be compared with.
     weight
         Share among the places of its kind before the data.
     """
@@ -33,6 +35,7 @@ class Change:
     direction: np.ndarray | None = field(default=None, compare=False)
     pattern: np.ndarray | None = field(default=None, compare=False)
     channel: tuple[int, ...] = ()
+    reference: float = 0.0
     weight: float = 1.0
 
     @property

@@ -114,8 +114,9 @@ def _beside_the_rest(
     """The leading explanations fitted again beside what no element explains."""
     leading = _ranked(found, prior)[:AGAIN]
     bare = [e for e in _ranked(found, prior) if not e.causes]
-    leading += [e for e in bare if all(e is not other for other in leading)]
-    some = leading[:2] + bare
+    singles = [e for e in _ranked(found, prior) if len(e.causes) == 1][:2]
+    leading += [e for e in bare + singles if all(e is not other for other in leading)]
+    some = [*leading[:2], *bare, *singles[:1]]
     new, size = learnt_rest(setting, [e.fit for e in some], [prior.of(e.causes) for e in some])
     if size == 0.0 or late():
         return setting, found

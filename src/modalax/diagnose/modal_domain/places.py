@@ -37,12 +37,14 @@ def candidates_of(
         if mobile < 1e-12 * float((c.shapes[:, inside] ** 2).max()):
             continue
         turning = nodes.axis[k] > 2
-        out.append(Change("added_mass", (name,), LUMP / mobile, b, weight=UNLIKELY if turning else 1.0))
+        own_mass = float(np.asarray(simulation.M)[k, k])
+        weight = UNLIKELY if turning else 1.0
+        out.append(Change("added_mass", (name,), LUMP / mobile, b, reference=own_mass, weight=weight))
     for where, b, stiffness, weight in _springs(simulation, c, nodes, pairs):
         mobile = float((b[inside] ** 2).mean())
         if mobile < 1e-12 * float((c.shapes[:, inside] ** 2).max()):
             continue
-        out.append(Change("joint_stiffness", where, stiffness, b, weight=weight))
+        out.append(Change("joint_stiffness", where, stiffness, b, reference=stiffness / JOINT, weight=weight))
         out.append(Change("local_damper", where, float(own.mean()) / mobile, b, weight=weight))
     out += _elements(simulation, c, nodes)
     out += [Change("channel_gain", (n,), GAIN, channel=(0, k)) for k, n in enumerate(outputs)]

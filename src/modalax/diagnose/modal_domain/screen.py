@@ -157,3 +157,14 @@ def replaced(setting: Setting, f: Fit, which: int, candidates: list[Change]) -> 
     gain = 0.5 * product**2 / (1 + energy) - 0.5 * np.log1p(energy)
     gain[[not c.sized for c in candidates]] = -np.inf
     return gain, product / (1 + energy)
+
+
+def errors_of(setting: Setting, f: Fit, candidates: list[Change]) -> np.ndarray:
+    """Standard deviation that each candidate's size would have beside a fit, over its usual size; NaN without a size."""
+    J = slopes_at(setting, f.state, f.causes, f.u)
+    W = J * np.concatenate([f.epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
+    L = np.linalg.cholesky(np.eye(W.shape[1]) + W.T @ W)
+    G = screening_slopes(setting, f.state, candidates, f.causes, f.u)
+    apart = np.linalg.solve(L, W.T) @ G
+    energy = np.maximum((G**2).sum(axis=0) - (apart**2).sum(axis=0), 1e-300)
+    return np.where([c.sized for c in candidates], 1 / np.sqrt(energy), np.nan)

@@ -105,7 +105,7 @@ def _frfs(diagnosis: Diagnosis) -> Plot:
 
 
 def _tests(diagnosis: Diagnosis) -> str:
-    before, after = diagnosis.found.look.omnibus, diagnosis.found.after
+    before, after = diagnosis.tests
     text = f"The simulation leaves a largest deviation of {before.z:.3g} standard deviations ({before.where})"
     if diagnosis.extended is None:
         return f"{text}."
@@ -113,19 +113,13 @@ def _tests(diagnosis: Diagnosis) -> str:
 
 
 def _candidates(diagnosis: Diagnosis) -> list[Table | Plot]:
-    leading = diagnosis.candidates[:MOST_CANDIDATES]
-    names = [
-        " and ".join(
-            f"{c.slug} at {place(p.where)}" for c, p in zip(r.best.causes, r.best.places, strict=True)
-        ) or "mains_hum"
-        for r in leading
-    ]  # fmt: skip
-    rows = [[n, f"{r.probability:.4f}", f"{r.log_evidence - leading[0].log_evidence:.4g}"] for n, r in
-            zip(names, leading, strict=True)]  # fmt: skip
+    leading = diagnosis.candidate_rows[:MOST_CANDIDATES]
+    names = [name for name, _, _ in leading]
+    rows = [[name, f"{p:.4f}", f"{value - leading[0][2]:.4g}"] for name, p, value in leading]
     caption = f"The {len(leading)} leading of {len(diagnosis.candidates)} sets that were fitted in full."
     head = ["Set of causes", "Probability", "Log evidence to the first [nats]"]
     chart = bar_plot(
-        names[:6], [r.probability for r in leading[:6]], "Probability [-]", "Probabilities of the leading sets."
+        names[:6], [p for _, p, _ in leading[:6]], "Probability [-]", "Probabilities of the leading sets."
     )
     return [chart, Table(head, rows, caption)]
 

@@ -1,0 +1,98 @@
+"""A simulation with the general inaccuracy taken out: matrices, FRFs, and how large the inaccuracy is."""
+
+from typing import Any
+
+import numpy as np
+
+from modalax.data.frf import DERIVATIVES
+from modalax.diagnose.modal_domain.coordinates import Coordinates
+from modalax.diagnose.modal_domain.fit import Fit, widths_of_sizes
+from modalax.diagnose.modal_domain.inaccuracy import KINDS
+from modalax.diagnose.modal_domain.stage import Stage
+from modalax.diagnose.modal_domain.state import Setting, changes_of, slopes_at
+from modalax.model import Structure
+
+DRAWS, BESIDE = 16, 24  # of the sizes of the inaccuracy, and of its parts at each
+CONSISTENT = 3.0  # nats of log evidence by which an inaccuracy must do better than none to be told from it
+NONE = 1e-5  # relative size that counts as no inaccuracy
+LINES = 256  # lines solved at once
+
+
+def corrected(stage: Stage, f: Fit) -> Structure:
+    """The simulation with the inaccuracy of a fit, and its whole elements that are off, taken out."""
+    whole = tuple(c for c in f.causes if c.pattern is not None)
+    u = np.array([v for c, v in zip(f.causes, f.u, strict=True) if c.pattern is not None])
+    change = changes_of(stage.setting, f.sizes, whole, u)
+    s = stage.simulation
+    left = np.asarray(s.M) @ stage.coordinates.shapes
+    back = {key: left @ value @ left.T for key, value in change.items()}
+    return s.replace(
+        M=np.asarray(s.M) + back["dM"], C=np.asarray(s.C) + back["dC"], K=np.asarray(s.K) + back["dK"]
+    )
+
+
+def frf_of(stage: Stage, f: Fit | None) -> np.ndarray:
+    """FRFs ``(f, o, i)`` of the simulation, or of a fit, at the measured lines and in their form."""
+    c, freq = stage.coordinates, stage.measured.freq
+    s = 2j * np.pi * freq
+    M, C, K = np.eye(c.size), c.damping, np.diag(c.frequencies**2)
+    if f is not None:
+        change = changes_of(stage.setting, f.sizes, f.causes, f.u)
+        M, C, K = M + change["dM"], C + change["dC"], K + change["dK"]
+    H = np.concatenate(
+        [_solved(part, M, C, K, c) for part in np.array_split(s, max(1, len(s) // LINES))]
+    )  # fmt: skip
+    H = H * s[:, None, None] ** DERIVATIVES[stage.measurement.form]
+    for cause, u in zip(f.causes, f.u, strict=True) if f is not None else ():
+        H = cause.transform(u, s, H)
+    return H
+
+
+def _solved(s: np.ndarray, M: np.ndarray, C: np.ndarray, K: np.ndarray, c: Coordinates) -> np.ndarray:
+    Z = K + s[:, None, None] * C + s[:, None, None] ** 2 * M
+    return c.outputs @ np.linalg.solve(Z, np.broadcast_to(c.inputs.T, (len(s), *c.inputs.T.shape)))
+
+
+def inaccuracy_told(setting: Setting, f: Fit) -> dict[str, Any]:
+    """Root mean square relative error of the modes' stiffness, mass and damping in the band, with 95 % intervals."""
+    a, c = setting.inaccuracy, setting.coordinates
+    J = slopes_at(setting, f.state, f.causes, f.u)
+    gram, right = J.T @ J, J.T @ (f.state.difference + J @ np.concatenate([f.sizes, f.u]))
+    group, width = a.group_of, widths_of_sizes(f, setting)
+    inside = np.unique(f.state.pairs)
+    nominal = {"K": c.frequencies**2, "M": np.ones(c.size), "C": np.diag(c.damping)}
+    shares = [
+        (np.einsum("pkk->kp", p)[inside] / np.maximum(nominal[KINDS[g]][inside, None], 1e-300))
+        for g, p in zip(a.groups, a.patterns, strict=True)
+    ]
+    rng = np.random.default_rng(0)
+    seen: list[list[float]] = [[] for _ in a.groups]
+    for _ in range(DRAWS):
+        epsilon = f.epsilon * np.exp(width * rng.standard_normal(len(width)))
+        s = np.concatenate([epsilon[group], np.ones(len(f.u))])
+        L = np.linalg.cholesky(np.eye(len(s)) + s[:, None] * gram * s)
+        mean = np.linalg.solve(L.T, np.linalg.solve(L, s * right))
+        for x in (mean[:, None] + np.linalg.solve(L.T, rng.standard_normal((len(s), BESIDE)))).T:
+            sizes = (s * x)[: len(group)]
+            for k, share in enumerate(shares):
+                seen[k].append(float(np.sqrt(np.mean((share @ sizes[group == k]) ** 2))))
+    told = {}
+    for k, name in enumerate(a.groups):
+        low, middle, high = np.quantile(seen[k], (0.025, 0.5, 0.975))
+        if _may_be_none(setting, f, k, gram, right):
+            low = 0.0
+        told[name] = {"value": float(middle), "interval": [float(low), float(high)]}
+    return told
+
+
+def _may_be_none(setting: Setting, f: Fit, which: int, gram: np.ndarray, right: np.ndarray) -> bool:
+    """Whether nothing at all of one kind of inaccuracy would do nearly as well."""
+    values = []
+    for size in (f.epsilon[which], NONE):
+        epsilon = f.epsilon.copy()
+        epsilon[which] = size
+        s = np.concatenate([epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
+        L = np.linalg.cholesky(np.eye(len(s)) + s[:, None] * gram * s)
+        h = np.linalg.solve(L, s * right)
+        values.append(0.5 * float(h @ h) - np.log(np.diag(L)).sum())
+    return values[0] - values[1] < CONSISTENT

@@ -1,0 +1,237 @@
+"""The answer of the modal domain, with the same face as every other diagnosis."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, cast
+
+import jax.numpy as jnp
+import numpy as np
+
+from modalax.data import Measurement
+from modalax.diagnose.causes import catalogue, imitators
+from modalax.diagnose.causes.base import Cause
+from modalax.diagnose.causes.parameter import Parameter
+from modalax.diagnose.causes.scene import Place
+from modalax.diagnose.decision.gain import Gain
+from modalax.diagnose.decision.omnibus import Omnibus, omnibus
+from modalax.diagnose.extend import ExtendedSimulation
+from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.corrected import corrected, frf_of, inaccuracy_told
+from modalax.diagnose.modal_domain.explain import Explanation
+from modalax.diagnose.modal_domain.fit import Fit
+from modalax.diagnose.modal_domain.held_out import gain_of
+from modalax.diagnose.modal_domain.judged import judge, standing_out
+from modalax.diagnose.modal_domain.screen import errors_of
+from modalax.diagnose.modal_domain.stage import Stage, run_stage
+from modalax.diagnose.result import Diagnosis
+from modalax.diagnose.thresholds import THRESHOLDS
+from modalax.model import Structure
+
+STANDS_OUT = 3.5  # standard deviations of one place among hundreds at which an effect is seen
+UNITS = {
+    "added_mass": ("mass", "kg"), "joint_stiffness": ("stiffness", "N/m"), "local_damper": ("damping", "N s/m"),
+    "channel_gain": ("gain", "-"), "force_gain": ("gain", "-"), "time_delay": ("delay", "s"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What was compared: in the place of a comparison line by line."""
+
+    measurement: Measurement
+    question: str
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class ModalDiagnosis(Diagnosis):
+    """A diagnosis with the general inaccuracy of the simulation beside.
+
+    Attributes
+    ----------
+    stage
+        Modes, candidates and explanations behind it.
+    chosen
+        The explanation that the answer is about.
+    inaccuracy
+        Relative error of stiffness, mass and damping, each with an interval.
+    before, after
+        Tests of what the simulation and the extended one leave.
+    """
+
+    stage: Stage
+    chosen: Explanation
+    inaccuracy: dict[str, Any]
+    before: Omnibus
+    after: Omnibus
+
+    @property
+    def candidates(self) -> list[Any]:
+        """Explanations by falling probability."""
+        return self.stage.explanations
+
+    @property
+    def candidate_rows(self) -> list[tuple[str, float, float]]:
+        """Name, probability and log evidence of each explanation."""
+        name = lambda c: f"{c.slug} at {' - '.join(c.where)}"  # noqa: E731
+        return [
+            (" and ".join(map(name, e.causes)) or "the general inaccuracy alone", e.probability, e.log_posterior)
+            for e in self.stage.explanations
+        ]
+
+    @property
+    def tests(self) -> tuple[Omnibus, Omnibus]:
+        """What the simulation leaves, and what the extended one leaves."""
+        return self.before, self.after
+
+    @property
+    def causes(self) -> list[dict[str, Any]]:
+        """What stands out beyond the general inaccuracy."""
+        if self.verdict == "clean":
+            return []
+        core = standing_out(self.stage, self.chosen)
+        cores = [(standing_out(self.stage, e), e.probability) for e in self.stage.explanations]
+        sure = sum(p for c, p in cores if _names(c) == _names(core))
+        std = np.sqrt(np.maximum(np.diag(self.chosen.fit.covariance), 0.0))
+        told = []
+        for c, u, error in zip(self.chosen.causes, self.chosen.fit.u, std, strict=True):
+            if c not in core:
+                continue
+            told.append(
+                {"name": c.slug, "where": list(c.where), "probability": float(min(sure, 1.0)),
+                 "parameters": _parameters(c, float(u), float(error))}
+            )  # fmt: skip
+        return told
+
+    @property
+    def alternatives(self) -> list[list[dict[str, Any]]]:
+        """Rivals of the leading set; of a named one those that are likely enough."""
+        if self.verdict not in ("ambiguous", "named"):
+            return []
+        core = standing_out(self.stage, self.chosen)
+        least = THRESHOLDS.elsewhere if self.verdict == "named" else THRESHOLDS.rival
+        rivals: dict[Any, tuple[float, tuple[Change, ...]]] = {}
+        for e in self.stage.explanations:
+            other = standing_out(self.stage, e)
+            if _names(other) != _names(core):
+                p = rivals.get(_names(other), (0.0, other))[0] + e.probability
+                rivals[_names(other)] = p, other
+        likely = sorted((r for r in rivals.values() if r[0] >= least), key=lambda r: -r[0])
+        return [[{"name": c.slug, "where": list(c.where)} for c in causes] for _, causes in likely]
+
+    @property
+    def strength_parameters(self) -> dict[str, Parameter]:
+        """What the strength of each cause is."""
+        return {slug: Parameter(*UNITS[slug]) for slug in UNITS}
+
+    @property
+    def smallest_detectable(self) -> dict[str, float]:
+        """Strength of each cause that nine in ten such measurements would have shown, at its median place."""
+        every = errors_of(self.stage.setting, self.chosen.fit, self.stage.candidates)
+        values: dict[str, list[float]] = {}
+        for c, error in zip(self.stage.candidates, every, strict=True):
+            if np.isfinite(error) and c.slug in UNITS and c.pattern is None:
+                values.setdefault(c.slug, []).append(float(error) * c.scale)
+        return {slug: float(np.median(v)) * (STANDS_OUT + THRESHOLDS.power) for slug, v in values.items()}
+
+    @property
+    def advice(self) -> str | None:
+        """What would tell the alternatives apart."""
+        if self.verdict == "clean" or (self.verdict == "named" and not self.alternatives):
+            return None
+        if self.verdict == "unknown":
+            return "check that the simulation is of this structure: its supports, its units and the names of its DoFs"
+        return "measure at a further point near these places, or change one of them on purpose and measure again"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The answer as plain data, in the agreed form."""
+        return {
+            "verdict": self.verdict,
+            "causes": self.causes,
+            "alternatives": self.alternatives,
+            "advice": self.advice,
+            "smallest_detectable": self.smallest_detectable,
+            "inaccuracy": self.inaccuracy,
+            "reasons": list(self.reasons),
+            "gain": self.gain.to_dict(),
+            "question": self.question,
+            "notes": list(self.notes),
+            "p_value": None,
+        }
+
+
+def _names(causes: tuple[Change, ...]) -> tuple[Any, ...]:
+    return tuple(sorted((c.slug, *sorted(c.where)) for c in causes))
+
+
+def _parameters(c: Change, u: float, error: float) -> dict[str, Any]:
+    if c.slug not in UNITS:
+        return {}
+    name, unit = UNITS[c.slug]
+    factor = c.scale * (c.reference if c.pattern is not None else 1.0)
+    return {name: {"value": u * factor, "std": error * abs(factor), "unit": unit}}
+
+
+def diagnose_modes(
+    measurement: Measurement, simulation: Structure, *, question: str = "fixed", budget: float = 120.0,
+    wanted: Callable[[str], bool] = lambda _: True, tell: Callable[[str], None] = lambda _: None,
+) -> ModalDiagnosis | None:  # fmt: skip
+    """Diagnose in the modal domain; None where the measurement shows no mode to compare."""
+    stage = run_stage(measurement, simulation, budget, wanted, tell)
+    if stage is None:
+        return None
+    word, reasons, chosen = judge(stage)
+    if not stage.in_time:
+        reasons.append("time was up before every explanation had been tried")
+    inaccuracy = inaccuracy_told(stage.setting, chosen.fit)
+    reasons.insert(0, _said(inaccuracy))
+    tell("predicting what was left out")
+    H = np.asarray(measurement.H)
+    predicted = [frf_of(stage, None), frf_of(stage, chosen.fit)]
+    sigma = stage.measured.noise.sigma
+    residuals = [np.sqrt(2) * (H - p) / sigma for p in predicted]
+    tests = [omnibus(r, np.ones(r.shape, bool), stage.measured.noise.freedom) for r in residuals]
+    gain = gain_of(stage, chosen, predicted[0])
+    notes = (
+        stage.measured.noise.source,
+        f"{len(stage.measured.features.poles)} modes were identified in the band, runs "
+        f"{', '.join(str(k + 1) for k in stage.measured.runs)} together, chi-square per sample {stage.measured.misfit:.3g}",
+    )
+    extended = _extended(stage, chosen.fit)
+    shape = H.shape
+    return ModalDiagnosis(
+        word, tuple(reasons), cast(Any, None), cast(Any, Facts(measurement, question, notes)), extended, gain,
+        stage.measured.freq, residuals[0], residuals[1], np.broadcast_to(predicted[0], shape),
+        np.broadcast_to(predicted[1], shape), stage, chosen, inaccuracy, tests[0], tests[1],
+    )  # fmt: skip
+
+
+def _said(inaccuracy: dict[str, Any]) -> str:
+    """General inaccuracy in one sentence."""
+    parts = [
+        f"{100 * v['value']:.2g} % ({100 * v['interval'][0]:.2g} to {100 * v['interval'][1]:.2g} %) in {name}"
+        for name, v in inaccuracy.items()
+    ]
+    return f"the modes of the simulation are generally off by {', '.join(parts)}"
+
+
+def _extended(stage: Stage, f: Fit) -> ExtendedSimulation:
+    """The corrected simulation with the causes, as an ordinary simulation."""
+    known: dict[str, Cause] = {}
+    for cause in (*catalogue(), *imitators()):
+        known.setdefault(cause.slug, cause)
+    base, causes, places, params, spread = corrected(stage, f), [], [], [], []
+    std = np.sqrt(np.maximum(np.diag(f.covariance), 0.0))
+    for c, u, error in zip(f.causes, f.u, std, strict=True):
+        if c.pattern is not None or c.slug not in known:
+            continue
+        names = base.dofs if c.kind else (stage.measurement.inputs if c.slug == "force_gain" else stage.measurement.outputs)
+        index = [names.index(w) for w in c.where] + [-1]
+        causes.append(known[c.slug])
+        places.append(Place(tuple(c.where), (index[0], index[1], 0)))
+        params.append(jnp.asarray([u * c.scale] if c.sized else []))
+        spread.append(jnp.asarray([error * c.scale] if c.sized else []))
+    return ExtendedSimulation(
+        base, tuple(params), tuple(spread), jnp.zeros((2, len(base.dofs))), tuple(None for _ in causes), tuple(causes),
+        tuple(places), stage.measurement.outputs, stage.measurement.inputs, float(stage.measured.freq[0]),
+    )  # fmt: skip

@@ -1,0 +1,84 @@
+"""The diagnosis in the modal domain as one call: identify, screen, fit, weigh, within a budget of time."""
+
+import time as clock
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from modalax.data import Measurement
+from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.coordinates import Coordinates, coordinates_of
+from modalax.diagnose.modal_domain.explain import Explanation, explain
+from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
+from modalax.diagnose.modal_domain.measured import Measured, identify
+from modalax.diagnose.modal_domain.places import candidates_of
+from modalax.diagnose.modal_domain.state import Setting
+from modalax.model import Structure
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What the modal domain tells.
+
+    Attributes
+    ----------
+    measurement, simulation
+        As they came, the measurement without a line at 0 Hz.
+    coordinates, measured, setting
+        The simulation's modal coordinates, the measurement's own modes, and what hypotheses share.
+    candidates
+        Every cause at every place that was screened.
+    explanations
+        By falling probability; empty where the simulation has no modes to compare.
+    in_time
+        Whether every step was done before time was up.
+    """
+
+    measurement: Measurement
+    simulation: Structure
+    coordinates: Coordinates
+    measured: Measured
+    setting: Setting
+    candidates: list[Change]
+    explanations: list[Explanation]
+    in_time: bool
+
+    @property
+    def best(self) -> Explanation:
+        """The likeliest explanation."""
+        return self.explanations[0]
+
+
+def run_stage(
+    measurement: Measurement, simulation: Structure, budget: float, wanted: Callable[[str], bool],
+    tell: Callable[[str], None],
+) -> Stage | None:  # fmt: skip
+    """Diagnose a measurement in the modal domain; None where it shows no mode to compare.
+
+    Parameters
+    ----------
+    budget
+        Seconds after which no further step begins.
+    wanted
+        Which causes to look for, by slug.
+    tell
+        Called with each step.
+    """
+    end = clock.monotonic() + budget
+    late = lambda: clock.monotonic() > end  # noqa: E731
+    highest = 2 * np.pi * float(measurement.freq[-1])
+    c = coordinates_of(simulation, measurement.outputs, measurement.inputs, highest)
+    tell("identifying the measurement's own modes")
+    measured = identify(measurement, c)
+    if not len(measured.features.poles):
+        return None
+    whitener = np.linalg.inv(np.linalg.cholesky(measured.features.covariance))
+    setting = Setting(c, inaccuracy_of(simulation, c, highest), measured.features, whitener)
+    pairs = None if simulation.pairs is None else list(simulation.pairs)
+    every = candidates_of(simulation, c, measurement.outputs, measurement.inputs, pairs, highest)
+    candidates = [k for k in every if wanted(k.slug)]
+    explanations = explain(setting, candidates, late, tell)
+    if not explanations:
+        return None
+    return Stage(measurement, simulation, c, measured, setting, candidates, explanations, not late())
