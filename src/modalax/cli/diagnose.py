@@ -1,11 +1,13 @@
 """``modalax diagnose`` and ``modalax causes``: what a simulation gets wrong, and what can be named."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
+import numpy as np
 import typer
 
 from modalax.cli.common import (
+    BandOption,
     DataArgument,
     JsonOption,
     OverwriteOption,
@@ -46,12 +48,33 @@ def diagnose(
     outputs: OutputsOption = None,
     inputs: InputsOption = None,
     axes: AxesOption = None,
+    question: Annotated[
+        str,
+        typer.Option(
+            "--question", help="fixed: against this simulation; free: against any modal model; auto: by file."
+        ),
+    ] = "auto",
+    band: BandOption = None,
+    run: Annotated[
+        list[int] | None, typer.Option("--run", metavar="K", help="Use this run, counted from 1; may be repeated.")
+    ] = None,
+    causes: Annotated[
+        str | None, typer.Option("--causes", metavar="SLUG,...", help="Look for these causes only.")
+    ] = None,
+    time: Annotated[
+        float, typer.Option("--time", metavar="SECONDS", help="Time after which the best answer so far is told.")
+    ] = 120.0,
+    save: Annotated[
+        Path | None, typer.Option("--save", metavar="EXTENDED", help="Write the extended simulation (npz).")
+    ] = None,
     overwrite: OverwriteOption = False,
 ) -> None:
     """Compare measured FRFs with a simulation: where it fails, why, and how much better it predicts once extended."""
     if simulation is None:
         raise ValueError("diagnose needs --simulation SIM, the model to compare with")
-    check_free(json, report, overwrite=overwrite, inputs=[data, simulation])
+    if time <= 0:
+        raise ValueError(f"--time is {time:g} s; it must be above zero")
+    check_free(json, report, save, overwrite=overwrite, inputs=[data, simulation])
     check_folder(out, overwrite, inputs=[data, simulation])
     check_readable(data, simulation)
     start()
@@ -60,15 +83,23 @@ def diagnose(
     from rich.console import Console
 
     from modalax.cli.tables import print_diagnosis
-    from modalax.diagnose import diagnose as run
+    from modalax.diagnose import diagnose as answered
 
-    with working("Comparing, screening the causes, refitting (the first time on a machine also compiles)"):
-        result = run(measurement, model)
+    measurement = _selected(measurement, band, run)
+    wanted = _named_causes(causes)
+    with working("Diagnosing (the first time on a machine may also compile)") as tell:
+        result = answered(measurement, model, question=question, causes=wanted, time=time, progress=tell)
     answer = result.to_dict()
     print_diagnosis(Console(), answer)
     if json is not None:
         write_json(json, answer)
         note(f"result: {json}")
+    if save is not None:
+        if result.extended is None:
+            note(f"nothing to save in {save}: the simulation needs no extension")
+        else:
+            result.extended.save(save, overwrite)
+            note(f"extended simulation: {save}")
     if report is not None:
         from modalax.files.write import write_text
         from modalax.show.report import diagnosis_report
@@ -82,6 +113,37 @@ def diagnose(
         with working("Drawing"):
             written = save_diagnosis_pictures(result, out)
         note(f"pictures: {', '.join(str(p) for p in written)}")
+
+
+def _selected(measurement: Any, band: tuple[float, float] | None, runs: list[int] | None) -> Any:
+    """Runs, counted from 1, and lines of a measurement."""
+    if runs:
+        wrong = [k for k in runs if not 1 <= k <= measurement.runs]
+        if wrong:
+            raise ValueError(f"--run {wrong[0]}: the measurement has runs 1 to {measurement.runs}")
+        keep = [k - 1 for k in runs]
+        take = lambda a: None if a is None else a[np.array(keep)]  # noqa: E731
+        measurement = measurement.replace(
+            H=take(measurement.H), variance=take(measurement.variance), coherence=take(measurement.coherence),
+            level=take(measurement.level), force=take(measurement.force),
+        )  # fmt: skip
+    return measurement if band is None else measurement.band(*band)
+
+
+def _named_causes(slugs: str | None) -> list[Any] | None:
+    """Causes of the catalogue by their names."""
+    if slugs is None:
+        return None
+    from modalax.diagnose.causes import catalogue, imitators
+
+    every = [*catalogue(), *imitators()]
+    names = [s.strip() for s in slugs.split(",") if s.strip()]
+    for name in names:
+        if all(c.slug != name for c in every):
+            raise ValueError(f"--causes {name}: unknown; known are {', '.join(sorted({c.slug for c in every}))}")
+    if not names:
+        raise ValueError("--causes needs at least one name, for example --causes added_mass,joint_stiffness")
+    return [c for c in every if c.slug in names]
 
 
 def causes() -> None:

@@ -15,9 +15,13 @@ r"""The method, from a measurement and a simulation to an answer.
 5. **Predict.** Simulation and extended simulation are fitted without a block of the data, a force level if there are
    several, and compared on it (``holdout``).
 6. **Decide.** One ordered list of rules gives the verdict and its reasons (``decision.verdict``, ``thresholds``).
+
+Steps 2 to 5 take all but the causes as exact. Where every element of the simulation is a little off, or the problem is
+large, the modal domain answers instead (``routes``, ``modal_domain``): the measurement's own modes are identified, the
+general inaccuracy is learnt beside every cause, and the answer tells both.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -27,12 +31,14 @@ from modalax.data import FRF, Measurement
 from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.causes import catalogue, imitators
 from modalax.diagnose.causes.base import Cause
-from modalax.diagnose.comparison import causes_of, make_comparison, with_noise_beside
+from modalax.diagnose.comparison import as_measurement, causes_of, make_comparison, with_noise_beside
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.verdict import verdict
 from modalax.diagnose.extend import ExtendedSimulation, extend
 from modalax.diagnose.holdout import measure
+from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis, diagnose_modes
 from modalax.diagnose.result import Diagnosis
+from modalax.diagnose.routes import routed
 from modalax.diagnose.search.explain import Explanation, doubt, explain
 from modalax.diagnose.search.look import look
 from modalax.model import ModalModel, Structure
@@ -45,6 +51,8 @@ def diagnose(
     *,
     question: str = "auto",
     causes: Sequence[Cause] | None = None,
+    time: float = 120.0,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> Diagnosis:
     """Find what a simulation gets wrong, name the cause, extend the simulation and measure the gain.
 
@@ -61,6 +69,10 @@ def diagnose(
         terms), else ``fixed``.
     causes
         What to look for; the whole catalogue if None.
+    time
+        Seconds after which the modal domain begins no further step and tells the best answer so far.
+    progress
+        Called with each stage, in words.
 
     Returns
     -------
@@ -75,12 +87,40 @@ def diagnose(
     """
     require_double("diagnose")
     check_comparable(measurement, simulation)
+    slugs = None if causes is None else {c.slug for c in causes}
+
+    def modal() -> ModalDiagnosis | None:
+        if not isinstance(simulation, Structure):
+            return None
+        try:
+            return diagnose_modes(
+                as_measurement(measurement), simulation, budget=time, wanted=lambda s: slugs is None or s in slugs,
+                tell=progress,
+            )  # fmt: skip
+        except (np.linalg.LinAlgError, ValueError):  # no modes to speak of: line by line says what is wrong with it
+            return None
+
+    return routed(
+        as_measurement(measurement), simulation, question, causes is None,
+        lambda: _line_by_line(measurement, simulation, question, causes, progress), modal,
+    )  # fmt: skip
+
+
+def _line_by_line(
+    measurement: Measurement | FRF, simulation: Structure | ModalModel | ExtendedSimulation, question: str,
+    causes: Sequence[Cause] | None, progress: Callable[[str], None],
+) -> Diagnosis:  # fmt: skip
+    """Diagnose about the simulation as it is."""
     release_programs()
+    progress("bringing measurement and simulation together")
     comparison = with_noise_beside(make_comparison(measurement, simulation, question))
     wanted = causes_of(causes, comparison, catalogue(comparison.problem.data.shape[0]))
+    progress("screening every cause at every place and fitting the leading ones")
     found = explain(look(comparison, wanted), wanted)
     if causes is None:
+        progress("doubting the leading explanation")
         found = doubt(found, causes_of(None, comparison, imitators()))
+    progress("predicting what was held out")
     gain = measure((found.look.comparison, found.comparison), found.look.null, found.best)
     word, reasons = verdict(found.ranked, found.leftover, gain)
     return answer(word, reasons, found, gain)

@@ -7,7 +7,7 @@ import numpy as np
 from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.fit import Fit, widths_of_sizes
-from modalax.diagnose.modal_domain.inaccuracy import KINDS
+from modalax.diagnose.modal_domain.inaccuracy import KINDS, RIGID
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.modal_domain.state import Setting, changes_of, slopes_at
 from modalax.model import Structure
@@ -26,9 +26,7 @@ def corrected(stage: Stage, f: Fit) -> Structure:
     s = stage.simulation
     left = np.asarray(s.M) @ stage.coordinates.shapes
     back = {key: left @ value @ left.T for key, value in change.items()}
-    return s.replace(
-        M=np.asarray(s.M) + back["dM"], C=np.asarray(s.C) + back["dC"], K=np.asarray(s.K) + back["dK"]
-    )
+    return s.replace(M=np.asarray(s.M) + back["dM"], C=np.asarray(s.C) + back["dC"], K=np.asarray(s.K) + back["dK"])
 
 
 def frf_of(stage: Stage, f: Fit | None) -> np.ndarray:
@@ -60,6 +58,7 @@ def inaccuracy_told(setting: Setting, f: Fit) -> dict[str, Any]:
     gram, right = J.T @ J, J.T @ (f.state.difference + J @ np.concatenate([f.sizes, f.u]))
     group, width = a.group_of, widths_of_sizes(f, setting)
     inside = np.unique(f.state.pairs)
+    inside = inside[c.frequencies[inside] > RIGID * c.frequencies[inside[-1]]]
     nominal = {"K": c.frequencies**2, "M": np.ones(c.size), "C": np.diag(c.damping)}
     shares = [
         (np.einsum("pkk->kp", p)[inside] / np.maximum(nominal[KINDS[g]][inside, None], 1e-300))
@@ -95,4 +94,4 @@ def _may_be_none(setting: Setting, f: Fit, which: int, gram: np.ndarray, right: 
         L = np.linalg.cholesky(np.eye(len(s)) + s[:, None] * gram * s)
         h = np.linalg.solve(L, s * right)
         values.append(0.5 * float(h @ h) - np.log(np.diag(L)).sum())
-    return values[0] - values[1] < CONSISTENT
+    return bool(values[0] - values[1] < CONSISTENT)

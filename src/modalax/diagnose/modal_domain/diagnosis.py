@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +12,6 @@ from modalax.diagnose.causes import catalogue, imitators
 from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.causes.parameter import Parameter
 from modalax.diagnose.causes.scene import Place
-from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.omnibus import Omnibus, omnibus
 from modalax.diagnose.extend import ExtendedSimulation
 from modalax.diagnose.modal_domain.causes import Change
@@ -59,6 +58,8 @@ class ModalDiagnosis(Diagnosis):
         Tests of what the simulation and the extended one leave.
     """
 
+    found: None  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
+    comparison: Facts  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
     stage: Stage
     chosen: Explanation
     inaccuracy: dict[str, Any]
@@ -194,13 +195,13 @@ def diagnose_modes(
     gain = gain_of(stage, chosen, predicted[0])
     notes = (
         stage.measured.noise.source,
-        f"{len(stage.measured.features.poles)} modes were identified in the band, runs "
-        f"{', '.join(str(k + 1) for k in stage.measured.runs)} together, chi-square per sample {stage.measured.misfit:.3g}",
+        f"{len(stage.measured.features.poles)} modes were identified in the band from "
+        f"{len(stage.measured.runs)} of {len(H)} runs, chi-square per sample {stage.measured.misfit:.3g}",
     )
     extended = _extended(stage, chosen.fit)
     shape = H.shape
     return ModalDiagnosis(
-        word, tuple(reasons), cast(Any, None), cast(Any, Facts(measurement, question, notes)), extended, gain,
+        word, tuple(reasons), None, Facts(measurement, question, notes), extended, gain,
         stage.measured.freq, residuals[0], residuals[1], np.broadcast_to(predicted[0], shape),
         np.broadcast_to(predicted[1], shape), stage, chosen, inaccuracy, tests[0], tests[1],
     )  # fmt: skip
@@ -225,7 +226,8 @@ def _extended(stage: Stage, f: Fit) -> ExtendedSimulation:
     for c, u, error in zip(f.causes, f.u, std, strict=True):
         if c.pattern is not None or c.slug not in known:
             continue
-        names = base.dofs if c.kind else (stage.measurement.inputs if c.slug == "force_gain" else stage.measurement.outputs)
+        m = stage.measurement
+        names = base.dofs if c.kind else (m.inputs if c.slug == "force_gain" else m.outputs)
         index = [names.index(w) for w in c.where] + [-1]
         causes.append(known[c.slug])
         places.append(Place(tuple(c.where), (index[0], index[1], 0)))

@@ -14,7 +14,7 @@ from modalax.diagnose.modal_domain.coordinates import pattern_slopes, slopes_of
 from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.state import Setting, _through, slopes_at
 
-SIZES = (0.0, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # relative sizes that are tried
+SIZES = (0.0, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)  # relative sizes that are tried
 BESIDE = 8  # modes above the band that those inside may be coupled with
 ON_DIAGONAL = np.sqrt(1.5)  # of the mode itself, relative to a coupling
 BLOCK = 100  # patterns at once

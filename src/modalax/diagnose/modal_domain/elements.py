@@ -1,9 +1,9 @@
 r"""Element by element: what the matrices of a simulation tell of the parts that it was put together from.
 
 The block :math:`K_{ij}` between two nodes is all that the elements between them leave off the diagonal. As these
-elements do not resist a rigid motion, :math:`K^e_{ii} = -K_{ij} T(r)`, ``T`` the rigid motion of node j that goes with
-that of node i at a distance ``r``; and ``r`` follows from the symmetry of :math:`K^e_{ii}`. What is left over on the
-diagonal is the support of each node. No coordinates are needed, and beams, trusses, springs and joints come out exactly.
+elements do not resist a rigid motion, :math:`K^e_{ii} = -K_{ij} T(r)`, ``T`` the rigid motion of node j that goes
+with that of node i at a distance ``r``; and ``r`` follows from the symmetry of :math:`K^e_{ii}`. What is left over on
+the diagonal is the support of each node. No coordinates are needed; beams, trusses and springs come out exactly.
 """
 
 import re
@@ -60,8 +60,10 @@ class Nodes:
             near = [k for k in range(len(self.members)) if k != b and joined(self.members[k], turns[b])]
             for a in near:
                 others = [c for c in near if c != a and len(moves[c])]
-                if others and joined(turns[a], turns[b]) and all(
-                    joined(moves[a], self.members[c]) and not joined(turns[a], self.members[c]) for c in others
+                if (
+                    others
+                    and joined(turns[a], turns[b])
+                    and all(joined(moves[a], self.members[c]) and not joined(turns[a], self.members[c]) for c in others)
                 ):
                     out[b] = a
                     break
@@ -84,7 +86,7 @@ def nodes_of(dofs: tuple[str, ...]) -> Nodes:
 
 
 def _moves(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Rigid motion at axes ``b`` of a node by that at axes ``a`` of another: constant part and by each component of r."""
+    """Rigid motion at axes ``b`` of a node by that at axes ``a`` of another: constant, and by each component of r."""
     out = np.zeros((4, len(b), len(a)))
     out[0] = (b[:, None] == a) & (b[:, None] >= 0)
     # displacement of j = displacement of i + rotation x r
@@ -114,7 +116,8 @@ def stiffness_parts(K: np.ndarray, nodes: Nodes) -> list[Part]:
         a, b = ends_of(i, j), ends_of(j, i)
         if hinges.get(i) == j or hinges.get(j) == i:
             a, b = (x[nodes.axis[x] > 2] for x in (nodes.members[i], nodes.members[j]))
-        if (i in hinges and not _joined(K, nodes.members[i], b)) or (j in hinges and not _joined(K, nodes.members[j], a)):
+        alone = i in hinges and not _joined(K, nodes.members[i], b)
+        if alone or (j in hinges and not _joined(K, nodes.members[j], a)):
             continue
         block = rest[np.ix_(a, b)]
         if (np.abs(block) / diagonal[a][:, None] / diagonal[b]).max() < NEGLIGIBLE or len(set(a) & set(b)):
@@ -148,11 +151,15 @@ def _springs_of(nodes: tuple[int, int], dofs: np.ndarray, matrix: np.ndarray) ->
         return []
     unit = np.array([[1.0, -1.0], [-1.0, 1.0]])
     return [
-        Part(nodes, dofs[[k, half + k]], block[k, k] * unit) for k in range(half) if abs(block[k, k]) > NEGLIGIBLE * size
+        Part(nodes, dofs[[k, half + k]], block[k, k] * unit)
+        for k in range(half)
+        if abs(block[k, k]) > NEGLIGIBLE * size
     ]
 
 
-def _ends(block: np.ndarray, a: np.ndarray, b: np.ndarray, size_a: np.ndarray, size_b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _ends(
+    block: np.ndarray, a: np.ndarray, b: np.ndarray, size_a: np.ndarray, size_b: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Diagonal blocks of what couples two nodes by ``block`` and does not resist rigid motion."""
     if (a < 0).any() or (b < 0).any():
         return -np.diag(block.sum(axis=1)), -np.diag(block.sum(axis=0))

@@ -6,7 +6,7 @@ A second cause is added where the first leaves something that is worth its price
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.discrepancy import learnt_rest
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
 from modalax.diagnose.modal_domain.screen import finite, refined, replaced, scores
-from modalax.diagnose.modal_domain.state import Setting
+from modalax.diagnose.modal_domain.state import Setting, state_at
 
 NONE = 0.5  # probability before the data that nothing stands out
 SECOND = 0.1  # that a second cause stands out, where there is a first
@@ -70,8 +70,8 @@ class Prior:
 def explain(
     setting: Setting, candidates: list[Change], late: Callable[[], bool] = lambda: False,
     tell: Callable[[str], None] = lambda _: None,
-) -> list[Explanation]:  # fmt: skip
-    """Explanations by falling probability; the best so far where time is up.
+) -> tuple[Setting, list[Explanation]]:  # fmt: skip
+    """Explanations by falling probability, the best so far where time is up, and the setting that they were fitted in.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def explain(
     prior = Prior(candidates)
     null = fit(setting)
     if null is None:
-        return []
+        return setting, []
     found: dict[tuple[Change, ...], Fit] = {(): null}
     tell(f"screening {len(candidates)} causes and places")
     trials = _leading(setting, null, candidates, prior)
@@ -91,9 +91,9 @@ def explain(
     for cause, u, start in trials:
         _try(setting, found, (cause,), np.array([u]), start)
         if late():
-            return _ranked(found, prior)
+            return setting, _ranked(found, prior)
     setting, found = _beside_the_rest(setting, found, prior, late)
-    for count in range(1, MOST + 1):
+    for _ in range(MOST):
         best = _ranked(found, prior)[0]
         if late():
             break
@@ -105,7 +105,7 @@ def explain(
         if len(_ranked(found, prior)[0].causes) == len(best.causes):
             break
         setting, found = _beside_the_rest(setting, found, prior, late)
-    return _ranked(found, prior)
+    return setting, _ranked(found, prior)
 
 
 def _beside_the_rest(
@@ -165,10 +165,6 @@ def _leading(
 
 def _at_home(setting: Setting, null: Fit) -> Fit:
     """The simulation as it is, with its usual inaccuracy."""
-    from dataclasses import replace
-
-    from modalax.diagnose.modal_domain.state import state_at
-
     sizes = np.zeros_like(null.sizes)
     return replace(null, sizes=sizes, epsilon=setting.inaccuracy.usual, state=state_at(setting, sizes))
 
@@ -200,7 +196,8 @@ def _further(
     """Add a cause where that promises to be worth its price; whether one was worth trying."""
     gain, size = scores(setting, best, candidates)
     value = gain + np.array([prior.one(c) for c in candidates]) + math.log(SECOND)
-    worth = [j for j in np.argsort(-value)[:NEXT] if value[j] > WORTH - math.log(10) and candidates[j] not in best.causes]
+    leading = [j for j in np.argsort(-value)[:NEXT] if candidates[j] not in best.causes]
+    worth = [j for j in leading if value[j] > WORTH - math.log(10)]
     for j in worth:
         if late():
             break

@@ -18,6 +18,10 @@ FLOOR = (2e-6, 2e-4, 1e-4, 5e-5)
 CLOSE = 0.25  # change of ln frequency that counts as much against a pair of modes as shapes at right angles
 SMEARED = 0.05  # standard deviation of ln frequency beyond which a mode is too uncertain to compare
 
+FAINT = (
+    0.1  # standard deviation of ln size beyond which a mode is too weak: its shape is no longer linear in its errors
+)
+
 
 @dataclass(frozen=True)
 class Features:
@@ -79,7 +83,7 @@ def chosen(f: Features, which: np.ndarray) -> Features:
 def sure(f: Features) -> np.ndarray:
     """Which modes are known well enough to compare."""
     std = np.sqrt(np.maximum(np.diag(f.covariance), 0.0)).reshape(f.values.shape)
-    return std[:, 0] < SMEARED
+    return (std[:, 0] < SMEARED) & (std[:, 2] < FAINT)
 
 
 def _units(found: Projected, raw: np.ndarray) -> np.ndarray:
@@ -93,7 +97,7 @@ def _units(found: Projected, raw: np.ndarray) -> np.ndarray:
 
 
 def _tangent(A: np.ndarray) -> np.ndarray:
-    """Orthonormal directions ``u' v*`` and ``u v'*`` about the leading pair of singular vectors, ``(o + i - 1, o, i)``."""
+    """Orthonormal directions ``u' v*``, ``u v'*`` about the leading pair of singular vectors, ``(o + i - 1, o, i)``."""
     u, _, vh = np.linalg.svd(A, full_matrices=True)
     first = np.einsum("oa,i->aoi", u, vh[0])
     second = np.einsum("o,bi->boi", u[:, 0], vh[1:])
@@ -122,9 +126,7 @@ def slopes_of_values(
     moved = np.einsum("kdoi,kpoi->kdp", tangent.conj(), dresidues, optimize=True) / np.sqrt(size2)[:, None, None]
     moved = moved - along[:, :, None] * dsize[:, None, :]
     dzeta = dpoles.real / real - relative.real
-    return np.concatenate(
-        [relative.real[:, None], dzeta[:, None], dsize[:, None], moved.real, moved.imag], axis=1
-    )
+    return np.concatenate([relative.real[:, None], dzeta[:, None], dsize[:, None], moved.real, moved.imag], axis=1)
 
 
 def _covariance(found: Projected, residues: np.ndarray, units: np.ndarray, tangent: np.ndarray) -> np.ndarray:
@@ -153,9 +155,16 @@ def _covariance(found: Projected, residues: np.ndarray, units: np.ndarray, tange
     linear = np.zeros((R, width, R, width))
     for k in range(R):
         left = np.einsum("fcp,cplq->lfcq", by_residue[k], own[:, k], optimize=True)
-        for l in range(R):
-            linear[k, :, l] = left[l].reshape(width, -1) @ by_residue[l].reshape(width, -1).T
-    return covariance + linear.reshape(R * width, R * width)
+        for m in range(R):
+            linear[k, :, m] = left[m].reshape(width, -1) @ by_residue[m].reshape(width, -1).T
+    return _positive(covariance + linear.reshape(R * width, R * width))
+
+
+def _positive(covariance: np.ndarray) -> np.ndarray:
+    """The same without what rounding leaves below zero, as where two modes are all but one."""
+    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    values, vectors = np.linalg.eigh((covariance + covariance.T) / 2 / size[:, None] / size)
+    return (vectors * np.maximum(values, 1e-14)) @ vectors.T * size[:, None] * size
 
 
 def paired(f: Features, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:

@@ -65,25 +65,21 @@ class _Linear:
         self.setting, self.group = setting, setting.inaccuracy.group_of
         J = slopes_at(setting, state, causes, u)
         x = np.concatenate([sizes, u])
-        self.target = state.difference + J @ x
-        self.gram, self.right = J.T @ J, J.T @ self.target
-        self.energy = float(self.target @ self.target)
+        self.gram, self.right = J.T @ J, J.T @ (state.difference + J @ x)
 
     def prior(self, epsilon: np.ndarray) -> np.ndarray:
         """Standard deviation of each unknown."""
         return np.concatenate([epsilon[self.group], np.ones(len(self.right) - len(self.group))])
 
     def solve(self, epsilon: np.ndarray, temperature: float = 1.0) -> tuple[np.ndarray, np.ndarray, float]:
-        """Mean, covariance over the prior's, and log evidence."""
+        """Mean, covariance over the prior's, and half the logarithm of the determinant of that."""
         s = self.prior(epsilon)
         inner = np.eye(len(s)) + s[:, None] * self.gram * s / temperature
         L = np.linalg.cholesky(inner)
         half = np.linalg.inv(L)
         V = half.T @ half
-        h = s * self.right / temperature
-        z = V @ h
-        evidence = -0.5 * (self.energy / temperature - h @ z) - np.log(np.diag(L)).sum()
-        return s * z, V, float(evidence)
+        z = V @ (s * self.right / temperature)
+        return s * z, V, -float(np.log(np.diag(L)).sum())
 
     def learnt(self, epsilon: np.ndarray, temperature: float, rounds: int) -> np.ndarray:
         """Sizes of greatest evidence, with their prior."""
@@ -139,10 +135,12 @@ def fit(
         for _ in range(LAST):
             linear = _Linear(setting, state, causes, sizes, u)
             epsilon = linear.learnt(epsilon, 1.0, 8)
-            x, V, evidence = linear.solve(epsilon)
-            evidence += hyperprior(setting, epsilon)
+            x, V, volume = linear.solve(epsilon)
             known = 1 - np.diag(V)[: len(linear.group)]
             scale = linear.prior(epsilon)
+            # Laplace where the fit stands, not where the linear problem ends: at the optimum the same, elsewhere lower
+            here = float(state.difference @ state.difference) + float(((np.concatenate([sizes, u]) / scale) ** 2).sum())
+            evidence = -0.5 * here + volume + hyperprior(setting, epsilon)
             count = len(causes)
             now = Fit(
                 causes, sizes, u, epsilon, evidence,

@@ -11,8 +11,8 @@ from modalax.diagnose.modal_domain.corrected import frf_of
 from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.features import chosen, features_of, sure
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
-from modalax.diagnose.modal_domain.mode_count import misfit
-from modalax.diagnose.modal_domain.projection import Channels, refine
+from modalax.diagnose.modal_domain.mode_count import blind_modes, misfit
+from modalax.diagnose.modal_domain.projection import Channels
 from modalax.diagnose.modal_domain.stage import Stage
 
 
@@ -49,7 +49,7 @@ def _without(stage: Stage, f: Fit, mask: np.ndarray) -> Fit:
     flat = (len(mean), -1)
     c = found.channels
     channels = Channels(c.s, mean.reshape(flat), 2 * total[:, :, kept].reshape(flat), c.order, c.outside)
-    modes = refine(found.modes.poles, channels)
+    modes = blind_modes(channels, found.modes.poles)
     features = features_of(modes, mean.shape[1], mean.shape[2], misfit(modes, channels))
     size = np.abs(features.poles)
     known = sure(features) & (size > abs(c.s[0])) & (size < abs(c.s[-1]))

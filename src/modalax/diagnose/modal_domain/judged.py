@@ -21,13 +21,13 @@ def remarkable(stage: Stage, f: Fit, cause: Change, u: float) -> bool:
     epsilon = dict(zip(stage.setting.inaccuracy.groups, f.epsilon, strict=True))
     if cause.slug == "joint_stiffness":
         whole = 1.0 if cause.pattern is not None else cause.reference
-        return size > BEYOND * epsilon["stiffness"] * whole
+        return bool(size > BEYOND * epsilon["stiffness"] * whole)
     if cause.slug == "added_mass":
-        return size > BEYOND * epsilon["mass"] * cause.reference
+        return bool(size > BEYOND * epsilon["mass"] * cause.reference)
     if cause.slug in ("channel_gain", "force_gain"):
         return size > CALIBRATION
     if cause.slug == "time_delay":
-        return size * 2 * np.pi * stage.measured.freq[-1] > ANGLE
+        return bool(size * 2 * np.pi * stage.measured.freq[-1] > ANGLE)
     return True
 
 
@@ -55,9 +55,7 @@ def judge(stage: Stage) -> tuple[str, list[str], Explanation]:
     cores = [(standing_out(stage, e), e.probability) for e in ranked]
     alike = [(c, p) for c, p in cores if _slugs(c) == _slugs(core)]
     sure = sum(p for _, p in alike)
-    placed = all(
-        sum(p for other, p in alike if any(_same(c, o) for o in other)) > THRESHOLDS.placed for c in core
-    )
+    placed = all(sum(p for other, p in alike if any(_same(c, o) for o in other)) > THRESHOLDS.placed for c in core)
     what = " and ".join(f"{c.slug} at {' - '.join(c.where) or 'everywhere'}" for c in core)
     reasons.append(f"{what} stands out beyond the general inaccuracy (probability {sure:.3f})")
     if plain is not None:

@@ -68,7 +68,7 @@ def identify(measurement: Measurement, c: Coordinates) -> Measured:
         channels = _channels(s, H[runs], noise.sigma[runs], order, outside)
         modes = blind_modes(channels, modes.poles)
     left = misfit(modes, channels)
-    features = features_of(modes, *H.shape[2:], left)
+    features = features_of(modes, H.shape[2], H.shape[3], left)
     size = np.abs(features.poles)
     known = sure(features) & (size > abs(s[0]) * (1 - EDGE)) & (size < abs(s[-1]) * (1 + EDGE))
     return Measured(freq, noise, channels, modes, left, chosen(features, known), runs, unlike)

@@ -89,7 +89,8 @@ def _springs(
     asked = {frozenset(p) for p in pairs or ()}
     parts = parts_of(K, nodes)
     own = {frozenset(p.dofs) for p in parts if len(p.nodes) == 2 and len(p.dofs) == 2}
-    held = {int(k): p.matrix[j, j] for p in parts if len(p.nodes) == 1 and len(p.dofs) <= HELD for j, k in enumerate(p.dofs)}
+    supports = [p for p in parts if len(p.nodes) == 1 and len(p.dofs) <= HELD]
+    held = {int(k): p.matrix[j, j] for p in supports for j, k in enumerate(p.dofs)}
     groups: dict[str, list] = {key: [] for key in SHARES}
     for a, b in itertools.combinations(range(len(dofs)), 2):
         key = "named" if frozenset((dofs[a], dofs[b])) in asked else "spring" if {a, b} in own else "coupled"

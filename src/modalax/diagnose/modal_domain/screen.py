@@ -1,8 +1,8 @@
 r"""All causes at all places at once, linearised where the inaccuracy alone explains the measurement.
 
 About the simulation itself a score means nothing once modes have moved by several bandwidths. But a cause is only a
-particular change of the matrices, and the general inaccuracy can make nearly any: fitted without a cause it stands where
-the data are, and from there each cause is told by how much likelier it makes the change that was needed.
+particular change of the matrices, and the general inaccuracy can make nearly any: fitted without a cause it stands
+where the data are, and from there each cause is told by how much likelier it makes the change that was needed.
 """
 
 import numpy as np
@@ -51,7 +51,7 @@ def finite(setting: Setting, candidates: list[Change]) -> tuple[np.ndarray, np.n
 
 
 def _tolerance(setting: Setting) -> tuple[State, np.ndarray]:
-    """The simulation as it is, and what takes the usual inaccuracy out of a whitened difference ``r``, by ``|shrink r|``."""
+    """The simulation as it is, and the matrix whose product with a difference is what the inaccuracy explains of it."""
     a = setting.inaccuracy
     state = state_at(setting, np.zeros(len(a.group_of)))
     W = slopes_at(setting, state) * (TOLERANT * a.usual)[a.group_of]
@@ -160,7 +160,7 @@ def replaced(setting: Setting, f: Fit, which: int, candidates: list[Change]) -> 
 
 
 def errors_of(setting: Setting, f: Fit, candidates: list[Change]) -> np.ndarray:
-    """Standard deviation that each candidate's size would have beside a fit, over its usual size; NaN without a size."""
+    """Standard deviation that each candidate's size would have beside a fit, over its usual size; NaN without one."""
     J = slopes_at(setting, f.state, f.causes, f.u)
     W = J * np.concatenate([f.epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
     L = np.linalg.cholesky(np.eye(W.shape[1]) + W.T @ W)

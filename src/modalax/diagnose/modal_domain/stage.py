@@ -78,7 +78,7 @@ def run_stage(
     pairs = None if simulation.pairs is None else list(simulation.pairs)
     every = candidates_of(simulation, c, measurement.outputs, measurement.inputs, pairs, highest)
     candidates = [k for k in every if wanted(k.slug)]
-    explanations = explain(setting, candidates, late, tell)
+    setting, explanations = explain(setting, candidates, late, tell)
     if not explanations:
         return None
     return Stage(measurement, simulation, c, measured, setting, candidates, explanations, not late())

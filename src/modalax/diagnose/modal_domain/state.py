@@ -17,6 +17,8 @@ from modalax.diagnose.modal_domain.coordinates import (
 from modalax.diagnose.modal_domain.features import Features, paired, slopes_of_values, values_of
 from modalax.diagnose.modal_domain.inaccuracy import KINDS, Inaccuracy
 
+NONE = np.zeros(0)  # sizes where there is no cause
+
 
 @dataclass(frozen=True)
 class Setting:
@@ -77,7 +79,7 @@ def changes_of(setting: Setting, sizes: np.ndarray, causes: tuple[Change, ...], 
 
 
 def state_at(
-    setting: Setting, sizes: np.ndarray, causes: tuple[Change, ...] = (), u: np.ndarray = np.zeros(0),
+    setting: Setting, sizes: np.ndarray, causes: tuple[Change, ...] = (), u: np.ndarray = NONE,
     pairs: np.ndarray | None = None,
 ) -> State:  # fmt: skip
     """Predict; modes are paired afresh unless ``pairs`` is given.
@@ -101,12 +103,12 @@ def state_at(
     return State(setting.whitener @ (f.values - values).ravel(), modes, pairs, plain, residues)
 
 
-def slopes_at(setting: Setting, state: State, causes: tuple[Change, ...] = (), u: np.ndarray = np.zeros(0)) -> np.ndarray:
-    """Whitened derivatives of the features by the sizes of all patterns and of all causes, shape ``(m, p + causes)``."""
+def slopes_at(setting: Setting, state: State, causes: tuple[Change, ...] = (), u: np.ndarray = NONE) -> np.ndarray:
+    """Whitened derivatives of the features by the sizes of all patterns and all causes, shape ``(m, p + causes)``."""
     t = slopes_of(setting.coordinates, state.modes, state.pairs)
     parts = [pattern_slopes(t, kind, patterns) for kind, patterns in setting.patterns()]
     columns = [_through(setting, state, t, causes, u, *part) for part in parts]
-    for k, (cause, size) in enumerate(zip(causes, u, strict=True)):
+    for k, cause in enumerate(causes):
         if cause.kind:
             moved = pattern_slopes(t, cause.kind, cause.matrix[None])
             columns.append(_through(setting, state, t, causes, u, *moved))
@@ -117,7 +119,7 @@ def slopes_at(setting: Setting, state: State, causes: tuple[Change, ...] = (), u
 
 def screening_slopes(
     setting: Setting, state: State, candidates: list[Change], causes: tuple[Change, ...] = (),
-    u: np.ndarray = np.zeros(0),
+    u: np.ndarray = NONE,
 ) -> np.ndarray:  # fmt: skip
     """The same by the sizes of further causes at zero, shape ``(m, candidates)``; zero where a cause has no size."""
     t = slopes_of(setting.coordinates, state.modes, state.pairs)
@@ -126,7 +128,7 @@ def screening_slopes(
         which = [k for k, c in enumerate(candidates) if c.kind == kind and c.pattern is None]
         for start in range(0, len(which), 200):
             some = which[start : start + 200]
-            moved = direction_slopes(t, kind, np.stack([candidates[k].direction for k in some]))
+            moved = direction_slopes(t, kind, np.array([candidates[k].direction for k in some]))
             scales = np.array([candidates[k].scale for k in some])
             out[:, some] = _through(setting, state, t, causes, u, *moved) * scales
         whole = [k for k, c in enumerate(candidates) if c.kind == kind and c.pattern is not None]

@@ -118,9 +118,7 @@ def _candidates(diagnosis: Diagnosis) -> list[Table | Plot]:
     rows = [[name, f"{p:.4f}", f"{value - leading[0][2]:.4g}"] for name, p, value in leading]
     caption = f"The {len(leading)} leading of {len(diagnosis.candidates)} sets that were fitted in full."
     head = ["Set of causes", "Probability", "Log evidence to the first [nats]"]
-    chart = bar_plot(
-        names[:6], [p for _, p, _ in leading[:6]], "Probability [-]", "Probabilities of the leading sets."
-    )
+    chart = bar_plot(names[:6], [p for _, p, _ in leading[:6]], "Probability [-]", "Probabilities of the leading sets.")
     return [chart, Table(head, rows, caption)]
 
 

@@ -1,0 +1,85 @@
+"""A small frame whose elements can be off, and its FRFs, by plain NumPy."""
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
+
+import numpy as np  # noqa: E402
+import scipy.linalg  # noqa: E402
+
+from modalax.data import Measurement  # noqa: E402
+from modalax.model import Structure  # noqa: E402
+
+ELEMENTS, LENGTH, BENDING, MASS = 8, 0.15, 60.0, 0.8  # a number, m, N m^2, kg/m
+DAMPING = 0.01
+
+
+def beam() -> tuple[np.ndarray, np.ndarray]:
+    """Stiffness and mass of a plane Bernoulli beam element, DoFs w and rotation at both ends (w = -theta' x)."""
+    L = LENGTH
+    k = np.array([[12, 6 * L, -12, 6 * L], [6 * L, 4 * L**2, -6 * L, 2 * L**2],
+                  [-12, -6 * L, 12, -6 * L], [6 * L, 2 * L**2, -6 * L, 4 * L**2]])  # fmt: skip
+    m = np.array([[156, 22 * L, 54, -13 * L], [22 * L, 4 * L**2, 13 * L, -3 * L**2],
+                  [54, 13 * L, 156, -22 * L], [-13 * L, -3 * L**2, -22 * L, 4 * L**2]])  # fmt: skip
+    return BENDING / L**3 * k, MASS * L / 420 * m
+
+
+def cantilever(stiffness: np.ndarray | None = None, mass: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Matrices of a clamped beam, each element's stiffness and mass times a factor."""
+    size = 2 * (ELEMENTS + 1)
+    K, M = np.zeros((size, size)), np.zeros((size, size))
+    k, m = beam()
+    for e in range(ELEMENTS):
+        at = np.ix_(range(2 * e, 2 * e + 4), range(2 * e, 2 * e + 4))
+        K[at] += k * (1.0 if stiffness is None else stiffness[e])
+        M[at] += m * (1.0 if mass is None else mass[e])
+    return K[2:, 2:], M[2:, 2:]
+
+
+DOFS = tuple(f"{k}:+{d}" for k in range(1, ELEMENTS + 1) for d in ("Z", "RY"))
+# A rotation about y moves a beam along x downwards, so this beam's rotations count against it.
+FLIP = np.array([1.0, -1.0] * ELEMENTS)
+
+
+def modal_damping(M: np.ndarray, K: np.ndarray, zeta: np.ndarray | float) -> np.ndarray:
+    """Damping matrix of modal damping ratios."""
+    w2, P = scipy.linalg.eigh(K, M)
+    return M @ P @ np.diag(2 * zeta * np.sqrt(w2)) @ P.T @ M
+
+
+def simulation(**claims) -> Structure:
+    """The beam as its author has it."""
+    K, M = cantilever()
+    C = modal_damping(M, K, DAMPING)
+    turned = [FLIP[:, None] * A * FLIP for A in (M, C, K)]
+    return Structure(*turned, DOFS, **claims)
+
+
+def measured(
+    seed: int, off: float, *, mass: tuple[str, float] | None = None, spring: tuple[str, str, float] | None = None,
+    noise: float = 0.01, lines: int = 160, top: float = 330.0, runs: int = 1, given: bool = True,
+) -> tuple[Measurement, np.ndarray]:  # fmt: skip
+    """Accelerances of a beam whose elements are off, and the true stiffness matrix."""
+    rng = np.random.default_rng(seed)
+    K, M = cantilever(1 + off * rng.standard_normal(ELEMENTS), 1 + off / 3 * rng.standard_normal(ELEMENTS))
+    C = modal_damping(M, K, DAMPING * np.exp(10 * off * rng.standard_normal(len(K))))
+    K, M, C = (FLIP[:, None] * A * FLIP for A in (K, M, C))
+    true = K.copy()
+    if mass is not None:
+        M[DOFS.index(mass[0]), DOFS.index(mass[0])] += mass[1]
+    if spring is not None:
+        b = np.zeros(len(K))
+        b[[DOFS.index(spring[0]), DOFS.index(spring[1])]] = 1, -1
+        K += spring[2] * np.outer(b, b)
+    freq = np.linspace(4.0, top, lines)
+    outputs, inputs = DOFS[::2], (DOFS[4], DOFS[14])
+    rows, columns = [DOFS.index(n) for n in outputs], [DOFS.index(n) for n in inputs]
+    s = 2j * np.pi * freq[:, None, None]
+    H = s**2 * np.linalg.inv(K + s * C + s**2 * M)[:, rows][:, :, columns]
+    sigma = noise * np.sqrt((np.abs(H) ** 2).mean(axis=0)) * np.ones(H.shape)
+    error = rng.standard_normal((runs, *H.shape)) + 1j * rng.standard_normal((runs, *H.shape))
+    data = Measurement(
+        freq, H + sigma * error / np.sqrt(2), form="accelerance", outputs=outputs, inputs=inputs,
+        variance=np.broadcast_to(sigma**2, (runs, *H.shape)) if given else None,
+    )  # fmt: skip
+    return data, true

@@ -1,0 +1,69 @@
+"""Answers about a beam whose every element is off."""
+
+import numpy as np
+import pytest
+from frames import DOFS, FLIP, cantilever, measured, simulation
+
+from modalax.diagnose import ExtendedSimulation
+from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+
+
+def drawn(data_stiffness: np.ndarray) -> float:
+    """Root mean square relative error of the modes' stiffness in the band, by the shapes of the simulation."""
+    import scipy.linalg
+
+    K, M = cantilever()
+    K, M = (FLIP[:, None] * A * FLIP for A in (K, M))
+    w2, P = scipy.linalg.eigh(K, M)
+    inside = np.sqrt(w2) < 2 * np.pi * 330
+    error = np.einsum("nk,nm,mk->k", P, data_stiffness - K, P)[inside] / w2[inside]
+    return float(np.sqrt(np.mean(error**2)))
+
+
+def test_nothing_stands_out_of_a_simulation_that_is_off_everywhere():
+    data, K = measured(1, 0.01)
+    found = diagnose_modes(data, simulation())
+    answer = found.to_dict()
+    assert answer["verdict"] == "clean"
+    assert answer["causes"] == []
+    low, high = answer["inaccuracy"]["stiffness"]["interval"]
+    assert low < drawn(K) < high
+    assert answer["gain"]["chi2_after"] < 1.3 < 20 < answer["gain"]["chi2_before"]
+    assert "generally off" in answer["reasons"][0]
+
+
+def test_a_mass_stands_out_beyond_the_general_inaccuracy():
+    data, _ = measured(2, 0.01, mass=("5:+Z", 0.05))
+    found = diagnose_modes(data, simulation())
+    answer = found.to_dict()
+    assert answer["verdict"] == "named"
+    assert [(c["name"], c["where"]) for c in answer["causes"]] == [("added_mass", ["5:+Z"])]
+    mass = answer["causes"][0]["parameters"]["mass"]
+    assert abs(mass["value"] - 0.05) < 4 * mass["std"] < 0.02
+    assert isinstance(found.extended, ExtendedSimulation)
+    again = found.extended.frf(found.freq, form="accelerance", outputs=data.outputs, inputs=data.inputs)
+    np.testing.assert_allclose(again.H, found.predicted_after[0], atol=1e-6 * np.abs(found.predicted_after).max())
+
+
+def test_an_exact_simulation_is_told_from_one_that_is_off():
+    data, _ = measured(3, 0.0, mass=("3:+Z", 0.02))
+    answer = diagnose_modes(data, simulation()).to_dict()
+    assert [(c["name"], c["where"]) for c in answer["causes"]] == [("added_mass", ["3:+Z"])]
+    assert answer["inaccuracy"]["stiffness"]["interval"][0] == 0
+    assert answer["inaccuracy"]["stiffness"]["interval"][1] < 1e-3
+
+
+def test_a_channel_gain_is_no_matter_of_the_structure_and_noise_need_not_be_given():
+    data, _ = measured(4, 0.01, given=False)
+    gain = np.ones(len(data.outputs))
+    gain[2] = 1.2
+    answer = diagnose_modes(data.replace(H=np.asarray(data.H) * gain[:, None]), simulation()).to_dict()
+    assert [(c["name"], c["where"]) for c in answer["causes"]] == [("channel_gain", [DOFS[4]])]
+    assert answer["causes"][0]["parameters"]["gain"]["value"] == pytest.approx(0.2, abs=0.02)
+
+
+def test_time_that_is_up_still_gives_an_answer():
+    data, _ = measured(2, 0.01, mass=("5:+Z", 0.05), lines=200)
+    found = diagnose_modes(data, simulation(), budget=1e-3)
+    assert found.verdict in ("clean", "named", "ambiguous", "unknown")
+    assert any("time was up" in reason for reason in found.reasons)

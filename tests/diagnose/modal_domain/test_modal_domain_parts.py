@@ -1,0 +1,170 @@
+"""The parts of the diagnosis in the modal domain, each against a second route."""
+
+import numpy as np
+import pytest
+import scipy.linalg
+from frames import DOFS, FLIP, beam, cantilever, simulation
+
+from modalax.diagnose.modal_domain.coordinates import (
+    coordinates_of,
+    direction_slopes,
+    modes_of,
+    pattern_slopes,
+    slopes_of,
+)
+from modalax.diagnose.modal_domain.elements import local_parts, mass_parts, nodes_of, parts_of, stiffness_parts
+from modalax.diagnose.modal_domain.features import Features, features_of, paired
+from modalax.diagnose.modal_domain.mode_count import blind_modes, misfit
+from modalax.diagnose.modal_domain.projection import Channels, project, refine
+
+
+@pytest.fixture(scope="module")
+def coordinates():
+    return coordinates_of(simulation(), DOFS[::2], (DOFS[6], DOFS[14]), 2 * np.pi * 330)
+
+
+def synthetic(noise=0.0, seed=0, lines=240):
+    rng = np.random.default_rng(seed)
+    poles = np.array([-2.0 + 200j, -3.0 + 410j, -5.0 + 640j])
+    residues = rng.standard_normal((3, 6)) * -0.01j
+    s = 1j * np.linspace(120, 800, lines)
+    H = (residues[None] / (s[:, None, None] - poles[:, None]) +
+         residues.conj()[None] / (s[:, None, None] - poles.conj()[:, None])).sum(axis=1)  # fmt: skip
+    sigma = noise * np.sqrt((np.abs(H) ** 2).mean(axis=0)) + 1e-12
+    error = rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)
+    weight = np.broadcast_to(2 / sigma**2, H.shape)
+    return poles, residues, Channels(s, H + sigma * error / np.sqrt(2), weight, 0, np.zeros(0, complex))
+
+
+def test_variable_projection_has_the_gradient_of_its_chi_square():
+    poles, _, channels = synthetic(0.01)
+    start = poles * (1 + 0.001)
+    _, gradient = project(start, channels)
+    for k, step in ((0, 1e-4), (1, 1e-4j)):
+        up, down = start.copy(), start.copy()
+        up[1] += step
+        down[1] -= step
+        slope = (project(up, channels)[0].chi2 - project(down, channels)[0].chi2) / (2 * 1e-4)
+        assert -slope / 2 == pytest.approx(gradient[2 + k], rel=2e-2)
+
+
+def test_poles_and_residues_come_back():
+    poles, residues, channels = synthetic()
+    found = refine(poles * (1 + 0.002), channels)
+    np.testing.assert_allclose(found.poles, poles, rtol=1e-6)
+    np.testing.assert_allclose(found.residues, residues, rtol=1e-4, atol=1e-8)
+
+
+def test_blind_modes_are_counted_and_as_certain_as_told():
+    pulls = []
+    for seed in range(6):
+        poles, _, channels = synthetic(0.02, seed)
+        found = blind_modes(channels)
+        assert len(found.poles) == 3
+        assert misfit(found, channels) < 1.1
+        std = np.sqrt(np.diag(np.linalg.inv(found.information))).reshape(-1, 2)
+        error = found.poles - poles
+        pulls += [*(error.real / std[:, 0]), *(error.imag / std[:, 1])]
+    assert 0.6 < np.std(pulls) < 1.5
+
+
+def test_features_scatter_as_their_covariance_says():
+    values, told = [], None
+    for seed in range(40):
+        poles, _, channels = synthetic(0.02, 0)
+        rng = np.random.default_rng(seed)
+        sigma = np.sqrt(2 / channels.weight)
+        more = sigma * (rng.standard_normal(sigma.shape) + 1j * rng.standard_normal(sigma.shape)) / np.sqrt(2)
+        clean = Channels(channels.s, channels.data + more, channels.weight / 2, 0, channels.outside)
+        f = features_of(refine(poles, clean), 3, 2)
+        values.append(f.values[:, :3].ravel())
+        told = np.sqrt(np.diag(f.covariance)).reshape(f.values.shape)[:, :3].ravel() / np.sqrt(2)
+    ratio = np.std(values, axis=0) / told
+    assert ((ratio > 0.6) & (ratio < 1.5)).all(), ratio
+
+
+def test_modes_make_the_receptance_of_the_matrices(coordinates):
+    c, S = coordinates, simulation()
+    modes = modes_of(c)
+    omega = np.array([300.0, 1100.0])
+    s = 1j * omega[:, None, None, None]
+    y, x = modes.vectors @ c.outputs.T, modes.vectors @ c.inputs.T
+    A = y[:, :, None] * x[:, None, :]
+    H = (A / (s - modes.poles[:, None, None]) + A.conj() / (s - modes.poles.conj()[:, None, None])).sum(axis=1)
+    aim = np.asarray(S.receptance(omega, DOFS[::2], (DOFS[6], DOFS[14])))
+    np.testing.assert_allclose(H, aim, atol=1e-9 * np.abs(aim).max())
+
+
+@pytest.mark.parametrize("kind", ["K", "M", "C"])
+def test_derivatives_of_modes_match_differences(coordinates, kind):
+    c = coordinates
+    rng = np.random.default_rng(1)
+    b = c.shapes.T @ rng.standard_normal(len(DOFS))
+    unit = {"K": c.frequencies[2] ** 2, "M": 1.0, "C": c.damping[2, 2]}[kind] / float(b @ b)
+    which = np.arange(4)
+    t = slopes_of(c, modes_of(c), which)
+    patterns = [pattern_slopes(t, kind, unit * np.outer(b, b)[None])]
+    patterns.append(tuple(unit * a for a in direction_slopes(t, kind, b[None])))
+    step = 1e-4
+    up, down = (modes_of(c, **{f"d{kind}": sign * step * unit * np.outer(b, b)}) for sign in (1, -1))
+    shape = lambda m: np.einsum("ko,ki->koi", m.vectors[which] @ c.outputs.T, m.vectors[which] @ c.inputs.T)  # noqa: E731
+    poles = (up.poles - down.poles)[which] / (2 * step)
+    residues = (shape(up) - shape(down)) / (2 * step)
+    for dpoles, out, inn in patterns:
+        made = np.einsum("ko,ki->koi", out[:, 0], t.shape_inputs) + np.einsum("ko,ki->koi", t.shape_outputs, inn[:, 0])
+        np.testing.assert_allclose(dpoles[:, 0], poles, atol=1e-4 * np.abs(poles).max())
+        np.testing.assert_allclose(made, residues, atol=1e-4 * np.abs(residues).max())
+
+
+def test_beam_elements_are_read_off_the_stiffness_matrix():
+    K, _ = cantilever()
+    K = FLIP[:, None] * K * FLIP
+    parts = stiffness_parts(K, nodes_of(DOFS))
+    np.testing.assert_allclose(sum(p.full(len(K)) for p in parts), K, atol=1e-9 * K.max())
+    inner = [p for p in parts if len(p.nodes) == 2]
+    assert len(inner) == 7
+    turn = np.array([1.0, -1.0, 1.0, -1.0])
+    aim = turn[:, None] * beam()[0] * turn
+    for p in inner:
+        order = np.argsort(p.dofs)
+        np.testing.assert_allclose(p.matrix[np.ix_(order, order)], aim, atol=1e-8 * aim.max())
+
+
+def test_springs_and_supports_are_read_off_without_directions():
+    k = np.array([100.0, 300.0, 50.0])
+    K = np.array([[k[0] + k[1], -k[1], 0], [-k[1], k[1] + k[2], -k[2]], [0, -k[2], k[2]]])
+    parts = stiffness_parts(K, nodes_of(("a", "b", "c")))
+    found = {tuple(sorted(p.dofs)): p.matrix[0, 0] for p in parts}
+    assert found == pytest.approx({(0, 1): 300.0, (1, 2): 50.0, (0,): 100.0})
+
+
+def test_local_parts_sum_to_the_matrix_and_resist_no_rigid_motion():
+    rng = np.random.default_rng(0)
+    F = rng.standard_normal((6, 4))
+    free = scipy.linalg.null_space(F.T)
+    parts = local_parts(F @ F.T)
+    np.testing.assert_allclose(sum(p.full(6) for p in parts), F @ F.T, atol=1e-10)
+    for p in parts:
+        assert np.abs(p.full(6) @ free).max() < 1e-6
+
+
+def test_condensed_matrices_have_local_parts_and_mass_parts_sum():
+    rng = np.random.default_rng(2)
+    A = rng.standard_normal((12, 12))
+    dense = A @ A.T
+    names = tuple(f"p{k}" for k in range(12))
+    assert len(parts_of(dense, nodes_of(names))) == 12
+    _, M = cantilever()
+    parts = mass_parts(M, nodes_of(DOFS))
+    np.testing.assert_allclose(sum(p.full(len(M)) for p in parts), M, atol=1e-12)
+
+
+def test_modes_far_off_are_still_paired(coordinates):
+    c = coordinates
+    modes = modes_of(c)
+    A = np.einsum("ko,ki->koi", modes.vectors @ c.outputs.T, modes.vectors @ c.inputs.T)
+
+    some, units = [2, 0, 1], np.ones((3, *A.shape[1:]))
+    none = np.zeros((3, 1, *A.shape[1:]), complex)
+    seen = Features(modes.poles[some] * 1.1, A[some], units, none, np.zeros((3, 5)), np.eye(15))
+    np.testing.assert_array_equal(paired(seen, modes.poles, A), some)
