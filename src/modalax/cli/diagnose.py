@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 
 from modalax.cli.common import (
@@ -121,8 +120,10 @@ def _selected(measurement: Any, band: tuple[float, float] | None, runs: list[int
         wrong = [k for k in runs if not 1 <= k <= measurement.runs]
         if wrong:
             raise ValueError(f"--run {wrong[0]}: the measurement has runs 1 to {measurement.runs}")
-        keep = [k - 1 for k in runs]
-        take = lambda a: None if a is None else a[np.array(keep)]  # noqa: E731
+        import numpy as np
+
+        keep = np.array([k - 1 for k in runs])
+        take = lambda a: None if a is None else a[keep]  # noqa: E731
         measurement = measurement.replace(
             H=take(measurement.H), variance=take(measurement.variance), coherence=take(measurement.coherence),
             level=take(measurement.level), force=take(measurement.force),

@@ -9,7 +9,7 @@ from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.thresholds import THRESHOLDS
 
 BEYOND = 3.0  # times the general inaccuracy that a joint or element must be off by to stand out
-CALIBRATION = 0.01  # relative error of a gain that is usual for sensors with a certificate (ISO 16063-21)
+CALIBRATION = 0.02  # relative error of a gain that is usual for calibrated and mounted sensors (ISO 16063-21)
 ANGLE = 0.01  # phase [rad] at the end of the band that a delay must make to stand out
 MISSED = 2.0  # chi-square per feature beyond which modes are not explained
 HOPELESS = 0.8  # part of the greatest inaccuracy from which a simulation is not one of this structure
