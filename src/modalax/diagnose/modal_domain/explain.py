@@ -160,7 +160,10 @@ def _leading(
     out: list[tuple[Change, float, Fit | None]] = [(candidates[k], v, None) for k, v in zip(first, near, strict=True)]
     linear = [k for k in np.argsort(-(gain + share)) if np.isfinite(gain[k]) and gain[k] > 0][:FITTED]
     start = without_causes(null)
-    return out + [(candidates[k], float(np.clip(size[k], -3, 3)), start) for k in linear]
+    told = [float(np.clip(size[k], -3, 3)) for k in linear]
+    near = refined(setting, [candidates[k] for k in linear], told)
+    out += [(candidates[k], v, None) for k, v in zip(linear, near, strict=True)]
+    return out + [(candidates[k], v, start) for k, v in zip(linear, told, strict=True)]
 
 
 def _at_home(setting: Setting, null: Fit) -> Fit:
