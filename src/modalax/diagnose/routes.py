@@ -14,7 +14,10 @@ from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis
 from modalax.diagnose.result import Diagnosis
 from modalax.model import Structure
 
-WORK = 5e6  # samples times places beyond which a search line by line takes minutes
+# Samples times places, and places, beyond which a search line by line takes minutes; and places beyond which it is
+# spared where the modal domain is decisive
+WORK, PLACES, MANY = 5e6, 300, 120
+DECISIVE = 0.999  # probability of the names from which nothing else is looked for
 LEFT = 0.01  # chance under noise alone of what is left, from which on nothing is left
 AS_NOISE = 1.2  # chi-square per sample on the held-out block up to which a fit predicts it
 UNEXPLAINED = 1.5  # the same, beyond which a fit does not
@@ -30,7 +33,8 @@ def needs_modes(measurement: Measurement, simulation: Structure) -> bool:
     """Whether the author says that every element is off, or a search line by line would take too long."""
     claims = [simulation.stiffness_std, simulation.mass_std]
     places = len(simulation.dofs) * (len(simulation.dofs) + 1) / 2
-    return any(c is not None and float(c) > 0 for c in claims) or places * 2 * measurement.H.size > WORK
+    large = places > PLACES or places * 2 * measurement.H.size > WORK
+    return large or any(c is not None and float(c) > 0 for c in claims)
 
 
 def only_modes_claimed(simulation: Structure) -> bool:
@@ -45,6 +49,13 @@ def off_everywhere(found: ModalDiagnosis) -> bool:
         for name in ("stiffness", "mass")
     )
     return off and found.verdict != "unknown" and found.after.p_value > LEFT and found.gain.chi2_after < AS_NOISE
+
+
+def decisive(found: ModalDiagnosis) -> bool:
+    """Whether a cause is named beyond doubt, nothing is left, and the problem is large."""
+    places = len(found.stage.simulation.dofs) * (len(found.stage.simulation.dofs) + 1) / 2
+    sure = found.verdict == "named" and found.causes[0]["probability"] >= DECISIVE and not found.alternatives
+    return places > MANY and sure and found.after.p_value > LEFT and found.gain.chi2_after < AS_NOISE
 
 
 def unexplained(found: Diagnosis) -> bool:
@@ -72,7 +83,7 @@ def routed(
     if not every_cause:
         return exact()
     first = None if only_modes_claimed(simulation) else modal()
-    if first is not None and off_everywhere(first):
+    if first is not None and (off_everywhere(first) or decisive(first)):
         return first
     found = exact()
     if not unexplained(found):
