@@ -143,6 +143,7 @@ class Diagnosis:
             "alternatives": self.alternatives,
             "advice": self.advice,
             "smallest_detectable": self.smallest_detectable,
+            "inaccuracy": None,  # line by line all but the causes is taken as exact
             "reasons": list(self.reasons),
             "gain": self.gain.to_dict(),
             "question": self.question,
