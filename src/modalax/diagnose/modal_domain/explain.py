@@ -98,12 +98,14 @@ def explain(
         if late():
             break
         if best.causes:
+            _fewer(setting, found, best.fit)
             _neighbours(setting, found, best.fit, candidates, prior, late)
             best = _ranked(found, prior)[0]
         if len(best.causes) >= MOST or not _further(setting, found, best.fit, candidates, prior, late):
             break
         if len(_ranked(found, prior)[0].causes) == len(best.causes):
             break
+        _fewer(setting, found, _ranked(found, prior)[0].fit)
         setting, found = _beside_the_rest(setting, found, prior, late)
     return setting, _ranked(found, prior)
 
@@ -170,6 +172,13 @@ def _at_home(setting: Setting, null: Fit) -> Fit:
     """The simulation as it is, with its usual inaccuracy."""
     sizes = np.zeros_like(null.sizes)
     return replace(null, sizes=sizes, epsilon=setting.inaccuracy.usual, state=state_at(setting, sizes))
+
+
+def _fewer(setting: Setting, found: dict[tuple[Change, ...], Fit], best: Fit) -> None:
+    """The best without each of its causes, from where it stands: its rivals may have stopped short of that."""
+    for k in range(len(best.causes)):
+        kept = tuple(c for j, c in enumerate(best.causes) if j != k)
+        _try(setting, found, kept, np.delete(best.u, k), without_causes(best), gentle=False)
 
 
 def _neighbours(

@@ -15,7 +15,7 @@ from modalax.diagnose.modal_domain.state import Setting, State, slopes_at, state
 
 TEMPERATURES = (100.0, 10.0, 3.0)  # widening of the features' covariance in the first steps of a fit
 LEARNING = 10.0  # greatest of these at which the sizes of the inaccuracy are learnt: far off, all seems inaccurate
-LAST = 12  # most steps at the true covariance
+LAST = 25  # most steps at the true covariance
 SETTLED = 0.02  # change of log evidence at which a fit has ended
 SMALLEST = 1e-5  # least size of an inaccuracy: what no structure is known better to
 LARGEST = np.array([0.3, 0.3, 1.5])  # greatest sizes in stiffness, mass and damping: beyond it is no simulation
