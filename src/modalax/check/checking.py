@@ -31,7 +31,7 @@ from modalax.files.messages import about
 Detector = Callable[[Study], Iterator[Finding]]
 # In this order: what an earlier one finds is mended, or left out, before the later ones look.
 DETECTORS: tuple[Detector, ...] = (
-    conjugated, dead, duplicated, hum, drift, clipped, excitation, record_too_short, resolution, wrong_form,
+    conjugated, dead, duplicated, wrong_form, hum, drift, clipped, excitation, record_too_short, resolution,
     frequency_shift, delay, misplaced, reciprocity,
 )  # fmt: skip
 

@@ -15,7 +15,7 @@ from modalax.check.study import Study, running_mean
 # log noise on; there must be so many of them in the band.
 RIPPLE, SMALLEST_RIPPLE, FEWEST = 60.0, 0.4, 4
 # Growth of the noise within the upper part of the band [dB], noise over FRF at its end, and how it must bend.
-GROWTH, LOST = 20.0, 0.5
+GROWTH, LOST = 20.0, 0.15
 
 
 def excitation(study: Study) -> Iterator[Finding]:
@@ -66,7 +66,8 @@ def _ripple(study: Study, noise: np.ndarray, name: str) -> Finding | None:
     rest = (noise - smooth) * np.hanning(lines)
     power = np.abs(np.fft.rfft(rest, 4 * lines)) ** 2
     # Bins are 1/(4 lines step) of quefrency apart; slower ripples than FEWEST in the band belong to the smooth part.
-    first = 4 * max(FEWEST, 4)
+    # Where the noise grows much, the bend of its growth is left over, at few ripples.
+    first = 4 * (2 * FEWEST if np.ptp(smooth) > 3 else FEWEST)
     k = first + int(np.argmax(power[first:]))
     # An exact variance has no scatter of its own; a hundredth of its logarithm is no ripple either.
     floor = np.median(power[first:]) / np.log(2) + 1e-4 * lines

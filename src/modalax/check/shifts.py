@@ -57,7 +57,7 @@ def _between(study: Study, modes: list[int], kind: str, blocks: list, names: lis
         spread = np.sqrt(s**2 + np.median(s) ** 2)
         # With many blocks their own scatter shows what errors of the model do.
         scatter = 1.5 * np.median(off) if len(f) > 4 and kind == "output" else 0.0
-        least = (3 if kind == "output" else 1) * SMALLEST_SHIFT * width
+        least = (6 if kind == "output" else 1) * SMALLEST_SHIFT * width
         z = off / np.maximum(np.maximum(SURE * spread, least), SURE * scatter)
         k = int(np.argmax(z))
         if z[k] <= 1 or (best is not None and z[k] <= best[0]):
