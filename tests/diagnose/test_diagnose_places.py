@@ -9,8 +9,9 @@ import scipy.optimize
 
 from modalax import Measurement, Structure
 from modalax.diagnose.causes.channels import ChannelGain, ChannelSwap, SensorMass
+from modalax.diagnose.causes.couplings import Gyroscopic
 from modalax.diagnose.causes.hum_pickup import pickup
-from modalax.diagnose.causes.local import Gyroscopic, JointStiffness, LocalDamper
+from modalax.diagnose.causes.local import JointStiffness, LocalDamper
 from modalax.diagnose.causes.mains_hum import MainsHum, _tail, hums
 from modalax.diagnose.causes.missing_modes import MissingMode, OutOfBand
 from modalax.diagnose.causes.scene import Place, Scene
@@ -79,7 +80,9 @@ def test_gain_of_free_springs_and_dampers_is_that_of_the_elements(claimed):
             changes.append(y)
         p = np.array([np.sum(np.real(y.conj() * at.S[k])) for y in changes])
         gram = np.array([[np.sum(np.real(y.conj() * z) * at.N[k]) for z in changes] for y in changes])
-        across = np.array([[np.sum(np.real(y.conj() * t)) for t in at.T[k]] for y in changes]).reshape(len(p), -1)
+        across = np.array(
+            [[np.sum(np.real(y.conj() * t)) for t in reduced.nuisances(at.a[k], at.b[k])] for y in changes]
+        ).reshape(len(p), -1)
         if across.size:
             gram = gram - across @ reduced.inner @ across.T
         # the nuisances leave some directions a hundred-thousandth of their length, and the ridge is 1e-9 of that length
@@ -303,7 +306,8 @@ def test_several_far_modes_of_unlike_shapes_are_residual_terms_in_every_channel(
     )
     everything = float((value**2).sum())
     assert several.gain > 0.99 * everything and one.gain < 0.9 * everything
-    assert OutOfBand("upper").sizes(5, 2) == 6 and OutOfBand("both", several=True).sizes(5, 2) == 20
+    sizes = np.zeros((1, 5, 2))
+    assert OutOfBand("upper").free_sizes(sizes) == 6 and OutOfBand("both", several=True).free_sizes(sizes) == 20
     keys = [_key(OutOfBand(side, k)) for side in ("upper", "lower", "both") for k in (False, True)]
     assert len(set(keys)) == 6  # they are saved and loaded apart
 

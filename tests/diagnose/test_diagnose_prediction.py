@@ -8,10 +8,11 @@ import scipy.special
 
 from modalax.diagnose.causes import LocalCause, catalogue
 from modalax.diagnose.causes.channels import SensorMass
+from modalax.diagnose.causes.couplings import Gyroscopic
 from modalax.diagnose.causes.damping import ModalDamping
 from modalax.diagnose.causes.drift import DriftingSpring
 from modalax.diagnose.causes.joints import CubicStiffness, ElastoSlip
-from modalax.diagnose.causes.local import AddedMass, Gyroscopic, JointStiffness, LocalDamper, TunedMass
+from modalax.diagnose.causes.local import AddedMass, JointStiffness, LocalDamper, TunedMass
 from modalax.diagnose.causes.records import ExponentialWindow, FastSweep, Leakage, _hann, erfcx
 from modalax.diagnose.prediction import element_response as pieces
 from modalax.diagnose.prediction.frf import equivalent, predict
