@@ -78,7 +78,7 @@ def detect(
             looked = sum(t.trials for t in mine)
             # places that were not kept add to the number of tests no more than as many of those kept
             count += effective_number(D, states[side]) * max(1.0, (looked / len(D)) ** 0.5)
-    top = max((math.sqrt(max(t.gain - tolerated, 0.0)) for t in scored), default=0.0)
+    top = max((math.sqrt(max(t.gain - tolerated, t.linear - tolerated, 0.0)) for t in scored), default=0.0)
     count = max(count, 1.0)
     # one mode a side shows nearly all that several would
     patterns = [t for t in trials if t.cause.judged_by == "patterns"]

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from modalax.diagnose.causes.base import Cause, ElementCause, LinesCause, PatternCause
+from modalax.diagnose.causes.base import Cause, ElementCause, LinesCause, LocalCause, PatternCause
 from modalax.diagnose.comparison import Comparison, hum_of
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.screening.local_elements import screen_elements
@@ -41,6 +41,8 @@ class _Screen:
         Whether larger sizes of elements are tried too.
     products
         Products at the places of elements, kept for the next cause with the same places.
+    likely
+        Chi-square that linear elements take away at each of the same places.
     """
 
     comparison: Comparison
@@ -48,6 +50,7 @@ class _Screen:
     state: ScoreState
     finite: bool
     products: dict[Any, Any] = field(default_factory=dict)
+    likely: dict[Any, np.ndarray] = field(default_factory=dict)
 
     def trials(self, cause: Cause) -> list[Trial]:
         """Trials of one cause at all its places."""
@@ -92,7 +95,21 @@ class _Screen:
             self.products[False, key] = apart if one else at_places(reduced[False], places, apart=apart)
         weight = np.asarray(self.comparison.side(side)[0].weight)
         at = self.products[side, key]
-        return screen_elements(cause, self.comparison.scene, reduced[side], at, places, weight, self.finite)
+        found = screen_elements(
+            cause,
+            self.comparison.scene,
+            reduced[side],
+            at,
+            places,
+            weight,
+            self.finite,
+            self.likely.get(key),
+            not self.comparison.nuisance.active,
+        )
+        if isinstance(cause, LocalCause):
+            gains = np.array([t.gain for t in found])
+            self.likely[key] = np.maximum(self.likely.get(key, gains), gains)
+        return found
 
 
 def screen_all(

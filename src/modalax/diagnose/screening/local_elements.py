@@ -16,12 +16,21 @@ from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.prediction.element_response import coefficients
 from modalax.diagnose.screening.products import At, Reduced, at_places
-from modalax.diagnose.screening.screen import KEPT_PLACES, KEPT_SHAPES, Trial, best_trial, smallest
+from modalax.diagnose.screening.screen import (
+    KEPT_PLACES,
+    KEPT_SHAPES,
+    Trial,
+    best_trial,
+    linear_size,
+    smallest,
+    with_sizes,
+)
 from modalax.diagnose.screening.screening_fit import Target, fit_from_screening
-from modalax.diagnose.screening.sensitivities import BATCH
 
 LARGE = 200_000  # samples from which fewer directions are kept
-PROMISING = 4  # places of each kind at which finite sizes are tried
+PROMISING = 4  # places at which finite sizes of a joint are tried: the best of its derivative, and of linear elements
+SIZES = np.geomspace(0.01, 4.0, 14)  # of the largest size in a cause's grid, tried where its size is its only unknown
+SAMPLES = 2**20  # trials times lines times inputs worked on together: some 100 MB
 
 
 def changes(cause: Cause, solve: bool, params: np.ndarray, owner: np.ndarray, at: At, reduced: Reduced) -> np.ndarray:
@@ -67,15 +76,16 @@ def score(
     kinds = KEPT_PLACES if reduced.weight2.size < LARGE else KEPT_PLACES // 3
     some = set(np.unique(np.linspace(0, len(grids) - 1, kinds).astype(int)).tolist())
     square, product, kept = [], [], {}
-    for start in range(0, len(grids), BATCH):
-        places = range(start, min(start + BATCH, len(grids)))
+    most = max(1, int(SAMPLES / (max(len(g) for g in grids) * at.S[0].size)))
+    for start in range(0, len(grids), most):
+        places = range(start, min(start + most, len(grids)))
         params = np.concatenate([grids[k] for k in places])
         owner = np.concatenate([np.full(len(grids[k]), k) for k in places])
         every = changes(cause, solve, params, owner, at, reduced)
         for k in places:
             y = every[owner == k]
             flat = _parts(y, 1)
-            across = flat @ _parts(at.T[k], 1).T
+            across = flat @ _parts(reduced.nuisances(at.a[k], at.b[k]), 1).T
             length = (flat**2) @ np.repeat(at.N[k].ravel(), 2)
             square.append(length - np.einsum("pk,kl,pl->p", across, reduced.inner, across))
             product.append(flat @ _parts(at.S[k], 0))
@@ -105,9 +115,33 @@ def grids_of(cause: Cause, scene: Any, places: list[Place]) -> tuple[list[np.nda
 
 def screen_elements(
     cause: Cause, scene: Any, reduced: Reduced, at: At, places: list[Place], weight: np.ndarray,
-    finite: bool = True,
+    finite: bool = True, likely: np.ndarray | None = None, fixed: bool = True,
 ) -> list[Trial]:  # fmt: skip
-    """Derivatives at all places, and finite sizes at the promising ones."""
+    """Screen an element at all places by its derivative and, exactly, at finite sizes.
+
+    Where peaks move by more than their width, the derivative at zero says nothing of which place is right. A linear
+    element is therefore tried at finite sizes everywhere; a joint, which costs more, where its derivative or linear
+    elements explain most.
+
+    Parameters
+    ----------
+    cause
+        The element.
+    scene
+        What causes may look at.
+    reduced, at
+        Products of the residual, and at the places.
+    places
+        Where the element may sit.
+    weight
+        Square roots of the inverse variances, shape ``(run, f, o, i)``.
+    finite
+        Whether finite sizes of joints are tried.
+    likely
+        Chi-square that linear elements take away at each place; None where that is not known.
+    fixed
+        Whether no modal parameter follows, so that finite sizes are exact.
+    """
     grids, small = grids_of(cause, scene, places)
     square, product, kept = score(cause, reduced, at, small, False)
     trials, laid_out = [], np.ascontiguousarray(weight.transpose(2, 3, 0, 1))
@@ -118,15 +152,36 @@ def screen_elements(
             column = np.ascontiguousarray(reduced.column_at(place).T)
             trial = replace(trial, direction=np.stack([_direction(laid_out, column, y) for y in mine]))
         trials.append(trial)
-    if not finite:
+    linear = isinstance(cause, LocalCause)
+    if not finite and not linear:
         return trials
-    order = np.argsort([-t.gain for t in trials])[:PROMISING]
-    some = At(at.motion[order], at.drive[order], at.S[order], at.N[order], at.T[order])
-    square, product, _ = score(cause, reduced, some, [grids[k] for k in order], True)
+    order = np.arange(len(places)) if linear else _promising(trials, likely)
+    rows = [_sizes(trials[k], grids[k], linear) for k in order]
+    square, product, _ = score(cause, reduced, at.of(order), rows, True)
     for j, k in enumerate(order):
-        new, old = best_trial(cause, places[k], grids[k], square[j], product[j]), trials[k]
-        trials[k] = replace(new, direction=old.direction, z=old.z, error=old.error, trials=old.trials)
-    return trials
+        trials[k] = with_sizes(trials[k], rows[j], square[j], product[j], fixed)
+    if not fixed:
+        return trials
+    tried = set(order.tolist())
+    best = max(trials[k].gain for k in tried)
+    return [t if k in tried else replace(t, gain=min(t.gain, max(best, 0.0))) for k, t in enumerate(trials)]
+
+
+def _promising(trials: list[Trial], likely: np.ndarray | None) -> np.ndarray:
+    """Numbers of the places at which the derivative, or linear elements, explain most."""
+    order = np.argsort([-t.gain for t in trials])[:PROMISING].tolist()
+    others = [] if likely is None else np.argsort(-likely)[:PROMISING].tolist()
+    return np.array([*order, *(k for k in others if k not in order)])
+
+
+def _sizes(trial: Trial, grid: np.ndarray, linear: bool) -> np.ndarray:
+    """Parameters of finite size to try: those of the grid, of many sizes where there is no other unknown."""
+    rows = grid[~smallest(grid)]
+    if linear and grid.shape[1] == 1:
+        sizes = np.abs(grid[:, 0]).max() * SIZES
+        rows = np.concatenate([sizes, -sizes] if (grid < 0).any() else [sizes])[:, None]
+    own = linear_size(trial, trial.cause)
+    return rows if own is None else np.concatenate([rows, own[None]])
 
 
 def _direction(weight: np.ndarray, column: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -139,7 +194,8 @@ def _direction(weight: np.ndarray, column: np.ndarray, y: np.ndarray) -> np.ndar
 def element_target(reduced: Reduced, starts: list[Hypothesis]) -> Target:
     """Products at the places of some hypotheses, real and imaginary parts in turn."""
     at = at_places(reduced, [h.places[0] for h in starts])
-    return Target(np.repeat(at.N.reshape(len(starts), -1), 2, axis=1), _parts(at.S, 1), _parts(at.T, 2), reduced.inner)
+    nuisance = np.stack([_parts(reduced.nuisances(a, b), 1) for a, b in zip(at.a, at.b, strict=True)])
+    return Target(np.repeat(at.N.reshape(len(starts), -1), 2, axis=1), _parts(at.S, 1), nuisance, reduced.inner)
 
 
 def fit_elements(

@@ -32,7 +32,7 @@ class Reduced:
     outputs, inputs
         DoFs of the channels.
     S, T
-        Products with the residual ``(run, f, dof, i)`` and with the nuisances ``(k, run, f, dof, i)``.
+        Products with the residual ``(run, f, dof, i)`` and with the nuisances ``(dof, k, run, f, i)``.
     weight2
         Squared weights, shape ``(run, f, o, i)``.
     inner
@@ -105,6 +105,10 @@ class Reduced:
         both = lambda R: np.einsum("kk->k", _along(_along(R, a, b).T, a, b))  # noqa: E731
         return (H + self._far(lambda R: both(R)[None])).T
 
+    def nuisances(self, a: Any, b: Any) -> np.ndarray:
+        """Products with the nuisances at one place, shape ``(k, run, f, i)``; ``b`` below 0 is the ground."""
+        return self.T[a] if b < 0 else self.T[a] - self.T[b]
+
     def _far(self, at: Callable[[np.ndarray], np.ndarray]) -> Any:
         """What the residual terms add, over the lines."""
         if self.upper is None or self.lower is None:
@@ -175,10 +179,10 @@ def reduce(problem: Problem, theta: np.ndarray, state: Residual) -> Reduced:
 
     S = back(weight * complex_of(state.value, runs))
     G = complex_of(state.nuisance, runs) if len(state.nuisance) else np.zeros((0, *weight.shape), complex)
-    T = np.zeros((len(G), *S.shape), complex)
+    T = np.zeros((S.shape[2], len(G), *S.shape[:2], S.shape[3]), complex)
     for k, g in enumerate(G):
         if g.any():  # the others only fill up
-            T[k] = back(weight * g)
+            T[:, k] = np.moveaxis(back(weight * g), 2, 0)
     return Reduced(
         gains, psi, part, upper if far else None, lower if far else None, o, i, S, T, weight**2, state.inner,
         np.asarray(problem.omega), np.asarray(problem.level), factors_of(gains),
@@ -188,19 +192,28 @@ def reduce(problem: Problem, theta: np.ndarray, state: Residual) -> Reduced:
 def as_one(apart: Reduced, pooled: Problem) -> Reduced:
     """The products with all runs as one: pooled residuals times their weight are the sums of those of the runs."""
     weight2, level = np.asarray(pooled.weight) ** 2, np.asarray(pooled.level)
-    S, T = apart.S.sum(axis=0, keepdims=True), apart.T.sum(axis=1, keepdims=True)
+    S, T = apart.S.sum(axis=0, keepdims=True), apart.T.sum(axis=2, keepdims=True)
     return replace(apart, S=S, T=T, weight2=weight2, level=level)
 
 
 @dataclass(frozen=True)
 class At:
-    """Products at some places, stacked along the first axis."""
+    """Products at some places, stacked along the first axis, and both DoFs of each place.
+
+    Those with the nuisances are made where they are needed (:meth:`Reduced.nuisances`): all of them at once would take
+    places times nuisances times samples.
+    """
 
     motion: np.ndarray
     drive: np.ndarray
     S: np.ndarray
     N: np.ndarray
-    T: np.ndarray
+    a: np.ndarray
+    b: np.ndarray
+
+    def of(self, order: np.ndarray) -> "At":
+        """The same at some of the places."""
+        return At(*(x[order] for x in (self.motion, self.drive, self.S, self.N, self.a, self.b)))
 
 
 def at_places(reduced: Reduced, places: Sequence[Place], targets: bool = True, apart: At | None = None) -> At:
@@ -209,7 +222,7 @@ def at_places(reduced: Reduced, places: Sequence[Place], targets: bool = True, a
     Parameters
     ----------
     targets
-        Whether ``N`` and ``T`` are wanted as well as what the changes need.
+        Whether ``N`` is wanted as well as what the changes need.
     apart
         The same with the runs apart, if ``reduced`` has them pooled and it is there already.
     """
@@ -223,19 +236,17 @@ def at_places(reduced: Reduced, places: Sequence[Place], targets: bool = True, a
 
     S = pair(reduced.S, 2)
     if apart is not None:
-        T = pair(reduced.T, 3) if len(reduced.T) else apart.T[:, :, :1]
-        return At(apart.motion, apart.drive, S, apart.N.sum(axis=1, keepdims=True), T)
+        return At(apart.motion, apart.drive, S, apart.N.sum(axis=1, keepdims=True), a, b)
     motion, drive = reduced.motion(a, b), reduced.drive(a, b)
     if not targets:
-        return At(motion, drive, S, S[:0], S[:0])
+        return At(motion, drive, S, S[:0], a, b)
     N, (runs, lines, outputs, inputs) = [], reduced.weight2.shape
     weight2 = np.ascontiguousarray(reduced.weight2.transpose(1, 2, 0, 3)).reshape(lines, outputs, -1)
     for k in range(0, len(a), BATCH):
         column = reduced.column(a[k : k + BATCH], b[k : k + BATCH])
         square = (column.real**2 + column.imag**2) @ weight2
         N.append(square.reshape(lines, -1, runs, inputs).transpose(1, 2, 0, 3))
-    T = pair(reduced.T, 3) if len(reduced.T) else np.zeros((len(a), 0, *S.shape[1:]), complex)
-    return At(motion, drive, S, np.concatenate(N), T)
+    return At(motion, drive, S, np.concatenate(N), a, b)
 
 
 def ends(places: Sequence[Place]) -> tuple[np.ndarray, np.ndarray]:

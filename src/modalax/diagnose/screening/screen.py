@@ -24,6 +24,7 @@ from modalax.diagnose.setup.problem import Problem
 MANY_PLACES = 40  # beyond this, finite sizes are tried only where the derivative looks promising
 KEPT = 12
 KEPT_PLACES, KEPT_SHAPES = 8, 4
+STARTS_KEPT = 3  # starts of finite size kept for the fit, times two
 
 
 @dataclass
@@ -33,7 +34,9 @@ class Trial:
     Attributes
     ----------
     gain
-        Chi-square that the start takes away, with the size optimal where the effect is linear.
+        Chi-square that the start takes away: exactly where a finite size was tried, else as the derivative promises.
+    linear
+        Chi-square that the derivative promises; by this, too, it is judged whether anything is wrong.
     z
         Score at the derivative, standard normal without the cause; NaN where there is none.
     start
@@ -56,6 +59,7 @@ class Trial:
     direction: np.ndarray | None = None
     error: float = np.nan
     trials: int = 1
+    linear: float = 0.0
 
 
 def nuisance_of(theta: np.ndarray, comparison: Comparison) -> np.ndarray:
@@ -68,7 +72,7 @@ def nuisance_of(theta: np.ndarray, comparison: Comparison) -> np.ndarray:
 
 def screen(
     causes: list[tuple[Cause, Place, np.ndarray]], theta: np.ndarray, residual: Residual, problem: Problem,
-    nuisance: Nuisance, keep: bool = False,
+    nuisance: Nuisance, keep: bool = False, exact: bool = False,
 ) -> list[Trial]:  # fmt: skip
     """Scores of one kind of cause at all the places and parameters given.
 
@@ -78,6 +82,8 @@ def screen(
         The same cause, its places and the parameters to try there.
     keep
         Whether to keep the unit directions.
+    exact
+        Whether parameters stand for their own size alone, none for the derivative.
     """
     if not causes:
         return []
@@ -107,6 +113,7 @@ def screen(
         mine = np.flatnonzero(owner == k)
         kept = [directions[r] for r in mine if r in directions]
         trial = best_trial(cause, place, grid, square[mine], product[mine])
+        trial = with_sizes(trial, grid, square[mine], product[mine], not nuisance.active) if exact else trial
         out.append(replace(trial, direction=np.stack(kept[:KEPT_SHAPES])) if kept else trial)
     return out
 
@@ -126,6 +133,44 @@ def _whole(y: np.ndarray, rows: np.ndarray | None, shape: tuple[int, ...]) -> np
     out = np.zeros(shape)
     out[rows] = y.reshape(len(rows), *shape[1:])
     return out.ravel()
+
+
+def with_sizes(
+    trial: Trial, rows: np.ndarray, square: np.ndarray, product: np.ndarray, fixed: bool = True
+) -> Trial:  # fmt: skip
+    """A trial of the derivative with finite sizes tried: what the best of these takes away is its gain.
+
+    Where modal parameters follow, they do so in linear order only, and a finite size tells no more than the derivative:
+    then the larger of the two counts.
+
+    Parameters
+    ----------
+    trial
+        What the derivative promises.
+    rows
+        Parameters tried, shape ``(start, parameter)``.
+    square, product
+        Squared length of the change by each, and its product with the residual.
+    fixed
+        Whether no modal parameter follows, so that these are exact.
+    """
+    exact = np.where(np.isfinite(square) & np.isfinite(product), 2 * product - square, -np.inf)
+    order = np.argsort(-exact)
+    if not np.isfinite(exact[order[0]]):
+        return trial
+    if not fixed and trial.gain >= exact[order[0]]:
+        return replace(trial, starts=[*(rows[k] for k in order[:STARTS_KEPT]), *trial.starts])
+    starts = [rows[k] for k in order[: 2 * STARTS_KEPT]]
+    starts = [*starts[:2], trial.start, *starts[2:]]
+    return replace(trial, gain=float(exact[order[0]]), start=starts[0], starts=starts[1:])
+
+
+def linear_size(trial: Trial, cause: Cause) -> np.ndarray | None:
+    """The parameters at the size that the derivative promises most of, within bounds; None if that is no size."""
+    if not cause.parameters or not np.isfinite(trial.start).all() or trial.start[0] == 0:
+        return None
+    low, high = (np.array([getattr(q, name) for q in cause.parameters]) for name in ("lower", "upper"))
+    return np.clip(trial.start, low, high)
 
 
 def best_trial(cause: Cause, place: Place, grid: np.ndarray, square: np.ndarray, product: np.ndarray) -> Trial:
@@ -166,7 +211,7 @@ def best_trial(cause: Cause, place: Place, grid: np.ndarray, square: np.ndarray,
     gain = float(value[order[0]])
     return Trial(
         cause, place, gain if np.isfinite(gain) else 0.0, float(z[derivative]), starts[0], starts[1:],
-        error=error, trials=int(small.sum()),
+        error=error, trials=int(small.sum()), linear=max(float(linear.max(initial=0.0)), 0.0),
     )  # fmt: skip
 
 
@@ -210,7 +255,12 @@ def screen_cause(
         return screen(grids, theta, residual, problem, nuisance, keep)
     first = [(c, place, grid[smallest(grid)]) for c, place, grid in grids]
     trials = screen(first, theta, residual, problem, nuisance, keep)
-    order = np.argsort([-t.gain for t in trials])[:KEPT]
+    rows = {k: row for k, t in enumerate(trials) if (row := linear_size(t, cause)) is not None}
+    sized = [(cause, places[k], row[None]) for k, row in rows.items()]
+    gains = np.array([t.gain for t in trials])
+    for k, t in zip(rows, screen(sized, theta, residual, problem, nuisance, exact=True), strict=True):
+        gains[k] = t.gain
+    order = np.argsort(-gains)[:KEPT]
     better = screen([grids[k] for k in order], theta, residual, problem, nuisance, False)
     for k, trial in zip(order, better, strict=True):
         old = trials[k]

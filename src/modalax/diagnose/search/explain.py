@@ -18,6 +18,7 @@ from modalax.diagnose.search.singles import PATIENT, fit_single, from_home, join
 
 NEAR = 12.0  # nats behind the best up to which hypotheses are fitted again where complex modes are exact
 DEEPEST = 3  # causes in one answer
+HOPEFUL = 0.5  # of what the simulation leaves beyond noise, that two causes must explain before a third is looked for
 
 
 @dataclass(frozen=True)
@@ -165,6 +166,8 @@ def together(
         return rests[id(h)][1]
 
     for depth in range(2, DEEPEST + 1):
+        if depth > 2 and _explained(look, ranked[0]) < HOPEFUL:
+            break
         more = one_more_cause(comparison, ranked, rest)
         fitted = fitted + more
         ranked = weigh(look, fitted, comparison)
@@ -174,3 +177,9 @@ def together(
         fitted = fitted + exchanged(comparison, ranked[0].best, lambda h: rest(h).trials, FURTHER)
         ranked = weigh(look, fitted, comparison)
     return ranked, fitted, rest(ranked[0].best)
+
+
+def _explained(look: Look, best: Ranked) -> float:
+    """Share of what the simulation leaves beyond noise that a set of causes explains."""
+    noise = float(look.comparison.problem.samples)
+    return (look.null.chi2 - best.best.chi2) / max(look.null.chi2 - noise, 1.0)
