@@ -83,6 +83,7 @@ def diagnose(
 
     from modalax.cli.tables import print_diagnosis
     from modalax.diagnose import diagnose as answered
+    from modalax.files import save as write_model
 
     measurement = _selected(measurement, band, run)
     wanted = _named_causes(causes)
@@ -97,7 +98,7 @@ def diagnose(
         if result.extended is None:
             note(f"nothing to save in {save}: the simulation needs no extension")
         else:
-            result.extended.save(save, overwrite)
+            write_model(result.extended, save, overwrite)
             note(f"extended simulation: {save}")
     if report is not None:
         from modalax.files.write import write_text
