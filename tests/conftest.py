@@ -37,6 +37,14 @@ def pytest_unconfigure(config):
         shutil.rmtree(config.stash[PROGRAMS], ignore_errors=True)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def room_for_programs():
+    """A process that has compiled for many tests lets its programs go before it runs out of memory maps."""
+    from modalax._numerics.programs import release_programs
+
+    release_programs()
+
+
 @pytest.fixture(scope="module")
 def measured():
     """Folder of the measured data, which MODALAX_DATA names meanwhile; a test that needs it is skipped without."""

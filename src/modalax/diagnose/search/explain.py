@@ -82,9 +82,8 @@ def doubt(found: Explanation, imitators: Sequence[Cause]) -> Explanation:
     others = imitations(found.comparison, found.look.null, found.look.state, found.best, imitators)
     ranked, nameless = apart(weigh(found.look, found.fitted + others, found.comparison))
     notes = likeness(nameless)
-    leftover = replace(
-        found.leftover, nameless=sum(r.probability for r in nameless), likeness=notes[0] if notes else ""
-    )
+    chance = float(sum(r.probability for r in nameless))
+    leftover = replace(found.leftover, nameless=chance, likeness=notes[0] if notes else "")
     return replace(found, ranked=ranked, leftover=leftover, notes=notes)
 
 
