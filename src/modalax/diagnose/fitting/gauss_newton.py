@@ -134,7 +134,7 @@ def damped(
         trial = np.where(moving[:, None], np.clip(x + step, low, high), x)
         new_chi2, new_A, new_g = checked(trial, moving)
         better = moving & (new_chi2 <= chi2)
-        drop = np.where(better, chi2 - new_chi2, np.inf)
+        drop = np.subtract(chi2, new_chi2, out=np.full(len(x), np.inf), where=better)
         x = np.where(better[:, None], trial, x)
         A = np.where(better[:, None, None], new_A, A)
         g = np.where(better[:, None], new_g, g)
