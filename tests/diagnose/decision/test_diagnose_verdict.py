@@ -104,7 +104,7 @@ def test_every_threshold_says_what_it_is_and_names_a_script_that_stands():
     assert sum(THRESHOLDS.shares.values()) == pytest.approx(1.0)
     rows = THRESHOLDS.table()
     assert [row[0] for row in rows] == [f.name for f in fields(Thresholds)]
-    root = Path(__file__).parents[2]
+    root = Path(__file__).parents[3]
     for name, value, unit, meaning, script in rows:
         assert np.isfinite(value) and unit and meaning.endswith(".") and meaning[0].isupper(), name
         assert (root / script).is_file(), script
