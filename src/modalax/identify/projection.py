@@ -15,6 +15,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from modalax._numerics.grams import weighted_grams
 from modalax.identify.kernels import Modes, coefficient_slopes, coefficients, kernels, pairs, unpack
 from modalax.identify.reduced import OwnOutputs, SharedOutputs, Slopes, Sums
 
@@ -234,19 +235,7 @@ def _roots(Q: np.ndarray, ratio: np.ndarray) -> np.ndarray:
     LinAlgError
         Where the columns depend on each other under the weights of a channel: such a trial is no step to take.
     """
-    f, k = len(Q) // 2, Q.shape[1]
-    row, column = np.tril_indices(k)
-    power = ratio**2
-    products = np.zeros((len(ratio), len(row)))
-    lines = max(1, BLOCK // len(row))
-    for start in range(0, f, lines):
-        part = slice(start, min(start + lines, f))
-        top, low = Q[:f][part], Q[f:][part]
-        pair = top[:, row] * top[:, column]
-        pair += low[:, row] * low[:, column]
-        products += power[:, part] @ pair
-    gram = np.zeros((len(ratio), k, k))
-    gram[:, row, column] = products
-    empty = ~np.any(ratio, axis=1)
-    gram[empty] = np.eye(k)
+    f = len(Q) // 2
+    gram = weighted_grams(Q[:f], Q[f:], ratio**2, BLOCK)
+    gram[~np.any(ratio, axis=1)] = np.eye(Q.shape[1])
     return np.linalg.cholesky(gram)

@@ -14,8 +14,8 @@ from modalax.diagnose.modal_domain.coordinates import (
 )
 from modalax.diagnose.modal_domain.elements import local_parts, mass_parts, nodes_of, parts_of, stiffness_parts
 from modalax.diagnose.modal_domain.features import Features, features_of, paired
+from modalax.diagnose.modal_domain.free_residues import Channels, project, refine
 from modalax.diagnose.modal_domain.mode_count import blind_modes, misfit
-from modalax.diagnose.modal_domain.projection import Channels, project, refine
 
 
 @pytest.fixture(scope="module")

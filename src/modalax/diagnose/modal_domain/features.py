@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.optimize
 
-from modalax.diagnose.modal_domain.projection import Projected
+from modalax.diagnose.modal_domain.free_residues import Projected
 
 # Deviations below which a feature says nothing about a model: ln frequency, ln damping, ln size, shape.
 FLOOR = (2e-6, 2e-4, 1e-4, 5e-5)

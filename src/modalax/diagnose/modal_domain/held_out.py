@@ -11,8 +11,8 @@ from modalax.diagnose.modal_domain.corrected import frf_of
 from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.features import chosen, features_of, sure
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
+from modalax.diagnose.modal_domain.free_residues import Channels
 from modalax.diagnose.modal_domain.mode_count import blind_modes, misfit
-from modalax.diagnose.modal_domain.projection import Channels
 from modalax.diagnose.modal_domain.stage import Stage
 
 

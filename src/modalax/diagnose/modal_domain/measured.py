@@ -8,8 +8,8 @@ from modalax.data import Measurement
 from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.modal_domain.coordinates import Coordinates, modes_of
 from modalax.diagnose.modal_domain.features import Features, chosen, features_of, sure
+from modalax.diagnose.modal_domain.free_residues import Channels, Projected
 from modalax.diagnose.modal_domain.mode_count import blind_modes, misfit
-from modalax.diagnose.modal_domain.projection import Channels, Projected
 from modalax.diagnose.setup.noise import Noise, noise_of
 
 BELOW, ABOVE = 2, 3  # modes of the simulation on either side of the band that stand for all beyond it

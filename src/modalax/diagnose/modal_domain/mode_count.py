@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import scipy.stats
 
-from modalax.diagnose.modal_domain.projection import Channels, Projected, project, refine
+from modalax.diagnose.modal_domain.free_residues import Channels, Projected, project, refine
 
 CHANCE = 1e-8  # chance of a mode that is only noise
 DAMPINGS = (0.002, 0.007, 0.025)  # damping ratios that further modes are looked for at: light to welded structures

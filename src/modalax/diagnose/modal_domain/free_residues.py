@@ -1,9 +1,14 @@
-r"""Poles by variable projection: residues free in every channel, all Gram matrices from one product.
+r"""Poles of a measurement by variable projection, with a residue of its own for each pole in each channel.
 
 All channels share one real basis: of each pole the kernels :math:`p = 1/(s-\lambda) + 1/(s-\lambda^*)` and
 :math:`q = j/(s-\lambda) - j/(s-\lambda^*)`, so that a residue :math:`a + jb` gives :math:`ap + bq`, and residual terms
 of modes beyond the band. The same with squared denominators are the derivatives by the poles. Golub and Pereyra (1973);
 Kaufman (1975) for the Jacobian.
+
+Here only the poles are searched for, and the covariance of every residue comes with them: the diagnosis compares
+residues channel by channel and decides for itself whether they are those of modes. :mod:`modalax.identify.projection`
+fits the stricter model, a residue that is a shape times a participation, and searches for the participations as well;
+both take their Gram matrices from :func:`modalax._numerics.grams.weighted_grams`.
 """
 
 from dataclasses import dataclass
@@ -11,10 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
+from modalax._numerics.grams import weighted_grams
+
 STEPS = 25  # most Gauss-Newton steps of one refinement
 SETTLED = 1e-3  # decrease of chi-square per number of poles' parameters at which a refinement has ended
 WIDEST = 1e6  # damping of a step, relative to the information, at which there is no way on
-BLOCK = 2e7  # numbers that the products of columns may take at once
+BLOCK = 20_000_000  # numbers that the products of columns may take at once
 
 
 @dataclass(frozen=True)
@@ -98,18 +105,7 @@ class Projected:
 
 def _grams(columns: np.ndarray, channels: Channels) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Weighted Gram matrices ``(channel, k, k)``, products with the data ``(channel, k)``, and energies."""
-    count = columns.shape[1]
-    a, b = np.triu_indices(count)
-    lines = max(1, int(BLOCK / len(a)))
-    upper = np.zeros((len(a), channels.data.shape[1]))
-    for start in range(0, len(columns), lines):
-        part = columns[start : start + lines]
-        upper += (part[:, a].real * part[:, b].real + part[:, a].imag * part[:, b].imag).T @ channels.weight[
-            start : start + lines
-        ]
-    gram = np.zeros((channels.data.shape[1], count, count))
-    gram[:, a, b] = upper.T
-    gram[:, b, a] = upper.T
+    gram = weighted_grams(columns.real, columns.imag, channels.weight.T, BLOCK)
     weighted = channels.weight * channels.data
     right = (columns.real.T @ weighted.real + columns.imag.T @ weighted.imag).T
     return gram, right, (channels.weight * np.abs(channels.data) ** 2).sum(axis=0)
