@@ -19,13 +19,16 @@ times the noise's a line and channel, summed over all. A found mode is a true on
 (at least a quarter of a line) and four stated deviations of it, one for one; where hits differ, within 0.3 % more.
 Other modes in the band are false. Coverage is that of the 95 % intervals of the true ones found; where hits differ, of
 the mean over the hits. The grade is judged by the area under its curve: the chance that a true mode has a higher one
-than a false one.
+than a false one. As next to no false modes are found, ``--candidates`` puts some in beside those found.
 """
 
 import argparse
+import json
 import os
 import sys
 import time
+from pathlib import Path
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -35,6 +38,11 @@ from threadpoolctl import threadpool_limits
 
 from modalax.data.frf import DERIVATIVES, FRF
 from modalax.identify import Fit, fit
+from modalax.identify.band import usable_lines
+from modalax.identify.chosen import fit_chosen
+from modalax.identify.diagram import diagram
+from modalax.identify.fit import summed_up
+from modalax.identify.noise import smooth_variance
 from modalax.identify.record_window import record_kernel
 from modalax.model.modal import ModalModel
 
@@ -43,6 +51,7 @@ threadpool_limits(1)
 
 STEP = 0.5
 PLAIN = 100.0
+TEMPTING = 3
 KINDS = ("plain", "no coherence", "0 Hz", "drift", "hits differ", "cut short", "hits cut short", "noise")
 
 
@@ -152,21 +161,25 @@ def match(model: ModalModel, found: Fit, spread: float) -> tuple[dict[int, int],
     return pairs, [int(k) for k in inside if k not in pairs.values()]
 
 
-class Tally:
-    """Counts of one kind: modes plain to see, found of them, false, systems, and intervals."""
+class Outcome(NamedTuple):
+    """What came of one system: modes plain to see, found of them, false ones, intervals, and grades."""
 
-    def __init__(self) -> None:
-        self.plain = self.found = self.false = self.systems = 0
-        self.z: list[tuple[float, float]] = []
+    seed: int
+    kind: str
+    plain: int
+    found: int
+    false: int
+    z: list[tuple[float, float]]
+    true_grades: list[tuple[float, float]]
+    false_grades: list[tuple[float, float]]
 
-    def row(self, kind: str) -> str:
-        """One line of the table."""
-        z = np.array(self.z).reshape(-1, 2)
-        hold = [f"{100 * np.mean(np.abs(c) < 1.96):.1f} %" if len(z) else "-" for c in z.T]
-        return (
-            f"| {kind} | {self.systems} | {self.found} of {self.plain} | {self.false} | {hold[0]} | {hold[1]} of "
-            f"{len(z)} |"
-        )
+
+def row(kind: str, some: list[Outcome]) -> str:
+    """One line of the table."""
+    z = np.array([pair for o in some for pair in o.z]).reshape(-1, 2)
+    hold = [f"{100 * np.mean(np.abs(c) < 1.96):.1f} %" if len(z) else "-" for c in z.T]
+    plain, found, false = (sum(getattr(o, name) for o in some) for name in ("plain", "found", "false"))
+    return f"| {kind} | {len(some)} | {found} of {plain} | {false} | {hold[0]} | {hold[1]} of {len(z)} |"
 
 
 def area(true: list[float], false: list[float]) -> float:
@@ -176,65 +189,111 @@ def area(true: list[float], false: list[float]) -> float:
     return float(scipy.stats.mannwhitneyu(true, false).statistic / (len(true) * len(false)))
 
 
+def table(outcomes: list[Outcome]) -> None:
+    """Print what came of all systems, by kind."""
+    print("| kind | systems | plain modes found | false modes | 95 % intervals hold: frequency | damping |")
+    print("|---" * 6 + "|")
+    for kind in KINDS:
+        some = [o for o in outcomes if o.kind == kind]
+        if some:
+            print(row(kind, some))
+    print(row("all", outcomes))
+    for k, name in enumerate(("grade", "score")):
+        true, false = ([g[k] for o in outcomes for g in getattr(o, n)] for n in ("true_grades", "false_grades"))
+        ends = [f"{np.quantile(v, q):.2f}" if v else "-" for v, q in ((true, 0.1), (false, 0.9))]
+        print(
+            f"{name}: area under the curve {area(true, false):.4f} of {len(true)} true and {len(false)} false modes; "
+            f"a tenth of the true below {ends[0]}, of the false above {ends[1]}"
+        )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--count", type=int, default=200)
+    parser.add_argument("--kind", choices=KINDS, help="systems of this kind only")
     parser.add_argument("--detail", action="store_true", help="name the missed, false and badly covered modes")
-    parser.add_argument("--seconds", type=float, default=np.inf, help="of wall time after which no system is begun")
+    parser.add_argument("--seconds", type=float, default=np.inf, help="of CPU time after which no system is begun")
     parser.add_argument("--no-refine", action="store_true", help="the diagram's modes, without intervals")
+    parser.add_argument("--candidates", action="store_true", help="grade false modes too, put in beside those found")
+    parser.add_argument("--keep", type=Path, help="file of outcomes: systems in it are not fitted again")
     args = parser.parse_args()
-    tallies = {kind: Tally() for kind in (*KINDS, "all")}
-    grades: tuple[list[float], list[float]] = [], []
-    began, until = time.process_time(), time.perf_counter() + args.seconds
+    outcomes: list[Outcome] = []
+    if args.keep and args.keep.exists():
+        outcomes = [Outcome(**json.loads(line)) for line in args.keep.read_text().splitlines()]
+    have = {o.seed for o in outcomes}
+    began = time.process_time()
     for seed in range(args.first, args.first + args.count):
-        if time.perf_counter() > until:
+        if seed in have or (args.kind and KINDS[seed % len(KINDS)] != args.kind):
+            continue
+        if time.process_time() - began > args.seconds:
             print(f"stopped before system {seed}")
             break
-        one(seed, tallies, grades, not args.no_refine, args.detail)
-    print("| kind | systems | plain modes found | false modes | 95 % intervals hold: frequency | damping |")
-    print("|---" * 6 + "|")
-    for kind, tally in tallies.items():
-        if tally.systems:
-            print(tally.row(kind))
-    print(
-        f"grade: area under the curve {area(*grades):.4f} of {len(grades[0])} true and {len(grades[1])} false modes; "
-        f"median grade {np.median(grades[0]) if grades[0] else np.nan:.2f} and "
-        f"{np.median(grades[1]) if grades[1] else np.nan:.2f}"
-    )
+        outcomes.append(one(seed, not args.no_refine, args.detail, args.candidates))
+        if args.keep:
+            with args.keep.open("a") as file:
+                print(json.dumps(outcomes[-1]._asdict()), file=file)
+    table(outcomes)
     print(f"{time.process_time() - began:.0f} CPU s, load {os.getloadavg()[0]:.1f}")
 
 
-def one(
-    seed: int, tallies: dict[str, Tally], grades: tuple[list[float], list[float]], refine: bool, tell: bool
-) -> None:  # fmt: skip
+def one(seed: int, refine: bool, tell: bool, candidates: bool) -> Outcome:
     """Draw, fit and count one system."""
     kind, model, frf, variance = draw(seed)
-    plain = strength(model, frf, variance) > PLAIN if kind != "noise" else np.zeros(len(model.poles), bool)
-    told = [tallies[kind], tallies["all"]]
-    for tally in told:
-        tally.systems += 1
-        tally.plain += int(plain.sum())
-    start = time.process_time()
+    noise = kind == "noise"
+    plain = strength(model, frf, variance) > PLAIN if not noise else np.zeros(len(model.poles), bool)
+    start, spread = time.process_time(), 3e-3 if kind == "hits differ" else 0.0
+
+    def graded(found: Fit) -> tuple[dict[int, int], list[int], list[list[tuple[float, float]]]]:
+        """True and false modes and the grades of both."""
+        pairs, false = match(model, found, spread)
+        pairs, false = ({}, [*pairs.values(), *false]) if noise else (pairs, false)
+        grade, score = np.asarray(found.grade), np.asarray(found.score)
+        return pairs, false, [[(float(grade[k]), float(score[k])) for k in s] for s in (pairs.values(), false)]
+
+    found, pairs, false, grades = None, {}, [], [[], []]
     try:
         found = fit(frf, refine=refine)
+        pairs, false, grades = graded(found)
     except ValueError as error:
         if plain.any() or tell:
             print(f"{seed}, {kind}: {error}", flush=True)
-        return
-    pairs, false = match(model, found, 3e-3 if kind == "hits differ" else 0.0)
-    pairs, false = ({}, [*pairs.values(), *false]) if kind == "noise" else (pairs, false)
-    z = deviations(model, found, pairs)
-    have = np.isin(np.arange(len(plain)), list(pairs))
-    for tally in told:
-        tally.found += int((have & plain).sum())
-        tally.false += len(false)
-        tally.z += z
-    grade = np.asarray(found.grade)
-    grades[0].extend(grade[list(pairs.values())].tolist())
-    grades[1].extend(grade[false].tolist())
-    if tell:
-        detail(seed, kind, model, found, plain & ~have, false, pairs, z, time.process_time() - start)
+    if candidates:
+        more = with_candidates(frf, found, np.random.default_rng(seed), refine)
+        grades = grades if more is None else graded(more)[2]
+    z = deviations(model, found, pairs) if found else []
+    missed = plain & ~np.isin(np.arange(len(plain)), list(pairs))
+    if tell and found:
+        detail(seed, kind, model, found, missed, false, pairs, z, time.process_time() - start)
+    return Outcome(seed, kind, int(plain.sum()), int((plain & ~missed).sum()), len(false), z, *grades)
+
+
+def with_candidates(frf: FRF, found: Fit | None, rng: np.random.Generator, refine: bool) -> Fit | None:
+    """The modes found and further ones that data of this kind tempt to take, all fitted together.
+
+    Up to ``TEMPTING`` of them are poles that the higher orders of the diagram show and the search did not take, drawn
+    at random; one, in every third system, stands 0.3 lines beside a mode that was found. None without any.
+    """
+    frf = usable_lines(frf, choose=True)[0] if found is None else found.frf
+    name = "plscf" if min(frf.shape[1:]) > 1 else "lscf"
+    diagrams, selection = diagram(frf.transpose() if frf.shape[2] > frf.shape[1] else frf, name, None)
+    own = np.zeros(0, complex) if found is None else np.asarray(found.model.poles)
+    late = slice(len(diagrams.orders) // 2, None)
+    there = np.asarray(diagrams.physical(float(frf.freq[0]), float(frf.freq[-1])))[late]
+    poles = list(own)
+    for pole in rng.permutation(np.asarray(diagrams.poles)[late][there]):
+        apart = np.abs(np.array(poles) - pole)
+        if len(poles) < len(own) + TEMPTING and (apart > np.maximum(-pole.real, 2 * np.pi * STEP)).all():
+            poles.append(pole)
+    inside = own[np.asarray(found.inside)] if found else own
+    if len(inside) and rng.random() < 1 / 3:
+        poles.append(rng.choice(inside) + 0.3j * 2 * np.pi * STEP)
+    if not poles:
+        return None
+    poles = np.array(poles)[np.argsort(np.abs(poles))]
+    weighted = smooth_variance(frf)
+    model, refined = fit_chosen(weighted, poles, lambda text: None, refine)
+    return summed_up(frf, weighted, model, refined, diagrams, selection, frf.shape[2] > frf.shape[1], [])
 
 
 def deviations(model: ModalModel, found: Fit, pairs: dict[int, int]) -> list[tuple[float, float]]:

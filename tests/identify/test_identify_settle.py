@@ -54,7 +54,9 @@ def test_error_bars_know_of_inputs_that_disagree(chance):
         assert float(result.frequency_std_hz[0]) == pytest.approx(1e-3)
 
 
-def test_error_bars_know_what_the_window_of_a_record_adds():
-    record = Record("hann", 2.0, np.array([20.0, np.nan]), np.array([0.004, np.nan]))
+@pytest.mark.parametrize("probability", [1.0, 0.25])
+def test_error_bars_know_what_the_window_of_a_record_adds(probability):
+    record = Record("hann", 2.0, np.array([20.0, np.nan]), np.array([0.004, np.nan]), probability)
     result = with_misfit(refined([0.01, 0.01], [1e-4, 1e-4]), [quality(0.3)] * 2, record)
-    assert np.asarray(result.damping_std).tolist() == pytest.approx([0.006, 1e-4])
+    widened = np.sqrt(1e-8 + probability * 0.006**2)
+    assert np.asarray(result.damping_std).tolist() == pytest.approx([widened, 1e-4])

@@ -15,6 +15,7 @@ from modalax.identify.reduced import Sums
 
 PATIENCE = 10  # steps that a mode may spend out of range before it is dropped
 ROUNDING = 1e-31  # of the data's squares, what rounding of the data alone may leave
+LOST = (-50.0, 5.0)  # logarithms of damping ratios well beyond their limits
 STATISTICAL = 1e-3  # part of the sum of squares a degree of freedom that a step must gain
 
 
@@ -157,4 +158,6 @@ class _State:
         size = float(np.max(np.abs(move)))
         ended = (abs(self.predicted) <= small or size <= 4e-15) and self.damping < 1.0
         ended = ended or (self.rejected >= 4 and size < 1e-9) or self.rejected > 20
-        return theta + move.reshape(theta.shape), ended
+        trial = theta + move.reshape(theta.shape)
+        trial[:, 1] = np.clip(trial[:, 1], *LOST)  # the damping has no slope there, and its exponential no meaning
+        return trial, ended

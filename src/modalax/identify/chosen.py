@@ -3,13 +3,12 @@
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from modalax.data.frf import FRF
+from modalax.identify.host import refine_on_host, residues_on_host
 from modalax.identify.noise import residual_sigma
-from modalax.identify.refine import Refined, refine
-from modalax.identify.residues import residues
+from modalax.identify.refine import Refined
 from modalax.identify.select import select_near
 from modalax.identify.tables import PoleTable
 from modalax.model.modal import ModalModel, poles_from
@@ -107,14 +106,14 @@ def fit_chosen(
     options
         ``residuals`` and ``real_modes``, as for :func:`modalax.identify.residues.residues`.
     """
-    model = residues(frf, jnp.asarray(poles), **options)
+    model = residues_on_host(frf, poles, **options)
     if not refined:
         return model, None
     tell(f"maximum likelihood of the {len(poles)} modes chosen")
     known = frf.variance is not None
-    found = refine(frf, model, covariance="gauss-newton" if known else "robust", **options)
+    found = refine_on_host(frf, model, covariance="gauss-newton" if known else "robust", **options)
     sigma: Any = "auto"
     for _ in range(0 if known else AGAIN):
         sigma = residual_sigma(frf, found, sigma)
-        found = refine(frf, found.model, weights=sigma, covariance="robust", **options)
+        found = refine_on_host(frf, found.model, weights=sigma, covariance="robust", **options)
     return found.model, found

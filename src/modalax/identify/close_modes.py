@@ -118,12 +118,18 @@ class Record(NamedTuple):
         Its length [s].
     frequency_hz, damping_ratio
         Of each mode through it, shape ``(n,)``; NaN for those not asked about.
+    probability
+        That it is one of this kind rather than a steady state, by the likelihood of the resonances.
+    plain
+        Whether the resonances show it so plainly that it is to be told.
     """
 
     kind: str
     duration: float
     frequency_hz: Float[np.ndarray, " n"]
     damping_ratio: Float[np.ndarray, " n"]
+    probability: float = 1.0
+    plain: bool = True
 
     def text(self) -> str:
         """What kind of record."""
@@ -131,22 +137,20 @@ class Record(NamedTuple):
 
 
 def record_of(frf: FRF, model: ModalModel, residual: Complex[np.ndarray, "f o i"], which: np.ndarray) -> Record | None:
-    """The kind of record that the strongest of some modes show; None where a steady state explains them as well.
+    r"""The kind of record that some modes show; None where a steady state explains them as well.
 
-    A kind is named if it raises twice the log-likelihood of these resonances by ``PLAIN``, in units of what it leaves,
-    and leaves less than half of the misfit. Only modes that have not died out by the end of the record can tell.
+    Asked are the ``STRONG`` modes that tell most: a window changes a resonance of the decay rate :math:`\sigma` by a
+    part of the order of :math:`(\sigma T)^{-2}`. A kind is plain if it raises twice the log-likelihood by ``PLAIN``, in
+    units of what it leaves, and leaves less than half of the misfit.
     """
     T = duration(frf)
     if T is None or not len(which):
         return None
     poles = np.asarray(model.poles)
-    size = np.sum(np.abs(np.asarray(model.residues)) ** 2, axis=(1, 2)) / np.abs(poles.real) ** 2
-    lasting = np.array([k for k in which if -poles[k].real * T < 7], int)
-    strong = lasting[np.argsort(-size[lasting])][:STRONG]
-    if not len(strong):
-        return None
-    gains = dict.fromkeys(RECORDS, 0.0)
-    excess = dict.fromkeys(RECORDS, 0.0)
+    size = np.sum(np.abs(np.asarray(model.residues)) ** 2, axis=(1, 2)) / np.abs(poles.real)
+    told = size / (1 + (poles.real * T) ** 2) ** 2
+    strong = np.asarray(which)[np.argsort(-told[which])][:STRONG]
+    gains, excess = dict.fromkeys(RECORDS, 0.0), dict.fromkeys(RECORDS, 0.0)
     for r in strong:
         hood = around(frf, model, residual, [int(r)])
         samples = 2 * hood.data.size - 2 * (1 + hood.data.shape[1])
@@ -157,11 +161,12 @@ def record_of(frf: FRF, model: ModalModel, residual: Complex[np.ndarray, "f o i"
             gains[k] += (trials["steady"].chi2 - t.chi2) / level
             excess[k] += max(t.chi2 / level - samples, 0.0)
     best = max(gains, key=lambda k: gains[k])
-    if best == "steady" or gains[best] < PLAIN or excess[best] > 0.5 * excess["steady"]:
+    if best == "steady":
         return None
     f, zeta = np.full(len(poles), np.nan), np.full(len(poles), np.nan)
-    for r in lasting:
+    for r in which:
         hood = around(frf, model, residual, [int(r)])
         pole = best_poles(hood, hood.poles, kernel_of(frf, best, T))[0][0]
         f[r], zeta[r] = abs(pole) / (2 * np.pi), -pole.real / abs(pole)
-    return Record(best, T, f, zeta)
+    plain = gains[best] >= PLAIN and excess[best] <= 0.5 * excess["steady"]
+    return Record(best, T, f, zeta, float(scipy.special.expit(gains[best] / 2)), bool(plain))

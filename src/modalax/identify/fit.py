@@ -124,13 +124,26 @@ def fit(
         poles = chosen_poles(choice, model.poles, table)
         model, refined = fit_chosen(weighted, poles, tell, refine, **how)
     tell("summing up")
-    return _summary(frf, weighted, model, refined, table, selection, data is not frf, notes)
+    return summed_up(frf, weighted, model, refined, table, selection, data is not frf, notes)
 
 
-def _summary(
+def summed_up(
     frf: FRF, weighted: FRF, model: ModalModel, refined: Refined | None, table: PoleTable, selection: Selection,
     turned: bool, notes: list[str],
 ) -> Fit:  # fmt: skip
+    """All that is told of a model: error bars that know misfit, flags, grades, and notes.
+
+    Parameters
+    ----------
+    frf, weighted
+        The FRFs as measured, and with the variance that weighs them.
+    model, refined
+        The modal model, and the refinement that it is of if there was one.
+    table, selection, turned
+        The diagram, what was taken from it, and whether outputs and inputs were exchanged for it.
+    notes
+        Sentences to put first.
+    """
     order = best_order(table, selection)
     f = np.asarray(model.frequency_hz)
     inside = (f >= float(frf.freq[0])) & (f <= float(frf.freq[-1]))
@@ -139,7 +152,8 @@ def _summary(
     residual = residual_of(weighted, model)
     unexplained = float(np.sum(np.abs(residual) ** 2)) / total
     record = record_of(weighted, model, residual, np.flatnonzero(inside))
-    noise = noise_part(weighted, residual, even=record is not None)
+    plain = record if record is not None and record.plain else None
+    noise = noise_part(weighted, residual, even=plain is not None)
     seen = np.abs(np.asarray(selection.poles)[None, :] - np.asarray(model.poles)[:, None])
     near = seen.min(axis=1) < np.maximum(2 * np.abs(np.asarray(model.poles).real), 0.005 * np.abs(model.poles))
     score = np.where(near, np.asarray(selection.score)[seen.argmin(axis=1)], 0.0)
@@ -150,7 +164,7 @@ def _summary(
     deviations = scatter if refined is None else (refined.frequency_std_hz, refined.damping_std)
     modes = Modes(
         weighted, model, np.asarray(deviations[0]), np.asarray(deviations[1]), refined is not None, score,
-        np.asarray(collinearity), quality, record,
+        np.asarray(collinearity), quality, plain,
     )  # fmt: skip
     grades = grades_of(modes)
     return Fit(

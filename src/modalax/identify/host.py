@@ -83,9 +83,10 @@ def refined_of(frf: FRF, found: Maximum, kind: str, scale_errors: str = "auto") 
     inflate = {"never": 1.0, "always": variance}.get(scale_errors, found.inflate)
     n, q = found.at.theta.shape
     white = not found.whiteness < CORRELATED
-    cov = covariance(found.projection, found.at, kind=kind, inflate=inflate, white=white)
-    std = np.sqrt(np.maximum(np.diag(cov), 0.0)).reshape(n, q)
-    shape_std, mass_std = shape_deviations(found, cov, inflate, frf.outputs, frf.inputs)
+    with np.errstate(over="ignore", invalid="ignore"):  # of modes that the data do not see deviations are infinite
+        cov = covariance(found.projection, found.at, kind=kind, inflate=inflate, white=white)
+        std = np.sqrt(np.maximum(np.diag(cov), 0.0)).reshape(n, q)
+        shape_std, mass_std = shape_deviations(found, cov, inflate, frf.outputs, frf.inputs)
     pick = (np.arange(n)[:, None] * q + np.arange(2)).ravel()
     weight = found.projection.weight
     noise = 1.0 if found.known else np.sqrt(np.mean(found.sigma**2))

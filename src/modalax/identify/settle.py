@@ -158,15 +158,17 @@ def with_misfit(refined: Refined, quality: list[ModeQuality], record: Record | N
     """The result with standard deviations of poles that know how much the parts of the data disagree on them.
 
     Where flanks, inputs or outputs differ beyond noise, the deviation of their random-effects mean takes the place of
-    a smaller one; where the resonances show the window of a record, so does what it changes. Correlations stay.
+    a smaller one. Where the resonances may show the window of a record, the variance grows by the square of what it
+    changes times its probability, as that of a mean over both models does (Hoeting, Madigan, Raftery and Volinsky
+    1999, equation 3). Correlations stay.
     """
     model = refined.model
     f, zeta = np.asarray(model.frequency_hz), np.asarray(model.damping_ratio)
     old = np.stack([np.asarray(refined.frequency_std_hz), np.asarray(refined.damping_std)], axis=1)
     new = np.array([_with_spread(old[r], f[r], zeta[r], q) for r, q in enumerate(quality)]).reshape(-1, 2)
     if record is not None:
-        change = np.abs(np.stack([record.frequency_hz - f, record.damping_ratio - zeta], axis=1))
-        new = np.maximum(new, np.nan_to_num(change, nan=0.0))
+        change = np.nan_to_num(np.stack([record.frequency_hz - f, record.damping_ratio - zeta], axis=1), nan=0.0)
+        new = np.hypot(new, np.sqrt(record.probability) * change)
     scale: Float[np.ndarray, " p"] = np.where(old > 0, new / np.where(old > 0, old, 1.0), 1.0).ravel()
     return dataclasses.replace(
         refined, frequency_std_hz=jnp.asarray(new[:, 0]), damping_std=jnp.asarray(new[:, 1]),
