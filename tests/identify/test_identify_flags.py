@@ -5,7 +5,9 @@ import pytest
 
 from modalax.data import FRF
 from modalax.identify import fit
+from modalax.identify.record_window import record_kernel
 from modalax.model import ModalModel
+from modalax.model.modal import poles_from
 
 FREQ = np.linspace(0.5, 100, 200)
 
@@ -122,3 +124,23 @@ def test_orders_rise_until_they_show_no_further_mode():
     more, all_of_them = found()
     assert more >= few + 4
     assert all_of_them == more
+
+
+def test_half_of_a_mode_is_graded_as_such():
+    """A second pole put in beside one mode of blocks cut short: the data do not ask for it, and the grade says so."""
+    rng = np.random.default_rng(2)
+    freq, shapes = np.arange(40.0, 121.0), rng.normal(size=(2, 3))
+    H = np.zeros((len(freq), 3, 1), complex)
+    for pole, shape in zip(poles_from([60.0, 100.0], [0.004, 0.01]), shapes, strict=True):
+        pole = complex(pole)
+        near = record_kernel(2j * np.pi * freq, pole, 1.0, "hann") - record_kernel(
+            2j * np.pi * freq, pole.conjugate(), 1.0, "hann"
+        )
+        H[:, :, 0] += near[:, None] * shape / (2j * pole.imag)
+    noise = 1e-3 * np.abs(H).mean() * (rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape))
+    found = fit(FRF(freq, H + noise), add=[60.3], order=12)
+    f, grade = np.asarray(found.model.frequency_hz), np.asarray(found.grade)
+    halves = np.abs(f - 60) < 1
+    assert halves.sum() == 2
+    assert grade[halves].max() > 0.5 and grade[halves].min() < 0.2
+    assert any("one mode explains" in flag for r in np.flatnonzero(halves) for flag in found.flags[r])

@@ -8,7 +8,7 @@ from modalax.identify import Refined
 from modalax.identify.close_modes import Record
 from modalax.identify.disagreement import Spread
 from modalax.identify.quality import ModeQuality
-from modalax.identify.settle import at_bound, with_misfit
+from modalax.identify.settle import at_bound, with_misfit, with_record
 from modalax.model import ModalModel
 
 FREQ = np.linspace(10, 60, 101)
@@ -45,7 +45,7 @@ def test_modes_without_damping_or_deviation_are_at_a_bound():
 
 @pytest.mark.parametrize("chance", [1e-9, 0.3])
 def test_error_bars_know_of_inputs_that_disagree(chance):
-    result = with_misfit(refined([0.01], [1e-4]), [quality(chance)], None)
+    result = with_misfit(refined([0.01], [1e-4]), [quality(chance)])
     if chance < 1e-4:
         assert float(result.frequency_std_hz[0]) == pytest.approx(0.07)
         assert float(result.damping_std[0]) == pytest.approx(np.hypot(0.02, 0.01 * 0.07) / 20)
@@ -57,6 +57,6 @@ def test_error_bars_know_of_inputs_that_disagree(chance):
 @pytest.mark.parametrize("probability", [1.0, 0.25])
 def test_error_bars_know_what_the_window_of_a_record_adds(probability):
     record = Record("hann", 2.0, np.array([20.0, np.nan]), np.array([0.004, np.nan]), probability)
-    result = with_misfit(refined([0.01, 0.01], [1e-4, 1e-4]), [quality(0.3)] * 2, record)
+    result = with_record(refined([0.01, 0.01], [1e-4, 1e-4]), record)
     widened = np.sqrt(1e-8 + probability * 0.006**2)
     assert np.asarray(result.damping_std).tolist() == pytest.approx([widened, 1e-4])

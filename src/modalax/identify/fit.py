@@ -20,10 +20,10 @@ from modalax.identify.mode_search import diagram_poles, likelihood_rounds, synth
 from modalax.identify.neighbourhood import residual_of
 from modalax.identify.noise import smooth_variance
 from modalax.identify.quality import noise_part, quality_of, scatter_over_orders
-from modalax.identify.refine import Refined
+from modalax.identify.refine import HELD, Refined
 from modalax.identify.result import Fit
 from modalax.identify.select import Selection, best_order
-from modalax.identify.settle import settle, settle_diagram, with_misfit
+from modalax.identify.settle import doubled, settle, settle_diagram, with_misfit, with_record
 from modalax.identify.stabilize import stabilization
 from modalax.identify.tables import PoleTable
 from modalax.model.entry import check_measured, check_order
@@ -160,11 +160,14 @@ def summed_up(
     collinearity = mpc(model.along_longer_side().shapes)
     scatter = scatter_over_orders(table, np.asarray(model.poles))
     quality = quality_of(weighted, model)
-    refined = None if refined is None else with_misfit(refined, quality, record)
+    refined = None if refined is None else with_misfit(refined, quality)
     deviations = scatter if refined is None else (refined.frequency_std_hz, refined.damping_std)
+    halves = np.zeros(len(f), bool)
+    if refined is None or int(refined.reason_code) != HELD:
+        halves = doubled(weighted, model, np.array([q.gain for q in quality]), halves, set())
     modes = Modes(
         weighted, model, np.asarray(deviations[0]), np.asarray(deviations[1]), refined is not None, score,
-        np.asarray(collinearity), quality, plain,
+        np.asarray(collinearity), quality, plain, halves,
     )  # fmt: skip
     grades = grades_of(modes)
     return Fit(
@@ -174,7 +177,7 @@ def summed_up(
         table=table,
         stability=stabilization(table),
         selection=selection,
-        refined=refined,
+        refined=None if refined is None else with_record(refined, record),
         predicted_damping_bias=_bias(frf, weighted, made, model, table, order, turned),
         mpc=collinearity,
         stability_score=jnp.asarray(score),

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from modalax.data.frf import FRF
 from modalax.identify.close_modes import Record
@@ -19,6 +19,8 @@ ALONE = 1.1  # channels that a mode is spread over, below which one sensor holds
 VAGUE = 0.5  # standard deviation of the damping over the damping itself from which on it is called uncertain
 BROADENED = 0.05  # part of the damping that a record's window adds from which on the record is called too short
 MATTERS = 0.1  # disagreement on a frequency, in half-bandwidths, from which on it bends the FRFs visibly
+BINS = {"padded": 2.0, "random": 1.0, "hann": 1.5}  # equivalent noise bandwidths of the records' windows, in lines
+UNTOLD = 0.1  # resolution of a mode that the data do not tell from a stronger one
 HALF_SURE = 3.0  # gain over that of noise at which evidence is half sure
 
 
@@ -30,7 +32,8 @@ class Modes(NamedTuple):
     frf, model
         The FRF and the modal model.
     frequency_std_hz, damping_std
-        Standard deviations, or the scatter over the orders of the diagram where there are none, shape ``(n,)``.
+        Standard deviations, or the scatter over the orders of the diagram where there are none, shape ``(n,)``; without
+        what the window of a record changes, which says nothing against a mode.
     refined
         Whether they are standard deviations.
     stability
@@ -41,6 +44,8 @@ class Modes(NamedTuple):
         What the data tell of each mode.
     record
         The kind of record that the resonances show, if another than a steady state.
+    doubled
+        Whether a mode is the weaker of two that the data do not tell apart, shape ``(n,)``.
     """
 
     frf: FRF
@@ -52,6 +57,7 @@ class Modes(NamedTuple):
     mpc: Float[np.ndarray, " n"]
     quality: list[ModeQuality]
     record: Record | None
+    doubled: Bool[np.ndarray, " n"]
 
     @property
     def frequency(self) -> Float[np.ndarray, " n"]:
@@ -108,6 +114,9 @@ def _unresolved(modes: Modes, r: int) -> str:
     """Whether a neighbour is nearer than the lines are, or the peak narrower."""
     others = np.delete(np.arange(len(modes.frequency)), r)
     apart = np.abs(modes.frequency[others] - modes.frequency[r])
+    if len(others) and modes.doubled[r]:
+        f = float(modes.frequency[others[np.argmin(apart)]])
+        return f"unresolved: one mode explains this one and that at {f:.5g} Hz as well"
     if len(others) and apart.min() < modes.step:
         f = float(modes.frequency[others[np.argmin(apart)]])
         return f"unresolved: {apart.min():.2g} Hz from the mode at {f:.5g} Hz, lines are {modes.step:.2g} Hz apart"
@@ -153,8 +162,9 @@ def grades_of(modes: Modes) -> Float[np.ndarray, " n"]:
     - Strength: the mode's part of the response about its peak, against what is left there.
     - Deviations: :math:`1/(1 + (2\sigma_\zeta/\zeta)^2)` and :math:`1/(1 + (\sigma_f/\zeta f)^2)`.
     - Agreement: :math:`1/(1 + (\tau/\zeta f)^2)`, :math:`\tau` by how much flanks, inputs and outputs disagree.
-    - Resolution: :math:`1 - \mathrm{MAC}/(1 + (d/d_0)^2)` for the nearest neighbours, :math:`d_0` half a line or a
-      tenth of the half-bandwidths, whichever is larger.
+    - Resolution: :math:`1 - \mathrm{MAC}/(1 + (d/d_0)^2)` for the nearest neighbours, :math:`d_0` half a line, or the
+      width of the window of a record (:data:`BINS`), or a tenth of the half-bandwidths, whichever is larger. Of two
+      only the weaker is in doubt; ``UNTOLD`` for one that the data do not tell from the other.
     - Half of the weight each: stability in the diagram (:math:`(1+s)/2`) and MPC (:math:`(2+\mathrm{MPC})/3`).
 
     Each is a ratio of like quantities, none a constant fitted to data; a mode at a bound has grade 0.
@@ -181,14 +191,17 @@ def _grade(modes: Modes, r: int) -> float:
 
 
 def _resolution(modes: Modes, r: int) -> float:
-    """How well the mode is told from its neighbours by place or by shape."""
+    """How well the mode is told from stronger neighbours by place or by shape."""
     model = modes.model
     shapes = model.shapes if model.shapes.shape[1] >= model.participation.shape[1] else model.participation
     alike = np.asarray(mac(shapes[r][None], shapes))[0]
     apart = np.abs(modes.frequency - modes.frequency[r])
-    unit = np.maximum(0.5 * modes.step, 0.1 * (modes.half_bandwidth + modes.half_bandwidth[r]))
+    bins = 0.5 if modes.record is None else BINS[modes.record.kind]
+    unit = np.maximum(bins * modes.step, 0.1 * (modes.half_bandwidth + modes.half_bandwidth[r]))
     worth = 1 - alike / (1 + (apart / unit) ** 2)
-    worth[r] = 1.0
+    gain = np.array([q.gain for q in modes.quality])
+    worth[gain < gain[r]] = 1.0
+    worth[r] = UNTOLD if modes.doubled[r] else 1.0
     return float(worth.min())
 
 

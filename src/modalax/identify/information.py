@@ -107,13 +107,21 @@ def solution(projection: Projection, at: Ascent) -> tuple[np.ndarray, np.ndarray
     for block in projection.blocks(at.theta, at.pivot, at.held, squares=False):
         x, inverse = block.solution()
         parts = inverse.reshape(len(x), n, c, -1)
-        own = parts @ np.swapaxes(parts, 2, 3)
         shape = x.reshape(len(x), n, c, 1)
-        evidence += np.sum(shape * np.linalg.solve(own, shape), axis=(0, 2, 3))
+        evidence += np.sum(shape * _solved(parts @ np.swapaxes(parts, 2, 3), shape), axis=(0, 2, 3))
         found.append(x)
     x = np.concatenate(found)
     _, left = projection.remainder(x, modes)
     return x.reshape(len(x), n, c), left, evidence
+
+
+def _solved(covariance: np.ndarray, shape: np.ndarray) -> np.ndarray:
+    """Covariances' inverses times shapes; nothing where the data do not see a component at all."""
+    try:
+        return np.linalg.solve(covariance, shape)
+    except np.linalg.LinAlgError:
+        seen = np.isfinite(covariance).all(axis=(2, 3), keepdims=True)
+        return np.linalg.pinv(np.where(seen, covariance, 0.0), hermitian=True) @ shape
 
 
 def joint_covariance(projection: Projection, at: Ascent, cov: np.ndarray, inflate: float = 1.0) -> np.ndarray:

@@ -51,7 +51,7 @@ def settle(frf: FRF, refined: Refined, tell: Callable[[str], None], **options: A
     for _ in range(TURNS):
         bad = at_bound(frf, refined) | _in_noise(frf, refined)
         _require(frf, _inside(frf, refined.model) & ~bad)
-        bad |= _doubled(frf, refined.model, np.asarray(refined.evidence), bad, asked)
+        bad |= doubled(frf, refined.model, np.asarray(refined.evidence), bad, asked)
         if not bad.any():
             break
         tell(f"{int(bad.sum())} modes dropped that the data do not need")
@@ -71,7 +71,7 @@ def settle_diagram(frf: FRF, model: ModalModel, **options: Any) -> ModalModel:
     for _ in range(TURNS):
         gains, weak = _gains(frf, model)
         _require(frf, _inside(frf, model) & ~weak)
-        bad = weak | _doubled(frf, model, gains, weak, set())
+        bad = weak | doubled(frf, model, gains, weak, set())
         if not bad.any():
             break
         model = residues_on_host(frf, model.poles[~bad], **options)
@@ -114,10 +114,22 @@ def _in_noise(frf: FRF, refined: Refined) -> Bool[np.ndarray, " n"]:
     return _inside(frf, refined.model) & (np.asarray(refined.evidence) < need)
 
 
-def _doubled(
+def doubled(
     frf: FRF, model: ModalModel, evidence: np.ndarray, gone: np.ndarray, asked: set[tuple[float, float]]
 ) -> Bool[np.ndarray, " n"]:
-    """The weaker of each two close modes that the data do not tell apart; pairs kept once are not asked about again."""
+    """The weaker of each two close modes that the data do not tell apart, shape ``(n,)``.
+
+    Parameters
+    ----------
+    frf, model
+        The FRF and a modal model of it.
+    evidence
+        By how much each mode raises the likelihood, shape ``(n,)``.
+    gone
+        Modes that are not asked about, shape ``(n,)``.
+    asked
+        Pairs of frequencies that were asked about before and are not again; those of this call are added.
+    """
     f, width = np.asarray(model.frequency_hz), -np.asarray(model.poles.real) / (2 * np.pi)
     step = float(np.median(np.diff(np.asarray(frf.freq))))
     drop = np.zeros(len(f), bool)
@@ -154,21 +166,37 @@ def _again(frf: FRF, refined: Refined, keep: np.ndarray, **options: Any) -> Refi
     return new
 
 
-def with_misfit(refined: Refined, quality: list[ModeQuality], record: Record | None) -> Refined:
+def with_misfit(refined: Refined, quality: list[ModeQuality]) -> Refined:
     """The result with standard deviations of poles that know how much the parts of the data disagree on them.
 
     Where flanks, inputs or outputs differ beyond noise, the deviation of their random-effects mean takes the place of
-    a smaller one. Where the resonances may show the window of a record, the variance grows by the square of what it
-    changes times its probability, as that of a mean over both models does (Hoeting, Madigan, Raftery and Volinsky
-    1999, equation 3). Correlations stay.
+    a smaller one. Correlations stay.
     """
-    model = refined.model
-    f, zeta = np.asarray(model.frequency_hz), np.asarray(model.damping_ratio)
-    old = np.stack([np.asarray(refined.frequency_std_hz), np.asarray(refined.damping_std)], axis=1)
-    new = np.array([_with_spread(old[r], f[r], zeta[r], q) for r, q in enumerate(quality)]).reshape(-1, 2)
-    if record is not None:
-        change = np.nan_to_num(np.stack([record.frequency_hz - f, record.damping_ratio - zeta], axis=1), nan=0.0)
-        new = np.hypot(new, np.sqrt(record.probability) * change)
+    f, zeta = np.asarray(refined.model.frequency_hz), np.asarray(refined.model.damping_ratio)
+    old = _deviations(refined)
+    return _widened(refined, np.array([_with_spread(old[r], f[r], zeta[r], q) for r, q in enumerate(quality)]))
+
+
+def with_record(refined: Refined, record: Record | None) -> Refined:
+    """The result with standard deviations of poles that know what the window of a record may have changed.
+
+    The variance grows by the square of the change times the probability of the record, as that of a mean over both
+    models does (Hoeting, Madigan, Raftery and Volinsky 1999, equation 3). Correlations stay.
+    """
+    if record is None:
+        return refined
+    f, zeta = np.asarray(refined.model.frequency_hz), np.asarray(refined.model.damping_ratio)
+    change = np.nan_to_num(np.stack([record.frequency_hz - f, record.damping_ratio - zeta], axis=1), nan=0.0)
+    return _widened(refined, np.hypot(_deviations(refined), np.sqrt(record.probability) * change))
+
+
+def _deviations(refined: Refined) -> Float[np.ndarray, "n 2"]:
+    return np.stack([np.asarray(refined.frequency_std_hz), np.asarray(refined.damping_std)], axis=1)
+
+
+def _widened(refined: Refined, new: np.ndarray) -> Refined:
+    """The result with other deviations of frequencies and dampings, shape ``(n, 2)``."""
+    old, new = _deviations(refined), new.reshape(-1, 2)
     scale: Float[np.ndarray, " p"] = np.where(old > 0, new / np.where(old > 0, old, 1.0), 1.0).ravel()
     return dataclasses.replace(
         refined, frequency_std_hz=jnp.asarray(new[:, 0]), damping_std=jnp.asarray(new[:, 1]),
