@@ -13,7 +13,7 @@ from modalax.diagnose.decision.advice import advise
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.omnibus import Omnibus
 from modalax.diagnose.decision.posterior import Ranked
-from modalax.diagnose.decision.verdict import rivals
+from modalax.diagnose.decision.sets import rivals
 from modalax.diagnose.extend import ExtendedSimulation
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.search.explain import Explanation

@@ -11,6 +11,8 @@ def _threshold(value: float, unit: str, meaning: str, measured_by: str) -> Any:
 ALARMS = "experiments/diagnosis/alarms.py"
 SCORE = "experiments/diagnosis/score.py"
 HUM = "experiments/diagnosis/hum.py"
+INACCURATE = "experiments/diagnosis/score_inaccurate.py"
+SECONDS = "experiments/benchmarks/diagnosis.py"
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,62 @@ class Thresholds:
         "The smallest detectable strength lies this far above the threshold of a single score, so that nine effects in "
         "ten of that strength are seen.", SCORE,
     )  # fmt: skip
+    # The modal domain: what stands out beyond a general inaccuracy.
+    beyond: float = _threshold(
+        3.0, "ratio", "A joint or mass stands out where it is off by more than this many times the general inaccuracy.",
+        INACCURATE,
+    )  # fmt: skip
+    calibration: float = _threshold(
+        0.02, "relative error",
+        "A gain stands out beyond this error, which is usual for calibrated and mounted sensors (ISO 16063-21).",
+        INACCURATE,
+    )  # fmt: skip
+    angle: float = _threshold(
+        0.01, "rad", "A delay stands out where it turns the phase at the end of the band by more than this.", INACCURATE
+    )
+    misfit: float = _threshold(
+        2.0, "chi-square per feature", "Modes that are missed by more than this are not explained.", INACCURATE
+    )
+    hopeless: float = _threshold(
+        0.8, "share of the largest inaccuracy searched for",
+        "A simulation that is off by more than this is not one of this structure.", INACCURATE,
+    )  # fmt: skip
+    stands_out: float = _threshold(
+        3.5, "standard deviations", "One place among hundreds shows an effect from this score on.", INACCURATE
+    )
+    # The choice between line by line and the modal domain.
+    off: float = _threshold(
+        3e-4, "relative error", "A simulation is off in general where its stiffness or mass is off by more than this.",
+        INACCURATE,
+    )  # fmt: skip
+    left_by_modes: float = _threshold(
+        0.01, "chance",
+        "The modal domain leaves nothing to explain where what it leaves has more than this chance under noise alone.",
+        INACCURATE,
+    )  # fmt: skip
+    as_noise: float = _threshold(
+        1.2, "chi-square per sample", "A fit predicts the held-out block where it leaves less than this on it.",
+        INACCURATE,
+    )  # fmt: skip
+    unexplained: float = _threshold(
+        1.5, "chi-square per sample",
+        "A search line by line explains nothing where its answer leaves more than this on the held-out block.",
+        INACCURATE,
+    )  # fmt: skip
+    decisive: float = _threshold(
+        0.999, "probability",
+        "A large problem is not searched line by line where the modal domain names a cause with this probability.",
+        INACCURATE,
+    )  # fmt: skip
+    places_spared: float = _threshold(
+        120.0, "places", "A problem counts as large in that sense where causes have more places than this.", SECONDS
+    )
+    places_by_lines: float = _threshold(
+        300.0, "places", "A search line by line takes minutes where causes have more places than this.", SECONDS
+    )
+    work_by_lines: float = _threshold(
+        5e6, "places times samples", "The same where places times real samples are more than this.", SECONDS
+    )
 
     @property
     def shares(self) -> dict[str, float]:

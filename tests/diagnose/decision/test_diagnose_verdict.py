@@ -14,7 +14,8 @@ from modalax.diagnose.causes.signals import HumLines
 from modalax.diagnose.decision.advice import advise
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.posterior import Ranked
-from modalax.diagnose.decision.verdict import RULES, Leftover, rivals, verdict
+from modalax.diagnose.decision.sets import rivals
+from modalax.diagnose.decision.verdict import RULES, Leftover, verdict
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.thresholds import THRESHOLDS, Thresholds
 

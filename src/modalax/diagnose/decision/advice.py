@@ -35,3 +35,20 @@ def advise(verdict: str, sets: Sequence[Ranked]) -> str:
     others = [causes[slug].advice for slug in sorted(causes) if not causes[slug].told_by_levels]
     parts += [advice for advice in others if advice][: MOST_PARTS - len(parts[:2])]
     return "; ".join(dict.fromkeys(parts)) or "measure another column of the FRF matrix"
+
+
+def advise_modes(verdict: str, rivals: int) -> str | None:
+    """What to do next after an answer of the modal domain, in one sentence; None where nothing is left open.
+
+    Parameters
+    ----------
+    verdict
+        As the answer has it.
+    rivals
+        How many other sets of causes are in question.
+    """
+    if verdict == "clean" or (verdict == "named" and not rivals):
+        return None
+    if verdict == "unknown":
+        return "check that the simulation is of this structure: its supports, its units and the names of its DoFs"
+    return "measure at a further point near these places, or change one of them on purpose and measure again"

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from modalax.diagnose.causes.base import ElementCause
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.posterior import Ranked
+from modalax.diagnose.decision.sets import certainty, unplaced
 from modalax.diagnose.thresholds import THRESHOLDS, Thresholds
 
 
@@ -54,21 +55,9 @@ class Case:
         return " and ".join(slug for slug, _ in sorted(self.best.names, key=str))
 
     @property
-    def alike(self) -> list[Ranked]:
-        """Sets of the same names as the leading one, wherever they are."""
-        own = _slugs(self.best)
-        return [r for r in self.ranked if _slugs(r) == own]
-
-    @property
     def certainty(self) -> float:
         """Probability of the names, wherever they are."""
-        return sum(r.probability for r in self.alike)
-
-    @property
-    def unplaced(self) -> list[str]:
-        """Names whose likeliest place is not likelier than all others together."""
-        by_place = {one: sum(r.probability for r in self.alike if one in r.names) for one in self.best.names}
-        return sorted(slug for (slug, _), p in by_place.items() if p <= self.limits.placed)
+        return certainty(self.ranked)
 
 
 Rule = Callable[[Case], str | None]
@@ -120,7 +109,7 @@ def other_names_compete(case: Case) -> str | None:
 
 def places_compete(case: Case) -> str | None:
     """A place is not likelier than all others together."""
-    names = case.unplaced
+    names = unplaced(case.ranked, case.limits)
     return (
         None if not names else f"{' and '.join(names)} may sit elsewhere: no place is likelier than all others together"
     )
@@ -202,26 +191,3 @@ def verdict(
 def fails(gain: Gain, thresholds: Thresholds = THRESHOLDS) -> bool:
     """Whether causes fail to predict the block held out: beyond their parameters' errors, and by more than a little."""
     return gain.missed > thresholds.missed and gain.chi2_after > thresholds.farther * gain.chi2_within
-
-
-def rivals(word: str, ranked: Sequence[Ranked], thresholds: Thresholds = THRESHOLDS) -> list[Ranked]:
-    """Choose the sets that are told beside the leading one.
-
-    Of a named set these are its other places; of any other the rivals, the next best at least.
-
-    Parameters
-    ----------
-    word
-        The verdict.
-    ranked
-        Sets of causes by falling probability.
-    thresholds
-        Least probability of another place of what is named, and of a rival of an ambiguous set.
-    """
-    if word == "named":
-        return [r for r in ranked[1:] if r.probability >= thresholds.elsewhere]
-    return [r for r in ranked[1:] if r.probability >= thresholds.rival] or list(ranked[1:2])
-
-
-def _slugs(r: Ranked) -> list[str]:
-    return sorted(slug for slug, _ in r.names)

@@ -12,7 +12,10 @@ from modalax.diagnose.causes import catalogue, imitators
 from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.causes.parameter import Parameter
 from modalax.diagnose.causes.scene import Place
+from modalax.diagnose.decision.advice import advise_modes
+from modalax.diagnose.decision.beyond import BeyondUsual
 from modalax.diagnose.decision.omnibus import Omnibus, omnibus
+from modalax.diagnose.decision.sets import rivals
 from modalax.diagnose.extend import ExtendedSimulation
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.corrected import corrected, frf_of, inaccuracy_told
@@ -26,7 +29,6 @@ from modalax.diagnose.result import Diagnosis
 from modalax.diagnose.thresholds import THRESHOLDS
 from modalax.model import Structure
 
-STANDS_OUT = 3.5  # standard deviations of one place among hundreds at which an effect is seen
 UNITS = {
     "added_mass": ("mass", "kg"), "joint_stiffness": ("stiffness", "N/m"), "local_damper": ("damping", "N s/m"),
     "channel_gain": ("gain", "-"), "force_gain": ("gain", "-"), "time_delay": ("delay", "s"),
@@ -52,6 +54,8 @@ class ModalDiagnosis(Diagnosis):
         Modes, candidates and explanations behind it.
     chosen
         The explanation that the answer is about.
+    sets
+        What stands out: the set of the answer first, the others by falling probability.
     inaccuracy
         Relative error of stiffness, mass and damping, each with an interval.
     before, after
@@ -62,6 +66,7 @@ class ModalDiagnosis(Diagnosis):
     comparison: Facts  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
     stage: Stage
     chosen: Explanation
+    sets: tuple[BeyondUsual, ...]
     inaccuracy: dict[str, Any]
     before: Omnibus
     after: Omnibus
@@ -90,9 +95,7 @@ class ModalDiagnosis(Diagnosis):
         """What stands out beyond the general inaccuracy."""
         if self.verdict == "clean":
             return []
-        core = standing_out(self.stage, self.chosen)
-        cores = [(standing_out(self.stage, e), e.probability) for e in self.stage.explanations]
-        sure = sum(p for c, p in cores if _names(c) == _names(core))
+        core, sure = standing_out(self.stage, self.chosen), self.sets[0].probability
         std = np.sqrt(np.maximum(np.diag(self.chosen.fit.covariance), 0.0))
         told = []
         for c, u, error in zip(self.chosen.causes, self.chosen.fit.u, std, strict=True):
@@ -109,16 +112,9 @@ class ModalDiagnosis(Diagnosis):
         """Rivals of the leading set; of a named one those that are likely enough."""
         if self.verdict not in ("ambiguous", "named"):
             return []
-        core = standing_out(self.stage, self.chosen)
-        least = THRESHOLDS.elsewhere if self.verdict == "named" else THRESHOLDS.rival
-        rivals: dict[Any, tuple[float, tuple[Change, ...]]] = {}
-        for e in self.stage.explanations:
-            other = standing_out(self.stage, e)
-            if _names(other) != _names(core):
-                p = rivals.get(_names(other), (0.0, other))[0] + e.probability
-                rivals[_names(other)] = p, other
-        likely = sorted((r for r in rivals.values() if r[0] >= least), key=lambda r: -r[0])
-        return [[{"name": c.slug, "where": list(c.where)} for c in causes] for _, causes in likely]
+        return [
+            [{"name": slug, "where": list(where)} for slug, where in s.names] for s in rivals(self.verdict, self.sets)
+        ]
 
     @property
     def strength_parameters(self) -> dict[str, Parameter]:
@@ -133,16 +129,12 @@ class ModalDiagnosis(Diagnosis):
         for c, error in zip(self.stage.candidates, every, strict=True):
             if np.isfinite(error) and c.slug in UNITS and c.pattern is None:
                 values.setdefault(c.slug, []).append(float(error) * c.scale)
-        return {slug: float(np.median(v)) * (STANDS_OUT + THRESHOLDS.power) for slug, v in values.items()}
+        return {slug: float(np.median(v)) * (THRESHOLDS.stands_out + THRESHOLDS.power) for slug, v in values.items()}
 
     @property
     def advice(self) -> str | None:
         """What would tell the alternatives apart."""
-        if self.verdict == "clean" or (self.verdict == "named" and not self.alternatives):
-            return None
-        if self.verdict == "unknown":
-            return "check that the simulation is of this structure: its supports, its units and the names of its DoFs"
-        return "measure at a further point near these places, or change one of them on purpose and measure again"
+        return advise_modes(self.verdict, len(self.alternatives))
 
     def to_dict(self) -> dict[str, Any]:
         """The answer as plain data, in the agreed form."""
@@ -161,10 +153,6 @@ class ModalDiagnosis(Diagnosis):
         }
 
 
-def _names(causes: tuple[Change, ...]) -> tuple[Any, ...]:
-    return tuple(sorted((c.slug, *sorted(c.where)) for c in causes))
-
-
 def _parameters(c: Change, u: float, error: float) -> dict[str, Any]:
     if c.slug not in UNITS:
         return {}
@@ -181,11 +169,11 @@ def diagnose_modes(
     stage = run_stage(measurement, simulation, budget, wanted, tell)
     if stage is None:
         return None
-    word, reasons, chosen = judge(stage)
+    judged = judge(stage)
+    chosen, inaccuracy = judged.chosen, inaccuracy_told(stage.setting, judged.chosen.fit)
+    reasons = [_said(inaccuracy), *judged.reasons]
     if not stage.in_time:
         reasons.append("time was up before every explanation had been tried")
-    inaccuracy = inaccuracy_told(stage.setting, chosen.fit)
-    reasons.insert(0, _said(inaccuracy))
     tell("predicting what was left out")
     H = np.asarray(measurement.H)
     predicted = [frf_of(stage, None), frf_of(stage, chosen.fit)]
@@ -201,9 +189,9 @@ def diagnose_modes(
     extended = _extended(stage, chosen.fit)
     shape = H.shape
     return ModalDiagnosis(
-        word, tuple(reasons), None, Facts(measurement, question, notes), extended, gain,
+        judged.word, tuple(reasons), None, Facts(measurement, question, notes), extended, gain,
         stage.measured.freq, residuals[0], residuals[1], np.broadcast_to(predicted[0], shape),
-        np.broadcast_to(predicted[1], shape), stage, chosen, inaccuracy, tests[0], tests[1],
+        np.broadcast_to(predicted[1], shape), stage, chosen, judged.sets, inaccuracy, tests[0], tests[1],
     )  # fmt: skip
 
 

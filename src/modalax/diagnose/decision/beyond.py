@@ -1,0 +1,136 @@
+"""The verdict of the modal domain: which causes stand out beyond the general inaccuracy, and how sure they are."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from modalax.diagnose.decision.sets import certainty, unplaced
+from modalax.diagnose.thresholds import THRESHOLDS, Thresholds
+
+Names = tuple[tuple[str, tuple[str, ...]], ...]
+
+
+@dataclass(frozen=True)
+class BeyondUsual:
+    """Causes of an explanation that stand out beyond the general inaccuracy, with their probability.
+
+    Attributes
+    ----------
+    names
+        Slug and place of each; empty where nothing stands out.
+    probability
+        Sum over all explanations in which just these stand out.
+    """
+
+    names: Names
+    probability: float
+
+
+@dataclass(frozen=True)
+class ModalCase:
+    """All that a rule of the modal domain may look at.
+
+    Attributes
+    ----------
+    sets
+        What stands out, the set of the likeliest explanation first, the others by falling probability.
+    fitted
+        Slug and place of every cause of the likeliest explanation, whether it stands out or not.
+    inaccuracy
+        General relative inaccuracy by ``stiffness``, ``mass`` and ``damping``.
+    share_of_largest
+        Inaccuracy of stiffness or mass relative to the largest that is searched for; the greater of the two.
+    misfit
+        Chi-square per feature of the measured modes.
+    nats
+        Log probability that the likeliest explanation has over the general inaccuracy alone; None where the latter
+        could not be fitted.
+    limits
+        Thresholds of the rules.
+    """
+
+    sets: Sequence[BeyondUsual]
+    fitted: Sequence[tuple[str, tuple[str, ...]]]
+    inaccuracy: Mapping[str, float]
+    share_of_largest: float
+    misfit: float
+    nats: float | None
+    limits: Thresholds
+
+    @property
+    def support(self) -> tuple[str, ...]:
+        """What speaks for the leading set."""
+        what = " and ".join(f"{slug} at {' - '.join(where) or 'everywhere'}" for slug, where in self.sets[0].names)
+        first = f"{what} stands out beyond the general inaccuracy (probability {certainty(self.sets):.3f})"
+        return (first,) if self.nats is None else (first, f"without it the data are {self.nats:.3g} nats less likely")
+
+
+Rule = Callable[[ModalCase], tuple[str, ...]]
+
+
+def modes_are_not_explained(case: ModalCase) -> tuple[str, ...]:
+    """Even an inaccuracy as large as is searched for does not explain the measured modes."""
+    if case.share_of_largest <= case.limits.hopeless and case.misfit <= case.limits.misfit:
+        return ()
+    off = ", ".join(f"{name} {100 * size:.2g} %" for name, size in case.inaccuracy.items())
+    return (f"even with elements off by {off} the measured modes are not explained",)
+
+
+def nothing_beyond_the_usual(case: ModalCase) -> tuple[str, ...]:
+    """No cause, or none that is larger than is usual."""
+    if case.sets[0].names:
+        return ()
+    if case.fitted:
+        what = ", ".join(f"{slug} at {' - '.join(where)}" for slug, where in case.fitted)
+        return (f"{what} is significant, but no larger than is usual",)
+    return (f"nothing stands out beyond the general inaccuracy (probability {case.sets[0].probability:.3f})",)
+
+
+def other_causes_compete(case: ModalCase) -> tuple[str, ...]:
+    """The causes are not sure."""
+    sure = certainty(case.sets) >= case.limits.certain
+    return () if sure else (*case.support, "other causes are too likely beside it")
+
+
+def other_places_compete(case: ModalCase) -> tuple[str, ...]:
+    """A place is not likelier than all others together."""
+    return (*case.support, "its place is not sure") if unplaced(case.sets, case.limits) else ()
+
+
+RULES: tuple[tuple[str, Rule], ...] = (
+    ("unknown", modes_are_not_explained),
+    ("clean", nothing_beyond_the_usual),
+    ("ambiguous", other_causes_compete),
+    ("ambiguous", other_places_compete),
+    ("named", lambda case: case.support),
+)
+
+
+def modal_verdict(case: ModalCase) -> tuple[str, tuple[str, ...]]:
+    """The verdict of the first of ``RULES`` that applies, and its reasons."""
+    return next((word, reasons) for word, rule in RULES if (reasons := rule(case)))
+
+
+def usual_size(
+    slug: str, whole: float, inaccuracy: Mapping[str, float], highest: float, limits: Thresholds = THRESHOLDS
+) -> float:
+    r"""Size above which a cause stands out, in its own unit; minus infinity for causes that stand out at any size.
+
+    Parameters
+    ----------
+    slug
+        The cause.
+    whole
+        Stiffness [N/m] or mass [kg] that the simulation has at the place; 1 for a relative change of a whole element.
+    inaccuracy
+        General relative inaccuracy by ``stiffness`` and ``mass``.
+    highest
+        Highest measured frequency [Hz], at which a delay :math:`\tau` turns the phase by :math:`2\pi f\tau`.
+    """
+    return {
+        "joint_stiffness": limits.beyond * inaccuracy["stiffness"] * whole,
+        "added_mass": limits.beyond * inaccuracy["mass"] * whole,
+        "channel_gain": limits.calibration,
+        "force_gain": limits.calibration,
+        "time_delay": limits.angle / (2 * math.pi * highest),
+    }.get(slug, -math.inf)

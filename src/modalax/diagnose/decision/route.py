@@ -1,0 +1,129 @@
+"""Which of the two methods gives the answer: line by line about the simulation as it is, or in the modal domain.
+
+Line by line is exact: it sees effects of a ten-thousandth, provided that everything but the causes is exact. Where
+every element of a simulation is a little off, that assumption fails, and the modal domain, which learns the general
+inaccuracy beside each cause, answers instead. Large problems go to the modal domain as well, because line by line the
+work grows with the number of places times the number of samples.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from modalax.diagnose.thresholds import THRESHOLDS, Thresholds
+
+Route = Literal["lines", "modes"]
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is asked, as far as the choice of the method depends on it.
+
+    Attributes
+    ----------
+    has_modes
+        Whether the modal domain can answer: the simulation has matrices and names all measured degrees of freedom, and
+        the question is about this simulation.
+    places
+        Number of pairs of degrees of freedom, each with itself (to ground) included.
+    samples
+        Number of real samples.
+    elements_off, modes_off
+        Whether the author claims an inaccuracy of elements (stiffness or mass), or of modes (frequency or damping).
+    whole_catalogue
+        Whether every cause of the catalogue is looked for.
+    """
+
+    has_modes: bool
+    places: float = 0.0
+    samples: int = 0
+    elements_off: bool = False
+    modes_off: bool = False
+    whole_catalogue: bool = True
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one method found, as far as the choice depends on it.
+
+    Attributes
+    ----------
+    verdict
+        ``clean``, ``named``, ``ambiguous`` or ``unknown``.
+    held_out
+        Chi-square per real sample that the extended simulation leaves on the held-out block.
+    left
+        Chance under noise alone of what the extended simulation leaves.
+    probability
+        Of the causes in the answer; 0 where there are none.
+    alternatives
+        Number of rivals in the answer.
+    inaccuracy
+        General inaccuracy as in the answer, by ``stiffness``, ``mass`` and ``damping``.
+    """
+
+    verdict: str
+    held_out: float
+    left: float = 1.0
+    probability: float = 0.0
+    alternatives: int = 0
+    inaccuracy: Mapping[str, Mapping[str, Any]] | None = None
+
+
+def order(task: Task, limits: Thresholds = THRESHOLDS) -> tuple[Route, ...]:
+    """Methods in the order in which they are tried."""
+    if not task.has_modes:
+        return ("lines",)
+    if needs_modes(task, limits):
+        return "modes", "lines"
+    if not task.whole_catalogue:  # what a part of the catalogue leaves must not be taken for inaccuracy
+        return ("lines",)
+    return ("lines", "modes") if task.modes_off else ("modes", "lines")
+
+
+def needs_modes(task: Task, limits: Thresholds = THRESHOLDS) -> bool:
+    """Whether the author says that every element is off, or line by line would take too long."""
+    large = task.places > limits.places_by_lines or task.places * task.samples > limits.work_by_lines
+    return large or task.elements_off
+
+
+def suffices(route: Route, found: Outcome, task: Task, limits: Thresholds = THRESHOLDS) -> bool:
+    """Whether the answer of the method that was tried first is given without trying the other."""
+    if route == "lines":
+        return explained(found, limits)
+    return needs_modes(task, limits) or off_everywhere(found, limits) or decisive(found, task, limits)
+
+
+def choice(found: Mapping[Route, Outcome], limits: Thresholds = THRESHOLDS) -> Route:
+    """The method whose answer is given, of those that gave one."""
+    if len(found) == 1:
+        return next(iter(found))
+    lines, modes = found["lines"], found["modes"]
+    predicts_better = modes.verdict != "unknown" and modes.held_out < lines.held_out
+    return "modes" if predicts_better and not explained(lines, limits) else "lines"
+
+
+def explained(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
+    """Whether a search line by line found an explanation that predicts the held-out block."""
+    return found.verdict != "unknown" and found.held_out <= limits.unexplained
+
+
+def nothing_left(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
+    """Whether the extended simulation leaves no more than noise and predicts the held-out block."""
+    return found.left > limits.left_by_modes and found.held_out < limits.as_noise
+
+
+def off_everywhere(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
+    """Whether stiffness or mass is certainly off everywhere, and with that nothing is left to explain."""
+    off = any(
+        part["interval"][0] > 0 and part["value"] > limits.off
+        for name, part in (found.inaccuracy or {}).items()
+        if name in ("stiffness", "mass")
+    )
+    return off and found.verdict != "unknown" and nothing_left(found, limits)
+
+
+def decisive(found: Outcome, task: Task, limits: Thresholds = THRESHOLDS) -> bool:
+    """Whether a cause of a large problem is named beyond doubt, and nothing is left to explain."""
+    sure = found.verdict == "named" and found.probability >= limits.decisive and not found.alternatives
+    return task.places > limits.places_spared and sure and nothing_left(found, limits)

@@ -1,0 +1,65 @@
+"""How sure the names and the places of a set of causes are, by the probabilities of all sets that were fitted."""
+
+from collections.abc import Collection, Sequence
+from typing import Any, Protocol, TypeVar, runtime_checkable
+
+from modalax.diagnose.thresholds import THRESHOLDS, Thresholds
+
+
+@runtime_checkable
+class WeighedSet(Protocol):
+    """A set of causes with its probability; ``names`` holds a pair of slug and place for each cause."""
+
+    @property
+    def names(self) -> Collection[tuple[str, tuple[Any, ...]]]:
+        """Slug and place of each cause."""
+        ...
+
+    @property
+    def probability(self) -> float:
+        """Probability among all sets that were fitted."""
+        ...
+
+
+S = TypeVar("S", bound=WeighedSet)
+
+
+def of_the_same_names(sets: Sequence[S]) -> list[S]:
+    """Sets with the same causes as the leading (first) one, wherever they sit."""
+    own = _slugs(sets[0])
+    return [s for s in sets if _slugs(s) == own]
+
+
+def certainty(sets: Sequence[WeighedSet]) -> float:
+    """Probability of the causes of the leading set, wherever they sit."""
+    return sum(s.probability for s in of_the_same_names(sets))
+
+
+def unplaced(sets: Sequence[WeighedSet], thresholds: Thresholds = THRESHOLDS) -> list[str]:
+    """Causes of the leading set whose place is not likelier than all other places together."""
+    alike = of_the_same_names(sets)
+    by_place = {one: sum(s.probability for s in alike if one in s.names) for one in sets[0].names}
+    return sorted(slug for (slug, _), p in by_place.items() if p <= thresholds.placed)
+
+
+def rivals(word: str, sets: Sequence[S], thresholds: Thresholds = THRESHOLDS) -> list[S]:
+    """Choose the sets that are reported beside the leading one.
+
+    Of a named set these are its other places; of any other verdict the rivals, the next best at least.
+
+    Parameters
+    ----------
+    word
+        The verdict.
+    sets
+        Sets of causes, the leading one first, the others by falling probability.
+    thresholds
+        Least probability of another place of what is named, and of a rival of an ambiguous set.
+    """
+    if word == "named":
+        return [s for s in sets[1:] if s.probability >= thresholds.elsewhere]
+    return [s for s in sets[1:] if s.probability >= thresholds.rival] or list(sets[1:2])
+
+
+def _slugs(s: WeighedSet) -> list[str]:
+    return sorted(slug for slug, _ in s.names)

@@ -1,0 +1,62 @@
+"""The verdict beyond a general inaccuracy: its rules one by one, and the size from which a cause stands out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modalax.diagnose.decision.beyond import BeyondUsual, ModalCase, modal_verdict, usual_size
+from modalax.diagnose.thresholds import THRESHOLDS
+
+OFF = {"stiffness": 0.01, "mass": 0.005, "damping": 0.3}
+SPRING, MASS, NOTHING = ("joint_stiffness", ("3", "4")), ("added_mass", ("2",)), ()
+
+
+def case(*sets, **changed):
+    """Sets given as probability and names."""
+    found = [BeyondUsual(tuple(names), p) for p, *names in sets]
+    return replace(ModalCase(found, found[0].names, OFF, 0.1, 1.0, 12.3, THRESHOLDS), **changed)
+
+
+@pytest.mark.parametrize(
+    ("given", "word", "because"),
+    [
+        (case((0.97, SPRING), (0.03,)), "named", "(probability 0.970)"),
+        (case((0.94, SPRING), (0.06,)), "ambiguous", "other causes"),
+        (case((0.94, SPRING), (0.06, MASS)), "ambiguous", "other causes"),
+        (case((0.6, SPRING), (0.4, ("joint_stiffness", ("1", "2")))), "named", "(probability 1.000)"),
+        (case((0.5, SPRING), (0.5, ("joint_stiffness", ("1", "2")))), "ambiguous", "its place"),
+        (case((0.9, *NOTHING), (0.1, SPRING)), "clean", "(probability 0.900)"),
+        (case((0.9, *NOTHING), fitted=[SPRING]), "clean", "joint_stiffness at 3 - 4 is significant"),
+        (case((0.97, SPRING), share_of_largest=0.81), "unknown", "stiffness 1 %, mass 0.5 %, damping 30 %"),
+        (case((0.97, *NOTHING), misfit=2.1), "unknown", "not explained"),
+        (case((0.97, SPRING), share_of_largest=0.8, misfit=2.0), "named", "12.3 nats"),
+        (case((1.0, SPRING, MASS)), "named", "joint_stiffness at 3 - 4 and added_mass at 2"),
+    ],
+)
+def test_each_rule_of_the_modal_domain(given, word, because):
+    found, reasons = modal_verdict(given)
+    assert found == word and any(because in reason for reason in reasons), reasons
+
+
+def test_two_causes_of_one_kind_are_another_set_than_one():
+    """An element and a spring at the same place count as two, so one of them alone is a rival."""
+    assert modal_verdict(case((0.6, SPRING, SPRING), (0.4, SPRING)))[0] == "ambiguous"
+
+
+def test_nothing_is_said_of_a_comparison_that_was_not_made():
+    assert modal_verdict(case((1.0, SPRING), nats=None))[1] == (
+        "joint_stiffness at 3 - 4 stands out beyond the general inaccuracy (probability 1.000)",
+    )
+
+
+@pytest.mark.parametrize(
+    ("slug", "whole", "expected"),
+    [
+        ("joint_stiffness", 2e5, 3 * 0.01 * 2e5), ("added_mass", 0.8, 3 * 0.005 * 0.8), ("channel_gain", 0.0, 0.02),
+        ("force_gain", 0.0, 0.02), ("time_delay", 0.0, 0.01 / (2 * np.pi * 400)), ("channel_sign", 0.0, -np.inf),
+        ("local_damper", 1.0, -np.inf),
+    ],
+)  # fmt: skip
+def test_a_cause_stands_out_beyond_what_is_usual(slug, whole, expected):
+    assert usual_size(slug, whole, OFF, 400.0) == pytest.approx(expected)

@@ -1,0 +1,72 @@
+"""Which method answers: the order of the two, when the first one suffices, and which of two answers is given."""
+
+from dataclasses import replace
+
+import pytest
+
+from modalax.diagnose.decision.route import Outcome, Task, choice, order, suffices
+
+SMALL = Task(has_modes=True, places=15.0, samples=2000)
+LARGE = replace(SMALL, places=301.0)
+OFF = {"stiffness": {"value": 0.02, "interval": [0.01, 0.03]}, "mass": {"value": 0.0, "interval": [0.0, 0.01]}}
+EXACT = {"stiffness": {"value": 1e-4, "interval": [5e-5, 2e-4]}, "mass": {"value": 0.01, "interval": [0.0, 0.02]}}
+SURE = Outcome("named", 1.05, 0.3, 0.9995, 0, EXACT)
+
+
+@pytest.mark.parametrize(
+    ("task", "expected"),
+    [
+        (Task(has_modes=False, places=1e6, samples=10**6, elements_off=True), ("lines",)),
+        (SMALL, ("modes", "lines")),
+        (replace(SMALL, modes_off=True), ("lines", "modes")),
+        (replace(SMALL, whole_catalogue=False), ("lines",)),
+        (replace(SMALL, whole_catalogue=False, elements_off=True), ("modes", "lines")),
+        (replace(LARGE, whole_catalogue=False), ("modes", "lines")),
+        (replace(SMALL, samples=400_000, modes_off=True), ("modes", "lines")),  # 15 places times 400,000
+    ],
+    ids=["no matrices", "small", "modes claimed", "some causes", "elements claimed", "many places", "many samples"],
+)
+def test_methods_are_tried_in_this_order(task, expected):
+    assert order(task) == expected
+
+
+@pytest.mark.parametrize(
+    ("found", "task", "expected"),
+    [
+        (Outcome("clean", 1.05, 0.3, inaccuracy=OFF), SMALL, True),
+        (Outcome("clean", 1.05, 0.3, inaccuracy=EXACT), SMALL, False),  # nothing is certainly off
+        (Outcome("clean", 1.05, 0.3), SMALL, False),
+        (Outcome("unknown", 1.05, 0.3, inaccuracy=OFF), SMALL, False),
+        (Outcome("clean", 1.25, 0.3, inaccuracy=OFF), SMALL, False),  # does not predict
+        (Outcome("clean", 1.05, 0.009, inaccuracy=OFF), SMALL, False),  # something is left
+        (SURE, SMALL, False),
+        (SURE, replace(SMALL, places=121.0), True),
+        (replace(SURE, probability=0.99), replace(SMALL, places=121.0), False),
+        (replace(SURE, alternatives=1), replace(SMALL, places=121.0), False),
+        (replace(SURE, verdict="ambiguous"), replace(SMALL, places=121.0), False),
+        (replace(SURE, held_out=1.3), replace(SMALL, places=121.0), False),
+        (Outcome("unknown", 9.0, 0.0), LARGE, True),
+        (Outcome("unknown", 9.0, 0.0), replace(SMALL, elements_off=True), True),
+    ],
+)
+def test_the_modal_domain_suffices_where_nothing_is_left_to_explain(found, task, expected):
+    assert suffices("modes", found, task) is expected
+
+
+@pytest.mark.parametrize(("verdict", "held_out"), [("named", 1.5), ("unknown", 1.0), ("ambiguous", 1.51)])
+def test_line_by_line_suffices_where_its_answer_predicts(verdict, held_out):
+    found = Outcome(verdict, held_out)
+    predicts = verdict == "named"
+    assert suffices("lines", found, SMALL) is predicts
+    better = {"lines": found, "modes": Outcome("named", 0.9)}
+    assert choice(better) == ("lines" if predicts else "modes")
+
+
+@pytest.mark.parametrize("modes", [Outcome("unknown", 1.0), Outcome("named", 1.7), Outcome("named", 1.6)])
+def test_an_answer_of_the_modal_domain_must_predict_better_than_one_line_by_line(modes):
+    assert choice({"lines": Outcome("named", 1.6), "modes": modes}) == "lines"
+
+
+def test_the_only_answer_is_given():
+    assert choice({"lines": Outcome("unknown", 9.0)}) == "lines"
+    assert choice({"modes": Outcome("unknown", 9.0)}) == "modes"
