@@ -14,12 +14,13 @@ SIGN = {"name": "channel_sign", "where": ["4"], "probability": 0.9871, "paramete
 def test_a_named_diagnosis_is_told_in_a_table_and_its_gain():
     told = summary({"verdict": "named", "causes": [SPRING, SIGN], "alternatives": [], "advice": None, "gain": GAIN})
     assert told.splitlines() == [
-        "named: the simulation lacks what follows",
+        "named: the simulation lacks the causes listed here",
         "Cause            Where  Probability  Parameters",
         "---------------  -----  -----------  -------------------------",
         "joint_stiffness  3 - 5        0.987  stiffness = 2501 ± 12 N/m",
         "channel_sign     4            0.987",
-        "held out: run 3; chi-square per real sample 7.52 before, 1.01 after; log-likelihood gain 512.0 ± 4.0 nats",
+        "on data left out of the fit (run 3): chi-square per real sample 7.52 before, 1.01 after (1 is noise alone); "
+        "log-likelihood gain 512.0 ± 4.0 nats",
     ]
 
 
@@ -32,7 +33,7 @@ def test_rivals_reasons_and_advice_are_told():
     ).splitlines()  # fmt: skip
     assert told[0].startswith("ambiguous: several explanations fit")
     assert told[-3:] == [
-        "or: channel_sign at 4 and units at everywhere",
+        "or: channel_sign at 4 and units",
         "because: two sets fit alike",
         "to tell them apart: measure DoF 4",
     ]
@@ -40,4 +41,4 @@ def test_rivals_reasons_and_advice_are_told():
 
 def test_a_clean_one_is_one_line():
     told = summary({"verdict": "clean", "causes": [], "alternatives": [], "advice": None, "gain": None})
-    assert told == "clean: nothing is wrong with the simulation that this data could show"
+    assert told == "clean: this data shows nothing wrong with the simulation"

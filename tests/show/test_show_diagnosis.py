@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from modalax.data import Measurement
+from modalax.diagnose.summary import causes_text
 from modalax.model import Structure
 from modalax.model.examples import five_dof
 from modalax.show.diagnosis import MOST_ROWS, residual_rows, run_names
-from modalax.show.report.diagnosis import cause_rows, gain_rows, interval, told
+from modalax.show.report.diagnosis import cause_rows, gain_rows, interval
 
 
 def made_up(runs, outputs, inputs, lines=20, seed=0):
@@ -56,7 +57,7 @@ def test_answers_as_tables():
     assert rows[0] == ["elasto_slip", "3 - 5", "0.987", "stiffness [N/m]", "20000 ± 10", "19980 to 20020"]
     assert rows[1][3:] == ["slip_force [N]", "4", "not known"]
     assert rows[2][:2] == ["time_delay", "everywhere"]
-    assert told(causes) == "elasto_slip at 3 - 5 and time_delay at everywhere"
+    assert causes_text(causes) == "elasto_slip at 3 - 5 and time_delay"
     assert interval(1.0, float("nan")) == "not known"
     gain = {"held_out": "run 3", "chi2_before": 7.5, "chi2_after": 1.01, "log_likelihood_gain": 50.0,
             "log_likelihood_gain_std": 4.0}  # fmt: skip

@@ -9,7 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from modalax._numerics.text import with_error
-from modalax.diagnose.summary import MEANING, causes_text, gain_text, parameters_text, place_text
+from modalax.diagnose.summary import CAUSE_COLUMNS, MEANING, cause_rows, explanation_lines
 
 
 def new_table(title: str) -> Table:
@@ -89,27 +89,15 @@ def cause_table(causes: Sequence[Any]) -> Table:
 
 
 def print_diagnosis(console: Console, answer: Mapping[str, Any]) -> None:
-    """Print ``Diagnosis.to_dict()``: verdict, causes, rivals, advice and gain."""
+    """Print ``Diagnosis.to_dict()``: verdict, causes, rivals, reasons, advice and gain."""
     verdict = answer["verdict"]
     console.print(f"[bold]{verdict}[/bold]: {MEANING[verdict]}", highlight=False)
-    for reason in answer.get("reasons") or ():
-        console.print(f"because: {reason}", highlight=False, markup=False)
     if answer["causes"]:
         table = new_table("Causes in the extended simulation")
-        for name, justify in (("Cause", "left"), ("Where", "left"), ("Probability", "right"), ("Parameters", "left")):
-            table.add_column(name, justify=justify)  # pyright: ignore[reportArgumentType]
-        for cause in answer["causes"]:
-            table.add_row(
-                cause["name"],
-                escape(place_text(cause["where"])),
-                f"{cause['probability']:.3f}",
-                escape(parameters_text(cause["parameters"])),
-            )
+        for name in CAUSE_COLUMNS:
+            table.add_column(name, justify="right" if name == "Probability" else "left")
+        for row in cause_rows(answer["causes"]):
+            table.add_row(*map(escape, row))
         console.print(table)
-    for rival in answer["alternatives"]:
-        console.print(f"  or: {causes_text(rival)}", highlight=False, markup=False)
-    if answer["advice"]:
-        console.print(f"to tell them apart: {answer['advice']}", highlight=False, markup=False)
-    gain = answer.get("gain")
-    if gain:
-        console.print(gain_text(gain), highlight=False, markup=False)
+    for line in explanation_lines(answer):
+        console.print(line, highlight=False, markup=False)

@@ -6,8 +6,8 @@ from typing import Any
 from modalax._numerics.text import text_table, with_error
 
 MEANING = {
-    "clean": "nothing is wrong with the simulation that this data could show",
-    "named": "the simulation lacks what follows",
+    "clean": "this data shows nothing wrong with the simulation",
+    "named": "the simulation lacks the causes listed here",
     "ambiguous": "several explanations fit; this data cannot tell them apart",
     "unknown": "something is wrong that no known cause explains",
 }
@@ -17,30 +17,48 @@ def summary(answer: Mapping[str, Any]) -> str:
     """``Diagnosis.to_dict()`` in a few lines."""
     lines = [f"{answer['verdict']}: {MEANING[answer['verdict']]}"]
     if answer["causes"]:
-        rows = [
-            [c["name"], place_text(c["where"]), f"{c['probability']:.3f}", parameters_text(c["parameters"])]
-            for c in answer["causes"]
-        ]
-        lines.append(text_table(("Cause", "Where", "Probability", "Parameters"), rows, left=(0, 1, 3)))
-    lines += [f"or: {causes_text(rival)}" for rival in answer["alternatives"]]
+        lines.append(text_table(CAUSE_COLUMNS, cause_rows(answer["causes"]), left=(0, 1, 3)))
+    return "\n".join([*lines, *explanation_lines(answer)])
+
+
+CAUSE_COLUMNS = ("Cause", "Where", "Probability", "Parameters")
+
+
+def cause_rows(causes: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+    """Rows of a table with the columns ``CAUSE_COLUMNS``."""
+    return [
+        [c["name"], place_text(c["where"]), f"{c['probability']:.3f}", parameters_text(c["parameters"])] for c in causes
+    ]
+
+
+def explanation_lines(answer: Mapping[str, Any]) -> list[str]:
+    """Rivals, reasons, advice and gain, a line each."""
+    lines = [f"or: {causes_text(rival)}" for rival in answer["alternatives"]]
     lines += [f"because: {reason}" for reason in answer.get("reasons") or ()]
-    if answer["advice"]:
-        lines.append(f"to tell them apart: {answer['advice']}")
-    if answer["gain"]:
-        lines.append(gain_text(answer["gain"]))
-    return "\n".join(lines)
+    lines += [advice_text(answer)] if answer["advice"] else []
+    return lines + ([gain_text(answer["gain"])] if answer["gain"] else [])
+
+
+def advice_text(answer: Mapping[str, Any]) -> str:
+    """What to measure or check next, and what for."""
+    return f"{'to tell them apart' if answer['alternatives'] else 'what to do next'}: {answer['advice']}"
 
 
 def causes_text(causes: Sequence[Mapping[str, Any]]) -> str:
     """A set of causes with their places."""
-    return " and ".join(f"{c['name']} at {place_text(c['where'])}" for c in causes)
+    return " and ".join(cause_at(c["name"], c["where"]) for c in causes) or "no cause at all"
+
+
+def cause_at(name: str, where: Sequence[Any]) -> str:
+    """A cause and its place; a cause of the whole measurement has none."""
+    return f"{name} at {place_text(where)}" if where else name
 
 
 def gain_text(gain: Mapping[str, Any]) -> str:
-    """What the extended simulation gains on the data that it was not fitted to."""
+    """How much better the extended simulation predicts the data that it was not fitted to."""
     return (
-        f"held out: {gain['held_out']}; chi-square per real sample {gain['chi2_before']:.3g} before, "
-        f"{gain['chi2_after']:.3g} after; log-likelihood gain "
+        f"on data left out of the fit ({gain['held_out']}): chi-square per real sample {gain['chi2_before']:.3g} "
+        f"before, {gain['chi2_after']:.3g} after (1 is noise alone); log-likelihood gain "
         f"{with_error(gain['log_likelihood_gain'], gain['log_likelihood_gain_std'])} nats"
     )
 

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from modalax.diagnose.decision.sets import certainty, unplaced
+from modalax.diagnose.summary import cause_at
 from modalax.diagnose.thresholds import THRESHOLDS, Thresholds
 
 Names = tuple[tuple[str, tuple[str, ...]], ...]
@@ -60,7 +61,7 @@ class ModalCase:
     @property
     def support(self) -> tuple[str, ...]:
         """What speaks for the leading set."""
-        what = " and ".join(f"{slug} at {' - '.join(where) or 'everywhere'}" for slug, where in self.sets[0].names)
+        what = " and ".join(cause_at(slug, where) for slug, where in self.sets[0].names)
         first = f"{what} stands out beyond the general inaccuracy (probability {certainty(self.sets):.3f})"
         return (first,) if self.nats is None else (first, f"without it the data are {self.nats:.3g} nats less likely")
 
@@ -81,7 +82,7 @@ def nothing_beyond_the_usual(case: ModalCase) -> tuple[str, ...]:
     if case.sets[0].names:
         return ()
     if case.fitted:
-        what = ", ".join(f"{slug} at {' - '.join(where)}" for slug, where in case.fitted)
+        what = ", ".join(cause_at(slug, where) for slug, where in case.fitted)
         return (f"{what} is significant, but no larger than is usual",)
     return (f"nothing stands out beyond the general inaccuracy (probability {case.sets[0].probability:.3f})",)
 

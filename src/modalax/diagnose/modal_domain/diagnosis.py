@@ -26,6 +26,7 @@ from modalax.diagnose.modal_domain.judged import judge, standing_out
 from modalax.diagnose.modal_domain.screen import errors_of
 from modalax.diagnose.modal_domain.stage import Stage, run_stage
 from modalax.diagnose.result import Diagnosis
+from modalax.diagnose.summary import cause_at
 from modalax.diagnose.thresholds import THRESHOLDS
 from modalax.model import Structure
 
@@ -79,11 +80,13 @@ class ModalDiagnosis(Diagnosis):
     @property
     def candidate_rows(self) -> list[tuple[str, float, float]]:
         """Name, probability and log evidence of each explanation."""
-        name = lambda c: f"{c.slug} at {' - '.join(c.where)}"  # noqa: E731
         return [
-            (" and ".join(map(name, e.causes)) or "the general inaccuracy alone", e.probability, e.log_posterior)
+            (
+                " and ".join(cause_at(c.slug, c.where) for c in e.causes) or "the general inaccuracy alone",
+                e.probability, e.log_posterior,
+            )
             for e in self.stage.explanations
-        ]
+        ]  # fmt: skip
 
     @property
     def tests(self) -> tuple[Omnibus, Omnibus]:

@@ -8,27 +8,12 @@ import numpy as np
 
 from modalax._numerics.text import with_error
 from modalax.diagnose.result import Diagnosis
+from modalax.diagnose.summary import MEANING, advice_text, causes_text, place_text
 from modalax.show.diagnosis import residual_rows, run_names
 from modalax.show.report.page import Page, Plot, Section, Table
 from modalax.show.report.plots import bar_plot, comparison_plot, residual_plot
 
-MEANING = {
-    "clean": "Nothing is wrong with the simulation that this data could show.",
-    "named": "The simulation lacks what is named here.",
-    "ambiguous": "Several explanations fit, and this data cannot tell them apart.",
-    "unknown": "Something is wrong that no known cause explains.",
-}
-MOST_CANDIDATES = 12
-
-
-def place(where: Sequence[Any]) -> str:
-    """Where a cause sits, as text."""
-    return " - ".join(str(w) for w in where) or "everywhere"
-
-
-def told(causes: Sequence[Mapping[str, Any]]) -> str:
-    """A set of causes as text."""
-    return " and ".join(f"{c['name']} at {place(c['where'])}" for c in causes)
+MOST_CANDIDATES = 12  # rows of the table of candidates
 
 
 def interval(value: float | None, std: float | None) -> str:
@@ -42,7 +27,7 @@ def cause_rows(causes: Sequence[Mapping[str, Any]]) -> Table:
     """Parameters of the causes with intervals."""
     rows = []
     for cause in causes:
-        first = [cause["name"], place(cause["where"]), f"{cause['probability']:.3f}"]
+        first = [cause["name"], place_text(cause["where"]), f"{cause['probability']:.3f}"]
         items = list(cause["parameters"].items()) or [("", None)]
         for k, (name, p) in enumerate(items):
             cells = ["", "", ""] if p is None else [
@@ -65,13 +50,12 @@ def gain_rows(gain: Mapping[str, Any]) -> Table:
 
 def diagnosis_sections(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> list[Section]:
     """Sections of a diagnosis: answer, gain, FRFs, residuals, candidates, smallest detectable effects."""
-    text = [MEANING.get(answer["verdict"], "")]
+    text = [_sentence(MEANING[answer["verdict"]])]
     if answer["reasons"]:
         text.append(f"Why: {'; '.join(answer['reasons'])}.")
-    if answer["alternatives"]:
-        text += [f"As well it may be {told(rival)}." for rival in answer["alternatives"]]
+    text += [f"It may also be {causes_text(rival)}." for rival in answer["alternatives"]]
     if answer["advice"]:
-        text.append(f"To tell them apart: {answer['advice']}")
+        text.append(_sentence(advice_text(answer)))
     # A probability of 0.95 allows 1 in 20 to be wrong; a reader must know what it is a probability of.
     text.append(
         "Probabilities compare the causes of the catalogue with one another, each with its place and parameters."
@@ -91,8 +75,12 @@ def diagnosis_sections(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> list[
     if diagnosis.candidates:
         sections.append(Section("Candidates", [], _candidates(diagnosis)))
     sections.append(Section("Smallest effects that would have been seen", [], [_smallest(diagnosis, answer)]))
-    sections.append(Section("What was assumed", [f"{note[:1].upper()}{note[1:]}." for note in diagnosis.notes]))
+    sections.append(Section("What was assumed", [_sentence(note) for note in diagnosis.notes]))
     return sections
+
+
+def _sentence(clause: str) -> str:
+    return f"{clause[:1].upper()}{clause[1:].rstrip('.')}."
 
 
 def _frfs(diagnosis: Diagnosis) -> Plot:
@@ -137,7 +125,7 @@ def diagnosis_facts(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> list[tup
     data = diagnosis.comparison.measurement
     facts = [("Verdict", answer["verdict"])]
     if answer["causes"]:
-        facts.append(("Cause", told(answer["causes"])))
+        facts.append(("Cause", causes_text(answer["causes"])))
         facts.append(("Probability", f"{answer['causes'][0]['probability']:.3f}"))
         facts.append(
             ("Held-out chi-square", f"{answer['gain']['chi2_before']:.3g} to {answer['gain']['chi2_after']:.3g}")
