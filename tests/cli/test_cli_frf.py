@@ -60,7 +60,7 @@ def test_files_are_runs_or_repeats(records, capsys):
     [
         (["--force", "load"], "no channel 'load'; there are 2 hammer [N], 3 a [g]"),
         (["--kind", "taps"], "kind is 'taps'; it must be one of hits"),
-        (["--units", "hammer"], "needs a channel, an equals sign"),
+        (["--units", "hammer"], "needs CHANNEL=VALUE"),
         (["--scale", "hammer=two"], "a number is needed"),
         (["--units", "a=V"], "unit of the responses is not known"),
         (["--estimator", "H3"], "estimator is 'H3'"),

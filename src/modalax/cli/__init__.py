@@ -1,4 +1,4 @@
-"""The ``modalax`` command: arguments to the calls of the package. It imports little until a command runs."""
+"""The ``modalax`` command, which turns arguments into calls of the package; slow imports wait until a command runs."""
 
 import sys
 import warnings
@@ -17,34 +17,38 @@ from modalax.cli.frf import frf
 from modalax.cli.import_fe import import_fe
 from modalax.cli.simulate import simulate
 
-# The parent of typer's usage errors, wherever this version of typer keeps it.
+# The base class of typer's usage errors; its module differs from version to version of typer.
 USAGE_ERROR: type[Exception] = typer.BadParameter.__mro__[1]
-UNUSABLE = 2
+UNUSABLE = 2  # exit status where the input cannot be used
+HELP = (
+    "Experimental modal analysis: FRFs from time records, modes with standard deviations, predictions with non-linear "
+    "joints, and what a simulation gets wrong."
+)
 
 app = typer.Typer(
     name="modalax",
-    help="Experimental modal analysis: identify, simulate, diagnose.",
+    help=HELP,
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
 
 def show_version(wanted: bool) -> bool:
-    """Print the version and stop, if that is wanted."""
+    """Print the version and stop if the option was given."""
     if wanted:
         typer.echo(f"modalax {__version__}")
         raise typer.Exit
     return wanted
 
 
-@app.callback()
+@app.callback(help=HELP)
 def options(
     debug: bool = typer.Option(False, "--debug", help="Show the whole traceback of an error."),
     version: bool = typer.Option(
         False, "--version", help="Show the version and stop.", is_eager=True, callback=show_version
     ),
 ) -> None:
-    """Experimental modal analysis: identify, simulate, diagnose."""
+    """Options that come before the name of a command."""
 
 
 for command in (demo, frf, check, fit, simulate, diagnose, causes, convert, import_fe):
@@ -52,9 +56,13 @@ for command in (demo, frf, check, fit, simulate, diagnose, causes, convert, impo
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit status: 0 done, 2 for unusable input, told in one line on stderr."""
+    """Run the command line and return its exit status.
+
+    The status is 0 where the command is done, 2 where its input cannot be used (one line on stderr says why), and 130
+    where the user stopped it.
+    """
     arguments = list(sys.argv[1:] if argv is None else argv) or ["--help"]
-    # It may stand anywhere, so that it can be added to the end of a line that has just failed.
+    # The option may stand anywhere, so that a user can append it to a line that has just failed.
     debug = "--debug" in arguments
     arguments = [a for a in arguments if a != "--debug"]
     try:
@@ -73,17 +81,17 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def show_note(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
-    """Tell a warning about the data in one line; those meant for programmers are left out."""
+    """Print a warning about the data in one line; warnings that are meant for programmers are left out."""
     if issubclass(category, UserWarning):
         print(f"note: {' '.join(str(message).split())}", file=sys.stderr)
 
 
 def one_line(error: BaseException) -> str:
-    """Say in one line what was wrong with which file."""
+    """One line that says what was wrong with which file."""
     if isinstance(error, OSError) and error.filename is not None and error.strerror:
         text = f"{error.filename}: {error.strerror}"
     elif isinstance(error, USAGE_ERROR):
-        text = f"{error.format_message()} (modalax --help tells the arguments)"  # pyright: ignore
+        text = f"{error.format_message()} (modalax --help lists the commands and options)"  # pyright: ignore
     else:
         text = str(error) or type(error).__name__
     return " ".join(text.split())

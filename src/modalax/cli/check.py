@@ -1,4 +1,4 @@
-"""``modalax check``: what is wrong with a measurement, before any model."""
+"""``modalax check``: faults of a measurement, found without a model of the structure."""
 
 from typing import Any
 
@@ -21,7 +21,7 @@ def check(
     report: ReportOption = None,
     overwrite: OverwriteOption = False,
 ) -> None:
-    """Find what is wrong with a measurement: channels, hits, noise, records, reciprocity, form."""
+    """Find what is wrong with a measurement: channels, hits, records, noise, reciprocity and form."""
     check_free(json, report, overwrite=overwrite, inputs=[data])
     if not data.exists():
         raise FileNotFoundError(f"{data}: no such file")

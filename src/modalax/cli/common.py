@@ -1,4 +1,4 @@
-"""What the commands share: double precision, the compilation cache, output files, messages."""
+"""Code that all commands share: double precision, the compilation cache, output files and messages."""
 
 import json
 import math
@@ -18,31 +18,36 @@ DataArgument = Annotated[
 BandOption = Annotated[
     tuple[float, float] | None, typer.Option("--band", metavar="LO HI", help="Frequency band [Hz].", show_default=False)
 ]
-JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result to this JSON file.")]
-ReportOption = Annotated[Path | None, typer.Option("--report", help="Write a report that any browser opens.")]
-PicturesOption = Annotated[Path | None, typer.Option("--out", help="Write pictures (PNG) into this folder.")]
-OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist already.")]
+JsonOption = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the result to this JSON file.")]
+ReportOption = Annotated[
+    Path | None,
+    typer.Option("--report", metavar="FILE", help="Write a report as one HTML file that opens in any browser."),
+]
+PicturesOption = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="Write pictures (PNG) into this folder.")
+]
+OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace output files that exist already.")]
 
 
 def start() -> None:
-    """Set what must stand before JAX is used: double precision, threads, the folder of compiled programs."""
+    """Set up JAX before its first use: double precision, threads, and the folder that keeps compiled programs."""
     import jax
     import platformdirs
     import threadpoolctl
 
     if not {"OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"} & set(os.environ):
-        # The matrices are small: threads of the linear algebra library would only wait for each other.
+        # The matrices are small, so that threads of the linear algebra library would only wait for each other.
         threadpoolctl.threadpool_limits(1, "blas")
     jax.config.update("jax_enable_x64", True)
     if "JAX_LOGGING_LEVEL" not in os.environ:
-        # Each program taken from the cache otherwise logs two screens about processor features, as an error.
+        # Otherwise each program taken from the cache logs two screens of text about processor features as an error.
         jax.config.update("jax_logging_level", "CRITICAL")
     if jax.config.jax_compilation_cache_dir is None and "JAX_COMPILATION_CACHE_DIR" not in os.environ:  # pyright: ignore
         folder = Path(platformdirs.user_cache_dir("modalax", appauthor=False)) / "compiled"
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError:
-            return  # A home that cannot be written to only costs the time of compiling again.
+            return  # Without a writable home folder every process compiles again, which costs time only.
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
@@ -55,23 +60,23 @@ def check_readable(*paths: Path) -> None:
     FileNotFoundError
         If there is no such file.
     ValueError
-        If what it holds is of no kind that can be read.
+        If a file is empty or of a kind that cannot be read.
     """
     for path in paths:
         sniff(path)
 
 
 def check_free(*paths: Path | None, overwrite: bool, inputs: Sequence[Path | None] = (), data: bool = False) -> None:
-    """Refuse outputs that would replace something, an input or each other, before any work is done.
+    """Refuse outputs that would replace an existing file, an input or each other, before any work is done.
 
-    Where they are ``data``, one named ``.zarr`` may replace a Zarr store.
+    With ``data``, the outputs hold FRFs or models, and one whose name ends in ``.zarr`` may replace a Zarr store.
 
     Raises
     ------
     ValueError
-        If an output exists and ``overwrite`` is not set, is among the inputs, stands twice, or is no place for a file.
+        If an output exists and ``overwrite`` is not set, is among the inputs, is asked for twice, or is a folder.
     OSError
-        If its folder does not exist, or the file is read-only.
+        If the folder of an output does not exist, or the file is read-only.
     """
     from modalax.files.write import check_target
 
@@ -86,12 +91,12 @@ def check_free(*paths: Path | None, overwrite: bool, inputs: Sequence[Path | Non
 
 
 def check_folder(folder: Path | None, overwrite: bool, inputs: Sequence[Path | None] = ()) -> None:
-    """Refuse to write pictures among files that are there already.
+    """Refuse to write pictures into a folder that holds files already.
 
     Raises
     ------
     ValueError
-        If the folder holds something and ``overwrite`` is not set, is a file, or is an input.
+        If the folder is not empty and ``overwrite`` is not set, or if it is a file or an input.
     """
     if folder is None or not folder.exists():
         return
@@ -110,14 +115,14 @@ def _check_apart(path: Path, inputs: Sequence[Path]) -> None:
 
 
 def _same(a: Path, b: Path) -> bool:
-    """Whether two names lead to one place, by links, other spellings or another case of letters."""
+    """Whether two paths are of the same file: through links, another spelling, or upper and lower case."""
     if a.exists() and b.exists():
         return os.path.samefile(a, b)
     return os.path.normcase(os.path.realpath(a)) == os.path.normcase(os.path.realpath(b))
 
 
 def free_folder(folder: Path) -> Path:
-    """Return ``folder``, or ``folder-2``, ``folder-3``, ... if it is taken."""
+    """Return ``folder``, or the first of ``folder-2``, ``folder-3``, ... that does not exist."""
     choice, k = folder, 1
     while choice.exists():
         k += 1
@@ -126,7 +131,7 @@ def free_folder(folder: Path) -> Path:
 
 
 def plain(value: Any) -> Any:
-    """Turn ``value`` into what JSON holds: numbers that are not finite become null."""
+    """Turn ``value`` into types that JSON can hold; numbers that are not finite become null."""
     if isinstance(value, dict):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
@@ -141,7 +146,7 @@ def plain(value: Any) -> Any:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write a result as JSON that every reader takes."""
+    """Write a result as standard JSON, without NaN or infinity."""
     from modalax.files.write import write_text
 
     write_text(path, json.dumps(plain(value), indent=1, allow_nan=False) + "\n")
@@ -149,9 +154,9 @@ def write_json(path: Path, value: Any) -> None:
 
 @contextmanager
 def working(what: str) -> Iterator[Callable[[str], None]]:
-    """Show that something is going on: a spinner on a terminal, lines elsewhere; on stderr.
+    """Show progress on stderr: a spinner on a terminal, lines elsewhere.
 
-    What it gives is called with each step in turn.
+    The context gives a function, which is called with the description of each step.
     """
     from rich.console import Console
 
@@ -165,17 +170,17 @@ def working(what: str) -> Iterator[Callable[[str], None]]:
 
 
 def note(text: str) -> None:
-    """Tell something beside the result, on stderr."""
+    """Print a remark on stderr, apart from the result on stdout."""
     typer.echo(text, err=True)
 
 
 def read_measurement(path: Path, **told: Any) -> Any:
-    """Read FRFs, with what was told of the file, and say so if it holds a model.
+    """Read FRFs; the keywords say what the file itself does not (form, unit, names, ...).
 
     Raises
     ------
     ValueError
-        If the file holds no measurement.
+        If the file holds something else than measured FRFs; the message names it.
     """
     from modalax.data import Measurement
     from modalax.files import load
@@ -187,12 +192,12 @@ def read_measurement(path: Path, **told: Any) -> Any:
 
 
 def read_simulation(path: Path, extended: bool = False) -> Any:
-    """Read matrices, a modal model or, if ``extended``, an extended simulation; say so if the file holds measured FRFs.
+    """Read matrices, a modal model or, if ``extended`` is set, an extended simulation.
 
     Raises
     ------
     ValueError
-        If the file holds no simulation.
+        If the file holds something else; the message names it.
     """
     from modalax.diagnose.extend import ExtendedSimulation
     from modalax.files import load

@@ -1,4 +1,4 @@
-"""``modalax convert``: from one kind of file to another."""
+"""``modalax convert``: rewrite FRFs or a model in another file format."""
 
 from pathlib import Path
 from typing import Annotated
@@ -18,8 +18,8 @@ from modalax.cli.told import (
 
 
 def convert(
-    source: Annotated[Path, typer.Argument(metavar="IN", help="File to read; its kind is found out.")],
-    target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write; its ending tells the kind.")],
+    source: Annotated[Path, typer.Argument(metavar="IN", help="File to read; its format is detected.")],
+    target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write; its ending gives the format.")],
     form: FormOption = None,
     unit: UnitOption = None,
     frequency_unit: FrequencyUnitOption = None,
@@ -28,7 +28,7 @@ def convert(
     axes: AxesOption = None,
     overwrite: OverwriteOption = False,
 ) -> None:
-    """Read FRFs or a model from one kind of file and write it to another."""
+    """Read FRFs or a model from a file and write them in another format."""
     check_free(target, overwrite=overwrite, inputs=[source], data=True)
     check_readable(source)
     start()

@@ -1,4 +1,4 @@
-"""``modalax demo``: the whole story on a system whose truth is known."""
+"""``modalax demo``: identification and diagnosis on a system whose true modes and hidden effects are known."""
 
 import time
 from pathlib import Path
@@ -13,11 +13,13 @@ DEFAULT = Path("modalax-demo")
 
 
 def demo(
-    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder for pictures and report.")] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the noise and of the second hidden effect.")] = 0,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder for pictures, results and the report.")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the noise and of the randomly chosen hidden effect.")] = 0,
     overwrite: OverwriteOption = False,
 ) -> None:
-    """Run the whole story on the five-degree-of-freedom system of the aircraft modal-analysis review."""
+    """Identify and diagnose a virtual test of the aircraft modal-analysis review's five-degree-of-freedom system."""
     if out is None and DEFAULT.exists() and not overwrite:
         out = free_folder(DEFAULT)
         note(f"{DEFAULT} exists already; writing to {out}")
@@ -38,7 +40,7 @@ def demo(
     joint, law = hidden_joint()
     sections += diagnosis_story(console, out, "2", "A hidden joint", joint, seed + 1, law)
     sections += diagnosis_story(
-        console, out, "3", "A hidden effect by chance", random_effect(seed, five_dof().dofs), seed + 2
+        console, out, "3", "A randomly chosen hidden effect", random_effect(seed, five_dof().dofs), seed + 2
     )
     page = Page("modalax demo", "Five degrees of freedom, measured virtually, so that the truth is known", (), sections)
     write_text(out / "report.html", page.html())
@@ -48,7 +50,7 @@ def demo(
 
 
 def identify_story(console: Any, out: Path, seed: int) -> list[Any]:
-    """Part 1: modes with error bars from noisy FRFs, beside the truth."""
+    """Part 1: modes with standard deviations from noisy FRFs, beside the true modes."""
     import jax
     import numpy as np
 
@@ -62,7 +64,7 @@ def identify_story(console: Any, out: Path, seed: int) -> list[Any]:
     truth = structure.modal()
     console.rule(f"1. Modes from FRFs with {100 * NOISE:.0f} % noise", align="left")
     frf = structure.frf(np.arange(200, 701) / 10, inputs=["1"]).add_noise(jax.random.key(seed), NOISE)
-    with working("Identifying the modes (the first time on a machine also compiles)") as progress:
+    with working("Identifying the modes (slower the first time, when programs are compiled)") as progress:
         fit = identify(frf, progress=progress)
     answer = fit.to_dict()
     known = matched(answer, np.asarray(truth.frequency_hz), np.asarray(truth.damping_ratio))
@@ -76,7 +78,7 @@ def identify_story(console: Any, out: Path, seed: int) -> list[Any]:
 def diagnosis_story(
     console: Any, out: Path, number: str, title: str, hidden: Any, seed: int, joint: Any = None
 ) -> list[Any]:
-    """Parts 2 and 3: a virtual test of a structure that is not quite the simulation, and what is found."""
+    """Parts 2 and 3: a virtual test of a structure that differs from its simulation, and what the diagnosis finds."""
     from modalax.cli.tables import print_diagnosis
     from modalax.cli.virtual import LEVELS, virtual_test
     from modalax.diagnose import diagnose
@@ -87,14 +89,14 @@ def diagnosis_story(
     from modalax.show.report.diagnosis import diagnosis_sections
 
     levels = ", ".join(f"{force:g}" for force in LEVELS)
-    console.rule(f"{number}. {title}: a test at {levels} N beside the simulation", align="left")
+    console.rule(f"{number}. {title}: a test at {levels} N against the simulation", align="left")
     with working("Testing virtually"):
         measurement = virtual_test(hidden, seed, joint)
-    with working("Comparing, screening all causes at all places, refitting (a minute the first time)"):
+    with working("Comparing, screening all causes at all places, refitting (slower the first time)"):
         diagnosis = diagnose(measurement, five_dof())
     answer = diagnosis.to_dict()
     print_diagnosis(console, answer)
-    console.print(f"hidden was: {hidden}", style="dim", highlight=False, markup=False)
+    console.print(f"the hidden effect was: {hidden}", style="dim", highlight=False, markup=False)
     with working("Drawing"):
         pictures = diagnosis_pictures(diagnosis)
         save_pictures({f"diagnosis{number}_{name}": figure for name, figure in pictures.items()}, out)
@@ -104,14 +106,14 @@ def diagnosis_story(
 
 
 def numbered(number: str, sections: list[Any]) -> list[Any]:
-    """Sections with the number of their part before the title."""
+    """Put the number of a part before the titles of its sections."""
     from dataclasses import replace
 
     return [replace(section, title=f"{number}. {section.title}") for section in sections]
 
 
 def matched(answer: dict[str, Any], frequency_hz: Any, damping_ratio: Any) -> tuple[Any, Any]:
-    """True frequency and damping beside each identified mode: those of the nearest true mode."""
+    """True frequency [Hz] and damping ratio of the mode nearest to each identified one."""
     import numpy as np
 
     found = np.array([m["frequency_hz"] for m in answer["modes"]])

@@ -1,4 +1,4 @@
-"""``modalax diagnose`` and ``modalax causes``: what a simulation gets wrong, and what can be named."""
+"""``modalax diagnose``: what a simulation gets wrong; ``modalax causes``: the list of causes that can be named."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -36,7 +36,7 @@ from modalax.cli.told import (
 def diagnose(
     data: DataArgument,
     simulation: Annotated[
-        Path | None, typer.Option("--simulation", metavar="SIM", help="Matrices M, C, K or a modal model (npz).")
+        Path | None, typer.Option("--simulation", metavar="SIM", help="Simulation: matrices M, C, K or a modal model.")
     ] = None,
     json: JsonOption = None,
     report: ReportOption = None,
@@ -50,25 +50,31 @@ def diagnose(
     question: Annotated[
         str,
         typer.Option(
-            "--question", help="fixed: against this simulation; free: against any modal model; auto: by file."
+            "--question",
+            help="fixed: does the data agree with this simulation? free: with any linear modal model? "
+            "auto: free for a modal model that was fitted to data, else fixed.",
         ),
     ] = "auto",
     band: BandOption = None,
     run: Annotated[
-        list[int] | None, typer.Option("--run", metavar="K", help="Use this run, counted from 1; may be repeated.")
+        list[int] | None,
+        typer.Option("--run", metavar="K", help="Use only this run, counted from 1; repeat the option for several."),
     ] = None,
     causes: Annotated[
-        str | None, typer.Option("--causes", metavar="SLUG,...", help="Look for these causes only.")
+        str | None,
+        typer.Option("--causes", metavar="SLUG,...", help="Look for these causes only; 'modalax causes' lists them."),
     ] = None,
     time: Annotated[
-        float, typer.Option("--time", metavar="SECONDS", help="Time after which the best answer so far is told.")
+        float,
+        typer.Option("--time", metavar="SECONDS", help="Time after which no further step of the modal domain begins."),
     ] = 120.0,
     save: Annotated[
-        Path | None, typer.Option("--save", metavar="EXTENDED", help="Write the extended simulation (npz).")
+        Path | None,
+        typer.Option("--save", metavar="EXTENDED", help="Write the extended simulation to this file (npz)."),
     ] = None,
     overwrite: OverwriteOption = False,
 ) -> None:
-    """Compare measured FRFs with a simulation: where it fails, why, and how much better it predicts once extended."""
+    """Find what a simulation gets wrong about measured FRFs, and how much better it predicts once extended."""
     if simulation is None:
         raise ValueError("diagnose needs --simulation SIM, the model to compare with")
     if time <= 0:
@@ -87,7 +93,7 @@ def diagnose(
 
     measurement = _selected(measurement, band, run)
     wanted = _named_causes(causes)
-    with working("Diagnosing (the first time on a machine may also compile)") as tell:
+    with working("Diagnosing (slower the first time, when programs are compiled)") as tell:
         result = answered(measurement, model, question=question, causes=wanted, time=time, progress=tell)
     answer = result.to_dict()
     print_diagnosis(Console(), answer)
@@ -116,7 +122,7 @@ def diagnose(
 
 
 def _selected(measurement: Any, band: tuple[float, float] | None, runs: list[int] | None) -> Any:
-    """Runs, counted from 1, and lines of a measurement."""
+    """The part of a measurement with the runs (counted from 1) and the band that were asked for."""
     if runs:
         wrong = [k for k in runs if not 1 <= k <= measurement.runs]
         if wrong:
@@ -133,7 +139,7 @@ def _selected(measurement: Any, band: tuple[float, float] | None, runs: list[int
 
 
 def _named_causes(slugs: str | None) -> list[Any] | None:
-    """Causes of the catalogue by their names."""
+    """Causes of the catalogue whose names were given, separated by commas; None where no name was given."""
     if slugs is None:
         return None
     from modalax.diagnose.causes import catalogue, imitators
@@ -149,7 +155,7 @@ def _named_causes(slugs: str | None) -> list[Any] | None:
 
 
 def causes() -> None:
-    """List the causes that a diagnosis can name, with their parameters and places."""
+    """List the causes that a diagnosis can name, with their parameters."""
     start()
     from rich.console import Console
 

@@ -1,4 +1,4 @@
-"""``modalax fit``: measured FRFs to modes with error bars."""
+"""``modalax fit``: modes of measured FRFs, with standard deviations."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -54,24 +54,39 @@ def fit(
     data: DataArgument,
     band: BandOption = None,
     method: Annotated[
-        Method | None, typer.Option(help="Estimator of the poles; chosen by itself if not given.")
+        Method | None, typer.Option(help="Estimator of the poles; chosen automatically if not given.")
     ] = None,
-    order: Annotated[int | None, typer.Option(help="Largest model order; chosen by itself if not given.")] = None,
-    refine: Annotated[bool, typer.Option("--refine/--no-refine", help="Refine by maximum likelihood.")] = True,
-    run: Annotated[int | None, typer.Option(help="Which run of several, counted from 1.", show_default=False)] = None,
+    order: Annotated[int | None, typer.Option(help="Largest model order; chosen automatically if not given.")] = None,
+    refine: Annotated[
+        bool,
+        typer.Option(
+            "--refine/--no-refine", help="Refine the modes by maximum likelihood, which gives standard deviations."
+        ),
+    ] = True,
+    run: Annotated[
+        int | None, typer.Option(metavar="K", help="Run to fit, counted from 1; the first if not given.")
+    ] = None,
     pick: Annotated[
-        list[float] | None, typer.Option("--pick", metavar="HZ", help="Fit the mode near it and no other; repeat.")
+        list[float] | None,
+        typer.Option("--pick", metavar="HZ", help="Fit only the mode nearest to this frequency; repeat for several."),
     ] = None,
     drop: Annotated[
-        list[float] | None, typer.Option("--drop", metavar="HZ", help="Leave out the mode near it; repeat.")
+        list[float] | None,
+        typer.Option("--drop", metavar="HZ", help="Leave out the mode nearest to this frequency; repeat for several."),
     ] = None,
-    add: Annotated[list[float] | None, typer.Option("--add", metavar="HZ", help="Put in a mode there; repeat.")] = None,
+    add: Annotated[
+        list[float] | None,
+        typer.Option("--add", metavar="HZ", help="Add a mode at this frequency; repeat for several."),
+    ] = None,
     without: Annotated[
-        list[str] | None, typer.Option("--without", metavar="NAME", help="Leave out an output or input; repeat.")
+        list[str] | None,
+        typer.Option("--without", metavar="NAME", help="Leave out this output or input; repeat for several."),
     ] = None,
-    real_modes: Annotated[bool, typer.Option("--real-modes", help="Fit real normal modes.")] = False,
+    real_modes: Annotated[
+        bool, typer.Option("--real-modes", help="Fit real (normal) mode shapes instead of complex ones.")
+    ] = False,
     residuals: Annotated[
-        ResidualTerms, typer.Option("--residuals", help="Terms for the modes outside the band.")
+        ResidualTerms, typer.Option("--residuals", help="Residual terms for the modes outside the band.")
     ] = ResidualTerms.complex,
     json: JsonOption = None,
     report: ReportOption = None,
@@ -80,7 +95,7 @@ def fit(
         Path | None, typer.Option("--modes", metavar="FILE", help="Write the modes to .csv, .uff (55) or .npz.")
     ] = None,
     geometry: Annotated[
-        Path | None, typer.Option("--geometry", metavar="FILE", help="Places of the nodes: UFF, CSV or STL.")
+        Path | None, typer.Option("--geometry", metavar="FILE", help="Coordinates of the nodes: UFF, CSV or STL.")
     ] = None,
     form: FormOption = None,
     unit: UnitOption = None,
@@ -90,7 +105,7 @@ def fit(
     axes: AxesOption = None,
     overwrite: OverwriteOption = False,
 ) -> None:
-    """Identify the modes of measured FRFs: frequency, damping and shape with standard deviations."""
+    """Identify the modes of measured FRFs: frequency, damping and shape, with standard deviations."""
     check_free(json, report, modes, overwrite=overwrite, inputs=[data, geometry])
     check_folder(out, overwrite, inputs=[data, geometry])
     check_readable(data)
@@ -106,7 +121,7 @@ def fit(
     from modalax.identify import fit as identify
 
     name = None if method is None else method.value
-    with working("Identifying the modes (the first time on a machine also compiles)") as progress:
+    with working("Identifying the modes (slower the first time, when programs are compiled)") as progress:
         result = identify(
             frf, name, order, refine, band, residuals=residuals.value, real_modes=real_modes, pick=pick or None,
             drop=drop, add=add, without=without or None, progress=progress,
@@ -116,7 +131,10 @@ def fit(
     console.print(mode_table(answer["modes"]))
     print_remarks(console, answer)
     if not refine:
-        note("not refined: no standard deviations; the scatter over the orders tells how far to trust a damping ratio")
+        note(
+            "not refined, so there are no standard deviations; the scatter over the model orders shows how far a "
+            "damping ratio can be trusted"
+        )
     if result.refined is not None and not bool(result.refined.success):
         note(f"the refinement did not converge: {result.refined.reason}")
     places = nodes_beside(data) if places is None and (report or out or modes) else places
@@ -126,23 +144,23 @@ def fit(
 
 
 def check_modes(path: Path) -> None:
-    """Refuse a file for the modes whose ending is not known."""
+    """Refuse a file for the modes if its ending is not known."""
     from modalax.files.modes import check_modes_file
 
     check_modes_file(path)
 
 
 def read_geometry(path: Path) -> Any:
-    """Places of the nodes; corners of triangles have no names of their own, and that is said."""
+    """Coordinates of the nodes; a note says how the corners of an STL file, which have no names, are numbered."""
     from modalax.files import load_geometry
 
     if path.suffix.lower() == ".stl":
-        note(f"{path}: its corners are taken in metres and as nodes 1, 2, ... in the order in which they come")
+        note(f"{path}: its corners are taken to be in metres, and are numbered 1, 2, ... in the order of the file")
     return load_geometry(path)
 
 
 def write_modes(result: Any, path: Path, geometry: Any, overwrite: bool) -> None:
-    """Write the modes in the band."""
+    """Write the modes inside the band to a file."""
     import numpy as np
 
     from modalax.files import save_modes
@@ -158,7 +176,7 @@ def write_modes(result: Any, path: Path, geometry: Any, overwrite: bool) -> None
 
 
 def one_run(measurement: Any, run: int | None, path: Path) -> Any:
-    """Pick the run to fit; of several runs the first, and that is said.
+    """Pick the run to fit; where none is asked for, the first, and a note says so if there are several.
 
     Raises
     ------
@@ -166,14 +184,14 @@ def one_run(measurement: Any, run: int | None, path: Path) -> Any:
         If there is no such run.
     """
     if run is not None and not 1 <= run <= measurement.runs:
-        raise ValueError(f"{path}: run {run} asked for, but there are {measurement.runs} runs, counted from 1")
+        raise ValueError(f"{path}: there is no run {run}; the runs are 1 to {measurement.runs}")
     if run is None and measurement.runs > 1:
         note(f"{path} holds {measurement.runs} runs; fitting run 1, choose another with --run")
     return measurement.run(0 if run is None else run - 1)
 
 
 def nodes_beside(path: Path) -> Any:
-    """The nodes and lines that a universal file holds beside its FRFs; None where there are none."""
+    """The geometry (nodes and lines) that a universal file holds beside its FRFs; None where there is none."""
     from modalax.files import load_geometry
     from modalax.files.sniff import sniff
 
@@ -194,7 +212,7 @@ def write_outputs(
     title: str,
     geometry: Any,
 ) -> None:
-    """Write what was asked for of a fit."""
+    """Write the JSON file, the report and the pictures of a fit, those that were asked for."""
     if json is not None:
         write_json(json, answer)
         note(f"result: {json}")

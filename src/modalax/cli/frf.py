@@ -1,4 +1,4 @@
-"""``modalax frf``: time records to FRFs."""
+"""``modalax frf``: FRFs from time records."""
 
 import warnings
 from collections.abc import Iterator
@@ -14,7 +14,7 @@ from modalax.files.record_kinds import kind_of
 RecordsArgument = Annotated[
     list[Path], typer.Argument(metavar="RECORDS...", help="Time records: UFF 58, mat, npy, npz, csv, wav or HDF5.")
 ]
-PAIR = "Several: repeat the option."
+PAIR = "Repeat the option for several."
 
 
 def frf(
@@ -22,63 +22,88 @@ def frf(
     target: Annotated[Path, typer.Option("--out", "-o", metavar="DATA", help="File of FRFs to write (npz, uff, ...).")],
     force: Annotated[
         list[str] | None,
-        typer.Option("--force", metavar="CH", help=f"Channel that is a force, by name or number. {PAIR}"),
+        typer.Option("--force", metavar="CH", help=f"Force channel, by name or number. {PAIR}"),
     ] = None,
     response: Annotated[
-        list[str] | None, typer.Option("--response", metavar="CH", help=f"Channel to use as response. {PAIR}")
+        list[str] | None, typer.Option("--response", metavar="CH", help=f"Response channel, by name or number. {PAIR}")
     ] = None,
-    fs: Annotated[
-        float | None, typer.Option("--fs", metavar="HZ", help="Sampling rate, where the file has none.")
-    ] = None,
-    array: Annotated[str, typer.Option("--array", metavar="NAME", help="Array to read, of several in a file.")] = "",
+    fs: Annotated[float | None, typer.Option("--fs", metavar="HZ", help="Sampling rate, if the file has none.")] = None,
+    array: Annotated[
+        str, typer.Option("--array", metavar="NAME", help="Name of the array to read, if the file holds several.")
+    ] = "",
     unit: Annotated[
-        str | None, typer.Option("--unit", metavar="U", help="Unit of responses without one: m, mm, m/s, m/s^2, g ...")
+        str | None,
+        typer.Option("--unit", metavar="U", help="Unit of responses that have none: m, mm, m/s, m/s^2, g ..."),
     ] = None,
     units: Annotated[
         list[str] | None, typer.Option("--units", metavar="CH=U", help=f"Unit of one channel. {PAIR}")
     ] = None,
     scale: Annotated[
-        list[str] | None, typer.Option("--scale", metavar="CH=X", help=f"Units a stored unit of one channel. {PAIR}")
+        list[str] | None,
+        typer.Option("--scale", metavar="CH=X", help=f"Factor by which the values of a channel are multiplied. {PAIR}"),
     ] = None,
     names: Annotated[
-        list[str] | None, typer.Option("--name", metavar="CH=DOF", help=f"DoF of one channel, such as 12:+Z. {PAIR}")
+        list[str] | None,
+        typer.Option("--name", metavar="CH=DOF", help=f"DoF measured by one channel, such as 12:+Z. {PAIR}"),
     ] = None,
     kind: Annotated[
-        str | None, typer.Option("--kind", help="hits, multisine, sweep, blocks or random; told from the force.")
+        str | None,
+        typer.Option("--kind", help="Excitation: hits, multisine, sweep, blocks or random; found from the force."),
     ] = None,
     time: Annotated[
         tuple[float, float] | None,
-        typer.Option("--time", metavar="FROM TO", help="Part of the records to use [s].", show_default=False),
+        typer.Option("--time", metavar="FROM TO", help="Part of the records to use, in seconds.", show_default=False),
     ] = None,
-    runs: Annotated[bool, typer.Option("--runs", help="Each file is a run of its own, as at rising levels.")] = False,
+    runs: Annotated[
+        bool, typer.Option("--runs", help="Make each file a run, for example at another force level.")
+    ] = False,
     level: Annotated[
-        list[float] | None, typer.Option("--level", metavar="N", help=f"Force amplitude of each run. {PAIR}")
+        list[float] | None, typer.Option("--level", metavar="N", help=f"Force amplitude of each run in N. {PAIR}")
     ] = None,
     band: BandOption = None,
-    estimator: Annotated[str, typer.Option("--estimator", help="H1, H2 or Hv.")] = "H1",
-    block: Annotated[float | None, typer.Option("--block", metavar="S", help="Length of a block, or of a hit.")] = None,
-    overlap: Annotated[float, typer.Option("--overlap", help="Of blocks of random excitation.")] = 0.5,
-    window: Annotated[str, typer.Option("--window", help="On blocks of random excitation.")] = "hann",
-    period: Annotated[
-        int | None, typer.Option("--period", metavar="SAMPLES", help="Of a multisine; found from the force.")
+    estimator: Annotated[str, typer.Option("--estimator", help="FRF estimator: H1, H2 or Hv.")] = "H1",
+    block: Annotated[
+        float | None,
+        typer.Option("--block", metavar="S", help="Length of a block, or of the record of a hit, in seconds."),
     ] = None,
-    skip: Annotated[int | None, typer.Option("--skip", metavar="PERIODS", help="Left out to settle.")] = None,
-    trigger: Annotated[float, typer.Option("--trigger", help="Of hits: share of the largest force.")] = 0.2,
-    pretrigger: Annotated[float | None, typer.Option("--pretrigger", metavar="S", help="Kept before a hit.")] = None,
+    overlap: Annotated[
+        float, typer.Option("--overlap", help="Overlap of the blocks of random excitation, as a fraction.")
+    ] = 0.5,
+    window: Annotated[str, typer.Option("--window", help="Window on the blocks of random excitation.")] = "hann",
+    period: Annotated[
+        int | None,
+        typer.Option("--period", metavar="SAMPLES", help="Period of a multisine; found from the force if not given."),
+    ] = None,
+    skip: Annotated[
+        int | None,
+        typer.Option("--skip", metavar="PERIODS", help="Periods left out at the start, while the response settles."),
+    ] = None,
+    trigger: Annotated[
+        float, typer.Option("--trigger", help="Force at which a hit begins, as a fraction of the largest force.")
+    ] = 0.2,
+    pretrigger: Annotated[
+        float | None, typer.Option("--pretrigger", metavar="S", help="Time kept before a hit, in seconds.")
+    ] = None,
     contact: Annotated[
-        float | None, typer.Option("--force-window", metavar="S", help="Keep the force of a hit for so long only.")
+        float | None,
+        typer.Option("--force-window", metavar="S", help="Set the force to zero this many seconds after a hit begins."),
     ] = None,
     remainder: Annotated[
         float | None,
-        typer.Option("--exponential", metavar="SHARE", help="Exponential window on hits that leaves this share."),
+        typer.Option(
+            "--exponential", metavar="SHARE", help="Exponential window on hits that falls to this fraction at the end."
+        ),
     ] = None,
-    keep_all: Annotated[bool, typer.Option("--keep-all", help="Keep double hits and overloads.")] = False,
+    keep_all: Annotated[
+        bool, typer.Option("--keep-all", help="Keep hits that are double or overload a channel.")
+    ] = False,
     roving: Annotated[
-        int, typer.Option("--roving", metavar="N", help="The hammer goes from point to point, N hits at each.")
+        int,
+        typer.Option("--roving", metavar="N", help="Roving hammer: N hits at each point, one point after the other."),
     ] = 0,
     overwrite: OverwriteOption = False,
 ) -> None:
-    """Turn time records into FRFs with coherence and noise; several files are repeats, or runs with --runs."""
+    """Estimate FRFs, coherence and noise from time records; several files are repeats, or runs with --runs."""
     check_free(target, overwrite=overwrite, inputs=records, data=True)
     for path in records:
         kind_of(path)
@@ -98,7 +123,7 @@ def frf(
     ends = {"force": _renamed(force, names), "response": _renamed(response, names)}
     _check_levels(level, len(records) if runs else 1)
     taken, frfs, said = [], [], set()
-    with working("Time records to FRFs") as step:
+    with working("Estimating FRFs") as step:
         for paths in [[p] for p in records] if runs else [records]:
             step(f"reading {', '.join(p.name for p in paths[:3])}{' ...' if len(paths) > 3 else ''}")
             with _once(said, paths):
@@ -118,13 +143,13 @@ def frf(
     save(measurement, target, overwrite=overwrite)
     typer.echo(_told(measurement, taken[0].fs))
     if runs and not np.isfinite(np.asarray(measurement.level)).all():
-        note("the force level of the runs is not known: none is a sine's; --level gives it in N")
+        note("the force level of the runs is not known, because the excitation is no sine; give it in N with --level")
     note(f"{target} written")
 
 
 @contextmanager
 def _once(said: set[str], paths: list[Path]) -> Iterator[None]:
-    """Tell warnings that have not been told of an earlier file, also where an error ends the work."""
+    """Print each warning once, however many files it comes from, also where an error ends the work."""
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always", UserWarning)
         try:
@@ -138,7 +163,7 @@ def _once(said: set[str], paths: list[Path]) -> Iterator[None]:
 
 
 def _renamed(wanted: list[str] | None, names: list[str] | None) -> list[str]:
-    """Channels asked for under their old names, by the new ones."""
+    """The new names of channels that are asked for under their old ones."""
     new = _pairs(names, "--name")
     return [new.get(c, c) for c in wanted or []]
 
@@ -148,7 +173,7 @@ def _pairs(given: list[str] | None, option: str) -> dict[str, str]:
     for one in given or []:
         channel, equals, value = one.rpartition("=")
         if not equals or not channel or not value:
-            raise ValueError(f"{option} {one}: it needs a channel, an equals sign and what is said of it, such as 2=g")
+            raise ValueError(f"{option} {one}: needs CHANNEL=VALUE, such as 2=g")
         pairs[channel] = value
     return pairs
 
@@ -166,7 +191,7 @@ def _check_levels(level: list[float] | None, runs: int) -> None:
 
 
 def _told(measurement: Any, fs: float) -> str:
-    """One paragraph: what was made of the records."""
+    """One line about the FRFs that were made from the records."""
     import numpy as np
 
     runs, lines, outputs, inputs = measurement.H.shape
@@ -182,5 +207,5 @@ def _told(measurement: Any, fs: float) -> str:
         text.append(f"noise {100 * noise:.2g} % of the FRFs")
     text.append(f"{measurement.averages} averages" if measurement.averages else "no averages")
     if float(measurement.added_decay):
-        text.append(f"added decay {float(measurement.added_decay):.4g} 1/s, which a fit takes back out")
+        text.append(f"added decay {float(measurement.added_decay):.4g} 1/s, which a fit removes")
     return "; ".join(text)

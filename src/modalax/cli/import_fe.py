@@ -1,4 +1,4 @@
-"""``modalax import-fe``: a simulation from the files of a finite-element program."""
+"""``modalax import-fe``: make a simulation from the files of a finite-element program."""
 
 from pathlib import Path
 from typing import Annotated
@@ -10,31 +10,48 @@ from modalax.cli.common import OverwriteOption, check_free, note, start
 
 def import_fe(
     source: Annotated[
-        Path, typer.Argument(metavar="FILE", help="Nastran punch (DMIG, eigenvectors), Ansys .full, or the stiffness.")
+        Path,
+        typer.Argument(metavar="FILE", help="Nastran punch (DMIG, eigenvectors), Ansys .full, or stiffness matrix."),
     ],
     target: Annotated[Path, typer.Option("-o", "--out", metavar="OUT", help="Simulation to write (.npz).")],
-    mass: Annotated[Path | None, typer.Option("--mass", help="The mass, where it has a file of its own.")] = None,
-    damping_matrix: Annotated[Path | None, typer.Option("--damping-matrix", help="The viscous damping.")] = None,
+    mass: Annotated[Path | None, typer.Option("--mass", help="Mass matrix, if it has a file of its own.")] = None,
+    damping_matrix: Annotated[Path | None, typer.Option("--damping-matrix", help="Viscous damping matrix.")] = None,
     grids: Annotated[
-        Path | None, typer.Option("--grids", help="Nastran deck: grid points, local axes, check of rigid bodies.")
+        Path | None,
+        typer.Option("--grids", help="Nastran deck with grid points and local axes, to check rigid-body modes."),
     ] = None,
-    units: Annotated[str, typer.Option("--units", help="m-N, mm-N, in-lbf, ft-lbf, mm-kgf, ...; seconds.")] = "m-N",
+    units: Annotated[
+        str,
+        typer.Option(
+            "--units", help="Units of the model, length-force: m-N, mm-N, in-lbf, ft-lbf, mm-kgf, ...; time in seconds."
+        ),
+    ] = "m-N",
     damping: Annotated[
-        float | None, typer.Option("--damping", help="Damping ratio of all modes, e.g. 0.01; 0 if not given.")
+        float | None,
+        typer.Option("--damping", help="Damping ratio of all modes as a fraction, such as 0.01; 0 if not given."),
     ] = None,
     up_to: Annotated[
-        float | None, typer.Option("--up-to", metavar="HZ", help="Highest frequency of interest.", show_default=False)
+        float | None,
+        typer.Option(
+            "--up-to",
+            metavar="HZ",
+            help="Highest frequency of interest; the condensed model is accurate up to it.",
+            show_default=False,
+        ),
     ] = None,
-    keep: Annotated[str, typer.Option("--keep", metavar="DOF,...", help="DoFs to keep, e.g. '101:+Z' or '*:+Z'.")] = "",
+    keep: Annotated[
+        str, typer.Option("--keep", metavar="DOF,...", help="DoFs to keep, such as '101:+Z' or '*:+Z'.")
+    ] = "",
     matrices: Annotated[
-        tuple[str, str] | None, typer.Option("--matrices", metavar="K M", help="Names of stiffness and mass.")
+        tuple[str, str] | None,
+        typer.Option("--matrices", metavar="K M", help="Names of the stiffness and mass matrices in the file."),
     ] = None,
     overwrite: OverwriteOption = False,
 ) -> None:
-    """Read mass, stiffness and damping, or modes, of a finite-element model and write them as a simulation."""
+    """Read matrices or modes of a finite-element model and write them as a simulation."""
     check_free(target, overwrite=overwrite, inputs=[source, mass, damping_matrix, grids])
     if target.suffix.lower() not in (".npz", ".mat"):
-        raise ValueError(f"{target}: a simulation goes to .npz or .mat")
+        raise ValueError(f"{target}: the ending must be .npz or .mat, the formats of a simulation")
     for path in (source, mass, damping_matrix, grids):
         if path is not None and not path.is_file():
             raise FileNotFoundError(f"{path}: no such file")

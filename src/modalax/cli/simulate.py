@@ -1,4 +1,4 @@
-"""``modalax simulate``: a model, with non-linear joints or without, to the FRFs it predicts."""
+"""``modalax simulate``: FRFs that a model predicts, with non-linear joints or without."""
 
 import dataclasses
 import tomllib
@@ -12,14 +12,14 @@ from modalax.cli.common import OverwriteOption, check_free, check_readable, note
 
 
 class Sweep(StrEnum):
-    """Direction of a sweep."""
+    """Direction of a frequency sweep."""
 
     up = "up"
     down = "down"
 
 
 class FRFForm(StrEnum):
-    """Quantities of the response."""
+    """Motion that an FRF is a ratio of: displacement, velocity or acceleration."""
 
     receptance = "receptance"
     mobility = "mobility"
@@ -27,46 +27,55 @@ class FRFForm(StrEnum):
 
 
 def simulate(
-    simulation: Annotated[Path, typer.Argument(metavar="SIM", help="Matrices M, C, K or a modal model (npz).")],
+    simulation: Annotated[Path, typer.Argument(metavar="SIM", help="Simulation: matrices M, C, K or a modal model.")],
     joints: Annotated[
         list[str] | None,
         typer.Argument(
             metavar="JOINTS",
-            help="Joints as 'elasto_slip:3,5:k=2e4,slip_force=4' (law:DoFs:parameters, SI), or a TOML file of them.",
+            help="Joints as law:DoFs:parameters in SI units, such as 'elasto_slip:3,5:k=2e4,slip_force=4', or a file "
+            "(TOML).",
             show_default=False,
         ),
     ] = None,
     force: Annotated[
-        list[float] | None, typer.Option("--force", help="Force amplitude [N]; repeat for more runs.")
+        list[float] | None, typer.Option("--force", metavar="N", help="Force amplitude in N; repeat for more runs.")
     ] = None,
     band: Annotated[
-        tuple[float, float] | None, typer.Option("--band", metavar="LO HI", help="Frequencies [Hz].")
+        tuple[float, float] | None, typer.Option("--band", metavar="LO HI", help="Frequency band [Hz].")
     ] = None,
-    step: Annotated[float, typer.Option("--step", help="Distance of the frequency lines [Hz].")] = 0.1,
+    step: Annotated[float, typer.Option("--step", metavar="HZ", help="Distance between frequency lines.")] = 0.1,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="DATA", help="File of FRFs to write.")
     ] = None,
-    joint: Annotated[list[str] | None, typer.Option("--joint", help="A joint, as the argument JOINTS.")] = None,
-    input: Annotated[str | None, typer.Option("--input", help="Driven DoF; the first by default.")] = None,
-    form: Annotated[FRFForm, typer.Option(help="Quantity of the response.")] = FRFForm.receptance,
+    joint: Annotated[
+        list[str] | None, typer.Option("--joint", help="A joint, written as in JOINTS; repeat for several.")
+    ] = None,
+    input: Annotated[
+        str | None, typer.Option("--input", metavar="DOF", help="DoF where the force acts; the first by default.")
+    ] = None,
+    form: Annotated[FRFForm, typer.Option(help="Form of the FRFs.")] = FRFForm.receptance,
     sweep: Annotated[
-        Sweep, typer.Option(help="Direction of the sweep: which motion, where a joint allows several.")
+        Sweep, typer.Option(help="Direction of the sweep; decides which response is found where several are stable.")
     ] = Sweep.up,
     amplitude: Annotated[
         list[float] | None,
         typer.Option(
-            "--amplitude", help="Hold this displacement [m] by the force, instead of --force; repeat for more runs."
+            "--amplitude",
+            metavar="M",
+            help="Displacement amplitude in metres that the force is controlled to hold, instead of --force; repeat "
+            "for more runs.",
         ),
     ] = None,
     held: Annotated[
-        str | None, typer.Option("--held", help="DoF held at --amplitude; the driven one by default.")
+        str | None,
+        typer.Option("--held", metavar="DOF", help="DoF whose amplitude is held; the driven one by default."),
     ] = None,
-    harmonics: Annotated[int, typer.Option(help="Harmonics kept where there are joints.")] = 3,
-    noise: Annotated[float, typer.Option(help="Noise added, as a fraction of each channel's rms.")] = 0.0,
+    harmonics: Annotated[int, typer.Option(help="Number of harmonics, where there are joints.")] = 3,
+    noise: Annotated[float, typer.Option(help="Noise to add, as a fraction of the rms value of each channel.")] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 0,
     overwrite: OverwriteOption = False,
 ) -> None:
-    """Predict FRFs at one or more force amplitudes."""
+    """Predict the FRFs of a simulation, at one or more force amplitudes where it has non-linear joints."""
     if output is None:
         raise ValueError("simulate needs -o DATA, the file to write the FRFs to")
     if band is None:
@@ -100,7 +109,7 @@ def simulate(
 
 
 def frequencies(lower: float, upper: float, step: float) -> Any:
-    """Frequency lines of a band, both ends included where the step meets them.
+    """Frequency lines from the lower end of a band [Hz] in equal steps; the upper end counts if a step meets it.
 
     Raises
     ------
@@ -124,7 +133,7 @@ def read_joints(spec: str) -> list[tuple[Any, tuple[str, ...]]]:
     Raises
     ------
     ValueError
-        Naming what is unknown and what there is.
+        If the text or file cannot be read, or a law or parameter is unknown; the message lists the known ones.
     """
     if spec.endswith(".toml"):
         return _joints_of_file(Path(spec))
@@ -160,12 +169,12 @@ def _joints_of_file(path: Path) -> list[tuple[Any, tuple[str, ...]]]:
 
 
 def make_joint(what: str, law: str, where: list[str], parameters: dict[str, Any]) -> tuple[Any, tuple[str, ...]]:
-    """Make one joint of the catalogue.
+    """Make one joint of the catalogue; ``what`` names it in error messages.
 
     Raises
     ------
     ValueError
-        If the law or a parameter is unknown, missing or no number.
+        If the law or a parameter is unknown or missing, or a parameter is no number or out of its bounds.
     """
     from modalax.simulate.joints import CATALOGUE
 
@@ -187,7 +196,7 @@ def make_joint(what: str, law: str, where: list[str], parameters: dict[str, Any]
 
 
 def _values(what: str, kind: Any, whole: list[str], parameters: dict[str, Any]) -> dict[str, Any]:
-    """Parameters of a law as numbers within its bounds; whole numbers for what is in ``whole``."""
+    """Parameters of a law as numbers within their bounds; those named in ``whole`` as whole numbers."""
     try:
         values: dict[str, Any] = {name: numbers(value) for name, value in parameters.items()}
     except (TypeError, ValueError) as error:
@@ -224,7 +233,7 @@ def predict(
     harmonics: int,
     sweep: str,
 ) -> Any:
-    """Predict the measurement: by the receptance where there is no joint, else by harmonic balance."""
+    """Predict a measurement, exactly from the matrices or modes without joints, by harmonic balance with joints."""
     from modalax.simulate.harmonic import simulate as run
 
     laws, places = [law for law, _ in joints], [where for _, where in joints]
@@ -243,12 +252,12 @@ def hold(
     form: str,
     harmonics: int,
 ) -> Any:
-    """Predict the FRFs of tests that hold a response at each of several amplitudes [m].
+    """Predict FRFs at constant response: the force is controlled so that each amplitude [m] is held, a run each.
 
     Raises
     ------
     ValueError
-        If there are lines at which no force was found.
+        If no force is found that holds the amplitude at some line.
     """
     from modalax.data import Measurement
     from modalax.simulate.control import constant_response
@@ -279,7 +288,7 @@ def _check_control(levels: list[float], amplitudes: list[float], held: str | Non
 
 
 def with_noise(measurement: Any, relative: float, seed: int) -> Any:
-    """Add noise to every run, each of its own."""
+    """Add independent noise to every run."""
     import jax
 
     from modalax.data import Measurement

@@ -13,7 +13,7 @@ from modalax.diagnose.summary import CAUSE_COLUMNS, MEANING, cause_rows, explana
 
 
 def new_table(title: str) -> Table:
-    """Make an empty table in the look of all tables here."""
+    """Make an empty table in the style of all tables on the terminal."""
     return Table(title=title, title_justify="left", caption_justify="left", box=SIMPLE_HEAD, pad_edge=False)
 
 
@@ -23,8 +23,8 @@ def mode_table(modes: Sequence[Mapping[str, Any]], truth: tuple[Any, Any] | None
     scattered = not refined and any(mode.get("frequency_scatter_hz") is not None for mode in modes)
     table = new_table("Modes, ± one standard deviation" if refined else "Modes of the diagram, not refined")
     table.caption = (
-        "Bias: what noise does to the damping in the diagram, as predicted (none: the mode is lost in it); the "
-        "refinement removes it."
+        "Bias: predicted error of the damping in the stabilization diagram due to noise (empty: not known, the mode is "
+        "lost in noise); the refinement removes it."
     )
     true = ["true"] if truth is not None else []
     grade = ["Grade"] if truth is None else []  # 80 columns do not hold both
@@ -59,7 +59,7 @@ def _scatter(mode: Mapping[str, Any]) -> str:
 
 
 def print_remarks(console: Console, answer: Mapping[str, Any]) -> None:
-    """Print what ``Fit.to_dict()`` says of single modes, of the measurement, and of the part not explained."""
+    """Print the remarks of ``Fit.to_dict()`` on single modes and the measurement, and the unexplained part."""
     for k, mode in enumerate(answer["modes"]):
         if mode["flags"]:
             text = f"mode {k + 1}, {mode['frequency_hz']:.5g} Hz: {'; '.join(mode['flags'])}"
@@ -74,7 +74,7 @@ def print_remarks(console: Console, answer: Mapping[str, Any]) -> None:
 
 
 def cause_table(causes: Sequence[Any]) -> Table:
-    """Make a table of causes; those that stand for one slug in two forms share a row."""
+    """Make a table of causes; forms of a cause that share a name share a row."""
     table = new_table("Causes that a diagnosis can name")
     table.add_column("Cause", no_wrap=True)
     table.add_column("Parameters")

@@ -1,4 +1,4 @@
-"""Options by which a user tells what a plain file of FRFs does not say itself."""
+"""Options that say what a plain file of FRFs does not: form, units, names and the order of the axes."""
 
 from typing import Annotated, Any
 
@@ -6,18 +6,26 @@ import typer
 
 FormOption = Annotated[
     str | None,
-    typer.Option("--form", metavar="FORM", help="Form of FRFs whose file does not tell it (receptance, ...)."),
+    typer.Option(
+        "--form", metavar="FORM", help="Form of the FRFs if the file has none: receptance, mobility or accelerance."
+    ),
 ]
-UnitOption = Annotated[str | None, typer.Option("--unit", help="Unit of FRFs whose file does not tell it: g/N, mm/N.")]
+UnitOption = Annotated[
+    str | None, typer.Option("--unit", metavar="UNIT", help="Unit of the FRFs if the file has none, such as g/N.")
+]
 FrequencyUnitOption = Annotated[
-    str | None, typer.Option("--frequency-unit", metavar="UNIT", help="Unit of its frequencies: Hz, kHz, rad/s.")
+    str | None,
+    typer.Option(
+        "--frequency-unit", metavar="UNIT", help="Unit of the frequencies if the file has none: Hz, kHz, rad/s."
+    ),
 ]
 OutputsOption = Annotated[
-    str | None, typer.Option("--outputs", metavar="NAMES", help="Names of its outputs: 1:+Z,2:+Z,...")
+    str | None, typer.Option("--outputs", metavar="NAMES", help="Names of the outputs in order, such as 1:+Z,2:+Z.")
 ]
-InputsOption = Annotated[str | None, typer.Option("--inputs", metavar="NAMES", help="Names of its inputs.")]
+InputsOption = Annotated[str | None, typer.Option("--inputs", metavar="NAMES", help="Names of the inputs in order.")]
 AxesOption = Annotated[
-    str | None, typer.Option("--axes", help="Order of the axes of its H out of run, f, o, i: 'f o i', 'f o'.")
+    str | None,
+    typer.Option("--axes", help="Order of the axes of a plain FRF array (run, f, o, i): 'f o i', 'f o', ..."),
 ]
 
 
@@ -29,7 +37,7 @@ def told(
     inputs: str | None,
     axes: str | None,
 ) -> dict[str, Any]:
-    """Options of :func:`modalax.load` that were given."""
+    """Collect the options that were given, as keywords of :func:`modalax.load`."""
     given = {
         "form": form, "unit": unit, "frequency_unit": frequency_unit, "outputs": names(outputs),
         "inputs": names(inputs), "axes": axes,
@@ -38,5 +46,5 @@ def told(
 
 
 def names(text: str | None) -> list[str] | None:
-    """Names out of a list with commas; None where there is none."""
+    """Split a list of names at its commas; None where there is no list."""
     return None if text is None else [name.strip() for name in text.split(",")]

@@ -23,9 +23,9 @@ NOISE = 0.02
 
 @dataclass(frozen=True)
 class Hidden:
-    """An effect that the simulation does not know: what it is, where and how large, and what it does.
+    """An effect that the structure has and its simulation lacks.
 
-    ``matrices`` changes M, C, K; ``channels`` changes the measured values ``(f, o, i)``.
+    ``matrices`` changes M, C and K; ``channels`` changes the measured FRFs ``(f, o, i)``.
     """
 
     name: str
@@ -36,12 +36,12 @@ class Hidden:
     channels: Callable[[Any], Any] = lambda H: H
 
     def __str__(self) -> str:
-        """Tell it in words."""
+        """Name, size and place in words."""
         return f"{self.name} of {f'{self.size:.3g} {self.unit}'.strip()} at {' - '.join(self.where) or 'all channels'}"
 
 
 def random_effect(seed: int, dofs: tuple[str, ...]) -> Hidden:
-    """Draw a second effect: a mass, a damper, a sensor's gain or sign, or a delay."""
+    """Draw an effect by chance: a mass, a damper, the gain or the sign of a sensor, or a delay."""
     rng = np.random.default_rng(seed)
     k = int(rng.integers(len(dofs)))
     e = np.eye(len(dofs))[k]
@@ -65,7 +65,7 @@ def random_effect(seed: int, dofs: tuple[str, ...]) -> Hidden:
 
 
 def hidden_joint() -> tuple[Hidden, ElastoSlip]:
-    """Let the spring between DoFs 3 and 5 slip at ``SLIP`` [N]; below that it is the simulation's spring."""
+    """The spring between DoFs 3 and 5 slips at ``SLIP`` [N]; below that force it is the spring of the simulation."""
     structure = five_dof()
     a, b = (structure.index(name) for name in JOINT)
     k = float(-structure.K[a, b])
@@ -75,7 +75,7 @@ def hidden_joint() -> tuple[Hidden, ElastoSlip]:
 
 
 def virtual_test(effect: Hidden, seed: int, joint: ElastoSlip | None = None) -> Measurement:
-    """FRFs at three force levels with noise of 2 % of each channel's rms, of a structure that holds ``effect``."""
+    """Noisy FRFs of a structure with an effect, at three force levels; the noise is 2 % of each channel's rms."""
     structure = five_dof()
     M, C, K = effect.matrices(np.asarray(structure.M), np.asarray(structure.C), np.asarray(structure.K))
     actual = Structure(M, C, K, structure.dofs)
