@@ -26,7 +26,7 @@ def changed(**matrices) -> Structure:
 
 @pytest.mark.parametrize("lines", [1, 3])
 def test_too_few_lines_to_tell(lines):
-    with pytest.raises(ValueError, match=f"{lines} frequency lines are too few lines to tell; at least 8"):
+    with pytest.raises(ValueError, match=f"{lines} frequency lines are too few to conclude anything; at least 8"):
         diagnose(measured(lines), changed(M=1.1 * five_dof().M))
 
 

@@ -1,1 +1,1 @@
-"""Mathematics with no idea of modes, and what it runs on."""
+"""Mathematics that knows nothing of modes, and checks and settings of the machine that it runs on."""

@@ -1,4 +1,4 @@
-"""Checks that turn unusable numbers into errors that say what was seen and what is needed."""
+"""Checks that refuse unusable numbers with an error that says what was seen and what is needed."""
 
 from typing import Any
 
@@ -38,19 +38,19 @@ def as_double(value: Any, what: str, complex_: bool = False) -> jax.Array:
     dtype = getattr(value, "dtype", None)
     if dtype is not None and np.dtype(dtype) in (np.dtype("float32"), np.dtype("complex64")):
         raise ValueError(
-            f"{what} is in single precision ({dtype}); modal analysis over many lines loses poles in it. "
+            f"{what} is in single precision ({dtype}); poles over many lines cannot be computed in it. "
             f"Convert it knowingly with .astype('{'complex128' if complex_ else 'float64'}')"
         )
     return jnp.asarray(value, dtype=jnp.complex128 if complex_ else jnp.float64)
 
 
 def require_finite(value: Any, what: str) -> None:
-    """Refuse NaN and infinity, naming how many there are and where the first one stands.
+    """Refuse NaN and infinity; the message says how many there are and where the first one is.
 
     Raises
     ------
     ValueError
-        If a concrete ``value`` holds a number that is not finite (traced values are not looked at).
+        If ``value`` holds a number that is not finite; traced values cannot be checked.
     """
     if is_traced(value):
         return
@@ -61,12 +61,12 @@ def require_finite(value: Any, what: str) -> None:
 
 
 def require_range(value: Any, what: str, low: float, high: float, needs: str, unknown: bool = False) -> None:
-    """Refuse numbers outside ``low`` to ``high``, or not finite; ``unknown``: NaN stands for a number not known.
+    """Refuse numbers that are not finite or lie outside ``low`` to ``high``; with ``unknown``, NaN is allowed.
 
     Raises
     ------
     ValueError
-        With the first number at fault and what ``needs`` says (traced values are not looked at).
+        With the first such number, and the text ``needs``; traced values cannot be checked.
     """
     if is_traced(value):
         return

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt for objectives that hand over their gradient and Gauss-Newton matrix, summed part by part."""
+"""Levenberg-Marquardt for objectives that return their own gradient and Gauss-Newton matrix."""
 
 from collections.abc import Callable
 from typing import Any
@@ -33,7 +33,7 @@ class LevenbergMarquardt(optx.AbstractMinimiser):
         Stop when a step would lower the cost by less than this part of one (half a squared standard deviation), or
         when no step lowers it any more.
     atol
-        Added to that, for objectives that are not on the scale of standard deviations.
+        Added to ``rtol``, for costs that are not sums of squared standard deviations.
     """
 
     rtol: float = 1e-12
@@ -75,7 +75,7 @@ class LevenbergMarquardt(optx.AbstractMinimiser):
             jnp.abs(predicted) <= 1e4 * small
         )
         size = jnp.max(jnp.abs(step / root))
-        # Steps of rounding size, or small ones that no damping makes better: the bottom as far as it can be seen.
+        # Steps as small as rounding, or small ones that no damping improves: the minimum within rounding.
         finished = finished | (size <= 4e-15) & (damping < 1.0) | (rejected >= 4) & (size < 1e-9) | (rejected > 20)
         trial = y + step / root
         new = _State(
@@ -90,5 +90,5 @@ class LevenbergMarquardt(optx.AbstractMinimiser):
     def postprocess(
         self, fn: Any, y: Any, aux: Any, args: Any, options: Any, state: _State, tags: Any, result: Any
     ) -> tuple[Any, Any, dict[str, Any]]:
-        """Give the result as it is."""
+        """Return the result unchanged."""
         return y, aux, {"value": state.value, "gradient": state.gradient, "predicted": state.predicted}

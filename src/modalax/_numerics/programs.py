@@ -1,19 +1,19 @@
-"""Compiled programs that a process no longer has room for."""
+"""Releasing compiled programs before a process runs out of memory maps."""
 
 from pathlib import Path
 
 import jax
 
 MAPS, LIMIT = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")
-FULL = 0.6  # share of the memory maps that a process may have
+FULL = 0.6  # share of the memory maps a process may have from which on programs are released
 
 
 def release_programs(maps: Path = MAPS, limit: Path = LIMIT) -> bool:
-    """Let compiled programs go where the next few hundred might not fit; True if they went.
+    """Release all compiled programs if most of the memory maps of the process are in use; True if they were released.
 
-    Every program compiled for the CPU takes some tens of memory maps. Linux allows a process 65,530 of them, and one
-    that has used them up ends without an exception. Batches over data of many sizes get there after a few dozen. The
-    compilation cache on disk, where there is one, gives the programs back.
+    Every program compiled for the CPU takes some tens of memory maps. Linux allows a process 65,530 of them, and a
+    process that has used them up ends without an exception. Batches of measurements of many different sizes get there
+    after a few dozen. A program that is needed again comes from the compilation cache on disk, where there is one.
     """
     try:
         with maps.open() as lines:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 
 def with_error(value: float, std: float | None, unit: float = 1.0) -> str:
-    """Write a value and its standard deviation, the latter to two figures and the former to the same place."""
+    """Write a value ± its standard deviation: the deviation with two digits, the value to the same decimal place."""
     value = value * unit
     if std is None or not math.isfinite(std) or std <= 0:
         return f"{value:.5g}"
@@ -17,7 +17,7 @@ def with_error(value: float, std: float | None, unit: float = 1.0) -> str:
 
 
 def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[int] = ()) -> str:
-    """Columns of text as wide as their longest entry, flush right but for the columns ``left``."""
+    """A table as plain text; columns are aligned to the right, those with a number in ``left`` to the left."""
     every = [list(header), *map(list, rows)]
     widths = [max(map(len, column)) for column in zip(*every, strict=True)]
 

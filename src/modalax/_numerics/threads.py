@@ -1,4 +1,4 @@
-"""Threads of the linear algebra library, which for matrices of a few hundred rows mostly wait for each other."""
+"""One thread for the linear algebra library, whose threads mostly wait for each other on matrices of a few 100 rows."""
 
 from collections.abc import Callable
 from functools import wraps
@@ -11,7 +11,7 @@ R = TypeVar("R")
 
 
 def one_thread(function: Callable[P, R]) -> Callable[P, R]:
-    """The function with the linear algebra library on one thread while it runs."""
+    """Decorate a function so that the linear algebra library uses one thread while it runs."""
 
     @wraps(function)
     def limited(*args: P.args, **kwargs: P.kwargs) -> R:

@@ -1,4 +1,4 @@
-"""What is wrong with a measurement, before any model.
+"""Faults of a measurement, found without a model of the structure.
 
 ``modalax.check(measurement)`` calls :func:`check`; the same name is the package that holds the detectors and the
 findings.

@@ -1,4 +1,4 @@
-"""Channels that carry nothing of their own: dead ones, and ones that repeat another."""
+"""Channels without data of their own: dead channels and copies of another channel."""
 
 from collections.abc import Iterator
 
@@ -8,18 +8,18 @@ from modalax.check.finding import Finding, Picture, sureness
 from modalax.check.noise import MEDIAN, off_neighbours
 from modalax.check.study import Study
 
-# Lines of noise alone are as often alike as opposite; the likeness of neighbours is then below this many deviations.
+# Correlation of neighbouring lines, in standard deviations, below which a channel is taken to hold noise alone.
 ALIKE = 5.0
-# No mode of a dead channel exceeds its standard deviation by this factor; of hundreds of residues of noise none does.
+# Residue, in standard deviations, that none of hundreds of residues of a channel with noise alone exceeds.
 VISIBLE = 4.5
-# Two channels share their noise if what they differ by is this little of the noise of both, and of the FRF.
+# Two channels share their noise if they differ by less than these parts of the noise of both, and of the FRF.
 SHARED, EQUAL = 0.02, 0.05
-# Noise below this share of an FRF is rounding: equal channels of a calculation are then no sign of a copy.
+# Noise below this share of an FRF is rounding, as in calculated FRFs; equal channels are then no sign of a copy.
 ROUNDING = 1e-6
 
 
 def dead(study: Study) -> Iterator[Finding]:
-    """Outputs and inputs in all of whose FRFs neither neighbouring lines are alike nor a mode is seen."""
+    """Find dead channels: in none of their FRFs are neighbouring lines correlated, and none shows a mode."""
     likeness = _likeness(study.H)
     ratio = np.abs(study.residues) / np.maximum(study.residue_std, np.finfo(float).tiny)
     seen = ratio.max(axis=0, initial=0.0) > VISIBLE
@@ -35,7 +35,7 @@ def dead(study: Study) -> Iterator[Finding]:
             yield Finding(
                 "dead", (names[k],), sure=0.99 if zero else 0.95, size=size, unit="rms of the others",
                 evidence="its FRFs are zero or constant at all lines" if zero else
-                "its FRFs are noise: no line resembles the next and no resonance of the other channels is in it",
+                "its FRFs are noise: neighbouring lines are not alike, and no resonance of the other channels is seen",
                 advice="check the cable, the sensor and the channel's range, and measure it again or leave it out",
                 picture=_spectra(study, k, axis),
             )  # fmt: skip
@@ -51,7 +51,7 @@ def _likeness(H: np.ndarray) -> np.ndarray:
 
 
 def _share(H: np.ndarray, k: int, axis: int) -> float:
-    """Root mean square of a channel over that of the middle of all others."""
+    """Root mean square of a channel over the median of all others."""
     power = np.sqrt(np.mean(np.abs(H) ** 2, axis=(0, 1, 3 if axis else 2)))
     others = np.median(np.delete(power, k))
     return float(power[k] / others) if others > 0 else 0.0
@@ -67,7 +67,7 @@ def _spectra(study: Study, k: int, axis: int) -> Picture:
 
 
 def duplicated(study: Study) -> Iterator[Finding]:
-    """Pairs of outputs, of inputs and of runs that share even their noise."""
+    """Find pairs of outputs, of inputs and of runs that are copies: they share even their noise."""
     off = off_neighbours(study.H.transpose(0, 2, 3, 1)[..., None])[..., 0].transpose(0, 3, 1, 2)
     for axis, names in ((2, study.outputs), (3, study.inputs), (0, None)):
         noise, values = np.moveaxis(off, axis, 0), np.moveaxis(study.H, axis, 0)
@@ -83,14 +83,14 @@ def duplicated(study: Study) -> Iterator[Finding]:
                     "duplicated", (titles[a], titles[b]), sure=float(np.clip(1 - ratio, 0, 0.99)),
                     size=factor, unit="-",
                     evidence=f"both hold the same data to {ratio:.2g} of their noise, times {factor:.4g}: two "
-                    "measurements never share their noise",
-                    advice="find out which of both was really measured, and leave the other out",
+                    "independent measurements never share their noise",
+                    advice="find out which of the two was really measured, and leave the other out",
                     picture=_pair(study, axis, a, b, titles),
                 )  # fmt: skip
 
 
 def _copy(a: np.ndarray, b: np.ndarray, off_a: np.ndarray, off_b: np.ndarray) -> tuple[float, float] | None:
-    """Factor between two channels and what they differ by over their noise; None if the noise is not shared."""
+    """Factor between two channels, and their difference relative to the noise; None if the noise is not shared."""
     power = np.vdot(b, b).real
     if power == 0 or not np.any(a):
         return None
@@ -113,7 +113,7 @@ def _pair(study: Study, axis: int, a: int, b: int, titles: tuple[str, ...]) -> P
 
 
 def conjugated(study: Study) -> Iterator[Finding]:
-    """FRFs whose response would come before the force."""
+    """Find conjugated FRFs, whose response would come before the force."""
     if not study.conjugated:
         return
     yield Finding(

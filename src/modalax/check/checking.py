@@ -1,4 +1,4 @@
-"""The check of a measurement: every detector asked in turn."""
+"""The check of a measurement: every detector is run in turn."""
 
 import os
 from collections.abc import Callable, Iterator, Sequence
@@ -29,7 +29,7 @@ from modalax.files import load
 from modalax.files.messages import about
 
 Detector = Callable[[Study], Iterator[Finding]]
-# In this order: what an earlier one finds is mended, or left out, before the later ones look.
+# The order matters: what a detector finds is corrected or left out before the later ones run.
 DETECTORS: tuple[Detector, ...] = (
     conjugated, dead, duplicated, wrong_form, hum, drift, clipped, excitation, record_too_short, resolution,
     frequency_shift, delay, misplaced, reciprocity,
@@ -37,11 +37,11 @@ DETECTORS: tuple[Detector, ...] = (
 
 
 def check(data: FRF | Measurement | Records | str | os.PathLike[str]) -> Findings:
-    """Find what is wrong with a measurement, before any model.
+    """Find what is wrong with a measurement, without a model of the structure.
 
-    What is looked for are faults of channels (reversed, swapped, dead, duplicated, delayed, wrong calibration), of the
-    excitation, of the record, and of the structure's rest during the test. A fault that the data cannot show, such as
-    a reversed sensor at a place that was never driven, is not told.
+    The check looks for faults of channels (reversed, swapped, dead, duplicated, delayed, wrong calibration), of the
+    excitation and of the records, and for a structure that changed during the test. A fault that the data cannot
+    show, such as a reversed sensor at a place that was never driven, is not reported.
 
     Parameters
     ----------
@@ -66,11 +66,11 @@ def check(data: FRF | Measurement | Records | str | os.PathLike[str]) -> Finding
 
 
 def _check_records(records: Records) -> Findings:
-    """What the blocks show, then what their FRFs do."""
+    """Findings from the blocks of time records, then from their FRFs."""
     found = list(record_findings(records))
     told = {f.what for f in found}
     if "dead" not in told:
-        # What blocks show directly needs no second telling from their spectra.
+        # What blocks show directly is not reported again from their spectra.
         later = tuple(d for d in DETECTORS if d not in (excitation, drift, hum, resolution, record_too_short))
         found += _findings(study_of(records.measurement()), later)
         if records.hits and len(records.force) > 1 and not told & {"double_hit", "clipped"}:
@@ -79,7 +79,7 @@ def _check_records(records: Records) -> Findings:
 
 
 def _ordered(found: list[Finding]) -> tuple[Finding, ...]:
-    """Each fault once, the surest first."""
+    """Report each fault once, the surest first."""
     once = {(f.what, f.where): f for f in sorted(found, key=lambda f: f.sure)}
     return tuple(sorted(once.values(), key=lambda f: -f.sure))
 
@@ -97,7 +97,7 @@ def _findings(study: Study, detectors: Sequence[Detector]) -> list[Finding]:
 
 
 def _explained(finding: Finding, found: Sequence[Finding]) -> bool:
-    """Whether what was found before is the cause of this finding too."""
+    """Whether an earlier finding explains this one too."""
     told = {f.what for f in found}
     return finding.what == "too_few_lines" and "record_too_short" in told
 
@@ -122,7 +122,7 @@ def _read(path: Path) -> Measurement | Records:
 
 
 def mended(study: Study, found: Sequence[Finding]) -> Study | None:
-    """The measurement without what was found, as far as that can be taken out; None if too little is left."""
+    """The measurement with a fault corrected or left out, as far as possible; None if too little is left."""
     for f in found:
         if f.what in ("dead", "duplicated"):
             # Of two equal channels which one is right is unknown, so both are left out of what compares channels.
@@ -157,7 +157,7 @@ def without(study: Study, names: Sequence[str]) -> Study:
     """The measurement without some outputs and inputs."""
     o = [k for k, name in enumerate(study.outputs) if name not in names]
     i = [k for k, name in enumerate(study.inputs) if name not in names]
-    # A dead output need not be a dead input: only the side that was named goes, where the names differ.
+    # A dead output need not be a dead input: where the names differ, only the named side is left out.
     take = lambda a: None if a is None else a[:, :, o][..., i]  # noqa: E731
     return replace(
         study, H=take(study.H), variance=take(study.variance),

@@ -1,4 +1,4 @@
-r"""What the noise of FRFs tells of the force: :math:`\mathrm{var}\,H \propto 1/|F|^2`.
+r"""Faults of the force seen in the noise of the FRFs, because :math:`\mathrm{var}\,H \propto 1/|F|^2`.
 
 A hammer that touches twice, :math:`F = F_0(1 + a e^{-j\omega\tau})`, leaves ripples of period :math:`1/\tau` in the
 noise of all FRFs of its column; a force spectrum that ends inside the band leaves noise that grows to its end.
@@ -11,15 +11,15 @@ import numpy as np
 from modalax.check.finding import Finding, Picture, sureness
 from modalax.check.study import Study, running_mean
 
-# Ripples are told where one period holds this many times the middling power of all others, and from this amplitude of
-# log noise on; there must be so many of them in the band.
+# A ripple is reported if one period holds this many times the median power of all others, its amplitude in the
+# logarithm of the noise is at least this, and the band holds at least this many of them.
 RIPPLE, SMALLEST_RIPPLE, FEWEST = 60.0, 0.4, 4
-# Growth of the noise within the upper part of the band [dB], noise over FRF at its end, and how it must bend.
+# Growth of the noise within the upper part of the band [dB], noise over FRF at its end, and least curvature.
 GROWTH, LOST = 20.0, 0.15
 
 
 def excitation(study: Study) -> Iterator[Finding]:
-    """Double hits and forces that end inside the band, column by column."""
+    """Find double hits and forces whose spectrum ends inside the band, for each input."""
     if len(study.freq) < 100:
         return
     for i, name in enumerate(study.inputs):
@@ -32,20 +32,20 @@ def excitation(study: Study) -> Iterator[Finding]:
 
 
 def _noise(study: Study, i: int) -> np.ndarray | None:
-    """Logarithm of the noise power of a column, without what goes with the FRFs themselves, ``(f,)``."""
+    """Logarithm of the noise power of a column, without the part in proportion to the FRFs, ``(f,)``."""
     H = study.H[..., i].transpose(1, 0, 2).reshape(len(study.freq), -1)
     if study.variance is not None:
         power = study.variance[..., i].transpose(1, 0, 2).reshape(H.shape)
     else:
         if np.median(study.modes.misfit) > 2:
-            return None  # What the modes leave is more than noise.
+            return None  # The residual of the modes is more than noise.
         left = (study.H[0] - study.modes.fitted.reshape(study.H[0].shape))[..., i]
         H, power = study.H[0, ..., i], np.abs(left) ** 2
     good = (power > 0).all(axis=0) & (np.abs(H) > 0).all(axis=0)
     if not good.any():
         return None
     log, size = np.log(power[:, good]), np.log(np.abs(H[:, good]) ** 2)
-    # Noise of the responses does not follow the FRF, noise of the force does, and there is everything between.
+    # Noise of the responses does not follow the FRF, noise of the force does, and mixtures occur.
     strong = np.maximum(size, np.median(size, axis=0))
     left = np.empty_like(log)
     one = np.ones(len(log))
@@ -58,7 +58,7 @@ def _noise(study: Study, i: int) -> np.ndarray | None:
 
 
 def _ripple(study: Study, noise: np.ndarray, name: str) -> Finding | None:
-    """A double hit, from a period in the noise that stands out."""
+    """A double hit, seen as a ripple of one period in the noise."""
     lines, step = len(noise), float(np.median(np.diff(study.freq)))
     if np.ptp(np.diff(study.freq)) > 0.01 * step:
         return None
@@ -66,10 +66,10 @@ def _ripple(study: Study, noise: np.ndarray, name: str) -> Finding | None:
     rest = (noise - smooth) * np.hanning(lines)
     power = np.abs(np.fft.rfft(rest, 4 * lines)) ** 2
     # Bins are 1/(4 lines step) of quefrency apart; slower ripples than FEWEST in the band belong to the smooth part.
-    # Where the noise grows much, the bend of its growth is left over, at few ripples.
+    # Where the noise grows strongly, the curvature of its growth remains, at few ripples.
     first = 4 * (2 * FEWEST if np.ptp(smooth) > 3 else FEWEST)
     k = first + int(np.argmax(power[first:]))
-    # An exact variance has no scatter of its own; a hundredth of its logarithm is no ripple either.
+    # An exact variance does not scatter; an amplitude of 0.01 in its logarithm is no ripple either.
     floor = np.median(power[first:]) / np.log(2) + 1e-4 * lines
     score = power[k] / floor
     amplitude = 2 * np.sqrt(power[k]) / np.sum(np.hanning(lines))
@@ -96,7 +96,7 @@ def _ripple(study: Study, noise: np.ndarray, name: str) -> Finding | None:
 
 
 def _end_of_force(study: Study, i: int, name: str) -> Finding | None:
-    """A force spectrum that ends inside the band: the noise grows to the end, and drowns the FRFs there."""
+    """A force spectrum that ends inside the band: the noise grows to the end and hides the FRFs there."""
     lines = len(study.freq)
     H, sigma = np.abs(study.H[..., i]), study.sigma[..., i]
     share = np.sqrt(np.median(sigma**2, axis=(0, 2)) / np.maximum(np.median(H**2, axis=(0, 2)), 1e-300))

@@ -1,4 +1,4 @@
-"""What a check finds: one fault of the measurement, with its size, its evidence and what to do about it."""
+"""Findings of a check: faults of a measurement, with size, evidence and advice."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -11,7 +11,7 @@ WORDS = (
     "record_too_short", "not_reciprocal", "calibration", "frequency_shift", "hum", "conjugated", "wrong_form", "delay",
     "too_few_lines",
 )  # fmt: skip
-# A finding is told from this probability on.
+# A finding is reported from this probability on.
 TOLD = 0.9
 
 
@@ -28,20 +28,20 @@ class Picture:
 
 @dataclass(frozen=True)
 class Finding:
-    """One fault.
+    """One fault of a measurement.
 
     Attributes
     ----------
     what
         One of ``WORDS``.
     where
-        Names of the channels at fault; of all that may be, where the data cannot tell them apart; empty: everywhere.
+        Names of the channels at fault (all that may be, where the data cannot tell them apart); empty: everywhere.
     size, interval, unit
-        How large the fault is, a range that holds it with about 95 %, and their unit; None where it has no size.
+        Size of the fault, its 95 % interval, and their unit; None where it has no size.
     sure
         Probability that the fault is real.
     evidence, advice
-        What was seen, and what to do.
+        What was seen in the data, and what to do.
     picture
         Curves that show it, or None.
     """
@@ -62,12 +62,12 @@ class Finding:
 
     @property
     def place(self) -> str:
-        """Where it is, as text."""
+        """Place of the fault, as text."""
         return ", ".join(self.where) or "everywhere"
 
     @property
     def measure(self) -> str:
-        """How large it is, as text."""
+        """Size of the fault, as text."""
         return "" if self.size is None else f"{self.size:.4g} {(self.unit or '').replace('-', '')}".strip()
 
     def to_dict(self) -> dict[str, Any]:
@@ -81,14 +81,14 @@ class Finding:
 
 @dataclass(frozen=True)
 class Findings:
-    """All that was found, the surest first; empty for a sound measurement.
+    """All findings of a check, the surest first; empty for a sound measurement.
 
     Attributes
     ----------
     findings
         The faults.
     about
-        What was looked at, and what could not be: sentences for the reader.
+        Sentences that say what was checked and what could not be.
     """
 
     findings: tuple[Finding, ...]
@@ -106,5 +106,5 @@ class Findings:
 
 
 def sureness(z: float, threshold: float) -> float:
-    """Probability of a fault from how far its score exceeds the threshold at which it is told."""
+    """Probability of a fault from how far its score exceeds the threshold at which it is reported."""
     return float(1 - (1 - TOLD) * np.exp(-max(z / threshold - 1, 0.0) * 2))

@@ -16,20 +16,21 @@ from modalax.check.study import Study
 from modalax.data.frf import DERIVATIVES
 
 FORMS = tuple(DERIVATIVES)
-# Share of the squares that a quarter turn must leave, and squares of scatter below which nothing is asked.
+# Share of the sum of squares that a turn by 90 degrees may leave, and sum of squares below which it is not tried.
 QUARTER, ASKED = 0.15, 40.0
 # Residues of complex modes may turn by this angle at a drive point [rad].
 CONE = 0.35
-# How many times better another form must explain the drive points.
+# Factor by which another form must explain the drive points better.
 BETTER = 2.0
-# Lines below this share of the first mode show the spring or the mass line; so many are needed, over such a range.
+# Lines below this share of the first mode's frequency show the spring or the mass line; this many lines are needed,
+# over this ratio of frequencies.
 BELOW, LINES, RANGE = 0.55, 6, 1.8
 # Slopes of |H| over frequency there, in powers: receptance is a spring (0) or a mass (-2).
 STEP_SLOPE = 0.35
 
 
 def wrong_form(study: Study) -> Iterator[Finding]:
-    """A form that the phases or the slopes contradict."""
+    """Find FRFs whose phases or slopes contradict their form."""
     turn = _turn(study) if study.explained else 0
     slope = _slope(study)
     drive = _drive_form(study) if study.explained else None
@@ -57,7 +58,7 @@ def _off(slope: float, power: int) -> float:
 
 
 def _turn(study: Study) -> int:
-    """1 if all residues lie a quarter turn off, 0 if they do not, 2 if all drive points are opposite."""
+    """1 if all residues are turned by 90 degrees, 2 if all drive points are turned by 180, else 0."""
     angles = angles_of(study)
     if not len(angles.angle):
         return 0
@@ -70,7 +71,7 @@ def _turn(study: Study) -> int:
 
 
 def _slope(study: Study) -> float | None:
-    """Power of frequency that |H| follows below the first mode; None where that cannot be seen."""
+    """Power of frequency that |H| follows below the first mode; None where the data do not show it."""
     if not len(study.modes.poles):
         return None
     first = study.modes.frequency.min()
@@ -106,7 +107,7 @@ def _drive_form(study: Study) -> tuple[int, float] | None:
     best = int(np.argmin(others))
     if others[best] * BETTER < own:
         return best, float(own / others[best])
-    # Several drive points all opposite: so many sensors are seldom reversed together.
+    # Several drive points are all opposite: so many sensors are seldom reversed together.
     if len(points) > 1 and others[best] < 1.1 * own and total[study.power, 0] > BETTER * others[best]:
         return best, float(total[study.power, 0] / others[best])
     return None
@@ -123,7 +124,7 @@ def _opposite(study: Study) -> bool:
 
 
 def _passive_misfit(study: Study, point, power: int, sign: int) -> float:
-    """What a sum of passive parts leaves of a drive point, in squares of noise and a share of the FRF."""
+    """Residual of a drive point after fitting passive terms: in squares of noise, and as a share of the FRF."""
     s = 2j * np.pi * study.freq
     H = sign * point.sign * study.H[0, :, point.o, point.i]
     weight = 1 / np.sqrt(study.sigma[0, :, point.o, point.i] ** 2 + (0.02 * np.abs(H)) ** 2)

@@ -1,4 +1,4 @@
-r"""Phases of residues: what a delay, or the wrong form, does to all modes alike.
+r"""Phases of residues, which a delay or a wrong form changes for all modes alike.
 
 For modes that are nearly real the residues of the receptance lie on the imaginary axis. A delay :math:`\tau` turns
 them by :math:`-\omega_r\tau`; one derivative too few or too many turns all of them by 90 degrees, two of them turn all
@@ -13,18 +13,18 @@ import numpy as np
 from modalax.check.finding import Finding, Picture, sureness
 from modalax.check.study import CLEAR, Study
 
-# Angle by which complex modes may scatter [rad].
+# Angle by which the residues of complex modes may scatter [rad].
 SCATTER = 0.10
-# No angle is known better than this [rad].
+# Least standard deviation of an angle [rad].
 FLOOR = 0.03
-# A delay is told from this angle at the highest mode on [rad], and from this gain in squares of scatter on.
+# A delay is reported from this angle at the highest mode on [rad], and from this reduction of the sum of squares on.
 SMALLEST_ANGLE, GAIN = 0.2, 30.0
-# Squares of scatter a residue that a good explanation may leave, and modes it takes.
+# Sum of squares per residue that a good explanation may leave, and the number of modes that it takes.
 LEFT, FEWEST_MODES = 3.0, 3
 
 
 class Angles(NamedTuple):
-    """Angles off the imaginary axis, one an entry: mode, output, input.
+    """Angles of residues off the imaginary axis, an entry for each mode, output and input.
 
     Attributes
     ----------
@@ -45,12 +45,12 @@ class Angles(NamedTuple):
     drive: np.ndarray
 
     def take(self, which: np.ndarray) -> "Angles":
-        """Some of the entries."""
+        """The entries selected by ``which``."""
         return Angles(*(a[which] for a in self))
 
 
 def angles_of(study: Study) -> Angles:
-    """Angles of all residues that stand clear of their noise."""
+    """Angles of all residues that are well above their noise."""
     omega, residues, std = study.summed
     r, o, i = np.nonzero(np.abs(residues) > CLEAR * std)
     signs = np.ones(residues.shape[1:])
@@ -63,14 +63,14 @@ def angles_of(study: Study) -> Angles:
 
 
 def misfit(angles: Angles, tau: float, turn: float = 0.0) -> float:
-    """Squares of scatter that a delay [s] and a turn [rad] leave; elsewhere than at drive points signs are free."""
+    """Sum of squares that a delay [s] and a turn [rad] leave; signs are free except at drive points."""
     rest = angles.angle + angles.omega * tau - turn
     free = np.where(angles.drive, 0.5 * (1 - np.cos(rest)) * 4, 0.5 * (1 - np.cos(2 * rest)))
     return float(np.sum(angles.weight * free))
 
 
 def best_delay(angles: Angles, turn: float = 0.0) -> tuple[float, float, float]:
-    """Delay [s] that leaves least, what it leaves, and its standard deviation."""
+    """Delay [s] that leaves the least sum of squares, that sum, and the standard deviation of the delay."""
     top = angles.omega.max()
     grid = np.linspace(-1, 1, 241) * 0.95 * np.pi / top
     left = np.array([misfit(angles, t, turn) for t in grid])
@@ -83,7 +83,7 @@ def best_delay(angles: Angles, turn: float = 0.0) -> tuple[float, float, float]:
 
 
 def delay(study: Study) -> Iterator[Finding]:
-    """Outputs, or the force, that come late or early by a constant time."""
+    """Find outputs, or a force, that are delayed or early by a constant time."""
     angles = angles_of(study) if study.explained else None
     if angles is None or len(np.unique(angles.mode)) < FEWEST_MODES:
         return
@@ -99,20 +99,20 @@ def delay(study: Study) -> Iterator[Finding]:
 
 
 def _middles(angles: Angles) -> Angles:
-    """The middle angle of each mode over all channels, as one entry a mode."""
+    """The median angle of each mode over all channels, as one entry for each mode."""
     entries = []
     for r in np.unique(angles.mode):
         own = angles.take(angles.mode == r)
         middle = _middle(own)
         scatter = np.sum(_apart(own.angle - middle) ** 2) + 2 * SCATTER**2
-        # Complex modes turn many channels the same way: many channels are no better than a few.
+        # Complex modes turn many channels the same way, so that many channels are no better than a few.
         weight = 1 / (scatter / (len(own.angle) + 1) / min(len(own.angle), 3) + FLOOR**2)
         entries.append((r, 0, 0, own.omega[0], middle, weight, False))
     return Angles(*(np.array(column) for column in zip(*entries, strict=True)))
 
 
 def _beside(own: Angles, others: Angles) -> Angles:
-    """Angles of one channel off the middle of the other channels, weighted by how these scatter in each mode."""
+    """Angles of one channel relative to the median of the others, weighted by how these scatter in each mode."""
     angle, weight = own.angle.copy(), own.weight.copy()
     for k, r in enumerate(own.mode):
         rest = others.take(others.mode == r)
@@ -137,7 +137,7 @@ def _apart(angle: Any) -> Any:
 
 
 def _late(angles: Angles) -> tuple[float, float, float] | None:
-    """Delay, its standard deviation and its gain, where a delay explains the angles and nothing does not."""
+    """Delay, its standard deviation and the reduction of the sum of squares; None where no delay explains them."""
     if len(np.unique(angles.mode)) < FEWEST_MODES:
         return None
     before = misfit(angles, 0.0)
@@ -158,8 +158,8 @@ def _delay_finding(study: Study, angles: Angles, where: tuple[str, ...], found: 
     names = where[0] if where else "all outputs"
     return Finding(
         "delay", where, sure=sureness(gain, GAIN), size=tau, unit="s", interval=(tau - 1.96 * std, tau + 1.96 * std),
-        evidence=f"the phases of the modes at {names} fall in proportion to frequency, as a delay of {tau:.4g} s makes "
-        f"them ({np.degrees(tau * angles.omega.max()):.3g} degrees at {frequency.max():.4g} Hz)",
+        evidence=f"the phases of the modes at {names} fall in proportion to frequency, as with a delay of {tau:.4g} s "
+        f"({np.degrees(tau * angles.omega.max()):.3g} degrees at {frequency.max():.4g} Hz)",
         advice="check filters, sampling clocks and converters of these channels against the force's; a known delay can "
         "be taken out by exp(j 2 pi f tau)",
         picture=Picture(

@@ -1,9 +1,9 @@
-r"""Signs and places of channels, told at places both driven and measured.
+r"""Signs and places of channels, checked where a place is both driven and measured.
 
-What a passive and reciprocal structure cannot do: a residue :math:`A_r` of the receptance at a drive point is
+A passive and reciprocal structure obeys two rules: a residue :math:`A_r` of the receptance at a drive point is
 :math:`-j` times a positive number for real modes, and stays near it for the complex modes of light damping; residues
-between two drive points are the same both ways. Where that is broken, sign changes and exchanges of channels are tried
-one by one, and one is told if it mends everything.
+between two drive points are the same both ways. Where the data break them, sign changes and exchanges of channels are
+tried one by one, and one is reported if it corrects everything.
 """
 
 from collections.abc import Callable, Iterator
@@ -14,19 +14,19 @@ import numpy as np
 from modalax.check.finding import Finding, Picture, sureness
 from modalax.check.study import Study
 
-# A residue may lie off its axis by this share of itself (complex modes), and by this share of the mode's largest.
+# A residue may lie off its axis by this share of itself (complex modes) plus this share of the mode's largest.
 TURNED, OF_LARGEST = 0.15, 0.004
-# Reciprocity holds for complex modes too; this much is left to errors of the estimate.
+# Reciprocity holds for complex modes too; this relative difference is allowed for errors of the estimate.
 RECIPROCAL = 0.04
-# Squares of deviations over tolerances: what one term can add at most, from which sum on something is broken, and the
-# share of it that may be left when it is mended.
+# Squared deviations over tolerances: most that one term counts, the sum from which on a rule is broken, and the share
+# of that sum that a correction may leave.
 MOST, BROKEN, MENDED = 40.0, 30.0, 0.2
 MOST_FAULTS = 3
 
 
 @dataclass(frozen=True)
 class Mend:
-    """A change of the channels that would explain what is broken."""
+    """A correction of the channels that would explain the violations."""
 
     what: str
     where: tuple[str, ...]
@@ -34,7 +34,7 @@ class Mend:
 
 
 def misplaced(study: Study) -> Iterator[Finding]:
-    """Reversed and swapped channels."""
+    """Find reversed and swapped channels."""
     _, residues, std = study.summed
     if not study.drive_points or not study.explained:
         return
@@ -49,7 +49,7 @@ def misplaced(study: Study) -> Iterator[Finding]:
         chosen.append((mends[best], before - left[best]))
         residues, std = mends[best].change(residues), np.abs(mends[best].change(std))
         before = float(left[best])
-    # What leaves much behind was no explanation.
+    # A correction that leaves much is no explanation.
     if chosen and before < max(BROKEN, MENDED * first):
         yield from (_finding(study, mend, gain) for mend, gain in chosen)
 
@@ -87,7 +87,7 @@ def _middle(values: np.ndarray, weight: np.ndarray) -> float:
 
 
 def _mends(study: Study) -> Iterator[Mend]:
-    """All single sign changes and exchanges that drive points could tell."""
+    """All single sign changes and exchanges that drive points could show."""
     points = study.drive_points
     if len(points) > 1 and len(study.inputs) > 1:
         yield Mend("reversed", study.inputs, np.negative)
@@ -132,8 +132,8 @@ def _finding(study: Study, mend: Mend, gain: float) -> Finding:
             "reversed", mend.where, sure=sureness(gain, BROKEN), size=-1.0, unit="-",
             evidence="with its sign turned, every drive point takes up energy at every resonance and all reciprocal "
             "pairs agree; as measured they do not",
-            advice="turn the sign of this sensor or hammer (mounting direction, cable, polarity); which of both "
-            "at this place cannot be told",
+            advice="turn the sign of this sensor or hammer (mounting direction, cable, polarity); the data cannot tell "
+            "which of the two at this place is wrong",
             picture=picture,
         )  # fmt: skip
     return Finding(

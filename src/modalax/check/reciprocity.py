@@ -1,4 +1,4 @@
-r"""Reciprocity: the response at one place to a force at another is the same both ways.
+r"""Reciprocity: the response at one place to a force at another place is the same both ways.
 
 A constant factor between the two is a matter of calibration, :math:`H_{pq}/H_{qp} = c_p/c_q` with :math:`c` the gain of
 the sensor over that of the hammer at a place; anything else is a structure, or a test, that is not reciprocal.
@@ -12,18 +12,18 @@ import numpy as np
 from modalax.check.finding import Finding, Picture, sureness
 from modalax.check.study import DrivePoint, Study
 
-# A calibration is told from this factor off 1 on, and from this many standard deviations.
+# A calibration error is reported from this deviation of the factor from 1 on, if it is this many standard deviations.
 SMALLEST_GAIN, SURE = 0.03, 6.0
-# Energy of the difference of both directions over that of the FRF, gain taken out: told from here on.
+# Energy of the difference of both directions over that of the FRF, gain taken out, from which on it is reported.
 SMALLEST_DIFFERENCE = 0.004
-# Error of the ratio of two residues that no standard deviation tells.
+# Relative error of the ratio of two residues that is not in their standard deviations.
 MODE_ERROR = 0.02
 # The noise is known to about this factor.
 NOISE_FACTOR = 4.0
 
 
 def reciprocity(study: Study) -> Iterator[Finding]:
-    """Wrong calibration constants, and pairs that differ by more than a constant."""
+    """Find wrong calibration constants, and pairs of FRFs that differ by more than a constant."""
     pairs = {}
     for p, q in combinations(study.drive_points, 2):
         fit = _ratio(study, p, q)
@@ -36,11 +36,11 @@ def reciprocity(study: Study) -> Iterator[Finding]:
 
 
 def _ratio(study: Study, p: DrivePoint, q: DrivePoint) -> tuple[float, float, float, float] | None:
-    """Factor between both directions, its standard deviation, difference left, and how far that exceeds noise."""
+    """Factor between both directions, its standard deviation, the difference left, and its ratio to the noise."""
     there, back = p.sign * study.H[:, :, p.o, q.i], q.sign * study.H[:, :, q.o, p.i]
     n1, n2 = study.sigma[:, :, p.o, q.i], study.sigma[:, :, q.o, p.i]
     weight = 1 / (n1**2 + n2**2)
-    # No few lines of a resonance decide alone: errors in proportion to the FRF are allowed for.
+    # Errors in proportion to the FRF are allowed for, so that a few lines of a resonance do not decide alone.
     weight = 1 / (1 / weight + 0.01 * (np.abs(there) ** 2 + np.abs(back) ** 2))
     aa, bb = np.sum(weight * np.abs(there) ** 2), np.sum(weight * np.abs(back) ** 2)
     ab = np.sum(weight * np.conj(back) * there)
@@ -65,7 +65,7 @@ def _ratio(study: Study, p: DrivePoint, q: DrivePoint) -> tuple[float, float, fl
 
 
 def _by_modes(study: Study, p: DrivePoint, q: DrivePoint) -> float:
-    """How far the ratio of both directions differs from mode to mode; 1 is told."""
+    """How far the ratio of both directions differs from mode to mode; a finding from 1 on."""
     _, residues, spread = study.summed
     there, back = p.sign * residues[:, p.o, q.i], q.sign * residues[:, q.o, p.i]
     relative = np.hypot(spread[:, p.o, q.i] / np.abs(there), spread[:, q.o, p.i] / np.abs(back))
@@ -74,7 +74,7 @@ def _by_modes(study: Study, p: DrivePoint, q: DrivePoint) -> float:
         return 0.0
     ratio, std = np.log(there[clear] / back[clear]), np.hypot(relative[clear], MODE_ERROR)
     turned = np.abs(np.angle(np.exp(1j * ratio.imag)))
-    # A constant of either sign is a matter of channels.
+    # A constant factor of either sign comes from the channels.
     turned = min((turned, np.pi - turned), key=lambda t: float(np.sum(t**2 / std**2)))
     middle = np.sum(ratio.real / std**2) / np.sum(1 / std**2)
     off = np.hypot(ratio.real - middle, turned) / std
@@ -100,7 +100,7 @@ def _not_reciprocal(study: Study, pairs: dict) -> Iterator[Finding]:
 
 
 def _calibration(study: Study, pairs: dict) -> Iterator[Finding]:
-    """Gains at places, from factors of all pairs: those off the middle of all are wrong."""
+    """Gains at places, from the factors of all pairs; those off the median of all are wrong."""
     names = list(dict.fromkeys(name for key in pairs for name in key))
     if len(names) < 2:
         return

@@ -1,4 +1,4 @@
-"""Time records in files: arrays of force and response (.npy, .npz, .mat, .csv), time histories of universal files."""
+"""Reading time records: arrays of force and response (.npy, .npz, .mat, .csv), time histories of universal files."""
 
 import os
 from collections.abc import Mapping
@@ -87,7 +87,7 @@ def _rate(path: Path, time: np.ndarray) -> float:
 
 
 def _table(path: Path, values: np.ndarray) -> Records | None:
-    """A table of channels, one of which is the time: time, force, then responses."""
+    """Records from a table with the columns time, force, then responses."""
     values = np.asarray(values)
     if values.ndim != 2 or min(values.shape) < 3 or np.iscomplexobj(values):
         raise ValueError(
@@ -103,7 +103,7 @@ def _table(path: Path, values: np.ndarray) -> Records | None:
 
 
 def _arrays(path: Path, found: Mapping[str, Any]) -> Records | None:
-    """Force and response by their names, with a rate or a time axis."""
+    """Records from arrays named force and response, with a sampling rate or a time axis."""
     lower = {name.lower(): np.asarray(a, float) for name, a in found.items() if np.isrealobj(a)}
     pick = lambda names: next((lower[n] for n in names if n in lower and lower[n].size > 1), None)  # noqa: E731
     force, response = pick(FORCE), pick(RESPONSE)
@@ -144,7 +144,7 @@ def _as_blocks(path: Path, response: np.ndarray, shape: tuple[int, ...]) -> np.n
 
 
 def _universal(path: Path) -> Records | None:
-    """Time responses of a universal file: one of a force, and those of its length."""
+    """Time responses of a universal file: one force, and the responses of the same length."""
     from modalax.files.uff import read_sets
 
     sets = [s for s in read_sets(path) if s.get("type") == 58 and s.get("func_type") == TIME_RESPONSE]

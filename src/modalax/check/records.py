@@ -1,4 +1,4 @@
-"""Time records of hits or blocks: what they show that FRFs do not."""
+"""Faults that time records of hits or blocks show and FRFs do not."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,13 +10,13 @@ from modalax.check.finding import Finding, Picture
 from modalax.data.hits import CONTACT, clipped_samples, contacts
 from modalax.data.measurement import Measurement
 
-# A pulse counts its samples above this share of its peak; so many are too few.
+# A pulse is sampled too coarsely if it has no more than this many samples above this share of its peak.
 PULSE_SHARE, SHORT_PULSE = 0.2, 2
 # Decay of the force spectrum within the band [dB], and the band of usual analysers as a share of the sampling rate.
 ROLLOFF, BAND = 26.0, 1 / 2.56
-# Part of the response that is left at the end of the record, and parts of the record that are compared.
+# Share of the response left at the end of the record from which on it is reported, and parts of a record compared.
 LEFT, PARTS = 0.08, 20
-# Trend over the record, as a share of the response's root mean square.
+# Trend over the record, as a share of the response's root mean square, from which on it is reported.
 TREND = 0.5
 # A force is a hit if its energy lies within this share of the record.
 HIT_SHARE = 0.15
@@ -37,7 +37,7 @@ class Records:
     outputs, input
         Names of the channels.
     form
-        What the responses over the force are: receptance (m), mobility (m/s) or accelerance (m/s^2, g).
+        Form of response over force: receptance (m), mobility (m/s) or accelerance (m/s^2, g).
     """
 
     force: Float[np.ndarray, "m t"]
@@ -64,7 +64,7 @@ class Records:
         return bool(np.all(energy[:, :few].sum(axis=1) > 0.9 * energy.sum(axis=1)) and np.any(self.force))
 
     def measurement(self, each: bool = False) -> Measurement:
-        """FRFs by H1, with their variance where there are repeats; ``each``: every block as a run of its own."""
+        """FRFs by H1, with their variance where there are repeats; with ``each``, every block is a run."""
         F = np.fft.rfft(self.force - np.median(self.force, axis=1, keepdims=True), axis=1)
         X = np.fft.rfft(self.response - np.median(self.response, axis=1, keepdims=True), axis=1)
         freq = np.fft.rfftfreq(self.force.shape[1], 1 / self.fs)
@@ -102,7 +102,7 @@ def _smooth(power: np.ndarray) -> np.ndarray:
 
 
 def record_findings(records: Records) -> Iterator[Finding]:
-    """Everything that single blocks show."""
+    """Findings from single blocks."""
     yield from _clipped(records)
     yield from _dead(records)
     yield from _trend(records)
@@ -203,14 +203,14 @@ def _clipped(records: Records) -> Iterator[Finding]:
         yield Finding(
             "clipped", (name,), sure=0.97, size=float(np.abs(b).max()), unit="of the channel",
             evidence=f"{max(flat)} samples stand at exactly the same largest value in block {_numbers(which)} of "
-            f"{len(blocks)}: the channel is at the end of its range",
+            f"{len(blocks)}: the channel is overloaded",
             advice="choose a larger range, or hit softer, and measure again",
             picture=Picture([(name, np.arange(len(b)) / records.fs, b)], "Time [s]", name),
         )  # fmt: skip
 
 
 def _plateau(values: np.ndarray) -> bool:
-    """Whether a channel rests at its largest or smallest value, more often or longer than rounded values do."""
+    """Whether a channel stays at its largest or smallest value, more often or longer than rounded values do."""
     flags = clipped_samples(values[:, None])[:, 0]
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
     spans = edges.reshape(-1, 2)
@@ -261,7 +261,7 @@ def _cut_short(records: Records) -> Iterator[Finding]:
         level = np.sqrt(np.mean((parts - parts.mean(axis=2, keepdims=True)) ** 2, axis=(0, 2)))
         first = int(np.argmax(level))
         end, before = level[-1], np.sqrt(np.mean(level[-6:-3] ** 2))
-        # Noise stays as it is, a response goes on falling.
+        # Noise stays constant, a response decays further.
         falling = end < 0.97 * before or end > 0.5 * level[first]
         if end > LEFT * level[first] and falling and first < PARTS // 2:
             late.append((end / level[first], k, level))
@@ -273,7 +273,7 @@ def _cut_short(records: Records) -> Iterator[Finding]:
         "record_too_short", tuple(records.outputs[k] for _, k, _ in sorted(late, key=lambda e: e[1])), sure=0.96,
         size=float(share), unit="of the response",
         evidence=f"{100 * share:.3g} % of the response at {records.outputs[k]} is left at the end of the block of "
-        f"{duration:.4g} s: what is cut off leaks into the lines around the resonances",
+        f"{duration:.4g} s: the part cut off leaks into the lines around the resonances",
         advice="record longer (closer lines), or use an exponential window and take its damping out",
         picture=Picture(
             [("rms of a part", (np.arange(PARTS) + 0.5) * duration / PARTS, level)], "Time [s]", "rms", True
@@ -307,7 +307,7 @@ def _mains(records: Records) -> Iterator[Finding]:
                 yield Finding(
                     "hum", (name,), sure=0.95, size=float(np.sqrt(height / max(spectrum[1:, k].max(), 1e-300))),
                     unit="of the largest line",
-                    evidence=f"a tone at {mains:g} Hz stays as it is while the response decays",
+                    evidence=f"a tone at {mains:g} Hz keeps its level while the response decays",
                     advice="look for ground loops, use insulated mounts and shielded cables",
                     picture=Picture(
                         [(name, freq[1:], np.sqrt(spectrum[1:, k]))], "Frequency [Hz]", "Last half", True

@@ -1,4 +1,4 @@
-r"""Best linear approximation of a structure that is not quite linear, its noise and its distortion apart.
+r"""Best linear approximation of a slightly non-linear structure, with noise and non-linear distortion told apart.
 
 With a random-phase multisine the FRF of one realisation is :math:`G_{BLA} + G_S + N_G`: the best linear approximation,
 a stochastic non-linear distortion that changes with the phases drawn, and noise that changes from period to period.
@@ -24,7 +24,7 @@ from modalax.data.records import quantity
 
 
 class DetectionLines(eqx.Module):
-    r"""Response at lines that were not excited: there is nothing but distortion and noise.
+    r"""Response at lines that were not excited, which holds distortion and noise only.
 
     Attributes
     ----------
@@ -85,7 +85,8 @@ def bla_robust(
 
     The scatter of the M realisations' FRFs gives the total variance of their mean,
     :math:`\sum_m|G_m - \bar G|^2/(M(M-1))`; the scatter of periods within each gives the part of noise; the
-    difference is distortion. Any multisine grid and any non-linearity of period in, same period out will do.
+    difference is distortion. Any multisine grid will do, and any non-linearity whose response to a periodic force has
+    the same period.
 
     Parameters
     ----------
@@ -247,7 +248,7 @@ def _detection_lines(
     parity: int,
     spacing: float,
 ) -> DetectionLines:
-    """What the response holds where nothing was excited."""
+    """The response at lines that were not excited."""
     which = _left_out(lines, parity)
     power, noise = _unexplained(F[:, :, which], X[:, :, which], H, jnp.asarray(lines), jnp.asarray(which))
     return DetectionLines(jnp.asarray(which * spacing), power, noise)
@@ -261,7 +262,7 @@ def _unexplained(
     lines: Int[Array, " k"],
     which: Int[Array, " g"],
 ) -> tuple[Float[Array, "g o"], Float[Array, "g o"] | None]:
-    """Power of the response less what the force on these lines explains, and the part of noise in it.
+    """Power of the response beyond what the force on these lines explains, and how much of it is noise.
 
     A shaker that the structure loads puts some force even on lines that its signal leaves out; its effect is taken out
     to first order, with the FRF interpolated between the excited lines.

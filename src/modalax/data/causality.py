@@ -1,4 +1,4 @@
-"""Time convention of measured FRFs: the response follows the force, unless they were conjugated."""
+"""Time convention of measured FRFs, found from causality: the response follows the force unless it was conjugated."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ LEANING = 1.0
 
 
 def phase_fall(frf: FRF | Measurement) -> float:
-    r"""How surely the phase falls with frequency, in standard deviations of a sum of random signs.
+    r"""Evidence that the phase falls with frequency, in standard deviations of a sum of random signs.
 
     With :math:`p_k = H_{k+1} H_k^*`, the sum over lines and channels of :math:`-\mathrm{Im}\,p_k` is, on evenly
     spaced lines over the record length :math:`T`, the moment :math:`\int |h(t)|^2 \sin(2\pi t/T)\,dt` of the impulse
@@ -39,7 +39,7 @@ def _surely(terms: np.ndarray) -> float:
 
 
 def drive_point_loss(frf: FRF | Measurement) -> float:
-    r"""How surely the drive points lose energy, in standard deviations; 0 where there is none.
+    r"""Evidence that the structure takes up energy at its drive points, in standard deviations; 0 without drive point.
 
     The force at a drive point never gains energy from a passive structure: :math:`\mathrm{Im} H \le 0` for receptance,
     :math:`\ge 0` for accelerance. The real part of a mobility, which says the same, does not change sign when

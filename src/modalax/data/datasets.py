@@ -1,4 +1,4 @@
-"""Measured data of others: found in a local folder, checked by hash, read into the objects of this package."""
+"""Published measurements: found in a local folder, checked by their hash, and read into the objects of this package."""
 
 import hashlib
 import os

@@ -20,7 +20,7 @@ class Dof(NamedTuple):
     direction
         ``X``, ``Y``, ``Z`` (translation), ``RX``, ``RY``, ``RZ`` (rotation), or None where the name gives none.
     sign
-        +1, or -1 where the channel counts against the direction.
+        +1, or -1 where the channel counts positive against the direction.
     """
 
     node: str

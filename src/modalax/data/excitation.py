@@ -1,4 +1,4 @@
-"""What kind of excitation a recorded force is: hits, periods, a sweep, bursts, or random."""
+"""The kind of excitation of a recorded force: hits, periodic, a sweep, bursts or random."""
 
 from typing import NamedTuple
 
@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 KINDS = ("hits", "multisine", "sweep", "blocks", "random")
-QUIET, BRIEF = 0.05, 0.08  # of the peak; of the time that hits take up at most
+QUIET, BRIEF = 0.05, 0.08  # share of its peak below which a force is quiet; most of the time that hits may take up
 REPEATS = 0.98  # correlation of a periodic force with itself a period later
 ORDERED = 0.98  # rank correlation of a sweep's frequency with time
 
@@ -20,7 +20,7 @@ class Excitation(NamedTuple):
 
 
 def excitation_of(force: Float[np.ndarray, "segment t"]) -> Excitation:
-    """Tell the kind of excitation from the force alone.
+    """Find the kind of excitation from the force alone.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ def check_form(form: str) -> str:
     Raises
     ------
     ValueError
-        If it is another word.
+        If ``form`` is another word.
     """
     if form not in get_args(Form):
         raise ValueError(f"form is {form!r}; it must be one of {', '.join(get_args(Form))}")
@@ -49,19 +49,21 @@ def check_names(names: Sequence[str], count: int, axis: str) -> tuple[str, ...]:
         raise ValueError(f"{len(names)} names for {count} {axis}: {axis} needs one name a channel")
     twice = sorted(name for name, times in Counter(names).items() if times > 1)
     if twice:
-        raise ValueError(f"{axis} names {', '.join(twice[:6])} stand more than once; each channel needs its own")
+        raise ValueError(
+            f"{axis} names {', '.join(twice[:6])} stand more than once; each channel needs a name of its own"
+        )
     if any(not name.strip() for name in names):
-        raise ValueError(f"{axis} holds an empty name; each channel needs its own")
+        raise ValueError(f"{axis} holds an empty name; each channel needs a name of its own")
     return names
 
 
 def check_axis(freq: Any) -> None:
-    """Refuse a frequency axis that does not increase or is negative (traced values are not looked at).
+    """Refuse a frequency axis that does not increase or is negative; traced values cannot be checked.
 
     Raises
     ------
     ValueError
-        Naming the first line at fault.
+        If the axis is of that kind; the message names the first such line.
     """
     if is_traced(freq):
         return
@@ -85,7 +87,7 @@ def band_slice(freq: Any, lower: float, upper: float) -> slice:
     Raises
     ------
     ValueError
-        If the band is upside down or holds no line, or the frequencies are being traced.
+        If the lower limit is above the upper one, the band holds no line, or the frequencies are being traced.
     """
     if is_traced(freq):
         raise ValueError("how many lines a band holds is not known inside jit, vmap or grad; cut the band before")
@@ -101,12 +103,14 @@ def band_slice(freq: Any, lower: float, upper: float) -> slice:
 
 
 def check_variance(variance: Any) -> None:
-    """Refuse a variance that is negative or not finite; as given, for under ``jit`` all that is made of it is traced.
+    """Refuse a variance that is negative or not finite.
+
+    The variance is checked as it was given, because under ``jit`` whatever is computed from it is traced.
 
     Raises
     ------
     ValueError
-        With the smallest value, or the first that is not finite.
+        With the smallest value, or the place of the first that is not finite.
     """
     if is_traced(variance):
         return
@@ -117,12 +121,12 @@ def check_variance(variance: Any) -> None:
 
 
 def check_beside(shape: tuple[int, ...], coherence: Any, level: Any, added_decay: Any, averages: Any) -> None:
-    """Refuse FRFs without runs, outputs or inputs, and numbers beside them that cannot be.
+    """Refuse FRFs without runs, outputs or inputs, and coherences, levels, decays or averages that are impossible.
 
     Raises
     ------
     ValueError
-        Naming the number seen and what is needed.
+        With the number seen and what is needed.
     """
     if 0 in shape:
         raise ValueError(f"H has shape {shape}; at least one run, line, output and input are needed")
@@ -131,7 +135,7 @@ def check_beside(shape: tuple[int, ...], coherence: Any, level: Any, added_decay
         require_range(coherence, "coherence", -1e-3, 1 + 1e-3, "a coherence lies between 0 and 1")
     positive = "a force amplitude is above 0 N and finite; NaN where it is not known"
     require_range(level, "level", np.finfo(float).tiny, np.inf, positive, unknown=True)
-    require_range(added_decay, "added_decay", 0.0, np.inf, "a window adds a decay of 0 or more a second")
+    require_range(added_decay, "added_decay", 0.0, np.inf, "the decay that a window adds is 0 1/s or more")
     if averages is not None and (isinstance(averages, bool) or averages != int(averages) or averages < 1):
         raise ValueError(f"averages is {averages}; it needs a whole number of repeats, at least 1")
 
@@ -265,7 +269,7 @@ class FRF(eqx.Module):
         )  # fmt: skip
 
     def drop(self, names: Sequence[str]) -> "FRF":
-        """The FRF without some outputs and inputs, by name; a name that is both is left out on both sides.
+        """The FRF without some channels, by name; a name that is both an output and an input is left out as both.
 
         Raises
         ------
@@ -293,7 +297,7 @@ class FRF(eqx.Module):
         Raises
         ------
         ValueError
-            If a division by zero frequency is asked for: drop the line at 0 Hz first.
+            If a line at 0 Hz would be divided by zero: drop that line first.
         """
         steps = DERIVATIVES[check_form(form)] - DERIVATIVES[self.form]
         if steps == 0:

@@ -74,8 +74,8 @@ def find_hits(
     pretrigger
         How long before the threshold a block starts [s].
     full_scale
-        Largest value the channels can hold, one number or one a channel, force first; None: seen from runs of equal
-        samples at a channel's largest value alone.
+        Largest value that the channels can hold: one number, or one for each channel, the force first. If None,
+        clipping is found from runs of equal samples at a channel's largest value alone.
 
     Raises
     ------
@@ -146,7 +146,7 @@ def clipped_samples(channels: Float[np.ndarray, "t c"], full_scale: Any = None) 
 
 
 def good_hits(hits: Hits) -> Hits:
-    """The good hits only, with a warning that names what was left out.
+    """The good hits only, with a warning that names those left out.
 
     Raises
     ------

@@ -38,7 +38,8 @@ class Measurement(eqx.Module):
         Force amplitude of each run, shape ``(run,)`` [N]; NaN where unknown.
     force
         Force amplitude of each run at each line, shape ``(run, f)`` [N], or None where the force was the same at all
-        lines. A shaker's controller seldom holds it through a resonance, and a joint feels the force of its own line.
+        lines. A shaker's controller seldom holds the force constant through a resonance, and a non-linear joint
+        responds to the force at each line.
     added_decay
         Decay rate that an exponential window added [1/s].
     form, outputs, inputs, averages

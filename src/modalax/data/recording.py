@@ -13,7 +13,7 @@ from modalax._numerics.checks import require_finite
 
 FORCE, RECEPTANCE, MOBILITY, ACCELERANCE = "force", "receptance", "mobility", "accelerance"
 SI = {FORCE: "N", RECEPTANCE: "m", MOBILITY: "m/s", ACCELERANCE: "m/s^2"}
-EVEN = 0.1  # of the step: what instants may be off by
+EVEN = 0.1  # largest error of an instant, relative to the time step
 _LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 _FORCES = {"n": 1.0, "kn": 1e3, "lbf": 4.4482216152605}
 _BY_NAME = (
@@ -23,7 +23,7 @@ _BY_NAME = (
 
 
 class Unit(NamedTuple):
-    """What is measured (force, or a response by the form of its FRF), and the factor to SI."""
+    """The quantity of a unit (force, or the form of an FRF with such a response), and the factor to SI units."""
 
     kind: str
     factor: float
@@ -99,7 +99,7 @@ class Recording:
         raise ValueError(f"no channel {text!r}; there are {self.listed()}")
 
     def with_units(self, units: Mapping[str | int, str]) -> "Recording":
-        """The same with the units of some channels set.
+        """The recording with the units of some channels set.
 
         Raises
         ------
@@ -124,7 +124,7 @@ class Recording:
         return replace(self, data=self.data[:, first:last])
 
     def renamed(self, names: Mapping[str | int, str]) -> "Recording":
-        """The same with some channels named, for example by their DoF.
+        """The recording with some channels renamed, for example to their DoF.
 
         Raises
         ------
@@ -138,7 +138,7 @@ class Recording:
         return replace(self, channels=channels)
 
     def scaled(self, factors: Mapping[str | int, float]) -> "Recording":
-        """The same with some channels multiplied, for example by newtons a volt.
+        """The recording with some channels multiplied by a factor, for example newtons per volt.
 
         Raises
         ------
@@ -193,7 +193,7 @@ class Channels(NamedTuple):
 def channels_of(
     recording: Recording, force: Sequence[str | int] = (), response: Sequence[str | int] = (), unit: str | None = None
 ) -> Channels:
-    """Tell forces from responses and bring both to SI; what was assumed is told by warnings.
+    """Find out which channels are forces and bring all to SI units; a warning says what was assumed.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ def channels_of(
     response
         Channels that are responses; if none is given, all others that can be.
     unit
-        Unit of responses of which the recording does not say it.
+        Unit of responses that have none in the recording.
 
     Raises
     ------
@@ -230,7 +230,7 @@ def channels_of(
     if unknown or not responses:
         which = recording.channels[unknown[0]] if unknown else "the responses"
         raise ValueError(
-            f"the unit of {which} is not known: say it (m, mm, m/s, mm/s, m/s^2, g); there are {recording.listed()}"
+            f"the unit of {which} is not known: give it (m, mm, m/s, mm/s, m/s^2, g); there are {recording.listed()}"
         )
     found = {k: u for k in responses if (u := units[k]) is not None}
     forms = sorted({u.kind for u in found.values()})
@@ -262,7 +262,7 @@ def _forces(recording: Recording) -> list[int]:
 
 
 def _response_unit(recording: Recording, k: int, unit: str | None, by_name: dict[str, list[str]]) -> Unit | None:
-    """Unit of a response; where its name alone tells, it is noted in ``by_name`` under that unit."""
+    """Unit of a response; if it follows from the channel's name alone, the channel is added to ``by_name``."""
     label = recording.units[k]
     known = unit_of(label)
     if known is not None or (label and unit is None):
@@ -270,7 +270,9 @@ def _response_unit(recording: Recording, k: int, unit: str | None, by_name: dict
     if unit is not None:
         known = unit_of(unit)
         if known is None or known.kind == FORCE:
-            raise ValueError(f"unit is {unit!r}; a response is in m, mm, um, in, one of these a second or /s^2, or g")
+            raise ValueError(
+                f"unit is {unit!r}; a response is in m, mm, um or in, one of these per s or per s^2, or in g"
+            )
         return known
     kind = _kind_by_name(recording.channels[k])
     if kind in (None, FORCE):
@@ -297,7 +299,7 @@ def from_sep005(series: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> Reco
     Raises
     ------
     ValueError
-        If one lacks an entry, or they have not one rate and length.
+        If one lacks an entry, or their rates or lengths differ.
 
     References
     ----------
@@ -334,7 +336,7 @@ def rate_of(time: Float[np.ndarray, " t"]) -> float:
     """
     count = len(time) - 1
     step = float(time[-1] - time[0]) / count if count > 0 else 0.0
-    # stored to some digits, an instant is off by a part of the step, a sample that is missing by the whole
+    # Rounding to a few digits moves an instant by a part of the step; a missing sample moves it by a whole step.
     if not step > 0 or np.abs(time - time[0] - step * np.arange(count + 1)).max() > EVEN * step:
         steps = np.diff(time) if count > 0 else np.zeros(1)
         raise ValueError(

@@ -1,4 +1,4 @@
-"""Time records to FRFs: continuous random excitation, repeated blocks, hammer hits."""
+"""FRFs from time records: continuous random excitation, repeated blocks, hammer hits."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -15,7 +15,7 @@ from modalax.data.windows import effective_averages, exponential_window, force_w
 
 
 class Quantity(NamedTuple):
-    """What a response is in SI units."""
+    """Form of an FRF, and the factor that brings its response to SI units."""
 
     form: str
     factor: float
@@ -27,12 +27,12 @@ QUANTITIES = {
     "m/s^2": Quantity("accelerance", 1.0),
     "g": Quantity("accelerance", 9.80665),
 }
-# Forces whose coherency matrix has a smallest eigenvalue below this are one force for all that can be measured.
+# Forces whose coherency matrix has a smallest eigenvalue below this cannot be told apart: they act as one force.
 DEPENDENT = 1e-10
 
 
 def quantity(unit: str) -> Quantity:
-    """What a response in ``unit`` is.
+    """Form of the FRF and factor to SI units of a response in ``unit``.
 
     Raises
     ------
@@ -297,7 +297,7 @@ def _as_frf(
     band: tuple[float, float] | None,
     **rest: Any,
 ) -> FRF:
-    """The FRF in SI units, with what its variance rests on."""
+    """The FRF in SI units, with its variance and the number of averages behind it."""
     form, factor = quantity(unit)
     if band is not None:
         which = band_slice(freq, *band)
@@ -305,7 +305,7 @@ def _as_frf(
         s = Spectra(s.freq[which], s.force[which], s.cross[which], s.response[which], s.averages)
     _check_forces(s, freq)
     H, variance = estimate(s, estimator)
-    # With just as many blocks as inputs every H fits them without a rest: nothing is known of the noise.
+    # With as many blocks as inputs an H fits them exactly, so that nothing is known about the noise.
     freedom = s.averages - s.force.shape[-1]
     known = freedom > 1e-9
     return FRF(

@@ -1,4 +1,4 @@
-"""From a recording to FRFs: hits, periods, sweeps, bursts or random excitation, each in the way that suits it."""
+"""FRFs of a recording with hits, periodic, sweep, burst or random excitation."""
 
 import warnings
 from collections.abc import Sequence
@@ -16,12 +16,12 @@ from modalax.data.recording import Channels, Recording, channels_of
 from modalax.data.records import frf_from_blocks, frf_from_records
 from modalax.data.windows import decay_to, force_window
 
-RINGING = 0.02  # of its largest value: a response above this at the end of a block has not died away
+RINGING = 0.02  # share of its largest value above which a response at the end of a block has not died away
 
 
 @dataclass(frozen=True)
 class Reduction:
-    """How records become FRFs; what is None is chosen from the records and told.
+    """How FRFs are estimated from records; what is None is chosen from the records, and a warning says how.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ def frf_from_recording(
     how: Reduction | None = None,
     **choices: object,
 ) -> FRF:
-    """FRF of a recording of any kind of excitation; what had to be assumed is told by warnings.
+    """FRF of a recording with any kind of excitation; warnings say what was assumed.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def frf_from_recording(
     force, response
         Channels by name or number; see :func:`modalax.data.recording.channels_of`.
     unit
-        Unit of responses of which the recording does not say it.
+        Unit of responses that have none in the recording.
     inputs, outputs
         Names of the DoFs; those of the channels by default. With a roving hammer ``inputs`` names the points.
     how
@@ -96,7 +96,7 @@ def frf_from_recording(
     Raises
     ------
     ValueError
-        If the force is not known, no usable hit or period is found, or names do not fit.
+        If no force channel is found, no hit or period can be used, or the numbers of names and channels differ.
     """
     how = replace(how or Reduction(), **choices)
     channels = channels_of(recording, force, response, unit)
@@ -120,7 +120,7 @@ def frf_from_recording(
 
 
 def common_lines(frfs: Sequence[FRF]) -> list[FRF]:
-    """FRFs at the lines that all of them have; which are left out is told by a warning.
+    """FRFs at the frequency lines that all of them have; a warning says how many are left out.
 
     Raises
     ------
@@ -132,7 +132,7 @@ def common_lines(frfs: Sequence[FRF]) -> list[FRF]:
     tiny = 1e-6 * spacing
 
     def among(few: np.ndarray, axis: np.ndarray) -> np.ndarray:
-        """Place of each line of ``few`` on the axis, -1 where it is not there."""
+        """Index of each line of ``few`` on the axis; -1 where the axis lacks it."""
         at = np.clip(np.searchsorted(axis, few - tiny), 0, len(axis) - 1)
         return np.where(np.abs(axis[at] - few) < tiny, at, -1)
 
@@ -140,7 +140,7 @@ def common_lines(frfs: Sequence[FRF]) -> list[FRF]:
     for axis in axes[1:]:
         shared = shared[among(shared, axis) >= 0]
     if len(shared) == 0:
-        raise ValueError("the runs have no frequency line in common; records of one rate and length have")
+        raise ValueError("the runs have no frequency line in common; records of the same rate and length do")
     if any(len(a) != len(shared) for a in axes):
         warnings.warn(
             f"the runs have {min(map(len, axes))} to {max(map(len, axes))} lines; the {len(shared)} of all are kept",
@@ -162,7 +162,7 @@ def _named(given: Sequence[str] | None, own: list[str], what: str) -> list[str]:
 
 def _from_hits(channels: Channels, fs: float, how: Reduction, points: Sequence[str] | None) -> FRF:
     if channels.force.shape[2] != 1:
-        raise ValueError(f"{channels.force.shape[2]} forces; hits have one, the hammer: choose it")
+        raise ValueError(f"{channels.force.shape[2]} forces; a hammer test has one, that of the hammer: choose it")
     force, response, before = _hit_blocks(channels, fs, how)
     samples = force.shape[1]
     still = (before + 1) // 2  # the second half holds the rise of the hit
@@ -180,10 +180,10 @@ def _from_hits(channels: Channels, fs: float, how: Reduction, points: Sequence[s
     }  # fmt: skip
     if not how.roving:
         if len(force) == 1:
-            warnings.warn("one hit: neither coherence nor variance", stacklevel=4)
+            warnings.warn("only one hit, so neither coherence nor variance is known", stacklevel=4)
         return frf_from_blocks(force, response, fs, inputs=channels.inputs, **options)
     if len(force) % how.roving:
-        raise ValueError(f"{len(force)} hits for {how.roving} at each point; they do not go even")
+        raise ValueError(f"{len(force)} hits; with {how.roving} at each point a multiple of {how.roving} is needed")
     count = len(force) // how.roving
     names = _named(points, [f"{channels.inputs[0]} {k + 1}" for k in range(count)], "points")
     groups = [slice(k * how.roving, (k + 1) * how.roving) for k in range(count)]
@@ -262,7 +262,7 @@ def _rise(records: np.ndarray, rises: list[np.ndarray], fs: float, block: float)
 
 
 def _kept(hits: Hits, how: Reduction) -> np.ndarray:
-    """Hits to use; with a roving hammer all, or a point would be missing."""
+    """The hits to use; with a roving hammer these are all hits, because otherwise a point would be missing."""
     every = np.ones(len(hits.start), bool)
     if how.keep_all:
         return every
@@ -271,7 +271,8 @@ def _kept(hits: Hits, how: Reduction) -> np.ndarray:
             if which.any():
                 numbers = ", ".join(str(k + 1) for k in np.flatnonzero(which))
                 warnings.warn(
-                    f"hits {numbers} of {len(which)} are {what}; kept, for each stands for a point", stacklevel=6
+                    f"hits {numbers} of {len(which)} are {what}; they are kept, as otherwise a point would be missing",
+                    stacklevel=6,
                 )
         return every
     if not hits.good.all():
@@ -337,7 +338,7 @@ def _from_blocks(channels: Channels, fs: float, how: Reduction, kind: str) -> FR
         level=float(np.sqrt(2) * middle.std()) if kind == "sweep" else np.nan,
     )  # fmt: skip
     if frf.variance is None:
-        warnings.warn("no more records than forces: neither coherence nor variance", stacklevel=4)
+        warnings.warn("no more records than forces, so neither coherence nor variance is known", stacklevel=4)
     return frf
 
 
@@ -359,7 +360,7 @@ def _from_random(channels: Channels, fs: float, how: Reduction) -> FRF:
 
 
 def _pooled(parts: list[FRF]) -> FRF:
-    """The mean over records, with the noise that each knows of itself."""
+    """The mean FRF over records, with its variance from the variance of each."""
     mean = lambda name: np.mean([np.asarray(getattr(p, name)) for p in parts], axis=0)  # noqa: E731
     known = all(p.variance is not None for p in parts)
     return parts[0].replace(

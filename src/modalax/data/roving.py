@@ -1,4 +1,4 @@
-"""Roving-hammer tests: signs of the hits, places of the sensors, and hits that are copies, all from the data."""
+"""Roving-hammer tests: signs of the hits, places of the sensors and copied records, found from the data alone."""
 
 from itertools import product
 
@@ -44,7 +44,10 @@ def hit_signs(
     """
     n, hits = shapes.shape
     if H.shape[2] != hits or n >= hits:
-        raise ValueError(f"{n} shapes at {hits} points for {H.shape[2]} hits; needed are fewer shapes, one point a hit")
+        raise ValueError(
+            f"{n} shapes at {hits} points for {H.shape[2]} hits; needed are one point for each hit and fewer shapes "
+            "than hits"
+        )
     rows = H.reshape(-1, hits)
     basis, _ = np.linalg.qr(shapes.T)
     gram = np.real(rows.T @ rows.conj())

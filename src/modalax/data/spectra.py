@@ -39,7 +39,7 @@ class Spectra(eqx.Module):
 
 
 def spectral_lines(samples: int, fs: float) -> Float[np.ndarray, " f"]:
-    """Lines of a block of ``samples`` [Hz] that say something about phase: not 0 Hz, not half the sampling rate."""
+    """Frequency lines [Hz] of a block of ``samples``, without 0 Hz and half the sampling rate, which have no phase."""
     return np.arange(1, (samples + 1) // 2) * fs / samples
 
 
@@ -62,7 +62,7 @@ def spectra(
     window
         Factors ``(t,)``; ones where the blocks are windowed already or need none.
     averages
-        Number of independent blocks they are worth: ``m`` unless they overlap.
+        Number of independent blocks that they are worth; ``m`` unless they overlap.
     """
     samples = force.shape[1]
     lines = slice(1, (samples + 1) // 2)

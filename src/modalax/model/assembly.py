@@ -1,4 +1,4 @@
-"""Structures put together: elements added to matrices, damping of every kind, sparse matrices reduced to modes."""
+"""Building structures: adding springs, dampers and masses, setting the damping, reducing sparse matrices to modes."""
 
 from collections.abc import Sequence
 from typing import Any

@@ -1,4 +1,4 @@
-"""What measurements and simulations must be before anything is concluded from them."""
+"""Checks that measurements and simulations must pass before anything is concluded from them."""
 
 from typing import Any
 
@@ -10,9 +10,9 @@ from modalax.data.measurement import Measurement
 from modalax.model.modal import ModalModel
 from modalax.model.structure import Structure
 
-FEWEST_LINES = 8  # two a half-power bandwidth of one mode and its foot; fewer leave nothing to compare
-UNEQUAL = 1e-6  # of the largest entry: the rounding of programs that write seven digits
-NEGATIVE = 1e-9  # of the largest eigenvalue
+FEWEST_LINES = 8  # about what one resonance peak needs; fewer leave nothing to compare
+UNEQUAL = 1e-6  # asymmetry relative to the largest entry that rounding to seven digits explains
+NEGATIVE = 1e-9  # size of a negative eigenvalue, relative to the largest one, that rounding explains
 
 
 def check_measured(measured: FRF | Measurement) -> None:
@@ -21,7 +21,7 @@ def check_measured(measured: FRF | Measurement) -> None:
     Raises
     ------
     ValueError
-        Saying which, and what helps.
+        The message says which, and what to do.
     """
     if not float(np.max(np.abs(np.asarray(measured.H)), initial=0.0)) > 0:
         raise ValueError("the FRFs are zero throughout the band; there is nothing to fit or to compare")
@@ -33,7 +33,7 @@ def check_measured(measured: FRF | Measurement) -> None:
 
 
 def check_order(order: Any) -> None:
-    """Refuse a model order that is no number of poles; ``ValueError`` says what it is. None leaves the choice open."""
+    """Raise ``ValueError`` for a model order that is no whole number above zero; None leaves the order open."""
     if order is None:
         return
     if isinstance(order, bool) or not isinstance(order, int | float | np.number) or not (order == int(order) >= 1):
@@ -53,13 +53,15 @@ def check_comparable(measured: Any, simulation: Any) -> None:
         raise ValueError(f"a measurement is a Measurement or an FRF, not a {type(measured).__name__}; see modalax.load")
     lines = len(measured.freq)
     if lines < FEWEST_LINES:
-        raise ValueError(f"{lines} frequency lines are too few lines to tell; at least {FEWEST_LINES} are needed")
+        raise ValueError(
+            f"{lines} frequency lines are too few to conclude anything; at least {FEWEST_LINES} are needed"
+        )
     check_measured(measured)
     if measured.variance is not None:
         exact = int(np.sum(np.asarray(measured.variance) == 0))
         if exact:
             raise ValueError(
-                f"variance is 0 at {exact} of {measured.variance.size} samples, which no measurement is; leave the "
+                f"variance is 0 at {exact} of {measured.variance.size} samples, but no measurement is exact; leave the "
                 "variance out to have the noise estimated"
             )
     if isinstance(simulation, Structure):
@@ -67,7 +69,9 @@ def check_comparable(measured: Any, simulation: Any) -> None:
     elif isinstance(simulation, ModalModel):
         growing = np.flatnonzero(np.asarray(simulation.poles).real > 0)
         if growing.size:
-            raise ValueError(f"mode {growing[0] + 1} of the simulation has a negative damping ratio; it would grow")
+            raise ValueError(
+                f"mode {growing[0] + 1} of the simulation has a negative damping ratio, so its vibration would grow"
+            )
 
 
 def check_passive(structure: Structure) -> None:

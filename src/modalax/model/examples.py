@@ -1,4 +1,4 @@
-"""Structures to try things on."""
+"""Example structures."""
 
 import numpy as np
 

@@ -20,12 +20,12 @@ def poles_from(frequency_hz: Any, damping_ratio: Any) -> Complex[Array, " n"]:
 
 
 def claimed_std(value: Any, name: str, modes: int) -> Array:
-    """Relative standard deviations that an author claims: one number, or one a mode.
+    """Relative standard deviations that an author claims: one number, or one for each mode.
 
     Raises
     ------
     ValueError
-        If there are others than that, or one is negative or not finite.
+        If their shape is another, or one is negative or not finite.
     """
     std = as_double(value, name)
     if std.shape not in ((), (1,), (modes,)):

@@ -88,8 +88,8 @@ def _modes(
 ) -> tuple[Float[Array, " m"], Float[Array, "n m"]]:
     r"""Squares of natural frequencies [rad^2/s^2] and mass-normalised shapes, from :math:`M\phi = \mu(K+\sigma M)\phi`.
 
-    Turned round like this, low modes are exact to rounding even where the highest lies many decades above, and the
-    shift lets free bodies in. NaN where it does not work; the caller then solves line by line.
+    In this inverse form low modes are exact to rounding even where the highest lies many decades above, and the shift
+    allows for free bodies. NaN where the factorisation fails; the caller then solves line by line.
     """
     lower = jnp.linalg.cholesky(K + shift * M)
     half = jax.scipy.linalg.solve_triangular(lower, M, lower=True)

@@ -14,7 +14,7 @@ from modalax.data.frf import DERIVATIVES, FRF, check_form, check_names, default_
 from modalax.model.modal import ModalModel, claimed_std, in_order
 from modalax.model.solve import receptance_along
 
-ROUNDING = 1e-13  # error of an eigenvalue, a DoF, relative to the sum of the magnitudes that make it
+ROUNDING = 1e-13  # rounding error of an eigenvalue per DoF, relative to the sum of the magnitudes in it
 PROPORTIONAL = 1e-12  # coupling of real modes by the damping below which there is none
 
 
@@ -82,7 +82,7 @@ class Structure(eqx.Module):
         self.pairs = None if pairs is None else tuple(self._pair(pair) for pair in pairs)
 
     def _pair(self, pair: Sequence[str]) -> tuple[str, str]:
-        """Two DoFs of this structure; ``ValueError`` says what is wrong with others."""
+        """Return a pair of two different DoFs of this structure; ``ValueError`` says what is wrong with any other."""
         if len(pair) != 2 or pair[0] == pair[1]:
             raise ValueError(f"pairs holds {list(pair)}; a pair is two different DoFs")
         return self.dofs[self.index(str(pair[0]))], self.dofs[self.index(str(pair[1]))]

@@ -1,4 +1,4 @@
-"""A model to predicted FRFs: joints, harmonic balance, continuation, time marching, a virtual test bench."""
+"""Predicted FRFs of models with joints: harmonic balance, continuation, time marching, a virtual test bench."""
 
 from modalax.simulate.backbone import Backbone, backbone
 from modalax.simulate.bench import Bench, Records, Sensor

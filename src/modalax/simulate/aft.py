@@ -1,7 +1,7 @@
 r"""Fourier coefficients of joint forces under periodic motion, by alternating frequency and time.
 
 A motion is :math:`x(t) = \sum_k \mathrm{Re}(q_k e^{jk\omega t})` over the harmonics kept; the mean, k = 0, is real.
-With odd harmonics and odd laws half a cycle says all.
+With odd harmonics and odd laws half a cycle is enough.
 """
 
 from typing import Any
@@ -17,7 +17,7 @@ Harmonics = tuple[int, ...]
 
 
 def choose_harmonics(joints: tuple[Joint, ...], harmonics: int | tuple[int, ...]) -> Harmonics:
-    """All harmonics up to a highest: the odd ones if every law is odd, else all with the mean; a tuple is kept.
+    """The harmonics to keep, given the highest: odd ones if every law is odd, else all and the mean; a tuple is kept.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def to_complex(y: Float[Array, " r"], joints: int, harmonics: Harmonics) -> Comp
 
 
 def has_closed_form(joint: Joint) -> bool:
-    """Whether the joint's class states its describing function instead of integrating it."""
+    """Whether the joint's class has its describing function in closed form."""
     return type(joint).describing not in (Memoryless.describing, Hysteretic.describing)
 
 
@@ -66,7 +66,8 @@ def joint_forces(
 ) -> Complex[Array, "j h"]:
     """Force harmonics [N] of each joint under its own displacement harmonics ``q`` [m].
 
-    One harmonic of a joint that states its describing function is exact; otherwise ``samples`` times of a cycle serve.
+    A single harmonic of a joint with a describing function is exact; otherwise forces are evaluated at ``samples``
+    instants of a cycle.
     """
     rows = []
     for joint, own in zip(joints, q, strict=True):
@@ -127,11 +128,11 @@ def _memoryless(
 def _with_memory(
     joint: Hysteretic, q: Complex[Array, " h"], omega: Float[Array, ""], harmonics: Harmonics, samples: int
 ) -> Complex[Array, " h"]:
-    r"""Step around the cycle until the loop is closed, turning points met exactly, and take each step's mean force.
+    r"""Step around the cycle until the hysteresis loop is closed, through each turning point, and average each step.
 
-    Means instead of samples keep the answer continuous where the force jumps; that they are means over a step is taken
-    back out by the factor of the box. A jump, as in Coulomb friction, leaves :math:`(k\pi/\mathrm{samples})^2/3` of
-    harmonic k.
+    Mean forces instead of samples keep the result continuous where the force jumps; dividing by the transform of a
+    step then removes the effect of averaging. A jump, as in Coulomb friction, leaves
+    :math:`(k\pi/\mathrm{samples})^2/3` of harmonic k.
     """
     half = _half(joint, harmonics)
     tau = _times(harmonics, samples, half)
@@ -175,7 +176,7 @@ def _with_memory(
     else:
         state = joint.close(both if half else lambda s: run(s, 1.0), state)
     way = (sign * old, sign * turn, sign * new, share, sign * bow_in, sign * bow_out)
-    # one number of state: all means at once after the steps; many sliders at all times would fill the memory
+    # A joint with one state takes all means at once after the steps; of many sliders that would fill the memory.
     single = len(jax.tree.leaves(state)) == 1 and all(leaf.ndim == 0 for leaf in jax.tree.leaves(state))
     if single:
         states = jax.lax.scan(go, state, (sign * begin, sign * end))[1]

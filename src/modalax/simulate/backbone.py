@@ -26,11 +26,11 @@ from modalax.simulate.balance import CLOSED, Plan, make_plan
 from modalax.simulate.joints import Joint
 
 COMPLEX = 0.05
-"""Largest imaginary part of a mode's shape, over the shape, that is dropped where a modal model is followed."""
+"""Largest imaginary part of a mode shape of a modal model, relative to the shape, that is neglected."""
 
 
 class Backbone(eqx.Module):
-    """A non-linear mode over its amplitude.
+    """Frequency, damping and motion of a non-linear mode as functions of its amplitude.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class Backbone(eqx.Module):
     modal
         Displacement harmonics of all modes of the linear structure, mass-normalised, shape ``(a, n, h)`` [m sqrt(kg)].
     residual
-        What is missing to balance, relative to the amplitude, shape ``(a,)`` [-].
+        Residual of the balance, relative to the amplitude, shape ``(a,)`` [-].
     harmonics
         Which harmonics.
     """
@@ -58,7 +58,7 @@ class Backbone(eqx.Module):
 
     @property
     def converged(self) -> Bool[Array, " a"]:
-        """Which amplitudes are solved."""
+        """Whether the balance is solved at each amplitude, shape ``(a,)``."""
         return self.residual < CLOSED
 
     @property
@@ -151,7 +151,7 @@ def _missing(y: Float[Array, " r"], args: tuple) -> Float[Array, " r"]:
 
 
 def _balance(y: Float[Array, " r"], args: tuple) -> tuple[Float[Array, " r"], Complex[Array, "n h"]]:
-    """What is missing, and the motion of all modes."""
+    """Residual of the balance, and the motion of all modes."""
     plan, mode, joints, modes, a = args
     own = modes.square[mode]
     omega, zeta = jnp.sqrt(own) * y[-2], y[-1]
@@ -206,7 +206,7 @@ def backbone(
     samples: int = 128,
     modes: int | None = None,
 ) -> Backbone:
-    """Follow one mode over rising amplitudes.
+    """Follow one mode over rising amplitudes by the extended periodic motion concept.
 
     Parameters
     ----------
@@ -228,7 +228,9 @@ def backbone(
         modal model are complex.
     """
     if isinstance(structure, Modified):
-        raise ValueError("a backbone needs matrices or a modal model; add local changes to the matrices (add_spring)")
+        raise ValueError(
+            "a backbone needs matrices or a modal model; make local changes in the matrices (add_spring, ...)"
+        )
     amplitudes = as_double(amplitudes, "amplitudes")
     if not bool(jnp.all(amplitudes > 0)):
         raise ValueError(f"amplitudes hold {float(jnp.min(amplitudes)):g}; they must be above 0")

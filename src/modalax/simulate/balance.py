@@ -1,8 +1,8 @@
 r"""Harmonic balance on the relative coordinates of the joints, at one frequency: :math:`q + (b^T H b) f(q) = b^T H F`.
 
-A few real unknowns, whatever the size of the structure. Finding the answer and differentiating it are kept apart: a
-damped Newton iteration that tries several step lengths and starts anew where it sticks finds the answer;
-optimistix takes it from there and carries its derivatives by the implicit function theorem.
+There are a few real unknowns, whatever the size of the structure. A damped Newton iteration, which tries several step
+lengths and starts anew where it gets stuck, finds the solution; one more step by optimistix gives its derivatives by
+the implicit function theorem.
 """
 
 from collections.abc import Sequence
@@ -19,17 +19,17 @@ from modalax.simulate.aft import Harmonics, choose_harmonics, joint_forces, real
 from modalax.simulate.joints import Joint
 
 STEPS = np.array([1.0, 0.5, 0.2, 0.05, 0.01])
-"""Step lengths of a damped Newton step: the full one, and the best of all where that does not serve."""
+"""Step lengths of a damped Newton step: the full one, or the best of all where the full one does not reduce enough."""
 CLOSED = 1e-9
-"""A balance whose residual is below this part of the motion without joints counts as solved."""
+"""Residual, relative to the motion without joints, below which a balance counts as solved."""
 TIGHT = 1e-12
 """Residual at which the search stops; one more Newton step follows."""
 FOLD = 1e-5
-"""Margin below which a derivative is not given: the rounding of the balance alone makes it wrong by a hundredth."""
+"""Margin below which derivatives are NaN, because rounding of the balance alone makes them wrong by 1 %."""
 
 
 class Line(NamedTuple):
-    """What the balance at one frequency needs of the structure.
+    """The structure as the balance at one frequency needs it.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ def make_plan(
 
 
 def residual(plan: Plan, q: Complex[Array, "j h"], joints: tuple[Joint, ...], line: Line) -> Complex[Array, "j h"]:
-    """What is missing to balance, ``q + G f(q) - u`` [m]."""
+    """Residual of the balance, ``q + G f(q) - u`` [m]."""
     f = joint_forces(joints, q, line.omega, plan.harmonics, plan.samples)
     return q + jnp.einsum("hjk,kh->jh", line.G, f) - line.u.T
 
@@ -201,7 +201,7 @@ class _OneStep(optx.AbstractRootFinder):
 
 
 def _without_derivative(value: Array, given: Any, where: Array) -> Array:
-    """The same numbers; ``where`` says so, derivatives by all that is ``given`` are NaN, and no solve has to see it."""
+    """Return the numbers unchanged, but with derivatives by ``given`` that are NaN at the points in ``where``."""
     leaves = [leaf for leaf in jax.tree.leaves(given) if jnp.issubdtype(jnp.result_type(leaf), jnp.inexact)]
     of = jnp.sum(jnp.stack([jnp.sum(leaf.real) + jnp.sum(leaf.imag) for leaf in leaves]))
     # the root of 0 has an infinite slope, and zero times it is NaN; its value is 0, and so is its slope elsewhere
@@ -235,5 +235,5 @@ def polish(
 
 
 def stop(tree: Any) -> Any:
-    """The same numbers without derivatives."""
+    """Return the numbers unchanged, with all derivatives zero."""
     return jax.tree.map(jax.lax.stop_gradient, tree)

@@ -33,7 +33,7 @@ class Sensor(eqx.Module):
     Attributes
     ----------
     gain
-        What it shows over what is there [-].
+        Recorded value over true value [-].
     delay
         Delay [s].
     noise
@@ -63,7 +63,7 @@ class Sensor(eqx.Module):
 
 
 class Records(eqx.Module):
-    """What the recorder kept.
+    """Time records of a virtual test.
 
     Attributes
     ----------
@@ -91,19 +91,19 @@ class Bench(eqx.Module):
     Attributes
     ----------
     structure, joints, places
-        What is tested: matrices or a modal model, and its joints with where they sit.
+        The structure under test, as matrices or modal model, its joints, and the place of each.
     force_sensor, response_sensor
-        The channels: one for all, or one each.
+        Sensors: one for all channels of that kind, or one for each.
     fs
         Sampling rate of the recorder [Hz].
     oversample
-        Steps of the time marching a sample.
+        Steps of the time marching in each sample of the recorder.
     antialias
-        Corner of the recorder's 8th-order low pass on all channels, over the sampling rate.
+        Corner frequency of the recorder's 8th-order low-pass filter on all channels, relative to the sampling rate.
     form
-        What the response channels see: displacement (``receptance``), velocity or acceleration.
+        Motion that the response channels measure: displacement (``receptance``), velocity or acceleration.
     inputs, outputs
-        DoFs driven and seen.
+        DoFs measured, and DoFs driven.
     """
 
     structure: AnyStructure
@@ -186,7 +186,7 @@ def _through(
     """Signals as the recorder keeps them: filtered, sampled, with noise."""
     runs, samples, channels = signal.shape
     rate = fs * oversample
-    # silence after the record, so that what the filters remember of its end does not come back at its start
+    # Zeros after the record, so that the filters' response to its end does not wrap around to its start.
     padded = 2 * samples
     lines = jnp.fft.rfftfreq(padded, 1 / rate)
     T = jnp.stack([s.transfer(lines) for s in sensors], axis=1)

@@ -19,9 +19,9 @@ from modalax.model.receptance import AnyStructure, Modified, dof_names
 from modalax.model.structure import Structure
 
 MOMENTS = 3
-"""Legendre moments of a force within a step that reach the structure: a step is exact for quadratic forces."""
+"""Number of Legendre moments of the force in each step, so that a step is exact for quadratic forces."""
 PROPORTIONAL = 1e-9
-"""Coupling of the modes by damping, over the largest damping, below which there is none."""
+"""Coupling of the modes by damping, relative to the largest damping, that counts as none."""
 
 
 class Blocks(eqx.Module):
@@ -32,9 +32,9 @@ class Blocks(eqx.Module):
     A
         Shape ``(m, 2, 2)`` [1/s].
     B
-        What the forces do, shape ``(m, 2, r)``.
+        Effect of the forces on the states, shape ``(m, 2, r)``.
     C
-        What the rows see, shape ``(l, m, 2)``.
+        Displacement along the rows due to the states, shape ``(l, m, 2)``.
     D
         Static flexibility of modes left out, shape ``(l, r)`` [m/N].
     """
@@ -168,7 +168,7 @@ def _first_order(m: np.ndarray, c: np.ndarray, k: np.ndarray, rows: np.ndarray, 
     lost = np.abs((V * poles) @ inverse - state).max() / np.abs(state).max()
     if not lost < 1e-8:
         raise ValueError(
-            f"the damped modes do not span the motion ({lost:.1g}): a mode is damped critically; change C a little"
+            f"the damped modes do not span the motion ({lost:.1g}): a mode is critically damped; change C slightly"
         )
     left, right = rows @ V[:n], inverse[:, n:] @ np.linalg.solve(m, columns)
     rounding = 1e-12 * np.abs(poles).max()

@@ -32,7 +32,7 @@ LONGEST, SHORTEST = 0.05, 1e-7
 CORNER = 1e-4
 """A step of this length or less that fails is followed by one round the corner."""
 BACK = 1e-3
-"""Angle to the way it came within which a step has gone back, not round a corner."""
+"""Angle to the last direction reversed within which a step has turned back instead of passing a corner."""
 
 
 class Branch(eqx.Module):
@@ -70,7 +70,7 @@ class Branch(eqx.Module):
 
 
 class _Problem(NamedTuple):
-    """What a trace needs: the structure as a function of frequency, and its scales."""
+    """The structure as a function of frequency, and the scales of a trace."""
 
     structure: AnyStructure
     joints: tuple[Joint, ...]
@@ -107,7 +107,7 @@ def _orientation(jacobian: Float[Array, "r r1"], t: Float[Array, " r1"]) -> Floa
 
 
 class _State(NamedTuple):
-    """Where a trace is, its direction and next step; ``corner`` is whether that is to go round one."""
+    """Position of a trace, its direction and next step; ``corner`` says whether that step passes a corner."""
 
     z: Array
     t: Array

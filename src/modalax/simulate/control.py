@@ -1,4 +1,4 @@
-"""Stepped sine with the response held constant: at every frequency the force that gives a wanted amplitude."""
+"""Stepped sine at constant response: the force that gives the wanted amplitude at every frequency."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -32,7 +32,7 @@ class ControlledResponse(eqx.Module):
     X
         Fundamental displacement of the outputs over the phase of the force, shape ``(f, o)`` [m].
     residual
-        What is missing to balance, over the amplitude held, shape ``(f,)`` [-].
+        Residual of the balance, relative to the amplitude held, shape ``(f,)`` [-].
     outputs, input
         DoF names.
     """
@@ -46,7 +46,7 @@ class ControlledResponse(eqx.Module):
 
     @property
     def converged(self) -> Array:
-        """Which lines are solved."""
+        """Whether the balance is solved at each line, shape ``(f,)``."""
         return self.residual < CLOSED
 
     def measurement(self, form: str = "receptance") -> Measurement:
@@ -106,7 +106,7 @@ def constant_response(
 ) -> ControlledResponse:
     """Force that holds the fundamental displacement of a DoF at an amplitude, line by line; differentiable.
 
-    Held at one amplitude a single joint acts as a linear one, so resonances neither lean nor jump.
+    At constant amplitude a single joint acts as a linear one, so that resonance peaks neither bend nor jump.
 
     Parameters
     ----------

@@ -68,7 +68,7 @@ def stepped(freq: Any, dwell: float, fs: float, *, amplitude: Any = 1.0) -> Floa
         raise ValueError(f"a line at {freq.min():g} Hz; a sine needs a frequency above 0")
     _check_rate(freq.max(), fs)
     samples = round(dwell * fs)
-    # whole turns are left out of the phase at the start of a line, so that a long test loses no digits
+    # The phase at the start of a line is reduced by whole turns, so that a long test loses no digits.
     begin = np.concatenate([[0.0], np.cumsum(freq * samples / fs)[:-1]]) % 1.0
     phase = begin[:, None] + freq[:, None] * np.arange(samples) / fs
     return amplitude * jnp.sin(2 * jnp.pi * phase).ravel()
@@ -97,7 +97,7 @@ def random(
     """
     require_double("random excitation")
     _check_rate(upper, fs)
-    # twice as long as needed, so that the end of the record knows nothing of its start
+    # Twice as long as needed, so that the end of the record is independent of its start.
     lines = np.fft.rfftfreq(2 * samples, 1 / fs)
     inside = (lines >= lower) & (lines <= upper) & (lines > 0)
     if not inside.any():
@@ -109,7 +109,7 @@ def random(
 
 
 def burst(force: Float[Array, " t"], share: float, *, ramp: float = 0.02) -> Float[Array, " t"]:
-    """The first ``share`` of a record, led in and out by half cosines of ``ramp`` of it, then silence.
+    """Burst: the first ``share`` of a record, faded in and out by half cosines of length ``ramp`` of it, then zeros.
 
     Raises
     ------

@@ -40,7 +40,7 @@ class Response(eqx.Module):
     X
         Displacement of the outputs [m], shape ``(level, f, o, h, i)``.
     residual
-        What is missing to balance, over the motion without joints, shape ``(level, f, i)`` [-].
+        Residual of the balance, relative to the motion without joints, shape ``(level, f, i)`` [-].
     margin
         How much the balance changes, at least, with a unit of motion, shape ``(level, f, i)`` [-]: 0 at a fold.
     harmonics, outputs, inputs
@@ -60,12 +60,12 @@ class Response(eqx.Module):
 
     @property
     def converged(self) -> Bool[Array, "level f i"]:
-        """Which points are solved; elsewhere the numbers are the best that was found."""
+        """Whether the balance is solved, shape ``(level, f, i)``; elsewhere the values are the best that were found."""
         return solved(self.residual)
 
     @property
     def at_fold(self) -> Bool[Array, "level f i"]:
-        """Which points lie at a fold: two motions merge there, neither has a derivative, and gradients are NaN.
+        """Whether a point lies at a fold, where two motions merge and have no derivative, so that gradients are NaN.
 
         Move the line, or differentiate along the branch, see :func:`modalax.simulate.follow_branch`.
         """
@@ -110,7 +110,7 @@ class Response(eqx.Module):
 
 
 class Receptances(eqx.Module):
-    """What harmonic balance needs of the structure, whatever kind it is.
+    """The structure, of whatever kind, as harmonic balance needs it.
 
     Attributes
     ----------
@@ -157,7 +157,7 @@ def receptances(
 def balance_levels(
     R: Receptances, joints: tuple[Joint, ...], level: Any, plan: Plan, downward: bool = False
 ) -> tuple[Complex[Array, "level f j h i"], Float[Array, "level f i"], Float[Array, "level f i"]]:
-    """Joint displacements [m] at all levels [N] and inputs, residuals and margins; pure, differentiable, jit, vmap."""
+    """Joint displacements [m] at all levels [N] and inputs, with residuals and margins; works under jit, vmap, grad."""
     at, level, i = plan.harmonics.index(1), jnp.asarray(level), R.driven.shape[-1]
     u = jnp.zeros((*R.joints.shape[:2], *R.driven.shape[1:]), complex).at[:, at].set(R.driven)
     sweeps = (level[:, None, None, None, None] * jnp.moveaxis(u, -1, 0)).reshape(-1, *u.shape[:-1])
@@ -265,7 +265,7 @@ def simulate(
 ) -> Measurement:
     """Predicted FRFs at each level, one run a level; without joints the linear ones.
 
-    Parameters are those of :func:`harmonic_balance`. Lines that did not converge are warned of.
+    Parameters are those of :func:`harmonic_balance`. A warning names points that did not converge.
     """
     if not joints:
         from modalax.model.receptance import frf

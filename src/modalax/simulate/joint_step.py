@@ -144,7 +144,7 @@ def _(joint: CoulombFriction, state: Any, way: Way, own: Array, guess: Array) ->
 def _rigid_friction(joint: CoulombFriction, state: Array, way: Way, own: Array, guess: Array) -> Push:
     """Friction that holds without creep, the standstill found within the step."""
     limit = joint.slip_force
-    # the motion if the slider goes on as it did
+    # the motion if the slider goes on in its direction
     forward = state * limit
     change = own @ (jnp.array([1.0, 0.0, 0.0]) * forward - guess)
     x1, v1 = way.x1 + change[0], way.v1 + change[1]

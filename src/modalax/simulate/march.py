@@ -1,4 +1,4 @@
-r"""Time marching of a structure with joints: the second route, which knows nothing of harmonics.
+r"""Time marching of a structure with joints, a method independent of harmonic balance.
 
 The linear part is propagated exactly (:mod:`modalax.simulate.blocks`); within a step the joints' forces and the motion
 they make agree to rounding (:mod:`modalax.simulate.joint_step`). The only error is that of the force along a step:
@@ -34,7 +34,7 @@ AGREED = 1e-6
 
 
 class Rig(eqx.Module):
-    """A structure ready to be marched: its blocks seen at joints, then outputs, driven at joints, then inputs.
+    """A structure prepared for marching; rows are the joints, then the outputs, columns the joints, then the inputs.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Rig(eqx.Module):
 
 
 class Motion(NamedTuple):
-    """What marching carries from step to step.
+    """State of the march between two steps.
 
     Attributes
     ----------
@@ -125,7 +125,7 @@ def make_rig(
 
 
 class _Step(eqx.Module):
-    """Everything constant of a step: propagation and what joints and outputs see."""
+    """Constants of a step: the propagation of the states and the motion of joints and outputs."""
 
     ahead: Propagator
     see_x: Array
@@ -146,7 +146,7 @@ def prepare(rig: Rig, ahead: Propagator) -> _Step:
 
 
 def at_rest(rig: Rig) -> Motion:
-    """The unloaded structure."""
+    """State of the structure at rest without forces."""
     j, zero = len(rig.joints), jnp.zeros(())
     return Motion(
         jnp.zeros(rig.blocks.A.shape[:2]), jnp.zeros(j), jnp.zeros(j), initial_states(rig.joints),
@@ -252,7 +252,7 @@ def respond(
     fs
         Sampling rate [Hz], also of the steps.
     inputs, outputs
-        DoFs driven and seen; all are seen by default.
+        DoFs driven and measured; all are measured by default.
     form
         Responses as displacement (``receptance``), velocity (``mobility``) or acceleration (``accelerance``).
 

@@ -1,7 +1,7 @@
-"""Test procedures on the virtual bench: random, multisine, swept and stepped sine, hammer; from excitation to FRFs.
+"""Virtual tests from excitation to FRFs: random, multisine, swept sine, stepped sine and hammer.
 
-What is recorded goes through the signal processing of real records (:mod:`modalax.data.records`), so leakage, noise on
-the force, filters, delays and the best linear view of a joint come out as they do in a laboratory.
+Records are processed as real ones are (:mod:`modalax.data.records`), so that leakage, noise on the force, filters,
+delays and the best linear approximation of a joint come out as they do in a laboratory.
 """
 
 from typing import Any
@@ -166,7 +166,7 @@ def stepped_test(
     block, repeats
         Length of a block [s] and blocks averaged at a line; noise differs, so the variance is known from 2 up.
     settle
-        Time a line acts before it is looked at [s].
+        Time that the sine of a line acts before the response is recorded [s].
     downward
         Start at the highest line.
 

@@ -37,7 +37,7 @@ def floquet_exponents(
     Parameters
     ----------
     structure
-        Matrices; what a modal model leaves out has a compliance but no motion of its own.
+        Matrices. Modes that a modal model leaves out have a compliance but no motion, so it is refused.
     freq, q, harmonics
         Frequency, shape ``(s,)`` [Hz], and joint displacement, ``(s, j, h)`` [m], of each motion, as from
         :func:`modalax.simulate.follow_branch`.

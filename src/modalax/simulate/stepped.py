@@ -37,7 +37,7 @@ class SteppedSine(eqx.Module):
         What the last period still changed, divided by what is left of a free vibration after it: an estimate of the
         distance to the steady motion, over the motion [-].
     settled
-        Where that came below the tolerance.
+        Whether ``change`` came below the tolerance.
     outputs, inputs
         DoF names.
     """
@@ -77,7 +77,7 @@ class _Plan(NamedTuple):
 
 
 class _Line(eqx.Module):
-    """Where a line stands after some periods."""
+    """State of a line after some periods."""
 
     now: Motion
     X: Array
@@ -193,7 +193,7 @@ def stepped_sine(
     columns, names = [], ()
     for name in inputs:
         rig, names = make_rig(structure, joints, places, outputs, [name])
-        # what is undamped or nearly so is not waited for: at least a thousandth goes in a period
+        # free vibrations that decay by less than a thousandth in a period are not waited for
         fades = -np.expm1(-np.maximum(rig.blocks.decay * period, 1e-3))
         columns.append(_all_lines(rig, propagator(rig.blocks, period / steps), jnp.asarray(fades), level, plan))
     X, periods, change, settled, left = (jnp.stack(part, axis=-1)[:, turn] for part in zip(*columns, strict=True))

@@ -16,14 +16,14 @@ LOAD_STEPS = 12
 """Steps in which the force is raised to its level on the first line of a sweep."""
 SWEEP_SAMPLES = 64
 TURNS = np.array([1.0, 0.3, -0.3, 0.05, -1.0, 1j, -1j, -2.0, 0.0])
-"""Where a search starts anew, in parts of the motion without joints."""
+"""Starting points of a repeated search, relative to the motion without joints."""
 AMPLITUDES = np.geomspace(1e-5, 1e3, 129)
 CHUNK = 64
-"""Lines that are balanced together: the easy ones do not wait for the hardest of all, and all stays in cache."""
+"""Number of lines balanced together: few enough that easy lines do not wait for hard ones and the cache suffices."""
 
 
 def few(plan: Plan, joints: tuple[Joint, ...]) -> Plan:
-    """The cheapest balance that still shows which branch a line is on: fundamental, and mean where a law is not odd."""
+    """Cheapest balance that shows which branch a line is on: the fundamental, and the mean where a law is not odd."""
     mean = (0,) if 0 in plan.harmonics and not all(joint.odd for joint in joints) else ()
     return Plan(plan.joints, (*mean, 1), min(plan.samples, SWEEP_SAMPLES))
 
@@ -122,5 +122,5 @@ def solve_lines(
 
 
 def solved(left: Float[Array, "..."]) -> Bool[Array, "..."]:
-    """Which balances closed."""
+    """Whether each balance is solved."""
     return left < CLOSED

@@ -1,4 +1,4 @@
-r"""Non-linear joints, one small class each.
+r"""Laws of non-linear joints, a small class for each.
 
 A joint of your own is a class with its force law; all else (describing function, harmonic balance, gradients) follows.
 Parameters are fields made by :func:`parameter`, in SI units. A law without memory gives ``force``::

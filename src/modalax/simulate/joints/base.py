@@ -1,4 +1,4 @@
-"""What a joint is: a force law between two points of a structure, its parameters, units and bounds."""
+"""Base classes of joints: a force law between two points of a structure, with parameters, units and bounds."""
 
 import abc
 import math
@@ -91,7 +91,7 @@ class Memoryless(Joint):
 
 
 class Hysteretic(Joint):
-    """A joint with memory, rate independent: its force depends on the way the displacement came.
+    """A rate-independent joint with memory: its force depends on the history of the displacement.
 
     Attributes
     ----------
@@ -107,10 +107,10 @@ class Hysteretic(Joint):
 
     @abc.abstractmethod
     def step(self, state: Any, x_old: Any, x_new: Any) -> tuple[Any, Float[Array, "..."]]:
-        """State and force [N] after the straight way from ``x_old`` to ``x_new`` [m]."""
+        """State and force [N] after a motion from ``x_old`` to ``x_new`` [m] without reversal."""
 
     def close(self, lap: Callable[[Any], Any], state: Any) -> Any:
-        """State with which the loop is closed, from one near it: ``lap``, a cycle, leaves it as it is."""
+        """State of the closed hysteresis loop, found from a state near it; the cycle ``lap`` leaves it unchanged."""
         for _ in range(self.settle):
             state = lap(state)
         return state
@@ -121,7 +121,7 @@ class Hysteretic(Joint):
         Parameters
         ----------
         bow
-            Curvature of the way over the step: :math:`x(s) = x_0 + s(x_1 - x_0) + s(1-s)\,\mathrm{bow}`, s from 0 to 1.
+            Curvature over the step: :math:`x(s) = x_0 + s(x_1 - x_0) + s(1-s)\,\mathrm{bow}`, s from 0 to 1.
         """
         first = self.step(state, x_old, x_old)[1]
         middle = self.step(state, x_old, 0.5 * (x_old + x_new) + 0.25 * bow)[1]

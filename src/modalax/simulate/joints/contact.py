@@ -46,7 +46,7 @@ class Gap(Memoryless):
     k
         Stiffness of the stops [N/m].
     gap
-        Free way to each side [m].
+        Clearance to each side [m].
     """
 
     k: Float[Array, ""] = parameter()
@@ -72,7 +72,7 @@ class OneSidedGap(Memoryless):
     k
         Stiffness of the stop [N/m].
     gap
-        Free way to the stop [m].
+        Clearance to the stop [m].
     """
 
     k: Float[Array, ""] = parameter()
@@ -95,14 +95,14 @@ class PreloadedGap(Memoryless):
     r"""A gap of width 2g whose upper stop is pressed with a force P at rest.
 
     It opens when the joint is pulled by more than P (:math:`x < -P/k`, force :math:`-P`) and meets the other stop
-    after the way 2g: :math:`f = k\max(x + P/k, 0) - k\max(-x - P/k - 2g, 0) - P`.
+    after the distance 2g: :math:`f = k\max(x + P/k, 0) - k\max(-x - P/k - 2g, 0) - P`.
 
     Attributes
     ----------
     k
         Stiffness of the stops [N/m].
     gap
-        Half the free way [m].
+        Half the clearance [m].
     preload
         Force that closes the joint at rest [N].
     """

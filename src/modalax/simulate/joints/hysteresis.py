@@ -20,7 +20,7 @@ CLOSING = 3
 
 
 class _Sliders(Hysteretic):
-    """Sliders side by side, each with its spring; subclasses say which."""
+    """Base class of laws made of sliders in parallel, each in series with a spring."""
 
     @abc.abstractmethod
     def sliders(self) -> tuple[Float[Array, " s"], Float[Array, " s"]]:
