@@ -1,4 +1,4 @@
-"""Mains hum: single lines at multiples of 50 or 60 Hz that no mode can make."""
+"""Mains hum: single lines at multiples of 50 or 60 Hz, narrower than any mode."""
 
 from collections.abc import Iterator
 

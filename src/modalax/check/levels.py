@@ -1,4 +1,4 @@
-"""Sensors that saturate, told from runs at several force levels."""
+"""Sensors that saturate, found by comparing runs at several force levels."""
 
 from collections.abc import Iterator
 
@@ -7,14 +7,14 @@ import numpy as np
 from modalax.check.finding import Finding, Picture, sureness
 from modalax.check.study import Study
 
-# Loss of gain of one output beside all others that is told, and in how many standard deviations.
+# Loss of gain of one output relative to all others that is reported, and its least number of standard deviations.
 LOSS, SURE = 0.05, 6.0
 # Lines whose response exceeds this share of the output's largest are compared.
 LOUD = 0.85
 
 
 def clipped(study: Study) -> Iterator[Finding]:
-    """Outputs that alone lose gain where their response is largest, the more the higher the force."""
+    """Find single outputs that lose gain where their response is largest, and more so at a higher force."""
     level = study.level
     if not np.isfinite(level).all() or len(level) < 2 or level.max() < 1.2 * level.min() or len(study.outputs) < 2:
         return
@@ -27,11 +27,11 @@ def clipped(study: Study) -> Iterator[Finding]:
         size = np.abs(study.H[low, :, o])
         lines, columns = np.nonzero(size > LOUD * size.max())
         count = len(lines)
-        # Beside it the other outputs at the same lines: a structure that is not linear changes them all.
+        # The other outputs at the same lines are the reference, because a non-linear structure changes them all.
         others = np.delete(np.arange(len(study.outputs)), o)
         weight = 1 / (noise[lines][:, others][np.arange(count), :, columns] ** 2 + 1e-4)
         beside = ratio[lines][:, others][np.arange(count), :, columns]
-        # The other that lost most: a structure that is not linear may change few of them.
+        # Compared with the other output that lost most, because a non-linear structure may change few of them.
         known = np.where(weight > 100, beside, np.inf)
         use = np.isfinite(known).any(axis=1)
         if not use.any():

@@ -136,8 +136,8 @@ def _gain(study: Study, where: tuple[str, ...], value: float, std: float, pairs:
         interval=interval,
         evidence=f"reciprocal FRFs differ by the factor {factor:.4g} ({interval[0]:.4g} to {interval[1]:.4g}) "
         f"{places}, the same at all frequencies",
-        advice="check the sensitivities of sensor and hammer at these places; which of them is wrong, reciprocity "
-        "cannot tell (a hit on a known free mass does)",
+        advice="check the sensitivities of sensor and hammer at these places; reciprocity cannot tell "
+        "which of them is wrong (a hit on a known free mass can)",
         picture=_both_ways(study, p, q),
     )  # fmt: skip
 

@@ -162,7 +162,7 @@ def _short(records: Records) -> Iterator[Finding]:
     yield Finding(
         "short_pulse", (records.input,), sure=0.97, size=count, unit="samples",
         evidence=f"the force pulse has {count:g} samples above {100 * PULSE_SHARE:.0f} % of its peak: its height, and "
-        "with it the scale of all FRFs, is not sampled",
+        "with it the scale of all FRFs, is not resolved",
         advice="sample faster, or use a softer tip",
         picture=_force_picture(records, int(which[0])),
     )  # fmt: skip

@@ -1,4 +1,4 @@
-r"""Lines and record length against the decay of the modes.
+r"""Spacing of the lines and length of the records, compared with the decay of the modes.
 
 A mode of half-power bandwidth :math:`2\zeta f` decays as :math:`e^{-\sigma t}`, and :math:`n` lines a bandwidth, with
 the record :math:`T = 1/\Delta f`, mean :math:`\sigma T = \pi n`: with one line a bandwidth 4 % of the response are
@@ -12,13 +12,13 @@ import numpy as np
 from modalax.check.finding import Finding, Picture, sureness
 from modalax.check.study import CLEAR, Study
 
-# Lines a half-power bandwidth: told below the first for most of the modes, below the second for any strong one.
+# Lines per half-power bandwidth: reported below the first for most of the modes, below the second for any strong one.
 FEW, FEWEST = 1.5, 0.8
 STRONG = 0.1
 
 
 def resolution(study: Study) -> Iterator[Finding]:
-    """Too few lines over the half-power bandwidths."""
+    """Find modes with too few lines within their half-power bandwidth."""
     lines = lines_a_width(study)
     if not len(lines):
         return
@@ -41,7 +41,7 @@ def resolution(study: Study) -> Iterator[Finding]:
 
 
 def strong_modes(study: Study) -> np.ndarray:
-    """Modes that matter: clear of the noise, and not tiny beside the strongest."""
+    """Modes that count: well above the noise, and not tiny compared with the strongest."""
     ratio = np.max(np.abs(study.modes.residues) / study.modes.std, axis=1, initial=0.0)
     peak = np.max(
         np.abs(study.modes.residues) / np.maximum(-study.modes.poles.real, 1e-300)[:, None], axis=1, initial=0

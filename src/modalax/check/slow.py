@@ -1,4 +1,4 @@
-"""Channels that drift: a response that grows towards 0 Hz as no structure's does."""
+"""Channels that drift: their response grows towards 0 Hz in a way that no structure's does."""
 
 from collections.abc import Iterator
 
@@ -7,19 +7,19 @@ import numpy as np
 from modalax.check.finding import Finding, Picture, sureness
 from modalax.check.study import CLEAR, Study
 
-# What is looked at, the lowest octaves, must end below this share of the first mode, and hold so many lines.
+# The lowest octaves, which are examined, must end below this share of the first mode and hold so many lines.
 BELOW, LINES = 0.7, 4
 # Slope of the accelerance in the lowest octaves and in those above, in powers of frequency: a structure has 0 (free)
 # or 2 (held).
 SLOPE, NEXT = -0.8, -0.4
-# How much steeper than the other channels a channel alone must fall, for a slope that a free structure could have.
+# How much steeper than the others a single channel must fall where a free structure could have its slope.
 STEEPER = 1.2
 
 
 def drift(study: Study) -> Iterator[Finding]:
-    """Outputs whose low-frequency lines rise towards 0 Hz."""
+    """Find outputs whose low-frequency lines rise towards 0 Hz."""
     freq = study.freq
-    # What drifts may look like a mode near 0 Hz; a resonance there is seen by most of the sensors.
+    # A drift may look like a mode near 0 Hz; a resonance there is seen by most of the sensors.
     clear = (np.abs(study.residues) > CLEAR * study.residue_std).any(axis=2)
     shared = (clear.mean(axis=1) > 0.5) & (study.modes.width < 0.3 * study.modes.frequency)
     resonances = study.modes.frequency[(study.modes.frequency > 8 * freq[0]) | shared]

@@ -68,7 +68,7 @@ class Study:
 
     @cached_property
     def sigma(self) -> Float[np.ndarray, "run f o i"]:
-        """Root of E|e|^2 of each sample: stated and smoothed over lines, else seen from the neighbours of each line."""
+        """Root of E|e|^2 of each sample: stated and smoothed over lines, else estimated from neighbouring lines."""
         runs, lines, outs, ins = self.H.shape
         flat = self.H.transpose(1, 0, 2, 3).reshape(lines, -1)
         if self.variance is None:

@@ -144,8 +144,9 @@ class CoulombFriction(Hysteretic):
     r"""Dry friction :math:`f = F\,\mathrm{sign}(v)`, :math:`N = 4jF/(\pi A)`.
 
     Real contacts creep before they slip: over the distance ``creep`` the force builds up as in a spring
-    :math:`F/x_c`, which also decides what the force is at rest. The default is far below any motion that is measured; the describing
-    function is that of the elasto-slip law with this stiffness, equal to the formula to order :math:`\sqrt{x_c/A}`.
+    :math:`F/x_c`, which also decides what the force is at rest. The default is far below any motion that is measured;
+    the describing function is that of the elasto-slip law with this stiffness, equal to the formula to order
+    :math:`\sqrt{x_c/A}`.
 
     Attributes
     ----------
