@@ -245,7 +245,7 @@ class TestRefine:
             ((10.0, 0.01), (12.0, 0.005), "auto", "left the neighbourhood of its start"),
             ((16.0, 0.01), (14.0, 0.02), "auto", "left the neighbourhood of its start"),  # beyond the band
             ((10.013, 1e-9), (10.02, 0.002), "auto", "lost its damping"),
-            ((10.0, 0.01), (10.05, 0.02), jnp.full((201, 1, 1), 1e-300), "do not make a finite likelihood"),
+            ((10.0, 0.01), (10.05, 0.02), jnp.full((201, 1, 1), 1e-300), "likelihood of the start is not finite"),
         ],
         ids=["none", "moved", "moved out of the band", "no damping", "weights beyond numbers"],
     )

@@ -1,4 +1,4 @@
-"""Measured FRFs to a modal model."""
+"""Identification of a modal model from measured FRFs."""
 
 from modalax.identify.bandwidth import BandwidthTest, bandwidth_test
 from modalax.identify.bias import DampingBias, predicted_damping_bias

@@ -1,7 +1,7 @@
 r"""Levenberg-Marquardt search for the poles of largest likelihood, on the host.
 
-The steps are those of :class:`modalax._numerics.levenberg.LevenbergMarquardt`. The search may end where statistics have
-nothing more to tell: when a step would lower the sum of squares by a small part of what one degree of freedom has.
+The steps are those of :class:`modalax._numerics.levenberg.LevenbergMarquardt`. The search may end where further steps
+do not matter statistically: when one would lower the sum of squares by a small part of what a degree of freedom has.
 """
 
 from collections.abc import Callable
@@ -14,13 +14,13 @@ from modalax.identify.projection import Projection
 from modalax.identify.reduced import Sums
 
 PATIENCE = 10  # steps that a mode may spend out of range before it is dropped
-ROUNDING = 1e-31  # of the data's squares, what rounding of the data alone may leave
+ROUNDING = 1e-31  # sum of squares that rounding of the data may leave, relative to that of the data
 LOST = (-50.0, 5.0)  # logarithms of damping ratios well beyond their limits
 STATISTICAL = 1e-3  # part of the sum of squares a degree of freedom that a step must gain
 
 
 class Ascent(NamedTuple):
-    """Where a search ended.
+    """The end of a search.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Ascent(NamedTuple):
     sums
         Cost, gradient and Gauss-Newton matrix there.
     steps, finished
-        Evaluations, and whether the search came to an end of its own.
+        Number of evaluations, and whether the search ended before its limit of them.
     """
 
     theta: np.ndarray
@@ -44,7 +44,7 @@ class Ascent(NamedTuple):
 
 
 def frozen(theta: np.ndarray, held: np.ndarray, real_modes: bool) -> np.ndarray:
-    """1 for unknowns that the data does not see: dampings held or at their limits, and such frequencies, ``(n, q)``."""
+    """1 for unknowns without effect: dampings held, and dampings and frequencies at their limits, shape ``(n, q)``."""
     gone, stuck = limits(theta)
     blind = np.zeros(theta.shape)
     blind[:, 0], blind[:, 1] = gone, np.maximum(held, stuck)
@@ -126,13 +126,13 @@ def _finite(value: Sums) -> bool:
 
 
 class _State:
-    """Damping, and what the last step promised."""
+    """Damping of the steps, and the reduction that the last step promised."""
 
     def __init__(self) -> None:
         self.damping, self.predicted, self.rejected = 1e-3, np.inf, 0
 
     def judge(self, before: float | None, cost: float, good: bool, small: float) -> bool:
-        """Take a trial's outcome into the damping; whether it gained next to nothing."""
+        """Adapt the damping to the outcome of a trial; True if the trial gained next to nothing."""
         if not good:
             self.damping, self.rejected = min(self.damping * 8.0, 1e14), self.rejected + 1
             return False
@@ -145,7 +145,7 @@ class _State:
         return drop <= small and abs(self.predicted) <= 10 * small
 
     def step(self, theta: np.ndarray, at: Sums, blind: np.ndarray, small: float) -> tuple[np.ndarray, bool]:
-        """The next trial, and whether it is not worth its while."""
+        """The next trial, and whether its promised gain is too small to continue."""
         free = blind.ravel() == 0
         scale = np.sqrt(np.where(np.diag(at.matrix) > 0, np.diag(at.matrix), 1.0))
         # In scaled variables the matrix has a unit diagonal, so one damping suits all unknowns.

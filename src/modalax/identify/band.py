@@ -1,4 +1,4 @@
-"""Which lines of the FRFs are fitted, and why others are left out."""
+"""Choice of the frequency lines to fit: a line at 0 Hz and drift of the sensors are left out."""
 
 import numpy as np
 from jaxtyping import Float
@@ -8,7 +8,7 @@ from modalax.data.frf import DERIVATIVES, FRF
 # Accelerance (squared) at the first line over that where it stops falling, from which on it counts as drift: a
 # suspension whose resonance lies a tenth below the first line makes 30.
 FALL = 100.0
-LEADING = 0.05  # part of the FRFs' sum of squares that drift must hold before its lines are left out
+LEADING = 0.05  # share of the FRFs' sum of squares from which on lines with drift are left out
 FROM_ZERO = 5.0  # lines, in steps between them: data that starts above this may start on the flank of a resonance
 STILL = 1.5  # fall over half an octave below which drift has ended; its power falls at least with the frequency
 BINS = 24  # lines, at least, among which drift is looked for
@@ -16,10 +16,10 @@ MOST = 0.25  # part of the lines, at most, that drift may take
 
 
 def usable_lines(frf: FRF, choose: bool) -> tuple[FRF, list[str]]:
-    """The FRF without lines that no mode makes, and a sentence on each thing that was left out or should be.
+    """The FRF without lines that hold no vibration, and a sentence on each thing that was or should be left out.
 
     A line at 0 Hz holds the offsets of amplifiers, and the lower residual term is infinite there. Drift, see
-    :func:`drift_ends`, is left out where ``choose`` is true; where the user gave the band it is only told.
+    :func:`drift_ends`, is left out where ``choose`` is true; where the user gave the band a sentence only advises it.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-r"""Is a mode the same in a wide and in a narrow band? A linear one is; one that changes with amplitude is not.
+r"""Test whether a mode is the same in a wide and a narrow band, as a linear one is and an amplitude-dependent is not.
 
 Both bands give maximum-likelihood estimates of :math:`\theta = (\ln\omega, \ln\zeta)` of the mode. If the structure is
 linear both are consistent and the wide one is efficient, so that the covariance of their difference is the difference

@@ -1,4 +1,4 @@
-r"""What noise does to the mean of LSCF and pLSCF: damping falls, frequency stays.
+r"""Bias of LSCF and pLSCF due to noise: the damping comes out too low, the frequency hardly changes.
 
 The poles of the expected problem :math:`M_0 + C` (see :mod:`modalax.identify.normal_equations`) are found by the whole
 solve, because in over-modelled orders :math:`M_0` is singular and no expansion about it exists. Each mode is followed
@@ -217,7 +217,7 @@ def _along(
 def follow_poles(
     poles: Complex[Array, "t p"], valid: Bool[Array, "t p"], start: Complex[Array, " n"]
 ) -> tuple[Complex[Array, "t n"], Bool[Array, "t n"]]:
-    """The successors of ``start`` along the first axis; certain while no other root is nearly as close."""
+    """Follow roots along the first axis from ``start``; a path is certain while no other root is nearly as close."""
 
     def step(state: tuple[Array, Array, Array], row: tuple[Array, Array]) -> tuple[Any, Any]:
         last, drift, certain = state
@@ -237,6 +237,6 @@ def follow_poles(
 
 
 def is_shared(poles: Complex[Array, "t n"]) -> Bool[Array, "t n"]:
-    """Which modes ended on the same root as another one."""
+    """Whether each mode ended on the same root as another one."""
     same = jnp.abs(poles[:, :, None] - poles[:, None, :]) == 0
     return jnp.sum(same, axis=2) > 1

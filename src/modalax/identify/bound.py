@@ -1,4 +1,4 @@
-"""How well a modal model can be known at best: the Cramer-Rao bound."""
+"""The Cramer-Rao bound: the least standard deviations that any unbiased estimate of a modal model can have."""
 
 import equinox as eqx
 from jaxtyping import Array, Complex, Float

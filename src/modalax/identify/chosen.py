@@ -1,4 +1,4 @@
-"""Modes that an engineer picks, drops or adds by frequency, fitted with exactly those."""
+"""Fits with the modes that a user picks, drops or adds by their frequency."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -15,7 +15,7 @@ from modalax.model.modal import ModalModel, poles_from
 
 REACH = 0.02  # largest distance of a mode from the frequency that was named, relative to it
 DAMPING = 0.01  # damping ratio from which an added mode starts where the diagram has no pole near
-AGAIN = 2  # refinements with the noise read off the residual, where it is not known
+AGAIN = 2  # refinements with the noise estimated from the residual, where it is not known
 
 
 class Choice(NamedTuple):
@@ -45,7 +45,7 @@ def choice_of(pick: Any, drop: Any, add: Any, band: tuple[float, float]) -> Choi
             if not band[0] <= f <= band[1]:
                 raise ValueError(f"{what} names {f:g} Hz; the band is {band[0]:g} to {band[1]:g} Hz")
     if lists[0] is not None and lists[1]:
-        raise ValueError("pick keeps the modes named and no other, so drop has nothing to do; give one of them")
+        raise ValueError("pick keeps only the modes named, so drop has nothing to do; give one of the two")
     return Choice(lists[0], lists[1] or (), lists[2] or ())
 
 
@@ -78,7 +78,7 @@ def chosen_poles(choice: Choice, poles: Any, table: PoleTable) -> np.ndarray:
         poles = np.delete(poles, near)
     poles = np.concatenate([poles, [_added(f, table, poles) for f in choice.add]])
     if not len(poles):
-        raise ValueError("every mode is dropped; keep one at least")
+        raise ValueError("every mode is dropped; keep at least one")
     return poles[np.argsort(np.abs(poles))]
 
 
@@ -102,7 +102,7 @@ def fit_chosen(
     Parameters
     ----------
     frf
-        The FRF, with its variance where it is known; else the noise is read off the residual.
+        The FRF, with its variance where it is known; else the noise is estimated from the residual.
     options
         ``residuals`` and ``real_modes``, as for :func:`modalax.identify.residues.residues`.
     """

@@ -1,4 +1,4 @@
-"""Whether two close modes are two, or one that the record or the hits made look like two."""
+"""Test whether two close modes are two, or one that a short record or unequal hits make look like two."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -78,7 +78,7 @@ def _level(frf: FRF, left: float) -> float:
 
 
 def _alike(model: ModalModel, pair: tuple[int, int]) -> bool:
-    """Whether the two modes' shapes tell them apart nowhere."""
+    """Whether the two modes have the same shape."""
     longer = model.shapes if model.shapes.shape[1] >= model.participation.shape[1] else model.participation
     return longer.shape[1] < FEW or float(mac(longer[pair[0]][None], longer[pair[1]][None])[0, 0]) > ALIKE
 
@@ -132,7 +132,7 @@ class Record(NamedTuple):
     plain: bool = True
 
     def text(self) -> str:
-        """What kind of record."""
+        """The kind of record in words."""
         return RECORDS[self.kind].format(T=self.duration)
 
 

@@ -1,4 +1,4 @@
-r"""LSCF without the noise bias, and without iteration: three ways to use that the noise matrix is known.
+r"""Three estimators that avoid the noise bias of LSCF without iteration, because the noise matrix is known.
 
 In the polynomial basis that is orthonormal under the noise density (Arnoldi's process on the lines), the noise matrix
 is the unit matrix: :math:`E[\tilde M] = M_0 + I`. Noise then lifts all eigenvalues evenly and turns no eigenvector.

@@ -1,4 +1,4 @@
-"""Stabilization diagrams of the whole band and of parts of it, and the modes that last in them."""
+"""Stabilization diagrams of the whole band and of parts of it, and the stable modes in them."""
 
 import jax.numpy as jnp
 import numpy as np

@@ -1,4 +1,4 @@
-r"""Whether channels, and lines, agree on the pole of a mode, and what the pole is worth where they do not.
+r"""How much channels and lines disagree on the pole of a mode, and the error of the pole where they do.
 
 A change of a pole by :math:`\delta` changes the response of channel :math:`c` by :math:`\delta R_c/(s-\lambda)^2`. Each
 part of the data (an input, an output, a flank of the resonance) so asks for a change of its own. What these differ by
@@ -22,7 +22,7 @@ SURE = 4.0  # standard deviations by noise from which on the shift of a group is
 
 
 class Spread(NamedTuple):
-    r"""What groups of the data ask for beside each other.
+    r"""Changes of a pole that groups of the data ask for, and their scatter.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Spread(NamedTuple):
 
 
 def of_channels(hood: Neighbourhood, groups: np.ndarray) -> Spread:
-    """What groups of channels ask for.
+    """Changes of a pole that groups of channels ask for.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def of_channels(hood: Neighbourhood, groups: np.ndarray) -> Spread:
 
 
 def of_lines(hood: Neighbourhood) -> Spread:
-    """What the parts of the resonance below, on either side of, and above its peak ask for."""
+    """Changes of a pole that the parts of a resonance below, around and above its peak ask for."""
     pole = hood.poles[0]
     change = hood.weight * hood.s**hood.power / (hood.s - pole) ** 2
     part = np.digitize((hood.s.imag - pole.imag) / -pole.real, FLANKS)

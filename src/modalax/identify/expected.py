@@ -1,4 +1,4 @@
-r"""What noise does to the mean of LSCE and FDPI: their expected normal equations, as :mod:`.normal` has LSCF's.
+r"""Bias of LSCE and FDPI due to noise, from their expected normal equations (LSCF: :mod:`.normal_equations`).
 
 **LSCE.** The rows are lagged samples of the band's impulse response, an inverse Fourier transform of the lines, so
 noise of variance :math:`\sigma^2_{foi}` on the FRFs adds to their normal matrix

@@ -93,7 +93,7 @@ def _words(modes: Modes, r: int) -> list[str]:
     edge = min(f - first, last - f) < max(width, 1.5 * step)
     vague = np.isfinite(modes.damping_std[r]) and modes.damping_std[r] > VAGUE * zeta
     return [
-        "at a bound: its damping is not told by the data" if bound else "",
+        "at a bound: the data do not determine its damping" if bound else "",
         "below the noise" if weak or q.peak < 1 else "",
         "one sensor only" if count >= 3 and q.channels < ALONE else "",
         _unresolved(modes, r),
@@ -256,5 +256,5 @@ def _equal_decay(modes: Modes, grades: np.ndarray) -> list[str]:
         return []
     return [
         f"All modes decay at nearly the same rate, {rates.min():.3g} to {rates.max():.3g} 1/s, as an exponential "
-        "window makes them: if one was used, its rate belongs taken out of the damping ratios."
+        "window makes them: if one was used, subtract its rate from the decay rates."
     ]

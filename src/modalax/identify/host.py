@@ -48,7 +48,7 @@ def shorter_side(model: Modal, samples: Samples) -> np.ndarray:
 def residues_on_host(
     frf: FRF, poles: Any, *, residuals: str = "complex", real_modes: bool = False, weights: Any = "auto"
 ) -> ModalModel:
-    """What :func:`modalax.identify.residues` gives for the same arguments."""
+    """Residues as :func:`modalax.identify.residues` gives them for the same arguments."""
     check_size(frf, len(poles), residuals)
     samples = samples_of(frf, residuals, real_modes)
     modal, _ = linear_fit(samples, np.asarray(poles), np.asarray(sigma_of(frf, weights)))
@@ -59,7 +59,7 @@ def refine_on_host(
     frf: FRF, model: ModalModel, *, residuals: str = "complex", real_modes: bool = False, weights: Any = "auto",
     covariance: str = "gauss-newton", scale_errors: str = "auto", max_steps: int = 60, tol: float = PRECISE,
 ) -> Refined:  # fmt: skip
-    """What :func:`modalax.identify.refine` gives for the same arguments.
+    """Refine a model as :func:`modalax.identify.refine` does for the same arguments.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def refine_on_host(
 
 
 def refined_of(frf: FRF, found: Maximum, kind: str, scale_errors: str = "auto") -> Refined:
-    """A search's end with its error bars; kinds and scaling as for :func:`modalax.identify.refine`."""
+    """The end of a search with standard deviations; kinds and scaling as for :func:`modalax.identify.refine`."""
     variance = found.chi2 / found.dof
     inflate = {"never": 1.0, "always": variance}.get(scale_errors, found.inflate)
     n, q = found.at.theta.shape

@@ -24,7 +24,7 @@ MANY = 20  # rows from which on their scores tell how much rows differ
 
 
 def rows(projection: Projection, at: Ascent) -> Iterator[Row]:
-    """What each output adds at the end of a search."""
+    """Contributions of the outputs at the end of a search."""
     for block in projection.blocks(at.theta, at.pivot, at.held):
         yield from block.rows()
 

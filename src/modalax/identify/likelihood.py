@@ -24,7 +24,7 @@ LAGS = 8  # lines over which a residual that is not white is taken to be correla
 
 
 class Problem(eqx.Module):
-    r"""What the likelihood needs of the data; one row an output.
+    r"""The data as the likelihood needs them, with a row for each output.
 
     Attributes
     ----------
@@ -194,7 +194,7 @@ def _column_derivatives(theta: Float[Array, "n q"], problem: Problem) -> Float[A
 
 
 class Parts(eqx.Module):
-    """What one output adds.
+    """Contribution of one output to the cost and its derivatives.
 
     Attributes
     ----------
@@ -321,7 +321,7 @@ def objective(flat: Float[Array, " p"], problem: Problem) -> tuple[Array, tuple[
 
 
 def frozen_slots(problem: Problem, theta: Float[Array, "n q"]) -> Float[Array, "p p"]:
-    """Unit diagonal for unknowns that the data does not see: those of empty slots, dampings held or at their limits."""
+    """Unit diagonal for unknowns without effect: those of empty slots, and dampings held or at their limits."""
     blind = jnp.broadcast_to((1 - problem.active)[:, None], theta.shape)
     limit = (theta[:, 1] <= jnp.log(UNDAMPED)) | (theta[:, 1] >= jnp.log(0.999))
     gone = (theta[:, 0] <= FAR[0]) | (theta[:, 0] >= FAR[1])
@@ -344,7 +344,7 @@ def _with_value_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
 
 
 def parts(theta: Float[Array, "n q"], problem: Problem) -> Parts:
-    """Everything about every output at the solution, stacked along the outputs."""
+    """Contributions of all outputs at the solution, stacked along the outputs."""
     C, dC = _columns(theta, problem), _column_derivatives(theta, problem)
 
     def row(pair: tuple[Array, Array]) -> Parts:

@@ -1,7 +1,7 @@
-r"""Modes fitted each where it dominates, for data that no one linear model explains.
+r"""Fits of each group of modes where it dominates, for data that no single linear model explains.
 
-Noise read off the residual weighs every row of the FRF matrix by its own size. Where rows contradict each other, as
-those of a hammer that roves over a structure whose frequencies depend on the amplitude, many quiet rows then outvote
+Noise estimated from the residual weighs every row of the FRF matrix by its own size. Where rows contradict each other,
+as those of a hammer that roves over a structure whose frequencies depend on the amplitude, many quiet rows then outvote
 the few loud ones that hold most of the response. Least squares over all lines is no way out, for modes that are hardly
 excited run off to absorb what the loud ones leave. So every group of close modes is fitted in a window of its own.
 """

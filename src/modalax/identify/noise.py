@@ -1,4 +1,4 @@
-"""The noise that weighs the fit: given, smoothed, or estimated from the residual."""
+"""Noise for the weights of a fit: given, smoothed, or estimated from the residual."""
 
 from typing import Any
 

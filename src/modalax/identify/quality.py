@@ -1,7 +1,7 @@
-r"""What the data tell of each mode: how far it stands out, and how well the parts of the data agree on it.
+r"""Quality of each mode: how far it stands out of the noise, and how well the parts of the data agree on it.
 
-All from the lines around the mode with everything else taken out (:mod:`modalax.identify.neighbourhood`), so that the
-same numbers exist with and without a refinement.
+All of it comes from the lines around the mode with everything else taken out (:mod:`modalax.identify.neighbourhood`),
+so that the same numbers exist with and without a refinement.
 """
 
 from typing import NamedTuple
@@ -23,7 +23,7 @@ LATE = 0.5  # part of the orders, from the highest down, whose poles tell the sc
 
 
 class ModeQuality(NamedTuple):
-    """What the lines around one mode tell.
+    """Quality of one mode, from the lines around it.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class ModeQuality(NamedTuple):
 
 
 def quality_of(frf: FRF, model: ModalModel) -> list[ModeQuality]:
-    """What the data tell of each mode of a model."""
+    """Quality of each mode of a model."""
     residual = residual_of(frf, model)
     return [_one(frf, around(frf, model, residual, [r], smooth=True)) for r in range(model.poles.size)]
 

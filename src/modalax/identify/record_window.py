@@ -1,4 +1,4 @@
-r"""What a record of finite length makes of a resonance.
+r"""Resonances as they appear in FRFs from records of finite length.
 
 An FRF estimated from blocks of length :math:`T` is the transform of the impulse response times a lag window,
 :math:`\hat H(\omega) = \int_0^T h(t)\,g(t/T)\,e^{-j\omega t}dt`. A mode :math:`h = Re^{\lambda t}` so makes

@@ -1,8 +1,8 @@
-r"""Least squares of shapes in reduced coordinates, and what the unknowns of the poles change in it.
+r"""Least squares of shapes in reduced coordinates, with its derivatives by the unknowns of the poles.
 
-The lines of the FRFs are gone: with the triangular factor :math:`U` of a channel's basis, of which the further terms
-are eliminated, its data are :math:`\beta`, its columns :math:`A = U_g a + U_h b` with few real pairs, and everything
-has as many rows as the basis has columns. Arrays have one axis for references and one for these rows.
+The lines of the FRFs no longer appear: with the triangular factor :math:`U` of a channel's basis, of which the further
+terms are eliminated, its data are :math:`\beta`, its columns :math:`A = U_g a + U_h b` with few real pairs, and
+everything has as many rows as the basis has columns. Arrays have one axis for references and one for these rows.
 """
 
 from collections.abc import Callable, Iterator
@@ -24,7 +24,7 @@ class Sums(NamedTuple):
 
 
 class Row(NamedTuple):
-    """What one output adds.
+    """Contribution of one output to the cost and its derivatives.
 
     Attributes
     ----------
@@ -151,7 +151,7 @@ class SharedOutputs:
 
 
 class OwnOutputs:
-    """Outputs each of weights of its own; arrays as in :class:`SharedOutputs` with a first axis for outputs.
+    """Outputs with different weights; arrays as in :class:`SharedOutputs` with a first axis for outputs.
 
     Parameters
     ----------

@@ -20,14 +20,14 @@ from modalax.model.modal import ModalModel
 REASONS = (
     "the likelihood has a maximum here",
     "the search ran out of steps; start nearer, or fit fewer modes",
-    "the data and the start do not make a finite likelihood",
-    "a mode lost its damping: at its frequency the data holds no resonance",
+    "the likelihood of the start is not finite for this data",
+    "a mode lost its damping: the data shows no resonance at its frequency",
     "a mode left the neighbourhood of its start, the frequency moved by more than five half-bandwidths",
-    "no one linear model makes all FRFs: some modes' poles are those of least squares where they dominate",
-    "the poles are the diagram's: they are known better than any modal model of the band makes the FRFs",
+    "no single linear model explains all FRFs: the poles of some modes are fitted where these modes dominate",
+    "the poles are those of the diagram, which knows them better than a modal model of the band fits the FRFs",
 )
-REACH = 2.0  # half-bandwidths outside the band from which on a mode keeps the damping of its start
-MANY = 20  # rows from which on their scores tell how much rows differ
+REACH = 2.0  # distance from the band, in half-bandwidths, beyond which a mode keeps the damping of its start
+MANY = 20  # number of rows from which on the scatter of their scores shows how much rows differ
 CORRELATED = 1e-3  # p-value of the whiteness test below which lines are taken to be correlated
 OUT_OF_STEPS, CONTRADICTION, HELD = 1, 5, 6  # indices of their reasons
 UNIT = 1e-9  # standard deviation assumed where none is known, relative to the FRF
@@ -197,7 +197,7 @@ def _at_inputs(model: ModalModel, inputs: tuple[str, ...]) -> ModalModel:
 
 
 def _cut(result: Refined, n: int) -> Refined:
-    """The result without its empty slots."""
+    """The result without the empty slots that only pad its arrays."""
     m = result.model
     model = m.replace(
         poles=m.poles[:n], shapes=m.shapes[:n], participation=m.participation[:n], frequency_std=0.0, damping_std=0.0

@@ -1,4 +1,4 @@
-"""What a fit found: modes with error bars, flags and grades, and what is left."""
+"""The result of a fit: modes with standard deviations, flags and grades, and the residual."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ from modalax.model.modal import ModalModel
 
 
 class Fit(eqx.Module):
-    """Everything that :func:`fit` found.
+    """Result of :func:`fit`.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-r"""The scan of a residual for modes that it asks for, on the host: score tests at many poles by matrix products.
+r"""Scan of a residual for missing modes, on the host: score tests at many poles by matrix products.
 
 The statistic is that of :func:`modalax.identify.mode_scores`. Single precision is enough, for what is compared are
 sums of squares of standard deviations with a threshold.

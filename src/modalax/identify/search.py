@@ -1,6 +1,6 @@
-r"""Modes that a fit lacks, or has without need: score tests on the whitened residual.
+r"""Score tests on the whitened residual, for modes that a fit lacks or has without need.
 
-A stabilization diagram shows what is plain; a weakly excited mode drowns in it. The residual of a maximum-likelihood
+A stabilization diagram shows clear modes, but weakly excited ones are lost in it. The residual of a maximum-likelihood
 fit is white noise where nothing is missing, so a missing mode shows as the matched filter's peak,
 :math:`S(\lambda) = \sum_{oi} 2|\langle k_\lambda, r_{oi}\rangle|^2/\|k_\lambda\|^2`, which under noise alone is
 :math:`\chi^2` with two degrees of freedom a channel.

@@ -1,4 +1,4 @@
-"""Modes out of a stabilization diagram, without guessing."""
+"""Automatic selection of modes from a stabilization diagram."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -23,7 +23,7 @@ class Selection(eqx.Module):
         Shape ``(n, i)``, or None where the estimator has none.
     score
         Part of the orders (from the first at which the mode showed) that have the mode, in 0..1, shape ``(n,)``: the
-        stability, which is all that a diagram tells. ``Fit.score`` adds shape and energy.
+        stability, the only evidence in a diagram. ``Fit.score`` adds shape and energy.
     spread
         Median change from order to order, relative to :math:`|\lambda|`, shape ``(n,)``.
     order

@@ -1,4 +1,4 @@
-"""A fit as ``print`` shows it: one line on the whole, one on each mode."""
+"""Text of a fit for ``print``: a line about the whole, and a line about each mode."""
 
 from collections.abc import Mapping
 from typing import Any
