@@ -10,6 +10,7 @@ from rich.table import Table
 
 from modalax._numerics.text import with_error
 from modalax.diagnose.summary import CAUSE_COLUMNS, MEANING, cause_rows, explanation_lines
+from modalax.identify.summary import BIAS, GRADE
 
 
 def new_table(title: str) -> Table:
@@ -22,15 +23,12 @@ def mode_table(modes: Sequence[Mapping[str, Any]], truth: tuple[Any, Any] | None
     refined = any(mode["frequency_std_hz"] is not None for mode in modes)
     scattered = not refined and any(mode.get("frequency_scatter_hz") is not None for mode in modes)
     table = new_table("Modes, ± one standard deviation" if refined else "Modes of the diagram, not refined")
-    table.caption = (
-        "Bias: predicted error of the damping in the stabilization diagram due to noise (empty: not known, the mode is "
-        "lost in noise); the refinement removes it."
-    )
+    table.caption = BIAS
     true = ["true"] if truth is not None else []
     grade = ["Grade"] if truth is None else []  # 80 columns do not hold both
     spread = ["Scatter [%]"] if scattered else []
     if grade:
-        table.caption = f"Grade: how sure it is that this is a mode, 0 to 1. {table.caption}"
+        table.caption = f"{GRADE} {table.caption}"
     if spread:
         table.caption = f"Scatter: by how much the damping changes over the orders of the diagram. {table.caption}"
     for name in ("Mode", "Frequency [Hz]", *true, "Damping [%]", *true, *spread, "MPC", *grade, "Bias [%]"):

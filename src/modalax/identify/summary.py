@@ -5,6 +5,12 @@ from typing import Any
 
 from modalax._numerics.text import text_table, with_error
 
+GRADE = "Grade: how sure it is that this is a mode, 0 to 1."
+BIAS = (
+    "Bias: predicted error of the damping in the stabilization diagram due to noise (empty: not known, or the mode is "
+    "lost in noise); the refinement removes it."
+)
+
 
 def summary(answer: Mapping[str, Any]) -> str:
     """The table of modes of ``Fit.to_dict()``: frequency and damping with standard deviations, MPC, flags."""

@@ -1,4 +1,4 @@
-"""Pictures and reports: the only place that draws."""
+"""Pictures and reports; no other package draws."""
 
 from modalax.show.diagnosis import diagnosis_pictures, plot_comparison, save_diagnosis_pictures
 from modalax.show.fit import fit_pictures, save_fit_pictures

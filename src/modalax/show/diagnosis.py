@@ -1,4 +1,4 @@
-"""Pictures of a diagnosis: where the simulation fails, and how the extended one does."""
+"""Pictures of a diagnosis: the errors of the simulation and of the extended simulation."""
 
 from pathlib import Path
 from typing import Any
@@ -18,14 +18,14 @@ MOST_ROWS = 60
 
 
 def run_names(level: np.ndarray) -> list[str]:
-    """Name of each run: its force [N] where that is known."""
+    """Name of each run: its force [N] where it is known."""
     return [f"run {k + 1}" if np.isnan(force) else f"{force:.4g} N" for k, force in enumerate(np.asarray(level))]
 
 
 def residual_rows(data: Measurement, before: Any, after: Any) -> tuple[list[str], np.ndarray, np.ndarray]:
     """Names of the rows of a map (channel and run), and two residuals ``(run, f, o, i)`` as ``(row, f)``.
 
-    Of very many rows those that the first residual is largest at are kept.
+    Of very many rows those with the largest first residual are kept.
     """
     before, after = np.asarray(before), np.asarray(after)
     runs, _, outputs, inputs = before.shape
@@ -43,19 +43,19 @@ def residual_rows(data: Measurement, before: Any, after: Any) -> tuple[list[str]
 
 
 def worst_channel(diagnosis: Diagnosis) -> tuple[int, int]:
-    """Output and input that the simulation misses most."""
+    """Output and input of the FRF with the largest error of the simulation."""
     energy = np.sum(np.abs(np.asarray(diagnosis.residual_before)) ** 2, axis=(0, 1))
     o, i = np.unravel_index(int(np.argmax(energy)), energy.shape)
     return int(o), int(i)
 
 
 def plot_comparison(diagnosis: Diagnosis, output: str | None = None, input: str | None = None, most: int = 6) -> Figure:
-    """One FRF at each force level, magnitude and phase: measured, simulated, and by the extended simulation.
+    """Draw one FRF at each force level, magnitude and phase: measured, simulated, and by the extended simulation.
 
     Parameters
     ----------
     output, input
-        The channel by name; the one that the simulation misses most by default.
+        The channel by name; by default the one with the largest error of the simulation.
     most
         At most this many runs are drawn, spread over all.
     """
@@ -106,7 +106,7 @@ def _compared(top: Axes, under: Axes, diagnosis: Diagnosis, channel: tuple[int, 
 
 
 def diagnosis_pictures(diagnosis: Diagnosis) -> dict[str, Figure]:
-    """Draw a diagnosis: maps of the residual before and after, and the FRF that is missed most at each level."""
+    """Draw a diagnosis: maps of the residual before and after, and the FRF with the largest error at each level."""
     names, before, after = residual_rows(
         diagnosis.comparison.measurement, diagnosis.residual_before, diagnosis.residual_after
     )

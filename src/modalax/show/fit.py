@@ -29,7 +29,7 @@ def fit_pictures(fit: Fit, truth: Truth | None = None, geometry: Geometry | None
     truth
         True frequencies [Hz] and damping ratios of the modes in the band, where known.
     geometry
-        Where the DoFs are, where known.
+        Positions of the DoFs, where known.
     """
     model, refined = fit.model, fit.refined
     inside = np.asarray(fit.inside)
@@ -62,7 +62,7 @@ def fit_pictures(fit: Fit, truth: Truth | None = None, geometry: Geometry | None
 def save_fit_pictures(
     fit: Fit, folder: Path, truth: Truth | None = None, geometry: Geometry | None = None
 ) -> list[Path]:
-    """Write the pictures of a fit as PNG files into a folder, which is made if need be, and return their paths."""
+    """Write the pictures of a fit as PNG files into a folder, made if it does not exist, and return their paths."""
     return save_pictures(fit_pictures(fit, truth, geometry), folder)
 
 

@@ -1,4 +1,4 @@
-"""FRFs beside a fit: magnitude, phase, Nyquist, coherence and what is left."""
+"""Pictures of FRFs and a fit: magnitude, phase, Nyquist, coherence and residual."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -61,7 +61,7 @@ def plot_frf(
     input: str | None = None,
     label: str = "fitted",
 ) -> Figure:
-    """One FRF in every view: magnitude with the error left, phase, coherence where known, Nyquist.
+    """Draw one FRF in every view: magnitude with the residual, phase, coherence where known, Nyquist.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def plot_frf(
     output, input
         The channel by name; the one with the most energy by default.
     label
-        What ``fitted`` is called in the legend.
+        Name of ``fitted`` in the legend.
     """
     if output is None and input is None:
         output, input = strongest(measured)
@@ -112,7 +112,7 @@ def plot_frf_grid(
     most: int = 12,
     label: str = "fitted",
 ) -> Figure:
-    """Magnitudes of several FRFs, one small picture a channel; with more than ``most`` the strongest are drawn."""
+    """Draw the magnitudes of several FRFs, a small picture for each channel; at most ``most``, the strongest."""
     some = measured.pick(outputs, inputs)
     H = np.asarray(some.H)
     model = None if fitted is None else synthesised(some, fitted)
@@ -144,7 +144,7 @@ def plot_frf_grid(
 
 
 def plot_levels(freq: Any, H: Any, level: Any, form: str = "receptance", title: str = "") -> Figure:
-    """One FRF at several force levels; curves that differ show a structure that is not linear.
+    """Draw one FRF at several force levels; curves that differ show a non-linear structure.
 
     Parameters
     ----------

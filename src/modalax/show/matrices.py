@@ -1,4 +1,4 @@
-"""Matrices between two sets of modes."""
+"""Pictures of matrices that compare two sets of modes."""
 
 from collections.abc import Sequence
 from typing import Any

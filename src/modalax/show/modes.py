@@ -1,4 +1,4 @@
-"""Frequencies and damping ratios with error bars, beside another set or the truth."""
+"""Pictures of frequencies and damping ratios with error bars, compared with another set of modes."""
 
 from typing import Any
 
@@ -19,7 +19,7 @@ def plot_modes(
     name: str = "estimated",
     intervals: float = 1.96,
 ) -> Figure:
-    """Modes with error bars: damping over frequency, and the deviation of each from a reference.
+    """Draw modes with error bars: damping over frequency, and the deviation of each mode from a reference.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def plot_modes(
 
 
 def _padded(values: np.ndarray) -> tuple[float, float]:
-    """Limits a tenth of the range outside all values."""
+    """Axis limits that leave a tenth of the range on either side of all values."""
     low, high = float(np.min(values)), float(np.max(values))
     room = 0.1 * (high - low) or 0.02 * high
     return low - room, high + room

@@ -1,4 +1,4 @@
-"""Where a prediction misses: maps of the whitened residual."""
+"""Maps of the whitened residual, which show where a prediction is wrong."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -36,7 +36,7 @@ def plot_residual_map(
     title: str = "Whitened residual",
     bands: int = 160,
 ) -> Figure:
-    r"""Energy of a whitened residual over frequency and channel; 1 is noise alone, more is error of the prediction.
+    r"""Draw the energy of a whitened residual over frequency and channel: 1 is noise alone, more is an error.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Mode shapes on the geometry, still and moving."""
+"""Pictures and animations of mode shapes on the geometry."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -83,7 +83,7 @@ def animate_shape(
     seconds: float = 1.2,
     view: tuple[float, float] = VIEW,
 ) -> Path:
-    """Write one cycle of a mode shape as a GIF that repeats for ever, and return its path.
+    """Write one cycle of a mode shape as an endless GIF animation, and return its path.
 
     Raises
     ------

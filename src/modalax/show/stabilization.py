@@ -1,4 +1,4 @@
-"""The stabilization diagram: poles of rising order over the sum of the FRFs."""
+"""Picture of the stabilization diagram: poles of rising order over the sum of the FRFs."""
 
 from typing import Any, Protocol, runtime_checkable
 
@@ -22,7 +22,7 @@ KINDS = (
 
 @runtime_checkable
 class Flags(Protocol):
-    """What is read of a stability: boolean arrays ``(order, pole)``."""
+    """Stability of the poles as it is drawn: boolean arrays ``(order, pole)``."""
 
     @property
     def frequency(self) -> Any: ...  # noqa: D102

@@ -1,4 +1,4 @@
-"""What all pictures share: colours, units, axes. Figures are made without pyplot, so that nothing is kept globally."""
+"""Style of all pictures: colours, units, axes. Figures are made without pyplot, so that no state is kept globally."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-# Okabe and Ito's colours, told apart by colour-blind eyes and in grey print.
+# Okabe and Ito's colours, which colour-blind readers can tell apart, also in grey print.
 BLACK, ORANGE, SKY, GREEN = "#222222", "#d55e00", "#56b4e9", "#009e73"
 BLUE, PINK, GOLD, GREY = "#0072b2", "#cc79a7", "#e69f00", "#8c8c8c"
 SERIES = (BLUE, ORANGE, GREEN, PINK, GOLD, SKY, BLACK)

@@ -1,4 +1,4 @@
-"""Reports: one self-contained HTML file each, that opens without a network."""
+"""Reports, each a self-contained HTML file that opens without a network."""
 
 from modalax.show.report.check import check_report
 from modalax.show.report.diagnosis import diagnosis_report

@@ -1,4 +1,4 @@
-"""The report of a check: one section a finding, with its evidence drawn."""
+"""The report of a check, with a section and a picture of the evidence for each finding."""
 
 from modalax.check.finding import Finding, Findings, Picture
 from modalax.show.report.page import Page, Plot, Section, Table
@@ -18,7 +18,7 @@ def check_report(result: Findings, title: str = "Check of a measurement") -> str
     facts = [("Findings", str(len(result)))]
     if len(result):
         facts.append(("Surest", f"{result.findings[0].what}: {result.findings[0].place}"))
-    return Page(title, "What is wrong with a measurement, before any model", facts, check_sections(result)).html()
+    return Page(title, "Faults of a measurement, found without a model", facts, check_sections(result)).html()
 
 
 def check_sections(result: Findings) -> list[Section]:
@@ -27,7 +27,7 @@ def check_sections(result: Findings) -> list[Section]:
         return [Section("Findings", ["Nothing wrong was found.", *result.about])]
     rows = [[f.what, f.place, f.measure, f"{f.sure:.3f}"] for f in result]
     head = ["What", "Where", "Size", "Sure [-]"]
-    table = Table(head, rows, "Sure is the probability that the fault is real.", text_columns=(0, 1))
+    table = Table(head, rows, "Sure: probability that the fault is real.", text_columns=(0, 1))
     return [Section("Findings", list(result.about), [table]), *(_section(f) for f in result)]
 
 
@@ -35,7 +35,7 @@ def _section(found: Finding) -> Section:
     sentence = lambda text: f"{text[:1].upper()}{text[1:]}."  # noqa: E731
     text = [sentence(found.evidence), f"What to do: {found.advice}."]
     if found.interval is not None:
-        text.insert(1, f"The size lies within {found.interval[0]:.5g} to {found.interval[1]:.5g} {found.unit} (95 %).")
+        text.insert(1, f"95 % interval of the size: {found.interval[0]:.5g} to {found.interval[1]:.5g} {found.unit}.")
     parts = [] if found.picture is None else [picture_plot(found.picture, f"Evidence: {found.evidence}.")]
     return Section(f"{found.what}: {found.place}", text, parts)
 

@@ -17,14 +17,14 @@ MOST_CANDIDATES = 12  # rows of the table of candidates
 
 
 def interval(value: float | None, std: float | None) -> str:
-    """Range that holds the value with 95 %."""
+    """95 % interval of a value, as text."""
     if value is None or std is None or not math.isfinite(std):
         return "not known"
     return f"{value - 1.96 * std:.5g} to {value + 1.96 * std:.5g}"
 
 
 def cause_rows(causes: Sequence[Mapping[str, Any]]) -> Table:
-    """Parameters of the causes with intervals."""
+    """Table of the causes and their parameters with intervals."""
     rows = []
     for cause in causes:
         first = [cause["name"], place_text(cause["where"]), f"{cause['probability']:.3f}"]
@@ -35,17 +35,17 @@ def cause_rows(causes: Sequence[Mapping[str, Any]]) -> Table:
             ]  # fmt: skip
             rows.append([*(first if k == 0 else ["", "", ""]), *cells])
     head = ["Cause", "Where", "Probability", "Parameter", "Value ± standard deviation", "95 % interval"]
-    return Table(head, rows, "What the extended simulation contains.", text_columns=(0, 1, 3))
+    return Table(head, rows, "Causes that the extended simulation contains.", text_columns=(0, 1, 3))
 
 
 def gain_rows(gain: Mapping[str, Any]) -> Table:
-    """What the extension gains on the data it was not fitted to."""
+    """Table of how much better the extended simulation predicts data that it was not fitted to."""
     likelihood = with_error(gain["log_likelihood_gain"], gain["log_likelihood_gain_std"])
     rows = [
         ["Chi-square per real sample (1 is noise alone)", f"{gain['chi2_before']:.4g}", f"{gain['chi2_after']:.4g}"],
         ["Gain of log-likelihood [nats]", "", likelihood],
     ]
-    return Table(["On the held-out block", "Simulation", "Extended"], rows, f"Held out: {gain['held_out']}.")
+    return Table(["On the held-out block", "Simulation", "Extended"], rows, f"Held out of the fit: {gain['held_out']}.")
 
 
 def diagnosis_sections(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> list[Section]:
@@ -57,9 +57,7 @@ def diagnosis_sections(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> list[
     if answer["advice"]:
         text.append(_sentence(advice_text(answer)))
     # A probability of 0.95 allows 1 in 20 to be wrong; a reader must know what it is a probability of.
-    text.append(
-        "Probabilities compare the causes of the catalogue with one another, each with its place and parameters."
-    )
+    text.append("The probabilities compare the causes of the catalogue with one another, at all places and parameters.")
     first = Section("Answer", text, [cause_rows(answer["causes"])] if answer["causes"] else [])
     names, before, after = residual_rows(
         diagnosis.comparison.measurement, diagnosis.residual_before, diagnosis.residual_after
@@ -94,10 +92,10 @@ def _frfs(diagnosis: Diagnosis) -> Plot:
 
 def _tests(diagnosis: Diagnosis) -> str:
     before, after = diagnosis.tests
-    text = f"The simulation leaves a largest deviation of {before.z:.3g} standard deviations ({before.where})"
+    text = f"The largest deviation from the simulation is {before.z:.3g} standard deviations ({before.where})"
     if diagnosis.extended is None:
         return f"{text}."
-    return f"{text}; the extended one {after.z:.3g} (chance under noise alone {after.p_value:.2g})."
+    return f"{text}, from the extended one {after.z:.3g} (chance of that under noise alone: {after.p_value:.2g})."
 
 
 def _candidates(diagnosis: Diagnosis) -> list[Table | Plot]:
@@ -105,7 +103,7 @@ def _candidates(diagnosis: Diagnosis) -> list[Table | Plot]:
     names = [name for name, _, _ in leading]
     rows = [[name, f"{p:.4f}", f"{value - leading[0][2]:.4g}"] for name, p, value in leading]
     caption = f"The {len(leading)} leading of {len(diagnosis.candidates)} sets that were fitted in full."
-    head = ["Set of causes", "Probability", "Log evidence to the first [nats]"]
+    head = ["Set of causes", "Probability", "Log evidence relative to the first [nats]"]
     chart = bar_plot(names[:6], [p for _, p, _ in leading[:6]], "Probability [-]", "Probabilities of the leading sets.")
     return [chart, Table(head, rows, caption)]
 
@@ -121,7 +119,7 @@ def _smallest(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> Table:
 
 
 def diagnosis_facts(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Key facts on top of the page."""
+    """Key facts at the top of the page."""
     data = diagnosis.comparison.measurement
     facts = [("Verdict", answer["verdict"])]
     if answer["causes"]:

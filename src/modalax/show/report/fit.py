@@ -7,6 +7,7 @@ import numpy as np
 
 from modalax._numerics.text import with_error
 from modalax.data.geometry import Geometry
+from modalax.identify.summary import BIAS, GRADE
 from modalax.model.indicators import auto_mac
 from modalax.show.matrices import mode_names
 from modalax.show.report.page import Page, Section, Table
@@ -35,14 +36,10 @@ def mode_rows(modes: Sequence[Mapping[str, Any]], truth: tuple[Any, Any] | None 
             row += [f"{float(truth[0][k]):.5g}", f"{100 * float(truth[1][k]):.4g}"]
     flagged = any(m.get("flags") for m in modes)
     if flagged:
-        head.append("To be known")
+        head.append("Remarks")
         for m, row in zip(modes, rows, strict=True):
             row.append("; ".join(m.get("flags", ())))
-    words = (
-        f"{'± is one standard deviation. ' if refined else ''}Grade: how sure it is that this is a mode, 0 to 1. Bias: "
-        "what noise does to the damping in the diagram, as predicted (none: the mode is lost in it); the refinement "
-        "removes it."
-    )
+    words = f"{'± is one standard deviation. ' if refined else ''}{GRADE} {BIAS}"
     return Table(head, rows, words, text_columns=(len(head) - 1,) if flagged else ())
 
 
@@ -53,7 +50,7 @@ def _bias(mode: Mapping[str, Any]) -> str:
 
 
 def _unexplained(answer: Mapping[str, Any]) -> str:
-    """The part not explained, and how much of it is noise where that is told."""
+    """The unexplained part of the measured energy, and how much of it is noise where that is known."""
     whole = f"{100 * answer['unexplained']:.3g} %"
     noise = answer.get("unexplained_noise")
     return whole if noise is None else f"{whole}, of which {100 * noise:.2g} % noise"
@@ -70,8 +67,8 @@ def fit_sections(
     refined = fit.refined
     if refined is None:
         how = (
-            "The poles are the diagram's and were not refined, so they have no standard deviations; their damping "
-            "ratios may be far off where they scatter over the orders."
+            "The poles were read from the stabilization diagram and not refined, so they have no standard deviations; "
+            "their damping ratios may be far off where they scatter over the orders."
         )
     elif bool(refined.success):
         how = "The poles, shapes and residual terms were refined together by maximum likelihood."

@@ -82,7 +82,7 @@ def axis_of(freq: np.ndarray) -> dict[str, Any]:
 
 
 def frf_plot(measured: FRF, fitted: Predicts | None, name: str = "fitted", caption: str = "") -> Plot:
-    """FRFs of the channels with the most energy (all that fit the budget), one at a time."""
+    """Plot the FRFs of the channels with the most energy (all that fit the budget), one at a time."""
     which = thinned(measured)
     H, freq = np.asarray(measured.H)[which], np.asarray(measured.freq)[which]
     model = None if fitted is None else synthesised(measured, fitted)[which]
@@ -103,7 +103,7 @@ def frf_plot(measured: FRF, fitted: Predicts | None, name: str = "fitted", capti
         notes.append(f"{len(which)} of {measured.shape[0]} lines, peaks kept.")
     return Plot(
         figures,
-        caption=" ".join([caption or "Measured FRF, the model over it, and what is left.", *notes]),
+        caption=" ".join([caption or "Measured FRF, fitted model, and their difference.", *notes]),
         description=f"Magnitude and phase of the measured FRFs with the {name} model over frequency.",
         height=520,
     )
@@ -307,7 +307,7 @@ def residual_plot(freq: Any, maps: Sequence[tuple[str, Any]], rows: Sequence[str
         figures.append((label, fig))
     return Plot(
         figures,
-        "Energy of the whitened residual: 1 (white) is noise alone, red is what the simulation misses.",
+        "Energy of the whitened residual: 1 (white) is noise alone, red is an error of the prediction.",
         "Map of the residual energy over frequency and channel.",
         "Prediction",
         height=int(np.clip(170 + 22 * len(rows), 320, 760)),
@@ -328,9 +328,9 @@ def comparison_plot(
     freq: Any, measured: Any, simulated: Any, extended: Any, form: str, outputs: Sequence[str], inputs: Sequence[str],
     runs: Sequence[str],
 ) -> Plot:  # fmt: skip
-    """Measured FRFs with a simulation and its extension, ``(run, f, o, i)`` each, one channel and run at a time.
+    """Plot measured FRFs with a simulation and its extension, ``(run, f, o, i)``, one channel and run at a time.
 
-    The first is the one that the simulation misses most, relative to its size.
+    The first is the one with the largest error of the simulation, relative to its size.
     """
     go = graph_objects()
     size = np.abs(np.asarray(measured))
@@ -358,5 +358,5 @@ def comparison_plot(
         figures.append((f"{outputs[o]} from {inputs[i]}" + (f", {runs[r]}" if len(runs) > 1 else ""), fig))
     caption = "Measured FRF, the simulation, and the extended simulation where there is one."
     if len(order) > len(shown):
-        caption += f" The {len(shown)} of {len(order)} channels and runs that the simulation misses most."
+        caption += f" The {len(shown)} of {len(order)} channels and runs with the largest errors of the simulation."
     return Plot(figures, caption, "Magnitude and phase of the measured and simulated FRFs over frequency.", height=520)
