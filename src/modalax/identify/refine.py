@@ -193,7 +193,7 @@ def _at_inputs(model: ModalModel, inputs: tuple[str, ...]) -> ModalModel:
     """The model with the participation of these inputs alone; as it is where there are as many."""
     if model.participation.shape[1] == len(inputs):
         return model
-    return ModalModel(model.poles, model.shapes, model._at_inputs(inputs), outputs=model.outputs, inputs=inputs)
+    return ModalModel(model.poles, model.shapes, model.participation_at(inputs), outputs=model.outputs, inputs=inputs)
 
 
 def _cut(result: Refined, n: int) -> Refined:

@@ -243,7 +243,7 @@ class ModalModel(eqx.Module):
         unknown = [n for n in (*out_names, *in_names) if n not in self.outputs and n not in self.inputs]
         if unknown:
             raise ValueError(f"no DoF named {', '.join(unknown)}; the model has {', '.join(self.outputs)}")
-        psi, part = self._at_outputs(out_names), self._at_inputs(in_names)
+        psi, part = self.shapes_at(out_names), self.participation_at(in_names)
         s = as_double(added_decay, "added_decay") + 2j * jnp.pi * freq
         near = 1 / (s[:, None] - self.poles)
         far = 1 / (s[:, None] - self.poles.conj())
@@ -256,7 +256,7 @@ class ModalModel(eqx.Module):
         H = H + self._residual(self.lower, out_names, in_names) * mass_line[:, None, None]
         return FRF(freq, H, form=form, outputs=out_names, inputs=in_names, added_decay=added_decay)
 
-    def _at_outputs(self, names: tuple[str, ...]) -> Complex[Array, "n o"]:
+    def shapes_at(self, names: tuple[str, ...]) -> Complex[Array, "n o"]:
         """Shape components at DoFs that may only have been driven (there by reciprocity)."""
         columns = [
             self.shapes[:, self.outputs.index(n)]
@@ -266,7 +266,7 @@ class ModalModel(eqx.Module):
         ]
         return jnp.stack(columns, axis=1)
 
-    def _at_inputs(self, names: tuple[str, ...]) -> Complex[Array, "n i"]:
+    def participation_at(self, names: tuple[str, ...]) -> Complex[Array, "n i"]:
         """Participation at DoFs that may only have been measured (there by reciprocity)."""
         columns = [
             self.participation[:, self.inputs.index(n)]

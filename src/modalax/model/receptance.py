@@ -68,7 +68,7 @@ def seen_at(model: ModalModel, dofs: Sequence[str]) -> ModalModel:
     if unknown:
         raise ValueError(f"no DoF named {', '.join(unknown)}; the model has {', '.join(dof_names(model))}")
     return model.replace(
-        shapes=model._at_outputs(names), participation=model._at_inputs(names), outputs=names, inputs=names,
+        shapes=model.shapes_at(names), participation=model.participation_at(names), outputs=names, inputs=names,
         upper=model._residual(model.upper, names, names), lower=model._residual(model.lower, names, names),
     )  # fmt: skip
 
@@ -101,7 +101,7 @@ def _of_modal_model(
     driven = tuple(n for n, needed in zip(names, _used(columns, 1), strict=True) if needed)
     left = rows[:, jnp.array([names.index(n) for n in used], dtype=int)].astype(complex)
     right = columns[jnp.array([names.index(n) for n in driven], dtype=int)].astype(complex)
-    psi, part = model._at_outputs(used) @ left.T, model._at_inputs(driven) @ right
+    psi, part = model.shapes_at(used) @ left.T, model.participation_at(driven) @ right
     s = 1j * omega
     H = jnp.einsum("fn,nl,nr->flr", 1 / (s[:, None] - model.poles), psi, part)
     far = 1 / (s[:, None] - model.poles.conj())

@@ -188,7 +188,7 @@ def _of_modal_model(model: ModalModel, rows: np.ndarray, columns: np.ndarray) ->
     seen = tuple(n for n, used in zip(names, np.any(rows != 0, axis=0).tolist(), strict=True) if used)
     driven = tuple(n for n, used in zip(names, np.any(columns != 0, axis=1).tolist(), strict=True) if used)
     left, right = rows[:, [names.index(n) for n in seen]], columns[[names.index(n) for n in driven]]
-    psi, part = np.asarray(model._at_outputs(seen)), np.asarray(model._at_inputs(driven))
+    psi, part = np.asarray(model.shapes_at(seen)), np.asarray(model.participation_at(driven))
     parts = [_pole_pairs(np.asarray(model.poles), left @ psi.T, part @ right)]
     lower = np.real(left @ np.asarray(model._residual(model.lower, seen, driven)) @ right)
     if np.any(lower):

@@ -12,7 +12,7 @@ import numpy as np
 
 from modalax.diagnose.modal_domain.coordinates import pattern_slopes, slopes_of
 from modalax.diagnose.modal_domain.fit import Fit
-from modalax.diagnose.modal_domain.state import Setting, _through, slopes_at
+from modalax.diagnose.modal_domain.state import Setting, feature_slopes, slopes_at
 
 SIZES = (0.0, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)  # relative sizes that are tried
 BESIDE = 8  # modes above the band that those inside may be coupled with
@@ -36,7 +36,7 @@ def rest_slopes(setting: Setting, f: Fit) -> np.ndarray:
                 size = (scale[r] * scale[s] if kind == "K" else 1.0) * (ON_DIAGONAL if r == s else 1.0)
                 patterns[k, r, s] = patterns[k, s, r] = size
             moved = pattern_slopes(t, kind, patterns)
-            columns.append(_through(setting, f.state, t, f.causes, f.u, *moved))
+            columns.append(feature_slopes(setting, f.state, t, f.causes, f.u, *moved))
     return setting.whitener @ np.concatenate(columns, axis=1)
 
 

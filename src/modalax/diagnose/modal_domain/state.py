@@ -107,11 +107,11 @@ def slopes_at(setting: Setting, state: State, causes: tuple[Change, ...] = (), u
     """Whitened derivatives of the features by the sizes of all patterns and all causes, shape ``(m, p + causes)``."""
     t = slopes_of(setting.coordinates, state.modes, state.pairs)
     parts = [pattern_slopes(t, kind, patterns) for kind, patterns in setting.patterns()]
-    columns = [_through(setting, state, t, causes, u, *part) for part in parts]
+    columns = [feature_slopes(setting, state, t, causes, u, *part) for part in parts]
     for k, cause in enumerate(causes):
         if cause.kind:
             moved = pattern_slopes(t, cause.kind, cause.matrix[None])
-            columns.append(_through(setting, state, t, causes, u, *moved))
+            columns.append(feature_slopes(setting, state, t, causes, u, *moved))
         else:
             columns.append(_channel_slope(setting, state, t, causes, u, k))
     return setting.whitener @ np.concatenate(columns, axis=1)
@@ -130,18 +130,18 @@ def screening_slopes(
             some = which[start : start + 200]
             moved = direction_slopes(t, kind, np.array([candidates[k].direction for k in some]))
             scales = np.array([candidates[k].scale for k in some])
-            out[:, some] = _through(setting, state, t, causes, u, *moved) * scales
+            out[:, some] = feature_slopes(setting, state, t, causes, u, *moved) * scales
         whole = [k for k, c in enumerate(candidates) if c.kind == kind and c.pattern is not None]
         if whole:
             moved = pattern_slopes(t, kind, np.stack([candidates[k].matrix for k in whole]))
-            out[:, whole] = _through(setting, state, t, causes, u, *moved)
+            out[:, whole] = feature_slopes(setting, state, t, causes, u, *moved)
     for k, c in enumerate(candidates):
         if not c.kind and c.sized:
             out[:, k] = _channel_slope(setting, state, t, (*causes, c), np.append(u, 0.0), len(causes))[:, 0]
     return setting.whitener @ out
 
 
-def _through(
+def feature_slopes(
     setting: Setting, state: State, t: Slopes, causes: tuple[Change, ...], u: np.ndarray,
     dpoles: np.ndarray, dout: np.ndarray, dinn: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
