@@ -98,7 +98,7 @@ def screened(measurement: Measurement, simulation: Structure) -> tuple[float, in
     took = []
     for _ in range(2):
         start = time.perf_counter()
-        screen_all(comparison, null, causes, score_state_of(comparison, null))
+        screen_all(score_state_of(comparison, null), causes)
         took.append(time.perf_counter() - start)
     return took[-1], len(causes), places
 

@@ -237,13 +237,11 @@ def test_a_stiff_joint_that_lets_go_is_told_from_one_that_drifts():
     comparison = make_comparison(M, S)
     null = comparison.fit([null], 1)[0]
     drifted = comparison.fit([null.with_cause(DriftingSpring(), Place((), (2, 4, 0)), None, np.array([-0.5 * k]))], 20)
-    found = joints_for_drifts(
-        comparison, null, drifted, [ElastoSlip(True), GapContact()], score_state_of(comparison, null)
-    )
+    found = joints_for_drifts(score_state_of(comparison, null), drifted, [ElastoSlip(True), GapContact()])
     best = min(found, key=lambda h: h.chi2)
     assert isinstance(best.causes[0], ElastoSlip) and best.chi2 < drifted[0].chi2 - 50
     assert best.params[0][0] == pytest.approx(k, rel=0.05)
-    assert joints_for_drifts(comparison, null, [true], [ElastoSlip(True)], score_state_of(comparison, null)) == []
+    assert joints_for_drifts(score_state_of(comparison, null), [true], [ElastoSlip(True)]) == []
 
 
 def test_compiled_programs_go_before_a_process_is_full(tmp_path, monkeypatch):

@@ -11,7 +11,8 @@ import pytest
 from modalax.diagnose import diagnose
 from modalax.diagnose.causes import ChannelCause, JointCause, LinesCause, ModesCause, catalogue
 from modalax.diagnose.comparison import empty, make_comparison
-from modalax.diagnose.search.singles import STRAYED, from_home
+from modalax.diagnose.screening.score_state import score_state_of
+from modalax.diagnose.search.singles import STRAYED, from_nominal_modes
 from modalax.files import load
 
 STRUCTURES = {"chain": ("masses", 35), "beam": ("frame", 12), "other chain": ("masses", 20)}
@@ -103,6 +104,8 @@ def test_units_are_looked_for_where_the_simulation_has_its_modes(tmp_path):
     case.save(tmp_path)
     comparison = make_comparison(load(tmp_path / "measurement.npz"), load(tmp_path / "simulation.npz"))
     null = comparison.fit([empty(comparison)], 14)[0]
-    found = from_home(comparison, null, [c for c in catalogue() if not isinstance(c, JointCause | LinesCause)])
+    found = from_nominal_modes(
+        score_state_of(comparison, null), [c for c in catalogue() if not isinstance(c, JointCause | LinesCause)]
+    )
     assert np.abs(null.theta).max() > STRAYED
     assert found[0].chi2 < 1.2 * comparison.problem.samples < 1e-3 * null.chi2

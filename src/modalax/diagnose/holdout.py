@@ -100,7 +100,7 @@ def _on(comparison: Comparison, kept: np.ndarray, left: np.ndarray, h: Hypothesi
     if not h.causes:
         return unseen.residual(null), 0.0
     if len(h.causes) == 1 and not seen.nuisance.active:
-        fitted = refit(seen, null, [h], score_state_of(seen, null))[0]
+        fitted = refit(score_state_of(seen, null), [h])[0]
     else:
         fitted = seen.fit([h], ROUNDS)[0]
     residual = unseen.residual(fitted)

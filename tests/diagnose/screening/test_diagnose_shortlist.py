@@ -93,5 +93,5 @@ def test_only_places_between_many_dofs_and_swaps_are_shortlisted(monkeypatch):
     kept = []
     for cause in (ChannelGain(), JointStiffness(), Gyroscopic(), ChannelSwap()):
         places = cause.places(comparison.scene)
-        kept.append((len(places), len(state.nearest(comparison, cause, places))))
+        kept.append((len(places), len(state.nearest(cause, places))))
     assert kept == [(12, 12), (78, 5), (66, 5), (66, 5)]

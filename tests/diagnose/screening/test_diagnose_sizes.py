@@ -45,7 +45,7 @@ def measured(lines):
 def masses(lines=317):
     comparison = with_noise_beside(make_comparison(measured(lines), chain()))
     null = comparison.fit([empty(comparison)], 4)[0]
-    return screen_all(comparison, null, [AddedMass()], score_state_of(comparison, null)).trials
+    return screen_all(score_state_of(comparison, null), [AddedMass()]).trials
 
 
 def test_finite_sizes_put_the_right_place_first_where_the_derivative_does_not():
@@ -59,9 +59,7 @@ def test_every_size_that_is_tried_is_exact():
     """The gain is the chi-square that the start takes away, found by fitting nothing at that start."""
     comparison = with_noise_beside(make_comparison(measured(120), chain()))
     null = comparison.fit([empty(comparison)], 4)[0]
-    for t in screen_all(comparison, null, [AddedMass(), JointStiffness()], score_state_of(comparison, null)).trials[
-        :30:7
-    ]:
+    for t in screen_all(score_state_of(comparison, null), [AddedMass(), JointStiffness()]).trials[:30:7]:
         there = comparison.fit([null.with_cause(t.cause, t.place, None, t.start)], 0)[0]
         assert t.gain == pytest.approx(null.chi2 - there.chi2, rel=1e-6, abs=1e-3)
 

@@ -116,9 +116,8 @@ def test_second_order_of_coupled_modes_is_no_finding():
     comparison = make_comparison(data, S)
     causes = [ModalDamping()]
     assert not look(comparison, causes).detection.anything
-    bare = screen_all(
-        comparison, (null := comparison.fit([empty(comparison)], 14)[0]), causes, score_state_of(comparison, null)
-    ).trials
+    null = comparison.fit([empty(comparison)], 14)[0]
+    bare = screen_all(score_state_of(comparison, null), causes).trials
     assert max(abs(t.z) for t in bare) > 6.0
 
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from modalax.diagnose.causes.base import Cause, ElementCause, LinesCause, LocalCause, PatternCause
 from modalax.diagnose.comparison import Comparison, hum_of
-from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.screening.local_elements import screen_elements
 from modalax.diagnose.screening.patterns import screen_pattern
 from modalax.diagnose.screening.products import at_places
@@ -33,7 +32,7 @@ class Screening:
 
 @dataclass(frozen=True)
 class _Screen:
-    """What a hypothesis leaves, ready to be screened for one kind of cause after the other.
+    """The residual of a hypothesis, as it is screened for one kind of cause after the other.
 
     Attributes
     ----------
@@ -45,12 +44,15 @@ class _Screen:
         Chi-square that linear elements take away at each of the same places.
     """
 
-    comparison: Comparison
-    theta: np.ndarray
     state: ScoreState
     finite: bool
     products: dict[Any, Any] = field(default_factory=dict)
     likely: dict[Any, np.ndarray] = field(default_factory=dict)
+
+    @property
+    def comparison(self) -> Comparison:
+        """Data and simulation."""
+        return self.state.comparison
 
     def trials(self, cause: Cause) -> list[Trial]:
         """Trials of one cause at all its places."""
@@ -61,15 +63,14 @@ class _Screen:
         places = cause.places(self.comparison.scene)
         if not places:
             return []
-        near = self.state.nearest(self.comparison, cause, places)
+        near = self.state.nearest(cause, places)
         if isinstance(cause, ElementCause) and self.state.reduced:
             found = self._element(cause, near, alike(places))
         else:
             problem, nuisance, _ = self.comparison.side(cause.per_run)
-            residual = self.state.sides[cause.per_run]
-            found = screen_cause(
-                cause, self.comparison.scene, near, self.theta, residual, problem, nuisance, keep=True
-            )  # fmt: skip
+            residual, theta = self.state.sides[cause.per_run], self.state.hypothesis.theta
+            assert theta is not None
+            found = screen_cause(cause, self.comparison.scene, near, theta, residual, problem, nuisance, keep=True)
         return [replace(t, trials=round(t.trials * len(places) / len(near))) for t in found]
 
     def _pattern(self, cause: PatternCause) -> list[Trial]:
@@ -112,21 +113,21 @@ class _Screen:
         return found
 
 
-def screen_all(
-    comparison: Comparison, h: Hypothesis, causes: Sequence[Cause], state: ScoreState, finite: bool = True
-) -> Screening:
-    """Screen every cause at every place on what a hypothesis leaves.
+def screen_all(state: ScoreState, causes: Sequence[Cause], finite: bool = True) -> Screening:
+    """Screen every cause at every place on the residual of a hypothesis.
 
     Parameters
     ----------
     state
-        Scores of what the hypothesis leaves, as :func:`~.score_state.score_state_of` gives them.
+        The hypothesis and its residual, as :func:`~.score_state.score_state_of` gives them.
+    causes
+        What to look for.
     finite
         Whether larger sizes of elements are tried too.
     """
-    assert h.theta is not None
-    screen = _Screen(comparison, h.theta, state, finite)
-    return Screening([t for cause in causes for t in screen.trials(cause)], h.theta)
+    assert state.hypothesis.theta is not None
+    screen = _Screen(state, finite)
+    return Screening([t for cause in causes for t in screen.trials(cause)], state.hypothesis.theta)
 
 
 def chosen(trials: list[Trial]) -> list[Trial]:

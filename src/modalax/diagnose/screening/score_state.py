@@ -1,4 +1,4 @@
-"""What a hypothesis leaves, with all that may still move about it: the point that every screening starts from."""
+"""The residual of a hypothesis, prepared for scores: the starting point of every screening."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -21,12 +21,26 @@ SPARE = 4  # directions kept free for the parameters of causes already found
 
 @dataclass(frozen=True)
 class ScoreState:
-    """What a hypothesis leaves, with the runs apart (True) and together (False), and the products for elements.
+    """Residual of a hypothesis, from which further causes are screened and fitted.
 
-    ``drop`` is the chi-square that the parameters would still take away if they moved to their best, and ``shift``
-    that move of the modal parameters, in units of their spread, shape ``(2, n)``.
+    Attributes
+    ----------
+    comparison, hypothesis
+        Data and simulation, and the hypothesis; at first the simulation alone.
+    sides
+        Residuals with the runs apart (True) and together (False).
+    reduced
+        Products of these residuals for causes that are elements; empty where there are none.
+    whole
+        Whitened residual, complex, shape ``(run, f, o, i)``.
+    drop
+        Chi-square that the parameters would still take away if they moved to their best.
+    shift
+        That move of the modal parameters, in units of their spread, shape ``(2, n)``.
     """
 
+    comparison: Comparison
+    hypothesis: Hypothesis
     sides: dict[bool, Residual]
     reduced: dict[bool, Reduced]
     whole: np.ndarray
@@ -34,7 +48,7 @@ class ScoreState:
     shift: np.ndarray
     cache: dict[Any, Any] = field(default_factory=dict)
 
-    def nearest(self, comparison: Comparison, cause: Cause, places: list[Any]) -> list[Any]:
+    def nearest(self, cause: Cause, places: list[Any]) -> list[Any]:
         """The places of a cause, or of very many those that are worth a look."""
         skew, swap = cause.shortlist_by == "coupling", cause.shortlist_by == "exchange"
         between_dofs = bool(self.reduced) and cause.shortlist_by in ("element", "coupling")
@@ -42,7 +56,7 @@ class ScoreState:
             return places
         key = (swap, skew, *alike(places))
         if key not in self.cache:
-            problem = comparison.problem
+            problem = self.comparison.problem
             self.cache[key] = (
                 likely_swaps(np.asarray(problem.data), np.asarray(problem.weight), self.whole, places) if swap
                 else shortlist(self.reduced[True], self._few(), places, skew)
@@ -99,7 +113,8 @@ def score_state_of(comparison: Comparison, h: Hypothesis, jacobian: np.ndarray |
         }
     shift = np.zeros(h.theta.size)
     shift[comparison.nuisance.live] = (inner @ slope)[: len(comparison.nuisance.live)]
-    return ScoreState(sides, reduced, whole, float(slope @ inner @ slope), shift.reshape(h.theta.shape))
+    drop = float(slope @ inner @ slope)
+    return ScoreState(comparison, h, sides, reduced, whole, drop, shift.reshape(h.theta.shape))
 
 
 def _real(z: np.ndarray) -> np.ndarray:

@@ -160,7 +160,7 @@ def rest_of(comparison: Comparison, h: Hypothesis, null: Hypothesis, causes: Seq
     tolerated = fidelity**2 * max(null.chi2 - h.chi2, 0.0)
     after = omnibus(used.residual(h), used.live(), comparison.noise.freedom, tolerated)
     state = score_state_of(used, h, _jacobian(used, h))
-    trials = screen_all(used, h, causes, state, finite=False).trials
+    trials = screen_all(state, causes, finite=False).trials
     if h.hum is not None:
         trials = [t for t in trials if not t.cause.leaves_out_lines]
     if comparison.noise.freedom < TRUSTED:  # the noise is no better known than what the omnibus test would say of it

@@ -14,7 +14,7 @@ from modalax.diagnose.search.candidates import best_of_each
 from modalax.diagnose.search.compounds import FURTHER, Rest, exchanged, one_more_cause, rest_of
 from modalax.diagnose.search.imitator_check import apart, imitations, likeness
 from modalax.diagnose.search.look import Look
-from modalax.diagnose.search.singles import PATIENT, fit_single, from_home, joints_for_drifts
+from modalax.diagnose.search.singles import PATIENT, fit_single, from_nominal_modes, joints_for_drifts
 
 NEAR = 12.0  # nats behind the best up to which hypotheses are fitted again where complex modes are exact
 DEEPEST = 3  # causes in one answer
@@ -79,7 +79,8 @@ def doubt(found: Explanation, imitators: Sequence[Cause]) -> Explanation:
     several_with_hum = found.best.hum is not None and bool(found.best.causes)
     if not found.ranked or several_with_hum or verdict(found.ranked, found.leftover)[0] == "ambiguous":
         return found
-    others = imitations(found.comparison, found.look.null, found.look.state, found.best, imitators)
+    state = replace(found.look.state, comparison=found.comparison)
+    others = imitations(state, found.best, imitators)
     ranked, nameless = apart(weigh(found.look, found.fitted + others, found.comparison))
     notes = likeness(nameless)
     chance = float(sum(r.probability for r in nameless))
@@ -106,15 +107,14 @@ def weigh(look: Look, fitted: list[Hypothesis], comparison: Comparison | None = 
 
 
 def singles(look: Look, causes: Sequence[Cause]) -> list[Hypothesis]:
-    """Single causes, fitted."""
-    comparison, null = look.comparison, look.null
-    found = fit_single(comparison, null, chosen(look.screening.trials), look.state)
-    found += from_home(comparison, null, causes)
+    """Hypotheses of a single cause each, fitted."""
+    found = fit_single(look.state, chosen(look.screening.trials))
+    found += from_nominal_modes(look.state, causes)
     if look.again is not None:  # a modal parameter far off is found where the modes follow it exactly
         other = look.again
         trials = [t for t in chosen(other.screening.trials) if isinstance(t.cause, UndampedCause)]
-        found += fit_single(other.comparison, other.null, trials, other.state) if trials else []
-    return found + joints_for_drifts(comparison, null, best_of_each(found, comparison), causes, look.state)
+        found += fit_single(other.state, trials) if trials else []
+    return found + joints_for_drifts(look.state, best_of_each(found, look.comparison), causes)
 
 
 def centred(

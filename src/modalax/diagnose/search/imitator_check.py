@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 from modalax.diagnose.causes.base import Cause
-from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.decision.posterior import Ranked
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.screening.every_cause import screen_all
@@ -15,29 +14,25 @@ SHARE = 0.5  # of what the leading hypothesis explains, below which a trial is n
 FITS = 6  # trials of one kind
 
 
-def imitations(
-    comparison: Comparison, null: Hypothesis, state: ScoreState, best: Hypothesis, imitators: Sequence[Cause]
-) -> list[Hypothesis]:
+def imitations(state: ScoreState, best: Hypothesis, imitators: Sequence[Cause]) -> list[Hypothesis]:
     """Fit each imitator alone at its best places.
 
     Parameters
     ----------
-    comparison
-        Data and simulation.
-    null, state
-        The simulation alone, and what it leaves.
+    state
+        The simulation alone, and its residual.
     best
         The leading hypothesis, beside which an imitator must stand.
     imitators
         Causes without a name in the answer.
     """
-    least = SHARE * (null.chi2 - best.chi2)
+    least = SHARE * (state.hypothesis.chi2 - best.chi2)
     kept, count = [], dict.fromkeys(imitators, 0)
-    for t in sorted(screen_all(comparison, null, imitators, state).trials, key=lambda t: -t.gain):
+    for t in sorted(screen_all(state, imitators).trials, key=lambda t: -t.gain):
         if t.gain > least and count[t.cause] < FITS:
             count[t.cause] += 1
             kept.append(t)
-    return fit_single(comparison, null, kept, state)
+    return fit_single(state, kept)
 
 
 def apart(ranked: Sequence[Ranked]) -> tuple[list[Ranked], list[Ranked]]:

@@ -17,18 +17,37 @@ CENTRED = 3  # times that complex modes are made exact about what was fitted
 
 @dataclass(frozen=True)
 class Look:
-    """The simulation against the data before any cause: what it leaves, what causes would explain, the chance.
+    """The simulation compared with the data before any cause is added.
 
-    Where dampers couple the modes, ``again`` is the same with complex modes exact about the parameters fitted to that.
+    Attributes
+    ----------
+    state
+        The simulation alone, its modal parameters fitted, and its residual.
+    omnibus
+        Test of that residual that knows no cause.
+    screening
+        Every cause screened at every place.
+    detection
+        Chance, under noise alone, of what the tests saw.
+    again
+        Where dampers couple the modes: the same with complex modes that are exact about the fitted parameters.
     """
 
-    comparison: Comparison
-    null: Hypothesis
-    omnibus: Omnibus
     state: ScoreState
+    omnibus: Omnibus
     screening: Screening
     detection: Detection
     again: "Look | None" = None
+
+    @property
+    def comparison(self) -> Comparison:
+        """Data and simulation."""
+        return self.state.comparison
+
+    @property
+    def null(self) -> Hypothesis:
+        """The simulation alone, its modal parameters fitted."""
+        return self.state.hypothesis
 
 
 def look(comparison: Comparison, causes: Sequence[Cause]) -> Look:
@@ -48,6 +67,6 @@ def _look(comparison: Comparison, causes: Sequence[Cause]) -> Look:
     null = comparison.fit([empty(comparison)], ROUNDS)[0]
     before = omnibus(comparison.residual(null), comparison.live(), comparison.noise.freedom)
     state = score_state_of(comparison, null)
-    screening = screen_all(comparison, null, causes, state)
+    screening = screen_all(state, causes)
     found = detect(screening.trials, state.sides, before, comparison.noise.spread)
-    return Look(comparison, null, before, state, screening, found)
+    return Look(state, before, screening, found)

@@ -7,7 +7,6 @@ import numpy as np
 
 from modalax.diagnose.causes.base import Cause, ElementCause, PatternCause
 from modalax.diagnose.causes.joints import FRACTIONS
-from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.gauss_newton import ROUNDS
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.screening.every_cause import chosen, screen_all
@@ -28,45 +27,44 @@ IN_FULL = 4  # leading hypotheses fitted with the modal parameters in full
 STRAYED = 8.0  # claimed standard deviations of a modal parameter beyond which the simulation alone led it astray
 
 
-def from_home(comparison: Comparison, null: Hypothesis, causes: Sequence[Cause]) -> list[Hypothesis]:
-    """Look for single causes about the modes as the simulation has them, if the fit drove these far off.
+def from_nominal_modes(look: ScoreState, causes: Sequence[Cause]) -> list[Hypothesis]:
+    """Look for single causes about the modes of the simulation, if fitting it alone drove its modes far off.
 
-    The modes then move in linear order about where the simulation has them; the leading ones are fitted from there too.
+    The modes then move in linear order about their nominal values; the leading causes are fitted from there too.
 
     Parameters
     ----------
-    comparison
-        Data and simulation.
-    null
-        The simulation alone, its modal parameters adapted.
+    look
+        The simulation alone, its modal parameters adapted, and its residual.
     causes
         What to look for.
     """
+    comparison, null = look.comparison, look.hypothesis
     assert null.theta is not None
     if np.abs(null.theta).max(initial=0.0) <= STRAYED:
         return []
-    home = comparison.fit([replace(null, theta=np.zeros_like(null.theta))], 0)[0]
-    state = score_state_of(comparison, home)
-    trials = [t for t in screen_all(comparison, home, causes, state).trials if not t.cause.leaves_out_lines]
-    found = fit_single(comparison, replace(home, chi2=home.chi2 - state.drop), chosen(trials), state)
+    nominal = comparison.fit([replace(null, theta=np.zeros_like(null.theta))], 0)[0]
+    state = score_state_of(comparison, nominal)
+    trials = [t for t in screen_all(state, causes).trials if not t.cause.leaves_out_lines]
+    moved = replace(nominal, chi2=nominal.chi2 - state.drop)
+    found = fit_single(replace(state, hypothesis=moved), chosen(trials))
     again = [replace(h, theta=np.zeros_like(null.theta)) for h in found[: 2 * IN_FULL]]
     # what changes all channels and has no size (units) promises nothing until the modes have moved with it
-    again += [start_from(home, t, t.start) for t in trials if not t.cause.parameters and not t.place.where]
+    again += [start_from(nominal, t, t.start) for t in trials if not t.cause.parameters and not t.place.where]
     return best_of_each(found + comparison.fit(again, PATIENT), comparison)
 
 
-def fit_single(comparison: Comparison, null: Hypothesis, trials: list[Trial], state: ScoreState) -> list[Hypothesis]:
+def fit_single(state: ScoreState, trials: list[Trial]) -> list[Hypothesis]:
     """Fit each trial alone, from several starts.
 
     Parameters
     ----------
-    comparison
-        Data and simulation.
-    null, state
-        The simulation alone, and what it leaves.
+    state
+        The simulation alone, and its residual.
     trials
         Causes at places, the best first.
     """
+    comparison, null = state.comparison, state.hypothesis
     fine: list[Hypothesis] = []
     for cause in dict.fromkeys(t.cause for t in trials):
         mine = [t for t in trials if t.cause == cause]
@@ -76,7 +74,7 @@ def fit_single(comparison: Comparison, null: Hypothesis, trials: list[Trial], st
         starts = [
             start_from(null, t, p) for k, t in enumerate(mine) for p in [t.start, *t.starts[: STARTS if k < 4 else 0]]
         ]
-        fine += refit(comparison, null, starts, state)
+        fine += refit(state, starts)
     fine = best_of_each([h for h in fine if moderate(h, comparison)], comparison)
     if comparison.nuisance.active and fine:
         # far from the simulation the modal parameters follow in other than linear ways
@@ -110,21 +108,19 @@ def _broken_promises(
     return likely[: 4 * PROMISES], maybe[:LOOKED_AT]
 
 
-def refit(comparison: Comparison, null: Hypothesis, starts: list[Hypothesis], state: ScoreState) -> list[Hypothesis]:
-    """Fit hypotheses of one cause each, all of one kind.
+def refit(state: ScoreState, starts: list[Hypothesis]) -> list[Hypothesis]:
+    """Fit hypotheses that all have a single cause of the same kind.
 
     Parameters
     ----------
-    comparison
-        Data and simulation.
-    null, state
-        The simulation alone, and what it leaves.
+    state
+        The simulation alone, and its residual.
     starts
         Hypotheses with the parameters to start from.
     """
     if not starts:
         return []
-    cause = starts[0].causes[0]
+    comparison, null, cause = state.comparison, state.hypothesis, starts[0].causes[0]
     if isinstance(cause, PatternCause):
         return [settle_pattern(comparison, h) for h in comparison.fit(starts, ROUNDS)]
     if isinstance(cause, ElementCause) and state.reduced:
@@ -134,19 +130,15 @@ def refit(comparison: Comparison, null: Hypothesis, starts: list[Hypothesis], st
     return [replace(h, theta=h.theta + state.shift) for h in found if h.theta is not None]
 
 
-def joints_for_drifts(
-    comparison: Comparison, null: Hypothesis, found: Sequence[Hypothesis], causes: Sequence[Cause], state: ScoreState
-) -> list[Hypothesis]:
+def joints_for_drifts(state: ScoreState, found: Sequence[Hypothesis], causes: Sequence[Cause]) -> list[Hypothesis]:
     """Fit joints of stiffness and threshold where the leading hypothesis is one spring that drifts.
 
     A joint that is stiff at one level and lets go at the next is far from any small size that it is screened at.
 
     Parameters
     ----------
-    comparison
-        Data and simulation.
-    null, state
-        The simulation alone, and what it leaves.
+    state
+        The simulation alone, and its residual.
     found
         Fitted hypotheses, the best first.
     causes
@@ -154,12 +146,13 @@ def joints_for_drifts(
     """
     if not found or not found[0].causes or not found[0].causes[0].drifts:
         return []
+    scene = state.comparison.scene
     at, drift = found[0].places[0].index, abs(float(found[0].params[0][0]))
     laws = [c for c in causes if c.has_threshold]
     out: list[Hypothesis] = []
     for cause in laws:
-        place = next((p for p in cause.places(comparison.scene) if p.index == at), None)
+        place = next((p for p in cause.places(scene) if p.index == at), None)
         if place is not None:
-            starts = [np.array([k * drift, x]) for k in SIZES for x in comparison.scene.amplitudes(place, FRACTIONS)]
-            out += refit(comparison, null, [null.with_cause(cause, place, None, p) for p in starts], state)
+            starts = [np.array([k * drift, x]) for k in SIZES for x in scene.amplitudes(place, FRACTIONS)]
+            out += refit(state, [state.hypothesis.with_cause(cause, place, None, p) for p in starts])
     return out
