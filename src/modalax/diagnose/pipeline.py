@@ -1,24 +1,25 @@
-r"""The method, from a measurement and a simulation to an answer.
+r"""The method of the diagnosis, from a measurement and a simulation to an answer.
 
-1. **Bring together.** The measurement becomes receptances with a noise level for each sample; the simulation becomes
+1. **Prepare.** The measurement becomes receptances with a noise level for each sample; the simulation becomes
    its modes, so that the receptance between any two places is at hand whatever kind of simulation it is. The residual
    is whitened: divided by the noise, so that chi-square is its plain sum of squares. The modal frequencies and damping
    ratios may move within the spread that the author claims (``comparison``, ``setup``).
-2. **Look.** Is anything wrong at all? Every cause at every place is screened by its efficient score, and tests that
+2. **Detect.** Is anything wrong at all? Every cause at every place is screened by its efficient score, and tests that
    know no cause look at the same residual. Their chances under noise alone, corrected for the number of tests, give one
    chance; where that is not small, the answer is *clean* (``search.look``, ``screening``, ``decision.detection``).
 3. **Explain.** The most promising trials are fitted by damped Gauss-Newton, each alone, then with one cause more as
    long as what is left asks for one. Sets of causes are weighed by Schwarz's criterion and by what is known of causes
    and places before the data (``search``, ``fitting``, ``decision.posterior``).
-4. **Doubt.** Things that have no name in the answer are fitted beside what is about to be named
-   (``search.imitator_check``).
+4. **Check for imitations.** Causes that the answer has no name for are fitted as well; where one of them is likelier,
+   no name is given (``search.imitator_check``).
 5. **Predict.** Simulation and extended simulation are fitted without a block of the data, a force level if there are
    several, and compared on it (``holdout``).
 6. **Decide.** One ordered list of rules gives the verdict and its reasons (``decision.verdict``, ``thresholds``).
 
-Steps 2 to 5 take all but the causes as exact. Where every element of the simulation is a little off, or the problem is
-large, the modal domain answers instead (``routes``, ``modal_domain``): the measurement's own modes are identified, the
-general inaccuracy is learnt beside every cause, and the answer tells both.
+Steps 2 to 5 work line by line and take everything but the causes as exact. Where every element of the simulation is a
+little off, or the problem is large, the modal domain answers instead (``decision.route``, ``modal_domain``): the modes
+of the measurement are identified, the general inaccuracy is estimated together with every cause, and the answer holds
+both.
 """
 
 from collections.abc import Callable, Sequence
@@ -39,7 +40,7 @@ from modalax.diagnose.holdout import measure
 from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis, diagnose_modes
 from modalax.diagnose.result import Diagnosis
 from modalax.diagnose.routes import routed
-from modalax.diagnose.search.explain import Explanation, doubt, explain
+from modalax.diagnose.search.explain import Explanation, check_imitations, explain
 from modalax.diagnose.search.look import look
 from modalax.model import ModalModel, Structure
 from modalax.model.entry import check_comparable
@@ -70,7 +71,7 @@ def diagnose(
     causes
         What to look for; the whole catalogue if None.
     time
-        Seconds after which the modal domain begins no further step and tells the best answer so far.
+        Seconds after which the modal domain begins no further step and gives the best answer so far.
     progress
         Called with each stage, in words.
 
@@ -97,7 +98,7 @@ def diagnose(
                 as_measurement(measurement), simulation, budget=time, wanted=lambda s: slugs is None or s in slugs,
                 tell=progress,
             )  # fmt: skip
-        except (np.linalg.LinAlgError, ValueError):  # no modes to speak of: line by line says what is wrong with it
+        except (np.linalg.LinAlgError, ValueError):  # no modes to compare: line by line says what is wrong
             return None
 
     return routed(
@@ -112,15 +113,15 @@ def _line_by_line(
 ) -> Diagnosis:  # fmt: skip
     """Diagnose about the simulation as it is."""
     release_programs()
-    progress("bringing measurement and simulation together")
+    progress("preparing measurement and simulation")
     comparison = with_noise_beside(make_comparison(measurement, simulation, question))
     wanted = causes_of(causes, comparison, catalogue(comparison.problem.data.shape[0]))
     progress("screening every cause at every place and fitting the leading ones")
     found = explain(look(comparison, wanted), wanted)
     if causes is None:
-        progress("doubting the leading explanation")
-        found = doubt(found, causes_of(None, comparison, imitators()))
-    progress("predicting what was held out")
+        progress("checking whether an unlisted cause explains the data better")
+        found = check_imitations(found, causes_of(None, comparison, imitators()))
+    progress("predicting the held-out data")
     gain = measure((found.look.comparison, found.comparison), found.look.null, found.best)
     word, reasons = verdict(found.ranked, found.leftover, gain)
     return answer(word, reasons, found, gain)

@@ -29,7 +29,7 @@ from modalax.diagnose.causes.parameter import Parameter
 from modalax.diagnose.causes.scene import Place, Scene
 from modalax.diagnose.causes.signals import Channels, HumLines, ModalTerms
 
-RARE = 0.05  # prior, relative to other causes, of one that is only looked for to doubt a name
+RARE = 0.05  # prior, relative to other causes, of one that has no name in the answer
 
 
 class Cause:
@@ -49,7 +49,7 @@ class Cause:
     parameters
         Unknowns, the strength first; may be empty (a sign, a swap).
     named
-        Whether the answer may give this name; the others are only looked for to doubt a name.
+        Whether the answer may give this name; the others are looked for only to refuse a name that is less likely.
     prior
         Weight of the cause before the data, relative to others.
     fidelity

@@ -90,12 +90,16 @@ def nothing_beyond_the_usual(case: ModalCase) -> tuple[str, ...]:
 def other_causes_compete(case: ModalCase) -> tuple[str, ...]:
     """The causes are not sure."""
     sure = certainty(case.sets) >= case.limits.certain
-    return () if sure else (*case.support, "other causes are too likely beside it")
+    return () if sure else (*case.support, "other causes cannot be excluded")
 
 
 def other_places_compete(case: ModalCase) -> tuple[str, ...]:
     """A place is not likelier than all others together."""
-    return (*case.support, "its place is not sure") if unplaced(case.sets, case.limits) else ()
+    return (
+        (*case.support, "its place is not certain: together, other places are at least as likely")
+        if unplaced(case.sets, case.limits)
+        else ()
+    )
 
 
 RULES: tuple[tuple[str, Rule], ...] = (

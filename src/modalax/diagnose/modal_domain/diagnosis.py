@@ -1,4 +1,4 @@
-"""The answer of the modal domain, with the same face as every other diagnosis."""
+"""The answer of the modal domain, with the interface of every other diagnosis."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -47,7 +47,7 @@ class Facts:
 
 @dataclass(frozen=True)
 class ModalDiagnosis(Diagnosis):
-    """A diagnosis with the general inaccuracy of the simulation beside.
+    """A diagnosis that also gives the general inaccuracy of the simulation.
 
     Attributes
     ----------
@@ -177,7 +177,7 @@ def diagnose_modes(
     reasons = [_said(inaccuracy), *judged.reasons]
     if not stage.in_time:
         reasons.append("time was up before every explanation had been tried")
-    tell("predicting what was left out")
+    tell("predicting the held-out data")
     H = np.asarray(measurement.H)
     predicted = [frf_of(stage, None), frf_of(stage, chosen.fit)]
     sigma = stage.measured.noise.sigma

@@ -1,9 +1,9 @@
-r"""What no element explains: small changes of mass and stiffness between any two modes, sized by evidence.
+r"""The rest that no element explains: small changes of mass and stiffness between any two modes, sized by evidence.
 
-Matrices off element by element still share what their author left out: another beam theory, a distributed joint. With
-mode shapes known to a thousandth such a rest is seen, and must not be taken for a cause. It is the non-parametric model
-of Soize (2000), :math:`\delta\,\omega_r\omega_s z_{rs}` in stiffness and :math:`\delta z_{rs}` in mass, added to the
-covariance of the features once its size is learnt.
+A simulation differs from the structure also by what its author left out, such as another beam theory or a distributed
+joint. With mode shapes known to a thousandth such a rest is seen, and must not be taken for a cause. It is the
+non-parametric model of Soize (2000), :math:`\delta\,\omega_r\omega_s z_{rs}` in stiffness and :math:`\delta z_{rs}` in
+mass, added to the covariance of the features once its size is learnt.
 """
 
 from dataclasses import replace

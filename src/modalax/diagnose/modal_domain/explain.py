@@ -1,7 +1,7 @@
-r"""What stands out beyond the general inaccuracy: screening, fits, and the probability of every explanation.
+r"""Search for causes beyond the general inaccuracy: screening, fits, and the probability of every explanation.
 
 Before the data, half of the probability is that nothing stands out; the rest is shared by kind of cause, then by place.
-A second cause is added where the first leaves something that is worth its price.
+A second cause is added where it raises the log evidence by more than its low prior probability costs.
 """
 
 import math
@@ -17,13 +17,13 @@ from modalax.diagnose.modal_domain.screen import finite, refined, replaced, scor
 from modalax.diagnose.modal_domain.state import Setting, state_at
 
 NONE = 0.5  # probability before the data that nothing stands out
-SECOND = 1e-4  # that a second cause stands out, where there is a first: what is left is more often the model's own
+SECOND = 1e-4  # that a second cause stands out, given a first; what a first one leaves is mostly the model's error
 PRESCREENED = 150  # places of the leading linear scores, of each point of linearisation, tried with finite sizes
 FITTED, NEXT = 6, 4  # leading places of each screening that are fitted, and of the screening about the winner
 NEAR = 12.0  # nats behind the best up to which other places are fitted
-WORTH = 4.0  # nats by which a further cause must promise to pay for its price
+WORTH = 4.0  # nats that a further cause must promise beyond the cost of its prior probability
 MOST = 2  # causes in one answer
-AGAIN = 6  # leading explanations that are fitted again beside what no element explains
+AGAIN = 6  # leading explanations that are fitted again together with the rest that no element explains
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def explain(
 def _beside_the_rest(
     setting: Setting, found: dict[tuple[Change, ...], Fit], prior: Prior, late: Callable[[], bool]
 ) -> tuple[Setting, dict[tuple[Change, ...], Fit]]:
-    """The leading explanations fitted again beside what no element explains."""
+    """Fit the leading explanations again, together with the rest that no element explains."""
     leading = _ranked(found, prior)[:AGAIN]
     bare = [e for e in _ranked(found, prior) if not e.causes]
     singles = [e for e in _ranked(found, prior) if len(e.causes) == 1][:2]
@@ -145,8 +145,8 @@ def _leading(
     """Causes worth a fit, with sizes and inaccuracies to start from."""
     share = np.array([prior.one(c) for c in candidates])
     gain, size = scores(setting, null, candidates)
-    home, _ = scores(setting, _at_home(setting, null), candidates)
-    few = set(np.argsort(-(gain + share))[:PRESCREENED]) | set(np.argsort(-(home + share))[:PRESCREENED])
+    nominal, _ = scores(setting, _nominal(setting, null), candidates)
+    few = set(np.argsort(-(gain + share))[:PRESCREENED]) | set(np.argsort(-(nominal + share))[:PRESCREENED])
     few |= {k for k, c in enumerate(candidates) if not c.kind}
     some = sorted(few)
     distance, where = finite(setting, [candidates[k] for k in some])
@@ -168,14 +168,14 @@ def _leading(
     return out + [(candidates[k], v, start) for k, v in zip(linear, told, strict=True)]
 
 
-def _at_home(setting: Setting, null: Fit) -> Fit:
+def _nominal(setting: Setting, null: Fit) -> Fit:
     """The simulation as it is, with its usual inaccuracy."""
     sizes = np.zeros_like(null.sizes)
     return replace(null, sizes=sizes, epsilon=setting.inaccuracy.usual, state=state_at(setting, sizes))
 
 
 def _fewer(setting: Setting, found: dict[tuple[Change, ...], Fit], best: Fit) -> None:
-    """The best without each of its causes, from where it stands: its rivals may have stopped short of that."""
+    """Fit the best explanation without each of its causes, starting from its own sizes."""
     for k in range(len(best.causes)):
         kept = tuple(c for j, c in enumerate(best.causes) if j != k)
         _try(setting, found, kept, np.delete(best.u, k), without_causes(best), gentle=False)
@@ -185,7 +185,7 @@ def _neighbours(
     setting: Setting, found: dict[tuple[Change, ...], Fit], best: Fit, candidates: list[Change], prior: Prior,
     late: Callable[[], bool],
 ) -> None:  # fmt: skip
-    """Other places and kinds in the stead of each cause of the best, as they look from there."""
+    """Replace each cause of the best explanation by other places and kinds, screened about that explanation."""
     for k in range(len(best.causes)):
         kept = tuple(c for j, c in enumerate(best.causes) if j != k)
         gain, size = replaced(setting, best, k, candidates)
@@ -205,7 +205,7 @@ def _further(
     setting: Setting, found: dict[tuple[Change, ...], Fit], best: Fit, candidates: list[Change], prior: Prior,
     late: Callable[[], bool],
 ) -> bool:  # fmt: skip
-    """Add a cause where that promises to be worth its price; whether one was worth trying."""
+    """Add a cause where one promises enough log evidence; whether one was tried."""
     gain, size = scores(setting, best, candidates)
     value = gain + np.array([prior.one(c) for c in candidates]) + math.log(SECOND)
     leading = [j for j in np.argsort(-value)[:NEXT] if candidates[j] not in best.causes]

@@ -1,4 +1,4 @@
-r"""The general inaccuracy of a simulation: every part of its stiffness, mass and damping off by a few per cent.
+r"""The general inaccuracy of a simulation: every element of stiffness, mass and damping is off by a few per cent.
 
 A part is an element of the simulation, read off its matrices, off by :math:`\epsilon z` with ``z`` standard normal; the
 sizes :math:`\epsilon` of stiffness, mass and damping are claimed by the author or learnt. Damping is off mode by mode,

@@ -1,4 +1,4 @@
-"""The causes that explain what a simulation leaves: one alone, several together, and whether to doubt them."""
+"""The causes that explain the residual of a simulation: one alone, several together, and the check for imitations."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -74,8 +74,8 @@ def explain(look: Look, causes: Sequence[Cause]) -> Explanation:
     return Explanation(look, comparison, ranked, replace(leftover, p_value=rest.p_value), rest.omnibus, fitted)
 
 
-def doubt(found: Explanation, imitators: Sequence[Cause]) -> Explanation:
-    """Look for things without a name that may explain better what is about to be named."""
+def check_imitations(found: Explanation, imitators: Sequence[Cause]) -> Explanation:
+    """Look for causes without a name in the answer that may explain the data better than those about to be named."""
     several_with_hum = found.best.hum is not None and bool(found.best.causes)
     if not found.ranked or several_with_hum or verdict(found.ranked, found.leftover)[0] == "ambiguous":
         return found

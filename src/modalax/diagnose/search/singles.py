@@ -20,11 +20,13 @@ SIZES = (0.6, 1.0, 1.6)  # stiffness of the joint over the drift seen
 PATIENT = 4 * ROUNDS  # steps of a fit in full: a window and the damping of all modes share a long valley
 STARTS = 2  # further starts of the leading trials of each kind
 CLOSE = 12.0  # chi-square above the best up to which a hypothesis is fitted in full
-PROMISES = 8  # trials of one kind fitted in full where linear nuisances did not let them keep what they promised
-SLACK = 0.15  # of what the best explains, that a promise may fall short by and still be worth a look
-LOOKED_AT = 48  # trials that get such a look, at most
+PROMISES = 8  # trials of one kind fitted in full where the fit with linear nuisances fell short of the screening
+SLACK = 0.15  # share of the best explanation by which the screening of such a trial may be lower
+LOOKED_AT = 48  # most trials that get such a fit
 IN_FULL = 4  # leading hypotheses fitted with the modal parameters in full
-STRAYED = 8.0  # claimed standard deviations of a modal parameter beyond which the simulation alone led it astray
+STRAYED = (
+    8.0  # claimed standard deviations of a modal parameter beyond which fitting the simulation alone is not trusted
+)
 
 
 def from_nominal_modes(look: ScoreState, causes: Sequence[Cause]) -> list[Hypothesis]:
@@ -90,10 +92,10 @@ def fit_single(state: ScoreState, trials: list[Trial]) -> list[Hypothesis]:
 def _broken_promises(
     null: Hypothesis, trials: list[Trial], fine: list[Hypothesis]
 ) -> tuple[list[Hypothesis], list[Hypothesis]]:
-    """Starts of trials whose fit, with linear nuisances, fell far short of what they promised.
+    """Starts of trials whose fit with linear nuisances fell far short of what the screening promised.
 
-    First those that promised to be among the best, worth a fit in full; then those that did so but for some of what the
-    best explains, as promises are linear too: worth a look.
+    First those that promised to be among the best, which are fitted in full; then those that promised a little less,
+    which are fitted in a few steps, because the screening is linear too.
     """
     reached = {(h.causes, h.places): h.chi2 for h in reversed(fine)}
     best, slack = fine[0].chi2 + CLOSE, SLACK * (null.chi2 - fine[0].chi2)
