@@ -1,4 +1,4 @@
-"""Measurements, structures, modal models and geometry from files and into files.
+"""Reading and writing measurements, structures, modal models and geometry.
 
 Its names load when they are first asked for, so that a file can be found missing or of no known kind before JAX is
 imported.

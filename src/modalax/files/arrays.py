@@ -108,7 +108,7 @@ def from_arrays(arrays: Arrays, told: Told = NOTHING, **options: Any) -> Saved:
 
 
 def _hint(arrays: Arrays, known: tuple[str, ...]) -> None:
-    """Say so where a name that is not read looks like a slip of one that is."""
+    """Warn where a name that is not read looks like a misspelling of one that is."""
     for name in sorted(set(arrays) - set(known)):
         lower = {k.lower(): k for k in known if k not in arrays}
         close = difflib.get_close_matches(name.lower(), list(lower), n=1, cutoff=0.8)
@@ -128,7 +128,7 @@ def _need(arrays: Arrays, names: tuple[str, ...], kind: str, spared: tuple[str, 
 
 
 def _numbers(arrays: Arrays, name: str, complex_: bool = False) -> np.ndarray:
-    """An array in double precision; single precision in a file is a choice of storage and converts exactly."""
+    """An array converted to double precision, which is exact for files that store single precision."""
     value = np.asarray(arrays[name])
     if value.dtype.kind not in ("biufc" if complex_ else "biuf"):
         raise ValueError(f"{name} has type {value.dtype}; it needs {'complex' if complex_ else 'real'} numbers")
@@ -153,7 +153,7 @@ def _words(arrays: Arrays, name: str) -> list[str]:
 
 
 def _word(arrays: Arrays, name: str) -> str:
-    """One word, such as the form."""
+    """Read an array that holds one word, such as the form."""
     words = _words(arrays, name)
     if len(words) != 1 or not words[0]:
         raise ValueError(f"{name} holds {len(words)} words ({', '.join(words[:4])}); it needs one")

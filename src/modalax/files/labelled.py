@@ -1,4 +1,4 @@
-"""Measurements as labelled arrays of xarray, and through it as NetCDF and Zarr."""
+"""Measurements as labelled arrays of xarray, which also reads and writes NetCDF and Zarr."""
 
 import io
 from pathlib import Path
@@ -106,7 +106,7 @@ def from_xarray(dataset: Any, told: Told = NOTHING) -> Measurement:
 
 
 def _as_told(dataset: Any, told: Told) -> Any:
-    """The dataset with the form that was told, or that the unit of its FRFs is of, and with units and names told."""
+    """The dataset with the form, units and names that the user gave; the form may follow from the unit of the FRFs."""
     if told.axes is not None:
         raise ValueError("option axes is for arrays without names of axes; this dataset names its own")
     for side in ("output", "input"):
@@ -125,7 +125,7 @@ def _as_told(dataset: Any, told: Told) -> Any:
 
 
 def _check_dims(dataset: Any) -> None:
-    """Refuse variables along other axes than theirs."""
+    """Refuse variables whose axes are not those of the format."""
     axes = {**dict.fromkeys(SAMPLES, DIMS), "force": DIMS[:2], "freq": DIMS[1:2], "level": DIMS[:1]}
     for name, wanted in axes.items():
         if name in dataset.variables and not set(dataset[name].dims) <= set(wanted):
@@ -184,7 +184,7 @@ def read_labelled(path: Path, kind: str, told: Told = NOTHING) -> Saved:
 
 
 def _check(path: Path, kind: str) -> list[str]:
-    """Look at what a file declares before it is read; the names of the variables that are of no use."""
+    """Check the sizes that a file declares before it is read; returns the names of variables that are not needed."""
     if kind == "zarr":
         names = {p.name for p in path.iterdir() if p.is_dir()}
         check_store(path, READ & names)
@@ -213,7 +213,7 @@ def write_labelled(what: Any, path: Path, kind: str) -> None:
 
 
 def _netcdf(dataset: Any) -> bytes:
-    """A NetCDF file made in memory: the HDF5 library does not survive a disk that is full."""
+    """Make a NetCDF file in memory, because the HDF5 library crashes when the disk is full."""
     try:
         import h5netcdf
         from xarray.backends import H5NetCDFStore

@@ -1,4 +1,4 @@
-"""Modes into files: CSV with a row a mode, universal files (55) or ``.npz``."""
+"""Writing modes: CSV with a row for each mode, universal files (55) or ``.npz``."""
 
 import csv
 import io
@@ -17,7 +17,7 @@ HEAD = ("mode", "frequency_hz", "frequency_std_hz", "damping_ratio", "damping_ra
 
 
 def check_modes_file(path: Path) -> None:
-    """Refuse a name whose ending is of no kind of file that holds modes; ``ValueError`` lists those that are."""
+    """Refuse a file name with another ending than those of files with modes; ``ValueError`` lists them."""
     if path.suffix.lower() not in ENDINGS:
         raise ValueError(f"{path}: modes are written to {', '.join(ENDINGS)}, not to {path.suffix!r}")
 

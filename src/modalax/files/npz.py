@@ -23,7 +23,7 @@ def read_npz(path: Path, told: Told = NOTHING, **options: Any) -> Saved:
 
 
 def npz_arrays(path: Path) -> dict[str, Any]:
-    """The arrays of an archive; what is not read may hold anything: of it only the name is kept, and None.
+    """The arrays of an archive that are known; of any other only the name is kept, with None as value.
 
     Raises
     ------

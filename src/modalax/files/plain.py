@@ -1,4 +1,4 @@
-"""Plain files of FRFs: arrays under the names that laboratories use, without form, axes or names of channels."""
+"""Reading plain files of FRFs: arrays under the names that laboratories use, without form, axes or channel names."""
 
 import itertools
 import warnings
@@ -25,7 +25,7 @@ AXES = ("run", "f", "o", "i")
 
 @dataclass(frozen=True)
 class Told:
-    """What the user says of a file that does not say it itself; None where nothing is said.
+    """Facts about a file that the user gives because the file does not hold them; None where nothing is given.
 
     Attributes
     ----------
@@ -48,12 +48,12 @@ class Told:
 
     @property
     def words(self) -> list[str]:
-        """What is said, by name."""
+        """The facts that were given, by name."""
         return [f.name for f in fields(self) if getattr(self, f.name) is not None]
 
 
 def understood(arrays: Mapping[str, Any], told: Told) -> dict[str, Any]:
-    """The arrays of the file contract, from those under other names and from what the user told; guesses are said.
+    """The arrays of the file contract, from arrays under other names and facts from the user; guesses are warned of.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def understood(arrays: Mapping[str, Any], told: Told) -> dict[str, Any]:
     if not told.words and not bare:
         return named
     if "H" not in named or "freq" not in named:
-        return named  # what is missing is said where the arrays are taken apart
+        return named  # the error for what is missing comes where the arrays are read
     named = _in_si(named, told)
     for side in ("outputs", "inputs"):
         if getattr(told, side) is not None:
@@ -91,7 +91,7 @@ def _say(sentence: str) -> None:
 
 
 def _renamed(arrays: dict[str, Any]) -> dict[str, Any]:
-    """Arrays under the names of the contract; that another name was taken is said."""
+    """Arrays under the names of the contract; a warning says where another name was taken."""
     for name, usual in USUAL.items():
         other = next((u for u in usual if u in arrays and arrays[u] is not None), None)
         target = "freq" if name == "omega" else name
@@ -111,7 +111,7 @@ def _renamed(arrays: dict[str, Any]) -> dict[str, Any]:
 
 
 def _in_si(arrays: dict[str, Any], told: Told) -> dict[str, Any]:
-    """Frequencies in Hz, FRFs in SI, and their form, by what the user told."""
+    """Frequencies in Hz, FRFs in SI units, and their form, with the units that the user gave."""
     if told.frequency_unit is not None:
         arrays["freq"] = np.asarray(arrays["freq"]) * frequency_factor(told.frequency_unit)
     if told.unit is not None:
@@ -132,7 +132,7 @@ def _in_si(arrays: dict[str, Any], told: Told) -> dict[str, Any]:
 
 
 def _axes(arrays: Mapping[str, Any], told: Told) -> tuple[str, ...]:
-    """Axes of H in their order, told or the only ones that fit.
+    """Axes of H in their order: those the user gave, else the only ones that fit.
 
     Raises
     ------

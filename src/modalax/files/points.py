@@ -1,4 +1,4 @@
-"""Places of nodes from plain files: tables of points (CSV) and triangles (STL, text and binary)."""
+"""Positions of nodes from plain files: tables of points (CSV) and triangles (STL, text and binary)."""
 
 import struct
 from pathlib import Path

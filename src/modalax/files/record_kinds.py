@@ -1,4 +1,4 @@
-"""What kind of file of time records it is, from its content."""
+"""Detection of the kind of a file of time records from its content."""
 
 from pathlib import Path
 

@@ -18,7 +18,7 @@ TIME_RESPONSE = 1
 
 
 def read_uff_records(path: Path, fs: float | None) -> Recording:
-    """The time records of a universal file; a DoF that stands several times makes several segments.
+    """The time records of a universal file; a DoF that occurs several times makes several segments.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def _names(sets: list[Mapping[str, Any]]) -> list[str]:
 
 
 def _mixed(k: int, names: list[str], titles: list[str], kinds: list[Any]) -> bool:
-    """Whether others at the same DoF measure something else or are called otherwise: no repeats, but channels."""
+    """Whether records at the same DoF differ in quantity or name, so that they are channels and not repeats."""
     same = [j for j, name in enumerate(names) if name == names[k]]
     return len({(titles[j], kinds[j]) for j in same}) == len(same) > 1
 

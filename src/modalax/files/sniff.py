@@ -1,4 +1,4 @@
-"""What kind of file it is, from its content: the ending alone is not trusted."""
+"""Detection of the kind of a file from its content; the ending alone is not trusted."""
 
 import re
 from pathlib import Path

@@ -28,7 +28,7 @@ SAME_AXIS = 1e-9
 
 
 class Function(NamedTuple):
-    """One function of the file, in SI: what it is, between which DoFs, its lines and values."""
+    """One function of the file in SI units: its kind, its DoFs, its lines and values."""
 
     kind: str
     title: str
@@ -182,7 +182,7 @@ def _common_axis(frfs: Sequence[Function]) -> np.ndarray:
 
 
 def _complete_grid(cells: Cells, outputs: list[str], inputs: list[str], complete: bool) -> tuple[list[str], list[str]]:
-    """Outputs and inputs between which every FRF is there."""
+    """Outputs and inputs of which every FRF is in the file."""
     missing = [(o, i) for o in outputs for i in inputs if (o, i) not in cells]
     if not missing:
         return outputs, inputs
@@ -292,7 +292,7 @@ def _title(kind: str, out: str, into: str, order: int) -> str:
 
 
 def _is_even(freq: np.ndarray) -> bool:
-    """Whether first line and step, as the format prints them, give the axis back."""
+    """Whether the first line and the step, as the format prints them, reproduce the frequency axis."""
     first, step = float(STEP_DIGITS % freq[0]), float(STEP_DIGITS % (freq[1] - freq[0]))
     return bool(np.allclose(first + step * np.arange(len(freq)), freq, rtol=0, atol=1e-14 * freq[-1]))
 

@@ -16,7 +16,7 @@ _FORCES = {"n": 1.0, "kn": 1e3, "mn": 1e-3, "lbf": POUND_FORCE, "lb": POUND_FORC
 
 
 class Units(NamedTuple):
-    """What one unit of the file is in SI: length [m], force [N]."""
+    """Size of the units of the file in SI: length [m], force [N]."""
 
     length: float
     force: float

@@ -1,4 +1,4 @@
-"""Units written as text: what they are in Hz, N and m."""
+"""Units written as text, converted to Hz, N and m."""
 
 import math
 import re
@@ -13,12 +13,12 @@ WHOLE = {"1/kg": "accelerance", "kg-1": "accelerance", "s/kg": "mobility", "s2/k
 
 
 def frequency_factor(unit: str) -> float:
-    """What one ``unit`` is in Hz; ``ValueError`` lists the units that are known."""
+    """Size of one ``unit`` in Hz; ``ValueError`` lists the known units."""
     return _known(unit, FREQUENCIES, "frequencies", "Hz, kHz, rad/s")
 
 
 def force_factor(unit: str) -> float:
-    """What one ``unit`` is in N; ``ValueError`` lists the units that are known."""
+    """Size of one ``unit`` in N; ``ValueError`` lists the known units."""
     return _known(unit, FORCES, "forces", "N, kN, lbf")
 
 

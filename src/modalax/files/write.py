@@ -1,4 +1,4 @@
-"""Writing files so that a name always stands for a whole one: the old file until the new one is complete."""
+"""Writing files safely: a name always holds a complete file, the old one until the new one is complete."""
 
 import contextlib
 import os
@@ -23,7 +23,7 @@ FORGOTTEN = 86400.0  # age [s] at which what another machine left behind is take
 def check_target(
     path: Path, overwrite: bool, advice: str = "pass overwrite=True to replace it", store: bool = False
 ) -> Path:
-    """Where writing a file (or a Zarr ``store``) to ``path`` leads, if that may be done.
+    """The place that a file (or a Zarr ``store``) at ``path`` is written to, after links, if writing is allowed.
 
     A symbolic link leads to the file it points to.
 
@@ -71,7 +71,7 @@ def _check_existing(path: Path, target: Path, store: bool, overwrite: bool, advi
 
 @contextmanager
 def replacing(path: Path, overwrite: bool = True, store: bool = False) -> Iterator[Path]:
-    """Give a place beside ``path`` to write to; what was written there takes the name once it is whole and on disk.
+    """Give a temporary place beside ``path``; what is written there takes the name once it is complete and on disk.
 
     A file or Zarr store of that name stays as it is until then, whatever happens: an error, a full disk, a process
     that is killed. What killed processes left behind in the folder is cleaned up first. Where the new file is whole
@@ -107,18 +107,18 @@ def replacing(path: Path, overwrite: bool = True, store: bool = False) -> Iterat
 
 
 def write_bytes(path: Path, content: bytes, overwrite: bool = True) -> None:
-    """Write a whole file, or leave what stands there."""
+    """Write a complete file, or leave the old one unchanged."""
     with replacing(path, overwrite) as part:
         part.write_bytes(content)
 
 
 def write_text(path: Path, content: str, overwrite: bool = True) -> None:
-    """Write a whole text file (UTF-8), or leave what stands there."""
+    """Write a complete text file (UTF-8), or leave the old one unchanged."""
     write_bytes(path, content.encode("utf-8"), overwrite)
 
 
 def _put(part: Path, target: Path, folder: Path) -> None:
-    """Give what is whole its name."""
+    """Give a complete file its name."""
     try:
         if target.is_dir():
             _put_store(part, target, folder)
@@ -134,7 +134,7 @@ def _put(part: Path, target: Path, folder: Path) -> None:
 
 
 def _put_store(part: Path, target: Path, folder: Path) -> None:
-    """Replace a folder by another: in one step where the system can, else by way of a name that is put back."""
+    """Replace a folder by another: in one step where the system can, else through a temporary name."""
     whole = folder / target.name
     os.replace(part, whole)
     if _exchange(whole, target):
@@ -179,7 +179,7 @@ def clean(folder: Path) -> None:
 
 
 def _is_dead(entry: os.DirEntry[str]) -> bool:
-    """Whether nobody writes to that folder any more."""
+    """Whether the process that wrote to that folder has ended."""
     mark = _MARK.fullmatch(entry.name)
     if mark is None or entry.name in _ours:
         return False
