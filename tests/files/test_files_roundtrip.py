@@ -79,7 +79,7 @@ def test_the_force_at_every_line_comes_back(tmp_path, ending):
     np.testing.assert_array_equal(np.asarray(loaded.force), force)
     assert loaded.band(30.0, 40.0).force.shape == (2, loaded.band(30.0, 40.0).freq.shape[0])
     np.testing.assert_array_equal(np.asarray(loaded.to_form("mobility").force), force)
-    with pytest.raises(ValueError, match="one amplitude a run and line"):
+    with pytest.raises(ValueError, match="one amplitude for each run and line"):
         saved.replace(force=force[:, :-1])
 
 

@@ -168,7 +168,7 @@ def test_average_force_along_a_step_is_the_mean_of_many_small_steps(joint):
 def test_messages_say_what_was_seen():
     with pytest.raises(ValueError, match=r"2 coefficients for powers \(1,\)"):
         PolynomialStiffness([1.0, 2.0], (1,))
-    with pytest.raises(ValueError, match="one number a slider"):
+    with pytest.raises(ValueError, match="one number per slider"):
         ParallelJenkins([1.0, 2.0], [1.0])
     with pytest.raises(ValueError, match="needs one number"):
         CubicSpring([1.0, 2.0])

@@ -238,10 +238,10 @@ def test_unusable_input_is_refused():
     with pytest.raises(ValueError, match="needs \\(t, i\\)"):
         respond(structure, [], [], np.zeros(4), 100.0, inputs=["m"])
     with pytest.raises(ValueError, match="too stiff"):
-        check_agreement(np.array([0.0, 1e-3]), "64 steps a period")
+        check_agreement(np.array([0.0, 1e-3]), "64 steps per period")
     with pytest.raises(ValueError, match="sweep is 'sideways'"):
         stepped_sine(structure, [], [], [5.0], 1.0, inputs=["m"], sweep="sideways")
-    with pytest.raises(ValueError, match="8 steps a period"):
+    with pytest.raises(ValueError, match="8 steps per period"):
         stepped_sine(structure, [], [], [5.0], 1.0, inputs=["m"], steps=8)
 
 

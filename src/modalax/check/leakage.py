@@ -16,7 +16,7 @@ from modalax.check.phases import angles_of, misfit
 from modalax.check.resolution import lines_a_width, strong_modes
 from modalax.check.study import Study
 
-# Modes with more lines a half-power bandwidth than this have decayed within the record.
+# Modes with more lines per half-power bandwidth than this have decayed within the record.
 DECAYED = 2.5
 # How many times better than modes alone a window must explain the FRFs.
 BETTER = 1.4

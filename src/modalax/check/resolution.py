@@ -29,13 +29,13 @@ def resolution(study: Study) -> Iterator[Finding]:
     score = max(FEW / max(middle, 1e-6), FEWEST / max(least, 1e-6))
     modes = study.modes
     yield Finding(
-        "too_few_lines", (), sure=sureness(score, 1.0), size=size, unit="lines a half-power bandwidth",
+        "too_few_lines", (), sure=sureness(score, 1.0), size=size, unit="lines per half-power bandwidth",
         evidence=f"the narrowest mode has {least:.2g} lines within its half-power bandwidth, the middle of all "
         f"{middle:.2g}; the peaks fall between the lines",
-        advice="measure with closer lines (a longer record or a zoom): four lines a half-power bandwidth show a peak",
+        advice="measure with closer lines (a longer record or a zoom): four lines per half-power bandwidth show a peak",
         picture=Picture(
             [("modes", modes.frequency, modes.width / _step(study, modes.frequency))], "Frequency [Hz]",
-            "Lines a half-power bandwidth [-]", True, dots=True,
+            "Lines per half-power bandwidth [-]", True, dots=True,
         ),
     )  # fmt: skip
 

@@ -43,10 +43,10 @@ def check_names(names: Sequence[str], count: int, axis: str) -> tuple[str, ...]:
         If their number differs from ``count`` or a name stands twice.
     """
     if isinstance(names, str):
-        raise ValueError(f"{axis} is the text {names!r}; it needs a list of names, one a channel")
+        raise ValueError(f"{axis} is the text {names!r}; it needs a list of names, one for each channel")
     names = tuple(str(n) for n in names)
     if len(names) != count:
-        raise ValueError(f"{len(names)} names for {count} {axis}: {axis} needs one name a channel")
+        raise ValueError(f"{len(names)} names for {count} {axis}: {axis} needs one name for each channel")
     twice = sorted(name for name, times in Counter(names).items() if times > 1)
     if twice:
         raise ValueError(

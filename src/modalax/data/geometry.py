@@ -90,7 +90,7 @@ class Geometry(eqx.Module):
         """
         values = np.asarray(values)
         if values.shape != (len(dofs),):
-            raise ValueError(f"values has shape {values.shape} for {len(dofs)} DoFs; it needs one value a DoF")
+            raise ValueError(f"values has shape {values.shape} for {len(dofs)} DoFs; it needs one value for each DoF")
         where = [self.index(d) for d in dofs]
         # A rotation shares its axis with a translation, but moves the node itself nowhere.
         still = [(parse_dof(d).direction or "R").startswith("R") for d in dofs]

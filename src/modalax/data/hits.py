@@ -43,7 +43,7 @@ class Hits(eqx.Module):
         return ~(self.double | self.overload)
 
     def cut(self, record: Float[np.ndarray, "t c"]) -> Float[np.ndarray, "m block c"]:
-        """Blocks of a record, one a hit, good or not."""
+        """Blocks of a record, one for each hit, good or not."""
         return np.stack([record[k : k + self.samples] for k in self.start])
 
 

@@ -95,7 +95,9 @@ class Measurement(eqx.Module):
             level = jnp.full(runs, jnp.nan) if self.force is None else self.force.mean(axis=1)
         self.level = as_double(level, "level")
         if self.level.shape != (runs,):
-            raise ValueError(f"level has shape {self.level.shape} for {runs} runs; it needs one force amplitude a run")
+            raise ValueError(
+                f"level has shape {self.level.shape} for {runs} runs; it needs one force amplitude for each run"
+            )
         self.added_decay = as_double(added_decay, "added_decay")
         self.form = check_form(form)
         self.outputs = check_names(default_names(n_out, "o") if outputs is None else outputs, n_out, "outputs")
@@ -193,7 +195,7 @@ class Measurement(eqx.Module):
 def _forces(force: Any, shape: tuple[int, ...]) -> Float[Array, "run f"]:
     force = as_double(force, "force")
     if force.shape != shape:
-        raise ValueError(f"force has shape {force.shape}; it needs one amplitude a run and line, shape {shape}")
+        raise ValueError(f"force has shape {force.shape}; it needs one amplitude for each run and line, shape {shape}")
     require_finite(force, "force")
     require_range(force, "force", np.finfo(float).tiny, np.inf, "a force amplitude is above 0 N")
     return force

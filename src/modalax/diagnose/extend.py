@@ -62,7 +62,7 @@ class ExtendedSimulation(eqx.Module):
         self, level: Any, freq: Any, *, form: str = "receptance", outputs: Sequence[str] | None = None,
         inputs: Sequence[str] | None = None, measured: bool = True,
     ) -> FRF:  # fmt: skip
-        """The FRF at a force level [N], one or one a line, and frequencies [Hz] between DoFs by name.
+        """The FRF at a force level [N], one number or one for each line, and frequencies [Hz] between DoFs by name.
 
         Parameters
         ----------

@@ -180,7 +180,7 @@ def _task(measurement: Measurement, simulation: ModalModel, place: str, sigma: A
 
 
 def _count(problem: Problem) -> int:
-    """Unknowns of the linear part: two a mode, a complex size a mode and output, a complex constant a channel."""
+    """Unknowns of the linear part: two per mode, a complex size per mode and output, a complex constant per channel."""
     n, (o, i) = len(problem.modal_form.poles), problem.channels
     return 2 * n + 2 * n * o + 2 * o * i
 

@@ -145,7 +145,7 @@ def _words(arrays: Arrays, name: str) -> list[str]:
         except UnicodeDecodeError as error:
             raise ValueError(f"{name} holds bytes that are no text in UTF-8 ({error})") from error
     if value.dtype.kind not in "UTOiu":
-        raise ValueError(f"{name} has type {value.dtype}; it needs text, one name a channel")
+        raise ValueError(f"{name} has type {value.dtype}; it needs text, one name for each channel")
     words = [str(item).strip() for item in value.ravel()]
     if any(len(word) > LONGEST_NAME or not word.isprintable() for word in words):
         raise ValueError(f"{name} holds text that is no name: at most {LONGEST_NAME} letters, all printable, are read")
@@ -250,7 +250,7 @@ def _pairs(arrays: Arrays) -> list[tuple[str, str]] | None:
         return None
     shape, names = np.shape(arrays["pairs"]), _words(arrays, "pairs")
     if len(shape) != 2 or shape[1] != 2:
-        raise ValueError(f"pairs has shape {shape}; it needs (p, 2), two DoF names a pair")
+        raise ValueError(f"pairs has shape {shape}; it needs (p, 2), two DoF names for each pair")
     return list(zip(names[::2], names[1::2], strict=True))
 
 

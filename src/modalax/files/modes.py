@@ -66,7 +66,7 @@ def save_modes(
 
 
 def modes_as_text(model: ModalModel, frequency_std_hz: Any = None, damping_std: Any = None) -> str:
-    """Modes as CSV: a header, then a row a mode, with the real and imaginary part of the shape at each DoF."""
+    """Modes as CSV: a header, then a row for each mode, with the real and imaginary part of the shape at each DoF."""
     along = (model if len(model.outputs) >= len(model.inputs) else model.transpose()).normalised()
     blank = np.full(len(model.poles), np.nan)
     std = [blank if s is None else np.asarray(s, dtype=float) for s in (frequency_std_hz, damping_std)]

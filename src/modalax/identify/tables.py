@@ -18,7 +18,7 @@ class PoleTable(eqx.Module):
         Modal participation over the references (inputs), of unit norm, shape ``(order, pole, i)``; None for
         estimators with a common denominator, which have none.
     orders
-        The model orders, one a row.
+        The model orders, one for each row.
     method
         Name of the estimator.
     """

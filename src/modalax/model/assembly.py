@@ -53,7 +53,7 @@ def proportional_damping(structure: Structure, alpha: Any, beta: Any) -> Structu
 def modal_damping(structure: Structure, damping_ratio: Any) -> Structure:
     r"""The structure with a damping ratio for each real mode, :math:`C = M\Phi\,2\zeta\omega\,\Phi^T M`.
 
-    The ratio is one number or one a mode. Works on numbers, not inside jit.
+    The ratio is one number, or one for each mode. Works on numbers, not inside jit.
     """
     M, K = np.asarray(structure.M), np.asarray(structure.K)
     square, modes, _ = real_modes(M, K)
@@ -97,7 +97,7 @@ def reduce_to_modes(
         Viscous damping [N s/m]; projected on the modes, so the modes may be complex. Left-out modes count as undamped:
         a strong local damper is better added afterwards, by :func:`modalax.model.receptance.change`.
     damping_ratio
-        Instead of C, a damping ratio for all modes, or one a mode.
+        Instead of C, a damping ratio for all modes, or one for each mode.
     shift_hz
         Where the factorisation is made (below the first elastic mode, not on it) [Hz].
 

@@ -291,7 +291,7 @@ def _shapes(value: Any, what: str) -> Complex[Array, "n o"]:
     shapes = as_double(value, what, complex_=True)
     if shapes.ndim != 2:
         raise ValueError(
-            f"{what} has shape {shapes.shape}; shapes need (n, o), one mode a row: write shape[None] for one"
+            f"{what} has shape {shapes.shape}; shapes need (n, o), a row for each mode: write shape[None] for one"
         )
     return shapes
 

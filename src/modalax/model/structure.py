@@ -29,7 +29,7 @@ class Structure(eqx.Module):
         DoF names, ``n`` of them.
     frequency_std, damping_std
         Relative standard deviation that the author claims for each modal frequency and damping ratio: one number
-        or one a mode (0: taken as exact).
+        or one for each mode (0: taken as exact).
     stiffness_std, mass_std
         Relative general inaccuracy of stiffness and mass that the author claims, each one number (0: exact); None
         where nothing is claimed.

@@ -175,7 +175,7 @@ class Bench(eqx.Module):
 def _channels(sensor: Sensor | Sequence[Sensor] | None, count: int, what: str) -> tuple[Sensor, ...]:
     sensors = (sensor or Sensor(),) * count if sensor is None or isinstance(sensor, Sensor) else tuple(sensor)
     if len(sensors) != count:
-        raise ValueError(f"{len(sensors)} sensors for {count} channels in {what}; give one, or one a channel")
+        raise ValueError(f"{len(sensors)} sensors for {count} channels in {what}; give one, or one for each channel")
     return sensors
 
 

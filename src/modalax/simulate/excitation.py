@@ -138,7 +138,7 @@ def hammer(
     samples, fs
         Length of the record and sampling rate [Hz].
     peak, contact
-        Peak force [N] and contact time [s], one number or one a pulse.
+        Peak force [N] and contact time [s], one number, or one for each pulse.
     start
         When the pulse begins [s].
     times

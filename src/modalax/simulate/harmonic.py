@@ -103,7 +103,7 @@ class Response(eqx.Module):
         return self.fundamental * factor[:, None, None] / self.level[:, None, None, None]
 
     def measurement(self, form: str = "receptance") -> Measurement:
-        """The FRFs as a measurement, one run a level."""
+        """The FRFs as a measurement, with a run for each level."""
         return Measurement(
             self.freq, self.frf_values(form), level=self.level, form=form, outputs=self.outputs, inputs=self.inputs
         )
@@ -263,7 +263,7 @@ def simulate(
     form: str = "receptance",
     **orders: Any,
 ) -> Measurement:
-    """Predicted FRFs at each level, one run a level; without joints the linear ones.
+    """Predicted FRFs with a run for each level; without joints the linear ones.
 
     Parameters are those of :func:`harmonic_balance`. A warning names points that did not converge.
     """

@@ -8,7 +8,7 @@ A general solver of differential equations is not used, because a joint here is 
 (:class:`modalax.simulate.joints.Hysteretic`): rigid friction has no rate, a law of a user's own need not have one, and
 steps stay as long as the excitation asks, whatever the highest mode of the structure. Where neither matters it is not
 the faster: on five DoFs with one Jenkins element, written as a rate, diffrax's order-8 Runge-Kutta method came within
-1.5e-7 of one second of motion in 0.06 s of processor, this within 3.7e-7 in 0.65 s (256 steps a period, with set-up).
+1.5e-7 of one second of motion in 0.06 s of processor, this within 3.7e-7 in 0.65 s (256 steps per period, with set-up).
 """
 
 from collections.abc import Sequence
@@ -238,7 +238,7 @@ def respond(
 ) -> Record:
     r"""March a structure with joints from rest under any force record.
 
-    Between samples the force is the cubic through its neighbours: 20 samples a cycle of its highest frequency leave
+    Between samples the force is the cubic through its neighbours: 20 samples per cycle of its highest frequency leave
     :math:`10^{-4}` of it. For a linear structure there is no other error.
 
     Parameters

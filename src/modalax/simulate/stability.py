@@ -28,7 +28,7 @@ def floquet_exponents(
     *,
     samples: int = 128,
 ) -> Complex[Array, "s e"]:
-    r"""Floquet exponents :math:`\lambda` [1/s] of each motion, two a DoF; stable where all real parts are negative.
+    r"""Floquet exponents :math:`\lambda` [1/s] of each motion, two per DoF; stable where all real parts are negative.
 
     Joint forces are linearised along the motion; for a joint with memory that is the change from one closed loop to the
     next, so its disturbances are taken as slow against a cycle. Structural damping D acts on each harmonic as

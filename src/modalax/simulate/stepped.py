@@ -53,7 +53,7 @@ class SteppedSine(eqx.Module):
     inputs: tuple[str, ...] = eqx.field(static=True)
 
     def measurement(self, form: str = "receptance") -> Measurement:
-        """FRFs, fundamental over force, one run a level."""
+        """FRFs, fundamental over force, with a run for each level."""
         H = self.X / self.level[:, None, None, None]
         H = H * ((2j * jnp.pi * self.freq) ** DERIVATIVES[check_form(form)])[:, None, None]
         return Measurement(self.freq, H, level=self.level, form=form, outputs=self.outputs, inputs=self.inputs)
@@ -185,7 +185,7 @@ def stepped_sine(
     if float(freq[0]) == 0:
         raise ValueError("freq starts at 0 Hz; a sine needs a frequency above 0")
     if steps < 16:
-        raise ValueError(f"{steps} steps a period; at least 16 are needed")
+        raise ValueError(f"{steps} steps per period; at least 16 are needed")
     level = jnp.atleast_1d(as_double(level, "level"))
     turn = slice(None, None, -1) if sweep == "down" else slice(None)
     period = 1 / np.asarray(freq)[turn]
@@ -197,7 +197,7 @@ def stepped_sine(
         fades = -np.expm1(-np.maximum(rig.blocks.decay * period, 1e-3))
         columns.append(_all_lines(rig, propagator(rig.blocks, period / steps), jnp.asarray(fades), level, plan))
     X, periods, change, settled, left = (jnp.stack(part, axis=-1)[:, turn] for part in zip(*columns, strict=True))
-    check_agreement(left, f"{steps} steps a period")
+    check_agreement(left, f"{steps} steps per period")
     j = len(joints)
     return SteppedSine(
         freq, level, X[:, :, j:], X[:, :, :j], periods, change, settled, names, tuple(inputs)

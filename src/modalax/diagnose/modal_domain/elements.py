@@ -97,7 +97,7 @@ def _moves(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def stiffness_parts(K: np.ndarray, nodes: Nodes) -> list[Part]:
-    """Parts that sum to a symmetric matrix: one a pair of coupled nodes, one a supported node."""
+    """Parts that sum to a symmetric matrix: one for each pair of coupled nodes and each supported node."""
     parts, rest = [], K.copy()
     diagonal = np.sqrt(np.maximum(np.abs(np.diag(K)), 1e-300))
     hinges = nodes.hinges(K)
@@ -177,7 +177,7 @@ def _ends(
 
 
 def mass_parts(M: np.ndarray, nodes: Nodes) -> list[Part]:
-    """Parts that sum to a mass matrix: one a pair of coupled nodes, the diagonal shared out by how they couple."""
+    """Parts that sum to a mass matrix: one for each pair of coupled nodes, which share the diagonal."""
     diagonal = np.sqrt(np.maximum(np.abs(np.diag(M)), 1e-300))
     unit = np.abs(M) / diagonal[:, None] / diagonal
     count = len(nodes.members)
@@ -202,7 +202,7 @@ def mass_parts(M: np.ndarray, nodes: Nodes) -> list[Part]:
 
 
 def local_parts(A: np.ndarray) -> list[Part]:
-    r"""Parts of a matrix whose elements cannot be read off it, as after a condensation: one a degree of freedom.
+    r"""Parts of a matrix whose elements cannot be read off it, as after a condensation: one for each DoF.
 
     :math:`A = F^T F` with ``F`` the symmetric root, whose rows are local: of a plate, its curvature about a point.
     Every part :math:`f f^T` is as free of stiffness against rigid motions as the whole.

@@ -1,4 +1,4 @@
-r"""What a measurement says in the modal domain: a few numbers a mode, with their joint covariance.
+r"""Features of a measurement in the modal domain: a few numbers per mode, with their joint covariance.
 
 Of each mode :math:`\ln|\lambda|`, :math:`\ln\zeta`, :math:`\ln|A|` and the real and imaginary parts of
 :math:`A/|A|`, ``A`` the residues outputs x inputs, seen along the directions in which a product of a shape and a

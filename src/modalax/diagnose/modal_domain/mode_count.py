@@ -16,7 +16,7 @@ ROUNDS = 16  # most rounds of adding and dropping
 AT_ONCE = 0.1  # share of the best candidate's gain from which others are added in the same round
 BEYOND = 0.1  # part of the band's ends by which a mode may lie outside
 MOST = 80  # modes in one band
-LINES = 4  # fewest lines a mode
+LINES = 4  # fewest lines per mode
 
 
 def blind_modes(channels: Channels, start: np.ndarray | None = None) -> Projected:

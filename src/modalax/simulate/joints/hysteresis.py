@@ -68,7 +68,7 @@ class ParallelJenkins(_Sliders):
         self.k, self.slip_force = as_double(k, "k"), as_double(slip_force, "slip_force")
         if self.k.ndim != 1 or self.k.shape != self.slip_force.shape:
             raise ValueError(
-                f"k has shape {self.k.shape} and slip_force {self.slip_force.shape}; both need one number a slider"
+                f"k has shape {self.k.shape} and slip_force {self.slip_force.shape}; each needs one number per slider"
             )
 
     @override
