@@ -1,4 +1,4 @@
-"""Causes as finite changes in the modal domain: where each may sit, how large it usually is, and what it does."""
+"""Causes as finite changes in the modal domain, with their place, usual size and effect."""
 
 from dataclasses import dataclass, field
 
@@ -9,7 +9,7 @@ KIND_OF = {"added_mass": "M", "joint_stiffness": "K", "local_damper": "C"}
 
 @dataclass(frozen=True)
 class Change:
-    """One cause at one place.
+    """One cause at one place of the simulation.
 
     Attributes
     ----------

@@ -118,7 +118,7 @@ def modes_of(
 
 @dataclass(frozen=True)
 class Slopes:
-    """What derivatives of some modes need; ``which`` are their numbers.
+    """Matrices from which derivatives of some modes follow; ``which`` holds the numbers of the modes.
 
     For a change ``B`` of the dynamic stiffness at the pole, the pole moves by ``-v' B v`` and the shape at the outputs
     by ``-G_o B v`` (and the same at the inputs), ``v`` the mode's vector.
@@ -167,7 +167,7 @@ def pattern_slopes(t: Slopes, kind: str, patterns: np.ndarray) -> tuple[np.ndarr
 
 
 def direction_slopes(t: Slopes, kind: str, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The same for changes ``b b'`` of rank one, ``b`` of shape ``(p, n)``."""
+    """Derivatives as :func:`pattern_slopes`, by changes ``b b'`` of rank one, ``b`` of shape ``(p, n)``."""
     across = t.vectors @ b.T  # (k, p)
     out = np.matmul(t.at_outputs, b.T).transpose(0, 2, 1) * across[:, :, None]
     inn = np.matmul(t.at_inputs, b.T).transpose(0, 2, 1) * across[:, :, None]

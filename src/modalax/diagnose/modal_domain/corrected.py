@@ -1,4 +1,4 @@
-"""A simulation with the general inaccuracy taken out: matrices, FRFs, and how large the inaccuracy is."""
+"""A simulation corrected for the general inaccuracy: matrices, FRFs, and the size of the inaccuracy."""
 
 from typing import Any
 
@@ -13,13 +13,13 @@ from modalax.diagnose.modal_domain.state import Setting, changes_of, slopes_at
 from modalax.model import Structure
 
 DRAWS, BESIDE = 16, 24  # of the sizes of the inaccuracy, and of its parts at each
-CONSISTENT = 3.0  # nats of log evidence by which an inaccuracy must do better than none to be told from it
+CONSISTENT = 3.0  # nats of log evidence by which an inaccuracy must be better than none to exclude none
 NONE = 1e-5  # relative size that counts as no inaccuracy
 LINES = 256  # lines solved at once
 
 
 def corrected(stage: Stage, f: Fit) -> Structure:
-    """The simulation with the inaccuracy of a fit, and its whole elements that are off, taken out."""
+    """The simulation corrected for the inaccuracy of a fit and for its whole elements that are off."""
     whole = tuple(c for c in f.causes if c.pattern is not None)
     u = np.array([v for c, v in zip(f.causes, f.u, strict=True) if c.pattern is not None])
     change = changes_of(stage.setting, f.sizes, whole, u)
@@ -85,7 +85,7 @@ def inaccuracy_told(setting: Setting, f: Fit) -> dict[str, Any]:
 
 
 def _may_be_none(setting: Setting, f: Fit, which: int, gram: np.ndarray, right: np.ndarray) -> bool:
-    """Whether nothing at all of one kind of inaccuracy would do nearly as well."""
+    """Whether the data are nearly as likely without one kind of inaccuracy."""
     values = []
     for size in (f.epsilon[which], NONE):
         epsilon = f.epsilon.copy()

@@ -1,8 +1,8 @@
-r"""Element by element: what the matrices of a simulation tell of the parts that it was put together from.
+r"""Elements of a simulation, read off its matrices.
 
-The block :math:`K_{ij}` between two nodes is all that the elements between them leave off the diagonal. As these
+The block :math:`K_{ij}` between two nodes is the sum of the off-diagonal blocks of the elements between them. As these
 elements do not resist a rigid motion, :math:`K^e_{ii} = -K_{ij} T(r)`, ``T`` the rigid motion of node j that goes
-with that of node i at a distance ``r``; and ``r`` follows from the symmetry of :math:`K^e_{ii}`. What is left over on
+with that of node i at a distance ``r``; and ``r`` follows from the symmetry of :math:`K^e_{ii}`. The rest of
 the diagonal is the support of each node. No coordinates are needed; beams, trusses and springs come out exactly.
 """
 
@@ -71,7 +71,7 @@ class Nodes:
 
 
 def nodes_of(dofs: tuple[str, ...]) -> Nodes:
-    """Nodes by the names of their DoFs; every DoF is a node of its own where names do not tell."""
+    """Nodes by the names of their DoFs; where names do not show the node, every DoF is a node of its own."""
     found: dict[object, list[int]] = {}
     axis, sign = np.full(len(dofs), -1), np.ones(len(dofs))
     for k, name in enumerate(dofs):
@@ -142,7 +142,7 @@ def _joined(K: np.ndarray, a: np.ndarray, b: np.ndarray) -> bool:
 
 
 def _springs_of(nodes: tuple[int, int], dofs: np.ndarray, matrix: np.ndarray) -> list[Part]:
-    """One part a spring where two nodes are joined by nothing else than springs from DoF to DoF; else none."""
+    """One part for each spring where two nodes are joined only by springs from DoF to DoF; else none."""
     half = len(dofs) // 2
     block = -matrix[:half, half:] if len(dofs) == 2 * half else np.zeros((0, 0))
     size = np.abs(matrix).max()

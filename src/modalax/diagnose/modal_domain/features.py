@@ -2,8 +2,8 @@ r"""Features of a measurement in the modal domain: a few numbers per mode, with 
 
 Of each mode :math:`\ln|\lambda|`, :math:`\ln\zeta`, :math:`\ln|A|` and the real and imaginary parts of
 :math:`A/|A|`, ``A`` the residues outputs x inputs, seen along the directions in which a product of a shape and a
-participation can move. A thousandfold of FRF samples is so compressed without loss, and shifts of fifty bandwidths are
-as easy to compare as shifts of a tenth.
+participation can move. This compresses a thousand times as many FRF samples without loss, and shifts of fifty
+bandwidths are as easy to compare as shifts of a tenth.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ FAINT = (
 
 @dataclass(frozen=True)
 class Features:
-    """Measured modes as numbers.
+    """Features of the measured modes.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Features:
 
     @property
     def width(self) -> int:
-        """Numbers of each mode."""
+        """Features of each mode."""
         return self.values.shape[1]
 
 
@@ -81,7 +81,7 @@ def chosen(f: Features, which: np.ndarray) -> Features:
 
 
 def sure(f: Features) -> np.ndarray:
-    """Which modes are known well enough to compare."""
+    """Whether each mode is known well enough to compare."""
     std = np.sqrt(np.maximum(np.diag(f.covariance), 0.0)).reshape(f.values.shape)
     return (std[:, 0] < SMEARED) & (std[:, 2] < FAINT)
 
@@ -105,7 +105,7 @@ def _tangent(A: np.ndarray) -> np.ndarray:
 
 
 def values_of(poles: np.ndarray, residues: np.ndarray, tangent: np.ndarray) -> np.ndarray:
-    """Numbers of modes, shape ``(k, 3 + 2 d)``; residues in units of the channels."""
+    """Features of modes, shape ``(k, 3 + 2 d)``, from their poles and residues in units of the channels."""
     size = np.sqrt((np.abs(residues) ** 2).sum(axis=(1, 2)))
     along = np.einsum("kdoi,koi->kd", tangent.conj(), residues) / size[:, None]
     zeta = np.maximum(-poles.real / np.abs(poles), 1e-9)
@@ -117,7 +117,7 @@ def values_of(poles: np.ndarray, residues: np.ndarray, tangent: np.ndarray) -> n
 def slopes_of_values(
     poles: np.ndarray, residues: np.ndarray, tangent: np.ndarray, dpoles: np.ndarray, dresidues: np.ndarray
 ) -> np.ndarray:
-    """Derivatives of the numbers, shape ``(k, 3 + 2 d, p)``, by changes ``(k, p)`` and ``(k, p, o, i)``."""
+    """Derivatives of the features, shape ``(k, 3 + 2 d, p)``, by changes ``(k, p)`` and ``(k, p, o, i)``."""
     size2 = (np.abs(residues) ** 2).sum(axis=(1, 2))
     relative = dpoles / poles[:, None]
     real = poles.real[:, None]
@@ -130,7 +130,7 @@ def slopes_of_values(
 
 
 def _covariance(found: Projected, residues: np.ndarray, units: np.ndarray, tangent: np.ndarray) -> np.ndarray:
-    """Joint covariance of the numbers, first order."""
+    """Joint covariance of the features, to first order."""
     R, o, i = residues.shape
     if not R:
         return np.zeros((0, 0))
@@ -161,14 +161,14 @@ def _covariance(found: Projected, residues: np.ndarray, units: np.ndarray, tange
 
 
 def _positive(covariance: np.ndarray) -> np.ndarray:
-    """The same without what rounding leaves below zero, as where two modes are all but one."""
+    """A covariance without eigenvalues that rounding makes negative, as for two modes that are nearly one."""
     size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     values, vectors = np.linalg.eigh((covariance + covariance.T) / 2 / size[:, None] / size)
     return (vectors * np.maximum(values, 1e-14)) @ vectors.T * size[:, None] * size
 
 
 def paired(f: Features, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
-    """Which predicted mode each measured one is, shape ``(k,)``: likeness of residues and nearness in frequency.
+    """Number of the predicted mode that belongs to each measured one, by residues and frequency, shape ``(k,)``.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-r"""Fits of hypotheses to measured modes, with the general inaccuracy beside, and their evidence.
+r"""Fits of hypotheses to measured modes, together with the general inaccuracy, and their evidence.
 
 The unknowns ``x`` (parts of the inaccuracy over their sizes, causes over theirs) are standard normal before the data.
 Each step solves the linearised problem exactly; the sizes of the inaccuracy are learnt on the way (MacKay 1992,
@@ -14,21 +14,21 @@ from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.state import Setting, State, slopes_at, state_at
 
 TEMPERATURES = (100.0, 10.0, 3.0)  # widening of the features' covariance in the first steps of a fit
-LEARNING = 10.0  # greatest of these at which the sizes of the inaccuracy are learnt: far off, all seems inaccurate
+LEARNING = 10.0  # greatest of these at which sizes of the inaccuracy are estimated; far from the data all seem large
 LAST = 25  # most steps at the true covariance
 SETTLED = 0.02  # change of log evidence at which a fit has ended
-SMALLEST = 1e-5  # least size of an inaccuracy: what no structure is known better to
-LARGEST = np.array([0.3, 0.3, 1.5])  # greatest sizes in stiffness, mass and damping: beyond it is no simulation
+SMALLEST = 1e-5  # least relative size of an inaccuracy; no structure is known better
+LARGEST = np.array([0.3, 0.3, 1.5])  # greatest relative sizes that are tried in stiffness, mass and damping
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A hypothesis fitted.
+    """A fitted hypothesis.
 
     Attributes
     ----------
     causes
-        What it holds beside the general inaccuracy.
+        Causes in addition to the general inaccuracy.
     sizes
         Of all patterns, relative to the whole.
     u
@@ -108,7 +108,7 @@ def fit(
     setting: Setting, causes: tuple[Change, ...] = (), start: Fit | None = None, u: np.ndarray | None = None,
     temperatures: tuple[float, ...] = TEMPERATURES,
 ) -> Fit | None:  # fmt: skip
-    """Fit a hypothesis; None where it leads to no simulation that vibrates.
+    """Fit a hypothesis; None where the search leads to matrices without enough modes.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def _step(
     setting: Setting, causes: tuple[Change, ...], state: State, sizes: np.ndarray, u: np.ndarray, x: np.ndarray,
     scale: np.ndarray, temperature: float,
 ) -> tuple[State, np.ndarray, np.ndarray, float]:  # fmt: skip
-    """Towards the solution of the linear problem as far as the cost falls; also by how much it fell."""
+    """Step towards the solution of the linear problem, as far as the cost falls; also returns by how much it fell."""
     old = np.concatenate([sizes, u])
     n = len(sizes)
     cost = lambda s, y: 0.5 * float(s.difference @ s.difference) / temperature + 0.5 * float(((y / scale) ** 2).sum())  # noqa: E731

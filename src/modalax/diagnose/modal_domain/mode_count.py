@@ -1,4 +1,4 @@
-"""Which modes a measurement has in its band, found from the FRFs alone: added and dropped until evidence settles."""
+"""The modes of a measurement in its band, from the FRFs alone: added and dropped until the evidence settles."""
 
 from dataclasses import replace
 
@@ -56,12 +56,12 @@ def blind_modes(channels: Channels, start: np.ndarray | None = None) -> Projecte
 
 
 def _cost(channels: Channels) -> float:
-    """Chi-square that noise alone would gain a further mode."""
+    """Chi-square that a further mode gains under noise alone with a chance of ``CHANCE``."""
     return float(scipy.stats.chi2.isf(CHANCE, 2 + 2 * channels.data.shape[1]))
 
 
 def misfit(found: Projected, channels: Channels) -> float:
-    """Chi-square per sample beyond which noise does not go; at least 1."""
+    """Chi-square per sample that the modes leave; at least 1."""
     unknowns = found.linear.shape[0] * found.linear.shape[1] + 2 * len(found.poles)
     return max(1.0, found.chi2 / max(channels.samples - unknowns, 1))
 

@@ -1,8 +1,8 @@
 r"""All causes at all places at once, linearised where the inaccuracy alone explains the measurement.
 
-About the simulation itself a score means nothing once modes have moved by several bandwidths. But a cause is only a
-particular change of the matrices, and the general inaccuracy can make nearly any: fitted without a cause it stands
-where the data are, and from there each cause is told by how much likelier it makes the change that was needed.
+A score about the simulation itself means nothing once modes have moved by several bandwidths. But a cause is only a
+particular change of the matrices, and the general inaccuracy can imitate nearly any: fitted without a cause it explains
+the data, and each cause is scored by how much likelier it makes the change that was needed.
 """
 
 import numpy as np
@@ -20,7 +20,7 @@ TOLERANT = 3.0  # times the usual inaccuracy that finite changes are screened wi
 
 
 def finite(setting: Setting, candidates: list[Change]) -> tuple[np.ndarray, np.ndarray]:
-    r"""The same by finite changes of the simulation itself: least :math:`r^T\Sigma^{-1}r + u^2` of each, and its size.
+    r"""Screen by finite changes of the simulation itself: least :math:`r^T\Sigma^{-1}r + u^2` of each, and its size.
 
     Damping is taken mode by mode, which is exact enough to rank.
     """
@@ -51,7 +51,7 @@ def finite(setting: Setting, candidates: list[Change]) -> tuple[np.ndarray, np.n
 
 
 def _tolerance(setting: Setting) -> tuple[State, np.ndarray]:
-    """The simulation as it is, and the matrix whose product with a difference is what the inaccuracy explains of it."""
+    """The nominal simulation, and a matrix whose product with a difference is the part that the inaccuracy explains."""
     a = setting.inaccuracy
     state = state_at(setting, np.zeros(len(a.group_of)))
     W = slopes_at(setting, state) * (TOLERANT * a.usual)[a.group_of]
@@ -119,7 +119,7 @@ def _changed(setting: Setting, cause: Change, sizes: np.ndarray) -> list[tuple[f
 
 
 def scores(setting: Setting, f: Fit, candidates: list[Change]) -> tuple[np.ndarray, np.ndarray]:
-    """Gain of log evidence by each candidate beside a fit, and its size over the usual one; -inf where it has none."""
+    """Gain of log evidence by adding each candidate to a fit, and its size over the usual one; -inf without a size."""
     J = slopes_at(setting, f.state, f.causes, f.u)
     x = np.concatenate([f.sizes, f.u])
     s = np.concatenate([f.epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
@@ -139,7 +139,7 @@ def scores(setting: Setting, f: Fit, candidates: list[Change]) -> tuple[np.ndarr
 
 
 def replaced(setting: Setting, f: Fit, which: int, candidates: list[Change]) -> tuple[np.ndarray, np.ndarray]:
-    """The same by each candidate in the stead of one cause of a fit, linearised where that fit stands."""
+    """Gain as :func:`scores` by each candidate in place of one cause of a fit, linearised about that fit."""
     J = slopes_at(setting, f.state, f.causes, f.u)
     x = np.concatenate([f.sizes, f.u])
     s = np.concatenate([f.epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
@@ -160,7 +160,7 @@ def replaced(setting: Setting, f: Fit, which: int, candidates: list[Change]) -> 
 
 
 def errors_of(setting: Setting, f: Fit, candidates: list[Change]) -> np.ndarray:
-    """Standard deviation that each candidate's size would have beside a fit, over its usual size; NaN without one."""
+    """Standard deviation of each candidate's size when added to a fit, over its usual size; NaN without a size."""
     J = slopes_at(setting, f.state, f.causes, f.u)
     W = J * np.concatenate([f.epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
     L = np.linalg.cholesky(np.eye(W.shape[1]) + W.T @ W)

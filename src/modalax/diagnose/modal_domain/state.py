@@ -22,12 +22,12 @@ NONE = np.zeros(0)  # sizes where there is no cause
 
 @dataclass(frozen=True)
 class Setting:
-    """Everything that hypotheses share.
+    """Data and simulation, which all hypotheses share.
 
     Attributes
     ----------
     coordinates, inaccuracy, features
-        The simulation, how it may be off, and what was measured.
+        The simulation, its possible inaccuracy, and the measured features.
     whitener
         Inverse of the triangular factor of the features' covariance.
     """
@@ -44,14 +44,14 @@ class Setting:
 
 @dataclass(frozen=True)
 class State:
-    """A simulation with sizes of the inaccuracy and of causes.
+    """Predictions of a simulation with given sizes of the inaccuracy and of causes.
 
     Attributes
     ----------
     difference
         Whitened measured less predicted features.
     modes, pairs
-        Predicted modes, and which of them each measured one is.
+        Predicted modes, and the number of the predicted mode that belongs to each measured one.
     plain, residues
         Predicted residues without and with faults of channels, shape ``(m, o, i)``.
     """
@@ -82,7 +82,7 @@ def state_at(
     setting: Setting, sizes: np.ndarray, causes: tuple[Change, ...] = (), u: np.ndarray = NONE,
     pairs: np.ndarray | None = None,
 ) -> State:  # fmt: skip
-    """Predict; modes are paired afresh unless ``pairs`` is given.
+    """Predict the features; measured and predicted modes are paired unless ``pairs`` is given.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def screening_slopes(
     setting: Setting, state: State, candidates: list[Change], causes: tuple[Change, ...] = (),
     u: np.ndarray = NONE,
 ) -> np.ndarray:  # fmt: skip
-    """The same by the sizes of further causes at zero, shape ``(m, candidates)``; zero where a cause has no size."""
+    """Whitened derivatives by sizes of further causes at zero, ``(m, candidates)``; zero for causes without a size."""
     t = slopes_of(setting.coordinates, state.modes, state.pairs)
     out = np.zeros((len(setting.whitener), len(candidates)))
     for kind in "KCM":
