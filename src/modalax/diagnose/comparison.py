@@ -1,4 +1,4 @@
-"""One measurement against one simulation: everything that the steps of a diagnosis share."""
+"""Comparison of a measurement with a simulation: the data that all steps of a diagnosis share."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -62,11 +62,11 @@ class Comparison:
     cache: dict[Any, Any] = field(default_factory=dict)
 
     def side(self, per_run: bool) -> tuple[Problem, Nuisance, float]:
-        """The problem that a hypothesis needs, its nuisance, and the chi-square to add."""
+        """The problem and nuisance for causes that differ from run to run or not, and the chi-square to add."""
         return (self.problem, self.nuisance, 0.0) if per_run else (self.pooled, self.pooled_nuisance, self.rest)
 
     def fit(self, starts: Sequence[Hypothesis], rounds: int) -> list[Hypothesis]:
-        """Fit hypotheses of any kinds; chi-squares are those of all runs."""
+        """Fit hypotheses of any kinds; their chi-squares count all runs."""
         out: list[Hypothesis | None] = [None] * len(starts)
         for kind in {h.causes for h in starts}:
             which = [k for k, h in enumerate(starts) if h.causes == kind]
@@ -98,14 +98,14 @@ class Comparison:
         return np.asarray(self.problem.weight) > 0
 
     def without(self, lines: np.ndarray) -> "Comparison":
-        """The same with some lines left out (hum)."""
+        """The comparison without some lines, those of hum."""
         mask = np.zeros(self.problem.data.shape[1], bool)
         mask[: len(lines)] = lines
         keep = np.where(mask, 0.0, 1.0)[None, :, None, None]
         return self.reweighted(np.asarray(self.problem.weight) * keep)
 
     def with_noise(self, noise: Noise) -> "Comparison":
-        """The same with the noise known better."""
+        """The comparison with a better estimate of the noise."""
         order = DERIVATIVES[self.measurement.form]
         sigma = noise.sigma / (2 * np.pi * self.scene.freq[:, None, None]) ** order
         weight = np.zeros(self.problem.weight.shape)
@@ -137,7 +137,7 @@ class Comparison:
         return replace(self, problem=problem, pooled=problem if self.pooled is self.problem else pooled, cache={})
 
     def reweighted(self, weight: np.ndarray) -> "Comparison":
-        """The same with other weights."""
+        """The comparison with other weights."""
         problem = self.problem.weighted(weight)
         pooled, rest = problem.pooled()
         free = self.question == "free"
@@ -174,7 +174,7 @@ def hum_of(cause: LinesCause, place: Place, comparison: Comparison, residual: np
 
 
 def as_measurement(data: Measurement | FRF) -> Measurement:
-    """Receptances without the line at 0 Hz, and a standing level where none is known.
+    """Receptances without the line at 0 Hz, and a default force level where none is known.
 
     Raises
     ------
@@ -199,7 +199,7 @@ def as_measurement(data: Measurement | FRF) -> Measurement:
 def make_comparison(
     data: Measurement | FRF, simulation: Structure | ModalModel | ExtendedSimulation, question: str = "auto"
 ) -> Comparison:
-    """Bring a measurement and a simulation together.
+    """Prepare the comparison of a measurement with a simulation.
 
     Parameters
     ----------
@@ -265,7 +265,7 @@ def make_comparison(
 
 
 def noise_beside(comparison: Comparison, null: Hypothesis) -> Noise | None:
-    """Estimate noise again, given the simulation as it fits, if variances were missing; None where they were given."""
+    """Estimate missing variances from the residual of the fitted simulation; None where variances were given."""
     if comparison.noise.freedom >= TRUSTED or comparison.question == "free":
         return None
     order = DERIVATIVES[comparison.measurement.form]
@@ -274,7 +274,7 @@ def noise_beside(comparison: Comparison, null: Hypothesis) -> Noise | None:
 
 
 def _coupled(simulation: Structure | ModalModel) -> np.ndarray | None:
-    """Which DoFs the matrices of a structure couple; None where all are (condensed matrices) or nothing is known."""
+    """Pairs of DoFs that the matrices of a structure couple; None if all are (condensed matrices) or none is known."""
     if not isinstance(simulation, Structure):
         return None
     K = np.abs(np.asarray(simulation.K))
@@ -286,7 +286,7 @@ def _coupled(simulation: Structure | ModalModel) -> np.ndarray | None:
 def _taken_apart(
     simulation: Structure | ModalModel | ExtendedSimulation, measurement: Measurement
 ) -> tuple[Structure | ModalModel, Held | None]:
-    """Modes and, of an extended simulation, what it has besides them."""
+    """Modes of a simulation and, of an extended one, its causes."""
     if not isinstance(simulation, ExtendedSimulation):
         return simulation, None
     faults = [c.slug for c in simulation.causes if c.on_measured_channels]
@@ -337,7 +337,7 @@ def causes_of(causes: Sequence[Cause] | None, comparison: Comparison, default: S
 
 
 def with_noise_beside(comparison: Comparison) -> Comparison:
-    """Estimate the noise of missing variances again, with the simulation as it fits instead of as it came."""
+    """The comparison with missing variances estimated from the residual of the fitted simulation."""
     for _ in range(AGAIN):
         noise = noise_beside(comparison, comparison.fit([empty(comparison)], ROUNDS)[0])
         if noise is None:
@@ -347,5 +347,5 @@ def with_noise_beside(comparison: Comparison) -> Comparison:
 
 
 def empty(comparison: Comparison) -> Hypothesis:
-    """The simulation alone."""
+    """The hypothesis without causes: the simulation alone."""
     return Hypothesis(theta=np.zeros((2, comparison.problem.modal_form.stiffness.shape[0])))

@@ -1,4 +1,4 @@
-r"""What an extension gains on data that it was not fitted to: a level, a repeat, a column, or whole blocks of lines."""
+r"""Prediction of data held out of the fit: a force level, a repeat, a column, or blocks of lines."""
 
 from dataclasses import replace
 
@@ -94,7 +94,7 @@ def measure(comparisons: tuple[Comparison, Comparison], null: Hypothesis, found:
 
 
 def _on(comparison: Comparison, kept: np.ndarray, left: np.ndarray, h: Hypothesis) -> tuple[np.ndarray, float]:
-    """Whitened residuals on the held-out block of what was fitted to the rest, and by how much it is missed."""
+    """Whitened residuals on the held-out block after a fit to the rest, and the excess of their chi-square."""
     seen, unseen = comparison.reweighted(kept), comparison.reweighted(left)
     null = seen.fit([replace(h, causes=(), places=(), extras=(), params=(), hum=None)], ROUNDS)[0]
     if not h.causes:

@@ -1,4 +1,4 @@
-r"""Which laws of a joint explain a test at several levels, when the linear modes are not known better than the law.
+r"""Comparison of joint laws on a test at several levels, fitted together with linear modes that are not known either.
 
 A linear fit of a jointed structure is itself bent by the joint, even at the lowest level. Here everything is fitted
 together: the laws, the modes (frequency, damping, complex size in each output) and the residual terms. Where the motion
@@ -240,7 +240,7 @@ def _solve(task: Task, causes: tuple[Any, ...], x: np.ndarray, motion: Any, step
 
 
 def _rows(task: Task, cause: Any) -> list[np.ndarray]:
-    """A few sizes of a law, as searched."""
+    """A few sizes of a law to start from, in the variables of the search."""
     grid = cause.grid(task.scene, task.place)
     grid = grid[np.abs(grid[:, 0]) > np.abs(grid[:, 0]).max() * 5e-3]
     pick = np.unique(np.linspace(0, len(grid) - 1, STARTS).round().astype(int))
@@ -273,7 +273,7 @@ def _at_measured_motion(task: Task, causes: tuple[Any, ...], solved: dict[tuple[
 
 
 def _at_own_motion(task: Task, causes: tuple[Any, ...], fits: list[Any]) -> Explained:
-    """Go on from the fits at the measured motion to the motion that the model itself predicts."""
+    """Continue the fits from the measured motion to the motion that the model predicts."""
     best = min((_solve(task, causes, f.x, None, 80) for f in fits[:KEPT]), key=lambda f: f.cost)
     r, J, x = best.fun, best.jac, best.x
     samples, problem = len(r), task.problem

@@ -1,4 +1,4 @@
-"""What to measure to tell rival causes apart."""
+"""Advice on what to measure to tell rival causes apart."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-r"""Is anything wrong: significance of what the screening and the omnibus tests saw."""
+r"""Detection: the significance of what the screening and the omnibus tests saw."""
 
 import math
 from collections.abc import Sequence

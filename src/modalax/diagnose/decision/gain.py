@@ -1,4 +1,4 @@
-"""What an extension gains on data that it was not fitted to."""
+"""Gain of an extended simulation on data that it was not fitted to."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Gain:
-    """Before and after on the held-out block.
+    """Prediction of the held-out block by the simulation and by the extended one.
 
     Attributes
     ----------

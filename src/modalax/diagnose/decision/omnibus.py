@@ -1,4 +1,4 @@
-r"""Does anything but noise remain? Tests that know no cause.
+r"""Omnibus tests for anything but noise in a residual, without reference to a cause.
 
 Residuals are summed over short stretches of neighbouring lines: an effect spread over a resonance adds up there as
 its amplitude, noise only as its square root, so that it is seen at a third of the size that a plain chi-square needs.

@@ -1,4 +1,4 @@
-r"""Which hypothesis is the likeliest: Schwarz's criterion, and what is known of causes and places beforehand."""
+r"""Probabilities of hypotheses: Schwarz's criterion, with prior probabilities of causes and places."""
 
 import math
 from collections.abc import Sequence

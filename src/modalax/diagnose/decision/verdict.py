@@ -1,4 +1,4 @@
-"""The verdict: one ordered list of rules over what was found, left and predicted."""
+"""The verdict: one ordered list of rules about what was found, what is left and how well it predicts."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

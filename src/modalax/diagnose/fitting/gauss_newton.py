@@ -154,7 +154,7 @@ def _step(A: np.ndarray, g: np.ndarray, damping: float, held: np.ndarray) -> np.
 
 
 def covariance_of(A: np.ndarray) -> np.ndarray:
-    """Inverse of a normal matrix; along what it does not show the variance is all but infinite, not nothing."""
+    """Inverse of a normal matrix; along directions without information the variance is huge instead of zero."""
     diagonal = np.diag(A)
     scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     value, V = np.linalg.eigh(A / scale[:, None] / scale[None])

@@ -1,4 +1,4 @@
-"""A hypothesis, that is causes at places with parameters, and its unknowns as they are searched."""
+"""Hypotheses, which are causes at places with parameters, and their unknowns in the variables of the search."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -68,7 +68,7 @@ class Hypothesis:
         return np.array([p.index for p in self.places], dtype=np.int64).reshape(-1, 3)
 
     def with_cause(self, cause: Cause, place: Place, extra: Any, p: np.ndarray) -> "Hypothesis":
-        """The same and one more cause, not fitted yet."""
+        """The hypothesis with one more cause, not fitted yet."""
         return replace(
             self, causes=(*self.causes, cause), places=(*self.places, place), extras=(*self.extras, extra),
             params=(*self.params, np.asarray(p, float)), chi2=np.inf, covariance=None,
@@ -76,13 +76,13 @@ class Hypothesis:
 
 
 def to_search(cause: Cause, p: np.ndarray) -> np.ndarray:
-    """Parameters as searched: logarithms where declared."""
+    """Parameters in the variables of the search, which are logarithms where a parameter says so."""
     log = np.array([q.log for q in cause.parameters], bool)
     return np.where(log, np.log(np.maximum(p, 1e-300)), p) if len(log) else np.zeros(0)
 
 
 def from_search(cause: Cause, u: Any) -> Any:
-    """Parameters from what is searched."""
+    """Parameters from the variables of the search."""
     log = np.array([q.log for q in cause.parameters], bool)
     if not len(log):
         return jnp.zeros(0)

@@ -43,14 +43,14 @@ class Nuisance:
 
     @property
     def chooser(self) -> np.ndarray:
-        """One row a live parameter (and empty ones up to a common size), shape ``(k, 2 n)``."""
+        """A row for each parameter that may adapt, and empty rows up to a common size, shape ``(k, 2 n)``."""
         rows = np.zeros((bucket(len(self.live)) if self.active else 0, self.spread.size))
         rows[np.arange(len(self.live)), self.live] = 1.0
         return rows
 
 
 def make_nuisance(spread: np.ndarray, basis: Any, problem: Problem) -> Nuisance:
-    """Find out which modal parameters can show in the data within their spread.
+    """Find the modal parameters whose change within their spread would show in the data.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""What a simulation with causes in place predicts."""
+"""Predictions of a simulation with causes added."""

@@ -1,4 +1,4 @@
-r"""The FRF that a simulation predicts once some causes are added to it.
+r"""FRFs predicted by a simulation with causes added.
 
 Stages follow the way of the signal: the modes, what a finite record or a sweep makes of them, local linear elements,
 one non-linear joint, and the channels. Everything is written on the receptance, so that any causes can be combined.
@@ -78,7 +78,7 @@ def predict(
 
 
 def of(stage: Any, at: list[Any]) -> list[Any]:
-    """Those of some causes, each with its place, extra and parameters, that act at one stage or several."""
+    """The causes that act at one of some stages, each with its place, extra and parameters."""
     return [one for one in at if isinstance(one[0], stage)]
 
 

@@ -1,1 +1,1 @@
-"""Measurement and simulation brought to common arrays."""
+"""Measurement and simulation as arrays on common lines and channels."""

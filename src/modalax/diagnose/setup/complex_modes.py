@@ -1,4 +1,4 @@
-r"""How complex modes follow when the undamped modes have other frequencies or damping ratios than the matrices say.
+r"""Change of complex modes when frequencies or damping ratios of the undamped modes differ from the matrices.
 
 The author of a simulation claims a spread of each undamped mode's frequency and damping ratio. Where dampers couple
 these modes, every complex mode follows each of them a little, in pole and in shape. With :math:`K_p` and
@@ -125,7 +125,7 @@ def uncoupled_of(
 
 
 def _own(shapes: np.ndarray, inverse: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which undamped mode each complex one is most of, and how much of it, shapes ``(n,)`` and ``(n, 1)``."""
+    """Largest undamped mode in each complex one, and its share, shapes ``(n,)`` and ``(n, 1)``."""
     share = shapes @ inverse.T
     own = scipy.optimize.linear_sum_assignment(-(np.abs(share) ** 2))[1]
     return own, share[np.arange(len(own)), own][:, None]

@@ -1,4 +1,4 @@
-r"""The simulation as one set of modal arrays, whatever kind it was.
+r"""The modal arrays of a simulation of any kind.
 
 Every place that a cause can sit at is a direction over DoFs, and the receptance between directions is read from
 these arrays, so that neither the number of DoFs nor the kind of simulation matters to a cause.
@@ -100,7 +100,7 @@ class ModalForm(eqx.Module):
 
 
 def kept_coupling(causes: Iterable[tuple[Any, Any]]) -> Any:
-    """Share of what couples the modes' damping that causes with these parameters leave."""
+    """Share of the damping coupling between modes that causes with these parameters leave."""
     return math.prod(cause.viscous(p) for cause, p in causes if isinstance(cause, HystereticCause))
 
 

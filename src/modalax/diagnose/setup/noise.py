@@ -1,4 +1,4 @@
-r"""How noisy each sample is: variances from few repeats smoothed, missing ones estimated from the data.
+r"""Noise of each sample: variances from few repeats are smoothed, missing ones are estimated from the data.
 
 A variance from M repeats is :math:`\sigma^2\chi^2_\nu/\nu` with :math:`\nu = 2(M-1)`; used line by line, M = 3 puts
 13 % of the whitened residuals beyond 3.5 instead of 0.05 %. The variance of a channel is therefore taken as a constant
@@ -53,7 +53,7 @@ class Noise:
 
     @property
     def spread(self) -> float:
-        """By how much estimated variances widen the scores; where read off the lines, as 109 clean sets had it."""
+        """Factor by which estimated variances widen the scores; for variances from the lines, as in 109 clean sets."""
         if not np.isfinite(self.freedom):
             return 1.0
         return 1.1 if self.freedom < TRUSTED else 1.0 + 0.3 / self.freedom
@@ -65,7 +65,7 @@ class Noise:
 
     @property
     def line_spread(self) -> float:
-        """The same for what is summed over the channels of a line: how uneven lines are is counted apart."""
+        """Degrees of freedom of sums over the channels of a line; the unevenness of lines is counted separately."""
         return READ_LINES if self.freedom < TRUSTED else self.spread
 
 
@@ -207,7 +207,7 @@ def smoothed(
 
 
 def _course(ratio: np.ndarray, share: np.ndarray, course: np.ndarray, over: tuple[int, ...], about: int) -> np.ndarray:
-    """How the noise that does not follow the response goes over frequency, the same along the axes ``over``.
+    """Course over frequency of the noise that does not follow the response, the same along the axes ``over``.
 
     The multiplicative update for chi-square scatter (Fevotte, Bertin and Durrieu 2009, Neural Computation 21:793),
     single lines of ``about`` left out. ``ratio`` is that of the variances to the model, ``share`` the part of this

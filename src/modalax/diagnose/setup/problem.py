@@ -14,7 +14,7 @@ from modalax.diagnose.setup.modal_form import ModalForm
 
 
 class Held(eqx.Module):
-    """Causes that the simulation itself has already, with their parameters: an extended simulation diagnosed again."""
+    """Causes that an extended simulation already has, with their parameters, when it is diagnosed again."""
 
     index: Int[Array, "cause 3"]
     extras: tuple[Any, ...]
@@ -24,7 +24,7 @@ class Held(eqx.Module):
 
 
 class Problem(eqx.Module):
-    r"""What every cause is asked about.
+    r"""Data and modal arrays of a comparison, as JAX arrays of padded shapes.
 
     Axes are padded to a few sizes, so that functions compiled for one measurement serve the next; padded samples
     have weight zero.
@@ -70,7 +70,7 @@ class Problem(eqx.Module):
         return 2 * int(np.count_nonzero(np.asarray(self.weight)))
 
     def pooled(self) -> tuple["Problem", float]:
-        """All runs as one, for what does not depend on the run, and the chi-square that this leaves out."""
+        """All runs averaged into one, for causes that do not depend on the run, and the chi-square left out by that."""
         if self.data.shape[0] == 1 or (self.held is not None and any(c.per_run for c in self.held.causes)):
             return self, 0.0
         square = np.asarray(self.weight) ** 2
@@ -85,7 +85,7 @@ class Problem(eqx.Module):
         return one, rest
 
     def weighted(self, weight: Any) -> "Problem":
-        """The same with other weights (a block left out)."""
+        """The problem with other weights, for example with a block left out."""
         return eqx.tree_at(lambda p: p.weight, self, jnp.asarray(weight))
 
 
