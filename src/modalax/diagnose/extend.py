@@ -209,7 +209,7 @@ def from_arrays(arrays: Any, causes: Sequence[Cause] | None = None) -> ExtendedS
     strange = [k for k in keys if k not in known]
     if strange:
         raise ValueError(
-            f"cause {strange[0]} is unknown: a cause of one's own is told by load(..., causes=[...]); known are "
+            f"cause {strange[0]} is unknown: pass causes of your own to load(..., causes=[...]); known are "
             f"{', '.join(sorted(known))}"
         )
     every = range(len(keys))

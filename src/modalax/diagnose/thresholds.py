@@ -82,13 +82,16 @@ class Thresholds:
         "They fail only if that chi-square is also more than this many times the one of a fit to all data.", SCORE,
     )  # fmt: skip
     rival: float = _threshold(
-        0.005, "probability", "A rival of an ambiguous set is told from this probability on.", SCORE
+        0.005, "probability", "A rival of an ambiguous set is reported from this probability on.", SCORE
     )
     elsewhere: float = _threshold(
-        0.05, "probability", "Another place of what is named is told from this probability on.", SCORE
+        0.05, "probability", "Another place of what is named is reported from this probability on.", SCORE
     )
     likeness: float = _threshold(
-        0.05, "probability", "What the data looks like beside the catalogue is told from this probability on.", SCORE
+        0.05,
+        "probability",
+        "What the data looks like beside the catalogue is reported from this probability on.",
+        SCORE,
     )
     power: float = _threshold(
         1.28, "standard deviations",

@@ -143,7 +143,7 @@ class Cause:
         return 1.0
 
     def report(self, p: np.ndarray, place: Place) -> dict[str, tuple[Any, str]]:
-        """Parameters as told in the answer: value and unit by name."""
+        """Parameters as reported in the answer: value and unit by name."""
         return {q.name: (p[k], q.unit) for k, q in enumerate(self.parameters)}
 
     def cost(self, extra: Any) -> float:

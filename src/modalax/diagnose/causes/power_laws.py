@@ -12,7 +12,7 @@ from modalax.diagnose.causes.local import median_omega
 from modalax.diagnose.causes.parameter import Parameter, strengths
 from modalax.diagnose.causes.scene import Place, Scene
 
-REFERENCE = 1e-4  # amplitude at which the lost stiffness is told [m]
+REFERENCE = 1e-4  # amplitude at which the lost stiffness is reported [m]
 EXPONENTS = (0.5, 1.0, 1.5)
 
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from modalax.diagnose.decision.posterior import Ranked
 
 AT_LEVELS = "measure at three force levels or more, spread over a factor of ten, and look at the third harmonic"
-MOST_PLACES, MOST_PARTS = 6, 3  # places told in one sentence, and parts of the advice
+MOST_PLACES, MOST_PARTS = 6, 3  # most places in one sentence, and most parts of the advice
 
 
 def advise(verdict: str, sets: Sequence[Ranked]) -> str:
