@@ -70,7 +70,7 @@ class ChannelSwap(ChannelCause):
 
     slug = "channel_swap"
     shortlist_by = "exchange"
-    advice = "tap at each sensor and look which channel answers"
+    advice = "tap at each sensor and check which channel responds"
     summary = "two sensors exchanged"
     rows = 2
 
@@ -153,7 +153,7 @@ class SensorMass(ChannelCause):
     r"""A roving sensor loads only its own FRFs: row times :math:`1/(1 + s^2 m H_{ss})`."""
 
     slug = "sensor_mass"
-    advice = "repeat with a dummy mass at the sensor, or with the sensors all left in place"
+    advice = "repeat with a dummy mass at the sensor, or with all sensors left in place"
     summary = "mass of a roving sensor"
     rows = 1
     parameters = (Parameter("mass", "kg", 0.0),)

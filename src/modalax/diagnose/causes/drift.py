@@ -105,7 +105,7 @@ class AllStiffness(ModesCause):
     """All natural frequencies off by one share: Young's modulus, or the clock of the analyser."""
 
     slug = "all_stiffness"
-    summary = "all natural frequencies off by one share"
+    summary = "all natural frequencies off by the same factor"
     named = False
     prior = RARE
     parameters = (Parameter("relative_stiffness", "-", -0.9),)

@@ -46,7 +46,7 @@ class ElastoSlip(JointCause):
 
     def __init__(self, replaced: bool):
         self.replaced = replaced
-        self.summary = "a spring that slips, in place of one" if replaced else "a spring that slips, added"
+        self.summary = "a spring of the simulation that slips" if replaced else "an additional spring that slips"
 
     def grid(self, scene: Scene, place: Place) -> np.ndarray:
         """Slip at fractions of the amplitude."""
@@ -86,7 +86,7 @@ class GapContact(JointCause):
 
     slug = "gap"
     has_threshold = True
-    summary = "a free way between stops"
+    summary = "clearance between stops"
     fidelity = 0.01
     parameters = (Parameter("stiffness", "N/m", 0.0), Parameter("gap", "m", 1e-15, log=True))
 
@@ -104,7 +104,7 @@ class QuadraticDamping(JointCause):
     r"""Drag, :math:`j\frac{8}{3\pi}c\,\omega^2 A`."""
 
     slug = "quadratic_damping"
-    summary = "drag that grows as the square of velocity"
+    summary = "damping that grows with the square of the velocity"
     fidelity = 0.01
     parameters = (Parameter("coefficient", "N s^2/m^2", 0.0),)
 

@@ -29,7 +29,7 @@ class MicroSlip(JointCause):
     """
 
     slug = "micro_slip"
-    summary = "an interface that slips a little at a time"
+    summary = "micro-slip of an interface"
     fidelity = 0.01
     parameters = (Parameter("lost_stiffness", "N/m", 0.0), Parameter("exponent", "-", 0.2, 2.0))
 
