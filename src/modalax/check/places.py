@@ -21,7 +21,7 @@ RECIPROCAL = 0.04
 # Squared deviations over tolerances: most that one term counts, the sum from which on a rule is broken, and the share
 # of that sum that a correction may leave.
 MOST, BROKEN, MENDED = 40.0, 30.0, 0.2
-MOST_FAULTS = 3
+MOST_FAULTS = 3  # sign changes and exchanges that are tried together, at most
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from modalax.check.study import CLEAR, Study
 
 # Lines per half-power bandwidth: reported below the first for most of the modes, below the second for any strong one.
 FEW, FEWEST = 1.5, 0.8
-STRONG = 0.1
+STRONG = 0.1  # peak of a mode, relative to the strongest, from which on it counts
 
 
 def resolution(study: Study) -> Iterator[Finding]:

@@ -10,7 +10,7 @@ from modalax.check.study import Study
 
 # A shift is told from this share of a half-power bandwidth on, and from this many standard deviations.
 SMALLEST_SHIFT, SURE = 0.12, 7.0
-STEPS = 3
+STEPS = 3  # Gauss-Newton steps that fit a block
 # Blocks up to this number are searched for modes each for itself. A shift must lower the squares around its mode by the
 # second.
 MOST_OWN, WORTH = 12, 1.6

@@ -8,7 +8,7 @@ from modalax.data.measurement import Measurement
 
 # A sum of terms with random signs exceeds this many standard deviations once in 30,000 files.
 CERTAIN = 4.0
-LEANING = 1.0
+LEANING = 1.0  # standard deviations of the phase test beyond which a drive point may decide
 
 
 def phase_fall(frf: FRF | Measurement) -> float:

@@ -148,7 +148,7 @@ class UliegePlane(eqx.Module):
 # Records that belong to the points of node_shock.csv, in its order; the others were repeated or discarded hits.
 RECORDS = (*range(1, 29), *range(31, 59), *range(61, 79))
 ALONG_Z = 68  # the points before this one were hit along z, those from it on (the fin) along x
-SIGN_BAND, SIGN_SHAPES = (10.0, 110.0), 6
+SIGN_BAND, SIGN_SHAPES = (10.0, 110.0), 6  # band [Hz] and finite-element shapes from which the signs are found
 SENSOR_NODES = ("101", "102", "103")
 
 

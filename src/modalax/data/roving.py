@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 from jaxtyping import Complex, Float
 
-STARTS = 8
+STARTS = 8  # eigenvectors whose signs the search starts from
 
 
 def hit_signs(

@@ -13,7 +13,7 @@ from modalax.diagnose.screening.score_state import score_state_of
 from modalax.diagnose.search.singles import refit
 
 BLOCKS = 16  # stretches of the band where there is nothing else to hold out; every fourth is
-RESAMPLED = 400
+RESAMPLED = 400  # draws of blocks of lines for the standard deviation of the gain
 
 
 def held_out_block(

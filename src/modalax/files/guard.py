@@ -9,7 +9,7 @@ from typing import Any, BinaryIO
 
 # A file may unpack to its own size and this much more [bytes]; zeros shrink a thousandfold, measurements hardly do.
 MORE = 2**28
-MOST_NAMES, LONGEST_NAME = 20_000, 256
+MOST_NAMES, LONGEST_NAME = 20_000, 256  # names in one file, and letters in a name, at most
 REMEDY = "copy or save it again"
 
 

@@ -21,7 +21,7 @@ from modalax.identify.polynomial import poles_of_factor, without_window
 from modalax.identify.tables import PoleTable
 from modalax.identify.zoom import check_orders
 
-SMALLEST, STEPS = 1e-6, 33
+SMALLEST, STEPS = 1e-6, 33  # first factor on the noise variance of a path, and the number of factors up to 1
 
 
 class DampingBias(eqx.Module):

@@ -24,7 +24,7 @@ from modalax.identify.polynomial import limits, without_window
 from modalax.identify.tables import PoleTable
 from modalax.identify.zoom import check_orders
 
-_DUMMY = 1e3
+_DUMMY = 1e3  # magnitude of eigenvalues that only pad the array
 
 
 def subspace(

@@ -86,7 +86,7 @@ def roots(
     return u, w, valid & (jnp.arange(count) < count)
 
 
-_DUMMY = 1e6
+_DUMMY = 1e6  # magnitude of eigenvalues that only pad the array
 
 
 def _companion(A: Array, order: Array) -> tuple[Array, Array]:

@@ -9,8 +9,8 @@ from modalax.data.frf import FRF
 from modalax.identify.polynomial import matrix_fraction, weights_of
 from modalax.identify.tables import PoleTable
 
-ARC = 0.8
-RIDGE = 1e-29
+ARC = 0.8  # part of the unit circle that the band covers by default
+RIDGE = 1e-29  # ridge relative to the mean diagonal of the normal matrix, which only keeps it regular
 
 
 def lscf(

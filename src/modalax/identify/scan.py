@@ -12,7 +12,7 @@ from scipy.special import chdtri
 from modalax.identify.kernels import kernels
 from modalax.identify.projection import stacked
 
-DAMPINGS = (0.001, 0.003, 0.01, 0.03)
+DAMPINGS = (0.001, 0.003, 0.01, 0.03)  # damping ratios at which further modes are looked for
 NEW = 0.01  # part of a further mode's response that the present model should leave
 NEAR = 0.01  # part of a frequency within which a further mode is the same that was tried before
 BATCH = 128  # poles whose scores are computed again at a time

@@ -9,6 +9,7 @@ DIRECT_DOFS = 16
 PROPORTIONAL = 1e-11
 """Largest coupling of modes through damping, over the largest damping of a mode, that is taken for rounding."""
 SOLVES_AT_ONCE = 64
+"""Frequencies at which dense systems are solved together."""
 
 
 @jax.jit

@@ -23,7 +23,7 @@ from modalax.simulate.balance import FOLD, Line, Plan, make_plan
 from modalax.simulate.joints import Joint
 from modalax.simulate.sweep import solve_lines, solved
 
-SAMPLES = 128
+SAMPLES = 128  # instants of a cycle at which joint forces are evaluated by default
 
 
 class Response(eqx.Module):

@@ -14,7 +14,7 @@ from modalax.simulate.joints import Joint
 
 LOAD_STEPS = 12
 """Steps in which the force is raised to its level on the first line of a sweep."""
-SWEEP_SAMPLES = 64
+SWEEP_SAMPLES = 64  # instants of a cycle in the quick sweep, at most
 TURNS = np.array([1.0, 0.3, -0.3, 0.05, -1.0, 1j, -1j, -2.0, 0.0])
 """Starting points of a repeated search, relative to the motion without joints."""
 AMPLITUDES = np.geomspace(1e-5, 1e3, 129)

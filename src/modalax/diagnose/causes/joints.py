@@ -14,7 +14,7 @@ from modalax.diagnose.causes.scene import Place, Scene
 from modalax.simulate import joints
 
 FRACTIONS = (0.03, 0.1, 0.2, 0.35, 0.6)  # thresholds over the largest amplitude
-SIZES = (1e-4, 0.05, 0.4)
+SIZES = (1e-4, 0.05, 0.4)  # strengths that are screened, relative to the stiffness seen at the place
 
 
 class CoulombFriction(JointCause):

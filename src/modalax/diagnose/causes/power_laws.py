@@ -13,7 +13,7 @@ from modalax.diagnose.causes.parameter import Parameter, strengths
 from modalax.diagnose.causes.scene import Place, Scene
 
 REFERENCE = 1e-4  # amplitude at which the lost stiffness is reported [m]
-EXPONENTS = (0.5, 1.0, 1.5)
+EXPONENTS = (0.5, 1.0, 1.5)  # exponents of the amplitude that are screened [-]
 
 
 class MicroSlip(JointCause):

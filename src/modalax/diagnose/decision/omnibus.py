@@ -11,7 +11,7 @@ import scipy.special
 
 from modalax.diagnose.setup.noise import TRUSTED
 
-STRETCHES = (1, 4, 12, 40)
+STRETCHES = (1, 4, 12, 40)  # numbers of neighbouring lines that are summed
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from modalax.diagnose.causes.signals import Channels, ModalTerms
 from modalax.diagnose.setup.problem import Problem
 
 BRACKET, GRID, HALVINGS, POLISH = 60.0, 12, 8, 3  # search for the amplitude across a joint: range, points, bisections
-TINY = 1e-300
+TINY = 1e-300  # added to magnitudes so that their logarithm exists at zero
 
 
 def predict(

@@ -20,7 +20,7 @@ from modalax.show.style import FREQUENCY, GREEN, GREY, ORANGE, frf_label
 BLUE = "#2e8bcc"  # Lighter than in print, so that it is seen on dark ground too.
 SYMBOLS = {".": "circle", "x": "x-thin-open", "d": "diamond", "o": "circle"}
 BUDGET = 2.5e6  # Bytes for the FRFs of all channels; the whole file has to stay easy to send.
-MOST_LINES = 6000
+MOST_LINES = 6000  # Frequency lines of a curve; of more the peaks are kept.
 
 
 def escape(name: str) -> str:

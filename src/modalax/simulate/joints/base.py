@@ -14,7 +14,7 @@ from modalax._numerics.checks import as_double
 
 POSITIVE = (0.0, math.inf)
 ANY = (-math.inf, math.inf)
-QUADRATURE_POINTS = 2048
+QUADRATURE_POINTS = 2048  # samples of a cycle for describing functions without a closed form
 
 
 def _scalar(value: Any) -> Float[Array, ""]:
