@@ -165,7 +165,7 @@ def _told(h: Hypothesis, probability: float) -> list[dict[str, Any]]:
         out.append(
             {
                 "name": cause.slug, "where": list(place.where), "probability": float(probability),
-                "parameters": _parameters(cause, place, p, cov * np.outer(scale, scale)),
+                "parameters": parameters_told(cause, place, p, cov * np.outer(scale, scale)),
             }
         )  # fmt: skip
         k += count
@@ -176,7 +176,7 @@ def _told(h: Hypothesis, probability: float) -> list[dict[str, Any]]:
     return out
 
 
-def _parameters(cause: Cause, place: Any, p: np.ndarray, cov: np.ndarray) -> dict[str, Any]:
+def parameters_told(cause: Cause, place: Any, p: np.ndarray, cov: np.ndarray) -> dict[str, Any]:
     """Values and standard deviations as reported, by first-order propagation."""
     values = cause.report(p, place)
     out = {}

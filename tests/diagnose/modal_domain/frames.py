@@ -58,8 +58,12 @@ def simulation(**claims) -> Structure:
 def measured(
     seed: int, off: float, *, mass: tuple[str, float] | None = None, spring: tuple[str, str, float] | None = None,
     noise: float = 0.01, lines: int = 160, top: float = 330.0, runs: int = 1, given: bool = True,
+    shifts: tuple[float, ...] = (0.0,),
 ) -> tuple[Measurement, np.ndarray]:  # fmt: skip
-    """Accelerances of a beam whose elements are off, and the true stiffness matrix."""
+    """Accelerances of a beam whose elements are off, and the true stiffness matrix.
+
+    All frequencies are shifted from run to run by ``shifts``, damping ratios and shapes are not.
+    """
     rng = np.random.default_rng(seed)
     K, M = cantilever(1 + off * rng.standard_normal(ELEMENTS), 1 + off / 3 * rng.standard_normal(ELEMENTS))
     C = modal_damping(M, K, DAMPING * np.exp(10 * off * rng.standard_normal(len(K))))
@@ -74,12 +78,14 @@ def measured(
     freq = np.linspace(4.0, top, lines)
     outputs, inputs = DOFS[::2], (DOFS[4], DOFS[14])
     rows, columns = [DOFS.index(n) for n in outputs], [DOFS.index(n) for n in inputs]
-    s = 2j * np.pi * freq[:, None, None]
-    H = s**2 * np.linalg.inv(K + s * C + s**2 * M)[:, rows][:, :, columns]
-    sigma = noise * np.sqrt((np.abs(H) ** 2).mean(axis=0)) * np.ones(H.shape)
-    error = rng.standard_normal((runs, *H.shape)) + 1j * rng.standard_normal((runs, *H.shape))
+    s = 2j * np.pi * freq[:, None, None] / (1 + np.array(shifts)[:, None, None, None])
+    every = s**2 * np.linalg.inv(K + s * C + s**2 * M)[..., rows, :][..., columns]
+    H = every[0] if len(shifts) == 1 else every
+    sigma = noise * np.sqrt((np.abs(every[0]) ** 2).mean(axis=0)) * np.ones(every[0].shape)
+    runs = max(runs, len(shifts))
+    error = rng.standard_normal((runs, *sigma.shape)) + 1j * rng.standard_normal((runs, *sigma.shape))
     data = Measurement(
         freq, H + sigma * error / np.sqrt(2), form="accelerance", outputs=outputs, inputs=inputs,
-        variance=np.broadcast_to(sigma**2, (runs, *H.shape)) if given else None,
+        variance=np.broadcast_to(sigma**2, (runs, *sigma.shape)) if given else None,
     )  # fmt: skip
     return data, true

@@ -23,6 +23,10 @@ from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.held_out import gain_of
 from modalax.diagnose.modal_domain.judged import judge, standing_out
+from modalax.diagnose.modal_domain.levels.answer import causes_told, judge_levels, rivals_told
+from modalax.diagnose.modal_domain.levels.explain import JointFound
+from modalax.diagnose.modal_domain.levels.laws import NAMED
+from modalax.diagnose.modal_domain.levels.seen import at_levels
 from modalax.diagnose.modal_domain.screen import errors_of
 from modalax.diagnose.modal_domain.stage import Stage, run_stage
 from modalax.diagnose.result import Diagnosis
@@ -30,6 +34,7 @@ from modalax.diagnose.summary import cause_at
 from modalax.diagnose.thresholds import THRESHOLDS
 from modalax.model import Structure
 
+WORDS = ("clean", "named", "ambiguous", "unknown")  # each outweighs those before it
 UNITS = {
     "added_mass": ("mass", "kg"), "joint_stiffness": ("stiffness", "N/m"), "local_damper": ("damping", "N s/m"),
     "channel_gain": ("gain", "-"), "force_gain": ("gain", "-"), "time_delay": ("delay", "s"),
@@ -89,6 +94,11 @@ class ModalDiagnosis(Diagnosis):
         ]  # fmt: skip
 
     @property
+    def joint(self) -> JointFound | None:
+        """The joint that tells the force levels apart."""
+        return None if self.stage.seen is None else self.stage.seen.joint
+
+    @property
     def tests(self) -> tuple[Omnibus, Omnibus]:
         """What the simulation leaves, and what the extended one leaves."""
         return self.before, self.after
@@ -98,6 +108,10 @@ class ModalDiagnosis(Diagnosis):
         """What stands out beyond the general inaccuracy."""
         if self.verdict == "clean":
             return []
+        return self._linear + (causes_told(self.stage.seen) if self.stage.seen is not None else [])
+
+    @property
+    def _linear(self) -> list[dict[str, Any]]:
         core, sure = standing_out(self.stage, self.chosen), self.sets[0].probability
         std = np.sqrt(np.maximum(np.diag(self.chosen.fit.covariance), 0.0))
         told = []
@@ -115,6 +129,10 @@ class ModalDiagnosis(Diagnosis):
         """Rivals of the leading set; of a named one those that are likely enough."""
         if self.verdict not in ("ambiguous", "named"):
             return []
+        others = [] if self.stage.seen is None else rivals_told(self.stage.seen, self.verdict == "named")
+        if others:
+            kept = [{"name": c["name"], "where": c["where"]} for c in self._linear]
+            return [[*kept, *one] for one in others]
         return [
             [{"name": slug, "where": list(where)} for slug, where in s.names] for s in rivals(self.verdict, self.sets)
         ]
@@ -174,16 +192,20 @@ def diagnose_modes(
         return None
     judged = judge(stage)
     chosen, inaccuracy = judged.chosen, inaccuracy_told(stage.setting, judged.chosen.fit)
-    reasons = [_said(inaccuracy), *judged.reasons]
+    joined, further = judge_levels(stage.seen)
+    word, reasons = max(judged.word, joined, key=WORDS.index), [_said(inaccuracy), *judged.reasons, *further]
     if not stage.in_time:
         reasons.append("time was up before every explanation had been tried")
     tell("predicting the held-out data")
     H = np.asarray(measurement.H)
     predicted = [frf_of(stage, None), frf_of(stage, chosen.fit)]
+    before, seen = predicted[0], stage.seen
+    if seen is not None and seen.joint is not None:
+        predicted[1] = at_levels(seen, seen.joint, np.asarray(measurement.level))
     sigma = stage.measured.noise.sigma
     residuals = [np.sqrt(2) * (H - p) / sigma for p in predicted]
     tests = [omnibus(r, np.ones(r.shape, bool), stage.measured.noise.freedom) for r in residuals]
-    gain = gain_of(stage, chosen, predicted[0])
+    gain = gain_of(stage, chosen, before)
     notes = (
         stage.measured.noise.source,
         f"{len(stage.measured.features.poles)} modes were identified in the band from "
@@ -192,7 +214,7 @@ def diagnose_modes(
     extended = _extended(stage, chosen.fit)
     shape = H.shape
     return ModalDiagnosis(
-        judged.word, tuple(reasons), None, Facts(measurement, question, notes), extended, gain,
+        word, tuple(reasons), None, Facts(measurement, question, notes), extended, gain,
         stage.measured.freq, residuals[0], residuals[1], np.broadcast_to(predicted[0], shape),
         np.broadcast_to(predicted[1], shape), stage, chosen, judged.sets, inaccuracy, tests[0], tests[1],
     )  # fmt: skip
@@ -224,6 +246,13 @@ def _extended(stage: Stage, f: Fit) -> ExtendedSimulation:
         places.append(Place(tuple(c.where), (index[0], index[1], 0)))
         params.append(jnp.asarray([u * c.scale] if c.sized else []))
         spread.append(jnp.asarray([error * c.scale] if c.sized else []))
+    joint = None if stage.seen is None else stage.seen.joint
+    if joint is not None and joint.fit.law in NAMED:
+        index = [base.dofs.index(w) for w in joint.spot.where] + [-1]
+        causes.append(joint.fit.law)
+        places.append(Place(joint.spot.where, (index[0], index[1], 0)))
+        params.append(jnp.asarray(joint.fit.p))
+        spread.append(jnp.asarray(joint.fit.std))
     return ExtendedSimulation(
         base, tuple(params), tuple(spread), jnp.zeros((2, len(base.dofs))), tuple(None for _ in causes), tuple(causes),
         tuple(places), stage.measurement.outputs, stage.measurement.inputs, float(stage.measured.freq[0]),

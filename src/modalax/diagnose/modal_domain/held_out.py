@@ -12,6 +12,7 @@ from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.features import chosen, features_of, sure
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
 from modalax.diagnose.modal_domain.free_residues import Channels
+from modalax.diagnose.modal_domain.levels.seen import foretold
 from modalax.diagnose.modal_domain.mode_count import blind_modes, misfit
 from modalax.diagnose.modal_domain.stage import Stage
 
@@ -20,10 +21,10 @@ def gain_of(stage: Stage, found: Explanation, before: np.ndarray) -> Gain:
     """Fit again without the held-out block and compare on it; ``before`` is the simulation's FRF, ``(f, o, i)``."""
     m = stage.measurement
     H, sigma = np.asarray(m.H), stage.measured.noise.sigma
-    alike = len(stage.measured.runs) == len(H)
+    joint = None if stage.seen is None else foretold(stage.seen)
+    alike = len(stage.measured.runs) == len(H) or joint is not None
     words, mask = held_out_block(np.asarray(m.level), m.inputs, H.shape, H.shape[1], alike)
-    f = _without(stage, found.fit, mask)
-    after = frf_of(stage, f)
+    after = frf_of(stage, _without(stage, found.fit, mask)) if joint is None else joint
     weight = np.where(mask, np.sqrt(2) / sigma, 0.0)
     count = 2 * int(mask.sum())
     chi2 = [np.abs(weight * (H - p)) ** 2 for p in (before, after)]

@@ -1,6 +1,6 @@
 """A measurement as its own modes: noise, runs brought together where they are alike, modes and features."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -67,11 +67,26 @@ def identify(measurement: Measurement, c: Coordinates) -> Measured:
         noise = noise_of(measurement, made)
         channels = _channels(s, H[runs], noise.sigma[runs], order, outside)
         modes = blind_modes(channels, modes.poles)
-    left = misfit(modes, channels)
-    features = features_of(modes, H.shape[2], H.shape[3], left)
+    left, features = _features(modes, channels, H.shape[2:])
+    return Measured(freq, noise, channels, modes, left, features, runs, unlike)
+
+
+def reidentified(measured: Measured, H: np.ndarray) -> Measured:
+    """The same runs identified again, from FRFs ``(run, f, o, i)`` with something taken out."""
+    c, sigma = measured.channels, measured.noise.sigma[measured.runs]
+    channels = _channels(c.s, H[measured.runs], sigma, c.order, c.outside)
+    modes = blind_modes(channels, measured.modes.poles)
+    left, features = _features(modes, channels, H.shape[2:])
+    return replace(measured, channels=channels, modes=modes, misfit=left, features=features)
+
+
+def _features(modes: Projected, channels: Channels, shape: tuple[int, ...]) -> tuple[float, Features]:
+    """Misfit of modes, and the features of those that are known well enough and inside the band."""
+    left, s = misfit(modes, channels), channels.s
+    features = features_of(modes, shape[0], shape[1], left)
     size = np.abs(features.poles)
     known = sure(features) & (size > abs(s[0]) * (1 - EDGE)) & (size < abs(s[-1]) * (1 + EDGE))
-    return Measured(freq, noise, channels, modes, left, chosen(features, known), runs, unlike)
+    return left, chosen(features, known)
 
 
 def _first_guess(measurement: Measurement, H: np.ndarray) -> np.ndarray:

@@ -40,7 +40,7 @@ def candidates_of(
         own_mass = float(np.asarray(simulation.M)[k, k])
         weight = UNLIKELY if turning else 1.0
         out.append(Change("added_mass", (name,), LUMP / mobile, b, reference=own_mass, weight=weight))
-    for where, b, stiffness, weight in _springs(simulation, c, nodes, pairs):
+    for where, b, stiffness, weight in springs_of(simulation, c, nodes, pairs):
         mobile = float((b[inside] ** 2).mean())
         if mobile < 1e-12 * float((c.shapes[:, inside] ** 2).max()):
             continue
@@ -75,7 +75,7 @@ def _elements(simulation: Structure, c: Coordinates, nodes: Nodes) -> list[Chang
     return [replace(e, weight=SHARES["element"] / len(out)) for e in out]
 
 
-def _springs(
+def springs_of(
     simulation: Structure, c: Coordinates, nodes: Nodes, pairs: list[tuple[str, str]] | None
 ) -> list[tuple[tuple[str, ...], np.ndarray, float, float]]:
     """Place, direction, usual change of stiffness and weight of springs.

@@ -9,10 +9,13 @@ import numpy as np
 from modalax.data import Measurement
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import Coordinates, coordinates_of
+from modalax.diagnose.modal_domain.elements import nodes_of
 from modalax.diagnose.modal_domain.explain import Explanation, explain
 from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
+from modalax.diagnose.modal_domain.levels.explain import Spot
+from modalax.diagnose.modal_domain.levels.seen import Seen, look_at_levels, without_joint
 from modalax.diagnose.modal_domain.measured import Measured, identify
-from modalax.diagnose.modal_domain.places import candidates_of
+from modalax.diagnose.modal_domain.places import candidates_of, springs_of
 from modalax.diagnose.modal_domain.state import Setting
 from modalax.model import Structure
 
@@ -33,6 +36,8 @@ class Stage:
         By falling probability; empty where the simulation has no modes to compare.
     in_time
         Whether every step was done before time was up.
+    seen
+        What force levels or repeated runs tell; None where there is one run.
     """
 
     measurement: Measurement
@@ -43,6 +48,7 @@ class Stage:
     candidates: list[Change]
     explanations: list[Explanation]
     in_time: bool
+    seen: Seen | None = None
 
     @property
     def best(self) -> Explanation:
@@ -81,4 +87,11 @@ def run_stage(
     setting, explanations = explain(setting, candidates, late, tell)
     if not explanations:
         return None
-    return Stage(measurement, simulation, c, measured, setting, candidates, explanations, not late())
+    H, level = np.asarray(measurement.H), np.asarray(measurement.level)
+    spots = [Spot(where, b, w) for where, b, _, w in springs_of(simulation, c, nodes_of(simulation.dofs), pairs)]
+    seen = look_at_levels(H, level, measured, setting, explanations[0].fit, spots, wanted, tell, late)
+    if seen is not None and seen.joint is not None and not late():
+        measured, setting, explanations = without_joint(
+            H, level, measured, setting, explanations, candidates, seen, late, tell
+        )
+    return Stage(measurement, simulation, c, measured, setting, candidates, explanations, not late(), seen)

@@ -1,0 +1,1 @@
+"""What force levels tell: joints by their force against amplitude, and drifts from run to run."""

@@ -1,0 +1,161 @@
+"""Which law of which joint explains what changes from level to level, or whether the structure drifts."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modalax.diagnose.causes.base import JointCause
+from modalax.diagnose.causes.joints import GapContact
+from modalax.diagnose.modal_domain.levels.change import Base, Levels, projected, unexplained
+from modalax.diagnose.modal_domain.levels.drift import Drift
+from modalax.diagnose.modal_domain.levels.laws import NAMED, NAMELESS, LawFit, Motion, fit_law, motions_of, regressed
+from modalax.diagnose.modal_domain.levels.series import SERIES
+from modalax.diagnose.modal_domain.levels.weigh import Shapes, weigh
+
+JOINT, DRIFT = 0.2, 0.05  # chances before the data that a joint, or a drift, tells levels or runs apart
+SAMPLED = 2000  # forces that places are screened on
+FITTED = 12  # leading places at which laws are fitted
+NEIGHBOURS = 8  # lines over which errors of a law's force go together
+TOGETHER = 32  # places that are worked on at once
+BESIDE = 3  # leading fits beside which laws without a name are tried at the same places
+WEIGHED, NEAR = 8, 1000.0  # most fits that are weighed on all samples, and nats behind the best up to which they are
+
+
+@dataclass(frozen=True, eq=False)
+class Spot:
+    """Where a joint may sit: names, direction in modal coordinates, and weight among the places."""
+
+    where: tuple[str, ...]
+    direction: np.ndarray
+    weight: float
+
+
+@dataclass(frozen=True)
+class JointFound:
+    """A law at a place, with its probability among all that were weighed."""
+
+    spot: Spot
+    fit: LawFit
+    direction: np.ndarray
+    tolerance: float
+    log_posterior: float
+    probability: float = 0.0
+
+    @property
+    def slug(self) -> str:
+        """The law by name."""
+        return self.fit.law.slug
+
+
+@dataclass(frozen=True)
+class ByLevel:
+    """What the levels tell.
+
+    Attributes
+    ----------
+    joints
+        By falling probability.
+    drift, drifting
+        The likelier drift from run to run, and its probability.
+    nothing
+        Probability that nothing changes from level to level.
+    before, after
+        Chi-square per real sample of the changes from level to level, without and with the leading joint.
+    """
+
+    joints: list[JointFound]
+    drift: Drift
+    drifting: float
+    nothing: float
+    before: float
+    after: float
+
+    @property
+    def best(self) -> str:
+        """What is likeliest: ``joint``, ``drift`` or ``nothing``."""
+        joint = self.joints[0].probability if self.joints else 0.0
+        return max((self.nothing, "nothing"), (self.drifting, "drift"), (joint, "joint"))[1]
+
+    def sure(self, slug: str) -> float:
+        """Probability of a law, wherever it is."""
+        return sum(j.probability for j in self.joints if j.slug == slug)
+
+    def placed(self, slug: str, where: tuple[str, ...]) -> float:
+        """Probability of a place among all places of a law."""
+        own = sum(j.probability for j in self.joints if j.slug == slug and j.spot.where == where)
+        return own / max(self.sure(slug), 1e-300)
+
+
+def explain_levels(
+    levels: Levels, base: Base, spots: Sequence[Spot], shapes: Shapes, drift: Drift,
+    laws: Sequence[JointCause] = NAMED, late: Callable[[], bool] = lambda: False,
+) -> ByLevel:  # fmt: skip
+    """Fit every law at the leading places, weigh the best, and compare with a drift and with nothing at all."""
+    before = unexplained(levels)
+    fits = _fitted(levels, base, _promising(levels, base, spots, laws), laws) if spots else []
+    found: list[JointFound] = []
+    for rough, spot, f in fits[:WEIGHED]:
+        if found and (rough < fits[0][0] - NEAR or late()):
+            break
+        w = weigh(levels, base, shapes, spot.direction, f)
+        if w is None or not w.fit.rival:
+            continue
+        found.append(JointFound(spot, w.fit, w.b, w.tolerance, w.log_evidence + math.log(JOINT) + _prior(spot, f)))
+    found.sort(key=lambda j: -j.log_posterior)
+    if found and found[0].tolerance > 0:  # what a law leaves then goes together over neighbouring lines
+        top = found[0].log_posterior
+        found = [replace(j, log_posterior=top + (j.log_posterior - top) / NEIGHBOURS) for j in found]
+    nothing, moved = math.log(1 - JOINT - DRIFT) - 0.5 * before, math.log(DRIFT) + drift.log_evidence
+    values = np.array([nothing, moved, *(j.log_posterior for j in found)])
+    share = np.exp(values - values.max())
+    share /= share.sum()
+    joints = [replace(j, probability=float(p)) for j, p in zip(found, share[2:], strict=True)]
+    after = min([before, *(j.fit.chi2 for j in joints[:1])])
+    return ByLevel(joints, drift, float(share[1]), float(share[0]), before / levels.samples, after / levels.samples)
+
+
+def _prior(spot: Spot, f: LawFit) -> float:
+    return math.log(max(spot.weight, 1e-300)) + math.log(f.law.prior)
+
+
+def _promising(levels: Levels, base: Base, spots: Sequence[Spot], laws: Sequence[JointCause]) -> list[Spot]:
+    weights = np.log([max(s.weight, 1e-300) for s in spots])
+    value = _screened(levels, base, np.array([s.direction for s in spots]), laws) + weights
+    return [spots[k] for k in np.argsort(-value)[:FITTED]]
+
+
+def _screened(levels: Levels, base: Base, b: np.ndarray, laws: Sequence[JointCause]) -> np.ndarray:
+    """Log likelihood of the best law at each place, at a few sizes, shape ``(p,)``."""
+    out = []
+    step = max(1, levels.H[1:, :, 0].size // SAMPLED)
+    levels, base = levels.thinned(step), base.thinned(step)
+    for part in np.array_split(np.arange(len(b)), max(1, len(b) // TOGETHER)):
+        for both in _both(levels, base, b[part]):
+            cost = [c for law in laws for c, _ in regressed(law, both[isinstance(law, SERIES)], 2)[:1]]
+            out.append(-0.5 * min(cost, default=np.inf))
+    return np.array(out)
+
+
+def _both(levels: Levels, base: Base, b: np.ndarray) -> list[tuple[Motion, Motion]]:
+    """Motions across places, and behind their compliances."""
+    P = projected(levels, base, b)
+    return list(zip(motions_of(levels, base, b, P), motions_of(levels, base, b, P, GapContact()), strict=True))
+
+
+def _fitted(
+    levels: Levels, base: Base, spots: Sequence[Spot], laws: Sequence[JointCause]
+) -> list[tuple[float, Spot, LawFit]]:
+    found: list[tuple[float, Spot, LawFit]] = []
+    motions = _both(levels, base, np.array([s.direction for s in spots]))
+    for some, count in ((laws, len(spots)), (NAMELESS, BESIDE)):
+        near = [k for k in range(len(spots)) if not found or any(spots[k] is s for _, s, _ in found[:count])]
+        for k in near:
+            for law in some:
+                f = fit_law(law, motions[k][isinstance(law, SERIES)])
+                if f is not None and np.isfinite(f.chi2) and f.rival:
+                    value = -0.5 * f.chi2 - 0.5 * len(f.p) * math.log(levels.samples) + _prior(spots[k], f)
+                    found.append((value, spots[k], f))
+        found.sort(key=lambda one: -one[0])
+    return found

@@ -1,0 +1,154 @@
+r"""A law at a place weighed on all samples, beside what is not known of the place and of the law.
+
+The motion across a joint is that of the corrected simulation, whose shapes are known to some accuracy only: their
+errors at the joint, mode by mode, are free within the posterior of the general inaccuracy. A describing function leaves
+out what higher harmonics do: the force of a law is free by a relative error, learnt by its evidence.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modalax.diagnose.modal_domain.coordinates import pattern_slopes, slopes_of
+from modalax.diagnose.modal_domain.fit import Fit
+from modalax.diagnose.modal_domain.levels.change import Base, Levels, change_by, projected
+from modalax.diagnose.modal_domain.levels.laws import LawFit, force_of, motions_of, softened
+from modalax.diagnose.modal_domain.state import Setting, slopes_at
+
+TOLERANCES = (0.0, 0.003, 0.01, 0.03, 0.1)  # relative errors of a law's force that are tried
+STEPS = 4  # points of a Gauss-Newton search
+BENT = 1e-5  # relative change of a parameter by which they are taken
+MOVED = 1e-3  # change of a shape at the joint, relative to its largest, by which derivatives are taken
+SHOWN = 1e-3  # size of an error of the shapes, relative to the largest, from which it counts
+
+
+class Shapes:
+    """Errors of the corrected simulation's shapes, as changes of the direction of a place.
+
+    A place of direction ``b`` sees mode ``k`` by ``b' v_k``; an error of that is a change of ``b`` along the mode.
+    """
+
+    def __init__(self, setting: Setting, f: Fit, base: Base):
+        self.setting, self.fit = setting, f
+        M, _, K = base.matrices
+        J = slopes_at(setting, f.state, f.causes, f.u)
+        s = np.concatenate([f.epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
+        L = np.linalg.cholesky(np.eye(len(s)) + s[:, None] * (J.T @ J) * s)
+        count = len(setting.inaccuracy.group_of)
+        self.half = (s[:, None] * np.linalg.inv(L).T)[:count]  # covariance of the sizes: half half'
+        vectors = f.state.modes.vectors[f.state.pairs].real
+        turned = f.state.modes.vectors[f.state.pairs]
+        # residues are y x', so that vectors carry a common phase; turned to the real axis they are shapes
+        angle = 0.5 * np.angle((turned**2).sum(axis=1))
+        vectors = (turned * np.exp(-1j * angle)[:, None]).real
+        self.phase, self.moves = angle, np.linalg.pinv(vectors)  # b + moves[:, k] d has mode k moved by d
+        self.epsilon = float(f.epsilon[0])
+        self.stillness = np.eye(len(M)) - vectors.T @ self.moves.T
+
+    def columns(self, b: np.ndarray) -> np.ndarray:
+        """Changes of a direction by one standard deviation each, shape ``(columns, n)``."""
+        setting, f = self.setting, self.fit
+        c = replace(setting.coordinates, outputs=b[None])
+        t = slopes_of(c, f.state.modes, f.state.pairs)
+        parts = [pattern_slopes(t, kind, patterns)[1][:, :, 0] for kind, patterns in setting.patterns()]
+        D = (np.concatenate(parts, axis=1) * np.exp(-1j * self.phase)[:, None]).real @ self.half
+        u, size, _ = np.linalg.svd(D, full_matrices=False)
+        keep = size > SHOWN * max(size[0], 1e-300)
+        moves = (self.moves @ (u * size)[:, keep]).T
+        rest = self.epsilon * (b @ self.stillness)  # all modes that were not measured together
+        return np.concatenate([moves, rest[None]])
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """A law at a place after weighing.
+
+    Attributes
+    ----------
+    fit
+        With the parameters, covariance and chi-square beside all that is free.
+    log_evidence
+        Up to what all hypotheses share.
+    tolerance
+        Relative error of the law's force, learnt.
+    b
+        Direction of the place as fitted.
+    """
+
+    fit: LawFit
+    log_evidence: float
+    tolerance: float
+    b: np.ndarray
+
+
+def weigh(levels: Levels, base: Base, shapes: Shapes, b: np.ndarray, f: LawFit) -> Weighed | None:
+    """Fit a law at a place again, on all samples; None where it cannot be predicted there."""
+    law, moves = f.law, shapes.columns(b)
+    log = np.array([q.log for q in law.parameters])
+    low = np.array([q.lower for q in law.parameters])
+    z, p, best = np.zeros(len(moves)), f.p, None
+    for _ in range(STEPS):
+        now = b + z @ moves
+        step = MOVED * np.abs(b).max() / np.maximum(np.abs(moves).max(axis=1), 1e-300)
+        every = np.concatenate([now[None], now + step[:, None] * moves])
+        P = projected(levels, base, every)
+        motions = motions_of(levels, base, every, P, law)
+        made = [change_by(base, d, force_of(law, m, p)) for d, m in zip(every, motions, strict=True)]
+        columns = [(y - made[0]) / h for y, h in zip(made[1:], step, strict=True)]
+        q = force_of(law, motions[0], p)
+        for k in range(len(p)):
+            trial = p.copy()
+            trial[k] *= 1 + BENT
+            columns.append(change_by(base, now, force_of(law, motions[0], trial) - q) / BENT)
+        e = levels.H[1:] - levels.H[:1] - made[0]
+        if not all(np.isfinite(y).all() for y in (*columns, e)):
+            break
+        G, parts = _products(levels, base, now, P.Q[0], np.stack([*columns, e]))
+        chi2, evidence, rho, x, cov = _best(G, parts, P.Q[0], q, z, len(moves))
+        evidence -= 0.5 * len(p) * math.log(levels.samples)
+        size = np.where(log, 1.0, np.abs(p))
+        d = np.clip(x[len(moves) :], -0.5, 0.5)
+        new = np.where(log, p * np.exp(d), np.maximum(p + d * np.abs(p), low))
+        if best is not None and evidence < best.log_evidence:
+            break
+        own = cov[len(moves) :, len(moves) :] * np.outer(size, size)
+        best = Weighed(LawFit(law, p, own, chi2), evidence, rho, now)
+        z, p = x[: len(moves)], new
+    return best
+
+
+def _products(levels: Levels, base: Base, b: np.ndarray, Q: np.ndarray, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Inner products of columns, the lowest level free, and the forces that they are like, ``(k, f, i, level - 1)``."""
+    w = levels.weight
+    rest = w[1:] * (X - (w[1:] * X).sum(axis=1, keepdims=True) / np.maximum(w.sum(axis=0), 1e-300))
+    flat = len(X), -1
+    G = (X.reshape(flat).conj() @ rest.reshape(flat).T).real
+    t = np.einsum("fo,klfoi->kfil", (base.out @ b).conj(), rest, optimize=True)
+    return G, np.linalg.solve(Q[None], t[..., None])[..., 0]
+
+
+def _best(
+    G: np.ndarray, forces: np.ndarray, Q: np.ndarray, q: np.ndarray, z: np.ndarray, free: int
+) -> tuple[float, float, float, np.ndarray, np.ndarray]:
+    """Chi-square and log evidence here, tolerance of greatest evidence, and there the next point and its covariance."""
+    best = None
+    for rho in TOLERANCES:
+        soft = softened(Q, np.abs(q) ** 2, rho)
+        lost = np.einsum("afik,fikl,bfil->ab", forces.conj(), Q - soft, forces, optimize=True).real
+        A = G - lost
+        volume = float((np.linalg.slogdet(soft)[1] - np.linalg.slogdet(Q)[1]).sum())
+        prior = np.concatenate([np.ones(free), np.zeros(len(A) - 1 - free)])
+        old = np.concatenate([z, np.zeros(len(A) - 1 - free)])
+        inner = A[:-1, :-1] + np.diag(prior)
+        right = A[:-1, -1] - prior * old
+        size = np.sqrt(np.maximum(np.diag(inner), 1e-300))
+        cov = np.linalg.pinv(inner / size[:, None] / size, rcond=1e-12) / size[:, None] / size
+        dx = cov @ right
+        bend = np.eye(free) + A[:free, :free]
+        chi2 = float(A[-1, -1] + z @ z)
+        evidence = -0.5 * chi2 + volume - 0.5 * float(np.linalg.slogdet(bend)[1])
+        if best is None or evidence > best[1]:
+            best = chi2, evidence, rho, old + dx, cov
+    assert best is not None
+    return best

@@ -1,0 +1,71 @@
+"""What differs from run to run: laws behind a compliance against time domain solutions, and a drift."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.optimize
+from frames import measured, simulation
+
+from modalax.diagnose.causes.joints import CubicStiffness, GapContact, QuadraticDamping
+from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.diagnose.modal_domain.levels.series import in_series
+
+TAU = 2 * np.pi * np.arange(512) / 512
+
+
+def first_harmonic(f: np.ndarray) -> complex:
+    return complex(2 * np.mean(f * np.exp(-1j * TAU)))
+
+
+@pytest.mark.parametrize(
+    ("law", "p", "force"),
+    [(CubicStiffness(), [5.0], lambda x: 5.0 * x**3),
+     (GapContact(), [40.0, 0.3], lambda x: 40.0 * np.sign(x) * np.maximum(np.abs(x) - 0.3, 0.0))],
+)  # fmt: skip
+@pytest.mark.parametrize("g", [0.0, 0.02, 0.4])
+def test_a_law_behind_a_compliance_is_what_the_instants_of_a_cycle_give(law, p, force, g):
+    u = 1.7 * np.cos(TAU)
+    x = np.array([scipy.optimize.brentq(lambda x, v=v: x + g * force(x) - v, -2.0, 2.0, xtol=1e-12) for v in u])
+    expected = first_harmonic(force(x)) / 1.7
+    found = complex(np.asarray(in_series(law, jnp.array(1.7), jnp.array(3.0), jnp.array(p), g)))
+    assert found == pytest.approx(expected, rel=2e-3)
+
+
+@pytest.mark.parametrize("g", [0.0, 0.02, 0.1])
+def test_drag_behind_a_compliance_is_what_a_balance_of_many_harmonics_gives(g):
+    c, omega, U = 0.8, 3.0, 1.2
+    orders = np.arange(1, 16, 2)
+    wave = np.exp(1j * np.outer(orders, TAU))
+
+    def force(x: np.ndarray) -> np.ndarray:
+        v = (1j * omega * orders * x @ wave).real
+        return 2 / len(TAU) * (c * v * np.abs(v)) @ wave.conj().T
+
+    def miss(y: np.ndarray) -> np.ndarray:
+        x = y[: len(orders)] + 1j * y[len(orders) :]
+        r = x + g * force(x) - np.where(orders == 1, U, 0.0)
+        return np.concatenate([r.real, r.imag])
+
+    start = np.zeros(2 * len(orders))
+    start[0] = U
+    y = scipy.optimize.fsolve(miss, start, xtol=1e-12)
+    expected = force(y[: len(orders)] + 1j * y[len(orders) :])[0] / U
+    found = complex(np.asarray(in_series(QuadraticDamping(), jnp.array(U), jnp.array(omega), jnp.array([c]), g)))
+    assert found == pytest.approx(expected, rel=5e-3)
+
+
+def test_a_structure_that_drifts_from_run_to_run_is_told_from_one_with_a_joint():
+    data, _ = measured(5, 0.01, shifts=(0.0, 0.002, 0.004))
+    answer = diagnose_modes(data.replace(level=np.array([1.0, 2.5, 6.0])), simulation()).to_dict()
+    assert answer["verdict"] == "named"
+    assert [(c["name"], c["where"]) for c in answer["causes"]] == [("time_varying", [])]
+    drift = answer["causes"][0]["parameters"]["relative_stiffness_drift"]
+    assert drift["value"] == pytest.approx(0.008, abs=4 * drift["std"])
+    assert drift["std"] < 0.002
+
+
+def test_runs_that_agree_say_nothing_of_joints():
+    data, _ = measured(6, 0.01, runs=3)
+    found = diagnose_modes(data.replace(level=np.array([1.0, 2.5, 6.0])), simulation())
+    assert found.verdict == "clean"
+    assert found.stage.seen.found.best == "nothing"

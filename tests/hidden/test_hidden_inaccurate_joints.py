@@ -1,0 +1,29 @@
+"""Joints at three levels in structures whose every element is off: law and place."""
+
+import jax
+import numpy as np
+import pytest
+from inaccurate import draw_case
+
+jax.config.update("jax_enable_x64", True)
+
+from modalax.diagnose.modal_domain.diagnosis import diagnose_modes  # noqa: E402
+from modalax.files import load  # noqa: E402
+
+
+@pytest.mark.parametrize(("law", "seed"), [("cubic_stiffness", 3), ("elasto_slip", 3)])
+def test_a_joint_is_placed_and_its_law_named_where_every_element_is_off(law, seed, tmp_path):
+    case = draw_case(
+        seed, law, kind="shaft", spread=0.02, claim="none", variance="exact", noise=0.01, lines=2.0, widen=1.0
+    )
+    case.save(tmp_path, tmp_path / "truth.json")
+    hidden = case.truth["causes"][0]
+    found = diagnose_modes(load(tmp_path / "measurement.npz"), load(tmp_path / "simulation.npz"))
+    answer = found.to_dict()
+    assert [(c["name"], sorted(c["where"])) for c in answer["causes"]] == [(law, sorted(hidden["where"]))]
+    assert answer["verdict"] in ("named", "ambiguous")
+    if law == "cubic_stiffness":
+        aim = hidden["parameters"]["cubic_stiffness"]["value"]
+        assert answer["causes"][0]["parameters"]["cubic_stiffness"]["value"] == pytest.approx(aim, rel=0.3)
+    assert answer["gain"]["chi2_after"] < 0.1 * answer["gain"]["chi2_before"]
+    assert np.isfinite(found.residual_after).all()
