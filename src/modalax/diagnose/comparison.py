@@ -68,8 +68,8 @@ class Comparison:
     def fit(self, starts: Sequence[Hypothesis], rounds: int) -> list[Hypothesis]:
         """Fit hypotheses of any kinds; their chi-squares count all runs."""
         out: list[Hypothesis | None] = [None] * len(starts)
-        for kind in {h.causes for h in starts}:
-            which = [k for k, h in enumerate(starts) if h.causes == kind]
+        for kind in {h.kind for h in starts}:
+            which = [k for k, h in enumerate(starts) if h.kind == kind]
             problem, nuisance, rest = self.side(starts[which[0]].per_run)
             for k, h in zip(which, fit_many([starts[k] for k in which], problem, nuisance, rounds), strict=True):
                 out[k] = replace(h, chi2=h.chi2 + rest)

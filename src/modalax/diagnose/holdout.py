@@ -99,7 +99,7 @@ def _on(comparison: Comparison, kept: np.ndarray, left: np.ndarray, h: Hypothesi
     null = seen.fit([replace(h, causes=(), places=(), extras=(), params=(), hum=None)], ROUNDS)[0]
     if not h.causes:
         return unseen.residual(null), 0.0
-    if len(h.causes) == 1 and not seen.nuisance.active:
+    if len(h.causes) == 1 and h.extras[0] is None and not seen.nuisance.active:
         fitted = refit(score_state_of(seen, null), [h])[0]
     else:
         fitted = seen.fit([h], ROUNDS)[0]

@@ -33,6 +33,9 @@ class Hypothesis:
         Why the search ended.
     hum
         Lines that mains hum reaches, left out of the fit; None without hum.
+    fidelity
+        Relative error of the predicted effect of a joint once higher harmonics are in it; None where only the
+        fundamental is balanced, so that the causes tell theirs.
     """
 
     causes: tuple[Cause, ...] = ()
@@ -45,6 +48,7 @@ class Hypothesis:
     freedom: float = 0.0
     reason: str = ""
     hum: HumLines | None = None
+    fidelity: float | None = None
 
     @property
     def names(self) -> frozenset[tuple[str, tuple[Any, ...]]]:
@@ -56,6 +60,11 @@ class Hypothesis:
         """Every cause with its place, hum included."""
         hum: list[tuple[Cause, Place]] = [(MainsHum(), Place(()))] if self.hum is not None else []
         return [*zip(self.causes, self.places, strict=True), *hum]
+
+    @property
+    def kind(self) -> tuple[Any, ...]:
+        """Causes, and which of them have further data: hypotheses of one kind are fitted side by side."""
+        return self.causes, tuple(e is None for e in self.extras)
 
     @property
     def per_run(self) -> bool:

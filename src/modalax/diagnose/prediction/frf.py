@@ -6,7 +6,7 @@ one non-linear joint, and the channels. Everything is written on the receptance,
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -42,7 +42,7 @@ def predict(
     index
         Place of each cause, whole numbers, shape ``(cause, 3)``.
     extras
-        Further data of each cause (a pattern over channels), or None.
+        Further data of each cause (a pattern over channels, what higher harmonics do to a joint's force), or None.
     params
         Parameters of each cause.
     theta
@@ -53,23 +53,9 @@ def predict(
         held = problem.held
         at = list(zip(held.causes, held.index, held.extras, held.params, strict=True)) + at
         theta = theta + held.theta
-    modal_form = problem.modal_form
     s = 1j * problem.omega + sum(cause.shift(p) for cause, _, _, p in of(WindowCause, at))
-    theta = theta + sum(cause.undamped(theta, where, p) for cause, where, _, p in of(UndampedCause, at))
-    k, c, shapes, participation = modal_form.adapted(theta)
-    follow, kept = (
-        modal_form.mixing is not None,
-        [cause.viscous(p) for cause, _, _, p in of(HystereticCause, at)],
-    )
-    if kept and modal_form.uncoupled is not None:
-        k, c, shapes, participation = modal_form.uncoupled.at(math.prod(kept), k, c, shapes, participation)
-        follow = True
-    modes = ModalTerms(k[None], c[None], modal_form.hysteresis[None])
-    for cause, where, _, p in of(ModesCause, at):
-        modes = cause.modes(modes, where, p, problem.level.shape[0])
-    kernels = [(c, w, p) for c, w, _, p in of(KernelCause, at)]
-    gains = gains_of(s, modes, modal_form.poles, kernels, follow, problem.order)
-    H, channels = _assemble(s, gains, at, eqx.tree_at(_shapes, problem, (shapes, participation)))
+    without = without_joints(s, at, theta, problem)
+    H, channels = _with_joints(without, of(JointCause, at), problem), without.channels
     if of(WindowCause, at):  # the window was on what was measured, not on displacements
         H = H * ((s / s.imag / 1j) ** problem.order)[:, None, None]
     for cause, where, extra, p in of(ChannelCause, at):
@@ -129,8 +115,60 @@ def gains_of(
     return jnp.concatenate([through(moved), through(moved.conj())], axis=-1)
 
 
-def _assemble(s: Array, gains: Array, at: list[Any], problem: Problem) -> tuple[Array, Channels]:
-    """Receptances between the channels with local elements and a joint in place."""
+class Linear(NamedTuple):
+    """Receptances with all but the joints in place; ``b`` stands for the displacements across the joints.
+
+    Attributes
+    ----------
+    H
+        From inputs to outputs, shape ``(run or 1, f, o, i)`` [m/N].
+    H_ob, H_bi, H_bb
+        From joints to outputs, inputs to joints, and joints to joints.
+    channels
+        What the causes of stage 7 may look at.
+    """
+
+    H: Array
+    H_ob: Array
+    H_bi: Array
+    H_bb: Array
+    channels: Channels
+
+
+def without_joints(s: Array, at: list[Any], theta: Array, problem: Problem) -> Linear:
+    """Receptances with all but the joints in place.
+
+    Parameters
+    ----------
+    s
+        Laplace variable of each line [rad/s].
+    at
+        Causes, each with its place, extra and parameters.
+    theta
+        Relative changes of the modal frequencies and damping ratios (logarithms).
+    problem
+        The data and the simulation.
+    """
+    modal_form = problem.modal_form
+    theta = theta + sum(cause.undamped(theta, where, p) for cause, where, _, p in of(UndampedCause, at))
+    k, c, shapes, participation = modal_form.adapted(theta)
+    follow, kept = (
+        modal_form.mixing is not None,
+        [cause.viscous(p) for cause, _, _, p in of(HystereticCause, at)],
+    )
+    if kept and modal_form.uncoupled is not None:
+        k, c, shapes, participation = modal_form.uncoupled.at(math.prod(kept), k, c, shapes, participation)
+        follow = True
+    modes = ModalTerms(k[None], c[None], modal_form.hysteresis[None])
+    for cause, where, _, p in of(ModesCause, at):
+        modes = cause.modes(modes, where, p, problem.level.shape[0])
+    kernels = [(c, w, p) for c, w, _, p in of(KernelCause, at)]
+    gains = gains_of(s, modes, modal_form.poles, kernels, follow, problem.order)
+    return _assemble(s, gains, at, eqx.tree_at(_shapes, problem, (shapes, participation)))
+
+
+def _assemble(s: Array, gains: Array, at: list[Any], problem: Problem) -> Linear:
+    """Receptances between channels and joints with local elements in place."""
     modal_form = problem.modal_form
     psi = jnp.concatenate([modal_form.shapes, modal_form.shapes.conj()])
     part = jnp.concatenate([modal_form.participation, modal_form.participation.conj()])
@@ -147,7 +185,8 @@ def _assemble(s: Array, gains: Array, at: list[Any], problem: Problem) -> tuple[
     local = [(c, w, p) for c, w, _, p in of((LocalCause, CouplingCause), at)]
     joints = [(c, w, p) for c, w, _, p in of(JointCause, at)]
     if not local and not joints:
-        return H, channels
+        none = H[..., :0, :0]
+        return Linear(H, H[..., :0], H[..., :0, :], none, channels)
     blocks = [(c.ends(psi, w), c.ends(part, w)) for c, w, _ in local + joints]
     left, right = (jnp.concatenate([b[k] for b in blocks], axis=1) for k in (0, 1))
     H_ob, H_bi, H_bb = between(psi[:, o], right), between(left, part[:, i]), between(left, right)
@@ -157,24 +196,31 @@ def _assemble(s: Array, gains: Array, at: list[Any], problem: Problem) -> tuple[
         inner = jnp.eye(count) + Z @ H_bb[:, :, :count, :count]
         X = jnp.linalg.solve(inner, jnp.broadcast_to(Z, inner.shape)) if count > 1 else Z / inner
         H = H - H_ob[..., :count] @ X @ H_bi[:, :, :count]
-        if joints:
-            H_ob, H_bi, H_bb = (
-                H_ob[..., count:] - H_ob[..., :count] @ X @ H_bb[:, :, :count, count:],
-                H_bi[:, :, count:] - H_bb[:, :, count:, :count] @ X @ H_bi[:, :, :count],
-                H_bb[:, :, count:, count:] - H_bb[:, :, count:, :count] @ X @ H_bb[:, :, :count, count:],
-            )
-    places = [jnp.asarray(w) for _, w, _ in joints]
-    for k, (cause, where, p) in enumerate(joints):
+        H_ob, H_bi, H_bb = (
+            H_ob[..., count:] - H_ob[..., :count] @ X @ H_bb[:, :, :count, count:],
+            H_bi[:, :, count:] - H_bb[:, :, count:, :count] @ X @ H_bi[:, :, :count],
+            H_bb[:, :, count:, count:] - H_bb[:, :, count:, :count] @ X @ H_bb[:, :, :count, count:],
+        )
+    return Linear(H, H_ob, H_bi, H_bb, channels)
+
+
+def _with_joints(without: Linear, joints: list[Any], problem: Problem) -> Array:
+    """Receptances between the channels with joints in place, each balanced at the fundamental."""
+    H, H_ob, H_bi, H_bb, _ = without
+    places = [jnp.asarray(w) for _, w, _, _ in joints]
+    for k, (cause, where, harmonics, p) in enumerate(joints):
         drive_bb, motion = H_bb[:, :, k, k], H_bi[:, :, k]
         first = 1.0
         if len(joints) > 1:
             # joints at one place share one motion: the first of them stands for all
             same = [jnp.all(where == other).astype(float) for other in places]
             first = jnp.prod(1 - jnp.stack([jnp.zeros(()), *same[:k]]))
-            cause, p = Together(tuple(c for c, _, _ in joints)), (tuple(q for *_, q in joints), tuple(same))
-        Z = first * equivalent(cause, p, problem.omega, drive_bb, motion, problem.level)
+            share = tuple(s if e is None else s * e for s, (_, _, e, _) in zip(same, joints, strict=True))
+            cause, p = Together(tuple(c for c, *_ in joints)), (tuple(q for *_, q in joints), share)
+            harmonics = None
+        Z = first * equivalent(cause, p, problem.omega, drive_bb, motion, problem.level, harmonics)
         H = H - H_ob[..., k, None] * (Z / (1 + Z * drive_bb[..., None]) * motion)[:, :, None]
-    return H, channels
+    return H
 
 
 class Together:
@@ -184,7 +230,10 @@ class Together:
         self.causes = causes
 
     def impedance(self, A: Array, omega: Array, p: tuple[tuple[Any, ...], tuple[Array, ...]]) -> Array:
-        """Sum of the describing functions; the second of ``p`` is 1 for the causes at this place, else 0."""
+        """Sum of the describing functions; the second of ``p`` is 1 for the causes at this place, else 0.
+
+        What the higher harmonics do to the force of a cause is a factor in it.
+        """
         parts = [s * c.impedance(A, omega, q) for c, q, s in zip(self.causes, *p, strict=True)]
         return jnp.sum(jnp.stack(parts), axis=0)
 
@@ -201,7 +250,7 @@ def _block_diagonal(blocks: list[Array]) -> Array:
 
 
 def equivalent(
-    cause: Any, p: Any, omega: Array, drive: Array, motion: Array, level: Array
+    cause: Any, p: Any, omega: Array, drive: Array, motion: Array, level: Array, harmonics: Any = None
 ) -> Complex[Array, "run f i"]:
     r"""Equivalent stiffness of a joint in place, from :math:`A\,|1 + N(A)\,b^THb| = |b^THF|`.
 
@@ -214,14 +263,18 @@ def equivalent(
         :math:`b^THb`, shape ``(run or 1, f)`` [m/N].
     motion
         :math:`b^TH`, shape ``(run or 1, f, i)`` [m/N].
+    harmonics
+        Factor on the describing function by which higher harmonics change the force at the fundamental, shape
+        ``(run, f, i)`` (:mod:`~modalax.diagnose.prediction.harmonics`); 1 if None.
     """
+    factor = 1.0 if harmonics is None else harmonics
     free = level[:, :, None] * jnp.abs(motion) + TINY
     flat = jnp.broadcast_to(drive[..., None], free.shape)
     w = omega[None, :, None]
 
     def miss(log_a: Array, free: Array, flat: Array, p: Any) -> Array:
         A = jnp.exp(log_a)
-        return log_a + jnp.log(jnp.abs(1 + cause.impedance(A, w, p) * flat) + TINY) - jnp.log(free)
+        return log_a + jnp.log(jnp.abs(1 + factor * cause.impedance(A, w, p) * flat) + TINY) - jnp.log(free)
 
     fixed = jax.lax.stop_gradient((free, flat, p))
     steps = jnp.log(BRACKET) * jnp.linspace(-1.0, 1.0, GRID)
@@ -253,4 +306,4 @@ def equivalent(
     slope = jax.lax.stop_gradient(jnp.where(jnp.abs(slope) > 0.05, slope, jnp.where(slope < 0, -0.05, 0.05)))
     settled = jnp.abs(miss(root, *fixed)) < 1e-3
     log_a = root - jnp.where(settled, miss(root, free, flat, p) / slope, 0.0)
-    return cause.impedance(jnp.exp(log_a), w, p)
+    return factor * cause.impedance(jnp.exp(log_a), w, p)

@@ -156,7 +156,7 @@ def rest_of(comparison: Comparison, h: Hypothesis, null: Hypothesis, causes: Seq
         What to look for.
     """
     used = comparison if h.hum is None else comparison.without(h.hum.lines)
-    fidelity = max((c.fidelity for c in h.causes), default=0.0)
+    fidelity = max((c.fidelity for c in h.causes), default=0.0) if h.fidelity is None else h.fidelity
     tolerated = fidelity**2 * max(null.chi2 - h.chi2, 0.0)
     after = omnibus(used.residual(h), used.live(), comparison.noise.freedom, tolerated)
     state = score_state_of(used, h, _jacobian(used, h))

@@ -12,6 +12,7 @@ from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.screening.every_cause import chosen
 from modalax.diagnose.search.candidates import best_of_each
 from modalax.diagnose.search.compounds import FURTHER, Rest, exchanged, one_more_cause, rest_of
+from modalax.diagnose.search.harmonics import joints_in_full
 from modalax.diagnose.search.imitator_check import apart, imitations, likeness
 from modalax.diagnose.search.look import Look
 from modalax.diagnose.search.singles import PATIENT, fit_single, from_nominal_modes, joints_for_drifts
@@ -70,6 +71,7 @@ def explain(look: Look, causes: Sequence[Cause]) -> Explanation:
     if verdict(ranked, leftover)[0] == "unknown":
         return replace(nothing, leftover=leftover)
     comparison, fitted, ranked = centred(look, fitted, ranked)
+    fitted, ranked = in_full(look, comparison, fitted, ranked)
     ranked, fitted, rest = together(look, comparison, fitted, ranked, causes)
     return Explanation(look, comparison, ranked, replace(leftover, p_value=rest.p_value), rest.omnibus, fitted)
 
@@ -137,6 +139,18 @@ def centred(
     near = [r.best for r in ranked if r.log_evidence > ranked[0].log_evidence - NEAR and r.best.hum is None]
     fitted = comparison.fit(near, PATIENT) + [h for h in fitted if not any(h is other for other in near)]
     return comparison, fitted, weigh(look, fitted, comparison)
+
+
+def in_full(
+    look: Look, comparison: Comparison, fitted: list[Hypothesis], ranked: list[Ranked]
+) -> tuple[list[Hypothesis], list[Ranked]]:
+    """Fit leading joints again with their higher harmonics; these stand for what was fitted with one."""
+    again = joints_in_full(comparison, look.null, [r.best for r in ranked])
+    if not again:
+        return fitted, ranked
+    done = {(h.causes, h.places) for h in again}
+    fitted = again + [h for h in fitted if (h.causes, h.places) not in done]
+    return fitted, weigh(look, fitted, comparison)
 
 
 def together(
