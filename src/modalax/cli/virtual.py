@@ -80,7 +80,7 @@ def virtual_test(effect: Hidden, seed: int, joint: ElastoSlip | None = None) -> 
     M, C, K = effect.matrices(np.asarray(structure.M), np.asarray(structure.C), np.asarray(structure.K))
     actual = Structure(M, C, K, structure.dofs)
     joints, places = ([], []) if joint is None else ([joint], [JOINT])
-    options: dict[str, Any] = {} if joint is None else {"harmonics": 3}
+    options: dict[str, Any] = {} if joint is None else {"harmonics": 9}
     clean = simulate(actual, joints, places, FREQ, np.array(LEVELS), inputs=["1"], **options)
     keys = jax.random.split(jax.random.key(seed), clean.runs)
     runs = [clean.run(r) for r in range(clean.runs)]

@@ -215,7 +215,7 @@ def _with_joints(without: Linear, joints: list[Any], problem: Problem) -> Array:
             # joints at one place share one motion: the first of them stands for all
             same = [jnp.all(where == other).astype(float) for other in places]
             first = jnp.prod(1 - jnp.stack([jnp.zeros(()), *same[:k]]))
-            share = tuple(s if e is None else s * e for s, (_, _, e, _) in zip(same, joints, strict=True))
+            share = tuple(s if e is None else s * factor_at(e, q) for s, (_, _, e, q) in zip(same, joints, strict=True))
             cause, p = Together(tuple(c for c, *_ in joints)), (tuple(q for *_, q in joints), share)
             harmonics = None
         Z = first * equivalent(cause, p, problem.omega, drive_bb, motion, problem.level, harmonics)
@@ -249,6 +249,19 @@ def _block_diagonal(blocks: list[Array]) -> Array:
     return out
 
 
+def factor_at(harmonics: Complex[Array, "one_p run f i"], p: Float[Array, " p"]) -> Complex[Array, "run f i"]:
+    r"""Factor :math:`\rho(p) = \rho_0 + \sum_k \rho_k p_k` of higher harmonics on a describing function.
+
+    Parameters
+    ----------
+    harmonics
+        :math:`\rho_0`, then the slope by each parameter (:mod:`~modalax.diagnose.prediction.harmonics`).
+    p
+        Parameters of the joint.
+    """
+    return harmonics[0] + jnp.tensordot(p, harmonics[1:], 1)
+
+
 def equivalent(
     cause: Any, p: Any, omega: Array, drive: Array, motion: Array, level: Array, harmonics: Any = None
 ) -> Complex[Array, "run f i"]:
@@ -264,10 +277,10 @@ def equivalent(
     motion
         :math:`b^TH`, shape ``(run or 1, f, i)`` [m/N].
     harmonics
-        Factor on the describing function by which higher harmonics change the force at the fundamental, shape
-        ``(run, f, i)`` (:mod:`~modalax.diagnose.prediction.harmonics`); 1 if None.
+        By what factor higher harmonics change the force at the fundamental, shape ``(1 + p, run, f, i)``, see
+        :func:`factor_at`; no factor if None.
     """
-    factor = 1.0 if harmonics is None else harmonics
+    factor = 1.0 if harmonics is None else factor_at(harmonics, p)
     free = level[:, :, None] * jnp.abs(motion) + TINY
     flat = jnp.broadcast_to(drive[..., None], free.shape)
     w = omega[None, :, None]

@@ -7,12 +7,15 @@ import numpy as np
 
 from modalax.diagnose.causes.base import JointCause
 from modalax.diagnose.comparison import Comparison
-from modalax.diagnose.fitting.hypothesis import Hypothesis
-from modalax.diagnose.prediction.harmonics import harmonic_factor
+from modalax.diagnose.fitting.gauss_newton import covariance_of
+from modalax.diagnose.fitting.hypothesis import Hypothesis, searched
+from modalax.diagnose.fitting.residual import jacobian_of, residual_of
+from modalax.diagnose.prediction.harmonics import linear_factor
 from modalax.diagnose.search.singles import PATIENT
 
 HIGHEST = 9  # harmonic kept
 FEWER = 5  # harmonic kept for what the truncation may leave
+BEYOND = (FEWER + 1) / (HIGHEST - FEWER)
 TIMES = 3  # that harmonics and fit follow each other, at most
 ASKED = 0.3  # standard deviations by which the idealisation may bend a parameter before it is worth the work
 SETTLED = 1e-2  # change of chi-square at which harmonics and fit have settled
@@ -72,26 +75,63 @@ def fitted_in_full(comparison: Comparison, null: Hypothesis, h: Hypothesis) -> H
     """
     k = next(k for k, c in enumerate(h.causes) if isinstance(c, JointCause))
     for _ in range(TIMES):
-        factor = _factor(comparison, h, HIGHEST)
+        factor = _factor(comparison, h)
         before = h.chi2
         h = replace(h, extras=(*h.extras[:k], factor, *h.extras[k + 1 :]))
         h = comparison.fit([h], PATIENT)[0]
         if abs(before - h.chi2) < SETTLED:
             break
-    return replace(h, fidelity=_left_out(comparison, null, h, k))
+    seen = sum(c.unseen for c in h.causes)  # what one harmonic does not show, the others do
+    h = replace(h, freedom=h.freedom + seen)
+    return _with_what_is_left_out(comparison, null, h, k)
 
 
-def _factor(comparison: Comparison, h: Hypothesis, highest: int) -> np.ndarray:
+def _factor(comparison: Comparison, h: Hypothesis, kept: int = HIGHEST) -> np.ndarray:
     theta = jnp.asarray(h.theta * comparison.nuisance.spread)
     params = tuple(jnp.asarray(p) for p in h.params)
     plain = tuple(None if isinstance(c, JointCause) else e for c, e in zip(h.causes, h.extras, strict=True))
-    return np.asarray(harmonic_factor(h.causes, h.index, plain, params, theta, comparison.problem, highest))
+    return linear_factor(h.causes, h.index, plain, params, theta, comparison.problem, HIGHEST, kept)
 
 
-def _left_out(comparison: Comparison, null: Hypothesis, h: Hypothesis, k: int) -> float:
-    """Relative error of the joint's effect that the harmonics left out may make: the change from fewer to these."""
+def _with_what_is_left_out(comparison: Comparison, null: Hypothesis, h: Hypothesis, k: int) -> Hypothesis:
+    """Fidelity and covariance with what the harmonics left out, and lines that the law does not reach, may do.
+
+    Of a force that jumps, as dry friction does, the error falls as :math:`1/(h+1)`, h the highest harmonic, so that
+    harmonics beyond ``HIGHEST`` may do ``BEYOND`` times as much as the change from ``FEWER`` to these; of any smoother
+    force they do far less.
+    """
     fewer = _factor(comparison, h, FEWER)
     other = replace(h, extras=(*h.extras[:k], fewer, *h.extras[k + 1 :]))
     change = comparison.residual(h) - comparison.residual(other)
     effect = comparison.residual(h) - comparison.residual(null)
-    return float(np.linalg.norm(change) / max(np.linalg.norm(effect), 1e-300))
+    fidelity = BEYOND * float(np.linalg.norm(change) / max(np.linalg.norm(effect), 1e-300))
+    shift = BEYOND * (searched(comparison.fit([other], PATIENT)[0]) - searched(h))
+    wider = inflation(comparison, h)
+    return replace(h, fidelity=fidelity, covariance=h.covariance * np.outer(wider, wider) + np.outer(shift, shift))
+
+
+def inflation(comparison: Comparison, h: Hypothesis) -> np.ndarray:
+    r"""How much wider than by the stated noise alone each standard deviation is where some lines are missed.
+
+    The covariance that holds whatever the errors of each line are, :math:`A^{-1} B A^{-1}` with :math:`A = J^TJ` and
+    :math:`B` the sum over lines of :math:`J_l^T r_l r_l^T J_l` (White 1980, Econometrica 48:817), beside
+    :math:`A^{-1}`; never less than 1.
+
+    Parameters
+    ----------
+    comparison
+        Data and simulation.
+    h
+        A fitted hypothesis.
+    """
+    problem, nuisance = comparison.problem, comparison.nuisance
+    at = h.causes, h.index, h.extras, searched(h), h.theta, nuisance.spread, nuisance.basis, problem
+    r, J = np.asarray(residual_of(*at)), np.asarray(jacobian_of(*at))
+    runs, lines = problem.data.shape[:2]
+    score = (J * r).reshape(len(J), -1, runs * lines, 2).sum(axis=(1, 3))
+    flat = J.reshape(len(J), -1)
+    A = flat @ flat.T
+    scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    inverse = covariance_of(A / np.outer(scale, scale))
+    robust = inverse @ (score / scale[:, None]) @ (score / scale[:, None]).T @ inverse
+    return np.sqrt(np.maximum(np.diag(robust) / np.maximum(np.diag(inverse), 1e-300), 1.0))
