@@ -45,7 +45,7 @@ def hypothesis(comparison: Comparison, cause, p) -> tuple[Hypothesis, Hypothesis
 @pytest.mark.parametrize(
     ("cause", "p", "joint"),
     [
-        (ElastoSlip(False), [8000.0, 5e-4], joints.ElastoSlip(8000.0, 4.0)),
+        (ElastoSlip(False), [3000.0, 5e-4], joints.ElastoSlip(3000.0, 1.5)),
         (BilinearStiffness(), [3000.0, 0.6], joints.BilinearSpring(4800.0, 1200.0)),
     ],
     ids=["slip", "bilinear"],
