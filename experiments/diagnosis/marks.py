@@ -10,6 +10,11 @@ from typing import Any
 import numpy as np
 import scipy.stats
 
+# Effects drawn as outside the catalogue that are in it by now, by their names there
+INSIDE = {
+    "outside:maxwell": "maxwell_joint", "outside:fractional_joint": "fractional_joint",
+    "outside:crosstalk": "crosstalk",
+}  # fmt: skip
 ALARM = 0.01  # nominal rate of false alarms
 Z_ALARM = float(scipy.stats.norm.isf(ALARM / 2))
 
@@ -26,6 +31,16 @@ def placed(cause: dict[str, Any]) -> tuple[str, frozenset[str]]:
 
 def same_names(a: Iterable[dict], b: Iterable[dict]) -> bool:
     return sorted(c["name"] for c in a) == sorted(c["name"] for c in b)
+
+
+def renamed(truth: dict[str, Any]) -> dict[str, Any]:
+    """The truth by the names that its effects have in the catalogue."""
+    slugs = "+".join(INSIDE.get(slug, slug) for slug in truth["cause"].split("+"))
+    return {
+        **truth,
+        "cause": slugs,
+        "causes": [{**c, "name": INSIDE.get(c["name"], c["name"])} for c in truth["causes"]],
+    }
 
 
 @dataclass(frozen=True)
@@ -122,7 +137,7 @@ def load(folder: Path, answers: str = "answers") -> list[Mark]:
     marks = []
     for answer in sorted((folder / answers).glob("*.json")):
         truth = json.loads((folder / "truth" / answer.name).read_text())
-        marks.append(Mark(answer.stem, truth, json.loads(answer.read_text())))
+        marks.append(Mark(answer.stem, renamed(truth), json.loads(answer.read_text())))
     return marks
 
 

@@ -74,8 +74,11 @@ class Mark:
         found = []
         for name, aim in self.gross["parameters"].items():
             p = self.said["causes"][0].get("parameters", {}).get(name)
+            factor = 1.0 if name == "gain" else 0.0  # the truth holds the factor, the answer its change
             if p is not None and p.get("std") is not None and p["unit"] == aim["unit"]:
-                found.append((f"{self.gross['name']}.{name}", abs(p["value"] - aim["value"]) <= 1.96 * p["std"]))
+                found.append(
+                    (f"{self.gross['name']}.{name}", abs(p["value"] + factor - aim["value"]) <= 1.96 * p["std"])
+                )
         return found
 
     def inaccuracy(self) -> list[tuple[str, str, bool]]:

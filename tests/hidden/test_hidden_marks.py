@@ -49,7 +49,10 @@ def test_sets_compounds_and_clean(marks):
     assert not mark(marks, both, both[:1]).name_right
     nothing = mark(marks, [], [], "clean", d=0.0)
     assert nothing.kind == "clean" and not nothing.detected and nothing.within
-    assert mark(marks, [cause("outside:maxwell", "1")], [], "unknown").kind == "outside"
+    assert mark(marks, [cause("outside:clock_error")], [], "unknown").kind == "outside"
+    truth = marks.renamed({"cause": "outside:maxwell", "causes": [cause("outside:maxwell", "1")]})
+    assert truth["cause"] == truth["causes"][0]["name"] == "maxwell_joint"
+    assert marks.Mark("case", truth, {}).kind == "single"
 
 
 def test_intervals_count_where_the_place_is_right(marks):

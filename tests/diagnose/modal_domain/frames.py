@@ -58,15 +58,19 @@ def simulation(**claims) -> Structure:
 def measured(
     seed: int, off: float, *, mass: tuple[str, float] | None = None, spring: tuple[str, str, float] | None = None,
     noise: float = 0.01, lines: int = 160, top: float = 330.0, runs: int = 1, given: bool = True,
-    shifts: tuple[float, ...] = (0.0,),
+    shifts: tuple[float, ...] = (0.0,), damping: tuple[int, float] | None = None,
 ) -> tuple[Measurement, np.ndarray]:  # fmt: skip
     """Accelerances of a beam whose elements are off, and the true stiffness matrix.
 
-    All frequencies are shifted from run to run by ``shifts``, damping ratios and shapes are not.
+    All frequencies are shifted from run to run by ``shifts``, damping ratios and shapes are not; ``damping`` is a mode
+    counted from 1 and how many times its damping ratio it has.
     """
     rng = np.random.default_rng(seed)
     K, M = cantilever(1 + off * rng.standard_normal(ELEMENTS), 1 + off / 3 * rng.standard_normal(ELEMENTS))
-    C = modal_damping(M, K, DAMPING * np.exp(10 * off * rng.standard_normal(len(K))))
+    zeta = DAMPING * np.exp(10 * off * rng.standard_normal(len(K)))
+    if damping is not None:
+        zeta[damping[0] - 1] = DAMPING * damping[1]
+    C = modal_damping(M, K, zeta)
     K, M, C = (FLIP[:, None] * A * FLIP for A in (K, M, C))
     true = K.copy()
     if mass is not None:

@@ -8,7 +8,7 @@ from modalax.diagnose.decision.sets import certainty, unplaced
 from modalax.diagnose.summary import cause_at
 from modalax.diagnose.thresholds import THRESHOLDS, Thresholds
 
-Names = tuple[tuple[str, tuple[str, ...]], ...]
+Names = tuple[tuple[str, tuple[str | int, ...]], ...]
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class ModalCase:
     """
 
     sets: Sequence[BeyondUsual]
-    fitted: Sequence[tuple[str, tuple[str, ...]]]
+    fitted: Sequence[tuple[str, tuple[str | int, ...]]]
     inaccuracy: Mapping[str, float]
     share_of_largest: float
     misfit: float
@@ -111,7 +111,7 @@ RULES: tuple[tuple[str, Rule], ...] = (
 )
 
 
-def modal_verdict(case: ModalCase) -> tuple[str, tuple[str, ...]]:
+def modal_verdict(case: ModalCase) -> tuple[str, tuple[str | int, ...]]:
     """The verdict of the first of ``RULES`` that applies, and its reasons."""
     return next((word, reasons) for word, rule in RULES if (reasons := rule(case)))
 
@@ -128,13 +128,14 @@ def usual_size(
     whole
         Stiffness [N/m] or mass [kg] that the simulation has at the place; 1 for a relative change of a whole element.
     inaccuracy
-        General relative inaccuracy by ``stiffness`` and ``mass``.
+        General relative inaccuracy by ``stiffness``, ``mass`` and ``damping``.
     highest
         Highest measured frequency [Hz], at which a delay :math:`\tau` turns the phase by :math:`2\pi f\tau`.
     """
     return {
         "joint_stiffness": limits.beyond * inaccuracy["stiffness"] * whole,
         "added_mass": limits.beyond * inaccuracy["mass"] * whole,
+        "modal_damping": limits.beyond * inaccuracy.get("damping", 0.0),
         "channel_gain": limits.calibration,
         "force_gain": limits.calibration,
         "time_delay": limits.angle / (2 * math.pi * highest),

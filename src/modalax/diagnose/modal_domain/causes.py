@@ -4,7 +4,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-KIND_OF = {"added_mass": "M", "joint_stiffness": "K", "local_damper": "C"}
+KIND_OF = {"added_mass": "M", "joint_stiffness": "K", "local_damper": "C", "modal_damping": "C"}
+LONGEST = 50.0  # decays of a mode in one delay, beyond which a delay is none
+ALL = 2  # axis of a fault of all channels
 
 
 @dataclass(frozen=True)
@@ -22,7 +24,8 @@ class Change:
     pattern
         Of a change of a whole element instead, shape ``(n, n)``; its size is relative.
     channel
-        Of a channel's fault: axis (0 output, 1 input) and number; for two outputs exchanged both numbers.
+        Of a channel's fault: axis (0 output, 1 input) and number; for two outputs exchanged both numbers; of a fault of
+        all channels ``ALL`` and, for units, the power of ``s``.
     reference
         What the simulation has at this place, that a size may be compared with.
     weight
@@ -30,7 +33,7 @@ class Change:
     """
 
     slug: str
-    where: tuple[str, ...]
+    where: tuple[str | int, ...]
     scale: float = 1.0
     direction: np.ndarray | None = field(default=None, compare=False)
     pattern: np.ndarray | None = field(default=None, compare=False)
@@ -45,8 +48,8 @@ class Change:
 
     @property
     def sized(self) -> bool:
-        """Whether it has a size; a sign or a swap has none."""
-        return self.slug not in ("channel_sign", "channel_swap")
+        """Whether it has a size; a sign, a swap or a unit has none."""
+        return self.slug not in ("channel_sign", "channel_swap", "units")
 
     @property
     def matrix(self) -> np.ndarray:
@@ -55,6 +58,10 @@ class Change:
             return self.scale * self.pattern
         assert self.direction is not None, "a channel's fault changes no matrix"
         return self.scale * np.outer(self.direction, self.direction)
+
+    def _turn(self, u: float, poles: np.ndarray) -> np.ndarray:
+        x = -poles * self.scale * u
+        return np.exp(np.clip(x.real, -LONGEST, LONGEST) + 1j * x.imag)[:, None]
 
     def transform(self, u: float, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
         """Residues ``(k, o, i)`` as this fault of a channel shows them."""
@@ -71,8 +78,12 @@ class Change:
             a, b = self.channel
             out[:, [a, b]] = residues[:, [b, a]]
             return out
+        if self.slug == "units":
+            return residues * (poles ** float(self.channel[1]))[:, None, None]
         if self.slug == "time_delay":
-            turn = np.exp(-poles * self.scale * u)[:, None]
+            turn = self._turn(u, poles)
+            if self.channel[0] == ALL:
+                return residues * turn[:, None]
             out = residues.copy()
             out[:, self.channel[1]] *= turn
             return out
@@ -87,6 +98,8 @@ class Change:
             else:
                 out[:, :, self.channel[1]] = self.scale * residues[:, :, self.channel[1]]
         elif self.slug == "time_delay":
-            turn = np.exp(-poles * self.scale * u)[:, None]
+            turn = self._turn(u, poles)
+            if self.channel[0] == ALL:
+                return -self.scale * (poles[:, None] * turn)[:, None] * residues
             out[:, self.channel[1]] = -self.scale * poles[:, None] * turn * residues[:, self.channel[1]]
         return out

@@ -10,6 +10,7 @@ import numpy as np
 from modalax.data import Measurement
 from modalax.diagnose.causes import catalogue, imitators
 from modalax.diagnose.causes.base import Cause
+from modalax.diagnose.causes.channels import CommonDelay
 from modalax.diagnose.causes.parameter import Parameter
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.decision.advice import advise_modes
@@ -38,6 +39,7 @@ WORDS = ("clean", "named", "ambiguous", "unknown")  # each outweighs those befor
 UNITS = {
     "added_mass": ("mass", "kg"), "joint_stiffness": ("stiffness", "N/m"), "local_damper": ("damping", "N s/m"),
     "channel_gain": ("gain", "-"), "force_gain": ("gain", "-"), "time_delay": ("delay", "s"),
+    "modal_damping": ("relative_change", "-"),
 }  # fmt: skip
 
 
@@ -241,8 +243,10 @@ def _extended(stage: Stage, f: Fit) -> ExtendedSimulation:
             continue
         m = stage.measurement
         names = base.dofs if c.kind else (m.inputs if c.slug == "force_gain" else m.outputs)
-        index = [names.index(w) for w in c.where] + [-1]
-        causes.append(known[c.slug])
+        index = [names.index(str(w)) for w in c.where] + [-1, -1]
+        if c.slug == "units":
+            index[0] = c.channel[1]
+        causes.append(CommonDelay() if c.slug == "time_delay" and not c.where else known[c.slug])
         places.append(Place(tuple(c.where), (index[0], index[1], 0)))
         params.append(jnp.asarray([u * c.scale] if c.sized else []))
         spread.append(jnp.asarray([error * c.scale] if c.sized else []))

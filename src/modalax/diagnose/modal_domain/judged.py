@@ -49,7 +49,9 @@ def judge(stage: Stage) -> Judged:
 
 def sets_beyond(stage: Stage) -> tuple[BeyondUsual, ...]:
     """What stands out in the likeliest explanation, then in the others, the same causes at the same places as one."""
-    written: dict[tuple[str, ...], tuple[str, tuple[str, ...]]] = {}  # a pair of DoFs is the same in either order
+    written: dict[
+        tuple[str | int, ...], tuple[str, tuple[str | int, ...]]
+    ] = {}  # a pair of DoFs is the same in either order
     total: dict[Names, tuple[Names, float]] = {}
     for e in stage.explanations:
         causes = standing_out(stage, e)

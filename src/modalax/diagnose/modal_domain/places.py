@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.causes import ALL, Change
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.elements import Nodes, nodes_of, parts_of
 from modalax.model import Structure
@@ -13,6 +13,7 @@ from modalax.model import Structure
 COUPLED = 1e-6  # size of an element of K, relative to the diagonal, from which two DoFs are coupled
 GAIN, DELAY = 0.3, 3e-2  # usual error of a channel's gain; of a delay, as phase at the highest mode over pi
 LUMP = 0.3  # usual lumped mass, relative to the modal masses seen from its place
+OVERDAMPED = 2.0  # usual relative error of a modal damping ratio that is wrong
 JOINT = 0.4  # usual relative error of a joint or element that is wrong
 HELD, SUPPORTED = 6, 1e-3  # most DoFs of one support, and its least stiffness relative to all that holds the DoF
 # Chances of places of springs and dampers relative to each other, each shared out among its places
@@ -55,6 +56,19 @@ def candidates_of(
         for a, b in itertools.combinations(range(len(outputs)), 2)
     ]
     out += [Change("time_delay", (n,), DELAY * np.pi / highest, channel=(0, k)) for k, n in enumerate(outputs)]
+    if len(outputs) > 1:
+        out.append(Change("time_delay", (), DELAY * np.pi / highest, channel=(ALL, 0), weight=float(len(outputs))))
+    out += [Change("units", (), channel=(ALL, k)) for k in (-1, 1)]
+    return out + _damped_modes(c, inside)
+
+
+def _damped_modes(c: Coordinates, inside: np.ndarray) -> list[Change]:
+    """Damping of one mode by itself; sizes are relative to what the simulation has."""
+    out = []
+    for r in inside:
+        pattern = np.zeros((c.size, c.size))
+        pattern[r, r] = c.damping[r, r]
+        out.append(Change("modal_damping", (int(r) + 1,), OVERDAMPED, pattern=pattern, reference=1.0))
     return out
 
 

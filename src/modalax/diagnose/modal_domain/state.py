@@ -17,6 +17,7 @@ from modalax.diagnose.modal_domain.coordinates import (
 from modalax.diagnose.modal_domain.features import Features, paired, slopes_of_values, values_of
 from modalax.diagnose.modal_domain.inaccuracy import KINDS, Inaccuracy
 
+WILD = 1e12  # factor on a channel that no fault has
 NONE = np.zeros(0)  # sizes where there is no cause
 
 
@@ -97,6 +98,8 @@ def state_at(
     residues = plain
     for cause, size in zip(causes, u, strict=True):
         residues = cause.transform(size, modes.poles, residues)
+    if not np.abs(residues).max(initial=0.0) < WILD * np.abs(plain).max(initial=1.0):
+        raise np.linalg.LinAlgError("a channel out of all bounds")
     if pairs is None:
         pairs = paired(f, modes.poles, residues)
     values = values_of(modes.poles[pairs], residues[pairs] / f.units, f.tangent)

@@ -1,0 +1,39 @@
+"""Causes that touch every channel, or one mode, in a beam whose every element is off."""
+
+import numpy as np
+import pytest
+from frames import measured, simulation
+
+from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+
+
+def told(data) -> dict:
+    found = diagnose_modes(data, simulation())
+    again = found.extended.frf(found.freq, form="accelerance", outputs=data.outputs, inputs=data.inputs)
+    assert again.H.shape == found.predicted_after[0].shape
+    return found.to_dict()
+
+
+def test_wrong_units_are_named():
+    data, _ = measured(11, 0.02)
+    s = 2j * np.pi * np.asarray(data.freq)[:, None, None]
+    answer = told(data.replace(H=np.asarray(data.H) / s, variance=np.asarray(data.variance) / np.abs(s) ** 2))
+    assert answer["verdict"] == "named"
+    assert [(c["name"], c["where"]) for c in answer["causes"]] == [("units", [])]
+
+
+def test_a_delay_of_all_sensors_is_named_as_one():
+    data, _ = measured(12, 0.02)
+    turn = np.exp(-2j * np.pi * np.asarray(data.freq) * 2e-4)[:, None, None]
+    answer = told(data.replace(H=np.asarray(data.H) * turn))
+    assert [(c["name"], c["where"]) for c in answer["causes"]] == [("time_delay", [])]
+    delay = answer["causes"][0]["parameters"]["delay"]
+    assert delay["value"] == pytest.approx(2e-4, abs=5 * delay["std"])
+    assert delay["std"] < 1e-5
+
+
+def test_the_damping_of_one_mode_stands_out_beyond_what_is_usual():
+    data, _ = measured(13, 0.005, damping=(3, 4.0))
+    answer = told(data)
+    assert [(c["name"], c["where"]) for c in answer["causes"]] == [("modal_damping", [3])]
+    assert answer["causes"][0]["parameters"]["relative_change"]["value"] == pytest.approx(3.0, rel=0.2)
