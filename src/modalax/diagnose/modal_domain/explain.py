@@ -89,7 +89,7 @@ def explain(
     trials = _leading(setting, null, candidates, prior)
     tell(f"fitting {len(trials)} of them")
     for cause, u, start in trials:
-        _try(setting, found, (cause,), np.array([u]), start)
+        _try(setting, found, (cause,), np.array([u]), start, gentle=start is None)
         if late():
             return setting, _ranked(found, prior)
     setting, found = _beside_the_rest(setting, found, prior, late)
@@ -160,12 +160,26 @@ def _leading(
     first = list(dict.fromkeys(chosen))
     near = refined(setting, [candidates[k] for k in first], [float(u[k]) for k in first])
     out: list[tuple[Change, float, Fit | None]] = [(candidates[k], v, None) for k, v in zip(first, near, strict=True)]
-    linear = [k for k in np.argsort(-(gain + share)) if np.isfinite(gain[k]) and gain[k] > 0][:FITTED]
+    linear = [k for k in np.argsort(-(gain + share)) if np.isfinite(gain[k]) and gain[k] > 0][:NEXT]
     start = without_causes(null)
     told = [float(np.clip(size[k], -3, 3)) for k in linear]
     near = refined(setting, [candidates[k] for k in linear], told)
     out += [(candidates[k], v, None) for k, v in zip(linear, near, strict=True)]
-    return out + [(candidates[k], v, start) for k, v in zip(linear, told, strict=True)]
+    out += [(candidates[k], v, start) for k, v in zip(linear, told, strict=True)]
+    return out + _hidden(setting, start, candidates, share)
+
+
+def _hidden(
+    setting: Setting, null: Fit, candidates: list[Change], share: np.ndarray
+) -> list[tuple[Change, float, Fit | None]]:
+    """Causes that hide in the inaccuracy: one part far beyond the others makes all seem as inaccurate as itself.
+
+    They show from where the inaccuracy alone stands, once it is held to its usual size.
+    """
+    usual = replace(null, epsilon=np.minimum(null.epsilon, setting.inaccuracy.usual))
+    gain, size = scores(setting, usual, candidates)
+    leading = [k for k in np.argsort(-(gain + share))[:NEXT] if np.isfinite(gain[k]) and gain[k] > 0]
+    return [(candidates[k], float(np.clip(size[k], -3, 3)), usual) for k in leading]
 
 
 def _nominal(setting: Setting, null: Fit) -> Fit:

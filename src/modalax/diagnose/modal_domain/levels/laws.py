@@ -34,6 +34,7 @@ FRACTIONS = (0.03, 0.1, 0.2, 0.3, 0.4, 0.55, 0.75)  # thresholds over the larges
 EXPONENTS = (-0.5, 0.5, 1.0, 2.0)  # of power laws, likewise
 TOLERANCE = 0.02  # relative error of a force by its first harmonic alone, before that is learnt
 HARMONIC = 60  # lines at whose third harmonic the compliance across a place is read
+PRETENDED = 4.0  # times its mean square, which noise exceeds once in fifty
 FEW = 1500  # forces that starts are compared on
 STEPS = 15  # most steps of one fit
 PAD = 2048  # amplitudes that a compiled law takes at once, or a multiple
@@ -53,7 +54,9 @@ class Motion:
     drive
         Receptance across the place less its compliance, shape ``(f,)`` [m/N].
     amplitude
-        Measured, of all levels, of the displacement and what the compliance takes, shape ``(level, f, i)`` [m].
+        Measured, less what noise pretends, of all levels, of the displacement and what the compliance takes, shape ``(level, f, i)`` [m].
+    seen
+        The forces less what noise pretends, shape ``(f, i, level - 1)``.
     omega
         Shape ``(f,)`` [rad/s].
     compliance
@@ -66,6 +69,7 @@ class Motion:
     still: np.ndarray
     drive: np.ndarray
     amplitude: np.ndarray
+    seen: np.ndarray
     omega: np.ndarray
     compliance: float
 
@@ -73,7 +77,7 @@ class Motion:
         """Every so many lines."""
         return Motion(
             self.force[::step], self.root[::step], self.least, self.still[::step], self.drive[::step],
-            self.amplitude[:, ::step], self.omega[::step], self.compliance,
+            self.amplitude[:, ::step], self.seen[::step], self.omega[::step], self.compliance,
         )  # fmt: skip
 
     def behind(self, compliance: float, levels: np.ndarray) -> "Motion":
@@ -81,7 +85,7 @@ class Motion:
         if compliance == 0.0:
             return self
         drive = self.drive - compliance
-        A = _amplitude(levels, self.still, drive, self.force)
+        A = _amplitude(levels, self.still, drive, self.seen)
         return replace(self, drive=drive, amplitude=A, compliance=compliance)
 
 
@@ -101,11 +105,12 @@ def motions_of(levels: Levels, base: Base, b: np.ndarray, p: Projection, law: Jo
     still = np.einsum("pn,fni->pfi", b, base.inn)
     out = []
     for k in range(len(b)):
-        lowest = still[k] + across[:, k, None] * (p.force[k] @ levels.share)
+        seen = p.force[k] * (seen_force(p, k) / np.maximum(np.abs(p.force[k]) ** 2, 1e-300))
+        lowest = still[k] + across[:, k, None] * (seen @ levels.share)
         root = np.linalg.cholesky(softened(p.Q[k], seen_force(p, k), TOLERANCE)).transpose(0, 1, 3, 2)
         plain = Motion(
             p.force[k], root, float(p.least[k]), lowest, across[:, k],
-            _amplitude(levels.force, lowest, across[:, k], p.force[k]), base.s.imag, 0.0,
+            _amplitude(levels.force, lowest, across[:, k], seen), seen, base.s.imag, 0.0,
         )  # fmt: skip
         out.append(plain.behind(float(compliance[k]), levels.force))
     return out
@@ -118,8 +123,8 @@ def _amplitude(levels: np.ndarray, lowest: np.ndarray, drive: np.ndarray, force:
 
 
 def seen_force(p: Projection, k: int) -> np.ndarray:
-    """Square of the force of a place beyond its noise, shape ``(f, i, level - 1)``."""
-    noise = 2 * np.diagonal(np.linalg.inv(p.Q[k]), axis1=-2, axis2=-1)
+    """Square of the force of a place beyond what noise may pretend, shape ``(f, i, level - 1)``."""
+    noise = PRETENDED * 2 * np.diagonal(np.linalg.inv(p.Q[k]), axis1=-2, axis2=-1)
     return np.maximum(np.abs(p.force[k]) ** 2 - noise, 0.0)
 
 
