@@ -165,7 +165,7 @@ def _leading(
     told = [float(np.clip(size[k], -3, 3)) for k in linear]
     near = refined(setting, [candidates[k] for k in linear], told)
     out += [(candidates[k], v, None) for k, v in zip(linear, near, strict=True)]
-    out += [(candidates[k], v, start) for k, v in zip(linear, told, strict=True)]
+    out += [(candidates[k], 0.0, start) for k in linear]
     return out + _hidden(setting, start, candidates, share)
 
 
@@ -177,9 +177,9 @@ def _hidden(
     They show from where the inaccuracy alone stands, once it is held to its usual size.
     """
     usual = replace(null, epsilon=np.minimum(null.epsilon, setting.inaccuracy.usual))
-    gain, size = scores(setting, usual, candidates)
+    gain, _ = scores(setting, usual, candidates)
     leading = [k for k in np.argsort(-(gain + share))[:NEXT] if np.isfinite(gain[k]) and gain[k] > 0]
-    return [(candidates[k], float(np.clip(size[k], -3, 3)), usual) for k in leading]
+    return [(candidates[k], 0.0, usual) for k in leading]  # from where the data are, without the cause
 
 
 def _nominal(setting: Setting, null: Fit) -> Fit:
@@ -220,15 +220,14 @@ def _further(
     late: Callable[[], bool],
 ) -> bool:  # fmt: skip
     """Add a cause where one promises enough log evidence; whether one was tried."""
-    gain, size = scores(setting, best, candidates)
+    gain, _ = scores(setting, best, candidates)
     value = gain + np.array([prior.one(c) for c in candidates]) + math.log(SECOND)
     leading = [j for j in np.argsort(-value)[:NEXT] if candidates[j] not in best.causes]
     worth = [j for j in leading if value[j] > WORTH - math.log(10)]
     for j in worth:
         if late():
             break
-        u = np.append(best.u, np.clip(size[j], -3, 3))
-        _try(setting, found, (*best.causes, candidates[j]), u, without_causes(best), gentle=False)
+        _try(setting, found, (*best.causes, candidates[j]), np.append(best.u, 0.0), without_causes(best), gentle=False)
     return bool(worth)
 
 

@@ -54,7 +54,8 @@ class Motion:
     drive
         Receptance across the place less its compliance, shape ``(f,)`` [m/N].
     amplitude
-        Measured, less what noise pretends, of all levels, of the displacement and what the compliance takes, shape ``(level, f, i)`` [m].
+        Measured less what noise pretends, of all levels, of the displacement and what the compliance takes, shape
+        ``(level, f, i)`` [m].
     seen
         The forces less what noise pretends, shape ``(f, i, level - 1)``.
     omega
