@@ -34,12 +34,13 @@ from modalax.diagnose.causes import catalogue, imitators
 from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.comparison import as_measurement, causes_of, make_comparison, with_noise_beside
 from modalax.diagnose.decision.gain import Gain
+from modalax.diagnose.decision.route import Outcome, Route, choice, order, suffices
 from modalax.diagnose.decision.verdict import verdict
 from modalax.diagnose.extend import ExtendedSimulation, extend
 from modalax.diagnose.holdout import measure
 from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis, diagnose_modes
 from modalax.diagnose.result import Diagnosis
-from modalax.diagnose.routes import routed
+from modalax.diagnose.routes import outcome_of, task_of
 from modalax.diagnose.search.explain import Explanation, check_imitations, explain
 from modalax.diagnose.search.look import look
 from modalax.model import ModalModel, Structure
@@ -88,26 +89,39 @@ def diagnose(
     """
     require_double("diagnose")
     check_comparable(measurement, simulation)
+    data = as_measurement(measurement)
+    task = task_of(data, simulation, question, causes is None)
+    answers: dict[Route, Diagnosis] = {}
+    outcomes: dict[Route, Outcome] = {}
+    for route in order(task):
+        found = (
+            in_modal_domain(data, simulation, causes, time, progress) if route == "modes"
+            else line_by_line(measurement, simulation, question, causes, progress)
+        )  # fmt: skip
+        if found is not None:
+            answers[route], outcomes[route] = found, outcome_of(found)
+            if suffices(route, outcomes[route], task):
+                break
+    return answers[choice(outcomes)]
+
+
+def in_modal_domain(
+    measurement: Measurement, simulation: Structure | ModalModel | ExtendedSimulation, causes: Sequence[Cause] | None,
+    time: float, progress: Callable[[str], None],
+) -> ModalDiagnosis | None:  # fmt: skip
+    """Diagnose by the modes of the measurement; None where there is no mode to compare."""
     slugs = None if causes is None else {c.slug for c in causes}
-
-    def modal() -> ModalDiagnosis | None:
-        if not isinstance(simulation, Structure):
-            return None
-        try:
-            return diagnose_modes(
-                as_measurement(measurement), simulation, budget=time, wanted=lambda s: slugs is None or s in slugs,
-                tell=progress,
-            )  # fmt: skip
-        except (np.linalg.LinAlgError, ValueError):  # no modes to compare: line by line says what is wrong
-            return None
-
-    return routed(
-        as_measurement(measurement), simulation, question, causes is None,
-        lambda: _line_by_line(measurement, simulation, question, causes, progress), modal,
-    )  # fmt: skip
+    if not isinstance(simulation, Structure):
+        return None
+    try:
+        return diagnose_modes(
+            measurement, simulation, budget=time, wanted=lambda s: slugs is None or s in slugs, tell=progress
+        )
+    except (np.linalg.LinAlgError, ValueError):  # line by line says what is wrong with the data
+        return None
 
 
-def _line_by_line(
+def line_by_line(
     measurement: Measurement | FRF, simulation: Structure | ModalModel | ExtendedSimulation, question: str,
     causes: Sequence[Cause] | None, progress: Callable[[str], None],
 ) -> Diagnosis:  # fmt: skip

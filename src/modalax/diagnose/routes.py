@@ -1,11 +1,9 @@
-"""The two methods of diagnosis, tried in the order that :mod:`modalax.diagnose.decision.route` decides."""
-
-from collections.abc import Callable
+"""Facts about a task, and about an answer, on which the choice of the method depends."""
 
 import numpy as np
 
 from modalax.data import Measurement
-from modalax.diagnose.decision.route import Outcome, Route, Task, choice, order, suffices
+from modalax.diagnose.decision.route import Outcome, Task
 from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis
 from modalax.diagnose.result import Diagnosis
 from modalax.model import Structure
@@ -34,28 +32,3 @@ def outcome_of(found: Diagnosis) -> Outcome:
         len(found.alternatives), found.inaccuracy if isinstance(found, ModalDiagnosis) else None,
         isinstance(found, ModalDiagnosis) and found.joint is not None,
     )  # fmt: skip
-
-
-def routed(
-    measurement: Measurement, simulation: object, question: str, whole_catalogue: bool,
-    lines: Callable[[], Diagnosis], modes: Callable[[], ModalDiagnosis | None],
-) -> Diagnosis:  # fmt: skip
-    """The answer of the method that suits; each is run once at most.
-
-    Parameters
-    ----------
-    whole_catalogue
-        Whether every cause of the catalogue is looked for.
-    lines, modes
-        The two methods; the second gives None where there is no mode to compare.
-    """
-    task = task_of(measurement, simulation, question, whole_catalogue)
-    answers: dict[Route, Diagnosis] = {}
-    for route in order(task):
-        found = lines() if route == "lines" else modes()
-        if found is None:
-            continue
-        answers[route] = found
-        if suffices(route, outcome_of(found), task):
-            break
-    return answers[choice({route: outcome_of(found) for route, found in answers.items()})]
