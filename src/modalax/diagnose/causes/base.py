@@ -1,4 +1,4 @@
-r"""What a cause is: a slug, parameters, places, and a map at one stage of the prediction.
+r"""Base classes of causes: a slug, parameters, places, and a map at one stage of the prediction.
 
 A cause of your own is a class with its parameters, its places and one map. A fractional-derivative joint::
 
@@ -151,7 +151,7 @@ class Cause:
         return float(len(self.parameters) - self.unseen)
 
     def promised_cost(self, extra: Any) -> float:
-        """The same of a trial that is not fitted yet, less its :meth:`free_sizes`."""
+        """The :meth:`cost` of a trial that is not fitted yet, without its :meth:`free_sizes`."""
         return self.cost(extra)
 
     def free_sizes(self, extra: Any) -> int:
@@ -227,7 +227,7 @@ class ElementCause(Cause):
         return scene.weights(places)
 
     def ends(self, columns: Array, where: Array) -> Array:
-        """What the element sees of modal columns ``(m, dof)``: their difference, shape ``(m, 1)``."""
+        """Motion across the element in modal columns ``(m, dof)``: their difference, shape ``(m, 1)``."""
         return gather(columns, where)[:, None]
 
 
@@ -258,11 +258,11 @@ class CouplingCause(Cause):
         raise NotImplementedError(f"{type(self).__name__} needs matrix(s, p)")
 
     def block(self, s: Complex[Array, " f"], p: Float[Array, " p"]) -> Complex[Array, "f 2 2"]:
-        """The same, by the name that elements have for it."""
+        """The impedance :meth:`matrix`, under the name that elements have for it."""
         return self.matrix(s, p)
 
     def ends(self, columns: Array, where: Array) -> Array:
-        """What the coupling sees of modal columns ``(m, dof)``: both DoFs, shape ``(m, 2)``."""
+        """Motions that the coupling joins, from modal columns ``(m, dof)``: both DoFs, shape ``(m, 2)``."""
         return columns[:, where[:2]]
 
 
@@ -369,7 +369,7 @@ class LinesCause(Cause):
         return extra.freedom
 
     def told(self, lines: HumLines) -> dict[str, tuple[Any, str]]:
-        """What the answer tells of the lines: value and unit by name."""
+        """Parameters of the lines as reported in the answer: value and unit by name."""
         raise NotImplementedError(f"{type(self).__name__} needs told(lines)")
 
 

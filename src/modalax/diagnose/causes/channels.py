@@ -114,7 +114,7 @@ class TimeDelay(ChannelCause):
 
 
 class CommonDelay(TimeDelay):
-    r"""A delay of all channels beside the force, :math:`e^{-j\omega\tau}`."""
+    r"""A delay of all responses relative to the force, :math:`e^{-j\omega\tau}`."""
 
     summary = "delay of all sensors"
     rows = 0

@@ -13,16 +13,16 @@ from functools import lru_cache
 
 import numpy as np
 
-STRAY = 4e-4  # of the mains frequency, by which it may be off
-DRAWS = 1000  # of noise alone
-BESIDE = (-8, -6, -4, 4, 6, 8)  # lines away, where hum through a window has ended and a resonance has not
-ALSO_WIDE = 0.3  # of what is more than noise at the tone, beyond which the same beside it makes it no tone
-LEAST = 8.0  # gain below which a tone is left alone
+STRAY = 4e-4  # relative error of the mains frequency
+DRAWS = 1000  # draws of noise alone
+BESIDE = (-8, -6, -4, 4, 6, 8)  # distances in lines at which hum through a window has ended and a resonance has not
+ALSO_WIDE = 0.3  # signal at these lines, relative to that at the tone, from which on it is no tone
+LEAST = 8.0  # least gain of chi-square by a tone
 
 
 @dataclass(frozen=True)
 class Pickup:
-    """What one source explains.
+    """Lines that one source of hum explains.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ def pickup(
 
 @dataclass(frozen=True)
 class _Null:
-    """What noise alone makes, draw by draw.
+    """The statistic under noise alone, draw by draw.
 
     Attributes
     ----------

@@ -14,9 +14,9 @@ from modalax.diagnose.causes.scene import Place, Scene
 from modalax.diagnose.causes.signals import HumLines
 
 MAINS = (50.0, 60.0)  # Hz
-DRAWS = 1000  # of noise alone, against which hum is judged
-FEW_LINES = 16  # away from hum, below which nothing is known of how uneven the noise is
-REACHES = (0.5, 1.5, 2.5)  # line spacings that hum may leak into
+DRAWS = 1000  # draws of noise alone, with which hum is compared
+FEW_LINES = 16  # lines away from hum, of which fewer say nothing about how uneven the noise is
+REACHES = (0.5, 1.5, 2.5)  # distances, in line spacings, into which hum may leak
 
 
 class MainsHum(LinesCause):

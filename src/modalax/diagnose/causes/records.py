@@ -1,4 +1,4 @@
-"""What a finite record, a window or a fast sweep makes of the response."""
+"""Causes in the processing: a finite record, a window or a fast sweep."""
 
 from typing import Any
 

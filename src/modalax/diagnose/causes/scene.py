@@ -1,4 +1,4 @@
-"""What causes may look at when they choose their places and starting values."""
+"""Facts about simulation and test from which causes choose their places and starting values."""
 
 import itertools
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ class Place:
 
 @dataclass
 class Scene:
-    """What causes may look at when they choose places and starting values; numpy, unpadded.
+    """Facts from which causes choose places and starting values, as NumPy arrays without padding.
 
     Attributes
     ----------

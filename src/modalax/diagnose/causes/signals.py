@@ -1,4 +1,4 @@
-r"""What the maps of causes act on: terms of the modes, receptances at the channels, and lines of hum."""
+r"""Arguments of the maps of causes: terms of the modes, receptances at the channels, and lines of hum."""
 
 from dataclasses import dataclass
 
@@ -17,7 +17,7 @@ class ModalTerms(eqx.Module):
 
 
 class Channels(eqx.Module):
-    """What a map on the channels may use: receptances of the simulation at the sensors and at the drive points.
+    """Arguments of a map on the channels: receptances of the simulation at the sensors and at the drive points.
 
     Attributes
     ----------

@@ -12,7 +12,7 @@ from modalax.diagnose.thresholds import THRESHOLDS, Thresholds
 
 @dataclass(frozen=True)
 class Leftover:
-    """What the simulation leaves unexplained, with and without the causes that were found.
+    """The residual of the simulation, with and without the causes that were found.
 
     Attributes
     ----------
@@ -157,7 +157,7 @@ RULES: tuple[tuple[str, Rule], ...] = (
 def verdict(
     ranked: Sequence[Ranked], leftover: Leftover, held_out: Gain | None = None, thresholds: Thresholds = THRESHOLDS
 ) -> tuple[str, tuple[str, ...]]:
-    """What is said of the sets of causes that were found, and why.
+    """Decide on the verdict about the sets of causes that were found, with reasons.
 
     The first of ``RULES`` that applies gives the verdict; those right after it that give the same one and apply too add
     their reasons.

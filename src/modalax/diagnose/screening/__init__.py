@@ -1,1 +1,1 @@
-"""What every cause at every place would explain."""
+"""Screening of every cause at every place by what it would explain."""

@@ -13,7 +13,7 @@ from modalax.diagnose.prediction.frf import gains_of
 from modalax.diagnose.screening.sensitivities import BATCH, Residual
 from modalax.diagnose.setup.problem import Problem
 
-ROUNDING = 1e-9  # of the largest component, below which the imaginary part of shapes is that of the eigensolver
+ROUNDING = 1e-9  # imaginary part of shapes, relative to the largest component, that is rounding of the eigensolver
 WIDTHS = (40, 64, 100, 160)  # ranks tried for the gains of many modes
 
 
@@ -93,7 +93,7 @@ class Reduced:
         return H.T
 
     def column_at(self, place: Place) -> np.ndarray:
-        """The same at one place, kept for the next cause, shape ``(f, o)``."""
+        """The column of one place, kept for the next cause, shape ``(f, o)``."""
         key = place.index[:2]
         if key not in self.cache:
             self.cache[key] = self.column(*ends([place]))[:, 0]
@@ -110,7 +110,7 @@ class Reduced:
         return self.T[a] if b < 0 else self.T[a] - self.T[b]
 
     def _far(self, at: Callable[[np.ndarray], np.ndarray]) -> Any:
-        """What the residual terms add, over the lines."""
+        """Contribution of the residual terms, over the lines."""
         if self.upper is None or self.lower is None:
             return 0.0
         upper, lower = at(self.upper), at(self.lower)
@@ -212,7 +212,7 @@ class At:
     b: np.ndarray
 
     def of(self, order: np.ndarray) -> "At":
-        """The same at some of the places."""
+        """The products at some of the places."""
         return At(*(x[order] for x in (self.motion, self.drive, self.S, self.N, self.a, self.b)))
 
 

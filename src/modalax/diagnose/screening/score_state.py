@@ -70,7 +70,7 @@ class ScoreState:
 
 
 def alike(places: Sequence[Place]) -> tuple[Any, ...]:
-    """The same for lists of the same directions over the DoFs."""
+    """A key that is equal for lists of the same directions over the DoFs."""
     return (len(places), places[0].index, places[-1].index) if places else (0,)
 
 

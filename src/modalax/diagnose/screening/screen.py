@@ -21,7 +21,7 @@ from modalax.diagnose.screening.screening_fit import Target, fit_from_screening
 from modalax.diagnose.screening.sensitivities import Residual, changes_in_batches, plain, rows_of
 from modalax.diagnose.setup.problem import Problem
 
-MANY_PLACES = 40  # beyond this, finite sizes are tried only where the derivative looks promising
+MANY_PLACES = 40  # places beyond which finite sizes are tried only where the derivative is largest
 KEPT = 12  # leading places at which every finite size is tried
 KEPT_PLACES, KEPT_SHAPES = 8, 4  # places, and shapes at each, whose directions count the independent tests
 STARTS_KEPT = 3  # starts of finite size kept for the fit, times two

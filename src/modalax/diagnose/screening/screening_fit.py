@@ -16,9 +16,9 @@ from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.gauss_newton import covariance_of, damped
 from modalax.diagnose.fitting.hypothesis import Hypothesis, bounds_of, to_search
 
-STEP = 1e-4  # of an unknown, for differences
+STEP = 1e-4  # relative step of an unknown for differences
 AT_ONCE = 8  # hypotheses fitted side by side
-NEAREST, BESIDE = 200, 1e8  # points beside a fit that are looked at, at least, and samples of all of them together
+NEAREST, BESIDE = 200, 1e8  # fewest points near a fit that are tried, and most samples of all of them together
 DEEPER = 0.5  # chi-square by which another minimum has to be the deeper one
 
 
@@ -44,7 +44,7 @@ class Target:
     inner: np.ndarray
 
     def of(self, rows: np.ndarray) -> "Target":
-        """The same for some hypotheses."""
+        """The target for some of the hypotheses."""
         weight, toward, nuisance = (a if len(a) == 1 else a[rows] for a in (self.weight, self.toward, self.nuisance))
         return Target(weight, toward, nuisance, self.inner)
 

@@ -20,7 +20,7 @@ from modalax.diagnose.prediction.frf import predict
 from modalax.diagnose.screening.screening_fit import Target
 from modalax.diagnose.setup.problem import Problem
 
-BATCH, WHOLE = 32, 8  # trials worked on together: of single rows or elements, and of all channels
+BATCH, WHOLE = 32, 8  # trials computed together: of single rows or elements, and of all channels
 NOWHERE = np.zeros((0, 3), np.int64)
 
 

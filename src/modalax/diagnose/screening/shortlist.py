@@ -1,4 +1,4 @@
-r"""Which of very many places are worth a look.
+r"""A shortlist of places, where there are very many.
 
 A joint of any law acts, line by line, like a spring and a damper, whose sizes follow the level. What free springs and
 dampers, apart for each run, would explain at every pair of DoFs costs little: the change :math:`-Z H_b b^TH` of the
@@ -17,8 +17,8 @@ import numpy as np
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.screening.products import Reduced, complex_of, ends
 
-MANY = 450  # places beyond which only some are looked at
-KEPT = 100  # of them
+MANY = 450  # places beyond which only a shortlist is screened
+KEPT = 100  # places on the shortlist
 LINES, SUMS = 96, 32  # lines and random sums of outputs from which lengths are taken
 
 

@@ -12,7 +12,7 @@ from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.screening.screen import Trial
 
-FAR = 1e4  # times the largest strength that a cause is screened at, beyond which a fit is no explanation
+FAR = 1e4  # strength of a fit, relative to the largest that is screened, beyond which it is no explanation
 ONE_SENSOR = 0.97  # share of a mode's energy at one output beyond which it is that sensor's fault
 
 
@@ -40,7 +40,7 @@ def cost_of(causes: Sequence[Cause], extras: Sequence[Any]) -> float:
 
 
 def with_hum(h: Hypothesis, lines: HumLines) -> Hypothesis:
-    """The same with some lines explained by hum; what was fitted stays."""
+    """The hypothesis with some lines explained by hum in addition, not fitted again."""
     return replace(h, chi2=h.chi2 + lines.chi2, freedom=h.freedom + lines.freedom, hum=lines)
 
 

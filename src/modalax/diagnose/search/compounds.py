@@ -1,4 +1,4 @@
-"""Several causes together: what a hypothesis leaves, and one cause more to explain it."""
+"""Several causes together: screening the residual of a hypothesis for one cause more."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -134,7 +134,7 @@ def one_more_cause(
 
 @dataclass(frozen=True)
 class Rest:
-    """What a hypothesis leaves: further causes, the best first, the chance of so much under noise, the omnibus test."""
+    """The residual of a hypothesis: further causes, the best first, its chance under noise, and the omnibus test."""
 
     trials: list[Trial]
     p_value: float
@@ -142,7 +142,7 @@ class Rest:
 
 
 def rest_of(comparison: Comparison, h: Hypothesis, null: Hypothesis, causes: Sequence[Cause]) -> Rest:
-    """Screen what a hypothesis leaves, less what the inexactness of its laws may leave.
+    """Screen the residual of a hypothesis, with an allowance for the inexactness of its laws.
 
     Parameters
     ----------

@@ -17,14 +17,14 @@ from modalax.diagnose.search.imitator_check import apart, imitations, likeness
 from modalax.diagnose.search.look import Look
 from modalax.diagnose.search.singles import PATIENT, fit_single, from_nominal_modes, joints_for_drifts
 
-NEAR = 12.0  # nats behind the best up to which hypotheses are fitted again where complex modes are exact
+NEAR = 12.0  # nats behind the best up to which hypotheses are fitted again with complex modes made exact
 DEEPEST = 3  # causes in one answer
-HOPEFUL = 0.5  # of what the simulation leaves beyond noise, that two causes must explain before a third is looked for
+HOPEFUL = 0.5  # share of the residual beyond noise that two causes must explain before a third is looked for
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """What was found to explain what the simulation leaves.
+    """Sets of causes that explain the residual of a simulation, with their probabilities.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Explanation:
 
 
 def explain(look: Look, causes: Sequence[Cause]) -> Explanation:
-    """Search single causes, then one more at a time, if what the simulation leaves is more than noise."""
+    """Search single causes, then one more at a time, if the residual of the simulation is more than noise."""
     leftover = Leftover(alarm=look.detection.p_value)
     nothing = Explanation(look, look.comparison, [], leftover, look.omnibus)
     if not look.detection.anything:
@@ -193,6 +193,6 @@ def together(
 
 
 def _explained(look: Look, best: Ranked) -> float:
-    """Share of what the simulation leaves beyond noise that a set of causes explains."""
+    """Share of the simulation's residual beyond noise that a set of causes explains."""
     noise = float(look.comparison.problem.samples)
     return (look.null.chi2 - best.best.chi2) / max(look.null.chi2 - noise, 1.0)

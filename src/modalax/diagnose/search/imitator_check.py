@@ -1,4 +1,4 @@
-"""Whether a thing that the catalogue has no name for explains the data better than what was named."""
+"""Check whether a cause that has no name in the answer explains the data better than those found."""
 
 from collections.abc import Sequence
 
@@ -10,8 +10,8 @@ from modalax.diagnose.screening.score_state import ScoreState
 from modalax.diagnose.search.singles import fit_single
 from modalax.diagnose.thresholds import THRESHOLDS
 
-SHARE = 0.5  # of what the leading hypothesis explains, below which a trial is not worth a fit
-FITS = 6  # trials of one kind
+SHARE = 0.5  # share of what the leading hypothesis explains, below which a trial is not fitted
+FITS = 6  # most trials of one kind that are fitted
 
 
 def imitations(state: ScoreState, best: Hypothesis, imitators: Sequence[Cause]) -> list[Hypothesis]:
@@ -36,7 +36,7 @@ def imitations(state: ScoreState, best: Hypothesis, imitators: Sequence[Cause]) 
 
 
 def apart(ranked: Sequence[Ranked]) -> tuple[list[Ranked], list[Ranked]]:
-    """What has a name in the catalogue, and what has none."""
+    """Sets whose causes all have a name in the answer, and the other sets."""
     nameless = [r for r in ranked if not all(c.named for c in r.best.causes)]
     return [r for r in ranked if r not in nameless], nameless
 

@@ -1,4 +1,4 @@
-"""Whether anything is wrong at all: the simulation alone beside the data."""
+"""Test whether anything is wrong at all: the simulation alone compared with the data."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -51,7 +51,7 @@ class Look:
 
 
 def look(comparison: Comparison, causes: Sequence[Cause]) -> Look:
-    """Ask whether anything is wrong at all."""
+    """Compare the simulation alone with the data, and test whether anything is wrong."""
     first = _look(comparison, causes)
     if not first.detection.anything or comparison.problem.modal_form.mixing is None or not comparison.nuisance.active:
         return first
