@@ -1,9 +1,11 @@
 """``modalax check``: faults of a measurement, found without a model of the structure."""
 
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
 
 from modalax.cli.common import (
-    DataArgument,
     JsonOption,
     OverwriteOption,
     ReportOption,
@@ -16,7 +18,10 @@ from modalax.cli.common import (
 
 
 def check(
-    data: DataArgument,
+    data: Annotated[
+        Path,
+        typer.Argument(metavar="DATA", help="Measured FRFs or time records (UFF, npz, npy, mat, NetCDF, Zarr or CSV)."),
+    ],
     json: JsonOption = None,
     report: ReportOption = None,
     overwrite: OverwriteOption = False,

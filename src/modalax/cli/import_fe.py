@@ -13,7 +13,7 @@ def import_fe(
         Path,
         typer.Argument(metavar="FILE", help="Nastran punch (DMIG, eigenvectors), Ansys .full, or stiffness matrix."),
     ],
-    target: Annotated[Path, typer.Option("-o", "--out", metavar="OUT", help="Simulation to write (.npz).")],
+    target: Annotated[Path, typer.Option("-o", "--out", metavar="OUT", help="Simulation to write (.npz or .mat).")],
     mass: Annotated[Path | None, typer.Option("--mass", help="Mass matrix, if it has a file of its own.")] = None,
     damping_matrix: Annotated[Path | None, typer.Option("--damping-matrix", help="Viscous damping matrix.")] = None,
     grids: Annotated[
