@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from modalax._numerics.threads import one_thread
-from modalax.data.frf import FRF
+from modalax.data.frf import DERIVATIVES, FRF
 from modalax.data.measurement import Measurement
 from modalax.identify.band import usable_lines
 from modalax.identify.bias import predicted_damping_bias
@@ -207,6 +207,6 @@ def _bias(
 
 def _energies(model: ModalModel, frf: FRF) -> Float[Array, " n"]:
     s = frf.added_decay + 1j * frf.omega
-    power = {"receptance": 0, "mobility": 1, "accelerance": 2}[frf.form]
+    power = DERIVATIVES[frf.form]
     kernel = jnp.sum(jnp.abs(s[:, None] ** power / (s[:, None] - model.poles)) ** 2, axis=0)
     return kernel * jnp.sum(jnp.abs(model.shapes) ** 2, axis=1) * jnp.sum(jnp.abs(model.participation) ** 2, axis=1)
