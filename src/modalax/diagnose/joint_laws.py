@@ -32,7 +32,7 @@ from modalax.diagnose.setup.problem import Problem
 from modalax.model import ModalModel
 
 STARTS = 3  # rows of each law's grid that a fit starts from
-TRIED = 9  # of these, the best are fitted at the measured motion
+TRIED = 9  # best starts that are fitted at the measured motion
 KEPT = 2  # fits that go on from the measured motion to the predicted one
 NEWTON = 40  # steps to a mode at an amplitude
 BLOCK = 8  # neighbouring lines whose errors may go together

@@ -13,7 +13,7 @@ from modalax.identify.record_window import RECORDS, record_kernel
 from modalax.model.indicators import mac
 from modalax.model.modal import ModalModel
 
-CHANCE = 1e-6  # of a second mode that is not there
+CHANCE = 1e-6  # chance at which a second mode is found that is not there
 NEAR = 1.5  # distance of modes, in lines or in sums of their half-bandwidths, below which they are asked about
 ALIKE, FEW = 0.9, 4  # MAC from which on shapes are alike, and DoFs below which all are
 MISFIT = 4.0  # power of what two modes leave, over the noise's, above which no evidence for the second is taken

@@ -43,7 +43,7 @@ from modalax.identify.spread import FIXED, PoleMoments, Window, moments_of
 from modalax.identify.tables import PoleTable
 from modalax.identify.zoom import Zoom, check_orders
 
-CROWDED = 0.1  # of the distance to the next expected pole, from which a mode's scatter mixes the two
+CROWDED = 0.1  # scatter of a mode, over the distance to the next expected pole, from which on the two mix
 
 
 def expected_lsce_bias(

@@ -21,9 +21,9 @@ from modalax.identify.maximum import Maximum, Modal, Samples, linear_fit, maximi
 from modalax.identify.refine import CONTRADICTION, CORRELATED, OUT_OF_STEPS, UNIT, Refined
 
 WIDTH, LINES = 8.0, 16  # reach of a mode's window in half-bandwidths, and at least in lines, on either side
-SWEEPS = 3  # over all groups, each with the responses of the others taken out
+SWEEPS = 3  # passes over all groups, each fitted with the responses of the others taken out
 GAIN = 0.01  # part of the FRFs' sum of squares that other poles must explain to be taken
-FOLDS = 8  # of the rows, for the errors
+FOLDS = 8  # groups of rows, of which one is left out at a time, for the standard deviations
 
 
 class _Group(NamedTuple):

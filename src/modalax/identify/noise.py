@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from modalax.data.frf import FRF
 from modalax.identify.refine import UNIT, Refined
 
-STEPS = 60  # of the fit of the two parts of a variance
+STEPS = 60  # steps in which the two parts of a variance are fitted
 ENOUGH = 32  # repeats from which on a variance needs no smoothing
 
 

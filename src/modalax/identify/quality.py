@@ -16,7 +16,7 @@ from modalax.identify.neighbourhood import Neighbourhood, around, line_noise, re
 from modalax.identify.tables import PoleTable
 from modalax.model.modal import ModalModel
 
-CHANCE = 1e-6  # of a mode in noise alone
+CHANCE = 1e-6  # chance at which a mode is found in noise alone
 CORE = 2.0  # half-bandwidths about a resonance within which a mode is compared with what is left there
 REACH = 0.02  # part of a frequency within which a pole of another order may be the same mode
 LATE = 0.5  # part of the orders, from the highest down, whose poles tell the scatter

@@ -13,7 +13,7 @@ from modalax.diagnose.screening.screen import Trial
 from modalax.diagnose.screening.sensitivities import Residual
 from modalax.diagnose.thresholds import THRESHOLDS
 
-WHEREABOUTS = 3  # of modes that the simulation may lack: in band, above it, below it
+WHEREABOUTS = 3  # places of modes that the simulation may lack: in the band, above it, below it
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.modal_domain.state import Setting, changes_of, slopes_at
 from modalax.model import Structure
 
-DRAWS, BESIDE = 16, 24  # of the sizes of the inaccuracy, and of its parts at each
+DRAWS, BESIDE = 16, 24  # draws of the sizes of the inaccuracy, and of its parts for each
 CONSISTENT = 3.0  # nats of log evidence by which an inaccuracy must be better than none to exclude none
 NONE = 1e-5  # relative size that counts as no inaccuracy
 LINES = 256  # lines solved at once

@@ -16,7 +16,7 @@ from modalax.diagnose.modal_domain.state import Setting, feature_slopes, slopes_
 
 SIZES = (0.0, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)  # relative sizes that are tried
 BESIDE = 8  # modes above the band that those inside may be coupled with
-ON_DIAGONAL = np.sqrt(1.5)  # of the mode itself, relative to a coupling
+ON_DIAGONAL = np.sqrt(1.5)  # change of a mode itself, relative to a coupling of two modes
 BLOCK = 100  # patterns at once
 
 

@@ -17,7 +17,7 @@ from modalax.diagnose.modal_domain.screen import finite, refined, replaced, scor
 from modalax.diagnose.modal_domain.state import Setting, state_at
 
 NONE = 0.5  # probability before the data that nothing stands out
-SECOND = 1e-4  # that a second cause stands out, given a first; what a first one leaves is mostly the model's error
+SECOND = 1e-4  # the same of a second cause, given a first one: what a first one leaves is mostly error of the model
 PRESCREENED = 150  # places of the leading linear scores, of each point of linearisation, tried with finite sizes
 FITTED, NEXT = 6, 4  # leading places of each screening that are fitted, and of the screening about the winner
 NEAR = 12.0  # nats behind the best up to which other places are fitted

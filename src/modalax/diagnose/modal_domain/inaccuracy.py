@@ -18,7 +18,7 @@ from modalax.model import Structure
 # 2015), damping ratios by 30 % and more.
 USUAL = {"stiffness": 0.01, "mass": 0.005, "damping": 0.3}
 UNKNOWN = 2.0  # standard deviation of the logarithm of a size that nobody claims
-CLAIMED = 0.7  # of a size that the author claims, who may well be out by a factor of two
+CLAIMED = 0.7  # the same of a size that the author claims, who may be wrong by a factor of two
 RIGID = 1e-3  # frequency, relative to the highest, below which a mode is that of a rigid body
 BETWEEN = 0.1  # damping between modes, relative to that of the modes themselves
 KINDS = {"stiffness": "K", "mass": "M", "damping": "C"}

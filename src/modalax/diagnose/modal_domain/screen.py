@@ -13,8 +13,8 @@ from modalax.diagnose.modal_domain.features import paired, values_of
 from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.state import Setting, State, screening_slopes, slopes_at, state_at
 
-SIZES = (0.015, 0.04, 0.1, 0.25, 0.5, 0.9, 2.0)  # of a change over its usual size, either sign
-FACTORS = np.array([0.4, 0.6, 0.8, 1.0, 1.25, 1.6, 2.2])  # of a size, about which it is refined
+SIZES = (0.015, 0.04, 0.1, 0.25, 0.5, 0.9, 2.0)  # sizes of a change that are tried, over its usual size, of either sign
+FACTORS = np.array([0.4, 0.6, 0.8, 1.0, 1.25, 1.6, 2.2])  # multiples of a size that are tried to refine it
 STILL = 1e-4  # least frequency of a mode, relative to the highest; a rigid body has none
 TOLERANT = 3.0  # times the usual inaccuracy that finite changes are screened with
 

@@ -23,7 +23,9 @@ SHARED, GIVEN = 9, 15  # lines over which the course of the noise is taken, read
 SMOOTHED = 160.0  # degrees of freedom that the lines of one smoothing window have together
 TRUSTED = 3.0  # degrees of freedom of each variance below which it was read from neighbouring lines
 TIED = 4.0  # lines that the noise floor of all channels counts for, where variances are read off the lines
-ROUNDS = 12  # of parts and course in turn; the second half of them is each output's own, where variances are given
+ROUNDS = (
+    12  # rounds in which parts and course are fitted in turn; given variances get a course per output in the last half
+)
 RARE, SMALL = 1e-6, 1e-4  # chances below which a line's own variance, large or small, counts against its neighbours'
 READ_LINES = 1.12  # widening of a line's sum where variances were read off the lines; 166 clean sets: 1.2 % below 0.01
 THIRD = np.array([1.0, -3.0, 3.0, -1.0]) / np.sqrt(20.0)
