@@ -11,7 +11,7 @@ from modalax.diagnose.causes.parameter import Parameter, strengths
 from modalax.diagnose.causes.scene import Place, Scene
 
 HANN_CURVATURE = 2 * np.pi**2 / 3  # a Hann window's autocorrelation is 1 - this (t/T)^2 at first
-RIPPLE, RIPPLES = 0.25, 100  # distance of points as a part of a ripple of chi-square, and fewest ripples on either side
+RIPPLE, RIPPLES = 0.25, 100  # distance of points in ripples of chi-square, and fewest points on either side
 CUT, DECAYED = 2, 10.0  # variant of a record that ends in a step, and the decay beyond which no step is left
 
 
