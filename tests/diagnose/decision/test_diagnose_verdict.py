@@ -46,9 +46,9 @@ TABLE = [
     (ONE, replace(ALARM, explained=9.0), HELD, "named", ["0.99"]),
     (ONE, ALARM, HELD, "named", ["cubic_stiffness has a probability of 0.99"]),
     (ONE, ALARM, MISSED, "named", ["0.99"]),  # one cause predicts or not; its errors say so
-    (ONE, replace(ALARM, p_value=0.0019), HELD, "unknown", ["leaves more than noise"]),
+    (ONE, replace(ALARM, p_value=0.0019), HELD, "unknown", ["still more than noise"]),
     (ONE, replace(ALARM, p_value=0.002), HELD, "named", ["0.99"]),
-    (TWO, replace(ALARM, p_value=0.0099), HELD, "unknown", ["leaves more than noise"]),
+    (TWO, replace(ALARM, p_value=0.0099), HELD, "unknown", ["still more than noise"]),
     (TWO, replace(ALARM, p_value=0.01), HELD, "named", ["added_mass and cubic_stiffness"]),
     (TWO, ALARM, MISSED, "unknown", ["the highest level"]),
     (TWO, ALARM, replace(MISSED, missed=4.0), "named", ["0.99"]),

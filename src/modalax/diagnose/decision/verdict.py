@@ -64,29 +64,30 @@ Rule = Callable[[Case], str | None]
 
 
 def nothing_stands_out(case: Case) -> str | None:
-    """Noise alone would leave as much as the simulation does."""
+    """The residual of the simulation is no more than noise."""
     chance, limit = case.leftover.alarm, case.limits.alarm
     return None if chance < limit else (
-        f"noise alone would leave as much as the simulation does with a chance of {chance:.2g} ({limit:g} would be an "
-        "alarm)"
+        f"the residual of the simulation is no more than noise: noise alone would leave as much with a chance of "
+        f"{chance:.2g}, and an alarm needs less than {limit:g}"
     )  # fmt: skip
 
 
 def nothing_explains(case: Case) -> str | None:
-    """No cause takes enough of it away."""
+    """No cause explains enough of the residual."""
     enough = case.ranked and case.leftover.explained >= case.limits.explains
-    return None if enough else "the simulation leaves more than noise, and no cause that was looked for explains it"
+    return None if enough else "the residual is more than noise, and no cause that was looked for explains it"
 
 
 def something_is_left(case: Case) -> str | None:
-    """What the causes leave is more than noise; several causes together must leave less than one."""
+    """The residual with the causes is more than noise; the limit is stricter for several causes together."""
     if not case.ranked:
         return None
     several = len(case.best.names) > 1
     limit = max(case.limits.left, case.limits.left_by_several) if several else case.limits.left
     chance = case.leftover.p_value
     return None if chance >= limit else (
-        f"{case.names} leaves more than noise: a chance of {chance:.2g}, where {limit:g} is asked for"
+        f"with {case.names} the residual is still more than noise: noise alone would leave as much with a chance of "
+        f"{chance:.2g}, and at least {limit:g} is required"
     )  # fmt: skip
 
 
@@ -129,15 +130,15 @@ def held_out_is_missed(case: Case) -> str | None:
         return None
     return (
         f"fitted without {gain.held_out}, {case.names} leave a chi-square of {gain.chi2_after:.2f} per sample there, "
-        f"fitted with it {gain.chi2_within:.2f}: something else that they imitate"
+        f"fitted with it {gain.chi2_within:.2f}: they imitate something else"
     )
 
 
 def named(case: Case) -> str | None:
     """Nothing speaks against the names."""
     return (
-        f"{case.names} has a probability of {case.certainty:.3g} among all causes that were looked for, and what it "
-        f"leaves has a chance of {case.leftover.p_value:.2g} under noise alone"
+        f"{case.names} has a probability of {case.certainty:.3g} among all causes that were looked for, and noise alone "
+        f"would leave as much as it does with a chance of {case.leftover.p_value:.2g}"
     )
 
 
