@@ -137,8 +137,8 @@ def held_out_is_missed(case: Case) -> str | None:
 def named(case: Case) -> str | None:
     """Nothing speaks against the names."""
     return (
-        f"{case.names} has a probability of {case.certainty:.3g} among all causes that were looked for, and noise alone "
-        f"would leave as much as it does with a chance of {case.leftover.p_value:.2g}"
+        f"{case.names} has a probability of {case.certainty:.3g} among all causes that were looked for, and noise "
+        f"alone would leave as much as it does with a chance of {case.leftover.p_value:.2g}"
     )
 
 
