@@ -155,3 +155,12 @@ def test_only_the_declared_import_runs_upward():
     """Each exception is still needed."""
     for path, name in UPWARD:
         assert name in {found for found, _ in imported(ast.parse((SOURCE / path).read_text()))}
+
+
+def test_no_file_imports_a_private_name_of_another():
+    """A name that begins with an underscore belongs to its file; what others need has a public name."""
+    for path in MODULES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("modalax"):
+                private = [a.name for a in node.names if a.name.startswith("_") and not a.name.startswith("__")]
+                assert private == [] or node.module == "modalax", f"{path}: imports {', '.join(private)}"

@@ -35,7 +35,7 @@ class Diagnosis:
         Everything behind the verdict: ``ranked`` sets of causes with probabilities, ``look`` with all trials and the
         tests of the simulation alone, ``after`` with the test of what the leading set leaves.
     comparison
-        Data, noise, nuisances; ``study.notes`` says what was assumed.
+        Data, noise, nuisances; ``notes`` says what was assumed.
     extended
         The extended simulation; None where nothing was found.
     gain
