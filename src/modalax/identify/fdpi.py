@@ -91,7 +91,7 @@ def _estimate(
 
 
 def fdpi_normal_modes(frf: FRF, order: int, *, weights: str = "unit", residual: int | None = None) -> NormalModes:
-    r"""Real normal modes by FDPI: eigenvectors of the mass-modified stiffness :math:`A_0`, damping left aside.
+    r"""Real normal modes by FDPI: eigenvectors of the mass-modified stiffness :math:`A_0`, damping neglected.
 
     Parameters are those of :func:`fdpi`; ``order`` modes come out, those with a positive :math:`\omega^2` first.
 

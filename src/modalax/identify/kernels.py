@@ -1,4 +1,4 @@
-r"""Responses of modes written on one real basis, for arithmetic on the host.
+r"""Responses of modes in one real basis, for computations on the host.
 
 A mode's residue :math:`z_{oi} = \psi_o L_i` enters every channel through the same functions of :math:`s`,
 
@@ -33,7 +33,7 @@ def others(pivot: np.ndarray, count: int) -> np.ndarray:
 
 
 def limits(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where the logarithm of the frequency, and that of the damping, left the range in which it still counts."""
+    """Whether the logarithms of frequency and damping are beyond their limits, where they have no effect."""
     gone = (theta[:, 0] <= FAR[0]) | (theta[:, 0] >= FAR[1])
     return gone, (theta[:, 1] <= np.log(UNDAMPED)) | (theta[:, 1] >= np.log(0.999))
 
@@ -61,7 +61,7 @@ class Modes(NamedTuple):
 
 
 def unpack(theta: np.ndarray, pivot: np.ndarray, real_modes: bool) -> Modes:
-    """The modes at real unknowns; frequencies and dampings beyond their limits stay there and have no slope."""
+    """The modes at real unknowns; frequencies and dampings beyond their limits are set to them, with slope zero."""
     omega = np.exp(np.clip(theta[:, 0], *FAR))
     zeta = np.clip(np.exp(np.minimum(theta[:, 1], 1.0)), UNDAMPED, 0.999)
     root = np.sqrt(1 - zeta**2)

@@ -1,4 +1,4 @@
-r"""Refinement by maximum likelihood on the host: that of :mod:`modalax.identify.refine`, for where nothing is compiled.
+r"""Refinement by maximum likelihood on the host, as :mod:`modalax.identify.refine` does it, without compiling.
 
 The likelihood, its unknowns, its start and its reasons are those of :func:`modalax.identify.refine`; the arithmetic is
 that of :mod:`modalax.identify.projection`. Error bars are left to :mod:`modalax.identify.host`.
@@ -16,11 +16,11 @@ from modalax.identify.kernels import UNDAMPED, kernels, pack, pairs, residual_te
 from modalax.identify.projection import Projection
 
 UNIT = 1e-9  # standard deviation assumed where none is known, relative to the FRF
-REACH = 2.0  # half-bandwidths outside the band from which on a mode keeps the damping of its start
+REACH = 2.0  # distance from the band, in half-bandwidths, beyond which a mode keeps the damping of its start
 
 
 class Samples(NamedTuple):
-    """FRFs as plain arrays, and what is to be fitted to them.
+    """FRFs as plain arrays, and the kind of model to fit to them.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Samples(NamedTuple):
         return weight
 
     def projection(self, sigma: np.ndarray) -> Projection:
-        """The data as the search wants them, their roles exchanged where :attr:`turned`."""
+        """The data as the search needs them, outputs and inputs exchanged where :attr:`turned` is set."""
         H, weight = self.H, self.weight(sigma)
         if self.turned:
             H, weight = np.swapaxes(H, 1, 2), np.swapaxes(weight, 1, 2)
@@ -83,7 +83,7 @@ class Modal(NamedTuple):
         return Modal(self.poles, self.participation, self.shapes, self.upper.T, self.lower.T)
 
     def pick(self, which: np.ndarray) -> "Modal":
-        """Some of the modes."""
+        """The model with some of its modes only."""
         return self._replace(
             poles=self.poles[which], shapes=self.shapes[which], participation=self.participation[which]
         )
@@ -100,7 +100,7 @@ def response(model: Modal, samples: Samples) -> np.ndarray:
 
 
 class Maximum(NamedTuple):
-    """A search's end, as :class:`modalax.identify.Refined` without error bars.
+    """The end of a search, as :class:`modalax.identify.Refined` without standard deviations.
 
     Attributes
     ----------
@@ -146,7 +146,7 @@ class Maximum(NamedTuple):
 
     @property
     def error(self) -> np.ndarray:
-        """What the model leaves of the FRFs, in their unit."""
+        """The FRFs less those of the model, in their unit."""
         return self.residual * self.sigma
 
 
@@ -222,7 +222,7 @@ def _participation(samples: Samples, projection: Projection, poles: np.ndarray) 
 
 
 class _Runaway:
-    """Modes on the way to no modal damping at all, or far out of the band."""
+    """Modes whose damping ratio leaves the range of modes, or that are far outside the band."""
 
     def __init__(self, samples: Samples, heavy: float):
         low, high = samples.omega.min(), samples.omega.max()

@@ -20,11 +20,11 @@ from modalax.identify.residues import sigma_of
 from modalax.identify.scan import NEAR, Grid, poles_missing
 from modalax.model.modal import ModalModel
 
-ROUNDS, LAST = 8, 3  # most rounds of adding and dropping modes, and of weighing them anew
+ROUNDS, LAST = 8, 3  # most rounds of adding and dropping modes, and of refinements with new weights
 IDLE = 2  # rounds without a further mode after which no more are sought
 STEPS = 60  # most iterations of one search
 HEAVY = 0.25  # damping ratio above which a pole is background, not a mode
-GONE = 0.9  # damping ratio above which a mode will not come back
+GONE = 0.9  # damping ratio above which a mode is given up
 NARROW = 0.01  # half-bandwidth in lines below which a pole is one bad line, not a mode
 MANY_DOFS, ALIKE, CLOSE = 10, 0.9, 3.0  # fewest DoFs, MAC, and distance in half-bandwidths, of halves of a mode
 DROP, ADD = 1e-6, 1e-6  # chances of keeping, or of adding, a mode that is not there
@@ -32,12 +32,12 @@ SHARP = 1e-6  # change of the diagram's poles from order to order below which th
 
 
 def synthesis(model: ModalModel, frf: FRF) -> FRF:
-    """The model's FRF where and as ``frf`` was measured."""
+    """FRF of the model at the lines and in the form of ``frf``."""
     return model.frf(frf.freq, form=frf.form, outputs=frf.outputs, inputs=frf.inputs, added_decay=frf.added_decay)
 
 
 class _Search:
-    """A modal model under way."""
+    """A modal model during the search."""
 
     def __init__(self, frf: FRF, model: ModalModel, tell: Callable[[str], None], options: dict[str, Any]):
         self.frf, self.tell, self.options, self.dropped = frf, tell, options, False
@@ -60,16 +60,16 @@ class _Search:
 
     @property
     def poles(self) -> np.ndarray:
-        """Of the modes as they are."""
+        """Poles of the present model."""
         return self.found.model.poles
 
     def again(self, sigma: np.ndarray, **how: Any) -> None:
-        """Refine from where it is with other weights."""
+        """Refine the present model with other weights."""
         model, self.sigma = self.found.model, sigma
         self.found = self._maximise(model.poles, shorter_side(model, self.samples), sigma, **how)
 
     def restart(self, poles: np.ndarray, sigma: np.ndarray) -> None:
-        """Refine from other poles."""
+        """Refine a model that starts from other poles."""
         self.found, self.sigma = self._maximise(poles[np.argsort(np.abs(poles))], None, sigma), sigma
 
     def weights(self, proportional: bool = False) -> np.ndarray:
@@ -77,7 +77,7 @@ class _Search:
         return self.sigma if self.known else sigma_of_error(self.samples.H, self.found.error, proportional)
 
     def deviations(self) -> list[np.ndarray]:
-        """What the noise may be: a mode must stand out of each."""
+        """Possible noise levels; a mode must stand out of each of them."""
         if self.frf.variance is not None:
             return [np.sqrt(np.asarray(self.frf.variance))]
         return [self.weights(), self.weights(proportional=True)]
@@ -92,11 +92,11 @@ class _Search:
         )  # fmt: skip
 
     def exact(self) -> bool:
-        """Whether only rounding is left, in which no mode can be looked for."""
+        """Whether the residual is rounding only, in which no mode can be found."""
         return float(np.sum(np.abs(self.found.error) ** 2)) < 1e-22 * float(np.sum(np.abs(self.samples.H) ** 2))
 
     def prune(self, sigma: np.ndarray) -> bool:
-        """Drop modes without need and refine the others; whether there were any, on the way here or now."""
+        """Drop modes without evidence and refine the others; True if any mode was dropped, now or before."""
         drop = _without_need(self.samples, self.found)
         if drop.all() or not (drop.any() or self.dropped):
             return False
@@ -104,14 +104,14 @@ class _Search:
         return True
 
     def refined(self) -> Refined:
-        """The end of the search with its error bars."""
+        """The end of the search with its standard deviations."""
         return refined_of(self.frf, self.found, self.kind)
 
 
 def diagram_poles(
     frf: FRF, model: ModalModel, spread: Float[Array, " n"], tell: Callable[[str], None], **options: Any
 ) -> Refined | None:
-    r"""The model with its poles as they are, where the diagram knows them better than the likelihood can.
+    r"""The model with the poles of the diagram, where these are more accurate than maximum likelihood can be.
 
     With next to no noise, modes beyond the band are all that keeps a modal model of the band from the FRFs, and the
     likelihood bends those inside to make what they do. The diagram's polynomials hold them. So where its poles repeat
@@ -190,7 +190,7 @@ def likelihood_rounds(frf: FRF, model: ModalModel, tell: Callable[[str], None], 
 
 
 def _settled(search: _Search) -> Refined:
-    """The modes found with their last weights, to the last digit, by rising frequency, and with error bars.
+    """The modes refined fully with their final weights, by rising frequency, with standard deviations.
 
     A residual that is not white is model error. Where rows contradict each other, modes that then leave much of the
     response unexplained are fitted anew where they dominate.
@@ -210,7 +210,7 @@ def _settled(search: _Search) -> Refined:
 
 
 def _close_sides(window: list[float], tried: np.ndarray, have: np.ndarray, band: tuple[float, float]) -> None:
-    """Seek no further beyond an end of the band where a mode was tried and did not stay."""
+    """Exclude the range beyond an end of the band where a mode was tried and not kept."""
     if (tried <= band[0]).any() and not (have <= band[0]).any():
         window[0] = band[0]
     if (tried >= band[1]).any() and not (have >= band[1]).any():
@@ -218,7 +218,7 @@ def _close_sides(window: list[float], tried: np.ndarray, have: np.ndarray, band:
 
 
 def _weigh_again(search: _Search) -> None:
-    """Modes were sought where the data is quiet; now the peaks get their own weight, and modes must stand that too."""
+    """Add noise in proportion to the FRF to the weights, and drop the modes that have no evidence then."""
     for _ in range(LAST):
         search.again(search.weights(proportional=True))
         if not search.prune(search.sigma):

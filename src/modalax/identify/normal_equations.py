@@ -28,7 +28,7 @@ METHODS = ("lscf", "plscf")
 
 
 class LinearProblem(eqx.Module):
-    r"""Rows :math:`w (H A - B)` of LSCF (one reference a row) or pLSCF (all references in a row).
+    r"""Rows :math:`w (H A - B)` of LSCF (one reference per row) or pLSCF (all references in a row).
 
     Attributes
     ----------

@@ -139,7 +139,7 @@ def matrix_fraction(
     solver: str,
     method: str,
 ) -> PoleTable:
-    """Everything that LSCF and polyreference LSCF share; see :func:`lscf` for the arguments."""
+    """The common part of LSCF and polyreference LSCF; see :func:`lscf` for the arguments."""
     found = check_orders(orders, frf.freq.shape[0], limits(frf))
     if not 0 < arc <= 1:
         raise ValueError(f"arc is {arc:g}; it is the part of the circle that the band covers, above 0 and up to 1")
@@ -183,7 +183,7 @@ def use_moments(solver: str, shape: tuple[int, ...], order: int, shared: bool) -
 
 
 def without_window(table: PoleTable, frf: FRF) -> PoleTable:
-    """Take the decay that an exponential window added back out of every pole."""
+    """Remove the decay that an exponential window added from every pole."""
     return PoleTable(
         jnp.where(table.valid, table.poles + frf.added_decay, table.poles),
         table.valid, table.participation, table.orders, table.method,

@@ -13,7 +13,7 @@ from modalax.identify.kernels import kernels
 from modalax.identify.projection import stacked
 
 DAMPINGS = (0.001, 0.003, 0.01, 0.03)  # damping ratios at which further modes are looked for
-NEW = 0.01  # part of a further mode's response that the present model should leave
+NEW = 0.01  # least part of a further mode's response that the present model cannot represent
 NEAR = 0.01  # part of a frequency within which a further mode is the same that was tried before
 BATCH = 128  # poles whose scores are computed again at a time
 CHUNK = 128  # poles whose scores are taken at once
@@ -95,7 +95,7 @@ def _best(
 
 
 def levelled(residual: np.ndarray) -> np.ndarray:
-    """Scaled to the level of a neighbourhood far wider than a mode: a bad stretch of the band must not become modes."""
+    """Scale scores to the level of a wide neighbourhood, so that a badly fitted part of the band makes no modes."""
     power = np.mean(np.abs(residual) ** 2, axis=tuple(range(1, residual.ndim)))
     local = _running_median(power, max(5, len(power) // 5))
     return residual / np.sqrt(np.maximum(local, 1e-300)).reshape(-1, *[1] * (residual.ndim - 1))

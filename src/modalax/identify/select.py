@@ -124,7 +124,7 @@ def _representative(track: _Track) -> tuple[int, float]:
 
 
 def _separate(tracks: list[_Track]) -> list[_Track]:
-    """Of two tracks on one mode (nearer than their own spread, and never both seen at many orders) keep the longer."""
+    """Keep the longer of two tracks of the same mode: nearer than their spread, and at few orders both present."""
     tracks = sorted(tracks, key=lambda t: -len(t.rows))
     kept: list[_Track] = []
     for t in tracks:

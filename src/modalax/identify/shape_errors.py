@@ -1,4 +1,4 @@
-"""Errors of shapes and modal masses from those of the unknowns."""
+"""Standard deviations of shapes and modal masses from those of the unknowns."""
 
 import jax
 import jax.numpy as jnp

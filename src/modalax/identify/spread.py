@@ -181,7 +181,7 @@ def _probe(T: Array, half: Array, phi: Array) -> Complex[Array, " f"]:
 
 
 class OffNumerators:
-    """LSCF's :math:`P`: what an orthonormal basis of the numerators leaves."""
+    """LSCF's :math:`P`: the projector off an orthonormal basis of the numerators."""
 
     def __init__(self, Q: Array):
         self.Q = Q
@@ -215,7 +215,7 @@ class Window:
 
 
 class _Row:
-    """What one output contributes."""
+    """Contribution of one output."""
 
     def __init__(self, h: Array, s: Array, P: OffNumerators | Window, half: Array, b: Array):
         self.h, self.s, self.off, self.half, self.b = h, s, P, half, b

@@ -1,4 +1,4 @@
-"""Which poles of a stabilization diagram return at the next order."""
+"""Stability of the poles of a diagram from one order to the next."""
 
 import equinox as eqx
 import jax
@@ -27,7 +27,7 @@ class Stability(eqx.Module):
 
     @property
     def stable(self) -> Bool[Array, "order pole"]:
-        """Poles stable in everything."""
+        """Whether each pole is stable in frequency, damping and shape."""
         return self.physical & self.frequency & self.damping & self.shape
 
 

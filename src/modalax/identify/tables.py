@@ -1,4 +1,4 @@
-"""The answer of a pole estimator: poles of every order, padded to one shape."""
+"""The result of a pole estimator: poles of every order, padded to one shape."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -42,13 +42,13 @@ class PoleTable(eqx.Module):
     def physical(
         self, lower_hz: float = 0.0, upper_hz: float = float("inf"), max_damping: float = 0.3
     ) -> Bool[Array, "order pole"]:
-        """Which poles could be modes: stable, under-damped below ``max_damping``, and within a band [Hz]."""
+        """Whether each pole could be a mode: stable, damping ratio below ``max_damping``, and within a band [Hz]."""
         f, zeta = self.frequency_hz, self.damping_ratio
         return (
             self.valid & (self.poles.imag > 0) & (zeta > 0) & (zeta < max_damping) & (f >= lower_hz) & (f <= upper_hz)
         )
 
     def take(self, rows: slice) -> "PoleTable":
-        """Some of the orders only."""
+        """The table with some of its orders only."""
         part = None if self.participation is None else self.participation[rows]
         return PoleTable(self.poles[rows], self.valid[rows], part, self.orders[rows], self.method)

@@ -86,7 +86,7 @@ def orthonormal_powers(
 
 
 def check_orders(orders: object, n_lines: int, band: tuple[float, float], floor: int = 1) -> tuple[int, ...]:
-    """Return the orders, rising, or say why they cannot be used with ``n_lines`` lines.
+    """Return the orders, rising; ``ValueError`` says why they cannot be used with ``n_lines`` lines.
 
     Raises
     ------
