@@ -15,6 +15,7 @@ from modalax.diagnose.causes.parameter import Parameter
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.decision.advice import advise_modes
 from modalax.diagnose.decision.beyond import BeyondUsual
+from modalax.diagnose.decision.levels import outweighing
 from modalax.diagnose.decision.omnibus import Omnibus, omnibus
 from modalax.diagnose.decision.sets import rivals
 from modalax.diagnose.extend import ExtendedSimulation
@@ -35,7 +36,6 @@ from modalax.diagnose.summary import cause_at
 from modalax.diagnose.thresholds import THRESHOLDS
 from modalax.model import Structure
 
-WORDS = ("clean", "named", "ambiguous", "unknown")  # each outweighs those before it
 UNITS = {
     "added_mass": ("mass", "kg"), "joint_stiffness": ("stiffness", "N/m"), "local_damper": ("damping", "N s/m"),
     "channel_gain": ("gain", "-"), "force_gain": ("gain", "-"), "time_delay": ("delay", "s"),
@@ -195,7 +195,7 @@ def diagnose_modes(
     judged = judge(stage)
     chosen, inaccuracy = judged.chosen, inaccuracy_told(stage.setting, judged.chosen.fit)
     joined, further = judge_levels(stage.seen)
-    word, reasons = max(judged.word, joined, key=WORDS.index), [_said(inaccuracy), *judged.reasons, *further]
+    word, reasons = outweighing(judged.word, joined), [_said(inaccuracy), *judged.reasons, *further]
     if not stage.in_time:
         reasons.append("time was up before every explanation had been tried")
     tell("predicting the held-out data")

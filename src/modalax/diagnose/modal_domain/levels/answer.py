@@ -1,10 +1,11 @@
-"""What the levels add to an answer: a joint by its law, a drift, or levels that differ without an explanation."""
+"""The part of an answer that comes from the levels: a joint by its law, a drift, or differences without explanation."""
 
 from typing import Any
 
 import numpy as np
 
 from modalax.diagnose.causes.scene import Place
+from modalax.diagnose.decision.levels import LevelsCase, levels_verdict
 from modalax.diagnose.modal_domain.levels.change import projected
 from modalax.diagnose.modal_domain.levels.explain import JointFound
 from modalax.diagnose.modal_domain.levels.laws import NAMELESS, motions_of, stiffness_of
@@ -13,32 +14,22 @@ from modalax.diagnose.result import parameters_told
 from modalax.diagnose.thresholds import THRESHOLDS
 
 
-def judge_levels(seen: Seen | None) -> tuple[str, list[str]]:
-    """Word and reasons of the levels alone: ``clean`` where they agree."""
+def judge_levels(seen: Seen | None) -> tuple[str, tuple[str, ...]]:
+    """Verdict and reasons of the levels alone: ``clean`` where they agree."""
     if seen is None or seen.found.best == "nothing":
-        return "clean", []
+        return levels_verdict(LevelsCase("nothing"))
     found = seen.found
     kind = "force levels" if len(np.unique(seen.levels.force)) > 1 else "runs"
-    differ = f"the {kind} differ beyond their noise (chi-square {found.before:.3g} per sample of their differences)"
     if found.best == "drift":
-        d = found.drift
-        told = f"a shift of frequencies by {100 * d.frequency:.2g} % up to the last, at every amplitude alike"
-        word = "named" if found.drifting >= THRESHOLDS.certain else "ambiguous"
-        return word, [differ, f"{told}, explains it (probability {found.drifting:.3f})"]
-    j = found.joints[0]
-    where = " - ".join(j.spot.where)
-    reasons = [differ, f"across {where}, {described(seen, j)}"]
-    if found.after > THRESHOLDS.unexplained:
-        return "unknown", [*reasons, f"no law explains it (chi-square {found.after:.3g} per sample is left)"]
-    nameless = {law.slug for law in NAMELESS}
-    if sum(p.probability for p in found.joints if p.slug in nameless) > THRESHOLDS.nameless:
-        return "unknown", [*reasons, "it follows none of the laws that have a name, but a power of the amplitude"]
-    sure, placed = found.sure(j.slug), found.placed(j.slug, j.spot.where)
-    reasons.append(f"{j.slug} at {where} explains it (probability {sure:.3f} of the law, {placed:.3f} of the place)")
-    if sure >= THRESHOLDS.certain and placed > THRESHOLDS.placed:
-        return "named", reasons
-    doubt = "its place is not sure" if sure >= THRESHOLDS.certain else "other laws are too likely"
-    return "ambiguous", [*reasons, doubt]
+        return levels_verdict(
+            LevelsCase("drift", kind, found.before, drift=found.drift.frequency, drifting=found.drifting)
+        )
+    j, nameless = found.joints[0], {law.slug for law in NAMELESS}
+    return levels_verdict(LevelsCase(
+        "joint", kind, found.before, found.after, law=j.slug, where=j.spot.where, law_probability=found.sure(j.slug),
+        place_probability=found.placed(j.slug, j.spot.where),
+        nameless=sum(p.probability for p in found.joints if p.slug in nameless), behaviour=described(seen, j),
+    ))  # fmt: skip
 
 
 def causes_told(seen: Seen) -> list[dict[str, Any]]:

@@ -1,0 +1,132 @@
+"""The verdict about differences between force levels or runs: a joint, a drift, or none."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+from modalax.diagnose.summary import cause_at
+from modalax.diagnose.thresholds import THRESHOLDS, Thresholds
+
+WEIGHT = ("clean", "named", "ambiguous", "unknown")  # verdicts; each outweighs those before it
+
+
+@dataclass(frozen=True)
+class LevelsCase:
+    """All that a rule about levels may look at.
+
+    Attributes
+    ----------
+    best
+        Likeliest explanation of the differences.
+    kind
+        What differs: ``force levels`` or ``runs``.
+    before, after
+        Chi-square per real sample of the differences, without and with the leading joint.
+    drift, drifting
+        Relative shift of the frequencies up to the last run, and the probability of a drift.
+    law, where
+        Slug and place of the leading joint.
+    law_probability, place_probability
+        Of the law, wherever it sits, and of the place among all places of that law.
+    nameless
+        Probability of laws that the answer has no name for.
+    behaviour
+        The leading joint's equivalent stiffness against its amplitude, as a clause.
+    limits
+        Thresholds of the rules.
+    """
+
+    best: Literal["nothing", "drift", "joint"]
+    kind: str = "force levels"
+    before: float = 1.0
+    after: float = 1.0
+    drift: float = 0.0
+    drifting: float = 0.0
+    law: str = ""
+    where: tuple[str, ...] = ()
+    law_probability: float = 0.0
+    place_probability: float = 0.0
+    nameless: float = 0.0
+    behaviour: str = ""
+    limits: Thresholds = THRESHOLDS
+
+    @property
+    def observed(self) -> tuple[str, ...]:
+        """What was seen, before any explanation."""
+        differ = f"the {self.kind} differ beyond their noise (chi-square {self.before:.3g} per sample of these)"
+        return (differ, f"across {' - '.join(self.where)}, {self.behaviour}") if self.best == "joint" else (differ,)
+
+    @property
+    def support(self) -> tuple[str, ...]:
+        """What speaks for the likeliest explanation."""
+        if self.best == "drift":
+            return (
+                *self.observed,
+                f"a shift of the frequencies by {100 * self.drift:.2g} % up to the last of them, the same at every "
+                f"amplitude, explains it (probability {self.drifting:.3f})",
+            )
+        return (
+            *self.observed,
+            f"{cause_at(self.law, self.where)} explains it (probability {self.law_probability:.3f} of the law, "
+            f"{self.place_probability:.3f} of the place)",
+        )
+
+
+Rule = Callable[[LevelsCase], tuple[str, ...] | None]
+
+
+def levels_agree(case: LevelsCase) -> tuple[str, ...] | None:
+    """Nothing but noise differs."""
+    return () if case.best == "nothing" else None
+
+
+def no_law_explains(case: LevelsCase) -> tuple[str, ...] | None:
+    """Every law of a joint leaves too much of the differences."""
+    if case.best != "joint" or case.after <= case.limits.unexplained:
+        return None
+    return *case.observed, f"no law explains it (chi-square {case.after:.3g} per sample is left)"
+
+
+def law_has_no_name(case: LevelsCase) -> tuple[str, ...] | None:
+    """A law without a name in the answer is likelier than those with one."""
+    if case.best != "joint" or case.nameless <= case.limits.nameless:
+        return None
+    return *case.observed, "it follows none of the laws that have a name, but a power of the amplitude"
+
+
+def drift_is_not_sure(case: LevelsCase) -> tuple[str, ...] | None:
+    """A drift is the likeliest, but not sure."""
+    return case.support if case.best == "drift" and case.drifting < case.limits.certain else None
+
+
+def law_is_not_sure(case: LevelsCase) -> tuple[str, ...] | None:
+    """Other laws are likely too."""
+    sure = case.best != "joint" or case.law_probability >= case.limits.certain
+    return None if sure else (*case.support, "other laws cannot be excluded")
+
+
+def place_is_not_sure(case: LevelsCase) -> tuple[str, ...] | None:
+    """Other places are likely too."""
+    sure = case.best != "joint" or case.place_probability > case.limits.placed
+    return None if sure else (*case.support, "its place is not certain: together, other places are at least as likely")
+
+
+RULES: tuple[tuple[str, Rule], ...] = (
+    ("clean", levels_agree),
+    ("unknown", no_law_explains),
+    ("unknown", law_has_no_name),
+    ("ambiguous", drift_is_not_sure),
+    ("ambiguous", law_is_not_sure),
+    ("ambiguous", place_is_not_sure),
+    ("named", lambda case: case.support),
+)
+
+
+def levels_verdict(case: LevelsCase) -> tuple[str, tuple[str, ...]]:
+    """The verdict of the first of ``RULES`` that applies, and its reasons."""
+    return next((word, reasons) for word, rule in RULES if (reasons := rule(case)) is not None)
+
+
+def outweighing(*words: str) -> str:
+    """The verdict of an answer with several parts: the one that outweighs the others."""
+    return max(words, key=WEIGHT.index)
