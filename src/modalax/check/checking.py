@@ -12,9 +12,9 @@ from modalax.check.excitation import excitation
 from modalax.check.finding import TOLD, Finding, Findings
 from modalax.check.form import FORMS, wrong_form
 from modalax.check.hum import hum
+from modalax.check.late import delay
 from modalax.check.leakage import record_too_short
 from modalax.check.levels import clipped
-from modalax.check.phases import delay
 from modalax.check.places import misplaced
 from modalax.check.reciprocity import reciprocity
 from modalax.check.record_files import read_records
@@ -69,12 +69,14 @@ def _check_records(records: Records) -> Findings:
     """Findings from the blocks of time records, then from their FRFs."""
     found = list(record_findings(records))
     told = {f.what for f in found}
-    if "dead" not in told:
-        # What blocks show directly is not reported again from their spectra.
-        later = tuple(d for d in DETECTORS if d not in (excitation, drift, hum, resolution, record_too_short))
-        found += _findings(study_of(records.measurement()), later)
+    # What blocks show directly needs no second telling from their spectra, nor do these say more of a bad channel.
+    later = tuple(d for d in DETECTORS if d not in (excitation, drift, hum, resolution, record_too_short))
+    bad = {name for f in found if f.what in ("dead", "clipped", "drift", "hum") for name in f.where}
+    if records.input not in bad and set(records.outputs) - bad:
+        left_out = [name for name in bad if name in records.outputs]
+        found += _findings(without(study_of(records.measurement()), left_out), later)
         if records.hits and len(records.force) > 1 and not told & {"double_hit", "clipped"}:
-            found += _findings(study_of(records.measurement(each=True)), (frequency_shift,))
+            found += _findings(without(study_of(records.measurement(each=True)), left_out), (frequency_shift,))
     return Findings(_ordered(found))
 
 

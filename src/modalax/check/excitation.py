@@ -14,7 +14,10 @@ from modalax.check.study import Study, running_mean
 # A ripple is reported if one period holds this many times the median power of all others, its amplitude in the
 # logarithm of the noise is at least this, and the band holds at least this many of them.
 RIPPLE, SMALLEST_RIPPLE, FEWEST = 60.0, 0.4, 4
-# Growth of the noise within the upper part of the band [dB], noise over FRF at its end, and least curvature.
+# Shares of the lines at whose FRF the law of noise over FRF may bend, parts of the band that must ripple alike, and
+# how much.
+KNOTS, THIRDS, ALIKE = (0.1, 0.3, 0.5, 0.7, 0.85, 0.95), 3, 0.4
+# Growth of the noise within the upper part of the band [dB], noise over FRF at its end, and how it must bend.
 GROWTH, LOST = 20.0, 0.15
 
 
@@ -44,17 +47,22 @@ def _noise(study: Study, i: int) -> np.ndarray | None:
     good = (power > 0).all(axis=0) & (np.abs(H) > 0).all(axis=0)
     if not good.any():
         return None
+    span = np.log(study.freq[-1] / study.freq[0])
     log, size = np.log(power[:, good]), np.log(np.abs(H[:, good]) ** 2)
-    # Noise of the responses does not follow the FRF, noise of the force does, and mixtures occur.
-    strong = np.maximum(size, np.median(size, axis=0))
+    # Noise of the responses does not follow the FRF, noise of the force does, and there is everything between.
     left = np.empty_like(log)
-    one = np.ones(len(log))
+    # Noise of an accelerometer is even; in receptances and mobilities it falls with frequency.
+    course = np.polynomial.legendre.legvander(2 * np.log(study.freq / study.freq[0]) / span - 1, 3)[:, 1:]
     for k in range(log.shape[1]):
-        known = np.stack([one, size[:, k], strong[:, k]], axis=1)
-        known[:, 1:] -= known[:, 1:].mean(axis=0)
-        coefficients = np.linalg.lstsq(known, log[:, k], rcond=None)[0]
-        left[:, k] = log[:, k] - known[:, 1:] @ coefficients[1:]
+        known = np.concatenate([_bends(size[:, k]), course], axis=1)
+        left[:, k] = log[:, k] - known @ np.linalg.lstsq(known, log[:, k], rcond=None)[0] + log[:, k].mean()
     return left.mean(axis=1)
+
+
+def _bends(size: np.ndarray) -> np.ndarray:
+    """A straight line in parts over the size of the FRF."""
+    knots = np.quantile(size, KNOTS)
+    return np.stack([np.ones_like(size), size, *(np.maximum(size - knot, 0.0) for knot in knots)], axis=1)
 
 
 def _ripple(study: Study, noise: np.ndarray, name: str) -> Finding | None:
@@ -81,6 +89,7 @@ def _ripple(study: Study, noise: np.ndarray, name: str) -> Finding | None:
         or amplitude < SMALLEST_RIPPLE
         or np.sort(others)[-min(12, len(others))] > 0.35 * power[k]
         or harmonic > power[k]
+        or not _throughout(rest, k / (4 * lines))
     ):
         return None
     tau = k / (4 * lines * step)
@@ -93,6 +102,17 @@ def _ripple(study: Study, noise: np.ndarray, name: str) -> Finding | None:
         advice="repeat the hits that were double; a lighter hammer or a stiffer grip rebounds less",
         picture=Picture([("noise power", study.freq, noise - noise.mean())], "Frequency [Hz]", "Log of noise [-]"),
     )  # fmt: skip
+
+
+def _throughout(rest: np.ndarray, per_line: float) -> bool:
+    """Whether a ripple goes on through the band with one phase; those of resonances come and go."""
+    turn = rest * np.exp(-2j * np.pi * per_line * np.arange(len(rest)))
+    window = np.hanning(len(rest))
+    edges = np.linspace(0.08, 0.92, THIRDS + 1) * len(rest)
+    parts = [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    values = np.array([turn[p].sum() / window[p].sum() for p in parts])
+    mean = values.mean()
+    return bool(np.all(np.real(values * np.conj(mean)) > ALIKE * np.abs(mean) ** 2))
 
 
 def _end_of_force(study: Study, i: int, name: str) -> Finding | None:

@@ -63,7 +63,7 @@ def _turn(study: Study) -> int:
     if not len(angles.angle):
         return 0
     undirected = angles._replace(drive=np.zeros_like(angles.drive))
-    at_rest, quarter = misfit(undirected, 0.0), misfit(undirected, 0.0, np.pi / 2)
+    at_rest, quarter = misfit(undirected), misfit(undirected, np.pi / 2)
     count = len(angles.angle)
     if at_rest > ASKED and quarter < QUARTER * at_rest and quarter < 4 * count:
         return 1

@@ -3,9 +3,11 @@
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.stats import chi2, gamma
 
+from modalax.check.basis import Basis, least_squares, lift
 from modalax.check.finding import Finding, Picture, sureness
-from modalax.check.modes import Basis, least_squares, lift
+from modalax.check.modes import noise_of
 from modalax.check.study import Study
 
 MAINS = (50.0, 60.0)
@@ -13,8 +15,11 @@ MAINS = (50.0, 60.0)
 WANDER, SPREAD = 0.004, 2
 # Lines on either side that a hum leaves alone and a mode does not.
 TAIL = 12
-# Power of a line over that of its surroundings from which on it stands out, and least damping ratio of a real mode.
-STANDS_OUT, LEAST_DAMPING = 12.0, 2e-4
+# Chance of noise alone, for one line and for all together, below which a hum is told; least share of the FRF there;
+# least damping ratio of a real mode; power over the surroundings that needs no flanks to be looked for.
+CHANCE, LEAST_SHARE, LEAST_DAMPING, HIGH = 1e-6, 0.05, 2e-4, 36.0
+# Multiples of which one must be seen.
+LOWEST = 3
 
 
 def hum(study: Study) -> Iterator[Finding]:
@@ -28,17 +33,26 @@ def hum(study: Study) -> Iterator[Finding]:
     best: tuple[float, float, list[float]] | None = None
     for mains in mains_seen:
         multiples = mains * np.arange(1, int(study.freq[-1] / mains) + 1)
-        scores = [(f, *_score(study, power, f, float(step))) for f in multiples]
-        told = [(f, z) for f, z, alone in scores if z > STANDS_OUT and alone]
-        if told and (best is None or sum(z for _, z in told) > best[0]):
-            best = (sum(z for _, z in told), mains, [f for f, _ in told])
+        chances = [(f, *_chance(study, power, f, float(step))) for f in multiples]
+        told = [(f, chance) for f, chance, alone in chances if chance < 1e-2 and alone]
+        # A hum without any of its lower multiples is none, but for one that nothing else can be.
+        lowest = multiples[multiples > study.freq[0]][:LOWEST]
+        if not any(f in lowest or chance < CHANCE**2 for f, chance in told):
+            continue
+        # Fisher's sum over all multiples; the others count as chance 1.
+        total = -2 * sum(np.log(chance) for _, chance in told)
+        together = float(chi2.sf(total, 2 * len(multiples)))
+        score = -np.log10(max(min(together, len(multiples) * min(c for _, c in told)), 1e-300)) / -np.log10(CHANCE)
+        lines = [f for f, chance in told if chance < 1e-3]
+        if score > 1 and lines and _share(study, power, lines) > LEAST_SHARE and (best is None or score > best[0]):
+            best = float(score), mains, lines
     if best is None:
         return
     score, mains, lines = best
-    share = _share(study, power, lines, float(step))
+    share = _share(study, power, lines)
     shown = ", ".join(f"{f:g}" for f in lines[:6]) + (", ..." if len(lines) > 6 else "")
     yield Finding(
-        "hum", (), sure=sureness(score, STANDS_OUT), size=share, unit="of the FRF there",
+        "hum", (), sure=sureness(score, 1.0), size=share, unit="of the FRF there",
         evidence=f"single lines stand out at {shown} Hz, multiples of {mains:g} Hz, without the flanks of a resonance",
         advice="look for ground loops, use insulated mounts and shielded cables, average more, or leave the lines out",
         picture=Picture([("left over by the modes, over the noise", study.freq, power)], "Frequency [Hz]", "[-]", True),
@@ -58,39 +72,43 @@ def _left_over(study: Study, step: float) -> np.ndarray:
     runs, lines = study.H.shape[:2]
     H = study.H.transpose(1, 0, 2, 3).reshape(lines, -1)
     sigma = study.sigma.transpose(1, 0, 2, 3).reshape(lines, -1)
-    basis = Basis(2 * np.pi * study.freq, study.power, np.ones(lines))
+    weight = noise_of(H, sigma).weight
+    basis = Basis(2 * np.pi * study.freq, study.power, weight, study.modes.powers)
     away = np.ones(lines, bool)
     for mains in MAINS:
         multiple = mains * np.maximum(np.round(study.freq / mains), 1)
         away &= np.abs(study.freq - multiple) > (SPREAD + 0.5) * step
     Phi = basis.design(poles)
     both = np.concatenate([away, away])
-    coefficients = least_squares(Phi[both], lift(H)[both])[0]
-    left = lift(H) - Phi @ coefficients
+    Y = lift(weight[:, None] * H)
+    left = (Y - Phi @ least_squares(Phi[both], Y[both])[0]) / np.concatenate([weight, weight])[:, None]
     power = (left[:lines] ** 2 + left[lines:] ** 2) / np.maximum(sigma**2, (1e-3 * np.abs(H)) ** 2)
     return power.mean(axis=1)
 
 
-def _score(study: Study, power: np.ndarray, multiple: float, step: float) -> tuple[float, bool]:
-    """How far lines at a multiple stand out of their surroundings, and whether they do so without flanks."""
+def _chance(study: Study, power: np.ndarray, multiple: float, step: float) -> tuple[float, bool]:
+    """Chance that noise makes a line near a multiple stand out so, and whether it does so without flanks."""
     reach = max(1.0, WANDER * multiple / step)
     near = np.flatnonzero(np.abs(study.freq - multiple) < reach * step)
     if not len(near):
-        return 0.0, False
+        return 1.0, False
     top = int(near[np.argmax(power[near])])
     lines = np.arange(max(0, top - TAIL), min(len(power), top + TAIL + 1))
     around = lines[np.abs(lines - top) > SPREAD]
     if len(around) < TAIL:
-        return 0.0, False
-    level = np.median(power[around]) / np.log(2) + 0.3
-    height = power[top] / level
+        return 1.0, False
+    # Means of squares of noise follow a gamma distribution; how many independent ones, their own scatter tells.
+    level = np.mean(power[around]) + 0.02
+    shape = min(level**2 / (np.var(power[around]) + 1e-4), study.H[:, 0].size)
+    chance = min(1.0, len(near) * float(gamma.sf(power[top] / level * shape, shape)))
     # A mode as narrow as this leaves at m lines off at least (half width / m)^2 of its height.
     narrow = max(0.5 * 2 * LEAST_DAMPING * multiple / step, 0.05)
     flank = np.sum((narrow / np.abs(around - top)) ** 2) * power[top]
     seen = np.sum(power[around] - np.median(power[around]))
     spread = np.sqrt(len(around)) * max(np.std(np.sort(power[around])[:-2]), 1e-12)
-    alone = seen < 0.3 * flank or flank < 3 * spread and height > 3 * STANDS_OUT and _again(study, top)
-    return float(height), bool(alone)
+    high = power[top] > HIGH * level and _again(study, top)
+    weak = flank < spread  # too weak for flanks to be seen: no mode was found there either
+    return max(chance, 1e-300), bool(seen < 0.3 * flank or flank < 3 * spread and high or weak)
 
 
 def _again(study: Study, line: int) -> bool:
@@ -103,7 +121,8 @@ def _again(study: Study, line: int) -> bool:
     return bool(np.abs(unit.mean(axis=0)).mean() < 0.8)
 
 
-def _share(study: Study, power: np.ndarray, lines: list[float], step: float) -> float:
+def _share(study: Study, power: np.ndarray, lines: list[float]) -> float:
+    """How large the hum is beside the FRFs at its strongest line."""
     which = [int(np.argmin(np.abs(study.freq - f))) for f in lines]
     sigma2 = np.mean(study.sigma[:, which] ** 2, axis=(0, 2, 3))
     there = np.mean(np.abs(study.H[:, which]) ** 2, axis=(0, 2, 3))

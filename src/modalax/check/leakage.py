@@ -10,8 +10,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from modalax.check.basis import Basis, least_squares, lift
 from modalax.check.finding import Finding, Picture, sureness
-from modalax.check.modes import Basis, improve, least_squares, lift
+from modalax.check.modes import improve
 from modalax.check.phases import angles_of, misfit
 from modalax.check.resolution import lines_a_width, strong_modes
 from modalax.check.study import Study
@@ -93,12 +94,13 @@ class WindowedBasis(Basis):
 
 def _windowed(study: Study, step: float) -> tuple[float, str, float, Picture] | None:
     """Least decay over a record and the window that explains the peaks; None if modes alone do as well."""
-    H = study.H[0].reshape(len(study.freq), -1)
-    sigma = study.sigma[0].reshape(H.shape)
+    keep = study.telling
+    freq, H = study.freq[keep], study.H[0, keep].reshape(len(keep), -1)
+    sigma = study.sigma[0, keep].reshape(H.shape)
     strong = np.argsort(-np.max(np.abs(H), axis=0) / np.median(sigma, axis=0))[:6]
     # A share of the peaks stands for what no model of the noise knows.
     noise = sigma[:, strong].mean(axis=0) + 0.002 * np.abs(H[:, strong]).max(axis=0)
-    X, omega, weight = H[:, strong] / noise, 2 * np.pi * study.freq, np.ones(len(H))
+    X, omega, weight = H[:, strong] / noise, 2 * np.pi * freq, np.ones(len(H))
     left, decay, own = {}, {}, study.modes.poles
     for window in ("mode", "boxcar", "Hann"):
         basis = WindowedBasis(omega, study.power, weight, 1 / step, window)
@@ -113,7 +115,7 @@ def _windowed(study: Study, step: float) -> tuple[float, str, float, Picture] | 
                     break
                 poles = moved
             Y = lift(X)
-            _, U, _ = least_squares(basis.design(poles), Y)
+            _, U, _, _ = least_squares(basis.design(poles), Y)
             value = float(np.sum((Y - U @ (U.T @ Y)) ** 2))
             if value < best:
                 best, decay[window] = value, float(np.min(-poles.real / step))
@@ -122,7 +124,7 @@ def _windowed(study: Study, step: float) -> tuple[float, str, float, Picture] | 
     if left["mode"] < BETTER * left[best] or left["mode"] < 1.3 * X.size:
         return None
     how = f"the peaks have the form that a record cut by a {best} window gives them, not that of a mode"
-    picture = Picture([("strongest FRF", study.freq, np.abs(H[:, strong[0]]))], "Frequency [Hz]", "|H|", True)
+    picture = Picture([("strongest FRF", freq, np.abs(H[:, strong[0]]))], "Frequency [Hz]", "|H|", True)
     return decay[best], how, left["mode"] / (BETTER * left[best]), picture
 
 
@@ -136,7 +138,7 @@ def _cut(study: Study, step: float) -> tuple[float, str, float, Picture] | None:
     poles = study.modes.poles[[int(g[0]) for g in study.groups]]
     turn = np.angle(1 - np.exp(poles / step))
     mended = angles._replace(angle=angles.angle - turn[angles.mode])
-    before, after = misfit(angles, 0.0), misfit(mended, 0.0)
+    before, after = misfit(angles), misfit(mended)
     if before - after < GAIN or after > LEFT * before or len(np.unique(angles.mode)) < 2:
         return None
     frequency = angles.omega / (2 * np.pi)

@@ -4,22 +4,19 @@ It serves to judge the measurement, not to replace :func:`modalax.fit`: seconds 
 be allowed, because wrong phases are what is looked for.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Complex, Float
 
-# Model orders of the denominator; each in-band mode takes one, noise takes the rest.
-LOWEST_ORDER, HIGHEST_ORDER, ORDER_STEP = 8, 44, 2
-# Lines and principal FRFs used to find poles: enough for 40 modes, few enough for seconds.
-MOST_LINES, MOST_FRFS = 3000, 10
-# A root counts as seen again in another order within this share of its half bandwidth in frequency, and of its decay.
-SAME_FREQUENCY, SAME_DECAY = 0.35, 0.5
-# Share of the orders in which a root has to be seen to be tried as a mode.
-STABLE = 0.4
+from modalax.check.basis import MORE_POWERS, SMOOTH_POWERS, Basis, least_squares, lift
+from modalax.check.starts import MOST_FRFS, principal_frfs, stable_poles, telling_lines
+
 # A mode stays if it lowers the weighted sum of squares by this many times what as many parameters of noise do.
 WORTH = 4.0
-SMOOTH_POWERS = (-2, 0, 2)
+# Misfit from which on what is left is searched for more modes, the most of these, and widths tried, in lines.
+SEARCHED, MOST_MORE, WIDTHS = 1.25, 12, (1.0, 4.0, 16.0)
 
 
 class Modes(NamedTuple):
@@ -37,6 +34,10 @@ class Modes(NamedTuple):
         Root mean square of what is left of each FRF over its noise, shape ``(k,)`` [-].
     pole_std
         Standard deviation of the real and of the imaginary part of each pole [rad/s], shape ``(n,)``.
+    inside
+        Whether each pole lies within the band; those outside only explain what reaches into it.
+    powers
+        Of the smooth terms.
     """
 
     poles: Complex[np.ndarray, " n"]
@@ -45,6 +46,8 @@ class Modes(NamedTuple):
     fitted: Complex[np.ndarray, "f k"]
     misfit: Float[np.ndarray, " k"]
     pole_std: Float[np.ndarray, " n"]
+    inside: np.ndarray
+    powers: tuple[int, ...] = SMOOTH_POWERS
 
     @property
     def frequency(self) -> Float[np.ndarray, " n"]:
@@ -55,6 +58,14 @@ class Modes(NamedTuple):
     def width(self) -> Float[np.ndarray, " n"]:
         """Half-power bandwidth [Hz]."""
         return -self.poles.real / np.pi
+
+
+class Noise(NamedTuple):
+    """Weight of each line ``(f,)``, noise of each FRF after weighting ``(k,)``, and of each sample ``(f, k)``."""
+
+    weight: np.ndarray
+    level: np.ndarray
+    sigma: np.ndarray
 
 
 def estimate_modes(
@@ -70,158 +81,108 @@ def estimate_modes(
         0 for receptance, 1 for mobility, 2 for accelerance.
     """
     omega = 2 * np.pi * freq
-    # The middling noise of a line over all channels weights it: one weighting serves all channels at once.
+    noise = noise_of(H, sigma)
+    weight = noise.weight
+    principal = principal_frfs(weight[:, None] * H / noise.level)
+    keep = telling_lines(principal)
+    X = principal[keep]
+    start = stable_poles(omega[keep], X / weight[keep, None], weight[keep])
+    best: tuple[float, np.ndarray, tuple[int, ...]] | None = None
+    for powers in (SMOOTH_POWERS, MORE_POWERS):
+        basis = Basis(omega[keep], power, weight[keep], powers)
+        poles = _polished(basis, start, X)
+        left = misfit_of(basis, poles, X)
+        if left > SEARCHED:
+            poles = _completed(basis, poles, X)
+            left = misfit_of(basis, poles, X)
+        if best is None or left < 0.9 * best[0]:
+            best = left, poles, powers
+        if left < SEARCHED:
+            break
+        start = poles
+    assert best is not None
+    return residues_at(omega, H, noise, best[1], power, best[2])
+
+
+def noise_of(H: np.ndarray, sigma: np.ndarray) -> Noise:
+    """The middling noise of a line over all channels weights it: one weighting serves all channels at once."""
     scale = np.sqrt(np.mean(np.abs(H) ** 2, axis=0)) + np.finfo(float).tiny
-    level = np.exp(np.mean(np.log(np.maximum(sigma, 1e-12 * scale)), axis=1))
+    sigma = np.maximum(sigma, 1e-12 * scale)
+    level = np.exp(np.mean(np.log(sigma), axis=1))
     weight = np.minimum(np.median(level) / level, 30.0)
-    noise = np.sqrt(np.mean((weight[:, None] * sigma) ** 2, axis=0)) + 1e-7 * scale
-    principal = _principal(weight[:, None] * H / noise)
-    keep = _telling_lines(principal)
-    poles = _stable_poles(omega[keep], principal[keep] / weight[keep, None], weight[keep])
-    basis = Basis(omega[keep], power, weight[keep])
-    poles = _select(basis, poles, principal[keep])
+    return Noise(weight, np.sqrt(np.mean((weight[:, None] * sigma) ** 2, axis=0)) + 1e-7 * scale, sigma)
+
+
+def _polished(basis: Basis, poles: np.ndarray, X: np.ndarray) -> np.ndarray:
+    poles = _select(basis, poles, X)
     for _ in range(4):
-        poles = improve(basis, poles, principal[keep])
-    poles = _select(basis, poles, principal[keep])
-    return residues_at(omega, H, noise, weight, poles, power)
+        poles = improve(basis, poles, X)
+    return _select(basis, poles, X)
 
 
-def residues_at(omega, H, noise, weight, poles, power) -> Modes:
+def misfit_of(basis: Basis, poles: np.ndarray, X: np.ndarray) -> float:
+    """Root mean square of what is left over the noise, which is 1 in each sample."""
+    Y = lift(X)
+    U = least_squares(basis.design(poles), Y)[1]
+    return float(np.sqrt(2 * np.sum((Y - U @ (U.T @ Y)) ** 2) / max(1, Y.size - U.shape[1] * Y.shape[1])))
+
+
+def _completed(basis: Basis, poles: np.ndarray, X: np.ndarray) -> np.ndarray:
+    """With more modes, each where it explains most of what is left, as long as that is worth it."""
+    omega = basis.s.imag
+    lines = np.unique(np.linspace(1, len(omega) - 2, min(300, len(omega) - 2)).round().astype(int))
+    gap = np.maximum(np.gradient(omega)[lines], 1e-5 * omega[lines])
+    tried = [1j * omega[lines] - w * gap for w in WIDTHS]
+    for edge, reach in zip(omega[[0, -1]], basis.reach, strict=True):
+        tried += [1j * np.linspace(edge, reach, 12)[1:-1] - share * edge for share in (0.003, 0.02)]
+    tried = np.concatenate(tried)
+    level = misfit_of(basis, poles, X)
+    for _ in range(MOST_MORE):
+        Y = lift(X)
+        U = least_squares(basis.design(poles), Y)[1]
+        left = Y - U @ (U.T @ Y)
+        columns = basis.design(tried)[:, : 2 * len(tried)]
+        columns = columns - U @ (U.T @ columns)
+        size = np.linalg.norm(columns, axis=0) + 1e-300
+        gain = np.sum((columns.T @ left / size[:, None]) ** 2, axis=1)
+        gain = gain[: len(tried)] + gain[len(tried) :]
+        # What lies within a mode that is there already is an error of its form, not another mode.
+        if len(poles):
+            apart = np.abs(tried[:, None].imag - poles[None, :].imag) + (tried[:, None].real - poles.real)
+            gain = np.where((apart < -2 * poles.real).any(axis=1), 0.25 * gain, gain)
+        more = _polished(basis, np.append(poles, tried[np.argmax(gain)]), X)
+        now = misfit_of(basis, more, X)
+        if now > 0.97 * level:
+            break
+        poles, level = more, now
+        if level < SEARCHED / 1.1:
+            break
+    return poles
+
+
+def residues_at(
+    omega: np.ndarray, H: np.ndarray, noise: Noise, poles: np.ndarray, power: int, powers: Sequence[int] = SMOOTH_POWERS
+) -> Modes:
     """Residues of given poles, and all that follows from them."""
-    basis = Basis(omega, power, weight)
+    basis = Basis(omega, power, noise.weight, powers)
     Phi = basis.design(poles)
-    Y = lift(weight[:, None] * H)
-    coefficients, _, covariance = least_squares(Phi, Y)
+    Y = lift(noise.weight[:, None] * H)
+    coefficients, _, _, solve = least_squares(Phi, Y)
     left = Y - Phi @ coefficients
     n, freedom = len(poles), max(1, Y.shape[0] - Phi.shape[1])
-    # noise is that of a complex sample: half of its square stands in each part.
+    # Noise is that of a complex sample: half of its square stands in each part.
     spread = np.sqrt(np.sum(left**2, axis=0) / freedom)
-    misfit = spread / (noise / np.sqrt(2))
-    size = np.maximum(spread, noise / np.sqrt(2))
-    std = np.sqrt(np.maximum(np.diag(covariance)[: 2 * n], 0))
-    std = np.maximum(std[:n], std[n:])[:, None] * size
+    misfit = spread / (noise.level / np.sqrt(2))
+    power_of = 0.5 * (noise.weight[:, None] * noise.sigma) ** 2
+    variance = solve[: 2 * n] ** 2 @ np.concatenate([power_of, power_of]) * np.maximum(misfit, 1.0) ** 2
+    std = np.sqrt(np.maximum(variance[:n], variance[n:]))
     residues = coefficients[:n] + 1j * coefficients[n : 2 * n]
     lifted = Phi @ coefficients
     half = len(lifted) // 2
-    fitted = (lifted[:half] + 1j * lifted[half:]) / weight[:, None]
-    pole_std = _pole_std(basis, poles, residues / size, Phi)
-    return Modes(poles, residues, std, fitted, misfit, pole_std)
-
-
-class Basis:
-    """What an FRF is made of at given lines: modes and three smooth terms for all that lies outside the band."""
-
-    def __init__(self, omega, power, weight):
-        self.s: np.ndarray = 1j * np.asarray(omega)
-        self.factor = weight * self.s**power
-        middle = np.sqrt(omega[0] * omega[-1])
-        self.smooth = np.stack([self.factor * (self.s / middle) ** p for p in SMOOTH_POWERS], axis=1)
-
-    def design(self, poles: np.ndarray) -> np.ndarray:
-        """Real and imaginary residues, then complex smooth terms, as real columns, shape ``(2 f, 2 n + 6)``."""
-        u, v = self.factor[:, None] / (self.s[:, None] - poles), self.factor[:, None] / (self.s[:, None] - poles.conj())
-        return lift(np.concatenate([u + v, 1j * (u - v), self.smooth, 1j * self.smooth], axis=1))
-
-    def slope(self, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
-        """Derivatives of all FRFs with respect to real and imaginary parts of the poles, ``(2 n, f, k)``."""
-        u = self.factor[:, None] / (self.s[:, None] - poles) ** 2
-        v = self.factor[:, None] / (self.s[:, None] - poles.conj()) ** 2
-        first, second = u.T[:, :, None] * residues[:, None, :], v.T[:, :, None] * residues.conj()[:, None, :]
-        return np.concatenate([first + second, 1j * (first - second)])
-
-
-def lift(z: np.ndarray) -> np.ndarray:
-    """Real parts above imaginary parts."""
-    return np.concatenate([z.real, z.imag])
-
-
-def least_squares(Phi: np.ndarray, Y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Coefficients, an orthonormal basis of the columns, and the covariance for unit noise."""
-    size = np.linalg.norm(Phi, axis=0) + np.finfo(float).tiny
-    U, s, Vt = np.linalg.svd(Phi / size, full_matrices=False)
-    good = s > 1e-11 * s[0]
-    U, s, Vt = U[:, good], s[good], Vt[good]
-    inverse = Vt.T / s
-    coefficients = (inverse @ (U.T @ Y)) / size[:, None]
-    return coefficients, U, (inverse @ inverse.T) / np.outer(size, size)
-
-
-def _principal(X: np.ndarray) -> np.ndarray:
-    """The strongest principal FRFs: combinations of all channels that hold nearly all that is above the noise."""
-    if X.shape[1] <= MOST_FRFS:
-        return X
-    # Tall and thin: the eigenvectors of the small Gram matrix suffice.
-    _, vectors = np.linalg.eigh(X.conj().T @ X)
-    return X @ vectors[:, ::-1][:, :MOST_FRFS]
-
-
-def _telling_lines(X: np.ndarray) -> np.ndarray:
-    """All lines, or of very many an even choice together with the lines that stand out from their surroundings."""
-    count = len(X)
-    if count <= MOST_LINES:
-        return np.arange(count)
-    size = np.log(np.sum(np.abs(X) ** 2, axis=1) + np.finfo(float).tiny)
-    span = max(3, count // 50)
-    mean = np.convolve(np.pad(size, span, mode="edge"), np.ones(2 * span + 1) / (2 * span + 1), "valid")
-    even = np.linspace(0, count - 1, MOST_LINES // 2).round().astype(int)
-    above = np.argsort(mean - size)[: MOST_LINES // 2]
-    return np.unique(np.concatenate([even, above]))
-
-
-def _stable_poles(omega: np.ndarray, X: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Poles that come back in many orders of a common denominator (least squares complex frequency, Guillaume 1998)."""
-    top = int(min(HIGHEST_ORDER, len(omega) // 4))
-    orders = [n for n in range(min(LOWEST_ORDER, top), top + 1, ORDER_STEP)]
-    if not orders or top < 2:
-        return np.zeros(0, complex)
-    period = 0.8 * 2 * np.pi / (omega[-1] - omega[0])
-    z = np.exp(1j * period * (omega - omega[0]))
-    powers = z[:, None] ** np.arange(top + 1)
-    weighted = weight[:, None] * powers
-    Q, _ = np.linalg.qr(weighted)
-    normal = np.zeros((top + 1, top + 1), complex)
-    for k in range(X.shape[1]):
-        columns = X[:, k, None] * weighted
-        columns = columns / (np.linalg.norm(columns[:, 0]) + np.finfo(float).tiny) * np.linalg.norm(X[:, k])
-        columns = columns - Q @ (Q.conj().T @ columns)
-        normal += columns.conj().T @ columns
-    found = []
-    for n in orders:
-        # The lowest coefficient is 1, so that the roots of noise come out unstable.
-        a = np.linalg.lstsq(normal[1 : n + 1, 1 : n + 1], -normal[1 : n + 1, 0], rcond=1e-13)[0]
-        roots = np.roots(np.concatenate([[1.0], a])[::-1])
-        roots = roots[np.abs(roots) > 0]
-        poles = np.log(roots) / period + 1j * omega[0]
-        # The logarithm takes angles from -pi to pi; those of the band are 0 to 0.8 * 2 pi.
-        poles += 1j * 2 * np.pi / period * (poles.imag < omega[0] - 0.1 * 2 * np.pi / period)
-        inside = (poles.real < 0) & (poles.imag > omega[0]) & (poles.imag < omega[-1])
-        narrow = -poles.real < 0.25 * np.minimum(poles.imag, omega[-1] - omega[0])
-        found.append(poles[inside & narrow])
-    return _clusters(found)
-
-
-def _clusters(found: list[np.ndarray]) -> np.ndarray:
-    """The middle of each cloud of poles that holds a share ``STABLE`` of the orders."""
-    everything = np.concatenate(found) if found else np.zeros(0, complex)
-    middles = []
-    taken = np.zeros(len(everything), bool)
-    near = _near(everything[:, None], everything[None, :])
-    counts = near.sum(axis=1)
-    while True:
-        free = np.where(taken, 0, (near & ~taken[None, :]).sum(axis=1))
-        if not len(free) or free.max() < max(2, STABLE * len(found)):
-            break
-        best = int(np.argmax(free * (1 + 1e-6 * counts)))
-        members = near[best] & ~taken
-        cloud = everything[members]
-        middles.append(np.median(cloud.real) + 1j * np.median(cloud.imag))
-        taken |= members
-    return np.array(sorted(middles, key=lambda p: p.imag), complex)
-
-
-def _near(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    decay = np.maximum(-a.real, -b.real)
-    return (np.abs(a.imag - b.imag) < SAME_FREQUENCY * decay) & (np.abs(a.real - b.real) < SAME_DECAY * decay)
+    fitted = (lifted[:half] + 1j * lifted[half:]) / noise.weight[:, None]
+    pole_std = _pole_std(basis, poles, residues, noise, misfit)
+    inside = (poles.imag > omega[0]) & (poles.imag < omega[-1])
+    return Modes(poles, residues, std, fitted, misfit, pole_std, inside, tuple(powers))
 
 
 def _select(basis: Basis, poles: np.ndarray, X: np.ndarray) -> np.ndarray:
@@ -230,7 +191,7 @@ def _select(basis: Basis, poles: np.ndarray, X: np.ndarray) -> np.ndarray:
     k = X.shape[1]
     while len(poles):
         Phi = basis.design(poles)
-        coefficients, U, covariance = least_squares(Phi, Y)
+        coefficients, U, covariance, _ = least_squares(Phi, Y)
         left = Y - U @ (U.T @ Y)
         freedom = max(1, Y.shape[0] - Phi.shape[1])
         level = np.maximum(np.sum(left**2, axis=0) / freedom, 1e-30)
@@ -253,10 +214,11 @@ def improve(basis: Basis, poles: np.ndarray, X: np.ndarray) -> np.ndarray:
     if not len(poles):
         return poles
     n, Y = len(poles), lift(X)
-    coefficients, U, _ = least_squares(basis.design(poles), Y)
+    coefficients, U, _, _ = least_squares(basis.design(poles), Y)
     left = Y - U @ (U.T @ Y)
     residues = coefficients[:n] + 1j * coefficients[n : 2 * n]
-    normal, right = _pole_normal(basis, poles, residues, U, left)
+    columns = _pole_columns(basis, poles, residues, U)
+    normal, right = columns @ columns.T, columns @ left.reshape(-1)
     normal[np.diag_indices(2 * n)] *= 1 + 1e-6
     step = np.linalg.lstsq(normal, right, rcond=1e-12)[0]
     step = step[:n] + 1j * step[n:]
@@ -264,24 +226,26 @@ def improve(basis: Basis, poles: np.ndarray, X: np.ndarray) -> np.ndarray:
     limit = 0.5 * -poles.real
     step = step * np.minimum(1.0, limit / np.maximum(np.abs(step), 1e-300))
     moved = poles + step
-    omega = basis.s.imag
-    return moved[(moved.real < 0) & (moved.imag > omega[0]) & (moved.imag < omega[-1])]
+    return moved[(moved.real < 0) & (moved.imag > basis.reach[0]) & (moved.imag < basis.reach[1])]
 
 
-def _pole_normal(basis, poles, residues, U, left):
+def _pole_columns(basis: Basis, poles: np.ndarray, residues: np.ndarray, U: np.ndarray) -> np.ndarray:
+    """What real and imaginary parts of the poles change and residues cannot, ``(2 n, 2 f k)``."""
     slopes = basis.slope(poles, residues)
     lifted = np.concatenate([slopes.real, slopes.imag], axis=1)
     columns = lifted - np.einsum("tq,pqk->ptk", U, np.einsum("tq,ptk->pqk", U, lifted, optimize=True), optimize=True)
-    flat = columns.reshape(len(columns), -1)
-    return flat @ flat.T, flat @ left.reshape(-1)
+    return columns.reshape(len(columns), -1)
 
 
-def _pole_std(basis: Basis, poles: np.ndarray, residues: np.ndarray, Phi: np.ndarray) -> np.ndarray:
-    """Standard deviations for noise of 1 in each part of each channel."""
+def _pole_std(basis: Basis, poles, residues, noise: Noise, misfit: np.ndarray) -> np.ndarray:
+    """Standard deviations of the poles, from the strongest FRFs."""
     n = len(poles)
     if not n:
         return np.zeros(0)
-    strong = np.argsort(-np.sum(np.abs(residues) ** 2, axis=0))[:MOST_FRFS]
-    U = least_squares(Phi, np.zeros((len(Phi), 1)))[1]
-    normal, _ = _pole_normal(basis, poles, residues[:, strong], U, np.zeros((len(Phi), len(strong))))
-    return np.sqrt(np.maximum(np.diag(np.linalg.pinv(normal, hermitian=True)), 0)).reshape(2, n).max(axis=0)
+    strong = np.argsort(-np.sum(np.abs(residues / noise.level) ** 2, axis=0))[:MOST_FRFS]
+    U = least_squares(basis.design(poles), np.zeros((2 * len(basis.s), 1)))[1]
+    columns = _pole_columns(basis, poles, residues[:, strong] / noise.level[strong], U)
+    solve = np.linalg.pinv(columns @ columns.T, hermitian=True) @ columns
+    one = 0.5 * (noise.weight[:, None] * noise.sigma[:, strong] / noise.level[strong]) ** 2
+    one = one * np.maximum(misfit[strong], 1.0) ** 2
+    return np.sqrt(solve**2 @ np.concatenate([one, one]).reshape(-1)).reshape(2, n).max(axis=0)

@@ -1,26 +1,19 @@
-r"""Phases of residues, which a delay or a wrong form changes for all modes alike.
+"""Phases of residues: what the wrong form, or a record cut short, does to all modes alike.
 
-For modes that are nearly real the residues of the receptance lie on the imaginary axis. A delay :math:`\tau` turns
-them by :math:`-\omega_r\tau`; one derivative too few or too many turns all of them by 90 degrees, two of them turn all
-by 180, which only a drive point can show.
+For modes that are nearly real the residues of the receptance lie on the imaginary axis. One derivative too few or too
+many turns all of them by 90 degrees, two of them turn all by 180, which only a drive point can show.
 """
 
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from modalax.check.finding import Finding, Picture, sureness
 from modalax.check.study import CLEAR, Study
 
 # Angle by which the residues of complex modes may scatter [rad].
 SCATTER = 0.10
-# Least standard deviation of an angle [rad].
-FLOOR = 0.03
-# A delay is reported from this angle at the highest mode on [rad], and from this reduction of the sum of squares on.
-SMALLEST_ANGLE, GAIN = 0.2, 30.0
-# Sum of squares per residue that a good explanation may leave, and the number of modes that it takes.
-LEFT, FEWEST_MODES = 3.0, 3
+# The same where nothing tells it, and the error of an angle that no standard deviation knows [rad].
+UNKNOWN, ANGLE = 0.05, 0.003
 
 
 class Angles(NamedTuple):
@@ -62,108 +55,47 @@ def angles_of(study: Study) -> Angles:
     return Angles(r, o, i, omega[r], np.angle(values), 1 / scatter, drive[o, i])
 
 
-def misfit(angles: Angles, tau: float, turn: float = 0.0) -> float:
-    """Sum of squares that a delay [s] and a turn [rad] leave; signs are free except at drive points."""
-    rest = angles.angle + angles.omega * tau - turn
+def misfit(angles: Angles, turn: float = 0.0) -> float:
+    """Squares of scatter that a turn [rad] leaves; elsewhere than at drive points signs are free."""
+    rest = angles.angle - turn
     free = np.where(angles.drive, 0.5 * (1 - np.cos(rest)) * 4, 0.5 * (1 - np.cos(2 * rest)))
     return float(np.sum(angles.weight * free))
 
 
-def best_delay(angles: Angles, turn: float = 0.0) -> tuple[float, float, float]:
-    """Delay [s] that leaves the least sum of squares, that sum, and the standard deviation of the delay."""
-    top = angles.omega.max()
-    grid = np.linspace(-1, 1, 241) * 0.95 * np.pi / top
-    left = np.array([misfit(angles, t, turn) for t in grid])
-    best = int(np.argmin(left))
-    fine = grid[best] + np.linspace(-1, 1, 41) * (grid[1] - grid[0])
-    values = np.array([misfit(angles, t, turn) for t in fine])
-    k = int(np.argmin(values))
-    std = 1 / np.sqrt(np.sum(angles.weight * angles.omega**2))
-    return float(fine[k]), float(values[k]), float(std)
+def complexity(study: Study) -> tuple[float, float]:
+    """Scatter of phases [rad] of a channel that takes full part in a mode, and how many angles tell it.
+
+    Told by how the channels of each mode lie about their middle; the median of all does not see a channel at fault. A
+    channel that takes little part in a mode scatters more in proportion.
+    """
+    _, residues, std = study.summed
+    scores, count = [], 0
+    for r in range(len(residues)):
+        size = np.abs(residues[r])
+        seen = size > CLEAR * std[r]
+        if seen.sum() < 3:
+            continue
+        typical = np.sqrt(np.mean(size**2))
+        angle, part = np.angle(1j * residues[r][seen]), np.maximum(typical / size[seen], 1.0)
+        noise = std[r][seen] / size[seen]
+        weight = 1 / (noise**2 + (0.05 * part) ** 2)
+        gaps = np.abs(undirected(angle[:, None] - angle[None, :]))
+        off = undirected(angle - angle[np.argmin(gaps @ weight)])
+        scores.append(np.stack([off, noise, part]))
+        count += len(off) - 1
+    if not scores:
+        return UNKNOWN, 0.0
+    off, noise, part = np.concatenate(scores, axis=1)
+    low, high = 1e-3, 1.0
+    # The middle of squares of scatter is 0.455 of their mean; of three angles the middle one adds nothing.
+    half = 0.455 * count / len(off)
+    for _ in range(30):
+        middle = np.sqrt(low * high)
+        above = np.median(off**2 / (noise**2 + ANGLE**2 + (middle * part) ** 2)) > half
+        low, high = (middle, high) if above else (low, middle)
+    return float(high), 0.5 * count
 
 
-def delay(study: Study) -> Iterator[Finding]:
-    """Find outputs, or a force, that are delayed or early by a constant time."""
-    angles = angles_of(study) if study.explained else None
-    if angles is None or len(np.unique(angles.mode)) < FEWEST_MODES:
-        return
-    common = _late(_middles(angles))
-    if common is not None:
-        yield _delay_finding(study, angles, (), common)
-        angles = angles._replace(angle=angles.angle + angles.omega * common[0])
-    for k, name in enumerate(study.outputs):
-        own = angles.take(angles.o == k)
-        found = _late(_beside(own, angles.take(angles.o != k)))
-        if found is not None:
-            yield _delay_finding(study, own, (name,), found)
-
-
-def _middles(angles: Angles) -> Angles:
-    """The median angle of each mode over all channels, as one entry for each mode."""
-    entries = []
-    for r in np.unique(angles.mode):
-        own = angles.take(angles.mode == r)
-        middle = _middle(own)
-        scatter = np.sum(_apart(own.angle - middle) ** 2) + 2 * SCATTER**2
-        # Complex modes turn many channels the same way, so that many channels are no better than a few.
-        weight = 1 / (scatter / (len(own.angle) + 1) / min(len(own.angle), 3) + FLOOR**2)
-        entries.append((r, 0, 0, own.omega[0], middle, weight, False))
-    return Angles(*(np.array(column) for column in zip(*entries, strict=True)))
-
-
-def _beside(own: Angles, others: Angles) -> Angles:
-    """Angles of one channel relative to the median of the others, weighted by how these scatter in each mode."""
-    angle, weight = own.angle.copy(), own.weight.copy()
-    for k, r in enumerate(own.mode):
-        rest = others.take(others.mode == r)
-        scatter = FLOOR**2 + 2 * SCATTER**2 / (len(rest.angle) + 1)
-        if len(rest.angle):
-            middle = _middle(rest)
-            angle[k] -= middle
-            scatter += np.sum(_apart(rest.angle - middle) ** 2) / (len(rest.angle) + 1)
-        weight[k] = 1 / (1 / own.weight[k] - SCATTER**2 + scatter)
-    return own._replace(angle=angle, weight=weight, drive=np.zeros_like(own.drive))
-
-
-def _middle(angles: Angles) -> float:
-    """Angle about which undirected angles lie [rad]: of the entries the one that is closest to all others."""
-    gaps = np.abs(_apart(angles.angle[:, None] - angles.angle[None, :]))
-    return float(_apart(angles.angle[np.argmin(gaps @ np.minimum(angles.weight, 1 / FLOOR**2))]))
-
-
-def _apart(angle: Any) -> Any:
+def undirected(angle: np.ndarray) -> np.ndarray:
     """Angles of undirected lines, from -pi/2 to pi/2."""
     return (angle + np.pi / 2) % np.pi - np.pi / 2
-
-
-def _late(angles: Angles) -> tuple[float, float, float] | None:
-    """Delay, its standard deviation and the reduction of the sum of squares; None where no delay explains them."""
-    if len(np.unique(angles.mode)) < FEWEST_MODES:
-        return None
-    before = misfit(angles, 0.0)
-    tau, left, std = best_delay(angles)
-    gain = before - left
-    count = len(angles.angle)
-    top = angles.omega.max()
-    if gain < GAIN or left > LEFT * count or left > 0.3 * before or abs(tau) * top < SMALLEST_ANGLE:
-        return None
-    return tau, std * max(1.0, np.sqrt(left / max(count - 1, 1))), gain
-
-
-def _delay_finding(study: Study, angles: Angles, where: tuple[str, ...], found: tuple[float, float, float]) -> Finding:
-    tau, std, gain = found
-    frequency = angles.omega / (2 * np.pi)
-    shown = np.degrees((angles.angle + np.pi / 2) % np.pi - np.pi / 2)
-    line = np.array([0.0, frequency.max()])
-    names = where[0] if where else "all outputs"
-    return Finding(
-        "delay", where, sure=sureness(gain, GAIN), size=tau, unit="s", interval=(tau - 1.96 * std, tau + 1.96 * std),
-        evidence=f"the phases of the modes at {names} fall in proportion to frequency, as with a delay of {tau:.4g} s "
-        f"({np.degrees(tau * angles.omega.max()):.3g} degrees at {frequency.max():.4g} Hz)",
-        advice="check filters, sampling clocks and converters of these channels against the force's; a known delay can "
-        "be taken out by exp(j 2 pi f tau)",
-        picture=Picture(
-            [("residues", frequency, shown), ("delay", line, -np.degrees(2 * np.pi * line * tau))],
-            "Frequency [Hz]", "Angle off the imaginary axis [deg]", dots=True,
-        ),
-    )  # fmt: skip

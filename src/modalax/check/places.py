@@ -12,11 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from modalax.check.finding import Finding, Picture, sureness
+from modalax.check.phases import complexity
 from modalax.check.study import Study
 
-# A residue may lie off its axis by this share of itself (complex modes) plus this share of the mode's largest.
+# A residue may lie off its axis by this share of itself, and by this share of the mode's largest.
 TURNED, OF_LARGEST = 0.15, 0.004
-# Reciprocity holds for complex modes too; this relative difference is allowed for errors of the estimate.
+# Where the mode hardly moves the drive point, what makes modes complex decides: this many times their scatter.
+TIMES_SCATTER = 2.0
+# Reciprocity holds for complex modes too; this much is left to errors of the estimate.
 RECIPROCAL = 0.04
 # Squared deviations over tolerances: most that one term counts, the sum from which on a rule is broken, and the share
 # of that sum that a correction may leave.
@@ -57,11 +60,14 @@ def misplaced(study: Study) -> Iterator[Finding]:
 def broken(study: Study, residues: np.ndarray, std: np.ndarray) -> float:
     """Sum over modes and drive points of squared violations of passivity and of reciprocal phases."""
     largest = np.abs(residues).max(axis=(1, 2), initial=0.0)
+    scatter = TIMES_SCATTER * complexity(study)[0]
     total = 0.0
     points = study.drive_points
     for p in points:
         own = 1j * p.sign * residues[:, p.o, p.i]
+        typical = np.sqrt(np.mean(np.abs(residues[:, :, p.i]) ** 2, axis=1))
         tolerance = std[:, p.o, p.i] ** 2 + (OF_LARGEST * largest) ** 2 + (TURNED * np.abs(own)) ** 2
+        tolerance += (scatter * typical) ** 2
         total += np.sum(np.minimum(np.minimum(own.real, 0.0) ** 2 / tolerance, MOST))
     for a, p in enumerate(points):
         for q in points[a + 1 :]:

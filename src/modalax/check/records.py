@@ -7,24 +7,30 @@ import numpy as np
 from jaxtyping import Float
 
 from modalax.check.finding import Finding, Picture
-from modalax.data.hits import CONTACT, clipped_samples, contacts
+from modalax.data.excitation import excitation_of
+from modalax.data.hits import clipped_samples
 from modalax.data.measurement import Measurement
 
 # A pulse is sampled too coarsely if it has no more than this many samples above this share of its peak.
 PULSE_SHARE, SHORT_PULSE = 0.2, 2
 # Decay of the force spectrum within the band [dB], and the band of usual analysers as a share of the sampling rate.
 ROLLOFF, BAND = 26.0, 1 / 2.56
-# Share of the response left at the end of the record from which on it is reported, and parts of a record compared.
-LEFT, PARTS = 0.08, 20
-# Trend over the record, as a share of the response's root mean square, from which on it is reported.
-TREND = 0.5
-# A force is a hit if its energy lies within this share of the record.
-HIT_SHARE = 0.15
+# Power of a resonance over that of the lines around.
+STANDS_OUT = 100.0
+# Part of the response that is left at the end of the record, parts of the record that are compared, and how much
+# more than before the hit it must be.
+LEFT, PARTS, QUIET = 0.06, 20, 3.0
+# Trend over the record, as a share of the response's root mean square, and how much of the parts' means it makes up.
+TREND, SMOOTH = 0.25, 0.8
+# A second pulse counts from this share of the first, and so many times the noise, this many durations after it.
+SECOND, OVER_NOISE, AFTER = 0.05, 8.0, 4.0
+# Lines where the force has less than this share of its middling power are not excited.
+EXCITED = 1e-4
 
 
 @dataclass(frozen=True)
 class Records:
-    """Blocks of time: hits of a hammer, or blocks of another excitation, at one input.
+    """Blocks of time: hits of a hammer, periods, or blocks of another excitation, at one input.
 
     Attributes
     ----------
@@ -37,7 +43,9 @@ class Records:
     outputs, input
         Names of the channels.
     form
-        Form of response over force: receptance (m), mobility (m/s) or accelerance (m/s^2, g).
+        What the responses over the force are: receptance (m), mobility (m/s) or accelerance (m/s^2, g).
+    kind
+        ``hits``, ``periods`` (of a force that repeats), ``random`` (blocks that overlap by half), or ``blocks``.
     """
 
     force: Float[np.ndarray, "m t"]
@@ -46,6 +54,7 @@ class Records:
     outputs: tuple[str, ...]
     input: str = "force"
     form: str = "accelerance"
+    kind: str = ""
 
     def __post_init__(self):
         if self.force.ndim != 2 or self.response.ndim != 3 or self.force.shape != self.response.shape[:2]:
@@ -59,24 +68,27 @@ class Records:
     @property
     def hits(self) -> bool:
         """Whether the force is a pulse in every block."""
-        energy = np.sort((self.force - np.median(self.force, axis=1, keepdims=True)) ** 2, axis=1)[:, ::-1]
-        few = max(3, int(HIT_SHARE * energy.shape[1]))
-        return bool(np.all(energy[:, :few].sum(axis=1) > 0.9 * energy.sum(axis=1)) and np.any(self.force))
+        return (self.kind or excitation_of(self.force).kind) == "hits"
 
     def measurement(self, each: bool = False) -> Measurement:
-        """FRFs by H1, with their variance where there are repeats; with ``each``, every block is a run."""
-        F = np.fft.rfft(self.force - np.median(self.force, axis=1, keepdims=True), axis=1)
-        X = np.fft.rfft(self.response - np.median(self.response, axis=1, keepdims=True), axis=1)
+        """FRFs by H1, with their variance where there are repeats; ``each``: every block as a run of its own."""
+        samples = self.force.shape[1]
+        window = np.hanning(samples + 1)[:-1] if self.kind == "random" else np.ones(samples)
+        F = np.fft.rfft((self.force - np.median(self.force, axis=1, keepdims=True)) * window, axis=1)
+        still = self.response - np.median(self.response, axis=1, keepdims=True)
+        X = np.fft.rfft(still * window[:, None], axis=1)
         freq = np.fft.rfftfreq(self.force.shape[1], 1 / self.fs)
         power = np.mean(np.abs(F) ** 2, axis=0)
-        top = _useful(freq, power, self.fs)
-        keep = (freq > 0) & (freq <= top)
+        low, top = _useful(freq, power, self.fs)
+        keep = (freq >= low) & (freq <= top)
+        keep &= power > EXCITED * np.median(power[keep])
         names = dict(outputs=self.outputs, inputs=(self.input,), form=self.form)
         if each:
             H = X[:, keep] / F[:, keep, None]
             return Measurement(freq[keep], H[..., None], **names)
         H = np.mean(X * F.conj()[:, :, None], axis=0) / power[:, None]
         extra = {}
+        # Blocks that overlap by half under a Hann window hold hardly less than as many of their own.
         m = len(F)
         if m > 1:
             left = np.mean(np.abs(X - H * F[:, :, None]) ** 2, axis=0) * m / (m - 1)
@@ -85,14 +97,14 @@ class Records:
         return Measurement(freq[keep], H[None, keep, :, None], **names, **extra)
 
 
-def _useful(freq: np.ndarray, power: np.ndarray, fs: float) -> float:
-    """Frequency to which the force has energy [Hz], at most the band of usual analysers."""
+def _useful(freq: np.ndarray, power: np.ndarray, fs: float) -> tuple[float, float]:
+    """Frequencies between which the force has energy [Hz], at most the band of usual analysers."""
     smooth = _smooth(power)
-    reference = np.max(smooth[: max(2, len(smooth) // 5)])
-    weak = np.flatnonzero(smooth < reference * 10 ** (-ROLLOFF / 10))
-    weak = weak[weak > np.argmax(smooth)]
+    loudest = int(np.argmax(smooth[1:])) + 1
+    weak = np.flatnonzero(smooth < smooth[loudest] * 10 ** (-ROLLOFF / 10))
+    below, above = weak[weak < loudest], weak[weak > loudest]
     end = BAND * fs
-    return float(min(end, freq[weak[0]] if len(weak) else end))
+    return float(freq[below[-1] + 1] if len(below) else freq[1]), float(min(end, freq[above[0]] if len(above) else end))
 
 
 def _smooth(power: np.ndarray) -> np.ndarray:
@@ -121,17 +133,14 @@ def _numbers(which: np.ndarray) -> str:
 
 def _double(records: Records) -> Iterator[Finding]:
     level = np.abs(records.force - np.median(records.force, axis=1, keepdims=True))
-    noise = np.median(level, axis=1) * 6
-    double = np.array(
-        [contacts(np.where(f > n, f, 0.0)) > 1 for f, n in zip(level, noise, strict=True)]
-    )  # fmt: skip
-    which = np.flatnonzero(double)
+    seconds = [_second(f) for f in level]
+    which = np.flatnonzero([gap > 0 for gap, _ in seconds])
     if not len(which):
         return
-    f = level[which[0]]
-    gap, ratio = _second(f)
+    gap, ratio = max((seconds[k] for k in which), key=lambda pair: pair[1])
     yield Finding(
         "double_hit", (records.input,), sure=0.98, size=gap / records.fs, unit="s",
+        interval=((gap - 1) / records.fs, (gap + 1) / records.fs),
         evidence=f"the hammer touches twice in block {_numbers(which)} of {len(level)}: the second pulse comes "
         f"{gap / records.fs:.4g} s after the first with {100 * ratio:.3g} % of the larger",
         advice="leave these hits out and repeat them",
@@ -140,16 +149,21 @@ def _double(records: Records) -> Iterator[Finding]:
 
 
 def _second(size: np.ndarray) -> tuple[int, float]:
-    """Samples between the two largest pulses, and their ratio."""
-    over = size > CONTACT * size.max()
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], over.astype(int), [0]])))
-    peaks = [(size[a:b].max(), a + int(np.argmax(size[a:b]))) for a, b in edges.reshape(-1, 2)]
-    first = max(peaks)
-    far = [p for p in peaks if abs(p[1] - first[1]) > 2]
-    if not far:
+    """Samples between the largest pulse and the next largest, and their ratio; 0 where there is no other.
+
+    What filters and cables ring right after a pulse is none, and neither is what stands out of the noise by little.
+    """
+    peak = int(np.argmax(size))
+    over = np.flatnonzero(size > 0.1 * size[peak])
+    close = over[np.abs(over - peak) < 3 + 2 * np.sum(size > 0.5 * size[peak])]
+    width = int(close[-1] - close[0] + 1)
+    far = np.abs(np.arange(len(size)) - peak) > AFTER * width
+    noise = 1.4826 * np.median(size)
+    found = np.flatnonzero(far & (size > max(SECOND * size[peak], OVER_NOISE * noise)))
+    if len(found) < max(1, width // 4):
         return 0, 0.0
-    second = max(far)
-    return int(abs(second[1] - first[1])), float(second[0] / first[0])
+    second = int(found[np.argmax(size[found])])
+    return abs(second - peak), float(size[second] / size[peak])
 
 
 def _short(records: Records) -> Iterator[Finding]:
@@ -180,15 +194,24 @@ def _rolloff(records: Records) -> Iterator[Finding]:
     freq = np.fft.rfftfreq(records.force.shape[1], 1 / records.fs)
     power = np.mean(np.abs(np.fft.rfft(records.force, axis=1)) ** 2, axis=0)
     end = BAND * records.fs
-    top = _useful(freq, power, records.fs)
-    if top > 0.95 * end:
+    _, top = _useful(freq, power, records.fs)
+    if top > 0.8 * end or not _rings_above(records, freq, top, end):
         return
     yield Finding(
         "force_rolloff", (records.input,), sure=0.95, size=top, unit="Hz",
-        evidence=f"the force spectrum falls by {ROLLOFF:.0f} dB at {top:.4g} Hz, inside the band to {end:.4g} Hz",
+        evidence=f"the force spectrum falls by {ROLLOFF:.0f} dB at {top:.4g} Hz, with resonances above",
         advice=f"use the FRFs to {top:.3g} Hz only, or a harder tip or a lighter hammer",
         picture=Picture([("force spectrum", freq[1:], np.sqrt(power[1:]))], "Frequency [Hz]", "|F|", True),
     )  # fmt: skip
+
+
+def _rings_above(records: Records, freq: np.ndarray, top: float, end: float) -> bool:
+    """Whether the responses have resonances between two frequencies."""
+    still = records.response - records.response.mean(axis=1, keepdims=True)
+    spectrum = np.mean(np.abs(np.fft.rfft(still, axis=1)) ** 2, axis=0)[(freq > 1.05 * top) & (freq < end)]
+    if len(spectrum) < 30:
+        return False
+    return bool(np.any(spectrum.max(axis=0) > STANDS_OUT * np.median(spectrum, axis=0)))
 
 
 def _clipped(records: Records) -> Iterator[Finding]:
@@ -233,20 +256,27 @@ def _dead(records: Records) -> Iterator[Finding]:
 
 
 def _trend(records: Records) -> Iterator[Finding]:
-    time = np.linspace(-1, 1, records.response.shape[1])
-    low = np.stack([time, 1.5 * time**2 - 0.5], axis=1)
-    low /= np.linalg.norm(low, axis=0)
+    """A slow trend: means of parts that follow a straight or bent line through the block."""
     still = records.response - records.response.mean(axis=1, keepdims=True)
-    trend = np.einsum("tp,mto->mpo", low, still)
-    share = np.sqrt(np.sum(trend**2, axis=1) / np.maximum(np.sum(still**2, axis=1), 1e-300))
-    for k in np.flatnonzero(np.median(share, axis=0) > TREND).tolist():
+    blocks, samples, outs = still.shape
+    count = samples // PARTS
+    if count < 2:
+        return
+    means = still[:, : count * PARTS].reshape(blocks, PARTS, count, outs).mean(axis=2)
+    time = np.linspace(-1, 1, PARTS)
+    low = np.stack([np.ones(PARTS), time, 1.5 * time**2 - 0.5], axis=1)
+    fitted = np.einsum("pq,bqo->bpo", low @ np.linalg.pinv(low), means)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        smooth = np.var(fitted, axis=1) / np.var(means, axis=1)
+        share = np.std(fitted, axis=1) / still.std(axis=1)
+    for k in np.flatnonzero((np.median(share, axis=0) > TREND) & (np.median(smooth, axis=0) > SMOOTH)).tolist():
         size = float(np.median(share[:, k]))
         yield Finding(
             "drift", (records.outputs[k],), sure=0.95, size=size, unit="of the rms",
             evidence=f"a slow trend holds {100 * size:.3g} % of the channel's root mean square within a block",
             advice="let the sensor settle (temperature, cable, amplifier), or filter below the first mode",
             picture=Picture(
-                [(records.outputs[k], np.arange(len(time)) / records.fs, records.response[0, :, k])], "Time [s]", "x"
+                [(records.outputs[k], np.arange(samples) / records.fs, records.response[0, :, k])], "Time [s]", "x"
             ),
         )  # fmt: skip
 
@@ -255,7 +285,7 @@ def _cut_short(records: Records) -> Iterator[Finding]:
     late = []
     for k in range(len(records.outputs)):
         x = records.response[:, :, k]
-        x = x - np.linspace(0, 1, x.shape[1]) * 0 - np.median(x, axis=1, keepdims=True)
+        x = x - np.median(x, axis=1, keepdims=True)
         count = x.shape[1] // PARTS
         parts = x[:, : count * PARTS].reshape(len(x), PARTS, count)
         level = np.sqrt(np.mean((parts - parts.mean(axis=2, keepdims=True)) ** 2, axis=(0, 2)))
@@ -263,7 +293,7 @@ def _cut_short(records: Records) -> Iterator[Finding]:
         end, before = level[-1], np.sqrt(np.mean(level[-6:-3] ** 2))
         # Noise stays constant, a response decays further.
         falling = end < 0.97 * before or end > 0.5 * level[first]
-        if end > LEFT * level[first] and falling and first < PARTS // 2:
+        if end > LEFT * level[first] and end > QUIET * _before(records, k) and falling and first < PARTS // 2:
             late.append((end / level[first], k, level))
     if not late:
         return
@@ -281,6 +311,16 @@ def _cut_short(records: Records) -> Iterator[Finding]:
     )  # fmt: skip
 
 
+def _before(records: Records, k: int) -> float:
+    """Root mean square of a channel before the hits; 0 where nothing was recorded before."""
+    size = np.abs(records.force - np.median(records.force, axis=1, keepdims=True))
+    quiet = int(np.min(np.argmax(size > 0.05 * size.max(axis=1, keepdims=True), axis=1))) - 4
+    if quiet < 16:
+        return 0.0
+    x = records.response[:, :quiet, k]
+    return float(np.sqrt(np.mean((x - x.mean(axis=1, keepdims=True)) ** 2)))
+
+
 def _mains(records: Records) -> Iterator[Finding]:
     """A steady tone at the mains frequency in the last part of the records."""
     samples = records.response.shape[1]
@@ -293,10 +333,12 @@ def _mains(records: Records) -> Iterator[Finding]:
     freq = np.fft.rfftfreq(last.shape[1], 1 / records.fs)
     early = records.response[:, samples // 4 : samples // 4 + last.shape[1]]
     steady = np.mean(np.abs(np.fft.rfft((early - early.mean(axis=1, keepdims=True)) * window, axis=1)) ** 2, axis=0)
+    power = np.mean(np.abs(np.fft.rfft(records.force, axis=1)) ** 2, axis=0)
+    low, top = _useful(np.fft.rfftfreq(samples, 1 / records.fs), power, records.fs)
     for k, name in enumerate(records.outputs):
         for mains in (50.0, 60.0):
             at = int(round(mains * duration))
-            if at < 12 or at + 40 >= len(freq):
+            if at < 12 or at + 40 >= len(freq) or not low <= mains <= top:
                 continue
             near = slice(at - 1, at + 2)
             around = np.r_[spectrum[max(1, at - 30) : at - 4, k], spectrum[at + 5 : at + 31, k]]
@@ -307,7 +349,7 @@ def _mains(records: Records) -> Iterator[Finding]:
                 yield Finding(
                     "hum", (name,), sure=0.95, size=float(np.sqrt(height / max(spectrum[1:, k].max(), 1e-300))),
                     unit="of the largest line",
-                    evidence=f"a tone at {mains:g} Hz keeps its level while the response decays",
+                    evidence=f"a tone at {mains:g} Hz stays as it is through the record",
                     advice="look for ground loops, use insulated mounts and shielded cables",
                     picture=Picture(
                         [(name, freq[1:], np.sqrt(spectrum[1:, k]))], "Frequency [Hz]", "Last half", True

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from modalax.check.finding import Finding, Picture, sureness
-from modalax.check.study import CLEAR, Study
+from modalax.check.study import CLEAR, Study, line_step
 
 # Lines per half-power bandwidth: reported below the first for most of the modes, below the second for any strong one.
 FEW, FEWEST = 1.5, 0.8
@@ -34,8 +34,8 @@ def resolution(study: Study) -> Iterator[Finding]:
         f"{middle:.2g}; the peaks fall between the lines",
         advice="measure with closer lines (a longer record or a zoom): four lines per half-power bandwidth show a peak",
         picture=Picture(
-            [("modes", modes.frequency, modes.width / _step(study, modes.frequency))], "Frequency [Hz]",
-            "Lines per half-power bandwidth [-]", True, dots=True,
+            [("modes", modes.frequency, modes.width / line_step(study.freq, modes.frequency))], "Frequency [Hz]",
+            "Lines a half-power bandwidth [-]", True, dots=True,
         ),
     )  # fmt: skip
 
@@ -48,17 +48,10 @@ def strong_modes(study: Study) -> np.ndarray:
     )
     peak = peak * np.abs(study.modes.poles) ** study.power
     sure = study.modes.pole_std < 0.3 * -study.modes.poles.real
-    return np.flatnonzero((ratio > 2 * CLEAR) & sure & (peak > STRONG * peak.max(initial=0.0)))
+    return np.flatnonzero(study.modes.inside & (ratio > 2 * CLEAR) & sure & (peak > STRONG * peak.max(initial=0.0)))
 
 
 def lines_a_width(study: Study) -> np.ndarray:
     """Lines within the half-power bandwidth of each strong mode."""
     which = strong_modes(study)
-    return study.modes.width[which] / _step(study, study.modes.frequency[which])
-
-
-def _step(study: Study, at: np.ndarray) -> np.ndarray:
-    """Distance of lines near some frequencies [Hz]."""
-    gaps = np.diff(study.freq)
-    k = np.clip(np.searchsorted(study.freq, at) - 1, 0, len(gaps) - 1)
-    return gaps[k]
+    return study.modes.width[which] / line_step(study.freq, study.modes.frequency[which])

@@ -1,95 +1,149 @@
 """Natural frequencies that move between runs, between columns or between sensors."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from modalax.check.basis import Basis
 from modalax.check.finding import Finding, Picture, sureness
-from modalax.check.modes import Basis, Modes, estimate_modes, improve, residues_at
-from modalax.check.study import Study
+from modalax.check.modes import Modes, estimate_modes, improve, misfit_of, noise_of, residues_at
+from modalax.check.study import Study, line_step
 
-# A shift is told from this share of a half-power bandwidth on, and from this many standard deviations.
-SMALLEST_SHIFT, SURE = 0.12, 7.0
-STEPS = 3  # Gauss-Newton steps that fit a block
-# Blocks up to this number are searched for modes each for itself. A shift must lower the squares around its mode by the
-# second.
-MOST_OWN, WORTH = 12, 1.6
-# A mode of a block belongs to one of the whole within this many half-power bandwidths.
-SAME = 2.5
+# A shift is told from this share of the frequency and of the half-power bandwidth on, and from this many standard
+# deviations. Sensors of one column are measured at once, so more is asked of them.
+SMALLEST, OF_WIDTH, SURE = 2e-4, 0.03, 6.0
+SENSORS = 3.0
+# Blocks up to this number are searched for modes of their own where those of the reference do not explain them.
+MOST_OWN = 12
+STEPS = 6
+# Misfit from which on a block is searched for modes of its own.
+LEFT = 1.4
+# A mode of a block belongs to one of the reference within this many half-power bandwidths, or this share of both.
+SAME, NEAR = 2.5, 0.01
+# Scatter of a mode's frequency over many blocks that no standard deviation tells.
+SCATTER = 4.0
+CLEAR = 8.0
+# A mode that moves by more than this share of its frequency is another one.
+FARTHEST = 0.05
+# A mode makes at least this share of the response at its frequency in some channel.
+LEADS = 0.6
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Parts of a measurement that ought to have the same frequencies: runs, columns or rows."""
+
+    kind: str
+    which: Sequence[tuple[int, object, object]]
+    names: Sequence[str]
 
 
 def frequency_shift(study: Study) -> Iterator[Finding]:
     """Frequencies that differ between runs, columns, or rows, beyond their standard deviations."""
-    runs, _, outs, ins = study.H.shape
-    modes = list(range(len(study.modes.poles)))
-    if not modes or not study.explained:
+    if not len(study.modes.poles) or not study.explained:
         return
-    everywhere = slice(None)
-    blocks = []
-    if runs > 1:
-        blocks.append(
-            ("run", [(k, everywhere, everywhere) for k in range(runs)], [f"run {k + 1}" for k in range(runs)])
-        )
-    if ins > 1:
-        blocks.append(("input", [(0, everywhere, i) for i in range(ins)], list(study.inputs)))
-    if outs > 1:
-        blocks.append(("output", [(0, o, everywhere) for o in range(outs)], list(study.outputs)))
-    told = [f for f in (_between(study, modes, *block) for block in blocks) if f is not None]
+    told = [found for blocks in _blocks(study) if (found := _between(study, blocks)) is not None]
     # A column that moved also moves the rows that it stands in, less.
     if told:
         yield max(told, key=lambda found: found[0])[1]
 
 
-def _between(study: Study, modes: list[int], kind: str, blocks: list, names: list[str]):
+def _blocks(study: Study) -> Iterator[Blocks]:
+    runs, _, outs, ins = study.H.shape
+    every = slice(None)
+    if runs > 1:
+        yield Blocks("run", [(k, every, every) for k in range(runs)], [f"run {k + 1}" for k in range(runs)])
+    if ins > 1:
+        yield Blocks("input", [(0, every, i) for i in range(ins)], study.inputs)
+    if outs > 1:
+        yield Blocks("output", [(0, o, every) for o in range(outs)], study.outputs)
+
+
+def _between(study: Study, blocks: Blocks) -> tuple[float, Finding] | None:
     """The surest difference between blocks of one kind, as its score and the finding; None if there is none."""
-    own = kind != "output" and len(blocks) <= MOST_OWN
-    values = [_frequencies(study, study.modes.poles, *block, own=own) for block in blocks]
-    best = None
-    for m in modes:
-        width = study.modes.width[m]
-        f, s = np.array([v[:2, m] for v in values]).T
-        use = np.flatnonzero(s < 0.1 * width)
-        if len(use) < 2 or (kind == "run" and _with_level(study, f)):
-            continue
-        f, s = f[use], s[use]
-        middle = np.median(f) if len(f) > 2 else f[np.argmin(s)]
-        off = np.abs(f - middle)
-        spread = np.sqrt(s**2 + np.median(s) ** 2)
-        # With many blocks their own scatter shows what errors of the model do.
-        scatter = 1.5 * np.median(off) if len(f) > 4 and kind == "output" else 0.0
-        least = (6 if kind == "output" else 1) * SMALLEST_SHIFT * width
-        z = off / np.maximum(np.maximum(SURE * spread, least), SURE * scatter)
-        k = int(np.argmax(z))
-        if z[k] <= 1 or (best is not None and z[k] <= best[0]):
-            continue
-        moved = values[use[k]][0, m]
-        if _worth(study, blocks[use[k]], m, middle, moved) < WORTH:
-            continue
-        best = (float(z[k]), m, [names[u] for u, zz in zip(use, z, strict=True) if zz > 1],
-                float(f[k] - middle), float(spread[k]), use, f)  # fmt: skip
-    if best is None:
+    reference = _reference(study, blocks)
+    poles = reference.poles
+    if not len(poles):
         return None
-    score, m, which, shift, spread, use, f = best
-    width = study.modes.width[m]
-    if len(use) == 2:
-        which = [names[u] for u in use]
-    where = () if kind == "run" else tuple(which)
-    f0 = float(np.median(f))
-    told = {"run": "run to run", "input": "column to column (input)", "output": "sensor to sensor (output)"}[kind]
-    return score, Finding(
-        "frequency_shift", where, sure=sureness(score, 1.0), size=shift, unit="Hz",
-        interval=(shift - 1.96 * spread, shift + 1.96 * spread),
-        evidence=f"the mode at {f0:.5g} Hz moves from {told} by {shift:.3g} Hz ({100 * shift / f0:.3g} %, "
-        f"{abs(shift) / width:.2g} of its half-power bandwidth); moved: {', '.join(which)}",
+    found = [_frequencies(study, poles, block, k < MOST_OWN) for k, block in enumerate(blocks.which)]
+    f, s = np.moveaxis(np.array(found), 1, 0)
+    f0, width = np.abs(poles) / 2 / np.pi, -poles.real / np.pi
+    # A mode narrower than the lines are apart, or cut by the band's end, has no frequency to compare.
+    edge = np.minimum(f0 - study.freq[0], study.freq[-1] - f0)
+    fit = reference.inside & (width > line_step(study.freq, f0)) & (edge > width)
+    s = np.where(fit & (s < 0.1 * width), np.hypot(s, 1e-6 * f0), np.inf)
+    if blocks.kind == "run" and any(_with_level(study, f[:, m]) for m in np.flatnonzero(np.isfinite(s).all(axis=0))):
+        return None
+    strict = SENSORS if blocks.kind == "output" else 1.0
+    off, spread = _off(f, s, strict)
+    least = np.maximum(SMALLEST * f0, OF_WIDTH * width) * strict
+    with np.errstate(invalid="ignore"):
+        z = np.where(np.isfinite(spread), np.abs(off) / np.maximum(SURE * spread, least), 0.0)
+    # All modes of a block together: the whole structure that became softer or heavier.
+    mean, mean_std = _mean_of(off / f0, spread / f0)
+    mean_z = np.abs(mean) / np.maximum(SURE * mean_std, np.maximum(SMALLEST, OF_WIDTH * np.median(width / f0)) * strict)
+    score = np.maximum(z.max(axis=1, initial=0.0), np.where(np.isfinite(mean_z), mean_z, 0.0))
+    if blocks.kind == "output":
+        # What loads a structure moves more modes than one; a single one may be two that a sensor sees in another mix.
+        score = np.sort(z, axis=1)[:, -2] if z.shape[1] > 1 else np.zeros(len(z))
+    if score.max(initial=0.0) <= 1:
+        return None
+    k = int(np.argmax(score))
+    m = int(np.argmax(np.where(np.isfinite(spread[k]), np.abs(off[k]) / spread[k], 0.0)))
+    return float(score[k]), _finding(blocks, k, m, f, off[:, m], spread[:, m], f0, width, score)
+
+
+def _off(f: np.ndarray, s: np.ndarray, strict: float) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies of each block off those of the others, and the standard deviations of that, ``(block, mode)``."""
+    blocks, modes = f.shape
+    off, spread = np.zeros(f.shape), np.full(f.shape, np.inf)
+    for m in range(modes):
+        use = np.flatnonzero(np.isfinite(s[:, m]))
+        for k in use:
+            others = use[use != k]
+            if not len(others):
+                continue
+            best = others[np.argmin(s[others, m])]
+            middle = np.median(f[others, m]) if len(others) > 1 else f[best, m]
+            scatter = SCATTER / 6 * np.median(np.abs(f[others, m] - middle)) if len(others) > 3 else 0.0
+            off[k, m] = f[k, m] - middle
+            typical = 1.2533 * np.median(s[others, m]) / np.sqrt(len(others))
+            spread[k, m] = np.sqrt(s[k, m] ** 2 + typical**2 + (strict * scatter) ** 2)
+    return off, spread
+
+
+def _mean_of(relative: np.ndarray, spread: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Weighted mean over modes of relative shifts, and its standard deviation from noise and from their scatter."""
+    weight = 1 / spread**2
+    total = np.maximum(weight.sum(axis=1), 1e-300)
+    mean = (weight * relative).sum(axis=1) / total
+    count = np.maximum(np.isfinite(spread).sum(axis=1), 1)
+    chi2 = (weight * (relative - mean[:, None]) ** 2).sum(axis=1) / np.maximum(count - 1, 1)
+    return mean, np.sqrt(np.maximum(chi2, 1.0) / total)
+
+
+def _finding(blocks: Blocks, k: int, m: int, f, off, spread, f0, width, score) -> Finding:
+    moved = [name for name, z in zip(blocks.names, score, strict=True) if z > 1]
+    if len(blocks.which) == 2 or len(moved) > len(blocks.which) / 2:
+        moved = list(blocks.names)
+    shift, std = 100 * off[k] / f0[m], 100 * spread[k] / f0[m]
+    told = {"run": "run to run", "input": "column to column (input)", "output": "sensor to sensor (output)"}
+    listed = ", ".join(moved[:6]) + (", ..." if len(moved) > 6 else "")
+    return Finding(
+        "frequency_shift", () if blocks.kind == "run" else tuple(moved), sure=sureness(float(score[k]), 1.0),
+        size=float(shift), unit="%", interval=(float(shift - 1.96 * std), float(shift + 1.96 * std)),
+        evidence=f"the mode at {f0[m]:.5g} Hz moves from {told[blocks.kind]} by {off[k]:.3g} Hz ({shift:.3g} %, "
+        f"{abs(off[k]) / width[m]:.2g} of its half-power bandwidth) at {blocks.names[k]}; not the same: {listed}",
         advice={
             "run": "let the structure settle, watch temperature and supports, and fit the runs one by one",
             "input": "look for a sensor or shaker that was moved between the columns, or supports that changed; fit "
             "the columns one by one",
             "output": "a sensor moved from place to place loads the structure: use lighter ones, or dummy masses",
-        }[kind],
+        }[blocks.kind],
         picture=Picture(
-            [("frequency", np.arange(1.0, len(use) + 1), f)], f"Number of the {kind}",
-            "Natural frequency [Hz]", dots=True,
+            [("frequency", np.arange(1.0, len(f) + 1)[use], f[use, m])
+             for use in [np.isfinite(spread)]], f"Number of the {blocks.kind}", "Natural frequency [Hz]", dots=True,
         ),
     )  # fmt: skip
 
@@ -103,65 +157,78 @@ def _with_level(study: Study, frequency: np.ndarray) -> bool:
     return bool(np.all(steps <= 0) or np.all(steps >= 0) or len(steps) < 2)
 
 
-def _block(study: Study, run: int, o, i) -> tuple[np.ndarray, np.ndarray]:
+def _block(study: Study, block) -> tuple[np.ndarray, np.ndarray]:
     """FRFs and noise of a block, ``(f, k)``."""
+    run, o, i = block
     lines = len(study.freq)
-    H, sigma = (a[run][:, o][:, ..., i] if isinstance(o, slice) else a[run][:, o][:, i] for a in (study.H, study.sigma))
-    return H.reshape(lines, -1), sigma.reshape(lines, -1)
+    return tuple(a[run][:, o].reshape(lines, -1) if isinstance(i, slice) else a[run][:, :, i]  # pyright: ignore
+                 for a in (study.H, study.sigma))  # fmt: skip
 
 
-def _frequencies(study: Study, poles: np.ndarray, run: int, o, i, own: bool) -> np.ndarray:
+def _reference(study: Study, blocks: Blocks) -> Modes:
+    """Modes that blocks are compared with: of all, or of one block where modes of all stand in pairs."""
+    if blocks.kind == "output" or all(len(g) == 1 for g in study.groups):
+        return study.modes
+    own = [estimate_modes(study.freq, *_block(study, block), study.power) for block in blocks.which[:3]]
+    return max(own, key=lambda found: np.sum(found.inside & (_clear(found) > CLEAR)))
+
+
+def _frequencies(study: Study, poles: np.ndarray, block, search: bool) -> np.ndarray:
     """Natural frequencies of one block and their standard deviations [Hz], shape ``(2, n)``; inf where it has none."""
-    n, none = len(poles), np.stack([np.abs(poles) / 2 / np.pi, np.full(len(poles), np.inf)])
-    H, sigma = _block(study, run, o, i)
+    freq = study.freq[study.telling]
+    H, sigma = (a[study.telling] for a in _block(study, block))
     if not np.any(H):
-        return none
-    if own:
-        found = estimate_modes(study.freq, H, sigma, study.power)
-        return _matched(found, poles, none)
-    omega, weight = 2 * np.pi * study.freq, np.ones(len(study.freq))
-    scale = np.sqrt(np.mean(np.abs(H) ** 2, axis=0))
-    noise = np.sqrt(np.mean(sigma**2, axis=0)) + 1e-6 * scale + 1e-300
-    basis = Basis(omega, study.power, weight)
-    moved = poles
+        return np.stack([np.abs(poles) / 2 / np.pi, np.full(len(poles), np.inf)])
+    noise = noise_of(H, sigma)
+    basis = Basis(2 * np.pi * freq, study.power, noise.weight, study.modes.powers)
+    X = noise.weight[:, None] * H / noise.level
+    best, left = _converged(basis, poles, X)
+    if search and left > LEFT:
+        own = estimate_modes(freq, H, sigma, study.power)
+        other, less = _converged(basis, _matched(own.poles, poles), X)
+        best, left = (other, less) if less < left else (best, left)
+    found = residues_at(2 * np.pi * freq, H, noise, best, study.power, study.modes.powers)
+    lost = (
+        (_clear(found) < CLEAR)
+        | (np.abs(best.real) > 3 * np.abs(poles.real))
+        | (np.abs(np.abs(best) / np.abs(poles) - 1) > FARTHEST)
+        | (_leading(found, freq, H, study.power) < LEADS)
+    )
+    return np.stack([np.abs(best) / 2 / np.pi, np.where(lost, np.inf, found.pole_std / 2 / np.pi)])
+
+
+def _converged(basis: Basis, poles: np.ndarray, X: np.ndarray) -> tuple[np.ndarray, float]:
+    """Poles after a few steps, and the root mean square that they leave over the noise."""
     for _ in range(STEPS):
-        step = improve(basis, moved, H / noise)
-        if len(step) != n:
-            return none
-        moved = step
-    found = residues_at(omega, H, noise, weight, moved, study.power)
-    lost = (_clear(found) < 8) | (np.abs(moved - poles) > -3 * poles.real)
-    return np.stack([np.abs(moved) / 2 / np.pi, np.where(lost, np.inf, found.pole_std / 2 / np.pi)])
+        moved = improve(basis, poles, X)
+        if len(moved) != len(poles):
+            break
+        still = np.max(np.abs(moved - poles) / -poles.real, initial=0.0) < 1e-4
+        poles = moved
+        if still:
+            break
+    return poles, misfit_of(basis, poles, X)
 
 
 def _clear(found: Modes) -> np.ndarray:
     return np.max(np.abs(found.residues) / np.maximum(found.std, 1e-300), axis=1, initial=0.0)
 
 
-def _matched(found: Modes, poles: np.ndarray, none: np.ndarray) -> np.ndarray:
-    """Modes found in a block beside those of the whole, where exactly one of each is near the other."""
-    result = none.copy()
-    if not len(found.poles):
+def _leading(found: Modes, freq: np.ndarray, H: np.ndarray, power: int) -> np.ndarray:
+    """Largest share of each mode in what a channel does at its frequency: a mode on the flank of another has little."""
+    near = np.abs(freq[:, None] - found.frequency).argmin(axis=0)
+    peak = np.abs(found.residues) / -found.poles.real[:, None] * (np.abs(found.poles) ** power)[:, None]
+    return np.max(peak / np.maximum(np.abs(H[near]), 1e-300), axis=1, initial=0.0)
+
+
+def _matched(own: np.ndarray, poles: np.ndarray) -> np.ndarray:
+    """The reference's poles, each replaced by the one of a block that is nearest both ways."""
+    result = poles.copy()
+    if not len(own):
         return result
-    gap = np.abs(found.poles[:, None] - poles[None, :]) / (2 * -poles.real)
-    clear = _clear(found) > 8
+    gap = np.abs(own[:, None] - poles[None, :]) / np.maximum(2 * SAME * -poles.real, NEAR * np.abs(poles))
     for m in range(len(poles)):
-        near = np.flatnonzero((gap[:, m] < SAME) & clear)
-        if len(near) == 1 and np.argmin(gap[near[0]]) == m:
-            result[:, m] = np.abs(found.poles[near[0]]) / 2 / np.pi, found.pole_std[near[0]] / 2 / np.pi
+        k = int(np.argmin(gap[:, m]))
+        if gap[k, m] < 1 and np.argmin(gap[k]) == m:
+            result[m] = own[k]
     return result
-
-
-def _worth(study: Study, block: tuple, m: int, before: float, after: float) -> float:
-    """Sum of squares around a mode with its frequency as elsewhere over that with its own frequency."""
-    H, sigma = _block(study, *block)
-    poles, left = study.modes.poles, []
-    omega, weight = 2 * np.pi * study.freq, np.ones(len(study.freq))
-    noise = np.sqrt(np.mean(sigma**2, axis=0)) + 1e-6 * np.sqrt(np.mean(np.abs(H) ** 2, axis=0)) + 1e-300
-    near = np.abs(study.freq - after) < np.maximum(3 * study.modes.width[m], 2 * np.median(np.diff(study.freq)))
-    for f in (before, after):
-        trial = poles.copy()
-        trial[m] = poles[m].real + 2j * np.pi * f
-        found = residues_at(omega, H, noise, weight, trial, study.power)
-        left.append(np.sum((np.abs(H - found.fitted)[near] / noise) ** 2) / (near.sum() * H.shape[1]))
-    return float(left[0] / max(left[1], 1.0))

@@ -9,6 +9,7 @@ from jaxtyping import Complex, Float
 
 from modalax.check.modes import Modes, estimate_modes
 from modalax.check.noise import local_noise
+from modalax.check.starts import principal_frfs, telling_lines
 from modalax.data.causality import CERTAIN, phase_fall
 from modalax.data.dofs import same_place
 from modalax.data.frf import DERIVATIVES
@@ -95,6 +96,12 @@ class Study:
         return estimate_modes(self.freq, H.reshape(lines, -1), sigma.reshape(lines, -1), self.power)
 
     @cached_property
+    def telling(self) -> np.ndarray:
+        """Lines that tell poles: all, or of very many an even choice and those that stand out."""
+        H, sigma = (a[0].reshape(len(self.freq), -1) for a in (self.H, self.sigma))
+        return telling_lines(principal_frfs(H / np.sqrt(np.mean(sigma**2, axis=0))))
+
+    @cached_property
     def residues(self) -> Complex[np.ndarray, "n o i"]:
         """Residues of the first run."""
         return self.modes.residues.reshape(-1, len(self.outputs), len(self.inputs))
@@ -106,7 +113,7 @@ class Study:
 
     @cached_property
     def groups(self) -> tuple[np.ndarray, ...]:
-        """Modes by rising frequency, those together that are closer than their bandwidths: only sums of these count."""
+        """Modes within the band by rising frequency; of those closer than their bandwidths only the sum counts."""
         poles = self.modes.poles
         order = np.argsort(poles.imag)
         groups: list[list[int]] = []
@@ -114,7 +121,7 @@ class Study:
             last = groups[-1][-1] if groups else None
             close = last is not None and abs(poles[r] - poles[last]) < CLOSE * -(poles[r].real + poles[last].real)
             groups[-1].append(r) if close else groups.append([r])
-        return tuple(np.array(g) for g in groups)
+        return tuple(np.array(g) for g in groups if self.modes.inside[g].all())
 
     @cached_property
     def summed(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -173,3 +180,9 @@ def running_mean(values: np.ndarray, half: int) -> np.ndarray:
     window = np.ones(2 * half + 1) / (2 * half + 1)
     padded = np.pad(values, ((half, half), (0, 0)), mode="edge")
     return np.stack([np.convolve(column, window, "valid") for column in padded.T], axis=1)
+
+
+def line_step(freq: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Distance of lines near some frequencies [Hz]."""
+    gaps = np.diff(freq)
+    return gaps[np.clip(np.searchsorted(freq, at) - 1, 0, len(gaps) - 1)]
