@@ -138,7 +138,7 @@ def mended(study: Study, found: Sequence[Finding]) -> Study | None:
             study = replace(study, H=H)
         elif f.what == "swapped":
             study = exchanged(study, f.where)
-        elif f.what == "frequency_shift":
+        elif f.what == "frequency_shift" and set(f.where) & set(study.inputs):
             return None  # Columns of different structures cannot be compared.
         if 0 in study.H.shape:
             return None

@@ -31,9 +31,9 @@ STEP_SLOPE = 0.35
 
 def wrong_form(study: Study) -> Iterator[Finding]:
     """Find FRFs whose phases or slopes contradict their form."""
-    turn = _turn(study) if study.explained else 0
+    turn = _turn(study) if study.followed else 0
     slope = _slope(study)
-    drive = _drive_form(study) if study.explained else None
+    drive = _drive_form(study) if study.followed else None
     label = study.power
     if abs(turn) == 1:
         if drive is not None and drive[0] != label:

@@ -19,6 +19,8 @@ from modalax.data.measurement import Measurement
 CLEAR = 6.0
 # Modes closer than this many times the sum of their decay rates share their phases.
 CLOSE = 2.0
+# What modes leave of an FRF that they follow in its outlines, root mean square.
+FOLLOWED = 0.2
 
 
 class DrivePoint(NamedTuple):
@@ -148,6 +150,13 @@ class Study:
     def explained(self) -> bool:
         """Whether the modes explain the first run well enough to judge phases by."""
         return len(self.modes.poles) > 0 and float(np.median(self.modes.misfit)) < 30
+
+    @cached_property
+    def followed(self) -> bool:
+        """Whether the modes follow the first run in its outlines, as they do also in a wrong form."""
+        H = self.H[0].reshape(len(self.freq), -1)
+        left = np.linalg.norm(H - self.modes.fitted, axis=0) / np.maximum(np.linalg.norm(H, axis=0), 1e-300)
+        return len(self.modes.poles) > 0 and (self.explained or float(np.median(left)) < FOLLOWED)
 
 
 def study_of(measurement: Measurement) -> Study:
