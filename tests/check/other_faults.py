@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from other_structures import log_uniform
+from other_structures import draw_structure, log_uniform
 from other_tests import STEPS, Made, draw_made, finished
 
 
@@ -224,11 +224,11 @@ FAULTS = {
 }  # fmt: skip
 
 
-def draw_other(seed: int, fault: str | None = None) -> tuple[dict, dict, Made]:
-    """Arrays of a file, the truth, and the test without noise."""
+def draw_other(seed: int, fault: str | None = None, structure=None) -> tuple[dict, dict, Made]:
+    """Arrays of a file, the truth, and the test without noise; of structures that a function may draw."""
     for attempt in range(300):
         rng = np.random.default_rng([seed, attempt, *(fault or "").encode()])
-        made = draw_made(rng, even=True if fault in ("hum", "double_hit") else None)
+        made = draw_made(rng, True if fault in ("hum", "double_hit") else None, structure or draw_structure)
         made = made if fault is None else FAULTS[fault](rng, made)
         if made is None:
             continue

@@ -97,9 +97,9 @@ def axis_of(rng, structure: Modal, even: bool | None = None) -> np.ndarray:
     return every[np.concatenate([[True], np.diff(every) > 1e-4 * narrow])]
 
 
-def draw_made(rng, even: bool | None = None) -> Made:
-    count = int(rng.integers(2, 12))
-    structure = draw_structure(rng, count)
+def draw_made(rng, even: bool | None = None, draw=draw_structure) -> Made:
+    structure = draw(rng, int(rng.integers(2, 12)))
+    count = len(structure.names)
     freq = axis_of(rng, structure, even)
     o, i = layout_of(rng, count)
     form = str(rng.choice(list(STEPS)))
