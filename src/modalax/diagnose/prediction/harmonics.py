@@ -1,4 +1,4 @@
-r"""What higher harmonics of the motion across a joint do to its force at the fundamental.
+r"""Effect of the higher harmonics of the motion across a joint on its force at the fundamental.
 
 :func:`~modalax.diagnose.prediction.frf.predict` balances one harmonic: the force of a joint is :math:`f_1 = N(A)\,x_1`,
 :math:`A = |x_1|`. The force of a non-linear law drives other harmonics too, :math:`x_h = -H_{bb}(h\omega)\,f_h`, and
@@ -23,12 +23,10 @@ from modalax.simulate.aft import choose_harmonics, joint_forces
 from modalax.simulate.balance import CLOSED, Line, Plan, find, motion_scale
 from modalax.simulate.sweep import in_chunks
 
-NEARLY_STILL = 1e-3  # of the circular frequency, at which the receptance for the mean displacement is taken
-SAMPLES_A_HARMONIC = 16  # times of a cycle at which forces are evaluated, for each harmonic kept
-
-
+NEARLY_STILL = 1e-3  # circular frequency of the receptance for the mean displacement, over that of the line
+SAMPLES_A_HARMONIC = 16  # instants of a cycle at which forces are evaluated, for each harmonic kept
 STEP = 1e-2  # relative change of a parameter by which slopes are taken
-NEWTON = 12  # steps of a balance
+NEWTON = 12  # Newton steps of a balance
 
 
 def linear_factor(
@@ -112,7 +110,7 @@ def harmonic_factor(
 
 
 def _at_harmonic(h: int, at: list[Any], theta: Array, problem: Problem) -> Linear:
-    """Receptances at a multiple of every frequency; the mean displacement nearly at rest."""
+    """Receptances at a multiple of every frequency; for the mean displacement at nearly 0 Hz."""
     times = h if h else NEARLY_STILL
     moved = eqx.tree_at(lambda p: p.omega, problem, times * problem.omega)
     return without_joints(1j * moved.omega, [one for one in at if one[0].in_structure], theta, moved)

@@ -13,11 +13,11 @@ from modalax.diagnose.fitting.residual import jacobian_of, residual_of
 from modalax.diagnose.prediction.harmonics import linear_factor
 from modalax.diagnose.search.singles import PATIENT
 
-HIGHEST = 9  # harmonic kept
-FEWER = 5  # harmonic kept for what the truncation may leave
-BEYOND = (FEWER + 1) / (HIGHEST - FEWER)
-TIMES = 3  # that harmonics and fit follow each other, at most
-ASKED = 0.3  # standard deviations by which the idealisation may bend a parameter before it is worth the work
+HIGHEST = 9  # highest harmonic kept
+FEWER = 5  # highest harmonic of a second prediction, which shows the error of truncation
+BEYOND = (FEWER + 1) / (HIGHEST - FEWER)  # effect of harmonics above HIGHEST over that of those above FEWER up to it
+TIMES = 3  # most rounds of harmonics and fit in turn
+ASKED = 0.3  # error of a parameter by a single harmonic, in standard deviations, from which on more are taken
 SETTLED = 1e-2  # change of chi-square at which harmonics and fit have settled
 TRIED = 6  # leading hypotheses that are fitted so
 ONE_LAW = 2  # of these, most with the same causes
@@ -62,7 +62,7 @@ def one_joint(comparison: Comparison, h: Hypothesis) -> bool:
 
 
 def fitted_in_full(comparison: Comparison, null: Hypothesis, h: Hypothesis) -> Hypothesis:
-    """Find the effect of higher harmonics and fit again, until both stand still.
+    """Find the effect of higher harmonics and fit again in turn, until neither changes.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def _factor(comparison: Comparison, h: Hypothesis, kept: int = HIGHEST) -> np.nd
 
 
 def _with_what_is_left_out(comparison: Comparison, null: Hypothesis, h: Hypothesis, k: int) -> Hypothesis:
-    """Fidelity and covariance with what the harmonics left out, and lines that the law does not reach, may do.
+    """The hypothesis with fidelity and covariance that include harmonics left out, and lines that the law misses.
 
     Of a force that jumps, as dry friction does, the error falls as :math:`1/(h+1)`, h the highest harmonic, so that
     harmonics beyond ``HIGHEST`` may do ``BEYOND`` times as much as the change from ``FEWER`` to these; of any smoother
@@ -111,7 +111,7 @@ def _with_what_is_left_out(comparison: Comparison, null: Hypothesis, h: Hypothes
 
 
 def inflation(comparison: Comparison, h: Hypothesis) -> np.ndarray:
-    r"""How much wider than by the stated noise alone each standard deviation is where some lines are missed.
+    r"""Factor on each standard deviation by the stated noise where the residual of some lines is larger.
 
     The covariance that holds whatever the errors of each line are, :math:`A^{-1} B A^{-1}` with :math:`A = J^TJ` and
     :math:`B` the sum over lines of :math:`J_l^T r_l r_l^T J_l` (White 1980, Econometrica 48:817), beside
