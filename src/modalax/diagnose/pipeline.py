@@ -33,6 +33,7 @@ from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.causes import catalogue, imitators
 from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.comparison import as_measurement, causes_of, make_comparison, with_noise_beside
+from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.route import Outcome, Route, choice, order, suffices
 from modalax.diagnose.decision.verdict import verdict
@@ -72,7 +73,8 @@ def diagnose(
     causes
         What to look for; the whole catalogue if None.
     time
-        Seconds after which the modal domain begins no further step and gives the best answer so far.
+        Seconds after which the modal domain begins no further step and gives the best answer so far. An interrupt
+        (Ctrl-C) does the same, once there is an answer.
     progress
         Called with each stage, in words.
 
@@ -89,15 +91,23 @@ def diagnose(
     """
     require_double("diagnose")
     check_comparable(measurement, simulation)
+    late = Deadline(time)
     data = as_measurement(measurement)
     task = task_of(data, simulation, question, causes is None)
     answers: dict[Route, Diagnosis] = {}
     outcomes: dict[Route, Outcome] = {}
     for route in order(task):
-        found = (
-            in_modal_domain(data, simulation, causes, time, progress) if route == "modes"
-            else line_by_line(measurement, simulation, question, causes, progress)
-        )  # fmt: skip
+        if answers and late():
+            break
+        try:
+            found = (
+                in_modal_domain(data, simulation, causes, late, progress) if route == "modes"
+                else line_by_line(measurement, simulation, question, causes, progress)
+            )  # fmt: skip
+        except KeyboardInterrupt:  # what has been found is told
+            if not answers:
+                raise
+            break
         if found is not None:
             answers[route], outcomes[route] = found, outcome_of(found)
             if suffices(route, outcomes[route], task):
@@ -107,7 +117,7 @@ def diagnose(
 
 def in_modal_domain(
     measurement: Measurement, simulation: Structure | ModalModel | ExtendedSimulation, causes: Sequence[Cause] | None,
-    time: float, progress: Callable[[str], None],
+    late: Deadline, progress: Callable[[str], None],
 ) -> ModalDiagnosis | None:  # fmt: skip
     """Diagnose by the modes of the measurement; None where there is no mode to compare."""
     slugs = None if causes is None else {c.slug for c in causes}
@@ -115,7 +125,7 @@ def in_modal_domain(
         return None
     try:
         return diagnose_modes(
-            measurement, simulation, budget=time, wanted=lambda s: slugs is None or s in slugs, tell=progress
+            measurement, simulation, late=late, wanted=lambda s: slugs is None or s in slugs, tell=progress
         )
     except (np.linalg.LinAlgError, ValueError):  # line by line says what is wrong with the data
         return None

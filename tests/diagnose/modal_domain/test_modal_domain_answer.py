@@ -5,6 +5,7 @@ import pytest
 from frames import DOFS, FLIP, cantilever, measured, simulation
 
 from modalax.diagnose import ExtendedSimulation
+from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 
 
@@ -64,6 +65,18 @@ def test_a_channel_gain_is_no_matter_of_the_structure_and_noise_need_not_be_give
 
 def test_time_that_is_up_still_gives_an_answer():
     data, _ = measured(2, 0.01, mass=("5:+Z", 0.05), lines=200)
-    found = diagnose_modes(data, simulation(), budget=1e-3)
+    found = diagnose_modes(data, simulation(), late=Deadline(1e-3))
     assert found.verdict in ("clean", "named", "ambiguous", "unknown")
+    assert any("time was up" in reason for reason in found.reasons)
+
+
+def test_an_interrupt_gives_the_best_answer_so_far():
+    data, _ = measured(2, 0.01, mass=("5:+Z", 0.05), lines=120)
+
+    def interrupted(step: str) -> None:
+        if step.startswith("fitting"):
+            raise KeyboardInterrupt
+
+    found = diagnose_modes(data, simulation(), tell=interrupted)
+    assert found.stage.best.causes == ()  # the general inaccuracy alone had been fitted
     assert any("time was up" in reason for reason in found.reasons)

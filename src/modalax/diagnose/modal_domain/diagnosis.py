@@ -13,6 +13,7 @@ from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.causes.channels import CommonDelay
 from modalax.diagnose.causes.parameter import Parameter
 from modalax.diagnose.causes.scene import Place
+from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.decision.advice import advise_modes
 from modalax.diagnose.decision.beyond import BeyondUsual
 from modalax.diagnose.decision.levels import outweighing
@@ -185,11 +186,11 @@ def _parameters(c: Change, u: float, error: float) -> dict[str, Any]:
 
 
 def diagnose_modes(
-    measurement: Measurement, simulation: Structure, *, question: str = "fixed", budget: float = 120.0,
+    measurement: Measurement, simulation: Structure, *, question: str = "fixed", late: Deadline | None = None,
     wanted: Callable[[str], bool] = lambda _: True, tell: Callable[[str], None] = lambda _: None,
 ) -> ModalDiagnosis | None:  # fmt: skip
     """Diagnose in the modal domain; None where the measurement shows no mode to compare."""
-    stage = run_stage(measurement, simulation, budget, wanted, tell)
+    stage = run_stage(measurement, simulation, late or Deadline(), wanted, tell)
     if stage is None:
         return None
     judged = judge(stage)

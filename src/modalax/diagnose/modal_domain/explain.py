@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.discrepancy import learnt_rest
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
@@ -67,16 +68,23 @@ class Prior:
         return order + sum(self.one(c) for c in causes)
 
 
+@dataclass
+class _Search:
+    """What a search has found so far."""
+
+    setting: Setting
+    found: dict[tuple[Change, ...], Fit]
+
+
 def explain(
-    setting: Setting, candidates: list[Change], late: Callable[[], bool] = lambda: False,
-    tell: Callable[[str], None] = lambda _: None,
+    setting: Setting, candidates: list[Change], late: Deadline, tell: Callable[[str], None] = lambda _: None,
 ) -> tuple[Setting, list[Explanation]]:  # fmt: skip
-    """Explanations by falling probability, the best so far where time is up, and the setting that they were fitted in.
+    """Explanations by falling probability, and the setting that they were fitted in; the best so far if interrupted.
 
     Parameters
     ----------
     late
-        Whether time is up.
+        Whether time is up; an interrupt ends it.
     tell
         Called with what is being done.
     """
@@ -84,30 +92,41 @@ def explain(
     null = fit(setting)
     if null is None:
         return setting, []
-    found: dict[tuple[Change, ...], Fit] = {(): null}
+    search = _Search(setting, {(): null})
+    try:
+        _all_steps(search, null, candidates, prior, late, tell)
+    except KeyboardInterrupt:
+        late.stop()
+    return search.setting, _ranked(search.found, prior)
+
+
+def _all_steps(
+    search: _Search, null: Fit, candidates: list[Change], prior: Prior, late: Deadline, tell: Callable[[str], None]
+) -> None:
+    """Screen, fit, seek a further cause and other places, as long as there is time."""
+    setting, found = search.setting, search.found
     tell(f"screening {len(candidates)} causes and places")
     trials = _leading(setting, null, candidates, prior)
     tell(f"fitting {len(trials)} of them")
     for cause, u, start in trials:
         _try(setting, found, (cause,), np.array([u]), start, gentle=start is None)
         if late():
-            return setting, _ranked(found, prior)
-    setting, found = _beside_the_rest(setting, found, prior, late)
+            return
+    search.setting, search.found = setting, found = _beside_the_rest(setting, found, prior, late)
     for _ in range(MOST):
         best = _ranked(found, prior)[0]
         if late():
-            break
+            return
         if best.causes:
             _fewer(setting, found, best.fit)
             _neighbours(setting, found, best.fit, candidates, prior, late)
             best = _ranked(found, prior)[0]
         if len(best.causes) >= MOST or not _further(setting, found, best.fit, candidates, prior, late):
-            break
+            return
         if len(_ranked(found, prior)[0].causes) == len(best.causes):
-            break
+            return
         _fewer(setting, found, _ranked(found, prior)[0].fit)
-        setting, found = _beside_the_rest(setting, found, prior, late)
-    return setting, _ranked(found, prior)
+        search.setting, search.found = setting, found = _beside_the_rest(setting, found, prior, late)
 
 
 def _beside_the_rest(

@@ -1,12 +1,12 @@
 """The diagnosis in the modal domain as one call: identify, screen, fit, weigh, within a budget of time."""
 
-import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from modalax.data import Measurement
+from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import Coordinates, coordinates_of
 from modalax.diagnose.modal_domain.elements import nodes_of
@@ -57,22 +57,20 @@ class Stage:
 
 
 def run_stage(
-    measurement: Measurement, simulation: Structure, budget: float, wanted: Callable[[str], bool],
+    measurement: Measurement, simulation: Structure, late: Deadline, wanted: Callable[[str], bool],
     tell: Callable[[str], None],
 ) -> Stage | None:  # fmt: skip
     """Diagnose a measurement in the modal domain; None where it shows no mode to compare.
 
     Parameters
     ----------
-    budget
-        Seconds after which no further step begins.
+    late
+        When no further step begins.
     wanted
         Which causes to look for, by slug.
     tell
         Called with each step.
     """
-    end = clock.monotonic() + budget
-    late = lambda: clock.monotonic() > end  # noqa: E731
     highest = 2 * np.pi * float(measurement.freq[-1])
     c = coordinates_of(simulation, measurement.outputs, measurement.inputs, highest)
     tell("identifying the measurement's own modes")
@@ -89,9 +87,13 @@ def run_stage(
         return None
     H, level = np.asarray(measurement.H), np.asarray(measurement.level)
     spots = [Spot(where, b, w) for where, b, _, w in springs_of(simulation, c, nodes_of(simulation.dofs), pairs)]
-    seen = look_at_levels(H, level, measured, setting, explanations[0].fit, spots, wanted, tell, late)
-    if seen is not None and seen.joint is not None and not late():
-        measured, setting, explanations = without_joint(
-            H, level, measured, setting, explanations, candidates, seen, late, tell
-        )
+    seen = None
+    try:
+        seen = look_at_levels(H, level, measured, setting, explanations[0].fit, spots, wanted, tell, late)
+        if seen is not None and seen.joint is not None and not late():
+            measured, setting, explanations = without_joint(
+                H, level, measured, setting, explanations, candidates, seen, late, tell
+            )
+    except KeyboardInterrupt:
+        late.stop()
     return Stage(measurement, simulation, c, measured, setting, candidates, explanations, not late(), seen)

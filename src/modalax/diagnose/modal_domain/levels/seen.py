@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.explain import Explanation, explain
 from modalax.diagnose.modal_domain.fit import Fit
@@ -77,7 +78,7 @@ def at_levels(seen: Seen, j: JointFound, level: np.ndarray) -> np.ndarray:
 
 def without_joint(
     H: np.ndarray, level: np.ndarray, measured: Measured, setting: Setting, explanations: list[Explanation],
-    candidates: list[Change], seen: Seen, late: Callable[[], bool], tell: Callable[[str], None],
+    candidates: list[Change], seen: Seen, late: Deadline, tell: Callable[[str], None],
 ) -> tuple[Measured, Setting, list[Explanation]]:  # fmt: skip
     """The linear structure with the joint's force taken out of the runs that it was identified from."""
     j = seen.joint

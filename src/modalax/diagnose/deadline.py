@@ -1,0 +1,24 @@
+"""When a diagnosis begins no further step: after a time, or once the user has interrupted it."""
+
+import time as clock
+
+
+class Deadline:
+    """True when called once the time is up.
+
+    Parameters
+    ----------
+    seconds
+        From now on.
+    """
+
+    def __init__(self, seconds: float = float("inf")):
+        self.end = clock.monotonic() + seconds
+
+    def __call__(self) -> bool:
+        """Whether the time is up."""
+        return clock.monotonic() > self.end
+
+    def stop(self) -> None:
+        """End the time now."""
+        self.end = -float("inf")
