@@ -1,4 +1,4 @@
-r"""Records shorter than the decay, told from FRFs whose lines are :math:`1/T` apart.
+r"""Records shorter than the decay, found in FRFs whose lines are :math:`1/T` apart.
 
 A record of length :math:`T` weights the impulse response: by a triangle (blocks without a window), by the
 autocorrelation of the Hann window, or, after a hit, by a step that ends it. The first two change the form of each peak,
@@ -19,16 +19,16 @@ from modalax.check.study import Study
 
 # Modes with more lines per half-power bandwidth than this have decayed within the record.
 DECAYED = 2.5
-# How many times better than modes alone a window must explain the FRFs.
+# Factor by which a window must explain the FRFs better than modes alone.
 BETTER = 1.4
 # Squares of scatter that the angles of cut records must gain, and the share that may be left.
 GAIN, LEFT = 6.0, 0.6
-# What is left of the response at the end of the record from which on it is told.
+# Share of the response at the end of the record from which on it is reported.
 REMAINDER = 0.05
 
 
 def kernels(x: np.ndarray) -> dict[str, np.ndarray]:
-    r"""What a record of length 1 makes of :math:`e^{\lambda t}`, at :math:`x = (j\omega - \lambda)T`, by window."""
+    r"""Transform of :math:`e^{\lambda t}` over a record of length 1, at :math:`x = (j\omega - \lambda)T`, by window."""
     e = np.exp(-x)
     triangle = 1 / x - (1 - e) / x**2
     # The autocorrelation of the Hann window: [(1-t)(2 + cos 2 pi t)/3 + sin(2 pi t)/(2 pi)].
@@ -41,7 +41,7 @@ def kernels(x: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def record_too_short(study: Study) -> Iterator[Finding]:
-    """Responses that had not decayed when the record ended."""
+    """Find responses that had not decayed when the record ended."""
     step = float(np.median(np.diff(study.freq)))
     grid = study.freq / step
     # Only lines of a discrete Fourier transform tell how long the record was.

@@ -1,7 +1,7 @@
 r"""A quick estimate of the modes in NumPy: poles from a common denominator, then residues with standard deviations.
 
-It serves to judge the measurement, not to replace :func:`modalax.fit`: seconds matter, and residues of any phase must
-be allowed, because wrong phases are what is looked for.
+It serves to judge the measurement, not to replace a fit: it must take seconds only, and residues of any phase must be
+allowed, because wrong phases are among the faults looked for.
 """
 
 from collections.abc import Sequence
@@ -163,7 +163,7 @@ def _completed(basis: Basis, poles: np.ndarray, X: np.ndarray) -> np.ndarray:
 def residues_at(
     omega: np.ndarray, H: np.ndarray, noise: Noise, poles: np.ndarray, power: int, powers: Sequence[int] = SMOOTH_POWERS
 ) -> Modes:
-    """Residues of given poles, and all that follows from them."""
+    """Residues at given poles, with standard deviations, fitted FRFs and misfit."""
     basis = Basis(omega, power, noise.weight, powers)
     Phi = basis.design(poles)
     Y = lift(noise.weight[:, None] * H)

@@ -1,4 +1,4 @@
-"""The measurement as the detectors see it: plain arrays, noise, modes, drive points."""
+"""The measurement as the detectors use it: plain arrays, noise, modes, drive points."""
 
 from dataclasses import dataclass
 from functools import cached_property
