@@ -102,7 +102,10 @@ def explain_levels(
         w = weigh(levels, base, shapes, spot.direction, f)
         if w is None or not w.fit.rival:
             continue
-        found.append(JointFound(spot, w.fit, w.b, w.tolerance, w.log_evidence + math.log(JOINT) + _prior(spot, f)))
+        value = w.log_evidence + math.log(JOINT) + _prior(spot, f)
+        together = NEIGHBOURS if w.tolerance > 0 else 1
+        best = replace(w.fit, covariance=together * w.fit.covariance)
+        found.append(JointFound(spot, best, w.b, w.tolerance, value))
     found.sort(key=lambda j: -j.log_posterior)
     if found and found[0].tolerance > 0:  # what a law leaves then goes together over neighbouring lines
         top = found[0].log_posterior
