@@ -17,6 +17,7 @@ from modalax.diagnose.modal_domain.levels.weigh import Shapes, weigh
 from modalax.diagnose.modal_domain.measured import Measured, reidentified
 from modalax.diagnose.modal_domain.state import Setting
 
+MOST = 4_000_000  # samples times modes that are worked on at once, some 0.5 GB
 BENT = 10.0  # chi-square of a joint's force at the lowest level from which the linear structure is sought without it
 GRID, HALVINGS, RANGE = 60, 25, 60.0  # search for an amplitude: points, bisections, factor on either side
 
@@ -58,11 +59,14 @@ def look_at_levels(
     levels = by_level(H, measured.noise.sigma, level, measured.runs)
     base = base_of(setting, f, measured.freq, measured.channels.order)
     plain = by_run(H, measured.noise.sigma) if levels is None else levels
-    drift = max(drifts(plain, measured.modes, measured.channels), key=lambda d: d.log_evidence)
+    c = measured.channels
+    step = -(-plain.H.size * max(len(measured.modes.poles), 1) // MOST)  # very large tests: some lines only
+    few = replace(c, s=c.s[::step], data=c.data[::step], weight=c.weight[::step])
+    drift = max(drifts(plain.thinned(step), measured.modes, few), key=lambda d: d.log_evidence)
     shapes = Shapes(setting, f, base)
     laws = [law for law in NAMED if wanted(law.slug)]
     places = spots if levels is not None and laws and not late() else []
-    found = explain_levels(plain, base, places, shapes, drift, laws, late)
+    found = explain_levels(plain.thinned(step), base.thinned(step), places, shapes, drift, laws, late)
     return Seen(plain, base, shapes, frf_by(setting, f, measured.freq, measured.channels.order), found)
 
 
