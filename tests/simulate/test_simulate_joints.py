@@ -50,8 +50,9 @@ QUADRATURE_JUMP = 2e-3
 
 @pytest.mark.parametrize("joint", JOINTS, ids=lambda j: j.slug)
 def test_describing_function_is_the_quadrature_of_the_time_law(joint):
-    closed = np.asarray(joint.describing(AMPLITUDES, OMEGA))
-    numbers = np.asarray(quadrature(joint, AMPLITUDES, OMEGA))
+    closed, numbers = map(
+        np.asarray, jax.jit(lambda j, A: (j.describing(A, OMEGA), quadrature(j, A, OMEGA)))(joint, AMPLITUDES)
+    )
     tolerance = QUADRATURE_JUMP if isinstance(joint, CoulombFriction) else QUADRATURE
     scale = np.maximum(np.abs(closed), np.abs(closed).max() * 1e-3)
     assert np.max(np.abs(closed - numbers) / scale) < tolerance
@@ -128,12 +129,13 @@ def test_preloaded_gap_opens_at_its_preload_and_meets_the_other_stop():
 
 @pytest.mark.parametrize("joint", JOINTS, ids=lambda j: j.slug)
 def test_gradient_of_describing_function_is_that_of_finite_differences(joint):
+    @jax.jit
     def size(scale, amplitude):
         bent = jax.tree.map(lambda leaf: leaf * scale, joint)
         return jnp.abs(bent.describing(amplitude, OMEGA) + 1e4)
 
     h = 1e-6
-    slope = jax.grad(size, argnums=(0, 1))(1.0, 1.1e-3)
+    slope = jax.jit(jax.grad(size, argnums=(0, 1)))(1.0, 1.1e-3)
     by_scale = (size(1 + h, 1.1e-3) - size(1 - h, 1.1e-3)) / (2 * h)
     by_amplitude = (size(1.0, 1.1e-3 * (1 + h)) - size(1.0, 1.1e-3 * (1 - h))) / (2.2e-3 * h)
     np.testing.assert_allclose(slope[0], by_scale, rtol=1e-6, atol=1e-3)
@@ -142,8 +144,9 @@ def test_gradient_of_describing_function_is_that_of_finite_differences(joint):
 
 @pytest.mark.parametrize("joint", JOINTS, ids=lambda j: j.slug)
 def test_no_gradient_is_nan_at_rest_or_where_a_law_bends(joint):
+    both = jax.jit(jax.value_and_grad(lambda a: jnp.real(joint.describing(a, OMEGA))))
     for amplitude in (0.0, 4e-4, 1e-3):
-        value, slope = jax.value_and_grad(lambda a: jnp.real(joint.describing(a, OMEGA)))(amplitude)
+        value, slope = both(amplitude)
         assert np.isfinite(value) and np.isfinite(slope)
 
 

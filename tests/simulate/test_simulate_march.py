@@ -98,9 +98,9 @@ def test_velocity_and_acceleration_are_derivatives():
 
 def test_jenkins_element_loses_its_closed_form_energy_each_cycle():
     joint = ElastoSlip(2e4, 4.0)
-    structure, steps, hz = oscillator(hz=12.0), 512, 9.0
-    t = np.arange(60 * steps) / (hz * steps)
-    force = (30.0 * np.clip(t * hz / 10, 0, 1) * np.sin(2 * np.pi * hz * t))[:, None]
+    structure, steps, hz = oscillator(hz=12.0, zeta=0.2), 512, 9.0  # damped, so that it is steady after some cycles
+    t = np.arange(18 * steps) / (hz * steps)
+    force = (30.0 * np.clip(t * hz / 3, 0, 1) * np.sin(2 * np.pi * hz * t))[:, None]
     record = respond(structure, [joint], [["m"]], force, hz * steps, inputs=["m"])
     x, f = np.asarray(record.across)[-steps - 1 :, 0], np.asarray(record.joint_force)[-steps - 1 :, 0]
     energy, A, slip = np.sum(0.5 * (f[1:] + f[:-1]) * np.diff(x)), 0.5 * np.ptp(x), 4.0 / 2e4
@@ -110,8 +110,8 @@ def test_jenkins_element_loses_its_closed_form_energy_each_cycle():
 
 
 def test_coulomb_friction_takes_the_same_amplitude_each_half_cycle_until_it_sticks():
-    structure, fs, F = oscillator(zeta=0.0), 20_000.0, 3.0
-    k, samples = float(structure.K[0, 0]), 40_000
+    structure, fs, F = oscillator(zeta=0.0), 20_000.0, 7.0
+    k, samples = float(structure.K[0, 0]), 18_000
     force = np.zeros((samples, 1))
     force[1:201, 0] = 500 * np.sin(np.pi * np.arange(1, 201) / 201)
     record = respond(structure, [CoulombFriction(F)], [["m"]], force, fs, inputs=["m"])
@@ -162,19 +162,14 @@ def test_a_mass_thrown_against_a_stop_comes_back_with_its_speed():
 ROUTES = 1e-4
 
 
-@pytest.mark.parametrize(
-    "joint",
-    [
-        pytest.param(CubicSpring(2e9), marks=pytest.mark.slow),
-        pytest.param(ElastoSlip(2e4, 4.0)),
-        pytest.param(Gap(2e4, 3e-4), marks=pytest.mark.slow),
-    ],
-    ids=lambda j: j.slug,
-)
-def test_both_routes_agree(joint):
-    freq, structure, places = np.array([35.0, 36.5]), five_dof(), [["3", "5"]]
-    marched = stepped_sine(structure, [joint], places, freq, 6.0, inputs=["1"], sweep="each", steps=128)
-    balanced = harmonic_balance(structure, [joint], places, freq, 6.0, inputs=["1"], harmonics=9, samples=256)
+@pytest.mark.parametrize("joint", [CubicSpring(2e9), ElastoSlip(2e4, 4.0), Gap(2e4, 3e-4)], ids=lambda j: j.slug)
+@pytest.mark.parametrize("damping", [5.0, pytest.param(1.0, marks=pytest.mark.slow)])
+def test_both_routes_agree(joint, damping):
+    """At a fifth of the damping the marching takes five times as long to become steady."""
+    freq, places = np.array([35.0, 36.5]), [["3", "5"]]
+    structure, force = five_dof().replace(C=damping * np.asarray(five_dof().C)), 6.0 * damping
+    marched = stepped_sine(structure, [joint], places, freq, force, inputs=["1"], sweep="each", steps=128)
+    balanced = harmonic_balance(structure, [joint], places, freq, force, inputs=["1"], harmonics=9, samples=256)
     assert bool(marched.settled.all()) and bool(balanced.converged.all())
     assert np.abs(marched.X - balanced.fundamental).max() < ROUTES * np.abs(marched.X).max()
 

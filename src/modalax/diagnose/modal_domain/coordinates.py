@@ -143,13 +143,13 @@ def slopes_of(c: Coordinates, modes: Modes, which: np.ndarray) -> Slopes:
     inverse = np.where(near, 0.0, 1 / np.where(near, 1.0, apart))
     high, squares = modes.high
     static = 1 / (squares + poles[:, None] ** 2)
-
-    def matrix(rows: np.ndarray) -> np.ndarray:
-        out = np.einsum("kl,lo,ln->kon", inverse, vectors @ rows.T, vectors, optimize=True)
-        return out + np.einsum("kh,ho,hn->kon", static, high @ rows.T, high, optimize=True)
-
+    at_outputs, at_inputs = (
+        np.einsum("kl,lo,ln->kon", inverse, vectors @ rows.T, vectors, optimize=True)
+        + np.einsum("kh,ho,hn->kon", static, high @ rows.T, high, optimize=True)
+        for rows in (c.outputs, c.inputs)
+    )
     v = modes.vectors[which]
-    return Slopes(poles, v, matrix(c.outputs), matrix(c.inputs), v @ c.outputs.T, v @ c.inputs.T)
+    return Slopes(poles, v, at_outputs, at_inputs, v @ c.outputs.T, v @ c.inputs.T)
 
 
 POWER = {"K": 0, "C": 1, "M": 2}
