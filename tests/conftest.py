@@ -1,3 +1,4 @@
+import gc
 import os
 import shutil
 import tempfile
@@ -37,6 +38,13 @@ def pytest_configure(config):
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
     jax.config.update("jax_compilation_cache_dir", folder)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+
+def pytest_collection_finish():
+    """Packages and tests stay to the end, and JAX makes many small objects: look for garbage among them seldom."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(200_000, 20, 50)
 
 
 def pytest_unconfigure(config):

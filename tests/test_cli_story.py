@@ -60,13 +60,19 @@ def test_fit_draws_the_shapes_on_the_nodes_of_a_universal_file(name, tmp_path, c
     save(frf, tmp_path / f"{name}.uff", geometry=where)
     target = tmp_path / name
     report, answer = target.with_suffix(".html"), target.with_suffix(".json")
-    arguments = ["fit", str(tmp_path / f"{name}.uff"), "--no-refine", "--out", str(target), "--report", str(report)]
+    arguments = ["fit", str(tmp_path / f"{name}.uff"), "--out", str(target), "--report", str(report)]
     assert main([*arguments, "--json", str(answer)]) == 0
     assert (target / "shapes.png").exists() == (where is not None)
     assert ("Mode shapes on the geometry" in report.read_text()) == (where is not None)
-    found = [mode["frequency_hz"] for mode in json.loads(answer.read_text())["modes"]]
-    np.testing.assert_allclose(found, structure.modal().frequency_hz, rtol=2e-3)
-    assert "Frequency" in capsys.readouterr().out
+    truth, printed = structure.modal(), capsys.readouterr().out
+    found = json.loads(answer.read_text())["modes"]
+    for mode, f, zeta in zip(found, truth.frequency_hz, truth.damping_ratio, strict=True):
+        assert abs(mode["frequency_hz"] - f) < 4 * mode["frequency_std_hz"] < 2e-3 * f
+        assert abs(mode["damping_ratio"] - zeta) < 4 * mode["damping_ratio_std"] < 0.2 * zeta
+        assert len(mode["shape"]) == 5 and f"{mode['grade']:.2f}" in printed
+    assert "Frequency" in printed and "unexplained" in printed
+    assert main([*arguments, "--json", str(answer)]) == 2  # a second time, nothing is replaced
+    assert "--overwrite" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -116,8 +116,7 @@ def test_gradients_of_the_force_harmonics_by_motion_frequency_and_parameters(joi
     assert np.any(np.asarray(found)[:, :own] != 0, axis=0).all(), "a parameter that has no influence is not tested"
 
 
-@pytest.mark.slow
-@EVERY
+@FIRST
 def test_gradients_of_the_force_that_holds_a_response(joint, at):
     def answer(law, matrices, amplitude):
         r = constant_response(

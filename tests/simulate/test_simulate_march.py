@@ -163,13 +163,15 @@ ROUTES = 1e-4
 
 
 @pytest.mark.parametrize("joint", [CubicSpring(2e9), ElastoSlip(2e4, 4.0), Gap(2e4, 3e-4)], ids=lambda j: j.slug)
-@pytest.mark.parametrize("damping", [5.0, pytest.param(1.0, marks=pytest.mark.slow)])
-def test_both_routes_agree(joint, damping):
-    """At a fifth of the damping the marching takes five times as long to become steady."""
-    freq, places = np.array([35.0, 36.5]), [["3", "5"]]
+@pytest.mark.parametrize(("damping", "freq"), [(10.0, [35.0]), pytest.param(1.0, [35.0, 36.5], marks=pytest.mark.slow)])
+def test_both_routes_agree(joint, damping, freq):
+    """At a tenth of the damping the marching takes ten times as long to become steady."""
+    places = [["3", "5"]]
     structure, force = five_dof().replace(C=damping * np.asarray(five_dof().C)), 6.0 * damping
-    marched = stepped_sine(structure, [joint], places, freq, force, inputs=["1"], sweep="each", steps=128)
-    balanced = harmonic_balance(structure, [joint], places, freq, force, inputs=["1"], harmonics=9, samples=256)
+    marched = stepped_sine(structure, [joint], places, np.array(freq), force, inputs=["1"], sweep="each", steps=128)
+    balanced = harmonic_balance(
+        structure, [joint], places, np.array(freq), force, inputs=["1"], harmonics=9, samples=256
+    )
     assert bool(marched.settled.all()) and bool(balanced.converged.all())
     assert np.abs(marched.X - balanced.fundamental).max() < ROUTES * np.abs(marched.X).max()
 
