@@ -59,27 +59,29 @@ class Scene:
         """Circular frequencies [rad/s]."""
         return 2 * np.pi * self.freq
 
-    def _gains(self) -> tuple[np.ndarray, np.ndarray]:
+    def gains(self) -> tuple[np.ndarray, np.ndarray]:
+        """Gains of the modes and of their conjugates, shape ``(f, m)`` each [s]."""
         if "gains" not in self.cache:
             s, poles = 1j * self.omega[:, None], np.asarray(self.modal_form.poles)
             self.cache["gains"] = 1 / (s - poles), 1 / (s - poles.conj())
         return self.cache["gains"]
 
-    def _direction(self, place: Place) -> tuple[np.ndarray, np.ndarray]:
+    def direction(self, place: Place) -> tuple[np.ndarray, np.ndarray]:
+        """Modal displacement across a place, and modal participation of a force there, shape ``(m,)`` each."""
         psi, part = np.asarray(self.modal_form.shapes), np.asarray(self.modal_form.participation)
         a, b = place.index[:2]
         return (psi[:, a] - psi[:, b], part[:, a] - part[:, b]) if b >= 0 else (psi[:, a], part[:, a])
 
     def drive(self, place: Place) -> np.ndarray:
         """Receptance across a place, shape ``(f,)`` [m/N]."""
-        u, v = self._gains()
-        psi, part = self._direction(place)
+        u, v = self.gains()
+        psi, part = self.direction(place)
         return u @ (psi * part) + v @ (psi * part).conj()
 
     def motion(self, place: Place) -> np.ndarray:
         """Relative displacement across a place for each input, shape ``(f, i)`` [m/N]."""
-        u, v = self._gains()
-        psi, _ = self._direction(place)
+        u, v = self.gains()
+        psi, _ = self.direction(place)
         part = np.asarray(self.modal_form.participation)[:, [self.dofs.index(name) for name in self.inputs]]
         return u @ (psi[:, None] * part) + v @ (psi[:, None] * part).conj()
 

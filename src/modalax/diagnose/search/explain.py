@@ -15,7 +15,8 @@ from modalax.diagnose.search.compounds import FURTHER, Rest, exchanged, one_more
 from modalax.diagnose.search.harmonics import joints_in_full
 from modalax.diagnose.search.imitator_check import apart, imitations, likeness
 from modalax.diagnose.search.look import Look
-from modalax.diagnose.search.singles import PATIENT, fit_single, from_nominal_modes, joints_for_drifts
+from modalax.diagnose.search.measured_force import starts_from_forces
+from modalax.diagnose.search.singles import PATIENT, fit_single, from_nominal_modes, joints_for_drifts, refit
 
 NEAR = 12.0  # nats behind the best up to which hypotheses are fitted again with complex modes made exact
 DEEPEST = 3  # causes in one answer
@@ -116,6 +117,9 @@ def singles(look: Look, causes: Sequence[Cause]) -> list[Hypothesis]:
         other = look.again
         trials = [t for t in chosen(other.screening.trials) if isinstance(t.cause, UndampedCause)]
         found += fit_single(other.state, trials) if trials else []
+    strong = starts_from_forces(look.comparison, look.null, causes)
+    for cause in dict.fromkeys(h.causes[0] for h in strong):
+        found += refit(look.state, [h for h in strong if h.causes[0] == cause])
     return found + joints_for_drifts(look.state, best_of_each(found, look.comparison), causes)
 
 

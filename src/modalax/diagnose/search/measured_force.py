@@ -1,0 +1,168 @@
+r"""Where an element of any law sits, and how large it is, read off the force that it must have.
+
+An element at one place, linear or not, changes the motion by :math:`-H_b(\omega)\,q`, with one complex force
+:math:`q` for every line, run and input. Whatever the law, this holds for changes of any size: no derivative is taken.
+Fitting the force freely ranks the places; its ratio to the motion across the place, which follows from it, is the
+element's impedance as measured, :math:`Z = q/x`, and each law is fitted to that before it is fitted to the data.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import jax.numpy as jnp
+import numpy as np
+
+from modalax.diagnose.causes.base import Cause, ElementCause, JointCause, LocalCause
+from modalax.diagnose.causes.scene import Place
+from modalax.diagnose.comparison import Comparison
+from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.search.candidates import cost_of
+
+STRONG = 4.0  # chi-square per sample that the simulation leaves, from which on places are ranked by their force
+PLACES = 3  # places that are tried
+STARTS = 2  # starts of each law at each place
+FITTED = 16  # starts in all
+THRESHOLDS_TRIED = 12  # displacements at which a law may set in, over the range of those measured
+
+
+@dataclass(frozen=True)
+class MeasuredForce:
+    """The force that an element at one place must have.
+
+    Attributes
+    ----------
+    place
+        Where it sits.
+    chi2
+        What the measurement leaves once the force is taken up, and the number of forces fitted is paid for.
+    motion
+        Displacement across the place [m], complex, shape ``(run, f, i)``.
+    impedance
+        Force over displacement [N/m], of the same shape.
+    weight
+        Inverse standard deviation of each impedance [m/N].
+    """
+
+    place: Place
+    chi2: float
+    motion: np.ndarray
+    impedance: np.ndarray
+    weight: np.ndarray
+
+
+def measured_forces(comparison: Comparison, places: Sequence[Place]) -> list[MeasuredForce]:
+    """The force that an element must have at each place, the best place first.
+
+    Parameters
+    ----------
+    comparison
+        Data and simulation; the simulation is taken as it is.
+    places
+        Pairs of degrees of freedom, or single ones to the ground.
+    """
+    scene, problem = comparison.scene, comparison.problem
+    n_out, n_in = problem.channels
+    cut = (slice(None), slice(problem.lines), slice(n_out), slice(n_in))
+    level = np.asarray(problem.level)[:, : problem.lines, None]
+    weight = np.asarray(problem.weight)[cut]
+    still = Hypothesis(theta=np.zeros((2, problem.modal_form.stiffness.shape[0])))
+    change = weight * (np.asarray(problem.data)[cut] - comparison.prediction(still))
+    total = float((np.abs(change) ** 2).sum())
+    psi = np.asarray(scene.modal_form.shapes)[:, [scene.dofs.index(n) for n in scene.outputs]]
+    u, v = scene.gains()
+    out = []
+    for place in places:
+        _, part = scene.direction(place)
+        column = u @ (psi * part[:, None]) + v @ (psi * part[:, None]).conj()
+        direction = weight * column[:, :, None]
+        length = (np.abs(direction) ** 2).sum(axis=2)
+        force = -(direction.conj() * change).sum(axis=2) / np.maximum(length, 1e-300)  # for a unit force at the input
+        motion = scene.motion(place) - scene.drive(place)[:, None] * force
+        gain = float((length * np.abs(force) ** 2).sum())
+        size = np.abs(motion)
+        out.append(
+            MeasuredForce(
+                place, total - gain + 2 * force.size, level * motion, force / np.where(size > 0, motion, 1.0),
+                np.sqrt(length) * size,
+            )
+        )  # fmt: skip
+    return sorted(out, key=lambda m: m.chi2)
+
+
+def starts_from_forces(comparison: Comparison, null: Hypothesis, causes: Sequence[Cause]) -> list[Hypothesis]:
+    """Elements at the places whose force explains most, sized by that force; none where the simulation is nearly right.
+
+    Parameters
+    ----------
+    comparison
+        Data and simulation.
+    null
+        The simulation alone.
+    causes
+        What to look for.
+    """
+    problem = comparison.problem
+    few = problem.channels[0] < 2 or problem.held is not None or comparison.question == "free"
+    if few or null.chi2 < STRONG * problem.samples:
+        return []
+    laws = [c for c in causes if isinstance(c, JointCause | LocalCause) and c.parameters]
+    ranked = measured_forces(comparison, comparison.scene.pairs())[:PLACES]
+    out = []
+    for force in ranked:
+        for cause in laws:
+            at = next((p for p in cause.places(comparison.scene) if p.index[:2] == force.place.index[:2]), None)
+            if at is not None and not cause.each_run:
+                out += [(force.chi2 + m, cause, at, p) for m, p in sizes_by_force(comparison, cause, at, force)]
+    out.sort(key=lambda one: one[0])
+    return [
+        replace(null.with_cause(cause, at, None, p), freedom=cost_of((cause,), (None,)))
+        for _, cause, at, p in out[:FITTED]
+    ]
+
+
+def sizes_by_force(
+    comparison: Comparison, cause: ElementCause, place: Place, force: MeasuredForce
+) -> list[tuple[float, np.ndarray]]:
+    r"""Parameters of a law that come nearest to a measured impedance, each after the chi-square by which it misses it.
+
+    The strength, to which every law is proportional, is solved for each trial of the other parameters,
+    :math:`s = \mathrm{Re}\sum w^2 Z_1^* Z / \sum w^2 |Z_1|^2`.
+
+    Parameters
+    ----------
+    comparison
+        Data and simulation.
+    cause, place
+        The law, and where it sits.
+    force
+        The force that was measured there.
+    """
+    scene, found = comparison.scene, []
+    everything = float((np.abs(force.weight * force.impedance) ** 2).sum())
+    for shape in _shapes(cause, cause.grid(scene, place), np.abs(force.motion)):
+        p = jnp.array([1.0, *shape])
+        if isinstance(cause, JointCause):
+            Z = np.asarray(cause.impedance(jnp.asarray(np.abs(force.motion)), jnp.asarray(scene.omega[:, None]), p))
+        elif isinstance(cause, LocalCause):
+            Z = np.asarray(cause.impedance(jnp.asarray(1j * scene.omega), p))[:, None]
+        else:
+            continue
+        with np.errstate(all="ignore"):
+            whitened = np.nan_to_num(force.weight * Z)
+            norm = float((np.abs(whitened) ** 2).sum())
+            gain = float((whitened.conj() * force.weight * force.impedance).real.sum())
+        if norm > 0:
+            low, high = cause.parameters[0].lower, cause.parameters[0].upper
+            strength = float(np.clip(gain / norm, low, high))
+            found.append((everything + strength**2 * norm - 2 * strength * gain, np.array([strength, *shape])))
+    found = [f for f in found if f[1][0] != 0]
+    return sorted(found, key=lambda f: f[0])[:STARTS]
+
+
+def _shapes(cause: ElementCause, grid: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """Parameters besides the strength: those screened at, or thresholds over the range of displacements measured."""
+    shapes = np.unique(grid[:, 1:], axis=0) if grid.shape[1] > 1 else np.zeros((1, 0))
+    if not cause.has_threshold or not motion.any():
+        return shapes
+    within = np.geomspace(np.quantile(motion[motion > 0], 0.05), motion.max(), THRESHOLDS_TRIED)
+    return within[:, None]
