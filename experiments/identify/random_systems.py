@@ -16,7 +16,8 @@ other. System ``k`` is of kind ``k`` modulo the number of kinds:
 
 The variance is known for the first kind only. A mode counts as *plain to see* if the power of its response is 100
 times the noise's a line and channel, summed over all. A found mode is a true one if it lies within a half-bandwidth
-(at least a quarter of a line) and four stated deviations of it, one for one; where hits differ, within 0.3 % more.
+(at least a quarter of a line) and four stated deviations of it, one for one, the one of more energy where there are
+two; where hits differ, within 0.3 % more.
 Other modes in the band are false. Coverage is that of the 95 % intervals of the true ones found; where hits differ, of
 the mean over the hits. The grade is judged by the area under its curve: the chance that a true mode has a higher one
 than a false one. As next to no false modes are found, ``--candidates`` puts some in beside those found.
@@ -156,7 +157,9 @@ def match(model: ModalModel, found: Fit, spread: float) -> tuple[dict[int, int],
     std = np.zeros(len(own)) if found.refined is None else np.asarray(found.refined.frequency_std_hz)[inside]
     reach = (np.maximum(zeta * f, 0.25 * STEP) + spread * f)[:, None] + 4 * np.nan_to_num(std, nan=0.0)[None, :]
     apart = np.abs(own[None, :] - f[:, None]) / reach
-    rows, columns = scipy.optimize.linear_sum_assignment(np.where(apart < 1, apart, 10.0))
+    energy = np.where(apart < 1, np.asarray(found.energy)[inside], 0.0)
+    part = energy / np.maximum(energy.sum(axis=1, keepdims=True), 1e-300)
+    rows, columns = scipy.optimize.linear_sum_assignment(np.where(apart < 1, apart + 2 * (1 - part), 10.0))
     pairs = {int(r): int(inside[c]) for r, c in zip(rows, columns, strict=True) if apart[r, c] < 1}
     return pairs, [int(k) for k in inside if k not in pairs.values()]
 
@@ -288,7 +291,7 @@ def with_candidates(frf: FRF, found: Fit | None, rng: np.random.Generator, refin
     inside = own[np.asarray(found.inside)] if found else own
     if len(inside) and rng.random() < 1 / 3:
         poles.append(rng.choice(inside) + 0.3j * 2 * np.pi * STEP)
-    if not poles:
+    if not poles or not selection.poles.size:
         return None
     poles = np.array(poles)[np.argsort(np.abs(poles))]
     weighted = smooth_variance(frf)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from modalax.data import FRF
-from modalax.identify import residues
-from modalax.identify.close_modes import record_of, two_modes
+from modalax.identify import close_modes, residues
+from modalax.identify.close_modes import _apart, record_of, two_modes
 from modalax.identify.disagreement import CERTAIN, of_channels, of_lines
-from modalax.identify.neighbourhood import around, residual_of
+from modalax.identify.neighbourhood import around, best_poles, residual_of
 from modalax.identify.record_window import record_kernel
 from modalax.model.modal import poles_from
 
@@ -114,3 +114,26 @@ def test_parts_of_sound_data_agree():
     assert 0.3 < np.mean(chances) < 0.75
     assert min(chances) > CERTAIN / 10
     assert 0.75 < np.std(shifts) < 1.3
+
+
+def test_groups_of_channels_are_fitted_apart_by_search_or_by_a_step(monkeypatch):
+    """Channels whose poles differ by a tenth of a half-bandwidth: one step explains what a search for each does."""
+    parts = [measured([60.0 * (1 + d)], [0.01], 2, 1, noise=1e-3, seed=7) for d in np.linspace(-1e-3, 1e-3, 6)]
+    frf = FRF(FREQ, np.concatenate([p.H for p in parts], axis=1))
+    hood = around(frf, *fitted(frf, [60.0], [0.01]), [0])
+    place = np.repeat(np.arange(6), 2)
+    searched = _apart(hood, hood.poles, place)
+    monkeypatch.setattr(close_modes, "MANY", 2)
+    step = _apart(hood, hood.poles, place)
+    assert step.unknowns == searched.unknowns == 2 * (6 + 12)
+    together = 2 * float(np.sum(np.abs(hood.left(hood.poles)) ** 2))
+    assert searched.chi2 < step.chi2 < 0.02 * together
+
+
+def test_few_columns_stand_for_many_channels():
+    """A search over the principal columns ends where one over all channels does."""
+    frf = measured([60.0, 120.0], [0.01, 0.01], 40, 1, noise=0.05)
+    hood = around(frf, *fitted(frf, [60.0, 120.0], [0.01, 0.01]), [0])
+    assert hood.leading().shape[1] < 40
+    few, all_ = (best_poles(hood, hood.poles, None, data)[0][0] for data in (None, hood.data))
+    assert abs(few - all_) < 1e-3 * -all_.real

@@ -17,6 +17,7 @@ CHANCE = 1e-6  # chance at which a second mode is found that is not there
 NEAR = 1.5  # distance of modes, in lines or in sums of their half-bandwidths, below which they are asked about
 ALIKE, FEW = 0.9, 4  # MAC from which on shapes are alike, and DoFs below which all are
 MISFIT = 4.0  # power of what two modes leave, over the noise's, above which no evidence for the second is taken
+MANY = 16  # groups of channels from which on each gets one step rather than a search of its own
 STRONG = 5  # modes that are asked about the record
 PLAIN = 60.0  # rise of twice the log-likelihood, over those modes, from which on a record is named
 
@@ -51,14 +52,15 @@ def two_modes(frf: FRF, model: ModalModel, residual: Complex[np.ndarray, "f o i"
     Where two poles leave far more than the noise and look alike, the second is a sign of misfit and not of a mode.
     """
     hood = around(frf, model, residual, pair)
-    two = _trial(hood, hood.poles)
+    leading = hood.leading()
+    two = _trial(hood, hood.poles, leading=leading)
     mean = np.average(hood.poles, weights=np.sum(np.abs(hood.residues / hood.poles.real[:, None]) ** 2, axis=1))
     broad = complex(mean.real - np.ptp(hood.poles.imag) / 2, mean.imag)
     starts = [*hood.poles, mean, broad]
-    others = [_best(hood, starts)]
+    others = [_best(hood, starts, None, leading)]
     T = duration(frf)
     if T is not None:
-        others += [_best(hood, starts, kernel_of(frf, r, T)) for r in RECORDS if r != "steady"]
+        others += [_best(hood, starts, kernel_of(frf, r, T), leading) for r in RECORDS if r != "steady"]
     one = others[0].poles
     _, n_out, n_in = frf.shape
     places = np.divmod(np.arange(n_out * n_in), n_in)
@@ -83,19 +85,36 @@ def _alike(model: ModalModel, pair: tuple[int, int]) -> bool:
     return longer.shape[1] < FEW or float(mac(longer[pair[0]][None], longer[pair[1]][None])[0, 0]) > ALIKE
 
 
-def _trial(hood: Neighbourhood, start: Sequence[complex] | np.ndarray, kernel: Kernel | None = None) -> Trial:
-    poles, chi2 = best_poles(hood, start, kernel)
+def _trial(
+    hood: Neighbourhood, start: Sequence[complex] | np.ndarray, kernel: Kernel | None = None,
+    leading: np.ndarray | None = None,
+) -> Trial:  # fmt: skip
+    poles, chi2 = best_poles(hood, start, kernel, leading)
     return Trial(2 * chi2, 2 * len(poles) * (1 + hood.data.shape[1]), poles)
 
 
-def _best(hood: Neighbourhood, starts: Sequence[complex], kernel: Kernel | None = None) -> Trial:
-    return min((_trial(hood, [s], kernel) for s in starts), key=lambda t: t.chi2)
+def _best(hood: Neighbourhood, starts: Sequence[complex], kernel: Kernel | None, leading: np.ndarray) -> Trial:
+    return min((_trial(hood, [s], kernel, leading) for s in starts), key=lambda t: t.chi2)
 
 
 def _apart(hood: Neighbourhood, start: Sequence[complex] | np.ndarray, place: np.ndarray) -> Trial:
-    """One pole for each group of channels."""
-    trials = [_trial(hood.channels(place == k), start) for k in range(int(place.max()) + 1)]
-    return Trial(sum(t.chi2 for t in trials), sum(t.unknowns for t in trials), np.asarray(start))
+    """One pole for each group of channels; of ``MANY`` groups or more, one step from the pole of all."""
+    count = int(place.max()) + 1
+    if count < MANY:
+        trials = [_trial(hood.channels(place == k), start) for k in range(count)]
+        return Trial(sum(t.chi2 for t in trials), sum(t.unknowns for t in trials), np.asarray(start))
+    pole = complex(start[0])
+    Q = np.linalg.qr(hood.columns([pole]))[0]
+    left = hood.data - Q @ (Q.conj().T @ hood.data)
+    change = hood.weight * hood.s**hood.power / (hood.s - pole) ** 2
+    change = change - Q @ (Q.conj().T @ change)
+    own = hood.weight * hood.s**hood.power / (hood.s - pole)
+    R = (np.linalg.pinv(hood.columns([pole])) @ hood.data)[0] / np.linalg.norm(own)
+    size = np.bincount(place, np.abs(R) ** 2, count) * np.sum(np.abs(change) ** 2)
+    asked = R.conj() * (change.conj() @ left)
+    asked = np.bincount(place, asked.real, count) + 1j * np.bincount(place, asked.imag, count)
+    gained = float(np.sum(np.abs(asked) ** 2 / np.maximum(size, 1e-300)))
+    return Trial(2 * (float(np.sum(np.abs(left) ** 2)) - gained), 2 * (count + hood.data.shape[1]), np.asarray(start))
 
 
 def _correlation(left: Complex[np.ndarray, "m c"], level: float) -> float:
@@ -154,7 +173,8 @@ def record_of(frf: FRF, model: ModalModel, residual: Complex[np.ndarray, "f o i"
     for r in strong:
         hood = around(frf, model, residual, [int(r)])
         samples = 2 * hood.data.size - 2 * (1 + hood.data.shape[1])
-        trials = {k: _trial(hood, hood.poles, kernel_of(frf, k, T)) for k in RECORDS}
+        leading = hood.leading()
+        trials = {k: _trial(hood, hood.poles, kernel_of(frf, k, T), leading) for k in RECORDS}
         least = min(t.chi2 for t in trials.values())
         level = _level(frf, least / max(samples, 1))
         for k, t in trials.items():

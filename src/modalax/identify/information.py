@@ -20,6 +20,7 @@ from modalax.identify.projection import Projection
 from modalax.identify.reduced import Row
 
 LAGS = 8  # lines over which a residual that is not white is taken to be correlated
+WORK = 1e12  # operations from which on samples that are independent count by rows too, where there are many
 MANY = 20  # rows from which on their scores tell how much rows differ
 
 
@@ -69,7 +70,8 @@ def covariance(
 def _scores(projection: Projection, at: Ascent, white: bool) -> np.ndarray:
     """Outer products of the gradient's parts: of samples, or of lines close to each other, or of whole rows."""
     total, f = np.zeros((at.theta.size, at.theta.size)), len(projection.s)
-    if not white and projection.outputs >= MANY:
+    work = 2 * at.theta.size * projection.y.size * 4 * len(at.theta)  # of the scores of all samples
+    if projection.outputs >= MANY and (not white or work > WORK):
         slopes = np.array([np.einsum("ikp,ik->p", row.projected, row.residual) for row in rows(projection, at)])
         return slopes.T @ slopes
     _, left, _ = solution(projection, at)

@@ -10,6 +10,7 @@ from modalax.data.frf import FRF
 from modalax.identify.refine import UNIT, Refined
 
 STEPS = 60  # steps in which the two parts of a variance are fitted
+SEVERAL = 2**21  # samples above which channels share the course of proportional noise
 ENOUGH = 32  # repeats from which on a variance needs no smoothing
 
 
@@ -35,7 +36,8 @@ def residual_sigma(frf: FRF, refined: Refined, sigma: Any, proportional: bool = 
 
     The course :math:`g` over frequency is a running mean square over the lines, shared by the channels of the longer
     axis. With ``proportional`` the second term, noise or model error in proportion to the response, is fitted too, by
-    maximum likelihood of the residual's power; else :math:`b = 0`, the safer choice while modes are still missing.
+    maximum likelihood of the residual's power (of more than ``SEVERAL`` samples with the mean response over the longer
+    axis for that of each channel); else :math:`b = 0`, the safer choice while modes are still missing.
 
     Noise and model error are not told apart. A floor at a tenth of the typical deviation keeps lines from dominating
     that the model passes through by chance.
@@ -63,10 +65,24 @@ def sigma_of_error(H: np.ndarray, error: np.ndarray, proportional: bool = False)
     course = np.maximum(course, 1e-2 * np.median(course, axis=0, keepdims=True))
     rounding = (1e-13 * np.abs(H).max()) ** 2 + 1e-300
     variance = course * size
-    if proportional:
+    if proportional and power.size > SEVERAL:
+        variance = _alike(power + rounding, np.abs(H - error) ** 2, course, size, axis, half)
+    elif proportional:
         variance = _two_parts(power + rounding, np.abs(H - error) ** 2, course, axis, half)
     variance = np.maximum(variance, rounding)
     return np.sqrt(variance)
+
+
+def _alike(
+    power: np.ndarray, response: np.ndarray, course: np.ndarray, size: np.ndarray, axis: int, half: int
+) -> np.ndarray:
+    """Variances :math:`a_c(g_k + b h_k)` with the mean response :math:`h` of the channels of the longer axis.
+
+    Weights whose course the channels share cost a refinement as much as one channel; of so many the mean is known well.
+    """
+    mean = lambda a: np.mean(a / size, axis=axis, keepdims=True)  # noqa: E731
+    shared = _two_parts(mean(power), mean(response), course, axis, half)
+    return shared * (size * np.mean(power / (shared * size), axis=(0, 3 - axis), keepdims=True))
 
 
 def _two_parts(power: np.ndarray, response: np.ndarray, course: np.ndarray, axis: int, half: int) -> np.ndarray:

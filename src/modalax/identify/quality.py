@@ -62,14 +62,25 @@ def quality_of(frf: FRF, model: ModalModel) -> list[ModeQuality]:
     return [_one(frf, around(frf, model, residual, [r], smooth=True)) for r in range(model.poles.size)]
 
 
+def gains_of(frf: FRF, model: ModalModel) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """For each mode ``gain`` and ``chance_gain`` of :class:`ModeQuality` alone."""
+    residual = residual_of(frf, model)
+    hoods = (around(frf, model, residual, [r], smooth=True) for r in range(model.poles.size))
+    both = np.array([(_gain(h, h.left(h.poles)), _chance_gain(frf, h.data.size)) for h in hoods]).reshape(-1, 2)
+    return both[:, 0], both[:, 1]
+
+
+def _gain(hood: Neighbourhood, left: np.ndarray) -> float:
+    """Rise of twice the log-likelihood by the mode, of which this is left."""
+    samples = max(2 * (len(left) - 1 - hood.fixed.shape[1]) * left.shape[1] - 2, 1)
+    rest = float(np.sum(np.abs(left) ** 2))
+    return 2 * float(np.sum(np.abs(hood.left(np.zeros(0))) ** 2) - rest) / max(2 * rest / samples, 1.0)
+
+
 def _one(frf: FRF, hood: Neighbourhood) -> ModeQuality:
     _, n_out, n_in = frf.shape
     count = hood.data.shape[1]
     left = hood.left(hood.poles)
-    without = hood.left(np.zeros(0))
-    samples = max(2 * (len(left) - 1 - hood.fixed.shape[1]) * count - 2, 1)
-    level = 2 * float(np.sum(np.abs(left) ** 2)) / samples
-    gain = 2 * float(np.sum(np.abs(without) ** 2) - np.sum(np.abs(left) ** 2)) / max(level, 1.0)
     own = (hood.pole_kernel(hood.s, complex(hood.poles[0])) * hood.weight)[:, None] * hood.residues
     width = -float(hood.poles[0].real)
     distance = np.abs(hood.s.imag - hood.poles[0].imag)
@@ -78,8 +89,8 @@ def _one(frf: FRF, hood: Neighbourhood) -> ModeQuality:
     energy = np.abs(hood.residues[0]) ** 2
     out, into = np.divmod(np.arange(count), n_in)
     return ModeQuality(
-        gain=gain,
-        chance_gain=_chance_gain(frf, 2 * (n_out + n_in), left.size),
+        gain=_gain(hood, left),
+        chance_gain=_chance_gain(frf, left.size),
         share=float(mine / max(mine + rest, 1e-300)),
         peak=float(np.abs(own).max()),
         channels=float(energy.sum() ** 2 / max(np.sum(energy**2), 1e-300)),
@@ -89,8 +100,9 @@ def _one(frf: FRF, hood: Neighbourhood) -> ModeQuality:
     )
 
 
-def _chance_gain(frf: FRF, unknowns: int, samples: int) -> float:
+def _chance_gain(frf: FRF, samples: int) -> float:
     """Gain by chance: an F quantile where the noise was read off so many samples, shared among the lines."""
+    unknowns = 2 * (frf.shape[1] + frf.shape[2])
     chance = CHANCE / len(frf.freq)
     if frf.variance is not None:
         return float(scipy.special.chdtri(unknowns, chance))

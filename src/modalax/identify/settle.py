@@ -17,7 +17,7 @@ from modalax.identify.likelihood import UNDAMPED
 from modalax.identify.local import fit_where_dominant
 from modalax.identify.neighbourhood import residual_of
 from modalax.identify.noise import residual_sigma
-from modalax.identify.quality import CHANCE, ModeQuality, quality_of
+from modalax.identify.quality import CHANCE, ModeQuality, gains_of
 from modalax.identify.refine import CONTRADICTION, CORRELATED, HELD, UNIT, Refined
 from modalax.model.modal import ModalModel
 
@@ -80,9 +80,8 @@ def settle_diagram(frf: FRF, model: ModalModel, **options: Any) -> ModalModel:
 
 def _gains(frf: FRF, model: ModalModel) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
     """By how much each mode raises the likelihood of the lines around it, and which do no more than in noise."""
-    quality = quality_of(frf, model)
-    gains = np.array([q.gain for q in quality])
-    return gains, gains < np.array([q.chance_gain for q in quality])
+    gains, by_chance = gains_of(frf, model)
+    return gains, gains < by_chance
 
 
 def _require(frf: FRF, sound: np.ndarray) -> None:
