@@ -197,3 +197,24 @@ def test_as_the_refinement_in_jax(kind):
     np.testing.assert_allclose(own, refined.covariance * scale, rtol=1e-6, atol=1e-6 * np.abs(own).max())
     _, _, evidence = solution(projection, at)
     np.testing.assert_allclose(evidence * scale, refined.evidence, rtol=1e-6)
+
+
+def test_many_samples_take_the_squares_outside_the_basis_by_their_difference(monkeypatch):
+    plain = Projection(S, EXACT + NOISE, WEIGHTS["shared"], power=1, terms=residual_terms(S, 1, "complex"))
+    one = plain.sums(START, PIVOT, FREE)
+    monkeypatch.setattr(module, "MANY", 1)
+    other = plain.sums(START, PIVOT, FREE)
+    assert other.cost == pytest.approx(one.cost, rel=1e-9)
+    assert other.cost != one.cost
+
+
+@pytest.mark.parametrize("kind", WEIGHTS)
+def test_scores_of_the_outputs_make_the_gradient(kind):
+    """Also those of the single rows, of which an error bar is made where rows differ."""
+    projection = Projection(S, EXACT + NOISE, WEIGHTS[kind], power=1, terms=residual_terms(S, 1, "complex"))
+    at = climb(projection, START, PIVOT, FREE, max_steps=1)
+    blocks = list(projection.blocks(at.theta, at.pivot, at.held))
+    scores = np.concatenate([block.scores() for block in blocks])
+    assert np.allclose(-scores.sum(axis=0), at.sums.gradient)
+    rows = [row for block in blocks for row in block.rows()]
+    assert np.allclose([np.einsum("ikp,ik->p", r.projected(), r.residual) for r in rows], scores)

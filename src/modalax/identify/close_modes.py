@@ -16,8 +16,9 @@ from modalax.model.modal import ModalModel
 CHANCE = 1e-6  # chance at which a second mode is found that is not there
 NEAR = 1.5  # distance of modes, in lines or in sums of their half-bandwidths, below which they are asked about
 ALIKE, FEW = 0.9, 4  # MAC from which on shapes are alike, and DoFs below which all are
+UNLIKE = 0.5  # MAC of shapes of many DoFs below which they are those of two modes
 MISFIT = 4.0  # power of what two modes leave, over the noise's, above which no evidence for the second is taken
-MANY = 16  # groups of channels from which on each gets one step rather than a search of its own
+MANY = 16  # DoFs from which on shapes tell modes apart, and groups of channels that get a step, not a search, each
 STRONG = 5  # modes that are asked about the record
 PLAIN = 60.0  # rise of twice the log-likelihood, over those modes, from which on a record is named
 
@@ -53,9 +54,13 @@ def two_modes(frf: FRF, model: ModalModel, residual: Complex[np.ndarray, "f o i"
     """
     hood = around(frf, model, residual, pair)
     leading = hood.leading()
-    two = _trial(hood, hood.poles, leading=leading)
     mean = np.average(hood.poles, weights=np.sum(np.abs(hood.residues / hood.poles.real[:, None]) ** 2, axis=1))
     broad = complex(mean.real - np.ptp(hood.poles.imag) / 2, mean.imag)
+    if _unlike(model, pair):  # one mode has one shape in any record and at any hit, so only plain evidence is asked for
+        two, one = _at(hood, hood.poles), _best(hood, [mean], None, leading)
+        level = _level(frf, two.chi2 / max(2 * hood.data.size - two.unknowns, 1))
+        return (one.chi2 - two.chi2) / level > scipy.special.chdtri(two.unknowns - one.unknowns, CHANCE)
+    two = _trial(hood, hood.poles, leading=leading)
     starts = [*hood.poles, mean, broad]
     others = [_best(hood, starts, None, leading)]
     T = duration(frf)
@@ -83,6 +88,18 @@ def _alike(model: ModalModel, pair: tuple[int, int]) -> bool:
     """Whether the two modes have the same shape."""
     longer = model.shapes if model.shapes.shape[1] >= model.participation.shape[1] else model.participation
     return longer.shape[1] < FEW or float(mac(longer[pair[0]][None], longer[pair[1]][None])[0, 0]) > ALIKE
+
+
+def _unlike(model: ModalModel, pair: tuple[int, int]) -> bool:
+    """Whether many DoFs tell the two modes' shapes apart."""
+    longer = model.shapes if model.shapes.shape[1] >= model.participation.shape[1] else model.participation
+    return longer.shape[1] >= MANY and float(mac(longer[pair[0]][None], longer[pair[1]][None])[0, 0]) < UNLIKE
+
+
+def _at(hood: Neighbourhood, poles: np.ndarray) -> Trial:
+    """The poles as they are."""
+    left = float(np.sum(np.abs(hood.left(poles)) ** 2))
+    return Trial(2 * left, 2 * len(poles) * (1 + hood.data.shape[1]), poles)
 
 
 def _trial(

@@ -73,7 +73,7 @@ class _Delta:
             mine, its = self.unit / top[:, None], -self.z[k][:, None] * self.unit / top[:, None] ** 2
             g = np.stack([np.stack([a.real, a.imag], axis=1) for a in (mine, its)])
             v = -np.einsum("nec,ncp->nep", g[0], self.coupling[k]) - np.einsum("nec,ncp->nep", g[1], at_top[1])
-            variance = np.sum((v @ self.cov) * v, axis=2)
+            variance = np.sum((v.reshape(-1, v.shape[2]) @ self.cov).reshape(v.shape) * v, axis=2)
             for part, own in zip(g, (self.own[k], at_top[0]), strict=True):
                 variance += np.einsum("nea,nab,neb->ne", part, own, part)
             variance[self.top == k] = 0.0

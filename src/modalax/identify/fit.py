@@ -148,7 +148,6 @@ def summed_up(
     f = np.asarray(model.frequency_hz)
     inside = (f >= float(frf.freq[0])) & (f <= float(frf.freq[-1]))
     total = float(jnp.sum(jnp.abs(frf.H) ** 2))
-    made = synthesis(model, frf)
     residual = residual_of(weighted, model)
     unexplained = float(np.sum(np.abs(residual) ** 2)) / total
     record = record_of(weighted, model, residual, np.flatnonzero(inside))
@@ -178,7 +177,7 @@ def summed_up(
         stability=stabilization(table),
         selection=selection,
         refined=None if refined is None else with_record(refined, record),
-        predicted_damping_bias=_bias(frf, weighted, made, model, table, order, turned),
+        predicted_damping_bias=_bias(frf, weighted, model, table, order, turned),
         mpc=collinearity,
         stability_score=jnp.asarray(score),
         energy=_energies(model, frf) / total,
@@ -194,12 +193,12 @@ def summed_up(
 
 
 def _bias(
-    frf: FRF, weighted: FRF, made: FRF, model: ModalModel, table: PoleTable, order: int, turned: bool
+    frf: FRF, weighted: FRF, model: ModalModel, table: PoleTable, order: int, turned: bool
 ) -> Float[Array, " n"] | None:
     """Predicted bias of the diagram's own damping, where its estimator and the noise are known."""
     if table.method not in ("lscf", "plscf") or weighted.variance is None:
         return None
-    clean = made.replace(variance=weighted.variance)
+    clean = synthesis(model, frf).replace(variance=weighted.variance)
     clean = clean.transpose() if turned else clean
     bias = predicted_damping_bias(clean, model.poles, order, method=table.method, numerator=table.orders[-1])
     return jnp.where(bias.valid, bias.damping, jnp.nan)

@@ -72,11 +72,11 @@ def _scores(projection: Projection, at: Ascent, white: bool) -> np.ndarray:
     total, f = np.zeros((at.theta.size, at.theta.size)), len(projection.s)
     work = 2 * at.theta.size * projection.y.size * 4 * len(at.theta)  # of the scores of all samples
     if projection.outputs >= MANY and (not white or work > WORK):
-        slopes = np.array([np.einsum("ikp,ik->p", row.projected, row.residual) for row in rows(projection, at)])
+        slopes = np.concatenate([block.scores() for block in projection.blocks(at.theta, at.pivot, at.held)])
         return slopes.T @ slopes
     _, left, _ = solution(projection, at)
     for row, residual in zip(rows(projection, at), left, strict=True):
-        columns = row.lines() @ row.projected
+        columns = row.lines() @ row.projected()
         scores = columns[:, :f] * residual.real[..., None] + columns[:, f:] * residual.imag[..., None]
         if white:
             scores = scores.reshape(-1, total.shape[0])

@@ -14,13 +14,14 @@ from modalax.identify.host import PRECISE, modal_of, refine_on_host, refined_of,
 from modalax.identify.kernels import UNDAMPED
 from modalax.identify.local import fit_where_dominant
 from modalax.identify.maximum import Maximum, Samples, maximise
-from modalax.identify.noise import sigma_of_error
+from modalax.identify.noise import SEVERAL, sigma_of_error
 from modalax.identify.refine import CORRELATED, HELD, Refined
 from modalax.identify.residues import sigma_of
 from modalax.identify.scan import NEAR, Grid, poles_missing
 from modalax.model.modal import ModalModel
 
 ROUNDS, LAST = 8, 3  # most rounds of adding and dropping modes, and of refinements with new weights
+FINE = 1e-6  # tolerance of the last search of large sets, where one for the last digit would take long
 IDLE = 2  # rounds without a further mode after which no more are sought
 STEPS = 60  # most iterations of one search
 HEAVY = 0.25  # damping ratio above which a pole is background, not a mode
@@ -202,7 +203,7 @@ def _settled(search: _Search) -> Refined:
     order = np.argsort(search.found.frequency_hz)
     if (np.diff(order) < 0).any():
         search.restart(search.poles, search.sigma)
-    search.again(search.sigma, tol=PRECISE)
+    search.again(search.sigma, tol=PRECISE if search.samples.H.size <= SEVERAL else FINE)
     if not guessed or search.found.whiteness >= CORRELATED:
         return search.refined()
     search.tell("modes where they dominate")

@@ -125,7 +125,8 @@ def around(
     rest = residual[first:last].reshape(last - first, -1)
     noise, course = channel_noise(frf, residual, slice(first, last), smooth)
     power = DERIVATIVES[frf.form]
-    residues = np.asarray(model.residues)[list(which)].reshape(len(own), -1)
+    shapes, part = np.asarray(model.shapes)[list(which)], np.asarray(model.participation)[list(which)]
+    residues = (shapes[:, :, None] * part[:, None, :]).reshape(len(own), -1)
     data = rest[:: lines.step] + (s[lines, None] ** power / (s[lines, None] - own)) @ residues
     weight = 1 / course[:: lines.step]
     others = [k for k in range(len(poles)) if k not in which and _within(poles[k], s[lines])]
@@ -158,9 +159,9 @@ def channel_noise(
     From the variance where it is known; else from the scatter of the residual between neighbouring lines.
     """
     count = residual[lines].shape[0]
-    floor = ROUNDING * np.abs(np.asarray(frf.H[lines])).max() + 1e-300
+    floor = ROUNDING * np.abs(np.asarray(frf.H)[lines]).max() + 1e-300
     if frf.variance is not None:
-        variance = np.asarray(frf.variance[lines]).reshape(count, -1) + floor**2
+        variance = np.asarray(frf.variance)[lines].reshape(count, -1) + floor**2
         size = np.sqrt(variance.mean(axis=0))
         course = np.sqrt(np.mean(variance / size**2, axis=1))
         return size, course / np.sqrt(np.mean(course**2))

@@ -20,6 +20,7 @@ from modalax.identify.kernels import Modes, coefficient_slopes, coefficients, ke
 from modalax.identify.reduced import OwnOutputs, SharedOutputs, Slopes, Sums
 
 INDEPENDENT = 1e-5  # part of a column that those before it leave, from which on a Gram matrix tells it apart
+MANY, PLAIN = 2**20, 1e-5  # samples of one input, and the part of their squares outside the basis
 BLOCK = 2**25  # numbers that an array of one block of lines or outputs may hold
 
 
@@ -127,9 +128,7 @@ class Projection:
             Q, R = bases[i if len(bases) > 1 else 0]
             y = self.real[i]
             found = y @ Q
-            left = found @ Q.T
-            left -= y
-            rest += float(np.vdot(left, left))
+            rest += self._outside(y, Q, found)
             U.append(R[t:, t:])
             beta.append(found[:, t:].T)
         many = np.arange(self.inputs) if len(bases) > 1 else np.zeros(self.inputs, int)
@@ -138,6 +137,17 @@ class Projection:
             return np.array([bases[i][0][:, t:] for i in many])
 
         return SharedOutputs(np.array(U), np.array(beta), rest, slopes, lines, self.size)
+
+    def _outside(self, y: np.ndarray, Q: np.ndarray, found: np.ndarray) -> float:
+        """Squares of data outside the basis; of many samples by their difference where that loses no digit in use."""
+        if y.size > MANY:
+            whole = float(np.vdot(y, y))
+            rest = whole - float(np.vdot(found, found))
+            if rest > PLAIN * whole:
+                return rest
+        left = found @ Q.T
+        left -= y
+        return float(np.vdot(left, left))
 
     def _own(self, Q: np.ndarray, R: np.ndarray, slopes: Slopes, part: slice) -> OwnOutputs:
         t = self.terms.shape[1]

@@ -35,7 +35,7 @@ class Row(NamedTuple):
     coupling
         Change of ``x`` with the non-linear unknowns, shape ``(n c, p)``.
     projected
-        Derivatives less what the linear unknowns make of them, shape ``(i, k, p)``.
+        Makes the derivatives less what the linear unknowns make of them, shape ``(i, k, p)``.
     residual
         Shape ``(i, k)``.
     lines
@@ -45,7 +45,7 @@ class Row(NamedTuple):
     x: np.ndarray
     inverse: np.ndarray
     coupling: np.ndarray
-    projected: np.ndarray
+    projected: Callable[[], np.ndarray]
     residual: np.ndarray
     lines: Callable[[], np.ndarray]
 
@@ -124,11 +124,19 @@ class SharedOutputs:
         """Cost, gradient and matrix over all outputs."""
         n, c, q = self.n, self.c, self.q
         B, _ = self._derivatives()
-        x = self.x.reshape(n, c, -1)
-        gradient = -np.einsum("nqco,nco->nq", (B.T @ self.residual).reshape(n, q, c, -1), x)
+        gradient = -np.sum(self._scores(B), axis=0)
         weight = (self.x @ self.x.T).reshape(n, 1, c, n, 1, c)
         matrix = np.sum((B.T @ B).reshape(n, q, c, n, q, c) * weight, axis=(2, 5))
-        return Sums(self.cost, gradient.ravel(), matrix.reshape(n * q, n * q))
+        return Sums(self.cost, gradient, matrix.reshape(n * q, n * q))
+
+    def _scores(self, B: np.ndarray) -> np.ndarray:
+        n, c, q = self.n, self.c, self.q
+        along = (B.T @ self.residual).reshape(n, q, c, -1)
+        return np.einsum("nqco,nco->onq", along, self.x.reshape(n, c, -1)).reshape(-1, n * q)
+
+    def scores(self) -> np.ndarray:
+        """What each output adds to the slope of half the sum of squares, its sign turned: shape ``(o, p)``."""
+        return self._scores(self._derivatives()[0])
 
     def solution(self) -> tuple[np.ndarray, np.ndarray]:
         """Unknowns of the shapes of all outputs ``(o, n c)`` and the inverse of their triangular factors."""
@@ -146,7 +154,7 @@ class SharedOutputs:
             own = np.repeat(x.reshape(n, c), q, axis=0)
             yield Row(
                 x / size, inverse / size, np.einsum("apc,pc->ap", coupling, own) / size,
-                np.einsum("ikpc,pc->ikp", B, own), residual.reshape(self.inputs, -1), partial(self._lines, k),
+                partial(np.einsum, "ikpc,pc->ikp", B, own), residual.reshape(self.inputs, -1), partial(self._lines, k),
             )  # fmt: skip
 
 
@@ -197,6 +205,10 @@ class OwnOutputs:
         P = P.reshape(-1, P.shape[2])
         return Sums(self.cost, -self.residual.ravel() @ P, P.T @ P)
 
+    def scores(self) -> np.ndarray:
+        """What each output adds to the slope of half the sum of squares, its sign turned: shape ``(o, p)``."""
+        return np.einsum("ok,okp->op", self.residual, self._derivatives()[0])
+
     def solution(self) -> tuple[np.ndarray, np.ndarray]:
         """Unknowns of the shapes of all outputs ``(o, n c)`` and the inverse of their triangular factors."""
         return self.x, np.linalg.inv(self.R) / self.norm[:, :, None]
@@ -208,6 +220,6 @@ class OwnOutputs:
         coupling = inverses @ along
         for k, projected in enumerate(P):
             yield Row(
-                x[k], inverses[k], coupling[k], projected.reshape(self.inputs, -1, projected.shape[1]),
+                x[k], inverses[k], coupling[k], partial(projected.reshape, self.inputs, -1, projected.shape[1]),
                 self.residual[k].reshape(self.inputs, -1), partial(self._lines, k),
             )  # fmt: skip

@@ -1,0 +1,21 @@
+"""Weights read off a residual, against the noise that made it."""
+
+import numpy as np
+
+from modalax.identify import noise
+
+
+def test_channels_of_a_large_set_share_the_course_of_proportional_noise(monkeypatch):
+    """Noise a_c (g + b h) with one peak: found within a few per cent, and every output's a multiple of the first's."""
+    rng = np.random.default_rng(0)
+    lines, outputs, inputs = 600, 40, 2
+    size = np.exp(rng.normal(size=(1, outputs, 1)))
+    peak = 1 + 50 / (1 + ((np.arange(lines) - 300) / 20) ** 2)[:, None, None]
+    H = np.sqrt(size * peak) * np.exp(2j * np.pi * rng.uniform(size=(lines, outputs, inputs)))
+    variance = size * (0.01 + 0.003 * peak)
+    error = np.sqrt(variance / 2) * (rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape))
+    monkeypatch.setattr(noise, "SEVERAL", 0)
+    found = noise.sigma_of_error(H, error, proportional=True) ** 2
+    assert 0.9 < np.median(found / variance) < 1.1
+    assert np.percentile(np.abs(np.log(found / variance)), 95) < 0.25
+    assert np.allclose(found / found[:, :1], (found / found[:, :1])[:1])
