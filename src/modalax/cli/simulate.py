@@ -151,11 +151,13 @@ def read_joints(spec: str) -> list[tuple[Any, tuple[str, ...]]]:
 
 
 def _joints_of_file(path: Path) -> list[tuple[Any, tuple[str, ...]]]:
-    try:
+    from modalax.files.messages import about
+
+    if path.exists() and not path.is_file():
+        raise ValueError(f"{path} is no file; joints are read from a TOML file")
+    with about(path):
         tables = tomllib.loads(path.read_text(encoding="utf-8")).get("joint", [])
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{path}: {error}") from error
-    if not tables:
+    if not isinstance(tables, list) or not tables or not all(isinstance(table, dict) for table in tables):
         raise ValueError(f"{path} holds no table [[joint]] with law, where and parameters")
     found = []
     for k, table in enumerate(tables):
@@ -163,7 +165,10 @@ def _joints_of_file(path: Path) -> list[tuple[Any, tuple[str, ...]]]:
         if missing:
             raise ValueError(f"{path}, joint {k + 1}: lacks {', '.join(sorted(missing))}")
         parameters = {name: value for name, value in table.items() if name not in ("law", "where")}
-        where = [table["where"]] if isinstance(table["where"], str) else [str(w) for w in table["where"]]
+        where = [table["where"]] if isinstance(table["where"], str) else table["where"]
+        if not isinstance(where, list) or not isinstance(table["law"], str):
+            raise ValueError(f"{path}, joint {k + 1}: law is a name, and where one or two names of DoFs")
+        where = [str(w) for w in where]
         found.append(make_joint(f"{path}, joint {k + 1}", table["law"], where, parameters))
     return found
 

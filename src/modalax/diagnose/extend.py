@@ -18,6 +18,7 @@ from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.prediction.frf import predict
 from modalax.diagnose.setup.modal_form import kept_coupling, modal_form_of
 from modalax.diagnose.setup.problem import Problem
+from modalax.files.guard import reading
 from modalax.model import ModalModel, Structure
 
 
@@ -193,8 +194,36 @@ def from_arrays(arrays: Any, causes: Sequence[Cause] | None = None) -> ExtendedS
     Raises
     ------
     ValueError
-        If a cause is not known.
+        If a cause is not known, an array is missing or holds what cannot be.
     """
+    with reading("the extended simulation", ValueError):
+        found = _from_arrays(arrays, causes)
+    _check(found)
+    return found
+
+
+def _check(found: ExtendedSimulation) -> None:
+    """Refuse numbers that no extension has."""
+    modes = len(found.base.poles) if isinstance(found.base, ModalModel) else found.theta.shape[-1]
+    if found.theta.ndim != 2 or found.theta.shape[0] != 2 or found.theta.shape[1] < modes:
+        raise ValueError(f"theta has shape {found.theta.shape}; it needs (2, {modes})")
+    numbers = {"theta": found.theta, "lowest_hz": found.lowest_hz}
+    for k, (cause, place) in enumerate(zip(found.causes, found.places, strict=True)):
+        params, spread = found.params[k], found.spread[k]
+        if params.shape != (len(cause.parameters),) or spread.shape != params.shape or len(place.index) != 3:
+            raise ValueError(
+                f"params_{k}, spread_{k}, index_{k} have {params.shape}, {spread.shape}, ({len(place.index)},) items; "
+                f"{cause.slug} needs {len(cause.parameters)} parameters and 3 indices"
+            )
+        numbers[f"params_{k}"] = params
+        if found.extras[k] is not None:
+            numbers[f"extra_{k}"] = found.extras[k]
+    wrong = [name for name, value in numbers.items() if not np.isfinite(np.asarray(value)).all()]
+    if wrong:
+        raise ValueError(f"{', '.join(wrong)} of the extended simulation must be finite")
+
+
+def _from_arrays(arrays: Any, causes: Sequence[Cause] | None) -> ExtendedSimulation:
     known = {_key(c): c for c in (*saved_causes(), *(causes or ()))}
     claims = {"frequency_std": arrays["frequency_std"], "damping_std": arrays["damping_std"]}
     names = lambda key: [str(n) for n in arrays[key]]  # noqa: E731

@@ -18,8 +18,10 @@ class Refused(ValueError):
 
 
 @contextmanager
-def reading(what: str) -> Iterator[None]:
+def reading(what: str, said: type[Exception] = Refused) -> Iterator[None]:
     """Say of every error of a reader library what could not be read, why, and what helps.
+
+    Errors of the kind ``said`` are clear as they are: with ``ValueError`` those of code that names what is wrong.
 
     Raises
     ------
@@ -28,7 +30,7 @@ def reading(what: str) -> Iterator[None]:
     """
     try:
         yield
-    except (Refused, PermissionError):
+    except (Refused, PermissionError, said):
         raise
     except MemoryError as error:
         raise Refused(f"{what} declares more than the memory holds: it is damaged; {REMEDY}") from error
@@ -70,9 +72,12 @@ def bytes_of(shape: Any, itemsize: int) -> int:
     return math.prod(int(n) for n in shape) * max(1, int(itemsize))
 
 
-def unpacked_size(stream: BinaryIO, count: int, most: int) -> tuple[int, bytes]:
-    """Size of the next ``count`` bytes of zlib's format when unpacked, counted up to ``most``, and its first bytes."""
-    unpack, total, head = zlib.decompressobj(), 0, b""
+def unpacked_size(stream: BinaryIO, count: int, most: int, word: bytes) -> tuple[int, bytes, int]:
+    """Size of the next ``count`` bytes of zlib's format when unpacked, counted up to ``most``.
+
+    With it come its first bytes, and how often it holds a ``word``.
+    """
+    unpack, total, head, times = zlib.decompressobj(), 0, b"", 0
     while count > 0 and total <= most:
         packed = stream.read(min(count, 1 << 16))
         if not packed:
@@ -82,7 +87,8 @@ def unpacked_size(stream: BinaryIO, count: int, most: int) -> tuple[int, bytes]:
             piece = unpack.decompress(packed, 1 << 20)
             packed = unpack.unconsumed_tail
             total += len(piece)
+            times += piece.count(word)
             head += piece[: 512 - len(head)]
             if not piece and not packed:
                 break
-    return total, head
+    return total, head, times

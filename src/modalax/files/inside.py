@@ -7,21 +7,20 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from modalax.files.chunks import PACKERS, WORDS, check_hdf5_chunks, check_zarr_chunks
 from modalax.files.guard import REMEDY, Refused, bytes_of, check_names, check_size, room, unpacked_size
 
 # Types and classes of the MATLAB file format, level 5.
 MATRIX, COMPRESSED = 14, 15
+PIECE = 2**20
 CELL, STRUCT, OBJECT = 1, 2, 3
-MOST_IN_CELLS = 2**23  # bytes of one cell array, whose reader takes its time over each cell
+MOST_CELLS = 100_000  # elements within one element, over each of which the reader takes its time
 # What chunks of a Zarr store may be packed by: numbers and text only; other filters could hold Python objects.
-CODECS = {
-    "blosc", "zstd", "lz4", "zlib", "gzip", "bz2", "shuffle", "delta", "vlen-utf8", "crc32", "crc32c", "bytes",
-    "transpose", "fixedscaleoffset", "vlen-bytes",
-}  # fmt: skip
+CODECS = {*PACKERS, *WORDS, "shuffle", "crc32", "crc32c", "bytes", "transpose"}
 
 
-def check_elements(path: Path, names: Iterable[str]) -> None:
-    """Refuse a MATLAB file (level 5) whose elements are cut short or unpack to more than is read.
+def check_elements(path: Path) -> None:
+    """Refuse a MATLAB file (level 5) whose elements are cut short, unpack to more than is read or hold too many cells.
 
     Raises
     ------
@@ -40,17 +39,18 @@ def check_elements(path: Path, names: Iterable[str]) -> None:
                     f"the .mat file is cut short: an element of {count} bytes begins at byte {begin}; {REMEDY}"
                 )
             if kind == COMPRESSED:
-                unpacked, head = unpacked_size(file, count, most)
+                unpacked, head, cells = unpacked_size(file, count, most, struct.pack(f"{order}I", MATRIX))
                 head = head[8:]
             else:
-                unpacked, head = count, file.read(min(count, 512))
+                unpacked, head, cells = count, b"", 0
+                for at in range(0, count, PIECE):
+                    piece = file.read(min(PIECE, count - at))
+                    head, cells = head or piece[:512], cells + piece.count(struct.pack(f"{order}I", MATRIX))
             total += unpacked
             check_size(total, path, "the .mat file")
             form, name = _class_and_name(head, order)
-            if form in (CELL, STRUCT, OBJECT) and name in names and unpacked > MOST_IN_CELLS:
-                raise Refused(
-                    f"{name} is a cell or structure array of over {MOST_IN_CELLS / 1e6:.0f} MB; names are shorter"
-                )
+            if form in (CELL, STRUCT, OBJECT) and cells > MOST_CELLS:
+                raise Refused(f"{name} is a cell or structure array of over {MOST_CELLS} cells, which is not read")
             file.seek(begin + count)
 
 
@@ -96,6 +96,7 @@ def check_datasets(file: Any, names: Iterable[str], path: Path) -> None:
         largest = max(bytes_of(node.shape, node.dtype.itemsize), bytes_of(node.chunks or (), node.dtype.itemsize))
         total += largest
         check_size(total, path, f"{name} (with what is read before it)")
+        check_hdf5_chunks(node, name)
 
 
 def check_store(path: Path, names: Iterable[str]) -> None:
@@ -124,9 +125,12 @@ def check_store(path: Path, names: Iterable[str]) -> None:
         total += max(bytes_of(shape, item), bytes_of(chunks, item))
         check_size(total, path, f"{name} (with what is read before it)")
         wanted = math.prod(math.ceil(n / c) for n, c in zip(shape, chunks, strict=True))
-        found = sum(p.is_file() and p.name not in (".zarray", ".zattrs", "zarr.json") for p in folder.rglob("*"))
-        if found < wanted:
-            raise Refused(f"{name} lacks {wanted - found} of its {wanted} chunks: the store was half written; {REMEDY}")
+        found = [p for p in folder.rglob("*") if p.is_file() and p.name not in (".zarray", ".zattrs", "zarr.json")]
+        if len(found) < wanted:
+            raise Refused(
+                f"{name} lacks {wanted - len(found)} of its {wanted} chunks: the store was half written; {REMEDY}"
+            )
+        check_zarr_chunks(found, codecs, chunks, item, name)
 
 
 def _packing(about: dict[str, Any]) -> tuple[list[int], list[str]]:

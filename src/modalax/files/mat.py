@@ -30,7 +30,7 @@ def read_mat(path: Path, told: Told = NOTHING) -> Saved:
 
 def _classic(path: Path) -> dict[str, Any]:
     with reading("the .mat file"):
-        check_elements(path, READ_KEYS)
+        check_elements(path)
         names = [name for name, _, _ in scipy.io.whosmat(path)]
         found = scipy.io.loadmat(path, variable_names=sorted(READ_KEYS))
         return {name: _value(name, found[name]) if name in found else None for name in names}

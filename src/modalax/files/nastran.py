@@ -3,6 +3,7 @@
 The layout of the cards is that of the MSC Nastran Quick Reference Guide (entries GRID, CORD1R to CORD2S, DMIG).
 """
 
+import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,7 +14,6 @@ import numpy as np
 from modalax.files.matrices import Matrix
 
 _EXPONENT = re.compile(r"^([+-]?[0-9.]+)([+-][0-9]+)$")
-_DEEPEST = 8  # INCLUDE statements inside one another
 SYMMETRIC, SQUARE = 6, 1  # forms of DMIG matrices
 ELEMENTS = {  # fields that hold the grid points of an element
     "CBAR": (2, 4), "CBEAM": (2, 4), "CROD": (2, 4), "CONROD": (1, 3), "CTUBE": (2, 4), "CBUSH": (2, 4),
@@ -43,17 +43,34 @@ def number(text: str) -> float:
     Raises
     ------
     ValueError
-        If it is neither.
+        If it is neither, or not finite.
     """
     plain = text.strip().upper().replace("D", "E")
     short = _EXPONENT.match(plain)
     try:
-        return float(f"{short[1]}E{short[2]}" if short else plain)
+        found = float(f"{short[1]}E{short[2]}" if short else plain)
     except ValueError:
-        raise ValueError(f"{text.strip()!r} stands where a number is needed") from None
+        found = math.nan
+    if not math.isfinite(found):
+        raise ValueError(f"{text.strip()!r} stands where a number is needed")
+    return found
 
 
-def cards(path: Path, depth: int = 0) -> Iterator[tuple[str, list[str]]]:
+def whole(text: str) -> int:
+    """Read a whole number, such as that of a grid point.
+
+    Raises
+    ------
+    ValueError
+        If it is none.
+    """
+    found = number(text)
+    if found != int(found):
+        raise ValueError(f"{text.strip()!r} stands where a whole number is needed")
+    return int(found)
+
+
+def cards(path: Path, read: set[Path] | None = None) -> Iterator[tuple[str, list[str]]]:
     """Bulk data entries of a deck or punch file, continued lines joined: name and fields as text.
 
     Small fields (8 characters), large fields (``*``, 16 characters), free fields (commas) and ``INCLUDE`` are read.
@@ -61,10 +78,12 @@ def cards(path: Path, depth: int = 0) -> Iterator[tuple[str, list[str]]]:
     Raises
     ------
     ValueError
-        If an included file does not exist, or files include one another without end.
+        If an included file does not exist, or stands in the deck twice, as where files include one another.
     """
-    if depth > _DEEPEST:
-        raise ValueError(f"{path}: files include one another more than {_DEEPEST} deep")
+    read = set() if read is None else read
+    if path.resolve() in read:
+        raise ValueError(f"{path} is included a second time; a deck holds each file once")
+    read.add(path.resolve())
     name, fields = "", []
     with path.open(encoding="latin-1") as file:
         for raw in file:
@@ -75,7 +94,7 @@ def cards(path: Path, depth: int = 0) -> Iterator[tuple[str, list[str]]]:
                 if name:
                     yield name, fields
                     name, fields = "", []
-                yield from cards(_included(path, line), depth + 1)
+                yield from cards(_included(path, line), read)
                 continue
             head, more = _fields(line)
             if head == "":
@@ -123,8 +142,8 @@ def read_dmig(path: Path) -> dict[str, Matrix]:
             continue
         name = fields[0]
         if fields[1] == "0":
-            heads[name], entries[name], digits[name] = int(number(fields[2])), [], 1
-            if int(number(fields[3] or "1")) > 2:
+            heads[name], entries[name], digits[name] = whole(fields[2]), [], 1
+            if whole(fields[3] or "1") > 2:
                 raise ValueError(f"matrix {name} is complex (type {fields[3]}); stiffness and mass are real")
             continue
         if name not in entries:
@@ -145,7 +164,7 @@ def read_dmig(path: Path) -> dict[str, Matrix]:
 
 
 def _point(grid: str, component: str) -> tuple[int, int]:
-    return int(number(grid)), int(number(component or "0"))
+    return whole(grid), whole(component or "0")
 
 
 def _assembled(entries: list, form: int, digits: int) -> Matrix:
@@ -169,18 +188,18 @@ def read_grids(path: Path) -> dict[int, Grid]:
     default = ["", ""]
     for card, fields in cards(path):
         if card == "GRID":
-            points[int(number(fields[0]))] = [*fields, *[""] * 8]
+            points[whole(fields[0])] = [*fields, *[""] * 8]
         elif card == "GRDSET":
             fields = [*fields, *[""] * 8]
             default = [fields[1], fields[5]]
         elif card[:4] == "CORD" and card[4:] in ("1R", "1C", "1S", "2R", "2C", "2S"):
             fields = [*fields, *[""] * 12]
             if card[4] == "2":
-                systems[int(number(fields[0]))] = card, fields[1:11]
+                systems[whole(fields[0])] = card, fields[1:11]
             else:
                 for k in (0, 4):
                     if fields[k]:
-                        systems[int(number(fields[k]))] = card, fields[k + 1 : k + 4]
+                        systems[whole(fields[k])] = card, fields[k + 1 : k + 4]
     if not points:
         raise ValueError(f"{path} holds no GRID entries; give the bulk data deck")
     frames = _Frames(points, systems, default)
@@ -192,7 +211,7 @@ def read_lines(path: Path) -> list[tuple[int, ...]]:
     found = []
     for card, fields in cards(path):
         first, last = ELEMENTS.get(card, (0, 0))
-        points = [int(number(text)) for text in fields[first:last] if text.isdigit()]
+        points = [whole(text) for text in fields[first:last] if text.isdigit()]
         if len(points) > 1:
             found.append((*points, points[0]) if len(points) > 2 else tuple(points))
     return found
@@ -216,14 +235,15 @@ class _Frames:
         self.open.add(name)
         card, fields = self.systems[name]
         if card[4] == "2":
-            about = int(number(fields[0] or "0"))
+            about = whole(fields[0] or "0")
             given = [number(text or "0") for text in fields[1:10]]
             a, b, c = (self.basic(np.array(given[k : k + 3]), about) for k in (0, 3, 6))
         else:
-            a, b, c = (self.position(int(number(text))) for text in fields[:3])
-        z = (b - a) / np.linalg.norm(b - a)
-        y = np.cross(z, c - a)
-        y /= np.linalg.norm(y)
+            a, b, c = (self.position(whole(text)) for text in fields[:3])
+        y = np.cross(b - a, c - a)
+        if not np.isfinite(y).all() or not y.any():
+            raise ValueError(f"coordinate system {name} has no axes: its three points lie on a line")
+        z, y = (b - a) / np.linalg.norm(b - a), y / np.linalg.norm(y)
         self.known[name] = a, np.stack([np.cross(y, z), y, z]), card[5]
         return self.known[name]
 
@@ -241,13 +261,11 @@ class _Frames:
         if name not in self.points:
             raise ValueError(f"grid point {name} is used by a coordinate system but not defined")
         fields = self.points[name]
-        return self.basic(
-            np.array([number(t or "0") for t in fields[2:5]]), int(number(fields[1] or self.default[0] or "0"))
-        )
+        return self.basic(np.array([number(t or "0") for t in fields[2:5]]), whole(fields[1] or self.default[0] or "0"))
 
     def grid(self, name: int) -> Grid:
         xyz = self.position(name)
-        origin, axes, kind = self.frame(int(number(self.points[name][5] or self.default[1] or "0")))
+        origin, axes, kind = self.frame(whole(self.points[name][5] or self.default[1] or "0"))
         local = (xyz - origin) @ axes.T
         if kind == "C":
             axes = _cylindrical(np.arctan2(local[1], local[0])) @ axes
@@ -296,7 +314,7 @@ def read_punched_modes(path: Path) -> tuple[np.ndarray, tuple[tuple[int, int], .
             if text.startswith("-CONT-"):
                 shapes[-1][point] += row
             else:
-                point = int(number(text[:10]))
+                point = whole(text[:10])
                 shapes[-1][point] = row
     if not shapes:
         raise ValueError("no eigenvectors in it; let Nastran punch them: VECTOR(PUNCH)=ALL")

@@ -22,8 +22,10 @@ def read_npz(path: Path, told: Told = NOTHING, **options: Any) -> Saved:
     return from_arrays(npz_arrays(path), told, **options)
 
 
-def npz_arrays(path: Path) -> dict[str, Any]:
+def npz_arrays(path: Path, every: bool = False) -> dict[str, Any]:
     """The arrays of an archive that are known; of any other only the name is kept, with None as value.
+
+    With ``every``, all are read.
 
     Raises
     ------
@@ -33,7 +35,7 @@ def npz_arrays(path: Path) -> dict[str, Any]:
     arrays: dict[str, Any] = {}
     with reading("the .npz archive"), path.open("rb") as file, zipfile.ZipFile(file) as archive:
         entries = {entry.filename.removesuffix(".npy"): entry for entry in archive.infolist()}
-        used = entries if EXTENDED in entries else READ_KEYS & set(entries)
+        used = entries if every or EXTENDED in entries else READ_KEYS & set(entries)
         check_size(sum(entries[name].file_size for name in used), path, "the .npz archive")
         for name, entry in entries.items():
             arrays[name] = _array(archive, entry, name) if name in used else None
@@ -43,29 +45,35 @@ def npz_arrays(path: Path) -> dict[str, Any]:
 def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, name: str) -> np.ndarray:
     with reading(f"array {name!r}"):
         with archive.open(entry) as stream:
-            header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-            version = np.lib.format.read_magic(stream)
-            if version not in header:
-                raise Refused(f"array {name!r} is of format {version}; formats 1.0 and 2.0 are read")
-            shape, _, dtype = header[version](stream)
-            if dtype.hasobject:
-                raise Refused(
-                    f"array {name!r} was saved as Python objects, which is unsafe to read; "
-                    "save text as np.array(names, dtype=str)"
-                )
-            left = entry.file_size - stream.tell()
-            # Text of no letters takes no room, however many items of it are declared.
-            if (
-                bytes_of(shape, dtype.itemsize) > max(left, 64)
-                or dtype.itemsize
-                and bytes_of(shape, dtype.itemsize) != left
-            ):
-                raise Refused(
-                    f"array {name!r} declares the shape {shape} of {dtype}, and the archive holds {left} bytes of it: "
-                    "it is damaged or cut short; copy or save it again"
-                )
+            check_header(stream, entry.file_size, f"array {name!r}")
         with archive.open(entry) as stream:
             return np.lib.format.read_array(stream, allow_pickle=False)
+
+
+def check_header(stream: Any, size: int, what: str) -> None:
+    """Refuse an array of NumPy's format that holds objects, or another number of bytes than ``size`` leaves it.
+
+    Raises
+    ------
+    ValueError
+        Naming both.
+    """
+    header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    version = np.lib.format.read_magic(stream)
+    if version not in header:
+        raise Refused(f"{what} is of format {version}; formats 1.0 and 2.0 are read")
+    shape, _, dtype = header[version](stream)
+    if dtype.hasobject:
+        raise Refused(
+            f"{what} was saved as Python objects, which is unsafe to read; save text as np.array(names, dtype=str)"
+        )
+    left, declared = size - stream.tell(), bytes_of(shape, dtype.itemsize)
+    # Text of no letters takes no room, however many items of it are declared.
+    if declared > max(left, 64) or (dtype.itemsize and declared != left):
+        raise Refused(
+            f"{what} declares the shape {shape} of {dtype}, and the file holds {left} bytes of it: it is damaged or "
+            "cut short; copy or save it again"
+        )
 
 
 def write_npz(what: Any, path: Path) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from modalax.data.recording import Recording, joined
+from modalax.files.guard import reading
 from modalax.files.messages import about
 from modalax.files.record_kinds import kind_of
 
@@ -56,7 +57,8 @@ def _read(path: Path, fs: float | None, array: str) -> Recording:
         if kind == "uff":
             from modalax.files.records_uff import read_uff_records
 
-            return read_uff_records(path, fs)
+            with reading("the universal file", ValueError):
+                return read_uff_records(path, fs)
         if kind in ("npz", "mat", "hdf5"):
             from modalax.files.records_named import read_named
 

@@ -8,6 +8,9 @@ from typing import Any
 import numpy as np
 
 from modalax.data.recording import Recording, rate_of
+from modalax.files.guard import reading
+from modalax.files.inside import check_datasets, check_elements
+from modalax.files.npz import npz_arrays
 from modalax.files.records_tables import from_array, split_unit
 
 _RATE = re.compile(r"^(fs|f_s|fsamp\w*|sampl\w*_?(rate|freq\w*)|rate|sr)$", re.IGNORECASE)
@@ -65,7 +68,7 @@ def _rate(arrays: dict[str, np.ndarray]) -> float | None:
             if _RATE.match(name):
                 warnings.warn(f"sampling rate {number:g} Hz from its {name}", stacklevel=3)
                 return number
-            if _STEP.match(name):
+            if _STEP.match(name) and number != 0:
                 warnings.warn(f"sampling rate {1 / number:g} Hz from its {name} = {number:g} s", stacklevel=3)
                 return 1 / number
     for name, value in arrays.items():
@@ -84,20 +87,15 @@ Named = tuple[dict[str, np.ndarray], dict[str, str]]
 
 
 def _npz(path: Path) -> Named:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            return {k: file[k] for k in file.files}, {}
-    except (ValueError, EOFError, OSError, KeyError) as error:
-        raise ValueError(f"the .npz file is damaged or holds objects ({error})") from error
+    return npz_arrays(path, every=True), {}
 
 
 def _mat(path: Path) -> Named:
     import scipy.io
 
-    try:
+    with reading("the .mat file"):
+        check_elements(path)
         found = scipy.io.loadmat(path, squeeze_me=True, struct_as_record=False)
-    except (OSError, EOFError, TypeError, NotImplementedError, scipy.io.matlab.MatReadError) as error:
-        raise ValueError(f"the .mat file is damaged or cut short ({error}); copy or save it again") from error
     arrays: dict[str, np.ndarray] = {}
     for name, value in found.items():
         if not name.startswith("__"):
@@ -121,27 +119,34 @@ def _hdf5(path: Path) -> Named:
         import h5py
     except ImportError as error:
         raise ValueError("reading HDF5 needs h5py: pip install 'modalax[files]'") from error
-    arrays: dict[str, np.ndarray] = {}
-    units: dict[str, str] = {}
-
-    def rates(attributes: Any) -> None:
-        for key, word in attributes.items():
-            if (_RATE.match(key) or _STEP.match(key)) and np.size(word) == 1:
-                arrays.setdefault(key, np.asarray(word, float))
+    names: list[str] = []
 
     def visit(name: str, node: Any) -> None:
-        if name.startswith("#") or not isinstance(node, h5py.Dataset) or node.dtype.kind not in "iuf":
-            return
-        arrays[name] = np.asarray(node[()])
-        word = next((node.attrs[key] for key in ("unit", "units", "unit_str") if key in node.attrs), None)
-        if word is not None:
-            units[name] = word.decode() if isinstance(word, bytes) else str(word)
-        rates(node.attrs)
+        if not name.startswith("#") and isinstance(node, h5py.Dataset) and node.dtype.kind in "iuf":
+            names.append(name)
 
-    try:
-        with h5py.File(path, "r") as file:
-            rates(file.attrs)
-            file.visititems(visit)
-    except OSError as error:
-        raise ValueError(f"the HDF5 file is damaged or cut short ({error}); copy or save it again") from error
+    arrays: dict[str, np.ndarray] = {}
+    units: dict[str, str] = {}
+    with reading("the HDF5 file"), h5py.File(path, "r") as file:
+        file.visititems(visit)
+        check_datasets(file, names, path)
+        arrays |= _rates(file.attrs)
+        for name in names:
+            node = file[name]
+            arrays[name] = np.asarray(node[()])
+            word = next((node.attrs[key] for key in ("unit", "units", "unit_str") if key in node.attrs), None)
+            if word is not None:
+                units[name] = word.decode() if isinstance(word, bytes) else str(word)
+            arrays = _rates(node.attrs) | arrays
     return arrays, units
+
+
+def _rates(attributes: Any) -> dict[str, np.ndarray]:
+    """Rates and steps among attributes."""
+    found = {}
+    for key in attributes:
+        if _RATE.match(key) or _STEP.match(key):
+            word = np.asarray(attributes[key])
+            if word.size == 1 and word.dtype.kind in "iuf":
+                found[key] = word.astype(float)
+    return found

@@ -1,14 +1,18 @@
 """Time records from tables that hold little else: one NumPy array, CSV or other text, WAV."""
 
+import itertools
 import re
-import struct
 import warnings
 from pathlib import Path
 
 import numpy as np
 
 from modalax.data.recording import Recording, rate_of
+from modalax.files.guard import reading
+from modalax.files.lines import LONGEST_LINE, lines_of, table_of
+from modalax.files.npz import check_header
 
+MOST_HEADINGS = 10_000
 _TIME = re.compile(r"^\s*(t|time|zeit|temps)\b", re.IGNORECASE)
 _UNIT = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]*)[\])]\s*$")
 
@@ -68,10 +72,10 @@ def read_npy(path: Path, fs: float | None) -> Recording:
     ValueError
         If it holds no numbers, is damaged, or its rate is not known.
     """
-    try:
-        value = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, OSError) as error:
-        raise ValueError(f"the .npy file is damaged or holds objects ({error})") from error
+    with reading("the .npy file"), path.open("rb") as file:
+        check_header(file, path.stat().st_size, "the .npy file")
+        file.seek(0)
+        value = np.lib.format.read_array(file, allow_pickle=False)
     return from_array(value, fs, "")
 
 
@@ -114,16 +118,16 @@ def read_wav(path: Path, fs: float | None) -> Recording:
     """
     from scipy.io import wavfile
 
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", wavfile.WavFileWarning)
-            rate, data = wavfile.read(path)
-    except (ValueError, EOFError, OSError, struct.error) as error:
-        raise ValueError(f"the WAV file is damaged or of a kind that is not read ({error})") from error
+    with reading("the WAV file"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", wavfile.WavFileWarning)
+        rate, data = wavfile.read(path)
     data = np.reshape(data, (len(data), -1))
     if data.dtype.kind in "iu":
         middle = 128.0 if data.dtype == np.uint8 else 0.0
-        data = (data - middle) / (128.0 if data.dtype == np.uint8 else float(np.iinfo(data.dtype).max) + 1)
+        full = 128.0 if data.dtype == np.uint8 else float(np.iinfo(data.dtype).max) + 1
+        data = data.astype(float)
+        data -= middle
+        data /= full
         warnings.warn(
             "its samples are shares of full scale, not physical units; scale each channel by what full scale is",
             stacklevel=2,
@@ -132,7 +136,11 @@ def read_wav(path: Path, fs: float | None) -> Recording:
         warnings.warn(f"the file says {rate:g} Hz; the {fs:g} Hz asked for count", stacklevel=2)
     names = [f"channel {k + 1}" for k in range(data.shape[1])]
     return Recording(
-        data.astype(float)[None], float(fs or rate), tuple(names), ("",) * len(names), tuple(range(1, len(names) + 1))
+        np.asarray(data, float)[None],
+        float(fs or rate),
+        tuple(names),
+        ("",) * len(names),
+        tuple(range(1, len(names) + 1)),
     )
 
 
@@ -144,35 +152,41 @@ def read_text(path: Path, fs: float | None) -> Recording:
     ValueError
         If there are no columns of numbers, or a line has another number of them.
     """
-    raw = path.read_bytes()
-    try:
-        text = raw.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = raw.decode("latin-1")
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("%")]
-    separator, comma = _layout(lines)
+    separator, comma = _layout(_last_line(path))
     split = lambda line: [c.strip().strip('"') for c in (line.split(separator) if separator else line.split())]  # noqa: E731
     number = (lambda c: c.replace(",", ".")) if comma else (lambda c: c)
-    start = next((k for k, line in enumerate(lines) if _numbers(split(line), number) is not None), None)
-    if start is None:
-        raise ValueError(f"holds no line of numbers; its first line is {lines[0][:60]!r}")
-    rows = []
-    for k, line in enumerate(lines[start:], start=start + 1):
-        values = _numbers(split(line), number)
-        if values is None or (rows and len(values) != len(rows[0])):
-            raise ValueError(
-                f"line {k} (empty and comment lines not counted) reads {line[:60]!r}; {len(rows[0])} numbers as before "
-                "are needed"
-            )
-        rows.append(values)
-    table = np.array(rows)
-    names, units = _headings([split(line) for line in lines[:start]], table.shape[1])
+    rows, heads, first, values = lines_of(path, "%"), [], (0, ""), None
+    for first in rows:
+        values = _numbers(split(first[1]), number)
+        if values is not None:
+            break
+        heads.append(first[1])
+        if len(heads) > MOST_HEADINGS:
+            break
+    if len(heads) > MOST_HEADINGS or values is None:
+        raise ValueError(f"holds no line of numbers; its first line is {(heads or [''])[0][:60]!r}")
+
+    def numbers(line: str, place: int) -> list[float]:
+        found = _numbers(split(line), number)
+        if found is None or len(found) != len(values):
+            raise ValueError(f"line {place} reads {line[:60]!r}; {len(values)} numbers as before are needed")
+        return found
+
+    table = table_of(itertools.chain([first], rows), numbers, len(values))
+    names, units = _headings([split(line) for line in heads], table.shape[1])
     return recording_of(table, fs, names, units)
 
 
-def _layout(lines: list[str]) -> tuple[str, bool]:
+def _last_line(path: Path) -> str:
+    """The last line with something in it."""
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - LONGEST_LINE))
+        lines = file.read().decode("latin-1").splitlines()
+    return next((line for line in reversed(lines) if line.strip() and not line.lstrip().startswith("%")), "")
+
+
+def _layout(last: str) -> tuple[str, bool]:
     """Separator (empty: blanks) and whether decimals have a comma, from the last line of the file."""
-    last = lines[-1]
     for separator in (";", "\t"):
         if separator in last.strip():
             return separator, "," in last

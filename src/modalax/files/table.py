@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from modalax.files.guard import MOST_NAMES, Refused, reading
+from modalax.files.lines import lines_of, table_of
 from modalax.files.sniff import FREQUENCY
 from modalax.files.units import frequency_factor
 
@@ -30,9 +31,8 @@ def read_table(path: Path) -> dict[str, Any]:
         If the header does not say what the columns are, or a number cannot be read; the message names the line.
     """
     with reading("the table"):
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    rows = [(k + 1, line) for k, line in enumerate(lines) if line.strip() and not line.startswith("#")]
-    head = rows[0][1]
+        rows = lines_of(path, "#")
+        head = next(rows)[1]
     mark = next((m for m in ("\t", ";", ",") if m in head), None)
     titles = [t.strip().strip('"').strip() for t in (head.split(mark) if mark else head.split())]
     if len(titles) > 4 * MOST_NAMES:
@@ -43,7 +43,7 @@ def read_table(path: Path) -> dict[str, Any]:
         _complete(titles, kinds)
     except ValueError as error:
         raise ValueError(f"{error}; the file begins with {head[:40]!r}") from error
-    numbers = np.array([_numbers(line, mark, len(titles), k) for k, line in rows[1:]]).reshape(-1, len(titles))
+    numbers = table_of(rows, lambda line, k: _numbers(line, mark, len(titles), k), len(titles))
     names, columns = _frfs(kinds, numbers)
     return {"freq": factor * numbers[:, 0], **_channels(names, np.array(columns).T)}
 

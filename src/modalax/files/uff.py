@@ -95,7 +95,11 @@ def read_uff(path: Path, form: str | None = None, complete: bool = False) -> Mea
     ValueError
         If there is nothing to use; the message says what the file holds.
     """
-    sets = read_sets(path)
+    with reading("the universal file", ValueError):
+        return _frfs_or_modes(read_sets(path), form, complete)
+
+
+def _frfs_or_modes(sets: list[dict[str, Any]], form: str | None, complete: bool) -> Measurement | ModalModel:
     functions = functions_of([s for s in sets if s["type"] == 58])
     if any(f.kind == "frf" for f in functions):
         shapes = sum(s["type"] in (55, 2414) for s in sets)
@@ -130,7 +134,8 @@ def load_geometry(path: Path | str) -> Geometry:
             from modalax.files.points import geometry_of_points, geometry_of_triangles
 
             return (geometry_of_triangles if path.suffix.lower() == ".stl" else geometry_of_points)(path)
-        return geometry_of(_universal(path))
+        with reading("the universal file", ValueError):
+            return geometry_of(_universal(path))
 
 
 def load_modes(path: Path | str) -> Modes:
@@ -142,7 +147,7 @@ def load_modes(path: Path | str) -> Modes:
         If there is no such file, or it holds no mode shapes.
     """
     path = Path(path)
-    with about(path):
+    with about(path), reading("the universal file", ValueError):
         modes = modes_of(_universal(path))
         if modes is None:
             raise ValueError("holds no mode shapes (data set 55 or 2414 at nodes)")

@@ -203,7 +203,7 @@ class Structure(eqx.Module):
             )
         psi = (phi @ vectors).T
         psi = psi / np.take_along_axis(psi, np.abs(psi).argmax(axis=1)[:, None], axis=1)
-        a = np.einsum("nd,nde,ne->n", psi, 2 * poles[:, None, None] * M + C, psi)
+        a = 2 * poles * ((psi @ M) * psi).sum(axis=1) + ((psi @ C) * psi).sum(axis=1)
         return in_order(
             ModalModel(
                 poles, psi, psi / a[:, None], outputs=self.dofs, inputs=self.dofs, lower=lower,
