@@ -31,12 +31,13 @@ import modalax.files.mat  # noqa: F401
 import modalax.files.uff  # noqa: F401
 from modalax.cli.common import write_json
 from modalax.data import Measurement
+from modalax.files.modes import save_modes
 from modalax.files.write import write_text
 
 jax.config.update("jax_enable_x64", True)
 LINES, OUTPUTS = 400, 3
 FORMATS = ("npz", "uff", "mat", "nc", "zarr")
-KINDS = (*FORMATS, "json", "html", "png")
+KINDS = (*FORMATS, "json", "html", "csv", "png", "gif")
 SECONDS = 60  # after which a process is taken to hang
 
 
@@ -59,6 +60,14 @@ def writer(kind: str, version: int) -> Callable[[Path], None]:
     if kind == "html":
         text = f"<html><!-- {version} -->{'<p>' * 100000}</html>"
         return lambda path: write_text(path, text)
+    if kind == "csv":
+        modes = _Modes(version)
+        return lambda path: save_modes(modes, path, overwrite=True)  # pyright: ignore
+    if kind == "gif":
+        from modalax.show.shapes import animate_shape
+
+        places = _Places(version)
+        return lambda path: animate_shape(places, ["1:+Z", "2:+Z"], [1.0, -1.0], path, frames=2 + version)  # pyright: ignore
     from matplotlib.figure import Figure
 
     from modalax.show.fit import save_pictures
@@ -66,6 +75,34 @@ def writer(kind: str, version: int) -> Callable[[Path], None]:
     figure = Figure(figsize=(3, 3), dpi=100 * (1 + version))
     figure.add_subplot().plot(np.random.default_rng(0).normal(size=300))
     return lambda path: save_pictures({path.stem: figure}, path.parent)  # pyright: ignore
+
+
+class _Modes:
+    """Modes with what is written of them, without JAX."""
+
+    def __init__(self, version: int):
+        count = 200
+        self.outputs, self.inputs = [str(k) for k in range(60)], ["1"]
+        self.poles = self.damping_ratio = np.full(count, 0.01)
+        self.frequency_hz = np.arange(count) + 1.0 + version
+        self.shapes = np.ones((count, 60)) + 0.5j
+
+    def normalised(self) -> "_Modes":
+        return self
+
+
+class _Places:
+    """Two nodes and the line between them, without JAX."""
+
+    def __init__(self, version: int):
+        self.nodes, self.lines = ("1", "2"), (("1", "2"),)
+        self.xyz = np.array([[0.0, 0.0, 0.0], [1.0 + version, 0.0, 0.0]])
+        self.segments = np.array([[0, 1]])
+
+    def displacements(self, dofs: list[str], values: object) -> tuple[np.ndarray, np.ndarray]:
+        motion = np.zeros((2, 3), complex)
+        motion[:, 2] = np.asarray(values)
+        return motion, np.ones((2, 3), bool)
 
 
 def version_of(path: Path) -> int:
@@ -84,9 +121,17 @@ def version_of(path: Path) -> int:
         text = path.read_text()
         assert text.endswith("</html>")
         return int(text[11])
+    if kind == "csv":
+        rows = path.read_text().splitlines()
+        assert len(rows) == 201 and all(row.count(",") == 124 for row in rows)
+        return int(float(rows[1].split(",")[1])) - 1
     from PIL import Image
 
     with Image.open(path) as picture:
+        if kind == "gif":
+            frames = picture.n_frames
+            picture.seek(frames - 1)
+            return frames - 2
         picture.load()
         return int(picture.width > 450)  # 3 inches of 100 or 200 dots
 

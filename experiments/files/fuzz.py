@@ -38,12 +38,11 @@ EXECUTION = (
 executed: list[str] = []
 
 
-def sound_files(folder: Path) -> dict[str, Path]:
-    """One sound file of each kind."""
-    paths = {}
-    for name, kind in KINDS.items():
-        paths[name] = folder / f"{name}.{kind.ending}"
-        kind.write(paths[name])
+def sound_files(folder: Path, kinds: list[str]) -> dict[str, Path]:
+    """One sound file of each of these kinds."""
+    paths = {name: folder / f"{name}.{KINDS[name].ending}" for name in kinds}
+    for name, path in paths.items():
+        KINDS[name].write(path)
     return paths
 
 
@@ -121,7 +120,7 @@ def run(numbers: range, seed: int, kinds: list[str], keep: Path | None = None) -
     """Try the files of these numbers, in turn over the kinds; each as kind, end and words."""
     with tempfile.TemporaryDirectory() as name:
         (Path(name) / "sound").mkdir()
-        sound = sound_files(Path(name) / "sound")
+        sound = sound_files(Path(name) / "sound", kinds)
         for which in kinds:
             end = _read(which, sound[which], sound[which])
             assert end[0] == "sound", (which, end)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import scipy.io
 import scipy.sparse
@@ -51,7 +52,7 @@ def extended() -> Any:
 
     cause = next(c for c in saved_causes() if c.slug == "added_mass")
     return ExtendedSimulation(
-        five_dof(), (np.array([0.1]),), (np.array([0.01]),), np.zeros((2, 5)), (None,), (cause,),
+        five_dof(), (jnp.array([0.1]),), (jnp.array([0.01]),), jnp.zeros((2, 5)), (None,), (cause,),
         (Place(("2",), (1, -1, -1)),), ("1", "2"), ("1",), 10.0,
     )  # fmt: skip
 

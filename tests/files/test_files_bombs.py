@@ -287,12 +287,19 @@ def test_matrices_by_abaqus_that_cannot_be(tmp_path, text, pattern):
         (b'[[joint]]\nlaw = 4\nwhere = "1"\n', "joint 1: law is a name"),
         (b"joint = 3\n", "holds no table"),
         (b'[[joint]]\nlaw = "\xff"\n', "can't decode"),
+        (b'[[joint]]\nlaw = "cubic_stiffness"\nwhere = "3"\nk3 = inf\n', "k3 is inf; finite numbers are needed"),
     ],
 )
 def test_files_of_joints_that_cannot_be(tmp_path, content, pattern):
     path = tmp_path / "x.toml"
     path.write_bytes(content)
     refused(path, pattern, lambda p: read_joints(str(p)))
+
+
+def test_an_option_for_another_kind_of_file_is_named(tmp_path):
+    path = tmp_path / "x.mtx"
+    path.write_text("    -1\n    58\n    -1\n")
+    refused(path, "option mass is for other kinds of files, this one is uff", lambda p: modalax.load(p, mass=p))
 
 
 def test_an_extended_simulation_that_lacks_something(tmp_path):

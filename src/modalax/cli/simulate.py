@@ -1,6 +1,7 @@
 """``modalax simulate``: FRFs that a model predicts, with non-linear joints or without."""
 
 import dataclasses
+import math
 import tomllib
 from enum import StrEnum
 from pathlib import Path
@@ -208,6 +209,8 @@ def _values(what: str, kind: Any, whole: list[str], parameters: dict[str, Any]) 
         raise ValueError(f"joint {what}: a parameter is no number: {error}") from error
     for name, value in values.items():
         several = value if isinstance(value, list) else [value]
+        if not all(math.isfinite(v) for v in several):
+            raise ValueError(f"joint {what}: {name} is {parameters[name]}; finite numbers are needed")
         if name in whole:
             if any(v != int(v) for v in several):
                 raise ValueError(f"joint {what}: {name} is {parameters[name]}; whole numbers are needed")

@@ -204,9 +204,9 @@ def from_arrays(arrays: Any, causes: Sequence[Cause] | None = None) -> ExtendedS
 
 def _check(found: ExtendedSimulation) -> None:
     """Refuse numbers that no extension has."""
-    modes = len(found.base.poles) if isinstance(found.base, ModalModel) else found.theta.shape[-1]
-    if found.theta.ndim != 2 or found.theta.shape[0] != 2 or found.theta.shape[1] < modes:
-        raise ValueError(f"theta has shape {found.theta.shape}; it needs (2, {modes})")
+    least = len(found.base.poles) if isinstance(found.base, ModalModel) else 0
+    if found.theta.ndim != 2 or found.theta.shape[0] != 2 or found.theta.shape[1] < least:
+        raise ValueError(f"theta has shape {found.theta.shape}; it needs (2, n), a column a mode")
     numbers = {"theta": found.theta, "lowest_hz": found.lowest_hz}
     for k, (cause, place) in enumerate(zip(found.causes, found.places, strict=True)):
         params, spread = found.params[k], found.spread[k]

@@ -90,6 +90,8 @@ def _read(path: Path, kind: str, told: Told, options: dict[str, Any]) -> Saved:
     if kind == "uff":
         from modalax.files.uff import read_uff
 
+        if set(options) - {"complete"}:
+            raise ValueError(f"option {', '.join(options)} is for other kinds of files, this one is {kind}")
         return read_uff(path, form=told.form, **options)
     if kind == "npz":
         return _published(path) or read_npz(path, told, **options)
