@@ -146,7 +146,11 @@ def modes_of(sets: Sequence[Set]) -> Modes | None:
     if any(m.nodes != modes[0].nodes or m.values.shape != modes[0].values.shape for m in modes):
         raise ValueError("its mode shapes are given at different nodes; they need the same nodes in the same order")
     values = np.array([m.values for m in modes])
-    for what, numbers in (("shapes", values), ("poles", [m.pole for m in modes]), ("scales", [m.modal_a for m in modes])):
+    for what, numbers in (
+        ("shapes", values),
+        ("poles", [m.pole for m in modes]),
+        ("scales", [m.modal_a for m in modes]),
+    ):
         if not np.isfinite(numbers).all():
             raise ValueError(f"the {what} of its modes hold numbers that are not finite")
     # A direction that is zero in every shape was not measured: the format has no other way to say so.
