@@ -132,7 +132,7 @@ def _hdf5(path: Path) -> Named:
         check_datasets(file, names, path)
         arrays |= _rates(file.attrs)
         for name in names:
-            node = file[name]
+            node: Any = file[name]
             arrays[name] = np.asarray(node[()])
             word = next((node.attrs[key] for key in ("unit", "units", "unit_str") if key in node.attrs), None)
             if word is not None:
