@@ -7,6 +7,8 @@ from modalax.data import FRF, Measurement
 from modalax.diagnose import catalogue, diagnose
 from modalax.identify import fit
 from modalax.model import Structure
+from modalax.show import save_fit_pictures
+from modalax.show.report import diagnosis_report, fit_report
 
 FREQ = np.linspace(10.0, 60.0, 101)
 M = np.diag([1.0, 1.3, 0.9])
@@ -69,7 +71,10 @@ def plain(causes):
 @pytest.mark.parametrize("how", WAYS)
 def test_the_diagnosis_is_the_same_however_the_data_is_written(causes, plain, how):
     data, simulation, unit = rewritten(how)
-    answer = diagnose(data, simulation, causes=causes).to_dict()
+    diagnosis = diagnose(data, simulation, causes=causes)
+    answer = diagnosis.to_dict()
+    if how == "names":  # signs that mean something to what draws are letters of a name
+        assert "$x^2" in diagnosis_report(diagnosis, title="$x^2")
     assert plain["verdict"] == answer["verdict"] == "named"
     [expected], [found] = plain["causes"], answer["causes"]
     where = ["$x^2"] if how == "names" else ["b"]
@@ -87,7 +92,7 @@ def modes():
 
 
 @pytest.mark.parametrize("how", [w for w in WAYS if w not in ("runs", "DoFs of the simulation")])
-def test_the_modes_are_the_same_however_the_data_is_written(modes, how):
+def test_the_modes_are_the_same_however_the_data_is_written(modes, how, tmp_path):
     data, _, unit = rewritten(how)
     found = fit(data.run(0), refine=False, order=12)
     np.testing.assert_allclose(found.model.frequency_hz, modes.model.frequency_hz, rtol=1e-8)
@@ -96,6 +101,8 @@ def test_the_modes_are_the_same_however_the_data_is_written(modes, how):
     shapes = np.asarray(modes.model.normalised().shapes)[:, turn]
     np.testing.assert_allclose(found.model.normalised().shapes, shapes, atol=1e-6)
     assert float(found.unexplained) == pytest.approx(float(modes.unexplained), rel=1e-6)
+    if how == "names":
+        assert "$x^2" in fit_report(found, title="$x^2") and save_fit_pictures(found, tmp_path)
 
 
 def test_lines_in_another_order_are_refused_and_sorted_are_the_same(modes):
