@@ -14,11 +14,12 @@ import modalax
 from modalax.cli.simulate import read_joints
 from modalax.data import Geometry, Measurement
 from modalax.data.recording import Recording
-from modalax.files import load_geometry, load_modes, load_records
+from modalax.files import load_geometry, load_mode_table, load_modes, load_records
 from modalax.files.arrays import to_arrays
 from modalax.files.uff_nodes import Modes
 from modalax.model import ModalModel, Structure
 from modalax.model.examples import five_dof
+from modalax.model.mode_table import ModeTable
 
 
 @dataclass(frozen=True)
@@ -99,6 +100,7 @@ KINDS: dict[str, Kind] = {
     "nc3": packed(sf.netcdf3_arrays, pack_netcdf3, "nc"),
     "zarr": Kind("zarr", saved(sf.measurement)),
     "csv": Kind("csv", sf.write_table, told(), text=True),
+    "csv_modes": Kind("csv", sf.write_modes_table, lambda path, sound: load_mode_table(path), text=True),
     "nastran_matrices": Kind("pch", sf.write_punch, text=True),
     "nastran_deck": Kind("bdf", sf.write_deck_beside, deck_of(".pch"), text=True),
     "nastran_modes": Kind("pch", sf.write_eigenvectors, text=True),
@@ -138,7 +140,7 @@ def unsound(found: Any) -> str:
         )
     finite = {
         Structure: ("M", "C", "K", "D"), ModalModel: ("poles", "shapes", "participation", "upper", "lower"),
-        Geometry: ("xyz",), Modes: ("poles", "shapes", "modal_a"),
+        Geometry: ("xyz",), ModeTable: ("frequency_hz", "shapes"), Modes: ("poles", "shapes", "modal_a"),
     }.get(type(found), ("theta",))  # fmt: skip
     wrong = [n for n in finite if not np.isfinite(np.asarray(getattr(found, n))).all()]
     wrong += [n for n in finite[:1] if np.asarray(getattr(found, n)).size == 0]

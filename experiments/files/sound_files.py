@@ -17,6 +17,7 @@ jax.config.update("jax_enable_x64", True)
 
 import modalax  # noqa: E402
 from modalax.data import Geometry, Measurement  # noqa: E402
+from modalax.files.modes import save_modes  # noqa: E402
 from modalax.model import ModalModel  # noqa: E402
 from modalax.model.examples import five_dof  # noqa: E402
 
@@ -173,6 +174,11 @@ def write_table(path: Path) -> None:
     for f, line in zip(np.asarray(data.freq), H, strict=True):
         rows.append([f"{v:.12g}" for v in (f, *(p for value in line for p in (value.real, value.imag)))])
     path.write_text("\n".join(",".join(row) for row in rows) + "\n", encoding="utf-8")
+
+
+def write_modes_table(path: Path) -> None:
+    """Modes as a fit writes them."""
+    save_modes(model(), path, frequency_std_hz=np.full(5, 0.01), damping_std=np.full(5, 1e-4), overwrite=True)
 
 
 def write_records_table(path: Path) -> None:

@@ -68,13 +68,25 @@ def diagnose(
         float,
         typer.Option("--time", metavar="SECONDS", help="Time after which no further step of the modal domain begins."),
     ] = 120.0,
+    modal_std: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(
+            "--modal-std",
+            metavar="F Z S",
+            show_default=False,
+            help="Of modes alone: relative deviations of frequency, damping, shape (0.002 0.1 0.03).",
+        ),
+    ] = None,
     save: Annotated[
         Path | None,
         typer.Option("--save", metavar="EXTENDED", help="Write the extended simulation to this file (npz)."),
     ] = None,
     overwrite: OverwriteOption = False,
 ) -> None:
-    """Find what a simulation gets wrong about measured FRFs, and how much better it predicts once extended."""
+    """Find what a simulation gets wrong about measured FRFs, and how much better it predicts once extended.
+
+    DATA may also hold modes alone: a modal model, shapes of a universal file, or a CSV table as fit --modes writes it.
+    """
     if simulation is None:
         raise ValueError("diagnose needs --simulation SIM, the model to compare with")
     if time <= 0:
@@ -83,7 +95,12 @@ def diagnose(
     check_folder(out, overwrite, inputs=[data, simulation])
     check_readable(data, simulation)
     start()
-    measurement = read_measurement(data, **told(form, unit, frequency_unit, outputs, inputs, axes))
+    measurement = read_measured(data, **told(form, unit, frequency_unit, outputs, inputs, axes))
+    modes_alone = not hasattr(measurement, "H")
+    if modes_alone and (report or out or band or run):
+        raise ValueError(f"{data} holds modes alone: --report, --out, --band and --run are for FRFs; --json tells all")
+    if modal_std and not modes_alone:
+        raise ValueError(f"{data} holds FRFs: --modal-std is for modes alone")
     model = read_simulation(simulation, extended=True)
     from rich.console import Console
 
@@ -91,10 +108,12 @@ def diagnose(
     from modalax.diagnose import diagnose as answered
     from modalax.files import save as write_model
 
-    measurement = _selected(measurement, band, run)
+    measurement = measurement if modes_alone else _selected(measurement, band, run)
     wanted = _named_causes(causes)
     with working("Diagnosing (slower the first time, when programs are compiled)") as tell:
-        result = answered(measurement, model, question=question, causes=wanted, time=time, progress=tell)
+        result = answered(
+            measurement, model, question=question, causes=wanted, time=time, modal_std=modal_std, progress=tell
+        )
     answer = result.to_dict()
     print_diagnosis(Console(), answer)
     if json is not None:
@@ -119,6 +138,14 @@ def diagnose(
         with working("Drawing"):
             written = save_diagnosis_pictures(result, out)
         note(f"pictures: {', '.join(str(p) for p in written)}")
+
+
+def read_measured(path: Path, **told: Any) -> Any:
+    """Read FRFs or, where a file holds modes alone, these."""
+    from modalax.files import load_mode_table
+    from modalax.files.mode_files import holds_modes_alone
+
+    return load_mode_table(path) if holds_modes_alone(path) else read_measurement(path, **told)
 
 
 def _selected(measurement: Any, band: tuple[float, float] | None, runs: list[int] | None) -> Any:

@@ -40,21 +40,24 @@ from modalax.diagnose.decision.verdict import verdict
 from modalax.diagnose.extend import ExtendedSimulation, extend
 from modalax.diagnose.holdout import measure
 from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis, diagnose_modes
+from modalax.diagnose.modal_domain.table import by_table
 from modalax.diagnose.result import Diagnosis
 from modalax.diagnose.routes import outcome_of, task_of
 from modalax.diagnose.search.explain import Explanation, check_imitations, explain
 from modalax.diagnose.search.look import look
 from modalax.model import ModalModel, Structure
 from modalax.model.entry import check_comparable
+from modalax.model.mode_table import ModeTable
 
 
 def diagnose(
-    measurement: Measurement | FRF,
+    measurement: Measurement | FRF | ModeTable,
     simulation: Structure | ModalModel | ExtendedSimulation,
     *,
     question: str = "auto",
     causes: Sequence[Cause] | None = None,
     time: float = 120.0,
+    modal_std: tuple[float, float, float] | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Diagnosis:
     """Find what a simulation gets wrong, name the cause, extend the simulation and measure the gain.
@@ -62,7 +65,8 @@ def diagnose(
     Parameters
     ----------
     measurement
-        Runs of FRFs, of any form; force levels [N] where joints are in question.
+        Runs of FRFs, of any form; force levels [N] where joints are in question. Or modes alone, a
+        :class:`modalax.model.mode_table.ModeTable`, against matrices: chi-squares and gain then do not exist (NaN).
     simulation
         What was expected; its DoFs hold all measured ones by name. An extended simulation keeps what it has, at the
         parameters it has, and what is found comes on top.
@@ -75,6 +79,9 @@ def diagnose(
     time
         Seconds after which the modal domain begins no further step and gives the best answer so far. An interrupt
         (Ctrl-C) does the same, once there is an answer.
+    modal_std
+        Of modes alone: relative standard deviations of frequency and damping ratio where the table states none, and
+        that of shapes over their largest component.
     progress
         Called with each stage, in words.
 
@@ -90,6 +97,8 @@ def diagnose(
         data or simulation are of no passive structure (:func:`modalax.model.entry.check_comparable`).
     """
     require_double("diagnose")
+    if isinstance(measurement, ModeTable):
+        return by_table(measurement, simulation, causes, modal_std, time, progress)
     check_comparable(measurement, simulation)
     late = Deadline(time)
     data = as_measurement(measurement)

@@ -1,5 +1,6 @@
 """A diagnosis as ``print`` shows it: the verdict, the causes with their sizes, the rivals and the gain."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -56,6 +57,8 @@ def cause_at(name: str, where: Sequence[Any]) -> str:
 
 def gain_text(gain: Mapping[str, Any]) -> str:
     """How much better the extended simulation predicts the data that it was not fitted to."""
+    if not math.isfinite(gain["chi2_before"]):
+        return f"no gain can be told: {gain['held_out']}"
     return (
         f"on data left out of the fit ({gain['held_out']}): chi-square per real sample {gain['chi2_before']:.3g} "
         f"before, {gain['chi2_after']:.3g} after (1 is noise alone); log-likelihood gain "

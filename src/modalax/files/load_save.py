@@ -68,7 +68,10 @@ def load(
     path = as_path(path)
     require_double("load")
     with about(path):
-        what = _read(path, sniff(path), Told(form, unit, frequency_unit, outputs, inputs, axes), options)
+        kind = sniff(path)
+        if kind == "modes":
+            raise ValueError("holds a table of modes without scale; modalax.files.load_mode_table reads it")
+        what = _read(path, kind, Told(form, unit, frequency_unit, outputs, inputs, axes), options)
         if isinstance(what, Measurement):
             _check_magnitude(what)
             what = _in_convention(what, conjugate)

@@ -33,11 +33,14 @@ _MAGIC = (
     (b"CDF\x02", "netcdf"),
 )
 FREQUENCY = re.compile(r"f|freq|frequency|frequenz", re.IGNORECASE)
+MODES = re.compile(rb'"?mode"?\s*,.*frequency_hz', re.IGNORECASE)
 _STORE = ("zarr.json", ".zgroup", ".zmetadata")
 
 
 def sniff(path: Path) -> str:
-    """Kind of the file: ``npz``, ``uff``, ``mat``, ``mat73``, ``netcdf``, ``zarr`` or ``fe`` (finite elements).
+    """Kind of the file: ``npz``, ``uff``, ``mat``, ``mat73``, ``netcdf``, ``zarr``, ``table``, ``modes`` or ``fe``.
+
+    ``table`` is of FRFs in columns, ``modes`` of modes by row, ``fe`` of a finite-element program.
 
     Raises
     ------
@@ -76,6 +79,8 @@ def _text_kind(path: Path, first: bytes, lines: list[bytes]) -> str:
         return "uff"
     if path.suffix.lower() in FINITE_ELEMENTS or first.startswith((b"DMIG", b"%%MatrixMarket")):
         return "fe"
+    if MODES.match(next((line for line in lines if not line.startswith(b"#")), b"")):
+        return "modes"
     if looks_like_table(next((line for line in lines if not line.startswith(b"#")), b"")):
         return "table"
     raise ValueError(f"{path}: neither of {KINDS}; the file begins with {_shown(first)}")

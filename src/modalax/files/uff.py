@@ -35,6 +35,13 @@ def _pyuff() -> Any:
     return pyuff
 
 
+def set_types(path: Path) -> list[int]:
+    """Types of the data sets of a universal file, in their order; ``ValueError`` if it is damaged."""
+    _require_whole(path)
+    with reading("the universal file"):
+        return [int(t) for t in _pyuff().UFF(str(path)).get_set_types()]
+
+
 def read_sets(path: Path) -> list[dict[str, Any]]:
     """All data sets of kinds that are known here, each with the units (``"units"``) that stand before it.
 

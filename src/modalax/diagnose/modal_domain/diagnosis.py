@@ -48,7 +48,7 @@ UNITS = {
 class Facts:
     """What was compared: in the place of a comparison line by line."""
 
-    measurement: Measurement
+    measurement: Any
     question: str
     notes: tuple[str, ...]
 
@@ -196,7 +196,7 @@ def diagnose_modes(
     judged = judge(stage)
     chosen, inaccuracy = judged.chosen, inaccuracy_told(stage.setting, judged.chosen.fit)
     joined, further = judge_levels(stage.seen)
-    word, reasons = outweighing(judged.word, joined), [_said(inaccuracy), *judged.reasons, *further]
+    word, reasons = outweighing(judged.word, joined), [said(inaccuracy), *judged.reasons, *further]
     if not stage.in_time:
         reasons.append("time was up before every explanation had been tried")
     tell("predicting the held-out data")
@@ -214,7 +214,7 @@ def diagnose_modes(
         f"{len(stage.measured.features.poles)} modes were identified in the band from "
         f"{len(stage.measured.runs)} of {len(H)} runs, chi-square per sample {stage.measured.misfit:.3g}",
     )
-    extended = _extended(stage, chosen.fit)
+    extended = extension_of(stage, chosen.fit)
     shape = H.shape
     return ModalDiagnosis(
         word, tuple(reasons), None, Facts(measurement, question, notes), extended, gain,
@@ -223,7 +223,7 @@ def diagnose_modes(
     )  # fmt: skip
 
 
-def _said(inaccuracy: dict[str, Any]) -> str:
+def said(inaccuracy: dict[str, Any]) -> str:
     """General inaccuracy in one sentence."""
     parts = [
         f"{100 * v['value']:.2g} % ({100 * v['interval'][0]:.2g} to {100 * v['interval'][1]:.2g} %) in {name}"
@@ -232,7 +232,7 @@ def _said(inaccuracy: dict[str, Any]) -> str:
     return f"the modes of the simulation are generally off by {', '.join(parts)}"
 
 
-def _extended(stage: Stage, f: Fit) -> ExtendedSimulation:
+def extension_of(stage: Stage, f: Fit) -> ExtendedSimulation:
     """The corrected simulation with the causes, as an ordinary simulation."""
     known: dict[str, Cause] = {}
     for cause in (*catalogue(), *imitators()):

@@ -62,7 +62,7 @@ def features_of(found: Projected, outputs: int, inputs: int, misfit: float = 1.0
     raw = found.residues.reshape(R, outputs, inputs)
     units = _units(found, raw)
     residues = raw / units
-    tangent = np.stack([_tangent(A) for A in residues]) if R else np.zeros((0, 1, outputs, inputs), complex)
+    tangent = np.stack([tangent_of(A) for A in residues]) if R else np.zeros((0, 1, outputs, inputs), complex)
     covariance = _covariance(found, residues, units, tangent) * misfit
     values = values_of(found.poles, residues, tangent)
     width = values.shape[1]
@@ -96,7 +96,7 @@ def _units(found: Projected, raw: np.ndarray) -> np.ndarray:
     return np.exp(level.mean(axis=2, keepdims=True) + level.mean(axis=1, keepdims=True) - mean)
 
 
-def _tangent(A: np.ndarray) -> np.ndarray:
+def tangent_of(A: np.ndarray) -> np.ndarray:
     """Orthonormal directions ``u' v*``, ``u v'*`` about the leading pair of singular vectors, ``(o + i - 1, o, i)``."""
     u, _, vh = np.linalg.svd(A, full_matrices=True)
     first = np.einsum("oa,i->aoi", u, vh[0])

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from modalax.diagnose.modal_domain.explain import Explanation, explain
 from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
 from modalax.diagnose.modal_domain.levels.explain import Spot
 from modalax.diagnose.modal_domain.levels.seen import Seen, look_at_levels, without_joint
-from modalax.diagnose.modal_domain.measured import Measured, identify
+from modalax.diagnose.modal_domain.measured import identify
 from modalax.diagnose.modal_domain.places import candidates_of, springs_of
 from modalax.diagnose.modal_domain.state import Setting
 from modalax.model import Structure
@@ -27,9 +28,10 @@ class Stage:
     Attributes
     ----------
     measurement, simulation
-        As they came, the measurement without a line at 0 Hz.
+        As they came, the measurement (:class:`Measurement`) without a line at 0 Hz.
     coordinates, measured, setting
-        The simulation's modal coordinates, the measurement's own modes, and what hypotheses share.
+        The simulation's modal coordinates, the measurement's own modes (:class:`Measured`), and what hypotheses share.
+        Where modes alone were given, what stands for measurement and measured tells names, band and features only.
     candidates
         Every cause at every place that was screened.
     explanations
@@ -40,10 +42,10 @@ class Stage:
         What force levels or repeated runs tell; None where there is one run.
     """
 
-    measurement: Measurement
+    measurement: Any
     simulation: Structure
     coordinates: Coordinates
-    measured: Measured
+    measured: Any
     setting: Setting
     candidates: list[Change]
     explanations: list[Explanation]
