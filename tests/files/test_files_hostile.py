@@ -116,7 +116,7 @@ def test_npz_that_is_encrypted_or_packed_in_another_way(tmp_path, field, value):
         ({"level": np.array([1.0, -2.0])}, "level is -2 .*above 0 N"),
         ({"added_decay": np.array(np.nan)}, "added_decay is .nan.*one finite number"),
         ({"added_decay": np.array(np.inf)}, "added_decay is .inf.*one finite number"),
-        ({"added_decay": np.array(-1.0)}, "added_decay is -1; .*0 or more"),
+        ({"added_decay": np.array(-1.0)}, "added_decay is -1; .*0 .*or more"),
         ({"force": np.zeros((2, 12))}, "force is 0 .*above 0 N"),
         ({"force": np.full((2, 12), -1.0)}, "force is -1 .*above 0 N"),
         ({"coherence": np.full((2, 12, 2, 1), 1.2)}, "coherence is 1.2 .*between 0 and 1"),
