@@ -61,7 +61,7 @@ def by_table(
     table: ModeTable, simulation: object, causes: Sequence[Cause] | None, usual: tuple[float, float, float] | None,
     time: float, tell: Callable[[str], None],
 ) -> ModalDiagnosis:  # fmt: skip
-    """Diagnose by modes alone, as :func:`modalax.diagnose` calls it; ``ValueError`` if the simulation is no matrices."""
+    """Diagnose by modes alone; ``ValueError`` if the simulation is not one of matrices."""
     if not isinstance(simulation, Structure):
         raise ValueError(f"modes alone are compared with matrices, not with a {type(simulation).__name__}")
     check_passive(simulation)
