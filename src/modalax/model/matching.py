@@ -87,14 +87,16 @@ def match(
     table, directions = dict(table or {}), dict(directions or {})
     at = {name: k for k, name in enumerate(model_dofs)}
     nodes = _nodes_of(model_dofs)
-    rows, found, how, distance = [], [], [], []
+    taken = []
+    if not len(dofs):
+        raise ValueError("no measured DoFs are given to match")
     for dof in dofs:
         own = parse_dof(dof)
         same = [n for n in (own.name, own._replace(sign=-own.sign).name, dof) if n in at]
         if same and dof not in directions and own.node not in table:
             row = np.zeros(len(model_dofs))
             row[at[same[0]]] = own.sign * parse_dof(same[0]).sign
-            rows.append(row), found.append(own.node), how.append("name"), distance.append(0.0)
+            taken.append((own.node, 0.0, row, "name"))
             continue
         node, way = _node_of(own.node, nodes, places, model_places, table)
         arm = _arm(own.node, node, places, model_places)
@@ -105,9 +107,10 @@ def match(
                 "and axes of the measured points, or name the node in a table"
             )
         e = np.asarray(directions[dof], float) if dof in directions else direction_vectors([dof])[0]
-        rows.append(_row(dof, nodes[node], e, np.zeros(3) if arm is None else arm, len(model_dofs)))
-        found.append(node), how.append(way), distance.append(apart)
-    return Matched(tuple(dofs), tuple(found), np.array(distance), np.array(rows), tuple(how))
+        row = _row(dof, nodes[node], e, np.zeros(3) if arm is None else arm, len(model_dofs))
+        taken.append((node, apart, row, way))
+    found, distance, rows, how = zip(*taken, strict=True)
+    return Matched(tuple(dofs), found, np.array(distance), np.array(rows), how)
 
 
 def _nodes_of(model_dofs: Sequence[str]) -> dict[str, dict[str, tuple[int, int]]]:

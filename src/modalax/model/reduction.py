@@ -31,9 +31,9 @@ def guyan(K: Any, kept: Sequence[int]) -> Float[np.ndarray, "n a"]:
     R. J. Guyan, Reduction of stiffness and mass matrices, AIAA Journal 3 (1965) 380.
     """
     K = np.asarray(K, float)
-    kept, others = _split(kept, len(K))
-    T = np.zeros((len(K), len(kept)))
-    T[kept, np.arange(len(kept))] = 1.0
+    at, others = _split(kept, len(K))
+    T = np.zeros((len(K), len(at)))
+    T[at, np.arange(len(at))] = 1.0
     if len(others):
         try:
             factor = scipy.linalg.cho_factor(K[np.ix_(others, others)])
@@ -41,7 +41,7 @@ def guyan(K: Any, kept: Sequence[int]) -> Float[np.ndarray, "n a"]:
             raise ValueError(
                 f"with the {len(kept)} kept DoFs held, the other {len(others)} can still move without force; keep more"
             ) from error
-        T[others] = -scipy.linalg.cho_solve(factor, K[np.ix_(others, kept)])
+        T[others] = -scipy.linalg.cho_solve(factor, K[np.ix_(others, at)])
     return T
 
 
@@ -65,10 +65,10 @@ def serep(shapes: Any, kept: Sequence[int]) -> np.ndarray:
     J. O'Callahan, P. Avitabile, R. Riemer, System equivalent reduction expansion process, IMAC 7, 1989, 29-37.
     """
     shapes = np.atleast_2d(np.asarray(shapes))
-    kept, _ = _split(kept, shapes.shape[1])
-    if len(shapes) > len(kept):
+    at, _ = _split(kept, shapes.shape[1])
+    if len(shapes) > len(at):
         raise ValueError(f"{len(shapes)} modes at {len(kept)} kept DoFs; at most as many modes as DoFs are needed")
-    part = shapes[:, kept]
+    part = shapes[:, at]
     values = np.linalg.svd(part / np.linalg.norm(part, axis=1, keepdims=True), compute_uv=False)
     if not np.isfinite(values).all() or values[-1] < 1e-6 * values[0]:
         raise ValueError(
