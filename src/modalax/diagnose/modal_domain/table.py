@@ -5,7 +5,6 @@ stated, or else with usual ones. A shape without scale tells directions only, so
 Nothing can be said of single samples, and no block of data can be left out: chi-squares and gain do not exist.
 """
 
-import time as clock
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from modalax.diagnose.causes.base import Cause
+from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.omnibus import Omnibus
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
@@ -98,8 +98,7 @@ def diagnose_table(
     stds = USUAL if usual is None else usual
     if len(stds) != 3 or not all(np.isfinite(s) and 0 < s < 1 for s in stds):
         raise ValueError(f"standard deviations of modes are {stds}; three between 0 and 1 are needed")
-    end = clock.monotonic() + budget
-    late = lambda: clock.monotonic() > end  # noqa: E731
+    late = Deadline(budget)
     answer = None
     for reference in references(table, stds[2]):
         # A sensor that is faulty itself is no reference for the others; another may be.
@@ -115,7 +114,7 @@ def diagnose_table(
 
 
 def _staged(
-    facts: TableFacts, simulation: Structure, wanted: Callable[[str], bool], late: Callable[[], bool],
+    facts: TableFacts, simulation: Structure, wanted: Callable[[str], bool], late: Deadline,
     tell: Callable[[str], None],
 ) -> Stage:  # fmt: skip
     highest = 2 * np.pi * float(facts.freq[-1])
