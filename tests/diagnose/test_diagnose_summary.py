@@ -42,3 +42,13 @@ def test_rivals_reasons_and_advice_are_told():
 def test_a_clean_one_is_one_line():
     told = summary({"verdict": "clean", "causes": [], "alternatives": [], "advice": None, "gain": None})
     assert told == "clean: this data shows nothing wrong with the simulation"
+
+
+def test_an_unknown_one_claims_no_probability_and_says_how_far_it_goes():
+    gain = {**GAIN, "chi2_before": 401.0, "chi2_after": 65.0}
+    told = summary({"verdict": "unknown", "causes": [SPRING], "alternatives": [], "advice": None, "gain": gain})
+    assert "0.987" not in told
+    assert (
+        "best attempt, not an explanation: on data left out of the fit it explains 84 % of the misfit and leaves a "
+        "chi-square of 65 per real sample (1 is noise alone)"
+    ) in told.splitlines()

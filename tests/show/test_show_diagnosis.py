@@ -52,7 +52,7 @@ def test_answers_as_tables():
         },
         {"name": "time_delay", "where": [], "probability": 0.987, "parameters": {}},
     ]  # fmt: skip
-    rows = cause_rows(causes).rows
+    rows = cause_rows({"verdict": "named", "causes": causes}).rows
     assert len(rows) == 3
     assert rows[0] == ["elasto_slip", "3 - 5", "0.987", "stiffness [N/m]", "20000 ± 10", "19980 to 20020"]
     assert rows[1][3:] == ["slip_force [N]", "4", "not known"]

@@ -91,10 +91,10 @@ def print_diagnosis(console: Console, answer: Mapping[str, Any]) -> None:
     verdict = answer["verdict"]
     console.print(f"[bold]{verdict}[/bold]: {MEANING[verdict]}", highlight=False)
     if answer["causes"]:
-        table = new_table("Causes in the extended simulation")
+        table = new_table("Best attempt" if verdict == "unknown" else "Causes in the extended simulation")
         for name in CAUSE_COLUMNS:
             table.add_column(name, justify="right" if name == "Probability" else "left")
-        for row in cause_rows(answer["causes"]):
+        for row in cause_rows(answer):
             table.add_row(*map(escape, row))
         console.print(table)
     for line in explanation_lines(answer):

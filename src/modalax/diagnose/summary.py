@@ -18,23 +18,42 @@ def summary(answer: Mapping[str, Any]) -> str:
     """``Diagnosis.to_dict()`` in a few lines."""
     lines = [f"{answer['verdict']}: {MEANING[answer['verdict']]}"]
     if answer["causes"]:
-        lines.append(text_table(CAUSE_COLUMNS, cause_rows(answer["causes"]), left=(0, 1, 3)))
+        lines.append(text_table(CAUSE_COLUMNS, cause_rows(answer), left=(0, 1, 3)))
     return "\n".join([*lines, *explanation_lines(answer)])
 
 
 CAUSE_COLUMNS = ("Cause", "Where", "Probability", "Parameters")
 
 
-def cause_rows(causes: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+def cause_rows(answer: Mapping[str, Any]) -> list[list[str]]:
     """Rows of a table with the columns ``CAUSE_COLUMNS``."""
     return [
-        [c["name"], place_text(c["where"]), f"{c['probability']:.3f}", parameters_text(c["parameters"])] for c in causes
+        [c["name"], place_text(c["where"]), probability_text(answer, c), parameters_text(c["parameters"])]
+        for c in answer["causes"]
     ]
 
 
+def probability_text(answer: Mapping[str, Any], cause: Mapping[str, Any]) -> str:
+    """The probability of a cause; none where nothing explains the data: it would only rank what fails."""
+    return "-" if answer["verdict"] == "unknown" else f"{cause['probability']:.3f}"
+
+
+def attempt_text(answer: Mapping[str, Any]) -> str:
+    """How far the causes of an ``unknown`` answer go."""
+    gain = answer["gain"]
+    before, after = gain["chi2_before"] - 1, gain["chi2_after"] - 1
+    share = f"explains {100 * min(max(1 - after / before, 0.0), 1.0):.0f} % of the misfit and " if before > 0 else ""
+    return (
+        f"best attempt, not an explanation: on data left out of the fit it {share}leaves a chi-square of "
+        f"{gain['chi2_after']:.3g} per real sample (1 is noise alone)"
+    )
+
+
 def explanation_lines(answer: Mapping[str, Any]) -> list[str]:
-    """Rivals, reasons, advice and gain, a line each."""
-    lines = [f"or: {causes_text(rival)}" for rival in answer["alternatives"]]
+    """How far an unknown answer goes, rivals, reasons, advice and gain, a line each."""
+    unknown = answer["verdict"] == "unknown" and answer["causes"] and answer["gain"]
+    lines = [attempt_text(answer)] if unknown else []
+    lines += [f"or: {causes_text(rival)}" for rival in answer["alternatives"]]
     lines += [f"because: {reason}" for reason in answer.get("reasons") or ()]
     lines += [advice_text(answer)] if answer["advice"] else []
     return lines + ([gain_text(answer["gain"])] if answer["gain"] else [])

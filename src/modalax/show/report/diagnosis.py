@@ -8,7 +8,7 @@ import numpy as np
 
 from modalax._numerics.text import with_error
 from modalax.diagnose.result import Diagnosis
-from modalax.diagnose.summary import MEANING, advice_text, causes_text, place_text
+from modalax.diagnose.summary import MEANING, advice_text, attempt_text, causes_text, place_text, probability_text
 from modalax.show.diagnosis import residual_rows, run_names
 from modalax.show.report.page import Page, Plot, Section, Table
 from modalax.show.report.plots import bar_plot, comparison_plot, residual_plot
@@ -23,11 +23,11 @@ def interval(value: float | None, std: float | None) -> str:
     return f"{value - 1.96 * std:.5g} to {value + 1.96 * std:.5g}"
 
 
-def cause_rows(causes: Sequence[Mapping[str, Any]]) -> Table:
+def cause_rows(answer: Mapping[str, Any]) -> Table:
     """Table of the causes and their parameters with intervals."""
     rows = []
-    for cause in causes:
-        first = [cause["name"], place_text(cause["where"]), f"{cause['probability']:.3f}"]
+    for cause in answer["causes"]:
+        first = [cause["name"], place_text(cause["where"]), probability_text(answer, cause)]
         items = list(cause["parameters"].items()) or [("", None)]
         for k, (name, p) in enumerate(items):
             cells = ["", "", ""] if p is None else [
@@ -35,7 +35,8 @@ def cause_rows(causes: Sequence[Mapping[str, Any]]) -> Table:
             ]  # fmt: skip
             rows.append([*(first if k == 0 else ["", "", ""]), *cells])
     head = ["Cause", "Where", "Probability", "Parameter", "Value ± standard deviation", "95 % interval"]
-    return Table(head, rows, "Causes that the extended simulation contains.", text_columns=(0, 1, 3))
+    title = "The best attempt." if answer["verdict"] == "unknown" else "Causes that the extended simulation contains."
+    return Table(head, rows, title, text_columns=(0, 1, 3))
 
 
 def gain_rows(gain: Mapping[str, Any]) -> Table:
@@ -53,12 +54,14 @@ def diagnosis_sections(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> list[
     text = [_sentence(MEANING[answer["verdict"]])]
     if answer["reasons"]:
         text.append(f"Why: {'; '.join(answer['reasons'])}.")
+    if answer["verdict"] == "unknown" and answer["causes"] and answer["gain"]:
+        text.append(_sentence(attempt_text(answer)))
     text += [f"It may also be {causes_text(rival)}." for rival in answer["alternatives"]]
     if answer["advice"]:
         text.append(_sentence(advice_text(answer)))
     # A probability of 0.95 allows 1 in 20 to be wrong; a reader must know what it is a probability of.
     text.append("The probabilities compare the causes of the catalogue with one another, at all places and parameters.")
-    first = Section("Answer", text, [cause_rows(answer["causes"])] if answer["causes"] else [])
+    first = Section("Answer", text, [cause_rows(answer)] if answer["causes"] else [])
     names, before, after = residual_rows(
         diagnosis.comparison.measurement, diagnosis.residual_before, diagnosis.residual_after
     )
