@@ -1,7 +1,7 @@
 """The report of a diagnosis."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
