@@ -101,7 +101,9 @@ def _findings(study: Study, detectors: Sequence[Detector]) -> list[Finding]:
 def _explained(finding: Finding, found: Sequence[Finding]) -> bool:
     """Whether an earlier finding explains this one too."""
     told = {f.what for f in found}
-    return finding.what == "too_few_lines" and "record_too_short" in told
+    # Columns of different structures cannot be compared.
+    apart = "frequency_shift" in told and finding.what in ("delay", "calibration", "not_reciprocal")
+    return apart or finding.what == "too_few_lines" and "record_too_short" in told
 
 
 def _measurement(data: FRF | Measurement) -> Measurement:
@@ -138,8 +140,6 @@ def mended(study: Study, found: Sequence[Finding]) -> Study | None:
             study = replace(study, H=H)
         elif f.what == "swapped":
             study = exchanged(study, f.where)
-        elif f.what == "frequency_shift" and set(f.where) & set(study.inputs):
-            return None  # Columns of different structures cannot be compared.
         if 0 in study.H.shape:
             return None
     return study

@@ -26,6 +26,10 @@ SCATTER = 4.0
 CLEAR = 8.0
 # A mode that moves by more than this share of its frequency is another one.
 FARTHEST = 0.05
+# By how much a sensor may move one, as a share of its frequency and of its half-power bandwidth.
+LOADED, LOADED_WIDTH = 0.02, 0.6
+# One that overlaps with another is followed over this share of its half-power bandwidth only.
+OVERLAPPING = 0.25
 # A mode makes at least this share of the response at its frequency in some channel.
 LEADS = 0.6
 
@@ -73,6 +77,9 @@ def _between(study: Study, blocks: Blocks) -> tuple[float, Finding] | None:
     edge = np.minimum(f0 - study.freq[0], study.freq[-1] - f0)
     fit = reference.inside & (width > line_step(study.freq, f0)) & (edge > width)
     s = np.where(fit & (s < 0.1 * width), np.hypot(s, 1e-6 * f0), np.inf)
+    if blocks.kind == "output":
+        # A sensor's mass moves a mode by little; by more it is another mode.
+        s = np.where(np.abs(f - f0) < np.minimum(LOADED * f0, LOADED_WIDTH * width), s, np.inf)
     if blocks.kind == "run" and any(_with_level(study, f[:, m]) for m in np.flatnonzero(np.isfinite(s).all(axis=0))):
         return None
     strict = SENSORS if blocks.kind == "output" else 1.0
@@ -188,12 +195,11 @@ def _frequencies(study: Study, poles: np.ndarray, block, search: bool) -> np.nda
         other, less = _converged(basis, _matched(own.poles, poles), X)
         best, left = (other, less) if less < left else (best, left)
     found = residues_at(2 * np.pi * freq, H, noise, best, study.power, study.modes.powers)
-    lost = (
-        (_clear(found) < CLEAR)
-        | (np.abs(best.real) > 3 * np.abs(poles.real))
-        | (np.abs(np.abs(best) / np.abs(poles) - 1) > FARTHEST)
-        | (_leading(found, freq, H, study.power) < LEADS)
-    )
+    moved = np.abs(best) - np.abs(poles)
+    lost = (_clear(found) < CLEAR) | (np.abs(best.real) > 3 * np.abs(poles.real))
+    lost |= _leading(found, freq, H, study.power) < LEADS
+    # Of modes that overlap, one may take the place of the other.
+    lost |= np.abs(moved) > np.where(_alone(poles), FARTHEST * np.abs(poles), OVERLAPPING * -2 * poles.real)
     return np.stack([np.abs(best) / 2 / np.pi, np.where(lost, np.inf, found.pole_std / 2 / np.pi)])
 
 
@@ -212,6 +218,13 @@ def _converged(basis: Basis, poles: np.ndarray, X: np.ndarray) -> tuple[np.ndarr
 
 def _clear(found: Modes) -> np.ndarray:
     return np.max(np.abs(found.residues) / np.maximum(found.std, 1e-300), axis=1, initial=0.0)
+
+
+def _alone(poles: np.ndarray) -> np.ndarray:
+    """Whether each mode is further from the next than both are wide."""
+    gap = np.abs(poles[:, None].imag - poles[None, :].imag) + poles.real[:, None] + poles.real
+    np.fill_diagonal(gap, np.inf)
+    return np.min(gap - np.maximum(-poles.real[:, None], -poles.real), axis=1, initial=np.inf) > 0
 
 
 def _leading(found: Modes, freq: np.ndarray, H: np.ndarray, power: int) -> np.ndarray:
