@@ -278,5 +278,22 @@ def test_a_fault_of_hits_is_named_at_its_place_with_its_size(what):
         assert right[0].size == pytest.approx(size, rel=0.05)
 
 
+@pytest.mark.parametrize("what", ["", "hum"])
+def test_what_the_force_does_not_explain_of_random_records_is_looked_at(what, tmp_path):
+    rng = np.random.default_rng(5)
+    w, shapes = chain()
+    fs, time = 512.0, np.arange(2048) / 512.0
+    swing = np.exp(-0.02 * w[:, None] * time) * np.sin(w[:, None] * time) * -w[:, None] / fs
+    force = rng.normal(size=32768)
+    x = np.stack(
+        [np.convolve(force, h)[: len(force)] for h in np.einsum("ro,r,rt->ot", shapes, shapes[:, 0], swing)], 1
+    )
+    x = (x + force[:, None] * (shapes.T @ shapes[:, 0]))[:, :2] + 0.01 * rng.normal(size=(len(force), 2))
+    if what:
+        x[:, 1] += 0.3 * x[:, 1].std() * np.sin(2 * np.pi * 50 * np.arange(len(force)) / fs)
+    np.savez(tmp_path / "random.npz", force=force, acceleration=x, fs=fs)
+    assert {f.what for f in check(tmp_path / "random.npz")} == ({what} if what else set())
+
+
 def test_every_word_of_a_check_is_guarded():
     assert set(WORDS) == {*FAULTS, "dead", "duplicated", "short_pulse"}

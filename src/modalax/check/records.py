@@ -8,13 +8,17 @@ from jaxtyping import Float
 
 from modalax.check.finding import Finding, Picture
 from modalax.data.excitation import excitation_of
-from modalax.data.hits import clipped_samples
+from modalax.data.hits import CLIPPED, clipped_samples
 from modalax.data.measurement import Measurement
 
 # A pulse is sampled too coarsely if it has no more than this many samples above this share of its peak.
 PULSE_SHARE, SHORT_PULSE = 0.2, 2
 # Decay of the force spectrum within the band [dB], and the band of usual analysers as a share of the sampling rate.
 ROLLOFF, BAND = 26.0, 1 / 2.56
+# Blocks from which what the force does not explain is looked at, and power of a tone there over the lines around.
+FEWEST_BLOCKS, TONE = 4, 30.0
+# Share of different values from which on a channel is not rounded.
+UNROUNDED = 0.7
 # Power of a resonance over that of the lines around.
 STANDS_OUT = 100.0
 # Part of the response that is left at the end of the record, parts of the record that are compared, and how much
@@ -70,14 +74,17 @@ class Records:
         """Whether the force is a pulse in every block."""
         return (self.kind or excitation_of(self.force).kind) == "hits"
 
-    def measurement(self, each: bool = False) -> Measurement:
-        """FRFs by H1, with their variance where there are repeats; ``each``: every block as a run of its own."""
+    def spectra(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Lines [Hz], and the spectra of force ``(block, f)`` and responses ``(block, f, o)``."""
         samples = self.force.shape[1]
         window = np.hanning(samples + 1)[:-1] if self.kind == "random" else np.ones(samples)
         F = np.fft.rfft((self.force - np.median(self.force, axis=1, keepdims=True)) * window, axis=1)
         still = self.response - np.median(self.response, axis=1, keepdims=True)
-        X = np.fft.rfft(still * window[:, None], axis=1)
-        freq = np.fft.rfftfreq(self.force.shape[1], 1 / self.fs)
+        return np.fft.rfftfreq(samples, 1 / self.fs), F, np.fft.rfft(still * window[:, None], axis=1)
+
+    def measurement(self, each: bool = False) -> Measurement:
+        """FRFs by H1, with their variance where there are repeats; with ``each``, every block is a run."""
+        freq, F, X = self.spectra()
         power = np.mean(np.abs(F) ** 2, axis=0)
         low, top = _useful(freq, power, self.fs)
         keep = (freq >= low) & (freq <= top)
@@ -123,7 +130,9 @@ def record_findings(records: Records) -> Iterator[Finding]:
         yield from _short(records)
         yield from _rolloff(records)
         yield from _cut_short(records)
-    yield from _mains(records)
+        yield from _mains(records)
+    elif len(records.force) >= FEWEST_BLOCKS:
+        yield from _tones(records)
 
 
 def _numbers(which: np.ndarray) -> str:
@@ -234,6 +243,9 @@ def _clipped(records: Records) -> Iterator[Finding]:
 
 def _plateau(values: np.ndarray) -> bool:
     """Whether a channel stays at its largest or smallest value, more often or longer than rounded values do."""
+    # Values that are not rounded meet at the largest of all by overload alone.
+    if len(np.unique(values)) > UNROUNDED * len(values):
+        return bool(max(np.sum(values == values.max()), np.sum(values == values.min())) >= CLIPPED)
     flags = clipped_samples(values[:, None])[:, 0]
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
     spans = edges.reshape(-1, 2)
@@ -356,3 +368,30 @@ def _mains(records: Records) -> Iterator[Finding]:
                     ),
                 )  # fmt: skip
                 break
+
+
+def _tones(records: Records) -> Iterator[Finding]:
+    """A tone at the mains frequency in what the force does not explain of the responses."""
+    freq, F, X = records.spectra()
+    power = np.mean(np.abs(F) ** 2, axis=0)
+    H = np.mean(X * F.conj()[:, :, None], axis=0) / np.maximum(power, 1e-300)[:, None]
+    left = np.mean(np.abs(X - H * F[:, :, None]) ** 2, axis=0)
+    low, top = _useful(freq, power, records.fs)
+    for k, name in enumerate(records.outputs):
+        for mains in (50.0, 60.0):
+            at = int(round(mains / freq[1]))
+            if at < 40 or at + 40 >= len(freq) or not low <= mains <= top:
+                continue
+            around = np.r_[left[at - 30 : at - 4, k], left[at + 5 : at + 31, k]]
+            height = left[at - 1 : at + 2, k].max()
+            flank = max(left[at - 4, k], left[at + 4, k])
+            if height < TONE * np.median(around) or height < 4 * around.max() or flank > 0.1 * height:
+                continue
+            size = float(np.sqrt(height / max(np.mean(np.abs(X[:, at, k]) ** 2), 1e-300)))
+            yield Finding(
+                "hum", (name,), sure=0.95, size=size, unit="of the response there",
+                evidence=f"at {mains:g} Hz a tone stands in what the force does not explain of the response",
+                advice="look for ground loops, use insulated mounts and shielded cables, or leave the line out",
+                picture=Picture([(name, freq[1:], np.sqrt(left[1:, k]))], "Frequency [Hz]", "Not explained", True),
+            )  # fmt: skip
+            break

@@ -82,7 +82,8 @@ def _between(study: Study, blocks: Blocks) -> tuple[float, Finding] | None:
         s = np.where(np.abs(f - f0) < np.minimum(LOADED * f0, LOADED_WIDTH * width), s, np.inf)
     if blocks.kind == "run" and any(_with_level(study, f[:, m]) for m in np.flatnonzero(np.isfinite(s).all(axis=0))):
         return None
-    strict = SENSORS if blocks.kind == "output" else 1.0
+    # Runs whose noise nobody states, as single hits, need a shift as clear as sensors do.
+    strict = SENSORS if blocks.kind == "output" or (blocks.kind == "run" and study.variance is None) else 1.0
     off, spread = _off(f, s, strict)
     least = np.maximum(SMALLEST * f0, OF_WIDTH * width) * strict
     with np.errstate(invalid="ignore"):
