@@ -233,6 +233,8 @@ def main() -> None:
             print(f"stopped before system {seed}")
             break
         outcomes.append(one(seed, not args.no_refine, args.detail, args.candidates))
+        if len(outcomes) % 25 == 0:
+            jax.clear_caches()  # programs of every size that was drawn would fill the memory
         if args.keep:
             with args.keep.open("a") as file:
                 print(json.dumps(outcomes[-1]._asdict()), file=file)
