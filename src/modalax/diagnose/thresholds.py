@@ -126,6 +126,11 @@ class Thresholds:
         3e-4, "relative error", "A simulation is off in general where its stiffness or mass is off by more than this.",
         INACCURATE,
     )  # fmt: skip
+    surely_off: float = _threshold(
+        2e-3, "relative error",
+        "Line by line, which takes all but the causes as exact, adds nothing to a named cause where stiffness or mass "
+        "is certainly off by more than this.", INACCURATE,
+    )  # fmt: skip
     left_by_modes: float = _threshold(
         0.01, "chance",
         "The modal domain leaves nothing to explain where what it leaves has more than this chance under noise alone.",

@@ -39,6 +39,9 @@ def test_methods_are_tried_in_this_order(task, expected):
         (Outcome("unknown", 1.05, 0.3, inaccuracy=OFF), SMALL, False),
         (Outcome("clean", 1.25, 0.3, inaccuracy=OFF), SMALL, False),  # does not predict
         (Outcome("clean", 1.05, 0.009, inaccuracy=OFF), SMALL, False),  # something is left
+        (Outcome("named", 1.05, 0.009, inaccuracy=OFF), SMALL, True),  # which lines cannot name about such a simulation
+        (Outcome("named", 1.25, 0.009, inaccuracy=OFF), SMALL, False),
+        (Outcome("named", 1.4, 0.0, inaccuracy=OFF, joint=True), SMALL, True),  # its law leaves its higher harmonics
         (SURE, SMALL, False),
         (SURE, replace(SMALL, places=121.0), True),
         (replace(SURE, probability=0.99), replace(SMALL, places=121.0), False),

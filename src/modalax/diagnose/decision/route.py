@@ -117,14 +117,15 @@ def nothing_left(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
 
 
 def off_everywhere(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
-    """Whether stiffness or mass is certainly off everywhere, and with that nothing is left to explain."""
-    off = any(
-        part["interval"][0] > 0 and part["value"] > limits.off
-        for name, part in (found.inaccuracy or {}).items()
-        if name in ("stiffness", "mass")
-    )
-    enough = found.held_out < limits.unexplained if found.joint else nothing_left(found, limits)
-    return off and found.verdict != "unknown" and enough
+    """Whether stiffness or mass is certainly off everywhere, and with that nothing is left that lines could explain."""
+    parts = [part for name, part in (found.inaccuracy or {}).items() if name in ("stiffness", "mass")]
+    if found.verdict == "unknown" or not any(p["interval"][0] > 0 and p["value"] > limits.off for p in parts):
+        return False
+    if found.joint:
+        return found.held_out < limits.unexplained
+    if found.verdict == "named" and any(p["interval"][0] > limits.surely_off for p in parts):
+        return found.held_out < limits.as_noise
+    return nothing_left(found, limits)
 
 
 def decisive(found: Outcome, task: Task, limits: Thresholds = THRESHOLDS) -> bool:
