@@ -2,14 +2,17 @@
 
 import json
 import re
+from functools import partial
 
 import jax
 import numpy as np
 import pytest
 
-from modalax.cli import main
+import modalax
+from modalax.cli import main, virtual
 from modalax.cli.virtual import FREQ, LEVELS, hidden_joint, random_effect, virtual_test
 from modalax.data import Geometry, Measurement
+from modalax.diagnose.causes import catalogue
 from modalax.files import save
 from modalax.model import Structure
 from modalax.model.examples import five_dof
@@ -73,6 +76,26 @@ def test_fit_draws_the_shapes_on_the_nodes_of_a_universal_file(name, tmp_path, c
     assert "Frequency" in printed and "unexplained" in printed
     assert main([*arguments, "--json", str(answer)]) == 2  # a second time, nothing is replaced
     assert "--overwrite" in capsys.readouterr().err
+
+
+def test_demo_tells_its_story_from_start_to_end(tmp_path, monkeypatch, capsys):
+    """As a user runs it, but for most of the lines and of the catalogue, which the slow test has."""
+    seed = 0  # draws a sensor's sign
+    hidden = random_effect(seed, five_dof().dofs)
+    quick = [c for c in catalogue() if c.slug in ("elasto_slip", hidden.name)]
+    monkeypatch.setattr(virtual, "FREQ", FREQ[::5])
+    monkeypatch.setattr(modalax.diagnose, "diagnose", partial(modalax.diagnose.diagnose, causes=quick))
+    monkeypatch.chdir(tmp_path)
+    assert main(["demo", "--seed", str(seed)]) == 0
+    out = tmp_path / "modalax-demo"
+    assert str(out / "report.html") in capsys.readouterr().out.replace("\n", "")
+    assert len(json.loads((out / "modes.json").read_text())["modes"]) >= 4
+    first, second = (json.loads((out / f"diagnosis{k}.json").read_text())["causes"] for k in (2, 3))
+    assert [(c["name"], c["where"]) for c in first] == [("elasto_slip", ["3", "5"])]
+    assert first[0]["parameters"]["slip_force"]["value"] == pytest.approx(4.0, rel=0.03)
+    assert [(c["name"], tuple(c["where"])) for c in second] == [(hidden.name, hidden.where)]
+    assert set(re.findall(r"<h2[^>]*>(\d)\.", (out / "report.html").read_text())) == {"1", "2", "3"}
+    assert len(list(out.glob("*.png"))) >= 8
 
 
 @pytest.mark.slow
