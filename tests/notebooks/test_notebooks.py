@@ -32,6 +32,16 @@ def test_notebook_runs(path, tmp_path, monkeypatch):
     NotebookClient(notebook, timeout=SECONDS, resources={"metadata": {"path": str(tmp_path)}}).execute()
 
 
+@pytest.mark.filterwarnings("ignore")
+def test_a_notebook_runs_in_a_kernel_up_to_its_structure(tmp_path):
+    """Its first two cells of code: what it imports, and the model that all else is about."""
+    notebook = nbformat.read(ROOT / "notebooks" / "02_joint_at_rising_force.ipynb", as_version=4)
+    second = [k for k, cell in enumerate(notebook.cells) if cell.cell_type == "code"][1]
+    notebook.cells = notebook.cells[: second + 1]
+    NotebookClient(notebook, timeout=SECONDS, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    assert "first modes with the interface stuck" in notebook.cells[-1].outputs[0].text
+
+
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
 def test_notebook_is_written_to_be_read(path):
     """It starts with a title, explains itself between the code, and no cell was stored with an error."""
