@@ -3,7 +3,8 @@
 A joint that slips is hidden in the paper's five-DoF system at three levels, and in nets of 100 and 458 masses on
 springs, all of them measured (458 DoFs have 105,111 places for a joint). Each is diagnosed twice in one process, with
 other noise the second time: the first time compiles (unless the compilation cache has it, which is said), the second
-is warm. Apart from that: the screening alone of every joint at every place.
+is warm. Apart from that: the screening alone of every joint at every place. ``--off-everywhere``: simulations whose
+every element is off instead, in CPU seconds.
 """
 
 import argparse
