@@ -8,7 +8,6 @@ from modalax.identify.fdpi import fdpi
 from modalax.identify.lsce import lsce
 from modalax.identify.lscf import lscf
 from modalax.identify.mode_search import SHARP
-from modalax.identify.noise import SEVERAL
 from modalax.identify.plscf import plscf
 from modalax.identify.select import Selection, select
 from modalax.identify.tables import PoleTable
@@ -16,7 +15,6 @@ from modalax.identify.tables import PoleTable
 ESTIMATORS = {"lscf": lscf, "plscf": plscf, "lsce": lsce, "fdpi": fdpi}
 POLES = 40  # poles of the highest order of a first diagram; doubled while the modes fill it
 FULL = 5  # poles for each mode found, below which higher orders may show more; each further order costs a compilation
-TIGHT = 2.5  # the same for parts of the band of large sets of FRFs, where each further order takes long
 LINES, PARTS = 400, 8  # lines for each part of the band that gets a diagram of its own, and most parts
 LASTING = 0.6  # part of the orders at which a mode must stand that only a part of the band shows
 
@@ -47,7 +45,7 @@ def diagram(frf: FRF, name: str, order: int | None) -> tuple[PoleTable, Selectio
     starts = np.linspace(0, lines - size, parts).astype(int)
     for k, start in enumerate(starts):
         part = frf.lines(slice(int(start), int(start) + size))
-        found = _whole(part, name, None, TIGHT if frf.H.size > SEVERAL else FULL)[1]
+        found = _whole(part, name, None)[1]
         # Of the overlap with its neighbours a part answers for the nearer half, up to the ends of the band.
         quarter = size // 4
         lower = float(part.freq[0 if k == 0 else quarter])
@@ -82,11 +80,11 @@ def _merged(whole: Selection, part: Selection, lower: float, upper: float) -> Se
     )  # fmt: skip
 
 
-def _whole(frf: FRF, name: str, order: int | None, full: float = FULL) -> tuple[PoleTable, Selection]:
+def _whole(frf: FRF, name: str, order: int | None) -> tuple[PoleTable, Selection]:
     """Diagrams of rising highest order, until there is room for more modes or twice the order shows none."""
     best = _at(frf, name, POLES, order)
     poles = 2 * POLES
-    while order is None and poles <= 4 * POLES and full * best[1].poles.size > poles / 2:
+    while order is None and poles <= 4 * POLES and FULL * best[1].poles.size > poles / 2:
         further = _at(frf, name, poles, None)
         if further[0].orders[-1] == best[0].orders[-1] or further[1].poles.size <= best[1].poles.size:
             break
