@@ -15,7 +15,7 @@ from modalax.identify.reduced import Sums
 
 PATIENCE = 10  # steps that a mode may spend out of range before it is dropped
 ROUNDING = 1e-31  # sum of squares that rounding of the data may leave, relative to that of the data
-LOST = (-50.0, 5.0)  # logarithms of damping ratios well beyond their limits
+LOST = (-50.0, 50.0)  # logarithms of frequencies and damping ratios well beyond their limits
 STATISTICAL = 1e-3  # part of the sum of squares a degree of freedom that a step must gain
 
 
@@ -159,5 +159,6 @@ class _State:
         ended = (abs(self.predicted) <= small or size <= 4e-15) and self.damping < 1.0
         ended = ended or (self.rejected >= 4 and size < 1e-9) or self.rejected > 20
         trial = theta + move.reshape(theta.shape)
-        trial[:, 1] = np.clip(trial[:, 1], *LOST)  # the damping has no slope there, and its exponential no meaning
+        for k in (0, 1):  # frequency and damping have no slope there, and their exponentials no meaning
+            trial[:, k] = np.clip(trial[:, k], *LOST)
         return trial, ended
