@@ -122,7 +122,7 @@ def test_one_hit_a_record_and_a_roving_hammer():
     assert np.allclose(np.asarray(frf.H[:, 0]), H[:, None] * gains[:, 0], rtol=1e-4, atol=1e-6)
     both, _ = told(frf_from_recording, x, roving=2, band=(10.0, 200.0))
     assert both.H.shape[2] == 2 and both.variance is not None
-    with pytest.raises(ValueError, match="4 hits for 3 at each point"):
+    with pytest.raises(ValueError, match="4 hits; with 3 at each point"):
         told(frf_from_recording, x, roving=3)
 
 

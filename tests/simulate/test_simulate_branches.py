@@ -184,7 +184,7 @@ def test_messages_say_what_was_seen():
         backbone(skew, [CubicSpring(1.0)], [["a", "b"]], 1, [1e-3])
     with pytest.raises(ValueError, match="1 joints for 2 places"):
         backbone(DUFFING, [CubicSpring(1.0)], [["x"], ["x"]], 1, [1e-3])
-    with pytest.raises(ValueError, match="add local changes to the matrices"):
+    with pytest.raises(ValueError, match="make local changes in the matrices"):
         backbone(change(DUFFING, ["x"], Spring(1.0)), [CubicSpring(1.0)], [["x"]], 1, [1e-3])
     with pytest.raises(ValueError, match="given a ModalModel"):
         floquet_exponents(skew, (CubicSpring(0.0),), [["a"]], np.ones(1), np.zeros((1, 1, 1), complex), (1,))

@@ -141,8 +141,9 @@ def load_geometry(path: Path | str) -> Geometry:
             from modalax.files.points import geometry_of_points, geometry_of_triangles
 
             return (geometry_of_triangles if path.suffix.lower() == ".stl" else geometry_of_points)(path)
+        _check_universal(path)
         with reading("the universal file", ValueError):
-            return geometry_of(_universal(path))
+            return geometry_of(read_sets(path))
 
 
 def load_modes(path: Path | str) -> Modes:
@@ -154,18 +155,19 @@ def load_modes(path: Path | str) -> Modes:
         If there is no such file, or it holds no mode shapes.
     """
     path = Path(path)
-    with about(path), reading("the universal file", ValueError):
-        modes = modes_of(_universal(path))
+    with about(path):
+        _check_universal(path)
+        with reading("the universal file", ValueError):
+            modes = modes_of(read_sets(path))
         if modes is None:
             raise ValueError("holds no mode shapes (data set 55 or 2414 at nodes)")
     return modes
 
 
-def _universal(path: Path) -> list[dict[str, Any]]:
+def _check_universal(path: Path) -> None:
     kind = sniff(path)
     if kind != "uff":
         raise ValueError(f"is a file of kind {kind}; nodes and mode shapes are read from universal files")
-    return read_sets(path)
 
 
 def write_uff(what: Any, path: Path, binary: bool = True, geometry: Geometry | None = None) -> None:
