@@ -9,7 +9,7 @@ from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.fit import Fit, widths_of_sizes
 from modalax.diagnose.modal_domain.inaccuracy import KINDS, RIGID
 from modalax.diagnose.modal_domain.stage import Stage
-from modalax.diagnose.modal_domain.state import Setting, changes_of, slopes_at
+from modalax.diagnose.modal_domain.state import FARTHEST, Setting, changes_of, slopes_at
 from modalax.model import Structure
 
 DRAWS, BESIDE = 16, 24  # draws of the sizes of the inaccuracy, and of its parts for each
@@ -81,7 +81,8 @@ def inaccuracy_told(setting: Setting, f: Fit) -> dict[str, Any]:
         for x in (mean[:, None] + np.linalg.solve(L.T, rng.standard_normal((len(s), BESIDE)))).T:
             sizes = (s * x)[: len(group)]
             for k, share in enumerate(shares):
-                off = np.log1p(np.maximum(share @ sizes[group == k], -0.9))
+                relative = np.where(a.positive, np.expm1(np.minimum(sizes, FARTHEST)), sizes)[group == k]
+                off = np.log1p(np.maximum(share @ relative, -0.9))
                 seen[k].append(float(np.sqrt(np.mean(off**2))))
     told = {}
     for k, name in enumerate(a.groups):

@@ -2,7 +2,8 @@ r"""The general inaccuracy of a simulation: every element of stiffness, mass and
 
 A part is an element of the simulation, read off its matrices, off by :math:`\epsilon z` with ``z`` standard normal; the
 sizes :math:`\epsilon` of stiffness, mass and damping are claimed by the author or learnt. Damping is off mode by mode,
-with a tenth of that between modes, after the non-parametric approach of Soize (2000).
+by a factor :math:`e^{\epsilon z}` so that it stays positive, with a tenth of that between modes, after the
+non-parametric approach of Soize (2000).
 """
 
 from dataclasses import dataclass
@@ -38,6 +39,8 @@ class Inaccuracy:
         Expected sizes, and standard deviations of their logarithms, shape ``(groups,)``.
     claimed
         Of which groups the author claims a size.
+    positive
+        Of each pattern, whether its size is the logarithm of a factor: a mode's own damping.
     """
 
     groups: tuple[str, ...]
@@ -45,6 +48,7 @@ class Inaccuracy:
     usual: np.ndarray
     spread: np.ndarray
     claimed: tuple[bool, ...]
+    positive: np.ndarray
 
     @property
     def group_of(self) -> np.ndarray:
@@ -74,7 +78,9 @@ def inaccuracy_of(simulation: Structure, c: Coordinates, highest: float) -> Inac
     usual = np.array([claims[g] or (known if g == "mass" else USUAL[g]) for g in groups])
     told = tuple(claims[g] > 0 for g in groups)
     spread = np.where(told, CLAIMED, UNKNOWN)
-    return Inaccuracy(groups, (stiffness, mass, _damping(c, highest)), usual, spread, told)
+    damping, own = _damping(c, highest)
+    positive = np.concatenate([np.zeros(len(stiffness) + len(mass), bool), own])
+    return Inaccuracy(groups, (stiffness, mass, damping), usual, spread, told, positive)
 
 
 def _claim(simulation: Structure, name: str) -> float:
@@ -82,14 +88,16 @@ def _claim(simulation: Structure, name: str) -> float:
     return float(np.sqrt(np.mean(value**2))) if value.size else 0.0
 
 
-def _damping(c: Coordinates, highest: float) -> np.ndarray:
+def _damping(c: Coordinates, highest: float) -> tuple[np.ndarray, np.ndarray]:
+    """Patterns of damping, and which of them are of a mode by itself."""
     own = np.sqrt(np.maximum(np.diag(c.damping), 1e-12))
     inside = int(np.count_nonzero(c.frequencies < highest)) + 2
     few = min(inside, c.size)
-    out = []
+    out, alone = [], []
     for r in range(few):
         for s in range(r, min(few, r + 6)):
             pattern = np.zeros((c.size, c.size))
             pattern[r, s] = pattern[s, r] = own[r] * own[s] * (1.0 if r == s else BETWEEN)
             out.append(pattern)
-    return np.array(out)
+            alone.append(r == s)
+    return np.array(out), np.array(alone)

@@ -11,6 +11,8 @@ from modalax.diagnose.modal_domain.fit import LARGEST
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.thresholds import THRESHOLDS
 
+LIKELIER = 0.5  # probability of nothing beyond the inaccuracy above which nothing is what the answer is about
+
 
 @dataclass(frozen=True)
 class Judged:
@@ -21,10 +23,10 @@ class Judged:
     word, reasons
         The verdict, and why.
     chosen
-        The explanation that the answer is about: the likeliest one, or the general inaccuracy alone if nothing stands
-        out.
+        The explanation that the answer is about: the likeliest one in which just this stands out, or the general
+        inaccuracy alone if nothing does.
     sets
-        What stands out, the set of the likeliest explanation first, the others by falling probability.
+        What stands out, that of the answer first, the others by falling probability.
     """
 
     word: str
@@ -35,9 +37,9 @@ class Judged:
 
 def judge(stage: Stage) -> Judged:
     """Bring what the rules look at together, and apply them."""
-    best = stage.explanations[0]
-    plain = next((e for e in stage.explanations if not e.causes), None)
     sets = sets_beyond(stage)
+    best = next(e for e in stage.explanations if _key(_told(standing_out(stage, e))) == _key(sets[0].names))
+    plain = next((e for e in stage.explanations if not e.causes), None)
     case = ModalCase(
         sets, [(c.slug, c.where) for c in best.causes], inaccuracy_of_fit(stage, best),
         float(np.max(best.fit.epsilon[:2] / LARGEST[:2])), best.fit.chi2 / best.fit.state.difference.size,
@@ -48,19 +50,28 @@ def judge(stage: Stage) -> Judged:
 
 
 def sets_beyond(stage: Stage) -> tuple[BeyondUsual, ...]:
-    """What stands out in the likeliest explanation, then in the others, the same causes at the same places as one."""
-    written: dict[
-        tuple[str | int, ...], tuple[str, tuple[str | int, ...]]
-    ] = {}  # a pair of DoFs is the same in either order
+    """What stands out, the same causes at the same places as one: first nothing if that is likelier than all else."""
     total: dict[Names, tuple[Names, float]] = {}
     for e in stage.explanations:
         causes = standing_out(stage, e)
-        names = tuple(written.setdefault((c.slug, *sorted(c.where)), (c.slug, tuple(c.where))) for c in causes)
-        key = tuple(sorted(names))
-        first, p = total.get(key, (names, 0.0))
-        total[key] = first, p + e.probability
-    leading, *others = (BeyondUsual(*v) for v in total.values())
-    return (leading, *sorted(others, key=lambda s: -s.probability))
+        key = _key(_told(causes))
+        names, p = total.get(key, (_told(causes), 0.0))
+        total[key] = names, p + e.probability
+    sets = sorted((BeyondUsual(*v) for v in total.values()), key=lambda s: -s.probability)
+    nothing = next((s for s in sets if not s.names), None)
+    leads = nothing is not None and (nothing.probability > LIKELIER or len(sets) == 1)
+    leading = nothing if leads else next(s for s in sets if s.names)
+    assert leading is not None
+    return (leading, *(s for s in sets if s is not leading))
+
+
+def _told(causes: tuple[Change, ...]) -> Names:
+    return tuple((c.slug, tuple(c.where)) for c in causes)
+
+
+def _key(names: Names) -> Names:
+    """Causes in an order of their own, a pair of DoFs the same in either order."""
+    return tuple(sorted((slug, tuple(sorted(where, key=str))) for slug, where in names))
 
 
 def standing_out(stage: Stage, e: Explanation) -> tuple[Change, ...]:
@@ -69,7 +80,10 @@ def standing_out(stage: Stage, e: Explanation) -> tuple[Change, ...]:
     out = []
     for c, u in zip(e.causes, e.fit.u, strict=True):
         whole = 1.0 if c.pattern is not None else c.reference
-        if abs(float(u) * c.scale) > usual_size(c.slug, whole, off, highest):
+        size = float(u) * c.scale
+        if c.slug == "modal_damping":  # a factor, as the general inaccuracy of damping is
+            size = float(np.log(max(1 + size, 1e-9)))
+        if abs(size) > usual_size(c.slug, whole, off, highest):
             out.append(c)
     return tuple(out)
 

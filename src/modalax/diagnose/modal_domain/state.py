@@ -18,6 +18,7 @@ from modalax.diagnose.modal_domain.features import Features, paired, slopes_of_v
 from modalax.diagnose.modal_domain.inaccuracy import KINDS, Inaccuracy
 
 WILD = 1e12  # factor on a channel that no fault has
+FARTHEST = 5.0  # logarithm of a factor on a modal damping that is not exceeded on the way to a fit
 NONE = np.zeros(0)  # sizes where there is no cause
 
 
@@ -51,6 +52,8 @@ class State:
     ----------
     difference
         Whitened measured less predicted features.
+    sizes
+        Of the inaccuracy's patterns.
     modes, pairs
         Predicted modes, and the number of the predicted mode that belongs to each measured one.
     plain, residues
@@ -58,6 +61,7 @@ class State:
     """
 
     difference: np.ndarray
+    sizes: np.ndarray
     modes: Modes
     pairs: np.ndarray
     plain: np.ndarray
@@ -68,9 +72,9 @@ def changes_of(setting: Setting, sizes: np.ndarray, causes: tuple[Change, ...], 
     """Changes of the matrices; ``sizes`` are those of the patterns, relative to the whole."""
     n = setting.coordinates.size
     out = {kind: np.zeros((n, n)) for kind in "KCM"}
-    start = 0
+    start, relative = 0, np.where(setting.inaccuracy.positive, np.expm1(np.minimum(sizes, FARTHEST)), sizes)
     for kind, patterns in setting.patterns():
-        part = sizes[start : start + len(patterns)]
+        part = relative[start : start + len(patterns)]
         out[kind] += np.tensordot(part, patterns, 1)
         start += len(patterns)
     for cause, size in zip(causes, u, strict=True):
@@ -103,7 +107,7 @@ def state_at(
     if pairs is None:
         pairs = paired(f, modes.poles, residues)
     values = values_of(modes.poles[pairs], residues[pairs] / f.units, f.tangent)
-    return State(setting.whitener @ (f.values - values).ravel(), modes, pairs, plain, residues)
+    return State(setting.whitener @ (f.values - values).ravel(), sizes, modes, pairs, plain, residues)
 
 
 def slopes_at(setting: Setting, state: State, causes: tuple[Change, ...] = (), u: np.ndarray = NONE) -> np.ndarray:
@@ -111,6 +115,8 @@ def slopes_at(setting: Setting, state: State, causes: tuple[Change, ...] = (), u
     t = slopes_of(setting.coordinates, state.modes, state.pairs)
     parts = [pattern_slopes(t, kind, patterns) for kind, patterns in setting.patterns()]
     columns = [feature_slopes(setting, state, t, causes, u, *part) for part in parts]
+    factor = np.where(setting.inaccuracy.positive, np.exp(np.minimum(state.sizes, FARTHEST)), 1.0)
+    columns = [np.concatenate(columns, axis=1) * factor]
     for k, cause in enumerate(causes):
         if cause.kind:
             moved = pattern_slopes(t, cause.kind, cause.matrix[None])
