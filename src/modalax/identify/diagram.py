@@ -1,5 +1,6 @@
 """Stabilization diagrams of the whole band and of parts of it, and the stable modes in them."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -16,7 +17,8 @@ ESTIMATORS = {"lscf": lscf, "plscf": plscf, "lsce": lsce, "fdpi": fdpi}
 POLES = 40  # poles of the highest order of a first diagram; doubled while the modes fill it
 FULL = 5  # poles for each mode found, below which higher orders may show more; each further order costs a compilation
 LINES, PARTS = 400, 8  # lines for each part of the band that gets a diagram of its own, and most parts
-LASTING = 0.6  # part of the orders at which a mode must stand that only a part of the band shows
+STILL = 0.1  # part of the distance between the poles of an order that a mode moves at most to the next order
+LASTING = 0.6  # part of the orders at which a mode must stand that only a higher order or a part of the band shows
 
 
 def diagram(frf: FRF, name: str, order: int | None) -> tuple[PoleTable, Selection]:
@@ -55,7 +57,7 @@ def diagram(frf: FRF, name: str, order: int | None) -> tuple[PoleTable, Selectio
 
 
 def _merged(whole: Selection, part: Selection, lower: float, upper: float) -> Selection:
-    """The modes of the whole band with those between two frequencies [Hz] that a part tells better or alone."""
+    """The modes of one diagram with those between two frequencies [Hz] that another tells better or alone."""
     poles = np.array(whole.poles)
     fields = {name: np.array(getattr(whole, name)) for name in ("score", "spread", "order")}
     shares = None if whole.participation is None else np.array(whole.participation)
@@ -81,15 +83,36 @@ def _merged(whole: Selection, part: Selection, lower: float, upper: float) -> Se
 
 
 def _whole(frf: FRF, name: str, order: int | None) -> tuple[PoleTable, Selection]:
-    """Diagrams of rising highest order, until there is room for more modes or twice the order shows none."""
-    best = _at(frf, name, POLES, order)
+    """Diagrams of rising highest order, until there is room for more modes or twice the order shows none.
+
+    The first diagram's modes stay. A higher order has more poles that are none, and so little room between them that
+    one continues another by chance; of its modes those count that stand still in it.
+    """
+    table, found = _at(frf, name, POLES, order)
     poles = 2 * POLES
-    while order is None and poles <= 4 * POLES and FULL * best[1].poles.size > poles / 2:
-        further = _at(frf, name, poles, None)
-        if further[0].orders[-1] == best[0].orders[-1] or further[1].poles.size <= best[1].poles.size:
+    while order is None and poles <= 4 * POLES and FULL * found.poles.size > poles / 2:
+        further, seen = _at(frf, name, poles, None)
+        if further.orders[-1] == table.orders[-1]:
             break
-        best, poles = further, 2 * poles
-    return best
+        more = _merged(found, standing(frf, further, seen), 0.0, np.inf)
+        if more.poles.size <= found.poles.size:
+            break
+        table, found, poles = further, more, 2 * poles
+    return table, found
+
+
+def standing(frf: FRF, table: PoleTable, selection: Selection) -> Selection:
+    """The modes that move less than ``STILL`` of the distance between poles from one order to the next.
+
+    Poles that no mode holds spread evenly over the band at each order. The nearest of the next order is then up to half
+    a distance away, a quarter in the median, however dense they are.
+    """
+    lower, upper = float(frf.freq[0]), float(frf.freq[-1])
+    f = np.asarray(table.poles).imag / (2 * np.pi)
+    count = dict(zip(table.orders, np.sum(np.asarray(table.valid) & (f >= lower) & (f <= upper), axis=1), strict=True))
+    moved = np.asarray(selection.spread) * np.abs(np.asarray(selection.poles)) / (2 * np.pi)
+    distance = np.array([(upper - lower) / max(count[int(n)], 1) for n in np.asarray(selection.order)])
+    return jax.tree.map(lambda a: a[np.flatnonzero(moved < STILL * distance)], selection)
 
 
 def _at(frf: FRF, name: str, poles: int, order: int | None) -> tuple[PoleTable, Selection]:
