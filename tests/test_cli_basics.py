@@ -13,10 +13,11 @@ import pytest
 import modalax
 from modalax.cli import main
 from modalax.cli.common import check_folder, free_folder, plain
-from modalax.cli.simulate import frequencies, read_joints
+from modalax.cli.simulate import frequencies
 from modalax.data import Measurement
 from modalax.files import load, save
 from modalax.model.examples import five_dof
+from modalax.simulate.joints.text import read_joints
 
 
 @pytest.fixture(autouse=True)
@@ -57,13 +58,23 @@ def test_help_is_quick_and_names_every_command():
     start = processor_seconds()
     done = subprocess.run([sys.executable, "-m", "modalax", "--help"], capture_output=True, text=True, check=True)
     seconds = processor_seconds() - start
-    for name in ("demo", "frf", "fit", "simulate", "diagnose", "causes", "convert"):
+    for name in ("demo", "frf", "fit", "simulate", "diagnose", "causes", "convert", "study", "cache"):
         assert name in done.stdout
     assert seconds < 0.65  # 0.3 measured; JAX would add 0.7
 
 
 @pytest.mark.parametrize(
-    "arguments", [["--help"], ["--version"], ["fit", "absent.npz"], ["diagnose", "a.npz", "--simulation", "b.npz"]]
+    "arguments",
+    [
+        ["--help"],
+        ["--version"],
+        ["fit", "absent.npz"],
+        ["diagnose", "a.npz", "--simulation", "b.npz"],
+        ["study", "--help"],
+        ["study", "absent.toml"],
+        ["study", "--example", "noise"],
+        ["cache"],
+    ],  # fmt: skip
 )
 def test_what_needs_no_numbers_imports_none_of_their_packages(arguments):
     """So help, version and the error of a missing file come at once."""

@@ -23,7 +23,7 @@ LAYERS = (
     {"files"},
     {"check", "identify", "simulate"},
     {"diagnose"},
-    {"campaign"},
+    {"study"},
     {"show"},
     {"cli"},
     {"__main__"},
@@ -33,6 +33,7 @@ UPWARD = {("files/arrays.py", "modalax.diagnose.extend")}
 RANK = {name: rank for rank, row in enumerate(LAYERS) for name in row}
 DRAWING = {"matplotlib", "plotly", "jinja2"}
 OPTIONAL = {"pyuff", "xarray", "zarr", "h5netcdf", "pooch", "plotly", "jinja2", "diffrax"}
+OPTIONAL |= {"dask", "distributed", "pyarrow"}
 
 
 def layer_of(path: Path) -> str:

@@ -16,16 +16,17 @@ if TYPE_CHECKING:
     from modalax.diagnose import diagnose
     from modalax.files import load, save
     from modalax.model import ModalModel, Structure
+    from modalax.study import study
 
 __version__ = "0.1.0"
 
 __all__ = [
     "FRF", "Geometry", "Measurement", "ModalModel", "Structure", "__version__", "check", "data", "diagnose", "files",
-    "identify", "load", "model", "save", "show", "simulate",
+    "identify", "load", "model", "save", "show", "simulate", "study",
 ]  # fmt: skip
 
-# ``modalax.check`` and ``modalax.diagnose`` are packages and, called, their functions of that name: see there.
-PACKAGES = ("check", "data", "diagnose", "files", "identify", "model", "show", "simulate")
+# ``modalax.check``, ``.diagnose`` and ``.study`` are packages and, called, their functions of that name: see there.
+PACKAGES = ("check", "data", "diagnose", "files", "identify", "model", "show", "simulate", "study")
 __getattr__, __dir__ = lazily(
     __name__,
     {name: f"{__name__}.{name}" for name in PACKAGES}

@@ -8,6 +8,7 @@ from typing import Any
 import typer
 
 from modalax import __version__
+from modalax.cli.cache import cache
 from modalax.cli.check import check
 from modalax.cli.convert import convert
 from modalax.cli.demo import demo
@@ -16,6 +17,8 @@ from modalax.cli.fit import fit
 from modalax.cli.frf import frf
 from modalax.cli.import_fe import import_fe
 from modalax.cli.simulate import simulate
+from modalax.cli.study import HELP as STUDY_HELP
+from modalax.cli.study import study
 
 # The base class of typer's usage errors; its module differs from version to version of typer.
 USAGE_ERROR: type[Exception] = typer.BadParameter.__mro__[1]
@@ -51,8 +54,9 @@ def options(
     """Options that come before the name of a command."""
 
 
-for command in (demo, frf, check, fit, simulate, diagnose, causes, convert, import_fe):
+for command in (demo, frf, check, fit, simulate, diagnose, causes, convert, import_fe, cache):
     app.command()(command)
+app.command(help=STUDY_HELP)(study)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -32,7 +32,6 @@ OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace outp
 def start() -> None:
     """Set up JAX before its first use: double precision, threads, and the folder that keeps compiled programs."""
     import jax
-    import platformdirs
     import threadpoolctl
 
     if not {"OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"} & set(os.environ):
@@ -43,13 +42,24 @@ def start() -> None:
         # Otherwise each program taken from the cache logs two screens of text about processor features as an error.
         jax.config.update("jax_logging_level", "CRITICAL")
     if jax.config.jax_compilation_cache_dir is None and "JAX_COMPILATION_CACHE_DIR" not in os.environ:  # pyright: ignore
-        folder = Path(platformdirs.user_cache_dir("modalax", appauthor=False)) / "compiled"
+        folder = cache_folder()
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError:
             return  # Without a writable home folder every process compiles again, which costs time only.
+        # By the environment too, so that the worker processes of a study share it.
+        os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
+        os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+
+def cache_folder() -> Path:
+    """Folder of the compiled programs that are kept: that of ``JAX_COMPILATION_CACHE_DIR``, or one of our own."""
+    import platformdirs
+
+    own = Path(platformdirs.user_cache_dir("modalax", appauthor=False)) / "compiled"
+    return Path(os.environ.get("JAX_COMPILATION_CACHE_DIR") or own)
 
 
 def check_readable(*paths: Path) -> None:

@@ -9,8 +9,6 @@ from rich.markup import escape
 from rich.table import Table
 
 from modalax._numerics.text import with_error
-from modalax.diagnose.summary import CAUSE_COLUMNS, MEANING, cause_rows, explanation_lines
-from modalax.identify.summary import BIAS, GRADE
 
 
 def new_table(title: str) -> Table:
@@ -20,6 +18,8 @@ def new_table(title: str) -> Table:
 
 def mode_table(modes: Sequence[Mapping[str, Any]], truth: tuple[Any, Any] | None = None) -> Table:
     """Make a table of the modes of ``Fit.to_dict()``, beside true frequencies and damping ratios where known."""
+    from modalax.identify.summary import BIAS, GRADE
+
     refined = any(mode["frequency_std_hz"] is not None for mode in modes)
     scattered = not refined and any(mode.get("frequency_scatter_hz") is not None for mode in modes)
     table = new_table("Modes, ± one standard deviation" if refined else "Modes of the diagram, not refined")
@@ -88,6 +88,8 @@ def cause_table(causes: Sequence[Any]) -> Table:
 
 def print_diagnosis(console: Console, answer: Mapping[str, Any]) -> None:
     """Print ``Diagnosis.to_dict()``: verdict, causes, rivals, reasons, advice and gain."""
+    from modalax.diagnose.summary import CAUSE_COLUMNS, MEANING, cause_rows, explanation_lines
+
     verdict = answer["verdict"]
     console.print(f"[bold]{verdict}[/bold]: {MEANING[verdict]}", highlight=False)
     if answer["causes"]:

@@ -1,0 +1,81 @@
+"""The structure that draws are taken from: its FRFs without noise, and its modes."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+BUILT_IN = "five_dof"
+
+
+def load_simulation(name: str, folder: Path) -> Any:
+    """Matrices or a modal model from a file (paths count from ``folder``), or the built-in system.
+
+    Raises
+    ------
+    ValueError
+        If the file holds something else.
+    """
+    from modalax.files import load
+    from modalax.model import ModalModel, Structure
+    from modalax.model.examples import five_dof
+
+    if name == BUILT_IN and not (folder / name).exists():
+        return five_dof()
+    found = load(folder / name)
+    if not isinstance(found, Structure | ModalModel):
+        raise ValueError(f"{folder / name} holds a {type(found).__name__}; matrices M, C, K or modes are needed here")
+    return found
+
+
+def frequency_lines(band: Any, step: float) -> np.ndarray:
+    """Lines from the lower end of a band in equal steps [Hz]; the upper end counts if a step meets it."""
+    low, high = band
+    return low + step * np.arange(int(np.floor((high - low) / step * (1 + 1e-12))) + 1)
+
+
+def response(structure: Any, settings: Mapping[str, Any], joints: Any = ()) -> Any:
+    """FRFs without noise, as a measurement with a run for each force amplitude.
+
+    Parameters
+    ----------
+    structure
+        Matrices or a modal model.
+    settings
+        The table ``[system]``.
+    joints
+        Further joints, each ``(law, where)``, beside those of the settings.
+
+    Raises
+    ------
+    ValueError
+        If there are joints and no force, or a DoF is not in the structure.
+    """
+    from modalax.model.receptance import dof_names
+    from modalax.simulate.harmonic import simulate
+    from modalax.simulate.joints.text import joint_of_table
+
+    placed = [*(joint_of_table(f"[[system.joint]] {k + 1}", t) for k, t in enumerate(settings["joint"] or ())), *joints]
+    if placed and not settings["force"]:
+        raise ValueError(
+            "[system] has joints, whose response depends on the force, but no force; give force = [N, ...]"
+        )
+    options: dict[str, Any] = {"harmonics": settings["harmonics"]} if placed else {}
+    return simulate(
+        structure, [law for law, _ in placed], [where for _, where in placed],
+        frequency_lines(settings["band"], settings["step"]), np.array(settings["force"] or [np.nan]),
+        inputs=settings["inputs"] or [dof_names(structure)[0]], outputs=settings["outputs"], form=settings["form"],
+        **options,
+    )  # fmt: skip
+
+
+def poles_in(structure: Any, band: Any) -> np.ndarray:
+    """Poles of the modes with natural frequencies in a band, by rising frequency [rad/s]."""
+    from modalax.model import ModalModel
+
+    model = structure if isinstance(structure, ModalModel) else structure.modal()
+    poles = np.asarray(model.poles)
+    f = np.abs(poles) / (2 * np.pi)
+    kept = poles[(f >= band[0]) & (f <= band[1])]
+    return kept[np.argsort(np.abs(kept))]
