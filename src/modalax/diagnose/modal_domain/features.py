@@ -1,8 +1,9 @@
 r"""Features of a measurement in the modal domain: a few numbers per mode, with their joint covariance.
 
-Of each mode :math:`\ln|\lambda|`, :math:`\ln\zeta`, :math:`\ln|A|` and the real and imaginary parts of
-:math:`A/|A|`, ``A`` the residues outputs x inputs, seen along the directions in which a product of a shape and a
-participation can move. This compresses a thousand times as many FRF samples without loss, and shifts of fifty
+Of each mode :math:`\ln|\lambda|`, :math:`\ln\zeta`, :math:`\ln|A|`, ``A`` the residues outputs x inputs, their phase
+along the measured ones, and the real and imaginary parts of :math:`A/|A|` along the other directions in which a product
+of a shape and a participation can move. (What :math:`A/|A|` loses along the measured residues is of second order: as a
+feature it would hold nothing that the others do not, and bend every search.) This compresses a thousand times as many FRF samples without loss, and shifts of fifty
 bandwidths are as easy to compare as shifts of a tenth.
 """
 
@@ -17,10 +18,10 @@ from modalax.diagnose.modal_domain.free_residues import Projected
 FLOOR = (2e-6, 2e-4, 1e-4, 5e-5)
 CLOSE = 0.25  # change of ln frequency that counts as much against a pair of modes as shapes at right angles
 SMEARED = 0.05  # standard deviation of ln frequency beyond which a mode is too uncertain to compare
+FLAT = 1e-4  # square of the part along the measured residues below which its phase says nothing
 
-FAINT = (
-    0.1  # standard deviation of ln size beyond which a mode is too weak: its shape is no longer linear in its errors
-)
+# Standard deviation of ln size beyond which a mode is too weak: its shape is no longer linear in its errors.
+FAINT = 0.1
 
 
 @dataclass(frozen=True)
@@ -38,9 +39,9 @@ class Features:
     tangent
         Complex directions in which residues can move, shape ``(k, d, o, i)``.
     values
-        Shape ``(k, 3 + 2 d)``.
+        Shape ``(k, 2 + 2 d)``.
     covariance
-        Joint, shape ``(k (3 + 2 d), k (3 + 2 d))``.
+        Joint, shape ``(k (2 + 2 d), k (2 + 2 d))``.
     """
 
     poles: np.ndarray
@@ -105,28 +106,30 @@ def tangent_of(A: np.ndarray) -> np.ndarray:
 
 
 def values_of(poles: np.ndarray, residues: np.ndarray, tangent: np.ndarray) -> np.ndarray:
-    """Features of modes, shape ``(k, 3 + 2 d)``, from their poles and residues in units of the channels."""
+    """Features of modes, shape ``(k, 2 + 2 d)``, from their poles and residues in units of the channels."""
     size = np.sqrt((np.abs(residues) ** 2).sum(axis=(1, 2)))
     along = np.einsum("kdoi,koi->kd", tangent.conj(), residues) / size[:, None]
     zeta = np.maximum(-poles.real / np.abs(poles), 1e-9)
-    return np.concatenate(
-        [np.log(np.abs(poles))[:, None], np.log(zeta)[:, None], np.log(size)[:, None], along.real, along.imag], axis=1
-    )
+    first = np.stack([np.log(np.abs(poles)), np.log(zeta), np.log(size), np.angle(along[:, 0])], axis=1)
+    return np.concatenate([first, along[:, 1:].real, along[:, 1:].imag], axis=1)
 
 
 def slopes_of_values(
     poles: np.ndarray, residues: np.ndarray, tangent: np.ndarray, dpoles: np.ndarray, dresidues: np.ndarray
 ) -> np.ndarray:
-    """Derivatives of the features, shape ``(k, 3 + 2 d, p)``, by changes ``(k, p)`` and ``(k, p, o, i)``."""
+    """Derivatives of the features, shape ``(k, 2 + 2 d, p)``, by changes ``(k, p)`` and ``(k, p, o, i)``."""
     size2 = (np.abs(residues) ** 2).sum(axis=(1, 2))
     relative = dpoles / poles[:, None]
     real = poles.real[:, None]
     dsize = np.einsum("koi,kpoi->kp", residues.conj(), dresidues, optimize=True).real / size2[:, None]
     along = np.einsum("kdoi,koi->kd", tangent.conj(), residues) / np.sqrt(size2)[:, None]
     moved = np.einsum("kdoi,kpoi->kdp", tangent.conj(), dresidues, optimize=True) / np.sqrt(size2)[:, None, None]
-    moved = moved - along[:, :, None] * dsize[:, None, :]
+    own = along[:, :1]
+    turned = (own.conj() * moved[:, 0]).imag / np.maximum(np.abs(own) ** 2, FLAT)
+    moved = (moved - along[:, :, None] * dsize[:, None, :])[:, 1:]
     dzeta = dpoles.real / real - relative.real
-    return np.concatenate([relative.real[:, None], dzeta[:, None], dsize[:, None], moved.real, moved.imag], axis=1)
+    first = np.stack([relative.real, dzeta, dsize, turned], axis=1)
+    return np.concatenate([first, moved.real, moved.imag], axis=1)
 
 
 def _covariance(found: Projected, residues: np.ndarray, units: np.ndarray, tangent: np.ndarray) -> np.ndarray:
