@@ -3,8 +3,8 @@ r"""Features of a measurement in the modal domain: a few numbers per mode, with 
 Of each mode :math:`\ln|\lambda|`, :math:`\ln\zeta`, :math:`\ln|A|`, ``A`` the residues outputs x inputs, their phase
 along the measured ones, and the real and imaginary parts of :math:`A/|A|` along the other directions in which a product
 of a shape and a participation can move. (What :math:`A/|A|` loses along the measured residues is of second order: as a
-feature it would hold nothing that the others do not, and bend every search.) This compresses a thousand times as many FRF samples without loss, and shifts of fifty
-bandwidths are as easy to compare as shifts of a tenth.
+feature it would hold nothing that the others do not, and bend every search.) This compresses a thousand times as many
+FRF samples without loss, and shifts of fifty bandwidths are as easy to compare as shifts of a tenth.
 """
 
 from dataclasses import dataclass
