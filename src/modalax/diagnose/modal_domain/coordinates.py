@@ -112,7 +112,7 @@ def modes_of(
     poles, vectors = poles[up], vectors[:m, up].T
     order = np.argsort(np.abs(poles))
     poles, vectors = poles[order], vectors[order]
-    a = (2 * poles * (vectors**2).sum(axis=1)) + np.einsum("kr,rs,ks->k", vectors, damping, vectors)
+    a = 2 * poles * (vectors**2).sum(axis=1) + ((vectors @ damping) * vectors).sum(axis=1)
     return Modes(poles, (vectors / np.sqrt(a)[:, None]) @ low.T, (Q[:, m:].T, values[m:]))
 
 
@@ -144,8 +144,7 @@ def slopes_of(c: Coordinates, modes: Modes, which: np.ndarray) -> Slopes:
     high, squares = modes.high
     static = 1 / (squares + poles[:, None] ** 2)
     at_outputs, at_inputs = (
-        np.einsum("kl,lo,ln->kon", inverse, vectors @ rows.T, vectors, optimize=True)
-        + np.einsum("kh,ho,hn->kon", static, high @ rows.T, high, optimize=True)
+        np.matmul(inverse[:, None] * (rows @ vectors.T), vectors) + np.matmul(static[:, None] * (rows @ high.T), high)
         for rows in (c.outputs, c.inputs)
     )
     v = modes.vectors[which]
@@ -160,9 +159,9 @@ def pattern_slopes(t: Slopes, kind: str, patterns: np.ndarray) -> tuple[np.ndarr
     count, n = patterns.shape[:2]
     moved = (patterns.reshape(-1, n) @ t.vectors.T).reshape(count, n, -1)  # (p, n, k)
     factor = t.poles ** POWER[kind]
-    own = np.einsum("kn,pnk->kp", t.vectors, moved, optimize=True)
-    out = np.matmul(t.at_outputs, moved.transpose(2, 1, 0)).transpose(0, 2, 1)
-    inn = np.matmul(t.at_inputs, moved.transpose(2, 1, 0)).transpose(0, 2, 1)
+    moved = moved.transpose(2, 1, 0)  # (k, n, p)
+    own = np.matmul(t.vectors[:, None], moved)[:, 0]
+    out, inn = (np.matmul(at, moved).transpose(0, 2, 1) for at in (t.at_outputs, t.at_inputs))
     return _with_norm(t, kind, factor, own, out, inn)
 
 

@@ -152,7 +152,8 @@ def _try(
     start: Fit | None, gentle: bool = True,
 ) -> None:  # fmt: skip
     temperatures = {} if gentle else {"temperatures": (3.0,)}
-    trial = fit(setting, causes, start, u, **temperatures)
+    best = max((f.log_evidence for f in found.values()), default=-np.inf)
+    trial = fit(setting, causes, start, u, **temperatures, best_else=best)
     key = tuple(sorted(causes, key=lambda c: (c.slug, c.where, c.pattern is not None)))
     if trial is not None and (key not in found or trial.log_evidence > found[key].log_evidence):
         found[key] = trial

@@ -121,9 +121,12 @@ def slopes_of_values(
     size2 = (np.abs(residues) ** 2).sum(axis=(1, 2))
     relative = dpoles / poles[:, None]
     real = poles.real[:, None]
-    dsize = np.einsum("koi,kpoi->kp", residues.conj(), dresidues, optimize=True).real / size2[:, None]
-    along = np.einsum("kdoi,koi->kd", tangent.conj(), residues) / np.sqrt(size2)[:, None]
-    moved = np.einsum("kdoi,kpoi->kdp", tangent.conj(), dresidues, optimize=True) / np.sqrt(size2)[:, None, None]
+    size = np.sqrt(size2)[:, None]
+    change = dresidues.reshape(*dresidues.shape[:2], -1).transpose(0, 2, 1)
+    flat, axes = residues.reshape(len(poles), -1), tangent.conj().reshape(*tangent.shape[:2], -1)
+    dsize = np.matmul(flat.conj()[:, None], change)[:, 0].real / size2[:, None]
+    along = np.matmul(axes, flat[:, :, None])[:, :, 0] / size
+    moved = np.matmul(axes, change) / size[:, None]
     own = along[:, :1]
     turned = (own.conj() * moved[:, 0]).imag / np.maximum(np.abs(own) ** 2, FLAT)
     moved = (moved - along[:, :, None] * dsize[:, None, :])[:, 1:]

@@ -9,6 +9,7 @@ equations 2.15-2.20): the logarithmic evidence rises with :math:`\ln\epsilon` of
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.linalg
 
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.state import Setting, State, slopes_at, state_at
@@ -17,6 +18,7 @@ TEMPERATURES = (100.0, 10.0, 3.0)  # widening of the features' covariance in the
 LEARNING = 10.0  # greatest of these at which sizes of the inaccuracy are estimated; far from the data all seem large
 LAST = 25  # most steps at the true covariance
 SETTLED = 0.02  # change of log evidence at which a fit has ended
+HOPELESS = 40.0  # nats behind another hypothesis from which a fit must gain its share in every step to go on
 SMALLEST = 1e-5  # least relative size of an inaccuracy; no structure is known better
 LARGEST = np.array([0.3, 0.3, 1.5])  # greatest relative sizes that are tried in stiffness, mass and damping
 
@@ -58,14 +60,12 @@ class Fit:
     state: State
 
 
-class _Linear:
-    """The problem linearised about a state; everything in the space of the unknowns."""
+class Linear:
+    """A linearised problem in the space of the unknowns, by its information and its right-hand side."""
 
-    def __init__(self, setting: Setting, state: State, causes: tuple[Change, ...], sizes: np.ndarray, u: np.ndarray):
+    def __init__(self, setting: Setting, gram: np.ndarray, right: np.ndarray):
         self.setting, self.group = setting, setting.inaccuracy.group_of
-        J = slopes_at(setting, state, causes, u)
-        x = np.concatenate([sizes, u])
-        self.gram, self.right = J.T @ J, J.T @ (state.difference + J @ x)
+        self.gram, self.right = gram, right
 
     def prior(self, epsilon: np.ndarray) -> np.ndarray:
         """Standard deviation of each unknown."""
@@ -75,9 +75,11 @@ class _Linear:
         """Mean, covariance over the prior's, and half the logarithm of the determinant of that."""
         s = self.prior(epsilon)
         inner = np.eye(len(s)) + s[:, None] * self.gram * s / temperature
-        L = np.linalg.cholesky(inner)
-        half = np.linalg.inv(L)
-        V = half.T @ half
+        L, wrong = scipy.linalg.lapack.dpotrf(inner, lower=1)
+        if wrong:
+            raise np.linalg.LinAlgError("the information of a linearised problem is not positive")
+        lower = np.tril(scipy.linalg.lapack.dpotri(L, lower=1)[0])
+        V = lower + np.tril(lower, -1).T
         z = V @ (s * self.right / temperature)
         return s * z, V, -float(np.log(np.diag(L)).sum())
 
@@ -98,6 +100,12 @@ class _Linear:
         return epsilon
 
 
+def linear_at(setting: Setting, state: State, causes: tuple[Change, ...], sizes: np.ndarray, u: np.ndarray) -> Linear:
+    """The problem linearised about a state."""
+    J = slopes_at(setting, state, causes, u)
+    return Linear(setting, J.T @ J, J.T @ (state.difference + J @ np.concatenate([sizes, u])))
+
+
 def hyperprior(setting: Setting, epsilon: np.ndarray) -> float:
     """Logarithmic prior of sizes of the inaccuracy, and what the width of their posterior adds is left out."""
     a = setting.inaccuracy
@@ -106,7 +114,7 @@ def hyperprior(setting: Setting, epsilon: np.ndarray) -> float:
 
 def fit(
     setting: Setting, causes: tuple[Change, ...] = (), start: Fit | None = None, u: np.ndarray | None = None,
-    temperatures: tuple[float, ...] = TEMPERATURES,
+    temperatures: tuple[float, ...] = TEMPERATURES, best_else: float = -np.inf,
 ) -> Fit | None:  # fmt: skip
     """Fit a hypothesis; None where the search leads to matrices without enough modes.
 
@@ -116,6 +124,8 @@ def fit(
         A fit whose inaccuracy is the starting point; the simulation itself if None.
     u
         Sizes of the causes to start from.
+    best_else
+        Log evidence of the best other hypothesis: a fit that is far behind and hardly gains ends where it is.
     """
     a = setting.inaccuracy
     sizes = np.zeros(len(a.group_of)) if start is None else start.sizes
@@ -125,7 +135,7 @@ def fit(
         state = state_at(setting, sizes, causes, u)
         for temperature in temperatures:
             for _ in range(3):
-                linear = _Linear(setting, state, causes, sizes, u)
+                linear = linear_at(setting, state, causes, sizes, u)
                 epsilon = linear.learnt(epsilon, temperature, 2) if temperature <= LEARNING else epsilon
                 x, _, _ = linear.solve(epsilon, temperature)
                 state, sizes, u, moved = _step(setting, causes, state, sizes, u, x, linear.prior(epsilon), temperature)
@@ -133,7 +143,7 @@ def fit(
                     break
         best: Fit | None = None
         for _ in range(LAST):
-            linear = _Linear(setting, state, causes, sizes, u)
+            linear = linear_at(setting, state, causes, sizes, u)
             epsilon = linear.learnt(epsilon, 1.0, 8)
             x, V, volume = linear.solve(epsilon)
             known = 1 - np.diag(V)[: len(linear.group)]
@@ -148,7 +158,9 @@ def fit(
                 float(state.difference @ state.difference),
                 np.bincount(linear.group, known, len(epsilon)), state,
             )  # fmt: skip
-            done = best is not None and abs(evidence - best.log_evidence) < SETTLED
+            gained = np.inf if best is None else evidence - best.log_evidence
+            behind = best_else - evidence
+            done = abs(gained) < SETTLED or (behind > HOPELESS and gained < behind / LAST)
             best = now
             if done:
                 break

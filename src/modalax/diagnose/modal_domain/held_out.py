@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.holdout import BLOCKS, RESAMPLED, held_out_block
 from modalax.diagnose.modal_domain.causes import Change
@@ -14,6 +15,7 @@ from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
 from modalax.diagnose.modal_domain.free_residues import Channels
 from modalax.diagnose.modal_domain.levels.seen import foretold
 from modalax.diagnose.modal_domain.mode_count import blind_modes, misfit
+from modalax.diagnose.modal_domain.polish import lines_of, on_lines
 from modalax.diagnose.modal_domain.stage import Stage
 
 
@@ -71,6 +73,7 @@ def _without(stage: Stage, f: Fit, mask: np.ndarray) -> Fit:
     again = fit(setting, causes, without_causes(f), f.u[some], temperatures=())
     if again is None:
         return f
+    again = on_lines(setting, again, lines_of(channels, setting), Deadline())
     u = f.u.copy()
     u[some] = again.u
     return replace(f, sizes=again.sizes, u=u)

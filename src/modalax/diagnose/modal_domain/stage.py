@@ -17,6 +17,7 @@ from modalax.diagnose.modal_domain.levels.explain import Spot
 from modalax.diagnose.modal_domain.levels.seen import Seen, look_at_levels, without_joint
 from modalax.diagnose.modal_domain.measured import identify
 from modalax.diagnose.modal_domain.places import candidates_of, springs_of
+from modalax.diagnose.modal_domain.polish import leading_on_lines
 from modalax.diagnose.modal_domain.state import Setting
 from modalax.model import Structure
 
@@ -87,6 +88,7 @@ def run_stage(
     setting, explanations = explain(setting, candidates, late, tell)
     if not explanations:
         return None
+    explanations = leading_on_lines(setting, explanations, measured.channels, late)
     H, level = np.asarray(measurement.H), np.asarray(measurement.level)
     spots = [Spot(where, b, w) for where, b, _, w in springs_of(simulation, c, nodes_of(simulation.dofs), pairs)]
     seen = None
@@ -96,6 +98,7 @@ def run_stage(
             measured, setting, explanations = without_joint(
                 H, level, measured, setting, explanations, candidates, seen, late, tell
             )
+            explanations = leading_on_lines(setting, explanations, measured.channels, late)
     except KeyboardInterrupt:
         late.stop()
     return Stage(measurement, simulation, c, measured, setting, candidates, explanations, not late(), seen)

@@ -83,6 +83,11 @@ def changes_of(setting: Setting, sizes: np.ndarray, causes: tuple[Change, ...], 
     return {f"d{kind}": value for kind, value in out.items()}
 
 
+def factors_of(setting: Setting, sizes: np.ndarray) -> np.ndarray:
+    """Derivatives of the relative changes of patterns by their sizes, which may be logarithms."""
+    return np.where(setting.inaccuracy.positive, np.exp(np.minimum(sizes, FARTHEST)), 1.0)
+
+
 def state_at(
     setting: Setting, sizes: np.ndarray, causes: tuple[Change, ...] = (), u: np.ndarray = NONE,
     pairs: np.ndarray | None = None,
@@ -115,8 +120,7 @@ def slopes_at(setting: Setting, state: State, causes: tuple[Change, ...] = (), u
     t = slopes_of(setting.coordinates, state.modes, state.pairs)
     parts = [pattern_slopes(t, kind, patterns) for kind, patterns in setting.patterns()]
     columns = [feature_slopes(setting, state, t, causes, u, *part) for part in parts]
-    factor = np.where(setting.inaccuracy.positive, np.exp(np.minimum(state.sizes, FARTHEST)), 1.0)
-    columns = [np.concatenate(columns, axis=1) * factor]
+    columns = [np.concatenate(columns, axis=1) * factors_of(setting, state.sizes)]
     for k, cause in enumerate(causes):
         if cause.kind:
             moved = pattern_slopes(t, cause.kind, cause.matrix[None])

@@ -1,0 +1,193 @@
+r"""A fit to the modes taken on to the FRFs themselves: all lines, with the general inaccuracy beside the causes.
+
+The modal fit is in the basin, so that Gauss-Newton steps about it settle at once; about the simulation itself, whose
+peaks are elsewhere, they would not. For a change ``P`` of the dynamic stiffness :math:`Z` the response
+:math:`H = \Phi_o Z^{-1}\Phi_i^T` changes by :math:`-\Phi_o Z^{-1} P Z^{-1}\Phi_i^T`. As long as a fit leaves more than
+noise, the data count for as much less: an inaccuracy of no element must not be forced upon one.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modalax.diagnose.deadline import Deadline
+from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.coordinates import POWER
+from modalax.diagnose.modal_domain.explain import Explanation
+from modalax.diagnose.modal_domain.fit import Fit, Linear
+from modalax.diagnose.modal_domain.free_residues import Channels
+from modalax.diagnose.modal_domain.state import Setting, changes_of, factors_of, state_at
+
+STEPS = 8  # most Gauss-Newton steps
+PARTS = (1.0, 0.3, 0.1)  # of a step that are tried
+SETTLED = 0.1  # decrease of half chi-square at which it ends
+WORK = 3e9  # products for one set of derivatives; of larger problems every so many lines are taken
+BLOCK = 4e6  # numbers held at once
+LIKELY, FEW = 0.01, 3  # probability from which, and most explanations that are taken on to the lines
+
+
+@dataclass(frozen=True)
+class Lines:
+    """FRFs that a fit is taken on to.
+
+    Attributes
+    ----------
+    s
+        Laplace variable [rad/s], shape ``(f,)``.
+    H, weight
+        In the form of the measurement, and one over the variance of a real part, shape ``(f, o, i)``.
+    order
+        Derivatives of the displacement that were measured.
+    """
+
+    s: np.ndarray
+    H: np.ndarray
+    weight: np.ndarray
+    order: int
+
+    @property
+    def samples(self) -> int:
+        """Real numbers that count."""
+        return 2 * int(np.count_nonzero(self.weight))
+
+
+def lines_of(channels: Channels, setting: Setting) -> Lines:
+    """The FRFs that the modes were identified from; of very many every so many lines."""
+    c = setting.coordinates
+    o, i = len(c.outputs), len(c.inputs)
+    work = len(setting.inaccuracy.group_of) * c.size * (c.size * min(o, i) + o * i)
+    step = max(1, int(np.ceil(len(channels.s) * work / WORK)))
+    H, weight = (a.reshape(-1, o, i)[::step] for a in (channels.data, channels.weight))
+    return Lines(channels.s[::step], H, weight, channels.order)
+
+
+def on_lines(setting: Setting, f: Fit, lines: Lines, late: Deadline) -> Fit:
+    """A fit taken on to the lines; as it was where that does not improve it."""
+    x, n = np.concatenate([f.sizes, f.u]), len(f.sizes)
+    scale = np.concatenate([f.epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
+    chi2, V = chi2_of(setting, f, lines), None
+    for _ in range(STEPS):
+        heat = max(1.0, chi2 / max(lines.samples, 1))
+        gram, slope = _normal(setting, f.causes, x[:n], x[n:], lines)
+        try:
+            new, V, _ = Linear(setting, gram, slope + gram @ x).solve(f.epsilon, heat)
+        except np.linalg.LinAlgError:
+            return f
+        cost = 0.5 * chi2 / heat + 0.5 * float(((x / scale) ** 2).sum())
+        for part in PARTS:
+            y = x + part * (new - x)
+            trial = chi2_of(setting, replace(f, sizes=y[:n], u=y[n:]), lines)
+            gained = cost - 0.5 * trial / heat - 0.5 * float(((y / scale) ** 2).sum())
+            if gained > 0:
+                x, chi2 = y, trial
+                break
+        else:
+            break
+        if gained < SETTLED or late():
+            break
+    if V is None:
+        return f
+    try:
+        state = state_at(setting, x[:n], f.causes, x[n:])
+    except np.linalg.LinAlgError:
+        return f
+    return replace(f, sizes=x[:n], u=x[n:], covariance=(V * np.outer(scale, scale))[n:, n:], state=state)
+
+
+def leading_on_lines(
+    setting: Setting, explanations: list[Explanation], channels: Channels, late: Deadline
+) -> list[Explanation]:
+    """The likely explanations taken on to the lines; their probabilities stay those by the modes."""
+    lines, out = lines_of(channels, setting), list(explanations)
+    for k, e in enumerate(out[:FEW]):
+        if k and (e.probability < LIKELY or late()):
+            break
+        out[k] = replace(e, fit=on_lines(setting, e.fit, lines, late))
+    return out
+
+
+def _responses(
+    setting: Setting, causes: tuple[Change, ...], sizes: np.ndarray, u: np.ndarray, s: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Receptances of all coordinates to forces at the outputs and at the inputs, ``(f, n, o)`` and ``(f, n, i)``."""
+    c = setting.coordinates
+    change = changes_of(setting, sizes, causes, u)
+    M, C, K = np.eye(c.size) + change["dM"], c.damping + change["dC"], np.diag(c.frequencies**2) + change["dK"]
+    both = np.concatenate([c.outputs, c.inputs]).T
+    Z = K + s[:, None, None] * C + s[:, None, None] ** 2 * M
+    solved = np.linalg.solve(Z, np.broadcast_to(both, (len(s), *both.shape)))
+    return solved[:, :, : len(c.outputs)], solved[:, :, len(c.outputs) :]
+
+
+def _blocks(setting: Setting, lines: Lines, each: int) -> list[slice]:
+    """Lines worked on at once, so that ``each`` numbers a line stay within what is held."""
+    size = max(1, int(BLOCK / max(each, setting.coordinates.size**2)))
+    return [slice(k, k + size) for k in range(0, len(lines.s), size)]
+
+
+def chi2_of(setting: Setting, f: Fit, lines: Lines) -> float:
+    """Chi-square that a fit leaves on the lines."""
+    total = 0.0
+    for part in _blocks(setting, lines, 0):
+        s = lines.s[part]
+        _, inner = _responses(setting, f.causes, f.sizes, f.u, s)
+        H = (setting.coordinates.outputs @ inner) * s[:, None, None] ** lines.order
+        for cause, size in zip(f.causes, f.u, strict=True):
+            H = cause.transform(float(size), s, H)
+        total += float((lines.weight[part] * np.abs(lines.H[part] - H) ** 2).sum())
+    return total
+
+
+def _normal(
+    setting: Setting, causes: tuple[Change, ...], sizes: np.ndarray, u: np.ndarray, lines: Lines
+) -> tuple[np.ndarray, np.ndarray]:
+    """Information of all sizes, and the gradient of half chi-square against them."""
+    count = len(sizes) + len(u)
+    gram, slope = np.zeros((count, count)), np.zeros(count)
+    c = setting.coordinates
+    for part in _blocks(setting, lines, count * (c.size * min(len(c.outputs), len(c.inputs)) + lines.H[0].size)):
+        H, J = _slopes(setting, causes, sizes, u, lines.s[part], lines.order)
+        root = np.sqrt(lines.weight[part])
+        J = (J * root).reshape(count, -1).view(float)
+        e = (root * (lines.H[part] - H)).ravel().view(float)
+        gram += J @ J.T
+        slope += J @ e
+    return gram, slope
+
+
+def _slopes(
+    setting: Setting, causes: tuple[Change, ...], sizes: np.ndarray, u: np.ndarray, s: np.ndarray, order: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """FRFs ``(f, o, i)`` and their derivatives by all sizes, ``(p, f, o, i)``."""
+    c = setting.coordinates
+    outer, inner = _responses(setting, causes, sizes, u, s)
+    parts = setting.patterns() + [(k.kind, k.matrix[None]) for k in causes if k.kind]
+    form = s[:, None, None] ** order
+    columns = [-_across(P, outer, inner) * form * s[:, None, None] ** POWER[kind] for kind, P in parts]
+    local = np.concatenate(columns)
+    local[: len(sizes)] *= factors_of(setting, sizes)[:, None, None, None]
+    plain = (c.outputs @ inner) * form
+
+    def seen(H: np.ndarray, by: int = -1) -> np.ndarray:
+        """As the channels show it, or its derivative by the size of one channel's fault."""
+        for k, (cause, size) in enumerate(zip(causes, u, strict=True)):
+            act = cause.transform_slope if k == by else cause.transform
+            H = act(float(size), s, H)
+        return H
+
+    made = np.stack([seen(one) for one in local]) if any(not k.kind for k in causes) else local
+    rows, structural = list(made[: len(sizes)]), iter(made[len(sizes) :])
+    rows += [next(structural) if cause.kind else seen(plain, k) for k, cause in enumerate(causes)]
+    return seen(plain), np.stack(rows)
+
+
+def _across(P: np.ndarray, outer: np.ndarray, inner: np.ndarray) -> np.ndarray:
+    """Symmetric patterns ``(p, n, n)`` between two sets of responses, shape ``(p, f, o, i)``."""
+    swap = outer.shape[2] < inner.shape[2]
+    near, far = (outer, inner) if swap else (inner, outer)
+    count, n = P.shape[:2]
+    f, _, k = near.shape
+    flat = near.transpose(1, 0, 2).reshape(n, f * k)
+    moved = (P.reshape(-1, n) @ flat.real + 1j * (P.reshape(-1, n) @ flat.imag)).reshape(count, n, f, k)
+    out = np.matmul(far.transpose(0, 2, 1), moved.transpose(0, 2, 1, 3))
+    return out.transpose(0, 1, 3, 2) if swap else out
