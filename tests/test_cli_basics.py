@@ -12,10 +12,11 @@ import pytest
 
 import modalax
 from modalax.cli import main
-from modalax.cli.common import check_folder, free_folder, plain
+from modalax.cli.common import check_folder, free_folder
 from modalax.cli.simulate import frequencies
 from modalax.data import Measurement
 from modalax.files import load, save
+from modalax.files.json_text import plain
 from modalax.model.examples import five_dof
 from modalax.simulate.joints.text import read_joints
 

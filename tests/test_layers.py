@@ -25,6 +25,7 @@ LAYERS = (
     {"diagnose"},
     {"study"},
     {"show"},
+    {"view"},
     {"cli"},
     {"__main__"},
 )

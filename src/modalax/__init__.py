@@ -10,7 +10,7 @@ os.environ.setdefault("NPROC", str(max(16, os.cpu_count() or 1)))
 from modalax._lazy import lazily
 
 if TYPE_CHECKING:
-    from modalax import data, files, identify, model, show, simulate
+    from modalax import data, files, identify, model, show, simulate, view
     from modalax.check import check
     from modalax.data import FRF, Geometry, Measurement
     from modalax.diagnose import diagnose
@@ -22,11 +22,11 @@ __version__ = "0.1.0"
 
 __all__ = [
     "FRF", "Geometry", "Measurement", "ModalModel", "Structure", "__version__", "check", "data", "diagnose", "files",
-    "identify", "load", "model", "save", "show", "simulate", "study",
+    "identify", "load", "model", "save", "show", "simulate", "study", "view",
 ]  # fmt: skip
 
 # ``modalax.check``, ``.diagnose`` and ``.study`` are packages and, called, their functions of that name: see there.
-PACKAGES = ("check", "data", "diagnose", "files", "identify", "model", "show", "simulate", "study")
+PACKAGES = ("check", "data", "diagnose", "files", "identify", "model", "show", "simulate", "study", "view")
 __getattr__, __dir__ = lazily(
     __name__,
     {name: f"{__name__}.{name}" for name in PACKAGES}

@@ -19,6 +19,7 @@ from modalax.cli.import_fe import import_fe
 from modalax.cli.simulate import simulate
 from modalax.cli.study import HELP as STUDY_HELP
 from modalax.cli.study import study
+from modalax.cli.view import view
 
 # The base class of typer's usage errors; its module differs from version to version of typer.
 USAGE_ERROR: type[Exception] = typer.BadParameter.__mro__[1]
@@ -54,7 +55,7 @@ def options(
     """Options that come before the name of a command."""
 
 
-for command in (demo, frf, check, fit, simulate, diagnose, causes, convert, import_fe, cache):
+for command in (demo, frf, check, fit, view, simulate, diagnose, causes, convert, import_fe, cache):
     app.command()(command)
 app.command(help=STUDY_HELP)(study)
 

@@ -1,7 +1,5 @@
 """Code that all commands share: double precision, the compilation cache, output files and messages."""
 
-import json
-import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -10,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from modalax.files.json_text import json_text
 from modalax.files.sniff import sniff
 
 DataArgument = Annotated[
@@ -140,26 +139,11 @@ def free_folder(folder: Path) -> Path:
     return choice
 
 
-def plain(value: Any) -> Any:
-    """Turn ``value`` into types that JSON can hold; numbers that are not finite become null."""
-    if isinstance(value, dict):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(v) for v in value]
-    if hasattr(value, "tolist"):
-        return plain(value.tolist())
-    if isinstance(value, complex):
-        return [plain(value.real), plain(value.imag)]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
 def write_json(path: Path, value: Any) -> None:
     """Write a result as standard JSON, without NaN or infinity."""
     from modalax.files.write import write_text
 
-    write_text(path, json.dumps(plain(value), indent=1, allow_nan=False) + "\n")
+    write_text(path, json_text(value))
 
 
 @contextmanager

@@ -62,7 +62,8 @@ class Page:
         """
         try:
             import jinja2
-            from plotly.offline import get_plotlyjs
+
+            plotly = plotly_script()
         except ImportError as error:
             raise ImportError(NEEDS) from error
         environment = jinja2.Environment(
@@ -73,10 +74,22 @@ class Page:
         return environment.get_template("page.html.j2").render(
             page=self,
             # Files of this package and of plotly, not data: they go in as they are.
-            plotly=_in_script(get_plotlyjs()),
+            plotly=_in_script(plotly),
             css=(HERE / "page.css").read_text(encoding="utf-8"),
             script=(HERE / "page.js").read_text(encoding="utf-8"),
         )
+
+
+def plotly_script() -> str:
+    """Plotly's program for browsers, as its Python package brings it; ``ImportError`` where that is not installed."""
+    from plotly.offline import get_plotlyjs
+
+    return get_plotlyjs()
+
+
+def shape_script() -> str:
+    """Program for browsers that draws a moving shape: ``ModalShape`` of ``shape.js``."""
+    return (HERE / "shape.js").read_text(encoding="utf-8")
 
 
 def figure_json(plot: Plot) -> str:

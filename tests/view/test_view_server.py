@@ -1,0 +1,177 @@
+"""The page's server: who may ask, what is answered, and a person's steps in a real browser."""
+
+import html
+import http.client
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from modalax.check.finding import Finding, Findings
+from modalax.cli.view import wait
+from modalax.model.examples import five_dof
+from modalax.view import Server, Session
+
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
+needs_browser = pytest.mark.skipif(BROWSER is None, reason="no chromium or chrome on this machine")
+FOUND = Findings((Finding("hum", ("1",), "a <line> at 50 Hz", "ground the cable", 0.97),), ("two runs",))
+
+
+@pytest.fixture(scope="module")
+def first():
+    frf = five_dof().frf(jnp.linspace(20, 70, 401), inputs=["1"]).add_noise(jax.random.key(0), 0.02)
+    return Session(frf, order=14)
+
+
+@pytest.fixture
+def server(first, tmp_path):
+    state = first.state
+    made = Server(first, name="<five>.npz", folder=tmp_path, findings=lambda: FOUND)
+    yield made
+    made.close()
+    first.state, first.past, first.future = state, [], []
+
+
+def ask(server, name, message=None, body=None, method="POST", token=None, headers=None):
+    """Status and content of an answer."""
+    host = server.listener.hosts[0]
+    path = f"/{token or server.url.split('/')[3]}/{name}"
+    connection = http.client.HTTPConnection(host, timeout=30)
+    content = json.dumps(message or {}) if body is None else body
+    connection.request(method, path, content if method == "POST" else None, {"Host": host, **(headers or {})})
+    answer = connection.getresponse()
+    text = answer.read()
+    connection.close()
+    return answer.status, json.loads(text) if method == "POST" and answer.status in (200, 422, 500) else text
+
+
+def test_only_this_machine_with_the_token_is_answered(server):
+    assert server.url.startswith("http://127.0.0.1:") and len(server.url.split("/")[3]) >= 40
+    assert server.listener.server_address[0] == "127.0.0.1"
+    assert ask(server, "", method="GET")[0] == 200
+    for refused in (
+        {"token": "x"}, {"token": server.url.split("/")[3][:-1]}, {"headers": {"Host": "elsewhere.example:80"}},
+        {"headers": {"Origin": "http://elsewhere.example"}},
+    ):  # fmt: skip
+        assert ask(server, "", method="GET", **refused) == (403, b"refused")
+        assert ask(server, "now", **refused) == (403, b"refused")
+    assert ask(server, "now", headers={"Origin": f"http://{server.listener.hosts[1]}"})[0] == 200
+
+
+def test_only_the_files_of_the_page_are_given(server):
+    for name, words in [
+        ("", b"<title>"),
+        ("view.js", b"use strict"),
+        ("view.css", b"--ground"),
+        ("shape.js", b"ModalShape"),
+    ]:
+        assert words in ask(server, name, method="GET")[1]
+    assert len(ask(server, "plotly.js", method="GET")[1]) > 1e6
+    for name in ("view.html/..", "../session.py", "session.py", "%2e%2e/session.py", "x"):
+        assert ask(server, name, method="GET")[0] == 404
+
+
+def test_messages_that_cannot_be_understood_are_told(server):
+    assert ask(server, "now", body="{")[0] == 422
+    assert ask(server, "now", body="[]") == (422, {"error": "a message is an object"})
+    assert ask(server, "now", body=" " * 200_000)[0] == 413
+    assert "there is no step 'fly'" in ask(server, "fly")[1]["error"]
+    assert "lacks a number" in ask(server, "pick", {"order": 3})[1]["error"]
+    assert "the diagram has no order 3000" in ask(server, "pick", {"order": 3000, "f": 1})[1]["error"]
+    status, told = ask(server, "drop", {"number": 9})
+    assert status == 422 and told == {"error": "there is no mode 9; 5 are picked"}
+
+
+def test_steps_are_answered_and_saved_once(server, tmp_path):
+    opening = ask(server, "opening")[1]
+    assert (
+        opening["name"] == "<five>.npz" and opening["outputs"] == list("12345") and opening["folder"] == str(tmp_path)
+    )
+    told = ask(server, "drop", {"number": 2})[1]
+    assert len(told["modes"]) == 4 and told["undo"] and server.unsaved
+    told = ask(server, "look", {"band": [25, 65], "order": 12})[1]
+    assert told["band"] == [25, 65] and told["order"] == 12
+    name = {"what": "selection", "name": "picks.json"}
+    assert ask(server, "save", name)[1] == {"saved": str(tmp_path / "picks.json")} and not server.unsaved
+    assert "exists already" in ask(server, "save", name)[1]["error"]
+    assert ask(server, "save", {**name, "replace": True})[0] == 200
+    assert "plain file name" in ask(server, "save", {**name, "name": "../x.json"})[1]["error"]
+
+
+def test_findings_come_aside(server):
+    for _ in range(100):
+        told = ask(server, "findings")[1]
+        if told["ready"]:
+            break
+    assert told["findings"][0]["what"] == "hum" and told["about"] == ["two runs"]
+
+
+def test_a_check_that_fails_is_told(first):
+    def broken():
+        raise RuntimeError("too short")
+
+    server = Server(first, findings=broken)
+    server._check(broken)
+    assert ask(server, "findings")[1]["about"] == ["the check could not be done: too short"]
+    server.close()
+
+
+def test_an_end_tells_what_was_not_saved(capsys, monkeypatch):
+    def stop(self):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("threading.Event.wait", stop)
+    closed = []
+    picks = (SimpleNamespace(frequency_hz=18.8432),)
+    wait(SimpleNamespace(
+        close=lambda: closed.append(1), unsaved=True, session=SimpleNamespace(state=SimpleNamespace(picks=picks))
+    ))  # fmt: skip
+    assert closed and "not saved: 1 modes at 18.8432 Hz" in capsys.readouterr().err
+
+
+PROBE = (Path(__file__).parent / "probe.js").read_bytes()
+
+
+class Probed(Server):
+    """A server whose page carries the probe."""
+
+    def file(self, name):
+        if name == "probe.js":
+            return PROBE, "text/javascript"
+        found = super().file(name)
+        if name == "" and found is not None:
+            found = found[0].replace(b"</body>", b'<script src="probe.js"></script></body>'), found[1]
+        return found
+
+
+@needs_browser
+def test_a_person_picks_drops_names_and_saves_in_a_browser(first, tmp_path):
+    start = first.state
+    server = Probed(first, name="<five>.npz", folder=tmp_path, findings=lambda: FOUND)
+    command = [
+        BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run",
+        f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=20000", "--enable-logging=stderr",
+        "--window-size=1400,1000", "--dump-dom", server.url,
+    ]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    server.close()
+    picks, first.state, first.past, first.future = first.state.picks, start, [], []
+    assert [line for line in done.stderr.splitlines() if "CONSOLE" in line and "422" not in line] == []
+    seen = json.loads(html.unescape(re.search(r'<pre id="seen">(.*?)</pre>', done.stdout, re.S).group(1)))
+    assert seen["errors"] == []
+    assert seen["plots"] == [True] * 3 and seen["title"] == "Modes of <five>.npz"
+    assert [seen[k] for k in ("opened", "dropped", "picked", "less", "undone")] == [5, 4, 5, 4, 5]
+    assert seen["phase"] == 4 and seen["name"] == "<i>bending</i>" == picks[0].name
+    path = tmp_path / "picks.json"
+    assert seen["saved"] == f"saved: {path}" and "exists already" in seen["again"]
+    kept = json.loads(path.read_text())["modes"]
+    np.testing.assert_allclose([m["frequency_hz"] for m in kept], five_dof().modal().frequency_hz, rtol=2e-3)
+    assert "a <line> at 50 Hz" in seen["findings"] and seen["overflow"] <= 0 and seen["colours"] > 3
+    assert seen["reloaded"] == ["<i>bending</i>", "", "", "", ""]
