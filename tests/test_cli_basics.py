@@ -5,10 +5,12 @@ import os
 import re
 import subprocess
 import sys
+import warnings
 
 import jax
 import numpy as np
 import pytest
+import typer
 
 import modalax
 from modalax.cli import main
@@ -123,6 +125,17 @@ def test_unusable_input_is_told_in_one_line(capsys, monkeypatch, tmp_path, argum
     monkeypatch.chdir(tmp_path)
     line = refused(capsys, *arguments)
     assert all(word in line for word in words), line
+
+
+def test_notes_are_about_the_data_not_about_cached_programs(capsys, monkeypatch):
+    class Command:
+        def main(self, *_, **__):
+            warnings.warn("Error reading persistent compilation cache entry for 'jit_inv': cut short", stacklevel=1)
+            warnings.warn("two lines only", stacklevel=1)
+
+    monkeypatch.setattr(typer.main, "get_command", lambda _: Command())
+    assert main(["causes"]) == 0
+    assert capsys.readouterr().err == "note: two lines only\n"
 
 
 def test_debug_shows_where_it_failed(tmp_path):

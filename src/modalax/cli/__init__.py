@@ -73,6 +73,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("default", UserWarning)
+            # JAX reads a program that a killed process left half written, or another is writing: it compiles it again.
+            warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache entry")
             warnings.showwarning = show_note
             return typer.main.get_command(app).main(arguments, prog_name="modalax", standalone_mode=False) or 0
     except (ValueError, OSError, ImportError, USAGE_ERROR) as error:
