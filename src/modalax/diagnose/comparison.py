@@ -14,6 +14,7 @@ from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.causes.base import Cause, LinesCause, UndampedCause
 from modalax.diagnose.causes.scene import Place, Scene
 from modalax.diagnose.causes.signals import HumLines
+from modalax.diagnose.deadline import NEVER, Deadline
 from modalax.diagnose.extend import ExtendedSimulation
 from modalax.diagnose.fitting.gauss_newton import ROUNDS, fit_many
 from modalax.diagnose.fitting.hypothesis import Hypothesis, searched
@@ -46,6 +47,8 @@ class Comparison:
         ``fixed`` or ``free``.
     notes
         Sentences for the answer.
+    late
+        When no further step of a search begins.
     """
 
     measurement: Measurement
@@ -59,6 +62,7 @@ class Comparison:
     pooled_nuisance: Nuisance
     question: str
     notes: tuple[str, ...]
+    late: Deadline = NEVER
     cache: dict[Any, Any] = field(default_factory=dict)
 
     def side(self, per_run: bool) -> tuple[Problem, Nuisance, float]:
@@ -71,7 +75,8 @@ class Comparison:
         for kind in {h.kind for h in starts}:
             which = [k for k, h in enumerate(starts) if h.kind == kind]
             problem, nuisance, rest = self.side(starts[which[0]].per_run)
-            for k, h in zip(which, fit_many([starts[k] for k in which], problem, nuisance, rounds), strict=True):
+            found = fit_many([starts[k] for k in which], problem, nuisance, rounds, self.late)
+            for k, h in zip(which, found, strict=True):
                 out[k] = replace(h, chi2=h.chi2 + rest)
         return [h for h in out if h is not None]
 

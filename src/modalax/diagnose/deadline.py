@@ -19,6 +19,14 @@ class Deadline:
         """Whether the time is up."""
         return clock.monotonic() > self.end
 
+    def part(self, share: float) -> "Deadline":
+        """A share of what is left of the time."""
+        left = self.end - clock.monotonic()
+        return Deadline(share * left)
+
     def stop(self) -> None:
         """End the time now."""
         self.end = -float("inf")
+
+
+NEVER = Deadline()

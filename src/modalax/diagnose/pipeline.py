@@ -23,6 +23,7 @@ both.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -33,7 +34,7 @@ from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.causes import catalogue, imitators
 from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.comparison import as_measurement, causes_of, make_comparison, with_noise_beside
-from modalax.diagnose.deadline import Deadline
+from modalax.diagnose.deadline import NEVER, Deadline
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.route import Outcome, Route, choice, order, suffices
 from modalax.diagnose.decision.verdict import verdict
@@ -48,6 +49,8 @@ from modalax.diagnose.search.look import look
 from modalax.model import ModalModel, Structure
 from modalax.model.entry import check_comparable
 from modalax.model.mode_table import ModeTable
+
+FIRST_SHARE = 0.6  # of the time for a search line by line that the modal domain may have to follow
 
 
 def diagnose(
@@ -77,8 +80,8 @@ def diagnose(
     causes
         What to look for; the whole catalogue if None.
     time
-        Seconds after which the modal domain begins no further step and gives the best answer so far. An interrupt
-        (Ctrl-C) does the same, once there is an answer.
+        Seconds after which the search begins no further step and gives the best answer so far. An interrupt (Ctrl-C)
+        does the same, once there is an answer.
     modal_std
         Of modes alone: relative standard deviations of frequency and damping ratio where the table states none, and
         that of shapes over their largest component.
@@ -108,10 +111,12 @@ def diagnose(
     for route in order(task):
         if answers and late():
             break
+        more = route == "lines" and not answers and len(order(task)) > 1
+        until = late.part(FIRST_SHARE) if more else late
         try:
             found = (
-                in_modal_domain(data, simulation, causes, late, progress) if route == "modes"
-                else line_by_line(measurement, simulation, question, causes, progress)
+                in_modal_domain(data, simulation, causes, until, progress) if route == "modes"
+                else line_by_line(measurement, simulation, question, causes, progress, until)
             )  # fmt: skip
         except KeyboardInterrupt:  # what has been found is told
             if not answers:
@@ -142,12 +147,12 @@ def in_modal_domain(
 
 def line_by_line(
     measurement: Measurement | FRF, simulation: Structure | ModalModel | ExtendedSimulation, question: str,
-    causes: Sequence[Cause] | None, progress: Callable[[str], None],
+    causes: Sequence[Cause] | None, progress: Callable[[str], None], late: Deadline = NEVER,
 ) -> Diagnosis:  # fmt: skip
     """Diagnose about the simulation as it is."""
     release_programs()
     progress("preparing measurement and simulation")
-    comparison = with_noise_beside(make_comparison(measurement, simulation, question))
+    comparison = replace(with_noise_beside(make_comparison(measurement, simulation, question)), late=late)
     wanted = causes_of(causes, comparison, catalogue(comparison.problem.data.shape[0]))
     progress("screening every cause at every place and fitting the leading ones")
     found = explain(look(comparison, wanted), wanted)
@@ -157,6 +162,8 @@ def line_by_line(
     progress("predicting the held-out data")
     gain = measure((found.look.comparison, found.comparison), found.look.null, found.best)
     word, reasons = verdict(found.ranked, found.leftover, gain)
+    if late():
+        reasons = (*reasons, "time was up before every explanation had been tried")
     return answer(word, reasons, found, gain)
 
 

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from modalax.diagnose.deadline import NEVER, Deadline
 from modalax.diagnose.fitting.hypothesis import Hypothesis, bounds_of, from_search, searched, split
 from modalax.diagnose.fitting.nuisance import Nuisance
 from modalax.diagnose.fitting.residual import whitened
@@ -42,7 +43,7 @@ def _normal_many(causes, index, extras, x, chooser, spread, basis, problem):
 
 
 def fit_many(
-    starts: Sequence[Hypothesis], problem: Problem, nuisance: Nuisance, rounds: int = ROUNDS
+    starts: Sequence[Hypothesis], problem: Problem, nuisance: Nuisance, rounds: int = ROUNDS, late: Deadline = NEVER
 ) -> list[Hypothesis]:
     """Fit hypotheses of the same causes at different places or from different starts, in batches of a fixed size.
 
@@ -54,6 +55,8 @@ def fit_many(
         Modal parameters that adapt with them.
     rounds
         Most steps of the search.
+    late
+        When no further step begins.
     """
     if not starts:
         return []
@@ -62,11 +65,13 @@ def fit_many(
     out: list[Hypothesis] = []
     for k in range(0, len(starts), size):
         part = list(starts[k : k + size])
-        out += _fit_batch(part + [part[-1]] * (size - len(part)), problem, nuisance, rounds)[: len(part)]
+        out += _fit_batch(part + [part[-1]] * (size - len(part)), problem, nuisance, rounds, late)[: len(part)]
     return out
 
 
-def _fit_batch(starts: list[Hypothesis], problem: Problem, nuisance: Nuisance, rounds: int) -> list[Hypothesis]:
+def _fit_batch(
+    starts: list[Hypothesis], problem: Problem, nuisance: Nuisance, rounds: int, late: Deadline
+) -> list[Hypothesis]:
     causes = starts[0].causes
     n = problem.modal_form.stiffness.shape[0]
     u = np.stack([searched(h) for h in starts])
@@ -85,7 +90,7 @@ def _fit_batch(starts: list[Hypothesis], problem: Problem, nuisance: Nuisance, r
 
     free = np.full(len(chooser), np.inf)
     start = np.concatenate([u, theta.reshape(len(u), -1) @ chooser.T], axis=1)
-    x, chi2, A, open_ = damped(normal, start, np.concatenate([low, -free]), np.concatenate([high, free]), rounds)
+    x, chi2, A, open_ = damped(normal, start, np.concatenate([low, -free]), np.concatenate([high, free]), rounds, late)
     u, theta = x[:, :count], (x[:, count:] @ chooser).reshape(theta.shape)
     out = []
     for b, h in enumerate(starts):
@@ -101,7 +106,7 @@ def _fit_batch(starts: list[Hypothesis], problem: Problem, nuisance: Nuisance, r
 
 
 def damped(
-    normal: Any, x: np.ndarray, low: np.ndarray, high: np.ndarray, rounds: int
+    normal: Any, x: np.ndarray, low: np.ndarray, high: np.ndarray, rounds: int, late: Deadline = NEVER
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Levenberg's and Marquardt's search for many starts side by side.
 
@@ -126,7 +131,7 @@ def damped(
     damping = np.full(len(x), 1e-3)
     moving = np.isfinite(chi2) & (x.shape[1] > 0)
     for _ in range(rounds):
-        if not moving.any():
+        if not moving.any() or late():
             break
         # what stands at a bound and is pushed against it stays there; the others do not step as if it moved
         held = ((x <= low) & (g > 0)) | ((x >= high) & (g < 0))

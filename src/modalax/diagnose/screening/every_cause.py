@@ -127,7 +127,12 @@ def screen_all(state: ScoreState, causes: Sequence[Cause], finite: bool = True) 
     """
     assert state.hypothesis.theta is not None
     screen = _Screen(state, finite)
-    return Screening([t for cause in causes for t in screen.trials(cause)], state.hypothesis.theta)
+    trials: list[Trial] = []
+    for cause in causes:
+        if trials and state.comparison.late():
+            break
+        trials += screen.trials(cause)
+    return Screening(trials, state.hypothesis.theta)
 
 
 def chosen(trials: list[Trial]) -> list[Trial]:

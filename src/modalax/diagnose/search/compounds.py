@@ -82,7 +82,7 @@ def exchanged(
         How many of these are tried for each.
     """
     out: list[Hypothesis] = []
-    for j in range(len(h.causes)):
+    for j in range(0 if comparison.late() else len(h.causes)):
         keep = [k for k in range(len(h.causes)) if k != j]
         pick = lambda items: tuple(items[k] for k in keep)  # noqa: B023, E731
         base = replace(
@@ -118,11 +118,12 @@ def one_more_cause(
         return bool(rest(h).trials) and rest(h).trials[0].gain > worth
 
     def tried(some: list[Hypothesis]) -> list[Hypothesis]:
-        return [k for h in some if worthy(h) for k in fit_further(comparison, h, rest(h).trials[:FURTHER])]
+        some = [h for h in some if not comparison.late() and worthy(h)]
+        return [k for h in some if not comparison.late() for k in fit_further(comparison, h, rest(h).trials[:FURTHER])]
 
     leading = [r.best for r in ranked if r.log_evidence > ranked[0].log_evidence - BEHIND][:LEADING]
     found = tried(leading)
-    if found or not worthy(leading[0]):
+    if found or comparison.late() or not worthy(leading[0]):
         return found
     reach = max(BEHIND, 0.5 * rest(leading[0]).trials[0].gain)
     others: dict[Any, Hypothesis] = {}
@@ -159,6 +160,8 @@ def rest_of(comparison: Comparison, h: Hypothesis, null: Hypothesis, causes: Seq
     fidelity = max((c.fidelity for c in h.causes), default=0.0) if h.fidelity is None else h.fidelity
     tolerated = fidelity**2 * max(null.chi2 - h.chi2, 0.0)
     after = omnibus(used.residual(h), used.live(), comparison.noise.freedom, tolerated)
+    if comparison.late():
+        return Rest([], after.p_value, after)
     state = score_state_of(used, h, _jacobian(used, h))
     trials = screen_all(state, causes, finite=False).trials
     if h.hum is not None:

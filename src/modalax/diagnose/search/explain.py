@@ -80,7 +80,9 @@ def explain(look: Look, causes: Sequence[Cause]) -> Explanation:
 def check_imitations(found: Explanation, imitators: Sequence[Cause]) -> Explanation:
     """Look for causes without a name in the answer that may explain the data better than those about to be named."""
     several_with_hum = found.best.hum is not None and bool(found.best.causes)
-    if not found.ranked or several_with_hum or verdict(found.ranked, found.leftover)[0] == "ambiguous":
+    if not found.ranked or several_with_hum or found.comparison.late():
+        return found
+    if verdict(found.ranked, found.leftover)[0] == "ambiguous":
         return found
     state = replace(found.look.state, comparison=found.comparison)
     others = imitations(state, found.best, imitators)
@@ -113,11 +115,12 @@ def singles(look: Look, causes: Sequence[Cause]) -> list[Hypothesis]:
     """Hypotheses of a single cause each, fitted."""
     found = fit_single(look.state, chosen(look.screening.trials))
     found += from_nominal_modes(look.state, causes)
-    if look.again is not None:  # a modal parameter far off is found where the modes follow it exactly
+    # a modal parameter far off is found where the modes follow it exactly
+    if look.again is not None and not look.comparison.late():
         other = look.again
         trials = [t for t in chosen(other.screening.trials) if isinstance(t.cause, UndampedCause)]
         found += fit_single(other.state, trials) if trials else []
-    strong = starts_from_forces(look.comparison, look.null, causes)
+    strong = [] if look.comparison.late() else starts_from_forces(look.comparison, look.null, causes)
     for cause in dict.fromkeys(h.causes[0] for h in strong):
         found += refit(look.state, [h for h in strong if h.causes[0] == cause])
     return found + joints_for_drifts(look.state, best_of_each(found, look.comparison), causes)
@@ -138,7 +141,7 @@ def centred(
         Sets of causes by falling probability.
     """
     comparison = look.comparison.centred(ranked[0].best)
-    if comparison is look.comparison:
+    if comparison is look.comparison or comparison.late():
         return comparison, fitted, ranked
     near = [r.best for r in ranked if r.log_evidence > ranked[0].log_evidence - NEAR and r.best.hum is None]
     fitted = comparison.fit(near, PATIENT) + [h for h in fitted if not any(h is other for other in near)]
@@ -149,7 +152,7 @@ def in_full(
     look: Look, comparison: Comparison, fitted: list[Hypothesis], ranked: list[Ranked]
 ) -> tuple[list[Hypothesis], list[Ranked]]:
     """Fit leading joints again with their higher harmonics; these stand for what was fitted with one."""
-    again = joints_in_full(comparison, look.null, [r.best for r in ranked])
+    again = [] if comparison.late() else joints_in_full(comparison, look.null, [r.best for r in ranked])
     if not again:
         return fitted, ranked
     done = {(h.causes, h.places) for h in again}
@@ -183,7 +186,7 @@ def together(
         return rests[id(h)][1]
 
     for depth in range(2, DEEPEST + 1):
-        if depth > 2 and _explained(look, ranked[0]) < HOPEFUL:
+        if comparison.late() or (depth > 2 and _explained(look, ranked[0]) < HOPEFUL):
             break
         more = one_more_cause(comparison, ranked, rest)
         fitted = fitted + more

@@ -53,7 +53,8 @@ class Look:
 def look(comparison: Comparison, causes: Sequence[Cause]) -> Look:
     """Compare the simulation alone with the data, and test whether anything is wrong."""
     first = _look(comparison, causes)
-    if not first.detection.anything or comparison.problem.modal_form.mixing is None or not comparison.nuisance.active:
+    coupled = comparison.problem.modal_form.mixing is not None and comparison.nuisance.active
+    if not first.detection.anything or not coupled or comparison.late():
         return first
     # complex modes follow undamped ones to first order only: what that leaves is no finding
     about = comparison

@@ -43,7 +43,7 @@ def from_nominal_modes(look: ScoreState, causes: Sequence[Cause]) -> list[Hypoth
     """
     comparison, null = look.comparison, look.hypothesis
     assert null.theta is not None
-    if np.abs(null.theta).max(initial=0.0) <= STRAYED:
+    if np.abs(null.theta).max(initial=0.0) <= STRAYED or comparison.late():
         return []
     nominal = comparison.fit([replace(null, theta=np.zeros_like(null.theta))], 0)[0]
     state = score_state_of(comparison, nominal)
@@ -69,6 +69,8 @@ def fit_single(state: ScoreState, trials: list[Trial]) -> list[Hypothesis]:
     comparison, null = state.comparison, state.hypothesis
     fine: list[Hypothesis] = []
     for cause in dict.fromkeys(t.cause for t in trials):
+        if fine and comparison.late():
+            break
         mine = [t for t in trials if t.cause == cause]
         if cause.leaves_out_lines:
             fine += [with_hum(null, t.extra) for t in mine]
@@ -78,7 +80,7 @@ def fit_single(state: ScoreState, trials: list[Trial]) -> list[Hypothesis]:
         ]
         fine += refit(state, starts)
     fine = best_of_each([h for h in fine if moderate(h, comparison)], comparison)
-    if comparison.nuisance.active and fine:
+    if comparison.nuisance.active and fine and not comparison.late():
         # far from the simulation the modal parameters follow in other than linear ways
         close = [h for h in fine if h.causes and h.hum is None and h.chi2 < fine[0].chi2 + CLOSE][:IN_FULL]
         kept = [h for h in fine if not any(h is other for other in close)]
@@ -146,7 +148,7 @@ def joints_for_drifts(state: ScoreState, found: Sequence[Hypothesis], causes: Se
     causes
         What to look for.
     """
-    if not found or not found[0].causes or not found[0].causes[0].drifts:
+    if not found or not found[0].causes or not found[0].causes[0].drifts or state.comparison.late():
         return []
     scene = state.comparison.scene
     at, drift = found[0].places[0].index, abs(float(found[0].params[0][0]))

@@ -1,0 +1,35 @@
+"""A diagnosis whose time is up gives the best answer so far."""
+
+import jax
+import numpy as np
+
+jax.config.update("jax_enable_x64", True)
+
+from modalax.data import Measurement  # noqa: E402
+from modalax.diagnose.causes import catalogue  # noqa: E402
+from modalax.diagnose.deadline import Deadline  # noqa: E402
+from modalax.diagnose.pipeline import line_by_line  # noqa: E402
+from modalax.model import Structure  # noqa: E402
+
+
+def test_a_share_of_the_time_that_is_left():
+    whole = Deadline(1000.0)
+    assert 599.0 < whole.part(0.6).end - (whole.end - 1000.0) < 601.0
+    assert not whole() and Deadline(0.0).part(0.5)()
+    assert not Deadline().part(0.5)()
+
+
+def test_a_search_line_by_line_ends_with_its_time():
+    K = 1e4 * (2 * np.eye(3) - np.eye(3, k=1) - np.eye(3, k=-1))
+    simulation = Structure(np.eye(3), 2e-4 * K, K, ["a", "b", "c"])
+    true = Structure(np.diag([1.0, 1.2, 1.0]), 2e-4 * K, K, ["a", "b", "c"])
+    freq, rng = np.linspace(8.0, 32.0, 64), np.random.default_rng(0)
+    H = np.asarray(true.frf(freq, outputs=["a", "b", "c"], inputs=["a"]).H)[None]
+    sigma = 0.01 * np.abs(H).mean() * np.ones(H.shape)
+    noise = (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)) / np.sqrt(2)
+    data = Measurement(freq, H + sigma * noise, outputs=["a", "b", "c"], inputs=["a"], variance=sigma**2)
+    asked = [c for c in catalogue() if c.slug in ("added_mass", "joint_stiffness", "channel_gain")]
+    found = line_by_line(data, simulation, "fixed", asked, lambda _: None, Deadline(0.0))
+    assert any("time was up" in reason for reason in found.reasons)
+    assert found.verdict in ("clean", "named", "ambiguous", "unknown")
+    assert np.isfinite(found.gain.chi2_after)
