@@ -2,18 +2,21 @@
 
 from dataclasses import replace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from modalax.data import Measurement
-from modalax.diagnose.causes.joints import BilinearStiffness, CubicStiffness, ElastoSlip
+from modalax.diagnose.causes.joints import BilinearStiffness, CoulombFriction, CubicStiffness, ElastoSlip
 from modalax.diagnose.causes.scene import Place
-from modalax.diagnose.comparison import Comparison, make_comparison, with_noise_beside
+from modalax.diagnose.comparison import Comparison, make_comparison, noise_beside, with_noise_beside
+from modalax.diagnose.extend import ExtendedSimulation, extend
 from modalax.diagnose.fitting.hypothesis import Hypothesis
-from modalax.diagnose.prediction.harmonics import linear_factor
-from modalax.diagnose.search.harmonics import HIGHEST, fitted_in_full, joints_in_full
+from modalax.diagnose.prediction.harmonics import HIGHEST, linear_factor
+from modalax.diagnose.search.harmonics import fitted_in_full, is_limit, joints_in_full
+from modalax.files import load
 from modalax.model.examples import five_dof
 from modalax.simulate import joints
 from modalax.simulate.harmonic import simulate
@@ -31,6 +34,11 @@ def test_of(joint, seed=0, noise=0.02, **orders):
 
 
 test_of.__test__ = False
+
+
+def without_joint():
+    frf = five_dof().frf(FREQ, inputs=["1"])
+    return Measurement.from_frfs([frf.replace(level=jnp.asarray(level)) for level in LEVELS])
 
 
 def hypothesis(comparison: Comparison, cause, p) -> tuple[Hypothesis, Hypothesis]:
@@ -63,6 +71,68 @@ def test_prediction_with_harmonics_is_the_harmonic_balance(cause, p, joint):
     assert one > 10 * full
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("cause", "p"), [(ElastoSlip(False), [3000.0, 5e-4]), (CoulombFriction(), [2.0])], ids=["slip", "friction"]
+)
+def test_the_extended_simulation_predicts_a_joint_as_it_was_fitted(cause, p, tmp_path):
+    data = without_joint()
+    comparison = make_comparison(data, five_dof(), "fixed")
+    _, h = hypothesis(comparison, cause, p)
+    theta = jnp.zeros(h.theta.shape)
+    extra = np.asarray(linear_factor(h.causes, h.index, (None,), h.params, theta, comparison.problem, HIGHEST))
+    full = replace(h, extras=(extra,), theta=np.zeros(h.theta.shape))
+    extended = extend(comparison, full)
+    extended.save(tmp_path / "extended.npz")
+    found = load(tmp_path / "extended.npz")
+    expected = comparison.prediction(full)
+    one = np.abs(comparison.prediction(h) - expected).max()
+    for run, level in enumerate(LEVELS):
+        again = np.asarray(found.predict(level, FREQ).H)
+        assert np.abs(again - expected[run]).max() < 1e-6 * np.abs(expected).max() < 1e-2 * one
+    by_itself = make_comparison(data, found, "fixed")
+    held = by_itself.prediction(Hypothesis(theta=np.zeros(h.theta.shape)))
+    np.testing.assert_allclose(held, expected, atol=1e-6 * np.abs(expected).max())
+
+
+@pytest.mark.slow
+def test_predictions_with_harmonics_follow_the_parameters():
+    """Derivatives by the implicit function theorem beside differences."""
+    comparison = make_comparison(without_joint(), five_dof(), "fixed")
+    _, h = hypothesis(comparison, ElastoSlip(False), [3000.0, 5e-4])
+    extended = replace(extend(comparison, h), harmonics=(5,))
+    freq = FREQ[::10]
+
+    def size(p):
+        H = eqx.tree_at(lambda e: e.params, extended, (p,)).predict(3.0, freq).H
+        return jnp.sum(jnp.abs(H) ** 2)
+
+    p = jnp.array([3000.0, 5e-4])
+    slope = jax.grad(size)(p)
+    for k, step in enumerate((1.0, 1e-7)):
+        move = step * np.eye(2)[k]
+        assert slope[k] == pytest.approx(float(size(p + move) - size(p - move)) / (2 * step), rel=1e-3)
+
+
+def test_rigid_friction_sticks_where_its_force_suffices(tmp_path):
+    """The displacement across the joint is none as long as the force that this takes is below that of friction."""
+    force, level, structure = 2.0, 3.0, five_dof()
+    ExtendedSimulation(
+        structure, (jnp.array([force]),), (jnp.array([0.0]),), jnp.zeros((2, 5)), (None,), (CoulombFriction(),),
+        (Place(PLACE, (2, 4, 0)),), structure.dofs, ("1",), float(FREQ[0]), (5,),
+    ).save(tmp_path / "extended.npz")  # fmt: skip
+    found = np.asarray(load(tmp_path / "extended.npz").predict(level, FREQ).H)[..., 0]
+    full = np.asarray(structure.frf(FREQ, inputs=["1", *PLACE]).H)
+    free, joint = full[..., 0], full[..., 1] - full[..., 2]
+    drive, motion = joint[:, 2] - joint[:, 4], free[:, 2] - free[:, 4]
+    stuck = free - joint * (motion / drive)[:, None]
+    sticks = level * np.abs(motion / drive) < force
+    assert 20 < sticks.sum() < 80
+    np.testing.assert_allclose(found[sticks], stuck[sticks], atol=1e-6 * np.abs(stuck).max())
+    slips = level * np.abs(motion / drive) > 1.5 * force
+    assert np.abs(found[slips] - stuck[slips]).max(axis=1).min() > 1e-3 * np.abs(stuck[slips]).max(axis=1).min()
+
+
 def test_a_slipping_joint_is_found_within_its_error_bars():
     structure = five_dof()
     k = float(-structure.K[2, 4])
@@ -90,6 +160,34 @@ def test_harmonics_tell_a_bilinear_spring_from_a_spring():
     value, std = full.params[0], np.sqrt(np.diag(full.covariance))
     assert abs(value[0] - 3000.0) < 3 * std[0]
     assert abs(value[1] - 2 / 3) < 3 * std[1]
+
+
+def test_a_slipping_spring_of_any_stiffness_is_dry_friction():
+    """Unless the data know the stiffness, or friction fits worse than the harmonics left out of it explain."""
+    place, null = Place(PLACE, (2, 4, 0)), Hypothesis(chi2=10000.0)
+    friction = Hypothesis(
+        (CoulombFriction(),), (place,), (None,), (np.array([2.0]),), chi2=1100.0, freedom=1.0, fidelity=0.1
+    )
+    slip = Hypothesis(
+        (ElastoSlip(False),), (place,), (None,), (np.array([1e6, 2e-6]),), chi2=1030.0, freedom=2.0,
+        covariance=np.diag([4e12, 1.0]),
+    )  # fmt: skip
+    assert is_limit(slip, friction, null)
+    assert not is_limit(friction, slip, null)
+    assert not is_limit(replace(slip, covariance=np.diag([4e10, 1.0])), friction, null)
+    assert not is_limit(slip, replace(friction, fidelity=0.01), null)
+
+
+def test_noise_is_read_off_the_lines_beside_the_joint():
+    """Beside the simulation alone, what it misses about the peaks passes for noise."""
+    noise = 0.002
+    data = test_of(joints.ElastoSlip(3000.0, 1.5), noise=noise).replace(variance=None)
+    comparison = with_noise_beside(make_comparison(data, five_dof(), "fixed"))
+    _, h = hypothesis(comparison, ElastoSlip(False), [3000.0, 5e-4])
+    again = noise_beside(comparison, h)
+    sigma = noise * np.sqrt((np.abs(np.asarray(data.H)) ** 2).mean(axis=1, keepdims=True))
+    miss = [np.sqrt(np.mean(np.log(n.sigma / sigma) ** 2)) for n in (comparison.noise, again)]
+    assert miss[1] < 0.5 * miss[0]
 
 
 def test_weak_joints_are_left_as_they_are():

@@ -21,6 +21,7 @@ from modalax.diagnose.fitting.hypothesis import Hypothesis, searched
 from modalax.diagnose.fitting.nuisance import WIDE, Nuisance, make_nuisance
 from modalax.diagnose.fitting.residual import free_basis, residual_of
 from modalax.diagnose.prediction.frf import predict
+from modalax.diagnose.prediction.harmonics import with_harmonics
 from modalax.diagnose.setup.modal_form import kept_coupling, modal_form_of
 from modalax.diagnose.setup.noise import TRUSTED, Noise, noise_of
 from modalax.diagnose.setup.problem import Held, Problem, make_problem, padded
@@ -242,6 +243,10 @@ def make_comparison(
     draft = make_problem(
         freq, receptance, zero, force, measurement.outputs, measurement.inputs, modal_form, held, order
     )
+    if draft.held is not None:
+        assert isinstance(simulation, ExtendedSimulation)
+        held = replace(draft.held, extras=_held_in_full(draft, simulation))
+        draft = replace(draft, held=held)
     n_out, n_in = draft.channels
     still = np.zeros((2, draft.modal_form.stiffness.shape[0]))
     predicted = np.asarray(_predict_jit((), np.zeros((0, 3), int), (), (), still, draft))[0, : len(freq), :n_out, :n_in]
@@ -249,8 +254,9 @@ def make_comparison(
     notes.append(noise.source)
     sigma = noise.sigma / np.abs(unit)
     problem = make_problem(
-        freq, receptance, sigma, force, measurement.outputs, measurement.inputs, modal_form, held, order
+        freq, receptance, sigma, force, measurement.outputs, measurement.inputs, modal_form, None, order
     )
+    problem = replace(problem, held=draft.held)
     pooled, rest = problem.pooled()
     spread = np.stack([np.asarray(problem.modal_form.frequency_std), np.asarray(problem.modal_form.damping_std)])
     free = asked == "free"
@@ -269,12 +275,12 @@ def make_comparison(
     )  # fmt: skip
 
 
-def noise_beside(comparison: Comparison, null: Hypothesis) -> Noise | None:
-    """Estimate missing variances from the residual of the fitted simulation; None where variances were given."""
+def noise_beside(comparison: Comparison, h: Hypothesis) -> Noise | None:
+    """Estimate missing variances from the residual of a fitted hypothesis; None where variances were given."""
     if comparison.noise.freedom >= TRUSTED or comparison.question == "free":
         return None
     order = DERIVATIVES[comparison.measurement.form]
-    predicted = comparison.prediction(null)[0] * (2j * np.pi * comparison.scene.freq[:, None, None]) ** order
+    predicted = comparison.prediction(h) * (2j * np.pi * comparison.scene.freq[:, None, None]) ** order
     return noise_of(comparison.measurement, predicted)
 
 
@@ -303,6 +309,15 @@ def _taken_apart(
         )
     index = jnp.array([p.index for p in simulation.places], dtype=jnp.int64).reshape(-1, 3)
     return simulation.base, Held(index, simulation.extras, simulation.params, simulation.theta, simulation.causes)
+
+
+def _held_in_full(problem: Problem, simulation: ExtendedSimulation) -> tuple[Any, ...]:
+    """What the causes of an extended simulation need besides parameters, the effect of a joint's harmonics included."""
+    held = problem.held
+    assert held is not None
+    highest = simulation.harmonics or (1,) * len(held.causes)
+    alone = replace(problem, held=None)
+    return with_harmonics(held.causes, held.index, held.extras, held.params, held.theta, alone, highest)
 
 
 def _question(question: str, simulation: Structure | ModalModel) -> tuple[str, str]:

@@ -12,10 +12,11 @@ from jaxtyping import Array, Float
 from modalax.data import FRF
 from modalax.data.frf import DERIVATIVES, check_form
 from modalax.diagnose.causes import saved_causes
-from modalax.diagnose.causes.base import Cause
+from modalax.diagnose.causes.base import Cause, JointCause
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.prediction.frf import predict
+from modalax.diagnose.prediction.harmonics import HIGHEST, with_harmonics
 from modalax.diagnose.setup.modal_form import kept_coupling, modal_form_of
 from modalax.diagnose.setup.problem import Problem
 from modalax.files.guard import reading
@@ -41,6 +42,9 @@ class ExtendedSimulation(eqx.Module):
         What was added, and where.
     outputs, inputs
         Channels that places of channel faults refer to.
+    harmonics
+        Highest harmonic of the motion with which each joint was fitted and is predicted; 1 for the fundamental alone,
+        as everything else and several joints together have it.
     """
 
     base: Structure | ModalModel
@@ -53,6 +57,7 @@ class ExtendedSimulation(eqx.Module):
     outputs: tuple[str, ...] = eqx.field(static=True)
     inputs: tuple[str, ...] = eqx.field(static=True)
     lowest_hz: float = eqx.field(static=True)
+    harmonics: tuple[int, ...] = eqx.field(static=True, default=())
 
     @property
     def slugs(self) -> tuple[str, ...]:
@@ -97,10 +102,12 @@ class ExtendedSimulation(eqx.Module):
         )  # fmt: skip
         index = np.array([self.places[k].index for k in keep], dtype=np.int64).reshape(-1, 3)
         theta = self.theta[:, : modal_form.poles.shape[0]]
-        H = _predict(
-            tuple(self.causes[k] for k in keep), index, tuple(self.extras[k] for k in keep),
-            tuple(self.params[k] for k in keep), theta, problem,
+        causes, params = tuple(self.causes[k] for k in keep), tuple(self.params[k] for k in keep)
+        extras = with_harmonics(
+            causes, index, tuple(self.extras[k] for k in keep), params, theta, problem,
+            [self.harmonics[k] if self.harmonics else 1 for k in keep],
         )  # fmt: skip
+        H = _predict(causes, index, extras, params, theta, problem)
         factor = (1j * omega)[:, None, None] ** DERIVATIVES[check_form(form)]
         return FRF(freq, H[0] * factor, form=form, outputs=outputs, inputs=inputs, level=jnp.mean(jnp.asarray(level)))
 
@@ -125,7 +132,7 @@ class ExtendedSimulation(eqx.Module):
         out |= {
             "frequency_std": base.frequency_std, "damping_std": base.damping_std, "theta": self.theta,
             "outputs": list(self.outputs), "inputs": list(self.inputs), "lowest_hz": self.lowest_hz,
-            "causes": [_key(c) for c in self.causes],
+            "causes": [_key(c) for c in self.causes], "harmonics": list(self.harmonics),
         }  # fmt: skip
         for k, place in enumerate(self.places):
             out |= {f"where_{k}": [str(w) for w in place.where], f"index_{k}": list(place.index)}
@@ -170,16 +177,22 @@ def extend(comparison: Any, h: Hypothesis) -> ExtendedSimulation:
         spread.append(jnp.asarray(np.sqrt(np.maximum(variance, 0.0)) * np.abs(scale)))
         k += count
     n_out, n_in = comparison.problem.channels
-    extras = tuple(None if e is None else jnp.asarray(e[:, :n_out, :n_in]) for e in h.extras)
+    in_full = [isinstance(c, JointCause) and e is not None for c, e in zip(h.causes, h.extras, strict=True)]
+    harmonics = tuple(HIGHEST if full else 1 for full in in_full)
+    extras = tuple(
+        None if e is None or full else jnp.asarray(e[:, :n_out, :n_in])
+        for e, full in zip(h.extras, in_full, strict=True)
+    )
     params = tuple(jnp.asarray(p) for p in h.params)
     channels = comparison.scene.outputs, comparison.scene.inputs, float(comparison.scene.freq[0])
     if old is None:
         return ExtendedSimulation(
-            comparison.simulation, params, tuple(spread), theta, extras, h.causes, h.places, *channels
+            comparison.simulation, params, tuple(spread), theta, extras, h.causes, h.places, *channels, harmonics
         )  # fmt: skip
     return ExtendedSimulation(
         old.base, old.params + params, old.spread + tuple(spread), old.theta + theta, old.extras + extras,
         old.causes + h.causes, old.places + h.places, *channels,
+        (old.harmonics or (1,) * len(old.causes)) + harmonics,
     )  # fmt: skip
 
 
@@ -208,6 +221,10 @@ def _check(found: ExtendedSimulation) -> None:
     if found.theta.ndim != 2 or found.theta.shape[0] != 2 or found.theta.shape[1] < least:
         raise ValueError(f"theta has shape {found.theta.shape}; it needs (2, n), a column a mode")
     numbers = {"theta": found.theta, "lowest_hz": found.lowest_hz}
+    if found.harmonics and (
+        len(found.harmonics) != len(found.causes) or not all(1 <= h <= 99 for h in found.harmonics)
+    ):
+        raise ValueError(f"harmonics are {found.harmonics}; they need one number from 1 to 99 for each cause")
     for k, (cause, place) in enumerate(zip(found.causes, found.places, strict=True)):
         params, spread = found.params[k], found.spread[k]
         if params.shape != (len(cause.parameters),) or spread.shape != params.shape or len(place.index) != 3:
@@ -252,4 +269,5 @@ def _from_arrays(arrays: Any, causes: Sequence[Cause] | None) -> ExtendedSimulat
         tuple(jnp.asarray(arrays[f"extra_{k}"]) if f"extra_{k}" in arrays else None for k in every),
         tuple(known[k] for k in keys), places, tuple(names("outputs")), tuple(names("inputs")),
         float(arrays["lowest_hz"]),
+        tuple(int(v) for v in arrays["harmonics"]) if "harmonics" in arrays else (),
     )  # fmt: skip

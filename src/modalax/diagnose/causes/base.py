@@ -267,8 +267,15 @@ class CouplingCause(Cause):
 
 
 class JointCause(ElementCause):
-    """Stage 6: a non-linear joint, by its law in :mod:`modalax.simulate`."""
+    """Stage 6: a non-linear joint, by its law in :mod:`modalax.simulate`.
 
+    Attributes
+    ----------
+    rigid
+        Whether the force does not follow from the motion where the joint sticks.
+    """
+
+    rigid: ClassVar[bool] = False
     per_run = True
     visible_when_free = True
     told_by_levels = True
@@ -283,6 +290,16 @@ class JointCause(ElementCause):
         Only where ``each_run`` is set may a run depend on its number, the first axis of ``A``.
         """
         return self.law(p).describing(A, omega)
+
+    def law_in_series(self, p: Float[Array, " p"], compliance: Array) -> Any:
+        """The joint in series with a spring of some compliance [m/N], which only a rigid one takes."""
+        return self.law(p)
+
+    def impedance_in_series(
+        self, A: Array, omega: Array, p: Float[Array, " p"], compliance: Array
+    ) -> Complex[Array, "..."]:
+        """The :meth:`impedance` of joint and spring together, of a rigid joint; of any other, its own."""
+        return self.impedance(A, omega, p)
 
 
 class ChannelCause(Cause):

@@ -6,12 +6,13 @@ Thresholds are screened at fractions of the amplitude that the undisturbed struc
 from typing import Any
 
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Complex
 
 from modalax.diagnose.causes.base import JointCause
 from modalax.diagnose.causes.parameter import Parameter, strengths
 from modalax.diagnose.causes.scene import Place, Scene
 from modalax.simulate import joints
+from modalax.simulate.joints.friction import jenkins_describing
 
 FRACTIONS = (0.03, 0.1, 0.2, 0.35, 0.6)  # thresholds over the largest amplitude
 SIZES = (1e-4, 0.05, 0.4)  # strengths that are screened, relative to the stiffness seen at the place
@@ -22,6 +23,7 @@ class CoulombFriction(JointCause):
 
     slug = "coulomb_friction"
     summary = "dry friction"
+    rigid = True
     fidelity = 0.01
     parameters = (Parameter("slip_force", "N", 0.0),)
 
@@ -33,6 +35,14 @@ class CoulombFriction(JointCause):
     def law(self, p: Array) -> Any:
         """Friction force."""
         return joints.CoulombFriction(p[0])
+
+    def law_in_series(self, p: Array, compliance: Array) -> Any:
+        """The creep of a contact takes the part of the spring."""
+        return joints.CoulombFriction(p[0], (p[0] + 1e-30) * compliance)
+
+    def impedance_in_series(self, A: Array, omega: Array, p: Array, compliance: Array) -> Complex[Array, "..."]:
+        """The describing function of a spring in series with a slider."""
+        return jenkins_describing(1 / compliance, p[0] * compliance, A)
 
 
 class ElastoSlip(JointCause):

@@ -9,6 +9,8 @@ from modalax.diagnose.decision.posterior import Ranked
 from modalax.diagnose.decision.sets import certainty, unplaced
 from modalax.diagnose.thresholds import THRESHOLDS, Thresholds
 
+TOLD = 10.0  # chi-square put down to an inexact law from which on the reasons say so
+
 
 @dataclass(frozen=True)
 class Leftover:
@@ -21,11 +23,13 @@ class Leftover:
     explained
         Chi-square that the best single cause takes away.
     p_value
-        Chance under noise alone of what the leading set leaves.
+        Chance under noise alone of what the leading set leaves, less ``tolerated``.
     nameless
         Probability of things without a name in the answer beside the sets that have one.
     likeness
         What the likeliest of these is, in words.
+    tolerated
+        Chi-square that the inexactness of the laws may leave: of a joint, the harmonics of its motion left out.
     """
 
     alarm: float
@@ -33,6 +37,15 @@ class Leftover:
     p_value: float = 1.0
     nameless: float = 0.0
     likeness: str = ""
+    tolerated: float = 0.0
+
+    @property
+    def allowance(self) -> str:
+        """What of the rest is put down to the law, as a clause; empty where that is less than noise scatters."""
+        return "" if self.tolerated < TOLD else (
+            f", once a chi-square of {self.tolerated:.2g} is put down to the higher harmonics that the predicted joint "
+            f"lacks, {self.tolerated / max(self.tolerated + self.explained, 1e-300):.2g} of its effect"
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -87,7 +100,7 @@ def something_is_left(case: Case) -> str | None:
     chance = case.leftover.p_value
     return None if chance >= limit else (
         f"with {case.names} the residual is still more than noise: noise alone would leave as much with a chance of "
-        f"{chance:.2g}, and at least {limit:g} is required"
+        f"{chance:.2g}{case.leftover.allowance}, and at least {limit:g} is required"
     )  # fmt: skip
 
 
@@ -138,7 +151,7 @@ def named(case: Case) -> str | None:
     """Nothing speaks against the names."""
     return (
         f"{case.names} has a probability of {case.certainty:.3g} among all causes that were looked for, and noise "
-        f"alone would leave as much as it does with a chance of {case.leftover.p_value:.2g}"
+        f"alone would leave as much as it does with a chance of {case.leftover.p_value:.2g}{case.leftover.allowance}"
     )
 
 

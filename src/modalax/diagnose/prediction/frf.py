@@ -215,11 +215,14 @@ def _with_joints(without: Linear, joints: list[Any], problem: Problem) -> Array:
             # joints at one place share one motion: the first of them stands for all
             same = [jnp.all(where == other).astype(float) for other in places]
             first = jnp.prod(1 - jnp.stack([jnp.zeros(()), *same[:k]]))
-            share = tuple(s if e is None else s * factor_at(e, q) for s, (_, _, e, q) in zip(same, joints, strict=True))
+            share = tuple(
+                s if e is None or c.rigid else s * factor_at(e, q) for s, (c, _, e, q) in zip(same, joints, strict=True)
+            )
             cause, p = Together(tuple(c for c, *_ in joints)), (tuple(q for *_, q in joints), share)
             harmonics = None
         Z = first * equivalent(cause, p, problem.omega, drive_bb, motion, problem.level, harmonics)
-        H = H - H_ob[..., k, None] * (Z / (1 + Z * drive_bb[..., None]) * motion)[:, :, None]
+        seen = drive_bb[..., None] - in_series(harmonics)
+        H = H - H_ob[..., k, None] * (Z / (1 + Z * seen) * motion)[:, :, None]
     return H
 
 
@@ -249,17 +252,23 @@ def _block_diagonal(blocks: list[Array]) -> Array:
     return out
 
 
-def factor_at(harmonics: Complex[Array, "one_p run f i"], p: Float[Array, " p"]) -> Complex[Array, "run f i"]:
+def factor_at(harmonics: Complex[Array, "two_p run f i"], p: Float[Array, " p"]) -> Complex[Array, "run f i"]:
     r"""Factor :math:`\rho(p) = \rho_0 + \sum_k \rho_k p_k` of higher harmonics on a describing function.
 
     Parameters
     ----------
     harmonics
-        :math:`\rho_0`, then the slope by each parameter (:mod:`~modalax.diagnose.prediction.harmonics`).
+        :math:`\rho_0`, the slope by each parameter, and the compliance in series with the joint
+        (:mod:`~modalax.diagnose.prediction.harmonics`).
     p
         Parameters of the joint.
     """
-    return harmonics[0] + jnp.tensordot(p, harmonics[1:], 1)
+    return harmonics[0] + jnp.tensordot(p, harmonics[1:-1], 1)
+
+
+def in_series(harmonics: Complex[Array, "two_p run f i"] | None) -> Any:
+    """Compliance in series with a joint [m/N], shape ``(run, f, i)``, by which the structure's is less; else 0."""
+    return 0.0 if harmonics is None else harmonics[-1].real
 
 
 def equivalent(
@@ -277,17 +286,20 @@ def equivalent(
     motion
         :math:`b^TH`, shape ``(run or 1, f, i)`` [m/N].
     harmonics
-        By what factor higher harmonics change the force at the fundamental, shape ``(1 + p, run, f, i)``, see
-        :func:`factor_at`; no factor if None.
+        By what factor higher harmonics change the force at the fundamental, and the compliance in series with the
+        joint, shape ``(2 + p, run, f, i)``, see :func:`factor_at`; no factor and no compliance if None.
     """
     factor = 1.0 if harmonics is None else factor_at(harmonics, p)
     free = level[:, :, None] * jnp.abs(motion) + TINY
-    flat = jnp.broadcast_to(drive[..., None], free.shape)
+    flat = jnp.broadcast_to(drive[..., None] - in_series(harmonics), free.shape)
     w = omega[None, :, None]
+
+    def impedance(A: Array, p: Any) -> Array:
+        return cause.impedance(A, w, p) if harmonics is None else cause.impedance_in_series(A, w, p, harmonics[-1].real)
 
     def miss(log_a: Array, free: Array, flat: Array, p: Any) -> Array:
         A = jnp.exp(log_a)
-        return log_a + jnp.log(jnp.abs(1 + factor * cause.impedance(A, w, p) * flat) + TINY) - jnp.log(free)
+        return log_a + jnp.log(jnp.abs(1 + factor * impedance(A, p) * flat) + TINY) - jnp.log(free)
 
     fixed = jax.lax.stop_gradient((free, flat, p))
     steps = jnp.log(BRACKET) * jnp.linspace(-1.0, 1.0, GRID)
@@ -319,4 +331,4 @@ def equivalent(
     slope = jax.lax.stop_gradient(jnp.where(jnp.abs(slope) > 0.05, slope, jnp.where(slope < 0, -0.05, 0.05)))
     settled = jnp.abs(miss(root, *fixed)) < 1e-3
     log_a = root - jnp.where(settled, miss(root, free, flat, p) / slope, 0.0)
-    return factor * cause.impedance(jnp.exp(log_a), w, p)
+    return factor * impedance(jnp.exp(log_a), p)

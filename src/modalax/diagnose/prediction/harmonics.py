@@ -5,8 +5,15 @@ r"""Effect of the higher harmonics of the motion across a joint on its force at 
 these change the force at the fundamental to :math:`f_1 = \rho\,N(A)\,x_1`. The factor :math:`\rho` and its slopes by
 the joint's parameters are found by harmonic balance at the parameters of a hypothesis; the hypothesis is then fitted
 again with :math:`\rho` linear in them. A few rounds of both settle.
+
+Rigid friction has no force that follows from the motion while it sticks. It is the same as a spring of any stiffness
+:math:`1/c` in series with the slider, in a structure whose receptance across the joint is less by c: the displacement
+of spring and slider is :math:`z = x + cf`, so :math:`x + Gf = u` becomes :math:`z + (G - c)f = u`. Sticking or
+slipping, f follows from z. With :math:`c = |G|` the balance is as stiff as the structure (the idea of the dynamic
+Lagrangian of Nacivet, Pierre, Thouverez and Jezequel 2003, J. Sound Vib. 265:201).
 """
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -20,20 +27,48 @@ from modalax.diagnose.causes.base import JointCause
 from modalax.diagnose.prediction.frf import Linear, equivalent, of, without_joints
 from modalax.diagnose.setup.problem import Problem
 from modalax.simulate.aft import choose_harmonics, joint_forces
-from modalax.simulate.balance import CLOSED, Line, Plan, find, motion_scale
+from modalax.simulate.balance import CLOSED, Line, Plan, find, motion_scale, polish, stop
 from modalax.simulate.sweep import in_chunks
 
+HIGHEST = 9  # highest harmonic kept where harmonics are asked for
 NEARLY_STILL = 1e-3  # circular frequency of the receptance for the mean displacement, over that of the line
 SAMPLES_A_HARMONIC = 16  # instants of a cycle at which forces are evaluated, for each harmonic kept
 STEP = 1e-2  # relative change of a parameter by which slopes are taken
-NEWTON = 12  # Newton steps of a balance
+TURNS = (1.0, 0.5, 0.9, 1.1, 1.5)  # motions that a balance starts from, over that of the fundamental alone
+NEWTON = 20  # Newton steps from each
+
+
+def with_harmonics(
+    causes: Any, index: Any, extras: Any, params: Any, theta: Float[Array, "two n"], problem: Problem,
+    highest: Sequence[int],
+) -> tuple[Any, ...]:  # fmt: skip
+    """Extras with the effect of one joint's harmonics in them, differentiable by the parameters.
+
+    Where several joints are predicted together, they stay as given.
+
+    Parameters
+    ----------
+    causes, index, extras, params, theta
+        As :func:`~modalax.diagnose.prediction.frf.predict` takes them; joints without the effect of harmonics.
+    problem
+        Frequencies, levels, channels and the simulation.
+    highest
+        Highest harmonic of each cause.
+    """
+    joints = [k for k, c in enumerate(causes) if isinstance(c, JointCause)]
+    if len(joints) != 1 or highest[joints[0]] < 2:
+        return tuple(extras)
+    k = joints[0]
+    rho, series = harmonic_factor(causes, index, extras, params, theta, problem, highest[k], highest[k], True)
+    none = jnp.zeros((len(causes[k].parameters), *rho.shape), complex)
+    return (*extras[:k], jnp.concatenate([rho[None], none, series[None]]), *extras[k + 1 :])
 
 
 def linear_factor(
     causes: Any, index: Any, extras: Any, params: Any, theta: Float[Array, "two n"], problem: Problem,
     highest: int, kept: int | None = None,
-) -> Complex[np.ndarray, "one_p run f i"]:  # fmt: skip
-    r"""Factor :math:`\rho` as :func:`~modalax.diagnose.prediction.frf.factor_at` takes it, about ``params``.
+) -> Complex[np.ndarray, "two_p run f i"]:  # fmt: skip
+    r"""Factor :math:`\rho` as :func:`~modalax.diagnose.prediction.frf.factor_at` takes it, and compliance in series.
 
     Slopes are given for a cause some of whose parameters one harmonic does not show; of any other they are 0, as the
     describing function follows its parameters already, and dry friction has none where it sticks.
@@ -43,11 +78,12 @@ def linear_factor(
 
     def at(p: Any) -> np.ndarray:
         moved = tuple(p if j == k else q for j, q in enumerate(params))
-        return np.asarray(harmonic_factor(causes, index, extras, moved, theta, problem, highest, kept or highest))
+        return np.asarray(harmonic_factor(causes, index, extras, moved, theta, problem, highest, kept or highest)[0])
 
     k = next(k for k, c in enumerate(causes) if isinstance(c, JointCause))
     p = np.asarray(params[k], float)
-    middle = at(jnp.asarray(p))
+    rho, series = harmonic_factor(causes, index, extras, params, theta, problem, highest, kept or highest)
+    middle = np.asarray(rho)
     slopes = []
     for j in range(len(p)):
         if not causes[k].unseen:
@@ -55,17 +91,17 @@ def linear_factor(
             continue
         step = STEP * (abs(p[j]) or 1.0)
         slopes.append((at(jnp.asarray(p + step * np.eye(len(p))[j])) - middle) / step)
-    return np.stack([middle - sum(s * v for s, v in zip(slopes, p, strict=True)), *slopes])
+    return np.stack([middle - sum(s * v for s, v in zip(slopes, p, strict=True)), *slopes, np.asarray(series)])
 
 
-@partial(jax.jit, static_argnames=("causes", "highest"))
+@partial(jax.jit, static_argnames=("causes", "highest", "differentiable"))
 def harmonic_factor(
     causes: Any, index: Any, extras: Any, params: Any, theta: Float[Array, "two n"], problem: Problem,
-    highest: int, kept: Any,
-) -> Complex[Array, "run f i"]:  # fmt: skip
-    r"""Factor :math:`\rho` on the describing function of one joint, shape ``(run, f, i)``.
+    highest: int, kept: Any, differentiable: bool = False,
+) -> tuple[Complex[Array, "run f i"], Complex[Array, "run f i"]]:  # fmt: skip
+    r"""Factor :math:`\rho` on the describing function of one joint, and the compliance in series with it [m/N].
 
-    It is 1 where the harmonic balance does not settle.
+    The factor is 1 where the harmonic balance does not settle.
 
     Parameters
     ----------
@@ -77,36 +113,44 @@ def harmonic_factor(
         Highest harmonic: the odd ones up to it where the law is odd, else all with the mean.
     kept
         Highest harmonic of which the structure is let move; one program serves all.
+    differentiable
+        Whether the factor has derivatives by the parameters, by the implicit function theorem.
     """
     at = list(zip(causes, index, extras, params, strict=True))
     ((cause, _, _, p),) = of(JointCause, at)
-    joint = cause.law(p)
-    harmonics = choose_harmonics((joint,), highest)
+    harmonics = choose_harmonics((cause.law(p),), highest)
     plan = Plan(1, harmonics, SAMPLES_A_HARMONIC * highest)
     linear = [_at_harmonic(h, at, theta, problem) for h in harmonics]
     one = linear[harmonics.index(1)]
     drive, motion = one.H_bb[:, :, 0, 0], one.H_bi[:, :, 0]
     shape = (problem.level.shape[0], *motion.shape[1:])
     free = problem.level[:, :, None] * motion
-    first = free / (1 + equivalent(cause, p, problem.omega, drive, motion, problem.level) * drive[..., None])
+    series = jnp.broadcast_to(jnp.abs(drive)[..., None] if cause.rigid else 0.0, shape)
+    series = jax.lax.stop_gradient(series)
+    plain = jnp.concatenate([jnp.ones((1, *shape)), jnp.zeros((len(p), *shape)), series[None]]) + 0j
+    Z = equivalent(cause, p, problem.omega, drive, motion, problem.level, plain)
+    first = free / (1 + Z * (drive[..., None] - series))
     G = jnp.stack([jnp.broadcast_to(a.H_bb[:, :, :1, :1], (*shape[:2], 1, 1)) for a in linear], axis=2)
     G = jnp.where((jnp.array(harmonics) <= kept)[:, None, None], G, 0.0)
 
     def factor(k: Any) -> Array:
         r, f, i = jnp.unravel_index(k, shape)
+        joint = cause.law_in_series(p, series[r, f, i])
         u = jnp.zeros((len(harmonics), 1), complex).at[harmonics.index(1), 0].set(free[r, f, i])
-        line = Line(G[r, f], u, problem.omega[f])
+        line = Line(G[r, f] - series[r, f, i], u, problem.omega[f])
         scale = motion_scale(line)
         start = jnp.zeros((1, len(harmonics)), complex).at[0, harmonics.index(1)].set(first[r, f, i])
-        y, left = find(plan, (joint,), line, plan.real(start)[None] / scale, NEWTON)
-        q = scale * plan.complex(y)
+        starts = jnp.stack([plan.real(turn * start) / scale for turn in TURNS])
+        y, left = find(plan, *stop(((joint,), line, starts)), NEWTON)
+        q = polish(plan, (joint,), line, y)[0] if differentiable else scale * plan.complex(y)
         force = joint_forces((joint,), q, line.omega, harmonics, plan.samples)[0, harmonics.index(1)]
         q1 = q[0, harmonics.index(1)]
-        plain = joint.describing(jnp.abs(q1), line.omega) * q1
-        sound = (left < CLOSED) & (jnp.abs(plain) > 0)
-        return jnp.where(sound, force / jnp.where(sound, plain, 1.0), 1.0)
+        alone = joint.describing(jnp.abs(q1), line.omega) * q1
+        sound = (left < CLOSED) & (jnp.abs(alone) > 0)
+        return jnp.where(sound, force / jnp.where(sound, alone, 1.0), 1.0)
 
-    return in_chunks(factor, jnp.arange(shape[0] * shape[1] * shape[2])).reshape(shape)
+    rho = in_chunks(factor, jnp.arange(shape[0] * shape[1] * shape[2])).reshape(shape)
+    return rho, series + 0j
 
 
 def _at_harmonic(h: int, at: list[Any], theta: Array, problem: Problem) -> Linear:

@@ -135,11 +135,15 @@ def one_more_cause(
 
 @dataclass(frozen=True)
 class Rest:
-    """The residual of a hypothesis: further causes, the best first, its chance under noise, and the omnibus test."""
+    """The residual of a hypothesis: further causes, the best first, its chance under noise, and the omnibus test.
+
+    ``tolerated`` is the chi-square that the inexactness of the laws may leave and that the tests do not count.
+    """
 
     trials: list[Trial]
     p_value: float
     omnibus: Omnibus
+    tolerated: float = 0.0
 
 
 def rest_of(comparison: Comparison, h: Hypothesis, null: Hypothesis, causes: Sequence[Cause]) -> Rest:
@@ -171,7 +175,7 @@ def rest_of(comparison: Comparison, h: Hypothesis, null: Hypothesis, causes: Seq
     p_value = detect(trials, state.sides, after, comparison.noise.spread, tolerated).p_value
     trials = [t for t in chosen(trials) if (t.cause.slug, t.place.where) not in h.names]
     samples = used.problem.samples
-    return Rest(sorted(trials, key=lambda t: -promise(t, comparison.scene, samples)), p_value, after)
+    return Rest(sorted(trials, key=lambda t: -promise(t, comparison.scene, samples)), p_value, after, tolerated)
 
 
 def _worth(comparison: Comparison) -> float:

@@ -3,16 +3,19 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from modalax.diagnose.causes.base import Cause, UndampedCause
-from modalax.diagnose.comparison import Comparison
-from modalax.diagnose.decision.omnibus import Omnibus
+from modalax.diagnose.comparison import Comparison, noise_beside
+from modalax.diagnose.decision.omnibus import Omnibus, omnibus
 from modalax.diagnose.decision.posterior import Ranked, evidence, posterior
 from modalax.diagnose.decision.verdict import Leftover, verdict
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.screening.every_cause import chosen
+from modalax.diagnose.screening.score_state import score_state_of
 from modalax.diagnose.search.candidates import best_of_each
 from modalax.diagnose.search.compounds import FURTHER, Rest, exchanged, one_more_cause, rest_of
-from modalax.diagnose.search.harmonics import joints_in_full
+from modalax.diagnose.search.harmonics import is_limit, joints_in_full
 from modalax.diagnose.search.imitator_check import apart, imitations, likeness
 from modalax.diagnose.search.look import Look
 from modalax.diagnose.search.measured_force import starts_from_forces
@@ -71,10 +74,12 @@ def explain(look: Look, causes: Sequence[Cause]) -> Explanation:
     leftover = replace(leftover, explained=explained)
     if verdict(ranked, leftover)[0] == "unknown":
         return replace(nothing, leftover=leftover)
+    look, fitted, ranked = with_noise_again(look, fitted, ranked)
     comparison, fitted, ranked = centred(look, fitted, ranked)
     fitted, ranked = in_full(look, comparison, fitted, ranked)
     ranked, fitted, rest = together(look, comparison, fitted, ranked, causes)
-    return Explanation(look, comparison, ranked, replace(leftover, p_value=rest.p_value), rest.omnibus, fitted)
+    leftover = replace(leftover, p_value=rest.p_value, tolerated=rest.tolerated)
+    return Explanation(look, comparison, ranked, leftover, rest.omnibus, fitted)
 
 
 def check_imitations(found: Explanation, imitators: Sequence[Cause]) -> Explanation:
@@ -126,6 +131,44 @@ def singles(look: Look, causes: Sequence[Cause]) -> list[Hypothesis]:
     return found + joints_for_drifts(look.state, best_of_each(found, look.comparison), causes)
 
 
+def with_noise_again(
+    look: Look, fitted: list[Hypothesis], ranked: list[Ranked]
+) -> tuple[Look, list[Hypothesis], list[Ranked]]:
+    """Read noise off the lines once more, beside the leading hypothesis, where the simulation alone misses by more.
+
+    Scatter between neighbouring lines holds the curvature of what the simulation misses; beside an explanation it does
+    not. The hypotheses keep their parameters, but for those near the best, which are fitted again.
+
+    Parameters
+    ----------
+    look
+        The simulation alone.
+    fitted
+        All hypotheses so far.
+    ranked
+        Sets of causes by falling probability.
+    """
+    best = ranked[0].best
+    if best.hum is not None or look.null.chi2 - best.chi2 < look.comparison.problem.samples:
+        return look, fitted, ranked
+    noise = noise_beside(look.comparison, best)
+    if noise is None:
+        return look, fitted, ranked
+    comparison = look.comparison.with_noise(noise)
+    null = comparison.fit([look.null], PATIENT)[0]
+    state = score_state_of(comparison, null)
+    look = replace(look, state=state, omnibus=omnibus(comparison.residual(null), comparison.live(), noise.freedom))
+    near = [r.best for r in ranked if r.log_evidence > ranked[0].log_evidence - NEAR and r.best.hum is None]
+    others = [h for h in fitted if h.hum is None and not any(h is one for one in near)]
+    fitted = comparison.fit(near, PATIENT) + [replace(h, chi2=chi2_of(comparison, h)) for h in others]
+    return look, fitted, weigh(look, fitted)
+
+
+def chi2_of(comparison: Comparison, h: Hypothesis) -> float:
+    """Chi-square of a hypothesis at its parameters, that of the claimed spread of modal parameters included."""
+    return float((np.abs(comparison.residual(h)) ** 2).sum() + (np.asarray(h.theta) ** 2).sum())
+
+
 def centred(
     look: Look, fitted: list[Hypothesis], ranked: list[Ranked]
 ) -> tuple[Comparison, list[Hypothesis], list[Ranked]]:
@@ -157,6 +200,7 @@ def in_full(
         return fitted, ranked
     done = {(h.causes, h.places) for h in again}
     fitted = again + [h for h in fitted if (h.causes, h.places) not in done]
+    fitted = [h for h in fitted if not any(is_limit(h, other, look.null) for other in again)]
     return fitted, weigh(look, fitted, comparison)
 
 

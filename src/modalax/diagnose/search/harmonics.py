@@ -10,10 +10,9 @@ from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.gauss_newton import covariance_of
 from modalax.diagnose.fitting.hypothesis import Hypothesis, searched
 from modalax.diagnose.fitting.residual import jacobian_of, residual_of
-from modalax.diagnose.prediction.harmonics import linear_factor
+from modalax.diagnose.prediction.harmonics import HIGHEST, linear_factor
 from modalax.diagnose.search.singles import PATIENT
 
-HIGHEST = 9  # highest harmonic kept
 FEWER = 5  # highest harmonic of a second prediction, which shows the error of truncation
 BEYOND = (FEWER + 1) / (HIGHEST - FEWER)  # effect of harmonics above HIGHEST over that of those above FEWER up to it
 TIMES = 3  # most rounds of harmonics and fit in turn
@@ -50,6 +49,30 @@ def joints_in_full(comparison: Comparison, null: Hypothesis, ranked: list[Hypoth
         if bend > ASKED and h.chi2 < best + 4 * bend**2 + 1 and alike and one_joint(comparison, h):
             out.append(h)
     return [fitted_in_full(comparison, null, h) for h in out]
+
+
+def is_limit(h: Hypothesis, simpler: Hypothesis, null: Hypothesis) -> bool:
+    """Whether a joint whose strength the data leave open is but the limit of a simpler law at the same place.
+
+    A spring of any great stiffness that slips is dry friction. The simpler law must fit as well, but for what the
+    harmonics left out of it may do.
+
+    Parameters
+    ----------
+    h
+        A fitted hypothesis.
+    simpler
+        Another, fitted with harmonics.
+    null
+        The simulation alone.
+    """
+    k = next((k for k, c in enumerate(h.causes) if isinstance(c, JointCause)), None)
+    if k is None or h.places != simpler.places or h.freedom <= simpler.freedom or h.covariance is None:
+        return False
+    first = sum(len(p) for p in h.params[:k])
+    strength, std = abs(float(h.params[k][0])), float(np.sqrt(max(h.covariance[first, first], 0.0)))
+    allowed = (simpler.fidelity or 0.0) ** 2 * max(null.chi2 - simpler.chi2, 0.0)
+    return std > strength and simpler.chi2 - allowed <= h.chi2
 
 
 def one_joint(comparison: Comparison, h: Hypothesis) -> bool:

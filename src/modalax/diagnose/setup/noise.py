@@ -77,9 +77,10 @@ def noise_of(measurement: Measurement, predicted: np.ndarray) -> Noise:
     Parameters
     ----------
     predicted
-        What the simulation expects, shape ``(f, o, i)``, in the form of the measurement.
+        What the simulation expects, shape ``(f, o, i)`` or ``(run, f, o, i)``, in the form of the measurement.
     """
     H = np.asarray(measurement.H)
+    predicted = np.broadcast_to(predicted, H.shape)
     size = np.sqrt(np.mean(np.abs(H) ** 2, axis=1, keepdims=True))
     if measurement.variance is not None and float(np.max(np.asarray(measurement.variance))) > 0:
         noise = _given(measurement, H, predicted)
@@ -136,7 +137,7 @@ def _from_data(measurement: Measurement, H: np.ndarray, predicted: np.ndarray) -
             f"no variances given, and {H.shape[1]} lines are too few to estimate them; at least 8 are needed"
         )
     # whichever varies less around a line; chosen line by line, the smaller of two would be too small
-    plain, beside = _third_difference(H), _third_difference(H - predicted[None])
+    plain, beside = _third_difference(H), _third_difference(H - predicted)
     around = [uniform_filter1d(e, AROUND, axis=1, mode="nearest") for e in (plain, beside)]
     rough = np.where(around[0] <= around[1], plain, beside)
     variance = smoothed(rough, H, predicted, 2.0, clip=5.0)
@@ -172,7 +173,7 @@ def smoothed(
     variance
         Line by line, shape ``(run, f, o, i)``, each with ``freedom`` degrees of freedom.
     predicted
-        What the simulation expects, shape ``(f, o, i)``.
+        What the simulation expects, of the same shape.
     clip
         Ratio to the fit beyond which a line counts no further (what is no noise must not raise the estimate).
     """
