@@ -141,13 +141,14 @@ def harmonic_factor(
         scale = motion_scale(line)
         start = jnp.zeros((1, len(harmonics)), complex).at[0, harmonics.index(1)].set(first[r, f, i])
         starts = jnp.stack([plan.real(turn * start) / scale for turn in TURNS])
-        y, left = find(plan, *stop(((joint,), line, starts)), NEWTON)
+        fixed, still, turned = stop(((joint,), line, starts))
+        y, left = find(plan, fixed, still, turned, NEWTON)
         q = polish(plan, (joint,), line, y)[0] if differentiable else scale * plan.complex(y)
         force = joint_forces((joint,), q, line.omega, harmonics, plan.samples)[0, harmonics.index(1)]
         q1 = q[0, harmonics.index(1)]
-        alone = joint.describing(jnp.abs(q1), line.omega) * q1
-        sound = (left < CLOSED) & (jnp.abs(alone) > 0)
-        return jnp.where(sound, force / jnp.where(sound, alone, 1.0), 1.0)
+        plainly = joint.describing(jnp.abs(q1), line.omega) * q1
+        sound = (left < CLOSED) & (jnp.abs(plainly) > 0)
+        return jnp.where(sound, force / jnp.where(sound, plainly, 1.0), 1.0)
 
     rho = in_chunks(factor, jnp.arange(shape[0] * shape[1] * shape[2])).reshape(shape)
     return rho, series + 0j
