@@ -264,3 +264,22 @@ def test_a_flying_wing_within_the_digits_of_its_punch_file(measured):
     assert small.rigid == 6 and apart.max() < 4 and np.median(apart) < 1.5
     modes = import_finite_elements(folder / "sol103_maewing1_femv5p2.pch1", units="in-lbf", damping_ratio=0.01)
     np.testing.assert_allclose((2 * np.pi * modes.simulation.frequency_hz) ** 2, printed[6:20], rtol=1e-6)
+
+
+@pytest.mark.measured
+def test_a_flying_wing_parts_into_its_elements(measured):
+    """Put together from its elements the wing has the printed eigenvalues, closely, and no rigid stiffness."""
+    folder = measured / "nastran" / "mAEWing1_v5p2"
+    printed = printed_eigenvalues(folder / "sol103_maewing1_femv5p2.f06")
+    found = import_finite_elements(
+        folder / "stiffness_mass.pch", grids=folder / "sol103_mAEWing1_FEMv5p2.bdf", units="in-lbf", damping_ratio=0.01
+    )
+    structure = found.simulation
+    assert isinstance(structure, Structure) and structure.elements is not None
+    assert len(structure.elements.places) == 74 and len(structure.elements.mass) == 71
+    for whole, factors in ((structure.K, structure.elements.stiffness), (structure.M, structure.elements.mass)):
+        together = np.einsum("enr,emr->nm", factors, factors, optimize=True)
+        assert np.abs(together - whole).max() < 1e-6 * np.abs(whole).max()
+    square = scipy.linalg.eigh(np.asarray(structure.K), np.asarray(structure.M), eigvals_only=True)
+    assert np.abs(square[:6]).max() < 1e-3
+    np.testing.assert_allclose(square[6:20], printed[6:20], rtol=5e-5)

@@ -11,6 +11,7 @@ from modalax.data.frf import FRF
 from modalax.data.measurement import Measurement
 from modalax.files.guard import LONGEST_NAME, check_names
 from modalax.files.plain import PLAIN_KEYS, Told, understood
+from modalax.model.elements import Elements
 from modalax.model.modal import ModalModel, poles_from
 from modalax.model.structure import Structure
 
@@ -22,7 +23,8 @@ MEASUREMENT_KEYS = (
     "axes",
 )  # fmt: skip
 CLAIMS = ("stiffness_std", "mass_std")
-STRUCTURE_KEYS = ("M", "C", "K", "D", "dofs", "frequency_std", "damping_std", *CLAIMS, "pairs")
+ELEMENTS = ("stiffness_elements", "mass_elements", "element_places")
+STRUCTURE_KEYS = ("M", "C", "K", "D", "dofs", "frequency_std", "damping_std", *CLAIMS, "pairs", *ELEMENTS)
 MODEL_KEYS = (
     "poles", "frequency_hz", "damping_ratio", "shapes", "participation", "modal_a", "modal_mass", "upper", "lower",
     "outputs", "inputs", "frequency_std", "damping_std",
@@ -54,6 +56,10 @@ def to_arrays(what: Any) -> dict[str, np.ndarray]:
             "or extended simulation"
         )
     arrays = {name: np.asarray(getattr(what, name)) for name in names}
+    if isinstance(what, Structure) and what.elements is not None:
+        e = what.elements
+        parts = np.asarray(e.stiffness), np.asarray(e.mass), np.array(e.places, dtype=str).reshape(-1, 2)
+        arrays |= dict(zip(ELEMENTS, parts, strict=True))
     return arrays | {label: np.array(getattr(what, label), dtype=str) for label in labels}
 
 
@@ -241,16 +247,25 @@ def _structure(arrays: Arrays) -> Structure:
     D = np.atleast_2d(_numbers(arrays, "D")) if "D" in arrays else None
     claims = _claims(arrays, ("frequency_std", "damping_std")) | _claims(arrays, CLAIMS)
     dofs = _words(arrays, "dofs") if "dofs" in arrays else None
-    return Structure(M, C, K, dofs, D=D, pairs=_pairs(arrays), **claims)
+    return Structure(M, C, K, dofs, D=D, pairs=_pairs(arrays, "pairs"), elements=_elements(arrays), **claims)
 
 
-def _pairs(arrays: Arrays) -> list[tuple[str, str]] | None:
-    """Pairs of DoF names, shape ``(p, 2)``; None where there are none in the file."""
-    if "pairs" not in arrays:
+def _elements(arrays: Arrays) -> Elements | None:
+    """Elements of stiffness and mass; None where there are none in the file."""
+    if not any(name in arrays for name in ELEMENTS):
         return None
-    shape, names = np.shape(arrays["pairs"]), _words(arrays, "pairs")
+    _need(arrays, ELEMENTS, "set of elements")
+    places = _pairs(arrays, ELEMENTS[2])
+    return Elements(*(_numbers(arrays, name) for name in ELEMENTS[:2]), places or ())
+
+
+def _pairs(arrays: Arrays, key: str) -> list[tuple[str, str]] | None:
+    """Pairs of DoF names, shape ``(p, 2)``; None where there are none in the file."""
+    if key not in arrays:
+        return None
+    shape, names = np.shape(arrays[key]), _words(arrays, key)
     if len(shape) != 2 or shape[1] != 2:
-        raise ValueError(f"pairs has shape {shape}; it needs (p, 2), two DoF names for each pair")
+        raise ValueError(f"{key} has shape {shape}; it needs (p, 2), two DoF names for each pair")
     return list(zip(names[::2], names[1::2], strict=True))
 
 

@@ -19,7 +19,8 @@ from modalax.files.matrix_files import kind_of, matrices_of
 from modalax.files.messages import about
 from modalax.files.nastran import Grid, read_grids, read_lines, read_punched_modes
 from modalax.model.assembly import modal_damping, reduce_to_modes
-from modalax.model.condense import Condensed, condense, node_pairs, rigid_motions
+from modalax.model.condense import Condensed, condense, follow, node_pairs, rigid_motions
+from modalax.model.elements import MOST_VALUES, Element, Elements, elements_of, factor_of
 from modalax.model.modal import ModalModel
 from modalax.model.structure import Structure
 
@@ -30,6 +31,7 @@ UNITS = {
     "ft-lbf": (0.3048, 4.4482216152605), "m-kgf": (1.0, 9.80665), "mm-kgf": (1e-3, 9.80665),
 }  # fmt: skip
 DENSE = 3000  # DoFs up to which matrices are condensed as they are
+DOUBLE = 15  # significant digits of a number in double precision
 MODES = 60  # modes kept of larger ones
 RIGID = 1e-4  # part of the first elastic eigenvalue below which a mode of a file counts as rigid
 
@@ -193,28 +195,75 @@ class _Import:
         return list(found)
 
     def _condensed(self, damping_ratio: float | None, up_to_hz: float | None, keep: Sequence[str]) -> Structure:
-        K = self.K.toarray()
-        small = condense(
-            self.M.toarray(), K, up_to_hz=up_to_hz, digits=self.digits, keep=[self.names.index(n) for n in keep]
-        )
-        self._tell(small)
+        K, M = self.K.toarray(), self.M.toarray()
+        parts, digits = self._elements(K), self.digits
+        if parts is not None:
+            K, digits = sum((_placed(p, len(K)) for p in parts), np.zeros_like(K)), DOUBLE
+        small = condense(M, K, up_to_hz=up_to_hz, digits=digits, keep=[self.names.index(n) for n in keep])
+        self._tell(small, digits)
         at = np.flatnonzero(small.kept)
         names = [self.names[k] for k in at]
         points = [str(p) for p, _ in self.dofs]
         ways = [DIRECTIONS[component - 1] if component else "" for _, component in self.dofs]
         pairs = [(self.names[a], self.names[b]) for a, b in node_pairs(K, points, ways, small.kept)]
         C = np.zeros_like(small.K) if self.C is None else self.C.toarray()[np.ix_(at, at)]
-        structure = Structure(small.M, C, small.K, names, pairs=pairs)
+        elements = None if parts is None else self._kept_elements(parts, K, M, small.kept)
+        structure = Structure(small.M, C, small.K, names, pairs=pairs, elements=elements)
         if self.C is None and damping_ratio:
             structure = modal_damping(structure, damping_ratio)
         return structure
 
-    def _tell(self, small: Condensed) -> None:
+    def _elements(self, K: np.ndarray) -> list[Element] | None:
+        """The model's elements where it is free or supported and made of beams, rods and springs; else None."""
+        if self.deck is None or any(p not in self.deck for p, _ in self.dofs):
+            return None
+        parts = elements_of(K, np.array([p for p, _ in self.dofs]), self._rigid())
+        if parts is None:
+            return None
+        supports = sum(len(p.nodes) == 1 for p in parts)
+        self.notes.append(
+            f"the stiffness parts into {len(parts) - supports} elements between two grid points"
+            + (f" and {supports} supports" if supports else "")
+            + "; their sum, free of the file's rounding, is used"
+        )
+        return parts
+
+    def _kept_elements(
+        self, parts: Sequence[Element], K: np.ndarray, M: np.ndarray, kept: np.ndarray
+    ) -> Elements | None:
+        """Elements and lumps of mass over the DoFs that are kept; None where the mass couples nodes."""
+        points = np.array([p for p, _ in self.dofs])
+        lumps = [np.flatnonzero(points == p) for p in dict.fromkeys(points.tolist())]
+        lumped = [d for d in lumps if M[np.ix_(d, d)].any()]
+        own = points[:, None] == points
+        if np.abs(np.where(own, 0.0, M)).max(initial=0.0) > 1e-9 * np.abs(M).max():
+            return None
+        if (len(parts) + len(lumped)) * int(kept.sum()) * 6 > MOST_VALUES:
+            return None
+        T = follow(K, kept)
+        stiffness = np.stack([T[p.dofs].T @ factor_of(p.matrix) for p in parts])
+        mass = np.stack([T[d].T @ factor_of(M[np.ix_(d, d)]) for d in lumped])
+        return Elements(stiffness, mass, [self._place(p, kept) for p in parts])
+
+    def _place(self, part: Element, kept: np.ndarray) -> tuple[str, str]:
+        """The two DoFs that an element couples most, of one direction and kept if it can be."""
+        points = np.array([self.dofs[d][0] for d in part.dofs])
+        ways = np.array([self.dofs[d][1] for d in part.dofs])
+        size = np.sqrt(np.maximum(np.diag(part.matrix), 1e-300))
+        worth = np.abs(part.matrix) / np.outer(size, size)
+        worth = worth * (1.0 + 10.0 * (ways[:, None] == ways)) * np.where(np.outer(*2 * [kept[part.dofs]]), 100.0, 1.0)
+        if len(part.nodes) == 2:
+            worth = np.where(points[:, None] != points, worth, -1.0)
+        a, b = np.unravel_index(int(np.argmax(worth)), worth.shape)
+        first, second = sorted((int(part.dofs[a]), int(part.dofs[b])))
+        return self.names[first], self.names[second]
+
+    def _tell(self, small: Condensed, digits: int) -> None:
         hertz = lambda square: np.sqrt(np.abs(square)) / (2 * np.pi)  # noqa: E731
         elastic = small.eigenvalue[small.rigid :]
         self.notes.append(
             f"{small.rigid} rigid-body modes (by the matrices at up to {hertz(small.rigid_eigenvalue):.3g} Hz, which "
-            f"their {self.digits} digits allow: {hertz(small.rounding):.3g} Hz), {len(elastic)} elastic modes from "
+            f"their {digits} digits allow: {hertz(small.rounding):.3g} Hz), {len(elastic)} elastic modes from "
             f"{hertz(elastic[0]):.6g} to {hertz(elastic[-1]):.6g} Hz"
         )
         worst = float((small.deviation[small.rigid :] / (2 * elastic)).max())
@@ -254,17 +303,29 @@ class _Import:
             return (
                 f"{len(missing)} points of the matrices are not in the deck (such as {missing[0]}); no rigid-body check"
             )
-        xyz = np.array([grid.xyz * self.length for grid in points if grid is not None])
-        axes = np.eye(3)[[max(component - 1, 0) % 3 for _, component in self.dofs]]
-        R = rigid_motions(xyz, axes, self.rotation)
+        R = self._rigid()
         force, size = np.abs(self.K @ R).max(), (abs(self.K) @ np.abs(R)).max()
         if force < 1e-6 * size:
             return f"rigid-body motions by the geometry cost no force (to {force / size:.1g}): the model is free"
         return f"rigid-body motions by the geometry cost force ({force / size:.1g} of what cancels): it is supported"
 
+    def _rigid(self) -> np.ndarray:
+        """Rigid-body motions about the origin; every point is in the deck."""
+        assert self.deck is not None
+        xyz = np.array([self.deck[p].xyz * self.length for p, _ in self.dofs])
+        axes = np.eye(3)[[max(component - 1, 0) % 3 for _, component in self.dofs]]
+        return rigid_motions(xyz, axes, self.rotation)
+
     def _geometry(self, elements: list[tuple[int, ...]]) -> Geometry:
         assert self.deck is not None
         return geometry_of(self.deck, elements, self.length)
+
+
+def _placed(part: Element, size: int) -> np.ndarray:
+    """A part over all DoFs."""
+    out = np.zeros((size, size))
+    out[np.ix_(part.dofs, part.dofs)] = part.matrix
+    return out
 
 
 def geometry_of(deck: dict[int, Grid], elements: Sequence[tuple[int, ...]], length: float) -> Geometry:

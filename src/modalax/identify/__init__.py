@@ -8,6 +8,7 @@ from modalax.identify.fdpi import NormalModes, fdpi, fdpi_normal_modes
 from modalax.identify.fit import Fit, fit
 from modalax.identify.lsce import lsce
 from modalax.identify.lscf import lscf
+from modalax.identify.over_amplitude import OverAmplitude, over_amplitude
 from modalax.identify.plscf import plscf
 from modalax.identify.refine import Refined, refine
 from modalax.identify.residues import residues
@@ -23,6 +24,7 @@ __all__ = [
     "DampingBias",
     "Fit",
     "NormalModes",
+    "OverAmplitude",
     "PoleTable",
     "Refined",
     "Selection",
@@ -39,6 +41,7 @@ __all__ = [
     "lscf",
     "missing_modes",
     "mode_scores",
+    "over_amplitude",
     "plscf",
     "predicted_damping_bias",
     "refine",

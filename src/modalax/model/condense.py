@@ -182,6 +182,17 @@ def _followed(M: np.ndarray, K: np.ndarray, ratio: float, keep: set[int]) -> tup
     return left, 0.5 * (m[at] + m[at].T), 0.5 * (k[at] + k[at].T)
 
 
+def follow(K: Float[np.ndarray, "m m"], kept: Bool[np.ndarray, " m"]) -> Float[np.ndarray, "m n"]:
+    """How all DoFs follow those kept, statically: 1 for these, :math:`-K_{cc}^{-1}K_{ca}` for the others."""
+    T = np.zeros((len(K), int(kept.sum())))
+    T[kept] = np.eye(T.shape[1])
+    if not kept.all():
+        size = np.sqrt(np.diag(K)[~kept])
+        inner = K[np.ix_(~kept, ~kept)] / np.outer(size, size)
+        T[~kept] = -scipy.linalg.solve(inner, K[np.ix_(~kept, kept)] / size[:, None], assume_a="pos") / size[:, None]
+    return T
+
+
 def _with_mass(M: np.ndarray, K: np.ndarray, ratio: float) -> np.ndarray:
     """The mass, with what puts directions that have all but none at the eigenvalue ``ratio``."""
     scale = np.sqrt(np.maximum(np.diag(M), 1e-300))

@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Complex, Float
 
 from modalax._numerics.checks import as_double, is_traced, require_finite
 from modalax.data.frf import DERIVATIVES, FRF, check_form, check_names, default_names
+from modalax.model.elements import Elements
 from modalax.model.modal import ModalModel, claimed_std, in_order
 from modalax.model.solve import receptance_along
 
@@ -35,6 +36,8 @@ class Structure(eqx.Module):
         where nothing is claimed.
     pairs
         Pairs of DoF names between which springs, dampers and joints may sit; None: those that K couples.
+    elements
+        The elements that the stiffness and mass are made of, where a finite-element model tells them; None: unknown.
     D
         Structural (hysteretic) damping [N/m], shape ``(n, n)``: the imaginary part of the stiffness for
         :math:`\omega > 0`; zero unless given.
@@ -48,6 +51,7 @@ class Structure(eqx.Module):
     D: Float[Array, "n n"]
     stiffness_std: Float[Array, ""] | None
     mass_std: Float[Array, ""] | None
+    elements: Elements | None
     dofs: tuple[str, ...] = eqx.field(static=True)
     pairs: tuple[tuple[str, str], ...] | None = eqx.field(static=True)
 
@@ -64,6 +68,7 @@ class Structure(eqx.Module):
         mass_std: Any = None,
         pairs: Sequence[Sequence[str]] | None = None,
         D: Any = None,
+        elements: Elements | None = None,
     ):
         self.M, self.C, self.K = (as_double(A, name) for A, name in ((M, "M"), (C, "C"), (K, "K")))
         self.D = jnp.zeros_like(self.K) if D is None else as_double(D, "D")
@@ -80,6 +85,9 @@ class Structure(eqx.Module):
         self.stiffness_std = None if stiffness_std is None else claimed_std(stiffness_std, "stiffness_std", 1)
         self.mass_std = None if mass_std is None else claimed_std(mass_std, "mass_std", 1)
         self.pairs = None if pairs is None else tuple(self._pair(pair) for pair in pairs)
+        if elements is not None and elements.stiffness.shape[1] != n:
+            raise ValueError(f"the elements are over {elements.stiffness.shape[1]} DoFs, the structure has {n}")
+        self.elements = elements
 
     def _pair(self, pair: Sequence[str]) -> tuple[str, str]:
         """Return a pair of two different DoFs of this structure; ``ValueError`` says what is wrong with any other."""
@@ -120,10 +128,11 @@ class Structure(eqx.Module):
         return self.dofs.index(dof)
 
     def replace(self, **changes: Any) -> "Structure":
-        """A copy with some attributes changed and everything checked again."""
+        """A copy with some attributes changed and everything checked again; other DoFs have no known elements."""
         fields = dict(
             M=self.M, C=self.C, K=self.K, D=self.D, dofs=self.dofs, frequency_std=self.frequency_std,
             damping_std=self.damping_std, stiffness_std=self.stiffness_std, mass_std=self.mass_std, pairs=self.pairs,
+            elements=self.elements if changes.get("dofs", self.dofs) == self.dofs else None,
         )  # fmt: skip
         return Structure(**{**fields, **changes})
 

@@ -157,7 +157,8 @@ POWER = {"K": 0, "C": 1, "M": 2}
 def pattern_slopes(t: Slopes, kind: str, patterns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Derivatives by the sizes of patterns, shape ``(p, n, n)``: of poles ``(k, p)``, of both shapes ``(k, p, o)``."""
     count, n = patterns.shape[:2]
-    moved = (patterns.reshape(-1, n) @ t.vectors.T).reshape(count, n, -1)  # (p, n, k)
+    flat = patterns.reshape(-1, n)  # real: two real products cost half of one complex one
+    moved = (flat @ t.vectors.real.T + 1j * (flat @ t.vectors.imag.T)).reshape(count, n, -1)  # (p, n, k)
     factor = t.poles ** POWER[kind]
     moved = moved.transpose(2, 1, 0)  # (k, n, p)
     own = np.matmul(t.vectors[:, None], moved)[:, 0]

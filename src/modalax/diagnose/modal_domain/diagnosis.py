@@ -182,7 +182,10 @@ def _parameters(c: Change, u: float, error: float) -> dict[str, Any]:
         return {}
     name, unit = UNITS[c.slug]
     factor = c.scale * (c.reference if c.pattern is not None else 1.0)
-    return {name: {"value": u * factor, "std": error * abs(factor), "unit": unit}}
+    told = {name: {"value": u * factor, "std": error * abs(factor), "unit": unit}}
+    if c.slug == "joint_stiffness" and c.pattern is not None:
+        told["relative_change"] = {"value": u * c.scale, "std": error * abs(c.scale), "unit": "-"}
+    return told
 
 
 def diagnose_modes(

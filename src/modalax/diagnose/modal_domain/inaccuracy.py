@@ -12,6 +12,7 @@ import numpy as np
 
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.elements import nodes_of, parts_of
+from modalax.diagnose.modal_domain.given_elements import mass_patterns, stiffness_patterns
 from modalax.model import Structure
 
 # Sizes where nothing is claimed, and the spread of their logarithms. Frequencies of finite-element models are off by
@@ -60,8 +61,11 @@ def inaccuracy_of(simulation: Structure, c: Coordinates, highest: float) -> Inac
     """Patterns of a structure whose band ends at ``highest`` [rad/s]."""
     M, K = np.asarray(simulation.M), np.asarray(simulation.K)
     nodes = nodes_of(simulation.dofs)
-    stiffness = np.stack([c.shapes[p.dofs].T @ p.matrix @ c.shapes[p.dofs] for p in parts_of(K, nodes)])
-    mass = np.stack([c.shapes[p.dofs].T @ p.matrix @ c.shapes[p.dofs] for p in parts_of(M, nodes, mass=True)])
+    stiffness, mass = stiffness_patterns(simulation, c), mass_patterns(simulation, c)
+    if stiffness is None:
+        stiffness = np.stack([c.shapes[p.dofs].T @ p.matrix @ c.shapes[p.dofs] for p in parts_of(K, nodes)])
+    if mass is None:
+        mass = np.stack([c.shapes[p.dofs].T @ p.matrix @ c.shapes[p.dofs] for p in parts_of(M, nodes, mass=True)])
     claims = {"stiffness": _claim(simulation, "stiffness_std"), "mass": _claim(simulation, "mass_std"),
               "damping": _claim(simulation, "damping_std")}  # fmt: skip
     frequency = _claim(simulation, "frequency_std")

@@ -8,6 +8,7 @@ import numpy as np
 from modalax.diagnose.modal_domain.causes import ALL, Change
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.elements import Nodes, nodes_of, parts_of
+from modalax.diagnose.modal_domain.given_elements import softened_elements
 from modalax.model import Structure
 
 COUPLED = 1e-6  # size of an element of K, relative to the diagonal, from which two DoFs are coupled
@@ -76,7 +77,9 @@ def _elements(simulation: Structure, c: Coordinates, nodes: Nodes) -> list[Chang
     """Whole elements softer or stiffer; told at the pair of DoFs that they couple most."""
     K = np.asarray(simulation.K)
     size = np.sqrt(np.maximum(np.diag(K), 1e-300))
-    out = []
+    out = softened_elements(simulation, c, JOINT)
+    if out:
+        return [replace(e, weight=SHARES["element"] / len(out)) for e in out]
     for part in (p for p in parts_of(K, nodes) if len(p.nodes) == 2 and len(p.dofs) > 2):
         a, b = (np.intersect1d(nodes.members[k], part.dofs) for k in part.nodes)
         if not len(a) or not len(b):
