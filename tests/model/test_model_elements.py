@@ -80,6 +80,7 @@ def test_a_structure_keeps_its_elements_in_a_file(tmp_path):
     np.testing.assert_array_equal(back.elements.stiffness, F)
     np.testing.assert_array_equal(back.elements.mass, G)
     assert structure.replace(C=K).elements is told
+    assert structure.replace(K=2 * K).elements is None
     assert structure.replace(dofs=list("wxyz")).elements is None
 
 

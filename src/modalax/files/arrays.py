@@ -256,7 +256,8 @@ def _elements(arrays: Arrays) -> Elements | None:
         return None
     _need(arrays, ELEMENTS, "set of elements")
     places = _pairs(arrays, ELEMENTS[2])
-    return Elements(*(_numbers(arrays, name) for name in ELEMENTS[:2]), places or ())
+    stiffness, mass = (_numbers(arrays, name) for name in ELEMENTS[:2])
+    return Elements(stiffness, mass, places or ())
 
 
 def _pairs(arrays: Arrays, key: str) -> list[tuple[str, str]] | None:

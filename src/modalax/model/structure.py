@@ -128,11 +128,11 @@ class Structure(eqx.Module):
         return self.dofs.index(dof)
 
     def replace(self, **changes: Any) -> "Structure":
-        """A copy with some attributes changed and everything checked again; other DoFs have no known elements."""
+        """A copy with some attributes changed and checked again; other DoFs, M or K have no known elements."""
         fields = dict(
             M=self.M, C=self.C, K=self.K, D=self.D, dofs=self.dofs, frequency_std=self.frequency_std,
             damping_std=self.damping_std, stiffness_std=self.stiffness_std, mass_std=self.mass_std, pairs=self.pairs,
-            elements=self.elements if changes.get("dofs", self.dofs) == self.dofs else None,
+            elements=None if changes.keys() & {"dofs", "M", "K"} else self.elements,
         )  # fmt: skip
         return Structure(**{**fields, **changes})
 
