@@ -1,5 +1,6 @@
 """The command line: what it refuses and how it says so, conversion, simulation, quick help."""
 
+import importlib
 import json
 import os
 import re
@@ -338,3 +339,25 @@ def test_a_warning_becomes_a_note(files, tmp_path, capsys):
     lines = capsys.readouterr().err.splitlines()
     assert lines[0].startswith("note: ") and "turned.npz" in lines[0] and "conjugat" in lines[0]
     np.testing.assert_allclose(load(tmp_path / "right.npz").H, measured.H)
+
+
+def test_without_plotly_a_demo_says_so_first_and_goes_on(monkeypatch, tmp_path, capsys):
+    """No report is promised, none is written, and no other work is left out."""
+    demo, done = importlib.import_module("modalax.cli.demo"), []
+    monkeypatch.setattr(demo, "can_report", lambda: False)
+    for name in ("identify_story", "diagnosis_story"):
+        monkeypatch.setattr(demo, name, lambda console, out, *told: done.append(told) or [])
+    assert main(["demo", "--out", str(tmp_path / "out")]) == 0
+    printed = capsys.readouterr()
+    assert printed.err.startswith("no report is written") and "modalax[report]" in printed.err
+    assert len(done) == 3 and "Report" not in printed.out and not (tmp_path / "out" / "report.html").exists()
+
+
+@pytest.mark.parametrize("command", ["fit", "check", "diagnose"])
+def test_without_plotly_a_report_is_refused_before_any_work(monkeypatch, tmp_path, capsys, command):
+    monkeypatch.setattr("modalax.cli.common.can_report", lambda: False)
+    save(five_dof(), tmp_path / "sim.npz")
+    arguments = [command, str(tmp_path / "sim.npz"), "--report", str(tmp_path / "r.html")]
+    arguments += ["--simulation", str(tmp_path / "sim.npz")] if command == "diagnose" else []
+    assert main(arguments) == 2
+    assert "r.html cannot be written: a report needs plotly and jinja2" in capsys.readouterr().err

@@ -1,5 +1,8 @@
 """Mode shapes on a geometry, still and moving."""
 
+import base64
+import json
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -55,21 +58,21 @@ def test_several_shapes_side_by_side(beam):
     assert [ax.get_title() for ax in fig.axes] == list("abcde")
 
 
-def test_shapes_of_a_report_stand_where_those_of_a_picture_do(beam):
-    """Rest and displaced points of the lines, with a gap between two pieces; turned and scaled as in a picture."""
-    pytest.importorskip("plotly")
-    from modalax.show.report.plots import shape_plot_3d
+def test_shapes_of_a_report_move_as_those_of_a_picture_do(beam):
+    """Displacements in phase, the largest 1, as single-precision pairs; and nothing that ends the script."""
+    from modalax.show.report.moving import shapes_on
 
     dofs, shape = [f"{k}:+Z" for k in range(5)], np.array([0, 1.0, 2.0, 1.0, 0]) * np.exp(0.4j)
-    plot = shape_plot_3d(beam, dofs, [shape, shape], [12.0, 30.0])
-    assert [label for label, _ in plot.figures] == ["1: 12 Hz", "2: 30 Hz"]
-    rest, moved = plot.figures[0][1].data
-    assert len(rest.x) == 3 * 4 and np.isnan(rest.x[2::3]).all()
-    ends = np.delete(np.arange(12), np.arange(2, 12, 3))
-    node = np.array([0, 1, 1, 2, 2, 3, 3, 4])
-    np.testing.assert_allclose(np.asarray(rest.x)[ends], np.asarray(beam.xyz)[node, 0], atol=1e-6)
-    lifted = np.abs(np.asarray(moved.z)[ends])
-    np.testing.assert_allclose(lifted, LARGEST * 2.0 * np.array([0, 1, 2, 1, 0])[node] / 2, atol=1e-6)
+    part = shapes_on(beam, dofs, [shape, 2j * shape], [12.0, 30.0])
+    drawn = json.loads(part.json())
+    assert [m["label"] for m in drawn["modes"]] == ["1: 12 Hz", "2: 30 Hz"] and "<" not in part.json()
+    np.testing.assert_allclose(drawn["xyz"], beam.xyz, atol=1e-6)
+    assert len(drawn["pieces"]) == 4
+    for mode in drawn["modes"]:
+        u = np.frombuffer(base64.b64decode(mode["u"]), "<f4").reshape(5, 3, 2)
+        np.testing.assert_allclose(np.abs(u[:, 2, 0]), [0, 0.5, 1, 0.5, 0], atol=1e-6)
+        np.testing.assert_allclose(u[:, :2], 0, atol=1e-12)
+        np.testing.assert_allclose(u[:, 2, 1], 0, atol=1e-6)
 
 
 def test_shapes_run_along_the_side_with_more_dofs_that_move_nodes(beam):

@@ -146,6 +146,27 @@ def test_refinement_gives_standard_deviations_and_comes_nearer(session):
     assert session.state.refined is None
 
 
+def test_modes_that_change_places_in_the_refinement_take_their_names_along(session, monkeypatch):
+    """The second of two refinements starts from the poles in their new order."""
+    from modalax.view import session as module
+
+    calls = []
+
+    def exchanged(frf, poles, tell, refined):
+        calls.append(poles)
+        shift = np.array([0, 60j, -60j, 0, 0]) if len(calls) == 1 else 0
+        return fit_chosen(frf, poles + shift, tell, False)[0], object.__new__(module.Refined)
+
+    fit_chosen = module.fit_chosen
+    monkeypatch.setattr(module, "fit_chosen", exchanged)
+    session.name(2, "second")
+    first = session.poles
+    assert abs(first[1] + 60j) > abs(first[2] - 60j)
+    session.refine()
+    assert len(calls) == 2 and [p.name for p in session.state.picks] == ["", "", "second", "", ""]
+    assert (np.diff(frequencies(session)) > 0).all()
+
+
 def test_nothing_picked_is_told(session):
     session.clear()
     for step in (session.refine, session.fit, session.model):

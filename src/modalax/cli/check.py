@@ -11,6 +11,7 @@ from modalax.cli.common import (
     ReportOption,
     check_free,
     note,
+    require_report,
     start,
     working,
     write_json,
@@ -28,6 +29,7 @@ def check(
 ) -> None:
     """Find what is wrong with a measurement: channels, hits, records, noise, reciprocity and form."""
     check_free(json, report, overwrite=overwrite, inputs=[data])
+    require_report(report)
     if not data.exists():
         raise FileNotFoundError(f"{data}: no such file")
     start()

@@ -146,6 +146,28 @@ def write_json(path: Path, value: Any) -> None:
     write_text(path, json_text(value))
 
 
+def require_report(report: Path | None) -> None:
+    """Refuse a report before any work is done if plotly or jinja2, which write it, are not installed.
+
+    Raises
+    ------
+    ImportError
+        Naming what to install.
+    """
+    if report is not None and not can_report():
+        raise ImportError(
+            f"{report} cannot be written: a report needs plotly and jinja2; install them by: "
+            "pip install 'modalax[report]'"
+        )
+
+
+def can_report() -> bool:
+    """Whether the packages that write a report are installed."""
+    from importlib.util import find_spec
+
+    return all(find_spec(name) is not None for name in ("plotly", "jinja2"))
+
+
 @contextmanager
 def working(what: str) -> Iterator[Callable[[str], None]]:
     """Show progress on stderr: a spinner on a terminal, lines elsewhere.

@@ -6,7 +6,16 @@ from typing import Annotated, Any
 
 import typer
 
-from modalax.cli.common import OverwriteOption, check_folder, free_folder, note, start, working, write_json
+from modalax.cli.common import (
+    OverwriteOption,
+    can_report,
+    check_folder,
+    free_folder,
+    note,
+    start,
+    working,
+    write_json,
+)
 
 NOISE = 0.15
 DEFAULT = Path("modalax-demo")
@@ -25,6 +34,9 @@ def demo(
         note(f"{DEFAULT} exists already; writing to {out}")
     out = DEFAULT if out is None else out
     check_folder(out, overwrite)
+    report = can_report()
+    if not report:
+        note("no report is written: that needs plotly and jinja2, which pip install 'modalax[report]' brings")
     begin = time.perf_counter()
     start()
     from rich.console import Console
@@ -32,25 +44,28 @@ def demo(
     from modalax.cli.virtual import hidden_joint, random_effect
     from modalax.files.write import write_text
     from modalax.model.examples import five_dof
-    from modalax.show.report import Page
 
     console = Console()
     out.mkdir(parents=True, exist_ok=True)
-    sections = identify_story(console, out, seed)
+    sections = identify_story(console, out, seed, report)
     joint, law = hidden_joint()
-    sections += diagnosis_story(console, out, "2", "A hidden joint", joint, seed + 1, law)
+    sections += diagnosis_story(console, out, "2", "A hidden joint", joint, seed + 1, report, law)
     sections += diagnosis_story(
-        console, out, "3", "A randomly chosen hidden effect", random_effect(seed, five_dof().dofs), seed + 2
+        console, out, "3", "A randomly chosen hidden effect", random_effect(seed, five_dof().dofs), seed + 2, report
     )
-    page = Page("modalax demo", "Five degrees of freedom, measured virtually, so that the truth is known", (), sections)
-    write_text(out / "report.html", page.html())
+    if report:
+        from modalax.show.report import Page
+
+        words = "Five degrees of freedom, measured virtually, so that the truth is known"
+        write_text(out / "report.html", Page("modalax demo", words, (), sections).html())
     note(f"done in {time.perf_counter() - begin:.0f} s")
     print(f"Pictures and results: {out.absolute()}")
-    print(f"Report, opens in any browser: {(out / 'report.html').absolute()}")
+    if report:
+        print(f"Report, opens in any browser: {(out / 'report.html').absolute()}")
 
 
-def identify_story(console: Any, out: Path, seed: int) -> list[Any]:
-    """Part 1: modes with standard deviations from noisy FRFs, beside the true modes."""
+def identify_story(console: Any, out: Path, seed: int, report: bool) -> list[Any]:
+    """Part 1: modes with standard deviations from noisy FRFs, beside the true modes; its sections for a report."""
     import jax
     import numpy as np
 
@@ -58,7 +73,6 @@ def identify_story(console: Any, out: Path, seed: int) -> list[Any]:
     from modalax.identify import fit as identify
     from modalax.model.examples import five_dof
     from modalax.show import save_fit_pictures
-    from modalax.show.report.fit import fit_sections
 
     structure = five_dof()
     truth = structure.modal()
@@ -72,11 +86,15 @@ def identify_story(console: Any, out: Path, seed: int) -> list[Any]:
     with working("Drawing"):
         save_fit_pictures(fit, out, truth=known)
         write_json(out / "modes.json", answer)
+    if not report:
+        return []
+    from modalax.show.report.fit import fit_sections
+
     return numbered("1", fit_sections(fit, answer["modes"], known))
 
 
 def diagnosis_story(
-    console: Any, out: Path, number: str, title: str, hidden: Any, seed: int, joint: Any = None
+    console: Any, out: Path, number: str, title: str, hidden: Any, seed: int, report: bool, joint: Any = None
 ) -> list[Any]:
     """Parts 2 and 3: a virtual test of a structure that differs from its simulation, and what the diagnosis finds."""
     from modalax.cli.tables import print_diagnosis
@@ -85,8 +103,6 @@ def diagnosis_story(
     from modalax.model.examples import five_dof
     from modalax.show.diagnosis import diagnosis_pictures
     from modalax.show.fit import save_pictures
-    from modalax.show.report import Section
-    from modalax.show.report.diagnosis import diagnosis_sections
 
     levels = ", ".join(f"{force:g}" for force in LEVELS)
     console.rule(f"{number}. {title}: a test at {levels} N against the simulation", align="left")
@@ -101,6 +117,11 @@ def diagnosis_story(
         pictures = diagnosis_pictures(diagnosis)
         save_pictures({f"diagnosis{number}_{name}": figure for name, figure in pictures.items()}, out)
         write_json(out / f"diagnosis{number}.json", answer)
+    if not report:
+        return []
+    from modalax.show.report import Section
+    from modalax.show.report.diagnosis import diagnosis_sections
+
     story = Section("Hidden effect", [f"The structure tested differs from the simulation by this: {hidden}."])
     return numbered(number, [story, *diagnosis_sections(diagnosis, answer)])
 

@@ -18,6 +18,7 @@ from modalax.cli.common import (
     note,
     read_measurement,
     read_simulation,
+    require_report,
     start,
     working,
     write_json,
@@ -92,6 +93,7 @@ def diagnose(
     if time <= 0:
         raise ValueError(f"--time is {time:g} s; it must be above zero")
     check_free(json, report, save, overwrite=overwrite, inputs=[data, simulation])
+    require_report(report)
     check_folder(out, overwrite, inputs=[data, simulation])
     check_readable(data, simulation)
     start()

@@ -18,6 +18,7 @@ from modalax.cli.common import (
     check_readable,
     note,
     read_measurement,
+    require_report,
     start,
     working,
     write_json,
@@ -107,6 +108,7 @@ def fit(
 ) -> None:
     """Identify the modes of measured FRFs: frequency, damping and shape, with standard deviations."""
     check_free(json, report, modes, overwrite=overwrite, inputs=[data, geometry])
+    require_report(report)
     check_folder(out, overwrite, inputs=[data, geometry])
     check_readable(data)
     start()

@@ -24,6 +24,7 @@ from modalax.show.style import (
 )
 
 Predicts = FRF | ModalModel | Structure
+FINE = 8  # Points of a fitted Nyquist circle for each line measured.
 
 
 def synthesised(measured: FRF, fitted: Predicts) -> np.ndarray:
@@ -98,7 +99,7 @@ def plot_frf(
             phase.tick_params(labelbottom=False)
         top.tick_params(labelbottom=False)
         frequency_axis(last, freq)
-        _nyquist(fig.add_subplot(grid[:, 1]), one, model, label)
+        _nyquist(fig.add_subplot(grid[:, 1]), one, None if fitted is None else _fine(one, fitted), label)
         fig.suptitle(f"FRF from {name_text(one.inputs[0])} to {name_text(one.outputs[0])}")
     return fig
 
@@ -209,6 +210,16 @@ def draw_phase(ax: Axes, freq: Any, values: Any, **style: Any) -> None:
     ax.plot(freq, angle, **style)
     ax.set_yticks([-180, -90, 0, 90, 180])
     ax.set_ylim(-200, 200)
+
+
+def _fine(one: FRF, fitted: Predicts) -> np.ndarray:
+    """Values of a model for a smooth circle: at ``FINE`` lines for each one measured; an FRF has those it has."""
+    if isinstance(fitted, FRF):
+        return synthesised(one, fitted)[:, 0, 0]
+    freq = np.asarray(one.freq)
+    between = np.interp(np.arange(FINE * (len(freq) - 1) + 1) / FINE, np.arange(len(freq)), freq)
+    predicted = fitted.frf(between, form=one.form, outputs=one.outputs, inputs=one.inputs)
+    return np.asarray(predicted.H)[:, 0, 0]
 
 
 def _nyquist(ax: Axes, one: FRF, model: np.ndarray | None, label: str) -> None:

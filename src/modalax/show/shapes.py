@@ -76,7 +76,7 @@ def animate_shape(
     geometry: Geometry,
     dofs: Sequence[str],
     shape: Any,
-    path: Path,
+    path: Path | str,
     *,
     title: str = "",
     frames: int = 24,
@@ -90,6 +90,7 @@ def animate_shape(
     ValueError
         If the file is not to be a GIF, or has fewer than 2 frames.
     """
+    path = Path(path)
     if path.suffix.lower() != ".gif":
         raise ValueError(f"{path.name}: animations are written as .gif")
     if frames < 2:

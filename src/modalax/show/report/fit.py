@@ -10,8 +10,9 @@ from modalax.data.geometry import Geometry
 from modalax.identify.summary import BIAS, GRADE
 from modalax.model.indicators import auto_mac
 from modalax.show.matrices import mode_names
+from modalax.show.report.moving import shapes_on
 from modalax.show.report.page import Page, Section, Table
-from modalax.show.report.plots import frf_plot, mac_plot, modes_plot, shape_plot, shape_plot_3d, stabilization_plot
+from modalax.show.report.plots import frf_plot, mac_plot, modes_plot, shape_plot, stabilization_plot
 from modalax.show.shapes import along
 
 
@@ -80,7 +81,7 @@ def fit_sections(
     shapes: list[Any] = [shape_plot(psi, seen.outputs, frequency)]
     dofs, moved = ([], psi) if geometry is None else along(geometry, model)
     if geometry is not None and dofs:
-        shapes.insert(0, shape_plot_3d(geometry, dofs, moved[inside], frequency))
+        shapes.insert(0, shapes_on(geometry, dofs, moved[inside], frequency))
     if len(seen.outputs) > 1 and len(modes) > 1:
         names = mode_names(frequency)
         shapes.append(mac_plot(auto_mac(psi), names, names, "Auto-MAC of the mode shapes."))

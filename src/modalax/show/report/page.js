@@ -78,6 +78,42 @@
     if (act) { event.preventDefault(); act(); }
   }
 
+  // Mode shapes: one that moves on screen, all of them side by side on paper.
+  function numbers(text) {
+    return Array.from(new Float32Array(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer));
+  }
+  function shapeColours() {
+    const c = colours();
+    return {ink: c.ink, quiet: c.ink, line: dark.matches && !printing ? "#5b6673" : "#b4bcc5", ground: c.ground};
+  }
+  const moving = Array.from(document.querySelectorAll("figure.moving")).map(function (figure) {
+    const drawn = JSON.parse(document.getElementById(figure.dataset.source).textContent);
+    const shape = ModalShape(figure.querySelector("canvas"), drawn, shapeColours);
+    const select = figure.querySelector("select"), button = figure.querySelector("button");
+    const show = () => shape.show(numbers(drawn.modes[Number(select.value)].u));
+    select.addEventListener("change", show);
+    button.addEventListener("click", function () {
+      if (shape.playing()) shape.still(); else shape.play(true);
+      button.textContent = shape.playing() ? "Stop" : "Move";
+    });
+    show();
+    return {
+      draw: shape.draw,
+      toPaper: function () {
+        const paper = figure.querySelector(".paper");
+        paper.replaceChildren(...drawn.modes.map(function (mode) {
+          const part = document.createElement("div"), canvas = document.createElement("canvas");
+          part.append(mode.label, canvas);
+          return part;
+        }));
+        drawn.modes.forEach(function (mode, k) {
+          ModalShape(paper.children[k].querySelector("canvas"), drawn, shapeColours).show(numbers(mode.u));
+        });
+      },
+      fromPaper: () => figure.querySelector(".paper").replaceChildren(),
+    };
+  });
+
   for (const div of plots) {
     div.choices = JSON.parse(document.getElementById(div.dataset.source).textContent);
     div.addEventListener("keydown", onKey);
@@ -86,11 +122,16 @@
   for (const select of document.querySelectorAll("select[data-for]")) {
     select.addEventListener("change", function () { draw(document.getElementById(select.dataset.for)); });
   }
-  dark.addEventListener("change", function () { plots.forEach(draw); });
+  dark.addEventListener("change", function () { plots.forEach(draw); moving.forEach((m) => m.draw()); });
   window.addEventListener("beforeprint", function () {
     printing = true;
     plots.forEach(function (div) { draw(div); Plotly.Plots.resize(div); });
+    moving.forEach(function (m) { m.toPaper(); });
   });
-  window.addEventListener("afterprint", function () { printing = false; plots.forEach(draw); });
+  window.addEventListener("afterprint", function () {
+    printing = false;
+    plots.forEach(draw);
+    moving.forEach(function (m) { m.fromPaper(); m.draw(); });
+  });
   document.documentElement.dataset.ready = "yes";
 })();

@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from modalax.show.report.moving import Shapes
+
 HERE = Path(__file__).parent
 NEEDS = "a report needs plotly and jinja2; install them by: pip install 'modalax[report]'"
 
@@ -40,7 +42,7 @@ class Section:
 
     title: str
     text: Sequence[str] = ()
-    parts: Sequence[Table | Plot] = ()
+    parts: Sequence[Table | Plot | Shapes] = ()
 
 
 @dataclass(frozen=True)
@@ -70,13 +72,14 @@ class Page:
             loader=jinja2.FileSystemLoader(HERE), autoescape=True, undefined=jinja2.StrictUndefined
         )
         environment.tests["table"] = lambda part: isinstance(part, Table)
+        environment.tests["moving"] = lambda part: isinstance(part, Shapes)
         environment.filters["figure_json"] = figure_json
         return environment.get_template("page.html.j2").render(
             page=self,
             # Files of this package and of plotly, not data: they go in as they are.
             plotly=_in_script(plotly),
             css=(HERE / "page.css").read_text(encoding="utf-8"),
-            script=(HERE / "page.js").read_text(encoding="utf-8"),
+            script=shape_script() + (HERE / "page.js").read_text(encoding="utf-8"),
         )
 
 

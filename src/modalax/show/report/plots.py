@@ -7,19 +7,19 @@ from typing import Any
 import numpy as np
 
 from modalax.data.frf import FRF
-from modalax.data.geometry import Geometry
 from modalax.identify.tables import PoleTable
 from modalax.model.indicators import cmif, sum_frf
 from modalax.show.frf import Predicts, synthesised
 from modalax.show.report.page import NEEDS, Plot
 from modalax.show.residuals import bin_lines
-from modalax.show.shapes import LARGEST, moving
 from modalax.show.stabilization import KINDS, Flags, pole_kinds
 from modalax.show.style import FREQUENCY, GREEN, GREY, ORANGE, frf_label
 
 BLUE = "#2e8bcc"  # Lighter than in print, so that it is seen on dark ground too.
 SYMBOLS = {".": "circle", "x": "x-thin-open", "d": "diamond", "o": "circle"}
 BUDGET = 2.5e6  # Bytes for the FRFs of all channels; the whole file has to stay easy to send.
+MAC_COLOURS = [[0, "#f3f7fb"], [0.5, "#6baed6"], [1, "#08306b"]]
+NUMBERED = 225  # Fields of a matrix up to which each holds its number.
 MOST_LINES = 6000  # Frequency lines of a curve; of more the peaks are kept.
 
 
@@ -124,7 +124,7 @@ def _frf_figure(freq: np.ndarray, curves: tuple[np.ndarray, Any, Any], form: str
     if model is not None:
         add(np.abs(model), name, 1, line={"width": 1.8, "color": ORANGE})
         add(np.abs(H - model), f"|measured - {name}|", 1, line={"width": 1, "color": BLUE})
-        add(np.degrees(np.angle(model)), name, 2, line={"width": 1.4, "color": ORANGE}, showlegend=False)
+        add(phase_line(model), name, 2, line={"width": 1.4, "color": ORANGE}, showlegend=False)
     if sigma is not None:
         add(sigma, "noise, 1 standard deviation", 1, line={"width": 1, "color": GREY, "dash": "dash"})
     fig.update_yaxes(type="log", title=frf_label(form), row=1, col=1)
@@ -132,10 +132,24 @@ def _frf_figure(freq: np.ndarray, curves: tuple[np.ndarray, Any, Any], form: str
     return fig
 
 
+def phase_line(values: np.ndarray) -> np.ndarray:
+    """Phase [degrees] for a line, broken where it passes 180 degrees: a jump there would be none of the phase."""
+    angle = np.degrees(np.angle(values))
+    angle[1:][np.abs(np.diff(angle)) > 180] = np.nan
+    return angle
+
+
 def _phase_below(fig: Any, freq: Any) -> None:
     fig.update_yaxes(title="Phase [°]", tickvals=[-180, -90, 0, 90, 180], range=[-190, 190], row=2, col=1)
     fig.update_xaxes(title=FREQUENCY, row=2, col=1)
     fig.update_xaxes(range=[float(freq[0]), float(freq[-1])])
+
+
+def decades(curves: Sequence[np.ndarray]) -> dict[str, Any]:
+    """A logarithmic axis with ticks at powers of ten, or at 1, 2 and 5 times them where there are few."""
+    values = np.concatenate([c[c > 0] for c in curves])
+    span = np.log10(values.max() / values.min()) if values.size else 0.0
+    return {"type": "log", "exponentformat": "power", "dtick": 1 if span > 1.7 else "D2"}
 
 
 def stabilization_plot(table: PoleTable, stability: Flags | None, frf: FRF, selected_hz: Any) -> Plot:
@@ -174,10 +188,14 @@ def stabilization_plot(table: PoleTable, stability: Flags | None, frf: FRF, sele
     for f in np.atleast_1d(np.asarray(selected_hz)):
         fig.add_vline(x=float(f), line={"color": ORANGE, "width": 1, "dash": "dash"}, layer="below")
     fig.update_layout(
-        yaxis={"title": {"text": "Model order"}},
+        yaxis={
+            "title": {"text": "Model order"}, "tickformat": "d",
+            "range": [min(table.orders) - 1.5, max(table.orders) + 1.5],
+        },
         yaxis2={
-            "title": {"text": frf_label(frf.form, "Sum FRF")}, "type": "log", "overlaying": "y", "side": "right",
-            "showgrid": False, "exponentformat": "power", "zeroline": False,
+            "title": {"text": frf_label(frf.form, "Sum FRF, √CMIF" if len(curves) > 1 else "Sum FRF")},
+            "overlaying": "y", "side": "right", "showgrid": False, "zeroline": False, "showline": True,
+            "ticks": "outside", **decades([values for _, values, _ in curves]),
         },
     )  # fmt: skip
     fig.update_layout(margin={"r": 80})
@@ -231,39 +249,6 @@ def shape_plot(shapes: Any, outputs: Sequence[str], frequency_hz: Any) -> Plot:
     return Plot(figures, "Mode shapes, each scaled to its largest component.", "Bars of the shape components.", "Mode")
 
 
-def shape_plot_3d(geometry: Geometry, dofs: Sequence[str], shapes: Any, frequency_hz: Any) -> Plot:
-    """Mode shapes, ``(mode, dof)``, on the geometry: at rest in grey, displaced coloured by how far, one at a time."""
-    go = graph_objects()
-    xyz, pieces = np.asarray(geometry.xyz), geometry.segments
-    size = float(np.ptp(xyz, axis=0).max()) or 1.0
-    # One trace for all lines: a missing point between two pieces lifts the pen.
-    order = np.concatenate([np.append(piece, -1) for piece in pieces]) if len(pieces) else np.arange(len(xyz))
-    figures = []
-    for k, (shape, f) in enumerate(zip(np.asarray(shapes), np.asarray(frequency_hz), strict=True)):
-        u = np.real(moving(geometry, dofs, shape))
-        u = u / (np.linalg.norm(u, axis=1).max() or 1.0)
-        fig = go.Figure()
-        for points, colour, name, width in (
-            (xyz, GREY, "at rest", 2), (xyz + LARGEST * size * u, np.linalg.norm(u, axis=1), "displaced", 4),
-        ):  # fmt: skip
-            x, y, z = np.where(order[:, None] < 0, np.nan, points[order]).round(6).T
-            tint = {"color": colour if isinstance(colour, str) else colour[order].round(4), "colorscale": "Viridis"}
-            mode = "lines+markers" if len(pieces) else "markers"
-            fig.add_trace(
-                go.Scatter3d(
-                    x=x, y=y, z=z, mode=mode, name=name, line={**tint, "width": width}, marker={**tint, "size": 2.5},
-                    text=[escape(geometry.nodes[n]) if n >= 0 else "" for n in order], hoverinfo="text",
-                )
-            )  # fmt: skip
-        axes = {f"{a}axis": {"title": f"{a} [m]"} for a in "xyz"}
-        fig.update_layout(
-            template="none", scene={"aspectmode": "data", **axes}, margin={"l": 0, "r": 0, "t": 30, "b": 0}
-        )
-        figures.append((f"{k + 1}: {f:.5g} Hz", fig))
-    words = "Mode shapes at the instant of largest displacement, enlarged; drag to turn."
-    return Plot(figures, words, "Mode shapes on the geometry.", "Mode", height=520)
-
-
 def mac_plot(matrix: Any, rows: Sequence[str], columns: Sequence[str], caption: str) -> Plot:
     """A matrix of modal assurance criteria."""
     go = graph_objects()
@@ -271,7 +256,8 @@ def mac_plot(matrix: Any, rows: Sequence[str], columns: Sequence[str], caption: 
     fig.add_trace(
         go.Heatmap(
             z=np.asarray(matrix, np.float32), x=[escape(c) for c in columns], y=[escape(r) for r in rows], zmin=0,
-            zmax=1, colorscale="Blues", reversescale=False, colorbar={"title": {"text": "MAC [-]"}},
+            zmax=1, colorscale=MAC_COLOURS, colorbar={"title": {"text": "MAC [-]"}}, xgap=1, ygap=1,
+            texttemplate="%{z:.2f}" if len(rows) * len(columns) <= NUMBERED else "", textfont={"size": 11},
             hovertemplate="%{y} and %{x}: %{z:.3f}<extra></extra>",
         )
     )  # fmt: skip
@@ -350,7 +336,8 @@ def comparison_plot(
             curves.append(("extended simulation", extended, {"mode": "lines", "line": {"color": ORANGE, "width": 1.6}}))
         for name, values, style in curves:
             value = np.asarray(values)[r, :, o, i]
-            for row, y in ((1, np.abs(value)), (2, np.degrees(np.angle(value)))):
+            phase = phase_line(value) if style["mode"] == "lines" else np.degrees(np.angle(value))
+            for row, y in ((1, np.abs(value)), (2, phase)):
                 trace = go.Scatter(y=y.astype(np.float32), name=name, showlegend=row == 1, **axis, **style)
                 fig.add_trace(trace, row=row, col=1)
         fig.update_yaxes(type="log", title=frf_label(form), row=1, col=1)
