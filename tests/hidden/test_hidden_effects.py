@@ -23,7 +23,9 @@ WHOLE = ["added_mass", "missing_mode", "channel_gain", "cubic_stiffness"]
 ALIKE = {
     ("joint_stiffness", "beam"): LocalCause, ("local_damper", "chain"): LocalCause,
     ("channel_swap", "chain"): ChannelCause, ("mains_hum", "chain"): LinesCause | ModesCause,
-    ("time_varying", "chain"): ModesCause | DriftingSpring,
+    ("time_varying", "chain"): ModesCause | DriftingSpring, ("force_gain", "chain"): ChannelCause,
+    ("crosstalk", "chain"): ChannelCause, ("hysteretic_joint", "chain"): LocalCause,
+    ("fractional_joint", "chain"): LocalCause,
 }  # fmt: skip
 # and these among the whole catalogue in the longer draw.
 LONG = [
@@ -35,7 +37,8 @@ LONG = [
         ("modal_damping", "beam"), ("tuned_mass", "chain"), ("sensor_mass", "other chain"), ("time_delay", "beam"),
         ("exponential_window", "chain"), ("fast_sweep", "other chain"), ("leakage", "chain"), ("gap", "beam"),
         ("elasto_slip", "chain"), ("coulomb_friction", "other chain"), ("quadratic_damping", "beam"),
-        ("force_dropout", "other chain"), ("added_mass", "beam"), ("units", "chain"),
+        ("force_dropout", "other chain"), ("added_mass", "beam"), ("units", "chain"), ("force_gain", "beam"),
+        ("crosstalk", "beam"), ("hysteretic_joint", "other chain"), ("fractional_joint", "beam"),
     ]),
 ]  # fmt: skip
 
@@ -97,7 +100,7 @@ def test_nothing_is_found_where_nothing_is_wrong(variance, tmp_path):
 
 
 def test_a_cause_that_no_catalogue_holds_gets_no_confident_name(tmp_path):
-    said = answer(draw(100, "outside:crosstalk", "chain"), tmp_path)
+    said = answer(draw(100, "outside:stray_force", "chain"), tmp_path)
     assert said["verdict"] in ("unknown", "ambiguous")
 
 

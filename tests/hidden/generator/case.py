@@ -12,12 +12,13 @@ from .effects_channel import CHANNEL
 from .effects_joint import JOINTS
 from .effects_linear import LINEAR
 from .effects_outside import OUTSIDE
+from .effects_viscoelastic import VISCOELASTIC
 from .noise import KINDS, VARIANCES, Yardstick, add_noise, draw_sigma, stated_variance
 from .rivals import confusion, shares
 from .systems import System, draw_system, elastic_frequencies, log_uniform, modal_matrix
 
-EFFECTS = {**LINEAR, **CHANNEL, **JOINTS, **OUTSIDE}
-CATALOGUE = (*LINEAR, *CHANNEL, *JOINTS)
+EFFECTS = {**LINEAR, **CHANNEL, **JOINTS, **VISCOELASTIC, **OUTSIDE}
+CATALOGUE = (*LINEAR, *CHANNEL, *JOINTS, *VISCOELASTIC)
 OUTSIDE_CATALOGUE = tuple(OUTSIDE)
 SIZES = (0.0, 3.0, 5.0, 8.0, 12.0, 20.0, 30.0, 50.0)
 NEEDS_LEVELS = (

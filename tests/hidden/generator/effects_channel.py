@@ -148,6 +148,29 @@ def force_dropout(setup: Setup, rng) -> Effect:
     )  # fmt: skip
 
 
+def crosstalk(setup: Setup, rng) -> Effect:
+    """A share of one channel leaks into another."""
+    o, p = (int(k) for k in rng.choice(len(setup.outputs), 2, replace=False))
+
+    def post(H, setup, size, plants):
+        H = H.copy()
+        H[:, :, o] += size * H[:, :, p]
+        return H
+
+    where = [setup.system.dofs[setup.outputs[k]] for k in (o, p)]
+    return Effect("crosstalk", where, 1e-4, 10.0, lambda s: {"share": (s, "-")}, post=post)
+
+
+def force_gain(setup: Setup, rng) -> Effect:
+    """A hammer or load cell whose calibration is off, so that one column is scaled."""
+    i = int(rng.integers(len(setup.inputs)))
+    column = np.where(np.arange(len(setup.inputs)) == i, 1.0, 0.0)
+    return Effect(
+        "force_gain", [setup.system.dofs[setup.inputs[i]]], 1e-4, 10.0, lambda s: {"gain": (s, "-")},
+        post=lambda H, setup, s, plants: H * (1 + s * column),
+    )  # fmt: skip
+
+
 CHANNEL = {
     "channel_gain": channel_gain,
     "channel_sign": channel_sign,
@@ -159,4 +182,6 @@ CHANNEL = {
     "fast_sweep": fast_sweep,
     "mains_hum": mains_hum,
     "force_dropout": force_dropout,
+    "crosstalk": crosstalk,
+    "force_gain": force_gain,
 }

@@ -11,32 +11,17 @@ from .effect import Effect, Setup
 from .effects_channel import scale_rows
 from .effects_joint import place_with_motion
 from .effects_linear import drive_stiffness, names, pick_place
+from .effects_viscoelastic import dynamic
 from .march import Joint
 from .plant import DERIVATIVES
 from .systems import log_uniform
 
 
-def _dynamic(slug: str, setup: Setup, rng, law, unit: str, **fixed) -> Effect:
-    """A complex stiffness ``size * law(s)`` across a place; ``law`` is about 1 in size mid-band."""
-    a, b, _ = pick_place(setup, rng)
-    e = setup.system.direction(a, b)
-    scale = drive_stiffness(setup, e)
-    return Effect(
-        slug, names(setup, a, b), 1e-4 * scale, 1e3 * scale, lambda z: {"size": (z, unit), **fixed},
-        plant=lambda p, z, run: p.add_dynamic(e, e, lambda s: z * law(s)),
-    )  # fmt: skip
-
-
-def fractional_joint(setup: Setup, rng) -> Effect:
-    alpha, w = float(rng.uniform(0.3, 0.7)), float(np.median(setup.omega))
-    law = lambda s: (s / w) ** alpha  # noqa: E731
-    return _dynamic("outside:fractional_joint", setup, rng, law, "N/m", exponent=(alpha, "-"))
-
-
 def maxwell(setup: Setup, rng) -> Effect:
     tau = float(log_uniform(rng, 0.3, 3.0)) / float(np.median(setup.omega))
     law = lambda s: s * tau / (1 + s * tau)  # noqa: E731
-    return _dynamic("outside:maxwell", setup, rng, law, "N/m", time_constant=(tau, "s"))
+    told = lambda z: {"size": (z, "N/m"), "time_constant": (tau, "s")}  # noqa: E731
+    return dynamic("outside:maxwell", setup, rng, law, told)
 
 
 def _one_way(slug: str, matrix: str, skew: bool):
@@ -53,19 +38,6 @@ def _one_way(slug: str, matrix: str, skew: bool):
         )  # fmt: skip
 
     return draw
-
-
-def crosstalk(setup: Setup, rng) -> Effect:
-    """A share of one channel leaks into another."""
-    o, p = (int(k) for k in rng.choice(len(setup.outputs), 2, replace=False))
-
-    def post(H, setup, size, plants):
-        H = H.copy()
-        H[:, :, o] += size * H[:, :, p]
-        return H
-
-    where = [setup.system.dofs[setup.outputs[k]] for k in (o, p)]
-    return Effect("outside:crosstalk", where, 1e-4, 10.0, lambda s: {"share": (s, "-")}, post=post)
 
 
 def _sensor(slug: str, start: float, limit: float, response):
@@ -211,11 +183,9 @@ def cubic_damping(setup: Setup, rng) -> Effect:
 
 
 OUTSIDE = {
-    "outside:fractional_joint": fractional_joint,
     "outside:maxwell": maxwell,
     "outside:one_way_damping": _one_way("outside:one_way_damping", "C", False),
     "outside:follower_stiffness": _one_way("outside:follower_stiffness", "K", True),
-    "outside:crosstalk": crosstalk,
     "outside:sensor_lowpass": _sensor("outside:sensor_lowpass", 1e-4, 10.0, _lowpass),
     "outside:ac_coupling": _sensor("outside:ac_coupling", 1e-4, 10.0, _highpass),
     "outside:cable_resonance": _sensor("outside:cable_resonance", 1e-5, 1.0, _cable),

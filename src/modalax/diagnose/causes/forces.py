@@ -18,14 +18,14 @@ class ForceGain(ChannelCause):
 
     slug = "force_gain"
     summary = "calibration of the force"
-    named = False
-    prior = RARE
+    advice = "calibrate the force sensor: weigh a suspended block of known mass by its accelerance"
+    prior = 0.5  # one column by itself, or all of them
     parameters = (Parameter("gain", "-", -0.999),)
 
     def places(self, scene: Scene) -> list[Place]:
-        """All inputs together, then every one."""
+        """Every input, and all together where there are several."""
         each = [Place((name,), (k, -1, 0)) for k, name in enumerate(scene.inputs)]
-        return [Place((), (-1, -1, 0))] + (each if len(each) > 1 else [])
+        return each + ([Place((), (-1, -1, 0))] if len(each) > 1 else [])
 
     def grid(self, scene: Scene, place: Place) -> np.ndarray:
         """Linear in the gain, so one size does."""
@@ -42,8 +42,8 @@ class Crosstalk(ChannelCause):
 
     slug = "crosstalk"
     summary = "one channel leaks into another"
-    named = False
-    prior = RARE
+    advice = "short-circuit one sensor's input and look for the signal of the others in it"
+    prior = 0.2  # channels of analysers are 60 dB apart and more: only damaged or long shared cables do worse
     parameters = (Parameter("share", "-"),)
     most = 24  # outputs beyond which there are too many pairs
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from modalax.diagnose.causes.base import RARE, LocalCause
+from modalax.diagnose.causes.base import LocalCause
 from modalax.diagnose.causes.local import median_omega
 from modalax.diagnose.causes.parameter import Parameter, strengths
 from modalax.diagnose.causes.scene import Place, Scene
@@ -16,8 +16,8 @@ class FractionalJoint(LocalCause):
 
     slug = "fractional_joint"
     summary = "a viscoelastic joint"
-    named = False
-    prior = RARE
+    advice = "widen the band: its stiffness and its loss grow with the same power of frequency"
+    prior = 0.2  # a spring and a damper are its limits
     parameters = (Parameter("coefficient", "N s^a/m", 0.0), Parameter("order", "-", 0.1, 0.9))
 
     def grid(self, scene: Scene, place: Place) -> np.ndarray:
@@ -70,8 +70,8 @@ class HystereticJoint(LocalCause):
 
     slug = "hysteretic_joint"
     summary = "structural damping of one joint"
-    named = False
-    prior = RARE
+    advice = "widen the band: a viscous joint's loss grows with frequency, this one's does not"
+    prior = 0.5  # beside a viscous damper, by which most simulations have it
     parameters = (Parameter("loss_stiffness", "N/m", 0.0),)
 
     def grid(self, scene: Scene, place: Place) -> np.ndarray:
