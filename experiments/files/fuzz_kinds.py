@@ -11,7 +11,6 @@ import sound_files as sf
 from sound_files import FS, Arrays, pack_hdf5, pack_mat, pack_mat73, pack_netcdf3, pack_npy, pack_npz, saved
 
 import modalax
-from modalax.cli.simulate import read_joints
 from modalax.data import Geometry, Measurement
 from modalax.data.recording import Recording
 from modalax.files import load_geometry, load_mode_table, load_modes, load_records
@@ -20,6 +19,7 @@ from modalax.files.uff_nodes import Modes
 from modalax.model import ModalModel, Structure
 from modalax.model.examples import five_dof
 from modalax.model.mode_table import ModeTable
+from modalax.simulate.joints.text import read_joints
 
 
 @dataclass(frozen=True)

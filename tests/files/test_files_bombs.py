@@ -16,10 +16,10 @@ import scipy.io
 
 import modalax
 from modalax import Measurement
-from modalax.cli.simulate import read_joints
 from modalax.files import guard, load_records
 from modalax.files.chunks import counted, packed_size, zstd_bound
 from modalax.files.finite_elements import import_finite_elements
+from modalax.simulate.joints.text import read_joints
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 MB = 2**20

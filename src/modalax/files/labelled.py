@@ -180,7 +180,8 @@ def read_labelled(path: Path, kind: str, told: Told = NOTHING) -> Saved:
         # Numbers stay numbers: units such as "days since" and packing by scale factors are of no use here.
         with xarray.open_dataset(path, **how, decode_times=False, drop_variables=others) as lazy:
             dataset = lazy.load()
-    return from_xarray(dataset, told)
+    with reading(f"the {word}", said=ValueError):  # names that are no text show only where they are used
+        return from_xarray(dataset, told)
 
 
 def _check(path: Path, kind: str) -> list[str]:

@@ -102,8 +102,18 @@ def replacing(path: Path, overwrite: bool = True, store: bool = False) -> Iterat
         raise OSError(error.errno, f"{error.strerror} (nothing was replaced{kept})", str(path)) from error
     finally:
         if not (folder / KEEP).exists():
-            shutil.rmtree(folder, ignore_errors=True)
+            _remove(folder, store)
         _ours.discard(folder.name)
+
+
+def _remove(folder: Path, store: bool) -> None:
+    """Remove a folder; one of a store again while threads of a writer that failed still put files into it."""
+    for wait in (0.0, 0.02, 0.1, 0.5, 1.0) if store else (0.0,):
+        time.sleep(wait)
+        there = folder.exists()
+        shutil.rmtree(folder, ignore_errors=True)
+        if wait and not there:
+            break
 
 
 def write_bytes(path: Path, content: bytes, overwrite: bool = True) -> None:
