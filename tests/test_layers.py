@@ -127,10 +127,19 @@ def test_importing_the_package_loads_nothing_yet():
     """``import modalax`` draws in neither JAX nor any other package, and sets JAX's pool of threads."""
     heavy = sorted(DRAWING | OPTIONAL | {"jax", "numpy", "scipy", "typer", "rich", "IPython", "tkinter"})
     told, seconds = in_fresh_python(
-        f"import os, sys, modalax; print([m for m in {heavy} if m in sys.modules], int(os.environ['NPROC']) >= 16)"
+        f"import os, sys; os.environ.pop('XLA_FLAGS', 0); import modalax; "
+        f"print([m for m in {heavy} if m in sys.modules], "
+        "int(os.environ['NPROC']) >= 16, all(f.startswith('--xla_cpu') for f in os.environ['XLA_FLAGS'].split()))"
     )
-    assert told == "[] True\n"
+    assert told == "[] True True\n"
     assert seconds < 0.5  # 0.05 measured; JAX alone takes 0.7
+
+
+def test_compiler_flags_of_the_user_stay():
+    told, _ = in_fresh_python(
+        "import os; os.environ['XLA_FLAGS'] = '--xla_mine'; import modalax; print(os.environ['XLA_FLAGS'])"
+    )
+    assert told == "--xla_mine\n"
 
 
 def test_names_load_when_they_are_asked_for():

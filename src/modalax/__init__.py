@@ -1,13 +1,9 @@
 """modalax: differentiable experimental modal analysis in JAX."""
 
-import os
 from typing import TYPE_CHECKING
 
-# On few cores JAX's CPU runtime can wait for itself when batched factorisations run inside a loop (seen with two
-# cores and jaxlib 0.10.1); a larger pool of threads prevents it. It counts only until JAX runs its first computation.
-os.environ.setdefault("NPROC", str(max(16, os.cpu_count() or 1)))
-
 from modalax._lazy import lazily
+from modalax._numerics.compiler import set_up
 
 if TYPE_CHECKING:
     from modalax import data, files, identify, model, show, simulate, view
@@ -17,6 +13,8 @@ if TYPE_CHECKING:
     from modalax.files import load, save
     from modalax.model import ModalModel, Structure
     from modalax.study import study
+
+set_up()
 
 __version__ = "0.1.0"
 
