@@ -15,7 +15,7 @@ from modalax.model.examples import five_dof
 from modalax.show import mode_names, plot_frf, plot_frf_grid, plot_levels, plot_mac, plot_modes, plot_residual_map
 from modalax.show.frf import strongest, synthesised
 from modalax.show.residuals import bin_lines
-from modalax.show.stabilization import plot_stabilization, pole_kinds
+from modalax.show.stabilization import not_in_diagram, plot_stabilization, pole_kinds
 
 
 @pytest.fixture(scope="module")
@@ -114,6 +114,20 @@ def test_stabilization_marks_poles_where_they_are(table, measured):
     points = np.concatenate([c.get_offsets() for c in fig.axes[0].collections])
     # 100 rad/s is 15.9 Hz, out of the band of the FRFs.
     np.testing.assert_allclose(sorted(points[:, 0]), np.sort(np.abs([-2 + 200j, -2 + 220j])) / (2 * np.pi))
+
+
+def test_which_selected_modes_have_no_pole_in_the_diagram(table):
+    """Poles lie at 100, 200 and 220 rad/s; one at 300 is unstable, none at 15 Hz."""
+    wanted = np.array([100.0, 100.6, 199.5, 219.9, 300.0, 94.0]) / (2 * np.pi)
+    np.testing.assert_array_equal(not_in_diagram(table, wanted), [False, True, False, False, True, True])
+    assert not_in_diagram(table, []).shape == (0,)
+    none = PoleTable(table.poles, jnp.zeros((2, 3), bool), None, (2, 4), "lscf")
+    assert not_in_diagram(none, [10.0]).all()
+
+
+def test_orders_are_whole_numbers_on_the_axis(table, measured):
+    ax = plot_stabilization(table, None, measured).axes[0]
+    assert all(float(t).is_integer() for t in ax.get_yticks())
 
 
 def test_mac_holds_the_values(structure):

@@ -13,11 +13,26 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from modalax.data.geometry import Geometry
 from modalax.identify import PoleTable
 from modalax.model.examples import five_dof
 from modalax.model.modal import ModalModel
 from modalax.show.report import Page, Plot, Section, Table, fit_report
-from modalax.show.report.plots import MOST_LINES, axis_of, bar_plot, comparison_plot, frf_plot, residual_plot, thinned
+from modalax.show.report.fit import mode_rows, remarks
+from modalax.show.report.moving import shapes_on
+from modalax.show.report.plots import (
+    MOST_LINES,
+    axis_of,
+    bar_plot,
+    comparison_plot,
+    frf_plot,
+    mac_plot,
+    phase_line,
+    residual_plot,
+    shape_plot,
+    stabilization_plot,
+    thinned,
+)
 
 NASTY = "1<b>\"&'</script><script>window.broken=1</script><img src=x onerror=window.broken=1>"
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
@@ -217,6 +232,85 @@ def test_report_lives_in_a_browser(report, tmp_path, dark):
     grounds = {"light": "rgb(255, 255, 255)", "dark": "rgb(20, 24, 29)"}
     assert seen["ground"] == grounds["dark" if dark else "light"]
     assert seen["ink"].startswith("rgb(228" if dark else "rgb(28")
+
+
+FRAMES = "<script>window.requestAnimationFrame = (f) => setTimeout(() => f(performance.now()), 50);</script>"
+PAPER = """
+<script>
+(async function () {
+  const wait = (ms) => new Promise((done) => setTimeout(done, ms)), seen = {};
+  await wait(300);
+  const canvas = document.querySelector("canvas.shape"), button = document.querySelector(".moving button");
+  const first = canvas.toDataURL();
+  await wait(400);
+  seen.moved = canvas.toDataURL() !== first;
+  button.click();
+  const still = canvas.toDataURL();
+  await wait(200);
+  seen.stopped = canvas.toDataURL() === still && button.textContent === "Move";
+  window.dispatchEvent(new Event("beforeprint"));
+  await wait(300);
+  seen.shapes = document.querySelectorAll(".paper canvas").length;
+  seen.bars = document.querySelectorAll(".copy .main-svg").length > 0 ? document.querySelectorAll(".copy").length : 0;
+  window.dispatchEvent(new Event("afterprint"));
+  seen.left = document.querySelectorAll(".paper canvas, .copy").length;
+  const out = document.createElement("pre");
+  out.id = "seen";
+  out.textContent = JSON.stringify(seen);
+  document.body.append(out);
+})();
+</script>
+"""
+
+
+@needs_browser
+def test_shapes_move_on_screen_and_stand_side_by_side_on_paper(tmp_path):
+    names = [str(k) for k in range(5)]
+    beam = Geometry(names, np.stack([np.linspace(0, 2, 5), np.zeros(5), np.zeros(5)], axis=1), [names])
+    dofs, psi = [f"{k}:+Z" for k in names], np.array([[0, 1, 2, 1, 0], [0, 1, 0, -1, 0], [1.0, 1, 1, 1, 1]])
+    parts = [shapes_on(beam, dofs, psi, [1, 2, 3]), shape_plot(psi, dofs, [1, 2, 3])]
+    page = tmp_path / "shapes.html"
+    text = Page("S", sections=[Section("S", [], parts)]).html().replace("</body>", PAPER + "</body>")
+    page.write_text(text.replace("<head>", "<head>" + FRAMES))
+    dom, console = browse(page, tmp_path, "--dump-dom")
+    assert console == []
+    seen = json.loads(html_module.unescape(re.search(r'<pre id="seen">(.*?)</pre>', dom, re.S).group(1)))
+    assert seen == {"moved": True, "stopped": True, "shapes": 3, "bars": 2, "left": 0}
+
+
+def test_remarks_stand_in_a_table_of_their_own(fit):
+    modes = fit.to_dict()["modes"]
+    assert remarks(modes) == [] and "Bias" not in " ".join(mode_rows(modes).head)
+    modes[1] |= {"flags": ["narrow", "weak"], "predicted_damping_bias": 0.001}
+    (table,) = remarks(modes)
+    assert table.rows == [["2", f"{modes[1]['frequency_hz']:.5g}", "narrow; weak"]]
+    assert "Bias of damping [%]" in mode_rows(modes).head
+
+
+def test_a_selected_mode_without_a_pole_is_explained(fit):
+    plot = stabilization_plot(fit.table, fit.stability, fit.frf, [*fit.model.frequency_hz, 1234.5])
+    assert "mode at 1234.5 Hz (dotted) has no pole" in plot.caption
+    dashes = [shape.line.dash for shape in plot.figures[0][1].layout.shapes]
+    assert dashes == ["dash"] * 5 + ["dot"]
+    assert "dotted" not in stabilization_plot(fit.table, fit.stability, fit.frf, fit.model.frequency_hz).caption
+
+
+def test_the_axes_of_the_diagram_say_what_they_show(fit):
+    layout = stabilization_plot(fit.table, fit.stability, fit.frf, fit.model.frequency_hz).figures[0][1].layout
+    assert layout.yaxis2.title.text.startswith("Sum FRF, √CMIF") and layout.yaxis2.ticks == "outside"
+    assert layout.yaxis.tickformat == "d" and layout.yaxis2.overlaying == "y"
+
+
+def test_a_phase_line_is_broken_where_it_passes_half_a_turn():
+    turn = np.deg2rad([170, 175, -178, -170, 170, 100])
+    np.testing.assert_allclose(phase_line(np.exp(1j * turn)), [170, 175, np.nan, -170, np.nan, 100], atol=1e-9)
+
+
+def test_a_matrix_holds_its_numbers_where_they_can_be_read():
+    for size, numbered in ((20, True), (21, False)):
+        names = [str(k) for k in range(size)]
+        trace = mac_plot(np.eye(size), names, names, "").figures[0][1].data[0]
+        assert bool(trace.texttemplate) is numbered
 
 
 @needs_browser

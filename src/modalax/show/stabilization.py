@@ -5,6 +5,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from modalax.data.frf import FRF
 from modalax.identify.tables import PoleTable
@@ -18,6 +19,9 @@ KINDS = (
     ("d", PINK, 14, "frequency and damping stable"),
     ("o", GREEN, 16, "all stable"),
 )
+
+
+NEAR = 0.005  # Distance, relative to its frequency, up to which a pole of the diagram belongs to a selected mode.
 
 
 @runtime_checkable
@@ -45,6 +49,17 @@ def pole_kinds(table: PoleTable, stability: Flags | None) -> np.ndarray:
     return kinds
 
 
+def not_in_diagram(table: PoleTable, selected_hz: Any) -> np.ndarray:
+    """Which selected frequencies [Hz] have no pole of any order within ``NEAR`` of them: booleans, one for each."""
+    found = np.sort((np.abs(np.asarray(table.poles)) / (2 * np.pi))[pole_kinds(table, None) >= 0])
+    wanted = np.atleast_1d(np.asarray(selected_hz, float))
+    if not len(found):
+        return np.ones(len(wanted), bool)
+    after = np.searchsorted(found, wanted).clip(1, len(found) - 1) if len(found) > 1 else np.zeros(len(wanted), int)
+    distance = np.minimum(np.abs(found[after] - wanted), np.abs(found[after - 1] - wanted))
+    return distance > NEAR * wanted
+
+
 def plot_stabilization(
     table: PoleTable,
     stability: Flags | None = None,
@@ -64,7 +79,8 @@ def plot_stabilization(
     frf
         The FRFs they came from.
     selected_hz
-        Frequencies of the selected modes [Hz], drawn as lines.
+        Frequencies of the selected modes [Hz], drawn as dashed lines; dotted ones where no pole is near, as of a mode
+        that was found in the residual of the others.
     """
     poles = np.asarray(table.poles)
     freq = np.abs(poles) / (2 * np.pi)
@@ -94,10 +110,15 @@ def plot_stabilization(
                     zorder=3,
                     linewidths=width,
                 )
-        for k, f in enumerate(() if selected_hz is None else np.atleast_1d(np.asarray(selected_hz))):
-            label = "selected mode" if k == 0 else None
-            ax.axvline(float(f), color=ORANGE, linewidth=0.8, linestyle="--", zorder=2, label=label)
+        selected = np.atleast_1d(np.asarray([] if selected_hz is None else selected_hz, float))
+        absent = not_in_diagram(table, selected)
+        for which, style, label in (
+            (~absent, "--", "selected mode"), (absent, ":", "selected mode without a pole here"),
+        ):  # fmt: skip
+            for k, f in enumerate(selected[which]):
+                ax.axvline(f, color=ORANGE, linewidth=0.8, linestyle=style, zorder=2, label=None if k else label)
         ax.set_ylabel("Model order")
+        ax.yaxis.set_major_locator(MaxNLocator("auto", integer=True))
         ax.set_ylim(min(table.orders) - 1.5, max(table.orders) + 1.5)
         ax.set_title(title)
         fig.legend(loc="outside lower center", ncols=4)

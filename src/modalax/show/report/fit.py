@@ -18,8 +18,10 @@ from modalax.show.shapes import along
 
 def mode_rows(modes: Sequence[Mapping[str, Any]], truth: tuple[Any, Any] | None = None) -> Table:
     """Table of modes, from ``Fit.to_dict()["modes"]``."""
+    biased = any(m.get("predicted_damping_bias") is not None for m in modes)
     refined = any(m["frequency_std_hz"] is not None for m in modes)
-    head = ["Mode", "Frequency [Hz]", "Damping [%]", "MPC [-]", "Grade [-]", "Bias of damping [%]"]
+    head = ["Mode", "Frequency [Hz]", "Damping [%]", "MPC [-]", "Grade [-]"]
+    head += ["Bias of damping [%]"] if biased else []
     rows = [
         [
             str(k + 1),
@@ -27,7 +29,7 @@ def mode_rows(modes: Sequence[Mapping[str, Any]], truth: tuple[Any, Any] | None 
             with_error(m["damping_ratio"], m["damping_ratio_std"], 100.0),
             f"{m['mpc']:.4f}",
             f"{m['grade']:.2f}" if "grade" in m else "",
-            _bias(m),
+            *([_bias(m)] if biased else []),
         ]
         for k, m in enumerate(modes)
     ]
@@ -35,13 +37,16 @@ def mode_rows(modes: Sequence[Mapping[str, Any]], truth: tuple[Any, Any] | None 
         head += ["True frequency [Hz]", "True damping [%]"]
         for k, row in enumerate(rows):
             row += [f"{float(truth[0][k]):.5g}", f"{100 * float(truth[1][k]):.4g}"]
-    flagged = any(m.get("flags") for m in modes)
-    if flagged:
-        head.append("Remarks")
-        for m, row in zip(modes, rows, strict=True):
-            row.append("; ".join(m.get("flags", ())))
-    words = f"{'± is one standard deviation. ' if refined else ''}{GRADE} {BIAS}"
-    return Table(head, rows, words, text_columns=(len(head) - 1,) if flagged else ())
+    words = f"{'± is one standard deviation. ' if refined else ''}{GRADE} {BIAS if biased else ''}"
+    return Table(head, rows, words.strip(), text_columns=())
+
+
+def remarks(modes: Sequence[Mapping[str, Any]]) -> list[Table]:
+    """What is to be known of single modes before they are used; no table where there is nothing."""
+    rows = [
+        [str(k + 1), f"{m['frequency_hz']:.5g}", "; ".join(m["flags"])] for k, m in enumerate(modes) if m.get("flags")
+    ]
+    return [Table(["Mode", "Frequency [Hz]", "Remarks"], rows, text_columns=(2,))] if rows else []
 
 
 def _bias(mode: Mapping[str, Any]) -> str:
@@ -78,15 +83,21 @@ def fit_sections(
     inside = np.asarray(fit.inside)
     seen = model.along_longer_side()
     psi, frequency = seen.shapes[inside], np.asarray(model.frequency_hz)[inside]
-    shapes: list[Any] = [shape_plot(psi, seen.outputs, frequency)]
+    turned = len(model.inputs) > len(model.outputs)
+    at = " at the inputs (a roving hammer's hits)" if turned else ""
     dofs, moved = ([], psi) if geometry is None else along(geometry, model)
+    shapes: list[Any] = [shape_plot(psi, seen.outputs, frequency, at, paper=not dofs)]
     if geometry is not None and dofs:
         shapes.insert(0, shapes_on(geometry, dofs, moved[inside], frequency))
     if len(seen.outputs) > 1 and len(modes) > 1:
         names = mode_names(frequency)
         shapes.append(mac_plot(auto_mac(psi), names, names, "Auto-MAC of the mode shapes."))
     return [
-        Section("Modes", [how, *getattr(fit, "notes", ())], [mode_rows(modes, truth), modes_plot(modes, truth)]),
+        Section(
+            "Modes",
+            [how, *getattr(fit, "notes", ())],
+            [mode_rows(modes, truth), modes_plot(modes, truth), *remarks(modes)],
+        ),
         Section("Measured and synthesised FRFs", [], [frf_plot(fit.frf, model)]),
         Section(
             "Stabilization diagram",

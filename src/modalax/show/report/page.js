@@ -78,6 +78,23 @@
     if (act) { event.preventDefault(); act(); }
   }
 
+  // The figures of a plot that were not chosen, for paper.
+  function unfold(div) {
+    const select = document.querySelector('select[data-for="' + div.id + '"]');
+    if (!("whole" in div.dataset) || !select) return;
+    div.choices.forEach(function (one, k) {
+      if (k === Number(select.value)) return;
+      const copy = document.createElement("div"), name = document.createElement("p"), plot = document.createElement("div");
+      copy.className = "copy";
+      name.textContent = one.label;
+      plot.style.height = div.style.height;
+      copy.append(name, plot);
+      div.parentNode.insertBefore(copy, div.parentNode.querySelector("figcaption"));
+      const figure = themed(one.figure);
+      Plotly.newPlot(plot, figure.data, figure.layout, {staticPlot: true});
+    });
+  }
+
   // Mode shapes: one that moves on screen, all of them side by side on paper.
   function numbers(text) {
     return Array.from(new Float32Array(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer));
@@ -97,6 +114,7 @@
       button.textContent = shape.playing() ? "Stop" : "Move";
     });
     show();
+    if (!window.matchMedia("(prefers-reduced-motion: reduce)").matches) button.click();
     return {
       draw: shape.draw,
       toPaper: function () {
@@ -126,11 +144,13 @@
   window.addEventListener("beforeprint", function () {
     printing = true;
     plots.forEach(function (div) { draw(div); Plotly.Plots.resize(div); });
+    plots.forEach(unfold);
     moving.forEach(function (m) { m.toPaper(); });
   });
   window.addEventListener("afterprint", function () {
     printing = false;
     plots.forEach(draw);
+    document.querySelectorAll(".copy").forEach((copy) => copy.remove());
     moving.forEach(function (m) { m.fromPaper(); m.draw(); });
   });
   document.documentElement.dataset.ready = "yes";

@@ -26,7 +26,8 @@ class Plot:
     """Plotly figures that share one place: ``figures`` holds (label, figure), chosen from a list if there are several.
 
     ``description`` is what a reader who cannot see the picture is told. Traces whose ``meta`` is ``ink`` are drawn in
-    the colour of the text, so that they are seen on light and dark ground.
+    the colour of the text, so that they are seen on light and dark ground. On paper stands the figure that was chosen,
+    or with ``all_on_paper`` each of them.
     """
 
     figures: Sequence[tuple[str, Any]]
@@ -34,6 +35,7 @@ class Plot:
     description: str
     choose: str = "Channel"
     height: int = 420
+    all_on_paper: bool = False
 
 
 @dataclass(frozen=True)

@@ -12,14 +12,14 @@ from modalax.model.indicators import cmif, sum_frf
 from modalax.show.frf import Predicts, synthesised
 from modalax.show.report.page import NEEDS, Plot
 from modalax.show.residuals import bin_lines
-from modalax.show.stabilization import KINDS, Flags, pole_kinds
+from modalax.show.stabilization import KINDS, Flags, not_in_diagram, pole_kinds
 from modalax.show.style import FREQUENCY, GREEN, GREY, ORANGE, frf_label
 
 BLUE = "#2e8bcc"  # Lighter than in print, so that it is seen on dark ground too.
 SYMBOLS = {".": "circle", "x": "x-thin-open", "d": "diamond", "o": "circle"}
 BUDGET = 2.5e6  # Bytes for the FRFs of all channels; the whole file has to stay easy to send.
 MAC_COLOURS = [[0, "#f3f7fb"], [0.5, "#6baed6"], [1, "#08306b"]]
-NUMBERED = 225  # Fields of a matrix up to which each holds its number.
+NUMBERED = 400  # Fields of a matrix up to which each holds its number.
 MOST_LINES = 6000  # Frequency lines of a curve; of more the peaks are kept.
 
 
@@ -127,7 +127,7 @@ def _frf_figure(freq: np.ndarray, curves: tuple[np.ndarray, Any, Any], form: str
         add(phase_line(model), name, 2, line={"width": 1.4, "color": ORANGE}, showlegend=False)
     if sigma is not None:
         add(sigma, "noise, 1 standard deviation", 1, line={"width": 1, "color": GREY, "dash": "dash"})
-    fig.update_yaxes(type="log", title=frf_label(form), row=1, col=1)
+    fig.update_yaxes(title=frf_label(form), **decades([np.abs(H)]), row=1, col=1)
     _phase_below(fig, freq)
     return fig
 
@@ -174,8 +174,8 @@ def stabilization_plot(table: PoleTable, stability: Flags | None, frf: FRF, sele
             )
         )  # fmt: skip
     zeta = -np.real(poles) / np.maximum(np.abs(poles), 1e-300)
-    for kind, (marker, colour, _, name) in enumerate(KINDS):
-        which = (kinds == kind) & inside
+    for kind, (marker, printed, _, name) in enumerate(KINDS):
+        which, colour = (kinds == kind) & inside, BLUE if marker == "x" else printed
         if which.any():
             fig.add_trace(
                 go.Scatter(
@@ -185,8 +185,10 @@ def stabilization_plot(table: PoleTable, stability: Flags | None, frf: FRF, sele
                     hovertemplate="%{x:.4f} Hz, %{customdata:.3f} %<br>order %{y}<extra>" + name + "</extra>",
                 )
             )  # fmt: skip
-    for f in np.atleast_1d(np.asarray(selected_hz)):
-        fig.add_vline(x=float(f), line={"color": ORANGE, "width": 1, "dash": "dash"}, layer="below")
+    selected = np.atleast_1d(np.asarray(selected_hz, float))
+    absent = not_in_diagram(table, selected)
+    for f, dash in zip(selected, np.where(absent, "dot", "dash"), strict=True):
+        fig.add_vline(x=float(f), line={"color": ORANGE, "width": 1, "dash": str(dash)}, layer="below")
     fig.update_layout(
         yaxis={
             "title": {"text": "Model order"}, "tickformat": "d",
@@ -202,9 +204,23 @@ def stabilization_plot(table: PoleTable, stability: Flags | None, frf: FRF, sele
     fig.update_xaxes(title=FREQUENCY, range=[float(axis[0]), float(axis[-1])])
     return Plot(
         [("", fig)],
-        caption="Poles of every model order; dashed lines are the selected modes. Hover for frequency and damping.",
+        caption="Poles of every model order; dashed lines are the selected modes. Hover for frequency and damping."
+        + _absent_words(selected[absent]),
         description="Stabilization diagram: poles over frequency and model order, over the sum of the FRFs.",
         height=520,
+    )
+
+
+def _absent_words(frequency_hz: np.ndarray) -> str:
+    """Why modes stand in the diagram without a pole."""
+    if not len(frequency_hz):
+        return ""
+    one = len(frequency_hz) == 1
+    which = "mode at" if one else "modes at"
+    return (
+        f" The {which} {', '.join(f'{f:.5g}' for f in frequency_hz)} Hz (dotted) {'has' if one else 'have'} no pole in "
+        f"this diagram: {'it was' if one else 'they were'} found in what the other modes leave of the FRFs, or chosen "
+        "by hand."
     )
 
 
@@ -234,19 +250,23 @@ def modes_plot(modes: Sequence[Mapping[str, Any]], truth: tuple[Any, Any] | None
     )
 
 
-def shape_plot(shapes: Any, outputs: Sequence[str], frequency_hz: Any) -> Plot:
-    """Components of each mode shape as bars, scaled to its largest, one mode at a time."""
+def shape_plot(shapes: Any, dofs: Sequence[str], frequency_hz: Any, at: str = "", paper: bool = True) -> Plot:
+    """Components of each mode shape as bars, scaled to its largest, one mode at a time.
+
+    ``at`` says where they were measured, and ``paper`` whether all of them are to stand on paper.
+    """
     go = graph_objects()
     figures = []
     for k, (shape, f) in enumerate(zip(np.asarray(shapes), np.asarray(frequency_hz), strict=True)):
         scaled = shape / shape[np.argmax(np.abs(shape))]
         fig = base_figure(1, barmode="group", bargap=0.25)
         for part, name, colour in ((scaled.real, "real", BLUE), (scaled.imag, "imaginary", ORANGE)):
-            fig.add_trace(go.Bar(x=[escape(n) for n in outputs], y=part.round(5), name=name, marker={"color": colour}))
+            fig.add_trace(go.Bar(x=[escape(n) for n in dofs], y=part.round(5), name=name, marker={"color": colour}))
         fig.update_xaxes(title="Degree of freedom", type="category", automargin=True)
         fig.update_yaxes(title="Shape [-]", range=[-1.1, 1.1])
         figures.append((f"{k + 1}: {f:.5g} Hz", fig))
-    return Plot(figures, "Mode shapes, each scaled to its largest component.", "Bars of the shape components.", "Mode")
+    caption = f"Mode shapes{at}, each scaled to its largest component."
+    return Plot(figures, caption, "Bars of the shape components.", "Mode", height=360, all_on_paper=paper)
 
 
 def mac_plot(matrix: Any, rows: Sequence[str], columns: Sequence[str], caption: str) -> Plot:
@@ -263,7 +283,8 @@ def mac_plot(matrix: Any, rows: Sequence[str], columns: Sequence[str], caption: 
     )  # fmt: skip
     fig.update_yaxes(autorange="reversed", type="category", automargin=True, showgrid=False)
     fig.update_xaxes(type="category", automargin=True, showgrid=False)
-    return Plot([("", fig)], caption, "Matrix of the modal assurance criterion.", height=460)
+    height = int(np.clip(150 + 30 * len(rows), 320, 800))
+    return Plot([("", fig)], caption, "Matrix of the modal assurance criterion.", height=height)
 
 
 def residual_plot(freq: Any, maps: Sequence[tuple[str, Any]], rows: Sequence[str], bands: int = 200) -> Plot:
@@ -340,7 +361,7 @@ def comparison_plot(
             for row, y in ((1, np.abs(value)), (2, phase)):
                 trace = go.Scatter(y=y.astype(np.float32), name=name, showlegend=row == 1, **axis, **style)
                 fig.add_trace(trace, row=row, col=1)
-        fig.update_yaxes(type="log", title=frf_label(form), row=1, col=1)
+        fig.update_yaxes(title=frf_label(form), **decades([size[r, :, o, i]]), row=1, col=1)
         _phase_below(fig, freq)
         figures.append((f"{outputs[o]} from {inputs[i]}" + (f", {runs[r]}" if len(runs) > 1 else ""), fig))
     caption = "Measured FRF, the simulation, and the extended simulation where there is one."
