@@ -43,6 +43,19 @@ def test_no_picture_goes_through_pyplot():
     assert done.stdout.strip() == "False"
 
 
+def test_a_picture_shows_itself_in_a_window_of_pyplot(monkeypatch, measured):
+    """While it is shown it is pyplot's figure; afterwards it is as before and pyplot keeps nothing."""
+    import matplotlib.pyplot as plt
+
+    fig, seen = plot_frf(measured), []
+    plt.switch_backend("agg")
+    monkeypatch.setattr(plt, "show", lambda: seen.append((plt.gcf(), fig.canvas.manager)))
+    fig.show()
+    assert [one for one, _ in seen] == [fig] and seen[0][1] is not None
+    assert plt.get_fignums() == [] and fig.canvas.manager is None
+    assert fig._repr_png_().startswith(b"\x89PNG")
+
+
 def test_frf_shows_every_view_with_units(measured, structure):
     fig = plot_frf(measured, structure, output="2", input="1")
     text = labels(fig)

@@ -55,7 +55,9 @@ def test_names_without_direction_cannot_move(beam):
 
 def test_several_shapes_side_by_side(beam):
     fig = plot_shapes(beam, [f"{k}:+Z" for k in range(5)], np.eye(5), titles=list("abcde"))
-    assert [ax.get_title() for ax in fig.axes] == list("abcde")
+    *drawn, scale = fig.axes
+    assert [ax.get_title() for ax in drawn] == list("abcde")
+    assert scale.get_ylabel() == "Displacement [-]" and scale.get_ylim() == (0, 1)
 
 
 def test_shapes_of_a_report_move_as_those_of_a_picture_do(beam):

@@ -24,7 +24,7 @@ from modalax.show.style import (
 )
 
 Predicts = FRF | ModalModel | Structure
-FINE = 8  # Points of a fitted Nyquist circle for each line measured.
+FINE = {ModalModel: 32, Structure: 8}  # Points of a fitted Nyquist circle for each line measured.
 
 
 def synthesised(measured: FRF, fitted: Predicts) -> np.ndarray:
@@ -213,11 +213,11 @@ def draw_phase(ax: Axes, freq: Any, values: Any, **style: Any) -> None:
 
 
 def _fine(one: FRF, fitted: Predicts) -> np.ndarray:
-    """Values of a model for a smooth circle: at ``FINE`` lines for each one measured; an FRF has those it has."""
+    """Values of a model for a smooth circle: at several lines for each one measured; an FRF has those it has."""
     if isinstance(fitted, FRF):
         return synthesised(one, fitted)[:, 0, 0]
-    freq = np.asarray(one.freq)
-    between = np.interp(np.arange(FINE * (len(freq) - 1) + 1) / FINE, np.arange(len(freq)), freq)
+    freq, fine = np.asarray(one.freq), next(n for kind, n in FINE.items() if isinstance(fitted, kind))
+    between = np.interp(np.arange(fine * (len(freq) - 1) + 1) / fine, np.arange(len(freq)), freq)
     predicted = fitted.frf(between, form=one.form, outputs=one.outputs, inputs=one.inputs)
     return np.asarray(predicted.H)[:, 0, 0]
 

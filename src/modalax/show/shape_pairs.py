@@ -10,7 +10,7 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from modalax.data.geometry import Geometry
 from modalax.model.indicators import msf
 from modalax.show.shapes import VIEW, moving
-from modalax.show.style import BLUE, GREY, ORANGE, look
+from modalax.show.style import BLUE, GREY, ORANGE, Picture, look
 
 LARGEST = 0.15  # displacement drawn, over the size of the structure
 
@@ -44,7 +44,7 @@ def plot_shape_pairs(
     xyz = np.asarray(geometry.xyz)
     size = float(np.ptp(xyz, axis=0).max()) or 1.0
     with look():
-        fig = Figure(figsize=(3.2 * columns, 2.4 * rows))
+        fig = Picture(figsize=(3.2 * columns, 2.4 * rows))
         fig.subplots_adjust(0.0, 0.0, 1.0, 0.95)
         for k in range(len(a)):
             ax: Any = fig.add_subplot(rows, columns, k + 1, projection="3d")

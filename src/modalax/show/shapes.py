@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.animation import PillowWriter
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
@@ -14,7 +16,7 @@ from modalax.data.geometry import Geometry
 from modalax.files.write import replacing
 from modalax.model.indicators import mean_phase
 from modalax.model.modal import ModalModel
-from modalax.show.style import GREY, look
+from modalax.show.style import GREY, Picture, look
 
 VIEW = (28.0, -58.0)
 LARGEST = 0.15  # Largest displacement drawn, as a part of the structure's size.
@@ -63,12 +65,13 @@ def plot_shapes(
     columns = min(4, len(vectors))
     rows = -(-len(vectors) // columns)
     with look():
-        fig = Figure(figsize=(width * columns, (0.75 if rows * columns == 1 else 0.62) * width * rows))
-        fig.subplots_adjust(0.0, 0.0, 0.92 if rows * columns == 1 else 1.0, 0.96, 0.0, 0.0)
+        fig = Picture(figsize=(width * columns, (0.75 if rows * columns == 1 else 0.62) * width * rows))
+        fig.subplots_adjust(0.0, 0.0, 0.86 if len(vectors) == 1 else 1.0 - 0.9 / (width * columns), 0.96, 0.0, 0.0)
         for k, vector in enumerate(vectors):
             ax = fig.add_subplot(rows, columns, k + 1, projection="3d")
             _draw(ax, geometry, np.real(vector * np.exp(1j * phase)), np.abs(vector).max(), view, len(vectors) == 1)
             ax.set_title("" if titles is None else titles[k], y=1.0 if len(vectors) == 1 else 0.95)
+        _scale(fig)
     return fig
 
 
@@ -144,6 +147,15 @@ def along(geometry: Geometry, model: ModalModel) -> tuple[list[str], np.ndarray]
     dofs = [parse_dof(name) for name in model.outputs]
     keep = [k for k, d in enumerate(dofs) if d.node in geometry.nodes and d.direction in ("X", "Y", "Z")]
     return [model.outputs[k] for k in keep], np.asarray(model.shapes)[:, keep]
+
+
+def _scale(fig: Figure) -> None:
+    """What the colours mean, at the right edge of a figure."""
+    across, up = fig.get_size_inches()
+    tall = min(0.6, 1.8 / up)
+    bar = fig.add_axes((1 - 0.62 / across, 0.5 - tall / 2, 0.1 / across, tall), label="scale")
+    colours = ScalarMappable(Normalize(0, 1), "viridis")
+    fig.colorbar(colours, cax=bar, label="Displacement [-]", ticks=[0, 0.5, 1])
 
 
 def _draw(ax: Any, geometry: Geometry, u: np.ndarray, top: float, view: tuple[float, float], labels: bool) -> None:

@@ -14,7 +14,7 @@ from modalax.show.style import BLUE, GREEN, GREY, ORANGE, PINK, frequency_axis, 
 
 # Marker, colour, size and legend of each kind of pole, from unstable to stable in everything.
 KINDS = (
-    (".", GREY, 10, "new"),
+    (".", GREY, 22, "new"),
     ("x", BLUE, 14, "frequency stable"),
     ("d", PINK, 14, "frequency and damping stable"),
     ("o", GREEN, 16, "all stable"),

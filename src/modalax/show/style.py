@@ -1,5 +1,6 @@
 """Style of all pictures: colours, units, axes. Figures are made without pyplot, so that no state is kept globally."""
 
+import io
 from typing import Any
 
 import matplotlib as mpl
@@ -40,9 +41,37 @@ def look() -> Any:
     return mpl.rc_context(LOOK)
 
 
+class Picture(Figure):
+    """A figure made without pyplot that scripts can show in a window and notebooks as their last value."""
+
+    def show(self, warn: bool = True) -> None:
+        """Show the picture in a window; a script waits until it is closed.
+
+        Where the drawing program has no windows, matplotlib warns that it cannot be shown; ``savefig`` writes it then.
+        """
+        import matplotlib.pyplot as plt
+        from matplotlib._pylab_helpers import Gcf
+
+        window = plt.figure()  # of the kind in use
+        kind, number = type(window.canvas), window.number  # pyright: ignore[reportAttributeAccessIssue]
+        plt.close(window)
+        before = self.canvas
+        Gcf._set_new_active_manager(kind.new_manager(self, number))
+        if warn or kind.required_interactive_framework:
+            plt.show()
+        if not plt.isinteractive():
+            plt.close(number)
+            self.set_canvas(before)
+
+    def _repr_png_(self) -> bytes:
+        content = io.BytesIO()
+        self.savefig(content, format="png")
+        return content.getvalue()
+
+
 def new_figure(width: float = 7.5, height: float = 4.5) -> Figure:
     """Make an empty figure [inches] whose parts do not overlap."""
-    return Figure(figsize=(width, height), layout="constrained")
+    return Picture(figsize=(width, height), layout="constrained")
 
 
 def frf_label(form: str, symbol: str = "|H|") -> str:
