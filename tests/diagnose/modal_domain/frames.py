@@ -59,11 +59,13 @@ def measured(
     seed: int, off: float, *, mass: tuple[str, float] | None = None, spring: tuple[str, str, float] | None = None,
     noise: float = 0.01, lines: int = 160, top: float = 330.0, runs: int = 1, given: bool = True,
     shifts: tuple[float, ...] = (0.0,), damping: tuple[int, float] | None = None,
+    oscillator: tuple[str, float, float, float] | None = None, hysteretic: bool = False, extra: float | None = None,
 ) -> tuple[Measurement, np.ndarray]:  # fmt: skip
     """Accelerances of a beam whose elements are off, and the true stiffness matrix.
 
     All frequencies are shifted from run to run by ``shifts``, damping ratios and shapes are not; ``damping`` is a mode
-    counted from 1 and how many times its damping ratio it has.
+    counted from 1 and how many times its damping ratio it has; ``oscillator`` is a DoF, a mass [kg], a frequency [Hz]
+    and a damping ratio; ``extra`` the frequency [Hz] of a mode of 1 % damping and a shape that nobody expected.
     """
     rng = np.random.default_rng(seed)
     K, M = cantilever(1 + off * rng.standard_normal(ELEMENTS), 1 + off / 3 * rng.standard_normal(ELEMENTS))
@@ -83,7 +85,20 @@ def measured(
     outputs, inputs = DOFS[::2], (DOFS[4], DOFS[14])
     rows, columns = [DOFS.index(n) for n in outputs], [DOFS.index(n) for n in inputs]
     s = 2j * np.pi * freq[:, None, None] / (1 + np.array(shifts)[:, None, None, None])
-    every = s**2 * np.linalg.inv(K + s * C + s**2 * M)[..., rows, :][..., columns]
+    Z = K + s * C + s**2 * M
+    if hysteretic:
+        w2, P = scipy.linalg.eigh(K, M)
+        Z = K + 2j * (M @ P @ np.diag(zeta[: len(w2)] * w2) @ P.T @ M) + s**2 * M
+    if oscillator is not None:
+        dof, own, f, ratio = oscillator
+        spring = (2 * np.pi * f) ** 2 + 2 * ratio * 2 * np.pi * f * s[..., 0, 0]
+        at = DOFS.index(dof)
+        Z[..., at, at] += own * s[..., 0, 0] ** 2 * spring / (s[..., 0, 0] ** 2 + spring)
+    receptance = np.linalg.inv(Z)[..., rows, :][..., columns]
+    if extra is not None:
+        shape, w = 0.2 * rng.standard_normal(len(DOFS)), 2 * np.pi * extra
+        receptance = receptance + np.outer(shape[rows], shape[columns]) / (s**2 + 2 * 0.01 * w * s + w**2)
+    every = s**2 * receptance
     H = every[0] if len(shifts) == 1 else every
     sigma = noise * np.sqrt((np.abs(every[0]) ** 2).mean(axis=0)) * np.ones(every[0].shape)
     runs = max(runs, len(shifts))

@@ -37,3 +37,31 @@ def test_the_damping_of_one_mode_stands_out_beyond_what_is_usual():
     answer = told(data)
     assert [(c["name"], c["where"]) for c in answer["causes"]] == [("modal_damping", [3])]
     assert answer["causes"][0]["parameters"]["relative_change"]["value"] == pytest.approx(3.0, rel=0.2)
+
+
+@pytest.mark.parametrize("off", [0.01, 0.03])
+def test_an_attached_oscillator_is_named_at_its_place(off):
+    data, _ = measured(14, off, oscillator=("7:+Z", 0.02, 75.0, 0.01))
+    answer = told(data)
+    assert [(c["name"], c["where"]) for c in answer["causes"]] == [("tuned_mass", ["7:+Z"])]
+    values = answer["causes"][0]["parameters"]
+    for name, true in (("mass", 0.02), ("frequency", 75.0), ("damping_ratio", 0.01)):
+        assert values[name]["value"] == pytest.approx(true, abs=5 * values[name]["std"])
+        assert values[name]["std"] < 0.2 * true
+
+
+@pytest.mark.parametrize("off", [0.01, 0.03])
+def test_a_mode_that_the_simulation_has_not_is_named(off):
+    data, _ = measured(15, off, extra=150.0)
+    answer = told(data)
+    assert [(c["name"], c["where"]) for c in answer["causes"]] == [("missing_mode", [])]
+    frequency = answer["causes"][0]["parameters"]["frequency"]
+    assert frequency["value"] == pytest.approx(150.0, abs=5 * frequency["std"])
+    assert answer["gain"]["chi2_after"] < 1.5
+
+
+@pytest.mark.parametrize("off", [0.01, 0.02])
+def test_hysteretic_damping_is_named_by_the_phases_of_residues(off):
+    data, _ = measured(16, off, hysteretic=True)
+    answer = told(data)
+    assert [(c["name"], c["where"]) for c in answer["causes"]] == [("structural_damping", [])]

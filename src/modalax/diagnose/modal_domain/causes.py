@@ -1,17 +1,28 @@
 """Causes as finite changes in the modal domain, with their place, usual size and effect."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 KIND_OF = {"added_mass": "M", "joint_stiffness": "K", "local_damper": "C", "modal_damping": "C"}
 LONGEST = 50.0  # decays of a mode in one delay, beyond which a delay is none
 ALL = 2  # axis of a fault of all channels
+UNSIZED = ("channel_sign", "channel_swap", "units")
+UNITS = {
+    "added_mass": ("mass", "kg"), "joint_stiffness": ("stiffness", "N/m"), "local_damper": ("damping", "N s/m"),
+    "channel_gain": ("gain", "-"), "force_gain": ("gain", "-"), "time_delay": ("delay", "s"),
+    "modal_damping": ("relative_change", "-"),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Change:
     """One cause at one place of the simulation.
+
+    A cause has ``count`` sizes ``u``, each standard normal before the data. It changes matrices (``local``), or what
+    the channels show; the classes of :mod:`modalax.diagnose.modal_domain.further_causes` do other things.
 
     Attributes
     ----------
@@ -43,13 +54,38 @@ class Change:
 
     @property
     def kind(self) -> str:
-        """K, C or M of a local change; empty for a channel's fault."""
+        """K, C or M of a change of one matrix; empty for all others."""
         return KIND_OF.get(self.slug, "")
+
+    @property
+    def local(self) -> bool:
+        """Whether it changes matrices."""
+        return bool(self.kind)
 
     @property
     def sized(self) -> bool:
         """Whether it has a size; a sign, a swap or a unit has none."""
-        return self.slug not in ("channel_sign", "channel_swap", "units")
+        return self.slug not in UNSIZED
+
+    @property
+    def count(self) -> int:
+        """Number of its sizes; 1 that does nothing for a cause without a size."""
+        return 1
+
+    @property
+    def linear(self) -> bool:
+        """Whether small sizes act in proportion, so that it can be scored without a fit."""
+        return self.sized
+
+    @property
+    def freed(self) -> int | None:
+        """Number of the measured mode that it leaves free."""
+        return None
+
+    @property
+    def hysteretic(self) -> bool:
+        """Whether damping is hysteretic with it."""
+        return False
 
     @property
     def matrix(self) -> np.ndarray:
@@ -59,14 +95,49 @@ class Change:
         assert self.direction is not None, "a channel's fault changes no matrix"
         return self.scale * np.outer(self.direction, self.direction)
 
-    def _turn(self, u: float, poles: np.ndarray) -> np.ndarray:
-        x = -poles * self.scale * u
+    def changes(self, u: np.ndarray) -> dict[str, np.ndarray]:
+        """Changes of the matrices, by ``K``, ``C`` and ``M``."""
+        return {self.kind: u[0] * self.matrix}
+
+    def slopes(self, u: np.ndarray) -> list[dict[str, np.ndarray]]:
+        """Derivatives of :meth:`changes` by each size."""
+        return [{self.kind: self.matrix}]
+
+    def size(self, u: np.ndarray) -> float:
+        """The size that tells whether it stands out, in the unit of the cause."""
+        return float(u[0]) * self.scale
+
+    def told(self, u: np.ndarray, covariance: np.ndarray) -> dict[str, dict[str, Any]]:
+        """Parameters as in the answer."""
+        if self.slug not in UNITS:
+            return {}
+        name, unit = UNITS[self.slug]
+        factor = self.scale * (self.reference if self.pattern is not None else 1.0)
+        std = float(np.sqrt(max(covariance[0, 0], 0.0))) * abs(factor)
+        return {name: {"value": float(u[0]) * factor, "std": std, "unit": unit}}
+
+    def as_catalogue(self, u: np.ndarray, covariance: np.ndarray) -> tuple[list[float], list[float], Any]:
+        """Parameters of the catalogue's cause of this name, their standard deviations, and its shape over channels."""
+        if not self.sized:
+            return [], [], None
+        return [float(u[0]) * self.scale], [float(np.sqrt(max(covariance[0, 0], 0.0))) * self.scale], None
+
+    def added(self, s: np.ndarray) -> np.ndarray | float:
+        """FRFs ``(f, o, i)`` that it adds to the simulation's, in the form of the measurement."""
+        return 0.0
+
+    def at_modes(self, u: np.ndarray, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
+        """Residues ``(k, o, i)`` of modes as they show with this cause, changes of matrices apart."""
+        return self.transform(u, poles, residues)
+
+    def _turn(self, u: np.ndarray, poles: np.ndarray) -> np.ndarray:
+        x = -poles * self.scale * u[0]
         return np.exp(np.clip(x.real, -LONGEST, LONGEST) + 1j * x.imag)[:, None]
 
-    def transform(self, u: float, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
-        """Residues ``(k, o, i)`` as this fault of a channel shows them."""
+    def transform(self, u: np.ndarray, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
+        """Residues ``(k, o, i)``, or FRFs at ``poles`` on the imaginary axis, as this fault of a channel shows them."""
         if self.slug in ("channel_gain", "force_gain", "channel_sign"):
-            factor = -1.0 if self.slug == "channel_sign" else 1 + self.scale * u
+            factor = -1.0 if self.slug == "channel_sign" else 1 + self.scale * u[0]
             out = residues.copy()
             if self.channel[0] == 0:
                 out[:, self.channel[1]] *= factor
@@ -89,8 +160,8 @@ class Change:
             return out
         return residues
 
-    def transform_slope(self, u: float, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
-        """Derivative of :meth:`transform` by ``u``."""
+    def transform_slope(self, u: np.ndarray, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
+        """Derivative of :meth:`transform` by the size."""
         out = np.zeros_like(residues)
         if self.slug in ("channel_gain", "force_gain"):
             if self.channel[0] == 0:
@@ -103,3 +174,24 @@ class Change:
                 return -self.scale * (poles[:, None] * turn)[:, None] * residues
             out[:, self.channel[1]] = -self.scale * poles[:, None] * turn * residues[:, self.channel[1]]
         return out
+
+
+def with_sizes(causes: Sequence[Change], u: np.ndarray) -> Iterator[tuple[Change, np.ndarray]]:
+    """Each cause with its own sizes of all, shape ``(count,)``."""
+    start = 0
+    for cause in causes:
+        yield cause, u[start : start + cause.count]
+        start += cause.count
+
+
+def own_sizes(causes: Sequence[Change], which: int) -> slice:
+    """Where the sizes of one cause stand among those of all."""
+    start = sum(c.count for c in causes[:which])
+    return slice(start, start + causes[which].count)
+
+
+def shown(causes: Sequence[Change], u: np.ndarray, s: np.ndarray, H: np.ndarray) -> np.ndarray:
+    """FRFs ``(f, o, i)`` of the structure as measured: with faults of channels, and with what the simulation lacks."""
+    for cause, size in with_sizes(causes, u):
+        H = cause.transform(size, s, H)
+    return H + sum(cause.added(s) for cause in causes)

@@ -12,6 +12,7 @@ import scipy.linalg
 
 from modalax.model import Structure
 
+SPARE = 4.0  # frequency of a coordinate to which nothing is attached, over the highest of all
 LARGEST = 90  # modal coordinates kept of large simulations, besides what the band needs
 FURTHER, AT_LEAST = 10, 45  # modes above the band, and in all, that are solved with their damping
 REPEATED = 1e-6  # relative distance of two poles below which they count as repeated in derivatives
@@ -20,6 +21,9 @@ REPEATED = 1e-6  # relative distance of two poles below which they count as repe
 @dataclass(frozen=True)
 class Coordinates:
     """A simulation in modal coordinates.
+
+    The last coordinate is spare, for an oscillator that may be attached: of unit mass, far above the others, seen by no
+    channel.
 
     Attributes
     ----------
@@ -78,6 +82,9 @@ def coordinates_of(
     frequencies, shapes = np.sqrt(np.maximum(values[:kept], 0.0)), shapes[:, :kept]
     rate = np.sqrt(np.maximum(frequencies, 1e-3 * highest))
     damping = shapes.T @ C @ shapes + (shapes.T @ D @ shapes) / rate[:, None] / rate
+    spare = SPARE * max(float(frequencies[-1]), highest)
+    frequencies, shapes = np.append(frequencies, spare), np.pad(shapes, ((0, 0), (0, 1)))
+    damping, kept = np.pad(damping, ((0, 1), (0, 1))), kept + 1
     rows, columns = ([simulation.index(name) for name in names] for names in (outputs, inputs))
     return Coordinates(
         frequencies, damping, shapes, shapes[rows], shapes[columns], min(kept, max(inside + FURTHER, AT_LEAST))

@@ -5,11 +5,12 @@ from typing import Any
 import numpy as np
 
 from modalax.data.frf import DERIVATIVES
+from modalax.diagnose.modal_domain.causes import shown, with_sizes
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.fit import Fit, widths_of_sizes
 from modalax.diagnose.modal_domain.inaccuracy import KINDS, RIGID
 from modalax.diagnose.modal_domain.stage import Stage
-from modalax.diagnose.modal_domain.state import FARTHEST, Setting, changes_of, slopes_at
+from modalax.diagnose.modal_domain.state import FARTHEST, Setting, changes_of, matrices_of, slopes_at
 from modalax.model import Structure
 
 DRAWS, BESIDE = 16, 24  # draws of the sizes of the inaccuracy, and of its parts for each
@@ -21,7 +22,7 @@ LINES = 256  # lines solved at once
 def corrected(stage: Stage, f: Fit) -> Structure:
     """The simulation corrected for the inaccuracy of a fit and for its whole elements that are off."""
     whole = tuple(c for c in f.causes if c.pattern is not None)
-    u = np.array([v for c, v in zip(f.causes, f.u, strict=True) if c.pattern is not None])
+    u = np.array([v[0] for c, v in with_sizes(f.causes, f.u) if c.pattern is not None])
     change = changes_of(stage.setting, f.sizes, whole, u)
     s = stage.simulation
     left = np.asarray(s.M) @ stage.coordinates.shapes
@@ -35,15 +36,12 @@ def frf_of(stage: Stage, f: Fit | None) -> np.ndarray:
     s = 2j * np.pi * freq
     M, C, K = np.eye(c.size), c.damping, np.diag(c.frequencies**2)
     if f is not None:
-        change = changes_of(stage.setting, f.sizes, f.causes, f.u)
-        M, C, K = M + change["dM"], C + change["dC"], K + change["dK"]
+        M, C, K = matrices_of(stage.setting, f.sizes, f.causes, f.u)
     H = np.concatenate(
         [_solved(part, M, C, K, c) for part in np.array_split(s, max(1, len(s) // LINES))]
     )  # fmt: skip
     H = H * s[:, None, None] ** DERIVATIVES[stage.measurement.form]
-    for cause, u in zip(f.causes, f.u, strict=True) if f is not None else ():
-        H = cause.transform(u, s, H)
-    return H
+    return H if f is None else shown(f.causes, f.u, s, H)
 
 
 def _solved(s: np.ndarray, M: np.ndarray, C: np.ndarray, K: np.ndarray, c: Coordinates) -> np.ndarray:

@@ -20,7 +20,7 @@ from modalax.diagnose.decision.levels import outweighing
 from modalax.diagnose.decision.omnibus import Omnibus, omnibus
 from modalax.diagnose.decision.sets import rivals
 from modalax.diagnose.extend import ExtendedSimulation
-from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.causes import UNITS, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.corrected import corrected, frf_of, inaccuracy_told
 from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.fit import Fit
@@ -36,12 +36,6 @@ from modalax.diagnose.result import Diagnosis
 from modalax.diagnose.summary import cause_at
 from modalax.diagnose.thresholds import THRESHOLDS
 from modalax.model import Structure
-
-UNITS = {
-    "added_mass": ("mass", "kg"), "joint_stiffness": ("stiffness", "N/m"), "local_damper": ("damping", "N s/m"),
-    "channel_gain": ("gain", "-"), "force_gain": ("gain", "-"), "time_delay": ("delay", "s"),
-    "modal_damping": ("relative_change", "-"),
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -116,14 +110,14 @@ class ModalDiagnosis(Diagnosis):
     @property
     def _linear(self) -> list[dict[str, Any]]:
         core, sure = standing_out(self.stage, self.chosen), self.sets[0].probability
-        std = np.sqrt(np.maximum(np.diag(self.chosen.fit.covariance), 0.0))
-        told = []
-        for c, u, error in zip(self.chosen.causes, self.chosen.fit.u, std, strict=True):
+        told, covariance = [], self.chosen.fit.covariance
+        for k, (c, u) in enumerate(with_sizes(self.chosen.causes, self.chosen.fit.u)):
             if c not in core:
                 continue
+            own = own_sizes(self.chosen.causes, k)
             told.append(
                 {"name": c.slug, "where": list(c.where), "probability": float(min(sure, 1.0)),
-                 "parameters": _parameters(c, float(u), float(error))}
+                 "parameters": c.told(u, covariance[own, own])}
             )  # fmt: skip
         return told
 
@@ -175,17 +169,6 @@ class ModalDiagnosis(Diagnosis):
             "notes": list(self.notes),
             "p_value": None,
         }
-
-
-def _parameters(c: Change, u: float, error: float) -> dict[str, Any]:
-    if c.slug not in UNITS:
-        return {}
-    name, unit = UNITS[c.slug]
-    factor = c.scale * (c.reference if c.pattern is not None else 1.0)
-    told = {name: {"value": u * factor, "std": error * abs(factor), "unit": unit}}
-    if c.slug == "joint_stiffness" and c.pattern is not None:
-        told["relative_change"] = {"value": u * c.scale, "std": error * abs(c.scale), "unit": "-"}
-    return told
 
 
 def diagnose_modes(
@@ -240,20 +223,21 @@ def extension_of(stage: Stage, f: Fit) -> ExtendedSimulation:
     known: dict[str, Cause] = {}
     for cause in (*catalogue(), *imitators()):
         known.setdefault(cause.slug, cause)
-    base, causes, places, params, spread = corrected(stage, f), [], [], [], []
-    std = np.sqrt(np.maximum(np.diag(f.covariance), 0.0))
-    for c, u, error in zip(f.causes, f.u, std, strict=True):
+    base, causes, places, params, spread, extras = corrected(stage, f), [], [], [], [], []
+    for k, (c, u) in enumerate(with_sizes(f.causes, f.u)):
         if c.pattern is not None or c.slug not in known:
             continue
-        m = stage.measurement
-        names = base.dofs if c.kind else (m.inputs if c.slug == "force_gain" else m.outputs)
+        m, own = stage.measurement, own_sizes(f.causes, k)
+        names = base.dofs if c.local else (m.inputs if c.slug == "force_gain" else m.outputs)
         index = [names.index(str(w)) for w in c.where] + [-1, -1]
         if c.slug == "units":
             index[0] = c.channel[1]
         causes.append(CommonDelay() if c.slug == "time_delay" and not c.where else known[c.slug])
         places.append(Place(tuple(c.where), (index[0], index[1], 0)))
-        params.append(jnp.asarray([u * c.scale] if c.sized else []))
-        spread.append(jnp.asarray([error * c.scale] if c.sized else []))
+        values, errors, extra = c.as_catalogue(u, f.covariance[own, own])
+        params.append(jnp.asarray(values))
+        spread.append(jnp.asarray(errors))
+        extras.append(None if extra is None else jnp.asarray(extra))
     joint = None if stage.seen is None else stage.seen.joint
     if joint is not None and joint.fit.law in NAMED:
         index = [base.dofs.index(w) for w in joint.spot.where] + [-1]
@@ -261,7 +245,8 @@ def extension_of(stage: Stage, f: Fit) -> ExtendedSimulation:
         places.append(Place(joint.spot.where, (index[0], index[1], 0)))
         params.append(jnp.asarray(joint.fit.p))
         spread.append(jnp.asarray(joint.fit.std))
+        extras.append(None)
     return ExtendedSimulation(
-        base, tuple(params), tuple(spread), jnp.zeros((2, len(base.dofs))), tuple(None for _ in causes), tuple(causes),
+        base, tuple(params), tuple(spread), jnp.zeros((2, len(base.dofs))), tuple(extras), tuple(causes),
         tuple(places), stage.measurement.outputs, stage.measurement.inputs, float(stage.measured.freq[0]),
     )  # fmt: skip

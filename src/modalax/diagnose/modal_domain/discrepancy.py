@@ -12,7 +12,7 @@ import numpy as np
 
 from modalax.diagnose.modal_domain.coordinates import pattern_slopes, slopes_of
 from modalax.diagnose.modal_domain.fit import Fit
-from modalax.diagnose.modal_domain.state import Setting, feature_slopes, slopes_at
+from modalax.diagnose.modal_domain.state import Setting, feature_slopes, slopes_at, whitened
 
 SIZES = (0.0, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)  # relative sizes that are tried
 BESIDE = 8  # modes above the band that those inside may be coupled with
@@ -37,12 +37,12 @@ def rest_slopes(setting: Setting, f: Fit) -> np.ndarray:
                 patterns[k, r, s] = patterns[k, s, r] = size
             moved = pattern_slopes(t, kind, patterns)
             columns.append(feature_slopes(setting, f.state, t, f.causes, f.u, *moved))
-    return setting.whitener @ np.concatenate(columns, axis=1)
+    return whitened(setting, np.concatenate(columns, axis=1), f.causes)
 
 
 def learnt_rest(setting: Setting, fits: list[Fit], priors: list[float]) -> tuple[Setting, float]:
-    """The setting with the rest of greatest evidence over some fits, and its size."""
-    best, size, chosen = -np.inf, 0.0, None
+    """The setting with the rest about the likeliest of some fits, and its size: the mean square over what it may be."""
+    best, found, chosen = -np.inf, np.zeros(len(SIZES)), None
     for f, prior in zip(fits, priors, strict=True):
         J = slopes_at(setting, f.state, f.causes, f.u)
         target = f.state.difference + J @ np.concatenate([f.sizes, f.u])
@@ -51,13 +51,18 @@ def learnt_rest(setting: Setting, fits: list[Fit], priors: list[float]) -> tuple
         known = np.eye(len(target)) + W @ W.T
         rest = rest_slopes(setting, f)
         rest = rest @ rest.T
-        for trial in SIZES:
-            L = np.linalg.cholesky(known + trial**2 * rest)
-            z = np.linalg.solve(L, target)
-            value = -0.5 * float(z @ z) - np.log(np.diag(L)).sum() + prior
-            if value > best:
-                best, size, chosen = value, trial, rest
-    if size == 0.0 or chosen is None:
+        values = np.array([_evidence(known + trial**2 * rest, target) for trial in SIZES])
+        if values.max() + prior > best:
+            best, found, chosen = float(values.max() + prior), values, rest
+    if chosen is None:
         return setting, 0.0
+    weight = np.exp(found - found.max())
+    size = float(np.sqrt((weight * np.array(SIZES) ** 2).sum() / weight.sum()))
     L = np.linalg.cholesky(np.eye(len(chosen)) + size**2 * chosen)
     return replace(setting, whitener=np.linalg.solve(L, setting.whitener)), size
+
+
+def _evidence(covariance: np.ndarray, target: np.ndarray) -> float:
+    L = np.linalg.cholesky(covariance)
+    z = np.linalg.solve(L, target)
+    return -0.5 * float(z @ z) - float(np.log(np.diag(L)).sum())

@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modalax.diagnose.deadline import Deadline
-from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.discrepancy import learnt_rest
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
+from modalax.diagnose.modal_domain.oscillators import oscillators
 from modalax.diagnose.modal_domain.screen import finite, refined, replaced, scores
 from modalax.diagnose.modal_domain.state import Setting, state_at
 
@@ -112,6 +113,7 @@ def _all_steps(
         _try(setting, found, (cause,), np.array([u]), start, gentle=start is None)
         if late():
             return
+    _attached(setting, found, candidates, prior, late)
     search.setting, search.found = setting, found = _beside_the_rest(setting, found, prior, late)
     for _ in range(MOST):
         best = _ranked(found, prior)[0]
@@ -127,6 +129,18 @@ def _all_steps(
             return
         _fewer(setting, found, _ranked(found, prior)[0].fit)
         search.setting, search.found = setting, found = _beside_the_rest(setting, found, prior, late)
+
+
+def _attached(
+    setting: Setting, found: dict[tuple[Change, ...], Fit], candidates: list[Change], prior: Prior,
+    late: Callable[[], bool],
+) -> None:  # fmt: skip
+    """Where a measured mode is one too many, try oscillators as what makes it."""
+    freed = [c.freed for c in _ranked(found, prior)[0].causes if c.freed is not None]
+    for cause, u in oscillators(setting, candidates, setting.features.poles[freed[0]]) if freed else ():
+        if late():
+            return
+        _try(setting, found, (cause,), u, None)
 
 
 def _beside_the_rest(
@@ -167,8 +181,8 @@ def _leading(
     gain, size = scores(setting, null, candidates)
     nominal, _ = scores(setting, _nominal(setting, null), candidates)
     few = set(np.argsort(-(gain + share))[:PRESCREENED]) | set(np.argsort(-(nominal + share))[:PRESCREENED])
-    few |= {k for k, c in enumerate(candidates) if not c.kind}
-    some = sorted(few)
+    few |= {k for k, c in enumerate(candidates) if not c.local}
+    some = sorted(k for k in few if candidates[k].count == 1)
     distance, where = finite(setting, [candidates[k] for k in some])
     value = dict(zip(some, -0.5 * distance + share[some], strict=True))
     order = sorted(some, key=lambda k: -value[k])
@@ -212,7 +226,12 @@ def _fewer(setting: Setting, found: dict[tuple[Change, ...], Fit], best: Fit) ->
     """Fit the best explanation without each of its causes, starting from its own sizes."""
     for k in range(len(best.causes)):
         kept = tuple(c for j, c in enumerate(best.causes) if j != k)
-        _try(setting, found, kept, np.delete(best.u, k), without_causes(best), gentle=False)
+        _try(setting, found, kept, _without(best, k), without_causes(best), gentle=False)
+
+
+def _without(f: Fit, which: int) -> np.ndarray:
+    """Sizes of all causes but one."""
+    return np.delete(f.u, np.arange(len(f.u))[own_sizes(f.causes, which)])
 
 
 def _neighbours(
@@ -229,9 +248,9 @@ def _neighbours(
             known = any(set(key) == set(causes) and len(key) == len(causes) for key in found)
             if late():
                 return
-            if known or value[j] < value.max() - NEAR or candidates[j] in kept:
+            if known or candidates[j] in kept or not value[j] > max(value.max() - NEAR, -np.inf):
                 continue
-            u = np.append(np.delete(best.u, k), np.clip(size[j], -3, 3))
+            u = np.append(_without(best, k), np.clip(size[j], -3, 3))
             _try(setting, found, causes, u, without_causes(best), gentle=False)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.linalg
 
 from modalax.diagnose.modal_domain.causes import Change
-from modalax.diagnose.modal_domain.state import Setting, State, slopes_at, state_at
+from modalax.diagnose.modal_domain.state import Setting, State, evidence_of_free, slopes_at, state_at
 
 TEMPERATURES = (100.0, 10.0, 3.0)  # widening of the features' covariance in the first steps of a fit
 LEARNING = 10.0  # greatest of these at which sizes of the inaccuracy are estimated; far from the data all seem large
@@ -34,7 +34,7 @@ class Fit:
     sizes
         Of all patterns, relative to the whole.
     u
-        Of causes, over their usual sizes.
+        Sizes of causes, those of each in turn, over their usual ones.
     epsilon
         Learnt size of each group of the inaccuracy.
     log_evidence
@@ -130,7 +130,8 @@ def fit(
     a = setting.inaccuracy
     sizes = np.zeros(len(a.group_of)) if start is None else start.sizes
     epsilon = a.usual.copy() if start is None else start.epsilon
-    u = np.zeros(len(causes)) if u is None else np.asarray(u, float)
+    u = np.zeros(sum(c.count for c in causes)) if u is None else np.asarray(u, float)
+    free = evidence_of_free(setting, causes)
     try:
         state = state_at(setting, sizes, causes, u)
         for temperature in temperatures:
@@ -150,8 +151,8 @@ def fit(
             scale = linear.prior(epsilon)
             # Laplace where the fit stands, not where the linear problem ends: at the optimum the same, elsewhere lower
             here = float(state.difference @ state.difference) + float(((np.concatenate([sizes, u]) / scale) ** 2).sum())
-            evidence = -0.5 * here + volume + hyperprior(setting, epsilon)
-            count = len(causes)
+            evidence = -0.5 * here + volume + hyperprior(setting, epsilon) + free
+            count = len(u)
             now = Fit(
                 causes, sizes, u, epsilon, evidence,
                 (V * np.outer(scale, scale))[len(V) - count :, len(V) - count :],

@@ -7,16 +7,18 @@ import numpy as np
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.holdout import BLOCKS, RESAMPLED, held_out_block
-from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.corrected import frf_of
 from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.features import chosen, features_of, sure
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
 from modalax.diagnose.modal_domain.free_residues import Channels
+from modalax.diagnose.modal_domain.further_causes import MissingMode
 from modalax.diagnose.modal_domain.levels.seen import foretold
 from modalax.diagnose.modal_domain.mode_count import blind_modes, misfit
 from modalax.diagnose.modal_domain.polish import lines_of, on_lines
 from modalax.diagnose.modal_domain.stage import Stage
+from modalax.diagnose.modal_domain.state import Setting
 
 
 def gain_of(stage: Stage, found: Explanation, before: np.ndarray) -> Gain:
@@ -67,22 +69,59 @@ def _without(stage: Stage, f: Fit, mask: np.ndarray) -> Fit:
     setting = replace(
         stage.setting, coordinates=replace(stage.coordinates, inputs=inputs), features=features, whitener=whitener
     )
-    moved = [(k, _renumbered(cause, kept)) for k, cause in enumerate(f.causes)]
-    some = [k for k, cause in moved if cause is not None]
+    names = m.outputs, m.inputs
+    moved = [(k, _renumbered(cause, kept, setting, names)) for k, cause in enumerate(f.causes)]
+    some = np.concatenate([np.zeros(0, int)] + [
+        np.arange(len(f.u))[own_sizes(f.causes, k)] for k, cause in moved if cause is not None])  # fmt: skip
     causes = tuple(cause for _, cause in moved if cause is not None)
-    again = fit(setting, causes, without_causes(f), f.u[some], temperatures=())
+    again = fit(setting, tuple(_seen(cause, kept) for cause in causes), without_causes(f), f.u[some], temperatures=())
     if again is None:
         return f
     again = on_lines(setting, again, lines_of(channels, setting), Deadline())
     u = f.u.copy()
     u[some] = again.u
-    return replace(f, sizes=again.sizes, u=u)
+    every = tuple(whole if isinstance(whole, MissingMode) else cause for cause, (_, whole) in zip(
+        f.causes, moved, strict=True))  # fmt: skip
+    return replace(f, causes=every, sizes=again.sizes, u=u)
 
 
-def _renumbered(cause: Change, kept: np.ndarray) -> Change | None:
+def _seen(cause: Change, kept: np.ndarray) -> Change:
+    """A mode that the simulation lacks, at the inputs that are left."""
+    if not isinstance(cause, MissingMode) or cause.residue is None:
+        return cause
+    return replace(cause, residue=cause.residue[:, kept])
+
+
+def _renumbered(
+    cause: Change, kept: np.ndarray, setting: Setting, names: tuple[tuple[str, ...], tuple[str, ...]]
+) -> Change | None:
     """A cause on the inputs that are left; None where it sits on another."""
+    if isinstance(cause, MissingMode):
+        f = setting.features
+        k = int(np.argmin(np.abs(f.poles - cause.pole)))
+        residue = by_reciprocity(f.residues[k] * f.units[k], kept, *names)
+        return replace(cause, number=k, pole=complex(f.poles[k]), residue=residue)
     if cause.slug != "force_gain":
         return cause
     if not kept[cause.channel[1]]:
         return None
     return replace(cause, channel=(1, int(kept[: cause.channel[1]].sum())))
+
+
+def by_reciprocity(A: np.ndarray, kept: np.ndarray, outputs: tuple[str, ...], inputs: tuple[str, ...]) -> np.ndarray:
+    """Residues of a mode at all inputs from those at some, ``A`` of shape ``(o, kept)``; 0 where none can be known.
+
+    A mode moves an input as it moves the output there, so one measured at its own driving point tells the others.
+    """
+    out = np.zeros((len(outputs), len(inputs)), complex)
+    out[:, kept] = A
+    driven = [(n, k) for n, k in enumerate(np.flatnonzero(kept)) if inputs[k] in outputs]
+    if not driven:
+        return out
+    n, _ = max(driven, key=lambda one: abs(A[outputs.index(inputs[one[1]]), one[0]]))
+    shape = A[:, n]
+    own = shape[outputs.index(inputs[np.flatnonzero(kept)[n]])]
+    for k in np.flatnonzero(~kept):
+        if inputs[k] in outputs and own != 0:
+            out[:, k] = shape * shape[outputs.index(inputs[k])] / own
+    return out

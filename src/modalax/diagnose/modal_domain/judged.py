@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modalax.diagnose.decision.beyond import BeyondUsual, ModalCase, Names, modal_verdict, usual_size
-from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.causes import Change, with_sizes
 from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.fit import LARGEST
 from modalax.diagnose.modal_domain.stage import Stage
@@ -78,9 +78,9 @@ def standing_out(stage: Stage, e: Explanation) -> tuple[Change, ...]:
     """Causes of an explanation that are larger than is usual."""
     off, highest = inaccuracy_of_fit(stage, e), float(stage.measured.freq[-1])
     out = []
-    for c, u in zip(e.causes, e.fit.u, strict=True):
+    for c, u in with_sizes(e.causes, e.fit.u):
         whole = 1.0 if c.pattern is not None else c.reference
-        size = float(u) * c.scale
+        size = c.size(u)
         if c.slug == "modal_damping":  # a factor, as the general inaccuracy of damping is
             size = float(np.log(max(1 + size, 1e-9)))
         if abs(size) > usual_size(c.slug, whole, off, highest):

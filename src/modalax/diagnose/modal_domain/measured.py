@@ -14,6 +14,7 @@ from modalax.diagnose.setup.noise import Noise, noise_of
 
 BELOW, ABOVE = 2, 3  # modes of the simulation on either side of the band that stand for all beyond it
 ASIDE = 0.1  # distance of these from the band, relative to its ends
+SPARED = 0.99  # frequency, relative to the spare coordinate's, above which a mode is that coordinate
 EDGE = 0.003  # part of the band's ends by which a mode that is compared may lie outside
 ALIKE = 5.0  # standard deviations of chi-square by which runs may differ and still count as alike
 
@@ -98,6 +99,7 @@ def _first_guess(measurement: Measurement, H: np.ndarray) -> np.ndarray:
 
 def _outside(c: Coordinates, low: float, high: float) -> np.ndarray:
     poles = modes_of(c).poles
+    poles = poles[np.abs(poles) < SPARED * c.frequencies[-1]]  # not the spare coordinate
     size = np.abs(poles)
     below, above = poles[size < low * (1 - ASIDE)], poles[size > high * (1 + ASIDE)]
     return np.concatenate([below[-BELOW:], above[:ABOVE]])

@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modalax.diagnose.deadline import Deadline
-from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.causes import Change, shown, with_sizes
 from modalax.diagnose.modal_domain.coordinates import POWER
 from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.fit import Fit, Linear
 from modalax.diagnose.modal_domain.free_residues import Channels
-from modalax.diagnose.modal_domain.state import Setting, changes_of, factors_of, state_at
+from modalax.diagnose.modal_domain.state import Setting, factors_of, hysteretic, matrices_of, state_at
 
 STEPS = 8  # most Gauss-Newton steps
 PARTS = (1.0, 0.3, 0.1)  # of a step that are tried
@@ -91,7 +91,19 @@ def on_lines(setting: Setting, f: Fit, lines: Lines, late: Deadline) -> Fit:
         state = state_at(setting, x[:n], f.causes, x[n:])
     except np.linalg.LinAlgError:
         return f
-    return replace(f, sizes=x[:n], u=x[n:], covariance=(V * np.outer(scale, scale))[n:, n:], state=state)
+    return replace(f, sizes=x[:n], u=x[n:], covariance=_widened(V * np.outer(scale, scale), f, x), state=state)
+
+
+def _widened(covariance: np.ndarray, f: Fit, x: np.ndarray) -> np.ndarray:
+    """Covariance of the causes' sizes by the lines, no narrower than by the modes, and as wide as both are apart.
+
+    Lines know of noise and elements only; the modes also allow for the rest that no element explains
+    (:mod:`modalax.diagnose.modal_domain.discrepancy`).
+    """
+    n = len(f.sizes)
+    own, moved = covariance[n:, n:], x[n:] - f.u
+    wider = np.sqrt(np.maximum(np.diag(own), np.diag(f.covariance)) / np.maximum(np.diag(own), 1e-300))
+    return own * np.outer(wider, wider) + np.outer(moved, moved)
 
 
 def leading_on_lines(
@@ -111,8 +123,7 @@ def _responses(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Receptances of all coordinates to forces at the outputs and at the inputs, ``(f, n, o)`` and ``(f, n, i)``."""
     c = setting.coordinates
-    change = changes_of(setting, sizes, causes, u)
-    M, C, K = np.eye(c.size) + change["dM"], c.damping + change["dC"], np.diag(c.frequencies**2) + change["dK"]
+    M, C, K = matrices_of(setting, sizes, causes, u)
     both = np.concatenate([c.outputs, c.inputs]).T
     Z = K + s[:, None, None] * C + s[:, None, None] ** 2 * M
     solved = np.linalg.solve(Z, np.broadcast_to(both, (len(s), *both.shape)))
@@ -132,8 +143,7 @@ def chi2_of(setting: Setting, f: Fit, lines: Lines) -> float:
         s = lines.s[part]
         _, inner = _responses(setting, f.causes, f.sizes, f.u, s)
         H = (setting.coordinates.outputs @ inner) * s[:, None, None] ** lines.order
-        for cause, size in zip(f.causes, f.u, strict=True):
-            H = cause.transform(float(size), s, H)
+        H = shown(f.causes, f.u, s, H)
         total += float((lines.weight[part] * np.abs(lines.H[part] - H) ** 2).sum())
     return total
 
@@ -161,24 +171,33 @@ def _slopes(
     """FRFs ``(f, o, i)`` and their derivatives by all sizes, ``(p, f, o, i)``."""
     c = setting.coordinates
     outer, inner = _responses(setting, causes, sizes, u, s)
-    parts = setting.patterns() + [(k.kind, k.matrix[None]) for k in causes if k.kind]
+    loss = any(cause.hysteretic for cause in causes)
     form = s[:, None, None] ** order
-    columns = [-_across(P, outer, inner) * form * s[:, None, None] ** POWER[kind] for kind, P in parts]
-    local = np.concatenate(columns)
-    local[: len(sizes)] *= factors_of(setting, sizes)[:, None, None, None]
+
+    def column(kind: str, P: np.ndarray) -> np.ndarray:
+        if kind == "C" and loss:
+            return -1j * form * _across(hysteretic(c, P), outer, inner)
+        return -_across(P, outer, inner) * form * s[:, None, None] ** POWER[kind]
+
+    local = np.concatenate([column(kind, P) for kind, P in setting.patterns()])
+    local *= factors_of(setting, sizes)[:, None, None, None]
     plain = (c.outputs @ inner) * form
 
     def seen(H: np.ndarray, by: int = -1) -> np.ndarray:
         """As the channels show it, or its derivative by the size of one channel's fault."""
-        for k, (cause, size) in enumerate(zip(causes, u, strict=True)):
+        for k, (cause, size) in enumerate(with_sizes(causes, u)):
             act = cause.transform_slope if k == by else cause.transform
-            H = act(float(size), s, H)
+            H = act(size, s, H)
         return H
 
-    made = np.stack([seen(one) for one in local]) if any(not k.kind for k in causes) else local
-    rows, structural = list(made[: len(sizes)]), iter(made[len(sizes) :])
-    rows += [next(structural) if cause.kind else seen(plain, k) for k, cause in enumerate(causes)]
-    return seen(plain), np.stack(rows)
+    rows = [seen(one) for one in local] if any(not k.local for k in causes) else list(local)
+    for k, (cause, size) in enumerate(with_sizes(causes, u)):
+        if cause.local:
+            changes = cause.slopes(size)
+            rows += [seen(sum(column(kind, P[None])[0] for kind, P in by.items())) for by in changes]
+        else:
+            rows.append(seen(plain, k))
+    return shown(causes, u, s, plain), np.stack(rows)
 
 
 def _across(P: np.ndarray, outer: np.ndarray, inner: np.ndarray) -> np.ndarray:

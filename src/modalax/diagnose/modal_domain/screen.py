@@ -8,10 +8,19 @@ the data, and each cause is scored by how much likelier it makes the change that
 import numpy as np
 import scipy.optimize
 
-from modalax.diagnose.modal_domain.causes import Change
-from modalax.diagnose.modal_domain.features import paired, values_of
+from modalax.diagnose.modal_domain.causes import Change, own_sizes
+from modalax.diagnose.modal_domain.features import values_of
 from modalax.diagnose.modal_domain.fit import Fit
-from modalax.diagnose.modal_domain.state import Setting, State, screening_slopes, slopes_at, state_at
+from modalax.diagnose.modal_domain.state import (
+    Setting,
+    State,
+    evidence_of_free,
+    pairs_with,
+    screening_slopes,
+    slopes_at,
+    state_at,
+    whitened,
+)
 
 SIZES = (0.015, 0.04, 0.1, 0.25, 0.5, 0.9, 2.0)  # sizes of a change that are tried, over its usual size, of either sign
 FACTORS = np.array([0.4, 0.6, 0.8, 1.0, 1.25, 1.6, 2.2])  # multiples of a size that are tried to refine it
@@ -24,37 +33,43 @@ def finite(setting: Setting, candidates: list[Change]) -> tuple[np.ndarray, np.n
 
     Damping is taken mode by mode, which is exact enough to rank.
     """
-    f = setting.features
-    state, shrink = _tolerance(setting)
-
-    def distance(poles: np.ndarray, residues: np.ndarray) -> float:
-        pairs = paired(f, poles, residues)
-        r = setting.whitener @ (f.values - values_of(poles[pairs], residues[pairs] / f.units, f.tangent)).ravel()
-        h = shrink @ r
-        return float(r @ r - h @ h)
-
+    state, shrink = tolerance(setting)
     sizes = np.array([-s for s in SIZES[::-1]] + [*SIZES])
     best, where = np.full(len(candidates), np.inf), np.zeros(len(candidates))
     for k, cause in enumerate(candidates):
         if cause.kind:
-            for u, poles, plain in _changed(setting, cause, sizes):
-                value = distance(poles, plain) + u**2
-                if value < best[k]:
-                    best[k], where[k] = value, u
-        else:
-            for u in sizes if cause.sized else (1.0,):
-                plain = cause.transform(u, state.modes.poles, state.plain)
-                value = distance(state.modes.poles, plain) + (u**2 if cause.sized else 0.0)
-                if value < best[k]:
-                    best[k], where[k] = value, u
+            trials = _changed(setting, cause, sizes)
+        elif not cause.local:
+            poles, plain = state.modes.poles, state.plain
+            few = sizes if cause.sized else np.ones(1)
+            trials = [(float(u), poles, cause.at_modes(np.array([u]), poles, plain)) for u in few]
+        else:  # it has several sizes, a screening of its own
+            continue
+        own = shrink if cause.freed is None else tolerance(setting, (cause,))[1]
+        free = 2 * evidence_of_free(setting, (cause,))
+        for u, poles, residues in trials:
+            value = distance(setting, own, poles, residues, (cause,)) - free + (u**2 if cause.sized else 0.0)
+            if value < best[k]:
+                best[k], where[k] = value, u
     return best, where
 
 
-def _tolerance(setting: Setting) -> tuple[State, np.ndarray]:
+def distance(
+    setting: Setting, shrink: np.ndarray, poles: np.ndarray, residues: np.ndarray, causes: tuple[Change, ...] = ()
+) -> float:
+    """Chi-square that predicted modes leave beyond the inaccuracy that is tolerated."""
+    f = setting.features
+    pairs = pairs_with(f, causes, poles, residues)
+    r = whitened(setting, (f.values - values_of(poles[pairs], residues[pairs] / f.units, f.tangent)).ravel(), causes)
+    h = shrink @ r
+    return float(r @ r - h @ h)
+
+
+def tolerance(setting: Setting, causes: tuple[Change, ...] = ()) -> tuple[State, np.ndarray]:
     """The nominal simulation, and a matrix whose product with a difference is the part that the inaccuracy explains."""
-    a = setting.inaccuracy
-    state = state_at(setting, np.zeros(len(a.group_of)))
-    W = slopes_at(setting, state) * (TOLERANT * a.usual)[a.group_of]
+    a, none = setting.inaccuracy, np.zeros(len(causes))
+    state = state_at(setting, np.zeros(len(a.group_of)), causes, none)
+    W = slopes_at(setting, state, causes, none)[:, : len(a.group_of)] * (TOLERANT * a.usual)[a.group_of]
     L = np.linalg.cholesky(np.eye(W.shape[1]) + W.T @ W)
     return state, np.linalg.solve(L, W.T)
 
@@ -62,9 +77,9 @@ def _tolerance(setting: Setting) -> tuple[State, np.ndarray]:
 def refined(setting: Setting, causes: list[Change], sizes: list[float]) -> list[float]:
     """Sizes of least distance near those of :func:`finite`, with the damping in full."""
     still = np.zeros(len(setting.inaccuracy.group_of))
-    _, shrink = _tolerance(setting)
+    _, shrink = tolerance(setting)
 
-    def distance(u: float, cause: Change) -> float:
+    def left(u: float, cause: Change) -> float:
         try:
             r = state_at(setting, still, (cause,), np.array([u])).difference
         except np.linalg.LinAlgError:
@@ -76,10 +91,10 @@ def refined(setting: Setting, causes: list[Change], sizes: list[float]) -> list[
     for cause, u in zip(causes, sizes, strict=True):
         if cause.sized and u != 0:
             trials = u * FACTORS
-            best = int(np.argmin([distance(t, cause) for t in trials]))
+            best = int(np.argmin([left(t, cause) for t in trials]))
             low, high = trials[max(best - 1, 0)], trials[min(best + 1, len(trials) - 1)]
             found = scipy.optimize.minimize_scalar(
-                distance, args=(cause,), bounds=sorted((low, high)), method="bounded", options={"maxiter": 12}
+                left, args=(cause,), bounds=sorted((low, high)), method="bounded", options={"maxiter": 12}
             )
             u = float(found.x) if np.isfinite(found.fun) else u
         out.append(u)
@@ -133,8 +148,7 @@ def scores(setting: Setting, f: Fit, candidates: list[Change]) -> tuple[np.ndarr
     energy = np.maximum((G**2).sum(axis=0) - (apart**2).sum(axis=0), 0.0)
     gain = 0.5 * product**2 / (1 + energy) - 0.5 * np.log1p(energy)
     size = product / (1 + energy)
-    unsized = np.array([not c.sized for c in candidates])
-    gain[unsized] = -np.inf
+    gain[[not c.linear for c in candidates]] = -np.inf
     return gain, size
 
 
@@ -144,9 +158,9 @@ def replaced(setting: Setting, f: Fit, which: int, candidates: list[Change]) -> 
     x = np.concatenate([f.sizes, f.u])
     s = np.concatenate([f.epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
     target = f.state.difference + J @ x
-    keep = np.arange(len(s)) != len(f.sizes) + which
     if not f.causes[which].sized:
         return np.full(len(candidates), -np.inf), np.zeros(len(candidates))
+    keep = np.delete(np.arange(len(s)), np.arange(len(f.sizes), len(s))[own_sizes(f.causes, which)])
     W = (J * s)[:, keep]
     L = np.linalg.cholesky(np.eye(W.shape[1]) + W.T @ W)
     half = np.linalg.solve(L, W.T)
@@ -155,16 +169,16 @@ def replaced(setting: Setting, f: Fit, which: int, candidates: list[Change]) -> 
     product = G.T @ target - apart.T @ (half @ target)
     energy = np.maximum((G**2).sum(axis=0) - (apart**2).sum(axis=0), 0.0)
     gain = 0.5 * product**2 / (1 + energy) - 0.5 * np.log1p(energy)
-    gain[[not c.sized for c in candidates]] = -np.inf
+    gain[[not c.linear for c in candidates]] = -np.inf
     return gain, product / (1 + energy)
 
 
 def errors_of(setting: Setting, f: Fit, candidates: list[Change]) -> np.ndarray:
-    """Standard deviation of each candidate's size when added to a fit, over its usual size; NaN without a size."""
+    """Standard deviation of each candidate's size when added to a fit, over its usual size; NaN without one size."""
     J = slopes_at(setting, f.state, f.causes, f.u)
     W = J * np.concatenate([f.epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
     L = np.linalg.cholesky(np.eye(W.shape[1]) + W.T @ W)
     G = screening_slopes(setting, f.state, candidates, f.causes, f.u)
     apart = np.linalg.solve(L, W.T) @ G
     energy = np.maximum((G**2).sum(axis=0) - (apart**2).sum(axis=0), 1e-300)
-    return np.where([c.sized for c in candidates], 1 / np.sqrt(energy), np.nan)
+    return np.where([c.linear for c in candidates], 1 / np.sqrt(energy), np.nan)

@@ -12,6 +12,9 @@ from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import Coordinates, coordinates_of
 from modalax.diagnose.modal_domain.elements import nodes_of
 from modalax.diagnose.modal_domain.explain import Explanation, explain
+from modalax.diagnose.modal_domain.features import Features
+from modalax.diagnose.modal_domain.free_residues import Channels
+from modalax.diagnose.modal_domain.further_causes import StructuralDamping, missing_modes, tuned_masses
 from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
 from modalax.diagnose.modal_domain.levels.explain import Spot
 from modalax.diagnose.modal_domain.levels.seen import Seen, look_at_levels, without_joint
@@ -59,6 +62,17 @@ class Stage:
         return self.explanations[0]
 
 
+def further_of(simulation: Structure, c: Coordinates, features: Features, channels: Channels) -> list[Change]:
+    """Causes that only lines, and not a table of modes, are asked about."""
+    low, high = (float(abs(channels.s[k])) for k in (0, -1))
+    inside = np.flatnonzero((c.frequencies > low) & (c.frequencies < high))
+    few = inside if len(inside) else np.arange(1)
+    return [
+        *tuned_masses(simulation.dofs, c, few, low, high), *missing_modes(features, channels.order, low, high),
+        StructuralDamping("structural_damping", ()),
+    ]  # fmt: skip
+
+
 def run_stage(
     measurement: Measurement, simulation: Structure, late: Deadline, wanted: Callable[[str], bool],
     tell: Callable[[str], None],
@@ -84,6 +98,7 @@ def run_stage(
     setting = Setting(c, inaccuracy_of(simulation, c, highest), measured.features, whitener)
     pairs = None if simulation.pairs is None else list(simulation.pairs)
     every = candidates_of(simulation, c, measurement.outputs, measurement.inputs, pairs, highest)
+    every += further_of(simulation, c, measured.features, measured.channels)
     candidates = [k for k in every if wanted(k.slug)]
     setting, explanations = explain(setting, candidates, late, tell)
     if not explanations:

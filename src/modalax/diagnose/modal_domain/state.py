@@ -1,10 +1,11 @@
 """A hypothesis at given sizes: predicted features and their derivatives by everything unknown."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.causes import Change, with_sizes
 from modalax.diagnose.modal_domain.coordinates import (
     Coordinates,
     Modes,
@@ -15,6 +16,7 @@ from modalax.diagnose.modal_domain.coordinates import (
     slopes_of,
 )
 from modalax.diagnose.modal_domain.features import Features, paired, slopes_of_values, values_of
+from modalax.diagnose.modal_domain.further_causes import MissingMode
 from modalax.diagnose.modal_domain.inaccuracy import KINDS, Inaccuracy
 
 WILD = 1e12  # factor on a channel that no fault has
@@ -77,10 +79,69 @@ def changes_of(setting: Setting, sizes: np.ndarray, causes: tuple[Change, ...], 
         part = relative[start : start + len(patterns)]
         out[kind] += np.tensordot(part, patterns, 1)
         start += len(patterns)
-    for cause, size in zip(causes, u, strict=True):
-        if cause.kind:
-            out[cause.kind] += size * cause.matrix
+    for cause, size in with_sizes(causes, u):
+        for kind, change in cause.changes(size).items() if cause.local else ():
+            out[kind] += change
     return {f"d{kind}": value for kind, value in out.items()}
+
+
+def matrices_of(
+    setting: Setting, sizes: np.ndarray, causes: tuple[Change, ...], u: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Mass, damping and stiffness in modal coordinates; hysteretic damping makes the stiffness complex."""
+    c, change = setting.coordinates, changes_of(setting, sizes, causes, u)
+    M, C, K = np.eye(c.size) + change["dM"], c.damping + change["dC"], np.diag(c.frequencies**2) + change["dK"]
+    if any(cause.hysteretic for cause in causes):
+        return M, 0 * C, K + 1j * hysteretic(c, C)
+    return M, C, K
+
+
+def hysteretic(c: Coordinates, C: np.ndarray) -> np.ndarray:
+    """Damping of modes at their own frequencies as an imaginary stiffness, shape ``(..., n, n)``."""
+    root = np.sqrt(c.frequencies)
+    return root[:, None] * C * root
+
+
+def free_directions(setting: Setting, causes: tuple[Change, ...]) -> np.ndarray | None:
+    """Orthonormal whitened directions of the modes that causes leave free; None where there are none."""
+    freed = [c.freed for c in causes if c.freed is not None]
+    if not freed:
+        return None
+    width = setting.features.width
+    return np.linalg.qr(setting.whitener[:, np.concatenate([np.arange(width) + width * k for k in freed])])[0]
+
+
+def whitened(setting: Setting, values: np.ndarray, causes: tuple[Change, ...]) -> np.ndarray:
+    """Whitened features, or derivatives of them, less what is free."""
+    out, free = setting.whitener @ values, free_directions(setting, causes)
+    return out if free is None else out - free @ (free.T @ out)
+
+
+def evidence_of_free(setting: Setting, causes: tuple[Change, ...]) -> float:
+    r"""Log evidence of the features of modes that are left free, :math:`p\,(2\pi)^{w/2}\det(W^TW)^{-1/2}` of each."""
+    width, total = setting.features.width, 0.0
+    for cause in causes:
+        if isinstance(cause, MissingMode):
+            block = setting.whitener[:, width * cause.number : width * (cause.number + 1)]
+            size = np.abs(np.diag(np.linalg.qr(block, mode="r")))
+            total += cause.log_density + 0.5 * width * math.log(2 * math.pi) - float(np.log(size).sum())
+    return total
+
+
+def pairs_with(features: Features, causes: tuple[Change, ...], poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
+    """Predicted mode of each measured one; of those left free just the nearest."""
+    kept = np.ones(len(features.poles), bool)
+    kept[[c.freed for c in causes if c.freed is not None]] = False
+    if kept.all():
+        return paired(features, poles, residues)
+    apart = np.abs(np.log(np.abs(features.poles))[:, None] - np.log(np.abs(poles)))
+    out = np.argmin(np.where(np.abs(residues).max(axis=(1, 2)) > 0, apart, np.inf), axis=1)
+    if kept.any():
+        few = replace(
+            features, poles=features.poles[kept], residues=features.residues[kept], units=features.units[kept]
+        )
+        out[kept] = paired(few, poles, residues)
+    return out
 
 
 def factors_of(setting: Setting, sizes: np.ndarray) -> np.ndarray:
@@ -101,33 +162,34 @@ def state_at(
     """
     c, f = setting.coordinates, setting.features
     modes = modes_of(c, **changes_of(setting, sizes, causes, u))
-    if len(modes.poles) < len(f.poles):
+    if len(modes.poles) < len(f.poles) - sum(cause.freed is not None for cause in causes):
         raise np.linalg.LinAlgError("fewer modes than measured")
     plain = np.einsum("ko,ki->koi", modes.vectors @ c.outputs.T, modes.vectors @ c.inputs.T)
     residues = plain
-    for cause, size in zip(causes, u, strict=True):
-        residues = cause.transform(size, modes.poles, residues)
+    for cause, size in with_sizes(causes, u):
+        residues = cause.at_modes(size, modes.poles, residues)
     if not np.abs(residues).max(initial=0.0) < WILD * np.abs(plain).max(initial=1.0):
         raise np.linalg.LinAlgError("a channel out of all bounds")
     if pairs is None:
-        pairs = paired(f, modes.poles, residues)
+        pairs = pairs_with(f, causes, modes.poles, residues)
     values = values_of(modes.poles[pairs], residues[pairs] / f.units, f.tangent)
-    return State(setting.whitener @ (f.values - values).ravel(), sizes, modes, pairs, plain, residues)
+    return State(whitened(setting, (f.values - values).ravel(), causes), sizes, modes, pairs, plain, residues)
 
 
 def slopes_at(setting: Setting, state: State, causes: tuple[Change, ...] = (), u: np.ndarray = NONE) -> np.ndarray:
-    """Whitened derivatives of the features by the sizes of all patterns and all causes, shape ``(m, p + causes)``."""
+    """Whitened derivatives of the features by the sizes of all patterns and those of causes, shape ``(m, p + u)``."""
     t = slopes_of(setting.coordinates, state.modes, state.pairs)
     parts = [pattern_slopes(t, kind, patterns) for kind, patterns in setting.patterns()]
     columns = [feature_slopes(setting, state, t, causes, u, *part) for part in parts]
     columns = [np.concatenate(columns, axis=1) * factors_of(setting, state.sizes)]
-    for k, cause in enumerate(causes):
-        if cause.kind:
-            moved = pattern_slopes(t, cause.kind, cause.matrix[None])
-            columns.append(feature_slopes(setting, state, t, causes, u, *moved))
-        else:
+    for k, (cause, size) in enumerate(with_sizes(causes, u)):
+        if not cause.local:
             columns.append(_channel_slope(setting, state, t, causes, u, k))
-    return setting.whitener @ np.concatenate(columns, axis=1)
+            continue
+        for by in cause.slopes(size):
+            moves = zip(*(pattern_slopes(t, kind, change[None]) for kind, change in by.items()), strict=True)
+            columns.append(feature_slopes(setting, state, t, causes, u, *(sum(m) for m in moves)))
+    return whitened(setting, np.concatenate(columns, axis=1), causes)
 
 
 def screening_slopes(
@@ -149,9 +211,9 @@ def screening_slopes(
             moved = pattern_slopes(t, kind, np.stack([candidates[k].matrix for k in whole]))
             out[:, whole] = feature_slopes(setting, state, t, causes, u, *moved)
     for k, c in enumerate(candidates):
-        if not c.kind and c.sized:
+        if not c.local and c.linear:
             out[:, k] = _channel_slope(setting, state, t, (*causes, c), np.append(u, 0.0), len(causes))[:, 0]
-    return setting.whitener @ out
+    return whitened(setting, out, causes)
 
 
 def feature_slopes(
@@ -162,10 +224,10 @@ def feature_slopes(
     f = setting.features
     moved = dout[..., None] * t.shape_inputs[:, None, None, :] + t.shape_outputs[:, None, :, None] * dinn[:, :, None]
     k, p = dpoles.shape
-    for cause, size in zip(causes, u, strict=True):
-        if not cause.kind:
+    for cause, size in with_sizes(causes, u):
+        if not cause.local:
             flat = moved.reshape(k * p, *moved.shape[2:])
-            moved = cause.transform(size, np.repeat(t.poles, p), flat).reshape(moved.shape)
+            moved = cause.at_modes(size, np.repeat(t.poles, p), flat).reshape(moved.shape)
     slopes = slopes_of_values(
         t.poles, state.residues[state.pairs] / f.units, f.tangent, dpoles, moved / f.units[:, None]
     )
@@ -178,8 +240,8 @@ def _channel_slope(
     """Derivative by the size of one channel's fault."""
     f = setting.features
     residues = state.plain[state.pairs]
-    for k, (cause, size) in enumerate(zip(causes, u, strict=True)):
-        act = cause.transform_slope if k == which else cause.transform
+    for k, (cause, size) in enumerate(with_sizes(causes, u)):
+        act = cause.transform_slope if k == which else cause.at_modes
         residues = act(size, t.poles, residues)
     still = np.zeros((len(t.poles), 1), complex)
     moved = (residues / f.units)[:, None]

@@ -16,9 +16,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from modalax.diagnose.modal_domain.causes import shown, with_sizes
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.fit import Fit
-from modalax.diagnose.modal_domain.state import Setting, changes_of
+from modalax.diagnose.modal_domain.state import Setting, matrices_of
 
 LINES = 256  # lines solved at once
 BLOCK = 2e6  # numbers of a product of places, lines and outputs at once
@@ -111,8 +112,7 @@ class Base:
 def base_of(setting: Setting, f: Fit, freq: np.ndarray, order: int) -> Base:
     """The model that a fit leaves, at given lines [Hz], in the form of ``order`` derivatives of the displacement."""
     c: Coordinates = setting.coordinates
-    change = changes_of(setting, f.sizes, f.causes, f.u)
-    M, C, K = np.eye(c.size) + change["dM"], c.damping + change["dC"], np.diag(c.frequencies**2) + change["dK"]
+    M, C, K = matrices_of(setting, f.sizes, f.causes, f.u)
     s = 2j * np.pi * freq
     both = np.concatenate([c.outputs, c.inputs]).T
     parts = np.array_split(s, max(1, len(s) // LINES))
@@ -121,24 +121,23 @@ def base_of(setting: Setting, f: Fit, freq: np.ndarray, order: int) -> Base:
     count = len(c.outputs)
     out, inn = solved[:, :, :count].transpose(0, 2, 1), solved[:, :, count:]
     out = out * s[:, None, None] ** order
-    for cause, u in zip(f.causes, f.u, strict=True):
-        if cause.kind:
+    for cause, u in with_sizes(f.causes, f.u):
+        if cause.local:
             continue
         if cause.slug == "force_gain":
-            inn = cause.transform(float(u), s, inn)
+            inn = cause.transform(u, s, inn)
         else:
-            out = cause.transform(float(u), s, out)
+            out = cause.transform(u, s, out)
     return Base(s, out, inn, (M, C, K))
 
 
 def frf_by(setting: Setting, f: Fit, freq: np.ndarray, order: int) -> np.ndarray:
     """FRFs ``(f, o, i)`` of the model that a fit leaves, faults of channels included."""
-    local = [bool(c.kind) for c in f.causes]
-    base = base_of(setting, replace(f, causes=tuple(c for c in f.causes if c.kind), u=f.u[local]), freq, order)
+    inside = [(c, u) for c, u in with_sizes(f.causes, f.u) if c.local or c.hysteretic]
+    sizes = np.concatenate([u for _, u in inside]) if inside else np.zeros(0)
+    base = base_of(setting, replace(f, causes=tuple(c for c, _ in inside), u=sizes), freq, order)
     H = setting.coordinates.outputs @ base.inn * base.s[:, None, None] ** order
-    for cause, u in zip(f.causes, f.u, strict=True):
-        H = cause.transform(float(u), base.s, H)
-    return H
+    return shown(f.causes, f.u, base.s, H)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.explain import Explanation, explain
 from modalax.diagnose.modal_domain.fit import Fit
+from modalax.diagnose.modal_domain.further_causes import missing_modes
 from modalax.diagnose.modal_domain.levels.change import Base, Levels, base_of, by_level, change_by, frf_by, projected
 from modalax.diagnose.modal_domain.levels.drift import by_run, drifts
 from modalax.diagnose.modal_domain.levels.explain import ByLevel, JointFound, Spot, explain_levels
@@ -105,7 +106,11 @@ def without_joint(
     if not len(again.features.poles):
         return measured, setting, explanations
     whitener = np.linalg.inv(np.linalg.cholesky(again.features.covariance))
-    now, found = explain(replace(setting, features=again.features, whitener=whitener), candidates, late, tell)
+    some = [c for c in candidates if c.freed is None]
+    if len(some) < len(candidates):
+        s = again.channels.s
+        some += missing_modes(again.features, again.channels.order, float(abs(s[0])), float(abs(s[-1])))
+    now, found = explain(replace(setting, features=again.features, whitener=whitener), some, late, tell)
     return (again, now, found) if found else (measured, setting, explanations)
 
 
