@@ -42,6 +42,14 @@ def test_hits_of_a_table_become_frfs(records, capsys):
     assert main(asked) == 2 and "exists already" in capsys.readouterr().err
 
 
+def test_a_drive_point_has_one_name_at_both_ends(records):
+    target = records / "drive.npz"
+    asked = ["frf", str(records / "run1.csv"), "-o", str(target), "--band", "10", "120"]
+    assert main([*asked, "--force", "2", "--name", "2=1:+Z", "--response", "a", "--name", "a=1:+Z"]) == 0
+    measured = load(target)
+    assert measured.outputs == measured.inputs == ("1:+Z",)
+
+
 def test_files_are_runs_or_repeats(records, capsys):
     both = ["frf", str(records / "run1.csv"), str(records / "run2.csv"), "--band", "10", "120", "--block", "0.8"]
     assert main([*both, "-o", str(records / "runs.npz"), "--runs", "--level", "5", "--level", "10"]) == 0

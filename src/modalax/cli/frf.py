@@ -120,7 +120,8 @@ def frf(
         "period": period, "skip": skip, "trigger": trigger, "pretrigger": pretrigger, "contact": contact,
         "remainder": remainder, "keep_all": keep_all, "roving": roving,
     }  # fmt: skip
-    ends = {"force": _renamed(force, names), "response": _renamed(response, names)}
+    called = _pairs(names, "--name")
+    ends = {"force": _as_in_file(force, called), "response": _as_in_file(response, called)}
     _check_levels(level, len(records) if runs else 1)
     taken, frfs, said = [], [], set()
     with working("Estimating FRFs") as step:
@@ -131,12 +132,15 @@ def frf(
                 recording = recording if time is None else recording.between(*time)
                 recording = recording.with_units(_pairs(units, "--units"))
                 recording = recording.scaled({k: _number(v, "--scale") for k, v in _pairs(scale, "--scale").items()})
-                recording = recording.renamed(_pairs(names, "--name"))
             taken.append(recording)
         for k, recording in enumerate(of_one_length(taken)):
             step(f"averaging spectra{f' of run {k + 1}' if runs else ''}")
             with _once(said, records[k:]):
-                frfs.append(frf_from_recording(recording, **ends, unit=unit, **choices))
+                frf = frf_from_recording(recording, **ends, unit=unit, **choices)
+                # A drive point gives its name to two channels, so they are named where force and response are parted.
+                new = {recording.channels[recording.index(old)]: name for old, name in called.items()}
+                outputs, inputs = ([new.get(name, name) for name in side] for side in (frf.outputs, frf.inputs))
+                frfs.append(frf.replace(outputs=outputs, inputs=inputs))
     if level:
         frfs = [f.replace(level=amount) for f, amount in zip(frfs, level, strict=True)]
     measurement = Measurement.from_frfs(common_lines(frfs))
@@ -162,10 +166,10 @@ def _once(said: set[str], paths: list[Path]) -> Iterator[None]:
                     note(f"note: {' '.join(str(warning.message).split())}")
 
 
-def _renamed(wanted: list[str] | None, names: list[str] | None) -> list[str]:
-    """The new names of channels that are asked for under their old ones."""
-    new = _pairs(names, "--name")
-    return [new.get(c, c) for c in wanted or []]
+def _as_in_file(wanted: list[str] | None, new: dict[str, str]) -> list[str]:
+    """The names in the file of channels that may be asked for under their new ones."""
+    old = {name: channel for channel, name in new.items()}
+    return [c if c in new else old.get(c, c) for c in wanted or []]
 
 
 def _pairs(given: list[str] | None, option: str) -> dict[str, str]:

@@ -1,0 +1,62 @@
+"""How the documentation is built: ``python -m sphinx -W --keep-going -b html .github/docs out/docs`` from the root.
+
+Sphinx, because the docstrings of the package are reStructuredText with formulas and cross references, which it renders
+and checks; the other pages are Markdown.
+"""
+
+import os
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE))
+os.environ.setdefault("JAX_PLATFORMS", "cpu")
+
+import causes_table  # noqa: E402
+
+import modalax  # noqa: E402
+
+(HERE / "causes.md").write_text(causes_table.page(), encoding="utf-8")
+
+project, author, release = "modalax", "The modalax authors", modalax.__version__
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]
+exclude_patterns = ["_build"]
+html_theme = "furo"
+html_static_path, html_css_files = ["_static"], ["wide.css"]
+html_title = f"modalax {release}"
+html_show_copyright = False
+myst_enable_extensions = ["dollarmath", "deflist", "colon_fence"]
+myst_heading_anchors = 3
+
+autodoc_member_order = "bysource"
+autodoc_typehints_format = "short"
+autodoc_preserve_defaults = True
+autodoc_default_options = {"members": True, "show-inheritance": True}
+napoleon_google_docstring = False
+napoleon_use_ivar = True
+
+
+def plain_types(app, what, name, obj, options, lines):
+    """Attributes that share a line stay together, and the star of a shape such as "*batch n" begins no emphasis."""
+    for k, line in enumerate(lines):
+        if line.startswith(":vartype"):
+            lines[k] = short_types(line).replace("*", r"\*")
+        elif line.startswith(":ivar"):
+            head, mark, rest = line[1:].partition(":")
+            lines[k] = ":" + head.replace(", ", ",") + mark + rest
+
+
+def plain_signature(app, what, name, obj, options, signature, returned):
+    """The signature with the types' short names."""
+    return short_types(signature), short_types(returned)
+
+
+def short_types(text):
+    """Names of types as they are imported."""
+    return text and text.replace("jaxlib._jax.", "").replace("jaxtyping.", "")
+
+
+def setup(app):
+    """Called by Sphinx."""
+    app.connect("autodoc-process-docstring", plain_types, priority=900)
+    app.connect("autodoc-process-signature", plain_signature)

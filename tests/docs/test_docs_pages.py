@@ -1,0 +1,89 @@
+"""The documentation does what it says: every command and example of its pages is run as a reader would run it.
+
+Blocks of a page run in their order, in one empty folder: ``python`` in one session, ``sh`` line by line as arguments of
+the command, and ``toml`` is saved under the name in its first line. ``<!-- not run -->`` above a block leaves it out,
+and ``<!-- slow -->`` marks a page that takes long.
+"""
+
+import json
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from modalax.cli import main
+
+DOCS = Path(__file__).parents[2] / ".github" / "docs"
+BLOCK = re.compile(r"^(?P<out><!-- not run -->\n)?```(?P<kind>sh|python|toml)\n(?P<code>.*?)^```$", re.M | re.S)
+PAGES = sorted(p for p in DOCS.rglob("*.md") if BLOCK.search(p.read_text(encoding="utf-8")))
+SLOW = "<!-- slow -->"
+
+
+def blocks(page: Path) -> list[tuple[str, str]]:
+    """Kind and code of what is to be run."""
+    found = BLOCK.finditer(page.read_text(encoding="utf-8"))
+    return [(m["kind"], m["code"]) for m in found if not m["out"]]
+
+
+def follow(page: Path) -> None:
+    """Do all that a page says, in the current folder."""
+    session: dict = {"__name__": "__main__"}
+    for kind, code in blocks(page):
+        if kind == "python":
+            exec(compile(code, page.name, "exec"), session)
+        elif kind == "toml":
+            name = re.match(r"# (\S+\.toml)\n", code)
+            assert name, f"{page.name}: a toml block begins with its name as a comment"
+            Path(name[1]).write_text(code, encoding="utf-8")
+        else:
+            for line in code.replace("\\\n", " ").splitlines():
+                words = shlex.split(line, comments=True)
+                assert not words or words[0] == "modalax", f"{page.name}: {line!r} is no command of modalax"
+                assert not words or main(words[1:]) == 0, f"{page.name}: {line!r} fails"
+
+
+def marked(page: Path):
+    slow = SLOW in page.read_text(encoding="utf-8")
+    return pytest.param(page, id=str(page.relative_to(DOCS)), marks=pytest.mark.slow if slow else ())
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")  # what a reader is told as a note
+@pytest.mark.parametrize("page", [marked(p) for p in PAGES])
+def test_a_page_can_be_followed(page, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    follow(page)
+    formats = (DOCS / "formats.md").read_text(encoding="utf-8")
+    for file in tmp_path.glob("*.json"):
+        answer = json.loads(file.read_text(encoding="utf-8"))
+        keys = set(answer) | {key for mode in answer.get("modes", ()) for key in mode} | set(answer.get("gain") or ())
+        assert [key for key in sorted(keys) if f"`{key}`" not in formats] == []
+
+
+def test_how_to_pages_are_followed():
+    assert len([p for p in PAGES if p.parent.name == "howto" and blocks(p)]) >= 7
+
+
+def test_links_between_pages_lead_somewhere():
+    for page in DOCS.rglob("*.md"):
+        for target in re.findall(r"\]\(([^)#]+\.md)\)", page.read_text(encoding="utf-8")):
+            assert (page.parent / target).exists() or target.endswith("causes.md"), f"{page.name}: {target}"
+
+
+def test_every_cause_stands_in_the_table(monkeypatch):
+    monkeypatch.syspath_prepend(str(DOCS))
+    import causes_table
+
+    from modalax.diagnose import catalogue
+
+    rows = re.findall(r"^\| `(\w+)` \| (.+) \| (.+) \| (.+) \| (.+) \|$", causes_table.page(), re.M)
+    assert [row[0] for row in rows] == list(dict.fromkeys(c.slug for c in catalogue()))
+    assert all(cell.strip() for row in rows for cell in row)
+
+
+def test_arrays_of_the_files_stand_in_their_table():
+    from modalax.files.arrays import MEASUREMENT_KEYS, MODEL_KEYS, STRUCTURE_KEYS
+
+    formats = (DOCS / "formats.md").read_text(encoding="utf-8")
+    known = {*MEASUREMENT_KEYS, *STRUCTURE_KEYS, *MODEL_KEYS} - {"axes"}
+    assert sorted(key for key in known if f"`{key}`" not in formats) == []
