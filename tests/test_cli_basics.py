@@ -361,3 +361,5 @@ def test_without_plotly_a_report_is_refused_before_any_work(monkeypatch, tmp_pat
     arguments += ["--simulation", str(tmp_path / "sim.npz")] if command == "diagnose" else []
     assert main(arguments) == 2
     assert "r.html cannot be written: a report needs plotly and jinja2" in capsys.readouterr().err
+    assert main(["view", str(tmp_path / "none.npz")]) == 2
+    assert "modalax[view]" in capsys.readouterr().err

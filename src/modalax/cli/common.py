@@ -161,6 +161,18 @@ def require_report(report: Path | None) -> None:
         )
 
 
+def require_view() -> None:
+    """Refuse a view before any work is done if what draws it is not installed.
+
+    Raises
+    ------
+    ImportError
+        Naming what to install.
+    """
+    if not can_report():
+        raise ImportError("a view needs plotly and jinja2; install them by: pip install 'modalax[view]'")
+
+
 def can_report() -> bool:
     """Whether the packages that write a report are installed."""
     from importlib.util import find_spec

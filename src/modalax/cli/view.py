@@ -11,6 +11,7 @@ from modalax.cli.common import (
     check_readable,
     note,
     read_measurement,
+    require_view,
     start,
     working,
 )
@@ -61,6 +62,7 @@ def view(
     axes: AxesOption = None,
 ) -> None:
     """Pick modes in the browser, on a page that this machine alone can open."""
+    require_view()
     check_readable(data)
     folder = Path.cwd() if out is None else out
     if not folder.is_dir():

@@ -107,7 +107,7 @@ def tangent_of(A: np.ndarray) -> np.ndarray:
 
 def values_of(poles: np.ndarray, residues: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     """Features of modes, shape ``(k, 2 + 2 d)``, from their poles and residues in units of the channels."""
-    size = np.sqrt((np.abs(residues) ** 2).sum(axis=(1, 2)))
+    size = np.sqrt(np.maximum((np.abs(residues) ** 2).sum(axis=(1, 2)), 1e-300))  # a mode of another part has none here
     along = np.einsum("kdoi,koi->kd", tangent.conj(), residues) / size[:, None]
     zeta = np.maximum(-poles.real / np.abs(poles), 1e-9)
     first = np.stack([np.log(np.abs(poles)), np.log(zeta), np.log(size), np.angle(along[:, 0])], axis=1)
