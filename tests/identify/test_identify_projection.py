@@ -8,7 +8,7 @@ import scipy.optimize
 
 from modalax.data import FRF
 from modalax.identify import projection as module
-from modalax.identify import refine, residues
+from modalax.identify import reduced, refine, residues
 from modalax.identify.ascent import climb
 from modalax.identify.estimate import estimate
 from modalax.identify.information import covariance, joint_covariance, solution
@@ -91,7 +91,7 @@ def test_exact_data_give_exact_poles(kind):
     modes = unpack(at.theta, PIVOT, False)
     assert at.finished
     np.testing.assert_allclose(modes.poles, POLES, rtol=1e-12)
-    x, left, _ = solution(projection, at)
+    x, left, _, _ = solution(projection, at)
     found = np.einsum("onc,nc,ni->noi", x, modes.unit, modes.participation)
     np.testing.assert_allclose(found, SHAPES[:, :, None] * PART[:, None, :], rtol=1e-9, atol=1e-12)
     assert np.abs(left).max() < 1e-11 * np.abs(EXACT).max()
@@ -104,8 +104,7 @@ def test_modes_known_beforehand_are_terms():
     projection = Projection(S, EXACT, WEIGHTS["own"], terms=np.concatenate([rest, known], axis=1))
     at = climb(projection, START[:2], PIVOT[:2], FREE[:2], tol=0.0)
     np.testing.assert_allclose(unpack(at.theta, PIVOT[:2], False).poles, POLES[:2], rtol=1e-12)
-    x, _, _ = solution(projection, at)
-    terms, _ = projection.remainder(x.reshape(4, -1), unpack(at.theta, PIVOT[:2], False))
+    x, _, _, terms = solution(projection, at)
     np.testing.assert_allclose(terms[..., 4] + 1j * terms[..., 5], np.outer(SHAPES[2], PART[2]), rtol=1e-8)
 
 
@@ -154,8 +153,7 @@ def test_largest_likelihood_and_joint_covariance(kind):
     weight = WEIGHTS[kind] / np.abs(NOISE).mean()
     projection = Projection(S, EXACT + NOISE, weight, terms=residual_terms(S, 0, "complex"))
     at = climb(projection, START, PIVOT, FREE, tol=1e-9)
-    x, left, _ = solution(projection, at)
-    terms, _ = projection.remainder(x.reshape(4, -1), unpack(at.theta, PIVOT, False))
+    x, left, _, terms = solution(projection, at)
     first = np.concatenate([at.theta.ravel(), *(x[..., c].T.ravel() for c in (0, 1)), terms.ravel()])
 
     def off(unknowns):
@@ -195,7 +193,7 @@ def test_as_the_refinement_in_jax(kind):
     scale = np.asarray(refined.chi2) / chi2  # of unknown noise, which the refinement makes small
     own = covariance(projection, at).reshape(3, 4, 3, 4)[:, :2, :, :2].reshape(6, 6)
     np.testing.assert_allclose(own, refined.covariance * scale, rtol=1e-6, atol=1e-6 * np.abs(own).max())
-    _, _, evidence = solution(projection, at)
+    _, _, evidence, _ = solution(projection, at)
     np.testing.assert_allclose(evidence * scale, refined.evidence, rtol=1e-6)
 
 
@@ -218,3 +216,17 @@ def test_scores_of_the_outputs_make_the_gradient(kind):
     assert np.allclose(-scores.sum(axis=0), at.sums.gradient)
     rows = [row for block in blocks for row in block.rows()]
     assert np.allclose([np.einsum("ikp,ik->p", r.projected(), r.residual) for r in rows], scores)
+
+
+@pytest.mark.parametrize("kind", WEIGHTS)
+@pytest.mark.parametrize("part", [reduced.OWN, 2.0])
+def test_the_matrix_is_that_of_the_single_rows(kind, part, monkeypatch):
+    """Whether it is a difference of products, or of derivatives that were projected first (no part is above 1)."""
+    monkeypatch.setattr(reduced, "OWN", part)
+    projection = Projection(S, EXACT + NOISE, WEIGHTS[kind], power=1, terms=residual_terms(S, 1, "complex"))
+    blocks = list(projection.blocks(START, PIVOT, FREE))
+    derivatives = [row.projected().reshape(-1, START.size) for block in blocks for row in block.rows()]
+    expected = sum(d.T @ d for d in derivatives)
+    size = np.sqrt(np.diag(expected))
+    found = sum(block.sums().matrix for block in blocks)
+    np.testing.assert_allclose(found / np.outer(size, size), expected / np.outer(size, size), atol=1e-11)

@@ -107,8 +107,7 @@ def estimate(
     free = np.zeros(len(poles)) if held is None else np.asarray(held, float)
     at = climb(projection, pack(poles, part, pivot), pivot, free, max_steps=max_steps, tol=tol)
     modes = unpack(at.theta, at.pivot, real_modes)
-    x, left, _ = solution(projection, at)
-    coefficients, _ = projection.remainder(x.reshape(len(x), -1), modes)
+    x, left, _, coefficients = solution(projection, at)
     return Estimate(
         modes.poles, np.einsum("onc,nc->no", x, modes.unit), modes.participation, coefficients,
         joint_covariance(projection, at, covariance(projection, at)) if joint else None,

@@ -74,7 +74,7 @@ def _scores(projection: Projection, at: Ascent, white: bool) -> np.ndarray:
     if projection.outputs >= MANY and (not white or work > WORK):
         slopes = np.concatenate([block.scores() for block in projection.blocks(at.theta, at.pivot, at.held)])
         return slopes.T @ slopes
-    _, left, _ = solution(projection, at)
+    _, left, _, _ = solution(projection, at)
     for row, residual in zip(rows(projection, at), left, strict=True):
         columns = row.lines() @ row.projected()
         scores = columns[:, :f] * residual.real[..., None] + columns[:, f:] * residual.imag[..., None]
@@ -94,14 +94,14 @@ def lagged(scores: np.ndarray) -> np.ndarray:
     return scores.T @ near
 
 
-def solution(projection: Projection, at: Ascent) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Shapes, residual, and evidence at the end of a search.
+def solution(projection: Projection, at: Ascent) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Shapes, residual, evidence, and coefficients of the further terms at the end of a search.
 
     Returns
     -------
     tuple
-        Unknowns of the shapes ``(o, n, c)``; whitened residual ``(o, i, f)``; and by how much the sum of squares would
-        rise without each mode, shape ``(n,)``.
+        Unknowns of the shapes ``(o, n, c)``; whitened residual ``(o, i, f)``; by how much the sum of squares would
+        rise without each mode, shape ``(n,)``; and coefficients of the further terms ``(o, i, t)``.
     """
     modes = unpack(at.theta, at.pivot, projection.real_modes)
     n, c = modes.unit.shape
@@ -113,8 +113,8 @@ def solution(projection: Projection, at: Ascent) -> tuple[np.ndarray, np.ndarray
         evidence += np.sum(shape * _solved(parts @ np.swapaxes(parts, 2, 3), shape), axis=(0, 2, 3))
         found.append(x)
     x = np.concatenate(found)
-    _, left = projection.remainder(x, modes)
-    return x.reshape(len(x), n, c), left, evidence
+    terms, left = projection.remainder(x, modes)
+    return x.reshape(len(x), n, c), left, evidence, terms
 
 
 def _solved(covariance: np.ndarray, shape: np.ndarray) -> np.ndarray:

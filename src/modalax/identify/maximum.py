@@ -240,12 +240,11 @@ def _maximum(
     modes = unpack(at.theta, at.pivot, samples.real_modes)
     with np.errstate(all="ignore"):
         try:
-            x, left, evidence = solution(projection, at)
+            x, left, evidence, terms = solution(projection, at)
         except np.linalg.LinAlgError:
             n, c = modes.unit.shape
             x, left = np.full((projection.outputs, n, c), np.nan), np.full(projection.y.shape, np.nan + 0j)
-            evidence = np.full(n, np.nan)
-        terms, _ = projection.remainder(x.reshape(len(x), -1), modes)
+            evidence, terms = np.full(n, np.nan), np.full((*left.shape[:2], projection.terms.shape[1]), np.nan)
         model = _modal(samples, modes.poles, np.einsum("onc,nc->no", x, modes.unit), modes.participation, terms)
         residual = _as_measured(samples, left)
         chi2, dof = 2 * at.sums.cost, max(projection.degrees_of_freedom(len(at.theta)), 1)

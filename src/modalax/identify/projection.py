@@ -186,15 +186,16 @@ class Projection:
         """
         residue = np.einsum("onc,nic->oin", x.reshape(len(x), *modes.unit.shape), coefficients(modes))
         flat = pairs(residue).reshape(self.outputs, self.inputs, -1)
-        left = self.y - self.weight * (flat @ kernels(self.s, self.power, modes.poles, squares=False).T)
+        columns = kernels(self.s, self.power, modes.poles, squares=False).T
+        left = self.y.copy()
+        left.real -= self.weight * (flat @ columns.real)
+        left.imag -= self.weight * (flat @ columns.imag)
         t = self.terms.shape[1]
         total = np.zeros((self.outputs, self.inputs, t))
         if not t:
             return total, left
-        gram = np.empty((*total.shape, t))
-        for a in range(t):
-            for b in range(t):
-                gram[..., a, b] = self.weight**2 @ (self.terms[:, a].conj() * self.terms[:, b]).real
+        products = (self.terms.conj()[:, :, None] * self.terms[:, None, :]).real
+        gram = (self.weight**2 @ products.reshape(-1, t * t)).reshape(*total.shape, t)
         empty = ~np.any(self.weight, axis=2)
         gram[empty] = np.eye(t)
         for _ in range(2):  # the second time takes out what the normal equations lost

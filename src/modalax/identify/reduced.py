@@ -13,6 +13,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 TINY = 1e-14  # diagonal of a triangular factor whose column depends on those before it
+OWN = 1e-6  # part of a derivative's squares outside the columns, from which on a difference of squares tells it
 
 
 class Sums(NamedTuple):
@@ -112,31 +113,57 @@ class SharedOutputs:
         self._parts, self._lines = (g, h, slopes), lines
 
     def _derivatives(self) -> tuple[np.ndarray, np.ndarray]:
-        """Projected derivatives of all columns, and their parts along these: ``(i k, n q c)``, ``(n c, n q c)``."""
+        """Derivatives of all columns, and their parts along these: ``(i k, n q c)``, ``(n c, n q c)``."""
         g, h, slopes = self._parts
         order = lambda part: np.transpose(part, (1, 0, 3, 2, 4)).reshape(self.inputs, 1, self.n, -1, 2)  # noqa: E731
         B = combined(g, order(slopes.plain)) + combined(h, order(slopes.squared))
         B = B.reshape(len(self.residual), -1)
-        along = self.Q.T @ B
-        return B - self.Q @ along, along
+        return B, self.Q.T @ B
 
     def sums(self) -> Sums:
         """Cost, gradient and matrix over all outputs."""
         n, c, q = self.n, self.c, self.q
-        B, _ = self._derivatives()
-        gradient = -np.sum(self._scores(B), axis=0)
         weight = (self.x @ self.x.T).reshape(n, 1, c, n, 1, c)
-        matrix = np.sum((B.T @ B).reshape(n, q, c, n, q, c) * weight, axis=(2, 5))
-        return Sums(self.cost, gradient, matrix.reshape(n * q, n * q))
+        matrix = np.sum(self._products().reshape(n, q, c, n, q, c) * weight, axis=(2, 5))
+        return Sums(self.cost, -np.sum(self.scores(), axis=0), matrix.reshape(n * q, n * q))
 
-    def _scores(self, B: np.ndarray) -> np.ndarray:
-        n, c, q = self.n, self.c, self.q
-        along = (B.T @ self.residual).reshape(n, q, c, -1)
-        return np.einsum("nqco,nco->onq", along, self.x.reshape(n, c, -1)).reshape(-1, n * q)
+    def _basis(self) -> tuple[np.ndarray, np.ndarray]:
+        """Basis mode after mode ``(i, k, n, 4)``, and the coefficients of the derivatives in it ``(i, n, 4, q, c)``."""
+        g, h, slopes = self._parts
+        made = np.concatenate([slopes.plain, slopes.squared], axis=4)
+        return np.concatenate([g, h], axis=3), np.transpose(made, (1, 0, 4, 3, 2))
+
+    def _products(self) -> np.ndarray:
+        """Inner products of the derivatives less their parts along the columns, shape ``(n q c, n q c)``.
+
+        A derivative holds one mode's few columns of the basis, so that the products of these are all it takes.
+        """
+        n, size = self.n, self.q * self.c
+        basis, made = self._basis()
+        whole = np.zeros((n, size, n * size))
+        for U, C in zip(basis, made.reshape(self.inputs, n, 4, size), strict=True):
+            flat = U.reshape(len(U), -1)
+            gram = np.moveaxis((flat.T @ flat).reshape(4 * n, n, 4), 1, 0)
+            right = np.moveaxis(gram @ C, 0, 1).reshape(n, 4, -1)
+            whole += np.swapaxes(C, 1, 2) @ right
+        whole = whole.reshape(n * size, -1)
+        B, along = self._derivatives()
+        own = whole - along.T @ along
+        if (np.diag(own) < OWN * np.diag(whole)).any():
+            B = B - self.Q @ along
+            own = B.T @ B
+        return own
 
     def scores(self) -> np.ndarray:
         """What each output adds to the slope of half the sum of squares, its sign turned: shape ``(o, p)``."""
-        return self._scores(self._derivatives()[0])
+        basis, made = self._basis()
+        x = self.x.reshape(self.n, self.c, -1)
+        total = np.zeros((self.n, self.q, x.shape[2]))
+        for U, C, left in zip(basis, made, self.residual.reshape(self.inputs, -1, x.shape[2]), strict=True):
+            along = (U.reshape(len(U), -1).T @ left).reshape(self.n, 4, -1)
+            for k in range(self.c):
+                total += np.swapaxes(C[..., k], 1, 2) @ along * x[:, k, None]
+        return total.reshape(self.n * self.q, -1).T
 
     def solution(self) -> tuple[np.ndarray, np.ndarray]:
         """Unknowns of the shapes of all outputs ``(o, n c)`` and the inverse of their triangular factors."""
@@ -147,7 +174,7 @@ class SharedOutputs:
         """Output after output."""
         n, c, q = self.n, self.c, self.q
         B, along = self._derivatives()
-        B = B.reshape(self.inputs, -1, n * q, c)
+        B = (B - self.Q @ along).reshape(self.inputs, -1, n * q, c)
         inverse = solve_triangular(self.R, np.eye(len(self.R)), check_finite=False) / self.norm[:, None]
         coupling = (inverse @ along).reshape(n * c, n * q, c)
         for k, (x, size, residual) in enumerate(zip(self.x.T, self.size, self.residual.T, strict=True)):

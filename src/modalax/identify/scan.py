@@ -159,6 +159,7 @@ class _Scan:
         scale = np.mean(w2, axis=0)
         self.shared = np.sqrt(np.mean(w2 / scale, axis=1))
         self.weight = 1 / (sigma * np.sqrt(scale))  # of order one, for single precision
+        self.squares = (self.weight**2).astype(np.float32)
         self.Q = self._known(known)
 
     def _known(self, known: np.ndarray) -> np.ndarray:
@@ -189,7 +190,7 @@ class _Scan:
         lines = len(self.shared)
         inner = (columns.reshape(-1, 2 * lines) @ data).reshape(len(columns), 2, -1)
         power = np.sum(columns.reshape(len(columns), 4, lines) ** 2, axis=1)
-        size = power @ (self.weight**2).astype(np.float32)
+        size = power @ self.squares
         seen = columns * np.tile(self.shared, 2).astype(np.float32)
         whole = np.sum(seen**2, axis=(1, 2))
         if not within:
