@@ -19,3 +19,9 @@ def test_channels_of_a_large_set_share_the_course_of_proportional_noise(monkeypa
     assert 0.9 < np.median(found / variance) < 1.1
     assert np.percentile(np.abs(np.log(found / variance)), 95) < 0.25
     assert np.allclose(found / found[:, :1], (found / found[:, :1])[:1])
+
+
+def test_many_modes_call_for_shared_weights_as_many_samples_do():
+    """480,000 samples: of 14 modes channels weigh by themselves, of 112 a step would take minutes."""
+    assert not noise.several(480_000, 14)
+    assert noise.several(480_000, 112) and noise.several(2**21 + 1, 1)

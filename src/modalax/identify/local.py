@@ -109,6 +109,8 @@ def _groups(samples: Samples, model: Modal) -> list[_Group]:
 def _moved(samples: Samples, model: Modal, groups: list[_Group]) -> list[Moved]:
     """The groups that explain far more with other poles."""
     need = GAIN * float(np.sum(np.abs(samples.H) ** 2))
+    if float(np.sum(np.abs(samples.H - response(model, samples)) ** 2)) < need:
+        return []
     parts = [_bare(model.pick(g.modes)) for g in groups]
     taken: dict[int, tuple[Samples, Maximum]] = {}
     for _ in range(SWEEPS):

@@ -14,7 +14,7 @@ from modalax.identify.host import PRECISE, modal_of, refine_on_host, refined_of,
 from modalax.identify.kernels import UNDAMPED
 from modalax.identify.local import fit_where_dominant
 from modalax.identify.maximum import Maximum, Samples, maximise
-from modalax.identify.noise import SEVERAL, sigma_of_error
+from modalax.identify.noise import several, sigma_of_error
 from modalax.identify.refine import CORRELATED, HELD, Refined
 from modalax.identify.residues import sigma_of
 from modalax.identify.scan import NEAR, Grid, poles_missing
@@ -23,7 +23,7 @@ from modalax.model.modal import ModalModel
 ROUNDS, LAST = 8, 3  # most rounds of adding and dropping modes, and of refinements with new weights
 FINE = 1e-6  # tolerance of the last search of large sets, where one for the last digit would take long
 IDLE = 2  # rounds without a further mode after which no more are sought
-STEPS = 60  # most iterations of one search
+STEPS, TRIAL = 60, 20  # most iterations of one search, and of one with modes that may not stay
 HEAVY = 0.25  # damping ratio above which a pole is background, not a mode
 GONE = 0.9  # damping ratio above which a mode is given up
 NARROW = 0.01  # half-bandwidth in lines below which a pole is one bad line, not a mode
@@ -49,12 +49,16 @@ class _Search:
         self.kind = "gauss-newton" if self.known else "robust"
         self.sigma = np.asarray(sigma_of(frf, "auto"))
         modal = modal_of(model)
-        self.found = self._maximise(modal.poles, shorter_side(modal, self.samples), self.sigma)
+        # While modes are missing, others run off to stand in for them; of a large set that takes most of the time.
+        steps = TRIAL if several(self.samples.H.size, len(modal.poles)) else STEPS
+        self.found = self._maximise(modal.poles, shorter_side(modal, self.samples), self.sigma, steps)
 
-    def _maximise(self, poles: np.ndarray, participation: np.ndarray | None, sigma: np.ndarray, **how: Any) -> Maximum:
+    def _maximise(
+        self, poles: np.ndarray, participation: np.ndarray | None, sigma: np.ndarray, steps: int = STEPS, **how: Any
+    ) -> Maximum:
         self.tell(f"maximum likelihood, {len(poles)} modes")
         found = maximise(
-            self.samples, poles, participation, sigma, known=self.known, max_steps=STEPS, heavy=GONE, **how
+            self.samples, poles, participation, sigma, known=self.known, max_steps=steps, heavy=GONE, **how
         )
         self.dropped = len(found.model.poles) < len(poles)
         return found
@@ -70,12 +74,14 @@ class _Search:
         self.found = self._maximise(model.poles, shorter_side(model, self.samples), sigma, **how)
 
     def restart(self, poles: np.ndarray, sigma: np.ndarray) -> None:
-        """Refine a model that starts from other poles."""
-        self.found, self.sigma = self._maximise(poles[np.argsort(np.abs(poles))], None, sigma), sigma
+        """Refine a model that starts from other poles; fully only once they are known to stay."""
+        self.found, self.sigma = self._maximise(poles[np.argsort(np.abs(poles))], None, sigma, TRIAL), sigma
 
     def weights(self, proportional: bool = False) -> np.ndarray:
         """Weights for the next refinement: those given, or by the residual of the last one."""
-        return self.sigma if self.known else sigma_of_error(self.samples.H, self.found.error, proportional)
+        if self.known:
+            return self.sigma
+        return sigma_of_error(self.samples.H, self.found.error, proportional, len(self.poles))
 
     def deviations(self) -> list[np.ndarray]:
         """Possible noise levels; a mode must stand out of each of them."""
@@ -101,7 +107,8 @@ class _Search:
         drop = _without_need(self.samples, self.found)
         if drop.all() or not (drop.any() or self.dropped):
             return False
-        self.restart(self.poles[~drop], sigma)
+        model, self.sigma = self.found.model.pick(~drop), sigma
+        self.found = self._maximise(model.poles, shorter_side(model, self.samples), sigma, TRIAL)
         return True
 
     def refined(self) -> Refined:
@@ -203,7 +210,7 @@ def _settled(search: _Search) -> Refined:
     order = np.argsort(search.found.frequency_hz)
     if (np.diff(order) < 0).any():
         search.restart(search.poles, search.sigma)
-    search.again(search.sigma, tol=PRECISE if search.samples.H.size <= SEVERAL else FINE)
+    search.again(search.sigma, tol=FINE if several(search.samples.H.size, len(search.poles)) else PRECISE)
     if not guessed or search.found.whiteness >= CORRELATED:
         return search.refined()
     search.tell("modes where they dominate")

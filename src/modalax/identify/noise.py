@@ -11,6 +11,7 @@ from modalax.identify.refine import UNIT, Refined
 
 STEPS = 60  # steps in which the two parts of a variance are fitted
 SEVERAL = 2**21  # samples above which channels share the course of proportional noise
+WORK = 2**29  # samples times squares of modes above which they do so too, for the refinement's sake
 ENOUGH = 32  # repeats from which on a variance needs no smoothing
 
 
@@ -36,8 +37,8 @@ def residual_sigma(frf: FRF, refined: Refined, sigma: Any, proportional: bool = 
 
     The course :math:`g` over frequency is a running mean square over the lines, shared by the channels of the longer
     axis. With ``proportional`` the second term, noise or model error in proportion to the response, is fitted too, by
-    maximum likelihood of the residual's power (of more than ``SEVERAL`` samples with the mean response over the longer
-    axis for that of each channel); else :math:`b = 0`, the safer choice while modes are still missing.
+    maximum likelihood of the residual's power (where :func:`several` with the mean response over the longer axis for
+    that of each channel); else :math:`b = 0`, the safer choice while modes are still missing.
 
     Noise and model error are not told apart. A floor at a tenth of the typical deviation keeps lines from dominating
     that the model passes through by chance.
@@ -52,11 +53,17 @@ def residual_sigma(frf: FRF, refined: Refined, sigma: Any, proportional: bool = 
     if not isinstance(sigma, str):
         weight = np.asarray(sigma)
         scale = weight * UNIT * np.sqrt(np.mean(np.abs(H / weight) ** 2))
-    return jnp.asarray(sigma_of_error(H, np.asarray(refined.residual) * scale, proportional))
+    modes = refined.model.poles.size
+    return jnp.asarray(sigma_of_error(H, np.asarray(refined.residual) * scale, proportional, modes))
 
 
-def sigma_of_error(H: np.ndarray, error: np.ndarray, proportional: bool = False) -> np.ndarray:
-    """Standard deviation of each sample ``(f, o, i)`` from what a model leaves; see :func:`residual_sigma`."""
+def several(samples: int, modes: int) -> bool:
+    """Whether weights of each channel's own, or a search for the last digit, would take a refinement too long."""
+    return samples > SEVERAL or samples * modes**2 > WORK
+
+
+def sigma_of_error(H: np.ndarray, error: np.ndarray, proportional: bool = False, modes: int = 1) -> np.ndarray:
+    """Standard deviation of each sample ``(f, o, i)`` from what some modes leave; see :func:`residual_sigma`."""
     power = np.abs(error) ** 2
     axis = 2 if H.shape[2] > H.shape[1] else 1  # the longer axis, whose channels share a course over frequency
     half = max(8, len(power) // 60)
@@ -65,7 +72,7 @@ def sigma_of_error(H: np.ndarray, error: np.ndarray, proportional: bool = False)
     course = np.maximum(course, 1e-2 * np.median(course, axis=0, keepdims=True))
     rounding = (1e-13 * np.abs(H).max()) ** 2 + 1e-300
     variance = course * size
-    if proportional and power.size > SEVERAL:
+    if proportional and several(power.size, modes):
         variance = _alike(power + rounding, np.abs(H - error) ** 2, course, size, axis, half)
     elif proportional:
         variance = _two_parts(power + rounding, np.abs(H - error) ** 2, course, axis, half)
