@@ -7,8 +7,9 @@ import pytest
 from modalax.data import FRF
 from modalax.data.datasets import uliege_plane
 from modalax.identify import select
-from modalax.identify.diagram import diagram, standing
+from modalax.identify.diagram import diagram, explained, standing
 from modalax.identify.tables import PoleTable
+from modalax.model import ModalModel
 
 LOWER, UPPER = 50.0, 150.0
 
@@ -39,6 +40,38 @@ def test_poles_that_spread_over_the_band_are_no_modes_however_dense_they_are():
 
     assert others(lasting) > 40
     assert others(standing(frf, table, lasting)) < 8
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    """Three modes at four points, of which 2 % is noise, and the poles."""
+    rng = np.random.default_rng(4)
+    model = ModalModel.from_real_modes(
+        [61.3, 88.2, 131.9], [0.004, 0.006, 0.01], rng.normal(size=(3, 4)), np.ones(3), list("abcd")
+    )
+    freq = np.linspace(LOWER, UPPER, 401)
+    H = np.asarray(model.frf(freq, form="accelerance", inputs=["a"]).H)
+    size = 0.02 * np.sqrt(np.mean(np.abs(H) ** 2, axis=0) / 2)
+    H = H + size * (rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape))
+    return FRF(freq, H, form="accelerance", outputs=list("abcd"), inputs=["a"]), np.asarray(model.poles)
+
+
+def test_higher_orders_are_asked_for_only_while_a_mode_is_missing(noisy):
+    """Noise of 2 % hides none of them; poles a tenth of a half-bandwidth off do as well as the true ones."""
+    frf, poles = noisy
+    assert explained(frf, poles)
+    assert explained(frf, poles - 0.1j * poles.real)
+    assert not any(explained(frf, np.delete(poles, k)) for k in range(3))
+
+
+def test_noise_that_falls_with_frequency_is_no_missing_mode(noisy):
+    """A drift a thousand times the noise at the lowest line; without the second mode the FRFs stay unexplained."""
+    frf, poles = noisy
+    rng = np.random.default_rng(5)
+    drift = 20 * (np.arange(1, 402) ** -1.0)[:, None, None] * rng.normal(size=(2, *frf.shape))
+    frf = frf.replace(H=np.asarray(frf.H) + np.std(np.asarray(frf.H)) * (drift[0] + 1j * drift[1]))
+    assert explained(frf, poles)
+    assert not explained(frf, np.delete(poles, 1))
 
 
 @pytest.mark.measured

@@ -3,19 +3,25 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Complex, Float
 
-from modalax.data.frf import FRF
+from modalax.data.frf import DERIVATIVES, FRF
 from modalax.identify.fdpi import fdpi
+from modalax.identify.kernels import kernels, residual_terms
 from modalax.identify.lsce import lsce
 from modalax.identify.lscf import lscf
 from modalax.identify.mode_search import SHARP
+from modalax.identify.neighbourhood import line_noise
 from modalax.identify.plscf import plscf
+from modalax.identify.projection import orthonormal, stacked
 from modalax.identify.select import Selection, select
 from modalax.identify.tables import PoleTable
 
 ESTIMATORS = {"lscf": lscf, "plscf": plscf, "lsce": lsce, "fdpi": fdpi}
-POLES = 40  # poles of the highest order of a first diagram; doubled while the modes fill it
-FULL = 5  # poles for each mode found, below which higher orders may show more; each further order costs a compilation
+POLES = 40  # poles of the highest order of a first diagram; doubled while its modes do not explain the FRFs
+FULL, FEW = 5, 16  # poles for each mode found, below which there is no room for more, and orders that do not tell that
+LEFT = 1.2  # what modes leave over what noise would, above which further ones are looked for
+CHANNELS, AROUND = 250, 30  # channels, at most about, that are asked for it, and lines on either side that tell noise
 LINES, PARTS = 400, 8  # lines for each part of the band that gets a diagram of its own, and most parts
 STILL = 0.1  # part of the distance between the poles of an order that a mode moves at most to the next order
 LASTING = 0.6  # part of the orders at which a mode must stand that only a higher order or a part of the band shows
@@ -25,8 +31,9 @@ def diagram(frf: FRF, name: str, order: int | None) -> tuple[PoleTable, Selectio
     """The diagram of the whole band, and the modes of it and of overlapping parts of the band.
 
     One strong resonance, or many modes, can hide a clear one from the polynomials of the whole band; in a part of it
-    there is room. Of a mode that stands in both the pole that changes less from order to order is taken. Where an
-    order is given, or the poles of the whole band repeat to the last digits, parts are not looked at.
+    there is room. Of a mode that stands in both the pole that changes less from order to order is taken. Parts that the
+    modes found so far explain are not looked at, nor any where an order is given or the poles of the whole band repeat
+    to the last digits.
 
     Parameters
     ----------
@@ -47,6 +54,8 @@ def diagram(frf: FRF, name: str, order: int | None) -> tuple[PoleTable, Selectio
     starts = np.linspace(0, lines - size, parts).astype(int)
     for k, start in enumerate(starts):
         part = frf.lines(slice(int(start), int(start) + size))
+        if explained(part, np.asarray(selection.poles)):
+            continue
         found = _whole(part, name, None)[1]
         # Of the overlap with its neighbours a part answers for the nearer half, up to the ends of the band.
         quarter = size // 4
@@ -58,23 +67,23 @@ def diagram(frf: FRF, name: str, order: int | None) -> tuple[PoleTable, Selectio
 
 def _merged(whole: Selection, part: Selection, lower: float, upper: float) -> Selection:
     """The modes of one diagram with those between two frequencies [Hz] that another tells better or alone."""
-    poles = np.array(whole.poles)
+    poles, shares = np.array(whole.poles), None if whole.participation is None else np.array(whole.participation)
     fields = {name: np.array(getattr(whole, name)) for name in ("score", "spread", "order")}
-    shares = None if whole.participation is None else np.array(whole.participation)
-    for k, pole in enumerate(np.asarray(part.poles)):
-        if not lower <= abs(pole) / (2 * np.pi) <= upper or float(part.score[k]) < LASTING:
+    others, parts = np.asarray(part.poles), None if part.participation is None else np.asarray(part.participation)
+    own = {name: np.asarray(getattr(part, name)) for name in fields}
+    for k, pole in enumerate(others):
+        if not lower <= abs(pole) / (2 * np.pi) <= upper or own["score"][k] < LASTING:
             continue
-        own = None if part.participation is None else np.asarray(part.participation[k])
         apart = np.abs(poles - pole) / np.maximum(np.abs(poles.real), abs(pole.real)) if len(poles) else np.array([9.0])
         near = int(np.argmin(apart))
         if apart[near] > 1:
             poles = np.append(poles, pole)
-            fields = {name: np.append(a, np.asarray(getattr(part, name)[k])) for name, a in fields.items()}
-            shares = None if shares is None or own is None else np.concatenate([shares, own[None]])
-        elif float(part.spread[k]) < fields["spread"][near]:
-            poles[near], fields["spread"][near], fields["order"][near] = pole, part.spread[k], part.order[k]
-            if shares is not None and own is not None:
-                shares[near] = own
+            fields = {name: np.append(a, own[name][k]) for name, a in fields.items()}
+            shares = None if shares is None or parts is None else np.concatenate([shares, parts[k : k + 1]])
+        elif own["spread"][k] < fields["spread"][near]:
+            poles[near], fields["spread"][near], fields["order"][near] = pole, own["spread"][k], own["order"][k]
+            if shares is not None and parts is not None:
+                shares[near] = parts[k]
     rank = np.argsort(np.abs(poles))
     return Selection(
         jnp.asarray(poles[rank]), None if shares is None else jnp.asarray(shares[rank]),
@@ -83,14 +92,18 @@ def _merged(whole: Selection, part: Selection, lower: float, upper: float) -> Se
 
 
 def _whole(frf: FRF, name: str, order: int | None) -> tuple[PoleTable, Selection]:
-    """Diagrams of rising highest order, until there is room for more modes or twice the order shows none.
+    """Diagrams of rising highest order, until the modes leave noise only or twice the order shows none further.
 
-    The first diagram's modes stay. A higher order has more poles that are none, and so little room between them that
-    one continues another by chance; of its modes those count that stand still in it.
+    Nor is twice the order looked at where the modes are far from filling a diagram of ``FEW`` orders or more; with many
+    references the first has few. The first diagram's modes stay. A higher order has more poles that are none, and so
+    little room between them that one continues another by chance; of its modes those count that stand still in it.
     """
     table, found = _at(frf, name, POLES, order)
     poles = 2 * POLES
-    while order is None and poles <= 4 * POLES and FULL * found.poles.size > poles / 2:
+    while order is None and poles <= 4 * POLES:
+        room = FULL * found.poles.size <= poles / 2 and len(table.orders) >= FEW
+        if room or explained(frf, np.asarray(found.poles)):
+            break
         further, seen = _at(frf, name, poles, None)
         if further.orders[-1] == table.orders[-1]:
             break
@@ -99,6 +112,47 @@ def _whole(frf: FRF, name: str, order: int | None) -> tuple[PoleTable, Selection
             break
         table, found, poles = further, more, 2 * poles
     return table, found
+
+
+def explained(frf: FRF, poles: Complex[np.ndarray, " n"]) -> bool:
+    """Whether modes of about these poles, with residues of each channel's own, leave noise only.
+
+    What modes, changes of their poles and residual terms leave is compared with ``LEFT`` times the noise around each
+    line, read off the changes from line to line: the mean over the channels, of large sets over some spread evenly. The
+    noise may depend on frequency; a second fit weighs the lines by what the first one tells of it.
+    """
+    s, power, lines = float(frf.added_decay) + 1j * np.asarray(frf.omega), DERIVATIVES[frf.form], len(frf.freq)
+    width = s[-1].imag - s[0].imag
+    near = poles[(poles.imag > s[0].imag - width) & (poles.imag < s[-1].imag + width)]
+    columns = stacked(np.concatenate([kernels(s, power, near), residual_terms(s, power, "complex")], axis=1).T).T
+    free = 1 - columns.shape[1] / (2 * lines)
+    if free < 0.5:
+        return False
+    data = np.asarray(frf.H).reshape(lines, -1)
+    data = stacked(data[:, :: 1 + data.shape[1] // CHANNELS].T).T
+    course, parts = np.ones(lines), np.zeros(0)
+    for _ in range(2):
+        weight = np.tile(1 / np.sqrt(course), 2)[:, None]
+        A = weight * columns
+        Q, _ = orthonormal(A / np.linalg.norm(A, axis=0))
+        left = weight * data
+        left = left - Q @ (Q.T @ left)
+        left = left[:lines] + 1j * left[lines:]
+        noise = line_noise(left)
+        # The powers of complex noise are exponentially distributed: their median is ln 2 of their mean.
+        size = np.maximum(np.median(noise, axis=0) / np.log(2), 1e-300)
+        level = _around(np.mean(noise / size, axis=1))
+        parts = np.abs(left) ** 2 / (size * level[:, None])
+        course = course * level
+    return float(np.mean(parts)) <= LEFT * free
+
+
+def _around(values: Float[np.ndarray, " f"]) -> Float[np.ndarray, " f"]:
+    """Medians over ``AROUND`` lines on either side, fewer towards the ends, relative to the middle one of them."""
+    last = len(values) - 1
+    reach = np.minimum(np.minimum(np.arange(last + 1), last - np.arange(last + 1)), AROUND)
+    level = np.array([np.median(values[k - h : k + h + 1]) for k, h in enumerate(reach)])
+    return np.maximum(level / max(float(np.median(level)), 1e-300), 1e-12)
 
 
 def standing(frf: FRF, table: PoleTable, selection: Selection) -> Selection:
@@ -112,7 +166,8 @@ def standing(frf: FRF, table: PoleTable, selection: Selection) -> Selection:
     count = dict(zip(table.orders, np.sum(np.asarray(table.valid) & (f >= lower) & (f <= upper), axis=1), strict=True))
     moved = np.asarray(selection.spread) * np.abs(np.asarray(selection.poles)) / (2 * np.pi)
     distance = np.array([(upper - lower) / max(count[int(n)], 1) for n in np.asarray(selection.order)])
-    return jax.tree.map(lambda a: a[np.flatnonzero(moved < STILL * distance)], selection)
+    still = np.flatnonzero(moved < STILL * distance)
+    return jax.tree.map(lambda a: jnp.asarray(np.asarray(a)[still]), selection)
 
 
 def _at(frf: FRF, name: str, poles: int, order: int | None) -> tuple[PoleTable, Selection]:
