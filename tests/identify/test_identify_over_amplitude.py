@@ -1,5 +1,6 @@
 """Modes over the level of the force: against a structure whose modes follow a known curve."""
 
+import equinox as eqx
 import numpy as np
 import pytest
 
@@ -48,6 +49,19 @@ def test_frf_of_a_level_that_was_not_measured(found):
     assert missed < 3 * np.sqrt(float(np.sum(told.variance)))
     elsewhere = found.frf(16.0, np.array([20.0, 33.4]))
     np.testing.assert_allclose(elsewhere.H, np.asarray(found.modes(16.0).frf([20.0, 33.4]).H))
+
+
+def test_what_modes_leave_is_carried_where_levels_agree(found):
+    """At a measured level it is what its own fit leaves; beside it fades as far as the next level differs."""
+    own = np.asarray(found.measured[1].H) - np.asarray(found.models[1].frf(FREQ).H)
+    left, power = found.rest(4.0)
+    np.testing.assert_allclose(left, own, atol=1e-9 * np.abs(own).max())
+    assert power.max() < 1e-9 * np.abs(own).max() ** 2
+    between, power = found.rest(6.0)  # independent noise at each level
+    assert np.linalg.norm(between) < 0.3 * np.linalg.norm(own)
+    assert 0.8 < power.sum() / np.sum(np.abs(own) ** 2) < 1.2
+    alike = eqx.tree_at(lambda o: o.measured, found, tuple(m.replace(H=m.H + 0.01) for m in found.measured))
+    assert np.abs(alike.rest(6.0)[0] - 0.01).max() < 0.002
 
 
 def test_a_straight_line_in_a_power_of_the_level_is_found():

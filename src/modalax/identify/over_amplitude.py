@@ -11,6 +11,7 @@ the variance of the fit in ``e``. The power :math:`\beta` is weighed by its evid
 :math:`\tau` and the scatter beyond stated errors by that of each (Rasmussen and Williams 2006, sections 2.7 and 5.2).
 """
 
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -32,6 +33,8 @@ FARTHEST = 0.08  # change of a frequency between neighbouring levels up to which
 UNLIKE = 0.02  # relative change of frequency that counts as much as shapes at right angles
 DRAWS = 100  # models drawn for the variance of a predicted FRF
 LEAST = 1e-5  # least damping ratio that is predicted
+ALIKE = (0.02, 0.999)  # range of the correlation of what two levels' fits leave
+TINY = 1e-300  # a variance is above 0
 
 
 class OverAmplitude(eqx.Module):
@@ -79,12 +82,11 @@ class OverAmplitude(eqx.Module):
         freq
             Lines [Hz]; those measured if None.
         rest
-            At the measured lines: add what the modes of the nearest level leave, the modes seen at some levels only
-            and distortion. It belongs to the signal of the test: leave it out for another one.
+            At the measured lines: add what the modes leave, the modes seen at some levels only and distortion, carried
+            over from the levels beside as far as it goes together from level to level (:meth:`rest`). It belongs to the
+            signal of the test: leave it out for another one.
         """
-        x = self._checked(level)
-        near = int(np.argmin(np.abs(np.log(self.level / x))))
-        own = self.measured[near]
+        x, own = self._checked(level), self.measured[0]
         lines = np.asarray(own.freq if freq is None else freq, float)
         H = np.asarray(self.modes(level).frf(lines, form=own.form).H)
         rng = np.random.default_rng(0)
@@ -96,11 +98,40 @@ class OverAmplitude(eqx.Module):
         )
         variance = sum(np.abs(H - middle) ** 2 for H in drawn) / DRAWS
         if rest and freq is None:
-            left = np.asarray(own.H) - np.asarray(self.models[near].frf(lines, form=own.form).H)
-            H, variance = H + left, variance + np.abs(left) ** 2
+            left, power = self.rest(x)
+            H, variance = H + left, variance + power
         return FRF(
             lines, H, form=own.form, variance=variance, level=level, outputs=own.outputs, inputs=own.inputs
         )  # fmt: skip
+
+    def rest(self, level: float) -> tuple[Complex[np.ndarray, "f o i"], Float[np.ndarray, "f o i"]]:
+        r"""What the modes leave of the FRF at a level, and its variance.
+
+        A stationary process over :math:`\ln F` without memory beyond the levels beside (Ornstein and Uhlenbeck), its
+        correlation between two levels that of what their fits leave: all of it where these agree, nothing where not.
+        """
+        left = [
+            np.asarray(m.H) - np.asarray(model.frf(m.freq, form=m.form).H)
+            for m, model in zip(self.measured, self.models, strict=True)
+        ]
+        size = [np.linalg.norm(e) for e in left]
+        steps, at = np.diff(np.log(self.level)), np.log(level / self.level)
+        alike = [np.vdot(a, b).real for a, b in itertools.pairwise(left)] / np.multiply(size[1:], size[:-1])
+        rate = -np.log(np.clip(alike, ALIKE[0], ALIKE[1])) / steps  # of forgetting, per step
+        before = int(np.searchsorted(self.level, level, side="right")) - 1
+        if before < 0 or before == len(left) - 1:
+            end = max(before, 0)
+            share = np.exp(-rate[max(end - 1, 0)] * abs(at[end]))
+            mean, lost = share * left[end], 1 - share**2
+            return mean, np.maximum(lost * np.abs(left[end]) ** 2, TINY)
+        first, whole = np.exp(-rate[before] * at[before]), np.exp(-rate[before] * steps[before])
+        second = whole / first
+        a, b = first - second * whole, second - first * whole
+        near = np.array([a, b]) / (1 - whole**2)
+        lost = 1 - near @ [first, second]
+        mean = near[0] * left[before] + near[1] * left[before + 1]
+        power = 0.5 * (np.abs(left[before]) ** 2 + np.abs(left[before + 1]) ** 2)
+        return mean, np.maximum(lost * power, TINY)
 
     def band(self, levels: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Frequencies [Hz], their standard deviations, damping ratios and theirs at levels [N], shape ``(l, k)``."""
