@@ -67,7 +67,7 @@ class FittedLaws:
 
     def simulate(self, force: Any, fs: float, *, form: str = "receptance") -> Float[np.ndarray, "t o"]:
         """Response from rest to a force record of no component above half the sampling rate, shape ``(t,)`` [N]."""
-        u = scipy.signal.resample(np.asarray(force, float), FINER * len(np.asarray(force)))[:, None]
+        u = np.asarray(scipy.signal.resample(np.asarray(force, float), FINER * len(np.asarray(force))))[:, None]
         places = [self.place] * len(self.joints)
         record = respond(
             self.model, self.joints, places, u, FINER * fs, inputs=self.model.inputs, outputs=self.model.outputs,
