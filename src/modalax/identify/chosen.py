@@ -1,5 +1,6 @@
 """Fits with the modes that a user picks, drops or adds by their frequency."""
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -11,7 +12,7 @@ from modalax.identify.noise import residual_sigma
 from modalax.identify.refine import Refined
 from modalax.identify.select import select_near
 from modalax.identify.tables import PoleTable
-from modalax.model.modal import ModalModel, poles_from
+from modalax.model.modal import ModalModel, in_order, poles_from
 
 REACH = 0.02  # largest distance of a mode from the frequency that was named, relative to it
 DAMPING = 0.01  # damping ratio from which an added mode starts where the diagram has no pole near
@@ -99,6 +100,8 @@ def fit_chosen(
 ) -> tuple[ModalModel, Refined | None]:
     """The modal model of given poles, and its maximum likelihood if ``refined``; no mode is added or dropped.
 
+    The modes stand in the order of the poles given, also where they change places in frequency.
+
     Parameters
     ----------
     frf
@@ -117,3 +120,16 @@ def fit_chosen(
         sigma = residual_sigma(frf, found, sigma)
         found = refine_on_host(frf, found.model, weights=sigma, covariance="robust", **options)
     return found.model, found
+
+
+def by_frequency(refined: Refined) -> Refined:
+    """The result with its modes by rising frequency."""
+    order = np.argsort(np.asarray(refined.model.frequency_hz))
+    pairs = (2 * order[:, None] + np.arange(2)).ravel()
+    mass = refined.modal_mass_std
+    return dataclasses.replace(
+        refined, model=in_order(refined.model), frequency_std_hz=refined.frequency_std_hz[order],
+        damping_std=refined.damping_std[order], shape_std=refined.shape_std[order],
+        modal_mass_std=None if mass is None else mass[order], evidence=refined.evidence[order],
+        covariance=refined.covariance[pairs][:, pairs],
+    )  # fmt: skip

@@ -11,7 +11,7 @@ from modalax.data.frf import DERIVATIVES, FRF
 from modalax.data.measurement import Measurement
 from modalax.identify.band import usable_lines
 from modalax.identify.bias import predicted_damping_bias
-from modalax.identify.chosen import choice_of, chosen_poles, fit_chosen
+from modalax.identify.chosen import by_frequency, choice_of, chosen_poles, fit_chosen
 from modalax.identify.close_modes import record_of
 from modalax.identify.diagram import ESTIMATORS, diagram
 from modalax.identify.flags import Modes, flags_of, grades_of, notes_of
@@ -123,6 +123,9 @@ def fit(
     if choice.any:
         poles = chosen_poles(choice, model.poles, table)
         model, refined = fit_chosen(weighted, poles, tell, refine, **how)
+        if refined is not None:
+            refined = by_frequency(refined)
+            model = refined.model
     tell("summing up")
     return summed_up(frf, weighted, model, refined, table, selection, data is not frf, notes)
 

@@ -12,7 +12,7 @@ from modalax.data.frf import FRF
 from modalax.data.geometry import Geometry
 from modalax.data.measurement import Measurement
 from modalax.identify.band import usable_lines
-from modalax.identify.chosen import fit_chosen
+from modalax.identify.chosen import by_frequency, fit_chosen
 from modalax.identify.diagram import ESTIMATORS, diagram
 from modalax.identify.fit import Fit, summed_up
 from modalax.identify.host import residues_on_host
@@ -30,7 +30,6 @@ from modalax.view.quick import Responses, Synthesis
 POLES = 80  # poles of the highest order of the first diagram: a person asks for more where they are missing
 SAME = 0.5  # distance of two poles, in the larger of their half-bandwidths, up to which they are one mode
 ROUNDING = 1e-9  # relative distance from a pole of the diagram below which a pole that was read is that pole
-TURNS = 3  # refinements until the modes stand in the order of their frequencies
 REACH = 0.01  # largest distance from a pick, relative to its frequency, at which an order of the diagram has the mode
 
 
@@ -268,22 +267,15 @@ class Session:
         Raises
         ------
         ValueError
-            If nothing is picked, or the data do not tell the picks apart.
+            If nothing is picked, or no finite modes are found.
         """
         self._require()
-        poles, names = self.poles, [p.name for p in self.state.picks]
-        for _ in range(TURNS):
-            model, refined = fit_chosen(self.diagram.weighted, poles, self.tell, True)
-            poles = np.asarray(model.poles)
-            order = np.argsort(np.abs(poles))
-            if refined is None or not np.isfinite(poles).all():
-                raise ValueError("the refinement found no finite modes; drop those of which the data say nothing")
-            if (order == np.arange(len(poles))).all():
-                picks = [Pick(complex(p), None, name) for p, name in zip(poles, names, strict=True)]
-                self._do(self.state.picked(picks, refined))
-                return
-            poles, names = poles[order], [names[k] for k in order]  # close modes changed places
-        raise ValueError("two close modes change places in the refinement again and again; drop one of them")
+        model, refined = fit_chosen(self.diagram.weighted, self.poles, self.tell, True)
+        if refined is None or not np.isfinite(np.asarray(model.poles)).all():
+            raise ValueError("the refinement found no finite modes; drop those of which the data say nothing")
+        # Close modes may have changed places: picks and names go with them, and all stand by rising frequency again.
+        picks = [Pick(complex(p), None, old.name) for p, old in zip(model.poles, self.state.picks, strict=True)]
+        self._do(self.state.picked(picks, by_frequency(refined)))
 
     def undo(self) -> None:
         """Go back one step."""

@@ -8,7 +8,7 @@
   const KINDS = [["#8c8c8c", "circle", 4], ["#2e8bcc", "x-thin-open", 6], ["#cc79a7", "diamond", 6], ["#009e73", "circle", 6]];
   const ORANGE = "#d55e00";
   let opening = null, now = null, shown = null, drawn = "", chosen = 1, channel = "sum", busy = false, dirty = false;
-  let shape = null;
+  let shape = null, mostMarks = 0;
 
   function colours() {
     const style = getComputedStyle(document.documentElement), of = (name) => style.getPropertyValue(name).trim();
@@ -170,17 +170,18 @@
     const lines = now.modes.map((m, k) => ({
       type: "line", x0: m.f, x1: m.f, y0: 0, y1: 1, yref: "paper", layer: "below",
       line: {color: ORANGE, width: k + 1 === chosen ? 2.2 : 1, dash: k + 1 === chosen ? "solid" : "dash"},
-    }));
-    const names = now.modes.map((m, k) => ({
-      x: m.f, y: 0.995, yref: "paper", yanchor: "top", xanchor: "left", text: String(k + 1), showarrow: false,
-      font: {color: ORANGE, size: 11}, xshift: 1,
+      label: {text: "\u00a0" + (k + 1), textposition: "end", textangle: 0, xanchor: "left", yanchor: "top", padding: 1, font: {color: ORANGE, size: 11}},
     }));
     // The pole itself of each pick, where it is one of the diagram's.
     const rings = now.modes.filter((m) => m.order !== null).map((m) => ({
       type: "circle", xsizemode: "pixel", ysizemode: "pixel", xanchor: m.f, yanchor: m.order, x0: -7, x1: 7, y0: -7, y1: 7,
       line: {color: ORANGE, width: 2},
     }));
-    return Plotly.relayout(byId("diagram"), {shapes: lines.concat(rings), annotations: names});
+    // Shapes alone are drawn without the plot, which then still counts on those there were.
+    const all = lines.concat(rings);
+    while (all.length < mostMarks) all.push({type: "line", visible: false});
+    mostMarks = all.length;
+    return Plotly.relayout(byId("diagram"), {shapes: all});
   }
 
   function drawCurve() {
