@@ -2,6 +2,8 @@
 
 import numpy as np
 
+LINES = 2048  # most lines of which products are formed at once: they stay near the processor
+
 
 def weighted_grams(real: np.ndarray, imag: np.ndarray, weight: np.ndarray, numbers: int) -> np.ndarray:
     r"""Gram matrix of each channel, :math:`G_c = \mathrm{Re}(A^H\,\mathrm{diag}(w_c)\,A)` for columns ``A``.
@@ -24,14 +26,18 @@ def weighted_grams(real: np.ndarray, imag: np.ndarray, weight: np.ndarray, numbe
     """
     count = real.shape[1]
     row, column = np.tril_indices(count)
-    lines = max(1, numbers // max(len(row), 1))
-    lower = np.zeros((len(weight), len(row)))
+    lines = max(1, min(LINES, len(real), numbers // max(len(row), 1)))
+    lower = np.zeros((len(row), len(weight)))
+    pairs, part = np.empty((len(row), lines)), np.empty((count, lines))
     for start in range(0, len(real), lines):
-        part = slice(start, start + lines)
-        pair = real[part][:, row] * real[part][:, column]
-        pair += imag[part][:, row] * imag[part][:, column]
-        lower += weight[:, part] @ pair
+        a, b = (np.ascontiguousarray(x[start : start + lines].T) for x in (real, imag))
+        n = a.shape[1]
+        for k in range(count):
+            own = pairs[k * (k + 1) // 2 : (k + 1) * (k + 2) // 2, :n]  # in the order of the indices above
+            np.multiply(a[: k + 1], a[k], out=own)
+            own += np.multiply(b[: k + 1], b[k], out=part[: k + 1, :n])
+        lower += pairs[:, :n] @ weight[:, start : start + lines].T
     gram = np.zeros((len(weight), count, count))
-    gram[:, row, column] = lower
-    gram[:, column, row] = lower
+    gram[:, row, column] = lower.T
+    gram[:, column, row] = lower.T
     return gram
