@@ -56,14 +56,11 @@ class Geometry(eqx.Module):
         ValueError
             If the node has no position.
         """
-        node = parse_dof(dof).node
-        if node not in self.nodes:
-            raise ValueError(f"DoF {dof!r}: node {node!r} has no position; there are {', '.join(self.nodes[:8])}, ...")
-        return self.nodes.index(node)
+        return _indices(self.nodes, [dof])[0]
 
     def places(self, dofs: Sequence[str]) -> Float[np.ndarray, "dof 3"]:
         """Position of each DoF, shape ``(dof, 3)`` [m]; ``ValueError`` where a node has none."""
-        return np.asarray(self.xyz)[[self.index(d) for d in dofs]].reshape(-1, 3)
+        return np.asarray(self.xyz)[_indices(self.nodes, dofs)].reshape(-1, 3)
 
     def displacements(
         self, dofs: Sequence[str], values: Any
@@ -91,7 +88,7 @@ class Geometry(eqx.Module):
         values = np.asarray(values)
         if values.shape != (len(dofs),):
             raise ValueError(f"values has shape {values.shape} for {len(dofs)} DoFs; it needs one value for each DoF")
-        where = [self.index(d) for d in dofs]
+        where = _indices(self.nodes, dofs)
         # A rotation shares its axis with a translation, but moves the node itself nowhere.
         still = [(parse_dof(d).direction or "R").startswith("R") for d in dofs]
         vectors = np.where(np.array(still)[:, None], 0.0, direction_vectors(dofs))
@@ -100,3 +97,15 @@ class Geometry(eqx.Module):
         np.add.at(total, where, vectors * values[:, None])
         np.add.at(count, where, np.abs(vectors))
         return total / np.maximum(count, 1), count > 0
+
+
+def _indices(nodes: tuple[str, ...], dofs: Sequence[str]) -> list[int]:
+    """Position in ``nodes`` of the node of each DoF; of hundreds in one pass."""
+    at = {name: k for k, name in reversed(list(enumerate(nodes)))}
+    found = []
+    for dof in dofs:
+        node = parse_dof(dof).node
+        if node not in at:
+            raise ValueError(f"DoF {dof!r}: node {node!r} has no position; there are {', '.join(nodes[:8])}, ...")
+        found.append(at[node])
+    return found
