@@ -5,6 +5,9 @@ import pytest
 
 from modalax.data import FRF
 from modalax.identify import fit
+from modalax.identify.disagreement import Spread
+from modalax.identify.flags import Modes, notes_of
+from modalax.identify.quality import ModeQuality
 from modalax.identify.record_window import record_kernel
 from modalax.model import ModalModel
 from modalax.model.modal import poles_from
@@ -89,6 +92,18 @@ def test_columns_that_disagree_are_named_with_the_size():
     (note,) = [n for n in found.notes if "inputs disagree" in n]
     assert "3 has them" in note
     assert any("lowest 3" in flag for flags in found.flags for flag in flags)
+
+
+def test_a_mode_beyond_the_band_does_not_count_among_those_that_disagree():
+    """Its frequency is a guess: the note tells of the modes that the table shows."""
+    model = structure(frequency=(52.0, 90.0, 150.0))
+    frf = noisy(model, 1e-3, ("1", "2"), freq=np.linspace(10.0, 120.0, 221))
+    spread = [Spread(np.array([d, -d]), np.array([0.01, 0.01]), (d, 0.0), (d, 0.0), 1e-9) for d in (0.3, 0.4, 20.0)]
+    quality = [ModeQuality(99.0, 9.0, 1.0, 9.0, 6.0, one, one, None) for one in spread]
+    none = np.zeros(3)
+    modes = Modes(frf, model, none, none, True, none, none, quality, None, np.zeros(3, bool))
+    (note,) = [n for n in notes_of(modes, np.ones(3), 0.0, 0.0) if "disagree" in n]
+    assert "2 modes, most by 0.58 % at 52 Hz" in note
 
 
 def test_an_exponential_window_is_seen_in_equal_decays():

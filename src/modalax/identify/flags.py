@@ -228,9 +228,10 @@ def notes_of(modes: Modes, grades: np.ndarray, noise: float, unexplained: float)
 
 
 def _side_note(modes: Modes, side: str) -> list[str]:
-    """Which inputs, or outputs, disagree most over all modes, in per cent of the frequencies."""
-    spreads = [getattr(q, side) for q in modes.quality]
-    seen = [r for r, s in enumerate(spreads) if matters(s, float(modes.half_bandwidth[r]))]
+    """Which inputs, or outputs, disagree most over the modes in the band, in per cent of the frequencies."""
+    spreads, f = [getattr(q, side) for q in modes.quality], modes.frequency
+    inside = (f >= float(modes.frf.freq[0])) & (f <= float(modes.frf.freq[-1]))
+    seen = [r for r, s in enumerate(spreads) if inside[r] and matters(s, float(modes.half_bandwidth[r]))]
     if not seen:
         return []
     names = getattr(modes.frf, side)
@@ -239,8 +240,9 @@ def _side_note(modes: Modes, side: str) -> list[str]:
     weight = np.array([np.nan_to_num(modes.frequency[r] / spreads[r].std, nan=0.0) ** 2 for r in seen])
     mean = np.sum(np.nan_to_num(relative) * weight, axis=0) / np.maximum(weight.sum(axis=0), 1e-300)
     worst = int(np.argmax(np.abs(mean)))
+    many = f"{len(seen)} mode{'s' * (len(seen) > 1)}"
     return [
-        f"The {side} disagree on the frequencies of {len(seen)} modes, most by {100 * size[0]:.2g} % at "
+        f"The {side} disagree on the frequencies of {many}, most by {100 * size[0]:.2g} % at "
         f"{modes.frequency[size[1]]:.5g} Hz; {names[worst]} has them {100 * mean[worst]:+.2g} % off: the structure "
         "changed between the measurements, or the mass of a moving sensor loads it."
     ]
