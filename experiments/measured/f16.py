@@ -137,7 +137,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, help="folder for the pictures")
     parser.add_argument("--no-place", action="store_true", help="leave the diagnosis by place out")
+    parser.add_argument(
+        "--predict", type=float, nargs="*", default=[], metavar="N",
+        help="levels [N rms] whose FRFs are predicted from all four and written to the folder as predicted_N.npz",
+    )  # fmt: skip
     options = parser.parse_args()
+    if options.predict and not options.out:
+        parser.error("--predict needs a folder to write to: --out")
     console = Console(width=150)
     began, cpu = time.time(), time.process_time()
     with warnings.catch_warnings():
@@ -160,6 +166,11 @@ def main() -> None:
         if options.out and which == HELD_OUT[0]:
             draw(options.out, found, frfs, whole, which)
     console.print(rows)
+    for level in options.predict:
+        options.out.mkdir(parents=True, exist_ok=True)
+        path = options.out / f"predicted_{level:g}.npz"
+        modalax.save(Measurement.from_frfs([found.frf(level)]), path, overwrite=True)
+        console.print(f"{path} written")
     if not options.no_place:
         place(console, found)
     console.print(f"{time.process_time() - cpu:.0f} CPU s, {time.time() - began:.0f} s")
