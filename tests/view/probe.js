@@ -42,7 +42,7 @@
     await press("undo");
     seen.undone = rows().length;
     const output = document.getElementById("output");
-    output.value = "2";
+    output.value = output.options[2].value;
     output.dispatchEvent(new Event("change"));
     await idle();
     seen.phase = document.getElementById("curve").data.length;

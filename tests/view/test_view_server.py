@@ -16,6 +16,7 @@ import pytest
 
 from modalax.check.finding import Finding, Findings
 from modalax.cli.view import wait
+from modalax.data.datasets import uliege_plane
 from modalax.model.examples import five_dof
 from modalax.view import Server, Session
 
@@ -151,10 +152,8 @@ class Probed(Server):
         return found
 
 
-@needs_browser
-def test_a_person_picks_drops_names_and_saves_in_a_browser(first, tmp_path):
-    start = first.state
-    server = Probed(first, name="<five>.npz", folder=tmp_path, findings=lambda: FOUND)
+def visited(server, tmp_path):
+    """What the probe saw in a browser."""
     command = [
         BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run",
         f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=20000", "--enable-logging=stderr",
@@ -162,10 +161,30 @@ def test_a_person_picks_drops_names_and_saves_in_a_browser(first, tmp_path):
     ]  # fmt: skip
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
     server.close()
-    picks, first.state, first.past, first.future = first.state.picks, start, [], []
     assert [line for line in done.stderr.splitlines() if "CONSOLE" in line and "422" not in line] == []
     seen = json.loads(html.unescape(re.search(r'<pre id="seen">(.*?)</pre>', done.stdout, re.S).group(1)))
     assert seen["errors"] == []
+    return seen
+
+
+@needs_browser
+@pytest.mark.slow
+@pytest.mark.measured
+def test_the_aeroplane_is_corrected_and_saved_in_a_browser(measured, tmp_path):
+    plane = uliege_plane()
+    session = Session(plane.frf, geometry=plane.geometry)
+    modes = len(session.state.picks)
+    seen = visited(Probed(session, name="plane", folder=tmp_path, findings=lambda: FOUND), tmp_path)
+    steps = ("opened", "dropped", "picked", "less", "undone")
+    assert [seen[k] for k in steps] == [modes, modes - 1, modes, modes - 1, modes] and modes > 10
+    assert len(seen["reloaded"]) == len(json.loads((tmp_path / "picks.json").read_text())["modes"]) == modes
+
+
+@needs_browser
+def test_a_person_picks_drops_names_and_saves_in_a_browser(first, tmp_path):
+    start = first.state
+    seen = visited(Probed(first, name="<five>.npz", folder=tmp_path, findings=lambda: FOUND), tmp_path)
+    picks, first.state, first.past, first.future = first.state.picks, start, [], []
     assert seen["plots"] == [True] * 3 and seen["title"] == "Modes of <five>.npz"
     assert [seen[k] for k in ("opened", "dropped", "picked", "less", "undone")] == [5, 4, 5, 4, 5]
     assert seen["phase"] == 4 and seen["name"] == "<i>bending</i>" == picks[0].name

@@ -59,7 +59,7 @@ def two_modes(frf: FRF, model: ModalModel, residual: Complex[np.ndarray, "f o i"
     if _unlike(model, pair):  # one mode has one shape in any record and at any hit, so only plain evidence is asked for
         two, one = _at(hood, hood.poles), _best(hood, [mean], None, leading)
         level = _level(frf, two.chi2 / max(2 * hood.data.size - two.unknowns, 1))
-        return (one.chi2 - two.chi2) / level > scipy.special.chdtri(two.unknowns - one.unknowns, CHANCE)
+        return bool((one.chi2 - two.chi2) / level > scipy.special.chdtri(two.unknowns - one.unknowns, CHANCE))
     two = _trial(hood, hood.poles, leading=leading)
     starts = [*hood.poles, mean, broad]
     others = [_best(hood, starts, None, leading)]
@@ -76,7 +76,7 @@ def two_modes(frf: FRF, model: ModalModel, residual: Complex[np.ndarray, "f o i"
         need = scipy.special.chdtri(max(two.unknowns - other.unknowns, 1), CHANCE)
         if (other.chi2 - two.chi2) / scale < need:
             return False
-    return left < MISFIT or not _alike(model, pair)
+    return bool(left < MISFIT) or not _alike(model, pair)
 
 
 def _level(frf: FRF, left: float) -> float:
