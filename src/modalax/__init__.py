@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 set_up()
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "FRF", "Geometry", "Measurement", "ModalModel", "Structure", "__version__", "check", "data", "diagnose", "files",
