@@ -18,8 +18,8 @@ def held_out_mask(words: str, shape: tuple[int, int, int, int]) -> np.ndarray:
         If the words are not of a kind that a diagnosis says.
     """
     mask = np.zeros(shape, bool)
-    if found := re.match(r"run (\d+)", words):
-        mask[int(found[1]) - 1] = True
+    if found := re.match(r"runs? ([\d, ]+)", words):
+        mask[[int(k) - 1 for k in found[1].replace(",", " ").split()]] = True
     elif words.startswith("the column of input"):
         mask[..., -1] = True
     elif found := re.match(r"every fourth of (\d+) blocks", words):

@@ -92,6 +92,7 @@ def test_reliability_puts_probabilities_into_bins(marks):
     ("level", "inputs", "alike", "words"),
     [
         ([1.0, 3.0, 2.0], 2, True, "run 2 at"),
+        ([3.0, 1.0, 3.0], 2, True, "runs 1, 3 at"),
         ([1.0, 1.0], 2, True, "run 2, the last"),
         ([1.0, 1.0], 2, False, "the column"),
         ([1.0], 2, True, "the column"),

@@ -160,7 +160,7 @@ def line_by_line(
         progress("checking whether an unlisted cause explains the data better")
         found = check_imitations(found, causes_of(None, comparison, imitators()))
     progress("predicting the held-out data")
-    gain = measure((found.look.comparison, found.comparison), found.look.null, found.best)
+    gain = measure((found.look.comparison, found.comparison), found.look.null, found.best, found.leftover.tolerated)
     word, reasons = verdict(found.ranked, found.leftover, gain)
     if late():
         reasons = (*reasons, "time was up before every explanation had been tried")

@@ -74,8 +74,8 @@ class Thresholds:
     )
     missed: float = _threshold(
         4.0, "standard deviations",
-        "Several causes fail on the held-out block where its chi-square exceeds, by more than this, what the errors of "
-        "their parameters explain.", SCORE,
+        "Causes fail on the held-out block where its chi-square exceeds, by more than this, what the errors of their "
+        "parameters explain.", SCORE,
     )  # fmt: skip
     farther: float = _threshold(
         1.05, "ratio of chi-squares",

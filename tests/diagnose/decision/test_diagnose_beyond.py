@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modalax.diagnose.decision.beyond import BeyondUsual, ModalCase, modal_verdict, usual_size
+from modalax.diagnose.decision.beyond import BeyondUsual, ModalCase, held_out_verdict, modal_verdict, usual_size
+from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.thresholds import THRESHOLDS
 
 OFF = {"stiffness": 0.01, "mass": 0.005, "damping": 0.3}
@@ -60,3 +61,17 @@ def test_nothing_is_said_of_a_comparison_that_was_not_made():
 )  # fmt: skip
 def test_a_cause_stands_out_beyond_what_is_usual(slug, whole, expected):
     assert usual_size(slug, whole, OFF, 400.0) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("word", "after", "plain", "said"),
+    [
+        ("named", 1.1, 8.0, "named"), ("named", 8.0, 8.0, "unknown"), ("named", 1.1, np.nan, "named"),
+        ("ambiguous", 9.0, 8.0, "ambiguous"),
+    ],
+)  # fmt: skip
+def test_one_cause_too_must_predict_the_block_held_out(word, after, plain, said):
+    gain = Gain("run 3 at 9 N, the highest level", 40.0, after, 500.0, 20.0, chi2_plain=plain)
+    found, reasons = held_out_verdict(word, ["as before"], gain)
+    assert found == said and reasons[0] == "as before"
+    assert ("imitates something else" in reasons[-1]) == (said != word)

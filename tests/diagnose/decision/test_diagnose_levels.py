@@ -24,6 +24,8 @@ DRIFT = LevelsCase("drift", "runs", 4.0, drift=0.002, drifting=0.96)
         (replace(JOINT, law_probability=0.94), "ambiguous", ["differ", "", "cubic", "other laws cannot be excluded"]),
         (replace(JOINT, place_probability=0.5), "ambiguous", ["differ", "", "cubic", "its place is not certain"]),
         (DRIFT, "named", ["the runs differ", "0.2 % up to the last of them"]),
+        (replace(DRIFT, after=1.6), "unknown", ["the runs differ", "neither a joint nor a shift"]),
+        (replace(DRIFT, untried=True), "unknown", ["the runs differ", "time was up before a joint"]),
         (replace(DRIFT, drifting=0.94), "ambiguous", ["the runs differ", "(probability 0.940)"]),
     ],
 )

@@ -96,7 +96,7 @@ def measured(
         Z[..., at, at] += own * s[..., 0, 0] ** 2 * spring / (s[..., 0, 0] ** 2 + spring)
     receptance = np.linalg.inv(Z)[..., rows, :][..., columns]
     if extra is not None:
-        shape, w = 0.2 * rng.standard_normal(len(DOFS)), 2 * np.pi * extra
+        shape, w = 0.5 * rng.standard_normal(len(DOFS)), 2 * np.pi * extra
         receptance = receptance + np.outer(shape[rows], shape[columns]) / (s**2 + 2 * 0.01 * w * s + w**2)
     every = s**2 * receptance
     H = every[0] if len(shifts) == 1 else every

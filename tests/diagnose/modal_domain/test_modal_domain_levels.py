@@ -62,6 +62,7 @@ def test_a_structure_that_drifts_from_run_to_run_is_told_from_one_with_a_joint()
     drift = answer["causes"][0]["parameters"]["relative_stiffness_drift"]
     assert drift["value"] == pytest.approx(0.008, abs=4 * drift["std"])
     assert drift["std"] < 0.002
+    assert "column of input" in answer["gain"]["held_out"] and "parameters of its own" in answer["gain"]["held_out"]
 
 
 def test_runs_that_agree_say_nothing_of_joints():
@@ -69,3 +70,4 @@ def test_runs_that_agree_say_nothing_of_joints():
     found = diagnose_modes(data.replace(level=np.array([1.0, 2.5, 6.0])), simulation())
     assert found.verdict == "clean"
     assert found.stage.seen.found.best == "nothing"
+    assert found.gain.held_out == "run 3 at 6 N, the highest level"

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.sets import certainty, unplaced
 from modalax.diagnose.summary import cause_at
 from modalax.diagnose.thresholds import THRESHOLDS, Thresholds
@@ -114,6 +115,17 @@ RULES: tuple[tuple[str, Rule], ...] = (
 def modal_verdict(case: ModalCase) -> tuple[str, tuple[str | int, ...]]:
     """The verdict of the first of ``RULES`` that applies, and its reasons."""
     return next((word, reasons) for word, rule in RULES if (reasons := rule(case)))
+
+
+def held_out_verdict(word: str, reasons: Sequence[str], gain: Gain) -> tuple[str, tuple[str, ...]]:
+    """The verdict once the held-out block is known: a cause without which it is predicted as well is not named."""
+    if word != "named" or not gain.chi2_after >= gain.chi2_plain:
+        return word, tuple(reasons)
+    return "unknown", (
+        *reasons,
+        f"fitted without {gain.held_out}, this leaves a chi-square of {gain.chi2_after:.3g} per sample there, and what "
+        f"is found without it {gain.chi2_plain:.3g}: it imitates something else",
+    )  # fmt: skip
 
 
 def usual_size(

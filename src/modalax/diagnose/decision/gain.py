@@ -21,6 +21,9 @@ class Gain:
         the errors of the parameters fitted without it explain. Not small where the causes are not the true ones.
     chi2_within
         Per real sample of the block after a fit to all data.
+    chi2_plain
+        Per real sample, by the general inaccuracy alone where causes were found beyond it; by the linear structure
+        where a joint was found.
     """
 
     held_out: str
@@ -30,6 +33,7 @@ class Gain:
     log_likelihood_gain_std: float
     missed: float = 0.0
     chi2_within: float = float("nan")
+    chi2_plain: float = float("nan")
 
     def to_dict(self) -> dict[str, Any]:
         """As in the answer's file."""

@@ -21,7 +21,7 @@ class LevelsCase:
     kind
         What differs: ``force levels`` or ``runs``.
     before, after
-        Chi-square per real sample of the differences, without and with the leading joint.
+        Chi-square per real sample of the differences, without and with what explains them best.
     drift, drifting
         Relative shift of the frequencies up to the last run, and the probability of a drift.
     law, where
@@ -30,6 +30,8 @@ class LevelsCase:
         Of the law, wherever it sits, and of the place among all places of that law.
     nameless
         Probability of laws that the answer has no name for.
+    untried
+        Whether no joint was tried although one may be the cause.
     behaviour
         The leading joint's equivalent stiffness against its amplitude, as a clause.
     limits
@@ -47,6 +49,7 @@ class LevelsCase:
     law_probability: float = 0.0
     place_probability: float = 0.0
     nameless: float = 0.0
+    untried: bool = False
     behaviour: str = ""
     limits: Thresholds = THRESHOLDS
 
@@ -80,11 +83,17 @@ def levels_agree(case: LevelsCase) -> tuple[str, ...] | None:
     return () if case.best == "nothing" else None
 
 
-def no_law_explains(case: LevelsCase) -> tuple[str, ...] | None:
-    """Every law of a joint leaves too much of the differences."""
-    if case.best != "joint" or case.after <= case.limits.unexplained:
+def joints_were_not_tried(case: LevelsCase) -> tuple[str, ...] | None:
+    """A drift leads only because nothing else was tried."""
+    return (*case.observed, "time was up before a joint had been tried as its cause") if case.untried else None
+
+
+def nothing_explains(case: LevelsCase) -> tuple[str, ...] | None:
+    """Every law of a joint, or a drift, leaves too much of the differences."""
+    if case.after <= case.limits.unexplained:
         return None
-    return *case.observed, f"no law explains it (chi-square {case.after:.3g} per sample is left)"
+    what = "no law" if case.best == "joint" else "neither a joint nor a shift of the frequencies from run to run"
+    return *case.observed, f"{what} explains it (chi-square {case.after:.3g} per sample is left)"
 
 
 def law_has_no_name(case: LevelsCase) -> tuple[str, ...] | None:
@@ -113,7 +122,8 @@ def place_is_not_sure(case: LevelsCase) -> tuple[str, ...] | None:
 
 RULES: tuple[tuple[str, Rule], ...] = (
     ("clean", levels_agree),
-    ("unknown", no_law_explains),
+    ("unknown", joints_were_not_tried),
+    ("unknown", nothing_explains),
     ("unknown", law_has_no_name),
     ("ambiguous", drift_is_not_sure),
     ("ambiguous", law_is_not_sure),

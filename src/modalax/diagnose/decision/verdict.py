@@ -137,13 +137,15 @@ def elements_share_a_place(case: Case) -> str | None:
 
 
 def held_out_is_missed(case: Case) -> str | None:
-    """Several causes can imitate a third thing on what they are fitted to, but hardly predict it elsewhere."""
-    gain, limits, several = case.held_out, case.limits, len(case.best.best.causes) > 1
-    if gain is None or not several or not fails(gain, limits):
+    """What imitates a third thing on what it is fitted to hardly predicts it elsewhere."""
+    gain = case.held_out
+    if gain is None or not fails(gain, case.limits):
         return None
+    several = len(case.best.best.causes) > 1
     return (
-        f"fitted without {gain.held_out}, {case.names} leave a chi-square of {gain.chi2_after:.2f} per sample there, "
-        f"fitted with it {gain.chi2_within:.2f}: they imitate something else"
+        f"fitted without {gain.held_out}, {case.names} leave{'' if several else 's'} a chi-square of "
+        f"{gain.chi2_after:.2f} per sample there, fitted with it {gain.chi2_within:.2f}: "
+        f"{'they imitate' if several else 'it imitates'} something else"
     )
 
 

@@ -111,10 +111,9 @@ class Change:
         """Parameters as in the answer."""
         if self.slug not in UNITS:
             return {}
-        name, unit = UNITS[self.slug]
-        factor = self.scale * (self.reference if self.pattern is not None else 1.0)
-        std = float(np.sqrt(max(covariance[0, 0], 0.0))) * abs(factor)
-        return {name: {"value": float(u[0]) * factor, "std": std, "unit": unit}}
+        name, unit = UNITS["modal_damping" if self.pattern is not None else self.slug]  # a whole element is so much off
+        std = float(np.sqrt(max(covariance[0, 0], 0.0))) * self.scale
+        return {name: {"value": float(u[0]) * self.scale, "std": std, "unit": unit}}
 
     def as_catalogue(self, u: np.ndarray, covariance: np.ndarray) -> tuple[list[float], list[float], Any]:
         """Parameters of the catalogue's cause of this name, their standard deviations, and its shape over channels."""

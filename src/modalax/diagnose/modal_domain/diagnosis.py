@@ -15,7 +15,7 @@ from modalax.diagnose.causes.parameter import Parameter
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.decision.advice import advise_modes
-from modalax.diagnose.decision.beyond import BeyondUsual
+from modalax.diagnose.decision.beyond import BeyondUsual, held_out_verdict
 from modalax.diagnose.decision.levels import outweighing
 from modalax.diagnose.decision.omnibus import Omnibus, omnibus
 from modalax.diagnose.decision.sets import rivals
@@ -195,6 +195,7 @@ def diagnose_modes(
     residuals = [np.sqrt(2) * (H - p) / sigma for p in predicted]
     tests = [omnibus(r, np.ones(r.shape, bool), stage.measured.noise.freedom) for r in residuals]
     gain = gain_of(stage, chosen, before)
+    word, reasons = held_out_verdict(word, reasons, gain)
     notes = (
         stage.measured.noise.source,
         f"{len(stage.measured.features.poles)} modes were identified in the band from "
@@ -203,7 +204,7 @@ def diagnose_modes(
     extended = extension_of(stage, chosen.fit)
     shape = H.shape
     return ModalDiagnosis(
-        word, tuple(reasons), None, Facts(measurement, question, notes), extended, gain,
+        word, reasons, None, Facts(measurement, question, notes), extended, gain,
         stage.measured.freq, residuals[0], residuals[1], np.broadcast_to(predicted[0], shape),
         np.broadcast_to(predicted[1], shape), stage, chosen, judged.sets, inaccuracy, tests[0], tests[1],
     )  # fmt: skip

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.linalg
 
 from modalax.diagnose.modal_domain.causes import Change
-from modalax.diagnose.modal_domain.state import Setting, State, evidence_of_free, slopes_at, state_at
+from modalax.diagnose.modal_domain.state import Setting, State, evidence_of_free, slopes_at, state_at, unseen
 
 TEMPERATURES = (100.0, 10.0, 3.0)  # widening of the features' covariance in the first steps of a fit
 LEARNING = 10.0  # greatest of these at which sizes of the inaccuracy are estimated; far from the data all seem large
@@ -152,6 +152,7 @@ def fit(
             # Laplace where the fit stands, not where the linear problem ends: at the optimum the same, elsewhere lower
             here = float(state.difference @ state.difference) + float(((np.concatenate([sizes, u]) / scale) ** 2).sum())
             evidence = -0.5 * here + volume + hyperprior(setting, epsilon) + free
+            evidence -= 0.5 * unseen(setting.features, causes, state.modes.poles, state.residues, state.pairs)
             count = len(u)
             now = Fit(
                 causes, sizes, u, epsilon, evidence,

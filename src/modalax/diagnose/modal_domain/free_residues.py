@@ -63,7 +63,7 @@ class Channels:
         """Columns of the modes beyond the band, shape ``(f, columns)``."""
         mid = np.sqrt(np.abs(self.s[0] * self.s[-1]))
         x = self.s / mid
-        terms = np.stack([np.ones_like(x), x, x**2, x**-2], axis=1) * self.s[:, None] ** self.order
+        terms = np.stack([np.ones_like(x), x, x**2, 1 / x, x**-2], axis=1) * self.s[:, None] ** self.order
         return np.concatenate([terms, self.kernels(self.outside)], axis=1)
 
 

@@ -19,6 +19,7 @@ from modalax.diagnose.modal_domain.state import (
     screening_slopes,
     slopes_at,
     state_at,
+    unseen,
     whitened,
 )
 
@@ -62,7 +63,7 @@ def distance(
     pairs = pairs_with(f, causes, poles, residues)
     r = whitened(setting, (f.values - values_of(poles[pairs], residues[pairs] / f.units, f.tangent)).ravel(), causes)
     h = shrink @ r
-    return float(r @ r - h @ h)
+    return float(r @ r - h @ h) + unseen(f, causes, poles, residues, pairs)
 
 
 def tolerance(setting: Setting, causes: tuple[Change, ...] = ()) -> tuple[State, np.ndarray]:

@@ -12,17 +12,18 @@ from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import Coordinates, coordinates_of
 from modalax.diagnose.modal_domain.elements import nodes_of
 from modalax.diagnose.modal_domain.explain import Explanation, explain
-from modalax.diagnose.modal_domain.features import Features
-from modalax.diagnose.modal_domain.free_residues import Channels
 from modalax.diagnose.modal_domain.further_causes import StructuralDamping, missing_modes, tuned_masses
 from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
 from modalax.diagnose.modal_domain.levels.explain import Spot
 from modalax.diagnose.modal_domain.levels.seen import Seen, look_at_levels, without_joint
-from modalax.diagnose.modal_domain.measured import identify
+from modalax.diagnose.modal_domain.measured import Measured, identify
 from modalax.diagnose.modal_domain.places import candidates_of, springs_of
 from modalax.diagnose.modal_domain.polish import leading_on_lines
 from modalax.diagnose.modal_domain.state import Setting
+from modalax.diagnose.thresholds import THRESHOLDS
 from modalax.model import Structure
+
+FIRST_SHARE = 0.6  # of the time for linear causes, where runs may have to be told apart after them
 
 
 @dataclass(frozen=True)
@@ -62,15 +63,19 @@ class Stage:
         return self.explanations[0]
 
 
-def further_of(simulation: Structure, c: Coordinates, features: Features, channels: Channels) -> list[Change]:
-    """Causes that only lines, and not a table of modes, are asked about."""
-    low, high = (float(abs(channels.s[k])) for k in (0, -1))
+def further_of(simulation: Structure, c: Coordinates, measured: Measured) -> list[Change]:
+    """Causes that only lines, and not a table of modes, are asked about.
+
+    Where modes do not explain a measurement, as of a structure that is not linear, one too many is no mode.
+    """
+    low, high = (float(abs(measured.channels.s[k])) for k in (0, -1))
     inside = np.flatnonzero((c.frequencies > low) & (c.frequencies < high))
     few = inside if len(inside) else np.arange(1)
-    return [
-        *tuned_masses(simulation.dofs, c, few, low, high), *missing_modes(features, channels.order, low, high),
-        StructuralDamping("structural_damping", ()),
-    ]  # fmt: skip
+    found: list[Change] = [StructuralDamping("structural_damping", ())]
+    if measured.misfit < THRESHOLDS.as_noise:
+        found += tuned_masses(simulation.dofs, c, few, low, high)
+        found += missing_modes(measured.features, measured.channels.order, low, high)
+    return found
 
 
 def run_stage(
@@ -98,13 +103,14 @@ def run_stage(
     setting = Setting(c, inaccuracy_of(simulation, c, highest), measured.features, whitener)
     pairs = None if simulation.pairs is None else list(simulation.pairs)
     every = candidates_of(simulation, c, measurement.outputs, measurement.inputs, pairs, highest)
-    every += further_of(simulation, c, measured.features, measured.channels)
+    every += further_of(simulation, c, measured)
     candidates = [k for k in every if wanted(k.slug)]
-    setting, explanations = explain(setting, candidates, late, tell)
+    H, level = np.asarray(measurement.H), np.asarray(measurement.level)
+    first = late.part(FIRST_SHARE) if len(H) > 1 else late
+    setting, explanations = explain(setting, candidates, first, tell)
     if not explanations:
         return None
     explanations = leading_on_lines(setting, explanations, measured.channels, late)
-    H, level = np.asarray(measurement.H), np.asarray(measurement.level)
     spots = [Spot(where, b, w) for where, b, _, w in springs_of(simulation, c, nodes_of(simulation.dofs), pairs)]
     seen = None
     try:
@@ -116,4 +122,4 @@ def run_stage(
             explanations = leading_on_lines(setting, explanations, measured.channels, late)
     except KeyboardInterrupt:
         late.stop()
-    return Stage(measurement, simulation, c, measured, setting, candidates, explanations, not late(), seen)
+    return Stage(measurement, simulation, c, measured, setting, candidates, explanations, not (late() or first()), seen)

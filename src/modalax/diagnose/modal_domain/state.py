@@ -144,6 +144,24 @@ def pairs_with(features: Features, causes: tuple[Change, ...], poles: np.ndarray
     return out
 
 
+def unseen(
+    features: Features, causes: tuple[Change, ...], poles: np.ndarray, residues: np.ndarray, pairs: np.ndarray
+) -> float:
+    """Chi-square of modes that are predicted among the measured ones, and not measured.
+
+    Only where a measured mode is left free: it has not one too few where it lacks another. Residues that were not
+    measured count as measured to be nothing, with the uncertainty of the others.
+    """
+    freed = [c.freed for c in causes if c.freed is not None]
+    if not freed:
+        return 0.0
+    size = np.abs(features.poles)
+    lone = np.ones(len(poles), bool)
+    lone[np.delete(pairs, freed)] = False
+    lone &= (np.abs(poles) > size.min()) & (np.abs(poles) < size.max())
+    return float((np.abs(residues[lone] / np.median(features.units, axis=0)) ** 2).sum())
+
+
 def factors_of(setting: Setting, sizes: np.ndarray) -> np.ndarray:
     """Derivatives of the relative changes of patterns by their sizes, which may be logarithms."""
     return np.where(setting.inaccuracy.positive, np.exp(np.minimum(sizes, FARTHEST)), 1.0)

@@ -22,7 +22,15 @@ def judge_levels(seen: Seen | None) -> tuple[str, tuple[str, ...]]:
     kind = "force levels" if len(np.unique(seen.levels.force)) > 1 else "runs"
     if found.best == "drift":
         return levels_verdict(
-            LevelsCase("drift", kind, found.before, drift=found.drift.frequency, drifting=found.drifting)
+            LevelsCase(
+                "drift",
+                kind,
+                found.before,
+                found.after,
+                drift=found.drift.frequency,
+                drifting=found.drifting,
+                untried=found.untried,
+            )
         )
     j, nameless = found.joints[0], {law.slug for law in NAMELESS}
     return levels_verdict(LevelsCase(

@@ -30,12 +30,15 @@ class Drift:
         Whether all modes shift by one share.
     log_evidence
         Up to what joints share.
+    chi2
+        Of the changes from level to level that it leaves.
     """
 
     frequency: float
     std: float
     together: bool
     log_evidence: float
+    chi2: float = 0.0
 
 
 def drifts(levels: Levels, modes: Projected, channels: Channels) -> list[Drift]:
@@ -75,7 +78,7 @@ def _fitted(levels: Levels, modes: Projected, channels: Channels, together: bool
         cov = np.linalg.inv(inner)
         if best is None or cost < best[0]:
             std = math.sqrt(cov.reshape(x.shape + x.shape)[-1, 0, :, -1, 0, :].sum()) / kinds
-            best = cost, Drift(float(x[-1, 0].mean()), std, together, -0.5 * cost - 0.5 * volume)
+            best = cost, Drift(float(x[-1, 0].mean()), std, together, -0.5 * cost - 0.5 * volume, chi2)
         step = (cov @ (right - x.ravel() / prior**2)).reshape(x.shape)
         half = float(np.median(-modes.poles.real / np.abs(modes.poles)))
         x = x + np.clip(step, -FARTHEST * np.array([half, 1.0])[:, None], FARTHEST * np.array([half, 1.0])[:, None])

@@ -62,7 +62,9 @@ class ByLevel:
     nothing
         Probability that nothing changes from level to level.
     before, after
-        Chi-square per real sample of the changes from level to level, without and with the leading joint.
+        Chi-square per real sample of the changes from level to level, without and with what is likeliest.
+    untried
+        Whether no joint was tried although one may be the cause.
     """
 
     joints: list[JointFound]
@@ -71,6 +73,7 @@ class ByLevel:
     nothing: float
     before: float
     after: float
+    untried: bool = False
 
     @property
     def best(self) -> str:
@@ -90,7 +93,7 @@ class ByLevel:
 
 def explain_levels(
     levels: Levels, base: Base, spots: Sequence[Spot], shapes: Shapes, drift: Drift,
-    laws: Sequence[JointCause] = NAMED, late: Callable[[], bool] = lambda: False,
+    laws: Sequence[JointCause] = NAMED, late: Callable[[], bool] = lambda: False, untried: bool = False,
 ) -> ByLevel:  # fmt: skip
     """Fit every law at the leading places, weigh the best, and compare with a drift and with nothing at all."""
     before = unexplained(levels)
@@ -115,8 +118,9 @@ def explain_levels(
     share = np.exp(values - values.max())
     share /= share.sum()
     joints = [replace(j, probability=float(p)) for j, p in zip(found, share[2:], strict=True)]
-    after = min([before, *(j.fit.chi2 for j in joints[:1])])
-    return ByLevel(joints, drift, float(share[1]), float(share[0]), before / levels.samples, after / levels.samples)
+    best = ByLevel(joints, drift, float(share[1]), float(share[0]), before / levels.samples, 0.0, untried)
+    after = {"nothing": before, "drift": drift.chi2, "joint": joints[0].fit.chi2 if joints else before}[best.best]
+    return replace(best, after=min(before, after) / levels.samples)
 
 
 def _prior(spot: Spot, f: LawFit) -> float:

@@ -9,7 +9,7 @@ from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.explain import Explanation, explain
 from modalax.diagnose.modal_domain.fit import Fit
-from modalax.diagnose.modal_domain.further_causes import missing_modes
+from modalax.diagnose.modal_domain.further_causes import TunedMass
 from modalax.diagnose.modal_domain.levels.change import Base, Levels, base_of, by_level, change_by, frf_by, projected
 from modalax.diagnose.modal_domain.levels.drift import by_run, drifts
 from modalax.diagnose.modal_domain.levels.explain import ByLevel, JointFound, Spot, explain_levels
@@ -66,8 +66,10 @@ def look_at_levels(
     drift = max(drifts(plain.thinned(step), measured.modes, few), key=lambda d: d.log_evidence)
     shapes = Shapes(setting, f, base)
     laws = [law for law in NAMED if wanted(law.slug)]
-    places = spots if levels is not None and laws and not late() else []
-    found = explain_levels(plain.thinned(step), base.thinned(step), places, shapes, drift, laws, late)
+    asked = levels is not None and bool(laws)
+    untried = asked and late()
+    places = spots if asked and not untried else []
+    found = explain_levels(plain.thinned(step), base.thinned(step), places, shapes, drift, laws, late, untried)
     return Seen(plain, base, shapes, frf_by(setting, f, measured.freq, measured.channels.order), found)
 
 
@@ -106,10 +108,8 @@ def without_joint(
     if not len(again.features.poles):
         return measured, setting, explanations
     whitener = np.linalg.inv(np.linalg.cholesky(again.features.covariance))
-    some = [c for c in candidates if c.freed is None]
-    if len(some) < len(candidates):
-        s = again.channels.s
-        some += missing_modes(again.features, again.channels.order, float(abs(s[0])), float(abs(s[-1])))
+    # what a law leaves of a peak that it distorts looks like a mode too many
+    some = [c for c in candidates if c.freed is None and not isinstance(c, TunedMass)]
     now, found = explain(replace(setting, features=again.features, whitener=whitener), some, late, tell)
     return (again, now, found) if found else (measured, setting, explanations)
 
