@@ -12,6 +12,7 @@ from modalax.model import Structure
 from modalax.model.examples import five_dof
 from modalax.show.diagnosis import MOST_ROWS, residual_rows, run_names
 from modalax.show.report.diagnosis import cause_rows, gain_rows, interval
+from modalax.show.report.evidence import evidence_sections
 
 
 def made_up(runs, outputs, inputs, lines=20, seed=0):
@@ -66,6 +67,28 @@ def test_answers_as_tables():
     assert table.rows[1][2] == "50.0 ± 4.0"
 
 
+def test_what_the_data_show_as_tables():
+    chance = {"chi2": 3.0, "freedom": 2, "p_value": 0.223}
+    mode = {"frequency_hz": 20.5, "damping_ratio": 0.012, "chi2_before": 90.0, "chi2_after": None}
+    mode |= {f"{name}_{when}": value for when, value in (("before", 0.021), ("after", None))
+             for name in ("frequency_error", "damping_error", "peak_error_db")}  # fmt: skip
+    evidence = {
+        "tests": {"reciprocity": chance, "level_homogeneity": None, "band": {"before": chance, "after": None},
+                  "whiteness": {"before": {"p_value": 1e-9}, "after": {"p_value": 0.4}}},
+        "by_mode": [mode],
+        "by_channel": [{"output": "a", "input": "b", "chi2_before": 7.0, "chi2_after": 1.0, "frac_before": 0.5,
+                        "frac_after": 0.999}],
+        "by_level": [{"run": 1, "level": None, "chi2_before": 7.0, "chi2_after": 1.0, "hilbert_measured": None,
+                      "hilbert_extended": 0.01}],
+    }  # fmt: skip
+    assert evidence_sections(None) == []
+    tests, modes, levels, channels = evidence_sections(evidence)[0].parts
+    assert [row[1:] for row in tests.rows] == [["0.223", ""], ["0.223", ""], ["1e-09", "0.4"]]
+    assert modes.rows == [["20.5", "1.2", "+2.1 / -", "+2.1 / -", "+0.021 / -", "90 / -"]]
+    assert levels.rows == [["1", "", "7 / 1", "", "0.01"]]
+    assert channels.rows == [["a", "b", "7 / 1", "0.5 / 0.999"]]
+
+
 @pytest.mark.slow
 def test_a_real_diagnosis_from_the_command_line(tmp_path, capsys):
     """A mass of 50 g on DoF 4, twenty times what the data would show: named, told, reported and drawn."""
@@ -86,4 +109,8 @@ def test_a_real_diagnosis_from_the_command_line(tmp_path, capsys):
     assert "added_mass" in printed and "named" in printed
     report = (tmp_path / "d.html").read_text()
     assert "added_mass at 4" in report and report.count('class="plot"') >= 3
-    assert {p.name for p in (tmp_path / "pictures").iterdir()} == {"residuals.png", "comparison.png"}
+    assert {p.name for p in (tmp_path / "pictures").iterdir()} == {
+        "residuals.png", "comparison.png", "nyquist.png"
+    }  # fmt: skip
+    assert "Missed by the Hilbert transform" in report and "FRAC" in report
+    assert answer["evidence"]["tests"]["whiteness"]["before"]["p_value"] < 0.01

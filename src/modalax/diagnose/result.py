@@ -1,10 +1,12 @@
 """The result of a diagnosis: verdict, causes, gain, and all that stands behind them."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.causes.mains_hum import MainsHum
 from modalax.diagnose.causes.parameter import Parameter
@@ -14,6 +16,7 @@ from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.omnibus import Omnibus
 from modalax.diagnose.decision.posterior import Ranked
 from modalax.diagnose.decision.sets import rivals
+from modalax.diagnose.evidence import Compared, evidence_of
 from modalax.diagnose.extend import ExtendedSimulation
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.search.explain import Explanation
@@ -90,6 +93,27 @@ class Diagnosis:
         return self.found.look.omnibus, self.found.after
 
     @property
+    def modes_in_band(self) -> np.ndarray:
+        """Frequencies [Hz] and damping ratios of the simulation in the band, shape ``(2, n)``."""
+        scene = self.comparison.scene
+        return within(np.stack([scene.frequency_hz, scene.damping_ratio]), self.freq)
+
+    @cached_property
+    def evidence(self) -> dict[str, Any] | None:
+        """What the data show beside the verdict: tests with their chances, errors by mode, channel and level."""
+        if not len(self.freq):
+            return None
+        data = self.comparison.measurement
+        H = np.asarray(data.H)
+        before, after = (np.broadcast_to(p, H.shape) for p in (self.predicted_before, self.predicted_after))
+        return evidence_of(
+            Compared(
+                np.asarray(self.freq), H, before, after, (self.residual_before, self.residual_after), self.tests,
+                np.asarray(data.level), data.outputs, data.inputs, DERIVATIVES[data.form], self.modes_in_band,
+            )
+        )  # fmt: skip
+
+    @property
     def causes(self) -> list[dict[str, Any]]:
         """What the extended model contains."""
         if not self.found.ranked or self.verdict == "clean":
@@ -149,7 +173,13 @@ class Diagnosis:
             "question": self.question,
             "notes": list(self.notes),
             "p_value": self.found.look.detection.p_value,
+            "evidence": self.evidence,
         }
+
+
+def within(modes: np.ndarray, freq: np.ndarray) -> np.ndarray:
+    """Those of some modes, frequencies [Hz] and damping ratios ``(2, n)``, that lie in the band and are damped."""
+    return modes[:, (modes[0] > freq[0]) & (modes[0] < freq[-1]) & (modes[1] > 0)]
 
 
 def _names(h: Hypothesis) -> list[dict[str, Any]]:

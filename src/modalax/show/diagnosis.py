@@ -90,14 +90,61 @@ def plot_comparison(diagnosis: Diagnosis, output: str | None = None, input: str 
     return fig
 
 
+def worst_mode(diagnosis: Diagnosis) -> float | None:
+    """Frequency [Hz] of the mode with the largest error of the simulation; None where no mode was seen."""
+    modes = (diagnosis.evidence or {"by_mode": []})["by_mode"]
+    seen = [m for m in modes if m["chi2_before"] is not None]
+    return max(seen, key=lambda m: m["chi2_before"])["frequency_hz"] if seen else None
+
+
+def plot_nyquist(diagnosis: Diagnosis, widths: float = 8.0) -> Figure | None:
+    """Draw the mode with the largest error in the complex plane: measured, simulated, and by the extended simulation.
+
+    Parameters
+    ----------
+    widths
+        Half-bandwidths on either side of the mode, and of the simulation's own, that are drawn.
+
+    Returns
+    -------
+    matplotlib.figure.Figure or None
+        Of the last run, in the channel with the largest error; None where no mode was seen.
+    """
+    at = worst_mode(diagnosis)
+    if at is None or diagnosis.evidence is None:
+        return None
+    row = next(m for m in diagnosis.evidence["by_mode"] if m["frequency_hz"] == at)
+    data, (o, i) = diagnosis.comparison.measurement, worst_channel(diagnosis)
+    moved = at * (1 + (row["frequency_error_before"] or 0.0))
+    reach = max(widths * row["damping_ratio"] * at, 2.5 * float(np.diff(diagnosis.freq).mean()))
+    near = (diagnosis.freq > min(at, moved) - reach) & (diagnosis.freq < max(at, moved) + reach)
+    with look():
+        fig = new_figure(5.6, 5.2)
+        ax = fig.subplots()
+        for every, style, label in _curves(diagnosis):
+            values = np.asarray(every)[-1, near, o, i]
+            ax.plot(values.real, values.imag, label=label, **style)
+        ax.set_aspect("equal", adjustable="datalim")
+        ax.set_xlabel(f"Real part of {frf_label(data.form)}")
+        ax.set_ylabel("Imaginary part")
+        ax.set_title(f"{at:.5g} Hz, from {name_text(data.inputs[i])} to {name_text(data.outputs[o])}")
+        ax.legend()
+    return fig
+
+
+def _curves(diagnosis: Diagnosis) -> list[tuple[Any, dict[str, Any], str]]:
+    """FRFs, how each is drawn, and what it is."""
+    return [
+        (diagnosis.comparison.measurement.H, {"color": BLACK, "marker": ".", "markersize": 3, "linestyle": "none"},
+         "measured"),
+        (diagnosis.predicted_before, {"color": BLUE, "linestyle": "--"}, "simulation"),
+        (diagnosis.predicted_after, {"color": ORANGE}, "extended simulation"),
+    ]  # fmt: skip
+
+
 def _compared(top: Axes, under: Axes, diagnosis: Diagnosis, channel: tuple[int, int, int]) -> None:
     r, o, i = channel
-    curves = (
-        (diagnosis.comparison.measurement.H, {"color": BLACK, "marker": ".", "markersize": 3, "linestyle": "none"}),
-        (diagnosis.predicted_before, {"color": BLUE, "linestyle": "--"}),
-        (diagnosis.predicted_after, {"color": ORANGE}),
-    )
-    for (every, style), label in zip(curves, ("measured", "simulation", "extended simulation"), strict=True):
+    for every, style, label in _curves(diagnosis):
         values = np.asarray(every)[r, :, o, i]
         top.semilogy(diagnosis.freq, np.abs(values), label=label, **style)
         draw_phase(under, diagnosis.freq, values, **style)
@@ -106,16 +153,18 @@ def _compared(top: Axes, under: Axes, diagnosis: Diagnosis, channel: tuple[int, 
 
 
 def diagnosis_pictures(diagnosis: Diagnosis) -> dict[str, Figure]:
-    """Draw a diagnosis: maps of the residual before and after, and the FRF with the largest error at each level."""
+    """Draw a diagnosis: residuals, the FRF with the largest error at each level, and its worst mode's circle."""
     names, before, after = residual_rows(
         diagnosis.comparison.measurement, diagnosis.residual_before, diagnosis.residual_after
     )
     residuals, panels = (
         (before, None) if diagnosis.extended is None else (np.stack([before, after]), ["before", "after"])
     )
+    circle = plot_nyquist(diagnosis)
     return {
         "residuals": plot_residual_map(diagnosis.freq, residuals, names, panels=panels),
         "comparison": plot_comparison(diagnosis),
+        **({} if circle is None else {"nyquist": circle}),
     }
 
 

@@ -21,6 +21,11 @@ def drawn(data_stiffness: np.ndarray) -> float:
     return float(np.sqrt(np.mean(error**2)))
 
 
+def poles_of(found) -> list[float]:
+    """Circular frequencies of the modes that were identified."""
+    return list(np.abs(found.stage.measured.features.poles))
+
+
 def test_nothing_stands_out_of_a_simulation_that_is_off_everywhere():
     data, K = measured(1, 0.01)
     found = diagnose_modes(data, simulation())
@@ -41,6 +46,11 @@ def test_a_mass_stands_out_beyond_the_general_inaccuracy():
     assert [(c["name"], c["where"]) for c in answer["causes"]] == [("added_mass", ["5:+Z"])]
     mass = answer["causes"][0]["parameters"]["mass"]
     assert abs(mass["value"] - 0.05) < 4 * mass["std"] < 0.02
+    seen = answer["evidence"]
+    assert [round(m["frequency_hz"]) for m in seen["by_mode"]] == [round(f / 6.2832) for f in poles_of(found)]
+    errors = [[abs(m[f"frequency_error_{when}"]) for m in seen["by_mode"]] for when in ("before", "after")]
+    assert max(errors[1]) < 1e-3 < 0.01 < max(errors[0])
+    assert seen["tests"]["reciprocity"]["p_value"] > 1e-3 > seen["tests"]["band"]["before"]["p_value"]
     assert isinstance(found.extended, ExtendedSimulation)
     again = found.extended.frf(found.freq, form="accelerance", outputs=data.outputs, inputs=data.inputs)
     np.testing.assert_allclose(again.H, found.predicted_after[0], atol=1e-6 * np.abs(found.predicted_after).max())

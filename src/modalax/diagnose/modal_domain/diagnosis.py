@@ -32,7 +32,7 @@ from modalax.diagnose.modal_domain.levels.laws import NAMED
 from modalax.diagnose.modal_domain.levels.seen import at_levels
 from modalax.diagnose.modal_domain.screen import errors_of
 from modalax.diagnose.modal_domain.stage import Stage, run_stage
-from modalax.diagnose.result import Diagnosis
+from modalax.diagnose.result import Diagnosis, within
 from modalax.diagnose.summary import cause_at
 from modalax.diagnose.thresholds import THRESHOLDS
 from modalax.model import Structure
@@ -99,6 +99,13 @@ class ModalDiagnosis(Diagnosis):
     def tests(self) -> tuple[Omnibus, Omnibus]:
         """What the simulation leaves, and what the extended one leaves."""
         return self.before, self.after
+
+    @property
+    def modes_in_band(self) -> np.ndarray:
+        """Frequencies [Hz] and damping ratios of the simulation in the band, shape ``(2, n)``."""
+        c = self.stage.coordinates
+        w = np.maximum(c.frequencies, 1e-300)
+        return within(np.stack([w / 2 / np.pi, np.diag(c.damping) / 2 / w]), self.freq)
 
     @property
     def causes(self) -> list[dict[str, Any]]:
@@ -168,6 +175,7 @@ class ModalDiagnosis(Diagnosis):
             "question": self.question,
             "notes": list(self.notes),
             "p_value": None,
+            "evidence": self.evidence,
         }
 
 

@@ -20,6 +20,8 @@ CLOSE = 0.25  # change of ln frequency that counts as much against a pair of mod
 SMEARED = 0.05  # standard deviation of ln frequency beyond which a mode is too uncertain to compare
 FLAT = 1e-4  # square of the part along the measured residues below which its phase says nothing
 
+INVISIBLE = 1e-100  # size of residues, over their uncertainty, of a mode that no channel sees
+
 # Standard deviation of ln size beyond which a mode is too weak: its shape is no longer linear in its errors.
 FAINT = 0.1
 
@@ -107,7 +109,7 @@ def tangent_of(A: np.ndarray) -> np.ndarray:
 
 def values_of(poles: np.ndarray, residues: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     """Features of modes, shape ``(k, 2 + 2 d)``, from their poles and residues in units of the channels."""
-    size = np.sqrt(np.maximum((np.abs(residues) ** 2).sum(axis=(1, 2)), 1e-300))  # a mode of another part has none here
+    size = np.maximum(np.sqrt((np.abs(residues) ** 2).sum(axis=(1, 2))), INVISIBLE)
     along = np.einsum("kdoi,koi->kd", tangent.conj(), residues) / size[:, None]
     zeta = np.maximum(-poles.real / np.abs(poles), 1e-9)
     first = np.stack([np.log(np.abs(poles)), np.log(zeta), np.log(size), np.angle(along[:, 0])], axis=1)
@@ -118,7 +120,7 @@ def slopes_of_values(
     poles: np.ndarray, residues: np.ndarray, tangent: np.ndarray, dpoles: np.ndarray, dresidues: np.ndarray
 ) -> np.ndarray:
     """Derivatives of the features, shape ``(k, 2 + 2 d, p)``, by changes ``(k, p)`` and ``(k, p, o, i)``."""
-    size2 = (np.abs(residues) ** 2).sum(axis=(1, 2))
+    size2 = np.maximum((np.abs(residues) ** 2).sum(axis=(1, 2)), INVISIBLE**2)
     relative = dpoles / poles[:, None]
     real = poles.real[:, None]
     size = np.sqrt(size2)[:, None]

@@ -20,6 +20,7 @@ from modalax.diagnose.modal_domain.further_causes import MissingMode
 from modalax.diagnose.modal_domain.inaccuracy import KINDS, Inaccuracy
 
 WILD = 1e12  # factor on a channel that no fault has
+UNSEEN = 1e-12  # residues of a mode, relative to the largest of all, below which no channel sees it
 FARTHEST = 5.0  # logarithm of a factor on a modal damping that is not exceeded on the way to a fit
 NONE = np.zeros(0)  # sizes where there is no cause
 
@@ -180,9 +181,11 @@ def state_at(
     """
     c, f = setting.coordinates, setting.features
     modes = modes_of(c, **changes_of(setting, sizes, causes, u))
-    if len(modes.poles) < len(f.poles) - sum(cause.freed is not None for cause in causes):
-        raise np.linalg.LinAlgError("fewer modes than measured")
     plain = np.einsum("ko,ki->koi", modes.vectors @ c.outputs.T, modes.vectors @ c.inputs.T)
+    seen = np.abs(plain).max(axis=(1, 2), initial=0.0)
+    needed = len(f.poles) - sum(cause.freed is not None for cause in causes)
+    if np.count_nonzero(seen > UNSEEN * seen.max(initial=0.0)) < needed:  # the spare coordinate is none
+        raise np.linalg.LinAlgError("fewer modes than measured")
     residues = plain
     for cause, size in with_sizes(causes, u):
         residues = cause.at_modes(size, modes.poles, residues)

@@ -10,6 +10,7 @@ from modalax._numerics.text import with_error
 from modalax.diagnose.result import Diagnosis
 from modalax.diagnose.summary import MEANING, advice_text, attempt_text, causes_text, place_text, probability_text
 from modalax.show.diagnosis import residual_rows, run_names
+from modalax.show.report.evidence import evidence_sections
 from modalax.show.report.page import Page, Plot, Section, Table
 from modalax.show.report.plots import bar_plot, comparison_plot, residual_plot
 
@@ -73,6 +74,7 @@ def diagnosis_sections(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> list[
         Section("Measured and simulated FRFs", [], [_frfs(diagnosis)]),
         Section("Residuals", [_tests(diagnosis)], [residual_plot(diagnosis.freq, maps, names)]),
     ]
+    sections += evidence_sections(diagnosis.evidence)
     if diagnosis.candidates:
         sections.append(Section("Candidates", [], _candidates(diagnosis)))
     sections.append(Section("Smallest effects that would have been seen", [], [_smallest(diagnosis, answer)]))
