@@ -117,9 +117,14 @@ def modal_verdict(case: ModalCase) -> tuple[str, tuple[str | int, ...]]:
     return next((word, reasons) for word, rule in RULES if (reasons := rule(case)))
 
 
-def held_out_verdict(word: str, reasons: Sequence[str], gain: Gain) -> tuple[str, tuple[str, ...]]:
-    """The verdict once the held-out block is known: a cause without which it is predicted as well is not named."""
-    if word != "named" or not gain.chi2_after >= gain.chi2_plain:
+def held_out_verdict(
+    word: str, reasons: Sequence[str], gain: Gain, limits: Thresholds = THRESHOLDS
+) -> tuple[str, tuple[str, ...]]:
+    """The verdict once the held-out block is known: a cause without which it is predicted better is not named.
+
+    That it is predicted as well says nothing: an inaccuracy of many elements may imitate a cause, only less likely.
+    """
+    if word != "named" or not gain.chi2_after > limits.farther * gain.chi2_plain:
         return word, tuple(reasons)
     return "unknown", (
         *reasons,
