@@ -66,7 +66,8 @@ def test_a_cause_stands_out_beyond_what_is_usual(slug, whole, expected):
 @pytest.mark.parametrize(
     ("word", "after", "plain", "said"),
     [
-        ("named", 1.1, 8.0, "named"), ("named", 8.5, 8.0, "unknown"), ("named", 8.3, 8.0, "named"), ("named", 1.1, np.nan, "named"),
+        ("named", 1.1, 8.0, "named"), ("named", 8.5, 8.0, "unknown"), ("named", 8.3, 8.0, "named"),
+        ("named", 1.1, np.nan, "named"),
         ("ambiguous", 9.0, 8.0, "ambiguous"),
     ],
 )  # fmt: skip

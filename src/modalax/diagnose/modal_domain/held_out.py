@@ -1,6 +1,6 @@
 """What the corrected simulation and the causes gain on a block of the data that they were not fitted to."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -37,8 +37,13 @@ def gain_of(stage: Stage, found: Explanation, before: np.ndarray) -> Gain:
     alike = not drifts and (len(stage.measured.runs) == len(H) or joint is not None or levels > 2)
     lacking = any(c.freed is not None for c in found.causes)  # of a further column its shape tells nothing
     words, mask = held_out_block(level, m.inputs, H.shape, H.shape[1], alike, lacking)
-    after = frf_of(stage, _without(stage, found.fit, mask)) if joint is None else joint
-    plain = _plain(stage, found, mask) if joint is None or seen is None else seen.linear
+    if joint is None or seen is None:
+        rest = _rest(stage, mask)
+        alone = next((e.fit for e in stage.explanations if not e.causes), None) if found.causes else None
+        after = frf_of(stage, _without(stage, found.fit, rest))
+        plain = None if alone is None else frf_of(stage, _without(stage, alone, rest))
+    else:
+        after, plain = joint, seen.linear
     weight = np.where(mask, np.sqrt(2) / sigma, 0.0)
     count = 2 * int(mask.sum())
     chi2 = [np.abs(weight * (H - p)) ** 2 for p in (before, after)]
@@ -52,23 +57,24 @@ def gain_of(stage: Stage, found: Explanation, before: np.ndarray) -> Gain:
     )  # fmt: skip
 
 
-def _plain(stage: Stage, found: Explanation, mask: np.ndarray) -> np.ndarray | None:
-    """FRF ``(f, o, i)`` of the general inaccuracy alone fitted without the block; None where nothing else was found."""
-    alone = next((e for e in stage.explanations if not e.causes), None)
-    if alone is None or not found.causes:
-        return None
-    return frf_of(stage, _without(stage, alone.fit, mask))
+@dataclass(frozen=True)
+class Rest:
+    """All but the held-out samples: what hypotheses are fitted to, their lines, and which inputs are left."""
+
+    setting: Setting
+    channels: Channels
+    kept: np.ndarray
 
 
-def _without(stage: Stage, f: Fit, mask: np.ndarray) -> Fit:
-    """The same explanation fitted to all but the held-out samples; the fit to all where that cannot be."""
+def _rest(stage: Stage, mask: np.ndarray) -> Rest | None:
+    """Identify all but the held-out samples again; None where nothing is left to identify."""
     m, found = stage.measurement, stage.measured
     H, sigma = np.asarray(m.H)[found.runs], found.noise.sigma[found.runs]
     weight = np.where(mask[found.runs], 0.0, 1 / sigma**2)
     total = weight.sum(axis=0)
     kept = total.any(axis=(0, 1))  # inputs that are left
     if not kept.any():
-        return f
+        return None
     mean = ((weight * H).sum(axis=0) / np.maximum(total, 1e-300))[:, :, kept]
     flat = (len(mean), -1)
     c = found.channels
@@ -78,16 +84,24 @@ def _without(stage: Stage, f: Fit, mask: np.ndarray) -> Fit:
     size = np.abs(features.poles)
     known = sure(features) & (size > abs(c.s[0])) & (size < abs(c.s[-1]))
     if not known.any():
-        return f
+        return None
     features = chosen(features, known)
     try:
         whitener = np.linalg.inv(np.linalg.cholesky(features.covariance))
     except np.linalg.LinAlgError:
-        return f
+        return None
     inputs = stage.coordinates.inputs[kept]
     setting = replace(
         stage.setting, coordinates=replace(stage.coordinates, inputs=inputs), features=features, whitener=whitener
     )
+    return Rest(setting, channels, kept)
+
+
+def _without(stage: Stage, f: Fit, rest: Rest | None) -> Fit:
+    """The same explanation fitted to all but the held-out samples; the fit to all where that cannot be."""
+    if rest is None:
+        return f
+    setting, kept = rest.setting, rest.kept
     moved = [(k, _renumbered(cause, kept, setting)) for k, cause in enumerate(f.causes)]
     some = np.concatenate([np.zeros(0, int)] + [
         np.arange(len(f.u))[own_sizes(f.causes, k)] for k, cause in moved if cause is not None])  # fmt: skip
@@ -95,7 +109,7 @@ def _without(stage: Stage, f: Fit, mask: np.ndarray) -> Fit:
     again = fit(setting, causes, without_causes(f), f.u[some], temperatures=())
     if again is None:
         return f
-    again = on_lines(setting, again, lines_of(channels, setting), Deadline())
+    again = on_lines(setting, again, lines_of(rest.channels, setting), Deadline())
     u = f.u.copy()
     u[some] = again.u
     every = tuple(whole if isinstance(whole, MissingMode) else cause for cause, (_, whole) in zip(
