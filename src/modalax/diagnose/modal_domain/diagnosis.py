@@ -188,7 +188,7 @@ def diagnose_modes(
     if stage is None:
         return None
     judged = judge(stage)
-    chosen, inaccuracy = judged.chosen, inaccuracy_told(stage.setting, judged.chosen.fit)
+    chosen, inaccuracy = judged.chosen, inaccuracy_told(stage.setting, judged.likeliest.fit)
     joined, further = judge_levels(stage.seen)
     word, reasons = outweighing(judged.word, joined), [said(inaccuracy), *judged.reasons, *further]
     if not stage.in_time:

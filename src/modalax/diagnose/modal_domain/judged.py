@@ -27,12 +27,16 @@ class Judged:
         inaccuracy alone if nothing does.
     sets
         What stands out, that of the answer first, the others by falling probability.
+    likeliest
+        The likeliest explanation of that kind, with causes that are no larger than usual: what these do is no
+        inaccuracy of all elements.
     """
 
     word: str
     reasons: tuple[str, ...]
     chosen: Explanation
     sets: tuple[BeyondUsual, ...]
+    likeliest: Explanation
 
 
 def judge(stage: Stage) -> Judged:
@@ -46,7 +50,7 @@ def judge(stage: Stage) -> Judged:
         None if plain is None else best.log_posterior - plain.log_posterior, THRESHOLDS,
     )  # fmt: skip
     word, reasons = modal_verdict(case)
-    return Judged(word, reasons, plain if word == "clean" and plain is not None else best, sets)
+    return Judged(word, reasons, plain if word == "clean" and plain is not None else best, sets, best)
 
 
 def sets_beyond(stage: Stage) -> tuple[BeyondUsual, ...]:
