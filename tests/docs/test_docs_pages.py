@@ -5,6 +5,7 @@ the command, and ``toml`` is saved under the name in its first line. ``<!-- not 
 and ``<!-- slow -->`` marks a page that takes long.
 """
 
+import inspect
 import json
 import re
 import shlex
@@ -58,6 +59,16 @@ def test_a_page_can_be_followed(page, tmp_path, monkeypatch, capsys):
         answer = json.loads(file.read_text(encoding="utf-8"))
         keys = set(answer) | {key for mode in answer.get("modes", ()) for key in mode} | set(answer.get("gain") or ())
         assert [key for key in sorted(keys) if f"`{key}`" not in formats] == []
+
+
+def test_the_keys_of_a_diagnosis_stand_in_its_table():
+    from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis
+    from modalax.diagnose.result import Diagnosis
+
+    text = (DOCS / "formats.md").read_text(encoding="utf-8").split("## `diagnose --json`")[1].split("\n## ")[0]
+    for kind in (Diagnosis, ModalDiagnosis):
+        keys = re.findall(r'^ {12}"(\w+)":', inspect.getsource(kind.to_dict), re.M)
+        assert len(keys) > 9 and [key for key in keys if f"`{key}`" not in text] == []
 
 
 def test_how_to_pages_are_followed():
