@@ -29,6 +29,7 @@ import numpy as np
 
 from modalax._numerics.checks import require_double
 from modalax._numerics.programs import release_programs
+from modalax._numerics.threads import one_thread
 from modalax.data import FRF, Measurement
 from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.causes import catalogue, imitators
@@ -53,6 +54,7 @@ from modalax.model.mode_table import ModeTable
 FIRST_SHARE = 0.6  # of the time for a search line by line that the modal domain may have to follow
 
 
+@one_thread
 def diagnose(
     measurement: Measurement | FRF | ModeTable,
     simulation: Structure | ModalModel | ExtendedSimulation,
