@@ -25,3 +25,16 @@ def test_many_modes_call_for_shared_weights_as_many_samples_do():
     """480,000 samples: of 14 modes channels weigh by themselves, of 112 a step would take minutes."""
     assert not noise.several(480_000, 14)
     assert noise.several(480_000, 112) and noise.several(2**21 + 1, 1)
+
+
+def test_channels_of_a_large_set_share_all_but_their_size_while_modes_are_sought():
+    """Then one basis serves all inputs, whose noise here falls and rises with frequency."""
+    rng = np.random.default_rng(1)
+    course = np.stack([np.linspace(1, 4, 900), np.linspace(4, 1, 900)], axis=1)[:, None, :]
+    error = course * (rng.normal(size=(900, 6, 2)) + 1j * rng.normal(size=(900, 6, 2)))
+    H = 100 * np.ones_like(error)
+    apart, alike = (noise.sigma_of_error(H, error, modes=modes) for modes in (2, 2000))
+    assert alike.shape == H.shape
+    assert np.allclose(alike / alike[:, :1, :1], (alike / alike[:, :1, :1])[:1])
+    assert np.median(apart[800:, :, 0] / apart[800:, :, 1]) > 2
+    assert np.median(alike[800:, :, 0] / alike[:100, :, 0]) < 1.5

@@ -36,9 +36,10 @@ def residual_sigma(frf: FRF, refined: Refined, sigma: Any, proportional: bool = 
     .. math:: v_{kc} = a_c\,g_k + b\,|\hat H_{kc}|^2
 
     The course :math:`g` over frequency is a running mean square over the lines, shared by the channels of the longer
-    axis. With ``proportional`` the second term, noise or model error in proportion to the response, is fitted too, by
-    maximum likelihood of the residual's power (where :func:`several` with the mean response over the longer axis for
-    that of each channel); else :math:`b = 0`, the safer choice while modes are still missing.
+    axis, where :func:`several` and not ``proportional`` by all. With ``proportional`` the second term, noise or model
+    error in proportion to the response, is fitted too, by maximum likelihood of the residual's power (where
+    :func:`several` with the mean response over the longer axis for that of each channel); else :math:`b = 0`, the safer
+    choice while modes are still missing.
 
     Noise and model error are not told apart. A floor at a tenth of the typical deviation keeps lines from dominating
     that the model passes through by chance.
@@ -68,11 +69,14 @@ def sigma_of_error(H: np.ndarray, error: np.ndarray, proportional: bool = False,
     axis = 2 if H.shape[2] > H.shape[1] else 1  # the longer axis, whose channels share a course over frequency
     half = max(8, len(power) // 60)
     size = np.maximum(np.median(power, axis=(0, 3 - axis), keepdims=True), 1e-300)
-    course = _running_mean(np.mean(power / size, axis=axis, keepdims=True), half)
+    many = several(power.size, modes)
+    # While modes are sought the channels of a large set share one course, so that they have a basis in common.
+    over = (1, 2) if many and not proportional else axis
+    course = _running_mean(np.mean(power / size, axis=over, keepdims=True), half)
     course = np.maximum(course, 1e-2 * np.median(course, axis=0, keepdims=True))
     rounding = (1e-13 * np.abs(H).max()) ** 2 + 1e-300
-    variance = course * size
-    if proportional and several(power.size, modes):
+    variance = np.broadcast_to(course * size, power.shape)
+    if proportional and many:
         variance = _alike(power + rounding, np.abs(H - error) ** 2, course, size, axis, half)
     elif proportional:
         variance = _two_parts(power + rounding, np.abs(H - error) ** 2, course, axis, half)
