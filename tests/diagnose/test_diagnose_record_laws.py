@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.io
 import scipy.signal
 
 from modalax.diagnose.record_laws import along, fit_laws
@@ -102,3 +103,20 @@ def test_records_that_do_not_fit_are_refused(change, said):
         fit_laws(
             given["force"], given["response"], RATE, two_modes(), [], given["place"], band=given["band"]
         )  # fmt: skip
+
+
+@pytest.mark.measured
+def test_a_measured_cubic_spring_predicts_what_it_was_not_shown(measured):
+    """The Silverbox: two multisines are fitted, a third is predicted from its force alone."""
+    found = scipy.io.loadmat(measured / "silverbox" / "SNLS80mV.mat", squeeze_me=True)
+    part = slice(40_500, 40_500 + 3 * 8697)
+    u, y = (found[name][part] - found[name][part].mean() for name in ("V1", "V2"))
+    u, y = u.reshape(3, -1), y.reshape(3, -1)
+    fs, psi = 1e7 / 2**14, np.sqrt(np.array([[430 / 2j]]))  # from 68 Hz and unit stiffness
+    start = ModalModel(poles_from([68.0], [0.05]), psi, psi, outputs=("1",), inputs=("1",))
+    error = {}
+    for name, joints in (("linear", []), ("cubic", [CubicSpring(1.0)])):
+        fitted = fit_laws(u[:2], y[:2, :, None], fs, start, joints, ["1"], band=(2.0, 200.0))
+        error[name] = np.std(fitted.simulate(u[2, :2000], fs)[:, 0] - y[2, :2000]) / np.std(y[2, :2000])
+    assert error["linear"] > 0.1
+    assert error["cubic"] < 0.02
