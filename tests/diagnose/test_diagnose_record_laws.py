@@ -105,6 +105,7 @@ def test_records_that_do_not_fit_are_refused(change, said):
         )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.measured
 def test_a_measured_cubic_spring_predicts_what_it_was_not_shown(measured):
     """The Silverbox: two multisines are fitted, a third is predicted from its force alone."""
@@ -117,6 +118,6 @@ def test_a_measured_cubic_spring_predicts_what_it_was_not_shown(measured):
     error = {}
     for name, joints in (("linear", []), ("cubic", [CubicSpring(1.0)])):
         fitted = fit_laws(u[:2], y[:2, :, None], fs, start, joints, ["1"], band=(2.0, 200.0))
-        error[name] = np.std(fitted.simulate(u[2, :2000], fs)[:, 0] - y[2, :2000]) / np.std(y[2, :2000])
+        error[name] = np.std(fitted.simulate(u[2], fs)[:, 0] - y[2]) / np.std(y[2])
     assert error["linear"] > 0.1
     assert error["cubic"] < 0.02
