@@ -143,7 +143,7 @@ def usual_size(
     slug
         The cause.
     whole
-        Stiffness [N/m] or mass [kg] that the simulation has at the place; 1 for a relative change of a whole element.
+        Stiffness [N/m], mass [kg] or damping [N s/m] that the simulation has at the place; 1 for a relative change of a whole element.
     inaccuracy
         General relative inaccuracy by ``stiffness``, ``mass`` and ``damping``.
     highest
@@ -152,6 +152,7 @@ def usual_size(
     return {
         "joint_stiffness": limits.beyond * inaccuracy["stiffness"] * whole,
         "added_mass": limits.beyond * inaccuracy["mass"] * whole,
+        "local_damper": limits.beyond * inaccuracy.get("damping", 0.0) * whole,
         "modal_damping": limits.beyond * inaccuracy.get("damping", 0.0),
         "channel_gain": limits.calibration,
         "force_gain": limits.calibration,

@@ -33,7 +33,8 @@ class Change:
     direction
         Of a local change ``b b'``, in modal coordinates, shape ``(n,)``.
     pattern
-        Of a change of a whole element instead, shape ``(n, n)``; its size is relative.
+        Of a change of a whole element instead, shape ``(n, n)``; its size is relative. Of a lumped mass that moves in
+        several directions the sum of their ``b b'``; its size is a mass.
     channel
         Of a channel's fault: axis (0 output, 1 input) and number; for two outputs exchanged both numbers; of a fault of
         all channels ``ALL`` and, for units, the power of ``s``.
@@ -61,6 +62,16 @@ class Change:
     def local(self) -> bool:
         """Whether it changes matrices."""
         return bool(self.kind)
+
+    @property
+    def relative(self) -> bool:
+        """Whether its size is relative to what the simulation has."""
+        return self.pattern is not None and self.slug != "added_mass"
+
+    @property
+    def whole(self) -> float:
+        """What its size is compared with."""
+        return 1.0 if self.relative else self.reference
 
     @property
     def sized(self) -> bool:
@@ -111,7 +122,7 @@ class Change:
         """Parameters as in the answer."""
         if self.slug not in UNITS:
             return {}
-        name, unit = UNITS["modal_damping" if self.pattern is not None else self.slug]  # a whole element is so much off
+        name, unit = UNITS["modal_damping" if self.relative else self.slug]  # a whole element is so much off
         std = float(np.sqrt(max(covariance[0, 0], 0.0))) * self.scale
         return {name: {"value": float(u[0]) * self.scale, "std": std, "unit": unit}}
 

@@ -258,11 +258,17 @@ def _further(
     setting: Setting, found: dict[tuple[Change, ...], Fit], best: Fit, candidates: list[Change], prior: Prior,
     late: Callable[[], bool],
 ) -> bool:  # fmt: skip
-    """Add a cause where one promises enough log evidence; whether one was tried."""
-    gain, _ = scores(setting, best, candidates)
-    value = gain + np.array([prior.one(c) for c in candidates]) + math.log(SECOND)
-    leading = [j for j in np.argsort(-value)[:NEXT] if candidates[j] not in best.causes]
-    worth = [j for j in leading if value[j] > WORTH - math.log(10)]
+    """Add a cause where one promises enough log evidence; whether one was tried.
+
+    A second cause, too, may hide in the inaccuracy, and show once that is held to its usual size.
+    """
+    usual = replace(best, epsilon=np.minimum(best.epsilon, setting.inaccuracy.usual))
+    worth: dict[int, None] = {}
+    for about in (best, usual):
+        gain, _ = scores(setting, about, candidates)
+        value = gain + np.array([prior.one(c) for c in candidates]) + math.log(SECOND)
+        leading = [int(j) for j in np.argsort(-value)[:NEXT] if candidates[j] not in best.causes]
+        worth |= {j: None for j in leading if value[j] > WORTH - math.log(10)}
     for j in worth:
         if late():
             break

@@ -83,11 +83,10 @@ def standing_out(stage: Stage, e: Explanation) -> tuple[Change, ...]:
     off, highest = inaccuracy_of_fit(stage, e), float(stage.measured.freq[-1])
     out = []
     for c, u in with_sizes(e.causes, e.fit.u):
-        whole = 1.0 if c.pattern is not None else c.reference
         size = c.size(u)
         if c.slug == "modal_damping":  # a factor, as the general inaccuracy of damping is
             size = float(np.log(max(1 + size, 1e-9)))
-        if abs(size) > usual_size(c.slug, whole, off, highest):
+        if abs(size) > usual_size(c.slug, c.whole, off, highest):
             out.append(c)
     return tuple(out)
 

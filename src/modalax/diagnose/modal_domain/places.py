@@ -19,6 +19,7 @@ JOINT = 0.4  # usual relative error of a joint or element that is wrong
 HELD, SUPPORTED = 6, 1e-3  # most DoFs of one support, and its least stiffness relative to all that holds the DoF
 # Chances of places of springs and dampers relative to each other, each shared out among its places
 SHARES = {"named": 0.4, "spring": 0.3, "element": 0.2, "support": 0.15, "coupled": 0.05, "ground": 0.05}
+STILL = 1e-12  # square of a displacement, relative to the largest in the band, below which a DoF does not move
 UNLIKELY = 0.05  # weight of a pair of unlike directions, or of a rotation's inertia
 
 
@@ -36,18 +37,21 @@ def candidates_of(
     for k, name in enumerate(dofs):
         b = c.shapes[k]
         mobile = float((b[inside] ** 2).mean())
-        if mobile < 1e-12 * float((c.shapes[:, inside] ** 2).max()):
+        if mobile < STILL * float((c.shapes[:, inside] ** 2).max()):
             continue
         turning = nodes.axis[k] > 2
         own_mass = float(np.asarray(simulation.M)[k, k])
         weight = UNLIKELY if turning else 1.0
         out.append(Change("added_mass", (name,), LUMP / mobile, b, reference=own_mass, weight=weight))
+    out += _lumps(simulation, c, nodes, inside)
     for where, b, stiffness, weight in springs_of(simulation, c, nodes, pairs):
         mobile = float((b[inside] ** 2).mean())
-        if mobile < 1e-12 * float((c.shapes[:, inside] ** 2).max()):
+        if mobile < STILL * float((c.shapes[:, inside] ** 2).max()):
             continue
         out.append(Change("joint_stiffness", where, stiffness, b, reference=stiffness / JOINT, weight=weight))
-        out.append(Change("local_damper", where, float(own.mean()) / mobile, b, weight=weight))
+        at = [dofs.index(name) for name in where]
+        damping = float(abs(np.asarray(simulation.C)[at[0], at[-1]]))
+        out.append(Change("local_damper", where, float(own.mean()) / mobile, b, reference=damping, weight=weight))
     out += _elements(simulation, c, nodes)
     out += [Change("channel_gain", (n,), GAIN, channel=(0, k)) for k, n in enumerate(outputs)]
     out += [Change("channel_sign", (n,), channel=(0, k)) for k, n in enumerate(outputs)]
@@ -61,6 +65,22 @@ def candidates_of(
         out.append(Change("time_delay", (), DELAY * np.pi / highest, channel=(ALL, 0), weight=float(len(outputs))))
     out += [Change("units", (), channel=(ALL, k)) for k in (-1, 1)]
     return out + _damped_modes(c, inside)
+
+
+def _lumps(simulation: Structure, c: Coordinates, nodes: Nodes, inside: np.ndarray) -> list[Change]:
+    """Masses that move with all displacements of a node, each told at the DoF where it moves most."""
+    mobile = (c.shapes[:, inside] ** 2).mean(axis=1)
+    own = np.diag(np.asarray(simulation.M))
+    out = []
+    for node in nodes.members:
+        at = node[(nodes.axis[node] >= 0) & (nodes.axis[node] < 3) & (mobile[node] > STILL * mobile.max())]
+        if len(at) < 2:
+            continue
+        place = (simulation.dofs[at[np.argmax(mobile[at])]],)
+        pattern = c.shapes[at].T @ c.shapes[at]
+        usual = LUMP / float(mobile[at].sum())
+        out.append(Change("added_mass", place, usual, pattern=pattern, reference=float(own[at].mean())))
+    return out
 
 
 def _damped_modes(c: Coordinates, inside: np.ndarray) -> list[Change]:

@@ -1,0 +1,83 @@
+"""A lumped mass moves with all displacements of its node."""
+
+import itertools
+
+import numpy as np
+import scipy.linalg
+
+from modalax.data import Measurement
+from modalax.diagnose.modal_domain.coordinates import coordinates_of
+from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.diagnose.modal_domain.features import Features
+from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
+from modalax.diagnose.modal_domain.places import candidates_of
+from modalax.diagnose.modal_domain.state import Setting, matrices_of
+from modalax.model import Structure
+
+POINTS = np.array([(x, 0.9 * y) for y in range(4) for x in (0.0, 1.0)])  # a free ladder
+DOFS = tuple(f"{k}:+{d}" for k in range(1, 9) for d in "XY")
+RODS = [(a, b) for a, b in itertools.combinations(range(8), 2) if np.linalg.norm(POINTS[a] - POINTS[b]) < 1.5 and b > 1]
+OUTPUTS, INPUTS, TOP = DOFS[3:13], ("7:+X", "6:+Y"), 175.0
+LOSS = 0.02 / (2 * np.pi * 100)  # damping over stiffness [s]: 1 % at 100 Hz
+
+
+def truss(factor):
+    """Stiffness of a plane truss, each rod's times a factor, and its mass."""
+    K = np.zeros((16, 16))
+    for (a, b), f in zip(RODS, factor, strict=True):
+        along = POINTS[b] - POINTS[a]
+        d = np.concatenate([-along, along]) / np.linalg.norm(along)
+        at = [2 * a, 2 * a + 1, 2 * b, 2 * b + 1]
+        K[np.ix_(at, at)] += 4e5 * f / np.linalg.norm(along) * np.outer(d, d)
+    return K, np.eye(16)
+
+
+def simulation():
+    K, M = truss(np.ones(len(RODS)))
+    return Structure(M, LOSS * K, K, DOFS)
+
+
+def test_its_effect_is_that_of_the_mass_in_the_matrix():
+    S, highest = simulation(), 2 * np.pi * TOP
+    c = coordinates_of(S, OUTPUTS, INPUTS, highest)
+    lump = next(
+        k for k in candidates_of(S, c, OUTPUTS, INPUTS, None, highest)
+        if k.slug == "added_mass" and k.pattern is not None and k.where[0].startswith("6:")
+    )  # fmt: skip
+    empty = Features(
+        np.zeros(0), *[np.zeros((0, 10, 2))] * 2, np.zeros((0, 1, 10, 2)), np.zeros((0, 5)), np.zeros((0, 0))
+    )
+    setting = Setting(c, inaccuracy_of(S, c, highest), empty, np.zeros((0, 0)))
+    M, _, K = matrices_of(setting, np.zeros(len(setting.inaccuracy.group_of)), (lump,), np.array([0.4]))
+    heavy = np.asarray(S.M).copy()
+    for dof in ("6:+X", "6:+Y"):
+        heavy[DOFS.index(dof), DOFS.index(dof)] += 0.4 * lump.scale
+    expected = np.sqrt(scipy.linalg.eigh(np.asarray(S.K), heavy, eigvals_only=True))
+    inside = expected < highest
+    np.testing.assert_allclose(
+        np.sqrt(scipy.linalg.eigh(K, M, eigvals_only=True))[: inside.sum()], expected[inside], rtol=1e-3
+    )
+    assert inside.sum() > 5 and lump.told(np.array([0.4]), np.eye(1))["mass"]["unit"] == "kg"
+
+
+def test_one_is_named_where_every_rod_is_off():
+    rng = np.random.default_rng(5)
+    K, M = truss(1 + 0.02 * rng.standard_normal(len(RODS)))
+    for dof in ("6:+X", "6:+Y"):
+        M[DOFS.index(dof), DOFS.index(dof)] += 0.35
+    C = 1.1 * LOSS * K
+    freq = np.linspace(8, TOP, 700)
+    s = 2j * np.pi * freq[:, None, None]
+    H = np.linalg.inv(K + s * C + s**2 * M) * s**2
+    H = H[:, [DOFS.index(name) for name in OUTPUTS]][:, :, [DOFS.index(name) for name in INPUTS]]
+    sigma = 0.01 * np.sqrt((np.abs(H) ** 2).mean(axis=0)) * np.ones(H.shape)
+    noise = rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)
+    seen = (H + sigma * noise / np.sqrt(2))[None]
+    measurement = Measurement(
+        freq=freq, H=seen, outputs=OUTPUTS, inputs=INPUTS, form="accelerance", variance=sigma[None] ** 2,
+        level=np.full(1, np.nan),
+    )  # fmt: skip
+    found = diagnose_modes(measurement, simulation())
+    (cause,) = found.causes
+    assert found.verdict == "named" and cause["name"] == "added_mass" and cause["where"][0] in ("6:+X", "6:+Y")
+    assert abs(cause["parameters"]["mass"]["value"] - 0.35) < 4 * cause["parameters"]["mass"]["std"] < 0.1
