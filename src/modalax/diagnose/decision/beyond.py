@@ -143,7 +143,8 @@ def usual_size(
     slug
         The cause.
     whole
-        Stiffness [N/m], mass [kg] or damping [N s/m] that the simulation has at the place; 1 for a relative change of a whole element.
+        Stiffness [N/m], mass [kg] or damping [N s/m] that the simulation has at the place; 1 for a relative change of a
+        whole element.
     inaccuracy
         General relative inaccuracy by ``stiffness``, ``mass`` and ``damping``.
     highest

@@ -10,7 +10,7 @@ from modalax.diagnose.modal_domain.free_residues import Channels, Projected, pro
 CHANCE = 1e-8  # chance of a mode that is only noise
 DAMPINGS = (0.002, 0.007, 0.025)  # damping ratios that further modes are looked for at: light to welded structures
 HEAVY = 0.2  # damping ratio above which a pole is background and no mode
-APART = 0.7  # distance of the frequencies that further modes are looked for at, in half-bandwidths
+CANDIDATES = 1500  # frequencies that further modes are looked for at
 REACH, FINE = 40.0, 0.25  # half-bandwidths about such a mode that are looked at, and within which lines come together
 TOGETHER = 64  # such modes looked at at once
 FURTHER = 12  # most modes added in one round
@@ -100,45 +100,43 @@ def _worth_keeping(found: Projected, channels: Channels) -> np.ndarray:
 def further_poles(found: Projected, channels: Channels) -> np.ndarray:
     """Poles that the residual asks for, the likeliest first."""
     rest = channels.weight * (channels.data - found.made(channels))
-    seen = [_scanned(zeta, rest, channels) for zeta in DAMPINGS]
-    gain, pole = (np.concatenate(each) for each in zip(*seen, strict=True))
+    grid = np.abs(channels.s[:: max(1, len(channels.s) // CANDIDATES)])
     spacing = np.median(np.diff(np.abs(channels.s)))
-    least = max(_cost(channels) * misfit(found, channels), AT_ONCE * float(gain.max()))
+    best, where = np.zeros(len(grid)), np.zeros(len(grid), complex)
+    for zeta in DAMPINGS:
+        poles = -np.maximum(zeta * grid, 0.5 * spacing) + 1j * grid
+        gain = _scanned(poles, rest, channels)
+        better = gain > best
+        best[better], where[better] = gain[better], poles[better]
+    least = _cost(channels) * misfit(found, channels)
+    padded = np.concatenate([[0.0], best, [0.0]])
+    peak = (padded[1:-1] >= padded[:-2]) & (padded[1:-1] > padded[2:]) & (best > max(least, AT_ONCE * best.max()))
     chosen: list[complex] = []
-    for k in np.argsort(-gain):
-        if gain[k] <= least or len(chosen) == FURTHER:
-            break
-        if all(abs(pole[k] - x) > 3 * max(abs(x.real), spacing) for x in chosen):
-            chosen.append(complex(pole[k]))
-    return np.array(chosen, complex)
+    for k in np.argsort(-best):
+        apart = all(abs(where[k] - x) > 3 * max(abs(x.real), spacing) for x in chosen)
+        if peak[k] and apart:
+            chosen.append(complex(where[k]))
+    return np.array(chosen[:FURTHER], complex)
 
 
-def _scanned(zeta: float, rest: np.ndarray, channels: Channels) -> tuple[np.ndarray, np.ndarray]:
-    """Poles of one damping ratio over the band that gain more than their neighbours, and the chi-square they gain.
+def _scanned(poles: np.ndarray, rest: np.ndarray, channels: Channels) -> np.ndarray:
+    """Chi-square that each of some poles of rising frequency gains.
 
     A pole is looked at within ``REACH`` half-bandwidths about it, on lines brought together to ``FINE`` of one.
     """
-    w = np.abs(channels.s)
-    spacing = np.median(np.diff(w))
-    grid = [float(w[0])]
-    while grid[-1] < w[-1]:
-        grid.append(grid[-1] + max(spacing, APART * zeta * grid[-1]))
-    half = np.maximum(zeta * np.array(grid), 0.5 * spacing)
-    poles, gain = -half + 1j * np.array(grid), np.zeros(len(grid))
-    for part in np.array_split(np.arange(len(grid)), -(-len(grid) // TOGETHER)):
-        first = int(np.searchsorted(w, grid[part[0]] - REACH * half[part[0]]))
-        last = int(np.searchsorted(w, grid[part[-1]] + REACH * half[part[-1]], "right"))
+    w, half, gain = np.abs(channels.s), -poles.real, np.zeros(len(poles))
+    plain = replace(channels, outside=np.zeros(0, complex))
+    for part in np.array_split(np.arange(len(poles)), -(-len(poles) // TOGETHER)):
+        first = int(np.searchsorted(w, poles[part[0]].imag - REACH * half[part[0]]))
+        last = int(np.searchsorted(w, poles[part[-1]].imag + REACH * half[part[-1]], "right"))
         inside = slice(first, last)
-        if last - first < 2:
-            continue
-        stride = max(1, int(FINE * half[part[0]] / np.diff(w[inside]).max()))
+        apart = np.diff(w[inside])
+        stride = max(1, int(FINE * half[part[0]] / apart.max())) if len(apart) else 1
         edges = np.arange(0, last - first, stride)
         r, weight = (np.add.reduceat(a[inside], edges) for a in (rest, channels.weight))
         s = np.add.reduceat(channels.s[inside], edges) / np.diff(np.append(edges, last - first))
-        gain[part] = _gains(replace(channels, s=s).kernels(poles[part]), r, weight)
-    padded = np.concatenate([[0.0], gain, [0.0]])
-    peak = (padded[1:-1] >= padded[:-2]) & (padded[1:-1] > padded[2:])
-    return gain[peak], poles[peak]
+        gain[part] = _gains(replace(plain, s=s).kernels(poles[part]), r, weight)
+    return gain
 
 
 def _gains(columns: np.ndarray, rest: np.ndarray, weight: np.ndarray) -> np.ndarray:
