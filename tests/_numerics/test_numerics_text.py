@@ -2,7 +2,7 @@
 
 import pytest
 
-from modalax._numerics.text import text_table, with_error
+from modalax._numerics.text import percent, text_table, with_error
 
 
 @pytest.mark.parametrize(
@@ -27,3 +27,8 @@ def test_columns_line_up():
         "   1    9.5  x",
         "  12  10.25",
     ]
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.0123, "1.2 %"), (0.0, "0 %"), (-0.99, "-99 %"), (1.64, "164 %")])
+def test_a_share_in_per_cent_needs_no_power_of_ten(share, told):
+    assert percent(share) == told

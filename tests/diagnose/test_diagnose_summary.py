@@ -44,6 +44,14 @@ def test_a_clean_one_is_one_line():
     assert told == "clean: this data shows nothing wrong with the simulation"
 
 
+def test_a_clean_one_of_a_simulation_that_is_off_in_general_does_not_say_that_nothing_is_wrong():
+    off = {"stiffness": {"value": 0.02, "interval": [0.01, 0.04]}}
+    told = summary(
+        {"verdict": "clean", "causes": [], "alternatives": [], "advice": None, "gain": None, "inaccuracy": off}
+    )
+    assert told == "clean: nothing stands out beyond what is usual for such a simulation"
+
+
 def test_an_unknown_one_claims_no_probability_and_says_how_far_it_goes():
     gain = {**GAIN, "chi2_before": 401.0, "chi2_after": 65.0}
     told = summary({"verdict": "unknown", "causes": [SPRING], "alternatives": [], "advice": None, "gain": gain})

@@ -16,6 +16,12 @@ def with_error(value: float, std: float | None, unit: float = 1.0) -> str:
     return f"{value:.{places}f} ± {std:.{places}f}"
 
 
+def percent(share: float) -> str:
+    """A share in per cent, to two digits, whole from a hundred on."""
+    value = 100 * share
+    return f"{value:.2g} %" if abs(value) < 99.5 else f"{value:.0f} %"
+
+
 def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[int] = ()) -> str:
     """A table as plain text; columns are aligned to the right, those with a number in ``left`` to the left."""
     every = [list(header), *map(list, rows)]

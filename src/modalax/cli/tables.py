@@ -88,10 +88,10 @@ def cause_table(causes: Sequence[Any]) -> Table:
 
 def print_diagnosis(console: Console, answer: Mapping[str, Any]) -> None:
     """Print ``Diagnosis.to_dict()``: verdict, causes, rivals, reasons, advice and gain."""
-    from modalax.diagnose.summary import CAUSE_COLUMNS, MEANING, cause_rows, explanation_lines
+    from modalax.diagnose.summary import CAUSE_COLUMNS, cause_rows, explanation_lines, meaning
 
     verdict = answer["verdict"]
-    console.print(f"[bold]{verdict}[/bold]: {MEANING[verdict]}", highlight=False)
+    console.print(f"[bold]{verdict}[/bold]: {meaning(answer)}", highlight=False)
     if answer["causes"]:
         table = new_table("Best attempt" if verdict == "unknown" else "Causes in the extended simulation")
         for name in CAUSE_COLUMNS:

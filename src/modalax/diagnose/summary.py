@@ -16,10 +16,17 @@ MEANING = {
 
 def summary(answer: Mapping[str, Any]) -> str:
     """``Diagnosis.to_dict()`` in a few lines."""
-    lines = [f"{answer['verdict']}: {MEANING[answer['verdict']]}"]
+    lines = [f"{answer['verdict']}: {meaning(answer)}"]
     if answer["causes"]:
         lines.append(text_table(CAUSE_COLUMNS, cause_rows(answer), left=(0, 1, 3)))
     return "\n".join([*lines, *explanation_lines(answer)])
+
+
+def meaning(answer: Mapping[str, Any]) -> str:
+    """The verdict in words."""
+    if answer["verdict"] == "clean" and answer.get("inaccuracy"):
+        return "nothing stands out beyond what is usual for such a simulation"
+    return MEANING[answer["verdict"]]
 
 
 CAUSE_COLUMNS = ("Cause", "Where", "Probability", "Parameters")

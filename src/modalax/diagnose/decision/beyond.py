@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from modalax._numerics.text import percent
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.sets import certainty, unplaced
 from modalax.diagnose.summary import cause_at
@@ -74,7 +75,7 @@ def modes_are_not_explained(case: ModalCase) -> tuple[str, ...]:
     """Even an inaccuracy as large as is searched for does not explain the measured modes."""
     if case.share_of_largest <= case.limits.hopeless and case.misfit <= case.limits.misfit:
         return ()
-    off = ", ".join(f"{name} {100 * size:.2g} %" for name, size in case.inaccuracy.items())
+    off = ", ".join(f"{name} {percent(size)}" for name, size in case.inaccuracy.items())
     return (f"even with elements off by {off} the measured modes are not explained",)
 
 

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
+from modalax._numerics.text import percent
 from modalax.diagnose.summary import cause_at
 from modalax.diagnose.thresholds import THRESHOLDS, Thresholds
 
@@ -65,7 +66,7 @@ class LevelsCase:
         if self.best == "drift":
             return (
                 *self.observed,
-                f"a shift of the frequencies by {100 * self.drift:.2g} % up to the last of them, the same at every "
+                f"a shift of the frequencies by {percent(self.drift)} up to the last of them, the same at every "
                 f"amplitude, explains it (probability {self.drifting:.3f})",
             )
         return (

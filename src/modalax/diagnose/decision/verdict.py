@@ -68,6 +68,11 @@ class Case:
         return " and ".join(slug for slug, _ in sorted(self.best.names, key=str))
 
     @property
+    def subject(self) -> str:
+        """The causes with the verb that goes with them."""
+        return f"{self.names} {'have' if len(self.best.names) > 1 else 'has'}"
+
+    @property
     def certainty(self) -> float:
         """Probability of the names, wherever they are."""
         return certainty(self.ranked)
@@ -116,9 +121,7 @@ def nameless_is_likelier(case: Case) -> str | None:
 def other_names_compete(case: Case) -> str | None:
     """The names are not sure."""
     p, asked = case.certainty, case.limits.certain
-    return (
-        None if p >= asked else f"{case.names} has a probability of {p:.3g}, less than {asked:g}: other causes compete"
-    )
+    return None if p >= asked else f"{case.subject} a probability of {p:.3g}, less than {asked:g}: other causes compete"
 
 
 def places_compete(case: Case) -> str | None:
@@ -152,7 +155,7 @@ def held_out_is_missed(case: Case) -> str | None:
 def named(case: Case) -> str | None:
     """Nothing speaks against the names."""
     return (
-        f"{case.names} has a probability of {case.certainty:.3g} among all causes that were looked for, and noise "
+        f"{case.subject} a probability of {case.certainty:.3g} among all causes that were looked for, and noise "
         f"alone would leave as much as it does with a chance of {case.leftover.p_value:.2g}{case.leftover.allowance}"
     )
 

@@ -7,6 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from modalax._numerics.text import percent
 from modalax.data import Measurement
 from modalax.diagnose.causes import catalogue, imitators
 from modalax.diagnose.causes.base import Cause
@@ -221,7 +222,7 @@ def diagnose_modes(
 def said(inaccuracy: dict[str, Any]) -> str:
     """General inaccuracy in one sentence."""
     parts = [
-        f"{100 * v['value']:.2g} % ({100 * v['interval'][0]:.2g} to {100 * v['interval'][1]:.2g} %) in {name}"
+        f"{percent(v['value'])} ({percent(v['interval'][0])} to {percent(v['interval'][1])}) in {name}"
         for name, v in inaccuracy.items()
     ]
     return f"the modes of the simulation are generally off by {', '.join(parts)}"

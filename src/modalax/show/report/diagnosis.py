@@ -8,7 +8,7 @@ import numpy as np
 
 from modalax._numerics.text import with_error
 from modalax.diagnose.result import Diagnosis
-from modalax.diagnose.summary import MEANING, advice_text, attempt_text, causes_text, place_text, probability_text
+from modalax.diagnose.summary import advice_text, attempt_text, causes_text, meaning, place_text, probability_text
 from modalax.show.diagnosis import residual_rows, run_names
 from modalax.show.report.evidence import evidence_sections
 from modalax.show.report.page import Page, Plot, Section, Table
@@ -52,7 +52,7 @@ def gain_rows(gain: Mapping[str, Any]) -> Table:
 
 def diagnosis_sections(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> list[Section]:
     """Sections of a diagnosis: answer, gain, FRFs, residuals, candidates, smallest detectable effects."""
-    text = [_sentence(MEANING[answer["verdict"]])]
+    text = [_sentence(meaning(answer))]
     if answer["reasons"]:
         text.append(f"Why: {'; '.join(answer['reasons'])}.")
     if answer["verdict"] == "unknown" and answer["causes"] and answer["gain"]:
