@@ -5,18 +5,14 @@ and checks; the other pages are Markdown.
 """
 
 import os
-import sys
+import runpy
 from pathlib import Path
 
+import modalax  # loads nothing of JAX yet
+
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE))
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
-
-import causes_table  # noqa: E402
-
-import modalax  # noqa: E402
-
-(HERE / "causes.md").write_text(causes_table.page(), encoding="utf-8")
+(HERE / "causes.md").write_text(runpy.run_path(str(HERE / "causes_table.py"))["page"](), encoding="utf-8")
 
 project, author, release = "modalax", "The modalax authors", modalax.__version__
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]

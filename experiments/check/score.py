@@ -127,7 +127,7 @@ def score(given, fault: str, sure: dict) -> str:
             print("   missed", fault, seed, arrays["H"].shape, truth["where"], size, said, flush=True)
     table = np.array(rows)
     small = table[:, 0] <= np.median(table[:, 0])
-    part = lambda use: f"{100 * table[use, 1].mean():.0f}" if 0 < use.sum() < len(table) else "-"  # noqa: E731
+    part = lambda use: f"{100 * table[use, 1].mean():.0f}" if 0 < use.sum() < len(table) else "-"
     told = f"{sum(intervals)} of {len(intervals)}" if intervals else "-"
     beside = ", ".join(f"{k} {v}" for k, v in others.items())
     seen, place = (f"{100 * table[:, k].mean():.0f}" for k in (1, 2))

@@ -79,9 +79,9 @@ def packed(arrays: Callable[[], Arrays], pack: Callable[[Path, Arrays], None], e
 
 
 MEASURED, STRUCTURE, MODES = of(sf.measurement), of(five_dof), of(sf.model)
-EXTENDED: Callable[[], Arrays] = lambda: sf.extended().arrays()  # noqa: E731
+EXTENDED: Callable[[], Arrays] = lambda: sf.extended().arrays()
 PLAIN, RECORDS = {"read": told(axes="f o")}, {"read": records()}
-GEOMETRY: Callable[[Path, Path], Any] = lambda path, sound: load_geometry(path)  # noqa: E731
+GEOMETRY: Callable[[Path, Path], Any] = lambda path, sound: load_geometry(path)
 KINDS: dict[str, Kind] = {
     "npz": Kind("npz", saved(sf.measurement), arrays=MEASURED, pack=pack_npz),
     "npz_structure": Kind("npz", saved(five_dof), arrays=STRUCTURE, pack=pack_npz),

@@ -74,7 +74,7 @@ def run(part: str, out: Path, progress: Progress) -> list[str]:
         "estimators": len(bias.ESTIMATORS),
     }
     task = progress.add_task(part, total=totals.get(part, 1))
-    advance = lambda: progress.advance(task)  # noqa: E731
+    advance = lambda: progress.advance(task)
     if part == "errors":
         first, single, second = section3.error_curves(out, advance)
         return [

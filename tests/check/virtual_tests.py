@@ -86,7 +86,7 @@ def plate(rng, n: int, free: bool) -> tuple[np.ndarray, np.ndarray, tuple[str, .
     side = max(3, int(np.sqrt(n)))
     other = side if rng.random() < 0.6 else side + 1
     D = []
-    at = lambda a, b: a * other + b  # noqa: E731
+    at = lambda a, b: a * other + b
     for a in range(side):
         for b in range(other):
             for da, db in ((1, 0), (0, 1)):
@@ -168,7 +168,7 @@ def draw_layout(rng, plant: Plant, layout: str) -> tuple[list[int], list[int]]:
     rotations = rng.random() < 0.3
     pool = list(range(n)) if rotations else loud
     many = sorted(int(d) for d in rng.choice(pool, min(len(pool), int(rng.integers(3, 11))), replace=False))
-    pick = lambda count, among: [int(d) for d in rng.choice(among, min(count, len(among)), replace=False)]  # noqa: E731
+    pick = lambda count, among: [int(d) for d in rng.choice(among, min(count, len(among)), replace=False)]
     if layout == "column":
         i = pick(1, loud)
         return sorted({*many, *i}), i
@@ -242,7 +242,7 @@ def draw_frf_test(rng, kind=None, layout=None, runs=None, per_width=None, level=
     nonlinear = runs > 1 and rng.random() < 0.3
     if runs > 1 and (nonlinear or rng.random() < 0.5):
         force = 2.0 ** np.arange(runs) * log_uniform(rng, 0.5, 10)
-    at = lambda k: softened(rng, plant, k / max(runs - 1, 1)) if nonlinear else plant  # noqa: E731
+    at = lambda k: softened(rng, plant, k / max(runs - 1, 1)) if nonlinear else plant
     H = np.stack([at(k).receptance(s, o, i) * s[:, None, None] ** STEPS[form] for k in range(runs)])
     noise = str(rng.choice(["channel", "overall", "relative"]))
     level = level or float(log_uniform(rng, 0.001, 0.1))
@@ -361,7 +361,7 @@ def put_hum(rng, test: Test) -> Test | None:
     mains_now = 1 + 3e-4 * rng.normal()
     for k, m in enumerate(lines):
         at = (freq - m * mains_now) / step
-        box = lambda u: np.sinc(u) * np.exp(-1j * np.pi * u)  # noqa: E731
+        box = lambda u: np.sinc(u) * np.exp(-1j * np.pi * u)
         shape = box(at) - 0.5 * (box(at - 1) + box(at + 1)) if wide else (np.abs(at) <= 0.5).astype(complex)
         local = np.abs(H[:, np.abs(at) < 15]).mean(axis=1, keepdims=True) + 4 * sigma[:, :1]
         phase = np.exp(2j * np.pi * rng.random(H[:, :1].shape))

@@ -128,7 +128,7 @@ def test_frf_under_jit_vmap_and_grad():
     stacked = jax.vmap(lambda k: f.add_noise(k, 0.1).H)(jax.random.split(jax.random.key(0), 3))
     assert stacked.shape == (3, *f.shape)
     value, step = 1.7, 1e-6
-    power = lambda a: jnp.sum(jnp.abs(f.replace(H=a * f.H).to_form("accelerance").H) ** 2)  # noqa: E731
+    power = lambda a: jnp.sum(jnp.abs(f.replace(H=a * f.H).to_form("accelerance").H) ** 2)
     slope = (power(value + step) - power(value - step)) / (2 * step)
     # Central difference of a quadratic: exact but for rounding, 1e-16 of the value over 1e-6.
     np.testing.assert_allclose(jax.grad(power)(value), slope, rtol=1e-8)

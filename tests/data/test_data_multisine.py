@@ -52,9 +52,9 @@ def measure(lines, count, periods, noise_f=0.0, noise_x=0.0, seed=0, **law):
     rng = np.random.default_rng(seed)
     force = realisations(lines, count, seed)
     response, v = steady_response(force, **law)
-    repeat = lambda a, s: (  # noqa: E731
-        np.repeat(a[:, None], periods, axis=1) + s * rng.standard_normal((count, periods, N))
-    )[..., None]
+    repeat = lambda a, s: (np.repeat(a[:, None], periods, axis=1) + s * rng.standard_normal((count, periods, N)))[
+        ..., None
+    ]
     bla = bla_robust(repeat(force, noise_f), repeat(response, noise_x), FS, lines, unit="m")
     return bla, v[0]
 
@@ -214,7 +214,7 @@ def test_fast_method_names_the_kind_of_non_linearity():
     even, odd, none = (
         fast(lines, noise=0.01, **law) for law in (dict(cube=0.0), dict(square=0.0), dict(square=0.0, cube=0.0))
     )
-    above = lambda lines_: float(jnp.mean(lines_.power) / jnp.mean(lines_.noise))  # noqa: E731
+    above = lambda lines_: float(jnp.mean(lines_.power) / jnp.mean(lines_.noise))
     # Power over noise, 1 for noise alone (18 or 56 lines: 1 +- 0.25).
     assert above(even.even) > 100 and above(even.odd) < 2
     assert above(odd.odd) > 100 and above(odd.even) < 2
@@ -287,7 +287,7 @@ def resonance(frf, lower=40.0, upper=110.0):
     s, H = 1j * np.asarray(part.freq) / 70, np.asarray(part.H)[:, 0, 0]
     columns = np.stack([H * s, H, -s, -np.ones_like(s)], axis=1) / np.abs(H)[:, None]
     right = -H * s**2 / np.abs(H)
-    real = lambda a: np.concatenate([a.real, a.imag])  # noqa: E731
+    real = lambda a: np.concatenate([a.real, a.imag])
     return 70 * np.sqrt(np.linalg.lstsq(real(columns), real(right), rcond=None)[0][1])
 
 
@@ -298,7 +298,7 @@ def test_silverbox_hardens_and_its_distortion_is_odd(measured):
     fs = 1e7 / 2**14
     # Ten odd multisines of 8192 samples, 8692 apart: each has a run-in that repeats the end of its period.
     starts = 40_592 + 385 + 8692 * np.arange(10)
-    cut = lambda a: np.stack([a[k : k + 8192] for k in starts])[:, None, :, None]  # noqa: E731
+    cut = lambda a: np.stack([a[k : k + 8192] for k in starts])[:, None, :, None]
     bla = bla_robust(cut(force), cut(response), fs, np.arange(1, 2685, 2), unit="m")
     # Parts of the record whose noise grows, and the multisines.
     parts = [(2500, 8000), (8000, 12_500), (12_500, 20_000), (20_000, 30_000), (30_000, 40_500)]

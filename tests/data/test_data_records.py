@@ -108,7 +108,7 @@ def test_estimators_are_consistent_where_their_noise_is():
     noisy_X = X + np.sqrt(share * power_x) * complex_noise(rng, *X.shape)
     # Error of the mean over all lines; 3e-3 was seen with noise as expected, 0.1 to 0.26 without.
     bound = 6e-3
-    error = lambda F, X, e: np.abs(np.asarray(estimate(spectra_of(F, X), e)[0]).mean(axis=0) - H).max()  # noqa: E731
+    error = lambda F, X, e: np.abs(np.asarray(estimate(spectra_of(F, X), e)[0]).mean(axis=0) - H).max()
     assert error(F, noisy_X, "H1") < bound
     assert error(noisy_F, X, "H2") < bound
     assert error(noisy_F, noisy_X, "Hv") < bound
@@ -370,7 +370,7 @@ def test_derivatives_with_respect_to_samples(estimator):
 def test_many_noise_draws_at_once():
     force, response, _ = periodic(blocks=4, samples=32)
     noise = 1e-6 * np.random.default_rng(16).standard_normal((2, *response.shape))
-    one = lambda x: frf_from_blocks(force, x, FS, unit="m", estimator="Hv")  # noqa: E731
+    one = lambda x: frf_from_blocks(force, x, FS, unit="m", estimator="Hv")
     together = jax.jit(jax.vmap(one))(response + noise)
     for k in range(2):
         alone = one(response + noise[k])
@@ -381,7 +381,7 @@ def test_many_noise_draws_at_once():
 def test_continuous_records_under_jit():
     rng = np.random.default_rng(17)
     force, response = rng.standard_normal((2, 600))
-    one = lambda x: frf_from_records(force, x, FS, unit="m", block=0.5)  # noqa: E731
+    one = lambda x: frf_from_records(force, x, FS, unit="m", block=0.5)
     np.testing.assert_allclose(jax.jit(one)(response).H, one(response).H, rtol=1e-10)
 
 

@@ -73,7 +73,7 @@ def test_microslip_is_the_fundamental_of_masings_loop():
     A, n = 3e-4, 0.7
     t = (np.arange(20000) + 0.5) / 20000 * np.pi
     x = A * np.cos(t)
-    first = lambda y: -y * np.abs(y / 1e-4) ** n  # noqa: E731
+    first = lambda y: -y * np.abs(y / 1e-4) ** n
     force = first(A) - 2 * first((A - x) / 2)  # on the way down; the way up is its mirror image
     fundamental = 2 / np.pi * np.mean(force * np.exp(1j * -t)) * np.pi / A
     got = complex(MicroSlip().impedance(jnp.array(A), jnp.array(1.0), jnp.array([1.0, n])))

@@ -47,7 +47,7 @@ def refused(path: Path, pattern: str, read=modalax.load, most: float = 32 * MB) 
 def rle_frame(blocks: int) -> bytes:
     """A frame of Zstandard that does not tell its size: blocks that each stand for 128 KiB of one byte."""
     head = b"\x28\xb5\x2f\xfd" + bytes([0, 56])  # no size, a window of 128 KiB
-    block = lambda last: struct.pack("<I", last | 1 << 1 | 2**17 << 3)[:3] + b"\0"  # noqa: E731
+    block = lambda last: struct.pack("<I", last | 1 << 1 | 2**17 << 3)[:3] + b"\0"
     return head + block(0) * (blocks - 1) + block(1)
 
 

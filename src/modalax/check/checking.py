@@ -151,7 +151,7 @@ def exchanged(study: Study, where: Sequence[str]) -> Study:
     order = list(range(len(names)))
     a, b = (names.index(name) for name in where)
     order[a], order[b] = b, a
-    take = lambda x: None if x is None else np.take(x, order, axis=axis)  # noqa: E731
+    take = lambda x: None if x is None else np.take(x, order, axis=axis)
     return replace(study, H=take(study.H), variance=take(study.variance))
 
 
@@ -160,7 +160,7 @@ def without(study: Study, names: Sequence[str]) -> Study:
     o = [k for k, name in enumerate(study.outputs) if name not in names]
     i = [k for k, name in enumerate(study.inputs) if name not in names]
     # A dead output need not be a dead input: where the names differ, only the named side is left out.
-    take = lambda a: None if a is None else a[:, :, o][..., i]  # noqa: E731
+    take = lambda a: None if a is None else a[:, :, o][..., i]
     return replace(
         study, H=take(study.H), variance=take(study.variance),
         outputs=tuple(study.outputs[k] for k in o), inputs=tuple(study.inputs[k] for k in i),

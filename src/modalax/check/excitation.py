@@ -124,7 +124,7 @@ def _end_of_force(study: Study, i: int, name: str) -> Finding | None:
     # Receptances and mobilities are brought to accelerances, where the noise of accelerometers is even.
     even = level + 20 * (2 - study.power) * np.log10(study.freq / study.freq[-1])
     edges = np.linspace(0, lines, 11).round().astype(int)
-    in_parts = lambda y: np.array([np.median(y[a:b]) for a, b in zip(edges[:-1], edges[1:], strict=True)])  # noqa: E731
+    in_parts = lambda y: np.array([np.median(y[a:b]) for a, b in zip(edges[:-1], edges[1:], strict=True)])
     parts = min(in_parts(level), in_parts(even), key=lambda p: float(p[-1] - np.median(p[:6])))
     growth = float(parts[-1] - np.median(parts[:6]))
     end = float(np.median(share[edges[-2] :]))

@@ -128,7 +128,7 @@ def _phases(study: Study) -> Phases:
         best = weight.max(axis=1, initial=1e-300)
         parts.append(np.where(best > 1e-300, 1 / np.sqrt(np.maximum(best, 1e-300)), 1.0))
     seen = np.isfinite(np.array(spread)).any(axis=0)
-    stack = lambda rows: np.stack(rows, axis=1)[seen]  # noqa: E731
+    stack = lambda rows: np.stack(rows, axis=1)[seen]
     return Phases(omega[seen], stack(angle), stack(spread), stack(parts))
 
 

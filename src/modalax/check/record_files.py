@@ -102,7 +102,7 @@ def _rate(path: Path, time: np.ndarray) -> float:
 def _arrays(path: Path, found: Mapping[str, Any]) -> Records | None:
     """Records from arrays named force and response, with a sampling rate or a time axis."""
     lower = {name.lower(): np.asarray(a, float) for name, a in found.items() if np.isrealobj(a)}
-    pick = lambda names: next((lower[n] for n in names if n in lower and lower[n].size > 1), None)  # noqa: E731
+    pick = lambda names: next((lower[n] for n in names if n in lower and lower[n].size > 1), None)
     force, response = pick(FORCE), pick(RESPONSE)
     if force is None or response is None:
         return None

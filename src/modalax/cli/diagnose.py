@@ -159,7 +159,7 @@ def _selected(measurement: Any, band: tuple[float, float] | None, runs: list[int
         import numpy as np
 
         keep = np.array([k - 1 for k in runs])
-        take = lambda a: None if a is None else a[keep]  # noqa: E731
+        take = lambda a: None if a is None else a[keep]
         measurement = measurement.replace(
             H=take(measurement.H), variance=take(measurement.variance), coherence=take(measurement.coherence),
             level=take(measurement.level), force=take(measurement.force),

@@ -81,7 +81,7 @@ def sweeps(force: Float[np.ndarray, " t"], pieces: int = 24) -> bool:
     lines = power.argmax(axis=1)[loud].astype(float)
     if len(lines) < pieces // 2 or lines.max() - lines.min() < 4:
         return False
-    rank = lambda a: np.argsort(np.argsort(a, kind="stable"), kind="stable").astype(float)  # noqa: E731
+    rank = lambda a: np.argsort(np.argsort(a, kind="stable"), kind="stable").astype(float)
     order = float(np.corrcoef(rank(lines), np.arange(len(lines)))[0, 1])
     backward = float(np.corrcoef(rank(lines[::-1]), np.arange(len(lines)))[0, 1])
     # random noise has its loudest line anywhere

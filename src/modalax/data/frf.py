@@ -237,7 +237,7 @@ class FRF(eqx.Module):
 
     def lines(self, which: Any) -> "FRF":
         """The FRF at some lines only (a slice, or increasing indices)."""
-        take = lambda a: None if a is None else a[which]  # noqa: E731
+        take = lambda a: None if a is None else a[which]
         return self.replace(
             freq=self.freq[which], H=self.H[which], variance=take(self.variance), coherence=take(self.coherence)
         )
@@ -262,7 +262,7 @@ class FRF(eqx.Module):
         """
         o = _indices(self.outputs, outputs, "output")
         i = _indices(self.inputs, inputs, "input")
-        take = lambda a: None if a is None else a[:, o][:, :, i]  # noqa: E731
+        take = lambda a: None if a is None else a[:, o][:, :, i]
         return self.replace(
             H=take(self.H), variance=take(self.variance), coherence=take(self.coherence),
             outputs=[self.outputs[k] for k in o], inputs=[self.inputs[k] for k in i],
@@ -313,7 +313,7 @@ class FRF(eqx.Module):
 
     def transpose(self) -> "FRF":
         """Outputs and inputs exchanged; with reciprocity the same structure measured the other way round."""
-        turn = lambda a: None if a is None else jnp.swapaxes(a, 1, 2)  # noqa: E731
+        turn = lambda a: None if a is None else jnp.swapaxes(a, 1, 2)
         return self.replace(
             H=turn(self.H), variance=turn(self.variance), coherence=turn(self.coherence),
             outputs=self.inputs, inputs=self.outputs,

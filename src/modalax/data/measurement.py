@@ -120,7 +120,7 @@ class Measurement(eqx.Module):
             known = not is_traced(frf.freq, first.freq)
             if not same or (known and not np.array_equal(np.asarray(frf.freq), np.asarray(first.freq))):
                 raise ValueError(f"run {k} differs from run 0 in its lines, channels or form; they must be the same")
-        stack = lambda name: (  # noqa: E731
+        stack = lambda name: (
             None if any(getattr(f, name) is None for f in frfs) else jnp.stack([getattr(f, name) for f in frfs])
         )
         return cls(
@@ -149,7 +149,7 @@ class Measurement(eqx.Module):
         """
         if not -self.runs <= k < self.runs:
             raise ValueError(f"run {k} asked for, but there are {self.runs} runs, counted from 0")
-        take = lambda a: None if a is None else a[k]  # noqa: E731
+        take = lambda a: None if a is None else a[k]
         return FRF(
             self.freq, self.H[k], form=self.form, variance=take(self.variance), coherence=take(self.coherence),
             level=self.level[k], added_decay=self.added_decay, outputs=self.outputs, inputs=self.inputs,
@@ -181,7 +181,7 @@ class Measurement(eqx.Module):
     def band(self, lower: float, upper: float) -> "Measurement":
         """The lines with ``lower`` <= f <= ``upper`` [Hz]; ``ValueError`` if there is none."""
         which = band_slice(self.freq, lower, upper)
-        take = lambda a: None if a is None else a[:, which]  # noqa: E731
+        take = lambda a: None if a is None else a[:, which]
         return self.replace(
             freq=self.freq[which], H=self.H[:, which], variance=take(self.variance), coherence=take(self.coherence),
             force=take(self.force),

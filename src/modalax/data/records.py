@@ -107,10 +107,10 @@ def frf_from_records(
         )
     step = max(1, round(samples * (1 - overlap)))
     starts = np.arange(0, len(force) - samples + 1, step)
-    blocks = lambda a: a[starts[:, None] + np.arange(samples)]  # noqa: E731
+    blocks = lambda a: a[starts[:, None] + np.arange(samples)]
     factors = taper(window, samples)
     averages = effective_averages(factors, step, len(starts))
-    still = lambda a: a - a.mean(axis=1, keepdims=True)  # noqa: E731
+    still = lambda a: a - a.mean(axis=1, keepdims=True)
     averaged = spectra(still(blocks(force)), still(blocks(response)), float(fs), jnp.asarray(factors), averages)
     lines = spectral_lines(samples, fs)
     return _as_frf(averaged, lines, estimator, unit, band, level=level, outputs=outputs, inputs=inputs)

@@ -191,7 +191,7 @@ def _from_hits(channels: Channels, fs: float, how: Reduction, points: Sequence[s
         frf_from_blocks(force[g], response[g], fs, inputs=[n], **options) for g, n in zip(groups, names, strict=True)
     ]
     first = parts[0]
-    beside = lambda name: (  # noqa: E731
+    beside = lambda name: (
         None if getattr(first, name) is None else np.concatenate([getattr(p, name) for p in parts], axis=2)
     )
     return FRF(
@@ -361,7 +361,7 @@ def _from_random(channels: Channels, fs: float, how: Reduction) -> FRF:
 
 def _pooled(parts: list[FRF]) -> FRF:
     """The mean FRF over records, with its variance from the variance of each."""
-    mean = lambda name: np.mean([np.asarray(getattr(p, name)) for p in parts], axis=0)  # noqa: E731
+    mean = lambda name: np.mean([np.asarray(getattr(p, name)) for p in parts], axis=0)
     known = all(p.variance is not None for p in parts)
     return parts[0].replace(
         H=mean("H"), variance=mean("variance") / len(parts) if known else None,

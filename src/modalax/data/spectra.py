@@ -156,7 +156,7 @@ def multiple_coherence(s: Spectra) -> Float[Array, "f o"]:
 
 def _sizes(s: Spectra) -> tuple[Float[Array, "f i"], Float[Array, "f o"]]:
     """Root of each channel's power; 1 for a channel without any."""
-    root = lambda power: jnp.sqrt(jnp.where(power > 0, power, 1.0))  # noqa: E731
+    root = lambda power: jnp.sqrt(jnp.where(power > 0, power, 1.0))
     return root(jnp.diagonal(s.force, axis1=1, axis2=2).real), root(s.response)
 
 

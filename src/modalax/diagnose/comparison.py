@@ -194,7 +194,7 @@ def as_measurement(data: Measurement | FRF) -> Measurement:
     if float(data.freq[0]) == 0:
         if len(data.freq) < 2:
             raise ValueError("the measurement holds only the line at 0 Hz; at least one other is needed")
-        take = lambda a: None if a is None else a[:, 1:]  # noqa: E731
+        take = lambda a: None if a is None else a[:, 1:]
         data = data.replace(
             freq=data.freq[1:], H=data.H[:, 1:], variance=take(data.variance), coherence=take(data.coherence),
             force=take(data.force),

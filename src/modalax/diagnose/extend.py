@@ -243,7 +243,7 @@ def _check(found: ExtendedSimulation) -> None:
 def _from_arrays(arrays: Any, causes: Sequence[Cause] | None) -> ExtendedSimulation:
     known = {_key(c): c for c in (*saved_causes(), *(causes or ()))}
     claims = {"frequency_std": arrays["frequency_std"], "damping_std": arrays["damping_std"]}
-    names = lambda key: [str(n) for n in arrays[key]]  # noqa: E731
+    names = lambda key: [str(n) for n in arrays[key]]
     if str(arrays["kind"]) == "structure":
         base = Structure(arrays["M"], arrays["C"], arrays["K"], names("dofs"), D=arrays["D"], **claims)
     else:

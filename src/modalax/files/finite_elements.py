@@ -259,7 +259,7 @@ class _Import:
         return self.names[first], self.names[second]
 
     def _tell(self, small: Condensed, digits: int) -> None:
-        hertz = lambda square: np.sqrt(np.abs(square)) / (2 * np.pi)  # noqa: E731
+        hertz = lambda square: np.sqrt(np.abs(square)) / (2 * np.pi)
         elastic = small.eigenvalue[small.rigid :]
         self.notes.append(
             f"{small.rigid} rigid-body modes (by the matrices at up to {hertz(small.rigid_eigenvalue):.3g} Hz, which "

@@ -83,7 +83,7 @@ def _from_csv(path: Path) -> ModeTable:
         except ValueError as error:
             raise ValueError(f"line {number} holds what is no number ({error})") from error
     numbers = np.array(table, dtype=float).reshape(-1, len(heads))
-    column = lambda name: numbers[:, heads.index(name)] if name in heads else np.full(len(numbers), np.nan)  # noqa: E731
+    column = lambda name: numbers[:, heads.index(name)] if name in heads else np.full(len(numbers), np.nan)
     imaginary = [column(f"im {n}") if f"im {n}" in heads else np.zeros(len(numbers)) for n in dofs]
     shapes = np.stack([column(f"re {n}") for n in dofs], axis=1) + 1j * np.stack(imaginary, axis=1)
     frequency, zeta = column("frequency_hz"), column("damping_ratio")

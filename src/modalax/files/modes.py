@@ -73,7 +73,7 @@ def modes_as_text(model: ModalModel, frequency_std_hz: Any = None, damping_std: 
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([*HEAD, *(f"{part} {name}" for name in along.outputs for part in ("re", "im"))])
-    shown = lambda v: f"{float(v):.10g}" if np.isfinite(v) else ""  # noqa: E731
+    shown = lambda v: f"{float(v):.10g}" if np.isfinite(v) else ""
     for r, shape in enumerate(np.asarray(along.shapes)):
         numbers = (along.frequency_hz[r], std[0][r], along.damping_ratio[r], std[1][r])
         parts = [p for value in shape for p in (value.real, value.imag)]

@@ -94,7 +94,7 @@ def from_array(value: np.ndarray, fs: float | None, name: str) -> Recording:
             "or (segment, channel, t)"
         )
     value = np.moveaxis(value.astype(float), int(np.argmax(value.shape)), -1)
-    label = lambda count: [f"{name or 'channel'} {k + 1}" for k in range(count)]  # noqa: E731
+    label = lambda count: [f"{name or 'channel'} {k + 1}" for k in range(count)]
     if value.ndim < 3:
         rows = np.atleast_2d(value)
         return recording_of(rows.T, fs, label(len(rows)), [""] * len(rows))
@@ -153,7 +153,7 @@ def read_text(path: Path, fs: float | None) -> Recording:
         If there are no columns of numbers, or a line has another number of them.
     """
     separator, comma = _layout(_last_line(path))
-    split = lambda line: [c.strip().strip('"') for c in (line.split(separator) if separator else line.split())]  # noqa: E731
+    split = lambda line: [c.strip().strip('"') for c in (line.split(separator) if separator else line.split())]
     number = (lambda c: c.replace(",", ".")) if comma else (lambda c: c)
     rows, heads, first, values = lines_of(path, "%"), [], (0, ""), None
     for first in rows:

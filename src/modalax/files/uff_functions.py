@@ -127,7 +127,7 @@ def measurement_of(functions: Sequence[Function], form: str | None, complete: bo
     inputs = list(dict.fromkeys(f.input for f in frfs))
     outputs, inputs = _complete_grid(cells, outputs, inputs, complete)
     runs = _runs({key: cells[key] for key in cells if key[0] in outputs and key[1] in inputs})
-    grid = lambda table: np.array(  # noqa: E731
+    grid = lambda table: np.array(
         [[[table[o, i][r].values for i in inputs] for o in outputs] for r in range(runs)]
     ).transpose(0, 3, 1, 2)
     extra = {}

@@ -205,7 +205,7 @@ def _mode_2414(s: Set) -> _Mode | None:
     data = np.array(s["data_at_node"], dtype=float)
     values = data[:, 0::2] + 1j * data[:, 1::2] if s["data_type"] in (5, 6) else data.astype(complex)
     nodes = [int(n) for n in s["node_nums"]]
-    real = lambda record, field: float(s.get(f"record{record}_field{field}", 0.0) or 0.0)  # noqa: E731
+    real = lambda record, field: float(s.get(f"record{record}_field{field}", 0.0) or 0.0)
     if kind == NORMAL:
         pole = _pole(real(12, 2), real(12, 5) or real(12, 6) / 2)
         return _Mode(pole, 2j * pole.imag * real(12, 4) * _mass_unit(s), nodes, values)

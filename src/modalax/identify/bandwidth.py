@@ -102,7 +102,7 @@ def bandwidth_test(
         jnp.stack([jnp.log(m.frequency_hz[k]), jnp.log(m.damping_ratio[k])])
         for m, k in ((wide.model, mode), (narrow.model, own))
     )
-    block = lambda r, k: r.covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2]  # noqa: E731
+    block = lambda r, k: r.covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2]
     spread = block(there, own) - block(wide, mode)
     difference = two - one
     statistic = difference @ jnp.linalg.solve(spread, difference)

@@ -94,7 +94,7 @@ def make_problem(
     weight = jnp.sqrt(2.0) / sigma
     if DERIVATIVES[frf.form] < 2:  # the lower residual term is infinite at 0 Hz unless the form is accelerance
         weight = jnp.where((frf.omega == 0)[:, None, None] & (residuals != "none"), 0.0, weight)
-    row = lambda a: jnp.moveaxis(a, 1, 0).reshape(a.shape[1], -1)  # noqa: E731
+    row = lambda a: jnp.moveaxis(a, 1, 0).reshape(a.shape[1], -1)
     y = row(frf.H * weight)
     w = row(weight)
     extra = jnp.ones((w.shape[0], pivot.shape[0] * (1 if real_modes else 2)))

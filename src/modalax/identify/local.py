@@ -77,7 +77,7 @@ def fit_where_dominant(frf: FRF, refined: Refined, **options: Any) -> Refined:
     parts = _shapes(samples, poles, groups)
     rank = np.concatenate([g.modes for g in groups])
     order = np.argsort(np.abs(poles[rank]))
-    join = lambda k: np.concatenate([part[k] for part in parts])[order]  # noqa: E731
+    join = lambda k: np.concatenate([part[k] for part in parts])[order]
     bare = Modal(join(0), join(1), join(2), 0 * model.upper, 0 * model.lower)
     upper, lower = _terms(_without(samples, [bare]))
     whole = bare._replace(upper=upper, lower=lower)
@@ -234,7 +234,7 @@ def _with_model(frf: FRF, samples: Samples, refined: Refined, model: Modal, rank
     residual = (samples.H - response(model, samples)) / sigma
     chi2 = 2 * np.sum(np.abs(residual) ** 2)
     pairs = (2 * rank[:, None] + np.arange(2)).ravel()
-    take = lambda a, k=rank: None if a is None else jnp.asarray(np.asarray(a)[k])  # noqa: E731
+    take = lambda a, k=rank: None if a is None else jnp.asarray(np.asarray(a)[k])
     return dataclasses.replace(
         refined, model=model_of(model, frf), frequency_std_hz=take(refined.frequency_std_hz),
         damping_std=take(refined.damping_std), shape_std=take(refined.shape_std),

@@ -39,7 +39,7 @@ def factor_from_moments(
     whiten = _inverse_root(gram.real if real else gram)
     c = jnp.einsum("fri,fd->rid", H * w2[:, None, None], span)
     # Powers of a column minus powers of a row: entry (j, k) has the moment k - j.
-    blocks = lambda r: jnp.stack([_toeplitz(c[r, i], numerator + 1, order + 1, top) for i in range(size)], 2)  # noqa: E731
+    blocks = lambda r: jnp.stack([_toeplitz(c[r, i], numerator + 1, order + 1, top) for i in range(size)], 2)
     second = jnp.einsum("fri,frj,fd->ijd", (H * w2[:, None, None]).conj(), H, span)
     total = jnp.stack(
         [jnp.stack([_toeplitz(second[i, j], order + 1, order + 1, top) for j in range(size)], 2) for i in range(size)],

@@ -91,7 +91,7 @@ def _alike(
 
     Weights whose course the channels share cost a refinement as much as one channel; of so many the mean is known well.
     """
-    mean = lambda a: np.mean(a / size, axis=axis, keepdims=True)  # noqa: E731
+    mean = lambda a: np.mean(a / size, axis=axis, keepdims=True)
     shared = _two_parts(mean(power), mean(response), course, axis, half)
     return shared * (size * np.mean(power / (shared * size), axis=(0, 3 - axis), keepdims=True))
 

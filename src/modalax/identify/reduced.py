@@ -115,7 +115,7 @@ class SharedOutputs:
     def _derivatives(self) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of all columns, and their parts along these: ``(i k, n q c)``, ``(n c, n q c)``."""
         g, h, slopes = self._parts
-        order = lambda part: np.transpose(part, (1, 0, 3, 2, 4)).reshape(self.inputs, 1, self.n, -1, 2)  # noqa: E731
+        order = lambda part: np.transpose(part, (1, 0, 3, 2, 4)).reshape(self.inputs, 1, self.n, -1, 2)
         B = combined(g, order(slopes.plain)) + combined(h, order(slopes.squared))
         B = B.reshape(len(self.residual), -1)
         return B, self.Q.T @ B

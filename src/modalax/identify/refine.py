@@ -182,7 +182,7 @@ def _is_shared(sigma: Array) -> bool:
 def _padded(model: ModalModel, empty: int) -> ModalModel:
     if not empty:
         return model
-    pad = lambda a, value: jnp.concatenate([a, jnp.full((empty, *a.shape[1:]), value, a.dtype)])  # noqa: E731
+    pad = lambda a, value: jnp.concatenate([a, jnp.full((empty, *a.shape[1:]), value, a.dtype)])
     return model.replace(
         poles=pad(model.poles, model.poles[0]), shapes=pad(model.shapes, 1.0),
         participation=pad(model.participation, 1.0), frequency_std=0.0, damping_std=0.0,

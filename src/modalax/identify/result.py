@@ -124,10 +124,10 @@ class Fit(eqx.Module):
     def _mode(self, r: int) -> dict[str, Any]:
         model, refined = self.model, self.refined
         drive = model.drive_points()
-        pick = lambda a: None if a is None or not np.isfinite(a[r]) else float(a[r])  # noqa: E731
+        pick = lambda a: None if a is None or not np.isfinite(a[r]) else float(a[r])
         mass = np.asarray(model.modal_mass()) if drive else None
         a = np.asarray(model.modal_a()) if drive else None
-        pair = lambda z: [float(z.real), float(z.imag)]  # noqa: E731
+        pair = lambda z: [float(z.real), float(z.imag)]
         return {
             "frequency_hz": float(model.frequency_hz[r]),
             "frequency_std_hz": None if refined is None else pick(refined.frequency_std_hz),

@@ -37,7 +37,7 @@ def add_tuned_mass(structure: Structure, dof: str, m: Any, k: Any, c: Any = 0.0,
     The oscillator is one more DoF, called ``name``.
     """
     n = len(structure.dofs)
-    grow = lambda A: jnp.pad(A, ((0, 1), (0, 1)))  # noqa: E731
+    grow = lambda A: jnp.pad(A, ((0, 1), (0, 1)))
     larger = structure.replace(
         M=grow(structure.M).at[n, n].set(m), C=grow(structure.C), K=grow(structure.K), D=grow(structure.D),
         dofs=(*structure.dofs, name), frequency_std=0.0, damping_std=0.0,

@@ -41,7 +41,7 @@ class Matched:
 
     def report(self) -> list[str]:
         """A line a DoF: what it was matched to, how, and how far away that is."""
-        shown = lambda d: "place not known" if np.isnan(d) else f"{1e3 * d:.3g} mm away"  # noqa: E731
+        shown = lambda d: "place not known" if np.isnan(d) else f"{1e3 * d:.3g} mm away"
         return [
             f"{dof} -> {node} by {how}, {shown(d)}"
             for dof, node, how, d in zip(self.dofs, self.nodes, self.how, self.distance, strict=True)

@@ -118,7 +118,7 @@ class Structure(eqx.Module):
         omega, zeta = 2 * jnp.pi * as_double(frequency_hz, "frequency"), as_double(damping_ratio, "damping ratio")
         mass = as_double(modal_mass, "modal_mass")
         inverse = jnp.linalg.inv(P)
-        build = lambda d: inverse.T @ (d[:, None] * inverse)  # noqa: E731
+        build = lambda d: inverse.T @ (d[:, None] * inverse)
         return cls(build(mass), build(2 * zeta * omega * mass), build(omega**2 * mass), dofs, **claims)
 
     def index(self, dof: str) -> int:

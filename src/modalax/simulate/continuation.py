@@ -141,7 +141,7 @@ def _trace(plan: Plan, p: _Problem, points: int, downward: bool) -> tuple[Array,
             z = z - jnp.linalg.solve(square, both)
             return z, jnp.max(jnp.abs(_missing(plan, p, z))), count + 1
 
-        go_on = lambda c: (c[1] > 0.01 * CLOSED) & (c[2] < CORRECTIONS)  # noqa: E731
+        go_on = lambda c: (c[1] > 0.01 * CLOSED) & (c[2] < CORRECTIONS)
         return jax.lax.while_loop(go_on, newton, (ahead, jnp.array(jnp.inf), jnp.zeros((), int)))
 
     def advance(s: _State, _: None) -> tuple[_State, tuple[Array, Array, Array]]:

@@ -268,7 +268,7 @@ def respond(
     rig, _ = make_rig(structure, joints, places, outputs, inputs)
     order = DERIVATIVES[check_form(form)]
     ahead = propagator(rig.blocks, 1.0 / fs)
-    run = lambda u: march(rig, ahead, u, order)  # noqa: E731
+    run = lambda u: march(rig, ahead, u, order)
     y, x, f, left = (jax.vmap(run) if force.ndim == 3 else run)(force)
     check_agreement(left, f"fs = {fs:g} Hz")
     return Record(y, x, f, left, form)

@@ -79,7 +79,7 @@ def on_dask(
     with client_of(scheduler, workers) as client:
         blob = packed(work, modules)
         shared = client.submit(bytes, blob, pure=False)  # a task, so that it can be made again if its worker ends
-        hand = lambda k: client.submit(task, shared, k, double(), pure=False, retries=RETRIES)  # noqa: E731
+        hand = lambda k: client.submit(task, shared, k, double(), pure=False, retries=RETRIES)
         waiting = iter(chunks)
         ahead = AHEAD * max(1, sum(client.ncores().values()))
         numbers = {hand(k): k for k in islice(waiting, ahead)}

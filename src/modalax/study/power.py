@@ -78,7 +78,7 @@ def judged(answer: Mapping[str, Any], hidden: Mapping[str, Any], size: float) ->
     offered = [c for group in answer["alternatives"] for c in group if c["name"] == hidden["cause"]]
     there = own or any([str(w) for w in c["where"]] == where for c in offered)
     parameter = own[0]["parameters"].get(STRENGTH.get(hidden["cause"], ""), {}) if own else {}
-    number = lambda name: float("nan") if parameter.get(name) is None else float(parameter[name])  # noqa: E731
+    number = lambda name: float("nan") if parameter.get(name) is None else float(parameter[name])
     verdict = answer["verdict"]
     right = verdict == "clean" if size == 0 else verdict == "named" and bool(own) and len(causes) == 1
     return {

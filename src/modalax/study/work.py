@@ -72,7 +72,7 @@ class Work:
 
     def item(self, index: int) -> Row:
         """The values of one draw."""
-        raise NotImplementedError
+        raise NotImplementedError(f"{type(self).__name__} needs item(index)")
 
 
 def attempt(compute: Callable[[int], Row], index: int, labels: Row) -> Row:

@@ -102,7 +102,7 @@ class Answers:
 
     def _modes(self, collinear: np.ndarray) -> list[dict[str, Any]]:
         refined = self.session.state.refined
-        std = lambda name, k: None if refined is None else _number(np.asarray(getattr(refined, name))[k])  # noqa: E731
+        std = lambda name, k: None if refined is None else _number(np.asarray(getattr(refined, name))[k])
         return [
             {
                 "f": p.frequency_hz, "zeta": -p.pole.real / abs(p.pole), "name": p.name, "order": p.order,

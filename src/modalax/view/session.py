@@ -254,7 +254,7 @@ class Session:
         self.state = replace(before, band=(lower, upper), order=before.order if order is None else order)
         self.state = self.state.picked(keep, refined)
         try:
-            self.diagram  # noqa: B018  it is made here, so that a mistake is seen before the step counts
+            _ = self.diagram  # made here, so that a mistake is seen before the step counts
         except ValueError:
             self.state = before
             raise

@@ -107,7 +107,7 @@ def test_derivatives_of_modes_match_differences(coordinates, kind):
     patterns.append(tuple(unit * a for a in direction_slopes(t, kind, b[None])))
     step = 1e-4
     up, down = (modes_of(c, **{f"d{kind}": sign * step * unit * np.outer(b, b)}) for sign in (1, -1))
-    shape = lambda m: np.einsum("ko,ki->koi", m.vectors[which] @ c.outputs.T, m.vectors[which] @ c.inputs.T)  # noqa: E731
+    shape = lambda m: np.einsum("ko,ki->koi", m.vectors[which] @ c.outputs.T, m.vectors[which] @ c.inputs.T)
     poles = (up.poles - down.poles)[which] / (2 * step)
     residues = (shape(up) - shape(down)) / (2 * step)
     for dpoles, out, inn in patterns:

@@ -108,7 +108,7 @@ def test_the_evidence_of_a_free_mode_is_its_integral(setting):
     d = whitener @ off
     left = d - free @ (free.T @ d)
     value = np.exp(-0.5 * left @ left + evidence_of_free(given, cause))
-    likelihood = lambda v: 0.7 * np.exp(-0.5 * np.sum((whitener @ (off + [0.0, v])) ** 2))  # noqa: E731
+    likelihood = lambda v: 0.7 * np.exp(-0.5 * np.sum((whitener @ (off + [0.0, v])) ** 2))
     assert value == pytest.approx(scipy.integrate.quad(likelihood, -5, 5)[0], rel=1e-6)
 
 

@@ -94,7 +94,7 @@ def test_a_drifting_spring_equals_its_term_in_each_run():
 def test_a_tuned_mass_equals_one_more_dof():
     S, m, f, zeta = five_dof(), 0.05, 36.0, 0.02
     w = 2 * np.pi * f
-    grow = lambda A, a, d: np.block([[A + a * direction(5, 1), -a * np.eye(5)[:, [1]]], [-a * np.eye(5)[[1]], d]])  # noqa: E731
+    grow = lambda A, a, d: np.block([[A + a * direction(5, 1), -a * np.eye(5)[:, [1]]], [-a * np.eye(5)[[1]], d]])
     k, c = m * w**2, 2 * zeta * w * m
     expected = from_matrices(
         grow(np.asarray(S.M), 0.0, m), grow(np.asarray(S.C), c, c), grow(np.asarray(S.K), k, k)

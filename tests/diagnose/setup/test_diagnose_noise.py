@@ -97,7 +97,7 @@ def test_too_few_lines_without_variances_is_refused():
 def test_the_omnibus_test_keeps_its_promise_and_sees_spread_effects():
     rng = np.random.default_rng(0)
     shape, live = (2, 200, 3, 1), np.ones((2, 200, 3, 1), bool)
-    draw = lambda: rng.normal(size=shape) + 1j * rng.normal(size=shape)  # noqa: E731
+    draw = lambda: rng.normal(size=shape) + 1j * rng.normal(size=shape)
     p = np.array([omnibus(draw(), live, np.inf).p_value for _ in range(400)])
     assert (p < 0.01).mean() <= 0.02  # nominal 0.01 at most
     bump = np.exp(-(((np.arange(200) - 90) / 8.0) ** 2))[None, :, None, None]

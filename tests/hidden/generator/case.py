@@ -166,7 +166,7 @@ def _size_of(setup, base, yard, effect: Effect, target: float) -> tuple[float | 
     if effect.natural is not None:
         change = evaluate(setup, [(effect, effect.natural)])[0] - base
         return effect.natural, yard.distance(change)
-    distance = lambda s: yard.distance(evaluate(setup, [(effect, s)], steps)[0] - base)  # noqa: E731
+    distance = lambda s: yard.distance(evaluate(setup, [(effect, s)], steps)[0] - base)
     size = solve_size(distance, target, effect.start, effect.limit, 0.01 if effect.marched else 1e-4)
     if size is None and effect.slug == "structural_damping":
         size = effect.limit

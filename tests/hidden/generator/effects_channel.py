@@ -33,7 +33,7 @@ def scale_rows(which, factor):
 def channel_gain(setup: Setup, rng) -> Effect:
     o, name = _output(setup, rng)
     sign = 1.0 if rng.random() < 0.5 else -1.0
-    change = lambda s: s if sign > 0 else -s / (1 + s)  # noqa: E731
+    change = lambda s: s if sign > 0 else -s / (1 + s)
     return Effect(
         "channel_gain", [name], 1e-4, 10.0, lambda s: {"gain": (change(s), "-")},
         post=scale_rows([o], lambda setup, s: 1 + change(s)),
@@ -106,7 +106,7 @@ def fast_sweep(setup: Setup, rng) -> Effect:
 
 def hann_line(x: np.ndarray) -> np.ndarray:
     """Line of the DFT of a Hann-windowed unit complex exponential, for a line ``x`` above the tone (1 at x = 0)."""
-    box = lambda u: np.sinc(u) * np.exp(-1j * np.pi * u)  # noqa: E731
+    box = lambda u: np.sinc(u) * np.exp(-1j * np.pi * u)
     return box(x) - 0.5 * (box(x - 1) + box(x + 1))
 
 

@@ -73,7 +73,7 @@ def bilinear_stiffness(setup: Setup, rng) -> Effect:
     ratio = float(rng.choice([0.0, rng.uniform(-0.3, 0.7)]))
     scale = drive_stiffness(setup, e)
     first = rng.random() < 0.5
-    law = lambda s: laws.Bilinear("bilinear_stiffness", *((s, ratio * s) if first else (ratio * s, s)))  # noqa: E731
+    law = lambda s: laws.Bilinear("bilinear_stiffness", *((s, ratio * s) if first else (ratio * s, s)))
     return Effect(
         "bilinear_stiffness", where, 1e-4 * scale, 20 * scale,
         lambda s: {"stiffness_positive": (law(s).tension, "N/m"), "stiffness_negative": (law(s).pressure, "N/m")},

@@ -43,7 +43,7 @@ def modal_damping(setup: Setup, rng) -> Effect:
     omega, zeta, shapes = setup.system.modes()
     r = int(rng.choice(band_modes(setup)))
     sign = 1.0 if rng.random() < 0.5 else -1.0
-    change = lambda size: zeta[r] * (size if sign > 0 else -size / (1 + size))  # noqa: E731
+    change = lambda size: zeta[r] * (size if sign > 0 else -size / (1 + size))
     one = np.zeros(len(omega))
     one[r] = 1.0
     C = modal_matrix(setup.system.M, shapes, 2 * omega * one)

@@ -19,8 +19,8 @@ from .systems import log_uniform
 
 def maxwell(setup: Setup, rng) -> Effect:
     tau = float(log_uniform(rng, 0.3, 3.0)) / float(np.median(setup.omega))
-    law = lambda s: s * tau / (1 + s * tau)  # noqa: E731
-    told = lambda z: {"size": (z, "N/m"), "time_constant": (tau, "s")}  # noqa: E731
+    law = lambda s: s * tau / (1 + s * tau)
+    told = lambda z: {"size": (z, "N/m"), "time_constant": (tau, "s")}
     return dynamic("outside:maxwell", setup, rng, law, told)
 
 
@@ -119,7 +119,7 @@ def saturating_sensor(setup: Setup, rng) -> Effect:
         return H
 
     where = [setup.system.dofs[setup.outputs[o]]]
-    limit = lambda s: {"ceiling": (peak / (1 + s), setup.form)}  # noqa: E731
+    limit = lambda s: {"ceiling": (peak / (1 + s), setup.form)}
     return Effect("outside:saturating_sensor", where, 1e-3, 1e3, limit, post=post)
 
 

@@ -19,13 +19,13 @@ def dynamic(slug: str, setup: Setup, rng, law, told) -> Effect:
 
 def fractional_joint(setup: Setup, rng) -> Effect:
     alpha, w = float(rng.uniform(0.3, 0.7)), float(np.median(setup.omega))
-    law = lambda s: (s / w) ** alpha  # noqa: E731
-    told = lambda z: {"coefficient": (z / w**alpha, "N s^a/m"), "order": (alpha, "-")}  # noqa: E731
+    law = lambda s: (s / w) ** alpha
+    told = lambda z: {"coefficient": (z / w**alpha, "N s^a/m"), "order": (alpha, "-")}
     return dynamic("fractional_joint", setup, rng, law, told)
 
 
 def hysteretic_joint(setup: Setup, rng) -> Effect:
-    told = lambda z: {"loss_stiffness": (z, "N/m")}  # noqa: E731
+    told = lambda z: {"loss_stiffness": (z, "N/m")}
     return dynamic("hysteretic_joint", setup, rng, lambda s: 1j + 0 * s, told)
 
 

@@ -141,7 +141,7 @@ def march(
     b = np.stack([np.pad(j.b, (0, n - len(j.b))) for j in joints])
     across = plant.receptance(1j * omega, b, setup.columns)  # (f, joint, i)
     shape = (len(level), len(omega), len(setup.inputs))
-    rows = lambda A: np.broadcast_to(A, (*shape, *A.shape[3:])).reshape(-1, *A.shape[3:])  # noqa: E731
+    rows = lambda A: np.broadcast_to(A, (*shape, *A.shape[3:])).reshape(-1, *A.shape[3:])
     q_lin = rows(level[:, None, None, None] * np.moveaxis(across, 1, 2)[None])
     w = rows(omega[None, :, None])
     v_lin = 1j * w[:, None] * q_lin
@@ -173,7 +173,7 @@ def march(
         go = (calm[active] < 2) & (size > 1e-290)
         if not go.any():
             break
-        real = lambda a: np.concatenate([a.real, a.imag], axis=1)  # noqa: E731
+        real = lambda a: np.concatenate([a.real, a.imag], axis=1)
         if k < 2:
             moved_p = p + r / scale
         elif k % 20 == 19:  # start the memory afresh with a plain period

@@ -110,7 +110,7 @@ class Yardstick:
         if self.modes is None:
             return best**0.5
         t = np.zeros(2 * len(self.modes[2]))
-        moved = lambda t: self._moved(self.weight, self.modes, self.claims, t)  # noqa: E731
+        moved = lambda t: self._moved(self.weight, self.modes, self.claims, t)
         m, J = moved(t)
         for _ in range(12):
             step = np.linalg.solve(np.eye(len(t)) + (J.conj().T @ J).real, (J.conj().T @ (delta - m)).real - t)

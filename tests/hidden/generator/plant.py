@@ -21,7 +21,7 @@ class Plant:
 
     def add(self, M=0.0, C=0.0, K=0.0) -> "Plant":
         n = len(self.M)
-        fit = lambda A: np.pad(A, (0, n - len(A))) if np.ndim(A) else A  # noqa: E731
+        fit = lambda A: np.pad(A, (0, n - len(A))) if np.ndim(A) else A
         return replace(self, M=self.M + fit(M), C=self.C + fit(C), K=self.K + fit(K))
 
     def add_dynamic(self, row: np.ndarray, column: np.ndarray, Z) -> "Plant":

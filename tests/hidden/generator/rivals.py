@@ -101,7 +101,7 @@ def _channels(setup: Setup, near: Closest, H: np.ndarray) -> None:
         near.offer("channel_gain", row)
         near.offer("time_delay", lag * row)
     poles, R = setup.plant.residues(setup.rows, setup.columns)
-    through = lambda kernel: through_kernel(poles, R, setup.omega, DERIVATIVES[setup.form], kernel) - H  # noqa: E731
+    through = lambda kernel: through_kernel(poles, R, setup.omega, DERIVATIVES[setup.form], kernel) - H
     slowest = 1 / np.abs(poles.real).min()
     for T in (3 * slowest, 30 * slowest):
         near.offer("leakage", through(lambda s, T=T: hann_kernel(s, T)))

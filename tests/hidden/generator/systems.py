@@ -96,7 +96,7 @@ def _edges(rng, kind: str) -> tuple[int, list[tuple[int, int]]]:
                 edges.append((int(a), int(b)))
         return n, edges
     rows, columns = int(rng.integers(2, 5)), int(rng.integers(3, 7))
-    at = lambda r, c: r * columns + c  # noqa: E731
+    at = lambda r, c: r * columns + c
     edges = [(at(r, c), at(r, c + 1)) for r in range(rows) for c in range(columns - 1)]
     edges += [(at(r, c), at(r + 1, c)) for r in range(rows - 1) for c in range(columns)]
     return rows * columns, edges
@@ -306,7 +306,7 @@ def _plate(rng) -> System:
     M = np.eye(n) * m
     K = (shapes * omega**2 * m) @ shapes.T
     C = (shapes * 2 * log_uniform(rng, 0.005, 0.03, n) * omega * m) @ shapes.T
-    at = lambda r, c: r * columns + c  # noqa: E731
+    at = lambda r, c: r * columns + c
     places = [(at(r, c), at(r, c + 1), 0.0) for r in range(rows) for c in range(columns - 1)]
     places += [(at(r, c), at(r + 1, c), 0.0) for r in range(rows - 1) for c in range(columns)]
     names = [f"p{r + 1}{c + 1}" for r in range(rows) for c in range(columns)]

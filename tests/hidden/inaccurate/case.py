@@ -63,7 +63,7 @@ class Plan:
 
 
 def _plan(rng: np.random.Generator, given: dict[str, Any]) -> Plan:
-    pick = lambda values: values[int(rng.integers(len(values)))]  # noqa: E731
+    pick = lambda values: values[int(rng.integers(len(values)))]
     names = [c for c in CAUSES]
     weights = np.array([WEIGHTS.get(c, 1) for c in names], float)
     drawn = {

@@ -88,7 +88,7 @@ class Sensitivities:
     def nameable(self, Ho, Hi, H, s, which: slice) -> list[Column]:
         """Every gross error of the catalogue that is linear in its size."""
         build, names, found = self.build, self.scene.names, []
-        rank_one = lambda b: (Ho @ b)[:, :, None] * (b @ Hi)[:, None, :]  # noqa: E731
+        rank_one = lambda b: (Ho @ b)[:, :, None] * (b @ Hi)[:, None, :]
         for j, e in enumerate(build.elements):
             if e.kind == "spring":
                 unit, place = rank_one(build.direction(e.where)), tuple(sorted(names(e.where)))

@@ -89,7 +89,7 @@ def modal_inaccuracy(build: Build, design: World, true: World, spread: Spread, i
     phi, square = shapes[:, inside], omega[inside] ** 2
     share_k = np.stack([np.einsum("ar,ab,br->r", phi[e.at], e.k, phi[e.at]) for e in build.elements]) / square
     share_m = np.stack([np.einsum("ar,ab,br->r", phi[e.at], e.m, phi[e.at]) for e in build.elements])
-    rms = lambda x: float(np.sqrt(np.mean(np.square(x))))  # noqa: E731
+    rms = lambda x: float(np.sqrt(np.mean(np.square(x))))
     return {
         "stiffness": {
             "element": spread.stiffness,

@@ -114,7 +114,7 @@ def _hann(x: Array, T: Array) -> Array:
     :math:`\rho(u) = \frac23(1-u)(1 + \frac12\cos 2\pi u) + \frac{1}{2\pi}\sin 2\pi u`.
     """
     y = 2j * jnp.pi / T
-    ramp = lambda z: _boxcar(z, T)  # noqa: E731
+    ramp = lambda z: _boxcar(z, T)
     cosine = 0.5 * (ramp(x - y) + ramp(x + y))
     sine = (_cut(x - y, T) - _cut(x + y, T)) / 2j
     return 2 / 3 * (ramp(x) + 0.5 * cosine) + sine / (2 * jnp.pi)

@@ -50,7 +50,7 @@ class Nodes:
         """
         size = np.sqrt(np.maximum(np.abs(np.diag(K)), 1e-300))
         unit = np.abs(K) / size[:, None] / size > NEGLIGIBLE
-        joined = lambda a, b: bool(len(a) and len(b) and unit[np.ix_(a, b)].any())  # noqa: E731
+        joined = lambda a, b: bool(len(a) and len(b) and unit[np.ix_(a, b)].any())
         moves = [m[(self.axis[m] >= 0) & (self.axis[m] < 3)] for m in self.members]
         turns = [m[self.axis[m] > 2] for m in self.members]
         out = {}

@@ -183,7 +183,7 @@ def paired(f: Features, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
     poles, residues
         Predicted, shapes ``(m,)`` and ``(m, o, i)``; at least as many as measured.
     """
-    size = lambda A: np.sqrt((np.abs(A) ** 2).sum(axis=(1, 2)))  # noqa: E731
+    size = lambda A: np.sqrt((np.abs(A) ** 2).sum(axis=(1, 2)))
     k, m = len(f.poles), len(poles)
     product = np.abs((f.residues.conj() / f.units).reshape(k, -1) @ residues.reshape(m, -1).T)
     sizes = np.sqrt((1 / f.units**2).reshape(k, -1) @ (np.abs(residues) ** 2).reshape(m, -1).T)

@@ -181,7 +181,7 @@ def _step(
     """Step towards the solution of the linear problem, as far as the cost falls; also returns by how much it fell."""
     old = np.concatenate([sizes, u])
     n = len(sizes)
-    cost = lambda s, y: 0.5 * float(s.difference @ s.difference) / temperature + 0.5 * float(((y / scale) ** 2).sum())  # noqa: E731
+    cost = lambda s, y: 0.5 * float(s.difference @ s.difference) / temperature + 0.5 * float(((y / scale) ** 2).sum())
     before, part = cost(state, old), 1.0
     for _ in range(7):
         new = old + part * (x - old)

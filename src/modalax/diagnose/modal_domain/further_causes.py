@@ -242,7 +242,7 @@ def missing_modes(f: Features, order: int, low: float, high: float) -> list[Chan
 
 def _log_density(f: Features, k: int, low: float, high: float) -> float:
     """Of any mode of the band, where mode ``k`` was measured; directions of a nearly real shape are all alike."""
-    normal = lambda x, std: -0.5 * (x / std) ** 2 - math.log(std * math.sqrt(2 * math.pi))  # noqa: E731
+    normal = lambda x, std: -0.5 * (x / std) ** 2 - math.log(std * math.sqrt(2 * math.pi))
     others = np.delete(f.values[:, 2], k)
     size = float(f.values[k, 2] - others.mean()) if len(others) else 0.0
     zeta = float(f.values[k, 1]) - math.log(LIGHT[0])

@@ -102,7 +102,7 @@ class Reduced:
     def drive(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Receptance across places, shape ``(place, f)``."""
         H = self.gains @ (_along(self.shapes, a, b) * _along(self.participation, a, b))
-        both = lambda R: np.einsum("kk->k", _along(_along(R, a, b).T, a, b))  # noqa: E731
+        both = lambda R: np.einsum("kk->k", _along(_along(R, a, b).T, a, b))
         return (H + self._far(lambda R: both(R)[None])).T
 
     def nuisances(self, a: Any, b: Any) -> np.ndarray:

@@ -62,7 +62,7 @@ def likely_swaps(data: np.ndarray, weight: np.ndarray, residual: np.ndarray, pla
     if len(places) <= MANY:
         return np.arange(len(places))
     a, b = ends(places)
-    rows = lambda x: x.transpose(2, 0, 1, 3).reshape(x.shape[2], -1)  # noqa: E731
+    rows = lambda x: x.transpose(2, 0, 1, 3).reshape(x.shape[2], -1)
     w2 = rows(weight**2)
     expected = rows(data - residual / np.where(weight > 0, weight, 1.0))
     crossed = w2 @ np.abs(expected.T) ** 2 - 2 * np.real((w2 * rows(data).conj()) @ expected.T)

@@ -84,7 +84,7 @@ def exchanged(
     out: list[Hypothesis] = []
     for j in range(0 if comparison.late() else len(h.causes)):
         keep = [k for k in range(len(h.causes)) if k != j]
-        pick = lambda items: tuple(items[k] for k in keep)  # noqa: B023, E731
+        pick = lambda items: tuple(items[k] for k in keep)  # noqa: B023
         base = replace(
             h, causes=pick(h.causes), places=pick(h.places), extras=pick(h.extras), params=pick(h.params),
             covariance=None, freedom=0.0,

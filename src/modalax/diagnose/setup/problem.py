@@ -152,9 +152,9 @@ def padded(modal_form: ModalForm) -> ModalForm:
     more, wide = bucket(n) - n, bucket(dofs) - dofs
     unit = float(np.median(np.asarray(modal_form.stiffness)))
     rate = math.sqrt(unit)
-    fill = lambda a, value: jnp.concatenate([a, jnp.full(more, value, a.dtype)])  # noqa: E731
-    grow = lambda a: jnp.pad(a, ((0, more), (0, wide)))  # noqa: E731
-    square = lambda a: jnp.pad(a, ((0, wide), (0, wide)))  # noqa: E731
+    fill = lambda a, value: jnp.concatenate([a, jnp.full(more, value, a.dtype)])
+    grow = lambda a: jnp.pad(a, ((0, more), (0, wide)))
+    square = lambda a: jnp.pad(a, ((0, wide), (0, wide)))
     return ModalForm(
         fill(modal_form.poles, -0.6 * rate + 0.8j * rate), grow(modal_form.shapes), grow(modal_form.participation),
         fill(modal_form.stiffness, unit), fill(modal_form.damping, 1.2 * rate), fill(modal_form.hysteresis, 0.0),

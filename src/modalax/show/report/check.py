@@ -32,7 +32,7 @@ def check_sections(result: Findings) -> list[Section]:
 
 
 def _section(found: Finding) -> Section:
-    sentence = lambda text: f"{text[:1].upper()}{text[1:]}."  # noqa: E731
+    sentence = lambda text: f"{text[:1].upper()}{text[1:]}."
     text = [sentence(found.evidence), f"What to do: {found.advice}."]
     if found.interval is not None:
         text.insert(1, f"95 % interval of the size: {found.interval[0]:.5g} to {found.interval[1]:.5g} {found.unit}.")

@@ -228,7 +228,7 @@ def modes_plot(modes: Sequence[Mapping[str, Any]], truth: tuple[Any, Any] | None
     """Damping over frequency with 95 % bars, from the modes of ``Fit.to_dict()``."""
     go = graph_objects()
     fig = base_figure(1)
-    bars = lambda key, unit: [1.96 * unit * (m[key] or 0.0) for m in modes]  # noqa: E731
+    bars = lambda key, unit: [1.96 * unit * (m[key] or 0.0) for m in modes]
     fig.add_trace(
         go.Scatter(
             x=[m["frequency_hz"] for m in modes], y=[100 * m["damping_ratio"] for m in modes], mode="markers",
