@@ -34,7 +34,7 @@ UPWARD = {("files/arrays.py", "modalax.diagnose.extend")}
 RANK = {name: rank for rank, row in enumerate(LAYERS) for name in row}
 DRAWING = {"matplotlib", "plotly", "jinja2"}
 OPTIONAL = {"pyuff", "xarray", "zarr", "h5netcdf", "pooch", "plotly", "jinja2", "diffrax"}
-OPTIONAL |= {"dask", "distributed", "pyarrow"}
+OPTIONAL |= {"dask", "distributed", "pyarrow", "anywidget", "traitlets"}
 
 
 def layer_of(path: Path) -> str:

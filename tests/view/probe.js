@@ -58,13 +58,24 @@
     document.querySelector("#save button").click();
     await idle();
     seen.again = state();
+    seen.buttons = Array.from(document.querySelectorAll(".modebar-btn")).map((button) => button.dataset.title);
+    if (!document.getElementById("besidePart").hidden) {
+      const cross = document.getElementById("cross");
+      seen.beside = {title: document.getElementById("besideName").textContent, hint: document.getElementById("besideHint").textContent,
+                     mac: cross.data[0].z, names: cross.data[0].x};
+    }
     await until(() => root.dataset.checked);
     seen.findings = document.getElementById("findings").textContent;
     seen.title = document.getElementById("title").textContent;
     seen.overflow = root.scrollWidth - root.clientWidth;
-    const pen = document.getElementById("shape").getContext("2d");
-    const pixels = new Uint32Array(pen.getImageData(0, 0, 300, 250).data.buffer);
-    seen.colours = new Set(pixels).size;
+    rows()[1].click();
+    await idle();
+    if (document.getElementById("play").textContent === "Stop") await press("play");
+    const canvas = document.getElementById("shape");
+    const bytes = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+    seen.colours = new Set(new Uint32Array(bytes.buffer)).size;
+    seen.overlaid = 0;
+    for (let k = 0; k < bytes.length; k += 4) seen.overlaid += bytes[k] > 180 && bytes[k + 1] < 130 && bytes[k + 2] < 80;
     sessionStorage.setItem("seen", JSON.stringify(seen));
     location.reload();
     return;

@@ -17,8 +17,11 @@ import pytest
 from modalax.check.finding import Finding, Findings
 from modalax.cli.view import wait
 from modalax.data.datasets import uliege_plane
+from modalax.files import save
 from modalax.model.examples import five_dof
+from modalax.model.indicators import mac
 from modalax.view import Server, Session
+from modalax.view.beside import read_beside
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
 needs_browser = pytest.mark.skipif(BROWSER is None, reason="no chromium or chrome on this machine")
@@ -180,10 +183,19 @@ def test_the_aeroplane_is_corrected_and_saved_in_a_browser(measured, tmp_path):
     assert len(seen["reloaded"]) == len(json.loads((tmp_path / "picks.json").read_text())["modes"]) == modes
 
 
+@pytest.fixture
+def heavier(tmp_path):
+    """Matrices of the structure with half of its last mass once more on it: alike, and not the same."""
+    truth = five_dof()
+    save(truth.replace(M=truth.M.at[4, 4].multiply(1.5)), tmp_path / "heavier.npz")
+    return read_beside(tmp_path / "heavier.npz")
+
+
 @needs_browser
-def test_a_person_picks_drops_names_and_saves_in_a_browser(first, tmp_path):
+def test_a_person_picks_drops_names_and_saves_in_a_browser_with_a_model_beside(first, heavier, tmp_path):
     start = first.state
-    seen = visited(Probed(first, name="<five>.npz", folder=tmp_path, findings=lambda: FOUND), tmp_path)
+    server = Probed(first, name="<five>.npz", folder=tmp_path, beside=heavier, findings=lambda: FOUND)
+    seen = visited(server, tmp_path)
     picks, first.state, first.past, first.future = first.state.picks, start, [], []
     assert seen["plots"] == [True] * 3 and seen["title"] == "Modes of <five>.npz"
     assert [seen[k] for k in ("opened", "dropped", "picked", "less", "undone")] == [5, 4, 5, 4, 5]
@@ -193,4 +205,12 @@ def test_a_person_picks_drops_names_and_saves_in_a_browser(first, tmp_path):
     kept = json.loads(path.read_text())["modes"]
     np.testing.assert_allclose([m["frequency_hz"] for m in kept], five_dof().modal().frequency_hz, rtol=2e-3)
     assert "a <line> at 50 Hz" in seen["findings"] and seen["overflow"] <= 0 and seen["colours"] > 3
+    # Nothing that is shown is offered to be sent elsewhere.
+    assert set(seen["buttons"]) == {"Download plot as a PNG", "Reset axes"}
+    beside = seen["beside"]
+    assert beside["title"] == "heavier.npz" and beside["hint"].startswith("5 of 5 DoFs are common; partners: 1–1, 2–2")
+    f, shapes = heavier.table.frequency_hz, heavier.table.shapes
+    assert beside["names"] == [f"{k + 1}: {x:.5g} Hz" for k, x in enumerate(f)]
+    np.testing.assert_allclose(beside["mac"], mac(five_dof().modal().shapes, shapes), atol=0.02)
+    assert seen["overlaid"] > 20  # pixels of the partner's shape, dashed over the moving one
     assert seen["reloaded"] == ["<i>bending</i>", "", "", "", ""]

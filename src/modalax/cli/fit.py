@@ -193,12 +193,16 @@ def one_run(measurement: Any, run: int | None, path: Path) -> Any:
 
 
 def nodes_beside(path: Path) -> Any:
-    """The geometry (nodes and lines) that a universal file holds beside its FRFs; None where there is none."""
+    """The geometry (nodes and lines) that a universal file holds beside its FRFs, or that of a published measurement.
+
+    None where there is none.
+    """
+    from modalax.data.datasets import known_geometry
     from modalax.files import load_geometry
     from modalax.files.sniff import sniff
 
     if sniff(path) != "uff":
-        return None
+        return known_geometry(path)
     try:
         return load_geometry(path)
     except ValueError:

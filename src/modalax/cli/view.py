@@ -70,6 +70,7 @@ def view(
     start()
     from modalax.check import check
     from modalax.view import Server, Session
+    from modalax.view.answers import Answers
     from modalax.view.beside import read_beside
     from modalax.view.files import read_selection
 
@@ -85,6 +86,8 @@ def view(
         )  # fmt: skip
         if selection is not None:
             session.restore(picks)
+        if beside is not None:
+            beside.near(Answers(session).dofs, session.state.band)  # said before the page opens, if nothing is common
         read = [p for p in (data, selection, simulation, geometry) if p is not None]
         server = Server(
             session, name=data.name, folder=folder, inputs=read, beside=beside, findings=lambda: check(measured)

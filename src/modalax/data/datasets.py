@@ -95,11 +95,21 @@ def known_measurement(path: Path) -> FRF | Measurement | None:
 
     It is the file if it has the name, the folder's name and the hash.
     """
+    known = _known(path)
+    return known if known is None or isinstance(known, FRF | Measurement) else known.frf
+
+
+def known_geometry(path: Path) -> Geometry | None:
+    """Where the DoFs of a data set known here are, if ``path`` is its file (:func:`known_measurement`); else None."""
+    return getattr(_known(path), "geometry", None)
+
+
+def _known(path: Path) -> "UliegePlane | SteelBeam | FRF | Measurement | None":
     path = path.absolute()
     name = f"{path.parent.name}/{path.name}"
-    if name not in FRFS or _sha256(path) != HASHES[name]:
+    if name not in SETS or _sha256(path) != HASHES[name]:
         return None
-    return FRFS[name](path.parents[1])
+    return SETS[name](path.parents[1])
 
 
 class UliegePlane(eqx.Module):
@@ -314,10 +324,10 @@ def steel_beam(folder: Path | None = None) -> SteelBeam:
 
 
 # Files of FRFs, and how they are read from the folder that holds the data sets' folders.
-FRFS: dict[str, Callable[[Path], FRF | Measurement]] = {
-    "uliege_plane/frf.npz": lambda folder: uliege_plane(folder=folder).frf,
+SETS: "dict[str, Callable[[Path], UliegePlane | SteelBeam | FRF | Measurement]]" = {
+    "uliege_plane/frf.npz": lambda folder: uliege_plane(folder=folder),
     "brake_reuss_beam/force_control.npz": lambda folder: brake_reuss_beam(folder=folder),
-    "steel_beam/frf.npz": lambda folder: steel_beam(folder).frf,
+    "steel_beam/frf.npz": lambda folder: steel_beam(folder),
 }
 
 

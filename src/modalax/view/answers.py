@@ -154,7 +154,10 @@ class Answers:
         if self.beside is None or not len(shapes):
             return None
         frequency = np.array([p.frequency_hz for p in self.session.state.picks])
-        found = compare(self.beside, frequency, shapes, self.dofs, self.session.state.band)
+        try:
+            found = compare(self.beside, frequency, shapes, self.dofs, self.session.state.band)
+        except ValueError as error:  # another band may have none of its modes; the picks go on without it
+            return {"told": {"error": str(error)}, "partners": [None] * len(shapes), "dofs": []}
         at = {column: k for k, column in enumerate(found.columns)}
         common = [c for c in self.moved[0] if c in at]
         names = [self.moved[1][self.moved[0].index(c)] for c in common]

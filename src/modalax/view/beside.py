@@ -65,7 +65,7 @@ class Beside:
         return [k for k, _, _ in found], ModeTable.of(f[which], self.table.damping_ratio[which], shapes, names)
 
 
-def read_beside(path: Path) -> Beside:
+def read_beside(path: str | os.PathLike[str]) -> Beside:
     """Read matrices (their undamped modes are taken), a modal model, or a table of modes.
 
     Raises

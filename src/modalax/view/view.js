@@ -2,7 +2,7 @@
 (function () {
   const byId = (id) => document.getElementById(id);
   const dark = window.matchMedia("(prefers-color-scheme: dark)");
-  const config = {responsive: true, displaylogo: false, modeBarButtonsToRemove: [
+  const config = {responsive: true, displaylogo: false, showSendToCloud: false, plotlyServerURL: "", modeBarButtonsToRemove: [
     "select2d", "lasso2d", "zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "autoScale2d"]};
   // Colour, symbol and size of each kind of pole, from new to stable in everything.
   const KINDS = [["#8c8c8c", "circle", 4], ["#2e8bcc", "x-thin-open", 6], ["#cc79a7", "diamond", 6], ["#009e73", "circle", 6]];
@@ -31,6 +31,7 @@
   }
 
   async function post(name, message) {
+    if (window.modalaxAsk) return window.modalaxAsk(name, message);
     const answer = await fetch(name, {method: "POST", headers: {"Content-Type": "application/json"}, body: JSON.stringify(message || {})});
     const value = await answer.json();
     if (!answer.ok) throw new Error(value.error);
@@ -167,8 +168,11 @@
 
   function marks() {
     if (!shown) return null;
+    // Numbers of close modes stand in two or three rows, so that none lies on another.
+    const close = 0.018 * (now.band[1] - now.band[0]), rows = [];
+    now.modes.forEach((m, k) => rows.push(k && m.f - now.modes[k - 1].f < close ? (rows[k - 1] + 1) % 3 : 0));
     const lines = now.modes.map((m, k) => ({
-      type: "line", x0: m.f, x1: m.f, y0: 0, y1: 1, yref: "paper", layer: "below",
+      type: "line", x0: m.f, x1: m.f, y0: 0, y1: 1 - 0.045 * rows[k], yref: "paper", layer: "below",
       line: {color: ORANGE, width: k + 1 === chosen ? 2.2 : 1, dash: k + 1 === chosen ? "solid" : "dash"},
       label: {text: "\u00a0" + (k + 1), textposition: "end", textangle: 0, xanchor: "left", yanchor: "top", padding: 1, font: {color: ORANGE, size: 11}},
     }));
@@ -227,7 +231,12 @@
 
   function drawCross() {
     byId("besidePart").hidden = !opening.beside;
-    if (!opening.beside || !now.beside) return null;
+    byId("cross").hidden = !now.beside || now.beside.error !== undefined;
+    if (!now.beside) return null;
+    if (now.beside.error !== undefined) {
+      byId("besideHint").textContent = now.beside.error;
+      return null;
+    }
     const columns = now.beside.f.map((f, k) => (k + 1) + ": " + f.toPrecision(5) + " Hz");
     byId("besideHint").textContent = now.beside.common + " of " + now.beside.of + " DoFs are common; partners: " +
       (now.beside.pairs.map((p, k) => p < 0 ? null : (k + 1) + "–" + (p + 1)).filter(Boolean).join(", ") || "none") +
@@ -260,7 +269,8 @@
       cell(m.order === null ? (now.refined ? "refined" : "-") : m.order);
       const drop = document.createElement("button");
       drop.type = "button";
-      drop.textContent = "drop";
+      drop.textContent = "×";
+      drop.title = "Drop";
       drop.setAttribute("aria-label", "Drop mode " + (k + 1));
       drop.addEventListener("click", (event) => { event.stopPropagation(); step("drop", {number: k + 1}); });
       cell("").append(drop);

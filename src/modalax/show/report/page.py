@@ -79,7 +79,7 @@ class Page:
         return environment.get_template("page.html.j2").render(
             page=self,
             # Files of this package and of plotly, not data: they go in as they are.
-            plotly=_in_script(plotly),
+            plotly=in_script(plotly),
             css=(HERE / "page.css").read_text(encoding="utf-8"),
             script=shape_script() + (HERE / "page.js").read_text(encoding="utf-8"),
         )
@@ -113,6 +113,6 @@ def _json(text: str) -> str:
     return json.dumps(text)
 
 
-def _in_script(source: str) -> str:
+def in_script(source: str) -> str:
     """Program text that cannot end its script element early."""
     return source.replace("</script", "<\\/script")
