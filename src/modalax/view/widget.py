@@ -71,7 +71,7 @@ class Widget(Steps):
         return f"<style>{text}</style>" if part[1] else f"<script>{in_script(text)}</script>"
 
     def _repr_mimebundle_(self, **kwargs: Any) -> Any:
-        data, about = self.frame._repr_mimebundle_(**kwargs)
+        data, about = self.frame._repr_mimebundle_(**kwargs) or ({}, {})
         count = len(self.session.state.picks)
         return {**data, "text/plain": f"modalax view of {self.name}: {count} modes (shown where a kernel runs)"}, about
 
