@@ -15,7 +15,8 @@ from modalax.diagnose.comparison import Comparison, make_comparison, noise_besid
 from modalax.diagnose.extend import ExtendedSimulation, extend
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.prediction.harmonics import HIGHEST, linear_factor
-from modalax.diagnose.search.harmonics import fitted_in_full, is_limit, joints_in_full
+from modalax.diagnose.search import harmonics as search
+from modalax.diagnose.search.harmonics import fitted_in_full, is_limit, joints_in_full, limit_of
 from modalax.files import load
 from modalax.model.examples import five_dof
 from modalax.simulate import joints
@@ -176,6 +177,26 @@ def test_a_slipping_spring_of_any_stiffness_is_dry_friction():
     assert not is_limit(friction, slip, null)
     assert not is_limit(replace(slip, covariance=np.diag([4e10, 1.0])), friction, null)
     assert not is_limit(slip, replace(friction, fidelity=0.01), null)
+
+
+def test_a_spring_that_slips_is_fitted_as_friction_too_where_no_data_bound_its_stiffness(monkeypatch):
+    fitted = []
+
+    def in_full(comparison, null, h):
+        fitted.append(h.causes[0].slug)
+        return replace(h, fidelity=0.1, covariance=np.diag([25e12, 1.0])[: len(h.params[0]), : len(h.params[0])])
+
+    monkeypatch.setattr(search, "fitted_in_full", in_full)
+    comparison = make_comparison(without_joint(), five_dof(), "fixed")
+    null, h = hypothesis(comparison, ElastoSlip(False), [1e7, 2e-7])
+    h = replace(h, chi2=float(comparison.problem.samples), covariance=np.diag([1e8, 1.0]), freedom=2.0)
+    null = replace(null, chi2=1e6)
+    slip, friction = joints_in_full(comparison, null, [h])
+    assert fitted == ["elasto_slip", "coulomb_friction"]
+    assert friction.freedom == 1.0
+    assert limit_of(replace(slip, covariance=np.diag([1e8, 1.0]))) is None
+    assert limit_of(replace(slip, causes=(ElastoSlip(True),))) is None
+    assert joints_in_full(comparison, null, [slip, friction]) == []  # once is enough
 
 
 def test_noise_is_read_off_the_lines_beside_the_joint():

@@ -159,6 +159,16 @@ class BilinearStiffness(JointCause):
         }
 
 
+def limiting_law(cause: Any, p: np.ndarray) -> tuple[JointCause, np.ndarray] | None:
+    """The simpler law that a joint becomes as its strength grows, with its parameters; None where there is none.
+
+    An additional spring of any great stiffness that slips is dry friction.
+    """
+    if isinstance(cause, ElastoSlip) and not cause.replaced:
+        return CoulombFriction(), np.array([p[0] * p[1]])
+    return None
+
+
 JOINTS: tuple[Any, ...] = (
     CoulombFriction(), ElastoSlip(False), ElastoSlip(True), CubicStiffness(), GapContact(), QuadraticDamping(),
     BilinearStiffness(),

@@ -7,7 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from modalax.diagnose.causes.base import Cause
+from modalax.diagnose.causes.base import Cause, JointCause
 from modalax.diagnose.causes.mains_hum import MainsHum
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.causes.signals import HumLines
@@ -72,6 +72,17 @@ class Hypothesis:
         return any(c.per_run for c in self.causes)
 
     @property
+    def joints(self) -> list[int]:
+        """Numbers of the causes that are joints with a force law."""
+        return [k for k, c in enumerate(self.causes) if isinstance(c, JointCause)]
+
+    @property
+    def inexactness(self) -> float:
+        """Relative error of the predicted effect: of the harmonics left out if one is known, else as the laws tell."""
+        told = max((c.fidelity for c in self.causes), default=0.0)
+        return told if self.fidelity is None else self.fidelity
+
+    @property
     def index(self) -> np.ndarray:
         """Places as numbers, shape ``(cause, 3)``."""
         return np.array([p.index for p in self.places], dtype=np.int64).reshape(-1, 3)
@@ -80,7 +91,7 @@ class Hypothesis:
         """The hypothesis with one more cause, not fitted yet."""
         return replace(
             self, causes=(*self.causes, cause), places=(*self.places, place), extras=(*self.extras, extra),
-            params=(*self.params, np.asarray(p, float)), chi2=np.inf, covariance=None,
+            params=(*self.params, np.asarray(p, float)), chi2=np.inf, covariance=None, fidelity=None,
         )  # fmt: skip
 
 

@@ -22,6 +22,7 @@ from modalax.diagnose.screening.screen import Trial
 from modalax.diagnose.search.candidates import best_of_each, cost_of, moderate, start_from, with_hum
 from modalax.diagnose.search.pattern_sizes import settle_pattern
 from modalax.diagnose.search.singles import PATIENT
+from modalax.diagnose.search.tolerance import tolerated
 from modalax.diagnose.setup.noise import TRUSTED
 from modalax.diagnose.thresholds import THRESHOLDS
 
@@ -87,7 +88,7 @@ def exchanged(
         pick = lambda items: tuple(items[k] for k in keep)  # noqa: B023
         base = replace(
             h, causes=pick(h.causes), places=pick(h.places), extras=pick(h.extras), params=pick(h.params),
-            covariance=None, freedom=0.0,
+            covariance=None, freedom=0.0, fidelity=None,
         )  # fmt: skip
         base = replace(base, freedom=cost_of(base.causes, base.extras) + (h.hum.freedom if h.hum else 0.0))
         base = fit_together(comparison, [base])[0]
@@ -115,7 +116,7 @@ def one_more_cause(
 
     def worthy(h: Hypothesis) -> bool:
         worth = _worth(comparison) if rest(ranked[0].best).p_value > THRESHOLDS.left else 0.0
-        return bool(rest(h).trials) and rest(h).trials[0].gain > worth
+        return bool(rest(h).trials) and rest(h).trials[0].gain > worth + rest(h).tolerated
 
     def tried(some: list[Hypothesis]) -> list[Hypothesis]:
         some = [h for h in some if not comparison.late() and worthy(h)]
@@ -161,9 +162,8 @@ def rest_of(comparison: Comparison, h: Hypothesis, null: Hypothesis, causes: Seq
         What to look for.
     """
     used = comparison if h.hum is None else comparison.without(h.hum.lines)
-    fidelity = max((c.fidelity for c in h.causes), default=0.0) if h.fidelity is None else h.fidelity
-    tolerated = fidelity**2 * max(null.chi2 - h.chi2, 0.0)
-    after = omnibus(used.residual(h), used.live(), comparison.noise.freedom, tolerated)
+    allowed = tolerated(h, null.chi2)
+    after = omnibus(used.residual(h), used.live(), comparison.noise.freedom, allowed)
     if comparison.late():
         return Rest([], after.p_value, after)
     state = score_state_of(used, h, _jacobian(used, h))
@@ -172,10 +172,10 @@ def rest_of(comparison: Comparison, h: Hypothesis, null: Hypothesis, causes: Seq
         trials = [t for t in trials if not t.cause.leaves_out_lines]
     if comparison.noise.freedom < TRUSTED:  # the noise is no better known than what the omnibus test would say of it
         after = replace(after, p_value=1.0)
-    p_value = detect(trials, state.sides, after, comparison.noise.spread, tolerated).p_value
+    p_value = detect(trials, state.sides, after, comparison.noise.spread, allowed).p_value
     trials = [t for t in chosen(trials) if (t.cause.slug, t.place.where) not in h.names]
     samples = used.problem.samples
-    return Rest(sorted(trials, key=lambda t: -promise(t, comparison.scene, samples)), p_value, after, tolerated)
+    return Rest(sorted(trials, key=lambda t: -promise(t, comparison.scene, samples)), p_value, after, allowed)
 
 
 def _worth(comparison: Comparison) -> float:

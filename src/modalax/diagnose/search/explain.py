@@ -20,6 +20,7 @@ from modalax.diagnose.search.imitator_check import apart, imitations, likeness
 from modalax.diagnose.search.look import Look
 from modalax.diagnose.search.measured_force import starts_from_forces
 from modalax.diagnose.search.singles import PATIENT, fit_single, from_nominal_modes, joints_for_drifts, refit
+from modalax.diagnose.search.tolerance import uncounted
 
 NEAR = 12.0  # nats behind the best up to which hypotheses are fitted again with complex modes made exact
 DEEPEST = 3  # causes in one answer
@@ -113,7 +114,8 @@ def weigh(look: Look, fitted: list[Hypothesis], comparison: Comparison | None = 
     used = comparison or look.comparison
     samples = look.comparison.problem.samples
     each = best_of_each(fitted, used)
-    return posterior([(h, evidence(h, used.scene, samples, look.null.chi2)) for h in each])
+    null = look.null.chi2
+    return posterior([(h, evidence(h, used.scene, samples, null) - 0.5 * uncounted(h, each, null)) for h in each])
 
 
 def singles(look: Look, causes: Sequence[Cause]) -> list[Hypothesis]:
@@ -198,10 +200,22 @@ def in_full(
     again = [] if comparison.late() else joints_in_full(comparison, look.null, [r.best for r in ranked])
     if not again:
         return fitted, ranked
-    done = {(h.causes, h.places) for h in again}
-    fitted = again + [h for h in fitted if (h.causes, h.places) not in done]
+    done = {frozenset(h.parts) for h in again}
+    fitted = again + [h for h in fitted if frozenset(h.parts) not in done]
     fitted = [h for h in fitted if not any(is_limit(h, other, look.null) for other in again)]
     return fitted, weigh(look, fitted, comparison)
+
+
+def leader_in_full(
+    look: Look, comparison: Comparison, fitted: list[Hypothesis], ranked: list[Ranked]
+) -> tuple[list[Hypothesis], list[Ranked]]:
+    """Fit the joint of the leading set again with its higher harmonics, as it is once alone, until such a set leads."""
+    for _ in range(DEEPEST):
+        again = in_full(look, comparison, fitted, ranked[:1])
+        if again[0] is fitted:
+            break
+        fitted, ranked = again
+    return fitted, ranked
 
 
 def together(
@@ -234,12 +248,12 @@ def together(
             break
         more = one_more_cause(comparison, ranked, rest)
         fitted = fitted + more
-        ranked = weigh(look, fitted, comparison)
+        fitted, ranked = leader_in_full(look, comparison, fitted, weigh(look, fitted, comparison))
         if not more or len(ranked[0].names) < depth:
             break
         # the first cause was found while the second still hid its like
         fitted = fitted + exchanged(comparison, ranked[0].best, lambda h: rest(h).trials, FURTHER)
-        ranked = weigh(look, fitted, comparison)
+        fitted, ranked = leader_in_full(look, comparison, fitted, weigh(look, fitted, comparison))
     return ranked, fitted, rest(ranked[0].best)
 
 

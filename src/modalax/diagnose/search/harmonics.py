@@ -6,12 +6,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from modalax.diagnose.causes.base import JointCause
+from modalax.diagnose.causes.joints import limiting_law
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.gauss_newton import covariance_of
 from modalax.diagnose.fitting.hypothesis import Hypothesis, searched
 from modalax.diagnose.fitting.residual import jacobian_of, residual_of
 from modalax.diagnose.prediction.harmonics import HIGHEST, linear_factor
+from modalax.diagnose.search.candidates import cost_of
 from modalax.diagnose.search.singles import PATIENT
+from modalax.diagnose.search.tolerance import tolerated
 
 FEWER = 5  # highest harmonic of a second prediction, which shows the error of truncation
 BEYOND = (FEWER + 1) / (HIGHEST - FEWER)  # effect of harmonics above HIGHEST over that of those above FEWER up to it
@@ -20,6 +23,7 @@ ASKED = 0.3  # error of a parameter by a single harmonic, in standard deviations
 SETTLED = 1e-2  # change of chi-square at which harmonics and fit have settled
 TRIED = 6  # leading hypotheses that are fitted so
 ONE_LAW = 2  # of these, most with the same causes
+REACHED = 3.0  # standard deviations of its strength within which a joint may be as strong as one likes
 
 
 def joints_in_full(comparison: Comparison, null: Hypothesis, ranked: list[Hypothesis]) -> list[Hypothesis]:
@@ -28,6 +32,9 @@ def joints_in_full(comparison: Comparison, null: Hypothesis, ranked: list[Hypoth
     One harmonic leaves a relative error :math:`\varepsilon` of the joint's effect (the cause's ``fidelity``). An effect
     :math:`d` standard deviations long then bends parameters by up to :math:`\varepsilon d` of theirs, and chi-square
     by up to :math:`\varepsilon^2 d^2`: all hypotheses within that of the best are fitted again.
+
+    So are the simpler laws that some of these may be the limit of (:func:`is_limit`). What was fitted so before is
+    left as it is.
 
     Parameters
     ----------
@@ -44,11 +51,48 @@ def joints_in_full(comparison: Comparison, null: Hypothesis, ranked: list[Hypoth
     for h in ranked:
         if len(out) == TRIED:
             break
+        if h.fidelity is not None:
+            continue
         bend = max((c.fidelity for c in h.causes), default=0.0) * np.sqrt(effect)
         alike = sum(h.causes == other.causes for other in out) < ONE_LAW
         if bend > ASKED and h.chi2 < best + 4 * bend**2 + 1 and alike and one_joint(comparison, h):
             out.append(h)
-    return [fitted_in_full(comparison, null, h) for h in out]
+    full = [fitted_in_full(comparison, null, h) for h in out]
+    limits = [simpler for h in full if (simpler := limit_of(h)) is not None]
+    return full + [fitted_in_full(comparison, null, comparison.fit([h], PATIENT)[0]) for h in limits]
+
+
+def _strength(h: Hypothesis) -> tuple[float, float]:
+    """Strength of the first joint of a hypothesis, and its standard deviation; without one, 1 and 0."""
+    if not h.joints or h.covariance is None:
+        return 1.0, 0.0
+    first = sum(len(p) for p in h.params[: h.joints[0]])
+    return abs(float(h.params[h.joints[0]][0])), float(np.sqrt(max(h.covariance[first, first], 0.0)))
+
+
+def limit_of(h: Hypothesis) -> Hypothesis | None:
+    """The hypothesis with the simpler law that its joint may be the limit of, not fitted; None where it may not.
+
+    It may where the strength is uncertain by a third of itself, so that no data bound it from above.
+
+    Parameters
+    ----------
+    h
+        A fitted hypothesis.
+    """
+    strength, std = _strength(h)
+    if strength > REACHED * std:
+        return None
+    k = h.joints[0]
+    simpler = limiting_law(h.causes[k], h.params[k])
+    if simpler is None:
+        return None
+    swap = lambda items, new: (*items[:k], new, *items[k + 1 :])
+    causes, extras = swap(h.causes, simpler[0]), swap(h.extras, None)
+    return replace(
+        h, causes=causes, params=swap(h.params, simpler[1]), extras=extras, covariance=None, fidelity=None,
+        freedom=cost_of(causes, extras) + (h.hum.freedom if h.hum else 0.0),
+    )  # fmt: skip
 
 
 def is_limit(h: Hypothesis, simpler: Hypothesis, null: Hypothesis) -> bool:
@@ -66,13 +110,11 @@ def is_limit(h: Hypothesis, simpler: Hypothesis, null: Hypothesis) -> bool:
     null
         The simulation alone.
     """
-    k = next((k for k, c in enumerate(h.causes) if isinstance(c, JointCause)), None)
-    if k is None or h.places != simpler.places or h.freedom <= simpler.freedom or h.covariance is None:
+    if not h.joints or h.places != simpler.places or h.freedom <= simpler.freedom:
         return False
-    first = sum(len(p) for p in h.params[:k])
-    strength, std = abs(float(h.params[k][0])), float(np.sqrt(max(h.covariance[first, first], 0.0)))
-    allowed = (simpler.fidelity or 0.0) ** 2 * max(null.chi2 - simpler.chi2, 0.0)
-    return std > strength and simpler.chi2 - allowed <= h.chi2
+    strength, std = _strength(h)
+    allowed = tolerated(simpler, null.chi2) if simpler.fidelity is not None else 0.0
+    return REACHED * std > strength and simpler.chi2 - allowed <= h.chi2
 
 
 def one_joint(comparison: Comparison, h: Hypothesis) -> bool:
@@ -102,7 +144,7 @@ def fitted_in_full(comparison: Comparison, null: Hypothesis, h: Hypothesis) -> H
         before = h.chi2
         h = replace(h, extras=(*h.extras[:k], factor, *h.extras[k + 1 :]))
         h = comparison.fit([h], PATIENT)[0]
-        if abs(before - h.chi2) < SETTLED:
+        if abs(before - h.chi2) < SETTLED or limit_of(h) is not None:  # a limit is fitted as such
             break
     seen = sum(c.unseen for c in h.causes)  # what one harmonic does not show, the others do
     h = replace(h, freedom=h.freedom + seen)
