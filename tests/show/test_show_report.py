@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from modalax.data.frf import FRF
 from modalax.data.geometry import Geometry
 from modalax.identify import PoleTable
 from modalax.model.examples import five_dof
@@ -251,9 +252,21 @@ PAPER = """
   window.dispatchEvent(new Event("beforeprint"));
   await wait(300);
   seen.shapes = document.querySelectorAll(".paper canvas").length;
-  seen.bars = document.querySelectorAll(".copy .main-svg").length > 0 ? document.querySelectorAll(".copy").length : 0;
+  const paper = () => Array.from(document.querySelectorAll(".copy")).filter((copy) => copy.querySelector(".main-svg"));
+  const names = () => paper().map((copy) => copy.firstChild.textContent);
+  seen.bars = names();
+  const right = (element) => element.getBoundingClientRect().right;
+  seen.wide = Math.max(...paper().map(right)) - right(document.body);
   window.dispatchEvent(new Event("afterprint"));
   seen.left = document.querySelectorAll(".paper canvas, .copy").length;
+  const tick = document.querySelector("[data-tick]");
+  tick.click();
+  seen.told = document.querySelector("[data-count]").textContent;
+  window.dispatchEvent(new Event("beforeprint"));
+  await wait(300);
+  seen.fewer = names();
+  window.dispatchEvent(new Event("afterprint"));
+  seen.shown = Array.from(document.querySelectorAll(".plot")).every((div) => div.clientHeight > 100);
   const out = document.createElement("pre");
   out.id = "seen";
   out.textContent = JSON.stringify(seen);
@@ -275,7 +288,12 @@ def test_shapes_move_on_screen_and_stand_side_by_side_on_paper(tmp_path):
     dom, console = browse(page, tmp_path, "--dump-dom")
     assert console == []
     seen = json.loads(html_module.unescape(re.search(r'<pre id="seen">(.*?)</pre>', dom, re.S).group(1)))
-    assert seen == {"moved": True, "stopped": True, "shapes": 3, "bars": 2, "left": 0}
+    assert seen.pop("wide") <= 0.5  # pixels beyond the paper
+    every = ["1: 1 Hz", "2: 2 Hz", "3: 3 Hz"]
+    assert seen == {
+        "moved": True, "stopped": True, "shapes": 3, "bars": every, "left": 0, "told": "2 of 3 on paper",
+        "fewer": every[1:], "shown": True,
+    }  # fmt: skip
 
 
 def test_remarks_stand_in_a_table_of_their_own(fit):
@@ -311,6 +329,35 @@ def test_a_matrix_holds_its_numbers_where_they_can_be_read():
         names = [str(k) for k in range(size)]
         trace = mac_plot(np.eye(size), names, names, "").figures[0][1].data[0]
         assert bool(trace.texttemplate) is numbered
+
+
+def test_the_strongest_channels_stand_on_paper(fit):
+    """Of five channels all; of more the six of the most energy, in their order on the page."""
+    H = np.asarray(fit.frf.H)
+    assert list(frf_plot(fit.frf.pick(inputs=["3"]), None).on_paper) == list(range(5))
+    size = np.array([3, 9, 1, 8, 2, 7, 6, 5])
+    names = [f"a{k}" for k in range(8)]
+    many = FRF(fit.frf.freq, H[:, :1, :1] * size[:, None], form=fit.frf.form, outputs=names, inputs=["1"])
+    assert list(frf_plot(many, None).on_paper) == [0, 1, 3, 5, 6, 7]
+
+
+@needs_browser
+@pytest.mark.skipif(shutil.which("pdftotext") is None, reason="no pdftotext on this machine")
+def test_no_head_of_a_table_is_parted_from_its_rows_on_paper(tmp_path):
+    """Tables that fit a page are whole; longer ones begin with some rows, and each page of them repeats the head."""
+    sizes, page, paper = (25, 12, 45, 20, 31, 60), tmp_path / "tables.html", tmp_path / "tables.pdf"
+    tables = [Table([f"head{n}", "x"], [[f"{n}row{r}", "1"] for r in range(n)], f"caption{n}") for n in sizes]
+    sections = [Section(f"title{n}", [], [table]) for n, table in zip(sizes, tables, strict=True)]
+    page.write_text(Page("Tables", sections=sections).html())
+    browse(page, tmp_path, f"--print-to-pdf={paper}")
+    text = subprocess.run(["pdftotext", "-layout", paper, "-"], capture_output=True, text=True, check=True).stdout
+    on = lambda word: [k for k, t in enumerate(text.split("\f")) if re.search(rf"\b{word}\b", t)]
+    for n in sizes:
+        assert len(on(f"title{n}")) == 1
+        start = on(f"title{n}")
+        assert on(f"caption{n}") == on(f"{n}row0") == on(f"{n}row4") == start and start[0] in on(f"head{n}")
+        pages = sorted({k for r in range(n) for k in on(f"{n}row{r}")})
+        assert pages == on(f"head{n}") and (n > 30 or len(pages) == 1)
 
 
 @needs_browser

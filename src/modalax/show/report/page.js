@@ -78,21 +78,48 @@
     if (act) { event.preventDefault(); act(); }
   }
 
-  // The figures of a plot that were not chosen, for paper.
-  function unfold(div) {
+  // Which figures of a plot stand on paper: those a reader ticked, by their places.
+  function ticked(div) {
+    const box = document.querySelector('[data-tick="' + div.id + '"]');
+    if (!box) return;
     const select = document.querySelector('select[data-for="' + div.id + '"]');
-    if (!("whole" in div.dataset) || !select) return;
-    div.choices.forEach(function (one, k) {
-      if (k === Number(select.value)) return;
+    const count = document.querySelector('[data-count="' + div.id + '"]');
+    const tell = function () {
+      box.checked = div.printed.has(Number(select.value));
+      count.textContent = div.printed.size + " of " + div.choices.length + " on paper";
+    };
+    select.addEventListener("change", tell);
+    box.addEventListener("change", function () {
+      div.printed[box.checked ? "add" : "delete"](Number(select.value));
+      tell();
+    });
+    tell();
+  }
+
+  // On paper the selected figures take the place of the one that is shown.
+  function unfold(div) {
+    if (div.choices.length < 2 || !div.printed.size) return;
+    const place = document.createElement("div"), across = Number(div.dataset.across);
+    place.className = "unfolded";
+    place.style.gridTemplateColumns = "repeat(" + across + ", minmax(0, 1fr))";
+    div.parentNode.insertBefore(place, div);
+    div.parentNode.classList.add("folded");
+    for (const k of Array.from(div.printed).sort((a, b) => a - b)) {
       const copy = document.createElement("div"), name = document.createElement("p"), plot = document.createElement("div");
       copy.className = "copy";
-      name.textContent = one.label;
-      plot.style.height = div.style.height;
+      name.textContent = div.choices[k].label;
+      plot.style.height = (across > 1 ? 250 : Math.min(parseInt(div.style.height), 400)) + "px";
       copy.append(name, plot);
-      div.parentNode.insertBefore(copy, div.parentNode.querySelector("figcaption"));
-      const figure = themed(one.figure);
+      place.append(copy);
+      const figure = themed(div.choices[k].figure);
       Plotly.newPlot(plot, figure.data, figure.layout, {staticPlot: true});
-    });
+    }
+  }
+
+  // A table wider than the paper is set in smaller letters.
+  function fitTable(table) {
+    const wide = table.scrollWidth / table.parentNode.clientWidth;
+    if (wide > 1) table.style.fontSize = 0.97 * parseFloat(getComputedStyle(table).fontSize) / wide + "px";
   }
 
   // Mode shapes: one that moves on screen, all of them side by side on paper.
@@ -134,6 +161,8 @@
 
   for (const div of plots) {
     div.choices = JSON.parse(document.getElementById(div.dataset.source).textContent);
+    div.printed = new Set((div.dataset.paper || "").split(" ").filter(Boolean).map(Number));
+    ticked(div);
     div.addEventListener("keydown", onKey);
     draw(div);
   }
@@ -143,14 +172,19 @@
   dark.addEventListener("change", function () { plots.forEach(draw); moving.forEach((m) => m.draw()); });
   window.addEventListener("beforeprint", function () {
     printing = true;
+    document.documentElement.classList.add("printing");
     plots.forEach(function (div) { draw(div); Plotly.Plots.resize(div); });
     plots.forEach(unfold);
+    document.querySelectorAll("table").forEach(fitTable);
     moving.forEach(function (m) { m.toPaper(); });
   });
   window.addEventListener("afterprint", function () {
     printing = false;
-    plots.forEach(draw);
-    document.querySelectorAll(".copy").forEach((copy) => copy.remove());
+    document.documentElement.classList.remove("printing");
+    document.querySelectorAll("table").forEach((table) => { table.style.fontSize = ""; });
+    document.querySelectorAll(".unfolded").forEach((place) => place.remove());
+    document.querySelectorAll(".folded").forEach((figure) => figure.classList.remove("folded"));
+    plots.forEach(function (div) { draw(div); Plotly.Plots.resize(div); });
     moving.forEach(function (m) { m.fromPaper(); m.draw(); });
   });
   document.documentElement.dataset.ready = "yes";

@@ -26,8 +26,9 @@ class Plot:
     """Plotly figures that share one place: ``figures`` holds (label, figure), chosen from a list if there are several.
 
     ``description`` is what a reader who cannot see the picture is told. Traces whose ``meta`` is ``ink`` are drawn in
-    the colour of the text, so that they are seen on light and dark ground. On paper stands the figure that was chosen,
-    or with ``all_on_paper`` each of them.
+    the colour of the text, so that they are seen on light and dark ground. On paper stand, ``across`` of
+    them side by side, the figures whose places are in ``on_paper``, unless the reader selects others; if empty, the one
+    that is shown.
     """
 
     figures: Sequence[tuple[str, Any]]
@@ -35,7 +36,8 @@ class Plot:
     description: str
     choose: str = "Channel"
     height: int = 420
-    all_on_paper: bool = False
+    on_paper: Sequence[int] = ()
+    across: int = 1
 
 
 @dataclass(frozen=True)

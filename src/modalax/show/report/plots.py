@@ -20,6 +20,7 @@ SYMBOLS = {".": "circle", "x": "x-thin-open", "d": "diamond", "o": "circle"}
 BUDGET = 2.5e6  # Bytes for the FRFs of all channels; the whole file has to stay easy to send.
 MAC_COLOURS = [[0, "#f3f7fb"], [0.5, "#6baed6"], [1, "#08306b"]]
 NUMBERED = 400  # Fields of a matrix up to which each holds its number.
+PRINTED = 6  # FRFs that stand on paper unless a reader selects others.
 MOST_LINES = 6000  # Frequency lines of a curve; of more the peaks are kept.
 
 
@@ -106,6 +107,7 @@ def frf_plot(measured: FRF, fitted: Predicts | None, name: str = "fitted", capti
         caption=" ".join([caption or "Measured FRF, fitted model, and their difference.", *notes]),
         description=f"Magnitude and phase of the measured FRFs with the {name} model over frequency.",
         height=520,
+        on_paper=sorted(shown.index(pair) for pair in pairs[:PRINTED] if pair in shown),
     )
 
 
@@ -266,7 +268,8 @@ def shape_plot(shapes: Any, dofs: Sequence[str], frequency_hz: Any, at: str = ""
         fig.update_yaxes(title="Shape [-]", range=[-1.1, 1.1])
         figures.append((f"{k + 1}: {f:.5g} Hz", fig))
     caption = f"Mode shapes{at}, each scaled to its largest component."
-    return Plot(figures, caption, "Bars of the shape components.", "Mode", height=360, all_on_paper=paper)
+    every, across = range(len(figures)) if paper else (), 2 if len(dofs) <= 40 else 1
+    return Plot(figures, caption, "Bars of the shape components.", "Mode", 360, every, across)
 
 
 def mac_plot(matrix: Any, rows: Sequence[str], columns: Sequence[str], caption: str) -> Plot:
@@ -318,6 +321,7 @@ def residual_plot(freq: Any, maps: Sequence[tuple[str, Any]], rows: Sequence[str
         "Map of the residual energy over frequency and channel.",
         "Prediction",
         height=int(np.clip(170 + 22 * len(rows), 320, 760)),
+        on_paper=range(len(figures)),
     )
 
 
@@ -367,4 +371,5 @@ def comparison_plot(
     caption = "Measured FRF, the simulation, and the extended simulation where there is one."
     if len(order) > len(shown):
         caption += f" The {len(shown)} of {len(order)} channels and runs with the largest errors of the simulation."
-    return Plot(figures, caption, "Magnitude and phase of the measured and simulated FRFs over frequency.", height=520)
+    said = "Magnitude and phase of the measured and simulated FRFs over frequency."
+    return Plot(figures, caption, said, height=520, on_paper=sorted(shown.index(k) for k in order[:PRINTED]))

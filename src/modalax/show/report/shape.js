@@ -14,10 +14,11 @@ function ModalShape(canvas, geometry, colours) {
   const high = [0, 1, 2].map((k) => Math.max(...xyz.map((p) => p[k])));
   const middle = low.map((v, k) => (v + high[k]) / 2);
   const size = Math.max(...high.map((v, k) => v - low[k])) || 1;
+  let ends = [0, 0.92];  // part of the colours that is seen on the ground: no violet on black, no yellow on white
   let shape = null, other = null, playing = false, began = 0, phase = 0, seen = true;
 
   function tint(part) {
-    const at = Math.min(Math.max(part, 0), 1) * (VIRIDIS.length - 1), k = Math.min(Math.floor(at), VIRIDIS.length - 2);
+    const at = (ends[0] + Math.min(Math.max(part, 0), 1) * (ends[1] - ends[0])) * (VIRIDIS.length - 1), k = Math.min(Math.floor(at), VIRIDIS.length - 2);
     const mixed = VIRIDIS[k].map((v, c) => Math.round(v + (at - k) * (VIRIDIS[k + 1][c] - v)));
     return "rgb(" + mixed.join(",") + ")";
   }
@@ -112,6 +113,7 @@ function ModalShape(canvas, geometry, colours) {
       canvas.height = Math.round(height * ratio);
     }
     const pen = canvas.getContext("2d"), c = colours();
+    ends = parseInt(c.ground.slice(1, 3), 16) < 128 ? [0.3, 1] : [0, 0.92];
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
     pen.fillStyle = c.ground;
     pen.fillRect(0, 0, width, height);
