@@ -9,17 +9,13 @@ timed with NumPy. Seconds are wall-clock; the CPU seconds next to them show how 
 
 import argparse
 import json
-import os
-import re
-import subprocess
 import sys
 import tempfile
 import time
-import venv
 from pathlib import Path
 
-THREADS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-PACKAGE = "sdypy-EMA==0.31.0"
+from common import SDYPY, Table, call, machine, one_core, peak, python_of
+
 CASES = {"5 x 1 x 501": (5, 5, 501, 70.0, 60), "458 x 1 x 3000": (458, 42, 3000, 300.0, 120)}
 CASES["458 x 1 x 3000 "] = (458, 42, 3000, 300.0, 200)
 
@@ -42,12 +38,6 @@ print(json.dumps({"times": times, "peak": peak(),
     "frequency": max(abs(f[k] / t - 1) for k, t in zip(near, given["true"])),
     "damping": max(abs(z[k] / t - 1) for k, t in zip(near, given["zeta"]))}))
 """
-
-
-def peak() -> float:
-    """Largest memory of this process so far [MB], which Linux counts from its own start, not from its parent's."""
-    found = re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text())
-    return int(found[1]) / 1024 if found else float("nan")
 
 
 def write_case(name: str, path: Path) -> None:
@@ -121,26 +111,10 @@ def floor(path: str, degree: int) -> dict:
     return {"moments": moments, "products": products, "eigenvalues": time.perf_counter() - began}
 
 
-def peer_python() -> Path:
-    """A virtual environment with the peer in it, kept for the next run."""
-    home = Path(tempfile.gettempdir()) / "modalax-benchmark-sdypy"
-    python = home / "bin" / "python"
-    if not python.exists():
-        venv.create(home, with_pip=True)
-        subprocess.run([python, "-m", "pip", "install", "-q", PACKAGE], check=True)
-    return python
-
-
-def call(command: list[str]) -> dict:
-    """Run and read the last line of the output."""
-    kept = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"}  # cold is cold
-    done = subprocess.run(command, env={**kept, **THREADS}, check=True, capture_output=True, text=True)
-    return json.loads(done.stdout.strip().splitlines()[-1])
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--csv", help="file for the table")
     parser.add_argument("--part", nargs=4, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.part:
@@ -149,12 +123,11 @@ def main() -> None:
         sides |= {w: lambda w=w: own(path, int(degree), int(repeats), w == "real") for w in ("real", "complex")}
         print(json.dumps(sides[what]()))
         return
-    python = peer_python()
-    if hasattr(os, "sched_setaffinity"):  # one core a side, whatever pools the libraries keep
-        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-    print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
+    python = python_of("sdypy", [SDYPY])
+    one_core()
+    print(machine() + "\n")
     head = ("case", "degree", "side", "cold [s]", "warm [s]", "warm CPU [s]", "memory [MB]", "frequency", "damping")
-    print("| " + " | ".join(head) + " |\n" + "| --- " * len(head) + "|", flush=True)
+    table = Table(head, args.csv)
     with tempfile.TemporaryDirectory() as folder:
         for name, (*_, degree) in CASES.items():
             path, script = str(Path(folder) / "case.npz"), Path(folder) / "peer.py"
@@ -167,14 +140,13 @@ def main() -> None:
                 r = call(command)
                 cold, warm = r["times"][0][0], min(t[0] for t in r["times"][1:])
                 cpu = min(t[1] for t in r["times"][1:])
-                print(
-                    f"| {name.strip()} | {degree} | {side} | {cold:.2f} | {warm:.3f} | {cpu:.3f} | {r['peak']:.0f} | "
-                    f"{r['frequency']:.0e} | {r['damping']:.0e} |",
-                    flush=True,
-                )
+                table.add(
+                    name.strip(), degree, side, f"{cold:.2f}", f"{warm:.3f}", f"{cpu:.3f}", f"{r['peak']:.0f}",
+                    f"{r['frequency']:.0e}", f"{r['damping']:.0e}",
+                )  # fmt: skip
             low = call([*me, "floor", path, str(degree), "0"])
             parts = ", ".join(f"{k} {v:.3f}" for k, v in low.items())
-            print(f"| {name.strip()} | {degree} | floor: {parts} | | {sum(low.values()):.3f} | | | | |", flush=True)
+            table.add(name.strip(), degree, f"floor: {parts}", "", f"{sum(low.values()):.3f}", "", "", "", "")
 
 
 if __name__ == "__main__":

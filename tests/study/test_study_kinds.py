@@ -16,7 +16,7 @@ from modalax.study.fits import matched
 from modalax.study.power import judged, with_effect
 from modalax.study.settings import checked
 from modalax.study.system import response
-from modalax.study.work import Quantity, Work
+from modalax.study.work import Quantity, Work, draws_of
 
 SYSTEM = {"simulation": "five_dof", "band": [20, 70], "step": 0.5, "noise": 0.002, "inputs": ["1"]}
 TRUE_HZ = np.array([26.06, 36.84, 51.47, 56.21, 62.60])
@@ -32,11 +32,19 @@ def drawn(seed: int, index: int):
     return clean.add_noise(jax.random.fold_in(jax.random.key(seed), index), SYSTEM["noise"])
 
 
+def noisy(seed: int, index: int):
+    """The FRFs of one draw of a study without refinement."""
+    clean = response(five_dof(), checked({"kind": "noise", "draws": 1, "system": SYSTEM})["system"]).frf
+    sigma = np.sqrt(np.asarray(clean.add_noise(jax.random.key(0), SYSTEM["noise"]).variance) / 2)
+    real, imag = draws_of(seed, index).standard_normal((2, clean.H[0].size, len(clean.freq)))
+    return clean.replace(H=clean.H + sigma * (real + 1j * imag).T.reshape(clean.H.shape))
+
+
 def test_many_diagrams_at_once_are_those_of_each_alone(tmp_path):
     found = run(tmp_path, kind="noise", draws=5, seed=4, chunk=3, system=SYSTEM, fit={"refine": False, "order": 16})
     assert found.columns["item"].tolist() == list(range(5))
     for k in (0, 4):
-        alone = select_near(lscf(drawn(4, k), tuple(range(2, 17))), TRUE_HZ)
+        alone = select_near(lscf(noisy(4, k), tuple(range(2, 17))), TRUE_HZ)
         f = np.array([found.columns[f"frequency_hz_{r}"][k] for r in range(1, 6)])
         zeta = np.array([found.columns[f"damping_ratio_{r}"][k] for r in range(1, 6)])
         poles = 2 * np.pi * f * (-zeta + 1j * np.sqrt(1 - zeta**2))

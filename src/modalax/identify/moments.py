@@ -35,14 +35,14 @@ def factor_from_moments(
     w2 = weight**2
     ahead = powers(u, top + 1)
     span = jnp.concatenate([ahead[:, :0:-1].conj(), ahead], axis=1)  # |u| = 1: negative powers are conjugates
-    gram = _toeplitz(w2 @ span, numerator + 1, numerator + 1, top)
-    whiten = _inverse_root(gram.real if real else gram)
+    gram = toeplitz(w2 @ span, numerator + 1, numerator + 1, top)
+    whiten = inverse_root(gram.real if real else gram)
     c = jnp.einsum("fri,fd->rid", H * w2[:, None, None], span)
     # Powers of a column minus powers of a row: entry (j, k) has the moment k - j.
-    blocks = lambda r: jnp.stack([_toeplitz(c[r, i], numerator + 1, order + 1, top) for i in range(size)], 2)
+    blocks = lambda r: jnp.stack([toeplitz(c[r, i], numerator + 1, order + 1, top) for i in range(size)], 2)
     second = jnp.einsum("fri,frj,fd->ijd", (H * w2[:, None, None]).conj(), H, span)
     total = jnp.stack(
-        [jnp.stack([_toeplitz(second[i, j], order + 1, order + 1, top) for j in range(size)], 2) for i in range(size)],
+        [jnp.stack([toeplitz(second[i, j], order + 1, order + 1, top) for j in range(size)], 2) for i in range(size)],
         1,
     )
     G = total.reshape(order + 1, size, order + 1, size).reshape(m, m)
@@ -66,12 +66,13 @@ def factor_from_moments(
     return jnp.linalg.cholesky((G + G.conj().T) / 2 + floor * jnp.eye(m)).conj().T
 
 
-def _toeplitz(moments: Array, rows: int, columns: int, top: int) -> Array:
+def toeplitz(moments: Array, rows: int, columns: int, top: int) -> Array:
+    """Matrix whose entry ``(j, k)`` is moment ``k - j``; ``moments`` runs from ``-top`` to ``top``."""
     index = jnp.arange(columns)[None, :] - jnp.arange(rows)[:, None] + top
     return moments[index]
 
 
-def _inverse_root(gram: Array) -> Array:
+def inverse_root(gram: Array) -> Array:
     """``W`` with ``W^H W`` the inverse of the Gram matrix on the directions that the arc can see."""
     values, vectors = jnp.linalg.eigh(gram)
     seen = values > CUT * values[-1]

@@ -14,12 +14,15 @@ import numpy as np
 from jaxtyping import Array
 
 from modalax.identify import lscf, plscf
+from modalax.identify.many import LEAST, many_poles
+from modalax.identify.tables import PoleTable
 from modalax.study.fits import columns, reach
 from modalax.study.near import near
-from modalax.study.work import Row, Work, chunk_for
+from modalax.study.work import Row, Work, chunk_for, draws_of
 
 ORDER = 20  # highest order of the diagrams where none is given
 LARGEST = 512  # most diagrams in a chunk, so that progress shows and little is lost
+BLOCK = 128  # diagrams computed at once, whose roots fit a processor's cache
 COPIES = 8  # arrays of the size of the FRFs, and of the matrices of all orders, that are held at once
 
 
@@ -60,38 +63,61 @@ class BatchWork(Work):
             np.sqrt(np.asarray(noisy.variance)), poles, method, order, **common,
         )  # fmt: skip
 
+    @property
+    def squared(self) -> bool:
+        """Whether the noise is large enough for the moments, which square it."""
+        size = np.sqrt(np.mean(np.abs(np.asarray(self.frf.H)) ** 2))
+        return self.method == "lscf" and float(np.sqrt(np.mean(self.sigma**2))) > LEAST * float(size)
+
     def rows(self, k: int) -> list[Row]:
-        """The rows of chunk ``k``; the last chunk is filled up with draws that are left out, to compile nothing new."""
+        """The rows of chunk ``k``; its last block is filled up with draws that are left out, to compile nothing new."""
         items = self.items(k)
-        numbers = jnp.arange(k * self.chunk, (k + 1) * self.chunk)
-        found = _diagrams(
-            self.frf, jnp.asarray(self.sigma), jnp.asarray(self.poles), jnp.asarray(reach(self.poles)), numbers,
-            jax.random.key(self.seed), self.method, self.order,
-        )  # fmt: skip
-        poles, score = (np.asarray(a)[: len(items)] for a in found)
-        return [self._row(i, poles[j], score[j]) for j, i in enumerate(items)]
+        block = min(BLOCK, self.chunk)
+        starts = range(items.start, items.stop, block)
+        found = [self._block(range(start, start + block)) for start in starts]
+        poles, score = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        size = np.abs(poles)
+        told = np.stack([size / (2 * np.pi), -poles.real / size, score], axis=2).reshape(len(poles), -1).tolist()
+        modes = np.isfinite(poles).sum(axis=1).tolist()
+        names = [n for r in range(1, len(self.poles) + 1) for n in (*columns(r)[:2], f"stability_{r}")]
+        return [self._row(i, dict(zip(names, told[j], strict=True)), modes[j]) for j, i in enumerate(items)]
 
-    def _row(self, item: int, poles: np.ndarray, score: np.ndarray) -> Row:
-        row: Row = {"item": item}
-        for r, pole in enumerate(poles, 1):
-            f, z, *_ = columns(r)
-            row |= {f: abs(pole) / (2 * np.pi), z: -pole.real / abs(pole), f"stability_{r}": score[r - 1]}
-        lost = not np.isfinite(poles).any()
-        return row | {
-            "modes_found": int(np.isfinite(poles).sum()), "failed": lost,
-            "reason": "no mode lasts over the orders of the diagram" if lost else "",
-        }  # fmt: skip
+    def _block(self, numbers: range) -> tuple[np.ndarray, np.ndarray]:
+        """Poles and scores of some draws."""
+        clean = np.asarray(self.frf.H)
+        lines = clean.shape[0]
+        noise = np.empty((len(numbers), 2, clean[0].size, lines))
+        for drawn, number in zip(noise, numbers, strict=True):
+            draws_of(self.seed, number).standard_normal(out=drawn)
+        noise *= self.sigma.reshape(lines, -1).T / np.sqrt(2.0)
+        rows = clean.reshape(lines, -1).T
+        noise += np.stack([rows.real, rows.imag])
+        modes = jnp.asarray(self.poles), jnp.asarray(reach(self.poles))
+        if self.squared:
+            poles, valid = many_poles(np.asarray(self.frf.omega), noise, self.order)
+            found = _nearest(poles, jnp.asarray(valid), self.frf.added_decay, *modes)
+        else:
+            found = _diagrams(self.frf, jnp.asarray(noise), *modes, self.method, self.order)
+        return np.asarray(found[0]), np.asarray(found[1])
+
+    def _row(self, item: int, told: Row, modes: int) -> Row:
+        reason = "" if modes else "no mode lasts over the orders of the diagram"
+        return {"item": item, **told, "modes_found": modes, "failed": not modes, "reason": reason}
 
 
-@partial(jax.jit, static_argnums=(6, 7))
-def _diagrams(
-    frf: Any, sigma: Array, poles: Array, within: Array, numbers: Array, key: Any, method: str, order: int
-) -> tuple[Array, Array]:
+@jax.jit
+def _nearest(found: Array, valid: Array, decay: Array, poles: Array, within: Array) -> tuple[Array, Array]:
+    orders = tuple(range(2, found.shape[1] + 2))
+    found = jnp.where(valid, found + decay, found)
+    return jax.vmap(lambda table: near(PoleTable(table, valid, None, orders, "lscf"), poles, within))(found)
+
+
+@partial(jax.jit, static_argnums=(4, 5))
+def _diagrams(frf: Any, H: Array, poles: Array, within: Array, method: str, order: int) -> tuple[Array, Array]:
     estimate = {"lscf": lscf, "plscf": plscf}[method]
 
-    def one(number: Array) -> tuple[Array, Array]:
-        real, imag = jax.random.normal(jax.random.fold_in(key, number), (2, *frf.H.shape))
-        noisy = frf.replace(H=frf.H + sigma * (real + 1j * imag) / jnp.sqrt(2.0))
+    def one(rows: Array) -> tuple[Array, Array]:
+        noisy = frf.replace(H=(rows[0] + 1j * rows[1]).T.reshape(frf.H.shape))
         return near(estimate(noisy, tuple(range(2, order + 1))), poles, within)
 
-    return jax.vmap(one)(numbers)
+    return jax.vmap(one)(H)

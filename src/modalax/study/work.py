@@ -101,6 +101,11 @@ def key_of(seed: int, index: Any) -> Any:
     return jax.random.fold_in(jax.random.key(seed), index)
 
 
+def draws_of(seed: int, index: int) -> np.random.Generator:
+    """Random numbers of one draw, a stream of its own for each seed and number."""
+    return np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=(index,))))
+
+
 def chunk_for(count: int, wanted: int | None, most: int) -> int:
     """Draws in a chunk: as asked for, or at most ``most`` and at least ``CHUNKS`` chunks where there are enough."""
     return min(count, wanted or max(1, min(most, -(-count // CHUNKS))))
