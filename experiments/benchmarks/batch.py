@@ -95,7 +95,7 @@ def own(draws: int, order: int, refine: bool) -> dict:
 
 def errors(values: list[float]) -> str:
     """Median errors of the five dampings [%]."""
-    return ", ".join(f"{v:+.1f}" for v in values)
+    return ", ".join("none" if v != v else f"{v:+.1f}" for v in values)
 
 
 def main() -> None:

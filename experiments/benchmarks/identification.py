@@ -1,14 +1,16 @@
-"""Poles beside sdypy-EMA in one run: ``python experiments/benchmarks/identification.py``.
+"""Poles beside four peers in one run: ``python experiments/benchmarks/identification.py``.
 
 LSCF with real coefficients, every even degree up to the highest, on 5 outputs x 1 input x 501 lines (5 modes, to degree
-60) and on 458 x 1 x 3000 (42 modes, to degrees 120 and 200), without noise. The peer runs in a virtual environment that
-this script makes. Both sides run in processes of their own on one core, cold once (nothing compiled before) and then
-warm; the least warm time counts. Beside them the floor: the matrix products and eigenvalues without which no LSCF does,
-timed with NumPy. Seconds are wall-clock; the CPU seconds next to them show how much other work was in the way.
+60) and on 458 x 1 x 3000 (42 modes, to degrees 120 and 200), without noise. Each peer runs in a virtual environment
+that this script makes. All sides run in processes of their own on one core, cold once (nothing compiled before) and
+then warm; the least warm time counts. Beside them the floor: the matrix products and eigenvalues without which no LSCF
+does, timed with NumPy. Seconds are wall-clock; the CPU seconds next to them show how much other work was in the way.
+The peers' cold times hold what they import.
 """
 
 import argparse
 import json
+import subprocess
 import sys
 import tempfile
 import time
@@ -19,25 +21,12 @@ from common import SDYPY, Table, call, machine, one_core, peak, python_of
 CASES = {"5 x 1 x 501": (5, 5, 501, 70.0, 60), "458 x 1 x 3000": (458, 42, 3000, 300.0, 120)}
 CASES["458 x 1 x 3000 "] = (458, 42, 3000, 300.0, 200)
 
-PEER = """
-import json, re, sys, time
-import numpy as np
-from sdypy import EMA
-peak = lambda: int(re.search(r"VmHWM:\\s+(\\d+)", open("/proc/self/status").read())[1]) / 1024
-given, degree, repeats = np.load(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
-times = []
-for _ in range(repeats + 1):
-    began = time.perf_counter(), time.process_time()
-    model = EMA.Model(given["H"], given["freq"], lower=float(given["freq"][1]), upper=float(given["freq"][-1]),
-                      pol_order_high=degree // 2, frf_form="receptance")
-    model.get_poles(method="lscf", show_progress=False)
-    times.append((time.perf_counter() - began[0], time.process_time() - began[1]))
-f, z = model.pole_freq[-1], model.pole_xi[-1]
-near = [int(np.argmin(abs(f - t))) for t in given["true"]]
-print(json.dumps({"times": times, "peak": peak(),
-    "frequency": max(abs(f[k] / t - 1) for k, t in zip(near, given["true"])),
-    "damping": max(abs(z[k] / t - 1) for k, t in zip(near, given["zeta"]))}))
-"""
+PEERS = {
+    "sdypy": ("sdypy-EMA 0.31", [SDYPY]),
+    "sdynpy": ("SDynPy 0.23", ["sdynpy==0.23.0"]),
+    "pyfbs": ("pyFBS 1.0.7", ["pyFBS==1.0.7"]),
+    "pyoma2": ("pyOMA2 1.4.3, its function for spectra", ["pyOMA-2==1.4.3"]),
+}
 
 
 def write_case(name: str, path: Path) -> None:
@@ -114,6 +103,8 @@ def floor(path: str, degree: int) -> dict:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--peers", nargs="*", default=list(PEERS), choices=PEERS)
+    parser.add_argument("--limit", type=float, default=900.0, help="seconds after which a side is given up")
     parser.add_argument("--csv", help="file for the table")
     parser.add_argument("--part", nargs=4, help=argparse.SUPPRESS)
     args = parser.parse_args()
@@ -123,30 +114,39 @@ def main() -> None:
         sides |= {w: lambda w=w: own(path, int(degree), int(repeats), w == "real") for w in ("real", "complex")}
         print(json.dumps(sides[what]()))
         return
-    python = python_of("sdypy", [SDYPY])
+    pythons = {peer: python_of(peer, PEERS[peer][1]) for peer in args.peers}
     one_core()
     print(machine() + "\n")
-    head = ("case", "degree", "side", "cold [s]", "warm [s]", "warm CPU [s]", "memory [MB]", "frequency", "damping")
-    table = Table(head, args.csv)
+    head = ("case", "degree", "side", "cold [s]", "compile [s]", "warm [s]", "warm CPU [s]", "memory [MB]")
+    table = Table((*head, "frequency", "damping"), args.csv)
+    me, script = [sys.executable, __file__, "--part"], Path(__file__).with_name("identification_peer.py")
     with tempfile.TemporaryDirectory() as folder:
         for name, (*_, degree) in CASES.items():
-            path, script = str(Path(folder) / "case.npz"), Path(folder) / "peer.py"
-            write_case(name, Path(path))
-            script.write_text(PEER, encoding="utf-8")
-            me = [sys.executable, __file__, "--part"]
-            sides = {"sdypy-EMA": [str(python), str(script), path, str(degree), str(args.repeats)]}
-            sides |= {f"modalax, {w}": [*me, w, path, str(degree), str(args.repeats)] for w in ("real", "complex")}
+            path = Path(folder) / "case.npz"
+            write_case(name, path)
+            given = [path, degree, args.repeats]
+            sides = {PEERS[peer][0]: [python, script, peer, *given] for peer, python in pythons.items()}
+            sides |= {f"modalax, {w}": [*me, w, *given] for w in ("real", "complex")}
             for side, command in sides.items():
-                r = call(command)
-                cold, warm = r["times"][0][0], min(t[0] for t in r["times"][1:])
-                cpu = min(t[1] for t in r["times"][1:])
+                case = name.strip(), degree, side
+                try:
+                    r = call(command, args.limit)
+                except subprocess.TimeoutExpired:
+                    table.add(*case, f"not done in {args.limit:.0f}", *[""] * 6)
+                    continue
+                except RuntimeError as error:
+                    table.add(*case, f"fails: {error}", *[""] * 6)
+                    continue
+                warm = r["times"][1:] or r["times"]
+                cold, least = r["times"][0][0], min(t[0] for t in warm)
+                compiled = f"{cold - least:.2f}" if side.startswith("modalax") else ""
                 table.add(
-                    name.strip(), degree, side, f"{cold:.2f}", f"{warm:.3f}", f"{cpu:.3f}", f"{r['peak']:.0f}",
-                    f"{r['frequency']:.0e}", f"{r['damping']:.0e}",
+                    *case, f"{cold:.2f}", compiled, f"{least:.3f}", f"{min(t[1] for t in warm):.3f}",
+                    f"{r['peak']:.0f}", f"{r['frequency']:.0e}", f"{r['damping']:.0e}",
                 )  # fmt: skip
-            low = call([*me, "floor", path, str(degree), "0"])
+            low = call([*me, "floor", path, degree, 0])
             parts = ", ".join(f"{k} {v:.3f}" for k, v in low.items())
-            table.add(name.strip(), degree, f"floor: {parts}", "", f"{sum(low.values()):.3f}", "", "", "", "")
+            table.add(name.strip(), degree, f"floor: {parts}", "", "", f"{sum(low.values()):.3f}", "", "", "", "")
 
 
 if __name__ == "__main__":
