@@ -129,10 +129,10 @@ def _roots(A: Complex[Array, "k order draw"], low: int) -> Complex[Array, "root 
     late = np.flatnonzero(~(np.asarray(step) <= STILL))
     if not late.size:
         return found
-    found, A = np.array(found), np.asarray(A)
+    settled, lower = np.array(found), np.asarray(A)
     for k, n in enumerate(orders):
-        found[:n, k, late] = companion_roots(A[:n, k, late].T).T
-    return jnp.asarray(found)
+        settled[:n, k, late] = companion_roots(lower[:n, k, late].T).T
+    return jnp.asarray(settled)
 
 
 def companion_roots(a: Inexact[np.ndarray, "draw n"]) -> Complex[np.ndarray, "draw n"]:
