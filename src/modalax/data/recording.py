@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Real
 
 from modalax._numerics.checks import require_finite
 
@@ -61,7 +61,7 @@ class Recording:
         Number of each channel in its file, from 1; time columns count, so these may begin at 2.
     """
 
-    data: Float[np.ndarray, "segment t channel"]
+    data: Real[np.ndarray, "segment t channel"]
     fs: float
     channels: tuple[str, ...]
     units: tuple[str, ...]
@@ -77,6 +77,10 @@ class Recording:
         if not (np.isfinite(self.fs) and self.fs > 0):
             raise ValueError(f"the sampling rate is {self.fs:g} Hz; it must be positive")
         require_finite(self.data, "the records")
+
+    def whole(self) -> "Recording":
+        """The recording with all samples in memory."""
+        return self
 
     def listed(self) -> str:
         """The channels in words: number, name, unit."""
@@ -159,6 +163,7 @@ def joined(recordings: Sequence[Recording]) -> Recording:
     ValueError
         If rates, channels or units differ.
     """
+    recordings = [r.whole() for r in recordings]
     first = recordings[0]
     for k, other in enumerate(recordings[1:], start=2):
         if (other.fs, other.channels, other.units) != (first.fs, first.channels, first.units):

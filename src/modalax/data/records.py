@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from modalax._numerics.checks import as_double, is_traced, require_finite
 from modalax.data.frf import FRF, band_slice
@@ -99,21 +99,32 @@ def frf_from_records(
     force, response = _record(force, "force"), _record(response, "response")
     if len(force) != len(response):
         raise ValueError(f"force has {len(force)} samples and response {len(response)}; they need the same clock")
-    samples = round(block * fs)
-    if not 0 <= overlap < 1 or not 3 <= samples <= len(force):
-        raise ValueError(
-            f"blocks of {samples} samples with overlap {overlap:g} from a record of {len(force)}; a block needs at "
-            "least 3 samples, no more than the record, and an overlap of at least 0 and below 1"
-        )
-    step = max(1, round(samples * (1 - overlap)))
-    starts = np.arange(0, len(force) - samples + 1, step)
+    samples, starts, step = welch_starts(len(force), fs, block, overlap)
     blocks = lambda a: a[starts[:, None] + np.arange(samples)]
     factors = taper(window, samples)
     averages = effective_averages(factors, step, len(starts))
     still = lambda a: a - a.mean(axis=1, keepdims=True)
     averaged = spectra(still(blocks(force)), still(blocks(response)), float(fs), jnp.asarray(factors), averages)
     lines = spectral_lines(samples, fs)
-    return _as_frf(averaged, lines, estimator, unit, band, level=level, outputs=outputs, inputs=inputs)
+    return frf_of_spectra(averaged, lines, estimator, unit, band, level=level, outputs=outputs, inputs=inputs)
+
+
+def welch_starts(length: int, fs: float, block: float, overlap: float) -> tuple[int, Int[np.ndarray, " m"], int]:
+    """Samples of a block, where each block of a record begins, and the step from one to the next.
+
+    Raises
+    ------
+    ValueError
+        If the record is shorter than a block, or block or overlap make no sense.
+    """
+    samples = round(block * fs)
+    if not 0 <= overlap < 1 or not 3 <= samples <= length:
+        raise ValueError(
+            f"blocks of {samples} samples with overlap {overlap:g} from a record of {length}; a block needs at "
+            "least 3 samples, no more than the record, and an overlap of at least 0 and below 1"
+        )
+    step = max(1, round(samples * (1 - overlap)))
+    return samples, np.arange(0, length - samples + 1, step), step
 
 
 def frf_from_blocks(
@@ -174,7 +185,7 @@ def frf_from_blocks(
     factors = factors * exponential_window(samples, fs, decay)
     averaged = spectra(force, response, float(fs), factors, float(count))
     lines = spectral_lines(samples, fs)
-    return _as_frf(
+    return frf_of_spectra(
         averaged, lines, estimator, unit, band, level=level, outputs=outputs, inputs=inputs, added_decay=decay
     )  # fmt: skip
 
@@ -281,6 +292,19 @@ def average_frfs(frfs: Sequence[FRF]) -> FRF:
     return first.replace(H=mean, variance=variance, coherence=None, averages=len(frfs))
 
 
+def pooled_frfs(parts: Sequence[FRF]) -> FRF:
+    """The mean FRF over records, with its variance from the variance of each."""
+    if len(parts) == 1:
+        return parts[0]
+    mean = lambda name: np.mean([np.asarray(getattr(p, name)) for p in parts], axis=0)
+    known = all(p.variance is not None for p in parts)
+    return parts[0].replace(
+        H=mean("H"), variance=mean("variance") / len(parts) if known else None,
+        coherence=mean("coherence") if known else None,
+        averages=sum(p.averages or 0 for p in parts) if known else None,
+    )  # fmt: skip
+
+
 def _record(value: Any, what: str) -> Float[Array, "t c"]:
     record = as_double(value, what)
     if record.ndim not in (1, 2):
@@ -289,7 +313,7 @@ def _record(value: Any, what: str) -> Float[Array, "t c"]:
     return record[:, None] if record.ndim == 1 else record
 
 
-def _as_frf(
+def frf_of_spectra(
     s: Spectra,
     freq: Float[np.ndarray, " f"],
     estimator: str,

@@ -13,9 +13,11 @@ from modalax.data.frf import FRF
 from modalax.data.hits import Hits, clipped_samples, contacts, find_hits, good_hits
 from modalax.data.multisine import cut_periods
 from modalax.data.recording import Channels, Recording, channels_of
-from modalax.data.records import frf_from_blocks, frf_from_records
+from modalax.data.records import frf_from_blocks, frf_from_records, pooled_frfs
+from modalax.data.streaming import HEAD, Streamed, frfs_of_stream
 from modalax.data.windows import decay_to, force_window
 
+MOST = 2**16  # samples of a block of records that are streamed, where none is given
 RINGING = 0.02  # share of its largest value above which a response at the end of a block has not died away
 
 
@@ -99,14 +101,17 @@ def frf_from_recording(
         If no force channel is found, no hit or period can be used, or the numbers of names and channels differ.
     """
     how = replace(how or Reduction(), **choices)
+    if isinstance(recording, Streamed):
+        found = _of_stream(recording, (force, response, unit), outputs, inputs, how)
+        if found is not None:
+            return found
+        recording = recording.whole()
     channels = channels_of(recording, force, response, unit)
-    channels = channels._replace(outputs=_named(outputs, channels.outputs, "outputs"))
     if how.kind not in (None, *KINDS):
         raise ValueError(f"kind is {how.kind!r}; it must be one of {', '.join(KINDS)}")
+    channels = _renamed(channels, outputs, None if how.roving else inputs)
     if how.roving:
         how = replace(how, kind="hits")
-    else:
-        channels = channels._replace(inputs=_named(inputs, channels.inputs, "inputs"))
     found = excitation_of(channels.force[:, :, 0]) if how.kind is None else Excitation(how.kind, "", 0)
     if how.kind is None:
         warnings.warn(f"taken as {found.kind}: {found.why}", stacklevel=2)
@@ -147,6 +152,32 @@ def common_lines(frfs: Sequence[FRF]) -> list[FRF]:
             stacklevel=2,
         )
     return [f.lines(among(shared, a)).replace(freq=shared) for f, a in zip(frfs, axes, strict=True)]
+
+
+def _of_stream(
+    recording: Streamed, asked: tuple, outputs: Sequence[str] | None, inputs: Sequence[str] | None, how: Reduction
+) -> FRF | None:
+    """The FRF of records that stay in their file if their excitation is random, which can be read piece by piece."""
+    if how.roving or how.kind not in (None, "random"):
+        return None
+    head = channels_of(recording.piece(0, min(HEAD, recording.data.shape[1])), *asked)
+    found = excitation_of(head.force[:, :, 0])
+    if how.kind is None and found.kind != "random":
+        return None
+    if how.kind is None:
+        warnings.warn(f"taken as random: {found.why}", stacklevel=3)
+    block = how.block or _block_of(recording.data.shape[1], recording.fs, MOST)
+    parts = frfs_of_stream(
+        recording, asked, _renamed(head, outputs, inputs), block=block, overlap=how.overlap, window=how.window,
+        estimator=how.estimator, band=how.band,
+    )  # fmt: skip
+    return pooled_frfs(parts)
+
+
+def _renamed(channels: Channels, outputs: Sequence[str] | None, inputs: Sequence[str] | None) -> Channels:
+    return channels._replace(
+        outputs=_named(outputs, channels.outputs, "outputs"), inputs=_named(inputs, channels.inputs, "inputs")
+    )
 
 
 def _named(given: Sequence[str] | None, own: list[str], what: str) -> list[str]:
@@ -343,12 +374,7 @@ def _from_blocks(channels: Channels, fs: float, how: Reduction, kind: str) -> FR
 
 
 def _from_random(channels: Channels, fs: float, how: Reduction) -> FRF:
-    length = channels.force.shape[1]
-    block = how.block
-    if block is None:
-        samples = max(16, min(length, 2 ** int(np.log2(max(length / 12, 16)))))
-        block = samples / fs
-        warnings.warn(f"blocks of {block:g} s ({1 / block:.3g} Hz between lines)", stacklevel=4)
+    block = how.block or _block_of(channels.force.shape[1], fs)
     parts = [
         frf_from_records(
             f, x, fs, unit=channels.unit, block=block, overlap=how.overlap, window=how.window,
@@ -356,15 +382,12 @@ def _from_random(channels: Channels, fs: float, how: Reduction) -> FRF:
         )
         for f, x in zip(channels.force, channels.response, strict=True)
     ]  # fmt: skip
-    return parts[0] if len(parts) == 1 else _pooled(parts)
+    return pooled_frfs(parts)
 
 
-def _pooled(parts: list[FRF]) -> FRF:
-    """The mean FRF over records, with its variance from the variance of each."""
-    mean = lambda name: np.mean([np.asarray(getattr(p, name)) for p in parts], axis=0)
-    known = all(p.variance is not None for p in parts)
-    return parts[0].replace(
-        H=mean("H"), variance=mean("variance") / len(parts) if known else None,
-        coherence=mean("coherence") if known else None,
-        averages=sum(p.averages or 0 for p in parts) if known else None,
-    )  # fmt: skip
+def _block_of(length: int, fs: float, most: int | None = None) -> float:
+    """Length of a block [s] where none is given: a twelfth of the record."""
+    samples = max(16, min(length, most or length, 2 ** int(np.log2(max(length / 12, 16)))))
+    block = samples / fs
+    warnings.warn(f"blocks of {block:g} s ({1 / block:.3g} Hz between lines)", stacklevel=4)
+    return block

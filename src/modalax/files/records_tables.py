@@ -8,11 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from modalax.data.recording import Recording, rate_of
+from modalax.data.streaming import HEAD, Streamed
 from modalax.files.guard import reading
 from modalax.files.lines import LONGEST_LINE, lines_of, table_of
 from modalax.files.npz import check_header
 
 MOST_HEADINGS = 10_000
+STREAMED = 2**28  # bytes above which an array stays in its file and is read piece by piece
 _TIME = re.compile(r"^\s*(t|time|zeit|temps)\b", re.IGNORECASE)
 _UNIT = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]*)[\])]\s*$")
 
@@ -75,8 +77,25 @@ def read_npy(path: Path, fs: float | None) -> Recording:
     with reading("the .npy file"), path.open("rb") as file:
         check_header(file, path.stat().st_size, "the .npy file")
         file.seek(0)
+        if path.stat().st_size > STREAMED:
+            return streamed(np.load(path, mmap_mode="r"), fs)
         value = np.lib.format.read_array(file, allow_pickle=False)
     return from_array(value, fs, "")
+
+
+def streamed(value: np.ndarray, fs: float | None) -> Recording:
+    """A recording whose samples stay in their file; names, rate and what is time are told from its beginning.
+
+    Raises
+    ------
+    ValueError
+        As of :func:`from_array`.
+    """
+    long = np.moveaxis(value, int(np.argmax(value.shape)), -1) if value.ndim else value
+    head = from_array(np.array(long[..., :HEAD]), fs, "")
+    rows = long if long.ndim == 3 else np.atleast_2d(long)[None]
+    keep = slice(head.numbers[0] - 1, None)  # only a first column can be time here
+    return Streamed(rows[:, keep].transpose(0, 2, 1), head.fs, head.channels, head.units, head.numbers)
 
 
 def from_array(value: np.ndarray, fs: float | None, name: str) -> Recording:
