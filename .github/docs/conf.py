@@ -5,8 +5,12 @@ and checks; the other pages are Markdown.
 """
 
 import os
+import re
 import runpy
 from pathlib import Path
+
+import latex2mathml.converter
+from docutils import nodes
 
 import modalax  # loads nothing of JAX yet
 
@@ -15,9 +19,10 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 (HERE / "causes.md").write_text(runpy.run_path(str(HERE / "causes_table.py"))["page"](), encoding="utf-8")
 
 project, author, release = "modalax", "The modalax authors", modalax.__version__
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["_build"]
 html_theme = "furo"
+html_math_renderer = "mathml"
 html_static_path, html_css_files = ["_static"], ["wide.css"]
 html_title = f"modalax {release}"
 html_show_copyright = False
@@ -52,7 +57,18 @@ def short_types(text):
     return text and text.replace("jaxlib._jax.", "").replace("jaxtyping.", "")
 
 
+def formula(self, node):
+    """A formula as MathML, which browsers draw by themselves: no program, and no network, is needed to read it."""
+    block = isinstance(node, nodes.math_block)
+    text = latex2mathml.converter.convert(node.astext().strip(), display="block" if block else "inline")
+    if unknown := re.search(r"<m[ito]>(\\[a-zA-Z]+)", text):
+        raise SyntaxError(f"{node.source}, line {node.line}: {node.astext()!r}: no MathML for {unknown[1]}")
+    self.body.append(f'<div class="math">{text}</div>' if block else text)
+    raise nodes.SkipNode
+
+
 def setup(app):
     """Called by Sphinx."""
+    app.add_html_math_renderer("mathml", (formula, None), (formula, None))
     app.connect("autodoc-process-docstring", plain_types, priority=900)
     app.connect("autodoc-process-signature", plain_signature)
