@@ -101,6 +101,26 @@ def repeatable(plane: UliegePlane, found: Fit) -> np.ndarray:
     return np.array(alike)
 
 
+def draw_published(found: Fit, path: Path) -> None:
+    """Frequencies and dampings over the published ones, with 95 % intervals."""
+    import matplotlib.pyplot as plt
+
+    assert found.refined is not None
+    mine = pairs(np.asarray(found.model.frequency_hz))
+    rows, columns = np.array(list(mine)), np.array(list(mine.values()))
+    own = np.asarray(found.model.frequency_hz)[columns], 100 * np.asarray(found.model.damping_ratio)[columns]
+    std = np.asarray(found.refined.frequency_std_hz)[columns], 100 * np.asarray(found.refined.damping_std)[columns]
+    fig, axes = plt.subplots(2, 1, figsize=(9, 6), sharex=True, layout="constrained")
+    for ax, k, name in zip(axes, (0, 1), ("Frequency", "Damping"), strict=True):
+        given = PUBLISHED[rows, k]
+        ax.errorbar(rows + 1, 100 * (own[k] / given - 1), 196 * std[k] / given, fmt="o", capsize=3)
+        ax.axhline(0, color="0.5", linewidth=1)
+        ax.set_ylabel(f"{name}, found over published [%]")
+    axes[1].set(xlabel="Published mode", xticks=np.arange(1, 14), xticklabels=[f"{f:.1f} Hz" for f in PUBLISHED[:, 0]])
+    axes[1].tick_params(axis="x", rotation=45)
+    fig.savefig(path, dpi=150)
+
+
 def pictures(plane: UliegePlane, found: Fit, table: np.ndarray, folder: Path) -> None:
     import matplotlib
 
@@ -109,6 +129,7 @@ def pictures(plane: UliegePlane, found: Fit, table: np.ndarray, folder: Path) ->
 
     folder.mkdir(parents=True, exist_ok=True)
     save_fit_pictures(found, folder)
+    draw_published(found, folder / "published.png")
     names = mode_names(found.model.frequency_hz)
     figure = plot_mac(table, columns=names, row_title="Finite-element shape", column_title="Measured mode")
     figure.savefig(folder / "mac_elements.png", dpi=150)

@@ -50,4 +50,15 @@ def test_notebook_is_written_to_be_read(path):
     assert first.cell_type == "markdown" and first.source.startswith("# ")
     assert sum(cell.cell_type == "markdown" for cell in notebook.cells) >= 3
     stored = [output for cell in notebook.cells for output in cell.get("outputs", [])]
-    assert not [output for output in stored if output.output_type == "error"]
+    assert not [output for output in stored if output.output_type == "error" or output.get("name") == "stderr"]
+    codes = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert [cell.execution_count for cell in codes] == list(range(1, len(codes) + 1)), "not stored as run from the top"
+    assert any("image/png" in output.get("data", {}) for output in stored) and notebook.cells[-1].cell_type == "markdown"
+
+
+def test_real_structures_are_told_of():
+    """At least four stories need measured data, and the README leads to each notebook."""
+    measured = [p for p in NOTEBOOKS if needs_measured_data(nbformat.read(p, as_version=4))]
+    assert len(measured) >= 4
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert [p.name for p in NOTEBOOKS if f"(notebooks/{p.name})" not in readme] == []

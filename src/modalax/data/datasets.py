@@ -26,6 +26,9 @@ ORIGIN = {
     "steel_beam": "github.com/alxhslm/ModeLAB at commit 4a27c98 (GPL-3), its beam test gathered in frf.npz",
     "hammer_hits": "github.com/ladisk/pyFRF, its history (MIT), files measurements_1.npy to measurements_5.npy",
     "silverbox": "nonlinearbenchmark.org, Silverbox (Wigren and Schoukens 2013), file SNLS80mV.mat",
+    "f16": "github.com/emckenzie11/F16_Benchmark_Analysis at commit 033c962, a copy of the F-16 benchmark of Noël and "
+    "Schoukens (4TU 2017), the files F16Data_FullMSine_Level1.mat, 3, 5 and 7",
+    "nastran": "github.com/zhaowei0566/mAEWing2 at commit 83a9625 (MIT), its ground vibration test in mAEWing2_gvt",
 }  # fmt: skip
 HASHES = {
     "uliege_plane/frf.npz": "9eaaafa2b6f5089fb0503ea6ddf3f3253e6655d07cb168b95302ec88d416c295",
@@ -40,6 +43,17 @@ HASHES = {
     "hammer_hits/measurements_4.npy": "7a0213bf9feaa5fb22f196536de5a6bce3960dbf74df9759a979977851e78e1c",
     "hammer_hits/measurements_5.npy": "240026cdc9fb024ed2b1a914038ef55afd6c54c50a03e6b5051de4d5e39de097",
     "silverbox/SNLS80mV.mat": "5c7413a52255af0cb4e2f93fb6903beb92b08965ba1e6ad0a6ffedfed8477ed4",
+    "f16/F16Data_FullMSine_Level1.mat": "30e7bec7115a117f1391466c1dce34d05c673054fd1a862c441bd4d45dc19b2b",
+    "f16/F16Data_FullMSine_Level3.mat": "f06fcb7cc0486b50352c1d3a7045617ab24cad8fbe0f282c27baba1c3d139839",
+    "f16/F16Data_FullMSine_Level5.mat": "e92c8a6ad21d5d8af62741baa8dc6b667aa7332d0d8d79115849ba4ff42949b0",
+    "f16/F16Data_FullMSine_Level7.mat": "bd6dedf8bf1aec4dbba40fb2b553592408dbd0043e11c87a6d8c6969086f46a0",
+    "nastran/mAEWing2_gvt/Modes_GVT_huggin_v3.mat": "a567ca50357354185c8fca95598ca6119e70b819ef6a9357633dd2f3454f53db",
+    "nastran/mAEWing2_gvt/mAEWing2_Full_GVT_accelero_v2.dat": (
+        "a775b57b46beb948b869b3744f8f52020d0e2daa7ec6f2b876cba1e08b9c91d6"
+    ),
+    "nastran/mAEWing2_gvt/sol103_maewing2_fullmodel_gvt_setup_check_updatedgrid_initial_4MAC.pch": (
+        "8e5cc98dcc83512ddd9d3377d8516181fedcb16f49198a75877c95236e1e8176"
+    ),
 }
 
 

@@ -137,7 +137,7 @@ def mpc(shapes: Any) -> Float[Array, " n"]:
 
 @jax.jit
 def mean_phase(shapes: Any) -> Float[Array, " n"]:
-    r"""Phase :math:`\theta = \frac12\operatorname{arg}(\psi^T\psi)` [rad] of the line through 0 nearest to the components.
+    r"""Phase :math:`\theta = \frac12\mathrm{arg}(\psi^T\psi)` [rad] of the line through 0 nearest to the components.
 
     :math:`\psi e^{-j\theta}` has the largest real part that a turn can give. It is known up to half a turn and lies
     within :math:`\pm\pi/2`; 0 for a shape with no main phase.
