@@ -64,13 +64,16 @@ def inaccuracy_told(setting: Setting, f: Fit) -> dict[str, Any]:
     inside = np.unique(f.state.pairs)
     inside = inside[c.frequencies[inside] > RIGID * c.frequencies[inside[-1]]]
     nominal = {"K": c.frequencies**2, "M": np.ones(c.size), "C": np.diag(c.damping)}
-    shares = [
+    every = [
         (np.einsum("pkk->kp", p)[inside] / np.maximum(nominal[KINDS[g]][inside, None], 1e-300))
         for g, p in zip(a.groups, a.patterns, strict=True)
     ]
+    names = [g for g in a.groups if g != "rest"]  # which is told as stiffness
+    of = [[j for j, g in enumerate(a.groups) if g == name or (g, name) == ("rest", "stiffness")] for name in names]
+    shares = [np.concatenate([every[j] for j in some], axis=1) for some in of]
     independent = [_independent(share) for share in shares]
     rng = np.random.default_rng(0)
-    seen: list[list[float]] = [[] for _ in a.groups]
+    seen: list[list[float]] = [[] for _ in names]
     for _ in range(DRAWS):
         epsilon = f.epsilon * np.exp(width * rng.standard_normal(len(width)))
         s = np.concatenate([epsilon[group], np.ones(len(f.u))])
@@ -79,15 +82,15 @@ def inaccuracy_told(setting: Setting, f: Fit) -> dict[str, Any]:
         for x in (mean[:, None] + np.linalg.solve(L.T, rng.standard_normal((len(s), BESIDE)))).T:
             sizes = (s * x)[: len(group)]
             for k, share in enumerate(shares):
-                relative = np.where(a.positive, np.expm1(np.minimum(sizes, FARTHEST)), sizes)[group == k]
+                relative = np.where(a.positive, np.expm1(np.minimum(sizes, FARTHEST)), sizes)[np.isin(group, of[k])]
                 off = np.log1p(np.maximum(share @ relative, -0.9))
                 seen[k].append(float(np.sqrt(np.mean(off**2))))
     told = {}
-    for k, name in enumerate(a.groups):
+    for k, name in enumerate(names):
         middle = np.median(seen[k])
         few = rng.chisquare(independent[k], (len(seen[k]), BESIDE)) / independent[k]
         low, high = np.quantile(np.array(seen[k])[:, None] / np.sqrt(few), (0.025, 0.975))
-        if _may_be_none(setting, f, k, gram, right):
+        if _may_be_none(setting, f, of[k], gram, right):
             low = 0.0
         told[name] = {"value": float(middle), "interval": [float(low), float(high)]}
     return told
@@ -99,10 +102,10 @@ def _independent(share: np.ndarray) -> float:
     return max(1.0, float(np.trace(S) ** 2 / max(np.sum(S**2), 1e-300)))
 
 
-def _may_be_none(setting: Setting, f: Fit, which: int, gram: np.ndarray, right: np.ndarray) -> bool:
+def _may_be_none(setting: Setting, f: Fit, which: list[int], gram: np.ndarray, right: np.ndarray) -> bool:
     """Whether the data are nearly as likely without one kind of inaccuracy."""
     values = []
-    for size in (f.epsilon[which], NONE):
+    for size in (f.epsilon[which], np.full(len(which), NONE)):
         epsilon = f.epsilon.copy()
         epsilon[which] = size
         s = np.concatenate([epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])

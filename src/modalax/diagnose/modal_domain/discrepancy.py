@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from modalax.diagnose.modal_domain.coordinates import pattern_slopes, slopes_of
+from modalax.diagnose.modal_domain.features import whitener_of
 from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.state import Setting, feature_slopes, slopes_at, whitened
 
@@ -18,15 +19,14 @@ SIZES = (0.0, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)  # relative sizes 
 BESIDE = 8  # modes above the band that those inside may be coupled with
 ON_DIAGONAL = np.sqrt(1.5)  # change of a mode itself, relative to a coupling of two modes
 BLOCK = 100  # patterns at once
+KNOWN = 0.3  # standard deviation of the logarithm of its size once that is learnt
 
 
 def rest_slopes(setting: Setting, f: Fit) -> np.ndarray:
     """Whitened derivatives by all couplings, shape ``(m, p)``."""
     c = setting.coordinates
-    inside = min(c.size, int(f.state.pairs.max(initial=0)) + 3)
-    couples = [(r, s) for r in range(inside) for s in range(r, min(c.size, inside + BESIDE))]
+    couples, scale = _couples(setting, f)
     t = slopes_of(c, f.state.modes, f.state.pairs)
-    scale = np.maximum(c.frequencies, 0.05 * c.frequencies[inside - 1])
     columns = []
     for kind in "KM":
         for start in range(0, len(couples), BLOCK):
@@ -59,7 +59,45 @@ def learnt_rest(setting: Setting, fits: list[Fit], priors: list[float]) -> tuple
     weight = np.exp(found - found.max())
     size = float(np.sqrt((weight * np.array(SIZES) ** 2).sum() / weight.sum()))
     L = np.linalg.cholesky(np.eye(len(chosen)) + size**2 * chosen)
-    return replace(setting, whitener=np.linalg.solve(L, setting.whitener)), size
+    whitener = np.linalg.solve(L, setting.whitener)
+    return replace(setting, whitener=whitener, rest=float(np.hypot(setting.rest, size))), size
+
+
+def told_apart(setting: Setting, f: Fit) -> Setting:
+    """The rest as changes of stiffness that are fitted beside all else, no longer a part of the covariance.
+
+    FRFs hold more than the features of modes: without these changes a fit to lines would bend causes and elements.
+    """
+    a, c = setting.inaccuracy, setting.coordinates
+    couples, scale = _couples(setting, f)
+    patterns = np.zeros((len(couples), c.size, c.size))
+    for k, (r, s) in enumerate(couples):
+        patterns[k, r, s] = patterns[k, s, r] = scale[r] * scale[s] * (ON_DIAGONAL if r == s else 1.0)
+    known = replace(
+        a, groups=(*a.groups, "rest"), patterns=(*a.patterns, patterns), claimed=(*a.claimed, False),
+        usual=np.append(a.usual, np.sqrt(2) * setting.rest), spread=np.append(a.spread, KNOWN),
+        positive=np.append(a.positive, np.zeros(len(couples), bool)),
+    )  # fmt: skip
+    return replace(setting, inaccuracy=known, whitener=whitener_of(setting.features), rest=0.0)
+
+
+def beside(setting: Setting, f: Fit) -> Fit:
+    """A fit of a setting in which the rest was part of the covariance, as a start where it is told apart."""
+    a = setting.inaccuracy
+    sizes = np.append(f.sizes, np.zeros(len(a.group_of) - len(f.sizes)))
+    count = len(a.groups) - len(f.epsilon)
+    return replace(
+        f, sizes=sizes, epsilon=np.append(f.epsilon, a.usual[len(f.epsilon) :]),
+        determined=np.append(f.determined, np.zeros(count)),
+    )  # fmt: skip
+
+
+def _couples(setting: Setting, f: Fit) -> tuple[list[tuple[int, int]], np.ndarray]:
+    """Modes that the rest couples, and the circular frequency that each counts with."""
+    c = setting.coordinates
+    inside = min(c.size, int(f.state.pairs.max(initial=0)) + 3)
+    couples = [(r, s) for r in range(inside) for s in range(r, min(c.size, inside + BESIDE))]
+    return couples, np.maximum(c.frequencies, 0.05 * c.frequencies[inside - 1])
 
 
 def _evidence(covariance: np.ndarray, target: np.ndarray) -> float:

@@ -20,6 +20,8 @@ CLOSE = 0.25  # change of ln frequency that counts as much against a pair of mod
 SMEARED = 0.05  # standard deviation of ln frequency beyond which a mode is too uncertain to compare
 FLAT = 1e-4  # square of the part along the measured residues below which its phase says nothing
 
+ALIKE = 1e-12  # least variance of a combination of features, relative to that of each
+UNKNOWN = 1e-9  # least information of a combination of poles, relative to that of one
 INVISIBLE = 1e-100  # size of residues, over their uncertainty, of a mode that no channel sees
 
 # Standard deviation of ln size beyond which a mode is too weak: its shape is no longer linear in its errors.
@@ -83,6 +85,13 @@ def chosen(f: Features, which: np.ndarray) -> Features:
     )  # fmt: skip
 
 
+def whitener_of(f: Features) -> np.ndarray:
+    """Inverse of a root of the covariance, for features of unlike size and of any correlation."""
+    size = np.sqrt(np.diag(f.covariance))
+    values, vectors = np.linalg.eigh(f.covariance / size[:, None] / size)
+    return (vectors / np.sqrt(np.maximum(values, ALIKE))).T / size
+
+
 def sure(f: Features) -> np.ndarray:
     """Whether each mode is known well enough to compare."""
     std = np.sqrt(np.maximum(np.diag(f.covariance), 0.0)).reshape(f.values.shape)
@@ -144,7 +153,9 @@ def _covariance(found: Projected, residues: np.ndarray, units: np.ndarray, tange
         return np.zeros((0, 0))
     poles = found.poles
     scale = np.sqrt(np.maximum(np.diag(found.information), 1e-300))
-    spread = np.linalg.pinv(found.information / scale[:, None] / scale, rcond=1e-12) / scale[:, None] / scale
+    sizes, directions = np.linalg.eigh(found.information / scale[:, None] / scale)
+    # of poles on top of each other rounding leaves no information, or less than none: they are not known
+    spread = (directions / np.maximum(sizes, UNKNOWN)) @ directions.T / scale[:, None] / scale
     # derivatives by the parts of each mode's pole, (k, f, 2), and of its residues, (k, f, channel, 2)
     part = np.array([1.0, 1j])
     still = np.zeros((R, 2, o, i), complex)

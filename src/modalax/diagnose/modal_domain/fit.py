@@ -20,7 +20,8 @@ LAST = 25  # most steps at the true covariance
 SETTLED = 0.02  # change of log evidence at which a fit has ended
 HOPELESS = 40.0  # nats behind another hypothesis from which a fit must gain its share in every step to go on
 SMALLEST = 1e-5  # least relative size of an inaccuracy; no structure is known better
-LARGEST = np.array([0.3, 0.3, 1.5])  # greatest relative sizes that are tried in stiffness, mass and damping
+# greatest relative sizes that are tried
+LARGEST = {"stiffness": 0.3, "mass": 0.3, "damping": 1.5, "rest": 0.3}
 
 
 @dataclass(frozen=True)
@@ -86,6 +87,7 @@ class Linear:
     def learnt(self, epsilon: np.ndarray, temperature: float, rounds: int) -> np.ndarray:
         """Sizes of greatest evidence, with their prior."""
         a = self.setting.inaccuracy
+        largest = np.array([LARGEST[g] for g in a.groups])
         for _ in range(rounds):
             x, V, _ = self.solve(epsilon, temperature)
             z2 = (x[: len(self.group)] / epsilon[self.group]) ** 2
@@ -94,7 +96,7 @@ class Linear:
             gamma = np.bincount(self.group, known, len(epsilon))
             slope = total - np.log(epsilon / a.usual) / a.spread**2
             step = slope / (2 * np.maximum(gamma, total + gamma) + 1 / a.spread**2)
-            epsilon = np.clip(epsilon * np.exp(np.clip(step, -1.0, 1.0)), SMALLEST, LARGEST)
+            epsilon = np.clip(epsilon * np.exp(np.clip(step, -1.0, 1.0)), SMALLEST, largest)
             if np.abs(step).max() < 0.01:
                 break
         return epsilon

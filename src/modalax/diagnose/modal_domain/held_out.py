@@ -10,12 +10,12 @@ from modalax.diagnose.holdout import BLOCKS, RESAMPLED, held_out_block
 from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.corrected import frf_of
 from modalax.diagnose.modal_domain.explain import Explanation
-from modalax.diagnose.modal_domain.features import chosen, features_of, sure
+from modalax.diagnose.modal_domain.features import chosen, features_of, sure, whitener_of
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
 from modalax.diagnose.modal_domain.free_residues import Channels
 from modalax.diagnose.modal_domain.further_causes import MissingMode
 from modalax.diagnose.modal_domain.levels.seen import foretold
-from modalax.diagnose.modal_domain.mode_count import blind_modes, misfit
+from modalax.diagnose.modal_domain.mode_count import blind_modes, heavy, misfit
 from modalax.diagnose.modal_domain.polish import lines_of, on_lines
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.modal_domain.state import Setting
@@ -82,14 +82,11 @@ def _rest(stage: Stage, mask: np.ndarray) -> Rest | None:
     modes = blind_modes(channels, found.modes.poles)
     features = features_of(modes, mean.shape[1], mean.shape[2], misfit(modes, channels))
     size = np.abs(features.poles)
-    known = sure(features) & (size > abs(c.s[0])) & (size < abs(c.s[-1]))
+    known = sure(features) & ~heavy(features.poles) & (size > abs(c.s[0])) & (size < abs(c.s[-1]))
     if not known.any():
         return None
     features = chosen(features, known)
-    try:
-        whitener = np.linalg.inv(np.linalg.cholesky(features.covariance))
-    except np.linalg.LinAlgError:
-        return None
+    whitener = whitener_of(features)
     inputs = stage.coordinates.inputs[kept]
     setting = replace(
         stage.setting, coordinates=replace(stage.coordinates, inputs=inputs), features=features, whitener=whitener

@@ -23,7 +23,7 @@ UNKNOWN = 2.0  # standard deviation of the logarithm of a size that nobody claim
 CLAIMED = 0.7  # the same of a size that the author claims, who may be wrong by a factor of two
 RIGID = 1e-3  # frequency, relative to the highest, below which a mode is that of a rigid body
 BETWEEN = 0.1  # damping between modes, relative to that of the modes themselves
-KINDS = {"stiffness": "K", "mass": "M", "damping": "C"}
+KINDS = {"stiffness": "K", "mass": "M", "damping": "C", "rest": "K"}
 
 
 @dataclass(frozen=True)

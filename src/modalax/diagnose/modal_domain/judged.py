@@ -44,9 +44,11 @@ def judge(stage: Stage) -> Judged:
     sets = sets_beyond(stage)
     best = next(e for e in stage.explanations if _key(_told(standing_out(stage, e))) == _key(sets[0].names))
     plain = next((e for e in stage.explanations if not e.causes), None)
+    off = inaccuracy_of_fit(stage, best)
     case = ModalCase(
-        sets, [(c.slug, c.where) for c in best.causes], inaccuracy_of_fit(stage, best),
-        float(np.max(best.fit.epsilon[:2] / LARGEST[:2])), best.fit.chi2 / best.fit.state.difference.size,
+        sets, [(c.slug, c.where) for c in best.causes], off,
+        max(off[name] / LARGEST[name] for name in ("stiffness", "mass")),
+        best.fit.chi2 / best.fit.state.difference.size,
         None if plain is None else best.log_posterior - plain.log_posterior, THRESHOLDS,
     )  # fmt: skip
     word, reasons = modal_verdict(case)

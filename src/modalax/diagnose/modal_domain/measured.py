@@ -9,7 +9,7 @@ from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.modal_domain.coordinates import Coordinates, modes_of
 from modalax.diagnose.modal_domain.features import Features, chosen, features_of, sure
 from modalax.diagnose.modal_domain.free_residues import Channels, Projected
-from modalax.diagnose.modal_domain.mode_count import blind_modes, misfit
+from modalax.diagnose.modal_domain.mode_count import blind_modes, heavy, misfit
 from modalax.diagnose.setup.noise import Noise, noise_of
 
 BELOW, ABOVE = 2, 3  # modes of the simulation on either side of the band that stand for all beyond it
@@ -86,7 +86,7 @@ def _features(modes: Projected, channels: Channels, shape: tuple[int, ...]) -> t
     left, s = misfit(modes, channels), channels.s
     features = features_of(modes, shape[0], shape[1], left)
     size = np.abs(features.poles)
-    known = sure(features) & (size > abs(s[0]) * (1 - EDGE)) & (size < abs(s[-1]) * (1 + EDGE))
+    known = sure(features) & ~heavy(features.poles) & (size > abs(s[0]) * (1 - EDGE)) & (size < abs(s[-1]) * (1 + EDGE))
     return left, chosen(features, known)
 
 

@@ -6,10 +6,13 @@ import numpy as np
 import scipy.stats
 
 from modalax.diagnose.modal_domain.free_residues import Channels, Projected, project, refine
+from modalax.diagnose.modal_domain.relocation import relocated
 
 CHANCE = 1e-8  # chance of a mode that is only noise
 DAMPINGS = (0.002, 0.007, 0.025)  # damping ratios that further modes are looked for at: light to welded structures
 HEAVY = 0.2  # damping ratio above which a pole is background and no mode
+HEAVIEST = 0.9  # damping ratio above which a pole is no background either, but a residual term
+SHARP = 0.03  # least half-bandwidth of a mode, relative to the distance of lines
 CANDIDATES = 1500  # frequencies that further modes are looked for at
 REACH, FINE = 40.0, 0.25  # half-bandwidths about such a mode that are looked at, and within which lines come together
 TOGETHER = 64  # such modes looked at at once
@@ -31,31 +34,53 @@ def blind_modes(channels: Channels, start: np.ndarray | None = None) -> Projecte
         Poles to begin with, shape ``(n,)`` [rad/s]; none where everything is to be found from the residual.
     """
     found = refine(np.zeros(0, complex) if start is None else start, channels)
-    idle, best = 0, None
     for _ in range(ROUNDS):
-        kept = _worth_keeping(found, channels)
-        if not kept.all():
-            found = refine(found.poles[kept], channels, COARSE)
-        if best is None or found.chi2 < best.chi2 - _cost(channels):
-            best, idle = found, 0
-        else:
-            idle += 1
-        new = further_poles(found, channels)
+        found = _pruned(found, channels)
         most = min(MOST, len(channels.s) // LINES)
-        if not len(new) or idle > 1 or len(found.poles) >= most:
+        new = further_poles(found, channels)[: max(most - len(found.poles), 0)]
+        better = _with(found, new, channels)
+        if better is None:
             break
-        new = new[: most - len(found.poles)]
-        found = refine(np.concatenate([found.poles, new]), channels, COARSE)
-    if best is not None and best.chi2 < found.chi2:
-        found = best
-    found = refine(found.poles, channels)
-    for _ in range(4):
+        found = better
+    found = _settled(refine(found.poles, channels), channels)
+    order = np.argsort(np.abs(found.poles))
+    return project(found.poles[order], channels)[0]
+
+
+def _with(found: Projected, new: np.ndarray, channels: Channels) -> Projected | None:
+    """Poles with some more, moved to where all of them are needed; None where they are worth nothing."""
+    both = np.concatenate([found.poles, new])
+    for move in (_relocated, _refined) if len(new) else ():
+        trial = _pruned(move(both, channels), channels)
+        if trial.chi2 < found.chi2 - _cost(channels):
+            return trial
+    return None
+
+
+def _relocated(poles: np.ndarray, channels: Channels) -> Projected:
+    moved = relocated(poles, channels)
+    return project(moved[_possible(moved, channels)], channels)[0]
+
+
+def _refined(poles: np.ndarray, channels: Channels) -> Projected:
+    return refine(poles, channels, COARSE)
+
+
+def _pruned(found: Projected, channels: Channels) -> Projected:
+    """Without the poles that are worth nothing, the others as they are."""
+    while not (kept := _worth_keeping(found, channels)).all():
+        found = project(found.poles[kept], channels)[0]
+    return found
+
+
+def _settled(found: Projected, channels: Channels) -> Projected:
+    """Poles that are all worth keeping."""
+    for _ in range(ROUNDS):
         kept = _worth_keeping(found, channels)
         if kept.all():
             break
         found = refine(found.poles[kept], channels)
-    order = np.argsort(np.abs(found.poles))
-    return project(found.poles[order], channels)[0]
+    return found
 
 
 def _cost(channels: Channels) -> float:
@@ -79,20 +104,28 @@ def mode_gains(found: Projected) -> np.ndarray:
     return out
 
 
+def heavy(poles: np.ndarray) -> np.ndarray:
+    """Whether each pole is background: damped so heavily that it is no mode to compare."""
+    return -poles.real > HEAVY * np.abs(poles)
+
+
+def _possible(poles: np.ndarray, channels: Channels) -> np.ndarray:
+    """Whether each pole is inside the band, wider than what falls between lines, and oscillates."""
+    size, (low, high) = np.abs(poles), np.abs(channels.s[[0, -1]])
+    inside = (size > low * (1 - BEYOND)) & (size < high * (1 + BEYOND)) & (-poles.real < HEAVIEST * size)
+    return inside & (-poles.real > SHARP * np.median(np.diff(np.abs(channels.s))))
+
+
 def _worth_keeping(found: Projected, channels: Channels) -> np.ndarray:
-    size = np.abs(found.poles)
-    if not len(size):
+    if not len(found.poles):
         return np.zeros(0, bool)
-    low, high = np.abs(channels.s[[0, -1]])
-    inside = (size > low * (1 - BEYOND)) & (size < high * (1 + BEYOND)) & (-found.poles.real < HEAVY * size)
-    step = np.median(np.diff(np.abs(channels.s)))
-    inside &= -found.poles.real > 0.01 * step
+    inside = _possible(found.poles, channels)
     if not inside.all():
         return inside
     enough = mode_gains(found) > _cost(channels) * misfit(found, channels)
     if enough.all():
         return enough
-    kept = np.ones(len(size), bool)
+    kept = np.ones(len(found.poles), bool)
     kept[int(np.argmin(mode_gains(found)))] = False
     return kept
 

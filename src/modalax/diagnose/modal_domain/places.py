@@ -18,7 +18,10 @@ OVERDAMPED = 2.0  # usual relative error of a modal damping ratio that is wrong
 JOINT = 0.4  # usual relative error of a joint or element that is wrong
 HELD, SUPPORTED = 6, 1e-3  # most DoFs of one support, and its least stiffness relative to all that holds the DoF
 # Chances of places of springs and dampers relative to each other, each shared out among its places
-SHARES = {"named": 0.4, "spring": 0.3, "element": 0.2, "support": 0.15, "coupled": 0.05, "ground": 0.05}
+SHARES = {
+    "named": 0.4, "spring": 0.3, "element": 0.2, "support": 0.15, "coupled": 0.05, "ground": 0.05, "apart": 0.03
+}  # fmt: skip
+ABSENT = "ground", "apart"  # places where the simulation has no spring that could be off
 STILL = 1e-12  # square of a displacement, relative to the largest in the band, below which a DoF does not move
 UNLIKELY = 0.05  # weight of a pair of unlike directions, or of a rotation's inertia
 
@@ -44,14 +47,14 @@ def candidates_of(
         weight = UNLIKELY if turning else 1.0
         out.append(Change("added_mass", (name,), LUMP / mobile, b, reference=own_mass, weight=weight))
     out += _lumps(simulation, c, nodes, inside)
-    for where, b, stiffness, weight in springs_of(simulation, c, nodes, pairs):
-        mobile = float((b[inside] ** 2).mean())
-        if mobile < STILL * float((c.shapes[:, inside] ** 2).max()):
+    for where, b, stiffness, weight in springs_of(simulation, c, nodes, pairs, highest):
+        mobile = b[inside] ** 2
+        if mobile.mean() < STILL * float((c.shapes[:, inside] ** 2).max()):
             continue
         out.append(Change("joint_stiffness", where, stiffness, b, reference=stiffness / JOINT, weight=weight))
-        at = [dofs.index(name) for name in where]
-        damping = float(abs(np.asarray(simulation.C)[at[0], at[-1]]))
-        out.append(Change("local_damper", where, float(own.mean()) / mobile, b, reference=damping, weight=weight))
+        damping = float((own / np.maximum(mobile, 1e-300)).min())  # that doubles the damping of one mode
+        usual = float(own.mean() / mobile.mean())
+        out.append(Change("local_damper", where, usual, b, reference=damping, weight=weight))
     out += _elements(simulation, c, nodes)
     out += [Change("channel_gain", (n,), GAIN, channel=(0, k)) for k, n in enumerate(outputs)]
     out += [Change("channel_sign", (n,), channel=(0, k)) for k, n in enumerate(outputs)]
@@ -113,13 +116,15 @@ def _elements(simulation: Structure, c: Coordinates, nodes: Nodes) -> list[Chang
 
 
 def springs_of(
-    simulation: Structure, c: Coordinates, nodes: Nodes, pairs: list[tuple[str, str]] | None
+    simulation: Structure, c: Coordinates, nodes: Nodes, pairs: list[tuple[str, str]] | None, highest: float
 ) -> list[tuple[tuple[str, ...], np.ndarray, float, float]]:
     """Place, direction, usual change of stiffness and weight of springs.
 
     Likeliest are the pairs that the simulation names and its own springs and supports, then other coupled DoFs and
-    each DoF to ground.
+    each DoF to ground, and last any two displacements of one direction that nothing joins. Where the simulation has no
+    spring, the usual one is small enough to move modes by as much as a wrong one does.
     """
+    inside = np.flatnonzero((c.frequencies < highest) & (c.frequencies > 0.02 * highest))
     K, dofs = np.asarray(simulation.K), simulation.dofs
     size = np.sqrt(np.maximum(np.diag(K), 1e-300))
     unit = np.abs(K) / size[:, None] / size
@@ -131,8 +136,12 @@ def springs_of(
     groups: dict[str, list] = {key: [] for key in SHARES}
     for a, b in itertools.combinations(range(len(dofs)), 2):
         key = "named" if frozenset((dofs[a], dofs[b])) in asked else "spring" if {a, b} in own else "coupled"
-        if key == "coupled" and (unit[a, b] < COUPLED or nodes.axis[a] != nodes.axis[b]):
+        if key == "coupled" and nodes.axis[a] != nodes.axis[b]:
             continue
+        if key == "coupled" and unit[a, b] < COUPLED:
+            if nodes.axis[a] > 2:
+                continue
+            key = "apart"
         stiffness = abs(K[a, b]) if unit[a, b] > 1e-3 else min(K[a, a], K[b, b])
         groups[key].append(((dofs[a], dofs[b]), c.shapes[a] - c.shapes[b], JOINT * stiffness, 1.0))
     for a, name in enumerate(dofs):
@@ -142,5 +151,14 @@ def springs_of(
     out = []
     for key, group in groups.items():
         total = sum(g[3] for g in group)
+        if key in ABSENT:
+            group = [(where, b, min(k, JOINT * _felt(c, b, inside)), weight) for where, b, k, weight in group]
         out += [(where, b, float(k), SHARES[key] * weight / total) for where, b, k, weight in group]
     return out
+
+
+def _felt(c: Coordinates, b: np.ndarray, inside: np.ndarray) -> float:
+    """Stiffness that doubles that of the mode of the band which feels it most; infinite where none does."""
+    if not len(inside):
+        return np.inf
+    return float((c.frequencies[inside] ** 2 / np.maximum(b[inside] ** 2, 1e-300)).min())

@@ -13,8 +13,9 @@ import numpy as np
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import Change, shown, with_sizes
 from modalax.diagnose.modal_domain.coordinates import POWER
+from modalax.diagnose.modal_domain.discrepancy import beside, told_apart
 from modalax.diagnose.modal_domain.explain import Explanation
-from modalax.diagnose.modal_domain.fit import Fit, Linear
+from modalax.diagnose.modal_domain.fit import Fit, Linear, fit
 from modalax.diagnose.modal_domain.free_residues import Channels
 from modalax.diagnose.modal_domain.state import Setting, factors_of, hysteretic, matrices_of, state_at
 
@@ -108,14 +109,22 @@ def _widened(covariance: np.ndarray, f: Fit, x: np.ndarray) -> np.ndarray:
 
 def leading_on_lines(
     setting: Setting, explanations: list[Explanation], channels: Channels, late: Deadline
-) -> list[Explanation]:
-    """The likely explanations taken on to the lines; their probabilities stay those by the modes."""
-    lines, out = lines_of(channels, setting), list(explanations)
+) -> tuple[Setting, list[Explanation]]:
+    """The likely explanations taken on to the lines; their probabilities stay those by the modes.
+
+    A rest that no element explains is fitted there beside all else: the setting that is given back holds it.
+    """
+    out, apart = list(explanations), setting.rest > 0
+    if apart:
+        setting = told_apart(setting, out[0].fit)
+        out = [replace(e, fit=beside(setting, e.fit)) for e in out]
+    lines = lines_of(channels, setting)
     for k, e in enumerate(out[:FEW]):
         if k and (e.probability < LIKELY or late()):
             break
-        out[k] = replace(e, fit=on_lines(setting, e.fit, lines, late))
-    return out
+        again = fit(setting, e.causes, e.fit, e.fit.u, temperatures=()) if apart else None
+        out[k] = replace(e, fit=on_lines(setting, again or e.fit, lines, late))
+    return setting, out
 
 
 def _responses(

@@ -12,6 +12,7 @@ from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import Coordinates, coordinates_of
 from modalax.diagnose.modal_domain.elements import nodes_of
 from modalax.diagnose.modal_domain.explain import Explanation, explain
+from modalax.diagnose.modal_domain.features import whitener_of
 from modalax.diagnose.modal_domain.further_causes import StructuralDamping, missing_modes, tuned_masses
 from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
 from modalax.diagnose.modal_domain.levels.explain import Spot
@@ -99,7 +100,7 @@ def run_stage(
     measured = identify(measurement, c)
     if not len(measured.features.poles):
         return None
-    whitener = np.linalg.inv(np.linalg.cholesky(measured.features.covariance))
+    whitener = whitener_of(measured.features)
     setting = Setting(c, inaccuracy_of(simulation, c, highest), measured.features, whitener)
     pairs = None if simulation.pairs is None else list(simulation.pairs)
     every = candidates_of(simulation, c, measurement.outputs, measurement.inputs, pairs, highest)
@@ -110,8 +111,9 @@ def run_stage(
     setting, explanations = explain(setting, candidates, first, tell)
     if not explanations:
         return None
-    explanations = leading_on_lines(setting, explanations, measured.channels, late)
-    spots = [Spot(where, b, w) for where, b, _, w in springs_of(simulation, c, nodes_of(simulation.dofs), pairs)]
+    setting, explanations = leading_on_lines(setting, explanations, measured.channels, late)
+    places = springs_of(simulation, c, nodes_of(simulation.dofs), pairs, highest)
+    spots = [Spot(where, b, w) for where, b, _, w in places]
     seen = None
     try:
         seen = look_at_levels(H, level, measured, setting, explanations[0].fit, spots, wanted, tell, late)
@@ -119,7 +121,7 @@ def run_stage(
             measured, setting, explanations = without_joint(
                 H, level, measured, setting, explanations, candidates, seen, late, tell
             )
-            explanations = leading_on_lines(setting, explanations, measured.channels, late)
+            setting, explanations = leading_on_lines(setting, explanations, measured.channels, late)
     except KeyboardInterrupt:
         late.stop()
     return Stage(measurement, simulation, c, measured, setting, candidates, explanations, not (late() or first()), seen)

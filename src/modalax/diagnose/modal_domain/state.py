@@ -34,13 +34,17 @@ class Setting:
     coordinates, inaccuracy, features
         The simulation, its possible inaccuracy, and the measured features.
     whitener
-        Inverse of the triangular factor of the features' covariance.
+        Inverse of a root of the features' covariance, that of the rest included.
+    rest
+        Relative size of what no element explains (:mod:`modalax.diagnose.modal_domain.discrepancy`), as far as it is
+        part of that covariance.
     """
 
     coordinates: Coordinates
     inaccuracy: Inaccuracy
     features: Features
     whitener: np.ndarray
+    rest: float = 0.0
 
     def patterns(self) -> list[tuple[str, np.ndarray]]:
         """Kind and patterns of each group."""

@@ -19,7 +19,7 @@ from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.corrected import inaccuracy_told
 from modalax.diagnose.modal_domain.diagnosis import Facts, ModalDiagnosis, extension_of, said
 from modalax.diagnose.modal_domain.explain import explain
-from modalax.diagnose.modal_domain.features import FLOOR, Features, tangent_of, values_of
+from modalax.diagnose.modal_domain.features import FLOOR, Features, tangent_of, values_of, whitener_of
 from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
 from modalax.diagnose.modal_domain.judged import judge
 from modalax.diagnose.modal_domain.places import candidates_of
@@ -119,7 +119,7 @@ def _staged(
 ) -> Stage:  # fmt: skip
     highest = 2 * np.pi * float(facts.freq[-1])
     c = coordinates_of(simulation, facts.outputs, facts.inputs, highest)
-    whitener = np.linalg.inv(np.linalg.cholesky(facts.features.covariance))
+    whitener = whitener_of(facts.features)
     setting = Setting(c, inaccuracy_of(simulation, c, highest), facts.features, whitener)
     pairs = None if simulation.pairs is None else list(simulation.pairs)
     every = candidates_of(simulation, c, facts.outputs, facts.inputs, pairs, highest)

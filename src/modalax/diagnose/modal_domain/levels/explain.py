@@ -20,6 +20,7 @@ FITTED = 12  # leading places at which laws are fitted
 NEIGHBOURS = 8  # lines over which errors of a law's force go together
 TOGETHER = 32  # places that are worked on at once
 BESIDE = 3  # leading fits beside which laws without a name are tried at the same places
+AGREE = 0.01  # probability that nothing differs from which on no joint or drift is told
 WEIGHED, NEAR = 8, 1000.0  # most fits that are weighed on all samples, and nats behind the best up to which they are
 
 
@@ -77,9 +78,11 @@ class ByLevel:
 
     @property
     def best(self) -> str:
-        """What is likeliest: ``joint``, ``drift`` or ``nothing``."""
+        """What is told: the likelier of ``joint`` and ``drift``, or ``nothing`` where that may well be."""
+        if self.nothing > AGREE:
+            return "nothing"
         joint = self.joints[0].probability if self.joints else 0.0
-        return max((self.nothing, "nothing"), (self.drifting, "drift"), (joint, "joint"))[1]
+        return max((self.drifting, "drift"), (joint, "joint"))[1]
 
     def sure(self, slug: str) -> float:
         """Probability of a law, wherever it is."""

@@ -8,6 +8,7 @@ import numpy as np
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.explain import Explanation, explain
+from modalax.diagnose.modal_domain.features import whitener_of
 from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.further_causes import TunedMass
 from modalax.diagnose.modal_domain.levels.change import Base, Levels, base_of, by_level, change_by, frf_by, projected
@@ -107,7 +108,7 @@ def without_joint(
     again = reidentified(measured, free)
     if not len(again.features.poles):
         return measured, setting, explanations
-    whitener = np.linalg.inv(np.linalg.cholesky(again.features.covariance))
+    whitener = whitener_of(again.features)
     # what a law leaves of a peak that it distorts looks like a mode too many
     some = [c for c in candidates if c.freed is None and not isinstance(c, TunedMass)]
     now, found = explain(replace(setting, features=again.features, whitener=whitener), some, late, tell)
