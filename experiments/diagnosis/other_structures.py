@@ -243,6 +243,7 @@ class Test:
     band: tuple[float, float]
     shape: np.ndarray  # rms motion of every DoF in the modes of the band
     zeta: np.ndarray
+    first: float
     truth: dict = field(default_factory=lambda: {"name": "none", "accepted": []})
     on_channels: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
     joint: tuple[np.ndarray, Callable[[np.ndarray, np.ndarray], np.ndarray]] | None = None
@@ -426,9 +427,9 @@ def _joint(t: Test, name: str, law: Callable[[np.ndarray, np.ndarray, float], np
     k = t.lively(t.world.translations())
     b = np.zeros(len(t.K))
     b[k] = 1
-    w = 2 * np.pi * np.sqrt(t.band[0] * t.band[1])
-    usual = LEVELS[1] * t.shape[k] ** 2 / (2 * t.world.zeta * w**2)  # a peak at the middle level
-    own = 4 * t.world.zeta * _modal_stiffness(t, k)
+    w = 2 * np.pi * t.first
+    usual = LEVELS[1] * t.shape[k] ** 2 / (2 * t.world.zeta * w**2)  # the first peak at the middle level
+    own = t.world.zeta * w**2 / t.shape[k] ** 2
     t.joint = b, lambda A, s: own * law(np.abs(A) / usual, s / (1j * w), 1.0)
     t.tell(name, [t.world.dofs[k]], size=float(own))
 
@@ -521,7 +522,7 @@ def draw(name: str, effect: str, seed: int, how: dict) -> tuple[dict, dict, dict
     outputs = sorted(int(k) for k in rng.choice(some, min(how.get("sensors", 10), len(some)), replace=False))
     inputs = [int(k) for k in rng.choice(some, how.get("inputs", 2), replace=False)]
     zeta = world.zeta * np.exp(0.2 * rng.standard_normal(len(M)))
-    t = Test(world, M, K, np.zeros_like(M), outputs, inputs, rng, (low, high), shape, zeta)
+    t = Test(world, M, K, np.zeros_like(M), outputs, inputs, rng, (low, high), shape, zeta, f[first])
     EFFECTS[effect](t)
     n = len(M0)
     own = damping(t.M[:n, :n], t.K[:n, :n], t.zeta)

@@ -1,4 +1,4 @@
-"""A lumped mass moves with all displacements of its node."""
+"""Places that no element tells: a mass at a node, which moves in all its directions, and a spring where none is."""
 
 import itertools
 
@@ -57,12 +57,9 @@ def test_its_effect_is_that_of_the_mass_in_the_matrix():
     assert bent.sum() > 5 and lump.told(np.array([0.4]), np.eye(1))["mass"]["unit"] == "kg"
 
 
-def test_one_is_named_where_every_rod_is_off():
-    rng = np.random.default_rng(5)
-    K, M = truss(1 + 0.02 * rng.standard_normal(len(RODS)))
-    for dof in ("6:+X", "6:+Y"):
-        M[DOFS.index(dof), DOFS.index(dof)] += 0.35
-    C = 1.1 * LOSS * K
+def diagnosed(K, M, rng):
+    """The diagnosis of the truss as built, by a test with noise of 1 %."""
+    C = 1.1 * LOSS * truss(np.ones(len(RODS)))[0]
     freq = np.linspace(8, TOP, 700)
     s = 2j * np.pi * freq[:, None, None]
     H = np.linalg.inv(K + s * C + s**2 * M) * s**2
@@ -74,7 +71,28 @@ def test_one_is_named_where_every_rod_is_off():
         freq=freq, H=seen, outputs=OUTPUTS, inputs=INPUTS, form="accelerance", variance=sigma[None] ** 2,
         level=np.full(1, np.nan),
     )  # fmt: skip
-    found = diagnose_modes(measurement, simulation())
+    return diagnose_modes(measurement, simulation())
+
+
+def test_one_is_named_where_every_rod_is_off():
+    rng = np.random.default_rng(5)
+    K, M = truss(1 + 0.02 * rng.standard_normal(len(RODS)))
+    for dof in ("6:+X", "6:+Y"):
+        M[DOFS.index(dof), DOFS.index(dof)] += 0.35
+    found = diagnosed(K, M, rng)
     (cause,) = found.causes
     assert found.verdict == "named" and cause["name"] == "added_mass" and cause["where"][0] in ("6:+X", "6:+Y")
     assert abs(cause["parameters"]["mass"]["value"] - 0.35) < 4 * cause["parameters"]["mass"]["std"] < 0.1
+
+
+def test_a_spring_is_named_where_nothing_joins_two_points():
+    rng = np.random.default_rng(6)
+    K, M = truss(1 + 0.02 * rng.standard_normal(len(RODS)))
+    at = [DOFS.index("4:+X"), DOFS.index("7:+X")]
+    K[np.ix_(at, at)] += 1.5e5 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    found = diagnosed(K, M, rng)
+    (cause,) = found.causes
+    assert found.verdict == "named" and cause["name"] == "joint_stiffness"
+    assert sorted(cause["where"]) == ["4:+X", "7:+X"]
+    stiffness = cause["parameters"]["stiffness"]
+    assert abs(stiffness["value"] - 1.5e5) < 4 * stiffness["std"] < 0.3e5

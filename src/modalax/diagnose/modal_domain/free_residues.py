@@ -60,10 +60,13 @@ class Channels:
         return columns * self.s[:, None] ** self.order
 
     def background(self) -> np.ndarray:
-        """Columns of the modes beyond the band, shape ``(f, columns)``."""
+        """Columns of the modes beyond the band, shape ``(f, columns)``.
+
+        The highest power of ``1/s`` is that of a free body once too often integrated, as wrong units have it.
+        """
         mid = np.sqrt(np.abs(self.s[0] * self.s[-1]))
         x = self.s / mid
-        terms = np.stack([np.ones_like(x), x, x**2, 1 / x, x**-2], axis=1) * self.s[:, None] ** self.order
+        terms = np.stack([np.ones_like(x), x, x**2, 1 / x, x**-2, x**-3], axis=1) * self.s[:, None] ** self.order
         return np.concatenate([terms, self.kernels(self.outside)], axis=1)
 
 

@@ -9,13 +9,14 @@ from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.modal_domain.coordinates import Coordinates, modes_of
 from modalax.diagnose.modal_domain.features import Features, chosen, features_of, sure
 from modalax.diagnose.modal_domain.free_residues import Channels, Projected
-from modalax.diagnose.modal_domain.mode_count import blind_modes, heavy, misfit
+from modalax.diagnose.modal_domain.mode_count import bent, blind_modes, heavy, misfit
 from modalax.diagnose.setup.noise import Noise, noise_of
 
 BELOW, ABOVE = 2, 3  # modes of the simulation on either side of the band that stand for all beyond it
 ASIDE = 0.1  # distance of these from the band, relative to its ends
 SPARED = 0.99  # frequency, relative to the spare coordinate's, above which a mode is that coordinate
 EDGE = 0.003  # part of the band's ends by which a mode that is compared may lie outside
+ENOUGH = 2  # modes that are no sums of poles from which the others are not compared
 ALIKE = 5.0  # standard deviations of chi-square by which runs may differ and still count as alike
 
 
@@ -87,7 +88,8 @@ def _features(modes: Projected, channels: Channels, shape: tuple[int, ...]) -> t
     features = features_of(modes, shape[0], shape[1], left)
     size = np.abs(features.poles)
     known = sure(features) & ~heavy(features.poles) & (size > abs(s[0]) * (1 - EDGE)) & (size < abs(s[-1]) * (1 + EDGE))
-    return left, chosen(features, known)
+    sound = known & ~bent(modes, channels)
+    return left, chosen(features, sound if sound.sum() >= ENOUGH else known)
 
 
 def _first_guess(measurement: Measurement, H: np.ndarray) -> np.ndarray:

@@ -116,13 +116,14 @@ def _elements(simulation: Structure, c: Coordinates, nodes: Nodes) -> list[Chang
 
 
 def springs_of(
-    simulation: Structure, c: Coordinates, nodes: Nodes, pairs: list[tuple[str, str]] | None, highest: float
-) -> list[tuple[tuple[str, ...], np.ndarray, float, float]]:
+    simulation: Structure, c: Coordinates, nodes: Nodes, pairs: list[tuple[str, str]] | None, highest: float,
+    apart: bool = True,
+) -> list[tuple[tuple[str, ...], np.ndarray, float, float]]:  # fmt: skip
     """Place, direction, usual change of stiffness and weight of springs.
 
     Likeliest are the pairs that the simulation names and its own springs and supports, then other coupled DoFs and
-    each DoF to ground, and last any two displacements of one direction that nothing joins. Where the simulation has no
-    spring, the usual one is small enough to move modes by as much as a wrong one does.
+    each DoF to ground, and last, if asked, any two displacements of one direction that nothing joins. Where the
+    simulation has no spring, the usual one is small enough to move modes by as much as a wrong one does.
     """
     inside = np.flatnonzero((c.frequencies < highest) & (c.frequencies > 0.02 * highest))
     K, dofs = np.asarray(simulation.K), simulation.dofs
@@ -139,7 +140,7 @@ def springs_of(
         if key == "coupled" and nodes.axis[a] != nodes.axis[b]:
             continue
         if key == "coupled" and unit[a, b] < COUPLED:
-            if nodes.axis[a] > 2:
+            if nodes.axis[a] > 2 or not apart:
                 continue
             key = "apart"
         stiffness = abs(K[a, b]) if unit[a, b] > 1e-3 else min(K[a, a], K[b, b])

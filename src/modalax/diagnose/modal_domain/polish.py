@@ -17,6 +17,7 @@ from modalax.diagnose.modal_domain.discrepancy import beside, told_apart
 from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.fit import Fit, Linear, fit
 from modalax.diagnose.modal_domain.free_residues import Channels
+from modalax.diagnose.modal_domain.measured import Measured
 from modalax.diagnose.modal_domain.state import Setting, factors_of, hysteretic, matrices_of, state_at
 
 STEPS = 8  # most Gauss-Newton steps
@@ -24,6 +25,7 @@ PARTS = (1.0, 0.3, 0.1)  # of a step that are tried
 SETTLED = 0.1  # decrease of half chi-square at which it ends
 WORK = 3e9  # products for one set of derivatives; of larger problems every so many lines are taken
 BLOCK = 4e6  # numbers held at once
+WORSE = 20.0  # chi-square over that of the measured modes by themselves from which lines only bend what modes tell
 LIKELY, FEW = 0.01, 3  # probability from which, and most explanations that are taken on to the lines
 
 
@@ -39,12 +41,15 @@ class Lines:
         In the form of the measurement, and one over the variance of a real part, shape ``(f, o, i)``.
     order
         Derivatives of the displacement that were measured.
+    left
+        Chi-square per sample that the measurement's own modes leave.
     """
 
     s: np.ndarray
     H: np.ndarray
     weight: np.ndarray
     order: int
+    left: float = 1.0
 
     @property
     def samples(self) -> int:
@@ -52,18 +57,18 @@ class Lines:
         return 2 * int(np.count_nonzero(self.weight))
 
 
-def lines_of(channels: Channels, setting: Setting) -> Lines:
+def lines_of(channels: Channels, setting: Setting, left: float = 1.0) -> Lines:
     """The FRFs that the modes were identified from; of very many every so many lines."""
     c = setting.coordinates
     o, i = len(c.outputs), len(c.inputs)
     work = len(setting.inaccuracy.group_of) * c.size * (c.size * min(o, i) + o * i)
     step = max(1, int(np.ceil(len(channels.s) * work / WORK)))
     H, weight = (a.reshape(-1, o, i)[::step] for a in (channels.data, channels.weight))
-    return Lines(channels.s[::step], H, weight, channels.order)
+    return Lines(channels.s[::step], H, weight, channels.order, left)
 
 
 def on_lines(setting: Setting, f: Fit, lines: Lines, late: Deadline) -> Fit:
-    """A fit taken on to the lines; as it was where that does not improve it."""
+    """A fit taken on to the lines; as it was where that does not improve it, or leaves far more than the modes do."""
     x, n = np.concatenate([f.sizes, f.u]), len(f.sizes)
     scale = np.concatenate([f.epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
     chi2, V = chi2_of(setting, f, lines), None
@@ -86,7 +91,7 @@ def on_lines(setting: Setting, f: Fit, lines: Lines, late: Deadline) -> Fit:
             break
         if gained < SETTLED or late():
             break
-    if V is None:
+    if V is None or chi2 > WORSE * lines.left * max(lines.samples, 1):
         return f
     try:
         state = state_at(setting, x[:n], f.causes, x[n:])
@@ -108,7 +113,7 @@ def _widened(covariance: np.ndarray, f: Fit, x: np.ndarray) -> np.ndarray:
 
 
 def leading_on_lines(
-    setting: Setting, explanations: list[Explanation], channels: Channels, late: Deadline
+    setting: Setting, explanations: list[Explanation], measured: Measured, late: Deadline
 ) -> tuple[Setting, list[Explanation]]:
     """The likely explanations taken on to the lines; their probabilities stay those by the modes.
 
@@ -118,7 +123,7 @@ def leading_on_lines(
     if apart:
         setting = told_apart(setting, out[0].fit)
         out = [replace(e, fit=beside(setting, e.fit)) for e in out]
-    lines = lines_of(channels, setting)
+    lines = lines_of(measured.channels, setting, measured.misfit)
     for k, e in enumerate(out[:FEW]):
         if k and (e.probability < LIKELY or late()):
             break

@@ -111,8 +111,8 @@ def run_stage(
     setting, explanations = explain(setting, candidates, first, tell)
     if not explanations:
         return None
-    setting, explanations = leading_on_lines(setting, explanations, measured.channels, late)
-    places = springs_of(simulation, c, nodes_of(simulation.dofs), pairs, highest)
+    setting, explanations = leading_on_lines(setting, explanations, measured, late)
+    places = springs_of(simulation, c, nodes_of(simulation.dofs), pairs, highest, apart=False)
     spots = [Spot(where, b, w) for where, b, _, w in places]
     seen = None
     try:
@@ -121,7 +121,7 @@ def run_stage(
             measured, setting, explanations = without_joint(
                 H, level, measured, setting, explanations, candidates, seen, late, tell
             )
-            setting, explanations = leading_on_lines(setting, explanations, measured.channels, late)
+            setting, explanations = leading_on_lines(setting, explanations, measured, late)
     except KeyboardInterrupt:
         late.stop()
     return Stage(measurement, simulation, c, measured, setting, candidates, explanations, not (late() or first()), seen)

@@ -1,0 +1,74 @@
+"""Modes of a measurement: overlapping ones, heavily damped ones, and peaks that are no modes."""
+
+import numpy as np
+import pytest
+
+from modalax.diagnose.modal_domain.features import Features, whitener_of
+from modalax.diagnose.modal_domain.free_residues import Channels
+from modalax.diagnose.modal_domain.mode_count import bent, blind_modes, heavy, misfit
+from modalax.diagnose.modal_domain.relocation import relocated
+
+FREQ = np.linspace(3.0, 60.0, 500)
+S = 2j * np.pi * FREQ
+
+
+def channels_of(H: np.ndarray, rng: np.random.Generator, noise: float = 0.01) -> Channels:
+    """FRFs ``(f, channel)`` with noise relative to each channel's rms."""
+    sigma = noise * np.sqrt((np.abs(H) ** 2).mean(axis=0)) * np.ones(H.shape)
+    e = rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)
+    return Channels(S, H + sigma * e / np.sqrt(2), 2 / sigma**2, 2, np.zeros(0, complex))
+
+
+def poles_of(frequency: list[float], zeta: list[float]) -> np.ndarray:
+    """Poles [rad/s]."""
+    w, z = 2 * np.pi * np.array(frequency), np.array(zeta)
+    return -z * w + 1j * w * np.sqrt(1 - z**2)
+
+
+def frf_of(poles: np.ndarray, rng: np.random.Generator, outputs: int = 5, inputs: int = 2) -> np.ndarray:
+    """Accelerances ``(f, channel)`` of modes with random real shapes."""
+    shapes = rng.standard_normal((len(poles), outputs))
+    residues = shapes[:, :, None] * shapes[:, None, :inputs] / (2j * poles.imag)[:, None, None]
+    R = residues.reshape(len(poles), -1)
+    return (1 / (S[:, None] - poles) @ R + 1 / (S[:, None] - poles.conj()) @ R.conj()) * S[:, None] ** 2
+
+
+def test_relocation_ends_at_the_poles_from_afar():
+    poles = poles_of([8.0, 8.1, 25.0, 44.0], [0.01, 0.012, 0.5, 0.004])
+    rng = np.random.default_rng(0)
+    start = poles_of([5.0, 17.0, 35.0, 55.0], [0.01] * 4)
+    found = relocated(start, channels_of(frf_of(poles, rng), rng, 1e-6), rounds=12)
+    np.testing.assert_allclose(np.sort_complex(found), np.sort_complex(poles), rtol=1e-3)
+
+
+def test_modes_within_a_bandwidth_and_a_heavily_damped_one_are_found_and_no_others():
+    poles = poles_of([8.0, 8.1, 25.0, 26.0, 26.1, 44.0], [0.01, 0.012, 0.5, 0.01, 0.007, 0.004])
+    rng = np.random.default_rng(1)
+    found = blind_modes(channels_of(frf_of(poles, rng), rng))
+    assert len(found.poles) == 6 and heavy(found.poles).sum() == 1
+    light = np.sort_complex(found.poles[~heavy(found.poles)])
+    np.testing.assert_allclose(light, np.sort_complex(np.delete(poles, 2)), rtol=1e-3)
+
+
+def test_a_peak_that_no_poles_make_is_no_mode():
+    """Near one peak the response is larger on one side, as of a structure that stiffens with amplitude."""
+    rng = np.random.default_rng(2)
+    H = frf_of(poles_of([20.0, 45.0], [0.02, 0.01]), rng)
+    H = H * (1 + 0.4 * np.tanh((FREQ - 20.2) / 0.05) * np.exp(-(((FREQ - 20.2) / 1.0) ** 2)))[:, None]
+    channels = channels_of(H, rng)
+    found = blind_modes(channels)
+    frequency = np.abs(found.poles) / 2 / np.pi
+    assert misfit(found, channels) > 1.2
+    assert bent(found, channels)[np.abs(frequency - 20) < 1].all()
+    assert not bent(found, channels)[np.abs(frequency - 45) < 0.1].any() and (np.abs(frequency - 45) < 0.1).any()
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.9, 1.0])
+def test_features_are_whitened_however_alike_they_are(correlation):
+    size = np.array([1e-6, 1.0, 1e3])
+    C = (np.full((3, 3), correlation) + (1 - correlation) * np.eye(3)) * size[:, None] * size
+    empty = np.zeros((0, 1, 1))
+    W = whitener_of(Features(np.zeros(0), empty, empty, empty[:, None], np.zeros((0, 3)), C))
+    assert np.isfinite(W).all()
+    if correlation < 1:
+        np.testing.assert_allclose(W @ C @ W.T, np.eye(3), atol=1e-9)
