@@ -41,7 +41,7 @@ def _factor(poles: np.ndarray, channels: Channels) -> np.ndarray:
         gram += left[:, :-1]
         right += left[:, -1]
     gram += RIDGE * np.diag(np.maximum(np.diag(gram), 1e-300))
-    return scipy.linalg.lstsq(gram, right)[0] / size
+    return np.linalg.lstsq(gram, right, rcond=None)[0] / size
 
 
 def _zeros(poles: np.ndarray, sizes: np.ndarray) -> np.ndarray:
