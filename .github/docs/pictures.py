@@ -28,10 +28,11 @@ def main() -> None:
     import jax
 
     from modalax.data import Geometry
+    from modalax.files import save
     from modalax.identify import fit
     from modalax.model import ModalModel, poles_from
     from modalax.show.report import fit_report
-    from modalax.view import Server, Session
+    from modalax.view import Server, Session, read_beside
 
     x, y = np.meshgrid(np.linspace(0, 1, 5), np.linspace(0, 0.5, 3))
     x, y = x.ravel(), y.ravel()
@@ -47,8 +48,14 @@ def main() -> None:
     model = ModalModel(poles, shapes, part, outputs=dofs, inputs=dofs[:1])
     frf = model.frf(np.linspace(10, 120, 881), form="accelerance").add_noise(jax.random.key(0), 0.03)
     with tempfile.TemporaryDirectory() as folder:
-        server = Server(Session(frf, geometry=places), name="plate.uff", folder=Path("/measured/plate"))
-        shot(server.url, "view.png", (1400, 1060))
+        # Beside it a model that is stiffer, and whose third mode bends one corner.
+        other = shapes + np.where((x == 1) & (y == 0), 0.6, 0) * np.array([0, 0, 1, 0])[:, None]
+        made = ModalModel(poles * 1.04, other, part, outputs=dofs, inputs=dofs[:1])
+        save(made, Path(folder) / "model.npz")
+        beside = read_beside(Path(folder) / "model.npz")
+        session = Session(frf, geometry=places)
+        server = Server(session, name="plate.uff", folder=Path("/measured/plate"), beside=beside)
+        shot(server.url, "view.png", (1400, 1500))
         server.close()
         page = Path(folder) / "report.html"
         page.write_text(fit_report(fit(frf), "Modes of a plate", geometry=places), encoding="utf-8")
