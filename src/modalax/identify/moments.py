@@ -16,16 +16,15 @@ from modalax._numerics.powers import powers
 CUT = 1e-12  # eigenvalues of the numerator's Gram matrix below this part of the largest are not seen on the arc
 
 
-def factor_from_moments(
+def normal_from_moments(
     H: Complex[Array, "f row i"],
     weight: Float[Array, " f"],
     u: Complex[Array, " f"],
     order: int,
     numerator: int,
     real: bool,
-    ridge: Float[Array, ""],
-) -> Inexact[Array, "m m"]:
-    r"""Triangular factor of :math:`\sum_o D_o^H(I - QQ^H)D_o`, the same matrix as by QR up to rounding.
+) -> tuple[Inexact[Array, "m m"], Float[Array, ""]]:
+    r"""Normal matrix :math:`\sum_o D_o^H(I - QQ^H)D_o` of some outputs, and the mean diagonal of it with :math:`Q = 0`.
 
     Parameters are those of :func:`triangular_factor` with one weight a line for all outputs.
     """
@@ -61,9 +60,30 @@ def factor_from_moments(
         G, _ = lax.scan(add, G, jnp.arange(whole).reshape(-1, 8))
     if whole < n_rows:
         G, _ = add(G, jnp.arange(whole, n_rows))
-    energy = jnp.trace(total.reshape(m, m)).real / m
+    return G, jnp.trace(total.reshape(m, m)).real / m
+
+
+def factor_of_normal(
+    G: Inexact[Array, "m m"], energy: Float[Array, ""], order: int, ridge: Float[Array, ""]
+) -> Inexact[Array, "m m"]:
+    """Triangular factor of a normal matrix, kept regular by a ridge relative to its mean diagonal."""
+    m = len(G)
     floor = jnp.maximum(ridge * (order + 1), 1e-14 * m) * energy
     return jnp.linalg.cholesky((G + G.conj().T) / 2 + floor * jnp.eye(m)).conj().T
+
+
+def factor_from_moments(
+    H: Complex[Array, "f row i"],
+    weight: Float[Array, " f"],
+    u: Complex[Array, " f"],
+    order: int,
+    numerator: int,
+    real: bool,
+    ridge: Float[Array, ""],
+) -> Inexact[Array, "m m"]:
+    """Triangular factor of :func:`normal_from_moments`, the same matrix as by QR up to rounding."""
+    G, energy = normal_from_moments(H, weight, u, order, numerator, real)
+    return factor_of_normal(G, energy, order, ridge)
 
 
 def toeplitz(moments: Array, rows: int, columns: int, top: int) -> Array:
