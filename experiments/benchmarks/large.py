@@ -153,7 +153,8 @@ def fit(path: str) -> dict:
     wall, cpu = time.perf_counter() - began[0], time.process_time() - began[1]
     poles = np.asarray(found.poles)
     near = np.abs(poles[:, None] - facts["poles"]).min(axis=0) / np.abs(facts["poles"].real)
-    return {"wall": wall, "cpu": cpu, "peak": peak(), "told": f"{int(np.sum(near < 1.0))} of {len(near)} modes within their half-bandwidth"}
+    told = f"{int(np.sum(near < 1.0))} of {len(near)} modes within their half-bandwidth"
+    return {"wall": wall, "cpu": cpu, "peak": peak(), "told": told}
 
 
 def main() -> None:
