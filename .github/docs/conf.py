@@ -57,6 +57,13 @@ def short_types(text):
     return text and text.replace("jaxlib._jax.", "").replace("jaxtyping.", "")
 
 
+def plain_annotations(app, domain, kind, content):
+    """Types of attributes and properties with their short names."""
+    for text in list(content.parent.findall(nodes.Text)):
+        if "jaxlib._jax." in text and not isinstance(text.parent, nodes.literal):
+            text.parent.replace(text, nodes.Text(short_types(str(text))))
+
+
 def formula(self, node):
     """A formula as MathML, which browsers draw by themselves: no program, and no network, is needed to read it."""
     block = isinstance(node, nodes.math_block)
@@ -72,3 +79,4 @@ def setup(app):
     app.add_html_math_renderer("mathml", (formula, None), (formula, None))
     app.connect("autodoc-process-docstring", plain_types, priority=900)
     app.connect("autodoc-process-signature", plain_signature)
+    app.connect("object-description-transform", plain_annotations)

@@ -306,6 +306,27 @@ def test_matrices_beside_give_their_undamped_modes(session, tmp_path):
     assert told["beside"]["pairs"] == [0, 1, 2, 3, 4]
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_an_earlier_result_stands_beside(session, turned, tmp_path):
+    save_picks(session, "result", tmp_path / "before.json", False, "data.npz")
+    if turned:  # as a roving hammer gives it: the shapes are at the inputs
+        answer = json.loads((tmp_path / "before.json").read_text())
+        answer["inputs"], answer["outputs"] = answer["outputs"], answer["inputs"]
+        answer["modes"] = [m | {"shape": m["participation"], "participation": m["shape"]} for m in answer["modes"]]
+        (tmp_path / "before.json").write_text(json.dumps(answer))
+    told = Answers(session, read_beside(tmp_path / "before.json")).now(SUM, 2)
+    assert told["beside"]["pairs"] == [0, 1, 2, 3, 4] and told["shape"]["other"] is not None
+    np.testing.assert_allclose(np.diag(told["beside"]["mac"]), 1, atol=1e-2)
+    np.testing.assert_allclose(told["beside"]["f"], frequencies(session), rtol=1e-9)
+
+
+@pytest.mark.parametrize("text", ["", "{}", '{"modes": [], "inputs": [], "outputs": ["1"]}'])
+def test_a_file_that_is_no_result_is_refused_beside(text, tmp_path):
+    (tmp_path / "x.json").write_text(text)
+    with pytest.raises(ValueError, match=r"x.json: holds no result with modes and shapes"):
+        read_beside(tmp_path / "x.json")
+
+
 def test_modes_beside_without_a_common_place_are_told(session, tmp_path):
     model = ModalModel(TRUTH.poles, TRUTH.shapes, TRUTH.participation[:, :1], outputs=list("abcde"), inputs=["a"])
     save(model, tmp_path / "fe.npz")

@@ -43,7 +43,9 @@ def view(
     ] = None,
     simulation: Annotated[
         Path | None,
-        typer.Option("--simulation", metavar="FILE", help="Matrices or modes to compare with: MAC and shapes."),
+        typer.Option(
+            "--simulation", metavar="FILE", help="Matrices, modes or an earlier result to compare with: MAC and shapes."
+        ),
     ] = None,
     geometry: Annotated[
         Path | None, typer.Option("--geometry", metavar="FILE", help="Coordinates of the nodes: UFF, CSV or STL.")

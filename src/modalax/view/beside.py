@@ -1,5 +1,6 @@
 """Modes of a simulation or of an earlier test, seen beside those picked: cross-MAC, pairs, shapes overlaid."""
 
+import json
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -66,7 +67,7 @@ class Beside:
 
 
 def read_beside(path: str | os.PathLike[str]) -> Beside:
-    """Read matrices (their undamped modes are taken), a modal model, or a table of modes.
+    """Read matrices (their undamped modes are taken), a modal model, a table of modes, or a result of a fit (JSON).
 
     Raises
     ------
@@ -74,6 +75,8 @@ def read_beside(path: str | os.PathLike[str]) -> Beside:
         If there is no such file, or it holds neither.
     """
     path = Path(os.fspath(path))
+    if path.suffix.lower() == ".json":
+        return Beside(path.name, _of_result(path))
     if holds_modes_alone(path):
         return Beside(path.name, load_mode_table(path))
     found = load(path)
@@ -86,6 +89,19 @@ def read_beside(path: str | os.PathLike[str]) -> Beside:
     keep = ~free & (square > 0)
     f = np.sqrt(square[keep]) / (2 * np.pi)
     return Beside(path.name, ModeTable.of(f, np.nan, phi[:, keep].T, found.dofs))
+
+
+def _of_result(path: Path) -> ModeTable:
+    """Modes of a result of ``modalax fit --json`` or of a view, at the outputs or, where they are more, the inputs."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        turned = len(found["inputs"]) > len(found["outputs"])
+        modes, side = found["modes"], "participation" if turned else "shape"
+        frequency, damping = ([float(mode[key]) for mode in modes] for key in ("frequency_hz", "damping_ratio"))
+        shapes = np.array([mode[side] for mode in modes], float) @ [1, 1j]
+        return ModeTable.of(frequency, damping, shapes, found["inputs"] if turned else found["outputs"])
+    except (ValueError, KeyError, TypeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: holds no result with modes and shapes, as modalax fit --json writes it") from error
 
 
 @dataclass(frozen=True)
