@@ -59,6 +59,17 @@ def test_sound_measurements_keep_all_lines(structure, form):
         assert len(usable_lines(flank, choose=True)[0].freq) == len(flank.freq)
 
 
+def test_noise_of_accelerometers_that_was_integrated_is_left_out(structure):
+    rng = np.random.default_rng(3)
+    a = np.array(structure.frf(FREQ[1:], form="accelerance").H)
+    a += 0.01 * np.abs(a).mean() * (rng.normal(size=a.shape) + 1j * rng.normal(size=a.shape))
+    frf = FRF(FREQ[1:], a / (2j * np.pi * FREQ[1:, None, None]) ** 2, form="receptance")
+    kept, told = usable_lines(frf, choose=True)
+    assert 0.5 < float(kept.freq[0]) < 9.0
+    assert np.sum(np.abs(np.asarray(frf.H)) ** 2) > 10 * np.sum(np.abs(np.asarray(kept.H)) ** 2)
+    assert "integrated noise" in told[0]
+
+
 def test_low_suspension_modes_are_no_drift(structure):
     """A suspension at 0.3 Hz, lines 0.125 Hz apart."""
     soft = ModalModel.from_real_modes([0.3, 35.0], [0.05, 0.01], np.ones((2, 1)), [1.0, 1.0], ["a"])

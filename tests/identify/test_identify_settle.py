@@ -7,8 +7,10 @@ import pytest
 from modalax.identify import Refined
 from modalax.identify.close_modes import Record
 from modalax.identify.disagreement import Spread
+from modalax.identify.flags import stands_for_two
+from modalax.identify.one_mode import Rest
 from modalax.identify.quality import ModeQuality
-from modalax.identify.settle import at_bound, with_misfit, with_record
+from modalax.identify.settle import at_bound, with_misfit, with_record, with_seconds
 from modalax.model import ModalModel
 
 FREQ = np.linspace(10, 60, 101)
@@ -60,3 +62,15 @@ def test_error_bars_know_what_the_window_of_a_record_adds(probability):
     result = with_record(refined([0.01, 0.01], [1e-4, 1e-4]), record)
     widened = np.sqrt(1e-8 + probability * 0.006**2)
     assert np.asarray(result.damping_std).tolist() == pytest.approx([widened, 1e-4])
+
+
+@pytest.mark.parametrize(("chance", "disagree", "told"), [(1e-9, 0.3, True), (1e-9, 1e-9, False), (0.1, 0.3, False)])
+def test_error_bars_reach_both_modes_that_one_may_stand_for(chance, disagree, told):
+    """Two modes 0.3 Hz from the one found; outputs that disagree on it, or chance, would explain as much."""
+    apart = Rest(chance, 0.02, 1.0, complex(-((2 * np.pi * 0.3) ** 2)))
+    q = quality(disagree)._replace(rest=apart)
+    assert stands_for_two(q, 0.2) is told
+    result = with_seconds(refined([0.01], [1e-4]), [q], np.array([stands_for_two(q, 0.2)]))
+    widened = np.hypot(1e-3, 0.3) if told else 1e-3
+    assert float(result.frequency_std_hz[0]) == pytest.approx(widened)
+    assert float(result.damping_std[0]) == pytest.approx(np.hypot(1e-4, 0.3 / 20) if told else 1e-4)

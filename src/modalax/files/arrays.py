@@ -9,6 +9,7 @@ import numpy as np
 
 from modalax.data.frf import FRF
 from modalax.data.measurement import Measurement
+from modalax.files.gaps import without_gaps
 from modalax.files.guard import LONGEST_NAME, check_names
 from modalax.files.plain import PLAIN_KEYS, Told, understood
 from modalax.model.elements import Elements
@@ -199,10 +200,9 @@ def _measurement(arrays: Arrays) -> Measurement:
     if "force" in arrays:
         optional["force"] = np.atleast_2d(_numbers(arrays, "force"))
     level = np.atleast_1d(_numbers(arrays, "level").squeeze()) if "level" in arrays else None
-    return Measurement(
-        freq, H[None] if single else H, form=_word(arrays, "form"), level=level, outputs=outputs, inputs=inputs,
-        **optional,
-    )  # fmt: skip
+    H = H[None] if single else H
+    freq, H, outputs, inputs, optional = without_gaps(freq, H, outputs, inputs, optional, stacklevel=5)
+    return Measurement(freq, H, form=_word(arrays, "form"), level=level, outputs=outputs, inputs=inputs, **optional)
 
 
 def _whole(arrays: Arrays, name: str) -> int:

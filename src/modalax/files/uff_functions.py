@@ -10,6 +10,7 @@ from modalax.data.dofs import DIRECTIONS, parse_dof
 from modalax.data.frf import DERIVATIVES
 from modalax.data.geometry import Geometry
 from modalax.data.measurement import Measurement
+from modalax.files.gaps import without_gaps
 from modalax.files.uff_units import form_of, response_scale
 
 FUNCTIONS = {
@@ -139,9 +140,9 @@ def measurement_of(functions: Sequence[Function], form: str | None, complete: bo
             warnings.warn(f"a {kind} stands beside some FRFs only and was left out", UserWarning, stacklevel=5)
     _tell_left_out(functions)
     first = cells[outputs[0], inputs[0]]
-    return Measurement(
-        freq, grid(cells).astype(complex), form=form, outputs=outputs, inputs=inputs, **extra, **_run_facts(first)
-    )
+    H = grid(cells).astype(complex)
+    freq, H, outputs, inputs, extra = without_gaps(freq, H, outputs, inputs, extra, stacklevel=6)
+    return Measurement(freq, H, form=form, outputs=outputs, inputs=inputs, **extra, **_run_facts(first))
 
 
 def _cells(functions: Sequence[Function]) -> Cells:

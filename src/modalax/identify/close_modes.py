@@ -52,11 +52,26 @@ def two_modes(frf: FRF, model: ModalModel, residual: Complex[np.ndarray, "f o i"
     ratio test at ``CHANCE``, its noise that of the lines or, where larger and correlated, what the best one leaves.
     Where two poles leave far more than the noise and look alike, the second is a sign of misfit and not of a mode.
     """
-    hood = around(frf, model, residual, pair)
+    return told_apart(frf, around(frf, model, residual, pair), _likeness(model, pair))
+
+
+def told_apart(frf: FRF, hood: Neighbourhood, likeness: float | None = None) -> bool:
+    """Whether the lines around two modes hold both of them; see :func:`two_modes`.
+
+    Parameters
+    ----------
+    frf
+        The FRF.
+    hood
+        The lines around the two, with their poles and residues.
+    likeness
+        MAC of their shapes; None where they have too few DoFs to be compared.
+    """
     leading = hood.leading()
     mean = np.average(hood.poles, weights=np.sum(np.abs(hood.residues / hood.poles.real[:, None]) ** 2, axis=1))
     broad = complex(mean.real - np.ptp(hood.poles.imag) / 2, mean.imag)
-    if _unlike(model, pair):  # one mode has one shape in any record and at any hit, so only plain evidence is asked for
+    if likeness is not None and likeness < UNLIKE and max(frf.shape[1:]) >= MANY:
+        # one mode has one shape in any record and at any hit, so only plain evidence is asked for
         two, one = _at(hood, hood.poles), _best(hood, [mean], None, leading)
         level = _level(frf, two.chi2 / max(2 * hood.data.size - two.unknowns, 1))
         return bool((one.chi2 - two.chi2) / level > scipy.special.chdtri(two.unknowns - one.unknowns, CHANCE))
@@ -76,24 +91,20 @@ def two_modes(frf: FRF, model: ModalModel, residual: Complex[np.ndarray, "f o i"
         need = scipy.special.chdtri(max(two.unknowns - other.unknowns, 1), CHANCE)
         if (other.chi2 - two.chi2) / scale < need:
             return False
-    return bool(left < MISFIT) or not _alike(model, pair)
+    return bool(left < MISFIT) or (likeness is not None and likeness <= ALIKE)
+
+
+def _likeness(model: ModalModel, pair: tuple[int, int]) -> float | None:
+    """MAC of the shapes of two modes; None where they have so few DoFs that all shapes are alike."""
+    longer = model.shapes if model.shapes.shape[1] >= model.participation.shape[1] else model.participation
+    if longer.shape[1] < FEW:
+        return None
+    return float(mac(longer[pair[0]][None], longer[pair[1]][None])[0, 0])
 
 
 def _level(frf: FRF, left: float) -> float:
     """Power of the noise in units of what whitened the data: what the best trial leaves, unless less than is known."""
     return max(1.0, left) if frf.variance is not None else max(left, 1e-12)
-
-
-def _alike(model: ModalModel, pair: tuple[int, int]) -> bool:
-    """Whether the two modes have the same shape."""
-    longer = model.shapes if model.shapes.shape[1] >= model.participation.shape[1] else model.participation
-    return longer.shape[1] < FEW or float(mac(longer[pair[0]][None], longer[pair[1]][None])[0, 0]) > ALIKE
-
-
-def _unlike(model: ModalModel, pair: tuple[int, int]) -> bool:
-    """Whether many DoFs tell the two modes' shapes apart."""
-    longer = model.shapes if model.shapes.shape[1] >= model.participation.shape[1] else model.participation
-    return longer.shape[1] >= MANY and float(mac(longer[pair[0]][None], longer[pair[1]][None])[0, 0]) < UNLIKE
 
 
 def _at(hood: Neighbourhood, poles: np.ndarray) -> Trial:

@@ -14,7 +14,7 @@ from modalax.identify.bias import predicted_damping_bias
 from modalax.identify.chosen import by_frequency, choice_of, chosen_poles, fit_chosen
 from modalax.identify.close_modes import record_of
 from modalax.identify.diagram import ESTIMATORS, diagram
-from modalax.identify.flags import Modes, flags_of, grades_of, notes_of
+from modalax.identify.flags import Modes, flags_of, grades_of, notes_of, stands_for_two
 from modalax.identify.host import residues_on_host as fit_residues
 from modalax.identify.mode_search import diagram_poles, likelihood_rounds, synthesis
 from modalax.identify.neighbourhood import residual_of
@@ -23,7 +23,7 @@ from modalax.identify.quality import noise_part, quality_of, scatter_over_orders
 from modalax.identify.refine import HELD, Refined
 from modalax.identify.result import Fit
 from modalax.identify.select import Selection, best_order
-from modalax.identify.settle import doubled, settle, settle_diagram, with_misfit, with_record
+from modalax.identify.settle import doubled, settle, settle_diagram, with_misfit, with_record, with_seconds
 from modalax.identify.stabilize import stabilization
 from modalax.identify.tables import PoleTable
 from modalax.model.entry import check_measured, check_order
@@ -162,7 +162,11 @@ def summed_up(
     collinearity = mpc(model.along_longer_side().shapes)
     scatter = scatter_over_orders(table, np.asarray(model.poles))
     quality = quality_of(weighted, model)
-    refined = None if refined is None else with_misfit(refined, quality)
+    if refined is not None:
+        refined = with_misfit(refined, quality)
+        widths = -np.asarray(model.poles.real) / (2 * np.pi)
+        two = [record is None and stands_for_two(q, w) for q, w in zip(quality, widths, strict=True)]
+        refined = with_seconds(refined, quality, np.array(two))
     deviations = scatter if refined is None else (refined.frequency_std_hz, refined.damping_std)
     halves = np.zeros(len(f), bool)
     if refined is None or int(refined.reason_code) != HELD:

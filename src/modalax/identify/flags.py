@@ -120,7 +120,13 @@ def _unresolved(modes: Modes, r: int) -> str:
     if len(others) and apart.min() < modes.step:
         f = float(modes.frequency[others[np.argmin(apart)]])
         return f"unresolved: {apart.min():.2g} Hz from the mode at {f:.5g} Hz, lines are {modes.step:.2g} Hz apart"
-    lines = 2 * float(modes.half_bandwidth[r]) / modes.step
+    q, width = modes.quality[r], float(modes.half_bandwidth[r])
+    if modes.record is None and stands_for_two(q, width):
+        return (
+            f"unresolved: one mode leaves {100 * q.rest.part:.2g} % of its response here, more than noise; two close "
+            "modes, or a frequency that is not the same in all channels, would explain it"
+        )
+    lines = 2 * width / modes.step
     return f"narrow: {lines:.2g} lines in its half-power bandwidth" if lines < 1 else ""
 
 
@@ -142,6 +148,11 @@ def _sides(modes: Modes, r: int) -> list[tuple[Spread | None, tuple[str, ...], s
 def matters(spread: Spread | None, width: float) -> bool:
     """Whether parts of the data disagree on a frequency by more than noise and enough to bend the FRFs."""
     return spread is not None and spread.largest > MATTERS * width
+
+
+def stands_for_two(quality: ModeQuality, width: float) -> bool:
+    """Whether a mode leaves what a second one would, and inputs or outputs that disagree do not explain it."""
+    return quality.rest.plain and not any(matters(s, width) for s in (quality.inputs, quality.outputs))
 
 
 def _disagreeing(spread: Spread | None, names: tuple[str, ...], kind: str, f: float, width: float) -> str:

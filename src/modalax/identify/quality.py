@@ -13,6 +13,7 @@ from jaxtyping import Float
 from modalax.data.frf import FRF
 from modalax.identify.disagreement import Spread, of_channels, of_lines
 from modalax.identify.neighbourhood import Neighbourhood, around, line_noise, residual_of
+from modalax.identify.one_mode import NOTHING_LEFT, Rest, rest_of
 from modalax.identify.tables import PoleTable
 from modalax.model.modal import ModalModel
 
@@ -39,6 +40,8 @@ class ModeQuality(NamedTuple):
         Number of channels that its response is spread over, the inverse participation ratio of their energies.
     lines, inputs, outputs
         What the flanks of the resonance, the inputs and the outputs ask for; None where there is only one.
+    rest
+        What one mode leaves of the lines around it, as a second one beside it would.
     """
 
     gain: float
@@ -49,6 +52,7 @@ class ModeQuality(NamedTuple):
     lines: Spread
     inputs: Spread | None
     outputs: Spread | None
+    rest: Rest = NOTHING_LEFT
 
     def error(self) -> tuple[float, float]:
         """Largest standard deviation of frequency and of decay over 2 pi [Hz] that misfit gives the pole."""
@@ -97,6 +101,7 @@ def _one(frf: FRF, hood: Neighbourhood) -> ModeQuality:
         lines=of_lines(hood),
         inputs=of_channels(hood, into) if n_in > 1 else None,
         outputs=of_channels(hood, out) if n_out > 1 else None,
+        rest=rest_of(hood),
     )
 
 

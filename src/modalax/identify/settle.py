@@ -17,6 +17,7 @@ from modalax.identify.likelihood import UNDAMPED
 from modalax.identify.local import fit_where_dominant
 from modalax.identify.neighbourhood import residual_of
 from modalax.identify.noise import residual_sigma
+from modalax.identify.one_mode import second_mode
 from modalax.identify.quality import CHANCE, ModeQuality, gains_of
 from modalax.identify.refine import CONTRADICTION, CORRELATED, HELD, UNIT, Refined
 from modalax.model.modal import ModalModel
@@ -29,7 +30,8 @@ def settle(frf: FRF, refined: Refined, tell: Callable[[str], None], **options: A
     """The result without modes that are none, refined again where there were any.
 
     Dropped are modes in the band at the end of the range of damping, those whose evidence noise alone would give, and
-    the weaker of two close modes that one mode explains as well (:func:`two_modes`).
+    the weaker of two close modes that one mode explains as well (:func:`two_modes`). Where one mode stands for two that
+    the lines around it tell apart (:func:`second_mode`), the two take its place.
 
     Parameters
     ----------
@@ -48,14 +50,20 @@ def settle(frf: FRF, refined: Refined, tell: Callable[[str], None], **options: A
     if int(refined.reason_code) == HELD:
         return refined
     asked: set[tuple[float, float]] = set()
+    tried: list[float] = []
     for _ in range(TURNS):
         bad = at_bound(frf, refined) | _in_noise(frf, refined)
         _require(frf, _inside(frf, refined.model) & ~bad)
         bad |= doubled(frf, refined.model, np.asarray(refined.evidence), bad, asked)
-        if not bad.any():
+        if bad.any():
+            tell(f"{int(bad.sum())} mode{'s' * int(bad.sum() > 1)} dropped that the data do not need")
+            refined = _again(frf, refined, ~bad, **options)
+            continue
+        poles, split = _with_seconds(frf, refined.model, tried)
+        if not split:
             break
-        tell(f"{int(bad.sum())} modes dropped that the data do not need")
-        refined = _again(frf, refined, ~bad, **options)
+        tell(f"{split} resonance{'s' * (split > 1)} of two close modes")
+        refined = _again(frf, _from_poles(frf, refined, poles, **options), np.ones(len(poles), bool), **options)
     _require(frf, _inside(frf, refined.model) & ~_gains(frf, refined.model)[1])
     return refined
 
@@ -145,6 +153,32 @@ def doubled(
     return drop
 
 
+def _with_seconds(frf: FRF, model: ModalModel, tried: list[float]) -> tuple[np.ndarray, int]:
+    """Poles with two in the place of each that stands for two, and how many these are.
+
+    Frequencies that were ``tried`` before are not tried again; those of this call are added.
+    """
+    f, width = np.asarray(model.frequency_hz), -np.asarray(model.poles.real) / (2 * np.pi)
+    poles, split = [], 0
+    residual = residual_of(frf, model)
+    for r in range(len(f)):
+        pair = None
+        if _inside(frf, model)[r] and not any(abs(f[r] - other) < width[r] for other in tried):
+            pair = second_mode(frf, model, residual, r)
+            tried += [] if pair is None else [float(f[r])]
+        split += pair is not None
+        poles += [complex(model.poles[r])] if pair is None else list(pair)
+    return np.array(poles), split
+
+
+def _from_poles(frf: FRF, refined: Refined, poles: np.ndarray, **options: Any) -> Refined:
+    """A refinement from other poles, with the noise that the residual of the present one shows."""
+    known = frf.variance is not None
+    weights: Any = "auto" if known else _weights(frf, refined)
+    start = residues_on_host(frf, poles[np.argsort(np.abs(poles))], weights=weights, **options)
+    return refine_on_host(frf, start, weights=weights, covariance="gauss-newton" if known else "robust", **options)
+
+
 def _again(frf: FRF, refined: Refined, keep: np.ndarray, **options: Any) -> Refined:
     """The other modes refined with the weights that their own residual gives, as the search ends."""
     model = refined.model
@@ -153,16 +187,19 @@ def _again(frf: FRF, refined: Refined, keep: np.ndarray, **options: Any) -> Refi
         frequency_std=0.0, damping_std=0.0,
     )  # fmt: skip
     known = frf.variance is not None
-    weights: Any = "auto"
-    if not known:
-        scale = UNIT * jnp.sqrt(jnp.mean(jnp.abs(frf.H) ** 2))
-        plain = dataclasses.replace(refined, residual=jnp.asarray(residual_of(frf, refined.model)) / scale)
-        weights = residual_sigma(frf, plain, "auto", proportional=True)
+    weights: Any = "auto" if known else _weights(frf, refined)
     kind = "gauss-newton" if known else "robust"
     new = refine_on_host(frf, model, weights=weights, covariance=kind, **options)
     if int(refined.reason_code) == CONTRADICTION and float(new.whiteness) < CORRELATED:
         new = fit_where_dominant(frf, new, **options)
     return new
+
+
+def _weights(frf: FRF, refined: Refined) -> Any:
+    """Standard deviations that the residual of a model shows."""
+    scale = UNIT * jnp.sqrt(jnp.mean(jnp.abs(frf.H) ** 2))
+    plain = dataclasses.replace(refined, residual=jnp.asarray(residual_of(frf, refined.model)) / scale)
+    return residual_sigma(frf, plain, "auto", proportional=True)
 
 
 def with_misfit(refined: Refined, quality: list[ModeQuality]) -> Refined:
@@ -174,6 +211,17 @@ def with_misfit(refined: Refined, quality: list[ModeQuality]) -> Refined:
     f, zeta = np.asarray(refined.model.frequency_hz), np.asarray(refined.model.damping_ratio)
     old = _deviations(refined)
     return _widened(refined, np.array([_with_spread(old[r], f[r], zeta[r], q) for r, q in enumerate(quality)]))
+
+
+def with_seconds(refined: Refined, quality: list[ModeQuality], which: np.ndarray) -> Refined:
+    r"""The result with deviations that know how far the two modes are that one may stand for, where ``which`` says so.
+
+    Its pole lies between theirs, :math:`\sqrt{|\overline{(\lambda_j-\lambda)^2}|}` from them, root mean square.
+    Correlations stay.
+    """
+    f = np.asarray(refined.model.frequency_hz)
+    apart = np.sqrt([abs(q.rest.spread) for q in quality]) / (2 * np.pi) * np.asarray(which)
+    return _widened(refined, np.hypot(_deviations(refined), np.stack([apart, apart / f], axis=1)))
 
 
 def with_record(refined: Refined, record: Record | None) -> Refined:
