@@ -140,9 +140,35 @@ def mended(study: Study, found: Sequence[Finding]) -> Study | None:
             study = replace(study, H=H)
         elif f.what == "swapped":
             study = exchanged(study, f.where)
+        elif f.what == "hum":
+            study = bridged(study, f.bands)
+        elif f.what == "drift":
+            study = above(study, max(end for _, end in f.bands))
         if 0 in study.H.shape:
             return None
     return study
+
+
+def bridged(study: Study, bands: Sequence[tuple[float, float]]) -> Study:
+    """The measurement with straight lines over some bands: lines of a record must stay as far apart as they are."""
+    gone = np.any([(study.freq > low) & (study.freq < high) for low, high in bands], axis=0)
+    if gone.all() or not gone.any():
+        return study
+    runs, lines = study.H.shape[:2]
+    flat = study.H.transpose(1, 0, 2, 3).reshape(lines, -1)
+    over = [np.interp(study.freq[gone], study.freq[~gone], column[~gone]) for column in flat.T]
+    H = study.H.copy()
+    H[:, gone] = np.array(over).T.reshape(-1, runs, *study.H.shape[2:]).transpose(1, 0, 2, 3)
+    return replace(study, H=H)
+
+
+def above(study: Study, end: float) -> Study:
+    """The measurement without the lines up to a frequency [Hz], unless next to none would be left."""
+    keep = study.freq > end
+    if keep.sum() < len(keep) / 2:
+        return study
+    variance = None if study.variance is None else study.variance[:, keep]
+    return replace(study, freq=study.freq[keep], H=study.H[:, keep], variance=variance)
 
 
 def exchanged(study: Study, where: Sequence[str]) -> Study:

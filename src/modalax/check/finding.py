@@ -44,6 +44,8 @@ class Finding:
         What was seen in the data, and what to do.
     picture
         Curves that show it, or None.
+    bands
+        Ranges of frequency that the fault spoils [Hz], which later detectors leave out.
     """
 
     what: str
@@ -55,6 +57,7 @@ class Finding:
     unit: str | None = None
     interval: tuple[float, float] | None = None
     picture: Picture | None = field(default=None, repr=False, compare=False)
+    bands: tuple[tuple[float, float], ...] = field(default=(), repr=False, compare=False)
 
     def __post_init__(self):
         if self.what not in WORDS:

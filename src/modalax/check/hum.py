@@ -30,7 +30,7 @@ def hum(study: Study) -> Iterator[Finding]:
     if len(study.freq) < 4 * TAIL or not mains_seen:
         return
     power = _left_over(study, float(step))
-    best: tuple[float, float, list[float]] | None = None
+    best: tuple[float, float, list[float], list[float]] | None = None
     for mains in mains_seen:
         multiples = mains * np.arange(1, int(study.freq[-1] / mains) + 1)
         chances = [(f, *_chance(study, power, f, float(step))) for f in multiples]
@@ -45,10 +45,10 @@ def hum(study: Study) -> Iterator[Finding]:
         score = -np.log10(max(min(together, len(multiples) * min(c for _, c in told)), 1e-300)) / -np.log10(CHANCE)
         lines = [f for f, chance in told if chance < 1e-3]
         if score > 1 and lines and _share(study, power, lines) > LEAST_SHARE and (best is None or score > best[0]):
-            best = float(score), mains, lines
+            best = float(score), mains, lines, [f for f, _ in told]
     if best is None:
         return
-    score, mains, lines = best
+    score, mains, lines, seen = best
     share = _share(study, power, lines)
     shown = ", ".join(f"{f:g}" for f in lines[:6]) + (", ..." if len(lines) > 6 else "")
     yield Finding(
@@ -56,6 +56,7 @@ def hum(study: Study) -> Iterator[Finding]:
         evidence=f"single lines stand out at {shown} Hz, multiples of {mains:g} Hz, without the flanks of a resonance",
         advice="look for ground loops, use insulated mounts and shielded cables, average more, or leave the lines out",
         picture=Picture([("left over by the modes, over the noise", study.freq, power)], "Frequency [Hz]", "[-]", True),
+        bands=tuple((f - reach, f + reach) for f in seen for reach in [SPREAD * float(step) + WANDER * f]),
     )  # fmt: skip
 
 

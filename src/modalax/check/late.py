@@ -20,7 +20,7 @@ from modalax.check.study import CLEAR, Study
 # less where few angles tell it; modes it takes, and angles of other channels that count beside each of its own.
 SMALLEST_ANGLE, CHANCE, TRIALS, FEWEST_MODES, BESIDE = 0.025, 3e-6, 20, 3, 2
 # No scatter is larger than this [rad] where a delay can be read; a channel that takes less part tells nothing.
-MOST_SCATTER, MOST_PART = 0.35, 30.0
+MOST_SCATTER, MOST_PART = 0.2, 30.0
 
 
 class Phases(NamedTuple):

@@ -199,8 +199,10 @@ def _frequencies(study: Study, poles: np.ndarray, block, search: bool) -> np.nda
     moved = np.abs(best) - np.abs(poles)
     lost = (_clear(found) < CLEAR) | (np.abs(best.real) > 3 * np.abs(poles.real))
     lost |= _leading(found, freq, H, study.power) < LEADS
-    # Of modes that overlap, one may take the place of the other.
-    lost |= np.abs(moved) > np.where(_alone(poles), FARTHEST * np.abs(poles), OVERLAPPING * -2 * poles.real)
+    # Of modes that overlap, one may take the place of the other, or of one that the reference lacks.
+    alone = _alone(poles)
+    lost |= np.abs(moved) > np.where(alone, FARTHEST * np.abs(poles), OVERLAPPING * -2 * poles.real)
+    lost |= ~alone & (left > LEFT)
     return np.stack([np.abs(best) / 2 / np.pi, np.where(lost, np.inf, found.pole_std / 2 / np.pi)])
 
 

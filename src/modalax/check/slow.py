@@ -49,6 +49,7 @@ def drift(study: Study) -> Iterator[Finding]:
             f"has f^0 (free) or f^2 (held); {100 * share:.3g} % of the channel's energy lies there",
             advice="leave out the lowest lines, let the sensor settle, or use one that measures down to 0 Hz",
             picture=Picture([(study.outputs[k], freq, size[:, k])], "Frequency [Hz]", "Accelerance", True),
+            bands=((0.0, float(freq[last])),),
         )  # fmt: skip
 
 

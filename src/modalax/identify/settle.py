@@ -12,13 +12,14 @@ from jaxtyping import Bool, Float
 from modalax.data.frf import FRF
 from modalax.identify.close_modes import NEAR, Record, two_modes
 from modalax.identify.disagreement import CERTAIN
+from modalax.identify.flags import matters
 from modalax.identify.host import refine_on_host, residues_on_host
 from modalax.identify.likelihood import UNDAMPED
 from modalax.identify.local import fit_where_dominant
 from modalax.identify.neighbourhood import residual_of
 from modalax.identify.noise import residual_sigma
 from modalax.identify.one_mode import second_mode
-from modalax.identify.quality import CHANCE, ModeQuality, gains_of
+from modalax.identify.quality import CHANCE, ModeQuality, gains_of, quality_of
 from modalax.identify.refine import CONTRADICTION, CORRELATED, HELD, UNIT, Refined
 from modalax.model.modal import ModalModel
 
@@ -59,11 +60,10 @@ def settle(frf: FRF, refined: Refined, tell: Callable[[str], None], **options: A
             tell(f"{int(bad.sum())} mode{'s' * int(bad.sum() > 1)} dropped that the data do not need")
             refined = _again(frf, refined, ~bad, **options)
             continue
-        poles, split = _with_seconds(frf, refined.model, tried)
-        if not split:
+        more = _with_seconds(frf, refined, tried, tell, **options)
+        if more is None:
             break
-        tell(f"{split} resonance{'s' * (split > 1)} of two close modes")
-        refined = _again(frf, _from_poles(frf, refined, poles, **options), np.ones(len(poles), bool), **options)
+        refined = more
     _require(frf, _inside(frf, refined.model) & ~_gains(frf, refined.model)[1])
     return refined
 
@@ -153,22 +153,44 @@ def doubled(
     return drop
 
 
-def _with_seconds(frf: FRF, model: ModalModel, tried: list[float]) -> tuple[np.ndarray, int]:
-    """Poles with two in the place of each that stands for two, and how many these are.
+def _with_seconds(
+    frf: FRF, refined: Refined, tried: list[float], tell: Callable[[str], None], **options: Any
+) -> Refined | None:
+    """The result with two modes in the place of each that stands for two; None if there is none.
 
-    Frequencies that were ``tried`` before are not tried again; those of this call are added.
+    Two stay if they leave nothing that one of them alone would explain better, nor inputs or outputs that disagree.
+    Frequencies that were ``tried`` before are not tried again; those of this call are added. Where rows contradict each
+    other no single set of poles explains the data, and two modes in the place of one would be no better.
     """
+    model = refined.model
+    if int(refined.reason_code) == CONTRADICTION:
+        return None
     f, width = np.asarray(model.frequency_hz), -np.asarray(model.poles.real) / (2 * np.pi)
-    poles, split = [], 0
-    residual = residual_of(frf, model)
-    for r in range(len(f)):
-        pair = None
-        if _inside(frf, model)[r] and not any(abs(f[r] - other) < width[r] for other in tried):
-            pair = second_mode(frf, model, residual, r)
-            tried += [] if pair is None else [float(f[r])]
-        split += pair is not None
-        poles += [complex(model.poles[r])] if pair is None else list(pair)
-    return np.array(poles), split
+    inside, residual = _inside(frf, model), residual_of(frf, model)
+    pairs: dict[int, np.ndarray] = {}
+    for r in np.flatnonzero(inside):
+        pair = second_mode(frf, model, residual, r) if all(abs(f[r] - g) >= width[r] for g in tried) else None
+        if pair is not None:
+            pairs[int(r)] = pair
+    tried += [float(f[r]) for r in pairs]
+    if not pairs:
+        return None
+    tell(f"{len(pairs)} resonance{'s' * (len(pairs) > 1)} of two close modes")
+    new = _from_poles(frf, refined, _split(model, pairs), **options)
+    quality, poles = quality_of(frf, new.model), np.asarray(new.model.poles)
+    sound = np.array([not (q.rest.plain or matters(q.inputs, w) or matters(q.outputs, w)) for q, w in
+                      zip(quality, -poles.real / (2 * np.pi), strict=True)])  # fmt: skip
+    kept = {r: pair for r, pair in pairs.items() if all(sound[np.argmin(np.abs(poles - p))] for p in pair)}
+    if not kept:
+        return None
+    if len(kept) < len(pairs):
+        new = _from_poles(frf, refined, _split(model, kept), **options)
+    return _again(frf, new, np.ones(len(new.model.poles), bool), **options)
+
+
+def _split(model: ModalModel, pairs: dict[int, np.ndarray]) -> np.ndarray:
+    """Poles of a model with two in the place of some."""
+    return np.concatenate([pairs.get(r, np.atleast_1d(pole)) for r, pole in enumerate(np.asarray(model.poles))])
 
 
 def _from_poles(frf: FRF, refined: Refined, poles: np.ndarray, **options: Any) -> Refined:
