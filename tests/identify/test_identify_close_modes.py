@@ -40,11 +40,23 @@ def fitted(frf, frequency, zeta):
     return model, residual_of(frf, model)
 
 
-@pytest.mark.parametrize("record", ["steady", "hann", "random", "padded"])
+@pytest.mark.parametrize("record", ["steady", "hann", "random", "padded", "burst_half", "burst_most"])
 def test_one_mode_in_any_record_is_not_two(record):
     frf = measured([60.0, 120.0], [5e-4, 0.01], 3, 1, record)
     model, residual = fitted(frf, [59.9, 60.1, 120.0], [0.004, 0.004, 0.01])
     assert not two_modes(frf, model, residual, (0, 1))
+
+
+def test_where_records_are_known_to_be_cut_one_mode_mostly_explained_by_them_is_not_two():
+    """Bursts over another part of the block than any kernel has leave what a second mode would explain better."""
+    frf = measured([60.0, 120.0], [5e-4, 0.01], 3, 1, "burst_most", noise=1e-5)
+    between = measured([60.0, 120.0], [5e-4, 0.01], 3, 1, "burst_half", noise=1e-5)
+    frf = frf.replace(H=0.5 * (frf.H + between.H))
+    model, residual = fitted(frf, [59.9, 60.1, 120.0], [0.004, 0.004, 0.01])
+    assert not two_modes(frf, model, residual, (0, 1), cut=True)
+    true = measured([60.0, 62.0, 120.0], [0.01] * 3, 3, 1, noise=1e-5)
+    model, residual = fitted(true, [60.0, 62.0, 120.0], [0.01] * 3)
+    assert two_modes(true, model, residual, (0, 1), cut=True)
 
 
 def test_one_mode_that_columns_see_apart_is_not_two():

@@ -11,10 +11,13 @@ LAG = {
     "random": 1 - X,
     "padded": np.where(X < 0.5, 1.0, np.where(X == 0.5, 0.5, 0.0)),
     "steady": None,
+    # The mean over impulses at u in the burst of whether their response is still seen at u + t.
+    "burst_half": np.clip((1 - X) / 0.5, 0, 1),
+    "burst_most": np.clip((1 - X) / 0.75, 0, 1),
 }
 
 
-@pytest.mark.parametrize("record", ["padded", "random"])
+@pytest.mark.parametrize("record", ["padded", "random", "burst_half", "burst_most"])
 @pytest.mark.parametrize("decay", [0.05, 1.0, 20.0])
 def test_kernel_is_the_transform_of_the_windowed_impulse_response(record, decay):
     pole = -decay + 2j * np.pi * 10.3
@@ -47,4 +50,4 @@ def test_a_rectangular_block_only_scales_the_residue_on_its_own_lines():
 def test_an_unknown_record_is_refused():
     with pytest.raises(ValueError, match="record is 'flat'"):
         record_kernel(np.ones(1, complex), -1j, 1.0, "flat")
-    assert set(RECORDS) == {"steady", "padded", "random", "hann"}
+    assert set(RECORDS) == {"steady", "padded", "random", "burst_half", "burst_most", "hann"}

@@ -18,6 +18,7 @@ NEAR = 1.5  # distance of modes, in lines or in sums of their half-bandwidths, b
 ALIKE, FEW = 0.9, 4  # MAC from which on shapes are alike, and DoFs below which all are
 UNLIKE = 0.5  # MAC of shapes of many DoFs below which they are those of two modes
 MISFIT = 4.0  # power of what two modes leave, over the noise's, above which no evidence for the second is taken
+MOSTLY = 0.7  # part of what a second mode explains from which on a record that is cut short takes its place
 MANY = 16  # DoFs from which on shapes tell modes apart, and groups of channels that get a step, not a search, each
 STRONG = 5  # modes that are asked about the record
 PLAIN = 60.0  # rise of twice the log-likelihood, over those modes, from which on a record is named
@@ -44,18 +45,26 @@ def kernel_of(frf: FRF, record: str, T: float) -> Kernel:
     return lambda s, pole: record_kernel(s, pole, T, record)
 
 
-def two_modes(frf: FRF, model: ModalModel, residual: Complex[np.ndarray, "f o i"], pair: tuple[int, int]) -> bool:
+def two_modes(
+    frf: FRF, model: ModalModel, residual: Complex[np.ndarray, "f o i"], pair: tuple[int, int], cut: bool = False
+) -> bool:
     r"""Whether the lines around two modes hold more than one mode can make in any usual record.
 
     Compared with two poles are one pole in each kind of record (:data:`RECORDS`), and one pole that differs from input
     to input or from output to output. Two modes stay two if they are likelier than each of these by a likelihood
     ratio test at ``CHANCE``, its noise that of the lines or, where larger and correlated, what the best one leaves.
     Where two poles leave far more than the noise and look alike, the second is a sign of misfit and not of a mode.
+
+    Where the records are known to be ``cut``, leakage adds noise that follows the response: there one mode in a record
+    also stands for two if it explains ``MOSTLY`` of what the second one does. All of this must hold for noise that is
+    even over the lines and for noise that follows their scatter.
     """
-    return told_apart(frf, around(frf, model, residual, pair), _likeness(model, pair))
+    likeness = _likeness(model, pair)
+    hoods = (around(frf, model, residual, pair, smooth) for smooth in (False, True))
+    return all(told_apart(frf, hood, likeness, cut) for hood in hoods)
 
 
-def told_apart(frf: FRF, hood: Neighbourhood, likeness: float | None = None) -> bool:
+def told_apart(frf: FRF, hood: Neighbourhood, likeness: float | None = None, cut: bool = False) -> bool:
     """Whether the lines around two modes hold both of them; see :func:`two_modes`.
 
     Parameters
@@ -66,6 +75,8 @@ def told_apart(frf: FRF, hood: Neighbourhood, likeness: float | None = None) -> 
         The lines around the two, with their poles and residues.
     likeness
         MAC of their shapes; None where they have too few DoFs to be compared.
+    cut
+        Whether the records are known to end before the modes have died out.
     """
     leading = hood.leading()
     mean = np.average(hood.poles, weights=np.sum(np.abs(hood.residues / hood.poles.real[:, None]) ** 2, axis=1))
@@ -81,6 +92,9 @@ def told_apart(frf: FRF, hood: Neighbourhood, likeness: float | None = None) -> 
     T = duration(frf)
     if T is not None:
         others += [_best(hood, starts, kernel_of(frf, r, T), leading) for r in RECORDS if r != "steady"]
+    least = min(other.chi2 for other in others)
+    if cut and others[0].chi2 - least > MOSTLY * (others[0].chi2 - two.chi2):
+        return False
     one = others[0].poles
     _, n_out, n_in = frf.shape
     places = np.divmod(np.arange(n_out * n_in), n_in)

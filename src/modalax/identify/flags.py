@@ -19,7 +19,13 @@ ALONE = 1.1  # channels that a mode is spread over, below which one sensor holds
 VAGUE = 0.5  # standard deviation of the damping over the damping itself from which on it is called uncertain
 BROADENED = 0.05  # part of the damping that a record's window adds from which on the record is called too short
 MATTERS = 0.1  # disagreement on a frequency, in half-bandwidths, from which on it bends the FRFs visibly
-BINS = {"padded": 2.0, "random": 1.0, "hann": 1.5}  # equivalent noise bandwidths of the records' windows, in lines
+BINS = {
+    "padded": 2.0,
+    "random": 1.0,
+    "burst_half": 1.0,
+    "burst_most": 1.0,
+    "hann": 1.5,
+}  # equivalent noise bandwidths of the records' windows, in lines
 UNTOLD = 0.1  # resolution of a mode that the data do not tell from a stronger one
 HALF_SURE = 3.0  # gain over that of noise at which evidence is half sure
 

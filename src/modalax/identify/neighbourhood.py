@@ -45,6 +45,8 @@ class Neighbourhood(NamedTuple):
         Their poles, shape ``(n,)`` [rad/s].
     power
         Number of time derivatives of the form.
+    near
+        Poles of neighbours that act on the lines [rad/s].
     """
 
     s: Complex[np.ndarray, " m"]
@@ -54,13 +56,18 @@ class Neighbourhood(NamedTuple):
     residues: Complex[np.ndarray, "n c"]
     poles: Complex[np.ndarray, " n"]
     power: int
+    near: Complex[np.ndarray, " k"] = np.zeros(0, complex)
 
     def pole_kernel(self, s: np.ndarray, pole: complex) -> np.ndarray:
         """The kernel of a steady state, in the form of the FRF."""
         return s**self.power / (s - pole)
 
     def columns(self, poles: Sequence[complex] | np.ndarray, kernel: Kernel | None = None) -> np.ndarray:
-        """Kernels of some poles with the fixed columns, shape ``(m, n + k)``, each of unit norm."""
+        """Kernels of some poles with the fixed columns, shape ``(m, n + k)``, each of unit norm.
+
+        Neighbours are seen through another kernel too.
+        """
+        poles = [*poles, *(() if kernel is None else self.near)]
         kernel = self.pole_kernel if kernel is None else kernel
         own = np.array([kernel(self.s, complex(p)) for p in poles]).reshape(-1, len(self.s)).T * self.weight[:, None]
         A = np.concatenate([own, self.fixed], axis=1)
@@ -134,7 +141,7 @@ def around(
     near = [s[lines] ** power / (s[lines] - poles[k]) for k in others]
     fixed = (np.array([*straight, *near]) * weight).T.astype(complex)
     whitened = data / noise * weight[:, None]
-    return Neighbourhood(s[lines], whitened, weight, fixed, residues / noise, own, power)
+    return Neighbourhood(s[lines], whitened, weight, fixed, residues / noise, own, power, poles[others])
 
 
 def _within(pole: complex, s: np.ndarray) -> bool:

@@ -8,7 +8,9 @@ An FRF estimated from blocks of length :math:`T` is the transform of the impulse
   with a residue times :math:`1-e^{\lambda T}`; between them, where a block was padded with zeros, it ripples;
 - continuous random excitation: :math:`g` is the autocorrelation of the taper, for a rectangle :math:`1-x`, for Hann's
   :math:`(1-x)(2+\cos 2\pi x)/3 + \sin(2\pi x)/(2\pi)`. Where the response does not die out within the block this
-  flattens the peak: the damping comes out too large, and a second pole beside the first would mend the shape.
+  flattens the peak: the damping comes out too large, and a second pole beside the first would mend the shape;
+- random bursts over a part :math:`b` of the block: the response to an impulse at :math:`u` is seen for :math:`T-u`, so
+  that :math:`g = 1` up to :math:`1-b` and falls from there to 0 in a straight line.
 
 References
 ----------
@@ -22,8 +24,11 @@ RECORDS = {
     "steady": "a steady state",
     "padded": "rectangular blocks of half of {T:.3g} s, padded with zeros",
     "random": "rectangular blocks of {T:.3g} s of continuous random excitation",
+    "burst_half": "blocks of {T:.3g} s with random bursts over some half of each",
+    "burst_most": "blocks of {T:.3g} s with random bursts over some three quarters of each",
     "hann": "Hann-tapered blocks of {T:.3g} s of continuous random excitation",
 }
+BURSTS = {"burst_half": 0.5, "burst_most": 0.75}  # part of the block that is excited
 
 
 def record_kernel(
@@ -54,6 +59,9 @@ def record_kernel(
         return _box(q, T / 2)
     if record == "random":
         return _triangle(q, T)
+    if record in BURSTS:
+        rest = (1 - BURSTS[record]) * T
+        return (T * _triangle(q, T) - rest * _triangle(q, rest)) / (T - rest)
     if record != "hann":
         raise ValueError(f"record is {record!r}; it must be one of {', '.join(RECORDS)}")
     turn = 2j * np.pi / T

@@ -10,7 +10,7 @@ import scipy.special
 from jaxtyping import Bool, Float
 
 from modalax.data.frf import FRF
-from modalax.identify.close_modes import NEAR, Record, two_modes
+from modalax.identify.close_modes import NEAR, Record, record_of, two_modes
 from modalax.identify.disagreement import CERTAIN
 from modalax.identify.flags import matters
 from modalax.identify.host import refine_on_host, residues_on_host
@@ -23,7 +23,8 @@ from modalax.identify.quality import CHANCE, ModeQuality, gains_of, quality_of
 from modalax.identify.refine import CONTRADICTION, CORRELATED, HELD, UNIT, Refined
 from modalax.model.modal import ModalModel
 
-TURNS = 3  # most times that modes are dropped and the others refined again
+TURNS = 5  # most times that modes are dropped and the others refined again
+WINDOW = 3.0  # lines over which the window of a record spreads a peak
 NARROW = 0.01  # half-bandwidth in lines below which a pole is one bad line
 
 
@@ -52,20 +53,29 @@ def settle(frf: FRF, refined: Refined, tell: Callable[[str], None], **options: A
         return refined
     asked: set[tuple[float, float]] = set()
     tried: list[float] = []
+    cut = False
     for _ in range(TURNS):
         bad = at_bound(frf, refined) | _in_noise(frf, refined)
         _require(frf, _inside(frf, refined.model) & ~bad)
-        bad |= doubled(frf, refined.model, np.asarray(refined.evidence), bad, asked)
+        bad |= doubled(frf, refined.model, np.asarray(refined.evidence), bad, asked, cut)
         if bad.any():
             tell(f"{int(bad.sum())} mode{'s' * int(bad.sum() > 1)} dropped that the data do not need")
             refined = _again(frf, refined, ~bad, **options)
             continue
         more = _with_seconds(frf, refined, tried, tell, **options)
-        if more is None:
+        refined = refined if more is None else more
+        if more is None and (cut or not _cut_short(frf, refined.model)):
             break
-        refined = more
+        if more is None:  # then all close modes are asked about once more
+            cut, asked = True, set()
     _require(frf, _inside(frf, refined.model) & ~_gains(frf, refined.model)[1])
     return refined
+
+
+def _cut_short(frf: FRF, model: ModalModel) -> bool:
+    """Whether the resonances plainly show records that end before the modes have died out."""
+    record = record_of(frf, model, residual_of(frf, model), np.flatnonzero(_inside(frf, model)))
+    return record is not None and record.plain
 
 
 def settle_diagram(frf: FRF, model: ModalModel, **options: Any) -> ModalModel:
@@ -122,7 +132,12 @@ def _in_noise(frf: FRF, refined: Refined) -> Bool[np.ndarray, " n"]:
 
 
 def doubled(
-    frf: FRF, model: ModalModel, evidence: np.ndarray, gone: np.ndarray, asked: set[tuple[float, float]]
+    frf: FRF,
+    model: ModalModel,
+    evidence: np.ndarray,
+    gone: np.ndarray,
+    asked: set[tuple[float, float]],
+    cut: bool = False,
 ) -> Bool[np.ndarray, " n"]:
     """The weaker of each two close modes that the data do not tell apart, shape ``(n,)``.
 
@@ -136,6 +151,8 @@ def doubled(
         Modes that are not asked about, shape ``(n,)``.
     asked
         Pairs of frequencies that were asked about before and are not again; those of this call are added.
+    cut
+        Whether the records are known to be cut short.
     """
     f, width = np.asarray(model.frequency_hz), -np.asarray(model.poles.real) / (2 * np.pi)
     step = float(np.median(np.diff(np.asarray(frf.freq))))
@@ -148,7 +165,8 @@ def doubled(
             continue
         asked.add(pair)
         residual = residual_of(frf, model) if residual is None else residual
-        if not two_modes(frf, model, residual, (int(a), int(b))):
+        # The window of a record splits a peak over the few lines that it is wide.
+        if not two_modes(frf, model, residual, (int(a), int(b)), cut and abs(f[a] - f[b]) < WINDOW * step):
             drop[a if evidence[a] < evidence[b] else b] = True
     return drop
 
