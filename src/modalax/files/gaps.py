@@ -49,9 +49,8 @@ def without_gaps(
         k: take(v) if np.shape(v) == H.shape else v[:, f] if k == "force" and np.shape(v) == H.shape[:2] else v
         for k, v in beside.items()
     }
-    kept_names = [[n for n, keep in zip(names, kept, strict=True) if keep]
-                  for names, kept in ((outputs, o), (inputs, i))]  # fmt: skip
-    return freq[f], take(H), *kept_names, beside
+    named = lambda names, kept: [name for name, keep in zip(names, kept, strict=True) if keep]
+    return freq[f], take(H), named(outputs, o), named(inputs, i), beside
 
 
 def _listed(kind: str, names: Sequence[str]) -> str:
