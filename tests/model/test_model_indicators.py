@@ -255,10 +255,10 @@ def scalar(function, *arrays):
 def check_gradient(loss, x):
     """One directional derivative by central differences against the gradient."""
     direction = np.random.default_rng(0).standard_normal(x.shape)
-    step = 1e-6
+    step, loss = 1e-6, jax.jit(loss)
     numeric = (loss(x + step * direction) - loss(x - step * direction)) / (2 * step)
-    analytic = jnp.sum(jax.grad(loss)(x) * direction)
-    assert float(jnp.abs(analytic - numeric)) < DIFFERENCES * max(1, abs(float(numeric)))
+    analytic = np.sum(np.asarray(jax.jit(jax.grad(loss))(x)) * direction)
+    assert abs(float(analytic - numeric)) < DIFFERENCES * max(1, abs(float(numeric)))
 
 
 def join(x):
@@ -269,14 +269,14 @@ def join(x):
 def test_gradient_with_respect_to_shapes(function):
     other = (random_shapes(2),) if function in SHAPE_PAIRS else ()
     a = random_shapes(1)
-    check_gradient(lambda x: scalar(function, join(x), *other), jnp.stack([a.real, a.imag]))
+    check_gradient(lambda x: scalar(function, join(x), *other), np.stack([a.real, a.imag]))
 
 
 @pytest.mark.parametrize("function", FRF_PAIRS + SINGLE_FRFS, ids=lambda f: f.__name__)
 def test_gradient_with_respect_to_frfs(function):
     frf = random_frf(1)
     other = (random_frf(2),) if function in FRF_PAIRS else ()
-    parts = jnp.stack([frf.H.real, frf.H.imag])
+    parts = np.stack([np.real(frf.H), np.imag(frf.H)])
     check_gradient(lambda x: scalar(function, frf.replace(H=join(x)), *other), parts)
 
 
@@ -285,17 +285,18 @@ def test_gradient_is_finite_where_a_shape_or_component_is_zero(function):
     other = (random_shapes(2),) if function in SHAPE_PAIRS else ()
     a = random_shapes(1)
     a[1], a[:, 2] = 0, 0
-    gradient = jax.grad(lambda x: scalar(function, join(x), *other))(jnp.stack([a.real, a.imag]))
-    assert bool(jnp.isfinite(gradient).all())
+    gradient = jax.jit(jax.grad(lambda x: scalar(function, join(x), *other)))(np.stack([a.real, a.imag]))
+    assert np.isfinite(np.asarray(gradient)).all()
 
 
 @pytest.mark.parametrize("function", FRF_PAIRS + SINGLE_FRFS, ids=lambda f: f.__name__)
 def test_gradient_is_finite_where_a_line_or_channel_is_zero(function):
     frf = random_frf(1)
     other = (random_frf(2),) if function in FRF_PAIRS else ()
-    parts = jnp.stack([frf.H.real, frf.H.imag]).at[:, 0].set(0.0).at[:, :, 1].set(0.0)
-    gradient = jax.grad(lambda x: scalar(function, frf.replace(H=join(x)), *other))(parts)
-    assert bool(jnp.isfinite(gradient).all())
+    parts = np.stack([np.real(frf.H), np.imag(frf.H)])
+    parts[:, 0], parts[:, :, 1] = 0.0, 0.0
+    gradient = jax.jit(jax.grad(lambda x: scalar(function, frf.replace(H=join(x)), *other)))(parts)
+    assert np.isfinite(np.asarray(gradient)).all()
 
 
 @pytest.mark.parametrize("function", SHAPE_PAIRS + SINGLE_SHAPES, ids=lambda f: f.__name__)

@@ -41,7 +41,10 @@ def as_double(value: Any, what: str, complex_: bool = False) -> jax.Array:
             f"{what} is in single precision ({dtype}); poles over many lines cannot be computed in it. "
             f"Convert it knowingly with .astype('{'complex128' if complex_ else 'float64'}')"
         )
-    return jnp.asarray(value, dtype=jnp.complex128 if complex_ else jnp.float64)
+    wanted = np.dtype(np.complex128 if complex_ else np.float64)
+    if isinstance(value, jax.Array) and not is_traced(value) and dtype != wanted and np.can_cast(dtype, wanted):
+        value = np.asarray(value)  # NumPy converts without a program for each shape
+    return jnp.asarray(value, dtype=wanted)
 
 
 def require_finite(value: Any, what: str) -> None:

@@ -15,6 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Complex, Float, Int
 
 from modalax._numerics.checks import as_double
@@ -125,13 +126,9 @@ def bla_robust(
             "each (one realisation on a random-odd grid: use bla_fast)"
         )
     form, factor = quantity(unit)
-    F, X = _amplitudes(force), factor * _amplitudes(response)
-    H, noise = _realisations(F[:, :, which], X[:, :, which])
-    mean = H.mean(axis=0)
-    total = jnp.sum(_square(H - mean), axis=0) / (draws * (draws - 1))
-    noise = None if noise is None else noise.mean(axis=0) / draws
-    distortion = None if noise is None else jnp.maximum(total - noise, 0.0)
-    even, odd = (_detection_lines(F, X, mean, which, parity, fs / samples) for parity in (0, 1))
+    gaps = _left_out(which, 0), _left_out(which, 1)
+    mean, total, noise, distortion, rest = _robust(force, response, which, gaps, factor)
+    even, odd = (_detection_lines(gap, fs / samples, *powers) for gap, powers in zip(gaps, rest, strict=True))
     frf = FRF(
         which * fs / samples, mean, form=form, variance=total, level=level, outputs=outputs, inputs=inputs,
         averages=draws,
@@ -182,7 +179,8 @@ def bla_fast(
         )
     periods, samples = force.shape
     which = check_lines(lines, samples)
-    left_out = _left_out(which, 1)
+    gaps = _left_out(which, 0), _left_out(which, 1)
+    left_out = gaps[1]
     if periods < 2:
         raise ValueError("1 period; at least 2 are needed to tell noise from distortion")
     if (which % 2 == 0).any():
@@ -193,19 +191,53 @@ def bla_fast(
             "random-odd grid"
         )
     form, factor = quantity(unit)
-    F, X = _amplitudes(force[None, :, :, None]), factor * _amplitudes(response[None])
-    H, noise = _realisations(F[:, :, which], X[:, :, which])
-    even, odd = (_detection_lines(F, X, H[0], which, parity, fs / samples) for parity in (0, 1))
     around = np.argsort(np.abs(which[:, None] - left_out), axis=1, kind="stable")[:, :nearest]
-    # Clipped after averaging only: clipping each line would make the mean of nothing positive.
-    assert noise is not None and odd.noise is not None  # There are two periods or more.
-    power = jnp.maximum((odd.power - odd.noise)[around].mean(axis=1), 0.0)
-    distortion = power[:, :, None] / _square(F[0, :, which].mean(axis=1))[:, None]
+    H, noise, distortion, total, rest = _fast(force, response, which, gaps, around, factor)
+    even, odd = (_detection_lines(gap, fs / samples, *powers) for gap, powers in zip(gaps, rest, strict=True))
     frf = FRF(
-        which * fs / samples, H[0], form=form, variance=noise[0] + distortion, level=level, outputs=outputs,
-        inputs=inputs, averages=nearest + 1,
+        which * fs / samples, H, form=form, variance=total, level=level, outputs=outputs, inputs=inputs,
+        averages=nearest + 1,
     )  # fmt: skip
-    return BestLinear(frf, noise[0], distortion, even, odd)
+    return BestLinear(frf, noise, distortion, even, odd)
+
+
+@jax.jit
+def _robust(
+    force: Float[Array, "r p t i"],
+    response: Float[Array, "r p t o"],
+    lines: Int[ArrayLike, " k"],
+    gaps: tuple[Int[ArrayLike, " g"], Int[ArrayLike, " h"]],
+    factor: Any,
+):
+    """Mean FRF, its variance in all, of noise and of distortion, and the powers at the lines in the gaps."""
+    F, X = _amplitudes(force), factor * _amplitudes(response)
+    H, noise = _realisations(F[:, :, lines], X[:, :, lines])
+    draws = len(H)
+    mean = H.mean(axis=0)
+    total = jnp.sum(_square(H - mean), axis=0) / (draws * (draws - 1))
+    noise = None if noise is None else noise.mean(axis=0) / draws
+    distortion = None if noise is None else jnp.maximum(total - noise, 0.0)
+    return mean, total, noise, distortion, [_unexplained(F, X, mean, lines, gap) for gap in gaps]
+
+
+@jax.jit
+def _fast(
+    force: Float[Array, "p t"],
+    response: Float[Array, "p t o"],
+    lines: Int[ArrayLike, " k"],
+    gaps: tuple[Int[ArrayLike, " g"], Int[ArrayLike, " h"]],
+    around: Int[ArrayLike, "k n"],
+    factor: Any,
+):
+    """FRF, its variance by noise, by distortion and in all, and the powers at the lines in the gaps."""
+    F, X = _amplitudes(force[None, :, :, None]), factor * _amplitudes(response[None])
+    H, noise = _realisations(F[:, :, lines], X[:, :, lines])
+    even, odd = (_unexplained(F, X, H[0], lines, gap) for gap in gaps)
+    # Clipped after averaging only: clipping each line would make the mean of nothing positive.
+    assert noise is not None and odd[1] is not None  # There are two periods or more.
+    power = jnp.maximum((odd[0] - odd[1])[around].mean(axis=1), 0.0)
+    distortion = power[:, :, None] / _square(F[0, :, lines].mean(axis=1))[:, None]
+    return H[0], noise[0], distortion, noise[0] + distortion, [even, odd]
 
 
 def _square(x: Complex[Array, "..."]) -> Float[Array, "..."]:
@@ -217,7 +249,6 @@ def _amplitudes(record: Float[Array, "r p t c"]) -> Complex[Array, "r p f c"]:
     return jnp.fft.rfft(record, axis=2) * (2 / record.shape[2])
 
 
-@jax.jit
 def _realisations(
     F: Complex[Array, "r p f i"], X: Complex[Array, "r p f o"]
 ) -> tuple[Complex[Array, "m f o i"], Float[Array, "m f o i"] | None]:
@@ -241,34 +272,26 @@ def _left_out(lines: Int[np.ndarray, " k"], parity: int) -> Int[np.ndarray, " g"
 
 
 def _detection_lines(
-    F: Complex[Array, "r p f i"],
-    X: Complex[Array, "r p f o"],
-    H: Complex[Array, "k o i"],
-    lines: Int[np.ndarray, " k"],
-    parity: int,
-    spacing: float,
+    which: Int[np.ndarray, " g"], spacing: float, power: Float[Array, "g o"], noise: Float[Array, "g o"] | None
 ) -> DetectionLines:
     """The response at lines that were not excited."""
-    which = _left_out(lines, parity)
-    power, noise = _unexplained(F[:, :, which], X[:, :, which], H, jnp.asarray(lines), jnp.asarray(which))
     return DetectionLines(jnp.asarray(which * spacing), power, noise)
 
 
-@jax.jit
 def _unexplained(
-    F: Complex[Array, "r p g i"],
-    X: Complex[Array, "r p g o"],
+    F: Complex[Array, "r p f i"],
+    X: Complex[Array, "r p f o"],
     H: Complex[Array, "k o i"],
     lines: Int[Array, " k"],
     which: Int[Array, " g"],
 ) -> tuple[Float[Array, "g o"], Float[Array, "g o"] | None]:
-    """Power of the response beyond what the force on these lines explains, and how much of it is noise.
+    """Power of the response beyond what the force on the lines ``which`` explains, and how much of it is noise.
 
     A shaker that the structure loads puts some force even on lines that its signal leaves out; its effect is taken out
     to first order, with the FRF interpolated between the excited lines.
     """
     between = jax.vmap(lambda h: jnp.interp(which, lines, h), in_axes=1, out_axes=1)(H.reshape(len(lines), -1))
-    rest = X - jnp.einsum("goi,rpgi->rpgo", between.reshape(-1, *H.shape[1:]), F)
+    rest = X[:, :, which] - jnp.einsum("goi,rpgi->rpgo", between.reshape(-1, *H.shape[1:]), F[:, :, which])
     mean = rest.mean(axis=1, keepdims=True)
     periods = rest.shape[1]
     noise = None

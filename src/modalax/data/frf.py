@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, Literal, get_args
 
 import equinox as eqx
@@ -11,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from modalax._numerics.checks import as_double, is_traced, require_finite, require_range
+from modalax._numerics.cuts import cut
 
 Form = Literal["receptance", "mobility", "accelerance"]
 DERIVATIVES: dict[str, int] = {"receptance": 0, "mobility": 1, "accelerance": 2}
@@ -237,9 +239,12 @@ class FRF(eqx.Module):
 
     def lines(self, which: Any) -> "FRF":
         """The FRF at some lines only (a slice, or increasing indices)."""
-        take = lambda a: None if a is None else a[which]
+        take = lambda a: None if a is None else cut(a, which)
         return self.replace(
-            freq=self.freq[which], H=self.H[which], variance=take(self.variance), coherence=take(self.coherence)
+            freq=cut(self.freq, which),
+            H=cut(self.H, which),
+            variance=take(self.variance),
+            coherence=take(self.coherence),
         )
 
     def band(self, lower: float, upper: float) -> "FRF":
@@ -262,7 +267,8 @@ class FRF(eqx.Module):
         """
         o = _indices(self.outputs, outputs, "output")
         i = _indices(self.inputs, inputs, "input")
-        take = lambda a: None if a is None else a[:, o][:, :, i]
+        pairs = np.array(o)[:, None], np.array(i)
+        take = lambda a: None if a is None else cut(a, (slice(None), *pairs))
         return self.replace(
             H=take(self.H), variance=take(self.variance), coherence=take(self.coherence),
             outputs=[self.outputs[k] for k in o], inputs=[self.inputs[k] for k in i],
@@ -302,14 +308,13 @@ class FRF(eqx.Module):
         steps = DERIVATIVES[check_form(form)] - DERIVATIVES[self.form]
         if steps == 0:
             return self
-        s = 1j * self.omega + self.added_decay
-        if steps < 0 and not is_traced(s) and complex(s[0]) == 0:
+        at_rest = not is_traced(self.freq, self.added_decay) and float(self.freq[0]) == float(self.added_decay) == 0
+        if steps < 0 and at_rest:
             raise ValueError(
                 f"{self.form} at 0 Hz has no {form}: drop that line first, for example with .lines(slice(1, None))"
             )
-        factor = s[:, None, None] ** steps
-        variance = None if self.variance is None else self.variance * jnp.abs(factor) ** 2
-        return self.replace(H=self.H * factor, variance=variance, form=form)
+        H, variance = _differentiated(self.H, self.variance, self.freq, self.added_decay, steps)
+        return self.replace(H=H, variance=variance, form=form)
 
     def transpose(self) -> "FRF":
         """Outputs and inputs exchanged; with reciprocity the same structure measured the other way round."""
@@ -330,17 +335,42 @@ class FRF(eqx.Module):
             ``rms``: each channel's root mean square over the lines; ``peak``: its largest magnitude;
             ``local``: the magnitude of each sample.
         """
-        size = jnp.abs(self.H)
-        scale = {
-            "rms": lambda: jnp.sqrt(jnp.mean(size**2, axis=0, keepdims=True)),
-            "peak": lambda: jnp.max(size, axis=0, keepdims=True),
-            "local": lambda: size,
-        }
-        if reference not in scale:
-            raise ValueError(f"reference is {reference!r}; it must be one of {', '.join(scale)}")
-        sigma = jnp.broadcast_to(relative * scale[reference](), self.H.shape)
-        real, imag = jax.random.normal(key, (2, *self.H.shape))
-        return self.replace(H=self.H + sigma * (real + 1j * imag) / jnp.sqrt(2.0), variance=sigma**2)
+        if reference not in NOISE_REFERENCES:
+            raise ValueError(f"reference is {reference!r}; it must be one of {', '.join(NOISE_REFERENCES)}")
+        H, variance = _noisy(self.H, key, relative, reference)
+        return self.replace(H=H, variance=variance)
+
+
+NOISE_REFERENCES = ("rms", "peak", "local")
+
+
+@partial(jax.jit, static_argnames="reference")
+def _noisy(
+    H: Complex[Array, "f o i"], key: jax.Array, relative: Any, reference: str
+) -> tuple[Complex[Array, "f o i"], Float[Array, "f o i"]]:
+    """The FRF with noise, and its variance."""
+    size = jnp.abs(H)
+    if reference == "rms":
+        size = jnp.sqrt(jnp.mean(size**2, axis=0, keepdims=True))
+    elif reference == "peak":
+        size = jnp.max(size, axis=0, keepdims=True)
+    sigma = jnp.broadcast_to(relative * size, H.shape)
+    real, imag = jax.random.normal(key, (2, *H.shape))
+    return H + sigma * (real + 1j * imag) / jnp.sqrt(2.0), sigma**2
+
+
+@partial(jax.jit, static_argnames="steps")
+def _differentiated(
+    H: Complex[Array, "f o i"], variance: Float[Array, "f o i"] | None, freq: Float[Array, " f"], decay: Any, steps: int
+) -> tuple[Complex[Array, "f o i"], Float[Array, "f o i"] | None]:
+    r"""H and its variance times :math:`s^n` and its square, with :math:`s = j\omega + \sigma`."""
+    factor = (2j * jnp.pi * freq + decay)[:, None, None] ** steps
+    return H * factor, None if variance is None else variance * jnp.abs(factor) ** 2
+
+
+def derivative(H: Complex[Array, "f o i"], freq: Float[Array, " f"], form: str) -> Complex[Array, "f o i"]:
+    """Receptance at these frequencies [Hz] as another form."""
+    return _differentiated(H, None, freq, 0.0, DERIVATIVES[check_form(form)])[0]
 
 
 def _indices(names: tuple[str, ...], wanted: Sequence[str] | None, axis: str) -> list[int]:

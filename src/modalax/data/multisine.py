@@ -1,10 +1,12 @@
 """Random-phase multisines: signals whose spectrum tells noise, even and odd distortion apart."""
 
+from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from modalax._numerics.checks import as_double, require_double
@@ -100,12 +102,19 @@ def multisine(
     """
     require_double("a multisine")
     which = check_lines(lines, samples)
-    shape = jnp.ones(which.size) if spectrum is None else as_double(spectrum, "spectrum")
+    shape = np.ones(which.size) if spectrum is None else as_double(spectrum, "spectrum")
+    return _signals(key, which, shape, rms, samples, inputs)
+
+
+@partial(jax.jit, static_argnames=("samples", "inputs"))
+def _signals(
+    key: jax.Array, lines: Int[ArrayLike, " k"], shape: Any, rms: Any, samples: int, inputs: int
+) -> Float[Array, "e t i"]:
     amplitude = rms * shape * jnp.sqrt(2 / jnp.sum(shape**2))
-    phase = jax.random.uniform(key, (which.size, inputs), jnp.float64, 0.0, 2 * jnp.pi)
-    turn = 2 * jnp.pi * jnp.outer(jnp.arange(inputs), jnp.arange(inputs)) / inputs
+    phase = jax.random.uniform(key, (lines.size, inputs), jnp.float64, 0.0, 2 * jnp.pi)
+    turn = 2 * np.pi * np.outer(np.arange(inputs), np.arange(inputs)) / inputs
     lines_of = samples / 2 * amplitude[:, None] * jnp.exp(1j * (phase + turn[:, None, :]))
-    whole = jnp.zeros((inputs, samples // 2 + 1, inputs), jnp.complex128).at[:, which].set(lines_of)
+    whole = jnp.zeros((inputs, samples // 2 + 1, inputs), jnp.complex128).at[:, lines].set(lines_of)
     return jnp.fft.irfft(whole, samples, axis=1)
 
 

@@ -1,13 +1,17 @@
 """FRFs from time records: continuous random excitation, repeated blocks, hammer hits."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jax.typing import ArrayLike
+from jaxtyping import Array, Complex, Float, Int
 
 from modalax._numerics.checks import as_double, is_traced, require_finite
+from modalax._numerics.cuts import cut
 from modalax.data.frf import FRF, band_slice
 from modalax.data.hits import find_hits, good_hits
 from modalax.data.spectra import Spectra, estimate, ordinary_coherence, spectra, spectral_lines
@@ -100,11 +104,10 @@ def frf_from_records(
     if len(force) != len(response):
         raise ValueError(f"force has {len(force)} samples and response {len(response)}; they need the same clock")
     samples, starts, step = welch_starts(len(force), fs, block, overlap)
-    blocks = lambda a: a[starts[:, None] + np.arange(samples)]
     factors = taper(window, samples)
     averages = effective_averages(factors, step, len(starts))
-    still = lambda a: a - a.mean(axis=1, keepdims=True)
-    averaged = spectra(still(blocks(force)), still(blocks(response)), float(fs), jnp.asarray(factors), averages)
+    blocks = (_still_blocks(a, starts[:, None] + np.arange(samples)) for a in (force, response))
+    averaged = spectra(*blocks, float(fs), jnp.asarray(factors), averages)
     lines = spectral_lines(samples, fs)
     return frf_of_spectra(averaged, lines, estimator, unit, band, level=level, outputs=outputs, inputs=inputs)
 
@@ -285,11 +288,25 @@ def average_frfs(frfs: Sequence[FRF]) -> FRF:
                 f"FRF {k} has an added decay of {float(frf.added_decay):g} 1/s and FRF 0 of "
                 f"{float(first.added_decay):g}; average FRFs of one exponential window only"
             )
-    stack = jnp.stack([frf.H for frf in frfs])
+    mean, variance = _mean_of([frf.H for frf in frfs])
+    return first.replace(H=mean, variance=variance, coherence=None, averages=len(frfs))
+
+
+@jax.jit
+def _mean_of(repeats: list[Complex[Array, "f o i"]]) -> tuple[Complex[Array, "f o i"], Float[Array, "f o i"]]:
+    """Mean of repeats and the variance of it."""
+    stack = jnp.stack(repeats)
     mean = stack.mean(axis=0)
     scatter = stack - mean
-    variance = jnp.sum(scatter.real**2 + scatter.imag**2, axis=0) / (len(frfs) * (len(frfs) - 1))
-    return first.replace(H=mean, variance=variance, coherence=None, averages=len(frfs))
+    count = len(repeats)
+    return mean, jnp.sum(scatter.real**2 + scatter.imag**2, axis=0) / (count * (count - 1))
+
+
+@jax.jit
+def _still_blocks(record: Float[Array, "t c"], samples: Int[ArrayLike, "m s"]) -> Float[Array, "m s c"]:
+    """Blocks of the record at these samples, each without its mean."""
+    blocks = record[samples]
+    return blocks - blocks.mean(axis=1, keepdims=True)
 
 
 def pooled_frfs(parts: Sequence[FRF]) -> FRF:
@@ -326,17 +343,26 @@ def frf_of_spectra(
     if band is not None:
         which = band_slice(freq, *band)
         freq = freq[which]
-        s = Spectra(s.freq[which], s.force[which], s.cross[which], s.response[which], s.averages)
+        s = jax.tree.map(lambda a: cut(a, which), s)
     _check_forces(s, freq)
-    H, variance = estimate(s, estimator)
+    H, variance, coherence = _in_si_units(s, estimator, factor)
     # With as many blocks as inputs an H fits them exactly, so that nothing is known about the noise.
     freedom = s.averages - s.force.shape[-1]
     known = freedom > 1e-9
     return FRF(
-        freq, factor * H, form=form, variance=factor**2 * variance if known else None,
-        coherence=ordinary_coherence(s) if known else None, averages=int(freedom + 1 + 1e-9) if known else None,
+        freq, H, form=form, variance=variance if known else None,
+        coherence=coherence if known else None, averages=int(freedom + 1 + 1e-9) if known else None,
         **rest,
     )  # fmt: skip
+
+
+@partial(jax.jit, static_argnames="estimator")
+def _in_si_units(
+    s: Spectra, estimator: str, factor: Any
+) -> tuple[Complex[Array, "f o i"], Float[Array, "f o i"], Float[Array, "f o i"]]:
+    """FRF, its variance and the ordinary coherence."""
+    H, variance = estimate(s, estimator)
+    return factor * H, factor**2 * variance, ordinary_coherence(s)
 
 
 def _check_forces(s: Spectra, freq: Float[np.ndarray, " f"]) -> None:

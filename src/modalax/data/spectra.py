@@ -141,12 +141,14 @@ def estimate(s: Spectra, estimator: str = "H1") -> tuple[Complex[Array, "f o i"]
     return scale * h, variance
 
 
+@jax.jit
 def ordinary_coherence(s: Spectra) -> Float[Array, "f o i"]:
     r"""Ordinary coherence of each response and force, :math:`\gamma^2_{oi} = |S_{xf,oi}|^2/(S_{xx,o} S_{ff,ii})`."""
     c = _coherency(s)[1]
     return c.real**2 + c.imag**2
 
 
+@jax.jit
 def multiple_coherence(s: Spectra) -> Float[Array, "f o"]:
     r"""Share of each response's power that all forces together explain, :math:`S_{xf}S_{ff}^{-1}S_{fx}/S_{xx}`."""
     C, c = _coherency(s)

@@ -5,8 +5,10 @@ Every window is an array ``(t,)`` of factors [-] that multiplies a block of samp
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from modalax._numerics.checks import as_double
@@ -50,11 +52,11 @@ def force_window(samples: int, fs: float, stop: float, start: float = 0.0, ramp:
             f"the force window keeps {start:g} to {stop:g} s of a block of {samples / fs:g} s; it needs "
             "0 <= start < stop, and start within the block"
         )
-    time = jnp.arange(samples) / fs
-    outside = jnp.maximum(jnp.maximum(start - time, time - stop), 0.0)
+    time = np.arange(samples) / fs
+    outside = np.maximum(np.maximum(start - time, time - stop), 0.0)
     if ramp <= 0:
-        return jnp.where(outside > 0, 0.0, 1.0)
-    return 0.5 * (1 + jnp.cos(jnp.pi * jnp.clip(outside / ramp, 0.0, 1.0)))
+        return jnp.asarray(np.where(outside > 0, 0.0, 1.0))
+    return jnp.asarray(0.5 * (1 + np.cos(np.pi * np.clip(outside / ramp, 0.0, 1.0))))
 
 
 def exponential_window(samples: int, fs: float, decay: Any) -> Float[Array, " t"]:
@@ -71,7 +73,12 @@ def exponential_window(samples: int, fs: float, decay: Any) -> Float[Array, " t"
     decay
         :math:`\sigma` [1/s]; :func:`decay_to` gives it for what is left at the end of the block.
     """
-    return jnp.exp(-as_double(decay, "decay") * jnp.arange(samples) / fs)
+    return _exponential(as_double(decay, "decay"), np.arange(samples) / fs)
+
+
+@jax.jit
+def _exponential(decay: Float[Array, ""], time: Float[ArrayLike, " t"]) -> Float[Array, " t"]:
+    return jnp.exp(-decay * time)
 
 
 def decay_to(remainder: float, duration: float) -> float:

@@ -107,7 +107,7 @@ class ExtendedSimulation(eqx.Module):
             causes, index, tuple(self.extras[k] for k in keep), params, theta, problem,
             [self.harmonics[k] if self.harmonics else 1 for k in keep],
         )  # fmt: skip
-        H = _predict(causes, index, extras, params, theta, problem)
+        H = predict(causes, index, extras, params, theta, problem)
         factor = (1j * omega)[:, None, None] ** DERIVATIVES[check_form(form)]
         return FRF(freq, H[0] * factor, form=form, outputs=outputs, inputs=inputs, level=jnp.mean(jnp.asarray(level)))
 
@@ -146,9 +146,6 @@ class ExtendedSimulation(eqx.Module):
         from modalax.files import save
 
         save(self, path, overwrite)
-
-
-_predict = jax.jit(predict, static_argnums=0)
 
 
 def concrete(a: Any) -> np.ndarray | None:

@@ -170,7 +170,7 @@ class _Records(eqx.Module):
 
     def without(self, run: int) -> "_Records":
         """The other runs."""
-        of = lambda a: jnp.delete(a, run, axis=0)
+        of = lambda a: jnp.asarray(np.delete(a, run, axis=0))
         fewer = np.sqrt((len(self.X) - 1) / len(self.X))
         return _Records(
             self.s, of(self.F), of(self.X), of(self.motion), of(self.speed), fewer * of(self.norm), self.inside,

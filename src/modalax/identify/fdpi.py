@@ -103,9 +103,13 @@ def fdpi_normal_modes(frf: FRF, order: int, *, weights: str = "unit", residual: 
     if order > frf.shape[1]:
         raise ValueError(f"order {order} needs {order} outputs for real normal modes, the FRF has {frf.shape[1]}")
     check_orders(order, frf.shape[0] * frf.shape[2], limits(frf))
-    weight = line_weight(frf, weights)
+    return _normal_modes(frf, line_weight(frf, weights), order, 2 if residual is None else residual)
+
+
+@eqx.filter_jit
+def _normal_modes(frf: FRF, weight: Float[Array, "f i"], order: int, residual: int) -> NormalModes:
     s, Hc, V, top = principal_responses(frf, weight, order)
-    R = system_factor(s, Hc, weight, 2, 2 if residual is None else residual)
+    R = system_factor(s, Hc, weight, 2, residual)
     A = _blocks(R, order, jnp.asarray(order), 2)
     values, vectors = jnp.linalg.eig(lax.stop_gradient(A[0]))
     pencil = jnp.stack([A[0].T, -jnp.eye(order)]).astype(jnp.complex128)  # w^T (A_0^T - u I) = 0

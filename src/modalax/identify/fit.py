@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -150,7 +151,7 @@ def summed_up(
     order = best_order(table, selection)
     f = np.asarray(model.frequency_hz)
     inside = (f >= float(frf.freq[0])) & (f <= float(frf.freq[-1]))
-    total = float(jnp.sum(jnp.abs(frf.H) ** 2))
+    total = float(np.sum(np.abs(np.asarray(frf.H)) ** 2))
     residual = residual_of(weighted, model)
     unexplained = float(np.sum(np.abs(residual) ** 2)) / total
     record = record_of(weighted, model, residual, np.flatnonzero(inside))
@@ -211,6 +212,7 @@ def _bias(
     return jnp.where(bias.valid, bias.damping, jnp.nan)
 
 
+@eqx.filter_jit
 def _energies(model: ModalModel, frf: FRF) -> Float[Array, " n"]:
     s = frf.added_decay + 1j * frf.omega
     power = DERIVATIVES[frf.form]

@@ -211,7 +211,7 @@ def _resolution(modes: Modes, r: int) -> float:
     """How well the mode is told from stronger neighbours by place or by shape."""
     model = modes.model
     shapes = model.shapes if model.shapes.shape[1] >= model.participation.shape[1] else model.participation
-    alike = np.asarray(mac(shapes[r][None], shapes))[0]
+    alike = np.asarray(mac(np.asarray(shapes)[r][None], shapes))[0]
     apart = np.abs(modes.frequency - modes.frequency[r])
     bins = 0.5 if modes.record is None else BINS[modes.record.kind]
     unit = np.maximum(bins * modes.step, 0.1 * (modes.half_bandwidth + modes.half_bandwidth[r]))

@@ -9,6 +9,8 @@ largest order holds that of every smaller one in its leading corner, so that one
 whole stabilization diagram, and nothing is squared.
 """
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -28,6 +30,7 @@ def check_constraint(constraint: str) -> str:
     return constraint
 
 
+@partial(jax.jit, static_argnames=("size", "constraint"))
 def coefficients(
     R: Inexact[Array, "m m"], order: Int[Array, ""], size: int, constraint: str
 ) -> Inexact[Array, "k i i"]:
@@ -69,6 +72,7 @@ def coefficients(
     return A.reshape(m // size, size, size)
 
 
+@jax.jit
 def roots(
     A: Inexact[Array, "k i i"], order: Int[Array, ""]
 ) -> tuple[Complex[Array, " p"], Complex[Array, "p i"], Bool[Array, " p"]]:

@@ -21,7 +21,7 @@ from modalax._numerics.powers import powers
 from modalax.data.frf import FRF
 from modalax.identify.fraction import check_constraint
 from modalax.identify.lscf import ARC, RIDGE
-from modalax.identify.polynomial import limits, triangular_factor, weights_of
+from modalax.identify.polynomial import limits, over_references, triangular_factor, weights_of
 from modalax.identify.zoom import Zoom, check_orders, orthonormal_powers, zoom
 
 METHODS = ("lscf", "plscf")
@@ -122,13 +122,14 @@ def linear_problem(
     if method == "lscf":
         H, weight, sigma2 = H.reshape(f, -1, 1), weight.reshape(f, -1), sigma2.reshape(f, -1, 1)
     else:
-        weight = 1 / jnp.sqrt(jnp.mean(weight**-2, axis=2))
+        weight = over_references(weight)
     return LinearProblem(
         H, weight, sigma2, zoomed, zoomed.circle(frf.omega), jnp.asarray(ridge), order,
         order if numerator is None else numerator, real, weights == "unit", constraint, method,
     )  # fmt: skip
 
 
+@eqx.filter_jit
 def leverage(problem: LinearProblem) -> Float[Array, "f row"]:
     """Leverage of each line on the numerator of each row: the part of its noise that the numerator takes up."""
 
@@ -143,12 +144,14 @@ def leverage(problem: LinearProblem) -> Float[Array, "f row"]:
     return lax.map(one, problem.weight.T).T
 
 
+@eqx.filter_jit
 def noise_density(problem: LinearProblem) -> Float[Array, "f i"]:
     r"""Noise that reaches the normal matrix from each line, :math:`\sum_o w_o^2\sigma_{oi}^2(1-\ell_o)`."""
     kept = problem.weight**2 * (1 - leverage(problem))
     return jnp.sum(kept[:, :, None] * problem.variance, axis=1)
 
 
+@eqx.filter_jit
 def noise_rows(problem: LinearProblem) -> Inexact[Array, "row m"]:
     """Rows whose Gram matrix is the noise matrix C."""
     density = jnp.maximum(noise_density(problem), 0.0)
@@ -168,6 +171,7 @@ def factor(problem: LinearProblem, noise: Any = None, ridge: Any = None) -> Inex
     )  # fmt: skip
 
 
+@eqx.filter_jit
 def louder(problem: LinearProblem, scale: Any) -> Float[Array, ""]:
     """Factor by which noise of ``scale`` times the variance raises the energy, and so the ridge relative to it."""
     w2 = problem.weight[:, :, None] ** 2

@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from modalax.data.frf import FRF
 from modalax.identify.lscf import ARC, RIDGE
-from modalax.identify.polynomial import matrix_fraction, weights_of
+from modalax.identify.polynomial import matrix_fraction, over_references, weights_of
 from modalax.identify.tables import PoleTable
 
 
@@ -53,7 +53,7 @@ def plscf(
     Guillaume et al. (2003); Peeters et al. (2004), equations 1-14.
     """
     # One weight a line and output: the references of a row share their numerator.
-    weight = 1 / jnp.sqrt(jnp.mean(weights_of(frf, weights) ** -2, axis=2))
+    weight = over_references(weights_of(frf, weights))
     return matrix_fraction(
         frf, frf.H, weight, orders=orders, constraint=constraint, real=real, arc=arc, ridge=jnp.asarray(ridge),
         numerator=numerator, shared=weights == "unit", solver=solver, method="plscf",

@@ -4,6 +4,7 @@ Shared by :func:`lscf` (every FRF a row of its own, one reference) and :func:`pl
 references). The numerator is eliminated by projecting on the complement of an orthonormal basis of its powers.
 """
 
+from functools import partial
 from itertools import pairwise
 
 import equinox as eqx
@@ -38,7 +39,7 @@ def weights_of(frf: FRF, kind: str) -> Float[Array, "f o i"]:
     if kind not in WEIGHTS:
         raise ValueError(f"weights is {kind!r}; it must be one of {', '.join(WEIGHTS)}")
     if kind == "unit":
-        return jnp.ones(frf.H.shape)
+        return jnp.asarray(np.ones(frf.H.shape))
     if kind == "magnitude":
         size = jnp.abs(frf.H)
         return 1 / jnp.maximum(size, 1e-12 * jnp.max(size))
@@ -49,6 +50,13 @@ def weights_of(frf: FRF, kind: str) -> Float[Array, "f o i"]:
     return 1 / jnp.sqrt(frf.variance)
 
 
+@jax.jit
+def over_references(weight: Float[Array, "f o i"]) -> Float[Array, "f o"]:
+    """One weight a line and output, from the mean variance that those of its references stand for."""
+    return 1 / jnp.sqrt(jnp.mean(weight**-2, axis=2))
+
+
+@partial(jax.jit, static_argnames=("order", "numerator", "real", "shared"))
 def triangular_factor(
     H: Complex[Array, "f row i"],
     weight: Float[Array, "f row"],
@@ -90,6 +98,7 @@ def triangular_factor(
     return R
 
 
+@eqx.filter_jit
 def poles_of_factor(
     R: Inexact[Array, "m m"], orders: tuple[int, ...], size: int, constraint: str, real: bool, zoomed: Zoom, method: str
 ) -> PoleTable:

@@ -3,6 +3,7 @@
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
@@ -117,9 +118,13 @@ def sigma_of(frf: FRF, weights: str | Float[Array, "f o i"]) -> Float[Array, "f 
         return jnp.ones(frf.H.shape)
     if not is_traced(frf.variance) and not (np.asarray(frf.variance) > 0).any():
         return jnp.ones(frf.H.shape)
-    # A sample said to be exact would outweigh all others: it gets the smallest variance that is not zero.
-    smallest = jnp.min(jnp.where(frf.variance > 0, frf.variance, jnp.inf))
-    return jnp.sqrt(jnp.maximum(frf.variance, smallest))
+    return _root_above_zero(frf.variance)
+
+
+@jax.jit
+def _root_above_zero(variance: Float[Array, "f o i"]) -> Float[Array, "f o i"]:
+    """Standard deviations; a sample said to be exact would outweigh all others: it gets the smallest above zero."""
+    return jnp.sqrt(jnp.maximum(variance, jnp.min(jnp.where(variance > 0, variance, jnp.inf))))
 
 
 def check_size(frf: FRF, n_modes: int, residuals: str) -> None:

@@ -1,6 +1,9 @@
 """The result of a pole estimator: poles of every order, padded to one shape."""
 
+from typing import Any
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Complex, Float
 
@@ -32,23 +35,34 @@ class PoleTable(eqx.Module):
     @property
     def frequency_hz(self) -> Float[Array, "order pole"]:
         r"""Natural frequencies :math:`|\lambda|/2\pi` [Hz]."""
-        return jnp.abs(self.poles) / (2 * jnp.pi)
+        return _frequency_and_damping(self.poles)[0]
 
     @property
     def damping_ratio(self) -> Float[Array, "order pole"]:
         r"""Damping ratios :math:`-\mathrm{Re}\lambda/|\lambda|` [-]; negative for unstable poles."""
-        return -self.poles.real / jnp.maximum(jnp.abs(self.poles), jnp.finfo(float).tiny)
+        return _frequency_and_damping(self.poles)[1]
 
     def physical(
         self, lower_hz: float = 0.0, upper_hz: float = float("inf"), max_damping: float = 0.3
     ) -> Bool[Array, "order pole"]:
         """Whether each pole could be a mode: stable, damping ratio below ``max_damping``, and within a band [Hz]."""
-        f, zeta = self.frequency_hz, self.damping_ratio
-        return (
-            self.valid & (self.poles.imag > 0) & (zeta > 0) & (zeta < max_damping) & (f >= lower_hz) & (f <= upper_hz)
-        )
+        return _physical(self.poles, self.valid, lower_hz, upper_hz, max_damping)
 
     def take(self, rows: slice) -> "PoleTable":
         """The table with some of its orders only."""
         part = None if self.participation is None else self.participation[rows]
         return PoleTable(self.poles[rows], self.valid[rows], part, self.orders[rows], self.method)
+
+
+@jax.jit
+def _frequency_and_damping(poles: Complex[Array, "..."]) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+    size = jnp.abs(poles)
+    return size / (2 * jnp.pi), -poles.real / jnp.maximum(size, jnp.finfo(float).tiny)
+
+
+@jax.jit
+def _physical(
+    poles: Complex[Array, "..."], valid: Bool[Array, "..."], lower_hz: Any, upper_hz: Any, max_damping: Any
+) -> Bool[Array, "..."]:
+    f, zeta = _frequency_and_damping(poles)
+    return valid & (poles.imag > 0) & (zeta > 0) & (zeta < max_damping) & (f >= lower_hz) & (f <= upper_hz)

@@ -1,9 +1,11 @@
 """The modal model: poles, shapes, participation and residual terms, and the FRF they make."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
@@ -14,8 +16,12 @@ from modalax.data.frf import DERIVATIVES, FRF, check_form, check_names
 
 def poles_from(frequency_hz: Any, damping_ratio: Any) -> Complex[Array, " n"]:
     r"""Poles :math:`\lambda = -\zeta\omega + j\omega\sqrt{1-\zeta^2}` [rad/s] of frequencies [Hz] and ratios."""
-    omega = 2 * jnp.pi * as_double(frequency_hz, "frequency")
-    zeta = as_double(damping_ratio, "damping ratio")
+    return _poles(as_double(frequency_hz, "frequency"), as_double(damping_ratio, "damping ratio"))
+
+
+@jax.jit
+def _poles(frequency_hz: Float[Array, "..."], zeta: Float[Array, "..."]) -> Complex[Array, "..."]:
+    omega = 2 * jnp.pi * frequency_hz
     return -zeta * omega + 1j * omega * jnp.sqrt(1 - zeta**2)
 
 
@@ -134,17 +140,17 @@ class ModalModel(eqx.Module):
     @property
     def frequency_hz(self) -> Float[Array, " n"]:
         r"""Natural frequencies :math:`|\lambda|/2\pi` [Hz]."""
-        return jnp.abs(self.poles) / (2 * jnp.pi)
+        return _frequency_hz(self.poles)
 
     @property
     def damping_ratio(self) -> Float[Array, " n"]:
         r"""Damping ratios :math:`-\mathrm{Re}\lambda/|\lambda|` [-]."""
-        return -self.poles.real / jnp.abs(self.poles)
+        return _damping_ratio(self.poles)
 
     @property
     def residues(self) -> Complex[Array, "n o i"]:
         """Residues of the receptance [m/(N s)]."""
-        return self.shapes[:, :, None] * self.participation[:, None, :]
+        return _residues(self.shapes, self.participation)
 
     def replace(self, **changes: Any) -> "ModalModel":
         """A copy with some attributes changed and everything checked again."""
@@ -243,21 +249,17 @@ class ModalModel(eqx.Module):
         unknown = [n for n in (*out_names, *in_names) if n not in self.outputs and n not in self.inputs]
         if unknown:
             raise ValueError(f"no DoF named {', '.join(unknown)}; the model has {', '.join(self.outputs)}")
-        psi, part = self.shapes_at(out_names), self.participation_at(in_names)
-        s = as_double(added_decay, "added_decay") + 2j * jnp.pi * freq
-        near = 1 / (s[:, None] - self.poles)
-        far = 1 / (s[:, None] - self.poles.conj())
-        H = jnp.einsum("fn,no,ni->foi", near, psi, part) + jnp.einsum("fn,no,ni->foi", far, psi.conj(), part.conj())
-        power = DERIVATIVES[check_form(form)]
-        H = H * s[:, None, None] ** power
-        H = H + self._residual(self.upper, out_names, in_names) * s[:, None, None] ** power
-        safe = jnp.where(s == 0, 1.0, s)
-        mass_line = jnp.where((s == 0) & (power < 2), 0.0, safe ** (power - 2))
-        H = H + self._residual(self.lower, out_names, in_names) * mass_line[:, None, None]
+        H = _synthesised(
+            freq, as_double(added_decay, "added_decay"), self.poles, self.shapes_at(out_names),
+            self.participation_at(in_names), self._residual(self.upper, out_names, in_names),
+            self._residual(self.lower, out_names, in_names), DERIVATIVES[check_form(form)],
+        )  # fmt: skip
         return FRF(freq, H, form=form, outputs=out_names, inputs=in_names, added_decay=added_decay)
 
     def shapes_at(self, names: tuple[str, ...]) -> Complex[Array, "n o"]:
         """Shape components at DoFs that may only have been driven (there by reciprocity)."""
+        if names == self.outputs:
+            return self.shapes
         columns = [
             self.shapes[:, self.outputs.index(n)]
             if n in self.outputs
@@ -268,6 +270,8 @@ class ModalModel(eqx.Module):
 
     def participation_at(self, names: tuple[str, ...]) -> Complex[Array, "n i"]:
         """Participation at DoFs that may only have been measured (there by reciprocity)."""
+        if names == self.inputs:
+            return self.participation
         columns = [
             self.participation[:, self.inputs.index(n)]
             if n in self.inputs
@@ -282,16 +286,56 @@ class ModalModel(eqx.Module):
             return term
         if not jnp.size(term):
             return jnp.zeros((len(outs), len(ins)), jnp.complex128)
-        rows = []
-        for o in outs:
-            for i in ins:
-                if o in self.outputs and i in self.inputs:
-                    rows.append(term[self.outputs.index(o), self.inputs.index(i)])
-                elif i in self.outputs and o in self.inputs:
-                    rows.append(term[self.outputs.index(i), self.inputs.index(o)])
-                else:
-                    rows.append(jnp.zeros((), jnp.complex128))
-        return jnp.stack(rows).reshape(len(outs), len(ins))
+        zero, width = term.size, len(self.inputs)
+
+        def place(o: str, i: str) -> int:
+            if o in self.outputs and i in self.inputs:
+                return self.outputs.index(o) * width + self.inputs.index(i)
+            if i in self.outputs and o in self.inputs:
+                return self.outputs.index(i) * width + self.inputs.index(o)
+            return zero
+
+        where = np.array([[place(o, i) for i in ins] for o in outs])
+        if is_traced(term):
+            return jnp.append(term.ravel(), 0.0)[where]
+        return jnp.asarray(np.append(np.asarray(term), 0.0)[where])
+
+
+@jax.jit
+def _residues(shapes: Complex[Array, "n o"], participation: Complex[Array, "n i"]) -> Complex[Array, "n o i"]:
+    return shapes[:, :, None] * participation[:, None, :]
+
+
+@jax.jit
+def _frequency_hz(poles: Complex[Array, " n"]) -> Float[Array, " n"]:
+    return jnp.abs(poles) / (2 * jnp.pi)
+
+
+@jax.jit
+def _damping_ratio(poles: Complex[Array, " n"]) -> Float[Array, " n"]:
+    return -poles.real / jnp.abs(poles)
+
+
+@partial(jax.jit, static_argnames="power")
+def _synthesised(
+    freq: Float[Array, " f"],
+    added_decay: Float[Array, ""],
+    poles: Complex[Array, " n"],
+    psi: Complex[Array, "n o"],
+    part: Complex[Array, "n i"],
+    upper: Complex[Array, "o i"],
+    lower: Complex[Array, "o i"],
+    power: int,
+) -> Complex[Array, "f o i"]:
+    """The FRF of modes and residual terms, differentiated ``power`` times; see :meth:`ModalModel.frf`."""
+    s = added_decay + 2j * jnp.pi * freq
+    near = 1 / (s[:, None] - poles)
+    far = 1 / (s[:, None] - poles.conj())
+    H = jnp.einsum("fn,no,ni->foi", near, psi, part) + jnp.einsum("fn,no,ni->foi", far, psi.conj(), part.conj())
+    H = (H + upper) * s[:, None, None] ** power
+    safe = jnp.where(s == 0, 1.0, s)
+    mass_line = jnp.where((s == 0) & (power < 2), 0.0, safe ** (power - 2))
+    return H + lower * mass_line[:, None, None]
 
 
 def in_order(model: ModalModel) -> ModalModel:

@@ -13,13 +13,15 @@ from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 from typing_extensions import override
 
 from modalax._numerics.checks import as_double, is_traced
-from modalax.data.frf import DERIVATIVES, FRF, check_form
+from modalax._numerics.cuts import cut
+from modalax.data.frf import FRF, derivative
 from modalax.model.modal import ModalModel
 from modalax.model.structure import Structure
 
@@ -99,16 +101,31 @@ def _of_modal_model(
     names = dof_names(model)
     used = tuple(n for n, needed in zip(names, _used(rows, 0), strict=True) if needed)
     driven = tuple(n for n, needed in zip(names, _used(columns, 1), strict=True) if needed)
-    left = rows[:, jnp.array([names.index(n) for n in used], dtype=int)].astype(complex)
-    right = columns[jnp.array([names.index(n) for n in driven], dtype=int)].astype(complex)
-    psi, part = model.shapes_at(used) @ left.T, model.participation_at(driven) @ right
+    left = cut(rows, (slice(None), np.array([names.index(n) for n in used], int)))
+    right = cut(columns, np.array([names.index(n) for n in driven], int))
+    terms = (model._residual(term, used, driven) for term in (model.upper, model.lower))
+    return _along(omega, model.poles, model.shapes_at(used), model.participation_at(driven), *terms, left, right)
+
+
+@jax.jit
+def _along(
+    omega: Float[Array, " f"],
+    poles: Complex[Array, " m"],
+    shapes: Complex[Array, "m o"],
+    participation: Complex[Array, "m i"],
+    upper: Complex[Array, "o i"],
+    lower: Complex[Array, "o i"],
+    left: Float[Array, "l o"],
+    right: Float[Array, "i r"],
+) -> Complex[Array, "f l r"]:
+    """Receptance of modes and residual terms along directions at the DoFs that these use."""
+    psi, part = shapes @ left.T, participation @ right
     s = 1j * omega
-    H = jnp.einsum("fn,nl,nr->flr", 1 / (s[:, None] - model.poles), psi, part)
-    far = 1 / (s[:, None] - model.poles.conj())
+    H = jnp.einsum("fn,nl,nr->flr", 1 / (s[:, None] - poles), psi, part)
+    far = 1 / (s[:, None] - poles.conj())
     # rows and columns are real, so conjugating the products conjugates the modes
     H = H + jnp.einsum("fn,nl,nr->flr", far, psi.conj(), part.conj())
-    upper = left @ model._residual(model.upper, used, driven) @ right
-    lower = left @ model._residual(model.lower, used, driven) @ right
+    upper, lower = left @ upper @ right, left @ lower @ right
     still = (s == 0)[:, None, None]
     at_rest = jnp.where(lower == 0, 0.0, jnp.inf)
     return H + upper + jnp.where(still, at_rest, lower / jnp.where(still, 1.0, s[:, None, None] ** 2))
@@ -260,6 +277,5 @@ def frf(
     outputs = names if outputs is None else tuple(outputs)
     inputs = names if inputs is None else tuple(inputs)
     rows, columns = directions(structure, [[n] for n in outputs]), directions(structure, [[n] for n in inputs]).T
-    s = (2j * jnp.pi * freq)[:, None, None]
-    H = receptance(structure, 2 * jnp.pi * freq, rows, columns) * s ** DERIVATIVES[check_form(form)]
+    H = derivative(receptance(structure, 2 * np.pi * freq, rows, columns), freq, form)
     return FRF(freq, H, form=form, outputs=outputs, inputs=inputs)

@@ -10,7 +10,7 @@ import scipy.linalg
 from jaxtyping import Array, Bool, Complex, Float
 
 from modalax._numerics.checks import as_double, is_traced, require_finite
-from modalax.data.frf import DERIVATIVES, FRF, check_form, check_names, default_names
+from modalax.data.frf import FRF, check_names, default_names, derivative
 from modalax.model.elements import Elements
 from modalax.model.modal import ModalModel, claimed_std, in_order
 from modalax.model.solve import receptance_along
@@ -167,8 +167,7 @@ class Structure(eqx.Module):
         freq = as_double(freq, "freq")
         outputs = self.dofs if outputs is None else tuple(outputs)
         inputs = self.dofs if inputs is None else tuple(inputs)
-        s = (2j * jnp.pi * freq)[:, None, None]
-        H = self.receptance(2 * jnp.pi * freq, outputs, inputs) * s ** DERIVATIVES[check_form(form)]
+        H = derivative(self.receptance(2 * np.pi * freq, outputs, inputs), freq, form)
         return FRF(freq, H, form=form, outputs=outputs, inputs=inputs)
 
     def modal(self) -> ModalModel:

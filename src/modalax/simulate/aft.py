@@ -6,6 +6,7 @@ With odd harmonics and odd laws half a cycle is enough.
 
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -57,6 +58,7 @@ def has_closed_form(joint: Joint) -> bool:
     return type(joint).describing not in (Memoryless.describing, Hysteretic.describing)
 
 
+@eqx.filter_jit
 def joint_forces(
     joints: tuple[Joint, ...],
     q: Complex[Array, "j h"],

@@ -71,7 +71,7 @@ def stepped(freq: Any, dwell: float, fs: float, *, amplitude: Any = 1.0) -> Floa
     # The phase at the start of a line is reduced by whole turns, so that a long test loses no digits.
     begin = np.concatenate([[0.0], np.cumsum(freq * samples / fs)[:-1]]) % 1.0
     phase = begin[:, None] + freq[:, None] * np.arange(samples) / fs
-    return amplitude * jnp.sin(2 * jnp.pi * phase).ravel()
+    return amplitude * jnp.sin((2 * np.pi * phase).ravel())
 
 
 def random(

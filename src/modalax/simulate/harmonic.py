@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
 from modalax._numerics.checks import as_double, is_traced
+from modalax._numerics.cuts import cut
 from modalax.data.frf import DERIVATIVES, check_axis, check_form
 from modalax.data.measurement import Measurement
 from modalax.model.receptance import AnyStructure, directions, dof_names, receptance
@@ -74,7 +75,7 @@ class Response(eqx.Module):
     @property
     def fundamental(self) -> Complex[Array, "level f o i"]:
         """Displacement of the outputs at the excitation frequency [m]."""
-        return self.X[:, :, :, self.harmonics.index(1)]
+        return cut(self.X, (slice(None), slice(None), slice(None), self.harmonics.index(1)))
 
     def limit(self, coarse: "Response") -> Complex[Array, "level f o i"]:
         r"""Fundamental in the limit of all harmonics [m], from this and a ``coarse`` response with fewer.

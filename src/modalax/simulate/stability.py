@@ -80,4 +80,4 @@ def floquet_exponents(
         exponents = jnp.linalg.eigvals(state)
         return exponents[jnp.argsort(jnp.abs(exponents.imag))[: 2 * n]]
 
-    return jax.vmap(one)(as_double(freq, "freq"), as_double(q, "q", complex_=True))
+    return jax.jit(jax.vmap(one))(as_double(freq, "freq"), as_double(q, "q", complex_=True))

@@ -31,6 +31,7 @@ BRACKET, GRID, HALVINGS, POLISH = 60.0, 12, 8, 3  # search for the amplitude acr
 TINY = 1e-300  # added to magnitudes so that their logarithm exists at zero
 
 
+@eqx.filter_jit
 def predict(
     causes: Sequence[Any], index: Any, extras: Sequence[Any], params: Sequence[Any],
     theta: Float[Array, "two n"], problem: Problem,

@@ -141,8 +141,8 @@ def make_problem(
 
 
 def _padded_held(held: Held, pads: list[tuple[int, int]], modes: int) -> Held:
-    extras = tuple(None if e is None else jnp.pad(e, ((0, 0), pads[2], pads[3])) for e in held.extras)
-    theta = jnp.pad(held.theta, ((0, 0), (0, modes - held.theta.shape[1])))
+    extras = tuple(None if e is None else jnp.asarray(np.pad(e, ((0, 0), pads[2], pads[3]))) for e in held.extras)
+    theta = jnp.asarray(np.pad(held.theta, ((0, 0), (0, modes - held.theta.shape[1]))))
     return Held(held.index, extras, held.params, theta, held.causes)
 
 
@@ -152,9 +152,9 @@ def padded(modal_form: ModalForm) -> ModalForm:
     more, wide = bucket(n) - n, bucket(dofs) - dofs
     unit = float(np.median(np.asarray(modal_form.stiffness)))
     rate = math.sqrt(unit)
-    fill = lambda a, value: jnp.concatenate([a, jnp.full(more, value, a.dtype)])
-    grow = lambda a: jnp.pad(a, ((0, more), (0, wide)))
-    square = lambda a: jnp.pad(a, ((0, wide), (0, wide)))
+    fill = lambda a, value: jnp.asarray(np.pad(a, (0, more), constant_values=value))
+    grow = lambda a: jnp.asarray(np.pad(a, ((0, more), (0, wide))))
+    square = lambda a: jnp.asarray(np.pad(a, ((0, wide), (0, wide))))
     return ModalForm(
         fill(modal_form.poles, -0.6 * rate + 0.8j * rate), grow(modal_form.shapes), grow(modal_form.participation),
         fill(modal_form.stiffness, unit), fill(modal_form.damping, 1.2 * rate), fill(modal_form.hysteresis, 0.0),
@@ -169,13 +169,15 @@ def _padded_mixing(mixing: Mixing | None, more: int, wide: int) -> Mixing | None
     if mixing is None:
         return None
     widths = ((0, 0), (0, more), (0, more), (0, wide))  # the first three for stiffness and damping, two for the centre
-    return jax.tree.map(lambda a: jnp.pad(a, widths[: a.ndim]), mixing)
+    return jax.tree.map(lambda a: jnp.asarray(np.pad(a, widths[: a.ndim])), mixing)
 
 
 def _padded_uncoupled(uncoupled: Uncoupled | None, more: int, wide: int) -> Uncoupled | None:
     if uncoupled is None:
         return None
     modes = ((0, 0), (0, more))
-    k, c = (jnp.pad(a, modes, constant_values=1.0) for a in (uncoupled.k, uncoupled.c))
-    shapes, participation = (jnp.pad(a, (*modes, (0, wide))) for a in (uncoupled.shapes, uncoupled.participation))
+    k, c = (jnp.asarray(np.pad(a, modes, constant_values=1.0)) for a in (uncoupled.k, uncoupled.c))
+    shapes, participation = (
+        jnp.asarray(np.pad(a, (*modes, (0, wide)))) for a in (uncoupled.shapes, uncoupled.participation)
+    )
     return Uncoupled(k, c, shapes, participation, uncoupled.middle)
