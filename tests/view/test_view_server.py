@@ -20,8 +20,9 @@ from modalax.data.datasets import uliege_plane
 from modalax.files import save
 from modalax.model.examples import five_dof
 from modalax.model.indicators import mac
+from modalax.model.mode_table import ModeTable
 from modalax.view import Server, Session
-from modalax.view.beside import read_beside
+from modalax.view.beside import Beside, read_beside
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
 needs_browser = pytest.mark.skipif(BROWSER is None, reason="no chromium or chrome on this machine")
@@ -173,14 +174,19 @@ def visited(server, tmp_path):
 @needs_browser
 @pytest.mark.slow
 @pytest.mark.measured
-def test_the_aeroplane_is_corrected_and_saved_in_a_browser(measured, tmp_path):
+def test_the_aeroplane_is_corrected_and_saved_in_a_browser_beside_its_finite_elements(measured, tmp_path):
     plane = uliege_plane()
     session = Session(plane.frf, geometry=plane.geometry)
     modes = len(session.state.picks)
-    seen = visited(Probed(session, name="plane", folder=tmp_path, findings=lambda: FOUND), tmp_path)
+    # The file of the finite-element shapes has no frequencies; pairs are found by shape.
+    elements = ModeTable.of(np.linspace(20, 170, 13), np.nan, plane.fe_shapes, plane.frf.inputs)
+    beside = Beside("fe_modes.npz", elements)
+    seen = visited(Probed(session, name="plane", folder=tmp_path, beside=beside, findings=lambda: FOUND), tmp_path)
     steps = ("opened", "dropped", "picked", "less", "undone")
     assert [seen[k] for k in steps] == [modes, modes - 1, modes, modes - 1, modes] and modes > 10
     assert len(seen["reloaded"]) == len(json.loads((tmp_path / "picks.json").read_text())["modes"]) == modes
+    assert seen["beside"]["hint"].startswith("73 of 73 DoFs are common") and seen["overlaid"] > 50
+    assert np.array(seen["beside"]["mac"]).max(axis=0)[:6].min() > 0.9  # the first six shapes match measured modes
 
 
 @pytest.fixture
