@@ -25,6 +25,8 @@
       }
     }
     const data = figure.data.map(function (trace) {
+      // The numbers of a large matrix are set smaller on paper, which is narrower.
+      if (printing && trace.texttemplate && trace.x && trace.x.length > 12) return Object.assign({}, trace, {textfont: {size: 7.5}});
       if (trace.meta !== "ink") return trace;
       const copy = Object.assign({}, trace);
       if (trace.line) copy.line = Object.assign({}, trace.line, {color: c.ink});
