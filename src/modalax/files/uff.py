@@ -55,7 +55,7 @@ def read_sets(path: Path) -> list[dict[str, Any]]:
     with reading("the universal file"):
         file = pyuff.UFF(str(path))
         kinds = [int(t) for t in file.get_set_types()]
-    sets, units = [], None
+    sets, units, axis = [], None, None
     for k, kind in enumerate(kinds):
         if kind not in READ:
             continue
@@ -67,6 +67,9 @@ def read_sets(path: Path) -> list[dict[str, Any]]:
         except Exception as error:
             reason = " ".join(str(error.__context__ or error).split())[:300]
             raise ValueError(f"data set {k + 1}, of type {kind}, is damaged: {reason}") from error
+        if kind == 58 and "x" in found:  # functions with the same axis share it
+            axis = found["x"] if axis is None or not np.array_equal(axis, found["x"]) else axis
+            found["x"] = axis
         sets.append({**found, "units": units})
     if not sets:
         held = ", ".join(str(t) for t in sorted(set(kinds))) or "none"

@@ -72,7 +72,7 @@ def _function(k: int, found: Mapping[str, Any], prefixed: bool) -> Function:
         names[1],
         form_of(found),
         np.asarray(found["x"])[:count],
-        scale * values[:count],
+        values[:count] if scale == 1 else scale * values[:count],
         about_run,
     )
 
@@ -140,7 +140,7 @@ def measurement_of(functions: Sequence[Function], form: str | None, complete: bo
             warnings.warn(f"a {kind} stands beside some FRFs only and was left out", UserWarning, stacklevel=5)
     _tell_left_out(functions)
     first = cells[outputs[0], inputs[0]]
-    H = grid(cells).astype(complex)
+    H = grid(cells).astype(complex, copy=False)
     freq, H, outputs, inputs, extra = without_gaps(freq, H, outputs, inputs, extra, stacklevel=6)
     return Measurement(freq, H, form=form, outputs=outputs, inputs=inputs, **extra, **_run_facts(first))
 
