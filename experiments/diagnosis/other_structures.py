@@ -98,6 +98,19 @@ def beam(rng: np.random.Generator) -> World:
     return world
 
 
+def lumped(rng: np.random.Generator) -> World:
+    """A clamped beam whose mass is lumped at its points: rotations have none."""
+    n, L = 11, 0.15
+    world = World([f"{k + 1}:{way}" for k in range(n) for way in ("+Z", "+RY")], [], [], 0.007)
+    for k in range(n):
+        b = [1, 2, 4, 5] if k else [4, 5]
+        K = _beam(np.array([L, 0.0]), 55.0, 1.0, 1.0)[0][np.ix_(b, b)]
+        world.stiffness.append(([2 * k - 2, 2 * k - 1, 2 * k, 2 * k + 1] if k else [0, 1], K))
+        world.mass.append(([2 * k], np.array([[rng.uniform(0.1, 0.2)]])))
+    world.measurable = list(range(0, 2 * n, 2))
+    return world
+
+
 def ring(rng: np.random.Generator) -> World:
     """A free ring on soft supports: pairs of modes that are all but repeated."""
     n, r = 14, 0.3
@@ -225,7 +238,7 @@ def train(rng: np.random.Generator) -> World:
 
 
 STRUCTURES: dict[str, Callable[[np.random.Generator], World]] = {
-    f.__name__: f for f in (beam, ring, tower, grid, fork, building, space, train)
+    f.__name__: f for f in (beam, lumped, ring, tower, grid, fork, building, space, train)
 }
 
 
@@ -276,7 +289,7 @@ def effect_mass(t: Test) -> None:
 
 
 def _strain(t: Test, part: tuple[list[int], np.ndarray]) -> float:
-    _, shapes = scipy.linalg.eigh(t.K, t.M)
+    _, shapes = modes(t.K, t.M)
     some = shapes[:, : 2 * MODES]
     at, matrix = part
     energy = np.einsum("ik,ij,jk->k", some[at], matrix, some[at])
@@ -496,10 +509,24 @@ def frf(t: Test, C: np.ndarray, f: np.ndarray, level: np.ndarray | None) -> np.n
     return np.array(runs)
 
 
+def modes(K: np.ndarray, M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Squared circular frequencies and shapes of unit modal mass, also where some DoFs have no mass."""
+    held = np.diag(M) <= 0
+    if not held.any():
+        return scipy.linalg.eigh(K, M)
+    free = ~held
+    follow = -np.linalg.solve(K[np.ix_(held, held)], K[np.ix_(held, free)])
+    w2, V = scipy.linalg.eigh(K[np.ix_(free, free)] + K[np.ix_(free, held)] @ follow, M[np.ix_(free, free)])
+    every = np.zeros((len(K), len(w2)))
+    every[free], every[held] = V, follow @ V
+    return w2, every
+
+
 def damping(M: np.ndarray, K: np.ndarray, zeta: np.ndarray | float) -> np.ndarray:
     """Viscous modal damping."""
-    w2, V = scipy.linalg.eigh(K, M)
-    w = np.sqrt(np.maximum(w2, 1e-6 * w2[-1] ** 0))
+    w2, V = modes(K, M)
+    w, zeta = np.sqrt(np.maximum(w2, 0.0)), zeta * np.ones(len(M))
+    zeta = zeta[: len(w)]
     return M @ V @ np.diag(2 * zeta * w) @ V.T @ M
 
 
@@ -511,7 +538,7 @@ def draw(name: str, effect: str, seed: int, how: dict) -> tuple[dict, dict, dict
     spread = how.get("spread") or float(rng.choice([0.01, 0.02, 0.03]))
     K = world.sum(world.stiffness, 1 + spread * rng.standard_normal(len(world.stiffness)))
     M = world.sum(world.mass, 1 + spread / 3 * rng.standard_normal(len(world.mass)))
-    w2, V = scipy.linalg.eigh(K0, M0)
+    w2, V = modes(K0, M0)
     f = np.sqrt(np.maximum(w2, 0)) / 2 / np.pi
     rigid = int((f < 1e-4 * f[-1]).sum())
     first, last = rigid + how.get("skip", 0), rigid + how.get("skip", 0) + MODES

@@ -16,6 +16,7 @@ from modalax.diagnose.modal_domain.elements import local_parts, mass_parts, node
 from modalax.diagnose.modal_domain.features import Features, features_of, paired
 from modalax.diagnose.modal_domain.free_residues import Channels, project, refine
 from modalax.diagnose.modal_domain.mode_count import blind_modes, misfit
+from modalax.model import Structure
 
 
 @pytest.fixture(scope="module")
@@ -168,3 +169,21 @@ def test_modes_far_off_are_still_paired(coordinates):
     none = np.zeros((3, 1, *A.shape[1:]), complex)
     seen = Features(modes.poles[some] * 1.1, A[some], units, none, np.zeros((3, 5)), np.eye(15))
     np.testing.assert_array_equal(paired(seen, modes.poles, A), some)
+
+
+def test_rotations_without_mass_move_as_their_stiffness_demands():
+    """A lumped beam against its static condensation, also with a spring at a rotation."""
+    K, M = cantilever()
+    M = np.diag(np.where(np.arange(len(M)) % 2, 0.0, np.diag(M)))
+    highest, spring = 2 * np.pi * 400.0, 40.0
+    c = coordinates_of(Structure(M, 1e-5 * K, K, DOFS), DOFS[:2], DOFS[:1], highest)
+    stiffer = K.copy()
+    stiffer[7, 7] += spring
+    change = spring * np.outer(c.shapes[7], c.shapes[7])
+    for full, found in ((K, modes_of(c)), (stiffer, modes_of(c, dK=change))):
+        z, r = np.arange(0, len(K), 2), np.arange(1, len(K), 2)
+        condensed = full[np.ix_(z, z)] - full[np.ix_(z, r)] @ np.linalg.solve(full[np.ix_(r, r)], full[np.ix_(r, z)])
+        exact = np.sqrt(scipy.linalg.eigh(condensed, M[np.ix_(z, z)], eigvals_only=True))
+        few = exact < highest
+        assert few.sum() > 3
+        np.testing.assert_allclose(np.abs(found.poles)[: few.sum()], exact[few], rtol=1e-5)

@@ -12,6 +12,7 @@ import scipy.linalg
 
 from modalax.model import Structure
 
+QUICK = 1e3  # frequency of a DoF by itself, over that of the band, above which it is given mass
 SPARE = 4.0  # frequency of a coordinate to which nothing is attached, over the highest of all
 LARGEST = 90  # modal coordinates kept of large simulations, besides what the band needs
 FURTHER, AT_LEAST = 10, 45  # modes above the band, and in all, that are solved with their damping
@@ -76,6 +77,8 @@ def coordinates_of(
 ) -> Coordinates:
     """Modal coordinates of a structure whose band ends at ``highest`` [rad/s]."""
     M, C, K, D = (np.asarray(a) for a in (simulation.M, simulation.C, simulation.K, simulation.D))
+    # a DoF without mass, as a rotation of a lumped model, moves as its stiffness demands
+    M = M + np.diag(np.maximum(np.diag(K) / (QUICK * highest) ** 2 - np.diag(M), 0.0))
     values, shapes = scipy.linalg.eigh(K, M)
     inside = int(np.count_nonzero(values < highest**2))
     kept = min(len(values), max(LARGEST, 2 * inside + FURTHER))

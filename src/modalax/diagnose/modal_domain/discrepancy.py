@@ -16,7 +16,7 @@ from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.state import Setting, feature_slopes, slopes_at, whitened
 
 SIZES = (0.0, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)  # relative sizes that are tried
-BESIDE = 8  # modes above the band that those inside may be coupled with
+BESIDE, NEXT = 8, 2  # modes above the band that those inside may be coupled with, and of these the ones told apart
 ON_DIAGONAL = np.sqrt(1.5)  # change of a mode itself, relative to a coupling of two modes
 BLOCK = 100  # patterns at once
 KNOWN = 0.3  # standard deviation of the logarithm of its size once that is learnt
@@ -25,7 +25,7 @@ KNOWN = 0.3  # standard deviation of the logarithm of its size once that is lear
 def rest_slopes(setting: Setting, f: Fit) -> np.ndarray:
     """Whitened derivatives by all couplings, shape ``(m, p)``."""
     c = setting.coordinates
-    couples, scale = _couples(setting, f)
+    couples, scale = _couples(setting, f, BESIDE)
     t = slopes_of(c, f.state.modes, f.state.pairs)
     columns = []
     for kind in "KM":
@@ -69,7 +69,7 @@ def told_apart(setting: Setting, f: Fit) -> Setting:
     FRFs hold more than the features of modes: without these changes a fit to lines would bend causes and elements.
     """
     a, c = setting.inaccuracy, setting.coordinates
-    couples, scale = _couples(setting, f)
+    couples, scale = _couples(setting, f, NEXT)
     patterns = np.zeros((len(couples), c.size, c.size))
     for k, (r, s) in enumerate(couples):
         patterns[k, r, s] = patterns[k, s, r] = scale[r] * scale[s] * (ON_DIAGONAL if r == s else 1.0)
@@ -92,11 +92,11 @@ def beside(setting: Setting, f: Fit) -> Fit:
     )  # fmt: skip
 
 
-def _couples(setting: Setting, f: Fit) -> tuple[list[tuple[int, int]], np.ndarray]:
+def _couples(setting: Setting, f: Fit, above: int) -> tuple[list[tuple[int, int]], np.ndarray]:
     """Modes that the rest couples, and the circular frequency that each counts with."""
     c = setting.coordinates
     inside = min(c.size, int(f.state.pairs.max(initial=0)) + 3)
-    couples = [(r, s) for r in range(inside) for s in range(r, min(c.size, inside + BESIDE))]
+    couples = [(r, s) for r in range(inside) for s in range(r, min(c.size, inside + above))]
     return couples, np.maximum(c.frequencies, 0.05 * c.frequencies[inside - 1])
 
 

@@ -1,6 +1,7 @@
 """Every cause at every place that the simulation's own topology has."""
 
 import itertools
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -21,6 +22,7 @@ HELD, SUPPORTED = 6, 1e-3  # most DoFs of one support, and its least stiffness r
 SHARES = {
     "named": 0.4, "spring": 0.3, "element": 0.2, "support": 0.15, "coupled": 0.05, "ground": 0.05, "apart": 0.03
 }  # fmt: skip
+FEW = 80  # DoFs of which any two may be joined by a spring that the simulation has not; of more, the measured ones
 ABSENT = "ground", "apart"  # places where the simulation has no spring that could be off
 STILL = 1e-12  # square of a displacement, relative to the largest in the band, below which a DoF does not move
 UNLIKELY = 0.05  # weight of a pair of unlike directions, or of a rotation's inertia
@@ -47,7 +49,8 @@ def candidates_of(
         weight = UNLIKELY if turning else 1.0
         out.append(Change("added_mass", (name,), LUMP / mobile, b, reference=own_mass, weight=weight))
     out += _lumps(simulation, c, nodes, inside)
-    for where, b, stiffness, weight in springs_of(simulation, c, nodes, pairs, highest):
+    apart = next((some for some in (dofs, {*outputs, *inputs}) if len(some) <= FEW), ())
+    for where, b, stiffness, weight in springs_of(simulation, c, nodes, pairs, highest, apart):
         mobile = b[inside] ** 2
         if mobile.mean() < STILL * float((c.shapes[:, inside] ** 2).max()):
             continue
@@ -117,13 +120,13 @@ def _elements(simulation: Structure, c: Coordinates, nodes: Nodes) -> list[Chang
 
 def springs_of(
     simulation: Structure, c: Coordinates, nodes: Nodes, pairs: list[tuple[str, str]] | None, highest: float,
-    apart: bool = True,
+    apart: Collection[str] = (),
 ) -> list[tuple[tuple[str, ...], np.ndarray, float, float]]:  # fmt: skip
     """Place, direction, usual change of stiffness and weight of springs.
 
     Likeliest are the pairs that the simulation names and its own springs and supports, then other coupled DoFs and
-    each DoF to ground, and last, if asked, any two displacements of one direction that nothing joins. Where the
-    simulation has no spring, the usual one is small enough to move modes by as much as a wrong one does.
+    each DoF to ground, and last any two displacements of one direction, of those in ``apart``, that nothing joins.
+    Where the simulation has no spring, the usual one is small enough to move modes by as much as a wrong one does.
     """
     inside = np.flatnonzero((c.frequencies < highest) & (c.frequencies > 0.02 * highest))
     K, dofs = np.asarray(simulation.K), simulation.dofs
@@ -140,7 +143,7 @@ def springs_of(
         if key == "coupled" and nodes.axis[a] != nodes.axis[b]:
             continue
         if key == "coupled" and unit[a, b] < COUPLED:
-            if nodes.axis[a] > 2 or not apart:
+            if nodes.axis[a] > 2 or not (dofs[a] in apart and dofs[b] in apart):
                 continue
             key = "apart"
         stiffness = abs(K[a, b]) if unit[a, b] > 1e-3 else min(K[a, a], K[b, b])

@@ -25,6 +25,7 @@ PARTS = (1.0, 0.3, 0.1)  # of a step that are tried
 SETTLED = 0.1  # decrease of half chi-square at which it ends
 WORK = 3e9  # products for one set of derivatives; of larger problems every so many lines are taken
 BLOCK = 4e6  # numbers held at once
+MATTERS = 2e-4  # relative size of the rest from which it shows on lines: peaks move by half of it
 WORSE = 20.0  # chi-square over that of the measured modes by themselves from which lines only bend what modes tell
 LIKELY, FEW = 0.01, 3  # probability from which, and most explanations that are taken on to the lines
 
@@ -119,7 +120,7 @@ def leading_on_lines(
 
     A rest that no element explains is fitted there beside all else: the setting that is given back holds it.
     """
-    out, apart = list(explanations), setting.rest > 0
+    out, apart = list(explanations), setting.rest > MATTERS
     if apart:
         setting = told_apart(setting, out[0].fit)
         out = [replace(e, fit=beside(setting, e.fit)) for e in out]

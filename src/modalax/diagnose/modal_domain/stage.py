@@ -112,7 +112,7 @@ def run_stage(
     if not explanations:
         return None
     setting, explanations = leading_on_lines(setting, explanations, measured, late)
-    places = springs_of(simulation, c, nodes_of(simulation.dofs), pairs, highest, apart=False)
+    places = springs_of(simulation, c, nodes_of(simulation.dofs), pairs, highest)
     spots = [Spot(where, b, w) for where, b, _, w in places]
     seen = None
     try:
