@@ -16,6 +16,7 @@ from modalax.diagnose.modal_domain.elements import local_parts, mass_parts, node
 from modalax.diagnose.modal_domain.features import Features, features_of, paired
 from modalax.diagnose.modal_domain.free_residues import Channels, project, refine
 from modalax.diagnose.modal_domain.mode_count import blind_modes, misfit
+from modalax.diagnose.modal_domain.places import candidates_of
 from modalax.model import Structure
 
 
@@ -187,3 +188,14 @@ def test_rotations_without_mass_move_as_their_stiffness_demands():
         few = exact < highest
         assert few.sum() > 3
         np.testing.assert_allclose(np.abs(found.poles)[: few.sum()], exact[few], rtol=1e-5)
+
+
+def test_the_element_at_a_clamp_is_a_place_as_a_whole(coordinates):
+    """Half of the first element's stiffness lost moves modes as the cause of that place and size says."""
+    every = candidates_of(simulation(), coordinates, DOFS[::2], (DOFS[6],), None, 2 * np.pi * 330)
+    (cause,) = (k for k in every if k.slug == "joint_stiffness" and k.pattern is not None and len(k.where) == 1)
+    assert cause.where == ("1:+Z",)
+    K, M = cantilever(stiffness=np.array([0.5, *np.ones(7)]))
+    exact = np.sqrt(scipy.linalg.eigh(K, M, eigvals_only=True))[:5]
+    found = np.abs(modes_of(coordinates, dK=-0.5 / cause.scale * cause.matrix).poles)[:5]
+    np.testing.assert_allclose(found, exact, rtol=1e-6)

@@ -100,7 +100,7 @@ def _damped_modes(c: Coordinates, inside: np.ndarray) -> list[Change]:
 
 
 def _elements(simulation: Structure, c: Coordinates, nodes: Nodes) -> list[Change]:
-    """Whole elements softer or stiffer; told at the pair of DoFs that they couple most."""
+    """Whole elements softer or stiffer; told at the pair of DoFs that they couple most, or at one that they hold."""
     K = np.asarray(simulation.K)
     size = np.sqrt(np.maximum(np.diag(K), 1e-300))
     out = softened_elements(simulation, c, JOINT)
@@ -115,6 +115,14 @@ def _elements(simulation: Structure, c: Coordinates, nodes: Nodes) -> list[Chang
         where = simulation.dofs[a[i]], simulation.dofs[b[j]]
         pattern = c.shapes[part.dofs].T @ part.matrix @ c.shapes[part.dofs]
         out.append(Change("joint_stiffness", where, JOINT, pattern=pattern, weight=1.0))
+    for part in (p for p in parts_of(K, nodes) if len(p.nodes) == 1 and len(p.dofs) > 1):
+        own = np.diag(part.matrix)
+        if np.abs(part.matrix - np.diag(own)).max() < COUPLED * np.abs(own).max():  # springs, each by itself
+            continue
+        straight = (nodes.axis[part.dofs] < 3) if (nodes.axis[part.dofs] < 3).any() else np.ones(len(own), bool)
+        k = part.dofs[np.argmax(np.where(straight, own / size[part.dofs] ** 2, -np.inf))]
+        pattern = c.shapes[part.dofs].T @ part.matrix @ c.shapes[part.dofs]
+        out.append(Change("joint_stiffness", (simulation.dofs[k],), JOINT, pattern=pattern, weight=1.0))
     return [replace(e, weight=SHARES["element"] / len(out)) for e in out]
 
 
