@@ -405,7 +405,7 @@ def test_shapes_without_scale_are_shapes_and_no_model(tmp_path):
         "type": 55, "analysis_type": 2, "data_ch": 2, "spec_data_type": 8, "load_case": 0, "mode_n": 1, "freq": 5.0,
         "node_nums": [3, 7], "r1": np.zeros(2), "r2": np.zeros(2), "r3": np.array([1.0, 0.5]),
     }, "add")  # fmt: skip
-    with pytest.raises(ValueError, match=r"a\.uff: modes 1 have no modal mass or modal a.*load_modes"):
+    with pytest.raises(ValueError, match=r"a\.uff: mode 1 has no modal mass or modal a.*load_modes"):
         modalax.load(path)
     modes = load_modes(path)
     np.testing.assert_array_equal(modes.shapes, [[1.0, 0.5]])

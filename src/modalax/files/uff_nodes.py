@@ -117,8 +117,9 @@ class Modes(NamedTuple):
         """
         missing = [str(k + 1) for k in np.flatnonzero(self.modal_a == 0)]
         if missing:
+            which = f"modes {', '.join(missing)} have" if len(missing) > 1 else f"mode {missing[0]} has"
             raise ValueError(
-                f"modes {', '.join(missing)} have no modal mass or modal a, so the model has no scale; "
+                f"{which} no modal mass or modal a, so the model has no scale; "
                 "modalax.files.load_modes reads the shapes alone"
             )
         participation = self.shapes / self.modal_a[:, None]

@@ -165,7 +165,7 @@ def summed_up(
     quality = quality_of(weighted, model)
     if refined is not None:
         refined = with_misfit(refined, quality)
-        widths = -np.asarray(model.poles.real) / (2 * np.pi)
+        widths = (-np.asarray(model.poles.real) / (2 * np.pi)).tolist()
         two = [record is None and stands_for_two(q, w) for q, w in zip(quality, widths, strict=True)]
         refined = with_seconds(refined, quality, np.array(two))
     deviations = scatter if refined is None else (refined.frequency_std_hz, refined.damping_std)

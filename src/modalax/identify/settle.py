@@ -187,7 +187,7 @@ def _with_seconds(
     inside, residual = _inside(frf, model), residual_of(frf, model)
     pairs: dict[int, np.ndarray] = {}
     for r in np.flatnonzero(inside):
-        pair = second_mode(frf, model, residual, r) if all(abs(f[r] - g) >= width[r] for g in tried) else None
+        pair = second_mode(frf, model, residual, int(r)) if all(abs(f[r] - g) >= width[r] for g in tried) else None
         if pair is not None:
             pairs[int(r)] = pair
     tried += [float(f[r]) for r in pairs]
@@ -197,7 +197,7 @@ def _with_seconds(
     new = _from_poles(frf, refined, _split(model, pairs), **options)
     quality, poles = quality_of(frf, new.model), np.asarray(new.model.poles)
     sound = np.array([not (q.rest.plain or matters(q.inputs, w) or matters(q.outputs, w)) for q, w in
-                      zip(quality, -poles.real / (2 * np.pi), strict=True)])  # fmt: skip
+                      zip(quality, (-poles.real / (2 * np.pi)).tolist(), strict=True)])  # fmt: skip
     kept = {r: pair for r, pair in pairs.items() if all(sound[np.argmin(np.abs(poles - p))] for p in pair)}
     if not kept:
         return None
