@@ -3,7 +3,8 @@
 ``records``: random records of 16 channels as a ``.npy`` file (4 GB; ``--gigabytes 40``), made into FRFs by
 ``modalax frf`` in a process whose memory for data the operating system limits (``--limit``, 1.2 GB).
 
-``uff``: a universal file of 1 GB, binary data sets 58, indexed (the types of its sets) and read whole, beside pyuff.
+``uff``: a universal file of 1 GB, binary data sets 58, indexed (types, places and headers of
+its sets) and read whole, beside pyuff.
 
 ``fit``: FRFs of 2,000 outputs x 8 inputs x 8,000 lines (2 GB) from a Zarr store: the poles of every order and those
 that are stable; ``--scale`` makes them smaller. Every part runs in a process of its own, one thread.
@@ -96,11 +97,11 @@ def uff(path: str, what: str) -> dict:
     import pyuff
 
     from modalax.files import load
-    from modalax.files.uff import set_types
+    from modalax.files.uff_index import index_of
 
     began = time.perf_counter(), time.process_time()
     if what == "index":
-        told = f"{len(set_types(Path(path)))} sets"
+        told = f"{len(index_of(Path(path)))} sets"
     elif what == "read":
         told = f"{load(path, conjugate=False).H.shape[2]} outputs"
     elif what == "pyuff index":

@@ -16,6 +16,7 @@ from modalax.files.guard import reading
 from modalax.files.messages import about
 from modalax.files.sniff import sniff
 from modalax.files.uff_functions import function_sets, functions_of, measurement_of
+from modalax.files.uff_index import index_of
 from modalax.files.uff_nodes import Modes, geometry_of, geometry_sets, mode_sets, modes_of
 from modalax.files.uff_units import SI, units_of
 from modalax.model.modal import ModalModel
@@ -38,8 +39,11 @@ def _pyuff() -> Any:
 def set_types(path: Path) -> list[int]:
     """Types of the data sets of a universal file, in their order; ``ValueError`` if it is damaged."""
     _require_whole(path)
-    with reading("the universal file"):
-        return [int(t) for t in _pyuff().UFF(str(path)).get_set_types()]
+    try:
+        return [entry.kind for entry in index_of(path)]
+    except ValueError:  # a header that tells too many or too few bytes; pyuff looks for the end of each set
+        with reading("the universal file"):
+            return [int(t) for t in _pyuff().UFF(str(path)).get_set_types()]
 
 
 def read_sets(path: Path) -> list[dict[str, Any]]:
