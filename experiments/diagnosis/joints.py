@@ -1,0 +1,157 @@
+"""Non-linear joints of any strength: how often one is named, and how often its stated intervals hold the truth.
+
+usage: python experiments/diagnosis/joints.py FOLDER [--count 60] [--seed 1] [--time 90] [--part 1/2]
+       python experiments/diagnosis/joints.py --report RESULTS.jsonl
+
+Draws joint cases on small spring-mass structures (5 to 10 degrees of freedom, three force levels, one input), all
+laws in turn, d from 10 to 10,000 and noise from 0.1 to 5 % in logarithmic steps at random, marched in time by the
+generator of hidden effects, which shares no code with the package and knows no harmonics. Each is diagnosed once, in
+at most ``--time`` seconds plus what a begun step takes; truth and answer are appended to ``FOLDER/answers.jsonl``, and
+a run that was stopped goes on where it was. ``--part 1/2`` and ``--part 2/2`` share a draw between two processes.
+"""
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "hidden"))
+
+import answer  # noqa: E402
+from generator import draw_case  # noqa: E402
+from generator.case import Case  # noqa: E402
+from generator.effects_joint import JOINTS  # noqa: E402
+from generator.systems import draw_system  # noqa: E402
+from marks import Mark, Share, coverage, distance, reliability, right  # noqa: E402
+
+SMALL = (5, 10)  # degrees of freedom
+SIZES = (10.0, 10_000.0)  # distance in standard deviations
+NOISE = (0.001, 0.05)
+DECADES = (10.0, 100.0, 1000.0, 20_000.0)
+KEPT = ("verdict", "causes", "alternatives", "reasons", "gain", "error")  # of an answer; the rest is long
+
+
+def small_structure(rng: np.random.Generator) -> int:
+    """The seed of a small structure."""
+    while True:
+        seed = int(rng.integers(10**6, 10**9))
+        if SMALL[0] <= draw_system(np.random.default_rng([seed, 20]), "masses").n <= SMALL[1]:
+            return seed
+
+
+def draw(seed: int, k: int) -> Case | None:
+    """Case ``k`` of a draw; None where no small structure shows that law at that size in a few attempts."""
+    slug = list(JOINTS)[k % len(JOINTS)]
+    for attempt in range(4):
+        rng = np.random.default_rng([zlib.crc32(b"joints"), seed, k, attempt])
+        d, noise = (float(np.exp(rng.uniform(*np.log(range_)))) for range_ in (SIZES, NOISE))
+        variance = str(rng.choice(["exact", "16"]))
+        plan = {"noise_level": noise, "variance": variance, "runs": 3, "inputs": 1, "structure": small_structure(rng)}
+        try:
+            case = draw_case(int(rng.integers(2**32)), slug, d, "masses", **plan)
+        except ValueError:  # this law cannot be as large on this structure
+            continue
+        if case.truth["dofs"] <= SMALL[1]:
+            return case
+    return None
+
+
+def answered(path: Path) -> list[dict]:
+    """Lines of a results file, none if there is none."""
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def run(folder: Path, count: int, seed: int, seconds: float, part: tuple[int, int]) -> Path:
+    """Draw and answer what has no answer yet."""
+    from modalax.diagnose import diagnose
+    from modalax.files import load
+
+    answer.prepare()
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"answers{f'-{part[0]}' if part[1] > 1 else ''}.jsonl"
+    done = {row["name"] for row in answered(path)}
+    for k in range(part[0] - 1, count, part[1]):
+        name = f"{list(JOINTS)[k % len(JOINTS)]}-{seed}-{k:04d}"
+        if name in done:
+            continue
+        case = draw(seed, k)
+        if case is None:
+            print(f"{name} is left out: no small structure shows it at that size", flush=True)
+            continue
+        start, spent = time.perf_counter(), time.process_time()
+        with tempfile.TemporaryDirectory() as held:
+            case.save(Path(held))
+            try:
+                said = diagnose(
+                    load(Path(held) / "measurement.npz"), load(Path(held) / "simulation.npz"), time=seconds
+                ).to_dict()
+            except Exception as error:  # one bad case must not end a long draw; it is counted and shown
+                said = {"verdict": "error", "causes": [], "error": f"{type(error).__name__}: {error}"}
+        said = {key: said[key] for key in KEPT if key in said}
+        said |= {"seconds": time.perf_counter() - start, "cpu": time.process_time() - spent}
+        with path.open("a") as file:
+            file.write(json.dumps({"name": name, "truth": case.truth, "said": said}) + "\n")
+        told = ", ".join(f"{c['name']} at {'-'.join(map(str, c['where']))}" for c in said["causes"])
+        print(f"{name} d = {case.truth['d']:.0f}: {said['verdict']} {told} ({said['cpu']:.0f} CPU s)", flush=True)
+    return path
+
+
+def outcomes(marks: list[Mark]) -> list[Share]:
+    """Named right with place, right name or rival, named wrongly, wrong place, unknown, intervals with the truth."""
+    return [
+        Share.of(marks, lambda m: m.named and right(m)),
+        Share.of(marks, lambda m: m.verdict in ("named", "ambiguous") and m.within),
+        Share.of(marks, lambda m: m.named and not m.name_right),
+        Share.of(marks, lambda m: m.named_right and not m.place_right),
+        Share.of(marks, lambda m: m.verdict in ("unknown", "clean", "error")),
+        coverage(marks)["all"],
+    ]
+
+
+HEADER = "| cases | named right, with place | in the set | wrong name | wrong place | no name | truth in intervals |"
+
+
+def report(rows: list[dict]) -> None:
+    """Print what the answers are worth, by decade of d and by law."""
+    marks = [Mark(row["name"], row["truth"], row["said"]) for row in rows]
+    groups = {
+        f"d = {low:g} to {high:g}": [m for m in marks if low <= distance(m) < high]
+        for low, high in zip(DECADES[:-1], DECADES[1:], strict=True)
+    }
+    groups |= {law: [m for m in marks if m.cause == law] for law in JOINTS}
+    groups["all"] = marks
+    print(HEADER + "\n|" + "---|" * (HEADER.count("|") - 1))
+    for name, some in groups.items():
+        print(f"| {name} ({len(some)}) | " + " | ".join(str(share) for share in outcomes(some)) + " |")
+    print("\n| stated probability | mean | right name and place |\n|---|---|---|")
+    for low, high, mean, share in reliability(marks):
+        print(f"| {low:g} to {min(high, 1):g} | {mean:.3f} | {share} |")
+    spent = [m.said["cpu"] for m in marks]
+    if spent:
+        print(f"\nCPU seconds: median {np.median(spent):.0f}, longest {max(spent):.0f}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, nargs="?")
+    parser.add_argument("--count", type=int, default=60)
+    parser.add_argument("--seed", type=int, default=1, help="another seed, another draw")
+    parser.add_argument("--time", type=float, default=90.0, help="seconds for each answer")
+    parser.add_argument("--part", default="1/1")
+    parser.add_argument("--report", type=Path, nargs="+", help="print the marks of kept answers")
+    args = parser.parse_args()
+    if args.report:
+        return report([row for path in args.report for row in answered(path)])
+    if args.folder is None:
+        parser.error("a folder for the answers is needed, or --report with kept ones")
+    first, parts = (int(n) for n in args.part.split("/"))
+    report(answered(run(args.folder, args.count, args.seed, args.time, (first, parts))))
+
+
+if __name__ == "__main__":
+    main()
