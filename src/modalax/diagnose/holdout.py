@@ -11,6 +11,7 @@ from modalax.diagnose.fitting.gauss_newton import ROUNDS
 from modalax.diagnose.fitting.hypothesis import Hypothesis, searched
 from modalax.diagnose.fitting.residual import jacobian_of
 from modalax.diagnose.screening.score_state import score_state_of
+from modalax.diagnose.search.rows import force_taken
 from modalax.diagnose.search.singles import refit
 
 BLOCKS = 16  # stretches of the band where there is nothing else to hold out; every fourth is
@@ -86,7 +87,7 @@ def measure(
     drop = np.zeros(weight.shape[1], bool)
     if found.hum is not None:
         drop[: len(found.hum.lines)] = found.hum.lines
-    weight = np.where(drop[None, :, None, None], 0.0, weight)
+    weight = np.where(drop[None, :, None, None] | force_taken(found)[:, :, None], 0.0, weight)
     kept, left = np.where(mask, 0.0, weight), np.where(mask, weight, 0.0)
     before = _on(comparisons[0], kept, left, replace(null, theta=np.zeros_like(null.theta)))[0]
     after, missed = (before, 0.0) if not found.causes else _on(comparisons[1], kept, left, found, tolerated)

@@ -47,6 +47,7 @@ from modalax.diagnose.result import Diagnosis
 from modalax.diagnose.routes import outcome_of, task_of
 from modalax.diagnose.search.explain import Explanation, check_imitations, explain
 from modalax.diagnose.search.look import look
+from modalax.diagnose.search.rows import lines_aside
 from modalax.model import ModalModel, Structure
 from modalax.model.entry import check_comparable
 from modalax.model.mode_table import ModeTable
@@ -164,6 +165,8 @@ def line_by_line(
     progress("predicting the held-out data")
     gain = measure((found.look.comparison, found.comparison), found.look.null, found.best, found.leftover.tolerated)
     word, reasons = verdict(found.ranked, found.leftover, gain)
+    if aside := lines_aside(found.best):
+        reasons = (*reasons, f"no steady motion of the joint explains {aside} lines, which were set aside")
     if late():
         reasons = (*reasons, "time was up before every explanation had been tried")
     return answer(word, reasons, found, gain)

@@ -28,6 +28,7 @@ from modalax.diagnose.causes.signals import Channels, ModalTerms
 from modalax.diagnose.setup.problem import Problem
 
 BRACKET, GRID, HALVINGS, POLISH = 60.0, 12, 8, 3  # search for the amplitude across a joint: range, points, bisections
+DENSER = 2.0  # power by which the points of the search lie closer about a measured amplitude
 TINY = 1e-300  # added to magnitudes so that their logarithm exists at zero
 
 
@@ -222,8 +223,10 @@ def _with_joints(without: Linear, joints: list[Any], problem: Problem) -> Array:
             cause, p = Together(tuple(c for c, *_ in joints)), (tuple(q for *_, q in joints), share)
             harmonics = None
         Z = first * equivalent(cause, p, problem.omega, drive_bb, motion, problem.level, harmonics)
-        seen = drive_bb[..., None] - in_series(harmonics)
-        H = H - H_ob[..., k, None] * (Z / (1 + Z * seen) * motion)[:, :, None]
+        force = Z / (1 + Z * (drive_bb[..., None] - in_series(harmonics))) * motion
+        if harmonics is not None:
+            force = jnp.where(harmonics[GIVEN] != 0, harmonics[GIVEN], force)
+        H = H - H_ob[..., k, None] * force[:, :, None]
     return H
 
 
@@ -253,23 +256,44 @@ def _block_diagonal(blocks: list[Array]) -> Array:
     return out
 
 
+SERIES, NEAR, GIVEN = -3, -2, -1  # what stands after the factor's numbers; see factor_at
+
+
 def factor_at(harmonics: Complex[Array, "two_p run f i"], p: Float[Array, " p"]) -> Complex[Array, "run f i"]:
     r"""Factor :math:`\rho(p) = \rho_0 + \sum_k \rho_k p_k` of higher harmonics on a describing function.
 
     Parameters
     ----------
     harmonics
-        :math:`\rho_0`, the slope by each parameter, and the compliance in series with the joint
-        (:mod:`~modalax.diagnose.prediction.harmonics`).
+        What a joint needs besides its parameters: :math:`\rho_0`, the slope by each parameter, the compliance in series
+        with the joint (:mod:`~modalax.diagnose.prediction.harmonics`), the amplitude that was measured across it [m]
+        (0 where it was not), and the force that was measured there over that at the input (0 where the law gives it).
     p
         Parameters of the joint.
     """
-    return harmonics[0] + jnp.tensordot(p, harmonics[1:-1], 1)
+    return harmonics[0] + jnp.tensordot(p, harmonics[1:SERIES], 1)
 
 
 def in_series(harmonics: Complex[Array, "two_p run f i"] | None) -> Any:
     """Compliance in series with a joint [m/N], shape ``(run, f, i)``, by which the structure's is less; else 0."""
-    return 0.0 if harmonics is None else harmonics[-1].real
+    return 0.0 if harmonics is None else harmonics[SERIES].real
+
+
+def _bracket(miss: Any, free: Array, near: Array) -> tuple[Array, Array]:
+    """Logarithms of amplitudes between which ``miss`` rises through 0: first of all, or nearest to one measured."""
+    even = jnp.linspace(-1.0, 1.0, GRID)
+    measured = near > 0
+    start = jnp.where(measured, jnp.log(near + TINY), free)
+    closer = jnp.sign(even) * jnp.abs(even) ** DENSER
+    steps = jnp.log(BRACKET) * jnp.stack([even, closer], axis=1)[(..., *(None,) * free.ndim)]
+    points = start + jnp.where(measured, steps[:, 1], steps[:, 0])
+    above = jax.lax.map(miss, points) >= 0
+    rises = above & ~jnp.concatenate([jnp.zeros_like(above[:1]), above[:-1]])
+    far = jnp.abs(jnp.arange(GRID) - 0.5 * (GRID - 1))[(..., *(None,) * free.ndim)]
+    order = jnp.where(measured, far, jnp.arange(GRID)[(..., *(None,) * free.ndim)])
+    first = jnp.where(rises.any(axis=0), jnp.argmin(jnp.where(rises, order, jnp.inf), axis=0), GRID - 1)
+    take = lambda k: jnp.take_along_axis(points, k[None], axis=0)[0]
+    return take(jnp.maximum(first - 1, 0)), take(first)
 
 
 def equivalent(
@@ -277,8 +301,9 @@ def equivalent(
 ) -> Complex[Array, "run f i"]:
     r"""Equivalent stiffness of a joint in place, from :math:`A\,|1 + N(A)\,b^THb| = |b^THF|`.
 
-    The smallest amplitude that solves it is found by bisection on a logarithmic scale and polished by one Newton
-    step, which also carries the derivatives.
+    The smallest amplitude that solves it, or the one nearest to what was measured, is found by bisection on a
+    logarithmic scale and polished by one Newton step, which also carries the derivatives. Where three solve it, as for
+    a cubic spring under a large force, the middle one is of no steady motion and is not taken.
 
     Parameters
     ----------
@@ -287,8 +312,8 @@ def equivalent(
     motion
         :math:`b^TH`, shape ``(run or 1, f, i)`` [m/N].
     harmonics
-        By what factor higher harmonics change the force at the fundamental, and the compliance in series with the
-        joint, shape ``(2 + p, run, f, i)``, see :func:`factor_at`; no factor and no compliance if None.
+        By what factor higher harmonics change the force at the fundamental, and what else :func:`factor_at` tells,
+        shape ``(4 + p, run, f, i)``; no factor, no compliance and no measured amplitude if None.
     """
     factor = 1.0 if harmonics is None else factor_at(harmonics, p)
     free = level[:, :, None] * jnp.abs(motion) + TINY
@@ -296,20 +321,17 @@ def equivalent(
     w = omega[None, :, None]
 
     def impedance(A: Array, p: Any) -> Array:
-        return cause.impedance(A, w, p) if harmonics is None else cause.impedance_in_series(A, w, p, harmonics[-1].real)
+        return (
+            cause.impedance(A, w, p) if harmonics is None else cause.impedance_in_series(A, w, p, in_series(harmonics))
+        )
 
     def miss(log_a: Array, free: Array, flat: Array, p: Any) -> Array:
         A = jnp.exp(log_a)
         return log_a + jnp.log(jnp.abs(1 + factor * impedance(A, p) * flat) + TINY) - jnp.log(free)
 
     fixed = jax.lax.stop_gradient((free, flat, p))
-    steps = jnp.log(BRACKET) * jnp.linspace(-1.0, 1.0, GRID)
-    start = jnp.log(fixed[0])
-    signs = jax.lax.map(lambda d: miss(start + d, *fixed), steps)
-    above = signs >= 0
-    first = jnp.where(above.any(axis=0), jnp.argmax(above, axis=0), GRID - 1)
-    high = start + steps[first]
-    low = start + steps[jnp.maximum(first - 1, 0)]
+    near = jnp.zeros(free.shape) if harmonics is None else jax.lax.stop_gradient(harmonics[NEAR].real)
+    low, high = _bracket(lambda x: miss(x, *fixed), jnp.log(fixed[0]), near)
 
     def halve(_: Any, ends: tuple[Array, Array]) -> tuple[Array, Array]:
         a, b = ends

@@ -61,29 +61,35 @@ def with_harmonics(
     k = joints[0]
     rho, series = harmonic_factor(causes, index, extras, params, theta, problem, highest[k], highest[k], True)
     none = jnp.zeros((len(causes[k].parameters), *rho.shape), complex)
-    return (*extras[:k], jnp.concatenate([rho[None], none, series[None]]), *extras[k + 1 :])
+    rows = jnp.zeros((2, *rho.shape), complex)  # nothing was measured of what is predicted
+    return (*extras[:k], jnp.concatenate([rho[None], none, series[None], rows]), *extras[k + 1 :])
 
 
 def linear_factor(
     causes: Any, index: Any, extras: Any, params: Any, theta: Float[Array, "two n"], problem: Problem,
-    highest: int, kept: int | None = None,
-) -> Complex[np.ndarray, "two_p run f i"]:  # fmt: skip
+    highest: int, kept: int | None = None, rows: Any = None,
+) -> Complex[np.ndarray, "four_p run f i"]:  # fmt: skip
     r"""Factor :math:`\rho` as :func:`~modalax.diagnose.prediction.frf.factor_at` takes it, and compliance in series.
 
     Slopes are given for a cause some of whose parameters one harmonic does not show; of any other they are 0, as the
     describing function follows its parameters already, and dry friction has none where it sticks.
 
-    Parameters are those of :func:`harmonic_factor`.
+    Parameters are those of :func:`harmonic_factor`, and ``rows``: amplitude and force that were measured, shape
+    ``(2, run, f, i)``, none if None.
     """
+    near = None if rows is None else rows[0].real
 
     def at(p: Any) -> np.ndarray:
         moved = tuple(p if j == k else q for j, q in enumerate(params))
-        return np.asarray(harmonic_factor(causes, index, extras, moved, theta, problem, highest, kept or highest)[0])
+        return np.asarray(
+            harmonic_factor(causes, index, extras, moved, theta, problem, highest, kept or highest, near=near)[0]
+        )
 
     k = next(k for k, c in enumerate(causes) if isinstance(c, JointCause))
     p = np.asarray(params[k], float)
-    rho, series = harmonic_factor(causes, index, extras, params, theta, problem, highest, kept or highest)
+    rho, series = harmonic_factor(causes, index, extras, params, theta, problem, highest, kept or highest, near=near)
     middle = np.asarray(rho)
+    rows = np.zeros((2, *middle.shape)) if rows is None else np.asarray(rows)
     slopes = []
     for j in range(len(p)):
         if not causes[k].unseen:
@@ -91,13 +97,14 @@ def linear_factor(
             continue
         step = STEP * (abs(p[j]) or 1.0)
         slopes.append((at(jnp.asarray(p + step * np.eye(len(p))[j])) - middle) / step)
-    return np.stack([middle - sum(s * v for s, v in zip(slopes, p, strict=True)), *slopes, np.asarray(series)])
+    flat = middle - sum(s * v for s, v in zip(slopes, p, strict=True))
+    return np.stack([flat, *slopes, np.asarray(series), *rows])
 
 
 @partial(jax.jit, static_argnames=("causes", "highest", "differentiable"))
 def harmonic_factor(
     causes: Any, index: Any, extras: Any, params: Any, theta: Float[Array, "two n"], problem: Problem,
-    highest: int, kept: Any, differentiable: bool = False,
+    highest: int, kept: Any, differentiable: bool = False, near: Any = None,
 ) -> tuple[Complex[Array, "run f i"], Complex[Array, "run f i"]]:  # fmt: skip
     r"""Factor :math:`\rho` on the describing function of one joint, and the compliance in series with it [m/N].
 
@@ -113,6 +120,8 @@ def harmonic_factor(
         Highest harmonic: the odd ones up to it where the law is odd, else all with the mean.
     kept
         Highest harmonic of which the structure is let move; one program serves all.
+    near
+        Amplitude across the joint near which the motion is sought [m], shape ``(run, f, i)``; 0 where none is known.
     differentiable
         Whether the factor has derivatives by the parameters, by the implicit function theorem.
     """
@@ -127,7 +136,9 @@ def harmonic_factor(
     free = problem.level[:, :, None] * motion
     series = jnp.broadcast_to(jnp.abs(drive)[..., None] if cause.rigid else 0.0, shape)
     series = jax.lax.stop_gradient(series)
-    plain = jnp.concatenate([jnp.ones((1, *shape)), jnp.zeros((len(p), *shape)), series[None]]) + 0j
+    near = jnp.zeros(shape) if near is None else near
+    plain = [jnp.ones((1, *shape)), jnp.zeros((len(p), *shape)), series[None], near[None], jnp.zeros((1, *shape))]
+    plain = jnp.concatenate(plain) + 0j
     Z = equivalent(cause, p, problem.omega, drive, motion, problem.level, plain)
     first = free / (1 + Z * (drive[..., None] - series))
     G = jnp.stack([jnp.broadcast_to(a.H_bb[:, :, :1, :1], (*shape[:2], 1, 1)) for a in linear], axis=2)

@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from modalax.diagnose.causes.base import Cause
+from modalax.diagnose.causes.base import Cause, JointCause
 from modalax.diagnose.causes.signals import HumLines
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.prediction.frf import GIVEN
 from modalax.diagnose.screening.screen import Trial
 
 FAR = 1e4  # strength of a fit, relative to the largest that is screened, beyond which it is no explanation
@@ -35,8 +36,14 @@ def start_from(base: Hypothesis, trial: Trial, p: np.ndarray) -> Hypothesis:
 
 
 def cost_of(causes: Sequence[Cause], extras: Sequence[Any]) -> float:
-    """Number of unknowns that causes cost."""
-    return float(sum(cause.cost(extra) for cause, extra in zip(causes, extras, strict=True)))
+    """Number of unknowns that causes cost; a force that was measured, where a joint obeys no law, is two."""
+    measured = sum(2 * set_aside(cause, extra) for cause, extra in zip(causes, extras, strict=True))
+    return float(sum(cause.cost(extra) for cause, extra in zip(causes, extras, strict=True)) + measured)
+
+
+def set_aside(cause: Cause, extra: Any) -> int:
+    """Number of lines, over all runs and inputs, at which the law of a joint is not asked."""
+    return int(np.count_nonzero(extra[GIVEN])) if isinstance(cause, JointCause) and extra is not None else 0
 
 
 def with_hum(h: Hypothesis, lines: HumLines) -> Hypothesis:

@@ -18,7 +18,8 @@ from modalax.diagnose.search.compounds import FURTHER, Rest, exchanged, one_more
 from modalax.diagnose.search.harmonics import is_limit, joints_in_full
 from modalax.diagnose.search.imitator_check import apart, imitations, likeness
 from modalax.diagnose.search.look import Look
-from modalax.diagnose.search.measured_force import starts_from_forces
+from modalax.diagnose.search.measured_force import STRONG, robust_starts, starts_from_forces
+from modalax.diagnose.search.rows import fitted_beside_outliers
 from modalax.diagnose.search.singles import PATIENT, fit_single, from_nominal_modes, joints_for_drifts, refit
 from modalax.diagnose.search.tolerance import uncounted
 
@@ -130,7 +131,19 @@ def singles(look: Look, causes: Sequence[Cause]) -> list[Hypothesis]:
     strong = [] if look.comparison.late() else starts_from_forces(look.comparison, look.null, causes)
     for cause in dict.fromkeys(h.causes[0] for h in strong):
         found += refit(look.state, [h for h in strong if h.causes[0] == cause])
+    found += beside_outliers(look, found, causes) if strong else []
     return found + joints_for_drifts(look.state, best_of_each(found, look.comparison), causes)
+
+
+def beside_outliers(look: Look, found: list[Hypothesis], causes: Sequence[Cause]) -> list[Hypothesis]:
+    """Joints fitted beside lines at which they have no steady motion, where nothing has explained the data so far."""
+    comparison = look.comparison
+    enough = STRONG * comparison.problem.samples
+    out: list[Hypothesis] = []
+    for h in [] if min(h.chi2 for h in found) < enough else robust_starts(comparison, look.null, causes):
+        if not comparison.late():
+            out.append(fitted_beside_outliers(comparison, h))
+    return out
 
 
 def with_noise_again(

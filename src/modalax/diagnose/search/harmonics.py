@@ -11,8 +11,10 @@ from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.gauss_newton import covariance_of
 from modalax.diagnose.fitting.hypothesis import Hypothesis, searched
 from modalax.diagnose.fitting.residual import jacobian_of, residual_of
+from modalax.diagnose.prediction.frf import NEAR
 from modalax.diagnose.prediction.harmonics import HIGHEST, linear_factor
 from modalax.diagnose.search.candidates import cost_of
+from modalax.diagnose.search.rows import measured_rows
 from modalax.diagnose.search.singles import PATIENT
 from modalax.diagnose.search.tolerance import tolerated
 
@@ -138,11 +140,12 @@ def fitted_in_full(comparison: Comparison, null: Hypothesis, h: Hypothesis) -> H
     h
         A hypothesis with one joint.
     """
-    k = next(k for k, c in enumerate(h.causes) if isinstance(c, JointCause))
+    k = h.joints[0]
     for _ in range(TIMES):
-        factor = _factor(comparison, h)
+        factor = _factor(comparison, h, measured_rows(comparison, h)[1])
         before = h.chi2
-        h = replace(h, extras=(*h.extras[:k], factor, *h.extras[k + 1 :]))
+        extras = (*h.extras[:k], factor, *h.extras[k + 1 :])
+        h = replace(h, extras=extras, freedom=h.freedom + cost_of(h.causes, extras) - cost_of(h.causes, h.extras))
         h = comparison.fit([h], PATIENT)[0]
         if abs(before - h.chi2) < SETTLED or limit_of(h) is not None:  # a limit is fitted as such
             break
@@ -151,11 +154,11 @@ def fitted_in_full(comparison: Comparison, null: Hypothesis, h: Hypothesis) -> H
     return _with_what_is_left_out(comparison, null, h, k)
 
 
-def _factor(comparison: Comparison, h: Hypothesis, kept: int = HIGHEST) -> np.ndarray:
+def _factor(comparison: Comparison, h: Hypothesis, rows: np.ndarray, kept: int = HIGHEST) -> np.ndarray:
     theta = jnp.asarray(h.theta * comparison.nuisance.spread)
     params = tuple(jnp.asarray(p) for p in h.params)
     plain = tuple(None if isinstance(c, JointCause) else e for c, e in zip(h.causes, h.extras, strict=True))
-    return linear_factor(h.causes, h.index, plain, params, theta, comparison.problem, HIGHEST, kept)
+    return linear_factor(h.causes, h.index, plain, params, theta, comparison.problem, HIGHEST, kept, rows)
 
 
 def _with_what_is_left_out(comparison: Comparison, null: Hypothesis, h: Hypothesis, k: int) -> Hypothesis:
@@ -165,7 +168,7 @@ def _with_what_is_left_out(comparison: Comparison, null: Hypothesis, h: Hypothes
     harmonics beyond ``HIGHEST`` may do ``BEYOND`` times as much as the change from ``FEWER`` to these; of any smoother
     force they do far less.
     """
-    fewer = _factor(comparison, h, FEWER)
+    fewer = _factor(comparison, h, h.extras[k][NEAR:], FEWER)
     other = replace(h, extras=(*h.extras[:k], fewer, *h.extras[k + 1 :]))
     change = comparison.residual(h) - comparison.residual(other)
     effect = comparison.residual(h) - comparison.residual(null)

@@ -22,6 +22,9 @@ STRONG = 4.0  # chi-square per sample that the simulation leaves, from which on 
 PLACES = 3  # places that are tried
 STARTS = 2  # starts of each law at each place
 FITTED = 16  # starts in all
+TELLING, ASKED, REWEIGHED = 100, 9, 10  # lines whose strengths are looked at, how many of these, and steps from each
+STRONGEST, BELOW = 40, (0.98, 0.9, 0.7)  # lines of the largest force, and parts of their motion that are thresholds
+LIKELIEST = 4  # joints that are fitted beside lines set aside
 THRESHOLDS_TRIED = 12  # displacements at which a law may set in, over the range of those measured
 
 
@@ -157,6 +160,73 @@ def sizes_by_force(
             found.append((everything + strength**2 * norm - 2 * strength * gain, np.array([strength, *shape])))
     found = [f for f in found if f[1][0] != 0]
     return sorted(found, key=lambda f: f[0])[:STARTS]
+
+
+def robust_sizes(
+    comparison: Comparison, cause: JointCause, place: Place, force: MeasuredForce
+) -> tuple[float, np.ndarray] | None:
+    r"""Parameters of a law that most lines agree on, by a misfit in which lines far off count little more than others.
+
+    The misfit is that of Cauchy's distribution, :math:`\sum\ln(1 + w^2|Z - sZ_1|^2)`; the strength s starts from those
+    that single lines ask for, and each step weighs every line by how well it agrees.
+
+    Parameters
+    ----------
+    comparison
+        Data and simulation.
+    cause, place
+        The law, and where it sits.
+    force
+        The force that was measured there.
+    """
+    scene, best = comparison.scene, None
+    low, high = cause.parameters[0].lower, cause.parameters[0].upper
+    seen = force.weight * force.impedance
+    motion = np.abs(force.motion)
+    shapes = _shapes(cause, cause.grid(scene, place), motion)
+    if cause.has_threshold and motion.any():
+        loudest = motion.ravel()[np.argsort(np.abs(seen), axis=None)[-STRONGEST:]]
+        shapes = np.concatenate([shapes, np.outer(loudest[loudest > 0], BELOW).reshape(-1, 1)])
+    for shape in shapes:
+        p = jnp.array([1.0, *shape])
+        Z = np.asarray(cause.impedance(jnp.asarray(motion), jnp.asarray(scene.omega[:, None]), p))
+        unit = np.nan_to_num(force.weight * Z)
+        size, along = np.abs(unit) ** 2, (unit.conj() * seen).real
+        told = np.argsort(size, axis=None)[-TELLING:]
+        with np.errstate(all="ignore"):
+            asked = np.nan_to_num(np.quantile((along / size).ravel()[told], np.linspace(0.05, 0.95, ASKED)))
+        for s in np.clip(asked, low, high):
+            for _ in range(REWEIGHED):
+                w = 1 / (1 + np.abs(seen - s * unit) ** 2)
+                s = float(np.clip((w * along).sum() / max(float((w * size).sum()), 1e-300), low, high))
+            cost = float(np.log1p(np.abs(seen - s * unit) ** 2).sum())
+            if s != 0 and (best is None or cost < best[0]):
+                best = cost, np.array([s, *shape])
+    return best
+
+
+def robust_starts(comparison: Comparison, null: Hypothesis, causes: Sequence[Cause]) -> list[Hypothesis]:
+    """Joints at the places whose force explains most, sized so that most lines agree; the likeliest first.
+
+    Parameters
+    ----------
+    comparison
+        Data and simulation.
+    null
+        The simulation alone.
+    causes
+        What to look for.
+    """
+    laws = [c for c in causes if isinstance(c, JointCause) and not c.each_run and type(c).law is not JointCause.law]
+    still, found = replace(null, theta=np.zeros_like(null.theta)), []
+    for force in measured_forces(comparison, comparison.scene.pairs())[:PLACES]:
+        for cause in laws:
+            at = next((p for p in cause.places(comparison.scene) if p.index[:2] == force.place.index[:2]), None)
+            sized = None if at is None else robust_sizes(comparison, cause, at, force)
+            if at is not None and sized is not None:
+                found.append((sized[0] + 0.5 * force.chi2, still.with_cause(cause, at, None, sized[1])))
+    found.sort(key=lambda one: one[0])
+    return [replace(h, freedom=cost_of(h.causes, h.extras)) for _, h in found[:LIKELIEST]]
 
 
 def _shapes(cause: ElementCause, grid: np.ndarray, motion: np.ndarray) -> np.ndarray:
