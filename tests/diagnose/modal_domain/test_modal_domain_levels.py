@@ -8,6 +8,8 @@ from frames import measured, simulation
 
 from modalax.diagnose.causes.joints import CubicStiffness, GapContact, QuadraticDamping
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.diagnose.modal_domain.levels.explain import apart_from_zero
+from modalax.diagnose.modal_domain.levels.laws import LawFit
 from modalax.diagnose.modal_domain.levels.series import in_series
 
 TAU = 2 * np.pi * np.arange(512) / 512
@@ -71,3 +73,14 @@ def test_runs_that_agree_say_nothing_of_joints():
     assert found.verdict == "clean"
     assert found.stage.seen.found.best == "nothing"
     assert found.gain.held_out == "run 3 at 6 N, the highest level"
+
+
+@pytest.mark.parametrize(("correlation", "together"), [(0.0, np.sqrt(2)), (-0.99, np.sqrt(200))])
+def test_parameters_that_are_known_only_together_are_known(correlation, together):
+    """Two of one standard deviation each: their sum is known well where the errors cancel; Z = sqrt(2/(1 + rho))."""
+    C = np.array([[1.0, correlation], [correlation, 1.0]])
+    p = np.array([5.0, 1e-3])
+    log = np.array([q.log for q in GapContact().parameters])
+    size = np.where(log, 1.0, p)  # of parameters that are positive the logarithm's covariance is held
+    gap = LawFit(GapContact(), p, C * np.outer(size, size), 0.0)
+    assert apart_from_zero(gap) == pytest.approx(together, rel=1e-6)

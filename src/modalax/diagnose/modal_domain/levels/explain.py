@@ -20,6 +20,7 @@ FITTED = 12  # leading places at which laws are fitted
 NEIGHBOURS = 8  # lines over which errors of a law's force go together
 TOGETHER = 32  # places that are worked on at once
 BESIDE = 3  # leading fits beside which laws without a name are tried at the same places
+DETERMINED = 3.5  # standard deviations by which some parameter of a law must differ from none
 AGREE = 0.01  # probability that nothing differs from which on no joint or drift is told
 WEIGHED, NEAR = 8, 1000.0  # most fits that are weighed on all samples, and nats behind the best up to which they are
 
@@ -111,6 +112,8 @@ def explain_levels(
         value = w.log_evidence + math.log(JOINT) + _prior(spot, f)
         together = NEIGHBOURS if w.tolerance > 0 else 1
         best = replace(w.fit, covariance=together * w.fit.covariance)
+        if apart_from_zero(best) < DETERMINED:  # what noise has in common with a force at this place is no law
+            continue
         found.append(JointFound(spot, best, w.b, w.tolerance, value))
     found.sort(key=lambda j: -j.log_posterior)
     if found and found[0].tolerance > 0:  # what a law leaves then goes together over neighbouring lines
@@ -124,6 +127,14 @@ def explain_levels(
     best = ByLevel(joints, drift, float(share[1]), float(share[0]), before / levels.samples, 0.0, untried)
     after = {"nothing": before, "drift": drift.chi2, "joint": joints[0].fit.chi2 if joints else before}[best.best]
     return replace(best, after=min(before, after) / levels.samples)
+
+
+def apart_from_zero(f: LawFit) -> float:
+    """Standard deviations by which the parameters together differ from zero; of logarithms, over one."""
+    value = np.array([1.0 if q.log else p for q, p in zip(f.law.parameters, f.p, strict=True)])
+    size = np.sqrt(np.maximum(np.diag(f.covariance), 1e-300))
+    inverse = np.linalg.pinv(f.covariance / size[:, None] / size, rcond=1e-9)
+    return float(np.sqrt(max((value / size) @ inverse @ (value / size), 0.0)))
 
 
 def _prior(spot: Spot, f: LawFit) -> float:
