@@ -20,6 +20,7 @@ from modalax.identify.host import residues_on_host as fit_residues
 from modalax.identify.mode_search import diagram_poles, likelihood_rounds, synthesis
 from modalax.identify.neighbourhood import residual_of
 from modalax.identify.noise import smooth_variance
+from modalax.identify.one_mode import NOTHING_LEFT
 from modalax.identify.quality import noise_part, quality_of, scatter_over_orders
 from modalax.identify.refine import HELD, Refined
 from modalax.identify.result import Fit
@@ -154,7 +155,8 @@ def summed_up(
     total = float(np.sum(np.abs(np.asarray(frf.H)) ** 2))
     residual = residual_of(weighted, model)
     unexplained = float(np.sum(np.abs(residual) ** 2)) / total
-    record = record_of(weighted, model, residual, np.flatnonzero(inside))
+    held = refined is not None and int(refined.reason_code) == HELD
+    record = None if held else record_of(weighted, model, residual, np.flatnonzero(inside))
     plain = record if record is not None and record.plain else None
     noise = noise_part(weighted, residual, even=plain is not None)
     seen = np.abs(np.asarray(selection.poles)[None, :] - np.asarray(model.poles)[:, None])
@@ -163,14 +165,16 @@ def summed_up(
     collinearity = mpc(model.along_longer_side().shapes)
     scatter = scatter_over_orders(table, np.asarray(model.poles))
     quality = quality_of(weighted, model)
-    if refined is not None:
+    if held:  # what is left there comes from beyond the band, and says nothing against these poles
+        quality = [q._replace(rest=NOTHING_LEFT) for q in quality]
+    if refined is not None and not held:
         refined = with_misfit(refined, quality)
         widths = (-np.asarray(model.poles.real) / (2 * np.pi)).tolist()
         two = [record is None and stands_for_two(q, w) for q, w in zip(quality, widths, strict=True)]
         refined = with_seconds(refined, quality, np.array(two))
     deviations = scatter if refined is None else (refined.frequency_std_hz, refined.damping_std)
     halves = np.zeros(len(f), bool)
-    if refined is None or int(refined.reason_code) != HELD:
+    if not held:
         halves = doubled(weighted, model, np.array([q.gain for q in quality]), halves, set())
     modes = Modes(
         weighted, model, np.asarray(deviations[0]), np.asarray(deviations[1]), refined is not None, score,
