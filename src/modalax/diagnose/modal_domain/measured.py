@@ -7,8 +7,8 @@ import numpy as np
 from modalax.data import Measurement
 from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.modal_domain.coordinates import Coordinates, modes_of
-from modalax.diagnose.modal_domain.features import Features, chosen, features_of, sure
-from modalax.diagnose.modal_domain.free_residues import Channels, Projected
+from modalax.diagnose.modal_domain.features import Features, chosen, features_of, sure, values_of
+from modalax.diagnose.modal_domain.free_residues import Channels, Projected, refine
 from modalax.diagnose.modal_domain.mode_count import bent, blind_modes, heavy, misfit
 from modalax.diagnose.setup.noise import Noise, noise_of
 
@@ -80,6 +80,15 @@ def reidentified(measured: Measured, H: np.ndarray) -> Measured:
     modes = blind_modes(channels, measured.modes.poles)
     left, features = _features(modes, channels, H.shape[2:])
     return replace(measured, channels=channels, modes=modes, misfit=left, features=features)
+
+
+def features_beside(measured: Measured, H: np.ndarray) -> np.ndarray:
+    """Features of the same modes, shape ``(k, width)``, in FRFs ``(run, f, o, i)`` that differ a little."""
+    c, f, sigma = measured.channels, measured.features, measured.noise.sigma[measured.runs]
+    modes = refine(measured.modes.poles, _channels(c.s, H[measured.runs], sigma, c.order, c.outside))
+    own = np.abs(measured.modes.poles[None] - f.poles[:, None]).argmin(axis=1)
+    residues = modes.residues.reshape(len(modes.poles), *f.units.shape[1:])[own] / f.units
+    return values_of(modes.poles[own], residues, f.tangent)
 
 
 def _features(modes: Projected, channels: Channels, shape: tuple[int, ...]) -> tuple[float, Features]:

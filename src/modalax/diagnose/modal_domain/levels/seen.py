@@ -8,19 +8,21 @@ import numpy as np
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.explain import Explanation, explain
-from modalax.diagnose.modal_domain.features import whitener_of
+from modalax.diagnose.modal_domain.features import Features, whitener_of
 from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.further_causes import TunedMass
 from modalax.diagnose.modal_domain.levels.change import Base, Levels, base_of, by_level, change_by, frf_by, projected
 from modalax.diagnose.modal_domain.levels.drift import by_run, drifts
 from modalax.diagnose.modal_domain.levels.explain import ByLevel, JointFound, Spot, explain_levels
-from modalax.diagnose.modal_domain.levels.laws import NAMED, force_of, motions_of, stiffness_of
+from modalax.diagnose.modal_domain.levels.laws import NAMED, LawFit, force_of, motions_of, stiffness_of
 from modalax.diagnose.modal_domain.levels.weigh import Shapes, weigh
-from modalax.diagnose.modal_domain.measured import Measured, reidentified
+from modalax.diagnose.modal_domain.measured import Measured, features_beside, reidentified
 from modalax.diagnose.modal_domain.state import Setting
 
 MOST = 4_000_000  # samples times modes that are worked on at once, some 0.5 GB
 BENT = 10.0  # chi-square of a joint's force at the lowest level from which the linear structure is sought without it
+FARTHEST = 0.5  # greatest relative change of a parameter by which its deviation is felt
+PASSES = 3  # times that the structure without its joint is looked for
 GRID, HALVINGS, RANGE = 60, 25, 60.0  # search for an amplitude: points, bisections, factor on either side
 
 
@@ -94,25 +96,67 @@ def without_joint(
     levels, base = seen.levels, seen.base
     P = projected(levels, base, j.direction[None])
     m = motions_of(levels, base, j.direction[None], P, j.fit.law)[0]
-    N = stiffness_of(j.fit.law, m, j.fit.p).transpose(1, 2, 0)
-    moved = m.still[..., None] - m.drive[:, None, None] * force_of(j.fit.law, m, j.fit.p)
-    x = np.concatenate([m.still[..., None], moved], axis=2)
-    change = change_by(base, j.direction, N * x)  # of each level, from a structure without the joint
+
+    def change_at(p: np.ndarray, through: Base) -> np.ndarray:  # of each level, from a structure without the joint
+        N = stiffness_of(j.fit.law, m, p).transpose(1, 2, 0)
+        moved = m.still[..., None] - m.drive[:, None, None] * force_of(j.fit.law, m, p)
+        return change_by(through, j.direction, N * np.concatenate([m.still[..., None], moved], axis=2))
+
     used = np.searchsorted(levels.force, level[measured.runs])
-    bent = float((levels.weight[used] * np.abs(change[used]) ** 2).sum())
-    if bent < BENT:
-        return measured, setting, explanations
-    tell("identifying the structure without its joint")
-    free = H.copy()
-    free[measured.runs] -= change[used]
-    again = reidentified(measured, free)
-    if not len(again.features.poles):
-        return measured, setting, explanations
-    whitener = whitener_of(again.features)
-    # what a law leaves of a peak that it distorts looks like a mode too many
-    some = [c for c in candidates if c.freed is None and not isinstance(c, TunedMass)]
-    now, found = explain(replace(setting, features=again.features, whitener=whitener), some, late, tell)
-    return (again, now, found) if found else (measured, setting, explanations)
+    weight = levels.weight[used]
+    taken, best = np.zeros_like(H[measured.runs]), (measured, setting, explanations)
+    # what describes the lowest level still holds some of the joint, what is found without it less and less
+    for _ in range(PASSES):
+        change = change_at(j.fit.p, base)[used]
+        if float((weight * np.abs(change - taken) ** 2).sum()) < BENT:
+            break
+        tell("identifying the structure without its joint")
+        taken, free = change, H.copy()
+        free[measured.runs] -= change
+        again = reidentified(measured, free)
+        if not len(again.features.poles):
+            break
+        other = [change_at(p, base)[used] for p in _within_deviation(j.fit)]
+        inexact = [(1 + j.tolerance * way) * change for way in (1, 1j)]
+        again = replace(again, features=_widened(again, H, other, inexact))
+        # what a law leaves of a peak that it distorts looks like a mode too many
+        some = [c for c in candidates if c.freed is None and not isinstance(c, TunedMass)]
+        now, found = explain(
+            replace(setting, features=again.features, whitener=whitener_of(again.features)), some, late, tell
+        )
+        if not found:
+            break
+        best = again, now, found
+        base = base_of(now, found[0].fit, measured.freq, measured.channels.order)
+    return best
+
+
+def _within_deviation(f: LawFit) -> list[np.ndarray]:
+    """Parameters one standard deviation off along each principal axis of their covariance."""
+    log = np.array([q.log for q in f.law.parameters])
+    size = np.sqrt(np.maximum(np.diag(f.covariance), 1e-300))
+    values, axes = np.linalg.eigh(f.covariance / size[:, None] / size)
+    steps = (np.sqrt(np.maximum(values, 0.0)) * axes).T * size
+    largest = FARTHEST * np.where(log, 1.0, np.abs(f.p))
+    steps = steps * np.minimum(1.0, largest / np.maximum(np.abs(steps), 1e-300)).min(axis=1, keepdims=True)
+    return [np.where(log, f.p * np.exp(np.where(log, v, 0.0)), f.p + v) for v in steps]
+
+
+def _widened(measured: Measured, H: np.ndarray, taken: list[np.ndarray], inexact: list[np.ndarray]) -> Features:
+    """Features as uncertain as noise and the joint that was taken out of the runs leave them.
+
+    ``taken`` is what other parameters of its law would take out, which moves all modes together; ``inexact`` what an
+    error of its force in phase and in quadrature would, which is another one about each mode.
+    """
+    f = measured.features
+    covariance = f.covariance.copy()
+    own = np.kron(np.eye(len(f.poles)), np.ones((f.width, f.width)))
+    for change, together in [(c, 1.0) for c in taken] + [(c, own) for c in inexact]:
+        other = H.copy()
+        other[measured.runs] -= change
+        off = (features_beside(measured, other) - f.values).ravel()
+        covariance += together * np.outer(off, off)
+    return replace(f, covariance=covariance)
 
 
 def foretold(seen: Seen) -> np.ndarray | None:
