@@ -1,10 +1,12 @@
 """Modes of a measurement: overlapping ones, heavily damped ones, and peaks that are no modes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from modalax.diagnose.modal_domain.features import Features, whitener_of
-from modalax.diagnose.modal_domain.free_residues import Channels
+from modalax.diagnose.modal_domain.features import Features, features_of, sure, whitener_of
+from modalax.diagnose.modal_domain.free_residues import Channels, project
 from modalax.diagnose.modal_domain.mode_count import bent, blind_modes, heavy, misfit
 from modalax.diagnose.modal_domain.relocation import relocated
 
@@ -72,3 +74,19 @@ def test_features_are_whitened_however_alike_they_are(correlation):
     assert np.isfinite(W).all()
     if correlation < 1:
         np.testing.assert_allclose(W @ C @ W.T, np.eye(3), atol=1e-9)
+
+
+def test_a_pole_without_information_leaves_the_other_modes_known():
+    """As at an end of the band, where a further pole may curve chi-square the wrong way."""
+    poles = poles_of([8.0, 25.0, 61.0], [0.01, 0.01, 0.02])
+    rng = np.random.default_rng(3)
+    found = project(poles, channels_of(frf_of(poles[:2], rng), rng))[0]
+    alone = features_of(project(poles[:2], channels_of(frf_of(poles[:2], rng), rng))[0], 5, 2)
+    information = found.information.copy()
+    information[4:] = information[:, 4:] = 0.0
+    information[4, 4], information[5, 5] = -2.0, 0.0
+    both = features_of(replace(found, information=information), 5, 2)
+    assert np.isfinite(both.covariance).all()
+    assert sure(both)[:2].all()
+    std = [np.sqrt(np.diag(f.covariance)).reshape(f.values.shape)[:2, :2] for f in (both, alone)]
+    np.testing.assert_allclose(std[0], std[1], rtol=0.3)

@@ -21,7 +21,8 @@ SMEARED = 0.05  # standard deviation of ln frequency beyond which a mode is too 
 FLAT = 1e-4  # square of the part along the measured residues below which its phase says nothing
 
 ALIKE = 1e-12  # least variance of a combination of features, relative to that of each
-UNKNOWN = 1e-9  # least information of a combination of poles, relative to that of one
+FARTHEST = 10.0  # half-bandwidths by which a pole that was found can be off
+NARROW = 1e-6  # least half-bandwidth of a pole, relative to its frequency
 INVISIBLE = 1e-100  # size of residues, over their uncertainty, of a mode that no channel sees
 
 # Standard deviation of ln size beyond which a mode is too weak: its shape is no longer linear in its errors.
@@ -152,10 +153,11 @@ def _covariance(found: Projected, residues: np.ndarray, units: np.ndarray, tange
     if not R:
         return np.zeros((0, 0))
     poles = found.poles
-    scale = np.sqrt(np.maximum(np.diag(found.information), 1e-300))
-    sizes, directions = np.linalg.eigh(found.information / scale[:, None] / scale)
-    # of poles on top of each other rounding leaves no information, or less than none: they are not known
-    spread = (directions / np.maximum(sizes, UNKNOWN)) @ directions.T / scale[:, None] / scale
+    half = np.repeat(np.maximum(-poles.real, NARROW * np.abs(poles)), 2)
+    sizes, directions = np.linalg.eigh(found.information * half[:, None] * half)
+    # of poles on top of each other, or at an end of the band, there may be no information, or by rounding less than
+    # none; what is not known of them must not make all other modes unknown
+    spread = (directions / np.maximum(sizes, FARTHEST**-2)) @ directions.T * half[:, None] * half
     # derivatives by the parts of each mode's pole, (k, f, 2), and of its residues, (k, f, channel, 2)
     part = np.array([1.0, 1j])
     still = np.zeros((R, 2, o, i), complex)
