@@ -1,6 +1,7 @@
 import gc
 import os
 import shutil
+import subprocess
 import tempfile
 from pathlib import Path
 
@@ -69,3 +70,22 @@ def measured():
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("MODALAX_DATA", str(folder))
         yield folder
+
+
+@pytest.fixture
+def chromium(tmp_path):
+    """Opens an address in a fresh headless browser; gives its document and its console's lines."""
+    names = ("chromium", "chromium-browser", "google-chrome", "chrome")
+    browser = next(filter(None, map(shutil.which, names)), None)
+    if browser is None:
+        pytest.skip("no chromium or chrome on this machine")
+
+    def browse(address, *flags):
+        command = [
+            browser, "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking",
+            "--no-first-run", f"--user-data-dir={tmp_path / 'profile'}", "--enable-logging=stderr", *flags, address,
+        ]  # fmt: skip
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+        return done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+
+    return browse

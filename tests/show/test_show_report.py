@@ -36,8 +36,6 @@ from modalax.show.report.plots import (
 )
 
 NASTY = "1<b>\"&'</script><script>window.broken=1</script><img src=x onerror=window.broken=1>"
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
-needs_browser = pytest.mark.skipif(BROWSER is None, reason="no chromium or chrome on this machine")
 
 
 @pytest.fixture(scope="module")
@@ -203,24 +201,23 @@ PROBE = """
 """
 
 
-def browse(page, folder, *flags):
-    """Open a page in a fresh headless browser; give its document after 8 virtual seconds and its console lines."""
-    command = [
-        BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run",
-        f"--user-data-dir={folder / 'profile'}", "--virtual-time-budget=8000", "--enable-logging=stderr",
-        "--window-size=1280,1000", "--host-resolver-rules=MAP * ~NOTFOUND", *flags, page.as_uri(),
-    ]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
-    return done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+@pytest.fixture
+def browse(chromium):
+    """Gives a page's document after eight virtual seconds without a network, and its console's lines."""
+
+    def browse(page, *flags):
+        quiet = ("--virtual-time-budget=8000", "--window-size=1280,1000", "--host-resolver-rules=MAP * ~NOTFOUND")
+        return chromium(page.as_uri(), *quiet, *flags)
+
+    return browse
 
 
-@needs_browser
 @pytest.mark.parametrize("dark", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["light", "dark"])
-def test_report_lives_in_a_browser(report, tmp_path, dark):
+def test_report_lives_in_a_browser(report, browse, tmp_path, dark):
     page = tmp_path / "report.html"
     page.write_text(report.replace("</body>", PROBE + "</body>"), encoding="utf-8")
     flags = ["--blink-settings=preferredColorScheme=0"] if dark else ["--blink-settings=preferredColorScheme=1"]
-    dom, console = browse(page, tmp_path, "--dump-dom", *flags)
+    dom, console = browse(page, "--dump-dom", *flags)
     assert console == []
     seen = json.loads(html_module.unescape(re.search(r'<pre id="seen">(.*?)</pre>', dom, re.S).group(1)))
     assert seen["errors"] == []
@@ -276,8 +273,7 @@ PAPER = """
 """
 
 
-@needs_browser
-def test_shapes_move_on_screen_and_stand_side_by_side_on_paper(tmp_path):
+def test_shapes_move_on_screen_and_stand_side_by_side_on_paper(browse, tmp_path):
     names = [str(k) for k in range(5)]
     beam = Geometry(names, np.stack([np.linspace(0, 2, 5), np.zeros(5), np.zeros(5)], axis=1), [names])
     dofs, psi = [f"{k}:+Z" for k in names], np.array([[0, 1, 2, 1, 0], [0, 1, 0, -1, 0], [1.0, 1, 1, 1, 1]])
@@ -285,7 +281,7 @@ def test_shapes_move_on_screen_and_stand_side_by_side_on_paper(tmp_path):
     page = tmp_path / "shapes.html"
     text = Page("S", sections=[Section("S", [], parts)]).html().replace("</body>", PAPER + "</body>")
     page.write_text(text.replace("<head>", "<head>" + FRAMES))
-    dom, console = browse(page, tmp_path, "--dump-dom")
+    dom, console = browse(page, "--dump-dom")
     assert console == []
     seen = json.loads(html_module.unescape(re.search(r'<pre id="seen">(.*?)</pre>', dom, re.S).group(1)))
     assert seen.pop("wide") <= 0.5  # pixels beyond the paper
@@ -341,15 +337,14 @@ def test_the_strongest_channels_stand_on_paper(fit):
     assert list(frf_plot(many, None).on_paper) == [0, 1, 3, 5, 6, 7]
 
 
-@needs_browser
 @pytest.mark.skipif(shutil.which("pdftotext") is None, reason="no pdftotext on this machine")
-def test_no_head_of_a_table_is_parted_from_its_rows_on_paper(tmp_path):
+def test_no_head_of_a_table_is_parted_from_its_rows_on_paper(browse, tmp_path):
     """Tables that fit a page are whole; longer ones begin with some rows, and each page of them repeats the head."""
     sizes, page, paper = (25, 12, 45, 20, 31, 60), tmp_path / "tables.html", tmp_path / "tables.pdf"
     tables = [Table([f"head{n}", "x"], [[f"{n}row{r}", "1"] for r in range(n)], f"caption{n}") for n in sizes]
     sections = [Section(f"title{n}", [], [table]) for n, table in zip(sizes, tables, strict=True)]
     page.write_text(Page("Tables", sections=sections).html())
-    browse(page, tmp_path, f"--print-to-pdf={paper}")
+    browse(page, f"--print-to-pdf={paper}")
     text = subprocess.run(["pdftotext", "-layout", paper, "-"], capture_output=True, text=True, check=True).stdout
     on = lambda word: [k for k, t in enumerate(text.split("\f")) if re.search(rf"\b{word}\b", t)]
     for n in sizes:
@@ -360,12 +355,11 @@ def test_no_head_of_a_table_is_parted_from_its_rows_on_paper(tmp_path):
         assert pages == on(f"head{n}") and (n > 30 or len(pages) == 1)
 
 
-@needs_browser
 @pytest.mark.slow
-def test_report_prints(report, tmp_path):
+def test_report_prints(report, browse, tmp_path):
     page, paper = tmp_path / "report.html", tmp_path / "report.pdf"
     page.write_text(report, encoding="utf-8")
-    browse(page, tmp_path, f"--print-to-pdf={paper}")
+    browse(page, f"--print-to-pdf={paper}")
     content = paper.read_bytes()
     assert content.startswith(b"%PDF")
     pages = len(re.findall(rb"/Type\s*/Page\b", content))

@@ -4,17 +4,12 @@ import html
 import http.client
 import json
 import re
-import shutil
-import subprocess
 from pathlib import Path
 from types import SimpleNamespace
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from modalax.check.finding import Finding, Findings
 from modalax.cli.view import wait
 from modalax.data.datasets import uliege_plane
 from modalax.files import save
@@ -24,24 +19,12 @@ from modalax.model.mode_table import ModeTable
 from modalax.view import Server, Session
 from modalax.view.beside import Beside, read_beside
 
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
-needs_browser = pytest.mark.skipif(BROWSER is None, reason="no chromium or chrome on this machine")
-FOUND = Findings((Finding("hum", ("1",), "a <line> at 50 Hz", "ground the cable", 0.97),), ("two runs",))
-
-
-@pytest.fixture(scope="module")
-def first():
-    frf = five_dof().frf(jnp.linspace(20, 70, 401), inputs=["1"]).add_noise(jax.random.key(0), 0.02)
-    return Session(frf, order=14)
-
 
 @pytest.fixture
-def server(first, tmp_path):
-    state = first.state
-    made = Server(first, name="<five>.npz", folder=tmp_path, findings=lambda: FOUND)
+def server(session, findings, tmp_path):
+    made = Server(session, name="<five>.npz", folder=tmp_path, findings=lambda: findings)
     yield made
     made.close()
-    first.state, first.past, first.future = state, [], []
 
 
 def ask(server, name, message=None, body=None, method="POST", token=None, headers=None):
@@ -118,11 +101,11 @@ def test_findings_come_aside(server):
     assert told["findings"][0]["what"] == "hum" and told["about"] == ["two runs"]
 
 
-def test_a_check_that_fails_is_told(first):
+def test_a_check_that_fails_is_told(session):
     def broken():
         raise RuntimeError("too short")
 
-    server = Server(first, findings=broken)
+    server = Server(session, findings=broken)
     server._check(broken)
     assert ask(server, "findings")[1]["about"] == ["the check could not be done: too short"]
     server.close()
@@ -156,32 +139,29 @@ class Probed(Server):
         return found
 
 
-def visited(server, tmp_path):
+def visited(chromium, server):
     """What the probe saw in a browser."""
-    command = [
-        BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run",
-        f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=20000", "--enable-logging=stderr",
-        "--window-size=1400,1000", "--dump-dom", server.url,
-    ]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    page, console = chromium(server.url, "--virtual-time-budget=20000", "--window-size=1400,1000", "--dump-dom")
     server.close()
-    assert [line for line in done.stderr.splitlines() if "CONSOLE" in line and "422" not in line] == []
-    seen = json.loads(html.unescape(re.search(r'<pre id="seen">(.*?)</pre>', done.stdout, re.S).group(1)))
+    assert [line for line in console if "422" not in line] == []
+    seen = json.loads(html.unescape(re.search(r'<pre id="seen">(.*?)</pre>', page, re.S).group(1)))
     assert seen["errors"] == []
     return seen
 
 
-@needs_browser
 @pytest.mark.slow
 @pytest.mark.measured
-def test_the_aeroplane_is_corrected_and_saved_in_a_browser_beside_its_finite_elements(measured, tmp_path):
+def test_the_aeroplane_is_corrected_and_saved_in_a_browser_beside_its_finite_elements(
+    measured, chromium, findings, tmp_path
+):
     plane = uliege_plane()
     session = Session(plane.frf, geometry=plane.geometry)
     modes = len(session.state.picks)
     # The file of the finite-element shapes has no frequencies; pairs are found by shape.
     elements = ModeTable.of(np.linspace(20, 170, 13), np.nan, plane.fe_shapes, plane.frf.inputs)
     beside = Beside("fe_modes.npz", elements)
-    seen = visited(Probed(session, name="plane", folder=tmp_path, beside=beside, findings=lambda: FOUND), tmp_path)
+    server = Probed(session, name="plane", folder=tmp_path, beside=beside, findings=lambda: findings)
+    seen = visited(chromium, server)
     steps = ("opened", "dropped", "picked", "less", "undone")
     assert [seen[k] for k in steps] == [modes, modes - 1, modes, modes - 1, modes] and modes > 10
     assert len(seen["reloaded"]) == len(json.loads((tmp_path / "picks.json").read_text())["modes"]) == modes
@@ -197,15 +177,14 @@ def heavier(tmp_path):
     return read_beside(tmp_path / "heavier.npz")
 
 
-@needs_browser
-def test_a_person_picks_drops_names_and_saves_in_a_browser_with_a_model_beside(first, heavier, tmp_path):
-    start = first.state
-    server = Probed(first, name="<five>.npz", folder=tmp_path, beside=heavier, findings=lambda: FOUND)
-    seen = visited(server, tmp_path)
-    picks, first.state, first.past, first.future = first.state.picks, start, [], []
+def test_a_person_picks_drops_names_and_saves_in_a_browser_with_a_model_beside(
+    session, chromium, findings, heavier, tmp_path
+):
+    server = Probed(session, name="<five>.npz", folder=tmp_path, beside=heavier, findings=lambda: findings)
+    seen = visited(chromium, server)
     assert seen["plots"] == [True] * 3 and seen["title"] == "Modes of <five>.npz"
     assert [seen[k] for k in ("opened", "dropped", "picked", "less", "undone")] == [5, 4, 5, 4, 5]
-    assert seen["phase"] == 4 and seen["name"] == "<i>bending</i>" == picks[0].name
+    assert seen["phase"] == 4 and seen["name"] == "<i>bending</i>" == session.state.picks[0].name
     path = tmp_path / "picks.json"
     assert seen["saved"] == f"saved: {path}" and "exists already" in seen["again"]
     kept = json.loads(path.read_text())["modes"]

@@ -18,7 +18,7 @@ from modalax.view.beside import compare, read_beside
 from modalax.view.files import place, read_selection, selection_of
 from modalax.view.files import save as save_picks
 from modalax.view.quick import Responses
-from modalax.view.session import Pick, Session
+from modalax.view.session import Pick
 
 FREQ = jnp.linspace(20, 70, 401)
 TRUTH = five_dof().modal()
@@ -26,19 +26,6 @@ TRUTH = five_dof().modal()
 
 def measured(inputs=("1",), noise=0.02):
     return five_dof().frf(FREQ, inputs=list(inputs)).add_noise(jax.random.key(0), noise)
-
-
-@pytest.fixture(scope="module")
-def opened():
-    """A session as it opens; tests work on copies of its state."""
-    return Session(measured(), order=14)
-
-
-@pytest.fixture
-def session(opened):
-    first = opened.state
-    yield opened
-    opened.state, opened.past, opened.future = first, [], []
 
 
 def frequencies(session):

@@ -3,39 +3,19 @@
 import base64
 import gzip
 import json
-import shutil
-import subprocess
 import threading
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from modalax.check.finding import Finding, Findings
 from modalax.model.examples import five_dof
-from modalax.view import Session, Widget
+from modalax.view import Widget
 from modalax.view.steps import HERE
 
 pytest.importorskip("anywidget")
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
-FOUND = Findings((Finding("hum", ("1",), "a <line> at 50 Hz", "ground the cable", 0.97),), ("two runs",))
-
-
-@pytest.fixture(scope="module")
-def first():
-    frf = five_dof().frf(jnp.linspace(20, 70, 401), inputs=["1"]).add_noise(jax.random.key(0), 0.02)
-    return Session(frf, order=14)
-
-
-@pytest.fixture
-def session(first):
-    state = first.state
-    yield first
-    first.state, first.past, first.future = state, [], []
 
 
 class Kernel(Widget):
@@ -186,17 +166,11 @@ def notebook(widget):
     server.server_close()
 
 
-@pytest.mark.skipif(BROWSER is None, reason="no chromium or chrome on this machine")
-def test_a_person_picks_drops_refines_and_saves_in_a_notebook(session, tmp_path):
-    widget = Probed(session, name="<five>.npz", folder=tmp_path, findings=lambda: FOUND)
+def test_a_person_picks_drops_refines_and_saves_in_a_notebook(session, chromium, findings, tmp_path):
+    widget = Probed(session, name="<five>.npz", folder=tmp_path, findings=lambda: findings)
     with notebook(widget) as address:
-        command = [
-            BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run",
-            f"--user-data-dir={tmp_path / 'profile'}", "--enable-logging=stderr", "--window-size=1400,1000",
-            "--dump-dom", address,
-        ]  # fmt: skip
-        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
-    assert [line for line in done.stderr.splitlines() if "CONSOLE" in line] == []
+        _, console = chromium(address, "--window-size=1400,1000", "--dump-dom")
+    assert console == []
     seen = widget.seen
     assert seen["errors"] == [] and seen["title"] == "Modes of <five>.npz" and seen["plots"] == [True] * 3
     assert [seen[k] for k in ("opened", "dropped", "picked")] == [5, 4, 5]

@@ -208,7 +208,7 @@ def _robust(
     lines: Int[ArrayLike, " k"],
     gaps: tuple[Int[ArrayLike, " g"], Int[ArrayLike, " h"]],
     factor: Any,
-):
+) -> tuple[Array, Array, Array | None, Array | None, list[tuple[Array, Array | None]]]:
     """Mean FRF, its variance in all, of noise and of distortion, and the powers at the lines in the gaps."""
     F, X = _amplitudes(force), factor * _amplitudes(response)
     H, noise = _realisations(F[:, :, lines], X[:, :, lines])
@@ -228,7 +228,7 @@ def _fast(
     gaps: tuple[Int[ArrayLike, " g"], Int[ArrayLike, " h"]],
     around: Int[ArrayLike, "k n"],
     factor: Any,
-):
+) -> tuple[Array, Array, Array, Array, list[tuple[Array, Array | None]]]:
     """FRF, its variance by noise, by distortion and in all, and the powers at the lines in the gaps."""
     F, X = _amplitudes(force[None, :, :, None]), factor * _amplitudes(response[None])
     H, noise = _realisations(F[:, :, lines], X[:, :, lines])

@@ -84,16 +84,19 @@ def exchanged(
     """
     out: list[Hypothesis] = []
     for j in range(0 if comparison.late() else len(h.causes)):
-        keep = [k for k in range(len(h.causes)) if k != j]
-        pick = lambda items: tuple(items[k] for k in keep)  # noqa: B023
         base = replace(
-            h, causes=pick(h.causes), places=pick(h.places), extras=pick(h.extras), params=pick(h.params),
-            covariance=None, freedom=0.0, fidelity=None,
+            h, causes=_without(j, h.causes), places=_without(j, h.places), extras=_without(j, h.extras),
+            params=_without(j, h.params), covariance=None, freedom=0.0, fidelity=None,
         )  # fmt: skip
         base = replace(base, freedom=cost_of(base.causes, base.extras) + (h.hum.freedom if h.hum else 0.0))
         base = fit_together(comparison, [base])[0]
         out += [base, *fit_further(comparison, base, rest(base)[:count])]
     return out
+
+
+def _without(j: int, items: tuple[Any, ...]) -> tuple[Any, ...]:
+    """All but one."""
+    return items[:j] + items[j + 1 :]
 
 
 def one_more_cause(
