@@ -8,7 +8,7 @@ from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.modal_domain.causes import shown, with_sizes
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.fit import Fit, widths_of_sizes
-from modalax.diagnose.modal_domain.inaccuracy import KINDS, RIGID
+from modalax.diagnose.modal_domain.inaccuracy import KINDS, RIGID, TOLD
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.modal_domain.state import FARTHEST, Setting, changes_of, matrices_of, slopes_at
 from modalax.model import Structure
@@ -68,12 +68,12 @@ def inaccuracy_told(setting: Setting, f: Fit) -> dict[str, Any]:
         (np.einsum("pkk->kp", p)[inside] / np.maximum(nominal[KINDS[g]][inside, None], 1e-300))
         for g, p in zip(a.groups, a.patterns, strict=True)
     ]
-    names = [g for g in a.groups if g != "rest"]  # which is told as stiffness
-    of = [[j for j, g in enumerate(a.groups) if g == name or (g, name) == ("rest", "stiffness")] for name in names]
+    # the rest is told as stiffness
+    of = [[j for j, g in enumerate(a.groups) if g == name or (g, name) == ("rest", "stiffness")] for name in TOLD]
     shares = [np.concatenate([every[j] for j in some], axis=1) for some in of]
     independent = [_independent(share) for share in shares]
     rng = np.random.default_rng(0)
-    seen: list[list[float]] = [[] for _ in names]
+    seen: list[list[float]] = [[] for _ in TOLD]
     for _ in range(DRAWS):
         epsilon = f.epsilon * np.exp(width * rng.standard_normal(len(width)))
         s = np.concatenate([epsilon[group], np.ones(len(f.u))])
@@ -86,7 +86,7 @@ def inaccuracy_told(setting: Setting, f: Fit) -> dict[str, Any]:
                 off = np.log1p(np.maximum(share @ relative, -0.9))
                 seen[k].append(float(np.sqrt(np.mean(off**2))))
     told = {}
-    for k, name in enumerate(names):
+    for k, name in enumerate(TOLD):
         middle = np.median(seen[k])
         few = rng.chisquare(independent[k], (len(seen[k]), BESIDE)) / independent[k]
         low, high = np.quantile(np.array(seen[k])[:, None] / np.sqrt(few), (0.025, 0.975))

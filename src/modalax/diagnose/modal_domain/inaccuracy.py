@@ -2,8 +2,8 @@ r"""The general inaccuracy of a simulation: every element of stiffness, mass and
 
 A part is an element of the simulation, read off its matrices, off by :math:`\epsilon z` with ``z`` standard normal; the
 sizes :math:`\epsilon` of stiffness, mass and damping are claimed by the author or learnt. Damping is off mode by mode,
-by a factor :math:`e^{\epsilon z}` so that it stays positive, with a tenth of that between modes, after the
-non-parametric approach of Soize (2000).
+by a factor :math:`e^{\epsilon z}` so that it stays positive. Between modes it is off as well (Soize 2000), usually by a
+tenth of that, with a size of its own: modes that are hardly coupled do not tell how well their damping is known.
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,8 @@ UNKNOWN = 2.0  # standard deviation of the logarithm of a size that nobody claim
 CLAIMED = 0.7  # the same of a size that the author claims, who may be wrong by a factor of two
 RIGID = 1e-3  # frequency, relative to the highest, below which a mode is that of a rigid body
 BETWEEN = 0.1  # damping between modes, relative to that of the modes themselves
-KINDS = {"stiffness": "K", "mass": "M", "damping": "C", "rest": "K"}
+KINDS = {"stiffness": "K", "mass": "M", "damping": "C", "damping between modes": "C", "rest": "K"}
+TOLD = ("stiffness", "mass", "damping")  # what an answer tells
 
 
 @dataclass(frozen=True)
@@ -74,17 +75,19 @@ def inaccuracy_of(simulation: Structure, c: Coordinates, highest: float) -> Inac
         share = np.einsum("pkk->kp", stiffness)[inside] / np.maximum(c.frequencies[inside, None] ** 2, 1e-300)
         moved = np.median(np.sqrt((share**2).sum(axis=1))) if inside.any() else 1.0
         claims["stiffness"] = 1.9 * frequency / max(moved, 1e-3)  # a third of it in mass takes the rest
-    groups = ("stiffness", "mass", "damping")
     if claims["stiffness"] > 0 and claims["mass"] == 0:
         known = claims["stiffness"] / 3
     else:
         known = USUAL["mass"]
-    usual = np.array([claims[g] or (known if g == "mass" else USUAL[g]) for g in groups])
-    told = tuple(claims[g] > 0 for g in groups)
-    spread = np.where(told, CLAIMED, UNKNOWN)
-    damping, own = _damping(c, highest)
-    positive = np.concatenate([np.zeros(len(stiffness) + len(mass), bool), own])
-    return Inaccuracy(groups, (stiffness, mass, damping), usual, spread, told, positive)
+    usual = np.array([claims[g] or (known if g == "mass" else USUAL[g]) for g in TOLD])
+    told = np.array([claims[g] > 0 for g in TOLD])
+    own, between = _damping(c, highest)
+    patterns = stiffness, mass, own, between
+    positive = np.repeat([False, False, True, False], [len(p) for p in patterns])
+    return Inaccuracy(
+        (*TOLD, "damping between modes"), patterns, np.append(usual, usual[-1]),
+        np.append(np.where(told, CLAIMED, UNKNOWN), UNKNOWN), (*told.tolist(), False), positive,
+    )  # fmt: skip
 
 
 def _claim(simulation: Structure, name: str) -> float:
@@ -93,15 +96,14 @@ def _claim(simulation: Structure, name: str) -> float:
 
 
 def _damping(c: Coordinates, highest: float) -> tuple[np.ndarray, np.ndarray]:
-    """Patterns of damping, and which of them are of a mode by itself."""
+    """Patterns of damping, of each mode by itself and between modes."""
     own = np.sqrt(np.maximum(np.diag(c.damping), 1e-12))
     inside = int(np.count_nonzero(c.frequencies < highest)) + 2
     few = min(inside, c.size)
-    out, alone = [], []
+    alone, between = [], []
     for r in range(few):
         for s in range(r, min(few, r + 6)):
             pattern = np.zeros((c.size, c.size))
             pattern[r, s] = pattern[s, r] = own[r] * own[s] * (1.0 if r == s else BETWEEN)
-            out.append(pattern)
-            alone.append(r == s)
-    return np.array(out), np.array(alone)
+            (alone if r == s else between).append(pattern)
+    return np.array(alone).reshape(-1, c.size, c.size), np.array(between).reshape(-1, c.size, c.size)

@@ -8,6 +8,7 @@ from modalax.diagnose.decision.beyond import BeyondUsual, ModalCase, Names, moda
 from modalax.diagnose.modal_domain.causes import Change, with_sizes
 from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.fit import LARGEST
+from modalax.diagnose.modal_domain.inaccuracy import TOLD
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.thresholds import THRESHOLDS
 
@@ -95,4 +96,5 @@ def standing_out(stage: Stage, e: Explanation) -> tuple[Change, ...]:
 
 def inaccuracy_of_fit(stage: Stage, e: Explanation) -> dict[str, float]:
     """General relative inaccuracy of stiffness, mass and damping that goes with an explanation."""
-    return {name: float(x) for name, x in zip(stage.setting.inaccuracy.groups, e.fit.epsilon, strict=True)}
+    every = zip(stage.setting.inaccuracy.groups, e.fit.epsilon, strict=True)
+    return {name: float(size) for name, size in every if name in TOLD}
