@@ -2,11 +2,17 @@
 
 import numpy as np
 import pytest
-from frames import DOFS, FLIP, cantilever, measured, simulation
+from frames import DAMPING, DOFS, FLIP, cantilever, measured, simulation
 
 from modalax.diagnose import ExtendedSimulation
 from modalax.diagnose.deadline import Deadline
+from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.diagnose.modal_domain.features import whitener_of
+from modalax.diagnose.modal_domain.fit import fit
+from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
+from modalax.diagnose.modal_domain.measured import identify
+from modalax.diagnose.modal_domain.state import Setting
 
 
 def drawn(data_stiffness: np.ndarray) -> float:
@@ -36,6 +42,21 @@ def test_nothing_stands_out_of_a_simulation_that_is_off_everywhere():
     assert low < drawn(K) < high
     assert answer["gain"]["chi2_after"] < 1.3 < 20 < answer["gain"]["chi2_before"]
     assert "generally off" in answer["reasons"][0]
+
+
+def test_the_inaccuracy_of_damping_is_that_of_the_modes_though_damping_hardly_couples_them():
+    """Were couplings that are nearly nothing counted with it, the mode that is off most would stand out."""
+    data, _ = measured(22, 0.03)
+    highest = 2 * np.pi * float(data.freq[-1])
+    c = coordinates_of(simulation(), data.outputs, data.inputs, highest)
+    features = identify(data, c).features
+    inaccuracy = inaccuracy_of(simulation(), c, highest)
+    found = fit(Setting(c, inaccuracy, features, whitener_of(features)))
+    assert found is not None
+    rms = float(np.sqrt(np.mean((features.values[:, 1] - np.log(DAMPING)) ** 2)))
+    learnt = dict(zip(inaccuracy.groups, found.epsilon, strict=True))
+    assert learnt["damping"] == pytest.approx(rms, rel=0.1)
+    assert learnt["damping between modes"] < rms / 2
 
 
 def test_a_mass_stands_out_beyond_the_general_inaccuracy():

@@ -8,8 +8,9 @@ from frames import measured, simulation
 
 from modalax.diagnose.causes.joints import CubicStiffness, GapContact, QuadraticDamping
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.diagnose.modal_domain.levels.change import Projection
 from modalax.diagnose.modal_domain.levels.explain import apart_from_zero
-from modalax.diagnose.modal_domain.levels.laws import LawFit
+from modalax.diagnose.modal_domain.levels.laws import LawFit, seen_force
 from modalax.diagnose.modal_domain.levels.series import in_series
 
 TAU = 2 * np.pi * np.arange(512) / 512
@@ -73,6 +74,16 @@ def test_runs_that_agree_say_nothing_of_joints():
     assert found.verdict == "clean"
     assert found.stage.seen.found.best == "nothing"
     assert found.gain.held_out == "run 3 at 6 N, the highest level"
+
+
+def test_noise_is_no_force_however_many_lines_there_are():
+    """At lines where it were, a law would be told at an amplitude that noise has made, and explain that noise."""
+    rng = np.random.default_rng(3)
+    noise = rng.standard_normal((1, 2000, 1, 2)) + 1j * rng.standard_normal((1, 2000, 1, 2))  # of mean square 2
+    noise[0, 700] += 8.0
+    seen = seen_force(Projection(noise, np.broadcast_to(np.eye(2), (1, 2000, 1, 2, 2)), np.zeros(1)), 0)
+    assert np.flatnonzero(seen.any(axis=(1, 2))).tolist() == [700]
+    assert seen[700] == pytest.approx(np.abs(noise[0, 700]) ** 2 - 2)
 
 
 @pytest.mark.parametrize(("correlation", "together"), [(0.0, np.sqrt(2)), (-0.99, np.sqrt(200))])

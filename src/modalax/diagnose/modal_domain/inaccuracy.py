@@ -34,7 +34,7 @@ class Inaccuracy:
     Attributes
     ----------
     groups
-        What is off: ``stiffness``, ``mass``, ``damping``.
+        What is off: ``stiffness``, ``mass``, ``damping``, ``damping between modes``.
     patterns
         Of each group, in modal coordinates, shape ``(p, n, n)``; a size of 1 is a change by the whole.
     usual, spread

@@ -34,7 +34,7 @@ FRACTIONS = (0.03, 0.1, 0.2, 0.3, 0.4, 0.55, 0.75)  # thresholds over the larges
 EXPONENTS = (-0.5, 0.5, 1.0, 2.0)  # of power laws, likewise
 TOLERANCE = 0.02  # relative error of a force by its first harmonic alone, before that is learnt
 HARMONIC = 60  # lines at whose third harmonic the compliance across a place is read
-PRETENDED = 4.0  # times its mean square, which noise exceeds once in fifty
+PRETENDED = 0.01  # chance that noise alone makes a force seen at any line of a place
 FEW = 1500  # forces that starts are compared on
 STEPS = 15  # most steps of one fit
 PAD = 2048  # amplitudes that a compiled law takes at once, or a multiple
@@ -124,9 +124,13 @@ def _amplitude(levels: np.ndarray, lowest: np.ndarray, drive: np.ndarray, force:
 
 
 def seen_force(p: Projection, k: int) -> np.ndarray:
-    """Square of the force of a place beyond what noise may pretend, shape ``(f, i, level - 1)``."""
-    noise = PRETENDED * 2 * np.diagonal(np.linalg.inv(p.Q[k]), axis1=-2, axis2=-1)
-    return np.maximum(np.abs(p.force[k]) ** 2 - noise, 0.0)
+    """Square of the force of a place, less the noise, where it is more than noise at any line; ``(f, i, level - 1)``.
+
+    A law told at an amplitude that noise has made would explain that noise.
+    """
+    noise = 2 * np.diagonal(np.linalg.inv(p.Q[k]), axis1=-2, axis2=-1)
+    square = np.abs(p.force[k]) ** 2
+    return np.where(square > np.log(square.size / PRETENDED) * noise, square - noise, 0.0)
 
 
 def softened(Q: np.ndarray, square: np.ndarray, rho: float) -> np.ndarray:
