@@ -182,7 +182,7 @@ def maximise(
     projection = samples.projection(sigma)
     omega0 = np.abs(poles)
     zeta0 = -poles.real / omega0
-    zeta0 = np.where(poles.real < 0, np.maximum(zeta0, 1e-6), np.clip(zeta0, 1e-3, 0.5))
+    zeta0 = np.where(poles.real < 0, np.maximum(zeta0, UNDAMPED), np.clip(zeta0, 1e-3, 0.5))
     poles = omega0 * (-zeta0 + 1j * np.sqrt(1 - zeta0**2))
     if participation is None:
         participation = _participation(samples, projection, poles)

@@ -14,7 +14,7 @@ from modalax.identify.host import PRECISE, modal_of, refine_on_host, refined_of,
 from modalax.identify.kernels import UNDAMPED
 from modalax.identify.local import fit_where_dominant
 from modalax.identify.maximum import Maximum, Samples, maximise
-from modalax.identify.noise import several, sigma_of_error
+from modalax.identify.noise import left_by_fit, several, sigma_of_error
 from modalax.identify.refine import CORRELATED, HELD, Refined
 from modalax.identify.residues import sigma_of
 from modalax.identify.scan import NEAR, Grid, poles_missing
@@ -81,7 +81,11 @@ class _Search:
         """Weights for the next refinement: those given, or by the residual of the last one."""
         if self.known:
             return self.sigma
-        return sigma_of_error(self.samples.H, self.found.error, proportional, len(self.poles))
+        samples, poles = self.samples, self.poles
+        left: Any = 1.0
+        if not several(samples.H.size, len(poles)):
+            left = left_by_fit(samples.s, samples.power, poles, samples.H.shape, self.sigma, self.samples.residuals)
+        return sigma_of_error(samples.H, self.found.error, proportional, len(poles), left)
 
     def deviations(self) -> list[np.ndarray]:
         """Possible noise levels; a mode must stand out of each of them."""

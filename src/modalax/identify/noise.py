@@ -6,12 +6,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from modalax.data.frf import FRF
+from modalax.data.frf import DERIVATIVES, FRF
+from modalax.identify.kernels import kernels, residual_terms
 from modalax.identify.refine import UNIT, Refined
 
 STEPS = 60  # steps in which the two parts of a variance are fitted
 SEVERAL = 2**21  # samples above which channels share the course of proportional noise
 WORK = 2**29  # samples times squares of modes above which they do so too, for the refinement's sake
+LEAST = 0.2  # part of the noise that is taken to be left at least
+DEPENDENT = 1e-8  # part of a column that those before it leave, below which it fits nothing of its own
+SAMPLES = 32  # samples on either side of a line, at least, from which its noise is estimated
 ENOUGH = 32  # repeats from which on a variance needs no smoothing
 
 
@@ -54,8 +58,10 @@ def residual_sigma(frf: FRF, refined: Refined, sigma: Any, proportional: bool = 
     if not isinstance(sigma, str):
         weight = np.asarray(sigma)
         scale = weight * UNIT * np.sqrt(np.mean(np.abs(H / weight) ** 2))
-    modes = refined.model.poles.size
-    return jnp.asarray(sigma_of_error(H, np.asarray(refined.residual) * scale, proportional, modes))
+    s, poles = float(frf.added_decay) + 1j * np.asarray(frf.omega), np.asarray(refined.model.poles)
+    weigh = sigma if not isinstance(sigma, str) else 1.0
+    left = left_by_fit(s, DERIVATIVES[frf.form], poles, H.shape, weigh)
+    return jnp.asarray(sigma_of_error(H, np.asarray(refined.residual) * scale, proportional, len(poles), left))
 
 
 def several(samples: int, modes: int) -> bool:
@@ -63,11 +69,53 @@ def several(samples: int, modes: int) -> bool:
     return samples > SEVERAL or samples * modes**2 > WORK
 
 
-def sigma_of_error(H: np.ndarray, error: np.ndarray, proportional: bool = False, modes: int = 1) -> np.ndarray:
-    """Standard deviation of each sample ``(f, o, i)`` from what some modes leave; see :func:`residual_sigma`."""
-    power = np.abs(error) ** 2
+def left_by_fit(
+    s: np.ndarray, power: int, poles: np.ndarray, shape: tuple[int, ...], sigma: Any = 1.0, residuals: str = "complex"
+) -> Float[np.ndarray, "f 1 1"]:
+    r"""Part of the noise's power that a fit of some modes leaves around each line, the rest being fitted.
+
+    A residual has the variance :math:`(1-h_k)\sigma_k^2` with the leverage :math:`h_k` of its line, which is that of
+    the residual terms, of the residues, :math:`n_o+n_i-1` complex numbers a mode for :math:`n_on_i` channels, and of
+    the pole, which all channels share.
+
+    Parameters
+    ----------
+    s, power, residuals
+        Where the FRFs were measured [1/s], shape ``(f,)``, their number of time derivatives, and the residual terms.
+    poles
+        Of the modes, shape ``(n,)`` [rad/s].
+    shape
+        Of the FRFs, ``(f, o, i)``.
+    sigma
+        Standard deviations that weighed the samples, of that shape.
+    """
+    terms, n = residual_terms(s, power, residuals), len(poles)
+    channels = shape[1] * shape[2]
+    part = np.repeat([1.0, (shape[1] + shape[2] - 1) / channels, 1 / channels], [terms.shape[1], 2 * n, 2 * n])
+    weight = np.sqrt(np.mean(1 / np.broadcast_to(sigma, shape) ** 2, axis=(1, 2)))
+    columns = np.concatenate([terms, kernels(s, power, poles)], axis=1) * weight[:, None]
+    columns = np.concatenate([columns.real, columns.imag])
+    Q, R = np.linalg.qr(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))
+    own = Q**2 @ (part * (np.abs(np.diag(R)) > DEPENDENT))
+    half = _window(shape)
+    return np.maximum(_running_mean(1 - own.reshape(2, -1).mean(axis=0), half), LEAST)[:, None, None]
+
+
+def _window(shape: tuple[int, ...]) -> int:
+    """Lines on either side over which the course of noise is a mean over ``SAMPLES`` or more; FRFs of some shape."""
+    return max(8, shape[0] // 60, min(SAMPLES // max(shape[1:]), shape[0] // 8))
+
+
+def sigma_of_error(
+    H: np.ndarray, error: np.ndarray, proportional: bool = False, modes: int = 1, left: Any = 1.0
+) -> np.ndarray:
+    """Standard deviation of each sample ``(f, o, i)`` from what some modes leave; see :func:`residual_sigma`.
+
+    The part of the noise that they leave around each line is ``left``, from :func:`left_by_fit`.
+    """
+    power = np.abs(error) ** 2 / left
     axis = 2 if H.shape[2] > H.shape[1] else 1  # the longer axis, whose channels share a course over frequency
-    half = max(8, len(power) // 60)
+    half = _window(power.shape)
     size = np.maximum(np.median(power, axis=(0, 3 - axis), keepdims=True), 1e-300)
     many = several(power.size, modes)
     # While modes are sought the channels of a large set share one course, so that they have a basis in common.

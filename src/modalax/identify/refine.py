@@ -218,7 +218,7 @@ def _refine(
 ) -> Refined:  # fmt: skip
     omega0 = jnp.abs(model.poles)
     zeta0 = jnp.clip(-model.poles.real / omega0, 1e-3, 0.5)
-    zeta0 = jnp.where(model.poles.real < 0, jnp.maximum(-model.poles.real / omega0, 1e-6), zeta0)
+    zeta0 = jnp.where(model.poles.real < 0, jnp.maximum(-model.poles.real / omega0, UNDAMPED), zeta0)
     poles = -zeta0 * omega0 + 1j * omega0 * jnp.sqrt(1 - zeta0**2)
     pivot = jax.lax.stop_gradient(jnp.argmax(jnp.abs(model.participation), axis=1))
     reach = REACH * zeta0 * omega0
