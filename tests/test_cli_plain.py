@@ -56,3 +56,10 @@ def test_modes_by_frequency_go_to_files_with_their_nodes(plain, capsys):
     assert main([*command, "--modes", "modes.xlsx"]) == 2
     assert main([*command, "--drop", "30"]) == 2
     assert "drop has nothing to do" in capsys.readouterr().err
+
+
+def test_check_is_told_what_a_plain_file_does_not_say(plain, capsys):
+    assert main(["check", "plain.npz"]) == 2
+    assert "--form accelerance" in capsys.readouterr().err.splitlines()[-1]
+    assert main(["check", "plain.npz", "--form", "receptance", *NAMES]) == 0
+    assert "nothing wrong was found" in capsys.readouterr().out

@@ -149,6 +149,89 @@ def test_table_whose_columns_are_outputs_of_one_input(tmp_path):
     np.testing.assert_array_equal(found.H[0], H[:, :2, :1])
 
 
+PARTS = [F, H[:, 0, 0].real, H[:, 0, 0].imag]
+NAMELESS = ("outputs", "inputs")
+
+
+@pytest.mark.parametrize(
+    ("above", "below", "mark", "encoding"),
+    [
+        ("Project;Beam\nDate;3.4.2020\n\n", "", ";", "utf-8"),
+        ("% of last spring\n# channel 1\n", "", ",", "utf-8"),
+        ("", "Hz;m/N;m/N\n", ";", "utf-8"),
+        ("", "", "\t", "utf-16"),
+    ],
+)
+def test_text_above_a_header_units_below_it_and_encodings(tmp_path, above, below, mark, encoding):
+    text = table(tmp_path / "a.csv", ["Frequency", "Real", "Imag"], PARTS, mark).read_text()
+    head, rest = text.split("\n", 1)
+    (tmp_path / "a.csv").write_text(f"{above}{head}\n{below}{rest}", encoding=encoding)
+    found = read(tmp_path / "a.csv", *NAMELESS, **({} if below else {"form": "receptance"}))
+    assert found.form == "receptance"
+    np.testing.assert_array_equal(found.H[0, :, 0, 0], H[:, 0, 0])
+
+
+def test_units_in_titles_give_form_and_size(tmp_path):
+    path = table(tmp_path / "a.csv", ["Frequency (kHz)", "Real (g/N)", "Imaginary (g/N)"], PARTS)
+    found = read(path, *NAMELESS)
+    assert found.form == "accelerance" and found.freq[-1] == 21_000.0
+    np.testing.assert_allclose(found.H[0, :, 0, 0], 9.80665 * H[:, 0, 0], rtol=1e-14)
+    with pytest.raises(ValueError, match="its titles say g/N and unit says m/N"):
+        modalax.load(path, unit="m/N")
+    path = table(
+        tmp_path / "b.csv", ["freq", "re a [g/N]", "im a [g/N]", "re b [m/N]", "im b [m/N]"], [*PARTS, *PARTS[1:]]
+    )
+    with pytest.raises(ValueError, match="columns are in g/N, m/N; FRFs of one file need one unit"):
+        modalax.load(path)
+
+
+def test_decibels_and_phases_of_more_than_a_few_radians_are_told_from_their_numbers(tmp_path):
+    one = H[:, 0, 0]
+    columns = [F, 20 * np.log10(np.abs(one)), np.degrees(np.angle(one)) - 180]
+    path = table(tmp_path / "a.csv", ["f", "Magnitude (dB)", "Phase"], columns)
+    found = read(path, "20 log10", "taken as degrees", *NAMELESS, form="receptance")
+    np.testing.assert_allclose(found.H[0, :, 0, 0], -one, rtol=1e-12)
+
+
+def test_lines_with_empty_cells_are_left_out_where_they_are_few(tmp_path):
+    f = np.linspace(10, 20, 41)
+    path = table(tmp_path / "a.csv", ["freq", "re", "im"], [f, f, f])
+    rows = path.read_text().split("\n")
+    rows[5] = "11,,11"
+    path.write_text("\n".join(rows))
+    found = read(path, "at frequencies 11: 1 of 41 lines left out", *NAMELESS, form="receptance")
+    np.testing.assert_array_equal(found.freq, np.delete(f, 4))
+    path.write_text("\n".join(rows[:2] + ["11,,"] * 3 + rows[5:]))
+    with pytest.raises(ValueError, match="4 of 41 lines have empty cells"):
+        modalax.load(path, form="receptance")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "pattern"),
+    [
+        ("a.csv", b"5,0.6,0.1\n6,0.7,0.2\n7,0.6,0.1\n", "columns of numbers without a header"),
+        (
+            "a.xlsx",
+            b"PK\x03\x04..[Content_Types].xml...",
+            "an Excel workbook, which is not read; save its sheet as CSV",
+        ),
+    ],
+)
+def test_what_is_no_table_of_frfs_is_named(tmp_path, name, content, pattern):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(ValueError, match=pattern):
+        modalax.load(tmp_path / name, form="receptance")
+
+
+def test_a_struct_and_numbers_that_no_structure_has_are_named(tmp_path):
+    scipy.io.savemat(tmp_path / "a.mat", {"run3": {"f": F, "FRF": H}})
+    with pytest.raises(ValueError, match=r"run3 is a struct.*save\('FILE', '-struct', 'run3'\)"):
+        modalax.load(tmp_path / "a.mat", form="receptance")
+    path = saved(tmp_path / "a.npz", freq=F, H=1e-200 * H[None], outputs=["1", "2", "3"], inputs=["1", "2"])
+    with pytest.raises(ValueError, match="at most; no structure has such FRFs"):
+        modalax.load(path, form="receptance")
+
+
 @pytest.mark.parametrize(
     ("text", "pattern"),
     [

@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -36,7 +37,7 @@ DETECTORS: tuple[Detector, ...] = (
 )  # fmt: skip
 
 
-def check(data: FRF | Measurement | Records | str | os.PathLike[str]) -> Findings:
+def check(data: FRF | Measurement | Records | str | os.PathLike[str], **told: Any) -> Findings:
     """Find what is wrong with a measurement, without a model of the structure.
 
     The check looks for faults of channels (reversed, swapped, dead, duplicated, delayed, wrong calibration), of the
@@ -47,6 +48,8 @@ def check(data: FRF | Measurement | Records | str | os.PathLike[str]) -> Finding
     ----------
     data
         FRFs of one run or several, time records (:class:`modalax.check.Records`), or a file that holds either.
+    **told
+        What a plain file of FRFs does not say itself, as for :func:`modalax.load`: ``form``, ``unit``, ``outputs``, ...
 
     Returns
     -------
@@ -56,10 +59,12 @@ def check(data: FRF | Measurement | Records | str | os.PathLike[str]) -> Finding
     Raises
     ------
     ValueError
-        If the file holds no measurement, or fewer than 8 lines above 0 Hz.
+        If the file holds no measurement, or fewer than 8 lines above 0 Hz, or something is told of data that are none.
     """
     if isinstance(data, str | os.PathLike):
-        data = _read(Path(data))
+        data = _read(Path(data), told)
+    elif told:
+        raise ValueError(f"option {', '.join(told)} is for files of FRFs; this is a {type(data).__name__}")
     if isinstance(data, Records):
         return _check_records(data)
     return Findings(_ordered(_findings(study_of(_measurement(data)), DETECTORS)))
@@ -110,11 +115,13 @@ def _measurement(data: FRF | Measurement) -> Measurement:
     return Measurement.from_frfs([data]) if isinstance(data, FRF) else data
 
 
-def _read(path: Path) -> Measurement | Records:
+def _read(path: Path, told: dict[str, Any]) -> Measurement | Records:
     """FRFs in the time convention of their file, or else time records."""
     try:
-        found = load(path, conjugate=False)
+        found = load(path, conjugate=False, **told)
     except ValueError as error:
+        if told:
+            raise
         with about(path):
             records = read_records(path) if path.is_file() else None
         if records is None:

@@ -16,6 +16,15 @@ from modalax.cli.common import (
     working,
     write_json,
 )
+from modalax.cli.told import (
+    AxesOption,
+    FormOption,
+    FrequencyUnitOption,
+    InputsOption,
+    OutputsOption,
+    UnitOption,
+    told,
+)
 
 
 def check(
@@ -25,6 +34,12 @@ def check(
     ],
     json: JsonOption = None,
     report: ReportOption = None,
+    form: FormOption = None,
+    unit: UnitOption = None,
+    frequency_unit: FrequencyUnitOption = None,
+    outputs: OutputsOption = None,
+    inputs: InputsOption = None,
+    axes: AxesOption = None,
     overwrite: OverwriteOption = False,
 ) -> None:
     """Find what is wrong with a measurement: channels, hits, records, noise, reciprocity and form."""
@@ -38,7 +53,7 @@ def check(
     from modalax.check import check as look
 
     with working("Checking the measurement"):
-        result = look(data)
+        result = look(data, **told(form, unit, frequency_unit, outputs, inputs, axes))
     print_findings(Console(), result)
     if json is not None:
         write_json(json, result.to_dict())

@@ -13,7 +13,10 @@ BLOCK = 4096  # lines whose numbers are put into one array
 
 
 def encoding_of(path: Path) -> str:
-    """UTF-8 where the file is that, else Latin-1, in which every byte is a letter."""
+    """UTF-16 where the file says so, UTF-8 where it is that, else Latin-1, in which every byte is a letter."""
+    with path.open("rb") as file:
+        if file.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+            return "utf-16"
     decoder = codecs.getincrementaldecoder("utf-8")()
     with path.open("rb") as file:
         try:

@@ -3,6 +3,7 @@
 import os
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,10 @@ from modalax.files.npz import read_npz, write_npz
 from modalax.files.plain import Told
 from modalax.files.sniff import kind_to_write, sniff
 from modalax.files.table import names_of_columns, read_table
+from modalax.files.units import plain
 from modalax.files.write import replacing
 
-LARGEST = 1e30  # m/N, (m/s)/N or (m/s^2)/N; a grain of dust moves by 1e12 (m/s^2)/N
+SMALLEST, LARGEST = 1e-60, 1e30  # m/N, (m/s)/N or (m/s^2)/N; a grain of dust moves by 1e12 (m/s^2)/N
 
 
 def load(
@@ -112,10 +114,24 @@ def _read(path: Path, kind: str, told: Told, options: dict[str, Any]) -> Saved:
 
         return read_mat(path, told)
     if kind == "table":
-        return from_arrays(names_of_columns(read_table(path), told.outputs, told.inputs), told)
+        arrays = names_of_columns(read_table(path), told.outputs, told.inputs)
+        return from_arrays(arrays, _with_unit(told, arrays.pop("unit", None)))
     from modalax.files.labelled import read_labelled
 
     return read_labelled(path, kind, told)
+
+
+def _with_unit(told: Told, unit: str | None) -> Told:
+    """What the user tells of a table, with the unit that its titles name.
+
+    Raises
+    ------
+    ValueError
+        If the user gave another unit.
+    """
+    if unit is not None and told.unit is not None and plain(told.unit) != plain(unit):
+        raise ValueError(f"its titles say {unit} and unit says {told.unit}; one is wrong")
+    return told if unit is None else replace(told, unit=unit)
 
 
 def _published(path: Path) -> Measurement | None:
@@ -142,6 +158,8 @@ def _check_magnitude(measurement: Measurement) -> None:
             f"H reaches {size.max():.3g} (median {np.median(size):.3g}); no structure has such FRFs: is the byte order "
             "or the kind of number wrong in the file's header?"
         )
+    if size.size and 0 < size.max() < SMALLEST:
+        raise ValueError(f"H is {size.max():.3g} at most; no structure has such FRFs: is the unit or a scale wrong?")
 
 
 def _in_convention(measurement: Measurement, conjugate: bool | str) -> Measurement:

@@ -31,7 +31,13 @@ def read_mat(path: Path, told: Told = NOTHING) -> Saved:
 def _classic(path: Path) -> dict[str, Any]:
     with reading("the .mat file"):
         check_elements(path)
-        names = [name for name, _, _ in scipy.io.whosmat(path)]
+        kinds = {name: kind for name, _, kind in scipy.io.whosmat(path)}
+        names = list(kinds)
+        whole = [name for name, kind in kinds.items() if kind == "struct"]
+        if whole and not set(names) & READ_KEYS:
+            raise Refused(
+                f"{whole[0]} is a struct, which is not read; save its fields: save('FILE', '-struct', '{whole[0]}')"
+            )
         found = scipy.io.loadmat(path, variable_names=sorted(READ_KEYS))
         return {name: _value(name, found[name]) if name in found else None for name in names}
 

@@ -1,5 +1,6 @@
 """Detection of the kind of a file from its content; the ending alone is not trusted."""
 
+import codecs
 import re
 from pathlib import Path
 
@@ -32,7 +33,13 @@ _MAGIC = (
     (b"CDF\x01", "netcdf"),
     (b"CDF\x02", "netcdf"),
 )
+COMMENTS, PREAMBLE = "#%", 40  # signs that begin a comment in a table, and most lines of text before its header
+WORKBOOK = b"[Content_Types].xml"  # first file in an archive of Excel
 FREQUENCY = re.compile(r"f|freq|frequency|frequenz", re.IGNORECASE)
+PARTS = re.compile(
+    r"(?<![a-z])(re|im|real|imag|imaginary|mag|magnitude|abs|amp|amplitude|phase|phi|arg|angle)(?![a-z])", re.IGNORECASE
+)
+NUMBERS = re.compile(r"[-+\d.eE,;\s]+")
 MODES = re.compile(rb'"?mode"?\s*,.*frequency_hz', re.IGNORECASE)
 _STORE = ("zarr.json", ".zgroup", ".zmetadata")
 
@@ -68,7 +75,14 @@ def sniff(path: Path) -> str:
                     f"{path}: one NumPy array (.npy), which names neither its axes nor its frequencies; "
                     "save an .npz with freq, H, form, outputs and inputs"
                 )
+            if kind == "npz" and WORKBOOK in head:
+                raise ValueError(f"{path}: an Excel workbook, which is not read; save its sheet as CSV")
             return kind
+    head = (
+        head.decode("utf-16", errors="ignore").encode()
+        if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+        else head
+    )
     lines = [line for line in head.splitlines() if line.strip()]
     return _text_kind(path, lines[0] if lines else b"", lines)
 
@@ -81,15 +95,30 @@ def _text_kind(path: Path, first: bytes, lines: list[bytes]) -> str:
         return "fe"
     if MODES.match(next((line for line in lines if not line.startswith(b"#")), b"")):
         return "modes"
-    if looks_like_table(next((line for line in lines if not line.startswith(b"#")), b"")):
+    plain = [text for line in lines if not (text := _text(line)).lstrip().startswith(tuple(COMMENTS))][: PREAMBLE + 1]
+    if plain and looks_like_table(plain[0]) or any(looks_like_header(line) for line in plain):
         return "table"
+    if plain and NUMBERS.fullmatch(plain[-1] if len(plain) == 1 else plain[-2]):
+        raise ValueError(
+            f"{path}: columns of numbers without a header, which for FRFs names them (freq, re, im); "
+            f"the file begins with {_shown(first)}"
+        )
     raise ValueError(f"{path}: neither of {KINDS}; the file begins with {_shown(first)}")
 
 
-def looks_like_table(line: bytes) -> bool:
-    """Whether a line is a header of columns whose first is a frequency."""
-    text = line.decode("utf-8", errors="replace").strip().strip("\ufeff").strip('"')
+def _text(line: bytes) -> str:
+    return line.decode("utf-8", errors="replace").strip().strip("\ufeff")
+
+
+def looks_like_table(line: str) -> bool:
+    """Whether the first word of a line is a frequency, as in the header of a table of FRFs."""
+    text = line.strip().strip("\ufeff").strip('"')
     return bool(FREQUENCY.fullmatch(re.split(r"[\s\[(,;_/]", text)[0]))
+
+
+def looks_like_header(line: str) -> bool:
+    """Whether a line names a column of frequencies and further ones, of parts of FRFs or of what cannot be read."""
+    return looks_like_table(line) and bool(PARTS.search(line))
 
 
 def is_zarr(folder: Path, alone: bool = False) -> bool:

@@ -1,7 +1,8 @@
 """FRFs as text in columns (CSV): a header names them, the first column holds the frequencies."""
 
+import itertools
 import math
-import re
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -9,21 +10,20 @@ import numpy as np
 
 from modalax.files.guard import MOST_NAMES, Refused, reading
 from modalax.files.lines import lines_of, table_of
-from modalax.files.sniff import FREQUENCY
-from modalax.files.units import frequency_factor
+from modalax.files.sniff import COMMENTS, PREAMBLE, looks_like_header
+from modalax.files.table_titles import HOW, Column, check_columns, column_of, factor_of_frequencies, unit_of_columns
 
-KINDS = {
-    "real": r"re|real", "imag": r"im|imag|imaginary", "size": r"mag|magnitude|abs|amp|amplitude",
-    "phase": r"phase|phi|arg|angle",
-}  # fmt: skip
-HOW = "a header names the columns: freq, then 're NAME' and 'im NAME' (or 'mag NAME', 'phase NAME [deg]') of each FRF"
+EMPTY = 0.05  # part of the lines with empty cells, up to which these are left out
+PLAIN_DEGREES = 45.0  # size of phases above which they are no radians
 
 
 def read_table(path: Path) -> dict[str, Any]:
     """Arrays ``freq`` [Hz], ``H`` (line, column), and names of outputs and inputs where the header tells them.
 
     Columns are parted by comma, semicolon or tab; with semicolon or tab, numbers may have decimal commas. Names of
-    columns as ``2:+Z/1:+Z`` are output and input.
+    columns as ``2:+Z/1:+Z`` are output and input. Lines before the header, and those that begin with # or %, are
+    comments; units stand in brackets in the header, or in a line of their own below it. Magnitudes in dB are twenty
+    times the decimal logarithm.
 
     Raises
     ------
@@ -31,87 +31,113 @@ def read_table(path: Path) -> dict[str, Any]:
         If the header does not say what the columns are, or a number cannot be read; the message names the line.
     """
     with reading("the table"):
-        rows = lines_of(path, "#")
-        head = next(rows)[1]
+        rows = lines_of(path, COMMENTS)
+        above = list(itertools.islice(rows, PREAMBLE + 1))
+        place = next((k for k, (_, line) in enumerate(above) if looks_like_header(line)), 0)
+        head, rows = above[place][1], itertools.chain(above[place + 1 :], rows)
     mark = next((m for m in ("\t", ";", ",") if m in head), None)
-    titles = [t.strip().strip('"').strip() for t in (head.split(mark) if mark else head.split())]
+    cells = lambda line: [t.strip().strip('"').strip() for t in (line.split(mark) if mark else line.split())]
+    titles = cells(head)
     if len(titles) > 4 * MOST_NAMES:
         raise Refused(f"the table has {len(titles)} columns; at most {4 * MOST_NAMES} are read")
+    first = next(rows, None)
+    if first is not None and not any(_is_number(cell) for cell in cells(first[1]) if cell):
+        units = [*cells(first[1]), *[""] * len(titles)]
+        titles = [
+            f"{title} [{unit.strip('[]()')}]" if unit else title for title, unit in zip(titles, units, strict=False)
+        ]
+        first = None
     try:
-        kinds = [_kind(title) for title in titles[1:]]
-        factor = _frequency_factor(titles[0])
-        _complete(titles, kinds)
+        columns = [column_of(title) for title in titles[1:]]
+        factor = factor_of_frequencies(titles[0])
+        check_columns(columns, titles)
+        unit = unit_of_columns(columns)
     except ValueError as error:
         raise ValueError(f"{error}; the file begins with {head[:40]!r}") from error
+    rows = rows if first is None else itertools.chain([first], rows)
     numbers = table_of(rows, lambda line, k: _numbers(line, mark, len(titles), k), len(titles))
-    names, columns = _frfs(kinds, numbers)
-    return {"freq": factor * numbers[:, 0], **_channels(names, np.array(columns).T)}
+    numbers = _whole_rows(numbers)
+    names, values = _frfs(columns, numbers)
+    found = {"freq": factor * numbers[:, 0], **_channels(names, np.array(values).T)}
+    return found | ({"unit": unit} if unit else {})
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell.replace(",", "."))
+    except ValueError:
+        return False
+    return True
 
 
 def _numbers(line: str, mark: str | None, count: int, row: int) -> list[float]:
+    """Numbers of a line; NaN for an empty cell."""
     cells = line.split(mark) if mark else line.split()
     if len(cells) == count + 1 and not cells[-1].strip():
         cells = cells[:-1]
     if len(cells) != count:
         raise ValueError(f"line {row} has {len(cells)} columns, the header {count}")
+    cells = [c.strip() or "nan" for c in cells]
     try:
         return [float(c.replace(",", ".") if mark in ("\t", ";") else c) for c in cells]
     except ValueError as error:
         raise ValueError(f"line {row} holds what is no number ({error})") from error
 
 
-def _frequency_factor(title: str) -> float:
-    if not FREQUENCY.fullmatch(re.split(r"[\s\[(_/]", title)[0]):
-        raise ValueError(f"the first column is {title!r}; {HOW}")
-    unit = re.search(r"[\[(](.*?)[\])]", title) or re.search(r"_(k?hz)$", title, re.IGNORECASE)
-    return frequency_factor(unit[1]) if unit else 1.0
+def _whole_rows(numbers: np.ndarray) -> np.ndarray:
+    """The rows without empty cells, with a warning where some were left out.
+
+    Raises
+    ------
+    ValueError
+        If more than ``EMPTY`` of the rows have any.
+    """
+    gaps = np.isnan(numbers).any(axis=1)
+    if not gaps.any():
+        return numbers
+    shown = ", ".join(f"{f:g}" for f in numbers[gaps, 0][:4]) + (", ..." if gaps.sum() > 4 else "")
+    if np.mean(gaps) > EMPTY:
+        raise ValueError(
+            f"{gaps.sum()} of {len(gaps)} lines have empty cells or NaN (at frequencies {shown}); fill them"
+        )
+    warnings.warn(
+        f"empty cells or NaN at frequencies {shown}: {gaps.sum()} of {len(gaps)} lines left out", stacklevel=2
+    )
+    return numbers[~gaps]
 
 
-Column = tuple[str, str, bool | None]
+def _frfs(columns: list[Column], numbers: np.ndarray) -> tuple[list[str], list[np.ndarray]]:
+    """Names of the FRFs in the columns, and their values.
 
-
-def _complete(titles: list[str], kinds: list[Column]) -> None:
-    """Refuse columns that are none of an FRF in full."""
-    parts: dict[str, set[str]] = {}
-    for title, (kind, name, degrees) in zip(titles[1:], kinds, strict=True):
-        if kind == "phase" and degrees is None:
-            raise ValueError(f"column {title!r} does not say whether the phase is in deg or rad; {HOW}")
-        if kind in parts.setdefault(name, set()):
-            raise ValueError(f"column {title!r} stands twice; each FRF needs a name of its own")
-        parts[name].add(kind)
-    for name, found in parts.items():
-        if found not in ({"real", "imag"}, {"size", "phase"}):
-            raise ValueError(f"of FRF {name or '(without name)'} there is {', '.join(sorted(found))} only; {HOW}")
-    if not parts:
-        raise ValueError(f"the table has the columns {', '.join(titles[:6])}; {HOW}")
-
-
-def _frfs(kinds: list[Column], numbers: np.ndarray) -> tuple[list[str], list[np.ndarray]]:
-    """Names of the FRFs in the columns, and their values."""
+    Raises
+    ------
+    ValueError
+        If a phase may be in degrees or in radians.
+    """
     parts: dict[str, dict[str, np.ndarray]] = {}
-    for k, (kind, name, degrees) in enumerate(kinds, start=1):
-        parts.setdefault(name, {})[kind] = np.deg2rad(numbers[:, k]) if degrees else numbers[:, k]
+    for k, column in enumerate(columns, start=1):
+        value = numbers[:, k]
+        if column.decibel:
+            value = 10 ** (value / 20)
+            warnings.warn(f"column {column.title!r} is taken as 20 log10 of the magnitude", stacklevel=2)
+        if column.kind == "phase":
+            value = np.deg2rad(value) if _in_degrees(column, value) else value
+        parts.setdefault(column.name, {})[column.kind] = value
     values = [
         p["real"] + 1j * p["imag"] if "real" in p else p["size"] * np.exp(1j * p["phase"]) for p in parts.values()
     ]
     return list(parts), values
 
 
-def _kind(title: str) -> Column:
-    """What a column holds (real, imag, size, phase), of which FRF, and whether a phase is in degrees."""
-    unit = re.search(r"[\[(]\s*(deg|degrees|°|rad)\s*[\])]|_(deg|rad)\b", title, re.IGNORECASE)
-    degrees = None if unit is None else not (unit[1] or unit[2]).lower().startswith("rad")
-    bare = re.sub(r"\[.*?\]|\((?:deg|degrees|°|rad)\)|_(?:deg|rad)\b", "", title, flags=re.IGNORECASE).strip()
-    for kind, pattern in KINDS.items():
-        for shape in (
-            rf"(?:{pattern})\s*\(\s*(.*?)\s*\)",
-            rf"(?:{pattern})(?:[\s_:.]+(.*))?",
-            rf"(.*?)[\s_.]+(?:{pattern})",
-        ):
-            match = re.fullmatch(shape, bare, re.IGNORECASE)
-            if match:
-                return kind, (match[1] or "").strip(), degrees
-    raise ValueError(f"column {title!r} is neither a real nor imaginary part, magnitude nor phase; {HOW}")
+def _in_degrees(column: Column, value: np.ndarray) -> bool:
+    if column.degrees is not None:
+        return column.degrees
+    if np.max(np.abs(value), initial=0.0) > PLAIN_DEGREES:
+        warnings.warn(
+            f"column {column.title!r} is taken as degrees, as it reaches {np.max(np.abs(value)):.3g}", stacklevel=2
+        )
+        return True
+    raise ValueError(f"column {column.title!r} does not say whether the phase is in deg or rad; {HOW}")
 
 
 def _channels(names: list[str], H: np.ndarray) -> dict[str, Any]:
