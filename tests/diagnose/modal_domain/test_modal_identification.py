@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from modalax.diagnose.modal_domain.bent_peaks import bent, one_each, widened
 from modalax.diagnose.modal_domain.features import Features, features_of, sure, whitener_of
 from modalax.diagnose.modal_domain.free_residues import Channels, project
-from modalax.diagnose.modal_domain.mode_count import bent, blind_modes, heavy, misfit
+from modalax.diagnose.modal_domain.mode_count import blind_modes, heavy, misfit
 from modalax.diagnose.modal_domain.relocation import relocated
 
 FREQ = np.linspace(3.0, 60.0, 500)
@@ -90,3 +91,29 @@ def test_a_pole_without_information_leaves_the_other_modes_known():
     assert sure(both)[:2].all()
     std = [np.sqrt(np.diag(f.covariance)).reshape(f.values.shape)[:2, :2] for f in (both, alone)]
     np.testing.assert_allclose(std[0], std[1], rtol=0.3)
+
+
+@pytest.mark.parametrize(("force", "part"), [(lambda h: 1.0j * h, 1), (lambda h: 0.8 * h**2, 0)])
+def test_a_bent_peak_is_one_mode_as_uncertain_as_the_joint_moved_it(force, part):
+    """One mode with drag or a cubic spring, H (delta + i + h(|H|)) = 1 over the detuning, solved at each line."""
+    half, freq = 0.3, np.linspace(10.0, 50.0, 401)
+    size = np.linspace(1e-3, 1.0, 20000)
+    detuning = (30.0 - freq) / half
+    peak = np.zeros(len(freq), complex)
+    for k, d in enumerate(detuning):
+        h = size[np.argmax(size * np.abs(d + 1j + force(size)) >= 1.0)]
+        peak[k] = 1 / (d + 1j + force(h))
+    shape = np.array([1.0, -0.6, 0.3])
+    data = peak[:, None] * shape
+    channels = Channels(2j * np.pi * freq, data, np.full(data.shape, 2 / 1e-6), 0, np.zeros(0, complex))
+    several = blind_modes(channels)
+    modes = one_each(several, channels)
+    near = np.abs(np.abs(modes.poles) / 2 / np.pi - 30) < 1
+    assert near.sum() == 1 and bent(modes, channels)[near].all()
+    f = features_of(modes, 3, 1)
+    plain = np.sqrt(np.diag(f.covariance)).reshape(f.values.shape)[near][0]
+    wide = np.sqrt(np.diag(widened(f, modes, channels).covariance)).reshape(f.values.shape)[near][0]
+    pole = modes.poles[near][0]
+    off = [np.log(np.abs(pole) / 2 / np.pi / 30), np.log(-pole.real / 2 / np.pi / half)][part]
+    assert abs(off) > 5 * plain[part]
+    assert 0.3 * wide[part] < abs(off) < 3 * wide[part]

@@ -101,6 +101,16 @@ def explain(
     return search.setting, _ranked(search.found, prior)
 
 
+def again(setting: Setting, earlier: Sequence[Explanation], candidates: list[Change]) -> list[Explanation]:
+    """The likeliest of earlier explanations and the general inaccuracy alone, fitted to features that have changed."""
+    found: dict[tuple[Change, ...], Fit] = {}
+    _try(setting, found, (), np.zeros(0), None)
+    best = earlier[0]
+    if best.causes and all(c in candidates for c in best.causes):
+        _try(setting, found, best.causes, best.fit.u, None, gentle=False)
+    return _ranked(found, Prior(candidates)) if found else []
+
+
 def _all_steps(
     search: _Search, null: Fit, candidates: list[Change], prior: Prior, late: Deadline, tell: Callable[[str], None]
 ) -> None:

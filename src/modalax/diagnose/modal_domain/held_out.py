@@ -43,7 +43,7 @@ def gain_of(stage: Stage, found: Explanation, before: np.ndarray) -> Gain:
         after = frf_of(stage, _without(stage, found.fit, rest))
         plain = None if alone is None else frf_of(stage, _without(stage, alone, rest))
     else:
-        after, plain = joint, seen.linear
+        after, plain = joint, seen.base.H
     weight = np.where(mask, np.sqrt(2) / sigma, 0.0)
     count = 2 * int(mask.sum())
     chi2 = [np.abs(weight * (H - p)) ** 2 for p in (before, after)]

@@ -6,17 +6,17 @@ import numpy as np
 
 from modalax.data import Measurement
 from modalax.data.frf import DERIVATIVES
+from modalax.diagnose.modal_domain.bent_peaks import one_each, widened
 from modalax.diagnose.modal_domain.coordinates import Coordinates, modes_of
 from modalax.diagnose.modal_domain.features import Features, chosen, features_of, sure, values_of
 from modalax.diagnose.modal_domain.free_residues import Channels, Projected, refine
-from modalax.diagnose.modal_domain.mode_count import bent, blind_modes, heavy, misfit
+from modalax.diagnose.modal_domain.mode_count import blind_modes, heavy, misfit
 from modalax.diagnose.setup.noise import Noise, noise_of
 
 BELOW, ABOVE = 2, 3  # modes of the simulation on either side of the band that stand for all beyond it
 ASIDE = 0.1  # distance of these from the band, relative to its ends
 SPARED = 0.99  # frequency, relative to the spare coordinate's, above which a mode is that coordinate
 EDGE = 0.003  # part of the band's ends by which a mode that is compared may lie outside
-ENOUGH = 2  # modes that are no sums of poles from which the others are not compared
 ALIKE = 5.0  # standard deviations of chi-square by which runs may differ and still count as alike
 
 
@@ -69,15 +69,20 @@ def identify(measurement: Measurement, c: Coordinates) -> Measured:
         noise = noise_of(measurement, made)
         channels = _channels(s, H[runs], noise.sigma[runs], order, outside)
         modes = blind_modes(channels, modes.poles)
+    modes = one_each(modes, channels)
     left, features = _features(modes, channels, H.shape[2:])
     return Measured(freq, noise, channels, modes, left, features, runs, unlike)
 
 
-def reidentified(measured: Measured, H: np.ndarray) -> Measured:
-    """The same runs identified again, from FRFs ``(run, f, o, i)`` with something taken out."""
+def reidentified(measured: Measured, H: np.ndarray, error: np.ndarray) -> Measured:
+    """The same runs identified again, from FRFs ``(run, f, o, i)`` with something taken out.
+
+    ``error`` is the standard deviation of what was taken out of these runs.
+    """
     c, sigma = measured.channels, measured.noise.sigma[measured.runs]
+    sigma = np.where(sigma > 0, np.hypot(sigma, error), 0.0)
     channels = _channels(c.s, H[measured.runs], sigma, c.order, c.outside)
-    modes = blind_modes(channels, measured.modes.poles)
+    modes = one_each(blind_modes(channels, measured.modes.poles), channels)
     left, features = _features(modes, channels, H.shape[2:])
     return replace(measured, channels=channels, modes=modes, misfit=left, features=features)
 
@@ -97,8 +102,7 @@ def _features(modes: Projected, channels: Channels, shape: tuple[int, ...]) -> t
     features = features_of(modes, shape[0], shape[1], left)
     size = np.abs(features.poles)
     known = sure(features) & ~heavy(features.poles) & (size > abs(s[0]) * (1 - EDGE)) & (size < abs(s[-1]) * (1 + EDGE))
-    sound = known & ~bent(modes, channels)
-    return left, chosen(features, sound if sound.sum() >= ENOUGH else known)
+    return left, chosen(widened(features, modes, channels), known)
 
 
 def _first_guess(measurement: Measurement, H: np.ndarray) -> np.ndarray:

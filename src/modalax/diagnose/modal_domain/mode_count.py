@@ -13,7 +13,6 @@ DAMPINGS = (0.002, 0.007, 0.025)  # damping ratios that further modes are looked
 HEAVY = 0.2  # damping ratio above which a pole is background and no mode
 HEAVIEST = 0.9  # damping ratio above which a pole is no background either, but a residual term
 SHARP = 0.03  # least half-bandwidth of a mode, relative to the distance of lines
-NEARBY, BENT = 3.0, 2.0  # half-bandwidths about a pole, and chi-square per sample there from which it is no mode
 CANDIDATES = 1500  # frequencies that further modes are looked for at
 REACH, FINE = 40.0, 0.25  # half-bandwidths about such a mode that are looked at, and within which lines come together
 TOGETHER = 64  # such modes looked at at once
@@ -93,18 +92,6 @@ def misfit(found: Projected, channels: Channels) -> float:
     """Chi-square per sample that the modes leave; at least 1."""
     unknowns = found.linear.shape[0] * found.linear.shape[1] + 2 * len(found.poles)
     return max(1.0, found.chi2 / max(channels.samples - unknowns, 1))
-
-
-def bent(found: Projected, channels: Channels) -> np.ndarray:
-    """Whether each pole is part of a peak that no poles make, as of a structure that is not linear, shape ``(n,)``."""
-    left = channels.weight * np.abs(channels.data - found.made(channels)) ** 2
-    w, out = np.abs(channels.s), np.zeros(len(found.poles), bool)
-    least = NEARBY * np.median(np.diff(w))
-    for k, pole in enumerate(found.poles):
-        near = np.abs(w - abs(pole)) < max(NEARBY * abs(pole.real), least)
-        samples = 2 * np.count_nonzero(channels.weight[near])
-        out[k] = samples > 0 and left[near].sum() > BENT * samples
-    return out
 
 
 def mode_gains(found: Projected) -> np.ndarray:

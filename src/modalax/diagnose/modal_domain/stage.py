@@ -13,10 +13,11 @@ from modalax.diagnose.modal_domain.coordinates import Coordinates, coordinates_o
 from modalax.diagnose.modal_domain.elements import nodes_of
 from modalax.diagnose.modal_domain.explain import Explanation, explain
 from modalax.diagnose.modal_domain.features import whitener_of
+from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.further_causes import StructuralDamping, missing_modes, tuned_masses
 from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
 from modalax.diagnose.modal_domain.levels.explain import Spot
-from modalax.diagnose.modal_domain.levels.seen import Seen, look_at_levels, without_joint
+from modalax.diagnose.modal_domain.levels.seen import Seen, joint_and_structure, look_at_levels
 from modalax.diagnose.modal_domain.measured import Measured, identify
 from modalax.diagnose.modal_domain.places import candidates_of, springs_of
 from modalax.diagnose.modal_domain.polish import leading_on_lines
@@ -115,12 +116,18 @@ def run_stage(
     places = springs_of(simulation, c, nodes_of(simulation.dofs), pairs, highest)
     spots = [Spot(where, b, w) for where, b, _, w in places]
     seen = None
+
+    def look(measured: Measured, setting: Setting, f: Fit, earlier: Seen | None, there: bool) -> Seen | None:
+        places = spots if earlier is None or not there else earlier.found.places
+        drift = None if earlier is None else earlier.found.drift
+        return look_at_levels(H, level, measured, setting, f, places, wanted, tell, late, drift)
+
     try:
-        seen = look_at_levels(H, level, measured, setting, explanations[0].fit, spots, wanted, tell, late)
-        if seen is not None and seen.joint is not None and not late():
-            measured, setting, explanations = without_joint(
-                H, level, measured, setting, explanations, candidates, seen, late, tell
-            )
+        before = explanations
+        measured, setting, explanations, seen = joint_and_structure(
+            H, level, measured, setting, explanations, candidates, look, late, tell
+        )
+        if explanations is not before:
             setting, explanations = leading_on_lines(setting, explanations, measured, late)
     except KeyboardInterrupt:
         late.stop()

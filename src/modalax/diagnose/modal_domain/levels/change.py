@@ -1,18 +1,22 @@
 r"""The change of a response from level to level as the force of one joint, place by place.
 
 Whatever law a joint between two points has, its first harmonic is one complex force ``q`` per unit excitation, and the
-response changes along one vector:
+response differs along one vector from that of any linear structure that has the joint in it with some stiffness, or
+not at all:
 
-.. math:: H_l = H_1 - g\,q_l,\qquad g = \Phi_o D^{-1}b,\qquad x_l = b^T H_1 - (b^T D^{-1} b)\,q_l,
+.. math:: H_l = H - g\,q_l,\qquad g = \Phi_o D^{-1}b,\qquad x_l = b^T D^{-1}\Phi_i^T - d\,q_l,
+          \qquad d = b^T D^{-1} b,
 
-``D`` the dynamic stiffness that describes the lowest level (or, of levels little apart, their mean), ``x`` the
-displacement across the joint. So at each line the change is projected on ``g`` with a free force for each input and
-level; nothing is assumed about the law, and the lowest level need not be linear: ``q`` over ``x`` is the change of the
-equivalent stiffness from that level.
+``D`` the dynamic stiffness of the linear model, ``H`` its response, ``x`` the displacement across the joint. So at each
+line the change from the lowest level is projected on ``g`` with a free force for each input and level; nothing is
+assumed about the law. What the lowest level itself asks for beyond the model, :math:`q_1`, is projected likewise, so
+that the model need not describe it: with :math:`x_1` across the place, the structure as it is there has the receptance
+:math:`d\,x_1/(x_1 + d\,q_1)` across it, and :math:`q_l - q_1` over :math:`x_l` is the change of the equivalent
+stiffness from that level.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,6 +26,7 @@ from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.state import Setting, matrices_of
 
 LINES = 256  # lines solved at once
+PRETENDED = 0.01  # chance that noise alone makes a force seen at any line of a place
 BLOCK = 2e6  # numbers of a product of places, lines and outputs at once
 
 
@@ -35,19 +40,15 @@ class Levels:
         Shape ``(level,)`` [N].
     H, weight
         FRFs in the form of the measurement, and one over the variance of a real part, shape ``(level, f, o, i)``.
-    share
-        Of the levels above the lowest in what the linear model describes, shape ``(level - 1,)``; all 0 where it
-        describes the lowest.
     """
 
     force: np.ndarray
     H: np.ndarray
     weight: np.ndarray
-    share: np.ndarray
 
     def thinned(self, step: int) -> "Levels":
         """Every so many lines."""
-        return Levels(self.force, self.H[:, ::step], self.weight[:, ::step], self.share)
+        return Levels(self.force, self.H[:, ::step], self.weight[:, ::step])
 
     @property
     def samples(self) -> int:
@@ -56,14 +57,8 @@ class Levels:
         return 2 * int(live.sum() - live.any(axis=0).sum())
 
 
-def by_level(H: np.ndarray, sigma: np.ndarray, level: np.ndarray, used: np.ndarray) -> Levels | None:
-    """Bring runs of one force level together; None where there are fewer than two levels.
-
-    Parameters
-    ----------
-    used
-        Which runs the linear model was fitted to.
-    """
+def by_level(H: np.ndarray, sigma: np.ndarray, level: np.ndarray) -> Levels | None:
+    """Bring runs of one force level together; None where there are fewer than two levels."""
     known = np.isfinite(level)
     force = np.unique(level[known])
     if len(force) < 2 or not known.all():
@@ -71,8 +66,7 @@ def by_level(H: np.ndarray, sigma: np.ndarray, level: np.ndarray, used: np.ndarr
     weight = np.where(sigma > 0, 2 / np.maximum(sigma, 1e-300) ** 2, 0.0)
     total = np.stack([weight[level == f].sum(axis=0) for f in force])
     mean = np.stack([(weight * H)[level == f].sum(axis=0) for f in force]) / np.maximum(total, 1e-300)
-    own = np.array([weight[used][level[used] == f].sum() for f in force])
-    return Levels(force, mean, total, (own / own.sum())[1:])
+    return Levels(force, mean, total)
 
 
 @dataclass(frozen=True)
@@ -86,6 +80,8 @@ class Base:
     out, inn
         Responses of the outputs to forces along the modal coordinates, in the form of the measurement, ``(f, o, n)``,
         and of the coordinates to forces at the inputs, ``(f, n, i)``; faults of channels are in both.
+    H
+        FRF of that model, shape ``(f, o, i)``.
     matrices
         Mass, damping and stiffness in modal coordinates.
     """
@@ -93,11 +89,12 @@ class Base:
     s: np.ndarray
     out: np.ndarray
     inn: np.ndarray
+    H: np.ndarray
     matrices: tuple[np.ndarray, np.ndarray, np.ndarray]
 
     def thinned(self, step: int) -> "Base":
         """Every so many lines."""
-        return Base(self.s[::step], self.out[::step], self.inn[::step], self.matrices)
+        return Base(self.s[::step], self.out[::step], self.inn[::step], self.H[::step], self.matrices)
 
     def across(self, b: np.ndarray, times: float = 1.0, step: int = 1) -> np.ndarray:
         """Receptance across places ``(p, n)``, shape ``(f, p)`` [m/N], at every so many lines, times a factor."""
@@ -119,8 +116,9 @@ def base_of(setting: Setting, f: Fit, freq: np.ndarray, order: int) -> Base:
     stiff = [K + t[:, None, None] * C + t[:, None, None] ** 2 * M for t in parts]
     solved = np.concatenate([np.linalg.solve(Z, np.broadcast_to(both, (len(Z), *both.shape))) for Z in stiff])
     count = len(c.outputs)
-    out, inn = solved[:, :, :count].transpose(0, 2, 1), solved[:, :, count:]
-    out = out * s[:, None, None] ** order
+    form = s[:, None, None] ** order
+    out, inn = solved[:, :, :count].transpose(0, 2, 1) * form, solved[:, :, count:]
+    H = shown(f.causes, f.u, s, c.outputs @ inn * form)
     for cause, u in with_sizes(f.causes, f.u):
         if cause.local:
             continue
@@ -128,16 +126,7 @@ def base_of(setting: Setting, f: Fit, freq: np.ndarray, order: int) -> Base:
             inn = cause.transform(u, s, inn)
         else:
             out = cause.transform(u, s, out)
-    return Base(s, out, inn, (M, C, K))
-
-
-def frf_by(setting: Setting, f: Fit, freq: np.ndarray, order: int) -> np.ndarray:
-    """FRFs ``(f, o, i)`` of the model that a fit leaves, faults of channels included."""
-    inside = [(c, u) for c, u in with_sizes(f.causes, f.u) if c.local or c.hysteretic]
-    sizes = np.concatenate([u for _, u in inside]) if inside else np.zeros(0)
-    base = base_of(setting, replace(f, causes=tuple(c for c, _ in inside), u=sizes), freq, order)
-    H = setting.coordinates.outputs @ base.inn * base.s[:, None, None] ** order
-    return shown(f.causes, f.u, base.s, H)
+    return Base(s, out, inn, H, (M, C, K))
 
 
 @dataclass(frozen=True)
@@ -152,11 +141,14 @@ class Projection:
         Its information, shape ``(p, f, i, level - 1, level - 1)``.
     least
         Chi-square that the best forces leave, shape ``(p,)``.
+    first
+        Force that the lowest level asks for beyond the linear model, less what noise pretends, shape ``(p, f, i)``.
     """
 
     force: np.ndarray
     Q: np.ndarray
     least: np.ndarray
+    first: np.ndarray
 
 
 def unexplained(levels: Levels) -> float:
@@ -185,13 +177,26 @@ def _blocks(levels: Levels, base: Base, b: np.ndarray) -> Iterator[Projection]:
         Q += (1e-12 * np.trace(Q, axis1=-2, axis2=-1)[..., None, None] + 1e-300) * np.eye(count)
         q = -np.linalg.solve(Q, r[..., None])[..., 0]
         gained = -(q.conj() * r).real.sum(axis=(0, 2, 3))
-        yield Projection(q.transpose(1, 0, 2, 3), Q.transpose(1, 0, 2, 3, 4), start - gained)
+        own = size @ w[0] + 1e-300
+        first = g.conj() @ (w[0] * (base.H - H[0])) / own  # (f, p, i)
+        for k in range(len(part)):
+            square = np.maximum(np.abs(first[:, k]) ** 2, 1e-300)
+            first[:, k] *= beyond_noise(first[:, k], 2 / own[:, k]) / square
+        yield Projection(q.transpose(1, 0, 2, 3), Q.transpose(1, 0, 2, 3, 4), start - gained, first.transpose(1, 0, 2))
+
+
+def beyond_noise(force: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Squares of forces less that of the noise, where they are more than noise makes at any of so many."""
+    square = np.abs(force) ** 2
+    return np.where(square > np.log(square.size / PRETENDED) * noise, square - noise, 0.0)
 
 
 def projected(levels: Levels, base: Base, b: np.ndarray) -> Projection:
     """Project on places of directions ``b``, shape ``(p, n)``; the response of the lowest level itself is free."""
     blocks = list(_blocks(levels, base, b))
-    return Projection(*(np.concatenate([getattr(p, name) for p in blocks]) for name in ("force", "Q", "least")))
+    return Projection(
+        *(np.concatenate([getattr(p, name) for p in blocks]) for name in ("force", "Q", "least", "first"))
+    )
 
 
 def change_by(base: Base, b: np.ndarray, force: np.ndarray) -> np.ndarray:

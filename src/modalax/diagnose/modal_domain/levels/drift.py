@@ -111,4 +111,4 @@ def _moved(modes: Projected, channels: Channels, shift: np.ndarray) -> tuple[np.
 def by_run(H: np.ndarray, sigma: np.ndarray) -> Levels:
     """Every run as it is, where their force is not known."""
     weight = np.where(sigma > 0, 2 / np.maximum(sigma, 1e-300) ** 2, 0.0)
-    return Levels(np.ones(len(H)), H, weight, np.zeros(len(H) - 1))
+    return Levels(np.ones(len(H)), H, weight)

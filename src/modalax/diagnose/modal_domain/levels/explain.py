@@ -67,6 +67,8 @@ class ByLevel:
         Chi-square per real sample of the changes from level to level, without and with what is likeliest.
     untried
         Whether no joint was tried although one may be the cause.
+    places
+        Where laws were fitted.
     """
 
     joints: list[JointFound]
@@ -76,6 +78,7 @@ class ByLevel:
     before: float
     after: float
     untried: bool = False
+    places: Sequence[Spot] = ()
 
     @property
     def best(self) -> str:
@@ -101,7 +104,8 @@ def explain_levels(
 ) -> ByLevel:  # fmt: skip
     """Fit every law at the leading places, weigh the best, and compare with a drift and with nothing at all."""
     before = unexplained(levels)
-    fits = _fitted(levels, base, _promising(levels, base, spots, laws), laws) if spots else []
+    places = _promising(levels, base, spots, laws) if len(spots) > FITTED else spots
+    fits = _fitted(levels, base, places, laws) if places else []
     found: list[JointFound] = []
     for rough, spot, f in fits[:WEIGHED]:
         if found and (rough < fits[0][0] - NEAR or late()):
@@ -124,7 +128,7 @@ def explain_levels(
     share = np.exp(values - values.max())
     share /= share.sum()
     joints = [replace(j, probability=float(p)) for j, p in zip(found, share[2:], strict=True)]
-    best = ByLevel(joints, drift, float(share[1]), float(share[0]), before / levels.samples, 0.0, untried)
+    best = ByLevel(joints, drift, float(share[1]), float(share[0]), before / levels.samples, 0.0, untried, places)
     after = {"nothing": before, "drift": drift.chi2, "joint": joints[0].fit.chi2 if joints else before}[best.best]
     return replace(best, after=min(before, after) / levels.samples)
 

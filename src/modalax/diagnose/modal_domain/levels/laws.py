@@ -20,7 +20,7 @@ from modalax.diagnose.causes.base import JointCause
 from modalax.diagnose.causes.joints import CoulombFriction, CubicStiffness, ElastoSlip, GapContact, QuadraticDamping
 from modalax.diagnose.causes.power_laws import POWER_LAWS
 from modalax.diagnose.fitting.hypothesis import bounds_of, to_search
-from modalax.diagnose.modal_domain.levels.change import Base, Levels, Projection
+from modalax.diagnose.modal_domain.levels.change import Base, Levels, Projection, beyond_noise
 from modalax.diagnose.modal_domain.levels.series import SERIES, apart, in_series
 
 # A bilinear spring's first harmonic does not know the level. Seen from the lowest level, a spring that slips beside
@@ -32,9 +32,9 @@ NAMELESS: tuple[Any, ...] = POWER_LAWS
 NEXT_TO = {"power_damper": (0.5, 1.5), "power_spring": (1.2, 3.0)}
 FRACTIONS = (0.03, 0.1, 0.2, 0.3, 0.4, 0.55, 0.75)  # thresholds over the largest amplitude that a fit starts from
 EXPONENTS = (-0.5, 0.5, 1.0, 2.0)  # of power laws, likewise
+FARTHEST = 30.0  # factor on a displacement
 TOLERANCE = 0.02  # relative error of a force by its first harmonic alone, before that is learnt
 HARMONIC = 60  # lines at whose third harmonic the compliance across a place is read
-PRETENDED = 0.01  # chance that noise alone makes a force seen at any line of a place
 FEW = 1500  # forces that starts are compared on
 STEPS = 15  # most steps of one fit
 PAD = 2048  # amplitudes that a compiled law takes at once, or a multiple
@@ -49,10 +49,15 @@ class Motion:
     force, root, least
         Of the projection: forces ``(f, i, level - 1)``, a square root of their information where a law is exact to
         ``TOLERANCE``, chi-square of the rest.
+    first
+        Force that the lowest level asks for beyond the linear model, shape ``(f, i)``.
     still
         Displacement across the place at the lowest level, shape ``(f, i)`` [m/N].
+    turn
+        That over the linear model's, shape ``(f, i)``: so much of a force there is left once the lowest level's own
+        force is part of the structure.
     drive
-        Receptance across the place less its compliance, shape ``(f,)`` [m/N].
+        Receptance across the place at the lowest level, less its compliance, shape ``(f, i)`` [m/N].
     amplitude
         Measured less what noise pretends, of all levels, of the displacement and what the compliance takes, shape
         ``(level, f, i)`` [m].
@@ -67,7 +72,9 @@ class Motion:
     force: np.ndarray
     root: np.ndarray
     least: float
+    first: np.ndarray
     still: np.ndarray
+    turn: np.ndarray
     drive: np.ndarray
     amplitude: np.ndarray
     seen: np.ndarray
@@ -77,17 +84,21 @@ class Motion:
     def thinned(self, step: int) -> "Motion":
         """Every so many lines."""
         return Motion(
-            self.force[::step], self.root[::step], self.least, self.still[::step], self.drive[::step],
-            self.amplitude[:, ::step], self.seen[::step], self.omega[::step], self.compliance,
+            self.force[::step], self.root[::step], self.least, self.first[::step], self.still[::step],
+            self.turn[::step], self.drive[::step], self.amplitude[:, ::step], self.seen[::step], self.omega[::step],
+            self.compliance,
         )  # fmt: skip
 
     def behind(self, compliance: float, levels: np.ndarray) -> "Motion":
         """The same behind a compliance, at force levels [N]."""
-        if compliance == 0.0:
-            return self
         drive = self.drive - compliance
-        A = _amplitude(levels, self.still, drive, self.seen)
-        return replace(self, drive=drive, amplitude=A, compliance=compliance)
+        moved = replace(self, drive=drive, compliance=compliance)
+        return replace(moved, amplitude=levels[:, None, None] * np.abs(moved.moved(self.seen)))
+
+    def moved(self, force: np.ndarray) -> np.ndarray:
+        """Displacement at all levels that forces of the levels above the lowest go with, shape ``(level, f, i)``."""
+        above = self.still[..., None] - (self.drive / self.turn)[..., None] * force
+        return np.concatenate([self.still[..., None], above], axis=2).transpose(2, 0, 1)
 
 
 def motions_of(levels: Levels, base: Base, b: np.ndarray, p: Projection, law: JointCause | None = None) -> list[Motion]:
@@ -107,20 +118,21 @@ def motions_of(levels: Levels, base: Base, b: np.ndarray, p: Projection, law: Jo
     out = []
     for k in range(len(b)):
         seen = p.force[k] * (seen_force(p, k) / np.maximum(np.abs(p.force[k]) ** 2, 1e-300))
-        lowest = still[k] + across[:, k, None] * (seen @ levels.share)
+        d = across[:, k, None]
+        turn = _bounded(1 - d * p.first[k] / np.where(still[k] == 0, 1e-300, still[k]))
         root = np.linalg.cholesky(softened(p.Q[k], seen_force(p, k), TOLERANCE)).transpose(0, 1, 3, 2)
         plain = Motion(
-            p.force[k], root, float(p.least[k]), lowest, across[:, k],
-            _amplitude(levels.force, lowest, across[:, k], seen), seen, base.s.imag, 0.0,
+            p.force[k], root, float(p.least[k]), p.first[k], still[k] * turn, turn, d * turn,
+            np.zeros(0), seen, base.s.imag, 0.0,
         )  # fmt: skip
         out.append(plain.behind(float(compliance[k]), levels.force))
     return out
 
 
-def _amplitude(levels: np.ndarray, lowest: np.ndarray, drive: np.ndarray, force: np.ndarray) -> np.ndarray:
-    moved = lowest[..., None] - drive[:, None, None] * force
-    x = np.concatenate([lowest[..., None], moved], axis=2).transpose(2, 0, 1)
-    return levels[:, None, None] * np.abs(x)
+def _bounded(turn: np.ndarray) -> np.ndarray:
+    """A factor on a displacement, within bounds that no joint's motion leaves where it can be seen."""
+    size = np.maximum(np.abs(turn), 1e-300)
+    return turn / size * np.clip(size, 1 / FARTHEST, FARTHEST)
 
 
 def seen_force(p: Projection, k: int) -> np.ndarray:
@@ -128,9 +140,7 @@ def seen_force(p: Projection, k: int) -> np.ndarray:
 
     A law told at an amplitude that noise has made would explain that noise.
     """
-    noise = 2 * np.diagonal(np.linalg.inv(p.Q[k]), axis1=-2, axis2=-1)
-    square = np.abs(p.force[k]) ** 2
-    return np.where(square > np.log(square.size / PRETENDED) * noise, square - noise, 0.0)
+    return beyond_noise(p.force[k], 2 * np.diagonal(np.linalg.inv(p.Q[k]), axis1=-2, axis2=-1))
 
 
 def softened(Q: np.ndarray, square: np.ndarray, rho: float) -> np.ndarray:
@@ -209,7 +219,7 @@ def force_of(law: JointCause, m: Motion, p: np.ndarray) -> np.ndarray:
     """Change of the force from the lowest level, at the measured amplitudes, shape ``(f, i, level - 1)``."""
     N = stiffness_of(law, m, p)
     dN = (N[1:] - N[0]).transpose(1, 2, 0)
-    return dN * m.still[..., None] / (1 + dN * m.drive[:, None, None])
+    return dN * (m.still * m.turn)[..., None] / (1 + dN * m.drive[..., None])
 
 
 def _difference(law: JointCause, m: Motion, p: np.ndarray) -> np.ndarray:
@@ -224,7 +234,8 @@ def _jacobian(law: JointCause, m: Motion, p: np.ndarray) -> np.ndarray:
     D = np.asarray(_slopes(law, a, w, p, m.compliance))
     D = (D[0] + 1j * D[1])[: m.amplitude.size].reshape(*m.amplitude.shape, len(p))
     dN = (N[1:] - N[0]).transpose(1, 2, 0)
-    by = (D[1:] - D[0]).transpose(1, 2, 0, 3) * (m.still[..., None] / (1 + dN * m.drive[:, None, None]) ** 2)[..., None]
+    at = (m.still * m.turn)[..., None] / (1 + dN * m.drive[..., None]) ** 2
+    by = (D[1:] - D[0]).transpose(1, 2, 0, 3) * at[..., None]
     r = (m.root @ by).reshape(-1, len(p))
     log = np.array([q.log for q in law.parameters])
     return np.nan_to_num(np.concatenate([r.real, r.imag]) * np.where(log, p, 1.0))
@@ -246,7 +257,7 @@ def regressed(law: JointCause, m: Motion, every: int = 1) -> list[tuple[float, n
     """Chi-square and parameters at some of a law's shapes, with the strength by linear regression of the force."""
     out = []
     aim = (m.root @ m.force[..., None]).ravel()
-    moved = m.still[..., None] - m.drive[:, None, None] * m.force
+    moved = m.moved(m.force)[1:].transpose(1, 2, 0) * m.turn[..., None]
     for shape in _shapes(law, float(m.amplitude.max()))[::every]:
         a, w = _padded(m.amplitude, m.omega[:, None])  # at a strength of 1 N/m no compliance matters
         N = np.broadcast_to(np.asarray(_plain(law, a, w, np.array([1.0, *shape]))), a.shape)

@@ -7,12 +7,12 @@ import numpy as np
 
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import Change
-from modalax.diagnose.modal_domain.explain import Explanation, explain
-from modalax.diagnose.modal_domain.features import Features, whitener_of
+from modalax.diagnose.modal_domain.explain import Explanation, again, explain
+from modalax.diagnose.modal_domain.features import Features, chosen, sure, whitener_of
 from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.further_causes import TunedMass
-from modalax.diagnose.modal_domain.levels.change import Base, Levels, base_of, by_level, change_by, frf_by, projected
-from modalax.diagnose.modal_domain.levels.drift import by_run, drifts
+from modalax.diagnose.modal_domain.levels.change import Base, Levels, base_of, by_level, change_by, projected
+from modalax.diagnose.modal_domain.levels.drift import Drift, by_run, drifts
 from modalax.diagnose.modal_domain.levels.explain import ByLevel, JointFound, Spot, explain_levels
 from modalax.diagnose.modal_domain.levels.laws import NAMED, LawFit, force_of, motions_of, stiffness_of
 from modalax.diagnose.modal_domain.levels.weigh import Shapes, weigh
@@ -34,8 +34,6 @@ class Seen:
     ----------
     levels, base, shapes
         Runs by level, the linear model that their changes are told from, and how well its shapes are known.
-    linear
-        FRF of that model, shape ``(f, o, i)``.
     found
         Joints, drift or nothing, with probabilities.
     """
@@ -43,7 +41,6 @@ class Seen:
     levels: Levels
     base: Base
     shapes: Shapes
-    linear: np.ndarray
     found: ByLevel
 
     @property
@@ -52,28 +49,33 @@ class Seen:
         return self.found.joints[0] if self.found.best == "joint" else None
 
 
+# A look at the levels beside a linear structure, after an earlier one, whose leading places alone may be looked at.
+Look = Callable[[Measured, Setting, Fit, Seen | None, bool], Seen | None]
+
+
 def look_at_levels(
     H: np.ndarray, level: np.ndarray, measured: Measured, setting: Setting, f: Fit, spots: Sequence[Spot],
-    wanted: Callable[[str], bool], tell: Callable[[str], None], late: Callable[[], bool],
+    wanted: Callable[[str], bool], tell: Callable[[str], None], late: Callable[[], bool], drift: Drift | None = None,
 ) -> Seen | None:  # fmt: skip
-    """Compare the runs; None where there is one only."""
+    """Compare the runs; None where there is one only. A drift that was fitted to them before stays what it was."""
     if len(H) < 2:
         return None
     tell("comparing the runs")
-    levels = by_level(H, measured.noise.sigma, level, measured.runs)
+    levels = by_level(H, measured.noise.sigma, level)
     base = base_of(setting, f, measured.freq, measured.channels.order)
     plain = by_run(H, measured.noise.sigma) if levels is None else levels
-    c = measured.channels
     step = -(-plain.H.size * max(len(measured.modes.poles), 1) // MOST)  # very large tests: some lines only
-    few = replace(c, s=c.s[::step], data=c.data[::step], weight=c.weight[::step])
-    drift = max(drifts(plain.thinned(step), measured.modes, few), key=lambda d: d.log_evidence)
+    if drift is None:
+        c = measured.channels
+        few = replace(c, s=c.s[::step], data=c.data[::step], weight=c.weight[::step])
+        drift = max(drifts(plain.thinned(step), measured.modes, few), key=lambda d: d.log_evidence)
     shapes = Shapes(setting, f, base)
     laws = [law for law in NAMED if wanted(law.slug)]
     asked = levels is not None and bool(laws)
     untried = asked and late()
     places = spots if asked and not untried else []
     found = explain_levels(plain.thinned(step), base.thinned(step), places, shapes, drift, laws, late, untried)
-    return Seen(plain, base, shapes, frf_by(setting, f, measured.freq, measured.channels.order), found)
+    return Seen(plain, base, shapes, found)
 
 
 def at_levels(seen: Seen, j: JointFound, level: np.ndarray) -> np.ndarray:
@@ -82,53 +84,71 @@ def at_levels(seen: Seen, j: JointFound, level: np.ndarray) -> np.ndarray:
     P = projected(seen.levels, seen.base, b)
     motion = motions_of(seen.levels, seen.base, b, P, j.fit.law)[0]
     force = force_of(j.fit.law, motion, j.fit.p)
-    every = np.concatenate([np.zeros_like(force[..., :1]), force], axis=2) - (force @ seen.levels.share)[..., None]
-    return seen.linear + change_by(seen.base, j.direction, every)[np.searchsorted(seen.levels.force, level)]
+    every = np.concatenate([np.zeros_like(force[..., :1]), force], axis=2) + motion.first[..., None]
+    return seen.base.H + change_by(seen.base, j.direction, every)[np.searchsorted(seen.levels.force, level)]
+
+
+def force_taken(seen: Seen, level: np.ndarray, used: np.ndarray, p: np.ndarray | None = None) -> np.ndarray:
+    r"""What the joint changes of some runs, ``(run, f, o, i)``, from the structure without it.
+
+    With its law's :math:`N_1` at the lowest level, and the receptance :math:`d_1` across the place there, a force
+    ``q`` on the structure as it is at that level is one of :math:`q/(1 - N_1d_1)` on the structure without the joint.
+    """
+    j, b = seen.joint, seen.base
+    assert j is not None
+    p = j.fit.p if p is None else p
+    m = motions_of(seen.levels, b, j.direction[None], projected(seen.levels, b, j.direction[None]), j.fit.law)[0]
+    N = stiffness_of(j.fit.law, m, p)
+    force = N * m.moved(force_of(j.fit.law, m, p)) * m.turn / (1 - N[0] * (m.drive + m.compliance))
+    return change_by(b, j.direction, force.transpose(1, 2, 0))[np.searchsorted(seen.levels.force, level[used])]
 
 
 def without_joint(
-    H: np.ndarray, level: np.ndarray, measured: Measured, setting: Setting, explanations: list[Explanation],
-    candidates: list[Change], seen: Seen, late: Deadline, tell: Callable[[str], None],
-) -> tuple[Measured, Setting, list[Explanation]]:  # fmt: skip
-    """The linear structure with the joint's force taken out of the runs that it was identified from."""
+    H: np.ndarray, measured: Measured, setting: Setting, seen: Seen, taken: np.ndarray, level: np.ndarray
+) -> tuple[Measured, Setting]:  # fmt: skip
+    """The linear structure's own modes, with the joint's force taken out of the runs that they are identified from."""
     j = seen.joint
     assert j is not None
-    levels, base = seen.levels, seen.base
-    P = projected(levels, base, j.direction[None])
-    m = motions_of(levels, base, j.direction[None], P, j.fit.law)[0]
+    free = H.copy()
+    free[measured.runs] -= taken
+    again = reidentified(measured, free, j.tolerance * np.abs(taken))
+    other = [force_taken(seen, level, measured.runs, p) for p in _within_deviation(j.fit)]
+    inexact = [(1 + j.tolerance * way) * taken for way in (1, 1j)]
+    features = _widened(again, H, other, inexact)
+    again = replace(again, features=chosen(features, sure(features)))
+    return again, replace(setting, features=again.features, whitener=whitener_of(again.features))
 
-    def change_at(p: np.ndarray, through: Base) -> np.ndarray:  # of each level, from a structure without the joint
-        N = stiffness_of(j.fit.law, m, p).transpose(1, 2, 0)
-        moved = m.still[..., None] - m.drive[:, None, None] * force_of(j.fit.law, m, p)
-        return change_by(through, j.direction, N * np.concatenate([m.still[..., None], moved], axis=2))
 
-    used = np.searchsorted(levels.force, level[measured.runs])
-    weight = levels.weight[used]
-    taken, best = np.zeros_like(H[measured.runs]), (measured, setting, explanations)
-    # what describes the lowest level still holds some of the joint, what is found without it less and less
+def joint_and_structure(
+    H: np.ndarray, level: np.ndarray, measured: Measured, setting: Setting, explanations: list[Explanation],
+    candidates: list[Change], look: Look, late: Deadline, tell: Callable[[str], None],
+) -> tuple[Measured, Setting, list[Explanation], Seen | None]:  # fmt: skip
+    """What the levels tell, and the linear structure beside it; each is looked for again until neither moves the other.
+
+    What describes the lowest level still holds some of a joint. What is found without it describes the levels better.
+    """
+    # what a law leaves of a peak that it distorts looks like a mode too many
+    some = [c for c in candidates if c.freed is None and not isinstance(c, TunedMass)]
+    seen, taken = look(measured, setting, explanations[0].fit, None, False), None
     for _ in range(PASSES):
-        change = change_at(j.fit.p, base)[used]
-        if float((weight * np.abs(change - taken) ** 2).sum()) < BENT:
+        if seen is None or seen.joint is None or late():
+            break
+        now = force_taken(seen, level, measured.runs)
+        change = (now if taken is None else now - taken) / measured.noise.sigma[measured.runs]
+        if 2 * float((np.abs(change) ** 2).sum()) < BENT:
             break
         tell("identifying the structure without its joint")
-        taken, free = change, H.copy()
-        free[measured.runs] -= change
-        again = reidentified(measured, free)
-        if not len(again.features.poles):
+        freed, alone = without_joint(H, measured, setting, seen, now, level)
+        found = again(alone, explanations, some) if len(freed.features.poles) else []
+        further = look(freed, alone, found[0].fit, seen, taken is not None) if found else None
+        if further is None or further.joint is None or further.found.untried:
             break
-        other = [change_at(p, base)[used] for p in _within_deviation(j.fit)]
-        inexact = [(1 + j.tolerance * way) * change for way in (1, 1j)]
-        again = replace(again, features=_widened(again, H, other, inexact))
-        # what a law leaves of a peak that it distorts looks like a mode too many
-        some = [c for c in candidates if c.freed is None and not isinstance(c, TunedMass)]
-        now, found = explain(
-            replace(setting, features=again.features, whitener=whitener_of(again.features)), some, late, tell
-        )
-        if not found:
-            break
-        best = again, now, found
-        base = base_of(now, found[0].fit, measured.freq, measured.channels.order)
-    return best
+        seen, taken, measured, setting, explanations = further, now, freed, alone, found
+    if taken is not None:
+        setting, explanations = explain(setting, some, late, tell)
+        further = look(measured, setting, explanations[0].fit, seen, True) if explanations else None
+        seen = seen if further is None or further.joint is None else further
+    return measured, setting, explanations, seen
 
 
 def _within_deviation(f: LawFit) -> list[np.ndarray]:
@@ -167,19 +187,16 @@ def foretold(seen: Seen) -> np.ndarray | None:
     levels, j = seen.levels, seen.joint
     if j is None or len(levels.force) < 3:
         return None
-    share = levels.share[:-1] / max(1 - levels.share[-1], 1e-12)
-    fewer = Levels(levels.force[:-1], levels.H[:-1], levels.weight[:-1], share)
+    fewer = Levels(levels.force[:-1], levels.H[:-1], levels.weight[:-1])
     w = weigh(fewer, seen.base, seen.shapes, j.spot.direction, j.fit)
     if w is None:
         return None
     m = motions_of(fewer, seen.base, w.b[None], projected(fewer, seen.base, w.b[None]), w.fit.law)[0]
-    known = force_of(w.fit.law, m, w.fit.p) @ share
-    drive = m.drive[:, None]
     first = stiffness_of(w.fit.law, m, w.fit.p, m.amplitude[0])
 
     def miss(A: np.ndarray) -> np.ndarray:
         N = stiffness_of(w.fit.law, m, w.fit.p, A) - first
-        return np.log(A) + np.log(np.abs(1 + N * drive)) - np.log(free)
+        return np.log(A) + np.log(np.abs(1 + N * m.drive)) - np.log(free)
 
     free = levels.force[-1] * np.maximum(np.abs(m.still), 1e-300)
     steps = RANGE ** np.linspace(-1, 1, GRID)
@@ -191,5 +208,5 @@ def foretold(seen: Seen) -> np.ndarray | None:
         up = miss(middle) >= 0
         low, high = np.where(up, low, middle), np.where(up, middle, high)
     N = stiffness_of(w.fit.law, m, w.fit.p, np.sqrt(low * high)) - first
-    force = N * m.still / (1 + N * drive)
-    return seen.linear + change_by(seen.base, w.b, (force - known)[..., None])[0]
+    force = N * m.still * m.turn / (1 + N * m.drive)
+    return seen.base.H + change_by(seen.base, w.b, (m.first + force)[..., None])[0]
