@@ -163,6 +163,31 @@ def test_a_fault_is_named_at_its_place_with_its_size(what):
         assert any(low - 1e-9 <= s <= high + 1e-9 for s in (size, -size, 1 / size)), (f.size, f.interval)
 
 
+@pytest.mark.parametrize("seed", range(2))
+def test_force_over_motion_is_told_to_be_upside_down(seed):
+    (found,) = Bench(accelerance()).measured(seed, lambda H: 1 / H)
+    assert found.what == "wrong_form" and found.size is None and "force over motion" in found.evidence
+
+
+@pytest.mark.parametrize("times", [-1, 1])
+def test_a_sensor_of_another_form_than_the_others_is_named(times):
+    H = accelerance()
+    H[:, 1] *= (2j * np.pi * FREQ[:, None] / 300) ** times
+    (found,) = Bench(H).measured()
+    assert (found.what, found.where) == ("wrong_form", (NAMES[1],)) and "turned by 90 degrees" in found.evidence
+
+
+def test_far_above_the_mains_no_line_is_hum():
+    """Multiples of 50 Hz that wander by 0.4 % cover every line there."""
+    rng, freq = np.random.default_rng(0), np.arange(5.0, 105.0, 0.25)
+    s = 2j * np.pi * freq[:, None]
+    w, zeta = 2 * np.pi * np.array([22.0, 47.0, 71.0]), np.array([0.01, 0.012, 0.008])
+    H = (s**2 / (s**2 + 2 * zeta * w * s + w**2)) @ rng.normal(size=(3, 3))
+    H = H + 0.01 * np.sqrt(np.mean(np.abs(H) ** 2)) * (rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape))
+    m = Measurement(1e6 + freq, H[None, :, :, None], form="accelerance", outputs=["1", "2", "3"], inputs=["1"])
+    assert "hum" not in {f.what for f in check(m)}
+
+
 @pytest.mark.parametrize("gain", [1.0, -0.5])
 def test_two_channels_of_the_same_data_are_told(gain):
     def copied(H):
@@ -182,6 +207,12 @@ def test_a_dead_channel_is_told(noise):
 
     found = Bench(accelerance()).measured(spoil=died)
     assert [(f.what, f.where) for f in found if f.what == "dead"] == [("dead", (NAMES[3],))]
+
+
+def test_a_channel_of_zeros_without_any_noise_is_told():
+    died = np.where(np.arange(5) == 3, 0.0, 1.0)[:, None]
+    found = Bench(accelerance() * died, noise=died).measured()
+    assert [(f.what, f.where) for f in found] == [("dead", (NAMES[3],))]
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -209,7 +209,7 @@ def test_lines_with_empty_cells_are_left_out_where_they_are_few(tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "pattern"),
     [
-        ("a.csv", b"5,0.6,0.1\n6,0.7,0.2\n7,0.6,0.1\n", "columns of numbers without a header"),
+        ("a.csv", b"5,0.6,0.1\n6,0.7,0.2\n7,0.6,0.1\n", "columns of numbers; a header above them names"),
         (
             "a.xlsx",
             b"PK\x03\x04..[Content_Types].xml...",

@@ -167,12 +167,23 @@ def test_form_that_the_file_does_not_tell(tmp_path):
     assert modalax.load(by_label).form == "accelerance"
 
 
-def test_mixed_forms_are_refused_by_name(tmp_path):
+def test_mixed_forms_are_turned_to_the_highest_derivative(tmp_path):
     m = measurement()
     by_pyuff(tmp_path / "a.uff", m.replace(H=m.H[:, :, :1], outputs=m.outputs[:1]), 1)
     by_pyuff(tmp_path / "a.uff", m.replace(H=m.H[:, :, 1:], outputs=m.outputs[1:]), 1, ordinate_spec_data_type=8)
-    with pytest.raises(ValueError, match=r"different forms: accelerance \(1:.Z/1:.Z\), receptance \(2:-Z/1:.Z\)"):
-        modalax.load(tmp_path / "a.uff")
+    with pytest.warns(UserWarning, match=r"its FRFs are accelerance, receptance; all are turned to accelerance"):
+        found = modalax.load(tmp_path / "a.uff")
+    assert found.form == "accelerance"
+    np.testing.assert_allclose(found.H[:, :, 0], m.H[:, :, 0], rtol=1e-12)
+    omega = 2 * np.pi * np.asarray(m.freq)[:, None, None]
+    np.testing.assert_allclose(found.H[0, :, 1:], -(omega**2) * m.H[0, :, 1:], rtol=1e-12)
+
+
+def test_force_over_motion_is_named(tmp_path):
+    kinds = {"ordinate_spec_data_type": 13, "orddenom_spec_data_type": 12}
+    path = by_pyuff(tmp_path / "a.uff", measurement(), 1, **kinds)
+    with pytest.raises(ValueError, match="force over motion, dynamic stiffness or mass; .* invert them"):
+        modalax.load(path)
 
 
 def test_missing_cells_are_named_and_can_be_left_out(tmp_path):

@@ -92,6 +92,32 @@ def test_no_record_is_named_where_a_steady_state_explains_all(zeta):
     assert found is None or (not found.plain and found.probability < 0.9)
 
 
+@pytest.mark.parametrize("seen", ["all", "one"])
+def test_a_record_is_that_of_all_modes(seen):
+    """The strongest mode alone, as continuous random excitation bends it, is a misfit; all three are a record."""
+    rng, s = np.random.default_rng(0), 2j * np.pi * np.arange(10.0, 130.0, 0.5)
+    poles = 2 * np.pi * np.array([-0.4 + 30j, -0.35 + 60j, -0.45 + 90j])
+    H = np.zeros(len(s), complex)
+    for k, pole in enumerate(poles):
+        record = "random" if k == 1 or seen == "all" else "steady"
+        for factor, p in ((-1j, pole), (1j, pole.conj())):
+            H += (20 if k == 1 else 1) * factor * record_kernel(s, p, 2.0, record)
+    H = H[:, None, None] * np.array([1.0, 0.6])[None, :, None]
+    e = rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape)
+    frf = FRF(s.imag / (2 * np.pi), H + 1e-3 * np.sqrt(np.mean(np.abs(H) ** 2)) * e)
+    model = residues(frf, poles)
+    found = record_of(frf, model, residual_of(frf, model), np.arange(3))
+    assert found is None if seen == "one" else found is not None and found.kind == "random" and found.plain
+
+
+def test_a_mode_beside_a_stronger_one_is_not_asked_about_the_record():
+    """Around it stands what the window makes of the other; of four modes two pairs leave two to be asked."""
+    frf = measured([60.0, 63.0, 110.0, 114.0], [0.004, 0.006, 0.004, 0.006], 3, 1, record="hann")
+    model, residual = fitted(frf, [60.0, 63.0, 110.0, 114.0], [0.004, 0.006, 0.004, 0.006])
+    hoods = close_modes._telling(frf, model, residual, np.array([0, 1, 3, 2]))
+    assert [round(abs(h.poles[0]) / (2 * np.pi)) for h in hoods] == [60, 114]
+
+
 def test_record_is_named_by_modes_that_die_out_within_it():
     """Of a mode whose amplitude falls to 4e-4 within the record a Hann taper still makes one of more damping."""
     frf = measured([60.0, 120.0], [0.02, 0.01], 3, 1, "hann")

@@ -95,6 +95,9 @@ def _findings(study: Study, detectors: Sequence[Detector]) -> list[Finding]:
     found: list[Finding] = []
     for detector in detectors:
         new = [f for f in detector(study) if f.sure >= TOLD and not _explained(f, found)]
+        upside_down = [f for f in new if f.what == "wrong_form" and f.size is None]
+        if upside_down:  # what was found before is a consequence
+            return upside_down
         found += new
         mended_study = mended(study, new)
         if mended_study is None:
@@ -139,7 +142,7 @@ def mended(study: Study, found: Sequence[Finding]) -> Study | None:
             # Of two equal channels which one is right is unknown, so both are left out of what compares channels.
             study = without(study, f.where)
         elif f.what == "wrong_form":
-            study = replace(study, power=study.power + round(f.size or 0), form=FORMS[study.power + round(f.size or 0)])
+            study = _in_true_form(study, f)
         elif f.what == "delay" and f.size is not None:
             late = [o for o, name in enumerate(study.outputs) if name in f.where or not f.where]
             H = study.H.copy()
@@ -154,6 +157,12 @@ def mended(study: Study, found: Sequence[Finding]) -> Study | None:
         if 0 in study.H.shape:
             return None
     return study
+
+
+def _in_true_form(study: Study, f: Finding) -> Study:
+    """The measurement in its own form, without outputs of another one."""
+    power = study.power + round(f.size or 0)
+    return without(study, f.where) if f.where else replace(study, power=power, form=FORMS[power])
 
 
 def bridged(study: Study, bands: Sequence[tuple[float, float]]) -> Study:

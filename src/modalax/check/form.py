@@ -6,6 +6,7 @@ receptance, :math:`\sum_r a_r/(\omega_r^2-\omega^2) - b/\omega^2 + u`, has a pos
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import nnls
@@ -20,6 +21,8 @@ FORMS = tuple(DERIVATIVES)
 QUARTER, ASKED = 0.15, 40.0
 # Residues of complex modes may turn by this angle at a drive point [rad].
 CONE = 0.35
+# Angles, or FRFs, from which on one output is judged by itself, or an inverse is tried.
+FEWEST = 3
 # Factor by which another form must explain the drive points better.
 BETTER = 2.0
 # Lines below this share of the first mode's frequency show the spring or the mass line; this many lines are needed,
@@ -31,6 +34,9 @@ STEP_SLOPE = 0.35
 
 def wrong_form(study: Study) -> Iterator[Finding]:
     """Find FRFs whose phases or slopes contradict their form."""
+    if not study.followed and _upside_down(study):
+        yield _inverse(study)
+        return
     turn = _turn(study) if study.followed else 0
     slope = _slope(study)
     drive = _drive_form(study) if study.followed else None
@@ -46,6 +52,8 @@ def wrong_form(study: Study) -> Iterator[Finding]:
     if drive is not None and drive[0] != label:
         text = f"as {FORMS[drive[0]]} the drive points are {drive[1]:.3g} times closer to those of a passive structure"
         yield _finding(study, drive[0], text, 0.97)
+    elif study.followed and (turned := _turned_outputs(study)):
+        yield from (_one_output(study, o) for o in turned)
     elif slope is not None and _off(slope, label) > 1 - STEP_SLOPE and turn == 0:
         fits = [p for p in range(3) if _off(slope, p) < STEP_SLOPE and (p - label) % 2 == 0]
         if len(fits) == 1:
@@ -68,6 +76,56 @@ def _turn(study: Study) -> int:
     if at_rest > ASKED and quarter < QUARTER * at_rest and quarter < 4 * count:
         return 1
     return 0
+
+
+def _turned_outputs(study: Study) -> list[int]:
+    """Outputs whose residues are turned by 90 degrees, in a file where others are not: sensors of different kinds."""
+    angles = angles_of(study)
+    angles = angles._replace(drive=np.zeros_like(angles.drive))
+    found = []
+    for o in range(len(study.outputs)):
+        own = angles.take(angles.o == o)
+        count, quarter = len(own.angle), misfit(own, np.pi / 2)
+        if count >= FEWEST and misfit(own) > ASKED and quarter < QUARTER * misfit(own) and quarter < 4 * count:
+            found.append(o)
+    return found if len(found) < len(study.outputs) else []
+
+
+def _one_output(study: Study, o: int) -> Finding:
+    name = study.outputs[o]
+    H = study.H[0, :, o, 0]
+    return Finding(
+        "wrong_form", (name,), sure=0.96, size=1.0, unit="time derivatives",
+        evidence=f"the residues of all modes at {name} are turned by 90 degrees beside those of the other outputs: "
+        f"it is one time derivative off {study.form}",
+        advice=f"turn {name} to {study.form} before it is put into one file with the others",
+        picture=Picture(
+            [("real part", study.freq, H.real), ("imaginary part", study.freq, H.imag)], "Frequency [Hz]",
+            f"H({name}, {study.inputs[0]})",
+        ),
+    )  # fmt: skip
+
+
+def _upside_down(study: Study) -> bool:
+    """Whether no modes follow the FRFs and the same modes follow the inverse of all of them."""
+    H = study.H
+    if not np.abs(H).all() or H.shape[2] * H.shape[3] < FEWEST:
+        return False  # the inverse of a drive point alone is passive too
+    variance = (study.sigma / np.abs(H) ** 2) ** 2
+    return replace(study, H=1 / H, variance=variance).followed
+
+
+def _inverse(study: Study) -> Finding:
+    size = np.abs(study.H[0, :, 0, 0])
+    return Finding(
+        "wrong_form", (), sure=0.97, size=None, unit="",
+        evidence="no common modes follow these FRFs, and the same modes follow the inverse of all: they are force over "
+        f"motion, not {study.form}",
+        advice="invert each FRF: one of motion over force is needed",
+        picture=Picture(
+            [("as it is", study.freq, size), ("inverse", study.freq, 1 / size)], "Frequency [Hz]", "[-]", True
+        ),
+    )  # fmt: skip
 
 
 def _slope(study: Study) -> float | None:

@@ -18,8 +18,8 @@ TAIL = 12
 # Chance of noise alone, for one line and for all together, below which a hum is told; least share of the FRF there;
 # least damping ratio of a real mode; power over the surroundings that needs no flanks to be looked for.
 CHANCE, LEAST_SHARE, LEAST_DAMPING, HIGH = 1e-6, 0.05, 2e-4, 36.0
-# Multiples of which one must be seen.
-LOWEST = 3
+# Multiples of which one must be seen; share of the mains frequency by which a multiple may wander and still be told.
+LOWEST, NEAR = 3, 0.25
 
 
 def hum(study: Study) -> Iterator[Finding]:
@@ -32,7 +32,7 @@ def hum(study: Study) -> Iterator[Finding]:
     power = _left_over(study, float(step))
     best: tuple[float, float, list[float], list[float]] | None = None
     for mains in mains_seen:
-        multiples = mains * np.arange(1, int(study.freq[-1] / mains) + 1)
+        multiples = mains * np.arange(1, int(min(study.freq[-1] / mains, NEAR / WANDER)) + 1)
         chances = [(f, *_chance(study, power, f, float(step))) for f in multiples]
         told = [(f, chance) for f, chance, alone in chances if chance < 1e-2 and alone]
         # A hum without any of its lower multiples is none, but for one that nothing else can be.

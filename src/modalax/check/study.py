@@ -79,7 +79,7 @@ class Study:
         else:
             stated = self.variance.transpose(1, 0, 2, 3).reshape(lines, -1)
             sigma = np.sqrt(stated if self.averages is None else running_mean(stated, 4))
-        floor = 1e-9 * np.sqrt(np.mean(np.abs(flat) ** 2, axis=0)) + np.finfo(float).tiny
+        floor = 1e-9 * np.sqrt(np.mean(np.abs(flat) ** 2, axis=0)) + np.sqrt(np.finfo(float).tiny)
         return np.maximum(sigma, floor).reshape(lines, runs, outs, ins).transpose(1, 0, 2, 3)
 
     @cached_property

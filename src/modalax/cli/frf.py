@@ -207,8 +207,9 @@ def _told(measurement: Any, fs: float) -> str:
     if measurement.coherence is not None:
         text.append(f"median coherence {float(np.median(np.asarray(measurement.coherence))):.4f}")
     if measurement.variance is not None:
-        noise = np.sqrt(np.asarray(measurement.variance).sum() / (np.abs(np.asarray(measurement.H)) ** 2).sum())
-        text.append(f"noise {100 * noise:.2g} % of the FRFs")
+        size = np.maximum(np.abs(np.asarray(measurement.H)), np.finfo(float).tiny)
+        noise = np.median(np.sqrt(np.asarray(measurement.variance)) / size)
+        text.append(f"median noise {100 * noise:.2g} % of the FRFs")
     text.append(f"{measurement.averages} averages" if measurement.averages else "no averages")
     if float(measurement.added_decay):
         text.append(f"added decay {float(measurement.added_decay):.4g} 1/s, which a fit removes")

@@ -26,9 +26,16 @@ def excitation_of(force: Float[np.ndarray, "segment t"]) -> Excitation:
     ----------
     force
         One force, in segments.
+
+    Raises
+    ------
+    ValueError
+        If the force does not change.
     """
     whole = force - np.median(force, axis=1, keepdims=True)
     size = np.abs(whole)
+    if not size.any():
+        raise ValueError(f"the force does not change: it is {force.flat[0]:.6g} throughout; is it another channel?")
     loud = float(np.mean(size > QUIET * size.max()))
     if loud < BRIEF:
         return Excitation("hits", f"the force stands out in {100 * loud:.2g} % of the time only", 0)

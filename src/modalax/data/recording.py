@@ -235,7 +235,8 @@ def channels_of(
     if unknown or not responses:
         which = recording.channels[unknown[0]] if unknown else "the responses"
         raise ValueError(
-            f"the unit of {which} is not known: give it (m, mm, m/s, mm/s, m/s^2, g); there are {recording.listed()}"
+            f"the unit of {which} is not known: give it (--unit: m, mm, m/s, mm/s, m/s^2, g); there are "
+            f"{recording.listed()}"
         )
     found = {k: u for k in responses if (u := units[k]) is not None}
     forms = sorted({u.kind for u in found.values()})
@@ -259,7 +260,7 @@ def _forces(recording: Recording) -> list[int]:
     by_unit = [k for k, u in enumerate(known) if u is not None and u.kind == FORCE]
     by_name = [k for k, u in enumerate(known) if u is None and _kind_by_name(recording.channels[k]) == FORCE]
     if not by_unit and not by_name:
-        raise ValueError(f"which channel is the force is not known: name it; there are {recording.listed()}")
+        raise ValueError(f"which channel is the force is not known: name it (--force); there are {recording.listed()}")
     chosen, why = (by_unit, "unit") if by_unit else (by_name, "name")
     named = ", ".join(recording.channels[k] for k in chosen)
     warnings.warn(f"force by its {why}: {named}", stacklevel=3)

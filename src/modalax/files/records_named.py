@@ -48,7 +48,7 @@ def read_named(path: Path, kind: str, fs: float | None, array: str) -> Recording
         return from_array(value, rate, name)
     if rate is None:
         raise ValueError(
-            f"holds no sampling rate (such as Fs, dt or t); give it in Hz (fs); its arrays: {_shown(arrays)}"
+            f"holds no sampling rate (such as Fs, dt or t); give it in Hz (fs, --fs); its arrays: {_shown(arrays)}"
         )
     rows, names, labels = [], [], []
     for name, value in long.items():

@@ -42,7 +42,7 @@ def recording_of(table: np.ndarray, fs: float | None, names: list[str], units: l
         fs = own if fs is None else fs
     if fs is None:
         raise ValueError(
-            f"holds no sampling rate ({len(table)} samples of {table.shape[1]} channels); give it in Hz (fs)"
+            f"holds no sampling rate ({len(table)} samples of {table.shape[1]} channels); give it in Hz (fs, --fs)"
         )
     return Recording(
         np.ascontiguousarray(table[None][:, :, keep]), fs, tuple(names[k] or f"channel {k + 1}" for k in keep),

@@ -73,7 +73,7 @@ def sniff(path: Path) -> str:
             if kind == "npy":
                 raise ValueError(
                     f"{path}: one NumPy array (.npy), which names neither its axes nor its frequencies; "
-                    "save an .npz with freq, H, form, outputs and inputs"
+                    "save an .npz with freq, H, form, outputs and inputs; of time records modalax frf makes FRFs"
                 )
             if kind == "npz" and WORKBOOK in head:
                 raise ValueError(f"{path}: an Excel workbook, which is not read; save its sheet as CSV")
@@ -100,8 +100,8 @@ def _text_kind(path: Path, first: bytes, lines: list[bytes]) -> str:
         return "table"
     if plain and NUMBERS.fullmatch(plain[-1] if len(plain) == 1 else plain[-2]):
         raise ValueError(
-            f"{path}: columns of numbers without a header, which for FRFs names them (freq, re, im); "
-            f"the file begins with {_shown(first)}"
+            f"{path}: columns of numbers; a header above them names those of FRFs (freq, re, im, ...), and of time "
+            f"records modalax frf makes FRFs; the file begins with {_shown(first)}"
         )
     raise ValueError(f"{path}: neither of {KINDS}; the file begins with {_shown(first)}")
 

@@ -11,7 +11,7 @@ from modalax.data.frf import DERIVATIVES
 from modalax.data.geometry import Geometry
 from modalax.data.measurement import Measurement
 from modalax.files.gaps import without_gaps
-from modalax.files.uff_units import form_of, response_scale
+from modalax.files.uff_units import form_of, is_upside_down, response_scale
 
 FUNCTIONS = {
     0: "general functions", 1: "time responses", 2: "autospectra", 3: "cross spectra", 4: "FRFs",
@@ -39,6 +39,7 @@ class Function(NamedTuple):
     freq: np.ndarray
     values: np.ndarray
     about_run: str
+    upside_down: bool = False
 
 
 def functions_of(sets: Sequence[Mapping[str, Any]]) -> list[Function]:
@@ -74,6 +75,7 @@ def _function(k: int, found: Mapping[str, Any], prefixed: bool) -> Function:
         np.asarray(found["x"])[:count],
         values[:count] if scale == 1 else scale * values[:count],
         about_run,
+        is_upside_down(found),
     )
 
 
@@ -120,6 +122,8 @@ def measurement_of(functions: Sequence[Function], form: str | None, complete: bo
     ValueError
         If pairs are missing or stand unequally often, axes or forms differ, or the form is not known.
     """
+    if form is None:
+        functions = _of_one_form(functions)
     frfs = [f for f in functions if f.kind == "frf"]
     form = form or _common_form(frfs)
     freq = _common_axis(frfs)
@@ -152,9 +156,29 @@ def _cells(functions: Sequence[Function]) -> Cells:
     return table
 
 
+def _of_one_form(functions: Sequence[Function]) -> Sequence[Function]:
+    """The functions, FRFs of different forms turned to that of most time derivatives among them; a warning says so."""
+    forms = {f.form for f in functions if f.kind == "frf"}
+    if len(forms) < 2 or None in forms:
+        return functions
+    highest = max((f for f in forms if f), key=lambda form: DERIVATIVES[form])
+    warnings.warn(f"its FRFs are {', '.join(sorted(map(str, forms)))}; all are turned to {highest}", stacklevel=6)
+    turned = []
+    for f in functions:
+        if f.kind in ("frf", "variance") and f.form is not None and f.form != highest:
+            factor = (2j * np.pi * f.freq) ** (DERIVATIVES[highest] - DERIVATIVES[f.form])
+            f = f._replace(values=f.values * (factor if f.kind == "frf" else np.abs(factor) ** 2), form=highest)
+        turned.append(f)
+    return turned
+
+
 def _common_form(frfs: Sequence[Function]) -> str:
     forms = sorted({f.form or "unknown" for f in frfs})
     if forms == ["unknown"]:
+        if any(f.upside_down for f in frfs):
+            raise ValueError(
+                "its FRFs are force over motion, dynamic stiffness or mass; only motion over force is read: invert them"
+            )
         raise ValueError(
             "its FRFs do not say whether they are receptance, mobility or accelerance (ordinate type); "
             "pass form='accelerance', for example"

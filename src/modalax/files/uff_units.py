@@ -60,6 +60,12 @@ def _plain(label: str) -> str:
     return "" if text == "none" else text
 
 
+def is_upside_down(found: Mapping[str, Any]) -> bool:
+    """Whether a function is a force (ordinate type 9 or 13) over a motion (8, 11, 12), the inverse of an FRF."""
+    over = found.get("orddenom_spec_data_type")
+    return found.get("ordinate_spec_data_type") in (9, 13) and over in (8, 11, 12)
+
+
 def form_of(found: Mapping[str, Any]) -> str | None:
     """Form of an FRF by its ordinate type (8, 11, 12) over a force (13, 9 or not said), else by its labels."""
     if found.get("orddenom_spec_data_type", 0) not in (0, 1, 9, 13):

@@ -21,6 +21,7 @@ MISFIT = 4.0  # power of what two modes leave, over the noise's, above which no 
 MOSTLY = 0.7  # part of what a second mode explains from which on a record that is cut short takes its place
 MANY = 16  # DoFs from which on shapes tell modes apart, and groups of channels that get a step, not a search, each
 STRONG = 5  # modes that are asked about the record
+CONTRARY = 2.0  # fall of the same, over all modes but the one most for a record, from which on they are against it
 PLAIN = 60.0  # rise of twice the log-likelihood, over those modes, from which on a record is named
 
 
@@ -197,12 +198,32 @@ class Record(NamedTuple):
         return RECORDS[self.kind].format(T=self.duration)
 
 
+def _telling(
+    frf: FRF, model: ModalModel, residual: Complex[np.ndarray, "f o i"], order: np.ndarray
+) -> list[Neighbourhood]:
+    """The lines around the ``STRONG`` modes that come first in an order, and around which no earlier one stands.
+
+    What the window of a record makes of another mode there is still in the data.
+    """
+    f, found, asked = np.abs(np.asarray(model.poles)), [], []
+    for r in order:
+        hood = around(frf, model, residual, [int(r)])
+        low, high = np.min(hood.s.imag), np.max(hood.s.imag)
+        if not any(low <= f[q] <= high for q in asked):
+            found.append(hood)
+        asked.append(int(r))
+        if len(found) == STRONG:
+            break
+    return found
+
+
 def record_of(frf: FRF, model: ModalModel, residual: Complex[np.ndarray, "f o i"], which: np.ndarray) -> Record | None:
     r"""The kind of record that some modes show; None where a steady state explains them as well.
 
     Asked are the ``STRONG`` modes that tell most: a window changes a resonance of the decay rate :math:`\sigma` by a
     part of the order of :math:`(\sigma T)^{-2}`. A kind is plain if it raises twice the log-likelihood by ``PLAIN``, in
-    units of what it leaves, and leaves less than half of the misfit.
+    units of what it leaves, and leaves less than half of the misfit. All modes were seen by one record: a kind that one
+    mode alone asks for, against the others, is the misfit of that mode.
     """
     T = duration(frf)
     if T is None or not len(which):
@@ -210,18 +231,19 @@ def record_of(frf: FRF, model: ModalModel, residual: Complex[np.ndarray, "f o i"
     poles = np.asarray(model.poles)
     size = np.sum(np.abs(np.asarray(model.residues)) ** 2, axis=(1, 2)) / np.abs(poles.real)
     told = size / (1 + (poles.real * T) ** 2) ** 2
-    strong = np.asarray(which)[np.argsort(-told[which])][:STRONG]
-    gains, excess = dict.fromkeys(RECORDS, 0.0), dict.fromkeys(RECORDS, 0.0)
-    for r in strong:
-        hood = around(frf, model, residual, [int(r)])
+    hoods = _telling(frf, model, residual, np.asarray(which)[np.argsort(-told[which])])
+    own, excess = {k: np.zeros(len(hoods)) for k in RECORDS}, dict.fromkeys(RECORDS, 0.0)
+    for j, hood in enumerate(hoods):
         samples = 2 * hood.data.size - 2 * (1 + hood.data.shape[1])
         leading = hood.leading()
         trials = {k: _trial(hood, hood.poles, kernel_of(frf, k, T), leading) for k in RECORDS}
         least = min(t.chi2 for t in trials.values())
         level = _level(frf, least / max(samples, 1))
         for k, t in trials.items():
-            gains[k] += (trials["steady"].chi2 - t.chi2) / level
+            own[k][j] = (trials["steady"].chi2 - t.chi2) / level
             excess[k] += max(t.chi2 / level - samples, 0.0)
+    against = {k: len(g) > 1 and g.sum() - g.max() < -CONTRARY for k, g in own.items()}
+    gains = {k: -np.inf if against[k] else float(g.sum()) for k, g in own.items()}
     best = max(gains, key=lambda k: gains[k])
     if best == "steady":
         return None
