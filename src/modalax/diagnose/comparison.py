@@ -11,7 +11,7 @@ import numpy as np
 
 from modalax.data import FRF, Measurement
 from modalax.data.frf import DERIVATIVES
-from modalax.diagnose.causes.base import Cause, LinesCause, UndampedCause
+from modalax.diagnose.causes.base import Cause, ElementCause, LinesCause, UndampedCause
 from modalax.diagnose.causes.scene import Place, Scene
 from modalax.diagnose.causes.signals import HumLines
 from modalax.diagnose.deadline import NEVER, Deadline
@@ -50,6 +50,8 @@ class Comparison:
         Sentences for the answer.
     late
         When no further step of a search begins.
+    only
+        Places of elements and joints that are looked at; all if there are none.
     """
 
     measurement: Measurement
@@ -64,7 +66,12 @@ class Comparison:
     question: str
     notes: tuple[str, ...]
     late: Deadline = NEVER
+    only: tuple[Place, ...] = ()
     cache: dict[Any, Any] = field(default_factory=dict)
+
+    def joint_places(self) -> list[Place]:
+        """Places of elements and joints that are looked at."""
+        return list(self.only) or self.scene.pairs()
 
     def side(self, per_run: bool) -> tuple[Problem, Nuisance, float]:
         """The problem and nuisance for causes that differ from run to run or not, and the chi-square to add."""
@@ -345,9 +352,11 @@ def causes_of(causes: Sequence[Cause] | None, comparison: Comparison, default: S
     causes
         What the user asked for; None for the whole catalogue.
     default
-        The catalogue.
+        The catalogue; where only some places of joints are looked at, its elements and joints.
     """
     chosen = list(default if causes is None else causes)
+    if comparison.only:
+        chosen = [c for c in chosen if isinstance(c, ElementCause)]
     held = comparison.problem.held
     if held is not None and any(c.only_one for c in held.causes):
         chosen = [c for c in chosen if not c.only_one]  # one record or sweep is what it is

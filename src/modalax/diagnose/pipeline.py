@@ -19,7 +19,8 @@ r"""The method of the diagnosis, from a measurement and a simulation to an answe
 Steps 2 to 5 work line by line and take everything but the causes as exact. Where every element of the simulation is a
 little off, or the problem is large, the modal domain answers instead (``decision.route``, ``modal_domain``): the modes
 of the measurement are identified, the general inaccuracy is estimated together with every cause, and the answer holds
-both.
+both. Where one force at one place explains all data, only elements and joints at such places are searched, line by
+line, whatever the size of the problem (``screening.one_force``).
 """
 
 from collections.abc import Callable, Sequence
@@ -34,10 +35,10 @@ from modalax.data import FRF, Measurement
 from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.causes import catalogue, imitators
 from modalax.diagnose.causes.base import Cause
-from modalax.diagnose.comparison import as_measurement, causes_of, make_comparison, with_noise_beside
+from modalax.diagnose.comparison import Comparison, as_measurement, causes_of, make_comparison, with_noise_beside
 from modalax.diagnose.deadline import NEVER, Deadline
 from modalax.diagnose.decision.gain import Gain
-from modalax.diagnose.decision.route import Outcome, Route, choice, order, suffices
+from modalax.diagnose.decision.route import Outcome, Route, choice, order, settled, suffices
 from modalax.diagnose.decision.verdict import verdict
 from modalax.diagnose.extend import ExtendedSimulation, extend
 from modalax.diagnose.holdout import measure
@@ -45,6 +46,7 @@ from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis, diagnose_mod
 from modalax.diagnose.modal_domain.table import by_table
 from modalax.diagnose.result import Diagnosis
 from modalax.diagnose.routes import outcome_of, task_of
+from modalax.diagnose.screening.one_force import places_of_one_force
 from modalax.diagnose.search.explain import Explanation, check_imitations, explain
 from modalax.diagnose.search.look import look
 from modalax.diagnose.search.rows import lines_aside
@@ -109,6 +111,10 @@ def diagnose(
     late = Deadline(time)
     data = as_measurement(measurement)
     task = task_of(data, simulation, question, causes is None)
+    exact = task.has_modes and task.whole_catalogue and not (task.elements_off or task.modes_off)
+    found = at_one_place(measurement, simulation, question, progress, late) if exact else None
+    if found is not None and settled(outcome_of(found)):
+        return found
     answers: dict[Route, Diagnosis] = {}
     outcomes: dict[Route, Outcome] = {}
     for route in order(task):
@@ -156,6 +162,22 @@ def line_by_line(
     release_programs()
     progress("preparing measurement and simulation")
     comparison = replace(with_noise_beside(make_comparison(measurement, simulation, question)), late=late)
+    return searched(comparison, causes, progress)
+
+
+def at_one_place(
+    measurement: Measurement | FRF, simulation: Structure | ModalModel | ExtendedSimulation, question: str,
+    progress: Callable[[str], None], late: Deadline = NEVER,
+) -> Diagnosis | None:  # fmt: skip
+    """Diagnose line by line by elements and joints alone, where a force at one place is all that is missing."""
+    progress("looking for a place at which one force explains the data")
+    comparison = make_comparison(measurement, simulation, question)
+    places = places_of_one_force(comparison)
+    return searched(replace(comparison, late=late, only=places), None, progress) if places else None
+
+
+def searched(comparison: Comparison, causes: Sequence[Cause] | None, progress: Callable[[str], None]) -> Diagnosis:
+    """Screen, fit, check, predict and decide, line by line."""
     wanted = causes_of(causes, comparison, catalogue(comparison.problem.data.shape[0]))
     progress("screening every cause at every place and fitting the leading ones")
     found = explain(look(comparison, wanted), wanted)
@@ -167,7 +189,7 @@ def line_by_line(
     word, reasons = verdict(found.ranked, found.leftover, gain)
     if aside := lines_aside(found.best):
         reasons = (*reasons, f"no steady motion of the joint explains {aside} lines, which were set aside")
-    if late():
+    if comparison.late():
         reasons = (*reasons, "time was up before every explanation had been tried")
     return answer(word, reasons, found, gain)
 

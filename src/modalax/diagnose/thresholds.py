@@ -153,6 +153,15 @@ class Thresholds:
     places_spared: float = _threshold(
         120.0, "places", "A problem counts as large in that sense where causes have more places than this.", SECONDS
     )
+    one_force: float = _threshold(
+        4.0, "standard deviations",
+        "A force at one place explains the data where the chi-square that it leaves exceeds that of noise by less than "
+        "this.", SECONDS,
+    )  # fmt: skip
+    other_places: float = _threshold(
+        40.0, "chi-square",
+        "A force is looked for where it takes away at most this much less than at the best, noise apart.", SECONDS,
+    )  # fmt: skip
     places_by_lines: float = _threshold(
         300.0, "places", "A search line by line takes minutes where causes have more places than this.", SECONDS
     )

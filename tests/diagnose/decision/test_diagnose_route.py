@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from modalax.diagnose.decision.route import Outcome, Task, choice, order, suffices
+from modalax.diagnose.decision.route import Outcome, Task, choice, order, settled, suffices
 
 SMALL = Task(has_modes=True, places=15.0, samples=2000)
 LARGE = replace(SMALL, places=301.0)
@@ -73,3 +73,18 @@ def test_an_answer_of_the_modal_domain_must_predict_better_than_one_line_by_line
 def test_the_only_answer_is_given():
     assert choice({"lines": Outcome("unknown", 9.0)}) == "lines"
     assert choice({"modes": Outcome("unknown", 9.0)}) == "modes"
+
+
+@pytest.mark.parametrize(
+    ("found", "expected"),
+    [
+        (Outcome("named", 1.05, 0.3), True),
+        (Outcome("ambiguous", 1.05, 0.3), True),
+        (Outcome("clean", 1.05, 0.3), False),
+        (Outcome("unknown", 1.05, 0.3), False),
+        (Outcome("named", 1.05, 0.009), False),  # something is left
+        (Outcome("named", 1.25, 0.3), False),  # does not predict
+    ],
+)
+def test_a_search_at_one_place_settles_the_matter_where_it_leaves_nothing(found, expected):
+    assert settled(found) is expected

@@ -116,6 +116,11 @@ def nothing_left(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
     return found.left > limits.left_by_modes and found.held_out < limits.as_noise
 
 
+def settled(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
+    """Whether a search at the places of one force, which is exact but looks nowhere else, leaves nothing to explain."""
+    return found.verdict in ("named", "ambiguous") and nothing_left(found, limits)
+
+
 def off_everywhere(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
     """Whether stiffness or mass is certainly off everywhere, and with that nothing is left that lines could explain."""
     parts = [part for name, part in (found.inaccuracy or {}).items() if name in ("stiffness", "mass")]

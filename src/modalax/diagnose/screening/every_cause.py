@@ -64,6 +64,8 @@ class _Screen:
         if not places:
             return []
         near = self.state.nearest(cause, places)
+        if not near:
+            return []
         if isinstance(cause, ElementCause) and self.state.reduced:
             found = self._element(cause, near, alike(places))
         else:

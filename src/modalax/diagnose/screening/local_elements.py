@@ -27,7 +27,7 @@ from modalax.diagnose.screening.screen import (
 )
 from modalax.diagnose.screening.screening_fit import Target, fit_from_screening
 
-LARGE = 200_000  # samples from which fewer directions are kept
+LARGE = 50_000  # samples from which fewer directions are kept
 PROMISING = 4  # places at which finite sizes of a joint are tried: the best by its derivative, and by linear elements
 SIZES = np.geomspace(0.01, 4.0, 14)  # sizes over the largest in a cause's grid, tried where size is the only unknown
 SAMPLES = 2**20  # trials times lines times inputs that are computed together: some 100 MB

@@ -49,8 +49,11 @@ class ScoreState:
     cache: dict[Any, Any] = field(default_factory=dict)
 
     def nearest(self, cause: Cause, places: list[Any]) -> list[Any]:
-        """The places of a cause, or of very many those that are worth a look."""
+        """The places of a cause, of very many those that are worth a look, or those that the comparison asks for."""
         skew, swap = cause.shortlist_by == "coupling", cause.shortlist_by == "exchange"
+        if self.comparison.only and cause.shortlist_by == "element":
+            near = {p.index[:2] for p in self.comparison.only}
+            return [p for p in places if p.index[:2] in near]
         between_dofs = bool(self.reduced) and cause.shortlist_by in ("element", "coupling")
         if len(places) <= MANY or not (swap or between_dofs):
             return places

@@ -19,7 +19,7 @@ from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.search.candidates import cost_of
 
 STRONG = 4.0  # chi-square per sample that the simulation leaves, from which on places are ranked by their force
-PLACES = 3  # places that are tried
+PLACES, MORE = 3, 12  # places that are tried, and where a force at one place is known to explain the data
 STARTS = 2  # starts of each law at each place
 FITTED = 16  # starts in all
 TELLING, ASKED, REWEIGHED = 100, 9, 10  # lines whose strengths are looked at, how many of these, and steps from each
@@ -106,10 +106,10 @@ def starts_from_forces(comparison: Comparison, null: Hypothesis, causes: Sequenc
     """
     problem = comparison.problem
     few = problem.channels[0] < 2 or problem.held is not None or comparison.question == "free"
-    if few or null.chi2 < STRONG * problem.samples:
+    if few or (null.chi2 < STRONG * problem.samples and not comparison.only):
         return []
     laws = [c for c in causes if isinstance(c, JointCause | LocalCause) and c.parameters]
-    ranked = measured_forces(comparison, comparison.scene.pairs())[:PLACES]
+    ranked = measured_forces(comparison, comparison.joint_places())[: MORE if comparison.only else PLACES]
     out = []
     for force in ranked:
         for cause in laws:
@@ -219,7 +219,7 @@ def robust_starts(comparison: Comparison, null: Hypothesis, causes: Sequence[Cau
     """
     laws = [c for c in causes if isinstance(c, JointCause) and not c.each_run and type(c).law is not JointCause.law]
     still, found = replace(null, theta=np.zeros_like(null.theta)), []
-    for force in measured_forces(comparison, comparison.scene.pairs())[:PLACES]:
+    for force in measured_forces(comparison, comparison.joint_places())[:PLACES]:
         for cause in laws:
             at = next((p for p in cause.places(comparison.scene) if p.index[:2] == force.place.index[:2]), None)
             sized = None if at is None else robust_sizes(comparison, cause, at, force)

@@ -1,0 +1,116 @@
+r"""Whether one force at one place explains all that the simulation leaves, whatever the law of the force.
+
+An element or a joint between two points changes the receptances by :math:`-H_b\,q`, one column over the outputs times
+one number :math:`q` for each run, line and input. With :math:`q` free the chi-square that is left at a place is
+
+.. math:: \chi_b^2 = |r|^2 - \sum \frac{|(wH_b)^H r|^2}{|wH_b|^2},
+
+with r the whitened residual of the simulation and w its weights. Where the least of these is no more than noise, only
+elements and joints are worth a search, at the places that come near it. With several outputs a fault of one output, of
+one mode or at an input alone can look like that too; where one would do, nothing is said.
+"""
+
+import numpy as np
+
+from modalax.diagnose.causes.scene import Place
+from modalax.diagnose.comparison import Comparison, empty
+from modalax.diagnose.screening.products import Reduced, at_places, ends, reduce
+from modalax.diagnose.screening.sensitivities import Residual
+from modalax.diagnose.screening.shortlist import KEPT, MANY
+from modalax.diagnose.setup.noise import TRUSTED
+from modalax.diagnose.thresholds import THRESHOLDS
+
+LOUDEST, SUMS = 300, 64  # lines, of all runs, from which very many places are ranked, and sums of outputs
+RESOLVED = 1e-9  # squared length of a difference of two columns, over their own, that is more than rounding
+OUTPUTS = 4  # fewest outputs by which a force at one place is told from other causes
+
+
+def places_of_one_force(comparison: Comparison) -> tuple[Place, ...]:
+    """Places at one of which a single force explains the data; none if it does not, or if too many places would do.
+
+    Parameters
+    ----------
+    comparison
+        Data and simulation; the simulation is taken as it is.
+    """
+    if not _can_tell(comparison):
+        return ()
+    left, live = comparison.residual(empty(comparison)), comparison.live()
+    by_output, samples = (np.abs(left) ** 2).sum(axis=(0, 1, 3)), 2 * live.sum(axis=(0, 1, 3))
+    chi2, count, unknowns = by_output.sum(), samples.sum(), 2 * int(live.any(axis=2).sum())
+    if _exceeds_noise(chi2, count) < THRESHOLDS.one_force:
+        return ()
+    gains, places = _gains(comparison, left)
+    order = np.argsort(-gains)
+    best = float(gains[order[0]])
+    behind = THRESHOLDS.other_places + THRESHOLDS.one_force * np.sqrt(4 * unknowns)  # the noise of a difference
+    others = max((by_output - samples).max(), _by_one_mode(comparison, left).max() - unknowns)
+    driven = places[order[0]].index[:2] in {(comparison.scene.dofs.index(name), -1) for name in comparison.scene.inputs}
+    explained = _exceeds_noise(chi2 - best, count - unknowns) < THRESHOLDS.one_force
+    if driven or not explained or others > best - unknowns - behind:
+        return ()
+    return tuple(places[k] for k in order[:KEPT] if gains[k] > best - behind)
+
+
+def _can_tell(comparison: Comparison) -> bool:
+    exact = comparison.question == "fixed" and comparison.scene.scaled and not comparison.nuisance.active
+    known = comparison.noise.freedom >= TRUSTED and comparison.problem.held is None
+    return exact and known and comparison.problem.channels[0] >= OUTPUTS
+
+
+def _exceeds_noise(chi2: float, samples: int) -> float:
+    """Chi-square above that of noise in so many real samples, in standard deviations."""
+    return (chi2 - samples) / np.sqrt(2 * max(samples, 1))
+
+
+def _gains(comparison: Comparison, left: np.ndarray) -> tuple[np.ndarray, list[Place]]:
+    """Chi-square that a free force takes away, and the places it was computed for: of very many the likeliest."""
+    problem, places = comparison.problem, comparison.scene.pairs()
+    value = np.moveaxis(np.stack([left.real, left.imag], axis=-1), (2, 3), (0, 1))
+    value = value.reshape(*value.shape[:2], -1)
+    none = Residual(value, np.zeros((0, *value.shape)), np.zeros((0, 0)))
+    reduced = reduce(problem, np.zeros((2, problem.modal_form.stiffness.shape[0])), none)
+    if len(places) > MANY:
+        a, b = ends(places)
+        rough = _at_loudest_lines(reduced, left)[a, np.where(b >= 0, b, a)]
+        places = [places[k] for k in np.argsort(-rough)[:MANY]]
+    at = at_places(reduced, places)
+    share = np.divide(np.abs(at.S) ** 2, at.N, out=np.zeros(at.S.shape), where=at.N > 0)
+    return share.sum(axis=(1, 2, 3)), places
+
+
+def _at_loudest_lines(reduced: Reduced, left: np.ndarray) -> np.ndarray:
+    """Chi-square that a free force takes away where most is left, shape ``(dof, dof)``, to ground on the diagonal.
+
+    Lengths are taken over random sums of the outputs where there are more of these (Johnson and Lindenstrauss 1984).
+
+    Parameters
+    ----------
+    left
+        Whitened residual, complex, shape ``(run, f, o, i)``.
+    """
+    rng, count = np.random.default_rng(0), left.shape[2]
+    energy = (np.abs(left) ** 2).sum(axis=2)
+    dofs = reduced.shapes.shape[1]
+    gains = np.zeros((dofs, dofs))
+    for k in np.argsort(-energy.ravel())[:LOUDEST]:
+        run, line, i = np.unravel_index(k, energy.shape)
+        signs = rng.choice([-1.0, 1.0], (SUMS, count)) / np.sqrt(SUMS) if count > 2 * SUMS else np.eye(count)
+        H = reduced.summed(int(line), signs * np.sqrt(reduced.weight2[run, line, :, i]))
+        gram, toward = H.conj().T @ H, reduced.S[run, line, :, i]
+        own = np.real(np.diagonal(gram))
+        length, product = own[:, None] + own[None] - 2 * np.real(gram), np.abs(toward[:, None] - toward[None]) ** 2
+        np.fill_diagonal(length, own)
+        np.fill_diagonal(product, np.abs(toward) ** 2)
+        gains += product / np.maximum(length, RESOLVED * np.maximum(own[:, None], own[None]) + 1e-300)
+    return gains
+
+
+def _by_one_mode(comparison: Comparison, left: np.ndarray) -> np.ndarray:
+    """Chi-square that each mode of the simulation would take away with a free amplitude at every line."""
+    problem = comparison.problem
+    shapes = np.asarray(problem.modal_form.shapes)[:, np.asarray(problem.outputs)]
+    weight = np.asarray(problem.weight)
+    product = np.einsum("mo,rfoi->mrfi", shapes.conj(), weight * left, optimize=True)
+    length = np.einsum("mo,rfoi->mrfi", np.abs(shapes) ** 2, weight**2, optimize=True)
+    return np.divide(np.abs(product) ** 2, length, out=np.zeros(length.shape), where=length > 0).sum(axis=(1, 2, 3))

@@ -1,0 +1,101 @@
+"""Whether one force at one place explains the data: against least squares by hand, and what must not look like it."""
+
+import numpy as np
+import pytest
+from chains import comparison_of, grid, sprung
+
+from modalax.diagnose import pipeline
+from modalax.diagnose.causes import catalogue
+from modalax.diagnose.causes.base import ElementCause
+from modalax.diagnose.comparison import causes_of, empty
+from modalax.diagnose.screening import one_force
+
+STRUCTURE = grid(8, False)
+
+
+class Changed:
+    """FRFs of a structure with a fault of the measurement on them."""
+
+    def __init__(self, structure, fault):
+        self.structure, self.fault = structure, fault
+
+    def frf(self, freq, **channels):
+        found = self.structure.frf(freq, **channels)
+        return found.replace(H=self.fault(np.array(found.H)))
+
+
+def gained(H):
+    H[:, 4] *= 1.2
+    return H
+
+
+def driven(H):
+    return H * np.array([1.2, 1.0])
+
+
+def test_gain_of_a_free_force_is_that_of_least_squares_at_every_line():
+    comparison, _ = comparison_of(STRUCTURE, sprung(STRUCTURE, 2, 5, 5e3), lines=20)
+    left = comparison.residual(empty(comparison))
+    gains, places = one_force._gains(comparison, left)
+    names, freq = list(STRUCTURE.dofs), comparison.scene.freq
+    H = np.asarray(STRUCTURE.frf(freq, outputs=names, inputs=names).H)
+    weight = np.asarray(comparison.problem.weight)
+    for k in (0, 9, 20, len(places) - 1):
+        a, b = places[k].index[:2]
+        column = H[:, :, a] - (H[:, :, b] if b >= 0 else 0.0)
+        expected = 0.0
+        for run, line, i in np.ndindex(2, len(freq), 2):
+            seen, wanted = weight[run, line, :8, i] * column[line], left[run, line, :8, i]
+            rest = wanted - seen * np.linalg.lstsq(seen[:, None], wanted, rcond=None)[0]
+            expected += (np.abs(wanted) ** 2).sum() - (np.abs(rest) ** 2).sum()
+        assert gains[k] == pytest.approx(expected, rel=1e-6)
+
+
+def test_all_pairs_at_once_are_the_same(monkeypatch):
+    monkeypatch.setattr(one_force, "LOUDEST", 10**6)
+    comparison, state = comparison_of(STRUCTURE, sprung(STRUCTURE, 2, 5, 5e3), lines=20)
+    left = comparison.residual(empty(comparison))
+    gains, places = one_force._gains(comparison, left)
+    every = one_force._at_loudest_lines(state.reduced[True], left)
+    at = [p.index[:2] if p.index[1] >= 0 else (p.index[0],) * 2 for p in places]
+    np.testing.assert_allclose([every[a, b] for a, b in at], gains, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("a", "b"), [(2, 5), (1, 6)])
+def test_the_place_of_a_spring_is_among_a_few(a, b):
+    comparison, _ = comparison_of(STRUCTURE, sprung(STRUCTURE, a, b, 5e3))
+    found = one_force.places_of_one_force(comparison)
+    assert (a, b) in [p.index[:2] for p in found]
+    assert len(found) < len(comparison.scene.pairs()) / 2
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        STRUCTURE,
+        Changed(STRUCTURE, gained),
+        Changed(STRUCTURE, driven),
+        sprung(sprung(STRUCTURE, 2, 5, 2e4), 0, 7, 2e4),
+        STRUCTURE.replace(C=1.3 * np.asarray(STRUCTURE.C)),
+    ],
+    ids=["nothing", "gain of an output", "gain of an input", "two springs", "damping of all modes"],
+)
+def test_nothing_else_is_taken_for_a_force_at_one_place(changed):
+    assert one_force.places_of_one_force(comparison_of(STRUCTURE, changed)[0]) == ()
+
+
+def test_a_claimed_spread_or_few_outputs_leave_the_question_open():
+    claimed, _ = comparison_of(grid(8, True), sprung(STRUCTURE, 2, 5, 5e3), lines=20)
+    few, _ = comparison_of(grid(3, False), sprung(grid(3, False), 0, 2, 5e4), lines=20)
+    assert one_force.places_of_one_force(claimed) == () == one_force.places_of_one_force(few)
+
+
+def test_only_elements_at_these_places_are_searched(monkeypatch):
+    comparison, _ = comparison_of(STRUCTURE, sprung(STRUCTURE, 2, 5, 5e3))
+    asked = []
+    monkeypatch.setattr(pipeline, "searched", lambda comparison, causes, tell: asked.append(comparison))
+    pipeline.at_one_place(comparison.measurement, STRUCTURE, "auto", lambda _: None)
+    (used,) = asked
+    assert used.joint_places() == list(used.only) and 0 < len(used.only) < len(comparison.scene.pairs())
+    assert all(isinstance(c, ElementCause) for c in causes_of(None, used, catalogue(2)))
+    assert not all(isinstance(c, ElementCause) for c in causes_of(None, comparison, catalogue(2)))
