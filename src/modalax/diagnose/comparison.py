@@ -354,9 +354,9 @@ def causes_of(causes: Sequence[Cause] | None, comparison: Comparison, default: S
     default
         The catalogue; where only some places of joints are looked at, its elements and joints.
     """
-    chosen = list(default if causes is None else causes)
+    chosen: list[Cause] = list(default if causes is None else causes)
     if comparison.only:
-        chosen = [c for c in chosen if isinstance(c, ElementCause)]
+        chosen = [*filter(lambda c: isinstance(c, ElementCause), chosen)]
     held = comparison.problem.held
     if held is not None and any(c.only_one for c in held.causes):
         chosen = [c for c in chosen if not c.only_one]  # one record or sweep is what it is

@@ -38,13 +38,11 @@ def places_of_one_force(comparison: Comparison) -> tuple[Place, ...]:
     left, live = comparison.residual(empty(comparison)), comparison.live()
     by_output, samples = (np.abs(left) ** 2).sum(axis=(0, 1, 3)), 2 * live.sum(axis=(0, 1, 3))
     chi2, count, unknowns = by_output.sum(), samples.sum(), 2 * int(live.any(axis=2).sum())
-    if _exceeds_noise(chi2, count) < THRESHOLDS.one_force:
-        return ()
     gains, places = _gains(comparison, left)
     order = np.argsort(-gains)
     best = float(gains[order[0]])
     behind = THRESHOLDS.other_places + THRESHOLDS.one_force * np.sqrt(4 * unknowns)  # the noise of a difference
-    others = max((by_output - samples).max(), _by_one_mode(comparison, left).max() - unknowns)
+    others = max(0.0, (by_output - samples).max(), _by_one_mode(comparison, left).max() - unknowns)  # 0: nothing at all
     driven = places[order[0]].index[:2] in {(comparison.scene.dofs.index(name), -1) for name in comparison.scene.inputs}
     explained = _exceeds_noise(chi2 - best, count - unknowns) < THRESHOLDS.one_force
     if driven or not explained or others > best - unknowns - behind:
