@@ -145,6 +145,10 @@ class Thresholds:
         "A search line by line explains nothing where its answer leaves more than this on the held-out block.",
         INACCURATE,
     )  # fmt: skip
+    inexact: float = _threshold(
+        0.1, "relative error", "Law and place of a joint are certain where its force is explained better than this.",
+        INACCURATE,
+    )  # fmt: skip
     decisive: float = _threshold(
         0.999, "probability",
         "A large problem is not searched line by line where the modal domain names a cause with this probability.",

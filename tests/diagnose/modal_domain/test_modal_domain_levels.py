@@ -11,7 +11,7 @@ from modalax.diagnose.causes.joints import CubicStiffness, GapContact, Quadratic
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.levels.change import Projection
 from modalax.diagnose.modal_domain.levels.explain import apart_from_zero
-from modalax.diagnose.modal_domain.levels.laws import LawFit, seen_force
+from modalax.diagnose.modal_domain.levels.laws import LawFit, Motion, regressed, seen_force
 from modalax.diagnose.modal_domain.levels.series import in_series
 from modalax.simulate import joints, simulate
 
@@ -128,3 +128,18 @@ def test_a_joint_that_bends_even_the_lowest_level_is_found_beside_the_structure_
     assert value["value"] == pytest.approx(coefficient, abs=4 * value["std"])
     poles = found.stage.measured.features.poles
     assert -poles.real / np.abs(poles) == pytest.approx(0.01, rel=0.01)
+
+
+def test_a_threshold_is_sought_between_those_that_are_tried():
+    """A stop met at an amplitude between two that are tried: what is missed falls to a twentieth."""
+    amplitude = np.array([np.geomspace(0.01, 0.3, 50), np.geomspace(0.03, 1.0, 50)])[..., None]
+    p = np.array([3.0e4, 0.13])
+    law, still = GapContact(), amplitude[0].astype(complex)
+    N = np.asarray(law.impedance(amplitude, 1.0, p))
+    force = ((N[1] - N[0]) * amplitude[1])[..., None].astype(complex)
+    drive = (still - amplitude[1]) / np.where(force[..., 0] == 0, 1e-300, force[..., 0])
+    none, one = np.zeros((50, 1), complex), np.ones((50, 1), complex)
+    m = Motion(force, np.ones((50, 1, 1, 1)), 0.0, none, still, one, drive, amplitude, force, np.ones(50), 0.0)
+    coarse, fine = (regressed(law, m, 2, halvings)[0] for halvings in (0, 4))
+    assert fine[0] < 0.05 * coarse[0]
+    assert fine[1][1] == pytest.approx(0.13, rel=0.1)

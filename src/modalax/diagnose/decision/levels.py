@@ -29,6 +29,8 @@ class LevelsCase:
         Slug and place of the leading joint.
     law_probability, place_probability
         Of the law, wherever it sits, and of the place among all places of that law.
+    inexact
+        Relative error that the law's force must be allowed.
     nameless
         Probability of laws that the answer has no name for.
     untried
@@ -49,6 +51,7 @@ class LevelsCase:
     where: tuple[str, ...] = ()
     law_probability: float = 0.0
     place_probability: float = 0.0
+    inexact: float = 0.0
     nameless: float = 0.0
     untried: bool = False
     behaviour: str = ""
@@ -115,6 +118,13 @@ def law_is_not_sure(case: LevelsCase) -> tuple[str, ...] | None:
     return None if sure else (*case.support, "other laws cannot be excluded")
 
 
+def force_is_not_explained_well(case: LevelsCase) -> tuple[str, ...] | None:
+    """The law explains the force across the place roughly only, so that another law or place may be right."""
+    if case.best != "joint" or case.inexact < case.limits.inexact:
+        return None
+    return *case.support, f"it explains the force there to {percent(case.inexact)} only: law and place are not certain"
+
+
 def place_is_not_sure(case: LevelsCase) -> tuple[str, ...] | None:
     """Other places are likely too."""
     sure = case.best != "joint" or case.place_probability > case.limits.placed
@@ -128,6 +138,7 @@ RULES: tuple[tuple[str, Rule], ...] = (
     ("unknown", law_has_no_name),
     ("ambiguous", drift_is_not_sure),
     ("ambiguous", law_is_not_sure),
+    ("ambiguous", force_is_not_explained_well),
     ("ambiguous", place_is_not_sure),
     ("named", lambda case: case.support),
 )

@@ -35,7 +35,7 @@ def judge_levels(seen: Seen | None) -> tuple[str, tuple[str, ...]]:
     j, nameless = found.joints[0], {law.slug for law in NAMELESS}
     return levels_verdict(LevelsCase(
         "joint", kind, found.before, found.after, law=j.slug, where=j.spot.where, law_probability=found.sure(j.slug),
-        place_probability=found.placed(j.slug, j.spot.where),
+        place_probability=found.placed(j.slug, j.spot.where), inexact=j.tolerance,
         nameless=sum((p.probability for p in found.joints if p.slug in nameless), 0.0), behaviour=described(seen, j),
     ))  # fmt: skip
 

@@ -16,13 +16,15 @@ from modalax.diagnose.modal_domain.levels.weigh import Shapes, weigh
 
 JOINT, DRIFT = 0.2, 0.05  # chances before the data that a joint, or a drift, tells levels or runs apart
 SAMPLED = 2000  # forces that places are screened on
+CLOSER, HALVINGS = 40, 4  # leading places at which thresholds are sought, halving the distance of those tried
 FITTED = 12  # leading places at which laws are fitted
 NEIGHBOURS = 8  # lines over which errors of a law's force go together
 TOGETHER = 32  # places that are worked on at once
 BESIDE = 3  # leading fits beside which laws without a name are tried at the same places
 DETERMINED = 3.5  # standard deviations by which some parameter of a law must differ from none
 AGREE = 0.01  # probability that nothing differs from which on no joint or drift is told
-WEIGHED, NEAR = 8, 1000.0  # most fits that are weighed on all samples, and nats behind the best up to which they are
+WEIGHED, NEAR = 8, 1000.0  # most fits that are weighed on all samples, and nats behind the best up to which they are,
+NEAR_SHARE = 0.1  # or that share of all its nats: errors of the motion cost a wrong place and the right one alike
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +110,7 @@ def explain_levels(
     fits = _fitted(levels, base, places, laws) if places else []
     found: list[JointFound] = []
     for rough, spot, f in fits[:WEIGHED]:
-        if found and (rough < fits[0][0] - NEAR or late()):
+        if found and (rough < fits[0][0] - max(NEAR, NEAR_SHARE * abs(fits[0][0])) or late()):
             break
         w = weigh(levels, base, shapes, spot.direction, f)
         if w is None or not w.fit.rival:
@@ -120,9 +122,8 @@ def explain_levels(
             continue
         found.append(JointFound(spot, best, w.b, w.tolerance, value))
     found.sort(key=lambda j: -j.log_posterior)
-    if found and found[0].tolerance > 0:  # what a law leaves then goes together over neighbouring lines
-        top = found[0].log_posterior
-        found = [replace(j, log_posterior=top + (j.log_posterior - top) / NEIGHBOURS) for j in found]
+    if found and found[0].tolerance > 0:
+        found = _told_apart(found, max(NEIGHBOURS, len(base.s) / len(shapes.fit.state.pairs)))
     nothing, moved = math.log(1 - JOINT - DRIFT) - 0.5 * before, math.log(DRIFT) + drift.log_evidence
     values = np.array([nothing, moved, *(j.log_posterior for j in found)])
     share = np.exp(values - values.max())
@@ -131,6 +132,19 @@ def explain_levels(
     best = ByLevel(joints, drift, float(share[1]), float(share[0]), before / levels.samples, 0.0, untried, places)
     after = {"nothing": before, "drift": drift.chi2, "joint": joints[0].fit.chi2 if joints else before}[best.best]
     return replace(best, after=min(before, after) / levels.samples)
+
+
+def _told_apart(found: list[JointFound], lines: float) -> list[JointFound]:
+    """Joints weighed by what is left to tell them apart where none of them explains all.
+
+    What a law leaves goes together over neighbouring lines; what the motion at a place does, over the lines of a mode.
+    """
+    top = found[0]
+    return [
+        replace(j, log_posterior=top.log_posterior + (j.log_posterior - top.log_posterior) / count)
+        for j in found
+        for count in [NEIGHBOURS if j.spot.where == top.spot.where else lines]
+    ]
 
 
 def apart_from_zero(f: LawFit) -> float:
@@ -146,19 +160,24 @@ def _prior(spot: Spot, f: LawFit) -> float:
 
 
 def _promising(levels: Levels, base: Base, spots: Sequence[Spot], laws: Sequence[JointCause]) -> list[Spot]:
-    weights = np.log([max(s.weight, 1e-300) for s in spots])
-    value = _screened(levels, base, np.array([s.direction for s in spots]), laws) + weights
-    return [spots[k] for k in np.argsort(-value)[:FITTED]]
+    """The leading places; thresholds at a few sizes order them roughly only, so that of more of them one is sought."""
+    for most, halvings in ((CLOSER, 0), (FITTED, HALVINGS)):
+        weights = np.log([max(s.weight, 1e-300) for s in spots])
+        value = _screened(levels, base, np.array([s.direction for s in spots]), laws, halvings) + weights
+        spots = [spots[k] for k in np.argsort(-value)[:most]]
+    return list(spots)
 
 
-def _screened(levels: Levels, base: Base, b: np.ndarray, laws: Sequence[JointCause]) -> np.ndarray:
+def _screened(
+    levels: Levels, base: Base, b: np.ndarray, laws: Sequence[JointCause], halvings: int = 0
+) -> np.ndarray:  # fmt: skip
     """Log likelihood of the best law at each place, at a few sizes, shape ``(p,)``."""
     out = []
     step = max(1, levels.H[1:, :, 0].size // SAMPLED)
     levels, base = levels.thinned(step), base.thinned(step)
     for part in np.array_split(np.arange(len(b)), max(1, len(b) // TOGETHER)):
         for both in _both(levels, base, b[part]):
-            cost = [c for law in laws for c, _ in regressed(law, both[isinstance(law, SERIES)], 2)[:1]]
+            cost = [c for law in laws for c, _ in regressed(law, both[isinstance(law, SERIES)], 2, halvings)[:1]]
             out.append(-0.5 * min(cost, default=np.inf))
     return np.array(out)
 

@@ -7,6 +7,7 @@ With the describing function ``N`` of a law and :math:`\Delta N = N(A_l) - N(A_1
 so that no equation has to be solved for the amplitude, and no jump of the response is in the way.
 """
 
+import math
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -253,24 +254,37 @@ def _shapes(law: JointCause, top: float) -> list[tuple[float, ...]]:
     return [(f * top,) for f in FRACTIONS] if q.log else [(v,) for v in EXPONENTS if q.lower <= v <= q.upper]
 
 
-def regressed(law: JointCause, m: Motion, every: int = 1) -> list[tuple[float, np.ndarray]]:
-    """Chi-square and parameters at some of a law's shapes, with the strength by linear regression of the force."""
-    out = []
+def regressed(
+    law: JointCause, m: Motion, every: int = 1, halvings: int = 0
+) -> list[tuple[float, np.ndarray]]:  # fmt: skip
+    """Chi-square and parameters at some of a law's shapes, with the strength by linear regression of the force.
+
+    Where ``halvings`` are asked for, a threshold is sought about the best of them, to that part of their distance.
+    """
     aim = (m.root @ m.force[..., None]).ravel()
     moved = m.moved(m.force)[1:].transpose(1, 2, 0) * m.turn[..., None]
-    for shape in _shapes(law, float(m.amplitude.max()))[::every]:
+
+    def at(shape: tuple[float, ...]) -> tuple[float, np.ndarray]:
         a, w = _padded(m.amplitude, m.omega[:, None])  # at a strength of 1 N/m no compliance matters
         N = np.broadcast_to(np.asarray(_plain(law, a, w, np.array([1.0, *shape]))), a.shape)
         N = N[: m.amplitude.size].reshape(m.amplitude.shape)
         unit = (m.root @ ((N[1:] - N[0]).transpose(1, 2, 0) * moved)[..., None]).ravel()
         size = float((np.abs(unit) ** 2).sum())
         if not np.isfinite(size) or size <= 0:
-            continue
+            return np.inf, np.array([0.0, *shape])
         strength = float((unit.conj() * aim).real.sum() / size)
         strength = float(np.clip(strength, law.parameters[0].lower, law.parameters[0].upper))
         cost = m.least + float((np.abs(aim - strength * unit) ** 2).sum())
-        out.append((cost, apart(law, np.array([strength, *shape]), m.compliance)))
-    return sorted(out, key=lambda c: c[0])
+        return cost, apart(law, np.array([strength, *shape]), m.compliance)
+
+    shapes = _shapes(law, float(m.amplitude.max()))[::every]
+    found = sorted((at(shape) for shape in shapes), key=lambda c: c[0])
+    if len(law.parameters) > 1 and law.parameters[1].log:
+        apart_by = math.log(shapes[-1][0] / shapes[0][0]) / (len(shapes) - 1)
+        for k in range(halvings):
+            middle, factor = found[0][1][1], math.exp(apart_by / 2 ** (k + 1))
+            found = sorted([*found, at((middle / factor,)), at((middle * factor,))], key=lambda c: c[0])
+    return [one for one in found if np.isfinite(one[0])]
 
 
 def fit_law(law: JointCause, m: Motion) -> LawFit | None:
