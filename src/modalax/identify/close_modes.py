@@ -20,7 +20,7 @@ UNLIKE = 0.5  # MAC of shapes of many DoFs below which they are those of two mod
 MISFIT = 4.0  # power of what two modes leave, over the noise's, above which no evidence for the second is taken
 MOSTLY = 0.7  # part of what a second mode explains from which on a record that is cut short takes its place
 MANY = 16  # DoFs from which on shapes tell modes apart, and groups of channels that get a step, not a search, each
-STRONG = 5  # modes that are asked about the record
+STRONG = 8  # modes that are asked about the record
 CONTRARY = 2.0  # fall of the same, over all modes but the one most for a record, from which on they are against it
 PLAIN = 60.0  # rise of twice the log-likelihood, over those modes, from which on a record is named
 

@@ -20,6 +20,7 @@ from modalax.identify.tables import PoleTable
 ESTIMATORS = {"lscf": lscf, "plscf": plscf, "lsce": lsce, "fdpi": fdpi}
 POLES = 40  # poles of the highest order of a first diagram; doubled while its modes do not explain the FRFs
 FULL, FEW = 5, 16  # poles for each mode found, below which there is no room for more, and orders that do not tell that
+SMALL = 2**15  # samples up to which a further diagram costs next to nothing
 LEFT = 1.2  # what modes leave over what noise would, above which further ones are looked for
 CHANNELS, AROUND = 250, 30  # channels, at most about, that are asked for it, and lines on either side that tell noise
 LINES, PARTS = 400, 8  # lines for each part of the band that gets a diagram of its own, and most parts
@@ -95,13 +96,15 @@ def _whole(frf: FRF, name: str, order: int | None) -> tuple[PoleTable, Selection
     """Diagrams of rising highest order, until the modes leave noise only or twice the order shows none further.
 
     Nor is twice the order looked at where the modes are far from filling a diagram of ``FEW`` orders or more; with many
-    references the first has few. The first diagram's modes stay. A higher order has more poles that are none, and so
-    little room between them that one continues another by chance; of its modes those count that stand still in it.
+    references the first has few. Of a ``SMALL`` set it is looked at again as long as it shows further ones. The first
+    diagram's modes stay. A higher order has more poles that are none, and so little room between them that one
+    continues another by chance; of its modes those count that stand still in it.
     """
     table, found = _at(frf, name, POLES, order)
     poles = 2 * POLES
     while order is None and poles <= 4 * POLES:
         room = FULL * found.poles.size <= poles / 2 and len(table.orders) >= FEW
+        room = room and (poles == 2 * POLES or frf.H.size > SMALL)
         if room or explained(frf, np.asarray(found.poles)):
             break
         further, seen = _at(frf, name, poles, None)

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from modalax.data.frf import FRF
 from modalax.identify.disagreement import Spread, of_channels, of_lines
-from modalax.identify.neighbourhood import Neighbourhood, around, line_noise, residual_of
+from modalax.identify.neighbourhood import Neighbourhood, around, best_poles, line_noise, residual_of
 from modalax.identify.one_mode import NOTHING_LEFT, Rest, rest_of
 from modalax.identify.tables import PoleTable
 from modalax.model.modal import ModalModel
@@ -66,11 +66,17 @@ def quality_of(frf: FRF, model: ModalModel) -> list[ModeQuality]:
     return [_one(frf, around(frf, model, residual, [r], smooth=True)) for r in range(model.poles.size)]
 
 
-def gains_of(frf: FRF, model: ModalModel) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """For each mode ``gain`` and ``chance_gain`` of :class:`ModeQuality` alone."""
+def gains_of(
+    frf: FRF, model: ModalModel, searched: bool = False
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """For each mode ``gain`` and ``chance_gain`` of :class:`ModeQuality` alone.
+
+    With ``searched`` the gain is that of the best pole near the mode's, which may be off.
+    """
     residual = residual_of(frf, model)
     hoods = (around(frf, model, residual, [r], smooth=True) for r in range(model.poles.size))
-    both = np.array([(_gain(h, h.left(h.poles)), _chance_gain(frf, h.data.size)) for h in hoods]).reshape(-1, 2)
+    pole = lambda h: best_poles(h, h.poles)[0] if searched else h.poles
+    both = np.array([(_gain(h, h.left(pole(h))), _chance_gain(frf, h.data.size)) for h in hoods]).reshape(-1, 2)
     return both[:, 0], both[:, 1]
 
 

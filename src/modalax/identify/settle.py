@@ -81,13 +81,15 @@ def _cut_short(frf: FRF, model: ModalModel) -> bool:
 def settle_diagram(frf: FRF, model: ModalModel, **options: Any) -> ModalModel:
     """The model of a diagram's poles without those that noise makes and the weaker of two that are one.
 
+    A diagram that has no room finds clear modes with a damping that is far off; these stay.
+
     Raises
     ------
     ValueError
         If no mode stands out of the noise.
     """
     for _ in range(TURNS):
-        gains, weak = _gains(frf, model)
+        gains, weak = _gains(frf, model, searched=True)
         _require(frf, _inside(frf, model) & ~weak)
         bad = weak | doubled(frf, model, gains, weak, set())
         if not bad.any():
@@ -96,9 +98,11 @@ def settle_diagram(frf: FRF, model: ModalModel, **options: Any) -> ModalModel:
     return model
 
 
-def _gains(frf: FRF, model: ModalModel) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+def _gains(
+    frf: FRF, model: ModalModel, searched: bool = False
+) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
     """By how much each mode raises the likelihood of the lines around it, and which do no more than in noise."""
-    gains, by_chance = gains_of(frf, model)
+    gains, by_chance = gains_of(frf, model, searched)
     return gains, gains < by_chance
 
 
