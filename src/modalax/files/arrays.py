@@ -61,7 +61,8 @@ def to_arrays(what: Any) -> dict[str, np.ndarray]:
         e = what.elements
         parts = np.asarray(e.stiffness), np.asarray(e.mass), np.array(e.places, dtype=str).reshape(-1, 2)
         arrays |= dict(zip(ELEMENTS, parts, strict=True))
-    return arrays | {label: np.array(getattr(what, label), dtype=str) for label in labels}
+    shape = {"pairs": (-1, 2)}
+    return arrays | {k: np.array(getattr(what, k), dtype=str).reshape(shape.get(k, -1)) for k in labels}
 
 
 def _measurement_arrays(measurement: Measurement) -> dict[str, np.ndarray]:

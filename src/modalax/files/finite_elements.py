@@ -18,8 +18,9 @@ from modalax.files.matrices import Matrix
 from modalax.files.matrix_files import kind_of, matrices_of
 from modalax.files.messages import about
 from modalax.files.nastran import Grid, read_grids, read_lines, read_punched_modes
-from modalax.model.assembly import modal_damping, reduce_to_modes
-from modalax.model.condense import Condensed, condense, follow, node_pairs, rigid_motions
+from modalax.model.assembly import modal_damping
+from modalax.model.component_modes import reduce_to_points
+from modalax.model.condense import Condensed, condense, node_pairs, rigid_motions
 from modalax.model.elements import MOST_VALUES, Element, Elements, elements_of, factor_of
 from modalax.model.modal import ModalModel
 from modalax.model.structure import Structure
@@ -32,7 +33,7 @@ UNITS = {
 }  # fmt: skip
 DENSE = 3000  # DoFs up to which matrices are condensed as they are
 DOUBLE = 15  # significant digits of a number in double precision
-MODES = 60  # modes kept of larger ones
+FEW = 300  # DoFs from which a model is reduced to those named, where some are named and it does not part into elements
 RIGID = 1e-4  # part of the first elastic eigenvalue below which a mode of a file counts as rigid
 
 
@@ -43,7 +44,7 @@ class Imported:
     Attributes
     ----------
     simulation
-        Matrices, or a modal model where the file holds modes or is large.
+        Matrices, or a modal model where the file holds modes.
     notes
         What was found, checked and assumed, a sentence each.
     mass
@@ -89,7 +90,9 @@ def import_finite_elements(
     up_to_hz
         Highest frequency of interest [Hz], see :func:`modalax.model.condense.condense`.
     keep
-        DoFs, such as ``101:+Z`` or the pattern ``*:+Z``, that are not condensed, whatever their mass.
+        DoFs, such as ``101:+Z`` or the pattern ``*:+Z``, that are not condensed, whatever their mass: those measured.
+        A model of more than :data:`FEW` DoFs is reduced to them and to as many others as its dynamics need, by
+        :func:`modalax.model.component_modes.reduce_to_points`, where it does not part into elements.
     matrices
         Names of stiffness and mass in a punch file that holds more than one of each.
 
@@ -178,10 +181,7 @@ class _Import:
                 "no damping in the file and none given: all modes are undamped"
                 if damping_ratio is None else f"damping ratio of all modes {100 * zeta:g} %, as given"
             )  # fmt: skip
-        if len(self.dofs) > DENSE:
-            simulation = self._by_modes(damping_ratio, keep)
-        else:
-            simulation = self._condensed(damping_ratio, up_to_hz, keep)
+        simulation = self._condensed(damping_ratio, up_to_hz, keep)
         return Imported(simulation, tuple(self.notes), total, geometry)
 
     def _named(self, patterns: Sequence[str]) -> list[str]:
@@ -195,23 +195,41 @@ class _Import:
         return list(found)
 
     def _condensed(self, damping_ratio: float | None, up_to_hz: float | None, keep: Sequence[str]) -> Structure:
-        K, M = self.K.toarray(), self.M.toarray()
-        parts, digits = self._elements(K), self.digits
-        if parts is not None:
-            K, digits = sum((_placed(p, len(K)) for p in parts), np.zeros_like(K)), DOUBLE
-        small = condense(M, K, up_to_hz=up_to_hz, digits=digits, keep=[self.names.index(n) for n in keep])
+        small, digits, parts = self._small([self.names.index(n) for n in keep], up_to_hz)
         self._tell(small, digits)
-        at = np.flatnonzero(small.kept)
-        names = [self.names[k] for k in at]
+        names = [self.names[k] for k in np.flatnonzero(small.kept)]
         points = [str(p) for p, _ in self.dofs]
         ways = [DIRECTIONS[component - 1] if component else "" for _, component in self.dofs]
-        pairs = [(self.names[a], self.names[b]) for a, b in node_pairs(K, points, ways, small.kept)]
-        C = np.zeros_like(small.K) if self.C is None else self.C.toarray()[np.ix_(at, at)]
-        elements = None if parts is None else self._kept_elements(parts, K, M, small.kept)
+        joined = node_pairs(self.K, points, ways, small.kept)
+        pairs = [(self.names[a], self.names[b]) for a, b in joined] or None  # none: anywhere
+        C = np.zeros_like(small.K) if self.C is None else small.motion.T @ (self.C @ small.motion)
+        elements = None if parts is None else self._kept_elements(parts, small)
         structure = Structure(small.M, C, small.K, names, pairs=pairs, elements=elements)
         if self.C is None and damping_ratio:
             structure = modal_damping(structure, damping_ratio)
         return structure
+
+    def _small(self, keep: list[int], up_to_hz: float | None) -> tuple[Condensed, int, list[Element] | None]:
+        """Condensed matrices, the digits of the stiffness that they are made of, and its elements if it parts."""
+        size, parts = len(self.dofs), None
+        if size <= DENSE:
+            K = self.K.toarray()
+            parts = self._elements(K)
+            if parts is not None:
+                K = sum((_placed(p, size) for p in parts), np.zeros_like(K))
+                return condense(self.M.toarray(), K, up_to_hz=up_to_hz, digits=DOUBLE, keep=keep), DOUBLE, parts
+            if not FEW < size > len(keep) > 0:
+                return (
+                    condense(self.M.toarray(), K, up_to_hz=up_to_hz, digits=self.digits, keep=keep),
+                    self.digits,
+                    None,
+                )
+        elif not 0 < len(keep) < DENSE:
+            raise ValueError(
+                f"the model has {size} DoFs, too many to keep as matrices; name those that are measured or hold joints "
+                f"(keep=, --keep), and it is reduced to them; {len(keep)} are named, at most {DENSE} can be"
+            )
+        return reduce_to_points(self.M, self.K, keep, up_to_hz=up_to_hz, digits=self.digits), self.digits, None
 
     def _elements(self, K: np.ndarray) -> list[Element] | None:
         """The model's elements where it is free or supported and made of beams, rods and springs; else None."""
@@ -228,10 +246,9 @@ class _Import:
         )
         return parts
 
-    def _kept_elements(
-        self, parts: Sequence[Element], K: np.ndarray, M: np.ndarray, kept: np.ndarray
-    ) -> Elements | None:
+    def _kept_elements(self, parts: Sequence[Element], small: Condensed) -> Elements | None:
         """Elements and lumps of mass over the DoFs that are kept; None where the mass couples nodes."""
+        M, kept, T = self.M.toarray(), small.kept, small.motion
         points = np.array([p for p, _ in self.dofs])
         lumps = [np.flatnonzero(points == p) for p in dict.fromkeys(points.tolist())]
         lumped = [d for d in lumps if M[np.ix_(d, d)].any()]
@@ -240,7 +257,6 @@ class _Import:
             return None
         if (len(parts) + len(lumped)) * int(kept.sum()) * 6 > MOST_VALUES:
             return None
-        T = follow(K, kept)
         stiffness = np.stack([T[p.dofs].T @ factor_of(p.matrix) for p in parts])
         mass = np.stack([T[d].T @ factor_of(M[np.ix_(d, d)]) for d in lumped])
         return Elements(stiffness, mass, [self._place(p, kept) for p in parts])
@@ -272,20 +288,11 @@ class _Import:
                 f"the digits of the file leave the elastic frequencies uncertain by up to {100 * worst:.2g} %"
             )
         if not small.kept.all():
+            how = "" if small.dynamic else " statically (little or no mass)"
             self.notes.append(
-                f"{int((~small.kept).sum())} of {len(small.kept)} DoFs follow the others statically (little or no "
-                f"mass); frequencies change by at most {100 * small.change:.2g} %"
+                f"{int((~small.kept).sum())} of {len(small.kept)} DoFs follow the others{how}; frequencies change by "
+                f"at most {100 * small.change:.2g} %"
             )
-
-    def _by_modes(self, damping_ratio: float | None, keep: Sequence[str]) -> ModalModel:
-        if not keep:
-            raise ValueError(
-                f"the model has {len(self.dofs)} DoFs, too many to keep as matrices; name those that are measured or "
-                "hold joints (keep=, --keep), and it enters as its modes and static correction"
-            )
-        self.notes.append(f"{MODES} modes and static correction at {len(keep)} of {len(self.dofs)} DoFs")
-        how = {"C": self.C} if self.C is not None else {"damping_ratio": damping_ratio or 0.0}
-        return reduce_to_modes(self.M, self.K, self.names, modes=MODES, keep=list(keep), **how)
 
     def _mass(self) -> dict[str, float]:
         """Mass that a unit translation of all points moves, by axis."""

@@ -6,9 +6,11 @@ sign; and they carry degrees of freedom of no mass, or of so little that they on
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.linalg
+import scipy.sparse
 from jaxtyping import Bool, Float
 
 SURE = 5.0  # standard deviations of rounding within which an eigenvalue counts as zero
@@ -38,6 +40,10 @@ class Condensed:
         the digits leave, shape ``(mode,)`` [1/s^2]; rigid-body modes at 0.
     change
         Largest relative change of a frequency among these by the condensation.
+    motion
+        How all given DoFs follow those kept, shape ``(m, n)``.
+    dynamic
+        Whether they follow by modes of their own too, not statically alone.
     """
 
     M: Float[np.ndarray, "n n"]
@@ -49,6 +55,8 @@ class Condensed:
     eigenvalue: Float[np.ndarray, " mode"]
     deviation: Float[np.ndarray, " mode"]
     change: float
+    motion: Float[np.ndarray, "m n"]
+    dynamic: bool = False
 
 
 def condense(
@@ -91,9 +99,8 @@ def condense(
     """
     _check(M, K)
     square, phi = lowest_modes(M, K)
-    deviation = _rounding(phi, _last_digit(K, digits))
-    zero = np.abs(square) < SURE * deviation + 1e-13 * _size(phi, K)
-    rigid = int(np.argmin(zero)) if not zero.all() else len(zero)
+    deviation = rounding(phi, K, digits)
+    rigid = rigid_count(square, phi, K, deviation)
     elastic = square[rigid:]
     if not len(elastic):
         raise ValueError("the matrices have rigid-body modes only; stiffness is missing")
@@ -103,7 +110,7 @@ def condense(
     while True:
         kept, m, k = _followed(M, K, ratio, set(keep))
         m, at = _with_mass(m, k, ratio), np.flatnonzero(kept)
-        k = _freed(m, k, phi[at, :rigid])
+        k = freed(m, k, phi[at, :rigid])
         enough = len(at) >= wanted
         found = lowest_modes(m, k)[0][rigid:wanted] if enough else np.array([])
         change = float(np.abs(np.sqrt(np.abs(found) / square[rigid:wanted]) - 1).max(initial=0.0)) if enough else np.inf
@@ -112,7 +119,7 @@ def condense(
         ratio *= FURTHER**2
     return Condensed(
         m, k, kept, rigid, float(np.abs(square[:rigid]).max(initial=0.0)), float(deviation[:rigid].max(initial=0.0)),
-        np.where(np.arange(wanted) < rigid, 0.0, square[:wanted]), deviation[:wanted], change,
+        np.where(np.arange(wanted) < rigid, 0.0, square[:wanted]), deviation[:wanted], change, follow(K, kept),
     )  # fmt: skip
 
 
@@ -173,10 +180,10 @@ def _followed(M: np.ndarray, K: np.ndarray, ratio: float, keep: set[int]) -> tup
         if not stiff[c] > ratio:
             break
         left[c] = False
-        t = np.where(left, -k[c] / k[c, c], 0.0)
-        mc, mcc = m[c].copy(), m[c, c]
-        m = m + np.outer(t, mc) + np.outer(mc, t) + mcc * np.outer(t, t)
-        k = k + np.outer(t, k[c])
+        near = np.flatnonzero(left & ((k[c] != 0) | (m[c] != 0)))  # nothing changes elsewhere
+        t, mc, block = -k[c, near] / k[c, c], m[c, near], np.ix_(near, near)
+        m[block] += np.outer(t, mc) + np.outer(mc, t) + m[c, c] * np.outer(t, t)
+        k[block] += np.outer(t, k[c, near])
         m[c], m[:, c], k[c], k[:, c] = 0.0, 0.0, 0.0, 0.0
     at = np.ix_(left, left)
     return left, 0.5 * (m[at] + m[at].T), 0.5 * (k[at] + k[at].T)
@@ -206,7 +213,7 @@ def _with_mass(M: np.ndarray, K: np.ndarray, ratio: float) -> np.ndarray:
     return M + (directions * (stiffness / ratio)) @ directions.T
 
 
-def _freed(M: np.ndarray, K: np.ndarray, R: np.ndarray) -> np.ndarray:
+def freed(M: np.ndarray, K: np.ndarray, R: np.ndarray) -> np.ndarray:
     """Stiffness that gives no force for motions R."""
     if not R.shape[1]:
         return K
@@ -216,47 +223,47 @@ def _freed(M: np.ndarray, K: np.ndarray, R: np.ndarray) -> np.ndarray:
     return 0.5 * (K + K.T)
 
 
-def _last_digit(K: np.ndarray, digits: int) -> np.ndarray:
-    with np.errstate(divide="ignore"):
-        unit = 10.0 ** (np.floor(np.log10(np.abs(K))) - (digits - 1))
-    return np.where(K == 0, 0.0, unit)
+def rigid_count(square: np.ndarray, phi: np.ndarray, K: Any, deviation: np.ndarray) -> int:
+    """How many of the lowest eigenvalues are zero within the digits of the stiffness and of double precision."""
+    size = np.abs(phi)
+    zero = np.abs(square) < SURE * deviation + 1e-13 * np.sum(size * (abs(K) @ size), axis=0)
+    return int(np.argmin(zero)) if not zero.all() else len(zero)
 
 
-def _rounding(phi: np.ndarray, ulp: np.ndarray) -> np.ndarray:
-    """Standard deviation of each eigenvalue from rounding of the stiffness, shape ``(n,)``."""
-    weight = 2.0 * ulp**2 - np.diag(np.diag(ulp**2))  # over all i, j: half of (2 u)^2, and u^2 on the diagonal
+def rounding(phi: np.ndarray, K: Any, digits: int) -> np.ndarray:
+    """Standard deviation of each eigenvalue from rounding of the stiffness, dense or sparse, shape ``(r,)``."""
+    K = scipy.sparse.csr_array(K)
+    unit = K.copy()
+    unit.data = np.where(K.data == 0, 0.0, 10.0 ** (np.floor(np.log10(np.abs(K.data) + (K.data == 0))) - (digits - 1)))
+    # over all i, j: half of (2 u)^2, and u^2 on the diagonal
+    weight = 2.0 * unit.power(2) - scipy.sparse.diags_array(unit.diagonal() ** 2)
     squares = phi**2
-    return np.sqrt(np.einsum("ir,ij,jr->r", squares, weight, squares, optimize=True) / 12)
-
-
-def _size(phi: np.ndarray, K: np.ndarray) -> np.ndarray:
-    r""":math:`\sum_{ij}|\phi_i K_{ij}\phi_j|`, what rounding in double precision acts on, shape ``(n,)``."""
-    return np.einsum("ir,ij,jr->r", np.abs(phi), np.abs(K), np.abs(phi), optimize=True)
+    return np.sqrt(np.sum(squares * (weight @ squares), axis=0) / 12)
 
 
 def node_pairs(
-    K: Float[np.ndarray, "m m"], nodes: Sequence[str], directions: Sequence[str], kept: Bool[np.ndarray, " m"]
+    K: Any, nodes: Sequence[str], directions: Sequence[str], kept: Bool[np.ndarray, " m"]
 ) -> list[tuple[int, int]]:
     """Pairs of kept DoFs of one direction whose nodes an element joins: where a spring or joint may sit.
 
     Parameters
     ----------
     K
-        Stiffness before the condensation, shape ``(m, m)``.
+        Stiffness before the condensation, dense or scipy sparse, shape ``(m, m)``.
     nodes, directions
         Of each DoF.
     kept
         Which DoFs are left.
     """
-    names, at = np.unique(np.asarray(nodes), return_inverse=True)
-    joined = np.zeros((len(names), len(names)), bool)
-    i, j = np.nonzero(K)
-    joined[at[i], at[j]] = True
+    at = np.unique(np.asarray(nodes), return_inverse=True)[1]
+    there = np.isin(at, at[kept])
+    i, j = K.nonzero()
+    near = there[i] & there[j] & (at[i] < at[j])
+    joined = np.unique(np.stack([at[i[near]], at[j[near]]], axis=1), axis=0)
     place = {(int(at[d]), directions[d]): d for d in np.flatnonzero(kept).tolist()}
-    pairs = [(int(a), int(b)) for a, b in zip(*np.nonzero(np.triu(joined, 1)), strict=True)]
     return [
         (place[a, way], place[b, way])
-        for a, b in pairs for way in dict.fromkeys(directions) if (a, way) in place and (b, way) in place
+        for a, b in joined.tolist() for way in dict.fromkeys(directions) if (a, way) in place and (b, way) in place
     ]  # fmt: skip
 
 
