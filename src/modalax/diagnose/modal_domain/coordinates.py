@@ -1,8 +1,8 @@
 r"""A simulation in its modal coordinates: poles and residues under changes of mass, damping and stiffness.
 
 With shapes of unit modal mass the undamped simulation is :math:`I s^2 + \mathrm{diag}(\omega^2)`, and a change of the
-matrices is a symmetric matrix in these coordinates. Derivatives of poles and shapes are those of symmetric matrices,
-in closed form over all modes (Adhikari 2013).
+matrices is a symmetric matrix in these coordinates. Derivatives of poles and shapes follow from one bordered system a
+mode (Nelson 1976), whatever the other modes are: oscillating, overdamped or those of a rigid body.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from modalax.model import Structure
 QUICK = 1e3  # frequency of a DoF by itself, over that of the band, above which it is given mass
 SPARE = 4.0  # frequency of a coordinate to which nothing is attached, over the highest of all
 LARGEST = 90  # modal coordinates kept of large simulations, besides what the band needs
-FURTHER, AT_LEAST = 10, 45  # modes above the band, and in all, that are solved with their damping
+FURTHER, AT_LEAST = 10, 60  # modes above the band, and in all, that are solved with their damping
 REPEATED = 1e-6  # relative distance of two poles below which they count as repeated in derivatives
 
 
@@ -63,12 +63,19 @@ class Modes:
         Shape ``(m,)`` [rad/s].
     vectors
         In the modal coordinates of the simulation, shape ``(m, n)``.
+    parts
+        The same by the real shapes that they are solved in, shape ``(m, l)``.
+    low
+        These real shapes, of unit mass, their squared circular frequencies and damping, shapes ``(l, n)``, ``(l,)``
+        and ``(l, l)``.
     high
         Real shapes and squared circular frequencies of the modes above, shapes ``(h, n)`` and ``(h,)``.
     """
 
     poles: np.ndarray
     vectors: np.ndarray
+    parts: np.ndarray
+    low: tuple[np.ndarray, np.ndarray, np.ndarray]
     high: tuple[np.ndarray, np.ndarray]
 
 
@@ -116,14 +123,17 @@ def modes_of(
     m = c.solved
     low = Q[:, :m]
     damping = low.T @ (c.damping if dC is None else c.damping + dC) @ low
-    state = np.block([[np.zeros((m, m)), np.eye(m)], [-np.diag(values[:m]), -damping]])
+    # of displacements times their frequencies and of velocities, so that all parts are of one size
+    w = np.sqrt(np.abs(values[:m]))
+    state = np.block([[np.zeros((m, m)), np.diag(w)], [-np.diag(np.sign(values[:m]) * w), -damping]])
     poles, vectors = np.linalg.eig(state)
-    up = poles.imag > 1e-6 * np.sqrt(np.abs(values[:m]).max())
-    poles, vectors = poles[up], vectors[:m, up].T
+    up = poles.imag > 1e-6 * w.max()
+    poles, vectors = poles[up], (vectors[m:, up] / poles[up]).T
     order = np.argsort(np.abs(poles))
     poles, vectors = poles[order], vectors[order]
     a = 2 * poles * (vectors**2).sum(axis=1) + ((vectors @ damping) * vectors).sum(axis=1)
-    return Modes(poles, (vectors / np.sqrt(a)[:, None]) @ low.T, (Q[:, m:].T, values[m:]))
+    parts = vectors / np.sqrt(a)[:, None]
+    return Modes(poles, parts @ low.T, parts, (low.T, values[:m], damping), (Q[:, m:].T, values[m:]))
 
 
 @dataclass(frozen=True)
@@ -145,20 +155,33 @@ class Slopes:
 
 def slopes_of(c: Coordinates, modes: Modes, which: np.ndarray) -> Slopes:
     """Matrices of derivatives of the modes ``which``."""
-    poles = modes.poles[which]
-    every = np.concatenate([modes.poles, modes.poles.conj()])
-    vectors = np.concatenate([modes.vectors, modes.vectors.conj()])
-    apart = poles[:, None] - every
-    near = np.abs(apart) < REPEATED * np.abs(poles)[:, None]
-    inverse = np.where(near, 0.0, 1 / np.where(near, 1.0, apart))
-    high, squares = modes.high
-    static = 1 / (squares + poles[:, None] ** 2)
-    at_outputs, at_inputs = (
-        np.matmul(inverse[:, None] * (rows @ vectors.T), vectors) + np.matmul(static[:, None] * (rows @ high.T), high)
-        for rows in (c.outputs, c.inputs)
-    )
+    poles, (high, squares) = modes.poles[which], modes.high
+    rows = np.concatenate([c.outputs, c.inputs])
+    near = np.stack([_near(modes, pole, rows) for pole in poles]) if len(poles) else np.zeros((0, *rows.shape), complex)
+    far = np.matmul(1 / (squares + poles[:, None] ** 2)[:, None] * (rows @ high.T), high)
+    at_outputs, at_inputs = np.split(near + far, [len(c.outputs)], axis=1)
     v = modes.vectors[which]
     return Slopes(poles, v, at_outputs, at_inputs, v @ c.outputs.T, v @ c.inputs.T)
+
+
+def _near(modes: Modes, pole: complex, rows: np.ndarray) -> np.ndarray:
+    r"""Responses at a pole to unit forces along ``rows``, its own mode taken out; shape ``(rows, n)``.
+
+    With :math:`Z^{-1}(s) = v v^T/(s - \lambda) + G + O(s - \lambda)`, ``v`` of :math:`v^T Z' v = 1`, the powers of
+    :math:`s - \lambda` in :math:`Z Z^{-1} = I` give :math:`Z G = I - Z'v\,v^T` and :math:`(Z'v)^T G = -(v^T M v)\,v^T`.
+    """
+    shapes, squares, damping = modes.low
+    v = modes.parts[np.abs(modes.poles - pole) < REPEATED * abs(pole)]  # its own, and others on top of it
+    count, far = len(squares), rows @ shapes.T
+    slope = 2 * pole * v + v @ damping
+    part = np.linalg.solve(slope @ v.T, v @ far.T)
+    scale = abs(pole) ** 1.5  # so that all parts of the system are of one size
+    A = np.zeros((count + len(v), count + len(v)), complex)
+    A[:count, :count] = pole * damping
+    A[range(count), range(count)] += squares + pole**2
+    A[count:, :count], A[:count, count:] = scale * slope, scale * slope.T
+    G = np.linalg.solve(A, np.concatenate([far.T - slope.T @ part, -scale * (v @ v.T) @ part]))[:count]
+    return G.T @ shapes
 
 
 POWER = {"K": 0, "C": 1, "M": 2}
