@@ -65,7 +65,7 @@ def case(count: int) -> tuple[Structure, list[str], np.ndarray, np.ndarray]:
     place = [names[2], names[4]] if count == 5 else [names[0], names[neighbour(simulation)]]
     quiet = np.asarray(modes.frf(freq, outputs=place, inputs=[names[0]]).H)[:, :, 0]
     motion = np.abs(quiet[:, 0] - quiet[:, 1])
-    columns = np.asarray(modes.frf(freq, outputs=list(names), inputs=list(names)).H)
+    columns = np.asarray(modes.frf(freq[::EVERY], outputs=list(names), inputs=list(names)).H)
     spring, across = 1e-6 / float(np.median(motion)), float(motion.max()) * LEVELS[0]
     for _ in range(40):
         joint = ElastoSlip(spring, 0.3 * across * spring, 0.0)
@@ -74,7 +74,7 @@ def case(count: int) -> tuple[Structure, list[str], np.ndarray, np.ndarray]:
         )
         H = np.asarray(response.frf_values())
         distance = np.sqrt(2) * np.linalg.norm((H[0] - H[-1]) / spread_of(H)[0])
-        led = lead(columns, H, place, names) if distance > DISTANCE else 0.0
+        led = EVERY * lead(columns, H[:, ::EVERY], place, names) if distance > DISTANCE else 0.0
         if led > LEAD:
             return simulation, place, freq, H
         spring *= 1.5 if distance > DISTANCE else min(10.0, 1.2 * DISTANCE / distance)
@@ -89,7 +89,7 @@ def neighbour(simulation: Structure) -> int:
 def lead(columns: np.ndarray, H: np.ndarray, place: list[str], names: tuple[str, ...]) -> float:
     """Chi-square that a free force at the best other place, at every line and level, leaves of the noise-free effect.
 
-    Where it is small, no method can tell the place. It is taken at some lines and stands for all.
+    Where it is small, no method can tell the place.
 
     Parameters
     ----------
@@ -100,8 +100,8 @@ def lead(columns: np.ndarray, H: np.ndarray, place: list[str], names: tuple[str,
     """
     sigma = spread_of(H)
     effect = (np.sqrt(2) * (H - columns[None, :, :, :1]) / sigma)[..., 0]
-    left = np.full((len(names), len(names)), (np.abs(effect[:, ::EVERY]) ** 2).sum())  # the diagonal: to ground
-    for run, f in itertools.product(range(len(H)), range(0, len(columns), EVERY)):
+    left = np.full((len(names), len(names)), (np.abs(effect) ** 2).sum())  # the diagonal: to ground
+    for run, f in itertools.product(range(len(H)), range(len(columns))):
         g = columns[f] / sigma[run, f]
         gram, toward = g.conj().T @ g, g.conj().T @ effect[run, f]
         own = np.real(np.diagonal(gram))
@@ -112,7 +112,7 @@ def lead(columns: np.ndarray, H: np.ndarray, place: list[str], names: tuple[str,
         left -= np.abs(product) ** 2 / np.maximum(length, 1e-9 * own[:, None])
     a, b = sorted(names.index(p) for p in place)
     left[[a, b], [b, a]] = np.inf
-    return EVERY * float(left.min())
+    return float(left.min())
 
 
 def spread_of(H: np.ndarray) -> np.ndarray:
