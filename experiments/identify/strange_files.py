@@ -103,28 +103,18 @@ def _blocks(rng, system, fs, n, blocks, burst=1.0, window=None, outputs=3):
     return np.fft.rfftfreq(n, 1 / fs), H[:, :, None]
 
 
-@kind
-def burst_random_with_leakage(rng):
-    system = System(rng, FIVE, 0.004)
-    f, H = _blocks(rng, system, 512, 1024, 40, burst=0.7)
+def _random(rng, zeta, lines_of_block, blocks, **how):
+    system = System(rng, FIVE, zeta)
+    f, H = _blocks(rng, system, 512, lines_of_block, blocks, **how)
     use = (f > 3) & (f < 130)
     return file(f[use], H[use]), system.poles
 
 
-@kind
-def burst_random_without_leakage(rng):
-    system = System(rng, FIVE, 0.02)
-    f, H = _blocks(rng, system, 512, 2048, 30, burst=0.5)
-    use = (f > 3) & (f < 130)
-    return file(f[use], H[use]), system.poles
-
-
-@kind
-def random_with_hann_window(rng):
-    system = System(rng, FIVE, 0.008)
-    f, H = _blocks(rng, system, 512, 2048, 60, window="hann")
-    use = (f > 3) & (f < 130)
-    return file(f[use], H[use]), system.poles
+KINDS |= {
+    "burst random with leakage": lambda rng: _random(rng, 0.004, 1024, 40, burst=0.7),
+    "burst random without leakage": lambda rng: _random(rng, 0.02, 2048, 30, burst=0.5),
+    "random with hann window": lambda rng: _random(rng, 0.008, 2048, 60, window="hann"),
+}
 
 
 @kind
@@ -183,16 +173,15 @@ def double_poles_one_input(rng):
     return file(f, noisy(rng, system.frf(lines(f), 6), 0.005)), system.poles
 
 
-@kind
-def mobility_called_accelerance(rng):
+def _called_accelerance(rng, form):
     system, f = System(rng, FIVE, 0.01), np.arange(5, 125, 0.125)
-    return file(f, noisy(rng, system.frf(lines(f), form="mobility"), 0.01)), system.poles
+    return file(f, noisy(rng, system.frf(lines(f), form=form), 0.01)), system.poles
 
 
-@kind
-def receptance_called_accelerance(rng):
-    system, f = System(rng, FIVE, 0.01), np.arange(5, 125, 0.125)
-    return file(f, noisy(rng, system.frf(lines(f), form="receptance"), 0.01)), system.poles
+KINDS |= {
+    "mobility called accelerance": lambda rng: _called_accelerance(rng, "mobility"),
+    "receptance called accelerance": lambda rng: _called_accelerance(rng, "receptance"),
+}
 
 
 @kind

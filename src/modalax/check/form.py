@@ -49,11 +49,11 @@ def wrong_form(study: Study) -> Iterator[Finding]:
             power = min(options, key=lambda p: 0.0 if slope is None else _off(slope, p))
             yield _finding(study, power, "the residues of all modes are turned by 90 degrees", 0.98)
         return
-    if drive is not None and drive[0] != label:
+    if study.followed and (turned := _turned_outputs(study)):
+        yield from (_one_output(study, o) for o in turned)
+    elif drive is not None and drive[0] != label:
         text = f"as {FORMS[drive[0]]} the drive points are {drive[1]:.3g} times closer to those of a passive structure"
         yield _finding(study, drive[0], text, 0.97)
-    elif study.followed and (turned := _turned_outputs(study)):
-        yield from (_one_output(study, o) for o in turned)
     elif slope is not None and _off(slope, label) > 1 - STEP_SLOPE and turn == 0:
         fits = [p for p in range(3) if _off(slope, p) < STEP_SLOPE and (p - label) % 2 == 0]
         if len(fits) == 1:
