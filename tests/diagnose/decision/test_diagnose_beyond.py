@@ -64,15 +64,15 @@ def test_a_cause_stands_out_beyond_what_is_usual(slug, whole, expected):
 
 
 @pytest.mark.parametrize(
-    ("word", "after", "plain", "said"),
+    ("word", "after", "plain", "preferred", "said"),
     [
-        ("named", 1.1, 8.0, "named"), ("named", 8.5, 8.0, "unknown"), ("named", 8.3, 8.0, "named"),
-        ("named", 1.1, np.nan, "named"),
-        ("ambiguous", 9.0, 8.0, "ambiguous"),
+        ("named", 1.1, 8.0, -9.0, "named"), ("named", 8.5, 8.0, 5.0, "unknown"), ("named", 8.3, 8.0, 9.0, "named"),
+        ("named", 8.5, 8.0, 3.0, "named"), ("named", 1.1, np.nan, np.inf, "named"),
+        ("ambiguous", 9.0, 8.0, 9.0, "ambiguous"),
     ],
 )  # fmt: skip
-def test_one_cause_too_must_predict_the_block_held_out(word, after, plain, said):
-    gain = Gain("run 3 at 9 N, the highest level", 40.0, after, 500.0, 20.0, chi2_plain=plain)
+def test_one_cause_too_must_predict_the_block_held_out(word, after, plain, preferred, said):
+    gain = Gain("run 3 at 9 N, the highest level", 40.0, after, 500.0, 20.0, chi2_plain=plain, preferred=preferred)
     found, reasons = held_out_verdict(word, ["as before"], gain)
     assert found == said and reasons[0] == "as before"
     assert ("imitates something else" in reasons[-1]) == (said != word)

@@ -121,11 +121,12 @@ def modal_verdict(case: ModalCase) -> tuple[str, tuple[str | int, ...]]:
 def held_out_verdict(
     word: str, reasons: Sequence[str], gain: Gain, limits: Thresholds = THRESHOLDS
 ) -> tuple[str, tuple[str, ...]]:
-    """The verdict once the held-out block is known: a cause without which it is predicted better is not named.
+    """The verdict once the held-out block is known: a cause without which it is surely predicted better is not named.
 
     That it is predicted as well says nothing: an inaccuracy of many elements may imitate a cause, only less likely.
     """
-    if word != "named" or not gain.chi2_after > limits.farther * gain.chi2_plain:
+    better = gain.chi2_after > limits.farther * gain.chi2_plain and gain.preferred > limits.missed
+    if word != "named" or not better:
         return word, tuple(reasons)
     return "unknown", (
         *reasons,

@@ -24,6 +24,8 @@ class Gain:
     chi2_plain
         Per real sample, by the general inaccuracy alone where causes were found beyond it; by the linear structure
         where a joint was found.
+    preferred
+        By how many standard deviations, from blocks of its lines, the block is likelier by ``chi2_plain``'s prediction.
     """
 
     held_out: str
@@ -34,6 +36,7 @@ class Gain:
     missed: float = 0.0
     chi2_within: float = float("nan")
     chi2_plain: float = float("nan")
+    preferred: float = float("inf")
 
     def to_dict(self) -> dict[str, Any]:
         """As in the answer's file."""

@@ -48,13 +48,22 @@ def gain_of(stage: Stage, found: Explanation, before: np.ndarray) -> Gain:
     count = 2 * int(mask.sum())
     chi2 = [np.abs(weight * (H - p)) ** 2 for p in (before, after)]
     by_line = 0.5 * (chi2[0] - chi2[1]).sum(axis=(0, 2, 3))
+    gain = Gain(
+        words, float(chi2[0].sum() / count), float(chi2[1].sum() / count), float(by_line.sum()), _deviation(by_line)
+    )
+    if plain is None:
+        return gain
+    alone_chi2 = np.abs(weight * (H - plain)) ** 2
+    worse = 0.5 * (chi2[1] - alone_chi2).sum(axis=(0, 2, 3))[mask.any(axis=(0, 2, 3))]
+    preferred = float(worse.sum()) / max(_deviation(worse), 1e-300)
+    return replace(gain, chi2_plain=float(alone_chi2.sum() / count), preferred=preferred)
+
+
+def _deviation(by_line: np.ndarray) -> float:
+    """Standard deviation of a sum over lines, by resampling blocks of neighbours."""
     blocks = np.array([b.sum() for b in np.array_split(by_line, min(BLOCKS, len(by_line)))])
-    rng = np.random.default_rng(0)
-    draws = blocks[rng.integers(len(blocks), size=(RESAMPLED, len(blocks)))].sum(axis=1)
-    return Gain(
-        words, float(chi2[0].sum() / count), float(chi2[1].sum() / count), float(by_line.sum()), float(draws.std()),
-        chi2_plain=float("nan") if plain is None else float((np.abs(weight * (H - plain)) ** 2).sum() / count),
-    )  # fmt: skip
+    draws = blocks[np.random.default_rng(0).integers(len(blocks), size=(RESAMPLED, len(blocks)))].sum(axis=1)
+    return float(draws.std())
 
 
 @dataclass(frozen=True)
