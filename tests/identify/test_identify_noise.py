@@ -54,13 +54,14 @@ def test_what_a_fit_leaves_of_the_noise_around_a_line():
     left = y - unit @ np.linalg.lstsq(unit, y)[0]
     power = np.mean(left.reshape(2, len(s), -1) ** 2, axis=(0, 2))
     # Poles are no unknowns of a linear fit: each column of residues alone, which many channels come to.
-    told = noise.left_by_fit(s, 0, poles, (len(s), 1000, 1), 1.0)[:, 0, 0]
+    told = noise.left_by_fit(s, 0, poles, (len(s), 32, 1), 1.0)[:, 0, 0]
     near = slice(120, 128)
     window = 8
     seen = np.array([power[max(k - window, 0) : k + window + 1].mean() for k in range(len(s))])
     assert np.min(told) < 0.8 < 0.97 < told[60]
     np.testing.assert_allclose(told, seen, atol=0.05)
-    assert abs(told[near].mean() - seen[near].mean()) < 0.02
+    assert abs(told[near].mean() - seen[near].mean()) < 0.04
+    assert (noise.left_by_fit(s, 0, poles, (len(s), 33, 1), 1.0) == 1).all()
     one = noise.left_by_fit(s, 0, poles, (len(s), 1, 1), 1.0)
     assert np.sum(1 - one) == pytest.approx((4 + 4 * 4) / 2, rel=0.1)  # all unknowns of one channel, two a line
 

@@ -76,7 +76,8 @@ def left_by_fit(
 
     A residual has the variance :math:`(1-h_k)\sigma_k^2` with the leverage :math:`h_k` of its line, which is that of
     the residual terms, of the residues, :math:`n_o+n_i-1` complex numbers a mode for :math:`n_on_i` channels, and of
-    the pole, which all channels share.
+    the pole, which all channels share. What a fit leaves of more than ``SAMPLES`` outputs or inputs is error of the
+    model more than noise, and is taken as it is.
 
     Parameters
     ----------
@@ -89,6 +90,8 @@ def left_by_fit(
     sigma
         Standard deviations that weighed the samples, of that shape.
     """
+    if max(shape[1:]) > SAMPLES:
+        return np.ones((shape[0], 1, 1))
     terms, n = residual_terms(s, power, residuals), len(poles)
     channels = shape[1] * shape[2]
     part = np.repeat([1.0, (shape[1] + shape[2] - 1) / channels, 1 / channels], [terms.shape[1], 2 * n, 2 * n])
