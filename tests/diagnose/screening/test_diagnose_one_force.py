@@ -84,6 +84,12 @@ def test_nothing_else_is_taken_for_a_force_at_one_place(changed):
     assert one_force.places_of_one_force(comparison_of(STRUCTURE, changed)[0]) == ()
 
 
+def test_nothing_is_said_where_too_many_places_would_do(monkeypatch):
+    comparison, _ = comparison_of(STRUCTURE, sprung(STRUCTURE, 2, 5, 5e3))
+    monkeypatch.setattr(one_force, "KEPT", len(one_force.places_of_one_force(comparison)) - 1)
+    assert one_force.places_of_one_force(comparison) == ()
+
+
 def test_a_claimed_spread_or_few_outputs_leave_the_question_open():
     claimed, _ = comparison_of(grid(8, True), sprung(STRUCTURE, 2, 5, 5e3), lines=20)
     few, _ = comparison_of(grid(3, False), sprung(grid(3, False), 0, 2, 5e4), lines=20)

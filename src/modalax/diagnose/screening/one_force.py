@@ -47,7 +47,8 @@ def places_of_one_force(comparison: Comparison) -> tuple[Place, ...]:
     explained = _exceeds_noise(chi2 - best, count - unknowns) < THRESHOLDS.one_force
     if driven or not explained or others > best - unknowns - behind:
         return ()
-    return tuple(places[k] for k in order[:KEPT] if gains[k] > best - behind)
+    near = tuple(places[k] for k in order if gains[k] > best - behind)
+    return near if len(near) <= KEPT else ()
 
 
 def _can_tell(comparison: Comparison) -> bool:
