@@ -28,7 +28,7 @@ def case(*sets, **changed):
         (case((0.6, SPRING), (0.4, ("joint_stiffness", ("1", "2")))), "named", "(probability 1.000)"),
         (case((0.5, SPRING), (0.5, ("joint_stiffness", ("1", "2")))), "ambiguous", "its place"),
         (case((0.9, *NOTHING), (0.1, SPRING)), "clean", "(probability 0.900)"),
-        (case((0.9, *NOTHING), fitted=[SPRING]), "clean", "joint_stiffness at 3 - 4 is significant"),
+        (case((0.9, *NOTHING), fitted=[SPRING]), "clean", "joint_stiffness at 3 - 4 is no larger than is usual"),
         (case((0.97, SPRING), share_of_largest=0.81), "unknown", "stiffness 1 %, mass 0.5 %, damping 30 %"),
         (case((0.97, *NOTHING), misfit=2.1), "unknown", "not explained"),
         (case((0.97, SPRING), share_of_largest=0.8, misfit=2.0), "named", "12.3 nats"),

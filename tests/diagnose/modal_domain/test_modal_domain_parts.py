@@ -1,10 +1,13 @@
 """The parts of the diagnosis in the modal domain, each against a second route."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import scipy.linalg
 from frames import DOFS, FLIP, beam, cantilever, simulation
 
+from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import (
     coordinates_of,
     direction_slopes,
@@ -13,8 +16,11 @@ from modalax.diagnose.modal_domain.coordinates import (
     slopes_of,
 )
 from modalax.diagnose.modal_domain.elements import local_parts, mass_parts, nodes_of, parts_of, stiffness_parts
+from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.features import Features, features_of, paired
 from modalax.diagnose.modal_domain.free_residues import Channels, project, refine
+from modalax.diagnose.modal_domain.inaccuracy import TOLD
+from modalax.diagnose.modal_domain.judged import standing_out
 from modalax.diagnose.modal_domain.mode_count import blind_modes, misfit
 from modalax.diagnose.modal_domain.places import candidates_of
 from modalax.model import Structure
@@ -213,3 +219,15 @@ def test_the_element_at_a_clamp_is_a_place_as_a_whole(coordinates):
     exact = np.sqrt(scipy.linalg.eigh(K, M, eigvals_only=True))[:5]
     found = np.abs(modes_of(coordinates, dK=-0.5 / cause.scale * cause.matrix).poles)[:5]
     np.testing.assert_allclose(found, exact, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("size", "std", "stands"), [(4.0, 1.0, True), (3.0, 1.0, False), (40.0, 1.0, True)])
+def test_a_cause_that_its_error_lets_be_none_does_not_stand_out(size, std, stands):
+    """Of a place among hundreds three standard deviations say nothing; a usual size is one tenth of these."""
+    cause = Change("joint_stiffness", ("a", "b"), scale=100.0, reference=1000.0)
+    fitted = SimpleNamespace(causes=(cause,), u=np.array([size]), covariance=np.array([[std**2]]), epsilon=[0.01] * 3)
+    stage = SimpleNamespace(
+        measured=SimpleNamespace(freq=np.array([1.0, 100.0])),
+        setting=SimpleNamespace(inaccuracy=SimpleNamespace(groups=TOLD)),
+    )
+    assert (standing_out(stage, Explanation(fitted, 0.0, 1.0)) == (cause,)) == stands

@@ -85,7 +85,7 @@ def nothing_beyond_the_usual(case: ModalCase) -> tuple[str, ...]:
         return ()
     if case.fitted:
         what = ", ".join(cause_at(slug, where) for slug, where in case.fitted)
-        return (f"{what} is significant, but no larger than is usual",)
+        return (f"{what} is no larger than is usual, or may be none at all within its error",)
     return (f"nothing stands out beyond the general inaccuracy (probability {case.sets[0].probability:.3f})",)
 
 

@@ -1,11 +1,12 @@
 """What stands out in each explanation beyond the general inaccuracy, made ready for the verdict."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from modalax.diagnose.decision.beyond import BeyondUsual, ModalCase, Names, modal_verdict, usual_size
-from modalax.diagnose.modal_domain.causes import Change, with_sizes
+from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.fit import LARGEST
 from modalax.diagnose.modal_domain.inaccuracy import TOLD
@@ -82,14 +83,17 @@ def _key(names: Names) -> Names:
 
 
 def standing_out(stage: Stage, e: Explanation) -> tuple[Change, ...]:
-    """Causes of an explanation that are larger than is usual."""
+    """Causes of an explanation that are larger than is usual, and surely not zero."""
     off, highest = inaccuracy_of_fit(stage, e), float(stage.measured.freq[-1])
     out = []
-    for c, u in with_sizes(e.causes, e.fit.u):
-        size = c.size(u)
+    for k, (c, u) in enumerate(with_sizes(e.causes, e.fit.u)):
+        size, usual = c.size(u), usual_size(c.slug, c.whole, off, highest)
         if c.slug == "modal_damping":  # a factor, as the general inaccuracy of damping is
             size = float(np.log(max(1 + size, 1e-9)))
-        if abs(size) > usual_size(c.slug, c.whole, off, highest):
+        own = own_sizes(e.causes, k)
+        apart = np.abs(e.fit.u[own]) / np.sqrt(np.maximum(np.diag(e.fit.covariance)[own], 1e-300))
+        sure = usual == -math.inf or bool((apart > THRESHOLDS.stands_out).any())
+        if sure and abs(size) > usual:
             out.append(c)
     return tuple(out)
 
