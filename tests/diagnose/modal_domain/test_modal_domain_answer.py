@@ -1,5 +1,7 @@
 """Answers about a beam whose every element is off."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from frames import DAMPING, DOFS, FLIP, cantilever, measured, simulation
@@ -8,10 +10,12 @@ from modalax.diagnose import ExtendedSimulation
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.diagnose.modal_domain.discrepancy import beside, told_apart
 from modalax.diagnose.modal_domain.features import whitener_of
 from modalax.diagnose.modal_domain.fit import fit
 from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
 from modalax.diagnose.modal_domain.measured import identify
+from modalax.diagnose.modal_domain.screen import errors_of
 from modalax.diagnose.modal_domain.state import Setting
 
 
@@ -42,6 +46,13 @@ def test_nothing_stands_out_of_a_simulation_that_is_off_everywhere():
     assert low < drawn(K) < high
     assert answer["gain"]["chi2_after"] < 1.3 < 20 < answer["gain"]["chi2_before"]
     assert "generally off" in answer["reasons"][0]
+    # a rest that is then told apart changes nothing of what has been fitted without it, and errors can be told
+    stage, f, few = found.stage, found.chosen.fit, found.stage.candidates[:4]
+    apart = told_apart(replace(stage.setting, rest=1e-4), f)
+    again = beside(apart, f)
+    assert len(again.sizes) > len(f.sizes) and again.state.difference is f.state.difference
+    without, with_rest = errors_of(stage.setting, f, few), errors_of(apart, again, few)
+    assert np.all(with_rest >= 0.999 * without) and np.all(with_rest < 10 * without)
 
 
 def test_the_inaccuracy_of_damping_is_that_of_the_modes_though_damping_hardly_couples_them():

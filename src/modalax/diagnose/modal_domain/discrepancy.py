@@ -88,7 +88,7 @@ def beside(setting: Setting, f: Fit) -> Fit:
     count = len(a.groups) - len(f.epsilon)
     return replace(
         f, sizes=sizes, epsilon=np.append(f.epsilon, a.usual[len(f.epsilon) :]),
-        determined=np.append(f.determined, np.zeros(count)),
+        determined=np.append(f.determined, np.zeros(count)), state=replace(f.state, sizes=sizes),
     )  # fmt: skip
 
 
