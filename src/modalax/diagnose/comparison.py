@@ -356,7 +356,7 @@ def causes_of(causes: Sequence[Cause] | None, comparison: Comparison, default: S
     """
     chosen: list[Cause] = list(default if causes is None else causes)
     if comparison.only:
-        chosen = [*filter(lambda c: isinstance(c, ElementCause), chosen)]
+        chosen = [c for c in chosen if isinstance(c, ElementCause)]
     held = comparison.problem.held
     if held is not None and any(c.only_one for c in held.causes):
         chosen = [c for c in chosen if not c.only_one]  # one record or sweep is what it is

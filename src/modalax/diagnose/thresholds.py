@@ -75,7 +75,8 @@ class Thresholds:
     missed: float = _threshold(
         4.0, "standard deviations",
         "Causes fail on the held-out block where its chi-square exceeds, by more than this, what the errors of their "
-        "parameters explain.", SCORE,
+        "parameters explain; or, in the modal domain, where the block is likelier without them by more than this.",
+        SCORE,
     )  # fmt: skip
     farther: float = _threshold(
         1.05, "ratio of chi-squares",
@@ -119,8 +120,10 @@ class Thresholds:
         "A simulation that is off by more than this is not one of this structure.", INACCURATE,
     )  # fmt: skip
     stands_out: float = _threshold(
-        3.5, "standard deviations", "One place among hundreds shows an effect from this score on.", INACCURATE
-    )
+        3.5, "standard deviations",
+        "One place among hundreds shows an effect from this score on; a cause stands out that is so far from none.",
+        INACCURATE,
+    )  # fmt: skip
     # The choice between line by line and the modal domain.
     off: float = _threshold(
         3e-4, "relative error", "A simulation is off in general where its stiffness or mass is off by more than this.",

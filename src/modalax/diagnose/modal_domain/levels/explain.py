@@ -13,6 +13,7 @@ from modalax.diagnose.modal_domain.levels.drift import Drift
 from modalax.diagnose.modal_domain.levels.laws import NAMED, NAMELESS, LawFit, Motion, fit_law, motions_of, regressed
 from modalax.diagnose.modal_domain.levels.series import SERIES
 from modalax.diagnose.modal_domain.levels.weigh import Shapes, weigh
+from modalax.diagnose.thresholds import THRESHOLDS
 
 JOINT, DRIFT = 0.2, 0.05  # chances before the data that a joint, or a drift, tells levels or runs apart
 SAMPLED = 2000  # forces that places are screened on
@@ -21,7 +22,6 @@ FITTED = 12  # leading places at which laws are fitted
 NEIGHBOURS = 8  # lines over which errors of a law's force go together
 TOGETHER = 32  # places that are worked on at once
 BESIDE = 3  # leading fits beside which laws without a name are tried at the same places
-DETERMINED = 3.5  # standard deviations by which some parameter of a law must differ from none
 AGREE = 0.01  # probability that nothing differs from which on no joint or drift is told
 WEIGHED, NEAR = 8, 1000.0  # most fits that are weighed on all samples, and nats behind the best up to which they are,
 NEAR_SHARE = 0.1  # or that share of all its nats: errors of the motion cost a wrong place and the right one alike
@@ -118,7 +118,7 @@ def explain_levels(
         value = w.log_evidence + math.log(JOINT) + _prior(spot, f)
         together = NEIGHBOURS if w.tolerance > 0 else 1
         best = replace(w.fit, covariance=together * w.fit.covariance)
-        if apart_from_zero(best) < DETERMINED:  # what noise has in common with a force at this place is no law
+        if apart_from_zero(best) < THRESHOLDS.stands_out:  # what noise has in common with a force here is no law
             continue
         found.append(JointFound(spot, best, w.b, w.tolerance, value))
     found.sort(key=lambda j: -j.log_posterior)
