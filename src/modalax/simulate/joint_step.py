@@ -118,11 +118,8 @@ def _step_along(joint: Hysteretic, state: Any, way: Way) -> Push:
     """A law with memory along the fine intervals."""
     x, _ = fine_way(way)
     first = joint.step(state, x[0], x[0])[1]
-    f = [first]
-    for old, new in zip(x[:-1], x[1:], strict=True):
-        state, force = joint.step(state, old, new)
-        f.append(force)
-    return Push(jnp.asarray(WEIGHTS) @ jnp.stack(f), f[-1], state)
+    state, f = jax.lax.scan(lambda state, ends: joint.step(state, *ends), state, (x[:-1], x[1:]))
+    return Push(jnp.asarray(WEIGHTS) @ jnp.concatenate([first[None], f]), f[-1], state)
 
 
 @rest.register
@@ -218,11 +215,12 @@ def solve_step(
         )
         return jnp.stack([p.moments for p in pushes]), pushes
 
-    moments, size = guess, guess.size
-    for _ in range(passes):
+    def newton(moments: Float[Array, "j k"], _: None) -> tuple[Float[Array, "j k"], None]:
         slope, (answer, _) = _with_value(forces, moments)
-        way = jnp.linalg.solve(jnp.eye(size) - slope.reshape(size, size), (answer - moments).ravel())
-        moments = moments + way.reshape(guess.shape)
+        way = jnp.linalg.solve(jnp.eye(guess.size) - slope.reshape(guess.size, guess.size), (answer - moments).ravel())
+        return moments + way.reshape(guess.shape), None
+
+    moments, _ = jax.lax.scan(newton, guess, None, length=passes)
     answer, pushes = forces(moments)
     left = jnp.max(jnp.abs(motion(answer) - motion(moments)))
     return pushes, motion(answer), left
