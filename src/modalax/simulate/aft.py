@@ -147,45 +147,37 @@ def _with_memory(
     from_old, from_new = old + 0.5 * v_old * share * step, new - 0.5 * v_new * (1 - share) * step
     turn = jnp.where(turns, (1 - share) * from_old + share * from_new, new)
     v_turn = jnp.where(turns, 0.0, v_new)
-    bow_in = 0.5 * (v_old - v_turn) * share * step
-    bow_out = 0.5 * (v_turn - v_new) * (1 - share) * step
-
-    def average(state: Any, turned: Any, old: Any, turn: Any, new: Any, share: Any, bow_in: Any, bow_out: Any) -> Any:
-        return share * joint.average(state, old, turn, bow_in) + (1 - share) * joint.average(turned, turn, new, bow_out)
+    # every step as two, up to its turning point and from there
+    ends = tuple(jnp.stack(pair, axis=1).ravel() for pair in ((old, turn), (turn, new)))
+    bows = jnp.stack([(v_old - v_turn) * share, (v_turn - v_new) * (1 - share)], axis=1).ravel() * 0.5 * step
 
     def go(state: Any, ends: tuple[Array, Array]) -> tuple[Any, Any]:
         return joint.step(state, *ends)[0], state
 
-    def advance(state: Any, part: tuple[Array, ...]) -> tuple[Any, Any]:
-        old, turn, new, *rest = part
-        turned = joint.step(state, old, turn)[0]
-        return joint.step(turned, turn, new)[0], average(state, turned, old, turn, new, *rest)
+    def run(state: Any, sign: Any) -> tuple[Any, Any]:
+        return jax.lax.scan(go, state, (sign * ends[0], sign * ends[1]))
 
-    # every step as two, up to its turning point and from there
-    begin, end = jnp.stack([old, turn], axis=1).ravel(), jnp.stack([turn, new], axis=1).ravel()
+    def lap(state: Any) -> Any:
+        return jax.lax.scan(run, state, jnp.array([1.0, -1.0] if half else [1.0]))[0]
 
-    def run(state: Any, sign: Any) -> Any:
-        return jax.lax.scan(go, state, (sign * begin, sign * end))[0]
+    def read(state: Any, part: tuple[Array, ...]) -> tuple[Any, Any]:
+        return joint.step(state, *part[:2])[0], joint.average(state, *part)
 
-    def both(state: Any) -> Any:
-        return jax.lax.scan(lambda state, sign: (run(state, sign), None), state, jnp.array([1.0, -1.0]))[0]
-
-    state, sign = joint.step(joint.initial_state(), jnp.zeros_like(x[0]), x[0])[0], 1.0
-    if half and type(joint).close is Hysteretic.close:
-        # the last half cycle is read, so one less has to be run
-        for _ in range(2 * joint.settle - 1):
-            state, sign = run(state, sign), -sign
+    state, signs = joint.step(joint.initial_state(), jnp.zeros_like(x[0]), x[0])[0], np.ones(1)
+    if type(joint).close is Hysteretic.close:
+        # the last way round is read, of an odd motion half of it
+        signs = np.resize([1.0, -1.0], 2 * joint.settle) if half else np.ones(1 + joint.settle)
     else:
-        state = joint.close(both if half else lambda s: run(s, 1.0), state)
-    way = (sign * old, sign * turn, sign * new, share, sign * bow_in, sign * bow_out)
+        state = joint.close(lap, state)
+    way = tuple(signs[-1] * part for part in (*ends, bows))
     # A joint with one state takes all means at once after the steps; of many sliders that would fill the memory.
-    single = len(jax.tree.leaves(state)) == 1 and all(leaf.ndim == 0 for leaf in jax.tree.leaves(state))
-    if single:
-        states = jax.lax.scan(go, state, (sign * begin, sign * end))[1]
-        before, turned = (jax.tree.map(lambda a, k=k: a[k::2], states) for k in (0, 1))
-        mean = jax.vmap(average)(before, turned, *way)
+    if len(jax.tree.leaves(state)) == 1 and all(leaf.ndim == 0 for leaf in jax.tree.leaves(state)):
+        states = jax.lax.scan(run, state, jnp.asarray(signs))[1]
+        means = jax.vmap(joint.average)(jax.tree.map(lambda a: a[-1], states), *way)
     else:
-        mean = jax.lax.scan(advance, state, way)[1]
+        state = jax.lax.scan(lambda state, sign: (run(state, sign)[0], None), state, jnp.asarray(signs[:-1]))[0]
+        means = jax.lax.scan(read, state, way)[1]
+    mean = share * means[0::2] + (1 - share) * means[1::2]
     k = np.array(harmonics)
     box = np.sinc(k / samples)
-    return _coefficients(sign * mean, 0.5 * (tau[:-1] + tau[1:]), harmonics) / box
+    return _coefficients(signs[-1] * mean, 0.5 * (tau[:-1] + tau[1:]), harmonics) / box
