@@ -47,6 +47,11 @@ def as_double(value: Any, what: str, complex_: bool = False) -> jax.Array:
     return jnp.asarray(value, dtype=wanted)
 
 
+def as_array(value: Any) -> jax.Array:
+    """Return ``value`` as an array of JAX; one of NumPy as it is, for which ``jnp.asarray`` may compile a program."""
+    return jax.device_put(value) if isinstance(value, np.ndarray) else jnp.asarray(value)
+
+
 def require_finite(value: Any, what: str) -> None:
     """Refuse NaN and infinity; the message says how many there are and where the first one is.
 

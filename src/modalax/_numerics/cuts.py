@@ -3,12 +3,11 @@
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from modalax._numerics.checks import is_traced
+from modalax._numerics.checks import as_array, is_traced
 
 
 def cut(array: Any, index: Any) -> jax.Array:
     """``array[index]``, by NumPy where the numbers are known: JAX compiles a program for each new slice and shape."""
-    return array[index] if is_traced(array) else jnp.asarray(np.asarray(array)[index])
+    return array[index] if is_traced(array) else as_array(np.asarray(array)[index])

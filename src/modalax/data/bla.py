@@ -18,7 +18,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Complex, Float, Int
 
-from modalax._numerics.checks import as_double
+from modalax._numerics.checks import as_array, as_double
 from modalax.data.frf import FRF
 from modalax.data.multisine import check_lines
 from modalax.data.records import quantity
@@ -275,7 +275,7 @@ def _detection_lines(
     which: Int[np.ndarray, " g"], spacing: float, power: Float[Array, "g o"], noise: Float[Array, "g o"] | None
 ) -> DetectionLines:
     """The response at lines that were not excited."""
-    return DetectionLines(jnp.asarray(which * spacing), power, noise)
+    return DetectionLines(as_array(which * spacing), power, noise)
 
 
 def _unexplained(

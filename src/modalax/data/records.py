@@ -10,7 +10,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Complex, Float, Int
 
-from modalax._numerics.checks import as_double, is_traced, require_finite
+from modalax._numerics.checks import as_array, as_double, is_traced, require_finite
 from modalax._numerics.cuts import cut
 from modalax.data.frf import FRF, band_slice
 from modalax.data.hits import find_hits, good_hits
@@ -107,7 +107,7 @@ def frf_from_records(
     factors = taper(window, samples)
     averages = effective_averages(factors, step, len(starts))
     blocks = (_still_blocks(a, starts[:, None] + np.arange(samples)) for a in (force, response))
-    averaged = spectra(*blocks, float(fs), jnp.asarray(factors), averages)
+    averaged = spectra(*blocks, float(fs), as_array(factors), averages)
     lines = spectral_lines(samples, fs)
     return frf_of_spectra(averaged, lines, estimator, unit, band, level=level, outputs=outputs, inputs=inputs)
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from modalax._numerics.checks import require_finite
+from modalax._numerics.checks import as_array, require_finite
 from modalax.data.frf import FRF
 from modalax.data.recording import Channels, Recording, channels_of
 from modalax.data.records import frf_of_spectra, welch_starts
@@ -102,19 +102,19 @@ def frf_from_pieces(
     averages = effective_averages(factors, step, len(starts))
     channels = sum(part.shape[1] for part in read(0, 1))
     several = max(1, int(((memory_mb or MEMORY_MB) * 1e6 / (8 * COPIES * channels) - samples) / step))
-    still = lambda a: jnp.asarray(a - a.mean(axis=1, keepdims=True))
+    still = lambda a: as_array(a - a.mean(axis=1, keepdims=True))
     sums: list[Any] = [0.0, 0.0, 0.0]
     for k in range(0, len(starts), several):
         own = starts[k : k + several]
         parts = read(int(own[0]), int(own[-1]) + samples)
         force, response = (still(part[own[:, None] - own[0] + np.arange(samples)]) for part in parts)
-        piece = spectra(force, response, float(fs), jnp.asarray(factors), averages)
+        piece = spectra(force, response, float(fs), as_array(factors), averages)
         share = len(own) / len(starts)
         found = (piece.force, piece.cross, piece.response)
         sums = [old + share * np.asarray(new) for old, new in zip(sums, found, strict=True)]
     force, cross, response = map(jnp.asarray, sums)
     lines = spectral_lines(samples, fs)
-    whole = Spectra(jnp.asarray(lines), force, cross, response, averages)
+    whole = Spectra(as_array(lines), force, cross, response, averages)
     return frf_of_spectra(whole, lines, estimator, **rest)
 
 

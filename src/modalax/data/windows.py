@@ -11,7 +11,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from modalax._numerics.checks import as_double
+from modalax._numerics.checks import as_array, as_double
 
 
 def taper(name: str, samples: int) -> Float[np.ndarray, " t"]:
@@ -55,8 +55,8 @@ def force_window(samples: int, fs: float, stop: float, start: float = 0.0, ramp:
     time = np.arange(samples) / fs
     outside = np.maximum(np.maximum(start - time, time - stop), 0.0)
     if ramp <= 0:
-        return jnp.asarray(np.where(outside > 0, 0.0, 1.0))
-    return jnp.asarray(0.5 * (1 + np.cos(np.pi * np.clip(outside / ramp, 0.0, 1.0))))
+        return as_array(np.where(outside > 0, 0.0, 1.0))
+    return as_array(0.5 * (1 + np.cos(np.pi * np.clip(outside / ramp, 0.0, 1.0))))
 
 
 def exponential_window(samples: int, fs: float, decay: Any) -> Float[Array, " t"]:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from modalax._numerics.checks import as_array
 from modalax.data import FRF
 from modalax.data.frf import DERIVATIVES, check_form
 from modalax.diagnose.causes import saved_causes
@@ -109,7 +110,7 @@ class ExtendedSimulation(eqx.Module):
         )  # fmt: skip
         H = predict(causes, index, extras, params, theta, problem)
         factor = (1j * omega)[:, None, None] ** DERIVATIVES[check_form(form)]
-        return FRF(freq, H[0] * factor, form=form, outputs=outputs, inputs=inputs, level=jnp.mean(jnp.asarray(level)))
+        return FRF(freq, H[0] * factor, form=form, outputs=outputs, inputs=inputs, level=jnp.mean(as_array(level)))
 
     def frf(
         self, freq: Any, *, level: Any = 1.0, form: str = "receptance", outputs: Sequence[str] | None = None,
@@ -165,22 +166,21 @@ def extend(comparison: Any, h: Hypothesis) -> ExtendedSimulation:
     old = comparison.simulation if isinstance(comparison.simulation, ExtendedSimulation) else None
     n = len(comparison.scene.modal_form.poles)
     assert h.theta is not None
-    theta = jnp.asarray((h.theta * comparison.nuisance.spread)[:, :n])
+    theta = as_array((h.theta * comparison.nuisance.spread)[:, :n])
     spread, k = [], 0
     for cause, p in zip(h.causes, h.params, strict=True):
         count = len(p)
         variance = np.diag(h.covariance)[k : k + count] if h.covariance is not None else np.full(count, np.nan)
         scale = np.array([p[j] if q.log else 1.0 for j, q in enumerate(cause.parameters)])
-        spread.append(jnp.asarray(np.sqrt(np.maximum(variance, 0.0)) * np.abs(scale)))
+        spread.append(as_array(np.sqrt(np.maximum(variance, 0.0)) * np.abs(scale)))
         k += count
     n_out, n_in = comparison.problem.channels
     in_full = [isinstance(c, JointCause) and e is not None for c, e in zip(h.causes, h.extras, strict=True)]
     harmonics = tuple(HIGHEST if full else 1 for full in in_full)
     extras = tuple(
-        None if e is None or full else jnp.asarray(e[:, :n_out, :n_in])
-        for e, full in zip(h.extras, in_full, strict=True)
+        None if e is None or full else as_array(e[:, :n_out, :n_in]) for e, full in zip(h.extras, in_full, strict=True)
     )
-    params = tuple(jnp.asarray(p) for p in h.params)
+    params = tuple(as_array(p) for p in h.params)
     channels = comparison.scene.outputs, comparison.scene.inputs, float(comparison.scene.freq[0])
     if old is None:
         return ExtendedSimulation(
@@ -261,9 +261,9 @@ def _from_arrays(arrays: Any, causes: Sequence[Cause] | None) -> ExtendedSimulat
         for k in every
     )
     return ExtendedSimulation(
-        base, tuple(jnp.asarray(arrays[f"params_{k}"]) for k in every),
-        tuple(jnp.asarray(arrays[f"spread_{k}"]) for k in every), jnp.asarray(arrays["theta"]),
-        tuple(jnp.asarray(arrays[f"extra_{k}"]) if f"extra_{k}" in arrays else None for k in every),
+        base, tuple(as_array(arrays[f"params_{k}"]) for k in every),
+        tuple(as_array(arrays[f"spread_{k}"]) for k in every), as_array(arrays["theta"]),
+        tuple(as_array(arrays[f"extra_{k}"]) if f"extra_{k}" in arrays else None for k in every),
         tuple(known[k] for k in keys), places, tuple(names("outputs")), tuple(names("inputs")),
         float(arrays["lowest_hz"]),
         tuple(int(v) for v in arrays["harmonics"]) if "harmonics" in arrays else (),

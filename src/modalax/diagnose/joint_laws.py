@@ -19,7 +19,7 @@ import numpy as np
 import scipy.optimize
 from jaxtyping import Array, Float
 
-from modalax._numerics.checks import require_double
+from modalax._numerics.checks import as_array, require_double
 from modalax.data import Measurement
 from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.causes.base import Cause, JointCause
@@ -166,7 +166,7 @@ def _task(measurement: Measurement, simulation: ModalModel, place: str, sigma: A
     weight = np.sqrt(2) / (np.broadcast_to(np.asarray(sigma, float), H.shape) / np.abs(unit))
     force = measurement.level[:, None] + 0 * measurement.freq if measurement.force is None else measurement.force
     problem = Problem(
-        2 * jnp.pi * measurement.freq, jnp.asarray(H), jnp.asarray(weight), jnp.asarray(force),
+        2 * jnp.pi * measurement.freq, as_array(H), as_array(weight), as_array(force),
         jnp.array([modal_form.index(n) for n in measurement.outputs]),
         jnp.array([modal_form.index(n) for n in measurement.inputs]), modal_form, len(freq), H.shape[2:],
     )  # fmt: skip
@@ -279,7 +279,7 @@ def _at_own_motion(task: Task, causes: tuple[Any, ...], fits: list[Any]) -> Expl
     samples, problem = len(r), task.problem
     covariance = _robust(J, r, problem)
     count = len(x) - _count(problem)
-    placed, theta = _placed(problem, jnp.asarray(x[count:]))
+    placed, theta = _placed(problem, as_array(x[count:]))
     form, channels = placed.modal_form, (task.base.outputs, task.base.inputs)
     at = [jnp.array([form.dofs.index(n) for n in names]) for names in channels]
     base = task.base.replace(
@@ -336,7 +336,7 @@ def modes_at(explained: Explained, amplitude: Any) -> tuple[Float[np.ndarray, "2
         params = _unpack(extended.causes, x[:own])
         change = x[own : own + 2 * n].reshape(2, n)
         parts = x[own + 2 * n : own + 2 * n + 2 * n * o].reshape(2, n, o)
-        fitted = jnp.asarray(explained.vector)[own + 2 * n : own + 2 * n + 2 * n * o].reshape(2, n, o)
+        fitted = as_array(explained.vector)[own + 2 * n : own + 2 * n + 2 * n * o].reshape(2, n, o)
         turn = (1 + parts[0] + 1j * parts[1]) / (1 + fitted[0] + 1j * fitted[1])
         k = modal_form.stiffness * jnp.exp(2 * change[0])
         c = modal_form.damping * jnp.exp(change[0] + change[1])
@@ -363,6 +363,6 @@ def modes_at(explained: Explained, amplitude: Any) -> tuple[Float[np.ndarray, "2
         s = jax.vmap(lambda s: jax.vmap(lambda A: solve(s, A))(amplitude))(start)
         return jnp.stack([jnp.abs(s) / (2 * jnp.pi), -s.real / jnp.abs(s)])
 
-    x = jnp.asarray(explained.vector)
+    x = as_array(explained.vector)
     value, J = np.asarray(roots(x)), np.asarray(jax.jacfwd(roots)(x))
     return value, np.sqrt(np.maximum(np.einsum("mnap,pq,mnaq->mna", J, explained.covariance, J), 0.0))

@@ -27,7 +27,7 @@ import scipy.optimize
 import scipy.signal
 from jaxtyping import Array, Complex, Float
 
-from modalax._numerics.checks import as_double, require_double
+from modalax._numerics.checks import as_array, as_double, require_double
 from modalax.data.frf import DERIVATIVES
 from modalax.model import ModalModel
 from modalax.model.modal import poles_from
@@ -115,21 +115,21 @@ def fit_laws(
     std = np.full(len(found.x), np.nan)
     if left:
         std = np.sqrt((runs - 1) * np.mean((np.array(left) - np.mean(left, axis=0)) ** 2, axis=0))
-    model, laws = layout.unpack(jnp.asarray(found.x))
+    model, laws = layout.unpack(as_array(found.x))
     # what is positive is searched by its logarithm, so that its own spread is relative
-    by = np.asarray(layout.factors(jnp.asarray(found.x)[layout.linear :]))
+    by = np.asarray(layout.factors(as_array(found.x)[layout.linear :]))
     spread = std[layout.linear :] * np.where(layout.positive, by, 1.0)
     told = tuple(
         {n: np.asarray(np.abs(p)) for n, p in j.parameters.items()}
-        for j in _scaled(joints, layout.free, jnp.asarray(spread))
+        for j in _scaled(joints, layout.free, as_array(spread))
     )
     return FittedLaws(model, laws, tuple(place), told, float(np.linalg.norm(found.fun)))
 
 
 def _search(layout: "_Layout", records: "_Records", start: np.ndarray) -> Any:
     return scipy.optimize.least_squares(
-        lambda t: np.asarray(_residual(jnp.asarray(t), layout, records)), start,
-        lambda t: np.asarray(_slope(jnp.asarray(t), layout, records)), x_scale="jac", max_nfev=STEPS,
+        lambda t: np.asarray(_residual(as_array(t), layout, records)), start,
+        lambda t: np.asarray(_slope(as_array(t), layout, records)), x_scale="jac", max_nfev=STEPS,
     )  # fmt: skip
 
 
@@ -164,13 +164,13 @@ class _Records(eqx.Module):
         first, last = int(lines[0]), int(lines[-1]) + 1
         X = X[:, first:last]
         return cls(
-            jnp.asarray(s[first:last]), jnp.asarray(F[:, first:last]), jnp.asarray(X), jnp.asarray(motion),
-            jnp.asarray(speed), jnp.asarray(np.sqrt(len(X)) * np.linalg.norm(X, axis=(1, 2))), (first, last), order,
+            as_array(s[first:last]), as_array(F[:, first:last]), as_array(X), as_array(motion),
+            as_array(speed), as_array(np.sqrt(len(X)) * np.linalg.norm(X, axis=(1, 2))), (first, last), order,
         )  # fmt: skip
 
     def without(self, run: int) -> "_Records":
         """The other runs."""
-        of = lambda a: jnp.asarray(np.delete(a, run, axis=0))
+        of = lambda a: as_array(np.delete(a, run, axis=0))
         fewer = np.sqrt((len(self.X) - 1) / len(self.X))
         return _Records(
             self.s, of(self.F), of(self.X), of(self.motion), of(self.speed), fewer * of(self.norm), self.inside,
@@ -222,7 +222,7 @@ class _Layout(eqx.Module):
             psi.real.ravel(), psi.imag.ravel(), upper, laws,
         ])  # fmt: skip
         return cls(
-            jnp.asarray(vector), tuple(joints), jnp.asarray(direction), jnp.asarray(flexibility), names, free,
+            as_array(vector), tuple(joints), as_array(direction), as_array(flexibility), names, free,
             positive, drive, count,
         )  # fmt: skip
 

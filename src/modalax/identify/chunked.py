@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from modalax._numerics.checks import require_finite
+from modalax._numerics.checks import as_array, require_finite
 from modalax.identify.lscf import ARC, RIDGE
 from modalax.identify.moments import factor_of_normal, normal_from_moments
 from modalax.identify.polynomial import poles_of_factor
@@ -69,7 +69,7 @@ def diagram_of_chunks(
     """
     freq = np.asarray(freq, dtype=float)
     found = check_orders(orders, len(freq), (freq[0], freq[-1]))
-    omega = jnp.asarray(2 * np.pi * freq)
+    omega = as_array(2 * np.pi * freq)
     G, energy, inputs = jnp.zeros(()), jnp.zeros(()), 0
     for k, H in enumerate(chunks):
         if H.ndim != 3 or len(H) != len(freq) or (inputs and H.shape[2] != inputs):
@@ -79,12 +79,12 @@ def diagram_of_chunks(
             )
         require_finite(H, f"chunk {k + 1}")
         inputs = H.shape[2]
-        more, power = _normal(jnp.asarray(H), omega, found[-1], arc)
+        more, power = _normal(as_array(H), omega, found[-1], arc)
         G, energy = G + more, energy + power
     if not inputs:
         raise ValueError("there are no FRFs; at least one chunk of outputs is needed")
     zoomed = zoom(omega, arc, False)
-    R = factor_of_normal(G, energy, found[-1], jnp.asarray(RIDGE))
+    R = factor_of_normal(G, energy, found[-1], as_array(RIDGE))
     table = poles_of_factor(R, found, inputs, "a0", False, zoomed, "plscf")
     margin = MARGIN * (freq[-1] - freq[0])
     return table, select(table, band=(max(freq[0] - margin, 0.0), freq[-1] + margin))

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Complex, Int
 
+from modalax._numerics.checks import as_array
 from modalax.data.frf import FRF
 from modalax.identify.normal_equations import LinearProblem, linear_problem, noise_density
 from modalax.identify.polynomial import limits, without_window
@@ -96,7 +97,7 @@ def _shift_invariant(
         shift = F_p + jnp.outer(r.conj(), r @ F_p) / (1 - jnp.sum(jnp.abs(r) ** 2))
         return _eigenvalues(shift, inside)
 
-    return jax.vmap(one)(jnp.asarray(orders))
+    return jax.vmap(one)(as_array(orders))
 
 
 def compensated(
@@ -277,7 +278,7 @@ def _polynomial_roots(
         column = jnp.where(inside, c[:n], 0.0) * H[order, order - 1]
         return _eigenvalues(block - jnp.where((jnp.arange(n) == order - 1)[None, :], column[:, None], 0.0), inside)
 
-    return jax.vmap(one)(jnp.asarray(orders))
+    return jax.vmap(one)(as_array(orders))
 
 
 def _table(problem: LinearProblem, u: Array, valid: Array, orders: tuple[int, ...], frf: FRF, method: str) -> PoleTable:

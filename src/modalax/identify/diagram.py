@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
 
+from modalax._numerics.checks import as_array
 from modalax.data.frf import DERIVATIVES, FRF
 from modalax.identify.fdpi import fdpi
 from modalax.identify.kernels import kernels, residual_terms
@@ -87,8 +88,8 @@ def _merged(whole: Selection, part: Selection, lower: float, upper: float) -> Se
                 shares[near] = parts[k]
     rank = np.argsort(np.abs(poles))
     return Selection(
-        jnp.asarray(poles[rank]), None if shares is None else jnp.asarray(shares[rank]),
-        jnp.asarray(fields["score"][rank]), jnp.asarray(fields["spread"][rank]), jnp.asarray(fields["order"][rank]),
+        as_array(poles[rank]), None if shares is None else as_array(shares[rank]),
+        as_array(fields["score"][rank]), as_array(fields["spread"][rank]), as_array(fields["order"][rank]),
     )  # fmt: skip
 
 
@@ -170,7 +171,7 @@ def standing(frf: FRF, table: PoleTable, selection: Selection) -> Selection:
     moved = np.asarray(selection.spread) * np.abs(np.asarray(selection.poles)) / (2 * np.pi)
     distance = np.array([(upper - lower) / max(count[int(n)], 1) for n in np.asarray(selection.order)])
     still = np.flatnonzero(moved < STILL * distance)
-    return jax.tree.map(lambda a: jnp.asarray(np.asarray(a)[still]), selection)
+    return jax.tree.map(lambda a: as_array(np.asarray(a)[still]), selection)
 
 
 def _at(frf: FRF, name: str, poles: int, order: int | None) -> tuple[PoleTable, Selection]:

@@ -9,6 +9,7 @@ from jax import lax
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Bool, Complex, Float, Int
 
+from modalax._numerics.checks import as_array
 from modalax._numerics.powers import powers
 from modalax.data.frf import FRF
 from modalax.identify.fraction import polish
@@ -85,7 +86,7 @@ def _estimate(
 ) -> PoleTable:
     s, Hc, _, top = principal_responses(frf, weight, comps[-1])
     R = system_factor(s, Hc, weight, degree, terms)
-    scaled, valid = jax.vmap(lambda c: system_poles(R, comps[-1], c, degree))(jnp.asarray(comps))
+    scaled, valid = jax.vmap(lambda c: system_poles(R, comps[-1], c, degree))(as_array(comps))
     poles = jnp.where(valid, scaled * top, 0.0)
     return without_window(PoleTable(poles, valid & (poles.imag > 0), None, orders, "fdpi"), frf)
 
@@ -110,7 +111,7 @@ def fdpi_normal_modes(frf: FRF, order: int, *, weights: str = "unit", residual: 
 def _normal_modes(frf: FRF, weight: Float[Array, "f i"], order: int, residual: int) -> NormalModes:
     s, Hc, V, top = principal_responses(frf, weight, order)
     R = system_factor(s, Hc, weight, 2, residual)
-    A = _blocks(R, order, jnp.asarray(order), 2)
+    A = _blocks(R, order, as_array(order), 2)
     values, vectors = jnp.linalg.eig(lax.stop_gradient(A[0]))
     pencil = jnp.stack([A[0].T, -jnp.eye(order)]).astype(jnp.complex128)  # w^T (A_0^T - u I) = 0
     squares, vectors = jax.vmap(polish, in_axes=(None, 0, 0))(pencil, values, vectors.T)

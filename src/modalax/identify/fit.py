@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from modalax._numerics.checks import as_array
 from modalax._numerics.threads import one_thread
 from modalax.data.frf import DERIVATIVES, FRF
 from modalax.data.measurement import Measurement
@@ -184,20 +185,20 @@ def summed_up(
     return Fit(
         frf=frf,
         model=model,
-        inside=jnp.asarray(inside),
+        inside=as_array(inside),
         table=table,
         stability=stabilization(table),
         selection=selection,
         refined=None if refined is None else with_record(refined, record),
         predicted_damping_bias=_bias(frf, weighted, model, table, order, turned),
         mpc=collinearity,
-        stability_score=jnp.asarray(score),
+        stability_score=as_array(score),
         energy=_energies(model, frf) / total,
-        unexplained=jnp.asarray(unexplained),
-        noise=jnp.asarray(noise),
-        frequency_scatter_hz=jnp.asarray(scatter[0]),
-        damping_scatter=jnp.asarray(scatter[1]),
-        grade=jnp.asarray(grades),
+        unexplained=as_array(unexplained),
+        noise=as_array(noise),
+        frequency_scatter_hz=as_array(scatter[0]),
+        damping_scatter=as_array(scatter[1]),
+        grade=as_array(grades),
         order=order,
         flags=flags_of(modes),
         notes=(*notes, *notes_of(modes, grades, noise, unexplained)),

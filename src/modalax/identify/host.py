@@ -6,9 +6,9 @@ anything, and cannot be differentiated: for searches, whose sizes change from st
 
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
+from modalax._numerics.checks import as_array
 from modalax.data.frf import DERIVATIVES, FRF
 from modalax.identify.deviations import shape_deviations
 from modalax.identify.information import covariance
@@ -98,5 +98,5 @@ def refined_of(frf: FRF, found: Maximum, kind: str, scale_errors: str = "auto") 
         log_likelihood=-0.5 * found.chi2 + 2 * np.sum(np.log(weight[weight > 0])), residual=found.residual,
         success=found.reason == 0, reason_code=found.reason, steps=found.at.steps,
     )  # fmt: skip
-    arrays = {name: None if value is None else jnp.asarray(value) for name, value in numbers.items()}
+    arrays = {name: None if value is None else as_array(value) for name, value in numbers.items()}
     return Refined(model=model_of(found.model, frf), **arrays)

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from modalax._numerics.checks import as_array
 from modalax.data.frf import FRF
 from modalax.identify.ascent import STATISTICAL
 from modalax.identify.host import PRECISE, modal_of, model_of, samples_of, shorter_side
@@ -223,8 +224,8 @@ def _with_errors(refined: Refined, moved: list[Moved]) -> Refined:
         f_std[k], zeta_std[k] = group.frequency_std_hz, group.damping_std
     flat = scale.ravel()
     return dataclasses.replace(
-        refined, frequency_std_hz=jnp.asarray(f_std), damping_std=jnp.asarray(zeta_std),
-        covariance=jnp.asarray(flat[:, None] * np.asarray(refined.covariance) * flat),
+        refined, frequency_std_hz=as_array(f_std), damping_std=as_array(zeta_std),
+        covariance=as_array(flat[:, None] * np.asarray(refined.covariance) * flat),
     )  # fmt: skip
 
 
@@ -234,14 +235,14 @@ def _with_model(frf: FRF, samples: Samples, refined: Refined, model: Modal, rank
     residual = (samples.H - response(model, samples)) / sigma
     chi2 = 2 * np.sum(np.abs(residual) ** 2)
     pairs = (2 * rank[:, None] + np.arange(2)).ravel()
-    take = lambda a, k=rank: None if a is None else jnp.asarray(np.asarray(a)[k])
+    take = lambda a, k=rank: None if a is None else as_array(np.asarray(a)[k])
     return dataclasses.replace(
         refined, model=model_of(model, frf), frequency_std_hz=take(refined.frequency_std_hz),
         damping_std=take(refined.damping_std), shape_std=take(refined.shape_std),
         modal_mass_std=take(refined.modal_mass_std), covariance=take(refined.covariance, np.ix_(pairs, pairs)),
-        evidence=take(refined.evidence), chi2=jnp.asarray(chi2), residual=jnp.asarray(residual),
-        noise_scale=jnp.asarray(np.sqrt(chi2 / float(refined.dof)) * sigma),
-        whiteness=jnp.asarray(whiteness_of(residual)),
-        log_likelihood=jnp.asarray(-0.5 * chi2 + 2 * residual.size * np.log(np.sqrt(2.0) / sigma)),
+        evidence=take(refined.evidence), chi2=as_array(chi2), residual=as_array(residual),
+        noise_scale=as_array(np.sqrt(chi2 / float(refined.dof)) * sigma),
+        whiteness=as_array(whiteness_of(residual)),
+        log_likelihood=as_array(-0.5 * chi2 + 2 * residual.size * np.log(np.sqrt(2.0) / sigma)),
         success=jnp.array(True), reason_code=jnp.array(CONTRADICTION),
     )  # fmt: skip

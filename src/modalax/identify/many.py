@@ -19,6 +19,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Complex, Float, Inexact
 
+from modalax._numerics.checks import as_array
 from modalax._numerics.powers import powers
 from modalax.identify.lscf import ARC
 from modalax.identify.moments import inverse_root, toeplitz
@@ -61,12 +62,12 @@ def many_poles(
     """
     ends = (float(omega[0]) / (2 * np.pi), float(omega[-1]) / (2 * np.pi))
     orders = check_orders(range(2, order + 1), len(omega), ends)
-    A = _coefficients(jnp.asarray(H), jnp.asarray(omega), order)
+    A = _coefficients(as_array(H), as_array(omega), order)
     if not bool(jnp.isfinite(A).all()):
         raise ValueError("the normal matrix of some copies is singular; they have too little noise for moments")
     roots = [_roots(A[: high + 1, low : high + 1], low) for low, high in _groups(orders)]
     valid = np.arange(order) < np.asarray(orders)[:, None]
-    return _poles(roots, jnp.asarray(omega), jnp.asarray(valid)), valid
+    return _poles(roots, as_array(omega), as_array(valid)), valid
 
 
 @partial(jax.jit, static_argnums=2)
@@ -132,7 +133,7 @@ def _roots(A: Complex[Array, "k order draw"], low: int) -> Complex[Array, "root 
     settled, lower = np.array(found), np.asarray(A)
     for k, n in enumerate(orders):
         settled[:n, k, late] = companion_roots(lower[:n, k, late].T).T
-    return jnp.asarray(settled)
+    return as_array(settled)
 
 
 def companion_roots(a: Inexact[np.ndarray, "draw n"]) -> Complex[np.ndarray, "draw n"]:

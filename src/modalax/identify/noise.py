@@ -2,10 +2,10 @@
 
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from modalax._numerics.checks import as_array
 from modalax.data.frf import DERIVATIVES, FRF
 from modalax.identify.kernels import kernels, residual_terms
 from modalax.identify.refine import UNIT, Refined
@@ -61,7 +61,7 @@ def residual_sigma(frf: FRF, refined: Refined, sigma: Any, proportional: bool = 
     s, poles = float(frf.added_decay) + 1j * np.asarray(frf.omega), np.asarray(refined.model.poles)
     weigh = sigma if not isinstance(sigma, str) else 1.0
     left = left_by_fit(s, DERIVATIVES[frf.form], poles, H.shape, weigh)
-    return jnp.asarray(sigma_of_error(H, np.asarray(refined.residual) * scale, proportional, len(poles), left))
+    return as_array(sigma_of_error(H, np.asarray(refined.residual) * scale, proportional, len(poles), left))
 
 
 def several(samples: int, modes: int) -> bool:

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Complex, Float, Int
 
+from modalax._numerics.checks import as_array
 from modalax._numerics.powers import powers
 from modalax.data.frf import FRF
 from modalax.identify.fraction import coefficients, roots
@@ -65,9 +66,7 @@ def reweighted(
 
     def one(order: Int[Array, ""]) -> tuple[Array, Array]:
         def solve(size: Float[Array, " f"]) -> Complex[Array, "k i i"]:
-            R = triangular_factor(
-                H, weight / size[:, None], u, top, degree, False, jnp.asarray(ridge), weights == "unit"
-            )
+            R = triangular_factor(H, weight / size[:, None], u, top, degree, False, as_array(ridge), weights == "unit")
             return coefficients(R, order, 1, LAST[constraint])
 
         def again(_: Array, A: Array) -> Array:
@@ -79,6 +78,6 @@ def reweighted(
         u_r, _, valid = roots(A, order)
         return u_r, valid
 
-    u_r, valid = lax.map(one, jnp.asarray(found))
+    u_r, valid = lax.map(one, as_array(found))
     poles = zoomed.poles(jnp.where(valid, u_r, 1.0))
     return without_window(PoleTable(jnp.where(valid, poles, 0.0), valid, None, found, "reweighted"), frf)

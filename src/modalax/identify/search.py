@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
+from modalax._numerics.checks import as_array
 from modalax.data.frf import DERIVATIVES, FRF
 from modalax.identify.scan import NEW, Grid, poles_missing
 from modalax.model.modal import ModalModel
@@ -138,4 +139,4 @@ def missing_modes(
         Grid(s, DERIVATIVES[frf.form], inside), np.asarray(frf.H - made.H), deviations, np.asarray(model.poles),
         level=level, most=most, avoid=avoid,
     )  # fmt: skip
-    return jnp.asarray(found)
+    return as_array(found)

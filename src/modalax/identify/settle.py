@@ -9,6 +9,7 @@ import numpy as np
 import scipy.special
 from jaxtyping import Bool, Float
 
+from modalax._numerics.checks import as_array
 from modalax.data.frf import FRF
 from modalax.identify.close_modes import NEAR, Record, record_of, two_modes
 from modalax.identify.disagreement import CERTAIN
@@ -242,7 +243,7 @@ def _again(frf: FRF, refined: Refined, keep: np.ndarray, **options: Any) -> Refi
 def _weights(frf: FRF, refined: Refined) -> Any:
     """Standard deviations that the residual of a model shows."""
     scale = UNIT * jnp.sqrt(jnp.mean(jnp.abs(frf.H) ** 2))
-    plain = dataclasses.replace(refined, residual=jnp.asarray(residual_of(frf, refined.model)) / scale)
+    plain = dataclasses.replace(refined, residual=as_array(residual_of(frf, refined.model)) / scale)
     return residual_sigma(frf, plain, "auto", proportional=True)
 
 
@@ -290,7 +291,7 @@ def _widened(refined: Refined, new: np.ndarray) -> Refined:
     old, new = _deviations(refined), new.reshape(-1, 2)
     scale: Float[np.ndarray, " p"] = np.where(old > 0, new / np.where(old > 0, old, 1.0), 1.0).ravel()
     return dataclasses.replace(
-        refined, frequency_std_hz=jnp.asarray(new[:, 0]), damping_std=jnp.asarray(new[:, 1]),
+        refined, frequency_std_hz=as_array(new[:, 0]), damping_std=as_array(new[:, 1]),
         covariance=scale[:, None] * refined.covariance * scale,
     )  # fmt: skip
 

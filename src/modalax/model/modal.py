@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from modalax._numerics.checks import as_double, is_traced, require_finite, require_range
+from modalax._numerics.checks import as_array, as_double, is_traced, require_finite, require_range
+from modalax._numerics.cuts import cut
 from modalax.data.frf import DERIVATIVES, FRF, check_form, check_names
 
 
@@ -298,7 +299,7 @@ class ModalModel(eqx.Module):
         where = np.array([[place(o, i) for i in ins] for o in outs])
         if is_traced(term):
             return jnp.append(term.ravel(), 0.0)[where]
-        return jnp.asarray(np.append(np.asarray(term), 0.0)[where])
+        return as_array(np.append(np.asarray(term), 0.0)[where])
 
 
 @jax.jit
@@ -341,7 +342,5 @@ def _synthesised(
 def in_order(model: ModalModel) -> ModalModel:
     """The same model with its modes by rising frequency."""
     order = np.argsort(np.asarray(model.frequency_hz))
-    return model.replace(
-        poles=model.poles[order], shapes=model.shapes[order], participation=model.participation[order],
-        frequency_std=model.frequency_std[order], damping_std=model.damping_std[order],
-    )  # fmt: skip
+    each_mode = ("poles", "shapes", "participation", "frequency_std", "damping_std")
+    return model.replace(**{name: cut(getattr(model, name), order) for name in each_mode})

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 from typing_extensions import override
 
-from modalax._numerics.checks import as_double, is_traced
+from modalax._numerics.checks import as_array, as_double, is_traced
 from modalax._numerics.cuts import cut
 from modalax.data.frf import FRF, derivative
 from modalax.model.modal import ModalModel
@@ -54,7 +54,7 @@ def directions(structure: "AnyStructure", places: Sequence[Sequence[str]]) -> Fl
             if name not in names:
                 raise ValueError(f"no DoF named {name!r}; the structure has {', '.join(names)}")
             row[names.index(name)] = sign
-    return jnp.asarray(b)
+    return as_array(b)
 
 
 def seen_at(model: ModalModel, dofs: Sequence[str]) -> ModalModel:
@@ -91,7 +91,7 @@ def receptance(structure: "AnyStructure", omega: Any, rows: Any, columns: Any) -
         If a modal model lacks the drive point that scales a DoF which was only measured or only driven.
     """
     if isinstance(structure, ModalModel):
-        return _of_modal_model(structure, as_double(omega, "omega"), jnp.asarray(rows), jnp.asarray(columns))
+        return _of_modal_model(structure, as_double(omega, "omega"), as_array(rows), as_array(columns))
     return structure.along(omega, rows, columns)
 
 
@@ -238,7 +238,7 @@ class Modified(eqx.Module):
 
     def along(self, omega: Any, rows: Any, columns: Any) -> Complex[Array, "f l r"]:
         """Receptance [m/N] between directions, as :func:`receptance`."""
-        omega, rows, columns = as_double(omega, "omega"), jnp.asarray(rows), jnp.asarray(columns)
+        omega, rows, columns = as_double(omega, "omega"), as_array(rows), as_array(columns)
         o, i = rows.shape[0], columns.shape[1]
         H = receptance(self.base, omega, jnp.concatenate([rows, self.b]), jnp.concatenate([columns, self.b.T], axis=1))
         Z = jnp.stack([change.impedance(omega) for change in self.changes], axis=-1)[:, :, None] * jnp.eye(len(self.b))

@@ -17,7 +17,7 @@ import optimistix as optx
 import scipy.linalg
 from jaxtyping import Array, Bool, Complex, Float
 
-from modalax._numerics.checks import as_double
+from modalax._numerics.checks import as_array, as_double
 from modalax.model.modal import ModalModel
 from modalax.model.receptance import AnyStructure, Modified, directions, seen_at
 from modalax.model.structure import Structure
@@ -121,7 +121,7 @@ def _modes_of(structure: Structure | ModalModel, places: Sequence[Sequence[str]]
         square, shapes = square[:most], shapes[:, :most]
         b = np.asarray(directions(structure, places))
         C, D = (shapes.T @ np.asarray(A) @ shapes for A in (structure.C, structure.D))
-        return _Modes(*(jnp.asarray(A) for A in (square, C, D, shapes.T @ b.T, np.zeros((len(b), len(b))))))
+        return _Modes(*(as_array(A) for A in (square, C, D, shapes.T @ b.T, np.zeros((len(b), len(b))))))
     small = seen_at(structure, sorted({dof for place in places for dof in place}))
     b = np.asarray(directions(small, places))
     poles, shapes, driven = (np.asarray(a)[:most] for a in (small.poles, small.shapes, small.participation))
@@ -142,7 +142,7 @@ def _modes_of(structure: Structure | ModalModel, places: Sequence[Sequence[str]]
     damping = np.diag(np.concatenate([-2 * poles.real, np.zeros(free.shape[1])]))
     part = np.concatenate([phi.real @ b.T, free.T])
     upper = b @ np.asarray(small.upper).real @ b.T
-    return _Modes(*(jnp.asarray(A) for A in (square, damping, np.zeros_like(damping), part, upper)))
+    return _Modes(*(as_array(A) for A in (square, damping, np.zeros_like(damping), part, upper)))
 
 
 def _missing(y: Float[Array, " r"], args: tuple) -> Float[Array, " r"]:

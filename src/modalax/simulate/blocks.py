@@ -8,12 +8,11 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
 from jaxtyping import Array, Float
 
-from modalax._numerics.checks import is_traced
+from modalax._numerics.checks import as_array, is_traced
 from modalax.model.modal import ModalModel
 from modalax.model.receptance import AnyStructure, Modified, dof_names
 from modalax.model.structure import Structure
@@ -85,7 +84,7 @@ def propagator(blocks: Blocks, h: Any) -> Propagator:
     # integrals of exp(Ah(1 - s)) P_k(s) over the step, P_k the Legendre polynomials on 0 to 1
     weights = np.stack([first, 2 * second - first, 12 * third - 6 * second + first], axis=-1)
     W = h[..., None, None, None, None] * np.einsum("...mabk,mbr->...mark", weights, np.asarray(blocks.B))
-    return Propagator(jnp.asarray(E), jnp.asarray(W), jnp.asarray(h))
+    return Propagator(as_array(E), as_array(W), as_array(h))
 
 
 def _exponential(X: np.ndarray) -> np.ndarray:
@@ -203,4 +202,4 @@ def _of_modal_model(model: ModalModel, rows: np.ndarray, columns: np.ndarray) ->
 def _stack(parts: list[Part], flexibility: np.ndarray | None = None) -> Blocks:
     A, B, C = (np.concatenate([p[k] for p in parts], axis=axis) for k, axis in ((0, 0), (1, 0), (2, 1)))
     D = np.zeros((C.shape[0], B.shape[2])) if flexibility is None else flexibility
-    return Blocks(jnp.asarray(A), jnp.asarray(B), jnp.asarray(C), jnp.asarray(D))
+    return Blocks(as_array(A), as_array(B), as_array(C), as_array(D))

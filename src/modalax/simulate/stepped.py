@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float, Int
 
-from modalax._numerics.checks import as_double
+from modalax._numerics.checks import as_array, as_double
 from modalax.data.frf import DERIVATIVES, check_axis, check_form
 from modalax.data.measurement import Measurement
 from modalax.model.receptance import AnyStructure
@@ -195,7 +195,7 @@ def stepped_sine(
         rig, names = make_rig(structure, joints, places, outputs, [name])
         # free vibrations that decay by less than a thousandth in a period are not waited for
         fades = -np.expm1(-np.maximum(rig.blocks.decay * period, 1e-3))
-        columns.append(_all_lines(rig, propagator(rig.blocks, period / steps), jnp.asarray(fades), level, plan))
+        columns.append(_all_lines(rig, propagator(rig.blocks, period / steps), as_array(fades), level, plan))
     X, periods, change, settled, left = (jnp.stack(part, axis=-1)[:, turn] for part in zip(*columns, strict=True))
     check_agreement(left, f"{steps} steps per period")
     j = len(joints)

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from modalax._numerics.checks import as_array
 from modalax.identify import lscf, plscf
 from modalax.identify.many import LEAST, many_poles
 from modalax.identify.tables import PoleTable
@@ -92,12 +93,12 @@ class BatchWork(Work):
         noise *= self.sigma.reshape(lines, -1).T / np.sqrt(2.0)
         rows = clean.reshape(lines, -1).T
         noise += np.stack([rows.real, rows.imag])
-        modes = jnp.asarray(self.poles), jnp.asarray(reach(self.poles))
+        modes = as_array(self.poles), as_array(reach(self.poles))
         if self.squared:
             poles, valid = many_poles(np.asarray(self.frf.omega), noise, self.order)
-            found = _nearest(poles, jnp.asarray(valid), self.frf.added_decay, *modes)
+            found = _nearest(poles, as_array(valid), self.frf.added_decay, *modes)
         else:
-            found = _diagrams(self.frf, jnp.asarray(noise), *modes, self.method, self.order)
+            found = _diagrams(self.frf, as_array(noise), *modes, self.method, self.order)
         return np.asarray(found[0]), np.asarray(found[1])
 
     def _row(self, item: int, told: Row, modes: int) -> Row:

@@ -23,6 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
+from modalax._numerics.checks import as_array
 from modalax.diagnose.causes.base import JointCause
 from modalax.diagnose.prediction.frf import Linear, equivalent, of, without_joints
 from modalax.diagnose.setup.problem import Problem
@@ -96,7 +97,7 @@ def linear_factor(
             slopes.append(np.zeros_like(middle))
             continue
         step = STEP * (abs(p[j]) or 1.0)
-        slopes.append((at(jnp.asarray(p + step * np.eye(len(p))[j])) - middle) / step)
+        slopes.append((at(as_array(p + step * np.eye(len(p))[j])) - middle) / step)
     flat = middle - sum(s * v for s, v in zip(slopes, p, strict=True))
     return np.stack([flat, *slopes, np.asarray(series), *rows])
 

@@ -4,9 +4,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
+from modalax._numerics.checks import as_array
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.causes.signals import ModalTerms
 from modalax.diagnose.prediction.frf import gains_of
@@ -158,7 +158,7 @@ def reduce(problem: Problem, theta: np.ndarray, state: Residual) -> Reduced:
         Logarithmic changes of the modal frequencies and damping ratios, shape ``(2, n)``.
     """
     modal_form = problem.modal_form
-    k, c, *ends_of = modal_form.adapted(jnp.asarray(theta))
+    k, c, *ends_of = modal_form.adapted(as_array(theta))
     still = ModalTerms(k[None], c[None], modal_form.hysteresis[None])
     gains = np.asarray(gains_of(1j * problem.omega, still, modal_form.poles, [], modal_form.mixing is not None))[0]
     psi, part = (np.concatenate([a, a.conj()]) for a in map(np.asarray, ends_of))

@@ -2,9 +2,9 @@
 
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 
+from modalax._numerics.checks import as_array
 from modalax.diagnose.causes.base import JointCause
 from modalax.diagnose.causes.joints import limiting_law
 from modalax.diagnose.comparison import Comparison
@@ -155,8 +155,8 @@ def fitted_in_full(comparison: Comparison, null: Hypothesis, h: Hypothesis) -> H
 
 
 def _factor(comparison: Comparison, h: Hypothesis, rows: np.ndarray, kept: int = HIGHEST) -> np.ndarray:
-    theta = jnp.asarray(h.theta * comparison.nuisance.spread)
-    params = tuple(jnp.asarray(p) for p in h.params)
+    theta = as_array(h.theta * comparison.nuisance.spread)
+    params = tuple(as_array(p) for p in h.params)
     plain = tuple(None if isinstance(c, JointCause) else e for c, e in zip(h.causes, h.extras, strict=True))
     return linear_factor(h.causes, h.index, plain, params, theta, comparison.problem, HIGHEST, kept, rows)
 

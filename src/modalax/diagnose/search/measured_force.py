@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import jax.numpy as jnp
 import numpy as np
 
+from modalax._numerics.checks import as_array
 from modalax.diagnose.causes.base import Cause, ElementCause, JointCause, LocalCause
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.comparison import Comparison
@@ -145,9 +146,9 @@ def sizes_by_force(
     for shape in _shapes(cause, cause.grid(scene, place), np.abs(force.motion)):
         p = jnp.array([1.0, *shape])
         if isinstance(cause, JointCause):
-            Z = np.asarray(cause.impedance(jnp.asarray(np.abs(force.motion)), jnp.asarray(scene.omega[:, None]), p))
+            Z = np.asarray(cause.impedance(as_array(np.abs(force.motion)), as_array(scene.omega[:, None]), p))
         elif isinstance(cause, LocalCause):
-            Z = np.asarray(cause.impedance(jnp.asarray(1j * scene.omega), p))[:, None]
+            Z = np.asarray(cause.impedance(as_array(1j * scene.omega), p))[:, None]
         else:
             continue
         with np.errstate(all="ignore"):
@@ -189,7 +190,7 @@ def robust_sizes(
         shapes = np.concatenate([shapes, np.outer(loudest[loudest > 0], BELOW).reshape(-1, 1)])
     for shape in shapes:
         p = jnp.array([1.0, *shape])
-        Z = np.asarray(cause.impedance(jnp.asarray(motion), jnp.asarray(scene.omega[:, None]), p))
+        Z = np.asarray(cause.impedance(as_array(motion), as_array(scene.omega[:, None]), p))
         unit = np.nan_to_num(force.weight * Z)
         size, along = np.abs(unit) ** 2, (unit.conj() * seen).real
         told = np.argsort(size, axis=None)[-TELLING:]

@@ -5,10 +5,10 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float, Int
 
+from modalax._numerics.checks import as_array
 from modalax.diagnose.setup.complex_modes import Mixing, Uncoupled
 from modalax.diagnose.setup.modal_form import ModalForm
 
@@ -80,13 +80,13 @@ class Problem(eqx.Module):
         one = eqx.tree_at(
             lambda p: (p.data, p.weight, p.level),
             self,
-            (jnp.asarray(mean), jnp.asarray(np.sqrt(total)), self.level[:1]),
+            (as_array(mean), as_array(np.sqrt(total)), self.level[:1]),
         )
         return one, rest
 
     def weighted(self, weight: Any) -> "Problem":
         """The problem with other weights, for example with a block left out."""
-        return eqx.tree_at(lambda p: p.weight, self, jnp.asarray(weight))
+        return eqx.tree_at(lambda p: p.weight, self, as_array(weight))
 
 
 def bucket(count: int) -> int:
@@ -122,16 +122,16 @@ def make_problem(
         np.array([modal_form.index(name) for name in inputs]),
     )
     return Problem(
-        jnp.asarray(np.pad(2 * np.pi * freq, pads[1], mode="edge")),
-        jnp.asarray(np.pad(data, pads)),
-        jnp.asarray(np.pad(weight, pads)),
-        jnp.asarray(
+        as_array(np.pad(2 * np.pi * freq, pads[1], mode="edge")),
+        as_array(np.pad(data, pads)),
+        as_array(np.pad(weight, pads)),
+        as_array(
             np.pad(
                 np.broadcast_to(level if np.ndim(level) == 2 else level[:, None], data.shape[:2]), pads[:2], mode="edge"
             )
         ),
-        jnp.asarray(np.pad(where[0], pads[2])),
-        jnp.asarray(np.pad(where[1], pads[3])),
+        as_array(np.pad(where[0], pads[2])),
+        as_array(np.pad(where[1], pads[3])),
         padded(modal_form),
         lines,
         (n_out, n_in),
@@ -141,8 +141,8 @@ def make_problem(
 
 
 def _padded_held(held: Held, pads: list[tuple[int, int]], modes: int) -> Held:
-    extras = tuple(None if e is None else jnp.asarray(np.pad(e, ((0, 0), pads[2], pads[3]))) for e in held.extras)
-    theta = jnp.asarray(np.pad(held.theta, ((0, 0), (0, modes - held.theta.shape[1]))))
+    extras = tuple(None if e is None else as_array(np.pad(e, ((0, 0), pads[2], pads[3]))) for e in held.extras)
+    theta = as_array(np.pad(held.theta, ((0, 0), (0, modes - held.theta.shape[1]))))
     return Held(held.index, extras, held.params, theta, held.causes)
 
 
@@ -152,9 +152,9 @@ def padded(modal_form: ModalForm) -> ModalForm:
     more, wide = bucket(n) - n, bucket(dofs) - dofs
     unit = float(np.median(np.asarray(modal_form.stiffness)))
     rate = math.sqrt(unit)
-    fill = lambda a, value: jnp.asarray(np.pad(a, (0, more), constant_values=value))
-    grow = lambda a: jnp.asarray(np.pad(a, ((0, more), (0, wide))))
-    square = lambda a: jnp.asarray(np.pad(a, ((0, wide), (0, wide))))
+    fill = lambda a, value: as_array(np.pad(a, (0, more), constant_values=value))
+    grow = lambda a: as_array(np.pad(a, ((0, more), (0, wide))))
+    square = lambda a: as_array(np.pad(a, ((0, wide), (0, wide))))
     return ModalForm(
         fill(modal_form.poles, -0.6 * rate + 0.8j * rate), grow(modal_form.shapes), grow(modal_form.participation),
         fill(modal_form.stiffness, unit), fill(modal_form.damping, 1.2 * rate), fill(modal_form.hysteresis, 0.0),
@@ -169,15 +169,15 @@ def _padded_mixing(mixing: Mixing | None, more: int, wide: int) -> Mixing | None
     if mixing is None:
         return None
     widths = ((0, 0), (0, more), (0, more), (0, wide))  # the first three for stiffness and damping, two for the centre
-    return jax.tree.map(lambda a: jnp.asarray(np.pad(a, widths[: a.ndim])), mixing)
+    return jax.tree.map(lambda a: as_array(np.pad(a, widths[: a.ndim])), mixing)
 
 
 def _padded_uncoupled(uncoupled: Uncoupled | None, more: int, wide: int) -> Uncoupled | None:
     if uncoupled is None:
         return None
     modes = ((0, 0), (0, more))
-    k, c = (jnp.asarray(np.pad(a, modes, constant_values=1.0)) for a in (uncoupled.k, uncoupled.c))
+    k, c = (as_array(np.pad(a, modes, constant_values=1.0)) for a in (uncoupled.k, uncoupled.c))
     shapes, participation = (
-        jnp.asarray(np.pad(a, (*modes, (0, wide)))) for a in (uncoupled.shapes, uncoupled.participation)
+        as_array(np.pad(a, (*modes, (0, wide)))) for a in (uncoupled.shapes, uncoupled.participation)
     )
     return Uncoupled(k, c, shapes, participation, uncoupled.middle)
