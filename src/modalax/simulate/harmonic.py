@@ -156,7 +156,7 @@ def receptances(
 
 
 def balance_levels(
-    R: Receptances, joints: tuple[Joint, ...], level: Any, plan: Plan, downward: bool = False
+    R: Receptances, joints: tuple[Joint, ...], level: Any, plan: Plan, downward: Bool[Array, ""] | bool = False
 ) -> tuple[Complex[Array, "level f j h i"], Float[Array, "level f i"], Float[Array, "level f i"]]:
     """Joint displacements [m] at all levels [N] and inputs, with residuals and margins; works under jit, vmap, grad."""
     at, level, i = plan.harmonics.index(1), jnp.asarray(level), R.driven.shape[-1]
@@ -240,13 +240,13 @@ def harmonic_balance(
     out_names = dof_names(structure) if outputs is None else tuple(outputs)
     b, o, i = (directions(structure, p) for p in (places, [[n] for n in out_names], [[n] for n in inputs]))
     R = receptances(structure, b, 2 * jnp.pi * freq, o, i, plan.harmonics)
-    q, left, margin, force, X = _answer(R, tuple(joints), level, plan, sweep == "down")
+    q, left, margin, force, X = _answer(R, tuple(joints), level, plan, jnp.array(sweep == "down"))
     return Response(freq, level, q, force, X, left, margin, plan.harmonics, out_names, tuple(inputs))
 
 
 @eqx.filter_jit
 def _answer(
-    R: Receptances, joints: tuple[Joint, ...], level: Float[Array, " level"], plan: Plan, downward: bool
+    R: Receptances, joints: tuple[Joint, ...], level: Float[Array, " level"], plan: Plan, downward: Bool[Array, ""]
 ) -> tuple[Array, Array, Array, Array, Array]:
     q, left, margin = balance_levels(R, joints, level, plan, downward)
     return q, left, margin, *respond(R, joints, q, level, plan)

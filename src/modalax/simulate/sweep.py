@@ -84,7 +84,7 @@ def in_chunks(solve: Callable[[Array], Any], lanes: Int[Array, " n"]) -> Any:
 
 
 def solve_lines(
-    plan: Plan, joints: tuple[Joint, ...], lines: Line, downward: bool = False
+    plan: Plan, joints: tuple[Joint, ...], lines: Line, downward: Bool[Array, ""] | bool = False
 ) -> tuple[Complex[Array, "s f j h"], Float[Array, "s f"], Float[Array, "s f"]]:
     """Balance of every line of every sweep on the branch of an upward (or downward) sweep; differentiable.
 
@@ -93,7 +93,7 @@ def solve_lines(
     """
     cheap = few(plan, joints)
     own, given = stop((joints, lines))
-    turn = (lambda a: a[::-1]) if downward else (lambda a: a)
+    turn = lambda a: jnp.where(downward, a[::-1], a)
 
     def swept(u: Complex[Array, "f h j"]) -> Float[Array, "f r"]:
         few_harmonics = _pick(given._replace(u=u), plan.harmonics, cheap.harmonics)
