@@ -14,7 +14,7 @@ from modalax import Structure
 from modalax.cli import main
 from modalax.files.finite_elements import import_finite_elements
 from modalax.files.nastran import number, read_grids
-from modalax.model.condense import condense, lowest_modes
+from modalax.model.condense import condense, follow, lowest_modes
 
 STEEL = 2.0e4  # spring of the chain [N/m]
 
@@ -283,9 +283,13 @@ def test_a_flying_wing_parts_into_its_elements(measured):
     structure = found.simulation
     assert isinstance(structure, Structure) and structure.elements is not None
     assert len(structure.elements.places) == 74 and len(structure.elements.mass) == 71
-    for whole, factors in ((structure.K, structure.elements.stiffness), (structure.M, structure.elements.mass)):
-        together = np.einsum("enr,emr->nm", factors, factors, optimize=True)
-        assert np.abs(together - whole).max() < 1e-6 * np.abs(whole).max()
+    every = structure.elements.dofs
+    assert len(every) == 426 and set(structure.dofs) < set(every)
+    factors = structure.elements.stiffness, structure.elements.mass
+    K, M = (np.einsum("enr,emr->nm", F, F, optimize=True) for F in map(np.asarray, factors))
+    T = follow(K, np.isin(every, structure.dofs))
+    for whole, full in ((structure.K, K), (structure.M, M)):
+        assert np.abs(T.T @ full @ T - whole).max() < 1e-6 * np.abs(whole).max()
     square = scipy.linalg.eigh(np.asarray(structure.K), np.asarray(structure.M), eigvals_only=True)
     assert np.abs(square[:6]).max() < 1e-3
     np.testing.assert_allclose(square[6:20], printed[6:20], rtol=5e-5)

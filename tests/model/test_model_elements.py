@@ -80,6 +80,10 @@ def test_a_structure_keeps_its_elements_in_a_file(tmp_path):
     np.testing.assert_array_equal(back.elements.stiffness, F)
     np.testing.assert_array_equal(back.elements.mass, G)
     assert structure.replace(C=K).elements is told
+    further = Elements(F, G, [("a", "b"), ("b", "c"), ("d", "d")], ["c", "b", "x", "a"])
+    small = Structure(M[:2, :2], 0 * M[:2, :2], K[:2, :2], ["a", "b"], elements=further)
+    modalax.save(small, tmp_path / "small.npz")
+    assert modalax.load(tmp_path / "small.npz").elements.dofs == ("c", "b", "x", "a")
     assert structure.replace(K=2 * K).elements is None
     assert structure.replace(dofs=list("wxyz")).elements is None
 
@@ -99,3 +103,8 @@ def test_elements_that_cannot_be_are_refused(arguments, said):
 def test_elements_of_another_structure_are_refused():
     with pytest.raises(ValueError, match="over 4 DoFs, the structure has 3"):
         Structure(np.eye(3), np.eye(3), np.eye(3), elements=Elements(np.zeros((1, 4, 6)), np.zeros((1, 4, 6)), ["ab"]))
+    with pytest.raises(ValueError, match="over 4 DoFs, of which 2 are named"):
+        Elements(np.zeros((1, 4, 6)), np.zeros((1, 4, 6)), ["ab"], ["a", "b"])
+    other = Elements(np.zeros((1, 4, 6)), np.zeros((1, 4, 6)), ["ab"], list("abcd"))
+    with pytest.raises(ValueError, match="know no DoF e of the structure"):
+        Structure(np.eye(2), np.eye(2), np.eye(2), ["a", "e"], elements=other)

@@ -25,7 +25,8 @@ MEASUREMENT_KEYS = (
 )  # fmt: skip
 CLAIMS = ("stiffness_std", "mass_std")
 ELEMENTS = ("stiffness_elements", "mass_elements", "element_places")
-STRUCTURE_KEYS = ("M", "C", "K", "D", "dofs", "frequency_std", "damping_std", *CLAIMS, "pairs", *ELEMENTS)
+OF_ELEMENTS = "element_dofs"
+STRUCTURE_KEYS = ("M", "C", "K", "D", "dofs", "frequency_std", "damping_std", *CLAIMS, "pairs", *ELEMENTS, OF_ELEMENTS)
 MODEL_KEYS = (
     "poles", "frequency_hz", "damping_ratio", "shapes", "participation", "modal_a", "modal_mass", "upper", "lower",
     "outputs", "inputs", "frequency_std", "damping_std",
@@ -61,6 +62,8 @@ def to_arrays(what: Any) -> dict[str, np.ndarray]:
         e = what.elements
         parts = np.asarray(e.stiffness), np.asarray(e.mass), np.array(e.places, dtype=str).reshape(-1, 2)
         arrays |= dict(zip(ELEMENTS, parts, strict=True))
+        if e.dofs:
+            arrays[OF_ELEMENTS] = np.array(e.dofs, dtype=str)
     shape = {"pairs": (-1, 2)}
     return arrays | {k: np.array(getattr(what, k), dtype=str).reshape(shape.get(k, -1)) for k in labels}
 
@@ -258,7 +261,7 @@ def _elements(arrays: Arrays) -> Elements | None:
     _need(arrays, ELEMENTS, "set of elements")
     places = _pairs(arrays, ELEMENTS[2])
     stiffness, mass = (_numbers(arrays, name) for name in ELEMENTS[:2])
-    return Elements(stiffness, mass, places or ())
+    return Elements(stiffness, mass, places or (), _words(arrays, OF_ELEMENTS) if OF_ELEMENTS in arrays else ())
 
 
 def _pairs(arrays: Arrays, key: str) -> list[tuple[str, str]] | None:

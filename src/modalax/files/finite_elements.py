@@ -247,19 +247,22 @@ class _Import:
         return parts
 
     def _kept_elements(self, parts: Sequence[Element], small: Condensed) -> Elements | None:
-        """Elements and lumps of mass over the DoFs that are kept; None where the mass couples nodes."""
-        M, kept, T = self.M.toarray(), small.kept, small.motion
+        """Elements and lumps of mass over all DoFs, also those that follow; None where the mass couples nodes."""
+        M, kept, size = self.M.toarray(), small.kept, len(self.dofs)
         points = np.array([p for p, _ in self.dofs])
         lumps = [np.flatnonzero(points == p) for p in dict.fromkeys(points.tolist())]
         lumped = [d for d in lumps if M[np.ix_(d, d)].any()]
         own = points[:, None] == points
         if np.abs(np.where(own, 0.0, M)).max(initial=0.0) > 1e-9 * np.abs(M).max():
             return None
-        if (len(parts) + len(lumped)) * int(kept.sum()) * 6 > MOST_VALUES:
+        if (len(parts) + len(lumped)) * size * 6 > MOST_VALUES:
             return None
-        stiffness = np.stack([T[p.dofs].T @ factor_of(p.matrix) for p in parts])
-        mass = np.stack([T[d].T @ factor_of(M[np.ix_(d, d)]) for d in lumped])
-        return Elements(stiffness, mass, [self._place(p, kept) for p in parts])
+        stiffness, mass = np.zeros((len(parts), size, 6)), np.zeros((len(lumped), size, 6))
+        for out, part in zip(stiffness, parts, strict=True):
+            out[part.dofs] = factor_of(part.matrix)
+        for out, d in zip(mass, lumped, strict=True):
+            out[d] = factor_of(M[np.ix_(d, d)])
+        return Elements(stiffness, mass, [self._place(p, kept) for p in parts], self.names)
 
     def _place(self, part: Element, kept: np.ndarray) -> tuple[str, str]:
         """The two DoFs that an element couples most, of one direction and kept if it can be."""

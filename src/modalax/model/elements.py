@@ -102,16 +102,20 @@ class Elements(eqx.Module):
     Attributes
     ----------
     stiffness, mass
-        Factors F and G over the DoFs of the structure, shapes ``(e, n, r)`` and ``(p, n, r)``.
+        Factors F and G over DoFs, shapes ``(e, n, r)`` and ``(p, n, r)``.
     places
         Two DoFs that each element of stiffness couples; the same DoF twice for a support.
+    dofs
+        Names of these DoFs, where they are more than those of the structure: also those that follow it statically, by
+        other ratios once an element is softer. ``()`` where they are those of the structure.
     """
 
     stiffness: Float[Array, "e n r"]
     mass: Float[Array, "p n r"]
     places: tuple[tuple[str, str], ...] = eqx.field(static=True)
+    dofs: tuple[str, ...] = eqx.field(static=True)
 
-    def __init__(self, stiffness: Any, mass: Any, places: Sequence[Sequence[str]]):
+    def __init__(self, stiffness: Any, mass: Any, places: Sequence[Sequence[str]], dofs: Sequence[str] = ()):
         self.stiffness, self.mass = as_double(stiffness, "stiffness"), as_double(mass, "mass")
         self.places = tuple((str(a), str(b)) for a, b in places)
         if self.stiffness.ndim != 3 or self.mass.ndim != 3 or self.stiffness.shape[1] != self.mass.shape[1]:
@@ -121,3 +125,16 @@ class Elements(eqx.Module):
             )
         if len(self.places) != len(self.stiffness):
             raise ValueError(f"{len(self.places)} places for {len(self.stiffness)} elements; each needs one")
+        self.dofs = tuple(str(name) for name in dofs)
+        if self.dofs and len(set(self.dofs)) != self.stiffness.shape[1]:
+            raise ValueError(
+                f"the elements are over {self.stiffness.shape[1]} DoFs, of which {len(set(self.dofs))} are named"
+            )
+
+    def check_of(self, dofs: Sequence[str]) -> None:
+        """Raise ``ValueError`` unless these are the elements of a structure with these DoFs."""
+        if not self.dofs and self.stiffness.shape[1] != len(dofs):
+            raise ValueError(f"the elements are over {self.stiffness.shape[1]} DoFs, the structure has {len(dofs)}")
+        strange = [name for name in dofs if name not in self.dofs] if self.dofs else []
+        if strange:
+            raise ValueError(f"the elements know no DoF {strange[0]} of the structure")

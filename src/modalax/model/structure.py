@@ -85,8 +85,8 @@ class Structure(eqx.Module):
         self.stiffness_std = None if stiffness_std is None else claimed_std(stiffness_std, "stiffness_std", 1)
         self.mass_std = None if mass_std is None else claimed_std(mass_std, "mass_std", 1)
         self.pairs = None if pairs is None else tuple(self._pair(pair) for pair in pairs)
-        if elements is not None and elements.stiffness.shape[1] != n:
-            raise ValueError(f"the elements are over {elements.stiffness.shape[1]} DoFs, the structure has {n}")
+        if elements is not None:
+            elements.check_of(self.dofs)
         self.elements = elements
 
     def _pair(self, pair: Sequence[str]) -> tuple[str, str]:

@@ -35,6 +35,8 @@ class Change:
     pattern
         Of a change of a whole element instead, shape ``(n, n)``; its size is relative. Of a lumped mass that moves in
         several directions the sum of their ``b b'``; its size is a mass.
+    factor
+        F of such a change :math:`FF^T` over the DoFs that the simulation's elements know, shape ``(n, r)``.
     channel
         Of a channel's fault: axis (0 output, 1 input) and number; for two outputs exchanged both numbers; of a fault of
         all channels ``ALL`` and, for units, the power of ``s``.
@@ -49,6 +51,7 @@ class Change:
     scale: float = 1.0
     direction: np.ndarray | None = field(default=None, compare=False)
     pattern: np.ndarray | None = field(default=None, compare=False)
+    factor: np.ndarray | None = field(default=None, compare=False)
     channel: tuple[int, ...] = ()
     reference: float = 0.0
     weight: float = 1.0

@@ -10,11 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
+from modalax.diagnose.modal_domain.elements import nodes_of, parts_of
+from modalax.diagnose.modal_domain.enriched import ritz_basis
 from modalax.model import Structure
 
 QUICK = 1e3  # frequency of a DoF by itself, over that of the band, above which it is given mass
 SPARE = 4.0  # frequency of a coordinate to which nothing is attached, over the highest of all
-LARGEST = 90  # modal coordinates kept of large simulations, besides what the band needs
+LARGEST = 120  # modal coordinates of large simulations
 FURTHER, AT_LEAST = 10, 60  # modes above the band, and in all, that are solved with their damping
 REPEATED = 1e-6  # relative distance of two poles below which they count as repeated in derivatives
 
@@ -38,6 +40,9 @@ class Coordinates:
         Rows of ``shapes`` at the measured channels, shapes ``(o, n)`` and ``(i, n)``.
     solved
         Modes that are solved with their damping, the lowest ones.
+    names, everywhere
+        DoFs that the simulation's elements know and their rows of shapes, also those that follow the others statically;
+        where no elements are told, all DoFs.
     """
 
     frequencies: np.ndarray
@@ -46,6 +51,8 @@ class Coordinates:
     outputs: np.ndarray
     inputs: np.ndarray
     solved: int
+    names: tuple[str, ...]
+    everywhere: np.ndarray
 
     @property
     def size(self) -> int:
@@ -82,23 +89,52 @@ class Modes:
 def coordinates_of(
     simulation: Structure, outputs: tuple[str, ...], inputs: tuple[str, ...], highest: float
 ) -> Coordinates:
-    """Modal coordinates of a structure whose band ends at ``highest`` [rad/s]."""
-    M, C, K, D = (np.asarray(a) for a in (simulation.M, simulation.C, simulation.K, simulation.D))
-    # a DoF without mass, as a rotation of a lumped model, moves as its stiffness demands
-    M = M + np.diag(np.maximum(np.diag(K) / (QUICK * highest) ** 2 - np.diag(M), 0.0))
-    values, shapes = scipy.linalg.eigh(K, M)
-    inside = int(np.count_nonzero(values < highest**2))
-    kept = min(len(values), max(LARGEST, 2 * inside + FURTHER))
-    frequencies, shapes = np.sqrt(np.maximum(values[:kept], 0.0)), shapes[:, :kept]
-    rate = np.sqrt(np.maximum(frequencies, 1e-3 * highest))
-    damping = shapes.T @ C @ shapes + (shapes.T @ D @ shapes) / rate[:, None] / rate
+    """Modal coordinates of a simulation whose band ends at ``highest`` [rad/s]."""
+    names, frequencies, shapes, inside = _solved(simulation, highest)
     spare = SPARE * max(float(frequencies[-1]), highest)
-    frequencies, shapes = np.append(frequencies, spare), np.pad(shapes, ((0, 0), (0, 1)))
-    damping, kept = np.pad(damping, ((0, 1), (0, 1))), kept + 1
-    rows, columns = ([simulation.index(name) for name in names] for names in (outputs, inputs))
+    frequencies, everywhere = np.append(frequencies, spare), np.pad(shapes, ((0, 0), (0, 1)))
+    shapes = everywhere if names == simulation.dofs else everywhere[[names.index(name) for name in simulation.dofs]]
+    damping = _damping(simulation, frequencies, shapes, highest)
+    rows, columns = ([simulation.index(name) for name in channels] for channels in (outputs, inputs))
     return Coordinates(
-        frequencies, damping, shapes, shapes[rows], shapes[columns], min(kept, max(inside + FURTHER, AT_LEAST))
+        frequencies, damping, shapes, shapes[rows], shapes[columns],
+        min(len(frequencies), max(inside + FURTHER, AT_LEAST)), names, everywhere,
     )  # fmt: skip
+
+
+def _damping(simulation: Structure, frequencies: np.ndarray, shapes: np.ndarray, highest: float) -> np.ndarray:
+    """Modal damping matrix; none of the spare coordinate."""
+    rate = np.sqrt(np.maximum(frequencies, 1e-3 * highest))
+    hysteretic = shapes.T @ np.asarray(simulation.D) @ shapes
+    return shapes.T @ np.asarray(simulation.C) @ shapes + hysteretic / rate[:, None] / rate
+
+
+def _solved(simulation: Structure, highest: float) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, int]:
+    """DoFs, frequencies and shapes over them, and how many modes are in the band; of large simulations few shapes."""
+    told = simulation.elements
+    if told is None or not told.dofs:
+        names, M, K = simulation.dofs, np.asarray(simulation.M), np.asarray(simulation.K)
+    else:
+        names = told.dofs
+        K, M = (np.einsum("enr,emr->nm", a, a, optimize=True) for a in map(np.asarray, (told.stiffness, told.mass)))
+    if len(K) <= LARGEST:
+        # a DoF without mass, as a rotation of a lumped model, moves as its stiffness demands
+        M = M + np.diag(np.maximum(np.diag(K) / (QUICK * highest) ** 2 - np.diag(M), 0.0))
+        values, shapes = scipy.linalg.eigh(K, M)
+        return names, np.sqrt(np.maximum(values, 0.0)), shapes, int(np.count_nonzero(values < highest**2))
+    if told is None:
+        nodes = nodes_of(names)
+        parts = parts_of(K, nodes), parts_of(M, nodes, mass=True)
+        stiffness, mass = ([(p.dofs, p.matrix) for p in some] for some in parts)
+    else:
+        stiffness, mass = ([_piece(F) for F in np.asarray(factors)] for factors in (told.stiffness, told.mass))
+    return names, *ritz_basis(K, M, stiffness, mass, highest, LARGEST)
+
+
+def _piece(F: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """An element by its DoFs and its matrix over these."""
+    dofs = np.flatnonzero(F.any(axis=1))
+    return dofs, F[dofs] @ F[dofs].T
 
 
 def modes_of(

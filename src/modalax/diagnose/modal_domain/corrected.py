@@ -8,6 +8,7 @@ from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.modal_domain.causes import shown, with_sizes
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.fit import Fit, widths_of_sizes
+from modalax.diagnose.modal_domain.given_elements import changed_by_elements
 from modalax.diagnose.modal_domain.inaccuracy import KINDS, RIGID, TOLD
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.modal_domain.state import FARTHEST, Setting, changes_of, matrices_of, slopes_at
@@ -23,11 +24,22 @@ def corrected(stage: Stage, f: Fit) -> Structure:
     """The simulation corrected for the inaccuracy of a fit and for its whole elements that are off."""
     whole = tuple(c for c in f.causes if c.pattern is not None)
     u = np.array([v[0] for c, v in with_sizes(f.causes, f.u) if c.pattern is not None])
-    change = changes_of(stage.setting, f.sizes, whole, u)
-    s = stage.simulation
+    s, sizes = stage.simulation, f.sizes
+    M, C, K = (np.asarray(A) for A in (s.M, s.C, s.K))
+    if s.elements is not None and s.elements.dofs:
+        own = {name: sizes[_of_group(stage.setting, name)] for name in ("stiffness", "mass")}
+        dK, dM = changed_by_elements(s, own, zip(whole, u.tolist(), strict=True))
+        K, M, whole, u = K + dK, M + dM, (), np.zeros(0)
+        sizes = np.where(_of_group(stage.setting, "stiffness") | _of_group(stage.setting, "mass"), 0.0, sizes)
+    change = changes_of(stage.setting, sizes, whole, u)
     left = np.asarray(s.M) @ stage.coordinates.shapes
     back = {key: left @ value @ left.T for key, value in change.items()}
-    return s.replace(M=np.asarray(s.M) + back["dM"], C=np.asarray(s.C) + back["dC"], K=np.asarray(s.K) + back["dK"])
+    return s.replace(M=M + back["dM"], C=C + back["dC"], K=K + back["dK"])
+
+
+def _of_group(setting: Setting, name: str) -> np.ndarray:
+    """Which of all patterns belong to one group."""
+    return setting.inaccuracy.group_of == setting.inaccuracy.groups.index(name)
 
 
 def frf_of(stage: Stage, f: Fit | None) -> np.ndarray:

@@ -38,17 +38,16 @@ def candidates_of(
     if not len(inside):
         inside = np.arange(min(3, c.size))
     out = []
-    own = np.diag(c.damping)[inside]
+    own, own_mass = np.diag(c.damping)[inside], _own_mass(simulation)
     for k, name in enumerate(dofs):
         b = c.shapes[k]
         mobile = float((b[inside] ** 2).mean())
         if mobile < STILL * float((c.shapes[:, inside] ** 2).max()):
             continue
         turning = nodes.axis[k] > 2
-        own_mass = float(np.asarray(simulation.M)[k, k])
         weight = UNLIKELY if turning else 1.0
-        out.append(Change("added_mass", (name,), LUMP / mobile, b, reference=own_mass, weight=weight))
-    out += _lumps(simulation, c, nodes, inside)
+        out.append(Change("added_mass", (name,), LUMP / mobile, b, reference=float(own_mass[k]), weight=weight))
+    out += _lumps(simulation, c, inside)
     apart = next((some for some in (dofs, {*outputs, *inputs}) if len(some) <= FEW), ())
     for where, b, stiffness, weight in springs_of(simulation, c, nodes, pairs, highest, apart):
         mobile = b[inside] ** 2
@@ -73,19 +72,31 @@ def candidates_of(
     return out + _damped_modes(c, inside)
 
 
-def _lumps(simulation: Structure, c: Coordinates, nodes: Nodes, inside: np.ndarray) -> list[Change]:
-    """Masses that move with all displacements of a node, each told at the DoF where it moves most."""
-    mobile = (c.shapes[:, inside] ** 2).mean(axis=1)
-    own = np.diag(np.asarray(simulation.M))
+def _own_mass(simulation: Structure) -> np.ndarray:
+    """Mass that the simulation has at each DoF."""
+    return np.diag(np.asarray(simulation.M))
+
+
+def _lumps(simulation: Structure, c: Coordinates, inside: np.ndarray) -> list[Change]:
+    """Masses that move with all displacements of a node, each told at the DoF where it moves most.
+
+    Also of a node that follows others statically: what is rigidly tied to them may still be heavier.
+    """
+    nodes, mobile = nodes_of(c.names), (c.everywhere[:, inside] ** 2).mean(axis=1)
+    own = dict(zip(simulation.dofs, _own_mass(simulation).tolist(), strict=True))
     out = []
     for node in nodes.members:
         at = node[(nodes.axis[node] >= 0) & (nodes.axis[node] < 3) & (mobile[node] > STILL * mobile.max())]
         if len(at) < 2:
             continue
-        place = (simulation.dofs[at[np.argmax(mobile[at])]],)
-        pattern = c.shapes[at].T @ c.shapes[at]
+        place = (c.names[at[np.argmax(mobile[at])]],)
+        pattern = c.everywhere[at].T @ c.everywhere[at]
         usual = LUMP / float(mobile[at].sum())
-        out.append(Change("added_mass", place, usual, pattern=pattern, reference=float(own[at].mean())))
+        there = [own[c.names[k]] for k in at if c.names[k] in own]
+        out.append(
+            Change("added_mass", place, usual, pattern=pattern, factor=np.eye(len(c.names))[:, at],
+                   reference=float(np.mean(there or [0.0])))
+        )  # fmt: skip
     return out
 
 

@@ -1,0 +1,131 @@
+"""Few coordinates of a large structure hold what its modes become once elements change, and where a mass may sit."""
+
+import numpy as np
+import pytest
+import scipy.linalg
+from frames import beam
+
+from modalax.diagnose.modal_domain.coordinates import coordinates_of
+from modalax.diagnose.modal_domain.enriched import ritz_basis
+from modalax.diagnose.modal_domain.given_elements import (
+    changed_by_elements,
+    mass_patterns,
+    softened_elements,
+    stiffness_patterns,
+)
+from modalax.diagnose.modal_domain.places import candidates_of
+from modalax.model import Structure
+from modalax.model.condense import follow
+from modalax.model.elements import Elements, factor_of
+
+COUNT = 40  # elements of a free beam
+SIZE = 2 * (COUNT + 1)
+TOP = 2 * np.pi * 12.0
+PLACES = [np.arange(2 * e, 2 * e + 4) for e in range(COUNT)]
+
+
+def free_beam(stiffness: np.ndarray, mass: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    K, M = np.zeros((SIZE, SIZE)), np.zeros((SIZE, SIZE))
+    k, m = beam()
+    for at, a, b in zip(PLACES, stiffness, mass, strict=True):
+        K[np.ix_(at, at)] += a * k
+        M[np.ix_(at, at)] += b * m
+    return K, M
+
+
+def changed() -> tuple[np.ndarray, np.ndarray]:
+    """Relative errors of all elements, one of them gross."""
+    rng = np.random.default_rng(3)
+    stiffness, mass = 0.02 * rng.standard_normal(COUNT), 0.01 * rng.standard_normal(COUNT)
+    stiffness[17] = 0.6
+    return stiffness, mass
+
+
+def frequencies(K: np.ndarray, M: np.ndarray) -> np.ndarray:
+    """Elastic ones in the band, relative to the highest."""
+    square = scipy.linalg.eigh(K, M, eigvals_only=True)
+    return np.sqrt(square[(square > 1.0) & (square < TOP**2)])
+
+
+def test_a_ritz_basis_holds_the_modes_of_a_changed_structure():
+    K, M = free_beam(np.ones(COUNT), np.ones(COUNT))
+    stiffness, mass = changed()
+    true = free_beam(1 + stiffness, 1 + mass)
+    exact = frequencies(*true)
+    k, m = beam()
+    w, shapes, inside = ritz_basis(K, M, [(at, k) for at in PLACES], [(at, m) for at in PLACES], TOP, 42)
+    plain = scipy.linalg.eigh(K, M)[1][:, :42]
+    errors = []
+    for B in (shapes, plain):
+        found = frequencies(B.T @ true[0] @ B, B.T @ true[1] @ B)
+        errors.append(np.abs(found / exact - 1).max())
+    assert len(exact) > 4 and inside == len(exact) + 2  # two modes of a rigid body
+    assert errors[0] < 1e-4 < 8 * errors[0] < errors[1]
+    np.testing.assert_allclose(shapes.T @ M @ shapes, np.eye(len(w)), atol=1e-7)
+    np.testing.assert_allclose(shapes.T @ K @ shapes, np.diag(w**2), atol=1e-6 * w[-1] ** 2)
+
+
+@pytest.fixture(scope="module")
+def condensed() -> Structure:
+    """The beam with displacements alone, whose rotations follow; its elements know of these."""
+    K, M = free_beam(np.ones(COUNT), np.ones(COUNT))
+    M = np.diag(np.where(np.arange(SIZE) % 2 == 0, np.diag(M), 0.0))  # lumps that do not resist turning
+    kept = np.arange(SIZE) % 2 == 0
+    T = follow(K, kept)
+    names = [f"{p + 1}:+{way}" for p in range(COUNT + 1) for way in ("Z", "RY")]
+    F, G = np.zeros((COUNT, SIZE, 6)), np.zeros((COUNT + 1, SIZE, 6))
+    for out, at in zip(F, PLACES, strict=True):
+        out[at] = factor_of(beam()[0])
+    for p in range(COUNT + 1):
+        G[p, 2 * p, 0] = np.sqrt(M[2 * p, 2 * p])
+    told = Elements(F, G, [(names[at[0]], names[at[2]]) for at in PLACES], names)
+    k, m = T.T @ K @ T, T.T @ M @ T
+    return Structure(m, 1e-5 * k, k, np.array(names)[kept].tolist(), elements=told)
+
+
+def test_what_follows_an_element_follows_otherwise_once_it_is_softer(condensed, monkeypatch):
+    monkeypatch.setattr("modalax.diagnose.modal_domain.coordinates.LARGEST", 42)
+    c = coordinates_of(condensed, ("3:+Z", "20:+Z"), ("3:+Z",), TOP)
+    stiffness, mass = changed()
+    mass = np.append(mass, 0.0)
+    assert c.size == 43 and c.everywhere.shape == (SIZE, 43) and c.shapes.shape == (COUNT + 1, 43)
+    K, _ = free_beam(1 + stiffness, np.ones(COUNT))
+    _, whole = free_beam(np.ones(COUNT), np.ones(COUNT))
+    lumps = np.diag(whole)[::2] * (1 + mass)
+    soft = follow(K, np.arange(SIZE) % 2 == 0)
+    exact = frequencies(soft.T @ K @ soft, np.diag(lumps))
+    patterns = stiffness_patterns(condensed, c), mass_patterns(condensed, c)
+    assert patterns[0] is not None and patterns[1] is not None
+    own = np.diag(c.frequencies**2) + np.tensordot(stiffness, patterns[0], 1)
+    found = frequencies(own, np.eye(c.size) + np.tensordot(mass, patterns[1], 1))
+    assert len(exact) > 3
+    np.testing.assert_allclose(found, exact, rtol=2e-4)
+    # the extended simulation is exact: the gross error as a cause, all others as the general inaccuracy
+    cause = softened_elements(condensed, c, 0.4)[17]
+    rest = np.where(np.arange(COUNT) == 17, 0.0, stiffness)
+    dK, dM = changed_by_elements(condensed, {"stiffness": rest, "mass": mass}, [(cause, 0.6 / 0.4)])
+    again = frequencies(np.asarray(condensed.K) + dK, np.asarray(condensed.M) + dM)
+    np.testing.assert_allclose(again, exact, rtol=1e-8)
+
+
+def test_a_mass_may_sit_at_a_node_that_is_not_kept():
+    """Two masses on a rigid arm: the second follows the first, but to its own mass there is a place."""
+    names = [f"{p}:+{way}" for p in (1, 2, 3) for way in "XZ"]
+    F, G = np.zeros((2, 6, 6)), np.zeros((3, 6, 6))
+    F[0, [0, 2], 0] = F[0, [1, 3], 1] = 100.0, -100.0
+    F[1, [2, 4], 0] = F[1, [3, 5], 1] = 1e5, -1e5
+    for p in range(3):
+        G[p, [2 * p, 2 * p + 1], [0, 1]] = 1.0
+    K, M = (np.einsum("enr,emr->nm", A, A) for A in (F, G))
+    T = follow(K, np.arange(6) < 4)
+    told = Elements(F, G, [("1:+Z", "2:+Z"), ("2:+Z", "3:+Z")], names)
+    k, m = T.T @ K @ T, T.T @ M @ T
+    structure = Structure(m, 1e-4 * k, k, names[:4], elements=told)
+    c = coordinates_of(structure, ("1:+Z",), ("2:+Z",), 200.0)
+    every = candidates_of(structure, c, ("1:+Z",), ("2:+Z",), None, 200.0)
+    places = [x.where[0] for x in every if x.slug == "added_mass" and x.pattern is not None]
+    assert sorted(str(p).split(":")[0] for p in places) == ["1", "2", "3"]
+    lump = next(x for x in every if x.slug == "added_mass" and x.where[0] in ("3:+X", "3:+Z"))
+    dK, dM = changed_by_elements(structure, {"stiffness": np.zeros(2), "mass": np.zeros(3)}, [(lump, 0.5)])
+    np.testing.assert_allclose(dK, 0.0, atol=1e-6)
+    np.testing.assert_allclose(np.trace(dM), 2 * 0.5 * lump.scale, rtol=1e-6)  # as it moves with node 2
