@@ -42,7 +42,9 @@ def test_a_further_cause_beside_what_is_exact_counts_in_full():
     assert uncounted(both, [mass, both], NULL) == 0
 
 
-def test_a_joint_fitted_with_harmonics_is_so_no_longer_once_something_is_added():
-    assert JOINT.inexactness == 0.05
-    assert with_mass(9000.0).fidelity is None
-    assert with_mass(9000.0).inexactness == CoulombFriction.fidelity
+def test_what_is_known_of_harmonics_stays_known_when_something_is_added():
+    assert tolerated(with_mass(9000.0), NULL) == pytest.approx(0.05**2 * 1e6 + CoulombFriction.fidelity**2 * 1000.0)
+    again = with_mass(9000.0).with_cause(AddedMass(), Place(("4",), (3, -1, 0)), None, np.array([1.0]))
+    assert tolerated(replace(again, chi2=8000.0), NULL) == pytest.approx(
+        0.05**2 * 1e6 + CoulombFriction.fidelity**2 * 2000.0  # since the harmonics were found, not since the last cause
+    )

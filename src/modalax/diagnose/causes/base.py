@@ -272,7 +272,7 @@ class JointCause(ElementCause):
     Attributes
     ----------
     rigid
-        Whether the force does not follow from the motion where the joint sticks.
+        Whether the force does not follow from the motion where the joint sticks; its one parameter is where it slips.
     """
 
     rigid: ClassVar[bool] = False

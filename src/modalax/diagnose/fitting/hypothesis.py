@@ -36,6 +36,8 @@ class Hypothesis:
     fidelity
         Relative error of the predicted effect of a joint once higher harmonics are in it; None where only the
         fundamental is balanced, so that the causes tell theirs.
+    since
+        Chi-square left when harmonics were found, before the last causes were added; None without such causes.
     """
 
     causes: tuple[Cause, ...] = ()
@@ -49,6 +51,7 @@ class Hypothesis:
     reason: str = ""
     hum: HumLines | None = None
     fidelity: float | None = None
+    since: float | None = None
 
     @property
     def names(self) -> frozenset[tuple[str, tuple[Any, ...]]]:
@@ -77,10 +80,9 @@ class Hypothesis:
         return [k for k, c in enumerate(self.causes) if isinstance(c, JointCause)]
 
     @property
-    def inexactness(self) -> float:
-        """Relative error of the predicted effect: of the harmonics left out if one is known, else as the laws tell."""
-        told = max((c.fidelity for c in self.causes), default=0.0)
-        return told if self.fidelity is None else self.fidelity
+    def told(self) -> float:
+        """Relative error of the predicted effect by one harmonic, as the laws tell it."""
+        return max((c.fidelity for c in self.causes), default=0.0)
 
     @property
     def index(self) -> np.ndarray:
@@ -88,10 +90,11 @@ class Hypothesis:
         return np.array([p.index for p in self.places], dtype=np.int64).reshape(-1, 3)
 
     def with_cause(self, cause: Cause, place: Place, extra: Any, p: np.ndarray) -> "Hypothesis":
-        """The hypothesis with one more cause, not fitted yet."""
+        """The hypothesis with one more cause, not fitted yet; what is known of a joint's harmonics stays known."""
+        since = self.chi2 if self.fidelity is not None and self.since is None else self.since
         return replace(
             self, causes=(*self.causes, cause), places=(*self.places, place), extras=(*self.extras, extra),
-            params=(*self.params, np.asarray(p, float)), chi2=np.inf, covariance=None, fidelity=None,
+            params=(*self.params, np.asarray(p, float)), chi2=np.inf, covariance=None, since=since,
         )  # fmt: skip
 
 

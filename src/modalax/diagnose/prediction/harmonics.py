@@ -26,6 +26,7 @@ from jaxtyping import Array, Complex, Float
 from modalax._numerics.checks import as_array
 from modalax.diagnose.causes.base import JointCause
 from modalax.diagnose.prediction.frf import Linear, equivalent, of, without_joints
+from modalax.diagnose.prediction.friction import sliding
 from modalax.diagnose.setup.problem import Problem
 from modalax.simulate.aft import choose_harmonics, joint_forces
 from modalax.simulate.balance import CLOSED, Line, Plan, find, motion_scale, polish, stop
@@ -37,6 +38,10 @@ SAMPLES_A_HARMONIC = 16  # instants of a cycle at which forces are evaluated, fo
 STEP = 1e-2  # relative change of a parameter by which slopes are taken
 TURNS = (1.0, 0.5, 0.9, 1.1, 1.5)  # motions that a balance starts from, over that of the fundamental alone
 NEWTON = 20  # Newton steps from each
+INSTANTS, FEWER_INSTANTS = (
+    48,
+    24,
+)  # of half a cycle of dry friction, and those that show the error
 
 
 def with_harmonics(
@@ -80,17 +85,24 @@ def linear_factor(
     """
     near = None if rows is None else rows[0].real
 
-    def at(p: Any) -> np.ndarray:
-        moved = tuple(p if j == k else q for j, q in enumerate(params))
-        return np.asarray(
-            harmonic_factor(causes, index, extras, moved, theta, problem, highest, kept or highest, near=near)[0]
-        )
-
     k = next(k for k, c in enumerate(causes) if isinstance(c, JointCause))
     p = np.asarray(params[k], float)
-    rho, series = harmonic_factor(causes, index, extras, params, theta, problem, highest, kept or highest, near=near)
+
+    def all_of(p: Any) -> tuple[Any, Any, Any]:
+        moved = tuple(p if j == k else q for j, q in enumerate(params))
+        at = causes, index, extras, moved, theta, problem
+        if causes[k].rigid:
+            return sliding_factor(*at, FEWER_INSTANTS if kept is not None and kept < highest else INSTANTS)
+        return *harmonic_factor(*at, highest, kept or highest, near=near), None
+
+    def at(p: Any) -> np.ndarray:
+        return np.asarray(all_of(p)[0])
+
+    rho, series, amplitude = all_of(jnp.asarray(p))
     middle = np.asarray(rho)
     rows = np.zeros((2, *middle.shape)) if rows is None else np.asarray(rows)
+    if amplitude is not None:  # dry friction has one steady motion, whatever was measured
+        rows = np.stack([amplitude, rows[1]])
     slopes = []
     for j in range(len(p)):
         if not causes[k].unseen:
@@ -100,6 +112,46 @@ def linear_factor(
         slopes.append((at(as_array(p + step * np.eye(len(p))[j])) - middle) / step)
     flat = middle - sum(s * v for s, v in zip(slopes, p, strict=True))
     return np.stack([flat, *slopes, np.asarray(series), *rows])
+
+
+@partial(jax.jit, static_argnames=("causes",))
+def _across(
+    causes: Any, index: Any, extras: Any, params: Any, theta: Any, problem: Problem, times: Any
+) -> tuple[Any, Any]:  # fmt: skip
+    """Receptance across the joint, ``(f,)``, and motion there, ``(f, i)``, at a multiple of every frequency."""
+    at = [one for one in zip(causes, index, extras, params, strict=True) if one[0].in_structure]
+    linear = _at_harmonic(times, at, theta, problem)
+    return linear.H_bb[0, :, 0, 0], linear.H_bi[0, :, 0]
+
+
+def sliding_factor(
+    causes: Any, index: Any, extras: Any, params: Any, theta: Float[Array, "two n"], problem: Problem, instants: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    r"""Factor :math:`\rho`, compliance in series and amplitude of a rigid joint, by its motion at instants.
+
+    The amplitude [m] is that of joint and compliance together, 0 where no steady motion was found.
+
+    Parameters
+    ----------
+    causes, index, extras, params, theta, problem
+        As :func:`harmonic_factor` takes them.
+    instants
+        Of half a cycle.
+    """
+    k = next(k for k, c in enumerate(causes) if isinstance(c, JointCause))
+    cause, p = causes[k], params[k]
+    found = [_across(causes, index, extras, params, theta, problem, float(h)) for h in range(1, instants, 2)]
+    free = np.asarray(problem.level)[:, :, None] * np.asarray(found[0][1])
+    spread = lambda a: np.broadcast_to(a[None, :, None], (*free.shape, *a.shape[1:])).reshape(free.size, *a.shape[1:])
+    G, u = spread(np.stack([np.asarray(d) for d, _ in found], axis=-1)), free.ravel()
+    q, sound = sliding(G, u, spread(np.asarray(problem.omega)), float(p[0]), instants)
+    series = np.abs(G[:, 0])
+    z = u - (G[:, 0] - series) * q
+    omega = jnp.asarray(spread(np.asarray(problem.omega)))
+    plainly = np.asarray(cause.impedance_in_series(jnp.abs(jnp.asarray(z)), omega, p, jnp.asarray(series))) * z
+    sound = sound & (np.abs(plainly) > 0)
+    rho, amplitude = np.where(sound, q / np.where(sound, plainly, 1.0), 1.0), np.where(sound, np.abs(z), 0.0)
+    return rho.reshape(free.shape), series.reshape(free.shape) + 0j, amplitude.reshape(free.shape)
 
 
 @partial(jax.jit, static_argnames=("causes", "highest", "differentiable"))
@@ -166,8 +218,8 @@ def harmonic_factor(
     return rho, series + 0j
 
 
-def _at_harmonic(h: int, at: list[Any], theta: Array, problem: Problem) -> Linear:
+def _at_harmonic(h: Any, at: list[Any], theta: Array, problem: Problem) -> Linear:
     """Receptances at a multiple of every frequency; for the mean displacement at nearly 0 Hz."""
-    times = h if h else NEARLY_STILL
+    times = NEARLY_STILL if isinstance(h, int) and h == 0 else h
     moved = eqx.tree_at(lambda p: p.omega, problem, times * problem.omega)
     return without_joints(1j * moved.omega, [one for one in at if one[0].in_structure], theta, moved)

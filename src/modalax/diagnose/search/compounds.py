@@ -86,7 +86,7 @@ def exchanged(
     for j in range(0 if comparison.late() else len(h.causes)):
         base = replace(
             h, causes=_without(j, h.causes), places=_without(j, h.places), extras=_without(j, h.extras),
-            params=_without(j, h.params), covariance=None, freedom=0.0, fidelity=None,
+            params=_without(j, h.params), covariance=None, freedom=0.0, fidelity=None, since=None,
         )  # fmt: skip
         base = replace(base, freedom=cost_of(base.causes, base.extras) + (h.hum.freedom if h.hum else 0.0))
         base = fit_together(comparison, [base])[0]

@@ -1,8 +1,8 @@
 r"""What further causes beside a joint must explain before they count: more than the inexactness of its law.
 
-The predicted effect of a joint has a relative error :math:`\varepsilon` (:attr:`Hypothesis.inexactness`): of one
-harmonic, or of the harmonics left out. Of a strong effect, :math:`\Delta\chi^2` large, this leaves up to
-:math:`\varepsilon^2\Delta\chi^2`, in a shape that some other cause will always take up in part. What further causes
+The predicted effect of a joint has a relative error :math:`\varepsilon`: of one harmonic (:attr:`Hypothesis.told`), or
+of the harmonics left out (:attr:`Hypothesis.fidelity`). Of a strong effect, :math:`\Delta\chi^2` large, this leaves up
+to :math:`\varepsilon^2\Delta\chi^2`, in a shape that some other cause will always take up in part. What further causes
 take off within that is therefore no evidence for them.
 """
 
@@ -21,7 +21,10 @@ def tolerated(h: Hypothesis, null_chi2: float) -> float:
     null_chi2
         Chi-square of the simulation alone.
     """
-    return h.inexactness**2 * max(null_chi2 - h.chi2, 0.0)
+    if h.fidelity is None:
+        return h.told**2 * max(null_chi2 - h.chi2, 0.0)
+    since = h.chi2 if h.since is None else h.since  # what was added then has explained the rest
+    return h.fidelity**2 * max(null_chi2 - since, 0.0) + h.told**2 * max(since - h.chi2, 0.0)
 
 
 def uncounted(h: Hypothesis, fitted: Sequence[Hypothesis], null_chi2: float) -> float:

@@ -1,0 +1,123 @@
+r"""Steady motion of dry friction in a linear structure, without a truncated series of its force.
+
+Friction carries a force f up to a limit F, and its ends slide on each other only where that is reached:
+
+.. math:: |f| \le F,\qquad v \ge 0 \text{ at } f = F,\quad v \le 0 \text{ at } f = -F,\quad v = 0 \text{ between}.
+
+With the motion :math:`x_h = u_h - G_h f_h` at every odd harmonic, the velocities at the instants of a cycle are affine
+in the forces there, :math:`v = v_0 - Af`, and A is positive, since a passive structure takes up work. So the motion is
+the root of :math:`f = \mathrm{clip}(f + \gamma(v_0 - Af), -F, F)`, found by Newton's method for such equations: samples
+are sorted into sticking and sliding ones, and the former are solved for, until none changes sides (Hintermueller, Ito
+and Kunisch 2002, SIAM J. Optim. 13:865). A turn of the sliding falls between two instants; the mean over grids that are
+shifted by parts of a step finds it to so much less than a step.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+SHIFTS = tuple(k / 8 for k in range(8))  # of the instants, over their distance
+ROUNDS = 15  # of sorting; few are needed
+WEIGHTS = (1.0, 0.1, 10.0, 0.01, 100.0)  # of velocity against force that are tried in turn, relative to the usual one
+ROUNDING = 1e-6  # least admittance at one instant, over the largest between two, that is more than rounding
+CLOSED = 1e-9  # change of the force, over its limit, below which samples are sorted
+TOGETHER = 2**19  # numbers of the matrices that are worked on at once
+
+
+class Sliding(NamedTuple):
+    """A steady motion.
+
+    Attributes
+    ----------
+    force
+        First harmonic of the force [N], shape ``(p,)``.
+    sound
+        Whether it was found on half of the grids at least, shape ``(p,)``.
+    """
+
+    force: np.ndarray
+    sound: np.ndarray
+
+
+def sliding(G: np.ndarray, u: np.ndarray, omega: np.ndarray, limit: float, count: int) -> Sliding:
+    """Steady motion at many lines, each by itself.
+
+    Parameters
+    ----------
+    G
+        Receptance across the joint at harmonics 1, 3, 5, ... below ``count``, shape ``(p, h)`` [m/N].
+    u
+        Displacement across it without its force, shape ``(p,)`` [m].
+    omega
+        Circular frequency, shape ``(p,)`` [rad/s].
+    limit
+        Largest force [N].
+    count
+        Instants of half a cycle, an even number.
+
+    Raises
+    ------
+    ValueError
+        If the instants are odd in number, or more than the harmonics tell.
+    """
+    if count % 2 or G.shape[1] < count // 2:
+        raise ValueError(f"{count} instants need to be even, with {count // 2} odd harmonics; {G.shape[1]} are given")
+    force, found = np.zeros(len(u), complex), np.zeros(len(u))
+    for part in np.array_split(np.arange(len(u)), -(-len(u) * count**2 // TOGETHER)):
+        for shift in SHIFTS:
+            one = _on_one_grid(G[part], u[part] / max(limit, 1e-300), omega[part], count, shift)
+            force[part] += np.where(one.sound, limit * one.force, 0.0)
+            found[part] += one.sound
+    return Sliding(force / np.maximum(found, 1), found >= len(SHIFTS) / 2)
+
+
+def _on_one_grid(G: np.ndarray, u: np.ndarray, omega: np.ndarray, count: int, shift: float) -> Sliding:
+    """For a limit of 1."""
+    h = np.arange(1, count, 2)
+    wave = np.exp(1j * np.outer(np.pi * (np.arange(count) + shift) / count, h))
+    back = (2 / count) * wave.conj().T
+    rate = 1j * h * omega[:, None]
+    A = ((wave * (rate * G[:, : len(h)])[:, None]) @ back).real
+    v = (wave[:, 0] * (rate[:, 0] * u)[:, None]).real
+    size = np.abs(A).max(axis=(1, 2))
+    usual = np.maximum(np.abs(np.einsum("pnn->pn", A)).mean(axis=1), ROUNDING * size)
+    f, sound = np.zeros(v.shape), np.zeros(len(u), bool)
+    with np.errstate(all="ignore"):
+        start = np.clip(np.nan_to_num(_solved(A, v)), -1.0, 1.0)
+        for times in WEIGHTS:
+            left = np.flatnonzero(~sound)
+            if len(left):
+                f[left], sound[left] = _sorted(A[left], v[left], times / usual[left], start[left])
+    return Sliding(f @ back[0], sound)
+
+
+def _sorted(A: np.ndarray, v: np.ndarray, gamma: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Forces at the instants, and whether each motion's sticking and sliding samples are told apart."""
+    f, left = start.copy(), np.arange(len(v))
+    for _ in range(ROUNDS):
+        g = f[left] + gamma[left, None] * (v[left] - np.einsum("pnm,pm->pn", A[left], f[left]))
+        open_ = ~(np.abs(f[left] - np.clip(g, -1.0, 1.0)).max(axis=1) < CLOSED)
+        left, g = left[open_], g[open_]
+        if not len(left):
+            break
+        sticks = np.abs(g) <= 1
+        M = np.where(sticks[:, :, None], A[left], np.eye(v.shape[1]))
+        f[left] = np.nan_to_num(_solved(M, np.where(sticks, v[left], np.sign(g))))
+    sound = np.ones(len(v), bool)
+    sound[left] = False
+    return f, sound
+
+
+def _solved(A: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Solutions of many systems; not numbers where a matrix is singular."""
+    try:
+        return np.linalg.solve(A, v[..., None])[..., 0]
+    except np.linalg.LinAlgError:
+        return np.stack([_alone(a, b) for a, b in zip(A, v, strict=True)])
+
+
+def _alone(A: np.ndarray, v: np.ndarray) -> np.ndarray:
+    try:
+        return np.linalg.solve(A, v)
+    except np.linalg.LinAlgError:
+        return np.full(len(v), np.nan)

@@ -1,0 +1,38 @@
+"""Dry friction's steady motion against closed forms: a mass that slides without a stop, and one that is held."""
+
+import numpy as np
+import pytest
+
+from modalax.diagnose.prediction.friction import sliding
+
+MASS, OMEGA, PUSH, COUNT = 2.0, 30.0, 5.0, 48
+
+
+def mass_alone(limit):
+    """Dry friction on a free mass under a sine."""
+    h = np.arange(1, COUNT, 2)
+    G = -1 / (MASS * (h * OMEGA) ** 2)[None] + 0j
+    return sliding(G, PUSH * G[:, 0], np.array([OMEGA]), limit, COUNT)
+
+
+@pytest.mark.parametrize("share", [0.05, 0.15, 0.3])
+def test_sliding_without_stops(share):
+    # m x'' = P cos(wt) - f; v is 0 at t0 and half a cycle later: sin(w t0) = -pi F/(2 P); the square wave begins there
+    limit = share * PUSH
+    begin = np.arcsin(-np.pi * limit / (2 * PUSH))
+    found = mass_alone(limit)
+    assert found.sound.all()
+    np.testing.assert_allclose(
+        found.force[0], 4 * limit / np.pi * np.exp(-1j * (np.pi / 2 + begin)), rtol=2e-2
+    )  # one harmonic alone is up to 19 % off
+
+
+def test_a_mass_that_is_held_takes_the_whole_push():
+    found = mass_alone(1.001 * PUSH)
+    assert found.sound.all()
+    np.testing.assert_allclose(found.force[0], PUSH, rtol=1e-9)
+
+
+def test_too_few_harmonics_are_refused():
+    with pytest.raises(ValueError, match="harmonics"):
+        sliding(np.zeros((1, 3), complex), np.ones(1, complex), np.ones(1), 1.0, COUNT)
