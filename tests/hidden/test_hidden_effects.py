@@ -11,6 +11,8 @@ import pytest
 from modalax.diagnose import diagnose, pipeline
 from modalax.diagnose.causes import ChannelCause, JointCause, LinesCause, LocalCause, ModesCause, catalogue
 from modalax.diagnose.causes.drift import DriftingSpring
+from modalax.diagnose.causes.joints import CoulombFriction, ElastoSlip
+from modalax.diagnose.causes.power_laws import IwanJoint
 from modalax.diagnose.comparison import empty, make_comparison
 from modalax.diagnose.screening.score_state import score_state_of
 from modalax.diagnose.search.singles import STRAYED, from_nominal_modes
@@ -25,7 +27,8 @@ ALIKE = {
     ("channel_swap", "chain"): ChannelCause, ("mains_hum", "chain"): LinesCause | ModesCause,
     ("time_varying", "chain"): ModesCause | DriftingSpring, ("force_gain", "chain"): ChannelCause,
     ("crosstalk", "chain"): ChannelCause, ("hysteretic_joint", "chain"): LocalCause,
-    ("fractional_joint", "chain"): LocalCause,
+    ("fractional_joint", "chain"): LocalCause, ("sensor_clipping", "chain"): ChannelCause,
+    ("iwan_joint", "chain"): CoulombFriction | ElastoSlip | IwanJoint,
 }  # fmt: skip
 # and these among the whole catalogue in the longer draw.
 LONG = [
@@ -86,6 +89,17 @@ def test_hidden_effect_is_told_from_those_of_its_kind(cause, structure, tmp_path
     check_found(case, answer_among(ALIKE[cause, structure], case, tmp_path, monkeypatch))
 
 
+def test_a_sensor_that_rolls_off_near_the_band_is_no_delay(tmp_path, monkeypatch):
+    case = generator.draw_case(3, "sensor_filter", 1000.0, *("masses",), spread=False, inputs=1, runs=3, structure=35)
+    said = answer_among(ChannelCause, case, tmp_path, monkeypatch)
+    truth = case.truth["causes"][0]
+    check_found(case, said)
+    assert said["verdict"] == "named"
+    for name, value in truth["parameters"].items():
+        told = said["causes"][0]["parameters"][name]
+        assert abs(told["value"] - value["value"]) < 4 * told["std"]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("seed", "cause", "structure"), LONG)
 def test_hidden_effect_is_found_in_the_longer_draw(seed, cause, structure, tmp_path):
@@ -106,11 +120,11 @@ def test_a_cause_that_no_catalogue_holds_gets_no_confident_name(tmp_path):
 
 @pytest.mark.parametrize("whole", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["channels", "whole"])
 def test_what_the_data_looks_like_beside_the_catalogue_is_told(whole, tmp_path, monkeypatch):
-    """A sensor behind a high-pass filter leads in phase, as one with a negative delay does."""
-    case = draw(100, "outside:ac_coupling", "chain")
+    """A cable that resonates bends one row about its resonance, as no named fault of a sensor does."""
+    case = draw(100, "outside:cable_resonance", "chain")
     said = answer(case, tmp_path) if whole else answer_among(ChannelCause, case, tmp_path, monkeypatch)
     assert said["verdict"] in ("unknown", "ambiguous")
-    assert "ac_coupling" in said["advice"] and f"at {case.truth['causes'][0]['where'][0]}" in said["advice"]
+    assert "sensor_resonance" in said["advice"] and f"at {case.truth['causes'][0]['where'][0]}" in said["advice"]
 
 
 def test_wrong_units_are_named_although_the_simulation_may_be_a_little_off(tmp_path):

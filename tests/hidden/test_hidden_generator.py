@@ -56,7 +56,7 @@ def test_imports_nothing_but_numpy_and_scipy():
 SOME = [
     "modal_damping", "gyroscopic", "tuned_mass", "missing_mode", "time_varying", "sensor_mass", "time_delay",
     "exponential_window", "leakage", "fast_sweep", "mains_hum", "force_dropout", "elasto_slip", "outside:maxwell",
-    "outside:saturating_sensor", "outside:geometric_stiffening",
+    "sensor_clipping", "outside:geometric_stiffening",
 ]  # fmt: skip
 
 

@@ -3,12 +3,13 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.signal
 
 from modalax.diagnose.causes import catalogue, imitators
 from modalax.diagnose.causes.couplings import FollowerStiffness, OneWayDamper
 from modalax.diagnose.causes.drift import AllStiffness
 from modalax.diagnose.causes.forces import Crosstalk, ForceGain, StrayForce
-from modalax.diagnose.causes.power_laws import PowerDamper, PowerSpring
+from modalax.diagnose.causes.power_laws import IwanJoint, MicroSlip, PowerDamper, PowerSpring
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.causes.sensors import AcCoupling, ClippedSensor, SensorLowpass, SensorResonance
 from modalax.diagnose.causes.viscoelastic import FractionalJoint, HystereticJoint, MaxwellJoint
@@ -100,7 +101,8 @@ def test_an_element_equals_its_dynamic_stiffness(cause, index, p, change):
     ("cause", "index", "p", "factor"),
     [
         (AcCoupling(), (2, -1, 0), [6.0], S / (S + 2 * np.pi * 6.0)),
-        (SensorLowpass(), (2, -1, 0), [1e-3], 1 / (1 + S * 1e-3)),
+        (SensorLowpass(1), (2, -1, 0), [1e-3], 1 / (1 + S * 1e-3)),
+        (SensorLowpass(2), (2, -1, 0), [1e-3], 1 / (1 + S * 1e-3 + S**2 * 5e-7)),
     ],
 )
 def test_a_filter_acts_on_its_own_row(cause, index, p, factor):
@@ -150,8 +152,33 @@ def test_no_imitator_bears_a_name_of_the_catalogue_and_each_is_rare():
 
 def test_doubt_is_told_apart_and_in_words():
     gap = Hypothesis((catalogue()[0],), (Place(("1",), (0, -1, 0)),), chi2=10.0)
-    other = Hypothesis((AcCoupling(),), (Place(("7",), (6, -1, 0)),), chi2=9.0)
+    other = Hypothesis((SensorResonance(),), (Place(("7",), (6, -1, 0)),), chi2=9.0)
     named, nameless = apart(posterior([(gap, 0.0), (other, 1.0)]))
     assert [r.best for r in named] == [gap] and [r.best for r in nameless] == [other]
-    assert "high-pass filter of one sensor at 7" in likeness(nameless)[0] and "0.73" in likeness(nameless)[0]
+    assert "a resonance of the mount of one sensor at 7" in likeness(nameless)[0] and "0.73" in likeness(nameless)[0]
     assert likeness([]) == ()
+
+
+@pytest.mark.parametrize(
+    ("cause", "p", "kind"),
+    [(SensorLowpass(1), 2e-3, "low"), (SensorLowpass(2), 2e-3, "low"), (AcCoupling(), 6.0, "high")],
+)
+def test_a_filter_is_a_butterworth_filter_of_the_corner_that_is_told(cause, p, kind):
+    told = {k: v for k, (v, _) in cause.report(np.array([p]), Place(("2",), (0, -1, 0))).items()}
+    filter_ = scipy.signal.butter(int(told.get("order", 1)), 2 * np.pi * told[f"{kind}_pass_corner"], kind, analog=True)
+    expected = solved()
+    expected[:, 0] *= scipy.signal.freqs(*filter_, worN=S.imag)[1][:, None]
+    assert np.abs(predicted(cause, (0, -1, 0), [p])[0] - expected).max() < ROUNDING * np.abs(expected).max()
+
+
+def test_an_iwan_joint_is_as_stiff_as_its_sliders_together():
+    """The closed form, before and after all slips, against a great many sliders side by side; and its micro-slip."""
+    A = np.array([0.05, 0.3, 0.99, 1.01, 2.0, 30.0]) * 1e-4
+    for n in (0.4, 1.0):
+        p = jnp.array([2e4, 1e-4, n])
+        law = joints.Iwan(2e4 * 1e-4 * n / (n + 1), 2e4, n - 1, count=3000)
+        got = np.asarray(IwanJoint().impedance(jnp.asarray(A), jnp.ones(6), p))
+        assert np.abs(got / np.asarray(law.describing(A, 1.0)) - 1).max() < 1e-4
+        lost = np.asarray(MicroSlip().impedance(jnp.asarray(A[:3]), jnp.ones(3), jnp.array([1.0, n])))
+        assert np.ptp((got[:3] - 2e4) / lost) < 1e-6 * abs((got[0] - 2e4) / lost[0])
+        assert abs(got[-1]) < 0.05 * abs(got[0])

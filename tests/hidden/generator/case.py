@@ -23,7 +23,7 @@ OUTSIDE_CATALOGUE = tuple(OUTSIDE)
 SIZES = (0.0, 3.0, 5.0, 8.0, 12.0, 20.0, 30.0, 50.0)
 NEEDS_LEVELS = (
     *JOINTS,
-    "outside:saturating_sensor",
+    "sensor_clipping",
     "outside:sloshing_mass",
     "outside:geometric_stiffening",
     "outside:cubic_damping",

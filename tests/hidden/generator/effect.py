@@ -56,9 +56,10 @@ class Setup:
 class Effect:
     """A cause: its name, its place, and one or more of the hooks below, each a function of the size.
 
-    ``plant(plant, size, run)`` changes the structure, ``joint(size)`` adds a non-linear element that is marched in
-    time, ``harmonic(H, setup, size, plant, run)`` is a describing-function correction, ``kernel(size)`` weights the
-    impulse response, ``shift(size)`` moves s to the right, ``post(H, setup, size, plants)`` acts on the channels.
+    ``plant(plant, size, run)`` changes the structure, ``joint(size)`` adds one non-linear element or several that are
+    marched in time, ``harmonic(H, setup, size, plant, run)`` is a describing-function correction, ``kernel(size)``
+    weights the impulse response, ``shift(size)`` moves s to the right, ``post(H, setup, size, plants)`` acts on the
+    channels.
     """
 
     slug: str
@@ -67,7 +68,7 @@ class Effect:
     limit: float
     params: Callable[[float], dict[str, tuple[float, str]]]
     plant: Callable[[Plant, float, int], Plant] | None = None
-    joint: Callable[[float], Joint] | None = None
+    joint: Callable[[float], Joint | list[Joint]] | None = None
     harmonic: Callable[..., np.ndarray] | None = None
     kernel: Callable[[float], Callable[[np.ndarray], np.ndarray]] | None = None
     shift: Callable[[float], float] | None = None
@@ -110,7 +111,8 @@ def evaluate(setup: Setup, effects: list[tuple[Effect, float]], steps: int = 256
         H = H * s[:, None, None] ** DERIVATIVES[setup.form]
     H = np.array(np.broadcast_to(H, (len(setup.level), *H.shape[1:])))
     remarks: dict[str, Any] = {}
-    joints = [e.joint(s) for e, s in effects if e.joint is not None]
+    added = [e.joint(s) for e, s in effects if e.joint is not None]
+    joints = [j for some in added for j in (some if isinstance(some, list) else [some])]
     if joints:
         # without a kernel or shift the march is exact; with one, the joint's share passes through unchanged
         change, remarks = march(plants[0], setup, joints, steps)

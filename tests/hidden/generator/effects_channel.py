@@ -171,6 +171,41 @@ def force_gain(setup: Setup, rng) -> Effect:
     )  # fmt: skip
 
 
+def sensor_filter(setup: Setup, rng) -> Effect:
+    """A sensor that rolls off: above the band (first or second order), or below it (a coupling capacitor)."""
+    o, name = _output(setup, rng)
+    kind = str(rng.choice(["low", "butterworth", "high"]))
+    low, high = setup.freq[0], setup.freq[-1]
+    x = 1j * setup.freq / high
+    gain = {
+        "low": lambda z: 1 / (1 + z * x),
+        "butterworth": lambda z: 1 / (1 + np.sqrt(2) * z * x + (z * x) ** 2),
+        "high": lambda z: 1 / (1 - 1j * z * low / setup.freq),
+    }[kind]
+    told = {"high": lambda z: {"high_pass_corner": (z * low, "Hz")}}.get(
+        kind, lambda z: {"low_pass_corner": (high / z, "Hz")}
+    )
+    return Effect(
+        "sensor_filter", [name], 1e-4, 10.0, told, post=scale_rows([o], lambda setup, z: gain(z)), variant=kind
+    )  # fmt: skip
+
+
+def sensor_clipping(setup: Setup, rng) -> Effect:
+    """One sensor clips: the fundamental of a clipped sine, by the response amplitude at each force level."""
+    o, name = _output(setup, rng)
+    peak = float((np.abs(setup.frf(setup.plant)[:, o]).max() * setup.level).max())
+
+    def post(H, setup, size, plants):
+        H = H.copy()
+        response = np.abs(H[:, :, o]) * setup.level[:, None, None]
+        rho = np.minimum(peak / (1 + size) / np.maximum(response, 1e-300), 1.0)
+        H[:, :, o] *= 2 / np.pi * (np.arcsin(rho) + rho * np.sqrt(1 - rho**2))
+        return H
+
+    unit = {"receptance": "m", "mobility": "m/s", "accelerance": "m/s^2"}[setup.form]
+    return Effect("sensor_clipping", [name], 1e-3, 1e3, lambda z: {"ceiling": (peak / (1 + z), unit)}, post=post)
+
+
 CHANNEL = {
     "channel_gain": channel_gain,
     "channel_sign": channel_sign,
@@ -184,4 +219,6 @@ CHANNEL = {
     "force_dropout": force_dropout,
     "crosstalk": crosstalk,
     "force_gain": force_gain,
+    "sensor_filter": sensor_filter,
+    "sensor_clipping": sensor_clipping,
 }

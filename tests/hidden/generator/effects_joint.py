@@ -7,6 +7,8 @@ from .effect import Effect, Setup
 from .effects_linear import drive_stiffness, names, pick_place
 from .march import Joint
 
+SLIDERS = 6  # that stand for an Iwan joint
+
 
 def place_with_motion(setup: Setup, rng, spring: bool = False):
     a, b, k = pick_place(setup, rng, spring=spring)
@@ -81,6 +83,19 @@ def bilinear_stiffness(setup: Setup, rng) -> Effect:
     )  # fmt: skip
 
 
+def iwan_joint(setup: Setup, rng) -> Effect:
+    """Sliders side by side, as stiff as each other, whose slip displacements follow a power law up to a largest one."""
+    e, where, _, amplitude, _ = place_with_motion(setup, rng)
+    largest, n = float(rng.uniform(0.3, 2.0)) * amplitude, float(rng.uniform(0.4, 1.0))
+    slips = largest * ((np.arange(SLIDERS) + 0.5) / SLIDERS) ** (1 / n)
+    scale = drive_stiffness(setup, e)
+    return Effect(
+        "iwan_joint", where, 1e-4 * scale, 50 * scale,
+        lambda s: {"stiffness": (s, "N/m"), "slip_force": (s * largest * n / (n + 1), "N"), "exponent": (n, "-")},
+        joint=lambda s: [Joint(laws.Jenkins("iwan_joint", s / SLIDERS, s / SLIDERS * x), e) for x in slips],
+    )  # fmt: skip
+
+
 JOINTS = {
     "coulomb_friction": coulomb_friction,
     "elasto_slip": elasto_slip,
@@ -88,4 +103,5 @@ JOINTS = {
     "gap": gap,
     "quadratic_damping": quadratic_damping,
     "bilinear_stiffness": bilinear_stiffness,
+    "iwan_joint": iwan_joint,
 }

@@ -52,14 +52,6 @@ def _sensor(slug: str, start: float, limit: float, response):
     return draw
 
 
-def _lowpass(setup: Setup, rng):
-    return lambda size: 1 / (1 + 1j * size * setup.freq / setup.freq[-1])
-
-
-def _highpass(setup: Setup, rng):
-    return lambda size: 1 / (1 - 1j * size * setup.freq[0] / setup.freq)
-
-
 def _cable(setup: Setup, rng):
     """A resonance of cable or bracket within the band, coupled by ``size``."""
     f0 = float(rng.uniform(setup.freq[0], setup.freq[-1]))
@@ -106,21 +98,35 @@ def stray_force(setup: Setup, rng) -> Effect:
     return Effect("outside:stray_force", where, 1e-5, 3.0, lambda s: {"share": (s, "-")}, post=post)
 
 
-def saturating_sensor(setup: Setup, rng) -> Effect:
-    """One sensor clips: the fundamental of a clipped sine, by the response amplitude at each force level."""
-    o = int(rng.integers(len(setup.outputs)))
-    peak = float((np.abs(setup.frf(setup.plant)[:, o]).max() * setup.level).max())
+def _warming(setup: Setup, rng):
+    """A sensor whose gain wanders while it warms up, in step with the lines."""
+    along = (setup.freq - setup.freq[0]) / (setup.freq[-1] - setup.freq[0]) - 0.5
+    return lambda size: 1 + size * along + 0j
+
+
+def drifting_sweep(setup: Setup, rng) -> Effect:
+    """The structure softens from line to line of each run, as one does that warms up during a slow sweep."""
+    along = (setup.freq - setup.freq[0]) / (setup.freq[-1] - setup.freq[0])
 
     def post(H, setup, size, plants):
-        H = H.copy()
-        response = np.abs(H[:, :, o]) * setup.level[:, None, None]
-        rho = np.minimum(peak / (1 + size) / np.maximum(response, 1e-300), 1.0)
-        H[:, :, o] *= 2 / np.pi * (np.arcsin(rho) + rho * np.sqrt(1 - rho**2))
-        return H
+        s = 1j * setup.omega[:, None, None]
+        softer = [
+            np.linalg.inv(p.M * s**2 + p.C * s + p.K * (1 - size * along)[:, None, None])[:, setup.outputs][
+                :, :, setup.inputs
+            ]
+            for p in plants
+        ]
+        return np.stack(softer) * setup.factor
 
-    where = [setup.system.dofs[setup.outputs[o]]]
-    limit = lambda s: {"ceiling": (peak / (1 + s), setup.form)}
-    return Effect("outside:saturating_sensor", where, 1e-3, 1e3, limit, post=post)
+    return Effect("outside:drifting_sweep", [], 1e-6, 0.3, lambda z: {"softening": (z, "-")}, post=post)
+
+
+def relaxing_mass(setup: Setup, rng) -> Effect:
+    """Fluid that is carried along at low frequencies only: a mass behind a relaxation."""
+    tau = float(log_uniform(rng, 0.3, 3.0)) / float(np.median(setup.omega))
+    law = lambda s: s**2 * tau**2 / (1 + s * tau)
+    told = lambda z: {"size": (z, "N/m"), "time_constant": (tau, "s")}
+    return dynamic("outside:relaxing_mass", setup, rng, law, told)
 
 
 def sloshing_mass(setup: Setup, rng) -> Effect:
@@ -186,13 +192,13 @@ OUTSIDE = {
     "outside:maxwell": maxwell,
     "outside:one_way_damping": _one_way("outside:one_way_damping", "C", False),
     "outside:follower_stiffness": _one_way("outside:follower_stiffness", "K", True),
-    "outside:sensor_lowpass": _sensor("outside:sensor_lowpass", 1e-4, 10.0, _lowpass),
-    "outside:ac_coupling": _sensor("outside:ac_coupling", 1e-4, 10.0, _highpass),
+    "outside:warming_sensor": _sensor("outside:warming_sensor", 1e-4, 1.5, _warming),
     "outside:cable_resonance": _sensor("outside:cable_resonance", 1e-5, 1.0, _cable),
     "outside:phase_jitter": phase_jitter,
     "outside:clock_error": clock_error,
     "outside:stray_force": stray_force,
-    "outside:saturating_sensor": saturating_sensor,
+    "outside:drifting_sweep": drifting_sweep,
+    "outside:relaxing_mass": relaxing_mass,
     "outside:sloshing_mass": sloshing_mass,
     "outside:geometric_stiffening": geometric_stiffening,
     "outside:cubic_damping": cubic_damping,

@@ -1,4 +1,4 @@
-"""Joints whose stiffness or damping follows a power of the amplitude."""
+"""Joints whose stiffness or damping follows a power of the amplitude, Iwan's among them."""
 
 from typing import Any
 
@@ -11,9 +11,13 @@ from modalax.diagnose.causes.base import RARE, JointCause
 from modalax.diagnose.causes.local import median_omega
 from modalax.diagnose.causes.parameter import Parameter, strengths
 from modalax.diagnose.causes.scene import Place, Scene
+from modalax.simulate import joints
+from modalax.simulate.joints.friction import jenkins_describing
 
 REFERENCE = 1e-4  # amplitude at which the lost stiffness is reported [m]
 EXPONENTS = (0.5, 1.0, 1.5)  # exponents of the amplitude that are screened [-]
+IWAN = 0.1  # prior of each form of an Iwan joint: one sharp slip is the simpler thing to say
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 
 class MicroSlip(JointCause):
@@ -88,11 +92,76 @@ class PowerDamper(PowerSpring):
         return 1j * omega * p[0] * (A / REFERENCE) ** p[1]
 
 
-class RareMicroSlip(MicroSlip):
-    """The microslip law as something that a name of the catalogue may stand for."""
+class IwanMicroSlip(MicroSlip):
+    """The micro-slip of an Iwan joint that the simulation has as a spring."""
 
-    named = False
-    prior = RARE
+    slug = "iwan_joint"
+    summary = "a spring of the simulation that slips little by little, as Iwan's joint does"
+    prior = IWAN
 
 
-POWER_LAWS: tuple[Any, ...] = (PowerSpring(), PowerDamper(), RareMicroSlip())
+class IwanJoint(JointCause):
+    r"""An additional joint of Iwan's kind: sliders whose slip displacements are spread as :math:`\phi^{n-1}`.
+
+    With the stiffness K of small motions, all slips beyond :math:`\phi_m`. A slider of slip displacement
+    :math:`\phi = uA` has the share :math:`J(u)` of its stiffness at the amplitude A
+    (:func:`~modalax.simulate.joints.friction.jenkins_describing`), so that
+
+    .. math:: \frac{N(A)}{K} = \max\Big(0, 1 - \frac{A^n}{\phi_m^n}\Big)
+              + \frac{A^n}{\phi_m^n}\int_0^{\min(1, \phi_m/A)} n u^{n-1} J(u)\,du.
+
+    Source: Segalman (2005), J. Appl. Mech. 72:752, eq. 22-30, with :math:`\chi = n - 1` and :math:`\beta = 0`.
+    """
+
+    slug = "iwan_joint"
+    summary = "an additional joint of Iwan's kind, which slips little by little"
+    fidelity = 0.01
+    prior = IWAN
+    parameters = (
+        Parameter("stiffness", "N/m", 0.0),
+        Parameter("slip_displacement", "m", 1e-15, log=True),
+        Parameter("exponent", "-", 0.1, 1.0),
+    )
+
+    def grid(self, scene: Scene, place: Place) -> np.ndarray:
+        """Slip of all at fractions and multiples of the amplitude."""
+        shapes = [(x, n) for x in scene.amplitudes(place, (0.15, 0.5, 1.5)) for n in EXPONENTS if n <= 1.0]
+        return strengths(scene.stiffness_scale(place), shapes, (1e-4, 0.05, 0.4), both=False)
+
+    def law(self, p: Array) -> Any:
+        """Force at which all slips, stiffness of small motions, power of the distribution."""
+        return joints.Iwan(macro_slip(p), p[0], p[2] - 1)
+
+    def impedance(self, A: Array, omega: Array, p: Array) -> Complex[Array, "..."]:
+        """Describing function at amplitude ``A``."""
+        n, r = p[2], A / p[1]
+        inside = r < 1
+        part = jnp.where(inside, r, 1.0) ** n
+        whole = part * spread_sliders(jnp.ones(()), n) + (1 - part)
+        beyond = jnp.where(inside, 1.0, r)
+        return p[0] * jnp.where(inside, whole, beyond**n * spread_sliders(1 / beyond, n))
+
+    def report(self, p: np.ndarray, place: Place) -> dict[str, tuple[Any, str]]:
+        """The force of macro-slip rather than the displacement."""
+        return {"stiffness": (p[0], "N/m"), "slip_force": (macro_slip(p), "N"), "exponent": (p[2], "-")}
+
+
+def macro_slip(p: Any) -> Any:
+    r"""Force :math:`K\phi_m n/(n+1)` [N] at which all of an Iwan joint slips."""
+    return p[0] * p[1] * p[2] / (p[2] + 1)
+
+
+def spread_sliders(x: Any, n: Any) -> Complex[Array, "..."]:
+    r""":math:`\int_0^x n u^{n-1} J(u)\,du` for :math:`0 \le x \le 1`.
+
+    By parts, with :math:`u = \sin^2 t` and Gauss's rule for what is left,
+    :math:`\frac8\pi\int_0^x u^{n+1/2}\sqrt{1-u}\,du`.
+    """
+    end = jnp.arcsin(jnp.sqrt(jnp.clip(x, 0.0, 1.0)))
+    t = end[..., None] * (0.5 * (NODES + 1))
+    left = 8 / jnp.pi * end * (jnp.sin(t) ** (2 * n + 2) * jnp.cos(t) ** 2 @ WEIGHTS)
+    loss = 4 / jnp.pi * n * (x ** (n + 1) / (n + 1) - x ** (n + 2) / (n + 2))
+    return x**n * jenkins_describing(1.0, x, 1.0).real - left + 1j * loss
+
+
+POWER_LAWS: tuple[Any, ...] = (IwanMicroSlip(), IwanJoint(), PowerSpring(), PowerDamper())

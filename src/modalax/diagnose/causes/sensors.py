@@ -17,12 +17,12 @@ from modalax.diagnose.causes.signals import Channels
 class AcCoupling(ChannelCause):
     r"""One sensor through a high-pass filter of first order, :math:`s/(s + \omega_c)`."""
 
-    slug = "ac_coupling"
+    slug = "sensor_filter"
     summary = "high-pass filter of one sensor"
-    named = False
+    advice = "compare the sensor with another at the same place, below and above the band"
     prior = RARE
     rows = 1
-    parameters = (Parameter("corner_frequency", "Hz", 0.0),)
+    parameters = (Parameter("high_pass_corner", "Hz", 0.0),)
 
     def places(self, scene: Scene) -> list[Place]:
         """Every output."""
@@ -39,14 +39,20 @@ class AcCoupling(ChannelCause):
 
 
 class SensorLowpass(ChannelCause):
-    r"""One sensor through a low-pass filter of first order, :math:`1/(1 + s\tau)`: nearly a delay."""
+    r"""One sensor through a low-pass filter, where weak nearly a delay.
 
-    slug = "sensor_lowpass"
-    summary = "low-pass filter of one sensor"
-    named = False
-    prior = RARE / 2
+    :math:`1/(1 + s\tau)` of first order, :math:`1/(1 + s\tau + s^2\tau^2/2)` (Butterworth's) of second.
+    """
+
+    slug = "sensor_filter"
+    advice = AcCoupling.advice
+    prior = RARE / 2  # each order
     rows = 1
     parameters = (Parameter("time_constant", "s", 0.0),)
+
+    def __init__(self, order: int):
+        self.order = order
+        self.summary = f"low-pass filter of one sensor, of order {order}"
 
     def places(self, scene: Scene) -> list[Place]:
         """Every output."""
@@ -58,8 +64,13 @@ class SensorLowpass(ChannelCause):
 
     def channels(self, H: Array, at: Channels, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
         """Filter one row."""
-        gain = 1 / (1 + 1j * at.s.imag * p[0])
-        return scaled_row(H, where[0], gain[:, None, None])
+        x = 1j * at.s.imag * p[0]
+        return scaled_row(H, where[0], (1 / (1 + x + (self.order - 1) * x**2 / 2))[:, None, None])
+
+    def report(self, p: np.ndarray, place: Place) -> dict[str, tuple[Any, str]]:
+        """The frequency at which the gain is down by 3 dB rather than the time constant."""
+        corner = np.sqrt(self.order) / (2 * np.pi * p[0]) if p[0] else np.inf
+        return {"low_pass_corner": (corner, "Hz"), "order": (float(self.order), "-")}
 
 
 class SensorResonance(ChannelCause):
@@ -99,10 +110,10 @@ class SensorResonance(ChannelCause):
 class ClippedSensor(ChannelCause):
     r"""One sensor that clips: the fundamental of a clipped sine, by the amplitude of its own quantity."""
 
-    slug = "clipped_sensor"
+    slug = "sensor_clipping"
     summary = "one sensor saturates"
+    advice = "repeat at a lower force, or with a longer measuring range"
     per_run = True
-    named = False
     prior = RARE
     rows = 1
     fidelity = 0.01
@@ -119,6 +130,10 @@ class ClippedSensor(ChannelCause):
         size = np.abs(scene.motion(at)) * scene.omega[:, None] ** place.index[1]
         return np.array([[x / (float(size.max()) * float(scene.levels.max()))] for x in (1.05, 1.3, 2.0, 4.0)])
 
+    def report(self, p: np.ndarray, place: Place) -> dict[str, tuple[Any, str]]:
+        """The amplitude beyond which it clips, in the sensor's own unit."""
+        return {"ceiling": (1 / p[0] if p[0] else np.inf, ("m", "m/s", "m/s^2")[place.index[1]])}
+
     def channels(self, H: Array, at: Channels, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
         """Scale one row by how much is cut off."""
         row = jnp.take(H, where[0], axis=2)
@@ -128,4 +143,6 @@ class ClippedSensor(ChannelCause):
         return scaled_row(H, where[0], gain[:, :, None])
 
 
-SENSORS: tuple[Any, ...] = (AcCoupling(), SensorLowpass(), SensorResonance(), ClippedSensor())
+SENSORS: tuple[Any, ...] = (
+    AcCoupling(), SensorLowpass(1), SensorLowpass(2), SensorResonance(), ClippedSensor()
+)  # fmt: skip

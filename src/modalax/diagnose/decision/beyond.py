@@ -150,7 +150,8 @@ def usual_size(
     inaccuracy
         General relative inaccuracy by ``stiffness``, ``mass`` and ``damping``.
     highest
-        Highest measured frequency [Hz], at which a delay :math:`\tau` turns the phase by :math:`2\pi f\tau`.
+        Highest measured frequency [Hz], at which a delay :math:`\tau` turns the phase by :math:`2\pi f\tau`; the size
+        of a sensor's filter is such a phase itself.
     """
     return {
         "joint_stiffness": limits.beyond * inaccuracy["stiffness"] * whole,
@@ -160,4 +161,5 @@ def usual_size(
         "channel_gain": limits.calibration,
         "force_gain": limits.calibration,
         "time_delay": limits.angle / (2 * math.pi * highest),
+        "sensor_filter": limits.angle,
     }.get(slug, -math.inf)

@@ -6,6 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from modalax.diagnose.causes import Cause
+from modalax.diagnose.causes.channels import CommonDelay
+
 KIND_OF = {"added_mass": "M", "joint_stiffness": "K", "local_damper": "C", "modal_damping": "C"}
 LONGEST = 50.0  # decays of a mode in one delay, beyond which a delay is none
 ALL = 2  # axis of a fault of all channels
@@ -97,6 +100,11 @@ class Change:
         return None
 
     @property
+    def rarity(self) -> float:
+        """Chance of its kind before the data, relative to other kinds."""
+        return 1.0
+
+    @property
     def hysteretic(self) -> bool:
         """Whether damping is hysteretic with it."""
         return False
@@ -134,6 +142,11 @@ class Change:
         if not self.sized:
             return [], [], None
         return [float(u[0]) * self.scale], [float(np.sqrt(max(covariance[0, 0], 0.0))) * self.scale], None
+
+    @property
+    def in_catalogue(self) -> Cause | None:
+        """Its form in the catalogue, where several there bear its name."""
+        return CommonDelay() if self.slug == "time_delay" and not self.where else None
 
     def added(self, s: np.ndarray) -> np.ndarray | float:
         """FRFs ``(f, o, i)`` that it adds to the simulation's, in the form of the measurement."""

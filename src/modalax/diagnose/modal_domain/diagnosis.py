@@ -11,7 +11,6 @@ from modalax._numerics.text import percent
 from modalax.data import Measurement
 from modalax.diagnose.causes import catalogue, imitators
 from modalax.diagnose.causes.base import Cause
-from modalax.diagnose.causes.channels import CommonDelay
 from modalax.diagnose.causes.parameter import Parameter
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.deadline import Deadline
@@ -242,9 +241,9 @@ def extension_of(stage: Stage, f: Fit) -> ExtendedSimulation:
         index = [names.index(str(w)) for w in c.where] + [-1, -1]
         if c.slug == "units":
             index[0] = c.channel[1]
-        causes.append(CommonDelay() if c.slug == "time_delay" and not c.where else known[c.slug])
-        places.append(Place(tuple(c.where), (index[0], index[1], 0)))
         values, errors, extra = c.as_catalogue(u, f.covariance[own, own])
+        causes.append(c.in_catalogue or known[c.slug])
+        places.append(Place(tuple(c.where), (index[0], index[1], 0)))
         params.append(jnp.asarray(values))
         spread.append(jnp.asarray(errors))
         extras.append(None if extra is None else jnp.asarray(extra))

@@ -59,7 +59,7 @@ class Prior:
 
     def one(self, c: Change) -> float:
         """Of a kind and a place."""
-        return math.log(max(c.weight, 1e-300) / self.total[c.slug] / len(self.kinds))
+        return math.log(c.rarity * max(c.weight, 1e-300) / self.total[c.slug] / len(self.kinds))
 
     def of(self, causes: Sequence[Change]) -> float:
         """Of a set."""

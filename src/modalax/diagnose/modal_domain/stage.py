@@ -21,6 +21,7 @@ from modalax.diagnose.modal_domain.levels.seen import Seen, joint_and_structure,
 from modalax.diagnose.modal_domain.measured import Measured, identify
 from modalax.diagnose.modal_domain.places import candidates_of, springs_of
 from modalax.diagnose.modal_domain.polish import leading_on_lines
+from modalax.diagnose.modal_domain.sensor_filters import sensor_filters
 from modalax.diagnose.modal_domain.state import Setting
 from modalax.diagnose.thresholds import THRESHOLDS
 from modalax.model import Structure
@@ -65,7 +66,9 @@ class Stage:
         return self.explanations[0]
 
 
-def further_of(simulation: Structure, c: Coordinates, measured: Measured) -> list[Change]:
+def further_of(
+    simulation: Structure, c: Coordinates, measured: Measured, outputs: tuple[str, ...]
+) -> list[Change]:  # fmt: skip
     """Causes that only lines, and not a table of modes, are asked about.
 
     Where modes do not explain a measurement, as of a structure that is not linear, one too many is no mode.
@@ -77,6 +80,7 @@ def further_of(simulation: Structure, c: Coordinates, measured: Measured) -> lis
     if measured.misfit < THRESHOLDS.as_noise:
         found += tuned_masses(simulation.dofs, c, few, low, high)
         found += missing_modes(measured.features, measured.channels.order, low, high)
+        found += sensor_filters(outputs, low, high)
     return found
 
 
@@ -105,7 +109,7 @@ def run_stage(
     setting = Setting(c, inaccuracy_of(simulation, c, highest), measured.features, whitener)
     pairs = None if simulation.pairs is None else list(simulation.pairs)
     every = candidates_of(simulation, c, measurement.outputs, measurement.inputs, pairs, highest)
-    every += further_of(simulation, c, measured)
+    every += further_of(simulation, c, measured, measurement.outputs)
     candidates = [k for k in every if wanted(k.slug)]
     H, level = np.asarray(measurement.H), np.asarray(measurement.level)
     first = late.part(FIRST_SHARE) if len(H) > 1 else late

@@ -19,15 +19,17 @@ import scipy.optimize
 
 from modalax.diagnose.causes.base import JointCause
 from modalax.diagnose.causes.joints import CoulombFriction, CubicStiffness, ElastoSlip, GapContact, QuadraticDamping
-from modalax.diagnose.causes.power_laws import POWER_LAWS
+from modalax.diagnose.causes.power_laws import IwanMicroSlip, PowerDamper, PowerSpring
 from modalax.diagnose.fitting.hypothesis import bounds_of, to_search
 from modalax.diagnose.modal_domain.levels.change import Base, Levels, Projection, beyond_noise
 from modalax.diagnose.modal_domain.levels.series import SERIES, apart, in_series
 
 # A bilinear spring's first harmonic does not know the level. Seen from the lowest level, a spring that slips beside
 # others and one that slips in the stead of another are the same.
-NAMED: tuple[Any, ...] = (CoulombFriction(), ElastoSlip(True), CubicStiffness(), GapContact(), QuadraticDamping())
-NAMELESS: tuple[Any, ...] = POWER_LAWS
+NAMED: tuple[Any, ...] = (
+    CoulombFriction(), ElastoSlip(True), CubicStiffness(), GapContact(), QuadraticDamping(), IwanMicroSlip()
+)  # fmt: skip
+NAMELESS: tuple[Any, ...] = (PowerSpring(), PowerDamper())
 # Exponents of power laws that are next to a named law's, drag and a cubic spring: such a fit is no rival of that name,
 # since errors of the motion bend an exponent.
 NEXT_TO = {"power_damper": (0.5, 1.5), "power_spring": (1.2, 3.0)}

@@ -1,0 +1,42 @@
+"""Filters of sensors in the modal domain, against scipy's, finite differences, and hidden in a beam that is off."""
+
+import numpy as np
+import pytest
+import scipy.signal
+
+from modalax.diagnose.modal_domain.sensor_filters import sensor_filters
+
+OMEGA = 2 * np.pi * np.linspace(10.0, 90.0, 9)
+FILTERS = {f.form: f for f in sensor_filters(("a", "b"), OMEGA[0], OMEGA[-1]) if f.where == ("b",)}
+
+
+@pytest.mark.parametrize("form", ["low", "butterworth", "high"])
+def test_a_filter_is_a_butterworth_filter_of_the_corner_that_is_told(form):
+    f, H = FILTERS[form], np.ones((9, 2, 1), complex)
+    told = f.told(np.array([0.8]), np.array([[0.01]]))
+    corner = told["high_pass_corner" if form == "high" else "low_pass_corner"]
+    order = 2 if form == "butterworth" else 1
+    b, a = scipy.signal.butter(order, 2 * np.pi * corner["value"], "high" if form == "high" else "low", analog=True)
+    expected = scipy.signal.freqs(b, a, worN=OMEGA)[1]
+    got = f.transform(np.array([0.8]), 1j * OMEGA, H)
+    assert np.abs(got[:, 1, 0] - expected).max() < 1e-12
+    assert np.array_equal(got[:, 0], H[:, 0])
+    assert corner["std"] == pytest.approx(corner["value"] * 0.1 / 0.8, rel=1e-12)
+
+
+@pytest.mark.parametrize("form", ["low", "butterworth", "high"])
+@pytest.mark.parametrize("u", [0.0, 0.7])
+def test_its_slope_is_that_of_finite_differences(form, u):
+    rng = np.random.default_rng(3)
+    poles, R = -2.0 + 1j * OMEGA, rng.normal(size=(9, 2, 1)) + 1j * rng.normal(size=(9, 2, 1))
+    f, step = FILTERS[form], 1e-6
+    change = f.transform(np.array([u + step]), poles, R) - f.transform(np.array([u]), poles, R)
+    slope = f.transform_slope(np.array([u]), poles, R)
+    assert np.abs(change / step - slope).max() < 1e-5 * np.abs(slope).max()
+
+
+def test_no_filter_has_a_negative_corner():
+    H = np.ones((9, 2, 1), complex)
+    for f in FILTERS.values():
+        assert np.array_equal(f.transform(np.array([-0.5]), 1j * OMEGA, H), H)
+        assert not f.transform_slope(np.array([-0.5]), 1j * OMEGA, H).any()
