@@ -11,6 +11,7 @@ from modalax.diagnose.causes import Cause
 from modalax.diagnose.causes.sensors import AcCoupling, SensorLowpass
 from modalax.diagnose.modal_domain.causes import Change
 
+Form = Literal["low", "butterworth", "high"]
 USUAL = 0.5  # phase [rad] by which a filter usually turns the end of the band that is next to its corner
 RARE = 0.05  # chance relative to other kinds: corners are chosen far from the band, where a filter is but a delay
 
@@ -30,7 +31,7 @@ class SensorFilter(Change):
         Edge of the band next to the corner [rad/s].
     """
 
-    form: Literal["low", "butterworth", "high"] = "low"
+    form: Form = "low"
     edge: float = 1.0
 
     @property
@@ -86,9 +87,10 @@ class SensorFilter(Change):
 
 def sensor_filters(outputs: Sequence[str], lowest: float, highest: float) -> list[Change]:
     """Each filter at each output; the band is from ``lowest`` to ``highest`` [rad/s]."""
-    edges = {"low": highest, "butterworth": highest, "high": lowest}
-    return [
+    edges: dict[Form, float] = {"low": highest, "butterworth": highest, "high": lowest}
+    found: list[Change] = [
         SensorFilter("sensor_filter", (name,), USUAL, channel=(0, k), form=form, edge=edge)
         for form, edge in edges.items() if edge > 0
         for k, name in enumerate(outputs)
     ]  # fmt: skip
+    return found
