@@ -30,5 +30,5 @@ def outcome_of(found: Diagnosis) -> Outcome:
     return Outcome(
         found.verdict, found.gain.chi2_after, after.p_value, causes[0]["probability"] if causes else 0.0,
         len(found.alternatives), found.inaccuracy if isinstance(found, ModalDiagnosis) else None,
-        isinstance(found, ModalDiagnosis) and found.joint is not None,
+        len({frozenset(c["where"]) for c in causes}), isinstance(found, ModalDiagnosis) and found.joint is not None,
     )  # fmt: skip

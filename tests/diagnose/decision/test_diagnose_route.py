@@ -78,12 +78,13 @@ def test_the_only_answer_is_given():
 @pytest.mark.parametrize(
     ("found", "expected"),
     [
-        (Outcome("named", 1.05, 0.3), True),
-        (Outcome("ambiguous", 1.05, 0.3), True),
+        (Outcome("named", 1.05, 0.3, places=1), True),
+        (Outcome("ambiguous", 1.05, 0.3, places=1), True),
         (Outcome("clean", 1.05, 0.3), False),
         (Outcome("unknown", 1.05, 0.3), False),
-        (Outcome("named", 1.05, 0.009), False),  # something is left
-        (Outcome("named", 1.25, 0.3), False),  # does not predict
+        (Outcome("ambiguous", 1.05, 0.3, places=3), False),  # three forces may stand for none
+        (Outcome("named", 1.05, 0.009, places=1), False),  # something is left
+        (Outcome("named", 1.25, 0.3, places=1), False),  # does not predict
     ],
 )
 def test_a_search_at_one_place_settles_the_matter_where_it_leaves_nothing(found, expected):

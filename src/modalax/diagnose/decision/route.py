@@ -60,6 +60,8 @@ class Outcome:
         Number of rivals in the answer.
     inaccuracy
         General inaccuracy as in the answer, by ``stiffness``, ``mass`` and ``damping``.
+    places
+        Number of places, or sets of channels, at which the causes in the answer are.
     joint
         Whether the force levels differ by a joint, whose law in the modal domain is inexact by its higher harmonics.
     """
@@ -70,6 +72,7 @@ class Outcome:
     probability: float = 0.0
     alternatives: int = 0
     inaccuracy: Mapping[str, Mapping[str, Any]] | None = None
+    places: int = 0
     joint: bool = False
 
 
@@ -117,8 +120,11 @@ def nothing_left(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
 
 
 def settled(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
-    """Whether a search at the places of one force, which is exact but looks nowhere else, leaves nothing to explain."""
-    return found.verdict in ("named", "ambiguous") and nothing_left(found, limits)
+    """Whether a search at the places of one force, which is exact but looks nowhere else, leaves nothing to explain.
+
+    Forces at several places that explain a thing together may stand for one that is no force.
+    """
+    return found.verdict in ("named", "ambiguous") and found.places == 1 and nothing_left(found, limits)
 
 
 def off_everywhere(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
