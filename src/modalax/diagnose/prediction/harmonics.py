@@ -77,8 +77,8 @@ def linear_factor(
 ) -> Complex[np.ndarray, "four_p run f i"]:  # fmt: skip
     r"""Factor :math:`\rho` as :func:`~modalax.diagnose.prediction.frf.factor_at` takes it, and compliance in series.
 
-    Slopes are given for a cause some of whose parameters one harmonic does not show; of any other they are 0, as the
-    describing function follows its parameters already, and dry friction has none where it sticks.
+    Slopes are given for a cause some of whose parameters one harmonic does not show, and for dry friction, which one
+    harmonic shows badly; of any other they are 0, as the describing function follows its parameters already.
 
     Parameters are those of :func:`harmonic_factor`, and ``rows``: amplitude and force that were measured, shape
     ``(2, run, f, i)``, none if None.
@@ -105,7 +105,7 @@ def linear_factor(
         rows = np.stack([amplitude, rows[1]])
     slopes = []
     for j in range(len(p)):
-        if not causes[k].unseen:
+        if not causes[k].unseen and not causes[k].rigid:
             slopes.append(np.zeros_like(middle))
             continue
         step = STEP * (abs(p[j]) or 1.0)
