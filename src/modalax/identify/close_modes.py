@@ -20,6 +20,7 @@ UNLIKE = 0.5  # MAC of shapes of many DoFs below which they are those of two mod
 MISFIT = 4.0  # power of what two modes leave, over the noise's, above which no evidence for the second is taken
 MOSTLY = 0.7  # part of what a second mode explains from which on a record that is cut short takes its place
 MANY = 16  # DoFs from which on shapes tell modes apart, and groups of channels that get a step, not a search, each
+SURELY = 2.0  # times the evidence needed at which two modes are two without a search for the best one
 STRONG = 8  # modes that are asked about the record
 CONTRARY = 2.0  # fall of the same, over all modes but the one most for a record, from which on they are against it
 PLAIN = 60.0  # rise of twice the log-likelihood, over those modes, from which on a record is named
@@ -47,7 +48,12 @@ def kernel_of(frf: FRF, record: str, T: float) -> Kernel:
 
 
 def two_modes(
-    frf: FRF, model: ModalModel, residual: Complex[np.ndarray, "f o i"], pair: tuple[int, int], cut: bool = False
+    frf: FRF,
+    model: ModalModel,
+    residual: Complex[np.ndarray, "f o i"],
+    pair: tuple[int, int],
+    cut: bool = False,
+    scatter: Float[np.ndarray, "f c"] | None = None,
 ) -> bool:
     r"""Whether the lines around two modes hold more than one mode can make in any usual record.
 
@@ -61,7 +67,9 @@ def two_modes(
     even over the lines and for noise that follows their scatter.
     """
     likeness = _likeness(model, pair)
-    hoods = (around(frf, model, residual, pair, smooth) for smooth in (False, True))
+    # Where the variance is known, it tells the course over the lines.
+    courses = (False, True) if frf.variance is None else (False,)
+    hoods = (around(frf, model, residual, pair, smooth, scatter) for smooth in courses)
     return all(told_apart(frf, hood, likeness, cut) for hood in hoods)
 
 
@@ -79,14 +87,17 @@ def told_apart(frf: FRF, hood: Neighbourhood, likeness: float | None = None, cut
     cut
         Whether the records are known to end before the modes have died out.
     """
-    leading = hood.leading()
     mean = np.average(hood.poles, weights=np.sum(np.abs(hood.residues / hood.poles.real[:, None]) ** 2, axis=1))
     broad = complex(mean.real - np.ptp(hood.poles.imag) / 2, mean.imag)
     if likeness is not None and likeness < UNLIKE and max(frf.shape[1:]) >= MANY:
         # one mode has one shape in any record and at any hit, so only plain evidence is asked for
-        two, one = _at(hood, hood.poles), _best(hood, [mean], None, leading)
+        two = _at(hood, hood.poles)
         level = _level(frf, two.chi2 / max(2 * hood.data.size - two.unknowns, 1))
-        return bool((one.chi2 - two.chi2) / level > scipy.special.chdtri(two.unknowns - one.unknowns, CHANCE))
+        need = level * scipy.special.chdtri(two.unknowns // 2, CHANCE)
+        if 2 * hood.least_of_one() - two.chi2 > SURELY * need:
+            return True
+        return bool(_best(hood, [mean], None, hood.leading()).chi2 - two.chi2 > need)
+    leading = hood.leading()
     two = _trial(hood, hood.poles, leading=leading)
     starts = [*hood.poles, mean, broad]
     others = [_best(hood, starts, None, leading)]
@@ -124,8 +135,7 @@ def _level(frf: FRF, left: float) -> float:
 
 def _at(hood: Neighbourhood, poles: np.ndarray) -> Trial:
     """The poles as they are."""
-    left = float(np.sum(np.abs(hood.left(poles)) ** 2))
-    return Trial(2 * left, 2 * len(poles) * (1 + hood.data.shape[1]), poles)
+    return Trial(2 * hood.squares_left(poles), 2 * len(poles) * (1 + hood.data.shape[1]), poles)
 
 
 def _trial(
@@ -164,7 +174,7 @@ def _correlation(left: Complex[np.ndarray, "m c"], level: float) -> float:
     """Lines that one independent one stands for, where the residual is more than noise."""
     if level < 1.5 or len(left) < 3:
         return 1.0
-    power = np.sum(np.abs(left) ** 2)
+    power = np.vdot(left, left).real
     rho = float(np.sum(left[1:] * left[:-1].conj()).real / max(power, 1e-300))
     return (1 + min(max(rho, 0.0), 0.9)) / (1 - min(max(rho, 0.0), 0.9))
 

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.special
 from jaxtyping import Complex, Float
 
 from modalax._numerics.checks import as_array
@@ -24,6 +25,9 @@ FULL, FEW = 5, 16  # poles for each mode found, below which there is no room for
 SMALL = 2**15  # samples up to which a further diagram costs next to nothing
 LEFT = 1.2  # what modes leave over what noise would, above which further ones are looked for
 CHANNELS, AROUND = 250, 30  # channels, at most about, that are asked for it, and lines on either side that tell noise
+# Operations of an orthogonal factorisation from which on moments are asked for, differences from line to line that tell
+# noise from FRFs, and noise over the largest sample from which on moments, which see 1e-8 of it, lose no digit in use.
+LONG, DIFFERENCES, NOISY = 1e9, 6, 1e-4
 LINES, PARTS = 400, 8  # lines for each part of the band that gets a diagram of its own, and most parts
 STILL = 0.1  # part of the distance between the poles of an order that a mode moves at most to the next order
 LASTING = 0.6  # part of the orders at which a mode must stand that only a higher order or a part of the band shows
@@ -153,9 +157,10 @@ def explained(frf: FRF, poles: Complex[np.ndarray, " n"]) -> bool:
 
 def _around(values: Float[np.ndarray, " f"]) -> Float[np.ndarray, " f"]:
     """Medians over ``AROUND`` lines on either side, fewer towards the ends, relative to the middle one of them."""
-    last = len(values) - 1
-    reach = np.minimum(np.minimum(np.arange(last + 1), last - np.arange(last + 1)), AROUND)
-    level = np.array([np.median(values[k - h : k + h + 1]) for k, h in enumerate(reach)])
+    last, reach = len(values) - 1, min(AROUND, (len(values) - 1) // 2)
+    windows = np.lib.stride_tricks.sliding_window_view(values, 2 * reach + 1)
+    ends = [(np.median(values[: 2 * k + 1]), np.median(values[last - 2 * k :])) for k in range(reach)]
+    level = np.array([*(low for low, _ in ends), *np.median(windows, axis=1), *(high for _, high in ends[::-1])])
     return np.maximum(level / max(float(np.median(level)), 1e-300), 1e-12)
 
 
@@ -174,6 +179,20 @@ def standing(frf: FRF, table: PoleTable, selection: Selection) -> Selection:
     return jax.tree.map(lambda a: as_array(np.asarray(a)[still]), selection)
 
 
+def _noisy(frf: FRF, size: int, order: int) -> bool:
+    """Whether a large set holds so much noise that squaring its condition number loses no digit in use."""
+    lines, n_out, n_in = frf.shape
+    if 8.0 * n_out * n_in * size * lines * (order + 1) ** 2 < LONG or lines <= DIFFERENCES:
+        return False
+    data = np.asarray(frf.H).reshape(lines, -1)
+    data = data[:, :: 1 + data.shape[1] // CHANNELS]
+    # Independent noise is multiplied by the sum of squared binomial coefficients, what is smooth next to vanishes.
+    noise = np.median(np.abs(np.diff(data, DIFFERENCES, axis=0))) / np.sqrt(
+        scipy.special.binom(2 * DIFFERENCES, DIFFERENCES)
+    )
+    return bool(noise > NOISY * np.max(np.abs(data)))
+
+
 def _at(frf: FRF, name: str, poles: int, order: int | None) -> tuple[PoleTable, Selection]:
     """The diagram up to so many poles, or up to an order."""
     lines, n_out, n_in = frf.shape
@@ -185,5 +204,7 @@ def _at(frf: FRF, name: str, poles: int, order: int | None) -> tuple[PoleTable, 
         top = max(2, min(poles // 2, lines * n_in // (4 * min(n_out, poles))))
     top = top if order is None else order
     first = 1 if name == "fdpi" else min(2, top)
-    table = ESTIMATORS[name](frf, sorted({*range(first, top + 1, max(1, top // 40)), top}))
+    orders = sorted({*range(first, top + 1, max(1, top // 40)), top})
+    by_moments = name in ("lscf", "plscf") and _noisy(frf, size, top)
+    table = ESTIMATORS[name](frf, orders, **({"solver": "moments"} if by_moments else {}))
     return table, select(table, band=(max(lower - margin, 0.0), upper + margin))

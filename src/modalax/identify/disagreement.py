@@ -12,7 +12,7 @@ import numpy as np
 import scipy.special
 from jaxtyping import Float
 
-from modalax.identify.neighbourhood import Neighbourhood
+from modalax.identify.neighbourhood import Neighbourhood, squares
 
 FLANKS = (-1.0, 0.0, 1.0)  # half-bandwidths from the resonance at which its lines are parted
 CERTAIN = 1e-4  # chance of disagreement that noise makes, below which it counts
@@ -74,7 +74,7 @@ def of_channels(hood: Neighbourhood, groups: np.ndarray) -> Spread:
     size = np.abs(R) ** 2 * np.sum(np.abs(own) ** 2)
     asked = R.conj() * (own.conj() @ hood.data)
     left = hood.data - Q @ (Q.conj().T @ hood.data) - own[:, None] * R * (asked / np.maximum(size, 1e-300))
-    level = np.sum(np.abs(left) ** 2, axis=0) / max(len(left) - Q.shape[1] - 1, 1)
+    level = np.sum(squares(left), axis=0) / max(len(left) - Q.shape[1] - 1, 1)
     sure = 1 / np.maximum(level, 1.0)
     count = int(groups.max()) + 1
     weight, decay, frequency = (np.bincount(groups, a * sure, count) for a in (size, asked.real, asked.imag))

@@ -132,7 +132,7 @@ def participation_of(
             s, H[:, :, i : i + 1], weight[:, :, i : i + 1], power=power, terms=terms, real_modes=real_modes
         )
         blocks = own.blocks(theta, pivot, np.zeros(n), squares=False)
-        x = np.concatenate([block.solution()[0] for block in blocks])
+        x = np.concatenate([block.unknowns() for block in blocks])
         columns.append(np.einsum("onc,nc->no", x.reshape(len(x), *unit.shape), unit))
     matrices = np.stack(columns, axis=2)
     # The right factor from the small Gram matrix: an eigenvector of i x i, with a clear leading value.

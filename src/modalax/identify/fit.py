@@ -113,15 +113,15 @@ def fit(
     weighted = smooth_variance(frf)
     choice = choice_of(pick, drop, add, (float(frf.freq[0]), float(frf.freq[-1])))
     model = fit_residues(weighted, selection.poles, residuals=residuals, real_modes=real_modes)
-    refined = None
+    refined, apart = None, set[tuple[float, float]]()
     how = {"residuals": residuals, "real_modes": real_modes}
     if choice.pick is not None:
         pass  # what is picked is all there is to fit
     elif not refine:
-        model = settle_diagram(weighted, model, **how)
+        model = settle_diagram(weighted, model, apart, **how)
     else:
         refined = diagram_poles(weighted, model, selection.spread, tell, **how)
-        refined = settle(weighted, refined or likelihood_rounds(weighted, model, tell, **how), tell, **how)
+        refined = settle(weighted, refined or likelihood_rounds(weighted, model, tell, **how), tell, apart, **how)
         model = refined.model
     if choice.any:
         poles = chosen_poles(choice, model.poles, table)
@@ -130,12 +130,12 @@ def fit(
             refined = by_frequency(refined)
             model = refined.model
     tell("summing up")
-    return summed_up(frf, weighted, model, refined, table, selection, data is not frf, notes)
+    return summed_up(frf, weighted, model, refined, table, selection, data is not frf, notes, apart)
 
 
 def summed_up(
     frf: FRF, weighted: FRF, model: ModalModel, refined: Refined | None, table: PoleTable, selection: Selection,
-    turned: bool, notes: list[str],
+    turned: bool, notes: list[str], apart: set[tuple[float, float]] | None = None,
 ) -> Fit:  # fmt: skip
     """All that is told of a model: error bars that know misfit, flags, grades, and notes.
 
@@ -149,6 +149,8 @@ def summed_up(
         The diagram, what was taken from it, and whether outputs and inputs were exchanged for it.
     notes
         Sentences to put first.
+    apart
+        Pairs of close modes that were told apart before, as :func:`modalax.identify.settle.doubled` keeps them.
     """
     order = best_order(table, selection)
     f = np.asarray(model.frequency_hz)
@@ -165,7 +167,7 @@ def summed_up(
     score = np.where(near, np.asarray(selection.score)[seen.argmin(axis=1)], 0.0)
     collinearity = mpc(model.along_longer_side().shapes)
     scatter = scatter_over_orders(table, np.asarray(model.poles))
-    quality = quality_of(weighted, model)
+    quality = quality_of(weighted, model, residual)
     if held:  # what is left there comes from beyond the band, and says nothing against these poles
         quality = [q._replace(rest=NOTHING_LEFT) for q in quality]
     if refined is not None and not held:
@@ -176,7 +178,7 @@ def summed_up(
     deviations = scatter if refined is None else (refined.frequency_std_hz, refined.damping_std)
     halves = np.zeros(len(f), bool)
     if not held:
-        halves = doubled(weighted, model, np.array([q.gain for q in quality]), halves, set())
+        halves = doubled(weighted, model, np.array([q.gain for q in quality]), halves, apart or set())
     modes = Modes(
         weighted, model, np.asarray(deviations[0]), np.asarray(deviations[1]), refined is not None, score,
         np.asarray(collinearity), quality, plain, halves,

@@ -92,11 +92,15 @@ class Modal(NamedTuple):
 def response(model: Modal, samples: Samples) -> np.ndarray:
     """The model's FRF where the samples were taken, shape ``(f, o, i)``; without the lower term at 0 Hz."""
     flat = (model.shapes[:, :, None] * model.participation[:, None, :]).reshape(len(model.poles), -1)
-    real = np.swapaxes(pairs(flat), 1, 2).reshape(-1, flat.shape[1])
-    H = kernels(samples.s, samples.power, model.poles, squares=False) @ real
-    s, power = samples.s[:, None, None], samples.power
+    s, power = samples.s, samples.power
     lower = np.where((s == 0) & (power < 2), 0, np.where(s == 0, 1, s) ** (power - 2))
-    return H.reshape(len(samples.s), *model.upper.shape) + model.upper * s**power + model.lower * lower
+    terms = np.stack([s**power, 1j * s**power, lower, 1j * lower], axis=1)
+    columns = np.concatenate([kernels(s, power, model.poles, squares=False), terms], axis=1)
+    flat = np.concatenate([flat, model.upper.reshape(1, -1), model.lower.reshape(1, -1)])
+    real = np.swapaxes(pairs(flat), 1, 2).reshape(-1, flat.shape[1])
+    H = np.empty((len(s), flat.shape[1]), complex)
+    H.real, H.imag = columns.real @ real, columns.imag @ real
+    return H.reshape(len(s), *model.upper.shape)
 
 
 class Maximum(NamedTuple):
@@ -205,7 +209,7 @@ def linear_fit(
     theta = pack(poles, part, pivot)
     modes = unpack(theta, pivot, samples.real_modes)
     blocks = projection.blocks(theta, pivot, np.zeros(len(poles)), squares=False)
-    x = np.concatenate([block.solution()[0] for block in blocks])
+    x = np.concatenate([block.unknowns() for block in blocks])
     terms, left = projection.remainder(x, modes)
     shapes = np.einsum("onc,nc->no", x.reshape(len(x), *modes.unit.shape), modes.unit)
     model = _modal(samples, modes.poles, shapes, modes.participation, terms)

@@ -21,6 +21,7 @@ WIDTH, LINES = 8.0, 12  # reach of the lines on either side, in half-bandwidths 
 MOST = 400  # lines; of more every second, third, ... is taken
 HALF, LEAST = 3, 0.1  # lines on either side over which noise is averaged, and its least part of the typical one
 LEADING = 12  # principal columns of the channels that a search for poles looks at
+PLAIN = 1e-5  # part of the data's sum of squares from which on a difference of sums tells what is left
 ROUNDING = 1e-12  # least noise, relative to the largest FRF around
 
 Kernel = Callable[[np.ndarray, complex], np.ndarray]
@@ -81,6 +82,32 @@ class Neighbourhood(NamedTuple):
         Q = np.linalg.qr(self.columns(poles, kernel))[0]
         return data - Q @ (Q.conj().T @ data)
 
+    def squares_left(self, poles: Sequence[complex] | np.ndarray, kernel: Kernel | None = None) -> float:
+        """Sum of squares of what the best residues leave, as a difference where that loses no digit in use."""
+        Q = np.linalg.qr(self.columns(poles, kernel))[0]
+        seen = Q.conj().T @ self.data
+        whole = float(np.vdot(self.data, self.data).real)
+        rest = whole - float(np.vdot(seen, seen).real)
+        if rest > PLAIN * whole:
+            return rest
+        left = self.data - Q @ seen
+        return float(np.vdot(left, left).real)
+
+    def least_of_one(self) -> float:
+        """Sum of squares that one mode leaves at the very least, whatever its pole and its kernel.
+
+        One mode is of rank one, and no matrix of rank one explains more than the largest singular value (Eckart and
+        Young 1936), found here from the residues by one step of subspace iteration. Zero where it is too small a
+        difference to tell.
+        """
+        Q = np.linalg.qr(self.columns(()))[0]
+        seen, mix = Q.conj().T @ self.data, self.residues.conj().T
+        basis = np.linalg.qr(self.data @ mix - Q @ (seen @ mix))[0]
+        found = basis.conj().T @ self.data
+        whole = float(np.vdot(self.data, self.data).real)
+        rest = whole - float(np.vdot(seen, seen).real) - float(np.linalg.norm(found, 2)) ** 2
+        return rest if rest > PLAIN * whole else 0.0
+
     def leading(self) -> Complex[np.ndarray, "m k"]:
         """What the channels have in common: their ``LEADING`` largest principal columns, noise aside.
 
@@ -105,6 +132,7 @@ def around(
     residual: Complex[np.ndarray, "f o i"],
     which: Sequence[int],
     smooth: bool = False,
+    scatter: Float[np.ndarray, "f c"] | None = None,
 ) -> Neighbourhood:
     """The lines around some modes of a model, with its other modes and residual terms taken out.
 
@@ -119,6 +147,8 @@ def around(
     smooth
         Whether noise that is not known may change over the lines, so that no part of them is taken for quieter than it
         is; sharp misfit then counts as noise where it is.
+    scatter
+        :func:`scatter_of` the residual, for questions about many modes.
     """
     freq, poles = np.asarray(frf.freq), np.asarray(model.poles)
     own = poles[list(which)]
@@ -130,18 +160,19 @@ def around(
     lines = slice(first, last, max(1, (last - first) // MOST))
     s = np.asarray(frf.added_decay + 1j * frf.omega)
     rest = residual[first:last].reshape(last - first, -1)
-    noise, course = channel_noise(frf, residual, slice(first, last), smooth)
+    noise, course = channel_noise(frf, residual, slice(first, last), smooth, scatter)
     power = DERIVATIVES[frf.form]
     shapes, part = np.asarray(model.shapes)[list(which)], np.asarray(model.participation)[list(which)]
-    residues = (shapes[:, :, None] * part[:, None, :]).reshape(len(own), -1)
-    data = rest[:: lines.step] + (s[lines, None] ** power / (s[lines, None] - own)) @ residues
+    residues = (shapes[:, :, None] * part[:, None, :]).reshape(len(own), -1) / noise
     weight = 1 / course[:: lines.step]
     others = [k for k in range(len(poles)) if k not in which and _within(poles[k], s[lines])]
     straight = np.stack([np.ones(len(s[lines])), np.linspace(-1, 1, len(s[lines]))])
     near = [s[lines] ** power / (s[lines] - poles[k]) for k in others]
     fixed = (np.array([*straight, *near]) * weight).T.astype(complex)
-    whitened = data / noise * weight[:, None]
-    return Neighbourhood(s[lines], whitened, weight, fixed, residues / noise, own, power, poles[others])
+    whitened = rest[:: lines.step] * (1 / noise)
+    whitened += (s[lines, None] ** power / (s[lines, None] - own)) @ residues
+    whitened *= weight[:, None]
+    return Neighbourhood(s[lines], whitened, weight, fixed, residues, own, power, poles[others])
 
 
 def _within(pole: complex, s: np.ndarray) -> bool:
@@ -159,26 +190,36 @@ def residual_of(frf: FRF, model: ModalModel) -> Complex[np.ndarray, "f o i"]:
 
 
 def channel_noise(
-    frf: FRF, residual: Complex[np.ndarray, "f o i"], lines: slice, smooth: bool = False
+    frf: FRF,
+    residual: Complex[np.ndarray, "f o i"],
+    lines: slice,
+    smooth: bool = False,
+    scatter: Float[np.ndarray, "f c"] | None = None,
 ) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, " m"]]:
     """Standard deviation of each channel's noise in some lines, and its course over them (mean square 1).
 
     From the variance where it is known; else from the scatter of the residual between neighbouring lines.
     """
     count = residual[lines].shape[0]
-    floor = ROUNDING * np.abs(np.asarray(frf.H)[lines]).max() + 1e-300
+    floor = ROUNDING * np.sqrt(squares(np.asarray(frf.H)[lines]).max()) + 1e-300
     if frf.variance is not None:
         variance = np.asarray(frf.variance)[lines].reshape(count, -1) + floor**2
         size = np.sqrt(variance.mean(axis=0))
         course = np.sqrt(np.mean(variance / size**2, axis=1))
         return size, course / np.sqrt(np.mean(course**2))
-    power = line_noise(residual[lines].reshape(count, -1)) + floor**2
-    size = np.sqrt(power.mean(axis=0))
+    power = line_noise(residual[lines].reshape(count, -1)) if scatter is None else scatter[lines]
+    size = np.sqrt(power.mean(axis=0) + floor**2)
     if not smooth:
         return size, np.ones(count)
-    course = np.convolve(np.pad(np.mean(power / size**2, axis=1), HALF, "edge"), np.ones(2 * HALF + 1), "valid")
+    mean = (power @ size**-2 + floor**2 * np.sum(size**-2)) / len(size)
+    course = np.convolve(np.pad(mean, HALF, "edge"), np.ones(2 * HALF + 1), "valid")
     course = np.sqrt(np.maximum(course, LEAST * np.median(course)))
     return size, course / np.sqrt(np.mean(course**2))
+
+
+def scatter_of(frf: FRF, residual: Complex[np.ndarray, "f o i"]) -> Float[np.ndarray, "f c"] | None:
+    """Power of what changes from line to line in every channel; None where the variance is known."""
+    return None if frf.variance is not None else line_noise(residual.reshape(len(residual), -1))
 
 
 def line_noise(residual: Complex[np.ndarray, "m c"]) -> Float[np.ndarray, "m c"]:
@@ -187,9 +228,17 @@ def line_noise(residual: Complex[np.ndarray, "m c"]) -> Float[np.ndarray, "m c"]
     Independent noise has this expectation; model error that is smooth over three lines adds nothing.
     """
     if len(residual) < 3:
-        return np.abs(residual) ** 2
-    inner = np.abs(residual[:-2] - 2 * residual[1:-1] + residual[2:]) ** 2 / 6
+        return squares(residual)
+    change = residual[:-2] + residual[2:]
+    for _ in range(2):
+        change -= residual[1:-1]
+    inner = squares(change) / 6
     return np.concatenate([inner[:1], inner, inner[-1:]])
+
+
+def squares(z: Complex[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+    """Squared magnitudes, without the roots that ``np.abs`` takes."""
+    return z.real**2 + z.imag**2
 
 
 def best_poles(
@@ -221,4 +270,4 @@ def best_poles(
     x0 = np.clip(x0, lower + 1e-9, upper - 1e-9)
     found = scipy.optimize.least_squares(rest, x0, x_scale=scale, bounds=(lower, upper), max_nfev=60, ftol=1e-10)
     poles = poles_of(found.x)
-    return poles, float(np.sum(np.abs(hood.left(poles, kernel)) ** 2))
+    return poles, hood.squares_left(poles, kernel)

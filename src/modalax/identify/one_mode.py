@@ -67,7 +67,7 @@ def rest_of(hood: Neighbourhood) -> Rest:
     gain = 2 * float(np.sum(np.abs(seen) ** 2))
     unknowns = 4 * channels - 2  # the change of the pole is no freedom any more
     samples = max(2 * left.size - 2 * channels * Q.shape[1] - unknowns, 1)
-    level = max(2 * float(np.sum(np.abs(left) ** 2)) - gain, 0.0) / samples
+    level = max(2 * float(np.vdot(left, left).real) - gain, 0.0) / samples
     R = hood.residues[0]
     size = max(float(np.sum(np.abs(R) ** 2)), 1e-300)
     third = np.linalg.pinv(triangle, rcond=1e-9)[1] @ seen

@@ -188,8 +188,10 @@ class Projection:
         flat = pairs(residue).reshape(self.outputs, self.inputs, -1)
         columns = kernels(self.s, self.power, modes.poles, squares=False).T
         left = self.y.copy()
-        left.real -= self.weight * (flat @ columns.real)
-        left.imag -= self.weight * (flat @ columns.imag)
+        for part, column in ((left.real, columns.real), (left.imag, columns.imag)):
+            made = flat @ column
+            made *= self.weight
+            part -= made
         t = self.terms.shape[1]
         total = np.zeros((self.outputs, self.inputs, t))
         if not t:
@@ -200,7 +202,9 @@ class Projection:
         gram[empty] = np.eye(t)
         for _ in range(2):  # the second time takes out what the normal equations lost
             e = np.linalg.solve(gram, ((self.weight * left) @ self.terms.conj()).real[..., None])[..., 0]
-            left = left - self.weight * (e @ self.terms.T)
+            made = e @ self.terms.T
+            made *= self.weight
+            left -= made
             total = total + e
         return np.linalg.solve(self.scale, total[..., None])[..., 0], left
 

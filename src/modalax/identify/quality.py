@@ -8,16 +8,17 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.special
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 
 from modalax.data.frf import FRF
 from modalax.identify.disagreement import Spread, of_channels, of_lines
-from modalax.identify.neighbourhood import Neighbourhood, around, best_poles, line_noise, residual_of
+from modalax.identify.neighbourhood import Neighbourhood, around, best_poles, line_noise, residual_of, scatter_of
 from modalax.identify.one_mode import NOTHING_LEFT, Rest, rest_of
 from modalax.identify.tables import PoleTable
 from modalax.model.modal import ModalModel
 
 CHANCE = 1e-6  # chance at which a mode is found in noise alone
+CLEAR = 10.0  # times the gain by chance from which on a mode is clear, however far its pole is off
 CORE = 2.0  # half-bandwidths about a resonance within which a mode is compared with what is left there
 REACH = 0.02  # part of a frequency within which a pole of another order may be the same mode
 LATE = 0.5  # part of the orders, from the highest down, whose poles tell the scatter
@@ -60,31 +61,37 @@ class ModeQuality(NamedTuple):
         return max((s.error[0] for s in told), default=0.0), max((s.error[1] for s in told), default=0.0)
 
 
-def quality_of(frf: FRF, model: ModalModel) -> list[ModeQuality]:
-    """Quality of each mode of a model."""
-    residual = residual_of(frf, model)
-    return [_one(frf, around(frf, model, residual, [r], smooth=True)) for r in range(model.poles.size)]
+def quality_of(frf: FRF, model: ModalModel, residual: Complex[np.ndarray, "f o i"] | None = None) -> list[ModeQuality]:
+    """Quality of each mode of a model, which leaves a residual, if that is known."""
+    residual = residual_of(frf, model) if residual is None else residual
+    scatter = scatter_of(frf, residual)
+    return [_one(frf, around(frf, model, residual, [r], True, scatter)) for r in range(model.poles.size)]
 
 
 def gains_of(
-    frf: FRF, model: ModalModel, searched: bool = False
+    frf: FRF, model: ModalModel, which: np.ndarray | None = None, searched: bool = False
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """For each mode ``gain`` and ``chance_gain`` of :class:`ModeQuality` alone.
+    """For each mode, or some of them by their indices, ``gain`` and ``chance_gain`` of :class:`ModeQuality` alone.
 
-    With ``searched`` the gain is that of the best pole near the mode's, which may be off.
+    With ``searched`` the gain of a mode that is not clear is that of the best pole near its own, which may be off.
     """
     residual = residual_of(frf, model)
-    hoods = (around(frf, model, residual, [r], smooth=True) for r in range(model.poles.size))
-    pole = lambda h: best_poles(h, h.poles)[0] if searched else h.poles
-    both = np.array([(_gain(h, h.left(pole(h))), _chance_gain(frf, h.data.size)) for h in hoods]).reshape(-1, 2)
+    scatter = scatter_of(frf, residual)
+    both = np.zeros((model.poles.size if which is None else len(which), 2))
+    for k, r in enumerate(np.arange(model.poles.size) if which is None else which):
+        hood = around(frf, model, residual, [int(r)], True, scatter)
+        gain, by_chance = _gain(hood, hood.squares_left(hood.poles)), _chance_gain(frf, hood.data.size)
+        if searched and gain < CLEAR * by_chance:
+            gain = _gain(hood, best_poles(hood, hood.poles)[1])
+        both[k] = gain, by_chance
     return both[:, 0], both[:, 1]
 
 
-def _gain(hood: Neighbourhood, left: np.ndarray) -> float:
-    """Rise of twice the log-likelihood by the mode, of which this is left."""
-    samples = max(2 * (len(left) - 1 - hood.fixed.shape[1]) * left.shape[1] - 2, 1)
-    rest = float(np.sum(np.abs(left) ** 2))
-    return 2 * float(np.sum(np.abs(hood.left(np.zeros(0))) ** 2) - rest) / max(2 * rest / samples, 1.0)
+def _gain(hood: Neighbourhood, rest: float) -> float:
+    """Rise of twice the log-likelihood by the mode, which leaves this sum of squares."""
+    lines, channels = hood.data.shape
+    samples = max(2 * (lines - 1 - hood.fixed.shape[1]) * channels - 2, 1)
+    return 2 * (hood.squares_left(np.zeros(0)) - rest) / max(2 * rest / samples, 1.0)
 
 
 def _one(frf: FRF, hood: Neighbourhood) -> ModeQuality:
@@ -99,7 +106,7 @@ def _one(frf: FRF, hood: Neighbourhood) -> ModeQuality:
     energy = np.abs(hood.residues[0]) ** 2
     out, into = np.divmod(np.arange(count), n_in)
     return ModeQuality(
-        gain=_gain(hood, left),
+        gain=_gain(hood, float(np.vdot(left, left).real)),
         chance_gain=_chance_gain(frf, left.size),
         share=float(mine / max(mine + rest, 1e-300)),
         peak=float(np.abs(own).max()),

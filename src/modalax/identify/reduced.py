@@ -165,10 +165,14 @@ class SharedOutputs:
                 total += np.swapaxes(C[..., k], 1, 2) @ along * x[:, k, None]
         return total.reshape(self.n * self.q, -1).T
 
+    def unknowns(self) -> np.ndarray:
+        """Unknowns of the shapes of all outputs, shape ``(o, n c)``."""
+        return self.x.T / self.size[:, None]
+
     def solution(self) -> tuple[np.ndarray, np.ndarray]:
         """Unknowns of the shapes of all outputs ``(o, n c)`` and the inverse of their triangular factors."""
         inverse = solve_triangular(self.R, np.eye(len(self.R)), check_finite=False) / self.norm[:, None]
-        return self.x.T / self.size[:, None], inverse / self.size[:, None, None]
+        return self.unknowns(), inverse / self.size[:, None, None]
 
     def rows(self) -> Iterator[Row]:
         """Output after output."""
@@ -235,6 +239,10 @@ class OwnOutputs:
     def scores(self) -> np.ndarray:
         """What each output adds to the slope of half the sum of squares, its sign turned: shape ``(o, p)``."""
         return np.einsum("ok,okp->op", self.residual, self._derivatives()[0])
+
+    def unknowns(self) -> np.ndarray:
+        """Unknowns of the shapes of all outputs, shape ``(o, n c)``."""
+        return self.x
 
     def solution(self) -> tuple[np.ndarray, np.ndarray]:
         """Unknowns of the shapes of all outputs ``(o, n c)`` and the inverse of their triangular factors."""

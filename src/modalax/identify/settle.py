@@ -17,7 +17,7 @@ from modalax.identify.flags import matters
 from modalax.identify.host import refine_on_host, residues_on_host
 from modalax.identify.likelihood import UNDAMPED
 from modalax.identify.local import fit_where_dominant
-from modalax.identify.neighbourhood import residual_of
+from modalax.identify.neighbourhood import LINES, WIDTH, residual_of, scatter_of
 from modalax.identify.noise import residual_sigma
 from modalax.identify.one_mode import second_mode
 from modalax.identify.quality import CHANCE, ModeQuality, gains_of, quality_of
@@ -29,7 +29,10 @@ WINDOW = 3.0  # lines over which the window of a record spreads a peak
 NARROW = 0.01  # half-bandwidth in lines below which a pole is one bad line
 
 
-def settle(frf: FRF, refined: Refined, tell: Callable[[str], None], **options: Any) -> Refined:
+def settle(
+    frf: FRF, refined: Refined, tell: Callable[[str], None], apart: set[tuple[float, float]] | None = None,
+    **options: Any,
+) -> Refined:  # fmt: skip
     """The result without modes that are none, refined again where there were any.
 
     Dropped are modes in the band at the end of the range of damping, those whose evidence noise alone would give, and
@@ -42,6 +45,8 @@ def settle(frf: FRF, refined: Refined, tell: Callable[[str], None], **options: A
         The FRF, with its variance where it is known, and a result of maximum likelihood for it.
     tell
         Called with a word on each step.
+    apart
+        Takes up the pairs of close modes that were told apart, as for :func:`doubled`.
     options
         ``residuals`` and ``real_modes``, as for :func:`modalax.identify.refine`.
 
@@ -52,7 +57,7 @@ def settle(frf: FRF, refined: Refined, tell: Callable[[str], None], **options: A
     """
     if int(refined.reason_code) == HELD:
         return refined
-    asked: set[tuple[float, float]] = set()
+    asked: set[tuple[float, float]] = set() if apart is None else apart
     tried: list[float] = []
     cut = False
     for _ in range(TURNS):
@@ -68,8 +73,10 @@ def settle(frf: FRF, refined: Refined, tell: Callable[[str], None], **options: A
         if more is None and (cut or not _cut_short(frf, refined.model)):
             break
         if more is None:  # then all close modes are asked about once more
-            cut, asked = True, set()
-    _require(frf, _inside(frf, refined.model) & ~_gains(frf, refined.model)[1])
+            cut = True
+            asked.clear()
+    gains, by_chance = gains_of(frf, refined.model)
+    _require(frf, _inside(frf, refined.model) & (gains >= by_chance))
     return refined
 
 
@@ -79,32 +86,51 @@ def _cut_short(frf: FRF, model: ModalModel) -> bool:
     return record is not None and record.plain
 
 
-def settle_diagram(frf: FRF, model: ModalModel, **options: Any) -> ModalModel:
+def settle_diagram(
+    frf: FRF, model: ModalModel, apart: set[tuple[float, float]] | None = None, **options: Any
+) -> ModalModel:
     """The model of a diagram's poles without those that noise makes and the weaker of two that are one.
 
-    A diagram that has no room finds clear modes with a damping that is far off; these stay.
+    A diagram that has no room finds clear modes with a damping that is far off; these stay. Where modes are dropped
+    only those whose lines held one of them are asked about again.
+
+    Parameters
+    ----------
+    frf, model
+        The FRF, with its variance where it is known, and a modal model of it.
+    apart
+        Takes up the pairs of close modes that were told apart, as for :func:`doubled`.
+    options
+        ``residuals`` and ``real_modes``, as for :func:`modalax.identify.residues`.
 
     Raises
     ------
     ValueError
         If no mode stands out of the noise.
     """
+    apart = set() if apart is None else apart
+    gains, by_chance = np.zeros((2, len(model.poles)))
+    asked = np.ones(len(model.poles), bool)
     for _ in range(TURNS):
-        gains, weak = _gains(frf, model, searched=True)
+        gains[asked], by_chance[asked] = gains_of(frf, model, np.flatnonzero(asked), searched=True)
+        weak = gains < by_chance
         _require(frf, _inside(frf, model) & ~weak)
-        bad = weak | doubled(frf, model, gains, weak, set())
+        bad = weak | doubled(frf, model, gains, weak, apart)
         if not bad.any():
             break
-        model = residues_on_host(frf, model.poles[~bad], **options)
+        asked = _beside(frf, model, bad)[~bad]
+        model, gains, by_chance = residues_on_host(frf, model.poles[~bad], **options), gains[~bad], by_chance[~bad]
+        again = {round(f, 6) for f in np.asarray(model.frequency_hz)[asked].tolist()}
+        apart -= {pair for pair in apart if again & set(pair)}
     return model
 
 
-def _gains(
-    frf: FRF, model: ModalModel, searched: bool = False
-) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-    """By how much each mode raises the likelihood of the lines around it, and which do no more than in noise."""
-    gains, by_chance = gains_of(frf, model, searched)
-    return gains, gains < by_chance
+def _beside(frf: FRF, model: ModalModel, which: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Modes in whose neighbourhood one of some modes acts."""
+    f, width = np.asarray(model.frequency_hz), -np.asarray(model.poles.real) / (2 * np.pi)
+    reach = np.maximum(WIDTH * width, LINES * float(np.median(np.diff(np.asarray(frf.freq)))))
+    apart = np.abs(f[:, None] - f[which])
+    return np.any(apart < np.maximum(reach[:, None], reach[which]), axis=1)
 
 
 def _require(frf: FRF, sound: np.ndarray) -> None:
@@ -162,16 +188,19 @@ def doubled(
     f, width = np.asarray(model.frequency_hz), -np.asarray(model.poles.real) / (2 * np.pi)
     step = float(np.median(np.diff(np.asarray(frf.freq))))
     drop = np.zeros(len(f), bool)
-    residual = None
+    residual = scatter = None
     for a, b in zip(*np.triu_indices(len(f), 1), strict=True):
         close = abs(f[a] - f[b]) < NEAR * max(step, width[a] + width[b])
         pair = (round(float(f[a]), 6), round(float(f[b]), 6))
         if not close or (gone | drop)[[a, b]].any() or pair in asked or not _inside(frf, model)[[a, b]].any():
             continue
         asked.add(pair)
-        residual = residual_of(frf, model) if residual is None else residual
+        if residual is None:
+            residual = residual_of(frf, model)
+            scatter = scatter_of(frf, residual)
         # The window of a record splits a peak over the few lines that it is wide.
-        if not two_modes(frf, model, residual, (int(a), int(b)), cut and abs(f[a] - f[b]) < WINDOW * step):
+        window = cut and abs(f[a] - f[b]) < WINDOW * step
+        if not two_modes(frf, model, residual, (int(a), int(b)), window, scatter):
             drop[a if evidence[a] < evidence[b] else b] = True
     return drop
 
