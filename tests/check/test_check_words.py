@@ -188,6 +188,33 @@ def test_far_above_the_mains_no_line_is_hum():
     assert "hum" not in {f.what for f in check(m)}
 
 
+@pytest.mark.parametrize("mode", [2, 3])
+def test_a_mode_too_narrow_for_the_lines_is_no_hum(mode):
+    """At 50 Hz, between lines that are wider apart than it is wide."""
+    freq = np.arange(1.0, 96.0, 1.6)
+    found = Bench(accelerance(freq, 2 * np.pi * 50 / chain()[0][mode], zeta=0.002), freq=freq).measured()
+    assert [f.what for f in found] == ["too_few_lines"]
+
+
+@pytest.mark.parametrize("pair", [(0, 2), (1, 2)])
+def test_exchanged_channels_are_told_by_reciprocity_of_a_single_mode(pair):
+    """Both move alike in the one mode of the band; only the curves between two drive points tell."""
+    freq = np.linspace(1.0, 30.0, 600)
+    H = accelerance(freq)
+    H[:, list(pair)] = H[:, list(pair[::-1])]
+    (found,) = Bench(H, freq=freq).measured()
+    assert (found.what, set(found.where)) == ("swapped", {NAMES[k] for k in pair})
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_reversed_sensor_is_not_told_as_exchanged_with_one_in_opposite_phase(seed):
+    freq = np.arange(30.0, 46.5, 0.03)
+    H = accelerance(freq)
+    H[:, 0] *= -1
+    (found,) = Bench(H, freq=freq).measured(seed)
+    assert (found.what, found.where) == ("reversed", (NAMES[0],))
+
+
 @pytest.mark.parametrize("gain", [1.0, -0.5])
 def test_two_channels_of_the_same_data_are_told(gain):
     def copied(H):

@@ -12,6 +12,9 @@ from modalax.check.study import Study
 ALIKE = 5.0
 # Residue, in standard deviations, that none of hundreds of residues of a channel with noise alone exceeds.
 VISIBLE = 4.5
+# Root mean square of a channel over the others' below which residues must be twice as clear: a live sensor moves in
+# some mode.
+QUIET = 0.02
 # Two channels share their noise if they differ by less than these parts of the noise of both, and of the FRF.
 SHARED, EQUAL = 0.02, 0.05
 # Noise below this share of an FRF is rounding, as in calculated FRFs; equal channels are then no sign of a copy.
@@ -22,7 +25,9 @@ def dead(study: Study) -> Iterator[Finding]:
     """Find dead channels: in none of their FRFs are neighbouring lines correlated, and none shows a mode."""
     likeness = _likeness(study.H)
     ratio = np.abs(study.residues) / np.maximum(study.residue_std, np.finfo(float).tiny)
-    seen = ratio.max(axis=0, initial=0.0) > VISIBLE
+    quiet = np.array([_share(study.H, o, 1) < QUIET for o in range(len(study.outputs))])[:, None]
+    quiet = quiet | np.array([_share(study.H, i, 0) < QUIET for i in range(len(study.inputs))])
+    seen = ratio.max(axis=0, initial=0.0) > np.where(quiet, 2 * VISIBLE, VISIBLE)
     alive = (likeness > ALIKE).any(axis=0) | (seen & ~study.silent[0])
     if not alive.any():
         return
@@ -53,6 +58,8 @@ def _likeness(H: np.ndarray) -> np.ndarray:
 def _share(H: np.ndarray, k: int, axis: int) -> float:
     """Root mean square of a channel over the median of all others."""
     power = np.sqrt(np.mean(np.abs(H) ** 2, axis=(0, 1, 3 if axis else 2)))
+    if len(power) < 2:
+        return 1.0
     others = np.median(np.delete(power, k))
     return float(power[k] / others) if others > 0 else 0.0
 

@@ -9,18 +9,16 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import nnls
 
 from modalax.check.finding import Finding, Picture
-from modalax.check.phases import SCATTER, angles_of, misfit
-from modalax.check.study import Study
+from modalax.check.passive import passive_misfit
+from modalax.check.phases import angles_of, misfit
+from modalax.check.study import DrivePoint, Study
 from modalax.data.frf import DERIVATIVES
 
 FORMS = tuple(DERIVATIVES)
 # Share of the sum of squares that a turn by 90 degrees may leave, and sum of squares below which it is not tried.
 QUARTER, ASKED = 0.15, 40.0
-# Residues of complex modes may turn by this angle at a drive point [rad].
-CONE = 0.35
 # Angles, or FRFs, from which on one output is judged by itself, or an inverse is tried.
 FEWEST = 3
 # Factor by which another form must explain the drive points better.
@@ -156,19 +154,29 @@ def _drive_form(study: Study) -> tuple[int, float] | None:
     points = [p for p in study.drive_points if not study.silent[0, p.o, p.i]]
     if not points or not _opposite(study):
         return None
-    total = np.array(
-        [[sum(_passive_misfit(study, p, form, sign) for p in points) for sign in (1, -1)] for form in range(3)]
-    )
+    total = np.array([[sum(_misfit_of(study, p, form, sign) for p in points) for sign in (1, -1)] for form in range(3)])
     own = total[study.power].min()
     others = total[:, 0].copy()
     others[study.power] = np.inf
     best = int(np.argmin(others))
-    if others[best] * BETTER < own:
+    if others[best] * BETTER < own and _exchanged(study, points) > others[best]:
         return best, float(own / others[best])
     # Several drive points are all opposite: so many sensors are seldom reversed together.
     if len(points) > 1 and others[best] < 1.1 * own and total[study.power, 0] > BETTER * others[best]:
         return best, float(total[study.power, 0] / others[best])
     return None
+
+
+def _exchanged(study: Study, points: list[DrivePoint]) -> float:
+    """Least misfit in the stated form where another output stands in the place of one of the drive points' sensors."""
+    own = [_misfit_of(study, p, study.power, 1) for p in points]
+    least = np.inf
+    for k, p in enumerate(points):
+        rest = sum(own) - own[k]
+        if rest < least:
+            others = (o for o in range(len(study.outputs)) if o != p.o and not study.silent[0, o, p.i])
+            least = min([least, *(rest + _misfit_of(study, p._replace(o=o), study.power, 1) for o in others)])
+    return float(least)
 
 
 def _opposite(study: Study) -> bool:
@@ -181,26 +189,10 @@ def _opposite(study: Study) -> bool:
     return bool(abs(mean) > 0.8 and abs(np.angle(mean)) > 0.9)
 
 
-def _passive_misfit(study: Study, point, power: int, sign: int) -> float:
-    """Residual of a drive point after fitting passive terms: in squares of noise, and as a share of the FRF."""
-    s = 2j * np.pi * study.freq
+def _misfit_of(study: Study, point: DrivePoint, power: int, sign: int) -> float:
+    """:func:`passive_misfit` of a drive point in some form and with some sign."""
     H = sign * point.sign * study.H[0, :, point.o, point.i]
-    weight = 1 / np.sqrt(study.sigma[0, :, point.o, point.i] ** 2 + (0.02 * np.abs(H)) ** 2)
-    poles = study.modes.poles
-    u, v = 1 / (s[:, None] - poles), 1 / (s[:, None] - poles.conj())
-    modes = []
-    for turn in (-CONE, 0.0, CONE):
-        a = -1j * np.exp(1j * turn)
-        modes.append((a * u + np.conj(a) * v) * np.abs(poles))
-    omega, low, high = s.imag, s.imag[0], s.imag[-1]
-    out = np.concatenate([low / np.array([3.0, 1.5, 1.15]), high * np.array([1.1, 1.4, 2.5])])
-    beyond = out**2 / (out**2 - omega[:, None] ** 2)
-    rest = np.stack([-((low / omega) ** 2), np.ones_like(omega)], axis=1)
-    columns = np.concatenate([*modes, beyond, rest], axis=1) * (s**power * weight)[:, None]
-    scale = np.linalg.norm(columns, axis=0)
-    lifted = np.concatenate([columns.real, columns.imag]) / scale
-    target = np.concatenate([(H * weight).real, (H * weight).imag])
-    return float(nnls(lifted, target, maxiter=50 * lifted.shape[1])[1] ** 2) / (2 * len(omega)) + SCATTER**2
+    return passive_misfit(study.freq, H, study.sigma[0, :, point.o, point.i], study.modes.poles, power)
 
 
 def _finding(study: Study, power: int, evidence: str, sure: float) -> Finding:

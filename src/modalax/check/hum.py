@@ -8,6 +8,7 @@ from scipy.stats import chi2, gamma
 from modalax.check.basis import Basis, least_squares, lift
 from modalax.check.finding import Finding, Picture, sureness
 from modalax.check.modes import noise_of
+from modalax.check.resolution import FEW, lines_a_width
 from modalax.check.study import Study
 
 MAINS = (50.0, 60.0)
@@ -30,6 +31,9 @@ def hum(study: Study) -> Iterator[Finding]:
     if len(study.freq) < 4 * TAIL or not mains_seen:
         return
     power = _left_over(study, float(step))
+    # Where the lines are wider apart than modes are wide, a mode too is a single line.
+    widths = lines_a_width(study)
+    unresolved = len(widths) > 0 and float(np.median(widths)) < FEW
     best: tuple[float, float, list[float], list[float]] | None = None
     for mains in mains_seen:
         multiples = mains * np.arange(1, int(min(study.freq[-1] / mains, NEAR / WANDER)) + 1)
@@ -44,6 +48,12 @@ def hum(study: Study) -> Iterator[Finding]:
         together = float(chi2.sf(total, 2 * len(multiples)))
         score = -np.log10(max(min(together, len(multiples) * min(c for _, c in told)), 1e-300)) / -np.log10(CHANCE)
         lines = [f for f, chance in told if chance < 1e-3]
+        if (
+            unresolved
+            and len(lines) < 2
+            and not any(_again(study, int(np.argmin(np.abs(study.freq - f)))) for f in lines)
+        ):
+            continue
         if score > 1 and lines and _share(study, power, lines) > LEAST_SHARE and (best is None or score > best[0]):
             best = float(score), mains, lines, [f for f, _ in told]
     if best is None:

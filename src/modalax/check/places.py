@@ -3,7 +3,8 @@ r"""Signs and places of channels, checked where a place is both driven and measu
 A passive and reciprocal structure obeys two rules: a residue :math:`A_r` of the receptance at a drive point is
 :math:`-j` times a positive number for real modes, and stays near it for the complex modes of light damping; residues
 between two drive points are the same both ways. Where the data break them, sign changes and exchanges of channels are
-tried one by one, and one is reported if it corrects everything.
+tried one by one, and one is reported if it corrects everything. Of several that do, the one is taken that also makes
+the drive points those of a passive structure between the resonances (:mod:`modalax.check.passive`).
 """
 
 from collections.abc import Callable, Iterator
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modalax.check.finding import Finding, Picture, sureness
+from modalax.check.passive import passive_misfit
 from modalax.check.phases import complexity
 from modalax.check.study import Study
 
@@ -24,6 +26,9 @@ RECIPROCAL = 0.04
 # Squared deviations over tolerances: most that one term counts, the sum from which on a rule is broken, and the share
 # of that sum that a correction may leave.
 MOST, BROKEN, MENDED = 40.0, 30.0, 0.2
+# Share of the sum within which corrections are as good as each other; by how much more passive a drive point must
+# become for another than the first of them; the sum from which on that alone is enough, and by how much then.
+ALIKE, BETTER, HINT, CLEARLY = 0.05, 2.0, 10.0, 10.0
 MOST_FAULTS = 3  # sign changes and exchanges that are tried together, at most
 
 
@@ -43,18 +48,36 @@ def misplaced(study: Study) -> Iterator[Finding]:
         return
     mends = list(_mends(study))
     first = before = broken(study, residues, std)
-    chosen: list[tuple[Mend, float]] = []
-    while before >= BROKEN and len(chosen) < MOST_FAULTS:
+    chosen: list[tuple[Mend, float, list[Mend]]] = []
+    H, sigma = study.H[0], study.sigma[0]
+    while before >= HINT and len(chosen) < MOST_FAULTS:
         left = np.array([broken(study, m.change(residues), np.abs(m.change(std))) for m in mends])
-        best = int(np.argmin(left))
-        if left[best] > 0.7 * before:
+        alike = [mends[k] for k in np.flatnonzero(left <= left.min() + ALIKE * before)]
+        passive = np.array([_not_passive(study, m.change(H), np.abs(m.change(sigma)), m.where) for m in alike])
+        k = 0 if passive[0] < BETTER * passive.min() else int(np.argmin(passive))
+        best = mends.index(alike[k])
+        as_measured = _not_passive(study, H, sigma, alike[k].where)
+        if left[best] > 0.7 * before or (before < BROKEN and passive[k] * CLEARLY > as_measured):
             break
-        chosen.append((mends[best], before - left[best]))
-        residues, std = mends[best].change(residues), np.abs(mends[best].change(std))
+        single = len(study.drive_points) == 1  # with several, reciprocity tells exchanges apart
+        others = [m for m, p in zip(alike, passive, strict=True) if single and p < BETTER * passive[k]]
+        chosen.append((alike[k], before - left[best], others))
+        residues, std = alike[k].change(residues), np.abs(alike[k].change(std))
+        H, sigma = alike[k].change(H), np.abs(alike[k].change(sigma))
         before = float(left[best])
     # A correction that leaves much is no explanation.
     if chosen and before < max(BROKEN, MENDED * first):
-        yield from (_finding(study, mend, gain) for mend, gain in chosen)
+        yield from (_finding(study, mend, gain, others) for mend, gain, others in chosen)
+
+
+def _not_passive(study: Study, H: np.ndarray, sigma: np.ndarray, where: tuple[str, ...]) -> float:
+    """Mean misfit of the drive points at some channels, or of all where none is there."""
+    points = [p for p in study.drive_points if {study.outputs[p.o], study.inputs[p.i]} & set(where)]
+    found = [
+        passive_misfit(study.freq, p.sign * H[:, p.o, p.i], sigma[:, p.o, p.i], study.modes.poles, study.power)
+        for p in points or study.drive_points
+    ]
+    return float(np.mean(found))
 
 
 def broken(study: Study, residues: np.ndarray, std: np.ndarray) -> float:
@@ -127,7 +150,9 @@ def _exchange(axis: int, a: int, b: int) -> Callable[[np.ndarray], np.ndarray]:
     return change
 
 
-def _finding(study: Study, mend: Mend, gain: float) -> Finding:
+def _finding(study: Study, mend: Mend, gain: float, others: list[Mend]) -> Finding:
+    exchanges = [" and ".join(m.where) for m in others if m is not mend and m.what == "swapped"]
+    also = f"; an exchange of {', or of '.join(exchanges[:3])} would explain it as well" if exchanges else ""
     name = next(p for p in study.drive_points if mend.what == "swapped" or p.name in mend.where or len(mend.where) > 1)
     if mend.what == "swapped":
         name = next((p for p in study.drive_points if {study.outputs[p.o], study.inputs[p.i]} & set(mend.where)), name)
@@ -137,7 +162,7 @@ def _finding(study: Study, mend: Mend, gain: float) -> Finding:
         return Finding(
             "reversed", mend.where, sure=sureness(gain, BROKEN), size=-1.0, unit="-",
             evidence="with its sign turned, every drive point takes up energy at every resonance and all reciprocal "
-            "pairs agree; as measured they do not",
+            f"pairs agree; as measured they do not{also}",
             advice="turn the sign of this sensor or hammer (mounting direction, cable, polarity); the data cannot tell "
             "which of the two at this place is wrong",
             picture=picture,
@@ -145,7 +170,7 @@ def _finding(study: Study, mend: Mend, gain: float) -> Finding:
     return Finding(
         "swapped", mend.where, sure=sureness(gain, BROKEN), size=None,
         evidence="with the two exchanged, every drive point takes up energy at every resonance and all reciprocal "
-        "pairs agree; as measured they do not",
+        f"pairs agree; as measured they do not{also}",
         advice="exchange the two channels, or their names",
         picture=picture,
     )  # fmt: skip

@@ -1,10 +1,12 @@
 r"""Reciprocity: the response at one place to a force at another place is the same both ways.
 
-A constant factor between the two is a matter of calibration, :math:`H_{pq}/H_{qp} = c_p/c_q` with :math:`c` the gain of
+Where two channels have been exchanged, one response is compared with another; exchanged back all pairs agree. A
+constant factor between the two is a matter of calibration, :math:`H_{pq}/H_{qp} = c_p/c_q` with :math:`c` the gain of
 the sensor over that of the hammer at a place; anything else is a structure, or a test, that is not reciprocal.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -18,6 +20,8 @@ SMALLEST_GAIN, SURE = 0.03, 6.0
 SMALLEST_DIFFERENCE = 0.004
 # Relative error of the ratio of two residues that is not in their standard deviations.
 MODE_ERROR = 0.02
+# Part of the largest difference that an exchange of channels may leave.
+MENDED = 0.2
 # The noise is known to about this factor.
 NOISE_FACTOR = 4.0
 
@@ -31,6 +35,10 @@ def reciprocity(study: Study) -> Iterator[Finding]:
             factor, std, left, excess = fit
             pairs[p.name, q.name] = (p, q, factor, std, left, max(excess, _by_modes(study, p, q)))
     wild = {key for key, (*_, excess) in pairs.items() if excess > 1}
+    exchange = _exchange(study, pairs, wild) if wild else None
+    if exchange is not None:
+        yield exchange
+        return
     yield from _not_reciprocal(study, {key: pairs[key] for key in wild})
     yield from _calibration(study, {key: value for key, value in pairs.items() if key not in wild})
 
@@ -79,6 +87,51 @@ def _by_modes(study: Study, p: DrivePoint, q: DrivePoint) -> float:
     middle = np.sum(ratio.real / std**2) / np.sum(1 / std**2)
     off = np.hypot(ratio.real - middle, turned) / std
     return float(off.max() / SURE)
+
+
+def _exchange(study: Study, pairs: dict, wild: set[tuple[str, str]]) -> Finding | None:
+    """Two channels that make every pair agree when they are exchanged back; None where no two or several do."""
+    told = {name for key in wild for name in key}
+    driven = [p for p in study.drive_points if p.name in told]
+    found: dict[tuple[str, ...], float] = {}
+    for axis, names, places in (
+        (2, study.outputs, [p.o for p in driven]), (3, study.inputs, [p.i for p in driven]),
+    ):  # fmt: skip
+        tried = sorted({(min(a, b), max(a, b)) for a in places for b in range(len(names)) if a != b})
+        for a, b in tried:
+            where = tuple(sorted((names[a], names[b])))
+            left = _worst_exchanged(study, pairs, wild, axis, a, b) if where not in found else None
+            if left is not None:
+                found[where] = left
+    if len(found) != 1:
+        return None
+    (where, left), worst = found.popitem(), max(wild, key=lambda key: pairs[key][-1])
+    p, q, *_, excess = pairs[worst]
+    return Finding(
+        "swapped", where, sure=sureness(excess / max(left, 1.0), 1.0), size=None,
+        evidence="with the two exchanged, the FRFs of all pairs of drive points are the same both ways; as measured "
+        "they are not",
+        advice="exchange the two channels, or their names", picture=_both_ways(study, p, q),
+    )  # fmt: skip
+
+
+def _worst_exchanged(study: Study, pairs: dict, wild: set, axis: int, a: int, b: int) -> float | None:
+    """Largest difference over its limit after an exchange of two channels; None where a pair still differs."""
+    order = list(range(study.H.shape[axis]))
+    order[a], order[b] = b, a
+    changed = replace(study, H=np.take(study.H, order, axis), variance=None)
+    changed.__dict__["sigma"] = np.take(study.sigma, order, axis)
+    before, worst = max(pairs[key][-1] for key in wild), 0.0
+    for key in sorted(pairs, key=lambda key: -pairs[key][-1]):
+        fit = _ratio(changed, *pairs[key][:2])
+        if fit is None:
+            continue
+        factor, std, _, excess = fit
+        off = abs(np.log(abs(factor))) / max(SMALLEST_GAIN, SURE * std / abs(factor))
+        worst = max(worst, excess, off if key in wild else 0.0)
+        if factor < 0 or worst > min(1.0, MENDED * before):
+            return None
+    return float(worst)
 
 
 def _not_reciprocal(study: Study, pairs: dict) -> Iterator[Finding]:
