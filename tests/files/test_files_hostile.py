@@ -177,7 +177,7 @@ def test_mat_that_unpacks_to_a_thousand_times_its_size(tmp_path, monkeypatch):
     refused(tmp_path / "x.mat", "the .mat file declares .* save it uncompressed")
 
 
-@pytest.mark.parametrize("count", [40000, 300000])
+@pytest.mark.parametrize("count", [40000, 100001])
 def test_mat_of_very_many_names(tmp_path, count):
     cells = np.empty(count, dtype=object)
     cells[:] = "1"

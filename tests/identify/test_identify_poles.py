@@ -110,7 +110,7 @@ BANDS = [(0.0, 60.0), (12.0, 43.0), (40.0, 75.0), (75.0, 125.0), (20.0, 147.0)]
 @pytest.mark.parametrize("band", BANDS, ids=lambda b: f"{b[0]:g}-{b[1]:g}Hz")
 def test_same_modes_out_of_any_band(band, forty, errors, poles_of):
     """Asked: 1e-6 and 1e-4 at the order chosen by itself, 1e-5 and 1e-3 at every higher one."""
-    frf = forty.frf(np.arange(0, 3500) * 0.05, inputs=["a"]).band(*band)
+    frf = forty.frf(np.linspace(*band, 1201), inputs=["a"])  # as many lines in each band: compiled once
     f, zeta = np.asarray(forty.frequency_hz), np.asarray(forty.damping_ratio)
     inside = (f - 3 * zeta * f > band[0]) & (f + 3 * zeta * f < band[1])
     orders = range(20, 101, 4)

@@ -25,10 +25,10 @@ def test_the_cramer_rao_bound_is_the_inverse_of_fishers_information():
     )
     freq = np.linspace(25.0, 36.0, 80)
     clean = model.frf(freq, inputs=["1"])
-    variance = np.random.default_rng(0).uniform(0.5, 2.0, clean.H.shape) * float(jnp.abs(clean.H).max()) ** 2 * 1e-4
+    variance = np.random.default_rng(0).uniform(0.5, 2.0, clean.H.shape) * np.abs(clean.H).max() ** 2 * 1e-4
     bound = cramer_rao(model, clean.replace(variance=variance), residuals="none")
-    s = 2j * jnp.pi * jnp.asarray(freq)[:, None, None]
-    R = jnp.einsum("ro,r->ro", model.shapes, model.participation[:, 0])
+    s = 2j * np.pi * freq[:, None, None]
+    R = np.asarray(model.shapes) * np.asarray(model.participation)
 
     def samples(x):
         f, zeta, parts = x[:2], x[2:4], x[4:].reshape(2, 2, 3)
@@ -37,10 +37,10 @@ def test_the_cramer_rao_bound_is_the_inverse_of_fishers_information():
         H = (own / (s - pole[:, None]) + own.conj() / (s - pole.conj()[:, None])).sum(axis=1)
         return jnp.stack([H.real, H.imag])
 
-    x = jnp.concatenate([model.frequency_hz, model.damping_ratio, R.real.ravel(), R.imag.ravel()])
-    J = jax.jacfwd(samples)(x) * jnp.sqrt(2 / jnp.asarray(variance[:, :, 0]))[None, :, :, None]
+    x = np.concatenate([model.frequency_hz, model.damping_ratio, R.real.ravel(), R.imag.ravel()])
+    J = np.asarray(jax.jit(jax.jacfwd(samples))(x)) * np.sqrt(2 / variance[:, :, 0])[None, :, :, None]
     J = J.reshape(-1, len(x))
-    std = np.sqrt(np.diag(np.linalg.inv(np.asarray(J.T @ J))))
+    std = np.sqrt(np.diag(np.linalg.inv(J.T @ J)))
     np.testing.assert_allclose(bound.frequency_std_hz, std[:2], rtol=1e-5)
     np.testing.assert_allclose(bound.damping_std, std[2:4], rtol=1e-5)
     with pytest.raises(ValueError, match="needs a noise variance"):
@@ -60,8 +60,8 @@ def refined(noisy, start):
     return jax.vmap(lambda frf: refine(frf, start))(noisy)
 
 
-def draws(seed, level, frf, start):
-    keys = jax.random.split(jax.random.key(seed), 200)
+def draws(seed, level, frf, start, count=200):
+    keys = jax.random.split(jax.random.key(seed), count)
     return refined(jax.vmap(lambda key: frf.add_noise(key, level))(keys), start)
 
 
@@ -149,7 +149,7 @@ class TestRefine:
     def test_error_bars_of_shapes_and_modal_mass(self, paper_frf, paper):
         """Delta-method deviations against the spread over draws."""
         exact = paper.normalised("max")
-        found = draws(1, 0.02, paper_frf, start_of(paper_frf, paper))
+        found = draws(1, 0.02, paper_frf, start_of(paper_frf, paper), 100)
         shapes, std, mass_std = found.model.shapes, found.shape_std, found.modal_mass_std
         mass = jax.vmap(lambda m: m.modal_mass().real)(found.model)
         # Measured over 1,000 draws (experiments/identify): 0.96 to 1.01, mode 3, hardly seen at the drive point, too.

@@ -90,7 +90,7 @@ def test_iwan_dissipation_follows_segalmans_power_law():
     R = k / (1 + beta) * (chi + 1) / top ** (chi + 1)
     A = np.array([0.05, 0.2, 0.7]) * top
     expected = 4 * R * A ** (chi + 3) / ((chi + 2) * (chi + 3))
-    np.testing.assert_allclose(joint.energy(A, OMEGA), expected, rtol=2e-3)
+    np.testing.assert_allclose(jax.jit(lambda a: joint.energy(a, OMEGA))(A), expected, rtol=2e-3)
 
 
 def test_iwan_keeps_its_stiffness_and_its_slip_force():
@@ -102,9 +102,10 @@ def test_iwan_keeps_its_stiffness_and_its_slip_force():
 
 def test_bouc_wen_yields_and_is_elastic_when_small():
     joint = BoucWen(1e5, 1e-3, 0.1)
-    small = complex(joint.describing(1e-6, OMEGA))
+    describing = jax.jit(lambda a: joint.describing(a, OMEGA))
+    small = complex(describing(1e-6))
     assert small == pytest.approx(1e5, rel=1e-5)
-    large = complex(joint.describing(1.0, OMEGA))
+    large = complex(describing(1.0))
     # plastic: spring alpha k and a friction force (1 - alpha) k x_y
     assert large.real == pytest.approx(1e4, rel=2e-2)
     assert large.imag == pytest.approx(4 * 0.9 * 1e5 * 1e-3 / (np.pi * 1.0), rel=2e-2)
@@ -113,11 +114,11 @@ def test_bouc_wen_yields_and_is_elastic_when_small():
 def test_bouc_wen_with_one_parameter_set_has_a_closed_form():
     # n = 1, beta = 1/2: loading z' = 1 - z/x_y, unloading z' = 1: an exponential, then a straight line.
     joint = BoucWen(1.0, 2.0, 0.0, 1.0, 0.5)
-    state = joint.initial_state()
+    state, step = joint.initial_state(), jax.jit(lambda *way: joint.step(*way))
     for low, high in zip(np.linspace(0, 3, 31)[:-1], np.linspace(0, 3, 31)[1:], strict=True):
-        state, force = joint.step(state, low, high)
+        state, force = step(state, low, high)
     assert float(force) == pytest.approx(2 * (1 - np.exp(-1.5)), rel=1e-8)  # Runge-Kutta with 60 steps: measured 2e-9
-    _, back = joint.step(state, 3.0, 2.5)
+    _, back = step(state, 3.0, 2.5)
     assert float(back) == pytest.approx(float(force) - 0.5, rel=1e-12)
 
 
@@ -156,15 +157,15 @@ def test_contact_share_of_negative_gap_is_the_rest():
 
 @pytest.mark.parametrize("joint", [j for j in JOINTS if isinstance(j, Hysteretic)], ids=lambda j: j.slug)
 def test_average_force_along_a_step_is_the_mean_of_many_small_steps(joint):
-    state, _ = joint.step(joint.initial_state(), 0.0, 2e-4)
+    state, _ = jax.jit(lambda s: joint.step(s, 0.0, 2e-4))(joint.initial_state())
     parts = np.linspace(2e-4, -7e-4, 20001)
-    average = float(joint.average(state, parts[0], parts[-1]))
+    average = float(jax.jit(lambda s: joint.average(s, parts[0], parts[-1]))(state))
 
     def advance(state, pair):
         mean = joint.average(state, pair[0], pair[1])
         return joint.step(state, pair[0], pair[1])[0], mean
 
-    _, means = jax.lax.scan(advance, state, jnp.stack([parts[:-1], parts[1:]], axis=1))
+    _, means = jax.lax.scan(advance, state, np.stack([parts[:-1], parts[1:]], axis=1))
     assert average == pytest.approx(float(means.mean()), rel=1e-9)
 
 

@@ -1,5 +1,6 @@
 """What the catalogue has no name for: its laws against matrices and closed forms, and the doubt that it casts."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from modalax.simulate import joints
 FREQ = np.linspace(18.0, 70.0, 40)
 S = 2j * np.pi * FREQ
 OUTPUTS, INPUTS = ("2", "1", "5"), ("1", "3")
+PREDICT = jax.jit(predict, static_argnums=0)
 ROUNDING = 3e-11  # of the largest receptance: the modal sum against the inverse of the matrices
 
 
@@ -40,8 +42,8 @@ def predicted(cause, index, p, level=(1.0,)):
         INPUTS,
         modal_form_of(structure, FREQ[0]),
     )
-    theta = jnp.zeros((2, problem.modal_form.stiffness.shape[0]))
-    H = predict((cause,), jnp.array([index]), (None,), (jnp.asarray(p),), theta, problem)
+    theta = np.zeros((2, problem.modal_form.stiffness.shape[0]))
+    H = PREDICT((cause,), np.array([index]), (None,), (np.asarray(p, float),), theta, problem)
     return np.asarray(H)[:, : len(FREQ), : len(OUTPUTS), : len(INPUTS)]
 
 

@@ -39,7 +39,7 @@ def test_the_damping_of_one_mode_stands_out_beyond_what_is_usual():
     assert answer["causes"][0]["parameters"]["relative_change"]["value"] == pytest.approx(3.0, rel=0.2)
 
 
-@pytest.mark.parametrize("off", [0.01, 0.03])
+@pytest.mark.parametrize("off", [pytest.param(0.01, marks=pytest.mark.slow), 0.03])
 def test_an_attached_oscillator_is_named_at_its_place(off):
     data, _ = measured(14, off, oscillator=("7:+Z", 0.02, 75.0, 0.01))
     answer = told(data)
@@ -50,7 +50,7 @@ def test_an_attached_oscillator_is_named_at_its_place(off):
         assert values[name]["std"] < 0.2 * true
 
 
-@pytest.mark.parametrize("off", [0.01, 0.03])
+@pytest.mark.parametrize("off", [pytest.param(0.01, marks=pytest.mark.slow), 0.03])
 def test_a_mode_that_the_simulation_has_not_is_named(off):
     data, _ = measured(15, off, extra=150.0)
     answer = told(data)
@@ -60,7 +60,7 @@ def test_a_mode_that_the_simulation_has_not_is_named(off):
     assert answer["gain"]["chi2_after"] < 0.01 * answer["gain"]["chi2_before"]
 
 
-@pytest.mark.parametrize("off", [0.01, 0.02])
+@pytest.mark.parametrize("off", [pytest.param(0.01, marks=pytest.mark.slow), 0.02])
 def test_hysteretic_damping_is_named_by_the_phases_of_residues(off):
     data, _ = measured(16, off, hysteretic=True)
     answer = told(data)

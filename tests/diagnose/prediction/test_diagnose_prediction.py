@@ -24,6 +24,7 @@ from modalax.model.examples import five_dof
 FREQ = np.linspace(18.0, 70.0, 60)
 # The modal sum and the matrix inverse agree to 3e-14 of the largest receptance; a hundred times that is allowed.
 ROUNDING = 3e-12
+PREDICT = jax.jit(predict, static_argnums=0)
 SLUGS = """modal_damping structural_damping local_damper joint_stiffness added_mass sensor_mass tuned_mass missing_mode
 out_of_band channel_gain channel_sign channel_swap time_delay units exponential_window leakage fast_sweep mains_hum
 force_dropout coulomb_friction elasto_slip cubic_stiffness gap quadratic_damping bilinear_stiffness gyroscopic
@@ -41,8 +42,7 @@ def problem_of(structure, level=(1.0,), order=0):
 def predicted(structure, cause, index, p, level=(1.0,), order=0):
     problem = problem_of(structure, level, order)
     n = problem.modal_form.stiffness.shape[0]
-    where = jnp.array([index])
-    H = predict((cause,), where, (None,), (jnp.asarray(p),), jnp.zeros((2, n)), problem)
+    H = PREDICT((cause,), np.array([index]), (None,), (np.asarray(p, float),), np.zeros((2, n)), problem)
     return np.asarray(H)[:, : len(FREQ), :3, :2]
 
 
@@ -220,6 +220,7 @@ def test_the_prediction_differentiates_and_maps():
     problem = problem_of(S, (3.0,))
     n = problem.modal_form.stiffness.shape[0]
 
+    @jax.jit
     def energy(k3):
         where = jnp.array([[2, 4, 0]])
         H = predict((CubicStiffness(),), where, (None,), (k3[None],), jnp.zeros((2, n)), problem)
