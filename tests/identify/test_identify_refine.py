@@ -28,7 +28,7 @@ def test_the_cramer_rao_bound_is_the_inverse_of_fishers_information():
     variance = np.random.default_rng(0).uniform(0.5, 2.0, clean.H.shape) * np.abs(clean.H).max() ** 2 * 1e-4
     bound = cramer_rao(model, clean.replace(variance=variance), residuals="none")
     s = 2j * np.pi * freq[:, None, None]
-    R = np.asarray(model.shapes) * np.asarray(model.participation)
+    R = np.asarray(model.shapes) * np.asarray(model.participation)[:, :1]
 
     def samples(x):
         f, zeta, parts = x[:2], x[2:4], x[4:].reshape(2, 2, 3)
