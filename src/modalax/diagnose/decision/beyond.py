@@ -50,6 +50,9 @@ class ModalCase:
         could not be fitted.
     limits
         Thresholds of the rules.
+    odd
+        An output that differs from all others as no cause explains, and how many nats likelier that is than the
+        likeliest causes; None where there is none.
     """
 
     sets: Sequence[BeyondUsual]
@@ -59,6 +62,7 @@ class ModalCase:
     misfit: float
     nats: float | None
     limits: Thresholds
+    odd: tuple[str, float] | None = None
 
     @property
     def support(self) -> tuple[str, ...]:
@@ -89,6 +93,17 @@ def nothing_beyond_the_usual(case: ModalCase) -> tuple[str, ...]:
     return (f"nothing stands out beyond the general inaccuracy (probability {case.sets[0].probability:.3f})",)
 
 
+def one_output_differs(case: ModalCase) -> tuple[str, ...]:
+    """What stands out is less likely than that one output is wrong in a way without a name."""
+    if case.odd is None or not case.sets[0].names:
+        return ()
+    name, nats = case.odd
+    return (
+        f"the FRFs at {name} alone differ from all others in a way that no cause explains ({nats:.3g} nats likelier "
+        "than what stands out): check that sensor, its cable, mounting and range",
+    )
+
+
 def other_causes_compete(case: ModalCase) -> tuple[str, ...]:
     """The causes are not sure."""
     sure = certainty(case.sets) >= case.limits.certain
@@ -105,6 +120,7 @@ def other_places_compete(case: ModalCase) -> tuple[str, ...]:
 
 
 RULES: tuple[tuple[str, Rule], ...] = (
+    ("unknown", one_output_differs),
     ("unknown", modes_are_not_explained),
     ("clean", nothing_beyond_the_usual),
     ("ambiguous", other_causes_compete),

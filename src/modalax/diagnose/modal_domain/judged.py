@@ -52,6 +52,7 @@ def judge(stage: Stage) -> Judged:
         max(off[name] / LARGEST[name] for name in ("stiffness", "mass")),
         best.fit.chi2 / best.fit.state.difference.size,
         None if plain is None else best.log_posterior - plain.log_posterior, THRESHOLDS,
+        None if stage.odd is None else (stage.odd.name, stage.odd.nats),
     )  # fmt: skip
     word, reasons = modal_verdict(case)
     return Judged(word, reasons, plain if word == "clean" and plain is not None else best, sets, best)

@@ -19,6 +19,7 @@ from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
 from modalax.diagnose.modal_domain.levels.explain import Spot
 from modalax.diagnose.modal_domain.levels.seen import Seen, joint_and_structure, look_at_levels
 from modalax.diagnose.modal_domain.measured import Measured, identify
+from modalax.diagnose.modal_domain.odd_output import OddOutput, odd_output
 from modalax.diagnose.modal_domain.places import candidates_of, springs_of
 from modalax.diagnose.modal_domain.polish import leading_on_lines
 from modalax.diagnose.modal_domain.sensor_filters import sensor_filters
@@ -48,6 +49,8 @@ class Stage:
         Whether every step was done before time was up.
     seen
         What force levels or repeated runs tell; None where there is one run.
+    odd
+        An output that differs from all others as no cause explains; None where there is none.
     """
 
     measurement: Any
@@ -59,6 +62,7 @@ class Stage:
     explanations: list[Explanation]
     in_time: bool
     seen: Seen | None = None
+    odd: OddOutput | None = None
 
     @property
     def best(self) -> Explanation:
@@ -116,6 +120,7 @@ def run_stage(
     setting, explanations = explain(setting, candidates, first, tell)
     if not explanations:
         return None
+    odd = None if late() else odd_output(setting, explanations, measurement.outputs)
     setting, explanations = leading_on_lines(setting, explanations, measured, late)
     places = springs_of(simulation, c, nodes_of(simulation.dofs), pairs, highest)
     spots = [Spot(where, b, w) for where, b, _, w in places]
@@ -135,4 +140,7 @@ def run_stage(
             setting, explanations = leading_on_lines(setting, explanations, measured, late)
     except KeyboardInterrupt:
         late.stop()
-    return Stage(measurement, simulation, c, measured, setting, candidates, explanations, not (late() or first()), seen)
+    if seen is not None and seen.joint is not None:  # which bends the modes themselves
+        odd = None
+    in_time = not (late() or first())
+    return Stage(measurement, simulation, c, measured, setting, candidates, explanations, in_time, seen, odd)

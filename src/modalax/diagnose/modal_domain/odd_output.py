@@ -1,0 +1,85 @@
+r"""Whether one output alone differs from all others, in a way that no cause of the catalogue explains.
+
+What is wrong with one sensor may be nothing that has a name: a gain that wanders, a cable that resonates. An element or
+a mass at its place may then explain a part of it. Here each mode's residues at one output are free by a complex factor
+of usual size, which adds
+
+.. math:: \sigma^2\sum_k D_k D_k^T,
+
+:math:`D_k` the derivatives of the features of mode k by real and imaginary part of that factor, to the covariance of
+the features. Where the general inaccuracy beside such an output is likelier than every cause, none is a name for it.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modalax.diagnose.causes.base import RARE
+from modalax.diagnose.modal_domain.explain import Explanation
+from modalax.diagnose.modal_domain.features import slopes_of_values
+from modalax.diagnose.modal_domain.fit import fit
+from modalax.diagnose.modal_domain.places import GAIN
+from modalax.diagnose.modal_domain.state import Setting
+
+TRIED = 2  # outputs that are tried, those likeliest about the general inaccuracy alone
+
+
+@dataclass(frozen=True)
+class OddOutput:
+    """An output that differs from all others.
+
+    Attributes
+    ----------
+    name
+        The output.
+    nats
+        Log probability that this has over the likeliest explanation by causes.
+    """
+
+    name: str
+    nats: float
+
+
+def odd_output(setting: Setting, explanations: Sequence[Explanation], outputs: Sequence[str]) -> OddOutput | None:
+    """The output that is likelier to be odd than every explanation is to be true; None where there is none.
+
+    Parameters
+    ----------
+    setting
+        In which the explanations were fitted.
+    explanations
+        By falling probability.
+    """
+    plain = next((e for e in explanations if not e.causes), None)
+    if plain is None or not explanations[0].causes or len(outputs) < 3:
+        return None
+    r, roots = plain.fit.state.difference, [_root(setting, k) for k in range(len(outputs))]
+    left = [float((np.linalg.solve(L, r) ** 2).sum()) + 2 * _volume(L) for L in roots]
+    found: list[OddOutput] = []
+    for k in np.argsort(left)[:TRIED]:
+        L = roots[k]
+        f = fit(replace(setting, whitener=np.linalg.solve(L, setting.whitener)))
+        if f is not None:
+            value = f.log_evidence - _volume(L) + math.log(RARE / len(outputs))
+            found.append(OddOutput(outputs[k], value - explanations[0].log_posterior))
+    best = max(found, key=lambda o: o.nats, default=None)
+    return best if best is not None and best.nats > 0 else None
+
+
+def _root(setting: Setting, output: int) -> np.ndarray:
+    """Root of the features' covariance, whitened, with one output free."""
+    f = setting.features
+    row = np.zeros_like(f.residues)
+    row[:, output] = f.residues[:, output]
+    still = np.zeros((len(f.poles), 2))
+    slopes = slopes_of_values(f.poles, f.residues, f.tangent, still, np.stack([row, 1j * row], axis=1))
+    D = np.zeros((len(f.poles), f.width, len(f.poles), 2))
+    D[range(len(f.poles)), :, range(len(f.poles))] = GAIN * slopes
+    W = setting.whitener @ D.reshape(len(f.poles) * f.width, -1)
+    return np.linalg.cholesky(np.eye(len(W)) + W @ W.T)
+
+
+def _volume(L: np.ndarray) -> float:
+    return float(np.log(np.diag(L)).sum())
