@@ -172,6 +172,11 @@ class Thresholds:
     places_by_lines: float = _threshold(
         300.0, "places", "A search line by line takes minutes where causes have more places than this.", SECONDS
     )
+    places_in_time: float = _threshold(
+        5000.0, "places",
+        "Up to so many places a search line by line, which takes some minutes then, still follows a modal domain that "
+        "answers unknown.", SECONDS,
+    )  # fmt: skip
     work_by_lines: float = _threshold(
         5e6, "places times samples", "The same where places times real samples are more than this.", SECONDS
     )

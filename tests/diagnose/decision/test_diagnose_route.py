@@ -10,6 +10,7 @@ SMALL = Task(has_modes=True, places=15.0, samples=2000)
 LARGE = replace(SMALL, places=301.0)
 OFF = {"stiffness": {"value": 0.02, "interval": [0.01, 0.03]}, "mass": {"value": 0.0, "interval": [0.0, 0.01]}}
 EXACT = {"stiffness": {"value": 1e-4, "interval": [5e-5, 2e-4]}, "mass": {"value": 0.01, "interval": [0.0, 0.02]}}
+MAYBE = {"stiffness": {"value": 1e-4, "interval": [0.0, 2e-4]}, "mass": {"value": 1e-4, "interval": [0.0, 2e-3]}}
 SURE = Outcome("named", 1.05, 0.3, 0.9995, 0, EXACT)
 
 
@@ -50,6 +51,11 @@ def test_methods_are_tried_in_this_order(task, expected):
         (replace(SURE, held_out=1.3), replace(SMALL, places=121.0), False),
         (Outcome("unknown", 9.0, 0.0), LARGE, True),
         (Outcome("unknown", 9.0, 0.0), replace(SMALL, elements_off=True), True),
+        (Outcome("unknown", 9.0, 0.0, inaccuracy=MAYBE), LARGE, False),  # lines may show what modes do not
+        (Outcome("unknown", 9.0, 0.0, inaccuracy=MAYBE), replace(LARGE, elements_off=True), True),
+        (Outcome("unknown", 9.0, 0.0, inaccuracy=MAYBE), replace(LARGE, places=5001.0), True),  # would take too long
+        (Outcome("unknown", 9.0, 0.0, inaccuracy=OFF), LARGE, True),
+        (Outcome("clean", 1.0, 0.3, inaccuracy=MAYBE), LARGE, True),
     ],
 )
 def test_the_modal_domain_suffices_where_nothing_is_left_to_explain(found, task, expected):

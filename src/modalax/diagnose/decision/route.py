@@ -97,7 +97,10 @@ def suffices(route: Route, found: Outcome, task: Task, limits: Thresholds = THRE
     """Whether the answer of the method that was tried first is given without trying the other."""
     if route == "lines":
         return explained(found, limits)
-    return needs_modes(task, limits) or off_everywhere(found, limits) or decisive(found, task, limits)
+    if needs_modes(task, limits):
+        hopeful = found.verdict == "unknown" and may_be_exact(found) and task.places <= limits.places_in_time
+        return task.elements_off or not hopeful
+    return off_everywhere(found, limits) or decisive(found, task, limits)
 
 
 def choice(found: Mapping[Route, Outcome], limits: Thresholds = THRESHOLDS) -> Route:
@@ -137,6 +140,12 @@ def off_everywhere(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
     if found.verdict == "named" and any(p["interval"][0] > limits.surely_off for p in parts):
         return found.held_out < limits.as_noise
     return nothing_left(found, limits)
+
+
+def may_be_exact(found: Outcome) -> bool:
+    """Whether stiffness and mass may be right everywhere, so that lines can show what modes do not."""
+    parts = [part for name, part in (found.inaccuracy or {}).items() if name in ("stiffness", "mass")]
+    return bool(parts) and all(p["interval"][0] <= 0 for p in parts)
 
 
 def decisive(found: Outcome, task: Task, limits: Thresholds = THRESHOLDS) -> bool:

@@ -38,10 +38,7 @@ SAMPLES_A_HARMONIC = 16  # instants of a cycle at which forces are evaluated, fo
 STEP = 1e-2  # relative change of a parameter by which slopes are taken
 TURNS = (1.0, 0.5, 0.9, 1.1, 1.5)  # motions that a balance starts from, over that of the fundamental alone
 NEWTON = 20  # Newton steps from each
-INSTANTS, FEWER_INSTANTS = (
-    48,
-    24,
-)  # of half a cycle of dry friction, and those that show the error
+INSTANTS, FEWER_INSTANTS = 48, 24  # of half a cycle of dry friction, and those that show the error
 
 
 def with_harmonics(
