@@ -9,7 +9,7 @@ import numpy as np
 
 from modalax.data.frf import FRF
 from modalax.data.measurement import Measurement
-from modalax.files.gaps import without_gaps
+from modalax.files.gaps import mended
 from modalax.files.guard import LONGEST_NAME, check_names
 from modalax.files.plain import PLAIN_KEYS, Told, understood
 from modalax.model.elements import Elements
@@ -205,7 +205,7 @@ def _measurement(arrays: Arrays) -> Measurement:
         optional["force"] = np.atleast_2d(_numbers(arrays, "force"))
     level = np.atleast_1d(_numbers(arrays, "level").squeeze()) if "level" in arrays else None
     H = H[None] if single else H
-    freq, H, outputs, inputs, optional = without_gaps(freq, H, outputs, inputs, optional, stacklevel=5)
+    freq, H, outputs, inputs, optional = mended(freq, H, outputs, inputs, optional, stacklevel=5)
     return Measurement(freq, H, form=_word(arrays, "form"), level=level, outputs=outputs, inputs=inputs, **optional)
 
 

@@ -13,7 +13,6 @@ from modalax.files.lines import lines_of, table_of
 from modalax.files.sniff import COMMENTS, PREAMBLE, looks_like_header
 from modalax.files.table_titles import HOW, Column, check_columns, column_of, factor_of_frequencies, unit_of_columns
 
-EMPTY = 0.05  # part of the lines with empty cells, up to which these are left out
 PLAIN_DEGREES = 45.0  # size of phases above which they are no radians
 
 
@@ -56,7 +55,7 @@ def read_table(path: Path) -> dict[str, Any]:
         raise ValueError(f"{error}; the file begins with {head[:40]!r}") from error
     rows = rows if first is None else itertools.chain([first], rows)
     numbers = table_of(rows, lambda line, k: _numbers(line, mark, len(titles), k), len(titles))
-    numbers = _whole_rows(numbers)
+    numbers = _rows_with_frequency(numbers)
     names, values = _frfs(columns, numbers)
     found = {"freq": factor * numbers[:, 0], **_channels(names, np.array(values).T)}
     return found | ({"unit": unit} if unit else {})
@@ -84,26 +83,13 @@ def _numbers(line: str, mark: str | None, count: int, row: int) -> list[float]:
         raise ValueError(f"line {row} holds what is no number ({error})") from error
 
 
-def _whole_rows(numbers: np.ndarray) -> np.ndarray:
-    """The rows without empty cells, with a warning where some were left out.
-
-    Raises
-    ------
-    ValueError
-        If more than ``EMPTY`` of the rows have any.
-    """
-    gaps = np.isnan(numbers).any(axis=1)
-    if not gaps.any():
-        return numbers
-    shown = ", ".join(f"{f:g}" for f in numbers[gaps, 0][:4]) + (", ..." if gaps.sum() > 4 else "")
-    if np.mean(gaps) > EMPTY:
-        raise ValueError(
-            f"{gaps.sum()} of {len(gaps)} lines have empty cells or NaN (at frequencies {shown}); fill them"
-        )
-    warnings.warn(
-        f"empty cells or NaN at frequencies {shown}: {gaps.sum()} of {len(gaps)} lines left out", stacklevel=2
-    )
-    return numbers[~gaps]
+def _rows_with_frequency(numbers: np.ndarray) -> np.ndarray:
+    """The rows whose first cell is not empty, with a warning where some were left out."""
+    nameless = np.isnan(numbers[:, 0])
+    if nameless.any() and not nameless.all():
+        warnings.warn(f"{nameless.sum()} of {len(nameless)} lines have no frequency; left out", stacklevel=2)
+        return numbers[~nameless]
+    return numbers
 
 
 def _frfs(columns: list[Column], numbers: np.ndarray) -> tuple[list[str], list[np.ndarray]]:
@@ -132,10 +118,9 @@ def _frfs(columns: list[Column], numbers: np.ndarray) -> tuple[list[str], list[n
 def _in_degrees(column: Column, value: np.ndarray) -> bool:
     if column.degrees is not None:
         return column.degrees
-    if np.max(np.abs(value), initial=0.0) > PLAIN_DEGREES:
-        warnings.warn(
-            f"column {column.title!r} is taken as degrees, as it reaches {np.max(np.abs(value)):.3g}", stacklevel=2
-        )
+    largest = np.max(np.abs(value), initial=0.0, where=~np.isnan(value))
+    if largest > PLAIN_DEGREES:
+        warnings.warn(f"column {column.title!r} is taken as degrees, as it reaches {largest:.3g}", stacklevel=2)
         return True
     raise ValueError(f"column {column.title!r} does not say whether the phase is in deg or rad; {HOW}")
 

@@ -10,7 +10,7 @@ from modalax.data.dofs import DIRECTIONS, parse_dof
 from modalax.data.frf import DERIVATIVES
 from modalax.data.geometry import Geometry
 from modalax.data.measurement import Measurement
-from modalax.files.gaps import without_gaps
+from modalax.files.gaps import mended
 from modalax.files.uff_units import form_of, is_upside_down, response_scale
 
 FUNCTIONS = {
@@ -145,7 +145,7 @@ def measurement_of(functions: Sequence[Function], form: str | None, complete: bo
     _tell_left_out(functions)
     first = cells[outputs[0], inputs[0]]
     H = grid(cells).astype(complex, copy=False)
-    freq, H, outputs, inputs, extra = without_gaps(freq, H, outputs, inputs, extra, stacklevel=6)
+    freq, H, outputs, inputs, extra = mended(freq, H, outputs, inputs, extra, stacklevel=6)
     return Measurement(freq, H, form=form, outputs=outputs, inputs=inputs, **extra, **_run_facts(first))
 
 
