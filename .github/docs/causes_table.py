@@ -13,6 +13,7 @@ STAGES = {
     "ChannelCause": "channels",
     "PatternCause": "channels",
     "LinesCause": "single lines",
+    "GroupCause": "elements that the simulation names",
 }
 COLUMNS = ("summary", "parameters", "stage", "advice")
 

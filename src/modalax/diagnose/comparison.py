@@ -12,6 +12,7 @@ import numpy as np
 from modalax.data import FRF, Measurement
 from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.causes.base import Cause, ElementCause, LinesCause, UndampedCause
+from modalax.diagnose.causes.groups import GroupCause
 from modalax.diagnose.causes.scene import Place, Scene
 from modalax.diagnose.causes.signals import HumLines
 from modalax.diagnose.deadline import NEVER, Deadline
@@ -357,6 +358,7 @@ def causes_of(causes: Sequence[Cause] | None, comparison: Comparison, default: S
     chosen: list[Cause] = list(default if causes is None else causes)
     if comparison.only:
         chosen = [c for c in chosen if isinstance(c, ElementCause)]
+    chosen = [c for c in chosen if not isinstance(c, GroupCause)]
     held = comparison.problem.held
     if held is not None and any(c.only_one for c in held.causes):
         chosen = [c for c in chosen if not c.only_one]  # one record or sweep is what it is

@@ -45,7 +45,7 @@ from modalax.diagnose.holdout import measure
 from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis, diagnose_modes
 from modalax.diagnose.modal_domain.table import by_table
 from modalax.diagnose.result import Diagnosis
-from modalax.diagnose.routes import outcome_of, task_of
+from modalax.diagnose.routes import check_groups, outcome_of, task_of
 from modalax.diagnose.screening.one_force import places_of_one_force
 from modalax.diagnose.search.explain import Explanation, check_imitations, explain
 from modalax.diagnose.search.look import look
@@ -101,16 +101,18 @@ def diagnose(
     Raises
     ------
     ValueError
-        If double precision is off, a measured DoF is not in the simulation, the data holds too few lines to tell, or
-        data or simulation are of no passive structure (:func:`modalax.model.entry.check_comparable`).
+        If double precision is off, a measured DoF is not in the simulation, groups of elements are asked about that it
+        does not name, the data holds too few lines to tell, or data or simulation are of no passive structure
+        (:func:`modalax.model.entry.check_comparable`).
     """
     require_double("diagnose")
+    check_groups(simulation, causes)
     if isinstance(measurement, ModeTable):
         return by_table(measurement, simulation, causes, modal_std, time, progress)
     check_comparable(measurement, simulation)
     late = Deadline(time)
     data = as_measurement(measurement)
-    task = task_of(data, simulation, question, causes is None)
+    task = task_of(data, simulation, question, causes)
     exact = task.has_modes and task.whole_catalogue and not (task.elements_off or task.modes_off)
     found = at_one_place(measurement, simulation, question, progress, late) if exact else None
     if found is not None and settled(outcome_of(found)):

@@ -1,16 +1,22 @@
 """Facts about a task, and about an answer, on which the choice of the method depends."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from modalax.data import Measurement
+from modalax.diagnose.causes import Cause
+from modalax.diagnose.causes.groups import GROUPS, GroupCause
 from modalax.diagnose.decision.route import Outcome, Task
 from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis
 from modalax.diagnose.result import Diagnosis
 from modalax.model import Structure
 
+GROUP_SLUGS = {c.slug for c in GROUPS}
 
-def task_of(measurement: Measurement, simulation: object, question: str, whole_catalogue: bool) -> Task:
-    """What the choice of the method depends on."""
+
+def task_of(measurement: Measurement, simulation: object, question: str, causes: Sequence[Cause] | None = None) -> Task:
+    """What the choice of the method depends on; ``causes`` are those to look for, None for the whole catalogue."""
     if not isinstance(simulation, Structure):
         return Task(has_modes=False)
     known = {*measurement.outputs, *measurement.inputs} <= set(simulation.dofs)
@@ -20,8 +26,19 @@ def task_of(measurement: Measurement, simulation: object, question: str, whole_c
         known and question in ("auto", "fixed") and count > 1, count * (count + 1) / 2, 2 * measurement.H.size,
         any(c is not None and float(c) > 0 for c in claims),
         bool(np.any(np.asarray(simulation.frequency_std)) or np.any(np.asarray(simulation.damping_std))),
-        whole_catalogue,
+        causes is None,
+        simulation.groups is not None and (causes is None or any(isinstance(c, GroupCause) for c in causes)),
     )  # fmt: skip
+
+
+def check_groups(simulation: object, causes: Sequence[Cause] | None) -> None:
+    """Raise ``ValueError`` where a parameter of groups is asked about that the simulation does not name."""
+    asked = [c.slug for c in causes or () if isinstance(c, GroupCause)]
+    if asked and getattr(simulation, "groups", None) is None:
+        raise ValueError(
+            f"cause {asked[0]} needs a simulation with groups of elements (group_names, group_K and group_M in its "
+            "file); this one names none"
+        )
 
 
 def outcome_of(found: Diagnosis) -> Outcome:
@@ -31,4 +48,5 @@ def outcome_of(found: Diagnosis) -> Outcome:
         found.verdict, found.gain.chi2_after, after.p_value, causes[0]["probability"] if causes else 0.0,
         len(found.alternatives), found.inaccuracy if isinstance(found, ModalDiagnosis) else None,
         len({frozenset(c["where"]) for c in causes}), isinstance(found, ModalDiagnosis) and found.joint is not None,
+        any(c["name"] in GROUP_SLUGS for c in causes),
     )  # fmt: skip

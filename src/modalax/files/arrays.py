@@ -13,6 +13,7 @@ from modalax.files.gaps import mended
 from modalax.files.guard import LONGEST_NAME, check_names
 from modalax.files.plain import PLAIN_KEYS, Told, understood
 from modalax.model.elements import Elements
+from modalax.model.groups import Groups
 from modalax.model.modal import ModalModel, poles_from
 from modalax.model.structure import Structure
 
@@ -26,7 +27,10 @@ MEASUREMENT_KEYS = (
 CLAIMS = ("stiffness_std", "mass_std")
 ELEMENTS = ("stiffness_elements", "mass_elements", "element_places")
 OF_ELEMENTS = "element_dofs"
-STRUCTURE_KEYS = ("M", "C", "K", "D", "dofs", "frequency_std", "damping_std", *CLAIMS, "pairs", *ELEMENTS, OF_ELEMENTS)
+GROUPS = ("group_names", "group_K", "group_M")
+STRUCTURE_KEYS = (
+    "M", "C", "K", "D", "dofs", "frequency_std", "damping_std", *CLAIMS, "pairs", *ELEMENTS, OF_ELEMENTS, *GROUPS,
+)  # fmt: skip
 MODEL_KEYS = (
     "poles", "frequency_hz", "damping_ratio", "shapes", "participation", "modal_a", "modal_mass", "upper", "lower",
     "outputs", "inputs", "frequency_std", "damping_std",
@@ -64,6 +68,10 @@ def to_arrays(what: Any) -> dict[str, np.ndarray]:
         arrays |= dict(zip(ELEMENTS, parts, strict=True))
         if e.dofs:
             arrays[OF_ELEMENTS] = np.array(e.dofs, dtype=str)
+    if isinstance(what, Structure) and what.groups is not None:
+        g = what.groups
+        parts = np.array(g.names, dtype=str), np.asarray(g.stiffness), np.asarray(g.mass)
+        arrays |= dict(zip(GROUPS, parts, strict=True))
     shape = {"pairs": (-1, 2)}
     return arrays | {k: np.array(getattr(what, k), dtype=str).reshape(shape.get(k, -1)) for k in labels}
 
@@ -251,7 +259,8 @@ def _structure(arrays: Arrays) -> Structure:
     D = np.atleast_2d(_numbers(arrays, "D")) if "D" in arrays else None
     claims = _claims(arrays, ("frequency_std", "damping_std")) | _claims(arrays, CLAIMS)
     dofs = _words(arrays, "dofs") if "dofs" in arrays else None
-    return Structure(M, C, K, dofs, D=D, pairs=_pairs(arrays, "pairs"), elements=_elements(arrays), **claims)
+    parts = {"pairs": _pairs(arrays, "pairs"), "elements": _elements(arrays), "groups": _groups(arrays)}
+    return Structure(M, C, K, dofs, D=D, **parts, **claims)
 
 
 def _elements(arrays: Arrays) -> Elements | None:
@@ -262,6 +271,16 @@ def _elements(arrays: Arrays) -> Elements | None:
     places = _pairs(arrays, ELEMENTS[2])
     stiffness, mass = (_numbers(arrays, name) for name in ELEMENTS[:2])
     return Elements(stiffness, mass, places or (), _words(arrays, OF_ELEMENTS) if OF_ELEMENTS in arrays else ())
+
+
+def _groups(arrays: Arrays) -> Groups | None:
+    """Groups of elements that share a parameter; None where there are none in the file."""
+    if not any(name in arrays for name in GROUPS):
+        return None
+    _need(arrays, GROUPS[:1], "structure with groups of elements")
+    own = {key: _numbers(arrays, name) for key, name in zip(("stiffness", "mass"), GROUPS[1:], strict=True)
+           if name in arrays}  # fmt: skip
+    return Groups(_words(arrays, GROUPS[0]), **own)
 
 
 def _pairs(arrays: Arrays, key: str) -> list[tuple[str, str]] | None:

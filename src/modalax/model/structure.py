@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Complex, Float
 from modalax._numerics.checks import as_double, is_traced, require_finite
 from modalax.data.frf import FRF, check_names, default_names, derivative
 from modalax.model.elements import Elements
+from modalax.model.groups import Groups
 from modalax.model.modal import ModalModel, claimed_std, in_order
 from modalax.model.solve import receptance_along
 
@@ -38,6 +39,9 @@ class Structure(eqx.Module):
         Pairs of DoF names between which springs, dampers and joints may sit; None: those that K couples.
     elements
         The elements that the stiffness and mass are made of, where a finite-element model tells them; None: unknown.
+    groups
+        Groups of elements that share a parameter, such as a Young's modulus, over ``dofs`` or over those of the
+        ``elements``; None: unknown.
     D
         Structural (hysteretic) damping [N/m], shape ``(n, n)``: the imaginary part of the stiffness for
         :math:`\omega > 0`; zero unless given.
@@ -52,6 +56,7 @@ class Structure(eqx.Module):
     stiffness_std: Float[Array, ""] | None
     mass_std: Float[Array, ""] | None
     elements: Elements | None
+    groups: Groups | None
     dofs: tuple[str, ...] = eqx.field(static=True)
     pairs: tuple[tuple[str, str], ...] | None = eqx.field(static=True)
 
@@ -69,6 +74,7 @@ class Structure(eqx.Module):
         pairs: Sequence[Sequence[str]] | None = None,
         D: Any = None,
         elements: Elements | None = None,
+        groups: Groups | None = None,
     ):
         self.M, self.C, self.K = (as_double(A, name) for A, name in ((M, "M"), (C, "C"), (K, "K")))
         self.D = jnp.zeros_like(self.K) if D is None else as_double(D, "D")
@@ -88,6 +94,9 @@ class Structure(eqx.Module):
         if elements is not None:
             elements.check_of(self.dofs)
         self.elements = elements
+        if groups is not None:
+            groups.check_of(n, *((len(elements.dofs),) if elements is not None and elements.dofs else ()))
+        self.groups = groups
 
     def _pair(self, pair: Sequence[str]) -> tuple[str, str]:
         """Return a pair of two different DoFs of this structure; ``ValueError`` says what is wrong with any other."""
@@ -129,10 +138,11 @@ class Structure(eqx.Module):
 
     def replace(self, **changes: Any) -> "Structure":
         """A copy with some attributes changed and checked again; other DoFs, M or K have no known elements."""
+        kept = not changes.keys() & {"dofs", "M", "K"}
         fields = dict(
             M=self.M, C=self.C, K=self.K, D=self.D, dofs=self.dofs, frequency_std=self.frequency_std,
             damping_std=self.damping_std, stiffness_std=self.stiffness_std, mass_std=self.mass_std, pairs=self.pairs,
-            elements=None if changes.keys() & {"dofs", "M", "K"} else self.elements,
+            elements=self.elements if kept else None, groups=self.groups if kept else None,
         )  # fmt: skip
         return Structure(**{**fields, **changes})
 

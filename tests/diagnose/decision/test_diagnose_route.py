@@ -24,8 +24,18 @@ SURE = Outcome("named", 1.05, 0.3, 0.9995, 0, EXACT)
         (replace(SMALL, whole_catalogue=False, elements_off=True), ("modes", "lines")),
         (replace(LARGE, whole_catalogue=False), ("modes", "lines")),
         (replace(SMALL, samples=400_000, modes_off=True), ("modes", "lines")),  # 15 places times 400,000
+        (replace(SMALL, whole_catalogue=False, modes_off=True, groups=True), ("modes", "lines")),
     ],
-    ids=["no matrices", "small", "modes claimed", "some causes", "elements claimed", "many places", "many samples"],
+    ids=[
+        "no matrices",
+        "small",
+        "modes claimed",
+        "some causes",
+        "elements claimed",
+        "many places",
+        "many samples",
+        "groups",
+    ],
 )
 def test_methods_are_tried_in_this_order(task, expected):
     assert order(task) == expected
@@ -44,6 +54,9 @@ def test_methods_are_tried_in_this_order(task, expected):
         (Outcome("named", 1.25, 0.009, inaccuracy=OFF), SMALL, False),
         (Outcome("named", 1.4, 0.0, inaccuracy=OFF, joint=True), SMALL, True),  # its law leaves its higher harmonics
         (SURE, SMALL, False),
+        (replace(SURE, group=True), SMALL, True),  # which lines know nothing of
+        (replace(SURE, group=True, held_out=1.3), SMALL, False),
+        (Outcome("unknown", 1.05, 0.3, inaccuracy=EXACT, group=True), SMALL, False),
         (SURE, replace(SMALL, places=121.0), True),
         (replace(SURE, probability=0.99), replace(SMALL, places=121.0), False),
         (replace(SURE, alternatives=1), replace(SMALL, places=121.0), False),

@@ -20,6 +20,7 @@ from modalax.diagnose.causes.couplings import COUPLINGS
 from modalax.diagnose.causes.damping import DAMPING
 from modalax.diagnose.causes.drift import DRIFTS, DriftingSpring, TimeVaryingSteps
 from modalax.diagnose.causes.forces import FORCES
+from modalax.diagnose.causes.groups import GROUPS
 from modalax.diagnose.causes.joints import JOINTS
 from modalax.diagnose.causes.local import LOCAL
 from modalax.diagnose.causes.mains_hum import MainsHum
@@ -33,8 +34,8 @@ from modalax.diagnose.causes.viscoelastic import VISCOELASTIC
 
 MOST_RUNS = 12  # runs of a test whose changes from run to run a saved file can hold, less one
 EVERY: tuple[Cause, ...] = (
-    *LOCAL, *VISCOELASTIC, *COUPLINGS, *DAMPING, *RECORDS, *DRIFTS, *CHANNELS, *SENSORS, *FORCES, *MISSING_MODES,
-    MainsHum(), *JOINTS, *POWER_LAWS, DriftingSpring(),
+    *LOCAL, *GROUPS, *VISCOELASTIC, *COUPLINGS, *DAMPING, *RECORDS, *DRIFTS, *CHANNELS, *SENSORS, *FORCES,
+    *MISSING_MODES, MainsHum(), *JOINTS, *POWER_LAWS, DriftingSpring(),
 )  # fmt: skip
 
 

@@ -174,6 +174,8 @@ def usual_size(
         "added_mass": limits.beyond * inaccuracy["mass"] * whole,
         "local_damper": limits.beyond * inaccuracy.get("damping", 0.0) * whole,
         "modal_damping": limits.beyond * inaccuracy.get("damping", 0.0),
+        "element_group": limits.beyond * inaccuracy["stiffness"] * whole,
+        "element_group_mass": limits.beyond * inaccuracy["mass"] * whole,
         "channel_gain": limits.calibration,
         "force_gain": limits.calibration,
         "time_delay": limits.angle / (2 * math.pi * highest),

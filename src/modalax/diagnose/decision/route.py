@@ -32,6 +32,8 @@ class Task:
         Whether the author claims an inaccuracy of elements (stiffness or mass), or of modes (frequency or damping).
     whole_catalogue
         Whether every cause of the catalogue is looked for.
+    groups
+        Whether parameters of groups of elements are looked for, which only the modal domain knows.
     """
 
     has_modes: bool
@@ -40,6 +42,7 @@ class Task:
     elements_off: bool = False
     modes_off: bool = False
     whole_catalogue: bool = True
+    groups: bool = False
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,8 @@ class Outcome:
         Number of places, or sets of channels, at which the causes in the answer are.
     joint
         Whether the force levels differ by a joint, whose law in the modal domain is inexact by its higher harmonics.
+    group
+        Whether a parameter of a group of elements is among the causes.
     """
 
     verdict: str
@@ -74,13 +79,14 @@ class Outcome:
     inaccuracy: Mapping[str, Mapping[str, Any]] | None = None
     places: int = 0
     joint: bool = False
+    group: bool = False
 
 
 def order(task: Task, limits: Thresholds = THRESHOLDS) -> tuple[Route, ...]:
     """Methods in the order in which they are tried."""
     if not task.has_modes:
         return ("lines",)
-    if needs_modes(task, limits):
+    if needs_modes(task, limits) or task.groups:
         return "modes", "lines"
     if not task.whole_catalogue:  # what a part of the catalogue leaves must not be taken for inaccuracy
         return ("lines",)
@@ -100,6 +106,8 @@ def suffices(route: Route, found: Outcome, task: Task, limits: Thresholds = THRE
     if needs_modes(task, limits):
         hopeful = found.verdict == "unknown" and may_be_exact(found) and task.places <= limits.places_in_time
         return task.elements_off or not hopeful
+    if found.group and found.verdict != "unknown" and nothing_left(found, limits):
+        return True
     return off_everywhere(found, limits) or decisive(found, task, limits)
 
 

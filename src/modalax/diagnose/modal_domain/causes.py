@@ -9,7 +9,10 @@ import numpy as np
 from modalax.diagnose.causes import Cause
 from modalax.diagnose.causes.channels import CommonDelay
 
-KIND_OF = {"added_mass": "M", "joint_stiffness": "K", "local_damper": "C", "modal_damping": "C"}
+KIND_OF = {
+    "added_mass": "M", "joint_stiffness": "K", "local_damper": "C", "modal_damping": "C", "element_group": "K",
+    "element_group_mass": "M",
+}  # fmt: skip
 LONGEST = 50.0  # decays of a mode in one delay, beyond which a delay is none
 ALL = 2  # axis of a fault of all channels
 UNSIZED = ("channel_sign", "channel_swap", "units")

@@ -10,6 +10,7 @@ from modalax.diagnose.modal_domain.causes import ALL, Change
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.elements import Nodes, nodes_of, parts_of
 from modalax.diagnose.modal_domain.given_elements import softened_elements
+from modalax.diagnose.modal_domain.groups import group_factors
 from modalax.model import Structure
 
 COUPLED = 1e-6  # size of an element of K, relative to the diagonal, from which two DoFs are coupled
@@ -57,7 +58,7 @@ def candidates_of(
         damping = float((own / np.maximum(mobile, 1e-300)).min())  # that doubles the damping of one mode
         usual = float(own.mean() / mobile.mean())
         out.append(Change("local_damper", where, usual, b, reference=damping, weight=weight))
-    out += _elements(simulation, c, nodes)
+    out += _elements(simulation, c, nodes) + group_factors(simulation, c)
     out += [Change("channel_gain", (n,), GAIN, channel=(0, k)) for k, n in enumerate(outputs)]
     out += [Change("channel_sign", (n,), channel=(0, k)) for k, n in enumerate(outputs)]
     out += [Change("force_gain", (n,), GAIN, channel=(1, k)) for k, n in enumerate(inputs)]

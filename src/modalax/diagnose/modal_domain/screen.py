@@ -103,13 +103,15 @@ def refined(setting: Setting, causes: list[Change], sizes: list[float]) -> list[
 
 
 def _changed(setting: Setting, cause: Change, sizes: np.ndarray) -> list[tuple[float, np.ndarray, np.ndarray]]:
-    """Size, poles and residues of the simulation with each size of a change of rank one."""
+    """Size, poles and residues of the simulation with each size of a change of one matrix."""
     c = setting.coordinates
     m, count = c.solved, c.size
     change = cause.matrix
     size = float(np.trace(change))
+    whole = cause.kind == "M" and cause.pattern is not None
+    b, V = np.linalg.eigh(change) if whole else (np.array([size]), np.eye(1))
     if cause.kind == "M":
-        sizes = sizes[sizes * size > -0.95]
+        sizes = sizes[sizes * b.max() > -0.95]
     if cause.kind == "C":
         w = np.broadcast_to(c.frequencies[:m], (len(sizes), m))
         Q = np.broadcast_to(np.eye(count)[:, :m], (len(sizes), count, m))
@@ -118,8 +120,11 @@ def _changed(setting: Setting, cause: Change, sizes: np.ndarray) -> list[tuple[f
         if cause.kind == "K":
             values, Q = np.linalg.eigh(A + sizes[:, None, None] * change)
         else:
-            # of rank one: (I + u B)^{-1/2} = I + g B, 1 + g t = (1 + u t)^{-1/2}, t the trace of B
-            half = np.eye(count) + ((1 / np.sqrt(1 + sizes * size) - 1) / size)[:, None, None] * change
+            # (I + u B)^{-1/2}; of rank one it is I + g B, 1 + g t = (1 + u t)^{-1/2}, t the trace of B
+            if whole:
+                half = V / np.sqrt(1 + sizes[:, None, None] * b) @ V.T
+            else:
+                half = np.eye(count) + ((1 / np.sqrt(1 + sizes * size) - 1) / size)[:, None, None] * change
             values, Q = np.linalg.eigh(half @ A @ half)
             Q = half @ Q
         w, Q = np.sqrt(np.maximum(values[:, :m], 0.0)), Q[:, :, :m]

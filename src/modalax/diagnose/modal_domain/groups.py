@@ -1,0 +1,50 @@
+"""Groups of elements that share a wrong parameter, as causes in the modal domain."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from modalax.diagnose.causes.groups import ElementGroup, ElementGroupMass
+from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.coordinates import Coordinates
+from modalax.model import Structure
+from modalax.model.elements import factor_of
+
+USUAL = 0.3  # usual relative error of a parameter that is wrong
+
+
+@dataclass(frozen=True)
+class GroupFactor(Change):
+    """A parameter of a group, wrong by a factor: the simulation's value times it is right."""
+
+    def told(self, u: np.ndarray, covariance: np.ndarray) -> dict[str, dict[str, Any]]:
+        """The factor."""
+        cause = ElementGroup() if self.kind == "K" else ElementGroupMass()
+        std = float(np.sqrt(max(covariance[0, 0], 0.0))) * self.scale
+        return {cause.parameters[0].name: {"value": 1 + self.size(u), "std": std, "unit": "-"}}
+
+
+def group_factors(simulation: Structure, c: Coordinates) -> list[Change]:
+    """Stiffness and mass of each group that the simulation names."""
+    if simulation.groups is None:
+        return []
+    g, reduced = simulation.groups, simulation.elements is not None and bool(simulation.elements.dofs)
+    found: list[Change] = []
+    for slug, every in ((ElementGroup.slug, g.stiffness), (ElementGroupMass.slug, g.mass)):
+        for name, own in zip(g.names, np.asarray(every), strict=True):
+            if not own.any():
+                continue
+            A = own if len(own) == len(c.names) else _among(own, simulation.dofs, c.names)
+            pattern = c.everywhere.T @ A @ c.everywhere
+            factor = factor_of(A, len(A)) if reduced else None
+            found.append(GroupFactor(slug, (name,), USUAL, pattern=(pattern + pattern.T) / 2, factor=factor))
+    return found
+
+
+def _among(A: np.ndarray, dofs: tuple[str, ...], names: tuple[str, ...]) -> np.ndarray:
+    """A matrix over some DoFs, over all of ``names``."""
+    at = [names.index(name) for name in dofs]
+    out = np.zeros((len(names), len(names)))
+    out[np.ix_(at, at)] = A
+    return out
