@@ -14,6 +14,7 @@ from modalax import Structure
 from modalax.cli import main
 from modalax.files.finite_elements import import_finite_elements
 from modalax.files.nastran import number, read_grids
+from modalax.files.nastran_groups import read_groups
 from modalax.model.condense import condense, follow, lowest_modes
 
 STEEL = 2.0e4  # spring of the chain [N/m]
@@ -293,3 +294,26 @@ def test_a_flying_wing_parts_into_its_elements(measured):
     square = scipy.linalg.eigh(np.asarray(structure.K), np.asarray(structure.M), eigvals_only=True)
     assert np.abs(square[:6]).max() < 1e-3
     np.testing.assert_allclose(square[6:20], printed[6:20], rtol=5e-5)
+
+
+def test_elements_of_one_property_and_one_material_make_groups(tmp_path):
+    """A chain of rods in a row along z: two properties of one material, the third of another, and one of two rods."""
+    n, rods = 7, {(1, 2): 10, (2, 3): 10, (3, 4): 11, (4, 5): 11, (5, 6): 12, (6, 7): 12}
+    stiffness = {10: 2e4, 11: 3e4, 12: 5e4}
+    K = np.zeros((n, n))
+    for (a, b), p in rods.items():
+        K[np.ix_([a - 1, b - 1], [a - 1, b - 1])] += stiffness[p] * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    path, deck = tmp_path / "rods.pch", tmp_path / "rods.bdf"
+    path.write_text(dmig("KAAX", K) + dmig("MAAX", np.eye(n)))
+    grids = [f"GRID,{k + 1},,0.,0.,{k}." for k in range(n)]
+    bars = [f"CROD,{k + 1},{p},{a},{b}" for k, ((a, b), p) in enumerate(rods.items())]
+    bars += ["CBUSH,90,40,6,7"]  # beside a rod: their sum alone is known, and it is but one element
+    more = ["PROD,10,1,1.", "PROD,11,1,1.", "PROD,12,2,1.", "PBUSH,40,K,1.", "MAT1,1,1.,,.3", "MAT1,2,1.,,.3"]
+    deck.write_text("\n".join(["BEGIN BULK", *grids, *bars, *more, "ENDDATA"]) + "\n")
+    assert list(read_groups(deck)) == ["PROD 10", "PROD 11", "PROD 12", "PROD 12 + PBUSH 40", "MAT1 1", "MAT1 2"]
+    found = import_finite_elements(path, grids=deck, damping_ratio=0.01)
+    groups = found.simulation.groups
+    assert groups.names == ("PROD 10", "PROD 11", "MAT1 1") and "PROD 11, MAT1 1" in found.notes[-1]
+    diagonal = 1e4 * np.array([[2, 4, 2, 0, 0, 0, 0], [0, 0, 3, 6, 3, 0, 0], [2, 4, 5, 6, 3, 0, 0]])
+    assert np.abs(np.diagonal(groups.stiffness, axis1=1, axis2=2) - diagonal).max() < 1e-3
+    assert not np.asarray(groups.mass).any()

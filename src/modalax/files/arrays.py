@@ -71,7 +71,7 @@ def to_arrays(what: Any) -> dict[str, np.ndarray]:
     if isinstance(what, Structure) and what.groups is not None:
         g = what.groups
         parts = np.array(g.names, dtype=str), np.asarray(g.stiffness), np.asarray(g.mass)
-        arrays |= dict(zip(GROUPS, parts, strict=True))
+        arrays |= {name: part for name, part in zip(GROUPS, parts, strict=True) if part.dtype.kind == "U" or part.any()}
     shape = {"pairs": (-1, 2)}
     return arrays | {k: np.array(getattr(what, k), dtype=str).reshape(shape.get(k, -1)) for k in labels}
 

@@ -18,10 +18,12 @@ from modalax.files.matrices import Matrix
 from modalax.files.matrix_files import kind_of, matrices_of
 from modalax.files.messages import about
 from modalax.files.nastran import Grid, read_grids, read_lines, read_punched_modes
+from modalax.files.nastran_groups import Pair, groups_of, read_groups
 from modalax.model.assembly import modal_damping
 from modalax.model.component_modes import reduce_to_points
 from modalax.model.condense import Condensed, condense, node_pairs, rigid_motions
 from modalax.model.elements import MOST_VALUES, Element, Elements, elements_of, factor_of
+from modalax.model.groups import Groups
 from modalax.model.modal import ModalModel
 from modalax.model.structure import Structure
 
@@ -33,6 +35,7 @@ UNITS = {
 }  # fmt: skip
 DENSE = 3000  # DoFs up to which matrices are condensed as they are
 DOUBLE = 15  # significant digits of a number in double precision
+OF_GROUPS = 6_000_000  # numbers that the shares of all groups of elements may hold
 FEW = 300  # DoFs from which a model is reduced to those named, where some are named and it does not part into elements
 RIGID = 1e-4  # part of the first elastic eigenvalue below which a mode of a file counts as rigid
 
@@ -133,6 +136,7 @@ class _Import:
     ):  # fmt: skip
         self.dofs = tuple(sorted({*K.dofs, *M.dofs}))
         self.digits, self.deck, self.notes = K.digits, deck, notes
+        self.named: dict[str, set[Pair]] = {}
         length, force = scale
         self.length = length
         self.rotation = np.array([component > 3 for _, component in self.dofs])
@@ -173,7 +177,7 @@ class _Import:
         self.notes.append(f"units {units}: total mass {told}" if told else f"units {units}")
         geometry = None
         if self.deck is not None and grids is not None:
-            geometry = self._geometry(read_lines(grids))
+            geometry, self.named = self._geometry(read_lines(grids)), read_groups(grids)
             self.notes.append(self._rigid_check())
         if self.C is None:
             zeta = 0.0 if damping_ratio is None else damping_ratio
@@ -204,7 +208,8 @@ class _Import:
         pairs = [(self.names[a], self.names[b]) for a, b in joined] or None  # none: anywhere
         C = np.zeros_like(small.K) if self.C is None else small.motion.T @ (self.C @ small.motion)
         elements = None if parts is None else self._kept_elements(parts, small)
-        structure = Structure(small.M, C, small.K, names, pairs=pairs, elements=elements)
+        groups = None if parts is None else self._groups(parts, small, elements is not None)
+        structure = Structure(small.M, C, small.K, names, pairs=pairs, elements=elements, groups=groups)
         if self.C is None and damping_ratio:
             structure = modal_damping(structure, damping_ratio)
         return structure
@@ -263,6 +268,16 @@ class _Import:
         for out, d in zip(mass, lumped, strict=True):
             out[d] = factor_of(M[np.ix_(d, d)])
         return Elements(stiffness, mass, [self._place(p, kept) for p in parts], self.names)
+
+    def _groups(self, parts: Sequence[Element], small: Condensed, whole: bool) -> Groups | None:
+        """Stiffness of each property and material of the deck, over the ``whole`` model or the DoFs that are kept."""
+        if len(self.named) * len(self.dofs) ** 2 > OF_GROUPS:
+            return None
+        T = np.eye(len(self.dofs)) if whole else np.asarray(small.motion)
+        found = {name: T.T @ A @ T for name, A in groups_of(self.named, parts, len(self.dofs)).items()}
+        if found:
+            self.notes.append(f"groups of elements by property and material: {', '.join(found)}")
+        return Groups(list(found), np.array(list(found.values()))) if found else None
 
     def _place(self, part: Element, kept: np.ndarray) -> tuple[str, str]:
         """The two DoFs that an element couples most, of one direction and kept if it can be."""

@@ -13,10 +13,12 @@ from modalax.diagnose.modal_domain.given_elements import (
     softened_elements,
     stiffness_patterns,
 )
+from modalax.diagnose.modal_domain.groups import group_factors
 from modalax.diagnose.modal_domain.places import candidates_of
 from modalax.model import Structure
 from modalax.model.condense import follow
 from modalax.model.elements import Elements, factor_of
+from modalax.model.groups import Groups
 
 COUNT = 40  # elements of a free beam
 SIZE = 2 * (COUNT + 1)
@@ -129,3 +131,27 @@ def test_a_mass_may_sit_at_a_node_that_is_not_kept():
     dK, dM = changed_by_elements(structure, {"stiffness": np.zeros(2), "mass": np.zeros(3)}, [(lump, 0.5)])
     np.testing.assert_allclose(dK, 0.0, atol=1e-6)
     np.testing.assert_allclose(np.trace(dM), 2 * 0.5 * lump.scale, rtol=1e-6)  # as it moves with node 2
+
+
+def test_a_group_of_elements_of_a_condensed_model_is_softer_exactly(condensed):
+    at = np.arange(COUNT) < 7
+    share = np.einsum("enr,emr->nm", *2 * [np.asarray(condensed.elements.stiffness)[at]])
+    # told over the DoFs that are kept it is exact to first order, as what follows them follows by other ratios
+    for own, off, error in ((share, 0.3, 1e-9), (_seen(condensed, share), 0.03, 3e-4)):
+        K, _ = free_beam(np.where(at, 1 - off, 1.0), np.ones(COUNT))
+        T = follow(K, np.arange(SIZE) % 2 == 0)
+        known = condensed.replace(groups=Groups(["half"], own[None]))
+        c = coordinates_of(known, ("3:+Z", "20:+Z"), ("3:+Z",), TOP)
+        (cause,) = group_factors(known, c)
+        still = {"stiffness": np.zeros(COUNT), "mass": np.zeros(COUNT + 1)}
+        dK, _ = changed_by_elements(known, still, [(cause, -off / cause.scale)])
+        apart = np.abs(np.asarray(known.K) + dK - T.T @ K @ T).max() / np.abs(np.asarray(known.K)).max()
+        assert apart < error
+
+
+def _seen(structure, share):
+    """A share of the stiffness as the DoFs that are kept see it."""
+    told = structure.elements
+    K = np.einsum("enr,emr->nm", *2 * [np.asarray(told.stiffness)])
+    T = follow(K, np.isin(told.dofs, structure.dofs))
+    return T.T @ share @ T

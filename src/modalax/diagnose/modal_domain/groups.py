@@ -37,9 +37,17 @@ def group_factors(simulation: Structure, c: Coordinates) -> list[Change]:
                 continue
             A = own if len(own) == len(c.names) else _among(own, simulation.dofs, c.names)
             pattern = c.everywhere.T @ A @ c.everywhere
-            factor = factor_of(A, len(A)) if reduced else None
+            factor = _factor(A) if reduced else None
             found.append(GroupFactor(slug, (name,), USUAL, pattern=(pattern + pattern.T) / 2, factor=factor))
     return found
+
+
+def _factor(A: np.ndarray) -> np.ndarray:
+    """F with ``F F'`` a matrix that is not negative and zero at most DoFs."""
+    at = np.flatnonzero(A.any(axis=0))
+    out = np.zeros((len(A), len(at)))
+    out[at] = factor_of(A[np.ix_(at, at)], len(at))
+    return out
 
 
 def _among(A: np.ndarray, dofs: tuple[str, ...], names: tuple[str, ...]) -> np.ndarray:

@@ -26,6 +26,7 @@ from modalax.diagnose.modal_domain.state import (
 SIZES = (0.015, 0.04, 0.1, 0.25, 0.5, 0.9, 2.0)  # sizes of a change that are tried, over its usual size, of either sign
 FACTORS = np.array([0.4, 0.6, 0.8, 1.0, 1.25, 1.6, 2.2])  # multiples of a size that are tried to refine it
 STILL = 1e-4  # least frequency of a mode, relative to the highest; a rigid body has none
+UNUSABLE = 1e200  # distance that counts for a size that leaves no structure
 TOLERANT = 3.0  # times the usual inaccuracy that finite changes are screened with
 
 
@@ -84,7 +85,7 @@ def refined(setting: Setting, causes: list[Change], sizes: list[float]) -> list[
         try:
             r = state_at(setting, still, (cause,), np.array([u])).difference
         except np.linalg.LinAlgError:
-            return np.inf
+            return UNUSABLE
         h = shrink @ r
         return float(r @ r - h @ h) + u**2
 
@@ -97,7 +98,7 @@ def refined(setting: Setting, causes: list[Change], sizes: list[float]) -> list[
             found = scipy.optimize.minimize_scalar(
                 left, args=(cause,), bounds=sorted((low, high)), method="bounded", options={"maxiter": 12}
             )
-            u = float(found.x) if np.isfinite(found.fun) else u
+            u = float(found.x) if found.fun < UNUSABLE else u
         out.append(u)
     return out
 
