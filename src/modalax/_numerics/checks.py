@@ -49,7 +49,7 @@ def as_double(value: Any, what: str, complex_: bool = False) -> jax.Array:
 
 def as_array(value: Any) -> jax.Array:
     """Return ``value`` as an array of JAX; one of NumPy as it is, for which ``jnp.asarray`` may compile a program."""
-    return jax.device_put(value) if isinstance(value, np.ndarray) else jnp.asarray(value)
+    return jax.device_put(value) if isinstance(value, np.ndarray | np.generic) else jnp.asarray(value)
 
 
 def require_finite(value: Any, what: str) -> None:

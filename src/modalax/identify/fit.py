@@ -195,7 +195,7 @@ def summed_up(
         predicted_damping_bias=_bias(frf, weighted, model, table, order, turned),
         mpc=collinearity,
         stability_score=as_array(score),
-        energy=_energies(model, frf) / total,
+        energy=as_array(np.asarray(_energies(model, frf)) / total),
         unexplained=as_array(unexplained),
         noise=as_array(noise),
         frequency_scatter_hz=as_array(scatter[0]),

@@ -158,7 +158,7 @@ def around(
     first, last = np.searchsorted(freq, [centre.min() - reach, centre.max() + reach])
     first, last = max(0, min(first, len(freq) - 2 * LINES)), min(len(freq), max(last, 2 * LINES))
     lines = slice(first, last, max(1, (last - first) // MOST))
-    s = np.asarray(frf.added_decay + 1j * frf.omega)
+    s = np.asarray(frf.added_decay) + 2j * np.pi * freq
     rest = residual[first:last].reshape(last - first, -1)
     noise, course = channel_noise(frf, residual, slice(first, last), smooth, scatter)
     power = DERIVATIVES[frf.form]

@@ -154,10 +154,11 @@ def scatter_over_orders(table: PoleTable, poles: np.ndarray) -> tuple[Float[np.n
     physical = np.asarray(table.physical(max_damping=0.5))
     late = range(int(LATE * len(table.orders)), len(table.orders))
     f_scatter, z_scatter = np.full(len(poles), np.nan), np.full(len(poles), np.nan)
+    found = np.asarray(table.poles)
     for r, pole in enumerate(poles):
         seen = []
         for row in late:
-            own = np.asarray(table.poles[row])[physical[row]]
+            own = found[row][physical[row]]
             near = own[np.abs(own - pole) < REACH * abs(pole)]
             if len(near):
                 seen.append(near[np.argmin(np.abs(near - pole))])

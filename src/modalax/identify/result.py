@@ -106,7 +106,7 @@ class Fit(eqx.Module):
             "modes": modes,
             "unexplained": float(self.unexplained),
             "unexplained_noise": float(self.noise),
-            "unexplained_misfit": float(self.unexplained - self.noise),
+            "unexplained_misfit": float(self.unexplained) - float(self.noise),
             "notes": list(self.notes),
             "band_hz": [float(self.frf.freq[0]), float(self.frf.freq[-1])],
             "form": self.frf.form,
@@ -118,26 +118,27 @@ class Fit(eqx.Module):
             "reason": None if refined is None else refined.reason,
             "noise_scale": None if refined is None else float(refined.noise_scale),
             "whiteness_p": None if refined is None else float(refined.whiteness),
-            "modes_outside_band_hz": [float(f) for f in self.model.frequency_hz[~np.asarray(self.inside)]],
+            "modes_outside_band_hz": np.asarray(self.model.frequency_hz)[~np.asarray(self.inside)].tolist(),
         }
 
     def _mode(self, r: int) -> dict[str, Any]:
         model, refined = self.model, self.refined
         drive = model.drive_points()
-        pick = lambda a: None if a is None or not np.isfinite(a[r]) else float(a[r])
+        at = lambda a: np.asarray(a)[r]
+        pick = lambda a: None if a is None or not np.isfinite(at(a)) else float(at(a))
         mass = np.asarray(model.modal_mass()) if drive else None
         a = np.asarray(model.modal_a()) if drive else None
         pair = lambda z: [float(z.real), float(z.imag)]
         return {
-            "frequency_hz": float(model.frequency_hz[r]),
+            "frequency_hz": float(at(model.frequency_hz)),
             "frequency_std_hz": None if refined is None else pick(refined.frequency_std_hz),
-            "damping_ratio": float(model.damping_ratio[r]),
+            "damping_ratio": float(at(model.damping_ratio)),
             "damping_ratio_std": None if refined is None else pick(refined.damping_std),
             "predicted_damping_bias": pick(self.predicted_damping_bias),
-            "shape": [pair(z) for z in np.asarray(model.shapes[r])],
-            "shape_std": None if refined is None else [pair(z) for z in np.asarray(refined.shape_std[r])],
-            "participation": [pair(z) for z in np.asarray(model.participation[r])],
-            "mpc": float(self.mpc[r]),
+            "shape": [pair(z) for z in at(model.shapes)],
+            "shape_std": None if refined is None else [pair(z) for z in at(refined.shape_std)],
+            "participation": [pair(z) for z in at(model.participation)],
+            "mpc": float(at(self.mpc)),
             "modal_mass_kg": None if mass is None else pair(mass[r]),
             "modal_mass_std_kg": None if refined is None else pick(refined.modal_mass_std),
             "modal_a": None if a is None else pair(a[r]),

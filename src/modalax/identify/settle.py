@@ -10,6 +10,7 @@ import scipy.special
 from jaxtyping import Bool, Float
 
 from modalax._numerics.checks import as_array
+from modalax._numerics.cuts import cut
 from modalax.data.frf import FRF
 from modalax.identify.close_modes import NEAR, Record, record_of, two_modes
 from modalax.identify.disagreement import CERTAIN
@@ -119,7 +120,8 @@ def settle_diagram(
         if not bad.any():
             break
         asked = _beside(frf, model, bad)[~bad]
-        model, gains, by_chance = residues_on_host(frf, model.poles[~bad], **options), gains[~bad], by_chance[~bad]
+        model = residues_on_host(frf, cut(model.poles, ~bad), **options)
+        gains, by_chance = gains[~bad], by_chance[~bad]
         again = {round(f, 6) for f in np.asarray(model.frequency_hz)[asked].tolist()}
         apart -= {pair for pair in apart if again & set(pair)}
     return model

@@ -6,6 +6,7 @@ and a pole follows from a root by :math:`\lambda = j\omega_c - \ln(u)/T`.
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -28,11 +29,16 @@ class Zoom(eqx.Module):
 
     def circle(self, omega: Float[Array, " f"]) -> Complex[Array, " f"]:
         r""":math:`u = e^{-j(\omega-\omega_c)T}` of each line."""
-        return jnp.exp(-1j * (omega - self.centre) * self.step)
+        return _circle(omega, self.centre, self.step)
 
     def poles(self, roots: Complex[Array, "..."]) -> Complex[Array, "..."]:
         r"""Poles :math:`\lambda = j\omega_c - \ln(u)/T` [rad/s] of roots :math:`u`."""
         return 1j * self.centre - jnp.log(roots) / self.step
+
+
+@jax.jit
+def _circle(omega: Float[Array, " f"], centre: Array, step: Array) -> Complex[Array, " f"]:
+    return jnp.exp(-1j * (omega - centre) * step)
 
 
 def zoom(omega: Float[Array, " f"], arc: float, real: bool) -> Zoom:

@@ -201,7 +201,8 @@ class ModalModel(eqx.Module):
         if drive_point is not None and drive_point not in known:
             raise ValueError(f"{drive_point!r} is not a drive point; there are {', '.join(known)}")
         name = known[0] if drive_point is None else drive_point
-        return self.shapes[:, self.outputs.index(name)] / self.participation[:, self.inputs.index(name)]
+        out, into = self.outputs.index(name), self.inputs.index(name)
+        return cut(self.shapes, (slice(None), out)) / cut(self.participation, (slice(None), into))
 
     def modal_mass(self, drive_point: str | None = None) -> Complex[Array, " n"]:
         r"""Modal mass :math:`m_r = a_r/(2j\omega_{d,r})` for the shapes as scaled [kg]; complex for complex modes."""
