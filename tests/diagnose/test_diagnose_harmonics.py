@@ -55,7 +55,7 @@ def hypothesis(comparison: Comparison, cause, p) -> tuple[Hypothesis, Hypothesis
     ("cause", "p", "joint"),
     [
         (ElastoSlip(False), [3000.0, 5e-4], joints.ElastoSlip(3000.0, 1.5)),
-        (BilinearStiffness(), [3000.0, 0.6], joints.BilinearSpring(4800.0, 1200.0)),
+        pytest.param(BilinearStiffness(), [3000.0, 0.6], joints.BilinearSpring(4800.0, 1200.0), marks=pytest.mark.slow),
     ],
     ids=["slip", "bilinear"],
 )

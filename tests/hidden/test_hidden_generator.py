@@ -280,7 +280,10 @@ LAWS = {
 }
 
 
-@pytest.mark.parametrize("name", LAWS)
+ALIKE = ("jenkins for a spring", "jenkins to ground")  # to the law that stands for them
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow if n in ALIKE else ()) for n in LAWS])
 def test_marched_joint_is_that_of_a_fine_integration(chain, name):
     law, b = LAWS[name]
     freq = lines(chain)

@@ -11,7 +11,9 @@ from modalax.diagnose.modal_domain.diagnosis import diagnose_modes  # noqa: E402
 from modalax.files import load  # noqa: E402
 
 
-@pytest.mark.parametrize(("law", "seed"), [("cubic_stiffness", 3), ("elasto_slip", 3)])
+@pytest.mark.parametrize(
+    ("law", "seed"), [pytest.param("cubic_stiffness", 3, marks=pytest.mark.slow), ("elasto_slip", 3)]
+)
 def test_a_joint_is_placed_and_its_law_named_where_every_element_is_off(law, seed, tmp_path):
     case = draw_case(
         seed, law, kind="shaft", spread=0.02, claim="none", variance="exact", noise=0.01, lines=2.0, widen=1.0

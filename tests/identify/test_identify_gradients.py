@@ -28,14 +28,6 @@ FRF = MODEL.frf(np.linspace(24, 44, 81), inputs=["a", "b"]).add_noise(jax.random
 START = residues(FRF, MODEL.poles)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _compiled_quickly():
-    """These tests are nearly all compilation, which takes a third less without the compiler's expensive passes."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
-
-
 def of_table(table):
     """Logarithm of the frequency, and damping ratio, of the pole nearest the first mode."""
     away = jnp.where(table.valid[0], jnp.abs(table.poles[0] - MODEL.poles[0]), jnp.inf)

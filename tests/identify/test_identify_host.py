@@ -31,14 +31,6 @@ KINDS = {
 }
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _compiled_quickly():
-    """These tests are nearly all compilation, which takes a third less without the compiler's expensive passes."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
-
-
 @pytest.mark.parametrize("real_modes", [False, True])
 @pytest.mark.parametrize(
     "name",

@@ -1,6 +1,5 @@
 """Variable projection on the host, against plain least squares of all columns and against the refinement in JAX."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -181,11 +180,9 @@ def test_largest_likelihood_and_joint_covariance(kind):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["own", "shared"])
 def test_as_the_refinement_in_jax(kind):
-    jax.config.update("jax_disable_most_optimizations", True)
     frf = FRF(S.imag / (2 * np.pi), EXACT + NOISE)
     sigma = np.sqrt(2) / WEIGHTS[kind]
     refined = refine(frf, residues(frf, POLES, jnp.asarray(PART)), weights=jnp.asarray(sigma), scale_errors="never")
-    jax.config.update("jax_disable_most_optimizations", False)
     projection = Projection(S, EXACT + NOISE, WEIGHTS[kind], terms=residual_terms(S, 0, "complex"))
     at = climb(projection, START, PIVOT, FREE, tol=1e-10)
     np.testing.assert_allclose(unpack(at.theta, PIVOT, False).poles, refined.model.poles, rtol=1e-9)

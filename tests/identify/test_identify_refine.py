@@ -10,14 +10,6 @@ from modalax.model.modal import poles_from
 FREQ = np.arange(200, 701) * 0.1
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _compiled_quickly():
-    """These tests are nearly all compilation, which takes a third less without the compiler's expensive passes."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
-
-
 def test_the_cramer_rao_bound_is_the_inverse_of_fishers_information():
     """Against the derivatives of pole-residue sums, two close modes at three outputs, uneven noise."""
     model = ModalModel.from_real_modes(

@@ -137,14 +137,15 @@ def _completed(basis: Basis, poles: np.ndarray, X: np.ndarray) -> np.ndarray:
         tried += [1j * np.linspace(edge, reach, 12)[1:-1] - share * edge for share in (0.003, 0.02)]
     tried = np.concatenate(tried)
     level = misfit_of(basis, poles, X)
+    columns = basis.design(tried)[:, : 2 * len(tried)]
+    columns /= np.linalg.norm(columns, axis=0) + 1e-300
+    Y = lift(X)
     for _ in range(MOST_MORE):
-        Y = lift(X)
         U = least_squares(basis.design(poles), Y)[1]
         left = Y - U @ (U.T @ Y)
-        columns = basis.design(tried)[:, : 2 * len(tried)]
-        columns = columns - U @ (U.T @ columns)
-        size = np.linalg.norm(columns, axis=0) + 1e-300
-        gain = np.sum((columns.T @ left / size[:, None]) ** 2, axis=1)
+        # What is left is orthogonal to U: of a column only the size is needed of what U does not hold of it.
+        beyond = np.maximum(1.0 - np.sum((U.T @ columns) ** 2, axis=0), np.finfo(float).eps)
+        gain = np.sum((columns.T @ left) ** 2, axis=1) / beyond
         gain = gain[: len(tried)] + gain[len(tried) :]
         # What lies within a mode that is there already is an error of its form, not another mode.
         if len(poles):
