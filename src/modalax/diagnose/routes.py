@@ -9,6 +9,7 @@ from modalax.diagnose.causes import Cause
 from modalax.diagnose.causes.groups import GROUPS, GroupCause
 from modalax.diagnose.decision.route import Outcome, Task
 from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis
+from modalax.diagnose.modal_domain.stage import KNOWN
 from modalax.diagnose.result import Diagnosis
 from modalax.model import Structure
 
@@ -28,6 +29,7 @@ def task_of(measurement: Measurement, simulation: object, question: str, causes:
         bool(np.any(np.asarray(simulation.frequency_std)) or np.any(np.asarray(simulation.damping_std))),
         causes is None,
         simulation.groups is not None and (causes is None or any(isinstance(c, GroupCause) for c in causes)),
+        causes is None or all(c.slug in KNOWN or isinstance(c, GroupCause) for c in causes),
     )  # fmt: skip
 
 

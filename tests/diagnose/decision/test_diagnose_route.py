@@ -2,9 +2,14 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from modalax.data import Measurement
+from modalax.diagnose.causes import catalogue
 from modalax.diagnose.decision.route import Outcome, Task, choice, order, settled, suffices
+from modalax.diagnose.routes import task_of
+from modalax.model import Structure
 
 SMALL = Task(has_modes=True, places=15.0, samples=2000)
 LARGE = replace(SMALL, places=301.0)
@@ -25,6 +30,7 @@ SURE = Outcome("named", 1.05, 0.3, 0.9995, 0, EXACT)
         (replace(LARGE, whole_catalogue=False), ("modes", "lines")),
         (replace(SMALL, samples=400_000, modes_off=True), ("modes", "lines")),  # 15 places times 400,000
         (replace(SMALL, whole_catalogue=False, modes_off=True, groups=True), ("modes", "lines")),
+        (replace(LARGE, whole_catalogue=False, known_to_modes=False), ("lines",)),
     ],
     ids=[
         "no matrices",
@@ -35,6 +41,7 @@ SURE = Outcome("named", 1.05, 0.3, 0.9995, 0, EXACT)
         "many places",
         "many samples",
         "groups",
+        "some that modes do not know",
     ],
 )
 def test_methods_are_tried_in_this_order(task, expected):
@@ -108,3 +115,17 @@ def test_the_only_answer_is_given():
 )
 def test_a_search_at_one_place_settles_the_matter_where_it_leaves_nothing(found, expected):
     assert settled(found) is expected
+
+
+def test_causes_that_modes_do_not_know_are_looked_for_line_by_line():
+    """Of a large model the modal domain would call clean what it has not looked for."""
+    dofs = tuple(f"m{k}" for k in range(30))
+    structure = Structure(np.eye(30), 0.1 * np.eye(30), 100 * np.eye(30), dofs)
+    data = Measurement(np.linspace(1.0, 2.0, 5), np.ones((1, 5, 2, 1), complex), form="receptance", outputs=dofs[:2],
+                       inputs=dofs[:1])  # fmt: skip
+    for slugs, expected in (("sensor_clipping",), ("lines",)), (("mains_hum", "added_mass"), ("lines",)), (
+        ("added_mass", "gap"), ("modes", "lines")
+    ):  # fmt: skip
+        asked = [c for c in catalogue() if c.slug in slugs]
+        assert {c.slug for c in asked} == set(slugs)
+        assert order(task_of(data, structure, "fixed", asked)) == expected

@@ -14,6 +14,7 @@ def test_a_gain_that_wanders_over_the_lines_gets_no_name_but_its_sensor_is_told(
     answer = diagnose_modes(data.replace(H=data.H * gain, variance=data.variance * gain**2), simulation()).to_dict()
     assert answer["verdict"] == "unknown"
     assert any(f"the FRFs at {DOFS[8]} alone differ" in r for r in answer["reasons"])
+    assert f"the sensor at {DOFS[8]}" in answer["advice"] and "supports" not in answer["advice"]
 
 
 def test_a_mass_at_a_sensor_is_no_fault_of_that_sensor():

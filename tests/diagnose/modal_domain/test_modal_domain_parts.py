@@ -15,13 +15,14 @@ from modalax.diagnose.modal_domain.coordinates import (
     pattern_slopes,
     slopes_of,
 )
-from modalax.diagnose.modal_domain.elements import local_parts, mass_parts, nodes_of, parts_of, stiffness_parts
+from modalax.diagnose.modal_domain.elements import mass_parts, nodes_of, stiffness_parts
 from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.features import Features, features_of, paired
 from modalax.diagnose.modal_domain.free_residues import Channels, project, refine
 from modalax.diagnose.modal_domain.inaccuracy import TOLD
 from modalax.diagnose.modal_domain.judged import standing_out
 from modalax.diagnose.modal_domain.mode_count import blind_modes, misfit
+from modalax.diagnose.modal_domain.parts import local_parts, parts_of
 from modalax.diagnose.modal_domain.places import candidates_of
 from modalax.model import Structure
 
@@ -164,7 +165,7 @@ def test_local_parts_sum_to_the_matrix_and_resist_no_rigid_motion():
     rng = np.random.default_rng(0)
     F = rng.standard_normal((6, 4))
     free = scipy.linalg.null_space(F.T)
-    parts = local_parts(F @ F.T)
+    parts = local_parts(F @ F.T, nodes_of(tuple("abcdef")))
     np.testing.assert_allclose(sum(p.full(6) for p in parts), F @ F.T, atol=1e-10)
     for p in parts:
         assert np.abs(p.full(6) @ free).max() < 1e-6
@@ -229,5 +230,76 @@ def test_a_cause_that_its_error_lets_be_none_does_not_stand_out(size, std, stand
     stage = SimpleNamespace(
         measured=SimpleNamespace(freq=np.array([1.0, 100.0])),
         setting=SimpleNamespace(inaccuracy=SimpleNamespace(groups=TOLD)),
+        seen=None,
     )
     assert (standing_out(stage, Explanation(fitted, 0.0, 1.0)) == (cause,)) == stands
+
+
+def test_a_spring_at_the_place_of_a_named_joint_is_that_joints_own():
+    cause = Change("joint_stiffness", ("a", "b"), scale=100.0, reference=1000.0)
+    fitted = SimpleNamespace(
+        causes=(cause,), u=np.array([40.0]), covariance=np.array([[1.0]]), epsilon=[0.01] * 3
+    )  # fmt: skip
+
+    def stands(joint):
+        stage = SimpleNamespace(
+            measured=SimpleNamespace(freq=np.array([1.0, 100.0])),
+            setting=SimpleNamespace(inaccuracy=SimpleNamespace(groups=TOLD)),
+            seen=SimpleNamespace(joint=SimpleNamespace(spot=SimpleNamespace(where=joint))),
+        )
+        return standing_out(stage, Explanation(fitted, 0.0, 1.0)) == (cause,)
+
+    assert stands(("a", "c")) and not stands(("b", "a"))
+
+
+def plate(rows=3, columns=4, k_mount=5.0, k_store=20.0):
+    """A grid of bending cells, each resisting its twist and its curvatures, on two mounts and with a mass on a spring.
+
+    Every cell of four nodes resists no rigid motion, but no two of its nodes make an element by themselves.
+    """
+    count = rows * columns
+    K = np.zeros((count + 1, count + 1))
+    at = lambda r, c: r * columns + c
+
+    def strained(nodes, weights, stiffness):
+        b = np.zeros(count + 1)
+        b[list(nodes)] = weights
+        K[:] += stiffness * np.outer(b, b)
+
+    for r in range(rows):
+        for c in range(columns):
+            if r < rows - 1 and c < columns - 1:
+                strained((at(r, c), at(r, c + 1), at(r + 1, c), at(r + 1, c + 1)), (1, -1, -1, 1), 300.0)
+            if 0 < c < columns - 1:
+                strained((at(r, c - 1), at(r, c), at(r, c + 1)), (1, -2, 1), 400.0)
+            if 0 < r < rows - 1:
+                strained((at(r - 1, c), at(r, c), at(r + 1, c)), (1, -2, 1), 500.0)
+    strained((at(1, 1), count), (1, -1), k_store)
+    for corner in (at(0, 0), at(rows - 1, columns - 1)):
+        strained((corner,), (1,), k_mount)
+    return K, tuple(f"{k + 1}:+Z" for k in range(count + 1))
+
+
+def test_of_a_plate_springs_and_mounts_are_read_off_and_the_rest_is_shared_out_among_its_nodes():
+    K, dofs = plate()
+    parts = parts_of(K, nodes_of(dofs))
+    np.testing.assert_allclose(sum(p.full(len(K)) for p in parts), K, atol=1e-9 * K.max())
+    told = {tuple(sorted(p.dofs)): p.matrix[0, 0] for p in parts if p.nodes}
+    assert told == pytest.approx({(5, 12): 20.0, (0,): 5.0, (11,): 5.0})
+    for p in parts:
+        values = np.linalg.eigvalsh(p.matrix)
+        assert values[0] > -1e-9 * values[-1]  # read pair by pair they would give energy away
+    still = np.append(np.arange(12) % 4, 1.0)  # a rigid motion that strains the mounts alone
+    for p in (p for p in parts if not p.nodes):
+        assert still @ p.full(len(K)) @ still < 1e-9 * K.max()
+
+
+def test_a_spring_between_two_points_of_a_plate_is_compared_with_what_holds_them():
+    """A coefficient of a plate's matrix between two of its points may be small by chance; no spring is off by it."""
+    K, dofs = plate()
+    structure = Structure(np.eye(len(K)), 1e-4 * K, K, dofs)
+    c = coordinates_of(structure, dofs[:6], dofs[:1], 30.0)
+    every = candidates_of(structure, c, dofs[:6], dofs[:1], None, 30.0)
+    own = {frozenset(k.where): k.reference for k in every if k.slug == "joint_stiffness" and k.pattern is None}
+    assert own[frozenset((dofs[5], dofs[12]))] == pytest.approx(20.0)
+    assert own[frozenset((dofs[0], dofs[4]))] == pytest.approx(min(K[0, 0], K[4, 4]))

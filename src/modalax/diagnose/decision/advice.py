@@ -37,7 +37,7 @@ def advise(verdict: str, sets: Sequence[Ranked]) -> str:
     return "; ".join(dict.fromkeys(parts)) or "measure another column of the FRF matrix"
 
 
-def advise_modes(verdict: str, rivals: int) -> str | None:
+def advise_modes(verdict: str, rivals: int, odd: str | None = None) -> str | None:
     """What to do next after an answer of the modal domain, in one sentence; None where nothing is left open.
 
     Parameters
@@ -46,9 +46,13 @@ def advise_modes(verdict: str, rivals: int) -> str | None:
         As the answer has it.
     rivals
         How many other sets of causes are in question.
+    odd
+        An output that differs from all others as no cause explains, where that is why the answer is ``unknown``.
     """
     if verdict == "clean" or (verdict == "named" and not rivals):
         return None
+    if verdict == "unknown" and odd is not None:
+        return f"check the sensor at {odd} (mounting, cable, axis, range, calibration), or measure with another one"
     if verdict == "unknown":
         return "check that the simulation is of this structure: its supports, its units and the names of its DoFs"
     return "measure at a further point near these places, or change one of them on purpose and measure again"

@@ -34,6 +34,8 @@ class Task:
         Whether every cause of the catalogue is looked for.
     groups
         Whether parameters of groups of elements are looked for, which only the modal domain knows.
+    known_to_modes
+        Whether the modal domain knows all causes of a part of the catalogue that is asked for.
     """
 
     has_modes: bool
@@ -43,6 +45,7 @@ class Task:
     modes_off: bool = False
     whole_catalogue: bool = True
     groups: bool = False
+    known_to_modes: bool = True
 
 
 @dataclass(frozen=True)
@@ -84,7 +87,9 @@ class Outcome:
 
 def order(task: Task, limits: Thresholds = THRESHOLDS) -> tuple[Route, ...]:
     """Methods in the order in which they are tried."""
-    if not task.has_modes:
+    if not task.has_modes or not (
+        task.known_to_modes or task.groups
+    ):  # what is not looked for must not be told as absent
         return ("lines",)
     if needs_modes(task, limits) or task.groups:
         return "modes", "lines"

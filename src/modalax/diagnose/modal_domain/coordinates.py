@@ -10,8 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from modalax.diagnose.modal_domain.elements import nodes_of, parts_of
+from modalax.diagnose.modal_domain.elements import nodes_of
 from modalax.diagnose.modal_domain.enriched import ritz_basis
+from modalax.diagnose.modal_domain.parts import parts_of
 from modalax.model import Structure
 
 QUICK = 1e3  # frequency of a DoF by itself, over that of the band, above which it is given mass

@@ -25,7 +25,7 @@ from modalax.diagnose.modal_domain.corrected import corrected, frf_of, inaccurac
 from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.held_out import gain_of
-from modalax.diagnose.modal_domain.judged import judge, standing_out
+from modalax.diagnose.modal_domain.judged import judge, of_the_joint, standing_out
 from modalax.diagnose.modal_domain.levels.answer import causes_told, judge_levels, rivals_told
 from modalax.diagnose.modal_domain.levels.explain import JointFound
 from modalax.diagnose.modal_domain.levels.laws import NAMED
@@ -159,7 +159,8 @@ class ModalDiagnosis(Diagnosis):
     @property
     def advice(self) -> str | None:
         """What would tell the alternatives apart."""
-        return advise_modes(self.verdict, len(self.alternatives))
+        odd = self.stage.odd.name if self.stage.odd is not None and self.sets[0].names else None
+        return advise_modes(self.verdict, len(self.alternatives), odd)
 
     def to_dict(self) -> dict[str, Any]:
         """The answer as plain data, in the agreed form."""
@@ -191,6 +192,10 @@ def diagnose_modes(
     chosen, inaccuracy = judged.chosen, inaccuracy_told(stage.setting, judged.likeliest.fit)
     joined, further = judge_levels(stage.seen)
     word, reasons = outweighing(judged.word, joined), [said(inaccuracy), *judged.reasons, *further]
+    reasons += [
+        f"{cause_at(c.slug, c.where)} of {c.size(u):.3g} {UNITS[c.slug][1]} counts as that joint's own at low amplitude"
+        for c, u in with_sizes(chosen.causes, chosen.fit.u) if of_the_joint(stage, c)
+    ]  # fmt: skip
     if not stage.in_time:
         reasons.append("time was up before every explanation had been tried")
     tell("predicting the held-out data")

@@ -14,7 +14,6 @@ import numpy as np
 from modalax.data.dofs import parse_dof
 
 NEGLIGIBLE = 1e-7  # size of a coupling, relative to the diagonal, below which there is none
-MANY = 7  # coupled nodes, itself among them, beyond which a node's elements cannot be told apart
 AXES = ("X", "Y", "Z", "RX", "RY", "RZ")
 # Names such as 12z, n3_ry or 12.RX, besides those written 12:+Z
 _SHORT = re.compile(r"(?P<node>.*?[^A-Za-z]|[A-Za-z]+?)[_.\- ]?(?P<direction>[rR]?[xyzXYZ])")
@@ -199,26 +198,3 @@ def mass_parts(M: np.ndarray, nodes: Nodes) -> list[Part]:
         if coupling[i].sum() == 0:
             parts.append(Part((i,), a, M[np.ix_(a, a)]))
     return parts
-
-
-def local_parts(A: np.ndarray) -> list[Part]:
-    r"""Parts of a matrix whose elements cannot be read off it, as after a condensation: one for each DoF.
-
-    :math:`A = F^T F` with ``F`` the symmetric root, whose rows are local: of a plate, its curvature about a point.
-    Every part :math:`f f^T` is as free of stiffness against rigid motions as the whole.
-    """
-    size = np.sqrt(np.maximum(np.diag(A), 1e-300))
-    values, vectors = np.linalg.eigh(A / size[:, None] / size)
-    root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T * size
-    every = np.arange(len(A))
-    return [Part((k,), every, np.outer(f, f)) for k, f in enumerate(root)]
-
-
-def parts_of(A: np.ndarray, nodes: Nodes, mass: bool = False) -> list[Part]:
-    """Parts of a stiffness or mass matrix: its elements where these can be read off, else local ones."""
-    diagonal = np.sqrt(np.maximum(np.abs(np.diag(A)), 1e-300))
-    unit = np.abs(A) / diagonal[:, None] / diagonal > NEGLIGIBLE
-    neighbours = [sum(bool(unit[np.ix_(a, b)].any()) for b in nodes.members) for a in nodes.members]
-    if np.median(neighbours) > MANY:
-        return local_parts(A)
-    return mass_parts(A, nodes) if mass else stiffness_parts(A, nodes)

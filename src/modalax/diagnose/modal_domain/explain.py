@@ -38,11 +38,14 @@ class Explanation:
         Log evidence and log prior.
     probability
         Among all explanations that were fitted.
+    misfit
+        Chi-square per feature of the modes that was left, before all lines were looked at.
     """
 
     fit: Fit
     log_posterior: float
     probability: float
+    misfit: float = 1.0
 
     @property
     def causes(self) -> tuple[Change, ...]:
@@ -291,5 +294,6 @@ def _ranked(found: dict[tuple[Change, ...], Fit], prior: Prior) -> list[Explanat
     top = max(values.values())
     weights = {key: math.exp(v - top) for key, v in values.items()}
     total = sum(weights.values())
-    ranked = [Explanation(found[key], values[key], weights[key] / total) for key in found]
+    left = {key: f.chi2 / max(f.state.difference.size, 1) for key, f in found.items()}
+    ranked = [Explanation(found[key], values[key], weights[key] / total, left[key]) for key in found]
     return sorted(ranked, key=lambda e: -e.log_posterior)

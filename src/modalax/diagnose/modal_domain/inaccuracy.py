@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from modalax.diagnose.modal_domain.coordinates import Coordinates
-from modalax.diagnose.modal_domain.elements import nodes_of, parts_of
+from modalax.diagnose.modal_domain.elements import nodes_of
 from modalax.diagnose.modal_domain.given_elements import mass_patterns, stiffness_patterns
+from modalax.diagnose.modal_domain.parts import parts_of
 from modalax.model import Structure
 
 # Sizes where nothing is claimed, and the spread of their logarithms. Frequencies of finite-element models are off by

@@ -13,6 +13,7 @@ from modalax.diagnose.modal_domain.inaccuracy import TOLD
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.thresholds import THRESHOLDS
 
+LINEAR_PART = "joint_stiffness", "local_damper"  # what a joint may do at any amplitude
 LIKELIER = 0.5  # probability of nothing beyond the inaccuracy above which nothing is what the answer is about
 
 
@@ -50,12 +51,13 @@ def judge(stage: Stage) -> Judged:
     case = ModalCase(
         sets, [(c.slug, c.where) for c in best.causes], off,
         max(off[name] / LARGEST[name] for name in ("stiffness", "mass")),
-        best.fit.chi2 / best.fit.state.difference.size,
+        best.misfit,
         None if plain is None else best.log_posterior - plain.log_posterior, THRESHOLDS,
         None if stage.odd is None else (stage.odd.name, stage.odd.nats),
     )  # fmt: skip
     word, reasons = modal_verdict(case)
-    return Judged(word, reasons, plain if word == "clean" and plain is not None else best, sets, best)
+    alone = word == "clean" and plain is not None and not any(of_the_joint(stage, c) for c in best.causes)
+    return Judged(word, reasons, plain if alone and plain is not None else best, sets, best)
 
 
 def sets_beyond(stage: Stage) -> tuple[BeyondUsual, ...]:
@@ -84,7 +86,7 @@ def _key(names: Names) -> Names:
 
 
 def standing_out(stage: Stage, e: Explanation) -> tuple[Change, ...]:
-    """Causes of an explanation that are larger than is usual, and surely not zero."""
+    """Causes of an explanation that are larger than usual, surely not zero, and no joint's own linear part."""
     off, highest = inaccuracy_of_fit(stage, e), float(stage.measured.freq[-1])
     out = []
     for k, (c, u) in enumerate(with_sizes(e.causes, e.fit.u)):
@@ -94,9 +96,15 @@ def standing_out(stage: Stage, e: Explanation) -> tuple[Change, ...]:
         own = own_sizes(e.causes, k)
         apart = np.abs(e.fit.u[own]) / np.sqrt(np.maximum(np.diag(e.fit.covariance)[own], 1e-300))
         sure = usual == -math.inf or bool((apart > THRESHOLDS.stands_out).any())
-        if sure and abs(size) > usual:
+        if sure and abs(size) > usual and not of_the_joint(stage, c):
             out.append(c)
     return tuple(out)
+
+
+def of_the_joint(stage: Stage, c: Change) -> bool:
+    """Whether a spring or damper is where the levels tell a joint: what that joint does at any level."""
+    joint = None if stage.seen is None else stage.seen.joint
+    return joint is not None and c.slug in LINEAR_PART and set(c.where) == set(joint.spot.where)
 
 
 def inaccuracy_of_fit(stage: Stage, e: Explanation) -> dict[str, float]:

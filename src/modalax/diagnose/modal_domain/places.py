@@ -8,9 +8,10 @@ import numpy as np
 
 from modalax.diagnose.modal_domain.causes import ALL, Change
 from modalax.diagnose.modal_domain.coordinates import Coordinates
-from modalax.diagnose.modal_domain.elements import Nodes, nodes_of, parts_of
+from modalax.diagnose.modal_domain.elements import Nodes, nodes_of
 from modalax.diagnose.modal_domain.given_elements import softened_elements
 from modalax.diagnose.modal_domain.groups import group_factors
+from modalax.diagnose.modal_domain.parts import parts_of
 from modalax.model import Structure
 
 COUPLED = 1e-6  # size of an element of K, relative to the diagonal, from which two DoFs are coupled
@@ -146,7 +147,8 @@ def springs_of(
 
     Likeliest are the pairs that the simulation names and its own springs and supports, then other coupled DoFs and
     each DoF to ground, and last any two displacements of one direction, of those in ``apart``, that nothing joins.
-    Where the simulation has no spring, the usual one is small enough to move modes by as much as a wrong one does.
+    Where the simulation has no spring, as between two points of a plate, its size is compared with what holds the DoFs,
+    and the usual one is small enough to move modes by as much as a wrong one does.
     """
     inside = np.flatnonzero((c.frequencies < highest) & (c.frequencies > 0.02 * highest))
     K, dofs = np.asarray(simulation.K), simulation.dofs
@@ -155,6 +157,7 @@ def springs_of(
     asked = {frozenset(p) for p in pairs or ()}
     parts = parts_of(K, nodes)
     own = {frozenset(p.dofs) for p in parts if len(p.nodes) == 2 and len(p.dofs) == 2}
+    read = {frozenset(pair) for p in parts if p.nodes for pair in itertools.combinations(p.dofs.tolist(), 2)}
     supports = [p for p in parts if len(p.nodes) == 1 and len(p.dofs) <= HELD]
     held = {int(k): p.matrix[j, j] for p in supports for j, k in enumerate(p.dofs)}
     groups: dict[str, list] = {key: [] for key in SHARES}
@@ -166,7 +169,8 @@ def springs_of(
             if nodes.axis[a] > 2 or not (dofs[a] in apart and dofs[b] in apart):
                 continue
             key = "apart"
-        stiffness = abs(K[a, b]) if unit[a, b] > 1e-3 else min(K[a, a], K[b, b])
+        told = unit[a, b] > 1e-3 and (key == "named" or {a, b} in read)
+        stiffness = abs(K[a, b]) if told else min(K[a, a], K[b, b])
         groups[key].append(((dofs[a], dofs[b]), c.shapes[a] - c.shapes[b], JOINT * stiffness, 1.0))
     for a, name in enumerate(dofs):
         supported = held.get(a, 0.0) > SUPPORTED * K[a, a]

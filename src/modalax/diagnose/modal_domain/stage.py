@@ -17,6 +17,7 @@ from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.further_causes import StructuralDamping, missing_modes, tuned_masses
 from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
 from modalax.diagnose.modal_domain.levels.explain import Spot
+from modalax.diagnose.modal_domain.levels.laws import NAMED
 from modalax.diagnose.modal_domain.levels.seen import Seen, joint_and_structure, look_at_levels
 from modalax.diagnose.modal_domain.measured import Measured, identify
 from modalax.diagnose.modal_domain.odd_output import OddOutput, odd_output
@@ -27,6 +28,12 @@ from modalax.diagnose.modal_domain.state import Setting
 from modalax.diagnose.thresholds import THRESHOLDS
 from modalax.model import Structure
 
+# causes that are looked for here; all others show on lines only
+KNOWN = frozenset({
+    "added_mass", "joint_stiffness", "local_damper", "modal_damping", "structural_damping", "tuned_mass",
+    "missing_mode", "channel_gain", "channel_sign", "channel_swap", "force_gain", "time_delay", "units",
+    "sensor_filter", "time_varying", *(law.slug for law in NAMED),
+})  # fmt: skip
 FIRST_SHARE = 0.6  # of the time for linear causes, where runs may have to be told apart after them
 
 

@@ -1,0 +1,104 @@
+r"""Parts that a matrix is made of, each of which may be off by itself: its elements, and local parts of the others.
+
+Beams, bars and springs are read off a matrix (:mod:`modalax.diagnose.modal_domain.elements`). Elements of more than two
+nodes, as of plates and solids, and those of a condensed matrix are not: read pair by pair their parts would give energy
+away. What such parts sum to is shared out among the nodes instead.
+"""
+
+import itertools
+
+import numpy as np
+
+from modalax.diagnose.modal_domain.elements import NEGLIGIBLE, Nodes, Part, mass_parts, stiffness_parts
+
+MANY = 7  # coupled nodes, itself among them, beyond which a node's elements cannot be told apart
+GIVEN_AWAY = 1e-6  # energy that a part may give away, relative to what it can store; none but for rounding
+FEW = 0.5  # share of the nodes that can rest on springs
+
+
+def parts_of(A: np.ndarray, nodes: Nodes, mass: bool = False) -> list[Part]:
+    """Parts that sum to a stiffness or mass matrix: elements where these can be read off, and local parts of the rest.
+
+    A local part has no ``nodes``: it is no element between any.
+    """
+    diagonal = np.sqrt(np.maximum(np.abs(np.diag(A)), 1e-300))
+    unit = np.abs(A) / diagonal[:, None] / diagonal > NEGLIGIBLE
+    joined = np.array([[bool(unit[np.ix_(a, b)].any()) for b in nodes.members] for a in nodes.members])
+    count = joined.sum(axis=1)
+    crowded = np.flatnonzero(count > MANY) if np.median(count) > MANY else np.zeros(0, int)
+    sparse = A.copy()
+    for k, j in itertools.permutations(crowded.tolist(), 2):
+        sparse[np.ix_(nodes.members[k], nodes.members[j])] = 0.0
+    read = [trimmed(p, diagonal) for p in (mass_parts(sparse, nodes) if mass else stiffness_parts(sparse, nodes))]
+    sound = [passive(p.matrix, diagonal[p.dofs]) for p in read]
+    wrong = (k for p, ok in zip(read, sound, strict=True) if len(p.nodes) == 2 and not ok for k in p.nodes)
+    meshed = in_one_mesh(joined & ~np.eye(len(joined), dtype=bool), {*crowded.tolist(), *wrong})
+    if not meshed:
+        return read
+    known = [p for p, ok in zip(read, sound, strict=True) if ok and not meshed >= set(p.nodes)]
+    rest = A - sum((p.full(len(A)) for p in known), np.zeros_like(A))
+    if not passive(rest, diagonal):
+        known, rest = [], A
+    springs = [] if mass else supports(rest, nodes)
+    rest = rest - sum((p.full(len(A)) for p in springs), np.zeros_like(A))
+    return known + springs + local_parts(rest, nodes)
+
+
+def in_one_mesh(joined: np.ndarray, some: set[int]) -> set[int]:
+    """All nodes that elements of three nodes or more may share with ``some``: three nodes that are joined in a ring."""
+    found, todo = set(some), list(some)
+    while todo:
+        k = todo.pop()
+        ring = set(np.flatnonzero(joined[k] & (joined & joined[k]).any(axis=1)).tolist()) - found
+        found |= ring
+        todo += ring
+    return found
+
+
+def trimmed(p: Part, diagonal: np.ndarray) -> Part:
+    """A part without the DoFs of its nodes that it does not hold; ``diagonal`` is the root of that of all parts."""
+    size = np.sqrt(np.maximum(np.diag(p.matrix), 0.0)) / diagonal[p.dofs]
+    held = size > NEGLIGIBLE * size.max(initial=0.0)
+    return Part(p.nodes, p.dofs[held], p.matrix[np.ix_(held, held)]) if held.any() else p
+
+
+def passive(A: np.ndarray, size: np.ndarray) -> bool:
+    """Whether a symmetric matrix gives no energy away; ``size`` is what its DoFs are measured by."""
+    values = np.linalg.eigvalsh(A / size[:, None] / size)
+    return bool(values[0] > -GIVEN_AWAY * max(values[-1], 1e-300))
+
+
+def supports(K: np.ndarray, nodes: Nodes) -> list[Part]:
+    """Springs to ground under single displacements: the forces that hold a structure moved along as a whole.
+
+    Forces at most nodes, or at other DoFs than those moved, are not those of a few springs.
+    """
+    size, found = np.maximum(np.diag(K), 1e-300), []
+    for axis in range(3):
+        along = np.where(nodes.axis == axis, nodes.sign, 0.0)
+        force = K @ along
+        held = np.flatnonzero(np.abs(force) > GIVEN_AWAY * size)
+        if (nodes.axis[held] == axis).all() and 0 < len(held) <= FEW * len(nodes.members):
+            found += [(int(k), float(force[k] * nodes.sign[k])) for k in held]
+    rest = K.copy()
+    for k, stiffness in found:
+        rest[k, k] -= stiffness
+    if not passive(rest, np.sqrt(size)) or any(stiffness < 0 for _, stiffness in found):
+        return []
+    node = {int(k): j for j, members in enumerate(nodes.members) for k in members}
+    return [Part((node[k],), np.array([k]), np.array([[stiffness]])) for k, stiffness in found]
+
+
+def local_parts(A: np.ndarray, nodes: Nodes) -> list[Part]:
+    r"""Parts of a matrix whose elements cannot be read off it, one for each node.
+
+    :math:`A = F^T F` with ``F`` the symmetric root, whose rows are local: of a plate, its curvature about a point. The
+    rows :math:`F_k` of one node make a part :math:`F_k^T F_k`, as free of stiffness against rigid motions as the whole.
+    """
+    size = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    there = np.diag(A) > 0
+    values, vectors = np.linalg.eigh(A / size[:, None] / size)
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T * size
+    every = np.arange(len(A))
+    rows = [root[m[there[m]]] for m in nodes.members]
+    return [Part((), every, F.T @ F) for F in rows if len(F) and np.abs(F).max() > 0]
