@@ -62,10 +62,14 @@ def ask(arrays: dict) -> Findings:
     return check(Measurement(arrays.pop("freq"), arrays.pop("H"), **arrays))
 
 
-def holds(fault: str, interval, size: float) -> bool:
-    """Whether an interval has the true size; which of two channels is at fault is a matter of sign or inverse."""
-    size = -100 * size if fault == "frequency_shift" else size
-    same = {"calibration": (size, 1 / size), "frequency_shift": (size, -size)}.get(fault, (size,))
+def holds(fault: str, interval, truth: dict) -> bool:
+    """Whether an interval has the true size; which of two channels is at fault is a matter of sign or inverse.
+
+    A shift of frequency is that of one mode, and modes may shift differently.
+    """
+    size = truth["size"]
+    shifts = [100 * sign * s for s in truth.get("sizes", ()) for sign in (1, -1)]
+    same = {"calibration": (size, 1 / size), "frequency_shift": shifts}.get(fault, (size,))
     return any(interval[0] <= s <= interval[1] for s in same)
 
 
@@ -120,7 +124,7 @@ def score(given, fault: str, sure: dict) -> str:
         step = abs(np.log(abs(size))) if fault == "calibration" and size else abs(size or 0)
         rows.append((step, bool(right), bool(placed)))
         if placed and placed[0].interval and size:
-            intervals.append(holds(fault, placed[0].interval, size))
+            intervals.append(holds(fault, placed[0].interval, truth))
         others.update({f.what for f in found} - {fault})
         if given.show and not placed:
             said = [f.what for f in found]

@@ -115,13 +115,16 @@ def frequency_shift(rng, made: Made):
     )
     poles = made.structure.poles * (1 - size * each)
     moved = made.as_form(made.structure.changed(poles).receptance(made.freq, made.o, made.i))
-    H = made.H.copy()
+    H, where = made.H.copy(), []
     if runs > 1 and (ins < 2 or rng.random() < 0.5):
         H[int(rng.integers(runs))] = moved
-        return made.having("frequency_shift", [], size, H=H)
-    i = int(rng.integers(ins))
-    H[..., i] = moved[None, ..., i]
-    return made.having("frequency_shift", [made.inputs[i]], size, H=H)
+    else:
+        i = int(rng.integers(ins))
+        H[..., i] = moved[None, ..., i]
+        where = [made.inputs[i]]
+    made = made.having("frequency_shift", where, size, H=H)
+    made.truth["sizes"] = (size * each)[made.inside].tolist()
+    return made
 
 
 def hum(rng, made: Made):

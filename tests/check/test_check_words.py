@@ -91,9 +91,9 @@ def clipped():
     return np.stack([low, high])
 
 
-def humming():
+def humming(mains=50.0):
     H = accelerance()
-    at = int(np.argmin(np.abs(FREQ - 50.0)))
+    at = int(np.argmin(np.abs(FREQ - mains)))
     H[at] += 0.6 * np.abs(H[at]) * np.exp(1j * np.arange(10).reshape(5, 2))
     return H
 
@@ -175,6 +175,11 @@ def test_a_sensor_of_another_form_than_the_others_is_named(times):
     H[:, 1] *= (2j * np.pi * FREQ[:, None] / 300) ** times
     (found,) = Bench(H).measured()
     assert (found.what, found.where) == ("wrong_form", (NAMES[1],)) and "turned by 90 degrees" in found.evidence
+
+
+def test_a_mains_a_line_off_is_as_large_a_hum():
+    (found,) = Bench(humming(49.875)).measured()
+    assert found.what == "hum" and found.size == pytest.approx(0.6, rel=0.2)
 
 
 def test_far_above_the_mains_no_line_is_hum():

@@ -6,7 +6,7 @@ import pytest
 from modalax.data import FRF
 from modalax.identify import close_modes, residues
 from modalax.identify.close_modes import _apart, record_of, two_modes
-from modalax.identify.disagreement import CERTAIN, of_channels, of_lines
+from modalax.identify.disagreement import CERTAIN, of_channels, of_lines, together
 from modalax.identify.neighbourhood import around, best_poles, residual_of
 from modalax.identify.record_window import record_kernel
 from modalax.model.modal import poles_from
@@ -137,6 +137,16 @@ def test_columns_tell_by_how_much_they_disagree():
     assert np.argsort(inputs.shift).tolist() == [2, 0, 1]
     assert 0.5 < inputs.between[0] / np.std(inputs.shift, ddof=1) < 2
     assert of_channels(hood, np.repeat(np.arange(3), 3)).chance > CERTAIN
+
+
+def test_the_deviation_of_a_pole_reaches_the_mean_of_inputs_that_disagree():
+    """The strongest input leads a fit; the mean of three that are known well and differ is as far as it is."""
+    frf = disagreeing([0.0, 4e-4, 9e-4])
+    model, residual = fitted(frf, [60.0, 120.0], [0.005, 0.005])
+    inputs = of_channels(around(frf, model, residual, [0]), np.tile(np.arange(3), 3))
+    to_mean, scatter = np.mean(inputs.shift), np.std(inputs.shift, ddof=1) / np.sqrt(3)
+    assert inputs.error[0] == pytest.approx(np.hypot(to_mean, scatter), rel=0.2)
+    assert together([0.5, 0.5]) == pytest.approx(0.25 * (1 + np.log(4)))
 
 
 def test_parts_of_sound_data_agree():

@@ -56,6 +56,13 @@ def test_error_bars_know_of_inputs_that_disagree(chance):
         assert float(result.frequency_std_hz[0]) == pytest.approx(1e-3)
 
 
+@pytest.mark.parametrize(("modes", "told"), [(1, False), (2, True)])
+def test_inputs_that_disagree_by_all_modes_together_do_so_for_each(modes, told):
+    """A chance of 0.001 is none; twice in one test it is."""
+    result = with_misfit(refined([0.01] * modes, [1e-4] * modes), [quality(1e-3)] * modes)
+    assert np.asarray(result.frequency_std_hz) == pytest.approx([0.07 if told else 1e-3] * modes)
+
+
 @pytest.mark.parametrize("probability", [1.0, 0.25])
 def test_error_bars_know_what_the_window_of_a_record_adds(probability):
     record = Record("hann", 2.0, np.array([20.0, np.nan]), np.array([0.004, np.nan]), probability)

@@ -75,7 +75,9 @@ def _spectra(study: Study, k: int, axis: int) -> Picture:
 
 def duplicated(study: Study) -> Iterator[Finding]:
     """Find pairs of outputs, of inputs and of runs that are copies: they share even their noise."""
-    off = off_neighbours(study.H.transpose(0, 2, 3, 1)[..., None])[..., 0].transpose(0, 3, 1, 2)
+    # Between lines wider apart than a mode is wide the FRF itself is off its neighbours, and that is shared.
+    left = study.H - study.modes.fitted.reshape(study.H.shape[1:]) if study.explained else study.H
+    off = off_neighbours(left.transpose(0, 2, 3, 1)[..., None])[..., 0].transpose(0, 3, 1, 2)
     for axis, names in ((2, study.outputs), (3, study.inputs), (0, None)):
         noise, values = np.moveaxis(off, axis, 0), np.moveaxis(study.H, axis, 0)
         noise, values = noise.reshape(len(noise), -1), values.reshape(len(values), -1)

@@ -17,8 +17,9 @@ RIPPLE, SMALLEST_RIPPLE, FEWEST = 60.0, 0.4, 4
 # Shares of the lines at whose FRF the law of noise over FRF may bend, parts of the band that must ripple alike, and
 # how much.
 KNOTS, THIRDS, ALIKE = (0.1, 0.3, 0.5, 0.7, 0.85, 0.95), 3, 0.4
-# Growth of the noise within the upper part of the band [dB], noise over FRF at its end, and how it must bend.
-GROWTH, LOST = 20.0, 0.15
+# Growth of the noise within the upper part of the band [dB], noise over FRF at its end, and by how much it may fall on
+# the way [dB].
+GROWTH, LOST, FALL = 20.0, 0.15, 1.5
 
 
 def excitation(study: Study) -> Iterator[Finding]:
@@ -128,8 +129,9 @@ def _end_of_force(study: Study, i: int, name: str) -> Finding | None:
     parts = min(in_parts(level), in_parts(even), key=lambda p: float(p[-1] - np.median(p[:6])))
     growth = float(parts[-1] - np.median(parts[:6]))
     end = float(np.median(share[edges[-2] :]))
-    steps = np.diff(parts[5:])
-    if growth < GROWTH or end < LOST or np.any(steps < -1.5):
+    # Noise in proportion to the FRF falls after a resonance; over the FRF it does not.
+    falls = min(float(-np.diff(p[5:]).min()) for p in (parts, in_parts(20 * np.log10(share + 1e-300))))
+    if growth < GROWTH or end < LOST or falls > FALL:
         return None
     past = np.flatnonzero(level > np.median(parts[:6]) + GROWTH / 2)
     limit = float(study.freq[past[0]])

@@ -48,18 +48,15 @@ def hum(study: Study) -> Iterator[Finding]:
         together = float(chi2.sf(total, 2 * len(multiples)))
         score = -np.log10(max(min(together, len(multiples) * min(c for _, c in told)), 1e-300)) / -np.log10(CHANCE)
         lines = [f for f, chance in told if chance < 1e-3]
-        if (
-            unresolved
-            and len(lines) < 2
-            and not any(_again(study, int(np.argmin(np.abs(study.freq - f)))) for f in lines)
-        ):
+        which = _strongest(study, power, lines, float(step))
+        if unresolved and len(lines) < 2 and not any(_again(study, k) for k in which):
             continue
-        if score > 1 and lines and _share(study, power, lines) > LEAST_SHARE and (best is None or score > best[0]):
+        if score > 1 and lines and _share(study, power, which) > LEAST_SHARE and (best is None or score > best[0]):
             best = float(score), mains, lines, [f for f, _ in told]
     if best is None:
         return
     score, mains, lines, seen = best
-    share = _share(study, power, lines)
+    share = _share(study, power, _strongest(study, power, lines, float(step)))
     shown = ", ".join(f"{f:g}" for f in lines[:6]) + (", ..." if len(lines) > 6 else "")
     yield Finding(
         "hum", (), sure=sureness(score, 1.0), size=share, unit="of the FRF there",
@@ -93,14 +90,18 @@ def _left_over(study: Study, step: float) -> np.ndarray:
     both = np.concatenate([away, away])
     Y = lift(weight[:, None] * H)
     left = (Y - Phi @ least_squares(Phi[both], Y[both])[0]) / np.concatenate([weight, weight])[:, None]
-    power = (left[:lines] ** 2 + left[lines:] ** 2) / np.maximum(sigma**2, (1e-3 * np.abs(H)) ** 2)
+    power = (left[:lines] ** 2 + left[lines:] ** 2) / _scale(H, sigma)
     return power.mean(axis=1)
+
+
+def _scale(H: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """Power of the noise of each sample that what is left over is measured by: no model holds to the last digit."""
+    return np.maximum(sigma**2, (1e-3 * np.abs(H)) ** 2)
 
 
 def _chance(study: Study, power: np.ndarray, multiple: float, step: float) -> tuple[float, bool]:
     """Chance that noise makes a line near a multiple stand out so, and whether it does so without flanks."""
-    reach = max(1.0, WANDER * multiple / step)
-    near = np.flatnonzero(np.abs(study.freq - multiple) < reach * step)
+    near = _near(study, multiple, step)
     if not len(near):
         return 1.0, False
     top = int(near[np.argmax(power[near])])
@@ -122,6 +123,16 @@ def _chance(study: Study, power: np.ndarray, multiple: float, step: float) -> tu
     return max(chance, 1e-300), bool(seen < 0.3 * flank or flank < 3 * spread and high or weak)
 
 
+def _near(study: Study, multiple: float, step: float) -> np.ndarray:
+    """Lines at which a multiple of the mains frequency may stand."""
+    return np.flatnonzero(np.abs(study.freq - multiple) < max(1.0, WANDER * multiple / step) * step)
+
+
+def _strongest(study: Study, power: np.ndarray, multiples: list[float], step: float) -> list[int]:
+    """The line near each multiple at which most is left over."""
+    return [int(near[np.argmax(power[near])]) for f in multiples for near in [_near(study, f, step)]]
+
+
 def _again(study: Study, line: int) -> bool:
     """Whether the line's phase differs from run to run or column to column, as that of no mode does."""
     values = study.H[:, line]
@@ -132,9 +143,9 @@ def _again(study: Study, line: int) -> bool:
     return bool(np.abs(unit.mean(axis=0)).mean() < 0.8)
 
 
-def _share(study: Study, power: np.ndarray, lines: list[float]) -> float:
-    """How large the hum is beside the FRFs at its strongest line."""
-    which = [int(np.argmin(np.abs(study.freq - f))) for f in lines]
-    sigma2 = np.mean(study.sigma[:, which] ** 2, axis=(0, 2, 3))
-    there = np.mean(np.abs(study.H[:, which]) ** 2, axis=(0, 2, 3))
+def _share(study: Study, power: np.ndarray, which: list[int]) -> float:
+    """How large the hum is beside the FRFs at the one of its lines where it is largest."""
+    H = study.H[:, which]
+    sigma2 = np.mean(_scale(H, study.sigma[:, which]), axis=(0, 2, 3))
+    there = np.mean(np.abs(H) ** 2, axis=(0, 2, 3))
     return float(np.sqrt(np.max(power[which] * sigma2 / np.maximum(there, 1e-300))))

@@ -23,6 +23,8 @@ DECAYED = 2.5
 BETTER = 1.4
 # Squares of scatter that the angles of cut records must gain, and the share that may be left.
 GAIN, LEFT = 6.0, 0.6
+# How much more is asked of one mode alone, for both.
+ALONE = 5.0
 # Share of the response at the end of the record from which on it is reported.
 REMAINDER = 0.05
 
@@ -139,7 +141,10 @@ def _cut(study: Study, step: float) -> tuple[float, str, float, Picture] | None:
     turn = np.angle(1 - np.exp(poles / step))
     mended = angles._replace(angle=angles.angle - turn[angles.mode])
     before, after = misfit(angles), misfit(mended)
-    if before - after < GAIN or after > LEFT * before or len(np.unique(angles.mode)) < 2:
+    # One mode alone may be turned by much else, but seldom by just the angle that its own decay asks for.
+    alone = len(np.unique(angles.mode)) < 2
+    least, part = (ALONE * GAIN, LEFT / ALONE) if alone else (GAIN, LEFT)
+    if before - after < least or after > part * before:
         return None
     frequency = angles.omega / (2 * np.pi)
     shown = np.degrees((angles.angle + np.pi / 2) % np.pi - np.pi / 2)

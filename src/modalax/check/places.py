@@ -3,18 +3,21 @@ r"""Signs and places of channels, checked where a place is both driven and measu
 A passive and reciprocal structure obeys two rules: a residue :math:`A_r` of the receptance at a drive point is
 :math:`-j` times a positive number for real modes, and stays near it for the complex modes of light damping; residues
 between two drive points are the same both ways. Where the data break them, sign changes and exchanges of channels are
-tried one by one, and one is reported if it corrects everything. Of several that do, the one is taken that also makes
-the drive points those of a passive structure between the resonances (:mod:`modalax.check.passive`).
+tried one by one, and one is reported if it corrects everything: the residues, and the whole curves of the pairs, which
+an exchange that only happens to mend a residue or two does not make reciprocal. Of several that do, the one is taken
+that also makes the drive points those of a passive structure between the resonances (:mod:`modalax.check.passive`).
 """
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
 from modalax.check.finding import Finding, Picture, sureness
 from modalax.check.passive import passive_misfit
 from modalax.check.phases import complexity
+from modalax.check.reciprocity import SMALLEST_GAIN, SURE, ratio
 from modalax.check.study import Study
 
 # A residue may lie off its axis by this share of itself, and by this share of the mode's largest.
@@ -29,6 +32,7 @@ MOST, BROKEN, MENDED = 40.0, 30.0, 0.2
 # Share of the sum within which corrections are as good as each other; by how much more passive a drive point must
 # become for another than the first of them; the sum from which on that alone is enough, and by how much then.
 ALIKE, BETTER, HINT, CLEARLY = 0.05, 2.0, 10.0, 10.0
+LOOKED_AT = 40  # corrections whose curves are compared, the best by their residues
 MOST_FAULTS = 3  # sign changes and exchanges that are tried together, at most
 
 
@@ -47,11 +51,16 @@ def misplaced(study: Study) -> Iterator[Finding]:
     if not study.drive_points or not study.explained:
         return
     mends = list(_mends(study))
-    first = before = broken(study, residues, std)
     chosen: list[tuple[Mend, float, list[Mend]]] = []
     H, sigma = study.H[0], study.sigma[0]
+    first = before = broken(study, residues, std) + _curves_differ(study, H, sigma)
     while before >= HINT and len(chosen) < MOST_FAULTS:
         left = np.array([broken(study, m.change(residues), np.abs(m.change(std))) for m in mends])
+        best = np.argsort(left)
+        left[best[LOOKED_AT:]] = np.inf
+        for k in best[:LOOKED_AT]:
+            m = mends[k]
+            left[k] += _curves_differ(study, m.change(H), np.abs(m.change(sigma)), m.what == "swapped")
         alike = [mends[k] for k in np.flatnonzero(left <= left.min() + ALIKE * before)]
         passive = np.array([_not_passive(study, m.change(H), np.abs(m.change(sigma)), m.where) for m in alike])
         k = 0 if passive[0] < BETTER * passive.min() else int(np.argmin(passive))
@@ -78,6 +87,21 @@ def _not_passive(study: Study, H: np.ndarray, sigma: np.ndarray, where: tuple[st
         for p in points or study.drive_points
     ]
     return float(np.mean(found))
+
+
+def _curves_differ(study: Study, H: np.ndarray, sigma: np.ndarray, same: bool = False) -> float:
+    """Sum over pairs of drive points of what differs between both directions, each as much as one term at most.
+
+    With ``same`` a constant factor between the two counts as well: an exchange that leaves one explains less than all.
+    """
+    total = 0.0
+    for p, q in combinations(study.drive_points, 2):
+        fit = ratio(H[None], sigma[None], p, q)
+        if fit is not None:
+            factor, std, _, excess = fit
+            off = abs(np.log(abs(factor))) / max(SMALLEST_GAIN, SURE * std / abs(factor)) if same else 0.0
+            total += MOST * float(np.clip(max(excess, off - 1), 0.0, 1.0))
+    return total
 
 
 def broken(study: Study, residues: np.ndarray, std: np.ndarray) -> float:

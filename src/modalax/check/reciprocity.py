@@ -30,7 +30,7 @@ def reciprocity(study: Study) -> Iterator[Finding]:
     """Find wrong calibration constants, and pairs of FRFs that differ by more than a constant."""
     pairs = {}
     for p, q in combinations(study.drive_points, 2):
-        fit = _ratio(study, p, q)
+        fit = ratio(study.H, study.sigma, p, q)
         if fit is not None:
             factor, std, left, excess = fit
             pairs[p.name, q.name] = (p, q, factor, std, left, max(excess, _by_modes(study, p, q)))
@@ -43,10 +43,14 @@ def reciprocity(study: Study) -> Iterator[Finding]:
     yield from _calibration(study, {key: value for key, value in pairs.items() if key not in wild})
 
 
-def _ratio(study: Study, p: DrivePoint, q: DrivePoint) -> tuple[float, float, float, float] | None:
-    """Factor between both directions, its standard deviation, the difference left, and its ratio to the noise."""
-    there, back = p.sign * study.H[:, :, p.o, q.i], q.sign * study.H[:, :, q.o, p.i]
-    n1, n2 = study.sigma[:, :, p.o, q.i], study.sigma[:, :, q.o, p.i]
+def ratio(H: np.ndarray, sigma: np.ndarray, p: DrivePoint, q: DrivePoint) -> tuple[float, float, float, float] | None:
+    """Factor between both directions, its standard deviation, the difference left, and its ratio to the noise.
+
+    FRFs and their noise have the shape ``(run, f, o, i)``; a pair is not reciprocal from a ratio of 1 on. None where
+    there is little but noise.
+    """
+    there, back = p.sign * H[:, :, p.o, q.i], q.sign * H[:, :, q.o, p.i]
+    n1, n2 = sigma[:, :, p.o, q.i], sigma[:, :, q.o, p.i]
     weight = 1 / (n1**2 + n2**2)
     # Errors in proportion to the FRF are allowed for, so that a few lines of a resonance do not decide alone.
     weight = 1 / (1 / weight + 0.01 * (np.abs(there) ** 2 + np.abs(back) ** 2))
@@ -123,7 +127,7 @@ def _worst_exchanged(study: Study, pairs: dict, wild: set, axis: int, a: int, b:
     changed.__dict__["sigma"] = np.take(study.sigma, order, axis)
     before, worst = max(pairs[key][-1] for key in wild), 0.0
     for key in sorted(pairs, key=lambda key: -pairs[key][-1]):
-        fit = _ratio(changed, *pairs[key][:2])
+        fit = ratio(changed.H, changed.sigma, *pairs[key][:2])
         if fit is None:
             continue
         factor, std, _, excess = fit

@@ -47,8 +47,9 @@ def strong_modes(study: Study) -> np.ndarray:
         np.abs(study.modes.residues) / np.maximum(-study.modes.poles.real, 1e-300)[:, None], axis=1, initial=0
     )
     peak = peak * np.abs(study.modes.poles) ** study.power
-    sure = study.modes.pole_std < 0.3 * -study.modes.poles.real
-    return np.flatnonzero(study.modes.inside & (ratio > 2 * CLEAR) & sure & (peak > STRONG * peak.max(initial=0.0)))
+    # A pole beyond the band, or one that nobody knows, is the strongest by its residue alone.
+    sure = study.modes.inside & (study.modes.pole_std < 0.3 * -study.modes.poles.real)
+    return np.flatnonzero(sure & (ratio > 2 * CLEAR) & (peak > STRONG * peak[sure].max(initial=0.0)))
 
 
 def lines_a_width(study: Study) -> np.ndarray:

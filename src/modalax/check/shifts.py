@@ -10,10 +10,11 @@ from modalax.check.finding import Finding, Picture, sureness
 from modalax.check.modes import Modes, estimate_modes, improve, misfit_of, noise_of, residues_at
 from modalax.check.study import Study, line_step
 
-# A shift is told from this share of the frequency and of the half-power bandwidth on, and from this many standard
-# deviations. Sensors of one column are measured at once, so more is asked of them.
-SMALLEST, OF_WIDTH, SURE = 2e-4, 0.03, 6.0
-SENSORS = 3.0
+# A shift is told from this share of the frequency on, as one kelvin makes in steel (its modulus falls by 2.5e-4 a
+# kelvin), and from this many standard deviations.
+SMALLEST, SURE = 1e-4, 6.0
+# Sensors of one column are measured at once, so more is asked of them, and a share of the half-power bandwidth.
+SENSORS, OF_SENSORS, OF_WIDTH = 3.0, 6e-4, 0.09
 # Blocks up to this number are searched for modes of their own where those of the reference do not explain them.
 MOST_OWN = 12
 STEPS = 6
@@ -82,15 +83,15 @@ def _between(study: Study, blocks: Blocks) -> tuple[float, Finding] | None:
         s = np.where(np.abs(f - f0) < np.minimum(LOADED * f0, LOADED_WIDTH * width), s, np.inf)
     if blocks.kind == "run" and any(_with_level(study, f[:, m]) for m in np.flatnonzero(np.isfinite(s).all(axis=0))):
         return None
-    # Runs whose noise nobody states, as single hits, need a shift as clear as sensors do.
+    # Runs whose noise nobody states, as single hits, must stand out of the scatter of the others as sensors do.
     strict = SENSORS if blocks.kind == "output" or (blocks.kind == "run" and study.variance is None) else 1.0
     off, spread = _off(f, s, strict)
-    least = np.maximum(SMALLEST * f0, OF_WIDTH * width) * strict
+    least = np.maximum(OF_SENSORS * f0, OF_WIDTH * width) if blocks.kind == "output" else SMALLEST * f0
     with np.errstate(invalid="ignore"):
         z = np.where(np.isfinite(spread), np.abs(off) / np.maximum(SURE * spread, least), 0.0)
     # All modes of a block together: the whole structure that became softer or heavier.
     mean, mean_std = _mean_of(off / f0, spread / f0)
-    mean_z = np.abs(mean) / np.maximum(SURE * mean_std, np.maximum(SMALLEST, OF_WIDTH * np.median(width / f0)) * strict)
+    mean_z = np.abs(mean) / np.maximum(SURE * mean_std, np.median(least / f0))
     score = np.maximum(z.max(axis=1, initial=0.0), np.where(np.isfinite(mean_z), mean_z, 0.0))
     if blocks.kind == "output":
         # What loads a structure moves more modes than one; a single one may be two that a sensor sees in another mix.

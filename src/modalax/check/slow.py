@@ -12,6 +12,8 @@ OCTAVES, BELOW, LINES = (3, 4, 5), 0.5, 7
 # Slope of the accelerance there in powers of frequency (a structure has 0, free, or 2, held), how many standard
 # deviations it must be below none, and how much louder the lowest octave is than the highest.
 SLOPE, SURE, LOUDER = -0.8, 4.0, 3.0
+# How much louder a resonance is than the quietest of the lines below it, in the middle of the outputs.
+RISE = 2.0
 # How much steeper than the other channels a channel alone must fall, for a slope that a free structure could have.
 STEEPER = 1.2
 
@@ -22,9 +24,10 @@ def drift(study: Study) -> Iterator[Finding]:
     # What drifts may look like a mode near 0 Hz; a resonance there is seen by most of the sensors, and is narrow.
     clear = (np.abs(study.residues) > CLEAR * study.residue_std).any(axis=2)
     shared = (clear.mean(axis=1) > 0.5) & (study.modes.width < 0.3 * study.modes.frequency) & study.modes.inside
-    first = float(study.modes.frequency[shared].min(initial=freq[-1]))
     size = np.sqrt(np.mean(np.abs(study.H) ** 2, axis=(0, 3))) + 1e-300
     size = size * freq[:, None] ** (2 - study.power)
+    shared &= _rises_to(study.modes.frequency, freq, size)
+    first = float(study.modes.frequency[shared].min(initial=freq[-1]))
     best: dict[int, tuple[float, float, int]] = {}
     for octaves in OCTAVES:
         lines = np.flatnonzero(freq < 1.001 * 2**octaves * freq[0])
@@ -51,6 +54,14 @@ def drift(study: Study) -> Iterator[Finding]:
             picture=Picture([(study.outputs[k], freq, size[:, k])], "Frequency [Hz]", "Accelerance", True),
             bands=((0.0, float(freq[last])),),
         )  # fmt: skip
+
+
+def _rises_to(frequency: np.ndarray, freq: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Whether the response rises to each mode from lines below it; what drifts falls all the way."""
+    middle = np.median(np.log(size), axis=1)
+    lowest = np.minimum.accumulate(middle)
+    near = np.searchsorted(freq, frequency).clip(1, len(freq) - 1)
+    return np.maximum(middle[near], middle[near - 1]) > np.log(RISE) + lowest[near - 1]
 
 
 def _slope(freq: np.ndarray, size: np.ndarray, lines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -3,9 +3,13 @@ r"""How much channels and lines disagree on the pole of a mode, and the error of
 A change of a pole by :math:`\delta` changes the response of channel :math:`c` by :math:`\delta R_c/(s-\lambda)^2`. Each
 part of the data (an input, an output, a flank of the resonance) so asks for a change of its own. What these differ by
 beyond their noise is misfit: hits that find the structure changed, a sensor whose mass moves with it, a record too
-short. It enters the deviation of the pole as in a random-effects mean (DerSimonian and Laird 1986).
+short. It enters the deviation of the pole as in a random-effects mean (DerSimonian and Laird 1986). The pole of maximum
+likelihood is the groups' mean weighed by their noise, most of all that of the strongest; how far it is from the mean
+of all groups, the noise and the scatter of each counted, is known and enters too. Modes that disagree in one
+test do so for one reason, so that all of them together tell whether they do (Fisher 1925, section 21.1).
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -33,7 +37,8 @@ class Spread(NamedTuple):
     between
         Standard deviation of frequency [Hz] and of the decay over :math:`2\pi` [Hz] between groups, beyond noise.
     error
-        Standard deviation of their weighted mean with that, for frequency [Hz] and decay [Hz].
+        Deviation of the pole, for frequency [Hz] and decay [Hz]: the distance to the mean of all groups, and the
+        standard deviation of that.
     chance
         Chance that noise alone makes them differ so.
     """
@@ -123,8 +128,17 @@ def _spread(frequency: np.ndarray, decay: np.ndarray, weight: np.ndarray, far: f
         statistic += q
         tau2 = max(0.0, (q - (len(w) - 1)) / (np.sum(w) - np.sum(w**2) / np.sum(w)))
         between.append(np.sqrt(tau2) / unit)
-        error.append(np.sqrt(np.sum(w + w**2 * tau2)) / np.sum(w) / unit)
+        both = 1 / (1 / w + tau2)
+        error.append(np.hypot(np.sum(both * values) / np.sum(both), 1 / np.sqrt(np.sum(both))) / unit)
     chance = float(scipy.special.chdtrc(2 * (len(w) - 1), statistic))
     return Spread(
         shift, std, (float(between[0]), float(between[1])), (float(error[0]), float(error[1])), chance
     )  # fmt: skip
+
+
+def together(chances: Sequence[float]) -> float:
+    """Chance that noise alone makes several independent comparisons differ so (Fisher's method)."""
+    if not chances:
+        return 1.0
+    statistic = -2 * np.sum(np.log(np.maximum(chances, np.finfo(float).tiny)))
+    return float(scipy.special.chdtrc(2 * len(chances), statistic))

@@ -13,7 +13,7 @@ from modalax._numerics.checks import as_array
 from modalax._numerics.cuts import cut
 from modalax.data.frf import FRF
 from modalax.identify.close_modes import NEAR, Record, record_of, two_modes
-from modalax.identify.disagreement import CERTAIN
+from modalax.identify.disagreement import CERTAIN, together
 from modalax.identify.flags import matters
 from modalax.identify.host import refine_on_host, residues_on_host
 from modalax.identify.likelihood import UNDAMPED
@@ -282,11 +282,14 @@ def with_misfit(refined: Refined, quality: list[ModeQuality]) -> Refined:
     """The result with standard deviations of poles that know how much the parts of the data disagree on them.
 
     Where flanks, inputs or outputs differ beyond noise, the deviation of their random-effects mean takes the place of
-    a smaller one. Correlations stay.
+    a smaller one; inputs or outputs that all modes together say differ do so for each mode. Correlations stay.
     """
     f, zeta = np.asarray(refined.model.frequency_hz), np.asarray(refined.model.damping_ratio)
     old = _deviations(refined)
-    return _widened(refined, np.array([_with_spread(old[r], f[r], zeta[r], q) for r, q in enumerate(quality)]))
+    sides = [[q.inputs for q in quality], [q.outputs for q in quality]]
+    differ = [together([s.chance for s in side if s is not None]) < CERTAIN for side in sides]
+    new = [_with_spread(old[r], f[r], zeta[r], q, differ) for r, q in enumerate(quality)]
+    return _widened(refined, np.array(new))
 
 
 def with_seconds(refined: Refined, quality: list[ModeQuality], which: np.ndarray) -> Refined:
@@ -327,10 +330,10 @@ def _widened(refined: Refined, new: np.ndarray) -> Refined:
     )  # fmt: skip
 
 
-def _with_spread(std: np.ndarray, f: float, zeta: float, quality: ModeQuality) -> np.ndarray:
+def _with_spread(std: np.ndarray, f: float, zeta: float, quality: ModeQuality, differ: list[bool]) -> np.ndarray:
     f_std, zeta_std = float(std[0]), float(std[1])
-    for spread in (quality.lines, quality.inputs, quality.outputs):
-        if spread is not None and spread.chance < CERTAIN:
+    for spread, certain in zip((quality.lines, quality.inputs, quality.outputs), (False, *differ), strict=True):
+        if spread is not None and (certain or spread.chance < CERTAIN):
             f_std = max(f_std, spread.error[0])
             zeta_std = max(zeta_std, float(np.hypot(spread.error[1], zeta * spread.error[0]) / f))
     return np.array([f_std, zeta_std])
