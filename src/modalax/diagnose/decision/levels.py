@@ -37,6 +37,8 @@ class LevelsCase:
         Whether no joint was tried although one may be the cause.
     behaviour
         The leading joint's equivalent stiffness against its amplitude, as a clause.
+    holds
+        Stiffness of the leading joint until it slips, and its standard deviation [N/m], where the simulation lacks it.
     limits
         Thresholds of the rules.
     """
@@ -55,6 +57,7 @@ class LevelsCase:
     nameless: float = 0.0
     untried: bool = False
     behaviour: str = ""
+    holds: tuple[float, float] | None = None
     limits: Thresholds = THRESHOLDS
 
     @property
@@ -72,10 +75,17 @@ class LevelsCase:
                 f"a shift of the frequencies by {percent(self.drift)} up to the last of them, the same at every "
                 f"amplitude, explains it (probability {self.drifting:.3f})",
             )
-        return (
+        told = (
             *self.observed,
             f"{cause_at(self.law, self.where)} explains it (probability {self.law_probability:.3f} of the law, "
             f"{self.place_probability:.3f} of the place)",
+        )
+        if self.holds is None:
+            return told
+        stiffness, std = self.holds
+        return (
+            *told,
+            f"the simulation lacks this joint: until it slips it is a spring of {stiffness:.4g} ± {std:.2g} N/m there",
         )
 
 

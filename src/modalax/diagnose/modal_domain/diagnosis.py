@@ -112,7 +112,7 @@ class ModalDiagnosis(Diagnosis):
         """What stands out beyond the general inaccuracy."""
         if self.verdict == "clean":
             return []
-        return self._linear + (causes_told(self.stage.seen) if self.stage.seen is not None else [])
+        return self._linear + (causes_told(self.stage.seen, self.stage.whole) if self.stage.seen is not None else [])
 
     @property
     def _linear(self) -> list[dict[str, Any]]:
@@ -190,11 +190,11 @@ def diagnose_modes(
         return None
     judged = judge(stage)
     chosen, inaccuracy = judged.chosen, inaccuracy_told(stage.setting, judged.likeliest.fit)
-    joined, further = judge_levels(stage.seen)
+    joined, further = judge_levels(stage.seen, stage.whole)
     word, reasons = outweighing(judged.word, joined), [said(inaccuracy), *judged.reasons, *further]
     reasons += [
         f"{cause_at(c.slug, c.where)} of {c.size(u):.3g} {UNITS[c.slug][1]} counts as that joint's own at low amplitude"
-        for c, u in with_sizes(chosen.causes, chosen.fit.u) if of_the_joint(stage, c)
+        for c, u in with_sizes(chosen.causes, chosen.fit.u) if of_the_joint(stage, c) and stage.whole is None
     ]  # fmt: skip
     if not stage.in_time:
         reasons.append("time was up before every explanation had been tried")
@@ -238,8 +238,9 @@ def extension_of(stage: Stage, f: Fit) -> ExtendedSimulation:
     for cause in (*catalogue(), *imitators()):
         known.setdefault(cause.slug, cause)
     base, causes, places, params, spread, extras = corrected(stage, f), [], [], [], [], []
+    spring = stage.whole.spring if stage.whole is not None and stage.whole.alone else None
     for k, (c, u) in enumerate(with_sizes(f.causes, f.u)):
-        if c.pattern is not None or c.slug not in known:
+        if c.pattern is not None or c.slug not in known or c == spring:
             continue
         m, own = stage.measurement, own_sizes(f.causes, k)
         names = base.dofs if c.local else (m.inputs if c.slug == "force_gain" else m.outputs)
@@ -255,10 +256,11 @@ def extension_of(stage: Stage, f: Fit) -> ExtendedSimulation:
     joint = None if stage.seen is None else stage.seen.joint
     if joint is not None and joint.fit.law in NAMED:
         index = [base.dofs.index(w) for w in joint.spot.where] + [-1]
-        causes.append(joint.fit.law)
+        law = joint.fit if stage.whole is None else stage.whole.fit
+        causes.append(law.law)
         places.append(Place(joint.spot.where, (index[0], index[1], 0)))
-        params.append(jnp.asarray(joint.fit.p))
-        spread.append(jnp.asarray(joint.fit.std))
+        params.append(jnp.asarray(law.p))
+        spread.append(jnp.asarray(law.std))
         extras.append(None)
     return ExtendedSimulation(
         base, tuple(params), tuple(spread), jnp.zeros((2, len(base.dofs))), tuple(extras), tuple(causes),

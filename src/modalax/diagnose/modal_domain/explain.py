@@ -114,6 +114,27 @@ def again(setting: Setting, earlier: Sequence[Explanation], candidates: list[Cha
     return _ranked(found, Prior(candidates)) if found else []
 
 
+def further(
+    setting: Setting, explanations: Sequence[Explanation], candidates: list[Change], cause: Change, u: float
+) -> list[Explanation]:
+    """Explanations together with those in which a cause joins the likeliest, or takes the place of one of its causes.
+
+    Parameters
+    ----------
+    u
+        Size that it is fitted from.
+    """
+    found = {_key(e.causes): e.fit for e in explanations}
+    best = explanations[0].fit
+    for k in range(len(best.causes)):
+        kept = tuple(c for j, c in enumerate(best.causes) if j != k)
+        _try(setting, found, (*kept, cause), np.append(_without(best, k), u), without_causes(best), gentle=False)
+    if len(best.causes) < MOST:
+        _try(setting, found, (*best.causes, cause), np.append(best.u, u), without_causes(best), gentle=False)
+    left = {id(e.fit): e.misfit for e in explanations}
+    return [replace(e, misfit=left.get(id(e.fit), e.misfit)) for e in _ranked(found, Prior(candidates))]
+
+
 def _all_steps(
     search: _Search, null: Fit, candidates: list[Change], prior: Prior, late: Deadline, tell: Callable[[str], None]
 ) -> None:
@@ -181,9 +202,13 @@ def _try(
     temperatures = {} if gentle else {"temperatures": (3.0,)}
     best = max((f.log_evidence for f in found.values()), default=-np.inf)
     trial = fit(setting, causes, start, u, **temperatures, best_else=best)
-    key = tuple(sorted(causes, key=lambda c: (c.slug, c.where, c.pattern is not None)))
+    key = _key(causes)
     if trial is not None and (key not in found or trial.log_evidence > found[key].log_evidence):
         found[key] = trial
+
+
+def _key(causes: Sequence[Change]) -> tuple[Change, ...]:
+    return tuple(sorted(causes, key=lambda c: (c.slug, c.where, c.pattern is not None)))
 
 
 def _leading(

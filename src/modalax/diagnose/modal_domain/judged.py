@@ -49,7 +49,7 @@ def judge(stage: Stage) -> Judged:
     plain = next((e for e in stage.explanations if not e.causes), None)
     off = inaccuracy_of_fit(stage, best)
     case = ModalCase(
-        sets, [(c.slug, c.where) for c in best.causes], off,
+        sets, [(c.slug, c.where) for c in best.causes if not of_the_joint(stage, c)], off,
         max(off[name] / LARGEST[name] for name in ("stiffness", "mass")),
         best.misfit,
         None if plain is None else best.log_posterior - plain.log_posterior, THRESHOLDS,

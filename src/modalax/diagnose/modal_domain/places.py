@@ -51,7 +51,7 @@ def candidates_of(
         out.append(Change("added_mass", (name,), LUMP / mobile, b, reference=float(own_mass[k]), weight=weight))
     out += _lumps(simulation, c, inside)
     apart = next((some for some in (dofs, {*outputs, *inputs}) if len(some) <= FEW), ())
-    for where, b, stiffness, weight in springs_of(simulation, c, nodes, pairs, highest, apart):
+    for where, b, stiffness, weight, _ in springs_of(simulation, c, nodes, pairs, highest, apart):
         mobile = b[inside] ** 2
         if mobile.mean() < STILL * float((c.shapes[:, inside] ** 2).max()):
             continue
@@ -142,8 +142,8 @@ def _elements(simulation: Structure, c: Coordinates, nodes: Nodes) -> list[Chang
 def springs_of(
     simulation: Structure, c: Coordinates, nodes: Nodes, pairs: list[tuple[str, str]] | None, highest: float,
     apart: Collection[str] = (),
-) -> list[tuple[tuple[str, ...], np.ndarray, float, float]]:  # fmt: skip
-    """Place, direction, usual change of stiffness and weight of springs.
+) -> list[tuple[tuple[str, ...], np.ndarray, float, float, bool]]:  # fmt: skip
+    """Place, direction, usual change of stiffness and weight of springs, and whether the simulation has one there.
 
     Likeliest are the pairs that the simulation names and its own springs and supports, then other coupled DoFs and
     each DoF to ground, and last any two displacements of one direction, of those in ``apart``, that nothing joins.
@@ -171,17 +171,19 @@ def springs_of(
             key = "apart"
         told = unit[a, b] > 1e-3 and (key == "named" or {a, b} in read)
         stiffness = abs(K[a, b]) if told else min(K[a, a], K[b, b])
-        groups[key].append(((dofs[a], dofs[b]), c.shapes[a] - c.shapes[b], JOINT * stiffness, 1.0))
+        there = bool(unit[a, b] >= COUPLED)
+        groups[key].append(((dofs[a], dofs[b]), c.shapes[a] - c.shapes[b], JOINT * stiffness, 1.0, there))
     for a, name in enumerate(dofs):
         supported = held.get(a, 0.0) > SUPPORTED * K[a, a]
         entry = (name,), c.shapes[a], JOINT * (held[a] if supported else K[a, a])
-        groups["support" if supported else "ground"].append((*entry, UNLIKELY if nodes.axis[a] > 2 else 1.0))
+        likely = UNLIKELY if nodes.axis[a] > 2 else 1.0
+        groups["support" if supported else "ground"].append((*entry, likely, supported))
     out = []
     for key, group in groups.items():
         total = sum(g[3] for g in group)
         if key in ABSENT:
-            group = [(where, b, min(k, JOINT * _felt(c, b, inside)), weight) for where, b, k, weight in group]
-        out += [(where, b, float(k), SHARES[key] * weight / total) for where, b, k, weight in group]
+            group = [(where, b, min(k, JOINT * _felt(c, b, inside)), *rest) for where, b, k, *rest in group]
+        out += [(where, b, float(k), SHARES[key] * w / total, there) for where, b, k, w, there in group]
     return out
 
 

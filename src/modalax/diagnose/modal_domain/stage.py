@@ -11,7 +11,7 @@ from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import Coordinates, coordinates_of
 from modalax.diagnose.modal_domain.elements import nodes_of
-from modalax.diagnose.modal_domain.explain import Explanation, explain
+from modalax.diagnose.modal_domain.explain import Explanation, Prior, explain
 from modalax.diagnose.modal_domain.features import whitener_of
 from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.further_causes import StructuralDamping, missing_modes, tuned_masses
@@ -19,6 +19,7 @@ from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
 from modalax.diagnose.modal_domain.levels.explain import Spot
 from modalax.diagnose.modal_domain.levels.laws import NAMED
 from modalax.diagnose.modal_domain.levels.seen import Seen, joint_and_structure, look_at_levels
+from modalax.diagnose.modal_domain.levels.slipping import Whole, whole_joint
 from modalax.diagnose.modal_domain.measured import Measured, identify
 from modalax.diagnose.modal_domain.odd_output import OddOutput, odd_output
 from modalax.diagnose.modal_domain.places import candidates_of, springs_of
@@ -58,6 +59,8 @@ class Stage:
         What force levels or repeated runs tell; None where there is one run.
     odd
         An output that differs from all others as no cause explains; None where there is none.
+    whole
+        The leading joint, where the simulation lacks it altogether and the linear structure shows its spring.
     """
 
     measurement: Any
@@ -70,6 +73,7 @@ class Stage:
     in_time: bool
     seen: Seen | None = None
     odd: OddOutput | None = None
+    whole: Whole | None = None
 
     @property
     def best(self) -> Explanation:
@@ -130,7 +134,7 @@ def run_stage(
     odd = None if late() else odd_output(setting, explanations, measurement.outputs)
     setting, explanations = leading_on_lines(setting, explanations, measured, late)
     places = springs_of(simulation, c, nodes_of(simulation.dofs), pairs, highest)
-    spots = [Spot(where, b, w) for where, b, _, w in places]
+    spots = [Spot(where, b, w, held) for where, b, _, w, held in places]
     seen = None
 
     def look(measured: Measured, setting: Setting, f: Fit, earlier: Seen | None, there: bool) -> Seen | None:
@@ -149,5 +153,7 @@ def run_stage(
         late.stop()
     if seen is not None and seen.joint is not None:  # which bends the modes themselves
         odd = None
+    joint = None if seen is None else seen.joint
+    whole = None if joint is None else whole_joint(explanations[0], joint, Prior(candidates))
     in_time = not (late() or first())
-    return Stage(measurement, simulation, c, measured, setting, candidates, explanations, in_time, seen, odd)
+    return Stage(measurement, simulation, c, measured, setting, candidates, explanations, in_time, seen, odd, whole)

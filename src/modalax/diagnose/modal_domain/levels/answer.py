@@ -10,11 +10,12 @@ from modalax.diagnose.modal_domain.levels.change import projected
 from modalax.diagnose.modal_domain.levels.explain import JointFound
 from modalax.diagnose.modal_domain.levels.laws import NAMELESS, motions_of, stiffness_of
 from modalax.diagnose.modal_domain.levels.seen import Seen
+from modalax.diagnose.modal_domain.levels.slipping import Whole
 from modalax.diagnose.result import parameters_told
 from modalax.diagnose.thresholds import THRESHOLDS
 
 
-def judge_levels(seen: Seen | None) -> tuple[str, tuple[str, ...]]:
+def judge_levels(seen: Seen | None, whole: Whole | None = None) -> tuple[str, tuple[str, ...]]:
     """Verdict and reasons of the levels alone: ``clean`` where they agree."""
     if seen is None or seen.found.best == "nothing":
         return levels_verdict(LevelsCase("nothing"))
@@ -37,11 +38,12 @@ def judge_levels(seen: Seen | None) -> tuple[str, tuple[str, ...]]:
         "joint", kind, found.before, found.after, law=j.slug, where=j.spot.where, law_probability=found.sure(j.slug),
         place_probability=found.placed(j.slug, j.spot.where), inexact=j.tolerance,
         nameless=sum((p.probability for p in found.joints if p.slug in nameless), 0.0), behaviour=described(seen, j),
+        holds=None if whole is None else (whole.stiffness, whole.std),
     ))  # fmt: skip
 
 
-def causes_told(seen: Seen) -> list[dict[str, Any]]:
-    """The joint or the drift, as told in the answer."""
+def causes_told(seen: Seen, whole: Whole | None = None) -> list[dict[str, Any]]:
+    """The joint or the drift, as told in the answer; a joint that the simulation lacks as one with its spring."""
     found = seen.found
     if found.best == "drift":
         d = found.drift
@@ -50,9 +52,11 @@ def causes_told(seen: Seen) -> list[dict[str, Any]]:
     j = seen.joint
     if j is None or j.fit.law in NAMELESS:
         return []
-    scale = np.array([v if q.log else 1.0 for v, q in zip(j.fit.p, j.fit.law.parameters, strict=True)])
-    covariance = j.fit.covariance * np.outer(scale, scale)
-    parameters = parameters_told(j.fit.law, Place(j.spot.where), j.fit.p, covariance)
+    f = j.fit if whole is None else whole.fit
+    scale = np.array([v if q.log else 1.0 for v, q in zip(f.p, f.law.parameters, strict=True)])
+    parameters = parameters_told(f.law, Place(j.spot.where), f.p, f.covariance * np.outer(scale, scale))
+    if whole is not None and not whole.alone:
+        parameters = {"stiffness": {"value": whole.stiffness, "std": whole.std, "unit": "N/m"}, **parameters}
     name = {"name": j.slug, "where": list(j.spot.where), "probability": float(min(found.sure(j.slug), 1.0))}
     return [{**name, "parameters": parameters}]
 

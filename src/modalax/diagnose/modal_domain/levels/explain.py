@@ -29,11 +29,20 @@ NEAR_SHARE = 0.1  # or that share of all its nats: errors of the motion cost a w
 
 @dataclass(frozen=True, eq=False)
 class Spot:
-    """Where a joint may sit: names, direction in modal coordinates, and weight among the places."""
+    """Where a joint may sit.
+
+    Attributes
+    ----------
+    where, direction, weight
+        Names, direction in modal coordinates, and weight among the places.
+    held
+        Whether the simulation has a spring there, which may slip.
+    """
 
     where: tuple[str, ...]
     direction: np.ndarray
     weight: float
+    held: bool = True
 
 
 @dataclass(frozen=True)

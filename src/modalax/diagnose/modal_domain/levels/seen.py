@@ -7,7 +7,7 @@ import numpy as np
 
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import Change
-from modalax.diagnose.modal_domain.explain import Explanation, again, explain
+from modalax.diagnose.modal_domain.explain import Explanation, Prior, again, explain
 from modalax.diagnose.modal_domain.features import Features, chosen, sure, whitener_of
 from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.further_causes import TunedMass
@@ -15,6 +15,7 @@ from modalax.diagnose.modal_domain.levels.change import Base, Levels, base_of, b
 from modalax.diagnose.modal_domain.levels.drift import Drift, by_run, drifts
 from modalax.diagnose.modal_domain.levels.explain import ByLevel, JointFound, Spot, explain_levels
 from modalax.diagnose.modal_domain.levels.laws import NAMED, LawFit, force_of, motions_of, stiffness_of
+from modalax.diagnose.modal_domain.levels.slipping import settled, with_springs
 from modalax.diagnose.modal_domain.levels.weigh import Shapes, weigh
 from modalax.diagnose.modal_domain.measured import Measured, features_beside, reidentified
 from modalax.diagnose.modal_domain.state import Setting
@@ -129,7 +130,9 @@ def joint_and_structure(
     """
     # what a law leaves of a peak that it distorts looks like a mode too many
     some = [c for c in candidates if c.freed is None and not isinstance(c, TunedMass)]
-    seen, taken = look(measured, setting, explanations[0].fit, None, False), None
+    prior, taken = Prior(candidates), None
+    raw = look(measured, setting, explanations[0].fit, None, False)
+    seen = beside(explanations, raw, prior)[1]
     for _ in range(PASSES):
         if seen is None or seen.joint is None or late():
             break
@@ -140,15 +143,31 @@ def joint_and_structure(
         tell("identifying the structure without its joint")
         freed, alone = without_joint(H, measured, setting, seen, now, level)
         found = again(alone, explanations, some) if len(freed.features.poles) else []
-        further = look(freed, alone, found[0].fit, seen, taken is not None) if found else None
-        if further is None or further.joint is None or further.found.untried:
+        after = look(freed, alone, found[0].fit, seen, taken is not None) if found else None
+        if after is None or after.joint is None or after.found.untried:
             break
-        seen, taken, measured, setting, explanations = further, now, freed, alone, found
+        raw, taken, measured, setting, explanations = after, now, freed, alone, found
+        seen = beside(explanations, raw, prior)[1]
     if taken is not None:
         setting, explanations = explain(setting, some, late, tell)
-        further = look(measured, setting, explanations[0].fit, seen, True) if explanations else None
-        seen = seen if further is None or further.joint is None else further
+        after = look(measured, setting, explanations[0].fit, seen, True) if explanations else None
+        raw = raw if after is None or after.joint is None else after
+    if raw is not None and explanations and not late():
+        explanations = with_springs(setting, explanations, raw.found, some)
+    told_from = explanations[0].causes if explanations else ()
+    explanations, seen = beside(explanations, raw, prior)
+    if seen is not None and explanations and explanations[0].causes != told_from and not late():
+        after = look(measured, setting, explanations[0].fit, seen, True)
+        seen = seen if after is None or after.joint is None else beside(explanations, after, prior)[1]
     return measured, setting, explanations, seen
+
+
+def beside(explanations: list[Explanation], seen: Seen | None, prior: Prior) -> tuple[list[Explanation], Seen | None]:
+    """Explanations of the linear structure and what levels tell, each by its probability beside the other."""
+    if seen is None or not explanations:
+        return explanations, seen
+    ranked, found = settled(explanations, seen.found, prior)
+    return ranked, replace(seen, found=found)
 
 
 def _within_deviation(f: LawFit) -> list[np.ndarray]:
