@@ -42,9 +42,10 @@ def as_double(value: Any, what: str, complex_: bool = False) -> jax.Array:
             f"Convert it knowingly with .astype('{'complex128' if complex_ else 'float64'}')"
         )
     wanted = np.dtype(np.complex128 if complex_ else np.float64)
-    if isinstance(value, jax.Array) and not is_traced(value) and dtype != wanted and np.can_cast(dtype, wanted):
-        value = np.asarray(value)  # NumPy converts without a program for each shape
-    return jnp.asarray(value, dtype=wanted)
+    if is_traced(*jax.tree.leaves(value)) or (dtype is not None and not np.can_cast(dtype, wanted)):
+        return jnp.asarray(value, dtype=wanted)
+    # NumPy converts without a program for each shape
+    return value if isinstance(value, jax.Array) and dtype == wanted else jax.device_put(np.asarray(value, wanted))
 
 
 def as_array(value: Any) -> jax.Array:

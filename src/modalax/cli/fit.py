@@ -165,14 +165,15 @@ def write_modes(result: Any, path: Path, geometry: Any, overwrite: bool) -> None
     """Write the modes inside the band to a file."""
     import numpy as np
 
+    from modalax._numerics.cuts import cut
     from modalax.files import save_modes
 
     inside, model, refined = np.asarray(result.inside), result.model, result.refined
     kept = model.replace(
-        poles=model.poles[inside], shapes=model.shapes[inside], participation=model.participation[inside],
-        frequency_std=model.frequency_std[inside], damping_std=model.damping_std[inside],
+        **{name: cut(getattr(model, name), inside) for name in (
+            "poles", "shapes", "participation", "frequency_std", "damping_std")},
     )  # fmt: skip
-    std = (None, None) if refined is None else (refined.frequency_std_hz[inside], refined.damping_std[inside])
+    std = (None, None) if refined is None else (cut(refined.frequency_std_hz, inside), cut(refined.damping_std, inside))
     save_modes(kept, path, frequency_std_hz=std[0], damping_std=std[1], geometry=geometry, overwrite=overwrite)
     note(f"modes: {path}")
 

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Sequence
 from functools import partial
+from types import ModuleType
 from typing import Any, Literal, get_args
 
 import equinox as eqx
@@ -13,6 +14,7 @@ from jaxtyping import Array, Complex, Float
 
 from modalax._numerics.checks import as_double, is_traced, require_finite, require_range
 from modalax._numerics.cuts import cut
+from modalax._numerics.known import by_numpy, circular, ends_of, host
 
 Form = Literal["receptance", "mobility", "accelerance"]
 DERIVATIVES: dict[str, int] = {"receptance": 0, "mobility": 1, "accelerance": 2}
@@ -220,7 +222,12 @@ class FRF(eqx.Module):
     @property
     def omega(self) -> Float[Array, " f"]:
         """Circular frequency of each line [rad/s]."""
-        return 2 * jnp.pi * self.freq
+        return circular(self.freq)
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """First and last frequency [Hz]."""
+        return ends_of(self.freq)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -308,17 +315,17 @@ class FRF(eqx.Module):
         steps = DERIVATIVES[check_form(form)] - DERIVATIVES[self.form]
         if steps == 0:
             return self
-        at_rest = not is_traced(self.freq, self.added_decay) and float(self.freq[0]) == float(self.added_decay) == 0
+        at_rest = not is_traced(self.freq, self.added_decay) and self.ends[0] == float(self.added_decay) == 0
         if steps < 0 and at_rest:
             raise ValueError(
                 f"{self.form} at 0 Hz has no {form}: drop that line first, for example with .lines(slice(1, None))"
             )
-        H, variance = _differentiated(self.H, self.variance, self.freq, self.added_decay, steps)
+        H, variance = _differentiated(self.H, self.variance, self.freq, self.added_decay, steps=steps)
         return self.replace(H=H, variance=variance, form=form)
 
     def transpose(self) -> "FRF":
         """Outputs and inputs exchanged; with reciprocity the same structure measured the other way round."""
-        turn = lambda a: None if a is None else jnp.swapaxes(a, 1, 2)
+        turn = lambda a: None if a is None else host(a).swapaxes(1, 2)
         return self.replace(
             H=turn(self.H), variance=turn(self.variance), coherence=turn(self.coherence),
             outputs=self.inputs, inputs=self.outputs,
@@ -359,18 +366,19 @@ def _noisy(
     return H + sigma * (real + 1j * imag) / jnp.sqrt(2.0), sigma**2
 
 
-@partial(jax.jit, static_argnames="steps")
+@by_numpy
 def _differentiated(
-    H: Complex[Array, "f o i"], variance: Float[Array, "f o i"] | None, freq: Float[Array, " f"], decay: Any, steps: int
+    xp: ModuleType, H: Any, variance: Any, freq: Any, decay: Any, *, steps: int
 ) -> tuple[Complex[Array, "f o i"], Float[Array, "f o i"] | None]:
     r"""H and its variance times :math:`s^n` and its square, with :math:`s = j\omega + \sigma`."""
-    factor = (2j * jnp.pi * freq + decay)[:, None, None] ** steps
-    return H * factor, None if variance is None else variance * jnp.abs(factor) ** 2
+    factor = (2j * np.pi * freq + decay)[:, None, None] ** steps
+    return H * factor, None if variance is None else variance * xp.abs(factor) ** 2
 
 
 def derivative(H: Complex[Array, "f o i"], freq: Float[Array, " f"], form: str) -> Complex[Array, "f o i"]:
     """Receptance at these frequencies [Hz] as another form."""
-    return _differentiated(H, None, freq, 0.0, DERIVATIVES[check_form(form)])[0]
+    steps = DERIVATIVES[check_form(form)]
+    return _differentiated(H, None, freq, 0.0, steps=steps)[0] if steps else H
 
 
 def _indices(names: tuple[str, ...], wanted: Sequence[str] | None, axis: str) -> list[int]:

@@ -9,6 +9,8 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from modalax._numerics.checks import as_double, is_traced, require_finite, require_range
+from modalax._numerics.cuts import cut
+from modalax._numerics.known import circular, ends_of, stacked
 from modalax.data.frf import (
     FRF,
     band_slice,
@@ -121,11 +123,11 @@ class Measurement(eqx.Module):
             if not same or (known and not np.array_equal(np.asarray(frf.freq), np.asarray(first.freq))):
                 raise ValueError(f"run {k} differs from run 0 in its lines, channels or form; they must be the same")
         stack = lambda name: (
-            None if any(getattr(f, name) is None for f in frfs) else jnp.stack([getattr(f, name) for f in frfs])
+            None if any(getattr(f, name) is None for f in frfs) else stacked([getattr(f, name) for f in frfs])
         )
         return cls(
-            first.freq, jnp.stack([f.H for f in frfs]), form=first.form, variance=stack("variance"),
-            coherence=stack("coherence"), level=jnp.stack([f.level for f in frfs]), added_decay=first.added_decay,
+            first.freq, stack("H"), form=first.form, variance=stack("variance"),
+            coherence=stack("coherence"), level=stack("level"), added_decay=first.added_decay,
             outputs=first.outputs, inputs=first.inputs, averages=first.averages,
         )  # fmt: skip
 
@@ -137,7 +139,12 @@ class Measurement(eqx.Module):
     @property
     def omega(self) -> Float[Array, " f"]:
         """Circular frequency of each line [rad/s]."""
-        return 2 * jnp.pi * self.freq
+        return circular(self.freq)
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """First and last frequency [Hz]."""
+        return ends_of(self.freq)
 
     def run(self, k: int) -> FRF:
         """Run ``k``, counted from 0.
@@ -149,10 +156,10 @@ class Measurement(eqx.Module):
         """
         if not -self.runs <= k < self.runs:
             raise ValueError(f"run {k} asked for, but there are {self.runs} runs, counted from 0")
-        take = lambda a: None if a is None else a[k]
+        take = lambda a: None if a is None else cut(a, k)
         return FRF(
-            self.freq, self.H[k], form=self.form, variance=take(self.variance), coherence=take(self.coherence),
-            level=self.level[k], added_decay=self.added_decay, outputs=self.outputs, inputs=self.inputs,
+            self.freq, take(self.H), form=self.form, variance=take(self.variance), coherence=take(self.coherence),
+            level=take(self.level), added_decay=self.added_decay, outputs=self.outputs, inputs=self.inputs,
             averages=self.averages,
         )  # fmt: skip
 
@@ -181,9 +188,9 @@ class Measurement(eqx.Module):
     def band(self, lower: float, upper: float) -> "Measurement":
         """The lines with ``lower`` <= f <= ``upper`` [Hz]; ``ValueError`` if there is none."""
         which = band_slice(self.freq, lower, upper)
-        take = lambda a: None if a is None else a[:, which]
+        take = lambda a: None if a is None else cut(a, (slice(None), which))
         return self.replace(
-            freq=self.freq[which], H=self.H[:, which], variance=take(self.variance), coherence=take(self.coherence),
+            freq=cut(self.freq, which), H=take(self.H), variance=take(self.variance), coherence=take(self.coherence),
             force=take(self.force),
         )  # fmt: skip
 

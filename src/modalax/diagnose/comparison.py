@@ -199,13 +199,13 @@ def as_measurement(data: Measurement | FRF) -> Measurement:
         data = Measurement.from_frfs([data])
     if not isinstance(data, Measurement):
         raise ValueError(f"a measurement is a Measurement or an FRF, not a {type(data).__name__}")
-    if float(data.freq[0]) == 0:
+    if data.ends[0] == 0:
         if len(data.freq) < 2:
             raise ValueError("the measurement holds only the line at 0 Hz; at least one other is needed")
-        take = lambda a: None if a is None else a[:, 1:]
+        take = lambda a: None if a is None else cut(a, (slice(None), slice(1, None)))
         data = data.replace(
-            freq=data.freq[1:], H=data.H[:, 1:], variance=take(data.variance), coherence=take(data.coherence),
-            force=take(data.force),
+            freq=cut(data.freq, slice(1, None)), H=take(data.H), variance=take(data.variance),
+            coherence=take(data.coherence), force=take(data.force),
         )  # fmt: skip
     return data
 

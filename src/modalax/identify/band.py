@@ -30,14 +30,14 @@ def usable_lines(frf: FRF, choose: bool) -> tuple[FRF, list[str]]:
         If the line at 0 Hz is the only one.
     """
     told: list[str] = []
-    if float(frf.freq[0]) == 0:
+    if frf.ends[0] == 0:
         if len(frf.freq) == 1:
             raise ValueError("the FRFs have one line, at 0 Hz; a resonance needs lines around it")
         frf = frf.lines(slice(1, None))
         told.append("The line at 0 Hz was left out: it holds offsets, not vibration.")
     end, part = drift_ends(frf)
     if end and part > LEADING:
-        f = float(frf.freq[end])
+        f = float(np.asarray(frf.freq)[end])
         what = (
             f"{100 * part:.0f} % of the FRFs' sum of squares lies below {f:.4g} Hz and falls with frequency as drift "
             "or integrated noise does, not as a resonance"

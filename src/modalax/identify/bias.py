@@ -15,6 +15,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Complex, Float
 
 from modalax._numerics.checks import as_double
+from modalax._numerics.cuts import cut
 from modalax.data.frf import FRF
 from modalax.identify.normal_equations import LinearProblem, expected_factor, factor, linear_problem, noise_rows
 from modalax.identify.polynomial import poles_of_factor, without_window
@@ -159,7 +160,7 @@ def predicted_damping_bias(frf: FRF, poles: Complex[Array, " n"], orders: Any, *
     problem = linear_problem(frf, found[-1], **options)
     poles = as_double(poles, "poles", complex_=True)
     bias = _bias(problem, poles, frf.added_decay, found)
-    return jax.tree.map(lambda a: a[0], bias) if np.ndim(orders) == 0 else bias
+    return jax.tree.map(lambda a: cut(a, 0), bias) if np.ndim(orders) == 0 else bias
 
 
 @eqx.filter_jit

@@ -170,7 +170,7 @@ def standing(frf: FRF, table: PoleTable, selection: Selection) -> Selection:
     Poles that no mode holds spread evenly over the band at each order. The nearest of the next order is then up to half
     a distance away, a quarter in the median, however dense they are.
     """
-    lower, upper = float(frf.freq[0]), float(frf.freq[-1])
+    lower, upper = frf.ends
     f = np.asarray(table.poles).imag / (2 * np.pi)
     count = dict(zip(table.orders, np.sum(np.asarray(table.valid) & (f >= lower) & (f <= upper), axis=1), strict=True))
     moved = np.asarray(selection.spread) * np.abs(np.asarray(selection.poles)) / (2 * np.pi)
@@ -197,7 +197,7 @@ def _at(frf: FRF, name: str, poles: int, order: int | None) -> tuple[PoleTable, 
     """The diagram up to so many poles, or up to an order."""
     lines, n_out, n_in = frf.shape
     size = n_in if name in ("plscf", "lsce") else 1
-    lower, upper = float(frf.freq[0]), float(frf.freq[-1])
+    lower, upper = frf.ends
     margin = 0.05 * (upper - lower)
     top = max(2, min(poles // size, lines // 4 - 1))
     if name == "fdpi":

@@ -107,11 +107,11 @@ def fit(
     table, selection = diagram(data, name, order)
     if selection.poles.size == 0:
         raise ValueError(
-            f"no mode lasts over the orders of the diagram between {float(frf.freq[0]):g} and "
-            f"{float(frf.freq[-1]):g} Hz; widen the band or raise the order (now {table.orders[-1]})"
+            f"no mode lasts over the orders of the diagram between {frf.ends[0]:g} and "
+            f"{frf.ends[1]:g} Hz; widen the band or raise the order (now {table.orders[-1]})"
         )
     weighted = smooth_variance(frf)
-    choice = choice_of(pick, drop, add, (float(frf.freq[0]), float(frf.freq[-1])))
+    choice = choice_of(pick, drop, add, frf.ends)
     model = fit_residues(weighted, selection.poles, residuals=residuals, real_modes=real_modes)
     refined, apart = None, set[tuple[float, float]]()
     how = {"residuals": residuals, "real_modes": real_modes}
@@ -154,7 +154,7 @@ def summed_up(
     """
     order = best_order(table, selection)
     f = np.asarray(model.frequency_hz)
-    inside = (f >= float(frf.freq[0])) & (f <= float(frf.freq[-1]))
+    inside = (f >= frf.ends[0]) & (f <= frf.ends[1])
     total = float(np.sum(np.abs(np.asarray(frf.H)) ** 2))
     residual = residual_of(weighted, model)
     unexplained = float(np.sum(np.abs(residual) ** 2)) / total

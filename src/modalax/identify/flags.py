@@ -89,8 +89,8 @@ def flags_of(modes: Modes) -> tuple[tuple[str, ...], ...]:
 def _words(modes: Modes, r: int) -> list[str]:
     """Flags of one mode; empty texts for those that do not apply."""
     f, width, step, q = float(modes.frequency[r]), float(modes.half_bandwidth[r]), modes.step, modes.quality[r]
-    zeta = float(modes.model.damping_ratio[r])
-    first, last = float(modes.frf.freq[0]), float(modes.frf.freq[-1])
+    zeta = float(np.asarray(modes.model.damping_ratio)[r])
+    first, last = modes.frf.ends
     inside = first <= f <= last
     lost = inside and modes.refined and not np.isfinite(modes.damping_std[r])
     bound = zeta <= 1.01 * UNDAMPED or zeta > HEAVY or lost
@@ -112,7 +112,7 @@ def _words(modes: Modes, r: int) -> list[str]:
 
 
 def _vague(modes: Modes, r: int) -> str:
-    part = 100 * float(modes.damping_std[r]) / float(modes.model.damping_ratio[r])
+    part = 100 * float(modes.damping_std[r]) / float(np.asarray(modes.model.damping_ratio)[r])
     return f"damping uncertain by {part:.0f} %" + ("" if modes.refined else ", as it scatters over the orders")
 
 
@@ -142,7 +142,7 @@ def _record(modes: Modes, r: int) -> str:
     if record is None or not np.isfinite(record.damping_ratio[r]):
         return ""
     zeta = float(record.damping_ratio[r])
-    broader = float(modes.model.damping_ratio[r]) > (1 + BROADENED) * zeta
+    broader = float(np.asarray(modes.model.damping_ratio)[r]) > (1 + BROADENED) * zeta
     return f"record too short: without its window the damping is {100 * zeta:.3g} %" if broader else ""
 
 
@@ -191,8 +191,8 @@ def grades_of(modes: Modes) -> Float[np.ndarray, " n"]:
 
 def _grade(modes: Modes, r: int) -> float:
     q, f, width = modes.quality[r], float(modes.frequency[r]), float(modes.half_bandwidth[r])
-    zeta = float(modes.model.damping_ratio[r])
-    inside = float(modes.frf.freq[0]) <= f <= float(modes.frf.freq[-1])
+    zeta = float(np.asarray(modes.model.damping_ratio)[r])
+    inside = modes.frf.ends[0] <= f <= modes.frf.ends[1]
     std, f_std = float(modes.damping_std[r]), float(modes.frequency_std_hz[r])
     if zeta <= 1.01 * UNDAMPED or zeta > HEAVY or (inside and modes.refined and not np.isfinite(std)):
         return 0.0
@@ -247,7 +247,7 @@ def notes_of(modes: Modes, grades: np.ndarray, noise: float, unexplained: float)
 def _side_note(modes: Modes, side: str) -> list[str]:
     """Which inputs, or outputs, disagree most over the modes in the band, in per cent of the frequencies."""
     spreads, f = [getattr(q, side) for q in modes.quality], modes.frequency
-    inside = (f >= float(modes.frf.freq[0])) & (f <= float(modes.frf.freq[-1]))
+    inside = (f >= modes.frf.ends[0]) & (f <= modes.frf.ends[1])
     seen = [r for r, s in enumerate(spreads) if inside[r] and matters(s, float(modes.half_bandwidth[r]))]
     if not seen:
         return []
@@ -267,7 +267,7 @@ def _side_note(modes: Modes, side: str) -> list[str]:
 
 def _equal_decay(modes: Modes, grades: np.ndarray) -> list[str]:
     """Whether all modes that are sure decay at one rate, as an exponential window would have it."""
-    first, last = float(modes.frf.freq[0]), float(modes.frf.freq[-1])
+    first, last = modes.frf.ends
     inside = [r for r, f in enumerate(modes.frequency) if first <= f <= last and grades[r] > 0.5]
     rates = 2 * np.pi * modes.half_bandwidth[inside]
     f = modes.frequency[inside]

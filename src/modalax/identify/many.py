@@ -63,7 +63,8 @@ def many_poles(
     ends = (float(omega[0]) / (2 * np.pi), float(omega[-1]) / (2 * np.pi))
     orders = check_orders(range(2, order + 1), len(omega), ends)
     A = _coefficients(as_array(H), as_array(omega), order)
-    if not bool(jnp.isfinite(A).all()):
+    A = np.asarray(A)
+    if not np.isfinite(A).all():
         raise ValueError("the normal matrix of some copies is singular; they have too little noise for moments")
     roots = [_roots(A[: high + 1, low : high + 1], low) for low, high in _groups(orders)]
     valid = np.arange(order) < np.asarray(orders)[:, None]
@@ -123,7 +124,7 @@ def _roots(A: Complex[Array, "k order draw"], low: int) -> Complex[Array, "root 
     orders = range(low, low + count)
     used = np.arange(last)[:, None] < np.asarray(orders)
     start = np.where(used, 1.0, FAR + np.arange(last)[:, None]).astype(complex)
-    typical = np.asarray(jnp.mean(A, axis=2))
+    typical = np.mean(A, axis=2)
     for k, n in enumerate(orders):
         start[:n, k] = companion_roots(typical[None, :n, k])[0]
     found, step = _aberth(A, start, used.astype(float))

@@ -172,7 +172,7 @@ def likelihood_rounds(frf: FRF, model: ModalModel, tell: Callable[[str], None], 
         ``residuals`` and ``real_modes``, as for :func:`refine`.
     """
     search = _Search(frf, model, tell, options)
-    lower, upper = float(frf.freq[0]), float(frf.freq[-1])
+    lower, upper = frf.ends
     beyond = 0.2 * (upper - lower)
     window = [max(lower - beyond, 0.0), upper + beyond]
     extra, avoid = np.zeros(0), []

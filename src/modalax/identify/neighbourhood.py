@@ -183,7 +183,7 @@ def _within(pole: complex, s: np.ndarray) -> bool:
 
 def residual_of(frf: FRF, model: ModalModel) -> Complex[np.ndarray, "f o i"]:
     """The FRF less what the model makes."""
-    if (model.outputs, model.inputs) == (frf.outputs, frf.inputs) and float(frf.freq[0]) > 0:
+    if (model.outputs, model.inputs) == (frf.outputs, frf.inputs) and frf.ends[0] > 0:
         return np.asarray(frf.H) - response(modal_of(model), samples_of(frf))
     made = model.frf(frf.freq, form=frf.form, outputs=frf.outputs, inputs=frf.inputs, added_decay=frf.added_decay)
     return np.asarray(frf.H - made.H)

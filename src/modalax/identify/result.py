@@ -108,7 +108,7 @@ class Fit(eqx.Module):
             "unexplained_noise": float(self.noise),
             "unexplained_misfit": float(self.unexplained) - float(self.noise),
             "notes": list(self.notes),
-            "band_hz": [float(self.frf.freq[0]), float(self.frf.freq[-1])],
+            "band_hz": list(self.frf.ends),
             "form": self.frf.form,
             "outputs": list(self.frf.outputs),
             "inputs": list(self.frf.inputs),

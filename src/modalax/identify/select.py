@@ -9,6 +9,7 @@ import numpy as np
 import scipy.optimize
 from jaxtyping import Array, Complex, Float, Int
 
+from modalax._numerics.cuts import cut
 from modalax.identify.tables import PoleTable
 
 
@@ -201,5 +202,6 @@ def select_near(
         if cost[r, c] >= reach:
             raise ValueError(f"no mode of its own within {reach:.1%} of {wanted[r]:g} Hz; modes found: {listed} Hz")
     keep = columns[np.argsort(have[columns])]
-    part = None if found.participation is None else found.participation[keep]
-    return Selection(found.poles[keep], part, found.score[keep], found.spread[keep], found.order[keep])
+    part = None if found.participation is None else cut(found.participation, keep)
+    score, spread, order = (cut(a, keep) for a in (found.score, found.spread, found.order))
+    return Selection(cut(found.poles, keep), part, score, spread, order)

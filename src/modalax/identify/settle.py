@@ -138,14 +138,14 @@ def _beside(frf: FRF, model: ModalModel, which: Bool[np.ndarray, " n"]) -> Bool[
 def _require(frf: FRF, sound: np.ndarray) -> None:
     if not sound.any():
         raise ValueError(
-            f"no mode stands out of the noise between {float(frf.freq[0]):g} and {float(frf.freq[-1]):g} Hz; what "
+            f"no mode stands out of the noise between {frf.ends[0]:g} and {frf.ends[1]:g} Hz; what "
             "look like peaks are of the size that noise makes"
         )
 
 
 def _inside(frf: FRF, model: ModalModel) -> Bool[np.ndarray, " n"]:
     f = np.asarray(model.frequency_hz)
-    return (f >= float(frf.freq[0])) & (f <= float(frf.freq[-1]))
+    return (f >= frf.ends[0]) & (f <= frf.ends[1])
 
 
 def at_bound(frf: FRF, refined: Refined) -> Bool[np.ndarray, " n"]:
@@ -259,7 +259,7 @@ def _again(frf: FRF, refined: Refined, keep: np.ndarray, **options: Any) -> Refi
     """The other modes refined with the weights that their own residual gives, as the search ends."""
     model = refined.model
     model = model.replace(
-        poles=model.poles[keep], shapes=model.shapes[keep], participation=model.participation[keep],
+        poles=cut(model.poles, keep), shapes=cut(model.shapes, keep), participation=cut(model.participation, keep),
         frequency_std=0.0, damping_std=0.0,
     )  # fmt: skip
     known = frf.variance is not None

@@ -1,34 +1,43 @@
 """Building structures: adding springs, dampers and masses, setting the damping, reducing sparse matrices to modes."""
 
 from collections.abc import Sequence
+from types import ModuleType
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
+from jaxtyping import Array, Float
 
+from modalax._numerics.known import by_numpy
 from modalax.model.modal import ModalModel
 from modalax.model.receptance import directions
 from modalax.model.structure import Structure, real_modes
 
 
+@by_numpy
+def _with(xp: ModuleType, matrix: Any, value: Any, b: Any) -> Float[Array, "n n"]:
+    """The matrix with an element of this value in a direction."""
+    return matrix + value * b.T @ b
+
+
 def add_spring(structure: Structure, place: Sequence[str], k: Any) -> Structure:
     """The structure with a spring ``k`` [N/m] at ``place``, ``[dof, dof]`` or ``[dof]``; negative takes away."""
     b = directions(structure, [place])
-    return structure.replace(K=structure.K + k * b.T @ b)
+    return structure.replace(K=_with(structure.K, k, b))
 
 
 def add_damper(structure: Structure, place: Sequence[str], c: Any) -> Structure:
     """The structure with a viscous damper ``c`` [N s/m] at ``place``, ``[dof, dof]`` or ``[dof]``."""
     b = directions(structure, [place])
-    return structure.replace(C=structure.C + c * b.T @ b)
+    return structure.replace(C=_with(structure.C, c, b))
 
 
 def add_mass(structure: Structure, dof: str, m: Any) -> Structure:
     """The structure with a lumped mass ``m`` [kg] at a DoF."""
     b = directions(structure, [[dof]])
-    return structure.replace(M=structure.M + m * b.T @ b)
+    return structure.replace(M=_with(structure.M, m, b))
 
 
 def add_tuned_mass(structure: Structure, dof: str, m: Any, k: Any, c: Any = 0.0, name: str = "tuned") -> Structure:

@@ -1,17 +1,17 @@
 """The modal model: poles, shapes, participation and residual terms, and the FRF they make."""
 
 from collections.abc import Sequence
-from functools import partial
+from types import ModuleType
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from modalax._numerics.checks import as_array, as_double, is_traced, require_finite, require_range
-from modalax._numerics.cuts import cut
+from modalax._numerics.cuts import cut, spread_over
+from modalax._numerics.known import by_numpy
 from modalax.data.frf import DERIVATIVES, FRF, check_form, check_names
 
 
@@ -20,10 +20,10 @@ def poles_from(frequency_hz: Any, damping_ratio: Any) -> Complex[Array, " n"]:
     return _poles(as_double(frequency_hz, "frequency"), as_double(damping_ratio, "damping ratio"))
 
 
-@jax.jit
-def _poles(frequency_hz: Float[Array, "..."], zeta: Float[Array, "..."]) -> Complex[Array, "..."]:
-    omega = 2 * jnp.pi * frequency_hz
-    return -zeta * omega + 1j * omega * jnp.sqrt(1 - zeta**2)
+@by_numpy
+def _poles(xp: ModuleType, frequency_hz: Any, zeta: Any) -> Complex[Array, "..."]:
+    omega = 2 * np.pi * frequency_hz
+    return -zeta * omega + 1j * omega * xp.sqrt(1 - zeta**2)
 
 
 def claimed_std(value: Any, name: str, modes: int) -> Array:
@@ -112,11 +112,11 @@ class ModalModel(eqx.Module):
         for value, name in ((upper, "upper"), (lower, "lower")):
             if value is not None:
                 require_finite(value, name)
-        zero = jnp.zeros((o, i), jnp.complex128)
-        self.upper = zero if upper is None else jnp.broadcast_to(as_double(upper, "upper", complex_=True), (o, i))
-        self.lower = zero if lower is None else jnp.broadcast_to(as_double(lower, "lower", complex_=True), (o, i))
-        self.frequency_std = jnp.broadcast_to(claimed_std(frequency_std, "frequency_std", n), (n,))
-        self.damping_std = jnp.broadcast_to(claimed_std(damping_std, "damping_std", n), (n,))
+        zero = as_array(np.zeros((o, i), complex))
+        self.upper = zero if upper is None else spread_over(as_double(upper, "upper", complex_=True), (o, i))
+        self.lower = zero if lower is None else spread_over(as_double(lower, "lower", complex_=True), (o, i))
+        self.frequency_std = spread_over(claimed_std(frequency_std, "frequency_std", n), (n,))
+        self.damping_std = spread_over(claimed_std(damping_std, "damping_std", n), (n,))
         self.outputs = check_names(outputs, o, "outputs")
         self.inputs = check_names(inputs, i, "inputs")
 
@@ -136,7 +136,7 @@ class ModalModel(eqx.Module):
         poles = poles_from(frequency_hz, damping_ratio)
         phi = as_double(shapes, "shapes")
         mass = as_double(modal_mass, "modal_mass")
-        return cls(poles, phi, phi / (2j * poles.imag * mass)[:, None], outputs=dofs, inputs=dofs)
+        return cls(poles, phi, _own_participation(phi, poles, mass), outputs=dofs, inputs=dofs)
 
     @property
     def frequency_hz(self) -> Float[Array, " n"]:
@@ -202,11 +202,11 @@ class ModalModel(eqx.Module):
             raise ValueError(f"{drive_point!r} is not a drive point; there are {', '.join(known)}")
         name = known[0] if drive_point is None else drive_point
         out, into = self.outputs.index(name), self.inputs.index(name)
-        return cut(self.shapes, (slice(None), out)) / cut(self.participation, (slice(None), into))
+        return _quotient(cut(self.shapes, (slice(None), out)), cut(self.participation, (slice(None), into)))
 
     def modal_mass(self, drive_point: str | None = None) -> Complex[Array, " n"]:
         r"""Modal mass :math:`m_r = a_r/(2j\omega_{d,r})` for the shapes as scaled [kg]; complex for complex modes."""
-        return self.modal_a(drive_point) / (2j * self.poles.imag)
+        return _modal_mass(self.modal_a(drive_point), self.poles)
 
     def normalised(self, how: str = "max") -> "ModalModel":
         """The same model with each shape scaled and turned: its largest component, or its 2-norm, becomes 1.
@@ -217,14 +217,10 @@ class ModalModel(eqx.Module):
             ``max``: the largest component becomes exactly 1; ``norm``: the 2-norm becomes 1 and the largest
             component real and positive.
         """
-        top = jnp.take_along_axis(self.shapes, jnp.argmax(jnp.abs(self.shapes), axis=1)[:, None], axis=1)
-        if how == "max":
-            scale = top
-        elif how == "norm":
-            scale = top / jnp.abs(top) * jnp.linalg.norm(self.shapes, axis=1, keepdims=True)
-        else:
+        if how not in ("max", "norm"):
             raise ValueError(f"how is {how!r}; it must be max or norm")
-        return self.replace(shapes=self.shapes / scale, participation=self.participation * scale)
+        shapes, participation = _normalised(self.shapes, self.participation, how=how)
+        return self.replace(shapes=shapes, participation=participation)
 
     def frf(
         self,
@@ -254,7 +250,7 @@ class ModalModel(eqx.Module):
         H = _synthesised(
             freq, as_double(added_decay, "added_decay"), self.poles, self.shapes_at(out_names),
             self.participation_at(in_names), self._residual(self.upper, out_names, in_names),
-            self._residual(self.lower, out_names, in_names), DERIVATIVES[check_form(form)],
+            self._residual(self.lower, out_names, in_names), power=DERIVATIVES[check_form(form)],
         )  # fmt: skip
         return FRF(freq, H, form=form, outputs=out_names, inputs=in_names, added_decay=added_decay)
 
@@ -263,31 +259,31 @@ class ModalModel(eqx.Module):
         if names == self.outputs:
             return self.shapes
         columns = [
-            self.shapes[:, self.outputs.index(n)]
+            cut(self.shapes, (slice(None), self.outputs.index(n)))
             if n in self.outputs
-            else self.participation[:, self.inputs.index(n)] * self.modal_a()
+            else _product(cut(self.participation, (slice(None), self.inputs.index(n))), self.modal_a())
             for n in names
         ]
-        return jnp.stack(columns, axis=1)
+        return _beside(columns)
 
     def participation_at(self, names: tuple[str, ...]) -> Complex[Array, "n i"]:
         """Participation at DoFs that may only have been measured (there by reciprocity)."""
         if names == self.inputs:
             return self.participation
         columns = [
-            self.participation[:, self.inputs.index(n)]
+            cut(self.participation, (slice(None), self.inputs.index(n)))
             if n in self.inputs
-            else self.shapes[:, self.outputs.index(n)] / self.modal_a()
+            else _quotient(cut(self.shapes, (slice(None), self.outputs.index(n))), self.modal_a())
             for n in names
         ]
-        return jnp.stack(columns, axis=1)
+        return _beside(columns)
 
     def _residual(self, term: Array, outs: tuple[str, ...], ins: tuple[str, ...]) -> Complex[Array, "o i"]:
         """A residual term between DoFs, its transpose where only that was measured, zero where neither was."""
         if outs == self.outputs and ins == self.inputs:
             return term
         if not jnp.size(term):
-            return jnp.zeros((len(outs), len(ins)), jnp.complex128)
+            return as_array(np.zeros((len(outs), len(ins)), complex))
         zero, width = term.size, len(self.inputs)
 
         def place(o: str, i: str) -> int:
@@ -303,40 +299,65 @@ class ModalModel(eqx.Module):
         return as_array(np.append(np.asarray(term), 0.0)[where])
 
 
-@jax.jit
-def _residues(shapes: Complex[Array, "n o"], participation: Complex[Array, "n i"]) -> Complex[Array, "n o i"]:
+@by_numpy
+def _residues(xp: ModuleType, shapes: Any, participation: Any) -> Complex[Array, "n o i"]:
     return shapes[:, :, None] * participation[:, None, :]
 
 
-@jax.jit
-def _frequency_hz(poles: Complex[Array, " n"]) -> Float[Array, " n"]:
-    return jnp.abs(poles) / (2 * jnp.pi)
+@by_numpy
+def _own_participation(xp: ModuleType, phi: Any, poles: Any, mass: Any) -> Complex[Array, "n i"]:
+    return phi / (2j * poles.imag * mass)[:, None]
 
 
-@jax.jit
-def _damping_ratio(poles: Complex[Array, " n"]) -> Float[Array, " n"]:
-    return -poles.real / jnp.abs(poles)
+@by_numpy
+def _modal_mass(xp: ModuleType, modal_a: Any, poles: Any) -> Complex[Array, " n"]:
+    return modal_a / (2j * poles.imag)
 
 
-@partial(jax.jit, static_argnames="power")
+@by_numpy
+def _product(xp: ModuleType, a: Any, b: Any) -> Array:
+    return a * b
+
+
+@by_numpy
+def _quotient(xp: ModuleType, a: Any, b: Any) -> Array:
+    return a / b
+
+
+@by_numpy
+def _beside(xp: ModuleType, columns: Any) -> Array:
+    return xp.stack(columns, axis=1)
+
+
+@by_numpy
+def _frequency_hz(xp: ModuleType, poles: Any) -> Float[Array, " n"]:
+    return xp.abs(poles) / (2 * np.pi)
+
+
+@by_numpy
+def _damping_ratio(xp: ModuleType, poles: Any) -> Float[Array, " n"]:
+    return -poles.real / xp.abs(poles)
+
+
+@by_numpy
+def _normalised(xp: ModuleType, shapes: Any, participation: Any, *, how: str) -> tuple[Array, Array]:
+    scale = xp.take_along_axis(shapes, xp.argmax(xp.abs(shapes), axis=1)[:, None], axis=1)
+    if how == "norm":
+        scale = scale / xp.abs(scale) * xp.linalg.norm(shapes, axis=1, keepdims=True)
+    return shapes / scale, participation * scale
+
+
+@by_numpy
 def _synthesised(
-    freq: Float[Array, " f"],
-    added_decay: Float[Array, ""],
-    poles: Complex[Array, " n"],
-    psi: Complex[Array, "n o"],
-    part: Complex[Array, "n i"],
-    upper: Complex[Array, "o i"],
-    lower: Complex[Array, "o i"],
-    power: int,
+    xp: ModuleType, freq: Any, added_decay: Any, poles: Any, psi: Any, part: Any, upper: Any, lower: Any, *, power: int
 ) -> Complex[Array, "f o i"]:
     """The FRF of modes and residual terms, differentiated ``power`` times; see :meth:`ModalModel.frf`."""
-    s = added_decay + 2j * jnp.pi * freq
-    near = 1 / (s[:, None] - poles)
-    far = 1 / (s[:, None] - poles.conj())
-    H = jnp.einsum("fn,no,ni->foi", near, psi, part) + jnp.einsum("fn,no,ni->foi", far, psi.conj(), part.conj())
-    H = (H + upper) * s[:, None, None] ** power
-    safe = jnp.where(s == 0, 1.0, s)
-    mass_line = jnp.where((s == 0) & (power < 2), 0.0, safe ** (power - 2))
+    s = added_decay + 2j * np.pi * freq
+    residues = (psi[:, :, None] * part[:, None, :]).reshape(len(poles), -1)
+    H = 1 / (s[:, None] - poles) @ residues + 1 / (s[:, None] - poles.conj()) @ residues.conj()
+    H = (H.reshape(len(freq), *upper.shape) + upper) * s[:, None, None] ** power
+    safe = xp.where(s == 0, 1.0, s)
+    mass_line = xp.where((s == 0) & (power < 2), 0.0, safe ** (power - 2))
     return H + lower * mass_line[:, None, None]
 
 

@@ -10,10 +10,10 @@ works on matrices and on modal models alike.
 
 import abc
 from collections.abc import Sequence
+from types import ModuleType
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
@@ -21,6 +21,7 @@ from typing_extensions import override
 
 from modalax._numerics.checks import as_array, as_double, is_traced
 from modalax._numerics.cuts import cut
+from modalax._numerics.known import by_numpy, host, joined
 from modalax.data.frf import FRF, derivative
 from modalax.model.modal import ModalModel
 from modalax.model.structure import Structure
@@ -107,28 +108,29 @@ def _of_modal_model(
     return _along(omega, model.poles, model.shapes_at(used), model.participation_at(driven), *terms, left, right)
 
 
-@jax.jit
+@by_numpy
 def _along(
-    omega: Float[Array, " f"],
-    poles: Complex[Array, " m"],
-    shapes: Complex[Array, "m o"],
-    participation: Complex[Array, "m i"],
-    upper: Complex[Array, "o i"],
-    lower: Complex[Array, "o i"],
-    left: Float[Array, "l o"],
-    right: Float[Array, "i r"],
+    xp: ModuleType,
+    omega: Any,
+    poles: Any,
+    shapes: Any,
+    participation: Any,
+    upper: Any,
+    lower: Any,
+    left: Any,
+    right: Any,
 ) -> Complex[Array, "f l r"]:
     """Receptance of modes and residual terms along directions at the DoFs that these use."""
     psi, part = shapes @ left.T, participation @ right
     s = 1j * omega
-    H = jnp.einsum("fn,nl,nr->flr", 1 / (s[:, None] - poles), psi, part)
-    far = 1 / (s[:, None] - poles.conj())
+    residues = (psi[:, :, None] * part[:, None, :]).reshape(len(poles), -1)
     # rows and columns are real, so conjugating the products conjugates the modes
-    H = H + jnp.einsum("fn,nl,nr->flr", far, psi.conj(), part.conj())
+    H = 1 / (s[:, None] - poles) @ residues + 1 / (s[:, None] - poles.conj()) @ residues.conj()
     upper, lower = left @ upper @ right, left @ lower @ right
     still = (s == 0)[:, None, None]
-    at_rest = jnp.where(lower == 0, 0.0, jnp.inf)
-    return H + upper + jnp.where(still, at_rest, lower / jnp.where(still, 1.0, s[:, None, None] ** 2))
+    at_rest = xp.where(lower == 0, 0.0, np.inf)
+    H = H.reshape(len(omega), *upper.shape) + upper
+    return H + xp.where(still, at_rest, lower / xp.where(still, 1.0, s[:, None, None] ** 2))
 
 
 def _used(weights: Any, axis: int) -> list[bool]:
@@ -152,8 +154,13 @@ def modify(
     Z
         Impedance of the changes between their directions [N/m].
     """
-    inner = jnp.eye(Z.shape[-1]) + Z @ H_bb
-    return H_oi - H_ob @ jnp.linalg.solve(inner, Z @ H_bi)
+    return _modified(H_oi, H_ob, H_bb, H_bi, Z)
+
+
+@by_numpy
+def _modified(xp: ModuleType, H_oi: Any, H_ob: Any, H_bb: Any, H_bi: Any, Z: Any) -> Complex[Array, "f o i"]:
+    inner = np.eye(Z.shape[-1]) + Z @ H_bb
+    return H_oi - H_ob @ xp.linalg.solve(inner, Z @ H_bi)
 
 
 class Change(eqx.Module):
@@ -171,7 +178,7 @@ class Spring(Change):
 
     @override
     def impedance(self, omega: Float[Array, " f"]) -> Complex[Array, " f"]:
-        return self.k * jnp.ones_like(omega) + 0j
+        return self.k + 0j * omega
 
 
 class Damper(Change):
@@ -240,8 +247,9 @@ class Modified(eqx.Module):
         """Receptance [m/N] between directions, as :func:`receptance`."""
         omega, rows, columns = as_double(omega, "omega"), as_array(rows), as_array(columns)
         o, i = rows.shape[0], columns.shape[1]
-        H = receptance(self.base, omega, jnp.concatenate([rows, self.b]), jnp.concatenate([columns, self.b.T], axis=1))
-        Z = jnp.stack([change.impedance(omega) for change in self.changes], axis=-1)[:, :, None] * jnp.eye(len(self.b))
+        rows, columns = joined([rows, self.b]), joined([columns.T, self.b]).T
+        H = host(receptance(self.base, omega, rows, columns))
+        Z = _diagonals([change.impedance(host(omega)) for change in self.changes])
         return modify(H[:, :o, :i], H[:, :o, i:], H[:, o:, i:], H[:, o:, :i], Z)
 
     def frf(
@@ -254,6 +262,12 @@ class Modified(eqx.Module):
     ) -> FRF:
         """The FRF at frequencies [Hz] between DoFs by name (all of them by default)."""
         return frf(self, freq, form=form, outputs=outputs, inputs=inputs)
+
+
+@by_numpy
+def _diagonals(xp: ModuleType, each: Any) -> Complex[Array, "f j j"]:
+    """Matrices with one value each on their diagonals."""
+    return xp.stack(each, axis=-1)[:, :, None] * np.eye(len(each))
 
 
 AnyStructure = Structure | ModalModel | Modified
@@ -277,5 +291,5 @@ def frf(
     outputs = names if outputs is None else tuple(outputs)
     inputs = names if inputs is None else tuple(inputs)
     rows, columns = directions(structure, [[n] for n in outputs]), directions(structure, [[n] for n in inputs]).T
-    H = derivative(receptance(structure, 2 * np.pi * freq, rows, columns), freq, form)
+    H = derivative(receptance(structure, 2 * np.pi * host(freq), rows, columns), freq, form)
     return FRF(freq, H, form=form, outputs=outputs, inputs=inputs)

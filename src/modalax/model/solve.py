@@ -1,8 +1,14 @@
 """The receptance of matrices along given directions, at many frequencies, with exact derivatives."""
 
+from types import ModuleType
+from typing import Any
+
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Complex, Float
+
+from modalax._numerics.checks import as_array, is_traced
 
 DIRECT_DOFS = 16
 """Up to this size one dense solve a frequency is the quickest; above, real modes are tried first."""
@@ -12,9 +18,24 @@ SOLVES_AT_ONCE = 64
 """Frequencies at which dense systems are solved together."""
 
 
+def receptance_along(M: Any, C: Any, K: Any, D: Any, omega: Any, rows: Any, columns: Any) -> Complex[Array, "f l r"]:
+    r""":math:`L\,(K + jD\,\mathrm{sign}\,\omega + j\omega C - \omega^2 M)^{-1} R` [m/N]; see :func:`compiled_along`.
+
+    Of few DoFs by NumPy where all numbers are known, so that no program is compiled for these lines and directions.
+    """
+    given = (M, C, K, D, omega, rows, columns)
+    if is_traced(*given) or len(M) > DIRECT_DOFS:
+        return compiled_along(*given)
+    M, C, K, D, omega, rows, columns = (np.asarray(a) for a in given)
+    try:
+        return as_array(rows @ np.linalg.solve(_dynamic_stiffness(np, M, C, K, D, omega), columns + 0j))
+    except np.linalg.LinAlgError:  # infinite at a line
+        return compiled_along(*given)
+
+
 @jax.jit
 @jax.custom_jvp
-def receptance_along(
+def compiled_along(
     M: Float[Array, "n n"],
     C: Float[Array, "n n"],
     K: Float[Array, "n n"],
@@ -31,7 +52,7 @@ def receptance_along(
     """
     n = M.shape[0]
     if n <= DIRECT_DOFS:
-        Z = _dynamic_stiffness(M, C, K, D, omega)
+        Z = _dynamic_stiffness(jnp, M, C, K, D, omega)
         right = jnp.broadcast_to(columns.astype(complex), (omega.shape[0], *columns.shape))
         return rows.astype(complex) @ jnp.linalg.solve(Z, right)
     shift = jnp.max(omega) ** 2 + jnp.max(jnp.abs(jnp.diag(K))) / jnp.max(jnp.diag(M)) * 1e-12
@@ -47,20 +68,20 @@ def receptance_along(
 
     def line_by_line() -> Complex[Array, "f l r"]:
         def one(w: Float[Array, ""]) -> Complex[Array, "l r"]:
-            return rows @ jnp.linalg.solve(_dynamic_stiffness(M, C, K, D, w[None])[0], columns.astype(complex))
+            return rows @ jnp.linalg.solve(_dynamic_stiffness(jnp, M, C, K, D, w[None])[0], columns.astype(complex))
 
         return jax.lax.map(one, omega, batch_size=SOLVES_AT_ONCE)
 
     return jax.lax.cond(proportional, by_modes, line_by_line)
 
 
-@receptance_along.__wrapped__.defjvp
-def _receptance_along_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+@compiled_along.__wrapped__.defjvp
+def _compiled_along_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     M, C, K, D, omega, rows, columns = primals
     dM, dC, dK, dD, domega, drows, dcolumns = tangents
     eye = jnp.eye(M.shape[0])
-    X = receptance_along(M, C, K, D, omega, eye, columns)
-    Y = receptance_along(M, C, K, D, omega, rows, eye)
+    X = compiled_along(M, C, K, D, omega, eye, columns)
+    Y = compiled_along(M, C, K, D, omega, rows, eye)
     w = omega[:, None, None]
     sign = 1j * jnp.sign(w)
 
@@ -73,15 +94,9 @@ def _receptance_along_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array
     return rows.astype(complex) @ X, moved
 
 
-def _dynamic_stiffness(
-    M: Float[Array, "n n"],
-    C: Float[Array, "n n"],
-    K: Float[Array, "n n"],
-    D: Float[Array, "n n"],
-    omega: Float[Array, " f"],
-) -> Complex[Array, "f n n"]:
+def _dynamic_stiffness(xp: ModuleType, M: Any, C: Any, K: Any, D: Any, omega: Any) -> Complex[Array, "f n n"]:
     w = omega[:, None, None]
-    return K + 1j * jnp.sign(w) * D + 1j * w * C - w**2 * M
+    return K + 1j * xp.sign(w) * D + 1j * w * C - w**2 * M
 
 
 def _modes(

@@ -9,7 +9,8 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Array, Bool, Complex, Float
 
-from modalax._numerics.checks import as_double, is_traced, require_finite
+from modalax._numerics.checks import as_array, as_double, is_traced, require_finite
+from modalax._numerics.known import host
 from modalax.data.frf import FRF, check_names, default_names, derivative
 from modalax.model.elements import Elements
 from modalax.model.groups import Groups
@@ -77,7 +78,7 @@ class Structure(eqx.Module):
         groups: Groups | None = None,
     ):
         self.M, self.C, self.K = (as_double(A, name) for A, name in ((M, "M"), (C, "C"), (K, "K")))
-        self.D = jnp.zeros_like(self.K) if D is None else as_double(D, "D")
+        self.D = as_array(np.zeros(self.K.shape)) if D is None else as_double(D, "D")
         n = self.M.shape[0] if self.M.ndim else 0
         if not n:
             raise ValueError(f"M has shape {self.M.shape}; a structure needs at least one degree of freedom, M (n, n)")
@@ -177,7 +178,7 @@ class Structure(eqx.Module):
         freq = as_double(freq, "freq")
         outputs = self.dofs if outputs is None else tuple(outputs)
         inputs = self.dofs if inputs is None else tuple(inputs)
-        H = derivative(self.receptance(2 * np.pi * freq, outputs, inputs), freq, form)
+        H = derivative(self.receptance(2 * np.pi * host(freq), outputs, inputs), freq, form)
         return FRF(freq, H, form=form, outputs=outputs, inputs=inputs)
 
     def modal(self) -> ModalModel:

@@ -6,6 +6,7 @@ The joints' relative displacements q solve :math:`q + (b^T H b) f(q) = b^T H F`;
 
 import warnings
 from collections.abc import Sequence
+from types import ModuleType
 from typing import Any
 
 import equinox as eqx
@@ -14,8 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
-from modalax._numerics.checks import as_double, is_traced
+from modalax._numerics.checks import as_array, as_double, is_traced
 from modalax._numerics.cuts import cut
+from modalax._numerics.known import by_numpy, host, joined
 from modalax.data.frf import DERIVATIVES, check_axis, check_form
 from modalax.data.measurement import Measurement
 from modalax.model.receptance import AnyStructure, directions, dof_names, receptance
@@ -100,14 +102,18 @@ class Response(eqx.Module):
 
     def frf_values(self, form: str = "receptance") -> Complex[Array, "level f o i"]:
         """Fundamental response over force."""
-        factor = (2j * jnp.pi * self.freq) ** DERIVATIVES[check_form(form)]
-        return self.fundamental * factor[:, None, None] / self.level[:, None, None, None]
+        return _over_force(self.fundamental, self.freq, self.level, steps=DERIVATIVES[check_form(form)])
 
     def measurement(self, form: str = "receptance") -> Measurement:
         """The FRFs as a measurement, with a run for each level."""
         return Measurement(
             self.freq, self.frf_values(form), level=self.level, form=form, outputs=self.outputs, inputs=self.inputs
         )
+
+
+@by_numpy
+def _over_force(xp: ModuleType, X: Any, freq: Any, level: Any, *, steps: int) -> Complex[Array, "level f o i"]:
+    return X * ((2j * np.pi * freq) ** steps)[:, None, None] / level[:, None, None, None]
 
 
 class Receptances(eqx.Module):
@@ -144,15 +150,18 @@ def receptances(
     """
     omega = as_double(omega, "omega")
     j, f, h = b.shape[0], omega.shape[0], len(harmonics)
-    all_omega = (omega[:, None] * jnp.array(harmonics)).ravel()
-    to_joints = receptance(structure, all_omega, jnp.concatenate([b, outputs]), b.T).reshape(f, h, -1, j)
-    if 0 in harmonics and not is_traced(to_joints) and not bool(jnp.all(jnp.isfinite(to_joints))):
+    all_omega, rows = (host(omega)[:, None] * np.array(harmonics)).ravel(), joined([b, outputs])
+    to_joints = host(receptance(structure, all_omega, rows, host(b).T)).reshape(f, h, -1, j)
+    if 0 in harmonics and not is_traced(to_joints) and not np.isfinite(to_joints).all():
         raise ValueError(
             "the structure floats freely at 0 Hz, so a joint whose law is not odd has no mean position there; "
             "hold the structure, or choose harmonics without 0"
         )
-    at_one = receptance(structure, omega, jnp.concatenate([b, outputs]), inputs.T)
-    return Receptances(to_joints[:, :, :j], to_joints[:, :, j:], at_one[:, :j], at_one[:, j:], omega)
+    at_one = host(receptance(structure, omega, rows, host(inputs).T))
+    return Receptances(
+        as_array(to_joints[:, :, :j]), as_array(to_joints[:, :, j:]), as_array(at_one[:, :j]), as_array(at_one[:, j:]),
+        omega,
+    )  # fmt: skip
 
 
 def balance_levels(

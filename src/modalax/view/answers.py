@@ -62,7 +62,7 @@ class Answers:
         poles, kinds = np.asarray(table.poles), pole_kinds(table, here.stability)
         f, zeta = np.abs(poles) / (2 * np.pi), -poles.real / np.maximum(np.abs(poles), 1e-300)
         orders = np.broadcast_to(np.asarray(table.orders)[:, None], poles.shape)
-        inside = (f >= float(here.frf.freq[0])) & (f <= float(here.frf.freq[-1]))
+        inside = (f >= here.frf.ends[0]) & (f <= here.frf.ends[1])
         found = []
         for kind, (*_, name) in enumerate(KINDS):
             which = (kinds == kind) & inside

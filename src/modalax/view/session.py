@@ -102,7 +102,7 @@ class Diagram:
 
     def holds(self, pole: complex) -> bool:
         """Whether a pole's frequency lies in the band."""
-        return float(self.frf.freq[0]) <= abs(pole) / (2 * np.pi) <= float(self.frf.freq[-1])
+        return self.frf.ends[0] <= abs(pole) / (2 * np.pi) <= self.frf.ends[1]
 
 
 class Session:
@@ -149,7 +149,7 @@ class Session:
         self._fits: dict[tuple[complex, ...], Synthesis] = {}
         self.past: list[State] = []
         self.future: list[State] = []
-        self.state = State((float(frf.freq[0]), float(frf.freq[-1])), first)
+        self.state = State(frf.ends, first)
         self.state = self.state.picked(self.diagram.automatic)
 
     @property

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Complex, Float, Int
 
 from modalax._numerics.checks import as_array
+from modalax._numerics.cuts import cut
 from modalax.diagnose.setup.complex_modes import Mixing, Uncoupled
 from modalax.diagnose.setup.modal_form import ModalForm
 
@@ -80,7 +81,7 @@ class Problem(eqx.Module):
         one = eqx.tree_at(
             lambda p: (p.data, p.weight, p.level),
             self,
-            (as_array(mean), as_array(np.sqrt(total)), self.level[:1]),
+            (as_array(mean), as_array(np.sqrt(total)), cut(self.level, slice(0, 1))),
         )
         return one, rest
 
