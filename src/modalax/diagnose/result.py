@@ -19,6 +19,7 @@ from modalax.diagnose.decision.sets import rivals
 from modalax.diagnose.evidence import Compared, evidence_of
 from modalax.diagnose.extend import ExtendedSimulation
 from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.over_levels import levels_said, over_levels
 from modalax.diagnose.search.explain import Explanation
 from modalax.diagnose.summary import causes_text, summary
 from modalax.diagnose.thresholds import THRESHOLDS
@@ -106,12 +107,12 @@ class Diagnosis:
         data = self.comparison.measurement
         H = np.asarray(data.H)
         before, after = (np.broadcast_to(p, H.shape) for p in (self.predicted_before, self.predicted_after))
-        return evidence_of(
-            Compared(
-                np.asarray(self.freq), H, before, after, (self.residual_before, self.residual_after), self.tests,
-                np.asarray(data.level), data.outputs, data.inputs, DERIVATIVES[data.form], self.modes_in_band,
-            )
+        compared = Compared(
+            np.asarray(self.freq), H, before, after, (self.residual_before, self.residual_after), self.tests,
+            np.asarray(data.level), data.outputs, data.inputs, DERIVATIVES[data.form], self.modes_in_band,
         )  # fmt: skip
+        found = evidence_of(compared)
+        return None if found is None else {**found, "over_levels": over_levels(compared)}
 
     @property
     def causes(self) -> list[dict[str, Any]]:
@@ -156,7 +157,8 @@ class Diagnosis:
         if self.verdict == "clean" or (self.verdict == "named" and not self.alternatives):
             return None
         ranked = self.found.ranked
-        told = advise(self.verdict, [ranked[0], *rivals(self.verdict, ranked)] if ranked else [])
+        sets = [ranked[0], *rivals(self.verdict, ranked)] if ranked else []
+        told = advise(self.verdict, sets, bool(levels_said(self.verdict, self.evidence)))
         return "; ".join([*self.found.notes, told])
 
     def to_dict(self) -> dict[str, Any]:
@@ -168,7 +170,7 @@ class Diagnosis:
             "advice": self.advice,
             "smallest_detectable": self.smallest_detectable,
             "inaccuracy": None,  # line by line all but the causes is taken as exact
-            "reasons": list(self.reasons),
+            "reasons": [*self.reasons, *levels_said(self.verdict, self.evidence)],
             "gain": self.gain.to_dict(),
             "question": self.question,
             "notes": list(self.notes),

@@ -5,10 +5,14 @@ from collections.abc import Sequence
 from modalax.diagnose.decision.posterior import Ranked
 
 AT_LEVELS = "measure at three force levels or more, spread over a factor of ten, and look at the third harmonic"
+LOWER = (
+    "measure at lower force levels too, until the modes no longer move, and on either side of each joint that may be "
+    "what changes with the level"
+)
 MOST_PLACES, MOST_PARTS = 6, 3  # most places in one sentence, and most parts of the advice
 
 
-def advise(verdict: str, sets: Sequence[Ranked]) -> str:
+def advise(verdict: str, sets: Sequence[Ranked], by_level: bool = False) -> str:
     """What would tell the candidates apart, in one sentence.
 
     Parameters
@@ -17,7 +21,11 @@ def advise(verdict: str, sets: Sequence[Ranked]) -> str:
         As the answer has it.
     sets
         Sets of causes that are in question, the leading one first.
+    by_level
+        Whether the modes change with the force level.
     """
+    if verdict == "unknown" and by_level:
+        return LOWER
     if verdict == "unknown":
         return (
             "something remains that no known cause explains: look at the residual map for where it lives, "

@@ -32,6 +32,7 @@ from modalax.diagnose.modal_domain.levels.laws import NAMED
 from modalax.diagnose.modal_domain.levels.seen import at_levels
 from modalax.diagnose.modal_domain.screen import errors_of
 from modalax.diagnose.modal_domain.stage import Stage, run_stage
+from modalax.diagnose.over_levels import levels_said
 from modalax.diagnose.result import Diagnosis, within
 from modalax.diagnose.summary import cause_at
 from modalax.diagnose.thresholds import THRESHOLDS
@@ -171,7 +172,7 @@ class ModalDiagnosis(Diagnosis):
             "advice": self.advice,
             "smallest_detectable": self.smallest_detectable,
             "inaccuracy": self.inaccuracy,
-            "reasons": list(self.reasons),
+            "reasons": [*self.reasons, *levels_said(self.verdict, self.evidence)],
             "gain": self.gain.to_dict(),
             "question": self.question,
             "notes": list(self.notes),
