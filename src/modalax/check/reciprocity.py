@@ -84,13 +84,19 @@ def _by_modes(study: Study, p: DrivePoint, q: DrivePoint) -> float:
     clear = relative < 0.1
     if clear.sum() < 2:
         return 0.0
-    ratio, std = np.log(there[clear] / back[clear]), np.hypot(relative[clear], MODE_ERROR)
-    turned = np.abs(np.angle(np.exp(1j * ratio.imag)))
+    logs, std = np.log(there[clear] / back[clear]), np.hypot(relative[clear], MODE_ERROR)
+    turned = np.abs(np.angle(np.exp(1j * logs.imag)))
     # A constant factor of either sign comes from the channels.
     turned = min((turned, np.pi - turned), key=lambda t: float(np.sum(t**2 / std**2)))
-    middle = np.sum(ratio.real / std**2) / np.sum(1 / std**2)
-    off = np.hypot(ratio.real - middle, turned) / std
-    return float(off.max() / SURE)
+    middle = np.sum(logs.real / std**2) / np.sum(1 / std**2)
+    off = np.hypot(logs.real - middle, turned) / std
+    return max(float(off.max()), _deviations(float(np.sum(off**2)), 2 * len(off) - 1)) / SURE
+
+
+def _deviations(squares: float, freedom: int) -> float:
+    """Standard deviations at which one number is as unlikely as this sum of squares (Wilson and Hilferty 1931)."""
+    spread = 2 / (9 * freedom)
+    return float(((squares / freedom) ** (1 / 3) - 1 + spread) / np.sqrt(spread))
 
 
 def _exchange(study: Study, pairs: dict, wild: set[tuple[str, str]]) -> Finding | None:
@@ -124,7 +130,11 @@ def _worst_exchanged(study: Study, pairs: dict, wild: set, axis: int, a: int, b:
     order = list(range(study.H.shape[axis]))
     order[a], order[b] = b, a
     changed = replace(study, H=np.take(study.H, order, axis), variance=None)
+    omega, residues, std = study.summed
     changed.__dict__["sigma"] = np.take(study.sigma, order, axis)
+    changed.__dict__["summed"] = omega, *(np.take(a, order, axis - 1) for a in (residues, std))
+    if _backward(changed) > _backward(study):
+        return None
     before, worst = max(pairs[key][-1] for key in wild), 0.0
     for key in sorted(pairs, key=lambda key: -pairs[key][-1]):
         fit = ratio(changed.H, changed.sigma, *pairs[key][:2])
@@ -132,10 +142,16 @@ def _worst_exchanged(study: Study, pairs: dict, wild: set, axis: int, a: int, b:
             continue
         factor, std, _, excess = fit
         off = abs(np.log(abs(factor))) / max(SMALLEST_GAIN, SURE * std / abs(factor))
-        worst = max(worst, excess, off if key in wild else 0.0)
+        worst = max(worst, excess, *((off, _by_modes(changed, *pairs[key][:2])) if key in wild else ()))
         if factor < 0 or worst > min(1.0, MENDED * before):
             return None
     return float(worst)
+
+
+def _backward(study: Study) -> int:
+    """Number of residues at drive points of which a passive structure has none: a mode that gives off energy."""
+    _, residues, std = study.summed
+    return sum(int(np.sum(-p.sign * residues[:, p.o, p.i].imag < -SURE * std[:, p.o, p.i])) for p in study.drive_points)
 
 
 def _not_reciprocal(study: Study, pairs: dict) -> Iterator[Finding]:
