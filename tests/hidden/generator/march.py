@@ -69,6 +69,10 @@ def one_period(step: Steps, laws: list[Law], p, f, q_lin, v_lin, steps: int):
     the fundamental of the forces (row, joint).
     """
     count = len(laws)
+    own = [(step.compliance[:, j, j].copy(), step.compliance[:, count + j, j].copy()) for j in range(count)]
+    # displacement and velocity across each joint that the forces of the others make, (row, others)
+    others = [np.delete(np.arange(count), j) for j in range(count)]
+    pushes = [[step.compliance[:, at][:, o] for at in (j, count + j)] for j, o in enumerate(others)]
     spin = np.exp(2j * np.pi * np.arange(steps + 1) / steps)
     fundamental = np.zeros_like(q_lin)
     seen = (p @ step.out).real
@@ -83,14 +87,12 @@ def one_period(step: Steps, laws: list[Law], p, f, q_lin, v_lin, steps: int):
         new = f.copy()
         for _ in range(1 if count == 1 else 4):
             for j, law in enumerate(laws):
-                others = [i for i in range(count) if i != j]
-                push_q, push_v = (
-                    (step.compliance[:, at][:, others] * new[:, others]).sum(axis=1) for at in (j, count + j)
-                )
-                new[:, j] = law.solve(
-                    q_free[:, j] + push_q, v_free[:, j] + push_v, step.compliance[:, j, j],
-                    step.compliance[:, count + j, j], q[:, j], v[:, j], f[:, j],
-                )  # fmt: skip
+                q_here, v_here = q_free[:, j], v_free[:, j]
+                if count > 1:
+                    forces = new[:, others[j]]
+                    q_here = q_here + np.einsum("ro,ro->r", pushes[j][0], forces)
+                    v_here = v_here + np.einsum("ro,ro->r", pushes[j][1], forces)
+                new[:, j] = law.solve(q_here, v_here, *own[j], q[:, j], v[:, j], f[:, j])
         held = spin[k] * np.exp(1j * np.pi / steps) * np.sinc(1 / steps)
         q_new = q_free + np.einsum("rkj,rj->rk", step.compliance[:, :count], new)
         v_new = v_free + np.einsum("rkj,rj->rk", step.compliance[:, count:], new)
