@@ -30,7 +30,7 @@ ALIKE = {
     ("crosstalk", "chain"): ChannelCause, ("hysteretic_joint", "chain"): LocalCause,
     ("fractional_joint", "chain"): LocalCause, ("sensor_clipping", "chain"): ChannelCause,
     ("missing_mode", "chain"): ModesCause | ChannelCause, ("iwan_joint", "chain"): ElastoSlip | IwanJoint,
-    ("cubic_stiffness", "chain"): CubicStiffness | QuadraticDamping | LocalCause,
+    ("units", "chain"): ChannelCause, ("cubic_stiffness", "chain"): CubicStiffness | QuadraticDamping | LocalCause,
 }  # fmt: skip
 # and these among the whole catalogue in the longer draw.
 LONG = [
@@ -130,6 +130,7 @@ def test_what_the_data_looks_like_beside_the_catalogue_is_told(whole, tmp_path, 
     assert "sensor_resonance" in said["advice"] and f"at {case.truth['causes'][0]['where'][0]}" in said["advice"]
 
 
+@pytest.mark.slow  # in the modal domain, as is asked first, by default
 def test_wrong_units_are_named_although_the_simulation_may_be_a_little_off(tmp_path):
     """The modes would have to move by thousands of claimed standard deviations to follow such an effect."""
     plan = dict(spread=True, variance="16", inputs=1, runs=3, structure=12)
