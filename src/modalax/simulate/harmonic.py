@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
 from modalax._numerics.checks import as_array, as_double, is_traced
-from modalax._numerics.cuts import cut
-from modalax._numerics.known import by_numpy, host, joined
+from modalax._numerics.cuts import cut, spread_over
+from modalax._numerics.known import by_numpy, circular, host, joined
 from modalax.data.frf import DERIVATIVES, check_axis, check_form
 from modalax.data.measurement import Measurement
 from modalax.model.receptance import AnyStructure, directions, dof_names, receptance
@@ -242,13 +242,14 @@ def harmonic_balance(
     check_axis(freq)
     if sweep not in ("up", "down"):
         raise ValueError(f"sweep is {sweep!r}; it must be up or down")
-    level = jnp.atleast_1d(as_double(level, "level"))
-    if not is_traced(level) and not bool(jnp.all(level > 0)):
-        raise ValueError(f"level holds {float(jnp.min(level)):g} N; force amplitudes must be above 0")
+    level = as_double(level, "level")
+    level = level if level.ndim else cut(level, None)
+    if not is_traced(level) and not (np.asarray(level) > 0).all():
+        raise ValueError(f"level holds {float(np.min(level)):g} N; force amplitudes must be above 0")
     plan = make_plan(joints, places, harmonics, samples)
     out_names = dof_names(structure) if outputs is None else tuple(outputs)
     b, o, i = (directions(structure, p) for p in (places, [[n] for n in out_names], [[n] for n in inputs]))
-    R = receptances(structure, b, 2 * jnp.pi * freq, o, i, plan.harmonics)
+    R = receptances(structure, b, circular(freq), o, i, plan.harmonics)
     q, left, margin, force, X = _answer(R, tuple(joints), level, plan, jnp.array(sweep == "down"))
     return Response(freq, level, q, force, X, left, margin, plan.harmonics, out_names, tuple(inputs))
 
@@ -281,8 +282,9 @@ def simulate(
         from modalax.model.receptance import frf
 
         linear = frf(structure, freq, form=form, outputs=outputs, inputs=inputs)
-        level = jnp.atleast_1d(as_double(level, "level"))
-        H = jnp.broadcast_to(linear.H, (level.shape[0], *linear.H.shape))
+        level = as_double(level, "level")
+        level = level if level.ndim else cut(level, None)
+        H = spread_over(linear.H, (level.shape[0], *linear.H.shape))
         return Measurement(linear.freq, H, level=level, form=form, outputs=linear.outputs, inputs=linear.inputs)
     response = harmonic_balance(structure, joints, places, freq, level, inputs=inputs, outputs=outputs, **orders)
     if not is_traced(response.residual):

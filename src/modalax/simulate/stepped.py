@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float, Int
 
-from modalax._numerics.checks import as_array, as_double
+from modalax._numerics.checks import as_array, as_double, is_traced
+from modalax._numerics.cuts import cut
 from modalax.data.frf import DERIVATIVES, check_axis, check_form
 from modalax.data.measurement import Measurement
 from modalax.model.receptance import AnyStructure
@@ -186,7 +187,8 @@ def stepped_sine(
         raise ValueError("freq starts at 0 Hz; a sine needs a frequency above 0")
     if steps < 16:
         raise ValueError(f"{steps} steps per period; at least 16 are needed")
-    level = jnp.atleast_1d(as_double(level, "level"))
+    level = as_double(level, "level")
+    level = level if level.ndim else cut(level, None)
     turn = slice(None, None, -1) if sweep == "down" else slice(None)
     period = 1 / np.asarray(freq)[turn]
     plan = _Plan(steps, tolerance, limit, sweep != "each")
@@ -196,9 +198,14 @@ def stepped_sine(
         # free vibrations that decay by less than a thousandth in a period are not waited for
         fades = -np.expm1(-np.maximum(rig.blocks.decay * period, 1e-3))
         columns.append(_all_lines(rig, propagator(rig.blocks, period / steps), as_array(fades), level, plan))
-    X, periods, change, settled, left = (jnp.stack(part, axis=-1)[:, turn] for part in zip(*columns, strict=True))
+    X, periods, change, settled, left = (_columns(part)[:, turn] for part in zip(*columns, strict=True))
     check_agreement(left, f"{steps} steps per period")
     j = len(joints)
-    return SteppedSine(
-        freq, level, X[:, :, j:], X[:, :, :j], periods, change, settled, names, tuple(inputs)
-    )  # fmt: skip
+    q, X = as_array(X[:, :, :j]), as_array(X[:, :, j:])
+    steady = as_array(periods), as_array(change), as_array(settled)
+    return SteppedSine(freq, level, X, q, *steady, names, tuple(inputs))
+
+
+def _columns(parts: Sequence[Any]) -> Any:
+    """What was found for each input, along the last axis; of NumPy where the numbers are known."""
+    return jnp.stack(parts, axis=-1) if is_traced(*parts) else np.stack([np.asarray(p) for p in parts], axis=-1)
