@@ -43,6 +43,15 @@ def renamed(truth: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def told(parameters: dict[str, Any]) -> dict[str, Any]:
+    """Parameters of the truth as an answer tells them: of a bilinear spring which side is the stiffer is not."""
+    sides = sorted(
+        (parameters[k] for k in ("stiffness_positive", "stiffness_negative") if k in parameters),
+        key=lambda p: p["value"],
+    )
+    return {**parameters, **dict(zip(("stiffness_softer_side", "stiffness_stiffer_side"), sides, strict=False))}
+
+
 @dataclass(frozen=True)
 class Mark:
     """One case: what was hidden, what was said, and whether that is right."""
@@ -124,7 +133,7 @@ class Mark:
             hidden = true.get(placed(cause), {"parameters": {}, "where": cause["where"]})
             turned = [str(w) for w in hidden["where"]] != [str(w) for w in cause["where"]]
             for name, p in cause.get("parameters", {}).items():
-                aim = hidden["parameters"].get(name)
+                aim = told(hidden["parameters"]).get(name)
                 if aim is None or p.get("std") is None or aim["unit"] != p["unit"]:
                     continue
                 sign = -1.0 if turned and cause["name"] == "gyroscopic" else 1.0

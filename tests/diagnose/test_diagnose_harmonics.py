@@ -9,7 +9,12 @@ import numpy as np
 import pytest
 
 from modalax.data import Measurement
-from modalax.diagnose.causes.joints import BilinearStiffness, CoulombFriction, CubicStiffness, ElastoSlip
+from modalax.diagnose.causes.joints import (
+    BilinearStiffness,
+    CoulombFriction,
+    CubicStiffness,
+    ElastoSlip,
+)
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.comparison import Comparison, make_comparison, noise_beside, with_noise_beside
 from modalax.diagnose.extend import ExtendedSimulation, extend
@@ -17,6 +22,7 @@ from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.prediction.harmonics import HIGHEST, linear_factor
 from modalax.diagnose.search import harmonics as search
 from modalax.diagnose.search.harmonics import fitted_in_full, is_limit, joints_in_full, limit_of
+from modalax.diagnose.search.joints_by_force import joints_by_force
 from modalax.files import load
 from modalax.model.examples import five_dof
 from modalax.simulate import joints
@@ -161,6 +167,49 @@ def test_harmonics_tell_a_bilinear_spring_from_a_spring():
     value, std = full.params[0], np.sqrt(np.diag(full.covariance))
     assert abs(value[0] - 3000.0) < 3 * std[0]
     assert abs(value[1] - 2 / 3) < 3 * std[1]
+
+
+@pytest.fixture(scope="module")
+def strong_bilinear():
+    data = test_of(joints.BilinearSpring(30000.0, 500.0), noise=0.002, harmonics=HIGHEST)
+    return with_noise_beside(make_comparison(data, five_dof(), "fixed"))
+
+
+def test_a_strong_bilinear_spring_is_found_from_an_asymmetry_that_one_harmonic_left_anywhere(strong_bilinear):
+    comparison = strong_bilinear
+    null, h = hypothesis(comparison, BilinearStiffness(), [15000.0, 0.3])
+    one = comparison.fit([h], 30)[0]
+    assert one.chi2 > 10 * comparison.problem.samples
+    full = fitted_in_full(comparison, null, replace(one, params=(np.array([one.params[0][0], 3.0]),)))
+    assert full.chi2 < 1.1 * comparison.problem.samples
+    value, std = full.params[0], np.sqrt(np.diag(full.covariance))
+    assert abs(value[0] - 15250.0) < 3 * std[0]
+    assert abs(value[1] - 14750 / 15250) < 3 * std[1]
+
+
+def test_laws_are_fitted_in_full_where_a_force_explains_what_nothing_else_does(strong_bilinear):
+    """A strong bilinear spring is no spring by its FRFs, and one harmonic of it is."""
+    comparison = strong_bilinear
+    null, h = hypothesis(comparison, BilinearStiffness(), [3000.0, 0.3])
+    causes = [BilinearStiffness()]
+    (best,) = joints_by_force(comparison, null, causes, null)
+    assert best.parts == h.parts
+    assert best.fidelity is not None
+    assert best.chi2 < 1.1 * comparison.problem.samples
+    assert joints_by_force(comparison, null, causes, best) == []
+
+
+def test_the_sides_of_a_bilinear_spring_are_told_by_their_stiffness():
+    """Mirrored, the law has the same FRFs: a spring stiffer in push answers half a cycle later like one in pull."""
+    one, other = (
+        simulate(five_dof(), [joints.BilinearSpring(*k)], [PLACE], FREQ[40:48], LEVELS[:1], inputs=["1"], harmonics=5)
+        for k in ((5000.0, 1000.0), (1000.0, 5000.0))
+    )
+    np.testing.assert_allclose(one.H, other.H, rtol=1e-7)
+    place = Place(PLACE, (2, 4, 0))
+    told = BilinearStiffness().report(np.array([-3000.0, 2 / 3]), place)
+    assert told["stiffness_stiffer_side"][0] == pytest.approx(-1000.0)
+    assert told["stiffness_softer_side"][0] == pytest.approx(-5000.0)
 
 
 def test_a_slipping_spring_of_any_stiffness_is_dry_friction():

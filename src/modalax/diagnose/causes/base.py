@@ -291,6 +291,13 @@ class JointCause(ElementCause):
         """
         return self.law(p).describing(A, omega)
 
+    def untold(self, p: np.ndarray) -> list[np.ndarray]:
+        """Groups of parameters that a single harmonic does not tell from given ones, each of shape ``(point, p)``.
+
+        The best of every group is a start of the fit with more harmonics.
+        """
+        return [np.asarray(p, float)[None]]
+
     def law_in_series(self, p: Float[Array, " p"], compliance: Array) -> Any:
         """The joint in series with a spring of some compliance [m/N], which only a rigid one takes."""
         return self.law(p)

@@ -142,6 +142,7 @@ class BilinearStiffness(JointCause):
     unseen = 1
     parameters = (Parameter("mean_stiffness", "N/m"), Parameter("asymmetry", "-", 0.0, 3.0))
     asymmetries = (0.3, 1.0)
+    stiffer = (1.0, 1.2, 1.5, 2.0)  # mean stiffness over that of a spring with the same FRF, at any asymmetry
 
     def grid(self, scene: Scene, place: Place) -> np.ndarray:
         """Around the stiffness that matters."""
@@ -151,12 +152,14 @@ class BilinearStiffness(JointCause):
         """Stiffness in push and in pull."""
         return joints.BilinearSpring(p[0] * (1 + p[1]), p[0] * (1 - p[1]))
 
+    def untold(self, p: np.ndarray) -> list[np.ndarray]:
+        """Any asymmetry; the motion leans to the softer side, and so the mean is stiffer than the spring it seems."""
+        return [np.array([[p[0] * s, a] for s in self.stiffer]) for a in self.asymmetries]
+
     def report(self, p: np.ndarray, place: Place) -> dict[str, tuple[Any, str]]:
-        """The two stiffnesses."""
-        return {
-            "stiffness_positive": (p[0] * (1 + p[1]), "N/m"),
-            "stiffness_negative": (p[0] * (1 - p[1]), "N/m"),
-        }
+        """The two stiffnesses; which of them is in push, the fundamental does not tell."""
+        sides = p[0] * (1 + p[1]), p[0] * (1 - p[1])
+        return {"stiffness_stiffer_side": (max(sides), "N/m"), "stiffness_softer_side": (min(sides), "N/m")}
 
 
 def limiting_law(cause: Any, p: np.ndarray) -> tuple[JointCause, np.ndarray] | None:

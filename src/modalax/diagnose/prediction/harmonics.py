@@ -70,15 +70,12 @@ def with_harmonics(
 
 def linear_factor(
     causes: Any, index: Any, extras: Any, params: Any, theta: Float[Array, "two n"], problem: Problem,
-    highest: int, kept: int | None = None, rows: Any = None,
+    highest: int, kept: int | None = None, rows: Any = None, follows: bool = True,
 ) -> Complex[np.ndarray, "four_p run f i"]:  # fmt: skip
     r"""Factor :math:`\rho` as :func:`~modalax.diagnose.prediction.frf.factor_at` takes it, and compliance in series.
 
-    Slopes are given for a cause some of whose parameters one harmonic does not show, and for dry friction, which one
-    harmonic shows badly; of any other they are 0, as the describing function follows its parameters already.
-
     Parameters are those of :func:`harmonic_factor`, and ``rows``: amplitude and force that were measured, shape
-    ``(2, run, f, i)``, none if None.
+    ``(2, run, f, i)``, none if None; and ``follows``: whether the factor has slopes by the parameters.
     """
     near = None if rows is None else rows[0].real
 
@@ -102,7 +99,7 @@ def linear_factor(
         rows = np.stack([amplitude, rows[1]])
     slopes = []
     for j in range(len(p)):
-        if not causes[k].unseen and not causes[k].rigid:
+        if not follows:
             slopes.append(np.zeros_like(middle))
             continue
         step = STEP * (abs(p[j]) or 1.0)

@@ -17,6 +17,7 @@ from modalax.diagnose.search.candidates import best_of_each
 from modalax.diagnose.search.compounds import FURTHER, Rest, exchanged, one_more_cause, rest_of
 from modalax.diagnose.search.harmonics import is_limit, joints_in_full
 from modalax.diagnose.search.imitator_check import apart, imitations, likeness
+from modalax.diagnose.search.joints_by_force import joints_by_force
 from modalax.diagnose.search.look import Look
 from modalax.diagnose.search.measured_force import STRONG, robust_starts, starts_from_forces
 from modalax.diagnose.search.rows import fitted_beside_outliers
@@ -79,6 +80,7 @@ def explain(look: Look, causes: Sequence[Cause]) -> Explanation:
     look, fitted, ranked = with_noise_again(look, fitted, ranked)
     comparison, fitted, ranked = centred(look, fitted, ranked)
     fitted, ranked = in_full(look, comparison, fitted, ranked)
+    fitted, ranked = by_force(look, comparison, fitted, ranked, causes)
     ranked, fitted, rest = together(look, comparison, fitted, ranked, causes)
     leftover = replace(leftover, p_value=rest.p_value, tolerated=rest.tolerated)
     return Explanation(look, comparison, ranked, leftover, rest.omnibus, fitted)
@@ -217,6 +219,15 @@ def in_full(
     fitted = again + [h for h in fitted if frozenset(h.parts) not in done]
     fitted = [h for h in fitted if not any(is_limit(h, other, look.null) for other in again)]
     return fitted, weigh(look, fitted, comparison)
+
+
+def by_force(
+    look: Look, comparison: Comparison, fitted: list[Hypothesis], ranked: list[Ranked], causes: Sequence[Cause]
+) -> tuple[list[Hypothesis], list[Ranked]]:
+    """Fit joints in full where a force is measured that what was fitted so far does not explain."""
+    best = min(ranked, key=lambda r: r.best.chi2).best
+    more = [] if comparison.late() else joints_by_force(comparison, look.null, causes, best)
+    return (fitted + more, weigh(look, fitted + more, comparison)) if more else (fitted, ranked)
 
 
 def leader_in_full(

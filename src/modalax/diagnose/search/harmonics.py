@@ -9,7 +9,7 @@ from modalax.diagnose.causes.base import JointCause
 from modalax.diagnose.causes.joints import limiting_law
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.gauss_newton import covariance_of
-from modalax.diagnose.fitting.hypothesis import Hypothesis, searched
+from modalax.diagnose.fitting.hypothesis import Hypothesis, from_search, searched, split
 from modalax.diagnose.fitting.residual import jacobian_of, residual_of
 from modalax.diagnose.prediction.frf import NEAR
 from modalax.diagnose.prediction.harmonics import HIGHEST, linear_factor
@@ -20,9 +20,10 @@ from modalax.diagnose.search.tolerance import tolerated
 
 FEWER = 5  # highest harmonic of a second prediction, which shows the error of truncation
 BEYOND = (FEWER + 1) / (HIGHEST - FEWER)  # effect of harmonics above HIGHEST over that of those above FEWER up to it
-TIMES = 3  # most rounds of harmonics and fit in turn
+TIMES = 8  # most rounds of harmonics and fit in turn
+SHARES = (1.0, 0.3, 0.1, 0.02)  # of a step, tried one after the other
 ASKED = 0.3  # error of a parameter by a single harmonic, in standard deviations, from which on more are taken
-SETTLED = 1e-2  # change of chi-square at which harmonics and fit have settled
+SETTLED = ASKED**2  # change of chi-square at which harmonics and fit have settled
 TRIED = 6  # leading hypotheses that are fitted so
 ONE_LAW = 2  # of these, most with the same causes
 REACHED = 3.0  # standard deviations of its strength within which a joint may be as strong as one likes
@@ -129,7 +130,7 @@ def one_joint(comparison: Comparison, h: Hypothesis) -> bool:
 
 
 def fitted_in_full(comparison: Comparison, null: Hypothesis, h: Hypothesis) -> Hypothesis:
-    """Find the effect of higher harmonics and fit again in turn, until neither changes.
+    """Fit with higher harmonics, from every start that a single harmonic does not tell from the hypothesis.
 
     Parameters
     ----------
@@ -141,24 +142,81 @@ def fitted_in_full(comparison: Comparison, null: Hypothesis, h: Hypothesis) -> H
         A hypothesis with one joint.
     """
     k = h.joints[0]
-    for _ in range(TIMES):
-        factor = _factor(comparison, h, measured_rows(comparison, h)[1])
-        before = h.chi2
-        extras = (*h.extras[:k], factor, *h.extras[k + 1 :])
-        h = replace(h, extras=extras, freedom=h.freedom + cost_of(h.causes, extras) - cost_of(h.causes, h.extras))
-        h = comparison.fit([h], PATIENT)[0]
-        if abs(before - h.chi2) < SETTLED or limit_of(h) is not None:  # a limit is fitted as such
-            break
+    cause, shift = h.causes[k], lambda p: (*h.params[:k], p, *h.params[k + 1 :])
+    assert isinstance(cause, JointCause)
+    starts = [[balanced(comparison, replace(h, params=shift(p))) for p in group] for group in cause.untold(h.params[k])]
+    found = [settled(comparison, min(group, key=lambda one: one.chi2)) for group in starts]
+    h = min(found, key=lambda one: one.chi2)
     seen = sum(c.unseen for c in h.causes)  # what one harmonic does not show, the others do
     h = replace(h, freedom=h.freedom + seen)
     return _with_what_is_left_out(comparison, null, h, k)
 
 
-def _factor(comparison: Comparison, h: Hypothesis, rows: np.ndarray, kept: int = HIGHEST) -> np.ndarray:
+def balanced(comparison: Comparison, h: Hypothesis, rows: np.ndarray | None = None, slopes: bool = True) -> Hypothesis:
+    """The hypothesis with the effect of higher harmonics at its own parameters, and the chi-square that this leaves.
+
+    Parameters
+    ----------
+    comparison
+        Data and simulation.
+    h
+        A hypothesis with one joint.
+    rows
+        What is measured of the joint; read off the data beside the hypothesis if None.
+    slopes
+        Whether the effect is to follow the parameters, so that they can be fitted.
+    """
+    k = h.joints[0]
+    rows = measured_rows(comparison, h)[1] if rows is None else rows
+    factor = _factor(comparison, h, rows, slopes=slopes)
+    extras = (*h.extras[:k], factor, *h.extras[k + 1 :])
+    h = replace(h, extras=extras, freedom=h.freedom + cost_of(h.causes, extras) - cost_of(h.causes, h.extras))
+    left = float((np.abs(comparison.residual(h)) ** 2).sum() + (np.asarray(h.theta) ** 2).sum())
+    return replace(h, chi2=left if np.isfinite(left) else np.inf)
+
+
+def settled(comparison: Comparison, h: Hypothesis) -> Hypothesis:
+    """Fit with the effect of harmonics linear about the parameters, and find it anew, until neither changes.
+
+    A step after which the effect as found anew leaves more is shortened.
+
+    Parameters
+    ----------
+    comparison
+        Data and simulation.
+    h
+        A hypothesis with one joint, balanced.
+    """
+    k = h.joints[0]
+    for _ in range(TIMES):
+        fit = comparison.fit([h], PATIENT)[0]
+        h = replace(h, covariance=fit.covariance)
+        rows = np.asarray(h.extras[k])[NEAR:]
+        nearer = (balanced(comparison, between(h, fit, share), rows) for share in SHARES)
+        after = next((one for one in nearer if one.chi2 < h.chi2), None)
+        if after is None:
+            break
+        drop, h = h.chi2 - after.chi2, balanced(comparison, after)
+        if drop < SETTLED or limit_of(h) is not None:  # a limit is fitted as such
+            break
+    return h
+
+
+def between(h: Hypothesis, other: Hypothesis, share: float) -> Hypothesis:
+    """The hypothesis at a share of the way to another with the same causes, in the variables of the search."""
+    u = searched(h) + share * (searched(other) - searched(h))
+    params = [np.asarray(from_search(c, v)) for c, v in zip(h.causes, split(h.causes, u), strict=True)]
+    theta = np.asarray(h.theta) + share * (np.asarray(other.theta) - np.asarray(h.theta))
+    return replace(h, params=tuple(params), theta=theta)
+
+
+def _factor(
+    comparison: Comparison, h: Hypothesis, rows: np.ndarray, kept: int = HIGHEST, slopes: bool = True
+) -> np.ndarray:
     theta = as_array(h.theta * comparison.nuisance.spread)
     params = tuple(as_array(p) for p in h.params)
     plain = tuple(None if isinstance(c, JointCause) else e for c, e in zip(h.causes, h.extras, strict=True))
-    return linear_factor(h.causes, h.index, plain, params, theta, comparison.problem, HIGHEST, kept, rows)
+    return linear_factor(h.causes, h.index, plain, params, theta, comparison.problem, HIGHEST, kept, rows, slopes)
 
 
 def _with_what_is_left_out(comparison: Comparison, null: Hypothesis, h: Hypothesis, k: int) -> Hypothesis:
