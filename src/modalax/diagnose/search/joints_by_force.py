@@ -26,9 +26,10 @@ AROUND = (0.6, 0.75, 0.9, 1.0, 1.1, 1.3, 1.6)  # strengths that are balanced, ov
 def joints_by_force(
     comparison: Comparison, null: Hypothesis, causes: Sequence[Cause], best: Hypothesis
 ) -> list[Hypothesis]:
-    """Joints of any law, fitted with their harmonics; none where the best so far leaves no more than a free force does.
+    """Joints of any law, fitted with harmonics; none where the best so far leaves no more than a free force does.
 
-    Laws are tried in the order in which most lines agree with them by one harmonic, until one leaves no more than noise.
+    Laws are tried in the order in which most lines agree with them by one harmonic, until one leaves hardly more than
+    noise.
 
     Parameters
     ----------
@@ -46,7 +47,8 @@ def joints_by_force(
     if blind or as_noise(comparison, best.chi2):
         return []
     forces = measured_forces(comparison, comparison.joint_places())[:PLACES]
-    enough = best.chi2 - THRESHOLDS.one_force * np.sqrt(2 * problem.samples)
+    less = best.chi2 - THRESHOLDS.one_force * np.sqrt(2 * problem.samples)
+    enough = min(less, THRESHOLDS.unexplained * problem.samples)
     order = [
         (cost + 0.5 * force.chi2, h)
         for force in forces
