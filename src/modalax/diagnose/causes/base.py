@@ -292,10 +292,7 @@ class JointCause(ElementCause):
         return self.law(p).describing(A, omega)
 
     def untold(self, p: np.ndarray) -> list[np.ndarray]:
-        """Groups of parameters that a single harmonic does not tell from given ones, each of shape ``(point, p)``.
-
-        The best of every group is a start of the fit with more harmonics.
-        """
+        """Groups ``(point, p)`` of parameters that look alike by one harmonic; the best of each is a start with more."""
         return [np.asarray(p, float)[None]]
 
     def law_in_series(self, p: Float[Array, " p"], compliance: Array) -> Any:
