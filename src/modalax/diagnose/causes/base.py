@@ -292,7 +292,7 @@ class JointCause(ElementCause):
         return self.law(p).describing(A, omega)
 
     def untold(self, p: np.ndarray) -> list[np.ndarray]:
-        """Groups ``(point, p)`` of parameters that look alike by one harmonic; the best of each is a start with more."""
+        """Groups, ``(point, p)``, of parameters alike by one harmonic; the best of each is a start with more."""
         return [np.asarray(p, float)[None]]
 
     def law_in_series(self, p: Float[Array, " p"], compliance: Array) -> Any:
@@ -396,6 +396,5 @@ class LinesCause(Cause):
 
 def gather(columns: Array, index: Array, axis: int = -1) -> Array:
     """Column of a direction: that of the first DoF less that of the second, where there is one."""
-    first = jnp.take(columns, index[0], axis=axis)
     second = jnp.take(columns, jnp.maximum(index[1], 0), axis=axis)
-    return first - jnp.where(index[1] >= 0, 1.0, 0.0) * second
+    return jnp.take(columns, index[0], axis=axis) - jnp.where(index[1] >= 0, 1.0, 0.0) * second
