@@ -4,14 +4,17 @@ import inspect
 from collections.abc import Callable, Sequence
 from functools import partial, wraps
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from modalax._numerics.checks import as_array, is_traced
+
+Numbers: TypeAlias = jax.Array | np.ndarray
+"""What a formula makes: of JAX where an array is traced, else of NumPy."""
 
 
 def host(value: Any) -> Any:
@@ -48,13 +51,13 @@ def by_numpy(formula: Callable[..., Any]) -> Callable[..., Any]:
     return run
 
 
-def ends_of(freq: Array) -> tuple[float, float]:
+def ends_of(freq: Any) -> tuple[float, float]:
     """First and last of increasing frequencies that are known."""
     known = np.asarray(freq)
     return float(known[0]), float(known[-1])
 
 
 @by_numpy
-def circular(xp: ModuleType, freq: Any) -> Float[Array, " f"]:
+def circular(xp: ModuleType, freq: Any) -> Float[Numbers, " f"]:
     """Circular frequencies [rad/s] of frequencies [Hz]."""
     return 2 * np.pi * freq

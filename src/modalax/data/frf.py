@@ -14,7 +14,7 @@ from jaxtyping import Array, Complex, Float
 
 from modalax._numerics.checks import as_double, is_traced, require_finite, require_range
 from modalax._numerics.cuts import cut
-from modalax._numerics.known import by_numpy, circular, ends_of, host
+from modalax._numerics.known import Numbers, by_numpy, circular, ends_of, host
 
 Form = Literal["receptance", "mobility", "accelerance"]
 DERIVATIVES: dict[str, int] = {"receptance": 0, "mobility": 1, "accelerance": 2}
@@ -369,7 +369,7 @@ def _noisy(
 @by_numpy
 def _differentiated(
     xp: ModuleType, H: Any, variance: Any, freq: Any, decay: Any, *, steps: int
-) -> tuple[Complex[Array, "f o i"], Float[Array, "f o i"] | None]:
+) -> tuple[Complex[Numbers, "f o i"], Float[Numbers, "f o i"] | None]:
     r"""H and its variance times :math:`s^n` and its square, with :math:`s = j\omega + \sigma`."""
     factor = (2j * np.pi * freq + decay)[:, None, None] ** steps
     return H * factor, None if variance is None else variance * xp.abs(factor) ** 2

@@ -20,6 +20,7 @@ from jax import lax
 from jaxtyping import Array, Complex, Float, Inexact
 
 from modalax._numerics.checks import as_array
+from modalax._numerics.known import Numbers
 from modalax._numerics.powers import powers
 from modalax.identify.lscf import ARC
 from modalax.identify.moments import inverse_root, toeplitz
@@ -118,7 +119,7 @@ def _groups(orders: tuple[int, ...]) -> list[tuple[int, int]]:
     return list(zip([orders[0], *(e + 1 for e in ends[:-1])], ends, strict=True))
 
 
-def _roots(A: Complex[Array, "k order draw"], low: int) -> Complex[Array, "root order draw"]:
+def _roots(A: Complex[Numbers, "k order draw"], low: int) -> Complex[Array, "root order draw"]:
     """Roots of the orders from ``low`` on, whose coefficients are the columns of ``A``."""
     count, last = A.shape[1], len(A) - 1
     orders = range(low, low + count)

@@ -8,16 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from modalax._numerics.known import by_numpy
+from modalax._numerics.known import Numbers, by_numpy
 from modalax.model.modal import ModalModel
 from modalax.model.receptance import directions
 from modalax.model.structure import Structure, real_modes
 
 
 @by_numpy
-def _with(xp: ModuleType, matrix: Any, value: Any, b: Any) -> Float[Array, "n n"]:
+def _with(xp: ModuleType, matrix: Any, value: Any, b: Any) -> Float[Numbers, "n n"]:
     """The matrix with an element of this value in a direction."""
     return matrix + value * b.T @ b
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Complex, Float
 
 from modalax._numerics.checks import as_array, as_double, is_traced, require_finite, require_range
 from modalax._numerics.cuts import cut, spread_over
-from modalax._numerics.known import by_numpy
+from modalax._numerics.known import Numbers, by_numpy
 from modalax.data.frf import DERIVATIVES, FRF, check_form, check_names
 
 
@@ -21,7 +21,7 @@ def poles_from(frequency_hz: Any, damping_ratio: Any) -> Complex[Array, " n"]:
 
 
 @by_numpy
-def _poles(xp: ModuleType, frequency_hz: Any, zeta: Any) -> Complex[Array, "..."]:
+def _poles(xp: ModuleType, frequency_hz: Any, zeta: Any) -> Complex[Numbers, "..."]:
     omega = 2 * np.pi * frequency_hz
     return -zeta * omega + 1j * omega * xp.sqrt(1 - zeta**2)
 
@@ -300,47 +300,47 @@ class ModalModel(eqx.Module):
 
 
 @by_numpy
-def _residues(xp: ModuleType, shapes: Any, participation: Any) -> Complex[Array, "n o i"]:
+def _residues(xp: ModuleType, shapes: Any, participation: Any) -> Complex[Numbers, "n o i"]:
     return shapes[:, :, None] * participation[:, None, :]
 
 
 @by_numpy
-def _own_participation(xp: ModuleType, phi: Any, poles: Any, mass: Any) -> Complex[Array, "n i"]:
+def _own_participation(xp: ModuleType, phi: Any, poles: Any, mass: Any) -> Complex[Numbers, "n i"]:
     return phi / (2j * poles.imag * mass)[:, None]
 
 
 @by_numpy
-def _modal_mass(xp: ModuleType, modal_a: Any, poles: Any) -> Complex[Array, " n"]:
+def _modal_mass(xp: ModuleType, modal_a: Any, poles: Any) -> Complex[Numbers, " n"]:
     return modal_a / (2j * poles.imag)
 
 
 @by_numpy
-def _product(xp: ModuleType, a: Any, b: Any) -> Array:
+def _product(xp: ModuleType, a: Any, b: Any) -> Numbers:
     return a * b
 
 
 @by_numpy
-def _quotient(xp: ModuleType, a: Any, b: Any) -> Array:
+def _quotient(xp: ModuleType, a: Any, b: Any) -> Numbers:
     return a / b
 
 
 @by_numpy
-def _beside(xp: ModuleType, columns: Any) -> Array:
+def _beside(xp: ModuleType, columns: Any) -> Numbers:
     return xp.stack(columns, axis=1)
 
 
 @by_numpy
-def _frequency_hz(xp: ModuleType, poles: Any) -> Float[Array, " n"]:
+def _frequency_hz(xp: ModuleType, poles: Any) -> Float[Numbers, " n"]:
     return xp.abs(poles) / (2 * np.pi)
 
 
 @by_numpy
-def _damping_ratio(xp: ModuleType, poles: Any) -> Float[Array, " n"]:
+def _damping_ratio(xp: ModuleType, poles: Any) -> Float[Numbers, " n"]:
     return -poles.real / xp.abs(poles)
 
 
 @by_numpy
-def _normalised(xp: ModuleType, shapes: Any, participation: Any, *, how: str) -> tuple[Array, Array]:
+def _normalised(xp: ModuleType, shapes: Any, participation: Any, *, how: str) -> tuple[Numbers, Numbers]:
     scale = xp.take_along_axis(shapes, xp.argmax(xp.abs(shapes), axis=1)[:, None], axis=1)
     if how == "norm":
         scale = scale / xp.abs(scale) * xp.linalg.norm(shapes, axis=1, keepdims=True)
@@ -350,7 +350,7 @@ def _normalised(xp: ModuleType, shapes: Any, participation: Any, *, how: str) ->
 @by_numpy
 def _synthesised(
     xp: ModuleType, freq: Any, added_decay: Any, poles: Any, psi: Any, part: Any, upper: Any, lower: Any, *, power: int
-) -> Complex[Array, "f o i"]:
+) -> Complex[Numbers, "f o i"]:
     """The FRF of modes and residual terms, differentiated ``power`` times; see :meth:`ModalModel.frf`."""
     s = added_decay + 2j * np.pi * freq
     residues = (psi[:, :, None] * part[:, None, :]).reshape(len(poles), -1)

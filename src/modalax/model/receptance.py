@@ -21,7 +21,7 @@ from typing_extensions import override
 
 from modalax._numerics.checks import as_array, as_double, is_traced
 from modalax._numerics.cuts import cut
-from modalax._numerics.known import by_numpy, host, joined
+from modalax._numerics.known import Numbers, by_numpy, host, joined
 from modalax.data.frf import FRF, derivative
 from modalax.model.modal import ModalModel
 from modalax.model.structure import Structure
@@ -119,7 +119,7 @@ def _along(
     lower: Any,
     left: Any,
     right: Any,
-) -> Complex[Array, "f l r"]:
+) -> Complex[Numbers, "f l r"]:
     """Receptance of modes and residual terms along directions at the DoFs that these use."""
     psi, part = shapes @ left.T, participation @ right
     s = 1j * omega
@@ -158,7 +158,7 @@ def modify(
 
 
 @by_numpy
-def _modified(xp: ModuleType, H_oi: Any, H_ob: Any, H_bb: Any, H_bi: Any, Z: Any) -> Complex[Array, "f o i"]:
+def _modified(xp: ModuleType, H_oi: Any, H_ob: Any, H_bb: Any, H_bi: Any, Z: Any) -> Complex[Numbers, "f o i"]:
     inner = np.eye(Z.shape[-1]) + Z @ H_bb
     return H_oi - H_ob @ xp.linalg.solve(inner, Z @ H_bi)
 
@@ -167,7 +167,7 @@ class Change(eqx.Module):
     """A local linear element on a direction."""
 
     @abc.abstractmethod
-    def impedance(self, omega: Float[Array, " f"]) -> Complex[Array, " f"]:
+    def impedance(self, omega: Float[Numbers, " f"]) -> Complex[Numbers, " f"]:
         """Force over relative displacement Z [N/m] at circular frequencies [rad/s]."""
 
 
@@ -177,7 +177,7 @@ class Spring(Change):
     k: Any
 
     @override
-    def impedance(self, omega: Float[Array, " f"]) -> Complex[Array, " f"]:
+    def impedance(self, omega: Float[Numbers, " f"]) -> Complex[Numbers, " f"]:
         return self.k + 0j * omega
 
 
@@ -187,7 +187,7 @@ class Damper(Change):
     c: Any
 
     @override
-    def impedance(self, omega: Float[Array, " f"]) -> Complex[Array, " f"]:
+    def impedance(self, omega: Float[Numbers, " f"]) -> Complex[Numbers, " f"]:
         return 1j * omega * self.c
 
 
@@ -197,7 +197,7 @@ class Mass(Change):
     m: Any
 
     @override
-    def impedance(self, omega: Float[Array, " f"]) -> Complex[Array, " f"]:
+    def impedance(self, omega: Float[Numbers, " f"]) -> Complex[Numbers, " f"]:
         return -(omega**2) * self.m + 0j
 
 
@@ -221,7 +221,7 @@ class TunedMass(Change):
         return cls(m, m * own**2, 2 * damping_ratio * own * m)
 
     @override
-    def impedance(self, omega: Float[Array, " f"]) -> Complex[Array, " f"]:
+    def impedance(self, omega: Float[Numbers, " f"]) -> Complex[Numbers, " f"]:
         link, inertia = self.k + 1j * omega * self.c, -(omega**2) * self.m
         return inertia * link / (link + inertia)
 
@@ -250,7 +250,7 @@ class Modified(eqx.Module):
         rows, columns = joined([rows, self.b]), joined([columns.T, self.b]).T
         H = host(receptance(self.base, omega, rows, columns))
         Z = _diagonals([change.impedance(host(omega)) for change in self.changes])
-        return modify(H[:, :o, :i], H[:, :o, i:], H[:, o:, i:], H[:, o:, :i], Z)
+        return _modified(H[:, :o, :i], H[:, :o, i:], H[:, o:, i:], H[:, o:, :i], Z)
 
     def frf(
         self,
@@ -265,7 +265,7 @@ class Modified(eqx.Module):
 
 
 @by_numpy
-def _diagonals(xp: ModuleType, each: Any) -> Complex[Array, "f j j"]:
+def _diagonals(xp: ModuleType, each: Any) -> Complex[Numbers, "f j j"]:
     """Matrices with one value each on their diagonals."""
     return xp.stack(each, axis=-1)[:, :, None] * np.eye(len(each))
 

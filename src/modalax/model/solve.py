@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from modalax._numerics.checks import as_array, is_traced
+from modalax._numerics.known import Numbers
 
 DIRECT_DOFS = 16
 """Up to this size one dense solve a frequency is the quickest; above, real modes are tried first."""
@@ -94,7 +95,7 @@ def _compiled_along_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     return rows.astype(complex) @ X, moved
 
 
-def _dynamic_stiffness(xp: ModuleType, M: Any, C: Any, K: Any, D: Any, omega: Any) -> Complex[Array, "f n n"]:
+def _dynamic_stiffness(xp: ModuleType, M: Any, C: Any, K: Any, D: Any, omega: Any) -> Complex[Numbers, "f n n"]:
     w = omega[:, None, None]
     return K + 1j * xp.sign(w) * D + 1j * w * C - w**2 * M
 

@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Complex, Float
 
 from modalax._numerics.checks import as_array, as_double, is_traced
 from modalax._numerics.cuts import cut, spread_over
-from modalax._numerics.known import by_numpy, circular, host, joined
+from modalax._numerics.known import Numbers, by_numpy, circular, host, joined
 from modalax.data.frf import DERIVATIVES, check_axis, check_form
 from modalax.data.measurement import Measurement
 from modalax.model.receptance import AnyStructure, directions, dof_names, receptance
@@ -112,7 +112,7 @@ class Response(eqx.Module):
 
 
 @by_numpy
-def _over_force(xp: ModuleType, X: Any, freq: Any, level: Any, *, steps: int) -> Complex[Array, "level f o i"]:
+def _over_force(xp: ModuleType, X: Any, freq: Any, level: Any, *, steps: int) -> Complex[Numbers, "level f o i"]:
     return X * ((2j * np.pi * freq) ** steps)[:, None, None] / level[:, None, None, None]
 
 
