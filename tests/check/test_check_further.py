@@ -22,6 +22,8 @@ SPEC.loader.exec_module(score)
         ("frequency_shift", 900_003),  # a run 0.09 % lower, 40 standard deviations but 0.08 of a half-power bandwidth
         ("not_reciprocal", 910_003),  # an exchange would mend a residue, but not the curves
         ("reversed", 910_019),
+        ("delay", 950_008),  # two modes in the band, and three drive points
+        ("delay", 950_009),  # the last of four peaks is cut by the band's end
     ],
 )
 def test_a_fault_is_found_at_its_place_and_no_other_is_told(fault, seed):

@@ -6,7 +6,7 @@ import pytest
 from modalax.data import FRF
 from modalax.identify import close_modes, residues
 from modalax.identify.close_modes import _apart, record_of, two_modes
-from modalax.identify.disagreement import CERTAIN, of_channels, of_lines, together
+from modalax.identify.disagreement import CERTAIN, _left, of_channels, of_lines, together
 from modalax.identify.neighbourhood import around, best_poles, residual_of
 from modalax.identify.record_window import record_kernel
 from modalax.model.modal import poles_from
@@ -147,6 +147,18 @@ def test_the_deviation_of_a_pole_reaches_the_mean_of_inputs_that_disagree():
     to_mean, scatter = np.mean(inputs.shift), np.std(inputs.shift, ddof=1) / np.sqrt(3)
     assert inputs.error[0] == pytest.approx(np.hypot(to_mean, scatter), rel=0.2)
     assert together([0.5, 0.5]) == pytest.approx(0.25 * (1 + np.log(4)))
+
+
+def test_what_a_basis_leaves_is_known_to_the_last_channel():
+    """By a difference of sums where that is exact, else line by line: here of two channels next to nothing is left."""
+    rng = np.random.default_rng(4)
+    columns = np.linalg.qr(rng.normal(size=(50, 5)) + 1j * rng.normal(size=(50, 5)))[0]
+    Q, own = columns[:, :4], 3 * columns[:, 4]
+    left = (rng.normal(size=(50, 6)) + 1j * rng.normal(size=(50, 6))) * [1, 1, 1e-6, 1, 1e-9, 1]
+    left -= columns @ (columns.conj().T @ left)
+    part = rng.normal(size=6) + 1j * rng.normal(size=6)
+    data = left + Q @ rng.normal(size=(4, 6)) + own[:, None] * part
+    np.testing.assert_allclose(_left(data, Q, own, part), np.sum(np.abs(left) ** 2, axis=0), rtol=1e-6)
 
 
 def test_parts_of_sound_data_agree():

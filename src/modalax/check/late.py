@@ -119,6 +119,10 @@ def _phases(study: Study) -> Phases:
         # Of close modes only the sum is known; where they cancel, its angle is of their difference.
         size = np.stack([np.abs(study.residues[g]).sum(axis=0) for g in study.groups]) if len(omega) else np.abs(values)
         noise = np.where((np.abs(residues) > 0.7 * size) & (part < MOST_PART), noise, np.inf)
+    # Of a peak that the band's end cuts, what lies beyond turns the residue as well.
+    poles, ends = study.modes.poles, 2 * np.pi * study.freq[[0, -1]]
+    cut = [np.min(np.abs(poles[g].imag[:, None] - ends) + 2 * poles[g].real[:, None]) < 0 for g in study.groups]
+    noise = np.where(np.array(cut, bool)[:, None, None], np.inf, noise)
     angle, spread, parts = [], [], []
     for o in range(values.shape[1]):
         middle, wide = _weighted(np.angle(values[:, o]), noise[:, o])

@@ -2,12 +2,14 @@ r"""Reciprocity: the response at one place to a force at another place is the sa
 
 Where two channels have been exchanged, one response is compared with another; exchanged back all pairs agree. A
 constant factor between the two is a matter of calibration, :math:`H_{pq}/H_{qp} = c_p/c_q` with :math:`c` the gain of
-the sensor over that of the hammer at a place; anything else is a structure, or a test, that is not reciprocal.
+the sensor over that of the hammer at a place, a phase in proportion to frequency of a delay; anything else is a
+structure, or a test, that is not reciprocal.
 """
 
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,13 +29,18 @@ NOISE_FACTOR = 4.0
 
 
 def reciprocity(study: Study) -> Iterator[Finding]:
-    """Find wrong calibration constants, and pairs of FRFs that differ by more than a constant."""
-    pairs = {}
+    """Find wrong calibration constants, delays, and pairs of FRFs that differ by more than these."""
+    pairs, differs = {}, {}
     for p, q in combinations(study.drive_points, 2):
         fit = ratio(study.H, study.sigma, p, q)
         if fit is not None:
             factor, std, left, excess = fit
-            pairs[p.name, q.name] = (p, q, factor, std, left, max(excess, _by_modes(study, p, q)))
+            differs[p.name, q.name] = by_modes = _by_modes(study, p, q)
+            pairs[p.name, q.name] = (p, q, factor, std, left, max(excess, by_modes.score))
+    late = _late(study, differs)
+    if late is not None:
+        yield late
+        return
     wild = {key for key, (*_, excess) in pairs.items() if excess > 1}
     exchange = _exchange(study, pairs, wild) if wild else None
     if exchange is not None:
@@ -76,21 +83,67 @@ def ratio(H: np.ndarray, sigma: np.ndarray, p: DrivePoint, q: DrivePoint) -> tup
     return float(factor), float(std), float(left / total), float(excess)
 
 
-def _by_modes(study: Study, p: DrivePoint, q: DrivePoint) -> float:
-    """How far the ratio of both directions differs from mode to mode; a finding from 1 on."""
-    _, residues, spread = study.summed
+class Difference(NamedTuple):
+    """How far the ratio of both directions differs from mode to mode: a finding from a score of 1 on.
+
+    Attributes
+    ----------
+    score, late_score
+        As measured, and with the best constant delay [s] between the two taken out.
+    delay, std
+        Of the first place's sensor over its force, less that of the second's.
+    """
+
+    score: float
+    late_score: float
+    delay: float
+    std: float
+
+
+def _by_modes(study: Study, p: DrivePoint, q: DrivePoint) -> Difference:
+    """Compare the residues of both directions."""
+    omega, residues, spread = study.summed
     there, back = p.sign * residues[:, p.o, q.i], q.sign * residues[:, q.o, p.i]
     relative = np.hypot(spread[:, p.o, q.i] / np.abs(there), spread[:, q.o, p.i] / np.abs(back))
     clear = relative < 0.1
     if clear.sum() < 2:
-        return 0.0
+        return Difference(0.0, 0.0, 0.0, np.inf)
     logs, std = np.log(there[clear] / back[clear]), np.hypot(relative[clear], MODE_ERROR)
-    turned = np.abs(np.angle(np.exp(1j * logs.imag)))
     # A constant factor of either sign comes from the channels.
-    turned = min((turned, np.pi - turned), key=lambda t: float(np.sum(t**2 / std**2)))
+    turned = min((np.angle(s * np.exp(1j * logs.imag)) for s in (1, -1)), key=lambda t: float(np.sum(t**2 / std**2)))
     middle = np.sum(logs.real / std**2) / np.sum(1 / std**2)
-    off = np.hypot(logs.real - middle, turned) / std
-    return max(float(off.max()), _deviations(float(np.sum(off**2)), 2 * len(off) - 1)) / SURE
+    normal = float(np.sum((omega[clear] / std) ** 2))
+    slope = float(np.sum(omega[clear] * turned / std**2)) / normal
+    scores = []
+    for rest, freedom in ((turned, 1), (turned - slope * omega[clear], 2)):
+        off = np.hypot(logs.real - middle, rest) / std
+        scores.append(max(float(off.max()), _deviations(float(np.sum(off**2)), 2 * len(off) - freedom)) / SURE)
+    return Difference(scores[0], scores[1], -slope, 1 / float(np.sqrt(normal)))
+
+
+def _late(study: Study, differs: dict[tuple[str, str], Difference]) -> Finding | None:
+    """A delay that explains every pair that differs; None where none does, or no pair differs."""
+    wild = {key: d for key, d in differs.items() if d.score > 1}
+    if not wild or any(d.late_score > 1 or abs(d.delay) < SURE * d.std for d in wild.values()):
+        return None
+    common = [name for name in next(iter(wild)) if all(name in key for key in wild)]
+    if not common or any(name in key and key not in wild for name in common for key in differs):
+        return None
+    name = common[0]
+    signed = np.array([(d.delay if key[0] == name else -d.delay, d.std) for key, d in wild.items()])
+    weight = 1 / signed[:, 1] ** 2
+    tau, std = float(signed[:, 0] @ weight / weight.sum()), float(1 / np.sqrt(weight.sum()))
+    score = min(d.score for d in wild.values())
+    p, q = (next(x for x in study.drive_points if x.name == name) for name in next(iter(wild)))
+    return Finding(
+        "delay", tuple(common), sure=sureness(score, 1.0), size=tau, unit="s",
+        interval=(tau - 1.96 * std, tau + 1.96 * std),
+        evidence=f"reciprocal FRFs of {' and '.join(common)} differ by phases in proportion to frequency, as a delay "
+        f"of {tau:.4g} s makes them",
+        advice="check filters, sampling clocks and converters of this sensor and this force against the others'; "
+        "reciprocity cannot tell which of them is late",
+        picture=_both_ways(study, p, q),
+    )  # fmt: skip
 
 
 def _deviations(squares: float, freedom: int) -> float:
@@ -142,7 +195,7 @@ def _worst_exchanged(study: Study, pairs: dict, wild: set, axis: int, a: int, b:
             continue
         factor, std, _, excess = fit
         off = abs(np.log(abs(factor))) / max(SMALLEST_GAIN, SURE * std / abs(factor))
-        worst = max(worst, excess, *((off, _by_modes(changed, *pairs[key][:2])) if key in wild else ()))
+        worst = max(worst, excess, *((off, _by_modes(changed, *pairs[key][:2]).score) if key in wild else ()))
         if factor < 0 or worst > min(1.0, MENDED * before):
             return None
     return float(worst)

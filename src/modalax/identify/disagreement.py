@@ -16,7 +16,7 @@ import numpy as np
 import scipy.special
 from jaxtyping import Float
 
-from modalax.identify.neighbourhood import Neighbourhood, squares
+from modalax.identify.neighbourhood import PLAIN, Neighbourhood, squares
 
 FLANKS = (-1.0, 0.0, 1.0)  # half-bandwidths from the resonance at which its lines are parted
 CERTAIN = 1e-4  # chance of disagreement that noise makes, below which it counts
@@ -76,15 +76,30 @@ def of_channels(hood: Neighbourhood, groups: np.ndarray) -> Spread:
     Q = np.linalg.qr(hood.columns(hood.poles))[0]
     own = change - Q @ (Q.conj().T @ change)
     R = hood.residues[0]
-    size = np.abs(R) ** 2 * np.sum(np.abs(own) ** 2)
-    asked = R.conj() * (own.conj() @ hood.data)
-    left = hood.data - Q @ (Q.conj().T @ hood.data) - own[:, None] * R * (asked / np.maximum(size, 1e-300))
-    level = np.sum(squares(left), axis=0) / max(len(left) - Q.shape[1] - 1, 1)
+    norm = max(float(np.vdot(own, own).real), 1e-300)
+    size, along = np.abs(R) ** 2 * norm, own.conj() @ hood.data
+    asked = R.conj() * along
+    level = _left(hood.data, Q, own, along / norm) / max(len(own) - Q.shape[1] - 1, 1)
     sure = 1 / np.maximum(level, 1.0)
     count = int(groups.max()) + 1
     weight, decay, frequency = (np.bincount(groups, a * sure, count) for a in (size, asked.real, asked.imag))
     weight = np.maximum(weight, 1e-300)
     return _spread(frequency / weight, decay / weight, 2 * weight, FAR * -hood.poles[0].real)
+
+
+def _left(data: np.ndarray, Q: np.ndarray, own: np.ndarray, part: np.ndarray) -> Float[np.ndarray, " c"]:
+    """Sums of squares of what a basis and a part of one more column, orthogonal to it, leave of each channel.
+
+    As a difference where that loses no digit in use.
+    """
+    seen = Q.conj().T @ data
+    whole = np.einsum("mc,mc->c", data.real, data.real) + np.einsum("mc,mc->c", data.imag, data.imag)
+    left = whole - np.sum(squares(seen), axis=0) - float(np.vdot(own, own).real) * squares(part)
+    few = left <= PLAIN * whole
+    if few.any():
+        rest = data[:, few] - Q @ seen[:, few] - own[:, None] * part[few]
+        left[few] = np.sum(squares(rest), axis=0)
+    return left
 
 
 def of_lines(hood: Neighbourhood) -> Spread:

@@ -201,7 +201,8 @@ def channel_noise(
     From the variance where it is known; else from the scatter of the residual between neighbouring lines.
     """
     count = residual[lines].shape[0]
-    floor = ROUNDING * np.sqrt(squares(np.asarray(frf.H)[lines]).max()) + 1e-300
+    parts = np.asarray(frf.H)[lines].view(float)  # the larger of both parts is near enough to the magnitude
+    floor = ROUNDING * max(float(parts.max()), -float(parts.min())) + 1e-300
     if frf.variance is not None:
         variance = np.asarray(frf.variance)[lines].reshape(count, -1) + floor**2
         size = np.sqrt(variance.mean(axis=0))
@@ -232,13 +233,19 @@ def line_noise(residual: Complex[np.ndarray, "m c"]) -> Float[np.ndarray, "m c"]
     change = residual[:-2] + residual[2:]
     for _ in range(2):
         change -= residual[1:-1]
-    inner = squares(change) / 6
-    return np.concatenate([inner[:1], inner, inner[-1:]])
+    power = np.empty(residual.shape)
+    np.square(change.real, out=power[1:-1])
+    power[1:-1] += change.imag**2
+    power[1:-1] /= 6
+    power[0], power[-1] = power[1], power[-2]
+    return power
 
 
 def squares(z: Complex[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
     """Squared magnitudes, without the roots that ``np.abs`` takes."""
-    return z.real**2 + z.imag**2
+    power = z.real**2
+    power += z.imag**2
+    return power
 
 
 def best_poles(
