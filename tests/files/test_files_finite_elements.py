@@ -311,9 +311,12 @@ def test_elements_of_one_property_and_one_material_make_groups(tmp_path):
     more = ["PROD,10,1,1.", "PROD,11,1,1.", "PROD,12,2,1.", "PBUSH,40,K,1.", "MAT1,1,1.,,.3", "MAT1,2,1.,,.3"]
     deck.write_text("\n".join(["BEGIN BULK", *grids, *bars, *more, "ENDDATA"]) + "\n")
     assert list(read_groups(deck)) == ["PROD 10", "PROD 11", "PROD 12", "PROD 12 + PBUSH 40", "MAT1 1", "MAT1 2"]
-    found = import_finite_elements(path, grids=deck, damping_ratio=0.01)
+    found = import_finite_elements(path, grids=deck, damping_ratio=0.01, groups=True)
     groups = found.simulation.groups
     assert groups.names == ("PROD 10", "PROD 11", "MAT1 1") and "PROD 11, MAT1 1" in found.notes[-1]
     diagonal = 1e4 * np.array([[2, 4, 2, 0, 0, 0, 0], [0, 0, 3, 6, 3, 0, 0], [2, 4, 5, 6, 3, 0, 0]])
     assert np.abs(np.diagonal(groups.stiffness, axis1=1, axis2=2) - diagonal).max() < 1e-3
     assert not np.asarray(groups.mass).any()
+    assert import_finite_elements(path, grids=deck).simulation.groups is None
+    with pytest.raises(ValueError, match="groups of elements are read from a Nastran deck"):
+        import_finite_elements(path, groups=True)

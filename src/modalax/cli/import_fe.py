@@ -46,6 +46,10 @@ def import_fe(
         tuple[str, str] | None,
         typer.Option("--matrices", metavar="K M", help="Names of the stiffness and mass matrices in the file."),
     ] = None,
+    groups: Annotated[
+        bool,
+        typer.Option("--groups", help="Make groups of the elements of each property and material in the deck."),
+    ] = False,
     overwrite: OverwriteOption = False,
 ) -> None:
     """Read matrices or modes of a finite-element model and write them as a simulation."""
@@ -63,7 +67,7 @@ def import_fe(
     with about(source):
         found = import_finite_elements(
             source, mass=mass, damping=damping_matrix, grids=grids, units=units, damping_ratio=damping, up_to_hz=up_to,
-            keep=[name.strip() for name in keep.split(",") if name.strip()], matrices=matrices,
+            keep=[name.strip() for name in keep.split(",") if name.strip()], matrices=matrices, groups=groups,
         )  # fmt: skip
     for sentence in found.notes:
         note(sentence)

@@ -23,7 +23,6 @@ from modalax.model.assembly import modal_damping
 from modalax.model.component_modes import reduce_to_points
 from modalax.model.condense import Condensed, condense, node_pairs, rigid_motions
 from modalax.model.elements import MOST_VALUES, Element, Elements, elements_of, factor_of
-from modalax.model.groups import Groups
 from modalax.model.modal import ModalModel
 from modalax.model.structure import Structure
 
@@ -35,7 +34,6 @@ UNITS = {
 }  # fmt: skip
 DENSE = 3000  # DoFs up to which matrices are condensed as they are
 DOUBLE = 15  # significant digits of a number in double precision
-OF_GROUPS = 6_000_000  # numbers that the shares of all groups of elements may hold
 FEW = 300  # DoFs from which a model is reduced to those named, where some are named and it does not part into elements
 RIGID = 1e-4  # part of the first elastic eigenvalue below which a mode of a file counts as rigid
 
@@ -73,6 +71,7 @@ def import_finite_elements(
     up_to_hz: float | None = None,
     keep: Sequence[str] = (),
     matrices: tuple[str, str] | None = None,
+    groups: bool = False,
 ) -> Imported:
     r"""Read stiffness and mass, or modes, that a finite-element program wrote.
 
@@ -98,6 +97,8 @@ def import_finite_elements(
         :func:`modalax.model.component_modes.reduce_to_points`, where it does not part into elements.
     matrices
         Names of stiffness and mass in a punch file that holds more than one of each.
+    groups
+        Whether elements of one property or material of the deck make groups, whose parameters a diagnosis then tells.
 
     Raises
     ------
@@ -110,16 +111,18 @@ def import_finite_elements(
     for other in (mass, damping, grids):
         if other is not None and not Path(other).is_file():
             raise ValueError(f"{other} is no file")
-    deck = None
+    if groups and grids is None:
+        raise ValueError("groups of elements are read from a Nastran deck; give it (grids=, --grids)")
+    deck, named = None, {}
     if grids is not None:
         with about(grids), reading("the deck", ValueError):
-            deck = read_grids(grids)
+            deck, named = read_grids(grids), read_groups(grids) if groups else {}
     kind = kind_of(path)
     with reading(f"the file ({kind})", ValueError):
         if kind == "modes":
             return _modes(path, deck, scale, damping_ratio)
         K, M, C, notes = matrices_of(path, kind, mass, damping, matrices)
-        return _Import(K, M, C, deck, scale, notes).finished(grids, units, damping_ratio, up_to_hz, keep)
+        return _Import(K, M, C, deck, scale, notes, named).finished(grids, units, damping_ratio, up_to_hz, keep)
 
 
 def dof_name(point: int, component: int) -> str:
@@ -132,11 +135,11 @@ class _Import:
 
     def __init__(
         self, K: Matrix, M: Matrix, C: Matrix | None, deck: dict[int, Grid] | None, scale: tuple[float, float],
-        notes: list[str],
+        notes: list[str], named: dict[str, set[Pair]],
     ):  # fmt: skip
         self.dofs = tuple(sorted({*K.dofs, *M.dofs}))
         self.digits, self.deck, self.notes = K.digits, deck, notes
-        self.named: dict[str, set[Pair]] = {}
+        self.named = named
         length, force = scale
         self.length = length
         self.rotation = np.array([component > 3 for _, component in self.dofs])
@@ -177,7 +180,7 @@ class _Import:
         self.notes.append(f"units {units}: total mass {told}" if told else f"units {units}")
         geometry = None
         if self.deck is not None and grids is not None:
-            geometry, self.named = self._geometry(read_lines(grids)), read_groups(grids)
+            geometry = self._geometry(read_lines(grids))
             self.notes.append(self._rigid_check())
         if self.C is None:
             zeta = 0.0 if damping_ratio is None else damping_ratio
@@ -208,7 +211,10 @@ class _Import:
         pairs = [(self.names[a], self.names[b]) for a, b in joined] or None  # none: anywhere
         C = np.zeros_like(small.K) if self.C is None else small.motion.T @ (self.C @ small.motion)
         elements = None if parts is None else self._kept_elements(parts, small)
-        groups = None if parts is None else self._groups(parts, small, elements is not None)
+        motion = None if elements is not None else np.asarray(small.motion)
+        groups = groups_of(self.named, parts or (), len(self.dofs), motion)
+        if groups is not None:
+            self.notes.append(f"groups of elements by property and material: {', '.join(groups.names)}")
         structure = Structure(small.M, C, small.K, names, pairs=pairs, elements=elements, groups=groups)
         if self.C is None and damping_ratio:
             structure = modal_damping(structure, damping_ratio)
@@ -268,16 +274,6 @@ class _Import:
         for out, d in zip(mass, lumped, strict=True):
             out[d] = factor_of(M[np.ix_(d, d)])
         return Elements(stiffness, mass, [self._place(p, kept) for p in parts], self.names)
-
-    def _groups(self, parts: Sequence[Element], small: Condensed, whole: bool) -> Groups | None:
-        """Stiffness of each property and material of the deck, over the ``whole`` model or the DoFs that are kept."""
-        if len(self.named) * len(self.dofs) ** 2 > OF_GROUPS:
-            return None
-        T = np.eye(len(self.dofs)) if whole else np.asarray(small.motion)
-        found = {name: T.T @ A @ T for name, A in groups_of(self.named, parts, len(self.dofs)).items()}
-        if found:
-            self.notes.append(f"groups of elements by property and material: {', '.join(found)}")
-        return Groups(list(found), np.array(list(found.values()))) if found else None
 
     def _place(self, part: Element, kept: np.ndarray) -> tuple[str, str]:
         """The two DoFs that an element couples most, of one direction and kept if it can be."""

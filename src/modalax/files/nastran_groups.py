@@ -11,11 +11,13 @@ import numpy as np
 
 from modalax.files.nastran import cards, whole
 from modalax.model.elements import Element
+from modalax.model.groups import Groups
 
 Pair = tuple[int, int]
 JOINING = ("CBAR", "CBEAM", "CROD", "CTUBE", "CBUSH", "CELAS1")  # element, property, then the grid points
 OF_MATERIAL = ("PBAR", "PBARL", "PBEAM", "PBEAML", "PROD", "PTUBE")  # property, then the material
 SPRINGS = ("PBUSH", "PELAS")
+MOST_VALUES = 6_000_000  # numbers that the shares of all groups may hold
 
 
 def read_groups(path: Path) -> dict[str, set[Pair]]:
@@ -47,16 +49,28 @@ def read_groups(path: Path) -> dict[str, set[Pair]]:
     return {**found, **{f"MAT1 {number}": of_material[number] for number in sorted(of_material)}}
 
 
-def groups_of(named: dict[str, set[Pair]], parts: Sequence[Element], size: int) -> dict[str, np.ndarray]:
-    """Stiffness ``(size, size)`` of each group of several elements, by those that a stiffness matrix parts into."""
+def groups_of(
+    named: dict[str, set[Pair]], parts: Sequence[Element], size: int, motion: np.ndarray | None
+) -> Groups | None:
+    """Groups of several elements, by those that a stiffness matrix parts into; None where there are none, or too many.
+
+    Parameters
+    ----------
+    size
+        Number of DoFs of the whole model.
+    motion
+        How these follow the DoFs that the groups are told over, shape ``(size, kept)``; None for all of them.
+    """
     own = {part.nodes: part for part in parts if len(part.nodes) == 2}
-    seen: set[frozenset[Pair]] = set()
-    out = {}
+    found: dict[frozenset[Pair], str] = {}
     for name, pairs in named.items():
         there = frozenset(pairs & own.keys())
-        if len(there) > 1 and there not in seen:  # a material whose elements are all of one property is told by that
-            seen.add(there)
-            out[name] = np.zeros((size, size))
-            for pair in there:
-                out[name][np.ix_(own[pair].dofs, own[pair].dofs)] += own[pair].matrix
-    return out
+        if len(there) > 1:  # a material whose elements are all of one property is told by that
+            found.setdefault(there, name)
+    if not found or len(found) * size**2 > MOST_VALUES:
+        return None
+    shares = np.zeros((len(found), size, size))
+    for share, pairs in zip(shares, found, strict=True):
+        for pair in pairs:
+            share[np.ix_(own[pair].dofs, own[pair].dofs)] += own[pair].matrix
+    return Groups(list(found.values()), shares if motion is None else motion.T @ shares @ motion)

@@ -12,6 +12,7 @@ from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.features import Features
 from modalax.diagnose.modal_domain.groups import group_factors
 from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
+from modalax.diagnose.modal_domain.places import candidates_of
 from modalax.diagnose.modal_domain.screen import _changed
 from modalax.diagnose.modal_domain.state import Setting, matrices_of
 from modalax.model import Structure
@@ -100,6 +101,21 @@ def test_a_parameter_of_the_whole_structure_is_named():
     (cause,) = diagnose_modes(built(9, "whole", stiffness=1.1), simulated).causes
     assert (cause["name"], cause["where"]) == ("element_group", ["whole"])
     assert abs(cause["parameters"]["stiffness_factor"]["value"] - 1.1) < 0.01
+
+
+def test_an_element_that_is_a_group_by_itself_is_told_by_its_name():
+    """Else either name would be as likely as the other, and neither sure."""
+    highest, alone = 2 * np.pi * 330.0, simulation()
+    support = np.zeros((1, 16, 16))
+    support[0, :2, :2] = np.asarray(alone.K)[:2, :2] - FLIP[:2, None] * np.asarray(beam()[0])[:2, :2] * FLIP[:2]
+    S = alone.replace(groups=Groups(["clamp"], support))
+    c = coordinates_of(S, DOFS[::2], DOFS[4:5], highest)
+    before, after = (candidates_of(x, c, DOFS[::2], DOFS[4:5], None, highest) for x in (alone, S))
+    (group,) = [x for x in after if x.slug == "element_group"]
+    gone = [x for x in before if x not in after]
+    assert len(after) == len(before) and [(x.slug, x.where) for x in gone] == [("joint_stiffness", ("1:+Z",))]
+    np.testing.assert_allclose(gone[0].pattern, group.pattern, rtol=1e-6, atol=1e-6 * np.abs(group.pattern).max())
+    assert 0 < group.rarity <= 0.2 < 1 == gone[0].rarity
 
 
 def test_a_spring_that_is_missing_is_no_group():

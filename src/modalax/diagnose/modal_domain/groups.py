@@ -11,12 +11,26 @@ from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.model import Structure
 from modalax.model.elements import factor_of
 
+SAME = 1 - 1e-9  # cosine between the changes of two causes from which they are one
 USUAL = 0.3  # usual relative error of a parameter that is wrong
 
 
 @dataclass(frozen=True)
 class GroupFactor(Change):
-    """A parameter of a group, wrong by a factor: the simulation's value times it is right."""
+    """A parameter of a group, wrong by a factor: the simulation's value times it is right.
+
+    Attributes
+    ----------
+    chance
+        Of all groups together, relative to other kinds.
+    """
+
+    chance: float = 1.0
+
+    @property
+    def rarity(self) -> float:
+        """Chance of its kind before the data, relative to other kinds."""
+        return self.chance
 
     def told(self, u: np.ndarray, covariance: np.ndarray) -> dict[str, dict[str, Any]]:
         """The factor."""
@@ -25,8 +39,11 @@ class GroupFactor(Change):
         return {cause.parameters[0].name: {"value": 1 + self.size(u), "std": std, "unit": "-"}}
 
 
-def group_factors(simulation: Structure, c: Coordinates) -> list[Change]:
-    """Stiffness and mass of each group that the simulation names."""
+def group_factors(simulation: Structure, c: Coordinates, chance: float = 1.0) -> list[Change]:
+    """Stiffness and mass of each group that the simulation names, each with a chance of its own before the data.
+
+    A group is about as likely to be wrong as an element by itself.
+    """
     if simulation.groups is None:
         return []
     g, reduced = simulation.groups, simulation.elements is not None and bool(simulation.elements.dofs)
@@ -38,8 +55,27 @@ def group_factors(simulation: Structure, c: Coordinates) -> list[Change]:
             A = own if len(own) == len(c.names) else _among(own, simulation.dofs, c.names)
             pattern = c.everywhere.T @ A @ c.everywhere
             factor = _factor(A) if reduced else None
-            found.append(GroupFactor(slug, (name,), USUAL, pattern=(pattern + pattern.T) / 2, factor=factor))
+            pattern = (pattern + pattern.T) / 2
+            whole = min(chance * len(g.names), 1.0)
+            found.append(GroupFactor(slug, (name,), USUAL, pattern=pattern, factor=factor, chance=whole))
     return found
+
+
+def other_than(groups: list[Change], causes: list[Change]) -> list[Change]:
+    """The causes that do more or less than a group: an element that is a group by itself is told by its name alone."""
+    for group in groups:
+        assert group.pattern is not None
+        A = group.pattern / np.linalg.norm(group.pattern)
+        causes = [c for c in causes if c.kind != group.kind or _likeness(A, c) < SAME]
+    return causes
+
+
+def _likeness(A: np.ndarray, cause: Change) -> float:
+    """Cosine of the angle between a matrix of unit size and the change that a cause makes."""
+    if cause.pattern is not None:
+        return float(abs(np.sum(A * cause.pattern)) / max(np.linalg.norm(cause.pattern), 1e-300))
+    b = cause.direction
+    return 0.0 if b is None else float(abs(b @ A @ b) / max(b @ b, 1e-300))
 
 
 def _factor(A: np.ndarray) -> np.ndarray:

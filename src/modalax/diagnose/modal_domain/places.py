@@ -10,7 +10,7 @@ from modalax.diagnose.modal_domain.causes import ALL, Change
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.elements import Nodes, nodes_of
 from modalax.diagnose.modal_domain.given_elements import softened_elements
-from modalax.diagnose.modal_domain.groups import group_factors
+from modalax.diagnose.modal_domain.groups import group_factors, other_than
 from modalax.diagnose.modal_domain.parts import parts_of
 from modalax.model import Structure
 
@@ -59,7 +59,9 @@ def candidates_of(
         damping = float((own / np.maximum(mobile, 1e-300)).min())  # that doubles the damping of one mode
         usual = float(own.mean() / mobile.mean())
         out.append(Change("local_damper", where, usual, b, reference=damping, weight=weight))
-    out += _elements(simulation, c, nodes) + group_factors(simulation, c)
+    elements = _elements(simulation, c, nodes)
+    groups = group_factors(simulation, c, SHARES["element"] / max(len(elements), 1))
+    out = other_than(groups, out + elements) + groups
     out += [Change("channel_gain", (n,), GAIN, channel=(0, k)) for k, n in enumerate(outputs)]
     out += [Change("channel_sign", (n,), channel=(0, k)) for k, n in enumerate(outputs)]
     out += [Change("force_gain", (n,), GAIN, channel=(1, k)) for k, n in enumerate(inputs)]
