@@ -1,15 +1,17 @@
 """The extended simulation: the old one and the causes found, as an ordinary simulation."""
 
 from collections.abc import Sequence
+from types import ModuleType
 from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Complex, Float
 
-from modalax._numerics.checks import as_array
+from modalax._numerics.checks import as_array, as_double
+from modalax._numerics.cuts import cut, spread_over
+from modalax._numerics.known import Numbers, by_numpy, circular
 from modalax.data import FRF
 from modalax.data.frf import DERIVATIVES, check_form
 from modalax.diagnose.causes import saved_causes
@@ -22,6 +24,14 @@ from modalax.diagnose.setup.modal_form import kept_coupling, modal_form_of
 from modalax.diagnose.setup.problem import Problem
 from modalax.files.guard import reading
 from modalax.model import ModalModel, Structure
+
+
+@by_numpy
+def _of_form(
+    xp: ModuleType, H: Any, omega: Any, level: Any, *, steps: int
+) -> tuple[Complex[Numbers, "f o i"], Numbers]:
+    """Derivatives of the only run's receptances, and the middling force level."""
+    return H[0] * ((1j * omega) ** steps)[:, None, None], xp.asarray(xp.mean(level))
 
 
 class ExtendedSimulation(eqx.Module):
@@ -92,14 +102,15 @@ class ExtendedSimulation(eqx.Module):
             )
         coupling = kept_coupling(zip(self.causes, self.params, strict=True))
         modal_form = modal_form_of(self.base, self.lowest_hz, concrete(self.theta), concrete(coupling))
-        freq = jnp.asarray(freq, jnp.float64)
-        omega = 2 * jnp.pi * freq
+        freq, level = as_double(freq, "freq"), as_double(level, "level")
+        omega, steps = circular(freq), DERIVATIVES[check_form(form)]
         shape = (1, freq.shape[0], len(outputs), len(inputs))
         problem = Problem(
-            omega, jnp.zeros(shape, jnp.complex128), jnp.ones(shape),
-            jnp.broadcast_to(jnp.asarray(level, jnp.float64), freq.shape)[None],
-            jnp.array([modal_form.index(n) for n in outputs]), jnp.array([modal_form.index(n) for n in inputs]),
-            modal_form, shape[1], (shape[2], shape[3]), None, DERIVATIVES[check_form(form)],
+            omega, as_array(np.zeros(shape, complex)), as_array(np.ones(shape)),
+            cut(spread_over(level, freq.shape), None),
+            as_array(np.array([modal_form.index(n) for n in outputs])),
+            as_array(np.array([modal_form.index(n) for n in inputs])),
+            modal_form, shape[1], (shape[2], shape[3]), None, steps,
         )  # fmt: skip
         index = np.array([self.places[k].index for k in keep], dtype=np.int64).reshape(-1, 3)
         theta = self.theta[:, : modal_form.poles.shape[0]]
@@ -109,8 +120,8 @@ class ExtendedSimulation(eqx.Module):
             [self.harmonics[k] if self.harmonics else 1 for k in keep],
         )  # fmt: skip
         H = predict(causes, index, extras, params, theta, problem)
-        factor = (1j * omega)[:, None, None] ** DERIVATIVES[check_form(form)]
-        return FRF(freq, H[0] * factor, form=form, outputs=outputs, inputs=inputs, level=jnp.mean(as_array(level)))
+        H, level = _of_form(H, omega, level, steps=steps)
+        return FRF(freq, H, form=form, outputs=outputs, inputs=inputs, level=level)
 
     def frf(
         self, freq: Any, *, level: Any = 1.0, form: str = "receptance", outputs: Sequence[str] | None = None,

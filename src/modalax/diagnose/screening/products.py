@@ -4,13 +4,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import equinox as eqx
 import numpy as np
+from jaxtyping import Array
 
 from modalax._numerics.checks import as_array
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.causes.signals import ModalTerms
 from modalax.diagnose.prediction.frf import gains_of
 from modalax.diagnose.screening.sensitivities import BATCH, Residual
+from modalax.diagnose.setup.modal_form import ModalForm
 from modalax.diagnose.setup.problem import Problem
 
 ROUNDING = 1e-9  # imaginary part of shapes, relative to the largest component, that is rounding of the eigensolver
@@ -149,6 +152,15 @@ def complex_of(value: np.ndarray, runs: int) -> np.ndarray:
     return np.moveaxis(z, (-4, -3), (-2, -1))
 
 
+@eqx.filter_jit
+def _gains_and_ends(modal_form: ModalForm, omega: Array, theta: Array) -> tuple[Array, Array, Array]:
+    """Gains of the modes, shape ``(f, m)``, their shapes and participation."""
+    k, c, shapes, participation = modal_form.adapted(theta)
+    still = ModalTerms(k[None], c[None], modal_form.hysteresis[None])
+    gains = gains_of(1j * omega, still, modal_form.poles, [], modal_form.mixing is not None)
+    return gains[0], shapes, participation
+
+
 def reduce(problem: Problem, theta: np.ndarray, state: Residual) -> Reduced:
     """Make the products for one residual.
 
@@ -158,9 +170,8 @@ def reduce(problem: Problem, theta: np.ndarray, state: Residual) -> Reduced:
         Logarithmic changes of the modal frequencies and damping ratios, shape ``(2, n)``.
     """
     modal_form = problem.modal_form
-    k, c, *ends_of = modal_form.adapted(as_array(theta))
-    still = ModalTerms(k[None], c[None], modal_form.hysteresis[None])
-    gains = np.asarray(gains_of(1j * problem.omega, still, modal_form.poles, [], modal_form.mixing is not None))[0]
+    gains, *ends_of = _gains_and_ends(modal_form, problem.omega, as_array(theta))
+    gains = np.asarray(gains)
     psi, part = (np.concatenate([a, a.conj()]) for a in map(np.asarray, ends_of))
     there = np.abs(psi).max(axis=1) > 0  # the others only fill up
     gains, psi, part = np.ascontiguousarray(gains[:, there]), psi[there], part[there]

@@ -7,6 +7,7 @@ these arrays, so that neither the number of DoFs nor the kind of simulation matt
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any
 
 import equinox as eqx
@@ -15,6 +16,8 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Array, Complex, Float
 
+from modalax._numerics.checks import as_double
+from modalax._numerics.known import Numbers, by_numpy
 from modalax.diagnose.causes.base import HystereticCause
 from modalax.diagnose.setup.complex_modes import Mixing, Uncoupled, is_coupled, mixing_of, uncoupled_of
 from modalax.model import ModalModel, Structure
@@ -281,14 +284,20 @@ def _build(
     hysteresis: Any = None, upper: Any = None, lower: Any = None, scaled: bool = True, mixing: Mixing | None = None,
     uncoupled: Uncoupled | None = None,
 ) -> ModalForm:  # fmt: skip
-    zero = jnp.zeros((len(dofs), len(dofs)), jnp.complex128)
-    poles = jnp.asarray(poles, jnp.complex128)
+    zero = np.zeros((len(dofs), len(dofs)))
+    cast = lambda a, name: as_double(a, name, complex_=True)
+    poles = cast(poles, "poles")
+    stiffness, damping = _equations(poles)
     return ModalForm(
-        poles, jnp.asarray(shapes, jnp.complex128), jnp.asarray(part, jnp.complex128),
-        jnp.abs(poles) ** 2, -2 * poles.real,
-        jnp.zeros(poles.shape) if hysteresis is None else jnp.asarray(hysteresis, jnp.float64),
-        zero if upper is None else jnp.asarray(upper, jnp.complex128),
-        zero if lower is None else jnp.asarray(lower, jnp.complex128),
-        jnp.asarray(frequency_std, jnp.float64), jnp.asarray(damping_std, jnp.float64), tuple(dofs), scaled, mixing,
+        poles, cast(shapes, "shapes"), cast(part, "participation"), stiffness, damping,
+        as_double(np.zeros(poles.shape) if hysteresis is None else hysteresis, "hysteresis"),
+        cast(zero if upper is None else upper, "upper"), cast(zero if lower is None else lower, "lower"),
+        as_double(frequency_std, "frequency_std"), as_double(damping_std, "damping_std"), tuple(dofs), scaled, mixing,
         uncoupled,
     )  # fmt: skip
+
+
+@by_numpy
+def _equations(xp: ModuleType, poles: Any) -> tuple[Float[Numbers, " m"], Float[Numbers, " m"]]:
+    """Stiffness and damping of the modal equations."""
+    return xp.abs(poles) ** 2, -2 * poles.real
