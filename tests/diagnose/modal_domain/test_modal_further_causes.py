@@ -52,6 +52,11 @@ def oscillator(c, dof="7:+Z"):
                      spare=float(c.frequencies[-1]))  # fmt: skip
 
 
+def test_an_oscillator_far_out_of_all_bounds_is_still_one(setting):
+    cause = oscillator(setting.coordinates)
+    assert np.isfinite(cause.values(np.array([1.0, 2000.0, -2000.0]))).all()  # as a search may try
+
+
 def test_an_oscillator_on_the_spare_coordinate_is_one_on_the_structure(setting):
     cause, u = oscillator(setting.coordinates), np.array([0.9, -0.1, 0.3])
     m, w, zeta = cause.values(u)

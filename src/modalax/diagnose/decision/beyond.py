@@ -178,6 +178,7 @@ def usual_size(
         "element_group_mass": limits.beyond * inaccuracy["mass"] * whole,
         "channel_gain": limits.calibration,
         "force_gain": limits.calibration,
+        "crosstalk": limits.calibration,
         "time_delay": limits.angle / (2 * math.pi * highest),
         "sensor_filter": limits.angle,
     }.get(slug, -math.inf)

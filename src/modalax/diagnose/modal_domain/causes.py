@@ -19,7 +19,7 @@ UNSIZED = ("channel_sign", "channel_swap", "units")
 UNITS = {
     "added_mass": ("mass", "kg"), "joint_stiffness": ("stiffness", "N/m"), "local_damper": ("damping", "N s/m"),
     "channel_gain": ("gain", "-"), "force_gain": ("gain", "-"), "time_delay": ("delay", "s"),
-    "modal_damping": ("relative_change", "-"),
+    "modal_damping": ("relative_change", "-"), "crosstalk": ("share", "-"),
 }  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from modalax.diagnose.modal_domain.features import Features
 
 ABSORBER = 0.1  # usual mass of an attached oscillator, relative to the modal mass seen from its place
 ZETA, FACTOR = 0.02, 1.0  # its usual damping ratio, and the standard deviation of that one's logarithm
+LARGEST = 50.0  # of logarithms
 LIGHT = 0.01, 1.2  # the same of any mode, from light to welded structures
 SIZES = 2.0  # standard deviation of the logarithm of a residue's size about those of the other modes
 REAL = 0.1  # standard deviation of the imaginary parts of a normalised shape; most modes are nearly real
@@ -55,9 +56,8 @@ class TunedMass(Change):
 
     def values(self, u: np.ndarray) -> np.ndarray:
         """Mass [kg], circular frequency [rad/s] and damping ratio."""
-        return np.array([
-            self.scale * u[0] ** 2, self.middle * math.exp(self.width * u[1]), ZETA * math.exp(FACTOR * u[2])
-        ])  # fmt: skip
+        grown = np.exp(np.clip([self.width * u[1], FACTOR * u[2]], -LARGEST, LARGEST))  # a search may go anywhere
+        return np.array([self.scale * u[0] ** 2, self.middle * grown[0], ZETA * grown[1]])
 
     def _vectors(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Direction of the spring, and its derivative by the first size."""

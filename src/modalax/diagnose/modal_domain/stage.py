@@ -10,6 +10,7 @@ from modalax.data import Measurement
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import Coordinates, coordinates_of
+from modalax.diagnose.modal_domain.crosstalk import leaking_channels
 from modalax.diagnose.modal_domain.elements import nodes_of
 from modalax.diagnose.modal_domain.explain import Explanation, Prior, explain
 from modalax.diagnose.modal_domain.features import whitener_of
@@ -33,7 +34,7 @@ from modalax.model import Structure
 KNOWN = frozenset({
     "added_mass", "joint_stiffness", "local_damper", "modal_damping", "structural_damping", "tuned_mass",
     "missing_mode", "channel_gain", "channel_sign", "channel_swap", "force_gain", "time_delay", "units",
-    "sensor_filter", "time_varying", *(law.slug for law in NAMED),
+    "sensor_filter", "time_varying", "crosstalk", *(law.slug for law in NAMED),
 })  # fmt: skip
 FIRST_SHARE = 0.6  # of the time for linear causes, where runs may have to be told apart after them
 
@@ -91,7 +92,7 @@ def further_of(
     low, high = (float(abs(measured.channels.s[k])) for k in (0, -1))
     inside = np.flatnonzero((c.frequencies > low) & (c.frequencies < high))
     few = inside if len(inside) else np.arange(1)
-    found: list[Change] = [StructuralDamping("structural_damping", ())]
+    found: list[Change] = [StructuralDamping("structural_damping", ()), *leaking_channels(outputs)]
     if measured.misfit < THRESHOLDS.as_noise:
         found += tuned_masses(simulation.dofs, c, few, low, high)
         found += missing_modes(measured.features, measured.channels.order, low, high)

@@ -1,0 +1,28 @@
+"""A channel that hears another in the modal domain: its slope, and hidden in a beam that is off."""
+
+import numpy as np
+from frames import DOFS, measured, simulation
+
+from modalax.diagnose.modal_domain.crosstalk import leaking_channels
+from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+
+OUTPUTS = DOFS[::2]
+
+
+def test_its_slope_is_that_of_finite_differences():
+    leak, R = leaking_channels(OUTPUTS)[1], np.random.default_rng(0).normal(size=(4, len(OUTPUTS), 2)) + 0j
+    change = leak.transform(np.array([0.3 + 1e-6]), R[:, 0, 0], R) - leak.transform(np.array([0.3]), R[:, 0, 0], R)
+    assert np.allclose(change / 1e-6, leak.transform_slope(np.array([0.3]), R[:, 0, 0], R), atol=1e-8)
+    assert np.flatnonzero(np.abs(change).max(axis=(0, 2))).tolist() == [0]  # the first hears the second
+    assert np.allclose(change[:, 0] / 1e-6, leak.scale * R[:, 2], atol=1e-8)
+
+
+def test_a_channel_that_hears_another_is_no_gain_where_all_elements_are_off():
+    data, _ = measured(4, 0.01)
+    H = np.array(data.H)
+    H[:, :, 2] += 0.07 * H[:, :, 6]
+    answer = diagnose_modes(data.replace(H=H), simulation()).to_dict()
+    assert answer["verdict"] == "named"
+    assert [(c["name"], c["where"]) for c in answer["causes"]] == [("crosstalk", [OUTPUTS[2], OUTPUTS[6]])]
+    share = answer["causes"][0]["parameters"]["share"]
+    assert abs(share["value"] - 0.07) < 4 * share["std"] < 0.02
