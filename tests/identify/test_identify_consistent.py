@@ -54,7 +54,9 @@ def test_lscf_loses_most_of_the_damping_of_the_weak_mode():
     assert -0.90 < errors[:, 2].mean() < -0.70
 
 
-@pytest.mark.parametrize("name", ESTIMATORS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow if n.endswith("unit") else ()) for n in ESTIMATORS]
+)
 def test_the_weak_modes_damping_comes_back(name):
     errors = noisy_errors(ESTIMATORS[name], 40)
     error = errors.std(axis=0) / np.sqrt(len(errors))

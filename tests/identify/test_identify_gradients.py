@@ -64,7 +64,16 @@ ESTIMATES = {
 }
 
 
-SLOW = {"refine", "lscf, aN", "lscf, moments", "fdpi, fewer", "fdpi, more", "reweighted", "residues"}  # to compile
+SLOW = {
+    "refine",
+    "lscf, aN",
+    "lscf, norm",
+    "lscf, moments",
+    "fdpi, fewer",
+    "fdpi, more",
+    "reweighted",
+    "residues",
+}  # to compile
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow if n in SLOW else ()) for n in ESTIMATES])
