@@ -102,6 +102,27 @@ def test_the_extended_simulation_predicts_a_joint_as_it_was_fitted(cause, p, tmp
     np.testing.assert_allclose(held, expected, atol=1e-6 * np.abs(expected).max())
 
 
+def test_friction_is_predicted_at_the_instants_at_which_it_is_fitted():
+    """The extended simulation holds the motion of the fit, which a few harmonics miss, and follows the slip force."""
+    freq, level = FREQ[::11], LEVELS[1]
+    frf = five_dof().frf(freq, inputs=["1"]).replace(level=jnp.asarray(level))
+    comparison = make_comparison(Measurement.from_frfs([frf]), five_dof(), "fixed")
+    _, h = hypothesis(comparison, CoulombFriction(), [2.0])
+    extra = linear_factor(h.causes, h.index, (None,), h.params, jnp.zeros(h.theta.shape), comparison.problem, HIGHEST)
+    full = replace(h, extras=(np.asarray(extra),))
+    expected, extended = comparison.prediction(full)[0], extend(comparison, full)
+    assert np.abs(np.asarray(extended.predict(level, freq).H) - expected).max() < 1e-9 * np.abs(expected).max()
+
+    def size(p):
+        H = eqx.tree_at(lambda e: e.params, extended, (p,)).predict(level, freq).H
+        return jnp.sum(jnp.abs(H) ** 2)
+
+    p, step = jnp.array([2.0]), 1e-2
+    value, slope = jax.value_and_grad(size)(p)
+    assert float(value) == pytest.approx(float(np.sum(np.abs(expected) ** 2)), rel=1e-9)
+    assert float(slope[0]) == pytest.approx(float(size(p + step) - size(p - step)) / (2 * step), rel=2e-2)
+
+
 @pytest.mark.slow
 def test_predictions_with_harmonics_follow_the_parameters():
     """Derivatives by the implicit function theorem beside differences."""

@@ -26,7 +26,7 @@ from jaxtyping import Array, Complex, Float
 from modalax._numerics.checks import as_array
 from modalax.diagnose.causes.base import JointCause
 from modalax.diagnose.prediction.frf import Linear, equivalent, of, without_joints
-from modalax.diagnose.prediction.friction import sliding
+from modalax.diagnose.prediction.friction import Sliding, sliding
 from modalax.diagnose.setup.problem import Problem
 from modalax.simulate.aft import choose_harmonics, joint_forces
 from modalax.simulate.balance import CLOSED, Line, Plan, find, motion_scale, polish, stop
@@ -62,10 +62,31 @@ def with_harmonics(
     if len(joints) != 1 or highest[joints[0]] < 2:
         return tuple(extras)
     k = joints[0]
-    rho, series = harmonic_factor(causes, index, extras, params, theta, problem, highest[k], highest[k], True)
-    none = jnp.zeros((len(causes[k].parameters), *rho.shape), complex)
+    extra = (
+        _sliding_extra(causes, index, extras, *stop((params, theta, problem))) if causes[k].rigid
+        else _balanced_extra(causes, index, extras, params, theta, problem, highest[k])
+    )  # fmt: skip
+    return (*extras[:k], extra, *extras[k + 1 :])
+
+
+def _balanced_extra(causes: Any, index: Any, extras: Any, params: Any, theta: Any, problem: Any, highest: int) -> Array:
+    """What a joint needs besides its parameters; its factor follows them by the implicit function theorem."""
+    rho, series = harmonic_factor(causes, index, extras, params, theta, problem, highest, highest, True)
+    p = next(p for c, p in zip(causes, params, strict=True) if isinstance(c, JointCause))
+    none = jnp.zeros((len(p), *rho.shape), complex)
     rows = jnp.zeros((2, *rho.shape), complex)  # nothing was measured of what is predicted
-    return (*extras[:k], jnp.concatenate([rho[None], none, series[None], rows]), *extras[k + 1 :])
+    return jnp.concatenate([rho[None], none, series[None], rows])
+
+
+def _sliding_extra(causes: Any, index: Any, extras: Any, params: Any, theta: Any, problem: Any) -> Array:
+    """The same of dry friction, its motion found at instants; the factor's slope by the slip force is a difference."""
+    k = next(k for k, c in enumerate(causes) if isinstance(c, JointCause))
+    p = params[k][0]
+    step = STEP * jnp.where(p != 0, jnp.abs(p), 1.0)
+    more = (*params[:k], params[k] + step, *params[k + 1 :])
+    rho, series, amplitude = sliding_factor(causes, index, extras, params, theta, problem, INSTANTS)
+    slope = (sliding_factor(causes, index, extras, more, theta, problem, INSTANTS)[0] - rho) / step
+    return jnp.stack([rho - slope * p, slope, series, amplitude + 0j, jnp.zeros(rho.shape, complex)])
 
 
 def linear_factor(
@@ -120,7 +141,7 @@ def _across(
 
 def sliding_factor(
     causes: Any, index: Any, extras: Any, params: Any, theta: Float[Array, "two n"], problem: Problem, instants: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[Array, Array, Array]:
     r"""Factor :math:`\rho`, compliance in series and amplitude of a rigid joint, by its motion at instants.
 
     The amplitude [m] is that of joint and compliance together, 0 where no steady motion was found.
@@ -135,17 +156,28 @@ def sliding_factor(
     k = next(k for k, c in enumerate(causes) if isinstance(c, JointCause))
     cause, p = causes[k], params[k]
     found = [_across(causes, index, extras, params, theta, problem, float(h)) for h in range(1, instants, 2)]
-    free = np.asarray(problem.level)[:, :, None] * np.asarray(found[0][1])
-    spread = lambda a: np.broadcast_to(a[None, :, None], (*free.shape, *a.shape[1:])).reshape(free.size, *a.shape[1:])
-    G, u = spread(np.stack([np.asarray(d) for d, _ in found], axis=-1)), free.ravel()
-    q, sound = sliding(G, u, spread(np.asarray(problem.omega)), float(p[0]), instants)
-    series = np.abs(G[:, 0])
+    free = problem.level[:, :, None] * found[0][1]
+    spread = lambda a: jnp.broadcast_to(a[None, :, None], (*free.shape, *a.shape[1:])).reshape(free.size, *a.shape[1:])
+    G, u, omega = spread(jnp.stack([d for d, _ in found], axis=-1)), free.ravel(), spread(problem.omega)
+    q, sound = _slid(G, u, omega, p[0], instants)
+    series = jnp.abs(G[:, 0])
     z = u - (G[:, 0] - series) * q
-    omega = jnp.asarray(spread(np.asarray(problem.omega)))
-    plainly = np.asarray(cause.impedance_in_series(jnp.abs(jnp.asarray(z)), omega, p, jnp.asarray(series))) * z
-    sound = sound & (np.abs(plainly) > 0)
-    rho, amplitude = np.where(sound, q / np.where(sound, plainly, 1.0), 1.0), np.where(sound, np.abs(z), 0.0)
+    plainly = cause.impedance_in_series(jnp.abs(z), omega, p, series) * z
+    sound = sound & (jnp.abs(plainly) > 0)
+    rho, amplitude = jnp.where(sound, q / jnp.where(sound, plainly, 1.0), 1.0), jnp.where(sound, jnp.abs(z), 0.0)
     return rho.reshape(free.shape), series.reshape(free.shape) + 0j, amplitude.reshape(free.shape)
+
+
+def _slid(G: Any, u: Any, omega: Any, limit: Any, instants: int) -> Sliding:
+    """The motion at instants, which NumPy finds, inside a traced function too."""
+
+    def motion(*at: Any) -> Sliding:
+        return sliding(*(np.asarray(a) for a in at[:3]), float(at[3]), instants)
+
+    if not any(isinstance(a, jax.core.Tracer) for a in (G, u, omega, limit)):
+        return motion(G, u, omega, limit)
+    shapes = Sliding(jax.ShapeDtypeStruct(u.shape, complex), jax.ShapeDtypeStruct(u.shape, bool))
+    return jax.pure_callback(motion, shapes, G, u, omega, limit)
 
 
 @partial(jax.jit, static_argnames=("causes", "highest", "differentiable"))
