@@ -171,8 +171,8 @@ def sliding_factor(
 def _slid(G: Any, u: Any, omega: Any, limit: Any, instants: int) -> Sliding:
     """The motion at instants, which NumPy finds, inside a traced function too."""
 
-    def motion(*at: Any) -> Sliding:
-        return sliding(*(np.asarray(a) for a in at[:3]), float(at[3]), instants)
+    def motion(G: Any, u: Any, omega: Any, limit: Any) -> Sliding:
+        return sliding(np.asarray(G), np.asarray(u), np.asarray(omega), float(limit), instants)
 
     if not any(isinstance(a, jax.core.Tracer) for a in (G, u, omega, limit)):
         return motion(G, u, omega, limit)

@@ -196,7 +196,9 @@ def settled(comparison: Comparison, h: Hypothesis) -> Hypothesis:
         after = next((one for one in nearer if one.chi2 < h.chi2), None)
         if after is None:
             break
-        drop, h = h.chi2 - after.chi2, balanced(comparison, after)
+        drop, now = h.chi2 - after.chi2, measured_rows(comparison, after)[1]
+        alike = np.array_equal(now[1] != 0, rows[1] != 0)
+        h = after if alike else balanced(comparison, after, now)
         if drop < SETTLED or limit_of(h) is not None:  # a limit is fitted as such
             break
     return h
