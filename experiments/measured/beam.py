@@ -141,6 +141,7 @@ def main() -> None:
             f"diagnosis over levels 1 to 3 by the catalogue's joints: {found.verdict}, "
             f"p = {found.to_dict()['p_value']:.1g}"
         )
+        console.print("\n".join(f"  because: {reason}" for reason in found.to_dict()["reasons"]))
         for r in found.candidates[:4]:
             console.print(
                 f"  {' + '.join(sorted(n for n, _ in r.names))}: chi-square a sample {r.best.chi2 / sigma.size / 2:.1f}"
