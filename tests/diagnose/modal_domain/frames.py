@@ -60,12 +60,14 @@ def measured(
     noise: float = 0.01, lines: int = 160, top: float = 330.0, runs: int = 1, given: bool = True,
     shifts: tuple[float, ...] = (0.0,), damping: tuple[int, float] | None = None,
     oscillator: tuple[str, float, float, float] | None = None, hysteretic: bool = False, extra: float | None = None,
+    decay: float = 0.0,
 ) -> tuple[Measurement, np.ndarray]:  # fmt: skip
     """Accelerances of a beam whose elements are off, and the true stiffness matrix.
 
     All frequencies are shifted from run to run by ``shifts``, damping ratios and shapes are not; ``damping`` is a mode
     counted from 1 and how many times its damping ratio it has; ``oscillator`` is a DoF, a mass [kg], a frequency [Hz]
-    and a damping ratio; ``extra`` the frequency [Hz] of a mode of 1 % damping and a shape that nobody expected.
+    and a damping ratio; ``extra`` the frequency [Hz] of a mode of 1 % damping and a shape that nobody expected;
+    ``decay`` that of an impact window [1/s].
     """
     rng = np.random.default_rng(seed)
     K, M = cantilever(1 + off * rng.standard_normal(ELEMENTS), 1 + off / 3 * rng.standard_normal(ELEMENTS))
@@ -84,7 +86,7 @@ def measured(
     freq = np.linspace(4.0, top, lines)
     outputs, inputs = DOFS[::2], (DOFS[4], DOFS[14])
     rows, columns = [DOFS.index(n) for n in outputs], [DOFS.index(n) for n in inputs]
-    s = 2j * np.pi * freq[:, None, None] / (1 + np.array(shifts)[:, None, None, None])
+    s = 2j * np.pi * freq[:, None, None] / (1 + np.array(shifts)[:, None, None, None]) + decay
     Z = K + s * C + s**2 * M
     if hysteretic:
         w2, P = scipy.linalg.eigh(K, M)

@@ -11,7 +11,7 @@ from modalax.diagnose.causes.channels import CommonDelay
 
 KIND_OF = {
     "added_mass": "M", "joint_stiffness": "K", "local_damper": "C", "modal_damping": "C", "element_group": "K",
-    "element_group_mass": "M",
+    "element_group_mass": "M", "exponential_window": "C",
 }  # fmt: skip
 LONGEST = 50.0  # decays of a mode in one delay, beyond which a delay is none
 ALL = 2  # axis of a fault of all channels
@@ -19,7 +19,7 @@ UNSIZED = ("channel_sign", "channel_swap", "units")
 UNITS = {
     "added_mass": ("mass", "kg"), "joint_stiffness": ("stiffness", "N/m"), "local_damper": ("damping", "N s/m"),
     "channel_gain": ("gain", "-"), "force_gain": ("gain", "-"), "time_delay": ("delay", "s"),
-    "modal_damping": ("relative_change", "-"), "crosstalk": ("share", "-"),
+    "modal_damping": ("relative_change", "-"), "crosstalk": ("share", "-"), "exponential_window": ("decay", "1/s"),
 }  # fmt: skip
 
 
@@ -71,6 +71,16 @@ class Change:
     def local(self) -> bool:
         """Whether it changes matrices."""
         return bool(self.kind)
+
+    @property
+    def in_structure(self) -> bool:
+        """Whether a change of a whole element or of a node's mass, as which it is given, is one of the structure."""
+        return self.pattern is not None
+
+    @property
+    def in_channels(self) -> bool:
+        """Whether it changes how channels show the structure."""
+        return not self.local
 
     @property
     def relative(self) -> bool:

@@ -22,8 +22,8 @@ LINES = 256  # lines solved at once
 
 def corrected(stage: Stage, f: Fit) -> Structure:
     """The simulation corrected for the inaccuracy of a fit and for its whole elements that are off."""
-    whole = tuple(c for c in f.causes if c.pattern is not None)
-    u = np.array([v[0] for c, v in with_sizes(f.causes, f.u) if c.pattern is not None])
+    whole = tuple(c for c in f.causes if c.in_structure)
+    u = np.array([v[0] for c, v in with_sizes(f.causes, f.u) if c.in_structure])
     s, sizes = stage.simulation, f.sizes
     M, C, K = (np.asarray(A) for A in (s.M, s.C, s.K))
     if s.elements is not None and s.elements.dofs:

@@ -241,7 +241,7 @@ def extension_of(stage: Stage, f: Fit) -> ExtendedSimulation:
     base, causes, places, params, spread, extras = corrected(stage, f), [], [], [], [], []
     spring = stage.whole.spring if stage.whole is not None and stage.whole.alone else None
     for k, (c, u) in enumerate(with_sizes(f.causes, f.u)):
-        if c.pattern is not None or c.slug not in known or c == spring:
+        if c.in_structure or c.slug not in known or c == spring:
             continue
         m, own = stage.measurement, own_sizes(f.causes, k)
         names = base.dofs if c.local else (m.inputs if c.slug == "force_gain" else m.outputs)

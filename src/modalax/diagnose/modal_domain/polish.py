@@ -205,11 +205,13 @@ def _slopes(
             H = act(size, s, H)
         return H
 
-    rows = [seen(one) for one in local] if any(not k.local for k in causes) else list(local)
+    rows = [seen(one) for one in local] if any(k.in_channels for k in causes) else list(local)
     for k, (cause, size) in enumerate(with_sizes(causes, u)):
         if cause.local:
             changes = cause.slopes(size)
             rows += [seen(sum(column(kind, P[None])[0] for kind, P in by.items())) for by in changes]
+            if cause.in_channels:
+                rows[-1] = rows[-1] + seen(plain, k)
         else:
             rows.append(seen(plain, k))
     return shown(causes, u, s, plain), np.stack(rows)

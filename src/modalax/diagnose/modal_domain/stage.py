@@ -16,6 +16,7 @@ from modalax.diagnose.modal_domain.explain import Explanation, Prior, explain
 from modalax.diagnose.modal_domain.features import whitener_of
 from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.further_causes import StructuralDamping, missing_modes, tuned_masses
+from modalax.diagnose.modal_domain.impact_window import impact_windows
 from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
 from modalax.diagnose.modal_domain.levels.explain import Spot
 from modalax.diagnose.modal_domain.levels.laws import NAMED
@@ -34,7 +35,7 @@ from modalax.model import Structure
 KNOWN = frozenset({
     "added_mass", "joint_stiffness", "local_damper", "modal_damping", "structural_damping", "tuned_mass",
     "missing_mode", "channel_gain", "channel_sign", "channel_swap", "force_gain", "time_delay", "units",
-    "sensor_filter", "time_varying", "crosstalk", *(law.slug for law in NAMED),
+    "sensor_filter", "time_varying", "crosstalk", "exponential_window", *(law.slug for law in NAMED),
 })  # fmt: skip
 FIRST_SHARE = 0.6  # of the time for linear causes, where runs may have to be told apart after them
 
@@ -93,6 +94,7 @@ def further_of(
     inside = np.flatnonzero((c.frequencies > low) & (c.frequencies < high))
     few = inside if len(inside) else np.arange(1)
     found: list[Change] = [StructuralDamping("structural_damping", ()), *leaking_channels(outputs)]
+    found += impact_windows(c, few, measured.channels.order)
     if measured.misfit < THRESHOLDS.as_noise:
         found += tuned_masses(simulation.dofs, c, few, low, high)
         found += missing_modes(measured.features, measured.channels.order, low, high)

@@ -214,6 +214,8 @@ def slopes_at(setting: Setting, state: State, causes: tuple[Change, ...] = (), u
         for by in cause.slopes(size):
             moves = zip(*(pattern_slopes(t, kind, change[None]) for kind, change in by.items()), strict=True)
             columns.append(feature_slopes(setting, state, t, causes, u, *(sum(m) for m in moves)))
+        if cause.in_channels:
+            columns[-1] = columns[-1] + _channel_slope(setting, state, t, causes, u, k)
     return whitened(setting, np.concatenate(columns, axis=1), causes)
 
 
@@ -236,8 +238,8 @@ def screening_slopes(
             moved = pattern_slopes(t, kind, np.stack([candidates[k].matrix for k in whole]))
             out[:, whole] = feature_slopes(setting, state, t, causes, u, *moved)
     for k, c in enumerate(candidates):
-        if not c.local and c.linear:
-            out[:, k] = _channel_slope(setting, state, t, (*causes, c), np.append(u, 0.0), len(causes))[:, 0]
+        if c.in_channels and c.linear:
+            out[:, k] += _channel_slope(setting, state, t, (*causes, c), np.append(u, 0.0), len(causes))[:, 0]
     return whitened(setting, out, causes)
 
 
@@ -250,7 +252,7 @@ def feature_slopes(
     moved = dout[..., None] * t.shape_inputs[:, None, None, :] + t.shape_outputs[:, None, :, None] * dinn[:, :, None]
     k, p = dpoles.shape
     for cause, size in with_sizes(causes, u):
-        if not cause.local:
+        if cause.in_channels:
             flat = moved.reshape(k * p, *moved.shape[2:])
             moved = cause.at_modes(size, np.repeat(t.poles, p), flat).reshape(moved.shape)
     slopes = slopes_of_values(
