@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from modalax._numerics.text import percent
+from modalax.check.finding import Finding
 from modalax.data import Measurement
 from modalax.diagnose.causes import catalogue, imitators
 from modalax.diagnose.causes.base import Cause
@@ -30,6 +31,7 @@ from modalax.diagnose.modal_domain.levels.answer import causes_told, judge_level
 from modalax.diagnose.modal_domain.levels.explain import JointFound
 from modalax.diagnose.modal_domain.levels.laws import NAMED
 from modalax.diagnose.modal_domain.levels.seen import at_levels
+from modalax.diagnose.modal_domain.mains import hum_told, mains_hum
 from modalax.diagnose.modal_domain.screen import errors_of
 from modalax.diagnose.modal_domain.stage import Stage, run_stage
 from modalax.diagnose.over_levels import levels_said
@@ -64,6 +66,8 @@ class ModalDiagnosis(Diagnosis):
         Relative error of stiffness, mass and damping, each with an interval.
     before, after
         Tests of what the simulation and the extended one leave.
+    hum
+        Mains hum, which shows on lines only; None where there is none.
     """
 
     found: None  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
@@ -74,6 +78,7 @@ class ModalDiagnosis(Diagnosis):
     inaccuracy: dict[str, Any]
     before: Omnibus
     after: Omnibus
+    hum: Finding | None = None
 
     @property
     def candidates(self) -> list[Any]:
@@ -113,7 +118,8 @@ class ModalDiagnosis(Diagnosis):
         """What stands out beyond the general inaccuracy."""
         if self.verdict == "clean":
             return []
-        return self._linear + (causes_told(self.stage.seen, self.stage.whole) if self.stage.seen is not None else [])
+        levels = [] if self.stage.seen is None else causes_told(self.stage.seen, self.stage.whole)
+        return self._linear + levels + ([] if self.hum is None else [hum_told(self.hum)])
 
     @property
     def _linear(self) -> list[dict[str, Any]]:
@@ -210,6 +216,9 @@ def diagnose_modes(
     tests = [omnibus(r, np.ones(r.shape, bool), stage.measured.noise.freedom) for r in residuals]
     gain = gain_of(stage, chosen, before)
     word, reasons = held_out_verdict(word, reasons, gain)
+    hum = mains_hum(measurement, stage.measured.freq, residuals[1]) if wanted("mains_hum") else None
+    if hum is not None:
+        word, reasons = outweighing(word, "named"), (*reasons, f"beside it there is mains hum: {hum.evidence}")
     notes = (
         stage.measured.noise.source,
         f"{len(stage.measured.features.poles)} modes were identified in the band from "
@@ -220,7 +229,7 @@ def diagnose_modes(
     return ModalDiagnosis(
         word, reasons, None, Facts(measurement, question, notes), extended, gain,
         stage.measured.freq, residuals[0], residuals[1], np.broadcast_to(predicted[0], shape),
-        np.broadcast_to(predicted[1], shape), stage, chosen, judged.sets, inaccuracy, tests[0], tests[1],
+        np.broadcast_to(predicted[1], shape), stage, chosen, judged.sets, inaccuracy, tests[0], tests[1], hum,
     )  # fmt: skip
 
 
