@@ -9,7 +9,7 @@ from modalax.diagnose.causes.joints import CoulombFriction
 from modalax.diagnose.causes.local import AddedMass
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.fitting.hypothesis import Hypothesis
-from modalax.diagnose.search.tolerance import tolerated, uncounted
+from modalax.diagnose.search.tolerance import tolerated, uncounted, widened
 
 NULL = 1_010_000.0
 JOINT = Hypothesis(
@@ -26,6 +26,16 @@ def test_a_joint_may_leave_what_its_harmonics_left_out_do():
     assert tolerated(JOINT, NULL) == pytest.approx(0.05**2 * 1e6)
     one_harmonic = replace(JOINT, fidelity=None)
     assert tolerated(one_harmonic, NULL) == pytest.approx(CoulombFriction.fidelity**2 * 1e6)
+
+
+def test_intervals_hold_the_inexactness_of_a_single_harmonic():
+    one_harmonic = replace(JOINT, fidelity=None, covariance=np.array([[4.0]]))
+    bend = CoulombFriction.fidelity * np.sqrt(NULL - JOINT.chi2)
+    covariance = widened(one_harmonic, NULL).covariance
+    assert covariance is not None
+    assert covariance[0, 0] == pytest.approx(4.0 * (1 + bend**2))
+    in_full = replace(one_harmonic, fidelity=0.05)
+    assert widened(in_full, NULL) is in_full
 
 
 def test_a_further_cause_counts_for_what_it_explains_beyond_that():

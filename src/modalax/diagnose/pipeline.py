@@ -50,6 +50,7 @@ from modalax.diagnose.screening.one_force import places_of_one_force
 from modalax.diagnose.search.explain import Explanation, check_imitations, explain
 from modalax.diagnose.search.look import look
 from modalax.diagnose.search.rows import lines_aside
+from modalax.diagnose.search.tolerance import widened
 from modalax.model import ModalModel, Structure
 from modalax.model.entry import check_comparable
 from modalax.model.mode_table import ModeTable
@@ -193,6 +194,8 @@ def searched(comparison: Comparison, causes: Sequence[Cause] | None, progress: C
         reasons = (*reasons, f"no steady motion of the joint explains {aside} lines, which were set aside")
     if comparison.late():
         reasons = (*reasons, "time was up before every explanation had been tried")
+    null = found.look.null.chi2
+    found = replace(found, ranked=[replace(r, best=widened(r.best, null)) for r in found.ranked])
     return answer(word, reasons, found, gain)
 
 

@@ -7,6 +7,7 @@ take off within that is therefore no evidence for them.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 
@@ -44,3 +45,21 @@ def uncounted(h: Hypothesis, fitted: Sequence[Hypothesis], null_chi2: float) -> 
     inexact = {part for part in h.parts if part[0].fidelity > 0}
     alone = [one for one in fitted if len(one.parts) == 1 and one.parts[0] in inexact]
     return max((min(tolerated(one, null_chi2), max(one.chi2 - h.chi2, 0.0)) for one in alone), default=0.0)
+
+
+def widened(h: Hypothesis, null_chi2: float) -> Hypothesis:
+    r"""The hypothesis with the inexactness of its law in its covariance, where one harmonic alone was balanced.
+
+    An error :math:`\varepsilon` of an effect d standard deviations long moves a parameter by up to
+    :math:`\varepsilon d` of its own. With more harmonics the covariance holds what is left out already.
+
+    Parameters
+    ----------
+    h
+        Fitted causes.
+    null_chi2
+        Chi-square of the simulation alone.
+    """
+    if h.fidelity is not None or h.covariance is None or not h.joints:
+        return h
+    return replace(h, covariance=h.covariance * (1 + tolerated(h, null_chi2)))
