@@ -153,7 +153,7 @@ def joint_and_structure(
         after = look(measured, setting, explanations[0].fit, seen, True) if explanations else None
         raw = raw if after is None or after.joint is None else after
     if raw is not None and explanations and not late():
-        explanations = with_springs(setting, explanations, raw.found, some)
+        explanations = with_springs(setting, explanations, raw.found, candidates)
     told_from = explanations[0].causes if explanations else ()
     explanations, seen = beside(explanations, raw, prior)
     if seen is not None and explanations and explanations[0].causes != told_from and not late():
