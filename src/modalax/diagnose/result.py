@@ -170,6 +170,7 @@ class Diagnosis:
             "advice": self.advice,
             "smallest_detectable": self.smallest_detectable,
             "inaccuracy": None,  # line by line all but the causes is taken as exact
+            "throughout": {},
             "reasons": [*self.reasons, *levels_said(self.verdict, self.evidence)],
             "gain": self.gain.to_dict(),
             "question": self.question,

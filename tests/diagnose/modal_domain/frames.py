@@ -60,7 +60,7 @@ def measured(
     noise: float = 0.01, lines: int = 160, top: float = 330.0, runs: int = 1, given: bool = True,
     shifts: tuple[float, ...] = (0.0,), damping: tuple[int, float] | None = None,
     oscillator: tuple[str, float, float, float] | None = None, hysteretic: bool = False, extra: float | None = None,
-    decay: float = 0.0,
+    decay: float = 0.0, ground: tuple[str, float] | None = None,
 ) -> tuple[Measurement, np.ndarray]:  # fmt: skip
     """Accelerances of a beam whose elements are off, and the true stiffness matrix.
 
@@ -71,6 +71,8 @@ def measured(
     """
     rng = np.random.default_rng(seed)
     K, M = cantilever(1 + off * rng.standard_normal(ELEMENTS), 1 + off / 3 * rng.standard_normal(ELEMENTS))
+    if ground is not None:
+        K[DOFS.index(ground[0]), DOFS.index(ground[0])] += ground[1]
     zeta = DAMPING * np.exp(10 * off * rng.standard_normal(len(K)))
     if damping is not None:
         zeta[damping[0] - 1] = DAMPING * damping[1]

@@ -122,3 +122,18 @@ def test_an_interrupt_gives_the_best_answer_so_far():
     found = diagnose_modes(data, simulation(), tell=interrupted)
     assert found.stage.best.causes == ()  # the general inaccuracy alone had been fitted
     assert any("time was up" in reason for reason in found.reasons)
+
+
+@pytest.mark.parametrize(("seed", "dof", "stiffness"), [(13, "6:+Z", 500.0), (14, "2:+Z", 2e4)])
+def test_a_spring_to_ground_is_named_however_small_beside_the_elements(seed, dof, stiffness):
+    """Next to a node of the lowest mode it is half a per cent of what a wrong element does; yet none can replace it."""
+    answer = diagnose_modes(measured(seed, 0.01, ground=(dof, stiffness))[0], simulation()).to_dict()
+    assert answer["verdict"] == "named"
+    assert [(c["name"], c["where"]) for c in answer["causes"]] == [("joint_stiffness", [dof])]
+    told = answer["causes"][0]["parameters"]["stiffness"]
+    assert abs(told["value"] - stiffness) < 4 * told["std"] < 0.05 * stiffness
+
+
+def test_the_mass_next_to_a_clamp_is_off_by_itself():
+    """Were it tied to the next element's other end, a rotary inertia would be named at the clamp."""
+    assert diagnose_modes(measured(3, 0.02)[0], simulation()).to_dict()["verdict"] == "clean"

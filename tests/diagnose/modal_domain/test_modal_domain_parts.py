@@ -180,6 +180,11 @@ def test_condensed_matrices_have_local_parts_and_mass_parts_sum():
     _, M = cantilever()
     parts = mass_parts(M, nodes_of(DOFS))
     np.testing.assert_allclose(sum(p.full(len(M)) for p in parts), M, atol=1e-12)
+    # half of the mass at the node next to the clamp is that of the clamped element; a lump is by itself as well
+    assert [p.dofs.tolist() for p in parts if len(p.nodes) == 1] == [[0, 1]]
+    M[6, 6] += 0.3
+    own = {p.nodes: p.matrix[0, 0] for p in mass_parts(M, nodes_of(DOFS)) if len(p.nodes) == 1}
+    assert own == pytest.approx({(0,): M[0, 0] / 2, (3,): 0.3})
 
 
 def test_modes_far_off_are_still_paired(coordinates):

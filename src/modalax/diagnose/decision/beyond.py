@@ -53,6 +53,8 @@ class ModalCase:
     odd
         An output that differs from all others as no cause explains, and how many nats likelier that is than the
         likeliest causes; None where there is none.
+    needed
+        Causes no larger than the general inaccuracy without which the measured modes are not explained.
     """
 
     sets: Sequence[BeyondUsual]
@@ -63,6 +65,7 @@ class ModalCase:
     nats: float | None
     limits: Thresholds
     odd: tuple[str, float] | None = None
+    needed: Sequence[tuple[str, tuple[str | int, ...]]] = ()
 
     @property
     def support(self) -> tuple[str, ...]:
@@ -81,6 +84,17 @@ def modes_are_not_explained(case: ModalCase) -> tuple[str, ...]:
         return ()
     off = ", ".join(f"{name} {percent(size)}" for name, size in case.inaccuracy.items())
     return (f"even with elements off by {off} the measured modes are not explained",)
+
+
+def the_usual_is_needed(case: ModalCase) -> tuple[str, ...]:
+    """What is no larger than usual explains what errors of single elements do not."""
+    if not case.needed:
+        return ()
+    what = " and ".join(cause_at(slug, where) for slug, where in case.needed)
+    return (
+        f"errors of single elements do not explain the measured modes, and {what}, with which they would, is no larger "
+        "than these errors: several elements may be off by the same factor",
+    )
 
 
 def nothing_beyond_the_usual(case: ModalCase) -> tuple[str, ...]:
@@ -122,6 +136,7 @@ def other_places_compete(case: ModalCase) -> tuple[str, ...]:
 RULES: tuple[tuple[str, Rule], ...] = (
     ("unknown", one_output_differs),
     ("unknown", modes_are_not_explained),
+    ("unknown", the_usual_is_needed),
     ("clean", nothing_beyond_the_usual),
     ("ambiguous", other_causes_compete),
     ("ambiguous", other_places_compete),

@@ -50,6 +50,8 @@ class Change:
         What the simulation has at this place, that a size may be compared with.
     weight
         Share among the places of its kind before the data.
+    absent
+        Whether it is a spring where the simulation has none, so that no general inaccuracy is an inaccuracy of it.
     """
 
     slug: str
@@ -61,6 +63,7 @@ class Change:
     channel: tuple[int, ...] = ()
     reference: float = 0.0
     weight: float = 1.0
+    absent: bool = False
 
     @property
     def kind(self) -> str:

@@ -9,9 +9,10 @@ from modalax.diagnose.modal_domain.causes import shown, with_sizes
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.fit import Fit, widths_of_sizes
 from modalax.diagnose.modal_domain.given_elements import changed_by_elements
-from modalax.diagnose.modal_domain.inaccuracy import KINDS, RIGID, TOLD
+from modalax.diagnose.modal_domain.inaccuracy import KINDS, RIGID, THROUGHOUT, TOLD
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.modal_domain.state import FARTHEST, Setting, changes_of, matrices_of, slopes_at
+from modalax.diagnose.modal_domain.throughout import throughout_told
 from modalax.model import Structure
 
 DRAWS, BESIDE = 16, 24  # draws of the sizes of the inaccuracy, and of its parts for each
@@ -27,10 +28,11 @@ def corrected(stage: Stage, f: Fit) -> Structure:
     s, sizes = stage.simulation, f.sizes
     M, C, K = (np.asarray(A) for A in (s.M, s.C, s.K))
     if s.elements is not None and s.elements.dofs:
-        own = {name: sizes[_of_group(stage.setting, name)] for name in ("stiffness", "mass")}
+        own = {name: _of_elements(stage.setting, sizes, name) for name in THROUGHOUT}
         dK, dM = changed_by_elements(s, own, zip(whole, u.tolist(), strict=True))
         K, M, whole, u = K + dK, M + dM, (), np.zeros(0)
-        sizes = np.where(_of_group(stage.setting, "stiffness") | _of_group(stage.setting, "mass"), 0.0, sizes)
+        for name in (*THROUGHOUT, *THROUGHOUT.values()):
+            sizes = np.where(_of_group(stage.setting, name), 0.0, sizes)
     change = changes_of(stage.setting, sizes, whole, u)
     left = np.asarray(s.M) @ stage.coordinates.shapes
     back = {key: left @ value @ left.T for key, value in change.items()}
@@ -39,7 +41,13 @@ def corrected(stage: Stage, f: Fit) -> Structure:
 
 def _of_group(setting: Setting, name: str) -> np.ndarray:
     """Which of all patterns belong to one group."""
-    return setting.inaccuracy.group_of == setting.inaccuracy.groups.index(name)
+    a = setting.inaccuracy
+    return np.array(a.groups)[a.group_of] == name
+
+
+def _of_elements(setting: Setting, sizes: np.ndarray, name: str) -> np.ndarray:
+    """Relative change of each element's stiffness or mass: its own, and what all have in common."""
+    return sizes[_of_group(setting, name)] + np.expm1(sizes[_of_group(setting, THROUGHOUT[name])]).sum()
 
 
 def frf_of(stage: Stage, f: Fit | None) -> np.ndarray:
@@ -80,8 +88,10 @@ def inaccuracy_told(setting: Setting, f: Fit) -> dict[str, Any]:
         (np.einsum("pkk->kp", p)[inside] / np.maximum(nominal[KINDS[g]][inside, None], 1e-300))
         for g, p in zip(a.groups, a.patterns, strict=True)
     ]
-    # the rest is told as stiffness
-    of = [[j for j, g in enumerate(a.groups) if g == name or (g, name) == ("rest", "stiffness")] for name in TOLD]
+    # the rest is told as stiffness, a factor that is not told by itself with the elements
+    apart = throughout_told(setting, f)
+    also = {"rest": "stiffness"} | {group: name for name, group in THROUGHOUT.items() if name not in apart}
+    of = [[j for j, g in enumerate(a.groups) if name in (g, also.get(g))] for name in TOLD]
     shares = [np.concatenate([every[j] for j in some], axis=1) for some in of]
     independent = [_independent(share) for share in shares]
     rng = np.random.default_rng(0)

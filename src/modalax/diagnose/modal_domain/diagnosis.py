@@ -34,6 +34,7 @@ from modalax.diagnose.modal_domain.levels.seen import at_levels
 from modalax.diagnose.modal_domain.mains import hum_told, mains_hum
 from modalax.diagnose.modal_domain.screen import errors_of
 from modalax.diagnose.modal_domain.stage import Stage, run_stage
+from modalax.diagnose.modal_domain.throughout import throughout_said, throughout_told
 from modalax.diagnose.over_levels import levels_said
 from modalax.diagnose.result import Diagnosis, within
 from modalax.diagnose.summary import cause_at
@@ -64,6 +65,9 @@ class ModalDiagnosis(Diagnosis):
         What stands out: the set of the answer first, the others by falling probability.
     inaccuracy
         Relative error of stiffness, mass and damping, each with an interval.
+    throughout
+        By how much stiffness or mass of the simulation are too high throughout, with standard deviations; empty where
+        neither surely is.
     before, after
         Tests of what the simulation and the extended one leave.
     hum
@@ -76,6 +80,7 @@ class ModalDiagnosis(Diagnosis):
     chosen: Explanation
     sets: tuple[BeyondUsual, ...]
     inaccuracy: dict[str, Any]
+    throughout: dict[str, dict[str, float]]
     before: Omnibus
     after: Omnibus
     hum: Finding | None = None
@@ -178,6 +183,7 @@ class ModalDiagnosis(Diagnosis):
             "advice": self.advice,
             "smallest_detectable": self.smallest_detectable,
             "inaccuracy": self.inaccuracy,
+            "throughout": self.throughout,
             "reasons": [*self.reasons, *levels_said(self.verdict, self.evidence)],
             "gain": self.gain.to_dict(),
             "question": self.question,
@@ -198,7 +204,9 @@ def diagnose_modes(
     judged = judge(stage)
     chosen, inaccuracy = judged.chosen, inaccuracy_told(stage.setting, judged.likeliest.fit)
     joined, further = judge_levels(stage.seen, stage.whole)
-    word, reasons = outweighing(judged.word, joined), [said(inaccuracy), *judged.reasons, *further]
+    throughout = throughout_told(stage.setting, judged.likeliest.fit)
+    word = outweighing(judged.word, joined)
+    reasons = [said(inaccuracy), *throughout_said(throughout), *judged.reasons, *further]
     reasons += [
         f"{cause_at(c.slug, c.where)} of {c.size(u):.3g} {UNITS[c.slug][1]} counts as that joint's own at low amplitude"
         for c, u in with_sizes(chosen.causes, chosen.fit.u) if of_the_joint(stage, c) and stage.whole is None
@@ -229,7 +237,8 @@ def diagnose_modes(
     return ModalDiagnosis(
         word, reasons, None, Facts(measurement, question, notes), extended, gain,
         stage.measured.freq, residuals[0], residuals[1], np.broadcast_to(predicted[0], shape),
-        np.broadcast_to(predicted[1], shape), stage, chosen, judged.sets, inaccuracy, tests[0], tests[1], hum,
+        np.broadcast_to(predicted[1], shape), stage, chosen, judged.sets, inaccuracy, throughout,
+        tests[0], tests[1], hum,
     )  # fmt: skip
 
 

@@ -17,6 +17,7 @@ from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
 from modalax.diagnose.modal_domain.oscillators import oscillators
 from modalax.diagnose.modal_domain.screen import finite, refined, replaced, scores
 from modalax.diagnose.modal_domain.state import Setting, state_at
+from modalax.diagnose.modal_domain.throughout import start_in, with_throughout
 
 NONE = 0.5  # probability before the data that nothing stands out
 SECOND = 1e-4  # the same of a second cause, given a first one: what a first one leaves is mostly error of the model
@@ -74,10 +75,11 @@ class Prior:
 
 @dataclass
 class _Search:
-    """What a search has found so far."""
+    """What a search has found so far; ``bare`` is the setting without factors throughout."""
 
     setting: Setting
     found: dict[tuple[Change, ...], Fit]
+    bare: Setting
 
 
 def explain(
@@ -96,7 +98,10 @@ def explain(
     null = fit(setting)
     if null is None:
         return setting, []
-    search = _Search(setting, {(): null})
+    bare, setting = setting, with_throughout(setting, null)
+    if setting is not bare:
+        null = fit(setting) or start_in(setting, null)
+    search = _Search(setting, {(): null}, bare)
     try:
         _all_steps(search, null, candidates, prior, late, tell)
     except KeyboardInterrupt:
@@ -148,6 +153,7 @@ def _all_steps(
         if late():
             return
     _attached(setting, found, candidates, prior, late)
+    search.setting, search.found = setting, found = _beside_a_factor(search.bare, setting, found, prior)
     search.setting, search.found = setting, found = _beside_the_rest(setting, found, prior, late)
     for _ in range(MOST):
         best = _ranked(found, prior)[0]
@@ -175,6 +181,27 @@ def _attached(
         if late():
             return
         _try(setting, found, (cause,), u, None)
+
+
+def _beside_a_factor(
+    bare: Setting, setting: Setting, found: dict[tuple[Change, ...], Fit], prior: Prior
+) -> tuple[Setting, dict[tuple[Change, ...], Fit]]:
+    """Fit the leading explanations again with the factors throughout that the data ask for beside the likeliest.
+
+    Without a cause a factor may stand for it, and with one may have been hidden; ``bare`` is the setting without any.
+    """
+    leading = _ranked(found, prior)[:AGAIN]
+    leading += [e for e in _ranked(found, prior)[AGAIN:] if not e.causes]
+    best = leading[0]
+    alone = fit(bare, best.causes, start_in(bare, best.fit), best.fit.u, temperatures=(3.0,)) if best.causes else None
+    keep = alone is None or (setting is not bare and best.fit.log_evidence > alone.log_evidence)
+    asked = setting if alone is None or keep else with_throughout(bare, alone)
+    if asked.inaccuracy.groups == setting.inaccuracy.groups:
+        return setting, found
+    again: dict[tuple[Change, ...], Fit] = {}
+    for e in leading:
+        _try(asked, again, e.causes, e.fit.u, start_in(asked, e.fit), gentle=False)
+    return (asked, again) if again else (setting, found)
 
 
 def _beside_the_rest(

@@ -21,7 +21,8 @@ SETTLED = 0.02  # change of log evidence at which a fit has ended
 HOPELESS = 40.0  # nats behind another hypothesis from which a fit must gain its share in every step to go on
 SMALLEST = 1e-5  # least relative size of an inaccuracy; no structure is known better
 # greatest relative sizes that are tried
-LARGEST = {"stiffness": 0.3, "mass": 0.3, "damping": 1.5, "damping between modes": 1.5, "rest": 0.3}
+LARGEST = {"stiffness": 0.3, "mass": 0.3, "damping": 1.5, "damping between modes": 1.5, "rest": 0.3,
+           "stiffness throughout": 1.0, "mass throughout": 1.0}  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,9 @@ UNKNOWN = 2.0  # standard deviation of the logarithm of a size that nobody claim
 CLAIMED = 0.7  # the same of a size that the author claims, who may be wrong by a factor of two
 RIGID = 1e-3  # frequency, relative to the highest, below which a mode is that of a rigid body
 BETWEEN = 0.1  # damping between modes, relative to that of the modes themselves
-KINDS = {"stiffness": "K", "mass": "M", "damping": "C", "damping between modes": "C", "rest": "K"}
+KINDS = {"stiffness": "K", "mass": "M", "damping": "C", "damping between modes": "C", "rest": "K",
+         "stiffness throughout": "K", "mass throughout": "M"}  # fmt: skip
+THROUGHOUT = {name: f"{name} throughout" for name in ("stiffness", "mass")}  # groups of one pattern: all by one factor
 TOLD = ("stiffness", "mass", "damping")  # what an answer tells
 
 
@@ -35,7 +37,8 @@ class Inaccuracy:
     Attributes
     ----------
     groups
-        What is off: ``stiffness``, ``mass``, ``damping``, ``damping between modes``.
+        What is off: ``stiffness``, ``mass``, ``damping``, ``damping between modes``, and where the data ask for them
+        ``stiffness throughout`` and ``mass throughout``.
     patterns
         Of each group, in modal coordinates, shape ``(p, n, n)``; a size of 1 is a change by the whole.
     usual, spread
@@ -43,7 +46,7 @@ class Inaccuracy:
     claimed
         Of which groups the author claims a size.
     positive
-        Of each pattern, whether its size is the logarithm of a factor: a mode's own damping.
+        Of each pattern, whether its size is the logarithm of a factor: a mode's own damping, or all of a matrix.
     """
 
     groups: tuple[str, ...]

@@ -47,13 +47,14 @@ def judge(stage: Stage) -> Judged:
     sets = sets_beyond(stage)
     best = next(e for e in stage.explanations if _key(_told(standing_out(stage, e))) == _key(sets[0].names))
     plain = next((e for e in stage.explanations if not e.causes), None)
-    off = inaccuracy_of_fit(stage, best)
+    off, (_, small) = inaccuracy_of_fit(stage, best), told_by_size(stage, best)
     case = ModalCase(
         sets, [(c.slug, c.where) for c in best.causes if not of_the_joint(stage, c)], off,
         max(off[name] / LARGEST[name] for name in ("stiffness", "mass")),
         best.misfit,
         None if plain is None else best.log_posterior - plain.log_posterior, THRESHOLDS,
         None if stage.odd is None else (stage.odd.name, stage.odd.nats),
+        tuple((c.slug, c.where) for c in small if not c.absent) if needs(stage, best, small) else (),
     )  # fmt: skip
     word, reasons = modal_verdict(case)
     alone = word == "clean" and plain is not None and not any(of_the_joint(stage, c) for c in best.causes)
@@ -86,9 +87,25 @@ def _key(names: Names) -> Names:
 
 
 def standing_out(stage: Stage, e: Explanation) -> tuple[Change, ...]:
-    """Causes of an explanation that are larger than usual, surely not zero, and no joint's own linear part."""
+    """Causes of an explanation that are larger than usual, surely not zero, and no joint's own linear part.
+
+    Springs where the simulation has none stand out as well where the modes are not explained without them.
+    """
+    out, small = told_by_size(stage, e)
+    needed = small if needs(stage, e, small) else ()
+    return tuple(c for c in e.causes if c in out or (c in needed and c.absent))
+
+
+def needs(stage: Stage, e: Explanation, small: tuple[Change, ...]) -> bool:
+    """Whether an explanation without some of its causes leaves the measured modes unexplained."""
+    without = [x.misfit for x in stage.explanations if set(x.causes) == set(e.causes) - set(small)] if small else []
+    return bool(without) and min(without) > THRESHOLDS.misfit >= e.misfit
+
+
+def told_by_size(stage: Stage, e: Explanation) -> tuple[tuple[Change, ...], tuple[Change, ...]]:
+    """Causes of an explanation that are surely not zero: those larger than is usual, and the others."""
     off, highest = inaccuracy_of_fit(stage, e), float(stage.measured.freq[-1])
-    out = []
+    out, small = [], []
     for k, (c, u) in enumerate(with_sizes(e.causes, e.fit.u)):
         size, usual = c.size(u), usual_size(c.slug, c.whole, off, highest)
         if c.slug == "modal_damping":  # a factor, as the general inaccuracy of damping is
@@ -96,9 +113,9 @@ def standing_out(stage: Stage, e: Explanation) -> tuple[Change, ...]:
         own = own_sizes(e.causes, k)
         apart = np.abs(e.fit.u[own]) / np.sqrt(np.maximum(np.diag(e.fit.covariance)[own], 1e-300))
         sure = usual == -math.inf or bool((apart > THRESHOLDS.stands_out).any())
-        if sure and abs(size) > usual and not of_the_joint(stage, c):
-            out.append(c)
-    return tuple(out)
+        if sure and not of_the_joint(stage, c):
+            (out if abs(size) > usual else small).append(c)
+    return tuple(out), tuple(small)
 
 
 def of_the_joint(stage: Stage, c: Change) -> bool:

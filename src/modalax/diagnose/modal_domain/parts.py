@@ -31,8 +31,11 @@ def parts_of(A: np.ndarray, nodes: Nodes, mass: bool = False) -> list[Part]:
         sparse[np.ix_(nodes.members[k], nodes.members[j])] = 0.0
     read = [trimmed(p, diagonal) for p in (mass_parts(sparse, nodes) if mass else stiffness_parts(sparse, nodes))]
     sound = [passive(p.matrix, diagonal[p.dofs]) for p in read]
-    wrong = (k for p, ok in zip(read, sound, strict=True) if len(p.nodes) == 2 and not ok for k in p.nodes)
-    meshed = in_one_mesh(joined & ~np.eye(len(joined), dtype=bool), {*crowded.tolist(), *wrong})
+    joined &= ~np.eye(len(joined), dtype=bool)
+    wrong = [p.nodes for p, ok in zip(read, sound, strict=True) if len(p.nodes) == 2 and not ok]
+    if mass:  # how two beams share a node's mass is not told by the matrix; that is of little weight
+        wrong = [(i, j) for i, j in wrong if (joined[i] & joined[j]).sum() > 1]
+    meshed = in_one_mesh(joined, {*crowded.tolist(), *itertools.chain(*wrong)})
     if not meshed:
         return read
     known = [p for p, ok in zip(read, sound, strict=True) if ok and not meshed >= set(p.nodes)]

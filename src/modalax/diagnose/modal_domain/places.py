@@ -51,11 +51,13 @@ def candidates_of(
         out.append(Change("added_mass", (name,), LUMP / mobile, b, reference=float(own_mass[k]), weight=weight))
     out += _lumps(simulation, c, inside)
     apart = next((some for some in (dofs, {*outputs, *inputs}) if len(some) <= FEW), ())
-    for where, b, stiffness, weight, _ in springs_of(simulation, c, nodes, pairs, highest, apart):
+    for where, b, stiffness, weight, there in springs_of(simulation, c, nodes, pairs, highest, apart):
         mobile = b[inside] ** 2
         if mobile.mean() < STILL * float((c.shapes[:, inside] ** 2).max()):
             continue
-        out.append(Change("joint_stiffness", where, stiffness, b, reference=stiffness / JOINT, weight=weight))
+        out.append(
+            Change("joint_stiffness", where, stiffness, b, reference=stiffness / JOINT, weight=weight, absent=not there)
+        )
         damping = float((own / np.maximum(mobile, 1e-300)).min())  # that doubles the damping of one mode
         usual = float(own.mean() / mobile.mean())
         out.append(Change("local_damper", where, usual, b, reference=damping, weight=weight))

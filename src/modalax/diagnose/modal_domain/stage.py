@@ -1,7 +1,7 @@
 """The diagnosis in the modal domain as one call: identify, screen, fit, weigh, within a budget of time."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -125,6 +125,9 @@ def run_stage(
         return None
     whitener = whitener_of(measured.features)
     setting = Setting(c, inaccuracy_of(simulation, c, highest), measured.features, whitener)
+    if simulation.groups is None:  # all of the mass and stiffness is, where there is one force, its constant as well
+        sought = ("stiffness", "mass") if len(measurement.inputs) > 1 else ("stiffness",)
+        setting = replace(setting, sought=sought)
     pairs = None if simulation.pairs is None else list(simulation.pairs)
     every = candidates_of(simulation, c, measurement.outputs, measurement.inputs, pairs, highest)
     every += further_of(simulation, c, measured, measurement.outputs)

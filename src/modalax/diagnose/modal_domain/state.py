@@ -38,6 +38,8 @@ class Setting:
     rest
         Relative size of what no element explains (:mod:`modalax.diagnose.modal_domain.discrepancy`), as far as it is
         part of that covariance.
+    sought
+        Of what a factor throughout is looked for: ``stiffness``, ``mass``.
     """
 
     coordinates: Coordinates
@@ -45,6 +47,7 @@ class Setting:
     features: Features
     whitener: np.ndarray
     rest: float = 0.0
+    sought: tuple[str, ...] = ()
 
     def patterns(self) -> list[tuple[str, np.ndarray]]:
         """Kind and patterns of each group."""

@@ -6,7 +6,7 @@ Nothing can be said of single samples, and no block of data can be left out: chi
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from modalax.diagnose.modal_domain.judged import judge
 from modalax.diagnose.modal_domain.places import candidates_of
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.modal_domain.state import Setting
+from modalax.diagnose.modal_domain.throughout import throughout_said, throughout_told
 from modalax.model import Structure
 from modalax.model.entry import check_passive
 from modalax.model.mode_table import USUAL, ModeTable
@@ -121,6 +122,7 @@ def _staged(
     c = coordinates_of(simulation, facts.outputs, facts.inputs, highest)
     whitener = whitener_of(facts.features)
     setting = Setting(c, inaccuracy_of(simulation, c, highest), facts.features, whitener)
+    setting = replace(setting, sought=("stiffness",) if simulation.groups is None else ())
     pairs = None if simulation.pairs is None else list(simulation.pairs)
     every = candidates_of(simulation, c, facts.outputs, facts.inputs, pairs, highest)
     candidates = [k for k in every if k.slug not in NOT_SEEN and wanted(k.slug)]
@@ -134,7 +136,9 @@ def _staged(
 def _answer(stage: Stage, notes: list[str]) -> ModalDiagnosis:
     judged = judge(stage)
     chosen, inaccuracy = judged.chosen, inaccuracy_told(stage.setting, judged.chosen.fit)
-    reasons = [said(inaccuracy), *judged.reasons, "modes alone were given: causes that show in FRFs only are not seen"]
+    throughout = throughout_told(stage.setting, judged.chosen.fit)
+    reasons = [said(inaccuracy), *throughout_said(throughout), *judged.reasons]
+    reasons.append("modes alone were given: causes that show in FRFs only are not seen")
     if not stage.in_time:
         reasons.append("time was up before every explanation had been tried")
     none, unknown = float("nan"), np.zeros((1, 0, len(stage.measurement.outputs), 1), complex)
@@ -143,7 +147,8 @@ def _answer(stage: Stage, notes: list[str]) -> ModalDiagnosis:
     facts: Any = stage.measurement
     return ModalDiagnosis(
         judged.word, tuple(reasons), None, Facts(facts, "fixed", tuple(notes)), extension_of(stage, chosen.fit), gain,
-        np.zeros(0), unknown, unknown, unknown, unknown, stage, chosen, judged.sets, inaccuracy, test, test,
+        np.zeros(0), unknown, unknown, unknown, unknown, stage, chosen, judged.sets, inaccuracy, throughout,
+        test, test,
     )  # fmt: skip
 
 

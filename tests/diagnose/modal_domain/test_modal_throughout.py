@@ -1,0 +1,48 @@
+"""What is off by one factor throughout is told with its sign, beside what single elements are off."""
+
+import numpy as np
+import pytest
+from frames import measured, simulation
+
+from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.model import Structure
+
+
+def scaled(stiffness: float = 1.0, mass: float = 1.0) -> Structure:
+    """The beam with all of its stiffness and mass times a factor, and the same damping ratios."""
+    s = simulation()
+    M, C, K = (np.asarray(A) for A in (s.M, s.C, s.K))
+    return Structure(mass * M, np.sqrt(stiffness * mass) * C, stiffness * K, s.dofs)
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "mass", "name", "value", "word"),
+    [(1.08, 1.0, "stiffness", 0.08, "high"), (0.9, 1.0, "stiffness", -0.1, "low"), (1.0, 1.05, "mass", 0.05, "high")],
+)
+def test_a_factor_on_all_of_a_matrix_is_told_apart_from_the_elements(stiffness, mass, name, value, word):
+    found = diagnose_modes(measured(2, 0.01)[0], scaled(stiffness, mass))
+    answer = found.to_dict()
+    assert answer["verdict"] == "clean"
+    told = answer["throughout"]
+    assert list(told) == [name]
+    assert abs(told[name]["value"] - value) < 3 * told[name]["std"] < 0.02
+    assert answer["inaccuracy"][name]["value"] < 0.01  # of single elements, which are 1 % off
+    assert any(f"the {name} of the simulation is" in r and f"% too {word}" in r for r in answer["reasons"])
+    extended = np.asarray(found.extended.base.K if name == "stiffness" else found.extended.base.M)
+    own = np.asarray(simulation().K if name == "stiffness" else simulation().M)
+    assert np.trace(extended) == pytest.approx(np.trace(own), rel=0.02)
+
+
+def test_a_factor_is_found_behind_a_cause_too():
+    answer = diagnose_modes(measured(5, 0.01, mass=("5:+Z", 0.05))[0], scaled(1.08)).to_dict()
+    assert [(c["name"], c["where"]) for c in answer["causes"]] == [("added_mass", ["5:+Z"])]
+    assert answer["throughout"]["stiffness"]["value"] == pytest.approx(0.08, abs=0.01)
+
+
+def test_nothing_is_told_where_elements_are_off_each_by_itself():
+    assert diagnose_modes(measured(6, 0.02)[0], simulation()).to_dict()["throughout"] == {}
+
+
+def test_a_factor_is_told_apart_from_elements_that_scatter_widely():
+    told = diagnose_modes(measured(3, 0.02)[0], scaled(1.08)).to_dict()["throughout"]
+    assert list(told) == ["stiffness"] and abs(told["stiffness"]["value"] - 0.08) < 3 * told["stiffness"]["std"] < 0.05
