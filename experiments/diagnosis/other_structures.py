@@ -261,6 +261,7 @@ class Test:
     on_channels: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
     joint: tuple[np.ndarray, Callable[[np.ndarray, np.ndarray], np.ndarray]] | None = None
     hysteretic: bool = False
+    decay: float = 0.0  # of an impact window [1/s]
 
     def tell(self, name: str, *accepted: list[str], size: float | None = None) -> None:
         """Write down the truth."""
@@ -435,6 +436,47 @@ def effect_hysteretic(t: Test) -> None:
     t.tell("structural_damping", [])
 
 
+def effect_window(t: Test) -> None:
+    """The decay of an impact window."""
+    t.decay = t.rng.uniform(1.0, 3.0) * t.world.zeta * 2 * np.pi * t.first
+    t.tell("exponential_window", [], size=t.decay)
+
+
+def effect_crosstalk(t: Test) -> None:
+    """A sensor that hears another."""
+    a, b = (int(k) for k in t.rng.choice(len(t.outputs), 2, replace=False))
+    share = t.rng.uniform(0.04, 0.1)
+
+    def leak(H: np.ndarray, f: np.ndarray) -> np.ndarray:
+        out = H.copy()
+        out[:, :, a] += share * H[:, :, b]
+        return out
+
+    t.on_channels = leak
+    t.tell("crosstalk", [t.world.dofs[t.outputs[k]] for k in (a, b)], size=float(share))
+
+
+def effect_hum(t: Test) -> None:
+    """Mains hum at one line in each multiple of 50 Hz."""
+
+    def pickup(H: np.ndarray, f: np.ndarray) -> np.ndarray:
+        out = H.copy()
+        for multiple in np.arange(50.0, f[-1], 50.0):
+            k = int(np.abs(f - multiple).argmin())
+            if f[0] < multiple and abs(f[k] - multiple) < 0.5 * (f[1] - f[0]):
+                phase = np.exp(2j * np.pi * t.rng.random(H[:, k].shape))
+                out[:, k] += np.sqrt((np.abs(H) ** 2).mean(axis=1)) * phase
+        return out
+
+    t.on_channels = pickup
+    t.tell("mains_hum", [])
+
+
+def effect_soft(t: Test) -> None:
+    """The whole structure is softer than its simulation, which is no cause but told."""
+    t.K *= t.rng.choice([0.9, 0.94])
+
+
 def _joint(t: Test, name: str, law: Callable[[np.ndarray, np.ndarray, float], np.ndarray]) -> None:
     """A joint between two joined DoFs, or to ground; ``law`` gives its complex stiffness over a usual amplitude."""
     k = t.lively(t.world.translations())
@@ -475,7 +517,7 @@ EFFECTS: dict[str, Callable[[Test], None]] = {
 
 def frf(t: Test, C: np.ndarray, f: np.ndarray, level: np.ndarray | None) -> np.ndarray:
     """Accelerances at sensors and shakers ``(run, f, o, i)``, with the joint's first harmonic."""
-    s = 2j * np.pi * f
+    s = 2j * np.pi * f + t.decay
     loss = 1j * C * (2 * np.pi * np.sqrt(t.band[0] * t.band[1])) if t.hysteretic else 0
     Z = s[:, None, None] ** 2 * t.M + (0 if t.hysteretic else s[:, None, None] * C) + t.K + loss
     n = len(t.M)
