@@ -96,6 +96,17 @@ def test_an_answer_of_the_modal_domain_must_predict_better_than_one_line_by_line
     assert choice({"lines": Outcome("named", 1.6), "modes": modes}) == "lines"
 
 
+@pytest.mark.parametrize(
+    ("verdict", "inaccuracy", "expected"),
+    [("named", OFF, "modes"), ("ambiguous", OFF, "modes"), ("named", EXACT, "lines"), ("clean", OFF, "lines"),
+     ("unknown", OFF, "lines")],
+)  # fmt: skip
+def test_lines_that_explain_nothing_tell_nothing_of_a_simulation_that_is_certainly_off(verdict, inaccuracy, expected):
+    modes = Outcome(verdict, 9.0, inaccuracy=inaccuracy)
+    assert choice({"lines": Outcome("unknown", 3.0), "modes": modes}) == expected
+    assert choice({"lines": Outcome("named", 1.2), "modes": modes}) == "lines"
+
+
 def test_the_only_answer_is_given():
     assert choice({"lines": Outcome("unknown", 9.0)}) == "lines"
     assert choice({"modes": Outcome("unknown", 9.0)}) == "modes"

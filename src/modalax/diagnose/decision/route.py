@@ -87,9 +87,7 @@ class Outcome:
 
 def order(task: Task, limits: Thresholds = THRESHOLDS) -> tuple[Route, ...]:
     """Methods in the order in which they are tried."""
-    if not task.has_modes or not (
-        task.known_to_modes or task.groups
-    ):  # what is not looked for must not be told as absent
+    if not task.has_modes or not (task.known_to_modes or task.groups):  # what is not looked for is not told as absent
         return ("lines",)
     if needs_modes(task, limits) or task.groups:
         return "modes", "lines"
@@ -121,8 +119,11 @@ def choice(found: Mapping[Route, Outcome], limits: Thresholds = THRESHOLDS) -> R
     if len(found) == 1:
         return next(iter(found))
     lines, modes = found["lines"], found["modes"]
-    predicts_better = modes.verdict != "unknown" and modes.held_out < lines.held_out
-    return "modes" if predicts_better and not explained(lines, limits) else "lines"
+    if modes.verdict == "unknown" or explained(lines, limits):
+        return "lines"
+    # lines that explain nothing tell nothing where the simulation is certainly off, which they take for exact
+    told = lines.verdict == "unknown" and modes.verdict != "clean" and bool(certainly_off(modes, limits))
+    return "modes" if told or modes.held_out < lines.held_out else "lines"
 
 
 def explained(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
@@ -145,14 +146,20 @@ def settled(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
 
 def off_everywhere(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
     """Whether stiffness or mass is certainly off everywhere, and with that nothing is left that lines could explain."""
-    parts = [part for name, part in (found.inaccuracy or {}).items() if name in ("stiffness", "mass")]
-    if found.verdict == "unknown" or not any(p["interval"][0] > 0 and p["value"] > limits.off for p in parts):
+    parts = certainly_off(found, limits)
+    if found.verdict == "unknown" or not parts:
         return False
     if found.joint:
         return found.held_out < limits.unexplained
     if found.verdict == "named" and any(p["interval"][0] > limits.surely_off for p in parts):
         return found.held_out < limits.as_noise
     return nothing_left(found, limits)
+
+
+def certainly_off(found: Outcome, limits: Thresholds = THRESHOLDS) -> list[Mapping[str, Any]]:
+    """General inaccuracy of stiffness and mass, where one of them is certainly off; else nothing."""
+    parts = [part for name, part in (found.inaccuracy or {}).items() if name in ("stiffness", "mass")]
+    return parts if any(p["interval"][0] > 0 and p["value"] > limits.off for p in parts) else []
 
 
 def may_be_exact(found: Outcome) -> bool:
