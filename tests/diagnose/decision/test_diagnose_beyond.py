@@ -32,6 +32,7 @@ def case(*sets, **changed):
         (case((0.97, SPRING), share_of_largest=0.81), "unknown", "stiffness 1 %, mass 0.5 %, damping 30 %"),
         (case((0.97, *NOTHING), misfit=2.1), "unknown", "not explained"),
         (case((0.97, *NOTHING), needed=[SPRING]), "unknown", "several elements may be off by the same factor"),
+        (case((0.997, SPRING), needed=[SPRING]), "named", "stands out beyond the general inaccuracy"),
         (case((0.97, SPRING), share_of_largest=0.8, misfit=2.0), "named", "12.3 nats"),
         (case((0.97, SPRING), odd=("7:+Z", 94.2)), "unknown", "the FRFs at 7:+Z alone"),
         (case((0.97, *NOTHING), odd=("7:+Z", 94.2)), "clean", "nothing stands out"),

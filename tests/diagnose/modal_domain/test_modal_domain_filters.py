@@ -1,9 +1,12 @@
 """Filters of sensors in the modal domain, against scipy's, finite differences, and hidden in a beam that is off."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import scipy.signal
 
+from modalax.diagnose.modal_domain import judged
 from modalax.diagnose.modal_domain.sensor_filters import sensor_filters
 
 OMEGA = 2 * np.pi * np.linspace(10.0, 90.0, 9)
@@ -40,3 +43,15 @@ def test_no_filter_has_a_negative_corner():
     for f in FILTERS.values():
         assert np.array_equal(f.transform(np.array([-0.5]), 1j * OMEGA, H), H)
         assert not f.transform_slope(np.array([-0.5]), 1j * OMEGA, H).any()
+
+
+@pytest.mark.parametrize(("ahead", "count"), [(0.3, 1), (-2.0, 1), (4.0, 2)])
+def test_a_filter_that_the_data_do_not_tell_from_a_delay_counts_as_that_delay(ahead, count, monkeypatch):
+    monkeypatch.setattr(judged, "standing_out", lambda _, e: e.causes)
+    one = lambda slug, evidence, p: SimpleNamespace(
+        causes=(SimpleNamespace(slug=slug, where=("b",)),), probability=p, fit=SimpleNamespace(log_evidence=evidence)
+    )
+    stage = SimpleNamespace(explanations=[one("time_delay", 100.0, 0.95), one("sensor_filter", 100.0 + ahead, 0.05)])
+    sets = judged.sets_beyond(stage)
+    assert len(sets) == count and sets[0].names == (("time_delay", ("b",)),)
+    assert sets[0].probability == pytest.approx(1.0 if count == 1 else 0.95)

@@ -87,8 +87,8 @@ def modes_are_not_explained(case: ModalCase) -> tuple[str, ...]:
 
 
 def the_usual_is_needed(case: ModalCase) -> tuple[str, ...]:
-    """What is no larger than usual explains what errors of single elements do not."""
-    if not case.needed:
+    """Nothing stands out, but what is no larger than usual explains what errors of single elements do not."""
+    if not case.needed or case.sets[0].names:
         return ()
     what = " and ".join(cause_at(slug, where) for slug, where in case.needed)
     return (

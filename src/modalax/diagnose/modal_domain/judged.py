@@ -14,6 +14,7 @@ from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.thresholds import THRESHOLDS
 
 LINEAR_PART = "joint_stiffness", "local_damper"  # what a joint may do at any amplitude
+ALIKE = 1.0  # nats by which a filter must be likelier than a delay of its sensor to be told from it
 LIKELIER = 0.5  # probability of nothing beyond the inaccuracy above which nothing is what the answer is about
 
 
@@ -65,16 +66,28 @@ def sets_beyond(stage: Stage) -> tuple[BeyondUsual, ...]:
     """What stands out, the same causes at the same places as one: first nothing if that is likelier than all else."""
     total: dict[Names, tuple[Names, float]] = {}
     for e in stage.explanations:
-        causes = standing_out(stage, e)
-        key = _key(_told(causes))
-        names, p = total.get(key, (_told(causes), 0.0))
-        total[key] = names, p + e.probability
+        told = _told(standing_out(stage, _as_delay(stage, e)))
+        names, p = total.get(_key(told), (told, 0.0))
+        total[_key(told)] = names, p + e.probability
     sets = sorted((BeyondUsual(*v) for v in total.values()), key=lambda s: -s.probability)
     nothing = next((s for s in sets if not s.names), None)
     leads = nothing is not None and (nothing.probability > LIKELIER or len(sets) == 1)
     leading = nothing if leads else next(s for s in sets if s.names)
     assert leading is not None
     return (leading, *(s for s in sets if s is not leading))
+
+
+def _as_delay(stage: Stage, e: Explanation) -> Explanation:
+    """The explanation by a delay, where the data do not tell a sensor's filter from it: one far above the band."""
+    for c in e.causes:
+        if c.slug != "sensor_filter":
+            continue
+        others = {(x.slug, x.where) for x in e.causes if x is not c} | {("time_delay", c.where)}
+        delays = (x for x in stage.explanations if {(y.slug, y.where) for y in x.causes} == others)
+        delay = next(delays, None)
+        if delay is not None and e.fit.log_evidence - delay.fit.log_evidence < ALIKE:
+            return delay
+    return e
 
 
 def _told(causes: tuple[Change, ...]) -> Names:
