@@ -13,6 +13,7 @@ from modalax.diagnose.modal_domain.stage import KNOWN
 from modalax.diagnose.result import Diagnosis
 from modalax.model import Structure
 
+RANKED = 1000  # DoFs up to which a rank is read; larger models are never asked about line by line for long
 GROUP_SLUGS = {c.slug for c in GROUPS}
 
 
@@ -30,6 +31,7 @@ def task_of(measurement: Measurement, simulation: object, question: str, causes:
         causes is None,
         simulation.groups is not None and (causes is None or any(isinstance(c, GroupCause) for c in causes)),
         causes is None or all(c.slug in KNOWN or isinstance(c, GroupCause) for c in causes),
+        bool(np.linalg.matrix_rank(np.asarray(simulation.M)) < count) if count <= RANKED else False,
     )  # fmt: skip
 
 

@@ -107,6 +107,16 @@ def test_lines_that_explain_nothing_tell_nothing_of_a_simulation_that_is_certain
     assert choice({"lines": Outcome("named", 1.2), "modes": modes}) == "lines"
 
 
+def test_a_simulation_with_massless_dofs_is_left_to_the_modal_domain():
+    massless = replace(SMALL, massless=True)
+    assert order(massless)[0] == "modes" and suffices("modes", Outcome("unknown", 9.0), massless)
+    dofs = tuple(f"m{k}" for k in range(4))
+    structure = Structure(np.diag([1.0, 1.0, 0.0, 1.0]), 0.1 * np.eye(4), 100 * np.eye(4), dofs)
+    data = Measurement(np.linspace(1.0, 2.0, 5), np.ones((1, 5, 2, 1), complex), form="receptance", outputs=dofs[:2],
+                       inputs=dofs[:1])  # fmt: skip
+    assert task_of(data, structure, "fixed").massless
+
+
 def test_the_only_answer_is_given():
     assert choice({"lines": Outcome("unknown", 9.0)}) == "lines"
     assert choice({"modes": Outcome("unknown", 9.0)}) == "modes"

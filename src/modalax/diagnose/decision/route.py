@@ -36,6 +36,8 @@ class Task:
         Whether parameters of groups of elements are looked for, which only the modal domain knows.
     known_to_modes
         Whether the modal domain knows all causes of a part of the catalogue that is asked for.
+    massless
+        Whether DoFs of the simulation have no mass, with which only the modal domain can do.
     """
 
     has_modes: bool
@@ -46,6 +48,7 @@ class Task:
     whole_catalogue: bool = True
     groups: bool = False
     known_to_modes: bool = True
+    massless: bool = False
 
 
 @dataclass(frozen=True)
@@ -89,7 +92,7 @@ def order(task: Task, limits: Thresholds = THRESHOLDS) -> tuple[Route, ...]:
     """Methods in the order in which they are tried."""
     if not task.has_modes or not (task.known_to_modes or task.groups):  # what is not looked for is not told as absent
         return ("lines",)
-    if needs_modes(task, limits) or task.groups:
+    if needs_modes(task, limits) or task.groups or task.massless:
         return "modes", "lines"
     if not task.whole_catalogue:  # what a part of the catalogue leaves must not be taken for inaccuracy
         return ("lines",)
@@ -106,6 +109,8 @@ def suffices(route: Route, found: Outcome, task: Task, limits: Thresholds = THRE
     """Whether the answer of the method that was tried first is given without trying the other."""
     if route == "lines":
         return explained(found, limits)
+    if task.massless:
+        return True
     if needs_modes(task, limits):
         hopeful = found.verdict == "unknown" and may_be_exact(found) and task.places <= limits.places_in_time
         return task.elements_off or not hopeful
