@@ -13,11 +13,10 @@ import time
 from pathlib import Path
 
 import jax
+import numpy as np
+import scipy.linalg
 
 jax.config.update("jax_enable_x64", True)
-
-import numpy as np  # noqa: E402
-import scipy.linalg  # noqa: E402
 
 from modalax import Measurement, Structure, diagnose  # noqa: E402
 from modalax.model.groups import Groups  # noqa: E402

@@ -1,6 +1,7 @@
 """Answers about a beam whose every element is off."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,8 @@ from frames import DAMPING, DOFS, FLIP, cantilever, measured, simulation
 
 from modalax.diagnose import ExtendedSimulation
 from modalax.diagnose.deadline import Deadline
+from modalax.diagnose.decision.beyond import BeyondUsual
+from modalax.diagnose.modal_domain import diagnosis
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.discrepancy import beside, told_apart
@@ -137,3 +140,17 @@ def test_a_spring_to_ground_is_named_however_small_beside_the_elements(seed, dof
 def test_the_mass_next_to_a_clamp_is_off_by_itself():
     """Were it tied to the next element's other end, a rotary inertia would be named at the clamp."""
     assert diagnose_modes(measured(3, 0.02)[0], simulation()).to_dict()["verdict"] == "clean"
+
+
+def test_rivals_of_the_linear_causes_hold_the_joint_as_well(monkeypatch):
+    joint = {"name": "elasto_slip", "where": ["7:X"], "probability": 1.0, "parameters": {}}
+    monkeypatch.setattr(diagnosis, "rivals_told", lambda seen, named: [])
+    monkeypatch.setattr(diagnosis, "causes_told", lambda seen, whole: [joint])
+    sets = (BeyondUsual((), 0.8), BeyondUsual((("joint_stiffness", ("6:X", "7:X")),), 0.2))
+    given = SimpleNamespace(
+        verdict="ambiguous", stage=SimpleNamespace(seen=object(), whole=None), sets=sets, _linear=[]
+    )
+    rivals = diagnosis.ModalDiagnosis.alternatives.fget(given)
+    assert [[(c["name"], c["where"]) for c in s] for s in rivals] == [
+        [("joint_stiffness", ["6:X", "7:X"]), ("elasto_slip", ["7:X"])]
+    ]

@@ -149,8 +149,11 @@ class ModalDiagnosis(Diagnosis):
         if others:
             kept = [{"name": c["name"], "where": c["where"]} for c in self._linear]
             return [[*kept, *one] for one in others]
+        joint = [] if self.stage.seen is None else causes_told(self.stage.seen, self.stage.whole)
+        beside = [{"name": c["name"], "where": c["where"]} for c in joint]
         return [
-            [{"name": slug, "where": list(where)} for slug, where in s.names] for s in rivals(self.verdict, self.sets)
+            [{"name": slug, "where": list(where)} for slug, where in s.names] + beside
+            for s in rivals(self.verdict, self.sets)
         ]
 
     @property

@@ -14,7 +14,7 @@ class ImpactWindow(Change):
     r"""The decay :math:`\sigma` of an impact window, :math:`H(s + \sigma)`.
 
     With it the dynamic stiffness is :math:`s^2M + s(C + 2\sigma M) + K + \sigma C + \sigma^2M`, so that all poles move
-    by :math:`-\sigma`, and residues stay. Source: Ewins (2000), Modal Testing, 2nd ed., sec. 3.11.
+    by :math:`-\sigma`, and residues stay. Source: Ewins (2000), Modal Testing, 2nd ed., chapter 3.
 
     Attributes
     ----------
