@@ -12,10 +12,14 @@ from modalax import Measurement, Structure
 from modalax.diagnose import ChannelCause, LocalCause, Parameter, Place, diagnose, strengths
 from modalax.diagnose.causes import catalogue
 from modalax.diagnose.causes.channels import ChannelGain, ChannelSign, CommonDelay, TimeDelay
-from modalax.diagnose.causes.joints import QuadraticDamping
+from modalax.diagnose.causes.joints import BilinearStiffness, QuadraticDamping
 from modalax.diagnose.causes.local import AddedMass, JointStiffness, LocalDamper
+from modalax.diagnose.comparison import make_comparison
 from modalax.diagnose.decision.verdict import fails, verdict
 from modalax.diagnose.extend import from_arrays
+from modalax.diagnose.screening.every_cause import chosen
+from modalax.diagnose.search.look import look
+from modalax.diagnose.search.singles import fit_single
 from modalax.model.examples import five_dof
 from modalax.simulate import simulate
 from modalax.simulate.joints import PolynomialDamping
@@ -42,6 +46,21 @@ def with_spring(k):
 def test_nothing_is_found_where_nothing_is_wrong():
     verdicts = [diagnose(measured(five_dof(), seed), five_dof(), causes=FEW).verdict for seed in range(3)]
     assert verdicts.count("clean") >= 2  # one alarm in a hundred is nominal
+
+
+def test_what_there_was_no_time_for_is_no_name():
+    found = diagnose(measured(with_spring(2500.0), 1), five_dof(), causes=FEW, time=0.0)
+    assert found.verdict == "ambiguous" and found.to_dict()["causes"][0]["name"] == "joint_stiffness"
+    assert any("time was up before local_damper, added_mass" in reason for reason in found.reasons)
+
+
+def test_of_causes_that_promise_alike_the_usual_one_is_fitted_first():
+    comparison = make_comparison(measured(with_spring(2500.0), 1), five_dof(), "fixed")
+    causes = [BilinearStiffness(), JointStiffness()]
+    seen = look(comparison, causes)
+    late = replace(seen.state, comparison=replace(comparison, late=lambda: True))
+    first = fit_single(late, chosen(seen.screening.trials))
+    assert {h.causes[0].slug for h in first} == {"joint_stiffness"}
 
 
 def test_a_spring_is_named_placed_and_measured():

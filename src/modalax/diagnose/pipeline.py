@@ -116,7 +116,7 @@ def diagnose(
     task = task_of(data, simulation, question, causes)
     exact = task.has_modes and task.whole_catalogue and not (task.elements_off or task.modes_off or task.massless)
     found = at_one_place(measurement, simulation, question, progress, late) if exact else None
-    if found is not None and settled(outcome_of(found)):
+    if found is not None and (settled(outcome_of(found)) or late()):
         return found
     answers: dict[Route, Diagnosis] = {}
     outcomes: dict[Route, Outcome] = {}

@@ -30,6 +30,8 @@ class Leftover:
         What the likeliest of these is, in words.
     tolerated
         Chi-square that the inexactness of the laws may leave: of a joint, the harmonics of its motion left out.
+    untried
+        Kinds of causes that may explain the data as well and for which there was no time.
     """
 
     alarm: float
@@ -38,6 +40,7 @@ class Leftover:
     nameless: float = 0.0
     likeness: str = ""
     tolerated: float = 0.0
+    untried: tuple[str, ...] = ()
 
     @property
     def allowance(self) -> str:
@@ -124,6 +127,14 @@ def other_names_compete(case: Case) -> str | None:
     return None if p >= asked else f"{case.subject} a probability of {p:.3g}, less than {asked:g}: other causes compete"
 
 
+def others_are_untried(case: Case) -> str | None:
+    """There was no time for causes that may explain the residual as well."""
+    rest = case.leftover.untried
+    return None if not rest else (
+        f"time was up before {', '.join(rest)} had been tried, which may explain the data as well: give it more time"
+    )  # fmt: skip
+
+
 def places_compete(case: Case) -> str | None:
     """A place is not likelier than all others together."""
     names = unplaced(case.ranked, case.limits)
@@ -166,6 +177,7 @@ RULES: tuple[tuple[str, Rule], ...] = (
     ("unknown", something_is_left),
     ("unknown", nameless_is_likelier),
     ("ambiguous", other_names_compete),
+    ("ambiguous", others_are_untried),
     ("ambiguous", places_compete),
     ("ambiguous", elements_share_a_place),
     ("unknown", held_out_is_missed),

@@ -19,10 +19,21 @@ A_KIND, LIKELY, ALTOGETHER = 3, 40, 150  # candidates refitted of one kind, of o
 
 @dataclass(frozen=True)
 class Screening:
-    """All trials, and the modal parameters about which they were made, shape ``(2, n)``."""
+    """What every cause promises at every place.
+
+    Attributes
+    ----------
+    trials
+        All trials.
+    theta
+        The modal parameters about which they were made, shape ``(2, n)``.
+    unscreened
+        Causes for which there was no time.
+    """
 
     trials: list[Trial]
     theta: np.ndarray
+    unscreened: tuple[Cause, ...] = ()
 
     @property
     def ranked(self) -> list[Trial]:
@@ -130,9 +141,9 @@ def screen_all(state: ScoreState, causes: Sequence[Cause], finite: bool = True) 
     assert state.hypothesis.theta is not None
     screen = _Screen(state, finite)
     trials: list[Trial] = []
-    for cause in causes:
+    for k, cause in enumerate(causes):
         if trials and state.comparison.late():
-            break
+            return Screening(trials, state.hypothesis.theta, tuple(causes[k:]))
         trials += screen.trials(cause)
     return Screening(trials, state.hypothesis.theta)
 

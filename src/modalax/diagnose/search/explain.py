@@ -74,7 +74,7 @@ def explain(look: Look, causes: Sequence[Cause]) -> Explanation:
     fitted = singles(look, causes)
     ranked = weigh(look, fitted)
     explained = look.null.chi2 - ranked[0].best.chi2 if ranked else 0.0
-    leftover = replace(leftover, explained=explained)
+    leftover = replace(leftover, explained=explained, untried=untried(look, fitted))
     if verdict(ranked, leftover)[0] == "unknown":
         return replace(nothing, leftover=leftover)
     look, fitted, ranked = with_noise_again(look, fitted, ranked)
@@ -135,6 +135,15 @@ def singles(look: Look, causes: Sequence[Cause]) -> list[Hypothesis]:
         found += refit(look.state, [h for h in strong if h.causes[0] == cause])
     found += beside_outliers(look, found, causes) if strong else []
     return found + joints_for_drifts(look.state, best_of_each(found, look.comparison), causes)
+
+
+def untried(look: Look, fitted: Sequence[Hypothesis]) -> tuple[str, ...]:
+    """Kinds of causes that were to be looked for or fitted alone when time was up."""
+    if not look.comparison.late():
+        return ()
+    done = {c for h in fitted for c in h.causes}
+    promising = [t.cause for t in chosen(look.screening.trials) if t.cause not in done]
+    return tuple(dict.fromkeys(c.slug for c in (*promising, *look.screening.unscreened)))
 
 
 def beside_outliers(look: Look, found: list[Hypothesis], causes: Sequence[Cause]) -> list[Hypothesis]:
