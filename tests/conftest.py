@@ -52,13 +52,15 @@ def keep_freed_memory():
 
 
 keep_freed_memory()
+gc.disable()  # what packages and tests are made of stays to the end
 
 
 def pytest_collection_finish():
-    """Packages and tests stay to the end, and JAX makes many small objects: look for garbage among them seldom."""
+    """JAX makes many small objects that stay or go by themselves: look for garbage among them seldom."""
     gc.collect()
     gc.freeze()
     gc.set_threshold(200_000, 20, 50)
+    gc.enable()
 
 
 def pytest_unconfigure(config):

@@ -23,9 +23,12 @@ from modalax.model import ModalModel
 MODEL = ModalModel.from_real_modes(
     [30.0, 37.0], [0.02, 0.015], [[1.0, 0.6, -0.4], [0.5, -1.0, 0.7]], [1.0, 2.0], list("abc")
 )
-# Without noise the poles hang on few directions of the data; with it on all.
-FRF = MODEL.frf(np.linspace(24, 44, 81), inputs=["a", "b"]).add_noise(jax.random.key(0), 0.02)
-START = residues(FRF, MODEL.poles)
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    """Without noise the poles hang on few directions of the data; with it on all."""
+    return MODEL.frf(np.linspace(24, 44, 81), inputs=["a", "b"]).add_noise(jax.random.key(0), 0.02)
 
 
 def of_table(table):
@@ -60,7 +63,7 @@ ESTIMATES = {
     "gtls": lambda frf: of_table(gtls(frf, 4)),
     "reweighted": lambda frf: of_table(reweighted(frf, 4, iterations=3)),
     "residues": lambda frf: of_model(residues(frf, MODEL.poles))[4:],
-    "refine": lambda frf: of_model(refine(frf, START).model),
+    "refine": lambda frf: of_model(refine(frf, MODEL).model),
 }
 
 
@@ -77,17 +80,17 @@ SLOW = {
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow if n in SLOW else ()) for n in ESTIMATES])
-def test_derivative_with_respect_to_the_frf(name):
+def test_derivative_with_respect_to_the_frf(name, noisy):
     """Forward and reverse mode against central differences, along one direction over all samples."""
     rng = np.random.default_rng(1)
-    direction = jnp.abs(FRF.H).mean() * (rng.normal(size=FRF.H.shape) + 1j * rng.normal(size=FRF.H.shape))
+    direction = jnp.abs(noisy.H).mean() * (rng.normal(size=noisy.H.shape) + 1j * rng.normal(size=noisy.H.shape))
 
     def estimate(H):
-        return ESTIMATES[name](FRF.replace(H=H))
+        return ESTIMATES[name](noisy.replace(H=H))
 
     @jax.jit
     def along(step):
-        H = FRF.H + step * direction
+        H = noisy.H + step * direction
         value, pull = jax.vjp(estimate, H)
         (gradient,) = jax.vmap(pull)(jnp.eye(len(value)))
         reverse = jnp.sum((gradient * direction).real, axis=(1, 2, 3))
