@@ -18,7 +18,9 @@ from modalax.check.study import CLEAR, Study
 
 # A delay is told from this angle at the band's end on [rad], and below this chance of scatter alone, by so many times
 # less where few angles tell it; modes it takes, and angles of other channels that count beside each of its own.
-SMALLEST_ANGLE, CHANCE, TRIALS, FEWEST_MODES, BESIDE = 0.025, 3e-6, 20, 3, 2
+SMALLEST_ANGLE, CHANCE, TRIALS, FEWEST_MODES, BESIDE = 0.025, 3e-6, 20, 3, 4
+# Angles of all channels from which on their scatter is known and a single mode tells a delay.
+ENOUGH = 5.0
 # No scatter is larger than this [rad] where a delay can be read; a channel that takes less part tells nothing.
 MOST_SCATTER, MOST_PART = 0.2, 30.0
 
@@ -64,20 +66,27 @@ def delay(study: Study) -> Iterator[Finding]:
     if not study.explained:
         return
     phases = _phases(study)
-    if len(phases.omega) < FEWEST_MODES:
+    if not len(phases.omega):
         return
     loss = float(np.median(study.modes.width / study.modes.frequency / 2))
     known = Known(loss, 2 * np.pi * study.freq[-1], *complexity(study))
-    for where, late in _of_two(phases, known) if len(study.outputs) == 2 else _of_many(phases, known):
+    driven = (
+        sorted({p.o for p in study.drive_points}) if len({p.i for p in study.drive_points}) == study.H.shape[3] else []
+    )
+    for where, late in _of_two(phases, known) if len(study.outputs) == 2 else _of_many(phases, known, driven):
         names = () if where is None else (study.outputs[where],)
         yield _finding(study, phases, where, names, late)
 
 
-def _of_many(phases: Phases, known: Known) -> Iterator[tuple[int | None, Late]]:
+def _of_many(phases: Phases, known: Known, driven: list[int]) -> Iterator[tuple[int | None, Late]]:
     """A delay of all by the middle of the channels, then of single channels off the middle of the others."""
     middle, spread = _middles(phases)
-    # How channels scatter within a mode does not tell how the middles of modes do.
-    common = _late(phases.omega, middle, spread, np.ones_like(middle), known._replace(count=0.0))
+    # A whole column of residues turns with the place that is driven: how far that scatters only a sensor there tells.
+    seen = np.isfinite(phases.noise[:, driven])
+    part = np.where(seen, phases.part[:, driven], np.inf).min(axis=1, initial=np.inf)
+    told = _late(phases.omega, middle, np.where(np.isfinite(part), spread, np.inf), part, known) if driven else None
+    alone = _late(phases.omega, middle, spread, np.ones_like(middle), known._replace(count=0.0))
+    common = max((x for x in (told, alone) if x is not None), key=lambda x: x.score, default=None)
     if common is not None:
         yield None, common
     for o in range(phases.angle.shape[1]):
@@ -131,9 +140,13 @@ def _phases(study: Study) -> Phases:
         weight = 1 / np.where(np.isfinite(noise[:, o]), part[:, o], np.inf) ** 2
         best = weight.max(axis=1, initial=1e-300)
         parts.append(np.where(best > 1e-300, 1 / np.sqrt(np.maximum(best, 1e-300)), 1.0))
-    seen = np.isfinite(np.array(spread)).any(axis=0)
-    stack = lambda rows: np.stack(rows, axis=1)[seen]
-    return Phases(omega[seen], stack(angle), stack(spread), stack(parts))
+    phases = Phases(omega, *(np.stack(rows, axis=1) for rows in (angle, spread, parts)))
+    seen = np.isfinite(phases.noise)
+    # What most channels see at phases of their own is no mode that tells a delay.
+    off = np.abs(undirected(phases.angle - _middles(phases)[0][:, None]))
+    agree = (seen & (off < MOST_SCATTER)).sum(axis=1) > 0.5 * seen.sum(axis=1)
+    use = seen.any(axis=1) & (agree | (seen.sum(axis=1) < 3))
+    return Phases(*(a[use] for a in phases))
 
 
 def _weighted(angle: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -169,7 +182,7 @@ def _late(omega, angle, noise, part, known: Known) -> Late | None:
     use = np.isfinite(noise)
     omega, angle, noise, part = omega[use], angle[use], noise[use], part[use]
     count = len(omega)
-    if count < FEWEST_MODES - (known.count > 5):
+    if count < (1 if known.count > ENOUGH else FEWEST_MODES):
         return None
     known = known._replace(count=min(known.count, BESIDE * count))
     grid = np.linspace(-1, 1, 241) * 0.95 * np.pi / omega.max()

@@ -114,10 +114,10 @@ def noise_of(H: np.ndarray, sigma: np.ndarray) -> Noise:
 
 
 def _polished(basis: Basis, poles: np.ndarray, X: np.ndarray) -> np.ndarray:
-    poles = _select(basis, poles, X)
+    poles = select(basis, poles, X)
     for _ in range(4):
         poles = improve(basis, poles, X)
-    return _select(basis, poles, X)
+    return select(basis, poles, X)
 
 
 def misfit_of(basis: Basis, poles: np.ndarray, X: np.ndarray) -> float:
@@ -186,7 +186,7 @@ def residues_at(
     return Modes(poles, residues, std, fitted, misfit, pole_std, inside, tuple(powers))
 
 
-def _select(basis: Basis, poles: np.ndarray, X: np.ndarray) -> np.ndarray:
+def select(basis: Basis, poles: np.ndarray, X: np.ndarray) -> np.ndarray:
     """Modes that lower the sum of squares by more than noise would, dropped one at a time from the weakest."""
     Y = lift(X)
     k = X.shape[1]

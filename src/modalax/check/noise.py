@@ -20,14 +20,34 @@ def off_neighbours(H: Complex[np.ndarray, "... f k"]) -> Complex[np.ndarray, "..
     return (H - predicted) / np.sqrt(SPREAD)
 
 
-def local_noise(H: Complex[np.ndarray, "f k"], lines: int | None = None) -> Float[np.ndarray, "f k"]:
-    """Root of E|e|^2 near each line: the median over a window, so that peaks and single lines do not count."""
+def local_noise(freq: Float[np.ndarray, " f"], H: Complex[np.ndarray, "f k"], power: int) -> Float[np.ndarray, "f k"]:
+    """Root of E|e|^2 near each line: the median over a window, so that peaks and single lines do not count.
+
+    Noise that is even in an accelerance falls by the square of frequency in its receptance, over few lines near 0 Hz.
+    So the form is taken in which the medians are most alike.
+
+    Parameters
+    ----------
+    freq
+        Lines [Hz].
+    power
+        0 for receptance, 1 for mobility, 2 for accelerance.
+    """
+    tried = []
+    for form in range(3):
+        turn = (freq / freq[-1])[:, None] ** (form - power)
+        logs = _log_medians(H * turn)
+        tried.append((float(np.var(logs, axis=0).sum()), logs / 2 - np.log(turn)))
+    return np.exp(min(tried, key=lambda one: one[0])[1])
+
+
+def _log_medians(H: Complex[np.ndarray, "f k"]) -> Float[np.ndarray, "f k"]:
+    """Logarithm of the power of noise near each line."""
     count = H.shape[0]
-    lines = lines or max(11, count // 12)
+    lines = max(11, count // 12)
     off = np.abs(off_neighbours(H)) ** 2
     centres = np.unique(np.linspace(0, count - 1, max(2, 3 * count // lines)).round().astype(int))
     half = lines // 2
     medians = np.array([np.median(off[max(0, c - half) : c + half + 1], axis=0) for c in centres]) / MEDIAN
     logs = np.log(np.maximum(medians, 1e-300))
-    smooth = np.stack([np.interp(np.arange(count), centres, logs[:, k]) for k in range(H.shape[1])], axis=1)
-    return np.exp(smooth / 2)
+    return np.stack([np.interp(np.arange(count), centres, logs[:, k]) for k in range(H.shape[1])], axis=1)

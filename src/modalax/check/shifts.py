@@ -2,12 +2,14 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
 from modalax.check.basis import Basis
 from modalax.check.finding import Finding, Picture, sureness
-from modalax.check.modes import Modes, estimate_modes, improve, misfit_of, noise_of, residues_at
+from modalax.check.modes import Modes, Noise, estimate_modes, improve, misfit_of, noise_of, residues_at, select
+from modalax.check.phases import ANGLE
 from modalax.check.study import Study, line_step
 
 # A shift is told from this share of the frequency on, as one kelvin makes in steel (its modulus falls by 2.5e-4 a
@@ -18,6 +20,9 @@ SENSORS, OF_SENSORS, OF_WIDTH = 3.0, 6e-4, 0.09
 # Blocks up to this number are searched for modes of their own where those of the reference do not explain them.
 MOST_OWN = 12
 STEPS = 6
+# Smooth terms of a block. With fewer, what modes beyond the band do to a column that hardly sees a mode inside it is
+# taken up by that mode's frequency, by many standard deviations.
+POWERS = (-6, -4, -2, 0, 2, 4, 6)
 # Misfit from which on a block is searched for modes of its own.
 LEFT = 1.4
 # A mode of a block belongs to one of the reference within this many half-power bandwidths, or this share of both.
@@ -25,6 +30,9 @@ SAME, NEAR = 2.5, 0.01
 # Scatter of a mode's frequency over many blocks that no standard deviation tells.
 SCATTER = 4.0
 CLEAR = 8.0
+# Two modes may be one that moved if their half-power bandwidths differ by less than this factor and the modal assurance
+# criterion of their shapes exceeds this.
+ONE_WIDTH, ONE_SHAPE = 1.5, 0.9
 # A mode that moves by more than this share of its frequency is another one.
 FARTHEST = 0.05
 # By how much a sensor may move one, as a share of its frequency and of its half-power bandwidth.
@@ -77,7 +85,8 @@ def _between(study: Study, blocks: Blocks) -> tuple[float, Finding] | None:
     # A mode narrower than the lines are apart, or cut by the band's end, has no frequency to compare.
     edge = np.minimum(f0 - study.freq[0], study.freq[-1] - f0)
     fit = reference.inside & (width > line_step(study.freq, f0)) & (edge > width)
-    s = np.where(fit & (s < 0.1 * width), np.hypot(s, 1e-6 * f0), np.inf)
+    # A phase that is off by ANGLE at resonance moves the frequency by as large a share of half of the bandwidth.
+    s = np.where(fit & (s < 0.1 * width), np.hypot(s, 0.5 * ANGLE * width), np.inf)
     if blocks.kind == "output":
         # A sensor's mass moves a mode by little; by more it is another mode.
         s = np.where(np.abs(f - f0) < np.minimum(LOADED * f0, LOADED_WIDTH * width), s, np.inf)
@@ -175,36 +184,66 @@ def _block(study: Study, block) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _reference(study: Study, blocks: Blocks) -> Modes:
-    """Modes that blocks are compared with: of all, or of one block where modes of all stand in pairs."""
-    if blocks.kind == "output" or all(len(g) == 1 for g in study.groups):
+    """Modes that blocks are compared with.
+
+    Those of all columns together stand in pairs where the columns differ; each column then needs one of a pair only.
+    """
+    if blocks.kind != "input" or not any(
+        _one_that_moved(study, a, b) for g in study.groups for a, b in combinations(g, 2)
+    ):
         return study.modes
-    own = [estimate_modes(study.freq, *_block(study, block), study.power) for block in blocks.which[:3]]
+    own = [_of_block(study, study.modes.poles, block)[0] for block in blocks.which[:3]]
     return max(own, key=lambda found: np.sum(found.inside & (_clear(found) > CLEAR)))
+
+
+def _one_that_moved(study: Study, a: int, b: int) -> bool:
+    """Whether two close modes may be one that the columns have at different frequencies: of one shape and damping."""
+    wide = study.modes.width[[a, b]]
+    shapes = [study.residues[r][:, np.argmax(np.linalg.norm(study.residues[r], axis=0))] for r in (a, b)]
+    alike = (
+        np.abs(np.vdot(*shapes)) ** 2
+        / np.maximum(np.vdot(shapes[0], shapes[0]) * np.vdot(shapes[1], shapes[1]), 1e-300).real
+    )
+    return bool(wide.max() < ONE_WIDTH * wide.min() and alike > ONE_SHAPE)
+
+
+def _of_block(study: Study, poles: np.ndarray, block) -> tuple[Modes, float]:
+    """Those of the poles that a block needs, moved to where it has them, and the misfit that is left."""
+    basis, X, H, noise = _weighted(study, block)
+    poles, left = _converged(basis, select(basis, poles, X), X)
+    return residues_at(basis.s.imag, H, noise, poles, study.power, POWERS), left
 
 
 def _frequencies(study: Study, poles: np.ndarray, block, search: bool) -> np.ndarray:
     """Natural frequencies of one block and their standard deviations [Hz], shape ``(2, n)``; inf where it has none."""
-    freq = study.freq[study.telling]
-    H, sigma = (a[study.telling] for a in _block(study, block))
+    basis, X, H, noise = _weighted(study, block)
     if not np.any(H):
         return np.stack([np.abs(poles) / 2 / np.pi, np.full(len(poles), np.inf)])
-    noise = noise_of(H, sigma)
-    basis = Basis(2 * np.pi * freq, study.power, noise.weight, study.modes.powers)
-    X = noise.weight[:, None] * H / noise.level
     best, left = _converged(basis, poles, X)
     if search and left > LEFT:
-        own = estimate_modes(freq, H, sigma, study.power)
+        own = estimate_modes(basis.s.imag / 2 / np.pi, H, noise.sigma, study.power)
         other, less = _converged(basis, _matched(own.poles, poles), X)
         best, left = (other, less) if less < left else (best, left)
-    found = residues_at(2 * np.pi * freq, H, noise, best, study.power, study.modes.powers)
+    found = residues_at(basis.s.imag, H, noise, best, study.power, POWERS)
     moved = np.abs(best) - np.abs(poles)
     lost = (_clear(found) < CLEAR) | (np.abs(best.real) > 3 * np.abs(poles.real))
-    lost |= _leading(found, freq, H, study.power) < LEADS
+    lost |= _leading(found, basis.s.imag / 2 / np.pi, H, study.power) < LEADS
     # Of modes that overlap, one may take the place of the other, or of one that the reference lacks.
     alone = _alone(poles)
     lost |= np.abs(moved) > np.where(alone, FARTHEST * np.abs(poles), OVERLAPPING * -2 * poles.real)
     lost |= ~alone & (left > LEFT)
-    return np.stack([np.abs(best) / 2 / np.pi, np.where(lost, np.inf, found.pole_std / 2 / np.pi)])
+    # No shift is surer than what it explains: its deviations squared are at most what chi-square falls by.
+    gain = 2 * X.size * (misfit_of(basis, poles, X) ** 2 - left**2) / max(left, 1.0) ** 2
+    std = np.maximum(found.pole_std, np.abs(moved) / np.sqrt(max(gain, 1.0)))
+    return np.stack([np.abs(best), np.where(lost, np.inf, std)]) / (2 * np.pi)
+
+
+def _weighted(study: Study, block) -> tuple[Basis, np.ndarray, np.ndarray, Noise]:
+    """The basis of a block at the lines that tell poles, its FRFs over their noise, the FRFs, and the noise."""
+    H, sigma = (a[study.telling] for a in _block(study, block))
+    noise = noise_of(H, sigma)
+    basis = Basis(2 * np.pi * study.freq[study.telling], study.power, noise.weight, POWERS)
+    return basis, noise.weight[:, None] * H / noise.level, H, noise
 
 
 def _converged(basis: Basis, poles: np.ndarray, X: np.ndarray) -> tuple[np.ndarray, float]:

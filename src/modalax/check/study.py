@@ -75,7 +75,7 @@ class Study:
         runs, lines, outs, ins = self.H.shape
         flat = self.H.transpose(1, 0, 2, 3).reshape(lines, -1)
         if self.variance is None:
-            sigma = local_noise(flat)
+            sigma = local_noise(self.freq, flat, self.power)
         else:
             stated = self.variance.transpose(1, 0, 2, 3).reshape(lines, -1)
             sigma = np.sqrt(stated if self.averages is None else running_mean(stated, 4))
