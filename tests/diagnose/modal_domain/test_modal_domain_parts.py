@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import scipy.linalg
-from frames import DOFS, FLIP, beam, cantilever, simulation
+from frames import DOFS, ELEMENTS, FLIP, beam, cantilever, simulation
 
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import (
@@ -15,7 +15,8 @@ from modalax.diagnose.modal_domain.coordinates import (
     pattern_slopes,
     slopes_of,
 )
-from modalax.diagnose.modal_domain.elements import mass_parts, nodes_of, stiffness_parts
+from modalax.diagnose.modal_domain.element_masses import mass_parts
+from modalax.diagnose.modal_domain.elements import nodes_of, stiffness_parts
 from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.features import Features, features_of, paired
 from modalax.diagnose.modal_domain.free_residues import Channels, project, refine
@@ -185,6 +186,23 @@ def test_condensed_matrices_have_local_parts_and_mass_parts_sum():
     M[6, 6] += 0.3
     own = {p.nodes: p.matrix[0, 0] for p in mass_parts(M, nodes_of(DOFS)) if len(p.nodes) == 1}
     assert own == pytest.approx({(0,): M[0, 0] / 2, (3,): 0.3})
+
+
+def test_masses_of_beams_are_read_off_the_matrix_beside_a_lump():
+    rng = np.random.default_rng(4)
+    scale = rng.uniform(0.5, 2.0, ELEMENTS)
+    M = FLIP[:, None] * cantilever(mass=scale)[1] * FLIP
+    M[6, 6] += 0.3
+    parts = {p.nodes: p.matrix for p in mass_parts(M, nodes_of(DOFS))}
+    for e in range(1, ELEMENTS):  # the first ends at the clamp
+        flip = np.tile(FLIP[:2], 2)
+        np.testing.assert_allclose(parts[(e, e - 1)], scale[e] * flip[:, None] * _swapped(beam()[1]) * flip, atol=1e-9)
+    assert parts[(3,)][0, 0] == pytest.approx(0.3)
+
+
+def _swapped(A):
+    """An element's matrix with its ends in the other order."""
+    return np.roll(A, (2, 2), (0, 1))
 
 
 def test_modes_far_off_are_still_paired(coordinates):

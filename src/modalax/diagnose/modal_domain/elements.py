@@ -14,7 +14,6 @@ import numpy as np
 from modalax.data.dofs import parse_dof
 
 NEGLIGIBLE = 1e-7  # size of a coupling, relative to the diagonal, below which there is none
-ROUNDING = 1e-9  # share of a mass that is none
 AXES = ("X", "Y", "Z", "RX", "RY", "RZ")
 # Names such as 12z, n3_ry or 12.RX, besides those written 12:+Z
 _SHORT = re.compile(r"(?P<node>.*?[^A-Za-z]|[A-Za-z]+?)[_.\- ]?(?P<direction>[rR]?[xyzXYZ])")
@@ -174,39 +173,3 @@ def _ends(
     own_a = (at_a[0] + np.tensordot(r, at_a[1:], 1)) * size_a[:, None] * size_a
     own_b = (at_b[0] + np.tensordot(r, at_b[1:], 1)) * size_b[:, None] * size_b
     return (own_a + own_a.T) / 2, (own_b + own_b.T) / 2
-
-
-def mass_parts(M: np.ndarray, nodes: Nodes) -> list[Part]:
-    """Parts that sum to a mass matrix: one for each pair of coupled nodes, and the rest of each node.
-
-    Elements at a node share its diagonal as they couple it to others, up to what each has at its other end: a node next
-    to a clamp, or with a lump on it, has more.
-    """
-    count = len(nodes.members)
-    straight = [m[nodes.axis[m] < 3] for m in nodes.members]
-    straight = [few if len(few) else m for few, m in zip(straight, nodes.members, strict=True)]
-    diagonal = np.sqrt(np.maximum(np.abs(np.diag(M)), 1e-300))
-    unit = np.abs(M) / diagonal[:, None] / diagonal > NEGLIGIBLE
-    pairs = [
-        (i, j) for i in range(count) for j in range(i) if unit[np.ix_(nodes.members[i], nodes.members[j])].any()
-    ]  # fmt: skip
-    coupling = np.zeros((count, count))
-    for i, j in pairs:
-        size = np.linalg.norm(M[np.ix_(straight[i], straight[j])])
-        size = size or np.linalg.norm(M[np.ix_(nodes.members[i], nodes.members[j])])
-        coupling[i, j] = coupling[j, i] = size
-    share = coupling / np.maximum(coupling.sum(axis=1, keepdims=True), 1e-300)
-    own = np.array([np.trace(M[np.ix_(a, a)]) / len(a) for a in straight])
-    left, parts = np.ones(count), []
-    for i, j in pairs:
-        ends = np.array([share[i, j] * own[i], share[j, i] * own[j]])
-        part = min(ends) / np.maximum(ends, 1e-300) * (share[i, j], share[j, i])
-        a, b = nodes.members[i], nodes.members[j]
-        block = M[np.ix_(a, b)]
-        matrix = np.block([[part[0] * M[np.ix_(a, a)], block], [block.T, part[1] * M[np.ix_(b, b)]]])
-        parts.append(Part((i, j), np.concatenate([a, b]), matrix))
-        left[[i, j]] -= part
-    for i, a in enumerate(nodes.members):
-        if left[i] > ROUNDING and np.abs(M[np.ix_(a, a)]).max() > 0:
-            parts.append(Part((i,), a, left[i] * M[np.ix_(a, a)]))
-    return parts

@@ -9,7 +9,8 @@ import itertools
 
 import numpy as np
 
-from modalax.diagnose.modal_domain.elements import NEGLIGIBLE, Nodes, Part, mass_parts, stiffness_parts
+from modalax.diagnose.modal_domain.element_masses import mass_parts
+from modalax.diagnose.modal_domain.elements import NEGLIGIBLE, Nodes, Part, stiffness_parts
 
 MANY = 7  # coupled nodes, itself among them, beyond which a node's elements cannot be told apart
 GIVEN_AWAY = 1e-6  # energy that a part may give away, relative to what it can store; none but for rounding

@@ -1,0 +1,122 @@
+r"""Masses of a simulation's elements, read off its mass matrix.
+
+The block :math:`M_{ij}` between two nodes is that of the elements between them; what these have at node i itself is a
+fixed function of it, the same for all elements of one kind (of beams with cubic shapes, of bars and shafts with linear
+ones):
+
+.. math::
+   M^e_{ii} = \begin{pmatrix} a_1\,\mathrm{tr}(T)\,I + a_2 T & b\,B \\ b\,B^T & c_1 |R| + c_2 R\end{pmatrix},
+
+``T``, ``B`` and ``R`` the parts of :math:`M_{ij}` between displacements, between displacement and rotation, and between
+rotations. The five factors are those with which the elements leave nothing at most nodes; where they leave something,
+there is a lump, or an element that ends at a clamp.
+"""
+
+import numpy as np
+
+from modalax.diagnose.modal_domain.elements import NEGLIGIBLE, Nodes, Part
+
+ROUNDS = 30  # of the least sum of sizes of what is left, by reweighting (Weiszfeld 1937)
+EXACT = 1e-9  # part of a node's mass below which what is left counts as nothing in that
+ROUNDING = 1e-9  # share of a mass that is none
+LACKING = 0.1  # share of its mass in any motion that a node may lack, where elements of two kinds meet
+
+
+def mass_parts(M: np.ndarray, nodes: Nodes) -> list[Part]:
+    """Parts that sum to a mass matrix: one for each pair of coupled nodes, and the rest of each node.
+
+    Elements for which no such function is found share what the others leave at a node as they couple it to others, up
+    to what each has at its other end.
+    """
+    size = np.sqrt(np.maximum(np.abs(np.diag(M)), 1e-300))
+    unit = np.abs(M) / size[:, None] / size > NEGLIGIBLE
+    members = nodes.members
+    pairs = [(i, j) for i in range(len(members)) for j in range(i) if unit[np.ix_(members[i], members[j])].any()]
+    alike = [(i, j) for i, j in pairs if np.array_equal(nodes.axis[members[i]], nodes.axis[members[j]])]
+    parts, rest = _by_function(M, nodes, size, alike)
+    known = {p.nodes for p in parts}
+    return parts + _shared_out(rest, nodes, size, [pair for pair in pairs if pair not in known])
+
+
+def _by_function(
+    M: np.ndarray, nodes: Nodes, size: np.ndarray, pairs: list[tuple[int, int]]
+) -> tuple[list[Part], np.ndarray]:
+    """Elements between nodes of the same DoFs, as far as they leave no node with less than nothing; and what is left.
+
+    ``size`` is the root of the diagonal of ``M``.
+    """
+    members, count = nodes.members, len(nodes.members)
+    shapes = {(i, j): (_own(M, nodes, i, j), _own(M, nodes, j, i)) for i, j in pairs}
+    total = [np.zeros((5, len(m), len(m))) for m in members]
+    for (i, j), (at_i, at_j) in shapes.items():
+        total[i] += at_i
+        total[j] += at_j
+    scale = [size[m][:, None] * size[m] for m in members]
+    columns = [(t / s).reshape(5, -1).T for t, s in zip(total, scale, strict=True)]
+    target = [(M[np.ix_(m, m)] / s).ravel() for m, s in zip(members, scale, strict=True)]
+    weight, factors = np.ones(count), np.zeros(5)
+    for _ in range(ROUNDS if pairs else 0):
+        A, b = (np.concatenate([w * x for w, x in zip(weight, some, strict=True)]) for some in (columns, target))
+        factors = np.linalg.lstsq(A, b, rcond=1e-9)[0]
+        left = [np.linalg.norm(y - x @ factors) for x, y in zip(columns, target, strict=True)]
+        weight = 1 / np.sqrt(np.maximum(left, EXACT))
+    lacking = [
+        bool(np.linalg.eigvalsh((y - x @ factors).reshape(len(m), len(m)))[0] < -LACKING)
+        for x, y, m in zip(columns, target, members, strict=True)
+    ]
+    parts, rest = [], M.copy()
+    for (i, j), ends in shapes.items():
+        if lacking[i] or lacking[j]:
+            continue
+        own_i, own_j = (np.tensordot(factors, end, 1) for end in ends)
+        block, dofs = M[np.ix_(members[i], members[j])], np.concatenate([members[i], members[j]])
+        parts.append(Part((i, j), dofs, np.block([[own_i, block], [block.T, own_j]])))
+        rest[np.ix_(dofs, dofs)] -= parts[-1].matrix
+    return parts, rest
+
+
+def _own(M: np.ndarray, nodes: Nodes, i: int, j: int) -> np.ndarray:
+    """The five matrices that make what an element between two nodes has at node i, shape ``(5, n, n)``."""
+    a, b = nodes.members[i], nodes.members[j]
+    signs = nodes.sign[a][:, None] * nodes.sign[a]
+    block = M[np.ix_(a, b)] * nodes.sign[a][:, None] * nodes.sign[b]
+    turns = nodes.axis[a] > 2
+    moves = ~turns
+    T, R = (np.where(np.outer(some, some), (block + block.T) / 2, 0.0) for some in (moves, turns))
+    between = np.where(np.outer(moves, turns), block, 0.0)
+    values, vectors = np.linalg.eigh(R)
+    return signs * np.stack(
+        [np.trace(T) * np.diag(moves.astype(float)), T, between + between.T, (vectors * np.abs(values)) @ vectors.T, R]
+    )
+
+
+def _shared_out(M: np.ndarray, nodes: Nodes, size: np.ndarray, pairs: list[tuple[int, int]]) -> list[Part]:
+    """Elements between pairs of nodes that share the mass of each node, and what is left of that.
+
+    A node next to a clamp, or with a lump on it, has more than its elements have at their other ends. ``size`` is the
+    root of the diagonal of all mass.
+    """
+    count = len(nodes.members)
+    straight = [m[nodes.axis[m] < 3] for m in nodes.members]
+    straight = [few if len(few) else m for few, m in zip(straight, nodes.members, strict=True)]
+    coupling = np.zeros((count, count))
+    for i, j in pairs:
+        strength = np.linalg.norm(M[np.ix_(straight[i], straight[j])])
+        strength = strength or np.linalg.norm(M[np.ix_(nodes.members[i], nodes.members[j])])
+        coupling[i, j] = coupling[j, i] = strength
+    share = coupling / np.maximum(coupling.sum(axis=1, keepdims=True), 1e-300)
+    own = np.array([np.trace(M[np.ix_(a, a)]) / len(a) for a in straight])
+    left, parts = np.ones(count), []
+    for i, j in pairs:
+        ends = np.array([share[i, j] * own[i], share[j, i] * own[j]])
+        part = min(ends) / np.maximum(ends, 1e-300) * (share[i, j], share[j, i])
+        a, b = nodes.members[i], nodes.members[j]
+        block = M[np.ix_(a, b)]
+        matrix = np.block([[part[0] * M[np.ix_(a, a)], block], [block.T, part[1] * M[np.ix_(b, b)]]])
+        parts.append(Part((i, j), np.concatenate([a, b]), matrix))
+        left[[i, j]] -= part
+    for i, a in enumerate(nodes.members):
+        there = np.diag(M)[a] > ROUNDING * size[a] ** 2
+        if left[i] > ROUNDING and there.any():
+            parts.append(Part((i,), a, left[i] * M[np.ix_(a, a)]))
+    return parts
