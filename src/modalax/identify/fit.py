@@ -29,6 +29,7 @@ from modalax.identify.select import Selection, best_order
 from modalax.identify.settle import doubled, settle, settle_diagram, with_misfit, with_record, with_seconds
 from modalax.identify.stabilize import stabilization
 from modalax.identify.tables import PoleTable
+from modalax.identify.wrong_form import form_notes
 from modalax.model.entry import check_measured, check_order
 from modalax.model.indicators import mpc
 from modalax.model.modal import ModalModel
@@ -203,7 +204,11 @@ def summed_up(
         grade=as_array(grades),
         order=order,
         flags=flags_of(modes),
-        notes=(*notes, *notes_of(modes, grades, noise, unexplained)),
+        notes=(
+            *notes,
+            *form_notes(weighted, model, np.where(inside, grades, 0.0), unexplained - noise),
+            *notes_of(modes, grades, noise, unexplained),
+        ),
     )
 
 
