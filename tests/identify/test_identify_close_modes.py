@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 from modalax.data import FRF
-from modalax.identify import close_modes, residues
-from modalax.identify.close_modes import _apart, record_of, two_modes
+from modalax.identify import close_modes, record_kind, residues
+from modalax.identify.best_poles import best_poles
+from modalax.identify.close_modes import _apart, two_modes
 from modalax.identify.disagreement import CERTAIN, _left, of_channels, of_lines, together
-from modalax.identify.neighbourhood import around, best_poles, residual_of
+from modalax.identify.neighbourhood import around, residual_of
+from modalax.identify.record_kind import record_of, through
 from modalax.identify.record_window import record_kernel
 from modalax.model.modal import poles_from
 
@@ -57,6 +59,45 @@ def test_where_records_are_known_to_be_cut_one_mode_mostly_explained_by_them_is_
     true = measured([60.0, 62.0, 120.0], [0.01] * 3, 3, 1, noise=1e-5)
     model, residual = fitted(true, [60.0, 62.0, 120.0], [0.01] * 3)
     assert two_modes(true, model, residual, (0, 1), cut=True)
+
+
+def test_modes_among_many_that_overlap_stay_two():
+    """A record must not explain a mode by further unknowns of the neighbours that are seen through it."""
+    f, zeta = np.arange(50.0, 130.0, 5.0), np.full(16, 0.04)
+    frf = measured(f, zeta, 6, 2, noise=5e-3)
+    model, residual = fitted(frf, f, zeta)
+    assert two_modes(frf, model, residual, (6, 8))
+    assert two_modes(frf, model, residual, (8, 9))
+
+
+@pytest.mark.parametrize(("inputs", "two"), [(2, True), (1, False)])
+def test_two_modes_of_one_frequency_are_told_by_two_inputs(inputs, two):
+    """As those of a disk: a hundredth of a half-bandwidth apart, with different shapes."""
+    f, zeta = np.array([60.0, 60.01, 75.0, 120.0]), np.full(4, 0.02)
+    frf = measured(f, zeta, 6, inputs, noise=2e-3)
+    assert two_modes(frf, *fitted(frf, f, zeta), (0, 1)) == two
+    assert two_modes(frf, *fitted(frf, f, zeta), (0, 2))
+
+
+@pytest.mark.parametrize("record", ["random", "hann"])
+def test_neighbours_are_seen_through_a_record_too(record):
+    """Both resonances of a record are explained through it, the neighbour by the pole that it has there."""
+    f, zeta = np.array([60.0, 66.0]), np.array([0.002, 0.004])
+    frf = measured(f, zeta, 4, 1, record, noise=1e-4)
+    steady = around(frf, *fitted(frf, f, [0.006, 0.008]), [0])
+    seen = through(steady, record, 1.0)
+    assert seen.fixed.shape == steady.fixed.shape
+    pole, left = best_poles(seen, seen.poles)
+    assert left < 0.1 * best_poles(steady, steady.poles)[1]
+    assert abs(pole[0] - poles_from(f, zeta)[0]) < 0.1
+
+
+def test_a_search_finds_poles_from_afar():
+    f, zeta = np.array([60.0, 66.0, 120.0]), np.array([0.01, 0.004, 0.01])
+    frf = measured(f, zeta, 3, 1, noise=1e-6)
+    hood = around(frf, *fitted(frf, f, zeta), [0, 1])
+    poles = best_poles(hood, np.array([-3.0 + 372.0j, -6.0 + 420.0j]))[0]
+    assert np.abs(poles - np.asarray(poles_from(f, zeta))[:2]).max() < 1e-3
 
 
 def test_one_mode_that_columns_see_apart_is_not_two():
@@ -114,7 +155,7 @@ def test_a_mode_beside_a_stronger_one_is_not_asked_about_the_record():
     """Around it stands what the window makes of the other; of four modes two pairs leave two to be asked."""
     frf = measured([60.0, 63.0, 110.0, 114.0], [0.004, 0.006, 0.004, 0.006], 3, 1, record="hann")
     model, residual = fitted(frf, [60.0, 63.0, 110.0, 114.0], [0.004, 0.006, 0.004, 0.006])
-    hoods = close_modes._telling(frf, model, residual, np.array([0, 1, 3, 2]))
+    hoods = record_kind._telling(frf, model, residual, np.array([0, 1, 3, 2]))
     assert [round(abs(h.poles[0]) / (2 * np.pi)) for h in hoods] == [60, 114]
 
 
@@ -195,5 +236,5 @@ def test_few_columns_stand_for_many_channels():
     frf = measured([60.0, 120.0], [0.01, 0.01], 40, 1, noise=0.05)
     hood = around(frf, *fitted(frf, [60.0, 120.0], [0.01, 0.01]), [0])
     assert hood.leading().shape[1] < 40
-    few, all_ = (best_poles(hood, hood.poles, None, data)[0][0] for data in (None, hood.data))
+    few, all_ = (best_poles(hood, hood.poles, data)[0][0] for data in (None, hood.data))
     assert abs(few - all_) < 1e-3 * -all_.real

@@ -5,7 +5,8 @@ import pytest
 
 from modalax.data import FRF
 from modalax.identify import residues
-from modalax.identify.neighbourhood import around, best_poles, residual_of
+from modalax.identify.best_poles import best_poles
+from modalax.identify.neighbourhood import around, residual_of
 from modalax.identify.one_mode import rest_of, second_mode
 from modalax.model import ModalModel
 from modalax.model.modal import poles_from

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from modalax.identify import Refined
-from modalax.identify.close_modes import Record
 from modalax.identify.disagreement import Spread
 from modalax.identify.flags import stands_for_two
 from modalax.identify.one_mode import Rest
 from modalax.identify.quality import ModeQuality
+from modalax.identify.record_kind import Record
 from modalax.identify.settle import at_bound, with_misfit, with_record, with_seconds
 from modalax.model import ModalModel
 

@@ -14,7 +14,6 @@ from modalax.data.measurement import Measurement
 from modalax.identify.band import usable_lines
 from modalax.identify.bias import predicted_damping_bias
 from modalax.identify.chosen import by_frequency, choice_of, chosen_poles, fit_chosen
-from modalax.identify.close_modes import record_of
 from modalax.identify.diagram import ESTIMATORS, diagram
 from modalax.identify.flags import Modes, flags_of, grades_of, notes_of, stands_for_two
 from modalax.identify.host import residues_on_host as fit_residues
@@ -23,6 +22,7 @@ from modalax.identify.neighbourhood import residual_of
 from modalax.identify.noise import smooth_variance
 from modalax.identify.one_mode import NOTHING_LEFT
 from modalax.identify.quality import noise_part, quality_of, scatter_over_orders
+from modalax.identify.record_kind import record_of
 from modalax.identify.refine import HELD, Refined
 from modalax.identify.result import Fit
 from modalax.identify.select import Selection, best_order

@@ -6,10 +6,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from modalax.data.frf import FRF
-from modalax.identify.close_modes import Record
 from modalax.identify.disagreement import CERTAIN, Spread
 from modalax.identify.likelihood import UNDAMPED
 from modalax.identify.quality import ModeQuality
+from modalax.identify.record_kind import Record
 from modalax.model.indicators import mac
 from modalax.model.modal import ModalModel
 

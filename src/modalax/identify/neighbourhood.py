@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import scipy.optimize
 from jaxtyping import Complex, Float
 
 from modalax.data.frf import DERIVATIVES, FRF
@@ -46,8 +45,14 @@ class Neighbourhood(NamedTuple):
         Their poles, shape ``(n,)`` [rad/s].
     power
         Number of time derivatives of the form.
-    near
-        Poles of neighbours that act on the lines [rad/s].
+    near, near_residues
+        Poles of neighbours in ``fixed`` [rad/s], and their residues over the channels' noise, shape ``(k, c)``.
+    noise
+        Standard deviation of each channel's noise, shape ``(c,)``, in the unit of the FRFs.
+    inputs
+        Number of inputs.
+    kernel
+        The kernel through which resonances are seen; that of a steady state if None.
     """
 
     s: Complex[np.ndarray, " m"]
@@ -57,34 +62,34 @@ class Neighbourhood(NamedTuple):
     residues: Complex[np.ndarray, "n c"]
     poles: Complex[np.ndarray, " n"]
     power: int
-    near: Complex[np.ndarray, " k"] = np.zeros(0, complex)
+    near: Complex[np.ndarray, " k"]
+    near_residues: Complex[np.ndarray, "k c"]
+    noise: Float[np.ndarray, " c"]
+    inputs: int
+    kernel: Kernel | None = None
 
     def pole_kernel(self, s: np.ndarray, pole: complex) -> np.ndarray:
         """The kernel of a steady state, in the form of the FRF."""
         return s**self.power / (s - pole)
 
-    def columns(self, poles: Sequence[complex] | np.ndarray, kernel: Kernel | None = None) -> np.ndarray:
-        """Kernels of some poles with the fixed columns, shape ``(m, n + k)``, each of unit norm.
+    def seen(self, poles: Sequence[complex] | np.ndarray) -> Complex[np.ndarray, "m n"]:
+        """Kernels of some poles as they are seen here, times the weight."""
+        kernel = self.pole_kernel if self.kernel is None else self.kernel
+        return np.array([kernel(self.s, complex(p)) for p in poles]).reshape(-1, len(self.s)).T * self.weight[:, None]
 
-        Neighbours are seen through another kernel too.
-        """
-        poles = [*poles, *(() if kernel is None else self.near)]
-        kernel = self.pole_kernel if kernel is None else kernel
-        own = np.array([kernel(self.s, complex(p)) for p in poles]).reshape(-1, len(self.s)).T * self.weight[:, None]
-        A = np.concatenate([own, self.fixed], axis=1)
+    def columns(self, poles: Sequence[complex] | np.ndarray) -> Complex[np.ndarray, "m n+k"]:
+        """Kernels of some poles with the fixed columns, each of unit norm."""
+        A = np.concatenate([self.seen(poles), self.fixed], axis=1)
         return A / np.maximum(np.linalg.norm(A, axis=0), 1e-300)
 
-    def left(
-        self, poles: Sequence[complex] | np.ndarray, kernel: Kernel | None = None, data: np.ndarray | None = None
-    ) -> Complex[np.ndarray, "m c"]:
+    def left(self, poles: Sequence[complex] | np.ndarray) -> Complex[np.ndarray, "m c"]:
         """What the best residues leave of the data."""
-        data = self.data if data is None else data
-        Q = np.linalg.qr(self.columns(poles, kernel))[0]
-        return data - Q @ (Q.conj().T @ data)
+        Q = np.linalg.qr(self.columns(poles))[0]
+        return self.data - Q @ (Q.conj().T @ self.data)
 
-    def squares_left(self, poles: Sequence[complex] | np.ndarray, kernel: Kernel | None = None) -> float:
+    def squares_left(self, poles: Sequence[complex] | np.ndarray) -> float:
         """Sum of squares of what the best residues leave, as a difference where that loses no digit in use."""
-        Q = np.linalg.qr(self.columns(poles, kernel))[0]
+        Q = np.linalg.qr(self.columns(poles))[0]
         seen = Q.conj().T @ self.data
         whole = float(np.vdot(self.data, self.data).real)
         rest = whole - float(np.vdot(seen, seen).real)
@@ -109,21 +114,25 @@ class Neighbourhood(NamedTuple):
         return rest if rest > PLAIN * whole else 0.0
 
     def leading(self) -> Complex[np.ndarray, "m k"]:
-        """What the channels have in common: their ``LEADING`` largest principal columns, noise aside.
+        """What the channels have in common without the fixed columns: their ``LEADING`` largest principal columns.
 
         Found in the range of a few random combinations (Halko, Martinsson and Tropp 2011, algorithm 4.4).
         """
-        count = self.data.shape[1]
+        Q = np.linalg.qr(self.columns(()))[0]
+        data, count = self.data - Q @ (Q.conj().T @ self.data), self.data.shape[1]
         if count <= LEADING:
-            return self.data
+            return data
         mix = np.random.default_rng(0).normal(size=(count, 2 * LEADING))
-        seen = np.linalg.qr(self.data @ (self.data.conj().T @ (self.data @ mix)))[0]
-        vectors, sizes, _ = np.linalg.svd(seen.conj().T @ self.data, full_matrices=False)
+        seen = np.linalg.qr(data @ (data.conj().T @ (data @ mix)))[0]
+        vectors, sizes, _ = np.linalg.svd(seen.conj().T @ data, full_matrices=False)
         return seen @ (vectors * sizes)[:, :LEADING]
 
     def channels(self, which: np.ndarray) -> "Neighbourhood":
         """The same lines of some channels."""
-        return self._replace(data=self.data[:, which], residues=self.residues[:, which])
+        return self._replace(
+            data=self.data[:, which], residues=self.residues[:, which], noise=self.noise[which],
+            near_residues=self.near_residues[:, which],
+        )  # fmt: skip
 
 
 def around(
@@ -135,6 +144,10 @@ def around(
     scatter: Float[np.ndarray, "f c"] | None = None,
 ) -> Neighbourhood:
     """The lines around some modes of a model, with its other modes and residual terms taken out.
+
+    Residues of neighbours are free, so that a part of one that they hold does not count for the modes asked about. Of a
+    neighbour closer to one of these than they are to each other they stay: free in every channel, it would stand for
+    that mode however plainly the two differ in shape.
 
     Parameters
     ----------
@@ -162,23 +175,28 @@ def around(
     rest = residual[first:last].reshape(last - first, -1)
     noise, course = channel_noise(frf, residual, slice(first, last), smooth, scatter)
     power = DERIVATIVES[frf.form]
-    shapes, part = np.asarray(model.shapes)[list(which)], np.asarray(model.participation)[list(which)]
-    residues = (shapes[:, :, None] * part[:, None, :]).reshape(len(own), -1) / noise
     weight = 1 / course[:: lines.step]
-    others = [k for k in range(len(poles)) if k not in which and _within(poles[k], s[lines])]
+    apart = np.ptp(own.imag)
+    beside = (np.abs(poles[:, None] - own) < apart).any(axis=1) | ~_within(poles, s[lines])
+    others = [k for k in np.flatnonzero(~beside).tolist() if k not in which]
+    shapes, part = (np.asarray(a)[[*which, *others]] for a in (model.shapes, model.participation))
+    residues = (shapes[:, :, None] * part[:, None, :]).reshape(len(shapes), -1) / noise
+    residues, near_residues = residues[: len(own)], residues[len(own) :]
     straight = np.stack([np.ones(len(s[lines])), np.linspace(-1, 1, len(s[lines]))])
     near = [s[lines] ** power / (s[lines] - poles[k]) for k in others]
     fixed = (np.array([*straight, *near]) * weight).T.astype(complex)
     whitened = rest[:: lines.step] * (1 / noise)
     whitened += (s[lines, None] ** power / (s[lines, None] - own)) @ residues
     whitened *= weight[:, None]
-    return Neighbourhood(s[lines], whitened, weight, fixed, residues, own, power, poles[others])
+    return Neighbourhood(
+        s[lines], whitened, weight, fixed, residues, own, power, poles[others], near_residues, noise, frf.shape[2]
+    )
 
 
-def _within(pole: complex, s: np.ndarray) -> bool:
-    """Whether a pole acts on the lines other than as a straight line."""
-    margin = -2 * pole.real
-    return bool(s[0].imag - margin < pole.imag < s[-1].imag + margin)
+def _within(poles: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """Which poles act on the lines other than as a straight line."""
+    margin = -2 * poles.real
+    return (s[0].imag - margin < poles.imag) & (poles.imag < s[-1].imag + margin)
 
 
 def residual_of(frf: FRF, model: ModalModel) -> Complex[np.ndarray, "f o i"]:
@@ -246,35 +264,3 @@ def squares(z: Complex[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
     power = z.real**2
     power += z.imag**2
     return power
-
-
-def best_poles(
-    hood: Neighbourhood,
-    start: Sequence[complex] | np.ndarray,
-    kernel: Kernel | None = None,
-    leading: Complex[np.ndarray, "m k"] | None = None,
-) -> tuple[Complex[np.ndarray, " n"], float]:
-    """Poles that leave the least of the data, searched from a start, and the sum of squares that they leave.
-
-    The search looks at ``leading``, what :meth:`Neighbourhood.leading` gives if None; the sum is that of all channels.
-    """
-    data = hood.leading() if leading is None else leading
-    start = np.asarray(start)
-    x0 = np.concatenate([np.log(np.abs(start)), np.log(np.maximum(-start.real / np.abs(start), 1e-6))])
-
-    def poles_of(x: np.ndarray) -> np.ndarray:
-        omega, zeta = np.exp(x[: len(start)]), np.exp(x[len(start) :])
-        return omega * (-zeta + 1j * np.sqrt(1 - zeta**2))
-
-    def rest(x: np.ndarray) -> np.ndarray:
-        r = hood.left(poles_of(x), kernel, data)
-        return np.concatenate([r.real.ravel(), r.imag.ravel()])
-
-    span = np.log([hood.s[0].imag, hood.s[-1].imag])
-    lower = np.r_[np.full(len(start), span[0]), np.full(len(start), np.log(1e-7))]
-    upper = np.r_[np.full(len(start), span[1]), np.full(len(start), np.log(0.5))]
-    scale = np.r_[np.exp(x0[len(start) :]), np.ones(len(start))]
-    x0 = np.clip(x0, lower + 1e-9, upper - 1e-9)
-    found = scipy.optimize.least_squares(rest, x0, x_scale=scale, bounds=(lower, upper), max_nfev=60, ftol=1e-10)
-    poles = poles_of(found.x)
-    return poles, hood.squares_left(poles, kernel)

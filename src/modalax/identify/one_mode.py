@@ -16,8 +16,9 @@ import scipy.special
 from jaxtyping import Complex
 
 from modalax.data.frf import FRF
+from modalax.identify.best_poles import best_poles
 from modalax.identify.close_modes import CHANCE, MISFIT, told_apart
-from modalax.identify.neighbourhood import Neighbourhood, around, best_poles
+from modalax.identify.neighbourhood import Neighbourhood, around
 from modalax.model.modal import ModalModel
 
 PART = 0.003  # size of what one mode leaves, over its own response, from which on it is told
@@ -108,7 +109,7 @@ def second_mode(
     leading = hood.leading()
     steps = [np.sqrt(rest.spread), 0.5j * width, 0.5 * width]
     starts = [_stable(np.array([pole - step, pole + step]), width) for step in steps]
-    poles = min((best_poles(hood, start, None, leading) for start in starts), key=lambda found: found[1])[0]
+    poles = min((best_poles(hood, start, leading) for start in starts), key=lambda found: found[1])[0]
     if np.ptp(poles.imag) == 0 or not _about(poles, pole, width):
         return None
     columns = np.array([hood.pole_kernel(hood.s, p) * hood.weight for p in poles]).T

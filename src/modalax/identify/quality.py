@@ -11,8 +11,9 @@ import scipy.special
 from jaxtyping import Complex, Float
 
 from modalax.data.frf import FRF
+from modalax.identify.best_poles import best_poles
 from modalax.identify.disagreement import Spread, of_channels, of_lines
-from modalax.identify.neighbourhood import Neighbourhood, around, best_poles, line_noise, residual_of, scatter_of
+from modalax.identify.neighbourhood import Neighbourhood, around, line_noise, residual_of, scatter_of
 from modalax.identify.one_mode import NOTHING_LEFT, Rest, rest_of
 from modalax.identify.tables import PoleTable
 from modalax.model.modal import ModalModel

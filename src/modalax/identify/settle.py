@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from modalax._numerics.checks import as_array
 from modalax._numerics.cuts import cut
 from modalax.data.frf import FRF
-from modalax.identify.close_modes import NEAR, Record, record_of, two_modes
+from modalax.identify.close_modes import NEAR, two_modes
 from modalax.identify.disagreement import CERTAIN, together
 from modalax.identify.flags import matters
 from modalax.identify.host import refine_on_host, residues_on_host
@@ -22,6 +22,7 @@ from modalax.identify.neighbourhood import LINES, WIDTH, residual_of, scatter_of
 from modalax.identify.noise import residual_sigma
 from modalax.identify.one_mode import second_mode
 from modalax.identify.quality import CHANCE, ModeQuality, gains_of, quality_of
+from modalax.identify.record_kind import Record, record_of
 from modalax.identify.refine import CONTRADICTION, CORRELATED, HELD, UNIT, Refined
 from modalax.model.modal import ModalModel
 
@@ -191,7 +192,8 @@ def doubled(
     step = float(np.median(np.diff(np.asarray(frf.freq))))
     drop = np.zeros(len(f), bool)
     residual = scatter = None
-    for a, b in zip(*np.triu_indices(len(f), 1), strict=True):
+    pairs = np.transpose(np.triu_indices(len(f), 1))
+    for a, b in pairs[np.argsort(np.abs(f[pairs[:, 0]] - f[pairs[:, 1]]))]:  # the nearest first
         close = abs(f[a] - f[b]) < NEAR * max(step, width[a] + width[b])
         pair = (round(float(f[a]), 6), round(float(f[b]), 6))
         if not close or (gone | drop)[[a, b]].any() or pair in asked or not _inside(frf, model)[[a, b]].any():
