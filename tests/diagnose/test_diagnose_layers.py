@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[2] / "src" / "modalax" / "diagnose"
 ROWS = (
     {"thresholds", "summary", "deadline"}, {"causes"}, {"setup"}, {"prediction"}, {"fitting"}, {"extend"},
     {"comparison"}, {"screening"}, {"decision"}, {"search"}, {"holdout", "joint_laws"}, {"result"}, {"modal_domain"},
-    {"routes"}, {"pipeline"}, {"__init__"},
+    {"jointed"}, {"routes"}, {"pipeline"}, {"__init__"},
 )  # fmt: skip
 RANK = {name: k for k, row in enumerate(ROWS) for name in row}
 FILES = sorted(p for p in ROOT.rglob("*.py") if p.relative_to(ROOT).parts[0].removesuffix(".py") in RANK)

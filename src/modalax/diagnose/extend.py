@@ -16,6 +16,7 @@ from modalax.data import FRF
 from modalax.data.frf import DERIVATIVES, check_form
 from modalax.diagnose.causes import saved_causes
 from modalax.diagnose.causes.base import Cause, JointCause
+from modalax.diagnose.causes.free_law import free_law_of
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.prediction.frf import predict
@@ -260,6 +261,7 @@ def _from_arrays(arrays: Any, causes: Sequence[Cause] | None) -> ExtendedSimulat
             lower=arrays["lower"], outputs=names("model_outputs"), inputs=names("model_inputs"), **claims,
         )  # fmt: skip
     keys = names("causes")
+    known |= {key: law for key in keys if (law := free_law_of(key)) is not None}
     strange = [k for k in keys if k not in known]
     if strange:
         raise ValueError(

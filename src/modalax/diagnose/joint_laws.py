@@ -91,9 +91,10 @@ class Measured(JointCause):
 
 @dataclass(frozen=True)
 class Task:
-    """Data, places and the linear model that a search starts from."""
+    """Data, places and the linear model that a search starts from; ``whole`` counts the runs that are held out too."""
 
     problem: Problem
+    whole: Problem
     base: ModalModel
     motion: np.ndarray
     scene: Scene
@@ -102,8 +103,8 @@ class Task:
 
 
 def compare_laws(
-    measurement: Measurement, simulation: ModalModel, laws: Sequence[Sequence[Cause]], *, place: str, sigma: Any,
-    full: int | None = None,
+    measurement: Measurement, simulation: ModalModel, laws: Sequence[Sequence[Cause]], *, place: str | Sequence[str],
+    sigma: Any, full: int | None = None, held_out: Sequence[int] = (), starts: Sequence[np.ndarray] = (),
 ) -> list[Explained]:  # fmt: skip
     r"""Fit sets of laws of one joint together with the linear modes, and rank them.
 
@@ -116,13 +117,17 @@ def compare_laws(
     laws
         Sets of joint causes; an empty set is the linear model.
     place
-        DoF between which and the ground the joint acts; with one mode in the band, any joint acts like that up to the
-        scale of forces and displacements. It must be measured.
+        DoF between which and the ground the joint acts, or the two that it joins; with one mode in the band, any joint
+        acts like one to the ground up to the scale of forces and displacements. They must be measured.
     sigma
         Standard deviation of each complex sample in the measurement's unit, shape ``(run, f, o, i)`` or fewer axes:
         what no law can be asked to explain, the repeatability of the test included.
     full
         How many sets, the best at the measured motion, are fitted at the predicted motion; all if None.
+    held_out
+        Runs that are not fitted; ``residual`` has them all the same.
+    starts
+        Of one set: all unknowns as searched to start from, in the place of a grid over the laws' sizes.
 
     Raises
     ------
@@ -134,10 +139,10 @@ def compare_laws(
     strange = [c.slug for c in itertools.chain(*laws) if not isinstance(c, JointCause)]
     if strange:
         raise ValueError(f"{strange[0]} is no law of a joint; compare_laws takes joint causes only")
-    task = _task(measurement, simulation, place, sigma)
+    task = joint_task(measurement, simulation, place, sigma, held_out)
     first: dict[tuple[Any, ...], list[Any]] = {}
     for s in sorted((tuple(s) for s in laws), key=len):
-        first[s] = _at_measured_motion(task, s, first)
+        first[s] = _at_measured_motion(task, s, list(starts) or _starts(task, s, first))
     order = sorted(first, key=lambda s: first[s][0].cost + 0.5 * len(first[s][0].x) * np.log(task.problem.samples))
     found = [_at_own_motion(task, s, first[s]) for s in order[:full]]
     found.sort(key=lambda e: e.criterion)
@@ -152,11 +157,17 @@ def _with_probability(e: Explained, p: float) -> Explained:
     return Explained(**{**vars(e), "probability": p})
 
 
-def _task(measurement: Measurement, simulation: ModalModel, place: str, sigma: Any) -> Task:
+def joint_task(
+    measurement: Measurement, simulation: ModalModel, place: str | Sequence[str], sigma: Any,
+    held_out: Sequence[int] = (),
+) -> Task:  # fmt: skip
+    """Lay out what a search for laws needs; parameters and errors as :func:`compare_laws` has them."""
     if not isinstance(simulation, ModalModel):
         raise ValueError(f"compare_laws starts from a ModalModel, not from a {type(simulation).__name__}")
-    if place not in measurement.outputs:
-        raise ValueError(f"the motion at {place!r} was not measured; outputs are {', '.join(measurement.outputs)}")
+    ends = (place,) if isinstance(place, str) else tuple(place)
+    missing = [e for e in ends if e not in measurement.outputs]
+    if missing:
+        raise ValueError(f"the motion at {missing[0]!r} was not measured; outputs are {', '.join(measurement.outputs)}")
     freq = np.asarray(measurement.freq)
     modal_form = modal_form_of(simulation, float(freq[0]))
     if not modal_form.scaled:
@@ -165,29 +176,36 @@ def _task(measurement: Measurement, simulation: ModalModel, place: str, sigma: A
     H = np.asarray(measurement.H) / unit
     weight = np.sqrt(2) / (np.broadcast_to(np.asarray(sigma, float), H.shape) / np.abs(unit))
     force = measurement.level[:, None] + 0 * measurement.freq if measurement.force is None else measurement.force
-    problem = Problem(
+    whole = Problem(
         2 * jnp.pi * measurement.freq, as_array(H), as_array(weight), as_array(force),
         jnp.array([modal_form.index(n) for n in measurement.outputs]),
         jnp.array([modal_form.index(n) for n in measurement.inputs]), modal_form, len(freq), H.shape[2:],
     )  # fmt: skip
+    fitted = ~np.isin(np.arange(len(H)), held_out)
     zeta = np.asarray(modal_form.damping / (2 * np.sqrt(modal_form.stiffness)))
     scene = Scene(
         freq, modal_form.dofs, measurement.outputs, measurement.inputs, modal_form.frequency_hz, zeta,
-        np.asarray(force).max(axis=1), modal_form,
+        np.asarray(force)[fitted].max(axis=1), modal_form,
     )  # fmt: skip
-    motion = np.asarray(force)[:, :, None] * np.abs(H[:, :, measurement.outputs.index(place)])
-    return Task(problem, simulation, motion, scene, Place((place,), (modal_form.index(place), -1, 0)), float(freq[0]))
+    across = H[:, :, measurement.outputs.index(ends[0])]
+    if len(ends) > 1:
+        across = across - H[:, :, measurement.outputs.index(ends[1])]
+    index = (*(modal_form.index(e) for e in ends), *(() if len(ends) > 1 else (-1,)), 0)
+    return Task(
+        whole.weighted(weight * fitted[:, None, None, None]), whole, simulation,
+        np.asarray(force)[:, :, None] * np.abs(across), scene, Place(ends, index), float(freq[0]),
+    )  # fmt: skip
 
 
 def _count(problem: Problem) -> int:
     """Unknowns of the linear part: two per mode, a complex size per mode and output, a complex constant per channel."""
-    n, (o, i) = len(problem.modal_form.poles), problem.channels
+    n, (o, i) = len(problem.modal_form.poles), problem.data.shape[2:]
     return 2 * n + 2 * n * o + 2 * o * i
 
 
 def _placed(problem: Problem, x: Array) -> tuple[Problem, Array]:
     """The problem with sizes and residual terms from the linear unknowns, and the changes of the poles."""
-    n, (o, i) = len(problem.modal_form.poles), problem.channels
+    n, (o, i) = len(problem.modal_form.poles), problem.data.shape[2:]
     theta = x[: 2 * n].reshape(2, n)
     parts = x[2 * n : 2 * n + 2 * n * o].reshape(2, n, o)
     far = x[2 * n + 2 * n * o :].reshape(2, o, i) * _size(problem)
@@ -248,7 +266,7 @@ def _rows(task: Task, cause: Any) -> list[np.ndarray]:
 
 
 def _starts(task: Task, causes: tuple[Any, ...], solved: dict[tuple[Any, ...], list[Any]]) -> list[np.ndarray]:
-    """The laws at a few sizes in all combinations, and each joining a fit of the others."""
+    """The laws at a few sizes in all combinations, and each joining a fit of the others; ``solved`` holds such fits."""
     linear = _count(task.problem)
     plain = [np.concatenate([*row, np.zeros(linear)]) for row in itertools.product(*(_rows(task, c) for c in causes))]
     joined = []
@@ -262,11 +280,10 @@ def _starts(task: Task, causes: tuple[Any, ...], solved: dict[tuple[Any, ...], l
     return [*joined, *plain]
 
 
-def _at_measured_motion(task: Task, causes: tuple[Any, ...], solved: dict[tuple[Any, ...], list[Any]]) -> list[Any]:
-    """Fits at the measured motion, the best first; ``solved`` holds those of smaller sets."""
+def _at_measured_motion(task: Task, causes: tuple[Any, ...], starts: Sequence[np.ndarray]) -> list[Any]:
+    """Fits at the measured motion, the best first."""
     known = tuple(Measured(c) for c in causes)
     index = np.array([task.place.index] * len(causes), dtype=np.int64).reshape(-1, 3)
-    starts = _starts(task, causes, solved)
     miss = [np.sum(np.asarray(_value(known, index, x, task.problem, task.motion)) ** 2) for x in starts]
     fits = [_solve(task, known, starts[k], task.motion, 60) for k in np.argsort(miss)[:TRIED]]
     return sorted(fits, key=lambda f: f.cost)
@@ -275,8 +292,8 @@ def _at_measured_motion(task: Task, causes: tuple[Any, ...], solved: dict[tuple[
 def _at_own_motion(task: Task, causes: tuple[Any, ...], fits: list[Any]) -> Explained:
     """Continue the fits from the measured motion to the motion that the model predicts."""
     best = min((_solve(task, causes, f.x, None, 80) for f in fits[:KEPT]), key=lambda f: f.cost)
-    r, J, x = best.fun, best.jac, best.x
-    samples, problem = len(r), task.problem
+    r, J, x, problem = best.fun, best.jac, best.x, task.problem
+    samples = problem.samples
     covariance = _robust(J, r, problem)
     count = len(x) - _count(problem)
     placed, theta = _placed(problem, as_array(x[count:]))
@@ -297,7 +314,8 @@ def _at_own_motion(task: Task, causes: tuple[Any, ...], fits: list[Any]) -> Expl
         base, tuple(map(jnp.asarray, params)), tuple(map(jnp.asarray, spread)), theta, (None,) * len(causes), causes,
         (task.place,) * len(causes), task.scene.outputs, task.scene.inputs, task.lowest_hz,
     )  # fmt: skip
-    real, imag = r.reshape(2, *problem.data.shape)
+    index = np.array([task.place.index] * len(causes), dtype=np.int64).reshape(-1, 3)
+    real, imag = np.asarray(_value(causes, index, x, task.whole, None)).reshape(2, *problem.data.shape)
     return Explained(extended, float(r @ r), samples, len(x), np.nan, real + 1j * imag, x, covariance)
 
 

@@ -20,7 +20,9 @@ Steps 2 to 5 work line by line and take everything but the causes as exact. Wher
 little off, or the problem is large, the modal domain answers instead (``decision.route``, ``modal_domain``): the modes
 of the measurement are identified, the general inaccuracy is estimated together with every cause, and the answer holds
 both. Where one force at one place explains all data, only elements and joints at such places are searched, line by
-line, whatever the size of the problem (``screening.one_force``).
+line, whatever the size of the problem (``screening.one_force``). Where nothing of this explains several force levels of
+a few modes, a joint is fitted together with the modes, as the lowest level is bent by it too: first without a law,
+then by laws that come near to that, judged by the highest level (``jointed``).
 """
 
 from collections.abc import Callable, Sequence
@@ -42,6 +44,7 @@ from modalax.diagnose.decision.route import Outcome, Route, choice, order, settl
 from modalax.diagnose.decision.verdict import verdict
 from modalax.diagnose.extend import ExtendedSimulation, extend
 from modalax.diagnose.holdout import measure
+from modalax.diagnose.jointed.answer import diagnose_joint
 from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis, diagnose_modes
 from modalax.diagnose.modal_domain.table import by_table
 from modalax.diagnose.result import Diagnosis
@@ -114,7 +117,7 @@ def diagnose(
     late = Deadline(time)
     data = as_measurement(measurement)
     task = task_of(data, simulation, question, causes)
-    exact = task.has_modes and task.whole_catalogue and not (task.elements_off or task.modes_off or task.massless)
+    exact = task.has_modes and task.whole_catalogue and not (task.elements_off or task.massless)
     found = at_one_place(measurement, simulation, question, progress, late) if exact else None
     if found is not None and (settled(outcome_of(found)) or late()):
         return found
@@ -138,7 +141,10 @@ def diagnose(
             answers[route], outcomes[route] = found, outcome_of(found)
             if suffices(route, outcomes[route], task):
                 break
-    return answers[choice(outcomes)]
+    found = answers[choice(outcomes)]
+    if found.verdict == "unknown" and question != "fixed" and not late():
+        return diagnose_joint(data, simulation, causes, late, progress) or found
+    return found
 
 
 def in_modal_domain(

@@ -124,6 +124,12 @@ class Thresholds:
         "One place among hundreds shows an effect from this score on; a cause stands out that is so far from none.",
         INACCURATE,
     )  # fmt: skip
+    explained_by_joint: float = _threshold(
+        0.9, "share of the sum of squares",
+        "A joint fitted together with the modes explains force levels where it takes away more than this of what "
+        "linear modes leave, at the levels that are fitted and at the one that is predicted.",
+        "experiments/measured/beam.py",
+    )  # fmt: skip
     # The choice between line by line and the modal domain.
     off: float = _threshold(
         3e-4, "relative error", "A simulation is off in general where its stiffness or mass is off by more than this.",

@@ -64,3 +64,26 @@ def advise_modes(verdict: str, rivals: int, odd: str | None = None) -> str | Non
     if verdict == "unknown":
         return "check that the simulation is of this structure: its supports, its units and the names of its DoFs"
     return "measure at a further point near these places, or change one of them on purpose and measure again"
+
+
+def advise_joint(verdict: str, rivals: int) -> str | None:
+    """What to do next where a joint explains the force levels, in one sentence; None where nothing is left open.
+
+    Parameters
+    ----------
+    verdict
+        As the answer has it.
+    rivals
+        How many other sets of laws are in question.
+    """
+    if verdict == "named" and not rivals:
+        return None
+    if verdict == "unknown":
+        return (
+            "use the joint without a law that extends the simulation, within the amplitudes that were measured; time "
+            "records of its motion and force would show its law"
+        )
+    return (
+        "measure at higher levels, where laws differ most, and on either side of each joint that may move; record the "
+        "third harmonic"
+    )

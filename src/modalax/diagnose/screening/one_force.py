@@ -14,6 +14,7 @@ import numpy as np
 
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.comparison import Comparison, empty
+from modalax.diagnose.screening.modes_beside import STEPS, Beside, modes_beside
 from modalax.diagnose.screening.products import Reduced, at_places, ends, reduce
 from modalax.diagnose.screening.sensitivities import Residual
 from modalax.diagnose.screening.shortlist import KEPT, MANY
@@ -22,6 +23,7 @@ from modalax.diagnose.thresholds import THRESHOLDS
 
 LOUDEST, SUMS = 300, 64  # lines, of all runs, from which very many places are ranked, and sums of outputs
 RESOLVED = 1e-9  # squared length of a difference of two columns, over their own, that is more than rounding
+REFINED = 60  # places at which claimed modes follow
 OUTPUTS = 4  # fewest outputs by which a force at one place is told from other causes
 
 
@@ -31,10 +33,12 @@ def places_of_one_force(comparison: Comparison) -> tuple[Place, ...]:
     Parameters
     ----------
     comparison
-        Data and simulation; the simulation is taken as it is.
+        Data and simulation; its modes follow within the spread that is claimed.
     """
     if not _can_tell(comparison):
         return ()
+    if comparison.nuisance.active:
+        return _with_modes(comparison)
     left, live = comparison.residual(empty(comparison)), comparison.live()
     by_output, samples = (np.abs(left) ** 2).sum(axis=(0, 1, 3)), 2 * live.sum(axis=(0, 1, 3))
     chi2, count, unknowns = by_output.sum(), samples.sum(), 2 * int(live.any(axis=2).sum())
@@ -52,9 +56,32 @@ def places_of_one_force(comparison: Comparison) -> tuple[Place, ...]:
 
 
 def _can_tell(comparison: Comparison) -> bool:
-    exact = comparison.question == "fixed" and comparison.scene.scaled and not comparison.nuisance.active
+    exact = comparison.question == "fixed" and comparison.scene.scaled
     known = comparison.noise.freedom >= TRUSTED and comparison.problem.held is None
     return exact and known and comparison.problem.channels[0] >= OUTPUTS
+
+
+def _with_modes(comparison: Comparison) -> tuple[Place, ...]:
+    """The places where modes move within their spread: each chi-square is the least over the modal parameters."""
+    pairs, live = comparison.scene.pairs(), comparison.live()
+    if len(pairs) > MANY:
+        return ()
+    unknowns = 2 * int(live.any(axis=2).sum())
+    ranked = sorted(((chi2, p) for p, chi2, _ in modes_beside(comparison, pairs, REFINED)), key=lambda one: one[0])
+    best, first = ranked[0]
+    driven = first.index[:2] in {(comparison.scene.dofs.index(name), -1) for name in comparison.scene.inputs}
+    samples = comparison.problem.samples - unknowns
+    if driven or _exceeds_noise(best, samples) >= THRESHOLDS.one_force:
+        return ()
+    behind = THRESHOLDS.other_places + THRESHOLDS.one_force * np.sqrt(4 * unknowns)
+    nominal = Beside.nominal(comparison)
+    modes = np.flatnonzero(np.abs(nominal.shapes).max(axis=1) > 0)
+    others = [lambda b, k=k: (b.fault(k),) for k in range(nominal.change.shape[2])]
+    others += [lambda b, k=k: (b.of_mode(k),) for k in modes]
+    if any(nominal.settled(other, STEPS)[0] < best + behind for other in others):
+        return ()
+    near = tuple(p for chi2, p in ranked if chi2 < best + behind)
+    return near if len(near) <= KEPT else ()
 
 
 def _exceeds_noise(chi2: float, samples: int) -> float:

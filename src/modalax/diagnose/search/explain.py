@@ -21,7 +21,7 @@ from modalax.diagnose.search.joints_by_force import joints_by_force
 from modalax.diagnose.search.look import Look
 from modalax.diagnose.search.measured_force import STRONG, robust_starts, starts_from_forces
 from modalax.diagnose.search.rows import fitted_beside_outliers
-from modalax.diagnose.search.singles import PATIENT, fit_single, from_nominal_modes, joints_for_drifts, refit
+from modalax.diagnose.search.singles import IN_FULL, PATIENT, fit_single, from_nominal_modes, joints_for_drifts, refit
 from modalax.diagnose.search.tolerance import uncounted
 
 NEAR = 12.0  # nats behind the best up to which hypotheses are fitted again with complex modes made exact
@@ -131,8 +131,11 @@ def singles(look: Look, causes: Sequence[Cause]) -> list[Hypothesis]:
         trials = [t for t in chosen(other.screening.trials) if isinstance(t.cause, UndampedCause)]
         found += fit_single(other.state, trials) if trials else []
     strong = [] if look.comparison.late() else starts_from_forces(look.comparison, look.null, causes)
-    for cause in dict.fromkeys(h.causes[0] for h in strong):
-        found += refit(look.state, [h for h in strong if h.causes[0] == cause])
+    if look.comparison.nuisance.active:  # the modes stand elsewhere beside the force, where nothing else is linear
+        found += look.comparison.fit(strong[:IN_FULL], PATIENT)
+    else:
+        for cause in dict.fromkeys(h.causes[0] for h in strong):
+            found += refit(look.state, [h for h in strong if h.causes[0] == cause])
     found += beside_outliers(look, found, causes) if strong else []
     return found + joints_for_drifts(look.state, best_of_each(found, look.comparison), causes)
 

@@ -19,7 +19,7 @@ from modalax.diagnose.search.harmonics import balanced, fitted_in_full, one_join
 from modalax.diagnose.search.measured_force import MeasuredForce, measured_forces, robust_sizes, sizes_by_force
 from modalax.diagnose.thresholds import THRESHOLDS
 
-PLACES = 2  # places that are tried
+PLACES, MOST_PLACES = 2, 6  # places that are tried, and where more are alike but for noise
 AROUND = (0.6, 0.75, 0.9, 1.0, 1.1, 1.3, 1.6)  # strengths that are balanced, over the one that was read off
 
 
@@ -46,7 +46,9 @@ def joints_by_force(
     blind = problem.channels[0] < 2 or problem.held is not None or comparison.question == "free" or best.hum is not None
     if blind or as_noise(comparison, best.chi2):
         return []
-    forces = measured_forces(comparison, comparison.joint_places())[:PLACES]
+    forces = measured_forces(comparison, comparison.joint_places())[:MOST_PLACES]
+    close = THRESHOLDS.other_places + THRESHOLDS.one_force * np.sqrt(4 * forces[0].motion.size)  # noise of a difference
+    forces = [f for k, f in enumerate(forces) if k < PLACES or f.chi2 < forces[0].chi2 + close]
     less = best.chi2 - THRESHOLDS.one_force * np.sqrt(2 * problem.samples)
     enough = min(less, THRESHOLDS.unexplained * problem.samples)
     order = [
@@ -95,8 +97,8 @@ def started(
     if at is None or sized is None:
         return []
     by_all = sizes_by_force(comparison, cause, at, force)[:1]
-    still = replace(null, theta=np.zeros_like(null.theta))
-    tried = [still.with_cause(cause, at, None, p) for p in (sized[1], *(p for _, p in by_all))]
+    about = replace(null, theta=force.theta)
+    tried = [about.with_cause(cause, at, None, p) for p in (sized[1], *(p for _, p in by_all))]
     first = min(tried, key=lambda h: misfit(comparison, h)) if len(tried) > 1 else tried[0]
     return [(sized[0], replace(first, freedom=cost_of(first.causes, first.extras)))]
 

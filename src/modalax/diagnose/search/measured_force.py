@@ -17,12 +17,14 @@ from modalax.diagnose.causes.base import Cause, ElementCause, JointCause, LocalC
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.screening.modes_beside import modes_beside
 from modalax.diagnose.search.candidates import cost_of
 
 STRONG = 4.0  # chi-square per sample that the simulation leaves, from which on places are ranked by their force
 PLACES, MORE = 3, 12  # places that are tried, and where a force at one place is known to explain the data
 STARTS = 2  # starts of each law at each place
 FITTED = 16  # starts in all
+REFINED = 40  # places at which the modes follow
 TELLING, ASKED, REWEIGHED = 100, 9, 10  # lines whose strengths are looked at, how many of these, and steps from each
 STRONGEST, BELOW = 40, (0.98, 0.9, 0.7)  # lines of the largest force, and parts of their motion that are thresholds
 LIKELIEST = 4  # joints that are fitted beside lines set aside
@@ -45,6 +47,8 @@ class MeasuredForce:
         Force over displacement [N/m], of the same shape.
     weight
         Inverse standard deviation of each impedance [m/N].
+    theta
+        Modal parameters beside the force, in units of their spread, shape ``(2, n)``.
     """
 
     place: Place
@@ -52,6 +56,7 @@ class MeasuredForce:
     motion: np.ndarray
     impedance: np.ndarray
     weight: np.ndarray
+    theta: np.ndarray
 
 
 def measured_forces(comparison: Comparison, places: Sequence[Place]) -> list[MeasuredForce]:
@@ -60,34 +65,25 @@ def measured_forces(comparison: Comparison, places: Sequence[Place]) -> list[Mea
     Parameters
     ----------
     comparison
-        Data and simulation; the simulation is taken as it is.
+        Data and simulation; its modes follow within the spread that is claimed.
     places
         Pairs of degrees of freedom, or single ones to the ground.
     """
-    scene, problem = comparison.scene, comparison.problem
-    n_out, n_in = problem.channels
-    cut = (slice(None), slice(problem.lines), slice(n_out), slice(n_in))
+    problem = comparison.problem
     level = np.asarray(problem.level)[:, : problem.lines, None]
-    weight = np.asarray(problem.weight)[cut]
-    still = Hypothesis(theta=np.zeros((2, problem.modal_form.stiffness.shape[0])))
-    change = weight * (np.asarray(problem.data)[cut] - comparison.prediction(still))
-    total = float((np.abs(change) ** 2).sum())
-    psi = np.asarray(scene.modal_form.shapes)[:, [scene.dofs.index(n) for n in scene.outputs]]
-    u, v = scene.gains()
     out = []
-    for place in places:
-        _, part = scene.direction(place)
-        column = u @ (psi * part[:, None]) + v @ (psi * part[:, None]).conj()
-        direction = weight * column[:, :, None]
+    for place, left, beside in modes_beside(comparison, places, REFINED):
+        direction = beside.direction(place)
         length = (np.abs(direction) ** 2).sum(axis=2)
-        force = -(direction.conj() * change).sum(axis=2) / np.maximum(length, 1e-300)  # for a unit force at the input
-        motion = scene.motion(place) - scene.drive(place)[:, None] * force
-        gain = float((length * np.abs(force) ** 2).sum())
+        force = -(direction.conj() * beside.change).sum(axis=2) / np.maximum(
+            length, 1e-300
+        )  # a unit force at the input
+        motion = beside.motion(place) - beside.drive(place)[:, None] * force
         size = np.abs(motion)
         out.append(
             MeasuredForce(
-                place, total - gain + 2 * force.size, level * motion, force / np.where(size > 0, motion, 1.0),
-                np.sqrt(length) * size,
+                place, left + 2 * force.size, level * motion, force / np.where(size > 0, motion, 1.0),
+                np.sqrt(length) * size, beside.theta,
             )
         )  # fmt: skip
     return sorted(out, key=lambda m: m.chi2)
@@ -116,11 +112,17 @@ def starts_from_forces(comparison: Comparison, null: Hypothesis, causes: Sequenc
         for cause in laws:
             at = next((p for p in cause.places(comparison.scene) if p.index[:2] == force.place.index[:2]), None)
             if at is not None and not cause.each_run:
-                out += [(force.chi2 + m, cause, at, p) for m, p in sizes_by_force(comparison, cause, at, force)]
+                sized = sizes_by_force(comparison, cause, at, force)
+                out += [(force.chi2 + m, cause, at, p, force.theta) for m, p in sized]
     out.sort(key=lambda one: one[0])
+    follow = comparison.nuisance.active
     return [
-        replace(null.with_cause(cause, at, None, p), freedom=cost_of((cause,), (None,)))
-        for _, cause, at, p in out[:FITTED]
+        replace(
+            null.with_cause(cause, at, None, p),
+            freedom=cost_of((cause,), (None,)),
+            theta=theta if follow else null.theta,
+        )
+        for _, cause, at, p, theta in out[:FITTED]
     ]
 
 
@@ -219,13 +221,14 @@ def robust_starts(comparison: Comparison, null: Hypothesis, causes: Sequence[Cau
         What to look for.
     """
     laws = [c for c in causes if isinstance(c, JointCause) and not c.each_run and type(c).law is not JointCause.law]
-    still, found = replace(null, theta=np.zeros_like(null.theta)), []
+    found = []
     for force in measured_forces(comparison, comparison.joint_places())[:PLACES]:
         for cause in laws:
             at = next((p for p in cause.places(comparison.scene) if p.index[:2] == force.place.index[:2]), None)
             sized = None if at is None else robust_sizes(comparison, cause, at, force)
             if at is not None and sized is not None:
-                found.append((sized[0] + 0.5 * force.chi2, still.with_cause(cause, at, None, sized[1])))
+                about = replace(null, theta=force.theta)
+                found.append((sized[0] + 0.5 * force.chi2, about.with_cause(cause, at, None, sized[1])))
     found.sort(key=lambda one: one[0])
     return [replace(h, freedom=cost_of(h.causes, h.extras)) for _, h in found[:LIKELIEST]]
 

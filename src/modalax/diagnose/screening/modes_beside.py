@@ -1,0 +1,216 @@
+r"""Modal parameters beside a free force at one place.
+
+With the force :math:`q` of every line free, what the residual r shows of the modal parameters :math:`\theta`, in units
+of their claimed spread, is what is left of it at right angles to the whitened responses :math:`d` to that force,
+
+.. math:: \chi^2 = |P(r - J\theta)|^2 + |\theta|^2, \qquad P = I - \frac{d\,d^H}{|d|^2},
+
+with J the change, by the parameters, of the whitened FRF with the force in it. The minimum is found by steps of Gauss
+and Newton (variable projection in the form of Kaufman 1975, BIT 15:49).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from modalax._numerics.checks import as_array
+from modalax.diagnose.causes.base import gather
+from modalax.diagnose.causes.scene import Place
+from modalax.diagnose.causes.signals import ModalTerms
+from modalax.diagnose.comparison import Comparison
+from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.fitting.residual import modal_directions
+from modalax.diagnose.prediction.frf import gains_of
+from modalax.diagnose.setup.problem import Problem
+
+SHARES = (1.0, 0.5, 0.25, 0.1)  # of a step, tried one after the other
+ENOUGH = 1.0  # change of chi-square at which steps end
+STEPS = 6  # at most
+Direction = Callable[["Beside"], tuple[Any, ...]]  # a direction, and its change by the modal parameters if it has any
+
+
+@dataclass(frozen=True)
+class Beside:
+    """The simulation with its modes at some modal parameters, beside the data.
+
+    Attributes
+    ----------
+    theta
+        Modal parameters in units of their spread, shape ``(2, n)``.
+    change
+        Whitened data less prediction, shape ``(run, f, o, i)``.
+    slopes
+        Change of the whitened prediction by each parameter, shape ``(2 n, run, f, o, i)``; none where modes are exact.
+    gains
+        Of the modes and their conjugates, shape ``(f, m)`` each [s].
+    shapes, participation
+        Of the modes, shape ``(m, dof)`` each.
+    weight
+        Shape ``(run, f, o, i)`` [1/m N].
+    """
+
+    comparison: Comparison
+    theta: np.ndarray
+    change: np.ndarray
+    slopes: np.ndarray
+    gains: tuple[np.ndarray, np.ndarray]
+    shapes: np.ndarray
+    participation: np.ndarray
+    weight: np.ndarray
+
+    @classmethod
+    def nominal(cls, comparison: Comparison) -> "Beside":
+        """At the modal parameters of the simulation."""
+        return cls.at(comparison, np.zeros((2, comparison.problem.modal_form.stiffness.shape[0])))
+
+    @classmethod
+    def at(cls, comparison: Comparison, theta: np.ndarray) -> "Beside":
+        """Evaluate at modal parameters."""
+        problem, nuisance, scene = comparison.problem, comparison.nuisance, comparison.scene
+        n_out, n_in = problem.channels
+        cut = (slice(None), slice(problem.lines), slice(n_out), slice(n_in))
+        weight = np.asarray(problem.weight)[cut]
+        change = weight * (np.asarray(problem.data)[cut] - comparison.prediction(Hypothesis(theta=theta)))
+        slopes = np.zeros((0, *change.shape), complex)
+        if nuisance.active:
+            J = np.asarray(modal_directions(theta, nuisance.spread, None, problem))
+            J = J.reshape(*J.shape[:3], *problem.data.shape[:2], 2)
+            slopes = (J[..., 0] + 1j * J[..., 1]).transpose(0, 3, 4, 1, 2)[(slice(None), *cut)]
+        form = problem.modal_form
+        k, c, shapes, part = form.adapted(as_array(theta * nuisance.spread))
+        modes = ModalTerms(k[None], c[None], form.hysteresis[None])
+        s = as_array(1j * scene.omega)
+        both = np.asarray(gains_of(s, modes, form.poles, [], form.mixing is not None))[0]
+        half = both.shape[1] // 2
+        return cls(
+            comparison, theta, change, slopes, (both[:, :half], both[:, half:]), np.asarray(shapes), np.asarray(part),
+            weight,
+        )  # fmt: skip
+
+    def along(self, place: Place) -> tuple[np.ndarray, np.ndarray]:
+        """Modal displacement across a place, and participation of a force there, shape ``(m,)`` each."""
+        a, b = place.index[:2]
+        across = lambda x: x[:, a] - (x[:, b] if b >= 0 else 0.0)
+        return across(self.shapes), across(self.participation)
+
+    def between(self, psi: np.ndarray, part: np.ndarray) -> np.ndarray:
+        """Receptance from forces of some participation to displacements of some shapes, ``(f, *)``."""
+        u, v = self.gains
+        return u @ (psi * part) + v @ (psi * part).conj()
+
+    def direction(self, place: Place) -> np.ndarray:
+        """Whitened response of the outputs to a force across a place, shape ``(run, f, o, i)``."""
+        _, part = self.along(place)
+        out = np.asarray(self.comparison.problem.outputs)[: self.change.shape[2]]
+        return self.weight * self.between(self.shapes[:, out], part[:, None])[:, :, None]
+
+    def turned(self, place: Place) -> np.ndarray:
+        """Change of that response by each modal parameter, ``(2 n, run, f, o, i)``; none where modes are exact."""
+        if not len(self.slopes):
+            return self.slopes
+        problem, nuisance = self.comparison.problem, self.comparison.nuisance
+        J = np.asarray(_columns_turned(self.theta, nuisance.spread, np.array(place.index[:2]), problem))
+        return self.weight * J[:, None, : self.change.shape[1], : self.change.shape[2], None]
+
+    def motion(self, place: Place) -> np.ndarray:
+        """Displacement across a place for each input, shape ``(f, i)`` [m/N]."""
+        psi, _ = self.along(place)
+        inputs = np.asarray(self.comparison.problem.inputs)[: self.change.shape[3]]
+        return self.between(psi[:, None], self.participation[:, inputs])
+
+    def drive(self, place: Place) -> np.ndarray:
+        """Receptance across a place, shape ``(f,)`` [m/N]."""
+        psi, part = self.along(place)
+        return self.between(psi, part)
+
+    def fault(self, output: int) -> np.ndarray:
+        """Direction of anything at one output, shape ``(run, f, o, i)``."""
+        return self.weight * (np.arange(self.change.shape[2]) == output)[:, None]
+
+    def of_mode(self, mode: int) -> np.ndarray:
+        """Direction of any amplitude of one mode, shape ``(run, f, o, i)``."""
+        out = np.asarray(self.comparison.problem.outputs)[: self.change.shape[2]]
+        return self.weight * self.shapes[mode, out][:, None]
+
+    def step(self, d: np.ndarray, turned: Any = 0.0) -> tuple[float, float, np.ndarray]:
+        """Chi-square that a free amplitude along a direction leaves, that promised by one step, and the step.
+
+        ``turned`` is the change of the direction by each modal parameter.
+        """
+        length = np.maximum((np.abs(d) ** 2).sum(axis=2, keepdims=True), 1e-300)
+
+        def aside(x: np.ndarray) -> np.ndarray:
+            return x - d * ((d.conj() * x).sum(axis=-2, keepdims=True) / length)
+
+        if not len(self.slopes):
+            left = float((np.abs(aside(self.change)) ** 2).sum())
+            return left, left, np.zeros(self.theta.shape)
+        force = (d.conj() * self.change).sum(axis=2, keepdims=True) / length
+        J = aside(self.slopes + turned * force).reshape(len(self.slopes), -1)
+        r, now = aside(self.change).ravel(), self.theta.ravel()
+        g = (J.conj() @ r).real - now
+        move = np.linalg.solve((J.conj() @ J.T).real + np.eye(len(J)), g)
+        here = float((np.abs(r) ** 2).sum() + now @ now)
+        return here, here - float(move @ g), move.reshape(self.theta.shape)
+
+    def settled(self, direction: Direction, steps: int) -> "tuple[float, Beside]":
+        """Chi-square and modes beside a free amplitude, after steps that each leave less; others are shortened."""
+        now, (here, _, move) = self, self.step(*direction(self))
+        for _ in range(steps):
+            for share in SHARES:
+                other = Beside.at(self.comparison, now.theta + share * move)
+                there, _, next_move = other.step(*direction(other))
+                if there < here:
+                    break
+            else:
+                break
+            done = here - there < ENOUGH
+            now, here, move = other, there, next_move
+            if done:
+                break
+        return here, now
+
+
+@jax.jit
+def _columns_turned(theta: Array, spread: Array, ends: Array, problem: Problem) -> Array:
+    """Change of the response to a force across a place by each modal parameter, shape ``(2 n, f, o)``."""
+    form = problem.modal_form
+
+    def column(t: Array) -> Array:
+        k, c, shapes, part = form.adapted(t * spread)
+        modes = ModalTerms(k[None], c[None], form.hysteresis[None])
+        gains = gains_of(1j * problem.omega, modes, form.poles, [], form.mixing is not None)[0]
+        across = gather(part, ends)[:, None] * shapes[:, problem.outputs]
+        return gains @ jnp.concatenate([across, across.conj()])
+
+    return jnp.moveaxis(jax.jacfwd(column)(theta), (2, 3), (0, 1)).reshape(theta.size, len(problem.omega), -1)
+
+
+def modes_beside(comparison: Comparison, places: Sequence[Place], refined: int) -> list[tuple[Place, float, Beside]]:
+    """Each place with the chi-square that a free force leaves, and the modes beside it; the likeliest are settled.
+
+    Parameters
+    ----------
+    comparison
+        Data and simulation.
+    places
+        Where a force may act.
+    refined
+        How many of the places, the best by one step, are settled; at others the modes stay nominal.
+    """
+    nominal = Beside.nominal(comparison)
+    first = sorted(
+        ((nominal.step(nominal.direction(p), nominal.turned(p)), p) for p in places), key=lambda one: one[0][1]
+    )
+    out = []
+    for k, ((here, _, _), place) in enumerate(first):
+        if k < refined and comparison.nuisance.active:
+            out.append((place, *nominal.settled(lambda b, p=place: (b.direction(p), b.turned(p)), STEPS)))
+        else:
+            out.append((place, here, nominal))
+    return out

@@ -1,0 +1,48 @@
+"""A place is found by its force although the modes of the simulation are off by far more than the noise."""
+
+import numpy as np
+import pytest
+
+from modalax.data import Measurement
+from modalax.diagnose.comparison import make_comparison
+from modalax.diagnose.screening.modes_beside import Beside, modes_beside
+from modalax.diagnose.screening.one_force import places_of_one_force
+from modalax.model import Structure
+from modalax.model.examples import five_dof
+
+FREQ = np.arange(20.0, 70.0, 0.5)
+PLACE, STD, SHIFT = ("2", "4"), 0.004, 0.006
+NOISE = 0.002
+
+
+@pytest.fixture(scope="module")
+def comparison():
+    """A spring at a place of a structure whose frequencies are 1.5 claimed deviations above the simulation's."""
+    s = five_dof()
+    e = np.eye(5)[s.index(PLACE[0])] - np.eye(5)[s.index(PLACE[1])]
+    K = np.asarray(s.K) * (1 + SHIFT) ** 2
+    truth = Structure(s.M, np.asarray(s.C) * (1 + SHIFT), K + 40000.0 * np.outer(e, e), s.dofs)
+    clean = Measurement.from_frfs([truth.frf(FREQ, inputs=["1"])])
+    sigma = NOISE * np.sqrt(np.mean(np.abs(clean.H) ** 2))
+    noise = np.random.default_rng(0).standard_normal((2, *clean.H.shape)) * sigma / np.sqrt(2)
+    H = np.asarray(clean.H) + noise[0] + 1j * noise[1]
+    data = clean.replace(H=H, variance=sigma**2 + np.zeros(H.shape))
+    return make_comparison(data, Structure(s.M, s.C, s.K, s.dofs, frequency_std=STD), "fixed")
+
+
+def test_the_place_leads_once_the_modes_follow(comparison):
+    places = comparison.scene.pairs()
+    nominal = Beside.nominal(comparison)
+    at = {p.where: nominal.step(nominal.direction(p))[0] for p in places}
+    samples = comparison.problem.samples
+    assert at[PLACE] > 30 * samples  # about the nominal modes even the true place leaves far more than noise
+    ranked = sorted(modes_beside(comparison, places, len(places)), key=lambda one: one[1])
+    place, chi2, beside = ranked[0]
+    assert place.where == PLACE and ranked[1][1] > 10 * chi2
+    # one complex force a line is taken up, of five outputs
+    assert abs(chi2 - 0.8 * samples) < 5 * np.sqrt(2 * samples)
+    assert np.allclose(beside.theta[0, :5] * STD, SHIFT, atol=2e-3)
+
+
+def test_one_force_explains_the_data_beside_claimed_modes(comparison):
+    assert [p.where for p in places_of_one_force(comparison)] == [PLACE]
