@@ -8,7 +8,7 @@ from modalax import Measurement
 from modalax.diagnose import catalogue
 from modalax.diagnose.deadline import NEVER
 from modalax.diagnose.joint_laws import compare_laws
-from modalax.diagnose.jointed.answer import diagnose_joint, gain_of
+from modalax.diagnose.jointed.answer import diagnose_joint, gain_of, may_have_joint
 from modalax.diagnose.jointed.fits import correlation_length, reach_of, suited
 
 SHARE, LINES = 0.02, 5  # error of each sample over itself, alike over some lines, as no law and no noise has it
@@ -26,7 +26,8 @@ def measured(force):
 
 def test_levels_modes_and_places_decide_whether_it_is_tried():
     data = measured(LEVELS)
-    assert suited(data, oscillator())
+    assert suited(data, oscillator()) and may_have_joint(data, oscillator())
+    assert not may_have_joint(data, None)
     two = Measurement(FREQ, np.asarray(data.H)[:2], level=[1.0, 2.0], outputs=("1",), inputs=("1",))
     assert not suited(two, oscillator())
     same = data.replace(level=np.array([1.0, 1.0, 2.0]))

@@ -44,7 +44,7 @@ from modalax.diagnose.decision.route import Outcome, Route, choice, order, settl
 from modalax.diagnose.decision.verdict import verdict
 from modalax.diagnose.extend import ExtendedSimulation, extend
 from modalax.diagnose.holdout import measure
-from modalax.diagnose.jointed.answer import diagnose_joint
+from modalax.diagnose.jointed.answer import diagnose_joint, may_have_joint
 from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis, diagnose_modes
 from modalax.diagnose.modal_domain.table import by_table
 from modalax.diagnose.result import Diagnosis
@@ -58,7 +58,7 @@ from modalax.model import ModalModel, Structure
 from modalax.model.entry import check_comparable
 from modalax.model.mode_table import ModeTable
 
-FIRST_SHARE = 0.6  # of the time for a search line by line that the modal domain may have to follow
+FIRST_SHARE = 0.6  # of the time for a search line by line that the modal domain or a free joint may have to follow
 
 
 @one_thread
@@ -123,10 +123,11 @@ def diagnose(
         return found
     answers: dict[Route, Diagnosis] = {}
     outcomes: dict[Route, Outcome] = {}
+    follows = question != "fixed" and may_have_joint(data, simulation)
     for route in order(task):
         if answers and late():
             break
-        more = route == "lines" and not answers and len(order(task)) > 1
+        more = route == "lines" and not answers and (len(order(task)) > 1 or follows)
         until = late.part(FIRST_SHARE) if more else late
         try:
             found = (
@@ -142,7 +143,7 @@ def diagnose(
             if suffices(route, outcomes[route], task):
                 break
     found = answers[choice(outcomes)]
-    if found.verdict == "unknown" and question != "fixed" and not late():
+    if follows and found.verdict == "unknown" and not late():
         return diagnose_joint(data, simulation, causes, late, progress) or found
     return found
 

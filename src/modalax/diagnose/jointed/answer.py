@@ -229,6 +229,12 @@ def diagnose_joint(
     )  # fmt: skip
 
 
+def may_have_joint(measurement: Measurement, simulation: object) -> bool:
+    """Whether a joint can be fitted together with the modes of a simulation."""
+    modes = modes_of(simulation, measurement)
+    return modes is not None and suited(measurement, modes)
+
+
 def modes_of(simulation: object, measurement: Measurement) -> ModalModel | None:
     """The modes of a simulation that lie in the band, at the measured DoFs; None where it has none there."""
     try:
