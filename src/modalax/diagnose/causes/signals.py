@@ -45,6 +45,10 @@ class Channels(eqx.Module):
         """Receptance from any DoF to the outputs [m/N]."""
         return (self.gains * jnp.take(self.participation, dof, axis=1)) @ self.shapes
 
+    def at(self, outputs: Array) -> "Channels":
+        """Those of some outputs."""
+        return eqx.tree_at(lambda c: (c.own, c.shapes), self, (self.own[:, outputs], self.shapes[:, outputs]))
+
 
 @dataclass(frozen=True)
 class HumLines:

@@ -50,6 +50,13 @@ def predict(
     theta
         Relative changes of the modal frequencies and damping ratios (logarithms).
     """
+    return predict_with_channels(causes, index, extras, params, theta, problem)[0]
+
+
+def predict_with_channels(
+    causes: Sequence[Any], index: Any, extras: Sequence[Any], params: Sequence[Any], theta: Array, problem: Problem
+) -> tuple[Complex[Array, "run f o i"], Channels]:
+    """As :func:`predict`, and what a further fault of a channel may look at: it acts on these receptances."""
     at = list(zip(causes, index, extras, params, strict=True))
     if problem.held is not None:
         held = problem.held
@@ -62,7 +69,7 @@ def predict(
         H = H * ((s / s.imag / 1j) ** problem.order)[:, None, None]
     for cause, where, extra, p in of(ChannelCause, at):
         H = cause.channels(H, channels, where, extra, p)
-    return H
+    return H, channels
 
 
 def of(stage: Any, at: list[Any]) -> list[Any]:

@@ -91,7 +91,7 @@ def screen(
     index = np.concatenate([np.repeat([place.index], len(grid), axis=0) for _, place, grid in causes])
     params = np.concatenate([grid for *_, grid in causes])
     owner = np.concatenate([np.full(len(grid), k) for k, (*_, grid) in enumerate(causes)])
-    base = plain(theta, nuisance.spread, problem)
+    before = plain(theta, nuisance.spread, problem)
     small = np.concatenate([smallest(grid) for *_, grid in causes])
     # a few places stand for all where only the likeness of directions is wanted
     some = np.unique(np.linspace(0, len(causes) - 1, KEPT_PLACES).astype(int))
@@ -99,7 +99,7 @@ def screen(
     rows = rows_of(cause, index, problem)
     directions: dict[int, np.ndarray] = {}
     parts, row = [], 0
-    for y in changes_in_batches(cause, index, params, base, theta, nuisance, problem):
+    for y in changes_in_batches(cause, index, params, before, theta, nuisance, problem):
         here = None if rows is None else rows[row : row + len(y)]
         parts.append(_products(y, residual.target(here)))
         for k in np.flatnonzero(wanted[row : row + len(y)]):

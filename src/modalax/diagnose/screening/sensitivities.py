@@ -8,15 +8,14 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from modalax.diagnose.causes.base import Cause
+from modalax.diagnose.causes.base import Cause, ChannelCause
 from modalax.diagnose.fitting.nuisance import Nuisance
 from modalax.diagnose.fitting.residual import projected
-from modalax.diagnose.prediction.frf import predict
+from modalax.diagnose.prediction.frf import predict, predict_with_channels
 from modalax.diagnose.screening.screening_fit import Target
 from modalax.diagnose.setup.problem import Problem
 
@@ -63,58 +62,62 @@ def rows_of(cause: Cause, index: np.ndarray, problem: Problem) -> np.ndarray | N
     problem
         Of how many outputs, and what the simulation has already.
     """
-    whole = not cause.rows or problem.held is not None or 4 * cause.rows > problem.data.shape[2]
-    return None if whole else index[:, : cause.rows]
+    count = cause.rows if isinstance(cause, ChannelCause) else 0
+    whole = not count or problem.held is not None or 4 * count > problem.data.shape[2]
+    return None if whole else index[:, :count]
 
 
-@partial(jax.jit, static_argnames=("cause",), compiler_options={"xla_backend_optimization_level": 1})
-def _changes(cause, index, params, base, theta, spread, basis, problem):
+@partial(jax.jit, static_argnames=("cause", "some"), compiler_options={"xla_backend_optimization_level": 1})
+def _changes_of_channels(cause, some, index, params, before, weight, basis):
+    """A fault of a channel acts on what is predicted without it, so that only the fault itself is compiled."""
+    H, channels = before
+
     def one(k, p):
-        H = predict((cause,), k[None], (None,), (p,), theta * spread, problem)
-        return projected(problem.weight * (H - base), basis).ravel()
+        if not some:
+            return projected(weight * (cause.channels(H, channels, k, None, p) - H), basis).ravel()
+        rows, at = k[: cause.rows], k.at[: cause.rows].set(jnp.arange(cause.rows))
+        change = cause.channels(H[:, :, rows], channels.at(rows), at, None, p) - H[:, :, rows]
+        return projected(weight[:, :, rows] * change, None if basis is None else basis[rows]).ravel()
 
     return jax.vmap(one)(index, params)
 
 
 @partial(jax.jit, static_argnames=("cause",), compiler_options={"xla_backend_optimization_level": 1})
-def _changes_of_rows(cause, index, params, base, theta, spread, basis, problem):
+def _changes(cause, index, params, before, theta, spread, basis, problem):
     def one(k, p):
-        rows = k[: cause.rows]
-        few = eqx.tree_at(
-            lambda q: (q.data, q.weight, q.outputs), problem,
-            (problem.data[:, :, rows], problem.weight[:, :, rows], problem.outputs[rows]),
-        )  # fmt: skip
-        at = k.at[: cause.rows].set(jnp.arange(cause.rows))
-        H = predict((cause,), at[None], (None,), (p,), theta * spread, few)
-        return projected(few.weight * (H - base[:, :, rows]), None if basis is None else basis[rows]).ravel()
+        H = predict((cause,), k[None], (None,), (p,), theta * spread, problem)
+        return projected(problem.weight * (H - before[0]), basis).ravel()
 
     return jax.vmap(one)(index, params)
 
 
 def changes_in_batches(
-    cause: Cause, index: np.ndarray, params: np.ndarray, base: Any, theta: np.ndarray, nuisance: Nuisance,
+    cause: Cause, index: np.ndarray, params: np.ndarray, before: Any, theta: np.ndarray, nuisance: Nuisance,
     problem: Problem,
 ) -> Iterator[np.ndarray]:  # fmt: skip
     """Whitened changes of the prediction by one cause at many places and parameters, shape ``(trial, samples)``.
 
-    The samples are those of the rows that the cause touches (:func:`rows_of`), or all. Every batch is filled up to one
-    size, so that each cause is compiled once.
+    The samples are those of the rows that the cause touches (:func:`rows_of`), or all; ``before`` is what
+    :func:`plain` gives. Every batch is filled up to one size, so that each cause is compiled once.
     """
     some = rows_of(cause, index, problem) is not None
-    change, size, start = _changes_of_rows if some else _changes, BATCH if some else whole_of(problem), 0
+    size, start = BATCH if some else whole_of(problem), 0
     while start < len(params):
         take = slice(start, start + size)
         at, p = index[take], params[take]
         fill = np.minimum(np.arange(size), len(p) - 1)
-        y = change(cause, at[fill], p[fill], base, theta, nuisance.spread, nuisance.basis, problem)
+        if isinstance(cause, ChannelCause):
+            y = _changes_of_channels(cause, some, at[fill], p[fill], before, problem.weight, nuisance.basis)
+        else:
+            y = _changes(cause, at[fill], p[fill], before, theta, nuisance.spread, nuisance.basis, problem)
         yield np.asarray(y)[: len(p)]
         start += size
 
 
 @jax.jit
 def plain(theta, spread, problem):
-    """The prediction without a further cause."""
-    return predict((), NOWHERE, (), (), theta * spread, problem)
+    """The prediction without a further cause, and what a fault of a channel may look at."""
+    return predict_with_channels((), NOWHERE, (), (), theta * spread, problem)
 
 
 def whole_of(problem: Problem) -> int:
