@@ -28,6 +28,7 @@ import jax  # noqa: E402
 import matplotlib  # noqa: E402
 
 matplotlib.use("Agg")
+matplotlib.rcParams["savefig.dpi"] = 40  # nobody looks at them
 jax.config.update("jax_enable_x64", True)
 PROGRAMS = pytest.StashKey[str]()
 
