@@ -67,7 +67,7 @@ def hypothesis(comparison: Comparison, cause, p) -> tuple[Hypothesis, Hypothesis
     ids=["slip", "bilinear"],
 )
 def test_prediction_with_harmonics_is_the_harmonic_balance(cause, p, joint):
-    exact = simulate(five_dof(), [joint], [PLACE], FREQ, LEVELS, inputs=["1"], harmonics=5, samples=80)
+    exact = simulate(five_dof(), [joint], [PLACE], FEW, LEVELS, inputs=["1"], harmonics=5, samples=80)
     comparison = make_comparison(exact, five_dof(), "fixed")
     null, h = hypothesis(comparison, cause, p)
     theta = jnp.zeros(h.theta.shape)
