@@ -6,7 +6,7 @@ import pytest
 from modalax.data import FRF
 from modalax.identify import close_modes, record_kind, residues
 from modalax.identify.best_poles import best_poles
-from modalax.identify.close_modes import _apart, two_modes
+from modalax.identify.close_modes import _apart, two_modes, windows_split
 from modalax.identify.disagreement import CERTAIN, _left, of_channels, of_lines, together
 from modalax.identify.neighbourhood import around, residual_of
 from modalax.identify.record_kind import record_of, through
@@ -68,6 +68,19 @@ def test_modes_among_many_that_overlap_stay_two():
     model, residual = fitted(frf, f, zeta)
     assert two_modes(frf, model, residual, (6, 8))
     assert two_modes(frf, model, residual, (8, 9))
+
+
+def test_a_window_that_splits_several_modes_is_told_from_true_pairs():
+    """Two poles about each peak that Hann's taper made, its records drawn so that no kernel explains all of it."""
+    f, pairs = np.array([60.0, 120.0]), np.array([59.5, 60.5, 119.5, 120.5])
+    made = [measured(f, [5e-4, 5e-4], 3, 1, record, noise=1e-4) for record in ("hann", "random")]
+    split = made[0].replace(H=0.9 * made[0].H + 0.1 * made[1].H)
+    true = measured(pairs, np.full(4, 5e-3), 3, 1, noise=1e-4)
+    for frf, zeta, said in ((split, 8e-3, True), (true, 5e-3, False)):
+        model, residual = fitted(frf, pairs, np.full(4, zeta))
+        hoods = [around(frf, model, residual, [a, a + 1], smooth=True) for a in (0, 2)]
+        assert windows_split(frf, hoods) == said
+        assert not windows_split(frf, hoods[:1])
 
 
 @pytest.mark.parametrize(("inputs", "two"), [(2, True), (1, False)])

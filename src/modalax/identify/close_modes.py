@@ -1,6 +1,6 @@
 """Test whether two close modes are two, or one that a short record or unequal hits make look like two."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import scipy.special
@@ -67,8 +67,6 @@ def told_apart(frf: FRF, hood: Neighbourhood, likeness: float | None = None, cut
     cut
         Whether the records are known to end before the modes have died out.
     """
-    mean = np.average(hood.poles, weights=np.sum(np.abs(hood.residues / hood.poles.real[:, None]) ** 2, axis=1))
-    broad = complex(mean.real - np.ptp(hood.poles.imag) / 2, mean.imag)
     if likeness is not None and likeness < UNLIKE and max(frf.shape[1:]) >= MANY:
         # one mode has one shape in any record and at any hit, so only plain evidence is asked for
         two = _at(hood, hood.poles)
@@ -76,14 +74,10 @@ def told_apart(frf: FRF, hood: Neighbourhood, likeness: float | None = None, cut
         need = level * scipy.special.chdtri(two.unknowns // 2, CHANCE)
         if 2 * hood.least_of_one() - two.chi2 > SURELY * need:
             return True
-        return bool(_best(hood, [mean]).chi2 - two.chi2 > need)
+        return bool(_best(hood, [_mean(hood)]).chi2 - two.chi2 > need)
     two = trial(hood, hood.poles)
-    others = [_best(hood, [*hood.poles, mean, broad])]
-    one, T = others[0].poles, duration(frf)
-    if T is not None:  # the window of a record broadens a peak
-        starts = [one[0], complex(NARROWER * one[0].real, one[0].imag)]
-        others += [_best(through(hood, r, T), starts) for r in RECORDS if r != "steady"]
-    least = min(other.chi2 for other in others)
+    others = _of_one(frf, hood)
+    one, least = others[0].poles, min(other.chi2 for other in others)
     if cut and others[0].chi2 - least > MOSTLY * (others[0].chi2 - two.chi2):
         return False
     _, n_out, n_in = frf.shape
@@ -96,6 +90,45 @@ def told_apart(frf: FRF, hood: Neighbourhood, likeness: float | None = None, cut
         if (other.chi2 - two.chi2) / scale < need:
             return False
     return bool(left < MISFIT) or (likeness is not None and likeness <= ALIKE)
+
+
+def windows_split(frf: FRF, hoods: Iterable[Neighbourhood]) -> bool:
+    """Whether one kind of record explains ``MOSTLY`` what the second of each two close modes does, for several of them.
+
+    All modes were seen by one record; besides that with the strongest second mode the others must speak for it too, so
+    that no single pair of true modes is taken for the work of a window.
+    """
+    seconds, gains = [], []
+    for hood in hoods:
+        two, others = trial(hood, hood.poles), _of_one(frf, hood)
+        level = noise_level(frf, two.chi2 / max(2 * hood.data.size - two.unknowns, 1))
+        seconds.append(max(others[0].chi2 - two.chi2, 0.0) / level)
+        gains.append([min(max(others[0].chi2 - other.chi2, 0.0) / level, seconds[-1]) for other in others])
+    if len(seconds) < 2:
+        return False
+    second, gain = np.array(seconds), np.array(gains)
+    best, rest = int(np.argmax(gain.sum(axis=0))), np.arange(len(second)) != np.argmax(second)
+    most = gain[:, best].sum() > MOSTLY * second.sum()
+    return bool(most and gain[rest, best].sum() > 0.5 * second[rest].sum())
+
+
+def _of_one(frf: FRF, hood: Neighbourhood) -> list[Trial]:
+    """One mode in the place of two in a steady state, first, and in all other kinds of record."""
+    mean, T = _mean(hood), duration(frf)
+    broad = complex(mean.real - np.ptp(hood.poles.imag) / 2, mean.imag)
+    steady = _best(hood, [*hood.poles, mean, broad])
+    if T is None:
+        return [steady]
+    pole = complex(steady.poles[0])  # which the window of a record broadens
+    starts = [pole, complex(NARROWER * pole.real, pole.imag)]
+    return [steady, *(_best(through(hood, r, T), starts) for r in RECORDS if r != "steady")]
+
+
+def _mean(hood: Neighbourhood) -> complex:
+    """Mean of the poles, weighed by their peaks."""
+    return complex(
+        np.average(hood.poles, weights=np.sum(np.abs(hood.residues / hood.poles.real[:, None]) ** 2, axis=1))
+    )
 
 
 def _likeness(model: ModalModel, pair: tuple[int, int]) -> float | None:

@@ -60,8 +60,8 @@ def _as_recorded(pole: complex, first: float, record: str, T: float) -> complex:
     """The pole whose resonance in a record looks most like a steady one, on lines ``first`` beside multiples of 1/T."""
     step = 2 * np.pi / T
     reach = max(WIDTH * -pole.real, LINES * step)
-    numbers = np.arange(max(1.0, np.ceil((pole.imag - reach) / step)), np.floor((pole.imag + reach) / step) + 1)
-    s = 1j * (first + step * numbers[:: max(1, len(numbers) // MOST)])
+    lower, upper = max(1.0, np.ceil((pole.imag - reach) / step)), np.floor((pole.imag + reach) / step)
+    s = 1j * (first + step * np.arange(lower, upper + 1, max(1, (upper - lower) // MOST)))
     one = np.ones((1, 1), complex)
     straight = np.stack([np.ones(len(s)), np.linspace(-1, 1, len(s))], axis=1).astype(complex)
     lines = Neighbourhood(

@@ -12,13 +12,13 @@ from jaxtyping import Bool, Float
 from modalax._numerics.checks import as_array
 from modalax._numerics.cuts import cut
 from modalax.data.frf import FRF
-from modalax.identify.close_modes import NEAR, two_modes
+from modalax.identify.close_modes import NEAR, two_modes, windows_split
 from modalax.identify.disagreement import CERTAIN, together
 from modalax.identify.flags import matters
 from modalax.identify.host import refine_on_host, residues_on_host
 from modalax.identify.likelihood import UNDAMPED
 from modalax.identify.local import fit_where_dominant
-from modalax.identify.neighbourhood import LINES, WIDTH, residual_of, scatter_of
+from modalax.identify.neighbourhood import LINES, WIDTH, around, residual_of, scatter_of
 from modalax.identify.noise import residual_sigma
 from modalax.identify.one_mode import second_mode
 from modalax.identify.quality import CHANCE, ModeQuality, gains_of, quality_of
@@ -27,6 +27,7 @@ from modalax.identify.refine import CONTRADICTION, CORRELATED, HELD, UNIT, Refin
 from modalax.model.modal import ModalModel
 
 TURNS = 5  # most times that modes are dropped and the others refined again
+MANY = 8  # pairs of close modes, at most, that are asked about the window of a record
 WINDOW = 3.0  # lines over which the window of a record spreads a peak
 NARROW = 0.01  # half-bandwidth in lines below which a pole is one bad line
 
@@ -83,9 +84,14 @@ def settle(
 
 
 def _cut_short(frf: FRF, model: ModalModel) -> bool:
-    """Whether the resonances plainly show records that end before the modes have died out."""
-    record = record_of(frf, model, residual_of(frf, model), np.flatnonzero(_inside(frf, model)))
-    return record is not None and record.plain
+    """Whether the resonances, or the modes that stand within a window of each other, plainly show records cut short."""
+    inside, residual = _inside(frf, model), residual_of(frf, model)
+    record = record_of(frf, model, residual, np.flatnonzero(inside))
+    if record is not None and record.plain:
+        return True
+    f, step = np.asarray(model.frequency_hz), float(np.median(np.diff(np.asarray(frf.freq))))
+    near = [int(a) for a in np.flatnonzero(np.diff(f) < WINDOW * step) if inside[[a, a + 1]].all()]
+    return windows_split(frf, (around(frf, model, residual, [a, a + 1], smooth=True) for a in near[:MANY]))
 
 
 def settle_diagram(
