@@ -82,7 +82,7 @@ def told_apart(frf: FRF, hood: Neighbourhood, likeness: float | None = None, cut
         return False
     _, n_out, n_in = frf.shape
     places = np.divmod(np.arange(n_out * n_in), n_in)
-    others += [_apart(hood, one, place) for place in places if place.max() > 0]
+    others += [_apart(hood, one, place, two.chi2) for place in places if place.max() > 0]
     left = two.chi2 / max(2 * hood.data.size - two.unknowns, 1)
     scale = noise_level(frf, left) * _correlation(hood.left(two.poles), left)
     for other in others:
@@ -181,8 +181,14 @@ def _of_rank_one(hood: Neighbourhood, free: Trial, residues: np.ndarray, size: n
     return Trial(free.chi2 + lost, free.unknowns - freedom, free.poles)
 
 
-def _apart(hood: Neighbourhood, start: Sequence[complex] | np.ndarray, place: np.ndarray) -> Trial:
-    """One pole for each group of channels; of ``MANY`` groups or more, one step from the pole of all."""
+def _apart(
+    hood: Neighbourhood, start: Sequence[complex] | np.ndarray, place: np.ndarray, two: float | None = None
+) -> Trial:
+    """One pole for each group of channels; of ``MANY`` groups or more, one step from the pole of all.
+
+    Groups that disagree bend the residues too, so that these are held to rank one only where poles of their own explain
+    less than ``MOSTLY`` of what ``two`` modes do.
+    """
     count = int(place.max()) + 1
     if count < MANY:
         parts = [hood.channels(place == k) for k in range(count)]
@@ -191,6 +197,9 @@ def _apart(hood: Neighbourhood, start: Sequence[complex] | np.ndarray, place: np
         for k, (part, found) in enumerate(zip(parts, trials, strict=True)):
             size[place == k], residues[place == k] = _residues(part, found.poles[0])
         free = Trial(sum(t.chi2 for t in trials), sum(t.unknowns for t in trials), np.asarray(start))
+        one = 2 * hood.squares_left(start)
+        if two is None or one - free.chi2 > MOSTLY * (one - two):
+            return free
         return _of_rank_one(hood, free, residues, size)
     pole = complex(start[0])
     Q = np.linalg.qr(hood.columns([pole]))[0]
