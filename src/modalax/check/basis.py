@@ -3,6 +3,9 @@ r"""What FRFs are made of at given lines, and least squares on it."""
 import numpy as np
 
 SMOOTH_POWERS, MORE_POWERS = (-2, 0, 2), (-4, -2, 0, 2, 4)
+# With these a frequency or a phase of a channel that hardly sees the mode is safe from modes beyond the band; with
+# fewer it takes up what the smooth terms leave, by many standard deviations.
+ALL_POWERS = (-6, -4, -2, 0, 2, 4, 6)
 # Poles may lie beyond the band by this factor: their flanks reach into it.
 BEYOND = 1.25
 

@@ -89,17 +89,24 @@ def _of_many(phases: Phases, known: Known, driven: list[int]) -> Iterator[tuple[
     common = max((x for x in (told, alone) if x is not None), key=lambda x: x.score, default=None)
     if common is not None:
         yield None, common
-    for o in range(phases.angle.shape[1]):
-        if phases.angle.shape[1] == 1:
+    left = list(range(phases.angle.shape[1]))
+    while len(left) > 1:
+        # Beside a channel that is late the others look early: one at a time is found and left out.
+        found = {o: late for o in left if (late := _off_others(phases, o, left, known)) is not None}
+        if not found:
             return
-        others = Phases(phases.omega, *(np.delete(a, o, axis=1) for a in phases[1:]))
-        middle, spread = _middles(others)
-        own = undirected(phases.angle[:, o] - middle)
-        late = _late(
-            phases.omega, own, np.hypot(phases.noise[:, o], spread), phases.part[:, o], known._replace(loss=0.0)
-        )
-        if late is not None:
-            yield o, late
+        worst = max(found, key=lambda o: found[o].score)
+        yield worst, found[worst]
+        left.remove(worst)
+
+
+def _off_others(phases: Phases, o: int, left: list[int], known: Known) -> Late | None:
+    """The delay of one channel off the middle of the others that are left; None if there is none."""
+    others = [k for k in left if k != o]
+    middle, spread = _middles(Phases(phases.omega, *(a[:, others] for a in phases[1:])))
+    own = undirected(phases.angle[:, o] - middle)
+    noise = np.hypot(phases.noise[:, o], spread)
+    return _late(phases.omega, own, noise, phases.part[:, o], known._replace(loss=0.0))
 
 
 def _of_two(phases: Phases, known: Known) -> Iterator[tuple[int | None, Late]]:
@@ -120,7 +127,7 @@ def _of_two(phases: Phases, known: Known) -> Iterator[tuple[int | None, Late]]:
 def _phases(study: Study) -> Phases:
     """Angles of all modes and outputs, the columns' middle."""
     omega, residues, std = study.summed
-    values = 1j * residues
+    std, values = np.hypot(std, study.unsure), 1j * residues
     with np.errstate(divide="ignore", invalid="ignore"):
         noise = np.where(np.abs(residues) > CLEAR * std, std / np.abs(residues), np.inf)
         typical = np.sqrt(np.mean(np.abs(residues) ** 2, axis=1, keepdims=True))

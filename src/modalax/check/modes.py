@@ -181,7 +181,7 @@ def residues_at(
     lifted = Phi @ coefficients
     half = len(lifted) // 2
     fitted = (lifted[:half] + 1j * lifted[half:]) / noise.weight[:, None]
-    pole_std = _pole_std(basis, poles, residues, noise, misfit)
+    pole_std = _pole_std(basis, poles, residues, noise, misfit, left)
     inside = (poles.imag > omega[0]) & (poles.imag < omega[-1])
     return Modes(poles, residues, std, fitted, misfit, pole_std, inside, tuple(powers))
 
@@ -238,8 +238,12 @@ def _pole_columns(basis: Basis, poles: np.ndarray, residues: np.ndarray, U: np.n
     return columns.reshape(len(columns), -1)
 
 
-def _pole_std(basis: Basis, poles, residues, noise: Noise, misfit: np.ndarray) -> np.ndarray:
-    """Standard deviations of the poles, from the strongest FRFs."""
+def _pole_std(basis: Basis, poles, residues, noise: Noise, misfit: np.ndarray, left: np.ndarray) -> np.ndarray:
+    """Standard deviations of the poles, from the strongest FRFs.
+
+    The larger of two: by the noise of each sample, and by what is left at each line with all FRFs together, which also
+    knows noise that they share, as that of a force (a sandwich estimate clustered by line, Liang and Zeger 1986).
+    """
     n = len(poles)
     if not n:
         return np.zeros(0)
@@ -249,4 +253,7 @@ def _pole_std(basis: Basis, poles, residues, noise: Noise, misfit: np.ndarray) -
     solve = np.linalg.pinv(columns @ columns.T, hermitian=True) @ columns
     one = 0.5 * (noise.weight[:, None] * noise.sigma[:, strong] / noise.level[strong]) ** 2
     one = one * np.maximum(misfit[strong], 1.0) ** 2
-    return np.sqrt(solve**2 @ np.concatenate([one, one]).reshape(-1)).reshape(2, n).max(axis=0)
+    alone = solve**2 @ np.concatenate([one, one]).reshape(-1)
+    scores = np.sum(solve.reshape(2 * n, *left[:, strong].shape) * left[:, strong] / noise.level[strong], axis=2)
+    shared = np.sum((scores[:, : len(basis.s)] + scores[:, len(basis.s) :]) ** 2, axis=1)
+    return np.sqrt(np.maximum(alone, shared)).reshape(2, n).max(axis=0)

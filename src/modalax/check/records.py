@@ -17,6 +17,8 @@ PULSE_SHARE, SHORT_PULSE = 0.2, 2
 ROLLOFF, BAND = 26.0, 1 / 2.56
 # Blocks from which what the force does not explain is looked at, and power of a tone there over the lines around.
 FEWEST_BLOCKS, TONE = 4, 30.0
+# A channel of so few different values holds the idle steps of its converter.
+FEW_VALUES = 8
 # Share of different values from which on a channel is not rounded.
 UNROUNDED = 0.7
 # Power of a resonance over that of the lines around.
@@ -227,6 +229,8 @@ def _clipped(records: Records) -> Iterator[Finding]:
     channels = [(records.input, records.force)]
     channels += [(name, records.response[:, :, k]) for k, name in enumerate(records.outputs)]
     for name, blocks in channels:
+        if len(np.unique(blocks)) <= FEW_VALUES:
+            continue
         flat = [int(clipped_samples(b[:, None]).sum()) for b in blocks]
         which = np.flatnonzero([_plateau(b) for b in blocks])
         if not len(which):
@@ -259,11 +263,14 @@ def _plateau(values: np.ndarray) -> bool:
 
 
 def _dead(records: Records) -> Iterator[Finding]:
-    spread = records.response.std(axis=1).max(axis=0)
-    for k in np.flatnonzero(spread == 0).tolist():
+    for k, name in enumerate(records.outputs):
+        count = len(np.unique(records.response[:, :, k]))
+        if count > FEW_VALUES:
+            continue
         yield Finding(
-            "dead", (records.outputs[k],), sure=0.99, size=0.0, unit="rms",
-            evidence="the channel holds one value in all blocks", advice="check cable, sensor and range",
+            "dead", (name,), sure=0.99, size=float(count), unit="values",
+            evidence=f"the channel holds {count} different values in all blocks, steps of its converter",
+            advice="check cable, sensor and range",
         )  # fmt: skip
 
 
@@ -317,9 +324,7 @@ def _cut_short(records: Records) -> Iterator[Finding]:
         evidence=f"{100 * share:.3g} % of the response at {records.outputs[k]} is left at the end of the block of "
         f"{duration:.4g} s: the part cut off leaks into the lines around the resonances",
         advice="record longer (closer lines), or use an exponential window and take its damping out",
-        picture=Picture(
-            [("rms of a part", (np.arange(PARTS) + 0.5) * duration / PARTS, level)], "Time [s]", "rms", True
-        ),
+        picture=Picture([("level", (np.arange(PARTS) + 0.5) * duration / PARTS, level)], "Time [s]", "rms", True),
     )  # fmt: skip
 
 
@@ -363,9 +368,7 @@ def _mains(records: Records) -> Iterator[Finding]:
                     unit="of the largest line",
                     evidence=f"a tone at {mains:g} Hz stays as it is through the record",
                     advice="look for ground loops, use insulated mounts and shielded cables",
-                    picture=Picture(
-                        [(name, freq[1:], np.sqrt(spectrum[1:, k]))], "Frequency [Hz]", "Last half", True
-                    ),
+                    picture=Picture([(name, freq[1:], np.sqrt(spectrum[1:, k]))], "Frequency [Hz]", "Last half", True),
                 )  # fmt: skip
                 break
 

@@ -6,10 +6,9 @@ from itertools import combinations
 
 import numpy as np
 
-from modalax.check.basis import Basis
+from modalax.check.basis import ALL_POWERS, Basis
 from modalax.check.finding import Finding, Picture, sureness
 from modalax.check.modes import Modes, Noise, estimate_modes, improve, misfit_of, noise_of, residues_at, select
-from modalax.check.phases import ANGLE
 from modalax.check.study import Study, line_step
 
 # A shift is told from this share of the frequency on, as one kelvin makes in steel (its modulus falls by 2.5e-4 a
@@ -20,9 +19,8 @@ SENSORS, OF_SENSORS, OF_WIDTH = 3.0, 6e-4, 0.09
 # Blocks up to this number are searched for modes of their own where those of the reference do not explain them.
 MOST_OWN = 12
 STEPS = 6
-# Smooth terms of a block. With fewer, what modes beyond the band do to a column that hardly sees a mode inside it is
-# taken up by that mode's frequency, by many standard deviations.
-POWERS = (-6, -4, -2, 0, 2, 4, 6)
+# Error of the phase of a column that no standard deviation knows [rad]; channels are matched to some 0.05 degrees.
+PHASE = 1e-3
 # Misfit from which on a block is searched for modes of its own.
 LEFT = 1.4
 # A mode of a block belongs to one of the reference within this many half-power bandwidths, or this share of both.
@@ -85,8 +83,8 @@ def _between(study: Study, blocks: Blocks) -> tuple[float, Finding] | None:
     # A mode narrower than the lines are apart, or cut by the band's end, has no frequency to compare.
     edge = np.minimum(f0 - study.freq[0], study.freq[-1] - f0)
     fit = reference.inside & (width > line_step(study.freq, f0)) & (edge > width)
-    # A phase that is off by ANGLE at resonance moves the frequency by as large a share of half of the bandwidth.
-    s = np.where(fit & (s < 0.1 * width), np.hypot(s, 0.5 * ANGLE * width), np.inf)
+    # A phase that is off at resonance moves the frequency by as large a share of half of the bandwidth.
+    s = np.where(fit & (s < 0.1 * width), np.hypot(s, 0.5 * PHASE * width), np.inf)
     if blocks.kind == "output":
         # A sensor's mass moves a mode by little; by more it is another mode.
         s = np.where(np.abs(f - f0) < np.minimum(LOADED * f0, LOADED_WIDTH * width), s, np.inf)
@@ -211,7 +209,7 @@ def _of_block(study: Study, poles: np.ndarray, block) -> tuple[Modes, float]:
     """Those of the poles that a block needs, moved to where it has them, and the misfit that is left."""
     basis, X, H, noise = _weighted(study, block)
     poles, left = _converged(basis, select(basis, poles, X), X)
-    return residues_at(basis.s.imag, H, noise, poles, study.power, POWERS), left
+    return residues_at(basis.s.imag, H, noise, poles, study.power, ALL_POWERS), left
 
 
 def _frequencies(study: Study, poles: np.ndarray, block, search: bool) -> np.ndarray:
@@ -224,7 +222,7 @@ def _frequencies(study: Study, poles: np.ndarray, block, search: bool) -> np.nda
         own = estimate_modes(basis.s.imag / 2 / np.pi, H, noise.sigma, study.power)
         other, less = _converged(basis, _matched(own.poles, poles), X)
         best, left = (other, less) if less < left else (best, left)
-    found = residues_at(basis.s.imag, H, noise, best, study.power, POWERS)
+    found = residues_at(basis.s.imag, H, noise, best, study.power, ALL_POWERS)
     moved = np.abs(best) - np.abs(poles)
     lost = (_clear(found) < CLEAR) | (np.abs(best.real) > 3 * np.abs(poles.real))
     lost |= _leading(found, basis.s.imag / 2 / np.pi, H, study.power) < LEADS
@@ -242,7 +240,7 @@ def _weighted(study: Study, block) -> tuple[Basis, np.ndarray, np.ndarray, Noise
     """The basis of a block at the lines that tell poles, its FRFs over their noise, the FRFs, and the noise."""
     H, sigma = (a[study.telling] for a in _block(study, block))
     noise = noise_of(H, sigma)
-    basis = Basis(2 * np.pi * study.freq[study.telling], study.power, noise.weight, POWERS)
+    basis = Basis(2 * np.pi * study.freq[study.telling], study.power, noise.weight, ALL_POWERS)
     return basis, noise.weight[:, None] * H / noise.level, H, noise
 
 

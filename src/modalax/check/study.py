@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Complex, Float
 
-from modalax.check.modes import Modes, estimate_modes
+from modalax.check.basis import ALL_POWERS
+from modalax.check.modes import Modes, estimate_modes, noise_of, residues_at
 from modalax.check.noise import local_noise
 from modalax.check.starts import principal_frfs, telling_lines
 from modalax.data.causality import CERTAIN, phase_fall
@@ -135,6 +136,16 @@ class Study:
         residues = np.stack([self.residues[g].sum(axis=0) for g in self.groups])
         std = np.stack([np.sqrt((self.residue_std[g] ** 2).sum(axis=0)) for g in self.groups])
         return omega, residues, std
+
+    @cached_property
+    def unsure(self) -> Float[np.ndarray, "g o i"]:
+        """By how much the residues of the groups change with more smooth terms for modes beyond the band."""
+        lines, shape = len(self.freq), self.residues.shape
+        H, sigma = (a[0].reshape(lines, -1) for a in (self.H, self.sigma))
+        omega, noise = 2 * np.pi * self.freq, noise_of(H, sigma)
+        more = residues_at(omega, H, noise, self.modes.poles, self.power, ALL_POWERS).residues.reshape(shape)
+        change = [np.abs((more - self.residues)[g].sum(axis=0)) for g in self.groups]
+        return np.stack(change) if change else np.zeros((0, *shape[1:]))
 
     @cached_property
     def drive_points(self) -> tuple[DrivePoint, ...]:
