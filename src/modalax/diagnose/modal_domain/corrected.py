@@ -9,7 +9,7 @@ from modalax.diagnose.modal_domain.causes import shown, with_sizes
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.fit import Fit, widths_of_sizes
 from modalax.diagnose.modal_domain.given_elements import changed_by_elements
-from modalax.diagnose.modal_domain.inaccuracy import KINDS, RIGID, THROUGHOUT, TOLD
+from modalax.diagnose.modal_domain.inaccuracy import KINDS, RIGID, THROUGHOUT, TOLD, WITHIN
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.modal_domain.state import FARTHEST, Setting, changes_of, matrices_of, slopes_at
 from modalax.diagnose.modal_domain.throughout import throughout_told
@@ -88,9 +88,10 @@ def inaccuracy_told(setting: Setting, f: Fit) -> dict[str, Any]:
         (np.einsum("pkk->kp", p)[inside] / np.maximum(nominal[KINDS[g]][inside, None], 1e-300))
         for g, p in zip(a.groups, a.patterns, strict=True)
     ]
-    # the rest is told as stiffness, a factor that is not told by itself with the elements
+    # the rest is told as stiffness, a factor that is not told by itself with the elements, as is what is off unevenly
     apart = throughout_told(setting, f)
-    also = {"rest": "stiffness"} | {group: name for name, group in THROUGHOUT.items() if name not in apart}
+    also = {"rest": "stiffness"} | {group: name for name, group in WITHIN.items()}
+    also |= {group: name for name, group in THROUGHOUT.items() if name not in apart}
     of = [[j for j, g in enumerate(a.groups) if name in (g, also.get(g))] for name in TOLD]
     shares = [np.concatenate([every[j] for j in some], axis=1) for some in of]
     independent = [_independent(share) for share in shares]

@@ -17,7 +17,7 @@ from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
 from modalax.diagnose.modal_domain.oscillators import oscillators
 from modalax.diagnose.modal_domain.screen import finite, refined, replaced, scores
 from modalax.diagnose.modal_domain.state import Setting, state_at
-from modalax.diagnose.modal_domain.throughout import start_in, with_throughout
+from modalax.diagnose.modal_domain.throughout import start_in, with_more
 
 NONE = 0.5  # probability before the data that nothing stands out
 SECOND = 1e-4  # the same of a second cause, given a first one: what a first one leaves is mostly error of the model
@@ -75,7 +75,7 @@ class Prior:
 
 @dataclass
 class _Search:
-    """What a search has found so far; ``bare`` is the setting without factors throughout."""
+    """What a search has found so far; ``bare`` is the setting with errors of single elements alone."""
 
     setting: Setting
     found: dict[tuple[Change, ...], Fit]
@@ -98,7 +98,7 @@ def explain(
     null = fit(setting)
     if null is None:
         return setting, []
-    bare, setting = setting, with_throughout(setting, null)
+    bare, setting = setting, with_more(setting, null)
     if setting is not bare:
         null = fit(setting) or start_in(setting, null)
     search = _Search(setting, {(): null}, bare)
@@ -186,16 +186,16 @@ def _attached(
 def _beside_a_factor(
     bare: Setting, setting: Setting, found: dict[tuple[Change, ...], Fit], prior: Prior
 ) -> tuple[Setting, dict[tuple[Change, ...], Fit]]:
-    """Fit the leading explanations again with the factors throughout that the data ask for beside the likeliest.
+    """Fit the leading explanations again with the factors throughout and uneven errors that the data ask for.
 
-    Without a cause a factor may stand for it, and with one may have been hidden; ``bare`` is the setting without any.
+    Without a cause these may stand for it, and with one may have been hidden; ``bare`` is the setting without any.
     """
     leading = _ranked(found, prior)[:AGAIN]
     leading += [e for e in _ranked(found, prior)[AGAIN:] if not e.causes]
     best = leading[0]
     alone = fit(bare, best.causes, start_in(bare, best.fit), best.fit.u, temperatures=(3.0,)) if best.causes else None
     keep = alone is None or (setting is not bare and best.fit.log_evidence > alone.log_evidence)
-    asked = setting if alone is None or keep else with_throughout(bare, alone)
+    asked = setting if alone is None or keep else with_more(bare, alone)
     if asked.inaccuracy.groups == setting.inaccuracy.groups:
         return setting, found
     again: dict[tuple[Change, ...], Fit] = {}

@@ -22,7 +22,8 @@ HOPELESS = 40.0  # nats behind another hypothesis from which a fit must gain its
 SMALLEST = 1e-5  # least relative size of an inaccuracy; no structure is known better
 # greatest relative sizes that are tried
 LARGEST = {"stiffness": 0.3, "mass": 0.3, "damping": 1.5, "damping between modes": 1.5, "rest": 0.3,
-           "stiffness throughout": 1.0, "mass throughout": 1.0}  # fmt: skip
+           "stiffness throughout": 1.0, "mass throughout": 1.0, "stiffness within": 0.3,
+           "mass within": 0.3}  # fmt: skip
 
 
 @dataclass(frozen=True)

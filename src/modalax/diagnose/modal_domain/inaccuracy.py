@@ -25,7 +25,8 @@ CLAIMED = 0.7  # the same of a size that the author claims, who may be wrong by 
 RIGID = 1e-3  # frequency, relative to the highest, below which a mode is that of a rigid body
 BETWEEN = 0.1  # damping between modes, relative to that of the modes themselves
 KINDS = {"stiffness": "K", "mass": "M", "damping": "C", "damping between modes": "C", "rest": "K",
-         "stiffness throughout": "K", "mass throughout": "M"}  # fmt: skip
+         "stiffness throughout": "K", "mass throughout": "M", "stiffness within": "K", "mass within": "M"}  # fmt: skip
+WITHIN = {name: f"{name} within" for name in ("stiffness", "mass")}  # groups of what elements are off unevenly
 THROUGHOUT = {name: f"{name} throughout" for name in ("stiffness", "mass")}  # groups of one pattern: all by one factor
 TOLD = ("stiffness", "mass", "damping")  # what an answer tells
 
@@ -38,7 +39,7 @@ class Inaccuracy:
     ----------
     groups
         What is off: ``stiffness``, ``mass``, ``damping``, ``damping between modes``, and where the data ask for them
-        ``stiffness throughout`` and ``mass throughout``.
+        ``stiffness throughout`` and ``mass throughout``, ``stiffness within`` and ``mass within``.
     patterns
         Of each group, in modal coordinates, shape ``(p, n, n)``; a size of 1 is a change by the whole.
     usual, spread

@@ -9,7 +9,7 @@ from modalax.diagnose.decision.beyond import BeyondUsual, ModalCase, Names, moda
 from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.fit import LARGEST
-from modalax.diagnose.modal_domain.inaccuracy import TOLD
+from modalax.diagnose.modal_domain.inaccuracy import TOLD, WITHIN
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.thresholds import THRESHOLDS
 
@@ -139,5 +139,5 @@ def of_the_joint(stage: Stage, c: Change) -> bool:
 
 def inaccuracy_of_fit(stage: Stage, e: Explanation) -> dict[str, float]:
     """General relative inaccuracy of stiffness, mass and damping that goes with an explanation."""
-    every = zip(stage.setting.inaccuracy.groups, e.fit.epsilon, strict=True)
-    return {name: float(size) for name, size in every if name in TOLD}
+    every = dict(zip(stage.setting.inaccuracy.groups, e.fit.epsilon.tolist(), strict=True))
+    return {name: float(np.hypot(every[name], every.get(WITHIN.get(name, ""), 0.0))) for name in TOLD}

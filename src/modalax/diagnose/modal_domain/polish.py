@@ -129,7 +129,8 @@ def leading_on_lines(
         if k and (e.probability < LIKELY or late()):
             break
         again = fit(setting, e.causes, e.fit, e.fit.u, temperatures=()) if apart else None
-        out[k] = replace(e, fit=on_lines(setting, again or e.fit, lines, late))
+        nearer = again is not None and chi2_of(setting, again, lines) < chi2_of(setting, e.fit, lines)
+        out[k] = replace(e, fit=on_lines(setting, again if nearer and again is not None else e.fit, lines, late))
     return setting, out
 
 

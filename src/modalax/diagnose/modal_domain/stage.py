@@ -127,7 +127,7 @@ def run_stage(
     setting = Setting(c, inaccuracy_of(simulation, c, highest), measured.features, whitener)
     if simulation.groups is None:  # all of the mass and stiffness is, where there is one force, its constant as well
         sought = ("stiffness", "mass") if len(measurement.inputs) > 1 else ("stiffness",)
-        setting = replace(setting, sought=sought)
+        setting = replace(setting, sought=sought, uneven=simulation.elements is None)
     pairs = None if simulation.pairs is None else list(simulation.pairs)
     every = candidates_of(simulation, c, measurement.outputs, measurement.inputs, pairs, highest)
     every += further_of(simulation, c, measured, measurement.outputs)

@@ -40,6 +40,8 @@ class Setting:
         part of that covariance.
     sought
         Of what a factor throughout is looked for: ``stiffness``, ``mass``.
+    uneven
+        Whether elements may be off unevenly.
     """
 
     coordinates: Coordinates
@@ -48,6 +50,7 @@ class Setting:
     whitener: np.ndarray
     rest: float = 0.0
     sought: tuple[str, ...] = ()
+    uneven: bool = False
 
     def patterns(self) -> list[tuple[str, np.ndarray]]:
         """Kind and patterns of each group."""

@@ -1,7 +1,12 @@
-r"""What is off by one factor throughout: all of the stiffness, or all of the mass.
+r"""What errors of single elements are not: one factor throughout, or elements that are off unevenly.
 
 A modulus or a thickness that is wrong is no scatter of elements. Where the data are clearly likelier with such a factor
-:math:`e^x`, x is fitted beside the errors of single elements, which are then told as much smaller as they are.
+:math:`e^x` on all of the stiffness or mass, x is fitted beside the errors of single elements, which are then told as
+much smaller as they are.
+
+What a matrix shows as one element between two nodes may be several, such as four columns under a floor, each off by
+itself. Where elements that are off as a whole do not explain the modes, each :math:`K_e=FF^T` may change to
+:math:`F(I+\epsilon Z)F^T` with ``Z`` symmetric and random (Soize 2000).
 """
 
 from dataclasses import replace
@@ -12,46 +17,84 @@ import numpy as np
 from modalax._numerics.text import with_error
 from modalax.diagnose.modal_domain.discrepancy import beside
 from modalax.diagnose.modal_domain.fit import Fit, fit, linear_at, without_causes
-from modalax.diagnose.modal_domain.inaccuracy import THROUGHOUT, UNKNOWN, USUAL
+from modalax.diagnose.modal_domain.inaccuracy import THROUGHOUT, TOLD, UNKNOWN, USUAL, WITHIN
 from modalax.diagnose.modal_domain.state import Setting
 from modalax.diagnose.thresholds import THRESHOLDS
 
 CLEARER = 5.0  # nats of log evidence that each such factor must gain
 WIDER = 3.0  # a factor throughout before the data, relative to the usual errors of single elements
+RANK = 1e-9  # stiffness in one motion, relative to the stiffest, below which an element does not resist it
+MOST = 400  # patterns of uneven errors beyond which fits take too long
+BASE = len(TOLD) + 1  # groups that every inaccuracy begins with
 
 
-def with_throughout(setting: Setting, alone: Fit) -> Setting:
-    """The setting with the factors throughout that the data ask for beside the causes of the fit ``alone``."""
-    names = tuple(name for name in setting.sought if THROUGHOUT[name] not in setting.inaccuracy.groups)
-    found = [(alone.log_evidence, setting)]
-    for some in [*((name,) for name in names), names]:
-        if len(some) == 2 and len(found) == 1:  # neither by itself
-            break
-        wider = _with(setting, some)
+def with_more(setting: Setting, alone: Fit) -> Setting:
+    """The setting with factors throughout and uneven errors that the data ask for beside the causes of ``alone``."""
+    there = setting.inaccuracy.groups
+    if alone.chi2 > THRESHOLDS.misfit * alone.state.difference.size:
+        uneven = [(WITHIN[name],) for name in setting.sought if setting.uneven and WITHIN[name] not in there]
+        setting, alone = _likeliest(setting, alone, uneven)
+    factors = [THROUGHOUT[name] for name in setting.sought if THROUGHOUT[name] not in there]
+    wider, found = _likeliest(setting, alone, [(name,) for name in factors])
+    if wider is setting or len(factors) < 2:
+        return wider
+    return _likeliest(wider, found, [tuple(g for g in factors if g not in wider.inaccuracy.groups)])[0]
+
+
+def _likeliest(setting: Setting, alone: Fit, trials: list[tuple[str, ...]]) -> tuple[Setting, Fit]:
+    """The setting with the groups, of several trials, that make the data likeliest, and the fit in it."""
+    best, top = (setting, alone), alone.log_evidence
+    for groups in trials:
+        wider = _with(setting, groups)
+        if wider is None:
+            continue
         start = start_in(wider, alone) if alone.causes else None
         trial = fit(wider, alone.causes, start, alone.u, **({"temperatures": (3.0,)} if alone.causes else {}))
-        if trial is not None and trial.log_evidence - CLEARER * len(some) > alone.log_evidence:
-            found.append((trial.log_evidence - CLEARER * len(some), wider))
-    return max(found, key=lambda one: one[0])[1]
+        if trial is not None and trial.log_evidence - CLEARER * len(groups) > top:
+            best, top = (wider, trial), trial.log_evidence - CLEARER * len(groups)
+    return best
 
 
 def start_in(setting: Setting, f: Fit) -> Fit:
-    """The inaccuracy of a fit as a start in a setting with factors throughout, or without them."""
-    count, groups = len(setting.inaccuracy.group_of), len(setting.inaccuracy.groups)
-    few = replace(f, sizes=f.sizes[:count], epsilon=f.epsilon[:groups], determined=f.determined[:groups])
+    """The errors of single elements of a fit as a start in a setting with other groups beside them."""
+    count = int(np.count_nonzero(setting.inaccuracy.group_of < BASE))
+    few = replace(f, sizes=f.sizes[:count], epsilon=f.epsilon[:BASE], determined=f.determined[:BASE])
     return beside(setting, without_causes(few))
 
 
-def _with(setting: Setting, names: tuple[str, ...]) -> Setting:
+def _with(setting: Setting, groups: tuple[str, ...]) -> Setting | None:
+    """The setting with further groups; None where one of them is empty or too large."""
     a = setting.inaccuracy
-    whole = tuple(a.patterns[a.groups.index(name)].sum(axis=0)[None] for name in names)
-    more = replace(
-        a, groups=(*a.groups, *(THROUGHOUT[name] for name in names)), patterns=(*a.patterns, *whole),
-        usual=np.append(a.usual, [WIDER * USUAL[name] for name in names]),
-        spread=np.append(a.spread, [UNKNOWN] * len(names)), claimed=(*a.claimed, *(False for _ in names)),
-        positive=np.append(a.positive, [True] * len(names)),
-    )  # fmt: skip
-    return replace(setting, inaccuracy=more)
+    for group in groups:
+        name = group.split()[0]
+        own = a.patterns[a.groups.index(name)]
+        factor = group == THROUGHOUT[name]
+        patterns = own.sum(axis=0)[None] if factor else uneven_patterns(own)
+        if not 0 < len(patterns) <= MOST:
+            return None
+        a = replace(
+            a, groups=(*a.groups, group), patterns=(*a.patterns, patterns), claimed=(*a.claimed, False),
+            usual=np.append(a.usual, (WIDER if factor else 1.0) * USUAL[name]), spread=np.append(a.spread, UNKNOWN),
+            positive=np.append(a.positive, np.full(len(patterns), factor)),
+        )  # fmt: skip
+    return replace(setting, inaccuracy=a)
+
+
+def uneven_patterns(patterns: np.ndarray) -> np.ndarray:
+    """Changes within each element that is no single spring, shape ``(p, n, n)``; empty if there are too many."""
+    out: list[np.ndarray] = []
+    for P in patterns:
+        values, vectors = np.linalg.eigh(P)
+        F = vectors[:, values > RANK * values[-1]] * np.sqrt(values[values > RANK * values[-1]])
+        rank = F.shape[1]
+        if rank > 1 and len(out) + rank * (rank + 1) // 2 > MOST:
+            return np.zeros((0, *P.shape))
+        for a in range(rank if rank > 1 else 0):
+            out.append(np.outer(F[:, a], F[:, a]))
+            for b in range(a):
+                both = np.outer(F[:, a], F[:, b]) / np.sqrt(2)
+                out.append(both + both.T)
+    return np.array(out).reshape(-1, *patterns.shape[1:])
 
 
 def throughout_told(setting: Setting, f: Fit) -> dict[str, dict[str, float]]:

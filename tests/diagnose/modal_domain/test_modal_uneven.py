@@ -1,0 +1,59 @@
+"""Elements that a matrix shows as one may be several, each off by itself."""
+
+import numpy as np
+from frames import modal_damping
+
+from modalax.data import Measurement
+from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.diagnose.modal_domain.throughout import uneven_patterns
+from modalax.model import Structure
+
+FLOORS, HALF, COLUMNS = 4, (3.0, 2.4), (1.0, 1.1, 0.9, 1.05)
+NAMES = tuple(f"{k + 1}:+{way}" for k in range(FLOORS) for way in ("X", "Y", "RZ"))
+
+
+def building(off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Stiffness and mass of floors on four columns, each column's stiffness off by a part, shape ``(floor, 4)``."""
+    K, M = np.zeros((2, 3 * FLOORS, 3 * FLOORS))
+    for k in range(FLOORS):
+        for part, usual, (x, y) in zip(off[k], COLUMNS, ((1, 1), (1, -1), (-1, 1), (-1, -1)), strict=True):
+            T = np.array([[1.0, 0.0, -y * HALF[1]], [0.0, 1.0, x * HALF[0]]])
+            D = np.zeros((2, 3 * FLOORS))
+            D[:, 3 * k : 3 * k + 3] = T
+            if k:
+                D[:, 3 * k - 3 : 3 * k] = -T
+            K += usual * (1 + part) * D.T @ np.diag([4e6, 4.7e6]) @ D
+        M[range(3 * k, 3 * k + 3), range(3 * k, 3 * k + 3)] = 8e3, 8e3, 8e3 * (HALF[0] ** 2 + HALF[1] ** 2) / 3
+    return K, M
+
+
+def test_columns_that_are_off_each_by_itself_are_no_cause():
+    rng = np.random.default_rng(3)
+    K, M = building(np.zeros((FLOORS, 4)))
+    simulation = Structure(M, modal_damping(M, K, 0.012), K, NAMES)
+    K = building(0.03 * rng.standard_normal((FLOORS, 4)))[0]
+    C = modal_damping(M, K, 0.012 * np.exp(0.2 * rng.standard_normal(len(K))))
+    top = np.sqrt(np.linalg.eigvals(np.linalg.solve(M, K)).real.max()) / 2 / np.pi
+    freq, inputs = np.linspace(0.1 * top, 0.6 * top, 400), [0, 7]
+    s = 2j * np.pi * freq[:, None, None]
+    H = s**2 * np.linalg.solve(K + s * C + s**2 * M, np.broadcast_to(np.eye(len(K))[:, inputs], (400, len(K), 2)))
+    sigma = 0.01 * np.sqrt((np.abs(H) ** 2).mean(axis=0)) * np.ones(H.shape)
+    H = H + sigma * (rng.standard_normal((2, *H.shape)) * [[[[1]]], [[[1j]]]]).sum(axis=0) / np.sqrt(2)
+    data = Measurement(
+        freq, H[None], form="accelerance", outputs=NAMES, inputs=[NAMES[k] for k in inputs], variance=sigma[None] ** 2
+    )
+    found = diagnose_modes(data, simulation, wanted=lambda slug: slug in ("added_mass", "joint_stiffness"))
+    assert found.verdict == "clean"
+    assert found.gain.chi2_after < 0.02 * found.gain.chi2_before
+    assert found.to_dict()["inaccuracy"]["stiffness"]["value"] < 0.02
+
+
+def test_uneven_changes_hold_every_change_of_parallel_springs():
+    rng = np.random.default_rng(0)
+    B = rng.standard_normal((3, 4, 5))  # elements of four springs each between five coordinates
+    patterns = uneven_patterns(np.einsum("eki,ekj->eij", B, B))
+    A = patterns.reshape(len(patterns), -1).T
+    for spring in B.reshape(-1, 5):
+        change = np.outer(spring, spring).ravel()
+        assert np.linalg.norm(A @ np.linalg.lstsq(A, change, rcond=None)[0] - change) < 1e-9
+    assert len(uneven_patterns(np.einsum("eki,ekj->eij", B[:, :1], B[:, :1]))) == 0  # single springs
