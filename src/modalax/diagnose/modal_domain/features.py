@@ -117,34 +117,55 @@ def tangent_of(A: np.ndarray) -> np.ndarray:
     return np.concatenate([first, second])
 
 
-def values_of(poles: np.ndarray, residues: np.ndarray, tangent: np.ndarray) -> np.ndarray:
-    """Features of modes, shape ``(k, 2 + 2 d)``, from their poles and residues in units of the channels."""
-    size = np.maximum(np.sqrt((np.abs(residues) ** 2).sum(axis=(1, 2))), INVISIBLE)
+def values_of(
+    poles: np.ndarray, residues: np.ndarray, tangent: np.ndarray, sizes: np.ndarray | None = None
+) -> np.ndarray:
+    """Features of modes, shape ``(k, 2 + 2 d)``, from their poles and residues in units of the channels.
+
+    Parameters
+    ----------
+    sizes
+        Measured sizes of residues about which the features are linear in the residues, so that a mode may show not at
+        all or with the other sign; NaN for modes whose features are as above, shape ``(k,)``.
+    """
+    own = np.maximum(np.sqrt((np.abs(residues) ** 2).sum(axis=(1, 2))), INVISIBLE)
+    size, linear = _sizes(own, sizes)
     along = np.einsum("kdoi,koi->kd", tangent.conj(), residues) / size[:, None]
     zeta = np.maximum(-poles.real / np.abs(poles), 1e-9)
-    first = np.stack([np.log(np.abs(poles)), np.log(zeta), np.log(size), np.angle(along[:, 0])], axis=1)
+    grown = np.log(size) + np.where(linear, along[:, 0].real - 1, 0.0)
+    turned = np.where(linear, along[:, 0].imag, np.angle(along[:, 0]))
+    first = np.stack([np.log(np.abs(poles)), np.log(zeta), grown, turned], axis=1)
     return np.concatenate([first, along[:, 1:].real, along[:, 1:].imag], axis=1)
 
 
 def slopes_of_values(
-    poles: np.ndarray, residues: np.ndarray, tangent: np.ndarray, dpoles: np.ndarray, dresidues: np.ndarray
-) -> np.ndarray:
+    poles: np.ndarray, residues: np.ndarray, tangent: np.ndarray, dpoles: np.ndarray, dresidues: np.ndarray,
+    sizes: np.ndarray | None = None,
+) -> np.ndarray:  # fmt: skip
     """Derivatives of the features, shape ``(k, 2 + 2 d, p)``, by changes ``(k, p)`` and ``(k, p, o, i)``."""
-    size2 = np.maximum((np.abs(residues) ** 2).sum(axis=(1, 2)), INVISIBLE**2)
+    own2 = np.maximum((np.abs(residues) ** 2).sum(axis=(1, 2)), INVISIBLE**2)
     relative = dpoles / poles[:, None]
     real = poles.real[:, None]
-    size = np.sqrt(size2)[:, None]
+    size, linear = _sizes(np.sqrt(own2), sizes)
     change = dresidues.reshape(*dresidues.shape[:2], -1).transpose(0, 2, 1)
     flat, axes = residues.reshape(len(poles), -1), tangent.conj().reshape(*tangent.shape[:2], -1)
-    dsize = np.matmul(flat.conj()[:, None], change)[:, 0].real / size2[:, None]
-    along = np.matmul(axes, flat[:, :, None])[:, :, 0] / size
-    moved = np.matmul(axes, change) / size[:, None]
-    own = along[:, :1]
-    turned = (own.conj() * moved[:, 0]).imag / np.maximum(np.abs(own) ** 2, FLAT)
+    dsize = np.where(linear[:, None], 0.0, np.matmul(flat.conj()[:, None], change)[:, 0].real / own2[:, None])
+    along = np.matmul(axes, flat[:, :, None])[:, :, 0] / size[:, None]
+    moved = np.matmul(axes, change) / size[:, None, None]
+    first = along[:, :1]
+    turned = (first.conj() * moved[:, 0]).imag / np.maximum(np.abs(first) ** 2, FLAT)
+    grown, turned = np.where(linear[:, None], (moved[:, 0].real, moved[:, 0].imag), (dsize, turned))
     moved = (moved - along[:, :, None] * dsize[:, None, :])[:, 1:]
     dzeta = dpoles.real / real - relative.real
-    first = np.stack([relative.real, dzeta, dsize, turned], axis=1)
-    return np.concatenate([first, moved.real, moved.imag], axis=1)
+    leading = np.stack([relative.real, dzeta, grown, turned], axis=1)
+    return np.concatenate([leading, moved.real, moved.imag], axis=1)
+
+
+def _sizes(own: np.ndarray, measured: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Sizes that residues are taken relative to, and of which modes the features are linear in them."""
+    if measured is None:
+        return own, np.zeros(len(own), bool)
+    return np.where(np.isnan(measured), own, measured), ~np.isnan(measured)
 
 
 def _covariance(found: Projected, residues: np.ndarray, units: np.ndarray, tangent: np.ndarray) -> np.ndarray:

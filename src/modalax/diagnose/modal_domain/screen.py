@@ -62,7 +62,8 @@ def distance(
     """Chi-square that predicted modes leave beyond the inaccuracy that is tolerated."""
     f = setting.features
     pairs = pairs_with(f, causes, poles, residues)
-    r = whitened(setting, (f.values - values_of(poles[pairs], residues[pairs] / f.units, f.tangent)).ravel(), causes)
+    values = values_of(poles[pairs], residues[pairs] / f.units, f.tangent, setting.linear)
+    r = whitened(setting, (f.values - values).ravel(), causes)
     h = shrink @ r
     return float(r @ r - h @ h) + unseen(f, causes, poles, residues, pairs)
 

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from modalax.diagnose.modal_domain.inaccuracy import KINDS, Inaccuracy
 WILD = 1e12  # factor on a channel that no fault has
 UNSEEN = 1e-12  # residues of a mode, relative to the largest of all, below which no channel sees it
 FARTHEST = 5.0  # logarithm of a factor on a modal damping that is not exceeded on the way to a fit
+HARDLY = 0.2  # size of a mode's residues, relative to the measured ones, below which the simulation hardly shows it
 NONE = np.zeros(0)  # sizes where there is no cause
 
 
@@ -55,6 +57,23 @@ class Setting:
     def patterns(self) -> list[tuple[str, np.ndarray]]:
         """Kind and patterns of each group."""
         return [(KINDS[g], p) for g, p in zip(self.inaccuracy.groups, self.inaccuracy.patterns, strict=True)]
+
+    @cached_property
+    def linear(self) -> np.ndarray:
+        """Measured sizes of residues of modes that the simulation hardly shows, NaN of all others, shape ``(k,)``.
+
+        Where a symmetric structure is measured, its simulation shows no mode whose node a force is at; what is
+        measured of it is linear in the errors of elements.
+        """
+        c, f = self.coordinates, self.features
+        modes = modes_of(c)
+        residues = np.einsum("ko,ki->koi", modes.vectors @ c.outputs.T, modes.vectors @ c.inputs.T)
+        if len(modes.poles) < len(f.poles):
+            return np.full(len(f.poles), np.nan)
+        size = lambda A: np.sqrt((np.abs(A / f.units) ** 2).sum(axis=(1, 2)))
+        measured = np.sqrt((np.abs(f.residues) ** 2).sum(axis=(1, 2)))
+        shown_at_all = size(residues[paired(f, modes.poles, residues)])
+        return np.where(shown_at_all < HARDLY * measured, measured, np.nan)
 
 
 @dataclass(frozen=True)
@@ -193,7 +212,7 @@ def state_at(
     modes = modes_of(c, **changes_of(setting, sizes, causes, u))
     plain = np.einsum("ko,ki->koi", modes.vectors @ c.outputs.T, modes.vectors @ c.inputs.T)
     seen = np.abs(plain).max(axis=(1, 2), initial=0.0)
-    needed = len(f.poles) - sum(cause.freed is not None for cause in causes)
+    needed = np.isnan(setting.linear).sum() - sum(cause.freed is not None for cause in causes)
     if np.count_nonzero(seen > UNSEEN * seen.max(initial=0.0)) < needed:  # the spare coordinate is none
         raise np.linalg.LinAlgError("fewer modes than measured")
     residues = plain
@@ -203,7 +222,7 @@ def state_at(
         raise np.linalg.LinAlgError("a channel out of all bounds")
     if pairs is None:
         pairs = pairs_with(f, causes, modes.poles, residues)
-    values = values_of(modes.poles[pairs], residues[pairs] / f.units, f.tangent)
+    values = values_of(modes.poles[pairs], residues[pairs] / f.units, f.tangent, setting.linear)
     return State(whitened(setting, (f.values - values).ravel(), causes), sizes, modes, pairs, plain, residues)
 
 
@@ -262,7 +281,7 @@ def feature_slopes(
             flat = moved.reshape(k * p, *moved.shape[2:])
             moved = cause.at_modes(size, np.repeat(t.poles, p), flat).reshape(moved.shape)
     slopes = slopes_of_values(
-        t.poles, state.residues[state.pairs] / f.units, f.tangent, dpoles, moved / f.units[:, None]
+        t.poles, state.residues[state.pairs] / f.units, f.tangent, dpoles, moved / f.units[:, None], setting.linear
     )
     return slopes.reshape(-1, p)
 
@@ -278,4 +297,5 @@ def _channel_slope(
         residues = act(size, t.poles, residues)
     still = np.zeros((len(t.poles), 1), complex)
     moved = (residues / f.units)[:, None]
-    return slopes_of_values(t.poles, state.residues[state.pairs] / f.units, f.tangent, still, moved).reshape(-1, 1)
+    seen = state.residues[state.pairs] / f.units
+    return slopes_of_values(t.poles, seen, f.tangent, still, moved, setting.linear).reshape(-1, 1)
