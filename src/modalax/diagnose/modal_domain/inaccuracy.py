@@ -24,6 +24,7 @@ UNKNOWN = 2.0  # standard deviation of the logarithm of a size that nobody claim
 CLAIMED = 0.7  # the same of a size that the author claims, who may be wrong by a factor of two
 RIGID = 1e-3  # frequency, relative to the highest, below which a mode is that of a rigid body
 BETWEEN = 0.1  # damping between modes, relative to that of the modes themselves
+NEAR = 8  # modes above each one that it may be coupled with by damping
 KINDS = {"stiffness": "K", "mass": "M", "damping": "C", "damping between modes": "C", "rest": "K",
          "stiffness throughout": "K", "mass throughout": "M", "stiffness within": "K", "mass within": "M"}  # fmt: skip
 WITHIN = {name: f"{name} within" for name in ("stiffness", "mass")}  # groups of what elements are off unevenly
@@ -101,14 +102,14 @@ def _claim(simulation: Structure, name: str) -> float:
 
 
 def _damping(c: Coordinates, highest: float) -> tuple[np.ndarray, np.ndarray]:
-    """Patterns of damping, of each mode by itself and between modes."""
+    """Patterns of damping, of each mode by itself and between modes, those in the band and others near them."""
     own = np.sqrt(np.maximum(np.diag(c.damping), 1e-12))
-    inside = int(np.count_nonzero(c.frequencies < highest)) + 2
-    few = min(inside, c.size)
-    alone, between = [], []
+    inside = int(np.count_nonzero(c.frequencies < highest))
+    few = min(inside + 2, c.size)
+    pairs = [(r, s) for r in range(min(inside + 1, c.size)) for s in range(r + 1, min(c.size, r + NEAR + 1))]
+    alone, between = np.zeros((few, c.size, c.size)), np.zeros((len(pairs), c.size, c.size))
     for r in range(few):
-        for s in range(r, min(few, r + 6)):
-            pattern = np.zeros((c.size, c.size))
-            pattern[r, s] = pattern[s, r] = own[r] * own[s] * (1.0 if r == s else BETWEEN)
-            (alone if r == s else between).append(pattern)
-    return np.array(alone).reshape(-1, c.size, c.size), np.array(between).reshape(-1, c.size, c.size)
+        alone[r, r, r] = own[r] ** 2
+    for k, (r, s) in enumerate(pairs):
+        between[k, r, s] = between[k, s, r] = BETWEEN * own[r] * own[s]
+    return alone, between
