@@ -139,5 +139,5 @@ def of_the_joint(stage: Stage, c: Change) -> bool:
 
 def inaccuracy_of_fit(stage: Stage, e: Explanation) -> dict[str, float]:
     """General relative inaccuracy of stiffness, mass and damping that goes with an explanation."""
-    every = dict(zip(stage.setting.inaccuracy.groups, e.fit.epsilon.tolist(), strict=True))
+    every = dict(zip(stage.setting.inaccuracy.groups, e.fit.epsilon, strict=True))
     return {name: float(np.hypot(every[name], every.get(WITHIN.get(name, ""), 0.0))) for name in TOLD}
