@@ -15,7 +15,7 @@ from jaxtyping import Array
 
 from modalax._numerics.checks import as_array, require_finite
 from modalax.identify.lscf import ARC, RIDGE
-from modalax.identify.moments import factor_of_normal, normal_from_moments
+from modalax.identify.moments import factor_of_normal, normal_from_moments, with_spare
 from modalax.identify.polynomial import poles_of_factor
 from modalax.identify.select import Selection, select
 from modalax.identify.tables import PoleTable
@@ -84,8 +84,8 @@ def diagram_of_chunks(
     if not inputs:
         raise ValueError("there are no FRFs; at least one chunk of outputs is needed")
     zoomed = zoom(omega, arc, False)
-    R = factor_of_normal(G, energy, found[-1], as_array(RIDGE))
-    table = poles_of_factor(R, found, inputs, "a0", False, zoomed, "plscf")
+    R, added = factor_of_normal(G, energy, found[-1], as_array(RIDGE))
+    table = poles_of_factor(R, found, inputs, "a0", False, zoomed, "plscf", added)
     margin = MARGIN * (freq[-1] - freq[0])
     return table, select(table, band=(max(freq[0] - margin, 0.0), freq[-1] + margin))
 
@@ -93,4 +93,4 @@ def diagram_of_chunks(
 @partial(jax.jit, static_argnums=(2, 3))
 def _normal(H: Array, omega: Array, order: int, arc: float) -> tuple[Array, Array]:
     u = zoom(omega, arc, False).circle(omega)
-    return normal_from_moments(H, jnp.ones(len(omega)), u, order, order, False)
+    return normal_from_moments(H, jnp.ones(len(omega)), u, order, with_spare(order, len(omega)), False)

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.scipy.linalg import solve_triangular
-from jaxtyping import Array, Bool, Complex, Inexact, Int
+from jaxtyping import Array, Bool, Complex, Float, Inexact, Int
 
 from modalax._numerics.powers import powers
 
@@ -30,20 +30,40 @@ def check_constraint(constraint: str) -> str:
     return constraint
 
 
-@partial(jax.jit, static_argnames=("size", "constraint"))
+@partial(jax.jit, static_argnames=("size", "constraint", "steps"))
 def coefficients(
-    R: Inexact[Array, "m m"], order: Int[Array, ""], size: int, constraint: str
+    R: Inexact[Array, "m m"],
+    order: Int[Array, ""],
+    size: int,
+    constraint: str,
+    added: Float[Array, ""] | float = 0.0,
+    steps: int = 0,
 ) -> Inexact[Array, "k i i"]:
     r"""Blocks :math:`A_0 \dots A_n` of order ``order``, padded with zeros to the largest.
+
+    Where :math:`R^HR` is a normal matrix with a ridge :math:`\rho I` added, each of ``steps`` steps takes the effect of
+    the ridge out of the solution, :math:`x \leftarrow x_0 + \rho\,(R^HR)^{-1} x` (iterated Tikhonov regularisation).
 
     Parameters
     ----------
     R
         Triangular factor of the columns :math:`Y_0, Y_1, \dots`, blocks of ``size`` columns.
     constraint
-        ``last`` fixes :math:`A_n = I`; ``first`` :math:`A_0 = I`; ``norm`` takes the smallest singular vectors.
+        ``last`` fixes :math:`A_n = I`; ``first`` :math:`A_0 = I`; ``norm`` takes the smallest singular vectors, which a
+        ridge leaves as they are.
+    added
+        The ridge :math:`\rho`.
+    steps
+        Number of such steps.
     """
     m = R.shape[0]
+
+    def without_ridge(T: Array, x: Array) -> Array:
+        start = x
+        for _ in range(steps):
+            x = start + added * solve_triangular(T, solve_triangular(T, x, trans="C"))
+        return x
+
     column = jnp.arange(m)
     low, high = order * size, (order + 1) * size
     if constraint == "norm":
@@ -62,12 +82,12 @@ def coefficients(
         right = jnp.concatenate([jnp.where(rows[:, None], -R[:, :size], 0.0), jnp.zeros((m, size), R.dtype)])
         Q, T = jnp.linalg.qr(left)
         x = solve_triangular(T, Q.conj().T @ right)
-        A = jnp.where(inside[:, None], x, 0.0).at[:size].set(jnp.eye(size))
+        A = jnp.where(inside[:, None], without_ridge(T, x), 0.0).at[:size].set(jnp.eye(size))
         return A.reshape(m // size, size, size)
     inside = column < low
     square = jnp.where(inside[None, :] & inside[:, None], R, 0.0) + jnp.diag(jnp.where(inside, 0.0, 1.0))
     right = jnp.where(inside[:, None], lax.dynamic_slice(R, (jnp.zeros_like(low), low), (m, size)), 0.0)
-    x = solve_triangular(square, -right)
+    x = without_ridge(square, solve_triangular(square, -right))
     A = lax.dynamic_update_slice(x, jnp.eye(size, dtype=R.dtype), (low, jnp.zeros_like(low)))
     return A.reshape(m // size, size, size)
 

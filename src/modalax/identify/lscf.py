@@ -47,14 +47,14 @@ def lscf(
         Added to the normal matrix, relative to its mean diagonal. The default only decides between solutions that
         fit equally well to rounding: the one of least norm.
     numerator
-        Degree of the numerators for all orders; the largest order if None, so that one factorisation serves all. A
+        Degree of the numerators for all orders; if None the largest order, so that one factorisation serves all, and
+        by ``moments`` a tenth more. A
         numerator far above the order takes up much of what is no pole: orders that are to be read off FRFs of a
         non-linear structure are better computed each for itself.
     solver
-        ``qr``: orthogonal factorisation, exact to rounding; ``moments``: normal matrix from moments, far faster for
-        many outputs, but blind below :math:`10^{-8}` of the largest FRF, so that without noise crowded modes come out
-        to 4e-5 in frequency and 2e-3 in damping only; ``auto``: moments for large sets (over 60 FRFs of 3000 lines
-        at order 80).
+        ``qr``: orthogonal factorisation, exact to rounding; ``moments``: the normal matrix, far faster for many
+        outputs, but blind below :math:`10^{-8}` of the largest FRF; ``auto``: moments for large sets (over 60 FRFs of
+        3000 lines at order 80).
 
     Returns
     -------
@@ -68,8 +68,8 @@ def lscf(
 
     Notes
     -----
-    Guillaume, Verboven and Vanlanduit (1998); Guillaume et al. (2003), equations 1-12. The normal matrix is never
-    formed: its triangular factor comes from an orthogonal factorisation of the projected columns.
+    Guillaume, Verboven and Vanlanduit (1998); Guillaume et al. (2003), equations 1-12. By ``qr`` the normal matrix is
+    never formed: its triangular factor comes from an orthogonal factorisation of the projected columns.
     """
     weight = weights_of(frf, weights)
     f = frf.H.shape[0]

@@ -2,7 +2,9 @@ r"""Stabilization diagrams of thousands of noisy copies of one set of FRFs at on
 
 Three properties of LSCF with :math:`A_n = 1` make a diagram cheap where many of the same size are wanted:
 
-* The normal matrix follows from moments (:mod:`modalax.identify.moments`), which for all copies are one product.
+* The normal matrix follows from the moments :math:`c(d) = \sum_f h u^d`, since :math:`X^H\mathrm{diag}(h)X` with
+  :math:`u^k` as columns has one value a diagonal. For all copies they are one product. Small sets with noise need not
+  the digits of :mod:`modalax.identify.moments`.
 * With its triangular factor :math:`R` the coefficients of every order are the columns of :math:`R^{-1}`, each divided
   by its diagonal entry.
 * The roots of copies lie near each other. The Ehrlich-Aberth iteration moves all roots of all copies and orders
@@ -23,9 +25,9 @@ from modalax._numerics.checks import as_array
 from modalax._numerics.known import Numbers
 from modalax._numerics.powers import powers
 from modalax.identify.lscf import ARC
-from modalax.identify.moments import inverse_root, toeplitz
 from modalax.identify.zoom import check_orders, zoom
 
+CUT = 1e-12  # eigenvalues of the numerator's Gram matrix below this part of the largest are not seen on the arc
 LEAST = 1e-6  # least noise, relative to the FRFs, that their squares still show
 STEPS = 60  # most steps of the iteration; roots that still move after them are taken from eigenvalues
 STILL = 1e-6  # step, relative to the unit circle, after which the next one, a cube of it, is below rounding
@@ -85,10 +87,10 @@ def _coefficients(H: Array, omega: Array, order: int) -> Complex[Array, "k order
     behind = real[:, :, 0] + imag[:, :, 1] + 1j * (imag[:, :, 0] - real[:, :, 1])
     second = jnp.sum(H**2, axis=(1, 2)) @ parts
     power = second[:, :m] + 1j * second[:, m:]
-    index = np.arange(m)[None, :] - np.arange(m)[:, None] + order
+    index = np.arange(m)[None, :] - np.arange(m)[:, None] + order  # entry (j, k) is the moment k - j
     T = jnp.concatenate([power[:, :0:-1].conj(), power], axis=1)[:, index]
     ones = jnp.sum(span, axis=0)
-    W = inverse_root(toeplitz(jnp.concatenate([ones[:0:-1].conj(), ones]), m, m, order))
+    W = _inverse_root(jnp.concatenate([ones[:0:-1].conj(), ones])[index])
     # Real products, which are several times as fast as complex ones; entry (draw, column, row, line) of S.
     c = jnp.concatenate([behind[..., :0:-1], ahead], axis=-1)
     S = jnp.swapaxes(c[:, :, index.T], 1, 2)
@@ -102,6 +104,14 @@ def _coefficients(H: Array, omega: Array, order: int) -> Complex[Array, "k order
     inverse = jax.scipy.linalg.solve_triangular(L, jnp.broadcast_to(jnp.eye(m, dtype=L.dtype), L.shape), lower=True)
     A = jnp.transpose(inverse.conj(), (2, 1, 0))
     return A / jnp.diagonal(A).T
+
+
+def _inverse_root(gram: Array) -> Array:
+    """``W`` with ``W^H W`` the inverse of the Gram matrix on the directions that the arc can see."""
+    values, vectors = jnp.linalg.eigh(gram)
+    seen = values > CUT * values[-1]
+    scale = jnp.where(seen, 1 / jnp.sqrt(jnp.where(seen, values, 1.0)), 0.0)
+    return scale[:, None] * vectors.conj().T
 
 
 @jax.jit

@@ -1,19 +1,42 @@
-r"""The normal matrix of the polynomial estimators from moments, for large sets of FRFs.
+r"""The normal matrix of the polynomial estimators from the products of a few columns, for large sets of FRFs.
 
-With :math:`u^k` as basis, :math:`X^H\mathrm{diag}(h)X` has one value a diagonal, the moment
-:math:`c(d) = \sum_f w^2 h u^d`. So one matrix product over the lines gives the moments of all outputs, and what
-remains is one matrix product over the outputs. The condition number is squared on the way: good for measured
-data, whose noise is above :math:`10^{-8}`; exact data go through the orthogonal factorisation.
+With the columns :math:`h_o u^k` and the orthogonal projection :math:`P_n` off the numerators
+:math:`\mathrm{span}\{u^0 \dots u^n\}`, the normal matrix is
+
+.. math:: M_{jk} = \sum_o \langle P_n h_o u^j,\; h_o u^k\rangle .
+
+On the unit circle multiplication by :math:`u` is unitary. It moves the span by one degree, and of the moved span only
+one direction is new and one is gone, :math:`\varphi` and :math:`\psi`, what :math:`u^n` and :math:`u^{-1}` have beyond
+:math:`\mathrm{span}\{u^0 \dots u^{n-1}\}`. So the matrix follows from its first row along the diagonals,
+
+.. math:: M_{j+1,k+1} = M_{jk} + \sum_o \bar a_{oj} a_{ok} - \bar b_{oj} b_{ok}, \qquad
+          a_{ok} = \langle\varphi, h_o u^k\rangle, \quad b_{ok} = \langle\psi, h_o u^k\rangle ,
+
+and a few products of matrices do for all outputs, where each output would need two of its own. All directions are
+orthonormal, so that nothing is lost but what squaring costs: :math:`10^{-8}` of the largest FRF. A matrix of such low
+displacement rank is treated by Kailath and Sayed (1995), SIAM Review 37, 297.
 """
 
-import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Complex, Float, Inexact
 
 from modalax._numerics.powers import powers
+from modalax.identify.zoom import moved_span
 
-CUT = 1e-12  # eigenvalues of the numerator's Gram matrix below this part of the largest are not seen on the arc
+RIDGE = 1e-15  # ridge for each row of the normal matrix, relative to its mean diagonal: ten times its rounding errors
+
+SPARE = 0.1  # part of the highest order by which the numerators go beyond it
+
+
+def with_spare(order: int, lines: int) -> int:
+    """Degree of the numerators for a diagram up to ``order``, as far as the number of lines allows.
+
+    Modes outside the band and the map of the band on the circle leave a smooth rest in each FRF, which the numerators
+    follow. Those of the highest orders have nothing left for it, and there it goes into the poles (1e-7 of their
+    frequencies without noise); of a few more degrees noise takes no notice.
+    """
+    return max(order, min(order + int(SPARE * order), lines // 2 - 1))
 
 
 def normal_from_moments(
@@ -24,52 +47,50 @@ def normal_from_moments(
     numerator: int,
     real: bool,
 ) -> tuple[Inexact[Array, "m m"], Float[Array, ""]]:
-    r"""Normal matrix :math:`\sum_o D_o^H(I - QQ^H)D_o` of some outputs, and the mean diagonal of it with :math:`Q = 0`.
+    r"""Normal matrix :math:`\sum_o D_o^H P_n D_o` of some outputs, and the mean diagonal of it with :math:`P_n = I`.
 
     Parameters are those of :func:`triangular_factor` with one weight a line for all outputs.
     """
-    _, n_rows, size = H.shape
-    m = (order + 1) * size
-    top = max(order, numerator)
-    w2 = weight**2
-    ahead = powers(u, top + 1)
-    span = jnp.concatenate([ahead[:, :0:-1].conj(), ahead], axis=1)  # |u| = 1: negative powers are conjugates
-    gram = toeplitz(w2 @ span, numerator + 1, numerator + 1, top)
-    whiten = inverse_root(gram.real if real else gram)
-    c = jnp.einsum("fri,fd->rid", H * w2[:, None, None], span)
-    # Powers of a column minus powers of a row: entry (j, k) has the moment k - j.
-    blocks = lambda r: jnp.stack([toeplitz(c[r, i], numerator + 1, order + 1, top) for i in range(size)], 2)
-    second = jnp.einsum("fri,frj,fd->ijd", (H * w2[:, None, None]).conj(), H, span)
-    total = jnp.stack(
-        [jnp.stack([toeplitz(second[i, j], order + 1, order + 1, top) for j in range(size)], 2) for i in range(size)],
-        1,
-    )
-    G = total.reshape(order + 1, size, order + 1, size).reshape(m, m)
-    G = G.real if real else G
+    f, _, size = H.shape
+    h = (H * weight[:, None, None]).reshape(f, -1)
+    Q, phi, psi = moved_span(u, weight, numerator, real)
+    span = powers(u, order + 1)
+    stack = lambda x: jnp.concatenate([x.real, x.imag]) if real else x
+    given = stack(h)
+    left = given - stack(Q) @ (stack(Q).conj().T @ given)
+    left = left[:f] + 1j * left[f:] if real else left
+    first = jnp.einsum("fri,frj->fij", left.reshape(H.shape).conj(), h.reshape(H.shape))
+    first = jnp.einsum("fij,fk->ikj", first, span)
+    first = first.real if real else first
 
-    def subtract(r: Array) -> Array:
-        S = blocks(r).reshape(numerator + 1, m)
-        S = whiten @ (S.real if real else S)
-        return S.conj().T @ S
+    def products(direction: Array) -> Array:
+        """Sum over the outputs of the products of their columns along one direction, ``(k, i, k, i)``."""
+        moved = direction.conj()[:, None] * span
+        # with real coefficients the product is the real part of that of complex columns
+        a = stack(moved.conj() if real else moved).T @ given
+        a = jnp.swapaxes(a.reshape(order + 1, -1, size), 0, 1).reshape(-1, (order + 1) * size)
+        return (a.conj().T @ a).reshape(order + 1, size, order + 1, size)
 
-    def add(G: Array, chunk: Array) -> tuple[Array, None]:
-        return G - jnp.sum(jax.vmap(subtract)(chunk), axis=0), None
+    def below(row: Array, given: tuple[Array, Array]) -> tuple[Array, Array]:
+        change, start = given
+        row = jnp.concatenate([start[:, None], (row + change)[:, :-1]], axis=1)
+        return row, row
 
-    whole = n_rows // 8 * 8
-    if whole:
-        G, _ = lax.scan(add, G, jnp.arange(whole).reshape(-1, 8))
-    if whole < n_rows:
-        G, _ = add(G, jnp.arange(whole, n_rows))
-    return G, jnp.trace(total.reshape(m, m)).real / m
+    change = (products(phi) - products(psi))[:-1]
+    starts = jnp.transpose(first, (1, 2, 0)).conj()[1:]  # the first column, by symmetry
+    _, rest = lax.scan(below, first, (change, starts))
+    M = jnp.concatenate([first[None], rest]).reshape((order + 1) * size, -1)
+    return (M + M.conj().T) / 2, jnp.sum(h.real**2 + h.imag**2) / size
 
 
 def factor_of_normal(
-    G: Inexact[Array, "m m"], energy: Float[Array, ""], order: int, ridge: Float[Array, ""]
-) -> Inexact[Array, "m m"]:
-    """Triangular factor of a normal matrix, kept regular by a ridge relative to its mean diagonal."""
-    m = len(G)
-    floor = jnp.maximum(ridge * (order + 1), 1e-14 * m) * energy
-    return jnp.linalg.cholesky((G + G.conj().T) / 2 + floor * jnp.eye(m)).conj().T
+    M: Inexact[Array, "m m"], energy: Float[Array, ""], order: int, ridge: Float[Array, ""]
+) -> tuple[Inexact[Array, "m m"], Float[Array, ""]]:
+    """Triangular factor of a normal matrix with a ridge, and what of the ridge was not asked for."""
+    m = len(M)
+    asked, needed = ridge * (order + 1) * energy, RIDGE * m * energy
+    factor = jnp.linalg.cholesky(M + jnp.maximum(asked, needed) * jnp.eye(m)).conj().T
+    return factor, jnp.maximum(needed - asked, 0.0)
 
 
 def factor_from_moments(
@@ -80,21 +101,7 @@ def factor_from_moments(
     numerator: int,
     real: bool,
     ridge: Float[Array, ""],
-) -> Inexact[Array, "m m"]:
-    """Triangular factor of :func:`normal_from_moments`, the same matrix as by QR up to rounding."""
-    G, energy = normal_from_moments(H, weight, u, order, numerator, real)
-    return factor_of_normal(G, energy, order, ridge)
-
-
-def toeplitz(moments: Array, rows: int, columns: int, top: int) -> Array:
-    """Matrix whose entry ``(j, k)`` is moment ``k - j``; ``moments`` runs from ``-top`` to ``top``."""
-    index = jnp.arange(columns)[None, :] - jnp.arange(rows)[:, None] + top
-    return moments[index]
-
-
-def inverse_root(gram: Array) -> Array:
-    """``W`` with ``W^H W`` the inverse of the Gram matrix on the directions that the arc can see."""
-    values, vectors = jnp.linalg.eigh(gram)
-    seen = values > CUT * values[-1]
-    scale = jnp.where(seen, 1 / jnp.sqrt(jnp.where(seen, values, 1.0)), 0.0)
-    return scale[:, None] * vectors.conj().T
+) -> tuple[Inexact[Array, "m m"], Float[Array, ""]]:
+    """Triangular factor of :func:`normal_from_moments`, and the ridge in it that was not asked for."""
+    M, energy = normal_from_moments(H, weight, u, order, numerator, real)
+    return factor_of_normal(M, energy, order, ridge)

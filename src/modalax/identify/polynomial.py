@@ -17,13 +17,14 @@ from jaxtyping import Array, Complex, Float, Inexact
 from modalax._numerics.powers import powers
 from modalax.data.frf import FRF
 from modalax.identify.fraction import check_constraint, coefficients, roots
-from modalax.identify.moments import factor_from_moments
+from modalax.identify.moments import factor_from_moments, with_spare
 from modalax.identify.tables import PoleTable
 from modalax.identify.zoom import Zoom, check_orders, orthonormal_powers, zoom
 
 SOLVERS = ("auto", "qr", "moments")
 LONG = 100  # poles of the highest order from which on a diagram is done in parts
 LARGE = 1e10  # floating-point operations from which on ``auto`` takes the moments
+STEPS = 3  # steps that take the ridge of the moments out of the coefficients
 WEIGHTS = ("unit", "magnitude", "variance")
 LAST = {"a0": "last", "aN": "first", "norm": "norm"}
 
@@ -100,18 +101,22 @@ def triangular_factor(
 
 @eqx.filter_jit
 def poles_of_factor(
-    R: Inexact[Array, "m m"], orders: tuple[int, ...], size: int, constraint: str, real: bool, zoomed: Zoom, method: str
-) -> PoleTable:
+    R: Inexact[Array, "m m"], orders: tuple[int, ...], size: int, constraint: str, real: bool, zoomed: Zoom,
+    method: str, added: Float[Array, ""] | None = None,
+) -> PoleTable:  # fmt: skip
     """All orders of a stabilization diagram from the factor of the largest: one vmap for orders of about a size.
 
-    Eigenvalues cost the cube of the size they are padded to, so long diagrams are done in up to four parts.
+    ``added`` is the ridge in the factor whose effect is to be taken out of the coefficients. Eigenvalues cost the cube
+    of the size they are padded to, so long diagrams are done in up to four parts.
     """
     count = orders[-1] * size
+    last = LAST[check_constraint(constraint)]
+    mended = {} if added is None else {"added": added, "steps": STEPS}
     parts = []
     for part in _parts_of(orders, size):
         m = (part[-1] + 1) * size
         given = jnp.asarray(part)
-        A = jax.vmap(lambda n, m=m: coefficients(R[:m, :m], n, size, LAST[check_constraint(constraint)]))(given)
+        A = jax.vmap(lambda n, m=m: coefficients(R[:m, :m], n, size, last, **mended))(given)
         pad = count - part[-1] * size
         u, w, valid = jax.vmap(roots)(A, given)
         rows = ((0, 0), (0, pad))
@@ -153,8 +158,11 @@ def matrix_fraction(
     if not 0 < arc <= 1:
         raise ValueError(f"arc is {arc:g}; it is the part of the circle that the band covers, above 0 and up to 1")
     moments = use_moments(solver, H.shape, found[-1], shared)
-    top = found[-1] if numerator is None else numerator
-    return _estimate(frf, H, weight, jnp.asarray(ridge), found, constraint, real, arc, top, shared, moments, method)
+    if numerator is None:
+        numerator = with_spare(found[-1], frf.freq.shape[0]) if moments else found[-1]
+    return _estimate(
+        frf, H, weight, jnp.asarray(ridge), found, constraint, real, arc, numerator, shared, moments, method
+    )
 
 
 @eqx.filter_jit
@@ -164,11 +172,12 @@ def _estimate(
 ) -> PoleTable:  # fmt: skip
     zoomed = zoom(frf.omega, arc, real)
     u = zoomed.circle(frf.omega)
+    added = None
     if moments:
-        R = factor_from_moments(H, weight[:, 0], u, orders[-1], numerator, real, ridge)
+        R, added = factor_from_moments(H, weight[:, 0], u, orders[-1], numerator, real, ridge)
     else:
         R = triangular_factor(H, weight, u, orders[-1], numerator, real, ridge, shared)
-    return without_window(poles_of_factor(R, orders, H.shape[2], constraint, real, zoomed, method), frf)
+    return without_window(poles_of_factor(R, orders, H.shape[2], constraint, real, zoomed, method, added), frf)
 
 
 def use_moments(solver: str, shape: tuple[int, ...], order: int, shared: bool) -> bool:

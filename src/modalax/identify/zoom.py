@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Complex, Float
+from jaxtyping import Array, Complex, Float, Inexact
 
 
 class Zoom(eqx.Module):
@@ -76,6 +76,42 @@ def orthonormal_powers(
     :math:`\tfrac12 Q(3I - Q^HQ)`, within the same space. With ``real`` the basis spans real combinations: real and
     imaginary parts are stacked, shape ``(2 f, k)``.
     """
+    return _recurrence(u, weight, degree + 1, real)[0]
+
+
+def moved_span(
+    u: Complex[Array, " f"], weight: Float[Array, " f"], degree: int, real: bool
+) -> tuple[Complex[Array, "f k"], Complex[Array, " f"], Complex[Array, " f"]]:
+    r"""Orthonormal basis of the powers 0 to ``degree``, and what their span gains and loses when it is moved.
+
+    The span of :math:`w\,u^{-1} \dots w\,u^{n-1}` has all of that of :math:`w\,u^0 \dots w\,u^n` but :math:`\varphi`,
+    the last vector of the basis, and beyond it :math:`\psi`, in Szegő's recurrence :math:`u^{-1}\phi_n^*`.
+
+    Returns
+    -------
+    basis, phi, psi
+        The basis, its last vector, and the vector beyond it, orthonormal to all of the basis but the last. With
+        ``real`` orthonormal in the real part of the scalar product.
+    """
+    common, (phi, reverse) = _recurrence(u, weight, degree, real)
+    stack = lambda x: jnp.concatenate([x.real, x.imag]) if real else x
+
+    def beyond(x: Array) -> Array:
+        x = stack(x)
+        for _ in range(2):  # what rounding left along the basis, and then what the first pass left
+            x = x - common @ (common.conj().T @ x)
+            x = x / jnp.linalg.norm(x)
+        return x
+
+    whole = lambda x: x[: len(u)] + 1j * x[len(u) :] if real else x
+    last = beyond(phi)
+    return whole(jnp.concatenate([common, last[:, None]], axis=1)), whole(last), whole(beyond(reverse / u))
+
+
+def _recurrence(
+    u: Complex[Array, " f"], weight: Float[Array, " f"], count: int, real: bool
+) -> tuple[Inexact[Array, "row k"], tuple[Complex[Array, " f"], Complex[Array, " f"]]]:
+    """The first ``count`` vectors of Szegő's recurrence, and the pair that follows them."""
 
     def step(pair: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], Array]:
         phi, reverse = pair
@@ -86,9 +122,9 @@ def orthonormal_powers(
         return (following / jnp.linalg.norm(following), reverse / jnp.linalg.norm(reverse)), phi
 
     first = (weight / jnp.linalg.norm(weight)).astype(jnp.complex128)
-    _, rows = lax.scan(step, (first, first), None, length=degree + 1)
+    after, rows = lax.scan(step, (first, first), None, length=count)
     rows = jnp.concatenate([rows.real, rows.imag], axis=1) if real else rows
-    return (1.5 * rows - 0.5 * (rows @ rows.conj().T) @ rows).T
+    return (1.5 * rows - 0.5 * (rows @ rows.conj().T) @ rows).T, after
 
 
 def check_orders(orders: object, n_lines: int, band: tuple[float, float], floor: int = 1) -> tuple[int, ...]:
