@@ -1,5 +1,7 @@
 """The index of a universal file: types, places and headers without the numbers."""
 
+import contextlib
+
 import jax
 import numpy as np
 import pytest
@@ -41,3 +43,32 @@ def test_a_wrong_count_of_bytes_is_told_and_pyuff_asked(tmp_path):
     with pytest.raises(ValueError, match="of type 58, is not closed where its header says"):
         index_of(path)
     assert set_types(path) == kinds
+
+
+def test_numbers_of_binary_sets_are_read_from_their_places(tmp_path, monkeypatch):
+    """The same FRFs as by pyuff alone, which is handed no numbers at all; text beside them is left to it."""
+    import modalax.files.uff as uff
+    from modalax.data import Measurement
+    from modalax.files import load
+
+    frf = five_dof().frf(np.geomspace(20.0, 60.0, 41), inputs=["1", "2"]).add_noise(jax.random.key(0), 0.01)
+    save(Measurement.from_frfs([frf, frf]), tmp_path / "frfs.uff")
+    content = (tmp_path / "frfs.uff").read_bytes()
+    sizes = []
+    real = uff.without_numbers
+
+    @contextlib.contextmanager
+    def watched(path, entries):
+        with real(path, entries) as copy:
+            sizes.append(copy.stat().st_size)
+            yield copy
+
+    monkeypatch.setattr(uff, "without_numbers", watched)
+    one = load(tmp_path / "frfs.uff", conjugate=False)
+    numbers = sum(e.numbers.stop - e.numbers.start for e in index_of(tmp_path / "frfs.uff") if e.numbers)
+    assert sizes == [len(content) - numbers] and numbers > 0
+    monkeypatch.setattr(uff, "with_numbers_apart", lambda path: [])
+    other = load(tmp_path / "frfs.uff", conjugate=False)
+    for name in ("freq", "H", "variance"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    np.testing.assert_array_equal(one.H[0], frf.H)

@@ -58,7 +58,7 @@ class Streamed(Recording):
         samples = self.data[:, first:last].astype(float)
         samples *= self.gain
         require_finite(samples, f"the records from {first / self.fs:g} to {last / self.fs:g} s")
-        _release(self.data)
+        release(self.data)
         return Recording(samples, self.fs, self.channels, self.units, self.numbers)
 
     def whole(self) -> Recording:
@@ -66,7 +66,7 @@ class Streamed(Recording):
         return self.piece(0, self.data.shape[1])
 
 
-def _release(view: np.ndarray) -> None:
+def release(view: np.ndarray) -> None:
     """Give back the pages of a mapped file that were read."""
     base: Any = view
     while isinstance(base, np.ndarray):

@@ -15,6 +15,7 @@ from modalax.data.measurement import Measurement
 from modalax.files.guard import reading
 from modalax.files.messages import about
 from modalax.files.sniff import sniff
+from modalax.files.uff_binary import with_numbers, with_numbers_apart, without_numbers
 from modalax.files.uff_functions import function_sets, functions_of, measurement_of
 from modalax.files.uff_index import index_of
 from modalax.files.uff_nodes import Modes, geometry_of, geometry_sets, mode_sets, modes_of
@@ -56,25 +57,33 @@ def read_sets(path: Path) -> list[dict[str, Any]]:
     """
     pyuff = _pyuff()
     _require_whole(path)
-    with reading("the universal file"):
-        file = pyuff.UFF(str(path))
-        kinds = [int(t) for t in file.get_set_types()]
-    sets, units, axis = [], None, None
-    for k, kind in enumerate(kinds):
-        if kind not in READ:
-            continue
-        try:
-            # pyuff prints what it cannot do; what is missing is judged here.
-            with contextlib.redirect_stdout(None):
-                found = file.read_sets(k)
-            units = units_of(found) if kind == 164 else units
-        except Exception as error:
-            reason = " ".join(str(error.__context__ or error).split())[:300]
-            raise ValueError(f"data set {k + 1}, of type {kind}, is damaged: {reason}") from error
-        if kind == 58 and "x" in found:  # functions with the same axis share it
-            axis = found["x"] if axis is None or not np.array_equal(axis, found["x"]) else axis
-            found["x"] = axis
-        sets.append({**found, "units": units})
+    entries = with_numbers_apart(path)
+    with without_numbers(path, entries) as headers:
+        with reading("the universal file"):
+            file = pyuff.UFF(str(headers if entries else path))
+            kinds = [int(t) for t in file.get_set_types()]
+            if entries and kinds != [entry.kind for entry in entries]:  # lines that pyuff takes otherwise
+                entries, file = [], pyuff.UFF(str(path))
+                kinds = [int(t) for t in file.get_set_types()]
+        content = np.memmap(path, dtype=np.uint8, mode="r") if entries else np.zeros(0, np.uint8)
+        sets, units, axis = [], None, None
+        for k, kind in enumerate(kinds):
+            if kind not in READ:
+                continue
+            numbers = entries[k].numbers if entries else None
+            try:
+                # pyuff prints what it cannot do; what is missing is judged here.
+                with contextlib.redirect_stdout(None):
+                    found = file.read_sets(k, header_only=numbers is not None)
+                found = found if numbers is None else with_numbers(found, content[numbers])
+                units = units_of(found) if kind == 164 else units
+            except Exception as error:
+                reason = " ".join(str(error.__context__ or error).split())[:300]
+                raise ValueError(f"data set {k + 1}, of type {kind}, is damaged: {reason}") from error
+            if kind == 58 and found.get("x") is not None:  # functions with the same axis share it
+                axis = found["x"] if axis is None or not np.array_equal(axis, found["x"]) else axis
+                found["x"] = axis
+            sets.append({**found, "units": units})
     if not sets:
         held = ", ".join(str(t) for t in sorted(set(kinds))) or "none"
         raise ValueError(f"holds no data set that is read here ({', '.join(map(str, READ))}); its types: {held}")

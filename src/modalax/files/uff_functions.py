@@ -10,6 +10,7 @@ from modalax.data.dofs import DIRECTIONS, parse_dof
 from modalax.data.frf import DERIVATIVES
 from modalax.data.geometry import Geometry
 from modalax.data.measurement import Measurement
+from modalax.data.streaming import release
 from modalax.files.gaps import mended
 from modalax.files.uff_units import form_of, is_upside_down, response_scale
 
@@ -26,6 +27,7 @@ FORCE = (13, "Force", "N")
 OUTPUT, INPUT, RUN, VARIANCE = "modalax output ", "modalax input ", "modalax run ", "modalax variance"
 STEP_DIGITS = "%13.5e"
 SAME_AXIS = 1e-9
+TOGETHER = 64  # outputs whose functions are laid into the array at once, a few lines of memory for each line
 
 
 class Function(NamedTuple):
@@ -131,10 +133,9 @@ def measurement_of(functions: Sequence[Function], form: str | None, complete: bo
     outputs = list(dict.fromkeys(f.output for f in frfs))
     inputs = list(dict.fromkeys(f.input for f in frfs))
     outputs, inputs = _complete_grid(cells, outputs, inputs, complete)
-    runs = _runs({key: cells[key] for key in cells if key[0] in outputs and key[1] in inputs})
-    grid = lambda table: np.array(
-        [[[table[o, i][r].values for i in inputs] for o in outputs] for r in range(runs)]
-    ).transpose(0, 3, 1, 2)
+    kept = set(outputs), set(inputs)
+    runs = _runs({key: found for key, found in cells.items() if key[0] in kept[0] and key[1] in kept[1]})
+    grid = lambda table: _grid(table, runs, outputs, inputs)
     extra = {}
     for kind in ("coherence", "variance"):
         table = _cells([f for f in functions if f.kind == kind])
@@ -147,6 +148,23 @@ def measurement_of(functions: Sequence[Function], form: str | None, complete: bo
     H = grid(cells).astype(complex, copy=False)
     freq, H, outputs, inputs, extra = mended(freq, H, outputs, inputs, extra, stacklevel=6)
     return Measurement(freq, H, form=form, outputs=outputs, inputs=inputs, **extra, **_run_facts(first))
+
+
+def _grid(table: Cells, runs: int, outputs: Sequence[str], inputs: Sequence[str]) -> np.ndarray:
+    """Values of all functions in one array, shape ``(run, f, o, i)``, filled some outputs at a time.
+
+    What was read of the file for it is given back to the system, so that file and array are not both held.
+    """
+    one = table[outputs[0], inputs[0]][0].values
+    kind = np.result_type(*{f.values.dtype for found in table.values() for f in found})
+    H = np.empty((runs, len(one), len(outputs), len(inputs)), kind)
+    for r in range(runs):
+        for at in range(0, len(outputs), TOGETHER):
+            several = outputs[at : at + TOGETHER]
+            block = np.array([[table[o, i][r].values for i in inputs] for o in several])
+            H[r, :, at : at + len(several)] = block.transpose(2, 0, 1)
+            release(one)
+    return H
 
 
 def _cells(functions: Sequence[Function]) -> Cells:

@@ -10,11 +10,15 @@ N_LINES, N_BYTES = slice(19, 31), slice(31, 43)
 
 
 class Entry(NamedTuple):
-    """A data set: its type, the byte where it begins, and of functions (58) the lines of their header."""
+    """A data set: its type, the byte where it begins, and of functions (58) the lines of their header.
+
+    ``numbers`` are the bytes of the numbers of a binary function, from ``numbers.start`` up to ``numbers.stop``.
+    """
 
     kind: int
     start: int
     header: tuple[str, ...]
+    numbers: slice | None = None
 
 
 def index_of(path: Path) -> list[Entry]:
@@ -48,10 +52,11 @@ def _entry(file: BinaryIO, start: int) -> Entry:
             if line.strip() == b"-1":
                 return Entry(int(kind), start, tuple(header))
     else:
-        file.seek(int(first[N_BYTES]), 1)
+        numbers = slice(file.tell(), file.tell() + int(first[N_BYTES]))
+        file.seek(numbers.stop)
         line = file.readline(LONGEST)
         if not line.strip():
             line = file.readline(LONGEST)
         if line.strip() == b"-1":
-            return Entry(int(kind), start, tuple(header))
+            return Entry(int(kind), start, tuple(header), numbers if int(kind) == 58 else None)
     raise ValueError(f"the data set at byte {start}, of type {int(kind)}, is not closed where its header says")
