@@ -6,18 +6,18 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from numpy.lib.stride_tricks import sliding_window_view
 
 from modalax._numerics.checks import as_array, require_finite
 from modalax.data.frf import FRF
 from modalax.data.recording import Channels, Recording, channels_of
 from modalax.data.records import frf_of_spectra, welch_starts
-from modalax.data.spectra import Spectra, spectra, spectral_lines
+from modalax.data.spectra import Spectra, spectral_lines
 from modalax.data.windows import effective_averages, taper
 
-MEMORY_MB = 200.0  # memory that a piece may take, with its copies
+MEMORY_MB = 40.0  # memory that a piece may take, with its copies: about what the processor's caches hold
 COPIES = 8  # of a piece that are held at once: as read, scaled, in blocks, their spectra
 HEAD = 2**18  # samples from which the kind of excitation is told
 
@@ -56,8 +56,9 @@ class Streamed(Recording):
             If some of them are not finite.
         """
         samples = self.data[:, first:last].astype(float)
-        samples *= self.gain
         require_finite(samples, f"the records from {first / self.fs:g} to {last / self.fs:g} s")
+        if any(gain != 1 for gain in self.gain):
+            samples *= self.gain
         release(self.data)
         return Recording(samples, self.fs, self.channels, self.units, self.numbers)
 
@@ -102,20 +103,28 @@ def frf_from_pieces(
     averages = effective_averages(factors, step, len(starts))
     channels = sum(part.shape[1] for part in read(0, 1))
     several = max(1, int(((memory_mb or MEMORY_MB) * 1e6 / (8 * COPIES * channels) - samples) / step))
-    still = lambda a: as_array(a - a.mean(axis=1, keepdims=True))
     sums: list[Any] = [0.0, 0.0, 0.0]
     for k in range(0, len(starts), several):
         own = starts[k : k + several]
-        parts = read(int(own[0]), int(own[-1]) + samples)
-        force, response = (still(part[own[:, None] - own[0] + np.arange(samples)]) for part in parts)
-        piece = spectra(force, response, float(fs), as_array(factors), averages)
-        share = len(own) / len(starts)
-        found = (piece.force, piece.cross, piece.response)
-        sums = [old + share * np.asarray(new) for old, new in zip(sums, found, strict=True)]
-    force, cross, response = map(jnp.asarray, sums)
+        parts = (np.ascontiguousarray(part.T) for part in read(int(own[0]), int(own[-1]) + samples))
+        force, response = (sliding_window_view(part, samples, axis=1)[:, ::step] for part in parts)
+        for block in range(len(own)):
+            found = _products(force[:, block], response[:, block], factors)
+            sums = [old + new for old, new in zip(sums, found, strict=True)]
+    density = 2 / (fs * np.sum(factors**2) * len(starts))
+    force, cross, response = (as_array(np.moveaxis(density * total, -1, 0)) for total in sums)
     lines = spectral_lines(samples, fs)
     whole = Spectra(as_array(lines), force, cross, response, averages)
     return frf_of_spectra(whole, lines, estimator, **rest)
+
+
+def _products(
+    force: Float[np.ndarray, "i t"], response: Float[np.ndarray, "o t"], window: Float[np.ndarray, " t"]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Products of the spectra of one block, its mean taken off: ``(i, i, f)``, ``(o, i, f)`` and ``(o, f)``."""
+    lines = slice(1, (len(window) + 1) // 2)
+    F, X = (np.fft.rfft((a - a.mean(axis=1, keepdims=True)) * window)[:, lines] for a in (force, response))
+    return F[:, None] * F.conj(), X[:, None] * F.conj(), X.real**2 + X.imag**2
 
 
 def frfs_of_stream(recording: Streamed, asked: tuple[Any, Any, Any], names: Channels, **how: Any) -> list[FRF]:
