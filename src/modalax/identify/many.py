@@ -22,6 +22,7 @@ from jax import lax
 from jaxtyping import Array, Complex, Float, Inexact
 
 from modalax._numerics.checks import as_array
+from modalax._numerics.devices import over_devices
 from modalax._numerics.known import Numbers
 from modalax._numerics.powers import powers
 from modalax.identify.lscf import ARC
@@ -65,7 +66,7 @@ def many_poles(
     """
     ends = (float(omega[0]) / (2 * np.pi), float(omega[-1]) / (2 * np.pi))
     orders = check_orders(range(2, order + 1), len(omega), ends)
-    A = _coefficients(as_array(H), as_array(omega), order)
+    A = _coefficients(over_devices(H), as_array(omega), order)
     A = np.asarray(A)
     if not np.isfinite(A).all():
         raise ValueError("the normal matrix of some copies is singular; they have too little noise for moments")
@@ -138,7 +139,7 @@ def _roots(A: Complex[Numbers, "k order draw"], low: int) -> Complex[Array, "roo
     typical = np.mean(A, axis=2)
     for k, n in enumerate(orders):
         start[:n, k] = companion_roots(typical[None, :n, k])[0]
-    found, step = _aberth(A, start, used.astype(float))
+    found, step = _aberth(over_devices(A, axis=2), start, used.astype(float))
     late = np.flatnonzero(~(np.asarray(step) <= STILL))
     if not late.size:
         return found

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array
 
 from modalax._numerics.checks import as_array
+from modalax._numerics.devices import over_devices
 from modalax.identify import lscf, plscf
 from modalax.identify.many import LEAST, many_poles
 from modalax.identify.tables import PoleTable
@@ -98,7 +99,7 @@ class BatchWork(Work):
             poles, valid = many_poles(np.asarray(self.frf.omega), noise, self.order)
             found = _nearest(poles, as_array(valid), self.frf.added_decay, *modes)
         else:
-            found = _diagrams(self.frf, as_array(noise), *modes, self.method, self.order)
+            found = _diagrams(self.frf, over_devices(noise), *modes, self.method, self.order)
         return np.asarray(found[0]), np.asarray(found[1])
 
     def _row(self, item: int, told: Row, modes: int) -> Row:

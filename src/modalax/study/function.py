@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from modalax._numerics.devices import over_devices
 from modalax.study.work import Row, Work, attempt, chunk_for, reason_of, seed_of
 
 DRAWS = 64  # most draws in a chunk of a function of which nothing is known
@@ -51,7 +52,7 @@ class FunctionWork(Work):
             numbers = np.arange(k * self.chunk, (k + 1) * self.chunk)
             key = jax.random.key(self.seed)
             run = jax.jit(jax.vmap(lambda n: self.function(jax.random.fold_in(key, n), **self.parameters)))
-            found = jax.tree.map(np.asarray, run(numbers))
+            found = jax.tree.map(np.asarray, run(over_devices(numbers)))
         except Exception as error:  # the whole chunk fails; each of its draws tells why
             return [{"item": i, "failed": True, "reason": reason_of(error)} for i in self.items(k)]
         return [
