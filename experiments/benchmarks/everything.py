@@ -21,8 +21,16 @@ def cells_of(line: str) -> list[str]:
     return [cell.strip() for cell in line.strip().strip("|").split("|")]
 
 
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
 def numbers_of(text: str) -> list[list[str]]:
-    """Row, quantity and value of every number in the tables of a text; rows are named by their first cells."""
+    """Row, quantity and value of every number in the tables of a text; rows are named by the words in their first cells."""
     found: list[list[str]] = []
     head: list[str] = []
     lines = text.splitlines()
@@ -33,7 +41,7 @@ def numbers_of(text: str) -> list[list[str]]:
             head = cells_of(line)
         elif head and not line.startswith(("| ---", "|---")):
             row = cells_of(line)
-            named = min(3, len(row) - 1)
+            named = 1 + max((k for k, cell in enumerate(row[:3]) if not _is_number(cell)), default=0)
             found += [[", ".join(row[:named]), q, v] for q, v in zip(head[named:], row[named:], strict=False) if v]
     return found
 
