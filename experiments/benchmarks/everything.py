@@ -30,7 +30,7 @@ def _is_number(text: str) -> bool:
 
 
 def numbers_of(text: str) -> list[list[str]]:
-    """Row, quantity and value of every number in the tables of a text; rows are named by the words in their first cells."""
+    """Row, quantity and value of every number in the tables of a text; words in the first cells name a row."""
     found: list[list[str]] = []
     head: list[str] = []
     lines = text.splitlines()
