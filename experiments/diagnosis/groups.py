@@ -191,9 +191,11 @@ def main() -> None:
     args = parser.parse_args()
     rows = []
     if args.known:
-        told = [row for k in range(args.first, args.first + args.cases) if (row := fitted(k))]
-        for row in told:
-            print(json.dumps(row), flush=True)
+        told = []
+        for number in range(args.first, args.first + args.cases):
+            if row := fitted(number):
+                told.append(row)
+                print(json.dumps(row), flush=True)
         off = np.array([row["off_by"] for row in told])
         print(f"rms {np.sqrt((off**2).mean()):.2f} standard deviations, within 2: {(abs(off) < 2).sum()} of {len(off)}")
         return
