@@ -187,7 +187,7 @@ def _apart(
     """One pole for each group of channels; of ``MANY`` groups or more, one step from the pole of all.
 
     Groups that disagree bend the residues too, so that these are held to rank one only where poles of their own explain
-    less than ``MOSTLY`` of what ``two`` modes do.
+    less than ``MOSTLY`` of what ``two`` modes do, or no more than noise would.
     """
     count = int(place.max()) + 1
     if count < MANY:
@@ -198,7 +198,8 @@ def _apart(
             size[place == k], residues[place == k] = _residues(part, found.poles[0])
         free = Trial(sum(t.chi2 for t in trials), sum(t.unknowns for t in trials), np.asarray(start))
         one = 2 * hood.squares_left(start)
-        if two is None or one - free.chi2 > MOSTLY * (one - two):
+        noise = scipy.special.chdtri(2 * (count - 1), CHANCE) * free.chi2 / max(2 * hood.data.size - free.unknowns, 1)
+        if two is None or one - free.chi2 > max(MOSTLY * (one - two), noise):
             return free
         return _of_rank_one(hood, free, residues, size)
     pole = complex(start[0])
