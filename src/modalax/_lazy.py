@@ -9,6 +9,8 @@ from typing import Any
 def lazily(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """The functions ``__getattr__`` and ``__dir__`` of a package whose names live in other modules.
 
+    Listed are the names that the package offers, by its ``__all__``, and no helpers.
+
     Parameters
     ----------
     package
@@ -31,6 +33,7 @@ def lazily(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], Any]
         return value
 
     def names() -> list[str]:
-        return sorted({*vars(sys.modules[package]), *homes})
+        module = sys.modules[package]
+        return sorted({*module.__all__, *homes, *(name for name in vars(module) if name.startswith("__"))})
 
     return get, names

@@ -24,6 +24,7 @@ WILD = 1e12  # factor on a channel that no fault has
 UNSEEN = 1e-12  # residues of a mode, relative to the largest of all, below which no channel sees it
 FARTHEST = 5.0  # logarithm of a factor on a modal damping that is not exceeded on the way to a fit
 HARDLY = 0.2  # size of a mode's residues, relative to the measured ones, below which the simulation hardly shows it
+UNSIZED = 1.0  # deviation of the logarithm of a mode's size from which on its size is not known: of shapes alone
 NONE = np.zeros(0)  # sizes where there is no cause
 
 
@@ -63,7 +64,7 @@ class Setting:
         """Measured sizes of residues of modes that the simulation hardly shows, NaN of all others, shape ``(k,)``.
 
         Where a symmetric structure is measured, its simulation shows no mode whose node a force is at; what is
-        measured of it is linear in the errors of elements.
+        measured of it is linear in the errors of elements. Shapes without a size show in any simulation.
         """
         c, f = self.coordinates, self.features
         modes = modes_of(c)
@@ -73,7 +74,8 @@ class Setting:
         size = lambda A: np.sqrt((np.abs(A / f.units) ** 2).sum(axis=(1, 2)))
         measured = np.sqrt((np.abs(f.residues) ** 2).sum(axis=(1, 2)))
         shown_at_all = size(residues[paired(f, modes.poles, residues)])
-        return np.where(shown_at_all < HARDLY * measured, measured, np.nan)
+        sized = np.diag(f.covariance).reshape(f.values.shape)[:, 2] < UNSIZED**2
+        return np.where(sized & (shown_at_all < HARDLY * measured), measured, np.nan)
 
 
 @dataclass(frozen=True)
