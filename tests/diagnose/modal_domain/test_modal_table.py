@@ -8,6 +8,10 @@ import pytest
 import modalax
 from modalax.cli import main
 from modalax.diagnose import diagnose
+from modalax.diagnose.modal_domain.coordinates import coordinates_of
+from modalax.diagnose.modal_domain.features import whitener_of
+from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
+from modalax.diagnose.modal_domain.state import Setting, state_at
 from modalax.diagnose.modal_domain.table import facts_of, references
 from modalax.files import load_mode_table, save_modes
 from modalax.model import ModalModel, Structure
@@ -128,3 +132,19 @@ def test_tables_that_cannot_be(tmp_path, text, pattern):
         load_mode_table(path)
     with pytest.raises(ValueError, match="load_mode_table reads it"):
         modalax.load(path)
+
+
+def test_a_mode_that_is_damped_away_has_no_partner():
+    """Nor is it the spare coordinate, though a mode that the simulation hardly shows need not be seen in it."""
+    (facts, _), simulation = facts_of(measured("none"), STD, 0), chain()
+    top = 2 * np.pi * float(facts.freq[-1])
+    c = coordinates_of(simulation, facts.outputs, facts.inputs, top)
+    inaccuracy = inaccuracy_of(simulation, c, top)
+    setting = Setting(c, inaccuracy, facts.features, whitener_of(facts.features))
+    vars(setting)["linear"] = np.append(np.full(len(facts.features.poles) - 1, np.nan), 1.0)
+    sizes = np.zeros(sum(len(p) for p in inaccuracy.patterns))
+    state_at(setting, sizes)
+    counts = [len(p) for p in inaccuracy.patterns]
+    sizes[np.repeat([g == "damping between modes" for g in inaccuracy.groups], counts)] = 1e3
+    with pytest.raises(np.linalg.LinAlgError, match="no partner but the spare"):
+        state_at(setting, sizes)

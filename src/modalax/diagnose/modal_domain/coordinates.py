@@ -16,6 +16,7 @@ from modalax.diagnose.modal_domain.parts import parts_of
 from modalax.model import Structure
 
 QUICK = 1e3  # frequency of a DoF by itself, over that of the band, above which it is given mass
+SPARED = 0.99  # frequency, relative to the spare coordinate's, above which a mode is that coordinate
 SPARE = 4.0  # frequency of a coordinate to which nothing is attached, over the highest of all
 LARGEST = 120  # modal coordinates of large simulations
 FURTHER, AT_LEAST = 10, 60  # modes above the band, and in all, that are solved with their damping

@@ -7,7 +7,7 @@ import numpy as np
 from modalax.data import Measurement
 from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.modal_domain.bent_peaks import one_each, widened
-from modalax.diagnose.modal_domain.coordinates import Coordinates, modes_of
+from modalax.diagnose.modal_domain.coordinates import SPARED, Coordinates, modes_of
 from modalax.diagnose.modal_domain.features import Features, chosen, features_of, sure, values_of
 from modalax.diagnose.modal_domain.free_residues import Channels, Projected, refine
 from modalax.diagnose.modal_domain.mode_count import blind_modes, heavy, misfit
@@ -15,7 +15,6 @@ from modalax.diagnose.setup.noise import Noise, noise_of
 
 BELOW, ABOVE = 2, 3  # modes of the simulation on either side of the band that stand for all beyond it
 ASIDE = 0.1  # distance of these from the band, relative to its ends
-SPARED = 0.99  # frequency, relative to the spare coordinate's, above which a mode is that coordinate
 EDGE = 0.003  # part of the band's ends by which a mode that is compared may lie outside
 ALIKE = 5.0  # standard deviations of chi-square by which runs may differ and still count as alike
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from modalax.diagnose.modal_domain.causes import Change, with_sizes
 from modalax.diagnose.modal_domain.coordinates import (
+    SPARED,
     Coordinates,
     Modes,
     Slopes,
@@ -224,6 +225,8 @@ def state_at(
         raise np.linalg.LinAlgError("a channel out of all bounds")
     if pairs is None:
         pairs = pairs_with(f, causes, modes.poles, residues)
+    if (np.abs(modes.poles[pairs]) > SPARED * c.frequencies[-1]).any():
+        raise np.linalg.LinAlgError("a mode measured has no partner but the spare coordinate")
     values = values_of(modes.poles[pairs], residues[pairs] / f.units, f.tangent, setting.linear)
     return State(whitened(setting, (f.values - values).ravel(), causes), sizes, modes, pairs, plain, residues)
 
