@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
-from test_diagnose_laws import CUBIC, FREQ, LEVELS, hardening, oscillator
+from test_diagnose_laws import CUBIC, FREQ, HERTZ, LEVELS, MASS, ZETA, hardening, oscillator
 
-from modalax import Measurement
-from modalax.diagnose import catalogue
+from modalax import Measurement, ModalModel
+from modalax.diagnose import catalogue, pipeline
 from modalax.diagnose.deadline import NEVER
 from modalax.diagnose.joint_laws import compare_laws
-from modalax.diagnose.jointed.answer import diagnose_joint, gain_of, may_have_joint
+from modalax.diagnose.jointed.answer import diagnose_joint, gain_of, joint_comes_first, may_have_joint
+from modalax.diagnose.jointed.bent import must_move
 from modalax.diagnose.jointed.fits import correlation_length, reach_of, suited
 
 SHARE, LINES = 0.02, 5  # error of each sample over itself, alike over some lines, as no law and no noise has it
@@ -44,6 +45,37 @@ def test_the_correlation_length_is_that_of_a_known_process():
         r.append(rho * r[-1] + x)
     assert correlation_length(np.array(r)[None, :, None, None]) == pytest.approx((1 + rho) / (1 - rho), rel=0.25)
     assert correlation_length(e[None, :, None, None]) == pytest.approx(1.0, abs=0.2)
+
+
+def test_modes_must_move_where_only_a_joint_with_free_modes_explains_the_levels():
+    assert must_move(100.0, 1.0, 2.0, 200, 4)  # 69 nats, less 11 for the unknowns
+    assert not must_move(100.0, 1.0, 1.1, 200, 4)
+    assert not must_move(100.0, 1.0, 2.0, 20, 4)
+    assert not must_move(5.0, 1.0, 2.0, 200, 4)  # no joint explains the levels
+
+
+def test_a_joint_never_comes_first_where_the_simulation_may_move_or_has_more_than_its_modes_in_the_band():
+    data = measured(LEVELS)
+    assert not joint_comes_first(data, oscillator(0.002).replace(frequency_std=0.002))
+    beyond = ModalModel.from_real_modes([HERTZ * 1.002, 2 * HERTZ], [ZETA] * 2, [[1.0], [1.0]], [MASS] * 2, ["1"])
+    assert not joint_comes_first(data, beyond)
+
+
+def test_the_joint_that_comes_first_is_the_answer(monkeypatch):
+    """No search about the modes as they are takes place; without a joint it does."""
+    data, asked = measured(LEVELS), []
+    monkeypatch.setattr(pipeline, "joint_comes_first", lambda *_: True)
+    monkeypatch.setattr(pipeline, "diagnose_joint", lambda *_: asked.append("joint") or "the joint")
+    monkeypatch.setattr(pipeline, "line_by_line", lambda *_: pytest.fail("searched line by line"))
+    assert pipeline.diagnose(data, oscillator(0.002)) == "the joint" and asked == ["joint"]
+
+
+@pytest.mark.slow
+def test_a_joint_comes_first_where_the_modes_must_move_before_any_joint_explains_the_levels():
+    """The modes as they are do beside the true ones; those bent by 0.2 % do not, unless their author claims as much."""
+    data = measured(LEVELS)
+    assert not joint_comes_first(data, oscillator())
+    assert joint_comes_first(data, oscillator(0.002))
 
 
 def test_reach_is_the_largest_motion_that_was_fitted():

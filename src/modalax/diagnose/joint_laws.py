@@ -35,6 +35,7 @@ STARTS = 3  # rows of each law's grid that a fit starts from
 TRIED = 9  # best starts that are fitted at the measured motion
 KEPT = 2  # fits that go on from the measured motion to the predicted one
 NEWTON = 40  # steps to a mode at an amplitude
+FIXED = 1e-9  # relative change that is granted to linear modes that stay as they are
 BLOCK = 8  # neighbouring lines whose errors may go together
 
 
@@ -142,7 +143,7 @@ def compare_laws(
     task = joint_task(measurement, simulation, place, sigma, held_out)
     first: dict[tuple[Any, ...], list[Any]] = {}
     for s in sorted((tuple(s) for s in laws), key=len):
-        first[s] = _at_measured_motion(task, s, list(starts) or _starts(task, s, first))
+        first[s] = _at_measured_motion(task, s, list(starts) or starts_of(task, s, first))
     order = sorted(first, key=lambda s: first[s][0].cost + 0.5 * len(first[s][0].x) * np.log(task.problem.samples))
     found = [_at_own_motion(task, s, first[s]) for s in order[:full]]
     found.sort(key=lambda e: e.criterion)
@@ -197,7 +198,7 @@ def joint_task(
     )  # fmt: skip
 
 
-def _count(problem: Problem) -> int:
+def linear_unknowns(problem: Problem) -> int:
     """Unknowns of the linear part: two per mode, a complex size per mode and output, a complex constant per channel."""
     n, (o, i) = len(problem.modal_form.poles), problem.data.shape[2:]
     return 2 * n + 2 * n * o + 2 * o * i
@@ -224,7 +225,7 @@ def _unpack(causes: tuple[Cause, ...], x: Any) -> list[Any]:
 
 
 def _whitened(causes: Any, index: Any, x: Array, problem: Problem, motion: Any) -> Array:
-    count = x.shape[0] - _count(problem)
+    count = x.shape[0] - linear_unknowns(problem)
     params = _unpack(causes, x[:count])
     problem, theta = _placed(problem, x[count:])
     if motion is not None:
@@ -244,9 +245,12 @@ def _slope(causes, index, x, problem, motion):
     return jax.jacfwd(lambda x: _whitened(causes, index, x, problem, motion).ravel())(x)
 
 
-def _solve(task: Task, causes: tuple[Any, ...], x: np.ndarray, motion: Any, steps: int) -> Any:
+def solve(
+    task: Task, causes: tuple[Any, ...], x: np.ndarray, motion: Any, steps: int, *, modes_free: bool = True
+) -> Any:  # fmt: skip
+    """Least squares from one start, at the measured motion if it is given; the modes free or as they are."""
     low, high = bounds_of(causes)
-    free = np.full(_count(task.problem), np.inf)
+    free = np.full(linear_unknowns(task.problem), np.inf if modes_free else FIXED)
     bounds = np.concatenate([low, -free]), np.concatenate([high, free])
     index = np.array([task.place.index] * len(causes), dtype=np.int64).reshape(-1, 3)
     return scipy.optimize.least_squares(
@@ -265,9 +269,9 @@ def _rows(task: Task, cause: Any) -> list[np.ndarray]:
     return [to_search(cause, grid[k]) for k in pick]
 
 
-def _starts(task: Task, causes: tuple[Any, ...], solved: dict[tuple[Any, ...], list[Any]]) -> list[np.ndarray]:
+def starts_of(task: Task, causes: tuple[Any, ...], solved: dict[tuple[Any, ...], list[Any]]) -> list[np.ndarray]:
     """The laws at a few sizes in all combinations, and each joining a fit of the others; ``solved`` holds such fits."""
-    linear = _count(task.problem)
+    linear = linear_unknowns(task.problem)
     plain = [np.concatenate([*row, np.zeros(linear)]) for row in itertools.product(*(_rows(task, c) for c in causes))]
     joined = []
     for k, cause in enumerate(causes):
@@ -285,17 +289,17 @@ def _at_measured_motion(task: Task, causes: tuple[Any, ...], starts: Sequence[np
     known = tuple(Measured(c) for c in causes)
     index = np.array([task.place.index] * len(causes), dtype=np.int64).reshape(-1, 3)
     miss = [np.sum(np.asarray(_value(known, index, x, task.problem, task.motion)) ** 2) for x in starts]
-    fits = [_solve(task, known, starts[k], task.motion, 60) for k in np.argsort(miss)[:TRIED]]
+    fits = [solve(task, known, starts[k], task.motion, 60) for k in np.argsort(miss)[:TRIED]]
     return sorted(fits, key=lambda f: f.cost)
 
 
 def _at_own_motion(task: Task, causes: tuple[Any, ...], fits: list[Any]) -> Explained:
     """Continue the fits from the measured motion to the motion that the model predicts."""
-    best = min((_solve(task, causes, f.x, None, 80) for f in fits[:KEPT]), key=lambda f: f.cost)
+    best = min((solve(task, causes, f.x, None, 80) for f in fits[:KEPT]), key=lambda f: f.cost)
     r, J, x, problem = best.fun, best.jac, best.x, task.problem
     samples = problem.samples
     covariance = _robust(J, r, problem)
-    count = len(x) - _count(problem)
+    count = len(x) - linear_unknowns(problem)
     placed, theta = _placed(problem, as_array(x[count:]))
     form, channels = placed.modal_form, (task.base.outputs, task.base.inputs)
     at = [jnp.array([form.dofs.index(n) for n in names]) for names in channels]

@@ -22,7 +22,8 @@ of the measurement are identified, the general inaccuracy is estimated together 
 both. Where one force at one place explains all data, only elements and joints at such places are searched, line by
 line, whatever the size of the problem (``screening.one_force``). Where nothing of this explains several force levels of
 a few modes, a joint is fitted together with the modes, as the lowest level is bent by it too: first without a law,
-then by laws that come near to that, judged by the highest level (``jointed``).
+then by laws that come near to that, judged by the highest level (``jointed``). It comes first where a quick fit shows
+that no joint of any law explains the levels with the modes as they are (``jointed.bent``).
 """
 
 from collections.abc import Callable, Sequence
@@ -44,7 +45,7 @@ from modalax.diagnose.decision.route import Outcome, Route, choice, order, settl
 from modalax.diagnose.decision.verdict import verdict
 from modalax.diagnose.extend import ExtendedSimulation, extend
 from modalax.diagnose.holdout import measure
-from modalax.diagnose.jointed.answer import diagnose_joint, may_have_joint
+from modalax.diagnose.jointed.answer import diagnose_joint, joint_comes_first, may_have_joint
 from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis, diagnose_modes
 from modalax.diagnose.modal_domain.table import by_table
 from modalax.diagnose.result import Diagnosis
@@ -116,6 +117,23 @@ def diagnose(
     check_comparable(measurement, simulation)
     late = Deadline(time)
     data = as_measurement(measurement)
+    follows = question != "fixed" and may_have_joint(data, simulation)
+    if follows and joint_comes_first(data, simulation):
+        joint = diagnose_joint(data, simulation, causes, late, progress)
+        if joint is not None:
+            return joint
+    found = by_routes(measurement, simulation, question, causes, progress, late, follows)
+    if follows and found.verdict == "unknown" and not late():
+        return diagnose_joint(data, simulation, causes, late, progress) or found
+    return found
+
+
+def by_routes(
+    measurement: Measurement | FRF, simulation: Structure | ModalModel | ExtendedSimulation, question: str,
+    causes: Sequence[Cause] | None, progress: Callable[[str], None], late: Deadline, follows: bool,
+) -> Diagnosis:  # fmt: skip
+    """Diagnose line by line, in the modal domain or both; a free joint that ``follows`` is left some of the time."""
+    data = as_measurement(measurement)
     task = task_of(data, simulation, question, causes)
     exact = task.has_modes and task.whole_catalogue and not (task.elements_off or task.massless)
     found = at_one_place(measurement, simulation, question, progress, late) if exact else None
@@ -123,7 +141,6 @@ def diagnose(
         return found
     answers: dict[Route, Diagnosis] = {}
     outcomes: dict[Route, Outcome] = {}
-    follows = question != "fixed" and may_have_joint(data, simulation)
     for route in order(task):
         if answers and late():
             break
@@ -142,10 +159,7 @@ def diagnose(
             answers[route], outcomes[route] = found, outcome_of(found)
             if suffices(route, outcomes[route], task):
                 break
-    found = answers[choice(outcomes)]
-    if follows and found.verdict == "unknown" and not late():
-        return diagnose_joint(data, simulation, causes, late, progress) or found
-    return found
+    return answers[choice(outcomes)]
 
 
 def in_modal_domain(

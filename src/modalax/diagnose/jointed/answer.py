@@ -17,6 +17,7 @@ from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.joint import joint_verdict
 from modalax.diagnose.decision.omnibus import Omnibus, omnibus
 from modalax.diagnose.joint_laws import modes_at
+from modalax.diagnose.jointed.bent import modes_are_bent
 from modalax.diagnose.jointed.fits import Fitted, Jointed, fit_joints, suited
 from modalax.diagnose.modal_domain.diagnosis import Facts
 from modalax.diagnose.over_levels import levels_said
@@ -233,6 +234,14 @@ def may_have_joint(measurement: Measurement, simulation: object) -> bool:
     """Whether a joint can be fitted together with the modes of a simulation."""
     modes = modes_of(simulation, measurement)
     return modes is not None and suited(measurement, modes)
+
+
+def joint_comes_first(measurement: Measurement, simulation: object) -> bool:
+    """Whether no joint of any law added to the simulation can explain the levels, but one fitted with the modes may."""
+    modes = modes_of(simulation, measurement)
+    if not isinstance(simulation, ModalModel) or modes is None or len(modes.poles) < len(simulation.poles):
+        return False  # what a simulation has beyond its modes in the band would be missing beside the modes as they are
+    return modes_are_bent(measurement, modes)
 
 
 def modes_of(simulation: object, measurement: Measurement) -> ModalModel | None:

@@ -135,9 +135,7 @@ def fit_joints(
         Called with each step, in words.
     """
     H = np.asarray(measurement.H)
-    noise = 0.0 if measurement.variance is None else np.asarray(measurement.variance)
-    sigma = np.sqrt(noise + (RELATIVE * np.abs(H)) ** 2)
-    held = int(np.argmax(np.asarray(measurement.level)))
+    sigma, held = granted(measurement), highest(measurement)
 
     def fitted(
         sets: Sequence[Sequence[JointCause]], where: tuple[str, ...], starts: Sequence[np.ndarray] = ()
@@ -173,6 +171,17 @@ def fit_joints(
             start = [to_search(law, p) for law, p in zip(one, sizes, strict=True)]
             told += fitted([one], where, [np.concatenate([*start, linear_part])])
     return Jointed(linear, tuple(free), tuple(weighed(ranked(told, length))), held, len(places), length, sigma)
+
+
+def granted(measurement: Measurement) -> np.ndarray:
+    """Error granted to each sample beside noise, in the unit of the measurement, shape ``(run, f, o, i)``."""
+    noise = 0.0 if measurement.variance is None else np.asarray(measurement.variance)
+    return np.sqrt(noise + (RELATIVE * np.abs(np.asarray(measurement.H))) ** 2)
+
+
+def highest(measurement: Measurement) -> int:
+    """Number of the run at the highest level, which is predicted."""
+    return int(np.argmax(np.asarray(measurement.level)))
 
 
 def reach_of(measurement: Measurement, where: tuple[str, ...], held: int) -> float:
