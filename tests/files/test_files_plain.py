@@ -221,10 +221,64 @@ def test_what_is_no_table_of_frfs_is_named(tmp_path, name, content, pattern):
         modalax.load(tmp_path / name, form="receptance")
 
 
-def test_a_struct_and_numbers_that_no_structure_has_are_named(tmp_path):
-    scipy.io.savemat(tmp_path / "a.mat", {"run3": {"f": F, "FRF": H}})
-    with pytest.raises(ValueError, match=r"run3 is a struct.*save\('FILE', '-struct', 'run3'\)"):
-        modalax.load(tmp_path / "a.mat", form="receptance")
+@pytest.mark.parametrize(
+    ("titles", "said"),
+    [
+        (lambda o, i: (f"H({o}Z;{i}Z) real", f"H({o}Z;{i}Z) imag"), ()),
+        (lambda o, i: (f"Real({o}Z,{i}Z)", f"Imag({o}Z,{i}Z)"), ()),
+        (lambda o, i: (f"FRF point {o}Z, ref {i}Z (real)", f"FRF point {o}Z, ref {i}Z (imag)"), ()),
+        (lambda o, i: (f"Re H{o}{i}", f"Im H{o}{i}"), ("H11 is taken as output 1 by input 1, H32 as output 3 by",)),
+        (lambda o, i: (f"H_{o}_{i}_re", f"H_{o}_{i}_im"), ("H_1_1 is taken as output 1 by input 1",)),
+    ],
+)
+@pytest.mark.parametrize("mark", [",", ";"])
+def test_names_that_tell_output_and_input(tmp_path, titles, said, mark):
+    named = [title for o in (1, 2, 3) for i in (1, 2) for title in titles(o, i)]
+    values = [part for column in H.reshape(12, 6).T for part in (column.real, column.imag)]
+    if mark == "," and "," in named[0] and "(" not in named[0].split(",")[0]:
+        named = [f'"{name}"' for name in named]
+    found = read(table(tmp_path / "a.csv", ["freq", *named], [F, *values], mark), *said, form="receptance")
+    unit = "" if said else "Z"
+    assert found.outputs == tuple(f"{k}{unit}" for k in "123") and found.inputs == tuple(f"{k}{unit}" for k in "12")
+    np.testing.assert_array_equal(found.H[0], H)
+
+
+def test_names_that_hold_commas_or_indices_that_fill_no_grid_stay_names(tmp_path):
+    for names in (("wing, left", "wing, right"), ("H11", "H22"), ("s1", "s2")):
+        titles = [f'"{part} {name}"' for name in names for part in ("re", "im")]
+        path = table(tmp_path / "a.csv", ["freq", *titles], [F, *PARTS[1:], *PARTS[1:]])
+        found = read(path, form="receptance", inputs=["hammer"])
+        assert found.outputs == names and found.inputs == ("hammer",)
+
+
+@pytest.mark.parametrize("shape", ["{:.17g}{:+.17g}i", "({:.17g}{:+.17g}j)", "{:.17g} + {:.17g}i"])
+def test_columns_of_complex_numbers(tmp_path, shape):
+    rows = [
+        ",".join([f"{f}", *(shape.format(v.real, v.imag) for v in row)]) for f, row in zip(F, H[:, :2, 0], strict=True)
+    ]
+    (tmp_path / "a.csv").write_text("\n".join(["freq,a/x [g/N],b/x [g/N]", *rows]).replace("+ -", "- "))
+    found = read(tmp_path / "a.csv")
+    assert (found.form, found.outputs, found.inputs) == ("accelerance", ("a", "b"), ("x",))
+    np.testing.assert_allclose(found.H[0], 9.80665 * H[:, :2, :1], rtol=1e-14)
+
+
+def test_the_fields_of_one_struct_are_read(tmp_path):
+    path = tmp_path / "a.mat"
+    scipy.io.savemat(path, {"run3": {"f": F, "FRF": H, "note": {"by": "hand"}}, "scale": 1.0})
+    found = read(path, "fields of run3 are read", "f is taken as freq", "FRF is taken as H", *NAMELESS,
+                 form="receptance", axes="f o i")  # fmt: skip
+    np.testing.assert_array_equal(found.H[0], H)
+    for content, pattern in (
+        ({"a": {"f": F}, "b": {"f": F}}, r"structs a, b, of which none is read.*save\('FILE', '-struct', 'a'\)"),
+        ({"a": {"left": 1.0, "right": 2.0}}, "a is a struct of left, right, none of which is read"),
+        ({"a": np.array([(1.0,), (2.0,)], dtype=[("f", "O")])}, "a is an array of 2 structs"),
+    ):
+        scipy.io.savemat(path, content)
+        with pytest.raises(ValueError, match=pattern):
+            modalax.load(path, form="receptance")
+
+
+def test_numbers_that_no_structure_has_are_named(tmp_path):
     path = saved(tmp_path / "a.npz", freq=F, H=1e-200 * H[None], outputs=["1", "2", "3"], inputs=["1", "2"])
     with pytest.raises(ValueError, match="at most; no structure has such FRFs"):
         modalax.load(path, form="receptance")

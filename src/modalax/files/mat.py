@@ -1,5 +1,6 @@
 """MATLAB ``.mat`` files, with the same names of arrays as in ``.npz``."""
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -35,11 +36,26 @@ def _classic(path: Path) -> dict[str, Any]:
         names = list(kinds)
         whole = [name for name, kind in kinds.items() if kind == "struct"]
         if whole and not set(names) & READ_KEYS:
-            raise Refused(
-                f"{whole[0]} is a struct, which is not read; save its fields: save('FILE', '-struct', '{whole[0]}')"
-            )
+            return _fields(path, whole)
         found = scipy.io.loadmat(path, variable_names=sorted(READ_KEYS))
         return {name: _value(name, found[name]) if name in found else None for name in names}
+
+
+def _fields(path: Path, structs: list[str]) -> dict[str, Any]:
+    """What the one struct of a file holds, as if its fields had been saved by themselves."""
+    remedy = f"save its fields: save('FILE', '-struct', '{structs[0]}')"
+    if len(structs) > 1:
+        raise Refused(
+            f"the file holds the structs {', '.join(structs[:4])}, of which none is read; of the one, {remedy}"
+        )
+    struct = scipy.io.loadmat(path, variable_names=structs)[structs[0]]
+    if struct.size != 1:
+        raise Refused(f"{structs[0]} is an array of {struct.size} structs, which is not read; of one, {remedy}")
+    found = {name: struct[name].item() for name in struct.dtype.names or ()}
+    if not set(found) & READ_KEYS:
+        raise Refused(f"{structs[0]} is a struct of {', '.join(list(found)[:6])}, none of which is read; {remedy}")
+    warnings.warn(f"the fields of {structs[0]} are read", stacklevel=2)
+    return {name: _value(name, value) if name in READ_KEYS else None for name, value in found.items()}
 
 
 def _value(name: str, value: Any) -> Any:

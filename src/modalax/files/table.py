@@ -11,7 +11,17 @@ import numpy as np
 from modalax.files.guard import MOST_NAMES, Refused, reading
 from modalax.files.lines import lines_of, table_of
 from modalax.files.sniff import COMMENTS, PREAMBLE, looks_like_header
-from modalax.files.table_titles import HOW, Column, check_columns, column_of, factor_of_frequencies, unit_of_columns
+from modalax.files.table_titles import (
+    HOW,
+    Column,
+    both_parts,
+    cells_of,
+    check_columns,
+    column_of,
+    factor_of_frequencies,
+    pairs_of,
+    unit_of_columns,
+)
 
 PLAIN_DEGREES = 45.0  # size of phases above which they are no radians
 
@@ -22,7 +32,8 @@ def read_table(path: Path) -> dict[str, Any]:
     Columns are parted by comma, semicolon or tab; with semicolon or tab, numbers may have decimal commas. Names of
     columns as ``2:+Z/1:+Z`` are output and input. Lines before the header, and those that begin with # or %, are
     comments; units stand in brackets in the header, or in a line of their own below it. Magnitudes in dB are twenty
-    times the decimal logarithm.
+    times the decimal logarithm. A column may hold complex numbers such as ``1.2-3.4i``. Names such as ``H(2Z;1Z)`` or
+    ``2Z ref 1Z`` tell output and input too, and ``H21`` where the indices fill every pair.
 
     Raises
     ------
@@ -34,27 +45,30 @@ def read_table(path: Path) -> dict[str, Any]:
         above = list(itertools.islice(rows, PREAMBLE + 1))
         place = next((k for k, (_, line) in enumerate(above) if looks_like_header(line)), 0)
         head, rows = above[place][1], itertools.chain(above[place + 1 :], rows)
-    mark = next((m for m in ("\t", ";", ",") if m in head), None)
-    cells = lambda line: [t.strip().strip('"').strip() for t in (line.split(mark) if mark else line.split())]
-    titles = cells(head)
+    first = next(rows, None)
+    mark = _mark(head, first[1] if first else "")
+    titles = cells_of(head, mark)
     if len(titles) > 4 * MOST_NAMES:
         raise Refused(f"the table has {len(titles)} columns; at most {4 * MOST_NAMES} are read")
-    first = next(rows, None)
-    if first is not None and not any(_is_number(cell) for cell in cells(first[1]) if cell):
-        units = [*cells(first[1]), *[""] * len(titles)]
+    cells = cells_of(first[1], mark) if first else []
+    if first and not any(_is_number(cell) for cell in cells if cell):
+        units = [*cells, *[""] * len(titles)]
         titles = [
             f"{title} [{unit.strip('[]()')}]" if unit else title for title, unit in zip(titles, units, strict=False)
         ]
-        first = None
+        first = next(rows, None)
+        cells = cells_of(first[1], mark) if first else []
+    whole = {k for k, cell in enumerate(cells) if _is_complex(cell)}
     try:
-        columns = [column_of(title) for title in titles[1:]]
+        columns = [c for k, title in enumerate(titles) for c in (both_parts(title) if k in whole else [title])][1:]
+        columns = [column_of(c) if isinstance(c, str) else c for c in columns]
         factor = factor_of_frequencies(titles[0])
         check_columns(columns, titles)
         unit = unit_of_columns(columns)
     except ValueError as error:
         raise ValueError(f"{error}; the file begins with {head[:40]!r}") from error
     rows = rows if first is None else itertools.chain([first], rows)
-    numbers = table_of(rows, lambda line, k: _numbers(line, mark, len(titles), k), len(titles))
+    numbers = table_of(rows, lambda line, k: _numbers(line, mark, len(titles), whole, k), len(titles) + len(whole))
     numbers = _rows_with_frequency(numbers)
     names, values = _frfs(columns, numbers)
     found = {"freq": factor * numbers[:, 0], **_channels(names, np.array(values).T)}
@@ -69,18 +83,38 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _numbers(line: str, mark: str | None, count: int, row: int) -> list[float]:
-    """Numbers of a line; NaN for an empty cell."""
+def _is_complex(cell: str) -> bool:
+    return bool(cell) and cell[-1] in "ij)" and not _is_number(cell)
+
+
+def _mark(head: str, first: str) -> str | None:
+    """The sign that parts the columns: one that gives as many titles as the next line has cells; None for blanks."""
+    found = [m for m in ("\t", ";", ",") if m in head]
+    fits = (m for m in found if len(cells_of(head, m)) == len(cells_of(first.rstrip(m), m)) > 1)
+    return next(fits, next(iter(found), None))
+
+
+def _numbers(line: str, mark: str | None, count: int, whole: set[int], row: int) -> list[float]:
+    """Numbers of a line, two of the cells that are ``whole`` complex numbers; NaN for an empty cell."""
     cells = line.split(mark) if mark else line.split()
     if len(cells) == count + 1 and not cells[-1].strip():
         cells = cells[:-1]
     if len(cells) != count:
         raise ValueError(f"line {row} has {len(cells)} columns, the header {count}")
     cells = [c.strip() or "nan" for c in cells]
+    decimal = (lambda c: c.replace(",", ".")) if mark in ("\t", ";") else (lambda c: c)
     try:
-        return [float(c.replace(",", ".") if mark in ("\t", ";") else c) for c in cells]
+        if whole:
+            return [v for k, c in enumerate(cells) for v in (_two(decimal(c)) if k in whole else (float(decimal(c)),))]
+        return [float(decimal(c)) for c in cells]
     except ValueError as error:
         raise ValueError(f"line {row} holds what is no number ({error})") from error
+
+
+def _two(cell: str) -> tuple[float, float]:
+    """Real and imaginary part of a cell such as ``1.2-3i``, ``(1.2-3j)`` or ``1.2 - 3i``."""
+    value = complex(cell.strip().strip('"').replace(" ", "").replace("i", "j"))
+    return value.real, value.imag
 
 
 def _rows_with_frequency(numbers: np.ndarray) -> np.ndarray:
@@ -127,9 +161,8 @@ def _in_degrees(column: Column, value: np.ndarray) -> bool:
 
 def _channels(names: list[str], H: np.ndarray) -> dict[str, Any]:
     """``H`` by outputs and inputs where all columns are named so; else by columns, and their names."""
-    pairs = [name.split("/") for name in names]
-    if all(len(pair) == 2 and all(p.strip() for p in pair) for pair in pairs):
-        ends = [(a.strip(), b.strip()) for a, b in pairs]
+    ends = pairs_of(names)
+    if ends:
         outputs, inputs = (list(dict.fromkeys(side)) for side in zip(*ends, strict=True))
         if len(ends) != len(outputs) * len(inputs):
             missing = next(f"{o}/{i}" for o in outputs for i in inputs if (o, i) not in ends)

@@ -1,6 +1,7 @@
 """What the titles of a table's columns say: part of a complex number, name of the FRF, and units."""
 
 import re
+import warnings
 from typing import NamedTuple
 
 from modalax.files.sniff import FREQUENCY
@@ -13,6 +14,16 @@ KINDS = {
 HOW = "a header names the columns: freq, then 're NAME' and 'im NAME' (or 'mag NAME', 'phase NAME [deg]') of each FRF"
 ANGLE = re.compile(r"[\[(]\s*(deg|degrees|°|rad)\s*[\])]|_(deg|rad)\b", re.IGNORECASE)
 DECIBEL = re.compile(r"[\[(]\s*dB\s*[\])]|[_\s]dB\b", re.IGNORECASE)
+PAIRS = tuple(
+    re.compile(pattern, re.IGNORECASE)
+    for pattern in (
+        r"(?:(?:H|FRF|TF|G)\b)?\s*[\[({]\s*([^/;,|]+?)\s*[/;,|]\s*([^/;,|]+?)\s*[\])}]",
+        r"(?:FRF\b)?\s*(?:(?:resp|response|point|node|output|out)\b\.?)?\s*([^/;,|]+?)\s*[/;,|]?\s*"
+        r"\b(?:ref|reference|input|excitation|force)\b\.?\s*([^/;,|]+)",
+        r"([^/]+?)\s*/\s*([^/]+)",
+    )
+)
+INDICES = re.compile(r"([A-Za-z]+)_?(?:(\d)(\d)|(\d+)_(\d+))")
 BRACKETS = re.compile(r"\[([^\[\]]*)\]|\(((?:[^()]|\([^()]*\))*)\)")
 
 
@@ -61,11 +72,20 @@ def column_of(title: str) -> Column:
             rf"(?:{pattern})\s*\(\s*(.*?)\s*\)",
             rf"(?:{pattern})(?:[\s_:.]+(.*))?",
             rf"(.*?)[\s_.]+(?:{pattern})",
+            rf"(.*?)[\s_.]*\(\s*(?:{pattern})\s*\)",
         ):
             match = re.fullmatch(shape, bare, re.IGNORECASE)
             if match:
-                return Column(title, kind, (match[1] or "").strip(), degrees, decibel, unit)
+                name = (match[1] or "").strip()
+                name = f"({name})" if re.search(r"[,;|]", name) and bare.endswith(f"({name})") else name
+                return Column(title, kind, name, degrees, decibel, unit)
     raise ValueError(f"column {title!r} is neither a real nor imaginary part, magnitude nor phase; {HOW}")
+
+
+def both_parts(title: str) -> list[Column]:
+    """The two columns of a title whose cells hold complex numbers."""
+    unit, bare = _without_unit(title)
+    return [Column(title, kind, re.sub(r"\[.*?\]", "", bare).strip(), None, False, unit) for kind in ("real", "imag")]
 
 
 def _without_unit(title: str) -> tuple[str, str]:
@@ -78,6 +98,42 @@ def _without_unit(title: str) -> tuple[str, str]:
             continue
         return inside, (title[: match.start()] + title[match.end() :]).strip()
     return "", title
+
+
+def pairs_of(names: list[str]) -> list[tuple[str, str]] | None:
+    """Output and input that each name tells: ``2:+Z/1:+Z``, ``H(2Z;1Z)``, ``H21`` or ``H_12_3``; None if one does not.
+
+    Indices alone are told from a channel's number only where they fill every output and input.
+    """
+    for pattern in PAIRS:
+        told = [pattern.fullmatch(name.strip()) for name in names]
+        if all(told):
+            return [(match[1].strip(), match[2].strip()) for match in told if match]
+    counted = [INDICES.fullmatch(name) for name in names]
+    found = [(m[2] or m[4], m[3] or m[5]) for m in counted if m]
+    outputs, inputs = ({end[k] for end in found} for k in (0, 1))
+    one_word = len({m[1] for m in counted if m}) == 1
+    if len(found) < len(names) or not one_word or len(set(found)) != len(outputs) * len(inputs) or len(found) < 2:
+        return None
+    text = (
+        f"{names[0]} is taken as output {found[0][0]} by input {found[0][1]}, {names[-1]} as output {found[-1][0]} by"
+    )
+    warnings.warn(f"{text} input {found[-1][1]}", stacklevel=2)
+    return found
+
+
+def cells_of(line: str, mark: str | None) -> list[str]:
+    """Cells of a line parted by ``mark`` (blanks without one); what stands in round brackets or quotes stays whole."""
+    if mark is None:
+        return line.split()
+    cells, depth, quoted, begin = [], 0, False, 0
+    for k, sign in enumerate(line):
+        quoted ^= sign == '"'
+        depth = max(depth + (sign == "(") - (sign == ")"), 0)
+        if sign == mark and not quoted and (depth == 0 or ")" not in line[k:]):
+            cells.append(line[begin:k])
+            begin = k + 1
+    return [cell.strip().strip('"').strip() for cell in [*cells, line[begin:]]]
 
 
 def factor_of_frequencies(title: str) -> float:
