@@ -12,7 +12,7 @@ from modalax._numerics.checks import is_traced
 from modalax.data.frf import FRF
 from modalax.identify.fraction import check_constraint
 from modalax.identify.lscf import RIDGE
-from modalax.identify.polynomial import limits, poles_of_factor, weights_of, without_window
+from modalax.identify.polynomial import limits, poles_of_factor, weights_of
 from modalax.identify.tables import PoleTable
 from modalax.identify.zoom import Zoom, check_orders
 
@@ -76,17 +76,19 @@ def lsce(
     samples = int(round(part * (2 * (frf.shape[0] - 1) if real else frf.shape[0])))
     found = check_orders(orders, samples - skip, limits(frf))
     weight = 1 / jnp.sqrt(jnp.mean(weights_of(frf, weights) ** -2, axis=(0, 2)))
-    return _estimate(frf, weight, jnp.asarray(ridge), found, check_constraint(constraint), real, skip, samples)
+    R, zoomed = _factor(frf, weight, jnp.asarray(ridge), found[-1], real, skip, samples)
+    return poles_of_factor(
+        R, found, frf.shape[2], check_constraint(constraint), real, zoomed, "lsce", None, jnp.asarray(frf.added_decay)
+    )
 
 
 @eqx.filter_jit
-def _estimate(
-    frf: FRF, weight: Float[Array, " o"], ridge: Array, orders: tuple[int, ...], constraint: str, real: bool, skip: int,
-    samples: int,
-) -> PoleTable:  # fmt: skip
+def _factor(
+    frf: FRF, weight: Float[Array, " o"], ridge: Array, order: int, real: bool, skip: int, samples: int
+) -> tuple[Array, Zoom]:
+    """Triangular factor of the highest order, and the map on the circle."""
     h, zoomed = impulse_response(frf, real)
-    R = prediction_factor(h[skip:samples] * weight[:, None], orders[-1], ridge)
-    return without_window(poles_of_factor(R, orders, frf.shape[2], constraint, real, zoomed, "lsce"), frf)
+    return prediction_factor(h[skip:samples] * weight[:, None], order, ridge), zoomed
 
 
 def impulse_response(frf: FRF, real: bool) -> tuple[Complex[Array, "t o i"] | Float[Array, "t o i"], Zoom]:

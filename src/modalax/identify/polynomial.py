@@ -102,12 +102,13 @@ def triangular_factor(
 @eqx.filter_jit
 def poles_of_factor(
     R: Inexact[Array, "m m"], orders: tuple[int, ...], size: int, constraint: str, real: bool, zoomed: Zoom,
-    method: str, added: Float[Array, ""] | None = None,
+    method: str, added: Float[Array, ""] | None = None, decay: Float[Array, ""] | float = 0.0,
 ) -> PoleTable:  # fmt: skip
     """All orders of a stabilization diagram from the factor of the largest: one vmap for orders of about a size.
 
-    ``added`` is the ridge in the factor whose effect is to be taken out of the coefficients. Eigenvalues cost the cube
-    of the size they are padded to, so long diagrams are done in up to four parts.
+    ``added`` is the ridge in the factor whose effect is to be taken out of the coefficients, ``decay`` the one of an
+    exponential window that is taken out of the poles [1/s]. Eigenvalues cost the cube of the size they are padded to,
+    so long diagrams are done in up to four parts.
     """
     count = orders[-1] * size
     last = LAST[check_constraint(constraint)]
@@ -126,7 +127,7 @@ def poles_of_factor(
     if real:  # each root has a mirror image below the band, which means nothing
         valid = valid & (poles.imag > zoomed.centre)
     w = w / jnp.maximum(jnp.linalg.norm(w, axis=-1, keepdims=True), 1e-300)
-    return PoleTable(jnp.where(valid, poles, 0.0), valid, w if size > 1 else None, orders, method)
+    return PoleTable(jnp.where(valid, poles + decay, 0.0), valid, w if size > 1 else None, orders, method)
 
 
 def _parts_of(orders: tuple[int, ...], size: int) -> list[tuple[int, ...]]:
@@ -160,24 +161,27 @@ def matrix_fraction(
     moments = use_moments(solver, H.shape, found[-1], shared)
     if numerator is None:
         numerator = with_spare(found[-1], frf.freq.shape[0]) if moments else found[-1]
-    return _estimate(
-        frf, H, weight, jnp.asarray(ridge), found, constraint, real, arc, numerator, shared, moments, method
+    R, added, zoomed, decay = _factor(
+        frf, H, weight, jnp.asarray(ridge), found[-1], real, arc, numerator, shared, moments
     )
+    return poles_of_factor(R, found, H.shape[2], constraint, real, zoomed, method, added, decay)
 
 
 @eqx.filter_jit
-def _estimate(
-    frf: FRF, H: Array, weight: Array, ridge: Array, orders: tuple[int, ...], constraint: str, real: bool, arc: float,
-    numerator: int, shared: bool, moments: bool, method: str,
-) -> PoleTable:  # fmt: skip
+def _factor(
+    frf: FRF, H: Array, weight: Array, ridge: Array, order: int, real: bool, arc: float, numerator: int, shared: bool,
+    moments: bool,
+) -> tuple[Array, Array | None, Zoom, Array]:  # fmt: skip
+    """Triangular factor of the highest order, its ridge to be taken out, the map on the circle, and the added decay.
+
+    A program of its own: diagrams of other lines share that of the poles, which takes longest to compile.
+    """
     zoomed = zoom(frf.omega, arc, real)
-    u = zoomed.circle(frf.omega)
-    added = None
+    u, decay = zoomed.circle(frf.omega), jnp.asarray(frf.added_decay)
     if moments:
-        R, added = factor_from_moments(H, weight[:, 0], u, orders[-1], numerator, real, ridge)
-    else:
-        R = triangular_factor(H, weight, u, orders[-1], numerator, real, ridge, shared)
-    return without_window(poles_of_factor(R, orders, H.shape[2], constraint, real, zoomed, method, added), frf)
+        R, added = factor_from_moments(H, weight[:, 0], u, order, numerator, real, ridge)
+        return R, added, zoomed, decay
+    return triangular_factor(H, weight, u, order, numerator, real, ridge, shared), None, zoomed, decay
 
 
 def use_moments(solver: str, shape: tuple[int, ...], order: int, shared: bool) -> bool:

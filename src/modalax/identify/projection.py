@@ -13,7 +13,7 @@ matrix product, in coordinates that are orthonormal for the mean weight, so that
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg.blas import dtrsm
 
 from modalax._numerics.grams import weighted_grams
 from modalax.identify.kernels import Modes, coefficient_slopes, coefficients, kernels, pairs, unpack
@@ -21,6 +21,7 @@ from modalax.identify.reduced import OwnOutputs, SharedOutputs, Slopes, Sums
 
 INDEPENDENT = 1e-5  # part of a column that those before it leave, from which on a Gram matrix tells it apart
 MANY, PLAIN = 2**20, 1e-5  # samples of one input, and the part of their squares outside the basis
+CACHED = 2**18  # samples of a block that stays near the processor
 BLOCK = 2**25  # numbers that an array of one block of lines or outputs may hold
 
 
@@ -187,26 +188,36 @@ class Projection:
         residue = np.einsum("onc,nic->oin", x.reshape(len(x), *modes.unit.shape), coefficients(modes))
         flat = pairs(residue).reshape(self.outputs, self.inputs, -1)
         columns = kernels(self.s, self.power, modes.poles, squares=False).T
-        left = self.y.copy()
-        for part, column in ((left.real, columns.real), (left.imag, columns.imag)):
-            made = flat @ column
-            made *= self.weight
-            part -= made
-        t = self.terms.shape[1]
-        total = np.zeros((self.outputs, self.inputs, t))
-        if not t:
-            return total, left
-        products = (self.terms.conj()[:, :, None] * self.terms[:, None, :]).real
-        gram = (self.weight**2 @ products.reshape(-1, t * t)).reshape(*total.shape, t)
-        empty = ~np.any(self.weight, axis=2)
-        gram[empty] = np.eye(t)
-        for _ in range(2):  # the second time takes out what the normal equations lost
-            e = np.linalg.solve(gram, ((self.weight * left) @ self.terms.conj()).real[..., None])[..., 0]
-            made = e @ self.terms.T
-            made *= self.weight
-            left -= made
-            total = total + e
+        columns = np.ascontiguousarray(columns.real), np.ascontiguousarray(columns.imag)
+        left = np.empty_like(self.y)
+        total = np.zeros((self.outputs, self.inputs, self.terms.shape[1]))
+        many = max(1, CACHED // (self.inputs * len(self.s)))
+        for start in range(0, self.outputs, many):
+            part = slice(start, start + many)
+            total[part] = self._remainder(flat[part], columns, part, left[part])
         return np.linalg.solve(self.scale, total[..., None])[..., 0], left
+
+    def _remainder(
+        self, flat: np.ndarray, columns: tuple[np.ndarray, np.ndarray], part: slice, left: np.ndarray
+    ) -> np.ndarray:
+        """Coefficients of the orthonormal terms for a few outputs; what is left goes into ``left``."""
+        weight, t = self.weight[part], self.terms.shape[1]
+        left.real, left.imag = flat @ columns[0], flat @ columns[1]
+        left *= -weight
+        left += self.y[part]
+        total = np.zeros((*left.shape[:2], t))
+        if not t:
+            return total
+        products = (self.terms.conj()[:, :, None] * self.terms[:, None, :]).real
+        gram = (weight**2 @ products.reshape(-1, t * t)).reshape(*total.shape, t)
+        gram[~np.any(weight, axis=2)] = np.eye(t)
+        for _ in range(2):  # the second time takes out what the normal equations lost
+            e = np.linalg.solve(gram, ((weight * left) @ self.terms.conj()).real[..., None])[..., 0]
+            made = e @ self.terms.T
+            made *= weight
+            left -= made
+            total += e
+        return total
 
 
 def _slopes(modes: Modes, pivot: np.ndarray, held: np.ndarray) -> Slopes:
@@ -230,7 +241,8 @@ def orthonormal(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             R = np.linalg.cholesky(Q.T @ Q).T
             if np.min(np.diag(R)) < INDEPENDENT:
                 return np.linalg.qr(A)
-            Q = Q @ solve_triangular(R, np.eye(len(R)), check_finite=False)
+            # Q R = A, as rows: BLAS takes the transpose of what lies row after row as it is.
+            Q = dtrsm(1.0, np.asfortranarray(R.T), Q.T, lower=1).T
             whole = R @ whole
     except np.linalg.LinAlgError:
         return np.linalg.qr(A)
