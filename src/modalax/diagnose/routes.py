@@ -52,5 +52,5 @@ def outcome_of(found: Diagnosis) -> Outcome:
         found.verdict, found.gain.chi2_after, after.p_value, causes[0]["probability"] if causes else 0.0,
         len(found.alternatives), found.inaccuracy if isinstance(found, ModalDiagnosis) else None,
         len({frozenset(c["where"]) for c in causes}), isinstance(found, ModalDiagnosis) and found.joint is not None,
-        any(c["name"] in GROUP_SLUGS for c in causes),
+        any(c["name"] in GROUP_SLUGS for c in causes), found.gain.chi2_unforeseen,
     )  # fmt: skip

@@ -24,6 +24,8 @@ class Gain:
     chi2_plain
         Per real sample, by the general inaccuracy alone where causes were found beyond it; by the linear structure
         where a joint was found.
+    chi2_unforeseen
+        Per real sample, allowing for the errors of all that was fitted without the block; NaN where that is not told.
     preferred
         By how many standard deviations, from blocks of its lines, the block is likelier by ``chi2_plain``'s prediction.
     """
@@ -37,6 +39,7 @@ class Gain:
     chi2_within: float = float("nan")
     chi2_plain: float = float("nan")
     preferred: float = float("inf")
+    chi2_unforeseen: float = float("nan")
 
     def to_dict(self) -> dict[str, Any]:
         """As in the answer's file."""

@@ -81,7 +81,7 @@ def inaccuracy_told(setting: Setting, f: Fit) -> dict[str, Any]:
     J = slopes_at(setting, f.state, f.causes, f.u)
     gram, right = J.T @ J, J.T @ (f.state.difference + J @ np.concatenate([f.sizes, f.u]))
     group, width = a.group_of, widths_of_sizes(f, setting)
-    inside = np.unique(f.state.pairs)
+    inside = np.unique(np.minimum(f.state.pairs, c.size - 2))  # not the spare coordinate, to which nothing belongs
     inside = inside[c.frequencies[inside] > RIGID * c.frequencies[inside[-1]]]
     nominal = {"K": c.frequencies**2, "M": np.ones(c.size), "C": np.diag(c.damping)}
     every = [

@@ -96,12 +96,15 @@ def explain(
     """
     prior = Prior(candidates)
     null = fit(setting)
-    if null is None:
-        return setting, []
-    bare, setting = setting, with_more(setting, null)
-    if setting is not bare:
-        null = fit(setting) or start_in(setting, null)
-    search = _Search(setting, {(): null}, bare)
+    if null is None:  # a simulation of too few modes for those measured is compared without one of them
+        search = _Search(setting, _less_a_mode(setting, candidates), setting)
+        if not search.found:
+            return setting, []
+    else:
+        bare, setting = setting, with_more(setting, null)
+        if setting is not bare:
+            null = fit(setting) or start_in(setting, null)
+        search = _Search(setting, {(): null}, bare)
     try:
         _all_steps(search, null, candidates, prior, late, tell)
     except KeyboardInterrupt:
@@ -140,13 +143,27 @@ def further(
     return [replace(e, misfit=left.get(id(e.fit), e.misfit)) for e in _ranked(found, Prior(candidates))]
 
 
+def _less_a_mode(setting: Setting, candidates: list[Change]) -> dict[tuple[Change, ...], Fit]:
+    """Fits in which one measured mode is none of the simulation's."""
+    found: dict[tuple[Change, ...], Fit] = {}
+    for cause in candidates:
+        if cause.freed is not None:
+            _try(setting, found, (cause,), np.zeros(cause.count), None)
+    return found
+
+
 def _all_steps(
-    search: _Search, null: Fit, candidates: list[Change], prior: Prior, late: Deadline, tell: Callable[[str], None]
+    search: _Search,
+    null: Fit | None,
+    candidates: list[Change],
+    prior: Prior,
+    late: Deadline,
+    tell: Callable[[str], None],
 ) -> None:
     """Screen, fit, seek a further cause and other places, as long as there is time."""
     setting, found = search.setting, search.found
     tell(f"screening {len(candidates)} causes and places")
-    trials = _leading(setting, null, candidates, prior)
+    trials = [] if null is None else _leading(setting, null, candidates, prior)
     tell(f"fitting {len(trials)} of them")
     for cause, u, start in trials:
         _try(setting, found, (cause,), np.array([u]), start, gentle=start is None)
@@ -176,8 +193,8 @@ def _attached(
     late: Callable[[], bool],
 ) -> None:  # fmt: skip
     """Where a measured mode is one too many, try oscillators as what makes it."""
-    freed = [c.freed for c in _ranked(found, prior)[0].causes if c.freed is not None]
-    for cause, u in oscillators(setting, candidates, setting.features.poles[freed[0]]) if freed else ():
+    freed = [c for c in _ranked(found, prior)[0].causes if c.freed is not None]
+    for cause, u in oscillators(setting, candidates, freed[0]) if freed else ():
         if late():
             return
         _try(setting, found, (cause,), u, None)

@@ -15,8 +15,9 @@ from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
 from modalax.diagnose.modal_domain.free_residues import Channels
 from modalax.diagnose.modal_domain.further_causes import MissingMode
 from modalax.diagnose.modal_domain.levels.seen import foretold
+from modalax.diagnose.modal_domain.measured import channels_of
 from modalax.diagnose.modal_domain.mode_count import blind_modes, heavy, misfit
-from modalax.diagnose.modal_domain.polish import lines_of, on_lines
+from modalax.diagnose.modal_domain.polish import lines_of, on_lines, unforeseen
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.modal_domain.state import Setting
 
@@ -37,10 +38,12 @@ def gain_of(stage: Stage, found: Explanation, before: np.ndarray) -> Gain:
     alike = not drifts and (len(stage.measured.runs) == len(H) or joint is not None or levels > 2)
     lacking = any(c.freed is not None for c in found.causes)  # of a further column its shape tells nothing
     words, mask = held_out_block(level, m.inputs, H.shape, H.shape[1], alike, lacking)
+    beyond = float("nan")
     if joint is None or seen is None:
         rest = _rest(stage, mask)
         alone = next((e.fit for e in stage.explanations if not e.causes), None) if found.causes else None
-        after = frf_of(stage, _without(stage, found.fit, rest))
+        fitted = _without(stage, found.fit, rest)
+        after, beyond = frf_of(stage, fitted), _beyond_errors(stage, fitted, mask)
         plain = None if alone is None else frf_of(stage, _without(stage, alone, rest))
     else:
         after, plain = joint, seen.base.H
@@ -49,14 +52,26 @@ def gain_of(stage: Stage, found: Explanation, before: np.ndarray) -> Gain:
     chi2 = [np.abs(weight * (H - p)) ** 2 for p in (before, after)]
     by_line = 0.5 * (chi2[0] - chi2[1]).sum(axis=(0, 2, 3))
     gain = Gain(
-        words, float(chi2[0].sum() / count), float(chi2[1].sum() / count), float(by_line.sum()), _deviation(by_line)
-    )
+        words, float(chi2[0].sum() / count), float(chi2[1].sum() / count), float(by_line.sum()), _deviation(by_line),
+        chi2_unforeseen=beyond,
+    )  # fmt: skip
     if plain is None:
         return gain
     alone_chi2 = np.abs(weight * (H - plain)) ** 2
     worse = 0.5 * (chi2[1] - alone_chi2).sum(axis=(0, 2, 3))[mask.any(axis=(0, 2, 3))]
     preferred = float(worse.sum()) / max(_deviation(worse), 1e-300)
     return replace(gain, chi2_plain=float(alone_chi2.sum() / count), preferred=preferred)
+
+
+def _beyond_errors(stage: Stage, f: Fit, mask: np.ndarray) -> float:
+    """Chi-square per sample on the held-out samples that errors of a fit to the others do not explain."""
+    H, found = np.asarray(stage.measurement.H), stage.measured
+    c, used = found.channels, np.isin(np.arange(len(H)), found.runs)[:, None, None, None]
+    fitted, left_out = (
+        lines_of(channels_of(c.s, H, np.where(some, found.noise.sigma, 0.0), c.order, c.outside), stage.setting)
+        for some in (~mask & used, mask)
+    )
+    return unforeseen(stage.setting, f, fitted, left_out) / max(left_out.samples, 1)
 
 
 def _deviation(by_line: np.ndarray) -> float:

@@ -85,9 +85,20 @@ def _as_delay(stage: Stage, e: Explanation) -> Explanation:
         others = {(x.slug, x.where) for x in e.causes if x is not c} | {("time_delay", c.where)}
         delays = (x for x in stage.explanations if {(y.slug, y.where) for y in x.causes} == others)
         delay = next(delays, None)
-        if delay is not None and e.fit.log_evidence - delay.fit.log_evidence < ALIKE:
+        if delay is not None and _by_data(e, c) - _by_data(delay, _of(delay, c.where)) < ALIKE:
             return delay
     return e
+
+
+def _of(delay: Explanation, where: tuple[str | int, ...]) -> Change:
+    return next(c for c in delay.causes if c.slug == "time_delay" and c.where == where)
+
+
+def _by_data(e: Explanation, c: Change) -> float:
+    """Log evidence less what the prior width of one cause's size adds: two kinds of cause have unlike usual sizes."""
+    own = own_sizes(e.causes, e.causes.index(c))
+    u, variance = e.fit.u[own], np.diag(e.fit.covariance)[own]
+    return e.fit.log_evidence + 0.5 * float((u**2 - np.log(np.maximum(variance, 1e-300))).sum())
 
 
 def _told(causes: tuple[Change, ...]) -> Names:

@@ -61,12 +61,12 @@ def identify(measurement: Measurement, c: Coordinates) -> Measured:
     outside = _outside(c, abs(s[0]), abs(s[-1]))
     noise = noise_of(measurement, _first_guess(measurement, H))
     runs, unlike = _alike(H, noise.sigma, np.asarray(measurement.level))
-    channels = _channels(s, H[runs], noise.sigma[runs], order, outside)
+    channels = channels_of(s, H[runs], noise.sigma[runs], order, outside)
     modes = blind_modes(channels)
     if np.isfinite(noise.freedom):  # noise that was estimated is known better beside what is no noise
         made = modes.made(channels).reshape(H.shape[1:])
         noise = noise_of(measurement, made)
-        channels = _channels(s, H[runs], noise.sigma[runs], order, outside)
+        channels = channels_of(s, H[runs], noise.sigma[runs], order, outside)
         modes = blind_modes(channels, modes.poles)
     modes = one_each(modes, channels)
     left, features = _features(modes, channels, H.shape[2:])
@@ -80,7 +80,7 @@ def reidentified(measured: Measured, H: np.ndarray, error: np.ndarray) -> Measur
     """
     c, sigma = measured.channels, measured.noise.sigma[measured.runs]
     sigma = np.where(sigma > 0, np.hypot(sigma, error), 0.0)
-    channels = _channels(c.s, H[measured.runs], sigma, c.order, c.outside)
+    channels = channels_of(c.s, H[measured.runs], sigma, c.order, c.outside)
     modes = one_each(blind_modes(channels, measured.modes.poles), channels)
     left, features = _features(modes, channels, H.shape[2:])
     return replace(measured, channels=channels, modes=modes, misfit=left, features=features)
@@ -89,7 +89,7 @@ def reidentified(measured: Measured, H: np.ndarray, error: np.ndarray) -> Measur
 def features_beside(measured: Measured, H: np.ndarray) -> np.ndarray:
     """Features of the same modes, shape ``(k, width)``, in FRFs ``(run, f, o, i)`` that differ a little."""
     c, f, sigma = measured.channels, measured.features, measured.noise.sigma[measured.runs]
-    modes = refine(measured.modes.poles, _channels(c.s, H[measured.runs], sigma, c.order, c.outside))
+    modes = refine(measured.modes.poles, channels_of(c.s, H[measured.runs], sigma, c.order, c.outside))
     own = np.abs(measured.modes.poles[None] - f.poles[:, None]).argmin(axis=1)
     residues = modes.residues.reshape(len(modes.poles), *f.units.shape[1:])[own] / f.units
     return values_of(modes.poles[own], residues, f.tangent)
@@ -119,8 +119,9 @@ def _outside(c: Coordinates, low: float, high: float) -> np.ndarray:
     return np.concatenate([below[-BELOW:], above[:ABOVE]])
 
 
-def _channels(s: np.ndarray, H: np.ndarray, sigma: np.ndarray, order: int, outside: np.ndarray) -> Channels:
-    weight = np.where(sigma > 0, 1 / np.maximum(sigma, 1e-300) ** 2, 0.0)
+def channels_of(s: np.ndarray, H: np.ndarray, sigma: np.ndarray, order: int, outside: np.ndarray) -> Channels:
+    """Runs averaged by their variances; samples of a standard deviation of 0 are left out."""
+    weight = np.where(sigma > 0, 1 / np.maximum(sigma, 1e-150) ** 2, 0.0)
     total = weight.sum(axis=0)
     mean = (weight * H).sum(axis=0) / np.maximum(total, 1e-300)
     flat = (len(s), -1)

@@ -12,14 +12,18 @@ MASSES = (0.1, 0.4, 1.0)  # roots of masses that are tried, over the usual
 LEADING = 6  # places that are fitted
 
 
-def oscillators(setting: Setting, candidates: list[Change], extra: complex) -> list[tuple[TunedMass, np.ndarray]]:
-    """Leading places of an oscillator near the pole ``extra`` [rad/s], with sizes to start from."""
-    shrink, found = tolerance(setting)[1], []
+def oscillators(
+    setting: Setting, candidates: list[Change], extra: Change
+) -> list[tuple[TunedMass, np.ndarray]]:  # fmt: skip
+    """Leading places of an oscillator near the pole of the mode that is too many, with sizes to start from."""
+    assert extra.freed is not None
+    near_to = abs(setting.features.poles[extra.freed])
+    shrink, found = tolerance(setting, lacking=(extra,))[1], []
     for cause in candidates:
         if not isinstance(cause, TunedMass):
             continue
         trials = [
-            np.array([u, np.log(abs(extra) * near / cause.middle) / cause.width, 0.0]) for u in MASSES for near in NEAR
+            np.array([u, np.log(near_to * near / cause.middle) / cause.width, 0.0]) for u in MASSES for near in NEAR
         ]
         values = [
             distance(setting, shrink, poles, residues) + float(u @ u)

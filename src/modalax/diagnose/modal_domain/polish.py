@@ -134,6 +134,21 @@ def leading_on_lines(
     return setting, out
 
 
+def unforeseen(setting: Setting, f: Fit, fitted: Lines, left_out: Lines) -> float:
+    r"""Part of the chi-square on lines that were left out that errors of a fit to others do not explain.
+
+    With whitened residual e and derivatives J there, and the covariance V of all sizes by the lines ``fitted`` and by
+    what is known beforehand, it is :math:`e^T(I + JVJ^T)^{-1}e = e^Te - e^TJ(V^{-1} + J^TJ)^{-1}J^Te`, of as many
+    degrees of freedom as e has numbers.
+    """
+    scale = np.concatenate([f.epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
+    known, _ = _normal(setting, f.causes, f.sizes, f.u, fitted)
+    gram, slope = _normal(setting, f.causes, f.sizes, f.u, left_out)
+    inner = np.eye(len(scale)) + scale[:, None] * (known + gram) * scale
+    right = scale * slope
+    return chi2_of(setting, f, left_out) - float(right @ np.linalg.solve(inner, right))
+
+
 def _responses(
     setting: Setting, causes: tuple[Change, ...], sizes: np.ndarray, u: np.ndarray, s: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -68,10 +68,15 @@ def distance(
     return float(r @ r - h @ h) + unseen(f, causes, poles, residues, pairs)
 
 
-def tolerance(setting: Setting, causes: tuple[Change, ...] = ()) -> tuple[State, np.ndarray]:
-    """The nominal simulation, and a matrix whose product with a difference is the part that the inaccuracy explains."""
+def tolerance(
+    setting: Setting, causes: tuple[Change, ...] = (), lacking: tuple[Change, ...] = ()
+) -> tuple[State, np.ndarray]:
+    """The nominal simulation, and a matrix whose product with a difference is the part that the inaccuracy explains.
+
+    Measured modes that the simulation is ``lacking`` are taken to move as its nearest mode does.
+    """
     a, none = setting.inaccuracy, np.zeros(len(causes))
-    state = state_at(setting, np.zeros(len(a.group_of)), causes, none)
+    state = state_at(setting, np.zeros(len(a.group_of)), (*causes, *lacking), np.zeros(len(causes) + len(lacking)))
     W = slopes_at(setting, state, causes, none)[:, : len(a.group_of)] * (TOLERANT * a.usual)[a.group_of]
     L = np.linalg.cholesky(np.eye(W.shape[1]) + W.T @ W)
     return state, np.linalg.solve(L, W.T)

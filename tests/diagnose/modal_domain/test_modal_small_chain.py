@@ -1,0 +1,40 @@
+"""A chain that is off everywhere and whose modes are all in the band: nothing of it is left for lines to tell."""
+
+import numpy as np
+import pytest
+from chains_off import FREQ, as_measured, chain_off, response, simulation
+
+from modalax.diagnose import diagnose
+from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis, diagnose_modes
+
+
+def test_a_column_is_predicted_as_well_as_the_fit_without_it_knows_the_elements():
+    found = diagnose(as_measured(response(*chain_off(3, 0.02), FREQ), FREQ, 3), simulation())
+    assert isinstance(found, ModalDiagnosis)  # and not line by line, which takes minutes
+    assert found.verdict == "clean"
+    samples = 2 * 4 * len(FREQ)
+    assert found.gain.chi2_unforeseen == pytest.approx(1.0, abs=4 * np.sqrt(2 / samples))
+    assert found.gain.chi2_after >= found.gain.chi2_unforeseen
+
+
+def test_an_oscillator_is_named_where_the_simulation_has_fewer_modes_than_are_measured():
+    M, C, K = (np.pad(A, (0, 1)) for A in chain_off(4, 0.02))
+    mass, w, v = 0.12, 2 * np.pi * 55.0, np.array([0, 0, 0, 0, 1.0, -1.0])
+    M[5, 5] = mass
+    C, K = C + 0.04 * w * mass * np.outer(v, v), K + w**2 * mass * np.outer(v, v)
+    found = diagnose_modes(as_measured(response(M, C, K, FREQ), FREQ, 4), simulation()).to_dict()
+    assert [(c["name"], c["where"]) for c in found["causes"]] == [("tuned_mass", ["5:+Z"])]
+    for name, true in (("mass", mass), ("frequency", 55.0), ("damping_ratio", 0.02)):
+        told = found["causes"][0]["parameters"][name]
+        assert told["value"] == pytest.approx(true, abs=4 * told["std"])
+    assert found["inaccuracy"]["damping"]["interval"][1] < 1.0  # the oscillator is none of the simulation's modes
+
+
+def test_a_delay_is_none_of_the_filters_that_turn_the_phase_as_it_does():
+    H = response(*chain_off(5, 0.02), FREQ)
+    H[:, 3] *= np.exp(-2j * np.pi * FREQ * 3e-4)[:, None]
+    found = diagnose_modes(as_measured(H, FREQ, 5), simulation())
+    assert found.verdict == "named"
+    assert [(c["name"], c["where"]) for c in found.causes] == [("time_delay", ["4:+Z"])]
+    beside = {c.slug for e in found.stage.explanations for c in e.causes if e.probability > 0.05}
+    assert "sensor_filter" in beside  # of a second order, whose phase is the delay's up to a 500th
