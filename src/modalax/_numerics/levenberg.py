@@ -18,6 +18,7 @@ class _State(eqx.Module):
     damping: Float[Array, ""]
     predicted: Float[Array, ""]
     rejected: Int[Array, ""]
+    steps: Int[Array, ""]
     finished: Bool[Array, ""]
 
 
@@ -34,10 +35,14 @@ class LevenbergMarquardt(optx.AbstractMinimiser):
         when no step lowers it any more.
     atol
         Added to ``rtol``, for costs that are not sums of squared standard deviations.
+    max_steps
+        Most steps. It may be an array, so that searches of different lengths share one compiled program, as those of
+        different ``max_steps`` of :func:`optimistix.minimise` do not.
     """
 
     rtol: float = 1e-12
     atol: float = 0.0
+    max_steps: Any = 256
     norm: Callable[..., Any] = optx.max_norm
 
     def init(self, fn: Any, y: Any, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: Any) -> _State:
@@ -45,7 +50,7 @@ class LevenbergMarquardt(optx.AbstractMinimiser):
         p = y.shape[0]
         return _State(
             jnp.array(True), y, jnp.array(jnp.inf), jnp.zeros(p), jnp.eye(p), jnp.array(1e-3), jnp.array(jnp.inf),
-            jnp.array(0), jnp.array(False),
+            jnp.array(0), jnp.array(0), jnp.array(False),
         )  # fmt: skip
 
     def step(self, fn: Any, y: Any, args: Any, options: Any, state: _State, tags: Any) -> tuple[Any, _State, Any]:
@@ -79,13 +84,16 @@ class LevenbergMarquardt(optx.AbstractMinimiser):
         finished = finished | (size <= 4e-15) & (damping < 1.0) | (rejected >= 4) & (size < 1e-9) | (rejected > 20)
         trial = y + step / root
         new = _State(
-            jnp.array(False), trial, value, gradient, matrix, damping, predicted, rejected, finished & ~state.first
-        )
+            jnp.array(False), trial, value, gradient, matrix, damping, predicted, rejected, state.steps + 1,
+            finished & ~state.first,
+        )  # fmt: skip
         return y, new, (gradient, matrix)
 
     def terminate(self, fn: Any, y: Any, args: Any, options: Any, state: _State, tags: Any) -> tuple[Any, Any]:
-        """Whether the last step was small enough."""
-        return state.finished, optx.RESULTS.successful
+        """Whether the last step was small enough, or no further one is allowed."""
+        done = state.finished | (state.steps < self.max_steps)
+        reached = optx.RESULTS.nonlinear_max_steps_reached
+        return state.finished, optx.RESULTS.where(done, optx.RESULTS.successful, reached)
 
     def postprocess(
         self, fn: Any, y: Any, aux: Any, args: Any, options: Any, state: _State, tags: Any, result: Any

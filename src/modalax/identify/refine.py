@@ -1,6 +1,7 @@
 """Maximum-likelihood refinement of poles, participation, shapes and residual terms together."""
 
 import dataclasses
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -30,6 +31,8 @@ REACH = 2.0  # distance from the band, in half-bandwidths, beyond which a mode k
 MANY = 20  # number of rows from which on the scatter of their scores shows how much rows differ
 CORRELATED = 1e-3  # p-value of the whiteness test below which lines are taken to be correlated
 OUT_OF_STEPS, CONTRADICTION, HELD = 1, 5, 6  # indices of their reasons
+COVARIANCES = ("gauss-newton", "sandwich", "robust")
+ALLOWED = 5.0  # standard deviations of chi-square by which it may be too large before errors are scaled by it
 UNIT = 1e-9  # standard deviation assumed where none is known, relative to the FRF
 
 
@@ -148,7 +151,7 @@ def refine(
     (1982) for the sandwich; Newey and West (1987), Liang and Zeger (1986) for its sums over lines and rows. The roles
     of outputs and inputs are exchanged where there are more inputs than outputs.
     """
-    if covariance not in ("gauss-newton", "sandwich", "robust"):
+    if covariance not in COVARIANCES:
         raise ValueError(f"covariance is {covariance!r}; it must be gauss-newton, sandwich or robust")
     if scale_errors not in ("auto", "never", "always"):
         raise ValueError(f"scale_errors is {scale_errors!r}; it must be auto, never or always")
@@ -163,12 +166,35 @@ def refine(
         frf, model, sigma = frf.transpose(), model.transpose(), jnp.swapaxes(sigma, 1, 2)
     n = model.poles.shape[0]
     empty = max((slots or n) - n, 0)
+    expected = {"auto": ALLOWED if known else -np.inf, "never": np.inf, "always": -np.inf}[scale_errors]
+    asked = Asked(COVARIANCES.index(covariance), expected, known, max_steps)
     result = _refine(
-        frf, _padded(model, empty), sigma, residuals, real_modes, covariance, scale_errors, known, max_steps, turned,
+        frf, _padded(model, empty), sigma, residuals, real_modes, jax.tree.map(jnp.asarray, asked), turned,
         _is_shared(sigma), jnp.concatenate([jnp.ones(n), jnp.zeros(empty)]),
     )  # fmt: skip
     result = _cut(result, n) if empty else result
     return _turned(result) if turned else result
+
+
+class Asked(NamedTuple):
+    """What is asked of a refinement and does not change its program: all are arrays of one number.
+
+    Attributes
+    ----------
+    covariance
+        Index of its kind in ``COVARIANCES``.
+    expected
+        Standard deviations by which the residual may be larger than the variance explains before it scales the errors.
+    known
+        Whether there is a variance.
+    max_steps
+        Most iterations.
+    """
+
+    covariance: Any
+    expected: Any
+    known: Any
+    max_steps: Any
 
 
 def _is_shared(sigma: Array) -> bool:
@@ -212,9 +238,8 @@ def _cut(result: Refined, n: int) -> Refined:
 
 @eqx.filter_jit
 def _refine(
-    frf: FRF, model: ModalModel, sigma: Array, residuals: str, real_modes: bool, covariance: str, scale_errors: str,
-    known: bool, max_steps: int, turned: bool, shared: bool,
-    active: Array,
+    frf: FRF, model: ModalModel, sigma: Array, residuals: str, real_modes: bool, asked: Asked, turned: bool,
+    shared: bool, active: Array,
 ) -> Refined:  # fmt: skip
     omega0 = jnp.abs(model.poles)
     zeta0 = jnp.clip(-model.poles.real / omega0, 1e-3, 0.5)
@@ -227,8 +252,9 @@ def _refine(
     part = model.participation.real.astype(jnp.complex128) if real_modes else model.participation
     start = pack(poles, part, pivot)
     solution = optx.minimise(
-        objective, LevenbergMarquardt(), start.ravel(), args=problem, has_aux=True, max_steps=max_steps, throw=False
-    )
+        objective, LevenbergMarquardt(max_steps=asked.max_steps), start.ravel(), args=problem, has_aux=True,
+        max_steps=None, throw=False,
+    )  # fmt: skip
     theta = solution.value.reshape(start.shape)
     poles, participation = unpack(theta, pivot)
     found = parts(theta, problem)
@@ -238,12 +264,10 @@ def _refine(
     dof = jnp.maximum(used - unknowns, 1).astype(float)
     chi2 = 2 * jnp.sum(found.cost)
     variance = chi2 / dof
-    inflate = jnp.ones(()) if scale_errors == "never" else variance
-    if scale_errors == "auto" and known:
-        inflate = jnp.where(variance > 1 + 5 * jnp.sqrt(2 / dof), variance, 1.0)
+    inflate = jnp.where(variance > 1 + asked.expected * jnp.sqrt(2 / dof), variance, 1.0)
     residual = _complex_rows(found.residual[:, : problem.samples], frf)
     whiteness = whiteness_of(residual)
-    cov = _covariance(found, covariance, frozen_slots(problem, theta), inflate, whiteness)
+    cov = _covariance(found, asked.covariance, frozen_slots(problem, theta), inflate, whiteness)
     full = _rescaled(found, inflate)
     q = theta.shape[1]
     pick = (jnp.arange(theta.shape[0])[:, None] * q + jnp.arange(2)[None, :]).ravel()
@@ -261,7 +285,7 @@ def _refine(
         modal_mass_std=mass_std,
         covariance=cov[pick][:, pick],
         evidence=evidence,
-        noise_scale=jnp.sqrt(variance) * (1.0 if known else jnp.sqrt(jnp.mean(sigma**2))),
+        noise_scale=jnp.sqrt(variance) * jnp.where(asked.known, 1.0, jnp.sqrt(jnp.mean(sigma**2))),
         chi2=chi2,
         dof=dof,
         whiteness=whiteness,
@@ -278,7 +302,7 @@ def _rescaled(found: Parts, inflate: Array) -> Parts:
 
 
 def _covariance(
-    found: Parts, kind: str, frozen: Float[Array, "p p"], inflate: Array, whiteness: Array
+    found: Parts, kind: Int[Array, ""], frozen: Float[Array, "p p"], inflate: Array, whiteness: Array
 ) -> Float[Array, "p p"]:
     r"""Inverse of the Gauss-Newton matrix :math:`S`, :math:`S^{-1} B S^{-1}` with the scores' :math:`B`, or both.
 
@@ -288,17 +312,16 @@ def _covariance(
     root = jnp.sqrt(jnp.where(jnp.diag(S) > 0, jnp.diag(S), 1.0))
     inverse = jnp.linalg.inv(S / (root[:, None] * root[None, :])) / (root[:, None] * root[None, :])
     plain = inverse * inflate
-    if kind == "gauss-newton":
-        return plain
     sandwich = inverse @ jnp.sum(found.scores, axis=0) @ inverse
-    if kind == "sandwich":
-        return sandwich
-    rows = found.gradient.shape[0]
-    outer = found.gradient.T @ found.gradient if rows >= MANY else jnp.sum(found.lagged, axis=0)
-    sandwich = jnp.where(whiteness < CORRELATED, inverse @ outer @ inverse, sandwich)
-    own = jnp.where(jnp.diag(sandwich) > 0, jnp.diag(sandwich), 1.0)
-    grow = jnp.sqrt(jnp.maximum(jnp.diag(plain) / own, 1.0))
-    return sandwich * grow[:, None] * grow[None, :]
+
+    def robust() -> Array:
+        outer = found.gradient.T @ found.gradient if len(found.gradient) >= MANY else jnp.sum(found.lagged, axis=0)
+        either = jnp.where(whiteness < CORRELATED, inverse @ outer @ inverse, sandwich)
+        own = jnp.where(jnp.diag(either) > 0, jnp.diag(either), 1.0)
+        grow = jnp.sqrt(jnp.maximum(jnp.diag(plain) / own, 1.0))
+        return either * grow[:, None] * grow[None, :]
+
+    return jax.lax.switch(kind, [lambda: plain, lambda: sandwich, robust])
 
 
 def _turned(result: Refined) -> Refined:

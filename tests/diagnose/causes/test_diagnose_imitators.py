@@ -10,7 +10,14 @@ from modalax.diagnose.causes import catalogue, imitators
 from modalax.diagnose.causes.couplings import FollowerStiffness, OneWayDamper
 from modalax.diagnose.causes.drift import AllStiffness
 from modalax.diagnose.causes.forces import Crosstalk, ForceGain, StrayForce
-from modalax.diagnose.causes.power_laws import IwanJoint, MicroSlip, PowerDamper, PowerSpring
+from modalax.diagnose.causes.power_laws import (
+    IwanJoint,
+    MicroSlip,
+    PowerDamper,
+    PowerSpring,
+    macro_slip,
+    power_and_root,
+)
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.causes.sensors import AcCoupling, ClippedSensor, SensorLowpass, SensorResonance
 from modalax.diagnose.causes.viscoelastic import FractionalJoint, HystereticJoint, MaxwellJoint
@@ -176,11 +183,25 @@ def test_a_filter_is_a_butterworth_filter_of_the_corner_that_is_told(cause, p, k
 def test_an_iwan_joint_is_as_stiff_as_its_sliders_together():
     """The closed form, before and after all slips, against a great many sliders side by side; and its micro-slip."""
     A = np.array([0.05, 0.3, 0.99, 1.01, 2.0, 30.0]) * 1e-4
+    impedance, lost_of = jax.jit(IwanJoint().impedance), jax.jit(MicroSlip().impedance)
+    sliders = jax.jit(lambda p: joints.Iwan(macro_slip(p), p[0], p[2] - 1, count=3000).describing(A, 1.0))
     for n in (0.4, 1.0):
         p = jnp.array([2e4, 1e-4, n])
-        law = joints.Iwan(2e4 * 1e-4 * n / (n + 1), 2e4, n - 1, count=3000)
-        got = np.asarray(IwanJoint().impedance(jnp.asarray(A), jnp.ones(6), p))
-        assert np.abs(got / np.asarray(law.describing(A, 1.0)) - 1).max() < 1e-4
-        lost = np.asarray(MicroSlip().impedance(jnp.asarray(A[:3]), jnp.ones(3), jnp.array([1.0, n])))
+        got = np.asarray(impedance(A, np.ones(6), p))
+        assert np.abs(got / np.asarray(sliders(p)) - 1).max() < 1e-4
+        lost = np.asarray(lost_of(A, np.ones(6), np.array([1.0, n])))[:3]
         assert np.ptp((got[:3] - 2e4) / lost) < 1e-6 * abs((got[0] - 2e4) / lost[0])
         assert abs(got[-1]) < 0.05 * abs(got[0])
+
+
+def test_the_integral_of_spread_sliders_and_its_slopes_are_those_of_an_incomplete_beta_function():
+    x, step = np.array([1e-9, 1e-3, 0.3, 0.49999, 0.5, 0.7, 0.999, 1.0]), 1e-5
+    integral = lambda x, a: scipy.special.betainc(a + 1, 1.5, x) * scipy.special.beta(a + 1, 1.5) / x ** (a + 1)
+    slopes = jax.jit(jax.vmap(jax.value_and_grad(power_and_root, (0, 1)), (0, None)))
+    for a in (0.6, 1.5):
+        value, (by_x, by_a) = slopes(x, a)
+        assert np.allclose(value, integral(x, a), rtol=1e-13, atol=0)
+        assert np.allclose(by_a, (integral(x, a + step) - integral(x, a - step)) / (2 * step), rtol=1e-8)
+        inner = (x > 1e-6) & (x < 1)
+        assert np.allclose(by_x[inner], (np.sqrt(1 - x) / x - (a + 1) / x * value)[inner], rtol=1e-9)
+        assert np.isfinite(by_x).all()

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import gammaln
@@ -17,7 +18,7 @@ from modalax.simulate.joints.friction import jenkins_describing
 REFERENCE = 1e-4  # amplitude at which the lost stiffness is reported [m]
 EXPONENTS = (0.5, 1.0, 1.5)  # exponents of the amplitude that are screened [-]
 IWAN = 0.1  # prior of each form of an Iwan joint: one sharp slip is the simpler thing to say
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
+TERMS = 37  # of a series whose terms fall at least by a half each: what is left out is rounding
 
 
 class MicroSlip(JointCause):
@@ -105,10 +106,14 @@ class IwanJoint(JointCause):
 
     With the stiffness K of small motions, all slips beyond :math:`\phi_m`. A slider of slip displacement
     :math:`\phi = uA` has the share :math:`J(u)` of its stiffness at the amplitude A
-    (:func:`~modalax.simulate.joints.friction.jenkins_describing`), so that
+    (:func:`~modalax.simulate.joints.friction.jenkins_describing`), so that, with :math:`r = A/\phi_m`,
 
-    .. math:: \frac{N(A)}{K} = \max\Big(0, 1 - \frac{A^n}{\phi_m^n}\Big)
-              + \frac{A^n}{\phi_m^n}\int_0^{\min(1, \phi_m/A)} n u^{n-1} J(u)\,du.
+    .. math:: \frac{N(A)}{K} = \max(0, 1 - r^n) + r^n\int_0^x n u^{n-1} J(u)\,du,\qquad x = \min(1, 1/r),
+
+    which is, by parts,
+
+    .. math:: \Re J(x) + \min(1, r)^n\Big[\frac{4jn}{\pi}\Big(\frac{x}{n+1} - \frac{x^2}{n+2}\Big)
+              - \frac8\pi x^{3/2}\int_0^1 v^{n+1/2}\sqrt{1 - xv}\,dv\Big].
 
     Source: Segalman (2005), J. Appl. Mech. 72:752, eq. 22-30, with :math:`\chi = n - 1` and :math:`\beta = 0`.
     """
@@ -135,11 +140,10 @@ class IwanJoint(JointCause):
     def impedance(self, A: Array, omega: Array, p: Array) -> Complex[Array, "..."]:
         """Describing function at amplitude ``A``."""
         n, r = p[2], A / p[1]
-        inside = r < 1
-        part = jnp.where(inside, r, 1.0) ** n
-        whole = part * spread_sliders(jnp.ones(()), n) + (1 - part)
-        beyond = jnp.where(inside, 1.0, r)
-        return p[0] * jnp.where(inside, whole, beyond**n * spread_sliders(1 / beyond, n))
+        x = 1 / jnp.maximum(r, 1.0)
+        loss = 4 / jnp.pi * n * (x / (n + 1) - x**2 / (n + 2))
+        slipped = 1j * loss - 8 / jnp.pi * x**1.5 * power_and_root(x, n + 0.5)
+        return p[0] * (jenkins_describing(1.0, x, 1.0).real + jnp.minimum(r, 1.0) ** n * slipped)
 
     def report(self, p: np.ndarray, place: Place) -> dict[str, tuple[Any, str]]:
         """The force of macro-slip rather than the displacement."""
@@ -151,17 +155,23 @@ def macro_slip(p: Any) -> Any:
     return p[0] * p[1] * p[2] / (p[2] + 1)
 
 
-def spread_sliders(x: Any, n: Any) -> Complex[Array, "..."]:
-    r""":math:`\int_0^x n u^{n-1} J(u)\,du` for :math:`0 \le x \le 1`.
+def power_and_root(x: Array, a: Any) -> Array:
+    r""":math:`\int_0^1 v^a\sqrt{1 - xv}\,dv` for :math:`0 \le x \le 1`, an incomplete beta function over a power of x.
 
-    By parts, with :math:`u = \sin^2 t` and Gauss's rule for what is left,
-    :math:`\frac8\pi\int_0^x u^{n+1/2}\sqrt{1-u}\,du`.
+    By :math:`\int_0^z u^e(1-u)^q\,du = z^{e+1}\sum_k \frac{(-q)_k}{k!}\frac{z^k}{e+k+1}` (Abramowitz and Stegun, 1964,
+    6.6.8) at z = x up to a half; beyond it at z = 1 - x, for the part that is missing from the whole.
     """
-    end = jnp.arcsin(jnp.sqrt(jnp.clip(x, 0.0, 1.0)))
-    t = end[..., None] * (0.5 * (NODES + 1))
-    left = 8 / jnp.pi * end * (jnp.sin(t) ** (2 * n + 2) * jnp.cos(t) ** 2 @ WEIGHTS)
-    loss = 4 / jnp.pi * n * (x ** (n + 1) / (n + 1) - x ** (n + 2) / (n + 2))
-    return x**n * jenkins_describing(1.0, x, 1.0).real - left + 1j * loss
+    low = x < 0.5
+    z, e, q = jnp.where(low, x, 1 - x), jnp.where(low, a, 0.5), jnp.where(low, 0.5, a)
+
+    def add(k: Any, state: tuple[Array, Array]) -> tuple[Array, Array]:
+        term, total = state
+        term = term * z * (k - 1 - q) / k
+        return term, total + term / (e + k + 1)
+
+    series = jax.lax.fori_loop(1, TERMS, add, (jnp.ones_like(e * z), 1 / (e + 1) + 0 * z), unroll=4)[1]
+    whole = 0.5 * jnp.sqrt(jnp.pi) * jnp.exp(gammaln(a + 1) - gammaln(a + 2.5))
+    return jnp.where(low, series, (whole - z**1.5 * series) / jnp.where(low, 1.0, x) ** (a + 1))
 
 
 POWER_LAWS: tuple[Any, ...] = (IwanMicroSlip(), IwanJoint(), PowerSpring(), PowerDamper())

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
+from scipy.linalg.lapack import dtrtrs
 
 from modalax.diagnose.modal_domain.elements import nodes_of
 from modalax.diagnose.modal_domain.enriched import ritz_basis
@@ -155,15 +156,16 @@ def modes_of(
         values, Q = np.linalg.eigh(A)
     else:
         L = np.linalg.cholesky(np.eye(c.size) + dM)
-        half = scipy.linalg.solve_triangular(L, A, lower=True)
-        values, U = np.linalg.eigh(scipy.linalg.solve_triangular(L, half.T, lower=True))
-        Q = scipy.linalg.solve_triangular(L, U, lower=True, trans="T")
+        half = dtrtrs(L, A, lower=1)[0]
+        values, U = np.linalg.eigh(dtrtrs(L, half.T, lower=1)[0])
+        Q = dtrtrs(L, U, lower=1, trans=1)[0]
     m = c.solved
     low = Q[:, :m]
     damping = low.T @ (c.damping if dC is None else c.damping + dC) @ low
     # of displacements times their frequencies and of velocities, so that all parts are of one size
     w = np.sqrt(np.abs(values[:m]))
-    state = np.block([[np.zeros((m, m)), np.diag(w)], [-np.diag(np.sign(values[:m]) * w), -damping]])
+    state, each = np.zeros((2 * m, 2 * m)), np.arange(m)
+    state[each, m + each], state[m + each, each], state[m:, m:] = w, -np.sign(values[:m]) * w, -damping
     poles, vectors = np.linalg.eig(state)
     up = poles.imag > 1e-6 * w.max()
     poles, vectors = poles[up], (vectors[m:, up] / poles[up]).T
@@ -195,31 +197,41 @@ def slopes_of(c: Coordinates, modes: Modes, which: np.ndarray) -> Slopes:
     """Matrices of derivatives of the modes ``which``."""
     poles, (high, squares) = modes.poles[which], modes.high
     rows = np.concatenate([c.outputs, c.inputs])
-    near = np.stack([_near(modes, pole, rows) for pole in poles]) if len(poles) else np.zeros((0, *rows.shape), complex)
+    own = np.abs(modes.poles - poles[:, None]) < REPEATED * np.abs(poles)[:, None]
+    near, count = np.zeros((len(poles), *rows.shape), complex), own.sum(axis=1)
+    for some in (count == c for c in np.unique(count)):
+        near[some] = _near(modes, poles[some], np.nonzero(own[some])[1].reshape(np.count_nonzero(some), -1), rows)
     far = np.matmul(1 / (squares + poles[:, None] ** 2)[:, None] * (rows @ high.T), high)
     at_outputs, at_inputs = np.split(near + far, [len(c.outputs)], axis=1)
     v = modes.vectors[which]
     return Slopes(poles, v, at_outputs, at_inputs, v @ c.outputs.T, v @ c.inputs.T)
 
 
-def _near(modes: Modes, pole: complex, rows: np.ndarray) -> np.ndarray:
-    r"""Responses at a pole to unit forces along ``rows``, its own mode taken out; shape ``(rows, n)``.
+def _near(modes: Modes, poles: np.ndarray, own: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    r"""Responses at poles to unit forces along ``rows``, their own modes taken out; shape ``(pole, rows, n)``.
 
     With :math:`Z^{-1}(s) = v v^T/(s - \lambda) + G + O(s - \lambda)`, ``v`` of :math:`v^T Z' v = 1`, the powers of
     :math:`s - \lambda` in :math:`Z Z^{-1} = I` give :math:`Z G = I - Z'v\,v^T` and :math:`(Z'v)^T G = -(v^T M v)\,v^T`.
+
+    Parameters
+    ----------
+    own
+        Numbers of the modes at each pole, its own and others on top of it; as many of each.
     """
     shapes, squares, damping = modes.low
-    v = modes.parts[np.abs(modes.poles - pole) < REPEATED * abs(pole)]  # its own, and others on top of it
+    v = modes.parts[own]
+    turned = v.transpose(0, 2, 1)
     count, far = len(squares), rows @ shapes.T
-    slope = 2 * pole * v + v @ damping
-    part = np.linalg.solve(slope @ v.T, v @ far.T)
-    scale = abs(pole) ** 1.5  # so that all parts of the system are of one size
-    A = np.zeros((count + len(v), count + len(v)), complex)
-    A[:count, :count] = pole * damping
-    A[range(count), range(count)] += squares + pole**2
-    A[count:, :count], A[:count, count:] = scale * slope, scale * slope.T
-    G = np.linalg.solve(A, np.concatenate([far.T - slope.T @ part, -scale * (v @ v.T) @ part]))[:count]
-    return G.T @ shapes
+    slope = 2 * poles[:, None, None] * v + v @ damping
+    part = np.linalg.solve(slope @ turned, v @ far.T)
+    scale = (np.abs(poles) ** 1.5)[:, None, None]  # so that all parts of the system are of one size
+    size = count + own.shape[1]
+    A = np.zeros((len(poles), size, size), complex)
+    A[:, :count, :count] = poles[:, None, None] * damping
+    A[:, range(count), range(count)] += squares + poles[:, None] ** 2
+    A[:, count:, :count], A[:, :count, count:] = scale * slope, scale * slope.transpose(0, 2, 1)
+    right = np.concatenate([far.T - slope.transpose(0, 2, 1) @ part, -scale * (v @ turned) @ part], axis=1)
+    return np.linalg.solve(A, right)[:, :count].transpose(0, 2, 1) @ shapes
 
 
 POWER = {"K": 0, "C": 1, "M": 2}

@@ -130,7 +130,8 @@ def values_of(
     """
     own = np.maximum(np.sqrt((np.abs(residues) ** 2).sum(axis=(1, 2))), INVISIBLE)
     size, linear = _sizes(own, sizes)
-    along = np.einsum("kdoi,koi->kd", tangent.conj(), residues) / size[:, None]
+    flat, axes = residues.reshape(len(poles), -1), tangent.reshape(*tangent.shape[:2], -1)
+    along = np.matmul(axes, flat.conj()[:, :, None])[:, :, 0].conj() / size[:, None]
     zeta = np.maximum(-poles.real / np.abs(poles), 1e-9)
     grown = np.log(size) + np.where(linear, along[:, 0].real - 1, 0.0)
     turned = np.where(linear, along[:, 0].imag, np.angle(along[:, 0]))

@@ -77,12 +77,14 @@ class Linear:
     def solve(self, epsilon: np.ndarray, temperature: float = 1.0) -> tuple[np.ndarray, np.ndarray, float]:
         """Mean, covariance over the prior's, and half the logarithm of the determinant of that."""
         s = self.prior(epsilon)
-        inner = np.eye(len(s)) + s[:, None] * self.gram * s / temperature
+        inner = np.outer(s, s / temperature) * self.gram
+        inner[np.diag_indices_from(inner)] += 1.0
         L, wrong = scipy.linalg.lapack.dpotrf(inner, lower=1)
         if wrong:
             raise np.linalg.LinAlgError("the information of a linearised problem is not positive")
-        lower = np.tril(scipy.linalg.lapack.dpotri(L, lower=1)[0])
-        V = lower + np.tril(lower, -1).T
+        V = scipy.linalg.lapack.dpotri(L, lower=1)[0]  # of a lower triangle, nothing above it
+        V = V + V.T
+        np.fill_diagonal(V, 0.5 * np.diag(V))
         z = V @ (s * self.right / temperature)
         return s * z, V, -float(np.log(np.diag(L)).sum())
 

@@ -110,7 +110,7 @@ def changes_of(setting: Setting, sizes: np.ndarray, causes: tuple[Change, ...], 
     start, relative = 0, np.where(setting.inaccuracy.positive, np.expm1(np.minimum(sizes, FARTHEST)), sizes)
     for kind, patterns in setting.patterns():
         part = relative[start : start + len(patterns)]
-        out[kind] += np.tensordot(part, patterns, 1)
+        out[kind] += (part @ patterns.reshape(len(patterns), -1)).reshape(n, n)
         start += len(patterns)
     for cause, size in with_sizes(causes, u):
         for kind, change in cause.changes(size).items() if cause.local else ():
@@ -234,9 +234,9 @@ def state_at(
 def slopes_at(setting: Setting, state: State, causes: tuple[Change, ...] = (), u: np.ndarray = NONE) -> np.ndarray:
     """Whitened derivatives of the features by the sizes of all patterns and those of causes, shape ``(m, p + u)``."""
     t = slopes_of(setting.coordinates, state.modes, state.pairs)
-    parts = [pattern_slopes(t, kind, patterns) for kind, patterns in setting.patterns()]
-    columns = [feature_slopes(setting, state, t, causes, u, *part) for part in parts]
-    columns = [np.concatenate(columns, axis=1) * factors_of(setting, state.sizes)]
+    moves = zip(*(pattern_slopes(t, kind, patterns) for kind, patterns in setting.patterns()), strict=True)
+    every = (np.concatenate(part, axis=1) for part in moves)
+    columns = [feature_slopes(setting, state, t, causes, u, *every) * factors_of(setting, state.sizes)]
     for k, (cause, size) in enumerate(with_sizes(causes, u)):
         if not cause.local:
             columns.append(_channel_slope(setting, state, t, causes, u, k))
