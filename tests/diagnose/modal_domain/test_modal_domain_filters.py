@@ -45,13 +45,18 @@ def test_no_filter_has_a_negative_corner():
         assert not f.transform_slope(np.array([-0.5]), 1j * OMEGA, H).any()
 
 
-@pytest.mark.parametrize(("ahead", "count"), [(0.3, 1), (-2.0, 1), (4.0, 2)])
-def test_a_filter_that_the_data_do_not_tell_from_a_delay_counts_as_that_delay(ahead, count, monkeypatch):
+@pytest.mark.parametrize(
+    ("ahead", "width", "count"), [(0.3, 1.0, 1), (-2.0, 1.0, 1), (4.0, 1.0, 2), (4.0, np.exp(4.0), 1)]
+)
+def test_a_filter_that_the_data_do_not_tell_from_a_delay_counts_as_that_delay(ahead, width, count, monkeypatch):
     monkeypatch.setattr(judged, "standing_out", lambda _, e: e.causes)
-    one = lambda slug, evidence, p: SimpleNamespace(
-        causes=(SimpleNamespace(slug=slug, where=("b",)),), probability=p, fit=SimpleNamespace(log_evidence=evidence)
-    )
-    stage = SimpleNamespace(explanations=[one("time_delay", 100.0, 0.95), one("sensor_filter", 100.0 + ahead, 0.05)])
+    one = lambda slug, evidence, p, std: SimpleNamespace(
+        causes=(SimpleNamespace(slug=slug, where=("b",), count=1),), probability=p,
+        fit=SimpleNamespace(log_evidence=evidence, u=np.zeros(1), covariance=np.array([[std**2]])),
+    )  # fmt: skip
+    # a filter whose usual size is so much narrower that its size is known so much less well beside it
+    filtered = one("sensor_filter", 100.0 + ahead, 0.05, 0.01 * width)
+    stage = SimpleNamespace(explanations=[one("time_delay", 100.0, 0.95, 0.01), filtered])
     sets = judged.sets_beyond(stage)
     assert len(sets) == count and sets[0].names == (("time_delay", ("b",)),)
     assert sets[0].probability == pytest.approx(1.0 if count == 1 else 0.95)

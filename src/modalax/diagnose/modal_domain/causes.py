@@ -86,6 +86,11 @@ class Change:
         return not self.local
 
     @property
+    def at_dofs(self) -> bool:
+        """Whether its places are DoFs, and no channels."""
+        return self.local
+
+    @property
     def relative(self) -> bool:
         """Whether its size is relative to what the simulation has."""
         return self.pattern is not None and self.slug != "added_mass"

@@ -1,7 +1,7 @@
 """The answer of the modal domain, with the interface of every other diagnosis."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -25,6 +25,7 @@ from modalax.diagnose.modal_domain.causes import UNITS, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.corrected import corrected, frf_of, inaccuracy_told
 from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.fit import Fit
+from modalax.diagnose.modal_domain.forced import Forced, force_beside, force_rivals, force_said, force_told
 from modalax.diagnose.modal_domain.held_out import gain_of
 from modalax.diagnose.modal_domain.judged import judge, of_the_joint, standing_out
 from modalax.diagnose.modal_domain.levels.answer import causes_told, judge_levels, rivals_told
@@ -40,6 +41,8 @@ from modalax.diagnose.result import Diagnosis, within
 from modalax.diagnose.summary import cause_at
 from modalax.diagnose.thresholds import THRESHOLDS
 from modalax.model import Structure
+
+ROUNDS = 3  # most in which a force, and the structure without it, are looked for
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,8 @@ class ModalDiagnosis(Diagnosis):
         Tests of what the simulation and the extended one leave.
     hum
         Mains hum, which shows on lines only; None where there is none.
+    forced
+        A force at one place that shows on lines only, without which everything else here is; None where there is none.
     """
 
     found: None  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
@@ -84,6 +89,7 @@ class ModalDiagnosis(Diagnosis):
     before: Omnibus
     after: Omnibus
     hum: Finding | None = None
+    forced: Forced | None = None
 
     @property
     def candidates(self) -> list[Any]:
@@ -124,7 +130,8 @@ class ModalDiagnosis(Diagnosis):
         if self.verdict == "clean":
             return []
         levels = [] if self.stage.seen is None else causes_told(self.stage.seen, self.stage.whole)
-        return self._linear + levels + ([] if self.hum is None else [hum_told(self.hum)])
+        on_lines = [] if self.forced is None else [force_told(self.forced)]
+        return self._linear + levels + on_lines + ([] if self.hum is None else [hum_told(self.hum)])
 
     @property
     def _linear(self) -> list[dict[str, Any]]:
@@ -146,10 +153,13 @@ class ModalDiagnosis(Diagnosis):
         if self.verdict not in ("ambiguous", "named"):
             return []
         others = [] if self.stage.seen is None else rivals_told(self.stage.seen, self.verdict == "named")
+        if self.forced is not None:
+            others = force_rivals(self.forced, self.verdict == "named")
         if others:
             kept = [{"name": c["name"], "where": c["where"]} for c in self._linear]
             return [[*kept, *one] for one in others]
         joint = [] if self.stage.seen is None else causes_told(self.stage.seen, self.stage.whole)
+        joint += [] if self.forced is None else [force_told(self.forced)]
         beside = [{"name": c["name"], "where": c["where"]} for c in joint]
         return [
             [{"name": slug, "where": list(where)} for slug, where in s.names] + beside
@@ -201,7 +211,33 @@ def diagnose_modes(
     wanted: Callable[[str], bool] = lambda _: True, tell: Callable[[str], None] = lambda _: None,
 ) -> ModalDiagnosis | None:  # fmt: skip
     """Diagnose in the modal domain; None where the measurement shows no mode to compare."""
-    stage = run_stage(measurement, simulation, late or Deadline(), wanted, tell)
+    late = late or Deadline()
+    found = _diagnosed(measurement, simulation, question, late, wanted, tell)
+    if found is None or late() or found.after.p_value > THRESHOLDS.left_by_modes:
+        return found
+    rest: ModalDiagnosis | None = found
+    nats = None
+    for _ in range(ROUNDS):  # the modes without the force are known once it is
+        forced = None if rest is None else force_beside(rest.stage, measurement, wanted, late, tell)
+        if forced is None:
+            return found
+        nats = forced.nats if nats is None else nats
+        forced = replace(forced, nats=nats)
+        rest = _diagnosed(measurement, simulation, question, late, wanted, tell, forced)
+        if rest is None or rest.after.p_value > THRESHOLDS.left_by_modes or late():
+            break
+    better = rest is not None and rest.verdict != "unknown" and rest.after.z < found.after.z
+    return rest if better else found
+
+
+def _diagnosed(
+    measurement: Measurement, simulation: Structure, question: str, late: Deadline, wanted: Callable[[str], bool],
+    tell: Callable[[str], None], forced: Forced | None = None,
+) -> ModalDiagnosis | None:  # fmt: skip
+    """The diagnosis of what is left once a force that was found is taken out of the FRFs."""
+    effect = 0.0 if forced is None else forced.effect
+    less = measurement if forced is None else measurement.replace(H=np.asarray(measurement.H) - effect)
+    stage = run_stage(less, simulation, late, wanted, tell)
     if stage is None:
         return None
     judged = judge(stage)
@@ -219,7 +255,8 @@ def diagnose_modes(
     tell("predicting the held-out data")
     H = np.asarray(measurement.H)
     predicted = [frf_of(stage, None), frf_of(stage, chosen.fit)]
-    before, seen = predicted[0], stage.seen
+    before, seen = predicted[0] - effect, stage.seen
+    predicted[1] = predicted[1] + effect
     if seen is not None and seen.joint is not None:
         predicted[1] = at_levels(seen, seen.joint, np.asarray(measurement.level))
     sigma = stage.measured.noise.sigma
@@ -235,13 +272,16 @@ def diagnose_modes(
         f"{len(stage.measured.features.poles)} modes were identified in the band from "
         f"{len(stage.measured.runs)} of {len(H)} runs, chi-square per sample {stage.measured.misfit:.3g}",
     )
-    extended = extension_of(stage, chosen.fit)
+    if forced is not None:
+        word = outweighing(word, "named" if forced.probability >= THRESHOLDS.certain else "ambiguous")
+        reasons = (*reasons, force_said(forced))
+    extended = extension_of(stage, chosen.fit, forced)
     shape = H.shape
     return ModalDiagnosis(
         word, reasons, None, Facts(measurement, question, notes), extended, gain,
         stage.measured.freq, residuals[0], residuals[1], np.broadcast_to(predicted[0], shape),
         np.broadcast_to(predicted[1], shape), stage, chosen, judged.sets, inaccuracy, throughout,
-        tests[0], tests[1], hum,
+        tests[0], tests[1], hum, forced,
     )  # fmt: skip
 
 
@@ -254,22 +294,25 @@ def said(inaccuracy: dict[str, Any]) -> str:
     return f"the modes of the simulation are generally off by {', '.join(parts)}"
 
 
-def extension_of(stage: Stage, f: Fit) -> ExtendedSimulation:
+def extension_of(stage: Stage, f: Fit, forced: Forced | None = None) -> ExtendedSimulation:
     """The corrected simulation with the causes, as an ordinary simulation."""
     known: dict[str, Cause] = {}
     for cause in (*catalogue(), *imitators()):
         known.setdefault(cause.slug, cause)
     base, causes, places, params, spread, extras = corrected(stage, f), [], [], [], [], []
     spring = stage.whole.spring if stage.whole is not None and stage.whole.alone else None
-    for k, (c, u) in enumerate(with_sizes(f.causes, f.u)):
+    own = [own_sizes(f.causes, k) for k in range(len(f.causes))]
+    every = [(c, u, f.covariance[at, at]) for (c, u), at in zip(with_sizes(f.causes, f.u), own, strict=True)]
+    every += [] if forced is None else [(forced.cause, forced.u, forced.covariance)]
+    for c, u, covariance in every:
         if c.in_structure or c.slug not in known or c == spring:
             continue
-        m, own = stage.measurement, own_sizes(f.causes, k)
-        names = base.dofs if c.local else (m.inputs if c.slug == "force_gain" else m.outputs)
+        m = stage.measurement
+        names = base.dofs if c.at_dofs else (m.inputs if c.slug == "force_gain" else m.outputs)
         index = [names.index(str(w)) for w in c.where] + [-1, -1]
         if c.slug == "units":
             index[0] = c.channel[1]
-        values, errors, extra = c.as_catalogue(u, f.covariance[own, own])
+        values, errors, extra = c.as_catalogue(u, covariance)
         causes.append(c.in_catalogue or known[c.slug])
         places.append(Place(tuple(c.where), (index[0], index[1], 0)))
         params.append(jnp.asarray(values))

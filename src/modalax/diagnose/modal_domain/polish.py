@@ -11,12 +11,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modalax.diagnose.deadline import Deadline
-from modalax.diagnose.modal_domain.causes import Change, shown, with_sizes
+from modalax.diagnose.modal_domain.causes import Change, own_sizes, shown, with_sizes
 from modalax.diagnose.modal_domain.coordinates import POWER
 from modalax.diagnose.modal_domain.discrepancy import beside, told_apart
 from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.fit import Fit, Linear, fit
 from modalax.diagnose.modal_domain.free_residues import Channels
+from modalax.diagnose.modal_domain.line_forces import LineForce, loaded
 from modalax.diagnose.modal_domain.measured import Measured
 from modalax.diagnose.modal_domain.state import Setting, factors_of, hysteretic, matrices_of, state_at
 
@@ -68,8 +69,30 @@ def lines_of(channels: Channels, setting: Setting, left: float = 1.0) -> Lines:
     return Lines(channels.s[::step], H, weight, channels.order, left)
 
 
+@dataclass(frozen=True)
+class OnLines:
+    """Sizes that leave the least on the lines, the chi-square that they leave, and their covariance."""
+
+    x: np.ndarray
+    chi2: float
+    covariance: np.ndarray
+
+
 def on_lines(setting: Setting, f: Fit, lines: Lines, late: Deadline) -> Fit:
     """A fit taken on to the lines; as it was where that does not improve it, or leaves far more than the modes do."""
+    found, n = descended(setting, f, lines, late), len(f.sizes)
+    if found is None or found.chi2 > WORSE * lines.left * max(lines.samples, 1):
+        return f
+    x = found.x
+    try:
+        state = state_at(setting, x[:n], f.causes, x[n:])
+    except np.linalg.LinAlgError:
+        return f
+    return replace(f, sizes=x[:n], u=x[n:], covariance=_widened(found.covariance, f, x), state=state)
+
+
+def descended(setting: Setting, f: Fit, lines: Lines, late: Deadline) -> OnLines | None:
+    """Gauss-Newton steps on the lines from a fit; None where there is no first one."""
     x, n = np.concatenate([f.sizes, f.u]), len(f.sizes)
     scale = np.concatenate([f.epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
     chi2, V = chi2_of(setting, f, lines), None
@@ -79,7 +102,7 @@ def on_lines(setting: Setting, f: Fit, lines: Lines, late: Deadline) -> Fit:
         try:
             new, V, _ = Linear(setting, gram, slope + gram @ x).solve(f.epsilon, heat)
         except np.linalg.LinAlgError:
-            return f
+            return None
         cost = 0.5 * chi2 / heat + 0.5 * float(((x / scale) ** 2).sum())
         for part in PARTS:
             y = x + part * (new - x)
@@ -92,13 +115,7 @@ def on_lines(setting: Setting, f: Fit, lines: Lines, late: Deadline) -> Fit:
             break
         if gained < SETTLED or late():
             break
-    if V is None or chi2 > WORSE * lines.left * max(lines.samples, 1):
-        return f
-    try:
-        state = state_at(setting, x[:n], f.causes, x[n:])
-    except np.linalg.LinAlgError:
-        return f
-    return replace(f, sizes=x[:n], u=x[n:], covariance=_widened(V * np.outer(scale, scale), f, x), state=state)
+    return None if V is None else OnLines(x, chi2, V * np.outer(scale, scale))
 
 
 def _widened(covariance: np.ndarray, f: Fit, x: np.ndarray) -> np.ndarray:
@@ -155,13 +172,38 @@ def _responses(
     """Receptances of all coordinates to forces at the outputs and at the inputs, ``(f, n, o)`` and ``(f, n, i)``."""
     c = setting.coordinates
     M, C, K = matrices_of(setting, sizes, causes, u)
-    both = np.concatenate([c.outputs, c.inputs]).T
+    forces = [(cause, size) for cause, size in with_sizes(causes, u) if isinstance(cause, LineForce)]
+    every = np.concatenate([c.outputs.T, c.inputs.T, *(cause.basis for cause, _ in forces)], axis=1)
     Z = K + s[:, None, None] * C + s[:, None, None] ** 2 * M
-    solved = np.linalg.solve(Z, np.broadcast_to(both, (len(s), *both.shape)))
-    return solved[:, :, : len(c.outputs)], solved[:, :, len(c.outputs) :]
+    solved = np.linalg.solve(Z, np.broadcast_to(every, (len(s), *every.shape)))
+    o, i = len(c.outputs), len(c.inputs)
+    outer, inner = solved[:, :, :o], solved[:, :, o : o + i]
+    for cause, size in forces[:1]:
+        outer, inner = loaded(cause, size, s, solved[:, :, o + i :], outer, inner)
+    return outer, inner
 
 
-def _blocks(setting: Setting, lines: Lines, each: int) -> list[slice]:
+def frf_on_lines(
+    setting: Setting, causes: tuple[Change, ...], sizes: np.ndarray, u: np.ndarray, s: np.ndarray, order: int
+) -> np.ndarray:  # fmt: skip
+    """FRFs ``(f, o, i)`` as the channels show them."""
+    _, inner = _responses(setting, causes, sizes, u, s)
+    H = shown(causes, u, s, (setting.coordinates.outputs @ inner) * s[:, None, None] ** order)
+    for k, cause in enumerate(causes):
+        if isinstance(cause, LineForce) and cause.row is not None:
+            kept, own = _apart(causes, u, k)
+            alone = frf_on_lines(setting, kept, sizes, own, s, order)
+            alone[:, cause.row] = H[:, cause.row]
+            return alone
+    return H
+
+
+def _apart(causes: tuple[Change, ...], u: np.ndarray, which: int) -> tuple[tuple[Change, ...], np.ndarray]:
+    """Causes and sizes without one of them."""
+    return causes[:which] + causes[which + 1 :], np.delete(u, np.r_[own_sizes(causes, which)])
+
+
+def blocks(setting: Setting, lines: Lines, each: int) -> list[slice]:
     """Lines worked on at once, so that ``each`` numbers a line stay within what is held."""
     size = max(1, int(BLOCK / max(each, setting.coordinates.size**2)))
     return [slice(k, k + size) for k in range(0, len(lines.s), size)]
@@ -170,11 +212,8 @@ def _blocks(setting: Setting, lines: Lines, each: int) -> list[slice]:
 def chi2_of(setting: Setting, f: Fit, lines: Lines) -> float:
     """Chi-square that a fit leaves on the lines."""
     total = 0.0
-    for part in _blocks(setting, lines, 0):
-        s = lines.s[part]
-        _, inner = _responses(setting, f.causes, f.sizes, f.u, s)
-        H = (setting.coordinates.outputs @ inner) * s[:, None, None] ** lines.order
-        H = shown(f.causes, f.u, s, H)
+    for part in blocks(setting, lines, 0):
+        H = frf_on_lines(setting, f.causes, f.sizes, f.u, lines.s[part], lines.order)
         total += float((lines.weight[part] * np.abs(lines.H[part] - H) ** 2).sum())
     return total
 
@@ -186,8 +225,8 @@ def _normal(
     count = len(sizes) + len(u)
     gram, slope = np.zeros((count, count)), np.zeros(count)
     c = setting.coordinates
-    for part in _blocks(setting, lines, count * (c.size * min(len(c.outputs), len(c.inputs)) + lines.H[0].size)):
-        H, J = _slopes(setting, causes, sizes, u, lines.s[part], lines.order)
+    for part in blocks(setting, lines, count * (c.size * min(len(c.outputs), len(c.inputs)) + lines.H[0].size)):
+        H, J = slopes_on_lines(setting, causes, sizes, u, lines.s[part], lines.order)
         root = np.sqrt(lines.weight[part])
         J = (J * root).reshape(count, -1).view(float)
         e = (root * (lines.H[part] - H)).ravel().view(float)
@@ -196,10 +235,25 @@ def _normal(
     return gram, slope
 
 
-def _slopes(
+def slopes_on_lines(
     setting: Setting, causes: tuple[Change, ...], sizes: np.ndarray, u: np.ndarray, s: np.ndarray, order: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """FRFs ``(f, o, i)`` and their derivatives by all sizes, ``(p, f, o, i)``."""
+    H, J = _slopes_of_all(setting, causes, sizes, u, s, order)
+    for k, cause in enumerate(causes):
+        if isinstance(cause, LineForce) and cause.row is not None:
+            kept, own = _apart(causes, u, k)
+            alone, slopes = _slopes_of_all(setting, kept, sizes, own, s, order)
+            slopes = np.insert(slopes, len(sizes) + own_sizes(causes, k).start, 0.0, axis=0)
+            alone[:, cause.row], slopes[:, :, cause.row] = H[:, cause.row], J[:, :, cause.row]
+            return alone, slopes
+    return H, J
+
+
+def _slopes_of_all(
+    setting: Setting, causes: tuple[Change, ...], sizes: np.ndarray, u: np.ndarray, s: np.ndarray, order: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """The same with a force that one output alone shows in all outputs."""
     c = setting.coordinates
     outer, inner = _responses(setting, causes, sizes, u, s)
     loss = any(cause.hysteretic for cause in causes)
@@ -223,7 +277,9 @@ def _slopes(
 
     rows = [seen(one) for one in local] if any(k.in_channels for k in causes) else list(local)
     for k, (cause, size) in enumerate(with_sizes(causes, u)):
-        if cause.local:
+        if isinstance(cause, LineForce):
+            rows += [seen(one) for one in force_slopes(cause, size, s, outer, inner, form)]
+        elif cause.local:
             changes = cause.slopes(size)
             rows += [seen(sum(column(kind, P[None])[0] for kind, P in by.items())) for by in changes]
             if cause.in_channels:
@@ -231,6 +287,30 @@ def _slopes(
         else:
             rows.append(seen(plain, k))
     return shown(causes, u, s, plain), np.stack(rows)
+
+
+def force_slopes(
+    cause: LineForce, u: np.ndarray, s: np.ndarray, outer: np.ndarray, inner: np.ndarray, form: np.ndarray
+) -> list[np.ndarray]:  # fmt: skip
+    """Derivatives of FRFs ``(f, o, i)`` by each size of a force, from responses with it."""
+    left, right = outer.transpose(0, 2, 1) @ cause.basis, cause.basis.T @ inner
+    return [-(left @ by @ right) * form for by in cause.slopes_of_stiffness(u, s)]
+
+
+def force_columns(
+    setting: Setting, f: Fit, trials: list[tuple[LineForce, np.ndarray]], s: np.ndarray, order: int
+) -> np.ndarray:  # fmt: skip
+    """Derivatives of FRFs by strengths of forces that are none yet, shape ``(trial, f, o, i)``."""
+    outer, inner = _responses(setting, f.causes, f.sizes, f.u, s)
+    form, out = s[:, None, None] ** order, []
+    for cause, u in trials:
+        column = force_slopes(cause, u, s, outer, inner, form)[0]
+        for fault, size in with_sizes(f.causes, f.u):
+            column = fault.transform(size, s, column)
+        if cause.row is not None:
+            column = np.where(np.arange(column.shape[1])[:, None] == cause.row, column, 0.0)
+        out.append(column)
+    return np.stack(out)
 
 
 def _across(P: np.ndarray, outer: np.ndarray, inner: np.ndarray) -> np.ndarray:

@@ -22,6 +22,7 @@ from modalax.diagnose.modal_domain.levels.explain import Spot
 from modalax.diagnose.modal_domain.levels.laws import NAMED
 from modalax.diagnose.modal_domain.levels.seen import Seen, joint_and_structure, look_at_levels
 from modalax.diagnose.modal_domain.levels.slipping import Whole, whole_joint
+from modalax.diagnose.modal_domain.line_forces import KINDS
 from modalax.diagnose.modal_domain.measured import Measured, identify
 from modalax.diagnose.modal_domain.odd_output import OddOutput, odd_output
 from modalax.diagnose.modal_domain.places import candidates_of, springs_of
@@ -35,7 +36,8 @@ from modalax.model import Structure
 KNOWN = frozenset({
     "added_mass", "joint_stiffness", "local_damper", "modal_damping", "structural_damping", "tuned_mass",
     "missing_mode", "channel_gain", "channel_sign", "channel_swap", "force_gain", "time_delay", "units",
-    "sensor_filter", "time_varying", "crosstalk", "exponential_window", "mains_hum", *(law.slug for law in NAMED),
+    "sensor_filter", "time_varying", "crosstalk", "exponential_window", "mains_hum",
+    *KINDS, *(law.slug for law in NAMED),
 })  # fmt: skip
 FIRST_SHARE = 0.6  # of the time for linear causes, where runs may have to be told apart after them
 

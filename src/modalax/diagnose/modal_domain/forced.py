@@ -1,0 +1,244 @@
+r"""A search on the lines, beside the general inaccuracy, for one force at one place that the modes do not explain.
+
+All lines are linearised about a fit of the modes, in all parts of the inaccuracy (J) and in each force at each place
+(column g). With the residual e and the prior information :math:`P` of the parts the gain of a force is
+:math:`\tfrac12 (g^Te - g^TJ A^{-1} b)^2 / (1 + g^Tg - g^TJ A^{-1} J^Tg)`, :math:`A = J^TJ + P`, :math:`b = J^Te - Px`:
+what the inaccuracy can imitate counts for nothing. The leading places of each kind are fitted, and one is told only
+where all lines are explained with it.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from modalax.data import Measurement
+from modalax.diagnose.deadline import Deadline
+from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.elements import nodes_of
+from modalax.diagnose.modal_domain.explain import Explanation, Prior
+from modalax.diagnose.modal_domain.fit import Fit
+from modalax.diagnose.modal_domain.line_forces import LineForce, line_forces
+from modalax.diagnose.modal_domain.measured import channels_of
+from modalax.diagnose.modal_domain.places import springs_of
+from modalax.diagnose.modal_domain.polish import (
+    Lines,
+    OnLines,
+    blocks,
+    chi2_of,
+    descended,
+    force_columns,
+    frf_on_lines,
+    lines_of,
+    slopes_on_lines,
+)
+from modalax.diagnose.modal_domain.stage import Stage
+from modalax.diagnose.modal_domain.state import Setting
+from modalax.diagnose.summary import cause_at
+from modalax.diagnose.thresholds import THRESHOLDS
+
+FITTED = 3  # leading places of each kind that are fitted
+WORTH = 10.0  # nats that a force must promise: the least that tells one place among thousands
+
+
+@dataclass(frozen=True)
+class Forced:
+    """A force that was found.
+
+    Attributes
+    ----------
+    cause, u, covariance
+        The force with its sizes over their usual ones.
+    probability
+        Of its place and kind among all that were fitted.
+    nats
+        By how much likelier the lines are with it.
+    rivals
+        Others of them, with their probabilities, the likeliest first.
+    effect
+        What it adds to the FRFs, in the form of the measurement, shape ``(f, o, i)``.
+    """
+
+    cause: LineForce
+    u: np.ndarray
+    covariance: np.ndarray
+    probability: float
+    nats: float
+    rivals: tuple[tuple[LineForce, float], ...]
+    effect: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """One force fitted beside a fit of the modes."""
+
+    base: Fit
+    cause: LineForce
+    found: OnLines
+    log_evidence: float
+
+
+def force_beside(
+    stage: Stage, measurement: Measurement, wanted: Callable[[str], bool], late: Deadline, tell: Callable[[str], None]
+) -> Forced | None:  # fmt: skip
+    """The force that explains what the modes of a stage do not; None where none does, or where runs differ."""
+    found, c, m = stage.measured, stage.coordinates, measurement
+    if len(found.runs) < len(m.H) or (stage.seen is not None and stage.seen.joint is not None):
+        return None
+    pairs = None if stage.simulation.pairs is None else list(stage.simulation.pairs)
+    low, high = (2 * np.pi * float(found.freq[k]) for k in (0, -1))
+    dofs = stage.simulation.dofs
+    springs = springs_of(stage.simulation, c, nodes_of(dofs), pairs, high)
+    forces = [f for f in line_forces(c, dofs, m.outputs, m.inputs, springs, low, high) if wanted(f.slug)]
+    if not forces:
+        return None
+    own = found.channels
+    channels = channels_of(own.s, np.asarray(m.H), found.noise.sigma, own.order, own.outside)
+    lines, before = lines_of(channels, stage.setting, found.misfit), Prior(stage.candidates)
+    return find_force(stage.setting, stage.explanations, before, forces, lines, own.s, late, tell)
+
+
+def force_told(forced: Forced) -> dict[str, Any]:
+    """A force as in the answer."""
+    c = forced.cause
+    return {
+        "name": c.slug, "where": list(c.where), "probability": forced.probability,
+        "parameters": c.told(forced.u, forced.covariance),
+    }  # fmt: skip
+
+
+def force_rivals(forced: Forced, named: bool) -> list[list[dict[str, Any]]]:
+    """Other forces that are likely enough to be told, beside a named one or in an ambiguous set."""
+    least = THRESHOLDS.elsewhere if named else THRESHOLDS.rival
+    return [[{"name": c.slug, "where": list(c.where)}] for c, p in forced.rivals if p >= least]
+
+
+def force_said(forced: Forced) -> str:
+    """In one sentence."""
+    what = cause_at(forced.cause.slug, forced.cause.where)
+    return (
+        f"{what} explains on all lines what the modes leave (probability {forced.probability:.3f} among forces at one "
+        f"place); without it the lines are {forced.nats:.3g} nats less likely"
+    )
+
+
+def find_force(
+    setting: Setting, explanations: Sequence[Explanation], before: Prior, forces: Sequence[LineForce], lines: Lines,
+    s: np.ndarray, late: Deadline, tell: Callable[[str], None],
+) -> Forced | None:  # fmt: skip
+    """The force that explains what the modes do not; None where none does.
+
+    Parameters
+    ----------
+    explanations
+        By the modes; a force is looked for beside the likeliest and beside the general inaccuracy alone.
+    before
+        Prior probability of their causes.
+    lines
+        That it is fitted to.
+    s
+        Laplace variable of all measured lines [rad/s].
+    """
+    bases = [e.fit for e in explanations if not e.causes][:1]
+    bases += [explanations[0].fit] if explanations[0].causes else []
+    tell(f"looking for a force at one of {len(forces)} places, line by line")
+    trials: list[_Trial] = []
+    for base in bases:
+        trials += _fitted(setting, base, forces, lines, late)
+        if late():
+            break
+    good = [t for t in trials if t.found.chi2 < THRESHOLDS.as_noise * lines.samples]
+    if not good:
+        return None
+    prior = {f: math.log(f.weight / sum(g.weight for g in forces if g.slug == f.slug)) for f in {t.cause for t in good}}
+    best_of: dict[LineForce, tuple[float, _Trial]] = {}
+    for t in good:
+        value = t.log_evidence + prior[t.cause] + before.of(t.base.causes)
+        if t.cause not in best_of or value > best_of[t.cause][0]:
+            best_of[t.cause] = value, t
+    ranked = sorted(best_of.values(), key=lambda v: -v[0])
+    weights = np.exp([v - ranked[0][0] for v, _ in ranked])
+    shares = weights / weights.sum()
+    best = ranked[0][1]
+    nats = ranked[0][0] - max(_alone(setting, base, lines) + before.of(base.causes) for base in bases)
+    if nats < WORTH:
+        return None
+    n, k = len(best.base.sizes), best.cause.count
+    x = best.found.x
+    sizes, causes = x[:n], (*best.base.causes, best.cause)
+    with_it = frf_on_lines(setting, causes, sizes, x[n:], s, lines.order)
+    without = frf_on_lines(setting, best.base.causes, sizes, x[n : len(x) - k], s, lines.order)
+    rivals = tuple((t.cause, float(p)) for (_, t), p in zip(ranked[1:], shares[1:], strict=True))
+    return Forced(
+        best.cause, x[-k:], best.found.covariance[-k:, -k:], float(shares[0]), nats, rivals, with_it - without
+    )
+
+
+def _alone(setting: Setting, base: Fit, lines: Lines) -> float:
+    """Log evidence of a fit without a force, up to what all have in common."""
+    x = np.concatenate([base.sizes, base.u])
+    cost = chi2_of(setting, base, lines) + float(((x / _scale(setting, base)) ** 2).sum())
+    return 0.5 * float(np.linalg.slogdet(base.covariance)[1] if base.causes else 0.0) - 0.5 * cost
+
+
+def _scale(setting: Setting, f: Fit) -> np.ndarray:
+    return np.concatenate([f.epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
+
+
+def _fitted(
+    setting: Setting, base: Fit, forces: Sequence[LineForce], lines: Lines, late: Deadline
+) -> list[_Trial]:  # fmt: skip
+    """The leading places of each kind, fitted."""
+    gain, start = screened(setting, base, forces, lines)
+    out = []
+    for slug in sorted({f.slug for f in forces}):
+        own = [k for k, f in enumerate(forces) if f.slug == slug and gain[k] > WORTH]
+        for k in sorted(own, key=lambda k: -gain[k])[:FITTED]:
+            if late():
+                return out
+            cause = forces[k]
+            both = replace(base, causes=(*base.causes, cause), u=np.concatenate([base.u, start[k]]))
+            found = descended(setting, both, lines, late)
+            if found is None or not (cause.signed or found.x[-cause.count] > 0):
+                continue
+            scale = _scale(setting, both)
+            known = len(base.sizes)
+            narrower = np.linalg.slogdet(found.covariance[known:, known:])[1]
+            value = 0.5 * float(narrower) - 0.5 * (found.chi2 + float(((found.x / scale) ** 2).sum()))
+            out.append(_Trial(base, cause, found, value))
+    return out
+
+
+def screened(
+    setting: Setting, base: Fit, forces: Sequence[LineForce], lines: Lines
+) -> tuple[np.ndarray, list[np.ndarray]]:  # fmt: skip
+    """Nats that each force promises, and sizes to fit it from."""
+    trials = [(k, u) for k, f in enumerate(forces) for u in f.starts]
+    scale, x = _scale(setting, base), np.concatenate([base.sizes, base.u])
+    p, m = len(x), len(trials)
+    gram, cross, own = np.zeros((p, p)), np.zeros((p, m)), np.zeros(m)
+    slope, score, chi2 = np.zeros(p), np.zeros(m), 0.0
+    every: tuple[Change, ...] = base.causes
+    for part in blocks(setting, lines, (p + m) * lines.H[0].size):
+        s, root = lines.s[part], np.sqrt(lines.weight[part])
+        H, J = slopes_on_lines(setting, every, base.sizes, base.u, s, lines.order)
+        g = force_columns(setting, base, [(forces[k], u) for k, u in trials], s, lines.order)
+        J, g = ((a * root).reshape(len(a), -1).view(float) for a in (J, g))
+        e = (root * (lines.H[part] - H)).ravel().view(float)
+        gram, cross, own = gram + J @ J.T, cross + J @ g.T, own + (g**2).sum(axis=1)
+        slope, score, chi2 = slope + J @ e, score + g @ e, chi2 + float(e @ e)
+    heat = max(1.0, chi2 / max(lines.samples, 1))
+    inner = np.eye(p) + scale[:, None] * gram * scale / heat
+    both = np.linalg.solve(inner, scale[:, None] * np.c_[cross / heat, slope / heat - x / scale**2])
+    through = scale[:, None] * cross / heat
+    direct = score / heat - through.T @ both[:, -1]
+    left = 1 + own / heat - (through * both[:, :-1]).sum(axis=0)
+    size = direct / left
+    gain, start = np.full(len(forces), -np.inf), [f.starts[0] for f in forces]
+    for j, (k, u) in enumerate(trials):
+        value = 0.5 * float(direct[j] ** 2 / left[j])
+        if value > gain[k] and (forces[k].signed or size[j] > 0):
+            gain[k], start[k] = value, np.append(size[j], u[1:])
+    return gain, start

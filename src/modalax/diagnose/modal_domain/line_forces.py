@@ -1,0 +1,169 @@
+r"""Linear causes that poles and shapes do not show as they are: a force at one place that depends on frequency.
+
+With B the directions at which it acts and :math:`Z(s)` its dynamic stiffness between them, the response :math:`G` of
+all coordinates becomes :math:`G - GB(I + ZB^TGB)^{-1}ZB^TG` (Woodbury 1950). A skew coupling makes FRFs that are not
+reciprocal, the stiffness of a joint that relaxes or loses energy alike at all frequencies is none of a spring and a
+damper, and the mass of a roving sensor loads the FRFs of that sensor alone.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from modalax.diagnose.causes import Cause
+from modalax.diagnose.causes.channels import SensorMass
+from modalax.diagnose.causes.couplings import Gyroscopic
+from modalax.diagnose.causes.viscoelastic import HystereticJoint, MaxwellJoint
+from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.coordinates import Coordinates
+
+Kind = Literal["gyroscopic", "hysteretic_joint", "maxwell_joint", "sensor_mass"]
+KINDS: dict[Kind, Cause] = {
+    "gyroscopic": Gyroscopic(), "hysteretic_joint": HystereticJoint(), "maxwell_joint": MaxwellJoint(),
+    "sensor_mass": SensorMass(),
+}  # fmt: skip
+FEW = 40  # DoFs up to which any two may be coupled; of more, measured ones only
+COUPLED = 0.1  # usual skew coupling, relative to what would hold both DoFs as much as they hold themselves
+MASS = 0.1  # usual mass of a sensor, relative to the modal mass seen from its place
+DECADE = math.log(10)  # standard deviation of the logarithm of a relaxation time about mid-band
+
+
+@dataclass(frozen=True)
+class LineForce(Change):
+    """One such force.
+
+    Attributes
+    ----------
+    basis
+        Directions B in modal coordinates, shape ``(n, k)``.
+    middle
+        Circular frequency in the middle of the band [rad/s].
+    row
+        Output whose FRFs alone show it; None where all do.
+    """
+
+    basis: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)), compare=False)
+    middle: float = 1.0
+    row: int | None = None
+
+    @property
+    def in_channels(self) -> bool:
+        """It is no fault of a channel."""
+        return False
+
+    @property
+    def at_dofs(self) -> bool:
+        """All but a sensor's mass."""
+        return self.row is None
+
+    @property
+    def linear(self) -> bool:
+        """Modes say nothing of it."""
+        return False
+
+    @property
+    def count(self) -> int:
+        """A joint that relaxes also has a time."""
+        return 2 if self.slug == "maxwell_joint" else 1
+
+    @property
+    def signed(self) -> bool:
+        """Whether it may have either sign."""
+        return self.slug == "gyroscopic"
+
+    @property
+    def starts(self) -> list[np.ndarray]:
+        """Sizes about which its strength is screened."""
+        if self.slug != "maxwell_joint":
+            return [np.zeros(1)]
+        return [np.array([0.0, x * math.log(3) / DECADE]) for x in (-1.0, 0.0, 1.0)]
+
+    def _time(self, u: np.ndarray) -> float:
+        return math.exp(float(np.clip(u[1], -4.0, 4.0)) * DECADE) / self.middle
+
+    def stiffness(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Dynamic stiffness Z, shape ``(f, k, k)``."""
+        return self.scale * u[0] * self._unit(u, s)
+
+    def slopes_of_stiffness(self, u: np.ndarray, s: np.ndarray) -> list[np.ndarray]:
+        """Derivatives of Z by each size."""
+        by_strength = self.scale * self._unit(u, s)
+        if self.slug != "maxwell_joint":
+            return [by_strength]
+        x = s[:, None, None] * self._time(u)
+        return [by_strength, self.scale * u[0] * DECADE * x / (1 + x) ** 2]
+
+    def _unit(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+        s = s[:, None, None]
+        if self.slug == "gyroscopic":
+            return s * np.array([[0.0, 1.0], [-1.0, 0.0]])
+        if self.slug == "hysteretic_joint":
+            return 1j * np.ones_like(s)
+        if self.slug == "sensor_mass":
+            return s**2
+        x = s * self._time(u)
+        return x / (1 + x)
+
+    @property
+    def in_catalogue(self) -> Cause:
+        """The same line by line."""
+        return KINDS[self.slug]  # pyright: ignore[reportReturnType]
+
+    def as_catalogue(self, u: np.ndarray, covariance: np.ndarray) -> tuple[list[float], list[float], Any]:
+        """Parameters of the catalogue's cause and their standard deviations."""
+        std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        values, errors = [float(self.scale * u[0])], [float(self.scale * std[0])]
+        if self.slug == "maxwell_joint":
+            values += [self._time(u), 0.0]
+            errors += [float(self._time(u) * DECADE * std[1]), 0.0]
+        return values, errors, None
+
+    def told(self, u: np.ndarray, covariance: np.ndarray) -> dict[str, dict[str, Any]]:
+        """Parameters by the catalogue's names."""
+        values, errors, _ = self.as_catalogue(u, covariance)
+        return {
+            p.name: {"value": v, "std": e, "unit": p.unit}
+            for p, v, e in zip(self.in_catalogue.parameters, values, errors, strict=True) if p.name != "lasting_share"
+        }  # fmt: skip
+
+
+def loaded(
+    cause: LineForce, u: np.ndarray, s: np.ndarray, own: np.ndarray, outer: np.ndarray, inner: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Responses to forces at outputs and inputs with the force; ``own`` is GB, shape ``(f, n, k)``."""
+    B, Z = cause.basis, cause.stiffness(u, s)
+    T = np.linalg.solve(np.eye(B.shape[1]) + Z @ (B.T @ own), Z)
+    return outer - own @ T.transpose(0, 2, 1) @ (B.T @ outer), inner - own @ T @ (B.T @ inner)
+
+
+def line_forces(
+    c: Coordinates, dofs: Sequence[str], outputs: Sequence[str], inputs: Sequence[str],
+    springs: Sequence[tuple[tuple[str, ...], np.ndarray, float, float, bool]], low: float, high: float,
+) -> list[LineForce]:  # fmt: skip
+    """Each such force at each place; ``springs`` are places of joints, ``low`` and ``high`` the band's ends [rad/s]."""
+    middle, found = math.sqrt(low * high), []
+    inside = np.flatnonzero(c.frequencies[:-1] < 1.5 * high)
+    mobile = (c.shapes[:, inside] ** 2).mean(axis=1)
+    for slug in ("hysteretic_joint", "maxwell_joint"):
+        found += [
+            LineForce(slug, where, k, weight=w, basis=b[:, None], middle=middle)
+            for where, b, k, w, held in springs
+            if held
+        ]
+    some = [k for k, name in enumerate(dofs) if mobile[k] > 1e-6 * mobile.max()]
+    if len(some) > FEW:
+        some = [k for k in some if dofs[k] in {*outputs, *inputs}]
+    for j, a in enumerate(some):
+        for b in some[:j]:
+            size = COUPLED * middle / math.sqrt(mobile[a] * mobile[b])
+            pair = c.shapes[[b, a]].T
+            found.append(LineForce("gyroscopic", (dofs[b], dofs[a]), size, basis=pair, middle=middle))
+    for k, name in enumerate(outputs):
+        own = c.outputs[k]
+        seen = float((own[inside] ** 2).mean())
+        if seen > 0:
+            found.append(LineForce("sensor_mass", (name,), MASS / seen, basis=own[:, None], middle=middle, row=k))
+    return found
