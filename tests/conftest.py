@@ -30,6 +30,7 @@ import matplotlib  # noqa: E402
 matplotlib.use("Agg")
 matplotlib.rcParams["savefig.dpi"] = 40  # nobody looks at them
 jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_traceback_in_locations_limit", 0)  # no lines of Python beside each operation of a program
 PROGRAMS = pytest.StashKey[str]()
 
 

@@ -1,6 +1,7 @@
 """A sensor that is wrong in a way without a name is told as that, and not as an element or a mass at its place."""
 
 import numpy as np
+import pytest
 from frames import DOFS, measured, simulation
 
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
@@ -17,6 +18,7 @@ def test_a_gain_that_wanders_over_the_lines_gets_no_name_but_its_sensor_is_told(
     assert f"the sensor at {DOFS[8]}" in answer["advice"] and "supports" not in answer["advice"]
 
 
+@pytest.mark.slow  # of a smaller mass by default, where a mass stands out beyond the general inaccuracy
 def test_a_mass_at_a_sensor_is_no_fault_of_that_sensor():
     data, _ = measured(22, 0.01, mass=(DOFS[8], 0.3))
     found = diagnose_modes(data, simulation())
