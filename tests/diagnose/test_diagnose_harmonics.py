@@ -67,11 +67,11 @@ def hypothesis(comparison: Comparison, cause, p) -> tuple[Hypothesis, Hypothesis
     ids=["slip", "bilinear"],
 )
 def test_prediction_with_harmonics_is_the_harmonic_balance(cause, p, joint):
-    exact = simulate(five_dof(), [joint], [PLACE], FEW, LEVELS, inputs=["1"], harmonics=5, samples=80)
+    exact = simulate(five_dof(), [joint], [PLACE], FEW, LEVELS, inputs=["1"], harmonics=HIGHEST)
     comparison = make_comparison(exact, five_dof(), "fixed")
     null, h = hypothesis(comparison, cause, p)
     theta = jnp.zeros(h.theta.shape)
-    extra = linear_factor(h.causes, h.index, (None,), h.params, theta, comparison.problem, 5)
+    extra = linear_factor(h.causes, h.index, (None,), h.params, theta, comparison.problem, HIGHEST)
     effect = np.abs(exact.H - comparison.prediction(null)).max()
     one = np.abs(exact.H - comparison.prediction(h)).max()
     full = np.abs(exact.H - comparison.prediction(replace(h, extras=(extra,)))).max()

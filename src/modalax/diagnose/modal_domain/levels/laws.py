@@ -9,7 +9,7 @@ so that no equation has to be solved for the amplitude, and no jump of the respo
 
 import math
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import jax
@@ -83,6 +83,11 @@ class Motion:
     seen: np.ndarray
     omega: np.ndarray
     compliance: float
+
+    @cached_property
+    def measured(self) -> tuple[jax.Array, jax.Array]:
+        """Measured amplitudes and the circular frequency of each, as compiled laws take them."""
+        return _padded(self.amplitude, self.omega[:, None])
 
     def thinned(self, step: int) -> "Motion":
         """Every so many lines."""
@@ -195,27 +200,29 @@ def _plain(law: JointCause, A: Any, omega: Any, p: Any) -> Any:
 
 
 @partial(jax.jit, static_argnums=0)
-def _slopes(law: JointCause, A: Any, omega: Any, p: Any, g: Any) -> Any:
+def _slopes(law: JointCause, A: Any, omega: Any, p: Any, g: Any) -> tuple[Any, Any]:
+    """Derivatives by the parameters, real and imaginary parts, and the describing function itself."""
+
     def parts(p: Any) -> Any:
         N = in_series(law, A, omega, p, g) + 0j * A
-        return jnp.stack([N.real, N.imag])
+        return jnp.stack([N.real, N.imag]), N
 
-    return jax.jacfwd(parts)(p)
+    return jax.jacfwd(parts, has_aux=True)(p)
 
 
 def stiffness_of(law: JointCause, m: Motion, p: np.ndarray, amplitude: np.ndarray | None = None) -> np.ndarray:
     """Describing function at the measured amplitudes, or others of the same lines ``(..., f, i)`` [N/m]."""
     A = m.amplitude if amplitude is None else amplitude
-    a, w = _padded(A, m.omega[:, None])
+    a, w = m.measured if amplitude is None else _padded(A, m.omega[:, None])
     N = np.broadcast_to(np.asarray(_stiffness(law, a, w, p, m.compliance)), a.shape)
     return N[: A.size].reshape(A.shape)
 
 
-def _padded(A: np.ndarray, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _padded(A: np.ndarray, omega: np.ndarray) -> tuple[jax.Array, jax.Array]:
     size = -(-A.size // PAD) * PAD
     a, w = np.ones(size), np.ones(size)
     a[: A.size], w[: A.size] = np.maximum(A.ravel(), 1e-300), np.broadcast_to(omega, A.shape).ravel()
-    return a, w
+    return jnp.asarray(a), jnp.asarray(w)
 
 
 def force_of(law: JointCause, m: Motion, p: np.ndarray) -> np.ndarray:
@@ -232,10 +239,9 @@ def _difference(law: JointCause, m: Motion, p: np.ndarray) -> np.ndarray:
 
 def _jacobian(law: JointCause, m: Motion, p: np.ndarray) -> np.ndarray:
     """Derivatives of the difference by the parameters as searched."""
-    N = stiffness_of(law, m, p)
-    a, w = _padded(m.amplitude, m.omega[:, None])
-    D = np.asarray(_slopes(law, a, w, p, m.compliance))
-    D = (D[0] + 1j * D[1])[: m.amplitude.size].reshape(*m.amplitude.shape, len(p))
+    size, shape = m.amplitude.size, m.amplitude.shape
+    D, N = map(np.asarray, _slopes(law, *m.measured, p, m.compliance))
+    N, D = N[:size].reshape(shape), (D[0] + 1j * D[1])[:size].reshape(*shape, len(p))
     dN = (N[1:] - N[0]).transpose(1, 2, 0)
     at = (m.still * m.turn)[..., None] / (1 + dN * m.drive[..., None]) ** 2
     by = (D[1:] - D[0]).transpose(1, 2, 0, 3) * at[..., None]
@@ -267,7 +273,7 @@ def regressed(
     moved = m.moved(m.force)[1:].transpose(1, 2, 0) * m.turn[..., None]
 
     def at(shape: tuple[float, ...]) -> tuple[float, np.ndarray]:
-        a, w = _padded(m.amplitude, m.omega[:, None])  # at a strength of 1 N/m no compliance matters
+        a, w = m.measured  # at a strength of 1 N/m no compliance matters
         N = np.broadcast_to(np.asarray(_plain(law, a, w, np.array([1.0, *shape]))), a.shape)
         N = N[: m.amplitude.size].reshape(m.amplitude.shape)
         unit = (m.root @ ((N[1:] - N[0]).transpose(1, 2, 0) * moved)[..., None]).ravel()
