@@ -244,6 +244,10 @@ class FRF(eqx.Module):
         )  # fmt: skip
         return FRF(**{**fields, **changes})
 
+    def without_statistics(self) -> "FRF":
+        """The FRF without variance, coherence and number of repeats, on which no compiled program shall depend."""
+        return self.replace(variance=None, coherence=None, averages=None)
+
     def lines(self, which: Any) -> "FRF":
         """The FRF at some lines only (a slice, or increasing indices)."""
         take = lambda a: None if a is None else cut(a, which)

@@ -77,7 +77,7 @@ def fdpi(
     degree = 2 * -(-found[-1] // n_out)
     comps = [-(-2 * n // degree) for n in found]
     terms = degree if residual is None else residual
-    return _estimate(frf, line_weight(frf, weights), found, tuple(comps), degree, terms)
+    return _estimate(frf.without_statistics(), line_weight(frf, weights), found, tuple(comps), degree, terms)
 
 
 @eqx.filter_jit

@@ -76,7 +76,8 @@ def lsce(
     samples = int(round(part * (2 * (frf.shape[0] - 1) if real else frf.shape[0])))
     found = check_orders(orders, samples - skip, limits(frf))
     weight = 1 / jnp.sqrt(jnp.mean(weights_of(frf, weights) ** -2, axis=(0, 2)))
-    R, zoomed = _factor(frf, weight, jnp.asarray(ridge), found[-1], real, skip, samples)
+    bare = frf.without_statistics()
+    R, zoomed = _factor(bare, weight, jnp.asarray(ridge), found[-1], real, skip, samples)
     return poles_of_factor(
         R, found, frf.shape[2], check_constraint(constraint), real, zoomed, "lsce", None, jnp.asarray(frf.added_decay)
     )

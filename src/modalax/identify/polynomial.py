@@ -162,7 +162,7 @@ def matrix_fraction(
     if numerator is None:
         numerator = with_spare(found[-1], frf.freq.shape[0]) if moments else found[-1]
     R, added, zoomed, decay = _factor(
-        frf, H, weight, jnp.asarray(ridge), found[-1], real, arc, numerator, shared, moments
+        frf.without_statistics(), H, weight, jnp.asarray(ridge), found[-1], real, arc, numerator, shared, moments
     )
     return poles_of_factor(R, found, H.shape[2], constraint, real, zoomed, method, added, decay)
 

@@ -161,7 +161,7 @@ def refine(
     known = frf.variance is not None and isinstance(weights, str) and weights != "unit"
     if not known:  # far below the data, so that the search ends at rounding whatever the unit
         sigma = sigma * UNIT * jnp.sqrt(jnp.mean(jnp.abs(frf.H / sigma) ** 2))
-    turned = frf.shape[2] > frf.shape[1]
+    frf, turned = frf.without_statistics(), frf.shape[2] > frf.shape[1]
     if turned:
         frf, model, sigma = frf.transpose(), model.transpose(), jnp.swapaxes(sigma, 1, 2)
     n = model.poles.shape[0]

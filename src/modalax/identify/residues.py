@@ -74,7 +74,7 @@ def residues(
             return turned.transpose().normalised("max")
         participation = participation_of(frf, poles, sigma, residuals, real_modes)
     participation = as_double(participation, "participation", complex_=True)
-    return _fit(frf, poles, participation, sigma, residuals, real_modes)
+    return _fit(frf.without_statistics(), poles, participation, sigma, residuals, real_modes)
 
 
 @eqx.filter_jit

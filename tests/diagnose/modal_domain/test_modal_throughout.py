@@ -18,7 +18,11 @@ def scaled(stiffness: float = 1.0, mass: float = 1.0) -> Structure:
 @pytest.mark.parametrize(
     ("stiffness", "mass", "name", "value", "word"),
     # the first by default beside elements that scatter more widely, see below
-    [pytest.param(1.08, 1.0, "stiffness", 0.08, "high", marks=pytest.mark.slow), (0.9, 1.0, "stiffness", -0.1, "low"), (1.0, 1.05, "mass", 0.05, "high")],
+    [
+        pytest.param(1.08, 1.0, "stiffness", 0.08, "high", marks=pytest.mark.slow),
+        (0.9, 1.0, "stiffness", -0.1, "low"),
+        (1.0, 1.05, "mass", 0.05, "high"),
+    ],
 )
 def test_a_factor_on_all_of_a_matrix_is_told_apart_from_the_elements(stiffness, mass, name, value, word):
     found = diagnose_modes(measured(2, 0.01)[0], scaled(stiffness, mass))
