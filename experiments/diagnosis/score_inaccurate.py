@@ -170,13 +170,13 @@ def wrong(marks: list[Mark]) -> str:
     return table(["case", "structure", "spread", "claim", "d", "hidden", "verdict", "said"], rows)
 
 
-def invariance(marks: list[Mark]) -> str:
-    """Steps to more data (finer or wider): the same answer or a more certain one, or not."""
-    same = defaultdict(dict)
+def grids(marks: list[Mark]) -> list[list[tuple[str, tuple, Mark, tuple, Mark, bool]]]:
+    """Of each test its steps to more data (finer or wider), with whether the answer is the same or the right one."""
+    same: dict[str, dict[tuple[float, float], Mark]] = defaultdict(dict)
     for m in marks:
         base, lines, widen = m.name.rsplit("-", 2)
         same[base][float(lines[1:]), float(widen[1:])] = m
-    steps, whole, broken = [], [], []
+    found = []
     for base, grid in sorted(same.items()):
         mine = []
         for (lines, widen), m in grid.items():
@@ -185,13 +185,20 @@ def invariance(marks: list[Mark]) -> str:
             for key in finer + wider:
                 if key in grid:
                     more = grid[key]
-                    kept = more.identity == m.identity or more.right
-                    mine.append(kept)
-                    if not kept:
-                        first, then = (f"{a:g}, {b:g}" for a, b in ((lines, widen), key))
-                        broken.append([base, first, m.identity, then, more.identity])
-        steps += mine
-        whole.append(all(mine))
+                    mine.append((base, (lines, widen), m, key, more, more.identity == m.identity or more.right))
+        found.append(mine)
+    return found
+
+
+def invariance(marks: list[Mark]) -> str:
+    """Steps to more data: the same answer or a more certain one, or not."""
+    every = [mine for mine in grids(marks) if mine]
+    steps = [kept for mine in every for *_, kept in mine]
+    whole = [all(kept for *_, kept in mine) for mine in every]
+    broken = [
+        [base, "{:g}, {:g}".format(*first), m.identity, "{:g}, {:g}".format(*then), more.identity]
+        for mine in every for base, first, m, then, more, kept in mine if not kept
+    ]  # fmt: skip
     rows = [
         ["tests whose answer never got worse with more data", "at least 95 %", Share(sum(whole), len(whole))],
         ["steps to more data: the same answer or the right one", "", Share(sum(steps), len(steps))],
@@ -201,6 +208,22 @@ def invariance(marks: list[Mark]) -> str:
         [table(["mark", "asked", "got (hits/cases; 95 % limits)"], rows),
          table(["test", "lines, band", "said", "lines, band", "then said"], broken)]
     )  # fmt: skip
+
+
+def in_one_line(single: list[Mark], again: list[Mark]) -> str:
+    """The marks in one line."""
+    gross, none = [m for m in single if m.gross], [m for m in single if not m.gross]
+    hits = lambda found: f"{sum(found)}/{len(found)}"
+    said = [
+        ("right", hits([m.right for m in gross if m.clear])),
+        ("confident wrong", hits([m.named and not m.right for m in gross])),
+        ("false names in none", hits([m.named for m in none])),
+        ("intervals", hits([hit for m in single for _, hit in m.intervals()])),
+        ("inaccuracy in its interval", hits([h for m in single for w, how, h in m.inaccuracy() if how == "drawn"])),
+        ("steps to more data without a worse answer", hits([kept for m in grids(again) for *_, kept in m])),
+        ("CPU seconds of all", f"{sum(m.said.get('cpu_seconds', 0.0) for m in single + again):.0f}"),
+    ]
+    return "summary: " + ", ".join(f"{name} {value}" for name, value in said if not value.endswith("/0"))
 
 
 def main() -> None:
@@ -219,6 +242,7 @@ def main() -> None:
         text += ["## General inaccuracy", sizes(single), "## Not right", wrong(single)]
     if again:
         text += ["# Measured more finely and more widely", invariance(again)]
+    text.append(in_one_line(single, again))
     print("\n\n".join(text))
 
 

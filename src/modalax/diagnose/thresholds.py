@@ -115,6 +115,11 @@ class Thresholds:
     misfit: float = _threshold(
         2.0, "chi-square per feature", "Modes that are missed by more than this are not explained.", INACCURATE
     )
+    lines_missed: float = _threshold(
+        20.0, "ratio of chi-squares",
+        "A fit explains the lines where it leaves at most this many times what the measured modes by themselves leave; "
+        "beyond that lines only bend what modes tell, and nothing is clean.", INACCURATE,
+    )  # fmt: skip
     hopeless: float = _threshold(
         0.8, "share of the largest inaccuracy searched for",
         "A simulation that is off by more than this is not one of this structure.", INACCURATE,

@@ -5,7 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modalax.diagnose.decision.beyond import BeyondUsual, ModalCase, held_out_verdict, modal_verdict, usual_size
+from modalax.diagnose.decision.beyond import (
+    BeyondUsual,
+    ModalCase,
+    held_out_verdict,
+    lines_verdict,
+    modal_verdict,
+    usual_size,
+)
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.thresholds import THRESHOLDS
 
@@ -80,3 +87,16 @@ def test_one_cause_too_must_predict_the_block_held_out(word, after, plain, prefe
     found, reasons = held_out_verdict(word, ["as before"], gain)
     assert found == said and reasons[0] == "as before"
     assert ("imitates something else" in reasons[-1]) == (said != word)
+
+
+@pytest.mark.parametrize(
+    ("word", "left", "by_modes", "said"),
+    [
+        ("clean", 19.0, 1.0, "clean"), ("clean", 21.0, 1.0, "unknown"), ("clean", 173.0, 10.0, "clean"),
+        ("named", 21.0, 1.0, "named"), ("unknown", 21.0, 1.0, "unknown"),
+    ],
+)  # fmt: skip
+def test_nothing_is_clean_whose_lines_are_not_explained(word, left, by_modes, said):
+    found, reasons = lines_verdict(word, ["as before"], left, by_modes)
+    assert found == said and reasons[0] == "as before"
+    assert ("own modes" in reasons[-1]) == (left > 20 * by_modes and word != "unknown")

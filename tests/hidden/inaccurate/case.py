@@ -13,7 +13,7 @@ from generator.systems import log_uniform
 from .balance import joint_change
 from .gross import CAUSES, CHANNELS, JOINTS, Gross, Scene, Test, draw_gross
 from .judge import Verdict, judge
-from .structures import KINDS, Build, draw_build
+from .structures import KINDS, SMALL, Build, draw_build
 from .world import Off, Spread, World, draw_off, modal_inaccuracy, nominal, realised
 
 SPREADS = (0.0, 0.003, 0.01, 0.03)
@@ -78,7 +78,7 @@ def _plan(rng: np.random.Generator, given: dict[str, Any]) -> Plan:
         "widen": float(rng.choice([1.0, 1.0, 1.25, 1.5, 2.0])),
     }
     plan = Plan(**{**drawn, **{k: v for k, v in given.items() if v is not None}})
-    for name, allowed in (("cause", CAUSES), ("kind", KINDS), ("claim", CLAIMS), ("variance", VARIANCES)):
+    for name, allowed in (("cause", CAUSES), ("kind", (*KINDS, SMALL)), ("claim", CLAIMS), ("variance", VARIANCES)):
         if getattr(plan, name) not in allowed:
             raise ValueError(f"{name} is {getattr(plan, name)!r}; it must be one of {', '.join(allowed)}")
     if plan.cause in JOINTS:

@@ -13,6 +13,7 @@ from generator.systems import beam, log_uniform
 from scipy.sparse.csgraph import connected_components
 
 KINDS = ("frame", "plate", "shaft")
+SMALL = "small"  # a kind that is drawn only where it is asked for: shafts and trees of a few degrees of freedom
 
 
 @dataclass(frozen=True)
@@ -291,10 +292,10 @@ def _condensed(build: Build) -> Build:
 # shafts and trees ---------------------------------------------------------------------------------------------------
 
 
-def shaft(rng: np.random.Generator) -> Build:
+def shaft(rng: np.random.Generator, fewest: int = 20, most: int = 40) -> Build:
     """Discs on shafts that branch, or a tree of masses with a few cross links; every DoF can be measured."""
     variant = str(rng.choice(["shafts", "tree"]))
-    n = int(rng.integers(20, 41))
+    n = int(rng.integers(fewest, most + 1))
     reach = 4 if variant == "shafts" else 7
     links = [(int(rng.integers(max(0, k - reach), k)), k) for k in range(1, n)]
     if variant == "tree":
@@ -310,7 +311,14 @@ def shaft(rng: np.random.Generator) -> Build:
     return _stand(rng, build, held, 1, variant)
 
 
-BUILDERS: dict[str, Callable[[np.random.Generator], Build]] = {"frame": frame, "plate": plate, "shaft": shaft}
+def small(rng: np.random.Generator) -> Build:
+    """The same with 6 to 12 degrees of freedom, which are answered in seconds."""
+    return shaft(rng, 6, 12)
+
+
+BUILDERS: dict[str, Callable[[np.random.Generator], Build]] = {
+    "frame": frame, "plate": plate, "shaft": shaft, SMALL: small,
+}  # fmt: skip
 
 
 def _connected(build: Build) -> bool:
@@ -320,7 +328,7 @@ def _connected(build: Build) -> bool:
 
 
 def draw_build(rng: np.random.Generator, kind: str) -> Build:
-    """A structure of 20 to 60 DoFs whose first elastic mode lies between 5 and 60 Hz.
+    """A structure of 20 to 60 DoFs, of 6 to 12 if small, whose first elastic mode lies between 5 and 60 Hz.
 
     Raises
     ------
@@ -328,10 +336,10 @@ def draw_build(rng: np.random.Generator, kind: str) -> Build:
         If the kind is not known.
     """
     if kind not in BUILDERS:
-        raise ValueError(f"kind is {kind!r}; it must be one of {', '.join(KINDS)}")
+        raise ValueError(f"kind is {kind!r}; it must be one of {', '.join(BUILDERS)}")
     while True:
         build = BUILDERS[kind](rng)
-        if 20 <= build.n <= 60 and _connected(build):
+        if (kind == SMALL or 20 <= build.n <= 60) and _connected(build):
             break
     first = float(modes(*build.assemble())[0][build.rigid])
     factor = (2 * np.pi * float(log_uniform(rng, 5.0, 60.0)) / first) ** 2

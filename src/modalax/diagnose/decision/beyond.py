@@ -166,6 +166,26 @@ def held_out_verdict(
     )  # fmt: skip
 
 
+def lines_verdict(
+    word: str, reasons: Sequence[str], left: float, by_modes: float, limits: Thresholds = THRESHOLDS
+) -> tuple[str, tuple[str, ...]]:
+    """The verdict once all lines are known: nothing is `clean` whose lines the corrected simulation does not explain.
+
+    Parameters
+    ----------
+    left, by_modes
+        Chi-square per sample that the corrected simulation with its causes leaves, and that the measurement's own
+        modes leave.
+    """
+    if word not in ("clean", "named") or left <= limits.lines_missed * by_modes:
+        return word, tuple(reasons)
+    return "unknown" if word == "clean" else word, (
+        *reasons,
+        f"but the corrected simulation leaves a chi-square of {left:.3g} per sample, the measurement's own modes "
+        f"{by_modes:.3g}: the FRFs differ from it in a way that no error of elements explains",
+    )  # fmt: skip
+
+
 def usual_size(
     slug: str, whole: float, inaccuracy: Mapping[str, float], highest: float, limits: Thresholds = THRESHOLDS
 ) -> float:

@@ -16,7 +16,7 @@ from modalax.diagnose.causes.parameter import Parameter
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.decision.advice import advise_modes
-from modalax.diagnose.decision.beyond import BeyondUsual, held_out_verdict
+from modalax.diagnose.decision.beyond import BeyondUsual, held_out_verdict, lines_verdict
 from modalax.diagnose.decision.levels import outweighing
 from modalax.diagnose.decision.omnibus import Omnibus, omnibus
 from modalax.diagnose.decision.sets import rivals
@@ -264,6 +264,8 @@ def _diagnosed(
     tests = [omnibus(r, np.ones(r.shape, bool), stage.measured.noise.freedom) for r in residuals]
     gain = gain_of(stage, chosen, before)
     word, reasons = held_out_verdict(word, reasons, gain)
+    left = float((np.abs(residuals[1][stage.measured.runs]) ** 2).mean() / 2)
+    word, reasons = lines_verdict(word, reasons, left, stage.measured.misfit)
     hum = mains_hum(measurement, stage.measured.freq, residuals[1]) if wanted("mains_hum") else None
     if hum is not None:
         word, reasons = outweighing(word, "named"), (*reasons, f"beside it there is mains hum: {hum.evidence}")

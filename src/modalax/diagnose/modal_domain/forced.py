@@ -39,6 +39,7 @@ from modalax.diagnose.modal_domain.state import Setting
 from modalax.diagnose.summary import cause_at
 from modalax.diagnose.thresholds import THRESHOLDS
 
+FINISHED, STEPS = 2, 24  # fits that leave the least are taken on to their end, by at most so many steps more
 FITTED = 3  # leading places of each kind that are fitted
 WORTH = 10.0  # nats that a force must promise: the least that tells one place among thousands
 
@@ -192,23 +193,30 @@ def _fitted(
 ) -> list[_Trial]:  # fmt: skip
     """The leading places of each kind, fitted."""
     gain, start = screened(setting, base, forces, lines)
-    out = []
+    found: list[tuple[Fit, OnLines]] = []
     for slug in sorted({f.slug for f in forces}):
         own = [k for k, f in enumerate(forces) if f.slug == slug and gain[k] > WORTH]
         for k in sorted(own, key=lambda k: -gain[k])[:FITTED]:
             if late():
-                return out
-            cause = forces[k]
-            both = replace(base, causes=(*base.causes, cause), u=np.concatenate([base.u, start[k]]))
-            found = descended(setting, both, lines, late)
-            if found is None or not (cause.signed or found.x[-cause.count] > 0):
-                continue
-            scale = _scale(setting, both)
-            known = len(base.sizes)
-            narrower = np.linalg.slogdet(found.covariance[known:, known:])[1]
-            value = 0.5 * float(narrower) - 0.5 * (found.chi2 + float(((found.x / scale) ** 2).sum()))
-            out.append(_Trial(base, cause, found, value))
-    return out
+                break
+            both = replace(base, causes=(*base.causes, forces[k]), u=np.concatenate([base.u, start[k]]))
+            near = descended(setting, both, lines, late)
+            found += [] if near is None else [(both, near)]
+    found.sort(key=lambda one: one[1].chi2)
+    n = len(base.sizes)
+    for k, (both, near) in enumerate(found[:FINISHED]):
+        there = replace(both, sizes=near.x[:n], u=near.x[n:])
+        found[k] = both, descended(setting, there, lines, late, STEPS) or near
+    trials = [_trial(setting, base, both, end) for both, end in found]
+    return [t for t in trials if t.cause.signed or t.found.x[-t.cause.count] > 0]
+
+
+def _trial(setting: Setting, base: Fit, both: Fit, end: OnLines) -> _Trial:
+    n, cause = len(base.sizes), both.causes[-1]
+    assert isinstance(cause, LineForce)
+    narrower = float(np.linalg.slogdet(end.covariance[n:, n:])[1])
+    value = 0.5 * narrower - 0.5 * (end.chi2 + float(((end.x / _scale(setting, both)) ** 2).sum()))
+    return _Trial(base, cause, end, value)
 
 
 def screened(

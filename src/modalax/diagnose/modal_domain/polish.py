@@ -20,6 +20,7 @@ from modalax.diagnose.modal_domain.free_residues import Channels
 from modalax.diagnose.modal_domain.line_forces import LineForce, loaded
 from modalax.diagnose.modal_domain.measured import Measured
 from modalax.diagnose.modal_domain.state import Setting, factors_of, hysteretic, matrices_of, state_at
+from modalax.diagnose.thresholds import THRESHOLDS
 
 STEPS = 8  # most Gauss-Newton steps
 PARTS = (1.0, 0.3, 0.1)  # of a step that are tried
@@ -27,7 +28,6 @@ SETTLED = 0.1  # decrease of half chi-square at which it ends
 WORK = 3e9  # products for one set of derivatives; of larger problems every so many lines are taken
 BLOCK = 4e6  # numbers held at once
 MATTERS = 2e-4  # relative size of the rest from which it shows on lines: peaks move by half of it
-WORSE = 20.0  # chi-square over that of the measured modes by themselves from which lines only bend what modes tell
 LIKELY, FEW = 0.01, 3  # probability from which, and most explanations that are taken on to the lines
 
 
@@ -81,7 +81,7 @@ class OnLines:
 def on_lines(setting: Setting, f: Fit, lines: Lines, late: Deadline) -> Fit:
     """A fit taken on to the lines; as it was where that does not improve it, or leaves far more than the modes do."""
     found, n = descended(setting, f, lines, late), len(f.sizes)
-    if found is None or found.chi2 > WORSE * lines.left * max(lines.samples, 1):
+    if found is None or found.chi2 > THRESHOLDS.lines_missed * lines.left * max(lines.samples, 1):
         return f
     x = found.x
     try:
@@ -91,12 +91,12 @@ def on_lines(setting: Setting, f: Fit, lines: Lines, late: Deadline) -> Fit:
     return replace(f, sizes=x[:n], u=x[n:], covariance=_widened(found.covariance, f, x), state=state)
 
 
-def descended(setting: Setting, f: Fit, lines: Lines, late: Deadline) -> OnLines | None:
+def descended(setting: Setting, f: Fit, lines: Lines, late: Deadline, steps: int = STEPS) -> OnLines | None:
     """Gauss-Newton steps on the lines from a fit; None where there is no first one."""
     x, n = np.concatenate([f.sizes, f.u]), len(f.sizes)
     scale = np.concatenate([f.epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
     chi2, V = chi2_of(setting, f, lines), None
-    for _ in range(STEPS):
+    for _ in range(steps):
         heat = max(1.0, chi2 / max(lines.samples, 1))
         gram, slope = _normal(setting, f.causes, x[:n], x[n:], lines)
         try:
