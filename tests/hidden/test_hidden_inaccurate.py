@@ -15,7 +15,8 @@ from generator.plant import Plant
 from generator.systems import System, beam
 from inaccurate.balance import joint_change
 from inaccurate.case import answer, linear_frf
-from inaccurate.structures import SMALL, Build, Element, _condensed, draw_build, modes, plate_element, spring
+from inaccurate.structures import SMALL as FEW_DOFS
+from inaccurate.structures import Build, Element, _condensed, draw_build, modes, plate_element, spring
 from inaccurate.world import Spread, draw_off, modal_inaccuracy, nominal, realised
 
 from modalax.files import load
@@ -84,10 +85,10 @@ def test_a_plate_on_simple_supports_has_the_textbook_frequencies():
     assert (modes(M, K)[0] == 0).sum() == 3  # free: up and down, and two tilts
 
 
-@pytest.mark.parametrize("kind", [*inaccurate.KINDS, SMALL])
+@pytest.mark.parametrize("kind", [*inaccurate.KINDS, FEW_DOFS])
 def test_structures_are_whole_and_unlike(kind):
     seen = set()
-    fewest, most = (6, 12) if kind == SMALL else (20, 60)
+    fewest, most = (6, 12) if kind == FEW_DOFS else (20, 60)
     for seed in range(10):
         build = draw_build(np.random.default_rng(seed), kind)
         M, K = build.assemble()

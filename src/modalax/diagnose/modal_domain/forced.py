@@ -147,7 +147,13 @@ def find_force(
     tell(f"looking for a force at one of {len(forces)} places, line by line")
     trials: list[_Trial] = []
     for base in bases:
-        trials += _fitted(setting, base, forces, lines, late)
+        gain, size = screened(setting, base, forces, lines)
+        leading = [
+            k for slug in sorted({f.slug for f in forces})
+            for k in sorted((k for k, f in enumerate(forces) if f.slug == slug), key=lambda k: -gain[k])[:FITTED]
+        ]  # fmt: skip
+        starts = [(base, forces[k], size[k]) for k in leading if gain[k] > WORTH]
+        trials += _fitted(setting, starts, lines, late)
         if late():
             break
     good = [t for t in trials if t.found.chi2 < THRESHOLDS.as_noise * lines.samples]
@@ -189,25 +195,22 @@ def _scale(setting: Setting, f: Fit) -> np.ndarray:
 
 
 def _fitted(
-    setting: Setting, base: Fit, forces: Sequence[LineForce], lines: Lines, late: Deadline
+    setting: Setting, starts: Sequence[tuple[Fit, LineForce, np.ndarray]], lines: Lines, late: Deadline
 ) -> list[_Trial]:  # fmt: skip
-    """The leading places of each kind, fitted."""
-    gain, start = screened(setting, base, forces, lines)
-    found: list[tuple[Fit, OnLines]] = []
-    for slug in sorted({f.slug for f in forces}):
-        own = [k for k, f in enumerate(forces) if f.slug == slug and gain[k] > WORTH]
-        for k in sorted(own, key=lambda k: -gain[k])[:FITTED]:
-            if late():
-                break
-            both = replace(base, causes=(*base.causes, forces[k]), u=np.concatenate([base.u, start[k]]))
-            near = descended(setting, both, lines, late)
-            found += [] if near is None else [(both, near)]
-    found.sort(key=lambda one: one[1].chi2)
-    n = len(base.sizes)
-    for k, (both, near) in enumerate(found[:FINISHED]):
+    """Forces fitted beside a fit of the modes each, those that leave the least to their end."""
+    found: list[tuple[Fit, Fit, OnLines]] = []
+    for base, cause, size in starts:
+        if late():
+            break
+        both = replace(base, causes=(*base.causes, cause), u=np.concatenate([base.u, size]))
+        near = descended(setting, both, lines, late)
+        found += [] if near is None else [(base, both, near)]
+    found.sort(key=lambda one: one[2].chi2)
+    for k, (base, both, near) in enumerate(found[:FINISHED]):
+        n = len(base.sizes)
         there = replace(both, sizes=near.x[:n], u=near.x[n:])
-        found[k] = both, descended(setting, there, lines, late, STEPS) or near
-    trials = [_trial(setting, base, both, end) for both, end in found]
+        found[k] = base, both, descended(setting, there, lines, late, STEPS) or near
+    trials = [_trial(setting, base, both, end) for base, both, end in found]
     return [t for t in trials if t.cause.signed or t.found.x[-t.cause.count] > 0]
 
 

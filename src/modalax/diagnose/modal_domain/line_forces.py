@@ -25,6 +25,7 @@ KINDS: dict[Kind, Cause] = {
     "gyroscopic": Gyroscopic(), "hysteretic_joint": HystereticJoint(), "maxwell_joint": MaxwellJoint(),
     "sensor_mass": SensorMass(),
 }  # fmt: skip
+JOINTS = ("hysteretic_joint", "maxwell_joint")
 FEW = 40  # DoFs up to which any two may be coupled; of more, measured ones only
 COUPLED = 0.1  # usual skew coupling, relative to what would hold both DoFs as much as they hold themselves
 MASS = 0.1  # usual mass of a sensor, relative to the modal mass seen from its place
@@ -147,7 +148,7 @@ def line_forces(
     middle, found = math.sqrt(low * high), []
     inside = np.flatnonzero(c.frequencies[:-1] < 1.5 * high)
     mobile = (c.shapes[:, inside] ** 2).mean(axis=1)
-    for slug in ("hysteretic_joint", "maxwell_joint"):
+    for slug in JOINTS:
         found += [
             LineForce(slug, where, k, weight=w, basis=b[:, None], middle=middle)
             for where, b, k, w, held in springs
