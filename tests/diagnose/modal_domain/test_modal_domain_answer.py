@@ -153,7 +153,7 @@ def test_rivals_of_the_linear_causes_hold_the_joint_as_well(monkeypatch):
     monkeypatch.setattr(diagnosis, "causes_told", lambda seen, whole: [joint])
     sets = (BeyondUsual((), 0.8), BeyondUsual((("joint_stiffness", ("6:X", "7:X")),), 0.2))
     given = SimpleNamespace(
-        verdict="ambiguous", stage=SimpleNamespace(seen=object(), whole=None), sets=sets, _linear=[]
+        verdict="ambiguous", stage=SimpleNamespace(seen=object(), whole=None), sets=sets, _linear=[], forced=None
     )
     rivals = diagnosis.ModalDiagnosis.alternatives.fget(given)
     assert [[(c["name"], c["where"]) for c in s] for s in rivals] == [

@@ -159,7 +159,7 @@ class ModalDiagnosis(Diagnosis):
             kept = [{"name": c["name"], "where": c["where"]} for c in self._linear]
             return [[*kept, *one] for one in others]
         joint = [] if self.stage.seen is None else causes_told(self.stage.seen, self.stage.whole)
-        joint += [] if self.forced is None else [force_told(self.forced)]
+        joint = joint if self.forced is None else [*joint, force_told(self.forced)]
         beside = [{"name": c["name"], "where": c["where"]} for c in joint]
         return [
             [{"name": slug, "where": list(where)} for slug, where in s.names] + beside
