@@ -58,8 +58,15 @@ def draws(seed, level, frf, start, count=200):
 
 
 class TestResidues:
-    @pytest.mark.parametrize("form", ["receptance", "mobility", "accelerance"])
-    @pytest.mark.parametrize("residuals", ["none", "real", "complex"])
+    @pytest.mark.parametrize(
+        ("form", "residuals"),
+        [
+            # each form and each kind of residual terms by default, as neither asks for the other
+            pytest.param(form, residuals, marks=() if k == j else pytest.mark.slow)
+            for k, form in enumerate(("receptance", "mobility", "accelerance"))
+            for j, residuals in enumerate(("none", "real", "complex"))
+        ],
+    )
     def test_exact_poles_give_exact_modal_mass(self, form, residuals, paper):
         frf = paper.frf(FREQ, inputs=["1"], form=form)
         model = residues(frf, paper.poles, residuals=residuals)

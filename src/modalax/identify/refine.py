@@ -198,7 +198,9 @@ class Asked(NamedTuple):
 
 
 def _is_shared(sigma: Array) -> bool:
-    """Whether the deviations of all outputs are multiples of one another."""
+    """Whether the deviations of all outputs are multiples of one another, as those of a single one are."""
+    if sigma.shape[1] == 1:
+        return True
     if is_traced(sigma):
         return False
     ratio = np.asarray(sigma) / np.asarray(sigma)[:, :1]
