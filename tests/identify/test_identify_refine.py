@@ -1,3 +1,5 @@
+import sys
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -231,11 +233,17 @@ class TestRefine:
             assert np.allclose(found.chi2, best.chi2, rtol=1e-9)
             assert np.allclose(found.model.poles, best.model.poles, rtol=1e-5)
 
-    def test_reasons(self, paper_frf, paper):
+    def test_one_program_does_with_any_steps_covariance_and_statistics(self, paper_frf, paper, monkeypatch):
         frf = paper_frf.add_noise(jax.random.key(0), 0.05)
-        short = refine(frf, start_of(frf, paper), max_steps=2)
+        start = start_of(frf, paper)
+        refine(frf, start)
+        monkeypatch.delattr(sys.modules["modalax.identify.refine"], "objective")  # a second program could not be traced
+        short = refine(frf, start, max_steps=2)
         assert not bool(short.success)
         assert "ran out of steps" in short.reason
+        grown = refine(frf, start, covariance="sandwich", scale_errors="always")
+        assert bool(grown.success) and not np.array_equal(grown.damping_std, refine(frf, start).damping_std)
+        assert bool(refine(frf.replace(variance=None, averages=3), start).success)
 
     @pytest.mark.parametrize(
         ("mode", "start", "weights", "reason"),
