@@ -226,8 +226,15 @@ def diagnose_modes(
         rest = _diagnosed(measurement, simulation, question, late, wanted, tell, forced)
         if rest is None or rest.after.p_value > THRESHOLDS.left_by_modes or late():
             break
-    better = rest is not None and rest.verdict != "unknown" and rest.after.z < found.after.z
+    if rest is None or (found.verdict == "named" and _named(found) <= _named(rest)):
+        return found  # beside what is named already a small force may stand for an error of no element
+    better = rest.verdict != "unknown" and rest.after.z < found.after.z
     return rest if better else found
+
+
+def _named(found: ModalDiagnosis) -> set[tuple[str, frozenset[str]]]:
+    """What stands out, by name and place."""
+    return {(c["name"], frozenset(map(str, c["where"]))) for c in found.causes}
 
 
 def _diagnosed(

@@ -18,7 +18,7 @@ from modalax.data import Measurement
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.elements import nodes_of
-from modalax.diagnose.modal_domain.explain import Explanation, Prior
+from modalax.diagnose.modal_domain.explain import SECOND, Explanation, Prior
 from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.line_forces import LineForce, line_forces
 from modalax.diagnose.modal_domain.measured import channels_of
@@ -170,7 +170,7 @@ def find_force(
     shares = weights / weights.sum()
     best = ranked[0][1]
     nats = ranked[0][0] - max(_alone(setting, base, lines) + before.of(base.causes) for base in bases)
-    if nats < WORTH:
+    if nats < WORTH - math.log(SECOND):
         return None
     n, k = len(best.base.sizes), best.cause.count
     x = best.found.x
