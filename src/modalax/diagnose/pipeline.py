@@ -53,6 +53,7 @@ from modalax.diagnose.routes import check_groups, outcome_of, task_of
 from modalax.diagnose.screening.one_force import places_of_one_force
 from modalax.diagnose.search.explain import Explanation, check_imitations, explain
 from modalax.diagnose.search.look import look
+from modalax.diagnose.search.one_place import explain_force
 from modalax.diagnose.search.rows import lines_aside
 from modalax.diagnose.search.tolerance import widened
 from modalax.model import ModalModel, Structure
@@ -137,7 +138,7 @@ def by_routes(
     task = task_of(data, simulation, question, causes)
     exact = task.has_modes and task.whole_catalogue and not (task.elements_off or task.massless)
     found = at_one_place(measurement, simulation, question, progress, late) if exact else None
-    if found is not None and (settled(outcome_of(found)) or late()):
+    if found is not None and (found.found.by_force or settled(outcome_of(found)) or late()):
         return found
     answers: dict[Route, Diagnosis] = {}
     outcomes: dict[Route, Outcome] = {}
@@ -197,7 +198,16 @@ def at_one_place(
     progress("looking for a place at which one force explains the data")
     comparison = make_comparison(measurement, simulation, question)
     places = places_of_one_force(comparison)
-    return searched(replace(comparison, late=late, only=places), None, progress) if places else None
+    if not places:
+        return None
+    comparison = replace(comparison, late=late, only=places)
+    progress("fitting laws to the force that is measured there")
+    elements = causes_of(None, comparison, [*catalogue(comparison.problem.data.shape[0]), *imitators()])
+    found = explain_force(look(comparison, ()), elements)
+    said = None if found is None else told(found, progress)
+    if said is not None and said.verdict in ("named", "ambiguous"):
+        return said
+    return searched(comparison, None, progress)
 
 
 def searched(comparison: Comparison, causes: Sequence[Cause] | None, progress: Callable[[str], None]) -> Diagnosis:
@@ -208,6 +218,12 @@ def searched(comparison: Comparison, causes: Sequence[Cause] | None, progress: C
     if causes is None:
         progress("checking whether an unlisted cause explains the data better")
         found = check_imitations(found, causes_of(None, comparison, imitators()))
+    return told(found, progress)
+
+
+def told(found: Explanation, progress: Callable[[str], None]) -> Diagnosis:
+    """Predict what was held out, and decide."""
+    comparison = found.comparison
     progress("predicting the held-out data")
     gain = measure((found.look.comparison, found.comparison), found.look.null, found.best, found.leftover.tolerated)
     word, reasons = verdict(found.ranked, found.leftover, gain)

@@ -12,6 +12,7 @@ ALARMS = "experiments/diagnosis/alarms.py"
 SCORE = "experiments/diagnosis/score.py"
 HUM = "experiments/diagnosis/hum.py"
 INACCURATE = "experiments/diagnosis/score_inaccurate.py"
+JOINTS = "experiments/diagnosis/joints.py"
 SECONDS = "experiments/benchmarks/diagnosis.py"
 
 
@@ -162,6 +163,11 @@ class Thresholds:
     inexact: float = _threshold(
         0.1, "relative error", "Law and place of a joint are certain where its force is explained better than this.",
         INACCURATE,
+    )  # fmt: skip
+    inexact_law: float = _threshold(
+        0.03, "relative error",
+        "Where a force at one place is all that is missing, a law is told that explains it but for less than this.",
+        JOINTS,
     )  # fmt: skip
     decisive: float = _threshold(
         0.999, "probability",

@@ -100,6 +100,7 @@ def test_only_elements_at_these_places_are_searched(monkeypatch):
     comparison, _ = comparison_of(STRUCTURE, sprung(STRUCTURE, 2, 5, 5e3))
     asked = []
     monkeypatch.setattr(pipeline, "searched", lambda comparison, causes, tell: asked.append(comparison))
+    monkeypatch.setattr(pipeline, "explain_force", lambda look, causes: None)
     pipeline.at_one_place(comparison.measurement, STRUCTURE, "auto", lambda _: None)
     (used,) = asked
     assert used.joint_places() == list(used.only) and 0 < len(used.only) < len(comparison.scene.pairs())

@@ -32,6 +32,9 @@ class Leftover:
         Chi-square that the inexactness of the laws may leave: of a joint, the harmonics of its motion left out.
     untried
         Kinds of causes that may explain the data as well and for which there was no time.
+    inexact
+        Relative error of the force of a joint by its law, where a force at its place is all that is missing and the law
+        leaves more of it than noise; else 0.
     """
 
     alarm: float
@@ -41,6 +44,7 @@ class Leftover:
     likeness: str = ""
     tolerated: float = 0.0
     untried: tuple[str, ...] = ()
+    inexact: float = 0.0
 
     @property
     def allowance(self) -> str:
@@ -101,7 +105,7 @@ def nothing_explains(case: Case) -> str | None:
 
 def something_is_left(case: Case) -> str | None:
     """The residual with the causes is more than noise; the limit is stricter for several causes together."""
-    if not case.ranked:
+    if not case.ranked or case.leftover.inexact:
         return None
     several = len(case.best.names) > 1
     limit = max(case.limits.left, case.limits.left_by_several) if several else case.limits.left
@@ -132,6 +136,15 @@ def others_are_untried(case: Case) -> str | None:
     rest = case.leftover.untried
     return None if not rest else (
         f"time was up before {', '.join(rest)} had been tried, which may explain the data as well: give it more time"
+    )  # fmt: skip
+
+
+def law_is_inexact(case: Case) -> str | None:
+    """The place is certain, and the law comes near to the force that is measured there, but not within noise."""
+    error = case.leftover.inexact
+    return None if not error else (
+        f"a force at this place is all that is missing, and {case.names} explains it but for {100 * error:.2g} % of "
+        f"its size, more than noise: the joint's own law differs by so much, and the intervals allow for that"
     )  # fmt: skip
 
 
@@ -178,6 +191,7 @@ RULES: tuple[tuple[str, Rule], ...] = (
     ("unknown", nameless_is_likelier),
     ("ambiguous", other_names_compete),
     ("ambiguous", others_are_untried),
+    ("ambiguous", law_is_inexact),
     ("ambiguous", places_compete),
     ("ambiguous", elements_share_a_place),
     ("unknown", held_out_is_missed),

@@ -139,6 +139,26 @@ def _across(
     return linear.H_bb[0, :, 0, 0], linear.H_bi[0, :, 0]
 
 
+def receptance_across(cause: Any, place: Any, theta: Array, problem: Problem, times: int) -> Array:
+    """Receptance across a place at a multiple of every frequency, shape ``(f,)`` [m/N]; at nearly 0 Hz for the mean.
+
+    Parameters
+    ----------
+    cause
+        Any joint.
+    place
+        Where it sits.
+    theta
+        Relative changes of the modal frequencies and damping ratios.
+    problem
+        Frequencies and the simulation.
+    times
+        The multiple.
+    """
+    p = jnp.ones(len(cause.parameters))
+    return _across((cause,), np.array([place.index]), (None,), (p,), theta, problem, float(times or NEARLY_STILL))[0]
+
+
 def sliding_factor(
     causes: Any, index: Any, extras: Any, params: Any, theta: Float[Array, "two n"], problem: Problem, instants: int
 ) -> tuple[Array, Array, Array]:

@@ -49,6 +49,9 @@ class Explanation:
         All hypotheses that were fitted.
     notes
         Sentences for the answer.
+    by_force
+        Whether it is a law that explains the force which is measured at one place and leaves no more than noise, so
+        that no other search can explain more.
     """
 
     look: Look
@@ -58,6 +61,7 @@ class Explanation:
     after: Omnibus
     fitted: list[Hypothesis] = field(default_factory=list, repr=False)
     notes: tuple[str, ...] = ()
+    by_force: bool = False
 
     @property
     def best(self) -> Hypothesis:

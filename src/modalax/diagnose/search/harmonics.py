@@ -149,7 +149,7 @@ def fitted_in_full(comparison: Comparison, null: Hypothesis, h: Hypothesis) -> H
     h = min(found, key=lambda one: one.chi2)
     seen = sum(c.unseen for c in h.causes)  # what one harmonic does not show, the others do
     h = replace(h, freedom=h.freedom + seen)
-    return _with_what_is_left_out(comparison, null, h, k)
+    return with_what_is_left_out(comparison, null, h, k)
 
 
 def balanced(comparison: Comparison, h: Hypothesis, rows: np.ndarray | None = None, slopes: bool = True) -> Hypothesis:
@@ -221,7 +221,7 @@ def _factor(
     return linear_factor(h.causes, h.index, plain, params, theta, comparison.problem, HIGHEST, kept, rows, slopes)
 
 
-def _with_what_is_left_out(comparison: Comparison, null: Hypothesis, h: Hypothesis, k: int) -> Hypothesis:
+def with_what_is_left_out(comparison: Comparison, null: Hypothesis, h: Hypothesis, k: int) -> Hypothesis:
     """The hypothesis with fidelity and covariance that include harmonics left out, and lines that the law misses.
 
     Of a force that jumps, as dry friction does, the error falls as :math:`1/(h+1)`, h the highest harmonic, so that

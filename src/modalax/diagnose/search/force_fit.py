@@ -1,0 +1,214 @@
+r"""Laws of a joint fitted to the force that is measured at its place, with the harmonics that each law's force has.
+
+Where a force at one place explains the data, nothing but that force is left to explain. With :math:`\hat q` the force
+that leaves least (:mod:`~modalax.diagnose.search.measured_force`), any other leaves
+
+.. math:: \chi^2(q) = \chi^2(\hat q) + \sum_l |w H_b|_l^2\,|q_l - \hat q_l|^2,
+
+exactly, one complex number for each line, run and input, however many outputs there are.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from modalax._numerics.checks import as_array
+from modalax.diagnose.causes.base import ElementCause, JointCause, LocalCause
+from modalax.diagnose.causes.scene import Place
+from modalax.diagnose.comparison import Comparison
+from modalax.diagnose.fitting.hypothesis import bounds_of, from_search, to_search
+from modalax.diagnose.search.law_force import Seen, force_of, has_law, seen_at
+from modalax.diagnose.search.measured_force import MeasuredForce, robust_sizes, sizes_by_force
+from modalax.diagnose.search.rows import MOST, OUTLYING
+from modalax.diagnose.thresholds import THRESHOLDS
+
+AROUND = (0.75, 1.0, 1.3)  # strengths that are balanced, over the one that was read off
+ROUNDS = 12  # steps of a fit, with lines far off counting little, and again as least squares
+SETTLED = 1e-2  # change of chi-square at which a fit ends
+SLIDING = (0.95, 0.75)  # quantiles of the force measured that dry friction may have where it slides
+MOST_LAWS = 8  # that are fitted where none leaves no more than noise
+BEHIND = 40.0  # chi-square behind the best, harmonics apart, from which on a law is not fitted
+DAMPED = 1e-3  # first damping of a step, over the diagonal
+
+
+@dataclass(frozen=True)
+class ForceFit:
+    """A law fitted to a measured force.
+
+    Attributes
+    ----------
+    cause
+        The law.
+    params
+        Its parameters.
+    chi2
+        What it leaves of the measurement.
+    aside
+        Lines at which it has no motion near the measured one, shape ``(n,)``; they are not in ``chi2``.
+    residual, slopes
+        Of the whitened force, and its derivatives by the searched parameters, shapes ``(n,)`` and ``(parameter, n)``.
+    motion
+        Harmonics of the motion across the place, shape ``(n, h)`` [m].
+    """
+
+    cause: ElementCause
+    params: np.ndarray
+    chi2: float
+    aside: np.ndarray
+    residual: np.ndarray
+    slopes: np.ndarray
+    motion: np.ndarray
+
+
+def fit_to_force(cause: ElementCause, starts: Sequence[np.ndarray], seen: Seen) -> ForceFit | None:
+    """Fit a law to a measured force, from the start that most lines agree with; None where nothing can be balanced.
+
+    Lines far off count little at first (Cauchy's distribution); those that stay so are set aside, each of them paid for
+    as two unknowns by whoever weighs the fit.
+
+    Parameters
+    ----------
+    cause
+        The law.
+    starts
+        Parameters.
+    seen
+        What was measured.
+    """
+    rough = isinstance(cause, JointCause) and cause.rigid  # found at fewer instants first
+    left = [_residual(seen, *force_of(cause, p, seen, None, rough)[::2]) for p in starts]
+    tried = [(_misfit(r, True), k) for k, r in enumerate(left)]
+    if not tried or not np.isfinite(min(tried)[0]):
+        return None
+    u, motion = to_search(cause, starts[min(tried)[1]]), None
+    aside = np.zeros(len(seen.force), bool)
+    for robust in (True, False):
+        u, motion, r, J = _descended(cause, u, seen, motion, aside, robust, robust and rough)
+        paid = 2 * np.log(max(seen.samples, 30))
+        usual = float(np.quantile(np.abs(r) ** 2, 1 - MOST))
+        aside = ~(np.abs(r) ** 2 <= max(OUTLYING * usual, paid))
+    if aside.mean() > MOST:
+        aside = np.zeros(len(r), bool)
+    p = np.asarray(from_search(cause, u))
+    return ForceFit(cause, p, seen.left + float((np.abs(r[~aside]) ** 2).sum()), aside, r, J, motion)
+
+
+def _residual(seen: Seen, force: np.ndarray, sound: np.ndarray) -> np.ndarray:
+    """Whitened; what the force itself is where no motion was found."""
+    return seen.precision * np.where(sound, np.where(sound, force, 0.0) - seen.force, seen.force)
+
+
+def _misfit(r: np.ndarray, robust: bool) -> float:
+    square = np.nan_to_num(np.abs(r) ** 2, nan=1e300, posinf=1e300)
+    return float(np.log1p(square).sum() if robust else square.sum())
+
+
+def _descended(
+    cause: ElementCause, u: np.ndarray, seen: Seen, motion: np.ndarray | None, aside: np.ndarray, robust: bool,
+    fewer: bool,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    """Damped Gauss-Newton steps from ``u``; where they end, the motion there, the residual and its slopes."""
+    low, high = bounds_of([cause])
+
+    def at(u: np.ndarray, motion: np.ndarray | None) -> tuple[Any, ...]:
+        p = np.asarray(from_search(cause, u))
+        force, slopes, sound, moved = force_of(cause, p, seen, motion, fewer)
+        by_u = np.where([q.log for q in cause.parameters], p, 1.0)
+        J = seen.precision * np.where(sound, slopes, 0.0) * by_u[:, None]
+        r = _residual(seen, force, sound)
+        kept = 0.0 if motion is None else motion
+        return _misfit(r[~aside], robust), r, J, np.where(sound[:, None], moved, kept)
+
+    cost, r, J, motion = at(u, motion)
+    damping = DAMPED
+    for _ in range(ROUNDS):
+        w = np.where(aside, 0.0, 1 / (1 + np.abs(r) ** 2) if robust else 1.0)
+        A, g = ((J.conj() * w) @ J.T).real, ((J.conj() * w) @ r).real
+        D = np.diag(np.maximum(np.diag(A), 1e-300))
+        step = np.linalg.solve(A + damping * D, g)
+        if step @ g < SETTLED:
+            break
+        moved = np.clip(u - step, low, high)
+        there = at(moved, motion)
+        if there[0] < cost:
+            done = cost - there[0] < SETTLED
+            u, (cost, r, J, motion), damping = moved, there, 0.1 * damping
+            if done:
+                break
+        elif damping > 1e3 or np.allclose(moved, u, rtol=1e-9, atol=0):
+            break
+        else:
+            damping *= 10
+    return u, np.asarray(motion), r, J
+
+
+def laws_by_force(
+    comparison: Comparison, causes: Sequence[ElementCause], force: MeasuredForce, effect: float, least: float = np.inf
+) -> list[ForceFit]:
+    """Fit causes that can sit at the place of a measured force, those first that one harmonic shows to be the nearest.
+
+    Once one leaves no more than noise, a law is fitted only if its harmonics may bring it as near.
+
+    Parameters
+    ----------
+    comparison
+        Data and simulation.
+    causes
+        What to look for.
+    force
+        The force that was measured.
+    effect
+        Chi-square that the force takes away.
+    least
+        What is left by the best that was fitted elsewhere.
+    """
+    scene, seen = comparison.scene, seen_at(comparison, force)
+    order: list[tuple[float, float, int, list[np.ndarray]]] = []
+    for k, cause in enumerate(causes):
+        at = next((p for p in cause.places(scene) if p.index[:2] == force.place.index[:2]), None)
+        if at is not None and not cause.each_run and cause.parameters:
+            order += [(*one[:2], k, one[2]) for one in [_sized(comparison, cause, at, force, seen)] if one is not None]
+    out: list[ForceFit] = []
+    for count, (_, misfit, k, starts) in enumerate(sorted(order, key=lambda one: one[:3])):
+        if comparison.late():
+            break
+        best = min([least, *(f.chi2 for f in out)])
+        near = best + 4 * causes[k].fidelity ** 2 * effect + BEHIND
+        done = best - seen.samples < THRESHOLDS.one_force * np.sqrt(2 * seen.samples)
+        far = seen.left + misfit / 4 > near if done else count >= MOST_LAWS
+        if far and (not isinstance(causes[k], LocalCause) or seen.left > near):
+            continue
+        found = fit_to_force(causes[k], starts, seen)
+        out += [] if found is None else [found]
+    return out
+
+
+def _sized(
+    comparison: Comparison, cause: ElementCause, at: Place, force: MeasuredForce, seen: Seen
+) -> tuple[float, float, list[np.ndarray]] | None:
+    """A law by one harmonic: its robust and its plain misfit, and parameters to start from; None where it has none."""
+    by_all = sizes_by_force(comparison, cause, at, force)[:1]
+    robust = robust_sizes(comparison, cause, at, force) if isinstance(cause, JointCause) else None
+    found = [p for _, p in by_all] + ([] if robust is None else [robust[1]])
+    if isinstance(cause, JointCause) and cause.rigid:  # the force that slides is a square wave
+        found = [np.array([np.pi / 4 * np.quantile(np.abs(seen.force), q)]) for q in SLIDING]
+    if not found:
+        return None
+    left = [_by_one_harmonic(cause, p, seen) for p in found]
+    each = [q for p in found for group in (cause.untold(p) if isinstance(cause, JointCause) else [[p]]) for q in group]
+    rigid = isinstance(cause, JointCause) and cause.rigid
+    around = AROUND if has_law(cause) and not rigid and len(each) == len(found) else (1.0,)
+    starts = [p * np.array([s, *np.ones(len(p) - 1)]) for p in each for s in around]
+    return min(_misfit(r, True) for r in left), min(_misfit(r, False) for r in left), starts
+
+
+def _by_one_harmonic(cause: ElementCause, p: np.ndarray, seen: Seen) -> np.ndarray:
+    """Whitened difference of force that an element's impedance at the measured motion leaves, joint or not."""
+    if isinstance(cause, JointCause):
+        Z = cause.impedance(as_array(np.abs(seen.motion)), as_array(seen.omega), as_array(p))
+    else:
+        Z = cause.impedance(as_array(1j * seen.omega), as_array(p))  # pyright: ignore[reportAttributeAccessIssue]
+    with np.errstate(all="ignore"):
+        return seen.precision * (np.asarray(Z) * seen.motion - seen.force) / (1 + seen.receptance[:, 1] * np.asarray(Z))

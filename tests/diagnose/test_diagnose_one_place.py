@@ -1,0 +1,101 @@
+"""Laws fitted to the force that is measured at one place."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modalax.data import Measurement
+from modalax.diagnose.causes.joints import BilinearStiffness, CubicStiffness, ElastoSlip
+from modalax.diagnose.causes.local import JointStiffness, LocalDamper
+from modalax.diagnose.comparison import make_comparison
+from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.search.force_fit import laws_by_force
+from modalax.diagnose.search.law_force import seen_at
+from modalax.diagnose.search.look import look
+from modalax.diagnose.search.measured_force import measured_forces
+from modalax.diagnose.search.one_place import chance_of, explain_force, joint_extra
+from modalax.model import Structure
+from modalax.model.examples import five_dof
+from modalax.simulate import joints
+from modalax.simulate.harmonic import simulate
+
+FREQ = np.arange(20.0, 70.0, 1.0)
+PLACE = ("2", "4")
+
+
+def compared(H, noise_level=0.01):
+    """The five masses beside noisy FRFs, and the force that is measured at the best place."""
+    rng = np.random.default_rng(0)
+    sigma = noise_level * np.sqrt(np.mean(np.abs(H.H) ** 2, axis=(0, 1)))
+    noise = rng.standard_normal((2, *H.H.shape)) * sigma / np.sqrt(2)
+    noisy: Measurement = H.replace(H=H.H + noise[0] + 1j * noise[1], variance=sigma**2 + np.zeros(H.H.shape))
+    comparison = make_comparison(noisy, five_dof(), "fixed")
+    force = measured_forces(comparison, comparison.joint_places())[0]
+    assert force.place.where == PLACE
+    return comparison, force
+
+
+def joined(joint):
+    """FRFs of the five masses with a joint."""
+    return simulate(five_dof(), [joint], [PLACE], FREQ, np.array([1.0, 3.0, 6.0]), inputs=["1"], harmonics=9)
+
+
+def test_an_elements_force_leaves_what_the_element_leaves_of_all_data():
+    s = five_dof()
+    e = np.eye(5)[s.index(PLACE[0])] - np.eye(5)[s.index(PLACE[1])]
+    stiffer = Structure(s.M, s.C, s.K + 40000.0 * np.outer(e, e), s.dofs)
+    comparison, force = compared(Measurement.from_frfs([stiffer.frf(FREQ, inputs=["1"])]))
+    fits = laws_by_force(comparison, [LocalDamper(), JointStiffness()], force, 1e6)
+    spring = min(fits, key=lambda f: f.chi2)
+    assert isinstance(spring.cause, JointStiffness) and spring.params[0] == pytest.approx(40000.0, rel=5e-3)
+    nothing = Hypothesis(theta=np.zeros((2, comparison.problem.modal_form.stiffness.shape[0])))
+    for fit in fits:  # one complex number a line holds all that five outputs tell
+        h = nothing.with_cause(fit.cause, force.place, None, fit.params)
+        assert (np.abs(comparison.residual(h)) ** 2).sum() == pytest.approx(fit.chi2, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_a_law_at_the_force_leaves_what_it_leaves_of_all_data():
+    comparison, force = compared(joined(joints.CubicSpring(3e10)))
+    (fit,) = laws_by_force(comparison, [CubicStiffness()], force, 1e6)
+    assert fit.params[0] == pytest.approx(3e10, rel=5e-3)
+    samples = comparison.problem.samples
+    assert fit.chi2 - samples < 4 * np.sqrt(2 * samples)
+    found = explain_force(look(_only(comparison, force), ()), [CubicStiffness(), JointStiffness(), ElastoSlip(False)])
+    assert found is not None and found.best.causes == (CubicStiffness(),)
+    # one complex number a line holds all that the FRFs tell
+    assert (np.abs(comparison.residual(found.best)) ** 2).sum() == pytest.approx(fit.chi2, rel=1e-5)
+    assert abs(found.best.params[0][0] - 3e10) < 3 * np.sqrt(found.best.covariance[0, 0])
+    assert 0.002 < found.leftover.p_value <= 1
+
+
+@pytest.mark.slow
+def test_both_sides_of_a_one_sided_spring_follow_from_its_force():
+    comparison, force = compared(joined(joints.BilinearSpring(60000.0, 0.0)), 0.001)
+    fits = laws_by_force(comparison, [JointStiffness(), BilinearStiffness()], force, 1e6)
+    fit = min(fits, key=lambda f: f.chi2)
+    assert isinstance(fit.cause, BilinearStiffness)
+    mean, asymmetry = fit.params
+    assert mean * (1 + asymmetry) == pytest.approx(60000.0, rel=0.02)
+    assert mean * (1 - asymmetry) == pytest.approx(0.0, abs=600)
+    seen = seen_at(comparison, force)
+    assert np.isfinite(joint_extra(comparison, fit, seen)).all()
+
+
+@pytest.mark.slow
+def test_a_law_that_does_not_come_near_is_no_explanation():
+    comparison, force = compared(joined(joints.ElastoSlip(30000.0, 3.0)))
+    at = _only(comparison, force)
+    assert explain_force(look(at, ()), [CubicStiffness()]) is None
+    assert explain_force(look(at, ()), []) is None
+
+
+def test_the_chance_of_what_a_law_leaves_is_that_of_chi_squares():
+    assert chance_of(100.0, 100, 1000.0, 1000) == pytest.approx(0.48, abs=0.03)
+    assert chance_of(300.0, 100, 1000.0, 1000) < 1e-9
+    assert chance_of(300.0, 100, 3000.0, 1000) == pytest.approx(0.48, abs=0.03)  # noise is larger than stated
+
+
+def _only(comparison, force):
+    return replace(comparison, only=(force.place,))
