@@ -30,6 +30,7 @@ SETTLED = 1e-2  # change of chi-square at which a fit ends
 SLIDING = (0.95, 0.75)  # quantiles of the force measured that dry friction may have where it slides
 MOST_LAWS = 8  # that are fitted where none leaves no more than noise
 BEHIND = 40.0  # chi-square behind the best, harmonics apart, from which on a law is not fitted
+FARTHEST = 3.0  # largest change of the logarithm of a parameter in a step
 DAMPED = 1e-3  # first damping of a step, over the diagonal
 
 
@@ -111,6 +112,7 @@ def _descended(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Damped Gauss-Newton steps from ``u``; where they end, the motion there, the residual and its slopes."""
     low, high = bounds_of([cause])
+    farthest = np.where([q.log for q in cause.parameters], FARTHEST, np.inf)
 
     def at(u: np.ndarray, motion: np.ndarray | None) -> tuple[Any, ...]:
         p = np.asarray(from_search(cause, u))
@@ -130,7 +132,7 @@ def _descended(
         step = np.linalg.solve(A + damping * D, g)
         if step @ g < SETTLED:
             break
-        moved = np.clip(u - step, low, high)
+        moved = np.clip(u - np.clip(step, -farthest, farthest), low, high)
         there = at(moved, motion)
         if there[0] < cost:
             done = cost - there[0] < SETTLED

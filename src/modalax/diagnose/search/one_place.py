@@ -24,11 +24,15 @@ from modalax.diagnose.search.look import Look
 from modalax.diagnose.search.measured_force import measured_forces
 from modalax.diagnose.thresholds import THRESHOLDS
 
+TELLING = 1.0  # standard deviations that one harmonic of a law may miss, from which on all are balanced
 SLOPE = 1e-3  # relative change of a parameter by which slopes of a factor are taken
 
 
 def explain_force(look: Look, causes: Sequence[Cause]) -> Explanation | None:
-    """Fit laws to the force at the places at one of which it explains the data; None where none comes near.
+    r"""Fit laws to the force at the places at one of which it explains the data; None where none comes near.
+
+    Nor is one sought where harmonics hardly count: an effect :math:`d` standard deviations long of which one harmonic
+    leaves the part :math:`\varepsilon` bends the answer by up to :math:`\varepsilon d`.
 
     Parameters
     ----------
@@ -40,7 +44,11 @@ def explain_force(look: Look, causes: Sequence[Cause]) -> Explanation | None:
     comparison, null = look.comparison, look.null
     elements = [c for c in causes if isinstance(c, JointCause | LocalCause)]
     found: list[tuple[Hypothesis, ForceFit, Seen]] = []
-    for force in measured_forces(comparison, comparison.only):
+    forces = list(measured_forces(comparison, comparison.only))
+    effect = max((null.chi2 - force.chi2 for force in forces), default=0.0)
+    if max((c.fidelity for c in elements), default=0.0) * np.sqrt(max(effect, 0.0)) < TELLING:
+        return None
+    for force in forces:
         about = replace(null, theta=force.theta)
         seen, least = seen_at(comparison, force), min((h.chi2 for h, *_ in found), default=np.inf)
         for fit in laws_by_force(comparison, elements, force, null.chi2 - force.chi2, least):
