@@ -10,6 +10,7 @@ from modalax.diagnose.causes.joints import BilinearStiffness, CubicStiffness, El
 from modalax.diagnose.causes.local import JointStiffness, LocalDamper
 from modalax.diagnose.comparison import make_comparison
 from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.search import one_place
 from modalax.diagnose.search.force_fit import laws_by_force
 from modalax.diagnose.search.law_force import seen_at
 from modalax.diagnose.search.look import look
@@ -89,6 +90,20 @@ def test_a_law_that_does_not_come_near_is_no_explanation():
     at = _only(comparison, force)
     assert explain_force(look(at, ()), [CubicStiffness()]) is None
     assert explain_force(look(at, ()), []) is None
+
+
+def test_no_law_is_fitted_to_the_force_where_modes_are_claimed_or_harmonics_hardly_count(monkeypatch):
+    asked = []
+    monkeypatch.setattr(one_place, "laws_by_force", lambda *a: asked.append(a) or [])
+    s = five_dof()
+    e = np.eye(5)[s.index(PLACE[0])] - np.eye(5)[s.index(PLACE[1])]
+    for noise, spread, count in ((0.01, 0.0, 1), (0.01, 1e-3, 0), (1.0, 0.0, 0)):
+        stiffer = Structure(s.M, s.C, s.K + 40000.0 * np.outer(e, e), s.dofs)
+        comparison, force = compared(Measurement.from_frfs([stiffer.frf(FREQ, inputs=["1"])]), noise)
+        claimed = make_comparison(comparison.measurement, replace(s, frequency_std=spread), "fixed")
+        assert explain_force(look(_only(claimed, force), ()), [CubicStiffness(), JointStiffness()]) is None
+        assert len(asked) == count
+        asked.clear()
 
 
 def test_the_chance_of_what_a_law_leaves_is_that_of_chi_squares():

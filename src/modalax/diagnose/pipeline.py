@@ -201,7 +201,7 @@ def at_one_place(
     if not places:
         return None
     comparison = replace(comparison, late=late, only=places)
-    progress("fitting laws to the force that is measured there")
+    progress("fitting elements and joints to the force that is measured there")
     elements = causes_of(None, comparison, [*catalogue(comparison.problem.data.shape[0]), *imitators()])
     found = explain_force(look(comparison, ()), elements)
     said = None if found is None else told(found, progress)

@@ -17,7 +17,7 @@ from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.search.candidates import cost_of
 from modalax.diagnose.search.explain import Explanation, weigh
 from modalax.diagnose.search.force_fit import ForceFit, laws_by_force
-from modalax.diagnose.search.harmonics import BEYOND, fitted_in_full
+from modalax.diagnose.search.harmonics import BEYOND
 from modalax.diagnose.search.imitator_check import apart, likeness
 from modalax.diagnose.search.law_force import Seen, force_of, has_law, seen_at
 from modalax.diagnose.search.look import Look
@@ -31,8 +31,9 @@ SLOPE = 1e-3  # relative change of a parameter by which slopes of a factor are t
 def explain_force(look: Look, causes: Sequence[Cause]) -> Explanation | None:
     r"""Fit laws to the force at the places at one of which it explains the data; None where none comes near.
 
-    Nor is one sought where harmonics hardly count: an effect :math:`d` standard deviations long of which one harmonic
-    leaves the part :math:`\varepsilon` bends the answer by up to :math:`\varepsilon d`.
+    Nor is one sought where modes follow within a claimed spread, for the modes beside a free force are not those beside
+    a law, nor where harmonics hardly count: an effect :math:`d` standard deviations long of which one harmonic leaves
+    the part :math:`\varepsilon` bends the answer by up to :math:`\varepsilon d`.
 
     Parameters
     ----------
@@ -42,6 +43,8 @@ def explain_force(look: Look, causes: Sequence[Cause]) -> Explanation | None:
         What to look for, things without a name in the answer included.
     """
     comparison, null = look.comparison, look.null
+    if comparison.nuisance.active:
+        return None
     elements = [c for c in causes if isinstance(c, JointCause | LocalCause)]
     found: list[tuple[Hypothesis, ForceFit, Seen]] = []
     forces = list(measured_forces(comparison, comparison.only))
@@ -65,7 +68,7 @@ def explain_force(look: Look, causes: Sequence[Cause]) -> Explanation | None:
     inexact = float(np.sqrt(excess / effect)) if chance < THRESHOLDS.left else 0.0
     if inexact > THRESHOLDS.inexact_law:
         return None
-    best = in_full(comparison, null, first, fit, seen)
+    best = in_full(comparison, first, fit, seen)
     if inexact:  # an error of the law moves a parameter by up to as many deviations as it is long
         best = replace(best, covariance=_covariance(fit) * (1 + excess), fidelity=inexact)
     ranked, nameless = apart(weigh(look, [best, *(h for h, *_ in found if h is not first)]))
@@ -110,17 +113,13 @@ def _covariance(fit: ForceFit) -> np.ndarray:
     return covariance_of((J.conj() @ J.T).real)
 
 
-def in_full(comparison: Comparison, null: Hypothesis, h: Hypothesis, fit: ForceFit, seen: Seen) -> Hypothesis:
+def in_full(comparison: Comparison, h: Hypothesis, fit: ForceFit, seen: Seen) -> Hypothesis:
     """The hypothesis of one fitted law with the effect of its harmonics, and what those left out may do.
-
-    Where modes follow within a claimed spread, it is fitted to all of the data once more.
 
     Parameters
     ----------
     comparison
         Data and simulation.
-    null
-        The simulation alone.
     h
         The law at its place, as a hypothesis.
     fit
@@ -129,8 +128,6 @@ def in_full(comparison: Comparison, null: Hypothesis, h: Hypothesis, fit: ForceF
         What was measured there.
     """
     harmonics = has_law(fit.cause) or isinstance(fit.cause, JointCause) and fit.cause.rigid
-    if comparison.nuisance.active:
-        return fitted_in_full(comparison, null, h) if harmonics else comparison.fit([h], 20)[0]
     if not harmonics:
         wider = inflation(fit)
         return replace(h, covariance=_covariance(fit) * np.outer(wider, wider))
