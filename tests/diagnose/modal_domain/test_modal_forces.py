@@ -79,8 +79,7 @@ def test_its_place_leads_though_the_inaccuracy_imitates_a_part_of_it():
     assert forces[best].scale * start[best][0] == pytest.approx(1.5e4, rel=0.3)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("slug", STIFF)
+@pytest.mark.parametrize("slug", ["gyroscopic", *(pytest.param(s, marks=pytest.mark.slow) for s in list(STIFF)[1:])])
 def test_it_is_named_with_its_place_and_size(slug):
     where, Z = STIFF[slug]
     lines = FREQ[::2]

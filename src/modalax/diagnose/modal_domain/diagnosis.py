@@ -215,8 +215,8 @@ def diagnose_modes(
     found = _diagnosed(measurement, simulation, question, late, wanted, tell)
     if found is None or late() or found.after.p_value > THRESHOLDS.left_by_modes:
         return found
-    if found.verdict == "named" and found.gain.chi2_unforeseen < THRESHOLDS.as_noise:
-        return found  # it foretells what it was not fitted to: what is left is what no inaccuracy of elements holds
+    if found.verdict in ("clean", "named") and found.gain.chi2_unforeseen < THRESHOLDS.as_noise:
+        return found  # it foretells what it was not fitted to: a force would stand for errors that no element holds
     rest: ModalDiagnosis | None = found
     nats = None
     for _ in range(ROUNDS):  # the modes without the force are known once it is
