@@ -1,14 +1,10 @@
 """A chain of five masses whose elements can be off, all of its modes in the band, and its FRFs, by plain NumPy."""
 
-import jax
+import numpy as np
+import scipy.linalg
 
-jax.config.update("jax_enable_x64", True)
-
-import numpy as np  # noqa: E402
-import scipy.linalg  # noqa: E402
-
-from modalax.data import Measurement  # noqa: E402
-from modalax.model import Structure  # noqa: E402
+from modalax.data import Measurement
+from modalax.model import Structure
 
 DOFS = tuple(f"{k}:+Z" for k in range(1, 6))
 MASSES = np.array([1.0, 1.4, 0.9, 1.7, 1.2])  # kg
