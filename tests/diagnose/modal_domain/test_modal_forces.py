@@ -8,7 +8,7 @@ from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.elements import nodes_of
 from modalax.diagnose.modal_domain.forced import screened
-from modalax.diagnose.modal_domain.line_forces import LineForce, line_forces
+from modalax.diagnose.modal_domain.line_forces import KINDS, LineForce, line_forces
 from modalax.diagnose.modal_domain.places import springs_of
 from modalax.diagnose.modal_domain.polish import frf_on_lines, lines_of, slopes_on_lines
 from modalax.diagnose.modal_domain.stage import run_stage
@@ -41,7 +41,7 @@ def force(c, slug: str) -> LineForce:
     pair = c.shapes[[1, 2]].T
     basis = {"gyroscopic": pair, "sensor_mass": c.outputs[2][:, None]}.get(slug, pair[:, :1] - pair[:, 1:])
     scale = {"gyroscopic": 40.0, "sensor_mass": 0.1}.get(slug, 3e4)
-    return LineForce(slug, DOFS[1:3], scale, basis=basis, middle=250.0, row=2 if slug == "sensor_mass" else None)
+    return KINDS[slug](slug, DOFS[1:3], scale, basis=basis, middle=250.0, row=2 if slug == "sensor_mass" else None)
 
 
 @pytest.mark.parametrize("slug", ["gyroscopic", "hysteretic_joint", "maxwell_joint", "sensor_mass"])

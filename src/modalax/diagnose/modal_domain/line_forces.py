@@ -9,7 +9,7 @@ damper, and the mass of a roving sensor loads the FRFs of that sensor alone.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -20,12 +20,6 @@ from modalax.diagnose.causes.viscoelastic import HystereticJoint, MaxwellJoint
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 
-Kind = Literal["gyroscopic", "hysteretic_joint", "maxwell_joint", "sensor_mass"]
-KINDS: dict[Kind, Cause] = {
-    "gyroscopic": Gyroscopic(), "hysteretic_joint": HystereticJoint(), "maxwell_joint": MaxwellJoint(),
-    "sensor_mass": SensorMass(),
-}  # fmt: skip
-JOINTS = ("hysteretic_joint", "maxwell_joint")
 FEW = 40  # DoFs up to which any two may be coupled; of more, measured ones only
 COUPLED = 0.1  # usual skew coupling, relative to what would hold both DoFs as much as they hold themselves
 MASS = 0.1  # usual mass of a sensor, relative to the modal mass seen from its place
@@ -34,7 +28,7 @@ DECADE = math.log(10)  # standard deviation of the logarithm of a relaxation tim
 
 @dataclass(frozen=True)
 class LineForce(Change):
-    """One such force.
+    """One such force; its kinds are the classes below.
 
     Attributes
     ----------
@@ -67,60 +61,40 @@ class LineForce(Change):
 
     @property
     def count(self) -> int:
-        """A joint that relaxes also has a time."""
-        return 2 if self.slug == "maxwell_joint" else 1
+        """Its strength alone."""
+        return 1
 
     @property
     def signed(self) -> bool:
         """Whether it may have either sign."""
-        return self.slug == "gyroscopic"
+        return False
 
     @property
     def starts(self) -> list[np.ndarray]:
         """Sizes about which its strength is screened."""
-        if self.slug != "maxwell_joint":
-            return [np.zeros(1)]
-        return [np.array([0.0, x * math.log(3) / DECADE]) for x in (-1.0, 0.0, 1.0)]
+        return [np.zeros(1)]
 
-    def _time(self, u: np.ndarray) -> float:
-        return math.exp(float(np.clip(u[1], -4.0, 4.0)) * DECADE) / self.middle
-
-    def stiffness(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """Dynamic stiffness Z, shape ``(f, k, k)``."""
-        return self.scale * u[0] * self._unit(u, s)
-
-    def slopes_of_stiffness(self, u: np.ndarray, s: np.ndarray) -> list[np.ndarray]:
-        """Derivatives of Z by each size."""
-        by_strength = self.scale * self._unit(u, s)
-        if self.slug != "maxwell_joint":
-            return [by_strength]
-        x = s[:, None, None] * self._time(u)
-        return [by_strength, self.scale * u[0] * DECADE * x / (1 + x) ** 2]
-
-    def _unit(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
-        s = s[:, None, None]
-        if self.slug == "gyroscopic":
-            return s * np.array([[0.0, 1.0], [-1.0, 0.0]])
-        if self.slug == "hysteretic_joint":
-            return 1j * np.ones_like(s)
-        if self.slug == "sensor_mass":
-            return s**2
-        x = s * self._time(u)
-        return x / (1 + x)
+    def unit(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+        r"""Dynamic stiffness of strength one, shape ``(f, k, k)``; ``s`` is :math:`\sigma + j\omega` [rad/s]."""
+        raise NotImplementedError
 
     @property
     def in_catalogue(self) -> Cause:
         """The same line by line."""
-        return KINDS[self.slug]  # pyright: ignore[reportReturnType]
+        raise NotImplementedError
+
+    def stiffness(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Dynamic stiffness Z, shape ``(f, k, k)``."""
+        return self.scale * u[0] * self.unit(u, s)
+
+    def slopes_of_stiffness(self, u: np.ndarray, s: np.ndarray) -> list[np.ndarray]:
+        """Derivatives of Z by each size."""
+        return [self.scale * self.unit(u, s)]
 
     def as_catalogue(self, u: np.ndarray, covariance: np.ndarray) -> tuple[list[float], list[float], Any]:
         """Parameters of the catalogue's cause and their standard deviations."""
         std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        values, errors = [float(self.scale * u[0])], [float(self.scale * std[0])]
-        if self.slug == "maxwell_joint":
-            values += [self._time(u), 0.0]
-            errors += [float(self._time(u) * DECADE * std[1]), 0.0]
-        return values, errors, None
+        return [float(self.scale * u[0])], [float(self.scale * std[0])], None
 
     def told(self, u: np.ndarray, covariance: np.ndarray) -> dict[str, dict[str, Any]]:
         """Parameters by the catalogue's names."""
@@ -129,6 +103,95 @@ class LineForce(Change):
             p.name: {"value": v, "std": e, "unit": p.unit}
             for p, v, e in zip(self.in_catalogue.parameters, values, errors, strict=True) if p.name != "lasting_share"
         }  # fmt: skip
+
+
+class SkewCoupling(LineForce):
+    """A gyroscopic coupling of two degrees of freedom, of either sign."""
+
+    @property
+    def signed(self) -> bool:
+        """It may have either sign."""
+        return True
+
+    @property
+    def in_catalogue(self) -> Cause:
+        """The same line by line."""
+        return Gyroscopic()
+
+    def unit(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """A skew matrix times s."""
+        return s[:, None, None] * np.array([[0.0, 1.0], [-1.0, 0.0]])
+
+
+class LossyJoint(LineForce):
+    """A joint that loses energy alike at all frequencies."""
+
+    @property
+    def in_catalogue(self) -> Cause:
+        """The same line by line."""
+        return HystereticJoint()
+
+    def unit(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """The imaginary unit."""
+        return 1j * np.ones_like(s)[:, None, None]
+
+
+class RelaxingJoint(LineForce):
+    """A joint of a spring in series with a damper, whose time is sought too."""
+
+    @property
+    def count(self) -> int:
+        """Its strength and its time."""
+        return 2
+
+    @property
+    def in_catalogue(self) -> Cause:
+        """The same line by line."""
+        return MaxwellJoint()
+
+    @property
+    def starts(self) -> list[np.ndarray]:
+        """Three times, a factor of three apart."""
+        return [np.array([0.0, x * math.log(3) / DECADE]) for x in (-1.0, 0.0, 1.0)]
+
+    def _time(self, u: np.ndarray) -> float:
+        return math.exp(float(np.clip(u[1], -4.0, 4.0)) * DECADE) / self.middle
+
+    def unit(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+        r""":math:`s\tau / (1 + s\tau)`."""
+        x = s[:, None, None] * self._time(u)
+        return x / (1 + x)
+
+    def slopes_of_stiffness(self, u: np.ndarray, s: np.ndarray) -> list[np.ndarray]:
+        """By strength and by the logarithm of the time."""
+        x = s[:, None, None] * self._time(u)
+        return [self.scale * self.unit(u, s), self.scale * u[0] * DECADE * x / (1 + x) ** 2]
+
+    def as_catalogue(self, u: np.ndarray, covariance: np.ndarray) -> tuple[list[float], list[float], Any]:
+        """With its time; no stiffness lasts."""
+        values, errors, extra = super().as_catalogue(u, covariance)
+        spread = math.sqrt(max(float(covariance[1, 1]), 0.0))
+        return [*values, self._time(u), 0.0], [*errors, self._time(u) * DECADE * spread, 0.0], extra
+
+
+class RovingMass(LineForce):
+    """The mass of a sensor, which loads its own FRFs only."""
+
+    @property
+    def in_catalogue(self) -> Cause:
+        """The same line by line."""
+        return SensorMass()
+
+    def unit(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """The square of s."""
+        return s[:, None, None] ** 2
+
+
+KINDS: dict[str, type[LineForce]] = {
+    "gyroscopic": SkewCoupling, "hysteretic_joint": LossyJoint, "maxwell_joint": RelaxingJoint,
+    "sensor_mass": RovingMass,
+}  # fmt: skip
+JOINTS = ("hysteretic_joint", "maxwell_joint")
 
 
 def loaded(
@@ -150,7 +213,7 @@ def line_forces(
     mobile = (c.shapes[:, inside] ** 2).mean(axis=1)
     for slug in JOINTS:
         found += [
-            LineForce(slug, where, k, weight=w, basis=b[:, None], middle=middle)
+            KINDS[slug](slug, where, k, weight=w, basis=b[:, None], middle=middle)
             for where, b, k, w, held in springs
             if held
         ]
@@ -161,10 +224,10 @@ def line_forces(
         for b in some[:j]:
             size = COUPLED * middle / math.sqrt(mobile[a] * mobile[b])
             pair = c.shapes[[b, a]].T
-            found.append(LineForce("gyroscopic", (dofs[b], dofs[a]), size, basis=pair, middle=middle))
+            found.append(SkewCoupling("gyroscopic", (dofs[b], dofs[a]), size, basis=pair, middle=middle))
     for k, name in enumerate(outputs):
         own = c.outputs[k]
         seen = float((own[inside] ** 2).mean())
         if seen > 0:
-            found.append(LineForce("sensor_mass", (name,), MASS / seen, basis=own[:, None], middle=middle, row=k))
+            found.append(RovingMass("sensor_mass", (name,), MASS / seen, basis=own[:, None], middle=middle, row=k))
     return found
