@@ -172,7 +172,8 @@ def march(
         result[active] = now
         change[active] = moved
         calm[active] = np.where((moved < tolerance) & (rest < 10 * tolerance), calm[active] + 1, 0)
-        go = (calm[active] < 2) & (size > 1e-290)
+        moves = (size > 1e-290) | (np.abs(p).sum(axis=1) > 0)  # a joint may rest for one period on its way
+        go = (calm[active] < 2) & moves
         if not go.any():
             break
         real = lambda a: np.concatenate([a.real, a.imag], axis=1)

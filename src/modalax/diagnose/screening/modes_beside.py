@@ -113,9 +113,18 @@ class Beside:
         """Change of that response by each modal parameter, ``(2 n, run, f, o, i)``; none where modes are exact."""
         if not len(self.slopes):
             return self.slopes
-        problem, nuisance = self.comparison.problem, self.comparison.nuisance
-        J = np.asarray(_columns_turned(self.theta, nuisance.spread, np.array(place.index[:2]), problem))
+        J = self._by_parameters(place)[0]
         return self.weight * J[:, None, : self.change.shape[1], : self.change.shape[2], None]
+
+    def across_by_parameters(self, place: Place) -> tuple[np.ndarray, np.ndarray]:
+        """Change of :meth:`motion` and :meth:`drive` by each modal parameter, ``(2 n, f, i)`` and ``(2 n, f)``."""
+        _, motion, drive = self._by_parameters(place)
+        return motion[:, : self.change.shape[1], : self.change.shape[3]], drive[:, : self.change.shape[1]]
+
+    def _by_parameters(self, place: Place) -> tuple[np.ndarray, ...]:
+        ends = np.array(place.index[:2])
+        made = _changes_with_modes(self.theta, self.comparison.nuisance.spread, ends, self.comparison.problem)
+        return tuple(np.asarray(x) for x in made)
 
     def motion(self, place: Place) -> np.ndarray:
         """Displacement across a place for each input, shape ``(f, i)`` [m/N]."""
@@ -137,25 +146,43 @@ class Beside:
         out = np.asarray(self.comparison.problem.outputs)[: self.change.shape[2]]
         return self.weight * self.shapes[mode, out][:, None]
 
+    def linear(self, d: np.ndarray, turned: Any = 0.0) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+        r"""Chi-square beside a free amplitude a along a direction, and how it changes with the modal parameters.
+
+        It is :math:`\chi^2 - 2g^T\delta + \delta^T A\delta` after a step :math:`\delta`, and the amplitude
+        :math:`a - Q\delta`. ``turned`` is the change of the direction by each modal parameter.
+
+        Returns
+        -------
+        tuple
+            :math:`\chi^2`, g of shape ``(2 n,)``, A of shape ``(2 n, 2 n)`` and Q of shape ``(2 n, run, f, i)``.
+        """
+        length = np.maximum((np.abs(d) ** 2).sum(axis=2, keepdims=True), 1e-300)
+
+        def along(x: np.ndarray) -> np.ndarray:
+            return (d.conj() * x).sum(axis=-2, keepdims=True) / length
+
+        amplitude = along(self.change)
+        slopes = self.slopes + turned * amplitude
+        Q = along(slopes)
+        J, r = (slopes - d * Q).reshape(len(slopes), -1), (self.change - d * amplitude).ravel()
+        now = self.theta.ravel()
+        g = (J.conj() @ r).real - now
+        chi2 = float((np.abs(r) ** 2).sum() + now @ now)
+        return chi2, g, (J.conj() @ J.T).real + np.eye(len(J)), Q[..., 0, :]
+
     def step(self, d: np.ndarray, turned: Any = 0.0) -> tuple[float, float, np.ndarray]:
         """Chi-square that a free amplitude along a direction leaves, that promised by one step, and the step.
 
         ``turned`` is the change of the direction by each modal parameter.
         """
-        length = np.maximum((np.abs(d) ** 2).sum(axis=2, keepdims=True), 1e-300)
-
-        def aside(x: np.ndarray) -> np.ndarray:
-            return x - d * ((d.conj() * x).sum(axis=-2, keepdims=True) / length)
-
         if not len(self.slopes):
-            left = float((np.abs(aside(self.change)) ** 2).sum())
+            length = np.maximum((np.abs(d) ** 2).sum(axis=2, keepdims=True), 1e-300)
+            aside = self.change - d * ((d.conj() * self.change).sum(axis=2, keepdims=True) / length)
+            left = float((np.abs(aside) ** 2).sum())
             return left, left, np.zeros(self.theta.shape)
-        force = (d.conj() * self.change).sum(axis=2, keepdims=True) / length
-        J = aside(self.slopes + turned * force).reshape(len(self.slopes), -1)
-        r, now = aside(self.change).ravel(), self.theta.ravel()
-        g = (J.conj() @ r).real - now
-        move = np.linalg.solve((J.conj() @ J.T).real + np.eye(len(J)), g)
-        here = float((np.abs(r) ** 2).sum() + now @ now)
+        here, g, A, _ = self.linear(d, turned)
+        move = np.linalg.solve(A, g)
         return here, here - float(move @ g), move.reshape(self.theta.shape)
 
     def settled(self, direction: Direction, steps: int) -> "tuple[float, Beside]":
@@ -177,18 +204,26 @@ class Beside:
 
 
 @jax.jit
-def _columns_turned(theta: Array, spread: Array, ends: Array, problem: Problem) -> Array:
-    """Change of the response to a force across a place by each modal parameter, shape ``(2 n, f, o)``."""
+def _changes_with_modes(theta: Array, spread: Array, ends: Array, problem: Problem) -> tuple[Array, ...]:
+    """Changes by each modal parameter of the response to a force across a place, of the motion and of the receptance.
+
+    Shapes ``(2 n, f, o)``, ``(2 n, f, i)`` and ``(2 n, f)``.
+    """
     form = problem.modal_form
 
-    def column(t: Array) -> Array:
+    def made(t: Array) -> tuple[Array, Array, Array]:
         k, c, shapes, part = form.adapted(t * spread)
         modes = ModalTerms(k[None], c[None], form.hysteresis[None])
         gains = gains_of(1j * problem.omega, modes, form.poles, [], form.mixing is not None)[0]
-        across = gather(part, ends)[:, None] * shapes[:, problem.outputs]
-        return gains @ jnp.concatenate([across, across.conj()])
+        between = lambda x: gains @ jnp.concatenate([x, x.conj()])
+        psi, into = gather(shapes, ends)[:, None], gather(part, ends)[:, None]
+        return (
+            between(into * shapes[:, problem.outputs]), between(psi * part[:, problem.inputs]),
+            between(psi * into)[:, 0],
+        )  # fmt: skip
 
-    return jnp.moveaxis(jax.jacfwd(column)(theta), (2, 3), (0, 1)).reshape(theta.size, len(problem.omega), -1)
+    slopes = jax.jacfwd(made)(theta)
+    return tuple(jnp.moveaxis(J, (-2, -1), (0, 1)).reshape(theta.size, *J.shape[:-2]) for J in slopes)
 
 
 def modes_beside(comparison: Comparison, places: Sequence[Place], refined: int) -> list[tuple[Place, float, Beside]]:

@@ -5,7 +5,9 @@ that leaves least (:mod:`~modalax.diagnose.search.measured_force`), any other le
 
 .. math:: \chi^2(q) = \chi^2(\hat q) + \sum_l |w H_b|_l^2\,|q_l - \hat q_l|^2,
 
-exactly, one complex number for each line, run and input, however many outputs there are.
+exactly, one complex number for each line, run and input, however many outputs there are. Where the modes are known
+within a claimed spread only, :math:`\chi^2(\hat q)`, :math:`\hat q` and the law's force follow their parameters, which
+are fitted with those of the law, about modal parameters that are moved until the steps are small.
 """
 
 from collections.abc import Sequence
@@ -18,9 +20,11 @@ from modalax._numerics.checks import as_array
 from modalax.diagnose.causes.base import ElementCause, JointCause, LocalCause
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.comparison import Comparison
+from modalax.diagnose.fitting.gauss_newton import covariance_of
 from modalax.diagnose.fitting.hypothesis import bounds_of, from_search, to_search
+from modalax.diagnose.screening.modes_beside import Beside
 from modalax.diagnose.search.law_force import Seen, force_of, has_law, seen_at
-from modalax.diagnose.search.measured_force import MeasuredForce, robust_sizes, sizes_by_force
+from modalax.diagnose.search.measured_force import MeasuredForce, force_beside, robust_sizes, sizes_by_force
 from modalax.diagnose.search.rows import MOST, OUTLYING
 from modalax.diagnose.thresholds import THRESHOLDS
 
@@ -32,6 +36,8 @@ MOST_LAWS = 8  # that are fitted where none leaves no more than noise
 BEHIND = 40.0  # chi-square behind the best, harmonics apart, from which on a law is not fitted
 FARTHEST = 3.0  # largest change of the logarithm of a parameter in a step
 DAMPED = 1e-3  # first damping of a step, over the diagonal
+MEASURED_AGAIN, SAME = 4, 0.1  # times that the force is measured about modes moved on, and chi-square that ends it
+REWEIGHED = 3  # times that lines are weighed by what they miss
 
 
 @dataclass(frozen=True)
@@ -49,9 +55,12 @@ class ForceFit:
     aside
         Lines at which it has no motion near the measured one, shape ``(n,)``; they are not in ``chi2``.
     residual, slopes
-        Of the whitened force, and its derivatives by the searched parameters, shapes ``(n,)`` and ``(parameter, n)``.
+        Of the whitened force, and its derivatives by the searched parameters and then by the modal ones that are open,
+        shapes ``(n,)`` and ``(parameter, n)``.
     motion
         Harmonics of the motion across the place, shape ``(n, h)`` [m].
+    seen
+        What was measured there, with the modes beside this law.
     """
 
     cause: ElementCause
@@ -61,6 +70,29 @@ class ForceFit:
     residual: np.ndarray
     slopes: np.ndarray
     motion: np.ndarray
+    seen: Seen
+
+    @property
+    def alone(self) -> np.ndarray:
+        """Slopes by the law's parameters with the modal ones always at their best; 0 at lines set aside."""
+        J, K, C = self._parts()
+        return J if C is None else J - C.T @ K
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Of the law's searched parameters, by the noise of the force and the spread of the modes."""
+        J, K, C = self._parts()
+        information = (J.conj() @ J.T).real
+        return covariance_of(information if C is None else information - (J.conj() @ K.T).real @ C)
+
+    def _parts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """Slopes by the law's parameters, by modal ones, and how these follow the former."""
+        count = len(self.cause.parameters)
+        J, K = np.split(np.where(self.aside, 0.0, self.slopes), [count])
+        f = self.seen.follow
+        if f is None:
+            return J, K, None
+        return J, K, np.linalg.solve((K.conj() @ K.T).real + f.curvature, (K.conj() @ J.T).real)
 
 
 def fit_to_force(cause: ElementCause, starts: Sequence[np.ndarray], seen: Seen) -> ForceFit | None:
@@ -86,14 +118,42 @@ def fit_to_force(cause: ElementCause, starts: Sequence[np.ndarray], seen: Seen) 
     u, motion = to_search(cause, starts[min(tried)[1]]), None
     aside = np.zeros(len(seen.force), bool)
     for robust in (True, False):
-        u, motion, r, J = _descended(cause, u, seen, motion, aside, robust, robust and rough)
+        u, seen, motion, r, J, sound = _descended(cause, u, seen, motion, aside, robust, robust and rough)
         paid = 2 * np.log(max(seen.samples, 30))
         usual = float(np.quantile(np.abs(r) ** 2, 1 - MOST))
-        aside = ~(np.abs(r) ** 2 <= max(OUTLYING * usual, paid))
+        aside = ~sound | ~(np.abs(r) ** 2 <= max(OUTLYING * usual, paid))
     if aside.mean() > MOST:
         aside = np.zeros(len(r), bool)
     p = np.asarray(from_search(cause, u))
-    return ForceFit(cause, p, seen.left + float((np.abs(r[~aside]) ** 2).sum()), aside, r, J, motion)
+    return ForceFit(cause, p, seen.left + float((np.abs(r[~aside]) ** 2).sum()), aside, r, J, motion, seen)
+
+
+def fit_with_modes(
+    comparison: Comparison, cause: ElementCause, starts: Sequence[np.ndarray], force: MeasuredForce, seen: Seen
+) -> ForceFit | None:
+    """Fit a law to a measured force, and measure that again about the modal parameters found, until these stay.
+
+    Parameters
+    ----------
+    comparison
+        Data and simulation.
+    cause, starts
+        The law, and parameters to start from.
+    force, seen
+        The force that was measured, and what was measured with it.
+    """
+    fit = fit_to_force(cause, starts, seen)
+    for _ in range(MEASURED_AGAIN if seen.follow is not None else 0):
+        if fit is None or comparison.late():
+            break
+        beside = Beside.at(comparison, fit.seen.theta)
+        left = beside.linear(beside.direction(force.place), beside.turned(force.place))[0]
+        before = fit.seen.left
+        again = seen_at(comparison, force_beside(force.place, left, beside), seen.least)
+        fit = fit_to_force(cause, [fit.params], again) or fit
+        if abs(left - before) < SAME:
+            break
+    return fit
 
 
 def _residual(seen: Seen, force: np.ndarray, sound: np.ndarray) -> np.ndarray:
@@ -109,41 +169,48 @@ def _misfit(r: np.ndarray, robust: bool) -> float:
 def _descended(
     cause: ElementCause, u: np.ndarray, seen: Seen, motion: np.ndarray | None, aside: np.ndarray, robust: bool,
     fewer: bool,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """Damped Gauss-Newton steps from ``u``; where they end, the motion there, the residual and its slopes."""
+) -> tuple[np.ndarray, Seen, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    """Damped Gauss-Newton steps of law and modes: where they end, motion, residual, slopes and soundness there."""
     low, high = bounds_of([cause])
-    farthest = np.where([q.log for q in cause.parameters], FARTHEST, np.inf)
+    logarithmic, own = np.array([q.log for q in cause.parameters]), len(cause.parameters)
+    farthest = np.where(logarithmic, FARTHEST, np.inf)
 
-    def at(u: np.ndarray, motion: np.ndarray | None) -> tuple[Any, ...]:
+    def at(u: np.ndarray, seen: Seen, motion: np.ndarray | None) -> tuple[Any, ...]:
         p = np.asarray(from_search(cause, u))
         force, slopes, sound, moved = force_of(cause, p, seen, motion, fewer)
-        by_u = np.where([q.log for q in cause.parameters], p, 1.0)
-        J = seen.precision * np.where(sound, slopes, 0.0) * by_u[:, None]
-        r = _residual(seen, force, sound)
-        kept = 0.0 if motion is None else motion
-        return _misfit(r[~aside], robust), r, J, np.where(sound[:, None], moved, kept)
+        slopes = np.where(sound, slopes, 0.0)
+        slopes[:own] *= np.where(logarithmic, p, 1.0)[:, None]
+        if seen.follow is not None:
+            slopes[own:] -= np.where(sound, seen.follow.force.T, 0.0)
+        r, kept = _residual(seen, force, sound), 0.0 if motion is None else motion
+        cost = _misfit(r[~aside], robust) + seen.left
+        return cost, r, seen.precision * slopes, np.where(sound[:, None], moved, kept), sound
 
-    cost, r, J, motion = at(u, motion)
+    cost, r, J, motion, sound = at(u, seen, motion)
     damping = DAMPED
     for _ in range(ROUNDS):
         w = np.where(aside, 0.0, 1 / (1 + np.abs(r) ** 2) if robust else 1.0)
         A, g = ((J.conj() * w) @ J.T).real, ((J.conj() * w) @ r).real
+        if seen.follow is not None:
+            A[own:, own:] += seen.follow.curvature
+            g[own:] -= seen.follow.downhill
         D = np.diag(np.maximum(np.diag(A), 1e-300))
         step = np.linalg.solve(A + damping * D, g)
         if step @ g < SETTLED:
             break
-        moved = np.clip(u - np.clip(step, -farthest, farthest), low, high)
-        there = at(moved, motion)
+        moved = np.clip(u - np.clip(step[:own], -farthest, farthest), low, high)
+        further = seen.moved(-step[own:])
+        there = at(moved, further, motion)
         if there[0] < cost:
             done = cost - there[0] < SETTLED
-            u, (cost, r, J, motion), damping = moved, there, 0.1 * damping
+            u, seen, (cost, r, J, motion, sound), damping = moved, further, there, 0.1 * damping
             if done:
                 break
-        elif damping > 1e3 or np.allclose(moved, u, rtol=1e-9, atol=0):
+        elif damping > 1e3 or not len(step[own:]) and np.allclose(moved, u, rtol=1e-9, atol=0):
             break
         else:
             damping *= 10
-    return u, np.asarray(motion), r, J
+    return u, seen, np.asarray(motion), r, J, sound
 
 
 def laws_by_force(
@@ -182,7 +249,7 @@ def laws_by_force(
         far = seen.left + misfit / 4 > near if done else count >= MOST_LAWS
         if far and (not isinstance(causes[k], LocalCause) or seen.left > near):
             continue
-        found = fit_to_force(causes[k], starts, seen)
+        found = fit_with_modes(comparison, causes[k], starts, force, seen)
         out += [] if found is None else [found]
     return out
 
@@ -198,19 +265,34 @@ def _sized(
         found = [np.array([np.pi / 4 * np.quantile(np.abs(seen.force), q)]) for q in SLIDING]
     if not found:
         return None
-    left = [_by_one_harmonic(cause, p, seen) for p in found]
+    left = [_misfits_by_one_harmonic(cause, p, seen) for p in found]
     each = [q for p in found for group in (cause.untold(p) if isinstance(cause, JointCause) else [[p]]) for q in group]
     rigid = isinstance(cause, JointCause) and cause.rigid
     around = AROUND if has_law(cause) and not rigid and len(each) == len(found) else (1.0,)
     starts = [p * np.array([s, *np.ones(len(p) - 1)]) for p in each for s in around]
-    return min(_misfit(r, True) for r in left), min(_misfit(r, False) for r in left), starts
+    return min(robust for robust, _ in left), min(plain for _, plain in left), starts
 
 
-def _by_one_harmonic(cause: ElementCause, p: np.ndarray, seen: Seen) -> np.ndarray:
-    """Whitened difference of force that an element's impedance at the measured motion leaves, joint or not."""
+def _misfits_by_one_harmonic(cause: ElementCause, p: np.ndarray, seen: Seen) -> tuple[float, float]:
+    """Robust and plain misfit of force that an element's impedance leaves at the measured motion, beside its modes."""
     if isinstance(cause, JointCause):
         Z = cause.impedance(as_array(np.abs(seen.motion)), as_array(seen.omega), as_array(p))
     else:
         Z = cause.impedance(as_array(1j * seen.omega), as_array(p))  # pyright: ignore[reportAttributeAccessIssue]
+    G, f, Z = seen.receptance[:, 1], seen.follow, np.asarray(Z)
     with np.errstate(all="ignore"):
-        return seen.precision * (np.asarray(Z) * seen.motion - seen.force) / (1 + seen.receptance[:, 1] * np.asarray(Z))
+        share = np.nan_to_num(seen.precision / (1 + G * Z))
+        r = share * np.nan_to_num(Z * seen.motion - seen.force)
+        if f is None:
+            return _misfit(r, True), _misfit(r, False)
+        motion = f.free - G[:, None] * f.force - seen.force[:, None] * f.receptance
+        J = share[:, None] * np.nan_to_num(Z[:, None] * motion - f.force)
+    out = []
+    for robust in (True, False):
+        step = np.zeros(len(f.curvature))
+        for _ in range(REWEIGHED if robust else 1):
+            w = 1 / (1 + np.abs(r + J @ step) ** 2) if robust else np.ones(len(r))
+            A, g = (J.conj().T @ (w[:, None] * J)).real, (J.conj().T @ (w * r)).real
+            step = np.linalg.solve(A + f.curvature, f.downhill - g)
+        out.append(_misfit(r + J @ step, robust) + float((f.curvature @ step - 2 * f.downhill) @ step))
+    return out[0], out[1]

@@ -5,7 +5,7 @@ steady motions apart, and its slopes by the parameters follow from the same equa
 Whatever structure, lines and outputs are, the programs have the same shapes.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -26,6 +26,7 @@ from modalax.diagnose.prediction.harmonics import (
     SAMPLES_A_HARMONIC,
     receptance_across,
 )
+from modalax.diagnose.screening.modes_beside import Beside
 from modalax.diagnose.search.measured_force import MeasuredForce
 from modalax.simulate.aft import choose_harmonics, joint_forces
 from modalax.simulate.balance import Line, Plan, find, motion_scale, stop
@@ -36,6 +37,28 @@ NEWTON = 20  # steps of a balance
 BALANCED = 1e-6  # residual, over the motion without the force, below which a balance is as good as any measurement
 FEWER = 5  # highest harmonic of a second balance, which shows the error of truncation
 STEP = 1e-3  # relative change of a parameter by which slopes of friction and of linear elements are taken
+
+
+@dataclass(frozen=True)
+class Following:
+    r"""How what is measured at a place changes with the modal parameters that a claimed spread leaves open.
+
+    A step :math:`\delta` of them, in units of their spread, leaves :math:`\chi^2 - 2g^T\delta + \delta^T A\delta`.
+
+    Attributes
+    ----------
+    force, free, receptance
+        Changes of the measured force, of the motion without it, and of the receptance across the place at the line, by
+        each parameter, shape ``(n, m)``.
+    downhill, curvature
+        g, shape ``(m,)``, and A, shape ``(m, m)``.
+    """
+
+    force: np.ndarray
+    free: np.ndarray
+    receptance: np.ndarray
+    downhill: np.ndarray
+    curvature: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -59,9 +82,15 @@ class Seen:
     level
         Force at the input [N].
     left
-        Chi-square that the measured force leaves.
+        Chi-square that the measured force leaves, with the modes where they are.
+    least
+        The same where they leave least.
     samples
         Number of real samples of the measurement.
+    theta
+        Modal parameters in units of their spread, shape ``(2, n)``.
+    follow
+        What changes with them; None where modes are exact.
     """
 
     force: np.ndarray
@@ -72,10 +101,27 @@ class Seen:
     omega: np.ndarray
     level: np.ndarray
     left: float
+    least: float
     samples: int
+    theta: np.ndarray
+    follow: Following | None = None
+
+    def moved(self, step: np.ndarray) -> "Seen":
+        """The same with the modal parameters a little further, to first order; ``step`` has the shape ``(m,)``."""
+        f = self.follow
+        if f is None or not step.any():
+            return self
+        receptance = self.receptance.copy()
+        receptance[:, 1] += f.receptance @ step
+        further = replace(f, downhill=f.downhill - f.curvature @ step)
+        return replace(
+            self, force=self.force + f.force @ step, free=self.free + f.free @ step, receptance=receptance,
+            left=self.left - float((f.downhill + further.downhill) @ step), follow=further,
+            theta=self.theta + step.reshape(self.theta.shape),
+        )  # fmt: skip
 
 
-def seen_at(comparison: Comparison, force: MeasuredForce) -> Seen:
+def seen_at(comparison: Comparison, force: MeasuredForce, least: float | None = None) -> Seen:
     """Lay out what was measured at a place line by line.
 
     Parameters
@@ -84,6 +130,8 @@ def seen_at(comparison: Comparison, force: MeasuredForce) -> Seen:
         Data and simulation.
     force
         The force that was measured at the place.
+    least
+        Chi-square that a free force leaves there at best; that of this one if None.
     """
     problem = comparison.problem
     shape, lines = force.motion.shape, problem.lines
@@ -94,10 +142,24 @@ def seen_at(comparison: Comparison, force: MeasuredForce) -> Seen:
     spread = lambda a: np.broadcast_to(a[None, :, None], (*shape, *a.shape[1:])).reshape(-1, *a.shape[1:])
     motion, q = force.motion.ravel(), (force.impedance * force.motion).ravel()
     level, G = np.broadcast_to(np.asarray(problem.level)[:, :lines, None], shape).ravel(), spread(G)
+    left = force.chi2 - 2 * motion.size
     return Seen(
         q, force.weight.ravel() / np.maximum(np.abs(motion), 1e-300), motion, motion + G[:, 1] * q, G,
-        spread(comparison.scene.omega), level, force.chi2 - 2 * motion.size, problem.samples,
+        spread(comparison.scene.omega), level, left, left if least is None else least, problem.samples, force.theta,
+        _following(comparison, force, level) if comparison.nuisance.active else None,
     )  # fmt: skip
+
+
+def _following(comparison: Comparison, force: MeasuredForce, level: np.ndarray) -> Following:
+    """How the force at a place follows the modal parameters; ``level`` is the force at the input, ``(n,)`` [N]."""
+    beside = Beside.at(comparison, force.theta)
+    _, g, A, Q = beside.linear(beside.direction(force.place), beside.turned(force.place))
+    free, drive = beside.across_by_parameters(force.place)
+    shape = (len(g), *force.motion.shape)
+    by_line = lambda x: np.broadcast_to(x, shape).reshape(len(g), -1).T
+    return Following(
+        level[:, None] * by_line(Q), level[:, None] * by_line(free[:, None]), by_line(drive[:, None, :, None]), g, A
+    )
 
 
 class Described(eqx.Module):
@@ -126,7 +188,10 @@ def _joint(cause: Any, p: Any) -> Any:
 
 @partial(jax.jit, static_argnames=("cause", "harmonics"))
 def _balanced(cause: Any, p: Any, G: Any, free: Any, omega: Any, start: Any, harmonics: Any) -> tuple[Any, ...]:
-    """Force at the fundamental, its slopes, the motion and the residual of the balance, of motions side by side."""
+    """Force at the fundamental, its slopes, the motion and the residual of the balance, of motions side by side.
+
+    Slopes are by the parameters and by the logarithm of the motion without the force.
+    """
     at, plan = harmonics.index(1), Plan(1, harmonics, SAMPLES_A_HARMONIC * HIGHEST)
 
     def one(G: Any, free: Any, omega: Any, start: Any) -> tuple[Any, ...]:
@@ -139,11 +204,11 @@ def _balanced(cause: Any, p: Any, G: Any, free: Any, omega: Any, start: Any, har
 
         def both(v: Any) -> Any:
             q = scale * plan.complex(v[:n])
-            f = joint_forces((_joint(cause, v[n:]),), q, omega, harmonics, plan.samples)
-            missing = plan.real(q + G * f - u.T) / scale
+            f = joint_forces((_joint(cause, v[n:-1]),), q, omega, harmonics, plan.samples)
+            missing = plan.real(q + G * f - (1 + v[-1]) * u.T) / scale
             return jnp.concatenate([missing, f[0, at].real[None], f[0, at].imag[None]])
 
-        v = jnp.concatenate([y, p])
+        v = jnp.concatenate([y, p, jnp.zeros(1)])
         value, J = both(v), jax.jacfwd(both)(v)
         inner = jnp.linalg.solve(J[:n, :n], jnp.concatenate([value[:n, None], J[:n, n:]], axis=1))
         told = jnp.concatenate([value[n:, None], J[n:, n:]], axis=1) - J[n:, :n] @ inner  # one more Newton step in it
@@ -172,12 +237,15 @@ def force_of(
     Returns
     -------
     tuple
-        Shapes ``(n,)``, ``(parameter, n)``, ``(n,)`` and ``(n, h)``.
+        Shapes ``(n,)``, ``(parameter, n)``, ``(n,)`` and ``(n, h)``. Slopes by modal parameters follow those by the
+        law's own, where these are open.
     """
     if isinstance(cause, JointCause) and cause.rigid:
-        return (*_sliding(p, seen, FEWER_INSTANTS if fewer else INSTANTS), np.zeros((len(seen.force), 1), complex))
+        force, slopes, sound = _sliding(p, seen, FEWER_INSTANTS if fewer else INSTANTS)
+        return force, _of_all(force, slopes, seen), sound, np.zeros((len(seen.force), 1), complex)
     if isinstance(cause, LocalCause):
-        return (*_linear(cause, p, seen), np.zeros((len(seen.force), 1), complex))
+        force, slopes, sound = _linear(cause, p, seen)
+        return force, _of_all(force, slopes, seen), sound, np.zeros((len(seen.force), 1), complex)
     highest = FEWER if fewer else HIGHEST
     harmonics = choose_harmonics((cause.law(as_array(p)),), highest) if has_law(cause) else (1,)
     if near is None:
@@ -192,11 +260,25 @@ def force_of(
     ]
     force, slopes, motion, left = (np.concatenate([np.asarray(m[j]) for m in made])[:count] for j in range(4))
     sound = (left < BALANCED) & np.isfinite(force) & np.isfinite(slopes).all(axis=1)
-    return force, slopes.T, sound, motion
+    return force, _of_all(force, slopes.T, seen), sound, motion
+
+
+def _of_all(force: np.ndarray, slopes: np.ndarray, seen: Seen) -> np.ndarray:
+    r"""Slopes of a law's force by its own parameters and by the modal ones, where these are open.
+
+    A change :math:`\delta G` of the receptance is one of the motion without the force, :math:`\delta u = -q\,\delta
+    G`. Of a change :math:`\delta u/u = a + ib` the part b is a shift in time, which turns the force alike; a scales the
+    motion, and the last of ``slopes`` is what the force does then.
+    """
+    f = seen.follow
+    if f is None:
+        return slopes[:-1]
+    share = (f.free - force[:, None] * f.receptance) / np.where(seen.free != 0, seen.free, 1.0)[:, None]
+    return np.concatenate([slopes[:-1], share.real.T * slopes[-1] + 1j * share.imag.T * force])
 
 
 def _linear(cause: LocalCause, p: np.ndarray, seen: Seen) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The same of a linear element, with differences for the slopes."""
+    """Force of a linear element, which grows with the motion, and its slopes by differences."""
     G, s = seen.receptance[:, 1], as_array(1j * seen.omega)
 
     def force(p: np.ndarray) -> np.ndarray:
@@ -206,12 +288,13 @@ def _linear(cause: LocalCause, p: np.ndarray, seen: Seen) -> tuple[np.ndarray, n
     with np.errstate(all="ignore"):
         here = force(p)
         steps = [STEP * max(abs(float(v)), 1e-300) * row for v, row in zip(p, np.eye(len(p)), strict=True)]
-        slopes = np.stack([(force(p + step) - here) / step.sum() for step in steps])
+        slopes = np.stack([*((force(p + step) - here) / step.sum() for step in steps), here])
     return here, slopes, np.isfinite(here) & np.isfinite(slopes).all(axis=0)
 
 
 def _sliding(p: np.ndarray, seen: Seen, instants: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The same of dry friction, with a difference for the slope."""
+    """Force of dry friction, and its slopes by a difference: with motion and limit alike it grows as they do."""
     G, step = seen.receptance[:, 1::2], STEP * max(abs(float(p[0])), 1e-300)
     here, there = (sliding(G, seen.free, seen.omega, float(p[0]) + d, instants) for d in (0.0, step))
-    return here.force, ((there.force - here.force) / step)[None], here.sound & there.sound
+    slope = (there.force - here.force) / step
+    return here.force, np.stack([slope, here.force - p[0] * slope]), here.sound & there.sound

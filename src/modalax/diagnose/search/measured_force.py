@@ -17,7 +17,7 @@ from modalax.diagnose.causes.base import Cause, ElementCause, JointCause, LocalC
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.hypothesis import Hypothesis
-from modalax.diagnose.screening.modes_beside import modes_beside
+from modalax.diagnose.screening.modes_beside import Beside, modes_beside
 from modalax.diagnose.search.candidates import cost_of
 
 STRONG = 4.0  # chi-square per sample that the simulation leaves, from which on places are ranked by their force
@@ -69,24 +69,33 @@ def measured_forces(comparison: Comparison, places: Sequence[Place]) -> list[Mea
     places
         Pairs of degrees of freedom, or single ones to the ground.
     """
-    problem = comparison.problem
+    found = [force_beside(place, left, beside) for place, left, beside in modes_beside(comparison, places, REFINED)]
+    return sorted(found, key=lambda m: m.chi2)
+
+
+def force_beside(place: Place, left: float, beside: Beside) -> MeasuredForce:
+    """The force that is measured at a place, with the modes at given modal parameters.
+
+    Parameters
+    ----------
+    place
+        Where it acts.
+    left
+        Chi-square that data and modal parameters leave beside a free force.
+    beside
+        The modes.
+    """
+    problem = beside.comparison.problem
     level = np.asarray(problem.level)[:, : problem.lines, None]
-    out = []
-    for place, left, beside in modes_beside(comparison, places, REFINED):
-        direction = beside.direction(place)
-        length = (np.abs(direction) ** 2).sum(axis=2)
-        force = -(direction.conj() * beside.change).sum(axis=2) / np.maximum(
-            length, 1e-300
-        )  # a unit force at the input
-        motion = beside.motion(place) - beside.drive(place)[:, None] * force
-        size = np.abs(motion)
-        out.append(
-            MeasuredForce(
-                place, left + 2 * force.size, level * motion, force / np.where(size > 0, motion, 1.0),
-                np.sqrt(length) * size, beside.theta,
-            )
-        )  # fmt: skip
-    return sorted(out, key=lambda m: m.chi2)
+    direction = beside.direction(place)
+    length = (np.abs(direction) ** 2).sum(axis=2)
+    unit = -(direction.conj() * beside.change).sum(axis=2) / np.maximum(length, 1e-300)  # for a unit force at the input
+    motion = beside.motion(place) - beside.drive(place)[:, None] * unit
+    size = np.abs(motion)
+    return MeasuredForce(
+        place, left + 2 * unit.size, level * motion, unit / np.where(size > 0, motion, 1.0), np.sqrt(length) * size,
+        beside.theta,
+    )  # fmt: skip
 
 
 def starts_from_forces(comparison: Comparison, null: Hypothesis, causes: Sequence[Cause]) -> list[Hypothesis]:

@@ -12,14 +12,13 @@ from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.decision.omnibus import omnibus
 from modalax.diagnose.decision.verdict import Leftover
-from modalax.diagnose.fitting.gauss_newton import covariance_of
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.search.candidates import cost_of
 from modalax.diagnose.search.explain import Explanation, weigh
 from modalax.diagnose.search.force_fit import ForceFit, laws_by_force
 from modalax.diagnose.search.harmonics import BEYOND
 from modalax.diagnose.search.imitator_check import apart, likeness
-from modalax.diagnose.search.law_force import Seen, force_of, has_law, seen_at
+from modalax.diagnose.search.law_force import force_of, has_law
 from modalax.diagnose.search.look import Look
 from modalax.diagnose.search.measured_force import measured_forces
 from modalax.diagnose.thresholds import THRESHOLDS
@@ -31,9 +30,8 @@ SLOPE = 1e-3  # relative change of a parameter by which slopes of a factor are t
 def explain_force(look: Look, causes: Sequence[Cause]) -> Explanation | None:
     r"""Fit laws to the force at the places at one of which it explains the data; None where none comes near.
 
-    Nor is one sought where modes follow within a claimed spread, for the modes beside a free force are not those beside
-    a law, nor where harmonics hardly count: an effect :math:`d` standard deviations long of which one harmonic leaves
-    the part :math:`\varepsilon` bends the answer by up to :math:`\varepsilon d`.
+    Nor is one sought where harmonics hardly count: an effect :math:`d` standard deviations long of which one harmonic
+    leaves the part :math:`\varepsilon` bends the answer by up to :math:`\varepsilon d`.
 
     Parameters
     ----------
@@ -43,35 +41,33 @@ def explain_force(look: Look, causes: Sequence[Cause]) -> Explanation | None:
         What to look for, things without a name in the answer included.
     """
     comparison, null = look.comparison, look.null
-    if comparison.nuisance.active:
-        return None
     elements = [c for c in causes if isinstance(c, JointCause | LocalCause)]
-    found: list[tuple[Hypothesis, ForceFit, Seen]] = []
+    found: list[tuple[Hypothesis, ForceFit]] = []
     forces = list(measured_forces(comparison, comparison.only))
     effect = max((null.chi2 - force.chi2 for force in forces), default=0.0)
     if max((c.fidelity for c in elements), default=0.0) * np.sqrt(max(effect, 0.0)) < TELLING:
         return None
     for force in forces:
-        about = replace(null, theta=force.theta)
-        seen, least = seen_at(comparison, force), min((h.chi2 for h, *_ in found), default=np.inf)
+        least = min((h.chi2 for h, _ in found), default=np.inf)
         for fit in laws_by_force(comparison, elements, force, null.chi2 - force.chi2, least):
             place = next(p for p in fit.cause.places(comparison.scene) if p.index[:2] == force.place.index[:2])
-            found.append((_hypothesis(comparison, about, fit, place, seen), fit, seen))
+            found.append((_hypothesis(null, fit, place), fit))
     if not found:
         return None
-    first = weigh(look, [h for h, *_ in found])[0].best
-    fit, seen = next((f, s) for h, f, s in found if h is first)
-    left, free = fit.chi2 - seen.left, max(2 * int((seen.precision > 0).sum()), 1)
+    first = weigh(look, [h for h, _ in found])[0].best
+    fit = next(f for h, f in found if h is first)
+    seen = fit.seen
+    left, free = fit.chi2 - seen.least, max(2 * int((seen.precision > 0).sum()), 1)
     effect = max(float((np.abs(seen.precision * seen.force) ** 2).sum()), 1e-300)
     excess = max(left - free, 0.0)
-    chance = chance_of(left, free - 2 * int(fit.aside.sum()), seen.left, seen.samples - free)
+    chance = chance_of(left, free - 2 * int(fit.aside.sum()), seen.least, seen.samples - free)
     inexact = float(np.sqrt(excess / effect)) if chance < THRESHOLDS.left else 0.0
     if inexact > THRESHOLDS.inexact_law:
         return None
-    best = in_full(comparison, first, fit, seen)
+    best = in_full(comparison, first, fit)
     if inexact:  # an error of the law moves a parameter by up to as many deviations as it is long
-        best = replace(best, covariance=_covariance(fit) * (1 + excess), fidelity=inexact)
-    ranked, nameless = apart(weigh(look, [best, *(h for h, *_ in found if h is not first)]))
+        best = replace(best, covariance=fit.covariance * (1 + excess), fidelity=inexact)
+    ranked, nameless = apart(weigh(look, [best, *(h for h, _ in found if h is not first)]))
     if not ranked or ranked[0].best is not best and nameless and nameless[0].best is best:
         return None
     after = omnibus(comparison.residual(best), comparison.live(), comparison.noise.freedom)
@@ -80,7 +76,7 @@ def explain_force(look: Look, causes: Sequence[Cause]) -> Explanation | None:
         look.detection.p_value, null.chi2 - best.chi2, min(1.0, 2 * min(chance, after.p_value)),
         float(sum(r.probability for r in nameless)), notes[0] if notes else "", inexact=inexact,
     )  # fmt: skip
-    return Explanation(look, comparison, ranked, leftover, after, [h for h, *_ in found], notes, by_force=True)
+    return Explanation(look, comparison, ranked, leftover, after, [h for h, _ in found], notes, by_force=True)
 
 
 def chance_of(left: float, count: int, rest: float, others: int) -> float:
@@ -98,22 +94,16 @@ def chance_of(left: float, count: int, rest: float, others: int) -> float:
     return float(scipy.stats.f.sf(left / count / max(rest / others, 1e-300), count, others))
 
 
-def _hypothesis(comparison: Comparison, about: Hypothesis, fit: ForceFit, place: Place, seen: Seen) -> Hypothesis:
+def _hypothesis(null: Hypothesis, fit: ForceFit, place: Place) -> Hypothesis:
     """A fitted law as a hypothesis, without what harmonics do; its covariance is that of the force."""
-    h = about.with_cause(fit.cause, place, None, fit.params)
+    h = replace(null, theta=fit.seen.theta).with_cause(fit.cause, place, None, fit.params)
     return replace(
         h, chi2=fit.chi2, freedom=cost_of(h.causes, h.extras) + fit.cause.unseen + 2 * int(fit.aside.sum()),
-        covariance=_covariance(fit),
+        covariance=fit.covariance,
     )  # fmt: skip
 
 
-def _covariance(fit: ForceFit) -> np.ndarray:
-    """Of the searched parameters, by the noise of the force."""
-    J = np.where(fit.aside, 0.0, fit.slopes)
-    return covariance_of((J.conj() @ J.T).real)
-
-
-def in_full(comparison: Comparison, h: Hypothesis, fit: ForceFit, seen: Seen) -> Hypothesis:
+def in_full(comparison: Comparison, h: Hypothesis, fit: ForceFit) -> Hypothesis:
     """The hypothesis of one fitted law with the effect of its harmonics, and what those left out may do.
 
     Parameters
@@ -124,38 +114,34 @@ def in_full(comparison: Comparison, h: Hypothesis, fit: ForceFit, seen: Seen) ->
         The law at its place, as a hypothesis.
     fit
         How it was fitted.
-    seen
-        What was measured there.
     """
+    seen, wider = fit.seen, inflation(fit)
     harmonics = has_law(fit.cause) or isinstance(fit.cause, JointCause) and fit.cause.rigid
     if not harmonics:
-        wider = inflation(fit)
-        return replace(h, covariance=_covariance(fit) * np.outer(wider, wider))
-    extra = joint_extra(comparison, fit, seen)
+        return replace(h, covariance=fit.covariance * np.outer(wider, wider))
+    extra = joint_extra(comparison, fit)
     force, _, sound, _ = force_of(fit.cause, fit.params, seen, fit.motion)
     other, _, also, _ = force_of(fit.cause, fit.params, seen, fewer=True)
     beyond = 1.0 if fit.cause.rigid else BEYOND
     both = sound & also & ~fit.aside
     change = beyond * seen.precision * (np.where(both, force, 0.0) - np.where(both, other, 0.0))
     fidelity = float(np.linalg.norm(change) / max(np.linalg.norm(seen.precision * seen.force), 1e-300))
-    shift = _covariance(fit) @ (fit.slopes.conj() @ change).real
-    wider = inflation(fit)
-    covariance = _covariance(fit) * np.outer(wider, wider) + np.outer(shift, shift)
+    shift = fit.covariance @ (fit.alone.conj() @ change).real
+    covariance = fit.covariance * np.outer(wider, wider) + np.outer(shift, shift)
     return replace(h, extras=(extra,), fidelity=fidelity, covariance=covariance)
 
 
 def inflation(fit: ForceFit) -> np.ndarray:
     """Factor on each standard deviation where lines scatter by more than their noise (White 1980), never below 1."""
-    J = np.where(fit.aside, 0.0, fit.slopes)
-    inverse = _covariance(fit)
-    score = (J.conj() * fit.residual).real * np.sqrt(2.0)
+    inverse = fit.covariance
+    score = (fit.alone.conj() * fit.residual).real * np.sqrt(2.0)
     spread = np.diag(inverse @ score @ score.T @ inverse) / np.maximum(np.diag(inverse), 1e-300)
     return np.sqrt(np.maximum(spread, 1.0))
 
 
-def joint_extra(comparison: Comparison, fit: ForceFit, seen: Seen) -> np.ndarray:
+def joint_extra(comparison: Comparison, fit: ForceFit) -> np.ndarray:
     """What the prediction needs of a joint beside its parameters, as ``prediction.frf.factor_at`` takes it."""
-    cause, p = fit.cause, fit.params
+    cause, p, seen = fit.cause, fit.params, fit.seen
     assert isinstance(cause, JointCause)
     force, slopes, sound, _ = force_of(cause, p, seen, fit.motion)
     force, slopes = np.where(sound, force, 0.0), np.where(sound, slopes, 0.0)
