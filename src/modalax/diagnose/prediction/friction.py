@@ -13,6 +13,7 @@ and Mercier (1979, SIAM J. Numer. Anal. 16:964). A turn of the sliding falls bet
 grids that are shifted by parts of a step finds it to so much less than a step.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -40,7 +41,9 @@ class Sliding(NamedTuple):
     sound: np.ndarray
 
 
-def sliding(G: np.ndarray, u: np.ndarray, omega: np.ndarray, limit: float, count: int) -> Sliding:
+def sliding(
+    G: np.ndarray, u: np.ndarray, omega: np.ndarray, limit: float, count: int, shifts: tuple[float, ...] = SHIFTS
+) -> Sliding:
     """Steady motion at many lines, each by itself.
 
     Parameters
@@ -55,6 +58,8 @@ def sliding(G: np.ndarray, u: np.ndarray, omega: np.ndarray, limit: float, count
         Largest force [N].
     count
         Instants of half a cycle, an even number.
+    shifts
+        Of the grids of instants over whose forces the mean is taken, over the distance of two instants.
 
     Raises
     ------
@@ -65,29 +70,34 @@ def sliding(G: np.ndarray, u: np.ndarray, omega: np.ndarray, limit: float, count
         raise ValueError(f"{count} instants need to be even, with {count // 2} odd harmonics; {G.shape[1]} are given")
     force, found = np.zeros(len(u), complex), np.zeros(len(u))
     for part in np.array_split(np.arange(len(u)), -(-len(u) * count**2 // TOGETHER)):
-        for shift in SHIFTS:
-            one = _on_one_grid(G[part], u[part] / max(limit, 1e-300), omega[part], count, shift)
+        for one in _on_grids(G[part], u[part] / max(limit, 1e-300), omega[part], count, shifts):
             force[part] += np.where(one.sound, limit * one.force, 0.0)
             found[part] += one.sound
-    return Sliding(force / np.maximum(found, 1), found >= len(SHIFTS) / 2)
+    return Sliding(force / np.maximum(found, 1), found >= len(shifts) / 2)
 
 
-def _on_one_grid(G: np.ndarray, u: np.ndarray, omega: np.ndarray, count: int, shift: float) -> Sliding:
-    """For a limit of 1."""
+def _on_grids(
+    G: np.ndarray, u: np.ndarray, omega: np.ndarray, count: int, shifts: tuple[float, ...]
+) -> Iterator[Sliding]:
+    """For a limit of 1 on each grid in turn; each but the first begins from the forces on the one before."""
     h = np.arange(1, count, 2)
-    wave = np.exp(1j * np.outer(np.pi * (np.arange(count) + shift) / count, h))
-    back = (2 / count) * wave.conj().T
-    rate = 1j * h * omega[:, None]
-    A = ((wave * (rate * G[:, : len(h)])[:, None]) @ back).real
-    v = (wave[:, 0] * (rate[:, 0] * u)[:, None]).real
+    turning = lambda shift: np.exp(1j * np.outer(np.pi * (np.arange(count) + shift) / count, h))
+    rate, wave = 1j * h * omega[:, None], turning(0.0)
+    A = ((wave * (rate * G[:, : len(h)])[:, None]) @ ((2 / count) * wave.conj().T)).real  # on every grid
     gamma = WEIGHT * np.sqrt(count) / np.maximum(np.linalg.norm(A, axis=(1, 2)), 1e-300)
-    with np.errstate(all="ignore"):
-        f, sound = _sorted(A, v, gamma, np.clip(np.nan_to_num(_solved(A, v)), -1.0, 1.0))
-        left = np.flatnonzero(~sound)
-        if len(left):
-            start = _split(A[left], v[left], gamma[left])
-            f[left], sound[left] = _sorted(A[left], v[left], gamma[left], start)
-    return Sliding(f @ back[0], sound)
+    start = None
+    for shift in shifts:
+        wave = turning(shift)
+        v = (wave[:, 0] * (rate[:, 0] * u)[:, None]).real
+        with np.errstate(all="ignore"):
+            begun = np.clip(np.nan_to_num(_solved(A, v)), -1.0, 1.0) if start is None else start
+            f, sound = _sorted(A, v, gamma, begun)
+            left = np.flatnonzero(~sound)
+            if len(left):
+                split = _split(A[left], v[left], gamma[left])
+                f[left], sound[left] = _sorted(A[left], v[left], gamma[left], split)
+        start = f
+        yield Sliding(f @ ((2 / count) * wave[:, 0].conj()), sound)
 
 
 def _split(A: np.ndarray, v: np.ndarray, gamma: np.ndarray) -> np.ndarray:
@@ -96,7 +106,7 @@ def _split(A: np.ndarray, v: np.ndarray, gamma: np.ndarray) -> np.ndarray:
     z = np.zeros(v.shape)
     for _ in range(TURNS):
         f = np.clip(z, -1.0, 1.0)
-        z += np.einsum("pnm,pm->pn", turn, 2 * f - z + gamma[:, None] * v) - f
+        z += (turn @ (2 * f - z + gamma[:, None] * v)[..., None])[..., 0] - f
     return np.clip(z, -1.0, 1.0)
 
 
@@ -104,7 +114,7 @@ def _sorted(A: np.ndarray, v: np.ndarray, gamma: np.ndarray, start: np.ndarray) 
     """Forces at the instants, and whether each motion's sticking and sliding samples are told apart."""
     f, left = start.copy(), np.arange(len(v))
     for _ in range(ROUNDS):
-        g = f[left] + gamma[left, None] * (v[left] - np.einsum("pnm,pm->pn", A[left], f[left]))
+        g = f[left] + gamma[left, None] * (v[left] - (A[left] @ f[left][..., None])[..., 0])
         open_ = ~(np.abs(f[left] - np.clip(g, -1.0, 1.0)).max(axis=1) < CLOSED)
         left, g = left[open_], g[open_]
         if not len(left):

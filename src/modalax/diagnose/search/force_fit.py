@@ -30,8 +30,10 @@ from modalax.diagnose.thresholds import THRESHOLDS
 
 AROUND = (0.75, 1.0, 1.3)  # strengths that are balanced, over the one that was read off
 ROUNDS = 12  # steps of a fit, with lines far off counting little, and again as least squares
-SETTLED = 1e-2  # change of chi-square at which a fit ends
+ROUGHLY, SETTLED = 1.0, 1e-2  # changes of chi-square at which the first and the second end
 SLIDING = (0.95, 0.75)  # quantiles of the force measured that dry friction may have where it slides
+CLEAR = 5.0  # deviations from zero that a force needs for these
+CHOSEN = 128  # lines by which starts are compared
 MOST_LAWS = 8  # that are fitted where none leaves no more than noise
 BEHIND = 40.0  # chi-square behind the best, harmonics apart, from which on a law is not fitted
 FARTHEST = 3.0  # largest change of the logarithm of a parameter in a step
@@ -111,7 +113,8 @@ def fit_to_force(cause: ElementCause, starts: Sequence[np.ndarray], seen: Seen) 
         What was measured.
     """
     rough = isinstance(cause, JointCause) and cause.rigid  # found at fewer instants first
-    left = [_residual(seen, *force_of(cause, p, seen, None, rough)[::2]) for p in starts]
+    some = seen.telling(CHOSEN) if len(starts) > 1 else seen
+    left = [_residual(some, *force_of(cause, p, some, rough=rough)[::2]) for p in starts]
     tried = [(_misfit(r, True), k) for k, r in enumerate(left)]
     if not tried or not np.isfinite(min(tried)[0]):
         return None
@@ -168,7 +171,7 @@ def _misfit(r: np.ndarray, robust: bool) -> float:
 
 def _descended(
     cause: ElementCause, u: np.ndarray, seen: Seen, motion: np.ndarray | None, aside: np.ndarray, robust: bool,
-    fewer: bool,
+    rough: bool,
 ) -> tuple[np.ndarray, Seen, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Damped Gauss-Newton steps of law and modes: where they end, motion, residual, slopes and soundness there."""
     low, high = bounds_of([cause])
@@ -177,7 +180,7 @@ def _descended(
 
     def at(u: np.ndarray, seen: Seen, motion: np.ndarray | None) -> tuple[Any, ...]:
         p = np.asarray(from_search(cause, u))
-        force, slopes, sound, moved = force_of(cause, p, seen, motion, fewer)
+        force, slopes, sound, moved = force_of(cause, p, seen, motion, rough=rough)
         slopes = np.where(sound, slopes, 0.0)
         slopes[:own] *= np.where(logarithmic, p, 1.0)[:, None]
         if seen.follow is not None:
@@ -187,7 +190,7 @@ def _descended(
         return cost, r, seen.precision * slopes, np.where(sound[:, None], moved, kept), sound
 
     cost, r, J, motion, sound = at(u, seen, motion)
-    damping = DAMPED
+    damping, enough = DAMPED, ROUGHLY if robust else SETTLED
     for _ in range(ROUNDS):
         w = np.where(aside, 0.0, 1 / (1 + np.abs(r) ** 2) if robust else 1.0)
         A, g = ((J.conj() * w) @ J.T).real, ((J.conj() * w) @ r).real
@@ -196,13 +199,13 @@ def _descended(
             g[own:] -= seen.follow.downhill
         D = np.diag(np.maximum(np.diag(A), 1e-300))
         step = np.linalg.solve(A + damping * D, g)
-        if step @ g < SETTLED:
+        if step @ g < enough:
             break
         moved = np.clip(u - np.clip(step[:own], -farthest, farthest), low, high)
         further = seen.moved(-step[own:])
         there = at(moved, further, motion)
         if there[0] < cost:
-            done = cost - there[0] < SETTLED
+            done = cost - there[0] < enough
             u, seen, (cost, r, J, motion, sound), damping = moved, further, there, 0.1 * damping
             if done:
                 break
@@ -262,7 +265,9 @@ def _sized(
     robust = robust_sizes(comparison, cause, at, force) if isinstance(cause, JointCause) else None
     found = [p for _, p in by_all] + ([] if robust is None else [robust[1]])
     if isinstance(cause, JointCause) and cause.rigid:  # the force that slides is a square wave
-        found = [np.array([np.pi / 4 * np.quantile(np.abs(seen.force), q)]) for q in SLIDING]
+        size = np.abs(seen.force)
+        told = seen.precision * size > CLEAR
+        found = [np.array([np.pi / 4 * np.quantile(size[told] if told.any() else size, q)]) for q in SLIDING]
     if not found:
         return None
     left = [_misfits_by_one_harmonic(cause, p, seen) for p in found]

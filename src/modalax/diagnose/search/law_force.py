@@ -18,7 +18,7 @@ from modalax._numerics.checks import as_array
 from modalax.diagnose.causes.base import ElementCause, JointCause, LocalCause
 from modalax.diagnose.causes.joints import CubicStiffness
 from modalax.diagnose.comparison import Comparison
-from modalax.diagnose.prediction.friction import sliding
+from modalax.diagnose.prediction.friction import SHIFTS, sliding
 from modalax.diagnose.prediction.harmonics import (
     FEWER_INSTANTS,
     HIGHEST,
@@ -120,6 +120,19 @@ class Seen:
             theta=self.theta + step.reshape(self.theta.shape),
         )  # fmt: skip
 
+    def telling(self, count: int) -> "Seen":
+        """Some lines alone: evenly taken of the louder half by the size of the force over its deviation."""
+        size = self.precision * np.abs(self.force)
+        loud = np.argsort(-size, kind="stable")[: max(len(size) // 2, count)]
+        kept = np.sort(loud[:: max(len(loud) // count, 1)])
+        take = lambda x: x[kept]
+        f = self.follow
+        lines = ("force", "precision", "motion", "free", "receptance", "omega", "level")
+        of_lines = {name: take(getattr(self, name)) for name in lines}
+        if f is not None:
+            f = replace(f, force=take(f.force), free=take(f.free), receptance=take(f.receptance))
+        return replace(self, **of_lines, follow=f)
+
 
 def seen_at(comparison: Comparison, force: MeasuredForce, least: float | None = None) -> Seen:
     """Lay out what was measured at a place line by line.
@@ -219,7 +232,12 @@ def _balanced(cause: Any, p: Any, G: Any, free: Any, omega: Any, start: Any, har
 
 
 def force_of(
-    cause: ElementCause, p: np.ndarray, seen: Seen, near: np.ndarray | None = None, fewer: bool = False
+    cause: ElementCause,
+    p: np.ndarray,
+    seen: Seen,
+    near: np.ndarray | None = None,
+    fewer: bool = False,
+    rough: bool = False,
 ) -> tuple[np.ndarray, ...]:
     """A law's force [N], its slopes by the parameters, whether a motion was found, and that motion.
 
@@ -233,6 +251,8 @@ def force_of(
         Motions from which the balance begins, shape ``(n, h)``; the measured ones if None.
     fewer
         Whether fewer harmonics are balanced, which shows how much those left out may do.
+    rough
+        Whether dry friction is followed at few instants.
 
     Returns
     -------
@@ -241,7 +261,9 @@ def force_of(
         law's own, where these are open.
     """
     if isinstance(cause, JointCause) and cause.rigid:
-        force, slopes, sound = _sliding(p, seen, FEWER_INSTANTS if fewer else INSTANTS)
+        force, slopes, sound = _sliding(
+            p, seen, FEWER_INSTANTS if fewer or rough else INSTANTS, SHIFTS[::4] if rough else SHIFTS
+        )
         return force, _of_all(force, slopes, seen), sound, np.zeros((len(seen.force), 1), complex)
     if isinstance(cause, LocalCause):
         force, slopes, sound = _linear(cause, p, seen)
@@ -292,9 +314,11 @@ def _linear(cause: LocalCause, p: np.ndarray, seen: Seen) -> tuple[np.ndarray, n
     return here, slopes, np.isfinite(here) & np.isfinite(slopes).all(axis=0)
 
 
-def _sliding(p: np.ndarray, seen: Seen, instants: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _sliding(
+    p: np.ndarray, seen: Seen, instants: int, shifts: tuple[float, ...]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Force of dry friction, and its slopes by a difference: with motion and limit alike it grows as they do."""
     G, step = seen.receptance[:, 1::2], STEP * max(abs(float(p[0])), 1e-300)
-    here, there = (sliding(G, seen.free, seen.omega, float(p[0]) + d, instants) for d in (0.0, step))
+    here, there = (sliding(G, seen.free, seen.omega, float(p[0]) + d, instants, shifts) for d in (0.0, step))
     slope = (there.force - here.force) / step
     return here.force, np.stack([slope, here.force - p[0] * slope]), here.sound & there.sound

@@ -162,8 +162,7 @@ def joint_extra(comparison: Comparison, fit: ForceFit) -> np.ndarray:
     level = seen.level
     given = np.where(fit.aside, seen.force / np.where(level > 0, level, 1.0), 0.0)
     rows = np.stack([rho - sum(s * v for s, v in zip(by_p, p, strict=True)), *by_p, series, amplitude, given])
-    runs, lines, inputs = comparison.problem.data.shape[0], comparison.problem.lines, comparison.problem.channels[1]
-    out = np.zeros((len(rows), runs, *comparison.problem.data.shape[1:2], comparison.problem.data.shape[3]), complex)
-    out[0] = 1.0
-    out[:, :, :lines, :inputs] = rows.reshape(len(rows), runs, lines, inputs)
-    return out
+    runs, padded, _, all_inputs = comparison.problem.data.shape
+    lines, inputs = comparison.problem.lines, comparison.problem.channels[1]
+    rows = rows.reshape(len(rows), runs, lines, inputs)
+    return np.pad(rows, ((0, 0), (0, 0), (0, padded - lines), (0, all_inputs - inputs)), mode="edge")
