@@ -15,7 +15,7 @@ from modalax.diagnose.decision.advice import advise
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.posterior import Ranked
 from modalax.diagnose.decision.sets import rivals
-from modalax.diagnose.decision.verdict import RULES, Leftover, verdict
+from modalax.diagnose.decision.verdict import RULES, Leftover, told_chance, verdict
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.thresholds import THRESHOLDS, Thresholds
 
@@ -152,3 +152,9 @@ def test_advice_is_that_of_the_causes():
     assert h.names == {("mains_hum", ())}
     assert MainsHum.advice in advise("ambiguous", [*ranked((0.5, (MASS, "1"))), hum])
     assert advise("ambiguous", ranked((0.9, (SPRING, "1")))) == "measure another column of the FRF matrix"
+
+
+@pytest.mark.parametrize(("p", "told"), [(1e-15, "1e-15"), (0.13, "0.13"), (0.962, "0.96"), (0.9971, "over 0.99"),
+                                         (1.0, "over 0.999")])  # fmt: skip
+def test_no_chance_is_told_as_certain(p, told):
+    assert told_chance(p) == told

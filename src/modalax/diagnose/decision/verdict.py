@@ -88,12 +88,17 @@ class Case:
 Rule = Callable[[Case], str | None]
 
 
+def told_chance(p: float) -> str:
+    """A probability in words: never one, for it is as certain as what was looked for only."""
+    return f"{p:.2g}" if p < 0.995 else "over 0.99" if p < 0.9995 else "over 0.999"
+
+
 def nothing_stands_out(case: Case) -> str | None:
     """The residual of the simulation is no more than noise."""
     chance, limit = case.leftover.alarm, case.limits.alarm
     return None if chance < limit else (
         f"the residual of the simulation is no more than noise: noise alone would leave as much with a chance of "
-        f"{chance:.2g}, and an alarm needs less than {limit:g}"
+        f"{told_chance(chance)}, and an alarm needs less than {limit:g}"
     )  # fmt: skip
 
 
@@ -179,8 +184,9 @@ def held_out_is_missed(case: Case) -> str | None:
 def named(case: Case) -> str | None:
     """Nothing speaks against the names."""
     return (
-        f"{case.subject} a probability of {case.certainty:.3g} among all causes that were looked for, and noise "
-        f"alone would leave as much as it does with a chance of {case.leftover.p_value:.2g}{case.leftover.allowance}"
+        f"{case.subject} a probability of {told_chance(case.certainty)} among all causes that were looked for, and "
+        f"noise alone would leave as much as it does with a chance of {told_chance(case.leftover.p_value)}"
+        f"{case.leftover.allowance}"
     )
 
 

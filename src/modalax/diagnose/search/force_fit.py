@@ -125,15 +125,16 @@ def fit_to_force(cause: ElementCause, starts: Sequence[np.ndarray], seen: Seen) 
         paid = 2 * np.log(max(seen.samples, 30))
         usual = float(np.quantile(np.abs(r) ** 2, 1 - MOST))
         aside = ~sound | ~(np.abs(r) ** 2 <= max(OUTLYING * usual, paid))
-    if aside.mean() > MOST:
+    if aside.mean() > MOST or isinstance(cause, LocalCause):  # a linear element has one motion at every line
         aside = np.zeros(len(r), bool)
     p = np.asarray(from_search(cause, u))
     return ForceFit(cause, p, seen.left + float((np.abs(r[~aside]) ** 2).sum()), aside, r, J, motion, seen)
 
 
 def fit_with_modes(
-    comparison: Comparison, cause: ElementCause, starts: Sequence[np.ndarray], force: MeasuredForce, seen: Seen
-) -> ForceFit | None:
+    comparison: Comparison, cause: ElementCause, starts: Sequence[np.ndarray], force: MeasuredForce, seen: Seen,
+    near: float,
+) -> ForceFit | None:  # fmt: skip
     """Fit a law to a measured force, and measure that again about the modal parameters found, until these stay.
 
     Parameters
@@ -144,10 +145,12 @@ def fit_with_modes(
         The law, and parameters to start from.
     force, seen
         The force that was measured, and what was measured with it.
+    near
+        Chi-square above which a law is not worth it.
     """
     fit = fit_to_force(cause, starts, seen)
     for _ in range(MEASURED_AGAIN if seen.follow is not None else 0):
-        if fit is None or comparison.late():
+        if fit is None or fit.chi2 > near or comparison.late():
             break
         beside = Beside.at(comparison, fit.seen.theta)
         left = beside.linear(beside.direction(force.place), beside.turned(force.place))[0]
@@ -252,7 +255,7 @@ def laws_by_force(
         far = seen.left + misfit / 4 > near if done else count >= MOST_LAWS
         if far and (not isinstance(causes[k], LocalCause) or seen.left > near):
             continue
-        found = fit_with_modes(comparison, causes[k], starts, force, seen)
+        found = fit_with_modes(comparison, causes[k], starts, force, seen, near)
         out += [] if found is None else [found]
     return out
 
