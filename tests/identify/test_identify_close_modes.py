@@ -83,11 +83,14 @@ def test_a_window_that_splits_several_modes_is_told_from_true_pairs():
         assert not windows_split(frf, hoods[:1])
 
 
-@pytest.mark.parametrize(("inputs", "two"), [(2, True), (1, False)])
-def test_two_modes_of_one_frequency_are_told_by_two_inputs(inputs, two):
-    """As those of a disk: all but at one frequency, with different shapes."""
-    f, zeta = np.array([60.0, 60.0005, 75.0, 120.0]), np.full(4, 0.02)
-    frf = measured(f, zeta, 6, inputs, noise=2e-3)
+@pytest.mark.parametrize(
+    ("apart", "outputs", "inputs", "two"),
+    [(5e-4, 6, 2, True), (0.01, 6, 2, True), (0.01, 18, 2, True), (5e-4, 6, 1, False)],
+)
+def test_two_modes_of_one_frequency_are_told_by_two_inputs(apart, outputs, inputs, two):
+    """As those of a disk: all but at one frequency, with different shapes, that no shift from place to place makes."""
+    f, zeta = np.array([60.0, 60.0 + apart, 75.0, 120.0]), np.full(4, 0.02)
+    frf = measured(f, zeta, outputs, inputs, noise=2e-3)
     assert two_modes(frf, *fitted(frf, f, zeta), (0, 1)) == two
     assert two_modes(frf, *fitted(frf, f, zeta), (0, 2))
 

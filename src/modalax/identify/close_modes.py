@@ -82,7 +82,7 @@ def told_apart(frf: FRF, hood: Neighbourhood, likeness: float | None = None, cut
         return False
     _, n_out, n_in = frf.shape
     places = np.divmod(np.arange(n_out * n_in), n_in)
-    others += [_apart(hood, one, place, two.chi2) for place in places if place.max() > 0]
+    others += [_apart(hood, one, place) for place in places if place.max() > 0]
     left = two.chi2 / max(2 * hood.data.size - two.unknowns, 1)
     scale = noise_level(frf, left) * _correlation(hood.left(two.poles), left)
     for other in others:
@@ -160,60 +160,74 @@ def _residues(hood: Neighbourhood, pole: complex) -> tuple[float, Complex[np.nda
     return size, own.conj() @ hood.data / size
 
 
-def _of_rank_one(hood: Neighbourhood, free: Trial, residues: np.ndarray, size: np.ndarray) -> Trial:
-    """A trial of one mode with residues free in every channel, as one whose residues are of rank one, as a mode's are.
+def _of_rank_one(hood: Neighbourhood, free: Trial, residues: np.ndarray, size: np.ndarray, bend: float = 0.0) -> Trial:
+    r"""A trial of one mode with residues free in every channel, as one whose residues are of rank one, as a mode's are.
 
     Of the residues, whose errors go with the noise over ``size``, the nearest matrix of rank one is taken by
-    alternating least squares.
+    alternating least squares. Each may be off it by a part ``bend`` of their root mean square: a normal deviation, with
+    the unknowns that it stands for (MacKay 1992, equation 4.9).
     """
     shape = (-1, hood.inputs)
     if hood.inputs == 1 or len(residues) <= hood.inputs:
         return free
     noise = hood.noise.reshape(shape)
-    R, weight = residues.reshape(shape) * noise, size.reshape(shape) / noise**2
+    R = residues.reshape(shape) * noise
+    by_noise = 1 / np.maximum(size, 1e-300)
+    off = bend**2 * float(np.mean(np.abs(residues) ** 2))
+    weight = (1 / (by_noise + off)).reshape(shape) / noise**2
     y = np.linalg.svd(R, full_matrices=False)[2][0]
     x = np.zeros(len(R), complex)
     for _ in range(RANK):
         x = (weight * R) @ y.conj() / np.maximum(weight @ np.abs(y) ** 2, 1e-300)
         y = x.conj() @ (weight * R) / np.maximum(np.abs(x) ** 2 @ weight, 1e-300)
     lost = 2 * float(np.sum(weight * np.abs(R - np.outer(x, y)) ** 2))
-    freedom = 2 * (R.size - sum(R.shape) + 1)
-    return Trial(free.chi2 + lost, free.unknowns - freedom, free.poles)
+    freedom = 2 * (R.size - sum(R.shape) + 1) * float(np.mean(by_noise / (by_noise + off)))
+    return Trial(free.chi2 + lost, free.unknowns - round(freedom), free.poles)
 
 
-def _apart(
-    hood: Neighbourhood, start: Sequence[complex] | np.ndarray, place: np.ndarray, two: float | None = None
-) -> Trial:
-    """One pole for each group of channels; of ``MANY`` groups or more, one step from the pole of all.
+def _apart(hood: Neighbourhood, start: Sequence[complex] | np.ndarray, place: np.ndarray) -> Trial:
+    r"""One pole for each group of channels; of ``MANY`` groups or more, one step from the pole of all.
 
-    Groups that disagree bend the residues too, so that these are held to rank one only where poles of their own explain
-    less than ``MOSTLY`` of what ``two`` modes do, or no more than noise would.
+    What changes a pole by :math:`\delta` adds to a shape parts of other modes, of the size :math:`\delta` over their
+    distance (a perturbation of first order), and one peak is seen only if that is more than its half-bandwidth. So the
+    residues are of rank one but for a part that is the scatter of the poles over the half-bandwidth.
     """
-    count = int(place.max()) + 1
-    if count < MANY:
-        parts = [hood.channels(place == k) for k in range(count)]
-        trials = [trial(part, start) for part in parts]
-        residues, size = np.zeros(len(place), complex), np.zeros(len(place))
-        for k, (part, found) in enumerate(zip(parts, trials, strict=True)):
-            size[place == k], residues[place == k] = _residues(part, found.poles[0])
-        free = Trial(sum(t.chi2 for t in trials), sum(t.unknowns for t in trials), np.asarray(start))
-        one = 2 * hood.squares_left(start)
-        noise = scipy.special.chdtri(2 * (count - 1), CHANCE) * free.chi2 / max(2 * hood.data.size - free.unknowns, 1)
-        if two is None or one - free.chi2 > max(MOSTLY * (one - two), noise):
-            return free
-        return _of_rank_one(hood, free, residues, size)
-    pole = complex(start[0])
+    fitted = _searched if int(place.max()) + 1 < MANY else _stepped
+    free, poles, residues, size = fitted(hood, np.asarray(start), place)
+    told = size * np.abs(residues) ** 2
+    own = poles[place]
+    scatter = np.sqrt(np.average(np.abs(own - np.average(own, weights=told)) ** 2, weights=told))
+    return _of_rank_one(hood, free, residues, size, float(scatter / -np.real(start[0])))
+
+
+Groups = tuple[Trial, Complex[np.ndarray, " g"], Complex[np.ndarray, " c"], Float[np.ndarray, " c"]]
+
+
+def _searched(hood: Neighbourhood, start: np.ndarray, place: np.ndarray) -> Groups:
+    """Poles of groups of channels, each searched by itself, with residues and the squares that one of size 1 makes."""
+    parts = [hood.channels(place == k) for k in range(int(place.max()) + 1)]
+    trials = [trial(part, start) for part in parts]
+    residues, size = np.zeros(len(place), complex), np.zeros(len(place))
+    for k, (part, found) in enumerate(zip(parts, trials, strict=True)):
+        size[place == k], residues[place == k] = _residues(part, found.poles[0])
+    free = Trial(sum(t.chi2 for t in trials), sum(t.unknowns for t in trials), start)
+    return free, np.array([t.poles[0] for t in trials]), residues, size
+
+
+def _stepped(hood: Neighbourhood, start: np.ndarray, place: np.ndarray) -> Groups:
+    """As :func:`_searched`, by one step from the pole of all channels."""
+    count, pole = int(place.max()) + 1, complex(start[0])
     Q = np.linalg.qr(hood.columns([pole]))[0]
     left = hood.data - Q @ (Q.conj().T @ hood.data)
     change = hood.weight * hood.s**hood.power / (hood.s - pole) ** 2
     change = change - Q @ (Q.conj().T @ change)
-    own = hood.weight * hood.s**hood.power / (hood.s - pole)
-    R = (np.linalg.pinv(hood.columns([pole])) @ hood.data)[0] / np.linalg.norm(own)
-    size = np.bincount(place, np.abs(R) ** 2, count) * np.sum(np.abs(change) ** 2)
+    own, R = _residues(hood, pole)
+    size = np.maximum(np.bincount(place, np.abs(R) ** 2, count) * np.sum(np.abs(change) ** 2), 1e-300)
     asked = R.conj() * (change.conj() @ left)
     asked = np.bincount(place, asked.real, count) + 1j * np.bincount(place, asked.imag, count)
-    gained = float(np.sum(np.abs(asked) ** 2 / np.maximum(size, 1e-300)))
-    return Trial(2 * (float(np.sum(np.abs(left) ** 2)) - gained), 2 * (count + hood.data.shape[1]), np.asarray(start))
+    chi2 = 2 * (float(np.sum(np.abs(left) ** 2)) - float(np.sum(np.abs(asked) ** 2 / size)))
+    free = Trial(chi2, 2 * (count + hood.data.shape[1]), start)
+    return free, pole + asked / size, R, np.full(len(R), own)
 
 
 def _correlation(left: Complex[np.ndarray, "m c"], level: float) -> float:
