@@ -1,4 +1,4 @@
-"""`modalax.fit` on systems drawn at random: ``python experiments/identify/random_systems.py``.
+r"""`modalax.fit` on systems drawn at random: ``python experiments/identify/random_systems.py``.
 
 Systems of 1 to 6 modes between 25 and 185 Hz, at lines 0.5 Hz apart, with 0.5 to 20 lines in the half-power bandwidth
 of each mode (evenly in its logarithm; damping at most 8 %), real shapes drawn from a normal distribution, 1 to 4
@@ -16,8 +16,9 @@ other. System ``k`` is of kind ``k`` modulo the number of kinds:
 
 The variance is known for the first kind only. A mode counts as *plain to see* if the power of its response is 100
 times the noise's a line and channel, summed over all. A found mode is a true one if it lies within a half-bandwidth
-(at least a quarter of a line) and four stated deviations of it, one for one, the one of more energy where there are
-two; where hits differ, within 0.3 % more.
+(at least a quarter of a line) and four stated deviations of it (where hits differ, within 0.3 % more) and makes its
+response: of those, one for one, the ones whose responses :math:`h` are most like the true :math:`t`,
+:math:`2\,\mathrm{Re}\langle t,h\rangle/(|t|^2+|h|^2)` of at least a tenth, which broad background has not.
 Other modes in the band are false. Coverage is that of the 95 % intervals of the true ones found; where hits differ, of
 the mean over the hits. The grade is judged by the area under its curve: the chance that a true mode has a higher one
 than a false one. As next to no false modes are found, ``--candidates`` puts some in beside those found.
@@ -53,6 +54,7 @@ threadpool_limits(1)
 STEP = 0.5
 PLAIN = 100.0
 TEMPTING = 3
+LEAST = 0.1  # likeness of responses from which on a found mode may be a true one
 KINDS = ("plain", "no coherence", "0 Hz", "drift", "hits differ", "cut short", "hits cut short", "noise")
 
 
@@ -157,11 +159,27 @@ def match(model: ModalModel, found: Fit, spread: float) -> tuple[dict[int, int],
     std = np.zeros(len(own)) if found.refined is None else np.asarray(found.refined.frequency_std_hz)[inside]
     reach = (np.maximum(zeta * f, 0.25 * STEP) + spread * f)[:, None] + 4 * np.nan_to_num(std, nan=0.0)[None, :]
     apart = np.abs(own[None, :] - f[:, None]) / reach
-    energy = np.where(apart < 1, np.asarray(found.energy)[inside], 0.0)
-    part = energy / np.maximum(energy.sum(axis=1, keepdims=True), 1e-300)
-    rows, columns = scipy.optimize.linear_sum_assignment(np.where(apart < 1, apart + 2 * (1 - part), 10.0))
-    pairs = {int(r): int(inside[c]) for r, c in zip(rows, columns, strict=True) if apart[r, c] < 1}
+    alike = likeness(model, found)[:, inside]
+    close = (apart < 1) & (alike > LEAST)
+    rows, columns = scipy.optimize.linear_sum_assignment(np.where(close, 1 - alike, 10.0))
+    pairs = {int(r): int(inside[c]) for r, c in zip(rows, columns, strict=True) if close[r, c]}
     return pairs, [int(k) for k in inside if k not in pairs.values()]
+
+
+def likeness(model: ModalModel, found: Fit) -> np.ndarray:
+    """How much of the response of each true mode each found one makes, 1 where the two are equal, shape ``(t, n)``."""
+    frf = found.frf
+    s = 2j * np.pi * np.asarray(frf.freq)[np.asarray(frf.freq) > 0]
+    kernel, residue = [], []
+    for m in (model, found.model):
+        o, i = [m.outputs.index(n) for n in frf.outputs], [m.inputs.index(n) for n in frf.inputs]
+        kernel.append(s ** DERIVATIVES[frf.form] / (s - np.asarray(m.poles)[:, None]))
+        residue.append(np.asarray(m.residues)[:, o][:, :, i].reshape(len(m.poles), -1))
+    inner = (kernel[0].conj() @ kernel[1].T) * (residue[0].conj() @ residue[1].T)
+    size = [
+        np.sum(np.abs(k) ** 2, axis=1) * np.sum(np.abs(r) ** 2, axis=1) for k, r in zip(kernel, residue, strict=True)
+    ]
+    return 2 * inner.real / (size[0][:, None] + size[1])
 
 
 class Outcome(NamedTuple):

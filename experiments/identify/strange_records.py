@@ -47,6 +47,13 @@ def exponential_window_stated(rng):
     return file(f, noisy(rng, system.frf(lines(f) + 2.0), 0.005), added_decay=2.0), system.poles
 
 
+@kind
+def exponential_window_over_a_weak_low_mode(rng):
+    """Of records of 1 s 2 % is left at the end; the lowest mode is weak in accelerance."""
+    system, f = System(rng, (6.9, 43.2, 121.1, 237.3), 0.003), np.arange(3.0, 300.0)
+    return file(f, noisy(rng, system.frf(lines(f) + 3.9), 0.01)), system.poles - 3.9
+
+
 def _called_accelerance(rng, form):
     system, f = System(rng, FIVE, 0.01), np.arange(5, 125, 0.125)
     return file(f, noisy(rng, system.frf(lines(f), form=form), 0.01)), system.poles

@@ -15,7 +15,7 @@ from modalax.identify.band import usable_lines
 from modalax.identify.bias import predicted_damping_bias
 from modalax.identify.chosen import by_frequency, choice_of, chosen_poles, fit_chosen
 from modalax.identify.diagram import ESTIMATORS, diagram
-from modalax.identify.flags import Modes, flags_of, grades_of, notes_of, stands_for_two
+from modalax.identify.flags import HEAVY, Modes, flags_of, grades_of, notes_of, stands_for_two
 from modalax.identify.host import residues_on_host as fit_residues
 from modalax.identify.mode_search import diagram_poles, likelihood_rounds, synthesis
 from modalax.identify.neighbourhood import residual_of
@@ -26,9 +26,10 @@ from modalax.identify.record_kind import record_of
 from modalax.identify.refine import HELD, Refined
 from modalax.identify.result import Fit
 from modalax.identify.select import Selection, best_order
-from modalax.identify.settle import doubled, settle, settle_diagram, with_misfit, with_record, with_seconds
+from modalax.identify.settle import pairs_of_one, settle, settle_diagram, with_misfit, with_record, with_seconds
 from modalax.identify.stabilize import stabilization
 from modalax.identify.tables import PoleTable
+from modalax.identify.untold_window import window_notes
 from modalax.identify.wrong_form import form_notes
 from modalax.model.entry import check_measured, check_order
 from modalax.model.indicators import mpc
@@ -151,7 +152,7 @@ def summed_up(
     notes
         Sentences to put first.
     apart
-        Pairs of close modes that were told apart before, as :func:`modalax.identify.settle.doubled` keeps them.
+        Pairs of close modes that were told apart before, as :func:`modalax.identify.settle.pairs_of_one` keeps them.
     """
     order = best_order(table, selection)
     f = np.asarray(model.frequency_hz)
@@ -177,12 +178,14 @@ def summed_up(
         two = [record is None and stands_for_two(q, w) for q, w in zip(quality, widths, strict=True)]
         refined = with_seconds(refined, quality, np.array(two))
     deviations = scatter if refined is None else (refined.frequency_std_hz, refined.damping_std)
-    halves = np.zeros(len(f), bool)
+    pairs = []
     if not held:
-        halves = doubled(weighted, model, np.array([q.gain for q in quality]), halves, apart or set())
+        background = np.asarray(model.damping_ratio) > HEAVY  # which no mode is a part of
+        gains = np.array([q.gain for q in quality])
+        pairs = pairs_of_one(weighted, model, gains, background, apart or set(), cut=plain is not None)
     modes = Modes(
         weighted, model, np.asarray(deviations[0]), np.asarray(deviations[1]), refined is not None, score,
-        np.asarray(collinearity), quality, plain, halves,
+        np.asarray(collinearity), quality, plain, pairs,
     )  # fmt: skip
     grades = grades_of(modes)
     return Fit(
@@ -207,6 +210,7 @@ def summed_up(
         notes=(
             *notes,
             *form_notes(weighted, model, np.where(inside, grades, 0.0), unexplained - noise),
+            *window_notes(weighted, model, residual),
             *notes_of(modes, grades, noise, unexplained),
         ),
     )

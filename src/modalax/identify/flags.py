@@ -1,9 +1,10 @@
 """What is to be known of a mode before it is used, in words, and a grade of how sure it is a mode at all."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from modalax.data.frf import FRF
 from modalax.identify.disagreement import CERTAIN, Spread
@@ -26,7 +27,6 @@ BINS = {
     "burst_most": 1.0,
     "hann": 1.5,
 }  # equivalent noise bandwidths of the records' windows, in lines
-UNTOLD = 0.1  # resolution of a mode that the data do not tell from a stronger one
 HALF_SURE = 3.0  # gain over that of noise at which evidence is half sure
 
 
@@ -50,8 +50,8 @@ class Modes(NamedTuple):
         What the data tell of each mode.
     record
         The kind of record that the resonances show, if another than a steady state.
-    doubled
-        Whether a mode is the weaker of two that the data do not tell apart, shape ``(n,)``.
+    pairs
+        Modes that the data do not tell apart, two and two.
     """
 
     frf: FRF
@@ -63,7 +63,7 @@ class Modes(NamedTuple):
     mpc: Float[np.ndarray, " n"]
     quality: list[ModeQuality]
     record: Record | None
-    doubled: Bool[np.ndarray, " n"]
+    pairs: Sequence[tuple[int, int]] = ()
 
     @property
     def frequency(self) -> Float[np.ndarray, " n"]:
@@ -74,6 +74,10 @@ class Modes(NamedTuple):
     def half_bandwidth(self) -> Float[np.ndarray, " n"]:
         """Half of the half-power bandwidth of each mode [Hz]."""
         return -np.asarray(self.model.poles.real) / (2 * np.pi)
+
+    def twins(self, r: int) -> list[int]:
+        """Modes that the data do not tell from one of them."""
+        return [b if a == r else a for a, b in self.pairs if r in (a, b)]
 
     @property
     def step(self) -> float:
@@ -120,8 +124,9 @@ def _unresolved(modes: Modes, r: int) -> str:
     """Whether a neighbour is nearer than the lines are, or the peak narrower."""
     others = np.delete(np.arange(len(modes.frequency)), r)
     apart = np.abs(modes.frequency[others] - modes.frequency[r])
-    if len(others) and modes.doubled[r]:
-        f = float(modes.frequency[others[np.argmin(apart)]])
+    twins = modes.twins(r)
+    if len(twins):
+        f = float(modes.frequency[twins[0]])
         return f"unresolved: one mode explains this one and that at {f:.5g} Hz as well"
     if len(others) and apart.min() < modes.step:
         f = float(modes.frequency[others[np.argmin(apart)]])
@@ -179,9 +184,10 @@ def grades_of(modes: Modes) -> Float[np.ndarray, " n"]:
     - Strength: the mode's part of the response about its peak, against what is left there.
     - Deviations: :math:`1/(1 + (2\sigma_\zeta/\zeta)^2)` and :math:`1/(1 + (\sigma_f/\zeta f)^2)`.
     - Agreement: :math:`1/(1 + (\tau/\zeta f)^2)`, :math:`\tau` by how much flanks, inputs and outputs disagree.
-    - Resolution: :math:`1 - \mathrm{MAC}/(1 + (d/d_0)^2)` for the nearest neighbours, :math:`d_0` half a line, or the
-      width of the window of a record (:data:`BINS`), or a tenth of the half-bandwidths, whichever is larger. Of two
-      only the weaker is in doubt; ``UNTOLD`` for one that the data do not tell from the other.
+    - Resolution: :math:`1 - c\,g'/(g + g')` for the nearest neighbours, :math:`g'` their gain and :math:`c` the chance
+      that both are one mode: 1 where the data do not tell them apart, else :math:`\mathrm{MAC}/(1 + (d/d_0)^2)`,
+      :math:`d_0` half a line, or the width of the window of a record (:data:`BINS`), or a tenth of the half-bandwidths,
+      whichever is larger. One mode that is split into two of like strength so gives each an even chance.
     - Half of the weight each: stability in the diagram (:math:`(1+s)/2`) and MPC (:math:`(2+\mathrm{MPC})/3`).
 
     Each is a ratio of like quantities, none a constant fitted to data; a mode at a bound has grade 0.
@@ -208,18 +214,18 @@ def _grade(modes: Modes, r: int) -> float:
 
 
 def _resolution(modes: Modes, r: int) -> float:
-    """How well the mode is told from stronger neighbours by place or by shape."""
+    """How well the mode is told from its neighbours by place or by shape; where it is not, its share of their gain."""
     model = modes.model
     shapes = model.shapes if model.shapes.shape[1] >= model.participation.shape[1] else model.participation
     alike = np.asarray(mac(np.asarray(shapes)[r][None], shapes))[0]
     apart = np.abs(modes.frequency - modes.frequency[r])
     bins = 0.5 if modes.record is None else BINS[modes.record.kind]
     unit = np.maximum(bins * modes.step, 0.1 * (modes.half_bandwidth + modes.half_bandwidth[r]))
-    worth = 1 - alike / (1 + (apart / unit) ** 2)
-    gain = np.array([q.gain for q in modes.quality])
-    worth[gain < gain[r]] = 1.0
-    worth[r] = UNTOLD if modes.doubled[r] else 1.0
-    return float(worth.min())
+    same = alike / (1 + (apart / unit) ** 2)
+    same[modes.twins(r)] = 1.0
+    same[r] = 0.0
+    gain = np.maximum([q.gain for q in modes.quality], 0.0)
+    return float(1 - np.max(same * gain / np.maximum(gain + gain[r], 1e-300)))
 
 
 def notes_of(modes: Modes, grades: np.ndarray, noise: float, unexplained: float) -> list[str]:

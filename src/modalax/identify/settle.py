@@ -172,14 +172,20 @@ def _in_noise(frf: FRF, refined: Refined) -> Bool[np.ndarray, " n"]:
 
 
 def doubled(
-    frf: FRF,
-    model: ModalModel,
-    evidence: np.ndarray,
-    gone: np.ndarray,
-    asked: set[tuple[float, float]],
+    frf: FRF, model: ModalModel, evidence: np.ndarray, gone: np.ndarray, asked: set[tuple[float, float]],
     cut: bool = False,
-) -> Bool[np.ndarray, " n"]:
-    """The weaker of each two close modes that the data do not tell apart, shape ``(n,)``.
+) -> Bool[np.ndarray, " n"]:  # fmt: skip
+    """The weaker of each two close modes that the data do not tell apart, shape ``(n,)``; see :func:`pairs_of_one`."""
+    drop = np.zeros(model.poles.size, bool)
+    drop[[weaker for weaker, _ in pairs_of_one(frf, model, evidence, gone, asked, cut)]] = True
+    return drop
+
+
+def pairs_of_one(
+    frf: FRF, model: ModalModel, evidence: np.ndarray, gone: np.ndarray, asked: set[tuple[float, float]],
+    cut: bool = False,
+) -> list[tuple[int, int]]:  # fmt: skip
+    """Pairs of close modes that one mode explains as well, the weaker of each first; it is asked about no more.
 
     Parameters
     ----------
@@ -196,13 +202,13 @@ def doubled(
     """
     f, width = np.asarray(model.frequency_hz), -np.asarray(model.poles.real) / (2 * np.pi)
     step = float(np.median(np.diff(np.asarray(frf.freq))))
-    drop = np.zeros(len(f), bool)
+    inside, gone, found = _inside(frf, model), gone.copy(), []
     residual = scatter = None
     pairs = np.transpose(np.triu_indices(len(f), 1))
-    for a, b in pairs[np.argsort(np.abs(f[pairs[:, 0]] - f[pairs[:, 1]]))]:  # the nearest first
+    for a, b in pairs[np.argsort(np.abs(f[pairs[:, 0]] - f[pairs[:, 1]]))].tolist():  # the nearest first
         close = abs(f[a] - f[b]) < NEAR * max(step, width[a] + width[b])
         pair = (round(float(f[a]), 6), round(float(f[b]), 6))
-        if not close or (gone | drop)[[a, b]].any() or pair in asked or not _inside(frf, model)[[a, b]].any():
+        if not close or gone[[a, b]].any() or pair in asked or not inside[[a, b]].any():
             continue
         asked.add(pair)
         if residual is None:
@@ -210,9 +216,10 @@ def doubled(
             scatter = scatter_of(frf, residual)
         # The window of a record splits a peak over the few lines that it is wide.
         window = cut and abs(f[a] - f[b]) < WINDOW * step
-        if not two_modes(frf, model, residual, (int(a), int(b)), window, scatter):
-            drop[a if evidence[a] < evidence[b] else b] = True
-    return drop
+        if not two_modes(frf, model, residual, (a, b), window, scatter):
+            found.append((a, b) if evidence[a] < evidence[b] else (b, a))
+            gone[found[-1][0]] = True
+    return found
 
 
 def _with_seconds(
