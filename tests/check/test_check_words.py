@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from modalax.check import WORDS, Findings, Records, check
+from modalax.check.finding import sureness
 from modalax.data import Measurement
 
 NAMES = tuple(f"{k + 1}:+Z" for k in range(5))
@@ -360,3 +361,8 @@ def test_what_the_force_does_not_explain_of_random_records_is_looked_at(what, tm
 
 def test_every_word_of_a_check_is_guarded():
     assert set(WORDS) == {*FAULTS, "dead", "duplicated", "short_pulse"}
+
+
+def test_a_score_at_its_threshold_is_as_likely_chance_as_a_fault():
+    assert sureness(4.0, 4.0) == sureness(3.0, 4.0) == 0.5
+    assert 0.5 < sureness(5.0, 4.0) < 0.9 < sureness(8.0, 4.0) < sureness(16.0, 4.0) < 1

@@ -16,7 +16,7 @@ VISIBLE = 4.5
 # some mode.
 QUIET = 0.02
 # Two channels share their noise if they differ by less than these parts of the noise of both, and of the FRF.
-SHARED, EQUAL = 0.02, 0.05
+SHARED, EQUAL = 0.01, 0.05
 # Noise below this share of an FRF is rounding, as in calculated FRFs; equal channels are then no sign of a copy.
 ROUNDING = 1e-6
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from modalax.check.channels import conjugated, dead, duplicated
 from modalax.check.excitation import excitation
-from modalax.check.finding import TOLD, Finding, Findings
+from modalax.check.finding import Finding, Findings
 from modalax.check.form import FORMS, wrong_form
 from modalax.check.hum import hum
 from modalax.check.late import delay
@@ -94,7 +94,7 @@ def _ordered(found: list[Finding]) -> tuple[Finding, ...]:
 def _findings(study: Study, detectors: Sequence[Detector]) -> list[Finding]:
     found: list[Finding] = []
     for detector in detectors:
-        new = [f for f in detector(study) if f.sure >= TOLD and not _explained(f, found)]
+        new = [f for f in detector(study) if not _explained(f, found)]
         upside_down = [f for f in new if f.what == "wrong_form" and f.size is None]
         if upside_down:  # what was found before is a consequence
             return upside_down

@@ -11,8 +11,8 @@ WORDS = (
     "record_too_short", "not_reciprocal", "calibration", "frequency_shift", "hum", "conjugated", "wrong_form", "delay",
     "too_few_lines",
 )  # fmt: skip
-# A finding is reported from this probability on.
-TOLD = 0.9
+EVEN = 0.5  # probability of a fault whose score just reaches its threshold
+FOLD = 2.0  # by how much the logarithm of the doubt falls with each further threshold's worth of score
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,8 @@ class Finding:
     size, interval, unit
         Size of the fault, its 95 % interval, and their unit; None where it has no size.
     sure
-        Probability that the fault is real.
+        Probability that the fault is this one and here, not chance or another fault that looks like it: even odds where
+        its evidence just reaches the threshold (:func:`sureness`).
     evidence, advice
         What was seen in the data, and what to do.
     picture
@@ -109,5 +110,9 @@ class Findings:
 
 
 def sureness(z: float, threshold: float) -> float:
-    """Probability of a fault from how far its score exceeds the threshold at which it is reported."""
-    return float(1 - (1 - TOLD) * np.exp(-max(z / threshold - 1, 0.0) * 2))
+    r"""Probability of a fault from how far its score exceeds the threshold at which it is reported.
+
+    A threshold stands where a fault and what imitates it are as likely as each other; beyond it the doubt falls
+    exponentially, as a tail of errors does, :math:`1 - e^{-2(z/z_0 - 1)}/2`, :math:`z_0` the threshold.
+    """
+    return float(1 - EVEN * np.exp(-FOLD * max(z / threshold - 1, 0.0)))
