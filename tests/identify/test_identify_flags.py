@@ -6,8 +6,9 @@ import pytest
 from modalax.data import FRF
 from modalax.identify import fit
 from modalax.identify.disagreement import Spread
-from modalax.identify.flags import Modes, notes_of
+from modalax.identify.flags import Modes, flags_of, notes_of
 from modalax.identify.quality import ModeQuality
+from modalax.identify.record_kind import Record
 from modalax.identify.record_window import record_kernel
 from modalax.model import ModalModel
 from modalax.model.modal import poles_from
@@ -104,6 +105,18 @@ def test_a_mode_beyond_the_band_does_not_count_among_those_that_disagree():
     modes = Modes(frf, model, none, none, True, none, none, quality, None)
     (note,) = [n for n in notes_of(modes, np.ones(3), 0.0, 0.0) if "disagree" in n]
     assert "2 modes, most by 0.58 % at 52 Hz" in note
+
+
+@pytest.mark.parametrize(("kind", "told"), [(None, False), ("hann", True)])
+def test_modes_within_the_window_of_a_record_are_unresolved(kind, told):
+    """Two lines apart, each peak of a Hann-tapered record one and a half lines wide."""
+    model = structure(frequency=(52.0, 53.0, 90.0))
+    frf = noisy(model, 1e-3, freq=np.linspace(10.0, 120.0, 221))
+    none, still = np.zeros(3), Spread(np.zeros(1), np.zeros(1), (0.0, 0.0), (0.0, 0.0), 1.0)
+    record = None if kind is None else Record(kind, 2.0, np.array([52.0, 53.0, 90.0]), np.full(3, 0.01))
+    quality = [ModeQuality(99.0, 9.0, 1.0, 9.0, 6.0, still, None, None)] * 3
+    flags = flags_of(Modes(frf, model, none, none, True, none, np.ones(3), quality, record))
+    assert [any("window of the record" in word for word in words) for words in flags] == [told, told, False]
 
 
 def test_an_exponential_window_is_seen_in_equal_decays():

@@ -128,9 +128,13 @@ def _unresolved(modes: Modes, r: int) -> str:
     if len(twins):
         f = float(modes.frequency[twins[0]])
         return f"unresolved: one mode explains this one and that at {f:.5g} Hz as well"
-    if len(others) and apart.min() < modes.step:
+    wide = 1.0 if modes.record is None else 2 * BINS[modes.record.kind]
+    if len(others) and apart.min() < wide * modes.step:
         f = float(modes.frequency[others[np.argmin(apart)]])
-        return f"unresolved: {apart.min():.2g} Hz from the mode at {f:.5g} Hz, lines are {modes.step:.2g} Hz apart"
+        seen = "" if modes.record is None else f" and the window of the record makes each peak {wide / 2:.2g} wide"
+        return (
+            f"unresolved: {apart.min():.2g} Hz from the mode at {f:.5g} Hz, lines are {modes.step:.2g} Hz apart{seen}"
+        )
     q, width = modes.quality[r], float(modes.half_bandwidth[r])
     if modes.record is None and stands_for_two(q, width):
         return (
