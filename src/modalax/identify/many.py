@@ -33,7 +33,6 @@ LEAST = 1e-6  # least noise, relative to the FRFs, that their squares still show
 STEPS = 60  # most steps of the iteration; roots that still move after them are taken from eigenvalues
 STILL = 1e-6  # step, relative to the unit circle, after which the next one, a cube of it, is below rounding
 GROUPS = (0.4, 0.6, 0.8, 1.0)  # parts of the highest order up to which orders are computed together
-WIDE = {"xla_cpu_prefer_vector_width": 512}  # whole vectors of the processor, a quarter faster here
 FAR = 1e3  # where roots are put that only fill the array
 
 
@@ -158,19 +157,22 @@ def companion_roots(a: Inexact[np.ndarray, "draw n"]) -> Complex[np.ndarray, "dr
     return np.linalg.eigvals(C)
 
 
-@partial(jax.jit, compiler_options=WIDE)
+@jax.jit
 def _aberth(A: Complex[Array, "k order draw"], start: Array, used: Array) -> tuple[Array, Array]:
     """Ehrlich-Aberth iteration from the roots ``start``, shape ``(root, order)``, the same for all copies.
+
+    A step is written with real and imaginary parts apart, for complex arithmetic is not vectorised, and has one array
+    as its result: from several the compiler makes several programs, each of which computes the whole step.
 
     Returns
     -------
     Roots, shape ``(root, order, draw)``, and the largest last step of each copy, shape ``(draw,)``.
     """
     count, shape = len(start), (*start.shape, A.shape[-1])
-    real, imag, used = A.real, A.imag, used[..., None]  # parts apart, for complex arithmetic is not vectorised
+    real, imag, used = A.real, A.imag, used[..., None]
 
-    def step(state: tuple[Array, ...]) -> tuple[Array, ...]:
-        turn, x, y, _ = state
+    def step(z: Array) -> Array:
+        x, y = z.real, z.imag
         p, q = jnp.broadcast_to(real[count], shape), jnp.broadcast_to(imag[count], shape)
         dp, dq = jnp.zeros(shape), jnp.zeros(shape)
         for k in range(count - 1, -1, -1):
@@ -185,10 +187,10 @@ def _aberth(A: Complex[Array, "k order draw"], start: Array, used: Array) -> tup
         e, f = dp - (p * s - q * t), dq - (p * t + q * s)
         size = e**2 + f**2
         weight = used / jnp.where(size > 0, size, jnp.inf)
-        ax, ay = (p * e + q * f) * weight, (q * e - p * f) * weight
-        return turn + 1, x - ax, y - ay, jnp.sqrt(jnp.max(ax**2 + ay**2, axis=(0, 1)))
+        return lax.complex(x - (p * e + q * f) * weight, y - (q * e - p * f) * weight)
 
-    wide = (jnp.broadcast_to(v[..., None], shape) for v in (start.real, start.imag))
-    go = lambda state: (state[0] < STEPS) & (jnp.max(state[3]) > STILL)
-    _, x, y, last = lax.while_loop(go, step, (0, *wide, jnp.full(shape[-1], jnp.inf)))
-    return x + 1j * y, last
+    moved = lambda state: jnp.max(jnp.abs(state[1] - state[2]), axis=(0, 1))
+    go = lambda state: (state[0] < STEPS) & (jnp.max(moved(state)) > STILL)
+    first = jnp.broadcast_to(start[..., None], shape)
+    state = lax.while_loop(go, lambda state: (state[0] + 1, step(state[1]), state[1]), (0, first, first + 1.0))
+    return state[1], moved(state)
