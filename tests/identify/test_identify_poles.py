@@ -23,8 +23,8 @@ from modalax.identify import (
     stabilization,
 )
 from modalax.identify.moments import normal_from_moments
-from modalax.identify.polynomial import triangular_factor
-from modalax.identify.zoom import orthonormal_powers, zoom
+from modalax.identify.polynomial import projected_columns, triangular_factor
+from modalax.identify.zoom import moved_span, orthonormal_powers, zoom
 from modalax.model.examples import five_dof
 from modalax.model.indicators import mac
 
@@ -225,6 +225,22 @@ def test_moments_give_the_same_normal_matrix(paper):
         M, _ = jax.jit(normal_from_moments, static_argnums=(3, 4, 5))(frf.H, w[:, 0], u, 12, 12, real)
         G = R.conj().T @ R
         assert float(jnp.abs(M - G).max() / jnp.abs(G).max()) < 1e-14  # measured 3e-15
+
+
+@pytest.mark.parametrize("real", [False, True])
+@pytest.mark.parametrize("arc", [0.05, 0.8, 1.0])
+def test_columns_that_follow_from_the_first_are_those_projected_one_by_one(arc, real):
+    """Weights over six decades, and an arc on which plain powers are dependent to rounding."""
+    rng = np.random.default_rng(5)
+    omega = 2 * np.pi * jnp.linspace(10.0, 40.0, 300)
+    u, weight = zoom(omega, arc, real).circle(omega), jnp.asarray(10 ** rng.uniform(-3, 3, 300))
+    h = weight[:, None] * jnp.asarray(rng.normal(size=(300, 2)) + 1j * rng.normal(size=(300, 2)))
+    found = projected_columns(h, u, 60, moved_span(u, weight, 60, real), real)
+    Q = orthonormal_powers(u, weight, 60, real)
+    columns = (h[:, None] * u[:, None, None] ** jnp.arange(61)[:, None]).reshape(300, -1)
+    columns = jnp.concatenate([columns.real, columns.imag]) if real else columns
+    left = columns - Q @ (Q.conj().T @ columns)
+    assert float(jnp.linalg.norm(found - left) / jnp.linalg.norm(columns)) < 1e-13  # measured 1e-15 to 1e-14
 
 
 def test_moments_find_the_same_poles(paper_frf, paper, errors, poles_of):

@@ -19,7 +19,7 @@ from modalax.data.frf import FRF
 from modalax.identify.fraction import check_constraint, coefficients, roots
 from modalax.identify.moments import factor_from_moments, with_spare
 from modalax.identify.tables import PoleTable
-from modalax.identify.zoom import Zoom, check_orders, orthonormal_powers, zoom
+from modalax.identify.zoom import Zoom, check_orders, moved_span, zoom
 
 SOLVERS = ("auto", "qr", "moments")
 LONG = 100  # poles of the highest order from which on a diagram is done in parts
@@ -75,20 +75,16 @@ def triangular_factor(
     of outputs. ``ridge`` adds :math:`\rho I` to the normal matrix, relative to its mean diagonal; ``also`` are further
     rows for the factor, such as those that noise adds on average.
     """
-    f, n_rows, size = H.shape
+    size = H.shape[2]
     m = (order + 1) * size
-    columns = powers(u, order + 1)
-    common = orthonormal_powers(u, weight[:, 0], numerator, real) if shared else None
+    common = moved_span(u, weight[:, 0], numerator, real) if shared else None
     energy = jnp.sum(jnp.abs(H * weight[:, :, None]) ** 2) / size
     start = jnp.sqrt(ridge * energy) * jnp.eye(m)
 
     def add(R: Array, row: tuple[Array, Array]) -> tuple[Array, None]:
         h, w = row
-        Y = (columns[:, :, None] * (h * w[:, None])[:, None, :]).reshape(f, m)
-        Y = jnp.concatenate([Y.real, Y.imag]) if real else Y
-        Q = orthonormal_powers(u, w, numerator, real) if common is None else common
-        # what rounding leaves of Q is no more than rounding makes elsewhere, so a second pass would not serve
-        Y = Y - Q @ (Q.conj().T @ Y)
+        span = moved_span(u, w, numerator, real) if common is None else common
+        Y = projected_columns(h * w[:, None], u, order, span, real)
         return jnp.linalg.qr(jnp.concatenate([R, Y]), mode="r"), None
 
     rows = (jnp.swapaxes(H, 0, 1), jnp.swapaxes(weight, 0, 1))
@@ -97,6 +93,33 @@ def triangular_factor(
         start = jnp.linalg.qr(jnp.concatenate([start, also]), mode="r")
     R, _ = lax.scan(add, start, rows)
     return R
+
+
+def projected_columns(
+    h: Complex[Array, "f i"], u: Complex[Array, " f"], order: int, span: tuple[Array, Array, Array], real: bool
+) -> Inexact[Array, "f2 m"]:
+    r"""Columns :math:`y_k = P_n h u^k`, of which only the first is projected.
+
+    On the unit circle :math:`u P_n u^{-1}` differs from :math:`P_n` by two directions (see :mod:`.moments`), so that
+
+    .. math:: y_{k+1} = u\,(y_k + \varphi\langle\varphi, h u^k\rangle - \psi\langle\psi, h u^k\rangle) .
+    """
+    f, size = h.shape
+    Q, *ends = span
+    stack = lambda x: jnp.concatenate([x.real, x.imag]) if real else x
+    Q, given = stack(Q), stack(h)
+    first = given - Q @ (Q.conj().T @ given)
+    first = first[:f] + 1j * first[f:] if real else first
+    along = [(end.conj()[:, None] * powers(u, order)).T @ h for end in ends]
+    phi, psi = (end[:, None] for end in ends)
+
+    def following(y: Array, parts: tuple[Array, Array]) -> tuple[Array, Array]:
+        y = u[:, None] * (y + phi * parts[0] - psi * parts[1])
+        return y, y
+
+    _, rest = lax.scan(following, first, tuple(a.real if real else a for a in along))
+    Y = jnp.concatenate([first[None], rest])
+    return stack(jnp.swapaxes(Y, 0, 1).reshape(f, -1))
 
 
 @eqx.filter_jit
