@@ -22,6 +22,7 @@ from modalax.identify import (
     select_near,
     stabilization,
 )
+from modalax.identify.fraction import coefficients
 from modalax.identify.moments import normal_from_moments
 from modalax.identify.polynomial import projected_columns, triangular_factor
 from modalax.identify.zoom import moved_span, orthonormal_powers, zoom
@@ -241,6 +242,19 @@ def test_columns_that_follow_from_the_first_are_those_projected_one_by_one(arc, 
     columns = jnp.concatenate([columns.real, columns.imag]) if real else columns
     left = columns - Q @ (Q.conj().T @ columns)
     assert float(jnp.linalg.norm(found - left) / jnp.linalg.norm(columns)) < 1e-13  # measured 1e-15 to 1e-14
+
+
+@pytest.mark.parametrize(("constraint", "fixed"), [("first", 0), ("last", -1)])
+def test_coefficients_of_every_order_are_least_squares(constraint, fixed):
+    rng, size = np.random.default_rng(0), 3
+    R = np.triu(rng.normal(size=(21, 21)) + 1j * rng.normal(size=(21, 21)))
+    found = jax.vmap(lambda n: coefficients(jnp.asarray(R), n, size, constraint))(jnp.arange(1, 7))
+    for n, A in enumerate(np.asarray(found), 1):
+        blocks = np.split(R[:, : (n + 1) * size], n + 1, axis=1)
+        right = blocks.pop(fixed)
+        free = list(np.split(np.linalg.lstsq(np.hstack(blocks), -right, rcond=None)[0], n))
+        free.insert(0 if fixed == 0 else n, np.eye(size))
+        assert np.allclose(A, np.concatenate([free, np.zeros((6 - n, size, size))]), rtol=1e-9, atol=1e-9)
 
 
 def test_moments_find_the_same_poles(paper_frf, paper, errors, poles_of):

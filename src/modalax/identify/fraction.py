@@ -74,15 +74,13 @@ def coefficients(
         A = jnp.linalg.svd(masked)[2][::-1][:size].conj().T
         return A.reshape(m // size, size, size)
     if constraint == "first":
-        # Columns size..high-1 explain columns 0..size-1: an upper Hessenberg problem, re-triangularised by QR.
-        inside = (column >= size) & (column < high)
-        rows = column < high
-        left = jnp.where(inside[None, :] & rows[:, None], R, 0.0)
-        left = jnp.concatenate([left, jnp.diag(jnp.where(inside, 0.0, 1.0)).astype(R.dtype)])
-        right = jnp.concatenate([jnp.where(rows[:, None], -R[:, :size], 0.0), jnp.zeros((m, size), R.dtype)])
-        Q, T = jnp.linalg.qr(left)
-        x = solve_triangular(T, Q.conj().T @ right)
-        A = jnp.where(inside[:, None], without_ridge(T, x), 0.0).at[:size].set(jnp.eye(size))
+        # Columns size..high-1 explain columns 0..size-1: an upper Hessenberg problem, made triangular again for the
+        # largest order, whose factors hold those of every smaller one in their leading columns.
+        Q, T = jnp.linalg.qr(R[:, size:])
+        inside = column[: m - size] < low
+        T = jnp.where(inside[None, :] & inside[:, None], T, 0.0) + jnp.diag(jnp.where(inside, 0.0, 1.0))
+        x = solve_triangular(T, jnp.where(inside[:, None], -Q.conj().T @ R[:, :size], 0.0))
+        A = jnp.concatenate([jnp.eye(size, dtype=R.dtype), without_ridge(T, x)])
         return A.reshape(m // size, size, size)
     inside = column < low
     square = jnp.where(inside[None, :] & inside[:, None], R, 0.0) + jnp.diag(jnp.where(inside, 0.0, 1.0))
