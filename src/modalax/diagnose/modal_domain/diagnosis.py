@@ -219,8 +219,8 @@ def diagnose_modes(
     """Diagnose in the modal domain; None where the measurement shows no mode to compare."""
     late = late or Deadline()
     found = _diagnosed(measurement, simulation, question, late, wanted, tell)
-    if found is None or late() or found.after.p_value > THRESHOLDS.left_by_modes:
-        return found
+    if found is None or late() or found.after.p_value > THRESHOLDS.left_by_modes or isinstance(simulation, ModesAlone):
+        return found  # few modes, which do not tell a force from what was not exported
     if found.verdict in ("clean", "named") and found.gain.chi2_unforeseen < THRESHOLDS.as_noise:
         return found  # it foretells what it was not fitted to: a force would stand for errors that no element holds
     rest: ModalDiagnosis | None = found
@@ -280,7 +280,8 @@ def _diagnosed(
     gain = gain_of(stage, chosen, before)
     word, reasons = held_out_verdict(word, reasons, gain)
     left = float((np.abs(residuals[1][stage.measured.runs]) ** 2).mean() / 2)
-    word, reasons = lines_verdict(word, reasons, left, stage.measured.misfit)
+    exported = isinstance(simulation, ModesAlone)
+    word, reasons = lines_verdict(word, reasons, left, stage.measured.misfit, exported=exported)
     hum = mains_hum(measurement, stage.measured.freq, residuals[1]) if wanted("mains_hum") else None
     if hum is not None:
         word, reasons = outweighing(word, "named"), (*reasons, f"beside it there is mains hum: {hum.evidence}")
@@ -289,7 +290,7 @@ def _diagnosed(
         f"{len(stage.measured.features.poles)} modes were identified in the band from "
         f"{len(stage.measured.runs)} of {len(H)} runs, chi-square per sample {stage.measured.misfit:.3g}",
     )
-    if isinstance(simulation, ModesAlone):
+    if exported:
         notes += (MODES_ALONE,)
     if forced is not None:
         word = outweighing(word, "named" if forced.probability >= THRESHOLDS.certain else "ambiguous")
