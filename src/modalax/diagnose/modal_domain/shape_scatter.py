@@ -99,11 +99,13 @@ def _corrected(setting: Setting, f: Fit) -> Setting:
     turn = np.sqrt(1 / (2j * state.modes.poles[state.pairs].imag))
     real, moved = (v / turn[:, None]).real, np.abs(rms / turn)[:, None] * z
     change = np.linalg.lstsq(real, moved, rcond=None)[0]
-    outputs, inputs = c.outputs.copy(), c.inputs.copy()
+    outputs, inputs, shapes = c.outputs.copy(), c.inputs.copy(), c.shapes.copy()
     for j, (at, to) in enumerate(_rows(setting)):
+        row = c.outputs[at] if at is not None else c.inputs[to]
+        shapes[(c.shapes == row).all(axis=1)] += change[:, j]
         if at is not None:
             outputs[at] += change[:, j]
         if to is not None:
             inputs[to] += change[:, j]
-    told = replace(c, outputs=outputs, inputs=inputs)
+    told = replace(c, outputs=outputs, inputs=inputs, shapes=shapes, everywhere=shapes)
     return replace(setting, coordinates=told, whitener=whitener_of(setting.features), scatter=0.0)
