@@ -108,8 +108,8 @@ def modes_alone(model: ModalModel) -> ModesAlone | None:
     if not (whole > 0).all() or (np.linalg.norm(shapes.imag, axis=1) > TURNED * whole).any():
         return None
     poles = poles[order]
-    claims = [np.asarray(std)[order] for std in (model.frequency_std, model.damping_std)]
-    return ModesAlone(dofs, np.abs(poles), -2 * poles.real, shapes.real.T, *claims, len(poles))
+    frequency_std, damping_std = (np.asarray(std)[order] for std in (model.frequency_std, model.damping_std))
+    return ModesAlone(dofs, np.abs(poles), -2 * poles.real, shapes.real.T, frequency_std, damping_std, len(poles))
 
 
 def with_static_correction(simulation: ModesAlone, c: Coordinates, measured: Measured, m: tuple) -> ModesAlone:

@@ -163,7 +163,8 @@ def springs_of(
     dofs, bare = simulation.dofs, isinstance(simulation, ModesAlone)
     K = np.full((len(dofs), len(dofs)), np.inf) if bare else np.asarray(simulation.K)
     asked = {frozenset(dofs.index(name) for name in p) for p in pairs or () if set(p) <= set(dofs)}
-    parts, within = [], {}
+    parts: list[Part] = []
+    within: dict[frozenset[int], float] = {}
     if not bare and simulation.elements is None:
         parts = parts_of(K, nodes)
         within = _read_within(K, parts, asked)
@@ -186,7 +187,7 @@ def springs_of(
             continue
         if key == "apart" and not (alike and nodes.axis[a] < 3 and dofs[a] in apart and dofs[b] in apart):
             continue
-        stiffness = within.get(pair, min(K[a, a], K[b, b]))
+        stiffness = within[pair] if pair in within else float(min(K[a, a], K[b, b]))
         groups[key].append(((dofs[a], dofs[b]), c.shapes[a] - c.shapes[b], JOINT * stiffness, 1.0, pair in within))
     for a, name in enumerate(dofs):
         supported = held.get(a, 0.0) > SUPPORTED * K[a, a]
