@@ -35,6 +35,12 @@ def ranked(*sets):
     return out
 
 
+def sized(sets, value, deviation):
+    """The leading cause with its only parameter."""
+    best = replace(sets[0].best, params=(np.array([value]),), covariance=np.array([[deviation**2]]))
+    return [replace(sets[0], best=best), *sets[1:]]
+
+
 ONE = ranked((0.99, (CUBIC, "1")), (0.01, (SPRING, "1")))
 TWO = ranked((0.99, (CUBIC, "1"), (MASS, "2")), (0.01, (CUBIC, "1")))
 TABLE = [
@@ -69,6 +75,8 @@ TABLE = [
         ranked((0.4, (CUBIC, "1")), (0.4, (CUBIC, "2")), (0.2, (SPRING, "1"))), ALARM, HELD, "ambiguous",
         ["other causes compete", "may sit elsewhere"],
     ),
+    (sized(ONE, 5.0, 5.1), ALARM, MISSED, "ambiguous", ["no parameter of cubic_stiffness"]),
+    (sized(ONE, 5.0, 4.9), ALARM, HELD, "named", ["0.99"]),
     (ranked((0.5, (CUBIC, "1"), (SPRING, "1")), (0.5, (MASS, "3"))), ALARM, MISSED, "ambiguous", ["", "", "one joint"]),
 ]  # fmt: skip
 
@@ -81,7 +89,7 @@ def test_truth_table(sets, leftover, held_out, word, reasons):
 
 
 def test_every_rule_decides_a_row_and_the_last_always_does():
-    assert [word for word, _ in RULES] == ["clean", *["unknown"] * 3, *["ambiguous"] * 5, "unknown", "named"]
+    assert [word for word, _ in RULES] == ["clean", *["unknown"] * 3, *["ambiguous"] * 6, "unknown", "named"]
     reasons = " ".join(part for *_, parts in TABLE for part in parts)
     assert all(
         p in reasons for p in ("noise alone", "no cause", "still more", "beside", "compete", "tried", "elsewhere")

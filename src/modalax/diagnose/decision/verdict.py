@@ -3,6 +3,8 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from modalax.diagnose.causes.base import ElementCause
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.posterior import Ranked
@@ -168,6 +170,21 @@ def elements_share_a_place(case: Case) -> str | None:
     return None if len(set(at)) == len(at) else f"{case.names} at one place may be one joint of another law"
 
 
+def nothing_is_determined(case: Case) -> str | None:
+    """A cause of whose parameters none is larger than its own deviation is at the end of what it can be."""
+    h, first, without = case.best.best, 0, []
+    for cause, p in zip(h.causes, h.params, strict=False):
+        own = slice(first, first := first + len(p))
+        if len(p) and h.covariance is not None:
+            deviation = np.sqrt(np.maximum(np.diag(h.covariance)[own], 0.0))
+            size = np.array([1.0 if q.log else abs(v) for q, v in zip(cause.parameters, p, strict=True)])
+            without += [cause.slug] if (deviation > size).all() else []
+    return None if not without else (
+        f"the data determine no parameter of {' and '.join(without)}: it stands for a limit, such as a joint that "
+        "never moves"
+    )  # fmt: skip
+
+
 def held_out_is_missed(case: Case) -> str | None:
     """What imitates a third thing on what it is fitted to hardly predicts it elsewhere."""
     gain = case.held_out
@@ -200,6 +217,7 @@ RULES: tuple[tuple[str, Rule], ...] = (
     ("ambiguous", law_is_inexact),
     ("ambiguous", places_compete),
     ("ambiguous", elements_share_a_place),
+    ("ambiguous", nothing_is_determined),
     ("unknown", held_out_is_missed),
     ("named", named),
 )
