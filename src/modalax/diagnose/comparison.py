@@ -328,15 +328,13 @@ def _held_in_full(problem: Problem, simulation: ExtendedSimulation) -> tuple[Any
     return with_harmonics(held.causes, held.index, held.extras, held.params, held.theta, alone, highest)
 
 
-def is_modal_fit(simulation: object) -> bool:
-    """Whether a simulation is a modal fit: it has residual terms."""
-    return isinstance(simulation, ModalModel) and bool(np.any(simulation.upper) or np.any(simulation.lower))
-
-
 def _question(question: str, simulation: Structure | ModalModel) -> tuple[str, str]:
     if question != "auto":
         return question, f"the {question.upper()} question was asked for"
-    if is_modal_fit(simulation):
+    fitted = isinstance(simulation, ModalModel) and bool(
+        np.abs(np.asarray(simulation.upper)).max(initial=0) + np.abs(np.asarray(simulation.lower)).max(initial=0) > 0
+    )
+    if fitted:
         return "free", (
             "the simulation is a modal fit (it has residual terms), so its modal parameters are free (FREE question): "
             "only what no linear modal model explains is named"

@@ -19,9 +19,8 @@ r"""The method of the diagnosis, from a measurement and a simulation to an answe
 Steps 2 to 5 work line by line and take everything but the causes as exact. Where every element of the simulation is a
 little off, or the problem is large, the modal domain answers instead (``decision.route``, ``modal_domain``): the modes
 of the measurement are identified, the general inaccuracy is estimated together with every cause, and the answer holds
-both; a simulation that is known by its modes alone is asked about there first. Where one force at one place explains
-all data, only elements and joints at such places are searched, line by line, whatever the size of the problem
-(``screening.one_force``). Where nothing of this explains several force levels of
+both. Where one force at one place explains all data, only elements and joints at such places are searched, line by
+line, whatever the size of the problem (``screening.one_force``). Where nothing of this explains several force levels of
 a few modes, a joint is fitted together with the modes, as the lowest level is bent by it too: first without a law,
 then by laws that come near to that, judged by the highest level (``jointed``). It comes first where a quick fit shows
 that no joint of any law explains the levels with the modes as they are (``jointed.bent``).
@@ -48,10 +47,9 @@ from modalax.diagnose.extend import ExtendedSimulation, extend
 from modalax.diagnose.holdout import measure
 from modalax.diagnose.jointed.answer import diagnose_joint, joint_comes_first, may_have_joint
 from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis, diagnose_modes
-from modalax.diagnose.modal_domain.modes_alone import ModesAlone
 from modalax.diagnose.modal_domain.table import by_table
 from modalax.diagnose.result import Diagnosis
-from modalax.diagnose.routes import by_modes, check_groups, outcome_of, task_of
+from modalax.diagnose.routes import check_groups, outcome_of, task_of
 from modalax.diagnose.screening.one_force import places_of_one_force
 from modalax.diagnose.search.explain import Explanation, check_imitations, explain
 from modalax.diagnose.search.look import look
@@ -138,7 +136,7 @@ def by_routes(
     """Diagnose line by line, in the modal domain or both; a free joint that ``follows`` is left some of the time."""
     data = as_measurement(measurement)
     task = task_of(data, simulation, question, causes)
-    exact = task.has_modes and task.whole_catalogue and not (task.elements_off or task.massless or task.modes_alone)
+    exact = task.has_modes and task.whole_catalogue and not (task.elements_off or task.massless)
     found = at_one_place(measurement, simulation, question, progress, late) if exact else None
     if found is not None and (found.found.by_force or settled(outcome_of(found)) or late()):
         return found
@@ -158,8 +156,6 @@ def by_routes(
             if not answers:
                 raise
             break
-        if isinstance(found, ModalDiagnosis) and isinstance(found.stage.simulation, ModesAlone):
-            simulation = found.stage.simulation.model()  # with the static correction that its modes lack
         if found is not None:
             answers[route], outcomes[route] = found, outcome_of(found)
             if suffices(route, outcomes[route], task):
@@ -173,12 +169,11 @@ def in_modal_domain(
 ) -> ModalDiagnosis | None:  # fmt: skip
     """Diagnose by the modes of the measurement; None where there is no mode to compare."""
     slugs = None if causes is None else {c.slug for c in causes}
-    known = by_modes(simulation)
-    if known is None:
+    if not isinstance(simulation, Structure):
         return None
     try:
         return diagnose_modes(
-            measurement, known, late=late, wanted=lambda s: slugs is None or s in slugs, tell=progress
+            measurement, simulation, late=late, wanted=lambda s: slugs is None or s in slugs, tell=progress
         )
     except (np.linalg.LinAlgError, ValueError):  # line by line says what is wrong with the data
         return None

@@ -7,13 +7,11 @@ import numpy as np
 from modalax.data import Measurement
 from modalax.diagnose.causes import Cause
 from modalax.diagnose.causes.groups import GROUPS, GroupCause
-from modalax.diagnose.comparison import is_modal_fit
 from modalax.diagnose.decision.route import Outcome, Task
 from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis
-from modalax.diagnose.modal_domain.modes_alone import ModesAlone, modes_alone
 from modalax.diagnose.modal_domain.stage import KNOWN
 from modalax.diagnose.result import Diagnosis
-from modalax.model import ModalModel, Structure
+from modalax.model import Structure
 
 RANKED = 1000  # DoFs up to which a rank is read; larger models are never asked about line by line for long
 GROUP_SLUGS = {c.slug for c in GROUPS}
@@ -21,29 +19,20 @@ GROUP_SLUGS = {c.slug for c in GROUPS}
 
 def task_of(measurement: Measurement, simulation: object, question: str, causes: Sequence[Cause] | None = None) -> Task:
     """What the choice of the method depends on; ``causes`` are those to look for, None for the whole catalogue."""
-    known = by_modes(simulation)
-    if known is None:
+    if not isinstance(simulation, Structure):
         return Task(has_modes=False)
-    there = {*measurement.outputs, *measurement.inputs} <= set(known.dofs)
-    count, claims = len(known.dofs), (known.stiffness_std, known.mass_std)
-    asked = question == "fixed" or (question == "auto" and not is_modal_fit(simulation))
+    known = {*measurement.outputs, *measurement.inputs} <= set(simulation.dofs)
+    count = len(simulation.dofs)
+    claims = simulation.stiffness_std, simulation.mass_std
     return Task(
-        there and asked and count > 1, count * (count + 1) / 2, 2 * measurement.H.size,
+        known and question in ("auto", "fixed") and count > 1, count * (count + 1) / 2, 2 * measurement.H.size,
         any(c is not None and float(c) > 0 for c in claims),
-        bool(np.any(np.asarray(known.frequency_std)) or np.any(np.asarray(known.damping_std))),
+        bool(np.any(np.asarray(simulation.frequency_std)) or np.any(np.asarray(simulation.damping_std))),
         causes is None,
-        known.groups is not None and (causes is None or any(isinstance(c, GroupCause) for c in causes)),
+        simulation.groups is not None and (causes is None or any(isinstance(c, GroupCause) for c in causes)),
         causes is None or all(c.slug in KNOWN or isinstance(c, GroupCause) for c in causes),
-        isinstance(known, Structure) and count <= RANKED and bool(np.linalg.matrix_rank(np.asarray(known.M)) < count),
-        isinstance(known, ModesAlone),
+        bool(np.linalg.matrix_rank(np.asarray(simulation.M)) < count) if count <= RANKED else False,
     )  # fmt: skip
-
-
-def by_modes(simulation: object) -> Structure | ModesAlone | None:
-    """What the modal domain compares a measurement with; None where it knows nothing of such a simulation."""
-    if isinstance(simulation, ModalModel):
-        return modes_alone(simulation)
-    return simulation if isinstance(simulation, Structure) else None
 
 
 def check_groups(simulation: object, causes: Sequence[Cause] | None) -> None:

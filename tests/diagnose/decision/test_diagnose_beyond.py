@@ -100,9 +100,3 @@ def test_nothing_is_clean_whose_lines_are_not_explained(word, left, by_modes, sa
     found, reasons = lines_verdict(word, ["as before"], left, by_modes)
     assert found == said and reasons[0] == "as before"
     assert ("own modes" in reasons[-1]) == (left > 20 * by_modes and word != "unknown")
-
-
-def test_nothing_is_named_beside_modes_alone_whose_lines_are_not_explained():
-    assert lines_verdict("named", [], 30.0, 1.0)[0] == "named"
-    assert lines_verdict("named", [], 30.0, 1.0, exported=True)[0] == "unknown"
-    assert lines_verdict("named", [], 10.0, 1.0, exported=True)[0] == "named"

@@ -167,9 +167,8 @@ def held_out_verdict(
 
 
 def lines_verdict(
-    word: str, reasons: Sequence[str], left: float, by_modes: float, limits: Thresholds = THRESHOLDS,
-    exported: bool = False,
-) -> tuple[str, tuple[str, ...]]:  # fmt: skip
+    word: str, reasons: Sequence[str], left: float, by_modes: float, limits: Thresholds = THRESHOLDS
+) -> tuple[str, tuple[str, ...]]:
     """The verdict once all lines are known: nothing is `clean` whose lines the corrected simulation does not explain.
 
     Parameters
@@ -177,13 +176,10 @@ def lines_verdict(
     left, by_modes
         Chi-square per sample that the corrected simulation with its causes leaves, and that the measurement's own
         modes leave.
-    exported
-        Whether the simulation is known by its modes alone. Few modes do not hold how a structure bends at a place where
-        much is changed, so that nothing is named there whose lines are not explained.
     """
     if word not in ("clean", "named") or left <= limits.lines_missed * by_modes:
         return word, tuple(reasons)
-    return "unknown" if word == "clean" or exported else word, (
+    return "unknown" if word == "clean" else word, (
         *reasons,
         f"but the corrected simulation leaves a chi-square of {left:.3g} per sample, the measurement's own modes "
         f"{by_modes:.3g}: the FRFs differ from it in a way that no error of elements explains",

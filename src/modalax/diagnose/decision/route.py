@@ -39,9 +39,6 @@ class Task:
         Whether the modal domain knows all causes of a part of the catalogue that is asked for.
     massless
         Whether DoFs of the simulation have no mass, with which only the modal domain can do.
-    modes_alone
-        Whether the simulation is known by its modes alone. Their static correction, which the modal domain estimates,
-        is needed line by line as well; and what a part of the modes leaves is then no more than noise.
     """
 
     has_modes: bool
@@ -53,7 +50,6 @@ class Task:
     groups: bool = False
     known_to_modes: bool = True
     massless: bool = False
-    modes_alone: bool = False
 
 
 @dataclass(frozen=True)
@@ -105,7 +101,7 @@ def order(task: Task, limits: Thresholds = THRESHOLDS) -> tuple[Route, ...]:
     """Methods in the order in which they are tried."""
     if not task.has_modes or not (task.known_to_modes or task.groups):  # what is not looked for is not told as absent
         return ("lines",)
-    if needs_modes(task, limits) or task.groups or task.massless or task.modes_alone:
+    if needs_modes(task, limits) or task.groups or task.massless:
         return "modes", "lines"
     if not task.whole_catalogue:  # what a part of the catalogue leaves must not be taken for inaccuracy
         return ("lines",)
@@ -122,7 +118,7 @@ def suffices(route: Route, found: Outcome, task: Task, limits: Thresholds = THRE
     """Whether the answer of the method that was tried first is given without trying the other."""
     if route == "lines":
         return explained(found, limits)
-    if task.massless or (task.modes_alone and found.verdict != "unknown" and certainly_off(found, limits)):
+    if task.massless:
         return True
     if needs_modes(task, limits):
         hopeful = found.verdict == "unknown" and may_be_exact(found) and task.places <= limits.places_in_time

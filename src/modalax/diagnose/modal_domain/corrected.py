@@ -6,15 +6,14 @@ import numpy as np
 
 from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.modal_domain.causes import shown, with_sizes
-from modalax.diagnose.modal_domain.coordinates import SPARED, Coordinates, modes_of
+from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.fit import Fit, widths_of_sizes
 from modalax.diagnose.modal_domain.given_elements import changed_by_elements
 from modalax.diagnose.modal_domain.inaccuracy import KINDS, RIGID, THROUGHOUT, TOLD, WITHIN
-from modalax.diagnose.modal_domain.modes_alone import ModesAlone
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.modal_domain.state import FARTHEST, Setting, changes_of, matrices_of, slopes_at
 from modalax.diagnose.modal_domain.throughout import throughout_told
-from modalax.model import ModalModel, Structure
+from modalax.model import Structure
 
 DRAWS, BESIDE = 16, 24  # draws of the sizes of the inaccuracy, and of its parts for each
 CONSISTENT = 3.0  # nats of log evidence by which an inaccuracy must be better than none to exclude none
@@ -22,13 +21,11 @@ NONE = 1e-5  # relative size that counts as no inaccuracy
 LINES = 256  # lines solved at once
 
 
-def corrected(stage: Stage, f: Fit) -> Structure | ModalModel:
+def corrected(stage: Stage, f: Fit) -> Structure:
     """The simulation corrected for the inaccuracy of a fit and for its whole elements that are off."""
     whole = tuple(c for c in f.causes if c.in_structure)
     u = np.array([v[0] for c, v in with_sizes(f.causes, f.u) if c.in_structure])
     s, sizes = stage.simulation, f.sizes
-    if isinstance(s, ModesAlone):
-        return _of_modes(stage.coordinates, s.dofs, changes_of(stage.setting, sizes, whole, u))
     M, C, K = (np.asarray(A) for A in (s.M, s.C, s.K))
     if s.elements is not None and s.elements.dofs:
         own = {name: _of_elements(stage.setting, sizes, name) for name in THROUGHOUT}
@@ -40,14 +37,6 @@ def corrected(stage: Stage, f: Fit) -> Structure | ModalModel:
     left = np.asarray(s.M) @ stage.coordinates.shapes
     back = {key: left @ value @ left.T for key, value in change.items()}
     return s.replace(M=M + back["dM"], C=C + back["dC"], K=K + back["dK"])
-
-
-def _of_modes(c: Coordinates, dofs: tuple[str, ...], change: dict[str, np.ndarray]) -> ModalModel:
-    """Modes with changes of the matrices, without the spare coordinate."""
-    modes = modes_of(c, **change)
-    kept = np.abs(modes.poles) < SPARED * c.frequencies[-1]
-    shapes = modes.vectors[kept] @ c.shapes.T
-    return ModalModel(modes.poles[kept], shapes, shapes, outputs=dofs, inputs=dofs)
 
 
 def _of_group(setting: Setting, name: str) -> np.ndarray:

@@ -33,7 +33,6 @@ from modalax.diagnose.modal_domain.levels.explain import JointFound
 from modalax.diagnose.modal_domain.levels.laws import NAMED
 from modalax.diagnose.modal_domain.levels.seen import at_levels
 from modalax.diagnose.modal_domain.mains import hum_told, mains_hum
-from modalax.diagnose.modal_domain.modes_alone import ModesAlone
 from modalax.diagnose.modal_domain.screen import errors_of
 from modalax.diagnose.modal_domain.stage import Stage, run_stage
 from modalax.diagnose.modal_domain.throughout import throughout_said, throughout_told
@@ -41,12 +40,8 @@ from modalax.diagnose.over_levels import levels_said
 from modalax.diagnose.result import Diagnosis, within
 from modalax.diagnose.summary import cause_at
 from modalax.diagnose.thresholds import THRESHOLDS
-from modalax.model import ModalModel, Structure
+from modalax.model import Structure
 
-MODES_ALONE = (
-    "the simulation is known by its modes alone: it tells no elements, so that a spring or mass is told among its DoFs "
-    "only, and the static correction that its modes lack was estimated from the measurement"
-)
 ROUNDS = 3  # most in which a force, and the structure without it, are looked for
 
 
@@ -212,15 +207,14 @@ class ModalDiagnosis(Diagnosis):
 
 
 def diagnose_modes(
-    measurement: Measurement, simulation: Structure | ModesAlone, *, question: str = "fixed",
-    late: Deadline | None = None, wanted: Callable[[str], bool] = lambda _: True,
-    tell: Callable[[str], None] = lambda _: None,
+    measurement: Measurement, simulation: Structure, *, question: str = "fixed", late: Deadline | None = None,
+    wanted: Callable[[str], bool] = lambda _: True, tell: Callable[[str], None] = lambda _: None,
 ) -> ModalDiagnosis | None:  # fmt: skip
     """Diagnose in the modal domain; None where the measurement shows no mode to compare."""
     late = late or Deadline()
     found = _diagnosed(measurement, simulation, question, late, wanted, tell)
-    if found is None or late() or found.after.p_value > THRESHOLDS.left_by_modes or isinstance(simulation, ModesAlone):
-        return found  # few modes, which do not tell a force from what was not exported
+    if found is None or late() or found.after.p_value > THRESHOLDS.left_by_modes:
+        return found
     if found.verdict in ("clean", "named") and found.gain.chi2_unforeseen < THRESHOLDS.as_noise:
         return found  # it foretells what it was not fitted to: a force would stand for errors that no element holds
     rest: ModalDiagnosis | None = found
@@ -246,8 +240,8 @@ def _named(found: ModalDiagnosis) -> set[tuple[str, frozenset[str]]]:
 
 
 def _diagnosed(
-    measurement: Measurement, simulation: Structure | ModesAlone, question: str, late: Deadline,
-    wanted: Callable[[str], bool], tell: Callable[[str], None], forced: Forced | None = None,
+    measurement: Measurement, simulation: Structure, question: str, late: Deadline, wanted: Callable[[str], bool],
+    tell: Callable[[str], None], forced: Forced | None = None,
 ) -> ModalDiagnosis | None:  # fmt: skip
     """The diagnosis of what is left once a force that was found is taken out of the FRFs."""
     effect = 0.0 if forced is None else forced.effect
@@ -280,8 +274,7 @@ def _diagnosed(
     gain = gain_of(stage, chosen, before)
     word, reasons = held_out_verdict(word, reasons, gain)
     left = float((np.abs(residuals[1][stage.measured.runs]) ** 2).mean() / 2)
-    exported = isinstance(simulation, ModesAlone)
-    word, reasons = lines_verdict(word, reasons, left, stage.measured.misfit, exported=exported)
+    word, reasons = lines_verdict(word, reasons, left, stage.measured.misfit)
     hum = mains_hum(measurement, stage.measured.freq, residuals[1]) if wanted("mains_hum") else None
     if hum is not None:
         word, reasons = outweighing(word, "named"), (*reasons, f"beside it there is mains hum: {hum.evidence}")
@@ -290,8 +283,6 @@ def _diagnosed(
         f"{len(stage.measured.features.poles)} modes were identified in the band from "
         f"{len(stage.measured.runs)} of {len(H)} runs, chi-square per sample {stage.measured.misfit:.3g}",
     )
-    if exported:
-        notes += (MODES_ALONE,)
     if forced is not None:
         word = outweighing(word, "named" if forced.probability >= THRESHOLDS.certain else "ambiguous")
         reasons = (*reasons, force_said(forced))
@@ -320,8 +311,6 @@ def extension_of(stage: Stage, f: Fit, forced: Forced | None = None) -> Extended
     for cause in (*catalogue(), *imitators()):
         known.setdefault(cause.slug, cause)
     base, causes, places, params, spread, extras = corrected(stage, f), [], [], [], [], []
-    dofs = stage.simulation.dofs
-    count = len(base.poles) if isinstance(base, ModalModel) else len(dofs)
     spring = stage.whole.spring if stage.whole is not None and stage.whole.alone else None
     own = [own_sizes(f.causes, k) for k in range(len(f.causes))]
     every = [(c, u, f.covariance[at, at]) for (c, u), at in zip(with_sizes(f.causes, f.u), own, strict=True)]
@@ -330,7 +319,7 @@ def extension_of(stage: Stage, f: Fit, forced: Forced | None = None) -> Extended
         if c.in_structure or c.slug not in known or c == spring:
             continue
         m = stage.measurement
-        names = dofs if c.at_dofs else (m.inputs if c.slug == "force_gain" else m.outputs)
+        names = base.dofs if c.at_dofs else (m.inputs if c.slug == "force_gain" else m.outputs)
         index = [names.index(str(w)) for w in c.where] + [-1, -1]
         if c.slug == "units":
             index[0] = c.channel[1]
@@ -342,7 +331,7 @@ def extension_of(stage: Stage, f: Fit, forced: Forced | None = None) -> Extended
         extras.append(None if extra is None else jnp.asarray(extra))
     joint = None if stage.seen is None else stage.seen.joint
     if joint is not None and joint.fit.law in NAMED:
-        index = [dofs.index(w) for w in joint.spot.where] + [-1]
+        index = [base.dofs.index(w) for w in joint.spot.where] + [-1]
         law = joint.fit if stage.whole is None else stage.whole.fit
         causes.append(law.law)
         places.append(Place(joint.spot.where, (index[0], index[1], 0)))
@@ -350,6 +339,6 @@ def extension_of(stage: Stage, f: Fit, forced: Forced | None = None) -> Extended
         spread.append(jnp.asarray(law.std))
         extras.append(None)
     return ExtendedSimulation(
-        base, tuple(params), tuple(spread), jnp.zeros((2, count)), tuple(extras), tuple(causes),
+        base, tuple(params), tuple(spread), jnp.zeros((2, len(base.dofs))), tuple(extras), tuple(causes),
         tuple(places), stage.measurement.outputs, stage.measurement.inputs, float(stage.measured.freq[0]),
     )  # fmt: skip

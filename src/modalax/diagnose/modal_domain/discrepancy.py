@@ -1,9 +1,9 @@
-"""The rest that no element explains: small changes of mass and stiffness between any two modes, sized by evidence.
+r"""The rest that no element explains: small changes of mass and stiffness between any two modes, sized by evidence.
 
 A simulation differs from the structure also by what its author left out, such as another beam theory or a distributed
 joint. With mode shapes known to a thousandth such a rest is seen, and must not be taken for a cause. It is the
-non-parametric model of :mod:`modalax.diagnose.modal_domain.couplings`, added to the covariance of the features once its
-size is learnt.
+non-parametric model of Soize (2000), :math:`\delta\,\omega_r\omega_s z_{rs}` in stiffness and :math:`\delta z_{rs}` in
+mass, added to the covariance of the features once its size is learnt.
 """
 
 from dataclasses import replace
@@ -11,13 +11,13 @@ from dataclasses import replace
 import numpy as np
 
 from modalax.diagnose.modal_domain.coordinates import pattern_slopes, slopes_of
-from modalax.diagnose.modal_domain.couplings import Couple, counted_with, couples_of, coupling_patterns
 from modalax.diagnose.modal_domain.features import whitener_of
 from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.state import Setting, feature_slopes, slopes_at, whitened
 
 SIZES = (0.0, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)  # relative sizes that are tried
 BESIDE, NEXT = 8, 2  # modes above the band that those inside may be coupled with, and of these the ones told apart
+ON_DIAGONAL = np.sqrt(1.5)  # change of a mode itself, relative to a coupling of two modes
 BLOCK = 100  # patterns at once
 KNOWN = 0.3  # standard deviation of the logarithm of its size once that is learnt
 
@@ -30,8 +30,12 @@ def rest_slopes(setting: Setting, f: Fit) -> np.ndarray:
     columns = []
     for kind in "KM":
         for start in range(0, len(couples), BLOCK):
-            by = scale if kind == "K" else np.ones(c.size)
-            moved = pattern_slopes(t, kind, coupling_patterns(couples[start : start + BLOCK], by))
+            some = couples[start : start + BLOCK]
+            patterns = np.zeros((len(some), c.size, c.size))
+            for k, (r, s) in enumerate(some):
+                size = (scale[r] * scale[s] if kind == "K" else 1.0) * (ON_DIAGONAL if r == s else 1.0)
+                patterns[k, r, s] = patterns[k, s, r] = size
+            moved = pattern_slopes(t, kind, patterns)
             columns.append(feature_slopes(setting, f.state, t, f.causes, f.u, *moved))
     return whitened(setting, np.concatenate(columns, axis=1), f.causes)
 
@@ -64,12 +68,15 @@ def told_apart(setting: Setting, f: Fit) -> Setting:
 
     FRFs hold more than the features of modes: without these changes a fit to lines would bend causes and elements.
     """
-    a = setting.inaccuracy
+    a, c = setting.inaccuracy, setting.coordinates
     couples, scale = _couples(setting, f, NEXT)
+    patterns = np.zeros((len(couples), c.size, c.size))
+    for k, (r, s) in enumerate(couples):
+        patterns[k, r, s] = patterns[k, s, r] = scale[r] * scale[s] * (ON_DIAGONAL if r == s else 1.0)
     known = replace(
-        a, groups=(*a.groups, "rest"), patterns=(*a.patterns, coupling_patterns(couples, scale)),
-        claimed=(*a.claimed, False), usual=np.append(a.usual, np.sqrt(2) * setting.rest),
-        spread=np.append(a.spread, KNOWN), positive=np.append(a.positive, np.zeros(len(couples), bool)),
+        a, groups=(*a.groups, "rest"), patterns=(*a.patterns, patterns), claimed=(*a.claimed, False),
+        usual=np.append(a.usual, np.sqrt(2) * setting.rest), spread=np.append(a.spread, KNOWN),
+        positive=np.append(a.positive, np.zeros(len(couples), bool)),
     )  # fmt: skip
     return replace(setting, inaccuracy=known, whitener=whitener_of(setting.features), rest=0.0)
 
@@ -85,11 +92,12 @@ def beside(setting: Setting, f: Fit) -> Fit:
     )  # fmt: skip
 
 
-def _couples(setting: Setting, f: Fit, above: int) -> tuple[list[Couple], np.ndarray]:
+def _couples(setting: Setting, f: Fit, above: int) -> tuple[list[tuple[int, int]], np.ndarray]:
     """Modes that the rest couples, and the circular frequency that each counts with."""
     c = setting.coordinates
     inside = min(c.size, int(f.state.pairs.max(initial=0)) + 3)
-    return couples_of(c.size, inside, above), counted_with(c.frequencies, inside)
+    couples = [(r, s) for r in range(inside) for s in range(r, min(c.size, inside + above))]
+    return couples, np.maximum(c.frequencies, 0.05 * c.frequencies[inside - 1])
 
 
 def _evidence(covariance: np.ndarray, target: np.ndarray) -> float:

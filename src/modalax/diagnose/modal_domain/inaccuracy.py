@@ -13,7 +13,6 @@ import numpy as np
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.elements import nodes_of
 from modalax.diagnose.modal_domain.given_elements import mass_patterns, stiffness_patterns
-from modalax.diagnose.modal_domain.modes_alone import ModesAlone
 from modalax.diagnose.modal_domain.parts import parts_of
 from modalax.model import Structure
 
@@ -65,12 +64,15 @@ class Inaccuracy:
         return np.repeat(np.arange(len(self.patterns)), [len(p) for p in self.patterns])
 
 
-def inaccuracy_of(simulation: Structure | ModesAlone, c: Coordinates, highest: float) -> Inaccuracy:
+def inaccuracy_of(simulation: Structure, c: Coordinates, highest: float) -> Inaccuracy:
     """Patterns of a structure whose band ends at ``highest`` [rad/s]."""
-    if isinstance(simulation, ModesAlone):
-        stiffness, mass = simulation.patterns(c, highest)
-    else:
-        stiffness, mass = _of_elements(simulation, c)
+    M, K = np.asarray(simulation.M), np.asarray(simulation.K)
+    nodes = nodes_of(simulation.dofs)
+    stiffness, mass = stiffness_patterns(simulation, c), mass_patterns(simulation, c)
+    if stiffness is None:
+        stiffness = np.stack([c.shapes[p.dofs].T @ p.matrix @ c.shapes[p.dofs] for p in parts_of(K, nodes)])
+    if mass is None:
+        mass = np.stack([c.shapes[p.dofs].T @ p.matrix @ c.shapes[p.dofs] for p in parts_of(M, nodes, mass=True)])
     claims = {"stiffness": _claim(simulation, "stiffness_std"), "mass": _claim(simulation, "mass_std"),
               "damping": _claim(simulation, "damping_std")}  # fmt: skip
     frequency = _claim(simulation, "frequency_std")
@@ -94,18 +96,7 @@ def inaccuracy_of(simulation: Structure | ModesAlone, c: Coordinates, highest: f
     )  # fmt: skip
 
 
-def _of_elements(simulation: Structure, c: Coordinates) -> tuple[np.ndarray, np.ndarray]:
-    """Changes of each element of stiffness and mass by the whole, those that are told or else read off the matrices."""
-    M, K, nodes = np.asarray(simulation.M), np.asarray(simulation.K), nodes_of(simulation.dofs)
-    stiffness, mass = stiffness_patterns(simulation, c), mass_patterns(simulation, c)
-    if stiffness is None:
-        stiffness = np.stack([c.shapes[p.dofs].T @ p.matrix @ c.shapes[p.dofs] for p in parts_of(K, nodes)])
-    if mass is None:
-        mass = np.stack([c.shapes[p.dofs].T @ p.matrix @ c.shapes[p.dofs] for p in parts_of(M, nodes, mass=True)])
-    return stiffness, mass
-
-
-def _claim(simulation: Structure | ModesAlone, name: str) -> float:
+def _claim(simulation: Structure, name: str) -> float:
     value = np.asarray(0.0 if getattr(simulation, name) is None else getattr(simulation, name), float)
     return float(np.sqrt(np.mean(value**2))) if value.size else 0.0
 

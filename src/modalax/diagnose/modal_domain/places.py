@@ -8,10 +8,9 @@ import numpy as np
 
 from modalax.diagnose.modal_domain.causes import ALL, Change
 from modalax.diagnose.modal_domain.coordinates import Coordinates
-from modalax.diagnose.modal_domain.elements import Nodes, Part, nodes_of
-from modalax.diagnose.modal_domain.given_elements import softened_elements, springs_within, told_parts
+from modalax.diagnose.modal_domain.elements import Nodes, nodes_of
+from modalax.diagnose.modal_domain.given_elements import softened_elements
 from modalax.diagnose.modal_domain.groups import group_factors, other_than
-from modalax.diagnose.modal_domain.modes_alone import ModesAlone
 from modalax.diagnose.modal_domain.parts import parts_of
 from modalax.model import Structure
 
@@ -32,7 +31,7 @@ UNLIKELY = 0.05  # weight of a pair of unlike directions, or of a rotation's ine
 
 
 def candidates_of(
-    simulation: Structure | ModesAlone, c: Coordinates, outputs: tuple[str, ...], inputs: tuple[str, ...],
+    simulation: Structure, c: Coordinates, outputs: tuple[str, ...], inputs: tuple[str, ...],
     pairs: list[tuple[str, str]] | None, highest: float,
 ) -> list[Change]:  # fmt: skip
     """Causes at their places."""
@@ -41,7 +40,7 @@ def candidates_of(
     if not len(inside):
         inside = np.arange(min(3, c.size))
     out = []
-    own, own_mass = np.diag(c.damping)[inside], _own_mass(simulation, c, inside)
+    own, own_mass = np.diag(c.damping)[inside], _own_mass(simulation)
     for k, name in enumerate(dofs):
         b = c.shapes[k]
         mobile = float((b[inside] ** 2).mean())
@@ -62,10 +61,9 @@ def candidates_of(
         damping = float((own / np.maximum(mobile, 1e-300)).min())  # that doubles the damping of one mode
         usual = float(own.mean() / mobile.mean())
         out.append(Change("local_damper", where, usual, b, reference=damping, weight=weight))
-    if not isinstance(simulation, ModesAlone):
-        elements = _elements(simulation, c, nodes)
-        groups = group_factors(simulation, c, SHARES["element"] / max(len(elements), 1))
-        out = other_than(groups, out + elements) + groups
+    elements = _elements(simulation, c, nodes)
+    groups = group_factors(simulation, c, SHARES["element"] / max(len(elements), 1))
+    out = other_than(groups, out + elements) + groups
     out += [Change("channel_gain", (n,), GAIN, channel=(0, k)) for k, n in enumerate(outputs)]
     out += [Change("channel_sign", (n,), channel=(0, k)) for k, n in enumerate(outputs)]
     out += [Change("force_gain", (n,), GAIN, channel=(1, k)) for k, n in enumerate(inputs)]
@@ -80,20 +78,18 @@ def candidates_of(
     return out + _damped_modes(c, inside)
 
 
-def _own_mass(simulation: Structure | ModesAlone, c: Coordinates, inside: np.ndarray) -> np.ndarray:
-    """Mass that the simulation has at each DoF; of modes alone that which doubles the modal mass of one mode."""
-    if isinstance(simulation, ModesAlone):
-        return 1 / np.maximum((c.shapes[:, inside] ** 2).max(axis=1), 1e-300)
+def _own_mass(simulation: Structure) -> np.ndarray:
+    """Mass that the simulation has at each DoF."""
     return np.diag(np.asarray(simulation.M))
 
 
-def _lumps(simulation: Structure | ModesAlone, c: Coordinates, inside: np.ndarray) -> list[Change]:
+def _lumps(simulation: Structure, c: Coordinates, inside: np.ndarray) -> list[Change]:
     """Masses that move with all displacements of a node, each told at the DoF where it moves most.
 
     Also of a node that follows others statically: what is rigidly tied to them may still be heavier.
     """
     nodes, mobile = nodes_of(c.names), (c.everywhere[:, inside] ** 2).mean(axis=1)
-    own = dict(zip(simulation.dofs, _own_mass(simulation, c, inside).tolist(), strict=True))
+    own = dict(zip(simulation.dofs, _own_mass(simulation).tolist(), strict=True))
     out = []
     for node in nodes.members:
         at = node[(nodes.axis[node] >= 0) & (nodes.axis[node] < 3) & (mobile[node] > STILL * mobile.max())]
@@ -148,47 +144,39 @@ def _elements(simulation: Structure, c: Coordinates, nodes: Nodes) -> list[Chang
 
 
 def springs_of(
-    simulation: Structure | ModesAlone, c: Coordinates, nodes: Nodes, pairs: list[tuple[str, str]] | None,
-    highest: float, apart: Collection[str] = (),
+    simulation: Structure, c: Coordinates, nodes: Nodes, pairs: list[tuple[str, str]] | None, highest: float,
+    apart: Collection[str] = (),
 ) -> list[tuple[tuple[str, ...], np.ndarray, float, float, bool]]:  # fmt: skip
     """Place, direction, usual change of stiffness and weight of springs, and whether the simulation has one there.
 
     Likeliest are the pairs that the simulation names and its own springs and supports, then other coupled DoFs and
     each DoF to ground, and last any two displacements of one direction, of those in ``apart``, that nothing joins.
-    Where elements are told they tell where the simulation has springs, and how stiff.
     Where the simulation has no spring, as between two points of a plate, its size is compared with what holds the DoFs,
     and the usual one is small enough to move modes by as much as a wrong one does.
     """
     inside = np.flatnonzero((c.frequencies < highest) & (c.frequencies > 0.02 * highest))
-    dofs, bare = simulation.dofs, isinstance(simulation, ModesAlone)
-    K = np.full((len(dofs), len(dofs)), np.inf) if bare else np.asarray(simulation.K)
-    asked = {frozenset(dofs.index(name) for name in p) for p in pairs or () if set(p) <= set(dofs)}
-    parts: list[Part] = []
-    within: dict[frozenset[int], float] = {}
-    if not bare and simulation.elements is None:
-        parts = parts_of(K, nodes)
-        within = _read_within(K, parts, asked)
-    elif not bare:
-        parts, within = told_parts(simulation, nodes), springs_within(simulation, nodes)
-        joined = {
-            frozenset(pair) for p in parts for pair in itertools.combinations(p.dofs.tolist(), 2)
-            if nodes.axis[pair[0]] == nodes.axis[pair[1]]
-        }  # fmt: skip
-        asked = asked - joined if asked >= joined else asked  # to name all that elements join is to name none
-    own = {frozenset(p.dofs.tolist()) for p in parts if len(p.nodes) == 2 and len(p.dofs) == 2}
+    K, dofs = np.asarray(simulation.K), simulation.dofs
+    size = np.sqrt(np.maximum(np.diag(K), 1e-300))
+    unit = np.abs(K) / size[:, None] / size
+    asked = {frozenset(p) for p in pairs or ()}
+    parts = parts_of(K, nodes)
+    own = {frozenset(p.dofs) for p in parts if len(p.nodes) == 2 and len(p.dofs) == 2}
+    read = {frozenset(pair) for p in parts if p.nodes for pair in itertools.combinations(p.dofs.tolist(), 2)}
     supports = [p for p in parts if len(p.nodes) == 1 and len(p.dofs) <= HELD]
     held = {int(k): p.matrix[j, j] for p in supports for j, k in enumerate(p.dofs)}
     groups: dict[str, list] = {key: [] for key in SHARES}
     for a, b in itertools.combinations(range(len(dofs)), 2):
-        pair = frozenset((a, b))
-        key = "named" if pair in asked else "spring" if pair in own else "coupled" if pair in within else "apart"
-        alike = nodes.axis[a] == nodes.axis[b]
-        if key == "coupled" and not alike:
+        key = "named" if frozenset((dofs[a], dofs[b])) in asked else "spring" if {a, b} in own else "coupled"
+        if key == "coupled" and nodes.axis[a] != nodes.axis[b]:
             continue
-        if key == "apart" and not (alike and nodes.axis[a] < 3 and dofs[a] in apart and dofs[b] in apart):
-            continue
-        stiffness = within[pair] if pair in within else float(min(K[a, a], K[b, b]))
-        groups[key].append(((dofs[a], dofs[b]), c.shapes[a] - c.shapes[b], JOINT * stiffness, 1.0, pair in within))
+        if key == "coupled" and unit[a, b] < COUPLED:
+            if nodes.axis[a] > 2 or not (dofs[a] in apart and dofs[b] in apart):
+                continue
+            key = "apart"
+        told = unit[a, b] > 1e-3 and (key == "named" or {a, b} in read)
+        stiffness = abs(K[a, b]) if told else min(K[a, a], K[b, b])
+        there = bool(unit[a, b] >= COUPLED)
+        groups[key].append(((dofs[a], dofs[b]), c.shapes[a] - c.shapes[b], JOINT * stiffness, 1.0, there))
     for a, name in enumerate(dofs):
         supported = held.get(a, 0.0) > SUPPORTED * K[a, a]
         entry = (name,), c.shapes[a], JOINT * (held[a] if supported else K[a, a])
@@ -200,19 +188,6 @@ def springs_of(
         if key in ABSENT:
             group = [(where, b, min(k, JOINT * _felt(c, b, inside)), *rest) for where, b, k, *rest in group]
         out += [(where, b, float(k), SHARES[key] * w / total, there) for where, b, k, w, there in group]
-    return out
-
-
-def _read_within(K: np.ndarray, parts: list[Part], asked: set[frozenset[int]]) -> dict[frozenset[int], float]:
-    """Pairs of DoFs that a matrix couples, with the stiffness there: the entry itself where parts can be read off."""
-    size = np.sqrt(np.maximum(np.diag(K), 1e-300))
-    unit = np.abs(K) / size[:, None] / size
-    read = {frozenset(pair) for p in parts if p.nodes for pair in itertools.combinations(p.dofs.tolist(), 2)}
-    out = {}
-    for a, b in np.argwhere(np.triu(unit, 1) >= COUPLED).tolist():
-        pair = frozenset((a, b))
-        told = unit[a, b] > 1e-3 and (pair in asked or pair in read)
-        out[pair] = float(abs(K[a, b]) if told else min(K[a, a], K[b, b]))
     return out
 
 

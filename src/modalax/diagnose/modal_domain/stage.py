@@ -24,12 +24,10 @@ from modalax.diagnose.modal_domain.levels.seen import Seen, joint_and_structure,
 from modalax.diagnose.modal_domain.levels.slipping import Whole, whole_joint
 from modalax.diagnose.modal_domain.line_forces import KINDS
 from modalax.diagnose.modal_domain.measured import Measured, identify
-from modalax.diagnose.modal_domain.modes_alone import ModesAlone, with_static_correction
 from modalax.diagnose.modal_domain.odd_output import OddOutput, odd_output
 from modalax.diagnose.modal_domain.places import candidates_of, springs_of
 from modalax.diagnose.modal_domain.polish import leading_on_lines
 from modalax.diagnose.modal_domain.sensor_filters import sensor_filters
-from modalax.diagnose.modal_domain.shape_scatter import scatter_told, with_scatter
 from modalax.diagnose.modal_domain.state import Setting
 from modalax.diagnose.thresholds import THRESHOLDS
 from modalax.model import Structure
@@ -70,7 +68,7 @@ class Stage:
     """
 
     measurement: Any
-    simulation: Structure | ModesAlone
+    simulation: Structure
     coordinates: Coordinates
     measured: Any
     setting: Setting
@@ -88,7 +86,7 @@ class Stage:
 
 
 def further_of(
-    simulation: Structure | ModesAlone, c: Coordinates, measured: Measured, outputs: tuple[str, ...]
+    simulation: Structure, c: Coordinates, measured: Measured, outputs: tuple[str, ...]
 ) -> list[Change]:  # fmt: skip
     """Causes that only lines, and not a table of modes, are asked about.
 
@@ -106,37 +104,8 @@ def further_of(
     return found
 
 
-def identified(
-    measurement: Measurement, simulation: Structure | ModesAlone, highest: float
-) -> tuple[Structure | ModesAlone, Coordinates, Measured]:
-    """The simulation, with the static correction that modes alone lack, its coordinates, and the measured modes."""
-    channels = measurement.outputs, measurement.inputs
-    if not isinstance(simulation, ModesAlone):
-        c = coordinates_of(simulation, *channels, highest)
-        return simulation, c, identify(measurement, c)
-    c = simulation.coordinates(*channels, highest)
-    measured = identify(measurement, c)
-    if len(measured.features.poles):
-        simulation = with_static_correction(simulation, c, measured, channels)
-    return simulation, simulation.coordinates(*channels, highest), measured
-
-
-def setting_of(
-    simulation: Structure | ModesAlone, c: Coordinates, measured: Measured, inputs: int, highest: float
-) -> Setting:  # fmt: skip
-    """What all hypotheses share, with what is off beside single elements."""
-    whitener = whitener_of(measured.features)
-    setting = Setting(c, inaccuracy_of(simulation, c, highest), measured.features, whitener)
-    if isinstance(simulation, ModesAlone):
-        return with_scatter(setting)
-    if simulation.groups is None:  # all of the mass and stiffness is, where there is one force, its constant as well
-        sought = ("stiffness", "mass") if inputs > 1 else ("stiffness",)
-        setting = replace(setting, sought=sought, uneven=simulation.elements is None)
-    return setting
-
-
 def run_stage(
-    measurement: Measurement, simulation: Structure | ModesAlone, late: Deadline, wanted: Callable[[str], bool],
+    measurement: Measurement, simulation: Structure, late: Deadline, wanted: Callable[[str], bool],
     tell: Callable[[str], None],
 ) -> Stage | None:  # fmt: skip
     """Diagnose a measurement in the modal domain; None where it shows no mode to compare.
@@ -151,11 +120,16 @@ def run_stage(
         Called with each step.
     """
     highest = 2 * np.pi * float(measurement.freq[-1])
+    c = coordinates_of(simulation, measurement.outputs, measurement.inputs, highest)
     tell("identifying the measurement's own modes")
-    simulation, c, measured = identified(measurement, simulation, highest)
+    measured = identify(measurement, c)
     if not len(measured.features.poles):
         return None
-    setting = setting_of(simulation, c, measured, len(measurement.inputs), highest)
+    whitener = whitener_of(measured.features)
+    setting = Setting(c, inaccuracy_of(simulation, c, highest), measured.features, whitener)
+    if simulation.groups is None:  # all of the mass and stiffness is, where there is one force, its constant as well
+        sought = ("stiffness", "mass") if len(measurement.inputs) > 1 else ("stiffness",)
+        setting = replace(setting, sought=sought, uneven=simulation.elements is None)
     pairs = None if simulation.pairs is None else list(simulation.pairs)
     every = candidates_of(simulation, c, measurement.outputs, measurement.inputs, pairs, highest)
     every += further_of(simulation, c, measured, measurement.outputs)
@@ -165,9 +139,6 @@ def run_stage(
     setting, explanations = explain(setting, candidates, first, tell)
     if not explanations:
         return None
-    if setting.scatter:
-        setting, explanations = scatter_told(setting, explanations)
-        c = setting.coordinates
     odd = None if late() else odd_output(setting, explanations, measurement.outputs)
     setting, explanations = leading_on_lines(setting, explanations, measured, late)
     places = springs_of(simulation, c, nodes_of(simulation.dofs), pairs, highest)

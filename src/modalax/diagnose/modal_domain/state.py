@@ -46,8 +46,6 @@ class Setting:
         Of what a factor throughout is looked for: ``stiffness``, ``mass``.
     uneven
         Whether elements may be off unevenly.
-    scatter
-        Relative scatter of the shapes at each DoF by itself, as far as it is part of that covariance.
     """
 
     coordinates: Coordinates
@@ -57,7 +55,6 @@ class Setting:
     rest: float = 0.0
     sought: tuple[str, ...] = ()
     uneven: bool = False
-    scatter: float = 0.0
 
     def patterns(self) -> list[tuple[str, np.ndarray]]:
         """Kind and patterns of each group."""
