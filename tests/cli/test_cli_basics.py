@@ -2,7 +2,6 @@
 
 import importlib
 import json
-import os
 import re
 import subprocess
 import sys
@@ -52,19 +51,10 @@ def refused(capsys, *arguments):
     return lines[0]
 
 
-def processor_seconds():
-    """Processor time of finished child processes, which other work on the machine does not stretch."""
-    times = os.times()
-    return times.children_user + times.children_system
-
-
-def test_help_is_quick_and_names_every_command():
-    start = processor_seconds()
+def test_help_names_every_command():
     done = subprocess.run([sys.executable, "-m", "modalax", "--help"], capture_output=True, text=True, check=True)
-    seconds = processor_seconds() - start
     for name in ("demo", "frf", "fit", "simulate", "diagnose", "causes", "convert", "study", "cache"):
         assert name in done.stdout
-    assert seconds < 0.65  # 0.3 measured; JAX would add 0.7
 
 
 @pytest.mark.parametrize(
@@ -81,13 +71,16 @@ def test_help_is_quick_and_names_every_command():
     ],  # fmt: skip
 )
 def test_what_needs_no_numbers_imports_none_of_their_packages(arguments):
-    """So help, version and the error of a missing file come at once."""
+    """So help, version and the error of a missing file come at once: imports take nearly all of their time."""
     code = (
         f"import sys; from modalax.cli import main\nmain({arguments})\n"
-        "print([m for m in ('jax', 'numpy', 'scipy', 'matplotlib', 'optimistix', 'pyuff') if m in sys.modules])"
+        "print([m for m in ('jax', 'numpy', 'scipy', 'matplotlib', 'optimistix', 'pyuff') if m in sys.modules])\n"
+        "print(len(sys.modules))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "[]"
+    heavy, count = done.stdout.splitlines()[-2:]
+    assert heavy == "[]"
+    assert int(count) < 500  # 360 as measured; JAX alone is 580 more
 
 
 def test_the_version_is_that_of_the_package(capsys):
