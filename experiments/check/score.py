@@ -98,6 +98,8 @@ def main() -> None:
         spent = (time.process_time() - start) / given.clean
         print(f"\nSound tests with a finding: {alarms} of {given.clean} ({100 * alarms / given.clean:.2g} %), "
               f"{spent:.2g} CPU s each. {dict(words)}\n", flush=True)  # fmt: skip
+    if not given.each:
+        return
     print("| fault | found [%] | smaller half | larger half | place [%] | interval holds | others |")
     print("|---|---|---|---|---|---|---|", flush=True)
     for fault in given.faults:

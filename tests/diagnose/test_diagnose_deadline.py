@@ -7,8 +7,10 @@ jax.config.update("jax_enable_x64", True)
 
 from modalax.data import Measurement  # noqa: E402
 from modalax.diagnose.causes import catalogue  # noqa: E402
-from modalax.diagnose.deadline import Deadline  # noqa: E402
+from modalax.diagnose.deadline import NEVER, Deadline  # noqa: E402
+from modalax.diagnose.decision.verdict import verdict  # noqa: E402
 from modalax.diagnose.pipeline import line_by_line  # noqa: E402
+from modalax.diagnose.search.explain import check_imitations  # noqa: E402
 from modalax.model import Structure  # noqa: E402
 
 
@@ -19,17 +21,34 @@ def test_a_share_of_the_time_that_is_left():
     assert not Deadline().part(0.5)()
 
 
-def test_a_search_line_by_line_ends_with_its_time():
-    K = 1e4 * (2 * np.eye(3) - np.eye(3, k=1) - np.eye(3, k=-1))
-    simulation = Structure(np.eye(3), 2e-4 * K, K, ["a", "b", "c"])
-    true = Structure(np.diag([1.0, 1.2, 1.0]), 2e-4 * K, K, ["a", "b", "c"])
+CHAIN = 1e4 * (2 * np.eye(3) - np.eye(3, k=1) - np.eye(3, k=-1))
+ASKED = [c for c in catalogue() if c.slug in ("added_mass", "joint_stiffness", "channel_gain")]
+
+
+def measured():
+    """FRFs of three masses, the second a fifth too heavy."""
+    true = Structure(np.diag([1.0, 1.2, 1.0]), 2e-4 * CHAIN, CHAIN, ["a", "b", "c"])
     freq, rng = np.linspace(8.0, 32.0, 64), np.random.default_rng(0)
     H = np.asarray(true.frf(freq, outputs=["a", "b", "c"], inputs=["a"]).H)[None]
     sigma = 0.01 * np.abs(H).mean() * np.ones(H.shape)
     noise = (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)) / np.sqrt(2)
-    data = Measurement(freq, H + sigma * noise, outputs=["a", "b", "c"], inputs=["a"], variance=sigma**2)
-    asked = [c for c in catalogue() if c.slug in ("added_mass", "joint_stiffness", "channel_gain")]
-    found = line_by_line(data, simulation, "fixed", asked, lambda _: None, Deadline(0.0))
+    return Measurement(freq, H + sigma * noise, outputs=["a", "b", "c"], inputs=["a"], variance=sigma**2)
+
+
+def test_a_search_line_by_line_ends_with_its_time():
+    simulation = Structure(np.eye(3), 2e-4 * CHAIN, CHAIN, ["a", "b", "c"])
+    found = line_by_line(measured(), simulation, "fixed", ASKED, lambda _: None, Deadline(0.0))
     assert any("time was up" in reason for reason in found.reasons)
     assert found.verdict in ("clean", "named", "ambiguous", "unknown")
     assert np.isfinite(found.gain.chi2_after)
+
+
+def test_what_was_not_compared_with_causes_beside_the_catalogue_is_not_named():
+    simulation = Structure(np.eye(3), 2e-4 * CHAIN, CHAIN, ["a", "b", "c"])
+    found = line_by_line(measured(), simulation, "fixed", ASKED, lambda _: None)
+    assert found.verdict == "named"
+    for late, word in ((NEVER, "named"), (Deadline(0.0), "ambiguous")):
+        checked = check_imitations(found.found, [], late)
+        word_now, reasons = verdict(checked.ranked, checked.leftover)
+        assert word_now == word
+        assert any("beside the catalogue" in reason for reason in reasons) == (word == "ambiguous")

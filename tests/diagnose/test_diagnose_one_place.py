@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 
 from modalax.data import Measurement
-from modalax.diagnose.causes.joints import BilinearStiffness, CubicStiffness, ElastoSlip, GapContact
+from modalax.diagnose.causes.joints import BilinearStiffness, CoulombFriction, CubicStiffness, ElastoSlip, GapContact
 from modalax.diagnose.causes.local import JointStiffness, LocalDamper
 from modalax.diagnose.comparison import make_comparison
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.search import one_place
+from modalax.diagnose.search.balanced_force import balanced, harmonics_of
 from modalax.diagnose.search.force_fit import laws_by_force
 from modalax.diagnose.search.look import look
 from modalax.diagnose.search.measured_force import measured_forces
+from modalax.diagnose.search.one_harmonic import described, impedances
 from modalax.diagnose.search.one_place import chance_of, explain_force, joint_extra
 from modalax.model import Structure
 from modalax.model.examples import five_dof
@@ -153,17 +155,57 @@ def test_a_law_that_does_not_come_near_is_no_explanation():
     assert explain_force(look(at, ()), []) is None
 
 
-def test_no_law_is_fitted_to_the_force_where_harmonics_hardly_count(monkeypatch):
+def test_harmonics_are_balanced_only_where_they_count(monkeypatch):
     asked = []
-    monkeypatch.setattr(one_place, "laws_by_force", lambda *a: asked.append(a) or [])
+    monkeypatch.setattr(one_place, "laws_by_force", lambda *a: asked.append(a[-1]) or [])
     s = five_dof()
     e = np.eye(5)[s.index(PLACE[0])] - np.eye(5)[s.index(PLACE[1])]
-    for noise, count in ((0.01, 1), (1.0, 0)):
+    for noise, several in ((0.01, True), (1.0, False)):
         stiffer = Structure(s.M, s.C, s.K + 40000.0 * np.outer(e, e), s.dofs)
         comparison, force = compared(Measurement.from_frfs([stiffer.frf(FREQ, inputs=["1"])]), noise)
         assert explain_force(look(_only(comparison, force), ()), [CubicStiffness(), JointStiffness()]) is None
-        assert len(asked) == count
+        assert asked == [several]
         asked.clear()
+
+
+@pytest.mark.parametrize(
+    ("cause", "p"), [(CubicStiffness(), [2e10]), (ElastoSlip(False), [3e4, 3e-5]), (CoulombFriction(), [0.4])]
+)
+def test_one_harmonic_of_a_joint_solves_its_equation_and_has_its_slopes(cause, p):
+    rng = np.random.default_rng(0)
+    G = 1e-5 * (rng.standard_normal((2, 6, 1)) - 1j * rng.uniform(0.1, 1.0, (2, 6, 1)))
+    free = 1e-4 * (rng.standard_normal((2, 6, 1)) + 1j * rng.standard_normal((2, 6, 1)))
+    p, omega = np.array(p), np.linspace(100.0, 200.0, 6)
+    at = lambda p, free: described(cause, p, G, free, omega, np.abs(free))
+    force, slopes, sound, motion = at(p, free)
+    assert sound.all()
+    slides = np.abs(motion) > 0
+    assert np.abs(motion - (free - G * force)).max() < 1e-8 * np.abs(free).max()
+    law = impedances(cause, np.where(slides, np.abs(motion), 1.0), omega, p) * motion
+    assert np.abs(force - law)[slides].max() < 1e-6 * np.abs(force).max()
+    for k, size in enumerate(p):
+        step = 1e-4 * size * np.eye(len(p))[k]
+        by_difference = (at(p + step, free)[0] - at(p - step, free)[0]) / (2 * step[k])
+        assert np.abs(slopes[k] - by_difference).max() < 1e-3 * np.abs(by_difference).max()
+    by_difference = (at(p, free * 1.0001)[0] - at(p, free * 0.9999)[0]) / 2e-4  # nothing, of friction
+    assert np.abs(slopes[-1] - by_difference).max() < 1e-3 * np.abs(force).max()
+
+
+def test_a_balance_across_a_joint_is_harmonic_balance():
+    """The force at every line makes of the motion without the joint that of the structure with it."""
+    s, joint = five_dof(), joints.CubicSpring(2e11)
+    found = simulate(s, [joint], [PLACE], FREQ, np.array([3.0]), inputs=["1"], outputs=list(PLACE), harmonics=9)
+    H = lambda order, dofs: np.asarray(s.frf(FREQ * order, outputs=list(PLACE), inputs=dofs).H)
+    cause, p = CubicStiffness(), np.array([2e11])
+    orders = harmonics_of(cause, p)
+    G = np.stack([h[:, 0, 0] - h[:, 0, 1] - h[:, 1, 0] + h[:, 1, 1] for h in (H(k, list(PLACE)) for k in orders)], 1)
+    driven = 3.0 * H(1, ["1"])[:, :, 0]
+    free, motion = driven[:, 0] - driven[:, 1], 3.0 * (found.H[0, :, 0, 0] - found.H[0, :, 1, 0])
+    near = np.where(np.array(orders) == 1, motion[:, None], 0.0)
+    force, _, sound, q = balanced(cause, p, G, free, 2 * np.pi * FREQ, near)
+    assert sound.mean() > 0.9
+    assert np.abs(q[:, 0] - motion)[sound].max() < 1e-6 * np.abs(motion).max()
+    assert np.abs(free - G[:, 0] * force - motion)[sound].max() < 1e-6 * np.abs(motion).max()
 
 
 def test_the_chance_of_what_a_law_leaves_is_that_of_chi_squares():

@@ -61,6 +61,7 @@ from modalax.model.entry import check_comparable
 from modalax.model.mode_table import ModeTable
 
 FIRST_SHARE = 0.6  # of the time for a search line by line that the modal domain or a free joint may have to follow
+NAMED_SHARE = 0.85  # of the time for what is in the catalogue, before what is not is looked at
 
 
 @one_thread
@@ -214,10 +215,12 @@ def searched(comparison: Comparison, causes: Sequence[Cause] | None, progress: C
     """Screen, fit, check, predict and decide, line by line."""
     wanted = causes_of(causes, comparison, catalogue(comparison.problem.data.shape[0]))
     progress("screening every cause at every place and fitting the leading ones")
+    late = comparison.late
+    comparison = replace(comparison, late=late.part(NAMED_SHARE) if causes is None else late)
     found = explain(look(comparison, wanted), wanted)
     if causes is None:
         progress("checking whether an unlisted cause explains the data better")
-        found = check_imitations(found, causes_of(None, comparison, imitators()))
+        found = check_imitations(found, causes_of(None, comparison, imitators()), late)
     return told(found, progress)
 
 

@@ -155,6 +155,7 @@ def macro_slip(p: Any) -> Any:
     return p[0] * p[1] * p[2] / (p[2] + 1)
 
 
+@jax.jit  # so that it is compiled once, not wherever it is asked for
 def power_and_root(x: Array, a: Any) -> Array:
     r""":math:`\int_0^1 v^a\sqrt{1 - xv}\,dv` for :math:`0 \le x \le 1`, an incomplete beta function over a power of x.
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from modalax.diagnose.causes.base import Cause, UndampedCause
 from modalax.diagnose.comparison import Comparison, noise_beside
+from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.decision.omnibus import Omnibus, omnibus
 from modalax.diagnose.decision.posterior import Ranked, evidence, posterior
 from modalax.diagnose.decision.verdict import Leftover, verdict
@@ -90,14 +91,24 @@ def explain(look: Look, causes: Sequence[Cause]) -> Explanation:
     return Explanation(look, comparison, ranked, leftover, rest.omnibus, fitted)
 
 
-def check_imitations(found: Explanation, imitators: Sequence[Cause]) -> Explanation:
-    """Look for causes without a name in the answer that may explain the data better than those about to be named."""
+def check_imitations(found: Explanation, imitators: Sequence[Cause], late: Deadline) -> Explanation:
+    """Look for causes without a name in the answer that may explain the data better than those about to be named.
+
+    Parameters
+    ----------
+    found
+        What is about to be named.
+    imitators
+        The causes without a name.
+    late
+        Whether time is up; what is named then has not been compared with them, which is noted.
+    """
     several_with_hum = found.best.hum is not None and bool(found.best.causes)
-    if not found.ranked or several_with_hum or found.comparison.late():
+    if not found.ranked or several_with_hum or verdict(found.ranked, found.leftover)[0] == "ambiguous":
         return found
-    if verdict(found.ranked, found.leftover)[0] == "ambiguous":
-        return found
-    state = replace(found.look.state, comparison=found.comparison)
+    if late():
+        return replace(found, leftover=replace(found.leftover, untried=("causes beside the catalogue",)))
+    state = replace(found.look.state, comparison=replace(found.comparison, late=late))
     others = imitations(state, found.best, imitators)
     ranked, nameless = apart(weigh(found.look, found.fitted + others, found.comparison))
     notes = likeness(nameless)

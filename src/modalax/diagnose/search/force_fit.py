@@ -16,15 +16,16 @@ from typing import Any
 
 import numpy as np
 
-from modalax._numerics.checks import as_array
 from modalax.diagnose.causes.base import ElementCause, JointCause, LocalCause
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.gauss_newton import covariance_of
 from modalax.diagnose.fitting.hypothesis import bounds_of, from_search, to_search
 from modalax.diagnose.screening.modes_beside import Beside
-from modalax.diagnose.search.law_force import Seen, force_of, has_law, seen_at
+from modalax.diagnose.search.balanced_force import has_law
+from modalax.diagnose.search.law_force import Seen, force_of, seen_at
 from modalax.diagnose.search.measured_force import MeasuredForce, force_beside, robust_sizes, sizes_by_force
+from modalax.diagnose.search.one_harmonic import impedances
 from modalax.diagnose.search.rows import MOST, OUTLYING
 from modalax.diagnose.thresholds import THRESHOLDS
 
@@ -112,8 +113,8 @@ def fit_to_force(cause: ElementCause, starts: Sequence[np.ndarray], seen: Seen) 
     seen
         What was measured.
     """
-    rough = isinstance(cause, JointCause) and cause.rigid  # found at fewer instants first
-    some = seen.telling(CHOSEN) if len(starts) > 1 else seen
+    rough = isinstance(cause, JointCause) and cause.rigid and seen.several  # found at fewer instants first
+    some = seen.telling(CHOSEN) if len(starts) > 1 and seen.several else seen
     left = [_residual(some, *force_of(cause, p, some, rough=rough)[::2]) for p in starts]
     tried = [(_misfit(r, True), k) for k, r in enumerate(left)]
     if not tried or not np.isfinite(min(tried)[0]):
@@ -155,7 +156,7 @@ def fit_with_modes(
         beside = Beside.at(comparison, fit.seen.theta)
         left = beside.linear(beside.direction(force.place), beside.turned(force.place))[0]
         before = fit.seen.left
-        again = seen_at(comparison, force_beside(force.place, left, beside), seen.least)
+        again = seen_at(comparison, force_beside(force.place, left, beside), seen.least, seen.several)
         fit = fit_to_force(cause, [fit.params], again) or fit
         if abs(left - before) < SAME:
             break
@@ -220,8 +221,9 @@ def _descended(
 
 
 def laws_by_force(
-    comparison: Comparison, causes: Sequence[ElementCause], force: MeasuredForce, effect: float, least: float = np.inf
-) -> list[ForceFit]:
+    comparison: Comparison, causes: Sequence[ElementCause], force: MeasuredForce, effect: float,
+    least: float = np.inf, several: bool = True,
+) -> list[ForceFit]:  # fmt: skip
     """Fit causes that can sit at the place of a measured force, those first that one harmonic shows to be the nearest.
 
     Once one leaves no more than noise, a law is fitted only if its harmonics may bring it as near.
@@ -238,12 +240,14 @@ def laws_by_force(
         Chi-square that the force takes away.
     least
         What is left by the best that was fitted elsewhere.
+    several
+        Whether harmonics above the first count.
     """
-    scene, seen = comparison.scene, seen_at(comparison, force)
+    scene, seen = comparison.scene, seen_at(comparison, force, several=several)
     order: list[tuple[float, float, int, list[np.ndarray]]] = []
     for k, cause in enumerate(causes):
         at = next((p for p in cause.places(scene) if p.index[:2] == force.place.index[:2]), None)
-        if at is not None and not cause.each_run and cause.parameters:
+        if at is not None and not (cause.each_run and several) and cause.parameters:
             order += [(*one[:2], k, one[2]) for one in [_sized(comparison, cause, at, force, seen)] if one is not None]
     out: list[ForceFit] = []
     for count, (_, misfit, k, starts) in enumerate(sorted(order, key=lambda one: one[:3])):
@@ -252,7 +256,10 @@ def laws_by_force(
         best = min([least, *(f.chi2 for f in out)])
         near = best + 4 * causes[k].fidelity ** 2 * effect + BEHIND
         done = best - seen.samples < THRESHOLDS.one_force * np.sqrt(2 * seen.samples)
-        far = seen.left + misfit / 4 > near if done else count >= MOST_LAWS
+        noise = min(
+            misfit, 2 * len(seen.force)
+        )  # of what one harmonic leaves; of the rest three quarters may be its own
+        far = seen.left + noise + (misfit - noise) / 4 > near if done else count >= MOST_LAWS
         if far and (not isinstance(causes[k], LocalCause) or seen.left > near):
             continue
         found = fit_with_modes(comparison, causes[k], starts, force, seen, near)
@@ -264,30 +271,30 @@ def _sized(
     comparison: Comparison, cause: ElementCause, at: Place, force: MeasuredForce, seen: Seen
 ) -> tuple[float, float, list[np.ndarray]] | None:
     """A law by one harmonic: its robust and its plain misfit, and parameters to start from; None where it has none."""
-    by_all = sizes_by_force(comparison, cause, at, force)[:1]
-    robust = robust_sizes(comparison, cause, at, force) if isinstance(cause, JointCause) else None
-    found = [p for _, p in by_all] + ([] if robust is None else [robust[1]])
-    if isinstance(cause, JointCause) and cause.rigid:  # the force that slides is a square wave
+    found = [p for _, p in sizes_by_force(comparison, cause, at, force)[:1]]
+    groups, around = [[p] for p in found], (1.0,)
+    if seen.several and isinstance(cause, JointCause) and cause.rigid:  # the force that slides is a square wave
         size = np.abs(seen.force)
         told = seen.precision * size > CLEAR
         found = [np.array([np.pi / 4 * np.quantile(size[told] if told.any() else size, q)]) for q in SLIDING]
+        groups = [[p] for p in found]
+    elif seen.several and isinstance(cause, JointCause):
+        robust = robust_sizes(comparison, cause, at, force)
+        found += [] if robust is None else [robust[1]]
+        groups = [group for p in found for group in cause.untold(p)]
+        around = AROUND if has_law(cause) and sum(map(len, groups)) == len(found) else (1.0,)
     if not found:
         return None
     left = [_misfits_by_one_harmonic(cause, p, seen) for p in found]
-    each = [q for p in found for group in (cause.untold(p) if isinstance(cause, JointCause) else [[p]]) for q in group]
-    rigid = isinstance(cause, JointCause) and cause.rigid
-    around = AROUND if has_law(cause) and not rigid and len(each) == len(found) else (1.0,)
-    starts = [p * np.array([s, *np.ones(len(p) - 1)]) for p in each for s in around]
+    starts = [p * np.array([s, *np.ones(len(p) - 1)]) for group in groups for p in group for s in around]
     return min(robust for robust, _ in left), min(plain for _, plain in left), starts
 
 
 def _misfits_by_one_harmonic(cause: ElementCause, p: np.ndarray, seen: Seen) -> tuple[float, float]:
     """Robust and plain misfit of force that an element's impedance leaves at the measured motion, beside its modes."""
-    if isinstance(cause, JointCause):
-        Z = cause.impedance(as_array(np.abs(seen.motion)), as_array(seen.omega), as_array(p))
-    else:
-        Z = cause.impedance(as_array(1j * seen.omega), as_array(p))  # pyright: ignore[reportAttributeAccessIssue]
-    G, f, Z = seen.receptance[:, 1], seen.follow, np.asarray(Z)
+    lay = lambda x: x.reshape(seen.shape)
+    Z = impedances(cause, lay(np.abs(seen.motion)), lay(seen.omega)[0, :, 0], p).ravel()
+    G, f = seen.receptance[:, 1], seen.follow
     with np.errstate(all="ignore"):
         share = np.nan_to_num(seen.precision / (1 + G * Z))
         r = share * np.nan_to_num(Z * seen.motion - seen.force)

@@ -2,16 +2,10 @@ r"""Force of a law at one place, line by line, by harmonic balance across the pl
 
 The motion :math:`x_h + H_{bb}(h\omega)\,f_h(x) = u_h` is sought from the one that was measured, which tells several
 steady motions apart, and its slopes by the parameters follow from the same equations (the implicit function theorem).
-Whatever structure, lines and outputs are, the programs have the same shapes.
 """
 
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from modalax._numerics.checks import as_array
@@ -23,18 +17,13 @@ from modalax.diagnose.prediction.harmonics import (
     FEWER_INSTANTS,
     HIGHEST,
     INSTANTS,
-    SAMPLES_A_HARMONIC,
     receptance_across,
 )
 from modalax.diagnose.screening.modes_beside import Beside
+from modalax.diagnose.search.balanced_force import balanced, harmonics_of, has_law
 from modalax.diagnose.search.measured_force import MeasuredForce
-from modalax.simulate.aft import choose_harmonics, joint_forces
-from modalax.simulate.balance import Line, Plan, find, motion_scale, stop
-from modalax.simulate.joints import Hysteretic
+from modalax.diagnose.search.one_harmonic import described
 
-TOGETHER = 64  # motions that are balanced at once
-NEWTON = 20  # steps of a balance
-BALANCED = 1e-6  # residual, over the motion without the force, below which a balance is as good as any measurement
 FEWER = 5  # highest harmonic of a second balance, which shows the error of truncation
 STEP = 1e-3  # relative change of a parameter by which slopes of friction and of linear elements are taken
 
@@ -89,6 +78,10 @@ class Seen:
         Number of real samples of the measurement.
     theta
         Modal parameters in units of their spread, shape ``(2, n)``.
+    shape
+        Numbers of runs, lines and inputs; None of some lines alone.
+    several
+        Whether harmonics above the first count.
     follow
         What changes with them; None where modes are exact.
     """
@@ -104,6 +97,8 @@ class Seen:
     least: float
     samples: int
     theta: np.ndarray
+    shape: tuple[int, int, int]
+    several: bool = True
     follow: Following | None = None
 
     def moved(self, step: np.ndarray) -> "Seen":
@@ -131,10 +126,10 @@ class Seen:
         of_lines = {name: take(getattr(self, name)) for name in lines}
         if f is not None:
             f = replace(f, force=take(f.force), free=take(f.free), receptance=take(f.receptance))
-        return replace(self, **of_lines, follow=f)
+        return replace(self, **of_lines, shape=(1, len(kept), 1), follow=f)
 
 
-def seen_at(comparison: Comparison, force: MeasuredForce, least: float | None = None) -> Seen:
+def seen_at(comparison: Comparison, force: MeasuredForce, least: float | None = None, several: bool = True) -> Seen:
     """Lay out what was measured at a place line by line.
 
     Parameters
@@ -145,11 +140,13 @@ def seen_at(comparison: Comparison, force: MeasuredForce, least: float | None = 
         The force that was measured at the place.
     least
         Chi-square that a free force leaves there at best; that of this one if None.
+    several
+        Whether harmonics above the first count.
     """
     problem = comparison.problem
     shape, lines = force.motion.shape, problem.lines
     theta = as_array(np.asarray(force.theta) * comparison.nuisance.spread)
-    orders = range(INSTANTS)
+    orders = range(INSTANTS if several else 2)
     across = [np.asarray(receptance_across(CubicStiffness(), force.place, theta, problem, h)) for h in orders]
     G = np.stack([a[:lines] for a in across], axis=-1)
     spread = lambda a: np.broadcast_to(a[None, :, None], (*shape, *a.shape[1:])).reshape(-1, *a.shape[1:])
@@ -159,7 +156,7 @@ def seen_at(comparison: Comparison, force: MeasuredForce, least: float | None = 
     return Seen(
         q, force.weight.ravel() / np.maximum(np.abs(motion), 1e-300), motion, motion + G[:, 1] * q, G,
         spread(comparison.scene.omega), level, left, left if least is None else least, problem.samples, force.theta,
-        _following(comparison, force, level) if comparison.nuisance.active else None,
+        shape, several, _following(comparison, force, level) if comparison.nuisance.active else None,
     )  # fmt: skip
 
 
@@ -173,62 +170,6 @@ def _following(comparison: Comparison, force: MeasuredForce, level: np.ndarray) 
     return Following(
         level[:, None] * by_line(Q), level[:, None] * by_line(free[:, None]), by_line(drive[:, None, :, None]), g, A
     )
-
-
-class Described(eqx.Module):
-    """A joint of which only the describing function counts."""
-
-    cause: Any = eqx.field(static=True)
-    p: Any
-    odd = True
-
-    def describing(self, A: Any, omega: Any) -> Any:
-        """Impedance at amplitude ``A``."""
-        return self.cause.impedance(A, omega, self.p)
-
-
-def has_law(cause: ElementCause) -> bool:
-    """Whether harmonics are balanced: there is a force law in time, and no more than one slider to follow."""
-    if not isinstance(cause, JointCause) or type(cause).law is JointCause.law:
-        return False
-    law = cause.law(jnp.ones(len(cause.parameters)))
-    return not isinstance(law, Hysteretic) or sum(jnp.size(a) for a in jax.tree.leaves(law.initial_state())) == 1
-
-
-def _joint(cause: Any, p: Any) -> Any:
-    return cause.law(p) if has_law(cause) else Described(cause, p)
-
-
-@partial(jax.jit, static_argnames=("cause", "harmonics"))
-def _balanced(cause: Any, p: Any, G: Any, free: Any, omega: Any, start: Any, harmonics: Any) -> tuple[Any, ...]:
-    """Force at the fundamental, its slopes, the motion and the residual of the balance, of motions side by side.
-
-    Slopes are by the parameters and by the logarithm of the motion without the force.
-    """
-    at, plan = harmonics.index(1), Plan(1, harmonics, SAMPLES_A_HARMONIC * HIGHEST)
-
-    def one(G: Any, free: Any, omega: Any, start: Any) -> tuple[Any, ...]:
-        u = jnp.zeros((len(harmonics), 1), complex).at[at, 0].set(free)
-        line = Line(G[:, None, None], u, omega)
-        scale, n = motion_scale(line), plan.size
-        alone = jnp.zeros_like(start).at[at].set(start[at])
-        starts = jnp.stack([plan.real(s[None]) / scale for s in (start, alone, u[:, 0])])
-        y, left = find(plan, stop((_joint(cause, p),)), line, starts, NEWTON)
-
-        def both(v: Any) -> Any:
-            q = scale * plan.complex(v[:n])
-            f = joint_forces((_joint(cause, v[n:-1]),), q, omega, harmonics, plan.samples)
-            missing = plan.real(q + G * f - (1 + v[-1]) * u.T) / scale
-            return jnp.concatenate([missing, f[0, at].real[None], f[0, at].imag[None]])
-
-        v = jnp.concatenate([y, p, jnp.zeros(1)])
-        value, J = both(v), jax.jacfwd(both)(v)
-        inner = jnp.linalg.solve(J[:n, :n], jnp.concatenate([value[:n, None], J[:n, n:]], axis=1))
-        told = jnp.concatenate([value[n:, None], J[n:, n:]], axis=1) - J[n:, :n] @ inner  # one more Newton step in it
-        told = told[0] + 1j * told[1]
-        return told[0], told[1:], (scale * plan.complex(y))[0], left
-
-    return jax.vmap(one)(G, free, omega, start)
 
 
 def force_of(
@@ -260,29 +201,29 @@ def force_of(
         Shapes ``(n,)``, ``(parameter, n)``, ``(n,)`` and ``(n, h)``. Slopes by modal parameters follow those by the
         law's own, where these are open.
     """
-    if isinstance(cause, JointCause) and cause.rigid:
+    nothing = np.zeros((len(seen.force), 1), complex)
+    if isinstance(cause, LocalCause):
+        force, slopes, sound = _linear(cause, p, seen)
+        return force, _of_all(force, slopes, seen), sound, nothing
+    assert isinstance(cause, JointCause)
+    if cause.rigid and seen.several:
         force, slopes, sound = _sliding(
             p, seen, FEWER_INSTANTS if fewer or rough else INSTANTS, SHIFTS[::4] if rough else SHIFTS
         )
-        return force, _of_all(force, slopes, seen), sound, np.zeros((len(seen.force), 1), complex)
-    if isinstance(cause, LocalCause):
-        force, slopes, sound = _linear(cause, p, seen)
-        return force, _of_all(force, slopes, seen), sound, np.zeros((len(seen.force), 1), complex)
-    highest = FEWER if fewer else HIGHEST
-    harmonics = choose_harmonics((cause.law(as_array(p)),), highest) if has_law(cause) else (1,)
+        return force, _of_all(force, slopes, seen), sound, nothing
+    if not seen.several or not has_law(cause):
+        lay = lambda x: x.reshape(seen.shape)
+        across, omega = np.abs(seen.motion if near is None else near[:, 0]), lay(seen.omega)[0, :, 0]
+        made = described(cause, p, lay(seen.receptance[:, 1]), lay(seen.free), omega, lay(across))
+        force, slopes, sound, motion = (x.reshape(*x.shape[:-3], -1) for x in made)
+        return force, _of_all(force, slopes, seen), sound, motion[:, None]
+    orders = harmonics_of(cause, p)
     if near is None:
-        near = np.zeros((len(seen.force), len(harmonics)), complex)
-        near[:, harmonics.index(1)] = seen.motion
-    count = len(seen.force)
-    order = np.resize(np.arange(count), -(-count // TOGETHER) * TOGETHER)
-    G = seen.receptance[:, list(harmonics)]
-    made = [
-        _balanced(cause, as_array(p), G[k], seen.free[k], seen.omega[k], near[k], harmonics)
-        for k in order.reshape(-1, TOGETHER)
-    ]
-    force, slopes, motion, left = (np.concatenate([np.asarray(m[j]) for m in made])[:count] for j in range(4))
-    sound = (left < BALANCED) & np.isfinite(force) & np.isfinite(slopes).all(axis=1)
-    return force, _of_all(force, slopes.T, seen), sound, motion
+        near = nothing * np.zeros(len(orders))
+        near[:, orders.index(1)] = seen.motion
+    G = np.where(np.array(orders) > (FEWER if fewer else HIGHEST), 0.0, seen.receptance[:, list(orders)])
+    force, slopes, sound, motion = balanced(cause, p, G, seen.free, seen.omega, near)
+    return force, _of_all(force, slopes, seen), sound, motion
 
 
 def _of_all(force: np.ndarray, slopes: np.ndarray, seen: Seen) -> np.ndarray:

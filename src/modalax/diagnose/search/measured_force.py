@@ -9,16 +9,15 @@ element's impedance as measured, :math:`Z = q/x`, and each law is fitted to that
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import jax.numpy as jnp
 import numpy as np
 
-from modalax._numerics.checks import as_array
 from modalax.diagnose.causes.base import Cause, ElementCause, JointCause, LocalCause
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.screening.modes_beside import Beside, modes_beside
 from modalax.diagnose.search.candidates import cost_of
+from modalax.diagnose.search.one_harmonic import impedances
 
 STRONG = 4.0  # chi-square per sample that the simulation leaves, from which on places are ranked by their force
 PLACES, MORE = 3, 12  # places that are tried, and where a force at one place is known to explain the data
@@ -155,13 +154,7 @@ def sizes_by_force(
     scene, found = comparison.scene, []
     everything = float((np.abs(force.weight * force.impedance) ** 2).sum())
     for shape in _shapes(cause, cause.grid(scene, place), np.abs(force.motion)):
-        p = jnp.array([1.0, *shape])
-        if isinstance(cause, JointCause):
-            Z = np.asarray(cause.impedance(as_array(np.abs(force.motion)), as_array(scene.omega[:, None]), p))
-        elif isinstance(cause, LocalCause):
-            Z = np.asarray(cause.impedance(as_array(1j * scene.omega), p))[:, None]
-        else:
-            continue
+        Z = impedances(cause, np.abs(force.motion), scene.omega, np.array([1.0, *shape]))
         with np.errstate(all="ignore"):
             whitened = np.nan_to_num(force.weight * Z)
             norm = float((np.abs(whitened) ** 2).sum())
@@ -193,28 +186,41 @@ def robust_sizes(
     """
     scene, best = comparison.scene, None
     low, high = cause.parameters[0].lower, cause.parameters[0].upper
-    seen = force.weight * force.impedance
-    motion = np.abs(force.motion)
+    seen, motion = (force.weight * force.impedance).ravel(), np.abs(force.motion)
+    everything = np.abs(seen) ** 2
     shapes = _shapes(cause, cause.grid(scene, place), motion)
     if cause.has_threshold and motion.any():
-        loudest = motion.ravel()[np.argsort(np.abs(seen), axis=None)[-STRONGEST:]]
+        loudest = motion.ravel()[np.argsort(everything)[-STRONGEST:]]
         shapes = np.concatenate([shapes, np.outer(loudest[loudest > 0], BELOW).reshape(-1, 1)])
     for shape in shapes:
-        p = jnp.array([1.0, *shape])
-        Z = np.asarray(cause.impedance(as_array(motion), as_array(scene.omega[:, None]), p))
-        unit = np.nan_to_num(force.weight * Z)
-        size, along = np.abs(unit) ** 2, (unit.conj() * seen).real
-        told = np.argsort(size, axis=None)[-TELLING:]
-        with np.errstate(all="ignore"):
-            asked = np.nan_to_num(np.quantile((along / size).ravel()[told], np.linspace(0.05, 0.95, ASKED)))
-        for s in np.clip(asked, low, high):
-            for _ in range(REWEIGHED):
-                w = 1 / (1 + np.abs(seen - s * unit) ** 2)
-                s = float(np.clip((w * along).sum() / max(float((w * size).sum()), 1e-300), low, high))
-            cost = float(np.log1p(np.abs(seen - s * unit) ** 2).sum())
-            if s != 0 and (best is None or cost < best[0]):
-                best = cost, np.array([s, *shape])
+        Z = impedances(cause, motion, scene.omega, np.array([1.0, *shape]))
+        unit = np.nan_to_num(force.weight * Z).ravel()
+        cost, strength = _agreed(unit, seen, everything, low, high)
+        if np.isfinite(cost) and (best is None or cost < best[0]):
+            best = cost, np.array([strength, *shape])
     return best
+
+
+def _agreed(unit: np.ndarray, seen: np.ndarray, everything: np.ndarray, low: float, high: float) -> tuple[float, float]:
+    """Misfit and strength that most lines agree on, for a law's whitened impedance at unit strength, ``(n,)``.
+
+    ``everything`` is the square of what was ``seen``; strengths keep between ``low`` and ``high``, and are not zero.
+    """
+    size, along = np.abs(unit) ** 2, (unit.conj() * seen).real
+    told = np.argsort(size)[-TELLING:]
+    with np.errstate(all="ignore"):
+        asked = np.nan_to_num(np.quantile(along[told] / size[told], np.linspace(0.05, 0.95, ASKED)))
+    s = np.clip(asked, low, high)[:, None]
+
+    def missed(s: np.ndarray) -> np.ndarray:
+        return np.maximum(everything - 2 * s * along + s**2 * size, 0.0)
+
+    for _ in range(REWEIGHED):
+        w = 1 / (1 + missed(s))
+        s = np.clip((w @ along) / np.maximum(w @ size, 1e-300), low, high)[:, None]
+    cost = np.where(s[:, 0] != 0, np.log1p(missed(s)).sum(axis=1), np.inf)
+    k = int(np.argmin(cost))
+    return float(cost[k]), float(s[k, 0])
 
 
 def robust_starts(comparison: Comparison, null: Hypothesis, causes: Sequence[Cause]) -> list[Hypothesis]:

@@ -13,12 +13,13 @@ from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.decision.omnibus import omnibus
 from modalax.diagnose.decision.verdict import Leftover
 from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.search.balanced_force import has_law
 from modalax.diagnose.search.candidates import cost_of
 from modalax.diagnose.search.explain import Explanation, weigh
 from modalax.diagnose.search.force_fit import ForceFit, laws_by_force
 from modalax.diagnose.search.harmonics import BEYOND
 from modalax.diagnose.search.imitator_check import apart, likeness
-from modalax.diagnose.search.law_force import force_of, has_law
+from modalax.diagnose.search.law_force import force_of
 from modalax.diagnose.search.look import Look
 from modalax.diagnose.search.measured_force import measured_forces
 from modalax.diagnose.thresholds import THRESHOLDS
@@ -30,8 +31,8 @@ SLOPE = 1e-3  # relative change of a parameter by which slopes of a factor are t
 def explain_force(look: Look, causes: Sequence[Cause]) -> Explanation | None:
     r"""Fit laws to the force at the places at one of which it explains the data; None where none comes near.
 
-    Nor is one sought where harmonics hardly count: an effect :math:`d` standard deviations long of which one harmonic
-    leaves the part :math:`\varepsilon` bends the answer by up to :math:`\varepsilon d`.
+    Harmonics above the first are left out where they hardly count: an effect :math:`d` standard deviations long of
+    which one harmonic leaves the part :math:`\varepsilon` bends the answer by up to :math:`\varepsilon d`.
 
     Parameters
     ----------
@@ -45,11 +46,10 @@ def explain_force(look: Look, causes: Sequence[Cause]) -> Explanation | None:
     found: list[tuple[Hypothesis, ForceFit]] = []
     forces = list(measured_forces(comparison, comparison.only))
     effect = max((null.chi2 - force.chi2 for force in forces), default=0.0)
-    if max((c.fidelity for c in elements), default=0.0) * np.sqrt(max(effect, 0.0)) < TELLING:
-        return None
+    several = max((c.fidelity for c in elements), default=0.0) * np.sqrt(max(effect, 0.0)) >= TELLING
     for force in forces:
         least = min((h.chi2 for h, _ in found), default=np.inf)
-        for fit in laws_by_force(comparison, elements, force, null.chi2 - force.chi2, least):
+        for fit in laws_by_force(comparison, elements, force, null.chi2 - force.chi2, least, several):
             place = next(p for p in fit.cause.places(comparison.scene) if p.index[:2] == force.place.index[:2])
             found.append((_hypothesis(null, fit, place), fit))
     if not found:
@@ -76,7 +76,7 @@ def explain_force(look: Look, causes: Sequence[Cause]) -> Explanation | None:
         look.detection.p_value, null.chi2 - best.chi2, min(1.0, 2 * min(chance, after.p_value)),
         float(sum(r.probability for r in nameless)), notes[0] if notes else "", inexact=inexact,
     )  # fmt: skip
-    return Explanation(look, comparison, ranked, leftover, after, [h for h, _ in found], notes, by_force=True)
+    return Explanation(look, comparison, ranked, leftover, after, [h for h, _ in found], notes, by_force=several)
 
 
 def chance_of(left: float, count: int, rest: float, others: int) -> float:
@@ -117,7 +117,7 @@ def in_full(comparison: Comparison, h: Hypothesis, fit: ForceFit) -> Hypothesis:
     """
     seen, wider = fit.seen, inflation(fit)
     harmonics = has_law(fit.cause) or isinstance(fit.cause, JointCause) and fit.cause.rigid
-    if not harmonics:
+    if not harmonics or not seen.several:
         return replace(h, covariance=fit.covariance * np.outer(wider, wider))
     extra = joint_extra(comparison, fit)
     force, _, sound, _ = force_of(fit.cause, fit.params, seen, fit.motion)
@@ -134,7 +134,7 @@ def in_full(comparison: Comparison, h: Hypothesis, fit: ForceFit) -> Hypothesis:
 def inflation(fit: ForceFit) -> np.ndarray:
     """Factor on each standard deviation where lines scatter by more than their noise (White 1980), never below 1."""
     inverse = fit.covariance
-    score = (fit.alone.conj() * fit.residual).real * np.sqrt(2.0)
+    score = (fit.alone.conj() * fit.residual).real
     spread = np.diag(inverse @ score @ score.T @ inverse) / np.maximum(np.diag(inverse), 1e-300)
     return np.sqrt(np.maximum(spread, 1.0))
 
