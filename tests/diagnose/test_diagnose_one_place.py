@@ -182,7 +182,8 @@ def test_one_harmonic_of_a_joint_solves_its_equation_and_has_its_slopes(cause, p
     slides = np.abs(motion) > 0
     assert np.abs(motion - (free - G * force)).max() < 1e-8 * np.abs(free).max()
     law = impedances(cause, np.where(slides, np.abs(motion), 1.0), omega, p) * motion
-    assert np.abs(force - law)[slides].max() < 1e-6 * np.abs(force).max()
+    # the describing function of a slip after 1 pm is rounded
+    assert np.abs(force - law)[slides].max() < (1e-5 if cause.rigid else 1e-7) * np.abs(force).max()
     for k, size in enumerate(p):
         step = 1e-4 * size * np.eye(len(p))[k]
         by_difference = (at(p + step, free)[0] - at(p - step, free)[0]) / (2 * step[k])
