@@ -1,13 +1,18 @@
 """Elements that a finite-element model tells, as patterns of change and as causes."""
 
+import itertools
 from collections.abc import Iterable
 
 import numpy as np
 
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import Coordinates
+from modalax.diagnose.modal_domain.elements import Nodes, Part
 from modalax.model import Structure
 from modalax.model.condense import follow
+
+RANK = 1e-5  # force in one motion, relative to the largest, below which an element has none
+OUTSIDE = 1e-6  # part of a direction, relative to the whole, that an element may have no force along
 
 
 def stiffness_patterns(simulation: Structure, c: Coordinates) -> np.ndarray | None:
@@ -23,6 +28,53 @@ def mass_patterns(simulation: Structure, c: Coordinates) -> np.ndarray | None:
 def _patterns(factors: np.ndarray, c: Coordinates) -> np.ndarray:
     inner = np.einsum("enr,nk->erk", factors, c.everywhere, optimize=True)
     return np.matmul(inner.transpose(0, 2, 1), inner)
+
+
+def told_parts(simulation: Structure, nodes: Nodes) -> list[Part]:
+    """Elements that are told, over the simulation's DoFs; without those of which one end follows other nodes."""
+    told, node = simulation.elements, np.zeros(len(simulation.dofs), int)
+    assert told is not None
+    for k, members in enumerate(nodes.members):
+        node[members] = k
+    names, out = told.dofs or simulation.dofs, []
+    rows = [names.index(name) for name in simulation.dofs]
+    for place, F in zip(told.places, np.asarray(told.stiffness)[:, rows], strict=True):
+        dofs = np.flatnonzero(F.any(axis=1))
+        ends = tuple(dict.fromkeys(node[dofs].tolist()))
+        if len(ends) == len(set(place)):
+            out.append(Part(ends, dofs, F[dofs] @ F[dofs].T))
+    return out
+
+
+def springs_within(simulation: Structure, nodes: Nodes) -> dict[frozenset[int], float]:
+    r"""Pairs of DoFs of one direction between which elements that are told are a spring, with its stiffness [N/m].
+
+    The stiffest spring :math:`k\,bb^T` that an element :math:`K_e` holds between them is :math:`1/(b^TK_e^+b)`: what it
+    resists ``b`` with where it is free otherwise. An entry of :math:`K_e`, in which bending and twisting may cancel, is
+    none. There is no such spring where ``b`` is no combination of its forces, as between two ends of a beam across it:
+    that would resist its rigid rotation. Nor is there one where a matrix couples DoFs only since others were condensed.
+    """
+    told, out = simulation.elements, {}
+    assert told is not None
+    names = told.dofs or simulation.dofs
+    at = {names.index(name): k for k, name in enumerate(simulation.dofs)}
+    node = {int(k): j for j, members in enumerate(nodes.members) for k in members}
+    for F in np.asarray(told.stiffness):
+        rows = np.flatnonzero(F.any(axis=1))
+        size = np.linalg.norm(F[rows], axis=1)
+        W, strength, _ = np.linalg.svd(F[rows] / size[:, None], full_matrices=False)
+        W, strength = W[:, strength > RANK * strength[0]], strength[strength > RANK * strength[0]]
+        kept = [(j, at[row]) for j, row in enumerate(rows.tolist()) if row in at]
+        for (i, a), (j, b) in itertools.combinations(kept, 2):
+            if node[a] == node[b] or nodes.axis[a] != nodes.axis[b]:
+                continue
+            d = np.zeros(len(rows))
+            d[i], d[j] = 1 / size[i], -1 / size[j]
+            inside = W.T @ d
+            if np.linalg.norm(d - W @ inside) < OUTSIDE * np.linalg.norm(d):
+                pair = frozenset((a, b))
+                out[pair] = out.get(pair, 0.0) + float(1 / ((inside / strength) ** 2).sum())
+    return out
 
 
 def softened_elements(simulation: Structure, c: Coordinates, usual: float) -> list[Change]:

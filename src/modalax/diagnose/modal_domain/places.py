@@ -8,8 +8,8 @@ import numpy as np
 
 from modalax.diagnose.modal_domain.causes import ALL, Change
 from modalax.diagnose.modal_domain.coordinates import Coordinates
-from modalax.diagnose.modal_domain.elements import Nodes, nodes_of
-from modalax.diagnose.modal_domain.given_elements import softened_elements
+from modalax.diagnose.modal_domain.elements import Nodes, Part, nodes_of
+from modalax.diagnose.modal_domain.given_elements import softened_elements, springs_within, told_parts
 from modalax.diagnose.modal_domain.groups import group_factors, other_than
 from modalax.diagnose.modal_domain.parts import parts_of
 from modalax.model import Structure
@@ -151,32 +151,34 @@ def springs_of(
 
     Likeliest are the pairs that the simulation names and its own springs and supports, then other coupled DoFs and
     each DoF to ground, and last any two displacements of one direction, of those in ``apart``, that nothing joins.
+    Where elements are told they tell where the simulation has springs, and how stiff.
     Where the simulation has no spring, as between two points of a plate, its size is compared with what holds the DoFs,
     and the usual one is small enough to move modes by as much as a wrong one does.
     """
     inside = np.flatnonzero((c.frequencies < highest) & (c.frequencies > 0.02 * highest))
     K, dofs = np.asarray(simulation.K), simulation.dofs
-    size = np.sqrt(np.maximum(np.diag(K), 1e-300))
-    unit = np.abs(K) / size[:, None] / size
-    asked = {frozenset(p) for p in pairs or ()}
-    parts = parts_of(K, nodes)
-    own = {frozenset(p.dofs) for p in parts if len(p.nodes) == 2 and len(p.dofs) == 2}
-    read = {frozenset(pair) for p in parts if p.nodes for pair in itertools.combinations(p.dofs.tolist(), 2)}
+    asked = {frozenset(dofs.index(name) for name in p) for p in pairs or () if set(p) <= set(dofs)}
+    if simulation.elements is None:
+        parts = parts_of(K, nodes)
+        within = _read_within(K, parts, asked)
+    else:
+        parts, within = told_parts(simulation, nodes), springs_within(simulation, nodes)
+        joined = _joined(parts, nodes)
+        asked = asked - joined if asked >= joined else asked  # to name all that elements join is to name none
+    own = {frozenset(p.dofs.tolist()) for p in parts if len(p.nodes) == 2 and len(p.dofs) == 2}
     supports = [p for p in parts if len(p.nodes) == 1 and len(p.dofs) <= HELD]
     held = {int(k): p.matrix[j, j] for p in supports for j, k in enumerate(p.dofs)}
     groups: dict[str, list] = {key: [] for key in SHARES}
     for a, b in itertools.combinations(range(len(dofs)), 2):
-        key = "named" if frozenset((dofs[a], dofs[b])) in asked else "spring" if {a, b} in own else "coupled"
-        if key == "coupled" and nodes.axis[a] != nodes.axis[b]:
+        pair = frozenset((a, b))
+        key = "named" if pair in asked else "spring" if pair in own else "coupled" if pair in within else "apart"
+        alike = nodes.axis[a] == nodes.axis[b]
+        if key == "coupled" and not alike:
             continue
-        if key == "coupled" and unit[a, b] < COUPLED:
-            if nodes.axis[a] > 2 or not (dofs[a] in apart and dofs[b] in apart):
-                continue
-            key = "apart"
-        told = unit[a, b] > 1e-3 and (key == "named" or {a, b} in read)
-        stiffness = abs(K[a, b]) if told else min(K[a, a], K[b, b])
-        there = bool(unit[a, b] >= COUPLED)
-        groups[key].append(((dofs[a], dofs[b]), c.shapes[a] - c.shapes[b], JOINT * stiffness, 1.0, there))
+        if key == "apart" and not (alike and nodes.axis[a] < 3 and dofs[a] in apart and dofs[b] in apart):
+            continue
+        stiffness = within[pair] if pair in within else float(min(K[a, a], K[b, b]))
+        groups[key].append(((dofs[a], dofs[b]), c.shapes[a] - c.shapes[b], JOINT * stiffness, 1.0, pair in within))
     for a, name in enumerate(dofs):
         supported = held.get(a, 0.0) > SUPPORTED * K[a, a]
         entry = (name,), c.shapes[a], JOINT * (held[a] if supported else K[a, a])
@@ -189,6 +191,25 @@ def springs_of(
             group = [(where, b, min(k, JOINT * _felt(c, b, inside)), *rest) for where, b, k, *rest in group]
         out += [(where, b, float(k), SHARES[key] * w / total, there) for where, b, k, w, there in group]
     return out
+
+
+def _read_within(K: np.ndarray, parts: list[Part], asked: set[frozenset[int]]) -> dict[frozenset[int], float]:
+    """Pairs of DoFs that a matrix couples, with the stiffness there: the entry itself where parts can be read off."""
+    size = np.sqrt(np.maximum(np.diag(K), 1e-300))
+    unit = np.abs(K) / size[:, None] / size
+    read = {frozenset(pair) for p in parts if p.nodes for pair in itertools.combinations(p.dofs.tolist(), 2)}
+    out = {}
+    for a, b in np.argwhere(np.triu(unit, 1) >= COUPLED).tolist():
+        pair = frozenset((a, b))
+        told = unit[a, b] > 1e-3 and (pair in asked or pair in read)
+        out[pair] = float(abs(K[a, b]) if told else min(K[a, a], K[b, b]))
+    return out
+
+
+def _joined(parts: list[Part], nodes: Nodes) -> set[frozenset[int]]:
+    """Pairs of DoFs of one direction that elements join."""
+    pairs = (pair for p in parts for pair in itertools.combinations(p.dofs.tolist(), 2))
+    return {frozenset(pair) for pair in pairs if nodes.axis[pair[0]] == nodes.axis[pair[1]]}
 
 
 def _felt(c: Coordinates, b: np.ndarray, inside: np.ndarray) -> float:
