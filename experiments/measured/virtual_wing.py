@@ -1,8 +1,8 @@
 """Virtual tests of a real flying wing's matrices, with every element off and one gross error hidden in them.
 
-``MODALAX_DATA=... python experiments/measured/virtual_wing.py [--cases 60] [--first 0] [--out FILE]`` asks
-``modalax.diagnose`` about each test with the matrices as imported, appends one line a case to the file of answers, and
-prints the counts of all that it holds.
+``MODALAX_DATA=... python experiments/measured/virtual_wing.py [--cases 60] [--first 0] [--only N ...]
+[--out FILE]`` asks ``modalax.diagnose`` about each test with the matrices as imported, appends one line a case to the
+file of answers, and prints the counts of all that it holds.
 
 The wing is that of the finite-element model mAEWing1 (74 beams, springs and rigid arms, 71 lumps of mass). Every
 element's stiffness is off by 1 or 3 % (standard deviation, each by itself), every mass by a third of that, every modal
@@ -21,6 +21,7 @@ import os
 import time
 import warnings
 from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
 
 import jax
@@ -115,7 +116,28 @@ def band_modes(K: np.ndarray, M: np.ndarray) -> np.ndarray:
     return f[f > 1.0][:10]
 
 
-def draw(wing: Wing, case: int) -> tuple[dict, Measurement]:
+@dataclass(frozen=True)
+class Hidden:
+    """The true structure of a case: factors of elements and lumps, matrices, modal damping, FRFs and their noise."""
+
+    truth: dict
+    stiffness: np.ndarray
+    mass: np.ndarray
+    K: np.ndarray
+    M: np.ndarray
+    zeta: np.ndarray
+    H: np.ndarray
+    noisy: np.ndarray
+    sigma: np.ndarray
+
+    def measurement(self) -> Measurement:
+        """What is measured."""
+        variance = np.broadcast_to(self.sigma**2, self.H.shape)
+        frf = FRF(FREQ, self.noisy, form="accelerance", variance=variance, outputs=OUTPUTS, inputs=INPUTS)
+        return Measurement.from_frfs([frf])
+
+
+def draw(wing: Wing, case: int) -> Hidden:
     """Hide a gross error, and measure."""
     rng = np.random.default_rng([1, case])
     spread = (0.01, 0.03)[case % 2]
@@ -137,13 +159,11 @@ def draw(wing: Wing, case: int) -> tuple[dict, Measurement]:
         M[lump, lump] += size * wing.mass
         truth |= {"name": "added_mass", "nodes": [node], "size": size, "kg": size * wing.mass}
     truth["moved"] = float(np.abs(band_modes(K, M) / sound - 1).max())
-    H = accelerances(wing, K, M, DAMPING * np.exp(0.2 * rng.standard_normal(len(K))))
+    zeta = DAMPING * np.exp(0.2 * rng.standard_normal(len(K)))
+    H = accelerances(wing, K, M, zeta)
     sigma = NOISE * np.sqrt((np.abs(H) ** 2).mean(axis=0))
     noisy = H + sigma * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)) / np.sqrt(2)
-    frf = FRF(
-        FREQ, noisy, form="accelerance", variance=np.broadcast_to(sigma**2, H.shape), outputs=OUTPUTS, inputs=INPUTS
-    )
-    return truth, Measurement.from_frfs([frf])
+    return Hidden(truth, stiffness, mass, K, M, zeta, H, noisy, sigma)
 
 
 class Visible:
@@ -248,6 +268,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cases", type=int, default=60)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--only", type=int, nargs="*", help="these cases, in the place of --first and --cases")
     parser.add_argument("--out", type=Path, default=RESULTS)
     parser.add_argument("--time", type=float, default=150.0, help="seconds for one case, by the clock")
     options = parser.parse_args()
@@ -262,10 +283,11 @@ def main() -> None:
     options.out.parent.mkdir(parents=True, exist_ok=True)
     lines = [json.loads(text) for text in options.out.read_text().splitlines()] if options.out.exists() else []
     done = {line["truth"]["case"] for line in lines}
-    for case in range(options.first, options.first + options.cases):
+    for case in options.only or range(options.first, options.first + options.cases):
         if case in done:
             continue
-        truth, measurement = draw(wing, case)
+        hidden = draw(wing, case)
+        truth, measurement = hidden.truth, hidden.measurement()
         began = time.process_time()
         said = modalax.diagnose(measurement, model, time=options.time).to_dict()
         line = {
