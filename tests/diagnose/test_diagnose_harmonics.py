@@ -223,7 +223,7 @@ def test_laws_are_fitted_in_full_where_a_force_explains_what_nothing_else_does(s
 def test_the_sides_of_a_bilinear_spring_are_told_by_their_stiffness():
     """Mirrored, the law has the same FRFs: a spring stiffer in push answers half a cycle later like one in pull."""
     one, other = (
-        simulate(five_dof(), [joints.BilinearSpring(*k)], [PLACE], FREQ[40:48], LEVELS[:1], inputs=["1"], harmonics=5)
+        simulate(five_dof(), [joints.BilinearSpring(*k)], [PLACE], FEW, LEVELS, inputs=["1"], harmonics=HIGHEST)
         for k in ((5000.0, 1000.0), (1000.0, 5000.0))
     )
     np.testing.assert_allclose(one.H, other.H, rtol=1e-7)
@@ -272,7 +272,7 @@ def test_a_spring_that_slips_is_fitted_as_friction_too_where_no_data_bound_its_s
 def test_noise_is_read_off_the_lines_beside_the_joint():
     """Beside the simulation alone, what it misses about the peaks passes for noise."""
     noise = 0.002
-    data = test_of(joints.ElastoSlip(3000.0, 1.5), noise=noise).replace(variance=None)
+    data = test_of(joints.ElastoSlip(3000.0, 1.5), 0, noise, FEW, harmonics=HIGHEST).replace(variance=None)
     comparison = with_noise_beside(make_comparison(data, five_dof(), "fixed"))
     _, h = hypothesis(comparison, ElastoSlip(False), [3000.0, 5e-4])
     again = noise_beside(comparison, h)

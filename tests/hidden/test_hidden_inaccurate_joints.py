@@ -11,9 +11,8 @@ from modalax.diagnose.modal_domain.diagnosis import diagnose_modes  # noqa: E402
 from modalax.files import load  # noqa: E402
 
 
-@pytest.mark.parametrize(
-    ("law", "seed"), [pytest.param("cubic_stiffness", 3, marks=pytest.mark.slow), ("elasto_slip", 3)]
-)
+@pytest.mark.slow  # by default of a joint that the simulation lacks altogether, which is harder, see below
+@pytest.mark.parametrize(("law", "seed"), [("cubic_stiffness", 3), ("elasto_slip", 3)])
 def test_a_joint_is_placed_and_its_law_named_where_every_element_is_off(law, seed, tmp_path):
     case = draw_case(
         seed, law, kind="shaft", spread=0.02, claim="none", variance="exact", noise=0.01, lines=2.0, widen=1.0
@@ -45,6 +44,9 @@ def test_a_slipping_joint_that_the_simulation_lacks_altogether_is_one_cause(tmp_
     found = diagnose_modes(load(tmp_path / "measurement.npz"), load(tmp_path / "simulation.npz"))
     answer = found.to_dict()
     assert [(c["name"], sorted(c["where"])) for c in answer["causes"]] == [("elasto_slip", sorted(hidden["where"]))]
+    assert answer["verdict"] in ("named", "ambiguous")
+    assert answer["gain"]["chi2_after"] < 0.1 * answer["gain"]["chi2_before"]
+    assert np.isfinite(found.residual_after).all()
     told = answer["causes"][0]["parameters"]
     assert abs(told["stiffness"]["value"] - stiffness) < 4 * told["stiffness"]["std"] + 0.02 * stiffness
     assert told["slip_force"]["value"] == pytest.approx(slip, rel=0.2)

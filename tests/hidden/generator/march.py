@@ -17,6 +17,8 @@ from .plant import Plant, state_modes
 if TYPE_CHECKING:
     from .effect import Setup
 
+MOST_SWEEPS, AGREED = 4, 1e-6  # over the joints of one step, until their forces agree to this share of the largest
+
 
 @dataclass(frozen=True)
 class Joint:
@@ -69,38 +71,32 @@ def one_period(step: Steps, laws: list[Law], p, f, q_lin, v_lin, steps: int):
     the fundamental of the forces (row, joint).
     """
     count = len(laws)
-    own = [(step.compliance[:, j, j].copy(), step.compliance[:, count + j, j].copy()) for j in range(count)]
-    # displacement and velocity across each joint that the forces of the others make, (row, others)
-    others = [np.delete(np.arange(count), j) for j in range(count)]
-    pushes = [[step.compliance[:, at][:, o] for at in (j, count + j)] for j, o in enumerate(others)]
+    of = np.ascontiguousarray(step.compliance.transpose(2, 1, 0))  # what each force moves, (joint, 2 joint, row)
     spin = np.exp(2j * np.pi * np.arange(steps + 1) / steps)
-    fundamental = np.zeros_like(q_lin)
-    seen = (p @ step.out).real
-    q, v = q_lin.real + seen[:, :count], v_lin.real + seen[:, count:]
+    middle = np.exp(1j * np.pi / steps) * np.sinc(1 / steps)
+    linear = np.concatenate([q_lin, v_lin], axis=1).T.copy()
+    f = f.T.copy()
+    fundamental = np.zeros(f.shape, complex)
+    now = linear.real + (p @ step.out).real.T
     for k in range(steps):
         p = p * step.E
         for j in range(count):
-            p += step.A[j] * f[:, j, None]
-        seen = (p @ step.out).real
-        q_free = (q_lin * spin[k + 1]).real + seen[:, :count]
-        v_free = (v_lin * spin[k + 1]).real + seen[:, count:]
-        new = f.copy()
-        for _ in range(1 if count == 1 else 4):
+            p += step.A[j] * f[j, :, None]
+        free = (linear * spin[k + 1]).real + (p @ step.out).real.T
+        new, there = f.copy(), free + sum(of[j] * f[j] for j in range(count))
+        for _ in range(1 if count == 1 else MOST_SWEEPS):
+            before = new.copy()
             for j, law in enumerate(laws):
-                q_here, v_here = q_free[:, j], v_free[:, j]
-                if count > 1:
-                    forces = new[:, others[j]]
-                    q_here = q_here + np.einsum("ro,ro->r", pushes[j][0], forces)
-                    v_here = v_here + np.einsum("ro,ro->r", pushes[j][1], forces)
-                new[:, j] = law.solve(q_here, v_here, *own[j], q[:, j], v[:, j], f[:, j])
-        held = spin[k] * np.exp(1j * np.pi / steps) * np.sinc(1 / steps)
-        q_new = q_free + np.einsum("rkj,rj->rk", step.compliance[:, :count], new)
-        v_new = v_free + np.einsum("rkj,rj->rk", step.compliance[:, count:], new)
+                there -= of[j] * new[j]  # where the forces of the others alone lead
+                new[j] = law.solve(there[j], there[count + j], of[j, j], of[j, count + j], now[j], now[count + j], f[j])
+                there += of[j] * new[j]
+            if np.abs(new - before).max() < AGREED * np.abs(new).max():
+                break
         for j, law in enumerate(laws):
-            p += step.B[j] * new[:, j, None]
-            fundamental[:, j] += new[:, j] * (held if law.held else spin[k + 1]).conj()
-        f, q, v = new, q_new, v_new
-    return p, f, fundamental * 2 / steps
+            p += step.B[j] * new[j, :, None]
+            fundamental[j] += new[j] * (spin[k] * middle if law.held else spin[k + 1]).conj()
+        f, now = new, free + sum(of[j] * new[j] for j in range(count))
+    return p, f.T, fundamental.T * 2 / steps
 
 
 class Anderson:

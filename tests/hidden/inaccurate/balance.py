@@ -19,14 +19,13 @@ def force(law: Law, x: np.ndarray, omega: np.ndarray) -> np.ndarray:
     wave = np.exp(1j * phase)
     q = (x @ wave).real
     if isinstance(law, Jenkins):
+        moves = law.k * np.diff(q, axis=1, prepend=q[:, -1:]).T
         held = np.clip(law.k * q[:, -1], -law.limit, law.limit)
-        f = np.empty_like(q)
-        for lap in range(2):  # the second period is periodic
+        f = np.empty(moves.shape)
+        for _ in range(2):  # the second period is periodic
             for t in range(SAMPLES):
-                held = np.clip(held + law.k * (q[:, t] - q[:, t - 1]), -law.limit, law.limit)
-                if lap:
-                    f[:, t] = held
-        f -= law.given * q
+                held = f[t] = np.minimum(np.maximum(held + moves[t], -law.limit), law.limit)
+        f = f.T - law.given * q
     else:
         v = ((1j * omega[:, None] * np.array(HARMONICS) * x) @ wave).real
         f = law.start(q, v)
