@@ -83,10 +83,9 @@ def wrong_imports(path: Path, source: str) -> list[str]:
     return wrong
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(SOURCE)))
-def test_imports_run_downward(path):
-    assert layer_of(path) in RANK or layer_of(path) == "__init__", f"{path} stands in no known folder"
-    assert not wrong_imports(path, path.read_text())
+def test_imports_run_downward():
+    assert not {layer_of(path) for path in MODULES} - {*RANK, "__init__"}, "a module stands in no known folder"
+    assert [wrong for path in MODULES for wrong in wrong_imports(path, path.read_text())] == []
 
 
 @pytest.mark.parametrize(
@@ -103,15 +102,18 @@ def test_an_upward_or_sideways_import_is_seen(module, line):
     assert wrong_imports(SOURCE / module, line)
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(SOURCE)))
-def test_module_is_short_and_keeps_optional_packages_inside_functions(path):
-    text = path.read_text()
-    assert len(text.splitlines()) <= LONGEST_MODULE
-    tree = ast.parse(text)
-    top = {name.split(".")[0] for name, _ in imported(tree, inside_functions=False)}
-    assert not top & OPTIONAL, "an optional package is imported when the module is"
-    if layer_of(path) != "show":
-        assert not {name.split(".")[0] for name, _ in imported(tree)} & DRAWING, "only modalax.show draws"
+def test_modules_are_short_and_keep_optional_packages_inside_functions():
+    long, early, drawing = [], [], []
+    for path in MODULES:
+        text = path.read_text()
+        tree = ast.parse(text)
+        top, every = ({n.split(".")[0] for n, _ in imported(tree, inside_functions=inside)} for inside in (False, True))
+        long += [path] if len(text.splitlines()) > LONGEST_MODULE else []
+        early += [(path, package) for package in top & OPTIONAL]
+        drawing += [(path, package) for package in every & DRAWING if layer_of(path) != "show"]
+    assert long == []
+    assert early == [], "an optional package is imported when the module is"
+    assert drawing == [], "only modalax.show draws"
 
 
 def in_fresh_python(code: str) -> tuple[str, float]:

@@ -34,8 +34,15 @@ def test_sound_tests_have_no_findings():
         assert not [(seed, f) for f in check(measurement_of(draw_test(seed)))]
 
 
+# The slow ones by default in a smaller test, among the words of a check.
 @pytest.mark.parametrize("seed", [SEED, pytest.param(SEED + 1, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("fault", ["reversed", "swapped", "calibration", "duplicated", "conjugated", "clipped"])
+@pytest.mark.parametrize(
+    "fault",
+    [
+        "calibration", "duplicated", "clipped",
+        *(pytest.param(fault, marks=pytest.mark.slow) for fault in ("reversed", "swapped", "conjugated")),
+    ],
+)  # fmt: skip
 def test_a_fault_is_found_at_its_place(fault, seed):
     answer, truth = answer_to(seed, fault)
     right = [f for f in answer if f.what == fault]
