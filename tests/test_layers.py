@@ -1,6 +1,7 @@
 """The layout holds: imports run one way, modules stay short, and importing the package stays light."""
 
 import ast
+import functools
 import os
 import subprocess
 import sys
@@ -32,6 +33,7 @@ LAYERS = (
 # An extended simulation is read from a file by the package that alone knows what its causes are.
 UPWARD = {("files/arrays.py", "modalax.diagnose.extend")}
 RANK = {name: rank for rank, row in enumerate(LAYERS) for name in row}
+parsed = functools.cache(ast.parse)
 DRAWING = {"matplotlib", "plotly", "jinja2"}
 OPTIONAL = {"pyuff", "xarray", "zarr", "h5netcdf", "pooch", "plotly", "jinja2", "diffrax"}
 OPTIONAL |= {"dask", "distributed", "pyarrow", "anywidget", "traitlets"}
@@ -72,7 +74,7 @@ def wrong_imports(path: Path, source: str) -> list[str]:
     if own == "__init__":
         return []
     wrong = []
-    for name, line in imported(ast.parse(source)):
+    for name, line in imported(parsed(source)):
         parts = name.split(".")
         if parts[0] != "modalax" or len(parts) < 2 or parts[1] not in RANK:
             continue
@@ -106,7 +108,7 @@ def test_modules_are_short_and_keep_optional_packages_inside_functions():
     long, early, drawing = [], [], []
     for path in MODULES:
         text = path.read_text()
-        tree = ast.parse(text)
+        tree = parsed(text)
         top, every = ({n.split(".")[0] for n, _ in imported(tree, inside_functions=inside)} for inside in (False, True))
         long += [path] if len(text.splitlines()) > LONGEST_MODULE else []
         early += [(path, package) for package in top & OPTIONAL]
@@ -168,13 +170,13 @@ def test_a_name_that_does_not_exist_is_told():
 def test_only_the_declared_import_runs_upward():
     """Each exception is still needed."""
     for path, name in UPWARD:
-        assert name in {found for found, _ in imported(ast.parse((SOURCE / path).read_text()))}
+        assert name in {found for found, _ in imported(parsed((SOURCE / path).read_text()))}
 
 
 def test_no_file_imports_a_private_name_of_another():
     """A name that begins with an underscore belongs to its file; what others need has a public name."""
     for path in MODULES:
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(parsed(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("modalax"):
                 private = [a.name for a in node.names if a.name.startswith("_") and not a.name.startswith("__")]
                 assert private == [] or node.module == "modalax", f"{path}: imports {', '.join(private)}"
