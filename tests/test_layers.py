@@ -147,7 +147,10 @@ def test_compiler_flags_of_the_user_stay():
 
 
 def test_names_load_when_they_are_asked_for():
-    """The packages and the names at the top are listed, are there without an import of their own, and lead home."""
+    """The packages and the names at the top are listed, are there without an import of their own, and lead home.
+
+    None imports pyplot, which keeps every figure alive and picks a window system.
+    """
     told, _ = in_fresh_python(
         "import modalax, sys\n"
         "assert {n for n in dir(modalax) if not n.startswith('__')} == {*modalax.__all__} - {'__version__'}\n"
@@ -157,7 +160,8 @@ def test_names_load_when_they_are_asked_for():
         "assert all(sys.modules[f'modalax.{p}'] is loaded[p] for p in modalax.PACKAGES)\n"
         "assert loaded['FRF'] is modalax.data.FRF and loaded['load'] is modalax.files.load\n"
         "assert callable(modalax.diagnose) and callable(modalax.diagnose.diagnose)\n"
-        "print(jax.config.jax_enable_x64, [m for m in ('pyuff', 'plotly', 'xarray') if m in sys.modules])"
+        "told = ('pyuff', 'plotly', 'xarray', 'matplotlib.pyplot')\n"
+        "print(modalax.show.plot_frf and jax.config.jax_enable_x64, [m for m in told if m in sys.modules])"
     )
     assert told == "False []\n"
 
