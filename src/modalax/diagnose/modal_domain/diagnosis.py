@@ -33,8 +33,10 @@ from modalax.diagnose.modal_domain.levels.explain import JointFound
 from modalax.diagnose.modal_domain.levels.laws import NAMED
 from modalax.diagnose.modal_domain.levels.seen import at_levels
 from modalax.diagnose.modal_domain.mains import hum_told, mains_hum
+from modalax.diagnose.modal_domain.measured import Measured
+from modalax.diagnose.modal_domain.own_peaks import mass_of_sensor, own_peaks, without_output
 from modalax.diagnose.modal_domain.screen import errors_of
-from modalax.diagnose.modal_domain.stage import Stage, run_stage
+from modalax.diagnose.modal_domain.stage import Stage, identified, run_stage
 from modalax.diagnose.modal_domain.throughout import throughout_said, throughout_told
 from modalax.diagnose.over_levels import levels_said
 from modalax.diagnose.result import Diagnosis, within
@@ -212,7 +214,9 @@ def diagnose_modes(
 ) -> ModalDiagnosis | None:  # fmt: skip
     """Diagnose in the modal domain; None where the measurement shows no mode to compare."""
     late = late or Deadline()
-    found = _diagnosed(measurement, simulation, question, late, wanted, tell)
+    measured = identified(measurement, simulation, tell)
+    found = _beside_own_peaks(measurement, simulation, question, late, wanted, tell, measured)
+    found = found or _diagnosed(measurement, simulation, question, late, wanted, tell, measured=measured)
     if found is None or late() or found.after.p_value > THRESHOLDS.left_by_modes:
         return found
     if found.verdict in ("clean", "named") and found.gain.chi2_unforeseen < THRESHOLDS.as_noise:
@@ -234,6 +238,20 @@ def diagnose_modes(
     return rest if better else found
 
 
+def _beside_own_peaks(
+    measurement: Measurement, simulation: Structure, question: str, late: Deadline, wanted: Callable[[str], bool],
+    tell: Callable[[str], None], measured: Measured,
+) -> ModalDiagnosis | None:  # fmt: skip
+    """The diagnosis beside the mass of one sensor, where its output has peaks of its own and a mass explains them."""
+    which = own_peaks(measured, len(measurement.outputs), len(measurement.inputs)) if wanted("sensor_mass") else None
+    if which is None:
+        return None
+    tell(f"looking for the mass of a sensor at {measurement.outputs[which]}, whose peaks are its own")
+    stage = run_stage(without_output(measurement, which), simulation, late, wanted, tell)
+    forced = None if stage is None else mass_of_sensor(stage, measurement, measured, which, late)
+    return None if forced is None else _diagnosed(measurement, simulation, question, late, wanted, tell, forced)
+
+
 def _named(found: ModalDiagnosis) -> set[tuple[str, frozenset[str]]]:
     """What stands out, by name and place."""
     return {(c["name"], frozenset(map(str, c["where"]))) for c in found.causes}
@@ -241,12 +259,12 @@ def _named(found: ModalDiagnosis) -> set[tuple[str, frozenset[str]]]:
 
 def _diagnosed(
     measurement: Measurement, simulation: Structure, question: str, late: Deadline, wanted: Callable[[str], bool],
-    tell: Callable[[str], None], forced: Forced | None = None,
+    tell: Callable[[str], None], forced: Forced | None = None, measured: Measured | None = None,
 ) -> ModalDiagnosis | None:  # fmt: skip
     """The diagnosis of what is left once a force that was found is taken out of the FRFs."""
     effect = 0.0 if forced is None else forced.effect
     less = measurement if forced is None else measurement.replace(H=np.asarray(measurement.H) - effect)
-    stage = run_stage(less, simulation, late, wanted, tell)
+    stage = run_stage(less, simulation, late, wanted, tell, measured)
     if stage is None:
         return None
     judged = judge(stage)

@@ -72,7 +72,7 @@ class Forced:
 
 
 @dataclass(frozen=True)
-class _Trial:
+class Trial:
     """One force fitted beside a fit of the modes."""
 
     base: Fit
@@ -145,7 +145,7 @@ def find_force(
     bases = [e.fit for e in explanations if not e.causes][:1]
     bases += [explanations[0].fit] if explanations[0].causes else []
     tell(f"looking for a force at one of {len(forces)} places, line by line")
-    trials: list[_Trial] = []
+    trials: list[Trial] = []
     for base in bases:
         gain, size = screened(setting, base, forces, lines)
         leading = [
@@ -153,14 +153,30 @@ def find_force(
             for k in sorted((k for k, f in enumerate(forces) if f.slug == slug), key=lambda k: -gain[k])[:FITTED]
         ]  # fmt: skip
         starts = [(base, forces[k], size[k]) for k in leading if gain[k] > WORTH]
-        trials += _fitted(setting, starts, lines, late)
+        trials += fitted_from(setting, starts, lines, late)
         if late():
             break
-    good = [t for t in trials if t.found.chi2 < THRESHOLDS.as_noise * lines.samples]
+    return told_force(setting, trials, bases, before, forces, lines, s)
+
+
+def told_force(
+    setting: Setting, trials: Sequence[Trial], bases: Sequence[Fit], before: Prior, forces: Sequence[LineForce],
+    lines: Lines, s: np.ndarray, left: float = 1.0,
+) -> Forced | None:  # fmt: skip
+    """The likeliest of some forces that were fitted; None where none explains the lines.
+
+    Parameters
+    ----------
+    trials, bases
+        The fits, and those without a force that they were fitted beside.
+    left
+        Chi-square per sample that lines without the force leave anyway.
+    """
+    good = [t for t in trials if t.found.chi2 < THRESHOLDS.as_noise * left * lines.samples]
     if not good:
         return None
     prior = {f: math.log(f.weight / sum(g.weight for g in forces if g.slug == f.slug)) for f in {t.cause for t in good}}
-    best_of: dict[LineForce, tuple[float, _Trial]] = {}
+    best_of: dict[LineForce, tuple[float, Trial]] = {}
     for t in good:
         value = t.log_evidence + prior[t.cause] + before.of(t.base.causes)
         if t.cause not in best_of or value > best_of[t.cause][0]:
@@ -194,9 +210,9 @@ def _scale(setting: Setting, f: Fit) -> np.ndarray:
     return np.concatenate([f.epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
 
 
-def _fitted(
+def fitted_from(
     setting: Setting, starts: Sequence[tuple[Fit, LineForce, np.ndarray]], lines: Lines, late: Deadline
-) -> list[_Trial]:  # fmt: skip
+) -> list[Trial]:  # fmt: skip
     """Forces fitted beside a fit of the modes each, those that leave the least to their end."""
     found: list[tuple[Fit, Fit, OnLines]] = []
     for base, cause, size in starts:
@@ -214,12 +230,12 @@ def _fitted(
     return [t for t in trials if t.cause.signed or t.found.x[-t.cause.count] > 0]
 
 
-def _trial(setting: Setting, base: Fit, both: Fit, end: OnLines) -> _Trial:
+def _trial(setting: Setting, base: Fit, both: Fit, end: OnLines) -> Trial:
     n, cause = len(base.sizes), both.causes[-1]
     assert isinstance(cause, LineForce)
     narrower = float(np.linalg.slogdet(end.covariance[n:, n:])[1])
     value = 0.5 * narrower - 0.5 * (end.chi2 + float(((end.x / _scale(setting, both)) ** 2).sum()))
-    return _Trial(base, cause, end, value)
+    return Trial(base, cause, end, value)
 
 
 def screened(

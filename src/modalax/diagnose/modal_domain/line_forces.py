@@ -225,9 +225,16 @@ def line_forces(
             size = COUPLED * middle / math.sqrt(mobile[a] * mobile[b])
             pair = c.shapes[[b, a]].T
             found.append(SkewCoupling("gyroscopic", (dofs[b], dofs[a]), size, basis=pair, middle=middle))
-    for k, name in enumerate(outputs):
-        own = c.outputs[k]
-        seen = float((own[inside] ** 2).mean())
-        if seen > 0:
-            found.append(RovingMass("sensor_mass", (name,), MASS / seen, basis=own[:, None], middle=middle, row=k))
-    return found
+    masses = (roving_mass(c, name, k, c.outputs[k], low, high) for k, name in enumerate(outputs))
+    return found + [mass for mass in masses if mass is not None]
+
+
+def roving_mass(
+    c: Coordinates, name: str, number: int, row: np.ndarray, low: float, high: float
+) -> RovingMass | None:  # fmt: skip
+    """The mass of a sensor at the output of a number and a row of shapes; None where that does not move in the band."""
+    seen = float((row[c.frequencies < 1.5 * high] ** 2).mean())
+    if not seen:
+        return None
+    middle = math.sqrt(low * high)
+    return RovingMass("sensor_mass", (name,), MASS / seen, basis=row[:, None], middle=middle, row=number)

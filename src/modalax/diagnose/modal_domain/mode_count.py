@@ -42,7 +42,7 @@ def blind_modes(channels: Channels, start: np.ndarray | None = None) -> Projecte
         if better is None:
             break
         found = better
-    found = _settled(refine(found.poles, channels), channels)
+    found = settled(refine(found.poles, channels), channels)
     order = np.argsort(np.abs(found.poles))
     return project(found.poles[order], channels)[0]
 
@@ -73,7 +73,7 @@ def _pruned(found: Projected, channels: Channels) -> Projected:
     return found
 
 
-def _settled(found: Projected, channels: Channels) -> Projected:
+def settled(found: Projected, channels: Channels) -> Projected:
     """Poles that are all worth keeping."""
     for _ in range(ROUNDS):
         kept = _worth_keeping(found, channels)

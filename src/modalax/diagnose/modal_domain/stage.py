@@ -104,9 +104,16 @@ def further_of(
     return found
 
 
+def identified(measurement: Measurement, simulation: Structure, tell: Callable[[str], None]) -> Measured:
+    """The measurement's own modes."""
+    tell("identifying the measurement's own modes")
+    highest = 2 * np.pi * float(measurement.freq[-1])
+    return identify(measurement, coordinates_of(simulation, measurement.outputs, measurement.inputs, highest))
+
+
 def run_stage(
     measurement: Measurement, simulation: Structure, late: Deadline, wanted: Callable[[str], bool],
-    tell: Callable[[str], None],
+    tell: Callable[[str], None], measured: Measured | None = None,
 ) -> Stage | None:  # fmt: skip
     """Diagnose a measurement in the modal domain; None where it shows no mode to compare.
 
@@ -118,11 +125,12 @@ def run_stage(
         Which causes to look for, by slug.
     tell
         Called with each step.
+    measured
+        The measurement as :func:`identified`, where that is known.
     """
     highest = 2 * np.pi * float(measurement.freq[-1])
     c = coordinates_of(simulation, measurement.outputs, measurement.inputs, highest)
-    tell("identifying the measurement's own modes")
-    measured = identify(measurement, c)
+    measured = measured or identified(measurement, simulation, tell)
     if not len(measured.features.poles):
         return None
     whitener = whitener_of(measured.features)

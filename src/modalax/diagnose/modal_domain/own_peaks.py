@@ -1,0 +1,110 @@
+r"""One output whose peaks are its own: the mass of a sensor that is at its place only while it measures there.
+
+A sensor that roves loads the structure with its mass m, so that its FRFs are :math:`H_s/(1 + s^2 m H_{ss})`, with
+peaks where the others have none. All outputs together then show nearly twice as many modes as without that one, which
+tells it apart without a simulation. The structure is diagnosed from the others, which makes :math:`H_{ss}` known; the
+mass that explains the output best is taken on to all lines, together with everything else.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from modalax.data import Measurement
+from modalax.diagnose.deadline import Deadline
+from modalax.diagnose.modal_domain.causes import with_sizes
+from modalax.diagnose.modal_domain.explain import Prior
+from modalax.diagnose.modal_domain.fit import Fit
+from modalax.diagnose.modal_domain.forced import Forced, fitted_from, told_force
+from modalax.diagnose.modal_domain.free_residues import refine
+from modalax.diagnose.modal_domain.line_forces import RovingMass, roving_mass
+from modalax.diagnose.modal_domain.measured import Measured, channels_of
+from modalax.diagnose.modal_domain.mode_count import misfit, settled
+from modalax.diagnose.modal_domain.polish import Lines, chi2_of, frf_on_lines, lines_of
+from modalax.diagnose.modal_domain.stage import Stage
+from modalax.diagnose.modal_domain.state import Setting
+
+FEWEST = 3  # outputs of which one can be told apart from the others
+OWN = 2  # fewest modes that are an output's own; a single one may be that of what the sensor sits on
+AS_WELL = 1.1  # how much more chi-square per sample the others may leave by themselves
+MASSES = np.geomspace(1e-3, 30.0, 400)  # that are tried, over the usual one; a step moves no peak by half its width
+TRIED = 3  # of them that are taken on to the lines
+
+
+def own_peaks(measured: Measured, outputs: int, inputs: int) -> int | None:
+    """The output without which fewer modes explain all others as well; None where none or several are such."""
+    c, found = measured.channels, measured.modes
+    if outputs < FEWEST or len(found.poles) < 2 * OWN:
+        return None
+    counts = []
+    for k in range(outputs):
+        kept = np.arange(outputs * inputs) // inputs != k
+        rest = replace(c, data=c.data[:, kept], weight=c.weight[:, kept])
+        fewer = settled(refine(found.poles, rest), rest)
+        explained = misfit(fewer, rest) < AS_WELL * measured.misfit
+        counts.append(len(found.poles) - len(fewer.poles) if explained else 0)
+    best, second = np.argsort(counts)[[-1, -2]]
+    return int(best) if counts[best] >= OWN + counts[second] else None
+
+
+def without_output(measurement: Measurement, which: int) -> Measurement:
+    """All outputs but one."""
+    kept = [k for k in range(len(measurement.outputs)) if k != which]
+    take = lambda a: None if a is None else np.asarray(a)[:, :, kept]
+    return measurement.replace(
+        H=take(measurement.H), variance=take(measurement.variance), coherence=take(measurement.coherence),
+        outputs=tuple(measurement.outputs[k] for k in kept),
+    )  # fmt: skip
+
+
+def mass_of_sensor(
+    stage: Stage, measurement: Measurement, measured: Measured, which: int, late: Deadline
+) -> Forced | None:  # fmt: skip
+    """The mass at an output that a ``stage`` was diagnosed without; None where no mass explains its FRFs.
+
+    Parameters
+    ----------
+    measurement, measured
+        All outputs.
+    which
+        The output.
+    """
+    name, c = measurement.outputs[which], stage.coordinates
+    row = c.shapes[stage.simulation.dofs.index(name)]
+    order = [k for k in range(len(measurement.outputs)) if k != which] + [which]  # numbers of the others stay
+    setting = replace(stage.setting, coordinates=replace(c, outputs=np.concatenate([c.outputs, row[None]])))
+    own = measured.channels
+    H, sigma = np.asarray(measurement.H)[measured.runs], measured.noise.sigma[measured.runs]
+    channels = channels_of(own.s, H[:, :, order], sigma[:, :, order], own.order, own.outside)
+    lines = lines_of(channels, setting, measured.misfit)
+    others = replace(lines, H=lines.H[:, :-1], weight=lines.weight[:, :-1])
+    low, high = (float(abs(own.s[k])) for k in (0, -1))
+    cause = roving_mass(c, name, len(order) - 1, row, low, high)
+    base = stage.best.fit
+    if cause is None:
+        return None
+    level = max(1.0, chi2_of(stage.setting, base, others) / max(others.samples, 1))
+    starts = [(base, cause, np.array([m])) for m in _masses(setting, base, cause, lines)]
+    forced = told_force(
+        setting, fitted_from(setting, starts, lines, late), [base], Prior(stage.candidates), [cause], lines, own.s,
+        level,
+    )  # fmt: skip
+    return None if forced is None else replace(forced, effect=forced.effect[:, np.argsort(order)])
+
+
+def _masses(setting: Setting, base: Fit, cause: RovingMass, lines: Lines) -> list[float]:
+    """Sizes that leave locally the least of the output's FRFs, the best first."""
+    s, row = lines.s, cause.row
+    inside = [(k, u) for k, u in with_sizes(base.causes, base.u) if k.local and not k.in_channels]
+    kept, u = tuple(k for k, _ in inside), np.concatenate([np.zeros(0), *(u for _, u in inside)])
+    assert row is not None
+    own = replace(setting, coordinates=replace(setting.coordinates, outputs=cause.basis.T, inputs=cause.basis.T))
+    drive = frf_on_lines(own, kept, base.sizes, u, s, 0)[:, 0]
+    H, weight = lines.H[:, row], lines.weight[:, row]
+    plain = frf_on_lines(setting, base.causes, base.sizes, base.u, s, lines.order)[:, row]
+    left = np.array([
+        (weight * np.abs(H - plain / (1 + s**2 * cause.scale * m * drive)) ** 2).sum() for m in MASSES
+    ])  # fmt: skip
+    padded = np.concatenate([[np.inf], left, [np.inf]])
+    low = np.flatnonzero((left <= padded[:-2]) & (left < padded[2:]))
+    return [float(MASSES[k]) for k in low[np.argsort(left[low])][:TRIED]]
