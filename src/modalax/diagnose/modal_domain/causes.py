@@ -121,6 +121,11 @@ class Change:
         return None
 
     @property
+    def variant(self) -> int:
+        """Number of its form, where the catalogue's cause of this name has several."""
+        return 0
+
+    @property
     def rarity(self) -> float:
         """Chance of its kind before the data, relative to other kinds."""
         return 1.0

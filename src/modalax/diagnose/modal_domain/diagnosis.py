@@ -22,6 +22,7 @@ from modalax.diagnose.decision.omnibus import Omnibus, omnibus
 from modalax.diagnose.decision.sets import rivals
 from modalax.diagnose.extend import ExtendedSimulation
 from modalax.diagnose.modal_domain.causes import UNITS, own_sizes, with_sizes
+from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.corrected import corrected, frf_of, inaccuracy_told
 from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.fit import Fit
@@ -36,6 +37,7 @@ from modalax.diagnose.modal_domain.mains import hum_told, mains_hum
 from modalax.diagnose.modal_domain.measured import Measured
 from modalax.diagnose.modal_domain.own_peaks import mass_of_sensor, own_peaks, without_output
 from modalax.diagnose.modal_domain.screen import errors_of
+from modalax.diagnose.modal_domain.short_records import short_record
 from modalax.diagnose.modal_domain.stage import Stage, identified, run_stage
 from modalax.diagnose.modal_domain.throughout import throughout_said, throughout_told
 from modalax.diagnose.over_levels import levels_said
@@ -214,7 +216,14 @@ def diagnose_modes(
 ) -> ModalDiagnosis | None:  # fmt: skip
     """Diagnose in the modal domain; None where the measurement shows no mode to compare."""
     late = late or Deadline()
-    measured = identified(measurement, simulation, tell)
+    ended, measured = None, None
+    if wanted("leakage"):
+        highest = 2 * np.pi * float(measurement.freq[-1])
+        c = coordinates_of(simulation, measurement.outputs, measurement.inputs, highest)
+        ended, measured = short_record(measurement, c, tell)
+    if ended is not None:
+        return _diagnosed(measurement, simulation, question, late, wanted, tell, ended)
+    measured = measured or identified(measurement, simulation, tell)
     found = _beside_own_peaks(measurement, simulation, question, late, wanted, tell, measured)
     found = found or _diagnosed(measurement, simulation, question, late, wanted, tell, measured=measured)
     if found is None or late() or found.after.p_value > THRESHOLDS.left_by_modes:
@@ -339,11 +348,13 @@ def extension_of(stage: Stage, f: Fit, forced: Forced | None = None) -> Extended
         m = stage.measurement
         names = base.dofs if c.at_dofs else (m.inputs if c.slug == "force_gain" else m.outputs)
         index = [names.index(str(w)) for w in c.where] + [-1, -1]
+        if c.slug == "leakage":
+            index[0] = 0
         if c.slug == "units":
             index[0] = c.channel[1]
         values, errors, extra = c.as_catalogue(u, covariance)
         causes.append(c.in_catalogue or known[c.slug])
-        places.append(Place(tuple(c.where), (index[0], index[1], 0)))
+        places.append(Place(tuple(c.where), (index[0], index[1], c.variant)))
         params.append(jnp.asarray(values))
         spread.append(jnp.asarray(errors))
         extras.append(None if extra is None else jnp.asarray(extra))

@@ -62,12 +62,12 @@ class Forced:
         What it adds to the FRFs, in the form of the measurement, shape ``(f, o, i)``.
     """
 
-    cause: LineForce
+    cause: Change
     u: np.ndarray
     covariance: np.ndarray
     probability: float
     nats: float
-    rivals: tuple[tuple[LineForce, float], ...]
+    rivals: tuple[tuple[Change, float], ...]
     effect: np.ndarray
 
 
@@ -120,8 +120,8 @@ def force_said(forced: Forced) -> str:
     """In one sentence."""
     what = cause_at(forced.cause.slug, forced.cause.where)
     return (
-        f"{what} explains on all lines what the modes leave (probability {forced.probability:.3f} among forces at one "
-        f"place); without it the lines are {forced.nats:.3g} nats less likely"
+        f"{what} explains on all lines what modes alone leave (probability {forced.probability:.3f}); without it the "
+        f"lines are {forced.nats:.3g} nats less likely"
     )
 
 

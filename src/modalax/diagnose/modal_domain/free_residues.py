@@ -17,6 +17,7 @@ import numpy as np
 import scipy.linalg
 
 from modalax._numerics.grams import weighted_grams
+from modalax.diagnose.modal_domain.windows import Window
 
 STEPS = 25  # most Gauss-Newton steps of one refinement
 SETTLED = 1e-3  # decrease of chi-square per number of poles' parameters at which a refinement has ended
@@ -40,6 +41,8 @@ class Channels:
         Derivatives of the displacement that were measured: basis functions are multiplied by ``s**order``.
     outside
         Fixed poles of modes beyond the band, shape ``(m,)`` [rad/s].
+    window
+        The finite record through which modes are seen; None where they had decayed before it ended.
     """
 
     s: np.ndarray
@@ -47,6 +50,7 @@ class Channels:
     weight: np.ndarray
     order: int
     outside: np.ndarray
+    window: Window | None = None
 
     @property
     def samples(self) -> int:
@@ -55,9 +59,18 @@ class Channels:
 
     def kernels(self, poles: np.ndarray, power: int = 1) -> np.ndarray:
         """Columns p and q of each pole, shape ``(f, 2 n)``, each pole's two side by side."""
-        u, v = (1 / (self.s[:, None] - x) ** power for x in (poles, poles.conj()))
-        columns = np.stack([u + v, 1j * (u - v)], axis=2).reshape(len(self.s), -1)
-        return columns * self.s[:, None] ** self.order
+        if self.window is None:
+            u, v = (self.s[:, None] ** self.order / (self.s[:, None] - x) ** power for x in (poles, poles.conj()))
+        else:
+            u, v = (self._seen(x, power) for x in (poles, poles.conj()))
+        return np.stack([u + v, 1j * (u - v)], axis=2).reshape(len(self.s), -1)
+
+    def _seen(self, poles: np.ndarray, power: int) -> np.ndarray:
+        r"""The windowed derivative of :math:`e^{\lambda t}` that was measured, or its slope by :math:`\lambda`."""
+        kernel, slope = self.window.transform(self.s[:, None] - poles) if self.window else (0, 0)
+        if power == 1:
+            return kernel * poles**self.order
+        return self.order * poles ** (self.order - 1) * kernel - poles**self.order * slope
 
     def background(self) -> np.ndarray:
         """Columns of the modes beyond the band, shape ``(f, columns)``.

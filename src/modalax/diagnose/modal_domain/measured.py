@@ -55,13 +55,9 @@ class Measured:
 
 def identify(measurement: Measurement, c: Coordinates) -> Measured:
     """Identify a measurement (no line at 0 Hz) blind; the simulation only stands for the modes beyond the band."""
-    freq, H = np.asarray(measurement.freq), np.asarray(measurement.H)
-    order = DERIVATIVES[measurement.form]
-    s = 2j * np.pi * freq
-    outside = _outside(c, abs(s[0]), abs(s[-1]))
-    noise = noise_of(measurement, _first_guess(measurement, H))
-    runs, unlike = _alike(H, noise.sigma, np.asarray(measurement.level))
-    channels = channels_of(s, H[runs], noise.sigma[runs], order, outside)
+    H, order = np.asarray(measurement.H), DERIVATIVES[measurement.form]
+    channels, noise, runs, unlike = prepared(measurement, c)
+    s, outside = channels.s, channels.outside
     modes = blind_modes(channels)
     if np.isfinite(noise.freedom):  # noise that was estimated is known better beside what is no noise
         made = modes.made(channels).reshape(H.shape[1:])
@@ -70,7 +66,19 @@ def identify(measurement: Measurement, c: Coordinates) -> Measured:
         modes = blind_modes(channels, modes.poles)
     modes = one_each(modes, channels)
     left, features = _features(modes, channels, H.shape[2:])
-    return Measured(freq, noise, channels, modes, left, features, runs, unlike)
+    return Measured(np.asarray(measurement.freq), noise, channels, modes, left, features, runs, unlike)
+
+
+def prepared(measurement: Measurement, c: Coordinates) -> tuple[Channels, Noise, np.ndarray, float]:
+    """FRFs to identify, their noise before any mode is known, the runs in them, and how unlike all runs are."""
+    freq, H = np.asarray(measurement.freq), np.asarray(measurement.H)
+    order = DERIVATIVES[measurement.form]
+    s = 2j * np.pi * freq
+    outside = _outside(c, abs(s[0]), abs(s[-1]))
+    noise = noise_of(measurement, _first_guess(measurement, H))
+    runs, unlike = _alike(H, noise.sigma, np.asarray(measurement.level))
+    channels = channels_of(s, H[runs], noise.sigma[runs], order, outside)
+    return channels, noise, runs, unlike
 
 
 def reidentified(measured: Measured, H: np.ndarray, error: np.ndarray) -> Measured:

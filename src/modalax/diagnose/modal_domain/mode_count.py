@@ -52,7 +52,7 @@ def _with(found: Projected, new: np.ndarray, channels: Channels) -> Projected | 
     both = np.concatenate([found.poles, new])
     for move in (_relocated, _refined) if len(new) else ():
         trial = _pruned(move(both, channels), channels)
-        if trial.chi2 < found.chi2 - _cost(channels):
+        if trial.chi2 < found.chi2 - cost_of_mode(channels):
             return trial
     return None
 
@@ -83,7 +83,7 @@ def settled(found: Projected, channels: Channels) -> Projected:
     return found
 
 
-def _cost(channels: Channels) -> float:
+def cost_of_mode(channels: Channels) -> float:
     """Chi-square that a further mode gains under noise alone with a chance of ``CHANCE``."""
     return float(scipy.stats.chi2.isf(CHANCE, 2 + 2 * channels.data.shape[1]))
 
@@ -122,7 +122,7 @@ def _worth_keeping(found: Projected, channels: Channels) -> np.ndarray:
     inside = _possible(found.poles, channels)
     if not inside.all():
         return inside
-    enough = mode_gains(found) > _cost(channels) * misfit(found, channels)
+    enough = mode_gains(found) > cost_of_mode(channels) * misfit(found, channels)
     if enough.all():
         return enough
     kept = np.ones(len(found.poles), bool)
@@ -141,7 +141,7 @@ def further_poles(found: Projected, channels: Channels) -> np.ndarray:
         gain = _scanned(poles, rest, channels)
         better = gain > best
         best[better], where[better] = gain[better], poles[better]
-    least = _cost(channels) * misfit(found, channels)
+    least = cost_of_mode(channels) * misfit(found, channels)
     padded = np.concatenate([[0.0], best, [0.0]])
     peak = (padded[1:-1] >= padded[:-2]) & (padded[1:-1] > padded[2:]) & (best > max(least, AT_ONCE * best.max()))
     chosen: list[complex] = []
