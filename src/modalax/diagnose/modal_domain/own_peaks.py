@@ -99,11 +99,11 @@ def _masses(setting: Setting, base: Fit, cause: RovingMass, lines: Lines) -> lis
     kept, u = tuple(k for k, _ in inside), np.concatenate([np.zeros(0), *(u for _, u in inside)])
     assert row is not None
     own = replace(setting, coordinates=replace(setting.coordinates, outputs=cause.basis.T, inputs=cause.basis.T))
-    drive = frf_on_lines(own, kept, base.sizes, u, s, 0)[:, 0]
+    drive = frf_on_lines(own, kept, base.sizes, u, s, 0)[:, 0, 0]
     H, weight = lines.H[:, row], lines.weight[:, row]
     plain = frf_on_lines(setting, base.causes, base.sizes, base.u, s, lines.order)[:, row]
     left = np.array([
-        (weight * np.abs(H - plain / (1 + s**2 * cause.scale * m * drive)) ** 2).sum() for m in MASSES
+        (weight * np.abs(H - plain / (1 + s**2 * cause.scale * m * drive)[:, None]) ** 2).sum() for m in MASSES
     ])  # fmt: skip
     padded = np.concatenate([[np.inf], left, [np.inf]])
     low = np.flatnonzero((left <= padded[:-2]) & (left < padded[2:]))

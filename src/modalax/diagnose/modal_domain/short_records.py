@@ -4,8 +4,8 @@ Through a record of length T each mode keeps its pole and its residue; only its 
 (:mod:`modalax.diagnose.modal_domain.windows`). Where lines lie closer than :math:`1/T`, the inverse transform of the
 FRFs over the band ends at T. Where they lie :math:`1/T` apart, as a discrete Fourier transform has them, that length is
 tried. The modes are identified through each window; one that needs fewer modes than without it, and leaves as little,
-is what happened. A cut record whose lines are :math:`1/T` apart is not told: each mode is then seen as it is, but for a
-factor :math:`1 - e^{\lambda T}` on its residue.
+is what happened. A cut record whose lines are :math:`1/T` apart shows each mode as it is, but for a factor
+:math:`1 - e^{\lambda T}` on its residue: that is told where it turns residues that nearly real shapes would have.
 """
 
 import math
@@ -37,6 +37,9 @@ EVEN = 0.01  # relative scatter of the spacing of lines that are even
 NARROWER = 0.8, 0.3  # of what is seen of a pole's damping, the rest of it being of the window
 WANDER = 2.0  # samples of the inverse transform about an end within which its length is sought
 FINE, TURNS = 0.1, 3  # step of the lengths tried, in samples, and turns of refining poles and length
+COMPLEX = 0.03  # usual phase [rad] of a residue about that of a real shape
+SEVERAL = 3.0  # usual phases from which on a residue counts as turned
+LASTING = 0.05  # part of a mode that is left at the end of a record from which it tells that
 STRONG = 3  # channels that lengths are tried by
 FEW = 6  # steps of a refinement within these
 DECAYS = 4.0  # of an exponential window within a record, so that its end does not show
@@ -109,14 +112,30 @@ def short_record(
 
 def record_of_lines(measured: Measured, shape: tuple[int, ...]) -> Forced | None:
     """What a record that ended too early adds to FRFs ``(f, o, i)`` of its own lines; None where none explains more."""
-    c, found = measured.channels, _on_lines(measured)
-    if found is None:
+    c, step = measured.channels, _record_of(measured.freq)
+    if step is None:
         return None
+    found = _on_lines(measured, step)
     modes = found[1]
     gained = 0.5 * (measured.modes.chi2 - modes.chi2)
     gained += 0.5 * cost_of_mode(c) * (len(measured.modes.poles) - len(modes.poles))
     explains = misfit(modes, found[2]) < THRESHOLDS.as_noise * measured.misfit
-    return _told(found, gained, 0.0, shape) if explains and gained > THRESHOLDS.further_cause else None
+    if explains and gained > THRESHOLDS.further_cause:
+        return _told(found, gained, 0.0, shape)
+    turned = _through(c, Window("cut", 1 / step), measured.modes.poles)
+    gained, left = _turned(measured.modes, turned[1], 1 / step)
+    return _told(turned, gained, 0.0, shape) if gained > max(THRESHOLDS.further_cause, left) else None
+
+
+def _turned(plain: Projected, cut: Projected, length: float) -> tuple[float, float]:
+    """Half the squares of phases about those of real shapes, that a cut record takes away and leaves."""
+    if len(plain.poles) != len(cut.poles):
+        return 0.0, 0.0
+    lasting = np.exp(cut.poles.real * length) > LASTING
+    before, after = (0.5 * np.angle(-(A**2).sum(axis=1))[lasting] / COMPLEX for A in (plain.residues, cut.residues))
+    if np.count_nonzero(np.abs(before) > SEVERAL) < 2:  # one mode may be turned by a damper
+        return 0.0, 0.0
+    return 0.5 * float((before**2 - after**2).sum()), 0.5 * float((after**2).sum())
 
 
 def record_that_ends(channels: Channels, end: float, shape: tuple[int, ...]) -> Forced | None:
@@ -135,13 +154,16 @@ def record_that_ends(channels: Channels, end: float, shape: tuple[int, ...]) -> 
 Found = tuple[Window, Projected, Channels]
 
 
-def _on_lines(measured: Measured) -> Found | None:
-    """Windows of a record as long as one over the spacing of lines, where modes alone hardly explain these."""
-    freq = measured.freq
+def _record_of(freq: np.ndarray) -> float | None:
+    """Spacing [Hz] of the lines of a discrete Fourier transform; None of others."""
     step = float(np.median(np.diff(freq)))
     grid = freq / step
-    if np.abs(grid - np.round(grid)).max() > ON_LINES or np.ptp(np.diff(freq)) > EVEN * step:
-        return None
+    even = np.abs(grid - np.round(grid)).max() < ON_LINES and np.ptp(np.diff(freq)) < EVEN * step
+    return step if even else None
+
+
+def _on_lines(measured: Measured, step: float) -> Found:
+    """The window of a record as long as one over the spacing of lines that leaves the least."""
     trials = [_through(measured.channels, Window(kind, 1 / step), measured.modes.poles) for kind in ("hann", "boxcar")]
     window, modes, through = min(trials, key=lambda t: t[1].chi2)
     return window, blind_modes(through, modes.poles), through

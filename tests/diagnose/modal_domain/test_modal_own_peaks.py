@@ -1,0 +1,53 @@
+"""The mass of a sensor that roves, found in a chain whose every element is off."""
+
+import numpy as np
+import pytest
+from chains_off import DOFS, as_measured, chain_off, response, simulation
+
+from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.diagnose.modal_domain.own_peaks import own_peaks, without_output
+from modalax.diagnose.modal_domain.stage import identified
+
+LINES = np.linspace(12.0, 110.0, 150)
+OUTPUTS, LOADED, MASS = (0, 1, 3, 4), 3, 0.15  # measured DoFs, the one with the roving sensor, and its mass [kg]
+
+
+def loaded(seed: int):
+    """FRFs of which those at one output are of the structure with a sensor's mass there."""
+    M, C, K = chain_off(seed, 0.02)
+    H = response(M, C, K, LINES)
+    H[:, LOADED] = response(M + np.diag(np.eye(5)[LOADED] * MASS), C, K, LINES)[:, LOADED]
+    return as_measured(H, LINES, seed)
+
+
+def test_the_output_whose_peaks_are_its_own_is_told_without_a_simulation():
+    data = loaded(4)
+    found = identified(data, simulation(), lambda _: None)
+    assert own_peaks(found, *data.H.shape[2:]) == OUTPUTS.index(LOADED)
+
+
+def test_no_output_is_told_where_all_have_the_same_peaks():
+    data = as_measured(response(*chain_off(4, 0.02), LINES), LINES, 4)
+    assert own_peaks(identified(data, simulation(), lambda _: None), *data.H.shape[2:]) is None
+
+
+def test_an_output_is_left_out_with_its_variance():
+    data = loaded(4)
+    less = without_output(data, 2)
+    kept = [0, 1, 3]
+    assert less.outputs == tuple(data.outputs[k] for k in kept)
+    assert np.array_equal(less.H, np.asarray(data.H)[:, :, kept])
+    assert np.array_equal(less.variance, np.asarray(data.variance)[:, :, kept])
+
+
+@pytest.mark.slow
+def test_its_mass_is_named_at_its_place():
+    found = diagnose_modes(loaded(4), simulation())
+    answer = found.to_dict()
+    assert answer["verdict"] == "named"
+    assert [(c["name"], c["where"]) for c in answer["causes"]] == [("sensor_mass", [DOFS[LOADED]])]
+    told = answer["causes"][0]["parameters"]["mass"]
+    assert told["value"] == pytest.approx(MASS, abs=4 * told["std"]) and told["std"] < 0.05 * MASS
+    again = found.extended.frf(found.freq, form="accelerance", outputs=found.stage.measurement.outputs,
+                               inputs=found.stage.measurement.inputs)  # fmt: skip
+    assert np.abs(again.H - found.predicted_after[0]).max() < 0.02 * np.abs(found.predicted_after).max()

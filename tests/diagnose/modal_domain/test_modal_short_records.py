@@ -1,0 +1,101 @@
+"""Records that ended before the response had decayed, found in a chain whose every element is off."""
+
+import numpy as np
+import pytest
+import scipy.integrate
+import scipy.linalg
+from chains_off import FREQ, as_measured, chain_off, response, simulation
+
+from modalax.data import Measurement
+from modalax.diagnose.modal_domain.coordinates import coordinates_of
+from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.diagnose.modal_domain.short_records import end_of_record, short_record
+from modalax.diagnose.modal_domain.windows import KINDS, Window
+
+LENGTH = 0.9  # s; a sixth to a third of the first mode is left then
+LAG = {
+    "cut": lambda u: 1.0 + 0 * u,
+    "boxcar": lambda u: 1 - u,
+    "hann": lambda u: (1 - u) * (2 + np.cos(2 * np.pi * u)) / 3 + np.sin(2 * np.pi * u) / (2 * np.pi),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_window_is_the_integral_over_its_record(kind):
+    x = 0.4 + 3j
+    part = lambda t: LAG[kind](t / LENGTH) * np.exp(-x * t)
+    expected = sum(
+        unit * scipy.integrate.quad(lambda t, take=take: getattr(part(t), take), 0, LENGTH)[0]
+        for unit, take in ((1, "real"), (1j, "imag"))
+    )
+    value, slope = Window(kind, LENGTH).transform(np.array([x]))
+    assert value[0] == pytest.approx(expected, rel=1e-9)
+    ahead, behind = (Window(kind, LENGTH).transform(np.array([x + h]))[0][0] for h in (1e-5, -1e-5))
+    assert slope[0] == pytest.approx((ahead - behind) / 2e-5, rel=1e-6)
+
+
+def measured(kind: str, freq: np.ndarray, seed: int, length: float = LENGTH) -> Measurement:
+    """Accelerances of which each mode is summed over its record, by the integral in closed form of a fine sum."""
+    M, C, K = chain_off(seed, 0.02)
+    w2, P = scipy.linalg.eigh(K, M)
+    w = np.sqrt(w2)
+    zeta = np.diag(P.T @ C @ P) / 2 / w
+    poles = w * (-zeta + 1j * np.sqrt(1 - zeta**2))
+    residues = np.einsum("or,ir->roi", P, P) / (2j * poles.imag)[:, None, None] * (poles**2)[:, None, None]
+    t = (np.arange(4000) + 0.5) * length / 4000
+    seen = np.exp(-2j * np.pi * freq[:, None] * t) * LAG[kind](t / length) * length / 4000
+    direct = 2 * (residues / poles[:, None, None]).sum(axis=0).real
+    both = [np.einsum("ft,tr->fr", seen, np.exp(t[:, None] * p)) for p in (poles, poles.conj())]
+    H = np.einsum("fr,roi->foi", both[0], residues) + np.einsum("fr,roi->foi", both[1], residues.conj()) + direct
+    return as_measured(H, freq, seed)
+
+
+ON_LINES = np.arange(11, 100) / LENGTH
+CLOSER = np.arange(60, 550) / LENGTH / 5
+
+
+@pytest.mark.parametrize(
+    ("kind", "freq"), [("boxcar", ON_LINES), ("hann", ON_LINES), pytest.param("cut", CLOSER, marks=pytest.mark.slow)]
+)
+def test_its_window_and_its_length_are_told_by_the_frfs_alone(kind, freq):
+    data = measured(kind, freq, 5)
+    c = coordinates_of(simulation(), data.outputs, data.inputs, 2 * np.pi * float(freq[-1]))
+    found, _ = short_record(data, c, lambda _: None)
+    assert found is not None
+    assert found.cause.window.kind == kind
+    assert found.cause.window.length == pytest.approx(LENGTH, rel=1e-3)
+
+
+def test_a_record_that_is_cut_at_its_own_lines_is_told_by_the_phases_of_two_modes():
+    length = 0.25
+    freq = np.arange(3, 28) / length
+    data = measured("cut", freq, 5, length)
+    c = coordinates_of(simulation(), data.outputs, data.inputs, 2 * np.pi * float(freq[-1]))
+    found, _ = short_record(data, c, lambda _: None)
+    assert found is not None and found.cause.window == Window("cut", pytest.approx(length, rel=1e-9))
+
+
+def test_frfs_end_where_the_record_does():
+    H = np.asarray(measured("cut", CLOSER, 5).H)[0].reshape(len(CLOSER), -1)
+    assert end_of_record(CLOSER, H) == pytest.approx(LENGTH, abs=8 / np.ptp(CLOSER))
+
+
+def test_sound_frfs_do_not_end():
+    H = response(*chain_off(5, 0.02), FREQ)
+    assert end_of_record(FREQ, H.reshape(len(FREQ), -1)) is None
+    data = as_measured(H, FREQ, 5)
+    c = coordinates_of(simulation(), data.outputs, data.inputs, 2 * np.pi * float(FREQ[-1]))
+    assert short_record(data, c, lambda _: None)[0] is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "freq"), [("boxcar", ON_LINES), ("cut", CLOSER)])
+def test_it_is_named_with_its_length(kind, freq):
+    data = measured(kind, freq, 5)
+    found = diagnose_modes(data, simulation())
+    answer = found.to_dict()
+    assert answer["verdict"] == "named"
+    assert [(c["name"], c["where"]) for c in answer["causes"]] == [("leakage", [])]
+    assert answer["causes"][0]["parameters"]["record_length"]["value"] == pytest.approx(LENGTH, rel=1e-3)
+    again = found.extended.frf(found.freq, form="accelerance", outputs=data.outputs, inputs=data.inputs)
+    assert np.abs(again.H - found.predicted_after[0]).max() < 0.05 * np.abs(found.predicted_after).max()
