@@ -40,6 +40,7 @@ FINE, TURNS = 0.1, 3  # step of the lengths tried, in samples, and turns of refi
 COMPLEX = 0.03  # usual phase [rad] of a residue about that of a real shape
 SEVERAL = 3.0  # usual phases from which on a residue counts as turned
 LASTING = 0.05  # part of a mode that is left at the end of a record from which it tells that
+BEYOND = 0.1  # standard deviation of a length, in samples, by modes beyond the band that were cut off as well
 STRONG = 3  # channels that lengths are tried by
 FEW = 6  # steps of a refinement within these
 DECAYS = 4.0  # of an exponential window within a record, so that its end does not show
@@ -147,7 +148,8 @@ def record_that_ends(channels: Channels, end: float, shape: tuple[int, ...]) -> 
     gained = 0.5 * (refine(modes.poles, channels, FEW).chi2 - modes.chi2)
     if misfit(modes, through) > THRESHOLDS.as_noise or gained < THRESHOLDS.further_cause:
         return None
-    std = _error(modes, through, float(np.ptp(np.abs(channels.s))) / 2 / np.pi)
+    band = float(np.ptp(np.abs(channels.s))) / 2 / np.pi
+    std = math.hypot(_error(modes, through, band), BEYOND / band)
     return _told(found, gained, std, shape)
 
 
