@@ -119,7 +119,7 @@ class Thresholds:
     lines_missed: float = _threshold(
         20.0, "ratio of chi-squares",
         "A fit explains the lines where it leaves at most this many times what the measured modes by themselves leave; "
-        "beyond that lines only bend what modes tell, and nothing is clean.", INACCURATE,
+        "beyond that lines only bend what modes tell, and nothing is clean or named.", INACCURATE,
     )  # fmt: skip
     hopeless: float = _threshold(
         0.8, "share of the largest inaccuracy searched for",

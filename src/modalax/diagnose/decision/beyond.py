@@ -169,7 +169,7 @@ def held_out_verdict(
 def lines_verdict(
     word: str, reasons: Sequence[str], left: float, by_modes: float, limits: Thresholds = THRESHOLDS
 ) -> tuple[str, tuple[str, ...]]:
-    """The verdict once all lines are known: nothing is `clean` whose lines the corrected simulation does not explain.
+    """The verdict once all lines are known: nothing is `clean` or `named` whose lines are not explained with it.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def lines_verdict(
     """
     if word not in ("clean", "named") or left <= limits.lines_missed * by_modes:
         return word, tuple(reasons)
-    return "unknown" if word == "clean" else word, (
+    return "unknown", (
         *reasons,
         f"but the corrected simulation leaves a chi-square of {left:.3g} per sample, the measurement's own modes "
         f"{by_modes:.3g}: the FRFs differ from it in a way that no error of elements explains",
