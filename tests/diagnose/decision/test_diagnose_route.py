@@ -144,7 +144,7 @@ def test_causes_that_modes_do_not_know_are_looked_for_line_by_line():
     structure = Structure(np.eye(30), 0.1 * np.eye(30), 100 * np.eye(30), dofs)
     data = Measurement(np.linspace(1.0, 2.0, 5), np.ones((1, 5, 2, 1), complex), form="receptance", outputs=dofs[:2],
                        inputs=dofs[:1])  # fmt: skip
-    for slugs, expected in (("sensor_clipping",), ("lines",)), (("sensor_clipping", "added_mass"), ("lines",)), (
+    for slugs, expected in (("sensor_clipping",), ("lines",)), (("leakage", "added_mass"), ("lines",)), (
         ("added_mass", "gap"), ("modes", "lines")
     ):  # fmt: skip
         asked = [c for c in catalogue() if c.slug in slugs]

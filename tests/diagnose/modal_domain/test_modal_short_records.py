@@ -50,29 +50,18 @@ def measured(kind: str, freq: np.ndarray, seed: int, length: float = LENGTH) -> 
     return as_measured(H, freq, seed)
 
 
-ON_LINES = np.arange(11, 100) / LENGTH
 CLOSER = np.arange(60, 550) / LENGTH / 5
 
 
-@pytest.mark.parametrize(
-    ("kind", "freq"), [("boxcar", ON_LINES), ("hann", ON_LINES), pytest.param("cut", CLOSER, marks=pytest.mark.slow)]
-)
-def test_its_window_and_its_length_are_told_by_the_frfs_alone(kind, freq):
-    data = measured(kind, freq, 5)
-    c = coordinates_of(simulation(), data.outputs, data.inputs, 2 * np.pi * float(freq[-1]))
-    found, _ = short_record(data, c, lambda _: None)
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["cut"])
+def test_its_window_and_its_length_are_told_by_the_frfs_alone(kind):
+    data = measured(kind, CLOSER, 5)
+    c = coordinates_of(simulation(), data.outputs, data.inputs, 2 * np.pi * float(CLOSER[-1]))
+    found = short_record(data, c, lambda _: None)
     assert found is not None
     assert found.cause.window.kind == kind
     assert found.cause.window.length == pytest.approx(LENGTH, rel=1e-3)
-
-
-def test_a_record_that_is_cut_at_its_own_lines_is_told_by_the_phases_of_two_modes():
-    length = 0.25
-    freq = np.arange(3, 28) / length
-    data = measured("cut", freq, 5, length)
-    c = coordinates_of(simulation(), data.outputs, data.inputs, 2 * np.pi * float(freq[-1]))
-    found, _ = short_record(data, c, lambda _: None)
-    assert found is not None and found.cause.window == Window("cut", pytest.approx(length, rel=1e-9))
 
 
 def test_frfs_end_where_the_record_does():
@@ -85,13 +74,12 @@ def test_sound_frfs_do_not_end():
     assert end_of_record(FREQ, H.reshape(len(FREQ), -1)) is None
     data = as_measured(H, FREQ, 5)
     c = coordinates_of(simulation(), data.outputs, data.inputs, 2 * np.pi * float(FREQ[-1]))
-    assert short_record(data, c, lambda _: None)[0] is None
+    assert short_record(data, c, lambda _: None) is None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "freq"), [("boxcar", ON_LINES), ("cut", CLOSER)])
-def test_it_is_named_with_its_length(kind, freq):
-    data = measured(kind, freq, 5)
+def test_it_is_named_with_its_length():
+    data = measured("cut", CLOSER, 5)
     found = diagnose_modes(data, simulation())
     answer = found.to_dict()
     assert answer["verdict"] == "named"

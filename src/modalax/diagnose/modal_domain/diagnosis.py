@@ -216,14 +216,14 @@ def diagnose_modes(
 ) -> ModalDiagnosis | None:  # fmt: skip
     """Diagnose in the modal domain; None where the measurement shows no mode to compare."""
     late = late or Deadline()
-    ended, measured = None, None
+    ended = None
     if wanted("leakage"):
         highest = 2 * np.pi * float(measurement.freq[-1])
         c = coordinates_of(simulation, measurement.outputs, measurement.inputs, highest)
-        ended, measured = short_record(measurement, c, tell)
+        ended = short_record(measurement, c, tell)
     if ended is not None:
         return _diagnosed(measurement, simulation, question, late, wanted, tell, ended)
-    measured = measured or identified(measurement, simulation, tell)
+    measured = identified(measurement, simulation, tell)
     found = _beside_own_peaks(measurement, simulation, question, late, wanted, tell, measured)
     found = found or _diagnosed(measurement, simulation, question, late, wanted, tell, measured=measured)
     if found is None or late() or found.after.p_value > THRESHOLDS.left_by_modes:

@@ -2,10 +2,8 @@ r"""Records that ended before the response had decayed, told by the FRFs alone, 
 
 Through a record of length T each mode keeps its pole and its residue; only its kernel is another
 (:mod:`modalax.diagnose.modal_domain.windows`). Where lines lie closer than :math:`1/T`, the inverse transform of the
-FRFs over the band ends at T. Where they lie :math:`1/T` apart, as a discrete Fourier transform has them, that length is
-tried. The modes are identified through each window; one that needs fewer modes than without it, and leaves as little,
-is what happened. A cut record whose lines are :math:`1/T` apart shows each mode as it is, but for a factor
-:math:`1 - e^{\lambda T}` on its residue: that is told where it turns residues that nearly real shapes would have.
+FRFs over the band ends at T. The modes are identified through each window of that length; one that leaves no more than
+noise is what happened. Lines :math:`1/T` apart do not show an end, and nothing is said of them.
 """
 
 import math
@@ -22,8 +20,8 @@ from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.forced import Forced
 from modalax.diagnose.modal_domain.free_residues import Channels, Projected, project, refine
-from modalax.diagnose.modal_domain.measured import Measured, identify, prepared
-from modalax.diagnose.modal_domain.mode_count import blind_modes, cost_of_mode, misfit, settled
+from modalax.diagnose.modal_domain.measured import prepared
+from modalax.diagnose.modal_domain.mode_count import blind_modes, misfit
 from modalax.diagnose.modal_domain.windows import KINDS, Window
 from modalax.diagnose.thresholds import THRESHOLDS
 
@@ -32,14 +30,9 @@ NEAR, FAR = (
     6,
 )  # samples of the inverse transform beside an end that are compared: from its blur on, and up to
 ENDS = 10.0  # ratio of these from which a record may end there; decays and noise of sound FRFs give less than half
-ON_LINES = 0.02  # distance of lines from multiples of their spacing, relative to it, up to which they are such
 EVEN = 0.01  # relative scatter of the spacing of lines that are even
-NARROWER = 0.8, 0.3  # of what is seen of a pole's damping, the rest of it being of the window
 WANDER = 2.0  # samples of the inverse transform about an end within which its length is sought
 FINE, TURNS = 0.1, 3  # step of the lengths tried, in samples, and turns of refining poles and length
-COMPLEX = 0.03  # usual phase [rad] of a residue about that of a real shape
-SEVERAL = 3.0  # usual phases from which on a residue counts as turned
-LASTING = 0.05  # part of a mode that is left at the end of a record from which it tells that
 BEYOND = 0.1  # standard deviation of a length, in samples, by modes beyond the band that were cut off as well
 STRONG = 3  # channels that lengths are tried by
 FEW = 6  # steps of a refinement within these
@@ -96,47 +89,16 @@ def end_of_record(freq: np.ndarray, H: np.ndarray) -> float | None:
 
 def short_record(
     measurement: Measurement, c: Coordinates, tell: Callable[[str], None]
-) -> tuple[Forced | None, Measured | None]:  # fmt: skip
-    """What a record that ended too early adds to the FRFs, or else the measurement's own modes."""
+) -> Forced | None:  # fmt: skip
+    """What a record that ended too early adds to the FRFs; None where they do not end, or no window explains it."""
     freq, H = np.asarray(measurement.freq), np.asarray(measurement.H)
     end = end_of_record(freq, H.mean(axis=0).reshape(len(freq), -1))
     if end is not None:
         tell(f"the FRFs end after {end:.3g} s: identifying modes through a record as long")
         channels, _, runs, _ = prepared(measurement, c)
         found = record_that_ends(channels, end, H.shape[1:]) if len(runs) == len(H) else None
-        if found is not None:
-            return found, None
-    tell("identifying the measurement's own modes")
-    measured = identify(measurement, c)
-    return (record_of_lines(measured, H.shape[1:]) if len(measured.runs) == len(H) else None), measured
-
-
-def record_of_lines(measured: Measured, shape: tuple[int, ...]) -> Forced | None:
-    """What a record that ended too early adds to FRFs ``(f, o, i)`` of its own lines; None where none explains more."""
-    c, step = measured.channels, _record_of(measured.freq)
-    if step is None:
-        return None
-    found = _on_lines(measured, step)
-    modes = found[1]
-    gained = 0.5 * (measured.modes.chi2 - modes.chi2)
-    gained += 0.5 * cost_of_mode(c) * (len(measured.modes.poles) - len(modes.poles))
-    explains = misfit(modes, found[2]) < THRESHOLDS.as_noise * measured.misfit
-    if explains and gained > THRESHOLDS.further_cause:
-        return _told(found, gained, 0.0, shape)
-    turned = _through(c, Window("cut", 1 / step), measured.modes.poles)
-    gained, left = _turned(measured.modes, turned[1], 1 / step)
-    return _told(turned, gained, 0.0, shape) if gained > max(THRESHOLDS.further_cause, left) else None
-
-
-def _turned(plain: Projected, cut: Projected, length: float) -> tuple[float, float]:
-    """Half the squares of phases about those of real shapes, that a cut record takes away and leaves."""
-    if len(plain.poles) != len(cut.poles):
-        return 0.0, 0.0
-    lasting = np.exp(cut.poles.real * length) > LASTING
-    before, after = (0.5 * np.angle(-(A**2).sum(axis=1))[lasting] / COMPLEX for A in (plain.residues, cut.residues))
-    if np.count_nonzero(np.abs(before) > SEVERAL) < 2:  # one mode may be turned by a damper
-        return 0.0, 0.0
-    return 0.5 * float((before**2 - after**2).sum()), 0.5 * float((after**2).sum())
+        return found
+    return None
 
 
 def record_that_ends(channels: Channels, end: float, shape: tuple[int, ...]) -> Forced | None:
@@ -154,21 +116,6 @@ def record_that_ends(channels: Channels, end: float, shape: tuple[int, ...]) -> 
 
 
 Found = tuple[Window, Projected, Channels]
-
-
-def _record_of(freq: np.ndarray) -> float | None:
-    """Spacing [Hz] of the lines of a discrete Fourier transform; None of others."""
-    step = float(np.median(np.diff(freq)))
-    grid = freq / step
-    even = np.abs(grid - np.round(grid)).max() < ON_LINES and np.ptp(np.diff(freq)) < EVEN * step
-    return step if even else None
-
-
-def _on_lines(measured: Measured, step: float) -> Found:
-    """The window of a record as long as one over the spacing of lines that leaves the least."""
-    trials = [_through(measured.channels, Window(kind, 1 / step), measured.modes.poles) for kind in ("hann", "boxcar")]
-    window, modes, through = min(trials, key=lambda t: t[1].chi2)
-    return window, blind_modes(through, modes.poles), through
 
 
 def _told(found: Found, gained: float, std: float, shape: tuple[int, ...]) -> Forced:
@@ -230,13 +177,6 @@ def _settled_length(window: Window, poles: np.ndarray, channels: Channels, sampl
         window = replace(window, length=float(best.x))
     through = replace(channels, window=window)
     return window, refine(poles, through), through
-
-
-def _through(channels: Channels, window: Window, poles: np.ndarray) -> Found:
-    """Modes seen through a window, those that it makes needless left out."""
-    through = replace(channels, window=window)
-    trials = [settled(refine(part * poles.real + 1j * poles.imag, through), through) for part in NARROWER]
-    return window, min(trials, key=lambda t: t.chi2), through
 
 
 def _error(modes: Projected, through: Channels, band: float) -> float:

@@ -36,7 +36,7 @@ from modalax.model import Structure
 KNOWN = frozenset({
     "added_mass", "joint_stiffness", "local_damper", "modal_damping", "structural_damping", "tuned_mass",
     "missing_mode", "channel_gain", "channel_sign", "channel_swap", "force_gain", "time_delay", "units",
-    "sensor_filter", "time_varying", "crosstalk", "exponential_window", "mains_hum", "leakage",
+    "sensor_filter", "time_varying", "crosstalk", "exponential_window", "mains_hum",
     *KINDS, *(law.slug for law in NAMED),
 })  # fmt: skip
 FIRST_SHARE = 0.6  # of the time for linear causes, where runs may have to be told apart after them
