@@ -130,5 +130,5 @@ def test_fit_compiles_no_refinement_and_leaves_the_threads_alone(monkeypatch):
     frf = FRF(FREQ, FRF_.H, form="accelerance", outputs=FRF_.outputs, inputs=FRF_.inputs)
     found = fit(frf)
     assert np.allclose(found.model.frequency_hz, [30.0, 37.0], rtol=1e-2)
-    assert {n for row in seen for n in row} == {1}
+    assert max(n for row in seen for n in row) == 1  # a library that has not begun says 0
     assert [pool["num_threads"] for pool in threadpool_info()] == before
