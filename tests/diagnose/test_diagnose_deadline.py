@@ -1,17 +1,14 @@
 """A diagnosis whose time is up gives the best answer so far."""
 
-import jax
 import numpy as np
 
-jax.config.update("jax_enable_x64", True)
-
-from modalax.data import Measurement  # noqa: E402
-from modalax.diagnose.causes import catalogue  # noqa: E402
-from modalax.diagnose.deadline import NEVER, Deadline  # noqa: E402
-from modalax.diagnose.decision.verdict import verdict  # noqa: E402
-from modalax.diagnose.pipeline import line_by_line  # noqa: E402
-from modalax.diagnose.search.explain import check_imitations  # noqa: E402
-from modalax.model import Structure  # noqa: E402
+from modalax.data import Measurement
+from modalax.diagnose.causes import catalogue
+from modalax.diagnose.deadline import NEVER, Deadline
+from modalax.diagnose.decision.verdict import verdict
+from modalax.diagnose.pipeline import line_by_line
+from modalax.diagnose.search.explain import check_imitations
+from modalax.model import Structure
 
 
 def test_a_share_of_the_time_that_is_left():

@@ -4,11 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.stats
 
 from modalax.data import Measurement
 from modalax.diagnose.causes.joints import BilinearStiffness, CoulombFriction, CubicStiffness, ElastoSlip, GapContact
 from modalax.diagnose.causes.local import JointStiffness, LocalDamper
 from modalax.diagnose.comparison import make_comparison
+from modalax.diagnose.decision.verdict import verdict
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.search import one_place
 from modalax.diagnose.search.balanced_force import balanced, harmonics_of
@@ -17,6 +19,7 @@ from modalax.diagnose.search.look import look
 from modalax.diagnose.search.measured_force import measured_forces
 from modalax.diagnose.search.one_harmonic import described, impedances
 from modalax.diagnose.search.one_place import chance_of, explain_force, joint_extra
+from modalax.diagnose.thresholds import THRESHOLDS
 from modalax.model import Structure
 from modalax.model.examples import five_dof
 from modalax.simulate import joints
@@ -207,6 +210,27 @@ def test_a_balance_across_a_joint_is_harmonic_balance():
     assert sound.mean() > 0.9
     assert np.abs(q[:, 0] - motion)[sound].max() < 1e-6 * np.abs(motion).max()
     assert np.abs(free - G[:, 0] * force - motion)[sound].max() < 1e-6 * np.abs(motion).max()
+
+
+def test_a_weak_spring_is_named_that_the_chi_square_of_all_samples_does_not_show():
+    s, rng = five_dof(), np.random.default_rng(2)
+    e = np.eye(5)[s.index(PLACE[0])] - np.eye(5)[s.index(PLACE[1])]
+    freq = np.linspace(20.0, 70.0, 2000)
+    stiffer = Structure(s.M, s.C, s.K + 1.4 * np.outer(e, e), s.dofs)
+    H = np.asarray(stiffer.frf(freq, inputs=["1"], outputs=s.dofs).H)[None]
+    sigma = 0.01 * np.sqrt(np.mean(np.abs(H) ** 2)) * np.ones(H.shape)
+    noise = (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)) / np.sqrt(2)
+    data = Measurement(freq, H + sigma * noise, variance=sigma**2, outputs=s.dofs, inputs=["1"])
+    comparison = make_comparison(data, s, "fixed")
+    force = next(f for f in measured_forces(comparison, comparison.joint_places()) if f.place.where == PLACE)
+    seen = look(_only(comparison, force), ())
+    assert seen.detection.p_value > THRESHOLDS.alarm
+    found = explain_force(seen, [JointStiffness(), LocalDamper()])
+    assert found is not None and found.best.causes == (JointStiffness(),)
+    places, laws, explained = 15, 2, found.leftover.explained
+    assert explained > 20
+    assert found.leftover.alarm == pytest.approx(places * laws * scipy.stats.chi2.sf(explained, 1))
+    assert verdict(found.ranked, found.leftover)[0] == "named"
 
 
 def test_the_chance_of_what_a_law_leaves_is_that_of_chi_squares():

@@ -61,6 +61,7 @@ from modalax.model.entry import check_comparable
 from modalax.model.mode_table import ModeTable
 
 FIRST_SHARE = 0.6  # of the time for a search line by line that the modal domain or a free joint may have to follow
+FITTED_EACH = 30  # places at each of which every law is fitted to the force; more are screened together
 NAMED_SHARE = 0.85  # of the time for what is in the catalogue, before what is not is looked at
 
 
@@ -202,9 +203,11 @@ def at_one_place(
     if not places:
         return None
     comparison = replace(comparison, late=late, only=places)
-    progress("fitting elements and joints to the force that is measured there")
-    elements = causes_of(None, comparison, [*catalogue(comparison.problem.data.shape[0]), *imitators()])
-    found = explain_force(look(comparison, ()), elements)
+    found = None
+    if len(places) <= FITTED_EACH:
+        progress("fitting elements and joints to the force that is measured there")
+        elements = causes_of(None, comparison, [*catalogue(comparison.problem.data.shape[0]), *imitators()])
+        found = explain_force(look(comparison, ()), elements)
     said = None if found is None else told(found, progress)
     if said is not None and said.verdict in ("named", "ambiguous"):
         return said

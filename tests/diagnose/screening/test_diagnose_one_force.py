@@ -9,6 +9,8 @@ from modalax.diagnose.causes import catalogue
 from modalax.diagnose.causes.base import ElementCause
 from modalax.diagnose.comparison import causes_of, empty
 from modalax.diagnose.screening import one_force
+from modalax.diagnose.screening.law_free import gains_without_law
+from modalax.diagnose.screening.products import at_places
 
 STRUCTURE = grid(8, False)
 
@@ -56,9 +58,45 @@ def test_all_pairs_at_once_are_the_same(monkeypatch):
     comparison, state = comparison_of(STRUCTURE, sprung(STRUCTURE, 2, 5, 5e3), lines=20)
     left = comparison.residual(empty(comparison))
     gains, places = one_force._gains(comparison, left)
-    every = one_force._at_loudest_lines(state.reduced[True], left)
+    every, _ = one_force._at_loudest_lines(state.reduced[True], left)
     at = [p.index[:2] if p.index[1] >= 0 else (p.index[0],) * 2 for p in places]
     np.testing.assert_allclose([every[a, b] for a, b in at], gains, rtol=1e-5)
+
+
+def test_a_force_like_the_motion_gains_what_least_squares_by_hand_does(monkeypatch):
+    monkeypatch.setattr(one_force, "LOUDEST", 10**6)
+    comparison, state = comparison_of(STRUCTURE, sprung(STRUCTURE, 2, 5, 5e3), lines=20)
+    left = comparison.residual(empty(comparison))
+    _, along = one_force._at_loudest_lines(state.reduced[True], left)
+    names, freq = list(STRUCTURE.dofs), comparison.scene.freq
+    H = np.asarray(STRUCTURE.frf(freq, outputs=names, inputs=names).H)
+    driven = [names.index(name) for name in comparison.scene.inputs]
+    weight = np.asarray(comparison.problem.weight)
+    for a, b in ((2, 5), (0, 7), (3, 3)):
+        column = H[:, :, a] - (H[:, :, b] if b != a else 0.0)
+        motion = H[:, a][:, driven] - (H[:, b][:, driven] if b != a else 0.0)
+        expected = 0.0
+        for run in range(2):
+            rows = np.s_[run, : len(freq), :8, : len(driven)]
+            seen = (weight[rows] * column[:, :8, None] * motion[:, None]).ravel()
+            expected += abs(seen.conj() @ left[rows].ravel()) ** 2 / (np.abs(seen) ** 2).sum()
+        assert along[a, b] == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize(("a", "b"), [(2, 5), (1, 6)])
+def test_a_joint_without_a_law_is_best_at_the_place_of_a_spring(a, b):
+    """And takes away nearly all that a free force does there beyond what noise gives to that."""
+    comparison, _ = comparison_of(STRUCTURE, sprung(STRUCTURE, a, b, 2e3))
+    left = comparison.residual(empty(comparison))
+    reduced, places = one_force._reduced(comparison, left), comparison.scene.pairs()
+    gains, unknowns = gains_without_law(at_places(reduced, places), reduced)
+    best = int(np.argmax(gains))
+    assert places[best].index[:2] == (a, b)
+    free, _ = one_force._gains(comparison, left)
+    count = 2 * comparison.live().any(axis=2).sum()
+    assert gains[best] == pytest.approx(free[best] - count, abs=5 * np.sqrt(4 * count) + unknowns)
+    few = one_force._likeliest(comparison, left, places)
+    assert few[0].index[:2] == (a, b) and len(few) < len(places)
 
 
 @pytest.mark.parametrize(("a", "b"), [(2, 5), (1, 6)])

@@ -348,8 +348,6 @@ def extension_of(stage: Stage, f: Fit, forced: Forced | None = None) -> Extended
         m = stage.measurement
         names = base.dofs if c.at_dofs else (m.inputs if c.slug == "force_gain" else m.outputs)
         index = [names.index(str(w)) for w in c.where] + [-1, -1]
-        if c.slug == "leakage":
-            index[0] = 0
         if c.slug == "units":
             index[0] = c.channel[1]
         values, errors, extra = c.as_catalogue(u, covariance)

@@ -25,10 +25,7 @@ from modalax.diagnose.modal_domain.mode_count import blind_modes, misfit
 from modalax.diagnose.modal_domain.windows import KINDS, Window
 from modalax.diagnose.thresholds import THRESHOLDS
 
-NEAR, FAR = (
-    2,
-    6,
-)  # samples of the inverse transform beside an end that are compared: from its blur on, and up to
+NEAR, FAR = 2, 6  # samples of the inverse transform beside an end that are compared: beyond its blur, and up to
 ENDS = 10.0  # ratio of these from which a record may end there; decays and noise of sound FRFs give less than half
 EVEN = 0.01  # relative scatter of the spacing of lines that are even
 WANDER = 2.0  # samples of the inverse transform about an end within which its length is sought

@@ -14,6 +14,7 @@ import numpy as np
 
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.comparison import Comparison, empty
+from modalax.diagnose.screening.law_free import gains_without_law
 from modalax.diagnose.screening.modes_beside import STEPS, Beside, modes_beside
 from modalax.diagnose.screening.products import Reduced, at_places, ends, reduce
 from modalax.diagnose.screening.sensitivities import Residual
@@ -24,6 +25,7 @@ from modalax.diagnose.thresholds import THRESHOLDS
 LOUDEST, SUMS = 300, 64  # lines, of all runs, from which very many places are ranked, and sums of outputs
 RESOLVED = 1e-9  # squared length of a difference of two columns, over their own, that is more than rounding
 REFINED = 60  # places at which claimed modes follow
+FEW = 12  # places from which on they are ranked once more, by a joint without a law
 OUTPUTS = 4  # fewest outputs by which a force at one place is told from other causes
 
 
@@ -51,8 +53,20 @@ def places_of_one_force(comparison: Comparison) -> tuple[Place, ...]:
     explained = _exceeds_noise(chi2 - best, count - unknowns) < THRESHOLDS.one_force
     if driven or not explained or others > best - unknowns - behind:
         return ()
-    near = tuple(places[k] for k in order if gains[k] > best - behind)
-    return near if len(near) <= KEPT else ()
+    near = [places[k] for k in order if gains[k] > best - behind]
+    if len(near) > FEW:
+        near = _likeliest(comparison, left, near)
+    return tuple(near) if len(near) <= KEPT else ()
+
+
+def _likeliest(comparison: Comparison, left: np.ndarray, places: list[Place]) -> list[Place]:
+    """Those of many places at which a joint without a law explains about as much as at the best of them."""
+    reduced = _reduced(comparison, left)
+    gains, unknowns = gains_without_law(at_places(reduced, places), reduced)
+    best = float(gains.max())
+    inexact = THRESHOLDS.inexact_law**2 * max(best, 0.0)  # what a law of more than one harmonic leaves at its place
+    behind = THRESHOLDS.other_places + THRESHOLDS.one_force * np.sqrt(4 * unknowns) + inexact
+    return [places[k] for k in np.argsort(-gains) if gains[k] > best - behind]
 
 
 def _can_tell(comparison: Comparison) -> bool:
@@ -91,24 +105,32 @@ def _exceeds_noise(chi2: float, samples: int) -> float:
 
 def _gains(comparison: Comparison, left: np.ndarray) -> tuple[np.ndarray, list[Place]]:
     """Chi-square that a free force takes away, and the places it was computed for: of very many the likeliest."""
-    problem, places = comparison.problem, comparison.scene.pairs()
-    value = np.moveaxis(np.stack([left.real, left.imag], axis=-1), (2, 3), (0, 1))
-    value = value.reshape(*value.shape[:2], -1)
-    none = Residual(value, np.zeros((0, *value.shape)), np.zeros((0, 0)))
-    reduced = reduce(problem, np.zeros((2, problem.modal_form.stiffness.shape[0])), none)
+    places, reduced = comparison.scene.pairs(), _reduced(comparison, left)
     if len(places) > MANY:
         a, b = ends(places)
-        rough = _at_loudest_lines(reduced, left)[a, np.where(b >= 0, b, a)]
-        places = [places[k] for k in np.argsort(-rough)[:MANY]]
+        ranked = [np.argsort(-gain[a, np.where(b >= 0, b, a)]) for gain in _at_loudest_lines(reduced, left)]
+        kept = dict.fromkeys(int(k) for both in zip(*ranked, strict=True) for k in both)
+        places = [places[k] for k in list(kept)[:MANY]]
     at = at_places(reduced, places)
     share = np.divide(np.abs(at.S) ** 2, at.N, out=np.zeros(at.S.shape), where=at.N > 0)
     return share.sum(axis=(1, 2, 3)), places
 
 
-def _at_loudest_lines(reduced: Reduced, left: np.ndarray) -> np.ndarray:
-    """Chi-square that a free force takes away where most is left, shape ``(dof, dof)``, to ground on the diagonal.
+def _reduced(comparison: Comparison, left: np.ndarray) -> Reduced:
+    """Products of receptances with a whitened residual, complex, shape ``(run, f, o, i)``, and no nuisances."""
+    problem = comparison.problem
+    value = np.moveaxis(np.stack([left.real, left.imag], axis=-1), (2, 3), (0, 1))
+    value = value.reshape(*value.shape[:2], -1)
+    none = Residual(value, np.zeros((0, *value.shape)), np.zeros((0, 0)))
+    return reduce(problem, np.zeros((2, problem.modal_form.stiffness.shape[0])), none)
 
-    Lengths are taken over random sums of the outputs where there are more of these (Johnson and Lindenstrauss 1984).
+
+def _at_loudest_lines(reduced: Reduced, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Chi-square that forces take away where most is left, each of shape ``(dof, dof)``, to ground on the diagonal.
+
+    The first of a force that is free at every line; the second of one in proportion to the motion without it, with one
+    complex factor a run, which has few unknowns and so tells weak effects better. Lengths are taken over random sums of
+    the outputs where there are more of these (Johnson and Lindenstrauss 1984).
 
     Parameters
     ----------
@@ -118,18 +140,37 @@ def _at_loudest_lines(reduced: Reduced, left: np.ndarray) -> np.ndarray:
     rng, count = np.random.default_rng(0), left.shape[2]
     energy = (np.abs(left) ** 2).sum(axis=2)
     dofs = reduced.shapes.shape[1]
-    gains = np.zeros((dofs, dofs))
+    motion = reduced.motion(np.arange(dofs), np.full(dofs, -1))
+    free, along, size = (
+        np.zeros((dofs, dofs)),
+        np.zeros((len(left), dofs, dofs), complex),
+        np.zeros((len(left), dofs, dofs)),
+    )
     for k in np.argsort(-energy.ravel())[:LOUDEST]:
         run, line, i = np.unravel_index(k, energy.shape)
         signs = rng.choice([-1.0, 1.0], (SUMS, count)) / np.sqrt(SUMS) if count > 2 * SUMS else np.eye(count)
         H = reduced.summed(int(line), signs * np.sqrt(reduced.weight2[run, line, :, i]))
-        gram, toward = H.conj().T @ H, reduced.S[run, line, :, i]
-        own = np.real(np.diagonal(gram))
-        length, product = own[:, None] + own[None] - 2 * np.real(gram), np.abs(toward[:, None] - toward[None]) ** 2
-        np.fill_diagonal(length, own)
-        np.fill_diagonal(product, np.abs(toward) ** 2)
-        gains += product / np.maximum(length, RESOLVED * np.maximum(own[:, None], own[None]) + 1e-300)
-    return gains
+        gram, own = H.conj().T @ H, (np.abs(H) ** 2).sum(axis=0)
+        length = np.maximum(_across(own, -2 * np.real(gram)), RESOLVED * np.maximum(own[:, None], own[None]) + 1e-300)
+        product, x = (_between(v) for v in (reduced.S[run, line, :, i], motion[:, line, i]))
+        free += np.abs(product) ** 2 / length
+        along[run] += product * x.conj()
+        size[run] += length * np.abs(x) ** 2
+    return free, (np.abs(along) ** 2 / np.maximum(size, 1e-300)).sum(axis=0)
+
+
+def _between(v: np.ndarray) -> np.ndarray:
+    """Differences of a quantity at DoFs, and itself on the diagonal."""
+    out = v[:, None] - v[None]
+    np.fill_diagonal(out, v)
+    return out
+
+
+def _across(own: np.ndarray, mixed: np.ndarray) -> np.ndarray:
+    """Squares of differences by squares and products at DoFs, and the square itself on the diagonal."""
+    out = own[:, None] + own[None] + mixed
+    np.fill_diagonal(out, own)
+    return out
 
 
 def _by_one_mode(comparison: Comparison, left: np.ndarray) -> np.ndarray:

@@ -126,7 +126,8 @@ def fit_to_force(cause: ElementCause, starts: Sequence[np.ndarray], seen: Seen) 
         paid = 2 * np.log(max(seen.samples, 30))
         usual = float(np.quantile(np.abs(r) ** 2, 1 - MOST))
         aside = ~sound | ~(np.abs(r) ** 2 <= max(OUTLYING * usual, paid))
-    if aside.mean() > MOST or isinstance(cause, LocalCause):  # a linear element has one motion at every line
+    # a linear element has one motion at every line, and so has a joint too weak for harmonics to count
+    if aside.mean() > MOST or isinstance(cause, LocalCause) or not seen.several:
         aside = np.zeros(len(r), bool)
     p = np.asarray(from_search(cause, u))
     return ForceFit(cause, p, seen.left + float((np.abs(r[~aside]) ** 2).sum()), aside, r, J, motion, seen)
@@ -226,7 +227,8 @@ def laws_by_force(
 ) -> list[ForceFit]:  # fmt: skip
     """Fit causes that can sit at the place of a measured force, those first that one harmonic shows to be the nearest.
 
-    Once one leaves no more than noise, a law is fitted only if its harmonics may bring it as near.
+    Once one leaves no more than noise, a law is fitted only if its harmonics may bring it as near; by one harmonic all
+    are fitted, which costs no more than to ask.
 
     Parameters
     ----------
@@ -256,11 +258,9 @@ def laws_by_force(
         best = min([least, *(f.chi2 for f in out)])
         near = best + 4 * causes[k].fidelity ** 2 * effect + BEHIND
         done = best - seen.samples < THRESHOLDS.one_force * np.sqrt(2 * seen.samples)
-        noise = min(
-            misfit, 2 * len(seen.force)
-        )  # of what one harmonic leaves; of the rest three quarters may be its own
+        noise = min(misfit, 2 * len(seen.force))  # of the rest, three quarters may be the error of one harmonic
         far = seen.left + noise + (misfit - noise) / 4 > near if done else count >= MOST_LAWS
-        if far and (not isinstance(causes[k], LocalCause) or seen.left > near):
+        if several and far and (not isinstance(causes[k], LocalCause) or seen.left > near):
             continue
         found = fit_with_modes(comparison, causes[k], starts, force, seen, near)
         out += [] if found is None else [found]

@@ -72,11 +72,30 @@ def explain_force(look: Look, causes: Sequence[Cause]) -> Explanation | None:
         return None
     after = omnibus(comparison.residual(best), comparison.live(), comparison.noise.freedom)
     notes = likeness(nameless)
+    alarm = min(look.detection.p_value, alarm_of(null.chi2 - best.chi2, len(fit.params), comparison, len(elements)))
     leftover = Leftover(
-        look.detection.p_value, null.chi2 - best.chi2, min(1.0, 2 * min(chance, after.p_value)),
+        alarm, null.chi2 - best.chi2, min(1.0, 2 * min(chance, after.p_value)),
         float(sum(r.probability for r in nameless)), notes[0] if notes else "", inexact=inexact,
     )  # fmt: skip
     return Explanation(look, comparison, ranked, leftover, after, [h for h, _ in found], notes, by_force=several)
+
+
+def alarm_of(explained: float, parameters: int, comparison: Comparison, laws: int) -> float:
+    """Chance that of all laws at all places one explains as much of noise alone, at most (Bonferroni's inequality).
+
+    Parameters
+    ----------
+    explained
+        Chi-square that the best of them takes away.
+    parameters
+        Their number.
+    comparison
+        Data and simulation, whose places count.
+    laws
+        Number of laws.
+    """
+    tried = laws * max(len(comparison.scene.pairs()), 1)
+    return min(1.0, tried * float(scipy.stats.chi2.sf(explained, max(parameters, 1))))
 
 
 def chance_of(left: float, count: int, rest: float, others: int) -> float:
