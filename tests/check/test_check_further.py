@@ -21,7 +21,12 @@ SPEC.loader.exec_module(score)
         ("too_few_lines", 900_009),  # lines so wide apart that columns seem to share their noise
         ("frequency_shift", 900_003),  # a run 0.09 % lower, 40 standard deviations but 0.08 of a half-power bandwidth
         ("not_reciprocal", 910_003),  # an exchange would mend a residue, but not the curves
+        ("not_reciprocal", 2_000_002),  # a symmetric structure: an exchange with the mirrored place mends the pair
+        ("not_reciprocal", 2_000_015),  # here of the two places themselves
+        ("swapped", 2_000_023),  # the two places of a single pair, where residues are near zero
         ("reversed", 910_019),
+        ("reversed", 2_000_009),  # no mode of the band moves the place: what lies beyond shows the sign
+        ("clipped", 2_000_006),  # the largest line is noise near 0 Hz
         ("delay", 950_008),  # two modes in the band, and three drive points
         ("delay", 950_009),  # the last of four peaks is cut by the band's end
     ],

@@ -116,3 +116,9 @@ def sureness(z: float, threshold: float) -> float:
     exponentially, as a tail of errors does, :math:`1 - e^{-2(z/z_0 - 1)}/2`, :math:`z_0` the threshold.
     """
     return float(1 - EVEN * np.exp(-FOLD * max(z / threshold - 1, 0.0)))
+
+
+def deviations(squares: float, freedom: int) -> float:
+    """Standard deviations at which one number is as unlikely as this sum of squares (Wilson and Hilferty 1931)."""
+    spread = 2 / (9 * freedom)
+    return float(((squares / freedom) ** (1 / 3) - 1 + spread) / np.sqrt(spread))

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.stats import chi2, gamma
+from scipy.stats import binom, chi2, gamma
 
 from modalax.check.basis import Basis, least_squares, lift
 from modalax.check.finding import Finding, Picture, sureness
@@ -21,6 +21,10 @@ TAIL = 12
 CHANCE, LEAST_SHARE, LEAST_DAMPING, HIGH = 1e-6, 0.05, 2e-4, 36.0
 # Multiples of which one must be seen; share of the mains frequency by which a multiple may wander and still be told.
 LOWEST, NEAR = 3, 0.25
+# Power of what the modes leave, over the noise, from which on they do not explain the lines around.
+UNEXPLAINED = 30.0
+# Chance that so many of the single lines of all frequencies are multiples, from which on it may be no hum.
+COINCIDENCE = 1e-3
 
 
 def hum(study: Study) -> Iterator[Finding]:
@@ -47,9 +51,9 @@ def hum(study: Study) -> Iterator[Finding]:
         total = -2 * sum(np.log(chance) for _, chance in told)
         together = float(chi2.sf(total, 2 * len(multiples)))
         score = -np.log10(max(min(together, len(multiples) * min(c for _, c in told)), 1e-300)) / -np.log10(CHANCE)
-        lines = [f for f, chance in told if chance < 1e-3]
+        lines = [f for f, chance in told if _stands_out(chance, True)]
         which = _strongest(study, power, lines, float(step))
-        if unresolved and len(lines) < 2 and not any(_again(study, k) for k in which):
+        if unresolved and not any(_again(study, k) for k in which) and _coincidence(study, power, mains, float(step)):
             continue
         if score > 1 and lines and _share(study, power, which) > LEAST_SHARE and (best is None or score > best[0]):
             best = float(score), mains, lines, [f for f, _ in told]
@@ -119,8 +123,22 @@ def _chance(study: Study, power: np.ndarray, multiple: float, step: float) -> tu
     seen = np.sum(power[around] - np.median(power[around]))
     spread = np.sqrt(len(around)) * max(np.std(np.sort(power[around])[:-2]), 1e-12)
     high = power[top] > HIGH * level and _again(study, top)
-    weak = flank < spread  # too weak for flanks to be seen: no mode was found there either
+    # Too weak for flanks to be seen: no mode was found there either. Where the modes explain little, that says nothing.
+    weak = flank < spread and np.median(power[around]) < UNEXPLAINED
     return max(chance, 1e-300), bool(seen < 0.3 * flank or flank < 3 * spread and high or weak)
+
+
+def _coincidence(study: Study, power: np.ndarray, mains: float, step: float) -> bool:
+    """Whether lines that stand out anywhere, as modes narrower than a line do, would fall at multiples by chance."""
+    peaks = np.flatnonzero((power > np.roll(power, 1)) & (power > np.roll(power, -1)))
+    alone = [k for k in peaks if _stands_out(*_chance(study, power, float(study.freq[k]), step))]
+    multiples = mains * np.arange(1, int(study.freq[-1] / mains) + 1)
+    at = np.unique(np.concatenate([_near(study, f, step) for f in multiples]))
+    return float(binom.sf(np.isin(alone, at).sum() - 1, len(alone), len(at) / len(power))) > COINCIDENCE
+
+
+def _stands_out(chance: float, alone: bool) -> bool:
+    return alone and chance < 1e-3
 
 
 def _near(study: Study, multiple: float, step: float) -> np.ndarray:

@@ -17,7 +17,7 @@ import numpy as np
 from modalax.check.finding import Finding, Picture, sureness
 from modalax.check.passive import passive_misfit
 from modalax.check.phases import complexity
-from modalax.check.reciprocity import SMALLEST_GAIN, SURE, ratio
+from modalax.check.reciprocity import SMALLEST_GAIN, SURE, differing, ratio, single_frf
 from modalax.check.study import Study
 
 # A residue may lie off its axis by this share of itself, and by this share of the mode's largest.
@@ -54,6 +54,11 @@ def misplaced(study: Study) -> Iterator[Finding]:
     chosen: list[tuple[Mend, float, list[Mend]]] = []
     H, sigma = study.H[0], study.sigma[0]
     first = before = broken(study, residues, std) + _curves_differ(study, H, sigma)
+    if before < HINT:
+        yield from _turned(study)
+        return
+    if single_frf(study, differing(study)):
+        return  # no channel as a whole is at fault
     while before >= HINT and len(chosen) < MOST_FAULTS:
         left = np.array([broken(study, m.change(residues), np.abs(m.change(std))) for m in mends])
         best = np.argsort(left)
@@ -77,6 +82,18 @@ def misplaced(study: Study) -> Iterator[Finding]:
     # A correction that leaves much is no explanation.
     if chosen and before < max(BROKEN, MENDED * first):
         yield from (_finding(study, mend, gain, others) for mend, gain, others in chosen)
+
+
+def _turned(study: Study) -> Iterator[Finding]:
+    """Find signs that only the curve between the resonances shows, as where no mode in the band moves the place."""
+    for mend in _mends(study):
+        if mend.what == "reversed" and len(mend.where) == 1:
+            H, sigma = study.H[0], study.sigma[0]
+            as_measured = _not_passive(study, H, sigma, mend.where)
+            turned = _not_passive(study, mend.change(H), sigma, mend.where)
+            # In squares of noise: with the sign turned the curve is that of a passive structure, as measured far off.
+            if turned < 1 and as_measured > max(HINT, CLEARLY * turned):
+                yield _finding(study, mend, as_measured * BROKEN / HINT, [])
 
 
 def _not_passive(study: Study, H: np.ndarray, sigma: np.ndarray, where: tuple[str, ...]) -> float:
@@ -185,8 +202,8 @@ def _finding(study: Study, mend: Mend, gain: float, others: list[Mend]) -> Findi
     if mend.what == "reversed":
         return Finding(
             "reversed", mend.where, sure=sureness(gain, BROKEN), size=-1.0, unit="-",
-            evidence="with its sign turned, every drive point takes up energy at every resonance and all reciprocal "
-            f"pairs agree; as measured they do not{also}",
+            evidence="with its sign turned, every drive point is that of a passive structure and all reciprocal pairs "
+            f"agree; as measured they do not{also}",
             advice="turn the sign of this sensor or hammer (mounting direction, cable, polarity); the data cannot tell "
             "which of the two at this place is wrong",
             picture=picture,

@@ -6,14 +6,15 @@ the sensor over that of the hammer at a place, a phase in proportion to frequenc
 structure, or a test, that is not reciprocal.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 
-from modalax.check.finding import Finding, Picture, sureness
+from modalax.check.finding import Finding, Picture, deviations, sureness
+from modalax.check.one_shape import other_shape
 from modalax.check.study import DrivePoint, Study
 
 # A calibration error is reported from this deviation of the factor from 1 on, if it is this many standard deviations.
@@ -42,7 +43,9 @@ def reciprocity(study: Study) -> Iterator[Finding]:
         yield late
         return
     wild = {key for key, (*_, excess) in pairs.items() if excess > 1}
-    exchange = _exchange(study, pairs, wild) if wild else None
+    exchange = (
+        _exchange(study, pairs, wild) if wild and not single_frf(study, [pairs[key][:2] for key in wild]) else None
+    )
     if exchange is not None:
         yield exchange
         return
@@ -83,6 +86,21 @@ def ratio(H: np.ndarray, sigma: np.ndarray, p: DrivePoint, q: DrivePoint) -> tup
     return float(factor), float(std), float(left / total), float(excess)
 
 
+def differing(study: Study) -> list[tuple[DrivePoint, DrivePoint]]:
+    """Pairs of places that do not answer the same both ways, constant factors apart."""
+    found = []
+    for p, q in combinations(study.drive_points, 2):
+        fit = ratio(study.H, study.sigma, p, q)
+        if fit is not None and max(fit[-1], _by_modes(study, p, q).score) > 1:
+            found.append((p, q))
+    return found
+
+
+def single_frf(study: Study, pairs: Sequence[tuple[DrivePoint, DrivePoint]]) -> bool:
+    """Whether one FRF alone makes the only pair differ: exchanged channels make several, or leave each mode's shape."""
+    return len(pairs) == 1 and any(other_shape(study, [(p.o, q.i), (q.o, p.i)]) > 1 for p, q in pairs)
+
+
 class Difference(NamedTuple):
     """How far the ratio of both directions differs from mode to mode: a finding from a score of 1 on.
 
@@ -117,7 +135,7 @@ def _by_modes(study: Study, p: DrivePoint, q: DrivePoint) -> Difference:
     scores = []
     for rest, freedom in ((turned, 1), (turned - slope * omega[clear], 2)):
         off = np.hypot(logs.real - middle, rest) / std
-        scores.append(max(float(off.max()), _deviations(float(np.sum(off**2)), 2 * len(off) - freedom)) / SURE)
+        scores.append(max(float(off.max()), deviations(float(np.sum(off**2)), 2 * len(off) - freedom)) / SURE)
     return Difference(scores[0], scores[1], -slope, 1 / float(np.sqrt(normal)))
 
 
@@ -144,12 +162,6 @@ def _late(study: Study, differs: dict[tuple[str, str], Difference]) -> Finding |
         "reciprocity cannot tell which of them is late",
         picture=_both_ways(study, p, q),
     )  # fmt: skip
-
-
-def _deviations(squares: float, freedom: int) -> float:
-    """Standard deviations at which one number is as unlikely as this sum of squares (Wilson and Hilferty 1931)."""
-    spread = 2 / (9 * freedom)
-    return float(((squares / freedom) ** (1 / 3) - 1 + spread) / np.sqrt(spread))
 
 
 def _exchange(study: Study, pairs: dict, wild: set[tuple[str, str]]) -> Finding | None:
