@@ -5,7 +5,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -18,10 +17,10 @@ from modalax.diagnose.causes.signals import HumLines
 from modalax.diagnose.deadline import NEVER, Deadline
 from modalax.diagnose.extend import ExtendedSimulation
 from modalax.diagnose.fitting.gauss_newton import ROUNDS, fit_many
-from modalax.diagnose.fitting.hypothesis import Hypothesis, searched
+from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.fitting.nuisance import WIDE, Nuisance, make_nuisance
 from modalax.diagnose.fitting.residual import free_basis, residual_of
-from modalax.diagnose.prediction.frf import predict
+from modalax.diagnose.prediction.frf import predicted
 from modalax.diagnose.prediction.harmonics import with_harmonics
 from modalax.diagnose.setup.modal_form import kept_coupling, modal_form_of
 from modalax.diagnose.setup.noise import TRUSTED, Noise, noise_of
@@ -91,21 +90,23 @@ class Comparison:
 
     def residual(self, h: Hypothesis) -> np.ndarray:
         """Whitened residual of a hypothesis, complex, shape ``(run, f, o, i)`` as padded."""
-        problem, nuisance = self.problem, self.nuisance
-        r = np.asarray(
-            residual_of(h.causes, h.index, h.extras, searched(h), h.theta, nuisance.spread, nuisance.basis, problem)
-        )
-        r = r.reshape(*r.shape[:2], problem.data.shape[0], -1, 2)
+        r = self.real_residual(h)
+        r = r.reshape(*r.shape[:2], self.problem.data.shape[0], -1, 2)
         return (r[..., 0] + 1j * r[..., 1]).transpose(2, 3, 0, 1)
+
+    def real_residual(self, h: Hypothesis) -> np.ndarray:
+        """Whitened residual of a hypothesis, real and imaginary parts, shape ``(o, i, run f 2)`` as padded."""
+        return residual_of(self._predicted(h), self.nuisance.basis, self.problem)
 
     def prediction(self, h: Hypothesis) -> np.ndarray:
         """Receptances of a hypothesis at the measured lines and channels, shape ``(run, f, o, i)``, unpadded."""
-        H = np.asarray(
-            _predict_jit(h.causes, h.index, h.extras, h.params, h.theta * self.nuisance.spread, self.problem)
-        )
+        H = self._predicted(h)
         n_out, n_in = self.problem.channels
         shape = (self.problem.data.shape[0], *H.shape[1:])
         return np.broadcast_to(H, shape)[:, : self.problem.lines, :n_out, :n_in]
+
+    def _predicted(self, h: Hypothesis) -> np.ndarray:
+        return predicted(h.causes, h.index, h.extras, h.params, h.theta * self.nuisance.spread, self.problem)
 
     def live(self) -> np.ndarray:
         """Which samples count, shape ``(run, f, o, i)`` as padded."""
@@ -160,9 +161,6 @@ class Comparison:
             nuisance=replace(self.nuisance, basis=free_basis(problem) if free else None),
             pooled_nuisance=replace(self.pooled_nuisance, basis=free_basis(pooled) if free else None),
         )  # fmt: skip
-
-
-_predict_jit = jax.jit(predict, static_argnums=0)
 
 
 def hum_of(cause: LinesCause, place: Place, comparison: Comparison, residual: np.ndarray) -> HumLines:
@@ -257,8 +255,8 @@ def make_comparison(
         draft = replace(draft, held=held)
     n_out, n_in = draft.channels
     still = np.zeros((2, draft.modal_form.stiffness.shape[0]))
-    predicted = np.asarray(_predict_jit((), np.zeros((0, 3), int), (), (), still, draft))[0, : len(freq), :n_out, :n_in]
-    noise = noise_of(measurement, predicted * unit)
+    alone = predicted((), np.zeros((0, 3), int), (), (), still, draft)[0, : len(freq), :n_out, :n_in]
+    noise = noise_of(measurement, alone * unit)
     notes.append(noise.source)
     sigma = noise.sigma / np.abs(unit)
     problem = make_problem(

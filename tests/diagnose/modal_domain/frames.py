@@ -57,7 +57,7 @@ def simulation(**claims) -> Structure:
 
 def measured(
     seed: int, off: float, *, mass: tuple[str, float] | None = None, spring: tuple[str, str, float] | None = None,
-    noise: float = 0.01, lines: int = 160, top: float = 330.0, runs: int = 1, given: bool = True,
+    noise: float = 0.01, lines: int = 120, top: float = 230.0, runs: int = 1, given: bool = True,
     shifts: tuple[float, ...] = (0.0,), damping: tuple[int, float] | None = None,
     oscillator: tuple[str, float, float, float] | None = None, hysteretic: bool = False, extra: float | None = None,
     decay: float = 0.0, ground: tuple[str, float] | None = None,

@@ -237,8 +237,7 @@ def test_the_prediction_differentiates_and_maps():
 @pytest.mark.parametrize("cause", [TunedMass(), ElastoSlip(False), DriftingSpring()])
 def test_elements_in_pieces_are_the_elements_of_whole_trials(cause, monkeypatch):
     """Samples cut anywhere, filled up or not, against each trial over all its runs, lines and inputs at once."""
-    monkeypatch.setattr(pieces, "SHORT", 64)
-    monkeypatch.setattr(pieces, "LONG", 256)
+    monkeypatch.setattr(pieces, "LENGTH", 64)
     rng, places, lines, inputs = np.random.default_rng(4), 3, 17, 2
     motion = 1e-5 * rng.normal(size=(places, lines, inputs, 2)).view(complex)[..., 0]
     drive = 1e-5 * rng.normal(size=(places, lines, 2)).view(complex)[..., 0]

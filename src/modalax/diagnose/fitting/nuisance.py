@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from modalax.diagnose.fitting.residual import modal_directions, projected, residual_of
+from modalax.diagnose.fitting.residual import modal_directions
+from modalax.diagnose.prediction.frf import predicted
 from modalax.diagnose.setup.problem import Problem, bucket
 
 WIDE = 0.2  # prior spread of log frequency and log damping when the modes are free
@@ -65,8 +66,7 @@ def make_nuisance(spread: np.ndarray, basis: Any, problem: Problem) -> Nuisance:
         return Nuisance(spread, basis, np.zeros(0, np.int64))
     G = np.asarray(modal_directions(np.zeros(spread.shape), spread, basis, problem))
     # data far larger than was expected (wrong units) shows a modal parameter by as much more
-    miss = residual_of((), NOWHERE, (), np.zeros(0), np.zeros(spread.shape), spread, None, problem)
-    measured = float(np.sum(np.abs(np.asarray(problem.weight * problem.data)) ** 2))
-    predicted = np.asarray(projected(problem.weight * problem.data, None)) - np.asarray(miss)
-    larger = max(1.0, measured / max(float(np.sum(predicted**2)), 1e-300))
+    H, weight = predicted((), NOWHERE, (), (), np.zeros(spread.shape), problem), np.asarray(problem.weight)
+    measured, expected = (float(np.sum(np.abs(weight * x) ** 2)) for x in (np.asarray(problem.data), H))
+    larger = max(1.0, measured / max(expected, 1e-300))
     return Nuisance(spread, basis, np.flatnonzero((G.reshape(len(G), -1) ** 2).sum(axis=1) * larger > NEGLIGIBLE))

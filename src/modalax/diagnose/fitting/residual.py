@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from modalax._numerics.checks import is_traced
 from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.fitting.hypothesis import from_search, split
 from modalax.diagnose.prediction.frf import predict
@@ -39,13 +40,14 @@ def modal_directions(theta, spread, basis, problem):
     return jnp.moveaxis(J.reshape(*J.shape[:3], -1), -1, 0)
 
 
-def projected(r: Array, basis: Any) -> Array:
+def projected(r: Any, basis: Any) -> Any:
     """Real and imaginary parts of whitened residuals, shape ``(o, i, run f 2)``, free directions taken out."""
-    real = jnp.stack([r.real, r.imag], axis=-1)
-    real = jnp.moveaxis(real, (2, 3), (0, 1)).reshape(*r.shape[2:], -1)
+    xp = jnp if is_traced(r) else np
+    real = xp.stack([r.real, r.imag], axis=-1)
+    real = xp.moveaxis(real, (2, 3), (0, 1)).reshape(*r.shape[2:], -1)
     if basis is None:
         return real
-    return real - jnp.einsum("oink,oik->oin", basis, jnp.einsum("oink,oin->oik", basis, real))
+    return real - xp.einsum("oink,oik->oin", basis, xp.einsum("oink,oin->oik", basis, real))
 
 
 def whitened(
@@ -70,10 +72,10 @@ def whitened(
     return projected(problem.weight * (problem.data - H), basis)
 
 
-@partial(jax.jit, static_argnames=("causes",))
-def residual_of(causes, index, extras, u, theta, spread, basis, problem):
-    """Whitened residuals, shape ``(o, i, run f 2)``."""
-    return whitened(causes, index, extras, u, theta, spread, basis, problem)
+def residual_of(H: np.ndarray, basis: Any, problem: Problem) -> np.ndarray:
+    """Whitened residuals of receptances that have been predicted, shape ``(o, i, run f 2)``."""
+    with np.errstate(all="ignore"):  # what a hypothesis predicts may be beyond all numbers
+        return projected(np.asarray(problem.weight) * (np.asarray(problem.data) - H), basis)
 
 
 @partial(jax.jit, static_argnames=("causes",))

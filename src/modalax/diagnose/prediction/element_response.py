@@ -1,6 +1,6 @@
 r"""The number :math:`y = -\frac{Z}{1 + Z\,b^THb}\,b^TH` of an element at a place, sample by sample.
 
-Trials, lines and inputs are laid out in a row and worked on in pieces of two lengths, so that what is compiled depends
+Trials, lines and inputs are laid out in a row and worked on in pieces of one length, so that what is compiled depends
 on the cause alone: measurements of any size share it.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 from modalax.diagnose.causes.base import Cause, JointCause, LocalCause
 from modalax.diagnose.prediction.frf import equivalent
 
-SHORT, LONG = 2048, 65536  # samples of a piece
+LENGTH = 2048  # samples of a piece; longer ones take as long a sample, and a program more
 
 
 def _one(cause: Cause, solve: bool, p: Any, motion: Any, drive: Any, omega: Any, level: Any) -> Any:
@@ -77,11 +77,11 @@ def coefficients(
         flat(params[:, None, None, None]), flat(motion[owner][:, None]), flat(drive[owner][:, None, :, None]),
         flat(omega[None, None, :, None]), flat(force),
     ]  # fmt: skip
-    out, start, size = [], 0, math.prod(shape)
-    while start < size:
-        length = LONG if size - start >= LONG else SHORT
-        out.append(_piece(cause, solve, *(_filled(x[start : start + length], length) for x in samples)))
-        start += length
+    size = math.prod(shape)
+    out = [
+        _piece(cause, solve, *(_filled(x[start : start + LENGTH], LENGTH) for x in samples))
+        for start in range(0, size, LENGTH)
+    ]
     every = np.concatenate([np.asarray(y) for y in out])[:size]
     y = np.moveaxis(every.reshape(*shape, -1), -1, 2)
     return y.reshape(len(params), -1, *motion.shape[1:])

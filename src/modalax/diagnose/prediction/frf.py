@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from modalax.diagnose.causes.base import (
@@ -51,6 +52,16 @@ def predict(
         Relative changes of the modal frequencies and damping ratios (logarithms).
     """
     return predict_with_channels(causes, index, extras, params, theta, problem)[0]
+
+
+_compiled = jax.jit(predict, static_argnums=0)
+
+
+def predicted(
+    causes: Sequence[Any], index: Any, extras: Sequence[Any], params: Sequence[Any], theta: Any, problem: Problem
+) -> np.ndarray:
+    """As :func:`predict`, of known numbers: one program for all values of a hypothesis of some causes."""
+    return np.asarray(_compiled(causes, index, extras, params, theta, problem))
 
 
 def predict_with_channels(

@@ -10,7 +10,7 @@ from modalax.diagnose.causes.joints import limiting_law
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.gauss_newton import covariance_of
 from modalax.diagnose.fitting.hypothesis import Hypothesis, from_search, searched, split
-from modalax.diagnose.fitting.residual import jacobian_of, residual_of
+from modalax.diagnose.fitting.residual import jacobian_of
 from modalax.diagnose.prediction.frf import NEAR
 from modalax.diagnose.prediction.harmonics import HIGHEST, linear_factor
 from modalax.diagnose.search.candidates import cost_of
@@ -258,7 +258,7 @@ def inflation(comparison: Comparison, h: Hypothesis) -> np.ndarray:
     """
     problem, nuisance = comparison.problem, comparison.nuisance
     at = h.causes, h.index, h.extras, searched(h), h.theta, nuisance.spread, nuisance.basis, problem
-    r, J = np.asarray(residual_of(*at)), np.asarray(jacobian_of(*at))
+    r, J = comparison.real_residual(h), np.asarray(jacobian_of(*at))
     runs, lines = problem.data.shape[:2]
     score = (J * r).reshape(len(J), -1, runs * lines, 2).sum(axis=(1, 3))
     flat = J.reshape(len(J), -1)
