@@ -141,9 +141,11 @@ def test_importing_the_package_loads_nothing_yet():
 
 def test_compiler_flags_of_the_user_stay():
     told, _ = in_fresh_python(
-        "import os; os.environ['XLA_FLAGS'] = '--xla_mine'; import modalax; print(os.environ['XLA_FLAGS'])"
+        "import os; os.environ['XLA_FLAGS'] = '--xla_mine'; import modalax; print(os.environ['XLA_FLAGS'])\n"
+        "from modalax._numerics.compiler import lightly; print(lightly())\n"
+        "os.environ['XLA_FLAGS'] = '--xla_backend_optimization_level=2'; print(lightly())"
     )
-    assert told == "--xla_mine\n"
+    assert told == "--xla_mine\n{'xla_backend_optimization_level': 1}\n{}\n"
 
 
 def test_names_load_when_they_are_asked_for():

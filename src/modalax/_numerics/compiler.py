@@ -24,3 +24,9 @@ def set_up() -> None:
         flags.append("--xla_cpu_use_fusion_emitters=false")
     if flags:
         os.environ["XLA_FLAGS"] = " ".join(flags)
+
+
+def lightly() -> dict[str, int]:
+    """Compiler options of a program that runs a few times only: level 1 of 3, unless ``XLA_FLAGS`` name a level."""
+    level = "xla_backend_optimization_level"
+    return {} if level in os.environ.get("XLA_FLAGS", "") else {level: 1}

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from modalax._numerics.compiler import lightly
 from modalax.diagnose.causes.base import Cause, ChannelCause
 from modalax.diagnose.fitting.nuisance import Nuisance
 from modalax.diagnose.fitting.residual import projected
@@ -67,7 +68,7 @@ def rows_of(cause: Cause, index: np.ndarray, problem: Problem) -> np.ndarray | N
     return None if whole else index[:, :count]
 
 
-@partial(jax.jit, static_argnames=("cause", "some"), compiler_options={"xla_backend_optimization_level": 1})
+@partial(jax.jit, static_argnames=("cause", "some"), compiler_options=lightly())
 def _changes_of_channels(cause, some, index, params, before, weight, basis):
     """A fault of a channel acts on what is predicted without it, so that only the fault itself is compiled."""
     H, channels = before
@@ -82,7 +83,7 @@ def _changes_of_channels(cause, some, index, params, before, weight, basis):
     return jax.vmap(one)(index, params)
 
 
-@partial(jax.jit, static_argnames=("cause",), compiler_options={"xla_backend_optimization_level": 1})
+@partial(jax.jit, static_argnames=("cause",), compiler_options=lightly())
 def _changes(cause, index, params, before, theta, spread, basis, problem):
     def one(k, p):
         H = predict((cause,), k[None], (None,), (p,), theta * spread, problem)
