@@ -61,7 +61,7 @@ def hypothesis(comparison: Comparison, cause, p) -> tuple[Hypothesis, Hypothesis
 @pytest.mark.parametrize(
     ("cause", "p", "joint"),
     [
-        (ElastoSlip(False), [3000.0, 5e-4], joints.ElastoSlip(3000.0, 1.5)),
+        (ElastoSlip(True), [3000.0, 5e-4], joints.ElastoSlip(3000.0, 1.5, -3000.0)),
         pytest.param(BilinearStiffness(), [3000.0, 0.6], joints.BilinearSpring(4800.0, 1200.0), marks=pytest.mark.slow),
     ],
     ids=["slip", "bilinear"],
@@ -272,9 +272,9 @@ def test_a_spring_that_slips_is_fitted_as_friction_too_where_no_data_bound_its_s
 def test_noise_is_read_off_the_lines_beside_the_joint():
     """Beside the simulation alone, what it misses about the peaks passes for noise."""
     noise = 0.002
-    data = test_of(joints.ElastoSlip(3000.0, 1.5), 0, noise, FEW, harmonics=HIGHEST).replace(variance=None)
+    data = test_of(joints.ElastoSlip(3000.0, 1.5, -3000.0), 0, noise, FEW, harmonics=HIGHEST).replace(variance=None)
     comparison = with_noise_beside(make_comparison(data, five_dof(), "fixed"))
-    _, h = hypothesis(comparison, ElastoSlip(False), [3000.0, 5e-4])
+    _, h = hypothesis(comparison, ElastoSlip(True), [3000.0, 5e-4])
     again = noise_beside(comparison, h)
     sigma = noise * np.sqrt((np.abs(np.asarray(data.H)) ** 2).mean(axis=1, keepdims=True))
     miss = [np.sqrt(np.mean(np.log(n.sigma / sigma) ** 2)) for n in (comparison.noise, again)]

@@ -74,19 +74,28 @@ class Linear:
         """Standard deviation of each unknown."""
         return np.concatenate([epsilon[self.group], np.ones(len(self.right) - len(self.group))])
 
-    def solve(self, epsilon: np.ndarray, temperature: float = 1.0) -> tuple[np.ndarray, np.ndarray, float]:
-        """Mean, covariance over the prior's, and half the logarithm of the determinant of that."""
+    def _factor(self, epsilon: np.ndarray, temperature: float) -> tuple[np.ndarray, np.ndarray]:
+        """Standard deviations of the prior, and the Cholesky factor of the information in units of them."""
         s = self.prior(epsilon)
-        inner = np.outer(s, s / temperature) * self.gram
-        inner[np.diag_indices_from(inner)] += 1.0
-        L, wrong = scipy.linalg.lapack.dpotrf(inner, lower=1)
+        inner = self.gram * (s[:, None] * (s / temperature))
+        inner.ravel()[:: len(s) + 1] += 1.0
+        L, wrong = scipy.linalg.lapack.dpotrf(inner.T, lower=1, overwrite_a=1)  # symmetric: turned, it needs no copy
         if wrong:
             raise np.linalg.LinAlgError("the information of a linearised problem is not positive")
+        return s, L
+
+    def mean(self, epsilon: np.ndarray, temperature: float) -> np.ndarray:
+        """The mean alone, which costs a third of :meth:`solve`."""
+        s, L = self._factor(epsilon, temperature)
+        return s * scipy.linalg.lapack.dpotrs(L, s * self.right / temperature, lower=1)[0]
+
+    def solve(self, epsilon: np.ndarray, temperature: float = 1.0) -> tuple[np.ndarray, np.ndarray, float]:
+        """Mean, covariance over the prior's, and half the logarithm of the determinant of that."""
+        s, L = self._factor(epsilon, temperature)
         V = scipy.linalg.lapack.dpotri(L, lower=1)[0]  # of a lower triangle, nothing above it
         V = V + V.T
-        np.fill_diagonal(V, 0.5 * np.diag(V))
-        z = V @ (s * self.right / temperature)
-        return s * z, V, -float(np.log(np.diag(L)).sum())
+        V.ravel(order="K")[:: len(s) + 1] *= 0.5
+        return s * (V @ (s * self.right / temperature)), V, -float(np.log(L.diagonal()).sum())
 
     def learnt(self, epsilon: np.ndarray, temperature: float, rounds: int) -> np.ndarray:
         """Sizes of greatest evidence, with their prior."""
@@ -144,7 +153,7 @@ def fit(
             for _ in range(3):
                 linear = linear_at(setting, state, causes, sizes, u)
                 epsilon = linear.learnt(epsilon, temperature, 2) if temperature <= LEARNING else epsilon
-                x, _, _ = linear.solve(epsilon, temperature)
+                x = linear.mean(epsilon, temperature)
                 state, sizes, u, moved = _step(setting, causes, state, sizes, u, x, linear.prior(epsilon), temperature)
                 if moved < 0.5:
                     break
