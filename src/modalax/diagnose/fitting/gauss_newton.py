@@ -26,12 +26,13 @@ def _normal_one(causes, index, extras, x, chooser, spread, basis, problem):
 
     def residual(x):
         theta = (x[count:] @ chooser).reshape(spread.shape)
-        return whitened(causes, index, extras, x[:count], theta, spread, basis, problem).ravel()
+        r = whitened(causes, index, extras, x[:count], theta, spread, basis, problem).ravel()
+        return r, r
 
-    r = residual(x)
     if not x.shape[0]:
+        r = residual(x)[0]
         return r @ r, jnp.zeros((0, 0)), jnp.zeros(0)
-    J = jax.jacfwd(residual)(x)
+    J, r = jax.jacfwd(residual, has_aux=True)(x)
     chi2, A, g = r @ r, J.T @ J, J.T @ r
     prior = jnp.concatenate([jnp.zeros(count), jnp.ones(chooser.shape[0])])
     return chi2 + jnp.sum(prior * x**2), A + jnp.diag(prior), g + prior * x

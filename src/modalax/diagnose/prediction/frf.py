@@ -368,8 +368,7 @@ def equivalent(
 
     root = jax.lax.fori_loop(0, POLISH, newton, (0.5 * (low + high), low, high))[0]
     root = jax.lax.stop_gradient(root)
-    _, slope = jax.jvp(lambda x: miss(x, *fixed), (root,), (jnp.ones_like(root),))
-    slope = jax.lax.stop_gradient(jnp.where(jnp.abs(slope) > 0.05, slope, jnp.where(slope < 0, -0.05, 0.05)))
-    settled = jnp.abs(miss(root, *fixed)) < 1e-3
-    log_a = root - jnp.where(settled, miss(root, free, flat, p) / slope, 0.0)
+    left, slope = jax.lax.stop_gradient(jax.jvp(lambda x: miss(x, *fixed), (root,), (jnp.ones_like(root),)))
+    slope = jnp.where(jnp.abs(slope) > 0.05, slope, jnp.where(slope < 0, -0.05, 0.05))
+    log_a = root - jnp.where(jnp.abs(left) < 1e-3, miss(root, free, flat, p) / slope, 0.0)
     return factor * impedance(jnp.exp(log_a), p)
