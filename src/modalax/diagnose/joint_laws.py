@@ -354,7 +354,7 @@ def modes_at(explained: Explained, amplitude: Any) -> tuple[Float[np.ndarray, "2
     n, o = len(modal_form.poles), len(extended.outputs)
     column = extended.outputs.index(modal_form.dofs[index])
 
-    def roots(x: Array) -> Array:
+    def roots(x: Array) -> tuple[Array, Array]:
         params = _unpack(extended.causes, x[:own])
         change = x[own : own + 2 * n].reshape(2, n)
         parts = x[own + 2 * n : own + 2 * n + 2 * n * o].reshape(2, n, o)
@@ -383,8 +383,8 @@ def modes_at(explained: Explained, amplitude: Any) -> tuple[Float[np.ndarray, "2
         # beside the pole, where the receptance is infinite
         start = (-0.5 * c + 1j * jnp.sqrt(jnp.maximum(k - 0.25 * c**2, 0.0))) * (1 + 1e-4)
         s = jax.vmap(lambda s: jax.vmap(lambda A: solve(s, A))(amplitude))(start)
-        return jnp.stack([jnp.abs(s) / (2 * jnp.pi), -s.real / jnp.abs(s)])
+        made = jnp.stack([jnp.abs(s) / (2 * jnp.pi), -s.real / jnp.abs(s)])
+        return made, made
 
-    x = as_array(explained.vector)
-    value, J = np.asarray(roots(x)), np.asarray(jax.jacfwd(roots)(x))
+    J, value = map(np.asarray, jax.jit(jax.jacfwd(roots, has_aux=True))(as_array(explained.vector)))
     return value, np.sqrt(np.maximum(np.einsum("mnap,pq,mnaq->mna", J, explained.covariance, J), 0.0))

@@ -23,7 +23,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from modalax._numerics.checks import as_array
+from modalax._numerics.checks import as_array, is_traced
+from modalax._numerics.known import host
 from modalax.diagnose.causes.base import JointCause
 from modalax.diagnose.prediction.frf import Linear, equivalent, of, without_joints
 from modalax.diagnose.prediction.friction import Sliding, sliding
@@ -175,17 +176,25 @@ def sliding_factor(
     """
     k = next(k for k, c in enumerate(causes) if isinstance(c, JointCause))
     cause, p = causes[k], params[k]
-    found = [_across(causes, index, extras, params, theta, problem, float(h)) for h in range(1, instants, 2)]
-    free = problem.level[:, :, None] * found[0][1]
-    spread = lambda a: jnp.broadcast_to(a[None, :, None], (*free.shape, *a.shape[1:])).reshape(free.size, *a.shape[1:])
-    G, u, omega = spread(jnp.stack([d for d, _ in found], axis=-1)), free.ravel(), spread(problem.omega)
+    across = (_across(causes, index, extras, params, theta, problem, float(h)) for h in range(1, instants, 2))
+    G, motion = zip(*(map(host, pair) for pair in across), strict=True)
+    level, frequencies = host(problem.level), host(problem.omega)
+    xp = jnp if is_traced(p, level, frequencies, *G, *motion) else np  # known numbers need no program of their shapes
+    free = level[:, :, None] * motion[0]
+    spread = lambda a: xp.broadcast_to(a[None, :, None], (*free.shape, *a.shape[1:])).reshape(free.size, *a.shape[1:])
+    G, u, omega = spread(xp.stack(G, axis=-1)), free.ravel(), spread(frequencies)
     q, sound = _slid(G, u, omega, p[0], instants)
-    series = jnp.abs(G[:, 0])
+    series = xp.abs(G[:, 0])
     z = u - (G[:, 0] - series) * q
-    plainly = cause.impedance_in_series(jnp.abs(z), omega, p, series) * z
-    sound = sound & (jnp.abs(plainly) > 0)
-    rho, amplitude = jnp.where(sound, q / jnp.where(sound, plainly, 1.0), 1.0), jnp.where(sound, jnp.abs(z), 0.0)
+    plainly = _impedance_in_series(cause, xp.abs(z), omega, p, series) * z
+    sound = sound & (xp.abs(plainly) > 0)
+    rho, amplitude = xp.where(sound, q / xp.where(sound, plainly, 1.0), 1.0), xp.where(sound, xp.abs(z), 0.0)
     return rho.reshape(free.shape), series.reshape(free.shape) + 0j, amplitude.reshape(free.shape)
+
+
+@partial(jax.jit, static_argnames="cause")
+def _impedance_in_series(cause: JointCause, A: Any, omega: Any, p: Any, series: Any) -> Array:
+    return cause.impedance_in_series(A, omega, p, series)
 
 
 def _slid(G: Any, u: Any, omega: Any, limit: Any, instants: int) -> Sliding:
