@@ -44,7 +44,7 @@ def built(seed, part="root", stiffness=1.0, mass=1.0, spring=0.0, off=0.01):
     C = modal_damping(M, K, DAMPING * np.exp(0.1 * rng.standard_normal(len(K))))
     K, M, C = (FLIP[:, None] * A * FLIP for A in (K, M, C))
     K[4, 4] += spring
-    freq = np.linspace(4.0, 330.0, 200)
+    freq = np.linspace(4.0, 230.0, 140)
     s = 2j * np.pi * freq[:, None, None]
     H = s**2 * np.linalg.inv(K + s * C + s**2 * M)[:, ::2][:, :, [4, 14]]
     sigma = 0.01 * np.sqrt((np.abs(H) ** 2).mean(axis=0)) * np.ones(H.shape)
