@@ -1,6 +1,7 @@
 """The generator of hidden effects keeps what it says: sizes, noise, files, and the physics behind them."""
 
 import ast
+import math
 import sys
 from pathlib import Path
 
@@ -237,19 +238,21 @@ def lines(chain) -> np.ndarray:
 
 def integrate(chain, law, b, freq, cycles=32):
     """Fundamental of the first DoF over the last cycle, by DOP853 on the equations of motion as they stand."""
-    n, w, inverse = chain.n, 2 * np.pi * freq, np.linalg.inv(chain.M)
-    push = np.array([LEVEL, 0, 0])
+    n, w, push = chain.n, 2 * np.pi * freq, np.array([LEVEL, 0, 0])
     slider = isinstance(law, laws.Jenkins)
+    driven, along = np.linalg.solve(chain.M, push), np.linalg.solve(chain.M, b)
+    free = -np.linalg.solve(chain.M, np.hstack([chain.K, chain.C]))
+    if slider:
+        free[:, :n] += np.outer(along, law.given * b)
 
     def rate(t, y):
-        x, v = y[:n], y[n : 2 * n]
-        q, u = b @ x, b @ v
-        f = float(np.clip(y[-1], -law.limit, law.limit)) if slider else float(law.start(np.array(q), np.array(u)))
-        a = inverse @ (push * np.cos(w * t) - b * f - chain.C @ v - chain.K @ x)
-        if slider:
-            a -= inverse @ b * (-law.given * q)
-        give = slider and abs(y[-1]) >= law.limit and y[-1] * u > 0
-        return np.concatenate([v, a, [0.0 if give or not slider else law.k * u]])
+        q, u = b @ y[:n], b @ y[n : 2 * n]
+        f = min(max(y[-1], -law.limit), law.limit) if slider else float(law.start(np.array(q), np.array(u)))
+        out = np.zeros(2 * n + 1)
+        out[:n], out[n:-1] = y[n:-1], math.cos(w * t) * driven - f * along + free @ y[:-1]
+        if slider and not (abs(y[-1]) >= law.limit and y[-1] * u > 0):
+            out[-1] = law.k * u
+        return out
 
     linear = np.linalg.solve(chain.K + 1j * w * chain.C - w**2 * chain.M, push)
     from_linear = np.concatenate([linear.real, (1j * w * linear).real, [0.0]])
