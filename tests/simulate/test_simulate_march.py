@@ -39,11 +39,11 @@ def smooth_push(t):
 def integrate(structure, force, joint_force, t, dof):
     """The same motion by scipy's order-8 Runge-Kutta at tight tolerance."""
     M, C, K = (np.asarray(A) for A in (structure.M, structure.C, structure.K))
-    n, b = len(M), np.eye(len(M))[structure.index(dof)]
+    n, at = len(M), structure.index(dof)
+    free, along = -np.linalg.solve(M, np.hstack([K, C])), np.linalg.inv(M)[:, at]
 
     def rate(time, y):
-        x, v = y[:n], y[n:]
-        return np.concatenate([v, np.linalg.solve(M, b * (force(time) - joint_force(b @ x, b @ v)) - C @ v - K @ x)])
+        return np.concatenate([y[n:], free @ y + along * (force(time) - joint_force(y[at], y[n + at]))])
 
     done = scipy.integrate.solve_ivp(rate, (0, t[-1]), np.zeros(2 * n), "DOP853", t, rtol=1e-11, atol=1e-14)
     return done.y[:n].T

@@ -172,15 +172,15 @@ def find(
 class _OneStep(optx.AbstractRootFinder):
     r"""A single Newton step with the Jacobian column by column: a third of what a linearised function costs here.
 
-    Its state is the margin of the balance, :math:`1/\|J^{-1}\|`.
+    Its state is the margin of the balance, :math:`1/\|J^{-1}\|`, and the largest part of the residual before the step.
     """
 
     rtol: float = 0.0
     atol: float = 0.0
     norm: Any = optx.max_norm
 
-    def init(self, fn: Any, y: Any, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: Any) -> Array:
-        return jnp.array(jnp.inf)
+    def init(self, fn: Any, y: Any, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: Any) -> Any:
+        return jnp.array(jnp.inf), jnp.array(jnp.inf)
 
     def step(self, fn: Any, y: Any, args: Any, options: Any, state: Any, tags: Any) -> tuple[Array, Array, Any]:
         def both(y: Array) -> tuple[Array, tuple[Array, Any]]:
@@ -189,10 +189,11 @@ class _OneStep(optx.AbstractRootFinder):
 
         jacobian, (missing, aux) = jax.jacfwd(both, has_aux=True)(y)
         inverse = jnp.linalg.inv(jacobian)
-        return y - inverse @ missing, 1 / jnp.max(jnp.sum(jnp.abs(inverse), axis=1)), aux
+        margin = 1 / jnp.max(jnp.sum(jnp.abs(inverse), axis=1))
+        return y - inverse @ missing, (margin, jnp.max(jnp.abs(missing))), aux
 
     def terminate(self, fn: Any, y: Any, args: Any, options: Any, state: Any, tags: Any) -> tuple[Array, Any]:
-        return jnp.isfinite(state), optx.RESULTS.successful
+        return jnp.isfinite(state[0]), optx.RESULTS.successful
 
     def postprocess(
         self, fn: Any, y: Any, aux: Any, args: Any, options: Any, state: Any, tags: Any, result: Any
@@ -225,8 +226,7 @@ def polish(
         _scaled, _OneStep(), y, args, max_steps=1, throw=False, adjoint=optx.ImplicitAdjoint(linear_solver=lx.LU())
     )
     # where nothing was found an undamped step may lead anywhere; the best point found is kept there
-    before = jnp.max(jnp.abs(_scaled(y, args)))
-    margin = jax.lax.stop_gradient(solution.state)
+    margin, before = jax.lax.stop_gradient(solution.state)
     margin = jnp.where(jnp.isfinite(margin), margin, 0.0)
     value = jnp.where(before < CLOSED, solution.value, y)
     value = _without_derivative(value, (joints, line), margin < FOLD)
