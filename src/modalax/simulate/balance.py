@@ -182,7 +182,7 @@ class _OneStep(optx.AbstractRootFinder):
     def init(self, fn: Any, y: Any, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: Any) -> Any:
         return jnp.array(jnp.inf), jnp.array(jnp.inf)
 
-    def step(self, fn: Any, y: Any, args: Any, options: Any, state: Any, tags: Any) -> tuple[Array, Array, Any]:
+    def step(self, fn: Any, y: Any, args: Any, options: Any, state: Any, tags: Any) -> tuple[Array, Any, Any]:
         def both(y: Array) -> tuple[Array, tuple[Array, Any]]:
             missing, aux = fn(y, args)
             return missing, (missing, aux)

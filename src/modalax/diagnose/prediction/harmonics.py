@@ -162,7 +162,7 @@ def receptance_across(cause: Any, place: Any, theta: Array, problem: Problem, ti
 
 def sliding_factor(
     causes: Any, index: Any, extras: Any, params: Any, theta: Float[Array, "two n"], problem: Problem, instants: int
-) -> tuple[Array, Array, Array]:
+) -> tuple[Any, Any, Any]:
     r"""Factor :math:`\rho`, compliance in series and amplitude of a rigid joint, by its motion at instants.
 
     The amplitude [m] is that of joint and compliance together, 0 where no steady motion was found.
