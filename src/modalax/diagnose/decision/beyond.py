@@ -196,8 +196,8 @@ def usual_size(
     slug
         The cause.
     whole
-        Stiffness [N/m], mass [kg] or damping [N s/m] that the simulation has at the place; 1 for a relative change of a
-        whole element.
+        Stiffness [N/m], mass [kg] or damping [N s/m] that the simulation has at the place, of joints that lose energy the
+        damping times the circular frequency in the middle of the band [N/m]; 1 for a relative change of a whole element.
     inaccuracy
         General relative inaccuracy by ``stiffness``, ``mass`` and ``damping``.
     highest
@@ -208,6 +208,8 @@ def usual_size(
         "joint_stiffness": limits.beyond * inaccuracy["stiffness"] * whole,
         "added_mass": limits.beyond * inaccuracy["mass"] * whole,
         "local_damper": limits.beyond * inaccuracy.get("damping", 0.0) * whole,
+        "hysteretic_joint": limits.beyond * inaccuracy.get("damping", 0.0) * whole,
+        "maxwell_joint": limits.beyond * inaccuracy.get("damping", 0.0) * whole,
         "modal_damping": limits.beyond * inaccuracy.get("damping", 0.0),
         "element_group": limits.beyond * inaccuracy["stiffness"] * whole,
         "element_group_mass": limits.beyond * inaccuracy["mass"] * whole,

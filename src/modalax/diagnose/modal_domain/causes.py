@@ -116,6 +116,15 @@ class Change:
         return self.sized
 
     @property
+    def signed(self) -> bool:
+        """Whether its first size may be negative."""
+        return True
+
+    def of_size(self, u: float) -> np.ndarray:
+        """Its sizes where all but the first are as usual."""
+        return np.append(u, np.zeros(self.count - 1))
+
+    @property
     def freed(self) -> int | None:
         """Number of the measured mode that it leaves free."""
         return None

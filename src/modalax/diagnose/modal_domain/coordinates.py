@@ -5,7 +5,8 @@ matrices is a symmetric matrix in these coordinates. Derivatives of poles and sh
 mode (Nelson 1976), whatever the other modes are: oscillating, overdamped or those of a rigid body.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
@@ -13,6 +14,7 @@ from scipy.linalg.lapack import dtrtrs
 
 from modalax.diagnose.modal_domain.elements import nodes_of
 from modalax.diagnose.modal_domain.enriched import ritz_basis
+from modalax.diagnose.modal_domain.loads import Load, loaded_modes, responses
 from modalax.diagnose.modal_domain.parts import parts_of
 from modalax.model import Structure
 
@@ -67,6 +69,8 @@ class Coordinates:
 class Modes:
     """Modes of a changed simulation, by rising frequency, normalised so that residues are ``y x'``.
 
+    Vectors of a symmetric structure serve both sides; where ``loads`` act on it, those from the left differ.
+
     Attributes
     ----------
     poles
@@ -80,6 +84,10 @@ class Modes:
         and ``(l, l)``.
     high
         Real shapes and squared circular frequencies of the modes above, shapes ``(h, n)`` and ``(h,)``.
+    lefts, left_parts
+        Vectors from the left as ``vectors`` and ``parts``; None where they are the same.
+    loads
+        Forces that are no symmetric change of matrices, their directions by the shapes of ``low``.
     """
 
     poles: np.ndarray
@@ -87,6 +95,14 @@ class Modes:
     parts: np.ndarray
     low: tuple[np.ndarray, np.ndarray, np.ndarray]
     high: tuple[np.ndarray, np.ndarray]
+    lefts: np.ndarray | None = None
+    left_parts: np.ndarray | None = None
+    loads: tuple[Load, ...] = ()
+
+    def residues(self, c: Coordinates) -> np.ndarray:
+        """Residues by outputs and inputs, shape ``(m, o, i)``."""
+        left = self.vectors if self.lefts is None else self.lefts
+        return np.einsum("ko,ki->koi", self.vectors @ c.outputs.T, left @ c.inputs.T)
 
 
 def coordinates_of(
@@ -176,35 +192,61 @@ def modes_of(
     return Modes(poles, parts @ low.T, parts, (low.T, values[:m], damping), (Q[:, m:].T, values[m:]))
 
 
+def with_loads(modes: Modes, loads: Sequence[Load]) -> Modes:
+    """Modes of the same structure with forces that act on those modes that are solved with their damping."""
+    if not loads:
+        return modes
+    shapes, squares, damping = modes.low
+    own = tuple(replace(load, basis=shapes @ load.basis) for load in loads)
+    poles, right, left = loaded_modes(squares, damping, own)
+    return Modes(poles, right @ shapes, right, modes.low, modes.high, left @ shapes, left, own)
+
+
 @dataclass(frozen=True)
 class Slopes:
     """Matrices from which derivatives of some modes follow; ``which`` holds the numbers of the modes.
 
-    For a change ``B`` of the dynamic stiffness at the pole, the pole moves by ``-v' B v`` and the shape at the outputs
-    by ``-G_o B v`` (and the same at the inputs), ``v`` the mode's vector.
+    For a change ``B`` of the dynamic stiffness at the pole, the pole moves by ``-y' B v`` and the shape at the outputs
+    by ``-G_o B v`` (at the inputs by ``-G_i B' y``), ``v`` the mode's vector and ``y`` that from the left.
     """
 
     poles: np.ndarray
     vectors: np.ndarray
+    left: np.ndarray
     at_outputs: np.ndarray
     at_inputs: np.ndarray
     shape_outputs: np.ndarray
     shape_inputs: np.ndarray
-    damping: np.ndarray | None = None
 
 
 def slopes_of(c: Coordinates, modes: Modes, which: np.ndarray) -> Slopes:
     """Matrices of derivatives of the modes ``which``."""
     poles, (high, squares) = modes.poles[which], modes.high
     rows = np.concatenate([c.outputs, c.inputs])
+    v = modes.vectors[which]
+    left = v if modes.lefts is None else modes.lefts[which]
+    far = np.matmul(1 / (squares + poles[:, None] ** 2)[:, None] * (rows @ high.T), high)
+    near = _near_loads(c, modes, which) if modes.loads else _near_all(modes, poles, rows)
+    at_outputs, at_inputs = np.split(near + far, [len(c.outputs)], axis=1)
+    return Slopes(poles, v, left, at_outputs, at_inputs, v @ c.outputs.T, left @ c.inputs.T)
+
+
+def _near_loads(c: Coordinates, modes: Modes, which: np.ndarray) -> np.ndarray:
+    """Responses of the solved modes at poles of their own, with the forces that act on them."""
+    assert modes.left_parts is not None
+    shapes, squares, damping = modes.low
+    some = modes.poles[which], modes.parts[which], modes.left_parts[which], squares, damping, modes.loads
+    ahead, back = responses(*some, c.outputs @ shapes.T), responses(*some, c.inputs @ shapes.T, backwards=True)
+    return np.concatenate([ahead, back], axis=1) @ shapes
+
+
+def _near_all(modes: Modes, poles: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Responses of the solved modes, of which several may be on top of each other."""
     own = np.abs(modes.poles - poles[:, None]) < REPEATED * np.abs(poles)[:, None]
     near, count = np.zeros((len(poles), *rows.shape), complex), own.sum(axis=1)
     for some in (count == c for c in np.unique(count)):
         near[some] = _near(modes, poles[some], np.nonzero(own[some])[1].reshape(np.count_nonzero(some), -1), rows)
-    far = np.matmul(1 / (squares + poles[:, None] ** 2)[:, None] * (rows @ high.T), high)
-    at_outputs, at_inputs = np.split(near + far, [len(c.outputs)], axis=1)
-    v = modes.vectors[which]
-    return Slopes(poles, v, at_outputs, at_inputs, v @ c.outputs.T, v @ c.inputs.T)
+    return near
 
 
 def _near(modes: Modes, poles: np.ndarray, own: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -241,20 +283,45 @@ def pattern_slopes(t: Slopes, kind: str, patterns: np.ndarray) -> tuple[np.ndarr
     """Derivatives by the sizes of patterns, shape ``(p, n, n)``: of poles ``(k, p)``, of both shapes ``(k, p, o)``."""
     count, n = patterns.shape[:2]
     flat = patterns.reshape(-1, n)  # real: two real products cost half of one complex one
-    moved = (flat @ t.vectors.real.T + 1j * (flat @ t.vectors.imag.T)).reshape(count, n, -1)  # (p, n, k)
-    factor = t.poles ** POWER[kind]
-    moved = moved.transpose(2, 1, 0)  # (k, n, p)
-    own = np.matmul(t.vectors[:, None], moved)[:, 0]
-    out, inn = (np.matmul(at, moved).transpose(0, 2, 1) for at in (t.at_outputs, t.at_inputs))
+
+    def moved_by(v: np.ndarray) -> np.ndarray:
+        return (flat @ v.real.T + 1j * (flat @ v.imag.T)).reshape(count, n, -1).transpose(2, 1, 0)  # (k, n, p)
+
+    factor, moved = t.poles ** POWER[kind], moved_by(t.vectors)
+    back = moved if t.left is t.vectors else moved_by(t.left)
+    own = np.matmul(t.left[:, None], moved)[:, 0]
+    out, inn = (np.matmul(at, by).transpose(0, 2, 1) for at, by in ((t.at_outputs, moved), (t.at_inputs, back)))
     return _with_norm(t, kind, factor, own, out, inn)
 
 
 def direction_slopes(t: Slopes, kind: str, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Derivatives as :func:`pattern_slopes`, by changes ``b b'`` of rank one, ``b`` of shape ``(p, n)``."""
-    across = t.vectors @ b.T  # (k, p)
+    across, back = t.vectors @ b.T, t.left @ b.T  # (k, p)
     out = np.matmul(t.at_outputs, b.T).transpose(0, 2, 1) * across[:, :, None]
-    inn = np.matmul(t.at_inputs, b.T).transpose(0, 2, 1) * across[:, :, None]
-    return _with_norm(t, kind, t.poles ** POWER[kind], across**2, out, inn)
+    inn = np.matmul(t.at_inputs, b.T).transpose(0, 2, 1) * back[:, :, None]
+    return _with_norm(t, kind, t.poles ** POWER[kind], across * back, out, inn)
+
+
+def load_slopes(
+    t: Slopes, basis: np.ndarray, change: np.ndarray, slope: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Derivatives as :func:`pattern_slopes` by forces at ``(p, n, k)`` directions each.
+
+    Parameters
+    ----------
+    change, slope
+        What a force changes of the dynamic stiffness between its directions at each pole, and the derivative of that
+        by s, shapes ``(m, p, k, k)``.
+    """
+    right, left = (np.einsum("mn,pnk->mpk", v, basis, optimize=True) for v in (t.vectors, t.left))
+    moved, back = np.einsum("mpab,mpb->mpa", change, right), np.einsum("mpab,mpa->mpb", change, left)
+    own, norm = np.einsum("mpa,mpa->mp", left, moved), np.einsum("mpa,mpab,mpb->mp", left, slope, right)
+    out, inn = (
+        np.einsum("mrn,pnk,mpk->mpr", at, basis, by, optimize=True)
+        for at, by in ((t.at_outputs, moved), (t.at_inputs, back))
+    )
+    half = 0.5 * norm[:, :, None]
+    return -own, -out - half * t.shape_outputs[:, None, :], -inn - half * t.shape_inputs[:, None, :]
 
 
 def _with_norm(

@@ -5,13 +5,14 @@ from typing import Any
 import numpy as np
 
 from modalax.data.frf import DERIVATIVES
-from modalax.diagnose.modal_domain.causes import shown, with_sizes
+from modalax.diagnose.modal_domain.causes import with_sizes
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.fit import Fit, widths_of_sizes
 from modalax.diagnose.modal_domain.given_elements import changed_by_elements
 from modalax.diagnose.modal_domain.inaccuracy import KINDS, RIGID, THROUGHOUT, TOLD, WITHIN
+from modalax.diagnose.modal_domain.polish import frf_on_lines
 from modalax.diagnose.modal_domain.stage import Stage
-from modalax.diagnose.modal_domain.state import FARTHEST, Setting, changes_of, matrices_of, slopes_at
+from modalax.diagnose.modal_domain.state import FARTHEST, Setting, changes_of, slopes_at
 from modalax.diagnose.modal_domain.throughout import throughout_told
 from modalax.model import Structure
 
@@ -54,14 +55,11 @@ def frf_of(stage: Stage, f: Fit | None) -> np.ndarray:
     """FRFs ``(f, o, i)`` of the simulation, or of a fit, at the measured lines and in their form."""
     c, freq = stage.coordinates, stage.measured.freq
     s = 2j * np.pi * freq
-    M, C, K = np.eye(c.size), c.damping, np.diag(c.frequencies**2)
-    if f is not None:
-        M, C, K = matrices_of(stage.setting, f.sizes, f.causes, f.u)
-    H = np.concatenate(
-        [_solved(part, M, C, K, c) for part in np.array_split(s, max(1, len(s) // LINES))]
-    )  # fmt: skip
-    H = H * s[:, None, None] ** DERIVATIVES[stage.measurement.form]
-    return H if f is None else shown(f.causes, f.u, s, H)
+    order, parts = DERIVATIVES[stage.measurement.form], np.array_split(s, max(1, len(s) // LINES))
+    if f is None:
+        M, C, K = np.eye(c.size), c.damping, np.diag(c.frequencies**2)
+        return np.concatenate([_solved(part, M, C, K, c) for part in parts]) * s[:, None, None] ** order
+    return np.concatenate([frf_on_lines(stage.setting, f.causes, f.sizes, f.u, part, order) for part in parts])
 
 
 def _solved(s: np.ndarray, M: np.ndarray, C: np.ndarray, K: np.ndarray, c: Coordinates) -> np.ndarray:

@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modalax.diagnose.deadline import Deadline
-from modalax.diagnose.modal_domain.causes import Change, own_sizes
+from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.discrepancy import learnt_rest
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
+from modalax.diagnose.modal_domain.line_forces import LineForce
 from modalax.diagnose.modal_domain.oscillators import oscillators
 from modalax.diagnose.modal_domain.screen import finite, refined, replaced, scores
 from modalax.diagnose.modal_domain.state import Setting, state_at
@@ -22,6 +23,7 @@ from modalax.diagnose.modal_domain.throughout import start_in, with_more
 NONE = 0.5  # probability before the data that nothing stands out
 SECOND = 1e-4  # the same of a second cause, given a first one: what a first one leaves is mostly error of the model
 PRESCREENED = 150  # places of the leading linear scores, of each point of linearisation, tried with finite sizes
+FORCES = 8  # places of forces of each kind, of each of these scores, that are tried so
 FITTED, NEXT = 6, 4  # leading places of each screening that are fitted, and of the screening about the winner
 NEAR = 12.0  # nats behind the best up to which other places are fitted
 WORTH = 4.0  # nats that a further cause must promise beyond the cost of its prior probability
@@ -136,9 +138,9 @@ def further(
     best = explanations[0].fit
     for k in range(len(best.causes)):
         kept = tuple(c for j, c in enumerate(best.causes) if j != k)
-        _try(setting, found, (*kept, cause), np.append(_without(best, k), u), without_causes(best), gentle=False)
+        _try(setting, found, (*kept, cause), np.append(_without(best, k), cause.of_size(u)), without_causes(best), gentle=False)
     if len(best.causes) < MOST:
-        _try(setting, found, (*best.causes, cause), np.append(best.u, u), without_causes(best), gentle=False)
+        _try(setting, found, (*best.causes, cause), np.append(best.u, cause.of_size(u)), without_causes(best), gentle=False)
     left = {id(e.fit): e.misfit for e in explanations}
     return [replace(e, misfit=left.get(id(e.fit), e.misfit)) for e in _ranked(found, Prior(candidates))]
 
@@ -166,7 +168,7 @@ def _all_steps(
     trials = [] if null is None else _leading(setting, null, candidates, prior)
     tell(f"fitting {len(trials)} of them")
     for cause, u, start in trials:
-        _try(setting, found, (cause,), np.array([u]), start, gentle=start is None)
+        _try(setting, found, (cause,), cause.of_size(u), start, gentle=start is None)
         if late():
             return
     _attached(setting, found, candidates, prior, late)
@@ -247,8 +249,15 @@ def _try(
     best = max((f.log_evidence for f in found.values()), default=-np.inf)
     trial = fit(setting, causes, start, u, **temperatures, best_else=best)
     key = _key(causes)
+    if trial is not None and not _possible(trial):
+        return
     if trial is not None and (key not in found or trial.log_evidence > found[key].log_evidence):
         found[key] = trial
+
+
+def _possible(f: Fit) -> bool:
+    """Whether no size has a sign that its cause cannot have."""
+    return all(c.signed or u[0] > 0 for c, u in with_sizes(f.causes, f.u))
 
 
 def _key(causes: Sequence[Change]) -> tuple[Change, ...]:
@@ -264,7 +273,8 @@ def _leading(
     nominal, _ = scores(setting, _nominal(setting, null), candidates)
     few = set(np.argsort(-(gain + share))[:PRESCREENED]) | set(np.argsort(-(nominal + share))[:PRESCREENED])
     few |= {k for k, c in enumerate(candidates) if not c.local}
-    some = sorted(k for k in few if candidates[k].count == 1)
+    forces = {k for k, c in enumerate(candidates) if isinstance(c, LineForce)}
+    some = sorted([k for k in few - forces if candidates[k].count == 1] + _leading_forces(candidates, gain, nominal))
     distance, where = finite(setting, [candidates[k] for k in some])
     value = dict(zip(some, -0.5 * distance + share[some], strict=True))
     order = sorted(some, key=lambda k: -value[k])
@@ -283,6 +293,16 @@ def _leading(
     out += [(candidates[k], v, None) for k, v in zip(linear, near, strict=True)]
     out += [(candidates[k], 0.0, start) for k in linear]
     return out + _hidden(setting, start, candidates, share)
+
+
+def _leading_forces(candidates: list[Change], *gains: np.ndarray) -> list[int]:
+    """Forces of each kind that are tried with finite sizes, each of which needs modes of its own."""
+    out: set[int] = set()
+    for slug in {c.slug for c in candidates if isinstance(c, LineForce)}:
+        own = [k for k, c in enumerate(candidates) if c.slug == slug]
+        for gain in gains:
+            out |= set(sorted((k for k in own if np.isfinite(gain[k])), key=lambda k: -gain[k])[:FORCES])
+    return sorted(out)
 
 
 def _hidden(
@@ -332,7 +352,7 @@ def _neighbours(
                 return
             if known or candidates[j] in kept or not value[j] > max(value.max() - NEAR, -np.inf):
                 continue
-            u = np.append(_without(best, k), np.clip(size[j], -3, 3))
+            u = np.append(_without(best, k), candidates[j].of_size(float(np.clip(size[j], -3, 3))))
             _try(setting, found, causes, u, without_causes(best), gentle=False)
 
 
@@ -354,7 +374,8 @@ def _further(
     for j in worth:
         if late():
             break
-        _try(setting, found, (*best.causes, candidates[j]), np.append(best.u, 0.0), without_causes(best), gentle=False)
+        u = np.append(best.u, candidates[j].of_size(0.0))
+        _try(setting, found, (*best.causes, candidates[j]), u, without_causes(best), gentle=False)
     return bool(worth)
 
 

@@ -1,14 +1,16 @@
-r"""Linear causes that poles and shapes do not show as they are: a force at one place that depends on frequency.
+r"""Linear causes that are no symmetric change of mass, damping or stiffness: a force at one place.
 
 With B the directions at which it acts and :math:`Z(s)` its dynamic stiffness between them, the response :math:`G` of
 all coordinates becomes :math:`G - GB(I + ZB^TGB)^{-1}ZB^TG` (Woodbury 1950). A skew coupling makes FRFs that are not
-reciprocal, the stiffness of a joint that relaxes or loses energy alike at all frequencies is none of a spring and a
-damper, and the mass of a roving sensor loads the FRFs of that sensor alone.
+reciprocal, and the stiffness of a joint that relaxes or loses energy alike at all frequencies is none of a spring and a
+damper: modes at several frequencies tell them apart, and are predicted with them
+(:mod:`modalax.diagnose.modal_domain.loads`). The mass of a roving sensor loads the FRFs of that sensor alone, which
+have modes of their own then.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,13 +19,16 @@ from modalax.diagnose.causes import Cause
 from modalax.diagnose.causes.channels import SensorMass
 from modalax.diagnose.causes.couplings import Gyroscopic
 from modalax.diagnose.causes.viscoelastic import HystereticJoint, MaxwellJoint
-from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.causes import Change, with_sizes
 from modalax.diagnose.modal_domain.coordinates import Coordinates
+from modalax.diagnose.modal_domain.loads import Load
 
 FEW = 40  # DoFs up to which any two may be coupled; of more, measured ones only
 COUPLED = 0.1  # usual skew coupling, relative to what would hold both DoFs as much as they hold themselves
 MASS = 0.1  # usual mass of a sensor, relative to the modal mass seen from its place
 DECADE = math.log(10)  # standard deviation of the logarithm of a relaxation time about mid-band
+APART, TIMES = math.log(4), (-1, 0, 1)  # of its logarithm, the distance of times about which modes are asked for one
+SKEW = np.array([[0.0, 1.0], [-1.0, 0.0]])
 
 
 @dataclass(frozen=True)
@@ -55,9 +60,22 @@ class LineForce(Change):
         return self.row is None
 
     @property
+    def local(self) -> bool:
+        """It moves modes, but for what only one output shows."""
+        return self.row is None
+
+    @property
     def linear(self) -> bool:
-        """Modes say nothing of it."""
-        return False
+        """Small strengths act in proportion."""
+        return self.row is None
+
+    def changes(self, u: np.ndarray) -> dict[str, np.ndarray]:
+        """None that is symmetric and of one matrix."""
+        return {}
+
+    def load(self, u: np.ndarray) -> Load:
+        """Its dynamic stiffness by parts, from which modes follow."""
+        raise NotImplementedError
 
     @property
     def count(self) -> int:
@@ -91,6 +109,15 @@ class LineForce(Change):
         """Derivatives of Z by each size."""
         return [self.scale * self.unit(u, s)]
 
+    def slopes_at(self, u: np.ndarray, s: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Derivatives of Z by each size, and the derivatives of these by s, shapes ``(f, k, k)``."""
+        raise NotImplementedError
+
+    def size(self, u: np.ndarray) -> float:
+        """Its stiffness in the middle of the band, of a joint the part that loses energy [N/m]."""
+        Z = self.stiffness(u, np.array([1j * self.middle]))[0]
+        return float(Z[0, 0].imag if len(Z) == 1 else abs(Z[0, 1]))
+
     def as_catalogue(self, u: np.ndarray, covariance: np.ndarray) -> tuple[list[float], list[float], Any]:
         """Parameters of the catalogue's cause and their standard deviations."""
         std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -120,7 +147,15 @@ class SkewCoupling(LineForce):
 
     def unit(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
         """A skew matrix times s."""
-        return s[:, None, None] * np.array([[0.0, 1.0], [-1.0, 0.0]])
+        return s[:, None, None] * SKEW
+
+    def load(self, u: np.ndarray) -> Load:
+        """A skew damping matrix."""
+        return Load(self.basis, np.zeros((2, 2)), self.scale * u[0] * SKEW)
+
+    def slopes_at(self, u: np.ndarray, s: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """By its strength."""
+        return [(self.scale * self.unit(u, s), np.broadcast_to(self.scale * SKEW, (len(s), 2, 2)))]
 
 
 class LossyJoint(LineForce):
@@ -135,9 +170,30 @@ class LossyJoint(LineForce):
         """The imaginary unit."""
         return 1j * np.ones_like(s)[:, None, None]
 
+    def load(self, u: np.ndarray) -> Load:
+        """An imaginary stiffness."""
+        return Load(self.basis, np.full((1, 1), 1j * self.scale * u[0]), np.zeros((1, 1)))
 
+    def slopes_at(self, u: np.ndarray, s: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """By its strength."""
+        unit = self.scale * self.unit(u, s)
+        return [(unit, 0 * unit)]
+
+
+@dataclass(frozen=True)
 class RelaxingJoint(LineForce):
-    """A joint of a spring in series with a damper, whose time is sought too."""
+    """A joint of a spring in series with a damper, whose time is sought too.
+
+    Attributes
+    ----------
+    about
+        Logarithm of its usual time over that of mid-band.
+    width
+        Standard deviation of the logarithm of its time.
+    """
+
+    about: float = 0.0
+    width: float = DECADE
 
     @property
     def count(self) -> int:
@@ -152,10 +208,10 @@ class RelaxingJoint(LineForce):
     @property
     def starts(self) -> list[np.ndarray]:
         """Three times, a factor of three apart."""
-        return [np.array([0.0, x * math.log(3) / DECADE]) for x in (-1.0, 0.0, 1.0)]
+        return [np.array([0.0, x * math.log(3) / self.width]) for x in (-1.0, 0.0, 1.0)]
 
     def _time(self, u: np.ndarray) -> float:
-        return math.exp(float(np.clip(u[1], -4.0, 4.0)) * DECADE) / self.middle
+        return math.exp(self.about + float(np.clip(u[1], -4.0, 4.0)) * self.width) / self.middle
 
     def unit(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
         r""":math:`s\tau / (1 + s\tau)`."""
@@ -165,13 +221,25 @@ class RelaxingJoint(LineForce):
     def slopes_of_stiffness(self, u: np.ndarray, s: np.ndarray) -> list[np.ndarray]:
         """By strength and by the logarithm of the time."""
         x = s[:, None, None] * self._time(u)
-        return [self.scale * self.unit(u, s), self.scale * u[0] * DECADE * x / (1 + x) ** 2]
+        return [self.scale * self.unit(u, s), self.scale * u[0] * self.width * x / (1 + x) ** 2]
+
+    def load(self, u: np.ndarray) -> Load:
+        """A stiffness less what relaxes of it."""
+        k = self.scale * float(u[0])
+        return Load(self.basis, np.full((1, 1), k), np.zeros((1, 1)), k, 1 / self._time(u))
+
+    def slopes_at(self, u: np.ndarray, s: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """By strength and by the logarithm of the time."""
+        time = self._time(u)
+        x, (by_strength, by_time) = s[:, None, None] * time, self.slopes_of_stiffness(u, s)
+        grown = self.scale * u[0] * self.width * time * (1 - x) / (1 + x) ** 3
+        return [(by_strength, self.scale * time / (1 + x) ** 2), (by_time, grown)]
 
     def as_catalogue(self, u: np.ndarray, covariance: np.ndarray) -> tuple[list[float], list[float], Any]:
         """With its time; no stiffness lasts."""
         values, errors, extra = super().as_catalogue(u, covariance)
         spread = math.sqrt(max(float(covariance[1, 1]), 0.0))
-        return [*values, self._time(u), 0.0], [*errors, self._time(u) * DECADE * spread, 0.0], extra
+        return [*values, self._time(u), 0.0], [*errors, self._time(u) * self.width * spread, 0.0], extra
 
 
 class RovingMass(LineForce):
@@ -194,13 +262,41 @@ KINDS: dict[str, type[LineForce]] = {
 JOINTS = ("hysteretic_joint", "maxwell_joint")
 
 
+def loads_of(causes: Sequence[Change], u: np.ndarray) -> tuple[Load, ...]:
+    """Those among some causes that are such forces, as modes feel them."""
+    return tuple(cause.load(size) for cause, size in with_sizes(causes, u) if isinstance(cause, LineForce))
+
+
 def loaded(
-    cause: LineForce, u: np.ndarray, s: np.ndarray, own: np.ndarray, outer: np.ndarray, inner: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Responses to forces at outputs and inputs with the force; ``own`` is GB, shape ``(f, n, k)``."""
-    B, Z = cause.basis, cause.stiffness(u, s)
+    forces: Sequence[tuple[LineForce, np.ndarray]], s: np.ndarray, own: np.ndarray, outer: np.ndarray,
+    inner: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Responses to forces at outputs and inputs with some forces; ``own`` is GB of all, shape ``(f, n, k)``."""
+    B = np.concatenate([cause.basis for cause, _ in forces], axis=1)
+    Z, start = np.zeros((len(s), B.shape[1], B.shape[1]), complex), 0
+    for cause, u in forces:
+        end = start + cause.basis.shape[1]
+        Z[:, start:end, start:end] = cause.stiffness(u, s)
+        start = end
     T = np.linalg.solve(np.eye(B.shape[1]) + Z @ (B.T @ own), Z)
     return outer - own @ T.transpose(0, 2, 1) @ (B.T @ outer), inner - own @ T @ (B.T @ inner)
+
+
+def added_stiffness(forces: Sequence[tuple[LineForce, np.ndarray]], s: np.ndarray) -> np.ndarray | float:
+    """What forces add to the dynamic stiffness of all coordinates, shape ``(f, n, n)``."""
+    return sum(cause.basis @ cause.stiffness(u, s) @ cause.basis.T for cause, u in forces)
+
+
+def asked_of_modes(forces: Sequence[LineForce]) -> list[Change]:
+    """Those that modes tell of; a joint that relaxes about one of several times each, so that all are of one size."""
+    out: list[Change] = []
+    for f in forces:
+        if isinstance(f, RelaxingJoint):
+            weight = f.weight / len(TIMES)
+            out += [replace(f, weight=weight, about=k * APART, width=APART) for k in TIMES]
+        elif f.row is None:
+            out.append(f)
+    return out
 
 
 def line_forces(
@@ -213,10 +309,12 @@ def line_forces(
     mobile = (c.shapes[:, inside] ** 2).mean(axis=1)
     for slug in JOINTS:
         found += [
-            KINDS[slug](slug, where, k, weight=w, basis=b[:, None], middle=middle)
+            KINDS[slug](
+                slug, where, k, weight=w, basis=b[:, None], middle=middle, reference=middle * _doubling(c, b, inside)
+            )
             for where, b, k, w, held in springs
             if held
-        ]
+        ]  # fmt: skip
     some = [k for k, name in enumerate(dofs) if mobile[k] > 1e-6 * mobile.max()]
     if len(some) > FEW:
         some = [k for k in some if dofs[k] in {*outputs, *inputs}]
@@ -227,6 +325,11 @@ def line_forces(
             found.append(SkewCoupling("gyroscopic", (dofs[b], dofs[a]), size, basis=pair, middle=middle))
     masses = (roving_mass(c, name, k, c.outputs[k], low, high) for k, name in enumerate(outputs))
     return found + [mass for mass in masses if mass is not None]
+
+
+def _doubling(c: Coordinates, b: np.ndarray, inside: np.ndarray) -> float:
+    """Damper across a place that doubles the damping of one mode [N s/m]."""
+    return float((np.diag(c.damping)[inside] / np.maximum(b[inside] ** 2, 1e-300)).min())
 
 
 def roving_mass(

@@ -178,9 +178,7 @@ def _responses(
     solved = np.linalg.solve(Z, np.broadcast_to(every, (len(s), *every.shape)))
     o, i = len(c.outputs), len(c.inputs)
     outer, inner = solved[:, :, :o], solved[:, :, o : o + i]
-    for cause, size in forces[:1]:
-        outer, inner = loaded(cause, size, s, solved[:, :, o + i :], outer, inner)
-    return outer, inner
+    return loaded(forces, s, solved[:, :, o + i :], outer, inner) if forces else (outer, inner)
 
 
 def frf_on_lines(

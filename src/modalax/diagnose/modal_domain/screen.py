@@ -9,8 +9,10 @@ import numpy as np
 import scipy.optimize
 
 from modalax.diagnose.modal_domain.causes import Change, own_sizes
+from modalax.diagnose.modal_domain.coordinates import Modes, with_loads
 from modalax.diagnose.modal_domain.features import values_of
 from modalax.diagnose.modal_domain.fit import Fit
+from modalax.diagnose.modal_domain.line_forces import LineForce
 from modalax.diagnose.modal_domain.state import (
     Setting,
     State,
@@ -39,7 +41,9 @@ def finite(setting: Setting, candidates: list[Change]) -> tuple[np.ndarray, np.n
     sizes = np.array([-s for s in SIZES[::-1]] + [*SIZES])
     best, where = np.full(len(candidates), np.inf), np.zeros(len(candidates))
     for k, cause in enumerate(candidates):
-        if cause.kind:
+        if isinstance(cause, LineForce):
+            trials = _loaded(setting, state.modes, cause, sizes if cause.signed else sizes[sizes > 0])
+        elif cause.kind:
             trials = _changed(setting, cause, sizes)
         elif not cause.local:
             poles, plain = state.modes.poles, state.plain
@@ -89,7 +93,7 @@ def refined(setting: Setting, causes: list[Change], sizes: list[float]) -> list[
 
     def left(u: float, cause: Change) -> float:
         try:
-            r = state_at(setting, still, (cause,), np.array([u])).difference
+            r = state_at(setting, still, (cause,), cause.of_size(u)).difference
         except np.linalg.LinAlgError:
             return UNUSABLE
         h = shrink @ r
@@ -106,6 +110,21 @@ def refined(setting: Setting, causes: list[Change], sizes: list[float]) -> list[
             )
             u = float(found.x) if found.fun < UNUSABLE else u
         out.append(u)
+    return out
+
+
+def _loaded(
+    setting: Setting, modes: Modes, cause: LineForce, sizes: np.ndarray
+) -> list[tuple[float, np.ndarray, np.ndarray]]:  # fmt: skip
+    """Size, poles and residues of the simulation with each size of a force."""
+    out = []
+    for u in sizes:
+        try:
+            changed = with_loads(modes, (cause.load(cause.of_size(float(u))),))
+        except np.linalg.LinAlgError:
+            continue
+        if len(changed.poles) >= len(setting.features.poles):
+            out.append((float(u), changed.poles, changed.residues(setting.coordinates)))
     return out
 
 
@@ -161,7 +180,7 @@ def scores(setting: Setting, f: Fit, candidates: list[Change]) -> tuple[np.ndarr
     energy = np.maximum((G**2).sum(axis=0) - (apart**2).sum(axis=0), 0.0)
     gain = 0.5 * product**2 / (1 + energy) - 0.5 * np.log1p(energy)
     size = product / (1 + energy)
-    gain[[not c.linear for c in candidates]] = -np.inf
+    gain[impossible(candidates, size)] = -np.inf
     return gain, size
 
 
@@ -182,8 +201,14 @@ def replaced(setting: Setting, f: Fit, which: int, candidates: list[Change]) -> 
     product = G.T @ target - apart.T @ (half @ target)
     energy = np.maximum((G**2).sum(axis=0) - (apart**2).sum(axis=0), 0.0)
     gain = 0.5 * product**2 / (1 + energy) - 0.5 * np.log1p(energy)
-    gain[[not c.linear for c in candidates]] = -np.inf
-    return gain, product / (1 + energy)
+    size = product / (1 + energy)
+    gain[impossible(candidates, size)] = -np.inf
+    return gain, size
+
+
+def impossible(candidates: list[Change], size: np.ndarray) -> np.ndarray:
+    """Which causes have no size that acts in proportion, or none of its sign."""
+    return np.array([not c.linear or (u < 0 and not c.signed) for c, u in zip(candidates, size, strict=True)], bool)
 
 
 def errors_of(setting: Setting, f: Fit, candidates: list[Change]) -> np.ndarray:

@@ -22,7 +22,7 @@ from modalax.diagnose.modal_domain.levels.explain import Spot
 from modalax.diagnose.modal_domain.levels.laws import NAMED
 from modalax.diagnose.modal_domain.levels.seen import Seen, joint_and_structure, look_at_levels
 from modalax.diagnose.modal_domain.levels.slipping import Whole, whole_joint
-from modalax.diagnose.modal_domain.line_forces import KINDS
+from modalax.diagnose.modal_domain.line_forces import KINDS, asked_of_modes, line_forces
 from modalax.diagnose.modal_domain.measured import Measured, identify
 from modalax.diagnose.modal_domain.odd_output import OddOutput, odd_output
 from modalax.diagnose.modal_domain.places import candidates_of, springs_of
@@ -141,6 +141,10 @@ def run_stage(
     pairs = None if simulation.pairs is None else list(simulation.pairs)
     every = candidates_of(simulation, c, measurement.outputs, measurement.inputs, pairs, highest)
     every += further_of(simulation, c, measured, measurement.outputs)
+    places = springs_of(simulation, c, nodes_of(simulation.dofs), pairs, highest)
+    low, high = (float(abs(measured.channels.s[k])) for k in (0, -1))
+    forces = line_forces(c, simulation.dofs, measurement.outputs, measurement.inputs, places, low, high)
+    every += asked_of_modes(forces)
     candidates = [k for k in every if wanted(k.slug)]
     H, level = np.asarray(measurement.H), np.asarray(measurement.level)
     first = late.part(FIRST_SHARE) if len(H) > 1 else late
@@ -149,7 +153,6 @@ def run_stage(
         return None
     odd = None if late() else odd_output(setting, explanations, measurement.outputs)
     setting, explanations = leading_on_lines(setting, explanations, measured, late)
-    places = springs_of(simulation, c, nodes_of(simulation.dofs), pairs, highest)
     spots = [Spot(where, b, w, held) for where, b, _, w, held in places]
     seen = None
 

@@ -13,13 +13,16 @@ from modalax.diagnose.modal_domain.coordinates import (
     Modes,
     Slopes,
     direction_slopes,
+    load_slopes,
     modes_of,
     pattern_slopes,
     slopes_of,
+    with_loads,
 )
 from modalax.diagnose.modal_domain.features import Features, paired, slopes_of_values, values_of
 from modalax.diagnose.modal_domain.further_causes import MissingMode
 from modalax.diagnose.modal_domain.inaccuracy import KINDS, Inaccuracy
+from modalax.diagnose.modal_domain.line_forces import LineForce, loads_of
 
 WILD = 1e12  # factor on a channel that no fault has
 UNSEEN = 1e-12  # residues of a mode, relative to the largest of all, below which no channel sees it
@@ -69,7 +72,7 @@ class Setting:
         """
         c, f = self.coordinates, self.features
         modes = modes_of(c)
-        residues = np.einsum("ko,ki->koi", modes.vectors @ c.outputs.T, modes.vectors @ c.inputs.T)
+        residues = modes.residues(c)
         if len(modes.poles) < len(f.poles):
             return np.full(len(f.poles), np.nan)
         size = lambda A: np.sqrt((np.abs(A / f.units) ** 2).sum(axis=(1, 2)))
@@ -212,8 +215,8 @@ def state_at(
         If the changed mass is not positive, or fewer modes are left than were measured.
     """
     c, f = setting.coordinates, setting.features
-    modes = modes_of(c, **changes_of(setting, sizes, causes, u))
-    plain = np.einsum("ko,ki->koi", modes.vectors @ c.outputs.T, modes.vectors @ c.inputs.T)
+    modes = with_loads(modes_of(c, **changes_of(setting, sizes, causes, u)), loads_of(causes, u))
+    plain = modes.residues(c)
     seen = np.abs(plain).max(axis=(1, 2), initial=0.0)
     needed = np.isnan(setting.linear).sum() - sum(cause.freed is not None for cause in causes)
     if np.count_nonzero(seen > UNSEEN * seen.max(initial=0.0)) < needed:  # the spare coordinate is none
@@ -241,6 +244,11 @@ def slopes_at(setting: Setting, state: State, causes: tuple[Change, ...] = (), u
         if not cause.local:
             columns.append(_channel_slope(setting, state, t, causes, u, k))
             continue
+        if isinstance(cause, LineForce):
+            for change, slope in cause.slopes_at(size, t.poles):
+                moved = load_slopes(t, cause.basis[None], change[:, None], slope[:, None])
+                columns.append(feature_slopes(setting, state, t, causes, u, *moved))
+            continue
         for by in cause.slopes(size):
             moves = zip(*(pattern_slopes(t, kind, change[None]) for kind, change in by.items()), strict=True)
             columns.append(feature_slopes(setting, state, t, causes, u, *(sum(m) for m in moves)))
@@ -267,10 +275,23 @@ def screening_slopes(
         if whole:
             moved = pattern_slopes(t, kind, np.stack([candidates[k].matrix for k in whole]))
             out[:, whole] = feature_slopes(setting, state, t, causes, u, *moved)
+    for some in _alike([k for k, c in enumerate(candidates) if isinstance(c, LineForce) and c.linear], candidates):
+        forces = [candidates[k] for k in some]
+        by = [f.slopes_at(f.of_size(0.0), t.poles)[0] for f in forces if isinstance(f, LineForce)]
+        change, slope = (np.stack(parts, axis=1) for parts in zip(*by, strict=True))
+        basis = np.stack([f.basis for f in forces if isinstance(f, LineForce)])
+        out[:, some] = feature_slopes(setting, state, t, causes, u, *load_slopes(t, basis, change, slope))
     for k, c in enumerate(candidates):
         if c.in_channels and c.linear:
             out[:, k] += _channel_slope(setting, state, t, (*causes, c), np.append(u, 0.0), len(causes))[:, 0]
     return whitened(setting, out, causes)
+
+
+def _alike(which: list[int], candidates: list[Change]) -> list[list[int]]:
+    """Forces of as many directions each, a number of them at once."""
+    kinds = {candidates[k].slug for k in which}
+    groups = [[k for k in which if candidates[k].slug == slug] for slug in sorted(kinds)]
+    return [group[start : start + 200] for group in groups for start in range(0, len(group), 200)]
 
 
 def feature_slopes(

@@ -23,6 +23,7 @@ import numpy as np
 from modalax.diagnose.modal_domain.causes import shown, with_sizes
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.fit import Fit
+from modalax.diagnose.modal_domain.line_forces import LineForce, added_stiffness, loaded
 from modalax.diagnose.modal_domain.state import Setting, matrices_of
 
 LINES = 256  # lines solved at once
@@ -84,6 +85,8 @@ class Base:
         FRF of that model, shape ``(f, o, i)``.
     matrices
         Mass, damping and stiffness in modal coordinates.
+    forces
+        Linear forces at one place each that are no part of these, with their sizes.
     """
 
     s: np.ndarray
@@ -91,17 +94,19 @@ class Base:
     inn: np.ndarray
     H: np.ndarray
     matrices: tuple[np.ndarray, np.ndarray, np.ndarray]
+    forces: tuple[tuple[LineForce, np.ndarray], ...] = ()
 
     def thinned(self, step: int) -> "Base":
         """Every so many lines."""
-        return Base(self.s[::step], self.out[::step], self.inn[::step], self.H[::step], self.matrices)
+        every = slice(None, None, step)
+        return Base(self.s[every], self.out[every], self.inn[every], self.H[every], self.matrices, self.forces)
 
     def across(self, b: np.ndarray, times: float = 1.0, step: int = 1) -> np.ndarray:
         """Receptance across places ``(p, n)``, shape ``(f, p)`` [m/N], at every so many lines, times a factor."""
         M, C, K = self.matrices
         parts = []
         for s in np.array_split(times * self.s[::step], max(1, len(self.s) // LINES)):
-            Z = K + s[:, None, None] * C + s[:, None, None] ** 2 * M
+            Z = K + s[:, None, None] * C + s[:, None, None] ** 2 * M + added_stiffness(self.forces, s)
             parts.append(np.einsum("pn,fnp->fp", b, np.linalg.solve(Z, np.broadcast_to(b.T, (len(s), *b.T.shape)))))
         return np.concatenate(parts)
 
@@ -111,13 +116,17 @@ def base_of(setting: Setting, f: Fit, freq: np.ndarray, order: int) -> Base:
     c: Coordinates = setting.coordinates
     M, C, K = matrices_of(setting, f.sizes, f.causes, f.u)
     s = 2j * np.pi * freq
-    both = np.concatenate([c.outputs, c.inputs]).T
+    forces = tuple((k, x) for k, x in with_sizes(f.causes, f.u) if isinstance(k, LineForce))
+    both = np.concatenate([c.outputs, c.inputs, *(cause.basis.T for cause, _ in forces)]).T
     parts = np.array_split(s, max(1, len(s) // LINES))
     stiff = [K + t[:, None, None] * C + t[:, None, None] ** 2 * M for t in parts]
     solved = np.concatenate([np.linalg.solve(Z, np.broadcast_to(both, (len(Z), *both.shape))) for Z in stiff])
-    count = len(c.outputs)
+    count, end = len(c.outputs), len(c.outputs) + len(c.inputs)
+    outer, inn = solved[:, :, :count], solved[:, :, count:end]
+    if forces:
+        outer, inn = loaded(forces, s, solved[:, :, end:], outer, inn)
     form = s[:, None, None] ** order
-    out, inn = solved[:, :, :count].transpose(0, 2, 1) * form, solved[:, :, count:]
+    out = outer.transpose(0, 2, 1) * form
     H = shown(f.causes, f.u, s, c.outputs @ inn * form)
     for cause, u in with_sizes(f.causes, f.u):
         if cause.local:
@@ -126,7 +135,7 @@ def base_of(setting: Setting, f: Fit, freq: np.ndarray, order: int) -> Base:
             inn = cause.transform(u, s, inn)
         else:
             out = cause.transform(u, s, out)
-    return Base(s, out, inn, H, (M, C, K))
+    return Base(s, out, inn, H, (M, C, K), forces)
 
 
 @dataclass(frozen=True)
