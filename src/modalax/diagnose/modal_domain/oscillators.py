@@ -1,14 +1,19 @@
-"""Where an attached oscillator may sit, by finite sizes: its places are screened once a measured mode is too many."""
+r"""Where an attached oscillator may sit, by finite sizes: its places are screened once a measured mode is too many.
+
+A light one has the pole that was measured, and at each place just one mass makes the residue as large as it was
+measured: residues of its own mode grow as the mass.
+"""
 
 import numpy as np
 
 from modalax.diagnose.modal_domain.causes import Change
-from modalax.diagnose.modal_domain.further_causes import TunedMass
+from modalax.diagnose.modal_domain.further_causes import FACTOR, ZETA, TunedMass
 from modalax.diagnose.modal_domain.screen import STILL, distance, tolerance
 from modalax.diagnose.modal_domain.state import Setting
 
 NEAR = (0.88, 0.94, 0.98, 1.0, 1.02, 1.06, 1.12)  # frequencies that are tried, over that of the mode too many
 MASSES = (0.1, 0.4, 1.0)  # roots of masses that are tried, over the usual
+LIGHT = 0.02  # root of a mass, over the usual, that changes no other mode
 LEADING = 6  # places that are fitted
 
 
@@ -25,6 +30,7 @@ def oscillators(
         trials = [
             np.array([u, np.log(near_to * near / cause.middle) / cause.width, 0.0]) for u in MASSES for near in NEAR
         ]
+        trials.append(_light(setting, cause, extra.freed))
         values = [
             distance(setting, shrink, poles, residues) + float(u @ u)
             for u, (poles, residues) in zip(trials, _modes(setting, cause, trials), strict=True)
@@ -33,6 +39,18 @@ def oscillators(
         found.append((values[best], cause, trials[best]))
     found.sort(key=lambda one: one[0])
     return [(cause, u) for _, cause, u in found[:LEADING]]
+
+
+def _light(setting: Setting, cause: TunedMass, mode: int) -> np.ndarray:
+    """Sizes of a light oscillator whose own mode is as large as a measured one."""
+    f = setting.features
+    pole = f.poles[mode]
+    zeta = np.log(max(-pole.real / abs(pole), 1e-6) / ZETA) / FACTOR
+    u = np.array([LIGHT, np.log(abs(pole) / cause.middle) / cause.width, zeta])
+    ((poles, residues),) = _modes(setting, cause, [u])
+    own = residues[np.argmin(np.abs(poles - pole))] / f.units[mode]
+    larger = np.linalg.norm(f.residues[mode]) / max(float(np.linalg.norm(own)), 1e-300)
+    return np.array([min(LIGHT * np.sqrt(larger), max(MASSES)), *u[1:]])
 
 
 def _modes(setting: Setting, cause: TunedMass, trials: list[np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:
