@@ -196,8 +196,9 @@ def usual_size(
     slug
         The cause.
     whole
-        Stiffness [N/m], mass [kg] or damping [N s/m] that the simulation has at the place, of joints that lose energy the
-        damping times the circular frequency in the middle of the band [N/m]; 1 for a relative change of a whole element.
+        Stiffness [N/m], mass [kg] or damping [N s/m] that the simulation has at the place, for joints that lose energy
+        the damping times the circular frequency in the middle of the band [N/m]; 1 for a relative change of a whole
+        element.
     inaccuracy
         General relative inaccuracy by ``stiffness``, ``mass`` and ``damping``.
     highest

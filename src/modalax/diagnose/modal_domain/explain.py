@@ -135,12 +135,12 @@ def further(
         Size that it is fitted from.
     """
     found = {_key(e.causes): e.fit for e in explanations}
-    best = explanations[0].fit
+    best, own = explanations[0].fit, cause.of_size(u)
     for k in range(len(best.causes)):
         kept = tuple(c for j, c in enumerate(best.causes) if j != k)
-        _try(setting, found, (*kept, cause), np.append(_without(best, k), cause.of_size(u)), without_causes(best), gentle=False)
+        _try(setting, found, (*kept, cause), np.append(_without(best, k), own), without_causes(best), gentle=False)
     if len(best.causes) < MOST:
-        _try(setting, found, (*best.causes, cause), np.append(best.u, cause.of_size(u)), without_causes(best), gentle=False)
+        _try(setting, found, (*best.causes, cause), np.append(best.u, own), without_causes(best), gentle=False)
     left = {id(e.fit): e.misfit for e in explanations}
     return [replace(e, misfit=left.get(id(e.fit), e.misfit)) for e in _ranked(found, Prior(candidates))]
 
@@ -249,9 +249,7 @@ def _try(
     best = max((f.log_evidence for f in found.values()), default=-np.inf)
     trial = fit(setting, causes, start, u, **temperatures, best_else=best)
     key = _key(causes)
-    if trial is not None and not _possible(trial):
-        return
-    if trial is not None and (key not in found or trial.log_evidence > found[key].log_evidence):
+    if trial is not None and _possible(trial) and (key not in found or trial.log_evidence > found[key].log_evidence):
         found[key] = trial
 
 

@@ -6,14 +6,16 @@ at which they act, the dynamic stiffness
 .. math:: Z(s) = K_0 + sC_0 - \kappa\,r/(s + r),
 
 so that poles and both kinds of vectors, right :math:`T(\lambda)\phi=0` and left :math:`\psi^TT(\lambda)=0` of the whole
-dynamic stiffness :math:`T`, follow from one linear problem with a further state for what relaxes. Near a pole
-:math:`T^{-1}(s) = \phi\psi^T/(s-\lambda) + G + \dots` with :math:`\psi^TT'\phi=1` (Tisseur and Meerbergen 2001, SIAM Review
-43:235, for the quadratic problem); the powers of :math:`s-\lambda` in :math:`TT^{-1}=I` give
+dynamic stiffness :math:`T`, follow from one linear problem with a further state for what relaxes (Tisseur and
+Meerbergen 2001, SIAM Review 43:235, for what does not). Near a pole
+:math:`T^{-1}(s) = \phi\psi^T/(s-\lambda) + G + \dots` with :math:`\psi^TT'\phi=1`; the powers of
+:math:`s-\lambda` in :math:`TT^{-1}=I` give
 :math:`TG = I - T'\phi\,\psi^T` and :math:`\psi^TT'G = -(\psi^T\tfrac12T''\phi)\,\psi^T`.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -23,7 +25,7 @@ REAL = 1e-6  # imaginary part of a pole, over the highest frequency, below which
 
 @dataclass(frozen=True)
 class Load:
-    """One such force.
+    r"""One such force.
 
     Attributes
     ----------
@@ -32,7 +34,7 @@ class Load:
     stiffness, damping
         :math:`K_0` and :math:`C_0`, shapes ``(k, k)``.
     relaxing, rate
-        :math:`\\kappa` of each direction, and r [1/s].
+        :math:`\kappa` of each direction, and r [1/s].
     """
 
     basis: np.ndarray
@@ -77,7 +79,8 @@ def loaded_modes(
         state[n : 2 * n, 2 * n + k] = load.relaxing * b
         state[2 * n + k, :n] = load.rate * b / unit
         state[2 * n + k, 2 * n + k] = -load.rate
-    poles, left, right = scipy.linalg.eig(state, left=True, right=True)
+    both: Any = scipy.linalg.eig(state, left=True, right=True)
+    poles, left, right = both
     up = poles.imag > REAL * w.max()
     order = np.flatnonzero(up)[np.argsort(np.abs(poles[up]))]
     poles, right, left = poles[order], right[n : 2 * n, order].T, left[n : 2 * n, order].conj().T
