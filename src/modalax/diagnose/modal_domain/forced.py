@@ -17,12 +17,10 @@ import numpy as np
 from modalax.data import Measurement
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import Change
-from modalax.diagnose.modal_domain.elements import nodes_of
 from modalax.diagnose.modal_domain.explain import SECOND, Explanation, Prior
 from modalax.diagnose.modal_domain.fit import Fit
-from modalax.diagnose.modal_domain.line_forces import LineForce, line_forces
+from modalax.diagnose.modal_domain.line_forces import LineForce, roving_masses
 from modalax.diagnose.modal_domain.measured import channels_of
-from modalax.diagnose.modal_domain.places import springs_of
 from modalax.diagnose.modal_domain.polish import (
     Lines,
     OnLines,
@@ -84,15 +82,16 @@ class Trial:
 def force_beside(
     stage: Stage, measurement: Measurement, wanted: Callable[[str], bool], late: Deadline, tell: Callable[[str], None]
 ) -> Forced | None:  # fmt: skip
-    """The force that explains what the modes of a stage do not; None where none does, or where runs differ."""
+    """The force that explains what the modes of a stage do not; None where none does, or where runs differ.
+
+    Only forces that modes are not asked about: of those that they are, one that they do not show would stand for an
+    error of no element.
+    """
     found, c, m = stage.measured, stage.coordinates, measurement
     if len(found.runs) < len(m.H) or (stage.seen is not None and stage.seen.joint is not None):
         return None
-    pairs = None if stage.simulation.pairs is None else list(stage.simulation.pairs)
     low, high = (2 * np.pi * float(found.freq[k]) for k in (0, -1))
-    dofs = stage.simulation.dofs
-    springs = springs_of(stage.simulation, c, nodes_of(dofs), pairs, high)
-    forces = [f for f in line_forces(c, dofs, m.outputs, m.inputs, springs, low, high) if wanted(f.slug)]
+    forces = [f for f in roving_masses(c, m.outputs, low, high) if wanted(f.slug)]
     if not forces:
         return None
     own = found.channels

@@ -323,8 +323,13 @@ def line_forces(
             size = COUPLED * middle / math.sqrt(mobile[a] * mobile[b])
             pair = c.shapes[[b, a]].T
             found.append(SkewCoupling("gyroscopic", (dofs[b], dofs[a]), size, basis=pair, middle=middle))
+    return found + roving_masses(c, outputs, low, high)
+
+
+def roving_masses(c: Coordinates, outputs: Sequence[str], low: float, high: float) -> list[LineForce]:
+    """The mass of a sensor at each output, the only such force that is no matter of the structure's modes."""
     masses = (roving_mass(c, name, k, c.outputs[k], low, high) for k, name in enumerate(outputs))
-    return found + [mass for mass in masses if mass is not None]
+    return [mass for mass in masses if mass is not None]
 
 
 def _doubling(c: Coordinates, b: np.ndarray, inside: np.ndarray) -> float:
