@@ -1,4 +1,4 @@
-"""Forces at one place that depend on frequency: found on the lines, in a chain whose every element is off."""
+"""Forces at one place that depend on frequency: in the modes and on the lines of a chain whose every element is off."""
 
 import numpy as np
 import pytest
@@ -93,6 +93,16 @@ def test_it_is_named_with_its_place_and_size(slug):
         assert told["value"] == pytest.approx(true, abs=4 * told["std"]) and told["std"] < 0.1 * true
     again = found.extended.frf(found.freq, form="accelerance", outputs=data.outputs, inputs=data.inputs)
     assert np.abs(again.H - found.predicted_after[0]).max() < 0.02 * np.abs(found.predicted_after).max()
+
+
+def test_a_weak_joint_that_loses_energy_is_no_damper():
+    lines = FREQ[::2]
+    data = as_measured(response(*chain_off(8, 0.02), lines, 4e3j * np.outer(B, B)), lines, 8)
+    found = diagnose_modes(data, simulation())
+    assert found.verdict == "named"
+    assert [(c["name"], c["where"]) for c in found.causes] == [("hysteretic_joint", ["2:+Z", "3:+Z"])]
+    told = found.causes[0]["parameters"]["loss_stiffness"]
+    assert told["value"] == pytest.approx(4e3, abs=4 * told["std"])
 
 
 def test_nothing_is_looked_for_where_the_modes_leave_only_noise(monkeypatch):
