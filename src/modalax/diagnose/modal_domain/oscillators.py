@@ -14,7 +14,7 @@ from modalax.diagnose.modal_domain.state import Setting
 NEAR = (0.88, 0.94, 0.98, 1.0, 1.02, 1.06, 1.12)  # frequencies that are tried, over that of the mode too many
 MASSES = (0.1, 0.4, 1.0)  # roots of masses that are tried, over the usual
 LIGHT = 0.02  # root of a mass, over the usual, that changes no other mode
-LEADING = 6  # places that are fitted
+LEADING = 6  # places that are fitted, of light and of heavy ones each
 
 
 def oscillators(
@@ -23,7 +23,9 @@ def oscillators(
     """Leading places of an oscillator near the pole of the mode that is too many, with sizes to start from."""
     assert extra.freed is not None
     near_to = abs(setting.features.poles[extra.freed])
-    shrink, found = tolerance(setting, lacking=(extra,))[1], []
+    shrink = tolerance(setting, lacking=(extra,))[1]
+    heavy: list[tuple[float, TunedMass, np.ndarray]] = []
+    light: list[tuple[float, TunedMass, np.ndarray]] = []
     for cause in candidates:
         if not isinstance(cause, TunedMass):
             continue
@@ -35,10 +37,12 @@ def oscillators(
             distance(setting, shrink, poles, residues) + float(u @ u)
             for u, (poles, residues) in zip(trials, _modes(setting, cause, trials), strict=True)
         ]
-        best = int(np.argmin(values))
-        found.append((values[best], cause, trials[best]))
-    found.sort(key=lambda one: one[0])
-    return [(cause, u) for _, cause, u in found[:LEADING]]
+        best = int(np.argmin(values[:-1]))
+        heavy.append((values[best], cause, trials[best]))
+        light.append((values[-1], cause, trials[-1]))
+    # each kind by itself: a light one fits its own mode wherever it is, and would crowd out heavy ones
+    leading = [sorted(kind, key=lambda one: one[0])[:LEADING] for kind in (light, heavy)]
+    return [(cause, u) for kind in leading for _, cause, u in kind]
 
 
 def _light(setting: Setting, cause: TunedMass, mode: int) -> np.ndarray:
