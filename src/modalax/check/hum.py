@@ -23,8 +23,9 @@ CHANCE, LEAST_SHARE, LEAST_DAMPING, HIGH = 1e-6, 0.05, 2e-4, 36.0
 LOWEST, NEAR = 3, 0.25
 # Power of what the modes leave, over the noise, from which on they do not explain the lines around.
 UNEXPLAINED = 30.0
-# Chance that so many of the single lines of all frequencies are multiples, from which on it may be no hum.
-COINCIDENCE = 1e-3
+# Chance of noise alone below which a line stands out; chance that so many of the single lines of all frequencies are
+# multiples, from which on they may be no hum.
+SEEN, COINCIDENCE = 1e-3, 1e-3
 
 
 def hum(study: Study) -> Iterator[Finding]:
@@ -51,7 +52,7 @@ def hum(study: Study) -> Iterator[Finding]:
         total = -2 * sum(np.log(chance) for _, chance in told)
         together = float(chi2.sf(total, 2 * len(multiples)))
         score = -np.log10(max(min(together, len(multiples) * min(c for _, c in told)), 1e-300)) / -np.log10(CHANCE)
-        lines = [f for f, chance in told if _stands_out(chance, True)]
+        lines = [f for f, chance in told if chance < SEEN]
         which = _strongest(study, power, lines, float(step))
         if unresolved and not any(_again(study, k) for k in which) and _coincidence(study, power, mains, float(step)):
             continue
@@ -131,14 +132,11 @@ def _chance(study: Study, power: np.ndarray, multiple: float, step: float) -> tu
 def _coincidence(study: Study, power: np.ndarray, mains: float, step: float) -> bool:
     """Whether lines that stand out anywhere, as modes narrower than a line do, would fall at multiples by chance."""
     peaks = np.flatnonzero((power > np.roll(power, 1)) & (power > np.roll(power, -1)))
-    alone = [k for k in peaks if _stands_out(*_chance(study, power, float(study.freq[k]), step))]
+    chances = [(k, *_chance(study, power, float(study.freq[k]), step)) for k in peaks]
+    alone = [k for k, chance, told in chances if told and chance < SEEN]
     multiples = mains * np.arange(1, int(study.freq[-1] / mains) + 1)
     at = np.unique(np.concatenate([_near(study, f, step) for f in multiples]))
     return float(binom.sf(np.isin(alone, at).sum() - 1, len(alone), len(at) / len(power))) > COINCIDENCE
-
-
-def _stands_out(chance: float, alone: bool) -> bool:
-    return alone and chance < 1e-3
 
 
 def _near(study: Study, multiple: float, step: float) -> np.ndarray:

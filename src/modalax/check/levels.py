@@ -24,7 +24,8 @@ def clipped(study: Study) -> Iterator[Finding]:
         study.sigma[high] / (np.abs(study.H[high]) + 1e-300), study.sigma[low] / (np.abs(study.H[low]) + 1e-300)
     )
     for o, name in enumerate(study.outputs):
-        size = np.where(noise[:, o] < CLEAR, np.abs(study.H[low, :, o]), 0.0)
+        clear = noise[:, o] < CLEAR
+        size = np.where(clear, np.abs(study.H[low, :, o]), 0.0)
         lines, columns = np.nonzero(size > LOUD * max(size.max(), np.finfo(float).tiny))
         count = len(lines)
         # The other outputs at the same lines are the reference, because a non-linear structure changes them all.
@@ -43,9 +44,7 @@ def clipped(study: Study) -> Iterator[Finding]:
         loss = expected - ratio[lines, o, columns]
         mean = float(np.sum(loss / spread**2) / np.sum(1 / spread**2))
         std = float(1 / np.sqrt(np.sum(1 / spread**2)))
-        quiet = (
-            np.median(expected) - np.median(ratio[:, o][noise[:, o] < CLEAR]) if np.any(noise[:, o] < CLEAR) else 0.0
-        )
+        quiet = np.median(expected) - np.median(ratio[:, o][clear]) if clear.any() else 0.0
         scatter = float(np.median(np.abs(loss - mean)))
         score = mean / max(LOSS, SURE * std, 0.7 * scatter)
         if score > 1 and abs(quiet) < 0.6 * mean + 0.02:

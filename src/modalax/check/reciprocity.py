@@ -43,9 +43,8 @@ def reciprocity(study: Study) -> Iterator[Finding]:
         yield late
         return
     wild = {key for key, (*_, excess) in pairs.items() if excess > 1}
-    exchange = (
-        _exchange(study, pairs, wild) if wild and not single_frf(study, [pairs[key][:2] for key in wild]) else None
-    )
+    alone = single_frf(study, [pairs[key][:2] for key in wild])
+    exchange = _exchange(study, pairs, wild) if wild and not alone else None
     if exchange is not None:
         yield exchange
         return

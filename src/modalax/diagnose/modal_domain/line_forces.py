@@ -9,6 +9,7 @@ have modes of their own then.
 """
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -73,10 +74,6 @@ class LineForce(Change):
         """None that is symmetric and of one matrix."""
         return {}
 
-    def load(self, u: np.ndarray) -> Load:
-        """Its dynamic stiffness by parts, from which modes follow."""
-        raise NotImplementedError
-
     @property
     def count(self) -> int:
         """Its strength alone."""
@@ -109,10 +106,6 @@ class LineForce(Change):
         """Derivatives of Z by each size."""
         return [self.scale * self.unit(u, s)]
 
-    def slopes_at(self, u: np.ndarray, s: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Derivatives of Z by each size, and the derivatives of these by s, shapes ``(f, k, k)``."""
-        raise NotImplementedError
-
     def size(self, u: np.ndarray) -> float:
         """Its stiffness in the middle of the band, of a joint the part that loses energy [N/m]."""
         Z = self.stiffness(u, np.array([1j * self.middle]))[0]
@@ -132,7 +125,20 @@ class LineForce(Change):
         }  # fmt: skip
 
 
-class SkewCoupling(LineForce):
+class ModalForce(LineForce, ABC):
+    """A force on the structure itself, with which modes are computed."""
+
+    @abstractmethod
+    def load(self, u: np.ndarray) -> Load:
+        """Its dynamic stiffness by parts, from which modes follow."""
+
+    def slopes_at(self, u: np.ndarray, s: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Derivatives of Z [N/m] by each size, and the derivatives of these by s, shapes ``(f, k, k)``."""
+        by_strength, slope, _ = self.load(np.append(1.0, u[1:])).expanded(s)  # Z grows in proportion to the strength
+        return [(by_strength, slope)]
+
+
+class SkewCoupling(ModalForce):
     """A gyroscopic coupling of two degrees of freedom, of either sign."""
 
     @property
@@ -153,12 +159,8 @@ class SkewCoupling(LineForce):
         """A skew damping matrix."""
         return Load(self.basis, np.zeros((2, 2)), self.scale * u[0] * SKEW)
 
-    def slopes_at(self, u: np.ndarray, s: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """By its strength."""
-        return [(self.scale * self.unit(u, s), np.broadcast_to(self.scale * SKEW, (len(s), 2, 2)))]
 
-
-class LossyJoint(LineForce):
+class LossyJoint(ModalForce):
     """A joint that loses energy alike at all frequencies."""
 
     @property
@@ -174,14 +176,9 @@ class LossyJoint(LineForce):
         """An imaginary stiffness."""
         return Load(self.basis, np.full((1, 1), 1j * self.scale * u[0]), np.zeros((1, 1)))
 
-    def slopes_at(self, u: np.ndarray, s: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """By its strength."""
-        unit = self.scale * self.unit(u, s)
-        return [(unit, 0 * unit)]
-
 
 @dataclass(frozen=True)
-class RelaxingJoint(LineForce):
+class RelaxingJoint(ModalForce):
     """A joint of a spring in series with a damper, whose time is sought too.
 
     Attributes
@@ -231,9 +228,9 @@ class RelaxingJoint(LineForce):
     def slopes_at(self, u: np.ndarray, s: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """By strength and by the logarithm of the time."""
         time = self._time(u)
-        x, (by_strength, by_time) = s[:, None, None] * time, self.slopes_of_stiffness(u, s)
+        x, by_time = s[:, None, None] * time, self.slopes_of_stiffness(u, s)[1]
         grown = self.scale * u[0] * self.width * time * (1 - x) / (1 + x) ** 3
-        return [(by_strength, self.scale * time / (1 + x) ** 2), (by_time, grown)]
+        return [*super().slopes_at(u, s), (by_time, grown)]
 
     def as_catalogue(self, u: np.ndarray, covariance: np.ndarray) -> tuple[list[float], list[float], Any]:
         """With its time; no stiffness lasts."""
@@ -264,7 +261,7 @@ JOINTS = ("hysteretic_joint", "maxwell_joint")
 
 def loads_of(causes: Sequence[Change], u: np.ndarray) -> tuple[Load, ...]:
     """Those among some causes that are such forces, as modes feel them."""
-    return tuple(cause.load(size) for cause, size in with_sizes(causes, u) if isinstance(cause, LineForce))
+    return tuple(cause.load(size) for cause, size in with_sizes(causes, u) if isinstance(cause, ModalForce))
 
 
 def loaded(
@@ -294,7 +291,7 @@ def asked_of_modes(forces: Sequence[LineForce]) -> list[Change]:
         if isinstance(f, RelaxingJoint):
             weight = f.weight / len(TIMES)
             out += [replace(f, weight=weight, about=k * APART, width=APART) for k in TIMES]
-        elif f.row is None:
+        elif isinstance(f, ModalForce):
             out.append(f)
     return out
 

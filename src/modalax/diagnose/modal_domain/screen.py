@@ -12,7 +12,7 @@ from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.coordinates import Modes, with_loads
 from modalax.diagnose.modal_domain.features import values_of
 from modalax.diagnose.modal_domain.fit import Fit
-from modalax.diagnose.modal_domain.line_forces import LineForce
+from modalax.diagnose.modal_domain.line_forces import ModalForce
 from modalax.diagnose.modal_domain.state import (
     Setting,
     State,
@@ -41,7 +41,7 @@ def finite(setting: Setting, candidates: list[Change]) -> tuple[np.ndarray, np.n
     sizes = np.array([-s for s in SIZES[::-1]] + [*SIZES])
     best, where = np.full(len(candidates), np.inf), np.zeros(len(candidates))
     for k, cause in enumerate(candidates):
-        if isinstance(cause, LineForce):
+        if isinstance(cause, ModalForce):
             trials = _loaded(setting, state.modes, cause, sizes if cause.signed else sizes[sizes > 0])
         elif cause.kind:
             trials = _changed(setting, cause, sizes)
@@ -114,7 +114,7 @@ def refined(setting: Setting, causes: list[Change], sizes: list[float]) -> list[
 
 
 def _loaded(
-    setting: Setting, modes: Modes, cause: LineForce, sizes: np.ndarray
+    setting: Setting, modes: Modes, cause: ModalForce, sizes: np.ndarray
 ) -> list[tuple[float, np.ndarray, np.ndarray]]:  # fmt: skip
     """Size, poles and residues of the simulation with each size of a force."""
     out = []

@@ -22,7 +22,7 @@ from modalax.diagnose.modal_domain.coordinates import (
 from modalax.diagnose.modal_domain.features import Features, paired, slopes_of_values, values_of
 from modalax.diagnose.modal_domain.further_causes import MissingMode
 from modalax.diagnose.modal_domain.inaccuracy import KINDS, Inaccuracy
-from modalax.diagnose.modal_domain.line_forces import LineForce, loads_of
+from modalax.diagnose.modal_domain.line_forces import ModalForce, loads_of
 
 WILD = 1e12  # factor on a channel that no fault has
 UNSEEN = 1e-12  # residues of a mode, relative to the largest of all, below which no channel sees it
@@ -244,7 +244,7 @@ def slopes_at(setting: Setting, state: State, causes: tuple[Change, ...] = (), u
         if not cause.local:
             columns.append(_channel_slope(setting, state, t, causes, u, k))
             continue
-        if isinstance(cause, LineForce):
+        if isinstance(cause, ModalForce):
             for change, slope in cause.slopes_at(size, t.poles):
                 moved = load_slopes(t, cause.basis[None], change[:, None], slope[:, None])
                 columns.append(feature_slopes(setting, state, t, causes, u, *moved))
@@ -275,11 +275,11 @@ def screening_slopes(
         if whole:
             moved = pattern_slopes(t, kind, np.stack([candidates[k].matrix for k in whole]))
             out[:, whole] = feature_slopes(setting, state, t, causes, u, *moved)
-    for some in _alike([k for k, c in enumerate(candidates) if isinstance(c, LineForce) and c.linear], candidates):
+    for some in _alike([k for k, c in enumerate(candidates) if isinstance(c, ModalForce)], candidates):
         forces = [candidates[k] for k in some]
-        by = [f.slopes_at(f.of_size(0.0), t.poles)[0] for f in forces if isinstance(f, LineForce)]
+        by = [f.slopes_at(f.of_size(0.0), t.poles)[0] for f in forces if isinstance(f, ModalForce)]
         change, slope = (np.stack(parts, axis=1) for parts in zip(*by, strict=True))
-        basis = np.stack([f.basis for f in forces if isinstance(f, LineForce)])
+        basis = np.stack([f.basis for f in forces if isinstance(f, ModalForce)])
         out[:, some] = feature_slopes(setting, state, t, causes, u, *load_slopes(t, basis, change, slope))
     for k, c in enumerate(candidates):
         if c.in_channels and c.linear:
