@@ -14,6 +14,7 @@ from modalax.show import mode_names, plot_frf, plot_frf_grid, plot_levels, plot_
 from modalax.show.frf import strongest, synthesised
 from modalax.show.residuals import bin_lines
 from modalax.show.stabilization import not_in_diagram, plot_stabilization, pole_kinds
+from modalax.show.style import complex_plane, new_figure
 
 
 @pytest.fixture(scope="module")
@@ -179,3 +180,15 @@ def test_names_of_channels_are_drawn_letter_by_letter(structure):
     fig = plot_residual_map(frf.freq, np.ones((5, 51)), names)
     fig.canvas.draw()
     assert fig.axes[0].get_yticklabels()[0].get_text() == r"\$\alpha_1\$"
+
+
+def test_numbers_of_a_nyquist_diagram_do_not_run_into_each_other():
+    fig = new_figure(5.6, 5.2)
+    ax = fig.subplots()
+    ax.plot([-9e-5, 1e-4], [0.0, 2e-4])
+    complex_plane(ax, "receptance")
+    fig.draw_without_rendering()
+    boxes = [t.get_window_extent() for t in ax.get_xticklabels() if t.get_text()]
+    assert len(boxes) > 2
+    assert all(a.x1 < b.x0 for a, b in zip(boxes, boxes[1:], strict=False))
+    assert ax.get_xlabel() == "Re H [m/N]" and ax.get_ylabel() == "Im H [m/N]"

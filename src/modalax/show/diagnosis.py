@@ -12,7 +12,17 @@ from modalax.diagnose.result import Diagnosis
 from modalax.show.fit import save_pictures
 from modalax.show.frf import draw_phase
 from modalax.show.residuals import plot_residual_map
-from modalax.show.style import BLACK, BLUE, ORANGE, frequency_axis, frf_label, look, name_text, new_figure
+from modalax.show.style import (
+    BLACK,
+    BLUE,
+    ORANGE,
+    complex_plane,
+    frequency_axis,
+    frf_label,
+    look,
+    name_text,
+    new_figure,
+)
 
 MOST_ROWS = 60
 
@@ -124,9 +134,7 @@ def plot_nyquist(diagnosis: Diagnosis, widths: float = 8.0) -> Figure | None:
         for every, style, label in _curves(diagnosis):
             values = np.asarray(every)[-1, near, o, i]
             ax.plot(values.real, values.imag, label=label, **style)
-        ax.set_aspect("equal", adjustable="datalim")
-        ax.set_xlabel(f"Real part of {frf_label(data.form)}")
-        ax.set_ylabel("Imaginary part")
+        complex_plane(ax, data.form)
         ax.set_title(f"{at:.5g} Hz, from {name_text(data.inputs[i])} to {name_text(data.outputs[o])}")
         ax.legend()
     return fig

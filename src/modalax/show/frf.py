@@ -16,6 +16,7 @@ from modalax.show.style import (
     GREY,
     ORANGE,
     SERIES,
+    complex_plane,
     frequency_axis,
     frf_label,
     look,
@@ -227,9 +228,5 @@ def _nyquist(ax: Axes, one: FRF, model: np.ndarray | None, label: str) -> None:
     ax.plot(np.real(H), np.imag(H), ".", color=BLACK, markersize=2.5, label="measured")
     if model is not None:
         ax.plot(np.real(model), np.imag(model), color=ORANGE, linewidth=1.0, label=label)
-    ax.set_aspect("equal", adjustable="datalim")
-    ax.ticklabel_format(scilimits=(-2, 3))
-    ax.locator_params(nbins=5)
-    ax.set_xlabel(frf_label(one.form, "Re H"))
-    ax.set_ylabel(frf_label(one.form, "Im H"))
+    complex_plane(ax, one.form)
     ax.set_title("Nyquist")

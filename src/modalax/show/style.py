@@ -87,6 +87,15 @@ def frequency_axis(ax: Axes, freq: Any) -> None:
         ax.set_xlim(float(values[0]), float(values[-1]))
 
 
+def complex_plane(ax: Axes, form: str) -> None:
+    """Label the axes of a Nyquist diagram, of equal scale, in powers of ten so that no labels run into each other."""
+    ax.set_aspect("equal", adjustable="datalim")
+    ax.ticklabel_format(scilimits=(-2, 3))
+    ax.locator_params(nbins=5)
+    ax.set_xlabel(frf_label(form, "Re H"))
+    ax.set_ylabel(frf_label(form, "Im H"))
+
+
 def name_text(name: Any) -> str:
     """A channel's name as text that matplotlib draws letter by letter: a dollar sign in it begins no formula."""
     return str(name).replace("$", r"\$")
