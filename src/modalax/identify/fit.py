@@ -18,7 +18,7 @@ from modalax.identify.diagram import ESTIMATORS, diagram
 from modalax.identify.flags import HEAVY, Modes, flags_of, grades_of, notes_of, stands_for_two
 from modalax.identify.host import residues_on_host as fit_residues
 from modalax.identify.mode_search import diagram_poles, likelihood_rounds, synthesis
-from modalax.identify.neighbourhood import residual_of
+from modalax.identify.neighbourhood import left_of, residual_of
 from modalax.identify.noise import smooth_variance
 from modalax.identify.one_mode import NOTHING_LEFT
 from modalax.identify.quality import noise_part, quality_of, scatter_over_orders
@@ -169,7 +169,8 @@ def summed_up(
     score = np.where(near, np.asarray(selection.score)[seen.argmin(axis=1)], 0.0)
     collinearity = mpc(model.along_longer_side().shapes)
     scatter = scatter_over_orders(table, np.asarray(model.poles))
-    quality = quality_of(weighted, model, residual)
+    left = left_of(weighted, model, residual)
+    quality = quality_of(weighted, model, left)
     if held:  # what is left there comes from beyond the band, and says nothing against these poles
         quality = [q._replace(rest=NOTHING_LEFT) for q in quality]
     if refined is not None and not held:
@@ -182,7 +183,7 @@ def summed_up(
     if not held:
         background = np.asarray(model.damping_ratio) > HEAVY  # which no mode is a part of
         gains = np.array([q.gain for q in quality])
-        pairs = pairs_of_one(weighted, model, gains, background, apart or set(), cut=plain is not None)
+        pairs = pairs_of_one(weighted, model, gains, background, apart or set(), plain is not None, left)
     modes = Modes(
         weighted, model, np.asarray(deviations[0]), np.asarray(deviations[1]), refined is not None, score,
         np.asarray(collinearity), quality, plain, pairs,

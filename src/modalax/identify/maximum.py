@@ -91,16 +91,20 @@ class Modal(NamedTuple):
 
 def response(model: Modal, samples: Samples) -> np.ndarray:
     """The model's FRF where the samples were taken, shape ``(f, o, i)``; without the lower term at 0 Hz."""
+    columns, real = columns_of(model, samples.s, samples.power)
+    H = np.empty((len(samples.s), real.shape[1]), complex)
+    H.real, H.imag = columns.real @ real, columns.imag @ real
+    return H.reshape(len(samples.s), *model.upper.shape)
+
+
+def columns_of(model: Modal, s: np.ndarray, power: int) -> tuple[np.ndarray, np.ndarray]:
+    """Columns ``(f, 2 n + 4)`` and the real coefficients ``(2 n + 4, o i)`` that make the model's FRF of them."""
     flat = (model.shapes[:, :, None] * model.participation[:, None, :]).reshape(len(model.poles), -1)
-    s, power = samples.s, samples.power
     lower = np.where((s == 0) & (power < 2), 0, np.where(s == 0, 1, s) ** (power - 2))
     terms = np.stack([s**power, 1j * s**power, lower, 1j * lower], axis=1)
     columns = np.concatenate([kernels(s, power, model.poles, squares=False), terms], axis=1)
     flat = np.concatenate([flat, model.upper.reshape(1, -1), model.lower.reshape(1, -1)])
-    real = np.swapaxes(pairs(flat), 1, 2).reshape(-1, flat.shape[1])
-    H = np.empty((len(s), flat.shape[1]), complex)
-    H.real, H.imag = columns.real @ real, columns.imag @ real
-    return H.reshape(len(s), *model.upper.shape)
+    return columns, np.swapaxes(pairs(flat), 1, 2).reshape(-1, flat.shape[1])
 
 
 class Maximum(NamedTuple):

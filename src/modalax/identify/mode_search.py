@@ -57,6 +57,9 @@ class _Search:
         self, poles: np.ndarray, participation: np.ndarray | None, sigma: np.ndarray, steps: int = STEPS, **how: Any
     ) -> Maximum:
         self.tell(f"maximum likelihood, {len(poles)} modes")
+        if steps == TRIAL and several(self.samples.H.size, len(poles)):
+            # Modes that may not stay drift on for little. What noise gives a mode, half of chi-square, is o + i.
+            how.setdefault("tol", float(sum(self.samples.H.shape[1:])))
         found = maximise(
             self.samples, poles, participation, sigma, known=self.known, max_steps=steps, heavy=GONE, **how
         )

@@ -236,6 +236,19 @@ def channel_noise(
     return size, course / np.sqrt(np.mean(course**2))
 
 
+class Left(NamedTuple):
+    """What a model leaves of an FRF ``(f, o, i)``, and its :func:`scatter_of`, for questions about many modes."""
+
+    residual: np.ndarray
+    scatter: np.ndarray | None
+
+
+def left_of(frf: FRF, model: ModalModel, residual: Complex[np.ndarray, "f o i"] | None = None) -> Left:
+    """What a model leaves, its residual if that is known."""
+    residual = residual_of(frf, model) if residual is None else residual
+    return Left(residual, scatter_of(frf, residual))
+
+
 def scatter_of(frf: FRF, residual: Complex[np.ndarray, "f o i"]) -> Float[np.ndarray, "f c"] | None:
     """Power of what changes from line to line in every channel; None where the variance is known."""
     return None if frf.variance is not None else line_noise(residual.reshape(len(residual), -1))

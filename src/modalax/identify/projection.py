@@ -62,10 +62,10 @@ class Projection:
         size = np.sqrt(np.mean(self.weight**2, axis=(1, 2)))
         first = self.weight[int(np.argmax(size))]
         size = size / max(np.max(size), 1e-300)
-        self.shared = bool(np.allclose(self.weight, size[:, None, None] * first, rtol=1e-9, atol=0))
+        self.shared = _equal(self.weight, size[:, None, None] * first)
         self.size = np.where(size > 0, size, 1.0)
         if self.shared:
-            self.common = first[:1] if np.allclose(first, first[:1], rtol=1e-9, atol=0) else first
+            self.common = first[:1] if _equal(first, first[:1]) else first
         else:
             power_of = np.maximum(np.mean(self.weight**2, axis=2, keepdims=True), 1e-300)
             self.common = np.sqrt(np.mean(self.weight**2 / power_of, axis=(0, 1)))[None]
@@ -218,6 +218,11 @@ class Projection:
             left -= made
             total += e
         return total
+
+
+def _equal(a: np.ndarray, b: np.ndarray) -> bool:
+    """Whether no weight differs by more than 1e-9 of its size."""
+    return bool((np.abs(a - b) <= 1e-9 * b).all())
 
 
 def _slopes(modes: Modes, pivot: np.ndarray, held: np.ndarray) -> Slopes:

@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.special
-from jaxtyping import Complex, Float
+from jaxtyping import Float
 
 from modalax.data.frf import FRF
 from modalax.identify.best_poles import best_poles
 from modalax.identify.disagreement import Spread, of_channels, of_lines
-from modalax.identify.neighbourhood import Neighbourhood, around, line_noise, residual_of, scatter_of
+from modalax.identify.neighbourhood import Left, Neighbourhood, around, left_of, line_noise
 from modalax.identify.one_mode import NOTHING_LEFT, Rest, rest_of
 from modalax.identify.tables import PoleTable
 from modalax.model.modal import ModalModel
@@ -62,22 +62,20 @@ class ModeQuality(NamedTuple):
         return max((s.error[0] for s in told), default=0.0), max((s.error[1] for s in told), default=0.0)
 
 
-def quality_of(frf: FRF, model: ModalModel, residual: Complex[np.ndarray, "f o i"] | None = None) -> list[ModeQuality]:
-    """Quality of each mode of a model, which leaves a residual, if that is known."""
-    residual = residual_of(frf, model) if residual is None else residual
-    scatter = scatter_of(frf, residual)
+def quality_of(frf: FRF, model: ModalModel, left: Left | None = None) -> list[ModeQuality]:
+    """Quality of each mode of a model, with what it leaves of the FRF if that is known."""
+    residual, scatter = left_of(frf, model) if left is None else left
     return [_one(frf, around(frf, model, residual, [r], True, scatter)) for r in range(model.poles.size)]
 
 
 def gains_of(
-    frf: FRF, model: ModalModel, which: np.ndarray | None = None, searched: bool = False
+    frf: FRF, model: ModalModel, which: np.ndarray | None = None, searched: bool = False, left: Left | None = None
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """For each mode, or some of them by their indices, ``gain`` and ``chance_gain`` of :class:`ModeQuality` alone.
 
     With ``searched`` the gain of a mode that is not clear is that of the best pole near its own, which may be off.
     """
-    residual = residual_of(frf, model)
-    scatter = scatter_of(frf, residual)
+    residual, scatter = left_of(frf, model) if left is None else left
     both = np.zeros((model.poles.size if which is None else len(which), 2))
     for k, r in enumerate(np.arange(model.poles.size) if which is None else which):
         hood = around(frf, model, residual, [int(r)], True, scatter)

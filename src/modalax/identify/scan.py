@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from modalax.identify.kernels import kernels
-from modalax.identify.projection import stacked
+from modalax.identify.projection import orthonormal, stacked
 
 DAMPINGS = (0.001, 0.003, 0.01, 0.03)  # damping ratios at which further modes are looked for
 NEW = 0.01  # least part of a further mode's response that the present model cannot represent
@@ -18,6 +18,7 @@ NEAR = 0.01  # part of a frequency within which a further mode is the same that 
 BATCH = 128  # poles whose scores are computed again at a time
 CHUNK = 128  # poles whose scores are taken at once
 ROOM = 2**25  # numbers of responses that are kept
+MANY, REACH = 2**20, 50.0  # samples from which on lines count only within so many half-bandwidths of a pole
 
 
 def poles_missing(
@@ -135,19 +136,19 @@ class Grid:
         self.inside = (self.poles.imag >= s.imag.min()) & (self.poles.imag <= s.imag.max())
         self.kept: np.ndarray | None = None
         if 4 * len(self.poles) * len(s) <= ROOM:
-            self.kept = np.concatenate([self._made(part) for part in self._chunks()])
+            self.kept = np.concatenate([self._made(part, slice(None)) for part in self._chunks()])
 
     def _chunks(self) -> list[np.ndarray]:
         return np.array_split(np.arange(len(self.poles)), -(-len(self.poles) // CHUNK))
 
-    def _made(self, which: np.ndarray) -> np.ndarray:
-        pair = kernels(self.s, self.power, self.poles[which], squares=False).T.reshape(len(which), 2, -1)
+    def _made(self, which: np.ndarray, lines: slice) -> np.ndarray:
+        pair = kernels(self.s[lines], self.power, self.poles[which], squares=False).T.reshape(len(which), 2, -1)
         pair = pair / np.sqrt(np.sum(np.abs(pair) ** 2, axis=(1, 2), keepdims=True))
-        return stacked(pair).astype(np.float32)
+        return np.stack([pair.real, pair.imag], axis=2).astype(np.float32)
 
-    def responses(self, which: np.ndarray) -> np.ndarray:
-        """Responses to the real and the imaginary part of a residue, stacked in single precision, ``(g, 2, 2 f)``."""
-        return self._made(which) if self.kept is None else self.kept[which]
+    def responses(self, which: np.ndarray, lines: slice) -> np.ndarray:
+        """Responses to real and imaginary part of a residue, their own real and imaginary part: ``(g, 2, 2, f)``."""
+        return self._made(which, lines) if self.kept is None else self.kept[which][..., lines]
 
 
 class _Scan:
@@ -169,29 +170,40 @@ class _Scan:
         terms = np.stack([safe**0, 1j * safe**0, safe**-2.0, 1j * safe**-2.0], axis=1) * (s**power)[:, None]
         columns = np.concatenate([kernels(s, power, known), terms], axis=1)
         A = stacked((columns * self.shared[:, None]).T)
-        return np.linalg.qr((A / np.maximum(np.linalg.norm(A, axis=1, keepdims=True), 1e-300)).T)[0]
+        return orthonormal((A / np.maximum(np.linalg.norm(A, axis=1, keepdims=True), 1e-300)).T)[0]
 
     def scores(self, residual: np.ndarray, which: np.ndarray) -> np.ndarray:
         """Statistic of a whitened residual at some poles of the grid."""
-        z = stacked(residual.T)
-        double = np.tile(self.weight, (2, 1))
+        z, Q = stacked(residual.T).astype(np.float32), self.Q.astype(np.float32)
+        double = np.tile(self.weight, (2, 1)).astype(np.float32)
         found = np.zeros(len(which))
         inside = self.grid.inside[which]
         for part, within in ((np.flatnonzero(inside), True), (np.flatnonzero(~inside), False)):
             if not len(part):
                 continue
-            data = ((z if within else z - (z @ self.Q) @ self.Q.T).T * double).astype(np.float32)
+            data = (z if within else z - (z @ Q) @ Q.T).T * double
             for start in range(0, len(part), CHUNK):
                 some = part[start : start + CHUNK]
-                found[some] = self._statistic(self.grid.responses(which[some]), data, within)
+                found[some] = self._statistic(which[some], data, within)
         return found
 
-    def _statistic(self, columns: np.ndarray, data: np.ndarray, within: bool) -> np.ndarray:
-        lines = len(self.shared)
+    def _near(self, poles: np.ndarray, samples: int) -> slice:
+        """The lines on which modes of some poles act; all but 1 % of a mode's energy is in those of large sets."""
+        if samples < MANY:
+            return slice(0, len(self.shared))
+        reach = REACH * -poles.real
+        ends = np.searchsorted(self.grid.s.imag, [np.min(poles.imag - reach), np.max(poles.imag + reach)])
+        return slice(int(ends[0]), int(ends[1]))
+
+    def _statistic(self, which: np.ndarray, data: np.ndarray, within: bool) -> np.ndarray:
+        near = self._near(self.grid.poles[which], data.size) if within else slice(0, len(self.shared))
+        columns = self.grid.responses(which, near)
+        lines = columns.shape[3]
+        data = data.reshape(2, -1, data.shape[1])[:, near].reshape(2 * lines, -1)
         inner = (columns.reshape(-1, 2 * lines) @ data).reshape(len(columns), 2, -1)
         power = np.sum(columns.reshape(len(columns), 4, lines) ** 2, axis=1)
-        size = power @ self.squares
-        seen = columns * np.tile(self.shared, 2).astype(np.float32)
+        size = power @ self.squares[near]
+        seen = columns.reshape(len(columns), 2, -1) * np.tile(self.shared[near], 2).astype(np.float32)
         whole = np.sum(seen**2, axis=(1, 2))
         if not within:
             Q = self.Q.astype(np.float32)

@@ -18,7 +18,7 @@ from modalax.identify.flags import matters
 from modalax.identify.host import refine_on_host, residues_on_host
 from modalax.identify.likelihood import UNDAMPED
 from modalax.identify.local import fit_where_dominant
-from modalax.identify.neighbourhood import LINES, WIDTH, around, residual_of, scatter_of
+from modalax.identify.neighbourhood import LINES, WIDTH, Left, around, left_of, residual_of
 from modalax.identify.noise import residual_sigma
 from modalax.identify.one_mode import second_mode
 from modalax.identify.quality import CHANCE, ModeQuality, gains_of, quality_of
@@ -120,10 +120,11 @@ def settle_diagram(
     gains, by_chance = np.zeros((2, len(model.poles)))
     asked = np.ones(len(model.poles), bool)
     for _ in range(TURNS):
-        gains[asked], by_chance[asked] = gains_of(frf, model, np.flatnonzero(asked), searched=True)
+        left = left_of(frf, model)
+        gains[asked], by_chance[asked] = gains_of(frf, model, np.flatnonzero(asked), searched=True, left=left)
         weak = gains < by_chance
         _require(frf, _inside(frf, model) & ~weak)
-        bad = weak | doubled(frf, model, gains, weak, apart)
+        bad = weak | doubled(frf, model, gains, weak, apart, left=left)
         if not bad.any():
             break
         asked = _beside(frf, model, bad)[~bad]
@@ -173,17 +174,17 @@ def _in_noise(frf: FRF, refined: Refined) -> Bool[np.ndarray, " n"]:
 
 def doubled(
     frf: FRF, model: ModalModel, evidence: np.ndarray, gone: np.ndarray, asked: set[tuple[float, float]],
-    cut: bool = False,
+    cut: bool = False, left: Left | None = None,
 ) -> Bool[np.ndarray, " n"]:  # fmt: skip
     """The weaker of each two close modes that the data do not tell apart, shape ``(n,)``; see :func:`pairs_of_one`."""
     drop = np.zeros(model.poles.size, bool)
-    drop[[weaker for weaker, _ in pairs_of_one(frf, model, evidence, gone, asked, cut)]] = True
+    drop[[weaker for weaker, _ in pairs_of_one(frf, model, evidence, gone, asked, cut, left)]] = True
     return drop
 
 
 def pairs_of_one(
     frf: FRF, model: ModalModel, evidence: np.ndarray, gone: np.ndarray, asked: set[tuple[float, float]],
-    cut: bool = False,
+    cut: bool = False, left: Left | None = None,
 ) -> list[tuple[int, int]]:  # fmt: skip
     """Pairs of close modes that one mode explains as well, the weaker of each first; it is asked about no more.
 
@@ -199,11 +200,12 @@ def pairs_of_one(
         Pairs of frequencies that were asked about before and are not again; those of this call are added.
     cut
         Whether the records are known to be cut short.
+    left
+        What the model leaves of the FRF, if that is known.
     """
     f, width = np.asarray(model.frequency_hz), -np.asarray(model.poles.real) / (2 * np.pi)
     step = float(np.median(np.diff(np.asarray(frf.freq))))
     inside, gone, found = _inside(frf, model), gone.copy(), []
-    residual = scatter = None
     pairs = np.transpose(np.triu_indices(len(f), 1))
     for a, b in pairs[np.argsort(np.abs(f[pairs[:, 0]] - f[pairs[:, 1]]))].tolist():  # the nearest first
         close = abs(f[a] - f[b]) < NEAR * max(step, width[a] + width[b])
@@ -211,12 +213,10 @@ def pairs_of_one(
         if not close or gone[[a, b]].any() or pair in asked or not inside[[a, b]].any():
             continue
         asked.add(pair)
-        if residual is None:
-            residual = residual_of(frf, model)
-            scatter = scatter_of(frf, residual)
+        left = left_of(frf, model) if left is None else left
         # The window of a record splits a peak over the few lines that it is wide.
         window = cut and abs(f[a] - f[b]) < WINDOW * step
-        if not two_modes(frf, model, residual, (a, b), window, scatter):
+        if not two_modes(frf, model, left.residual, (a, b), window, left.scatter):
             found.append((a, b) if evidence[a] < evidence[b] else (b, a))
             gone[found[-1][0]] = True
     return found

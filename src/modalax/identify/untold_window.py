@@ -12,9 +12,11 @@ import numpy as np
 import scipy.special
 
 from modalax.data.frf import DERIVATIVES, FRF
+from modalax.identify.host import modal_of
 from modalax.identify.kernels import kernels, residual_terms
+from modalax.identify.maximum import columns_of
 from modalax.identify.neighbourhood import channel_noise
-from modalax.identify.projection import stacked
+from modalax.identify.projection import orthonormal, stacked
 from modalax.model.modal import ModalModel
 
 CHANCE = 1e-6  # chance at which a window is told that is not there
@@ -47,7 +49,8 @@ def untold_window(frf: FRF, model: ModalModel, residual: np.ndarray) -> UntoldWi
     Parameters
     ----------
     frf, model
-        The FRF and a modal model of it; all that its residues, poles and residual terms could make is left to them.
+        The FRF and a modal model of it with the same outputs and inputs; all that its residues, poles and residual
+        terms could make is left to them.
     residual
         The FRF less what the model makes, shape ``(f, o, i)``.
     """
@@ -55,17 +58,22 @@ def untold_window(frf: FRF, model: ModalModel, residual: np.ndarray) -> UntoldWi
     if power == 0:
         return None
     s = (np.asarray(frf.added_decay) + 2j * np.pi * np.asarray(frf.freq))[used]
-    left = residual[used].reshape(len(s), -1)
-    made = np.asarray(frf.H)[used].reshape(left.shape) - left
     size, course = channel_noise(frf, residual, slice(int(np.argmax(used)), None), smooth=True)
-    columns = np.concatenate([kernels(s, power, np.asarray(model.poles)), residual_terms(s, power, "complex")], axis=1)
+    poles = np.asarray(model.poles)
+    columns = np.concatenate([kernels(s, power, poles), residual_terms(s, power, "complex")], axis=1)
     A = stacked((columns / course[:, None]).T).T
-    Q = np.linalg.qr(A / np.linalg.norm(A, axis=0))[0]
-    off = lambda H: H - (H @ Q) @ Q.T
-    weight = (np.sqrt(2) / size)[:, None] / course
-    asked, there = (off(stacked(weight * H.T)) for H in (power * made / s[:, None], left))
-    own, along = np.sum(asked**2, axis=1), np.sum(asked * there, axis=1)
-    level = max(float(np.mean(there**2)), 1.0)
+    Q = orthonormal(A / np.linalg.norm(A, axis=0))[0]
+    # All channels make pH/s of the same few columns: what the basis leaves of these is all that is needed of it.
+    columns, made = columns_of(modal_of(model), s, power)
+    asked = stacked((power * columns / (s * course)[:, None]).T)
+    asked -= (asked @ Q) @ Q.T
+    made = made * (np.sqrt(2) / size)
+    left = stacked(np.ascontiguousarray(residual[used].reshape(len(s), -1).T) / course)
+    left *= np.sqrt(2) / size[:, None]
+    inside = left @ Q
+    own = np.einsum("kc,kl,lc->c", made, asked @ asked.T, made, optimize=True)
+    along = np.sum(made * (asked @ left.T), axis=0)
+    level = max((float(np.vdot(left, left)) - float(np.vdot(inside, inside))) / left.size, 1.0)
     gain, free = along.sum() ** 2 / own.sum() / level, float(np.sum(along**2 / np.maximum(own, 1e-300))) / level
     decay, std = along.sum() / own.sum(), float(np.sqrt(level / own.sum()))
     slowest = float(np.min(-np.asarray(model.poles.real)))
