@@ -12,9 +12,10 @@ from modalax.diagnose.causes.local import JointStiffness, LocalDamper
 from modalax.diagnose.comparison import make_comparison
 from modalax.diagnose.decision.verdict import verdict
 from modalax.diagnose.fitting.hypothesis import Hypothesis
-from modalax.diagnose.search import one_place
+from modalax.diagnose.search import force_fit, one_place
 from modalax.diagnose.search.balanced_force import balanced, harmonics_of
-from modalax.diagnose.search.force_fit import laws_by_force
+from modalax.diagnose.search.force_fit import fit_to_force, laws_by_force
+from modalax.diagnose.search.law_force import seen_at
 from modalax.diagnose.search.look import look
 from modalax.diagnose.search.measured_force import measured_forces
 from modalax.diagnose.search.one_harmonic import described, impedances
@@ -58,6 +59,29 @@ def test_an_elements_force_leaves_what_the_element_leaves_of_all_data():
     for fit in fits:  # one complex number a line holds all that five outputs tell
         h = nothing.with_cause(fit.cause, force.place, None, fit.params)
         assert (np.abs(comparison.residual(h)) ** 2).sum() == pytest.approx(fit.chi2, rel=1e-6)
+
+
+def test_a_law_is_not_followed_beyond_the_time_or_far_behind_another(monkeypatch):
+    """A weak spring from a start a third off: fitted to its end, not at all once time is up, and not behind another."""
+    comparison, force = compared(joined(joints.CubicSpring(3e10)))
+    seen, start, asked = seen_at(comparison, force, several=False), [np.array([2e10])], []
+    follow = force_fit.force_of
+    monkeypatch.setattr(force_fit, "force_of", lambda *a, **k: asked.append(a[1]) or follow(*a, **k))
+
+    def tries(**how):
+        asked.clear()
+        fit = fit_to_force(CubicStiffness(), start, seen, **how)
+        assert fit is not None
+        return fit, len(asked)
+
+    fit, whole = tries()
+    assert fit.params[0] == pytest.approx(3e10, rel=0.1) and whole > 4
+    given, least = tries(late=lambda: True)
+    assert given.params[0] == pytest.approx(2e10) and given.chi2 > fit.chi2 and least == 3  # the start, in each stage
+    behind, some = tries(rival=-1e9)
+    assert behind.chi2 >= fit.chi2 and least <= some < whole
+    same, as_many = tries(rival=seen.left + np.log1p(np.abs(fit.residual) ** 2).sum())
+    assert same.chi2 == fit.chi2 and as_many == whole
 
 
 @pytest.mark.slow

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from modalax.diagnose.prediction.friction import sliding
+from modalax.diagnose.prediction.friction import sliding, with_more_instants
 
 MASS, OMEGA, PUSH, COUNT = 2.0, 30.0, 5.0, 48
 
@@ -36,3 +36,15 @@ def test_a_mass_that_is_held_takes_the_whole_push():
 def test_too_few_harmonics_are_refused():
     with pytest.raises(ValueError, match="harmonics"):
         sliding(np.zeros((1, 3), complex), np.ones(1, complex), np.ones(1), 1.0, COUNT)
+
+
+@pytest.mark.parametrize("share", [0.15, 0.3])
+def test_half_as_many_instants_tell_most_of_what_is_missed(share):
+    """The closed form of sliding without stops, beside which the error of 96 instants is more than halved."""
+    limit, h = share * PUSH, np.arange(1, 2 * COUNT, 2)
+    G = -1 / (MASS * (h * OMEGA) ** 2)[None] + 0j
+    coarse, fine = (sliding(G, PUSH * G[:, 0], np.array([OMEGA]), limit, n) for n in (COUNT, 2 * COUNT))
+    exact = 4 * limit / np.pi * np.exp(-1j * (np.pi / 2 + np.arcsin(-np.pi * limit / (2 * PUSH))))
+    found = with_more_instants(coarse, fine)
+    assert found.sound.all() and abs(fine.force[0] - exact) > 2e-3 * abs(exact)
+    assert abs(found.force[0] - exact) < 0.6 * abs(fine.force[0] - exact)

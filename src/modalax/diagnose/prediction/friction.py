@@ -10,7 +10,9 @@ the root of :math:`f = \mathrm{clip}(f + \gamma(v_0 - Af), -F, F)`, found by New
 are sorted into sticking and sliding ones, and the former are solved for, until none changes sides (Hintermueller, Ito
 and Kunisch 2002, SIAM J. Optim. 13:865); where that goes round in circles it begins nearer, by the splitting of Lions
 and Mercier (1979, SIAM J. Numer. Anal. 16:964). A turn of the sliding falls between two instants; the mean over
-grids that are shifted by parts of a step finds it to so much less than a step.
+grids that are shifted by parts of a step finds it to so much less than a step. What instants miss falls in proportion
+to their distance where the sliding turns without a stop, and faster than its 3/2 power where the ends stick, so that
+half as many instants tell most of it (Richardson 1911).
 """
 
 from collections.abc import Iterator
@@ -24,6 +26,9 @@ TURNS = 400  # between structure and limit, where sorting does not end
 WEIGHT = 3.0  # of velocity against force, relative to the usual admittance
 CLOSED = 1e-9  # change of the force, over its limit, below which samples are sorted
 TOGETHER = 2**19  # numbers of the matrices that are worked on at once
+
+
+BEYOND = 1 / (2**1.5 - 1)  # of the change from half as many instants, what is left to change
 
 
 class Sliding(NamedTuple):
@@ -74,6 +79,11 @@ def sliding(
             force[part] += np.where(one.sound, limit * one.force, 0.0)
             found[part] += one.sound
     return Sliding(force / np.maximum(found, 1), found >= len(shifts) / 2)
+
+
+def with_more_instants(coarse: Sliding, fine: Sliding) -> Sliding:
+    """The motion as it would be with ever more instants, from that with some and with twice as many."""
+    return Sliding(fine.force + BEYOND * (fine.force - coarse.force), coarse.sound & fine.sound)
 
 
 def _on_grids(

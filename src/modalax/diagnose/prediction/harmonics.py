@@ -40,6 +40,7 @@ STEP = 1e-2  # relative change of a parameter by which slopes are taken
 TURNS = (1.0, 0.5, 0.9, 1.1, 1.5)  # motions that a balance starts from, over that of the fundamental alone
 NEWTON = 20  # Newton steps from each
 INSTANTS, FEWER_INSTANTS = 48, 24  # of half a cycle of dry friction, and those that show the error
+MORE_INSTANTS = 96  # where friction's force is compared with one that was measured
 
 
 def with_harmonics(

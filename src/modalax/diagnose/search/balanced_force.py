@@ -18,7 +18,7 @@ from modalax.simulate.aft import choose_harmonics, joint_forces
 from modalax.simulate.balance import CLOSED, STEPS, TIGHT, Plan
 from modalax.simulate.joints import Hysteretic
 
-ROW = 128  # motions whose forces are evaluated together
+ROW = 16  # motions whose forces are evaluated together; where few are left to find, most of a longer row is idle
 NEWTON = 20  # steps from each start
 NEIGHBOURS = 4  # times that motions which were not found start from those on either side
 BALANCED = 1e-6  # residual, over the motion without the force, below which a balance is as good as any measurement

@@ -10,7 +10,7 @@ within a claimed spread only, :math:`\chi^2(\hat q)`, :math:`\hat q` and the law
 are fitted with those of the law, about modal parameters that are moved until the steps are small.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -98,7 +98,10 @@ class ForceFit:
         return J, K, np.linalg.solve((K.conj() @ K.T).real + f.curvature, (K.conj() @ J.T).real)
 
 
-def fit_to_force(cause: ElementCause, starts: Sequence[np.ndarray], seen: Seen) -> ForceFit | None:
+def fit_to_force(
+    cause: ElementCause, starts: Sequence[np.ndarray], seen: Seen, late: Callable[[], bool] = lambda: False,
+    rival: float = np.inf,
+) -> ForceFit | None:  # fmt: skip
     """Fit a law to a measured force, from the start that most lines agree with; None where nothing can be balanced.
 
     Lines far off count little at first (Cauchy's distribution); those that stay so are set aside, each of them paid for
@@ -112,8 +115,12 @@ def fit_to_force(cause: ElementCause, starts: Sequence[np.ndarray], seen: Seen) 
         Parameters.
     seen
         What was measured.
+    late
+        Tells when time is up, and no further steps are taken.
+    rival
+        Robust misfit that another law left; one that comes to it too slowly is not followed to its end.
     """
-    rough = isinstance(cause, JointCause) and cause.rigid and seen.several  # found at fewer instants first
+    rough = slides(cause, seen)  # found at fewer instants first
     some = seen.telling(CHOSEN) if len(starts) > 1 and seen.several else seen
     left = [_residual(some, *force_of(cause, p, some, rough=rough)[::2]) for p in starts]
     tried = [(_misfit(r, True), k) for k, r in enumerate(left)]
@@ -122,20 +129,48 @@ def fit_to_force(cause: ElementCause, starts: Sequence[np.ndarray], seen: Seen) 
     u, motion = to_search(cause, starts[min(tried)[1]]), None
     aside = np.zeros(len(seen.force), bool)
     for robust in (True, False):
-        u, seen, motion, r, J, sound = _descended(cause, u, seen, motion, aside, robust, robust and rough)
-        paid = 2 * np.log(max(seen.samples, 30))
-        usual = float(np.quantile(np.abs(r) ** 2, 1 - MOST))
-        aside = ~sound | ~(np.abs(r) ** 2 <= max(OUTLYING * usual, paid))
+        how = {"rough": robust and rough}
+        u, seen, motion, r, J, sound = _descended(cause, u, seen, motion, aside, robust, how, late, rival)
+        aside = _far_off(seen, r, sound)
+        if _misfit(r, True) + seen.left > rival + BEHIND:
+            break
     # a linear element has one motion at every line, and so has a joint too weak for harmonics to count
     if aside.mean() > MOST or isinstance(cause, LocalCause) or not seen.several:
         aside = np.zeros(len(r), bool)
+    return _ended(cause, u, seen, motion, r, J, aside)
+
+
+def finely(fit: ForceFit, late: Callable[[], bool]) -> ForceFit:
+    """A fit of dry friction with many instants, from that with few and the lines that it kept."""
+    u = to_search(fit.cause, fit.params)
+    u, seen, motion, r, J, sound = _descended(
+        fit.cause, u, fit.seen, fit.motion, fit.aside, False, {"fine": True}, late
+    )
+    return _ended(fit.cause, u, seen, motion, r, J, _far_off(seen, r, sound))
+
+
+def _far_off(seen: Seen, r: np.ndarray, sound: np.ndarray) -> np.ndarray:
+    """Lines at which a law has no motion near the measured one."""
+    paid = 2 * np.log(max(seen.samples, 30))
+    usual = float(np.quantile(np.abs(r) ** 2, 1 - MOST))
+    return ~sound | ~(np.abs(r) ** 2 <= max(OUTLYING * usual, paid))
+
+
+def _ended(
+    cause: ElementCause, u: np.ndarray, seen: Seen, motion: Any, r: np.ndarray, J: np.ndarray, aside: np.ndarray
+) -> ForceFit:
     p = np.asarray(from_search(cause, u))
     return ForceFit(cause, p, seen.left + float((np.abs(r[~aside]) ** 2).sum()), aside, r, J, motion, seen)
 
 
+def slides(cause: ElementCause, seen: Seen) -> bool:
+    """Whether a law is dry friction, whose motion is found at instants where harmonics count."""
+    return isinstance(cause, JointCause) and cause.rigid and seen.several
+
+
 def fit_with_modes(
     comparison: Comparison, cause: ElementCause, starts: Sequence[np.ndarray], force: MeasuredForce, seen: Seen,
-    near: float,
+    near: float, rival: float = np.inf,
 ) -> ForceFit | None:  # fmt: skip
     """Fit a law to a measured force, and measure that again about the modal parameters found, until these stay.
 
@@ -149,8 +184,10 @@ def fit_with_modes(
         The force that was measured, and what was measured with it.
     near
         Chi-square above which a law is not worth it.
+    rival
+        As for :func:`fit_to_force`.
     """
-    fit = fit_to_force(cause, starts, seen)
+    fit = fit_to_force(cause, starts, seen, comparison.late, rival)
     for _ in range(MEASURED_AGAIN if seen.follow is not None else 0):
         if fit is None or fit.chi2 > near or comparison.late():
             break
@@ -158,9 +195,11 @@ def fit_with_modes(
         left = beside.linear(beside.direction(force.place), beside.turned(force.place))[0]
         before = fit.seen.left
         again = seen_at(comparison, force_beside(force.place, left, beside), seen.least, seen.several)
-        fit = fit_to_force(cause, [fit.params], again) or fit
+        fit = fit_to_force(cause, [fit.params], again, comparison.late) or fit
         if abs(left - before) < SAME:
             break
+    if fit is not None and slides(cause, seen) and fit.chi2 <= near and not comparison.late():
+        fit = finely(fit, comparison.late)
     return fit
 
 
@@ -176,7 +215,7 @@ def _misfit(r: np.ndarray, robust: bool) -> float:
 
 def _descended(
     cause: ElementCause, u: np.ndarray, seen: Seen, motion: np.ndarray | None, aside: np.ndarray, robust: bool,
-    rough: bool,
+    how: dict[str, bool], late: Callable[[], bool], rival: float = np.inf,
 ) -> tuple[np.ndarray, Seen, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Damped Gauss-Newton steps of law and modes: where they end, motion, residual, slopes and soundness there."""
     low, high = bounds_of([cause])
@@ -185,7 +224,7 @@ def _descended(
 
     def at(u: np.ndarray, seen: Seen, motion: np.ndarray | None) -> tuple[Any, ...]:
         p = np.asarray(from_search(cause, u))
-        force, slopes, sound, moved = force_of(cause, p, seen, motion, rough=rough)
+        force, slopes, sound, moved = force_of(cause, p, seen, motion, **how)
         slopes = np.where(sound, slopes, 0.0)
         slopes[:own] *= np.where(logarithmic, p, 1.0)[:, None]
         if seen.follow is not None:
@@ -196,7 +235,9 @@ def _descended(
 
     cost, r, J, motion, sound = at(u, seen, motion)
     damping, enough = DAMPED, ROUGHLY if robust else SETTLED
-    for _ in range(ROUNDS):
+    for turn in range(ROUNDS):
+        if late():
+            break
         w = np.where(aside, 0.0, 1 / (1 + np.abs(r) ** 2) if robust else 1.0)
         A, g = ((J.conj() * w) @ J.T).real, ((J.conj() * w) @ r).real
         if seen.follow is not None:
@@ -210,7 +251,8 @@ def _descended(
         further = seen.moved(-step[own:])
         there = at(moved, further, motion)
         if there[0] < cost:
-            done = cost - there[0] < enough
+            gain = cost - there[0]
+            done = gain < enough or robust and there[0] - (ROUNDS - turn) * gain > rival + BEHIND
             u, seen, (cost, r, J, motion, sound), damping = moved, further, there, 0.1 * damping
             if done:
                 break
@@ -262,7 +304,8 @@ def laws_by_force(
         far = seen.left + noise + (misfit - noise) / 4 > near if done else count >= MOST_LAWS
         if several and far and (not isinstance(causes[k], LocalCause) or seen.left > near):
             continue
-        found = fit_with_modes(comparison, causes[k], starts, force, seen, near)
+        rival = min((_misfit(f.residual, True) + f.seen.left for f in out), default=np.inf)
+        found = fit_with_modes(comparison, causes[k], starts, force, seen, near, rival)
         out += [] if found is None else [found]
     return out
 

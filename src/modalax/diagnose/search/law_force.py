@@ -12,11 +12,12 @@ from modalax._numerics.checks import as_array
 from modalax.diagnose.causes.base import ElementCause, JointCause, LocalCause
 from modalax.diagnose.causes.joints import CubicStiffness
 from modalax.diagnose.comparison import Comparison
-from modalax.diagnose.prediction.friction import SHIFTS, sliding
+from modalax.diagnose.prediction.friction import SHIFTS, Sliding, sliding, with_more_instants
 from modalax.diagnose.prediction.harmonics import (
     FEWER_INSTANTS,
     HIGHEST,
     INSTANTS,
+    MORE_INSTANTS,
     receptance_across,
 )
 from modalax.diagnose.screening.modes_beside import Beside
@@ -146,8 +147,10 @@ def seen_at(comparison: Comparison, force: MeasuredForce, least: float | None = 
     problem = comparison.problem
     shape, lines = force.motion.shape, problem.lines
     theta = as_array(np.asarray(force.theta) * comparison.nuisance.spread)
-    orders = range(INSTANTS if several else 2)
-    across = [np.asarray(receptance_across(CubicStiffness(), force.place, theta, problem, h)) for h in orders]
+    orders = [*range(HIGHEST + 1), *range(HIGHEST + 2, MORE_INSTANTS, 2)] if several else [0, 1]
+    found = {h: np.asarray(receptance_across(CubicStiffness(), force.place, theta, problem, h)) for h in orders}
+    # Even orders beyond the highest are those of no law.
+    across = [found[h] if h in found else np.zeros_like(found[1]) for h in range(orders[-1] + 1)]
     G = np.stack([a[:lines] for a in across], axis=-1)
     spread = lambda a: np.broadcast_to(a[None, :, None], (*shape, *a.shape[1:])).reshape(-1, *a.shape[1:])
     motion, q = force.motion.ravel(), (force.impedance * force.motion).ravel()
@@ -179,6 +182,7 @@ def force_of(
     near: np.ndarray | None = None,
     fewer: bool = False,
     rough: bool = False,
+    fine: bool = False,
 ) -> tuple[np.ndarray, ...]:
     """A law's force [N], its slopes by the parameters, whether a motion was found, and that motion.
 
@@ -192,8 +196,8 @@ def force_of(
         Motions from which the balance begins, shape ``(n, h)``; the measured ones if None.
     fewer
         Whether fewer harmonics are balanced, which shows how much those left out may do.
-    rough
-        Whether dry friction is followed at few instants.
+    rough, fine
+        Whether dry friction is followed at few instants, or at many.
 
     Returns
     -------
@@ -207,9 +211,7 @@ def force_of(
         return force, _of_all(force, slopes, seen), sound, nothing
     assert isinstance(cause, JointCause)
     if cause.rigid and seen.several:
-        force, slopes, sound = _sliding(
-            p, seen, FEWER_INSTANTS if fewer or rough else INSTANTS, SHIFTS[::4] if rough else SHIFTS
-        )
+        force, slopes, sound = _rough(p, seen) if rough else _sliding(p, seen, MORE_INSTANTS if fine else INSTANTS)
         return force, _of_all(force, slopes, seen), sound, nothing
     if not seen.several or not has_law(cause):
         lay = lambda x: x.reshape(seen.shape)
@@ -255,11 +257,31 @@ def _linear(cause: LocalCause, p: np.ndarray, seen: Seen) -> tuple[np.ndarray, n
     return here, slopes, np.isfinite(here) & np.isfinite(slopes).all(axis=0)
 
 
-def _sliding(
-    p: np.ndarray, seen: Seen, instants: int, shifts: tuple[float, ...]
+def _rough(p: np.ndarray, seen: Seen) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Force of dry friction at few instants, and its slopes."""
+    here, there = (
+        sliding(seen.receptance[:, 1::2], seen.free, seen.omega, float(q), FEWER_INSTANTS, SHIFTS[::4])
+        for q in (p[0], p[0] + _step(p))
+    )
+    return _with_slopes(p, here.force, here, there)
+
+
+def _sliding(p: np.ndarray, seen: Seen, instants: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Force of dry friction, and its slopes at half of the instants."""
+    given = seen.receptance[:, 1::2], seen.free, seen.omega
+    here, there = (sliding(*given, float(q), instants // 2) for q in (p[0], p[0] + _step(p)))
+    found = with_more_instants(here, sliding(*given, float(p[0]), instants))
+    force, slopes, sound = _with_slopes(p, found.force, here, there)
+    return force, slopes, sound & found.sound
+
+
+def _step(p: np.ndarray) -> float:
+    return STEP * max(abs(float(p[0])), 1e-300)
+
+
+def _with_slopes(
+    p: np.ndarray, force: np.ndarray, here: Sliding, there: Sliding
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Force of dry friction, and its slopes by a difference: with motion and limit alike it grows as they do."""
-    G, step = seen.receptance[:, 1::2], STEP * max(abs(float(p[0])), 1e-300)
-    here, there = (sliding(G, seen.free, seen.omega, float(p[0]) + d, instants, shifts) for d in (0.0, step))
-    slope = (there.force - here.force) / step
-    return here.force, np.stack([slope, here.force - p[0] * slope]), here.sound & there.sound
+    """A force with its slope by a difference: with motion and limit alike it grows as they do."""
+    slope = (there.force - here.force) / _step(p)
+    return force, np.stack([slope, force - p[0] * slope]), here.sound & there.sound
