@@ -28,7 +28,7 @@ from modalax.diagnose.causes.base import (
 from modalax.diagnose.causes.signals import Channels, ModalTerms
 from modalax.diagnose.setup.problem import Problem
 
-BRACKET, GRID, HALVINGS, POLISH = 60.0, 12, 8, 3  # search for the amplitude across a joint: range, points, bisections
+BRACKET, GRID, HALVINGS, POLISH = 60.0, 12, 6, 3  # search for the amplitude across a joint: range, points, bisections
 DENSER = 2.0  # power by which the points of the search lie closer about a measured amplitude
 TINY = 1e-300  # added to magnitudes so that their logarithm exists at zero
 
@@ -333,42 +333,57 @@ def equivalent(
         By what factor higher harmonics change the force at the fundamental, and what else :func:`factor_at` tells,
         shape ``(4 + p, run, f, i)``; no factor, no compliance and no measured amplitude if None.
     """
-    factor = 1.0 if harmonics is None else factor_at(harmonics, p)
     free = level[:, :, None] * jnp.abs(motion) + TINY
     flat = jnp.broadcast_to(drive[..., None] - in_series(harmonics), free.shape)
     w = omega[None, :, None]
 
-    def impedance(A: Array, p: Any) -> Array:
-        return (
-            cause.impedance(A, w, p) if harmonics is None else cause.impedance_in_series(A, w, p, in_series(harmonics))
-        )
-
-    def miss(log_a: Array, free: Array, flat: Array, p: Any) -> Array:
+    def force(log_a: Array, p: Any) -> Array:
+        """Force a unit displacement at an amplitude, that of higher harmonics included."""
         A = jnp.exp(log_a)
-        return log_a + jnp.log(jnp.abs(1 + factor * impedance(A, p) * flat) + TINY) - jnp.log(free)
+        if harmonics is None:
+            return cause.impedance(A, w, p)
+        return factor_at(harmonics, p) * cause.impedance_in_series(A, w, p, in_series(harmonics))
+
+    def miss(log_a: Array, free: Array, flat: Array, p: Any) -> tuple[Array, Array]:
+        Z = force(log_a, p)
+        return log_a + jnp.log(jnp.abs(1 + Z * flat) + TINY) - jnp.log(free), Z
 
     fixed = jax.lax.stop_gradient((free, flat, p))
     near = jnp.zeros(free.shape) if harmonics is None else jax.lax.stop_gradient(harmonics[NEAR].real)
-    low, high = _bracket(lambda x: miss(x, *fixed), jnp.log(fixed[0]), near)
+    low, high = _bracket(lambda x: miss(x, *fixed)[0], jnp.log(fixed[0]), near)
 
-    def halve(_: Any, ends: tuple[Array, Array]) -> tuple[Array, Array]:
-        a, b = ends
-        middle = 0.5 * (a + b)
-        up = miss(middle, *fixed) >= 0
-        return jnp.where(up, a, middle), jnp.where(up, middle, b)
-
-    low, high = jax.lax.fori_loop(0, HALVINGS, halve, (low, high))
-
-    def newton(_: Any, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        x, a, b = state
-        value, slope = jax.jvp(lambda x: miss(x, *fixed), (x,), (jnp.ones_like(x),))
-        a, b = jnp.where(value >= 0, a, x), jnp.where(value >= 0, x, b)
+    def closer(k: Any, at: _Root) -> _Root:
+        """Look at ``following`` and go on: by bisection first, then by Newton's steps that stay between the ends."""
+        x = at.following
+        (value, _), (slope, change) = jax.jvp(lambda x: miss(x, *fixed), (x,), (jnp.ones_like(x),))
+        a, b = jnp.where(value >= 0, at.low, x), jnp.where(value >= 0, x, at.high)
         new = x - value / jnp.where(jnp.abs(slope) > 0.05, slope, 0.05)
-        return jnp.where((new > a) & (new < b), new, 0.5 * (a + b)), a, b
+        inside = (k >= HALVINGS) & (new >= a) & (new <= b)
+        return _Root(jnp.where(inside, new, 0.5 * (a + b)), a, b, x, value, slope, change)
 
-    root = jax.lax.fori_loop(0, POLISH, newton, (0.5 * (low + high), low, high))[0]
-    root = jax.lax.stop_gradient(root)
-    left, slope = jax.lax.stop_gradient(jax.jvp(lambda x: miss(x, *fixed), (root,), (jnp.ones_like(root),)))
-    slope = jnp.where(jnp.abs(slope) > 0.05, slope, jnp.where(slope < 0, -0.05, 0.05))
-    log_a = root - jnp.where(jnp.abs(left) < 1e-3, miss(root, free, flat, p) / slope, 0.0)
-    return factor * impedance(jnp.exp(log_a), p)
+    start = _Root(0.5 * (low + high), low, high, low, low, low, low + 0j)
+    root = jax.lax.stop_gradient(jax.lax.fori_loop(0, HALVINGS + POLISH + 1, closer, start))
+    slope = jnp.where(jnp.abs(root.slope) > 0.05, root.slope, jnp.where(root.slope < 0, -0.05, 0.05))
+    # one more step, to first order, carries the derivatives
+    value, Z = miss(root.at, free, flat, p)
+    return Z - root.change * jnp.where(jnp.abs(root.value) < 1e-3, value / slope, 0.0)
+
+
+class _Root(NamedTuple):
+    """Search for the logarithm of an amplitude.
+
+    Attributes
+    ----------
+    following, low, high
+        Where it is looked at next, and the ends between which it lies.
+    at, value, slope, change
+        Where it was looked at last; what the balance missed there, and how that and the force change with it.
+    """
+
+    following: Array
+    low: Array
+    high: Array
+    at: Array
+    value: Array
+    slope: Array
+    change: Array
