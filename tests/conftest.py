@@ -30,6 +30,10 @@ os.environ.setdefault("XLA_FLAGS", " ".join(FLAGS))
 
 import jax  # noqa: E402
 import matplotlib  # noqa: E402
+import threadpoolctl  # noqa: E402
+
+# A plugin of pytest may have loaded NumPy before the numbers of threads above were set.
+threadpoolctl.threadpool_limits(1, user_api="blas")
 
 matplotlib.use("Agg")
 matplotlib.rcParams["savefig.dpi"] = 40  # nobody looks at them

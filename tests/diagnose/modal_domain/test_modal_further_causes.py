@@ -110,7 +110,7 @@ def test_the_evidence_of_a_free_mode_is_its_integral(setting):
     given = replace(setting, features=features, whitener=whitener)
     cause = (MissingMode("missing_mode", (), number=1, log_density=np.log(0.7)),)
     free = free_directions(given, cause)
-    d = whitener @ off
+    d = given.triangle @ off
     left = d - free @ (free.T @ d)
     value = np.exp(-0.5 * left @ left + evidence_of_free(given, cause))
     likelihood = lambda v: 0.7 * np.exp(-0.5 * np.sum((whitener @ (off + [0.0, v])) ** 2))

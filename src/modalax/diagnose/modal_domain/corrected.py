@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from modalax._numerics.triangles import backward, forward
 from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.modal_domain.causes import with_sizes
 from modalax.diagnose.modal_domain.coordinates import Coordinates
@@ -99,13 +100,12 @@ def inaccuracy_told(setting: Setting, f: Fit) -> dict[str, Any]:
         epsilon = f.epsilon * np.exp(width * rng.standard_normal(len(width)))
         s = np.concatenate([epsilon[group], np.ones(len(f.u))])
         L = np.linalg.cholesky(np.eye(len(s)) + s[:, None] * gram * s)
-        mean = np.linalg.solve(L.T, np.linalg.solve(L, s * right))
-        for x in (mean[:, None] + np.linalg.solve(L.T, rng.standard_normal((len(s), BESIDE)))).T:
-            sizes = (s * x)[: len(group)]
-            for k, share in enumerate(shares):
-                relative = np.where(a.positive, np.expm1(np.minimum(sizes, FARTHEST)), sizes)[np.isin(group, of[k])]
-                off = np.log1p(np.maximum(share @ relative, -0.9))
-                seen[k].append(float(np.sqrt(np.mean(off**2))))
+        about_mean = forward(L, s * right)[:, None] + rng.standard_normal((len(s), BESIDE))
+        sizes = (s[:, None] * backward(L, about_mean))[: len(group)]
+        relative = np.where(a.positive[:, None], np.expm1(np.minimum(sizes, FARTHEST)), sizes)
+        for k, share in enumerate(shares):
+            off = np.log1p(np.maximum(share @ relative[np.isin(group, of[k])], -0.9))
+            seen[k] += np.sqrt(np.mean(off**2, axis=0)).tolist()
     told = {}
     for k, name in enumerate(TOLD):
         middle = np.median(seen[k])
@@ -131,6 +131,6 @@ def _may_be_none(setting: Setting, f: Fit, which: list[int], gram: np.ndarray, r
         epsilon[which] = size
         s = np.concatenate([epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
         L = np.linalg.cholesky(np.eye(len(s)) + s[:, None] * gram * s)
-        h = np.linalg.solve(L, s * right)
+        h = forward(L, s * right)
         values.append(0.5 * float(h @ h) - np.log(np.diag(L)).sum())
     return bool(values[0] - values[1] < CONSISTENT)

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from modalax._numerics.triangles import forward
 from modalax.diagnose.modal_domain.coordinates import pattern_slopes, slopes_of
 from modalax.diagnose.modal_domain.features import whitener_of
 from modalax.diagnose.modal_domain.fit import Fit
@@ -59,7 +60,7 @@ def learnt_rest(setting: Setting, fits: list[Fit], priors: list[float]) -> tuple
     weight = np.exp(found - found.max())
     size = float(np.sqrt((weight * np.array(SIZES) ** 2).sum() / weight.sum()))
     L = np.linalg.cholesky(np.eye(len(chosen)) + size**2 * chosen)
-    whitener = np.linalg.solve(L, setting.whitener)
+    whitener = forward(L, setting.triangle)
     return replace(setting, whitener=whitener, rest=float(np.hypot(setting.rest, size))), size
 
 
@@ -102,5 +103,5 @@ def _couples(setting: Setting, f: Fit, above: int) -> tuple[list[tuple[int, int]
 
 def _evidence(covariance: np.ndarray, target: np.ndarray) -> float:
     L = np.linalg.cholesky(covariance)
-    z = np.linalg.solve(L, target)
+    z = forward(L, target)
     return -0.5 * float(z @ z) - float(np.log(np.diag(L)).sum())

@@ -120,23 +120,25 @@ def tangent_of(A: np.ndarray) -> np.ndarray:
 def values_of(
     poles: np.ndarray, residues: np.ndarray, tangent: np.ndarray, sizes: np.ndarray | None = None
 ) -> np.ndarray:
-    """Features of modes, shape ``(k, 2 + 2 d)``, from their poles and residues in units of the channels.
+    """Features of modes, shape ``(..., k, 2 + 2 d)``, from their poles and residues in units of the channels.
 
     Parameters
     ----------
+    poles, residues
+        Of one or more sets of modes, shapes ``(..., k)`` and ``(..., k, o, i)``.
     sizes
         Measured sizes of residues about which the features are linear in the residues, so that a mode may show not at
         all or with the other sign; NaN for modes whose features are as above, shape ``(k,)``.
     """
-    own = np.maximum(np.sqrt((np.abs(residues) ** 2).sum(axis=(1, 2))), INVISIBLE)
+    own = np.maximum(np.sqrt((np.abs(residues) ** 2).sum(axis=(-2, -1))), INVISIBLE)
     size, linear = _sizes(own, sizes)
-    flat, axes = residues.reshape(len(poles), -1), tangent.reshape(*tangent.shape[:2], -1)
-    along = np.matmul(axes, flat.conj()[:, :, None])[:, :, 0].conj() / size[:, None]
+    flat, axes = residues.reshape(*own.shape, -1), tangent.reshape(*tangent.shape[:2], -1)
+    along = np.matmul(axes, flat.conj()[..., None])[..., 0].conj() / size[..., None]
     zeta = np.maximum(-poles.real / np.abs(poles), 1e-9)
-    grown = np.log(size) + np.where(linear, along[:, 0].real - 1, 0.0)
-    turned = np.where(linear, along[:, 0].imag, np.angle(along[:, 0]))
-    first = np.stack([np.log(np.abs(poles)), np.log(zeta), grown, turned], axis=1)
-    return np.concatenate([first, along[:, 1:].real, along[:, 1:].imag], axis=1)
+    grown = np.log(size) + np.where(linear, along[..., 0].real - 1, 0.0)
+    turned = np.where(linear, along[..., 0].imag, np.angle(along[..., 0]))
+    first = np.stack([np.log(np.abs(poles)), np.log(zeta), grown, turned], axis=-1)
+    return np.concatenate([first, along[..., 1:].real, along[..., 1:].imag], axis=-1)
 
 
 def slopes_of_values(
@@ -165,7 +167,7 @@ def slopes_of_values(
 def _sizes(own: np.ndarray, measured: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     """Sizes that residues are taken relative to, and of which modes the features are linear in them."""
     if measured is None:
-        return own, np.zeros(len(own), bool)
+        return own, np.zeros(own.shape, bool)
     return np.where(np.isnan(measured), own, measured), ~np.isnan(measured)
 
 

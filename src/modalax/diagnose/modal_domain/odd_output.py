@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from modalax._numerics.triangles import forward
 from modalax.diagnose.causes.base import RARE
 from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.features import slopes_of_values
@@ -56,11 +57,11 @@ def odd_output(setting: Setting, explanations: Sequence[Explanation], outputs: S
     if plain is None or not explanations[0].causes or len(outputs) < 3:
         return None
     r, roots = plain.fit.state.difference, [_root(setting, k) for k in range(len(outputs))]
-    left = [float((np.linalg.solve(L, r) ** 2).sum()) + 2 * _volume(L) for L in roots]
+    left = [float((forward(L, r) ** 2).sum()) + 2 * _volume(L) for L in roots]
     found: list[OddOutput] = []
     for k in np.argsort(left)[:TRIED]:
         L = roots[k]
-        f = fit(replace(setting, whitener=np.linalg.solve(L, setting.whitener)))
+        f = fit(replace(setting, whitener=forward(L, setting.triangle)))
         if f is not None:
             value = f.log_evidence - _volume(L) + math.log(RARE / len(outputs))
             found.append(OddOutput(outputs[k], value - explanations[0].log_posterior))
@@ -77,7 +78,7 @@ def _root(setting: Setting, output: int) -> np.ndarray:
     slopes = slopes_of_values(f.poles, f.residues, f.tangent, still, np.stack([row, 1j * row], axis=1))
     D = np.zeros((len(f.poles), f.width, len(f.poles), 2))
     D[range(len(f.poles)), :, range(len(f.poles))] = GAIN * slopes
-    W = setting.whitener @ D.reshape(len(f.poles) * f.width, -1)
+    W = setting.triangle @ D.reshape(len(f.poles) * f.width, -1)
     return np.linalg.cholesky(np.eye(len(W)) + W @ W.T)
 
 

@@ -5,9 +5,12 @@ particular change of the matrices, and the general inaccuracy can imitate nearly
 the data, and each cause is scored by how much likelier it makes the change that was needed.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy.optimize
 
+from modalax._numerics.triangles import forward
 from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.coordinates import Modes, with_loads
 from modalax.diagnose.modal_domain.features import values_of
@@ -53,10 +56,14 @@ def finite(setting: Setting, candidates: list[Change]) -> tuple[np.ndarray, np.n
             continue
         own = shrink if cause.freed is None else tolerance(setting, (cause,))[1]
         free = 2 * evidence_of_free(setting, (cause,))
-        for u, poles, residues in trials:
-            value = distance(setting, own, poles, residues, (cause,)) - free + (u**2 if cause.sized else 0.0)
-            if value < best[k]:
-                best[k], where[k] = value, u
+        if not trials:
+            continue
+        u = np.array([u for u, _, _ in trials])
+        values = distances(setting, own, [modes for _, *modes in trials], (cause,)) - free
+        values += u**2 if cause.sized else 0.0
+        least = int(np.argmin(np.where(np.isnan(values), np.inf, values)))
+        if values[least] < np.inf:
+            best[k], where[k] = values[least], u[least]
     return best, where
 
 
@@ -64,12 +71,22 @@ def distance(
     setting: Setting, shrink: np.ndarray, poles: np.ndarray, residues: np.ndarray, causes: tuple[Change, ...] = ()
 ) -> float:
     """Chi-square that predicted modes leave beyond the inaccuracy that is tolerated."""
+    return float(distances(setting, shrink, [(poles, residues)], causes)[0])
+
+
+def distances(
+    setting: Setting, shrink: np.ndarray, trials: Sequence[Sequence[np.ndarray]], causes: tuple[Change, ...] = ()
+) -> np.ndarray:
+    """Chi-squares as :func:`distance`, of several trials' poles and residues, which are compared together."""
     f = setting.features
-    pairs = pairs_with(f, causes, poles, residues)
-    values = values_of(poles[pairs], residues[pairs] / f.units, f.tangent, setting.linear)
-    r = whitened(setting, (f.values - values).ravel(), causes)
+    pairs = [pairs_with(f, causes, *modes) for modes in trials]
+    poles, residues = (np.stack([a[which] for a, which in zip(part, pairs, strict=True)])
+                       for part in zip(*trials, strict=True))  # fmt: skip
+    values = values_of(poles, residues / f.units, f.tangent, setting.linear)
+    r = whitened(setting, (f.values - values).reshape(len(pairs), -1).T, causes)
     h = shrink @ r
-    return float(r @ r - h @ h) + unseen(f, causes, poles, residues, pairs)
+    beside = [unseen(f, causes, *modes, which) for modes, which in zip(trials, pairs, strict=True)]
+    return (r**2).sum(axis=0) - (h**2).sum(axis=0) + beside
 
 
 def tolerance(
@@ -83,7 +100,7 @@ def tolerance(
     state = state_at(setting, np.zeros(len(a.group_of)), (*causes, *lacking), np.zeros(len(causes) + len(lacking)))
     W = slopes_at(setting, state, causes, none)[:, : len(a.group_of)] * (TOLERANT * a.usual)[a.group_of]
     L = np.linalg.cholesky(np.eye(W.shape[1]) + W.T @ W)
-    return state, np.linalg.solve(L, W.T)
+    return state, forward(L, W.T)
 
 
 def refined(setting: Setting, causes: list[Change], sizes: list[float]) -> list[float]:
@@ -173,7 +190,7 @@ def scores(setting: Setting, f: Fit, candidates: list[Change]) -> tuple[np.ndarr
     target = f.state.difference + J @ x
     W = J * s
     L = np.linalg.cholesky(np.eye(len(s)) + W.T @ W)
-    half = np.linalg.solve(L, W.T)
+    half = forward(L, W.T)
     G = screening_slopes(setting, f.state, candidates, f.causes, f.u)
     apart = half @ G
     product = G.T @ target - apart.T @ (half @ target)
@@ -195,7 +212,7 @@ def replaced(setting: Setting, f: Fit, which: int, candidates: list[Change]) -> 
     keep = np.delete(np.arange(len(s)), np.arange(len(f.sizes), len(s))[own_sizes(f.causes, which)])
     W = (J * s)[:, keep]
     L = np.linalg.cholesky(np.eye(W.shape[1]) + W.T @ W)
-    half = np.linalg.solve(L, W.T)
+    half = forward(L, W.T)
     G = screening_slopes(setting, f.state, candidates, f.causes, f.u)
     apart = half @ G
     product = G.T @ target - apart.T @ (half @ target)
@@ -217,6 +234,6 @@ def errors_of(setting: Setting, f: Fit, candidates: list[Change]) -> np.ndarray:
     W = J * np.concatenate([f.epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
     L = np.linalg.cholesky(np.eye(W.shape[1]) + W.T @ W)
     G = screening_slopes(setting, f.state, candidates, f.causes, f.u)
-    apart = np.linalg.solve(L, W.T) @ G
+    apart = forward(L, W.T) @ G
     energy = np.maximum((G**2).sum(axis=0) - (apart**2).sum(axis=0), 1e-300)
     return np.where([c.linear for c in candidates], 1 / np.sqrt(energy), np.nan)
