@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from modalax._numerics.compiler import lightly
 from modalax.diagnose.causes.base import Cause, JointCause, LocalCause
 from modalax.diagnose.prediction.frf import equivalent
 
@@ -36,7 +35,7 @@ def _one(cause: Cause, solve: bool, p: Any, motion: Any, drive: Any, omega: Any,
     return -cause.impedance(A, omega[None, None, None], p)[:, 0, 0] * motion  # pyright: ignore[reportAttributeAccessIssue]
 
 
-@partial(jax.jit, static_argnames=("cause", "solve"), compiler_options=lightly())
+@partial(jax.jit, static_argnames=("cause", "solve"), compiler_options={"xla_backend_optimization_level": 1})
 def _piece(cause, solve, p, motion, drive, omega, level):
     return jax.vmap(partial(_one, cause, solve))(p, motion, drive, omega, level)
 
