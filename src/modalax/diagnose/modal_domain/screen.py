@@ -79,13 +79,13 @@ def distances(
 ) -> np.ndarray:
     """Chi-squares as :func:`distance`, of several trials' poles and residues, which are compared together."""
     f = setting.features
-    pairs = [pairs_with(f, causes, *modes) for modes in trials]
+    pairs = [pairs_with(f, causes, p, r) for p, r in trials]
     poles, residues = (np.stack([a[which] for a, which in zip(part, pairs, strict=True)])
                        for part in zip(*trials, strict=True))  # fmt: skip
     values = values_of(poles, residues / f.units, f.tangent, setting.linear)
     r = whitened(setting, (f.values - values).reshape(len(pairs), -1).T, causes)
     h = shrink @ r
-    beside = [unseen(f, causes, *modes, which) for modes, which in zip(trials, pairs, strict=True)]
+    beside = [unseen(f, causes, p, r, which) for (p, r), which in zip(trials, pairs, strict=True)]
     return (r**2).sum(axis=0) - (h**2).sum(axis=0) + beside
 
 
