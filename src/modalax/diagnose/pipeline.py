@@ -17,7 +17,8 @@ r"""The method of the diagnosis, from a measurement and a simulation to an answe
 6. **Decide.** One ordered list of rules gives the verdict and its reasons (``decision.verdict``, ``thresholds``).
 
 Steps 2 to 5 work line by line and take everything but the causes as exact. Where every element of the simulation is a
-little off, or the problem is large, the modal domain answers instead (``decision.route``, ``modal_domain``): the modes
+little off, as the measured modes show also where an inaccuracy of modes is claimed (``modal_domain.claimed_modes``), or
+the problem is large, the modal domain answers instead (``decision.route``, ``modal_domain``): the modes
 of the measurement are identified, the general inaccuracy is estimated together with every cause, and the answer holds
 both. Where one force at one place explains all data, only elements and joints at such places are searched, line by
 line, whatever the size of the problem (``screening.one_force``). Where nothing of this explains several force levels of
@@ -41,12 +42,15 @@ from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.comparison import Comparison, as_measurement, causes_of, make_comparison, with_noise_beside
 from modalax.diagnose.deadline import NEVER, Deadline
 from modalax.diagnose.decision.gain import Gain
-from modalax.diagnose.decision.route import Outcome, Route, choice, order, settled, suffices
+from modalax.diagnose.decision.route import Outcome, Route, by_claim, choice, order, settled, suffices
 from modalax.diagnose.decision.verdict import verdict
 from modalax.diagnose.extend import ExtendedSimulation, extend
 from modalax.diagnose.holdout import measure
 from modalax.diagnose.jointed.answer import diagnose_joint, joint_comes_first, may_have_joint
+from modalax.diagnose.modal_domain.claimed_modes import elements_show
 from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis, diagnose_modes
+from modalax.diagnose.modal_domain.measured import Measured
+from modalax.diagnose.modal_domain.stage import identified
 from modalax.diagnose.modal_domain.table import by_table
 from modalax.diagnose.result import Diagnosis
 from modalax.diagnose.routes import check_groups, outcome_of, task_of
@@ -138,7 +142,11 @@ def by_routes(
     """Diagnose line by line, in the modal domain or both; a free joint that ``follows`` is left some of the time."""
     data = as_measurement(measurement)
     task = task_of(data, simulation, question, causes)
-    exact = task.has_modes and task.whole_catalogue and not (task.elements_off or task.massless)
+    measured = None
+    if by_claim(task):
+        measured, shown = by_modes_or_elements(data, simulation, late, progress)
+        task = replace(task, elements_show=shown)
+    exact = task.has_modes and task.whole_catalogue and not (task.elements_off or task.elements_show or task.massless)
     found = at_one_place(measurement, simulation, question, progress, late) if exact else None
     if found is not None and (found.found.by_force or settled(outcome_of(found)) or late()):
         return found
@@ -151,7 +159,7 @@ def by_routes(
         until = late.part(FIRST_SHARE) if more else late
         try:
             found = (
-                in_modal_domain(data, simulation, causes, until, progress) if route == "modes"
+                in_modal_domain(data, simulation, causes, until, progress, measured) if route == "modes"
                 else line_by_line(measurement, simulation, question, causes, progress, until)
             )  # fmt: skip
         except KeyboardInterrupt:  # what has been found is told
@@ -165,9 +173,23 @@ def by_routes(
     return answers[choice(outcomes)]
 
 
+def by_modes_or_elements(
+    measurement: Measurement, simulation: object, late: Deadline, progress: Callable[[str], None]
+) -> tuple[Measured | None, bool]:
+    """The measurement's own modes, and whether they show that elements are off where modes are claimed to be."""
+    if not isinstance(simulation, Structure):
+        return None, False
+    try:
+        measured = identified(measurement, simulation, progress)
+        progress("comparing modes that are off by themselves with elements that are off")
+        return measured, elements_show(measurement, simulation, measured, late)
+    except (np.linalg.LinAlgError, ValueError):  # line by line says what is wrong with the data
+        return None, False
+
+
 def in_modal_domain(
     measurement: Measurement, simulation: Structure | ModalModel | ExtendedSimulation, causes: Sequence[Cause] | None,
-    late: Deadline, progress: Callable[[str], None],
+    late: Deadline, progress: Callable[[str], None], measured: Measured | None = None,
 ) -> ModalDiagnosis | None:  # fmt: skip
     """Diagnose by the modes of the measurement; None where there is no mode to compare."""
     slugs = None if causes is None else {c.slug for c in causes}
@@ -175,8 +197,9 @@ def in_modal_domain(
         return None
     try:
         return diagnose_modes(
-            measurement, simulation, late=late, wanted=lambda s: slugs is None or s in slugs, tell=progress
-        )
+            measurement, simulation, late=late, wanted=lambda s: slugs is None or s in slugs, tell=progress,
+            measured=measured,
+        )  # fmt: skip
     except (np.linalg.LinAlgError, ValueError):  # line by line says what is wrong with the data
         return None
 

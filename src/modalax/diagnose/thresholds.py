@@ -169,6 +169,11 @@ class Thresholds:
         "Where a force at one place is all that is missing, a law is told that explains it but for less than this.",
         JOINTS,
     )  # fmt: skip
+    elements_lead: float = _threshold(
+        10.0, "nats",
+        "A simulation that is claimed to be off in its modes is off in its elements where these explain the measured "
+        "modes and their evidence is greater by more than this.", INACCURATE,
+    )  # fmt: skip
     decisive: float = _threshold(
         0.999, "probability",
         "A large problem is not searched line by line where the modal domain names a cause with this probability.",

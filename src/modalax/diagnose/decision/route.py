@@ -39,6 +39,8 @@ class Task:
         Whether the modal domain knows all causes of a part of the catalogue that is asked for.
     massless
         Whether DoFs of the simulation have no mass, with which only the modal domain can do.
+    elements_show
+        Whether the measured modes show that its elements are off, where the author claims an inaccuracy of modes.
     """
 
     has_modes: bool
@@ -50,6 +52,7 @@ class Task:
     groups: bool = False
     known_to_modes: bool = True
     massless: bool = False
+    elements_show: bool = False
 
 
 @dataclass(frozen=True)
@@ -105,7 +108,13 @@ def order(task: Task, limits: Thresholds = THRESHOLDS) -> tuple[Route, ...]:
         return "modes", "lines"
     if not task.whole_catalogue:  # what a part of the catalogue leaves must not be taken for inaccuracy
         return ("lines",)
-    return ("lines", "modes") if task.modes_off else ("modes", "lines")
+    return ("lines", "modes") if by_claim(task, limits) and not task.elements_show else ("modes", "lines")
+
+
+def by_claim(task: Task, limits: Thresholds = THRESHOLDS) -> bool:
+    """Whether lines come first only because the author claims that modes are off, not elements."""
+    other = needs_modes(task, limits) or task.groups or task.massless or not task.whole_catalogue
+    return task.has_modes and task.modes_off and not other
 
 
 def needs_modes(task: Task, limits: Thresholds = THRESHOLDS) -> bool:

@@ -213,8 +213,12 @@ class ModalDiagnosis(Diagnosis):
 def diagnose_modes(
     measurement: Measurement, simulation: Structure, *, question: str = "fixed", late: Deadline | None = None,
     wanted: Callable[[str], bool] = lambda _: True, tell: Callable[[str], None] = lambda _: None,
+    measured: Measured | None = None,
 ) -> ModalDiagnosis | None:  # fmt: skip
-    """Diagnose in the modal domain; None where the measurement shows no mode to compare."""
+    """Diagnose in the modal domain; None where the measurement shows no mode to compare.
+
+    ``measured`` is the measurement as :func:`identified`, where that is known.
+    """
     late = late or Deadline()
     ended = None
     if wanted("leakage"):
@@ -223,7 +227,7 @@ def diagnose_modes(
         ended = short_record(measurement, c, tell)
     if ended is not None:
         return _diagnosed(measurement, simulation, question, late, wanted, tell, ended)
-    measured = identified(measurement, simulation, tell)
+    measured = measured or identified(measurement, simulation, tell)
     found = _beside_own_peaks(measurement, simulation, question, late, wanted, tell, measured)
     found = found or _diagnosed(measurement, simulation, question, late, wanted, tell, measured=measured)
     if found is None or late() or found.after.p_value > THRESHOLDS.left_by_modes:

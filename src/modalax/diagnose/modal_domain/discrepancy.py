@@ -59,8 +59,7 @@ def learnt_rest(setting: Setting, fits: list[Fit], priors: list[float]) -> tuple
         return setting, 0.0
     weight = np.exp(found - found.max())
     size = float(np.sqrt((weight * np.array(SIZES) ** 2).sum() / weight.sum()))
-    L = np.linalg.cholesky(np.eye(len(chosen)) + size**2 * chosen)
-    whitener = forward(L, setting.triangle)
+    whitener = forward(_root(np.eye(len(chosen)) + size**2 * chosen), setting.triangle)
     return replace(setting, whitener=whitener, rest=float(np.hypot(setting.rest, size))), size
 
 
@@ -102,6 +101,15 @@ def _couples(setting: Setting, f: Fit, above: int) -> tuple[list[tuple[int, int]
 
 
 def _evidence(covariance: np.ndarray, target: np.ndarray) -> float:
-    L = np.linalg.cholesky(covariance)
+    L = _root(covariance)
     z = forward(L, target)
-    return -0.5 * float(z @ z) - float(np.log(np.diag(L)).sum())
+    return -0.5 * float(z @ z) - float(np.log(np.abs(np.diag(L))).sum())
+
+
+def _root(covariance: np.ndarray) -> np.ndarray:
+    """Triangular root of a covariance of at least 1 in any direction, which rounding beside far larger ones may hide."""
+    try:
+        return np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(covariance)
+        return np.linalg.qr((vectors * np.sqrt(np.maximum(values, 1.0))).T, mode="r").T

@@ -114,6 +114,17 @@ def explain(
     return search.setting, _ranked(search.found, prior)
 
 
+def one_cause(setting: Setting, candidates: list[Change], late: Deadline) -> list[Explanation]:
+    """Explanations by at most one cause, by falling probability; empty where the simulation has too few modes."""
+    null, prior = fit(setting), Prior(candidates)
+    found = _less_a_mode(setting, candidates) if null is None else {(): null}
+    for cause, u, start in [] if null is None else _leading(setting, null, candidates, prior):
+        if late():
+            break
+        _try(setting, found, (cause,), cause.of_size(u), start, gentle=start is None)
+    return _ranked(found, prior) if found else []
+
+
 def again(setting: Setting, earlier: Sequence[Explanation], candidates: list[Change]) -> list[Explanation]:
     """The likeliest of earlier explanations and the general inaccuracy alone, fitted to features that have changed."""
     found: dict[tuple[Change, ...], Fit] = {}

@@ -24,6 +24,7 @@ UNKNOWN = 2.0  # standard deviation of the logarithm of a size that nobody claim
 CLAIMED = 0.7  # the same of a size that the author claims, who may be wrong by a factor of two
 RIGID = 1e-3  # frequency, relative to the highest, below which a mode is that of a rigid body
 BETWEEN = 0.1  # damping between modes, relative to that of the modes themselves
+NEGLIGIBLE = 1e-12  # modal damping [1/s] of a mode without any
 NEAR = 8  # modes above each one that it may be coupled with by damping
 KINDS = {"stiffness": "K", "mass": "M", "damping": "C", "damping between modes": "C", "rest": "K",
          "stiffness throughout": "K", "mass throughout": "M", "stiffness within": "K", "mass within": "M"}  # fmt: skip
@@ -103,13 +104,19 @@ def _claim(simulation: Structure, name: str) -> float:
 
 def _damping(c: Coordinates, highest: float) -> tuple[np.ndarray, np.ndarray]:
     """Patterns of damping, of each mode by itself and between modes, those in the band and others near them."""
-    own = np.sqrt(np.maximum(np.diag(c.damping), 1e-12))
+    own = np.sqrt(np.maximum(np.diag(c.damping), NEGLIGIBLE))
     inside = int(np.count_nonzero(c.frequencies < highest))
-    few = min(inside + 2, c.size)
     pairs = [(r, s) for r in range(min(inside + 1, c.size)) for s in range(r + 1, min(c.size, r + NEAR + 1))]
-    alone, between = np.zeros((few, c.size, c.size)), np.zeros((len(pairs), c.size, c.size))
-    for r in range(few):
-        alone[r, r, r] = own[r] ** 2
+    between = np.zeros((len(pairs), c.size, c.size))
     for k, (r, s) in enumerate(pairs):
         between[k, r, s] = between[k, s, r] = BETWEEN * own[r] * own[s]
-    return alone, between
+    return own_damping(c, highest), between
+
+
+def own_damping(c: Coordinates, highest: float) -> np.ndarray:
+    """Patterns of damping of each mode by itself, those in the band and two more, shape ``(p, n, n)``."""
+    few = min(int(np.count_nonzero(c.frequencies < highest)) + 2, c.size)
+    alone = np.zeros((few, c.size, c.size))
+    for r in range(few):
+        alone[r, r, r] = max(c.damping[r, r], NEGLIGIBLE)
+    return alone

@@ -111,6 +111,35 @@ def identified(measurement: Measurement, simulation: Structure, tell: Callable[[
     return identify(measurement, coordinates_of(simulation, measurement.outputs, measurement.inputs, highest))
 
 
+@dataclass(frozen=True)
+class Posed:
+    """What is compared: the simulation's modal coordinates, what hypotheses share, every cause at every place, and the
+    places of springs (:func:`springs_of`)."""
+
+    coordinates: Coordinates
+    setting: Setting
+    candidates: list[Change]
+    places: list[Any]
+
+
+def posed(measurement: Measurement, simulation: Structure, measured: Measured) -> Posed:
+    """What modes that were identified are compared with."""
+    highest = 2 * np.pi * float(measurement.freq[-1])
+    c = coordinates_of(simulation, measurement.outputs, measurement.inputs, highest)
+    whitener = whitener_of(measured.features)
+    setting = Setting(c, inaccuracy_of(simulation, c, highest), measured.features, whitener)
+    if simulation.groups is None:  # all of the mass and stiffness is, where there is one force, its constant as well
+        sought = ("stiffness", "mass") if len(measurement.inputs) > 1 else ("stiffness",)
+        setting = replace(setting, sought=sought, uneven=simulation.elements is None)
+    pairs = None if simulation.pairs is None else list(simulation.pairs)
+    every = candidates_of(simulation, c, measurement.outputs, measurement.inputs, pairs, highest)
+    every += further_of(simulation, c, measured, measurement.outputs)
+    places = springs_of(simulation, c, nodes_of(simulation.dofs), pairs, highest)
+    low, high = (float(abs(measured.channels.s[k])) for k in (0, -1))
+    forces = line_forces(c, simulation.dofs, measurement.outputs, measurement.inputs, places, low, high)
+    return Posed(c, setting, [*every, *asked_of_modes(forces)], places)
+
+
 def run_stage(
     measurement: Measurement, simulation: Structure, late: Deadline, wanted: Callable[[str], bool],
     tell: Callable[[str], None], measured: Measured | None = None,
@@ -128,24 +157,12 @@ def run_stage(
     measured
         The measurement as :func:`identified`, where that is known.
     """
-    highest = 2 * np.pi * float(measurement.freq[-1])
-    c = coordinates_of(simulation, measurement.outputs, measurement.inputs, highest)
     measured = measured or identified(measurement, simulation, tell)
     if not len(measured.features.poles):
         return None
-    whitener = whitener_of(measured.features)
-    setting = Setting(c, inaccuracy_of(simulation, c, highest), measured.features, whitener)
-    if simulation.groups is None:  # all of the mass and stiffness is, where there is one force, its constant as well
-        sought = ("stiffness", "mass") if len(measurement.inputs) > 1 else ("stiffness",)
-        setting = replace(setting, sought=sought, uneven=simulation.elements is None)
-    pairs = None if simulation.pairs is None else list(simulation.pairs)
-    every = candidates_of(simulation, c, measurement.outputs, measurement.inputs, pairs, highest)
-    every += further_of(simulation, c, measured, measurement.outputs)
-    places = springs_of(simulation, c, nodes_of(simulation.dofs), pairs, highest)
-    low, high = (float(abs(measured.channels.s[k])) for k in (0, -1))
-    forces = line_forces(c, simulation.dofs, measurement.outputs, measurement.inputs, places, low, high)
-    every += asked_of_modes(forces)
-    candidates = [k for k in every if wanted(k.slug)]
+    task = posed(measurement, simulation, measured)
+    c, setting, places = task.coordinates, task.setting, task.places
+    candidates = [k for k in task.candidates if wanted(k.slug)]
     H, level = np.asarray(measurement.H), np.asarray(measurement.level)
     first = late.part(FIRST_SHARE) if len(H) > 1 else late
     setting, explanations = explain(setting, candidates, first, tell)

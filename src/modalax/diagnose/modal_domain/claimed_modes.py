@@ -1,0 +1,54 @@
+r"""Whether a simulation of which an inaccuracy of its modes is claimed is off in its elements.
+
+Where only frequencies and damping ratios are off, mode by mode, all shapes are those of the simulation, and one cause
+beside them bends shapes in a way of its own; elements that are off bend every shape. Both are fitted to the measured
+modes, without and with each leading cause, and their evidence tells which it is.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from modalax.data import Measurement
+from modalax.diagnose.deadline import Deadline
+from modalax.diagnose.modal_domain.coordinates import Coordinates
+from modalax.diagnose.modal_domain.explain import one_cause
+from modalax.diagnose.modal_domain.fit import SMALLEST
+from modalax.diagnose.modal_domain.inaccuracy import CLAIMED, Inaccuracy, own_damping
+from modalax.diagnose.modal_domain.measured import Measured
+from modalax.diagnose.modal_domain.stage import posed
+from modalax.diagnose.thresholds import THRESHOLDS
+from modalax.model import Structure
+
+
+def elements_show(measurement: Measurement, simulation: Structure, measured: Measured, late: Deadline) -> bool:
+    """Whether the measured modes are those of a simulation that is off in its elements, not mode by mode."""
+    if not len(measured.features.poles):
+        return False
+    task = posed(measurement, simulation, measured)
+    highest = 2 * np.pi * float(measurement.freq[-1])
+    by_modes = replace(task.setting, inaccuracy=off_by_modes(simulation, task.coordinates, highest))
+    alone = one_cause(by_modes, task.candidates, late)
+    if alone and alone[0].misfit <= THRESHOLDS.misfit:  # as its author claims
+        return False
+    bent = one_cause(task.setting, task.candidates, late)
+    if late() or not bent or bent[0].misfit > THRESHOLDS.misfit:
+        return False
+    return not alone or bent[0].log_posterior - alone[0].log_posterior > THRESHOLDS.elements_lead
+
+
+def off_by_modes(simulation: Structure, c: Coordinates, highest: float) -> Inaccuracy:
+    """The inaccuracy that is claimed of frequencies and damping ratios, each mode by itself, and no other."""
+    few = own_damping(c, highest)
+    frequency, damping = (
+        np.broadcast_to(np.asarray(claim, float), (len(simulation.dofs),))[: len(few)]
+        for claim in (simulation.frequency_std, simulation.damping_std)
+    )
+    stiffness = np.zeros_like(few)
+    for k in range(len(few)):
+        stiffness[k, k, k] = 2 * c.frequencies[k] ** 2  # of a relative change of the frequency
+    usual = [max(float(np.sqrt((claim**2).mean())), SMALLEST) for claim in (frequency, damping)]
+    return Inaccuracy(
+        ("stiffness", "damping"), (stiffness, few), np.array(usual), np.full(2, CLAIMED), (True, True),
+        np.repeat([False, True], len(few)),
+    )  # fmt: skip
