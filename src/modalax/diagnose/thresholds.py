@@ -170,9 +170,10 @@ class Thresholds:
         JOINTS,
     )  # fmt: skip
     elements_lead: float = _threshold(
-        10.0, "nats",
+        20.0, "ratio of chi-squares",
         "A simulation that is claimed to be off in its modes is off in its elements where these explain the measured "
-        "modes and their evidence is greater by more than this.", INACCURATE,
+        "modes, and frequencies and damping ratios alone leave more than this many times as much: no cause that the "
+        "modal domain does not know does that and is explained by elements.", INACCURATE,
     )  # fmt: skip
     decisive: float = _threshold(
         0.999, "probability",

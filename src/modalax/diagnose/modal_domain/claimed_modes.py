@@ -34,7 +34,7 @@ def elements_show(measurement: Measurement, simulation: Structure, measured: Mea
     bent = one_cause(task.setting, task.candidates, late)
     if late() or not bent or bent[0].misfit > THRESHOLDS.misfit:
         return False
-    return not alone or bent[0].log_posterior - alone[0].log_posterior > THRESHOLDS.elements_lead
+    return not alone or alone[0].misfit > THRESHOLDS.elements_lead * max(bent[0].misfit, 1.0)
 
 
 def off_by_modes(simulation: Structure, c: Coordinates, highest: float) -> Inaccuracy:

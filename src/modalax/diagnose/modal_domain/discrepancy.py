@@ -107,7 +107,7 @@ def _evidence(covariance: np.ndarray, target: np.ndarray) -> float:
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:
-    """Triangular root of a covariance of at least 1 in any direction, which rounding beside far larger ones may hide."""
+    """Triangular root of a covariance that is nowhere below 1, which rounding beside large parts of it may hide."""
     try:
         return np.linalg.cholesky(covariance)
     except np.linalg.LinAlgError:

@@ -113,8 +113,17 @@ def identified(measurement: Measurement, simulation: Structure, tell: Callable[[
 
 @dataclass(frozen=True)
 class Posed:
-    """What is compared: the simulation's modal coordinates, what hypotheses share, every cause at every place, and the
-    places of springs (:func:`springs_of`)."""
+    """What measured modes are compared with.
+
+    Attributes
+    ----------
+    coordinates, setting
+        The simulation's modal coordinates, and what hypotheses share.
+    candidates
+        Every cause at every place.
+    places
+        Of springs, as :func:`springs_of` tells them.
+    """
 
     coordinates: Coordinates
     setting: Setting

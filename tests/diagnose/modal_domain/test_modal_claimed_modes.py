@@ -1,0 +1,64 @@
+"""A simulation whose modes are claimed to be off: its shapes tell whether its elements are off instead."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.linalg
+from chains_off import DOFS, FREQ, MASSES, SPRINGS, ZETA, as_measured, chain_off, matrices, response
+
+from modalax.diagnose.deadline import NEVER
+from modalax.diagnose.decision.route import by_claim, order
+from modalax.diagnose.modal_domain.claimed_modes import elements_show, off_by_modes
+from modalax.diagnose.modal_domain.coordinates import coordinates_of
+from modalax.diagnose.modal_domain.discrepancy import _root
+from modalax.diagnose.modal_domain.stage import identified
+from modalax.diagnose.routes import task_of
+from modalax.model import Structure
+
+CLAIMED = Structure(*matrices(MASSES, SPRINGS, ZETA), DOFS, frequency_std=0.01, damping_std=0.2)
+MASS = 0.1  # kg, added at the second mass
+
+
+def off_mode_by_mode(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The chain with its own shapes, frequencies off by 1 % and dampings by 20 %."""
+    rng = np.random.default_rng(seed)
+    M, _, K = matrices(MASSES, SPRINGS, ZETA)
+    w2, P = scipy.linalg.eigh(K, M)
+    w, zeta = np.sqrt(w2) * (1 + 0.01 * rng.standard_normal(5)), ZETA * (1 + 0.2 * rng.standard_normal(5))
+    left = M @ P
+    return M, left @ np.diag(2 * zeta * w) @ left.T, left @ np.diag(w**2) @ left.T
+
+
+@pytest.mark.parametrize(
+    ("structure", "mass", "elements"),
+    [(off_mode_by_mode(7), MASS, False), (chain_off(7, 0.02), 0.0, True), (chain_off(7, 0.02), MASS, True)],
+)
+def test_elements_that_are_off_bend_shapes_as_no_frequency_does(structure, mass, elements):
+    M, C, K = structure
+    data = as_measured(response(M + mass * np.outer(np.eye(5)[1], np.eye(5)[1]), C, K, FREQ), FREQ, 7)
+    measured = identified(data, CLAIMED, lambda _: None)
+    assert elements_show(data, CLAIMED, measured, NEVER) is elements
+    task = task_of(data, CLAIMED, "auto")
+    assert by_claim(task)
+    assert order(replace(task, elements_show=elements))[0] == ("modes" if elements else "lines")
+
+
+def test_each_mode_is_off_by_a_frequency_of_its_own_and_by_nothing_else():
+    c = coordinates_of(CLAIMED, DOFS[:2], DOFS[:1], 2 * np.pi * FREQ[-1])
+    off = off_by_modes(CLAIMED, c, 2 * np.pi * FREQ[-1])
+    np.testing.assert_allclose(off.usual, [0.01, 0.2])
+    for k, pattern in enumerate(off.patterns[0]):
+        changed = np.sqrt(np.diag(np.diag(c.frequencies**2) + 1e-6 * pattern)) / c.frequencies - 1
+        np.testing.assert_allclose(changed, 1e-6 * np.eye(c.size)[k], atol=1e-11)
+        assert np.count_nonzero(pattern) == 1
+
+
+def test_a_root_is_found_where_rounding_beside_large_parts_hides_that_all_are_at_least_one():
+    a = np.random.default_rng(0).standard_normal((6, 2)) * 1e12
+    covariance = np.eye(6) + a @ a.T
+    with pytest.raises(np.linalg.LinAlgError):
+        np.linalg.cholesky(covariance)
+    L = _root(covariance)
+    np.testing.assert_allclose(L @ L.T, covariance, rtol=1e-10, atol=1e-10 * covariance.max())
+    np.testing.assert_allclose(np.triu(L, 1), 0.0)
