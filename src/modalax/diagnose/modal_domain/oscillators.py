@@ -1,7 +1,10 @@
 r"""Where an attached oscillator may sit, by finite sizes: its places are screened once a measured mode is too many.
 
 A light one has the pole that was measured, and at each place just one mass makes the residue as large as it was
-measured: residues of its own mode grow as the mass.
+measured: residues of its own mode grow as the mass. A heavy one splits a mode into two, far apart, and neither is near its
+own frequency: with the compliance :math:`H` of its place a mass :math:`m` makes a mode at :math:`\omega` just where
+
+.. math:: \omega_0^2 = \frac{\omega^2}{1 - m\omega^2 H(\omega)}.
 """
 
 import numpy as np
@@ -11,8 +14,9 @@ from modalax.diagnose.modal_domain.further_causes import FACTOR, ZETA, TunedMass
 from modalax.diagnose.modal_domain.screen import STILL, distance, tolerance
 from modalax.diagnose.modal_domain.state import Setting
 
-NEAR = (0.88, 0.94, 0.98, 1.0, 1.02, 1.06, 1.12)  # frequencies that are tried, over that of the mode too many
-MASSES = (0.1, 0.4, 1.0)  # roots of masses that are tried, over the usual
+MASSES = np.array([0.1, 0.2, 0.3, 0.45, 0.65, 1.0, 1.5])  # roots of masses that are tried, over the usual
+OFF = np.array([0.975, 1.0, 1.025])  # frequencies at which the compliance is taken, over that of the mode too many
+FARTHEST = 1.6  # of the oscillator from that mode, by a factor in frequency, of those that are tried
 LIGHT = 0.02  # root of a mass, over the usual, that changes no other mode
 LEADING = 6  # places that are fitted, of light and of heavy ones each
 
@@ -29,20 +33,35 @@ def oscillators(
     for cause in candidates:
         if not isinstance(cause, TunedMass):
             continue
-        trials = [
-            np.array([u, np.log(near_to * near / cause.middle) / cause.width, 0.0]) for u in MASSES for near in NEAR
-        ]
-        trials.append(_light(setting, cause, extra.freed))
+        trials = [*_heavy(setting, cause, near_to), _light(setting, cause, extra.freed)]
         values = [
             distance(setting, shrink, poles, residues) + float(u @ u)
             for u, (poles, residues) in zip(trials, _modes(setting, cause, trials), strict=True)
         ]
-        best = int(np.argmin(values[:-1]))
-        heavy.append((values[best], cause, trials[best]))
         light.append((values[-1], cause, trials[-1]))
+        if len(trials) > 1:
+            best = int(np.argmin(values[:-1]))
+            heavy.append((values[best], cause, trials[best]))
     # each kind by itself: a light one fits its own mode wherever it is, and would crowd out heavy ones
     leading = [sorted(kind, key=lambda one: one[0])[:LEADING] for kind in (light, heavy)]
     return [(cause, u) for kind in leading for _, cause, u in kind]
+
+
+def _heavy(setting: Setting, cause: TunedMass, near_to: float) -> list[np.ndarray]:
+    """Sizes of oscillators of each mass, tuned so that one mode comes to where one is too many.
+
+    The simulation is off by some per cent, so that the compliance is taken on either side as well.
+    """
+    c, trials = setting.coordinates, []
+    at = near_to * OFF
+    moved = cause.direction[:-1] ** 2
+    compliance = (moved / (c.frequencies[:-1] ** 2 - at[:, None] ** 2)).sum(axis=1)
+    for u in MASSES:
+        stretched = 1 - cause.scale * u**2 * near_to**2 * compliance
+        for own in near_to / np.sqrt(stretched[stretched > 0]):
+            if near_to / FARTHEST < own < near_to * FARTHEST:
+                trials.append(np.array([u, np.log(own / cause.middle) / cause.width, 0.0]))
+    return trials
 
 
 def _light(setting: Setting, cause: TunedMass, mode: int) -> np.ndarray:
@@ -54,7 +73,7 @@ def _light(setting: Setting, cause: TunedMass, mode: int) -> np.ndarray:
     ((poles, residues),) = _modes(setting, cause, [u])
     own = residues[np.argmin(np.abs(poles - pole))] / f.units[mode]
     larger = np.linalg.norm(f.residues[mode]) / max(float(np.linalg.norm(own)), 1e-300)
-    return np.array([min(LIGHT * np.sqrt(larger), max(MASSES)), *u[1:]])
+    return np.array([min(LIGHT * np.sqrt(larger), MASSES[-1]), *u[1:]])
 
 
 def _modes(setting: Setting, cause: TunedMass, trials: list[np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -1,0 +1,45 @@
+"""Heavy oscillators split a mode into two, far apart: where and how they are sought."""
+
+import numpy as np
+import pytest
+from chains_off import FREQ, as_measured, chain_off, response, simulation
+
+from modalax.diagnose.modal_domain.further_causes import MissingMode, TunedMass
+from modalax.diagnose.modal_domain.oscillators import _heavy, oscillators
+from modalax.diagnose.modal_domain.stage import identified, posed
+
+MASS, TUNED, LOSS = 0.3, 37.0, 0.015  # kg, Hz, damping ratio: a sixth of the modal mass there
+
+
+@pytest.fixture(scope="module", params=[1, 2])
+def task(request):
+    M, C, K = (np.pad(A, (0, 1)) for A in chain_off(request.param, 0.02))
+    v, w = np.array([0.0, 0, 1, 0, 0, -1]), 2 * np.pi * TUNED
+    M[5, 5] = MASS
+    H = response(M, C + 2 * LOSS * w * MASS * np.outer(v, v), K + w**2 * MASS * np.outer(v, v), FREQ)
+    data = as_measured(H, FREQ, request.param)
+    return posed(data, simulation(), identified(data, simulation(), lambda _: None))
+
+
+def test_each_mass_is_tuned_so_that_one_mode_is_where_one_is_too_many(task):
+    cause = next(c for c in task.candidates if isinstance(c, TunedMass) and c.where == ("3:+Z",))
+    near_to = 2 * np.pi * 41.0
+    trials = _heavy(task.setting, cause, near_to)
+    assert len(trials) > 7
+    c, apart = task.coordinates, []
+    for u in trials:
+        values = np.linalg.eigvalsh(np.diag(c.frequencies**2) + cause.changes(u)["K"])
+        apart.append(np.abs(np.sqrt(np.maximum(values, 0.0)) / near_to - 1).min())
+    assert np.count_nonzero(np.array(apart) < 1e-9) >= 5  # compliance at that frequency itself
+    assert max(apart) < 0.05  # and on either side
+
+
+def test_its_place_leads_and_a_start_near_it_is_found_from_either_mode(task):
+    poles = np.abs(task.setting.features.poles) / 2 / np.pi
+    for number in np.argsort(np.abs(poles - TUNED))[:2]:
+        extra = next(c for c in task.candidates if isinstance(c, MissingMode) and c.freed == number)
+        found = oscillators(task.setting, task.candidates, extra)
+        places = list(dict.fromkeys(cause.where for cause, _ in found[len(found) // 2 :]))  # the light ones come first
+        assert places[0] == ("3:+Z",)
+        mass, w, _ = next(c.values(u) for c, u in found[len(found) // 2 :] if c.where == ("3:+Z",))
+        assert 0.4 * MASS < mass < 2.5 * MASS and abs(w / (2 * np.pi * TUNED) - 1) < 0.15
