@@ -1,8 +1,8 @@
 r"""Where an attached oscillator may sit, by finite sizes: its places are screened once a measured mode is too many.
 
 A light one has the pole that was measured, and at each place just one mass makes the residue as large as it was
-measured: residues of its own mode grow as the mass. A heavy one splits a mode into two, far apart, and neither is near its
-own frequency: with the compliance :math:`H` of its place a mass :math:`m` makes a mode at :math:`\omega` just where
+measured: residues of its own mode grow as the mass. A heavy one splits a mode into two, far apart, and neither is near
+its own frequency: with the compliance :math:`H` of its place a mass :math:`m` makes a mode at :math:`\omega` just where
 
 .. math:: \omega_0^2 = \frac{\omega^2}{1 - m\omega^2 H(\omega)}.
 """
@@ -52,6 +52,7 @@ def _heavy(setting: Setting, cause: TunedMass, near_to: float) -> list[np.ndarra
 
     The simulation is off by some per cent, so that the compliance is taken on either side as well.
     """
+    assert cause.direction is not None
     c, trials = setting.coordinates, []
     at = near_to * OFF
     moved = cause.direction[:-1] ** 2
