@@ -26,11 +26,8 @@ from modalax.diagnose.causes.base import (
     WindowCause,
 )
 from modalax.diagnose.causes.signals import Channels, ModalTerms
+from modalax.diagnose.prediction.amplitude import TINY, amplitude
 from modalax.diagnose.setup.problem import Problem
-
-BRACKET, GRID, HALVINGS, POLISH = 60.0, 12, 6, 3  # search for the amplitude across a joint: range, points, bisections
-DENSER = 2.0  # power by which the points of the search lie closer about a measured amplitude
-TINY = 1e-300  # added to magnitudes so that their logarithm exists at zero
 
 
 @eqx.filter_jit
@@ -297,23 +294,6 @@ def in_series(harmonics: Complex[Array, "two_p run f i"] | None) -> Any:
     return 0.0 if harmonics is None else harmonics[SERIES].real
 
 
-def _bracket(miss: Any, free: Array, near: Array) -> tuple[Array, Array]:
-    """Logarithms of amplitudes between which ``miss`` rises through 0: first of all, or nearest to one measured."""
-    even = jnp.linspace(-1.0, 1.0, GRID)
-    measured = near > 0
-    start = jnp.where(measured, jnp.log(near + TINY), free)
-    closer = jnp.sign(even) * jnp.abs(even) ** DENSER
-    steps = jnp.log(BRACKET) * jnp.stack([even, closer], axis=1)[(..., *(None,) * free.ndim)]
-    points = start + jnp.where(measured, steps[:, 1], steps[:, 0])
-    above = jax.lax.map(miss, points) >= 0
-    rises = above & ~jnp.concatenate([jnp.zeros_like(above[:1]), above[:-1]])
-    far = jnp.abs(jnp.arange(GRID) - 0.5 * (GRID - 1))[(..., *(None,) * free.ndim)]
-    order = jnp.where(measured, far, jnp.arange(GRID)[(..., *(None,) * free.ndim)])
-    first = jnp.where(rises.any(axis=0), jnp.argmin(jnp.where(rises, order, jnp.inf), axis=0), GRID - 1)
-    take = lambda k: jnp.take_along_axis(points, k[None], axis=0)[0]
-    return take(jnp.maximum(first - 1, 0)), take(first)
-
-
 def equivalent(
     cause: Any, p: Any, omega: Array, drive: Array, motion: Array, level: Array, harmonics: Any = None
 ) -> Complex[Array, "run f i"]:
@@ -350,40 +330,8 @@ def equivalent(
 
     fixed = jax.lax.stop_gradient((free, flat, p))
     near = jnp.zeros(free.shape) if harmonics is None else jax.lax.stop_gradient(harmonics[NEAR].real)
-    low, high = _bracket(lambda x: miss(x, *fixed)[0], jnp.log(fixed[0]), near)
-
-    def closer(k: Any, at: _Root) -> _Root:
-        """Look at ``following`` and go on: by bisection first, then by Newton's steps that stay between the ends."""
-        x = at.following
-        (value, _), (slope, change) = jax.jvp(lambda x: miss(x, *fixed), (x,), (jnp.ones_like(x),))
-        a, b = jnp.where(value >= 0, at.low, x), jnp.where(value >= 0, x, at.high)
-        new = x - value / jnp.where(jnp.abs(slope) > 0.05, slope, 0.05)
-        inside = (k >= HALVINGS) & (new >= a) & (new <= b)
-        return _Root(jnp.where(inside, new, 0.5 * (a + b)), a, b, x, value, slope, change)
-
-    start = _Root(0.5 * (low + high), low, high, low, low, low, low + 0j)
-    root = jax.lax.stop_gradient(jax.lax.fori_loop(0, HALVINGS + POLISH + 1, closer, start))
+    root = jax.lax.stop_gradient(amplitude(lambda x: miss(x, *fixed), jnp.log(fixed[0]), near, cause.rigid))
     slope = jnp.where(jnp.abs(root.slope) > 0.05, root.slope, jnp.where(root.slope < 0, -0.05, 0.05))
     # one more step, to first order, carries the derivatives
     value, Z = miss(root.at, free, flat, p)
     return Z - root.change * jnp.where(jnp.abs(root.value) < 1e-3, value / slope, 0.0)
-
-
-class _Root(NamedTuple):
-    """Search for the logarithm of an amplitude.
-
-    Attributes
-    ----------
-    following, low, high
-        Where it is looked at next, and the ends between which it lies.
-    at, value, slope, change
-        Where it was looked at last; what the balance missed there, and how that and the force change with it.
-    """
-
-    following: Array
-    low: Array
-    high: Array
-    at: Array
-    value: Array
-    slope: Array
-    change: Array
