@@ -11,6 +11,7 @@ from modalax.check.study import Study
 LOSS, SURE = 0.05, 6.0
 # Lines whose response exceeds this share of the output's largest are compared, of those with less relative noise.
 LOUD, CLEAR = 0.85, 0.2
+OVER = np.geomspace(1.0, 30.0, 400)  # responses at the peak over the sensor's limit that are compared with the loss
 
 
 def clipped(study: Study) -> Iterator[Finding]:
@@ -48,11 +49,15 @@ def clipped(study: Study) -> Iterator[Finding]:
         scatter = float(np.median(np.abs(loss - mean)))
         score = mean / max(LOSS, SURE * std, 0.7 * scatter)
         if score > 1 and abs(quiet) < 0.6 * mean + 0.02:
-            # The loss is largest at the very peak, and on the mean of all loud lines less.
-            most = float(max(mean, np.median(np.sort(loss)[-3:])))
+            share = np.abs(study.H[low, lines, o, columns]) / size.max()
+            middle = np.array([np.median(row[np.isfinite(row)]) for row in known])
+            told = [
+                _at_the_peak(reference - ratio[lines, o, columns], spread, share, level[low] / level[high])
+                for reference in (middle, expected)
+            ]
+            most, ends = told[0][0], (min(a for _, a, _ in told), max(b for _, _, b in told))
             yield Finding(
-                "clipped", (name,), sure=sureness(score, 1.0), size=float(1 - np.exp(-most)), unit="of the peak",
-                interval=(float(1 - np.exp(-mean + 2 * std)), float(1 - np.exp(-most - 2 * spread.max()))),
+                "clipped", (name,), sure=sureness(score, 1.0), size=most, unit="of the peak", interval=ends,
                 evidence=f"at its peaks this output loses {100 * (1 - np.exp(-mean)):.3g} % from {level[low]:.3g} to "
                 f"{level[high]:.3g} N, the other outputs at the same lines do not",
                 advice="choose a larger range for this channel, or a lower level",
@@ -61,3 +66,40 @@ def clipped(study: Study) -> Iterator[Finding]:
                     "Frequency [Hz]", "|H|", True,
                 ),
             )  # fmt: skip
+
+
+def _at_the_peak(loss: np.ndarray, spread: np.ndarray, share: np.ndarray, weaker: float) -> tuple[float, float, float]:
+    r"""Loss at the peak of the higher level against an unlimited sensor, and its interval of 95 %.
+
+    Of a sine of amplitude :math:`A` a sensor of limit c leaves :math:`g(A/c)` of the fundamental,
+
+    .. math:: g(x) = \tfrac2\pi\big(\arcsin\tfrac1x + \tfrac1x\sqrt{1 - 1/x^2}\big),\quad x > 1
+
+    (Gelb and Vander Velde 1968, Multiple-Input Describing Functions, saturation). One limit explains the loss of all
+    lines, those below the peak and those at which the lower level is clipped too.
+
+    Parameters
+    ----------
+    loss, spread
+        Logarithm of the gain that each line loses between the levels, and its standard deviation, shape ``(n,)``.
+    share
+        Response at each line over that at the peak at the lower level, shape ``(n,)``.
+    weaker
+        The lower level over the higher one.
+    """
+    # The lower level's response as it would be without the limit, of each limit that is tried.
+    y = np.geomspace(1e-3, 2 * OVER[-1], 2000)
+    limited = weaker * OVER * _left(weaker * OVER)
+    y = np.interp(limited[:, None] * share, y * _left(y), y)
+    chi2 = np.sum(((loss - np.log(_left(y) / _left(y / weaker))) / spread) ** 2, axis=1)
+    best = int(np.argmin(chi2))
+    inside = np.flatnonzero(chi2 <= chi2[best] + 4 * max(1.0, chi2[best] / max(len(loss) - 1, 1)))
+    ends = OVER[[best, inside[0], inside[-1]]] * np.array([1.0, OVER[0] / OVER[1], OVER[1] / OVER[0]])
+    size, low, high = (float(1 - _left(np.array(e))) for e in ends)
+    return size, low, high
+
+
+def _left(x: np.ndarray) -> np.ndarray:
+    """Part of a sine's fundamental that a limit leaves of it, of amplitudes over that limit."""
+    y = 1 / np.maximum(x, 1.0)
+    return 2 / np.pi * (np.arcsin(y) + y * np.sqrt(1 - y**2))
