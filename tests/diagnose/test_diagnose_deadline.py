@@ -3,6 +3,7 @@
 import numpy as np
 
 from modalax.data import Measurement
+from modalax.diagnose import pipeline
 from modalax.diagnose.causes import catalogue
 from modalax.diagnose.deadline import NEVER, Deadline
 from modalax.diagnose.decision.verdict import verdict
@@ -49,3 +50,15 @@ def test_what_was_not_compared_with_causes_beside_the_catalogue_is_not_named():
         word_now, reasons = verdict(checked.ranked, checked.leftover)
         assert word_now == word
         assert any("beside the catalogue" in reason for reason in reasons) == (word == "ambiguous")
+
+
+def test_modes_that_cannot_be_compared_are_told(monkeypatch):
+    """Line by line answers then; why modes did not is not lost."""
+
+    def fails(*_, **__):
+        raise np.linalg.LinAlgError("no root")
+
+    monkeypatch.setattr(pipeline, "diagnose_modes", fails)
+    simulation, said = Structure(np.eye(3), 2e-4 * CHAIN, CHAIN, ["a", "b", "c"]), []
+    assert pipeline.in_modal_domain(measured(), simulation, None, NEVER, said.append) is None
+    assert said == ["modes could not be compared: no root"]

@@ -200,7 +200,8 @@ def in_modal_domain(
             measurement, simulation, late=late, wanted=lambda s: slugs is None or s in slugs, tell=progress,
             measured=measured,
         )  # fmt: skip
-    except (np.linalg.LinAlgError, ValueError):  # line by line says what is wrong with the data
+    except (np.linalg.LinAlgError, ValueError) as error:  # line by line says what is wrong with the data
+        progress(f"modes could not be compared: {error}")
         return None
 
 
