@@ -248,6 +248,8 @@ def _with_joints(without: Linear, joints: list[Any], problem: Problem) -> Array:
 class Together:
     """Joints side by side at one place: their forces add up."""
 
+    rigid = False  # no motion of all of them together is known before it is searched
+
     def __init__(self, causes: tuple[Any, ...]):
         self.causes = causes
 
