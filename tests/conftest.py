@@ -10,6 +10,7 @@ from pathlib import Path
 
 import jaxlib.version
 import pytest
+import threadpoolctl
 
 # The matrices here are small: threads of the linear algebra library would only wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -30,7 +31,6 @@ os.environ.setdefault("XLA_FLAGS", " ".join(FLAGS))
 
 import jax  # noqa: E402
 import matplotlib  # noqa: E402
-import threadpoolctl  # noqa: E402
 
 # A plugin of pytest may have loaded NumPy before the numbers of threads above were set.
 threadpoolctl.threadpool_limits(1, user_api="blas")

@@ -105,6 +105,38 @@ def test_scan_of_both():
     assert 0 < grid.inside[some].sum() < len(some)
 
 
+def test_lines_far_from_a_narrow_mode_hardly_count(monkeypatch):
+    """Of large sets only lines near a pole are compared: a clear mode scores the same within 3 %, at its own pole."""
+    freq, known = np.linspace(20.0, 60.0, 1601), np.array([-2.0 + 2j * np.pi * 50])
+    model = ModalModel.from_real_modes([33.0], [0.001], [[1.0, 0.6]], [1.0], list("ab"))
+    clean = np.asarray(model.frf(freq, inputs=["a"], form="accelerance").H).reshape(len(freq), 2)
+    rng, sigma = np.random.default_rng(0), np.full(clean.shape, 0.02 * np.abs(clean).max())
+    residual = clean / sigma + (rng.normal(size=clean.shape) + 1j * rng.normal(size=clean.shape)) / np.sqrt(2)
+    grid = Grid(2j * np.pi * freq, 2, (20.0, 60.0))
+    scan, some = _Scan(grid, sigma, known), np.flatnonzero(np.abs(grid.freq - 33.0) < 1)
+    whole = scan.scores(residual, some)
+    monkeypatch.setattr(import_module("modalax.identify.scan"), "MANY", 0)
+    near = scan._near(grid.poles[some[:3]], residual.size)
+    assert 20 < near.stop - near.start < 400
+    part, best = scan.scores(residual, some), np.argmax(whole)
+    assert np.argmax(part) == best and whole[best] > 1e4
+    assert part[best] == pytest.approx(whole[best], rel=0.03)
+
+
+def test_a_large_set_ends_where_any_set_does(monkeypatch):
+    """Searches with modes that may not stay end early there; what is told does not depend on it."""
+    usual = fit(FRF_)
+    real, ends = module.maximise, []
+    monkeypatch.setattr(module, "several", lambda *_: True)
+    monkeypatch.setattr(module, "maximise", lambda *a, **k: ends.append(k.get("tol")) or real(*a, **k))
+    large = fit(FRF_)
+    assert 5.0 in ends and ends[-1] == module.FINE  # three outputs and two inputs
+    assert usual.refined is not None and large.refined is not None
+    std = np.asarray(usual.refined.frequency_std_hz)
+    assert (np.abs(np.asarray(large.model.frequency_hz - usual.model.frequency_hz)) < 0.01 * std).all()
+    np.testing.assert_allclose(large.refined.frequency_std_hz, std, rtol=1e-3)
+
+
 def test_a_mode_that_runs_away_is_dropped(monkeypatch):
     """Of three starts for two modes the one that is out of range for some steps, from wherever it then is."""
     monkeypatch.setattr(ascent, "PATIENCE", 3)

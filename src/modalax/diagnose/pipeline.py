@@ -183,7 +183,8 @@ def by_modes_or_elements(
         measured = identified(measurement, simulation, progress)
         progress("comparing modes that are off by themselves with elements that are off")
         return measured, elements_show(measurement, simulation, measured, late)
-    except (np.linalg.LinAlgError, ValueError):  # line by line says what is wrong with the data
+    except (np.linalg.LinAlgError, ValueError) as error:  # line by line says what is wrong with the data
+        progress(f"modes could not be compared: {error}")
         return None, False
 
 

@@ -34,16 +34,19 @@ class Root(NamedTuple):
 
 
 def amplitude(miss: Callable[[Array], tuple[Array, Array]], free: Array, near: Array, known: bool) -> Root:
-    """Find the logarithm of the amplitude at which a balance misses nothing.
+    r"""Find the amplitude A at which :math:`\ln A + \ln|1 + Z(A)\,h| - \ln|u|`, what a balance misses, is zero.
+
+    Z is the force a unit displacement [N/m], h the receptance across the joint [m/N] and u the motion without it [m];
+    all arrays have one shape, an entry for each run, line and input, and amplitudes are logarithms of meters.
 
     Parameters
     ----------
     miss
-        Tells of logarithms of amplitudes what the balance misses, which rises with a steady motion's, and the force.
+        Tells of amplitudes what the balance misses, which rises at that of a steady motion, and Z.
     free
-        Logarithm of the amplitude without the joint.
+        Amplitude without the joint.
     near
-        Amplitude that was measured, 0 where none was.
+        Amplitude that was measured [m], no logarithm, 0 where none was.
     known
         Whether those are motions of this very joint, each at its root, also where the balance falls.
     """

@@ -21,6 +21,7 @@ from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.gauss_newton import covariance_of
 from modalax.diagnose.fitting.hypothesis import bounds_of, from_search, to_search
+from modalax.diagnose.prediction.harmonics import FEWER_INSTANTS, INSTANTS, MORE_INSTANTS
 from modalax.diagnose.screening.modes_beside import Beside
 from modalax.diagnose.search.balanced_force import has_law
 from modalax.diagnose.search.law_force import Seen, force_of, seen_at
@@ -118,19 +119,20 @@ def fit_to_force(
     late
         Tells when time is up, and no further steps are taken.
     rival
-        Robust misfit that another law left; one that comes to it too slowly is not followed to its end.
+        Robust misfit that another law left; one that comes to it too slowly is not followed to its end. Not asked of
+        dry friction, which is followed at few instants first, so that it leaves more than it will.
     """
-    rough = slides(cause, seen)  # found at fewer instants first
+    first, rival = (FEWER_INSTANTS, np.inf) if slides(cause, seen) else (INSTANTS, rival)
     some = seen.telling(CHOSEN) if len(starts) > 1 and seen.several else seen
-    left = [_residual(some, *force_of(cause, p, some, rough=rough)[::2]) for p in starts]
+    left = [_residual(some, *force_of(cause, p, some, instants=first)[::2]) for p in starts]
     tried = [(_misfit(r, True), k) for k, r in enumerate(left)]
     if not tried or not np.isfinite(min(tried)[0]):
         return None
     u, motion = to_search(cause, starts[min(tried)[1]]), None
     aside = np.zeros(len(seen.force), bool)
     for robust in (True, False):
-        how = {"rough": robust and rough}
-        u, seen, motion, r, J, sound = _descended(cause, u, seen, motion, aside, robust, how, late, rival)
+        instants = first if robust else INSTANTS
+        u, seen, motion, r, J, sound = _descended(cause, u, seen, motion, aside, robust, instants, late, rival)
         aside = _far_off(seen, r, sound)
         if _misfit(r, True) + seen.left > rival + BEHIND:
             break
@@ -143,9 +145,7 @@ def fit_to_force(
 def finely(fit: ForceFit, late: Callable[[], bool]) -> ForceFit:
     """A fit of dry friction with many instants, from that with few and the lines that it kept."""
     u = to_search(fit.cause, fit.params)
-    u, seen, motion, r, J, sound = _descended(
-        fit.cause, u, fit.seen, fit.motion, fit.aside, False, {"fine": True}, late
-    )
+    u, seen, motion, r, J, sound = _descended(fit.cause, u, fit.seen, fit.motion, fit.aside, False, MORE_INSTANTS, late)
     return _ended(fit.cause, u, seen, motion, r, J, _far_off(seen, r, sound))
 
 
@@ -215,7 +215,7 @@ def _misfit(r: np.ndarray, robust: bool) -> float:
 
 def _descended(
     cause: ElementCause, u: np.ndarray, seen: Seen, motion: np.ndarray | None, aside: np.ndarray, robust: bool,
-    how: dict[str, bool], late: Callable[[], bool], rival: float = np.inf,
+    instants: int, late: Callable[[], bool], rival: float = np.inf,
 ) -> tuple[np.ndarray, Seen, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Damped Gauss-Newton steps of law and modes: where they end, motion, residual, slopes and soundness there."""
     low, high = bounds_of([cause])
@@ -224,7 +224,7 @@ def _descended(
 
     def at(u: np.ndarray, seen: Seen, motion: np.ndarray | None) -> tuple[Any, ...]:
         p = np.asarray(from_search(cause, u))
-        force, slopes, sound, moved = force_of(cause, p, seen, motion, **how)
+        force, slopes, sound, moved = force_of(cause, p, seen, motion, instants=instants)
         slopes = np.where(sound, slopes, 0.0)
         slopes[:own] *= np.where(logarithmic, p, 1.0)[:, None]
         if seen.follow is not None:

@@ -12,9 +12,8 @@ from modalax._numerics.checks import as_array
 from modalax.diagnose.causes.base import ElementCause, JointCause, LocalCause
 from modalax.diagnose.causes.joints import CubicStiffness
 from modalax.diagnose.comparison import Comparison
-from modalax.diagnose.prediction.friction import SHIFTS, Sliding, sliding, with_more_instants
+from modalax.diagnose.prediction.friction import sliding, with_more_instants
 from modalax.diagnose.prediction.harmonics import (
-    FEWER_INSTANTS,
     HIGHEST,
     INSTANTS,
     MORE_INSTANTS,
@@ -181,8 +180,7 @@ def force_of(
     seen: Seen,
     near: np.ndarray | None = None,
     fewer: bool = False,
-    rough: bool = False,
-    fine: bool = False,
+    instants: int = INSTANTS,
 ) -> tuple[np.ndarray, ...]:
     """A law's force [N], its slopes by the parameters, whether a motion was found, and that motion.
 
@@ -196,8 +194,8 @@ def force_of(
         Motions from which the balance begins, shape ``(n, h)``; the measured ones if None.
     fewer
         Whether fewer harmonics are balanced, which shows how much those left out may do.
-    rough, fine
-        Whether dry friction is followed at few instants, or at many.
+    instants
+        Of half a cycle, at which dry friction is followed.
 
     Returns
     -------
@@ -211,7 +209,7 @@ def force_of(
         return force, _of_all(force, slopes, seen), sound, nothing
     assert isinstance(cause, JointCause)
     if cause.rigid and seen.several:
-        force, slopes, sound = _rough(p, seen) if rough else _sliding(p, seen, MORE_INSTANTS if fine else INSTANTS)
+        force, slopes, sound = _sliding(p, seen, instants)
         return force, _of_all(force, slopes, seen), sound, nothing
     if not seen.several or not has_law(cause):
         lay = lambda x: x.reshape(seen.shape)
@@ -257,31 +255,10 @@ def _linear(cause: LocalCause, p: np.ndarray, seen: Seen) -> tuple[np.ndarray, n
     return here, slopes, np.isfinite(here) & np.isfinite(slopes).all(axis=0)
 
 
-def _rough(p: np.ndarray, seen: Seen) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Force of dry friction at few instants, and its slopes."""
-    here, there = (
-        sliding(seen.receptance[:, 1::2], seen.free, seen.omega, float(q), FEWER_INSTANTS, SHIFTS[::4])
-        for q in (p[0], p[0] + _step(p))
-    )
-    return _with_slopes(p, here.force, here, there)
-
-
 def _sliding(p: np.ndarray, seen: Seen, instants: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Force of dry friction, and its slopes at half of the instants."""
-    given = seen.receptance[:, 1::2], seen.free, seen.omega
-    here, there = (sliding(*given, float(q), instants // 2) for q in (p[0], p[0] + _step(p)))
+    """Force of dry friction, and its slopes by a difference: with motion and limit alike it grows as they do."""
+    given, step = (seen.receptance[:, 1::2], seen.free, seen.omega), STEP * max(abs(float(p[0])), 1e-300)
+    here, there = (sliding(*given, float(p[0]) + d, instants // 2) for d in (0.0, step))
     found = with_more_instants(here, sliding(*given, float(p[0]), instants))
-    force, slopes, sound = _with_slopes(p, found.force, here, there)
-    return force, slopes, sound & found.sound
-
-
-def _step(p: np.ndarray) -> float:
-    return STEP * max(abs(float(p[0])), 1e-300)
-
-
-def _with_slopes(
-    p: np.ndarray, force: np.ndarray, here: Sliding, there: Sliding
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A force with its slope by a difference: with motion and limit alike it grows as they do."""
-    slope = (there.force - here.force) / _step(p)
-    return force, np.stack([slope, force - p[0] * slope]), here.sound & there.sound
+    slope = (there.force - here.force) / step
+    return found.force, np.stack([slope, found.force - p[0] * slope]), found.sound & there.sound

@@ -13,6 +13,7 @@ from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.decision.omnibus import omnibus
 from modalax.diagnose.decision.verdict import Leftover
 from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.prediction.harmonics import MORE_INSTANTS
 from modalax.diagnose.search.balanced_force import has_law
 from modalax.diagnose.search.candidates import cost_of
 from modalax.diagnose.search.explain import Explanation, weigh
@@ -139,7 +140,7 @@ def in_full(comparison: Comparison, h: Hypothesis, fit: ForceFit) -> Hypothesis:
     if not harmonics or not seen.several:
         return replace(h, covariance=fit.covariance * np.outer(wider, wider))
     extra = joint_extra(comparison, fit)
-    force, _, sound, _ = force_of(fit.cause, fit.params, seen, fit.motion, fine=True)
+    force, _, sound, _ = force_of(fit.cause, fit.params, seen, fit.motion, instants=MORE_INSTANTS)
     other, _, also, _ = force_of(fit.cause, fit.params, seen, fewer=True)
     beyond = 1.0 if fit.cause.rigid else BEYOND
     both = sound & also & ~fit.aside
@@ -162,7 +163,7 @@ def joint_extra(comparison: Comparison, fit: ForceFit) -> np.ndarray:
     """What the prediction needs of a joint beside its parameters, as ``prediction.frf.factor_at`` takes it."""
     cause, p, seen = fit.cause, fit.params, fit.seen
     assert isinstance(cause, JointCause)
-    force, slopes, sound, _ = force_of(cause, p, seen, fit.motion, fine=True)
+    force, slopes, sound, _ = force_of(cause, p, seen, fit.motion, instants=MORE_INSTANTS)
     force, slopes = np.where(sound, force, 0.0), np.where(sound, slopes, 0.0)
     G = seen.receptance[:, 1]
     series = np.abs(G) if cause.rigid else np.zeros(len(G))
