@@ -8,9 +8,7 @@ import pytest
 
 from modalax.data.frf import FRF
 from modalax.identify import lscf, plscf
-from modalax.identify.bias import _factors, expected_poles, one_pole_shift, pole_paths, predicted_damping_bias
-from modalax.identify.normal_equations import factor, linear_problem
-from modalax.identify.polynomial import triangular_factor
+from modalax.identify.bias import expected_poles, one_pole_shift, pole_paths, predicted_damping_bias
 from modalax.model.examples import five_dof
 
 FREQ = np.arange(200, 701) * 0.1
@@ -193,17 +191,3 @@ def test_prediction_needs_a_variance_and_a_known_method():
         predicted_damping_bias(review_frf(step=5), TRUE, 8)
     with pytest.raises(ValueError, match="lscf, plscf"):
         predicted_damping_bias(review_frf(step=5), TRUE, 8, variance=1e-12, method="lsce")
-
-
-@pytest.mark.parametrize("method", ["lscf", "plscf"])
-def test_the_factor_of_an_estimate_serves_its_bias(method):
-    """It is cut from that of the highest order, which is compiled once for both."""
-    frf = review_frf(inputs=("1", "3"), step=7)
-    before = triangular_factor._cache_size()
-    {"lscf": lscf, "plscf": plscf}[method](frf, orders=range(5, 10), weights="unit")
-    problem = linear_problem(frf, 6, variance=white(frf, 1e-3), method=method, numerator=9)
-    signal, _ = _factors(problem)
-    assert triangular_factor._cache_size() == before + 1
-    own = factor(problem)
-    gram = lambda R: np.asarray(R.conj().T @ R)
-    assert gram(signal) == pytest.approx(gram(own), rel=1e-10, abs=1e-12 * np.abs(gram(own)).max())

@@ -5,7 +5,6 @@ solve, because in over-modelled orders :math:`M_0` is singular and no expansion 
 from small noise to the full one, so that its pole is known even where it ends far from where it began.
 """
 
-import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -19,9 +18,9 @@ from modalax._numerics.checks import as_double
 from modalax._numerics.cuts import cut
 from modalax.data.frf import FRF
 from modalax.identify.normal_equations import LinearProblem, expected_factor, factor, linear_problem, noise_rows
-from modalax.identify.polynomial import poles_of_factor, use_moments, without_window
+from modalax.identify.polynomial import poles_of_factor, without_window
 from modalax.identify.tables import PoleTable
-from modalax.identify.zoom import Zoom, check_orders
+from modalax.identify.zoom import check_orders
 
 SMALLEST, STEPS = 1e-6, 33  # first factor on the noise variance of a path, and the number of factors up to 1
 
@@ -89,7 +88,7 @@ def expected_poles(frf: FRF, orders: Any, *, scale: Any = 1.0, **options: Any) -
     """
     found = check_orders(orders, frf.freq.shape[0], (float("nan"), float("nan")))
     problem = linear_problem(frf, found[-1], **options)
-    return without_window(_Kind.of(problem).table(expected_factor(problem, scale), found), frf)
+    return without_window(_table(problem, expected_factor(problem, scale), found), frf)
 
 
 def pole_paths(
@@ -114,7 +113,7 @@ def pole_paths(
         Shape ``(t, n)``; ``certain`` is False from where a mode's successor was in doubt.
     """
     problem = linear_problem(frf, order, **options)
-    along, valid = _along(*_factors(problem), _Kind.of(problem), scales, (order,))
+    along, valid = _along(problem, scales, (order,))
     found, certain = follow_poles(along[:, 0], valid[:, 0], poles - frf.added_decay)
     return found + frf.added_decay, certain
 
@@ -160,34 +159,13 @@ def predicted_damping_bias(frf: FRF, poles: Complex[Array, " n"], orders: Any, *
     found = check_orders(orders, frf.freq.shape[0], (float("nan"), float("nan")))
     problem = linear_problem(frf, found[-1], **options)
     poles = as_double(poles, "poles", complex_=True)
-    bias = _bias(*_factors(problem), _Kind.of(problem), poles, frf.added_decay, found)
+    bias = _bias(problem, poles, frf.added_decay, found)
     return jax.tree.map(lambda a: cut(a, 0), bias) if np.ndim(orders) == 0 else bias
 
 
-class _Kind(eqx.Module):
-    """What is known of a problem's roots beside its factor."""
-
-    zoomed: Zoom
-    size: int = eqx.field(static=True)
-    constraint: str = eqx.field(static=True)
-    real: bool = eqx.field(static=True)
-    method: str = eqx.field(static=True)
-
-    @classmethod
-    def of(cls, problem: LinearProblem) -> "_Kind":
-        """That of a problem, which holds its samples too."""
-        return cls(problem.zoomed, problem.size, problem.constraint, problem.real, problem.method)
-
-    def table(self, R: Array, orders: tuple[int, ...]) -> PoleTable:
-        """The poles of a factor."""
-        return poles_of_factor(R, orders, self.size, self.constraint, self.real, self.zoomed, self.method)
-
-
 @eqx.filter_jit
-def _bias(
-    signal: Array, noise: Array, kind: _Kind, poles: Array, decay: Array, orders: tuple[int, ...]
-) -> DampingBias:  # fmt: skip
-    along, valid = _along(signal, noise, kind, jnp.geomspace(SMALLEST, 1.0, STEPS), orders)
+def _bias(problem: LinearProblem, poles: Array, decay: Array, orders: tuple[int, ...]) -> DampingBias:
+    along, valid = _along(problem, jnp.geomspace(SMALLEST, 1.0, STEPS), orders)
 
     def one(along: Array, valid: Array) -> DampingBias:
         found, certain = follow_poles(along, valid, poles - decay)
@@ -219,32 +197,19 @@ def one_pole_shift(noise: Any, energy: Any, step: Any) -> Float[Array, ""]:
     return jnp.log1p(jnp.asarray(noise) / energy) / step
 
 
-def _factors(problem: LinearProblem) -> tuple[Array, Array]:
-    """Triangular factors of signal and noise.
-
-    The ridge is that of the signal alone: it only decides where signal and noise leave the coefficients open. The
-    signal's is cut from that of the highest order, the program of the estimate itself, where that is no long one.
-    """
-    order, top = problem.order, max(problem.order, problem.numerator)
-    if use_moments("auto", problem.H.shape, top, problem.shared):
-        return factor(problem), _noise_factor(problem)
-    m = (order + 1) * problem.size
-    signal = factor(dataclasses.replace(problem, order=top))
-    return (signal if top == order else cut(signal, (slice(m), slice(m)))), _noise_factor(problem)
-
-
-@eqx.filter_jit
-def _noise_factor(problem: LinearProblem) -> Array:
-    return jnp.linalg.qr(noise_rows(problem), mode="r")
+def _table(problem: LinearProblem, R: Array, orders: tuple[int, ...]) -> PoleTable:
+    return poles_of_factor(R, orders, problem.size, problem.constraint, problem.real, problem.zoomed, problem.method)
 
 
 def _along(
-    signal: Array, noise: Array, kind: _Kind, scales: Float[Array, " t"], orders: tuple[int, ...]
+    problem: LinearProblem, scales: Float[Array, " t"], orders: tuple[int, ...]
 ) -> tuple[Complex[Array, "t order p"], Bool[Array, "t order p"]]:
-    """Expected poles of every order at every scale, and which are poles."""
+    """Expected poles of every order at every scale, and which are poles; signal and noise are factorised once."""
+    # The ridge of the signal alone: it only decides where signal and noise leave the coefficients open.
+    signal, noise = factor(problem), jnp.linalg.qr(noise_rows(problem), mode="r")
 
     def at(scale: Array) -> tuple[Array, Array]:
-        table = kind.table(jnp.linalg.qr(jnp.concatenate([signal, jnp.sqrt(scale) * noise]), mode="r"), orders)
+        table = _table(problem, jnp.linalg.qr(jnp.concatenate([signal, jnp.sqrt(scale) * noise]), mode="r"), orders)
         return table.poles, table.valid
 
     return lax.map(at, scales)

@@ -22,7 +22,7 @@ from modalax.data.frf import FRF
 from modalax.identify.fraction import check_constraint
 from modalax.identify.lscf import ARC, RIDGE
 from modalax.identify.polynomial import limits, over_references, triangular_factor, weights_of
-from modalax.identify.zoom import Zoom, check_orders, on_circle, orthonormal_powers
+from modalax.identify.zoom import Zoom, check_orders, orthonormal_powers, zoom
 
 METHODS = ("lscf", "plscf")
 
@@ -116,7 +116,7 @@ def linear_problem(
         raise ValueError(f"method is {method!r}; the noise bias is known for {', '.join(METHODS)}")
     (order,) = check_orders(order, frf.freq.shape[0], limits(frf))
     check_constraint(constraint)
-    zoomed, u = on_circle(frf.omega, arc, real)
+    zoomed = zoom(frf.omega, arc, real)
     weight, sigma2 = weights_of(frf, weights), variance_of(frf, variance)
     H, f = frf.H, frf.H.shape[0]
     if method == "lscf":
@@ -124,7 +124,7 @@ def linear_problem(
     else:
         weight = over_references(weight)
     return LinearProblem(
-        H, weight, sigma2, zoomed, u, jnp.asarray(ridge), order,
+        H, weight, sigma2, zoomed, zoomed.circle(frf.omega), jnp.asarray(ridge), order,
         order if numerator is None else numerator, real, weights == "unit", constraint, method,
     )  # fmt: skip
 

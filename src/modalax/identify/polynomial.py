@@ -14,13 +14,12 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Complex, Float, Inexact
 
-from modalax._numerics.checks import as_array
 from modalax._numerics.powers import powers
 from modalax.data.frf import FRF
 from modalax.identify.fraction import check_constraint, coefficients, roots
 from modalax.identify.moments import factor_from_moments, with_spare
 from modalax.identify.tables import PoleTable
-from modalax.identify.zoom import Zoom, check_orders, moved_span, on_circle
+from modalax.identify.zoom import Zoom, check_orders, moved_span, zoom
 
 SOLVERS = ("auto", "qr", "moments")
 LONG = 100  # poles of the highest order from which on a diagram is done in parts
@@ -186,35 +185,26 @@ def matrix_fraction(
     if numerator is None:
         numerator = with_spare(found[-1], frf.freq.shape[0]) if moments else found[-1]
     R, added, zoomed, decay = _factor(
-        frf, H, weight, jnp.asarray(ridge), found[-1], real, arc, numerator, shared, moments
+        frf.without_statistics(), H, weight, jnp.asarray(ridge), found[-1], real, arc, numerator, shared, moments
     )
     return poles_of_factor(R, found, H.shape[2], constraint, real, zoomed, method, added, decay)
 
 
+@eqx.filter_jit
 def _factor(
     frf: FRF, H: Array, weight: Array, ridge: Array, order: int, real: bool, arc: float, numerator: int, shared: bool,
     moments: bool,
 ) -> tuple[Array, Array | None, Zoom, Array]:  # fmt: skip
     """Triangular factor of the highest order, its ridge to be taken out, the map on the circle, and the added decay.
 
-    Programs of their own: diagrams of other lines share that of the poles, and the predicted bias that of the factor.
+    A program of its own: diagrams of other lines share that of the poles, which takes longest to compile.
     """
-    zoomed, u = on_circle(frf.omega, arc, real)
-    decay = as_array(frf.added_decay)
+    zoomed = zoom(frf.omega, arc, real)
+    u, decay = zoomed.circle(frf.omega), jnp.asarray(frf.added_decay)
     if moments:
-        R, added = _by_moments(H, weight, u, order, numerator, real, ridge)
+        R, added = factor_from_moments(H, weight[:, 0], u, order, numerator, real, ridge)
         return R, added, zoomed, decay
-    R = triangular_factor(
-        H, weight, u, order, numerator, real, ridge, shared, None
-    )  # as the bias calls it: one program
-    return R, None, zoomed, decay
-
-
-@eqx.filter_jit
-def _by_moments(
-    H: Array, weight: Array, u: Array, order: int, numerator: int, real: bool, ridge: Array
-) -> tuple[Array, Array | None]:  # fmt: skip
-    return factor_from_moments(H, weight[:, 0], u, order, numerator, real, ridge)
+    return triangular_factor(H, weight, u, order, numerator, real, ridge, shared), None, zoomed, decay
 
 
 def use_moments(solver: str, shape: tuple[int, ...], order: int, shared: bool) -> bool:

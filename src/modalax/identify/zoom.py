@@ -5,9 +5,6 @@ band covers a chosen part of the circle, every power of :math:`u` has magnitude 
 and a pole follows from a root by :math:`\lambda = j\omega_c - \ln(u)/T`.
 """
 
-from functools import partial
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -44,7 +41,7 @@ def _circle(omega: Float[Array, " f"], centre: Array, step: Array) -> Complex[Ar
     return jnp.exp(-1j * (omega - centre) * step)
 
 
-def zoom(omega: Float[Array, " f"], arc: Any, real: bool) -> Zoom:
+def zoom(omega: Float[Array, " f"], arc: float, real: bool) -> Zoom:
     r"""The map that spreads the band of ``omega`` over the part ``arc`` of the circle.
 
     With complex coefficients the band's centre goes to :math:`u = 1`. With real ones the roots come in conjugate
@@ -56,13 +53,6 @@ def zoom(omega: Float[Array, " f"], arc: Any, real: bool) -> Zoom:
         margin = (jnp.pi - step * span) / 2
         return Zoom(omega[0] - margin / step, step)
     return Zoom((omega[0] + omega[-1]) / 2, 2 * jnp.pi * arc / span)
-
-
-@partial(jax.jit, static_argnames="real")
-def on_circle(omega: Float[Array, " f"], arc: Any, real: bool) -> tuple[Zoom, Complex[Array, " f"]]:
-    """The map of :func:`zoom`, and the lines on the circle."""
-    zoomed = zoom(omega, arc, real)
-    return zoomed, zoomed.circle(omega)
 
 
 def full_circle(n_lines: int) -> float:
