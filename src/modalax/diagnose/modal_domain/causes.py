@@ -52,6 +52,8 @@ class Change:
         Share among the places of its kind before the data.
     absent
         Whether it is a spring where the simulation has none, so that no general inaccuracy is an inaccuracy of it.
+    piece
+        Whether its pattern is only a piece of an element, as bending in the plane of its ``where``.
     """
 
     slug: str
@@ -64,6 +66,7 @@ class Change:
     reference: float = 0.0
     weight: float = 1.0
     absent: bool = False
+    piece: bool = False
 
     @property
     def kind(self) -> str:
@@ -170,6 +173,7 @@ class Change:
             return {}
         name, unit = UNITS["modal_damping" if self.relative else self.slug]  # a whole element is so much off
         std = float(np.sqrt(max(covariance[0, 0], 0.0))) * self.scale
+        name += "_in_plane" if self.piece else ""
         return {name: {"value": float(u[0]) * self.scale, "std": std, "unit": unit}}
 
     def as_catalogue(self, u: np.ndarray, covariance: np.ndarray) -> tuple[list[float], list[float], Any]:

@@ -2,12 +2,14 @@
 
 import itertools
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import Coordinates
-from modalax.diagnose.modal_domain.elements import Nodes, Part
+from modalax.diagnose.modal_domain.elements import Nodes, Part, nodes_of
+from modalax.diagnose.modal_domain.parts import ends_of, planes_of
 from modalax.model import Structure
 from modalax.model.condense import follow
 
@@ -78,20 +80,35 @@ def springs_within(simulation: Structure, nodes: Nodes) -> dict[frozenset[int], 
 
 
 def softened_elements(simulation: Structure, c: Coordinates, usual: float) -> list[Change]:
-    """Whole elements softer or stiffer; ``usual`` is the relative error of one that is wrong.
+    """Whole elements softer or stiffer, and each plane in which one bends by itself.
 
-    The strength is the change of the stiffness between the two DoFs that the element is told at.
+    ``usual`` is the relative error of one that is wrong. The strength is the change of the stiffness between the two
+    DoFs that the element is told at.
     """
     if simulation.elements is None:
         return []
-    factors = np.asarray(simulation.elements.stiffness)
-    out = []
+    factors, nodes, out = np.asarray(simulation.elements.stiffness), nodes_of(c.names), []
     for place, F, pattern in zip(simulation.elements.places, factors, _patterns(factors, c), strict=True):
         at = [c.names.index(name) for name in place if name in c.names]
         stiffness = float(abs(F[at[0]] @ F[at[-1]])) if at else 0.0
-        where = place if place[0] != place[1] else place[:1]
-        out.append(Change("joint_stiffness", where, usual, pattern=pattern, factor=F, reference=stiffness))
+        where, planes = place if place[0] != place[1] else place[:1], _planes(F, nodes)
+        whole = Change("joint_stiffness", where, usual, pattern=pattern, factor=F, reference=stiffness)
+        out.append(replace(whole, weight=0.5) if planes else whole)
+        for ends, G in planes:
+            where, stiffness = tuple(c.names[k] for k in ends), float(abs(G[ends[0]] @ G[ends[-1]]))
+            plane = replace(whole, where=where, factor=G, reference=stiffness, weight=0.5 / len(planes), piece=True)
+            out.append(replace(plane, pattern=_patterns(G[None], c)[0]))
     return out
+
+
+def _planes(F: np.ndarray, nodes: Nodes) -> list[tuple[tuple[int, ...], np.ndarray]]:
+    """Ends and factor of each plane in which an element between two nodes bends by itself."""
+    dofs = np.flatnonzero(F.any(axis=1))
+    between = tuple(k for k, members in enumerate(nodes.members) if np.isin(members, dofs).any())
+    if len(between) != 2:
+        return []
+    each = planes_of(Part(between, dofs, F[dofs] @ F[dofs].T))
+    return [(ends_of(p, nodes), np.where(np.isin(np.arange(len(F)), p.dofs)[:, None], F, 0.0)) for p in each]
 
 
 def changed_by_elements(

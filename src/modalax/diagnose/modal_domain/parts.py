@@ -8,6 +8,7 @@ away. What such parts sum to is shared out among the nodes instead.
 import itertools
 
 import numpy as np
+import scipy.sparse.csgraph
 
 from modalax.diagnose.modal_domain.element_masses import mass_parts
 from modalax.diagnose.modal_domain.elements import NEGLIGIBLE, Nodes, Part, stiffness_parts
@@ -64,6 +65,41 @@ def trimmed(p: Part, diagonal: np.ndarray) -> Part:
     size = np.sqrt(np.maximum(np.diag(p.matrix), 0.0)) / diagonal[p.dofs]
     held = size > NEGLIGIBLE * size.max(initial=0.0)
     return Part(p.nodes, p.dofs[held], p.matrix[np.ix_(held, held)]) if held.any() else p
+
+
+def planes_of(p: Part) -> list[Part]:
+    """Pieces of an element that have nothing to do with each other, as bending in two planes; none if it is one piece.
+
+    Springs from DoF to DoF, as an axial force or torque makes, are none of them.
+    """
+    each = [k for k in _pieces(p) if len(k) > 2]
+    return [Part(p.nodes, p.dofs[k], p.matrix[np.ix_(k, k)]) for k in each] if len(each) > 1 else []
+
+
+def ends_of(p: Part, nodes: Nodes) -> tuple[int, ...]:
+    """The two DoFs of one direction that the largest piece of an element couples most, displacements before rotations.
+
+    Empty where it couples none between its two nodes.
+    """
+    unit, axis = _coupling(p), nodes.axis[p.dofs]
+    main, first = max(_pieces(p), key=len), np.isin(p.dofs, nodes.members[p.nodes[0]])
+    alike = (axis[:, None] == axis) & first[:, None] & ~first
+    unit[~np.isin(np.arange(len(axis)), main)] *= NEGLIGIBLE
+    unit[axis > 2] *= NEGLIGIBLE
+    i, j = np.unravel_index(np.argmax(np.where(alike, unit, -1.0)), unit.shape)
+    return (int(p.dofs[i]), int(p.dofs[j])) if alike.any() else ()
+
+
+def _coupling(p: Part) -> np.ndarray:
+    """Couplings of an element's DoFs relative to its diagonal."""
+    size = np.sqrt(np.maximum(np.diag(p.matrix), 1e-300))
+    return np.abs(p.matrix) / size[:, None] / size
+
+
+def _pieces(p: Part) -> list[np.ndarray]:
+    """Which of an element's DoFs have to do with each other."""
+    count, piece = scipy.sparse.csgraph.connected_components(_coupling(p) > NEGLIGIBLE, directed=False)
+    return [np.flatnonzero(piece == k) for k in range(count)]
 
 
 def passive(A: np.ndarray, size: np.ndarray) -> bool:

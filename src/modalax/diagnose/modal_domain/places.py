@@ -11,7 +11,7 @@ from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.elements import Nodes, Part, nodes_of
 from modalax.diagnose.modal_domain.given_elements import softened_elements, springs_within, told_parts
 from modalax.diagnose.modal_domain.groups import group_factors, other_than
-from modalax.diagnose.modal_domain.parts import parts_of
+from modalax.diagnose.modal_domain.parts import ends_of, parts_of, planes_of
 from modalax.model import Structure
 
 COUPLED = 1e-6  # size of an element of K, relative to the diagonal, from which two DoFs are coupled
@@ -121,18 +121,17 @@ def _elements(simulation: Structure, c: Coordinates, nodes: Nodes) -> list[Chang
     K = np.asarray(simulation.K)
     size = np.sqrt(np.maximum(np.diag(K), 1e-300))
     out = softened_elements(simulation, c, JOINT)
-    if out:
-        return [replace(e, weight=SHARES["element"] / len(out)) for e in out]
-    for part in (p for p in parts_of(K, nodes) if len(p.nodes) == 2 and len(p.dofs) > 2):
-        a, b = (np.intersect1d(nodes.members[k], part.dofs) for k in part.nodes)
-        if not len(a) or not len(b):
-            continue
-        unit = np.abs(K[np.ix_(a, b)]) / size[a][:, None] / size[b] * (nodes.axis[a][:, None] == nodes.axis[b])
-        i, j = np.unravel_index(np.argmax(unit), unit.shape)
-        where = simulation.dofs[a[i]], simulation.dofs[b[j]]
-        pattern = c.shapes[part.dofs].T @ part.matrix @ c.shapes[part.dofs]
-        out.append(Change("joint_stiffness", where, JOINT, pattern=pattern, weight=1.0))
-    for part in (p for p in parts_of(K, nodes) if len(p.nodes) == 1 and len(p.dofs) > 1):
+    parts = parts_of(K, nodes) if not out else []
+    for part in (p for p in parts if len(p.nodes) == 2 and len(p.dofs) > 2):
+        planes = planes_of(part)
+        each = 1.0 if not planes else 0.5
+        for p, weight in [(part, each), *((p, each / len(planes)) for p in planes)]:
+            where = tuple(simulation.dofs[k] for k in ends_of(p, nodes))
+            pattern = c.shapes[p.dofs].T @ p.matrix @ c.shapes[p.dofs]
+            if where:
+                piece = p is not part
+                out.append(Change("joint_stiffness", where, JOINT, pattern=pattern, weight=weight, piece=piece))
+    for part in (p for p in parts if len(p.nodes) == 1 and len(p.dofs) > 1):
         own = np.diag(part.matrix)
         if np.abs(part.matrix - np.diag(own)).max() < COUPLED * np.abs(own).max():  # springs, each by itself
             continue
@@ -140,7 +139,8 @@ def _elements(simulation: Structure, c: Coordinates, nodes: Nodes) -> list[Chang
         k = part.dofs[np.argmax(np.where(straight, own / size[part.dofs] ** 2, -np.inf))]
         pattern = c.shapes[part.dofs].T @ part.matrix @ c.shapes[part.dofs]
         out.append(Change("joint_stiffness", (simulation.dofs[k],), JOINT, pattern=pattern, weight=1.0))
-    return [replace(e, weight=SHARES["element"] / len(out)) for e in out]
+    total = sum(e.weight for e in out)
+    return [replace(e, weight=SHARES["element"] * e.weight / total) for e in out]
 
 
 def springs_of(
