@@ -42,7 +42,7 @@ from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.comparison import Comparison, as_measurement, causes_of, make_comparison, with_noise_beside
 from modalax.diagnose.deadline import NEVER, Deadline
 from modalax.diagnose.decision.gain import Gain
-from modalax.diagnose.decision.route import Outcome, Route, by_claim, choice, order, settled, suffices
+from modalax.diagnose.decision.route import Outcome, Route, by_claim, choice, one_place_first, order, settled, suffices
 from modalax.diagnose.decision.verdict import verdict
 from modalax.diagnose.extend import ExtendedSimulation, extend
 from modalax.diagnose.holdout import measure
@@ -146,8 +146,7 @@ def by_routes(
     if by_claim(task):
         measured, shown = by_modes_or_elements(data, simulation, late, progress)
         task = replace(task, elements_show=shown)
-    exact = task.has_modes and task.whole_catalogue and not (task.elements_off or task.elements_show or task.massless)
-    found = at_one_place(measurement, simulation, question, progress, late) if exact else None
+    found = at_one_place(measurement, simulation, question, progress, late) if one_place_first(task) else None
     if found is not None and (found.found.by_force or settled(outcome_of(found)) or late()):
         return found
     answers: dict[Route, Diagnosis] = {}
@@ -224,7 +223,7 @@ def at_one_place(
     """Diagnose line by line by elements and joints alone, where a force at one place is all that is missing."""
     progress("looking for a place at which one force explains the data")
     comparison = make_comparison(measurement, simulation, question)
-    places = places_of_one_force(comparison)
+    places = places_of_one_force(comparison, late.part(FIRST_SHARE))
     if not places:
         return None
     comparison = replace(comparison, late=late, only=places)

@@ -7,7 +7,7 @@ import pytest
 
 from modalax.data import Measurement
 from modalax.diagnose.causes import catalogue
-from modalax.diagnose.decision.route import Outcome, Task, choice, order, settled, suffices
+from modalax.diagnose.decision.route import Outcome, Task, choice, one_place_first, order, settled, suffices
 from modalax.diagnose.routes import task_of
 from modalax.model import Structure
 
@@ -48,6 +48,25 @@ SURE = Outcome("named", 1.05, 0.3, 0.9995, 0, EXACT)
 )
 def test_methods_are_tried_in_this_order(task, expected):
     assert order(task) == expected
+
+
+@pytest.mark.parametrize(
+    ("task", "expected"),
+    [
+        (SMALL, True),
+        (LARGE, True),  # one force is found in seconds however many places there are,
+        (replace(SMALL, modes_off=True), True),
+        (replace(LARGE, modes_off=True), False),  # but not where modes move beside each of them
+        (replace(SMALL, samples=400_000, modes_off=True), False),
+        (replace(SMALL, elements_off=True), False),
+        (replace(SMALL, modes_off=True, elements_show=True), False),
+        (replace(SMALL, massless=True), False),
+        (replace(SMALL, whole_catalogue=False), False),
+        (replace(SMALL, has_modes=False), False),
+    ],
+)
+def test_one_force_is_looked_for_first_where_that_is_quick_and_can_be_right(task, expected):
+    assert one_place_first(task) is expected
 
 
 @pytest.mark.parametrize(

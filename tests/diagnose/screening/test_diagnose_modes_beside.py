@@ -5,6 +5,7 @@ import pytest
 
 from modalax.data import Measurement
 from modalax.diagnose.comparison import make_comparison
+from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.screening.modes_beside import Beside, modes_beside
 from modalax.diagnose.screening.one_force import places_of_one_force
 from modalax.model import Structure
@@ -46,3 +47,11 @@ def test_the_place_leads_once_the_modes_follow(comparison):
 
 def test_one_force_explains_the_data_beside_claimed_modes(comparison):
     assert [p.where for p in places_of_one_force(comparison)] == [PLACE]
+
+
+def test_nothing_is_said_of_one_force_once_the_time_is_up(comparison):
+    late = Deadline(0.0)
+    assert (
+        places_of_one_force(comparison, late) == ()
+        and modes_beside(comparison, comparison.scene.pairs(), 9, late) == []
+    )

@@ -160,3 +160,12 @@ def test_data_without_noise_or_with_a_dead_channel_has_finite_deviations(gain):
         sigma = noise_of(M, predicted).sigma
         assert np.isfinite(sigma).all() and (sigma > 0).all()
         assert sigma[:, :, 0].max() < 1e-4 * np.abs(H[:, 0]).max()
+
+
+def test_a_channel_of_nothing_but_rounding_is_not_known_better_than_rounding():
+    """Of two directions that do not move each other, with noise in proportion to each FRF: its own is 1e-15 here."""
+    H = np.zeros((1, 40, 2, 2), complex)
+    H[..., 0, 0], H[..., 1, 1], H[..., 0, 1] = 1.0, 0.5, 1e-13
+    M = Measurement(np.arange(1.0, 41.0), H, outputs=("x", "y"), inputs=("x", "y"), variance=(0.01 * np.abs(H)) ** 2)
+    sigma = noise_of(M, H[0]).sigma[0, 0]
+    np.testing.assert_allclose(sigma, [[0.01, 1e-10], [1e-10, 0.005]], rtol=1e-6)

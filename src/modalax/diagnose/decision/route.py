@@ -111,6 +111,15 @@ def order(task: Task, limits: Thresholds = THRESHOLDS) -> tuple[Route, ...]:
     return ("lines", "modes") if by_claim(task, limits) and not task.elements_show else ("modes", "lines")
 
 
+def one_place_first(task: Task, limits: Thresholds = THRESHOLDS) -> bool:
+    """Whether a force at one place is looked for before anything else.
+
+    Not where elements are off, nor where modes may move and line by line takes minutes: they move beside every place.
+    """
+    elsewhere = task.elements_off or task.elements_show or task.massless
+    return task.has_modes and task.whole_catalogue and not (elsewhere or task.modes_off and needs_modes(task, limits))
+
+
 def by_claim(task: Task, limits: Thresholds = THRESHOLDS) -> bool:
     """Whether lines come first only because the author claims that modes are off, not elements."""
     other = needs_modes(task, limits) or task.groups or task.massless or not task.whole_catalogue

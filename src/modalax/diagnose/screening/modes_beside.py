@@ -23,6 +23,7 @@ from modalax.diagnose.causes.base import gather
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.causes.signals import ModalTerms
 from modalax.diagnose.comparison import Comparison
+from modalax.diagnose.deadline import NEVER, Deadline
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.fitting.residual import modal_directions
 from modalax.diagnose.prediction.frf import gains_of
@@ -226,7 +227,9 @@ def _changes_with_modes(theta: Array, spread: Array, ends: Array, problem: Probl
     return tuple(jnp.moveaxis(J, (-2, -1), (0, 1)).reshape(theta.size, *J.shape[:-2]) for J in slopes)
 
 
-def modes_beside(comparison: Comparison, places: Sequence[Place], refined: int) -> list[tuple[Place, float, Beside]]:
+def modes_beside(
+    comparison: Comparison, places: Sequence[Place], refined: int, late: Deadline = NEVER
+) -> list[tuple[Place, float, Beside]]:
     """Each place with the chi-square that a free force leaves, and the modes beside it; the likeliest are settled.
 
     Parameters
@@ -237,14 +240,15 @@ def modes_beside(comparison: Comparison, places: Sequence[Place], refined: int) 
         Where a force may act.
     refined
         How many of the places, the best by one step, are settled; at others the modes stay nominal.
+    late
+        From when on no further place is looked at; those that are left out are not returned.
     """
     nominal = Beside.nominal(comparison)
-    first = sorted(
-        ((nominal.step(nominal.direction(p), nominal.turned(p)), p) for p in places), key=lambda one: one[0][1]
-    )
+    steps = ((nominal.step(nominal.direction(p), nominal.turned(p)), p) for p in places if not late())
+    first = sorted(steps, key=lambda one: one[0][1])
     out = []
     for k, ((here, _, _), place) in enumerate(first):
-        if k < refined and comparison.nuisance.active:
+        if k < refined and comparison.nuisance.active and not late():
             out.append((place, *nominal.settled(lambda b, p=place: (b.direction(p), b.turned(p)), STEPS)))
         else:
             out.append((place, here, nominal))

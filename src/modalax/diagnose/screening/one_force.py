@@ -14,6 +14,7 @@ import numpy as np
 
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.comparison import Comparison, empty
+from modalax.diagnose.deadline import NEVER, Deadline
 from modalax.diagnose.screening.law_free import gains_without_law
 from modalax.diagnose.screening.modes_beside import STEPS, Beside, modes_beside
 from modalax.diagnose.screening.products import Reduced, at_places, ends, reduce
@@ -29,18 +30,20 @@ FEW = 12  # places from which on they are ranked once more, by a joint without a
 OUTPUTS = 4  # fewest outputs by which a force at one place is told from other causes
 
 
-def places_of_one_force(comparison: Comparison) -> tuple[Place, ...]:
+def places_of_one_force(comparison: Comparison, late: Deadline = NEVER) -> tuple[Place, ...]:
     """Places at one of which a single force explains the data; none if it does not, or if too many places would do.
 
     Parameters
     ----------
     comparison
         Data and simulation; its modes follow within the spread that is claimed.
+    late
+        From when on nothing is said where modes follow, which takes long at many places.
     """
     if not _can_tell(comparison):
         return ()
     if comparison.nuisance.active:
-        return _with_modes(comparison)
+        return _with_modes(comparison, late)
     left, live = comparison.residual(empty(comparison)), comparison.live()
     by_output, samples = (np.abs(left) ** 2).sum(axis=(0, 1, 3)), 2 * live.sum(axis=(0, 1, 3))
     chi2, count, unknowns = by_output.sum(), samples.sum(), 2 * int(live.any(axis=2).sum())
@@ -75,13 +78,16 @@ def _can_tell(comparison: Comparison) -> bool:
     return exact and known and comparison.problem.channels[0] >= OUTPUTS
 
 
-def _with_modes(comparison: Comparison) -> tuple[Place, ...]:
+def _with_modes(comparison: Comparison, late: Deadline) -> tuple[Place, ...]:
     """The places where modes move within their spread: each chi-square is the least over the modal parameters."""
     pairs, live = comparison.scene.pairs(), comparison.live()
     if len(pairs) > MANY:
         return ()
     unknowns = 2 * int(live.any(axis=2).sum())
-    ranked = sorted(((chi2, p) for p, chi2, _ in modes_beside(comparison, pairs, REFINED)), key=lambda one: one[0])
+    found = modes_beside(comparison, pairs, REFINED, late)
+    if late():
+        return ()
+    ranked = sorted(((chi2, p) for p, chi2, _ in found), key=lambda one: one[0])
     best, first = ranked[0]
     driven = first.index[:2] in {(comparison.scene.dofs.index(name), -1) for name in comparison.scene.inputs}
     samples = comparison.problem.samples - unknowns
@@ -92,7 +98,7 @@ def _with_modes(comparison: Comparison) -> tuple[Place, ...]:
     modes = np.flatnonzero(np.abs(nominal.shapes).max(axis=1) > 0)
     others = [lambda b, k=k: (b.fault(k),) for k in range(nominal.change.shape[2])]
     others += [lambda b, k=k: (b.of_mode(k),) for k in modes]
-    if any(nominal.settled(other, STEPS)[0] < best + behind for other in others):
+    if any(late() or nominal.settled(other, STEPS)[0] < best + behind for other in others):
         return ()
     near = tuple(p for chi2, p in ranked if chi2 < best + behind)
     return near if len(near) <= KEPT else ()

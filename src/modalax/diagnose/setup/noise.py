@@ -18,6 +18,7 @@ from modalax.data import Measurement
 
 ENOUGH = 300.0  # degrees of freedom at which a variance is as good as known
 FLOOR = 1e-7  # least standard deviation, over the root mean square of the channel
+ROUNDING = 1e-10  # the same, over the largest of all channels: what rounding leaves in a channel that shows nothing
 AROUND = 15  # lines over which the scatter with and without the simulation is compared
 SHARED, GIVEN = 9, 15  # lines over which the course of the noise is taken, read off the lines or given
 SMOOTHED = 160.0  # degrees of freedom that the lines of one smoothing window have together
@@ -88,7 +89,8 @@ def noise_of(measurement: Measurement, predicted: np.ndarray) -> Noise:
         noise = _from_coherence(measurement, H, predicted)
     else:
         noise = _from_data(measurement, H, predicted)
-    return Noise(np.maximum(noise.sigma, FLOOR * np.maximum(size, 1e-300)), noise.source, noise.freedom)
+    least = np.maximum(FLOOR * size, ROUNDING * size.max() + 1e-300)
+    return Noise(np.maximum(noise.sigma, least), noise.source, noise.freedom)
 
 
 def _given(measurement: Measurement, H: np.ndarray, predicted: np.ndarray) -> Noise:
