@@ -1,6 +1,7 @@
 """Place and law of a strong element, read off the force that it must have."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,9 @@ import pytest
 from modalax.data import Measurement
 from modalax.diagnose.causes import catalogue
 from modalax.diagnose.comparison import make_comparison, with_noise_beside
+from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.search.joints_by_force import joints_by_force
 from modalax.diagnose.search.measured_force import measured_forces, starts_from_forces
 from modalax.model import Structure
 from modalax.model.examples import five_dof
@@ -52,6 +55,8 @@ def test_a_change_of_any_size_is_taken_up_at_its_place_alone():
     assert (weight**2 * impedance.real).sum() / (weight**2).sum() == pytest.approx(40000.0, rel=1e-2)
     first = starts_from_forces(comparison, null, catalogue(1))[0]
     assert (first.causes[0].slug, first.freedom) == ("joint_stiffness", 1.0)
+    late = replace(comparison, late=Deadline(0.0))  # when the time is up no place is looked at
+    assert starts_from_forces(late, null, catalogue(1)) == joints_by_force(late, null, catalogue(1), null) == []
 
 
 @pytest.mark.parametrize(

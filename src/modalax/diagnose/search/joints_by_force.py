@@ -47,6 +47,8 @@ def joints_by_force(
     if blind or as_noise(comparison, best.chi2):
         return []
     forces = measured_forces(comparison, comparison.joint_places())[:MOST_PLACES]
+    if not forces:  # there was no time
+        return []
     close = THRESHOLDS.other_places + THRESHOLDS.one_force * np.sqrt(4 * forces[0].motion.size)  # noise of a difference
     forces = [f for k, f in enumerate(forces) if k < PLACES or f.chi2 < forces[0].chi2 + close]
     less = best.chi2 - THRESHOLDS.one_force * np.sqrt(2 * problem.samples)

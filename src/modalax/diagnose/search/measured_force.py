@@ -59,7 +59,7 @@ class MeasuredForce:
 
 
 def measured_forces(comparison: Comparison, places: Sequence[Place]) -> list[MeasuredForce]:
-    """The force that an element must have at each place, the best place first.
+    """The force that an element must have at each place that there is time for, the best place first.
 
     Parameters
     ----------
@@ -68,8 +68,8 @@ def measured_forces(comparison: Comparison, places: Sequence[Place]) -> list[Mea
     places
         Pairs of degrees of freedom, or single ones to the ground.
     """
-    found = [force_beside(place, left, beside) for place, left, beside in modes_beside(comparison, places, REFINED)]
-    return sorted(found, key=lambda m: m.chi2)
+    found = modes_beside(comparison, places, REFINED, comparison.late)
+    return sorted((force_beside(place, left, beside) for place, left, beside in found), key=lambda m: m.chi2)
 
 
 def force_beside(place: Place, left: float, beside: Beside) -> MeasuredForce:
