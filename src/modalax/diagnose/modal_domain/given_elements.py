@@ -91,12 +91,12 @@ def softened_elements(simulation: Structure, c: Coordinates, usual: float) -> li
     for place, F, pattern in zip(simulation.elements.places, factors, _patterns(factors, c), strict=True):
         at = [c.names.index(name) for name in place if name in c.names]
         stiffness = float(abs(F[at[0]] @ F[at[-1]])) if at else 0.0
-        where, planes = place if place[0] != place[1] else place[:1], _planes(F, nodes)
+        where = place if place[0] != place[1] else place[:1]
         whole = Change("joint_stiffness", where, usual, pattern=pattern, factor=F, reference=stiffness)
-        out.append(replace(whole, weight=0.5) if planes else whole)
-        for ends, G in planes:
+        out.append(whole)
+        for ends, G in _planes(F, nodes):
             where, stiffness = tuple(c.names[k] for k in ends), float(abs(G[ends[0]] @ G[ends[-1]]))
-            plane = replace(whole, where=where, factor=G, reference=stiffness, weight=0.5 / len(planes), piece=True)
+            plane = replace(whole, where=where, factor=G, reference=stiffness, piece=True)
             out.append(replace(plane, pattern=_patterns(G[None], c)[0]))
     return out
 

@@ -22,7 +22,8 @@ JOINT = 0.4  # usual relative error of a joint or element that is wrong
 HELD, SUPPORTED = 6, 1e-3  # most DoFs of one support, and its least stiffness relative to all that holds the DoF
 # Chances of places of springs and dampers relative to each other, each shared out among its places
 SHARES = {
-    "named": 0.4, "spring": 0.3, "element": 0.2, "support": 0.15, "coupled": 0.05, "ground": 0.05, "apart": 0.03
+    "named": 0.4, "spring": 0.3, "element": 0.2, "support": 0.15, "coupled": 0.05, "plane": 0.05, "ground": 0.05,
+    "apart": 0.03,
 }  # fmt: skip
 FEW = 80  # DoFs of which any two may be joined by a spring that the simulation has not; of more, the measured ones
 ABSENT = "ground", "apart"  # places where the simulation has no spring that could be off
@@ -62,7 +63,7 @@ def candidates_of(
         usual = float(own.mean() / mobile.mean())
         out.append(Change("local_damper", where, usual, b, reference=damping, weight=weight))
     elements = _elements(simulation, c, nodes)
-    groups = group_factors(simulation, c, SHARES["element"] / max(len(elements), 1))
+    groups = group_factors(simulation, c, SHARES["element"] / max(sum(not e.piece for e in elements), 1))
     out = other_than(groups, out + elements) + groups
     out += [Change("channel_gain", (n,), GAIN, channel=(0, k)) for k, n in enumerate(outputs)]
     out += [Change("channel_sign", (n,), channel=(0, k)) for k, n in enumerate(outputs)]
@@ -123,14 +124,11 @@ def _elements(simulation: Structure, c: Coordinates, nodes: Nodes) -> list[Chang
     out = softened_elements(simulation, c, JOINT)
     parts = parts_of(K, nodes) if not out else []
     for part in (p for p in parts if len(p.nodes) == 2 and len(p.dofs) > 2):
-        planes = planes_of(part)
-        each = 1.0 if not planes else 0.5
-        for p, weight in [(part, each), *((p, each / len(planes)) for p in planes)]:
+        for p in (part, *planes_of(part)):
             where = tuple(simulation.dofs[k] for k in ends_of(p, nodes))
             pattern = c.shapes[p.dofs].T @ p.matrix @ c.shapes[p.dofs]
             if where:
-                piece = p is not part
-                out.append(Change("joint_stiffness", where, JOINT, pattern=pattern, weight=weight, piece=piece))
+                out.append(Change("joint_stiffness", where, JOINT, pattern=pattern, piece=p is not part))
     for part in (p for p in parts if len(p.nodes) == 1 and len(p.dofs) > 1):
         own = np.diag(part.matrix)
         if np.abs(part.matrix - np.diag(own)).max() < COUPLED * np.abs(own).max():  # springs, each by itself
@@ -138,9 +136,10 @@ def _elements(simulation: Structure, c: Coordinates, nodes: Nodes) -> list[Chang
         straight = (nodes.axis[part.dofs] < 3) if (nodes.axis[part.dofs] < 3).any() else np.ones(len(own), bool)
         k = part.dofs[np.argmax(np.where(straight, own / size[part.dofs] ** 2, -np.inf))]
         pattern = c.shapes[part.dofs].T @ part.matrix @ c.shapes[part.dofs]
-        out.append(Change("joint_stiffness", (simulation.dofs[k],), JOINT, pattern=pattern, weight=1.0))
-    total = sum(e.weight for e in out)
-    return [replace(e, weight=SHARES["element"] * e.weight / total) for e in out]
+        out.append(Change("joint_stiffness", (simulation.dofs[k],), JOINT, pattern=pattern))
+    pieces = sum(e.piece for e in out)
+    shares = {False: SHARES["element"] / max(len(out) - pieces, 1), True: SHARES["plane"] / max(pieces, 1)}
+    return [replace(e, weight=shares[e.piece]) for e in out]
 
 
 def springs_of(
