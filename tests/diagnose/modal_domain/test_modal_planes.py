@@ -1,14 +1,13 @@
 """A mast of beams that bend in two planes: every element off, one of them in one plane alone."""
 
 import numpy as np
-import pytest
 import scipy.linalg
 
 from modalax.data import Measurement
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
-from modalax.diagnose.modal_domain.elements import nodes_of
+from modalax.diagnose.modal_domain.elements import Part, nodes_of
 from modalax.diagnose.modal_domain.given_elements import softened_elements
 from modalax.diagnose.modal_domain.parts import ends_of, parts_of, planes_of
 from modalax.model import Structure
@@ -110,8 +109,21 @@ def test_elements_that_are_told_have_their_planes_too():
         np.testing.assert_allclose(p.pattern, expected, atol=1e-9 * np.abs(whole.pattern).max())
 
 
-@pytest.mark.parametrize(("plane", "size"), [(1, 0.5)])
-def test_an_element_wrong_in_one_plane_is_told_with_its_plane(plane, size):
+def test_a_piece_that_joins_no_two_dofs_of_one_direction_is_no_place():
+    """Two pieces of three DoFs, one of which has all its DoFs at one end."""
+    nodes = nodes_of(DOFS)
+    one, two = np.ones((3, 1)), np.array([[1.0], [1.0], [-1.0]])
+    F = np.zeros((1, len(DOFS), 2))
+    F[0, [DOFS.index(f"1:+{a}") for a in "XYZ"], 0] = one[:, 0]
+    F[0, [DOFS.index(n) for n in ("1:+RX", "1:+RY", "2:+RX")], 1] = two[:, 0]
+    S = simulation().replace(elements=Elements(F, np.zeros((1, len(DOFS), 1)), [("1:+X", "2:+RX")]))
+    whole, *planes = softened_elements(S, coordinates_of(S, DOFS[:2], DOFS[:1], 2 * np.pi * 90.0), 0.4)
+    assert [p.where for p in planes] == [("1:+RX", "2:+RX")]
+    part = Part((0, 1), np.flatnonzero(F[0].any(axis=1)), F[0, F[0].any(axis=1)] @ F[0, F[0].any(axis=1)].T)
+    assert sorted(len(ends_of(p, nodes)) for p in planes_of(part)) == [0, 2]
+
+
+def test_an_element_wrong_in_one_plane_is_told_with_its_plane(plane=1, size=0.5):
     found = diagnose_modes(built(3, plane, size), simulation(), late=Deadline(200.0))
     said = found.to_dict()
     assert said["verdict"] == "named" and [c["name"] for c in said["causes"]] == ["joint_stiffness"]

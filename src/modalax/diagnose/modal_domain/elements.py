@@ -42,6 +42,14 @@ class Nodes:
     axis: np.ndarray
     sign: np.ndarray
 
+    @property
+    def of_dofs(self) -> np.ndarray:
+        """Number of the node of each DoF, shape ``(n,)``."""
+        out = np.zeros(len(self.axis), int)
+        for k, members in enumerate(self.members):
+            out[members] = k
+        return out
+
     def hinges(self, K: np.ndarray) -> dict[int, int]:
         """Nodes with rotations alone, and the node whose displacements each shares.
 

@@ -34,10 +34,8 @@ def _patterns(factors: np.ndarray, c: Coordinates) -> np.ndarray:
 
 def told_parts(simulation: Structure, nodes: Nodes) -> list[Part]:
     """Elements that are told, over the simulation's DoFs; without those of which one end follows other nodes."""
-    told, node = simulation.elements, np.zeros(len(simulation.dofs), int)
+    told, node = simulation.elements, nodes.of_dofs
     assert told is not None
-    for k, members in enumerate(nodes.members):
-        node[members] = k
     names, out = told.dofs or simulation.dofs, []
     rows = [names.index(name) for name in simulation.dofs]
     for place, F in zip(told.places, np.asarray(told.stiffness)[:, rows], strict=True):
@@ -88,27 +86,31 @@ def softened_elements(simulation: Structure, c: Coordinates, usual: float) -> li
     if simulation.elements is None:
         return []
     factors, nodes, out = np.asarray(simulation.elements.stiffness), nodes_of(c.names), []
+    node = nodes.of_dofs
     for place, F, pattern in zip(simulation.elements.places, factors, _patterns(factors, c), strict=True):
         at = [c.names.index(name) for name in place if name in c.names]
         stiffness = float(abs(F[at[0]] @ F[at[-1]])) if at else 0.0
         where = place if place[0] != place[1] else place[:1]
         whole = Change("joint_stiffness", where, usual, pattern=pattern, factor=F, reference=stiffness)
         out.append(whole)
-        for ends, G in _planes(F, nodes):
+        for ends, G in _planes(F, nodes, node):
             where, stiffness = tuple(c.names[k] for k in ends), float(abs(G[ends[0]] @ G[ends[-1]]))
             plane = replace(whole, where=where, factor=G, reference=stiffness, piece=True)
             out.append(replace(plane, pattern=_patterns(G[None], c)[0]))
     return out
 
 
-def _planes(F: np.ndarray, nodes: Nodes) -> list[tuple[tuple[int, ...], np.ndarray]]:
-    """Ends and factor of each plane in which an element between two nodes bends by itself."""
+def _planes(F: np.ndarray, nodes: Nodes, node: np.ndarray) -> list[tuple[tuple[int, ...], np.ndarray]]:
+    """Ends and factor ``(n, r)`` of each plane in which an element between two nodes bends by itself.
+
+    ``node`` is that of each DoF, shape ``(n,)``.
+    """
     dofs = np.flatnonzero(F.any(axis=1))
-    between = tuple(k for k, members in enumerate(nodes.members) if np.isin(members, dofs).any())
+    between = tuple(dict.fromkeys(node[dofs].tolist()))
     if len(between) != 2:
         return []
-    each = planes_of(Part(between, dofs, F[dofs] @ F[dofs].T))
-    return [(ends_of(p, nodes), np.where(np.isin(np.arange(len(F)), p.dofs)[:, None], F, 0.0)) for p in each]
+    each = [(ends_of(p, nodes), p.dofs) for p in planes_of(Part(between, dofs, F[dofs] @ F[dofs].T))]
+    return [(ends, np.where(np.isin(np.arange(len(F)), own)[:, None], F, 0.0)) for ends, own in each if ends]
 
 
 def changed_by_elements(

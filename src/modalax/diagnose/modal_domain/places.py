@@ -118,7 +118,10 @@ def _damped_modes(c: Coordinates, inside: np.ndarray) -> list[Change]:
 
 
 def _elements(simulation: Structure, c: Coordinates, nodes: Nodes) -> list[Change]:
-    """Whole elements softer or stiffer; told at the pair of DoFs that they couple most, or at one that they hold."""
+    """Whole elements softer or stiffer, and planes in which they bend; told at the pair of DoFs that they couple most.
+
+    An element that holds one node is told at one DoF.
+    """
     K = np.asarray(simulation.K)
     size = np.sqrt(np.maximum(np.diag(K), 1e-300))
     out = softened_elements(simulation, c, JOINT)
