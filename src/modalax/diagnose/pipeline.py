@@ -21,7 +21,8 @@ little off, as the measured modes show also where an inaccuracy of modes is clai
 the problem is large, the modal domain answers instead (``decision.route``, ``modal_domain``): the modes
 of the measurement are identified, the general inaccuracy is estimated together with every cause, and the answer holds
 both. Where one force at one place explains all data, only elements and joints at such places are searched, line by
-line, whatever the size of the problem (``screening.one_force``). Where nothing of this explains several force levels of
+line, whatever the size of the problem unless modes may move (``screening.one_force``).
+Where nothing of this explains several force levels of
 a few modes, a joint is fitted together with the modes, as the lowest level is bent by it too: first without a law,
 then by laws that come near to that, judged by the highest level (``jointed``). It comes first where a quick fit shows
 that no joint of any law explains the levels with the modes as they are (``jointed.bent``).
