@@ -17,7 +17,7 @@ NAN = float("nan")
         ([NAN, NAN], ("a",), {}, "run 2, the last repeat", [1], [0]),
         ([NAN], ("a", "b"), {}, "the column of input b", [0], [1]),
         ([1, 2, 9], ("a", "b"), {"alike": False}, "the column of input b; no run, as each has", [0, 1, 2], [1]),
-        ([1, 2, 9], ("a", "b"), {"every_column": True}, "run 3 at 9 N, the highest level", [2], [0, 1]),
+        ([1, 2, 9], ("a", "b"), {"foretold": False}, "run 3 at 9 N, the highest level", [2], [0, 1]),
     ],
 )
 def test_the_highest_level_a_repeat_or_a_column(level, inputs, options, words, runs, columns):
@@ -29,9 +29,9 @@ def test_the_highest_level_a_repeat_or_a_column(level, inputs, options, words, r
 
 
 @pytest.mark.parametrize(("level", "options", "why"), [
-    ([NAN], {"every_column": True}, ""), ([1, 2], {"alike": False, "every_column": True}, "no run"),
+    ([NAN], {"foretold": False}, ""), ([1, 2], {"alike": False, "foretold": False}, "no run"),
 ])  # fmt: skip
-def test_stretches_of_lines_where_a_column_says_nothing_of_another(level, options, why):
+def test_stretches_of_lines_where_no_column_foretells_another(level, options, why):
     said, mask = held_out_block(np.array(level, float), ("a", "b"), (len(level), 64, 2, 2), 64, **options)
     assert said.startswith("every fourth of 16 blocks") and why in said
     assert mask[0, :, 0, 0].sum() == 16 and (mask == mask[:1, :, :1, :1]).all()

@@ -20,7 +20,7 @@ RESAMPLED = 400  # draws of blocks of lines for the standard deviation of the ga
 
 def held_out_block(
     level: np.ndarray, inputs: tuple[str, ...], shape: tuple[int, ...], lines: int, alike: bool = True,
-    every_column: bool = False,
+    foretold: bool = True,
 ) -> tuple[str, np.ndarray]:  # fmt: skip
     """Choose the block that is held out, and mark it in a mask of shape ``(run, f, o, i)``.
 
@@ -38,8 +38,8 @@ def held_out_block(
         True number of lines.
     alike
         Whether runs differ by their level only; others have parameters of their own and cannot be held out.
-    every_column
-        Whether a cause has sizes of its own in every column, so that a column says nothing of another.
+    foretold
+        Whether the other columns tell enough of the last to foretell it.
     """
     mask = np.zeros(shape, bool)
     runs, n_in = shape[0], len(inputs)
@@ -53,7 +53,7 @@ def held_out_block(
         mask[-1] = True
         return f"run {runs}, the last repeat", mask
     why = "" if alike else "; no run, as each has parameters of its own"
-    if n_in > 1 and not every_column:
+    if n_in > 1 and foretold:
         mask[..., n_in - 1] = True
         return f"the column of input {inputs[-1]}{why}", mask
     edges = np.linspace(0, lines, min(BLOCKS, max(lines // 4, 2)) + 1).astype(int)
@@ -83,7 +83,7 @@ def measure(
     level, lines = np.asarray(comparison.measurement.level), comparison.problem.lines
     alike = not any(c.each_run for c in found.causes)
     own_sizes = any(isinstance(c, PatternCause) for c in found.causes)
-    words, mask = held_out_block(level, comparison.measurement.inputs, weight.shape, lines, alike, own_sizes)
+    words, mask = held_out_block(level, comparison.measurement.inputs, weight.shape, lines, alike, not own_sizes)
     drop = np.zeros(weight.shape[1], bool)
     if found.hum is not None:
         drop[: len(found.hum.lines)] = found.hum.lines

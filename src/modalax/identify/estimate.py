@@ -101,7 +101,7 @@ def estimate(
     if dof <= 0:
         raise ValueError(f"{projection.samples} samples are too few for {projection.samples - dof} unknowns")
     if participation is None:
-        participation = participation_of(s, H, weight, poles, power=power, terms=terms, real_modes=real_modes)
+        participation = participation_of(projection, poles)
     part = np.asarray(participation, complex)
     pivot = np.argmax(np.abs(part), axis=1)
     free = np.zeros(len(poles)) if held is None else np.asarray(held, float)
@@ -115,12 +115,9 @@ def estimate(
     )  # fmt: skip
 
 
-def participation_of(
-    s: np.ndarray, H: np.ndarray, weight: np.ndarray, poles: np.ndarray, *, power: int = 0,
-    terms: np.ndarray | None = None, real_modes: bool = False,
-) -> np.ndarray:  # fmt: skip
+def participation_of(projection: Projection, poles: np.ndarray) -> np.ndarray:
     """Participation of each mode, ``(n, i)``: the leading factor of its residues when all are fitted freely."""
-    n, inputs = len(poles), H.shape[2]
+    n, inputs, real_modes = len(poles), projection.inputs, projection.real_modes
     if inputs == 1:
         return np.ones((n, 1), complex)
     pivot, one = np.zeros(n, int), np.ones((n, 1), complex)
@@ -128,10 +125,7 @@ def participation_of(
     unit = unpack(theta, pivot, real_modes).unit
     columns = []
     for i in range(inputs):
-        own = Projection(
-            s, H[:, :, i : i + 1], weight[:, :, i : i + 1], power=power, terms=terms, real_modes=real_modes
-        )
-        blocks = own.blocks(theta, pivot, np.zeros(n), squares=False)
+        blocks = projection.of_input(i).blocks(theta, pivot, np.zeros(n), squares=False)
         x = np.concatenate([block.unknowns() for block in blocks])
         columns.append(np.einsum("onc,nc->no", x.reshape(len(x), *unit.shape), unit))
     matrices = np.stack(columns, axis=2)

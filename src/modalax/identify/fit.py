@@ -114,14 +114,13 @@ def fit(
         )
     weighted = smooth_variance(frf)
     choice = choice_of(pick, drop, add, frf.ends)
-    model = fit_residues(weighted, selection.poles, residuals=residuals, real_modes=real_modes)
     refined, apart = None, set[tuple[float, float]]()
     how = {"residuals": residuals, "real_modes": real_modes}
-    if choice.pick is not None:
-        pass  # what is picked is all there is to fit
-    elif not refine:
-        model = settle_diagram(weighted, model, apart, **how)
+    if choice.pick is None and not refine:
+        model = settle_diagram(weighted, selection.poles, apart, **how)
     else:
+        model = fit_residues(weighted, selection.poles, **how)
+    if choice.pick is None and refine:  # what is picked is all there is to fit
         refined = diagram_poles(weighted, model, selection.spread, tell, **how)
         refined = settle(weighted, refined or likelihood_rounds(weighted, model, tell, **how), tell, apart, **how)
         model = refined.model

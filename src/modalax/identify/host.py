@@ -4,6 +4,7 @@ They give the numbers of :func:`modalax.identify.refine` and :func:`modalax.iden
 anything, and cannot be differentiated: for searches, whose sizes change from step to step.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -49,10 +50,21 @@ def residues_on_host(
     frf: FRF, poles: Any, *, residuals: str = "complex", real_modes: bool = False, weights: Any = "auto"
 ) -> ModalModel:
     """Residues as :func:`modalax.identify.residues` gives them for the same arguments."""
-    check_size(frf, len(poles), residuals)
+    return residue_fits(frf, residuals=residuals, real_modes=real_modes, weights=weights)(poles)
+
+
+def residue_fits(
+    frf: FRF, *, residuals: str = "complex", real_modes: bool = False, weights: Any = "auto"
+) -> Callable[[Any], ModalModel]:
+    """:func:`residues_on_host` for some sets of poles, one after the other: the FRFs are weighed once."""
     samples = samples_of(frf, residuals, real_modes)
-    modal, _ = linear_fit(samples, np.asarray(poles), np.asarray(sigma_of(frf, weights)))
-    return model_of(modal, frf)
+    projection = samples.projection(np.asarray(sigma_of(frf, weights)))
+
+    def fitted(poles: Any) -> ModalModel:
+        check_size(frf, len(poles), residuals)
+        return model_of(linear_fit(samples, projection, np.asarray(poles))[0], frf)
+
+    return fitted
 
 
 def refine_on_host(

@@ -120,7 +120,7 @@ def _moved(samples: Samples, model: Modal, groups: list[_Group]) -> list[Moved]:
             if float(np.sum(np.abs(samples.H[g.window]) ** 2)) < need:
                 continue
             rest = _rest(samples, parts, k, g.window)
-            parts[k], error = linear_fit(rest, model.poles[g.modes], np.ones(rest.H.shape))
+            parts[k], error = linear_fit(rest, rest.projection(np.ones(rest.H.shape)), model.poles[g.modes])
             left = float(np.sum(np.abs(error) ** 2))
             if left < need:
                 continue
@@ -147,7 +147,7 @@ def _shapes(samples: Samples, poles: np.ndarray, groups: list[_Group]) -> list[M
                 left = rest.H - response(parts[k], rest)
                 floor = 1e-24 * np.max(np.abs(rest.H)) ** 2 + 1e-300
                 sigma = np.sqrt(np.maximum(np.mean(np.abs(left) ** 2, axis=0), floor)) * sigma
-            part, _ = linear_fit(rest, poles[g.modes], sigma)
+            part, _ = linear_fit(rest, rest.projection(sigma), poles[g.modes])
             parts = [*parts[:k], part, *parts[k + 1 :]]
     return parts
 

@@ -193,7 +193,7 @@ def maximise(
     zeta0 = np.where(poles.real < 0, np.maximum(zeta0, UNDAMPED), np.clip(zeta0, 1e-3, 0.5))
     poles = omega0 * (-zeta0 + 1j * np.sqrt(1 - zeta0**2))
     if participation is None:
-        participation = _participation(samples, projection, poles)
+        participation = participation_of(projection, poles)
     pivot = np.argmax(np.abs(participation), axis=1)
     reach = REACH * zeta0 * omega0
     held = ((omega0 + reach < samples.omega.min()) | (omega0 - reach > samples.omega.max())).astype(float)
@@ -203,12 +203,17 @@ def maximise(
     return _maximum(samples, projection, at, start[at.kept], sigma, known)
 
 
-def linear_fit(
-    samples: Samples, poles: np.ndarray, sigma: np.ndarray, participation: np.ndarray | None = None
-) -> tuple[Modal, np.ndarray]:
-    """Shapes and residual terms at given poles as :func:`modalax.identify.residues` fits them, and what they leave."""
-    projection = samples.projection(sigma)
-    part = _participation(samples, projection, poles) if participation is None else participation
+def linear_fit(samples: Samples, projection: Projection, poles: np.ndarray) -> tuple[Modal, np.ndarray]:
+    """Shapes and residual terms at given poles, as :func:`modalax.identify.residues`, and what they leave, whitened.
+
+    Parameters
+    ----------
+    samples, projection
+        The FRFs, and the same weighed as :meth:`Samples.projection` does.
+    poles
+        Shape ``(n,)`` [rad/s].
+    """
+    part = participation_of(projection, poles)
     pivot = np.argmax(np.abs(part), axis=1)
     theta = pack(poles, part, pivot)
     modes = unpack(theta, pivot, samples.real_modes)
@@ -217,16 +222,7 @@ def linear_fit(
     terms, left = projection.remainder(x, modes)
     shapes = np.einsum("onc,nc->no", x.reshape(len(x), *modes.unit.shape), modes.unit)
     model = _modal(samples, modes.poles, shapes, modes.participation, terms)
-    return model, _as_measured(samples, left) * sigma
-
-
-def _participation(samples: Samples, projection: Projection, poles: np.ndarray) -> np.ndarray:
-    H, weight = (np.moveaxis(a, 2, 0) for a in (projection.y, projection.weight))
-    values = np.divide(H, weight, out=np.zeros_like(H), where=weight > 0)
-    terms = residual_terms(samples.s, samples.power, samples.residuals)
-    return participation_of(
-        samples.s, values, weight, poles, power=samples.power, terms=terms, real_modes=samples.real_modes
-    )
+    return model, _as_measured(samples, left)
 
 
 class _Runaway:

@@ -11,6 +11,7 @@ matrix product, in coordinates that are orthonormal for the mean weight, so that
 """
 
 from collections.abc import Iterator
+from copy import copy
 
 import numpy as np
 from scipy.linalg.blas import dtrsm
@@ -57,8 +58,23 @@ class Projection:
         Q, self.scale = np.linalg.qr(stacked(terms.T).T)  # else the smallest would be lost beside the largest
         self.terms = Q[: len(self.s)] + 1j * Q[len(self.s) :]
         self.outputs, self.inputs = self.y.shape[:2]
-        self.samples = 2 * int(np.count_nonzero(self.weight))
         self.real = [stacked(self.y[:, i]) for i in range(self.inputs)]
+        self._weigh()
+
+    def of_input(self, i: int) -> "Projection":
+        """The data of one input alone."""
+        own = copy(self)
+        own.y, own.weight, own.real, own.inputs = self.y[:, [i]], self.weight[:, [i]], [self.real[i]], 1
+        own._weigh()
+        return own
+
+    @property
+    def samples(self) -> int:
+        """Number of real samples."""
+        return 2 * int(np.count_nonzero(self.weight))
+
+    def _weigh(self) -> None:
+        """The weights that outputs or inputs have in common: ``common`` rows, and a ``size`` for each line."""
         size = np.sqrt(np.mean(self.weight**2, axis=(1, 2)))
         first = self.weight[int(np.argmax(size))]
         size = size / max(np.max(size), 1e-300)

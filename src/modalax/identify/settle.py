@@ -15,7 +15,7 @@ from modalax.data.frf import FRF
 from modalax.identify.close_modes import NEAR, two_modes, windows_split
 from modalax.identify.disagreement import CERTAIN, together
 from modalax.identify.flags import matters
-from modalax.identify.host import refine_on_host, residues_on_host
+from modalax.identify.host import refine_on_host, residue_fits, residues_on_host
 from modalax.identify.likelihood import UNDAMPED
 from modalax.identify.local import fit_where_dominant
 from modalax.identify.neighbourhood import LINES, WIDTH, Left, around, left_of, residual_of
@@ -94,9 +94,7 @@ def _cut_short(frf: FRF, model: ModalModel) -> bool:
     return windows_split(frf, (around(frf, model, residual, [a, a + 1], smooth=True) for a in near[:MANY]))
 
 
-def settle_diagram(
-    frf: FRF, model: ModalModel, apart: set[tuple[float, float]] | None = None, **options: Any
-) -> ModalModel:
+def settle_diagram(frf: FRF, poles: Any, apart: set[tuple[float, float]] | None = None, **options: Any) -> ModalModel:
     """The model of a diagram's poles without those that noise makes and the weaker of two that are one.
 
     A diagram that has no room finds clear modes with a damping that is far off; these stay. Where modes are dropped
@@ -104,8 +102,8 @@ def settle_diagram(
 
     Parameters
     ----------
-    frf, model
-        The FRF, with its variance where it is known, and a modal model of it.
+    frf, poles
+        The FRF, with its variance where it is known, and the diagram's poles, shape ``(n,)`` [rad/s].
     apart
         Takes up the pairs of close modes that were told apart, as for :func:`doubled`.
     options
@@ -117,6 +115,8 @@ def settle_diagram(
         If no mode stands out of the noise.
     """
     apart = set() if apart is None else apart
+    fitted = residue_fits(frf, **options)
+    model = fitted(poles)
     gains, by_chance = np.zeros((2, len(model.poles)))
     asked = np.ones(len(model.poles), bool)
     for _ in range(TURNS):
@@ -128,7 +128,7 @@ def settle_diagram(
         if not bad.any():
             break
         asked = _beside(frf, model, bad)[~bad]
-        model = residues_on_host(frf, cut(model.poles, ~bad), **options)
+        model = fitted(cut(model.poles, ~bad))
         gains, by_chance = gains[~bad], by_chance[~bad]
         again = {round(f, 6) for f in np.asarray(model.frequency_hz)[asked].tolist()}
         apart -= {pair for pair in apart if again & set(pair)}

@@ -68,11 +68,14 @@ def untold_window(frf: FRF, model: ModalModel, residual: np.ndarray) -> UntoldWi
     asked = stacked((power * columns / (s * course)[:, None]).T)
     asked -= (asked @ Q) @ Q.T
     made = made * (np.sqrt(2) / size)
-    left = stacked(np.ascontiguousarray(residual[used].reshape(len(s), -1).T) / course)
-    left *= np.sqrt(2) / size[:, None]
-    inside = left @ Q
+    left, rest = np.empty((2, len(s), len(size))), residual[used].reshape(len(s), -1)
+    weight = np.sqrt(2) / (course[:, None] * size)
+    np.multiply(rest.real, weight, out=left[0])
+    np.multiply(rest.imag, weight, out=left[1])
+    left = left.reshape(-1, len(size))
+    inside = Q.T @ left
     own = np.einsum("kc,kl,lc->c", made, asked @ asked.T, made, optimize=True)
-    along = np.sum(made * (asked @ left.T), axis=0)
+    along = np.sum(made * (asked @ left), axis=0)
     level = max((float(np.vdot(left, left)) - float(np.vdot(inside, inside))) / left.size, 1.0)
     gain, free = along.sum() ** 2 / own.sum() / level, float(np.sum(along**2 / np.maximum(own, 1e-300))) / level
     decay, std = along.sum() / own.sum(), float(np.sqrt(level / own.sum()))

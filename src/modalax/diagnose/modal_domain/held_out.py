@@ -10,7 +10,7 @@ from modalax.diagnose.holdout import BLOCKS, RESAMPLED, held_out_block
 from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.corrected import frf_of
 from modalax.diagnose.modal_domain.explain import Explanation
-from modalax.diagnose.modal_domain.features import chosen, features_of, sure, whitener_of
+from modalax.diagnose.modal_domain.features import Features, chosen, features_of, sure, whitener_of
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
 from modalax.diagnose.modal_domain.free_residues import Channels
 from modalax.diagnose.modal_domain.further_causes import MissingMode
@@ -21,6 +21,7 @@ from modalax.diagnose.modal_domain.polish import lines_of, on_lines, unforeseen
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.modal_domain.state import Setting
 
+APART = 10.0  # times that the deviations of a mode may grow once a column is held out
 BESIDE = 5.0  # half-bandwidths by which a mode may move once a block is held out
 
 
@@ -37,7 +38,8 @@ def gain_of(stage: Stage, found: Explanation, before: np.ndarray) -> Gain:
     levels = len(np.unique(level)) if np.isfinite(level).all() else 0
     alike = not drifts and (len(stage.measured.runs) == len(H) or joint is not None or levels > 2)
     lacking = any(c.freed is not None for c in found.causes)  # of a further column its shape tells nothing
-    words, mask = held_out_block(level, m.inputs, H.shape, H.shape[1], alike, lacking)
+    column = not lacking and last_is_foretold(stage.measured.features)
+    words, mask = held_out_block(level, m.inputs, H.shape, H.shape[1], alike, column)
     beyond = float("nan")
     if joint is None or seen is None:
         rest = _rest(stage, mask)
@@ -61,6 +63,15 @@ def gain_of(stage: Stage, found: Explanation, before: np.ndarray) -> Gain:
     worse = 0.5 * (chi2[1] - alone_chi2).sum(axis=(0, 2, 3))[mask.any(axis=(0, 2, 3))]
     preferred = float(worse.sum()) / max(_deviation(worse), 1e-300)
     return replace(gain, chi2_plain=float(alone_chi2.sum() / count), preferred=preferred)
+
+
+def last_is_foretold(f: Features) -> bool:
+    """Whether the other columns tell of all modes that the last input excites; one that it excites alone they do not.
+
+    What a column tells of a mode grows with the squares of its residues over their deviations.
+    """
+    told = (np.abs(f.residues) ** 2).sum(axis=1)
+    return bool((told[:, -1] <= APART**2 * told[:, :-1].sum(axis=1)).all())
 
 
 def _beyond_errors(stage: Stage, f: Fit, mask: np.ndarray) -> float:
