@@ -41,15 +41,15 @@ def candidates_of(
     if not len(inside):
         inside = np.arange(min(3, c.size))
     out = []
-    own, own_mass = np.diag(c.damping)[inside], _own_mass(simulation)
+    own, own_mass, turns = np.diag(c.damping)[inside], _own_mass(simulation), nodes.axis > 2
+    typical = _typical((c.shapes[:, inside] ** 2).mean(axis=1), turns)
     for k, name in enumerate(dofs):
         b = c.shapes[k]
         mobile = float((b[inside] ** 2).mean())
         if mobile < STILL * float((c.shapes[:, inside] ** 2).max()):
             continue
-        turning = nodes.axis[k] > 2
-        weight = UNLIKELY if turning else 1.0
-        out.append(Change("added_mass", (name,), LUMP / mobile, b, reference=float(own_mass[k]), weight=weight))
+        weight, usual = UNLIKELY if turns[k] else 1.0, LUMP / max(mobile, typical[k])
+        out.append(Change("added_mass", (name,), usual, b, reference=float(own_mass[k]), weight=weight))
     out += _lumps(simulation, c, inside)
     apart = next((some for some in (dofs, {*outputs, *inputs}) if len(some) <= FEW), ())
     for where, b, stiffness, weight, there in springs_of(simulation, c, nodes, pairs, highest, apart):
@@ -79,6 +79,15 @@ def candidates_of(
     return out + _damped_modes(c, inside)
 
 
+def _typical(mobile: np.ndarray, turns: np.ndarray) -> np.ndarray:
+    """Median over all displacements, or all rotations, of how much they move: a mass is of the size of the structure's.
+
+    Where a DoF hardly moves in the band, the modal masses seen from it say nothing of what may sit there.
+    """
+    medians = [float(np.median(mobile[turns == kind])) if (turns == kind).any() else 0.0 for kind in (False, True)]
+    return np.where(turns, medians[1], medians[0])
+
+
 def _own_mass(simulation: Structure) -> np.ndarray:
     """Mass that the simulation has at each DoF."""
     return np.diag(np.asarray(simulation.M))
@@ -91,14 +100,14 @@ def _lumps(simulation: Structure, c: Coordinates, inside: np.ndarray) -> list[Ch
     """
     nodes, mobile = nodes_of(c.names), (c.everywhere[:, inside] ** 2).mean(axis=1)
     own = dict(zip(simulation.dofs, _own_mass(simulation).tolist(), strict=True))
-    out = []
+    typical, out = _typical(mobile, nodes.axis > 2), []
     for node in nodes.members:
         at = node[(nodes.axis[node] >= 0) & (nodes.axis[node] < 3) & (mobile[node] > STILL * mobile.max())]
         if len(at) < 2:
             continue
         place = (c.names[at[np.argmax(mobile[at])]],)
         pattern = c.everywhere[at].T @ c.everywhere[at]
-        usual = LUMP / float(mobile[at].sum())
+        usual = LUMP / max(float(mobile[at].sum()), float(typical[at[0]]))
         there = [own[c.names[k]] for k in at if c.names[k] in own]
         out.append(
             Change("added_mass", place, usual, pattern=pattern, factor=np.eye(len(c.names))[:, at],
