@@ -14,7 +14,12 @@ from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.thresholds import THRESHOLDS
 
 LINEAR_PART = "joint_stiffness", "local_damper"  # what a joint may do at any amplitude
-ALIKE = 1.0  # nats by which a filter must be likelier than a delay of its sensor to be told from it
+# What a cause does in a limit, and by how many nats the data must prefer the cause to be told from it: a filter far
+# above the band is a delay of its sensor, a joint that relaxes slowly a spring and one that relaxes at once a damper.
+LIMITS = {
+    "sensor_filter": (("time_delay",), 1.0),
+    "maxwell_joint": (("joint_stiffness", "local_damper"), 0.5 * THRESHOLDS.stands_out**2),
+}
 LIKELIER = 0.5  # probability of nothing beyond the inaccuracy above which nothing is what the answer is about
 
 
@@ -66,7 +71,7 @@ def sets_beyond(stage: Stage) -> tuple[BeyondUsual, ...]:
     """What stands out, the same causes at the same places as one: first nothing if that is likelier than all else."""
     total: dict[Names, tuple[Names, float]] = {}
     for e in stage.explanations:
-        told = _told(standing_out(stage, _as_delay(stage, e)))
+        told = _told(standing_out(stage, _in_the_limit(stage, e)))
         names, p = total.get(_key(told), (told, 0.0))
         total[_key(told)] = names, p + e.probability
     sets = sorted((BeyondUsual(*v) for v in total.values()), key=lambda s: -s.probability)
@@ -77,21 +82,18 @@ def sets_beyond(stage: Stage) -> tuple[BeyondUsual, ...]:
     return (leading, *(s for s in sets if s is not leading))
 
 
-def _as_delay(stage: Stage, e: Explanation) -> Explanation:
-    """The explanation by a delay, where the data do not tell a sensor's filter from it: one far above the band."""
+def _in_the_limit(stage: Stage, e: Explanation) -> Explanation:
+    """The likeliest explanation by one of the ``LIMITS`` of a cause that the data do not tell from it."""
     for c in e.causes:
-        if c.slug != "sensor_filter":
-            continue
-        others = {(x.slug, x.where) for x in e.causes if x is not c} | {("time_delay", c.where)}
-        delays = (x for x in stage.explanations if {(y.slug, y.where) for y in x.causes} == others)
-        delay = next(delays, None)
-        if delay is not None and _by_data(e, c) - _by_data(delay, _of(delay, c.where)) < ALIKE:
-            return delay
+        slugs, nats = LIMITS.get(c.slug, ((), 0.0))
+        rest = {(x.slug, x.where) for x in e.causes if x is not c}
+        for x in stage.explanations:  # by falling probability
+            simple = next((y for y in x.causes if y.slug in slugs and y.where == c.where), None)
+            if simple is None or {(y.slug, y.where) for y in x.causes if y is not simple} != rest:
+                continue
+            if _by_data(e, c) - _by_data(x, simple) < nats:
+                return x
     return e
-
-
-def _of(delay: Explanation, where: tuple[str | int, ...]) -> Change:
-    return next(c for c in delay.causes if c.slug == "time_delay" and c.where == where)
 
 
 def _by_data(e: Explanation, c: Change) -> float:
