@@ -315,9 +315,9 @@ def _across(P: np.ndarray, outer: np.ndarray, inner: np.ndarray) -> np.ndarray:
     """Symmetric patterns ``(p, n, n)`` between two sets of responses, shape ``(p, f, o, i)``."""
     swap = outer.shape[2] < inner.shape[2]
     near, far = (outer, inner) if swap else (inner, outer)
-    count, n = P.shape[:2]
-    f, _, k = near.shape
-    flat = near.transpose(1, 0, 2).reshape(n, f * k)
-    moved = (P.reshape(-1, n) @ flat.real + 1j * (P.reshape(-1, n) @ flat.imag)).reshape(count, n, f, k)
-    out = np.matmul(far.transpose(0, 2, 1), moved.transpose(0, 2, 1, 3))
-    return out.transpose(0, 1, 3, 2) if swap else out
+    (count, n), (f, _, k) = P.shape[:2], near.shape
+    flat, every = near.transpose(0, 2, 1).reshape(f * k, n), P.transpose(2, 0, 1).reshape(n, count * n)
+    moved = np.empty((f * k, count * n), complex)
+    moved.real, moved.imag = flat.real @ every, flat.imag @ every
+    out = (moved.reshape(f, k * count, n) @ far).reshape(f, k, count, -1)
+    return out.transpose(2, 0, 1, 3) if swap else out.transpose(2, 0, 3, 1)
