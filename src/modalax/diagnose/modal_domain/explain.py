@@ -14,9 +14,8 @@ from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.discrepancy import learnt_rest
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
-from modalax.diagnose.modal_domain.line_forces import ModalForce
 from modalax.diagnose.modal_domain.oscillators import oscillators
-from modalax.diagnose.modal_domain.screen import finite, refined, replaced, scores
+from modalax.diagnose.modal_domain.screen import couples, finite, refined, replaced, scores
 from modalax.diagnose.modal_domain.state import Setting, state_at
 from modalax.diagnose.modal_domain.throughout import start_in, with_more
 
@@ -282,7 +281,7 @@ def _leading(
     nominal, _ = scores(setting, _nominal(setting, null), candidates)
     few = set(np.argsort(-(gain + share))[:PRESCREENED]) | set(np.argsort(-(nominal + share))[:PRESCREENED])
     few |= {k for k, c in enumerate(candidates) if not c.local}
-    forces = {k for k, c in enumerate(candidates) if isinstance(c, ModalForce)}
+    forces = {k for k, c in enumerate(candidates) if couples(c)}
     some = sorted([k for k in few - forces if candidates[k].count == 1] + _leading_forces(candidates, gain, nominal))
     distance, where = finite(setting, [candidates[k] for k in some])
     value = dict(zip(some, -0.5 * distance + share[some], strict=True))
@@ -305,9 +304,9 @@ def _leading(
 
 
 def _leading_forces(candidates: list[Change], *gains: np.ndarray) -> list[int]:
-    """Forces of each kind that are tried with finite sizes, each of which needs modes of its own."""
+    """Forces and dampers of each kind that are tried with finite sizes, each of which needs modes of its own."""
     out: set[int] = set()
-    for slug in {c.slug for c in candidates if isinstance(c, ModalForce)}:
+    for slug in {c.slug for c in candidates if couples(c)}:
         own = [k for k, c in enumerate(candidates) if c.slug == slug]
         for gain in gains:
             out |= set(sorted((k for k in own if np.isfinite(gain[k])), key=lambda k: -gain[k])[:FORCES])

@@ -16,6 +16,7 @@ from modalax.diagnose.modal_domain.coordinates import Modes, with_loads
 from modalax.diagnose.modal_domain.features import values_of
 from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.line_forces import ModalForce
+from modalax.diagnose.modal_domain.loads import Load
 from modalax.diagnose.modal_domain.state import (
     Setting,
     State,
@@ -29,6 +30,8 @@ from modalax.diagnose.modal_domain.state import (
 )
 
 SIZES = (0.015, 0.04, 0.1, 0.25, 0.5, 0.9, 2.0)  # sizes of a change that are tried, over its usual size, of either sign
+STRONG = 5.0  # and of a force or damper, beside which the structure's own damping may be small
+UNDAMPED = 1e-9  # damping ratio that rounding may make of none
 FACTORS = np.array([0.4, 0.6, 0.8, 1.0, 1.25, 1.6, 2.2])  # multiples of a size that are tried to refine it
 STILL = 1e-4  # least frequency of a mode, relative to the highest; a rigid body has none
 UNUSABLE = 1e200  # distance that counts for a size that leaves no structure
@@ -38,14 +41,15 @@ TOLERANT = 3.0  # times the usual inaccuracy that finite changes are screened wi
 def finite(setting: Setting, candidates: list[Change]) -> tuple[np.ndarray, np.ndarray]:
     r"""Screen by finite changes of the simulation itself: least :math:`r^T\Sigma^{-1}r + u^2` of each, and its size.
 
-    Damping is taken mode by mode, which is exact enough to rank.
+    Damping is taken mode by mode, which is exact enough to rank, but for what couples modes: forces and dampers at a
+    place have modes of their own at each size.
     """
     state, shrink = tolerance(setting)
     sizes = np.array([-s for s in SIZES[::-1]] + [*SIZES])
     best, where = np.full(len(candidates), np.inf), np.zeros(len(candidates))
     for k, cause in enumerate(candidates):
-        if isinstance(cause, ModalForce):
-            trials = _loaded(setting, state.modes, cause, sizes if cause.signed else sizes[sizes > 0])
+        if couples(cause):
+            trials = _loaded(setting, state.modes, cause, [*(sizes if cause.signed else sizes[sizes > 0]), STRONG])
         elif cause.kind:
             trials = _changed(setting, cause, sizes)
         elif not cause.local:
@@ -130,15 +134,30 @@ def refined(setting: Setting, causes: list[Change], sizes: list[float]) -> list[
     return out
 
 
+def couples(cause: Change) -> bool:
+    """Whether it is a force or a damper at a place, whose effect is no matter of one mode after the other."""
+    return isinstance(cause, ModalForce) or (cause.kind == "C" and cause.direction is not None)
+
+
+def _load(cause: Change, u: float) -> Load:
+    """A force of some size; a damper's is in proportion to the velocity across its place."""
+    if isinstance(cause, ModalForce):
+        return cause.load(cause.of_size(u))
+    assert cause.direction is not None, "a force acts in a direction"
+    return Load(cause.direction[:, None], np.zeros((1, 1)), np.full((1, 1), cause.scale * u))
+
+
 def _loaded(
-    setting: Setting, modes: Modes, cause: ModalForce, sizes: np.ndarray
+    setting: Setting, modes: Modes, cause: Change, sizes: Sequence[float]
 ) -> list[tuple[float, np.ndarray, np.ndarray]]:  # fmt: skip
-    """Size, poles and residues of the simulation with each size of a force."""
+    """Size, poles and residues of the simulation with each size of a force; all of its modes decay."""
     out = []
     for u in sizes:
         try:
-            changed = with_loads(modes, (cause.load(cause.of_size(float(u))),))
+            changed = with_loads(modes, (_load(cause, float(u)),))
         except np.linalg.LinAlgError:
+            continue
+        if (changed.poles.real > UNDAMPED * np.abs(changed.poles)).any():
             continue
         if len(changed.poles) >= len(setting.features.poles):
             out.append((float(u), changed.poles, changed.residues(setting.coordinates)))
