@@ -1,10 +1,13 @@
-"""Dampers at a place couple modes: they are ranked by the modes that each would give."""
+"""Dampers at a place couple modes: they are ranked by the modes that each would give; and joints that relax."""
+
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from chains_off import DOFS, FREQ, as_measured, chain_off, response, simulation
 
 from modalax.diagnose.deadline import Deadline
+from modalax.diagnose.modal_domain import judged
 from modalax.diagnose.modal_domain.screen import finite
 from modalax.diagnose.modal_domain.stage import run_stage
 
@@ -22,3 +25,20 @@ def test_a_strong_damper_ranks_first_before_any_fit(where, c):
     k = int(np.argmin(distance))
     assert dampers[k].where == (DOFS[where],)
     assert 0.5 * c < size[k] * dampers[k].scale < 1.5 * c
+
+
+@pytest.mark.parametrize("simple", ["joint_stiffness", "local_damper"])
+@pytest.mark.parametrize(("ahead", "where", "count"), [(5.0, ("a", "b"), 1), (7.0, ("a", "b"), 2), (5.0, ("a",), 2)])
+def test_a_joint_that_relaxes_counts_as_what_the_data_do_not_tell_it_from(simple, ahead, where, count, monkeypatch):
+    """Six nats are what 3.5 standard deviations of the relaxation are worth; elsewhere it is another joint."""
+    monkeypatch.setattr(judged, "standing_out", lambda _, e: e.causes)
+    one = lambda slug, where, evidence, p, sizes: SimpleNamespace(
+        causes=(SimpleNamespace(slug=slug, where=where, count=sizes),), probability=p,
+        fit=SimpleNamespace(log_evidence=evidence, u=np.zeros(sizes), covariance=np.eye(sizes)),
+    )  # fmt: skip
+    relaxing = one("maxwell_joint", ("a", "b"), 100.0 + ahead, 0.7, 2)
+    stage = SimpleNamespace(explanations=[relaxing, one(simple, where, 100.0, 0.3, 1)])
+    sets = judged.sets_beyond(stage)
+    assert len(sets) == count
+    assert sets[0].names == (((simple, where),) if count == 1 else (("maxwell_joint", ("a", "b")),))
+    assert sets[0].probability == pytest.approx(1.0 if count == 1 else 0.7)

@@ -57,6 +57,20 @@ def test_its_effect_is_that_of_the_mass_in_the_matrix():
     assert bent.sum() > 5 and lump.told(np.array([0.4]), np.eye(1))["mass"]["unit"] == "kg"
 
 
+def test_a_mass_where_nothing_moves_in_the_band_is_no_heavier_than_the_structure():
+    """Bodies of 1 kg: at one that is held far stiffer, a mass of tons would change no mode, and none is usual."""
+    S, highest = simulation(), 2 * np.pi * TOP
+    still = DOFS.index("5:+Y")
+    K = np.asarray(S.K) + 1e10 * np.diag(np.arange(16) == still)
+    held = S.replace(K=K)
+    c = coordinates_of(held, OUTPUTS, INPUTS, highest)
+    every = candidates_of(held, c, OUTPUTS, INPUTS, None, highest)
+    usual = {k.where[0]: k.scale for k in every if k.slug == "added_mass" and k.pattern is None}
+    inside = (c.frequencies < highest) & (c.frequencies > 0.02 * highest)
+    assert (c.shapes[still, inside] ** 2).mean() < 1e-4 * np.median((c.shapes[:, inside] ** 2).mean(axis=1))
+    assert 0.1 < usual["5:+Y"] < 10.0 and usual["5:+Y"] == max(usual.values())
+
+
 def diagnosed(K, M, rng):
     """The diagnosis of the truss as built, by a test with noise of 1 %."""
     C = 1.1 * LOSS * truss(np.ones(len(RODS)))[0]

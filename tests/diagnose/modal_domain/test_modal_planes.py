@@ -1,6 +1,9 @@
 """A mast of beams that bend in two planes: every element off, one of them in one plane alone."""
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 import scipy.linalg
 
 from modalax.data import Measurement
@@ -8,7 +11,9 @@ from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.elements import Part, nodes_of
+from modalax.diagnose.modal_domain.features import Features
 from modalax.diagnose.modal_domain.given_elements import softened_elements
+from modalax.diagnose.modal_domain.held_out import last_is_foretold
 from modalax.diagnose.modal_domain.parts import ends_of, parts_of, planes_of
 from modalax.model import Structure
 from modalax.model.elements import Elements
@@ -121,6 +126,18 @@ def test_a_piece_that_joins_no_two_dofs_of_one_direction_is_no_place():
     assert [p.where for p in planes] == [("1:+RX", "2:+RX")]
     part = Part((0, 1), np.flatnonzero(F[0].any(axis=1)), F[0, F[0].any(axis=1)] @ F[0, F[0].any(axis=1)].T)
     assert sorted(len(ends_of(p, nodes)) for p in planes_of(part)) == [0, 2]
+
+
+@pytest.mark.parametrize(("other", "told"), [(1.0, True), (0.2, True), (0.05, False), (0.0, False)])
+def test_a_column_is_foretold_where_the_others_see_its_modes_too(other, told):
+    """Two modes; of the second the first input sees a part of what the last one does, a tenth of it being enough."""
+    none = np.zeros((2, 4))
+    residues = np.ones((2, 3, 2), complex)
+    residues[1, :, 0] *= other
+    f = Features(np.array([-1 + 1j, -1 + 2j]), residues, np.ones((2, 3, 2)), residues[:, None], none, np.eye(8))
+    assert last_is_foretold(f) is told
+    turned = replace(f, residues=residues[..., ::-1])
+    assert last_is_foretold(turned)  # the first input then sees all of it
 
 
 def test_an_element_wrong_in_one_plane_is_told_with_its_plane(plane=1, size=0.5):
