@@ -172,7 +172,9 @@ def summed_up(
     quality = quality_of(weighted, model, left)
     if held:  # what is left there comes from beyond the band, and says nothing against these poles
         quality = [q._replace(rest=NOTHING_LEFT) for q in quality]
-    if refined is not None and not held:
+        # Neither do the flanks; but inputs or outputs that disagree do so whatever lies beyond.
+        refined = None if refined is None else with_misfit(refined, [q._replace(lines=None) for q in quality])
+    elif refined is not None:
         refined = with_misfit(refined, quality)
         widths = (-np.asarray(model.poles.real) / (2 * np.pi)).tolist()
         two = [record is None and stands_for_two(q, w) for q, w in zip(quality, widths, strict=True)]
