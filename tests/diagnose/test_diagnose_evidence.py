@@ -93,6 +93,15 @@ def test_errors_of_modes_are_those_of_the_simulation():
     assert abs(second["frequency_error_before"]) < 1e-3
 
 
+def test_a_measured_mode_is_told_once():
+    """A simulated mode at 42 Hz that the measurement does not show; its local fit ends at 45 Hz as well."""
+    c = compared(frf(), frf())
+    c = replace(c, modes=np.array([[20.0, 42.0, 45.0], [0.012, 0.01, 0.01]]))
+    pole = local_pole(c, c.measured[0].reshape(len(FREQ), -1), 2 * np.pi * 42.0 * complex(-0.01, 1.0))
+    assert pole is not None and abs(abs(pole) / (2 * np.pi) - 45.0) < 1e-3
+    assert [round(r["frequency_hz"]) for r in by_mode(c)] == [20, 45]
+
+
 def test_channels_and_levels_hold_their_share_of_the_residual():
     gain = np.ones((1, 1, 3, 2))
     gain[..., 1, 0] = 2.0

@@ -204,16 +204,20 @@ def by_mode(c: Compared) -> list[dict[str, Any]]:
     """Of each mode frequency, damping ratio and peak as measured, and their errors before and after; chi-square there.
 
     Frequencies and dampings are those of a local fit to all channels of the first run, peaks those of the root mean
-    square over them. Errors are relative, of peaks in dB; None where a curve shows no such mode.
+    square over them. Errors are relative, of peaks in dB; None where a curve shows no such mode. Where the fits of two
+    simulated modes end at one measured mode, it is that of the nearer one; the other does not show.
     """
     out = []
     curves = [H[0].reshape(len(c.freq), -1) for H in (c.measured, c.before, c.after)]
-    for f, zeta in c.modes.T:
-        start = complex(2 * np.pi * f * (-zeta + 1j * math.sqrt(max(1 - zeta**2, 0.0))))
-        measured, before = (local_pole(c, H, start) for H in curves[:2])
-        after = None if measured is None else local_pole(c, curves[2], measured)
+    starts = [complex(2 * np.pi * f * (-zeta + 1j * math.sqrt(max(1 - zeta**2, 0.0)))) for f, zeta in c.modes.T]
+    found = [(start, local_pole(c, curves[0], start)) for start in starts]
+    for start, measured in found:
         if measured is None:
             continue
+        same = [near for near, other in found if other is not None and abs(other - measured) < -measured.real]
+        if abs(start - measured) > min(abs(near - measured) for near in same):
+            continue
+        before, after = local_pole(c, curves[1], start), local_pole(c, curves[2], measured)
         at = abs(measured) / 2 / np.pi
         near = np.abs(c.freq - at) <= -measured.real / 2 / np.pi
         row: dict[str, Any] = {"frequency_hz": at, "damping_ratio": -measured.real / abs(measured)}
