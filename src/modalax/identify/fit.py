@@ -18,7 +18,7 @@ from modalax.identify.diagram import ESTIMATORS, diagram
 from modalax.identify.flags import HEAVY, Modes, flags_of, grades_of, notes_of, stands_for_two
 from modalax.identify.host import residues_on_host as fit_residues
 from modalax.identify.mode_search import diagram_poles, likelihood_rounds, synthesis
-from modalax.identify.neighbourhood import left_of, residual_of
+from modalax.identify.neighbourhood import Left, left_of
 from modalax.identify.noise import smooth_variance
 from modalax.identify.one_mode import NOTHING_LEFT
 from modalax.identify.quality import noise_part, quality_of, scatter_over_orders
@@ -114,10 +114,10 @@ def fit(
         )
     weighted = smooth_variance(frf)
     choice = choice_of(pick, drop, add, frf.ends)
-    refined, apart = None, set[tuple[float, float]]()
+    refined, left, apart = None, None, set[tuple[float, float]]()
     how = {"residuals": residuals, "real_modes": real_modes}
     if choice.pick is None and not refine:
-        model = settle_diagram(weighted, selection.poles, apart, **how)
+        model, left = settle_diagram(weighted, selection.poles, apart, **how)
     else:
         model = fit_residues(weighted, selection.poles, **how)
     if choice.pick is None and refine:  # what is picked is all there is to fit
@@ -127,16 +127,17 @@ def fit(
     if choice.any:
         poles = chosen_poles(choice, model.poles, table)
         model, refined = fit_chosen(weighted, poles, tell, refine, **how)
+        left = None
         if refined is not None:
             refined = by_frequency(refined)
             model = refined.model
     tell("summing up")
-    return summed_up(frf, weighted, model, refined, table, selection, data is not frf, notes, apart)
+    return summed_up(frf, weighted, model, refined, table, selection, data is not frf, notes, apart, left)
 
 
 def summed_up(
     frf: FRF, weighted: FRF, model: ModalModel, refined: Refined | None, table: PoleTable, selection: Selection,
-    turned: bool, notes: list[str], apart: set[tuple[float, float]] | None = None,
+    turned: bool, notes: list[str], apart: set[tuple[float, float]] | None = None, left: Left | None = None,
 ) -> Fit:  # fmt: skip
     """All that is told of a model: error bars that know misfit, flags, grades, and notes.
 
@@ -152,12 +153,15 @@ def summed_up(
         Sentences to put first.
     apart
         Pairs of close modes that were told apart before, as :func:`modalax.identify.settle.pairs_of_one` keeps them.
+    left
+        What the model leaves of the weighted FRFs, if that is known.
     """
     order = best_order(table, selection)
     f = np.asarray(model.frequency_hz)
     inside = (f >= frf.ends[0]) & (f <= frf.ends[1])
     total = float(np.sum(np.abs(np.asarray(frf.H)) ** 2))
-    residual = residual_of(weighted, model)
+    left = left_of(weighted, model) if left is None else left
+    residual = left.residual
     unexplained = float(np.sum(np.abs(residual) ** 2)) / total
     held = refined is not None and int(refined.reason_code) == HELD
     record = None if held else record_of(weighted, model, residual, np.flatnonzero(inside))
@@ -168,7 +172,6 @@ def summed_up(
     score = np.where(near, np.asarray(selection.score)[seen.argmin(axis=1)], 0.0)
     collinearity = mpc(model.along_longer_side().shapes)
     scatter = scatter_over_orders(table, np.asarray(model.poles))
-    left = left_of(weighted, model, residual)
     quality = quality_of(weighted, model, left)
     if held:  # what is left there comes from beyond the band, and says nothing against these poles
         quality = [q._replace(rest=NOTHING_LEFT) for q in quality]

@@ -261,8 +261,9 @@ def _maximum(
 
 
 def _as_measured(samples: Samples, left: np.ndarray) -> np.ndarray:
-    """A residual in the order of the samples, complex with unit variance."""
-    left = np.moveaxis(left, 2, 0) / np.sqrt(2)
+    """A residual in the order of the samples, complex with unit variance, in the place of the given one."""
+    left /= np.sqrt(2)
+    left = np.moveaxis(left, 2, 0)
     return np.swapaxes(left, 1, 2) if samples.turned else left
 
 

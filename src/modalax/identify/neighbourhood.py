@@ -243,9 +243,9 @@ class Left(NamedTuple):
     scatter: np.ndarray | None
 
 
-def left_of(frf: FRF, model: ModalModel, residual: Complex[np.ndarray, "f o i"] | None = None) -> Left:
-    """What a model leaves, its residual if that is known."""
-    residual = residual_of(frf, model) if residual is None else residual
+def left_of(frf: FRF, model: ModalModel) -> Left:
+    """What a model leaves of an FRF."""
+    residual = residual_of(frf, model)
     return Left(residual, scatter_of(frf, residual))
 
 

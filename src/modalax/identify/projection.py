@@ -59,13 +59,17 @@ class Projection:
         self.terms = Q[: len(self.s)] + 1j * Q[len(self.s) :]
         self.outputs, self.inputs = self.y.shape[:2]
         self.real = [stacked(self.y[:, i]) for i in range(self.inputs)]
+        self._known: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}  # bases of the last poles, for all that asks again
         self._weigh()
 
     def of_input(self, i: int) -> "Projection":
         """The data of one input alone."""
         own = copy(self)
         own.y, own.weight, own.real, own.inputs = self.y[:, [i]], self.weight[:, [i]], [self.real[i]], 1
-        own._weigh()
+        if self.shared:
+            own.common = self.common[[i]] if len(self.common) > 1 else self.common
+        else:
+            own._weigh()
         return own
 
     @property
@@ -127,16 +131,13 @@ class Projection:
 
     def _bases(self, poles: np.ndarray, squares: bool) -> list[tuple[np.ndarray, np.ndarray]]:
         """Orthonormal basis of terms and kernels and its triangular factor, for each row of common weights."""
-        columns = np.concatenate([self.terms, kernels(self.s, self.power, poles, squares)], axis=1)
-        columns = np.concatenate([columns.real, columns.imag])
-        found = []
-        for row in self.common:
-            A = columns * np.tile(row, 2)[:, None]
-            norm = np.linalg.norm(A, axis=0)
-            norm = np.where(norm > 0, norm, 1.0)
-            Q, R = orthonormal(A / norm)
-            found.append((Q, R * norm))
-        return found
+        asked = [poles.tobytes() + bytes([squares]) + row.tobytes() for row in self.common]
+        if not all(key in self._known for key in asked):
+            columns = np.concatenate([self.terms, kernels(self.s, self.power, poles, squares)], axis=1)
+            columns = np.concatenate([columns.real, columns.imag])
+            self._known.clear()
+            self._known.update((key, _basis(columns, row)) for key, row in zip(asked, self.common, strict=True))
+        return [self._known[key] for key in asked]
 
     def _shared(self, bases: list[tuple[np.ndarray, np.ndarray]], slopes: Slopes) -> SharedOutputs:
         t = self.terms.shape[1]
@@ -234,6 +235,15 @@ class Projection:
             left -= made
             total += e
         return total
+
+
+def _basis(columns: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Orthonormal basis of columns under the weights of a row, and its triangular factor."""
+    A = columns * np.tile(row, 2)[:, None]
+    norm = np.linalg.norm(A, axis=0)
+    norm = np.where(norm > 0, norm, 1.0)
+    Q, R = orthonormal(A / norm)
+    return Q, R * norm
 
 
 def _equal(a: np.ndarray, b: np.ndarray) -> bool:

@@ -94,8 +94,10 @@ def _cut_short(frf: FRF, model: ModalModel) -> bool:
     return windows_split(frf, (around(frf, model, residual, [a, a + 1], smooth=True) for a in near[:MANY]))
 
 
-def settle_diagram(frf: FRF, poles: Any, apart: set[tuple[float, float]] | None = None, **options: Any) -> ModalModel:
-    """The model of a diagram's poles without those that noise makes and the weaker of two that are one.
+def settle_diagram(
+    frf: FRF, poles: Any, apart: set[tuple[float, float]] | None = None, **options: Any
+) -> tuple[ModalModel, Left]:
+    """The model of a diagram's poles without those that noise makes and the weaker of two that are one; what it leaves.
 
     A diagram that has no room finds clear modes with a damping that is far off; these stay. Where modes are dropped
     only those whose lines held one of them are asked about again.
@@ -117,10 +119,10 @@ def settle_diagram(frf: FRF, poles: Any, apart: set[tuple[float, float]] | None 
     apart = set() if apart is None else apart
     fitted = residue_fits(frf, **options)
     model = fitted(poles)
+    left = left_of(frf, model)
     gains, by_chance = np.zeros((2, len(model.poles)))
     asked = np.ones(len(model.poles), bool)
     for _ in range(TURNS):
-        left = left_of(frf, model)
         gains[asked], by_chance[asked] = gains_of(frf, model, np.flatnonzero(asked), searched=True, left=left)
         weak = gains < by_chance
         _require(frf, _inside(frf, model) & ~weak)
@@ -129,10 +131,11 @@ def settle_diagram(frf: FRF, poles: Any, apart: set[tuple[float, float]] | None 
             break
         asked = _beside(frf, model, bad)[~bad]
         model = fitted(cut(model.poles, ~bad))
+        left = left_of(frf, model)
         gains, by_chance = gains[~bad], by_chance[~bad]
         again = {round(f, 6) for f in np.asarray(model.frequency_hz)[asked].tolist()}
         apart -= {pair for pair in apart if again & set(pair)}
-    return model
+    return model, left
 
 
 def _beside(frf: FRF, model: ModalModel, which: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:

@@ -93,7 +93,7 @@ class Diagram:
         if not found.poles.size:
             return ()
         try:
-            model = settle_diagram(self.weighted, found.poles)
+            model, _ = settle_diagram(self.weighted, found.poles)
         except ValueError:  # nothing stands out of the noise
             return ()
         poles, orders = np.asarray(found.poles), np.asarray(found.order)
