@@ -15,8 +15,9 @@ from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.discrepancy import learnt_rest
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
 from modalax.diagnose.modal_domain.oscillators import oscillators
-from modalax.diagnose.modal_domain.screen import couples, finite, refined, replaced, scores
+from modalax.diagnose.modal_domain.screen import couples, finite, refined, replaced, scores, unchanged
 from modalax.diagnose.modal_domain.state import Setting, state_at
+from modalax.diagnose.thresholds import THRESHOLDS
 from modalax.diagnose.modal_domain.throughout import start_in, with_more
 
 NONE = 0.5  # probability before the data that nothing stands out
@@ -24,6 +25,7 @@ SECOND = 1e-4  # the same of a second cause, given a first one: what a first one
 PRESCREENED = 150  # places of the leading linear scores, of each point of linearisation, tried with finite sizes
 FORCES = 8  # places of forces of each kind, of each of these scores, that are tried so
 FITTED, NEXT = 6, 4  # leading places of each screening that are fitted, and of the screening about the winner
+FARTHER = 2.0  # times as far from the data as the simulation as it is, beyond which no kind of cause is fitted
 NEAR = 12.0  # nats behind the best up to which other places are fitted
 WORTH = 4.0  # nats that a further cause must promise beyond the cost of its prior probability
 MOST = 2  # causes in one answer
@@ -178,7 +180,8 @@ def _all_steps(
     trials = [] if null is None else _leading(setting, null, candidates, prior)
     tell(f"fitting {len(trials)} of them")
     for cause, u, start in trials:
-        _try(setting, found, (cause,), cause.of_size(u), start, gentle=start is None)
+        if not _found(found, cause):
+            _try(setting, found, (cause,), cause.of_size(u), start, gentle=start is None)
         if late():
             return
     _attached(setting, found, candidates, prior, late)
@@ -198,6 +201,14 @@ def _all_steps(
             return
         _fewer(setting, found, _ranked(found, prior)[0].fit)
         search.setting, search.found = setting, found = _beside_the_rest(setting, found, prior, late)
+
+
+def _found(found: dict[tuple[Change, ...], Fit], cause: Change) -> bool:
+    """Whether a cause was fitted from another start, explains the modes, and is likelier than none."""
+    f, null = found.get((cause,)), found.get(())
+    if f is None or null is None:
+        return False
+    return f.log_evidence > null.log_evidence + WORTH and f.chi2 < THRESHOLDS.misfit * f.state.difference.size
 
 
 def _attached(
@@ -284,12 +295,13 @@ def _leading(
     forces = {k for k, c in enumerate(candidates) if couples(c)}
     some = sorted([k for k in few - forces if candidates[k].count == 1] + _leading_forces(candidates, gain, nominal))
     distance, where = finite(setting, [candidates[k] for k in some])
+    least = dict(zip(some, distance, strict=True))
     value = dict(zip(some, -0.5 * distance + share[some], strict=True))
     order = sorted(some, key=lambda k: -value[k])
     chosen = order[:FITTED]
-    kinds = {c.slug for c in candidates}
-    chosen += [next(k for k in order if candidates[k].slug == slug) for slug in kinds if any(
-        candidates[k].slug == slug for k in order)]  # fmt: skip
+    far = FARTHER * unchanged(setting)
+    leading = {candidates[k].slug: k for k in reversed(order)}
+    chosen += [leading[slug] for slug in sorted(leading) if least[leading[slug]] < far]
     u = dict(zip(some, where, strict=True))
     first = list(dict.fromkeys(chosen))
     near = refined(setting, [candidates[k] for k in first], [float(u[k]) for k in first])

@@ -71,6 +71,13 @@ def finite(setting: Setting, candidates: list[Change]) -> tuple[np.ndarray, np.n
     return best, where
 
 
+def unchanged(setting: Setting) -> float:
+    """The same of no change at all."""
+    state, shrink = tolerance(setting)
+    h = shrink @ state.difference
+    return float(state.difference @ state.difference - h @ h)
+
+
 def distance(
     setting: Setting, shrink: np.ndarray, poles: np.ndarray, residues: np.ndarray, causes: tuple[Change, ...] = ()
 ) -> float:

@@ -18,7 +18,7 @@ from modalax.diagnose.thresholds import THRESHOLDS
 JOINT, DRIFT = 0.2, 0.05  # chances before the data that a joint, or a drift, tells levels or runs apart
 SAMPLED = 2000  # forces that places are screened on
 CLOSER, HALVINGS = 40, 4  # leading places at which thresholds are sought, halving the distance of those tried
-FITTED = 12  # leading places at which laws are fitted
+FITTED = 12  # leading places at which laws are fitted, where one at a few sizes gains enough to stand out
 NEIGHBOURS = 8  # lines over which errors of a law's force go together
 TOGETHER = 32  # places that are worked on at once
 BESIDE = 3  # leading fits beside which laws without a name are tried at the same places
@@ -79,7 +79,7 @@ class ByLevel:
     untried
         Whether no joint was tried although one may be the cause.
     places
-        Where laws were fitted.
+        Where a joint would most likely be.
     """
 
     joints: list[JointFound]
@@ -115,8 +115,9 @@ def explain_levels(
 ) -> ByLevel:  # fmt: skip
     """Fit every law at the leading places, weigh the best, and compare with a drift and with nothing at all."""
     before = unexplained(levels)
-    places = _promising(levels, base, spots, laws) if len(spots) > FITTED else spots
-    fits = _fitted(levels, base, places, laws) if places else []
+    places, gains = _promising(levels, base, spots, laws) if spots else ([], [])
+    some = [s for s, gain in zip(places, gains, strict=True) if gain > 0.5 * THRESHOLDS.stands_out**2]
+    fits = _fitted(levels, base, some, laws) if some else []
     found: list[JointFound] = []
     for rough, spot, f in fits[:WEIGHED]:
         if found and (rough < fits[0][0] - max(NEAR, NEAR_SHARE * abs(fits[0][0])) or late()):
@@ -168,26 +169,36 @@ def _prior(spot: Spot, f: LawFit) -> float:
     return math.log(max(spot.weight, 1e-300)) + math.log(f.law.prior)
 
 
-def _promising(levels: Levels, base: Base, spots: Sequence[Spot], laws: Sequence[JointCause]) -> list[Spot]:
-    """The leading places; thresholds at a few sizes order them roughly only, so that of more of them one is sought."""
+def _promising(
+    levels: Levels, base: Base, spots: Sequence[Spot], laws: Sequence[JointCause]
+) -> tuple[list[Spot], list[float]]:
+    """The leading places, and what the best law gains there at a few sizes [nats].
+
+    Thresholds at a few sizes order places roughly only, so that of many places they are sought at the better ones.
+    """
+    gain: list[float] = []
     for most, halvings in ((CLOSER, 0), (FITTED, HALVINGS)):
+        if len(spots) <= most and not halvings:
+            continue
         weights = np.log([max(s.weight, 1e-300) for s in spots])
-        value = _screened(levels, base, np.array([s.direction for s in spots]), laws, halvings) + weights
-        spots = [spots[k] for k in np.argsort(-value)[:most]]
-    return list(spots)
+        found = _screened(levels, base, np.array([s.direction for s in spots]), laws, halvings)
+        order = np.argsort(-(found + weights))[:most].tolist()
+        spots, gain = [spots[k] for k in order], [float(found[k]) for k in order]
+    return list(spots), gain
 
 
 def _screened(
     levels: Levels, base: Base, b: np.ndarray, laws: Sequence[JointCause], halvings: int = 0
 ) -> np.ndarray:  # fmt: skip
-    """Log likelihood of the best law at each place, at a few sizes, shape ``(p,)``."""
+    """What the best law gains at each place at a few sizes, on some of the lines as if on all [nats], shape ``(p,)``."""
     out = []
     step = max(1, levels.H[1:, :, 0].size // SAMPLED)
     levels, base = levels.thinned(step), base.thinned(step)
+    before = unexplained(levels)
     for part in np.array_split(np.arange(len(b)), max(1, len(b) // TOGETHER)):
         for both in _both(levels, base, b[part]):
             cost = [c for law in laws for c, _ in regressed(law, both[isinstance(law, SERIES)], 2, halvings)[:1]]
-            out.append(-0.5 * min(cost, default=np.inf))
+            out.append(0.5 * step * (before - min(cost, default=np.inf)))
     return np.array(out)
 
 

@@ -270,7 +270,7 @@ def regressed(
     Where ``halvings`` are asked for, a threshold is sought about the best of them, to that part of their distance.
     """
     aim = (m.root @ m.force[..., None]).ravel()
-    moved = m.moved(m.force)[1:].transpose(1, 2, 0) * m.turn[..., None]
+    moved = m.moved(m.seen)[1:].transpose(1, 2, 0) * m.turn[..., None]
 
     def at(shape: tuple[float, ...]) -> tuple[float, np.ndarray]:
         a, w = m.measured  # at a strength of 1 N/m no compliance matters
