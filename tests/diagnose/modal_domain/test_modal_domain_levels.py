@@ -143,3 +143,17 @@ def test_a_threshold_is_sought_between_those_that_are_tried():
     coarse, fine = (regressed(law, m, 2, halvings)[0] for halvings in (0, 4))
     assert fine[0] < 0.05 * coarse[0]
     assert fine[1][1] == pytest.approx(0.13, rel=0.1)
+
+
+def test_noise_of_a_force_says_nothing_for_a_place():
+    """A law in proportion to a motion that is the noisy force itself would explain the noise wherever that is loud."""
+    rng = np.random.default_rng(4)
+    noise = (rng.standard_normal((500, 1, 1)) + 1j * rng.standard_normal((500, 1, 1))).astype(complex)
+    one = np.ones((500, 1), complex)
+    drive = 3.0 * np.exp(0.5j * np.pi * np.linspace(0, 1, 500))[:, None]  # what the noise moves is more than the motion
+    amplitude = np.broadcast_to(np.array([1.0, 3.0])[:, None, None], (2, 500, 1))
+    root = np.ones((500, 1, 1, 1))
+    m = Motion(noise, root, 0.0, 0 * one, one, one, drive, amplitude, 0 * noise, np.linspace(10.0, 20.0, 500), 0.0)
+    cost = regressed(CubicStiffness(), m)[0][0]
+    gained = float((np.abs(noise) ** 2).sum()) - cost
+    assert 0 <= gained < 20  # chi-square of one parameter

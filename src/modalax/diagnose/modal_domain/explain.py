@@ -15,17 +15,14 @@ from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.discrepancy import learnt_rest
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
 from modalax.diagnose.modal_domain.oscillators import oscillators
-from modalax.diagnose.modal_domain.screen import couples, finite, refined, replaced, scores, unchanged
-from modalax.diagnose.modal_domain.state import Setting, state_at
-from modalax.diagnose.thresholds import THRESHOLDS
+from modalax.diagnose.modal_domain.screen import replaced, scores
+from modalax.diagnose.modal_domain.starts import FITTED, NEXT, starts
+from modalax.diagnose.modal_domain.state import Setting
 from modalax.diagnose.modal_domain.throughout import start_in, with_more
+from modalax.diagnose.thresholds import THRESHOLDS
 
 NONE = 0.5  # probability before the data that nothing stands out
 SECOND = 1e-4  # the same of a second cause, given a first one: what a first one leaves is mostly error of the model
-PRESCREENED = 150  # places of the leading linear scores, of each point of linearisation, tried with finite sizes
-FORCES = 8  # places of forces of each kind, of each of these scores, that are tried so
-FITTED, NEXT = 6, 4  # leading places of each screening that are fitted, and of the screening about the winner
-FARTHER = 2.0  # times as far from the data as the simulation as it is, beyond which no kind of cause is fitted
 NEAR = 12.0  # nats behind the best up to which other places are fitted
 WORTH = 4.0  # nats that a further cause must promise beyond the cost of its prior probability
 MOST = 2  # causes in one answer
@@ -67,6 +64,10 @@ class Prior:
     def one(self, c: Change) -> float:
         """Of a kind and a place."""
         return math.log(c.rarity * max(c.weight, 1e-300) / self.total[c.slug] / len(self.kinds))
+
+    def each(self, candidates: Sequence[Change]) -> np.ndarray:
+        """Of each of some candidates."""
+        return np.array([self.one(c) for c in candidates])
 
     def of(self, causes: Sequence[Change]) -> float:
         """Of a set."""
@@ -119,7 +120,7 @@ def one_cause(setting: Setting, candidates: list[Change], late: Deadline) -> lis
     """Explanations by at most one cause, by falling probability; empty where the simulation has too few modes."""
     null, prior = fit(setting), Prior(candidates)
     found = _less_a_mode(setting, candidates) if null is None else {(): null}
-    for cause, u, start in [] if null is None else _leading(setting, null, candidates, prior):
+    for cause, u, start in [] if null is None else starts(setting, null, candidates, prior.each(candidates)):
         if late():
             break
         _try(setting, found, (cause,), cause.of_size(u), start, gentle=start is None)
@@ -177,7 +178,7 @@ def _all_steps(
     """Screen, fit, seek a further cause and other places, as long as there is time."""
     setting, found = search.setting, search.found
     tell(f"screening {len(candidates)} causes and places")
-    trials = [] if null is None else _leading(setting, null, candidates, prior)
+    trials = [] if null is None else starts(setting, null, candidates, prior.each(candidates))
     tell(f"fitting {len(trials)} of them")
     for cause, u, start in trials:
         if not _found(found, cause):
@@ -283,67 +284,6 @@ def _key(causes: Sequence[Change]) -> tuple[Change, ...]:
     return tuple(sorted(causes, key=lambda c: (c.slug, c.where, c.pattern is not None)))
 
 
-def _leading(
-    setting: Setting, null: Fit, candidates: list[Change], prior: Prior
-) -> list[tuple[Change, float, Fit | None]]:
-    """Causes worth a fit, with sizes and inaccuracies to start from."""
-    share = np.array([prior.one(c) for c in candidates])
-    gain, size = scores(setting, null, candidates)
-    nominal, _ = scores(setting, _nominal(setting, null), candidates)
-    few = set(np.argsort(-(gain + share))[:PRESCREENED]) | set(np.argsort(-(nominal + share))[:PRESCREENED])
-    few |= {k for k, c in enumerate(candidates) if not c.local}
-    forces = {k for k, c in enumerate(candidates) if couples(c)}
-    some = sorted([k for k in few - forces if candidates[k].count == 1] + _leading_forces(candidates, gain, nominal))
-    distance, where = finite(setting, [candidates[k] for k in some])
-    least = dict(zip(some, distance, strict=True))
-    value = dict(zip(some, -0.5 * distance + share[some], strict=True))
-    order = sorted(some, key=lambda k: -value[k])
-    chosen = order[:FITTED]
-    far = FARTHER * unchanged(setting)
-    leading = {candidates[k].slug: k for k in reversed(order)}
-    chosen += [leading[slug] for slug in sorted(leading) if least[leading[slug]] < far]
-    u = dict(zip(some, where, strict=True))
-    first = list(dict.fromkeys(chosen))
-    near = refined(setting, [candidates[k] for k in first], [float(u[k]) for k in first])
-    out: list[tuple[Change, float, Fit | None]] = [(candidates[k], v, None) for k, v in zip(first, near, strict=True)]
-    linear = [k for k in np.argsort(-(gain + share)) if np.isfinite(gain[k]) and gain[k] > 0][:NEXT]
-    start = without_causes(null)
-    told = [float(np.clip(size[k], -3, 3)) for k in linear]
-    near = refined(setting, [candidates[k] for k in linear], told)
-    out += [(candidates[k], v, None) for k, v in zip(linear, near, strict=True)]
-    out += [(candidates[k], 0.0, start) for k in linear]
-    return out + _hidden(setting, start, candidates, share)
-
-
-def _leading_forces(candidates: list[Change], *gains: np.ndarray) -> list[int]:
-    """Forces and dampers of each kind that are tried with finite sizes, each of which needs modes of its own."""
-    out: set[int] = set()
-    for slug in {c.slug for c in candidates if couples(c)}:
-        own = [k for k, c in enumerate(candidates) if c.slug == slug]
-        for gain in gains:
-            out |= set(sorted((k for k in own if np.isfinite(gain[k])), key=lambda k: -gain[k])[:FORCES])
-    return sorted(out)
-
-
-def _hidden(
-    setting: Setting, null: Fit, candidates: list[Change], share: np.ndarray
-) -> list[tuple[Change, float, Fit | None]]:
-    """Causes that hide in the inaccuracy: one part far beyond the others makes all seem as inaccurate as itself.
-
-    They show from where the inaccuracy alone stands, once it is held to its usual size.
-    """
-    usual = replace(null, epsilon=np.minimum(null.epsilon, setting.inaccuracy.usual))
-    gain, _ = scores(setting, usual, candidates)
-    leading = [k for k in np.argsort(-(gain + share))[:NEXT] if np.isfinite(gain[k]) and gain[k] > 0]
-    return [(candidates[k], 0.0, usual) for k in leading]  # from where the data are, without the cause
-
-
-def _nominal(setting: Setting, null: Fit) -> Fit:
-    """The simulation as it is, with its usual inaccuracy."""
-    sizes = np.zeros_like(null.sizes)
-    return replace(null, sizes=sizes, epsilon=setting.inaccuracy.usual, state=state_at(setting, sizes))
-
-
 def _fewer(setting: Setting, found: dict[tuple[Change, ...], Fit], best: Fit) -> None:
     """Fit the best explanation without each of its causes, starting from its own sizes."""
     for k in range(len(best.causes)):
@@ -364,7 +304,7 @@ def _neighbours(
     for k in range(len(best.causes)):
         kept = tuple(c for j, c in enumerate(best.causes) if j != k)
         gain, size = replaced(setting, best, k, candidates)
-        value = gain + np.array([prior.one(c) for c in candidates])
+        value = gain + prior.each(candidates)
         for j in np.argsort(-value)[: FITTED + NEXT]:
             causes = (*kept, candidates[j])
             known = any(set(key) == set(causes) and len(key) == len(causes) for key in found)
@@ -388,7 +328,7 @@ def _further(
     worth: dict[int, None] = {}
     for about in (best, usual):
         gain, _ = scores(setting, about, candidates)
-        value = gain + np.array([prior.one(c) for c in candidates]) + math.log(SECOND)
+        value = gain + prior.each(candidates) + math.log(SECOND)
         leading = [int(j) for j in np.argsort(-value)[:NEXT] if candidates[j] not in best.causes]
         worth |= {j: None for j in leading if value[j] > WORTH - math.log(10)}
     for j in worth:

@@ -18,7 +18,7 @@ TEMPERATURES = (100.0, 10.0, 3.0)  # widening of the features' covariance in the
 LEARNING = 10.0  # greatest of these at which sizes of the inaccuracy are estimated; far from the data all seem large
 LAST = 25  # most steps at the true covariance
 SETTLED = 0.02  # change of log evidence at which a fit has ended
-HOPELESS = 40.0  # nats behind another hypothesis from which a fit must gain its share in every step to go on
+HOPELESS = 15.0  # nats behind another hypothesis from which a fit must gain its share in every step to go on
 SMALLEST = 1e-5  # least relative size of an inaccuracy; no structure is known better
 # greatest relative sizes that are tried
 LARGEST = {"stiffness": 0.3, "mass": 0.3, "damping": 1.5, "damping between modes": 1.5, "rest": 0.3,

@@ -7,11 +7,13 @@ tenth of that, with a size of its own: modes that are hardly coupled do not tell
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.elements import nodes_of
+from modalax.diagnose.modal_domain.factored import Factored, factored
 from modalax.diagnose.modal_domain.given_elements import mass_patterns, stiffness_patterns
 from modalax.diagnose.modal_domain.parts import parts_of
 from modalax.model import Structure
@@ -63,6 +65,11 @@ class Inaccuracy:
     def group_of(self) -> np.ndarray:
         """Group of each pattern, all in one row."""
         return np.repeat(np.arange(len(self.patterns)), [len(p) for p in self.patterns])
+
+    @cached_property
+    def factors(self) -> tuple[Factored, ...]:
+        """The patterns of each group by their directions."""
+        return tuple(map(factored, self.patterns))
 
 
 def inaccuracy_of(simulation: Structure, c: Coordinates, highest: float) -> Inaccuracy:

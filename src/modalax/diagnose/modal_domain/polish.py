@@ -9,17 +9,19 @@ noise, the data count for as much less: an inaccuracy of no element must not be 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg.blas import dsyrk
 
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import Change, own_sizes, shown, with_sizes
-from modalax.diagnose.modal_domain.coordinates import POWER
+from modalax.diagnose.modal_domain.coordinates import POWER, Coordinates
 from modalax.diagnose.modal_domain.discrepancy import beside, told_apart
 from modalax.diagnose.modal_domain.explain import Explanation
+from modalax.diagnose.modal_domain.factored import Factored, factored
 from modalax.diagnose.modal_domain.fit import Fit, Linear, fit
 from modalax.diagnose.modal_domain.free_residues import Channels
 from modalax.diagnose.modal_domain.line_forces import LineForce, loaded
 from modalax.diagnose.modal_domain.measured import Measured
-from modalax.diagnose.modal_domain.state import Setting, factors_of, hysteretic, matrices_of, state_at
+from modalax.diagnose.modal_domain.state import Setting, factors_of, matrices_of, state_at
 from modalax.diagnose.thresholds import THRESHOLDS
 
 STEPS = 8  # most Gauss-Newton steps
@@ -223,14 +225,16 @@ def _normal(
     count = len(sizes) + len(u)
     gram, slope = np.zeros((count, count)), np.zeros(count)
     c = setting.coordinates
-    for part in blocks(setting, lines, count * (c.size * min(len(c.outputs), len(c.inputs)) + lines.H[0].size)):
+    directions = sum(len(f.sign) for f in setting.inaccuracy.factors)
+    for part in blocks(setting, lines, directions * (c.size + lines.H[0].size)):
         H, J = slopes_on_lines(setting, causes, sizes, u, lines.s[part], lines.order)
         root = np.sqrt(lines.weight[part])
-        J = (J * root).reshape(count, -1).view(float)
+        J *= root
+        J = J.reshape(count, -1).view(float)
         e = (root * (lines.H[part] - H)).ravel().view(float)
-        gram += J @ J.T
+        gram += dsyrk(1.0, J.T, trans=1)
         slope += J @ e
-    return gram, slope
+    return np.triu(gram) + np.triu(gram, 1).T, slope
 
 
 def slopes_on_lines(
@@ -252,39 +256,76 @@ def _slopes_of_all(
     setting: Setting, causes: tuple[Change, ...], sizes: np.ndarray, u: np.ndarray, s: np.ndarray, order: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """The same with a force that one output alone shows in all outputs."""
-    c = setting.coordinates
     outer, inner = _responses(setting, causes, sizes, u, s)
-    loss = any(cause.hysteretic for cause in causes)
-    form = s[:, None, None] ** order
-
-    def column(kind: str, P: np.ndarray) -> np.ndarray:
-        if kind == "C" and loss:
-            return -1j * form * _across(hysteretic(c, P), outer, inner)
-        return -_across(P, outer, inner) * form * s[:, None, None] ** POWER[kind]
-
-    local = np.concatenate([column(kind, P) for kind, P in setting.patterns()])
-    local *= factors_of(setting, sizes)[:, None, None, None]
-    plain = (c.outputs @ inner) * form
+    between = _Between(setting.coordinates, s, order, outer, inner, any(cause.hysteretic for cause in causes))
+    plain = (setting.coordinates.outputs @ inner) * between.form
+    told = list(with_sizes(causes, u))
 
     def seen(H: np.ndarray, by: int = -1) -> np.ndarray:
         """As the channels show it, or its derivative by the size of one channel's fault."""
-        for k, (cause, size) in enumerate(with_sizes(causes, u)):
+        for k, (cause, size) in enumerate(told):
             act = cause.transform_slope if k == by else cause.transform
             H = act(size, s, H)
         return H
 
-    rows = [seen(one) for one in local] if any(k.in_channels for k in causes) else list(local)
-    for k, (cause, size) in enumerate(with_sizes(causes, u)):
+    J = np.empty((len(sizes) + len(u), *plain.shape), complex)
+    start = 0
+    for (kind, patterns), P in zip(setting.patterns(), setting.inaccuracy.factors, strict=True):
+        between.columns(kind, P, J[start : start + len(patterns)])
+        start += len(patterns)
+    J[:start] *= factors_of(setting, sizes)[:, None, None, None]
+    if any(k.in_channels for k in causes):
+        for one in J[:start]:
+            one[:] = seen(one)
+    for k, (cause, size) in enumerate(told):
         if isinstance(cause, LineForce):
-            rows += [seen(one) for one in force_slopes(cause, size, s, outer, inner, form)]
+            rows = [seen(one) for one in force_slopes(cause, size, s, outer, inner, between.form)]
         elif cause.local:
-            changes = cause.slopes(size)
-            rows += [seen(sum(column(kind, P[None])[0] for kind, P in by.items())) for by in changes]
+            rows = [seen(between.all(by)) for by in cause.slopes(size)]
             if cause.in_channels:
                 rows[-1] = rows[-1] + seen(plain, k)
         else:
-            rows.append(seen(plain, k))
-    return shown(causes, u, s, plain), np.stack(rows)
+            rows = [seen(plain, k)]
+        J[start : start + len(rows)] = rows
+        start += len(rows)
+    return shown(causes, u, s, plain), J
+
+
+@dataclass(frozen=True)
+class _Between:
+    """What changes of the matrices do between responses ``(f, n, o)`` and ``(f, n, i)``.
+
+    Attributes
+    ----------
+    hysteretic
+        Whether damping is a loss of stiffness.
+    """
+
+    coordinates: Coordinates
+    s: np.ndarray
+    order: int
+    outer: np.ndarray
+    inner: np.ndarray
+    hysteretic: bool
+
+    @property
+    def form(self) -> np.ndarray:
+        """What makes the measured quantity of a displacement."""
+        return self.s[:, None, None] ** self.order
+
+    def columns(self, kind: str, P: Factored, out: np.ndarray) -> None:
+        """Derivatives of FRFs ``(p, f, o, i)`` by the sizes of changes of one matrix."""
+        lossy = kind == "C" and self.hysteretic
+        P = P.scaled(np.sqrt(self.coordinates.frequencies)) if lossy else P
+        factor = -self.form * (1j if lossy else self.s[:, None, None] ** POWER[kind])
+        np.multiply(P.between(self.outer, self.inner), factor, out=out)
+
+    def all(self, changes: dict[str, np.ndarray]) -> np.ndarray:
+        """Derivative by one size that changes several matrices ``(n, n)``, shape ``(f, o, i)``."""
+        each = np.empty((len(changes), len(self.s), self.outer.shape[2], self.inner.shape[2]), complex)
+        for (kind, P), out in zip(changes.items(), each, strict=True):
+            self.columns(kind, factored(P[None]), out[None])
+        return each.sum(axis=0)
 
 
 def force_slopes(
@@ -309,15 +350,3 @@ def force_columns(
             column = np.where(np.arange(column.shape[1])[:, None] == cause.row, column, 0.0)
         out.append(column)
     return np.stack(out)
-
-
-def _across(P: np.ndarray, outer: np.ndarray, inner: np.ndarray) -> np.ndarray:
-    """Symmetric patterns ``(p, n, n)`` between two sets of responses, shape ``(p, f, o, i)``."""
-    swap = outer.shape[2] < inner.shape[2]
-    near, far = (outer, inner) if swap else (inner, outer)
-    (count, n), (f, _, k) = P.shape[:2], near.shape
-    flat, every = near.transpose(0, 2, 1).reshape(f * k, n), P.transpose(2, 0, 1).reshape(n, count * n)
-    moved = np.empty((f * k, count * n), complex)
-    moved.real, moved.imag = flat.real @ every, flat.imag @ every
-    out = (moved.reshape(f, k * count, n) @ far).reshape(f, k, count, -1)
-    return out.transpose(2, 0, 1, 3) if swap else out.transpose(2, 0, 3, 1)

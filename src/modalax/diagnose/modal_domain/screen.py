@@ -210,35 +210,23 @@ def _changed(setting: Setting, cause: Change, sizes: np.ndarray) -> list[tuple[f
 
 def scores(setting: Setting, f: Fit, candidates: list[Change]) -> tuple[np.ndarray, np.ndarray]:
     """Gain of log evidence by adding each candidate to a fit, and its size over the usual one; -inf without a size."""
-    J = slopes_at(setting, f.state, f.causes, f.u)
-    x = np.concatenate([f.sizes, f.u])
-    s = np.concatenate([f.epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
-    target = f.state.difference + J @ x
-    W = J * s
-    L = np.linalg.cholesky(np.eye(len(s)) + W.T @ W)
-    half = forward(L, W.T)
-    G = screening_slopes(setting, f.state, candidates, f.causes, f.u)
-    apart = half @ G
-    product = G.T @ target - apart.T @ (half @ target)
-    energy = np.maximum((G**2).sum(axis=0) - (apart**2).sum(axis=0), 0.0)
-    gain = 0.5 * product**2 / (1 + energy) - 0.5 * np.log1p(energy)
-    size = product / (1 + energy)
-    gain[impossible(candidates, size)] = -np.inf
-    return gain, size
+    return _scores(setting, f, candidates, np.arange(len(f.sizes) + len(f.u)))
 
 
 def replaced(setting: Setting, f: Fit, which: int, candidates: list[Change]) -> tuple[np.ndarray, np.ndarray]:
     """Gain as :func:`scores` by each candidate in place of one cause of a fit, linearised about that fit."""
-    J = slopes_at(setting, f.state, f.causes, f.u)
-    x = np.concatenate([f.sizes, f.u])
-    s = np.concatenate([f.epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
-    target = f.state.difference + J @ x
     if not f.causes[which].sized:
         return np.full(len(candidates), -np.inf), np.zeros(len(candidates))
-    keep = np.delete(np.arange(len(s)), np.arange(len(f.sizes), len(s))[own_sizes(f.causes, which)])
-    W = (J * s)[:, keep]
-    L = np.linalg.cholesky(np.eye(W.shape[1]) + W.T @ W)
-    half = forward(L, W.T)
+    own = np.arange(len(f.u))[own_sizes(f.causes, which)] + len(f.sizes)
+    return _scores(setting, f, candidates, np.delete(np.arange(len(f.sizes) + len(f.u)), own))
+
+
+def _scores(setting: Setting, f: Fit, candidates: list[Change], keep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same beside those unknowns of a fit that are kept."""
+    J = slopes_at(setting, f.state, f.causes, f.u)
+    target = f.state.difference + J @ np.concatenate([f.sizes, f.u])
+    W = (J * np.concatenate([f.epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))]))[:, keep]
+    half = forward(np.linalg.cholesky(np.eye(len(keep)) + W.T @ W), W.T)
     G = screening_slopes(setting, f.state, candidates, f.causes, f.u)
     apart = half @ G
     product = G.T @ target - apart.T @ (half @ target)

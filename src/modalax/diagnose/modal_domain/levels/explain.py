@@ -190,7 +190,7 @@ def _promising(
 def _screened(
     levels: Levels, base: Base, b: np.ndarray, laws: Sequence[JointCause], halvings: int = 0
 ) -> np.ndarray:  # fmt: skip
-    """What the best law gains at each place at a few sizes, on some of the lines as if on all [nats], shape ``(p,)``."""
+    """What the best law gains at each place at a few sizes, on some lines as if on all [nats], shape ``(p,)``."""
     out = []
     step = max(1, levels.H[1:, :, 0].size // SAMPLED)
     levels, base = levels.thinned(step), base.thinned(step)

@@ -1,0 +1,86 @@
+"""Which causes are fitted, and from where: the leading ones of three screenings.
+
+Finite changes of the simulation itself tell causes that move modes far; linear scores where the inaccuracy alone
+explains the data, those that it takes up; the same with the inaccuracy held to its usual size, those that hide in it.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.fit import Fit, without_causes
+from modalax.diagnose.modal_domain.screen import couples, finite, refined, scores, unchanged
+from modalax.diagnose.modal_domain.state import Setting, state_at
+
+PRESCREENED = 150  # places of the leading linear scores, of each point of linearisation, tried with finite sizes
+FORCES = 8  # places of forces of each kind, of each of these scores, that are tried so
+FITTED, NEXT = 6, 4  # leading places of each screening that are fitted, and of the screening about the winner
+FARTHER = 2.0  # times as far from the data as the simulation as it is, beyond which no kind of cause is fitted
+
+# A cause, its size over the usual one, and a fit to start from; the simulation itself if None.
+Start = tuple[Change, float, Fit | None]
+
+
+def starts(setting: Setting, null: Fit, candidates: list[Change], share: np.ndarray) -> list[Start]:
+    """Causes worth a fit, with sizes and inaccuracies to start from.
+
+    Parameters
+    ----------
+    null
+        The general inaccuracy alone.
+    share
+        Logarithmic prior probability of each candidate.
+    """
+    gain, size = scores(setting, null, candidates)
+    nominal, _ = scores(setting, _nominal(setting, null), candidates)
+    few = set(np.argsort(-(gain + share))[:PRESCREENED]) | set(np.argsort(-(nominal + share))[:PRESCREENED])
+    few |= {k for k, c in enumerate(candidates) if not c.local}
+    forces = {k for k, c in enumerate(candidates) if couples(c)}
+    some = sorted([k for k in few - forces if candidates[k].count == 1] + _leading_forces(candidates, gain, nominal))
+    distance, where = finite(setting, [candidates[k] for k in some])
+    least = dict(zip(some, distance, strict=True))
+    value = dict(zip(some, -0.5 * distance + share[some], strict=True))
+    order = sorted(some, key=lambda k: -value[k])
+    chosen = order[:FITTED]
+    far = FARTHER * unchanged(setting)
+    leading = {candidates[k].slug: k for k in reversed(order)}
+    chosen += [leading[slug] for slug in sorted(leading) if least[leading[slug]] < far]
+    u = dict(zip(some, where, strict=True))
+    first = list(dict.fromkeys(chosen))
+    near = refined(setting, [candidates[k] for k in first], [float(u[k]) for k in first])
+    out: list[Start] = [(candidates[k], v, None) for k, v in zip(first, near, strict=True)]
+    linear = [k for k in np.argsort(-(gain + share)) if np.isfinite(gain[k]) and gain[k] > 0][:NEXT]
+    start = without_causes(null)
+    told = [float(np.clip(size[k], -3, 3)) for k in linear]
+    near = refined(setting, [candidates[k] for k in linear], told)
+    out += [(candidates[k], v, None) for k, v in zip(linear, near, strict=True)]
+    out += [(candidates[k], 0.0, start) for k in linear]
+    return out + _hidden(setting, start, candidates, share)
+
+
+def _leading_forces(candidates: list[Change], *gains: np.ndarray) -> list[int]:
+    """Forces and dampers of each kind that are tried with finite sizes, each of which needs modes of its own."""
+    out: set[int] = set()
+    for slug in {c.slug for c in candidates if couples(c)}:
+        own = [k for k, c in enumerate(candidates) if c.slug == slug]
+        for gain in gains:
+            out |= set(sorted((k for k in own if np.isfinite(gain[k])), key=lambda k: -gain[k])[:FORCES])
+    return sorted(out)
+
+
+def _hidden(setting: Setting, null: Fit, candidates: list[Change], share: np.ndarray) -> list[Start]:
+    """Causes that hide in the inaccuracy: one part far beyond the others makes all seem as inaccurate as itself.
+
+    They show from where the inaccuracy alone stands, once it is held to its usual size.
+    """
+    usual = replace(null, epsilon=np.minimum(null.epsilon, setting.inaccuracy.usual))
+    gain, _ = scores(setting, usual, candidates)
+    leading = [k for k in np.argsort(-(gain + share))[:NEXT] if np.isfinite(gain[k]) and gain[k] > 0]
+    return [(candidates[k], 0.0, usual) for k in leading]  # from where the data are, without the cause
+
+
+def _nominal(setting: Setting, null: Fit) -> Fit:
+    """The simulation as it is, with its usual inaccuracy."""
+    sizes = np.zeros_like(null.sizes)
+    return replace(null, sizes=sizes, epsilon=setting.inaccuracy.usual, state=state_at(setting, sizes))
