@@ -18,7 +18,8 @@ TEMPERATURES = (100.0, 10.0, 3.0)  # widening of the features' covariance in the
 LEARNING = 10.0  # greatest of these at which sizes of the inaccuracy are estimated; far from the data all seem large
 LAST = 25  # most steps at the true covariance
 SETTLED = 0.02  # change of log evidence at which a fit has ended
-HOPELESS = 15.0  # nats behind another hypothesis from which a fit must gain its share in every step to go on
+HOPELESS = 15.0  # nats behind another hypothesis from which a fit ends where its steps are cut short,
+SHORT, SHARE = 0.2, 0.12  # to less than this part, and gain less than this share of them: in its basin it gains most
 SMALLEST = 1e-5  # least relative size of an inaccuracy; no structure is known better
 # greatest relative sizes that are tried
 LARGEST = {"stiffness": 0.3, "mass": 0.3, "damping": 1.5, "damping between modes": 1.5, "rest": 0.3,
@@ -146,16 +147,20 @@ def fit(
     sizes = np.zeros(len(a.group_of)) if start is None else start.sizes
     epsilon = a.usual.copy() if start is None else start.epsilon
     u = np.zeros(sum(c.count for c in causes)) if u is None else np.asarray(u, float)
-    free = evidence_of_free(setting, causes)
+    free, lost = evidence_of_free(setting, causes), False
     try:
         state = state_at(setting, sizes, causes, u)
         for temperature in temperatures:
-            for _ in range(3):
+            for _ in range(0 if lost else 3):
                 linear = linear_at(setting, state, causes, sizes, u)
                 epsilon = linear.learnt(epsilon, temperature, 2) if temperature <= LEARNING else epsilon
                 x = linear.mean(epsilon, temperature)
-                state, sizes, u, moved = _step(setting, causes, state, sizes, u, x, linear.prior(epsilon), temperature)
-                if moved < 0.5:
+                state, sizes, u, moved, part = _step(
+                    setting, causes, state, sizes, u, x, linear.prior(epsilon), temperature
+                )
+                behind = best_else + 0.5 * float(state.difference @ state.difference)
+                lost = temperature <= LEARNING and _lost(behind, moved * temperature, part)
+                if moved < 0.5 or lost:
                     break
         best: Fit | None = None
         for _ in range(LAST):
@@ -177,11 +182,12 @@ def fit(
             )  # fmt: skip
             gained = np.inf if best is None else evidence - best.log_evidence
             behind = best_else - evidence
-            done = abs(gained) < SETTLED or (behind > HOPELESS and gained < behind / LAST)
+            done = abs(gained) < SETTLED or lost or (behind > HOPELESS and gained < behind / LAST)
             best = now
             if done:
                 break
-            state, sizes, u, moved = _step(setting, causes, state, sizes, u, x, scale, 1.0)
+            state, sizes, u, moved, part = _step(setting, causes, state, sizes, u, x, scale, 1.0)
+            lost = _lost(behind, moved, part)
             if moved < 1e-3:
                 break
     except np.linalg.LinAlgError:
@@ -189,11 +195,16 @@ def fit(
     return best
 
 
+def _lost(behind: float, gained: float, part: float) -> bool:
+    """Whether a fit that is so far behind another is not on its way to a better end."""
+    return behind > HOPELESS and part < SHORT and gained < SHARE * behind
+
+
 def _step(
     setting: Setting, causes: tuple[Change, ...], state: State, sizes: np.ndarray, u: np.ndarray, x: np.ndarray,
     scale: np.ndarray, temperature: float,
-) -> tuple[State, np.ndarray, np.ndarray, float]:  # fmt: skip
-    """Step towards the solution of the linear problem, as far as the cost falls; also returns by how much it fell."""
+) -> tuple[State, np.ndarray, np.ndarray, float, float]:  # fmt: skip
+    """Step towards the solution of the linear problem as far as the cost falls; also by how much, and the part taken."""
     old = np.concatenate([sizes, u])
     n = len(sizes)
     cost = lambda s, y: 0.5 * float(s.difference @ s.difference) / temperature + 0.5 * float(((y / scale) ** 2).sum())
@@ -204,11 +215,11 @@ def _step(
             trial = state_at(setting, new[:n], causes, new[n:])
             after = cost(trial, new)
             if after < before:
-                return trial, new[:n], new[n:], before - after
+                return trial, new[:n], new[n:], before - after, part
         except np.linalg.LinAlgError:
             pass
         part /= 3
-    return state, sizes, u, 0.0
+    return state, sizes, u, 0.0, 0.0
 
 
 def widths_of_sizes(f: Fit, setting: Setting) -> np.ndarray:
