@@ -64,6 +64,18 @@ def test_a_delay_is_told_by_two_modes(late, where):
     assert found.size == pytest.approx(tau, rel=0.15)
 
 
+@pytest.mark.parametrize("turns", [0.4, 1.2, -2.2])
+@pytest.mark.parametrize(("late", "where"), [([3], (NAMES[3],)), ([0, 1, 2, 3, 4], ())])
+def test_a_delay_of_turns_at_the_end_of_the_band_is_told_with_its_size(turns, late, where):
+    """As of a laser vibrometer or a radio link: no other form, no turned sign, and no smaller delay of like angles."""
+    H, tau = frfs(FREQ)[:, :, [0, 2]], turns / FREQ[-1]
+    H[:, late] *= np.exp(-2j * np.pi * FREQ * tau)[:, None, None]
+    sigma = 0.002 * np.sqrt(np.mean(np.abs(H) ** 2))
+    (found,) = check(measured(np.random.default_rng(0), FREQ, H, sigma, inputs=(NAMES[0], NAMES[2])))
+    assert (found.what, found.where) == ("delay", where)
+    assert found.size == pytest.approx(tau, rel=0.01)
+
+
 def test_noise_of_the_force_that_all_sensors_share_shifts_no_frequency():
     hits = Hits(samples=2048, zeta=0.02, count=3).made(0)
     noise = 0.004 * hits.force.max() * np.random.default_rng(0).normal(size=hits.force.shape)

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from modalax.check.finding import Finding, Picture
+from modalax.check.late import delay
 from modalax.check.passive import passive_misfit
 from modalax.check.phases import angles_of, misfit
 from modalax.check.study import DrivePoint, Study
@@ -49,7 +50,7 @@ def wrong_form(study: Study) -> Iterator[Finding]:
         return
     if study.followed and (turned := _turned_outputs(study)):
         yield from (_one_output(study, o) for o in turned)
-    elif drive is not None and drive[0] != label:
+    elif drive is not None and drive[0] != label and not any(not f.where for f in delay(study)):
         text = f"as {FORMS[drive[0]]} the drive points are {drive[1]:.3g} times closer to those of a passive structure"
         yield _finding(study, drive[0], text, 0.97)
     elif slope is not None and _off(slope, label) > 1 - STEP_SLOPE and turn == 0:

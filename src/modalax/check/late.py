@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import binom
 from scipy.stats import t as student
 
 from modalax.check.finding import Finding, Picture, sureness
@@ -21,6 +22,10 @@ from modalax.check.study import CLEAR, Study
 SMALLEST_ANGLE, CHANCE, TRIALS, FEWEST_MODES, BESIDE = 0.025, 3e-6, 20, 3, 4
 # Angles of all channels from which on their scatter is known and a single mode tells a delay.
 ENOUGH = 5.0
+# Half turns at the highest mode up to which a delay is told by its size, and up to which by how closely angles line up
+# with it that do not without; modes that this takes, chance of it below which it is told, and by how much less angles
+# scatter than with a smaller delay.
+NEAR, FAR, LINED_UP, BY_CHANCE, CLOSER = 0.95, 20.0, 4, 1e-3, 2.0
 # No scatter is larger than this [rad] where a delay can be read; a channel that takes less part tells nothing.
 MOST_SCATTER, MOST_PART = 0.2, 30.0
 
@@ -54,11 +59,12 @@ class Known(NamedTuple):
 
 
 class Late(NamedTuple):
-    """A delay [s], its standard deviation, and its score: 1 at the chance at which it is told."""
+    """A delay [s], its standard deviation, its score, 1 at the chance at which it is told, and the angles' scatter."""
 
     tau: float
     std: float
     score: float
+    scatter: float
 
 
 def delay(study: Study) -> Iterator[Finding]:
@@ -192,11 +198,28 @@ def _late(omega, angle, noise, part, known: Known) -> Late | None:
     if count < (1 if known.count > ENOUGH else FEWEST_MODES):
         return None
     known = known._replace(count=min(known.count, BESIDE * count))
-    grid = np.linspace(-1, 1, 241) * 0.95 * np.pi / omega.max()
+    near = _near(omega, angle, noise, part, known)
+    far = _far(omega, angle, noise, part, known) if count >= LINED_UP else None
+    return far if near is None or (far is not None and near.scatter > CLOSER * max(far.scatter, ANGLE)) else near
+
+
+class Aligned(NamedTuple):
+    """A delay that lines up angles: the delay and its deviation [s], scatter and weight of the angles, what is left."""
+
+    tau: float
+    std: float
+    scatter: float
+    weight: np.ndarray
+    rest: np.ndarray
+
+
+def _aligned(omega, angle, noise, part, known: Known, reach: float) -> Aligned:
+    """The delay that lines up undirected angles best, up to so many half turns at the highest mode."""
+    grid = np.linspace(-1, 1, 2 * int(np.ceil(120 * reach)) + 1) * reach * np.pi / omega.max()
     rough = 1 / (noise**2 + (0.05 * part) ** 2)
     left = np.sum(rough * np.sin(angle + np.outer(grid, omega)) ** 2, axis=1)
     tau = float(grid[np.argmin(left)])
-    scatter, std, weight = known.scatter, 0.0, rough
+    scatter, std, weight, rest = known.scatter, 0.0, rough, angle
     for _ in range(4):
         rest = undirected(angle + omega * tau)
         scatter = _scatter(rest, noise, part, known)
@@ -207,7 +230,38 @@ def _late(omega, angle, noise, part, known: Known) -> Late | None:
         normal = np.sum(slope * omega)
         tau -= float(np.sum(slope * rest) / normal)
         std = float(1 / np.sqrt(normal))
+    return Aligned(tau, std, scatter, weight, undirected(angle + omega * tau))
+
+
+def _far(omega, angle, noise, part, known: Known) -> Late | None:
+    """A delay of more than half a turn: angles that one lines up, as it hardly ever does by chance."""
+    tau, std, scatter, _, rest = _aligned(omega, angle, noise, part, known, FAR)
+    if scatter > MOST_SCATTER or abs(tau) * omega.max() < NEAR * np.pi:
+        return None
+    score = float(np.log(_by_chance(rest, FAR)) / np.log(BY_CHANCE))
+    return Late(tau, std, score, scatter) if score > 1 else None
+
+
+def _by_chance(rest: np.ndarray, reach: float) -> float:
+    r"""Chance at which some delay, up to so many half turns, lines up as many angles as closely as these.
+
+    Of n angles spread evenly over half a turn k lie within :math:`a` of zero, one of them by the delay itself, with a
+    chance of :math:`\binom nk(2a/\pi)^{k-1}` for each half turn of the fastest that is tried. Modes in which a channel
+    hardly takes part may scatter: any k from ``LINED_UP`` on will do.
+    """
+    n = len(rest)
+    within = 2 * np.maximum(np.sort(np.abs(rest)), ANGLE) / np.pi
+    many = np.arange(min(LINED_UP, n), n + 1)
+    return float(np.min(2 * reach * binom(n, many) * within[many - 1] ** (many - 1)))
+
+
+def _near(omega, angle, noise, part, known: Known) -> Late | None:
+    """A delay of less than a turn, which differs from none by many deviations."""
+    count = len(omega)
+    tau, std, scatter, weight, rest = _aligned(omega, angle, noise, part, known, NEAR)
     if scatter > MOST_SCATTER or abs(tau) * known.top < SMALLEST_ANGLE:
+        return None
+    if abs(tau) * omega.max() > np.pi / 2 and _by_chance(rest, NEAR) > 10 * BY_CHANCE:
         return None
     # Scatter that is itself estimated from few angles makes long tails; noise that is known does not.
     estimated = float(np.sum(weight**2 * (scatter * part) ** 2) / np.sum(weight))
@@ -215,7 +269,7 @@ def _late(omega, angle, noise, part, known: Known) -> Late | None:
     # With few angles some delay of many lines them up; with those of all channels the scatter is known.
     needed = float(student.isf(CHANCE / (2 if known.count else 2 * TRIALS), freedom))
     score = abs(tau) / std / needed
-    return Late(tau, std * float(student.isf(0.025, freedom)) / 1.96, score) if score > 1 else None
+    return Late(tau, std * float(student.isf(0.025, freedom)) / 1.96, score, scatter) if score > 1 else None
 
 
 def _scatter(rest: np.ndarray, noise: np.ndarray, part: np.ndarray, known: Known) -> float:
@@ -234,7 +288,7 @@ def _scatter(rest: np.ndarray, noise: np.ndarray, part: np.ndarray, known: Known
 
 
 def _finding(study: Study, phases: Phases, where: int | None, names: tuple[str, ...], late: Late) -> Finding:
-    tau, std, score = late
+    tau, std, score = late.tau, late.std, late.score
     frequency = phases.omega / (2 * np.pi)
     shown = _middles(phases)[0] if where is None else phases.angle[:, where]
     line = np.array([0.0, frequency.max()])

@@ -204,7 +204,7 @@ def _step(
     setting: Setting, causes: tuple[Change, ...], state: State, sizes: np.ndarray, u: np.ndarray, x: np.ndarray,
     scale: np.ndarray, temperature: float,
 ) -> tuple[State, np.ndarray, np.ndarray, float, float]:  # fmt: skip
-    """Step towards the solution of the linear problem as far as the cost falls; also by how much, and the part taken."""
+    """Step towards the solution of the linear problem as the cost falls; by how much, and the part taken."""
     old = np.concatenate([sizes, u])
     n = len(sizes)
     cost = lambda s, y: 0.5 * float(s.difference @ s.difference) / temperature + 0.5 * float(((y / scale) ** 2).sum())
