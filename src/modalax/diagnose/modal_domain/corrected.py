@@ -8,7 +8,7 @@ from modalax._numerics.triangles import backward, forward
 from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.modal_domain.causes import with_sizes
 from modalax.diagnose.modal_domain.coordinates import Coordinates
-from modalax.diagnose.modal_domain.fit import Fit, widths_of_sizes
+from modalax.diagnose.modal_domain.fit import Fit, scale_of, widths_of_sizes
 from modalax.diagnose.modal_domain.given_elements import changed_by_elements
 from modalax.diagnose.modal_domain.inaccuracy import KINDS, RIGID, THROUGHOUT, TOLD, WITHIN
 from modalax.diagnose.modal_domain.polish import frf_on_lines
@@ -98,7 +98,7 @@ def inaccuracy_told(setting: Setting, f: Fit) -> dict[str, Any]:
     seen: list[list[float]] = [[] for _ in TOLD]
     for _ in range(DRAWS):
         epsilon = f.epsilon * np.exp(width * rng.standard_normal(len(width)))
-        s = np.concatenate([epsilon[group], np.ones(len(f.u))])
+        s = scale_of(setting, f, epsilon)
         L = np.linalg.cholesky(np.eye(len(s)) + s[:, None] * gram * s)
         about_mean = forward(L, s * right)[:, None] + rng.standard_normal((len(s), BESIDE))
         sizes = (s[:, None] * backward(L, about_mean))[: len(group)]
@@ -129,7 +129,7 @@ def _may_be_none(setting: Setting, f: Fit, which: list[int], gram: np.ndarray, r
     for size in (f.epsilon[which], np.full(len(which), NONE)):
         epsilon = f.epsilon.copy()
         epsilon[which] = size
-        s = np.concatenate([epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
+        s = scale_of(setting, f, epsilon)
         L = np.linalg.cholesky(np.eye(len(s)) + s[:, None] * gram * s)
         h = forward(L, s * right)
         values.append(0.5 * float(h @ h) - np.log(np.diag(L)).sum())

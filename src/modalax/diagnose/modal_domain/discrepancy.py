@@ -13,7 +13,7 @@ import numpy as np
 from modalax._numerics.triangles import forward
 from modalax.diagnose.modal_domain.coordinates import pattern_slopes, slopes_of
 from modalax.diagnose.modal_domain.features import whitener_of
-from modalax.diagnose.modal_domain.fit import Fit
+from modalax.diagnose.modal_domain.fit import Fit, scale_of
 from modalax.diagnose.modal_domain.state import Setting, feature_slopes, slopes_at, whitened
 
 SIZES = (0.0, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)  # relative sizes that are tried
@@ -47,7 +47,7 @@ def learnt_rest(setting: Setting, fits: list[Fit], priors: list[float]) -> tuple
     for f, prior in zip(fits, priors, strict=True):
         J = slopes_at(setting, f.state, f.causes, f.u)
         target = f.state.difference + J @ np.concatenate([f.sizes, f.u])
-        scale = np.concatenate([f.epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
+        scale = scale_of(setting, f)
         W = J * scale
         known = np.eye(len(target)) + W @ W.T
         rest = rest_slopes(setting, f)

@@ -3,7 +3,8 @@ r"""Fits of hypotheses to measured modes, together with the general inaccuracy, 
 The unknowns ``x`` (parts of the inaccuracy over their sizes, causes over theirs) are standard normal before the data.
 Each step solves the linearised problem exactly; the sizes of the inaccuracy are learnt on the way (MacKay 1992,
 equations 2.15-2.20): the logarithmic evidence rises with :math:`\ln\epsilon` of a group by :math:`\sum(x^2 + V - 1)`,
-``V`` the posterior variances.
+``V`` the posterior variances. So are those of causes beyond their usual ones: a size of ten times the usual one is
+rare, but no more a contradiction than an inaccuracy of that kind.
 """
 
 from dataclasses import dataclass, replace
@@ -12,6 +13,7 @@ import numpy as np
 import scipy.linalg
 
 from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.inaccuracy import UNKNOWN
 from modalax.diagnose.modal_domain.state import Setting, State, evidence_of_free, slopes_at, state_at, unseen
 
 TEMPERATURES = (100.0, 10.0, 3.0)  # widening of the features' covariance in the first steps of a fit
@@ -67,13 +69,13 @@ class Fit:
 class Linear:
     """A linearised problem in the space of the unknowns, by its information and its right-hand side."""
 
-    def __init__(self, setting: Setting, gram: np.ndarray, right: np.ndarray):
-        self.setting, self.group = setting, setting.inaccuracy.group_of
+    def __init__(self, setting: Setting, gram: np.ndarray, right: np.ndarray, u: np.ndarray):
+        self.setting, self.group, self.widths = setting, setting.inaccuracy.group_of, widths(u)
         self.gram, self.right = gram, right
 
     def prior(self, epsilon: np.ndarray) -> np.ndarray:
         """Standard deviation of each unknown."""
-        return np.concatenate([epsilon[self.group], np.ones(len(self.right) - len(self.group))])
+        return np.concatenate([epsilon[self.group], self.widths])
 
     def _factor(self, epsilon: np.ndarray, temperature: float) -> tuple[np.ndarray, np.ndarray]:
         """Standard deviations of the prior, and the Cholesky factor of the information in units of them."""
@@ -119,13 +121,24 @@ class Linear:
 def linear_at(setting: Setting, state: State, causes: tuple[Change, ...], sizes: np.ndarray, u: np.ndarray) -> Linear:
     """The problem linearised about a state."""
     J = slopes_at(setting, state, causes, u)
-    return Linear(setting, J.T @ J, J.T @ (state.difference + J @ np.concatenate([sizes, u])))
+    return Linear(setting, J.T @ J, J.T @ (state.difference + J @ np.concatenate([sizes, u])), u)
 
 
-def hyperprior(setting: Setting, epsilon: np.ndarray) -> float:
-    """Logarithmic prior of sizes of the inaccuracy, and what the width of their posterior adds is left out."""
+def widths(u: np.ndarray) -> np.ndarray:
+    """Standard deviations before the data of causes' sizes over their usual ones: one, or the size itself beyond it."""
+    return np.maximum(1.0, np.abs(u))
+
+
+def scale_of(setting: Setting, f: Fit, epsilon: np.ndarray | None = None) -> np.ndarray:
+    """Standard deviations before the data of all unknowns of a fit, or with other sizes of the inaccuracy."""
+    return np.concatenate([(f.epsilon if epsilon is None else epsilon)[setting.inaccuracy.group_of], widths(f.u)])
+
+
+def hyperprior(setting: Setting, epsilon: np.ndarray, u: np.ndarray) -> float:
+    """Logarithmic prior of sizes of the inaccuracy and widths of causes, without the widths of their posteriors."""
     a = setting.inaccuracy
-    return float(-0.5 * ((np.log(epsilon / a.usual) / a.spread) ** 2).sum())
+    parts = np.concatenate([np.log(epsilon / a.usual) / a.spread, np.log(widths(u)) / UNKNOWN])
+    return float(-0.5 * (parts**2).sum())
 
 
 def fit(
@@ -171,7 +184,7 @@ def fit(
             scale = linear.prior(epsilon)
             # Laplace where the fit stands, not where the linear problem ends: at the optimum the same, elsewhere lower
             here = float(state.difference @ state.difference) + float(((np.concatenate([sizes, u]) / scale) ** 2).sum())
-            evidence = -0.5 * here + volume + hyperprior(setting, epsilon) + free
+            evidence = -0.5 * here + volume + hyperprior(setting, epsilon, u) + free
             evidence -= 0.5 * unseen(setting.features, causes, state.modes.poles, state.residues, state.pairs)
             count = len(u)
             now = Fit(

@@ -18,7 +18,7 @@ from modalax.data import Measurement
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.explain import SECOND, Explanation, Prior
-from modalax.diagnose.modal_domain.fit import Fit
+from modalax.diagnose.modal_domain.fit import Fit, scale_of
 from modalax.diagnose.modal_domain.line_forces import LineForce, roving_masses
 from modalax.diagnose.modal_domain.measured import channels_of
 from modalax.diagnose.modal_domain.polish import (
@@ -201,12 +201,8 @@ def told_force(
 def _alone(setting: Setting, base: Fit, lines: Lines) -> float:
     """Log evidence of a fit without a force, up to what all have in common."""
     x = np.concatenate([base.sizes, base.u])
-    cost = chi2_of(setting, base, lines) + float(((x / _scale(setting, base)) ** 2).sum())
+    cost = chi2_of(setting, base, lines) + float(((x / scale_of(setting, base)) ** 2).sum())
     return 0.5 * float(np.linalg.slogdet(base.covariance)[1] if base.causes else 0.0) - 0.5 * cost
-
-
-def _scale(setting: Setting, f: Fit) -> np.ndarray:
-    return np.concatenate([f.epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
 
 
 def fitted_from(
@@ -233,7 +229,7 @@ def _trial(setting: Setting, base: Fit, both: Fit, end: OnLines) -> Trial:
     n, cause = len(base.sizes), both.causes[-1]
     assert isinstance(cause, LineForce)
     narrower = float(np.linalg.slogdet(end.covariance[n:, n:])[1])
-    value = 0.5 * narrower - 0.5 * (end.chi2 + float(((end.x / _scale(setting, both)) ** 2).sum()))
+    value = 0.5 * narrower - 0.5 * (end.chi2 + float(((end.x / scale_of(setting, both)) ** 2).sum()))
     return Trial(base, cause, end, value)
 
 
@@ -242,7 +238,7 @@ def screened(
 ) -> tuple[np.ndarray, list[np.ndarray]]:  # fmt: skip
     """Nats that each force promises, and sizes to fit it from."""
     trials = [(k, u) for k, f in enumerate(forces) for u in f.starts]
-    scale, x = _scale(setting, base), np.concatenate([base.sizes, base.u])
+    scale, x = scale_of(setting, base), np.concatenate([base.sizes, base.u])
     p, m = len(x), len(trials)
     gram, cross, own = np.zeros((p, p)), np.zeros((p, m)), np.zeros(m)
     slope, score, chi2 = np.zeros(p), np.zeros(m), 0.0

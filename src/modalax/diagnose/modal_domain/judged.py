@@ -8,7 +8,7 @@ import numpy as np
 from modalax.diagnose.decision.beyond import BeyondUsual, ModalCase, Names, modal_verdict, usual_size
 from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.explain import Explanation
-from modalax.diagnose.modal_domain.fit import LARGEST
+from modalax.diagnose.modal_domain.fit import LARGEST, widths
 from modalax.diagnose.modal_domain.inaccuracy import TOLD, WITHIN
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.thresholds import THRESHOLDS
@@ -99,8 +99,9 @@ def _in_the_limit(stage: Stage, e: Explanation) -> Explanation:
 def _by_data(e: Explanation, c: Change) -> float:
     """Log evidence less what the prior width of one cause's size adds: two kinds of cause have unlike usual sizes."""
     own = own_sizes(e.causes, e.causes.index(c))
-    u, variance = e.fit.u[own], np.diag(e.fit.covariance)[own]
-    return e.fit.log_evidence + 0.5 * float((u**2 - np.log(np.maximum(variance, 1e-300))).sum())
+    wide = widths(e.fit.u[own])
+    known = np.maximum(np.diag(e.fit.covariance)[own] / wide**2, 1e-300)
+    return e.fit.log_evidence + 0.5 * float(((e.fit.u[own] / wide) ** 2 - np.log(known)).sum())
 
 
 def _told(causes: tuple[Change, ...]) -> Names:

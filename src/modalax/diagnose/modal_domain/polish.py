@@ -17,7 +17,7 @@ from modalax.diagnose.modal_domain.coordinates import POWER, Coordinates
 from modalax.diagnose.modal_domain.discrepancy import beside, told_apart
 from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.factored import Factored, factored
-from modalax.diagnose.modal_domain.fit import Fit, Linear, fit
+from modalax.diagnose.modal_domain.fit import Fit, Linear, fit, scale_of
 from modalax.diagnose.modal_domain.free_residues import Channels
 from modalax.diagnose.modal_domain.line_forces import LineForce, loaded
 from modalax.diagnose.modal_domain.measured import Measured
@@ -96,13 +96,13 @@ def on_lines(setting: Setting, f: Fit, lines: Lines, late: Deadline) -> Fit:
 def descended(setting: Setting, f: Fit, lines: Lines, late: Deadline, steps: int = STEPS) -> OnLines | None:
     """Gauss-Newton steps on the lines from a fit; None where there is no first one."""
     x, n = np.concatenate([f.sizes, f.u]), len(f.sizes)
-    scale = np.concatenate([f.epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
+    scale = scale_of(setting, f)
     chi2, V = chi2_of(setting, f, lines), None
     for _ in range(steps):
         heat = max(1.0, chi2 / max(lines.samples, 1))
         gram, slope = _normal(setting, f.causes, x[:n], x[n:], lines)
         try:
-            new, V, _ = Linear(setting, gram, slope + gram @ x).solve(f.epsilon, heat)
+            new, V, _ = Linear(setting, gram, slope + gram @ x, f.u).solve(f.epsilon, heat)
         except np.linalg.LinAlgError:
             return None
         cost = 0.5 * chi2 / heat + 0.5 * float(((x / scale) ** 2).sum())
@@ -160,7 +160,7 @@ def unforeseen(setting: Setting, f: Fit, fitted: Lines, left_out: Lines) -> floa
     what is known beforehand, it is :math:`e^T(I + JVJ^T)^{-1}e = e^Te - e^TJ(V^{-1} + J^TJ)^{-1}J^Te`, of as many
     degrees of freedom as e has numbers.
     """
-    scale = np.concatenate([f.epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
+    scale = scale_of(setting, f)
     known, _ = _normal(setting, f.causes, f.sizes, f.u, fitted)
     gram, slope = _normal(setting, f.causes, f.sizes, f.u, left_out)
     inner = np.eye(len(scale)) + scale[:, None] * (known + gram) * scale

@@ -14,7 +14,7 @@ from modalax._numerics.triangles import forward
 from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.coordinates import Modes, with_loads
 from modalax.diagnose.modal_domain.features import values_of
-from modalax.diagnose.modal_domain.fit import Fit
+from modalax.diagnose.modal_domain.fit import Fit, scale_of, widths
 from modalax.diagnose.modal_domain.line_forces import ModalForce
 from modalax.diagnose.modal_domain.loads import Load
 from modalax.diagnose.modal_domain.state import (
@@ -64,11 +64,16 @@ def finite(setting: Setting, candidates: list[Change]) -> tuple[np.ndarray, np.n
             continue
         u = np.array([u for u, _, _ in trials])
         values = distances(setting, own, [modes for _, *modes in trials], (cause,)) - free
-        values += u**2 if cause.sized else 0.0
+        values += cost_of_size(u) if cause.sized else 0.0
         least = int(np.argmin(np.where(np.isnan(values), np.inf, values)))
         if values[least] < np.inf:
             best[k], where[k] = values[least], u[least]
     return best, where
+
+
+def cost_of_size(u: np.ndarray | float) -> np.ndarray:
+    """What a size over the usual one costs before the data: u^2 up to the usual one, and beyond it by its own width."""
+    return np.where(np.abs(u) < 1, np.square(u), 1 + 2 * np.log(widths(np.asarray(u))))
 
 
 def unchanged(setting: Setting) -> float:
@@ -125,7 +130,7 @@ def refined(setting: Setting, causes: list[Change], sizes: list[float]) -> list[
         except np.linalg.LinAlgError:
             return UNUSABLE
         h = shrink @ r
-        return float(r @ r - h @ h) + u**2
+        return float(r @ r - h @ h) + float(cost_of_size(u))
 
     out = []
     for cause, u in zip(causes, sizes, strict=True):
@@ -225,7 +230,7 @@ def _scores(setting: Setting, f: Fit, candidates: list[Change], keep: np.ndarray
     """The same beside those unknowns of a fit that are kept."""
     J = slopes_at(setting, f.state, f.causes, f.u)
     target = f.state.difference + J @ np.concatenate([f.sizes, f.u])
-    W = (J * np.concatenate([f.epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))]))[:, keep]
+    W = (J * scale_of(setting, f))[:, keep]
     half = forward(np.linalg.cholesky(np.eye(len(keep)) + W.T @ W), W.T)
     G = screening_slopes(setting, f.state, candidates, f.causes, f.u)
     apart = half @ G
@@ -245,7 +250,7 @@ def impossible(candidates: list[Change], size: np.ndarray) -> np.ndarray:
 def errors_of(setting: Setting, f: Fit, candidates: list[Change]) -> np.ndarray:
     """Standard deviation of each candidate's size when added to a fit, over its usual size; NaN without one size."""
     J = slopes_at(setting, f.state, f.causes, f.u)
-    W = J * np.concatenate([f.epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
+    W = J * scale_of(setting, f)
     L = np.linalg.cholesky(np.eye(W.shape[1]) + W.T @ W)
     G = screening_slopes(setting, f.state, candidates, f.causes, f.u)
     apart = forward(L, W.T) @ G

@@ -1,7 +1,9 @@
 """Which causes are fitted, and from where: the leading ones of three screenings.
 
-Finite changes of the simulation itself tell causes that move modes far; linear scores where the inaccuracy alone
-explains the data, those that it takes up; the same with the inaccuracy held to its usual size, those that hide in it.
+Finite changes of the simulation itself tell causes that move modes far; of many places those by which the measured
+frequencies come about at one size are tried so, for a linear score means nothing there. Linear scores where the
+inaccuracy alone explains the data tell those that it takes up; the same with the inaccuracy held to its usual size
+those that hide in it.
 """
 
 from dataclasses import replace
@@ -10,10 +12,14 @@ import numpy as np
 
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.fit import Fit, without_causes
-from modalax.diagnose.modal_domain.screen import couples, finite, refined, scores, unchanged
+from modalax.diagnose.modal_domain.matched import missed_frequencies
+from modalax.diagnose.modal_domain.screen import SIZES, couples, finite, refined, scores, unchanged
 from modalax.diagnose.modal_domain.state import Setting, state_at
 
-PRESCREENED = 150  # places of the leading linear scores, of each point of linearisation, tried with finite sizes
+MATCHED, PRESCREENED = (
+    60,
+    40,
+)  # places by frequencies, and by each of two linear scores, that are tried with finite sizes
 FORCES = 8  # places of forces of each kind, of each of these scores, that are tried so
 FITTED, NEXT = 6, 4  # leading places of each screening that are fitted, and of the screening about the winner
 FARTHER = 2.0  # times as far from the data as the simulation as it is, beyond which no kind of cause is fitted
@@ -35,6 +41,8 @@ def starts(setting: Setting, null: Fit, candidates: list[Change], share: np.ndar
     gain, size = scores(setting, null, candidates)
     nominal, _ = scores(setting, _nominal(setting, null), candidates)
     few = set(np.argsort(-(gain + share))[:PRESCREENED]) | set(np.argsort(-(nominal + share))[:PRESCREENED])
+    matched = missed_frequencies(setting, candidates, np.array([-s for s in SIZES] + [*SIZES])) - 2 * share
+    few |= {k for k in np.argsort(matched)[:MATCHED] if np.isfinite(matched[k])}
     few |= {k for k, c in enumerate(candidates) if not c.local}
     forces = {k for k, c in enumerate(candidates) if couples(c)}
     some = sorted([k for k in few - forces if candidates[k].count == 1] + _leading_forces(candidates, gain, nominal))

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modalax.diagnose.modal_domain.coordinates import pattern_slopes, slopes_of
-from modalax.diagnose.modal_domain.fit import Fit
+from modalax.diagnose.modal_domain.fit import Fit, scale_of
 from modalax.diagnose.modal_domain.levels.change import Base, Levels, change_by, projected
 from modalax.diagnose.modal_domain.levels.laws import LawFit, force_of, motions_of, softened
 from modalax.diagnose.modal_domain.state import Setting, slopes_at
@@ -33,7 +33,7 @@ class Shapes:
         self.setting, self.fit = setting, f
         M, _, K = base.matrices
         J = slopes_at(setting, f.state, f.causes, f.u)
-        s = np.concatenate([f.epsilon[setting.inaccuracy.group_of], np.ones(len(f.u))])
+        s = scale_of(setting, f)
         L = np.linalg.cholesky(np.eye(len(s)) + s[:, None] * (J.T @ J) * s)
         count = len(setting.inaccuracy.group_of)
         self.half = (s[:, None] * np.linalg.inv(L).T)[:count]  # covariance of the sizes: half half'
