@@ -38,3 +38,13 @@ def test_a_delay_is_none_of_the_filters_that_turn_the_phase_as_it_does():
     assert [(c["name"], c["where"]) for c in found.causes] == [("time_delay", ["4:+Z"])]
     beside = {c.slug for e in found.stage.explanations for c in e.causes if e.probability > 0.01}
     assert "sensor_filter" in beside  # of a second order, whose phase is the delay's up to a 500th: told by its prior
+
+
+def test_a_delay_far_beyond_the_usual_needs_no_filter_beside_it():
+    """Twenty times the usual size: two causes that share it would each be more usual."""
+    H = response(*chain_off(5, 0.02), FREQ)
+    H[:, 3] *= np.exp(-2j * np.pi * FREQ * 3e-3)[:, None]
+    found = diagnose_modes(as_measured(H, FREQ, 5), simulation())
+    assert [(c["name"], c["where"]) for c in found.causes] == [("time_delay", ["4:+Z"])]
+    told = found.causes[0]["parameters"]["delay"]
+    assert told["value"] == pytest.approx(3e-3, abs=4 * told["std"])

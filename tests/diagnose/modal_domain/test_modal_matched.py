@@ -1,0 +1,69 @@
+"""Places ranked by the sizes that measured frequencies ask for, against eigenvalues of the changed chain."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import scipy.linalg
+
+from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.matched import CLOSE, FAR, missed_frequencies
+from modalax.diagnose.modal_domain.screen import SIZES, cost_of_size
+
+COUNT = 7
+M = np.diag(np.linspace(1.0, 1.6, COUNT))
+PAIRS = [(k, k + 1) for k in range(COUNT - 1)] + [(0, 3), (2, 5)]
+TRIED = np.array([-s for s in SIZES] + [0.0, *SIZES])
+
+
+def across(pair) -> np.ndarray:
+    b = np.zeros(COUNT)
+    b[pair[0]], b[pair[1]] = 1.0, -1.0
+    return b
+
+
+def point(k) -> np.ndarray:
+    return np.eye(COUNT)[k]
+
+
+K = 200.0 * np.eye(COUNT) + sum((900.0 + 70.0 * k) * np.outer(across(p), across(p)) for k, p in enumerate(PAIRS))
+VALUES, SHAPES = scipy.linalg.eigh(K, M)
+CANDIDATES = [Change("joint_stiffness", p, scale=500.0, direction=SHAPES.T @ across(p)) for p in PAIRS]
+CANDIDATES += [Change("added_mass", (k,), scale=0.5, direction=SHAPES.T @ point(k)) for k in range(COUNT)]
+CANDIDATES += [Change("channel_gain", ("1",), channel=(0, 0))]
+
+
+def setting(values, damping=0.01):
+    """Coordinates of the chain, and measured poles of some squared frequencies."""
+    poles = np.sqrt(values) * (-damping + 1j * np.sqrt(1 - damping**2))
+    return SimpleNamespace(
+        coordinates=SimpleNamespace(frequencies=np.sqrt(VALUES)), features=SimpleNamespace(poles=poles)
+    )
+
+
+@pytest.mark.parametrize(("which", "size"), [(2, 1.3), (6, -1.5), (10, 2.6), (14, -0.9)])
+def test_the_place_of_a_change_that_moves_modes_past_each_other_comes_first(which, size):
+    """Sizes that are not among those tried: the measured frequencies tell them."""
+    c = CANDIDATES[which]
+    v = across(c.where) if c.kind == "K" else point(*c.where)
+    parts = {"K": K, "M": M}
+    parts[c.kind] = parts[c.kind] + size * c.scale * np.outer(v, v)
+    values = scipy.linalg.eigh(parts["K"], parts["M"])[0]
+    assert np.abs(values[:5] / VALUES[:5] - 1).max() > 2 * CLOSE
+    missed = missed_frequencies(setting(values[:5]), CANDIDATES, TRIED)  # pyright: ignore[reportArgumentType]
+    assert missed[which] == pytest.approx(0, abs=1e-12)
+    assert np.argmin(missed) == which
+    assert np.sort(missed)[1] > 0.01
+    assert missed[-1] == np.inf  # of no change of a matrix nothing is told
+
+
+def test_where_nothing_has_changed_every_place_is_as_good_and_a_miss_is_bounded():
+    same = missed_frequencies(setting(VALUES[:5] * (1 + 1e-7)), CANDIDATES, TRIED)  # pyright: ignore
+    assert same[:-1] == pytest.approx(0, abs=1e-6)
+    elsewhere = missed_frequencies(setting(VALUES[-1] * np.array([7.0, 11.0])), CANDIDATES, np.zeros(1))  # pyright: ignore
+    assert (elsewhere[:-1] <= 2 * FAR**2).all()
+
+
+def test_a_size_beyond_the_usual_one_costs_what_its_own_width_does():
+    assert cost_of_size(np.array([0.5, 1.0, 10.0])) == pytest.approx([0.25, 1.0, 1 + 2 * np.log(10.0)])
+    assert cost_of_size(-10.0) == cost_of_size(10.0)
