@@ -33,12 +33,12 @@ CANDIDATES += [Change("added_mass", (k,), scale=0.5, direction=SHAPES.T @ point(
 CANDIDATES += [Change("channel_gain", ("1",), channel=(0, 0))]
 
 
-def setting(values, damping=0.01):
-    """Coordinates of the chain, and measured poles of some squared frequencies."""
+def missed_by_all(values, sizes=TRIED, damping=0.01):
+    """Misses and sizes of all candidates for measured poles of some squared frequencies."""
     poles = np.sqrt(values) * (-damping + 1j * np.sqrt(1 - damping**2))
-    return SimpleNamespace(
-        coordinates=SimpleNamespace(frequencies=np.sqrt(VALUES)), features=SimpleNamespace(poles=poles)
-    )
+    eye = np.eye(COUNT)
+    modes = SimpleNamespace(low=(eye[:5], VALUES[:5], eye), high=(eye[5:], VALUES[5:]))
+    return missed_frequencies(SimpleNamespace(poles=poles), modes, CANDIDATES, sizes)  # pyright: ignore
 
 
 @pytest.mark.parametrize(("which", "size"), [(2, 1.3), (6, -1.5), (10, 2.6), (14, -0.9)])
@@ -50,7 +50,8 @@ def test_the_place_of_a_change_that_moves_modes_past_each_other_comes_first(whic
     parts[c.kind] = parts[c.kind] + size * c.scale * np.outer(v, v)
     values = scipy.linalg.eigh(parts["K"], parts["M"])[0]
     assert np.abs(values[:5] / VALUES[:5] - 1).max() > 2 * CLOSE
-    missed = missed_frequencies(setting(values[:5]), CANDIDATES, TRIED)  # pyright: ignore[reportArgumentType]
+    missed, sizes = missed_by_all(values[:5])
+    assert sizes[which] == pytest.approx(size)
     assert missed[which] == pytest.approx(0, abs=1e-12)
     assert np.argmin(missed) == which
     assert np.sort(missed)[1] > 0.01
@@ -58,9 +59,9 @@ def test_the_place_of_a_change_that_moves_modes_past_each_other_comes_first(whic
 
 
 def test_where_nothing_has_changed_every_place_is_as_good_and_a_miss_is_bounded():
-    same = missed_frequencies(setting(VALUES[:5] * (1 + 1e-7)), CANDIDATES, TRIED)  # pyright: ignore
+    same, _ = missed_by_all(VALUES[:5] * (1 + 1e-7))
     assert same[:-1] == pytest.approx(0, abs=1e-6)
-    elsewhere = missed_frequencies(setting(VALUES[-1] * np.array([7.0, 11.0])), CANDIDATES, np.zeros(1))  # pyright: ignore
+    elsewhere, _ = missed_by_all(VALUES[-1] * np.array([7.0, 11.0]), np.zeros(1))
     assert (elsewhere[:-1] <= 2 * FAR**2).all()
 
 

@@ -27,7 +27,8 @@ UNITS = {
 class Change:
     """One cause at one place of the simulation.
 
-    A cause has ``count`` sizes ``u``, each standard normal before the data. It changes matrices (``local``), or what
+    A cause has ``count`` sizes ``u`` over the usual ones, each normal before the data
+    (:func:`modalax.diagnose.modal_domain.fit.widths`). It changes matrices (``local``), or what
     the channels show; the classes of :mod:`modalax.diagnose.modal_domain.further_causes` do other things.
 
     Attributes
@@ -35,7 +36,7 @@ class Change:
     slug, where
         As told in the answer.
     scale
-        Usual size, the standard deviation before the data, in the unit of the cause.
+        Usual size in the unit of the cause.
     direction
         Of a local change ``b b'``, in modal coordinates, shape ``(n,)``.
     pattern

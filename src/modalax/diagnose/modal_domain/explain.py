@@ -16,7 +16,7 @@ from modalax.diagnose.modal_domain.discrepancy import learnt_rest
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
 from modalax.diagnose.modal_domain.oscillators import oscillators
 from modalax.diagnose.modal_domain.screen import replaced, scores
-from modalax.diagnose.modal_domain.starts import FITTED, NEXT, starts
+from modalax.diagnose.modal_domain.starts import FITTED, NEXT, in_place_of_one, starts
 from modalax.diagnose.modal_domain.state import Setting
 from modalax.diagnose.modal_domain.throughout import start_in, with_more
 from modalax.diagnose.thresholds import THRESHOLDS
@@ -216,9 +216,16 @@ def _attached(
     setting: Setting, found: dict[tuple[Change, ...], Fit], candidates: list[Change], prior: Prior,
     late: Callable[[], bool],
 ) -> None:  # fmt: skip
-    """Where a measured mode is one too many, try oscillators as what makes it."""
-    freed = [c for c in _ranked(found, prior)[0].causes if c.freed is not None]
-    for cause, u in oscillators(setting, candidates, freed[0]) if freed else ():
+    """Where a measured mode is one too many, try what may have moved a mode so far, and oscillators as what makes it."""
+    best = _ranked(found, prior)[0].fit
+    freed = [c for c in best.causes if c.freed is not None]
+    if not freed:
+        return
+    for cause, u, start in in_place_of_one(setting, best, candidates, prior.each(candidates)):
+        if late():
+            return
+        _try(setting, found, (cause,), cause.of_size(u), start, gentle=False)
+    for cause, u in oscillators(setting, candidates, freed[0]):
         if late():
             return
         _try(setting, found, (cause,), u, None)

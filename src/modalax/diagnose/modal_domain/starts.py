@@ -11,8 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.coordinates import modes_of
 from modalax.diagnose.modal_domain.fit import Fit, without_causes
-from modalax.diagnose.modal_domain.matched import missed_frequencies
+from modalax.diagnose.modal_domain.matched import FOLLOWED, missed_frequencies
 from modalax.diagnose.modal_domain.screen import SIZES, couples, finite, refined, scores, unchanged
 from modalax.diagnose.modal_domain.state import Setting, state_at
 
@@ -23,6 +24,8 @@ MATCHED, PRESCREENED = (
 FORCES = 8  # places of forces of each kind, of each of these scores, that are tried so
 FITTED, NEXT = 6, 4  # leading places of each screening that are fitted, and of the screening about the winner
 FARTHER = 2.0  # times as far from the data as the simulation as it is, beyond which no kind of cause is fitted
+
+EITHER = np.array([-s for s in SIZES] + [*SIZES])
 
 # A cause, its size over the usual one, and a fit to start from; the simulation itself if None.
 Start = tuple[Change, float, Fit | None]
@@ -41,7 +44,8 @@ def starts(setting: Setting, null: Fit, candidates: list[Change], share: np.ndar
     gain, size = scores(setting, null, candidates)
     nominal, _ = scores(setting, _nominal(setting, null), candidates)
     few = set(np.argsort(-(gain + share))[:PRESCREENED]) | set(np.argsort(-(nominal + share))[:PRESCREENED])
-    matched = missed_frequencies(setting, candidates, np.array([-s for s in SIZES] + [*SIZES])) - 2 * share
+    missed, _ = missed_frequencies(setting.features, modes_of(setting.coordinates), candidates, EITHER)
+    matched = missed - 2 * share
     few |= {k for k in np.argsort(matched)[:MATCHED] if np.isfinite(matched[k])}
     few |= {k for k, c in enumerate(candidates) if not c.local}
     forces = {k for k, c in enumerate(candidates) if couples(c)}
@@ -92,3 +96,10 @@ def _nominal(setting: Setting, null: Fit) -> Fit:
     """The simulation as it is, with its usual inaccuracy."""
     sizes = np.zeros_like(null.sizes)
     return replace(null, sizes=sizes, epsilon=setting.inaccuracy.usual, state=state_at(setting, sizes))
+
+
+def in_place_of_one(setting: Setting, f: Fit, candidates: list[Change], share: np.ndarray) -> list[Start]:
+    """Causes that may have moved a mode which a fit leaves free, with the sizes that its frequency asks for."""
+    missed, size = missed_frequencies(setting.features, f.state.modes, candidates, np.zeros(1), FOLLOWED)
+    leading = [int(k) for k in np.argsort(missed - 2 * share)[:NEXT] if np.isfinite(missed[k]) and size[k] != 0]
+    return [(candidates[k], float(size[k]), without_causes(f)) for k in leading]
