@@ -216,7 +216,7 @@ def _attached(
     setting: Setting, found: dict[tuple[Change, ...], Fit], candidates: list[Change], prior: Prior,
     late: Callable[[], bool],
 ) -> None:  # fmt: skip
-    """Where a measured mode is one too many, try what may have moved a mode so far, and oscillators as what makes it."""
+    """Where a measured mode is one too many, try what may have moved one so far, and oscillators as what makes it."""
     best = _ranked(found, prior)[0].fit
     freed = [c for c in best.causes if c.freed is not None]
     if not freed:
