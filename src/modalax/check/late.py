@@ -256,7 +256,7 @@ def _by_chance(rest: np.ndarray, reach: float) -> float:
 
 
 def _near(omega, angle, noise, part, known: Known) -> Late | None:
-    """A delay of less than a turn, which differs from none by many deviations."""
+    """A delay of less than half a turn, which differs from none by many deviations."""
     count = len(omega)
     tau, std, scatter, weight, rest = _aligned(omega, angle, noise, part, known, NEAR)
     if scatter > MOST_SCATTER or abs(tau) * known.top < SMALLEST_ANGLE:

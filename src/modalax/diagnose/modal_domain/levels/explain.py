@@ -7,19 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modalax.diagnose.causes.base import JointCause
-from modalax.diagnose.causes.joints import ElastoSlip, GapContact
+from modalax.diagnose.causes.joints import GapContact
 from modalax.diagnose.modal_domain.levels.change import Base, Levels, projected, unexplained
 from modalax.diagnose.modal_domain.levels.drift import Drift
-from modalax.diagnose.modal_domain.levels.laws import (
-    NAMED,
-    NAMELESS,
-    LawFit,
-    Motion,
-    compliances,
-    fit_law,
-    motions_of,
-    regressed,
-)
+from modalax.diagnose.modal_domain.levels.laws import NAMED, NAMELESS, LawFit, Motion, fit_law, motions_of, regressed
 from modalax.diagnose.modal_domain.levels.series import SERIES
 from modalax.diagnose.modal_domain.levels.weigh import Shapes, weigh
 from modalax.diagnose.thresholds import THRESHOLDS
@@ -168,7 +159,8 @@ def _told_apart(found: list[JointFound], lines: float) -> list[JointFound]:
 
 def _common_error(f: LawFit, tolerance: float) -> np.ndarray:
     """What the strength of a law may be off by where the law's own error is the same at all lines."""
-    return np.diag([(tolerance * f.p[0]) ** 2, *np.zeros(len(f.p) - 1)])
+    strength = 1.0 if f.law.parameters[0].log else f.p[0]
+    return np.diag([(tolerance * strength) ** 2, *np.zeros(len(f.p) - 1)])
 
 
 def apart_from_zero(f: LawFit) -> float:
@@ -210,35 +202,28 @@ def _screened(
     levels, base = levels.thinned(step), base.thinned(step)
     before = unexplained(levels)
     for part in np.array_split(np.arange(len(b)), max(1, len(b) // TOGETHER)):
-        for each in _each(levels, base, b[part]):
-            cost = [c for law in laws for c, _ in regressed(law, _seen_by(law, each), 2, halvings)[:1]]
+        for both in _both(levels, base, b[part]):
+            cost = [c for law in laws for c, _ in regressed(law, both[isinstance(law, SERIES)], 2, halvings)[:1]]
             out.append(0.5 * step * (before - min(cost, default=np.inf)))
     return np.array(out)
 
 
-def _each(levels: Levels, base: Base, b: np.ndarray) -> list[tuple[Motion, Motion, Motion]]:
-    """Motions across places, and behind their compliances as stops and as sliders see them."""
-    plain = motions_of(levels, base, b, projected(levels, base, b))
-    high = base.across(b, 3.0)
-    stop, slider = (compliances(high, law) for law in (GapContact(), ElastoSlip(True)))
-    return [(m, m.behind(stop[:, k], levels.force), m.behind(slider[:, k], levels.force)) for k, m in enumerate(plain)]
-
-
-def _seen_by(law: JointCause, motions: tuple[Motion, Motion, Motion]) -> Motion:
-    """The motion that a law is told at."""
-    return motions[2 if isinstance(law, ElastoSlip) else int(isinstance(law, SERIES))]
+def _both(levels: Levels, base: Base, b: np.ndarray) -> list[tuple[Motion, Motion]]:
+    """Motions across places, and behind their compliances."""
+    P = projected(levels, base, b)
+    return list(zip(motions_of(levels, base, b, P), motions_of(levels, base, b, P, GapContact()), strict=True))
 
 
 def _fitted(
     levels: Levels, base: Base, spots: Sequence[Spot], laws: Sequence[JointCause]
 ) -> list[tuple[float, Spot, LawFit]]:
     found: list[tuple[float, Spot, LawFit]] = []
-    motions = _each(levels, base, np.array([s.direction for s in spots]))
+    motions = _both(levels, base, np.array([s.direction for s in spots]))
     for some, count in ((laws, len(spots)), (NAMELESS, BESIDE)):
         near = [k for k in range(len(spots)) if not found or any(spots[k] is s for _, s, _ in found[:count])]
         for k in near:
             for law in some:
-                f = fit_law(law, _seen_by(law, motions[k]))
+                f = fit_law(law, motions[k][isinstance(law, SERIES)])
                 if f is not None and np.isfinite(f.chi2) and f.rival:
                     value = -0.5 * f.chi2 - 0.5 * len(f.p) * math.log(levels.samples) + _prior(spots[k], f)
                     found.append((value, spots[k], f))

@@ -15,7 +15,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.ndimage
 import scipy.optimize
 
 from modalax.diagnose.causes.base import JointCause
@@ -38,7 +37,7 @@ FRACTIONS = (0.03, 0.1, 0.2, 0.3, 0.4, 0.55, 0.75)  # thresholds over the larges
 EXPONENTS = (-0.5, 0.5, 1.0, 2.0)  # of power laws, likewise
 FARTHEST = 30.0  # factor on a displacement
 TOLERANCE = 0.02  # relative error of a force by its first harmonic alone, before that is learnt
-AROUND = 40  # parts of the band over each of which a compliance is taken without its resonances, as their median
+HARMONIC = 60  # lines at whose third harmonic the compliance across a place is read
 FEW = 1500  # forces that starts are compared on
 STEPS = 15  # most steps of one fit
 PAD = 2048  # amplitudes that a compiled law takes at once, or a multiple
@@ -70,7 +69,7 @@ class Motion:
     omega
         Shape ``(f,)`` [rad/s].
     compliance
-        Across the place, to the third harmonic of each line, shape ``(f,)`` [m/N].
+        Across the place, to the harmonics of the lines [m/N].
     """
 
     force: np.ndarray
@@ -83,24 +82,24 @@ class Motion:
     amplitude: np.ndarray
     seen: np.ndarray
     omega: np.ndarray
-    compliance: np.ndarray
+    compliance: float
 
     @cached_property
-    def measured(self) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Measured amplitudes with the circular frequency and compliance of each, as compiled laws take them."""
-        return _padded(self.amplitude, self.omega[:, None], self.compliance[:, None])
+    def measured(self) -> tuple[jax.Array, jax.Array]:
+        """Measured amplitudes and the circular frequency of each, as compiled laws take them."""
+        return _padded(self.amplitude, self.omega[:, None])
 
     def thinned(self, step: int) -> "Motion":
         """Every so many lines."""
         return Motion(
             self.force[::step], self.root[::step], self.least, self.first[::step], self.still[::step],
             self.turn[::step], self.drive[::step], self.amplitude[:, ::step], self.seen[::step], self.omega[::step],
-            self.compliance[::step],
+            self.compliance,
         )  # fmt: skip
 
-    def behind(self, compliance: np.ndarray, levels: np.ndarray) -> "Motion":
-        """The same behind a compliance ``(f,)``, at force levels [N]."""
-        drive = self.drive - compliance[:, None]
+    def behind(self, compliance: float, levels: np.ndarray) -> "Motion":
+        """The same behind a compliance, at force levels [N]."""
+        drive = self.drive - compliance
         moved = replace(self, drive=drive, compliance=compliance)
         return replace(moved, amplitude=levels[:, None, None] * np.abs(moved.moved(self.seen)))
 
@@ -119,7 +118,10 @@ def motions_of(levels: Levels, base: Base, b: np.ndarray, p: Projection, law: Jo
         One that is to be told behind the place's compliance, if its kind can be.
     """
     across = base.across(b)
-    compliance = compliances(base.across(b, 3.0), law) if isinstance(law, SERIES) else np.zeros((len(base.s), len(b)))
+    compliance = np.zeros(len(b))
+    if isinstance(law, SERIES):
+        high = base.across(b, 3.0, max(1, len(base.s) // HARMONIC)).real
+        compliance = np.maximum(np.median(high, axis=0), 0.0)
     still = np.einsum("pn,fni->pfi", b, base.inn)
     out = []
     for k in range(len(b)):
@@ -129,21 +131,10 @@ def motions_of(levels: Levels, base: Base, b: np.ndarray, p: Projection, law: Jo
         root = np.linalg.cholesky(softened(p.Q[k], seen_force(p, k), TOLERANCE)).transpose(0, 1, 3, 2)
         plain = Motion(
             p.force[k], root, float(p.least[k]), p.first[k], still[k] * turn, turn, d * turn,
-            np.zeros(0), seen, base.s.imag, np.zeros(len(base.s)),
+            np.zeros(0), seen, base.s.imag, 0.0,
         )  # fmt: skip
-        out.append(plain.behind(compliance[:, k], levels.force))
+        out.append(plain.behind(float(compliance[k]), levels.force))
     return out
-
-
-def compliances(high: np.ndarray, law: JointCause) -> np.ndarray:
-    """Compliances behind which a law is told, ``(f, p)``, from receptances at the third harmonic of each line.
-
-    What slips of a spring of the structure knows the compliance to its third harmonic far better than other laws need
-    it: their median will do.
-    """
-    if isinstance(law, ElastoSlip):
-        return scipy.ndimage.median_filter(high.real, (max(1, len(high) // AROUND) | 1, 1), mode="nearest")
-    return np.broadcast_to(np.maximum(np.median(high.real, axis=0), 0.0), high.shape)
 
 
 def _bounded(turn: np.ndarray) -> np.ndarray:
@@ -222,17 +213,16 @@ def _slopes(law: JointCause, A: Any, omega: Any, p: Any, g: Any) -> tuple[Any, A
 def stiffness_of(law: JointCause, m: Motion, p: np.ndarray, amplitude: np.ndarray | None = None) -> np.ndarray:
     """Describing function at the measured amplitudes, or others of the same lines ``(..., f, i)`` [N/m]."""
     A = m.amplitude if amplitude is None else amplitude
-    a, w, g = m.measured if amplitude is None else _padded(A, m.omega[:, None], m.compliance[:, None])
-    N = np.broadcast_to(np.asarray(_stiffness(law, a, w, p, g)), a.shape)
+    a, w = m.measured if amplitude is None else _padded(A, m.omega[:, None])
+    N = np.broadcast_to(np.asarray(_stiffness(law, a, w, p, m.compliance)), a.shape)
     return N[: A.size].reshape(A.shape)
 
 
-def _padded(A: np.ndarray, omega: np.ndarray, compliance: np.ndarray) -> tuple[jax.Array, jax.Array, jax.Array]:
+def _padded(A: np.ndarray, omega: np.ndarray) -> tuple[jax.Array, jax.Array]:
     size = -(-A.size // PAD) * PAD
-    a, w, g = np.ones(size), np.ones(size), np.zeros(size)
-    a[: A.size] = np.maximum(A.ravel(), 1e-300)
-    w[: A.size], g[: A.size] = (np.broadcast_to(x, A.shape).ravel() for x in (omega, compliance))
-    return jnp.asarray(a), jnp.asarray(w), jnp.asarray(g)
+    a, w = np.ones(size), np.ones(size)
+    a[: A.size], w[: A.size] = np.maximum(A.ravel(), 1e-300), np.broadcast_to(omega, A.shape).ravel()
+    return jnp.asarray(a), jnp.asarray(w)
 
 
 def force_of(law: JointCause, m: Motion, p: np.ndarray) -> np.ndarray:
@@ -250,8 +240,7 @@ def _difference(law: JointCause, m: Motion, p: np.ndarray) -> np.ndarray:
 def _jacobian(law: JointCause, m: Motion, p: np.ndarray) -> np.ndarray:
     """Derivatives of the difference by the parameters as searched."""
     size, shape = m.amplitude.size, m.amplitude.shape
-    a, w, g = m.measured
-    D, N = map(np.asarray, _slopes(law, a, w, p, g))
+    D, N = map(np.asarray, _slopes(law, *m.measured, p, m.compliance))
     N, D = N[:size].reshape(shape), (D[0] + 1j * D[1])[:size].reshape(*shape, len(p))
     dN = (N[1:] - N[0]).transpose(1, 2, 0)
     at = (m.still * m.turn)[..., None] / (1 + dN * m.drive[..., None]) ** 2
@@ -284,7 +273,7 @@ def regressed(
     moved = m.moved(m.seen)[1:].transpose(1, 2, 0) * m.turn[..., None]
 
     def at(shape: tuple[float, ...]) -> tuple[float, np.ndarray]:
-        a, w, _ = m.measured  # at a strength of 1 N/m no compliance matters
+        a, w = m.measured  # at a strength of 1 N/m no compliance matters
         N = np.broadcast_to(np.asarray(_plain(law, a, w, np.array([1.0, *shape]))), a.shape)
         N = N[: m.amplitude.size].reshape(m.amplitude.shape)
         unit = (m.root @ ((N[1:] - N[0]).transpose(1, 2, 0) * moved)[..., None]).ravel()
@@ -294,7 +283,7 @@ def regressed(
         strength = float((unit.conj() * aim).real.sum() / size)
         strength = float(np.clip(strength, law.parameters[0].lower, law.parameters[0].upper))
         cost = m.least + float((np.abs(aim - strength * unit) ** 2).sum())
-        return cost, apart(law, np.array([strength, *shape]), float(np.median(m.compliance)))
+        return cost, apart(law, np.array([strength, *shape]), m.compliance)
 
     shapes = _shapes(law, float(m.amplitude.max()))[::every]
     found = sorted((at(shape) for shape in shapes), key=lambda c: c[0])

@@ -100,7 +100,7 @@ def force_taken(seen: Seen, level: np.ndarray, used: np.ndarray, p: np.ndarray |
     p = j.fit.p if p is None else p
     m = motions_of(seen.levels, b, j.direction[None], projected(seen.levels, b, j.direction[None]), j.fit.law)[0]
     N = stiffness_of(j.fit.law, m, p)
-    force = N * m.moved(force_of(j.fit.law, m, p)) * m.turn / (1 - N[0] * (m.drive + m.compliance[:, None]))
+    force = N * m.moved(force_of(j.fit.law, m, p)) * m.turn / (1 - N[0] * (m.drive + m.compliance))
     return change_by(b, j.direction, force.transpose(1, 2, 0))[np.searchsorted(seen.levels.force, level[used])]
 
 

@@ -1,13 +1,10 @@
 r"""Laws of joints that sit behind the structure's own compliance, exact in all harmonics where that is static.
 
-Across a joint between light parts the motion is no sine: at the third harmonic and above the structure answers nearly
-as a spring, :math:`x_h = -g f_h`, of the compliance that it has about there. Then :math:`u = x + g f` is a sine,
-whatever the law, and a law in ``x`` is another in ``u``: that of the joint and the compliance in series. A stop of
-stiffness ``k`` becomes one of :math:`k/(1 + gk)` with the same free way. A spring ``k`` of the structure that slips
-adds the force :math:`-kz` of what has slipped, ``z``, to the structure with the spring. Then :math:`u = x - gkz` is a
-sine, and :math:`(1 - gk)z` is what slips of a spring with the same slip displacement under ``u``: so the law is that of
-:math:`k/(1 - gk)`. However small :math:`1 - gk` is, ``k`` is well known from it. The other laws are taken by their
-first harmonic.
+Across a joint between light parts the motion is no sine: at the third harmonic and above the structure answers as a
+spring, :math:`x_h = -g f_h`. Then :math:`u = x + g f` is a sine, whatever the law, and a law in ``x`` is another in
+``u``: that of the joint and the compliance in series. A stop of stiffness ``k`` becomes one of :math:`k/(1 + gk)` with
+the same free way. A slider that takes a stiff spring out of the structure is not to be had so, since :math:`1 - gk` is
+next to nothing; it and the other laws are taken by their first harmonic.
 """
 
 from functools import lru_cache
@@ -17,13 +14,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from modalax.diagnose.causes.base import JointCause
-from modalax.diagnose.causes.joints import CubicStiffness, ElastoSlip, GapContact, QuadraticDamping
+from modalax.diagnose.causes.joints import CubicStiffness, GapContact, QuadraticDamping
 
 POINTS = 64  # of half a cycle
 LEAST_CUBE = -0.12  # of the softening at which a spring behind a compliance snaps, -4/27
 STEPS = 12  # to the displacement behind a compliance
-SERIES = (CubicStiffness, ElastoSlip, GapContact, QuadraticDamping)  # laws that are told behind a compliance
-LEAST = 0.02  # of a compliance that is left behind a stop, or of the structure's stiffness without a spring that slips
+SERIES = (CubicStiffness, GapContact, QuadraticDamping)  # laws that are told behind a compliance
+LEAST = 0.02  # of a compliance that is left behind a stop
 
 
 def in_series(law: JointCause, A: Any, omega: Any, p: Any, g: Any) -> Any:
@@ -32,9 +29,7 @@ def in_series(law: JointCause, A: Any, omega: Any, p: Any, g: Any) -> Any:
     Laws that are not told behind a compliance are taken as they are.
     """
     if isinstance(law, GapContact):
-        return p[0] / jnp.maximum(1 + g * p[0], LEAST) * law.impedance(A, omega, jnp.stack([jnp.ones(()), p[1]]))
-    if isinstance(law, ElastoSlip):
-        return p[0] / jnp.maximum(1 - g * p[0], LEAST) * law.impedance(A, omega, jnp.stack([jnp.ones(()), p[1]]))
+        return law.impedance(A, omega, jnp.stack([p[0] / (1 + g * p[0]), p[1]]))
     if isinstance(law, CubicStiffness):
         size = p[0] * A**2
         return size * jnp.interp(g * size, *_cube()) + 0j
@@ -88,6 +83,4 @@ def apart(law: JointCause, p: np.ndarray, g: float) -> np.ndarray:
     """Parameters of the joint itself from those that it and the compliance in series seem to have."""
     if isinstance(law, GapContact):
         return np.array([p[0] / max(1 - g * p[0], LEAST), p[1]])
-    if isinstance(law, ElastoSlip):
-        return np.array([p[0] / (1 + g * p[0]), p[1]])
     return p

@@ -16,7 +16,7 @@ from modalax.diagnose.modal_domain.levels.change import Base, Levels, change_by,
 from modalax.diagnose.modal_domain.levels.laws import LawFit, force_of, motions_of, softened
 from modalax.diagnose.modal_domain.state import Setting, slopes_at
 
-TOLERANCES = (0.0, 0.003, 0.01, 0.03, 0.055, 0.1)  # relative errors of a law's force that are tried
+TOLERANCES = (0.0, 0.003, 0.01, 0.03, 0.1)  # relative errors of a law's force that are tried
 STEPS = 4  # points of a Gauss-Newton search
 BENT = 1e-5  # relative change of a parameter by which they are taken
 MOVED = 1e-3  # change of a shape at the joint, relative to its largest, by which derivatives are taken
