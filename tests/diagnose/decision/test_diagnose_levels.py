@@ -24,6 +24,7 @@ DRIFT = LevelsCase("drift", "runs", 4.0, drift=0.002, drifting=0.96)
         (replace(JOINT, law_probability=0.94), "ambiguous", ["differ", "", "cubic", "other laws cannot be excluded"]),
         (replace(JOINT, place_probability=0.5), "ambiguous", ["differ", "", "cubic", "its place is not certain"]),
         (replace(JOINT, inexact=0.1), "ambiguous", ["differ", "", "cubic", "explains the force there to 10 % only"]),
+        (replace(JOINT, aside=3), "named", ["differ", "", "cubic", "3 lines were set aside"]),
         (replace(JOINT, inexact=0.03), "named", ["differ", "it stiffens", "cubic_stiffness at 3 - 5"]),
         (DRIFT, "named", ["the runs differ", "0.2 % up to the last of them"]),
         (replace(DRIFT, after=1.6), "unknown", ["the runs differ", "neither a joint nor a shift"]),

@@ -11,8 +11,10 @@ from modalax.diagnose.causes.joints import CubicStiffness, GapContact, Quadratic
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.levels.change import Projection
 from modalax.diagnose.modal_domain.levels.explain import apart_from_zero
-from modalax.diagnose.modal_domain.levels.laws import LawFit, Motion, regressed, seen_force
+from modalax.diagnose.modal_domain.levels.laws import LawFit, regressed
+from modalax.diagnose.modal_domain.levels.motion import Motion, seen_force
 from modalax.diagnose.modal_domain.levels.series import in_series
+from modalax.diagnose.modal_domain.levels.weigh import set_aside
 from modalax.simulate import joints, simulate
 
 TAU = 2 * np.pi * np.arange(512) / 512
@@ -143,6 +145,35 @@ def test_a_threshold_is_sought_between_those_that_are_tried():
     coarse, fine = (regressed(law, m, 2, halvings)[0] for halvings in (0, 4))
     assert fine[0] < 0.05 * coarse[0]
     assert fine[1][1] == pytest.approx(0.13, rel=0.1)
+
+
+def test_a_line_that_no_tolerance_explains_is_set_aside_and_says_nothing():
+    """Forces known to 1 that a law misses by about 1, but for one that it misses by 60 of 90."""
+    rng = np.random.default_rng(0)
+    left = (rng.standard_normal((40, 1, 1)) + 1j * rng.standard_normal((40, 1, 1))) / np.sqrt(2)
+    Q, q = np.full((40, 1, 1, 1), 2.0), np.full((40, 1, 1), 90.0)
+    soft, none = set_aside(Q, (0.01 * q) ** 2, q, left)
+    assert none == 0
+    np.testing.assert_allclose(soft, 2.0 / (1 + 0.9**2), rtol=1e-12)
+    left[7] = 60.0
+    soft, one = set_aside(Q, (0.01 * q) ** 2, q, left)
+    assert one == 1
+    assert soft[7] < 1e-3 and (np.delete(soft, 7) > 1.0).all()
+
+
+def test_some_lines_of_a_motion_hold_those_at_which_a_force_is_seen():
+    count = 600
+    seen = np.zeros((count, 2, 2), complex)
+    seen[[17, 300, 301, 599]] = 1.0
+    rows = np.arange(count)[:, None] * np.ones((1, 2)) + 0j
+    m = Motion(
+        seen, np.zeros((count, 2, 2, 2)), 0.0, rows, rows, rows, rows, np.zeros((3, count, 2)), seen,
+        np.arange(count) * 1.0, 0.0, np.zeros((count, 3), complex), 0.01, (np.zeros((count, 3), complex),),
+    )  # fmt: skip
+    few = m.some(400)
+    assert {17.0, 300.0, 301.0, 599.0} <= set(few.omega) and len(few.omega) == 4 + 50
+    assert few.amplitude.shape == (3, 54, 2) and few.harmonic is not None and len(few.harmonic) == 54
+    assert len(few.aside[0]) == 54 and len(m.some(10_000).omega) == count
 
 
 def test_noise_of_a_force_says_nothing_for_a_place():

@@ -31,6 +31,8 @@ class LevelsCase:
         Of the law, wherever it sits, and of the place among all places of that law.
     inexact
         Relative error that the law's force must be allowed.
+    aside
+        Lines that were set aside, since the joint moves otherwise there.
     nameless
         Probability of laws that the answer has no name for.
     untried
@@ -54,6 +56,7 @@ class LevelsCase:
     law_probability: float = 0.0
     place_probability: float = 0.0
     inexact: float = 0.0
+    aside: int = 0
     nameless: float = 0.0
     untried: bool = False
     behaviour: str = ""
@@ -80,6 +83,8 @@ class LevelsCase:
             f"{cause_at(self.law, self.where)} explains it (probability {self.law_probability:.3f} of the law, "
             f"{self.place_probability:.3f} of the place)",
         )
+        if self.aside:
+            told = (*told, f"{self.aside} lines were set aside: the joint moves otherwise there than this law has it")
         if self.holds is None:
             return told
         stiffness, std = self.holds

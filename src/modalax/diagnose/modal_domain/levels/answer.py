@@ -6,9 +6,9 @@ import numpy as np
 
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.decision.levels import LevelsCase, levels_verdict
-from modalax.diagnose.modal_domain.levels.change import projected
 from modalax.diagnose.modal_domain.levels.explain import JointFound
-from modalax.diagnose.modal_domain.levels.laws import NAMELESS, motions_of, stiffness_of
+from modalax.diagnose.modal_domain.levels.laws import NAMELESS, stiffness_of
+from modalax.diagnose.modal_domain.levels.motion import motion_of
 from modalax.diagnose.modal_domain.levels.seen import Seen
 from modalax.diagnose.modal_domain.levels.slipping import Whole
 from modalax.diagnose.result import parameters_told
@@ -36,7 +36,7 @@ def judge_levels(seen: Seen | None, whole: Whole | None = None) -> tuple[str, tu
     j, nameless = found.joints[0], {law.slug for law in NAMELESS}
     return levels_verdict(LevelsCase(
         "joint", kind, found.before, found.after, law=j.slug, where=j.spot.where, law_probability=found.sure(j.slug),
-        place_probability=found.placed(j.slug, j.spot.where), inexact=j.tolerance,
+        place_probability=found.placed(j.slug, j.spot.where), inexact=j.tolerance, aside=j.aside,
         nameless=sum((p.probability for p in found.joints if p.slug in nameless), 0.0), behaviour=described(seen, j),
         holds=None if whole is None else (whole.stiffness, whole.std),
     ))  # fmt: skip
@@ -77,8 +77,7 @@ def rivals_told(seen: Seen, named: bool) -> list[list[dict[str, Any]]]:
 
 def described(seen: Seen, j: JointFound) -> str:
     """The equivalent stiffness of a joint against its amplitude, in words."""
-    b = j.direction[None]
-    m = motions_of(seen.levels, seen.base, b, projected(seen.levels, seen.base, b))[0]
+    m = motion_of(seen.levels, seen.base, j.direction, j.fit.law)
     N, A = stiffness_of(j.fit.law, m, j.fit.p), m.amplitude
     top = np.unravel_index(int(A.argmax()), A.shape)
     change = complex(N[top] - N[(0, *top[1:])])

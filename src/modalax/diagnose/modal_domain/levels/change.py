@@ -16,7 +16,7 @@ stiffness from that level.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -87,6 +87,8 @@ class Base:
         Mass, damping and stiffness in modal coordinates.
     forces
         Linear forces at one place each that are no part of these, with their sizes.
+    scatter
+        Relative standard deviation of natural frequencies beyond the band, as the general inaccuracy makes them.
     """
 
     s: np.ndarray
@@ -95,11 +97,12 @@ class Base:
     H: np.ndarray
     matrices: tuple[np.ndarray, np.ndarray, np.ndarray]
     forces: tuple[tuple[LineForce, np.ndarray], ...] = ()
+    scatter: float = 0.0
 
     def thinned(self, step: int) -> "Base":
         """Every so many lines."""
         every = slice(None, None, step)
-        return Base(self.s[every], self.out[every], self.inn[every], self.H[every], self.matrices, self.forces)
+        return replace(self, s=self.s[every], out=self.out[every], inn=self.inn[every], H=self.H[every])
 
     def across(self, b: np.ndarray, times: float = 1.0, step: int = 1) -> np.ndarray:
         """Receptance across places ``(p, n)``, shape ``(f, p)`` [m/N], at every so many lines, times a factor."""
@@ -135,7 +138,9 @@ def base_of(setting: Setting, f: Fit, freq: np.ndarray, order: int) -> Base:
             inn = cause.transform(u, s, inn)
         else:
             out = cause.transform(u, s, out)
-    return Base(s, out, inn, H, (M, C, K), forces)
+    off = dict(zip(setting.inaccuracy.groups, f.epsilon, strict=True))
+    scatter = 0.5 * float(np.hypot(off.get("stiffness", 0.0), off.get("mass", 0.0)))
+    return Base(s, out, inn, H, (M, C, K), forces, scatter)
 
 
 @dataclass(frozen=True)

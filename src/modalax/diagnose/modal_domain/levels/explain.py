@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modalax.diagnose.causes.base import JointCause
-from modalax.diagnose.causes.joints import GapContact
+from modalax.diagnose.causes.joints import ElastoSlip, GapContact
 from modalax.diagnose.modal_domain.levels.change import Base, Levels, projected, unexplained
 from modalax.diagnose.modal_domain.levels.drift import Drift
-from modalax.diagnose.modal_domain.levels.laws import NAMED, NAMELESS, LawFit, Motion, fit_law, motions_of, regressed
+from modalax.diagnose.modal_domain.levels.laws import NAMED, NAMELESS, LawFit, fit_law, regressed
+from modalax.diagnose.modal_domain.levels.motion import Motion, in_harmonics, motions_of
 from modalax.diagnose.modal_domain.levels.series import SERIES
 from modalax.diagnose.modal_domain.levels.weigh import Shapes, weigh
 from modalax.diagnose.thresholds import THRESHOLDS
@@ -19,6 +20,7 @@ JOINT, DRIFT = 0.2, 0.05  # chances before the data that a joint, or a drift, te
 SAMPLED = 2000  # forces that places are screened on
 CLOSER, HALVINGS = 40, 4  # leading places at which thresholds are sought, halving the distance of those tried
 FITTED = 12  # leading places at which laws are fitted, where one at a few sizes gains enough to stand out
+ALIKE, HARMONICS = 0.01, 300  # share of the gain that first harmonics do not tell, and forces on which all harmonics do
 NEIGHBOURS = 8  # lines over which errors of a law's force go together
 TOGETHER = 32  # places that are worked on at once
 BESIDE = 3  # leading fits beside which laws without a name are tried at the same places
@@ -47,12 +49,16 @@ class Spot:
 
 @dataclass(frozen=True)
 class JointFound:
-    """A law at a place, with its probability among all that were weighed."""
+    """A law at a place, with its probability among all that were weighed.
+
+    The direction, the relative error of the law's force and the lines set aside are as weighed.
+    """
 
     spot: Spot
     fit: LawFit
     direction: np.ndarray
     tolerance: float
+    aside: int
     log_posterior: float
     probability: float = 0.0
 
@@ -115,9 +121,9 @@ def explain_levels(
 ) -> ByLevel:  # fmt: skip
     """Fit every law at the leading places, weigh the best, and compare with a drift and with nothing at all."""
     before = unexplained(levels)
-    places, gains = _promising(levels, base, spots, laws) if spots else ([], [])
+    places, gains, begun = _promising(levels, base, spots, laws) if spots else ([], [], {})
     some = [s for s, gain in zip(places, gains, strict=True) if gain > 0.5 * THRESHOLDS.stands_out**2]
-    fits = _fitted(levels, base, some, laws) if some else []
+    fits = _fitted(levels, base, some, laws, begun) if some else []
     found: list[JointFound] = []
     for rough, spot, f in fits[:WEIGHED]:
         if found and (rough < fits[0][0] - max(NEAR, NEAR_SHARE * abs(fits[0][0])) or late()):
@@ -130,10 +136,12 @@ def explain_levels(
         best = replace(w.fit, covariance=together * w.fit.covariance + _common_error(w.fit, w.tolerance))
         if apart_from_zero(best) < THRESHOLDS.stands_out:  # what noise has in common with a force here is no law
             continue
-        found.append(JointFound(spot, best, w.b, w.tolerance, value))
+        found.append(JointFound(spot, best, w.b, w.tolerance, w.aside, value))
     found.sort(key=lambda j: -j.log_posterior)
     if found and found[0].tolerance > 0:
         found = _told_apart(found, max(NEIGHBOURS, len(base.s) / len(shapes.fit.state.pairs)))
+    elif found and isinstance(found[0].fit.law, ElastoSlip):
+        found = _told_apart(found, NEIGHBOURS)  # errors of the motion are in the variance of its force
     nothing, moved = math.log(1 - JOINT - DRIFT) - 0.5 * before, math.log(DRIFT) + drift.log_evidence
     values = np.array([nothing, moved, *(j.log_posterior for j in found)])
     share = np.exp(values - values.max())
@@ -145,9 +153,9 @@ def explain_levels(
 
 
 def _told_apart(found: list[JointFound], lines: float) -> list[JointFound]:
-    """Joints weighed by what is left to tell them apart where none of them explains all.
+    """Joints weighed by what is left to tell them apart where none of them explains all to the noise.
 
-    What a law leaves goes together over neighbouring lines; what the motion at a place does, over the lines of a mode.
+    What a law leaves goes together over neighbouring lines; what the motion at a place does, over so many ``lines``.
     """
     top = found[0]
     return [
@@ -177,20 +185,41 @@ def _prior(spot: Spot, f: LawFit) -> float:
 
 def _promising(
     levels: Levels, base: Base, spots: Sequence[Spot], laws: Sequence[JointCause]
-) -> tuple[list[Spot], list[float]]:
-    """The leading places, and what the best law gains there at a few sizes [nats].
+) -> tuple[list[Spot], list[float], dict[tuple[str, ...], np.ndarray]]:
+    """The leading places, what the best law gains there at a few sizes [nats], and how a spring would slip there.
 
     Thresholds at a few sizes order places roughly only, so that of many places they are sought at the better ones.
     """
     gain: list[float] = []
+    begun: dict[tuple[str, ...], np.ndarray] = {}
     for most, halvings in ((CLOSER, 0), (FITTED, HALVINGS)):
         if len(spots) <= most and not halvings:
             continue
         weights = np.log([max(s.weight, 1e-300) for s in spots])
         found = _screened(levels, base, np.array([s.direction for s in spots]), laws, halvings)
-        order = np.argsort(-(found + weights))[:most].tolist()
+        order = np.argsort(-(found + weights))
+        if most == FITTED and any(isinstance(law, ElastoSlip) for law in laws):
+            order, begun = _by_harmonics(levels, base, spots, found, order)
+        order = order[:most].tolist()
         spots, gain = [spots[k] for k in order], [float(found[k]) for k in order]
-    return list(spots), gain
+    return list(spots), gain, begun
+
+
+def _by_harmonics(
+    levels: Levels, base: Base, spots: Sequence[Spot], gain: np.ndarray, order: np.ndarray
+) -> tuple[np.ndarray, dict[tuple[str, ...], np.ndarray]]:  # fmt: skip
+    """Places by falling gain, those that are alike by first harmonics as a spring that slips is told with all."""
+    like = order[gain[order] > (1 - ALIKE) * gain.max()]
+    if len(like) <= FITTED:
+        return order, {}
+    step = max(1, levels.H[1:, :, 0].size // HARMONICS)
+    levels, base = levels.thinned(step), base.thinned(step)
+    b = np.array([spots[k].direction for k in like])
+    motions = in_harmonics(motions_of(levels, base, b, projected(levels, base, b)), base, b)
+    fits = [fit_law(ElastoSlip(True), m) for m in motions]
+    cost = [np.inf if f is None else f.chi2 for f in fits]
+    begun = {spots[k].where: f.p for k, f in zip(like, fits, strict=True) if f is not None}
+    return np.concatenate([like[np.argsort(cost)], order[~np.isin(order, like)]]), begun
 
 
 def _screened(
@@ -215,15 +244,23 @@ def _both(levels: Levels, base: Base, b: np.ndarray) -> list[tuple[Motion, Motio
 
 
 def _fitted(
-    levels: Levels, base: Base, spots: Sequence[Spot], laws: Sequence[JointCause]
-) -> list[tuple[float, Spot, LawFit]]:
+    levels: Levels, base: Base, spots: Sequence[Spot], laws: Sequence[JointCause],
+    begun: dict[tuple[str, ...], np.ndarray],
+) -> list[tuple[float, Spot, LawFit]]:  # fmt: skip
+    """Fits of every law at every place, the best first."""
     found: list[tuple[float, Spot, LawFit]] = []
-    motions = _both(levels, base, np.array([s.direction for s in spots]))
+    b = np.array([s.direction for s in spots])
+    motions = _both(levels, base, b)
+    slips = any(isinstance(law, ElastoSlip) for law in laws)
+    exact = in_harmonics([m for m, _ in motions], base, b) if slips else []
     for some, count in ((laws, len(spots)), (NAMELESS, BESIDE)):
         near = [k for k in range(len(spots)) if not found or any(spots[k] is s for _, s, _ in found[:count])]
         for k in near:
             for law in some:
-                f = fit_law(law, motions[k][isinstance(law, SERIES)])
+                if isinstance(law, ElastoSlip):
+                    f = fit_law(law, exact[k], begun.get(spots[k].where))
+                else:
+                    f = fit_law(law, motions[k][isinstance(law, SERIES)])
                 if f is not None and np.isfinite(f.chi2) and f.rival:
                     value = -0.5 * f.chi2 - 0.5 * len(f.p) * math.log(levels.samples) + _prior(spots[k], f)
                     found.append((value, spots[k], f))

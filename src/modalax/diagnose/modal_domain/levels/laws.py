@@ -8,8 +8,8 @@ so that no equation has to be solved for the amplitude, and no jump of the respo
 """
 
 import math
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import jax
@@ -21,8 +21,9 @@ from modalax.diagnose.causes.base import JointCause
 from modalax.diagnose.causes.joints import CoulombFriction, CubicStiffness, ElastoSlip, GapContact, QuadraticDamping
 from modalax.diagnose.causes.power_laws import IwanMicroSlip, PowerDamper, PowerSpring
 from modalax.diagnose.fitting.hypothesis import bounds_of, to_search
-from modalax.diagnose.modal_domain.levels.change import Base, Levels, Projection, beyond_noise
-from modalax.diagnose.modal_domain.levels.series import SERIES, apart, in_series
+from modalax.diagnose.modal_domain.levels.motion import Motion, padded
+from modalax.diagnose.modal_domain.levels.play import ORDERS, slipped
+from modalax.diagnose.modal_domain.levels.series import apart, in_series
 
 # A bilinear spring's first harmonic does not know the level. Seen from the lowest level, a spring that slips beside
 # others and one that slips in the stead of another are the same.
@@ -34,127 +35,14 @@ NAMELESS: tuple[Any, ...] = (PowerSpring(), PowerDamper())
 # since errors of the motion bend an exponent.
 NEXT_TO = {"power_damper": (0.5, 1.5), "power_spring": (1.2, 3.0)}
 FRACTIONS = (0.03, 0.1, 0.2, 0.3, 0.4, 0.55, 0.75)  # thresholds over the largest amplitude that a fit starts from
+QUANTILES = (0.02, 0.05, 0.1, 0.3, 0.6)  # of amplitudes at which forces are seen, with all harmonics
 EXPONENTS = (-0.5, 0.5, 1.0, 2.0)  # of power laws, likewise
-FARTHEST = 30.0  # factor on a displacement
-TOLERANCE = 0.02  # relative error of a force by its first harmonic alone, before that is learnt
-HARMONIC = 60  # lines at whose third harmonic the compliance across a place is read
 FEW = 1500  # forces that starts are compared on
-STEPS = 15  # most steps of one fit
-PAD = 2048  # amplitudes that a compiled law takes at once, or a multiple
-
-
-@dataclass(frozen=True)
-class Motion:
-    """What a law is fitted to at one place.
-
-    Attributes
-    ----------
-    force, root, least
-        Of the projection: forces ``(f, i, level - 1)``, a square root of their information where a law is exact to
-        ``TOLERANCE``, chi-square of the rest.
-    first
-        Force that the lowest level asks for beyond the linear model, shape ``(f, i)``.
-    still
-        Displacement across the place at the lowest level, shape ``(f, i)`` [m/N].
-    turn
-        That over the linear model's, shape ``(f, i)``: so much of a force there is left once the lowest level's own
-        force is part of the structure.
-    drive
-        Receptance across the place at the lowest level, less its compliance, shape ``(f, i)`` [m/N].
-    amplitude
-        Measured less what noise pretends, of all levels, of the displacement and what the compliance takes, shape
-        ``(level, f, i)`` [m].
-    seen
-        The forces less what noise pretends, shape ``(f, i, level - 1)``.
-    omega
-        Shape ``(f,)`` [rad/s].
-    compliance
-        Across the place, to the harmonics of the lines [m/N].
-    """
-
-    force: np.ndarray
-    root: np.ndarray
-    least: float
-    first: np.ndarray
-    still: np.ndarray
-    turn: np.ndarray
-    drive: np.ndarray
-    amplitude: np.ndarray
-    seen: np.ndarray
-    omega: np.ndarray
-    compliance: float
-
-    @cached_property
-    def measured(self) -> tuple[jax.Array, jax.Array]:
-        """Measured amplitudes and the circular frequency of each, as compiled laws take them."""
-        return _padded(self.amplitude, self.omega[:, None])
-
-    def thinned(self, step: int) -> "Motion":
-        """Every so many lines."""
-        return Motion(
-            self.force[::step], self.root[::step], self.least, self.first[::step], self.still[::step],
-            self.turn[::step], self.drive[::step], self.amplitude[:, ::step], self.seen[::step], self.omega[::step],
-            self.compliance,
-        )  # fmt: skip
-
-    def behind(self, compliance: float, levels: np.ndarray) -> "Motion":
-        """The same behind a compliance, at force levels [N]."""
-        drive = self.drive - compliance
-        moved = replace(self, drive=drive, compliance=compliance)
-        return replace(moved, amplitude=levels[:, None, None] * np.abs(moved.moved(self.seen)))
-
-    def moved(self, force: np.ndarray) -> np.ndarray:
-        """Displacement at all levels that forces of the levels above the lowest go with, shape ``(level, f, i)``."""
-        above = self.still[..., None] - (self.drive / self.turn)[..., None] * force
-        return np.concatenate([self.still[..., None], above], axis=2).transpose(2, 0, 1)
-
-
-def motions_of(levels: Levels, base: Base, b: np.ndarray, p: Projection, law: JointCause | None = None) -> list[Motion]:
-    """What laws are fitted to at places of directions ``b``, shape ``(p, n)``.
-
-    Parameters
-    ----------
-    law
-        One that is to be told behind the place's compliance, if its kind can be.
-    """
-    across = base.across(b)
-    compliance = np.zeros(len(b))
-    if isinstance(law, SERIES):
-        high = base.across(b, 3.0, max(1, len(base.s) // HARMONIC)).real
-        compliance = np.maximum(np.median(high, axis=0), 0.0)
-    still = np.einsum("pn,fni->pfi", b, base.inn)
-    out = []
-    for k in range(len(b)):
-        seen = p.force[k] * (seen_force(p, k) / np.maximum(np.abs(p.force[k]) ** 2, 1e-300))
-        d = across[:, k, None]
-        turn = _bounded(1 - d * p.first[k] / np.where(still[k] == 0, 1e-300, still[k]))
-        root = np.linalg.cholesky(softened(p.Q[k], seen_force(p, k), TOLERANCE)).transpose(0, 1, 3, 2)
-        plain = Motion(
-            p.force[k], root, float(p.least[k]), p.first[k], still[k] * turn, turn, d * turn,
-            np.zeros(0), seen, base.s.imag, 0.0,
-        )  # fmt: skip
-        out.append(plain.behind(float(compliance[k]), levels.force))
-    return out
-
-
-def _bounded(turn: np.ndarray) -> np.ndarray:
-    """A factor on a displacement, within bounds that no joint's motion leaves where it can be seen."""
-    size = np.maximum(np.abs(turn), 1e-300)
-    return turn / size * np.clip(size, 1 / FARTHEST, FARTHEST)
-
-
-def seen_force(p: Projection, k: int) -> np.ndarray:
-    """Square of the force of a place, less the noise, where it is more than noise at any line; ``(f, i, level - 1)``.
-
-    A law told at an amplitude that noise has made would explain that noise.
-    """
-    return beyond_noise(p.force[k], 2 * np.diagonal(np.linalg.inv(p.Q[k]), axis1=-2, axis2=-1))
-
-
-def softened(Q: np.ndarray, square: np.ndarray, rho: float) -> np.ndarray:
-    """Information on forces that a law gives to a relative error ``rho``; ``square`` are the forces squared."""
-    count = Q.shape[-1]
-    return np.linalg.solve(np.eye(count) + 0.5 * rho**2 * Q * square[..., None, :], Q)
+FEWER = 300  # the same with all harmonics
+STRENGTHS = 2.0 ** np.arange(-2, 1.1, 1 / 3)  # factors on the strength by first harmonics, with all harmonics
+SIMPLEX, SOUGHT = 0.1, 60  # relative size of the search about a start, and its most trials
+BENT = 1e-5  # relative change of a parameter by which derivatives with all harmonics are taken
+BEGUN, STEPS = 2, 15  # starts that are followed, or turns with all harmonics, and most steps of one fit
 
 
 @dataclass(frozen=True)
@@ -213,35 +101,63 @@ def _slopes(law: JointCause, A: Any, omega: Any, p: Any, g: Any) -> tuple[Any, A
 def stiffness_of(law: JointCause, m: Motion, p: np.ndarray, amplitude: np.ndarray | None = None) -> np.ndarray:
     """Describing function at the measured amplitudes, or others of the same lines ``(..., f, i)`` [N/m]."""
     A = m.amplitude if amplitude is None else amplitude
-    a, w = m.measured if amplitude is None else _padded(A, m.omega[:, None])
+    if m.harmonic is not None:
+        return _lost(m, p, A)[0]
+    a, w = m.measured if amplitude is None else padded(A, m.omega[:, None])
     N = np.broadcast_to(np.asarray(_stiffness(law, a, w, p, m.compliance)), a.shape)
     return N[: A.size].reshape(A.shape)
 
 
-def _padded(A: np.ndarray, omega: np.ndarray) -> tuple[jax.Array, jax.Array]:
-    size = -(-A.size // PAD) * PAD
-    a, w = np.ones(size), np.ones(size)
-    a[: A.size], w[: A.size] = np.maximum(A.ravel(), 1e-300), np.broadcast_to(omega, A.shape).ravel()
-    return jnp.asarray(a), jnp.asarray(w)
+def _lost(m: Motion, p: np.ndarray, A: np.ndarray, start: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """What a spring that slips lacks of its stiffness [N/m], and the higher harmonics of its displacement."""
+    assert m.harmonic is not None
+    gk = p[0] * np.broadcast_to(m.harmonic[:, None, :], (*A.shape, len(ORDERS))).reshape(A.size, -1)
+    share, X = slipped(A.ravel(), p[1], gk, start)
+    return -p[0] * share.reshape(A.shape), X
+
+
+def derivatives_of(law: JointCause, m: Motion, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Describing function at the measured amplitudes, and its derivatives by the parameters, last axis."""
+    size, shape = m.amplitude.size, m.amplitude.shape
+    if m.harmonic is None:
+        D, N = map(np.asarray, _slopes(law, *m.measured, p, m.compliance))
+        return N[:size].reshape(shape), (D[0] + 1j * D[1])[:size].reshape(*shape, len(p))
+    N, X = _lost(m, p, m.amplitude)
+    moved = [_lost(m, p * (1 + BENT * own), m.amplitude, X)[0] for own in np.eye(len(p))]
+    return N, np.stack([(n - N) / (BENT * v) for n, v in zip(moved, p, strict=True)], axis=-1)
 
 
 def force_of(law: JointCause, m: Motion, p: np.ndarray) -> np.ndarray:
     """Change of the force from the lowest level, at the measured amplitudes, shape ``(f, i, level - 1)``."""
-    N = stiffness_of(law, m, p)
+    return force_at(m, stiffness_of(law, m, p))
+
+
+def force_at(m: Motion, N: np.ndarray) -> np.ndarray:
+    """The same by the describing function at these amplitudes."""
     dN = (N[1:] - N[0]).transpose(1, 2, 0)
     return dN * (m.still * m.turn)[..., None] / (1 + dN * m.drive[..., None])
 
 
+def scattered(law: JointCause, m: Motion, p: np.ndarray) -> np.ndarray:
+    """Variance of a law's force by what is not known of the motion, shape ``(f, i, level - 1)``."""
+    q = force_of(law, m, p)
+    each = [np.abs(force_of(law, other, p) - q) ** 2 for other in m.others]
+    return 0.5 * sum(each, np.zeros(q.shape))
+
+
 def _difference(law: JointCause, m: Motion, p: np.ndarray) -> np.ndarray:
-    r = (m.root @ (force_of(law, m, p) - m.force)[..., None]).ravel()
+    return _off(m, stiffness_of(law, m, p))
+
+
+def _off(m: Motion, N: np.ndarray) -> np.ndarray:
+    """What a describing function misses of the forces, over their errors."""
+    r = (m.root @ (force_at(m, N) - m.force)[..., None]).ravel()
     return np.nan_to_num(np.concatenate([r.real, r.imag]), nan=1e6, posinf=1e6, neginf=-1e6)
 
 
 def _jacobian(law: JointCause, m: Motion, p: np.ndarray) -> np.ndarray:
     """Derivatives of the difference by the parameters as searched."""
-    size, shape = m.amplitude.size, m.amplitude.shape
-    D, N = map(np.asarray, _slopes(law, *m.measured, p, m.compliance))
-    N, D = N[:size].reshape(shape), (D[0] + 1j * D[1])[:size].reshape(*shape, len(p))
+    N, D = derivatives_of(law, m, p)
     dN = (N[1:] - N[0]).transpose(1, 2, 0)
     at = (m.still * m.turn)[..., None] / (1 + dN * m.drive[..., None]) ** 2
     by = (D[1:] - D[0]).transpose(1, 2, 0, 3) * at[..., None]
@@ -254,12 +170,17 @@ def _from_search(law: JointCause, u: np.ndarray) -> np.ndarray:
     return np.array([np.exp(min(v, 600.0)) if q.log else v for v, q in zip(u, law.parameters, strict=True)])
 
 
-def _shapes(law: JointCause, top: float) -> list[tuple[float, ...]]:
-    """Parameters beside the strength that a fit starts from; ``top`` is the largest amplitude."""
+def _shapes(law: JointCause, m: Motion) -> list[tuple[float, ...]]:
+    """Parameters beside the strength that a fit starts from, by rising size."""
     if len(law.parameters) < 2:
         return [()]
-    q = law.parameters[1]
-    return [(f * top,) for f in FRACTIONS] if q.log else [(v,) for v in EXPONENTS if q.lower <= v <= q.upper]
+    q, top = law.parameters[1], float(m.amplitude.max())
+    if not q.log:
+        return [(v,) for v in EXPONENTS if q.lower <= v <= q.upper]
+    if m.harmonic is None:
+        return [(f * top,) for f in FRACTIONS]
+    beyond = m.amplitude[1:].transpose(1, 2, 0)[m.seen != 0]
+    return [(float(v),) for v in np.quantile(beyond, QUANTILES)] if len(beyond) else []
 
 
 def regressed(
@@ -285,9 +206,9 @@ def regressed(
         cost = m.least + float((np.abs(aim - strength * unit) ** 2).sum())
         return cost, apart(law, np.array([strength, *shape]), m.compliance)
 
-    shapes = _shapes(law, float(m.amplitude.max()))[::every]
+    shapes = _shapes(law, m)[::every]
     found = sorted((at(shape) for shape in shapes), key=lambda c: c[0])
-    if len(law.parameters) > 1 and law.parameters[1].log:
+    if halvings and len(law.parameters) > 1 and law.parameters[1].log:
         apart_by = math.log(shapes[-1][0] / shapes[0][0]) / (len(shapes) - 1)
         for k in range(halvings):
             middle, factor = found[0][1][1], math.exp(apart_by / 2 ** (k + 1))
@@ -295,29 +216,67 @@ def regressed(
     return [one for one in found if np.isfinite(one[0])]
 
 
-def fit_law(law: JointCause, m: Motion) -> LawFit | None:
-    """The parameters of least chi-square; None where the law does nothing at these amplitudes."""
-    few = m.thinned(max(1, m.force.size // FEW))
-    starts = [p for _, p in regressed(law, few) if p[0] != 0]
-    if not starts:
-        return None
+def _sought(law: JointCause, m: Motion, begun: np.ndarray | None) -> np.ndarray | None:
+    """Strength and threshold of least chi-square with all harmonics, which has many minima, some of them narrow."""
+    harmonics = None
+
+    def cost(u: np.ndarray, m: Motion) -> float:
+        nonlocal harmonics
+        p = np.exp(u)
+        if p[0] >= m.most:
+            return np.inf
+        N, harmonics = _lost(m, p, m.amplitude, harmonics)
+        return float((_off(m, N) ** 2).sum())
+
+    if begun is None:
+        starts = [np.log([f * p[0], p[1]]) for _, p in regressed(law, m) if p[0] > 0 for f in STRENGTHS]
+        ranked = sorted((cost(u, m), k, u) for k, u in enumerate(starts))
+        if not ranked or not np.isfinite(ranked[0][0]):
+            return None
+        best, turns = ranked[0][2], BEGUN
+    else:
+        best, turns = np.log(begun), 1
+    for _ in range(turns):  # once more with what is not known at the best
+        loose = m.loosened(scattered(law, m, np.exp(best)))
+        simplex = best + SIMPLEX * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+        options = {"initial_simplex": simplex, "maxfev": SOUGHT, "xatol": 1e-4, "fatol": 0.1}
+        best = scipy.optimize.minimize(cost, best, (loose,), method="Nelder-Mead", options=options).x
+    return np.exp(best)
+
+
+def _followed(law: JointCause, m: Motion) -> np.ndarray | None:
+    """Parameters of least chi-square that the best starts lead to; None where the law does nothing."""
+    starts = [p for _, p in regressed(law, m) if p[0] != 0]
     low, high = bounds_of([law])
     best: tuple[float, np.ndarray] | None = None
-    for start in starts[:2]:
+    for start in starts[:BEGUN]:
         x = to_search(law, start)
         scale = np.array([abs(v) if not q.log else 1.0 for v, q in zip(x, law.parameters, strict=True)])
         scale = np.maximum(scale, 1e-12 * scale.max())
         found = scipy.optimize.least_squares(
-            lambda y, m=few, scale=scale: _difference(law, m, _from_search(law, y * scale)),
+            lambda y, scale=scale: _difference(law, m, _from_search(law, y * scale)),
             np.clip(x / scale, low / scale + 1e-12, high / scale - 1e-12),
-            lambda y, m=few, scale=scale: _jacobian(law, m, _from_search(law, y * scale)) * scale,
+            lambda y, scale=scale: _jacobian(law, m, _from_search(law, y * scale)) * scale,
             bounds=(low / scale, high / scale), max_nfev=STEPS,
         )  # fmt: skip
         if best is None or found.cost < best[0]:
             best = found.cost, found.x * scale
-    if best is None:
+    return None if best is None else _from_search(law, best[1])
+
+
+def fit_law(law: JointCause, m: Motion, begun: np.ndarray | None = None) -> LawFit | None:
+    """The parameters of least chi-square; None where the law does nothing at these amplitudes.
+
+    A fit with all harmonics may begin where one on fewer lines has ended.
+    """
+    if m.harmonic is None:
+        p = _followed(law, m.some(FEW))
+    else:
+        p = _sought(law, m.some(FEWER), begun)
+    if p is None:
         return None
-    p = _from_search(law, best[1])
+    low, high = bounds_of([law])
+    m = m if m.harmonic is None else m.loosened(scattered(law, m, p))
     r, J = _difference(law, m, p), _jacobian(law, m, p)
     for _ in range(3):  # on all lines, from where the few have led
         size = np.maximum(np.linalg.norm(J, axis=0), 1e-300)

@@ -11,10 +11,11 @@ from modalax.diagnose.modal_domain.explain import Explanation, Prior, again, exp
 from modalax.diagnose.modal_domain.features import Features, chosen, sure, whitener_of
 from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.further_causes import TunedMass
-from modalax.diagnose.modal_domain.levels.change import Base, Levels, base_of, by_level, change_by, projected
+from modalax.diagnose.modal_domain.levels.change import Base, Levels, base_of, by_level, change_by
 from modalax.diagnose.modal_domain.levels.drift import Drift, by_run, drifts
 from modalax.diagnose.modal_domain.levels.explain import ByLevel, JointFound, Spot, explain_levels
-from modalax.diagnose.modal_domain.levels.laws import NAMED, LawFit, force_of, motions_of, stiffness_of
+from modalax.diagnose.modal_domain.levels.laws import NAMED, LawFit, force_of, stiffness_of
+from modalax.diagnose.modal_domain.levels.motion import motion_of
 from modalax.diagnose.modal_domain.levels.slipping import settled, with_springs
 from modalax.diagnose.modal_domain.levels.weigh import Shapes, weigh
 from modalax.diagnose.modal_domain.measured import Measured, features_beside, reidentified
@@ -81,9 +82,7 @@ def look_at_levels(
 
 def at_levels(seen: Seen, j: JointFound, level: np.ndarray) -> np.ndarray:
     """FRFs ``(run, f, o, i)`` with a joint, at the measured amplitudes."""
-    b = j.direction[None]
-    P = projected(seen.levels, seen.base, b)
-    motion = motions_of(seen.levels, seen.base, b, P, j.fit.law)[0]
+    motion = motion_of(seen.levels, seen.base, j.direction, j.fit.law)
     force = force_of(j.fit.law, motion, j.fit.p)
     every = np.concatenate([np.zeros_like(force[..., :1]), force], axis=2) + motion.first[..., None]
     return seen.base.H + change_by(seen.base, j.direction, every)[np.searchsorted(seen.levels.force, level)]
@@ -98,7 +97,7 @@ def force_taken(seen: Seen, level: np.ndarray, used: np.ndarray, p: np.ndarray |
     j, b = seen.joint, seen.base
     assert j is not None
     p = j.fit.p if p is None else p
-    m = motions_of(seen.levels, b, j.direction[None], projected(seen.levels, b, j.direction[None]), j.fit.law)[0]
+    m = motion_of(seen.levels, b, j.direction, j.fit.law)
     N = stiffness_of(j.fit.law, m, p)
     force = N * m.moved(force_of(j.fit.law, m, p)) * m.turn / (1 - N[0] * (m.drive + m.compliance))
     return change_by(b, j.direction, force.transpose(1, 2, 0))[np.searchsorted(seen.levels.force, level[used])]
@@ -210,7 +209,7 @@ def foretold(seen: Seen) -> np.ndarray | None:
     w = weigh(fewer, seen.base, seen.shapes, j.spot.direction, j.fit)
     if w is None:
         return None
-    m = motions_of(fewer, seen.base, w.b[None], projected(fewer, seen.base, w.b[None]), w.fit.law)[0]
+    m = motion_of(fewer, seen.base, w.b, w.fit.law)
     first = stiffness_of(w.fit.law, m, w.fit.p, m.amplitude[0])
 
     def miss(A: np.ndarray) -> np.ndarray:

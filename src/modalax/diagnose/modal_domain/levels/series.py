@@ -4,7 +4,8 @@ Across a joint between light parts the motion is no sine: at the third harmonic 
 spring, :math:`x_h = -g f_h`. Then :math:`u = x + g f` is a sine, whatever the law, and a law in ``x`` is another in
 ``u``: that of the joint and the compliance in series. A stop of stiffness ``k`` becomes one of :math:`k/(1 + gk)` with
 the same free way. A slider that takes a stiff spring out of the structure is not to be had so, since :math:`1 - gk` is
-next to nothing; it and the other laws are taken by their first harmonic.
+next to nothing; it is told with each of its harmonics (:mod:`~modalax.diagnose.modal_domain.levels.play`). The other
+laws are taken by their first harmonic.
 """
 
 from functools import lru_cache

@@ -13,10 +13,13 @@ import numpy as np
 from modalax.diagnose.modal_domain.coordinates import pattern_slopes, slopes_of
 from modalax.diagnose.modal_domain.fit import Fit, scale_of
 from modalax.diagnose.modal_domain.levels.change import Base, Levels, change_by, projected
-from modalax.diagnose.modal_domain.levels.laws import LawFit, force_of, motions_of, softened
+from modalax.diagnose.modal_domain.levels.laws import LawFit, derivatives_of, force_at, scattered, stiffness_of
+from modalax.diagnose.modal_domain.levels.motion import motion_of, motions_of, softened
 from modalax.diagnose.modal_domain.state import Setting, slopes_at
 
-TOLERANCES = (0.0, 0.003, 0.01, 0.03, 0.1)  # relative errors of a law's force that are tried
+TOLERANCES = (0.0, 0.003, 0.01, 0.02, 0.03, 0.045, 0.065, 0.1, 0.2)  # relative errors of a law's force that are tried
+ASIDE = 0.02  # chance of a line on another branch of the motion than the law's
+PRICE = math.log(ASIDE / (1 - ASIDE))
 STEPS = 4  # points of a Gauss-Newton search
 BENT = 1e-5  # relative change of a parameter by which they are taken
 MOVED = 1e-3  # change of a shape at the joint, relative to its largest, by which derivatives are taken
@@ -72,6 +75,8 @@ class Weighed:
         Up to what all hypotheses share.
     tolerance
         Relative error of the law's force, learnt.
+    aside
+        Lines of all inputs that were set aside.
     b
         Direction of the place as fitted.
     """
@@ -79,6 +84,7 @@ class Weighed:
     fit: LawFit
     log_evidence: float
     tolerance: float
+    aside: int
     b: np.ndarray
 
 
@@ -88,24 +94,27 @@ def weigh(levels: Levels, base: Base, shapes: Shapes, b: np.ndarray, f: LawFit) 
     log = np.array([q.log for q in law.parameters])
     low = np.array([q.lower for q in law.parameters])
     z, p, best = np.zeros(len(moves)), f.p, None
+    told = motion_of(levels, base, b, law)
     for _ in range(STEPS):
         now = b + z @ moves
         step = MOVED * np.abs(b).max() / np.maximum(np.abs(moves).max(axis=1), 1e-300)
         every = np.concatenate([now[None], now + step[:, None] * moves])
         P = projected(levels, base, every)
         motions = motions_of(levels, base, every, P, law)
-        made = [change_by(base, d, force_of(law, m, p)) for d, m in zip(every, motions, strict=True)]
+        motions[0] = m = told.along(motions[0])
+        N, by = derivatives_of(law, m, p)
+        more = (stiffness_of(law, m, p, m.amplitude * (1 + BENT)) - N) / (BENT * m.amplitude)
+        forces = [force_at(one, N + more * (one.amplitude - m.amplitude)) for one in motions]
+        made = [change_by(base, d, q) for d, q in zip(every, forces, strict=True)]
         columns = [(y - made[0]) / h for y, h in zip(made[1:], step, strict=True)]
-        q = force_of(law, motions[0], p)
+        q = forces[0]
         for k in range(len(p)):
-            trial = p.copy()
-            trial[k] *= 1 + BENT
-            columns.append(change_by(base, now, force_of(law, motions[0], trial) - q) / BENT)
+            columns.append(change_by(base, now, force_at(m, N + BENT * p[k] * by[..., k]) - q) / BENT)
         e = levels.H[1:] - levels.H[:1] - made[0]
         if not all(np.isfinite(y).all() for y in (*columns, e)):
             break
         G, parts = _products(levels, base, now, P.Q[0], np.stack([*columns, e]))
-        chi2, evidence, rho, x, cov = _best(G, parts, P.Q[0], q, z, len(moves))
+        chi2, evidence, rho, aside, x, cov = _best(G, parts, P.Q[0], q, scattered(law, m, p), z, len(moves))
         evidence -= 0.5 * len(p) * math.log(levels.samples)
         size = np.where(log, 1.0, np.abs(p))
         d = np.clip(x[len(moves) :], -0.5, 0.5)
@@ -113,7 +122,7 @@ def weigh(levels: Levels, base: Base, shapes: Shapes, b: np.ndarray, f: LawFit) 
         if best is not None and evidence < best.log_evidence:
             break
         own = cov[len(moves) :, len(moves) :] * np.outer(size, size)
-        best = Weighed(LawFit(law, p, own, chi2), evidence, rho, now)
+        best = Weighed(LawFit(law, p, own, chi2), evidence, rho, aside, now)
         z, p = x[: len(moves)], new
     return best
 
@@ -129,15 +138,15 @@ def _products(levels: Levels, base: Base, b: np.ndarray, Q: np.ndarray, X: np.nd
 
 
 def _best(
-    G: np.ndarray, forces: np.ndarray, Q: np.ndarray, q: np.ndarray, z: np.ndarray, free: int
-) -> tuple[float, float, float, np.ndarray, np.ndarray]:
-    """Chi-square and log evidence here, tolerance of greatest evidence, and there the next point and its covariance."""
+    G: np.ndarray, forces: np.ndarray, Q: np.ndarray, q: np.ndarray, loose: np.ndarray, z: np.ndarray, free: int
+) -> tuple[float, float, float, int, np.ndarray, np.ndarray]:
+    """Chi-square, log evidence, tolerance and lines set aside here, and the next point with its covariance."""
     best = None
     for rho in TOLERANCES:
-        soft = softened(Q, np.abs(q) ** 2, rho)
+        soft, aside = set_aside(Q, rho**2 * np.abs(q) ** 2 + loose, np.abs(q), forces[-1])
         lost = np.einsum("afik,fikl,bfil->ab", forces.conj(), Q - soft, forces, optimize=True).real
         A = G - lost
-        volume = float((np.linalg.slogdet(soft)[1] - np.linalg.slogdet(Q)[1]).sum())
+        volume = float((np.linalg.slogdet(soft)[1] - np.linalg.slogdet(Q)[1]).sum()) + aside * PRICE
         prior = np.concatenate([np.ones(free), np.zeros(len(A) - 1 - free)])
         old = np.concatenate([z, np.zeros(len(A) - 1 - free)])
         inner = A[:-1, :-1] + np.diag(prior)
@@ -149,6 +158,20 @@ def _best(
         chi2 = float(A[-1, -1] + z @ z)
         evidence = -0.5 * chi2 + volume - 0.5 * float(np.linalg.slogdet(bend)[1])
         if best is None or evidence > best[1]:
-            best = chi2, evidence, rho, old + dx, cov
+            best = chi2, evidence, rho, aside, old + dx, cov
     assert best is not None
     return best
+
+
+def set_aside(Q: np.ndarray, variance: np.ndarray, q: np.ndarray, left: np.ndarray) -> tuple[np.ndarray, int]:
+    """Information on forces without that of lines that a law does not explain, and how many these are.
+
+    A motion near the onset of a law, or next to a fold, may have settled on another branch.
+    """
+    soft, free = softened(Q, variance), softened(Q, variance + (q + np.abs(left)) ** 2)
+    value = [
+        np.linalg.slogdet(S)[1] - 0.5 * np.einsum("fik,fikl,fil->fi", left.conj(), S, left, optimize=True).real
+        for S in (soft, free)
+    ]
+    aside = value[1] + PRICE > value[0]
+    return np.where(aside[..., None, None], free, soft), int(aside.sum())

@@ -1,0 +1,199 @@
+"""The motion across a place at every level, line and input, to which laws of joints are fitted."""
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from modalax.diagnose.causes.base import JointCause
+from modalax.diagnose.causes.joints import ElastoSlip
+from modalax.diagnose.modal_domain.levels.change import Base, Levels, Projection, beyond_noise, projected
+from modalax.diagnose.modal_domain.levels.play import ORDERS
+from modalax.diagnose.modal_domain.levels.series import SERIES
+
+FARTHEST = 30.0  # factor on a displacement
+TOLERANCE = 0.02  # relative error of a force by its first harmonic alone, before that is learnt
+HARMONIC = 60  # lines at whose third harmonic the compliance across a place is read
+STATIC, MOST = 1e-3, 2.0  # part of the lowest line that is as good as static, and of the stiffness there
+PAD = 2048  # amplitudes that a compiled law takes at once, or a multiple
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What a law is fitted to at one place.
+
+    Attributes
+    ----------
+    force, root, least
+        Of the projection: forces ``(f, i, level - 1)``, a square root of their information where a law is exact to
+        ``TOLERANCE``, chi-square of the rest.
+    first
+        Force that the lowest level asks for beyond the linear model, shape ``(f, i)``.
+    still
+        Displacement across the place at the lowest level, shape ``(f, i)`` [m/N].
+    turn
+        That over the linear model's, shape ``(f, i)``: so much of a force there is left once the lowest level's own
+        force is part of the structure.
+    drive
+        Receptance across the place at the lowest level, less its compliance, shape ``(f, i)`` [m/N].
+    amplitude
+        Measured less what noise pretends, of all levels, of the displacement and what the compliance takes, shape
+        ``(level, f, i)`` [m].
+    seen
+        The forces less what noise pretends, shape ``(f, i, level - 1)``.
+    omega
+        Shape ``(f,)`` [rad/s].
+    compliance
+        Across the place, to the harmonics of the lines [m/N].
+    harmonic
+        Receptance across the place at the higher harmonics of each line, shape ``(f, h)`` [m/N], where a law is to be
+        told with these; else None.
+    scatter
+        Relative standard deviation of natural frequencies, half of that of stiffnesses and motions.
+    aside
+        What the higher harmonics meet where natural frequencies are lower and higher by their scatter.
+    most
+        Stiffness that can be taken out of the structure there [N/m].
+    """
+
+    force: np.ndarray
+    root: np.ndarray
+    least: float
+    first: np.ndarray
+    still: np.ndarray
+    turn: np.ndarray
+    drive: np.ndarray
+    amplitude: np.ndarray
+    seen: np.ndarray
+    omega: np.ndarray
+    compliance: float
+    harmonic: np.ndarray | None = None
+    scatter: float = 0.0
+    aside: tuple[np.ndarray, ...] = ()
+    most: float = math.inf
+
+    @property
+    def others(self) -> tuple["Motion", ...]:
+        """What the motion may be as well, in pairs of one error each way."""
+        if self.harmonic is None:
+            return ()
+        more, less = 1 + 2 * self.scatter, 1 - 2 * self.scatter
+        met = *self.aside, self.harmonic * more, self.harmonic * less
+        moved = (replace(self, amplitude=self.amplitude * by) for by in (more, less))
+        return *(replace(self, harmonic=g) for g in met), *moved
+
+    @cached_property
+    def measured(self) -> tuple[jax.Array, jax.Array]:
+        """Measured amplitudes and the circular frequency of each, as compiled laws take them."""
+        return padded(self.amplitude, self.omega[:, None])
+
+    def some(self, count: int) -> "Motion":
+        """At lines that hold about so many forces, half of which are seen where so many are."""
+        each = max(1, count // (2 * self.force[0].size))
+        shown = (self.seen != 0).any(axis=(1, 2))
+        parts = [np.flatnonzero(shown), np.flatnonzero(~shown)]
+        lines = np.sort(np.concatenate([p[:: -(-len(p) // each) or 1] for p in parts]))
+        return Motion(
+            self.force[lines], self.root[lines], self.least, self.first[lines], self.still[lines], self.turn[lines],
+            self.drive[lines], self.amplitude[:, lines], self.seen[lines], self.omega[lines], self.compliance,
+            None if self.harmonic is None else self.harmonic[lines], self.scatter,
+            tuple(g[lines] for g in self.aside), self.most,
+        )  # fmt: skip
+
+    def along(self, other: "Motion") -> "Motion":
+        """Another motion at the same lines that meets the same at its higher harmonics."""
+        return replace(other, harmonic=self.harmonic, scatter=self.scatter, aside=self.aside, most=self.most)
+
+    def loosened(self, variance: np.ndarray) -> "Motion":
+        """The same with an error of a law's forces of its own, of a variance ``(f, i, level - 1)``."""
+        Q = softened(self.root.transpose(0, 1, 3, 2) @ self.root, variance)
+        return replace(self, root=np.linalg.cholesky(Q).transpose(0, 1, 3, 2))
+
+    def behind(self, compliance: float, levels: np.ndarray) -> "Motion":
+        """The same behind a compliance, at force levels [N]."""
+        drive = self.drive - compliance
+        moved = replace(self, drive=drive, compliance=compliance)
+        return replace(moved, amplitude=levels[:, None, None] * np.abs(moved.moved(self.seen)))
+
+    def moved(self, force: np.ndarray) -> np.ndarray:
+        """Displacement at all levels that forces of the levels above the lowest go with, shape ``(level, f, i)``."""
+        above = self.still[..., None] - (self.drive / self.turn)[..., None] * force
+        return np.concatenate([self.still[..., None], above], axis=2).transpose(2, 0, 1)
+
+
+def motions_of(levels: Levels, base: Base, b: np.ndarray, p: Projection, law: JointCause | None = None) -> list[Motion]:
+    """What laws are fitted to at places of directions ``b``, shape ``(p, n)``.
+
+    Parameters
+    ----------
+    law
+        One that is to be told behind the place's compliance, if its kind can be.
+    """
+    across = base.across(b)
+    compliance = np.zeros(len(b))
+    if isinstance(law, SERIES):
+        high = base.across(b, 3.0, max(1, len(base.s) // HARMONIC)).real
+        compliance = np.maximum(np.median(high, axis=0), 0.0)
+    still = np.einsum("pn,fni->pfi", b, base.inn)
+    out = []
+    for k in range(len(b)):
+        seen = p.force[k] * (seen_force(p, k) / np.maximum(np.abs(p.force[k]) ** 2, 1e-300))
+        d = across[:, k, None]
+        turn = _bounded(1 - d * p.first[k] / np.where(still[k] == 0, 1e-300, still[k]))
+        root = np.linalg.cholesky(softened(p.Q[k], TOLERANCE**2 * seen_force(p, k))).transpose(0, 1, 3, 2)
+        plain = Motion(
+            p.force[k], root, float(p.least[k]), p.first[k], still[k] * turn, turn, d * turn,
+            np.zeros(0), seen, base.s.imag, 0.0,
+        )  # fmt: skip
+        out.append(plain.behind(float(compliance[k]), levels.force))
+    return out
+
+
+def motion_of(levels: Levels, base: Base, b: np.ndarray, law: JointCause) -> Motion:
+    """What one law is told from at the place of direction ``b``."""
+    m = motions_of(levels, base, b[None], projected(levels, base, b[None]), law)[0]
+    return in_harmonics([m], base, b[None])[0] if isinstance(law, ElastoSlip) else m
+
+
+def in_harmonics(motions: list[Motion], base: Base, b: np.ndarray) -> list[Motion]:
+    """Motions across places of directions ``b`` with what the higher harmonics meet there."""
+    off = base.scatter
+    high, *aside = (
+        np.stack([base.across(b, times * h) for h in ORDERS], axis=-1)  # (f, p, h)
+        for times in (1.0, 1 + off, 1 - off)
+    )
+    most = MOST / np.maximum(np.abs(base.across(b, STATIC, len(base.s))[0]), 1e-300)
+    return [
+        replace(m, harmonic=high[:, k], scatter=off, aside=tuple(g[:, k] for g in aside), most=float(most[k]))
+        for k, m in enumerate(motions)
+    ]
+
+
+def _bounded(turn: np.ndarray) -> np.ndarray:
+    """A factor on a displacement, within bounds that no joint's motion leaves where it can be seen."""
+    size = np.maximum(np.abs(turn), 1e-300)
+    return turn / size * np.clip(size, 1 / FARTHEST, FARTHEST)
+
+
+def seen_force(p: Projection, k: int) -> np.ndarray:
+    """Square of the force of a place, less the noise, where it is more than noise at any line; ``(f, i, level - 1)``.
+
+    A law told at an amplitude that noise has made would explain that noise.
+    """
+    return beyond_noise(p.force[k], 2 * np.diagonal(np.linalg.inv(p.Q[k]), axis1=-2, axis2=-1))
+
+
+def softened(Q: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Information on forces that a law gives up to an error of its own, of a variance."""
+    return np.linalg.solve(np.eye(Q.shape[-1]) + 0.5 * Q * variance[..., None, :], Q)
+
+
+def padded(A: np.ndarray, omega: np.ndarray) -> tuple[jax.Array, jax.Array]:
+    """Amplitudes and the circular frequency of each, in one of few lengths."""
+    size = -(-A.size // PAD) * PAD
+    a, w = np.ones(size), np.ones(size)
+    a[: A.size], w[: A.size] = np.maximum(A.ravel(), 1e-300), np.broadcast_to(omega, A.shape).ravel()
+    return jnp.asarray(a), jnp.asarray(w)
