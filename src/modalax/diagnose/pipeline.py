@@ -43,7 +43,17 @@ from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.comparison import Comparison, as_measurement, causes_of, make_comparison, with_noise_beside
 from modalax.diagnose.deadline import NEVER, Deadline
 from modalax.diagnose.decision.gain import Gain
-from modalax.diagnose.decision.route import Outcome, Route, by_claim, choice, one_place_first, order, settled, suffices
+from modalax.diagnose.decision.route import (
+    Outcome,
+    Route,
+    by_claim,
+    choice,
+    law_is_exact,
+    one_place_first,
+    order,
+    settled,
+    suffices,
+)  # fmt: skip
 from modalax.diagnose.decision.verdict import verdict
 from modalax.diagnose.extend import ExtendedSimulation, extend
 from modalax.diagnose.holdout import measure
@@ -148,6 +158,9 @@ def by_routes(
         measured, shown = by_modes_or_elements(data, simulation, late, progress)
         task = replace(task, elements_show=shown)
     found = at_one_place(measurement, simulation, question, progress, late) if one_place_first(task) else None
+    if found is not None and found.verdict == "ambiguous" and found.found.leftover.inexact and not late():
+        modes = in_modal_domain(data, simulation, causes, late, progress, measured)
+        return modes if modes is not None and law_is_exact(outcome_of(modes)) else found
     if found is not None and (found.found.by_force or settled(outcome_of(found)) or late()):
         return found
     answers: dict[Route, Diagnosis] = {}

@@ -164,10 +164,22 @@ class Thresholds:
         0.1, "relative error", "Law and place of a joint are certain where its force is explained better than this.",
         INACCURATE,
     )  # fmt: skip
+    joint_placed: float = _threshold(
+        0.9, "probability",
+        "A joint is named where its place is at least so likely among all places: neighbours differ by little but the "
+        "higher harmonics of its motion.", INACCURATE,
+    )  # fmt: skip
     inexact_law: float = _threshold(
         0.03, "relative error",
         "Where a force at one place is all that is missing, a law is told that explains it but for less than this.",
         JOINTS,
+    )  # fmt: skip
+    inexact_alone: float = _threshold(
+        0.01, "relative error",
+        "Such a law is named where it explains the force but for less than this, and no other comes near.", JOINTS,
+    )  # fmt: skip
+    law_ahead: float = _threshold(
+        10.0, "ratio of errors", "No other law comes near where each leaves more than this many times as much.", JOINTS
     )  # fmt: skip
     elements_lead: float = _threshold(
         20.0, "ratio of chi-squares",

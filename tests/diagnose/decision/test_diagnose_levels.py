@@ -8,7 +8,7 @@ from modalax.diagnose.decision.levels import LevelsCase, levels_verdict, outweig
 
 JOINT = LevelsCase(
     "joint", before=7.0, after=1.1, law="cubic_stiffness", where=("3", "5"), law_probability=0.97,
-    place_probability=0.8, behaviour="it stiffens",
+    place_probability=0.92, behaviour="it stiffens",
 )  # fmt: skip
 DRIFT = LevelsCase("drift", "runs", 4.0, drift=0.002, drifting=0.96)
 
@@ -20,9 +20,9 @@ DRIFT = LevelsCase("drift", "runs", 4.0, drift=0.002, drifting=0.96)
         (JOINT, "named", ["the force levels differ", "across 3 - 5, it stiffens", "cubic_stiffness at 3 - 5"]),
         (replace(JOINT, after=1.6), "unknown", ["differ", "it stiffens", "no law explains it (chi-square 1.6"]),
         (replace(JOINT, nameless=0.51), "unknown", ["differ", "it stiffens", "none of the laws that have a name"]),
-        (replace(JOINT, nameless=0.5), "named", ["differ", "it stiffens", "(probability 0.970 of the law, 0.800"]),
+        (replace(JOINT, nameless=0.5), "named", ["differ", "it stiffens", "(probability 0.970 of the law, 0.920"]),
         (replace(JOINT, law_probability=0.94), "ambiguous", ["differ", "", "cubic", "other laws cannot be excluded"]),
-        (replace(JOINT, place_probability=0.5), "ambiguous", ["differ", "", "cubic", "its place is not certain"]),
+        (replace(JOINT, place_probability=0.89), "ambiguous", ["differ", "", "cubic", "its place is not certain"]),
         (replace(JOINT, inexact=0.1), "ambiguous", ["differ", "", "cubic", "explains the force there to 10 % only"]),
         (replace(JOINT, aside=3), "named", ["differ", "", "cubic", "3 lines were set aside"]),
         (replace(JOINT, inexact=0.03), "named", ["differ", "it stiffens", "cubic_stiffness at 3 - 5"]),

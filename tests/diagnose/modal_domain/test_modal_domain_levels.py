@@ -9,7 +9,7 @@ from frames import DOFS, measured, simulation
 from modalax.data import Measurement
 from modalax.diagnose.causes.joints import CubicStiffness, GapContact, QuadraticDamping
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
-from modalax.diagnose.modal_domain.levels.change import Projection
+from modalax.diagnose.modal_domain.levels.change import Base, Projection
 from modalax.diagnose.modal_domain.levels.explain import apart_from_zero
 from modalax.diagnose.modal_domain.levels.laws import LawFit, regressed
 from modalax.diagnose.modal_domain.levels.motion import Motion, seen_force
@@ -174,6 +174,18 @@ def test_some_lines_of_a_motion_hold_those_at_which_a_force_is_seen():
     assert {17.0, 300.0, 301.0, 599.0} <= set(few.omega) and len(few.omega) == 4 + 50
     assert few.amplitude.shape == (3, 54, 2) and few.harmonic is not None and len(few.harmonic) == 54
     assert len(few.aside[0]) == 54 and len(m.some(10_000).omega) == count
+
+
+def test_receptances_at_harmonics_are_those_of_the_matrices_with_damping_that_couples_modes():
+    rng = np.random.default_rng(0)
+    w, A, B = np.sort(rng.uniform(30, 4000, 15)), rng.normal(size=(15, 15)), rng.normal(size=(15, 2))
+    w[0] = 0.0  # a free structure
+    matrices = np.eye(15) + 1e-3 * A @ A.T, np.diag(0.02 * np.maximum(w, 50)) + B @ B.T, np.diag(w**2)
+    none = np.zeros((40, 1, 1))
+    base = Base(2j * np.pi * np.linspace(10, 150, 40), none, none, none, matrices)
+    b, orders = rng.normal(size=(3, 15)), np.array([3, 5, 7])
+    exact = np.stack([base.across(b, float(h)) for h in orders], axis=-1)
+    np.testing.assert_allclose(base.at_harmonics(b, orders), exact, rtol=2e-3)
 
 
 def test_noise_of_a_force_says_nothing_for_a_place():

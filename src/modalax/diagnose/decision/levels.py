@@ -142,8 +142,8 @@ def force_is_not_explained_well(case: LevelsCase) -> tuple[str, ...] | None:
 
 def place_is_not_sure(case: LevelsCase) -> tuple[str, ...] | None:
     """Other places are likely too."""
-    sure = case.best != "joint" or case.place_probability > case.limits.placed
-    return None if sure else (*case.support, "its place is not certain: together, other places are at least as likely")
+    sure = case.best != "joint" or case.place_probability >= case.limits.joint_placed
+    return None if sure else (*case.support, "its place is not certain")
 
 
 RULES: tuple[tuple[str, Rule], ...] = (

@@ -176,6 +176,11 @@ def settled(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
     return found.verdict in ("named", "ambiguous") and found.places == 1 and nothing_left(found, limits)
 
 
+def law_is_exact(modes: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
+    """Whether the modal domain names a joint that predicts the highest level, where lines have no law that fits."""
+    return modes.verdict == "named" and modes.joint and modes.held_out < limits.unexplained
+
+
 def off_everywhere(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
     """Whether stiffness or mass is certainly off everywhere, and with that nothing is left that lines could explain."""
     parts = certainly_off(found, limits)

@@ -37,6 +37,8 @@ class Leftover:
     inexact
         Relative error of the force of a joint by its law, where a force at its place is all that is missing and the law
         leaves more of it than noise; else 0.
+    ahead
+        How many times as much of that force the next law leaves.
     """
 
     alarm: float
@@ -47,6 +49,7 @@ class Leftover:
     tolerated: float = 0.0
     untried: tuple[str, ...] = ()
     inexact: float = 0.0
+    ahead: float = 1.0
 
     @property
     def allowance(self) -> str:
@@ -147,9 +150,13 @@ def others_are_untried(case: Case) -> str | None:
 
 
 def law_is_inexact(case: Case) -> str | None:
-    """The place is certain, and the law comes near to the force that is measured there, but not within noise."""
-    error = case.leftover.inexact
-    return None if not error else (
+    """The place is certain, and the law comes near to the force that is measured there, but not within noise.
+
+    It is named where it comes so near as no other law does, and predicts what it was not fitted to.
+    """
+    error, limits = case.leftover.inexact, case.limits
+    alone = error < limits.inexact_alone and case.leftover.ahead > limits.law_ahead and not held_out_is_missed(case)
+    return None if not error or alone else (
         f"a force at this place is all that is missing, and {case.names} explains it but for {100 * error:.2g} % of "
         f"its size, more than noise: the joint's own law differs by so much, and the intervals allow for that"
     )  # fmt: skip
@@ -190,6 +197,8 @@ def held_out_is_missed(case: Case) -> str | None:
     gain = case.held_out
     if gain is None or not fails(gain, case.limits):
         return None
+    if case.leftover.inexact and gain.chi2_after < case.limits.unexplained:  # what a law leaves there too
+        return None
     several = len(case.best.best.causes) > 1
     return (
         f"fitted without {gain.held_out}, {case.names} leave{'' if several else 's'} a chi-square of "
@@ -200,6 +209,12 @@ def held_out_is_missed(case: Case) -> str | None:
 
 def named(case: Case) -> str | None:
     """Nothing speaks against the names."""
+    if case.leftover.inexact:
+        return (
+            f"{case.subject} a probability of {told_chance(case.certainty)} among all causes that were looked for, and "
+            f"explains the force at this place but for {100 * case.leftover.inexact:.2g} % of its size; more than "
+            f"noise is left, but the next law leaves {case.leftover.ahead:.2g} times as much"
+        )
     return (
         f"{case.subject} a probability of {told_chance(case.certainty)} among all causes that were looked for, and "
         f"noise alone would leave as much as it does with a chance of {told_chance(case.leftover.p_value)}"

@@ -34,13 +34,14 @@ AROUND = (0.75, 1.0, 1.3)  # strengths that are balanced, over the one that was 
 ROUNDS = 12  # steps of a fit, with lines far off counting little, and again as least squares
 ROUGHLY, SETTLED = 1.0, 1e-2  # changes of chi-square at which the first and the second end
 SLIDING = (0.95, 0.75)  # quantiles of the force measured that dry friction may have where it slides
-CLEAR = 5.0  # deviations from zero that a force needs for these
+CLEAR = 5.0  # deviations from zero from which on a line shows a force
 CHOSEN = 128  # lines by which starts are compared
 MOST_LAWS = 8  # that are fitted where none leaves no more than noise
 BEHIND = 40.0  # chi-square behind the best, harmonics apart, from which on a law is not fitted
 FARTHEST = 3.0  # largest change of the logarithm of a parameter in a step
 DAMPED = 1e-3  # first damping of a step, over the diagonal
 MEASURED_AGAIN, SAME = 4, 0.1  # times that the force is measured about modes moved on, and chi-square that ends it
+HALF = 0.5  # share of the lines that show a force, from which on they are not set aside
 REWEIGHED = 3  # times that lines are weighed by what they miss
 
 
@@ -137,7 +138,8 @@ def fit_to_force(
         if _misfit(r, True) + seen.left > rival + BEHIND:
             break
     # a linear element has one motion at every line, and so has a joint too weak for harmonics to count
-    if aside.mean() > MOST or isinstance(cause, LocalCause) or not seen.several:
+    linear = isinstance(cause, LocalCause) or not seen.several
+    if linear or aside.mean() > MOST or _holds_most(seen, aside):
         aside = np.zeros(len(r), bool)
     return _ended(cause, u, seen, motion, r, J, aside)
 
@@ -154,6 +156,12 @@ def _far_off(seen: Seen, r: np.ndarray, sound: np.ndarray) -> np.ndarray:
     paid = 2 * np.log(max(seen.samples, 30))
     usual = float(np.quantile(np.abs(r) ** 2, 1 - MOST))
     return ~sound | ~(np.abs(r) ** 2 <= max(OUTLYING * usual, paid))
+
+
+def _holds_most(seen: Seen, aside: np.ndarray) -> bool:
+    """Whether lines set aside are most of those that show a force, so that a law explains none of it."""
+    shown = np.abs(seen.precision * seen.force) > CLEAR
+    return bool((aside & shown).sum() > HALF * shown.sum())
 
 
 def _ended(

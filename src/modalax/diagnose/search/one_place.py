@@ -77,8 +77,16 @@ def explain_force(look: Look, causes: Sequence[Cause]) -> Explanation | None:
     leftover = Leftover(
         alarm, null.chi2 - best.chi2, min(1.0, 2 * min(chance, after.p_value)),
         float(sum(r.probability for r in nameless)), notes[0] if notes else "", inexact=inexact,
+        ahead=_ahead(fit, [other for _, other in found]),
     )  # fmt: skip
     return Explanation(look, comparison, ranked, leftover, after, [h for h, _ in found], notes, by_force=several)
+
+
+def _ahead(fit: ForceFit, others: Sequence[ForceFit]) -> float:
+    """How many times as much of the force the nearest other law leaves, at any place."""
+    rest = [f.chi2 for f in others if f.cause.slug != fit.cause.slug]
+    left = np.array([fit.chi2, min(rest, default=np.inf)]) - fit.seen.least
+    return float(np.sqrt(max(left[1], 0.0) / max(left[0], 1.0)))
 
 
 def alarm_of(explained: float, parameters: int, comparison: Comparison, laws: int) -> float:

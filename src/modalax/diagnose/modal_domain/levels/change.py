@@ -19,6 +19,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.linalg
 
 from modalax.diagnose.modal_domain.causes import shown, with_sizes
 from modalax.diagnose.modal_domain.coordinates import Coordinates
@@ -28,6 +29,7 @@ from modalax.diagnose.modal_domain.state import Setting, matrices_of
 
 LINES = 256  # lines solved at once
 PRETENDED = 0.01  # chance that noise alone makes a force seen at any line of a place
+COUPLED = 2  # steps to what damping couples modes by
 BLOCK = 2e6  # numbers of a product of places, lines and outputs at once
 
 
@@ -111,6 +113,28 @@ class Base:
         for s in np.array_split(times * self.s[::step], max(1, len(self.s) // LINES)):
             Z = K + s[:, None, None] * C + s[:, None, None] ** 2 * M + added_stiffness(self.forces, s)
             parts.append(np.einsum("pn,fnp->fp", b, np.linalg.solve(Z, np.broadcast_to(b.T, (len(s), *b.T.shape)))))
+        return np.concatenate(parts)
+
+    def at_harmonics(self, b: np.ndarray, orders: np.ndarray) -> np.ndarray:
+        """Receptance across places ``(p, n)`` at multiples of each line, shape ``(f, p, h)`` [m/N].
+
+        By undamped modes, and step by step what damping couples them by.
+        """
+        if self.forces:
+            return np.stack([self.across(b, float(h)) for h in orders], axis=-1)
+        M, C, K = self.matrices
+        squares, shapes = scipy.linalg.eigh(K, M)
+        seen, coupled = b @ shapes, shapes.T @ C @ shapes
+        own = np.diag(coupled).copy()
+        coupled[np.diag_indices_from(coupled)] = 0.0
+        parts = []
+        for line in np.array_split(self.s, max(1, len(self.s) // LINES)):
+            s = (line[:, None] * orders)[:, None, :, None]
+            Z = squares + s * own + s**2
+            x = seen[:, None] / Z  # (f, p, h, n)
+            for _ in range(COUPLED):
+                x = (seen[:, None] - s * (x @ coupled)) / Z
+            parts.append((x * seen[:, None]).sum(axis=-1))
         return np.concatenate(parts)
 
 

@@ -161,10 +161,7 @@ def motion_of(levels: Levels, base: Base, b: np.ndarray, law: JointCause) -> Mot
 def in_harmonics(motions: list[Motion], base: Base, b: np.ndarray) -> list[Motion]:
     """Motions across places of directions ``b`` with what the higher harmonics meet there."""
     off = base.scatter
-    high, *aside = (
-        np.stack([base.across(b, times * h) for h in ORDERS], axis=-1)  # (f, p, h)
-        for times in (1.0, 1 + off, 1 - off)
-    )
+    high, *aside = (base.at_harmonics(b, times * ORDERS) for times in (1.0, 1 + off, 1 - off))
     most = MOST / np.maximum(np.abs(base.across(b, STATIC, len(base.s))[0]), 1e-300)
     return [
         replace(m, harmonic=high[:, k], scatter=off, aside=tuple(g[:, k] for g in aside), most=float(most[k]))
