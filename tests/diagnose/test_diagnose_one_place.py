@@ -87,7 +87,7 @@ def test_a_law_is_not_followed_beyond_the_time_or_far_behind_another(monkeypatch
 def test_dry_friction_is_followed_to_its_end_whatever_else_was_fitted():
     """It begins with few instants, so that it leaves more at first than it will."""
     comparison, force = compared(joined(joints.CubicSpring(3e10)))
-    seen, start = seen_at(comparison, force), [np.array([0.2])]
+    seen, start = seen_at(comparison, force).telling(30), [np.array([0.2])]
     alone, beside = (fit_to_force(CoulombFriction(), start, seen, rival=r) for r in (np.inf, -1e9))
     assert alone is not None and beside is not None
     assert alone.chi2 == beside.chi2 and (alone.params == beside.params).all()
