@@ -157,9 +157,10 @@ def _piece(F: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def modes_of(
-    c: Coordinates, dM: np.ndarray | None = None, dC: np.ndarray | None = None, dK: np.ndarray | None = None
-) -> Modes:
-    """Modes with changes added, shapes ``(n, n)`` in modal coordinates.
+    c: Coordinates, dM: np.ndarray | None = None, dC: np.ndarray | None = None, dK: np.ndarray | None = None,
+    loads: Sequence[Load] = (),
+) -> Modes:  # fmt: skip
+    """Modes with changes added, shapes ``(n, n)`` in modal coordinates, and forces as :func:`with_loads`.
 
     Raises
     ------
@@ -178,6 +179,9 @@ def modes_of(
     m = c.solved
     low = Q[:, :m]
     damping = low.T @ (c.damping if dC is None else c.damping + dC) @ low
+    solved, above = (low.T, values[:m], damping), (Q[:, m:].T, values[m:])
+    if loads:
+        return _loaded(solved, above, loads)
     # of displacements times their frequencies and of velocities, so that all parts are of one size
     w = np.sqrt(np.abs(values[:m]))
     state, each = np.zeros((2 * m, 2 * m)), np.arange(m)
@@ -189,17 +193,21 @@ def modes_of(
     poles, vectors = poles[order], vectors[order]
     a = 2 * poles * (vectors**2).sum(axis=1) + ((vectors @ damping) * vectors).sum(axis=1)
     parts = vectors / np.sqrt(a)[:, None]
-    return Modes(poles, parts @ low.T, parts, (low.T, values[:m], damping), (Q[:, m:].T, values[m:]))
+    return Modes(poles, parts @ low.T, parts, solved, above)
 
 
 def with_loads(modes: Modes, loads: Sequence[Load]) -> Modes:
     """Modes of the same structure with forces that act on those modes that are solved with their damping."""
-    if not loads:
-        return modes
-    shapes, squares, damping = modes.low
+    return _loaded(modes.low, modes.high, loads) if loads else modes
+
+
+def _loaded(
+    low: tuple[np.ndarray, np.ndarray, np.ndarray], high: tuple[np.ndarray, np.ndarray], loads: Sequence[Load]
+) -> Modes:
+    shapes, squares, damping = low
     own = tuple(replace(load, basis=shapes @ load.basis) for load in loads)
     poles, right, left = loaded_modes(squares, damping, own)
-    return Modes(poles, right @ shapes, right, modes.low, modes.high, left @ shapes, left, own)
+    return Modes(poles, right @ shapes, right, low, high, left @ shapes, left, own)
 
 
 @dataclass(frozen=True)

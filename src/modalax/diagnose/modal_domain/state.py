@@ -18,7 +18,6 @@ from modalax.diagnose.modal_domain.coordinates import (
     modes_of,
     pattern_slopes,
     slopes_of,
-    with_loads,
 )
 from modalax.diagnose.modal_domain.features import Features, paired, slopes_of_values, values_of
 from modalax.diagnose.modal_domain.further_causes import MissingMode
@@ -224,7 +223,7 @@ def state_at(
         If the changed mass is not positive, or fewer modes are left than were measured.
     """
     c, f = setting.coordinates, setting.features
-    modes = with_loads(modes_of(c, **changes_of(setting, sizes, causes, u)), loads_of(causes, u))
+    modes = modes_of(c, **changes_of(setting, sizes, causes, u), loads=loads_of(causes, u))
     plain = modes.residues(c)
     seen = np.abs(plain).max(axis=(1, 2), initial=0.0)
     needed = np.isnan(setting.linear).sum() - sum(cause.freed is not None for cause in causes)
