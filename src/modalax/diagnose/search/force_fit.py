@@ -27,21 +27,19 @@ from modalax.diagnose.search.balanced_force import has_law
 from modalax.diagnose.search.law_force import Seen, force_of, seen_at
 from modalax.diagnose.search.measured_force import MeasuredForce, force_beside, robust_sizes, sizes_by_force
 from modalax.diagnose.search.one_harmonic import impedances
-from modalax.diagnose.search.rows import MOST, OUTLYING
+from modalax.diagnose.search.rows import CLEAR, HALF, MOST, OUTLYING
 from modalax.diagnose.thresholds import THRESHOLDS
 
 AROUND = (0.75, 1.0, 1.3)  # strengths that are balanced, over the one that was read off
 ROUNDS = 12  # steps of a fit, with lines far off counting little, and again as least squares
 ROUGHLY, SETTLED = 1.0, 1e-2  # changes of chi-square at which the first and the second end
 SLIDING = (0.95, 0.75)  # quantiles of the force measured that dry friction may have where it slides
-CLEAR = 5.0  # deviations from zero from which on a line shows a force
 CHOSEN = 128  # lines by which starts are compared
 MOST_LAWS = 8  # that are fitted where none leaves no more than noise
 BEHIND = 40.0  # chi-square behind the best, harmonics apart, from which on a law is not fitted
 FARTHEST = 3.0  # largest change of the logarithm of a parameter in a step
 DAMPED = 1e-3  # first damping of a step, over the diagonal
 MEASURED_AGAIN, SAME = 4, 0.1  # times that the force is measured about modes moved on, and chi-square that ends it
-HALF = 0.5  # share of the lines that show a force, from which on they are not set aside
 REWEIGHED = 3  # times that lines are weighed by what they miss
 
 

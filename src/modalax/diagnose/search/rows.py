@@ -24,6 +24,8 @@ from modalax.diagnose.search.singles import PATIENT
 MOST = 0.05  # largest share of lines, over all runs, that may be set aside
 OUTLYING = 100.0  # misfit of a line, over that of the worst of the others, from which on it is set aside
 KNOWN = 0.3  # relative error of a measured amplitude up to which it chooses among several
+CLEAR = 5.0  # deviations from zero from which on a line shows a force
+HALF = 0.5  # share of the lines that show a force, from which on they are not set aside
 AGAIN = 3  # times that lines are set aside and the rest is fitted
 
 
@@ -40,12 +42,15 @@ class Measured(NamedTuple):
         Displacement across the joint and what is in series with it [m]; 0 where it is not known well.
     series
         Compliance in series with a rigid joint [m/N], else 0.
+    effect
+        Chi-square that the force takes away.
     """
 
     force: np.ndarray
     gain: np.ndarray
     amplitude: np.ndarray
     series: np.ndarray
+    effect: np.ndarray
 
 
 @partial(jax.jit, static_argnames=("causes",))
@@ -71,7 +76,8 @@ def measured(comparison: Comparison, h: Hypothesis) -> Measured:
     z = motion - (drive - series) * force
     error = np.abs(drive - series) * np.sqrt(2 / length)
     amplitude = np.asarray(problem.level)[:, :, None] * np.abs(z)
-    return Measured(force, gain, np.where(error < KNOWN * np.abs(z), amplitude, 0.0), series)
+    known = np.where(error < KNOWN * np.abs(z), amplitude, 0.0)
+    return Measured(force, gain, known, series, np.abs(force) ** 2 * length)
 
 
 def _by_law(h: Hypothesis) -> Hypothesis:
@@ -91,6 +97,9 @@ def measured_rows(comparison: Comparison, h: Hypothesis) -> tuple[Measured, np.n
     usual = float(np.quantile(found.gain[live], 1 - MOST)) if live.any() else 0.0
     paid = 2 * np.log(max(comparison.problem.samples, 30))
     aside = live & (found.gain > max(OUTLYING * usual, paid))
+    shown = live & (found.effect > CLEAR**2)
+    if (aside & shown).sum() > HALF * shown.sum():  # a law without these explains nothing
+        aside = np.zeros_like(aside)
     return found, np.stack([found.amplitude + 0j, np.where(aside, found.force, 0.0)])
 
 
