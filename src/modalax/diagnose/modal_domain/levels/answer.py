@@ -77,7 +77,7 @@ def rivals_told(seen: Seen, named: bool) -> list[list[dict[str, Any]]]:
 
 def described(seen: Seen, j: JointFound) -> str:
     """The equivalent stiffness of a joint against its amplitude, in words."""
-    m = motion_of(seen.levels, seen.base, j.direction, j.fit.law)
+    m = motion_of(seen.levels, seen.base, j.direction, j.fit.law, j.spot.within)
     N, A = stiffness_of(j.fit.law, m, j.fit.p), m.amplitude
     top = np.unravel_index(int(A.argmax()), A.shape)
     change = complex(N[top] - N[(0, *top[1:])])

@@ -39,12 +39,15 @@ class Spot:
         Names, direction in modal coordinates, and weight among the places.
     held
         Whether the simulation has a spring there, which may slip.
+    within
+        Whether the linear model has one, of the simulation or as a cause.
     """
 
     where: tuple[str, ...]
     direction: np.ndarray
     weight: float
     held: bool = True
+    within: bool = True
 
 
 @dataclass(frozen=True)
@@ -128,7 +131,7 @@ def explain_levels(
     for rough, spot, f in fits[:WEIGHED]:
         if found and (rough < fits[0][0] - max(NEAR, NEAR_SHARE * abs(fits[0][0])) or late()):
             break
-        w = weigh(levels, base, shapes, spot.direction, f)
+        w = weigh(levels, base, shapes, spot.direction, f, spot.within)
         if w is None or not w.fit.rival:
             continue
         value = w.log_evidence + math.log(JOINT) + _prior(spot, f)
@@ -215,7 +218,9 @@ def _by_harmonics(
     step = max(1, levels.H[1:, :, 0].size // HARMONICS)
     levels, base = levels.thinned(step), base.thinned(step)
     b = np.array([spots[k].direction for k in like])
-    motions = in_harmonics(motions_of(levels, base, b, projected(levels, base, b)), base, b)
+    motions = in_harmonics(
+        motions_of(levels, base, b, projected(levels, base, b)), base, b, [spots[k].within for k in like]
+    )
     fits = [fit_law(ElastoSlip(True), m) for m in motions]
     cost = [np.inf if f is None else f.chi2 for f in fits]
     begun = {spots[k].where: f.p for k, f in zip(like, fits, strict=True) if f is not None}
@@ -252,7 +257,7 @@ def _fitted(
     b = np.array([s.direction for s in spots])
     motions = _both(levels, base, b)
     slips = any(isinstance(law, ElastoSlip) for law in laws)
-    exact = in_harmonics([m for m, _ in motions], base, b) if slips else []
+    exact = in_harmonics([m for m, _ in motions], base, b, [s.within for s in spots]) if slips else []
     for some, count in ((laws, len(spots)), (NAMELESS, BESIDE)):
         near = [k for k in range(len(spots)) if not found or any(spots[k] is s for _, s, _ in found[:count])]
         for k in near:

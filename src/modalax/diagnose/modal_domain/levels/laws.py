@@ -111,7 +111,9 @@ def stiffness_of(law: JointCause, m: Motion, p: np.ndarray, amplitude: np.ndarra
 def _lost(m: Motion, p: np.ndarray, A: np.ndarray, start: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """What a spring that slips lacks of its stiffness [N/m], and the higher harmonics of its displacement."""
     assert m.harmonic is not None
-    gk = p[0] * np.broadcast_to(m.harmonic[:, None, :], (*A.shape, len(ORDERS))).reshape(A.size, -1)
+    gk = p[0] * m.harmonic
+    gk = gk if m.within else gk / (1 + gk)
+    gk = np.broadcast_to(gk[:, None, :], (*A.shape, len(ORDERS))).reshape(A.size, -1)
     share, X = slipped(A.ravel(), p[1], gk, start)
     return -p[0] * share.reshape(A.shape), X
 
@@ -124,7 +126,7 @@ def derivatives_of(law: JointCause, m: Motion, p: np.ndarray) -> tuple[np.ndarra
         return N[:size].reshape(shape), (D[0] + 1j * D[1])[:size].reshape(*shape, len(p))
     N, X = _lost(m, p, m.amplitude)
     moved = [_lost(m, p * (1 + BENT * own), m.amplitude, X)[0] for own in np.eye(len(p))]
-    return N, np.stack([(n - N) / (BENT * v) for n, v in zip(moved, p, strict=True)], axis=-1)
+    return N, np.stack([(n - N) / max(BENT * abs(v), 1e-300) for n, v in zip(moved, p, strict=True)], axis=-1)
 
 
 def force_of(law: JointCause, m: Motion, p: np.ndarray) -> np.ndarray:

@@ -1,6 +1,7 @@
 """The motion across a place at every level, line and input, to which laws of joints are fitted."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -57,6 +58,8 @@ class Motion:
         What the higher harmonics meet where natural frequencies are lower and higher by their scatter.
     most
         Stiffness that can be taken out of the structure there [N/m].
+    within
+        Whether the linear model has the spring that may slip; it meets itself then, too.
     """
 
     force: np.ndarray
@@ -74,6 +77,7 @@ class Motion:
     scatter: float = 0.0
     aside: tuple[np.ndarray, ...] = ()
     most: float = math.inf
+    within: bool = True
 
     @property
     def others(self) -> tuple["Motion", ...]:
@@ -100,12 +104,14 @@ class Motion:
             self.force[lines], self.root[lines], self.least, self.first[lines], self.still[lines], self.turn[lines],
             self.drive[lines], self.amplitude[:, lines], self.seen[lines], self.omega[lines], self.compliance,
             None if self.harmonic is None else self.harmonic[lines], self.scatter,
-            tuple(g[lines] for g in self.aside), self.most,
+            tuple(g[lines] for g in self.aside), self.most, self.within,
         )  # fmt: skip
 
     def along(self, other: "Motion") -> "Motion":
         """Another motion at the same lines that meets the same at its higher harmonics."""
-        return replace(other, harmonic=self.harmonic, scatter=self.scatter, aside=self.aside, most=self.most)
+        return replace(
+            other, harmonic=self.harmonic, scatter=self.scatter, aside=self.aside, most=self.most, within=self.within
+        )
 
     def loosened(self, variance: np.ndarray) -> "Motion":
         """The same with an error of a law's forces of its own, of a variance ``(f, i, level - 1)``."""
@@ -152,20 +158,21 @@ def motions_of(levels: Levels, base: Base, b: np.ndarray, p: Projection, law: Jo
     return out
 
 
-def motion_of(levels: Levels, base: Base, b: np.ndarray, law: JointCause) -> Motion:
-    """What one law is told from at the place of direction ``b``."""
+def motion_of(levels: Levels, base: Base, b: np.ndarray, law: JointCause, within: bool = True) -> Motion:
+    """What one law is told from at the place of direction ``b``; ``within`` as of :class:`Motion`."""
     m = motions_of(levels, base, b[None], projected(levels, base, b[None]), law)[0]
-    return in_harmonics([m], base, b[None])[0] if isinstance(law, ElastoSlip) else m
+    return in_harmonics([m], base, b[None], [within])[0] if isinstance(law, ElastoSlip) else m
 
 
-def in_harmonics(motions: list[Motion], base: Base, b: np.ndarray) -> list[Motion]:
+def in_harmonics(motions: list[Motion], base: Base, b: np.ndarray, within: Sequence[bool]) -> list[Motion]:
     """Motions across places of directions ``b`` with what the higher harmonics meet there."""
     off = base.scatter
-    high, *aside = (base.at_harmonics(b, times * ORDERS) for times in (1.0, 1 + off, 1 - off))
-    most = MOST / np.maximum(np.abs(base.across(b, STATIC, len(base.s))[0]), 1e-300)
+    high, more, less = (base.at_harmonics(b, times * ORDERS) for times in (1.0, 1 + off, 1 - off))
+    static = np.abs(base.across(b, STATIC, len(base.s))[0])
+    most = np.where(within, MOST / np.maximum(static, 1e-300), np.inf)
     return [
-        replace(m, harmonic=high[:, k], scatter=off, aside=tuple(g[:, k] for g in aside), most=float(most[k]))
-        for k, m in enumerate(motions)
+        replace(m, harmonic=high[:, k], scatter=off, aside=(more[:, k], less[:, k]), most=float(most[k]), within=held)
+        for k, (m, held) in enumerate(zip(motions, within, strict=True))
     ]
 
 

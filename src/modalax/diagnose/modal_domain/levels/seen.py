@@ -16,7 +16,7 @@ from modalax.diagnose.modal_domain.levels.drift import Drift, by_run, drifts
 from modalax.diagnose.modal_domain.levels.explain import ByLevel, JointFound, Spot, explain_levels
 from modalax.diagnose.modal_domain.levels.laws import NAMED, LawFit, force_of, stiffness_of
 from modalax.diagnose.modal_domain.levels.motion import motion_of
-from modalax.diagnose.modal_domain.levels.slipping import settled, with_springs
+from modalax.diagnose.modal_domain.levels.slipping import is_spring_at, settled, with_springs
 from modalax.diagnose.modal_domain.levels.weigh import Shapes, weigh
 from modalax.diagnose.modal_domain.measured import Measured, features_beside, reidentified
 from modalax.diagnose.modal_domain.state import Setting
@@ -73,6 +73,7 @@ def look_at_levels(
         drift = max(drifts(plain.thinned(step), measured.modes, few), key=lambda d: d.log_evidence)
     shapes = Shapes(setting, f, base)
     laws = [law for law in NAMED if wanted(law.slug)]
+    spots = [replace(s, within=s.held or any(is_spring_at(c, s.where) for c in f.causes)) for s in spots]
     asked = levels is not None and bool(laws)
     untried = asked and late()
     places = spots if asked and not untried else []
@@ -82,7 +83,7 @@ def look_at_levels(
 
 def at_levels(seen: Seen, j: JointFound, level: np.ndarray) -> np.ndarray:
     """FRFs ``(run, f, o, i)`` with a joint, at the measured amplitudes."""
-    motion = motion_of(seen.levels, seen.base, j.direction, j.fit.law)
+    motion = motion_of(seen.levels, seen.base, j.direction, j.fit.law, j.spot.within)
     force = force_of(j.fit.law, motion, j.fit.p)
     every = np.concatenate([np.zeros_like(force[..., :1]), force], axis=2) + motion.first[..., None]
     return seen.base.H + change_by(seen.base, j.direction, every)[np.searchsorted(seen.levels.force, level)]
@@ -97,7 +98,7 @@ def force_taken(seen: Seen, level: np.ndarray, used: np.ndarray, p: np.ndarray |
     j, b = seen.joint, seen.base
     assert j is not None
     p = j.fit.p if p is None else p
-    m = motion_of(seen.levels, b, j.direction, j.fit.law)
+    m = motion_of(seen.levels, b, j.direction, j.fit.law, j.spot.within)
     N = stiffness_of(j.fit.law, m, p)
     force = N * m.moved(force_of(j.fit.law, m, p)) * m.turn / (1 - N[0] * (m.drive + m.compliance))
     return change_by(b, j.direction, force.transpose(1, 2, 0))[np.searchsorted(seen.levels.force, level[used])]
@@ -206,10 +207,10 @@ def foretold(seen: Seen) -> np.ndarray | None:
     if j is None or len(levels.force) < 3:
         return None
     fewer = Levels(levels.force[:-1], levels.H[:-1], levels.weight[:-1])
-    w = weigh(fewer, seen.base, seen.shapes, j.spot.direction, j.fit)
+    w = weigh(fewer, seen.base, seen.shapes, j.spot.direction, j.fit, j.spot.within)
     if w is None:
         return None
-    m = motion_of(fewer, seen.base, w.b, w.fit.law)
+    m = motion_of(fewer, seen.base, w.b, w.fit.law, j.spot.within)
     first = stiffness_of(w.fit.law, m, w.fit.p, m.amplitude[0])
 
     def miss(A: np.ndarray) -> np.ndarray:

@@ -80,7 +80,12 @@ def size_of(e: Explanation, k: int) -> tuple[float, float]:
 def with_springs(
     setting: Setting, explanations: list[Explanation], found: ByLevel, candidates: list[Change]
 ) -> list[Explanation]:
-    """Explanations together with those of a spring at each place where a joint that slips is likely."""
+    """Explanations together with those of a spring at each place where a joint that slips is likely.
+
+    Where the leading explanation has one at the leading joint's place already, none is looked for at others.
+    """
+    if found.best == "joint" and explanations and spring_of(explanations[0], found.joints[0]) is not None:
+        return explanations
     likely = [j for j in found.joints if j.probability > LIKELY and isinstance(j.fit.law, SLIPPING)]
     for j in likely if found.best == "joint" else ():
         if any(spring_of(e, j) is not None for e in explanations):

@@ -88,13 +88,18 @@ class Weighed:
     b: np.ndarray
 
 
-def weigh(levels: Levels, base: Base, shapes: Shapes, b: np.ndarray, f: LawFit) -> Weighed | None:
-    """Fit a law at a place again, on all samples; None where it cannot be predicted there."""
+def weigh(
+    levels: Levels, base: Base, shapes: Shapes, b: np.ndarray, f: LawFit, within: bool = True
+) -> Weighed | None:  # fmt: skip
+    """Fit a law at a place again, on all samples; None where it cannot be predicted there.
+
+    ``within`` tells whether the linear model has the spring that may slip.
+    """
     law, moves = f.law, shapes.columns(b)
     log = np.array([q.log for q in law.parameters])
     low = np.array([q.lower for q in law.parameters])
     z, p, best = np.zeros(len(moves)), f.p, None
-    told = motion_of(levels, base, b, law)
+    told = motion_of(levels, base, b, law, within)
     for _ in range(STEPS):
         now = b + z @ moves
         step = MOVED * np.abs(b).max() / np.maximum(np.abs(moves).max(axis=1), 1e-300)
@@ -103,7 +108,7 @@ def weigh(levels: Levels, base: Base, shapes: Shapes, b: np.ndarray, f: LawFit) 
         motions = motions_of(levels, base, every, P, law)
         motions[0] = m = told.along(motions[0])
         N, by = derivatives_of(law, m, p)
-        more = (stiffness_of(law, m, p, m.amplitude * (1 + BENT)) - N) / (BENT * m.amplitude)
+        more = (stiffness_of(law, m, p, m.amplitude * (1 + BENT)) - N) / np.maximum(BENT * m.amplitude, 1e-300)
         forces = [force_at(one, N + more * (one.amplitude - m.amplitude)) for one in motions]
         made = [change_by(base, d, q) for d, q in zip(every, forces, strict=True)]
         columns = [(y - made[0]) / h for y, h in zip(made[1:], step, strict=True)]
