@@ -26,3 +26,19 @@ def test_a_residual_of_noise_alone_is_not_looked_at_for_hum():
     assert mains_hum(data, np.asarray(data.freq), noise) is None
     freq = np.arange(45.0, 125.0, 0.5)
     assert {50.0, 60.0, 100.0, 120.5} <= set(freq[near_mains(freq, freq > 0)]) <= {*freq} - {46.0, 55.0, 75.0, 112.0}
+
+
+def test_beside_a_joint_hum_must_stand_in_the_lowest_level():
+    """A joint that jumps at a line of the highest level looks like hum there; hum is there at each level."""
+    data, _ = measured(6, 0.01, lines=327)
+    k = int(np.abs(data.freq - 150.0).argmin())
+    spikes = 0.5 * np.abs(data.H).max() * np.exp(2j * np.pi * np.random.default_rng(3).random(data.H[0, k].shape))
+    for runs, seen in (([0, 1], True), ([1], False)):
+        H = np.repeat(np.array(data.H), 2, axis=0)
+        residual = np.ones(H.shape, complex)
+        for run in runs:
+            H[run, k] += spikes
+            residual[run, k] = 100.0
+        both = data.replace(H=H, variance=np.repeat(data.variance, 2, axis=0), level=np.array([1.0, 3.0]))
+        assert (mains_hum(both, np.asarray(data.freq), residual, joint=True) is not None) is seen
+    assert mains_hum(both, np.asarray(data.freq), residual) is not None

@@ -306,7 +306,8 @@ def _diagnosed(
     word, reasons = held_out_verdict(word, reasons, gain)
     left = float((np.abs(residuals[1][stage.measured.runs]) ** 2).mean() / 2)
     word, reasons = lines_verdict(word, reasons, left, stage.measured.misfit)
-    hum = mains_hum(measurement, stage.measured.freq, residuals[1]) if wanted("mains_hum") else None
+    joint = seen is not None and seen.joint is not None
+    hum = mains_hum(measurement, stage.measured.freq, residuals[1], joint) if wanted("mains_hum") else None
     if hum is not None:
         word, reasons = outweighing(word, "named"), (*reasons, f"beside it there is mains hum: {hum.evidence}")
     notes = (

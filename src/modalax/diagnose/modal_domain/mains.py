@@ -12,8 +12,13 @@ from modalax.data import Measurement
 SEEN = 9.0  # power at a line near a multiple of the mains, over the usual one, from which hum is looked for
 
 
-def mains_hum(measurement: Measurement, freq: np.ndarray, residual: np.ndarray) -> Finding | None:
+def mains_hum(
+    measurement: Measurement, freq: np.ndarray, residual: np.ndarray, joint: bool = False
+) -> Finding | None:  # fmt: skip
     """What a check finds of hum, where a diagnosis leaves more near multiples of the mains than elsewhere.
+
+    Hum is least disguised at the lowest level. A joint may jump at a line, but not there: beside one that level is
+    looked at alone.
 
     Parameters
     ----------
@@ -21,7 +26,13 @@ def mains_hum(measurement: Measurement, freq: np.ndarray, residual: np.ndarray) 
         As it was diagnosed.
     freq, residual
         Its lines [Hz], and what is left of it over the noise, shape ``(run, f, o, i)``.
+    joint
+        Whether a joint tells the levels apart.
     """
+    if joint:
+        level = np.asarray(measurement.level)
+        runs = np.flatnonzero(level == level.min()).tolist()
+        measurement, residual = Measurement.from_frfs([measurement.run(k) for k in runs]), residual[runs]
     power = (np.abs(residual) ** 2).mean(axis=(0, 2, 3))
     if len(freq) < 2 or not near_mains(freq, power > SEEN * np.median(power)).any():
         return None
