@@ -1,13 +1,11 @@
 import ctypes
 import gc
-import itertools
 import os
 import platform
 import shutil
 import subprocess
 import sys
 import tempfile
-import threading
 from pathlib import Path
 
 import jaxlib.version
@@ -33,7 +31,6 @@ os.environ.setdefault("XLA_FLAGS", " ".join(FLAGS))
 
 import jax  # noqa: E402
 import matplotlib  # noqa: E402
-from jax._src.interpreters import mlir  # noqa: E402
 
 # A plugin of pytest may have loaded NumPy before the numbers of threads above were set.
 threadpoolctl.threadpool_limits(1, user_api="blas")
@@ -43,27 +40,6 @@ matplotlib.rcParams["savefig.dpi"] = 40  # nobody looks at them
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_traceback_in_locations_limit", 0)  # no lines of Python beside each operation of a program
 PROGRAMS = pytest.StashKey[str]()
-SHARE = 200  # programs that are written down in one context: few enough that it does not keep many of their constants
-
-
-def share_contexts():
-    """Let many programs be written down in one context of MLIR: to make one takes as long as a small program itself.
-
-    It is no part of JAX's public interface; where it has another name nothing is shared.
-    """
-    make = getattr(mlir, "make_ir_context", None)
-    if make is not None:
-        contexts = (context for _ in itertools.count() for context in itertools.repeat(make(), SHARE))
-        lock = threading.Lock()
-
-        def next_context():
-            with lock:
-                return next(contexts)
-
-        mlir.make_ir_context = next_context
-
-
-share_contexts()
 
 
 def pytest_configure(config):
