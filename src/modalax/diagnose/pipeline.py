@@ -53,7 +53,7 @@ from modalax.diagnose.decision.route import (
     order,
     settled,
     suffices,
-)  # fmt: skip
+)
 from modalax.diagnose.decision.verdict import verdict
 from modalax.diagnose.extend import ExtendedSimulation, extend
 from modalax.diagnose.holdout import measure

@@ -9,7 +9,8 @@ from frames import DOFS, measured, simulation
 from modalax.data import Measurement
 from modalax.diagnose.causes.joints import CubicStiffness, GapContact, QuadraticDamping
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
-from modalax.diagnose.modal_domain.levels.change import Base, Projection
+from modalax.diagnose.modal_domain.levels import explain
+from modalax.diagnose.modal_domain.levels.change import Base, Levels, Projection
 from modalax.diagnose.modal_domain.levels.explain import apart_from_zero
 from modalax.diagnose.modal_domain.levels.laws import LawFit, regressed
 from modalax.diagnose.modal_domain.levels.motion import Motion, seen_force
@@ -200,3 +201,25 @@ def test_noise_of_a_force_says_nothing_for_a_place():
     cost = regressed(CubicStiffness(), m)[0][0]
     gained = float((np.abs(noise) ** 2).sum()) - cost
     assert 0 <= gained < 20  # chi-square of one parameter
+
+
+def test_once_time_is_up_laws_are_fitted_at_no_further_place(monkeypatch):
+    rng = np.random.default_rng(0)
+    n, lines = 4, 30
+    s = 2j * np.pi * np.linspace(10, 60, lines)
+    matrices = np.eye(n), np.eye(n), np.diag([2e3, 9e3, 3e4, 8e4])
+    H = rng.normal(size=(2, lines, 2, 1)) + 1j * rng.normal(size=(2, lines, 2, 1))
+    base = Base(s, rng.normal(size=(lines, 2, n)) + 0j, rng.normal(size=(lines, n, 1)) + 0j, H[0], matrices)
+    levels = Levels(np.array([1.0, 3.0]), H, np.ones(H.shape))
+    spots = [explain.Spot((str(k),), row, 0.2) for k, row in enumerate(rng.normal(size=(5, n)))]
+    at: list[float] = []
+
+    def fit_law(law, m, begun=None):
+        at.append(float(np.abs(m.still).sum()))
+        return LawFit(law, np.full(len(law.parameters), 1.0), np.eye(len(law.parameters)), 1.0)
+
+    monkeypatch.setattr(explain, "fit_law", fit_law)
+    laws = [CubicStiffness(), QuadraticDamping()]
+    assert len(explain._fitted(levels, base, spots, laws, {}, lambda: True)) == 2
+    at.clear()
+    assert len(explain._fitted(levels, base, spots, laws, {}, lambda: False)) > 10 and len(set(at)) == 5

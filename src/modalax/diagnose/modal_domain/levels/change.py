@@ -116,7 +116,7 @@ class Base:
         return np.concatenate(parts)
 
     def at_harmonics(self, b: np.ndarray, orders: np.ndarray) -> np.ndarray:
-        """Receptance across places ``(p, n)`` at multiples of each line, shape ``(f, p, h)`` [m/N].
+        """Receptance across places ``(p, n)`` at multiples ``(h,)`` of each line, shape ``(f, p, h)`` [m/N].
 
         By undamped modes, and step by step what damping couples them by.
         """

@@ -124,9 +124,9 @@ def explain_levels(
 ) -> ByLevel:  # fmt: skip
     """Fit every law at the leading places, weigh the best, and compare with a drift and with nothing at all."""
     before = unexplained(levels)
-    places, gains, begun = _promising(levels, base, spots, laws) if spots else ([], [], {})
+    places, gains, begun = _promising(levels, base, spots, laws, late) if spots else ([], [], {})
     some = [s for s, gain in zip(places, gains, strict=True) if gain > 0.5 * THRESHOLDS.stands_out**2]
-    fits = _fitted(levels, base, some, laws, begun) if some else []
+    fits = _fitted(levels, base, some, laws, begun, late) if some else []
     found: list[JointFound] = []
     for rough, spot, f in fits[:WEIGHED]:
         if found and (rough < fits[0][0] - max(NEAR, NEAR_SHARE * abs(fits[0][0])) or late()):
@@ -187,7 +187,7 @@ def _prior(spot: Spot, f: LawFit) -> float:
 
 
 def _promising(
-    levels: Levels, base: Base, spots: Sequence[Spot], laws: Sequence[JointCause]
+    levels: Levels, base: Base, spots: Sequence[Spot], laws: Sequence[JointCause], late: Callable[[], bool]
 ) -> tuple[list[Spot], list[float], dict[tuple[str, ...], np.ndarray]]:
     """The leading places, what the best law gains there at a few sizes [nats], and how a spring would slip there.
 
@@ -202,14 +202,14 @@ def _promising(
         found = _screened(levels, base, np.array([s.direction for s in spots]), laws, halvings)
         order = np.argsort(-(found + weights))
         if most == FITTED and any(isinstance(law, ElastoSlip) for law in laws):
-            order, begun = _by_harmonics(levels, base, spots, found, order)
+            order, begun = _by_harmonics(levels, base, spots, found, order, late)
         order = order[:most].tolist()
         spots, gain = [spots[k] for k in order], [float(found[k]) for k in order]
     return list(spots), gain, begun
 
 
 def _by_harmonics(
-    levels: Levels, base: Base, spots: Sequence[Spot], gain: np.ndarray, order: np.ndarray
+    levels: Levels, base: Base, spots: Sequence[Spot], gain: np.ndarray, order: np.ndarray, late: Callable[[], bool]
 ) -> tuple[np.ndarray, dict[tuple[str, ...], np.ndarray]]:  # fmt: skip
     """Places by falling gain, those that are alike by first harmonics as a spring that slips is told with all."""
     like = order[gain[order] > (1 - ALIKE) * gain.max()]
@@ -221,7 +221,7 @@ def _by_harmonics(
     motions = in_harmonics(
         motions_of(levels, base, b, projected(levels, base, b)), base, b, [spots[k].within for k in like]
     )
-    fits = [fit_law(ElastoSlip(True), m) for m in motions]
+    fits = [None if late() else fit_law(ElastoSlip(True), m) for m in motions]
     cost = [np.inf if f is None else f.chi2 for f in fits]
     begun = {spots[k].where: f.p for k, f in zip(like, fits, strict=True) if f is not None}
     return np.concatenate([like[np.argsort(cost)], order[~np.isin(order, like)]]), begun
@@ -250,9 +250,9 @@ def _both(levels: Levels, base: Base, b: np.ndarray) -> list[tuple[Motion, Motio
 
 def _fitted(
     levels: Levels, base: Base, spots: Sequence[Spot], laws: Sequence[JointCause],
-    begun: dict[tuple[str, ...], np.ndarray],
+    begun: dict[tuple[str, ...], np.ndarray], late: Callable[[], bool],
 ) -> list[tuple[float, Spot, LawFit]]:  # fmt: skip
-    """Fits of every law at every place, the best first."""
+    """Fits of every law at every place, the best first; where time is up, at no further place."""
     found: list[tuple[float, Spot, LawFit]] = []
     b = np.array([s.direction for s in spots])
     motions = _both(levels, base, b)
@@ -261,7 +261,7 @@ def _fitted(
     for some, count in ((laws, len(spots)), (NAMELESS, BESIDE)):
         near = [k for k in range(len(spots)) if not found or any(spots[k] is s for _, s, _ in found[:count])]
         for k in near:
-            for law in some:
+            for law in () if found and late() else some:
                 if isinstance(law, ElastoSlip):
                     f = fit_law(law, exact[k], begun.get(spots[k].where))
                 else:
