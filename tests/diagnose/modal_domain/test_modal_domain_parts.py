@@ -7,6 +7,7 @@ import pytest
 import scipy.linalg
 from frames import DOFS, ELEMENTS, FLIP, beam, cantilever, simulation
 
+from modalax.diagnose.causes.joints import CubicStiffness, ElastoSlip
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import (
     coordinates_of,
@@ -17,11 +18,13 @@ from modalax.diagnose.modal_domain.coordinates import (
 )
 from modalax.diagnose.modal_domain.element_masses import mass_parts
 from modalax.diagnose.modal_domain.elements import nodes_of, stiffness_parts
-from modalax.diagnose.modal_domain.explain import Explanation
+from modalax.diagnose.modal_domain.explain import Explanation, Prior
 from modalax.diagnose.modal_domain.features import Features, features_of, paired
 from modalax.diagnose.modal_domain.free_residues import Channels, project, refine
 from modalax.diagnose.modal_domain.inaccuracy import TOLD
 from modalax.diagnose.modal_domain.judged import standing_out
+from modalax.diagnose.modal_domain.levels.explain import ByLevel, JointFound
+from modalax.diagnose.modal_domain.levels.slipping import settled
 from modalax.diagnose.modal_domain.mode_count import blind_modes, misfit
 from modalax.diagnose.modal_domain.parts import local_parts, parts_of
 from modalax.diagnose.modal_domain.places import candidates_of
@@ -326,3 +329,31 @@ def test_a_spring_between_two_points_of_a_plate_is_compared_with_what_holds_them
     own = {frozenset(k.where): k.reference for k in every if k.slug == "joint_stiffness" and k.pattern is None}
     assert own[frozenset((dofs[5], dofs[12]))] == pytest.approx(20.0)
     assert own[frozenset((dofs[0], dofs[4]))] == pytest.approx(min(K[0, 0], K[4, 4]))
+
+
+def test_a_soft_mount_is_compared_with_itself_and_not_with_the_beam_that_it_holds():
+    K, dofs = plate(k_mount=0.02)
+    assert K[0, 0] > 3e4 * 0.02
+    structure = Structure(np.eye(len(K)), 1e-4 * K, K, dofs)
+    c = coordinates_of(structure, dofs[:6], dofs[:1], 30.0)
+    every = candidates_of(structure, c, dofs[:6], dofs[:1], None, 30.0)
+    own = {k.where: k for k in every if k.slug == "joint_stiffness" and k.pattern is None}
+    assert own[dofs[0],].reference == pytest.approx(0.02, rel=1e-6) and not own[dofs[0],].absent
+    assert own[dofs[5],].absent
+
+
+@pytest.mark.parametrize(
+    ("law", "where", "share"),
+    [(CubicStiffness, ("c",), 1e-4), (CubicStiffness, ("a", "b"), 1.0), (lambda: ElastoSlip(True), ("c",), 1e-4)],
+)
+def test_beside_a_joint_a_cause_elsewhere_is_a_second_thing_that_is_wrong(law, where, share):
+    """Ten to one for a spring somewhere, before it is known that a joint tells the levels apart."""
+    spring = Change("joint_stiffness", where, scale=100.0)
+    fits = [SimpleNamespace(causes=causes, u=np.zeros(len(causes)), covariance=np.eye(1)) for causes in ((), (spring,))]
+    alone = [Explanation(f, 0.0, p) for f, p in zip(fits, (1 / 11, 10 / 11), strict=True)]
+    fit = SimpleNamespace(law=law(), p=np.ones(2), chi2=1.0, covariance=np.eye(2))
+    joint = JointFound(SimpleNamespace(where=("b", "a"), held=True), fit, np.zeros(1), 0.0, 0, 0.0, 1.0)
+    ranked, found = settled(alone, ByLevel([joint], None, 0.0, 0.0, 9.0, 1.0), Prior([spring]))
+    odds = {bool(e.causes): e.probability for e in ranked}
+    assert odds[True] / odds[False] == pytest.approx(10 * share)
+    assert found.joints[0].probability == pytest.approx(1.0)

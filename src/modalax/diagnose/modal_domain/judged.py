@@ -10,10 +10,10 @@ from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.fit import LARGEST, widths
 from modalax.diagnose.modal_domain.inaccuracy import TOLD, WITHIN
+from modalax.diagnose.modal_domain.levels.slipping import part_of_joint
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.thresholds import THRESHOLDS
 
-LINEAR_PART = "joint_stiffness", "local_damper"  # what a joint may do at any amplitude
 # What a cause does in a limit, and by how many nats the data must prefer the cause to be told from it: a filter far
 # above the band is a delay of its sensor, a joint that relaxes slowly a spring and one that relaxes at once a damper.
 LIMITS = {
@@ -148,7 +148,7 @@ def told_by_size(stage: Stage, e: Explanation) -> tuple[tuple[Change, ...], tupl
 def of_the_joint(stage: Stage, c: Change) -> bool:
     """Whether a spring or damper is where the levels tell a joint: what that joint does at any level."""
     joint = None if stage.seen is None else stage.seen.joint
-    return joint is not None and c.slug in LINEAR_PART and set(c.where) == set(joint.spot.where)
+    return joint is not None and part_of_joint(c, joint.spot.where)
 
 
 def inaccuracy_of_fit(stage: Stage, e: Explanation) -> dict[str, float]:

@@ -19,7 +19,7 @@ GAIN, DELAY = 0.3, 3e-2  # usual error of a channel's gain; of a delay, as phase
 LUMP = 0.3  # usual lumped mass, relative to the modal masses seen from its place
 OVERDAMPED = 2.0  # usual relative error of a modal damping ratio that is wrong
 JOINT = 0.4  # usual relative error of a joint or element that is wrong
-HELD, SUPPORTED = 6, 1e-3  # most DoFs of one support, and its least stiffness relative to all that holds the DoF
+HELD, SUPPORTED = 6, 1e-5  # most DoFs of one support; stiffness, relative to all at the DoF, that rounding may leave
 # Chances of places of springs and dampers relative to each other, each shared out among its places
 SHARES = {
     "named": 0.4, "spring": 0.3, "element": 0.2, "support": 0.15, "coupled": 0.05, "plane": 0.05, "ground": 0.05,

@@ -19,12 +19,13 @@ import numpy as np
 from modalax.diagnose.causes.joints import ElastoSlip
 from modalax.diagnose.causes.power_laws import IwanMicroSlip
 from modalax.diagnose.modal_domain.causes import Change, own_sizes
-from modalax.diagnose.modal_domain.explain import Explanation, Prior, further
+from modalax.diagnose.modal_domain.explain import SECOND, Explanation, Prior, further
 from modalax.diagnose.modal_domain.levels.explain import ByLevel, JointFound
 from modalax.diagnose.modal_domain.levels.laws import LawFit
 from modalax.diagnose.modal_domain.state import Setting
 
 SLIPPING = (ElastoSlip, IwanMicroSlip)  # laws of a spring that slips
+LINEAR_PART = "joint_stiffness", "local_damper"  # what a joint may do at any amplitude
 LIKELY = 1e-3  # probability of a joint by level from which its spring is looked for
 EITHER = math.log(0.5)  # of a spring that the simulation has, or lacks
 
@@ -57,6 +58,11 @@ class Whole:
 def same_place(one: Sequence[Any], other: Sequence[Any]) -> bool:
     """Whether two places are the same, a pair of DoFs in either order."""
     return sorted(map(str, one)) == sorted(map(str, other))
+
+
+def part_of_joint(c: Change, where: Sequence[str]) -> bool:
+    """Whether a cause is a spring or damper at a joint's place: what that joint does at any level."""
+    return c.slug in LINEAR_PART and same_place(c.where, where)
 
 
 def spring_of(e: Explanation, j: JointFound) -> int | None:
@@ -111,19 +117,24 @@ def lacked(e: Explanation, k: int, j: JointFound, prior: Prior) -> float:
 
 
 def _together(e: Explanation, j: JointFound, prior: Prior) -> tuple[float, bool]:
-    """Log likelihood of a joint beside an explanation, relative to the two alone, and whether their spring is one."""
+    """Log probability of a joint beside an explanation, relative to the two alone, and whether their spring is one.
+
+    Beside a joint any linear cause but its own is a second thing that is wrong.
+    """
+    further = any(not part_of_joint(c, j.spot.where) for c in e.causes)
+    price = math.log(SECOND) if further else 0.0
     if not isinstance(j.fit.law, SLIPPING):
-        return 0.0, False
+        return price, False
     k = spring_of(e, j)
     held = EITHER if j.spot.held or k is not None else -math.inf
     whole = -math.inf if k is None else lacked(e, k, j, prior)
-    return max(held, whole), whole > held
+    return price + max(held, whole), whole > held
 
 
 def settled(explanations: list[Explanation], found: ByLevel, prior: Prior) -> tuple[list[Explanation], ByLevel]:
     """Explanations of the linear structure and joints, each by its probability beside all of the others."""
     joints = [j for j in found.joints if j.probability > 0]
-    if found.best != "joint" or not any(isinstance(j.fit.law, SLIPPING) for j in joints):
+    if found.best != "joint" or not joints:
         return explanations, found
     alone = np.log([max(e.probability, 1e-300) for e in explanations])
     pairs = np.array(
