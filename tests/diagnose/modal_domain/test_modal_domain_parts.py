@@ -26,7 +26,7 @@ from modalax.diagnose.modal_domain.judged import standing_out
 from modalax.diagnose.modal_domain.levels.explain import ByLevel, JointFound
 from modalax.diagnose.modal_domain.levels.slipping import settled
 from modalax.diagnose.modal_domain.mode_count import blind_modes, misfit
-from modalax.diagnose.modal_domain.parts import local_parts, parts_of
+from modalax.diagnose.modal_domain.parts import coupled_rows, local_parts, parts_of
 from modalax.diagnose.modal_domain.places import candidates_of
 from modalax.model import Structure
 
@@ -283,14 +283,19 @@ def plate(rows=3, columns=4, k_mount=5.0, k_store=20.0):
 
     Every cell of four nodes resists no rigid motion, but no two of its nodes make an element by themselves.
     """
-    count = rows * columns
-    K = np.zeros((count + 1, count + 1))
+    pieces = plate_pieces(rows, columns, k_mount, k_store)
+    return sum(pieces), tuple(f"{k + 1}:+Z" for k in range(rows * columns + 1))
+
+
+def plate_pieces(rows, columns, k_mount=5.0, k_store=20.0):
+    """Every cell, mount and spring of the plate by itself."""
+    count, pieces = rows * columns, []
     at = lambda r, c: r * columns + c
 
     def strained(nodes, weights, stiffness):
         b = np.zeros(count + 1)
         b[list(nodes)] = weights
-        K[:] += stiffness * np.outer(b, b)
+        pieces.append(stiffness * np.outer(b, b))
 
     for r in range(rows):
         for c in range(columns):
@@ -303,7 +308,7 @@ def plate(rows=3, columns=4, k_mount=5.0, k_store=20.0):
     strained((at(1, 1), count), (1, -1), k_store)
     for corner in (at(0, 0), at(rows - 1, columns - 1)):
         strained((corner,), (1,), k_mount)
-    return K, tuple(f"{k + 1}:+Z" for k in range(count + 1))
+    return pieces
 
 
 def test_of_a_plate_springs_and_mounts_are_read_off_and_the_rest_is_shared_out_among_its_nodes():
@@ -318,6 +323,29 @@ def test_of_a_plate_springs_and_mounts_are_read_off_and_the_rest_is_shared_out_a
     still = np.append(np.arange(12) % 4, 1.0)  # a rigid motion that strains the mounts alone
     for p in (p for p in parts if not p.nodes):
         assert still @ p.full(len(K)) @ still < 1e-9 * K.max()
+
+
+def test_cells_of_a_plate_that_are_off_are_errors_of_nodes_and_of_what_neighbours_share():
+    """A third of such a change is none of single nodes; a random one of so many couplings would keep four fifths."""
+    K, dofs = plate(5, 6)
+    parts = parts_of(K, nodes_of(dofs))
+    own = [p.full(len(K)) for p in parts]
+    shared = [np.outer(a, b) + np.outer(b, a) for a, b in coupled_rows(parts)]
+    size, upper, rng = np.sqrt(np.diag(K)), np.triu_indices(len(K)), np.random.default_rng(0)
+    flat = lambda A: (A / size[:, None] / size)[upper]
+    assert len(own + shared) < 0.4 * len(upper[0])
+    for _ in range(3):
+        change = flat(sum(rng.standard_normal() * P for P in plate_pieces(5, 6)[:-3]))
+        left = []
+        for patterns in (own, own + shared):
+            X = np.stack([flat(P) for P in patterns], axis=1)
+            left.append(np.linalg.norm(change - X @ np.linalg.lstsq(X, change)[0]) / np.linalg.norm(change))
+        assert left[1] < 0.1 < 0.25 < left[0]
+
+
+def test_elements_that_are_read_off_share_nothing():
+    K = simulation().K
+    assert coupled_rows(parts_of(np.asarray(K), nodes_of(DOFS))) == []
 
 
 def test_a_spring_between_two_points_of_a_plate_is_compared_with_what_holds_them():

@@ -14,6 +14,7 @@ from modalax._numerics.triangles import forward
 from modalax.diagnose.modal_domain.coordinates import pattern_slopes, slopes_of
 from modalax.diagnose.modal_domain.features import whitener_of
 from modalax.diagnose.modal_domain.fit import Fit, scale_of
+from modalax.diagnose.modal_domain.inaccuracy import with_group
 from modalax.diagnose.modal_domain.state import Setting, feature_slopes, slopes_at, whitened
 
 SIZES = (0.0, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)  # relative sizes that are tried
@@ -73,11 +74,7 @@ def told_apart(setting: Setting, f: Fit) -> Setting:
     patterns = np.zeros((len(couples), c.size, c.size))
     for k, (r, s) in enumerate(couples):
         patterns[k, r, s] = patterns[k, s, r] = scale[r] * scale[s] * (ON_DIAGONAL if r == s else 1.0)
-    known = replace(
-        a, groups=(*a.groups, "rest"), patterns=(*a.patterns, patterns), claimed=(*a.claimed, False),
-        usual=np.append(a.usual, np.sqrt(2) * setting.rest), spread=np.append(a.spread, KNOWN),
-        positive=np.append(a.positive, np.zeros(len(couples), bool)),
-    )  # fmt: skip
+    known = with_group(a, "rest", patterns, np.sqrt(2) * setting.rest, KNOWN)
     return replace(setting, inaccuracy=known, whitener=whitener_of(setting.features), rest=0.0)
 
 

@@ -6,16 +6,16 @@ by a factor :math:`e^{\epsilon z}` so that it stays positive. Between modes it i
 tenth of that, with a size of its own: modes that are hardly coupled do not tell how well their damping is known.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from modalax.diagnose.modal_domain.coordinates import Coordinates
-from modalax.diagnose.modal_domain.elements import nodes_of
+from modalax.diagnose.modal_domain.elements import Part, nodes_of
 from modalax.diagnose.modal_domain.factored import Factored, factored
 from modalax.diagnose.modal_domain.given_elements import mass_patterns, stiffness_patterns
-from modalax.diagnose.modal_domain.parts import parts_of
+from modalax.diagnose.modal_domain.parts import coupled_rows, parts_of
 from modalax.model import Structure
 
 # Sizes where nothing is claimed, and the spread of their logarithms. Frequencies of finite-element models are off by
@@ -77,10 +77,11 @@ def inaccuracy_of(simulation: Structure, c: Coordinates, highest: float) -> Inac
     M, K = np.asarray(simulation.M), np.asarray(simulation.K)
     nodes = nodes_of(simulation.dofs)
     stiffness, mass = stiffness_patterns(simulation, c), mass_patterns(simulation, c)
+    shared = {name: np.zeros((0, c.size, c.size)) for name in WITHIN}
     if stiffness is None:
-        stiffness = np.stack([c.shapes[p.dofs].T @ p.matrix @ c.shapes[p.dofs] for p in parts_of(K, nodes)])
+        stiffness, shared["stiffness"] = _patterns(parts_of(K, nodes), c)
     if mass is None:
-        mass = np.stack([c.shapes[p.dofs].T @ p.matrix @ c.shapes[p.dofs] for p in parts_of(M, nodes, mass=True)])
+        mass, shared["mass"] = _patterns(parts_of(M, nodes, mass=True), c)
     claims = {"stiffness": _claim(simulation, "stiffness_std"), "mass": _claim(simulation, "mass_std"),
               "damping": _claim(simulation, "damping_std")}  # fmt: skip
     frequency = _claim(simulation, "frequency_std")
@@ -98,10 +99,36 @@ def inaccuracy_of(simulation: Structure, c: Coordinates, highest: float) -> Inac
     own, between = _damping(c, highest)
     patterns = stiffness, mass, own, between
     positive = np.repeat([False, False, True, False], [len(p) for p in patterns])
-    return Inaccuracy(
+    every = Inaccuracy(
         (*TOLD, "damping between modes"), patterns, np.append(usual, usual[-1]),
         np.append(np.where(told, CLAIMED, UNKNOWN), UNKNOWN), (*told.tolist(), False), positive,
     )  # fmt: skip
+    for name, couplings in shared.items():
+        k = TOLD.index(name)
+        every = with_group(every, WITHIN[name], couplings, usual[k], every.spread[k], bool(told[k]))
+    return every
+
+
+def with_group(
+    a: Inaccuracy, group: str, patterns: np.ndarray, usual: float, spread: float, claimed: bool = False,
+    positive: bool = False,
+) -> Inaccuracy:  # fmt: skip
+    """An inaccuracy with a further group, where that has any pattern."""
+    if not len(patterns):
+        return a
+    return replace(
+        a, groups=(*a.groups, group), patterns=(*a.patterns, patterns), usual=np.append(a.usual, usual),
+        spread=np.append(a.spread, spread), claimed=(*a.claimed, claimed),
+        positive=np.append(a.positive, np.full(len(patterns), positive)),
+    )  # fmt: skip
+
+
+def _patterns(parts: list[Part], c: Coordinates) -> tuple[np.ndarray, np.ndarray]:
+    """Change of each part by the whole, and of what neighbouring nodes share of elements that cannot be read off."""
+    own = np.stack([c.shapes[p.dofs].T @ p.matrix @ c.shapes[p.dofs] for p in parts])
+    rows = [(a @ c.shapes, b @ c.shapes) for a, b in coupled_rows(parts)]
+    both = [(np.outer(a, b) + np.outer(b, a)) / np.sqrt(2) for a, b in rows]
+    return own, np.array(both).reshape(-1, c.size, c.size)
 
 
 def _claim(simulation: Structure, name: str) -> float:

@@ -15,6 +15,7 @@ from modalax.diagnose.modal_domain.elements import NEGLIGIBLE, Nodes, Part, stif
 
 MANY = 7  # coupled nodes, itself among them, beyond which a node's elements cannot be told apart
 GIVEN_AWAY = 1e-6  # energy that a part may give away, relative to what it can store; none but for rounding
+NEIGHBOURS, MOST = 8, 400  # nodes about one whose elements it shares, as on a grid; couplings that fits have time for
 FEW = 0.5  # share of the nodes that can rest on springs
 
 
@@ -127,6 +128,29 @@ def supports(K: np.ndarray, nodes: Nodes) -> list[Part]:
         return []
     node = {int(k): j for j, members in enumerate(nodes.members) for k in members}
     return [Part((node[k],), np.array([k]), np.array([[stiffness]])) for k, stiffness in found]
+
+
+def coupled_rows(parts: list[Part]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Rows :math:`F_a`, :math:`F_b` of neighbouring local parts, each over all DoFs, those coupled most first.
+
+    Elements about two nodes are off in both together, and in what couples them, :math:`F_a^T F_b + F_b^T F_a`.
+    """
+    local = [p.matrix for p in parts if not p.nodes]
+    if not local:
+        return []
+    size = np.sqrt(np.maximum(np.diag(sum(local)), 1e-300))
+    rows, node = [], []
+    for k, P in enumerate(local):
+        values, vectors = np.linalg.eigh(P / size[:, None] / size)
+        some = values > GIVEN_AWAY * values[-1]
+        rows.append((vectors[:, some] * np.sqrt(values[some])).T)
+        node += [k] * int(some.sum())
+    F, of = np.concatenate(rows), np.array(node)
+    coupling = np.abs(F @ F.T) * (of[:, None] != of)
+    nearest = np.argsort(-coupling, axis=1)[:, :NEIGHBOURS]
+    pairs = {(min(a, b), max(a, b)) for a, some in enumerate(nearest.tolist()) for b in some if of[a] != of[b]}
+    strongest = sorted(pairs, key=lambda pair: -coupling[pair])[:MOST]
+    return [(F[a] * size, F[b] * size) for a, b in strongest]
 
 
 def local_parts(A: np.ndarray, nodes: Nodes) -> list[Part]:

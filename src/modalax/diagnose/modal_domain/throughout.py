@@ -17,7 +17,7 @@ import numpy as np
 from modalax._numerics.text import with_error
 from modalax.diagnose.modal_domain.discrepancy import beside
 from modalax.diagnose.modal_domain.fit import Fit, fit, linear_at, without_causes
-from modalax.diagnose.modal_domain.inaccuracy import THROUGHOUT, TOLD, UNKNOWN, USUAL, WITHIN
+from modalax.diagnose.modal_domain.inaccuracy import THROUGHOUT, TOLD, UNKNOWN, USUAL, WITHIN, with_group
 from modalax.diagnose.modal_domain.state import Setting
 from modalax.diagnose.thresholds import THRESHOLDS
 
@@ -72,11 +72,7 @@ def _with(setting: Setting, groups: tuple[str, ...]) -> Setting | None:
         patterns = own.sum(axis=0)[None] if factor else uneven_patterns(own)
         if not 0 < len(patterns) <= MOST:
             return None
-        a = replace(
-            a, groups=(*a.groups, group), patterns=(*a.patterns, patterns), claimed=(*a.claimed, False),
-            usual=np.append(a.usual, (WIDER if factor else 1.0) * USUAL[name]), spread=np.append(a.spread, UNKNOWN),
-            positive=np.append(a.positive, np.full(len(patterns), factor)),
-        )  # fmt: skip
+        a = with_group(a, group, patterns, (WIDER if factor else 1.0) * USUAL[name], UNKNOWN, positive=factor)
     return replace(setting, inaccuracy=a)
 
 
