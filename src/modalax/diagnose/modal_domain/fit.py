@@ -100,12 +100,13 @@ class Linear:
         V.ravel(order="K")[:: len(s) + 1] *= 0.5
         return s * (V @ (s * self.right / temperature)), V, -float(np.log(L.diagonal()).sum())
 
-    def learnt(self, epsilon: np.ndarray, temperature: float, rounds: int) -> np.ndarray:
-        """Sizes of greatest evidence, with their prior."""
+    def learnt(self, epsilon: np.ndarray, temperature: float, rounds: int, at: np.ndarray | None = None) -> np.ndarray:
+        """Sizes of greatest evidence, with their prior; with the unknowns ``at`` given values, if not at their mean."""
         a = self.setting.inaccuracy
         largest = np.array([LARGEST[g] for g in a.groups])
         for _ in range(rounds):
             x, V, _ = self.solve(epsilon, temperature)
+            x = x if at is None else at
             z2 = (x[: len(self.group)] / epsilon[self.group]) ** 2
             known = 1 - np.diag(V)[: len(self.group)]
             total = np.bincount(self.group, z2 - known, len(epsilon))
@@ -176,9 +177,11 @@ def fit(
                 if moved < 0.5 or lost:
                     break
         best: Fit | None = None
+        straight = True
         for _ in range(LAST):
             linear = linear_at(setting, state, causes, sizes, u)
-            epsilon = linear.learnt(epsilon, 1.0, 8)
+            # once the linear problem has led astray, sizes learnt at its solution would go round in circles
+            epsilon = linear.learnt(epsilon, 1.0, 8, None if straight else np.concatenate([sizes, u]))
             x, V, volume = linear.solve(epsilon)
             known = 1 - np.diag(V)[: len(linear.group)]
             scale = linear.prior(epsilon)
@@ -200,6 +203,7 @@ def fit(
             if done:
                 break
             state, sizes, u, moved, part = _step(setting, causes, state, sizes, u, x, scale, 1.0)
+            straight &= part == 1.0
             lost = _lost(behind, moved, part)
             if moved < 1e-3:
                 break

@@ -24,6 +24,7 @@ import scipy.linalg
 from modalax.diagnose.modal_domain.causes import shown, with_sizes
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.fit import Fit
+from modalax.diagnose.modal_domain.inaccuracy import TOLD, WITHIN
 from modalax.diagnose.modal_domain.line_forces import LineForce, added_stiffness, loaded
 from modalax.diagnose.modal_domain.state import Setting, matrices_of
 
@@ -163,7 +164,7 @@ def base_of(setting: Setting, f: Fit, freq: np.ndarray, order: int) -> Base:
         else:
             out = cause.transform(u, s, out)
     off = dict(zip(setting.inaccuracy.groups, f.epsilon, strict=True))
-    scatter = 0.5 * float(np.hypot(off.get("stiffness", 0.0), off.get("mass", 0.0)))
+    scatter = 0.5 * float(np.linalg.norm([off.get(name, 0.0) for name in (*TOLD[:2], *WITHIN.values())]))
     return Base(s, out, inn, H, (M, C, K), forces, scatter)
 
 
