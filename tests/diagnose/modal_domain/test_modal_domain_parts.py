@@ -20,6 +20,7 @@ from modalax.diagnose.modal_domain.element_masses import mass_parts
 from modalax.diagnose.modal_domain.elements import nodes_of, stiffness_parts
 from modalax.diagnose.modal_domain.explain import Explanation, Prior
 from modalax.diagnose.modal_domain.features import Features, features_of, paired
+from modalax.diagnose.modal_domain.fit import LARGEST, Linear
 from modalax.diagnose.modal_domain.free_residues import Channels, project, refine
 from modalax.diagnose.modal_domain.inaccuracy import TOLD
 from modalax.diagnose.modal_domain.judged import standing_out
@@ -385,3 +386,18 @@ def test_beside_a_joint_a_cause_elsewhere_is_a_second_thing_that_is_wrong(law, w
     odds = {bool(e.causes): e.probability for e in ranked}
     assert odds[True] / odds[False] == pytest.approx(10 * share)
     assert found.joints[0].probability == pytest.approx(1.0)
+
+
+def test_sizes_are_learnt_at_the_mean_or_where_a_fit_stands():
+    """What is known exactly has a size of its own root mean square."""
+    x, stands = np.array([0.03, -0.04, 0.2]), np.array([0.3, -0.4, 0.7])
+    inaccuracy = SimpleNamespace(
+        group_of=np.array([0, 0, 1]), groups=("stiffness", "damping"), usual=np.full(2, 0.1), spread=np.full(2, 1e3)
+    )
+    gram = 1e10 * np.eye(3)
+    linear = Linear(SimpleNamespace(inaccuracy=inaccuracy), gram, gram @ x, np.zeros(0))
+    rms = lambda v: [np.sqrt(np.mean(v[:2] ** 2)), abs(v[2])]
+    start = np.full(2, 0.1)
+    np.testing.assert_allclose(linear.learnt(start, 1.0, 100), rms(x), rtol=1e-3)
+    expected = np.minimum(rms(stands), [LARGEST["stiffness"], LARGEST["damping"]])
+    np.testing.assert_allclose(linear.learnt(start, 1.0, 100, stands), expected, rtol=1e-3)
