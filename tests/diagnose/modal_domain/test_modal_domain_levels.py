@@ -108,7 +108,7 @@ def damped_by_drag(coefficient: float) -> Measurement:
     freq, outputs = np.linspace(4.0, 140.0, 140), list(DOFS[::2])
     plain = simulate(
         simulation(), [joints.QuadraticDamping(coefficient)], [["6:+Z"]], freq, [1.0, 3.0, 8.0], inputs=["3:+Z"],
-        outputs=outputs, form="accelerance", harmonics=1,
+        outputs=outputs, form="accelerance", harmonics=7,
     )  # fmt: skip
     H, rng = np.asarray(plain.H), np.random.default_rng(0)
     sigma = 0.003 * np.sqrt((np.abs(H[0]) ** 2).mean(axis=0)) * np.ones(H.shape)

@@ -11,7 +11,7 @@ from modalax.diagnose.causes.joints import ElastoSlip, GapContact
 from modalax.diagnose.modal_domain.levels.change import Base, Levels, projected, unexplained
 from modalax.diagnose.modal_domain.levels.drift import Drift
 from modalax.diagnose.modal_domain.levels.laws import NAMED, NAMELESS, LawFit, fit_law, regressed
-from modalax.diagnose.modal_domain.levels.motion import Motion, in_harmonics, motions_of
+from modalax.diagnose.modal_domain.levels.motion import BALANCED, Motion, for_law, in_harmonics, motions_of
 from modalax.diagnose.modal_domain.levels.series import SERIES
 from modalax.diagnose.modal_domain.levels.weigh import Shapes, weigh
 from modalax.diagnose.thresholds import THRESHOLDS
@@ -23,6 +23,7 @@ FITTED = 12  # leading places at which laws are fitted, where one at a few sizes
 ALIKE, HARMONICS = 0.01, 300  # share of the gain that first harmonics do not tell, and forces on which all harmonics do
 NEIGHBOURS = 8  # lines over which errors of a law's force go together
 TOGETHER = 32  # places that are worked on at once
+REFITTED = 8  # leading fits behind a compliance that are fitted again with all harmonics
 BESIDE = 3  # leading fits beside which laws without a name are tried at the same places
 AGREE = 0.01  # probability that nothing differs from which on no joint or drift is told
 WEIGHED, NEAR = 8, 1000.0  # most fits that are weighed on all samples, and nats behind the best up to which they are,
@@ -136,14 +137,16 @@ def explain_levels(
             continue
         value = w.log_evidence + math.log(JOINT) + _prior(spot, f)
         together = NEIGHBOURS if w.tolerance > 0 else 1
-        best = replace(w.fit, covariance=together * w.fit.covariance + _common_error(w.fit, w.tolerance))
-        if apart_from_zero(best) < THRESHOLDS.stands_out:  # what noise has in common with a force here is no law
+        common = _common_error(w.fit, w.tolerance)
+        best = replace(w.fit, covariance=together * w.fit.covariance + common)
+        # what noise has in common with a force here is no law; that a place may move otherwise makes no force of noise
+        if apart_from_zero(replace(w.fit, covariance=together * w.sharp + common)) < THRESHOLDS.stands_out:
             continue
         found.append(JointFound(spot, best, w.b, w.tolerance, w.aside, value))
     found.sort(key=lambda j: -j.log_posterior)
     if found and found[0].tolerance > 0:
         found = _told_apart(found, max(NEIGHBOURS, len(base.s) / len(shapes.fit.state.pairs)))
-    elif found and isinstance(found[0].fit.law, ElastoSlip):
+    elif found and isinstance(found[0].fit.law, BALANCED):
         found = _told_apart(found, NEIGHBOURS)  # errors of the motion are in the variance of its force
     nothing, moved = math.log(1 - JOINT - DRIFT) - 0.5 * before, math.log(DRIFT) + drift.log_evidence
     values = np.array([nothing, moved, *(j.log_posterior for j in found)])
@@ -254,6 +257,7 @@ def _fitted(
 ) -> list[tuple[float, Spot, LawFit]]:  # fmt: skip
     """Fits of every law at every place, the best first; where time is up, at no further place."""
     found: list[tuple[float, Spot, LawFit]] = []
+    value = lambda s, f: -0.5 * f.chi2 - 0.5 * len(f.p) * math.log(levels.samples) + _prior(s, f)
     b = np.array([s.direction for s in spots])
     motions = _both(levels, base, b)
     slips = any(isinstance(law, ElastoSlip) for law in laws)
@@ -267,7 +271,12 @@ def _fitted(
                 else:
                     f = fit_law(law, motions[k][isinstance(law, SERIES)])
                 if f is not None and np.isfinite(f.chi2) and f.rival:
-                    value = -0.5 * f.chi2 - 0.5 * len(f.p) * math.log(levels.samples) + _prior(spots[k], f)
-                    found.append((value, spots[k], f))
+                    found.append((value(spots[k], f), spots[k], f))
         found.sort(key=lambda one: -one[0])
-    return found
+    for n, (_, spot, f) in enumerate(found[:REFITTED]):
+        if isinstance(f.law, SERIES) and f.p[0] and not late():
+            m = for_law(motions[spots.index(spot)][0], levels, base, spot.direction, f.law, spot.within)
+            again = fit_law(f.law, m, f.p)
+            if again is not None and np.isfinite(again.chi2):
+                found[n] = value(spot, again), spot, again
+    return sorted(found, key=lambda one: -one[0])

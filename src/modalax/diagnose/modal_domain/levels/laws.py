@@ -21,8 +21,9 @@ from modalax.diagnose.causes.base import JointCause
 from modalax.diagnose.causes.joints import CoulombFriction, CubicStiffness, ElastoSlip, GapContact, QuadraticDamping
 from modalax.diagnose.causes.power_laws import IwanMicroSlip, PowerDamper, PowerSpring
 from modalax.diagnose.fitting.hypothesis import bounds_of, to_search
+from modalax.diagnose.modal_domain.levels.balance import ORDERS, balanced
 from modalax.diagnose.modal_domain.levels.motion import Motion, padded
-from modalax.diagnose.modal_domain.levels.play import ORDERS, slipped
+from modalax.diagnose.modal_domain.levels.play import Cube, Drag, Play, Stop
 from modalax.diagnose.modal_domain.levels.series import apart, in_series
 
 # A bilinear spring's first harmonic does not know the level. Seen from the lowest level, a spring that slips beside
@@ -102,20 +103,31 @@ def stiffness_of(law: JointCause, m: Motion, p: np.ndarray, amplitude: np.ndarra
     """Describing function at the measured amplitudes, or others of the same lines ``(..., f, i)`` [N/m]."""
     A = m.amplitude if amplitude is None else amplitude
     if m.harmonic is not None:
-        return _lost(m, p, A)[0]
+        return _in_balance(law, m, p, A)[0]
     a, w = m.measured if amplitude is None else padded(A, m.omega[:, None])
     N = np.broadcast_to(np.asarray(_stiffness(law, a, w, p, m.compliance)), a.shape)
     return N[: A.size].reshape(A.shape)
 
 
-def _lost(m: Motion, p: np.ndarray, A: np.ndarray, start: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """What a spring that slips lacks of its stiffness [N/m], and the higher harmonics of its displacement."""
+def _in_balance(
+    law: JointCause, m: Motion, p: np.ndarray, A: np.ndarray, start: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Describing function with all harmonics [N/m], of a slider what it takes, and those of the displacement."""
     assert m.harmonic is not None
-    gk = p[0] * m.harmonic
-    gk = gk if m.within else gk / (1 + gk)
-    gk = np.broadcast_to(gk[:, None, :], (*A.shape, len(ORDERS))).reshape(A.size, -1)
-    share, X = slipped(A.ravel(), p[1], gk, start)
-    return -p[0] * share.reshape(A.shape), X
+    g, omega = m.harmonic, m.omega[:, None]
+    if isinstance(law, ElastoSlip):
+        shape, strength = Play(p[1]), -p[0] * np.ones_like(omega)
+        g = g if m.within else g / (1 + p[0] * g)
+    elif isinstance(law, GapContact):
+        shape, strength = Stop(p[1]), p[0] / (1 + m.compliance * p[0]) * np.ones_like(omega)
+        g = g - m.compliance
+    elif isinstance(law, CubicStiffness):
+        shape, strength = Cube(), p[0] * np.ones_like(omega)
+    else:
+        shape, strength = Drag(), p[0] * omega**2
+    pushed = np.broadcast_to((-strength * g)[:, None, :], (*A.shape, len(ORDERS))).reshape(A.size, -1)
+    share, X = balanced(shape, A.ravel(), pushed, start)
+    return strength * share.reshape(A.shape), X
 
 
 def derivatives_of(law: JointCause, m: Motion, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -124,8 +136,8 @@ def derivatives_of(law: JointCause, m: Motion, p: np.ndarray) -> tuple[np.ndarra
     if m.harmonic is None:
         D, N = map(np.asarray, _slopes(law, *m.measured, p, m.compliance))
         return N[:size].reshape(shape), (D[0] + 1j * D[1])[:size].reshape(*shape, len(p))
-    N, X = _lost(m, p, m.amplitude)
-    moved = [_lost(m, p * (1 + BENT * own), m.amplitude, X)[0] for own in np.eye(len(p))]
+    N, X = _in_balance(law, m, p, m.amplitude)
+    moved = [_in_balance(law, m, p * (1 + BENT * own), m.amplitude, X)[0] for own in np.eye(len(p))]
     return N, np.stack([(n - N) / max(BENT * abs(v), 1e-300) for n, v in zip(moved, p, strict=True)], axis=-1)
 
 
@@ -142,9 +154,12 @@ def force_at(m: Motion, N: np.ndarray) -> np.ndarray:
 
 def scattered(law: JointCause, m: Motion, p: np.ndarray) -> np.ndarray:
     """Variance of a law's force by what is not known of the motion, shape ``(f, i, level - 1)``."""
-    q = force_of(law, m, p)
-    each = [np.abs(force_of(law, other, p) - q) ** 2 for other in m.others]
-    return 0.5 * sum(each, np.zeros(q.shape))
+    if m.harmonic is None:
+        return np.zeros(m.force.shape)
+    N, X = _in_balance(law, m, p, m.amplitude)
+    q = force_at(m, N)
+    others = (force_at(other, _in_balance(law, other, p, other.amplitude, X)[0]) for other in m.others)
+    return 0.5 * sum((np.abs(other - q) ** 2 for other in others), np.zeros(q.shape))
 
 
 def _difference(law: JointCause, m: Motion, p: np.ndarray) -> np.ndarray:
@@ -219,31 +234,31 @@ def regressed(
 
 
 def _sought(law: JointCause, m: Motion, begun: np.ndarray | None) -> np.ndarray | None:
-    """Strength and threshold of least chi-square with all harmonics, which has many minima, some of them narrow."""
-    harmonics = None
+    """Parameters of least chi-square with all harmonics, which has many minima, some of them narrow."""
+    harmonics, sign = None, 1.0 if begun is None else np.sign(begun)
 
     def cost(u: np.ndarray, m: Motion) -> float:
         nonlocal harmonics
-        p = np.exp(u)
-        if p[0] >= m.most:
+        p = sign * np.exp(u)
+        if isinstance(law, ElastoSlip) and p[0] >= m.most:
             return np.inf
-        N, harmonics = _lost(m, p, m.amplitude, harmonics)
+        N, harmonics = _in_balance(law, m, p, m.amplitude, harmonics)
         return float((_off(m, N) ** 2).sum())
 
     if begun is None:
-        starts = [np.log([f * p[0], p[1]]) for _, p in regressed(law, m) if p[0] > 0 for f in STRENGTHS]
+        starts = [np.log([f * p[0], *p[1:]]) for _, p in regressed(law, m) if p[0] > 0 for f in STRENGTHS]
         ranked = sorted((cost(u, m), k, u) for k, u in enumerate(starts))
         if not ranked or not np.isfinite(ranked[0][0]):
             return None
         best, turns = ranked[0][2], BEGUN
     else:
-        best, turns = np.log(begun), 1
+        best, turns = np.log(np.abs(begun)), 1
     for _ in range(turns):  # once more with what is not known at the best
-        loose = m.loosened(scattered(law, m, np.exp(best)))
-        simplex = best + SIMPLEX * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+        loose = m.loosened(scattered(law, m, sign * np.exp(best)))
+        simplex = best + SIMPLEX * np.concatenate([np.zeros((1, len(best))), np.eye(len(best))])
         options = {"initial_simplex": simplex, "maxfev": SOUGHT, "xatol": 1e-4, "fatol": 0.1}
         best = scipy.optimize.minimize(cost, best, (loose,), method="Nelder-Mead", options=options).x
-    return np.exp(best)
+    return sign * np.exp(best)
 
 
 def _followed(law: JointCause, m: Motion) -> np.ndarray | None:

@@ -10,11 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from modalax.diagnose.causes.base import JointCause
-from modalax.diagnose.causes.joints import ElastoSlip
+from modalax.diagnose.causes.joints import CubicStiffness, ElastoSlip, GapContact, QuadraticDamping
+from modalax.diagnose.modal_domain.levels.balance import ORDERS
 from modalax.diagnose.modal_domain.levels.change import Base, Levels, Projection, beyond_noise, projected
-from modalax.diagnose.modal_domain.levels.play import ORDERS
 from modalax.diagnose.modal_domain.levels.series import SERIES
 
+BALANCED = (ElastoSlip, CubicStiffness, GapContact, QuadraticDamping)  # laws that are told with all harmonics
 FARTHEST = 30.0  # factor on a displacement
 TOLERANCE = 0.02  # relative error of a force by its first harmonic alone, before that is learnt
 HARMONIC = 60  # lines at whose third harmonic the compliance across a place is read
@@ -107,11 +108,12 @@ class Motion:
             tuple(g[lines] for g in self.aside), self.most, self.within,
         )  # fmt: skip
 
-    def along(self, other: "Motion") -> "Motion":
-        """Another motion at the same lines that meets the same at its higher harmonics."""
+    def along(self, other: "Motion", levels: np.ndarray) -> "Motion":
+        """Another motion at the same lines and force levels [N] that meets the same at its higher harmonics."""
         return replace(
-            other, harmonic=self.harmonic, scatter=self.scatter, aside=self.aside, most=self.most, within=self.within
-        )
+            other.behind(self.compliance, levels), harmonic=self.harmonic, scatter=self.scatter, aside=self.aside,
+            most=self.most, within=self.within,
+        )  # fmt: skip
 
     def loosened(self, variance: np.ndarray) -> "Motion":
         """The same with an error of a law's forces of its own, of a variance ``(f, i, level - 1)``."""
@@ -160,8 +162,21 @@ def motions_of(levels: Levels, base: Base, b: np.ndarray, p: Projection, law: Jo
 
 def motion_of(levels: Levels, base: Base, b: np.ndarray, law: JointCause, within: bool = True) -> Motion:
     """What one law is told from at the place of direction ``b``; ``within`` as of :class:`Motion`."""
-    m = motions_of(levels, base, b[None], projected(levels, base, b[None]), law)[0]
-    return in_harmonics([m], base, b[None], [within])[0] if isinstance(law, ElastoSlip) else m
+    m = motions_of(levels, base, b[None], projected(levels, base, b[None]))[0]
+    return for_law(m, levels, base, b, law, within)
+
+
+def for_law(m: Motion, levels: Levels, base: Base, b: np.ndarray, law: JointCause, within: bool = True) -> Motion:
+    """A motion across a place as a law is told from it: with what its higher harmonics meet, if it is told with these.
+
+    A stop, whose harmonics are endless, is told behind what those left out meet.
+    """
+    if not isinstance(law, BALANCED):
+        return m
+    (m,) = in_harmonics([m], base, b[None], [within])
+    assert m.harmonic is not None
+    stops = isinstance(law, GapContact)
+    return m.behind(max(float(np.median(m.harmonic[:, -1].real)), 0.0), levels.force) if stops else m
 
 
 def in_harmonics(motions: list[Motion], base: Base, b: np.ndarray, within: Sequence[bool]) -> list[Motion]:

@@ -3,9 +3,10 @@ r"""Laws of joints that sit behind the structure's own compliance, exact in all 
 Across a joint between light parts the motion is no sine: at the third harmonic and above the structure answers as a
 spring, :math:`x_h = -g f_h`. Then :math:`u = x + g f` is a sine, whatever the law, and a law in ``x`` is another in
 ``u``: that of the joint and the compliance in series. A stop of stiffness ``k`` becomes one of :math:`k/(1 + gk)` with
-the same free way. A slider that takes a stiff spring out of the structure is not to be had so, since :math:`1 - gk` is
-next to nothing; it is told with each of its harmonics (:mod:`~modalax.diagnose.modal_domain.levels.play`). The other
-laws are taken by their first harmonic.
+the same free way. So places and laws are looked for; those found are told with each harmonic as the structure answers
+it (:mod:`~modalax.diagnose.modal_domain.levels.balance`). A slider that takes a stiff spring out of the structure is
+not to be had behind a compliance, since :math:`1 - gk` is next to nothing. The other laws are taken by their first
+harmonic.
 """
 
 from functools import lru_cache

@@ -71,6 +71,8 @@ class Weighed:
     ----------
     fit
         With the parameters, covariance and chi-square beside all that is free.
+    sharp
+        Covariance of the parameters were the shapes known.
     log_evidence
         Up to what all hypotheses share.
     tolerance
@@ -82,6 +84,7 @@ class Weighed:
     """
 
     fit: LawFit
+    sharp: np.ndarray
     log_evidence: float
     tolerance: float
     aside: int
@@ -105,8 +108,8 @@ def weigh(
         step = MOVED * np.abs(b).max() / np.maximum(np.abs(moves).max(axis=1), 1e-300)
         every = np.concatenate([now[None], now + step[:, None] * moves])
         P = projected(levels, base, every)
-        motions = motions_of(levels, base, every, P, law)
-        motions[0] = m = told.along(motions[0])
+        motions = [told.along(one, levels.force) for one in motions_of(levels, base, every, P)]
+        m = motions[0]
         N, by = derivatives_of(law, m, p)
         more = (stiffness_of(law, m, p, m.amplitude * (1 + BENT)) - N) / np.maximum(BENT * m.amplitude, 1e-300)
         forces = [force_at(one, N + more * (one.amplitude - m.amplitude)) for one in motions]
@@ -119,15 +122,15 @@ def weigh(
         if not all(np.isfinite(y).all() for y in (*columns, e)):
             break
         G, parts = _products(levels, base, now, P.Q[0], np.stack([*columns, e]))
-        chi2, evidence, rho, aside, x, cov = _best(G, parts, P.Q[0], q, scattered(law, m, p), z, len(moves))
+        chi2, evidence, rho, aside, x, cov, sharp = _best(G, parts, P.Q[0], q, scattered(law, m, p), z, len(moves))
         evidence -= 0.5 * len(p) * math.log(levels.samples)
         size = np.where(log, 1.0, np.abs(p))
         d = np.clip(x[len(moves) :], -0.5, 0.5)
         new = np.where(log, p * np.exp(d), np.maximum(p + d * np.abs(p), low))
         if best is not None and evidence < best.log_evidence:
             break
-        own = cov[len(moves) :, len(moves) :] * np.outer(size, size)
-        best = Weighed(LawFit(law, p, own, chi2), evidence, rho, aside, now)
+        own, sharp = cov[len(moves) :, len(moves) :] * np.outer(size, size), sharp * np.outer(size, size)
+        best = Weighed(LawFit(law, p, own, chi2), sharp, evidence, rho, aside, now)
         z, p = x[: len(moves)], new
     return best
 
@@ -144,8 +147,11 @@ def _products(levels: Levels, base: Base, b: np.ndarray, Q: np.ndarray, X: np.nd
 
 def _best(
     G: np.ndarray, forces: np.ndarray, Q: np.ndarray, q: np.ndarray, loose: np.ndarray, z: np.ndarray, free: int
-) -> tuple[float, float, float, int, np.ndarray, np.ndarray]:
-    """Chi-square, log evidence, tolerance and lines set aside here, and the next point with its covariance."""
+) -> tuple[float, float, float, int, np.ndarray, np.ndarray, np.ndarray]:
+    """Chi-square, log evidence, tolerance and lines set aside here, and the next point with its covariance.
+
+    Last comes the covariance of the law's parameters alone, were the shapes known.
+    """
     best = None
     for rho in TOLERANCES:
         soft, aside = set_aside(Q, rho**2 * np.abs(q) ** 2 + loose, np.abs(q), forces[-1])
@@ -157,13 +163,15 @@ def _best(
         inner = A[:-1, :-1] + np.diag(prior)
         right = A[:-1, -1] - prior * old
         size = np.sqrt(np.maximum(np.diag(inner), 1e-300))
-        cov = np.linalg.pinv(inner / size[:, None] / size, rcond=1e-12) / size[:, None] / size
+        unit = inner / size[:, None] / size
+        cov = np.linalg.pinv(unit, rcond=1e-12) / size[:, None] / size
+        sharp = np.linalg.pinv(unit[free:, free:], rcond=1e-12) / size[free:, None] / size[free:]
         dx = cov @ right
         bend = np.eye(free) + A[:free, :free]
         chi2 = float(A[-1, -1] + z @ z)
         evidence = -0.5 * chi2 + volume - 0.5 * float(np.linalg.slogdet(bend)[1])
         if best is None or evidence > best[1]:
-            best = chi2, evidence, rho, aside, old + dx, cov
+            best = chi2, evidence, rho, aside, old + dx, cov, sharp
     assert best is not None
     return best
 
