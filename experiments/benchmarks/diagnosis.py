@@ -11,7 +11,6 @@ every element is off instead, in CPU seconds.
 import argparse
 import itertools
 import os
-import resource
 import tempfile
 import time
 
@@ -21,6 +20,7 @@ os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 import jax
 import numpy as np
+from common import forget_peak, peak
 
 from modalax import Measurement, Structure
 from modalax.diagnose import diagnose
@@ -176,7 +176,7 @@ def time_off_everywhere() -> None:
             took.append(time.process_time() - start)
             told = f"{said.verdict}: " + ", ".join(f"{c['name']} {'-'.join(c['where'])}" for c in said.causes)
         hidden = "-".join(simulation.dofs[k] for k in softened(simulation))
-        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+        memory = peak() / 1024
         print(
             f"| {count} x {outputs} x {inputs} x {len(LEVELS)} x {lines} | {took[0]:.1f} s | {took[1]:.1f} s | {told} "
             f"(hidden: joint_stiffness {hidden}) | {memory:.1f} GiB |",
@@ -218,16 +218,17 @@ def main() -> None:
         for count in args.cases:
             simulation, place, freq, H = case(count)
             took, said = [], None
+            forget_peak()
             for seed in range(0 if args.screen_only else 2):
                 start = time.perf_counter(), time.process_time()
                 said = diagnose(noisy(simulation, freq, H, seed), simulation)
                 took.append((time.perf_counter() - start[0], time.process_time() - start[1]))
+            memory = peak() / 1024
             seconds, causes, places = screened(noisy(simulation, freq, H, 2), simulation)
             names = [] if said is None else [f"{c['name']} {'-'.join(c['where'])}" for c in said.causes]
             told = ", ".join(names) or "nothing"
             first, warm = (f"{wall:.1f} s, CPU {cpu:.1f} s" for wall, cpu in took) if took else ("", "")
             verdict = "" if said is None else f"{said.verdict}: "
-            memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
             print(
                 f"| {count} | {len(freq)} x {len(LEVELS)} | {first} | {warm} | {verdict}{told} "
                 f"(hidden: elasto_slip {'-'.join(place)}) | {causes} kinds at {places} places: {seconds:.1f} s | "
