@@ -337,6 +337,28 @@ def test_the_strongest_channels_stand_on_paper(fit):
     assert list(frf_plot(many, None).on_paper) == [0, 1, 3, 5, 6, 7]
 
 
+SCROLLED = """<script>
+window.addEventListener("load", () => {
+  const [wide, narrow] = document.querySelectorAll(".scroll");
+  wide.scrollLeft = 1e6;
+  const box = (element) => element.getBoundingClientRect(), text = box(wide.querySelector("caption span"));
+  const seen = {moved: wide.scrollLeft, left: text.left - box(wide).left, over: text.right - box(wide).right,
+                share: box(narrow.querySelector("table")).width / box(narrow).width};
+  document.body.append(Object.assign(document.createElement("pre"), {id: "seen", textContent: JSON.stringify(seen)}));
+});
+</script></body>"""
+
+
+def test_what_is_said_of_a_wide_table_stays_in_sight(browse, tmp_path):
+    page, said = tmp_path / "tables.html", "what is said of it, in many words " * 20
+    tables = [Table([f"column {k}" for k in range(n)], [["1234.5"] * n], said[: 20 * n]) for n in (80, 2)]
+    page.write_text(Page("Tables", sections=[Section("both", [], tables)]).html().replace("</body>", SCROLLED))
+    dom, _ = browse(page, "--dump-dom")
+    seen = json.loads(html_module.unescape(re.search(r'<pre id="seen">(.*?)</pre>', dom, re.S).group(1)))
+    assert seen["moved"] > 1000 and abs(seen["left"]) < 10 and seen["over"] < 1
+    assert seen["share"] < 0.5  # a narrow table stays narrow
+
+
 @pytest.mark.skipif(shutil.which("pdftotext") is None, reason="no pdftotext on this machine")
 def test_no_head_of_a_table_is_parted_from_its_rows_on_paper(browse, tmp_path):
     """Tables that fit a page are whole; longer ones begin with some rows, and each page of them repeats the head."""
