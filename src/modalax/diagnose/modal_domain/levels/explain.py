@@ -130,7 +130,7 @@ def explain_levels(
     fits = _fitted(levels, base, some, laws, begun, late) if some else []
     found: list[JointFound] = []
     for rough, spot, f in fits[:WEIGHED]:
-        if found and (rough < fits[0][0] - max(NEAR, NEAR_SHARE * abs(fits[0][0])) or late()):
+        if found and (rough < _near(fits[0][0]) or late()):
             break
         w = weigh(levels, base, shapes, spot.direction, f, spot.within)
         if w is None or not w.fit.rival:
@@ -156,6 +156,11 @@ def explain_levels(
     best = ByLevel(joints, drift, float(share[1]), float(share[0]), before / levels.samples, 0.0, untried, places)
     after = {"nothing": before, "drift": drift.chi2, "joint": joints[0].fit.chi2 if joints else before}[best.best]
     return replace(best, after=min(before, after) / levels.samples)
+
+
+def _near(best: float) -> float:
+    """Log evidence before weighing [nats] below which a fit is not weighed beside the best."""
+    return best - max(NEAR, NEAR_SHARE * abs(best))
 
 
 def _told_apart(found: list[JointFound], lines: float) -> list[JointFound]:
@@ -255,23 +260,28 @@ def _fitted(
     levels: Levels, base: Base, spots: Sequence[Spot], laws: Sequence[JointCause],
     begun: dict[tuple[str, ...], np.ndarray], late: Callable[[], bool],
 ) -> list[tuple[float, Spot, LawFit]]:  # fmt: skip
-    """Fits of every law at every place, the best first; where time is up, at no further place."""
+    """Fits of every law at every place, the best first; where time is up, at no further place.
+
+    A place that any force leaves too far behind is none for a law. Slips take longest, and come last of those named.
+    """
     found: list[tuple[float, Spot, LawFit]] = []
     value = lambda s, f: -0.5 * f.chi2 - 0.5 * len(f.p) * math.log(levels.samples) + _prior(s, f)
     b = np.array([s.direction for s in spots])
     motions = _both(levels, base, b)
-    slips = any(isinstance(law, ElastoSlip) for law in laws)
+    slips = [law for law in laws if isinstance(law, ElastoSlip)]
     exact = in_harmonics([m for m, _ in motions], base, b, [s.within for s in spots]) if slips else []
-    for some, count in ((laws, len(spots)), (NAMELESS, BESIDE)):
-        near = [k for k in range(len(spots)) if not found or any(spots[k] is s for _, s, _ in found[:count])]
-        for k in near:
-            for law in () if found and late() else some:
-                if isinstance(law, ElastoSlip):
-                    f = fit_law(law, exact[k], begun.get(spots[k].where))
-                else:
-                    f = fit_law(law, motions[k][isinstance(law, SERIES)])
+    for some in ([law for law in laws if law not in slips], slips, NAMELESS):
+        leading = [s for _, s, _ in found[:BESIDE]]
+        for k, spot in enumerate(spots):
+            if found and (late() or -0.5 * motions[k][0].least < _near(max(v for v, _, _ in found))):
+                continue
+            if some is NAMELESS and leading and all(spot is not s for s in leading):
+                continue
+            for law in some:
+                slip = law in slips
+                f = fit_law(law, exact[k] if slip else motions[k][isinstance(law, SERIES)], begun.get(spot.where))
                 if f is not None and np.isfinite(f.chi2) and f.rival:
-                    found.append((value(spots[k], f), spots[k], f))
+                    found.append((value(spot, f), spot, f))
         found.sort(key=lambda one: -one[0])
     for n, (_, spot, f) in enumerate(found[:REFITTED]):
         if isinstance(f.law, SERIES) and f.p[0] and not late():
