@@ -1,12 +1,15 @@
 """The layout holds: imports run one way, modules stay short, and importing the package stays light."""
 
 import ast
+import builtins
+import dis
 import functools
 import os
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import CodeType
 
 import pytest
 
@@ -186,3 +189,31 @@ def test_no_file_imports_a_private_name_of_another():
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("modalax"):
                 private = [a.name for a in node.names if a.name.startswith("_") and not a.name.startswith("__")]
                 assert private == [] or node.module == "modalax", f"{path}: imports {', '.join(private)}"
+
+
+def undefined(source: str, path: str) -> list[str]:
+    """Global names that functions use and neither the module nor Python defines."""
+
+    def within(code: CodeType) -> Iterator[CodeType]:
+        yield code
+        for part in code.co_consts:
+            if isinstance(part, CodeType):
+                yield from within(part)
+
+    whole = compile(source, path, "exec", dont_inherit=True)
+    told = {i.argval for code in within(whole) for i in dis.get_instructions(code)
+            if i.opname == "STORE_GLOBAL" or (i.opname == "STORE_NAME" and code is whole)}  # fmt: skip
+    used = [(i.argval, code.co_name) for code in within(whole) for i in dis.get_instructions(code)
+            if i.opname == "LOAD_GLOBAL"]  # fmt: skip
+    known = told | set(dir(builtins)) | {"__file__", "__name__"}
+    return [f"{path}: {name} in {where}" for name, where in used if name not in known]
+
+
+def test_every_name_that_a_function_uses_is_defined():
+    """Shapes in annotations are no names to Python, and so linters are told not to look for undefined ones."""
+    every = [
+        p for folder in ("src", "tests", "experiments") for p in sorted((SOURCE.parents[1] / folder).rglob("*.py"))
+    ]
+    found = [line for p in every for line in undefined(p.read_text(encoding="utf-8"), str(p))]
+    assert len(every) > len(MODULES) and not found, "\n".join(found)
+    assert undefined("def f():\n    return g(len('a'))", "a.py") == ["a.py: g in f"]

@@ -539,9 +539,8 @@ def frf(t: Test, C: np.ndarray, f: np.ndarray, level: np.ndarray | None) -> np.n
         miss = trial * np.abs(1 + drive * kappa) - free
         first = np.argmax(miss >= 0, axis=0)  # the lowest branch
         A = np.take_along_axis(trial, first[None], axis=0)[0]
+        low, high = np.take_along_axis(trial, np.maximum(first - 1, 0)[None], axis=0)[0], A
         for _ in range(60):  # bisect between the two points of the grid
-            low = np.take_along_axis(trial, np.maximum(first - 1, 0)[None], axis=0)[0] if _ == 0 else low
-            high = A if _ == 0 else high
             mid = np.sqrt(low * high)
             up = mid * np.abs(1 + drive * t.joint[1](mid, s[:, None])) >= free
             low, high = np.where(up, low, mid), np.where(up, mid, high)

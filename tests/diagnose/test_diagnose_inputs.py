@@ -17,7 +17,7 @@ from modalax.diagnose.causes.joints import CubicStiffness, ElastoSlip, GapContac
 from modalax.diagnose.causes.local import AddedMass, JointStiffness
 from modalax.diagnose.causes.power_laws import MicroSlip
 from modalax.diagnose.causes.scene import Place
-from modalax.diagnose.comparison import make_comparison
+from modalax.diagnose.comparison import as_measurement, make_comparison
 from modalax.diagnose.extend import extend
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.prediction.frf import predict
@@ -255,3 +255,16 @@ def test_compiled_programs_go_before_a_process_is_full(tmp_path, monkeypatch):
     maps.write_text("a map\n" * 61)
     assert release_programs(maps, limit) and gone
     assert not release_programs(tmp_path / "no such file", limit)
+
+
+def test_the_line_at_0_hz_is_left_out():
+    freq, rng = np.linspace(0.0, 70.0, 36), np.random.default_rng(0)
+    H = rng.standard_normal((2, 36, 3, 1)) + 1j * rng.standard_normal((2, 36, 3, 1))
+    data = Measurement(freq, H, variance=np.abs(H) ** 2, outputs=["1", "2", "3"], inputs=["1"], level=[1.0, 2.0])
+    left = as_measurement(data)
+    np.testing.assert_array_equal(left.freq, freq[1:])
+    np.testing.assert_array_equal(left.H, H[:, 1:])
+    np.testing.assert_array_equal(left.variance, np.abs(H[:, 1:]) ** 2)
+    assert as_measurement(left) is left
+    with pytest.raises(ValueError, match="only the line at 0 Hz"):
+        as_measurement(data.replace(freq=freq[:1], H=H[:, :1], variance=None))

@@ -8,6 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from modalax._numerics.cuts import cut
 from modalax.data import FRF, Measurement
 from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.causes.base import Cause, ElementCause, LinesCause, UndampedCause
