@@ -30,6 +30,7 @@ that no joint of any law explains the levels with the modes as they are (``joint
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache, partial
 
 import numpy as np
 
@@ -49,6 +50,7 @@ from modalax.diagnose.decision.route import (
     by_claim,
     choice,
     law_is_exact,
+    nothing_left,
     one_place_first,
     order,
     settled,
@@ -157,12 +159,11 @@ def by_routes(
     if by_claim(task):
         measured, shown = by_modes_or_elements(data, simulation, late, progress)
         task = replace(task, elements_show=shown)
-    found = at_one_place(measurement, simulation, question, progress, late) if one_place_first(task) else None
-    if found is not None and found.verdict == "ambiguous" and found.found.leftover.inexact and not late():
-        modes = in_modal_domain(data, simulation, causes, late, progress, measured)
-        return modes if modes is not None and law_is_exact(outcome_of(modes)) else found
-    if found is not None and (found.found.by_force or settled(outcome_of(found)) or late()):
-        return found
+    modal = cache(partial(in_modal_domain, data, simulation, causes, late, progress, measured))
+    found = at_one_place(measurement, simulation, question, progress, late, modal) if one_place_first(task) else None
+    said = None if found is None else sufficient(found, modal, late)
+    if said is not None:
+        return said
     answers: dict[Route, Diagnosis] = {}
     outcomes: dict[Route, Outcome] = {}
     for route in order(task):
@@ -172,7 +173,7 @@ def by_routes(
         until = late.part(FIRST_SHARE) if more else late
         try:
             found = (
-                in_modal_domain(data, simulation, causes, until, progress, measured) if route == "modes"
+                modal() if route == "modes"
                 else line_by_line(measurement, simulation, question, causes, progress, until)
             )  # fmt: skip
         except KeyboardInterrupt:  # what has been found is told
@@ -184,6 +185,16 @@ def by_routes(
             if suffices(route, outcomes[route], task):
                 break
     return answers[choice(outcomes)]
+
+
+def sufficient(found: Diagnosis, modal: Callable[[], ModalDiagnosis | None], late: Deadline) -> Diagnosis | None:
+    """The answer where a force at one place is what is missing; None where the whole of the data is to be asked."""
+    if isinstance(found, ModalDiagnosis):
+        return found
+    if found.verdict == "ambiguous" and found.found.leftover.inexact and not late():
+        modes = modal()
+        return modes if modes is not None and law_is_exact(outcome_of(modes)) else found
+    return found if found.found.by_force or settled(outcome_of(found)) or late() else None
 
 
 def by_modes_or_elements(
@@ -232,9 +243,13 @@ def line_by_line(
 
 def at_one_place(
     measurement: Measurement | FRF, simulation: Structure | ModalModel | ExtendedSimulation, question: str,
-    progress: Callable[[str], None], late: Deadline = NEVER,
+    progress: Callable[[str], None], late: Deadline, modal: Callable[[], ModalDiagnosis | None],
 ) -> Diagnosis | None:  # fmt: skip
-    """Diagnose line by line by elements and joints alone, where a force at one place is all that is missing."""
+    """Diagnose line by line by elements and joints alone, where a force at one place is all that is missing.
+
+    Where none of them is that force, as none is a beam that is softer as a whole, the modal domain is asked, which
+    takes seconds; the whole catalogue at such places, which takes minutes, only if modes leave something to explain.
+    """
     progress("looking for a place at which one force explains the data")
     comparison = make_comparison(measurement, simulation, question)
     places = places_of_one_force(comparison, late.part(FIRST_SHARE))
@@ -249,6 +264,9 @@ def at_one_place(
     said = None if found is None else told(found, progress)
     if said is not None and said.verdict in ("named", "ambiguous"):
         return said
+    modes = modal()
+    if modes is not None and modes.verdict == "named" and nothing_left(outcome_of(modes)):
+        return modes
     return searched(comparison, None, progress)
 
 

@@ -1,5 +1,7 @@
 """Whether one force at one place explains the data: against least squares by hand, and what must not look like it."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from chains import comparison_of, grid, sprung
@@ -8,6 +10,8 @@ from modalax.diagnose import pipeline
 from modalax.diagnose.causes import catalogue
 from modalax.diagnose.causes.base import ElementCause
 from modalax.diagnose.comparison import causes_of, empty
+from modalax.diagnose.deadline import NEVER
+from modalax.diagnose.decision.route import Outcome
 from modalax.diagnose.screening import one_force
 from modalax.diagnose.screening.law_free import gains_without_law
 from modalax.diagnose.screening.products import at_places
@@ -139,8 +143,24 @@ def test_only_elements_at_these_places_are_searched(monkeypatch):
     asked = []
     monkeypatch.setattr(pipeline, "searched", lambda comparison, causes, tell: asked.append(comparison))
     monkeypatch.setattr(pipeline, "explain_force", lambda look, causes: None)
-    pipeline.at_one_place(comparison.measurement, STRUCTURE, "auto", lambda _: None)
+    pipeline.at_one_place(comparison.measurement, STRUCTURE, "auto", lambda _: None, NEVER, lambda: None)
     (used,) = asked
     assert used.joint_places() == list(used.only) and 0 < len(used.only) < len(comparison.scene.pairs())
     assert all(isinstance(c, ElementCause) for c in causes_of(None, used, catalogue(2)))
     assert not all(isinstance(c, ElementCause) for c in causes_of(None, comparison, catalogue(2)))
+
+
+@pytest.mark.parametrize(
+    ("verdict", "left", "expected"), [("named", 0.3, "modes"), ("named", 1e-4, "all"), ("clean", 0.3, "all")]
+)
+def test_modes_are_asked_before_the_whole_catalogue_and_answer_where_they_leave_nothing(
+    monkeypatch, verdict, left, expected
+):
+    """No element or joint between two points is a beam that is softer as a whole, which modes name in seconds."""
+    comparison, _ = comparison_of(STRUCTURE, sprung(STRUCTURE, 2, 5, 5e3))
+    monkeypatch.setattr(pipeline, "searched", lambda *_: "all")
+    monkeypatch.setattr(pipeline, "explain_force", lambda look, causes: None)
+    monkeypatch.setattr(pipeline, "outcome_of", lambda found: Outcome(verdict, 1.0, left))
+    modes = SimpleNamespace(verdict=verdict)
+    found = pipeline.at_one_place(comparison.measurement, STRUCTURE, "auto", lambda _: None, NEVER, lambda: modes)
+    assert found == {"modes": modes, "all": "all"}[expected]
