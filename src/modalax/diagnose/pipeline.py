@@ -264,7 +264,7 @@ def at_one_place(
     said = None if found is None else told(found, progress)
     if said is not None and said.verdict in ("named", "ambiguous"):
         return said
-    modes = modal()
+    modes = None if late() else modal()
     if modes is not None and modes.verdict == "named" and nothing_left(outcome_of(modes)):
         return modes
     return searched(comparison, None, progress)

@@ -131,9 +131,10 @@ def supports(K: np.ndarray, nodes: Nodes) -> list[Part]:
 
 
 def coupled_rows(parts: list[Part]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Rows :math:`F_a`, :math:`F_b` of neighbouring local parts, each over all DoFs, those coupled most first.
+    r"""Rows :math:`F_a`, :math:`F_b` of neighbouring local parts, each of shape ``(n,)``, those coupled most first.
 
-    Elements about two nodes are off in both together, and in what couples them, :math:`F_a^T F_b + F_b^T F_a`.
+    Of :math:`A = F^TF` elements that are off make :math:`F^T(I+\epsilon Z)F` (Soize 2000), with ``Z`` local as they are:
+    off on its diagonal, which is the parts themselves, and in what couples neighbours, :math:`F_a^T F_b + F_b^T F_a`.
     """
     local = [p.matrix for p in parts if not p.nodes]
     if not local:
