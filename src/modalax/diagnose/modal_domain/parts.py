@@ -133,8 +133,8 @@ def supports(K: np.ndarray, nodes: Nodes) -> list[Part]:
 def coupled_rows(parts: list[Part]) -> list[tuple[np.ndarray, np.ndarray]]:
     r"""Rows :math:`F_a`, :math:`F_b` of neighbouring local parts, each of shape ``(n,)``, those coupled most first.
 
-    Of :math:`A = F^TF` elements that are off make :math:`F^T(I+\epsilon Z)F` (Soize 2000), with ``Z`` local as they are:
-    off on its diagonal, which is the parts themselves, and in what couples neighbours, :math:`F_a^T F_b + F_b^T F_a`.
+    Of :math:`A = F^TF` elements that are off make :math:`F^T(I+\epsilon Z)F` (Soize 2000), with ``Z`` as local as they
+    are: on its diagonal, which is the parts themselves, and between neighbours, :math:`F_a^T F_b + F_b^T F_a`.
     """
     local = [p.matrix for p in parts if not p.nodes]
     if not local:
