@@ -191,6 +191,18 @@ def test_no_file_imports_a_private_name_of_another():
                 assert private == [] or node.module == "modalax", f"{path}: imports {', '.join(private)}"
 
 
+def test_every_protocol_can_be_checked_as_the_package_runs():
+    """A user who checks annotations as the package runs could otherwise not even import it."""
+    unmarked = [
+        f"{path}: {node.name}"
+        for path in MODULES
+        for node in ast.walk(parsed(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ClassDef) and "Protocol" in map(ast.unparse, node.bases)
+        and "runtime_checkable" not in map(ast.unparse, node.decorator_list)
+    ]  # fmt: skip
+    assert unmarked == []
+
+
 def undefined(source: str, path: str) -> list[str]:
     """Global names that functions use and neither the module nor Python defines."""
 

@@ -10,7 +10,7 @@ after Cameron and Griffin (1989, J. Appl. Mech. 56:149), by Newton's method.
 """
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -25,6 +25,7 @@ HIGHER = np.exp(1j * np.outer(ORDERS, _TIMES))
 _ANALYSED = 2 / POINTS * HIGHER[:, POINTS:].conj()  # harmonics of what changes its sign from half a cycle to the next
 
 
+@runtime_checkable
 class Shape(Protocol):
     """A force over its strength, in a motion that changes its sign from half a cycle to the next."""
 
