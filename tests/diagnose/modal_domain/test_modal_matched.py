@@ -7,7 +7,7 @@ import pytest
 import scipy.linalg
 
 from modalax.diagnose.modal_domain.causes import Change
-from modalax.diagnose.modal_domain.matched import CLOSE, FAR, missed_frequencies
+from modalax.diagnose.modal_domain.matched import CLOSE, FAR, NEARER, missed_frequencies
 from modalax.diagnose.modal_domain.screen import SIZES, cost_of_size
 
 COUNT = 7
@@ -56,6 +56,33 @@ def test_the_place_of_a_change_that_moves_modes_past_each_other_comes_first(whic
     assert np.argmin(missed) == which
     assert np.sort(missed)[1] > 0.01
     assert missed[-1] == np.inf  # of no change of a matrix nothing is told
+
+
+@pytest.mark.parametrize("size", [0.7, -0.4])
+def test_misses_are_those_of_the_nearest_modes_of_the_changed_structure(size):
+    """Also of a mode that the place hardly moves, which may be as far off as any; in steps of the distances sought."""
+    values = VALUES[:5] * (1 + CLOSE * np.array([0.3, -0.7, 1.6, -1.1, 0.2]))
+    told, _ = missed_by_all(values, np.array([size]))
+    alone = np.zeros(len(CANDIDATES))
+    for k, c in enumerate(CANDIDATES[:-1]):
+        asked = [size]
+        for value in values:  # the sizes that frequencies ask for, by the determinant
+            v = SHAPES.T @ (across(c.where) if c.kind == "K" else point(*c.where))
+            flexible = c.scale * (v**2 / (VALUES - value)).sum()
+            asked.append(-1 / flexible if c.kind == "K" else 1 / value / flexible)
+        b = across(c.where) if c.kind == "K" else point(*c.where)
+        missed = []
+        for u in asked:
+            parts = {"K": K, "M": M}
+            parts[c.kind] = parts[c.kind] + u * c.scale * np.outer(b, b)
+            if np.linalg.eigvalsh(parts["M"]).min() <= 0:
+                continue
+            changed = scipy.linalg.eigh(parts["K"], parts["M"])[0]
+            off = np.abs(changed / values[:, None] - 1).min(axis=1) / CLOSE
+            step = np.append(0.0, NEARER)[np.searchsorted(NEARER, off * (1 - 1e-6))]
+            missed.append((step**2).sum())
+        alone[k] = min(missed)
+    assert told[:-1] == pytest.approx(alone[:-1], abs=1e-9)
 
 
 def test_where_nothing_has_changed_every_place_is_as_good_and_a_miss_is_bounded():

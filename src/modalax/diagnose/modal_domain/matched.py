@@ -2,11 +2,17 @@ r"""Places ranked by the sizes of a change of rank one at which the structure ha
 
 With a change :math:`u\,bb^T` of the stiffness, in modal coordinates of circular frequencies :math:`\omega_k`, the
 structure has a mode of :math:`\lambda = \omega^2` exactly where
-:math:`1 + u\sum_k b_k^2/(\omega_k^2 - \lambda) = 0`, and with one of the mass where
+:math:`f(\lambda) = 1 + u\sum_k b_k^2/(\omega_k^2 - \lambda) = 0`, and with one of the mass where
 :math:`1 - u\lambda\sum_k b_k^2/(\omega_k^2 - \lambda) = 0` (Golub 1973, section 5). So each measured frequency tells at
-once which size of each place it asks for, however far it has moved, and at the right place all ask for one. Of a place
-that a mode hardly sees it asks for a huge size, times a derivative that is as small.
+once which size of each place it asks for, however far it has moved, and at the right place all ask for one.
+
+How near the structure with a change of some size has a mode to a measured frequency, its modes tell that are counted:
+:math:`f` is the product of all :math:`\lambda_k - \lambda` after the change over that before, so that where it is
+negative, one mode more or less lies below :math:`\lambda` than before, and never two (Sylvester's law of inertia).
+Between two values of :math:`\lambda` whose counts differ, there is a mode, also one that the place hardly moves.
 """
+
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -17,7 +23,9 @@ from modalax.diagnose.modal_domain.features import Features
 # Relative change of a squared frequency that an inaccuracy of the elements may make, and what is left of it once the
 # elements follow other modes; times it from which on a mode is as little explained as any.
 CLOSE, FOLLOWED, FAR = 0.03, 0.01, 4.0
+NEARER = FAR * 0.6 ** np.arange(14)[::-1]  # distances, over that change, within which a mode is sought
 LIGHT = -0.95  # least mass over that of the structure at a place; below it nothing is left there
+TOGETHER = 1000  # places that are looked at together
 
 
 def missed_frequencies(
@@ -37,39 +45,41 @@ def missed_frequencies(
         Relative miss of a squared frequency that counts as one.
     """
     out, found = np.full(len(candidates), np.inf), np.zeros(len(candidates))
-    shapes, measured = np.concatenate([modes.low[0], modes.high[0]]), np.abs(features.poles) ** 2
-    squares = np.concatenate([modes.low[1], modes.high[1]])
-    apart = squares - measured[:, None]
-    apart = np.where(np.abs(apart) < 1e-9 * measured[:, None], 1e-9 * measured[:, None], apart)
-    for kind in "KM":
-        which, b2 = _directions(candidates, kind, shapes)
-        if not which:
-            continue
-        flexible = b2 @ (1 / apart).T  # (place, mode)
-        if kind == "K":
-            asked = -1 / _nonzero(flexible)
-            slope = 1 / _nonzero(asked**2 * (b2 @ (1 / apart**2).T))
-        else:
-            asked = 1 / _nonzero(measured * flexible)
-            slope = -1 / _nonzero(asked**2 * (b2 @ (squares / apart**2).T))
-        tried = np.concatenate([np.broadcast_to(sizes, (len(which), len(sizes))), asked], axis=1)
-        off = (tried[:, :, None] - asked[:, None]) * (slope / (close * measured))[:, None]
-        missed = np.minimum(off**2, FAR**2).sum(axis=2)
+    shapes, squares = np.concatenate([modes.low[0], modes.high[0]]), np.concatenate([modes.low[1], modes.high[1]])
+    around = np.concatenate([-NEARER[::-1], [0.0], NEARER])
+    at = np.abs(features.poles)[:, None] ** 2 * (1 + close * around)
+    below = (squares < at[..., None]).sum(axis=-1)
+    apart = squares - at[..., None]
+    apart = np.where(np.abs(apart) < 1e-9 * at[..., None], 1e-9 * at[..., None], apart)
+    misses = np.concatenate([[0.0], NEARER]) ** 2
+    for kind, which, b2 in _directions(candidates, shapes):
+        flexible = np.tensordot(b2, 1 / apart, (1, 2))  # (place, mode, distance)
         if kind == "M":
-            missed = np.where(tried * b2.sum(axis=1)[:, None] < LIGHT, np.inf, missed)
-        best = np.argmin(missed, axis=1)[:, None]
-        out[which], found[which] = (np.take_along_axis(a, best, 1)[:, 0] for a in (missed, tried))
+            flexible *= -at
+        asked = -1 / _nonzero(flexible[:, :, len(NEARER)])
+        tried = np.concatenate([np.broadcast_to(sizes, (len(which), len(sizes))), asked], axis=1)
+        for u in tried.T[:, :, None, None]:
+            fewer = (u > 0) == (kind == "K")
+            counted = below + np.where(fewer, -1, 1) * (1 + u * flexible < 0)
+            within = counted[:, :, len(NEARER) + 1 :] > counted[:, :, len(NEARER) - 1 :: -1]
+            nearest = np.where(within.any(axis=2), within.argmax(axis=2), len(NEARER))
+            missed = misses[nearest].sum(axis=1)
+            if kind == "M":
+                missed = np.where(u[:, 0, 0] * b2.sum(axis=1) < LIGHT, np.inf, missed)
+            better = missed < out[which]
+            out[which], found[which] = (np.where(better, a, b[which]) for a, b in ((missed, out), (u[:, 0, 0], found)))
     return out, found
 
 
-def _directions(candidates: list[Change], kind: str, shapes: np.ndarray) -> tuple[list[int], np.ndarray]:
-    """Numbers of the candidates of rank one, and the squares of their directions by some shapes ``(place, shape)``."""
-    which, rows = [], []
-    for k, c in enumerate(candidates):
-        if c.kind == kind and c.direction is not None and c.pattern is None:
-            which.append(k)
-            rows.append(c.scale * (shapes @ c.direction) ** 2)
-    return which, np.array(rows).reshape(len(which), len(shapes))
+def _directions(candidates: list[Change], shapes: np.ndarray) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    """Kind, numbers of some candidates of rank one, and squares of their directions by shapes ``(place, shape)``."""
+    for kind in "KM":
+        one = [k for k, c in enumerate(candidates)
+               if c.kind == kind and c.direction is not None and c.pattern is None]  # fmt: skip
+        for start in range(0, len(one), TOGETHER):
+            which = one[start : start + TOGETHER]
+            directions = np.array([np.sqrt(candidates[k].scale) * candidates[k].direction for k in which])
+            yield kind, np.array(which), (directions @ shapes.T) ** 2
 
 
 def _nonzero(x: np.ndarray) -> np.ndarray:

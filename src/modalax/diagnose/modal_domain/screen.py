@@ -38,11 +38,16 @@ UNUSABLE = 1e200  # distance that counts for a size that leaves no structure
 TOLERANT = 3.0  # times the usual inaccuracy that finite changes are screened with
 
 
-def finite(setting: Setting, candidates: list[Change]) -> tuple[np.ndarray, np.ndarray]:
+def finite(setting: Setting, candidates: list[Change], told: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     r"""Screen by finite changes of the simulation itself: least :math:`r^T\Sigma^{-1}r + u^2` of each, and its size.
 
     Damping is taken mode by mode, which is exact enough to rank, but for what couples modes: forces and dampers at a
     place have modes of their own at each size.
+
+    Parameters
+    ----------
+    told
+        A further size of each change of one matrix that is tried, over the usual one; zero tries none.
     """
     state, shrink = tolerance(setting)
     sizes = np.array([-s for s in SIZES[::-1]] + [*SIZES])
@@ -51,7 +56,8 @@ def finite(setting: Setting, candidates: list[Change]) -> tuple[np.ndarray, np.n
         if couples(cause):
             trials = _loaded(setting, state.modes, cause, [*(sizes if cause.signed else sizes[sizes > 0]), STRONG])
         elif cause.kind:
-            trials = _changed(setting, cause, sizes)
+            tried = sizes if told is None or told[k] == 0 else np.append(sizes, told[k])
+            trials = _changed(setting, cause, tried)
         elif not cause.local:
             poles, plain = state.modes.poles, state.plain
             few = sizes if cause.sized else np.ones(1)

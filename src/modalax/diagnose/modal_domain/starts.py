@@ -44,13 +44,13 @@ def starts(setting: Setting, null: Fit, candidates: list[Change], share: np.ndar
     gain, size = scores(setting, null, candidates)
     nominal, _ = scores(setting, _nominal(setting, null), candidates)
     few = set(np.argsort(-(gain + share))[:PRESCREENED]) | set(np.argsort(-(nominal + share))[:PRESCREENED])
-    missed, _ = missed_frequencies(setting.features, modes_of(setting.coordinates), candidates, EITHER)
+    missed, told = missed_frequencies(setting.features, modes_of(setting.coordinates), candidates, EITHER)
     matched = missed - 2 * share
     few |= {k for k in np.argsort(matched)[:MATCHED] if np.isfinite(matched[k])}
     few |= {k for k, c in enumerate(candidates) if not c.local}
     forces = {k for k, c in enumerate(candidates) if couples(c)}
     some = sorted([k for k in few - forces if candidates[k].count == 1] + _leading_forces(candidates, gain, nominal))
-    distance, where = finite(setting, [candidates[k] for k in some])
+    distance, where = finite(setting, [candidates[k] for k in some], told[some])
     least = dict(zip(some, distance, strict=True))
     value = dict(zip(some, -0.5 * distance + share[some], strict=True))
     order = sorted(some, key=lambda k: -value[k])
