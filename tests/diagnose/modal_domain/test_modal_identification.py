@@ -8,6 +8,7 @@ import pytest
 from modalax.diagnose.modal_domain.bent_peaks import bent, one_each, widened
 from modalax.diagnose.modal_domain.features import Features, features_of, sure, whitener_of
 from modalax.diagnose.modal_domain.free_residues import Channels, project
+from modalax.diagnose.modal_domain.measured import alike_runs
 from modalax.diagnose.modal_domain.mode_count import blind_modes, heavy, misfit
 from modalax.diagnose.modal_domain.relocation import relocated
 
@@ -53,6 +54,22 @@ def test_modes_within_a_bandwidth_and_a_heavily_damped_one_are_found_and_no_othe
     np.testing.assert_allclose(light, np.sort_complex(np.delete(poles, 2)), rtol=1e-3)
 
 
+def test_levels_that_bend_one_narrow_peak_are_not_averaged():
+    """Though the differences drown in the noise of all other lines; hum at one line in one run is no such peak."""
+    rng = np.random.default_rng(7)
+    poles, moved = poles_of([20.0, 45.0], [0.01, 0.01]), poles_of([20.05, 45.0], [0.01, 0.01])
+    H = np.stack([frf_of(p, np.random.default_rng(8)).reshape(len(S), 5, 2) for p in (poles, poles, moved)])
+    sigma = 0.5 * np.sqrt((np.abs(H) ** 2).mean(axis=(0, 1))) * np.ones(H.shape)
+    noise = sigma * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)) / np.sqrt(2)
+    level = np.array([1.0, 2.0, 4.0])
+    runs, unlike = alike_runs(H + noise, sigma, level)
+    assert list(runs) == [0] and unlike < 1.05
+    same = H[[0, 0, 0]] + noise
+    same[1, 148] *= 1.3
+    assert list(alike_runs(same, sigma, level)[0]) == [0, 1, 2]
+    assert list(alike_runs(same, sigma / np.sqrt(1.04), level)[0]) == [0, 1, 2]  # as of variances that are estimated
+
+
 def test_a_peak_that_no_poles_make_is_no_mode():
     """Near one peak the response is larger on one side, as of a structure that stiffens with amplitude."""
     rng = np.random.default_rng(2)
@@ -67,7 +84,7 @@ def test_a_peak_that_no_poles_make_is_no_mode():
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.9, 1.0])
-def test_features_are_whitened_however_alike_they_are(correlation):
+def test_features_are_whitened_howeveralike_runs_they_are(correlation):
     size = np.array([1e-6, 1.0, 1e3])
     C = (np.full((3, 3), correlation) + (1 - correlation) * np.eye(3)) * size[:, None] * size
     empty = np.zeros((0, 1, 1))

@@ -3,6 +3,8 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.ndimage
+import scipy.stats
 
 from modalax.data import Measurement
 from modalax.data.frf import DERIVATIVES
@@ -17,6 +19,8 @@ BELOW, ABOVE = 2, 3  # modes of the simulation on either side of the band that s
 ASIDE = 0.1  # distance of these from the band, relative to its ends
 EDGE = 0.003  # part of the band's ends by which a mode that is compared may lie outside
 ALIKE = 5.0  # standard deviations of chi-square by which runs may differ and still count as alike
+OFF = 1.3  # factor by which variances that were estimated may be too small at some lines
+UNLIKE = 1e-6  # chance under noise below which runs differ at three neighbouring lines, as where a peak is bent
 
 
 @dataclass(frozen=True)
@@ -76,7 +80,7 @@ def prepared(measurement: Measurement, c: Coordinates) -> tuple[Channels, Noise,
     s = 2j * np.pi * freq
     outside = _outside(c, abs(s[0]), abs(s[-1]))
     noise = noise_of(measurement, _first_guess(measurement, H))
-    runs, unlike = _alike(H, noise.sigma, np.asarray(measurement.level))
+    runs, unlike = alike_runs(H, noise.sigma, np.asarray(measurement.level))
     channels = channels_of(s, H[runs], noise.sigma[runs], order, outside)
     return channels, noise, runs, unlike
 
@@ -136,7 +140,7 @@ def channels_of(s: np.ndarray, H: np.ndarray, sigma: np.ndarray, order: int, out
     return Channels(s, mean.reshape(flat), 2 * total.reshape(flat), order, outside)
 
 
-def _alike(H: np.ndarray, sigma: np.ndarray, level: np.ndarray) -> tuple[np.ndarray, float]:
+def alike_runs(H: np.ndarray, sigma: np.ndarray, level: np.ndarray) -> tuple[np.ndarray, float]:
     """Runs that may be averaged: all where they agree, else those of the lowest level; and how far they disagree."""
     runs = len(H)
     every = np.arange(runs)
@@ -144,10 +148,12 @@ def _alike(H: np.ndarray, sigma: np.ndarray, level: np.ndarray) -> tuple[np.ndar
         return every, 1.0
     weight = 1 / np.maximum(sigma, 1e-300) ** 2
     mean = (weight * H).sum(axis=0) / weight.sum(axis=0)
-    chi2 = 2 * float((weight * np.abs(H - mean) ** 2).sum())
-    freedom = 2 * (runs - 1) * mean.size
+    lines = 2 * (weight * np.abs(H - mean) ** 2).sum(axis=(0, 2, 3))
+    chi2, own = float(lines.sum()), 2 * (runs - 1) * mean[0].size
+    freedom = own * len(lines)
     excess = (chi2 - freedom) / np.sqrt(2 * freedom)
-    if excess < ALIKE or chi2 < 1.05 * freedom:
+    somewhere = scipy.ndimage.median_filter(lines, 3) > OFF * scipy.stats.chi2.isf(UNLIKE / len(lines), own)
+    if not somewhere.any() and (excess < ALIKE or chi2 < 1.05 * freedom):
         return every, chi2 / freedom
     lowest = every[level == np.nanmin(level)] if np.isfinite(level).any() else every[:1]
     return lowest, chi2 / freedom
