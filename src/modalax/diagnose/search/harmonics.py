@@ -37,7 +37,7 @@ def joints_in_full(comparison: Comparison, null: Hypothesis, ranked: list[Hypoth
     by up to :math:`\varepsilon^2 d^2`: all hypotheses within that of the best are fitted again.
 
     So are the simpler laws that some of these may be the limit of (:func:`is_limit`). What was fitted so before is
-    left as it is.
+    left as it is, and so is, once time is up, what has not been begun.
 
     Parameters
     ----------
@@ -60,8 +60,8 @@ def joints_in_full(comparison: Comparison, null: Hypothesis, ranked: list[Hypoth
         alike = sum(h.causes == other.causes for other in out) < ONE_LAW
         if bend > ASKED and h.chi2 < best + 4 * bend**2 + 1 and alike and one_joint(comparison, h):
             out.append(h)
-    full = [fitted_in_full(comparison, null, h) for h in out]
-    limits = [simpler for h in full if (simpler := limit_of(h)) is not None]
+    full = [fitted_in_full(comparison, null, h) for k, h in enumerate(out) if k == 0 or not comparison.late()]
+    limits = [simpler for h in full if (simpler := limit_of(h)) is not None and not comparison.late()]
     return full + [fitted_in_full(comparison, null, comparison.fit([h], PATIENT)[0]) for h in limits]
 
 
@@ -144,8 +144,11 @@ def fitted_in_full(comparison: Comparison, null: Hypothesis, h: Hypothesis) -> H
     k = h.joints[0]
     cause, shift = h.causes[k], lambda p: (*h.params[:k], p, *h.params[k + 1 :])
     assert isinstance(cause, JointCause)
-    starts = [[balanced(comparison, replace(h, params=shift(p))) for p in group] for group in cause.untold(h.params[k])]
-    found = [settled(comparison, min(group, key=lambda one: one.chi2)) for group in starts]
+    found: list[Hypothesis] = []
+    for group in cause.untold(h.params[k]):
+        if not found or not comparison.late():
+            starts = [balanced(comparison, replace(h, params=shift(p))) for p in group]
+            found.append(settled(comparison, min(starts, key=lambda one: one.chi2)))
     h = min(found, key=lambda one: one.chi2)
     seen = sum(c.unseen for c in h.causes)  # what one harmonic does not show, the others do
     h = replace(h, freedom=h.freedom + seen)
@@ -178,7 +181,7 @@ def balanced(comparison: Comparison, h: Hypothesis, rows: np.ndarray | None = No
 def settled(comparison: Comparison, h: Hypothesis) -> Hypothesis:
     """Fit with the effect of harmonics linear about the parameters, and find it anew, until neither changes.
 
-    A step after which the effect as found anew leaves more is shortened.
+    A step after which the effect as found anew leaves more is shortened. Once time is up, no further step is begun.
 
     Parameters
     ----------
@@ -188,7 +191,9 @@ def settled(comparison: Comparison, h: Hypothesis) -> Hypothesis:
         A hypothesis with one joint, balanced.
     """
     k = h.joints[0]
-    for _ in range(TIMES):
+    for step in range(TIMES):
+        if step and comparison.late():
+            break
         fit = comparison.fit([h], PATIENT)[0]
         h = replace(h, covariance=fit.covariance)
         rows = np.asarray(h.extras[k])[NEAR:]

@@ -203,6 +203,8 @@ def smoothed(
     if clip is not None:
         fit = fit * (1 + DEPENDENT * (1 / width + 2 / lines))
     else:
+        # of a mean of n chi-squares of this many degrees of freedom each, 1/variance is n f / (n f - 2) times too large
+        fit = fit * (1 + 2 / freedom * (1 / width + 2 / lines))
         # a line whose own estimate is far above the smooth one knows something that the smooth one does not; far below,
         # it bounds the variance, and is not believed itself, which would be the smallest of thousands
         high = scipy.special.gammainccinv(freedom / 2, RARE) * 2 / freedom
