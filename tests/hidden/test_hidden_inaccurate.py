@@ -152,8 +152,8 @@ def test_harmonic_balance_agrees_with_marching_in_time(law):
     change, lost = joint_change(plant, b, law, freq, [0, 2], [1], level)
     marched, _ = march(plant, Setup(chain, freq, "receptance", [0, 2], [1], level, False), [Joint(law, b)])
     assert lost == 0
-    # four odd harmonics against all; a slider's corner is the worst
-    assert np.abs(change - marched).max() < (1e-2 if isinstance(law, Jenkins) else 1e-3) * np.abs(marched).max()
+    # odd harmonics to the 23rd against all; a slider's corner is the worst
+    assert np.abs(change - marched).max() < (1e-3 if isinstance(law, Jenkins) else 1e-4) * np.abs(marched).max()
     if isinstance(law, Bilinear):
         stiff = plant.add(K=3e3 * np.outer(b, b))
         s, eye = 2j * np.pi * freq, np.eye(n)

@@ -9,13 +9,15 @@ import numpy as np
 from generator.laws import Jenkins, Law
 from generator.plant import Plant
 
-HARMONICS = (1, 3, 5, 7)
-SAMPLES = 128
+HARMONICS = tuple(range(1, 24, 2))
+FIRST = 4  # harmonics that are balanced alone first, from which the others are found at once
+INSTANTS = 32  # of a period, for each harmonic
 
 
 def force(law: Law, x: np.ndarray, omega: np.ndarray) -> np.ndarray:
     """Force harmonics (row, h) of the displacement harmonics ``x`` (row, h)."""
-    phase = 2 * np.pi * np.outer(HARMONICS, np.arange(SAMPLES)) / SAMPLES
+    harmonics, samples = HARMONICS[: x.shape[1]], INSTANTS * x.shape[1]
+    phase = 2 * np.pi * np.outer(harmonics, np.arange(samples)) / samples
     wave = np.exp(1j * phase)
     q = (x @ wave).real
     if isinstance(law, Jenkins):
@@ -23,13 +25,13 @@ def force(law: Law, x: np.ndarray, omega: np.ndarray) -> np.ndarray:
         held = np.clip(law.k * q[:, -1], -law.limit, law.limit)
         f = np.empty(moves.shape)
         for _ in range(2):  # the second period is periodic
-            for t in range(SAMPLES):
+            for t in range(samples):
                 held = f[t] = np.minimum(np.maximum(held + moves[t], -law.limit), law.limit)
         f = f.T - law.given * q
     else:
-        v = ((1j * omega[:, None] * np.array(HARMONICS) * x) @ wave).real
+        v = ((1j * omega[:, None] * np.array(harmonics) * x) @ wave).real
         f = law.start(q, v)
-    return 2 / SAMPLES * f @ wave.conj().T
+    return 2 / samples * f @ wave.conj().T
 
 
 def settle(law: Law, x_lin: np.ndarray, G: np.ndarray, omega: np.ndarray, x: np.ndarray, tolerance: float = 1e-8):
@@ -94,6 +96,7 @@ def joint_change(plant: Plant, b: np.ndarray, law: Law, freq, outputs, inputs, l
             x[:, 0] = x_lin
         else:
             x = x * (F / before)
+        x[:, :FIRST], _ = settle(law, x_lin, G[rows, :FIRST], omega[rows], x[:, :FIRST])
         x, done = settle(law, x_lin, G[rows], omega[rows], x)
         lost += int((~done).sum())
         f = force(law, x, omega[rows])[:, 0].reshape(len(omega), len(inputs)) / F
