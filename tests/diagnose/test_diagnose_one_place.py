@@ -84,6 +84,21 @@ def test_a_law_is_not_followed_beyond_the_time_or_far_behind_another(monkeypatch
     assert same.chi2 == fit.chi2 and as_many == whole
 
 
+def test_a_slider_is_followed_with_as_many_harmonics_as_the_data_ask_for():
+    """Nine leave more than noise of a force that many more make; where they leave noise, none further is taken."""
+    made = simulate(
+        five_dof(), [joints.ElastoSlip(6e4, 0.6)], [PLACE], FREQ[::3], np.array([3.0, 6.0]), inputs=["1"], harmonics=25,
+    )  # fmt: skip
+    left = []
+    for noise in (3e-5, 1e-3):
+        comparison, force = compared(made, noise)
+        (fit,) = laws_by_force(comparison, [ElastoSlip(False)], force, 1e6)
+        left.append((fit.highest, (fit.chi2 - comparison.problem.samples) / np.sqrt(2 * comparison.problem.samples)))
+        assert fit.params == pytest.approx([6e4, 1e-5], rel=1e-3)
+    assert [highest for highest, _ in left] == [force_fit.MORE_HARMONICS, 9]
+    assert max(abs(excess) for _, excess in left) < 3
+
+
 def test_dry_friction_is_followed_to_its_end_whatever_else_was_fitted():
     """It begins with few instants, so that it leaves more at first than it will."""
     comparison, force = compared(joined(joints.CubicSpring(3e10)))

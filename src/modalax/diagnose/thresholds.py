@@ -179,7 +179,8 @@ class Thresholds:
         "Such a law is named where it explains the force but for less than this, and no other comes near.", JOINTS,
     )  # fmt: skip
     law_ahead: float = _threshold(
-        10.0, "ratio of errors", "No other law comes near where each leaves more than this many times as much.", JOINTS
+        10.0, "ratio of errors", "No other law or place comes near where all leave more than this many times as much.",
+        JOINTS,
     )  # fmt: skip
     elements_lead: float = _threshold(
         20.0, "ratio of chi-squares",

@@ -74,7 +74,7 @@ TABLE = [
     (ONE, replace(ALARM, inexact=0.005, ahead=9.0), HELD, "ambiguous", ["explains it but for 0.5 % of its size"]),
     (ONE, replace(ALARM, inexact=0.005, ahead=50.0), MISSED, "ambiguous", ["but for 0.5 % of its size"]),
     (ONE, replace(ALARM, inexact=0.005, ahead=50.0), replace(MISSED, chi2_after=1.4), "named", ["50 times as much"]),
-    (ONE, replace(ALARM, inexact=0.005, ahead=50.0), HELD, "named", ["the next law leaves 50 times as much"]),
+    (ONE, replace(ALARM, inexact=0.005, ahead=50.0), HELD, "named", ["the next law or place leaves 50 times as much"]),
     (ranked((1.0, (CUBIC, "1"), (SPRING, "1"))), ALARM, HELD, "ambiguous", ["one joint of another law"]),
     (
         ranked((0.4, (CUBIC, "1")), (0.4, (CUBIC, "2")), (0.2, (SPRING, "1"))), ALARM, HELD, "ambiguous",

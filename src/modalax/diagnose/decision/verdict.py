@@ -38,7 +38,7 @@ class Leftover:
         Relative error of the force of a joint by its law, where a force at its place is all that is missing and the law
         leaves more of it than noise; else 0.
     ahead
-        How many times as much of that force the next law leaves.
+        How many times as much of that force the next law leaves, or the same law at another place.
     """
 
     alarm: float
@@ -150,9 +150,10 @@ def others_are_untried(case: Case) -> str | None:
 
 
 def law_is_inexact(case: Case) -> str | None:
-    """The place is certain, and the law comes near to the force that is measured there, but not within noise.
+    """The law comes near to the force that is measured at its place, but not within noise.
 
-    It is named where it comes so near as no other law does, and predicts what it was not fitted to.
+    It is named where it comes so near as no other law does, nor itself elsewhere, and predicts what it was not fitted
+    to.
     """
     error, limits = case.leftover.inexact, case.limits
     alone = error < limits.inexact_alone and case.leftover.ahead > limits.law_ahead and not held_out_is_missed(case)
@@ -213,7 +214,7 @@ def named(case: Case) -> str | None:
         return (
             f"{case.subject} a probability of {told_chance(case.certainty)} among all causes that were looked for, and "
             f"explains the force at this place but for {100 * case.leftover.inexact:.2g} % of its size; more than "
-            f"noise is left, but the next law leaves {case.leftover.ahead:.2g} times as much"
+            f"noise is left, but the next law or place leaves {case.leftover.ahead:.2g} times as much"
         )
     return (
         f"{case.subject} a probability of {told_chance(case.certainty)} among all causes that were looked for, and "

@@ -32,15 +32,16 @@ def has_law(cause: ElementCause) -> bool:
     return not isinstance(law, Hysteretic) or sum(jnp.size(a) for a in jax.tree.leaves(law.initial_state())) == 1
 
 
-def harmonics_of(cause: JointCause, p: np.ndarray) -> tuple[int, ...]:
-    """Orders that are balanced: odd ones of a law that is odd, else all and the mean."""
-    return choose_harmonics((cause.law(as_array(p)),), HIGHEST)
+def harmonics_of(cause: JointCause, p: np.ndarray, highest: int = HIGHEST) -> tuple[int, ...]:
+    """Orders that are balanced: odd ones of a law that is odd; else all up to ``HIGHEST``, and the mean."""
+    law = cause.law(as_array(p))
+    return choose_harmonics((law,), highest if law.odd else HIGHEST)
 
 
 @partial(jax.jit, static_argnames=("cause", "harmonics"))
 def _forces(cause: Any, p: Any, y: Any, omega: Any, harmonics: Any) -> tuple[Any, Any]:
     """Forces of motions, each as reals, and their slopes by motion and parameters."""
-    plan = Plan(1, harmonics, SAMPLES_A_HARMONIC * HIGHEST)
+    plan = Plan(1, harmonics, SAMPLES_A_HARMONIC * max(HIGHEST, *harmonics))
 
     def one(y: Any, omega: Any) -> tuple[Any, Any]:
         def force(v: Any) -> tuple[Any, Any]:
@@ -141,8 +142,9 @@ def _solved(J: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def balanced(
-    cause: JointCause, p: np.ndarray, G: np.ndarray, free: np.ndarray, omega: np.ndarray, near: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    cause: JointCause, p: np.ndarray, G: np.ndarray, free: np.ndarray, omega: np.ndarray, near: np.ndarray,
+    highest: int = HIGHEST,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """The force of a law at the fundamental [N], its slopes, whether a motion was found, and that motion [m].
 
     Parameters
@@ -158,6 +160,8 @@ def balanced(
     near
         Motion from which the search begins, shape ``(n, h)`` [m]; then its fundamental alone, that without the joint,
         and what was found of neighbours in the row.
+    highest
+        Highest of these orders.
 
     Returns
     -------
@@ -165,7 +169,7 @@ def balanced(
         Shapes ``(n,)``, ``(parameter + 1, n)``, ``(n,)`` and ``(n, h)``. The last slope is by the logarithm of the
         motion without the joint.
     """
-    b = _Balance(cause, p, G, free, omega, harmonics_of(cause, p))
+    b = _Balance(cause, p, G, free, omega, harmonics_of(cause, p, highest))
     alone = np.zeros_like(near)
     alone[:, b.fundamental[0]] = near[:, b.fundamental[0]]
     y, left = b.real(near), np.full(len(free), np.inf)

@@ -17,30 +17,28 @@ from typing import Any
 import numpy as np
 
 from modalax.diagnose.causes.base import ElementCause, JointCause, LocalCause
-from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.gauss_newton import covariance_of
 from modalax.diagnose.fitting.hypothesis import bounds_of, from_search, to_search
-from modalax.diagnose.prediction.harmonics import FEWER_INSTANTS, INSTANTS, MORE_INSTANTS
+from modalax.diagnose.prediction.harmonics import FEWER_INSTANTS, HIGHEST, INSTANTS, MORE_INSTANTS
 from modalax.diagnose.screening.modes_beside import Beside
-from modalax.diagnose.search.balanced_force import has_law
-from modalax.diagnose.search.law_force import Seen, force_of, seen_at
-from modalax.diagnose.search.measured_force import MeasuredForce, force_beside, robust_sizes, sizes_by_force
-from modalax.diagnose.search.one_harmonic import impedances
+from modalax.diagnose.search.balanced_force import harmonics_of, has_law
+from modalax.diagnose.search.force_sizes import misfit, sized
+from modalax.diagnose.search.law_force import FEWER, Seen, force_of, seen_at
+from modalax.diagnose.search.measured_force import MeasuredForce, force_beside
 from modalax.diagnose.search.rows import CLEAR, HALF, MOST, OUTLYING
 from modalax.diagnose.thresholds import THRESHOLDS
 
-AROUND = (0.75, 1.0, 1.3)  # strengths that are balanced, over the one that was read off
 ROUNDS = 12  # steps of a fit, with lines far off counting little, and again as least squares
 ROUGHLY, SETTLED = 1.0, 1e-2  # changes of chi-square at which the first and the second end
-SLIDING = (0.95, 0.75)  # quantiles of the force measured that dry friction may have where it slides
 CHOSEN = 128  # lines by which starts are compared
 MOST_LAWS = 8  # that are fitted where none leaves no more than noise
 BEHIND = 40.0  # chi-square behind the best, harmonics apart, from which on a law is not fitted
 FARTHEST = 3.0  # largest change of the logarithm of a parameter in a step
 DAMPED = 1e-3  # first damping of a step, over the diagonal
 MEASURED_AGAIN, SAME = 4, 0.1  # times that the force is measured about modes moved on, and chi-square that ends it
-REWEIGHED = 3  # times that lines are weighed by what they miss
+MAY = 3.0  # times what harmonics left out are expected to do, up to which they may be why a law leaves more than noise
+MORE_HARMONICS = 21  # highest harmonic where those up to the usual one leave more than noise, and may be why
 
 
 @dataclass(frozen=True)
@@ -64,6 +62,8 @@ class ForceFit:
         Harmonics of the motion across the place, shape ``(n, h)`` [m].
     seen
         What was measured there, with the modes beside this law.
+    highest
+        Highest harmonic that was balanced.
     """
 
     cause: ElementCause
@@ -74,6 +74,7 @@ class ForceFit:
     slopes: np.ndarray
     motion: np.ndarray
     seen: Seen
+    highest: int = HIGHEST
 
     @property
     def alone(self) -> np.ndarray:
@@ -124,7 +125,7 @@ def fit_to_force(
     first, rival = (FEWER_INSTANTS, np.inf) if slides(cause, seen) else (INSTANTS, rival)
     some = seen.telling(CHOSEN) if len(starts) > 1 and seen.several else seen
     left = [_residual(some, *force_of(cause, p, some, instants=first)[::2]) for p in starts]
-    tried = [(_misfit(r, True), k) for k, r in enumerate(left)]
+    tried = [(misfit(r, True), k) for k, r in enumerate(left)]
     if not tried or not np.isfinite(min(tried)[0]):
         return None
     u, motion = to_search(cause, starts[min(tried)[1]]), None
@@ -133,7 +134,7 @@ def fit_to_force(
         instants = first if robust else INSTANTS
         u, seen, motion, r, J, sound = _descended(cause, u, seen, motion, aside, robust, instants, late, rival)
         aside = _far_off(seen, r, sound)
-        if _misfit(r, True) + seen.left > rival + BEHIND:
+        if misfit(r, True) + seen.left > rival + BEHIND:
             break
     # a linear element has one motion at every line, and so has a joint too weak for harmonics to count
     linear = isinstance(cause, LocalCause) or not seen.several
@@ -143,10 +144,34 @@ def fit_to_force(
 
 
 def finely(fit: ForceFit, late: Callable[[], bool]) -> ForceFit:
-    """A fit of dry friction with many instants, from that with few and the lines that it kept."""
-    u = to_search(fit.cause, fit.params)
-    u, seen, motion, r, J, sound = _descended(fit.cause, u, fit.seen, fit.motion, fit.aside, False, MORE_INSTANTS, late)
-    return _ended(fit.cause, u, seen, motion, r, J, _far_off(seen, r, sound))
+    """A fit of dry friction with many instants, or of another law with many harmonics, from that with few.
+
+    Lines that were set aside begin so; any that it then explains are kept.
+    """
+    many = HIGHEST if slides(fit.cause, fit.seen) else MORE_HARMONICS
+    u, kept = to_search(fit.cause, fit.params), (False, MORE_INSTANTS, late)
+    u, seen, motion, r, J, sound = _descended(fit.cause, u, fit.seen, fit.motion, fit.aside, *kept, highest=many)
+    return _ended(fit.cause, u, seen, motion, r, J, _far_off(seen, r, sound), many)
+
+
+def beyond(highest: int) -> float:
+    """What harmonics above the highest may do over those above ``FEWER`` up to it, of a force with corners at most."""
+    return (FEWER + 1) / (highest - FEWER)
+
+
+def _lacks_harmonics(fit: ForceFit) -> bool:
+    """Whether a law leaves more than noise of a force, and harmonics that were left out may be why."""
+    law, seen = fit.cause, fit.seen
+    if not seen.several or not has_law(law) or 0 in harmonics_of(law, fit.params):
+        return False
+    count = max(2 * int((seen.precision > 0).sum()), 1)
+    excess = fit.chi2 - seen.left - count
+    if excess < THRESHOLDS.one_force * np.sqrt(2 * count) or fit.aside.mean() > MOST:
+        return False
+    force, _, sound, motion = force_of(law, fit.params, seen, fit.motion)
+    other, _, also, _ = force_of(law, fit.params, seen, motion, fewer=True)
+    change = seen.precision * np.where(sound & also & ~fit.aside, force - other, 0.0)
+    return excess < (MAY * beyond(HIGHEST)) ** 2 * float((np.abs(change) ** 2).sum())
 
 
 def _far_off(seen: Seen, r: np.ndarray, sound: np.ndarray) -> np.ndarray:
@@ -163,10 +188,11 @@ def _holds_most(seen: Seen, aside: np.ndarray) -> bool:
 
 
 def _ended(
-    cause: ElementCause, u: np.ndarray, seen: Seen, motion: Any, r: np.ndarray, J: np.ndarray, aside: np.ndarray
-) -> ForceFit:
+    cause: ElementCause, u: np.ndarray, seen: Seen, motion: Any, r: np.ndarray, J: np.ndarray, aside: np.ndarray,
+    highest: int = HIGHEST,
+) -> ForceFit:  # fmt: skip
     p = np.asarray(from_search(cause, u))
-    return ForceFit(cause, p, seen.left + float((np.abs(r[~aside]) ** 2).sum()), aside, r, J, motion, seen)
+    return ForceFit(cause, p, seen.left + float((np.abs(r[~aside]) ** 2).sum()), aside, r, J, motion, seen, highest)
 
 
 def slides(cause: ElementCause, seen: Seen) -> bool:
@@ -204,8 +230,16 @@ def fit_with_modes(
         fit = fit_to_force(cause, [fit.params], again, comparison.late) or fit
         if abs(left - before) < SAME:
             break
-    if fit is not None and slides(cause, seen) and fit.chi2 <= near and not comparison.late():
-        fit = finely(fit, comparison.late)
+    if (
+        fit is not None
+        and fit.chi2 <= near
+        and not comparison.late()
+        and (slides(cause, seen) or _lacks_harmonics(fit))
+    ):
+        finer = finely(fit, comparison.late)
+        fit = (
+            finer if slides(cause, seen) or finer.chi2 + 4 * finer.aside.sum() < fit.chi2 + 4 * fit.aside.sum() else fit
+        )
     return fit
 
 
@@ -214,14 +248,9 @@ def _residual(seen: Seen, force: np.ndarray, sound: np.ndarray) -> np.ndarray:
     return seen.precision * np.where(sound, np.where(sound, force, 0.0) - seen.force, seen.force)
 
 
-def _misfit(r: np.ndarray, robust: bool) -> float:
-    square = np.nan_to_num(np.abs(r) ** 2, nan=1e300, posinf=1e300)
-    return float(np.log1p(square).sum() if robust else square.sum())
-
-
 def _descended(
     cause: ElementCause, u: np.ndarray, seen: Seen, motion: np.ndarray | None, aside: np.ndarray, robust: bool,
-    instants: int, late: Callable[[], bool], rival: float = np.inf,
+    instants: int, late: Callable[[], bool], rival: float = np.inf, highest: int = HIGHEST,
 ) -> tuple[np.ndarray, Seen, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Damped Gauss-Newton steps of law and modes: where they end, motion, residual, slopes and soundness there."""
     low, high = bounds_of([cause])
@@ -230,14 +259,15 @@ def _descended(
 
     def at(u: np.ndarray, seen: Seen, motion: np.ndarray | None) -> tuple[Any, ...]:
         p = np.asarray(from_search(cause, u))
-        force, slopes, sound, moved = force_of(cause, p, seen, motion, instants=instants)
+        force, slopes, sound, moved = force_of(cause, p, seen, motion, instants=instants, highest=highest)
         slopes = np.where(sound, slopes, 0.0)
         slopes[:own] *= np.where(logarithmic, p, 1.0)[:, None]
         if seen.follow is not None:
             slopes[own:] -= np.where(sound, seen.follow.force.T, 0.0)
         r, kept = _residual(seen, force, sound), 0.0 if motion is None else motion
-        cost = _misfit(r[~aside], robust) + seen.left
-        return cost, r, seen.precision * slopes, np.where(sound[:, None], moved, kept), sound
+        cost = misfit(r[~aside], robust) + seen.left
+        moved = np.where(sound[:, None], moved, kept if np.shape(kept)[1:] == moved.shape[1:] else 0.0)
+        return cost, r, seen.precision * slopes, moved, sound
 
     cost, r, J, motion, sound = at(u, seen, motion)
     damping, enough = DAMPED, ROUGHLY if robust else SETTLED
@@ -298,65 +328,19 @@ def laws_by_force(
     for k, cause in enumerate(causes):
         at = next((p for p in cause.places(scene) if p.index[:2] == force.place.index[:2]), None)
         if at is not None and not (cause.each_run and several) and cause.parameters:
-            order += [(*one[:2], k, one[2]) for one in [_sized(comparison, cause, at, force, seen)] if one is not None]
+            order += [(*one[:2], k, one[2]) for one in [sized(comparison, cause, at, force, seen)] if one is not None]
     out: list[ForceFit] = []
-    for count, (_, misfit, k, starts) in enumerate(sorted(order, key=lambda one: one[:3])):
+    for count, (_, missed, k, starts) in enumerate(sorted(order, key=lambda one: one[:3])):
         if comparison.late():
             break
         best = min([least, *(f.chi2 for f in out)])
         near = best + 4 * causes[k].fidelity ** 2 * effect + BEHIND
         done = best - seen.samples < THRESHOLDS.one_force * np.sqrt(2 * seen.samples)
-        noise = min(misfit, 2 * len(seen.force))  # of the rest, three quarters may be the error of one harmonic
-        far = seen.left + noise + (misfit - noise) / 4 > near if done else count >= MOST_LAWS
+        noise = min(missed, 2 * len(seen.force))  # of the rest, three quarters may be the error of one harmonic
+        far = seen.left + noise + (missed - noise) / 4 > near if done else count >= MOST_LAWS
         if several and far and (not isinstance(causes[k], LocalCause) or seen.left > near):
             continue
-        rival = min((_misfit(f.residual, True) + f.seen.left for f in out), default=np.inf)
+        rival = min((misfit(f.residual, True) + f.seen.left for f in out), default=np.inf)
         found = fit_with_modes(comparison, causes[k], starts, force, seen, near, rival)
         out += [] if found is None else [found]
     return out
-
-
-def _sized(
-    comparison: Comparison, cause: ElementCause, at: Place, force: MeasuredForce, seen: Seen
-) -> tuple[float, float, list[np.ndarray]] | None:
-    """A law by one harmonic: its robust and its plain misfit, and parameters to start from; None where it has none."""
-    found = [p for _, p in sizes_by_force(comparison, cause, at, force)[:1]]
-    groups, around = [[p] for p in found], (1.0,)
-    if seen.several and isinstance(cause, JointCause) and cause.rigid:  # the force that slides is a square wave
-        size = np.abs(seen.force)
-        told = seen.precision * size > CLEAR
-        found = [np.array([np.pi / 4 * np.quantile(size[told] if told.any() else size, q)]) for q in SLIDING]
-        groups = [[p] for p in found]
-    elif seen.several and isinstance(cause, JointCause):
-        robust = robust_sizes(comparison, cause, at, force)
-        found += [] if robust is None else [robust[1]]
-        groups = [group for p in found for group in cause.untold(p)]
-        around = AROUND if has_law(cause) and sum(map(len, groups)) == len(found) else (1.0,)
-    if not found:
-        return None
-    left = [_misfits_by_one_harmonic(cause, p, seen) for p in found]
-    starts = [p * np.array([s, *np.ones(len(p) - 1)]) for group in groups for p in group for s in around]
-    return min(robust for robust, _ in left), min(plain for _, plain in left), starts
-
-
-def _misfits_by_one_harmonic(cause: ElementCause, p: np.ndarray, seen: Seen) -> tuple[float, float]:
-    """Robust and plain misfit of force that an element's impedance leaves at the measured motion, beside its modes."""
-    lay = lambda x: x.reshape(seen.shape)
-    Z = impedances(cause, lay(np.abs(seen.motion)), lay(seen.omega)[0, :, 0], p).ravel()
-    G, f = seen.receptance[:, 1], seen.follow
-    with np.errstate(all="ignore"):
-        share = np.nan_to_num(seen.precision / (1 + G * Z))
-        r = share * np.nan_to_num(Z * seen.motion - seen.force)
-        if f is None:
-            return _misfit(r, True), _misfit(r, False)
-        motion = f.free - G[:, None] * f.force - seen.force[:, None] * f.receptance
-        J = share[:, None] * np.nan_to_num(Z[:, None] * motion - f.force)
-    out = []
-    for robust in (True, False):
-        step = np.zeros(len(f.curvature))
-        for _ in range(REWEIGHED if robust else 1):
-            w = 1 / (1 + np.abs(r + J @ step) ** 2) if robust else np.ones(len(r))
-            A, g = (J.conj().T @ (w[:, None] * J)).real, (J.conj().T @ (w * r)).real
-            step = np.linalg.solve(A + f.curvature, f.downhill - g)
-        out.append(_misfit(r + J @ step, robust) + float((f.curvature @ step - 2 * f.downhill) @ step))
-    return out[0], out[1]

@@ -181,6 +181,7 @@ def force_of(
     near: np.ndarray | None = None,
     fewer: bool = False,
     instants: int = INSTANTS,
+    highest: int = HIGHEST,
 ) -> tuple[np.ndarray, ...]:
     """A law's force [N], its slopes by the parameters, whether a motion was found, and that motion.
 
@@ -191,11 +192,14 @@ def force_of(
     seen
         What was measured.
     near
-        Motions from which the balance begins, shape ``(n, h)``; the measured ones if None.
+        Motions from which the balance begins, shape ``(n, h)``; the measured ones if None. Of fewer harmonics than are
+        balanced the others begin at nothing.
     fewer
         Whether fewer harmonics are balanced, which shows how much those left out may do.
     instants
         Of half a cycle, at which dry friction is followed.
+    highest
+        Highest harmonic of other laws that are odd.
 
     Returns
     -------
@@ -217,12 +221,14 @@ def force_of(
         made = described(cause, p, lay(seen.receptance[:, 1]), lay(seen.free), omega, lay(across))
         force, slopes, sound, motion = (x.reshape(*x.shape[:-3], -1) for x in made)
         return force, _of_all(force, slopes, seen), sound, motion[:, None]
-    orders = harmonics_of(cause, p)
+    orders = harmonics_of(cause, p, highest)
+    start = nothing * np.zeros(len(orders))
     if near is None:
-        near = nothing * np.zeros(len(orders))
-        near[:, orders.index(1)] = seen.motion
-    G = np.where(np.array(orders) > (FEWER if fewer else HIGHEST), 0.0, seen.receptance[:, list(orders)])
-    force, slopes, sound, motion = balanced(cause, p, G, seen.free, seen.omega, near)
+        start[:, orders.index(1)] = seen.motion
+    else:
+        start[:, : near.shape[1]] = near
+    G = np.where(np.array(orders) > (FEWER if fewer else orders[-1]), 0.0, seen.receptance[:, list(orders)])
+    force, slopes, sound, motion = balanced(cause, p, G, seen.free, seen.omega, start, highest)
     return force, _of_all(force, slopes, seen), sound, motion
 
 

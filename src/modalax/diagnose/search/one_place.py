@@ -17,8 +17,7 @@ from modalax.diagnose.prediction.harmonics import MORE_INSTANTS
 from modalax.diagnose.search.balanced_force import has_law
 from modalax.diagnose.search.candidates import cost_of
 from modalax.diagnose.search.explain import Explanation, weigh
-from modalax.diagnose.search.force_fit import ForceFit, laws_by_force
-from modalax.diagnose.search.harmonics import BEYOND
+from modalax.diagnose.search.force_fit import ForceFit, beyond, laws_by_force
 from modalax.diagnose.search.imitator_check import apart, likeness
 from modalax.diagnose.search.law_force import force_of
 from modalax.diagnose.search.look import Look
@@ -77,14 +76,14 @@ def explain_force(look: Look, causes: Sequence[Cause]) -> Explanation | None:
     leftover = Leftover(
         alarm, null.chi2 - best.chi2, min(1.0, 2 * min(chance, after.p_value)),
         float(sum(r.probability for r in nameless)), notes[0] if notes else "", inexact=inexact,
-        ahead=_ahead(fit, [other for _, other in found]),
+        ahead=_ahead(first, fit, found),
     )  # fmt: skip
     return Explanation(look, comparison, ranked, leftover, after, [h for h, _ in found], notes, by_force=several)
 
 
-def _ahead(fit: ForceFit, others: Sequence[ForceFit]) -> float:
-    """How many times as much of the force the nearest other law leaves, at any place."""
-    rest = [f.chi2 for f in others if f.cause.slug != fit.cause.slug]
+def _ahead(h: Hypothesis, fit: ForceFit, others: Sequence[tuple[Hypothesis, ForceFit]]) -> float:
+    """How many times as much of the force the nearest other law leaves, at any place, or the same law elsewhere."""
+    rest = [f.chi2 for other, f in others if other.parts != h.parts]
     left = np.array([fit.chi2, min(rest, default=np.inf)]) - fit.seen.least
     return float(np.sqrt(max(left[1], 0.0) / max(left[0], 1.0)))
 
@@ -148,11 +147,14 @@ def in_full(comparison: Comparison, h: Hypothesis, fit: ForceFit) -> Hypothesis:
     if not harmonics or not seen.several:
         return replace(h, covariance=fit.covariance * np.outer(wider, wider))
     extra = joint_extra(comparison, fit)
-    force, _, sound, _ = force_of(fit.cause, fit.params, seen, fit.motion, instants=MORE_INSTANTS)
-    other, _, also, _ = force_of(fit.cause, fit.params, seen, fewer=True)
-    beyond = 1.0 if fit.cause.rigid else BEYOND
+    force, _, sound, _ = force_of(fit.cause, fit.params, seen, fit.motion, instants=MORE_INSTANTS, highest=fit.highest)
+    other, _, also, _ = force_of(fit.cause, fit.params, seen, fewer=True, highest=fit.highest)
     both = sound & also & ~fit.aside
-    change = beyond * seen.precision * (np.where(both, force, 0.0) - np.where(both, other, 0.0))
+    change = (
+        (1.0 if fit.cause.rigid else beyond(fit.highest))
+        * seen.precision
+        * (np.where(both, force, 0.0) - np.where(both, other, 0.0))
+    )
     fidelity = float(np.linalg.norm(change) / max(np.linalg.norm(seen.precision * seen.force), 1e-300))
     shift = fit.covariance @ (fit.alone.conj() @ change).real
     covariance = fit.covariance * np.outer(wider, wider) + np.outer(shift, shift)
@@ -171,7 +173,7 @@ def joint_extra(comparison: Comparison, fit: ForceFit) -> np.ndarray:
     """What the prediction needs of a joint beside its parameters, as ``prediction.frf.factor_at`` takes it."""
     cause, p, seen = fit.cause, fit.params, fit.seen
     assert isinstance(cause, JointCause)
-    force, slopes, sound, _ = force_of(cause, p, seen, fit.motion, instants=MORE_INSTANTS)
+    force, slopes, sound, _ = force_of(cause, p, seen, fit.motion, instants=MORE_INSTANTS, highest=fit.highest)
     force, slopes = np.where(sound, force, 0.0), np.where(sound, slopes, 0.0)
     G = seen.receptance[:, 1]
     series = np.abs(G) if cause.rigid else np.zeros(len(G))
