@@ -138,13 +138,12 @@ class Thresholds:
     )  # fmt: skip
     # The choice between line by line and the modal domain.
     off: float = _threshold(
-        3e-4, "relative error", "A simulation is off in general where its stiffness or mass is off by more than this.",
-        INACCURATE,
+        3e-4, "relative error", "Stiffness off by more than this is off in general, not by one thing.", INACCURATE
     )  # fmt: skip
     surely_off: float = _threshold(
         2e-3, "relative error",
         "Line by line, which takes all but the causes as exact, adds nothing to a named cause where stiffness or mass "
-        "is certainly off by more than this.", INACCURATE,
+        "is certainly off by more than this; mass alone is off in general from here on.", INACCURATE,
     )  # fmt: skip
     left_by_modes: float = _threshold(
         0.01, "chance",

@@ -16,6 +16,7 @@ LARGE = replace(SMALL, places=301.0)
 OFF = {"stiffness": {"value": 0.02, "interval": [0.01, 0.03]}, "mass": {"value": 0.0, "interval": [0.0, 0.01]}}
 EXACT = {"stiffness": {"value": 1e-4, "interval": [5e-5, 2e-4]}, "mass": {"value": 0.01, "interval": [0.0, 0.02]}}
 MAYBE = {"stiffness": {"value": 1e-4, "interval": [0.0, 2e-4]}, "mass": {"value": 1e-4, "interval": [0.0, 2e-3]}}
+mass_off = lambda size: {**MAYBE, "mass": {"value": size, "interval": [0.75 * size, 2 * size]}}
 SURE = Outcome("named", 1.05, 0.3, 0.9995, 0, EXACT)
 
 
@@ -97,6 +98,8 @@ def test_one_force_is_looked_for_first_where_that_is_quick_and_can_be_right(task
         (Outcome("unknown", 9.0, 0.0, inaccuracy=MAYBE), replace(LARGE, places=5001.0), True),  # would take too long
         (Outcome("unknown", 9.0, 0.0, inaccuracy=OFF), LARGE, True),
         (Outcome("clean", 1.0, 0.3, inaccuracy=MAYBE), LARGE, True),
+        (Outcome("clean", 1.0, 0.3, inaccuracy=mass_off(4e-4)), SMALL, False),  # or one mass is
+        (Outcome("clean", 1.0, 0.3, inaccuracy=mass_off(4e-3)), SMALL, True),
     ],
 )
 def test_the_modal_domain_suffices_where_nothing_is_left_to_explain(found, task, expected):

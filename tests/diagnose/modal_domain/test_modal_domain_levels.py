@@ -1,5 +1,7 @@
 """What differs from run to run: laws behind a compliance against time domain solutions, and a drift."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -223,3 +225,20 @@ def test_once_time_is_up_laws_are_fitted_at_no_further_place(monkeypatch):
     assert len(explain._fitted(levels, base, spots, laws, {}, lambda: True)) == 2
     at.clear()
     assert len(explain._fitted(levels, base, spots, laws, {}, lambda: False)) > 10 and len(set(at)) == 5
+
+
+def test_amplitudes_are_as_uncertain_as_the_noise_of_the_forces_makes_them():
+    """The radial part of the motion's noise; the lowest level's motion is the structure's and has none."""
+    rng, levels = np.random.default_rng(5), np.array([1.0, 2.0, 4.0])
+    of = lambda *shape: rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
+    lines, inputs = 4, 2
+    force, error = of(lines, inputs, 2), 0.01 * rng.uniform(1, 2, (lines, inputs, 2))
+    still, drive, turn = 3 + of(lines, inputs), of(lines, inputs), 1 + 0.1 * of(lines, inputs)
+    root = np.eye(2) / error[..., None]
+    m = Motion(force, root, 0.0, 0 * still, still, turn, drive, np.zeros(0), force, np.ones(lines), 0.0, error=error)
+    made = []
+    for _ in range(4000):
+        noisy = force + error * of(lines, inputs, 2)
+        made.append(replace(m, seen=noisy).behind(0.0, levels).amplitude)
+    scatter = np.std(made, axis=0) / m.behind(0.0, levels).amplitude
+    np.testing.assert_allclose(m.blurred, scatter, rtol=0.06, atol=1e-12)

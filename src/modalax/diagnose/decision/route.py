@@ -194,9 +194,15 @@ def off_everywhere(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
 
 
 def certainly_off(found: Outcome, limits: Thresholds = THRESHOLDS) -> list[Mapping[str, Any]]:
-    """General inaccuracy of stiffness and mass, where one of them is certainly off; else nothing."""
-    parts = [part for name, part in (found.inaccuracy or {}).items() if name in ("stiffness", "mass")]
-    return parts if any(p["interval"][0] > 0 and p["value"] > limits.off for p in parts) else []
+    """General inaccuracy of stiffness and mass, where one of them is certainly off; else nothing.
+
+    Masses are known better than stiffnesses: mass that seems a little off where stiffness may be exact is more likely
+    one thing that is wrong.
+    """
+    parts = {name: part for name, part in (found.inaccuracy or {}).items() if name in ("stiffness", "mass")}
+    least = {"stiffness": 0.0, "mass": limits.surely_off}
+    off = any(p["interval"][0] > least[name] and p["value"] > limits.off for name, p in parts.items())
+    return list(parts.values()) if off else []
 
 
 def may_be_exact(found: Outcome) -> bool:

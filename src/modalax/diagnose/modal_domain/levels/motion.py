@@ -61,6 +61,8 @@ class Motion:
         Stiffness that can be taken out of the structure there [N/m].
     within
         Whether the linear model has the spring that may slip; it meets itself then, too.
+    error
+        Standard deviation of the forces' parts by noise, shape ``(f, i, level - 1)``; the motion is as uncertain.
     """
 
     force: np.ndarray
@@ -79,6 +81,17 @@ class Motion:
     aside: tuple[np.ndarray, ...] = ()
     most: float = math.inf
     within: bool = True
+    error: np.ndarray | None = None
+
+    @property
+    def blurred(self) -> np.ndarray:
+        """Relative standard deviation of each amplitude by noise, ``(level, f, i)``; none of the lowest level's."""
+        if self.error is None:
+            return np.zeros(self.amplitude.shape)
+        size = np.abs(self.moved(self.seen))
+        by = np.abs(self.drive / self.turn)[..., None] * self.error
+        by = np.concatenate([np.zeros_like(by[..., :1]), by], axis=2).transpose(2, 0, 1)
+        return np.minimum(by / np.maximum(size, 1e-300), 1.0)
 
     @property
     def others(self) -> tuple["Motion", ...]:
@@ -87,7 +100,8 @@ class Motion:
             return ()
         more, less = 1 + 2 * self.scatter, 1 - 2 * self.scatter
         met = *self.aside, self.harmonic * more, self.harmonic * less
-        moved = (replace(self, amplitude=self.amplitude * by) for by in (more, less))
+        blur = self.blurred
+        moved = (replace(self, amplitude=self.amplitude * by) for by in (more, less, 1 + blur, 1 - blur))
         return *(replace(self, harmonic=g) for g in met), *moved
 
     @cached_property
@@ -106,6 +120,7 @@ class Motion:
             self.drive[lines], self.amplitude[:, lines], self.seen[lines], self.omega[lines], self.compliance,
             None if self.harmonic is None else self.harmonic[lines], self.scatter,
             tuple(g[lines] for g in self.aside), self.most, self.within,
+            None if self.error is None else self.error[lines],
         )  # fmt: skip
 
     def along(self, other: "Motion", levels: np.ndarray) -> "Motion":
@@ -154,7 +169,7 @@ def motions_of(levels: Levels, base: Base, b: np.ndarray, p: Projection, law: Jo
         root = np.linalg.cholesky(softened(p.Q[k], TOLERANCE**2 * seen_force(p, k))).transpose(0, 1, 3, 2)
         plain = Motion(
             p.force[k], root, float(p.least[k]), p.first[k], still[k] * turn, turn, d * turn,
-            np.zeros(0), seen, base.s.imag, 0.0,
+            np.zeros(0), seen, base.s.imag, 0.0, error=error_of(p, k),
         )  # fmt: skip
         out.append(plain.behind(float(compliance[k]), levels.force))
     return out
@@ -202,7 +217,12 @@ def seen_force(p: Projection, k: int) -> np.ndarray:
 
     A law told at an amplitude that noise has made would explain that noise.
     """
-    return beyond_noise(p.force[k], 2 * np.diagonal(np.linalg.inv(p.Q[k]), axis1=-2, axis2=-1))
+    return beyond_noise(p.force[k], 2 * error_of(p, k) ** 2)
+
+
+def error_of(p: Projection, k: int) -> np.ndarray:
+    """Standard deviation of each part of the force of a place, shape ``(f, i, level - 1)``."""
+    return np.sqrt(np.diagonal(np.linalg.inv(p.Q[k]), axis1=-2, axis2=-1))
 
 
 def softened(Q: np.ndarray, variance: np.ndarray) -> np.ndarray:
