@@ -1,11 +1,15 @@
 """A chain that is off everywhere and whose modes are all in the band: nothing of it is left for lines to tell."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from chains_off import FREQ, as_measured, chain_off, response, simulation
+from chains_off import FREQ, MASSES, SPRINGS, ZETA, as_measured, chain_off, matrices, response, simulation
 
 from modalax.diagnose import diagnose
 from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis, diagnose_modes
+from modalax.diagnose.modal_domain.fit import fit
+from modalax.diagnose.modal_domain.state import state_at
 
 
 def test_a_column_is_predicted_as_well_as_the_fit_without_it_knows_the_elements():
@@ -48,3 +52,45 @@ def test_a_delay_far_beyond_the_usual_needs_no_filter_beside_it():
     assert [(c["name"], c["where"]) for c in found.causes] == [("time_delay", ["4:+Z"])]
     told = found.causes[0]["parameters"]["delay"]
     assert told["value"] == pytest.approx(3e-3, abs=4 * told["std"])
+
+
+@pytest.mark.parametrize("stiffness", [60.0, 120.0])
+def test_one_tiny_fault_of_an_exact_simulation_is_named(stiffness):
+    """A spring to ground of a thousandth of those beside it.
+
+    Elements that are all off by a tenth of a per cent explain the modes too, but at the price of an inaccuracy that is
+    far smaller than any usual one.
+    """
+    M, C, K = matrices(MASSES, SPRINGS, ZETA)
+    K[2, 2] += stiffness
+    found = diagnose_modes(as_measured(response(M, C, K, FREQ), FREQ, 7), simulation())
+    assert found.verdict == "named" and [(c["name"], c["where"]) for c in found.causes] == [
+        ("joint_stiffness", ["3:+Z"])
+    ]
+    told = found.causes[0]["parameters"]["stiffness"]
+    assert told["value"] == pytest.approx(stiffness, abs=4 * told["std"])
+    assert found.to_dict()["inaccuracy"]["stiffness"]["interval"][0] == 0
+
+
+@pytest.mark.parametrize("off", [0.0, 2e-4, 1e-3])
+def test_elements_that_are_all_off_a_little_are_no_fault(off):
+    found = diagnose_modes(as_measured(response(*chain_off(3, off), FREQ), FREQ, 3), simulation())
+    assert found.verdict == "clean"
+
+
+def test_the_log_evidence_of_an_exact_simulation_is_that_of_noise_alone():
+    """Half of what is likely before the data, where nothing is claimed: beside it an inaccuracy weighs next to nothing.
+
+    Where one is claimed, it is not asked.
+    """
+    measured = as_measured(response(*matrices(MASSES, SPRINGS, ZETA), FREQ), FREQ, 5)
+    told = {}
+    for name, given in (("nothing", {}), ("claimed", {"stiffness_std": 0.01})):
+        found = diagnose_modes(measured, replace(simulation(), **given))
+        setting = found.stage.setting
+        f = fit(setting)
+        assert f is not None
+        nominal = state_at(setting, np.zeros(len(setting.inaccuracy.group_of))).difference
+        told[name] = f.log_evidence - (-0.5 * float(nominal @ nominal) - np.log(2))
+    assert told["nothing"] == pytest.approx(0, abs=0.7)
+    assert told["claimed"] < -2
