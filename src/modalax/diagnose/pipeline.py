@@ -248,7 +248,8 @@ def at_one_place(
     """Diagnose line by line by elements and joints alone, where a force at one place is all that is missing.
 
     Where none of them is that force, as none is a beam that is softer as a whole, the modal domain is asked, which
-    takes seconds; the whole catalogue at such places, which takes minutes, only if modes leave something to explain.
+    takes seconds. If modes leave something to explain, the force may stand for several things, and all places are open
+    again: None. Where places are too many to fit each, the whole catalogue is searched at these.
     """
     progress("looking for a place at which one force explains the data")
     comparison = make_comparison(measurement, simulation, question)
@@ -267,7 +268,8 @@ def at_one_place(
     modes = None if late() else modal()
     if modes is not None and modes.verdict == "named" and nothing_left(outcome_of(modes)):
         return modes
-    return searched(comparison, None, progress)
+    few = len(places) <= FITTED_EACH and found is None and not late()
+    return None if few else searched(comparison, None, progress)
 
 
 def searched(comparison: Comparison, causes: Sequence[Cause] | None, progress: Callable[[str], None]) -> Diagnosis:

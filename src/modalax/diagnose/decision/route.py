@@ -139,7 +139,8 @@ def suffices(route: Route, found: Outcome, task: Task, limits: Thresholds = THRE
     if task.massless:
         return True
     if needs_modes(task, limits):
-        hopeful = found.verdict == "unknown" and may_be_exact(found) and task.places <= limits.places_in_time
+        unsettled = found.verdict == "unknown" or found.verdict == "clean" and not nothing_left(found, limits)
+        hopeful = unsettled and may_be_exact(found) and task.places <= limits.places_in_time
         return task.elements_off or not hopeful
     if found.group and found.verdict != "unknown" and nothing_left(found, limits):
         return True
