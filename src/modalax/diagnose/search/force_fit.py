@@ -24,7 +24,7 @@ from modalax.diagnose.prediction.harmonics import FEWER_INSTANTS, HIGHEST, INSTA
 from modalax.diagnose.screening.modes_beside import Beside
 from modalax.diagnose.search.balanced_force import harmonics_of, has_law
 from modalax.diagnose.search.force_sizes import misfit, sized
-from modalax.diagnose.search.law_force import FEWER, Seen, force_of, seen_at
+from modalax.diagnose.search.law_force import Seen, beyond, force_of, seen_at
 from modalax.diagnose.search.measured_force import MeasuredForce, force_beside
 from modalax.diagnose.search.rows import CLEAR, HALF, MOST, OUTLYING
 from modalax.diagnose.thresholds import THRESHOLDS
@@ -154,9 +154,9 @@ def finely(fit: ForceFit, late: Callable[[], bool]) -> ForceFit:
     return _ended(fit.cause, u, seen, motion, r, J, _far_off(seen, r, sound), many)
 
 
-def beyond(highest: int) -> float:
-    """What harmonics above the highest may do over those above ``FEWER`` up to it, of a force with corners at most."""
-    return (FEWER + 1) / (highest - FEWER)
+def _paid(fit: ForceFit) -> float:
+    """Chi-square that a law leaves, with two for each of the two unknowns of a line that was set aside."""
+    return fit.chi2 + 4 * int(fit.aside.sum())
 
 
 def _lacks_harmonics(fit: ForceFit) -> bool:
@@ -230,17 +230,11 @@ def fit_with_modes(
         fit = fit_to_force(cause, [fit.params], again, comparison.late) or fit
         if abs(left - before) < SAME:
             break
-    if (
-        fit is not None
-        and fit.chi2 <= near
-        and not comparison.late()
-        and (slides(cause, seen) or _lacks_harmonics(fit))
-    ):
-        finer = finely(fit, comparison.late)
-        fit = (
-            finer if slides(cause, seen) or finer.chi2 + 4 * finer.aside.sum() < fit.chi2 + 4 * fit.aside.sum() else fit
-        )
-    return fit
+    if fit is None or fit.chi2 > near or comparison.late():
+        return fit
+    if slides(cause, seen):
+        return finely(fit, comparison.late)
+    return min(fit, finely(fit, comparison.late), key=_paid) if _lacks_harmonics(fit) else fit
 
 
 def _residual(seen: Seen, force: np.ndarray, sound: np.ndarray) -> np.ndarray:

@@ -14,12 +14,11 @@ from modalax.diagnose.fitting.residual import jacobian_of
 from modalax.diagnose.prediction.frf import NEAR
 from modalax.diagnose.prediction.harmonics import HIGHEST, linear_factor
 from modalax.diagnose.search.candidates import cost_of
+from modalax.diagnose.search.law_force import FEWER, beyond
 from modalax.diagnose.search.rows import measured_rows
 from modalax.diagnose.search.singles import PATIENT
 from modalax.diagnose.search.tolerance import tolerated
 
-FEWER = 5  # highest harmonic of a second prediction, which shows the error of truncation
-BEYOND = (FEWER + 1) / (HIGHEST - FEWER)  # effect of harmonics above HIGHEST over that of those above FEWER up to it
 TIMES = 8  # most rounds of harmonics and fit in turn
 SHARES = (1.0, 0.3, 0.1, 0.02)  # of a step, tried one after the other
 ASKED = 0.3  # error of a parameter by a single harmonic, in standard deviations, from which on more are taken
@@ -230,17 +229,17 @@ def with_what_is_left_out(comparison: Comparison, null: Hypothesis, h: Hypothesi
     """The hypothesis with fidelity and covariance that include harmonics left out, and lines that the law misses.
 
     Of a force that jumps, as dry friction does, the error falls as :math:`1/(h+1)`, h the highest harmonic, so that
-    harmonics beyond ``HIGHEST`` may do ``BEYOND`` times as much as the change from ``FEWER`` to these; of any smoother
-    force they do far less. Dry friction is followed at instants, and half as many leave twice the error.
+    harmonics beyond ``HIGHEST`` may do ``beyond(HIGHEST)`` times as much as the change from ``FEWER`` to these; of any
+    smoother force they do far less. Dry friction is followed at instants, and half as many leave twice the error.
     """
     cause = h.causes[k]
-    beyond = 1.0 if isinstance(cause, JointCause) and cause.rigid else BEYOND
+    share = 1.0 if isinstance(cause, JointCause) and cause.rigid else beyond(HIGHEST)
     fewer = _factor(comparison, h, h.extras[k][NEAR:], FEWER)
     other = replace(h, extras=(*h.extras[:k], fewer, *h.extras[k + 1 :]))
     change = comparison.residual(h) - comparison.residual(other)
     effect = comparison.residual(h) - comparison.residual(null)
-    fidelity = beyond * float(np.linalg.norm(change) / max(np.linalg.norm(effect), 1e-300))
-    shift = beyond * (searched(comparison.fit([other], PATIENT)[0]) - searched(h))
+    fidelity = share * float(np.linalg.norm(change) / max(np.linalg.norm(effect), 1e-300))
+    shift = share * (searched(comparison.fit([other], PATIENT)[0]) - searched(h))
     wider = inflation(comparison, h)
     return replace(
         h, fidelity=fidelity, since=None, covariance=h.covariance * np.outer(wider, wider) + np.outer(shift, shift)

@@ -174,6 +174,11 @@ def _following(comparison: Comparison, force: MeasuredForce, level: np.ndarray) 
     )
 
 
+def beyond(highest: int) -> float:
+    """What harmonics above the highest may do over those above ``FEWER`` up to it, of a force with corners at most."""
+    return (FEWER + 1) / (highest - FEWER)
+
+
 def force_of(
     cause: ElementCause,
     p: np.ndarray,

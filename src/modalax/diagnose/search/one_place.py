@@ -17,9 +17,9 @@ from modalax.diagnose.prediction.harmonics import MORE_INSTANTS
 from modalax.diagnose.search.balanced_force import has_law
 from modalax.diagnose.search.candidates import cost_of
 from modalax.diagnose.search.explain import Explanation, weigh
-from modalax.diagnose.search.force_fit import ForceFit, beyond, laws_by_force
+from modalax.diagnose.search.force_fit import ForceFit, laws_by_force
 from modalax.diagnose.search.imitator_check import apart, likeness
-from modalax.diagnose.search.law_force import force_of
+from modalax.diagnose.search.law_force import beyond, force_of
 from modalax.diagnose.search.look import Look
 from modalax.diagnose.search.measured_force import measured_forces
 from modalax.diagnose.thresholds import THRESHOLDS
@@ -150,11 +150,8 @@ def in_full(comparison: Comparison, h: Hypothesis, fit: ForceFit) -> Hypothesis:
     force, _, sound, _ = force_of(fit.cause, fit.params, seen, fit.motion, instants=MORE_INSTANTS, highest=fit.highest)
     other, _, also, _ = force_of(fit.cause, fit.params, seen, fewer=True, highest=fit.highest)
     both = sound & also & ~fit.aside
-    change = (
-        (1.0 if fit.cause.rigid else beyond(fit.highest))
-        * seen.precision
-        * (np.where(both, force, 0.0) - np.where(both, other, 0.0))
-    )
+    share = 1.0 if fit.cause.rigid else beyond(fit.highest)
+    change = share * seen.precision * (np.where(both, force, 0.0) - np.where(both, other, 0.0))
     fidelity = float(np.linalg.norm(change) / max(np.linalg.norm(seen.precision * seen.force), 1e-300))
     shift = fit.covariance @ (fit.alone.conj() @ change).real
     covariance = fit.covariance * np.outer(wider, wider) + np.outer(shift, shift)
