@@ -76,9 +76,10 @@ def test_a_mode_narrower_than_the_lines_at_the_mains_frequency_is_hum():
     freq = np.linspace(20.0, 110.0, 301)
     none = np.zeros(0)
     scene = Scene(freq, ("1",), ("1",), ("1",), none, none, np.ones(1), None)
-    modes = ((50.1, 1e-3), (100.2, 5e-4), (60.0, 5e-4), (47.0, 1e-3), (50.1, 0.01))
-    assert [hums(f, zeta, freq) for f, zeta in modes] == [True, True, True, False, False]
-    assert [MissingMode().fits(np.array([1.0, *m]), scene) for m in modes] == [False, False, False, True, True]
+    modes = ((50.1, 1e-3), (100.2, 5e-4), (60.0, 5e-4), (47.0, 1e-3), (50.1, 0.01), (50.25, 1e-3))
+    hum = [True, True, True, False, False, False]  # the last is narrow, and highest beside the line that hum reaches
+    assert [hums(f, zeta, freq) for f, zeta in modes] == hum
+    assert [not MissingMode().fits(np.array([1.0, *m]), scene) for m in modes] == hum
 
 
 def test_hum_is_judged_by_how_uneven_the_noise_is_elsewhere():

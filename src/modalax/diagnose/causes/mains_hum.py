@@ -91,11 +91,11 @@ class MainsHum(LinesCause):
 
 
 def hums(frequency: float, damping_ratio: float, freq: np.ndarray) -> bool:
-    """Whether a mode is narrower than the lines [Hz] can show, and at a multiple of a mains frequency."""
+    """Whether a mode is narrower than the lines [Hz] can show, and peaks where a multiple of a mains frequency does."""
     near = int(np.abs(freq - frequency).argmin())
     if len(freq) < 3 or 2 * damping_ratio * frequency > 0.5 * np.gradient(freq)[near]:
         return False
-    reached = [k for mains in MAINS for k in MainsHum().lines(freq, mains, REACHES[-1])]
+    reached = [k for mains in MAINS for k in MainsHum().lines(freq, mains, REACHES[0])]
     return any(near in lines for lines in reached)
 
 
