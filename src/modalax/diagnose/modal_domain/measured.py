@@ -58,7 +58,10 @@ class Measured:
 
 
 def identify(measurement: Measurement, c: Coordinates) -> Measured:
-    """Identify a measurement (no line at 0 Hz) blind; the simulation only stands for the modes beyond the band."""
+    """Identify a measurement (no line at 0 Hz) blind; the simulation only stands for the modes beyond the band.
+
+    Raises ``ValueError`` where no mode stands out of the noise.
+    """
     H, order = np.asarray(measurement.H), DERIVATIVES[measurement.form]
     channels, noise, runs, unlike = prepared(measurement, c)
     s, outside = channels.s, channels.outside
@@ -69,6 +72,8 @@ def identify(measurement: Measurement, c: Coordinates) -> Measured:
         channels = channels_of(s, H[runs], noise.sigma[runs], order, outside)
         modes = blind_modes(channels, modes.poles)
     modes = one_each(modes, channels)
+    if not len(modes.poles):
+        raise ValueError("no mode stands out of the noise in the band")
     left, features = _features(modes, channels, H.shape[2:])
     return Measured(np.asarray(measurement.freq), noise, channels, modes, left, features, runs, unlike)
 
