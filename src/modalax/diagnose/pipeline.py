@@ -66,10 +66,11 @@ from modalax.diagnose.modal_domain.measured import Measured
 from modalax.diagnose.modal_domain.stage import identified
 from modalax.diagnose.modal_domain.table import by_table
 from modalax.diagnose.result import Diagnosis
-from modalax.diagnose.routes import check_groups, outcome_of, task_of
+from modalax.diagnose.routes import check_groups, named_before, outcome_of, task_of
 from modalax.diagnose.screening.one_force import places_of_one_force
 from modalax.diagnose.search.explain import Explanation, check_imitations, explain
 from modalax.diagnose.search.look import look
+from modalax.diagnose.search.named_before import NamedCause
 from modalax.diagnose.search.one_place import explain_force
 from modalax.diagnose.search.rows import lines_aside
 from modalax.diagnose.search.tolerance import widened
@@ -174,7 +175,7 @@ def by_routes(
         try:
             found = (
                 modal() if route == "modes"
-                else line_by_line(measurement, simulation, question, causes, progress, until)
+                else line_by_line(measurement, simulation, question, causes, progress, until, answers.get("modes"))
             )  # fmt: skip
         except KeyboardInterrupt:  # what has been found is told
             if not answers:
@@ -233,12 +234,13 @@ def in_modal_domain(
 def line_by_line(
     measurement: Measurement | FRF, simulation: Structure | ModalModel | ExtendedSimulation, question: str,
     causes: Sequence[Cause] | None, progress: Callable[[str], None], late: Deadline = NEVER,
+    before: Diagnosis | None = None,
 ) -> Diagnosis:  # fmt: skip
-    """Diagnose about the simulation as it is."""
+    """Diagnose about the simulation as it is, from what the modal domain has named ``before``."""
     release_programs()
     progress("preparing measurement and simulation")
     comparison = replace(with_noise_beside(make_comparison(measurement, simulation, question)), late=late)
-    return searched(comparison, causes, progress)
+    return searched(comparison, causes, progress, named_before(before))
 
 
 def at_one_place(
@@ -272,13 +274,16 @@ def at_one_place(
     return None if few else searched(comparison, None, progress)
 
 
-def searched(comparison: Comparison, causes: Sequence[Cause] | None, progress: Callable[[str], None]) -> Diagnosis:
-    """Screen, fit, check, predict and decide, line by line."""
+def searched(
+    comparison: Comparison, causes: Sequence[Cause] | None, progress: Callable[[str], None],
+    named: Sequence[NamedCause] = (),
+) -> Diagnosis:  # fmt: skip
+    """Screen, fit, check, predict and decide, line by line; ``named`` is where the search begins."""
     wanted = causes_of(causes, comparison, catalogue(comparison.problem.data.shape[0]))
     progress("screening every cause at every place and fitting the leading ones")
     late = comparison.late
     comparison = replace(comparison, late=late.part(NAMED_SHARE) if causes is None else late)
-    found = explain(look(comparison, wanted), wanted)
+    found = explain(look(comparison, wanted, finite=not named), wanted, named)
     if causes is None:
         progress("checking whether an unlisted cause explains the data better")
         found = check_imitations(found, causes_of(None, comparison, imitators()), late)

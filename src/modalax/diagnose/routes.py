@@ -7,10 +7,13 @@ import numpy as np
 from modalax.data import Measurement
 from modalax.diagnose.causes import Cause
 from modalax.diagnose.causes.groups import GROUPS, GroupCause
-from modalax.diagnose.decision.route import Outcome, Task
+from modalax.diagnose.decision.route import Outcome, Task, surely_named
+from modalax.diagnose.modal_domain.causes import own_sizes, with_sizes
 from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis
+from modalax.diagnose.modal_domain.judged import standing_out
 from modalax.diagnose.modal_domain.stage import KNOWN
 from modalax.diagnose.result import Diagnosis
+from modalax.diagnose.search.named_before import NamedCause
 from modalax.model import Structure
 
 RANKED = 1000  # DoFs up to which a rank is read; larger models are never asked about line by line for long
@@ -54,3 +57,25 @@ def outcome_of(found: Diagnosis) -> Outcome:
         len({frozenset(c["where"]) for c in causes}), isinstance(found, ModalDiagnosis) and found.joint is not None,
         any(c["name"] in GROUP_SLUGS for c in causes), found.gain.chi2_unforeseen,
     )  # fmt: skip
+
+
+def named_before(modes: Diagnosis | None) -> list[NamedCause]:
+    """What the modal domain names beyond doubt and leaves no more than noise; nothing where lines have no such cause.
+
+    Joints, hum and a force that shows on lines only are looked for there anew.
+    """
+    if not isinstance(modes, ModalDiagnosis) or not surely_named(outcome_of(modes)):
+        return []
+    if modes.joint is not None or modes.forced is not None or modes.hum is not None:
+        return []
+    chosen, named = modes.chosen, []
+    told = standing_out(modes.stage, chosen)
+    for k, (c, u) in enumerate(with_sizes(chosen.causes, chosen.fit.u)):
+        own = own_sizes(chosen.causes, k)
+        values, _, shape = c.as_catalogue(u, chosen.fit.covariance[own, own])
+        if c not in told:
+            continue
+        if c.pattern is not None or shape is not None:
+            return []
+        named.append(NamedCause(c.slug, c.where, tuple(map(float, values)), c.variant))
+    return named

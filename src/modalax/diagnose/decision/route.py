@@ -214,5 +214,10 @@ def may_be_exact(found: Outcome) -> bool:
 
 def decisive(found: Outcome, task: Task, limits: Thresholds = THRESHOLDS) -> bool:
     """Whether a cause of a large problem is named beyond doubt, and nothing is left to explain."""
+    return task.places > limits.places_spared and surely_named(found, limits)
+
+
+def surely_named(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
+    """Whether causes are named beyond doubt, and nothing is left to explain."""
     sure = found.verdict == "named" and found.probability >= limits.decisive and not found.alternatives
-    return task.places > limits.places_spared and sure and nothing_left(found, limits)
+    return sure and nothing_left(found, limits)

@@ -20,7 +20,9 @@ from modalax.diagnose.search.harmonics import is_limit, joints_in_full
 from modalax.diagnose.search.imitator_check import apart, imitations, likeness
 from modalax.diagnose.search.joints_by_force import joints_by_force
 from modalax.diagnose.search.look import Look
+from modalax.diagnose.search.look import look as first_look
 from modalax.diagnose.search.measured_force import STRONG, robust_starts, starts_from_forces
+from modalax.diagnose.search.named_before import NamedCause, explained_by
 from modalax.diagnose.search.rows import fitted_beside_outliers
 from modalax.diagnose.search.singles import IN_FULL, PATIENT, fit_single, from_nominal_modes, joints_for_drifts, refit
 from modalax.diagnose.search.tolerance import uncounted
@@ -70,23 +72,30 @@ class Explanation:
         return self.ranked[0].best if self.ranked else self.look.null
 
 
-def explain(look: Look, causes: Sequence[Cause]) -> Explanation:
-    """Search single causes, then one more at a time, if the residual of the simulation is more than noise."""
+def explain(look: Look, causes: Sequence[Cause], named: Sequence[NamedCause] = ()) -> Explanation:
+    """Search single causes, then one more at a time, if the residual of the simulation is more than noise.
+
+    What is ``named`` before stands for the search of single causes where it explains all.
+    """
     leftover = Leftover(alarm=look.detection.p_value)
     nothing = Explanation(look, look.comparison, [], leftover, look.omnibus)
     if not look.detection.anything:
         return nothing
-    fitted = singles(look, causes)
+    before, known = explained_by(look, named, causes)
+    look = look if before or not named else first_look(look.comparison, causes)
+    fitted = before or singles(look, causes)
     ranked = weigh(look, fitted)
     explained = look.null.chi2 - ranked[0].best.chi2 if ranked else 0.0
-    leftover = replace(leftover, explained=explained, untried=untried(look, fitted))
+    leftover = replace(leftover, explained=explained, untried=() if before else untried(look, fitted))
     if verdict(ranked, leftover)[0] == "unknown":
         return replace(nothing, leftover=leftover)
     look, fitted, ranked = with_noise_again(look, fitted, ranked)
     comparison, fitted, ranked = centred(look, fitted, ranked)
     fitted, ranked = in_full(look, comparison, fitted, ranked)
-    fitted, ranked = by_force(look, comparison, fitted, ranked, causes)
-    ranked, fitted, rest = together(look, comparison, fitted, ranked, causes)
+    if not before:
+        fitted, ranked = by_force(look, comparison, fitted, ranked, causes)
+    rests = {id(before[0]): (before[0], known)} if before and known is not None else {}
+    ranked, fitted, rest = together(look, comparison, fitted, ranked, causes, rests)
     leftover = replace(leftover, p_value=rest.p_value, tolerated=rest.tolerated)
     return Explanation(look, comparison, ranked, leftover, rest.omnibus, fitted)
 
@@ -270,8 +279,9 @@ def leader_in_full(
 
 
 def together(
-    look: Look, comparison: Comparison, fitted: list[Hypothesis], ranked: list[Ranked], causes: Sequence[Cause]
-) -> tuple[list[Ranked], list[Hypothesis], Rest]:
+    look: Look, comparison: Comparison, fitted: list[Hypothesis], ranked: list[Ranked], causes: Sequence[Cause],
+    rests: dict[int, tuple[Hypothesis, Rest]],
+) -> tuple[list[Ranked], list[Hypothesis], Rest]:  # fmt: skip
     """Add one cause at a time, as long as what is left asks for one and the leading set takes it up.
 
     Parameters
@@ -286,11 +296,13 @@ def together(
         Sets of causes by falling probability.
     causes
         What to look for.
+    rests
+        What hypotheses leave, by their number, as far as that is known.
     """
-    rests: dict[int, tuple[Hypothesis, Rest]] = {}  # the hypothesis is kept, so that its number stays its own
 
     def rest(h: Hypothesis) -> Rest:
         if id(h) not in rests:
+            # the hypothesis is kept, so that its number stays its own
             rests[id(h)] = h, rest_of(comparison, h, look.null, causes)
         return rests[id(h)][1]
 

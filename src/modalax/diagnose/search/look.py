@@ -50,9 +50,19 @@ class Look:
         return self.state.hypothesis
 
 
-def look(comparison: Comparison, causes: Sequence[Cause]) -> Look:
-    """Compare the simulation alone with the data, and test whether anything is wrong."""
-    first = _look(comparison, causes)
+def look(comparison: Comparison, causes: Sequence[Cause], finite: bool = True) -> Look:
+    """Compare the simulation alone with the data, and test whether anything is wrong.
+
+    Parameters
+    ----------
+    comparison
+        Data and simulation.
+    causes
+        What to look for.
+    finite
+        Whether finite sizes of joints are tried, or their derivatives alone, which is faster.
+    """
+    first = _look(comparison, causes, finite)
     coupled = comparison.problem.modal_form.mixing is not None and comparison.nuisance.active
     if not first.detection.anything or not coupled or comparison.late():
         return first
@@ -60,14 +70,14 @@ def look(comparison: Comparison, causes: Sequence[Cause]) -> Look:
     about = comparison
     for _ in range(CENTRED):
         about = about.centred(about.fit([empty(comparison)], ROUNDS)[0])
-    again = _look(about, causes)
+    again = _look(about, causes, finite)
     return replace(first, again=again) if again.detection.anything else again
 
 
-def _look(comparison: Comparison, causes: Sequence[Cause]) -> Look:
+def _look(comparison: Comparison, causes: Sequence[Cause], finite: bool) -> Look:
     null = comparison.fit([empty(comparison)], ROUNDS)[0]
     before = omnibus(comparison.residual(null), comparison.live(), comparison.noise.freedom)
     state = score_state_of(comparison, null)
-    screening = screen_all(state, causes)
+    screening = screen_all(state, causes, finite)
     found = detect(screening.trials, state.sides, before, comparison.noise.spread)
     return Look(state, before, screening, found)
