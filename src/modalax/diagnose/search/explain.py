@@ -26,6 +26,7 @@ from modalax.diagnose.search.named_before import NamedCause, explained_by
 from modalax.diagnose.search.rows import fitted_beside_outliers
 from modalax.diagnose.search.singles import IN_FULL, PATIENT, fit_single, from_nominal_modes, joints_for_drifts, refit
 from modalax.diagnose.search.tolerance import uncounted
+from modalax.diagnose.thresholds import THRESHOLDS
 
 NEAR = 12.0  # nats behind the best up to which hypotheses are fitted again with complex modes made exact
 DEEPEST = 3  # causes in one answer
@@ -91,11 +92,13 @@ def explain(look: Look, causes: Sequence[Cause], named: Sequence[NamedCause] = (
         return replace(nothing, leftover=leftover)
     look, fitted, ranked = with_noise_again(look, fitted, ranked)
     comparison, fitted, ranked = centred(look, fitted, ranked)
-    fitted, ranked = in_full(look, comparison, fitted, ranked)
-    if not before:
+    best, rest = ranked[0].best, None
+    if before and best.names == before[0].names:
+        rest = known if best is before[0] else rest_of(comparison, best, look.null, causes)
+    if rest is None or rest.p_value < THRESHOLDS.left_by_several:
+        fitted, ranked = in_full(look, comparison, fitted, ranked)
         fitted, ranked = by_force(look, comparison, fitted, ranked, causes)
-    rests = {id(before[0]): (before[0], known)} if before and known is not None else {}
-    ranked, fitted, rest = together(look, comparison, fitted, ranked, causes, rests)
+        ranked, fitted, rest = together(look, comparison, fitted, ranked, causes)
     leftover = replace(leftover, p_value=rest.p_value, tolerated=rest.tolerated)
     return Explanation(look, comparison, ranked, leftover, rest.omnibus, fitted)
 
@@ -279,9 +282,8 @@ def leader_in_full(
 
 
 def together(
-    look: Look, comparison: Comparison, fitted: list[Hypothesis], ranked: list[Ranked], causes: Sequence[Cause],
-    rests: dict[int, tuple[Hypothesis, Rest]],
-) -> tuple[list[Ranked], list[Hypothesis], Rest]:  # fmt: skip
+    look: Look, comparison: Comparison, fitted: list[Hypothesis], ranked: list[Ranked], causes: Sequence[Cause]
+) -> tuple[list[Ranked], list[Hypothesis], Rest]:
     """Add one cause at a time, as long as what is left asks for one and the leading set takes it up.
 
     Parameters
@@ -296,13 +298,11 @@ def together(
         Sets of causes by falling probability.
     causes
         What to look for.
-    rests
-        What hypotheses leave, by their number, as far as that is known.
     """
+    rests: dict[int, tuple[Hypothesis, Rest]] = {}  # the hypothesis is kept, so that its number stays its own
 
     def rest(h: Hypothesis) -> Rest:
         if id(h) not in rests:
-            # the hypothesis is kept, so that its number stays its own
             rests[id(h)] = h, rest_of(comparison, h, look.null, causes)
         return rests[id(h)][1]
 
