@@ -700,7 +700,11 @@ def main() -> None:
     args = parser.parse_args()
     how = {k: getattr(args, k) for k in ("spread", "sensors", "inputs", "lines", "skip", "variance", "levels")}
     pairs = [(s, e) for e in args.effect for s in args.structure]
-    for structure, effect in [tuple(case.split("-")) for case in args.case.split(",") if case] or pairs:
+    known = [f"{structure}-{effect}" for structure in STRUCTURES for effect in EFFECTS]
+    asked = [case for case in args.case.split(",") if case]
+    if other := [case for case in asked if case not in known]:
+        parser.error(f"--case {','.join(other)} is none of {', '.join(known)}")
+    for structure, effect in [tuple(case.split("-")) for case in asked] or pairs:
         folder = args.out / f"{structure}-{effect}-{args.seed}{args.name}"
         if (folder / "answer.json").exists():
             continue
