@@ -1,5 +1,8 @@
 """``modalax frf``: from time records to a file of FRFs, and one clear line where that cannot be."""
 
+import contextlib
+import warnings
+
 import numpy as np
 import pytest
 import scipy.signal
@@ -48,6 +51,47 @@ def test_a_drive_point_has_one_name_at_both_ends(records):
     assert main([*asked, "--force", "2", "--name", "2=1:+Z", "--response", "a", "--name", "a=1:+Z"]) == 0
     measured = load(target)
     assert measured.outputs == measured.inputs == ("1:+Z",)
+
+
+def uff_records(path, channels):
+    """A universal file of time records: node, type of the ordinate, label and samples of each."""
+    pyuff = pytest.importorskip("pyuff")
+    sets = [
+        {
+            "type": 58, "binary": 1, "func_type": 1, "data": values, "x": np.arange(len(values)) / FS,
+            "rsp_node": node, "rsp_dir": 3, "ref_node": 0, "ref_dir": 0, "id1": "NONE", "abscissa_spacing": 1,
+            "abscissa_inc": 1 / FS, "abscissa_spec_data_type": 17, "ordinate_spec_data_type": kind,
+            "ordinate_axis_units_lab": label, "orddenom_spec_data_type": 0,
+        }
+        for node, kind, label, values in channels
+    ]  # fmt: skip
+    with contextlib.redirect_stdout(None), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        pyuff.UFF(str(path)).write_sets(sets, mode="add")
+    return path
+
+
+def test_a_drive_point_of_a_universal_file_keeps_its_one_name(tmp_path, capsys):
+    _, force, a = hits(4, 1)
+    path = uff_records(tmp_path / "a.uff", [(17, 12, "g", a), (17, 13, "N", force), (3, 12, "g", a)])
+    asked = ["frf", str(path), "--band", "10", "120", "-o"]
+    assert main([*asked, str(tmp_path / "a.npz")]) == 0
+    measured = load(tmp_path / "a.npz")
+    assert measured.outputs == ("17:+Z", "3:+Z") and measured.inputs == ("17:+Z",)
+    capsys.readouterr()
+    assert main(["check", str(path)]) == 0
+    assert "duplicated" in capsys.readouterr().out  # of 3 and 17, as they are
+    assert main([*asked, str(tmp_path / "b.npz"), "--name", "2=18:+Z"]) == 0
+    measured = load(tmp_path / "b.npz")
+    assert measured.outputs == ("17:+Z", "3:+Z") and measured.inputs == ("18:+Z",)
+
+
+def test_check_tells_why_records_of_a_universal_file_cannot_be_read(tmp_path, capsys):
+    _, force, a = hits(1, 1)
+    path = uff_records(tmp_path / "a.uff", [(1, 12, "g", a), (2, 13, "N", force), (1, 12, "g", a)])
+    assert main(["check", str(path)]) == 2
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert f"{path}: its channels stand unequally often (1:+Z [m/s^2] 2, 2:+Z [N] 1)" in error
 
 
 def test_files_are_runs_or_repeats(records, capsys):

@@ -9,6 +9,7 @@ import pytest
 import pyuff
 import scipy.io
 
+from modalax.data.recording import channels_of
 from modalax.files import load_records
 
 FS, COUNT = 1024.0, 200
@@ -127,6 +128,30 @@ def test_universal_files(tmp_path):
     assert twice.data.shape == (2, COUNT, 3) and np.allclose(twice.data[0], twice.data[1])
     with pytest.raises(ValueError, match="stand unequally often"):
         load_records(write_uff(tmp_path / "c.uff", [*once, once[0]]))
+
+
+@pytest.mark.parametrize("titles", [("NONE", "NONE"), ("Force", "Acc")])
+@pytest.mark.parametrize("labels", [("N", "g"), ("NONE", "NONE")])
+def test_force_and_response_of_a_drive_point_have_one_name(tmp_path, titles, labels):
+    once = [
+        {**uff_set(node, 3, kind, label, values), "id1": title}
+        for node, kind, label, title, values in [
+            (17, 12, labels[1], titles[1], ACC[0]), (1, 12, labels[1], titles[1], ACC[1]),
+            (17, 13, labels[0], titles[0], FORCE),
+        ]
+    ]  # fmt: skip
+    found, _ = told(write_uff(tmp_path / "a.uff", once * 2))
+    assert found.channels == ("17:+Z", "1:+Z", "17:+Z") and found.data.shape == (2, COUNT, 3)
+    assert found.units == ({"g": "g"}.get(labels[1], "m/s^2"),) * 2 + ("N",)
+    chosen = channels_of(found, ["17:+Z"], ["17:+Z"])
+    assert np.array_equal(chosen.force[0, :, 0], FORCE) and chosen.inputs == chosen.outputs == ["17:+Z"]
+    with pytest.raises(ValueError, match=r"2 channels are named 17:\+Z: choose by number; there are 1 17:\+Z"):
+        found.index("17:+Z")
+
+
+def test_motions_of_two_quantities_at_one_place_are_channels(tmp_path):
+    sets = [uff_set(1, 3, 13, "N", FORCE), uff_set(2, 3, 12, "g", ACC[0]), uff_set(2, 3, 11, "m/s", ACC[1])]
+    same(told(write_uff(tmp_path / "a.uff", sets))[0], ["1:+Z", "2:+Z", "2:+Z"], ["N", "g", "m/s"])
 
 
 def test_what_cannot_be_read_is_said(tmp_path):

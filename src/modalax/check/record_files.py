@@ -11,7 +11,9 @@ import numpy as np
 from modalax.check.blocks import cut
 from modalax.check.records import Records
 from modalax.data.recording import channels_of
+from modalax.files.record_kinds import kind_of
 from modalax.files.records import load_records
+from modalax.files.records_uff import holds_records_alone
 
 FORCE = ("force", "f", "u", "input", "hammer", "excitation")
 RESPONSE = (
@@ -71,6 +73,8 @@ def _by_channels(path: Path) -> Records | None:
         try:
             recording = load_records(path)
         except ValueError:
+            if _holds_records(path):
+                raise
             return None
         if len(recording.channels) < 2:
             return None
@@ -86,6 +90,12 @@ def _by_channels(path: Path) -> Records | None:
         np.asarray(found.force)[:, :, 0], np.asarray(found.response), recording.fs, tuple(found.outputs),
         input=found.inputs[0], form=form,
     )  # fmt: skip
+
+
+def _holds_records(path: Path) -> bool:
+    """Whether a file that could not be read holds time records for sure, so that the reason is told."""
+    kind = kind_of(path)
+    return kind == "wav" or kind == "uff" and holds_records_alone(path)
 
 
 _KNOWN = {*FORCE, *RESPONSE, *TIME, *RATE, "dt"}

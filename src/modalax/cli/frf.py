@@ -138,8 +138,10 @@ def frf(
             with _once(said, records[k:]):
                 frf = frf_from_recording(recording, **ends, unit=unit, **choices)
                 # A drive point gives its name to two channels, so they are named where force and response are parted.
-                new = {recording.channels[recording.index(old)]: name for old, name in called.items()}
-                outputs, inputs = ([new.get(name, name) for name in side] for side in (frf.outputs, frf.inputs))
+                outputs, inputs = (
+                    [new.get(name, name) for name in side]
+                    for new, side in zip(_new_names(recording, called), (frf.outputs, frf.inputs), strict=True)
+                )
                 frfs.append(frf.replace(outputs=outputs, inputs=inputs))
     if level:
         frfs = [f.replace(level=amount) for f, amount in zip(frfs, level, strict=True)]
@@ -170,6 +172,19 @@ def _as_in_file(wanted: list[str] | None, new: dict[str, str]) -> list[str]:
     """The names in the file of channels that may be asked for under their new ones."""
     old = {name: channel for channel, name in new.items()}
     return [c if c in new else old.get(c, c) for c in wanted or []]
+
+
+def _new_names(recording: Any, called: dict[str, str]) -> tuple[dict[str, str], dict[str, str]]:
+    """New names of the outputs and of the inputs; of a force and a response of one name only the one asked for."""
+    outputs, inputs = {}, {}
+    for old, name in called.items():
+        k = recording.index(old)
+        channel = recording.channels[k]
+        alone = recording.channels.count(channel) == 1
+        for side, is_force in ((outputs, False), (inputs, True)):
+            if alone or recording.is_force(k) == is_force:
+                side[channel] = name
+    return outputs, inputs
 
 
 def _pairs(given: list[str] | None, option: str) -> dict[str, str]:

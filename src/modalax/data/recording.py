@@ -87,17 +87,29 @@ class Recording:
         named = zip(self.numbers, self.channels, self.units, strict=True)
         return ", ".join(f"{k} {name}" + (f" [{unit}]" if unit else "") for k, name, unit in named)
 
-    def index(self, wanted: str | int) -> int:
+    def is_force(self, k: int) -> bool:
+        """Whether the unit of a channel is one of force."""
+        unit = unit_of(self.units[k])
+        return unit is not None and unit.kind == FORCE
+
+    def index(self, wanted: str | int, force: bool | None = None) -> int:
         """Place of a channel given by its name, or by its number in the file.
+
+        At a drive point a force and a response may have one name: ``force`` says which of them is meant.
 
         Raises
         ------
         ValueError
-            If there is no such channel; the message lists those that are there.
+            If there is no such channel, or several; the message lists those that are there.
         """
         text = str(wanted).strip()
-        if text in self.channels:
-            return self.channels.index(text)
+        named = [k for k, name in enumerate(self.channels) if name == text]
+        if len(named) > 1 and force is not None:
+            named = [k for k in named if self.is_force(k) == force]
+        if len(named) > 1:
+            raise ValueError(f"{len(named)} channels are named {text}: choose by number; there are {self.listed()}")
+        if named:
+            return named[0]
         if text.isdigit() and int(text) in self.numbers:
             return self.numbers.index(int(text))
         raise ValueError(f"no channel {text!r}; there are {self.listed()}")
@@ -217,9 +229,9 @@ def channels_of(
     ValueError
         If no force is found, a response has no known unit, or the responses are not of one form.
     """
-    forces = [recording.index(c) for c in force] or _forces(recording)
+    forces = [recording.index(c, force=True) for c in force] or _forces(recording)
     by_name: dict[str, list[str]] = {}
-    responses = [recording.index(c) for c in response]
+    responses = [recording.index(c, force=False) for c in response]
     both = set(forces) & set(responses)
     if both:
         raise ValueError(f"channel {recording.channels[both.pop()]} is asked for as force and as response")

@@ -11,10 +11,11 @@ import numpy as np
 from modalax.data.recording import FORCE, SI, Recording, unit_of
 from modalax.files.uff import read_sets
 from modalax.files.uff_functions import functions_of
+from modalax.files.uff_index import index_of
 from modalax.files.uff_units import Units
 
 _MEASURED = {8: ("m", "length"), 11: ("m/s", "length"), 12: ("m/s^2", "length"), 13: ("N", "force"), 9: ("N", "force")}
-TIME_RESPONSE = 1
+TIME_RESPONSE, FRF = 1, 4  # types of functions
 
 
 def read_uff_records(path: Path, fs: float | None) -> Recording:
@@ -33,11 +34,12 @@ def read_uff_records(path: Path, fs: float | None) -> Recording:
     steps = [_step(s) for s in time]
     if fs is None and (min(steps) <= 0 or not np.allclose(steps, steps[0], rtol=1e-4)):
         raise ValueError(f"its records have steps of {min(steps):g} to {max(steps):g} s; one rate is needed (fs)")
-    names = _names(time)
-    segments = max(names.count(name) for name in set(names))
-    order = list(dict.fromkeys(names))
-    if any(names.count(name) != segments for name in order):
-        uneven = ", ".join(f"{name} {names.count(name)}" for name in order)
+    # A force and a motion at one DoF, the drive point, are two channels of one name.
+    channels = list(zip(_names(time), map(_quantity, time), strict=True))
+    order = list(dict.fromkeys(channels))
+    segments = max(map(channels.count, order))
+    if any(channels.count(channel) != segments for channel in order):
+        uneven = ", ".join(f"{name} [{unit or '?'}] {channels.count((name, unit))}" for name, unit in order)
         raise ValueError(f"its channels stand unequally often ({uneven}); each needs as many records as the others")
     lengths = [int(s["num_pts"]) for s in time]
     if len(set(lengths)) > 1:
@@ -45,17 +47,27 @@ def read_uff_records(path: Path, fs: float | None) -> Recording:
             f"its records have {min(lengths)} to {max(lengths)} samples; all are cut to {min(lengths)}", stacklevel=2
         )
     shortest = min(lengths)
-    groups = {name: [s for s, n in zip(time, names, strict=True) if n == name] for name in order}
     data, units = [], []
-    for name in order:
-        unit, factor = _unit(groups[name][0])
-        data.append(np.stack([factor * np.real(np.asarray(s["data"]))[:shortest] for s in groups[name]]))
+    for channel in order:
+        records = [s for s, c in zip(time, channels, strict=True) if c == channel]
+        unit, factor = _unit(records[0])
+        data.append(np.stack([factor * np.real(np.asarray(s["data"]))[:shortest] for s in records]))
         units.append(unit)
     rate = fs if fs is not None else 1 / steps[0]
     # written to six digits, a step gives a rate that is nearly whole
     whole = round(rate)
     rate = float(whole) if fs is None and whole and abs(rate / whole - 1) < 1e-5 else float(rate)
-    return Recording(np.stack(data, axis=-1), rate, tuple(order), tuple(units), tuple(range(1, len(order) + 1)))
+    names = tuple(name for name, _ in order)
+    return Recording(np.stack(data, axis=-1), rate, names, tuple(units), tuple(range(1, len(order) + 1)))
+
+
+def holds_records_alone(path: Path) -> bool:
+    """Whether a universal file holds time records and no FRFs, by the headers of its functions (58)."""
+    try:
+        kinds = {entry.header[5][:5].strip() for entry in index_of(path) if len(entry.header) > 5}
+    except ValueError:
+        return False
+    return str(TIME_RESPONSE) in kinds and str(FRF) not in kinds
 
 
 def _step(found: Mapping[str, Any]) -> float:
@@ -70,18 +82,29 @@ def _names(sets: list[Mapping[str, Any]]) -> list[str]:
     # some programs write node and direction into the name of the entity as well: 1+Z:1:+Z
     names = [re.sub(r"^(\d+)([+-]\w+):\1:\2$", r"\1:\2", f.output) for f in functions_of(sets)]
     titles = [re.sub(r"\s+", " ", str(s.get("id1", ""))).strip() for s in sets]
-    kinds = [s.get("ordinate_spec_data_type") for s in sets]
+    quantities = [_quantity(s) for s in sets]
     told = [
-        f"{name} {title}".strip() if name in ("0", "") or _mixed(k, names, titles, kinds) else name
+        f"{name} {title}".strip() if name in ("0", "") or _mixed(k, names, titles, quantities) else name
         for k, (name, title) in enumerate(zip(names, titles, strict=True))
     ]
     return [t if t not in ("0", "NONE") else f"channel {k + 1}" for k, t in enumerate(told)]
 
 
-def _mixed(k: int, names: list[str], titles: list[str], kinds: list[Any]) -> bool:
-    """Whether records at the same DoF differ in quantity or name, so that they are channels and not repeats."""
-    same = [j for j, name in enumerate(names) if name == names[k]]
-    return len({(titles[j], kinds[j]) for j in same}) == len(same) > 1
+def _mixed(k: int, names: list[str], titles: list[str], quantities: list[str]) -> bool:
+    """Whether records of one quantity at one DoF all differ in their titles, so that they are channels, not repeats."""
+    same = [j for j in range(len(names)) if (names[j], quantities[j]) == (names[k], quantities[k])]
+    return len({titles[j] for j in same}) == len(same) > 1
+
+
+def _quantity(found: Mapping[str, Any]) -> str:
+    """What a record is of, as its unit in SI: told as :func:`_unit` does, by the type that it states or its label."""
+    known, stated = unit_of(str(found.get("ordinate_axis_units_lab", ""))), _stated(found)[0]
+    return stated if known is None or stated and found.get("units") is not None else SI[known.kind]
+
+
+def _stated(found: Mapping[str, Any]) -> tuple[str, str]:
+    """Unit in SI of the type that a record states, and which of data set 164 is its; empty if it states none."""
+    return _MEASURED.get(int(found.get("ordinate_spec_data_type", 0) or 0), ("", ""))
 
 
 def _unit(found: Mapping[str, Any]) -> tuple[str, float]:
@@ -89,13 +112,13 @@ def _unit(found: Mapping[str, Any]) -> tuple[str, float]:
     label = str(found.get("ordinate_axis_units_lab", "")).strip()
     label = "" if label.upper() == "NONE" else label
     known = unit_of(label) if label else None
-    stated = _MEASURED.get(int(found.get("ordinate_spec_data_type", 0) or 0))
+    stated = _stated(found)
     units: Units | None = found.get("units")
-    if stated is not None and units is not None and not (known is not None and label.lower() == "g"):
+    if stated[0] and units is not None and not (known is not None and label.lower() == "g"):
         return stated[0], getattr(units, stated[1])
-    if known is not None and stated is not None and (SI[known.kind] != stated[0]):
+    if known is not None and stated[0] not in ("", SI[known.kind]):
         warnings.warn(f"a record is stated as {stated[0]} and labelled {label!r}; the label counts", stacklevel=2)
-    if known is None and stated is not None:
+    if known is None and stated[0]:
         what = "force" if stated[0] == SI[FORCE] else "response"
         warnings.warn(f"a {what} has no known unit (label {label!r}): taken as {stated[0]}", stacklevel=2)
         return stated[0], 1.0
