@@ -149,6 +149,17 @@ def test_force_and_response_of_a_drive_point_have_one_name(tmp_path, titles, lab
         found.index("17:+Z")
 
 
+def test_time_of_a_universal_file_in_the_unit_of_its_label(tmp_path):
+    in_unit = lambda label, size: [
+        {**s, "abscissa_axis_units_lab": label, "abscissa_inc": size / FS, "x": size * TIME}
+        for s in (uff_set(5, 3, 13, "N", FORCE), uff_set(1, 3, 12, "g", ACC[0]))
+    ]
+    found, notes = told(write_uff(tmp_path / "a.uff", in_unit("ms", 1e3)))
+    assert found.fs == FS and not notes
+    found, notes = told(write_uff(tmp_path / "b.uff", in_unit("ticks", 1.0)))
+    assert found.fs == FS and "its time axis is in ticks, which is not known: taken as s" in notes[0]
+
+
 def test_motions_of_two_quantities_at_one_place_are_channels(tmp_path):
     sets = [uff_set(1, 3, 13, "N", FORCE), uff_set(2, 3, 12, "g", ACC[0]), uff_set(2, 3, 11, "m/s", ACC[1])]
     same(told(write_uff(tmp_path / "a.uff", sets))[0], ["1:+Z", "2:+Z", "2:+Z"], ["N", "g", "m/s"])

@@ -19,6 +19,8 @@ FREQ = np.linspace(20.0, 70.0, 51)
 TEXT_DIGITS = 5e-12
 # Shapes are written with 6 digits.
 SHAPE_DIGITS = 5e-6
+# Frequencies are written with 6 digits, in text and in the first line and the step of an even axis.
+AXIS_DIGITS = 1e-5
 
 
 def measurement(freq: np.ndarray = FREQ) -> Measurement:
@@ -149,6 +151,36 @@ def test_units_of_the_labels_where_there_is_no_set_164(tmp_path, label, force_la
     m = measurement()
     by_pyuff(tmp_path / "a.uff", m, 1, ordinate_axis_units_lab=label, orddenom_axis_units_lab=force_label)
     np.testing.assert_allclose(modalax.load(tmp_path / "a.uff").H, m.H * factor, rtol=1e-15)
+
+
+@pytest.mark.parametrize("binary", [0, 1])
+@pytest.mark.parametrize("spacing", [0, 1])
+@pytest.mark.parametrize(
+    ("label", "size"), [("rad/s", 2 * np.pi), ("kHz", 1e-3), ("Hertz", 1.0), ("(rpm)", 60.0), ("CPM", 60.0)]
+)
+def test_frequencies_in_the_unit_of_their_label(tmp_path, label, size, binary, spacing):
+    m = measurement()
+    path = tmp_path / "a.uff"
+    units(path, 1000.0, 1.0)  # data set 164 has no unit of time, so the label counts beside it too
+    by_pyuff(path, m, binary, x=size * FREQ, abscissa_axis_units_lab=label, abscissa_spacing=spacing)
+    found = modalax.load(path)
+    np.testing.assert_allclose(found.freq, FREQ, rtol=AXIS_DIGITS)
+    np.testing.assert_allclose(found.H, 1e-3 * m.H, rtol=1e-10)
+
+
+def test_a_unit_of_frequency_that_is_not_known_is_told_and_can_be_given(tmp_path):
+    path = by_pyuff(tmp_path / "a.uff", measurement(), x=2 * np.pi * FREQ, abscissa_axis_units_lab="1/turn")
+    with pytest.warns(UserWarning, match=r"a\.uff: its frequencies are in 1/turn, which is not known: taken as Hz"):
+        modalax.load(path, conjugate=False)
+    found = modalax.load(path, frequency_unit="rad/s")
+    np.testing.assert_allclose(found.freq, FREQ, rtol=AXIS_DIGITS)
+    with pytest.raises(ValueError, match="the unit of frequencies is '1/turn'; known are Hz, kHz, rad/s, rpm"):
+        modalax.load(path, frequency_unit="1/turn")
+    with pytest.raises(ValueError, match="option outputs is for files that do not say it themselves"):
+        modalax.load(path, frequency_unit="rad/s", outputs=["1"])
+    path = by_pyuff(tmp_path / "b.uff", measurement(), abscissa_spec_data_type=20)
+    with pytest.warns(UserWarning, match="its frequencies are in orders, which is not known"):
+        modalax.load(path, conjugate=False)
 
 
 @pytest.mark.parametrize(("code", "form"), [(8, "receptance"), (11, "mobility"), (12, "accelerance")])

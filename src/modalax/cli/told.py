@@ -16,7 +16,7 @@ UnitOption = Annotated[
 FrequencyUnitOption = Annotated[
     str | None,
     typer.Option(
-        "--frequency-unit", metavar="UNIT", help="Unit of the frequencies if the file has none: Hz, kHz, rad/s."
+        "--frequency-unit", metavar="UNIT", help="Unit of the frequencies if the file has none: Hz, kHz, rad/s, rpm."
     ),
 ]
 OutputsOption = Annotated[

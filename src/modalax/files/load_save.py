@@ -22,6 +22,7 @@ from modalax.files.table import names_of_columns, read_table
 from modalax.files.units import plain
 from modalax.files.write import replacing
 
+TOLD_OF_UFF = {"form", "frequency_unit"}  # what a universal file may not tell itself, or tell wrongly
 SMALLEST, LARGEST = 1e-60, 1e30  # m/N, (m/s)/N or (m/s^2)/N; a grain of dust moves by 1e12 (m/s^2)/N
 
 
@@ -88,16 +89,14 @@ def as_path(path: Any) -> Path:
 
 
 def _read(path: Path, kind: str, told: Told, options: dict[str, Any]) -> Saved:
-    if kind in ("uff", "fe") and set(told.words) - ({"form"} if kind == "uff" else set()):
-        raise ValueError(
-            f"option {', '.join(told.words)} is for files that do not say it themselves, this one is {kind}"
-        )
+    if kind in ("uff", "fe") and (words := sorted(set(told.words) - (TOLD_OF_UFF if kind == "uff" else set()))):
+        raise ValueError(f"option {', '.join(words)} is for files that do not say it themselves, this one is {kind}")
     if kind == "uff":
         from modalax.files.uff import read_uff
 
         if set(options) - {"complete"}:
             raise ValueError(f"option {', '.join(options)} is for other kinds of files, this one is {kind}")
-        return read_uff(path, form=told.form, **options)
+        return read_uff(path, form=told.form, frequency_unit=told.frequency_unit, **options)
     if kind == "npz":
         return _published(path) or read_npz(path, told, **options)
     if kind == "fe":

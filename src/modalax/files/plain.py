@@ -32,7 +32,7 @@ class Told:
     form
         ``receptance``, ``mobility`` or ``accelerance``.
     unit, frequency_unit
-        Unit of the FRFs, such as ``g/N`` or ``mm/N``, and of the frequencies: Hz, kHz or rad/s.
+        Unit of the FRFs, such as ``g/N`` or ``mm/N``, and of the frequencies: Hz, kHz, rad/s or rpm.
     outputs, inputs
         DoF names.
     axes

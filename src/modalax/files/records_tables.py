@@ -12,6 +12,7 @@ from modalax.data.streaming import HEAD, Streamed
 from modalax.files.guard import reading
 from modalax.files.lines import LONGEST_LINE, lines_of, table_of
 from modalax.files.npz import check_header
+from modalax.files.units import TIMES, plain
 
 MOST_HEADINGS = 10_000
 STREAMED = 2**28  # bytes above which an array stays in its file and is read piece by piece
@@ -35,7 +36,7 @@ def recording_of(table: np.ndarray, fs: float | None, names: list[str], units: l
     if not keep:
         raise ValueError(f"holds {table.shape[1]} columns, none beside time; a force and a response are needed")
     if time is not None:
-        factor = {"ms": 1e-3, "us": 1e-6, "min": 60.0}.get(units[time].strip().lower(), 1.0)
+        factor = TIMES.get(plain(units[time]), 1.0)
         own = rate_of(table[:, time] * factor)
         if fs is not None and abs(own - fs) > 1e-3 * fs:
             warnings.warn(f"its time column says {own:g} Hz; the {fs:g} Hz asked for count", stacklevel=2)

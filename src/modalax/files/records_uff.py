@@ -13,6 +13,7 @@ from modalax.files.uff import read_sets
 from modalax.files.uff_functions import functions_of
 from modalax.files.uff_index import index_of
 from modalax.files.uff_units import Units
+from modalax.files.units import TIMES, plain
 
 _MEASURED = {8: ("m", "length"), 11: ("m/s", "length"), 12: ("m/s^2", "length"), 13: ("N", "force"), 9: ("N", "force")}
 TIME_RESPONSE, FRF = 1, 4  # types of functions
@@ -31,7 +32,7 @@ def read_uff_records(path: Path, fs: float | None) -> Recording:
     if not time:
         held = ", ".join(sorted({f.title for f in functions_of(sets)})) or "no functions"
         raise ValueError(f"holds {held}; time records (data set 58, function type 1) are needed here")
-    steps = [_step(s) for s in time]
+    steps = _steps(time)
     if fs is None and (min(steps) <= 0 or not np.allclose(steps, steps[0], rtol=1e-4)):
         raise ValueError(f"its records have steps of {min(steps):g} to {max(steps):g} s; one rate is needed (fs)")
     # A force and a motion at one DoF, the drive point, are two channels of one name.
@@ -70,7 +71,16 @@ def holds_records_alone(path: Path) -> bool:
     return str(TIME_RESPONSE) in kinds and str(FRF) not in kinds
 
 
-def _step(found: Mapping[str, Any]) -> float:
+def _steps(sets: list[Mapping[str, Any]]) -> list[float]:
+    """Time from sample to sample [s] of each record, by the label of its time axis; one not known is told."""
+    labels = [plain(s.get("abscissa_axis_units_lab", "")) for s in sets]
+    unknown = sorted(set(labels) - {*TIMES, "", "none"})
+    if unknown:
+        warnings.warn(f"its time axis is in {', '.join(unknown)}, which is not known: taken as s", stacklevel=3)
+    return [TIMES.get(label, 1.0) * _spacing(s) for label, s in zip(labels, sets, strict=True)]
+
+
+def _spacing(found: Mapping[str, Any]) -> float:
     if found.get("abscissa_inc"):
         return float(found["abscissa_inc"])
     x = np.asarray(found["x"])

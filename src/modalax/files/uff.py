@@ -100,7 +100,9 @@ def _require_whole(path: Path) -> None:
         raise ValueError("the file is cut short: its last data set is not closed by a line '    -1'; copy it again")
 
 
-def read_uff(path: Path, form: str | None = None, complete: bool = False) -> Measurement | ModalModel:
+def read_uff(
+    path: Path, form: str | None = None, complete: bool = False, frequency_unit: str | None = None
+) -> Measurement | ModalModel:
     """Read the FRFs of a universal file, or, where it has none, its scaled mode shapes.
 
     Parameters
@@ -112,6 +114,8 @@ def read_uff(path: Path, form: str | None = None, complete: bool = False) -> Mea
     complete
         Where some pairs of output and input are missing: True drops the channels that lack them, with a warning
         that names them; False refuses.
+    frequency_unit
+        Hz, kHz, rad/s or rpm, for files whose label of the frequency axis does not tell, or tells it wrongly.
 
     Raises
     ------
@@ -119,10 +123,12 @@ def read_uff(path: Path, form: str | None = None, complete: bool = False) -> Mea
         If there is nothing to use; the message says what the file holds.
     """
     with reading("the universal file", ValueError):
-        return _frfs_or_modes(read_sets(path), form, complete)
+        return _frfs_or_modes(read_sets(path), form, complete, frequency_unit)
 
 
-def _frfs_or_modes(sets: list[dict[str, Any]], form: str | None, complete: bool) -> Measurement | ModalModel:
+def _frfs_or_modes(
+    sets: list[dict[str, Any]], form: str | None, complete: bool, frequency_unit: str | None
+) -> Measurement | ModalModel:
     functions = functions_of([s for s in sets if s["type"] == 58])
     if any(f.kind == "frf" for f in functions):
         shapes = sum(s["type"] in (55, 2414) for s in sets)
@@ -132,7 +138,7 @@ def _frfs_or_modes(sets: list[dict[str, Any]], form: str | None, complete: bool)
                 UserWarning,
                 stacklevel=4,
             )
-        return measurement_of(functions, form, complete)
+        return measurement_of(functions, form, complete, frequency_unit)
     modes = modes_of(sets)
     if modes is not None:
         return modes.model()

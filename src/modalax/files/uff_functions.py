@@ -12,7 +12,8 @@ from modalax.data.geometry import Geometry
 from modalax.data.measurement import Measurement
 from modalax.data.streaming import release
 from modalax.files.gaps import mended
-from modalax.files.uff_units import form_of, is_upside_down, response_scale
+from modalax.files.uff_units import axis_unit, form_of, is_upside_down, response_scale
+from modalax.files.units import FREQUENCIES, frequency_factor
 
 FUNCTIONS = {
     0: "general functions", 1: "time responses", 2: "autospectra", 3: "cross spectra", 4: "FRFs",
@@ -31,7 +32,7 @@ TOGETHER = 64  # outputs whose functions are laid into the array at once, a few 
 
 
 class Function(NamedTuple):
-    """One function of the file in SI units: its kind, its DoFs, its lines and values."""
+    """One function of the file in SI units: its kind, its DoFs, its lines (in ``axis_unit`` still) and values."""
 
     kind: str
     title: str
@@ -41,6 +42,7 @@ class Function(NamedTuple):
     freq: np.ndarray
     values: np.ndarray
     about_run: str
+    axis_unit: str
     upside_down: bool = False
 
 
@@ -77,6 +79,7 @@ def _function(k: int, found: Mapping[str, Any], prefixed: bool) -> Function:
         np.asarray(found["x"])[:count],
         values[:count] if scale == 1 else scale * values[:count],
         about_run,
+        axis_unit(found),
         is_upside_down(found),
     )
 
@@ -116,7 +119,9 @@ def _name(found: Mapping[str, Any], side: str, prefixed: bool) -> str:
 Cells = dict[tuple[str, str], list[Function]]
 
 
-def measurement_of(functions: Sequence[Function], form: str | None, complete: bool) -> Measurement:
+def measurement_of(
+    functions: Sequence[Function], form: str | None, complete: bool, frequency_unit: str | None = None
+) -> Measurement:
     """A measurement from single FRFs; a pair of DoFs that stands several times makes several runs.
 
     Raises
@@ -124,6 +129,7 @@ def measurement_of(functions: Sequence[Function], form: str | None, complete: bo
     ValueError
         If pairs are missing or stand unequally often, axes or forms differ, or the form is not known.
     """
+    functions = _in_hertz(functions, frequency_unit)
     if form is None:
         functions = _of_one_form(functions)
     frfs = [f for f in functions if f.kind == "frf"]
@@ -172,6 +178,21 @@ def _cells(functions: Sequence[Function]) -> Cells:
     for f in functions:
         table.setdefault((f.output, f.input), []).append(f)
     return table
+
+
+def _in_hertz(functions: Sequence[Function], unit: str | None) -> Sequence[Function]:
+    """The functions over frequencies in Hz, by the unit that the user gave or that of each; one not known is told."""
+    units = {f.axis_unit for f in functions if f.kind == "frf"} if unit is None else {unit}
+    unknown = {u for u in units if u and u not in FREQUENCIES} if unit is None else set()
+    if unknown:
+        warnings.warn(
+            f"its frequencies are in {', '.join(sorted(unknown))}, which is not known: taken as Hz; frequency_unit "
+            "(--frequency-unit) tells it",
+            UserWarning,
+            stacklevel=6,
+        )
+    size = lambda f: FREQUENCIES.get(f.axis_unit, 1.0) if unit is None else frequency_factor(unit)
+    return [f if size(f) == 1 else f._replace(freq=size(f) * f.freq) for f in functions]
 
 
 def _of_one_form(functions: Sequence[Function]) -> Sequence[Function]:

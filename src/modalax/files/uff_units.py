@@ -11,6 +11,7 @@ SI: dict[str, Any] = {
     "type": 164, "units_code": 1, "units_description": "SI: Meter (newton)", "temp_mode": 2, "length": 1.0,
     "force": 1.0, "temp": 1.0, "temp_offset": 273.15,
 }  # fmt: skip
+ABSCISSAE = {17: "units of time", 19: "rpm", 20: "orders"}  # types of an abscissa that is no frequency [Hz]
 _LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "in": INCH, "ft": FOOT}
 _FORCES = {"n": 1.0, "kn": 1e3, "mn": 1e-3, "lbf": POUND_FORCE, "lb": POUND_FORCE}
 
@@ -52,6 +53,15 @@ def response_scale(found: Mapping[str, Any]) -> float:
         return STANDARD_GRAVITY / force
     length = units.length if units else _LENGTHS.get(response.split("/")[0], 1.0)
     return length / force
+
+
+def axis_unit(found: Mapping[str, Any]) -> str:
+    """Unit of the abscissa by its label; where there is none, nothing for frequencies, else what the abscissa is.
+
+    Data set 164 has no say: it holds no unit of time.
+    """
+    label = _plain(found.get("abscissa_axis_units_lab", ""))
+    return label or ABSCISSAE.get(int(found.get("abscissa_spec_data_type", 0) or 0), "")
 
 
 def _plain(label: str) -> str:

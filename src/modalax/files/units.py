@@ -5,7 +5,13 @@ import re
 
 from modalax.files.uff_units import FOOT, INCH, POUND_FORCE, STANDARD_GRAVITY
 
-FREQUENCIES = {"hz": 1.0, "1/s": 1.0, "s-1": 1.0, "khz": 1e3, "rad/s": 1 / (2 * math.pi), "rads-1": 1 / (2 * math.pi)}
+TURN, MINUTE = 2 * math.pi, 60.0  # rad, s
+FREQUENCIES = {
+    "hz": 1.0, "hertz": 1.0, "1/s": 1.0, "s-1": 1.0, "khz": 1e3, "rad/s": 1 / TURN, "rad/sec": 1 / TURN,
+    "rads-1": 1 / TURN, "rpm": 1 / MINUTE, "cpm": 1 / MINUTE, "1/min": 1 / MINUTE,
+    "min-1": 1 / MINUTE,
+}  # fmt: skip
+TIMES = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "min": MINUTE}
 FORCES = {"n": 1.0, "kn": 1e3, "mn": 1e-3, "lbf": POUND_FORCE, "lb": POUND_FORCE}
 LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "µm": 1e-6, "in": INCH, "ft": FOOT}
 RATES = {"": "receptance", "/s": "mobility", "s-1": "mobility", "/s2": "accelerance", "s-2": "accelerance"}
@@ -14,7 +20,7 @@ WHOLE = {"1/kg": "accelerance", "kg-1": "accelerance", "s/kg": "mobility", "s2/k
 
 def frequency_factor(unit: str) -> float:
     """Size of one ``unit`` in Hz; ``ValueError`` lists the known units."""
-    return _known(unit, FREQUENCIES, "frequencies", "Hz, kHz, rad/s")
+    return _known(unit, FREQUENCIES, "frequencies", "Hz, kHz, rad/s, rpm")
 
 
 def force_factor(unit: str) -> float:
