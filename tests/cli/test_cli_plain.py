@@ -38,6 +38,32 @@ def test_what_is_not_said_is_asked_for(plain, capsys):
     np.testing.assert_allclose(found.H[0, :, :, 0], 1e-3 * np.load("plain.npz")["FRF"], rtol=1e-14)
 
 
+def test_a_universal_file_that_lacks_an_frf_is_read_without_that_channel(tmp_path, monkeypatch, capsys):
+    pyuff = pytest.importorskip("pyuff")
+    monkeypatch.chdir(tmp_path)
+    H = np.asarray(five_dof().frf(FREQ, inputs=["1", "4"]).H)
+    for o, i in [(1, 1), (1, 4), (2, 1), (2, 4), (4, 1)]:
+        one = {
+            "type": 58, "func_type": 4, "data": H[:, o - 1, int(i == 4)], "x": FREQ, "abscissa_spacing": 1,
+            "rsp_node": o, "rsp_dir": 1, "ref_node": i, "ref_dir": 1, "ordinate_spec_data_type": 8,
+            "orddenom_spec_data_type": 13,
+        }  # fmt: skip
+        pyuff.UFF("lacks.uff").write_sets(one, "add")
+    for command in (["convert", "lacks.uff", "out.npz"], ["fit", "lacks.uff"], ["check", "lacks.uff"],
+                    ["view", "lacks.uff"], ["diagnose", "lacks.uff", "--simulation", "lacks.uff"]):  # fmt: skip
+        assert main(command) == 2
+        error = capsys.readouterr().err.splitlines()[-1]
+        assert "lacks.uff: 1 of 6 FRFs (output/input) are missing: 4:+X/4:+X; " in error and "--complete" in error
+    assert main(["convert", "lacks.uff", "out.npz", "--complete"]) == 0
+    assert "left out, because some of their FRFs are missing: output 4:+X" in capsys.readouterr().err
+    found = load("out.npz")
+    assert found.outputs == ("1:+X", "2:+X") and found.inputs == ("1:+X", "4:+X")
+    assert main(["convert", "out.npz", "again.npz", "--complete"]) == 2
+    assert "out.npz: option complete is for UFF files, this one is npz" in capsys.readouterr().err
+    assert main(["check", "lacks.uff", "--complete"]) == 0
+    assert "output 4:+X" in capsys.readouterr().err
+
+
 def test_modes_by_frequency_go_to_files_with_their_nodes(plain, capsys):
     (plain.parent / "nodes.csv").write_text("node,x,y,z\n" + "".join(f"{n},{n},0,0\n" for n in range(1, 6)))
     true = np.asarray(five_dof().modal().frequency_hz)

@@ -200,7 +200,7 @@ def test_matrices_in_single_precision_are_said(tmp_path):
 
 def test_option_for_another_kind_of_file(tmp_path):
     path = with_npz(tmp_path)
-    with pytest.raises(ValueError, match="option complete is for extended simulations and UFF files, this is neither"):
+    with pytest.raises(ValueError, match="option complete is for UFF files, this one is npz"):
         modalax.load(path, complete=True)
 
 

@@ -18,6 +18,7 @@ from modalax.cli.common import (
 )
 from modalax.cli.told import (
     AxesOption,
+    CompleteOption,
     FormOption,
     FrequencyUnitOption,
     InputsOption,
@@ -40,6 +41,7 @@ def check(
     outputs: OutputsOption = None,
     inputs: InputsOption = None,
     axes: AxesOption = None,
+    complete: CompleteOption = False,
     overwrite: OverwriteOption = False,
 ) -> None:
     """Find what is wrong with a measurement: channels, hits, records, noise, reciprocity and form."""
@@ -53,7 +55,7 @@ def check(
     from modalax.check import check as look
 
     with working("Checking the measurement"):
-        result = look(data, **told(form, unit, frequency_unit, outputs, inputs, axes))
+        result = look(data, **told(form, unit, frequency_unit, outputs, inputs, axes, complete))
     print_findings(Console(), result)
     if json is not None:
         write_json(json, result.to_dict())

@@ -8,6 +8,7 @@ import typer
 from modalax.cli.common import OverwriteOption, check_free, check_readable, note, start
 from modalax.cli.told import (
     AxesOption,
+    CompleteOption,
     FormOption,
     FrequencyUnitOption,
     InputsOption,
@@ -26,6 +27,7 @@ def convert(
     outputs: OutputsOption = None,
     inputs: InputsOption = None,
     axes: AxesOption = None,
+    complete: CompleteOption = False,
     overwrite: OverwriteOption = False,
 ) -> None:
     """Read FRFs or a model from a file and write them in another format."""
@@ -34,5 +36,5 @@ def convert(
     start()
     from modalax.files import load, save
 
-    save(load(source, **told(form, unit, frequency_unit, outputs, inputs, axes)), target, overwrite=overwrite)
+    save(load(source, **told(form, unit, frequency_unit, outputs, inputs, axes, complete)), target, overwrite=overwrite)
     note(f"{target} written")

@@ -25,6 +25,7 @@ from modalax.cli.common import (
 )
 from modalax.cli.told import (
     AxesOption,
+    CompleteOption,
     FormOption,
     FrequencyUnitOption,
     InputsOption,
@@ -48,6 +49,7 @@ def diagnose(
     outputs: OutputsOption = None,
     inputs: InputsOption = None,
     axes: AxesOption = None,
+    complete: CompleteOption = False,
     question: Annotated[
         str,
         typer.Option(
@@ -97,7 +99,7 @@ def diagnose(
     check_folder(out, overwrite, inputs=[data, simulation])
     check_readable(data, simulation)
     start()
-    measurement = read_measured(data, **told(form, unit, frequency_unit, outputs, inputs, axes))
+    measurement = read_measured(data, **told(form, unit, frequency_unit, outputs, inputs, axes, complete))
     modes_alone = not hasattr(measurement, "H")
     if modes_alone and (report or out or band or run):
         raise ValueError(f"{data} holds modes alone: --report, --out, --band and --run are for FRFs; --json tells all")

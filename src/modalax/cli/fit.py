@@ -25,6 +25,7 @@ from modalax.cli.common import (
 )
 from modalax.cli.told import (
     AxesOption,
+    CompleteOption,
     FormOption,
     FrequencyUnitOption,
     InputsOption,
@@ -104,6 +105,7 @@ def fit(
     outputs: OutputsOption = None,
     inputs: InputsOption = None,
     axes: AxesOption = None,
+    complete: CompleteOption = False,
     overwrite: OverwriteOption = False,
 ) -> None:
     """Identify the modes of measured FRFs: frequency, damping and shape, with standard deviations."""
@@ -114,7 +116,7 @@ def fit(
     start()
     if modes is not None:
         check_modes(modes)
-    measured = read_measurement(data, **told(form, unit, frequency_unit, outputs, inputs, axes))
+    measured = read_measurement(data, **told(form, unit, frequency_unit, outputs, inputs, axes, complete))
     places = None if geometry is None else read_geometry(geometry)
     frf = one_run(measured, run, data)
     from rich.console import Console

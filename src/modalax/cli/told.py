@@ -1,4 +1,4 @@
-"""Options that say what a plain file of FRFs does not: form, units, names and the order of the axes."""
+"""Options that say what a plain file of FRFs does not: form, units, names, axes; or that a file is incomplete."""
 
 from typing import Annotated, Any
 
@@ -28,6 +28,11 @@ AxesOption = Annotated[
     typer.Option("--axes", help="Order of the axes of a plain FRF array (run, f, o, i): 'f o i', 'f o', ..."),
 ]
 
+CompleteOption = Annotated[
+    bool,
+    typer.Option("--complete", help="Leave out the channels of which a universal file lacks some FRFs; they are told."),
+]
+
 
 def told(
     form: str | None,
@@ -36,11 +41,12 @@ def told(
     outputs: str | None,
     inputs: str | None,
     axes: str | None,
+    complete: bool,
 ) -> dict[str, Any]:
     """Collect the options that were given, as keywords of :func:`modalax.load`."""
     given = {
         "form": form, "unit": unit, "frequency_unit": frequency_unit, "outputs": names(outputs),
-        "inputs": names(inputs), "axes": axes,
+        "inputs": names(inputs), "axes": axes, "complete": complete or None,
     }  # fmt: skip
     return {name: value for name, value in given.items() if value is not None}
 

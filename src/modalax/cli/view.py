@@ -18,6 +18,7 @@ from modalax.cli.common import (
 from modalax.cli.fit import Method, nodes_beside, one_run, read_geometry
 from modalax.cli.told import (
     AxesOption,
+    CompleteOption,
     FormOption,
     FrequencyUnitOption,
     InputsOption,
@@ -62,6 +63,7 @@ def view(
     outputs: OutputsOption = None,
     inputs: InputsOption = None,
     axes: AxesOption = None,
+    complete: CompleteOption = False,
 ) -> None:
     """Pick modes in the browser, on a page that this machine alone can open."""
     require_view()
@@ -77,7 +79,7 @@ def view(
     from modalax.view.files import read_selection
 
     picks, seen, highest = ([], None, None) if selection is None else read_selection(selection)
-    measured = read_measurement(data, **told(form, unit, frequency_unit, outputs, inputs, axes))
+    measured = read_measurement(data, **told(form, unit, frequency_unit, outputs, inputs, axes, complete))
     one = one_run(measured, run, data)
     places = nodes_beside(data) if geometry is None else read_geometry(geometry)
     beside = None if simulation is None else read_beside(simulation)

@@ -88,14 +88,26 @@ def as_path(path: Any) -> Path:
     return Path(path)
 
 
+def _check_options(kind: str, told: Told, options: dict[str, Any]) -> None:
+    """Refuse what may be told, or chosen, of files of other kinds only."""
+    words = set(told.words) - (TOLD_OF_UFF if kind == "uff" else set())
+    if kind in ("uff", "fe") and words:
+        raise ValueError(
+            f"option {', '.join(sorted(words))} is for files that do not say it themselves, this one is {kind}"
+        )
+    if kind == "uff" and set(options) - {"complete"}:
+        raise ValueError(f"option {', '.join(options)} is for other kinds of files, this one is {kind}")
+    if kind != "uff" and "complete" in options:
+        raise ValueError(f"option complete is for UFF files, this one is {kind}")
+    if kind not in ("uff", "npz", "fe") and options:
+        raise ValueError(f"option {', '.join(options)} is for .npz files, this one is {kind}")
+
+
 def _read(path: Path, kind: str, told: Told, options: dict[str, Any]) -> Saved:
-    if kind in ("uff", "fe") and (words := sorted(set(told.words) - (TOLD_OF_UFF if kind == "uff" else set()))):
-        raise ValueError(f"option {', '.join(words)} is for files that do not say it themselves, this one is {kind}")
+    _check_options(kind, told, options)
     if kind == "uff":
         from modalax.files.uff import read_uff
 
-        if set(options) - {"complete"}:
-            raise ValueError(f"option {', '.join(options)} is for other kinds of files, this one is {kind}")
         return read_uff(path, form=told.form, frequency_unit=told.frequency_unit, **options)
     if kind == "npz":
         return _published(path) or read_npz(path, told, **options)
@@ -106,8 +118,6 @@ def _read(path: Path, kind: str, told: Told, options: dict[str, Any]) -> Saved:
         for sentence in found.notes:
             warnings.warn(sentence, UserWarning, stacklevel=2)
         return found.simulation
-    if options:
-        raise ValueError(f"option {', '.join(options)} is for UFF and .npz files, this one is {kind}")
     if kind in ("mat", "mat73"):
         from modalax.files.mat import read_mat
 

@@ -254,7 +254,7 @@ def _complete_grid(cells: Cells, outputs: list[str], inputs: list[str], complete
         shown = ", ".join(f"{o}/{i}" for o, i in missing[:6]) + (", ..." if len(missing) > 6 else "")
         raise ValueError(
             f"{len(missing)} of {len(outputs) * len(inputs)} FRFs (output/input) are missing: {shown}; "
-            "complete=True leaves out the channels that lack them"
+            "complete=True (--complete) leaves out the channels that lack them"
         )
     dropped = []
     while missing:
