@@ -41,6 +41,17 @@ def files(tmp_path_factory):
     return folder
 
 
+@pytest.fixture(scope="module")
+def unusable(files):
+    """Beside them: five lines, names that the simulation has not, and records without a force."""
+    two = load(files / "two.npz")
+    save(two.band(20, 20.4), files / "few.npz")
+    save(two.replace(outputs=tuple(f"p{k}" for k in range(5)), inputs=("p0",)), files / "other.npz")
+    rows = np.column_stack([np.arange(64) / 64, np.zeros(64), np.ones(64)])
+    np.savetxt(files / "still.csv", rows, delimiter=",", header="time,a,b", comments="")
+    return files
+
+
 def refused(capsys, *arguments):
     """Run a command that must end with status 2 and one line on stderr; give that line."""
     assert main([str(a) for a in arguments]) == 2
@@ -49,6 +60,35 @@ def refused(capsys, *arguments):
     lines = captured.err.splitlines()
     assert len(lines) == 1 and lines[0].startswith("modalax: "), captured.err
     return lines[0]
+
+
+FEW = ["few.npz", "--run", "1"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["fit", *FEW], "few.npz: the band 20 to 20.4 Hz holds 5 lines; a fit needs at least 6"),
+        (["check", "few.npz"], "few.npz: holds 5 lines above 0 Hz; at least 8 are needed"),
+        (["view", *FEW, "--no-browser"], "few.npz: order 2 needs 6 lines"),
+        (["fit", *FEW, "--order", "-1"], "few.npz: order is -1"),
+        (["fit", "two.npz", "--run", "1", "--band", "500", "600"], "two.npz: the band 500 to 600 Hz holds no line"),
+        (["fit", "two.npz", "--run", "1", "--band", "60", "50"], "two.npz: the band 60 to 50 Hz is empty"),
+        (["diagnose", "two.npz", "--simulation", "structure.npz", "--band", "500", "600"],
+         "two.npz: the band 500 to 600 Hz holds no line"),
+        (["diagnose", "two.npz", "--simulation", "structure.npz", "--run", "3"], "two.npz: --run 3"),
+        (["diagnose", "other.npz", "--simulation", "structure.npz"], "other.npz, structure.npz: "),
+        (["simulate", "structure.npz", "--band", "5", "6", "--input", "77", "-o", "x.npz"],
+         "structure.npz: no DoF named '77'"),
+        (["frf", "still.csv", "-o", "x.npz", "--unit", "g", "--force", "2"], "still.csv: the force does not"),
+        (["frf", "still.csv", "-o", "x.npz"], "still.csv: which channel is the force is not known"),
+        (["frf", "still.csv", "-o", "x.npz", "--time", "5", "6"], "still.csv: 5 to 6 s of records of 1 s"),
+    ],
+)  # fmt: skip
+def test_an_error_of_the_data_names_its_file(unusable, monkeypatch, capsys, arguments, words):
+    monkeypatch.chdir(unusable)
+    assert main(arguments) == 2
+    assert capsys.readouterr().err.splitlines()[-1].startswith(f"modalax: {words}")
 
 
 def test_help_names_every_command():

@@ -26,6 +26,7 @@ from modalax.cli.told import (
     UnitOption,
     told,
 )
+from modalax.files.messages import naming
 
 
 def check(
@@ -54,7 +55,7 @@ def check(
 
     from modalax.check import check as look
 
-    with working("Checking the measurement"):
+    with naming(data), working("Checking the measurement"):
         result = look(data, **told(form, unit, frequency_unit, outputs, inputs, axes, complete))
     print_findings(Console(), result)
     if json is not None:

@@ -33,6 +33,7 @@ from modalax.cli.told import (
     UnitOption,
     told,
 )
+from modalax.files.messages import naming
 
 
 def diagnose(
@@ -112,9 +113,11 @@ def diagnose(
     from modalax.diagnose import diagnose as answered
     from modalax.files import save as write_model
 
-    measurement = measurement if modes_alone else _selected(measurement, band, run)
     wanted = _named_causes(causes)
-    with working("Diagnosing (slower the first time, when programs are compiled)") as tell:
+    with naming(data):
+        measurement = measurement if modes_alone else _selected(measurement, band, run)
+    doing = "Diagnosing (slower the first time, when programs are compiled)"
+    with naming(data, simulation), working(doing) as tell:
         result = answered(
             measurement, model, question=question, causes=wanted, time=time, modal_std=modal_std, progress=tell
         )

@@ -33,6 +33,7 @@ from modalax.cli.told import (
     UnitOption,
     told,
 )
+from modalax.files.messages import naming
 
 
 class ResidualTerms(StrEnum):
@@ -125,7 +126,7 @@ def fit(
     from modalax.identify import fit as identify
 
     name = None if method is None else method.value
-    with working("Identifying the modes (slower the first time, when programs are compiled)") as progress:
+    with naming(data), working("Identifying the modes (slower the first time, when programs are compiled)") as progress:
         result = identify(
             frf, name, order, refine, band, residuals=residuals.value, real_modes=real_modes, pick=pick or None,
             drop=drop, add=add, without=without or None, progress=progress,

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from modalax.cli.common import BandOption, OverwriteOption, check_free, note, start, working
+from modalax.files.messages import naming
 from modalax.files.record_kinds import kind_of
 
 RecordsArgument = Annotated[
@@ -121,21 +122,23 @@ def frf(
         "remainder": remainder, "keep_all": keep_all, "roving": roving,
     }  # fmt: skip
     called = _pairs(names, "--name")
+    factors = {channel: _number(value, "--scale") for channel, value in _pairs(scale, "--scale").items()}
+    in_units = _pairs(units, "--units")
     ends = {"force": _as_in_file(force, called), "response": _as_in_file(response, called)}
     _check_levels(level, len(records) if runs else 1)
     taken, frfs, said = [], [], set()
     with working("Estimating FRFs") as step:
         for paths in [[p] for p in records] if runs else [records]:
             step(f"reading {', '.join(p.name for p in paths[:3])}{' ...' if len(paths) > 3 else ''}")
-            with _once(said, paths):
+            with naming(*paths), _once(said, paths):
                 recording = load_records(paths, fs=fs, array=array)
                 recording = recording if time is None else recording.between(*time)
-                recording = recording.with_units(_pairs(units, "--units"))
-                recording = recording.scaled({k: _number(v, "--scale") for k, v in _pairs(scale, "--scale").items()})
+                recording = recording.with_units(in_units).scaled(factors)
             taken.append(recording)
         for k, recording in enumerate(of_one_length(taken)):
             step(f"averaging spectra{f' of run {k + 1}' if runs else ''}")
-            with _once(said, records[k:]):
+            paths = [records[k]] if runs else records
+            with naming(*paths), _once(said, paths):
                 frf = frf_from_recording(recording, **ends, unit=unit, **choices)
                 # A drive point gives its name to two channels, so they are named where force and response are parted.
                 outputs, inputs = (
@@ -145,7 +148,8 @@ def frf(
                 frfs.append(frf.replace(outputs=outputs, inputs=inputs))
     if level:
         frfs = [f.replace(level=amount) for f, amount in zip(frfs, level, strict=True)]
-    measurement = Measurement.from_frfs(common_lines(frfs))
+    with naming(*records):
+        measurement = Measurement.from_frfs(common_lines(frfs))
     save(measurement, target, overwrite=overwrite)
     typer.echo(_told(measurement, taken[0].fs))
     if runs and not np.isfinite(np.asarray(measurement.level)).all():

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from modalax.cli.common import OverwriteOption, check_free, check_readable, note, read_simulation, start, working
+from modalax.files.messages import naming
 
 
 class Sweep(StrEnum):
@@ -96,10 +97,10 @@ def simulate(
     known = getattr(structure, "dofs", None) or structure.inputs
     driven = known[0] if input is None else input
     if amplitudes and parts:
-        with working(f"Simulating {len(freq)} lines at {len(amplitudes)} held amplitudes"):
+        with naming(simulation), working(f"Simulating {len(freq)} lines at {len(amplitudes)} held amplitudes"):
             measurement = hold(structure, parts, freq, amplitudes, driven, held or driven, form.value, harmonics)
     else:
-        with working(f"Simulating {len(freq)} lines at {len(levels) or 1} force amplitudes"):
+        with naming(simulation), working(f"Simulating {len(freq)} lines at {len(levels) or 1} force amplitudes"):
             measurement = predict(structure, parts, freq, levels, driven, form.value, harmonics, sweep.value)
     if noise:
         measurement = with_noise(measurement, noise, seed)

@@ -26,6 +26,7 @@ from modalax.cli.told import (
     UnitOption,
     told,
 )
+from modalax.files.messages import naming
 
 
 def view(
@@ -83,7 +84,8 @@ def view(
     one = one_run(measured, run, data)
     places = nodes_beside(data) if geometry is None else read_geometry(geometry)
     beside = None if simulation is None else read_beside(simulation)
-    with working("Drawing the stabilization diagram (slower the first time, when programs are compiled)") as progress:
+    doing = "Drawing the stabilization diagram (slower the first time, when programs are compiled)"
+    with naming(data), working(doing) as progress:
         session = Session(
             one, band=band or seen, order=order or highest, method=None if method is None else method.value,
             geometry=places, progress=progress,

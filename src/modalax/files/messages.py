@@ -5,6 +5,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+SHOWN = 3  # files that a message names
+
 
 @contextmanager
 def about(path: Path) -> Iterator[None]:
@@ -33,3 +35,22 @@ def about(path: Path) -> Iterator[None]:
         if issubclass(warning.category, UserWarning) and str(path) not in text:
             text = f"{path}: {text}"
         warnings.warn(text, warning.category, stacklevel=4)
+
+
+@contextmanager
+def naming(*paths: Path) -> Iterator[None]:
+    """Put the names of files before the message of a ``ValueError`` of what was read from them, if it names none.
+
+    Raises
+    ------
+    ValueError
+        In place of every one raised inside.
+    """
+    try:
+        yield
+    except ValueError as error:
+        text = str(error)
+        if any(str(path) in text for path in paths):
+            raise
+        shown = ", ".join(map(str, paths[:SHOWN])) + (", ..." if len(paths) > SHOWN else "")
+        raise ValueError(f"{shown}: {text}") from error

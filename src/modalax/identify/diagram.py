@@ -29,6 +29,7 @@ CHANNELS, AROUND = 250, 30  # channels, at most about, that are asked for it, an
 # noise from FRFs, and noise over the largest sample from which on moments, which see 1e-8 of it, lose no digit in use.
 LONG, DIFFERENCES, NOISY = 1e9, 6, 1e-4
 LINES, PARTS = 400, 8  # lines for each part of the band that gets a diagram of its own, and most parts
+FEWEST = 6  # lines that the lowest order of a diagram, 2, needs
 STILL = 0.1  # part of the distance between the poles of an order that a mode moves at most to the next order
 LASTING = 0.6  # part of the orders at which a mode must stand that only a higher order or a part of the band shows
 
@@ -198,6 +199,8 @@ def _at(frf: FRF, name: str, poles: int, order: int | None) -> tuple[PoleTable, 
     lines, n_out, n_in = frf.shape
     size = n_in if name in ("plscf", "lsce") else 1
     lower, upper = frf.ends
+    if order is None and name != "fdpi" and lines < FEWEST:
+        raise ValueError(f"the band {lower:g} to {upper:g} Hz holds {lines} lines; a fit needs at least {FEWEST}")
     margin = 0.05 * (upper - lower)
     top = max(2, min(poles // size, lines // 4 - 1))
     if name == "fdpi":
