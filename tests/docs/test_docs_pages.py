@@ -11,9 +11,13 @@ import re
 import shlex
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from modalax.cli import main
+from modalax.files import load
+from modalax.files.arrays import to_arrays
+from modalax.model.examples import five_dof
 
 DOCS = Path(__file__).parents[2] / ".github" / "docs"
 BLOCK = re.compile(r"^(?P<out><!-- not run -->\n)?```(?P<kind>sh|python|toml)\n(?P<code>.*?)^```$", re.M | re.S)
@@ -98,3 +102,28 @@ def test_arrays_of_the_files_stand_in_their_table():
     formats = (DOCS / "formats.md").read_text(encoding="utf-8")
     known = {*MEASUREMENT_KEYS, *STRUCTURE_KEYS, *MODEL_KEYS} - {"axes"}
     assert sorted(key for key in known if f"`{key}`" not in formats) == []
+
+
+def row(kind: str) -> tuple[list[str], list[str]]:
+    """Names of the arrays that a file of a kind needs, and of those that may be left out, by the page of formats."""
+    table = (DOCS / "formats.md").read_text(encoding="utf-8")
+    cells = re.search(rf"^\| {kind} \|(.*)\|$", table, re.M)
+    assert cells
+    needed, others = (re.findall(r"`(\w+)`", part) for part in cells[1].split(";", 1))
+    return needed, others
+
+
+@pytest.mark.filterwarnings("ignore:.*have no names:UserWarning")
+@pytest.mark.parametrize("kind", ["measurement", "structure"])
+def test_a_file_needs_what_the_page_of_formats_says_and_no_more(kind, tmp_path):
+    structure = five_dof()
+    whole = to_arrays(structure if kind == "structure" else structure.frf(np.arange(20.0, 60.0), inputs=["1"]))
+    needed, others = row(kind)
+    assert set(whole) <= {*needed, *others}
+    path = tmp_path / "a.npz"
+    np.savez(path, **{name: whole[name] for name in needed})
+    load(path)
+    for name in needed:
+        np.savez(path, **{key: value for key, value in whole.items() if key != name})
+        with pytest.raises(ValueError, match=rf"no {name} in it; a {kind} file needs {', '.join(needed)}"):
+            load(path)

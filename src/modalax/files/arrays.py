@@ -137,8 +137,8 @@ def _hint(arrays: Arrays, known: tuple[str, ...]) -> None:
             )
 
 
-def _need(arrays: Arrays, names: tuple[str, ...], kind: str, spared: tuple[str, ...] = ()) -> None:
-    missing = [name for name in names if name not in arrays and name not in spared]
+def _need(arrays: Arrays, names: tuple[str, ...], kind: str) -> None:
+    missing = [name for name in names if name not in arrays]
     if missing:
         raise ValueError(
             f"no {' and no '.join(missing)} in it; a {kind} file needs {', '.join(names)} "
@@ -187,7 +187,13 @@ def _number(arrays: Arrays, name: str) -> float:
 
 
 def _measurement(arrays: Arrays) -> Measurement:
-    _need(arrays, ("freq", "H", "form", "outputs", "inputs"), "measurement")
+    _need(arrays, ("freq", "H", "form"), "measurement")
+    nameless = [side for side in ("outputs", "inputs") if side not in arrays]
+    if nameless:
+        raise ValueError(
+            f"no {' and no '.join(nameless)} in it; a measurement file needs the names of both outputs and inputs, or "
+            f"none (here: {', '.join(sorted(arrays))})"
+        )
     if np.asarray(arrays["H"]).dtype.kind != "c":
         raise ValueError(f"H has type {np.asarray(arrays['H']).dtype}; FRFs are complex, a magnitude is not enough")
     freq, H = _numbers(arrays, "freq").squeeze(), _numbers(arrays, "H", complex_=True)
@@ -243,7 +249,7 @@ def _check_axes(H: np.ndarray, axes: list[str], lengths: dict[str, int]) -> None
 
 
 def _structure(arrays: Arrays) -> Structure:
-    _need(arrays, ("M", "C", "K", "dofs"), "structure", ("dofs",))
+    _need(arrays, ("M", "C", "K"), "structure")
     if "dofs" not in arrays:
         warnings.warn(
             "its DoFs have no names and are called 1, 2, ...; the array dofs names them", UserWarning, stacklevel=4

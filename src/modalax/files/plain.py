@@ -125,8 +125,8 @@ def _in_si(arrays: dict[str, Any], told: Told) -> dict[str, Any]:
         arrays["form"] = np.array(told.form)
     if "form" not in arrays:
         raise ValueError(
-            "no form in it; a measurement file needs freq, H, form, outputs, inputs: tell whether it is receptance, "
-            "mobility or accelerance by form='accelerance' (--form accelerance), or by unit='g/N' (--unit g/N)"
+            "no form in it; a measurement file needs freq, H, form: tell whether it is receptance, mobility "
+            "or accelerance by form='accelerance' (--form accelerance), or by unit='g/N' (--unit g/N)"
         )
     return arrays
 
