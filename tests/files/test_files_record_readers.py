@@ -9,6 +9,7 @@ import pytest
 import pyuff
 import scipy.io
 
+from modalax.check.record_files import read_records
 from modalax.data.recording import channels_of
 from modalax.files import load_records
 
@@ -93,6 +94,21 @@ def test_named_arrays(tmp_path):
     order = [found.channels.index(n) for n in ("hammer", "a1", "a2")]
     assert [found.units[k] for k in order] == ["N", "g", "g"] and found.fs == FS
     assert np.array_equal(found.data[0, :, order], np.array([FORCE, *ACC]))
+
+
+@pytest.mark.parametrize("axes", [(0, 1, 2), (0, 2, 1)])
+def test_named_arrays_of_several_records(tmp_path, axes):
+    force, a = RNG.normal(size=(5, COUNT)), RNG.normal(size=(5, COUNT, 2))
+    np.savez(tmp_path / "a.npz", force=force, response=a.transpose(axes), fs=FS)
+    found, notes = told(tmp_path / "a.npz")
+    assert found.channels == ("force", "response 1", "response 2") and "5 records of 200 samples each" in notes[-1]
+    assert np.array_equal(found.data[:, :, 0], force) and np.array_equal(found.data[:, :, 1:], a)
+    checked = read_records(tmp_path / "a.npz")
+    assert np.array_equal(checked.force, force) and np.array_equal(checked.response, a) and checked.fs == FS
+    for wrong in (force[:4], force[0], force[:, :100], force[None, None]):
+        np.savez(tmp_path / "b.npz", force=wrong, response=a, fs=FS)
+        with pytest.raises(ValueError, match="its arrays do not go together; say which one to read"):
+            load_records(tmp_path / "b.npz")
 
 
 def test_sound_files(tmp_path):

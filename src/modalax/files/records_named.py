@@ -39,9 +39,10 @@ def read_named(path: Path, kind: str, fs: float | None, array: str) -> Recording
     }  # fmt: skip
     if not long:
         raise ValueError(f"holds no time records; its arrays: {_shown(arrays)}")
-    if any(v.ndim > 2 for v in long.values()) or len({max(v.shape) for v in long.values()}) > 1:
-        if len(long) == 1:
-            return from_array(next(iter(long.values())), rate, "")
+    if len(long) == 1 and next(iter(long.values())).ndim > 2:
+        return from_array(next(iter(long.values())), rate, "")
+    columns = _columns(long)
+    if columns is None:
         raise ValueError(f"its arrays do not go together; say which one to read (array): {_shown(long)}")
     if len(long) == 1 and next(iter(long.values())).ndim == 2:
         name, value = next(iter(long.items()))
@@ -50,15 +51,42 @@ def read_named(path: Path, kind: str, fs: float | None, array: str) -> Recording
         raise ValueError(
             f"holds no sampling rate (such as Fs, dt or t); give it in Hz (fs, --fs); its arrays: {_shown(arrays)}"
         )
-    rows, names, labels = [], [], []
-    for name, value in long.items():
-        value = np.moveaxis(np.atleast_2d(value.astype(float)), int(np.argmax(np.atleast_2d(value).shape)), -1)
+    names, labels = [], []
+    for name, value in columns.items():
         plain, unit = split_unit(name)
-        rows += list(value)
-        names += [plain] if len(value) == 1 else [f"{plain} {k + 1}" for k in range(len(value))]
-        labels += [units.get(name, unit)] * len(value)
-    data = np.stack(rows, axis=-1)[None]
+        count = value.shape[2]
+        names += [plain] if count == 1 else [f"{plain} {k + 1}" for k in range(count)]
+        labels += [units.get(name, unit)] * count
+    data = np.concatenate(list(columns.values()), axis=2)
     return Recording(data, rate, tuple(names), tuple(labels), tuple(range(1, len(names) + 1)))
+
+
+def _columns(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray] | None:
+    """The arrays as ``(segment, t, channel)``; None where their segments or lengths differ.
+
+    Where one array has three axes, segments first, those of two are ``(segment, t)`` of one channel; else all are of
+    one segment.
+    """
+    several = any(value.ndim > 2 for value in arrays.values())
+    if several and not all(value.ndim in (2, 3) for value in arrays.values()):
+        return None
+    columns = {name: _along_time(value, several) for name, value in arrays.items()}
+    kinds = {value.shape[:2] for value in columns.values()}
+    if len(kinds) > 1:
+        return None
+    if several:
+        count, samples = kinds.pop()
+        warnings.warn(f"its arrays are taken as {count} records of {samples} samples each", stacklevel=3)
+    return columns
+
+
+def _along_time(value: np.ndarray, several: bool) -> np.ndarray:
+    """An array as ``(segment, t, channel)``, time along its longest axis."""
+    if not several:
+        value = np.atleast_2d(value)[None]
+    elif value.ndim == 2:
+        value = value[:, :, None]
+    return np.moveaxis(value.astype(float), int(np.argmax(value.shape)), 1)
 
 
 def _rate(arrays: dict[str, np.ndarray]) -> float | None:
