@@ -269,7 +269,7 @@ def test_the_unit_of_the_frfs_is_read_and_compared_with_the_form():
         ("H", "(m/s^2)/N", "the unit of accelerance, and form says 'receptance'"),
         ("H", "furlong/N", "the unit of the FRFs is 'furlong/N'"),
         ("variance", "m/N", "variance is in 'm/N'"),
-        ("freq", "rpm", "the unit of frequencies is 'rpm'; known are Hz"),
+        ("freq", "octave", "the unit of frequencies is 'octave'; known are Hz"),
         ("level", "MN", "the unit of forces is 'MN'"),
     ):
         wrong = dataset.copy()

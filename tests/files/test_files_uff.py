@@ -9,6 +9,8 @@ import modalax
 from modalax import Measurement, ModalModel
 from modalax.data import Geometry
 from modalax.files import load_geometry, load_modes
+from modalax.files.record_kinds import kind_of
+from modalax.files.sniff import sniff
 from modalax.model.examples import five_dof
 
 pyuff = pytest.importorskip("pyuff")
@@ -71,6 +73,20 @@ def test_file_of_pyuff_is_read(tmp_path, binary, rtol, spacing):
     np.testing.assert_array_equal(loaded.freq, FREQ)
     assert (loaded.outputs, loaded.inputs, loaded.form) == (m.outputs, m.inputs, "accelerance")
     assert np.isnan(loaded.level).all()
+
+
+@pytest.mark.parametrize("binary", [True, False])
+def test_text_above_the_first_data_set_is_passed_over(tmp_path, binary):
+    m = measurement()
+    modalax.save(m, tmp_path / "a.uff", binary=binary)
+    text = b"Laboratory of vibrations, hall 3\n\n  12 channels; -1 is no answer\n"
+    (tmp_path / "b.uff").write_bytes(text + (tmp_path / "a.uff").read_bytes())
+    assert kind_of(tmp_path / "b.uff") == "uff"
+    found = modalax.load(tmp_path / "b.uff")
+    np.testing.assert_allclose(found.H, m.H, rtol=1e-9)
+    assert found.outputs == m.outputs
+    (tmp_path / "c.csv").write_text("freq,re\n    -1\n1,2\n")
+    assert sniff(tmp_path / "c.csv") == "table"
 
 
 @pytest.mark.parametrize("binary", [True, False])

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from modalax.files.sniff import is_universal
+
 KINDS = "UFF 58 time data, MATLAB .mat, NumPy .npy or .npz, CSV, WAV or HDF5"
 _MAGIC = (
     (b"PK\x03\x04", "npz"), (b"\x93NUMPY", "npy"), (b"MATLAB 5.0 MAT-file", "mat"), (b"MATLAB 7.3 MAT-file", "hdf5"),
@@ -30,7 +32,7 @@ def kind_of(path: Path) -> str:
     for magic, kind in _MAGIC:
         if head.startswith(magic):
             return kind
-    if next(line for line in head.splitlines() if line.strip()).strip() == b"-1":
+    if is_universal([line for line in head.splitlines() if line.strip()]):
         return "uff"
     if b"\x00" in head:
         raise ValueError(f"{path}: neither of {KINDS}; the file begins with {head[:16]!r}")

@@ -2,6 +2,7 @@
 
 import codecs
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 KINDS = "UFF (ASCII or binary), NumPy .npz, MATLAB .mat, NetCDF, Zarr or CSV"
@@ -41,6 +42,7 @@ PARTS = re.compile(
 )
 NUMBERS = re.compile(r"[-+\d.eE,;\s]+")
 MODES = re.compile(rb'"?mode"?\s*,.*frequency_hz', re.IGNORECASE)
+OPENING, DATA_SET = b"    -1", re.compile(rb"(?=[ \d]{6}(b .*|\s*)$) *\d")  # the lines that begin a data set
 _STORE = ("zarr.json", ".zgroup", ".zmetadata")
 
 
@@ -89,7 +91,7 @@ def sniff(path: Path) -> str:
 
 def _text_kind(path: Path, first: bytes, lines: list[bytes]) -> str:
     """Kind of a text file, by its first line or, for those of finite-element programs, its ending."""
-    if first.strip() == b"-1":
+    if is_universal(lines):
         return "uff"
     if path.suffix.lower() in FINITE_ELEMENTS or first.startswith((b"DMIG", b"%%MatrixMarket")):
         return "fe"
@@ -104,6 +106,13 @@ def _text_kind(path: Path, first: bytes, lines: list[bytes]) -> str:
             f"records modalax frf makes FRFs; the file begins with {_shown(first)}"
         )
     raise ValueError(f"{path}: neither of {KINDS}; the file begins with {_shown(first)}")
+
+
+def is_universal(lines: Sequence[bytes]) -> bool:
+    """Whether lines, none of them empty, are of a universal file: ``-1`` first, or a data set below other text."""
+    pairs = zip(lines, lines[1:], strict=False)
+    below = any(line.rstrip() == OPENING and DATA_SET.match(kind) for line, kind in pairs)
+    return below or len(lines) > 0 and lines[0].strip() == b"-1"
 
 
 def _text(line: bytes) -> str:
