@@ -1,6 +1,7 @@
 """``modalax frf``: from time records to a file of FRFs, and one clear line where that cannot be."""
 
 import contextlib
+import re
 import warnings
 
 import numpy as np
@@ -92,6 +93,21 @@ def test_check_tells_why_records_of_a_universal_file_cannot_be_read(tmp_path, ca
     assert main(["check", str(path)]) == 2
     error = capsys.readouterr().err.splitlines()[-1]
     assert f"{path}: its channels stand unequally often (1:+Z [m/s^2] 2, 2:+Z [N] 1)" in error
+
+
+def test_the_coherence_of_several_shakers_is_the_multiple_one(tmp_path, capsys):
+    rng = np.random.default_rng(3)
+    F = rng.normal(size=(2, int(64 * FS)))
+    x = scipy.signal.lfilter(B, A, F[0] + 0.8 * F[1])
+    np.savez(tmp_path / "two.npz", F1=F[0], F2=F[1], x=x + 0.01 * x.std() * rng.normal(size=x.size), fs=FS)
+    asked = ["frf", str(tmp_path / "two.npz"), "-o", str(tmp_path / "o.npz"), "--unit", "g", "--band", "10", "120"]
+    shakers = ["--force", "F1", "--force", "F2", "--response", "x", "--block", "1"]
+    assert main([*asked, *shakers]) == 0
+    said = capsys.readouterr().out
+    assert float(re.search(r"median multiple coherence (\d\.\d+)", said)[1]) > 0.99
+    assert np.median(load(tmp_path / "o.npz").coherence) < 0.8  # the file holds the ordinary one
+    assert main([*asked, "--force", "F1", "--response", "x", "--overwrite"]) == 0
+    assert re.search(r"; median coherence 0\.[4-7]", capsys.readouterr().out)
 
 
 def test_files_are_runs_or_repeats(records, capsys):

@@ -7,6 +7,7 @@ import pytest
 import scipy.signal
 
 from modalax.data import FRF, average_frfs, frf_from_blocks, frf_from_hits, frf_from_records
+from modalax.data.records import pooled_frfs
 from modalax.data.spectra import Spectra, estimate, input_noise, multiple_coherence, ordinary_coherence, spectra
 from modalax.data.windows import decay_to, effective_averages, exponential_window, force_window, taper
 from modalax.model.examples import five_dof
@@ -175,6 +176,20 @@ def test_multiple_coherence_is_the_share_of_power_explained():
     # Powers 1 + 4 against 0.25 of noise; the scatter of 5,000 blocks is 1e-3.
     np.testing.assert_allclose(multiple_coherence(s), 5 / 5.25, atol=5e-3)
     np.testing.assert_allclose(ordinary_coherence(s)[:, 0], np.full((3, 2), [1 / 5.25, 4 / 5.25]), atol=0.05)
+
+
+def test_frfs_of_several_forces_carry_the_multiple_coherence():
+    rng = np.random.default_rng(8)
+    force = rng.normal(size=(40, 64, 2))
+    response = force @ rng.normal(size=(2, 3)) + 0.1 * rng.normal(size=(40, 64, 3))
+    frf = frf_from_blocks(force, response, 64.0, unit="m", outputs=["a", "b", "c"])
+    s = spectra(force, response, 64.0, np.ones(64), 40.0)
+    np.testing.assert_allclose(frf.multiple_coherence, multiple_coherence(s), rtol=1e-12)
+    part = frf.lines(slice(3, 9)).pick(["c", "a"])
+    np.testing.assert_array_equal(part.multiple_coherence, np.asarray(frf.multiple_coherence)[3:9, [2, 0]])
+    np.testing.assert_array_equal(pooled_frfs([frf, frf]).multiple_coherence, frf.multiple_coherence)
+    assert frf.transpose().multiple_coherence is None and frf.without_statistics().multiple_coherence is None
+    assert frf_from_blocks(force[..., :1], response, 64.0, unit="m").multiple_coherence is None
 
 
 @pytest.mark.parametrize(("window", "overlap"), [("hann", 0.0), ("hann", 0.5), ("hann", 0.75), ("boxcar", 0.5)])

@@ -151,7 +151,7 @@ def frf(
     with naming(*records):
         measurement = Measurement.from_frfs(common_lines(frfs))
     save(measurement, target, overwrite=overwrite)
-    typer.echo(_told(measurement, taken[0].fs))
+    typer.echo(_told(measurement, frfs, taken[0].fs))
     if runs and not np.isfinite(np.asarray(measurement.level)).all():
         note("the force level of the runs is not known, because the excitation is no sine; give it in N with --level")
     note(f"{target} written")
@@ -213,7 +213,7 @@ def _check_levels(level: list[float] | None, runs: int) -> None:
         raise ValueError(f"--level is given {len(level)} times for {runs} runs; each run needs one, with --runs")
 
 
-def _told(measurement: Any, fs: float) -> str:
+def _told(measurement: Any, frfs: list[Any], fs: float) -> str:
     """One line about the FRFs that were made from the records."""
     import numpy as np
 
@@ -223,8 +223,12 @@ def _told(measurement: Any, fs: float) -> str:
         f"{measurement.form}, {runs} run{'s' * (runs > 1)} of {outputs} output{'s' * (outputs > 1)} and {inputs} "
         f"input{'s' * (inputs > 1)}, {lines} lines from {freq[0]:.6g} to {freq[-1]:.6g} Hz, sampled at {fs:g} Hz"
     ]
-    if measurement.coherence is not None:
-        text.append(f"median coherence {float(np.median(np.asarray(measurement.coherence))):.4f}")
+    # Of several forces that act at once each explains a part of the response only, however good the test.
+    several = any(f.multiple_coherence is not None for f in frfs)
+    explained = [f.multiple_coherence if several else f.coherence for f in frfs]
+    if all(part is not None for part in explained):
+        share = np.median(np.concatenate([np.ravel(part) for part in explained]))
+        text.append(f"median {'multiple ' * several}coherence {share:.4f}")
     if measurement.variance is not None:
         size = np.maximum(np.abs(np.asarray(measurement.H)), np.finfo(float).tiny)
         noise = np.median(np.sqrt(np.asarray(measurement.variance)) / size)

@@ -158,6 +158,9 @@ class FRF(eqx.Module):
         :math:`E|e|^2` of each complex sample (of the averaged FRF), shape ``(f, o, i)``, or None where unknown.
     coherence
         Ordinary coherence :math:`\gamma^2` of each sample, shape ``(f, o, i)``, or None.
+    multiple_coherence
+        Share of each response's power that all forces together explain, shape ``(f, o)``, where several act at once;
+        None where it is not known. Files do not keep it.
     level
         Force amplitude of the run [N]; NaN where unknown.
     added_decay
@@ -174,6 +177,7 @@ class FRF(eqx.Module):
     H: Complex[Array, "f o i"]
     variance: Float[Array, "f o i"] | None
     coherence: Float[Array, "f o i"] | None
+    multiple_coherence: Float[Array, "f o"] | None
     level: Float[Array, ""]
     added_decay: Float[Array, ""]
     form: str = eqx.field(static=True)
@@ -189,6 +193,7 @@ class FRF(eqx.Module):
         form: str = "receptance",
         variance: Any = None,
         coherence: Any = None,
+        multiple_coherence: Any = None,
         level: Any = float("nan"),
         added_decay: Any = 0.0,
         outputs: Sequence[str] | None = None,
@@ -211,6 +216,8 @@ class FRF(eqx.Module):
         self.coherence = (
             None if coherence is None else jnp.broadcast_to(as_double(coherence, "coherence"), self.H.shape)
         )
+        several = multiple_coherence
+        self.multiple_coherence = None if several is None else as_double(several, "multiple_coherence")
         self.level = as_double(level, "level")
         self.added_decay = as_double(added_decay, "added_decay")
         self.form = check_form(form)
@@ -240,23 +247,19 @@ class FRF(eqx.Module):
         fields = dict(
             freq=self.freq, H=self.H, variance=self.variance, coherence=self.coherence, level=self.level,
             added_decay=self.added_decay, form=self.form, outputs=self.outputs, inputs=self.inputs,
-            averages=self.averages,
+            averages=self.averages, multiple_coherence=self.multiple_coherence,
         )  # fmt: skip
         return FRF(**{**fields, **changes})
 
     def without_statistics(self) -> "FRF":
         """The FRF without variance, coherence and number of repeats, on which no compiled program shall depend."""
-        return self.replace(variance=None, coherence=None, averages=None)
+        return self.replace(variance=None, coherence=None, multiple_coherence=None, averages=None)
 
     def lines(self, which: Any) -> "FRF":
         """The FRF at some lines only (a slice, or increasing indices)."""
         take = lambda a: None if a is None else cut(a, which)
-        return self.replace(
-            freq=cut(self.freq, which),
-            H=cut(self.H, which),
-            variance=take(self.variance),
-            coherence=take(self.coherence),
-        )
+        names = ("freq", "H", "variance", "coherence", "multiple_coherence")
+        return self.replace(**{name: take(getattr(self, name)) for name in names})
 
     def band(self, lower: float, upper: float) -> "FRF":
         """The lines with ``lower`` <= f <= ``upper`` [Hz].
@@ -282,6 +285,7 @@ class FRF(eqx.Module):
         take = lambda a: None if a is None else cut(a, (slice(None), *pairs))
         return self.replace(
             H=take(self.H), variance=take(self.variance), coherence=take(self.coherence),
+            multiple_coherence=None if self.multiple_coherence is None else cut(self.multiple_coherence, np.s_[:, o]),
             outputs=[self.outputs[k] for k in o], inputs=[self.inputs[k] for k in i],
         )  # fmt: skip
 
@@ -332,7 +336,7 @@ class FRF(eqx.Module):
         turn = lambda a: None if a is None else host(a).swapaxes(1, 2)
         return self.replace(
             H=turn(self.H), variance=turn(self.variance), coherence=turn(self.coherence),
-            outputs=self.inputs, inputs=self.outputs,
+            multiple_coherence=None, outputs=self.inputs, inputs=self.outputs,
         )  # fmt: skip
 
     def add_noise(self, key: jax.Array, relative: float, reference: str = "rms") -> "FRF":

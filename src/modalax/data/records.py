@@ -14,7 +14,7 @@ from modalax._numerics.checks import as_array, as_double, is_traced, require_fin
 from modalax._numerics.cuts import cut
 from modalax.data.frf import FRF, band_slice
 from modalax.data.hits import find_hits, good_hits
-from modalax.data.spectra import Spectra, estimate, ordinary_coherence, spectra, spectral_lines
+from modalax.data.spectra import Spectra, estimate, multiple_coherence, ordinary_coherence, spectra, spectral_lines
 from modalax.data.windows import effective_averages, exponential_window, force_window, taper
 
 
@@ -91,9 +91,9 @@ def frf_from_records(
     Returns
     -------
     FRF
-        With ordinary coherence and the variance of the averaged FRF. ``averages`` is the number of independent
-        repeats with the degrees of freedom of that variance: effective blocks (:func:`effective_averages`) less
-        inputs plus one, rounded down. What leaks out of a block counts as noise in both, but it also makes a bias.
+        With its coherences and the variance of the averaged FRF. ``averages`` is the number of independent repeats
+        with the degrees of freedom of that variance: effective blocks (:func:`effective_averages`) less inputs plus
+        one, rounded down. What leaks out of a block counts as noise in both, but it also makes a bias.
 
     Raises
     ------
@@ -169,7 +169,7 @@ def frf_from_blocks(
     Returns
     -------
     FRF
-        With ordinary coherence, variance and averages where there are more blocks than inputs.
+        With coherences, variance and averages where there are more blocks than inputs.
 
     Raises
     ------
@@ -289,7 +289,7 @@ def average_frfs(frfs: Sequence[FRF]) -> FRF:
                 f"{float(first.added_decay):g}; average FRFs of one exponential window only"
             )
     mean, variance = _mean_of([frf.H for frf in frfs])
-    return first.replace(H=mean, variance=variance, coherence=None, averages=len(frfs))
+    return first.replace(H=mean, variance=variance, coherence=None, multiple_coherence=None, averages=len(frfs))
 
 
 @jax.jit
@@ -314,10 +314,12 @@ def pooled_frfs(parts: Sequence[FRF]) -> FRF:
     if len(parts) == 1:
         return parts[0]
     mean = lambda name: np.mean([np.asarray(getattr(p, name)) for p in parts], axis=0)
+    several = all(p.multiple_coherence is not None for p in parts)
     known = all(p.variance is not None for p in parts)
     return parts[0].replace(
         H=mean("H"), variance=mean("variance") / len(parts) if known else None,
         coherence=mean("coherence") if known else None,
+        multiple_coherence=mean("multiple_coherence") if several else None,
         averages=sum(p.averages or 0 for p in parts) if known else None,
     )  # fmt: skip
 
@@ -347,12 +349,13 @@ def frf_of_spectra(
     _check_forces(s, freq)
     H, variance, coherence = _in_si_units(s, estimator, factor)
     # With as many blocks as inputs an H fits them exactly, so that nothing is known about the noise.
-    freedom = s.averages - s.force.shape[-1]
+    inputs = s.force.shape[-1]
+    freedom = s.averages - inputs
     known = freedom > 1e-9
     return FRF(
         freq, H, form=form, variance=variance if known else None,
         coherence=coherence if known else None, averages=int(freedom + 1 + 1e-9) if known else None,
-        **rest,
+        multiple_coherence=multiple_coherence(s) if known and inputs > 1 else None, **rest,
     )  # fmt: skip
 
 
