@@ -18,8 +18,9 @@ from modalax.check.leakage import record_too_short
 from modalax.check.levels import clipped
 from modalax.check.places import misplaced
 from modalax.check.reciprocity import reciprocity
+from modalax.check.record_faults import record_findings
 from modalax.check.record_files import read_records
-from modalax.check.records import Records, record_findings
+from modalax.check.records import Records
 from modalax.check.resolution import resolution
 from modalax.check.shifts import frequency_shift
 from modalax.check.slow import drift
