@@ -154,7 +154,9 @@ def mended(study: Study, found: Sequence[Finding]) -> Study | None:
         elif f.what == "hum":
             study = bridged(study, f.bands)
         elif f.what == "drift":
-            study = above(study, max(end for _, end in f.bands))
+            study = within(study, study.freq > max(end for _, end in f.bands))
+        elif f.what == "force_rolloff" and f.size is not None:
+            study = within(study, study.freq < f.size)
         if 0 in study.H.shape:
             return None
     return study
@@ -179,9 +181,8 @@ def bridged(study: Study, bands: Sequence[tuple[float, float]]) -> Study:
     return replace(study, H=H)
 
 
-def above(study: Study, end: float) -> Study:
-    """The measurement without the lines up to a frequency [Hz], unless next to none would be left."""
-    keep = study.freq > end
+def within(study: Study, keep: np.ndarray) -> Study:
+    """The measurement at some of its lines only, unless next to none would be left."""
     if keep.sum() < len(keep) / 2:
         return study
     variance = None if study.variance is None else study.variance[:, keep]

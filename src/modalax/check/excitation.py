@@ -4,7 +4,7 @@ A hammer that touches twice, :math:`F = F_0(1 + a e^{-j\omega\tau})`, leaves rip
 noise of all FRFs of its column; a force spectrum that ends inside the band leaves noise that grows to its end.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -20,6 +20,8 @@ KNOTS, THIRDS, ALIKE = (0.1, 0.3, 0.5, 0.7, 0.85, 0.95), 3, 0.4
 # Growth of the noise within the upper part of the band [dB], noise over FRF at its end, and by how much it may fall on
 # the way [dB].
 GROWTH, LOST, FALL = 20.0, 0.15, 1.5
+# Lines on either side, at least, that the noise of a line is averaged with.
+LEAST_HALF = 4
 
 
 def excitation(study: Study) -> Iterator[Finding]:
@@ -133,8 +135,7 @@ def _end_of_force(study: Study, i: int, name: str) -> Finding | None:
     falls = min(float(-np.diff(p[5:]).min()) for p in (parts, in_parts(20 * np.log10(share + 1e-300))))
     if growth < GROWTH or end < LOST or falls > FALL:
         return None
-    past = np.flatnonzero(level > np.median(parts[:6]) + GROWTH / 2)
-    limit = float(study.freq[past[0]])
+    limit = float(study.freq[_end(min(level, even, key=lambda y: float(np.ptp(in_parts(y)[:6]))), in_parts)])
     return Finding(
         "force_rolloff", (name,), sure=sureness(growth / GROWTH, 1.0), size=limit, unit="Hz",
         evidence=f"the noise grows by {growth:.3g} dB towards the end of the band, to {end:.2g} of the FRFs there: the "
@@ -142,3 +143,10 @@ def _end_of_force(study: Study, i: int, name: str) -> Finding | None:
         advice="use a harder tip or a lighter hammer, or keep to the band below",
         picture=Picture([("noise power", study.freq, level)], "Frequency [Hz]", "Noise power [dB]"),
     )  # fmt: skip
+
+
+def _end(level: np.ndarray, in_parts: Callable[[np.ndarray], np.ndarray]) -> int:
+    """Line from which on noise [dB] stays above its middling level: resonances raise it too, and let it fall again."""
+    smooth = running_mean(level[:, None], max(LEAST_HALF, len(level) // 100))[:, 0]
+    below = np.flatnonzero(smooth <= np.median(in_parts(level)[:6]) + GROWTH / 2)
+    return min(int(below.max(initial=-1)) + 1, len(level) - 1)
