@@ -10,6 +10,8 @@ from modalax.check.study import Study
 
 # Correlation of neighbouring lines, in standard deviations, below which a channel is taken to hold noise alone.
 ALIKE = 5.0
+# n lines in one phase are sqrt(n - 1) standard deviations alike: with so many, those of a live channel are.
+MANY = round(4 * ALIKE**2) + 1
 # Residue, in standard deviations, that none of hundreds of residues of a channel with noise alone exceeds.
 VISIBLE = 4.5
 # Root mean square of a channel over the others' below which residues must be twice as clear: a live sensor moves in
@@ -22,28 +24,47 @@ ROUNDING = 1e-6
 
 
 def dead(study: Study) -> Iterator[Finding]:
-    """Find dead channels: in none of their FRFs are neighbouring lines correlated, and none shows a mode."""
-    likeness = _likeness(study.H)
+    """Find dead channels: in none of their FRFs are neighbouring lines alike, but for a constant, and no mode shows."""
     ratio = np.abs(study.residues) / np.maximum(study.residue_std, np.finfo(float).tiny)
     quiet = np.array([_share(study.H, o, 1) < QUIET for o in range(len(study.outputs))])[:, None]
     quiet = quiet | np.array([_share(study.H, i, 0) < QUIET for i in range(len(study.inputs))])
     seen = ratio.max(axis=0, initial=0.0) > np.where(quiet, 2 * VISIBLE, VISIBLE)
-    alive = (likeness > ALIKE).any(axis=0) | (seen & ~study.silent[0])
+    constant = (_likeness(study.H) > ALIKE).any(axis=0)
+    # What a quiet channel has in common at all lines is an offset, or what leaks into it from the force.
+    varies = (_likeness(study.H - study.H.mean(axis=1, keepdims=True)) > ALIKE).any(axis=0)
+    silent = study.silent.all(axis=0)
+    alive = (np.where(quiet, varies, constant) | seen) & ~silent
     if not alive.any():
+        yield from _all_dead(study, bool(constant.any()))
         return
     for axis, names in ((1, study.outputs), (0, study.inputs)):
         if len(names) < 2:
             continue
         for k in np.flatnonzero(~alive.any(axis=axis)).tolist():
-            zero = study.silent.take(k, axis=1 if axis else 2).all()
-            size = _share(study.H, k, axis)
+            zero = silent.take(k, axis=1 - axis).all()
+            alike = constant.take(k, axis=1 - axis).any()
+            noise = "constant but for noise" if alike else "noise: neighbouring lines are not alike"
             yield Finding(
-                "dead", (names[k],), sure=0.99 if zero else 0.95, size=size, unit="rms of the others",
+                "dead", (names[k],), sure=0.99 if zero else 0.95, size=_share(study.H, k, axis),
+                unit="rms of the others",
                 evidence="its FRFs are zero or constant at all lines" if zero else
-                "its FRFs are noise: neighbouring lines are not alike, and no resonance of the other channels is seen",
+                f"its FRFs are {noise}, and no resonance of the other channels is seen",
                 advice="check the cable, the sensor and the channel's range, and measure it again or leave it out",
                 picture=_spectra(study, k, axis),
             )  # fmt: skip
+
+
+def _all_dead(study: Study, constant: bool) -> Iterator[Finding]:
+    """All channels dead, unless lines are so few that they need not be alike, or those of a rigid body."""
+    zero = not study.H.any()
+    if constant or not zero and len(study.freq) < MANY:
+        return
+    yield Finding(
+        "dead", study.outputs, sure=0.99 if zero else 0.95,
+        evidence="all FRFs are zero at all lines" if zero else
+        "all FRFs are noise: neighbouring lines are not alike, and no resonance is seen in any",
+        advice="check that the force reaches the structure, the cables and the channels' ranges, and measure again",
+    )  # fmt: skip
 
 
 def _likeness(H: np.ndarray) -> np.ndarray:

@@ -9,11 +9,15 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from modalax.check.basis import MORE_POWERS
 from modalax.check.finding import Finding, Picture, sureness
 from modalax.check.study import CLEAR, Study, line_step
 
 # Lines per half-power bandwidth: reported below the first for most of the modes, below the second for any strong one.
 FEW, FEWEST = 1.5, 0.8
+# Lines that tell one mode, its pole and residue beside the terms for what lies beyond the band, from noise: as many
+# again as there are unknowns.
+FEWEST_LINES = 2 * (2 + len(MORE_POWERS))
 STRONG = 0.1  # peak of a mode, relative to the strongest, from which on it counts
 
 
@@ -21,6 +25,7 @@ def resolution(study: Study) -> Iterator[Finding]:
     """Find modes with too few lines within their half-power bandwidth."""
     lines = lines_a_width(study)
     if not len(lines):
+        yield from _too_few_to_tell(study)
         return
     middle, least = float(np.median(lines)), float(lines.min())
     if middle >= FEW and least >= FEWEST:
@@ -37,6 +42,19 @@ def resolution(study: Study) -> Iterator[Finding]:
             [("modes", modes.frequency, modes.width / line_step(study.freq, modes.frequency))], "Frequency [Hz]",
             "Lines a half-power bandwidth [-]", True, dots=True,
         ),
+    )  # fmt: skip
+
+
+def _too_few_to_tell(study: Study) -> Iterator[Finding]:
+    """A band of so few lines that none of its modes can be told."""
+    count = len(study.freq)
+    if count >= FEWEST_LINES:
+        return
+    yield Finding(
+        "too_few_lines", (), sure=0.95, size=float(count), unit="lines",
+        evidence=f"no mode can be told from {count} lines, and little else: a mode and what lies beyond the band are "
+        f"{FEWEST_LINES // 2} complex unknowns of each FRF",
+        advice=f"measure at {FEWEST_LINES} lines or more, in a band that holds a resonance",
     )  # fmt: skip
 
 
