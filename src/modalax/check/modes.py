@@ -186,6 +186,11 @@ def residues_at(
     return Modes(poles, residues, std, fitted, misfit, pole_std, inside, tuple(powers))
 
 
+def worth(frfs: int) -> float:
+    """Squares of standard deviations by which a mode must lower those of so many FRFs to be one."""
+    return WORTH * (2 * frfs + 2) + 10
+
+
 def select(basis: Basis, poles: np.ndarray, X: np.ndarray) -> np.ndarray:
     """Modes that lower the sum of squares by more than noise would, dropped one at a time from the weakest."""
     Y = lift(X)
@@ -204,7 +209,7 @@ def select(basis: Basis, poles: np.ndarray, X: np.ndarray) -> np.ndarray:
             inverse = np.linalg.pinv(covariance[np.ix_(which, which)], hermitian=True)
             gain[r] = np.sum(np.einsum("ak,ab,bk->k", x, inverse, x) / level)
         weakest = int(np.argmin(gain))
-        if gain[weakest] > WORTH * (2 * k + 2) + 10:
+        if gain[weakest] > worth(k):
             break
         poles = np.delete(poles, weakest)
     return poles

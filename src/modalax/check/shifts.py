@@ -6,10 +6,13 @@ from itertools import combinations
 
 import numpy as np
 
-from modalax.check.basis import ALL_POWERS, Basis
+from modalax.check.basis import ALL_POWERS
+from modalax.check.block_modes import CLEAR, FARTHEST, LEADS, clear, converged, leading, one_that_moved, weighted
 from modalax.check.finding import Finding, Picture, sureness
-from modalax.check.modes import Modes, Noise, estimate_modes, improve, misfit_of, noise_of, residues_at, select
+from modalax.check.loaded import rows_apart
+from modalax.check.modes import Modes, estimate_modes, misfit_of, residues_at, select
 from modalax.check.study import Study, line_step
+from modalax.data.dofs import parse_dof
 
 # A shift is told from this share of the frequency on, as one kelvin makes in steel (its modulus falls by 2.5e-4 a
 # kelvin), and from this many standard deviations.
@@ -18,7 +21,6 @@ SMALLEST, SURE = 1e-4, 6.0
 SENSORS, OF_SENSORS, OF_WIDTH = 3.0, 6e-4, 0.09
 # Blocks up to this number are searched for modes of their own where those of the reference do not explain them.
 MOST_OWN = 12
-STEPS = 6
 # Error of the phase of a column that no standard deviation knows [rad]; channels are matched to some 0.05 degrees.
 PHASE = 1e-3
 # Misfit from which on a block is searched for modes of its own.
@@ -27,18 +29,10 @@ LEFT = 1.4
 SAME, NEAR = 2.5, 0.01
 # Scatter of a mode's frequency over many blocks that no standard deviation tells.
 SCATTER = 4.0
-CLEAR = 8.0
-# Two modes may be one that moved if their half-power bandwidths differ by less than this factor and the modal assurance
-# criterion of their shapes exceeds this.
-ONE_WIDTH, ONE_SHAPE = 1.5, 0.9
-# A mode that moves by more than this share of its frequency is another one.
-FARTHEST = 0.05
 # By how much a sensor may move one, as a share of its frequency and of its half-power bandwidth.
 LOADED, LOADED_WIDTH = 0.02, 0.6
 # One that overlaps with another is followed over this share of its half-power bandwidth only.
 OVERLAPPING = 0.25
-# A mode makes at least this share of the response at its frequency in some channel.
-LEADS = 0.6
 
 
 @dataclass(frozen=True)
@@ -68,31 +62,31 @@ def _blocks(study: Study) -> Iterator[Blocks]:
     if ins > 1:
         yield Blocks("input", [(0, every, i) for i in range(ins)], study.inputs)
     if outs > 1:
-        yield Blocks("output", [(0, o, every) for o in range(outs)], study.outputs)
+        # Structures may move in one direction without another, each with frequencies of its own.
+        for direction in dict.fromkeys(along := [parse_dof(name).direction for name in study.outputs]):
+            rows = [o for o in range(outs) if along[o] == direction]
+            if len(rows) > 1:
+                yield Blocks("output", [(0, o, every) for o in rows], [study.outputs[o] for o in rows])
 
 
 def _between(study: Study, blocks: Blocks) -> tuple[float, Finding] | None:
     """The surest difference between blocks of one kind, as its score and the finding; None if there is none."""
-    reference = _reference(study, blocks)
-    poles = reference.poles
+    apart = rows_apart(study, [o for _, o, _ in blocks.which]) if blocks.kind == "output" else None
+    poles, f, s = apart or _compared(study, blocks)
     if not len(poles):
         return None
-    found = [_frequencies(study, poles, block, k < MOST_OWN) for k, block in enumerate(blocks.which)]
-    f, s = np.moveaxis(np.array(found), 1, 0)
     f0, width = np.abs(poles) / 2 / np.pi, -poles.real / np.pi
     # A mode narrower than the lines are apart, or cut by the band's end, has no frequency to compare.
     edge = np.minimum(f0 - study.freq[0], study.freq[-1] - f0)
-    fit = reference.inside & (width > line_step(study.freq, f0)) & (edge > width)
+    fit = (width > line_step(study.freq, f0)) & (edge > width)
     # A phase that is off at resonance moves the frequency by as large a share of half of the bandwidth.
     s = np.where(fit & (s < 0.1 * width), np.hypot(s, 0.5 * PHASE * width), np.inf)
-    if blocks.kind == "output":
-        # A sensor's mass moves a mode by little; by more it is another mode.
+    if blocks.kind == "output" and apart is None:
+        # A sensor's mass moves a mode by little; by more it is another mode, unless rows are known to have one each.
         s = np.where(np.abs(f - f0) < np.minimum(LOADED * f0, LOADED_WIDTH * width), s, np.inf)
     if blocks.kind == "run" and any(_with_level(study, f[:, m]) for m in np.flatnonzero(np.isfinite(s).all(axis=0))):
         return None
-    # Runs whose noise nobody states, as single hits, must stand out of the scatter of the others as sensors do.
-    strict = SENSORS if blocks.kind == "output" or (blocks.kind == "run" and study.variance is None) else 1.0
-    off, spread = _off(f, s, strict)
+    off, spread = _off(f, s, 0.0 if apart else _strict(study, blocks.kind))
     least = np.maximum(OF_SENSORS * f0, OF_WIDTH * width) if blocks.kind == "output" else SMALLEST * f0
     with np.errstate(invalid="ignore"):
         z = np.where(np.isfinite(spread), np.abs(off) / np.maximum(SURE * spread, least), 0.0)
@@ -110,6 +104,19 @@ def _between(study: Study, blocks: Blocks) -> tuple[float, Finding] | None:
     return float(score[k]), _finding(blocks, k, m, f, off[:, m], spread[:, m], f0, width, score)
 
 
+def _strict(study: Study, kind: str) -> float:
+    """How far blocks must stand out of the scatter of the others: sensors, and runs whose noise nobody states, more."""
+    return SENSORS if kind == "output" or (kind == "run" and study.variance is None) else 1.0
+
+
+def _compared(study: Study, blocks: Blocks) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Poles that blocks are compared with, and each block's frequencies of them and deviations, ``(block, n)``."""
+    poles = _reference(study, blocks).poles
+    found = [_frequencies(study, poles, block, k < MOST_OWN) for k, block in enumerate(blocks.which)]
+    f, s = np.moveaxis(np.array(found), 1, 0)
+    return poles, f, s
+
+
 def _off(f: np.ndarray, s: np.ndarray, strict: float) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies of each block off those of the others, and the standard deviations of that, ``(block, mode)``."""
     blocks, modes = f.shape
@@ -120,8 +127,10 @@ def _off(f: np.ndarray, s: np.ndarray, strict: float) -> tuple[np.ndarray, np.nd
             others = use[use != k]
             if not len(others):
                 continue
-            best = others[np.argmin(s[others, m])]
-            middle = np.median(f[others, m]) if len(others) > 1 else f[best, m]
+            ordered = np.sort(f[others, m])
+            # Of two in the middle the nearer one: of three blocks the one that moved is off both others, they are not.
+            pair = ordered[[(len(ordered) - 1) // 2, len(ordered) // 2]]
+            middle = pair[np.argmin(np.abs(pair - f[k, m]))]
             scatter = SCATTER / 6 * np.median(np.abs(f[others, m] - middle)) if len(others) > 3 else 0.0
             off[k, m] = f[k, m] - middle
             typical = 1.2533 * np.median(s[others, m]) / np.sqrt(len(others))
@@ -173,59 +182,40 @@ def _with_level(study: Study, frequency: np.ndarray) -> bool:
     return bool(np.all(steps <= 0) or np.all(steps >= 0) or len(steps) < 2)
 
 
-def _block(study: Study, block) -> tuple[np.ndarray, np.ndarray]:
-    """FRFs and noise of a block, ``(f, k)``."""
-    run, o, i = block
-    lines = len(study.freq)
-    return tuple(a[run][:, o].reshape(lines, -1) if isinstance(i, slice) else a[run][:, :, i]  # pyright: ignore
-                 for a in (study.H, study.sigma))  # fmt: skip
-
-
 def _reference(study: Study, blocks: Blocks) -> Modes:
     """Modes that blocks are compared with.
 
     Those of all columns together stand in pairs where the columns differ; each column then needs one of a pair only.
     """
     if blocks.kind != "input" or not any(
-        _one_that_moved(study, a, b) for g in study.groups for a, b in combinations(g, 2)
+        one_that_moved(study, a, b) for g in study.groups for a, b in combinations(g, 2)
     ):
         return study.modes
     own = [_of_block(study, study.modes.poles, block)[0] for block in blocks.which[:3]]
-    return max(own, key=lambda found: np.sum(found.inside & (_clear(found) > CLEAR)))
-
-
-def _one_that_moved(study: Study, a: int, b: int) -> bool:
-    """Whether two close modes may be one that the columns have at different frequencies: of one shape and damping."""
-    wide = study.modes.width[[a, b]]
-    shapes = [study.residues[r][:, np.argmax(np.linalg.norm(study.residues[r], axis=0))] for r in (a, b)]
-    alike = (
-        np.abs(np.vdot(*shapes)) ** 2
-        / np.maximum(np.vdot(shapes[0], shapes[0]) * np.vdot(shapes[1], shapes[1]), 1e-300).real
-    )
-    return bool(wide.max() < ONE_WIDTH * wide.min() and alike > ONE_SHAPE)
+    return max(own, key=lambda found: np.sum(found.inside & (clear(found) > CLEAR)))
 
 
 def _of_block(study: Study, poles: np.ndarray, block) -> tuple[Modes, float]:
     """Those of the poles that a block needs, moved to where it has them, and the misfit that is left."""
-    basis, X, H, noise = _weighted(study, block)
-    poles, left = _converged(basis, select(basis, poles, X), X)
+    basis, X, H, noise = weighted(study, block)
+    poles, left = converged(basis, select(basis, poles, X), X)
     return residues_at(basis.s.imag, H, noise, poles, study.power, ALL_POWERS), left
 
 
 def _frequencies(study: Study, poles: np.ndarray, block, search: bool) -> np.ndarray:
     """Natural frequencies of one block and their standard deviations [Hz], shape ``(2, n)``; inf where it has none."""
-    basis, X, H, noise = _weighted(study, block)
+    basis, X, H, noise = weighted(study, block)
     if not np.any(H):
         return np.stack([np.abs(poles) / 2 / np.pi, np.full(len(poles), np.inf)])
-    best, left = _converged(basis, poles, X)
+    best, left = converged(basis, poles, X)
     if search and left > LEFT:
         own = estimate_modes(basis.s.imag / 2 / np.pi, H, noise.sigma, study.power)
-        other, less = _converged(basis, _matched(own.poles, poles), X)
+        other, less = converged(basis, _matched(own.poles, poles), X)
         best, left = (other, less) if less < left else (best, left)
     found = residues_at(basis.s.imag, H, noise, best, study.power, ALL_POWERS)
     moved = np.abs(best) - np.abs(poles)
-    lost = (_clear(found) < CLEAR) | (np.abs(best.real) > 3 * np.abs(poles.real))
-    lost |= _leading(found, basis.s.imag / 2 / np.pi, H, study.power) < LEADS
+    lost = (clear(found) < CLEAR) | (np.abs(best.real) > 3 * np.abs(poles.real))
+    lost |= leading(found, basis.s.imag / 2 / np.pi, H, study.power) < LEADS
     # Of modes that overlap, one may take the place of the other, or of one that the reference lacks.
     alone = _alone(poles)
     lost |= np.abs(moved) > np.where(alone, FARTHEST * np.abs(poles), OVERLAPPING * -2 * poles.real)
@@ -236,43 +226,11 @@ def _frequencies(study: Study, poles: np.ndarray, block, search: bool) -> np.nda
     return np.stack([np.abs(best), np.where(lost, np.inf, std)]) / (2 * np.pi)
 
 
-def _weighted(study: Study, block) -> tuple[Basis, np.ndarray, np.ndarray, Noise]:
-    """The basis of a block at the lines that tell poles, its FRFs over their noise, the FRFs, and the noise."""
-    H, sigma = (a[study.telling] for a in _block(study, block))
-    noise = noise_of(H, sigma)
-    basis = Basis(2 * np.pi * study.freq[study.telling], study.power, noise.weight, ALL_POWERS)
-    return basis, noise.weight[:, None] * H / noise.level, H, noise
-
-
-def _converged(basis: Basis, poles: np.ndarray, X: np.ndarray) -> tuple[np.ndarray, float]:
-    """Poles after a few steps, and the root mean square that they leave over the noise."""
-    for _ in range(STEPS):
-        moved = improve(basis, poles, X)
-        if len(moved) != len(poles):
-            break
-        still = np.max(np.abs(moved - poles) / -poles.real, initial=0.0) < 1e-4
-        poles = moved
-        if still:
-            break
-    return poles, misfit_of(basis, poles, X)
-
-
-def _clear(found: Modes) -> np.ndarray:
-    return np.max(np.abs(found.residues) / np.maximum(found.std, 1e-300), axis=1, initial=0.0)
-
-
 def _alone(poles: np.ndarray) -> np.ndarray:
     """Whether each mode is further from the next than both are wide."""
     gap = np.abs(poles[:, None].imag - poles[None, :].imag) + poles.real[:, None] + poles.real
     np.fill_diagonal(gap, np.inf)
     return np.min(gap - np.maximum(-poles.real[:, None], -poles.real), axis=1, initial=np.inf) > 0
-
-
-def _leading(found: Modes, freq: np.ndarray, H: np.ndarray, power: int) -> np.ndarray:
-    """Largest share of each mode in what a channel does at its frequency: a mode on the flank of another has little."""
-    near = np.abs(freq[:, None] - found.frequency).argmin(axis=0)
-    peak = np.abs(found.residues) / -found.poles.real[:, None] * (np.abs(found.poles) ** power)[:, None]
-    return np.max(peak / np.maximum(np.abs(H[near]), 1e-300), axis=1, initial=0.0)
 
 
 def _matched(own: np.ndarray, poles: np.ndarray) -> np.ndarray:
