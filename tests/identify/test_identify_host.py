@@ -13,10 +13,12 @@ from modalax.identify import ascent, fit, mode_scores, refine, residues
 from modalax.identify import mode_search as module
 from modalax.identify.ascent import climb
 from modalax.identify.host import modal_of, refine_on_host, residues_on_host, samples_of
-from modalax.identify.kernels import pack
+from modalax.identify.information import inverse_information
+from modalax.identify.kernels import pack, turned_to_largest, unpack
 from modalax.identify.maximum import response
 from modalax.identify.scan import Grid, _Scan
 from modalax.model import ModalModel
+from modalax.model.modal import poles_from
 
 FREQ = np.linspace(24, 44, 81)
 MODEL = ModalModel.from_real_modes(
@@ -80,6 +82,40 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     z = np.array(z)
     assert np.all(abs(z.mean(axis=0)) < 4 / np.sqrt(80)) and np.all(abs(z.std(axis=0) - 1) < 4 / np.sqrt(160))
     assert 0.92 < np.mean(abs(z) < 1.96) < 0.98  # 320 values: 0.95 +- 0.012
+
+
+def test_two_modes_at_one_place_have_no_deviation():
+    """The third mode has that of a fit without the second: within 20 %."""
+    first, third = np.asarray(MODEL.poles)
+    found = refine_on_host(FRF_, residues_on_host(FRF_, np.array([first, first, third])), max_steps=0)
+    alone = refine_on_host(FRF_, residues_on_host(FRF_, MODEL.poles))
+    assert np.isnan(found.frequency_std_hz).tolist() == np.isnan(found.damping_std).tolist() == [True, True, False]
+    assert float(found.damping_std[2]) == pytest.approx(float(alone.damping_std[1]), rel=0.2)
+
+
+def test_unknowns_that_a_singular_matrix_does_not_tell_do_not_hide_the_others():
+    matrix = np.array([[4.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 25.0]])
+    np.testing.assert_allclose(inverse_information(matrix), np.diag([0, 0, 0.04]), atol=1e-15)
+    sound = matrix + np.diag([1.0, 0.0, 0.0])
+    np.testing.assert_allclose(inverse_information(sound), np.linalg.inv(sound), rtol=1e-12)
+
+
+def test_a_mode_that_comes_into_the_band_has_its_damping_fitted():
+    """A start 0.03 Hz below the band, its damping ratio of 0.05 % held there; the mode is 0.05 Hz inside."""
+    model = ModalModel.from_real_modes([24.05], [0.002], [[1.0, 0.6, -0.4]], [1.0], list("abc"))
+    frf = model.frf(np.linspace(24, 34, 101), inputs=["a", "b"], form="accelerance").add_noise(jax.random.key(0), 0.002)
+    found = refine_on_host(frf, residues_on_host(frf, poles_from([23.97], [0.0005])))
+    assert abs(float(found.model.damping_ratio[0]) - 0.002) < 4 * float(found.damping_std[0]) < 1e-5
+
+
+def test_the_same_modes_from_another_pivot():
+    """Participations beside a pivot that is next to nothing, and beside the largest: one model, unknowns up to 1."""
+    theta, pivot = np.array([[5.0, -4.0, 3e9, 0.5, -2e9, 1.0]]), np.array([1])
+    turned, largest = turned_to_largest(theta, pivot)
+    one, two = (unpack(t, p, False) for t, p in ((theta, pivot), (turned, largest)))
+    assert largest.tolist() == [0] and np.abs(turned[:, 2:]).max() <= 1
+    np.testing.assert_allclose(two.participation, one.participation / one.participation[:, :1], rtol=1e-14)
+    np.testing.assert_array_equal(two.poles, one.poles)
 
 
 def test_response_of_plain_arrays():

@@ -9,13 +9,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from modalax.identify.kernels import limits
+from modalax.identify.kernels import limits, turned_to_largest
 from modalax.identify.projection import Projection
 from modalax.identify.reduced import Sums
 
 PATIENCE = 10  # steps that a mode may spend out of range before it is dropped
 ROUNDING = 1e-31  # sum of squares that rounding of the data may leave, relative to that of the data
 LOST = (-50.0, 50.0)  # logarithms of frequencies and damping ratios well beyond their limits
+LARGE = 1e8  # participation beside the pivot's from which on its square is lost in rounding, and another is the pivot
 STATISTICAL = 1e-3  # part of the sum of squares a degree of freedom that a step must gain
 
 
@@ -106,6 +107,9 @@ def climb(
                 continue
         if not np.isfinite(best.cost):
             break
+        if (np.abs(theta[:, 2:]) > LARGE).any():  # the mode leaves its pivot: its shape is next to nothing there
+            theta, pivot = turned_to_largest(theta, pivot)
+            best = _try(projection, theta, pivot, held)
         trial, ended = state.step(theta, best, frozen(theta, held, projection.real_modes), small)
         finished = finished or ended
     best = _try(projection, theta, pivot, held) if best is None else best

@@ -11,6 +11,7 @@ import numpy as np
 
 from modalax._numerics.checks import as_array
 from modalax.data.frf import DERIVATIVES, FRF
+from modalax.identify.ascent import frozen
 from modalax.identify.deviations import shape_deviations
 from modalax.identify.information import covariance
 from modalax.identify.maximum import Maximum, Modal, Samples, linear_fit, maximise
@@ -98,6 +99,8 @@ def refined_of(frf: FRF, found: Maximum, kind: str, scale_errors: str = "auto") 
     with np.errstate(over="ignore", invalid="ignore"):  # of modes that the data do not see deviations are infinite
         cov = covariance(found.projection, found.at, kind=kind, inflate=inflate, white=white)
         std = np.sqrt(np.maximum(np.diag(cov), 0.0)).reshape(n, q)
+        blind = (std == 0) & (frozen(found.at.theta, found.at.held, found.projection.real_modes) == 0)
+        std[blind.any(axis=1)] = np.nan  # the data do not tell such a mode
         shape_std, mass_std = shape_deviations(found, cov, inflate, frf.outputs, frf.inputs)
     pick = (np.arange(n)[:, None] * q + np.arange(2)).ravel()
     weight = found.projection.weight

@@ -54,8 +54,7 @@ def covariance(
     """
     free = frozen(at.theta, at.held, projection.real_modes).ravel() == 0
     S = np.where(np.outer(free, free), at.sums.matrix, 0.0) + np.diag(1.0 * ~free)
-    root = np.sqrt(np.where(np.diag(S) > 0, np.diag(S), 1.0))
-    inverse = np.linalg.inv(S / np.outer(root, root)) / np.outer(root, root) * np.outer(free, free)
+    inverse = inverse_information(S) * np.outer(free, free)
     plain = inverse * inflate
     if kind == "gauss-newton":
         return plain
@@ -65,6 +64,30 @@ def covariance(
     own = np.diag(sandwich)
     grow = np.sqrt(np.maximum(np.diag(plain) / np.where(own > 0, own, 1.0), 1.0))
     return sandwich * grow[:, None] * grow
+
+
+def inverse_information(S: np.ndarray) -> np.ndarray:
+    """Inverse of an information matrix; zero for unknowns of which it tells no more than rounding.
+
+    With a unit diagonal, the inverse's diagonal is by how much each variance grows because the other unknowns are
+    unknown too: at least one, and a number without meaning from the inverse of rounding on. Where there is such a one,
+    directions that are not seen count by rounding, and unknowns that these take half of the digits from are not told.
+    """
+    root = np.sqrt(np.where(np.diag(S) > 0, np.diag(S), 1.0))
+    scaled, rounding = S / np.outer(root, root), len(S) * np.finfo(float).eps
+    try:
+        inverse = np.linalg.inv(scaled)
+        sound = bool((np.diag(inverse) > 0.5).all() and (np.diag(inverse) < 1 / rounding).all())
+    except np.linalg.LinAlgError:
+        sound = False
+    if not np.isfinite(scaled).all():
+        return np.zeros(S.shape)
+    if not sound:
+        size, directions = np.linalg.eigh(scaled)
+        inverse = (directions / np.maximum(size, rounding * size[-1])) @ directions.T
+        seen = np.diag(inverse) < 1 / np.sqrt(np.finfo(float).eps)
+        inverse = inverse * np.outer(seen, seen)
+    return inverse / np.outer(root, root)
 
 
 def _scores(projection: Projection, at: Ascent, white: bool) -> np.ndarray:

@@ -32,6 +32,17 @@ def others(pivot: np.ndarray, count: int) -> np.ndarray:
     return index + (index >= pivot[:, None])
 
 
+def turned_to_largest(theta: np.ndarray, pivot: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same modes with the reference of the largest participation as pivot: unknowns and pivots."""
+    free = (theta.shape[1] - 2) // 2
+    participation = np.ones((len(theta), free + 1), complex)
+    np.put_along_axis(participation, others(pivot, free + 1), theta[:, 2 : 2 + free] + 1j * theta[:, 2 + free :], 1)
+    largest = np.argmax(np.abs(participation), axis=1)
+    relative = participation / np.take_along_axis(participation, largest[:, None], axis=1)
+    rest = np.take_along_axis(relative, others(largest, free + 1), axis=1)
+    return np.concatenate([theta[:, :2], rest.real, rest.imag], axis=1), largest
+
+
 def limits(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Whether the logarithms of frequency and damping are beyond their limits, where they have no effect."""
     gone = (theta[:, 0] <= FAR[0]) | (theta[:, 0] >= FAR[1])

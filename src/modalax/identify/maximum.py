@@ -200,7 +200,14 @@ def maximise(
     start = pack(poles, participation.real.astype(complex) if samples.real_modes else participation, pivot)
     runaway = None if heavy is None else _Runaway(samples, heavy)
     at = climb(projection, start, pivot, held, max_steps=max_steps, tol=tol, runaway=runaway)
-    return _maximum(samples, projection, at, start[at.kept], sigma, known)
+    start = start[at.kept]
+    omega = np.exp(at.theta[:, 0])
+    inside = (omega > samples.omega.min()) & (omega < samples.omega.max())
+    if (inside & (at.held > 0)).any():  # one that came into the band: there the data tell its damping
+        held = np.where(inside, 0.0, at.held)
+        at = climb(projection, at.theta, at.pivot, held, max_steps=max_steps, tol=tol, runaway=runaway)
+        start = start[at.kept]
+    return _maximum(samples, projection, at, start, sigma, known)
 
 
 def linear_fit(samples: Samples, projection: Projection, poles: np.ndarray) -> tuple[Modal, np.ndarray]:
