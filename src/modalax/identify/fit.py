@@ -18,7 +18,7 @@ from modalax.identify.diagram import ESTIMATORS, diagram
 from modalax.identify.flags import HEAVY, Modes, flags_of, grades_of, notes_of, stands_for_two
 from modalax.identify.host import residues_on_host as fit_residues
 from modalax.identify.mode_search import diagram_poles, likelihood_rounds, synthesis
-from modalax.identify.neighbourhood import Left, left_of
+from modalax.identify.neighbourhood import Left, judged, left_of, shared_of
 from modalax.identify.noise import smooth_variance
 from modalax.identify.one_mode import NOTHING_LEFT
 from modalax.identify.quality import noise_part, quality_of, scatter_over_orders
@@ -27,6 +27,7 @@ from modalax.identify.refine import HELD, Refined
 from modalax.identify.result import Fit
 from modalax.identify.select import Selection, best_order
 from modalax.identify.settle import pairs_of_one, settle, settle_diagram, with_misfit, with_record, with_seconds
+from modalax.identify.shared_noise import shared_notes
 from modalax.identify.stabilize import stabilization
 from modalax.identify.tables import PoleTable
 from modalax.identify.untold_window import window_notes
@@ -162,9 +163,10 @@ def summed_up(
     total = float(np.sum(np.abs(np.asarray(frf.H)) ** 2))
     left = left_of(weighted, model) if left is None else left
     residual = left.residual
+    judging = judged(weighted, residual)
     unexplained = float(np.sum(np.abs(residual) ** 2)) / total
     held = refined is not None and int(refined.reason_code) == HELD
-    record = None if held else record_of(weighted, model, residual, np.flatnonzero(inside))
+    record = None if held else record_of(judging, model, residual, np.flatnonzero(inside))
     plain = record if record is not None and record.plain else None
     noise = noise_part(weighted, residual, even=plain is not None)
     seen = np.abs(np.asarray(selection.poles)[None, :] - np.asarray(model.poles)[:, None])
@@ -172,7 +174,7 @@ def summed_up(
     score = np.where(near, np.asarray(selection.score)[seen.argmin(axis=1)], 0.0)
     collinearity = mpc(model.along_longer_side().shapes)
     scatter = scatter_over_orders(table, np.asarray(model.poles))
-    quality = quality_of(weighted, model, left)
+    quality = quality_of(judging, model, left)
     if held:  # what is left there comes from beyond the band, and says nothing against these poles
         quality = [q._replace(rest=NOTHING_LEFT) for q in quality]
         # Neither do the flanks; but inputs or outputs that disagree do so whatever lies beyond.
@@ -187,9 +189,9 @@ def summed_up(
     if not held:
         background = np.asarray(model.damping_ratio) > HEAVY  # which no mode is a part of
         gains = np.array([q.gain for q in quality])
-        pairs = pairs_of_one(weighted, model, gains, background, apart or set(), plain is not None, left)
+        pairs = pairs_of_one(judging, model, gains, background, apart or set(), plain is not None, left)
     modes = Modes(
-        weighted, model, np.asarray(deviations[0]), np.asarray(deviations[1]), refined is not None, score,
+        judging, model, np.asarray(deviations[0]), np.asarray(deviations[1]), refined is not None, score,
         np.asarray(collinearity), quality, plain, pairs,
     )  # fmt: skip
     grades = grades_of(modes)
@@ -215,7 +217,8 @@ def summed_up(
         notes=(
             *notes,
             *form_notes(weighted, model, np.where(inside, grades, 0.0), unexplained - noise),
-            *window_notes(weighted, model, residual),
+            *window_notes(judging, model, left),
+            *shared_notes(shared_of(weighted, residual)),
             *notes_of(modes, grades, noise, unexplained),
         ),
     )

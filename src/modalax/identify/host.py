@@ -101,7 +101,8 @@ def refined_of(frf: FRF, found: Maximum, kind: str, scale_errors: str = "auto") 
         std = np.sqrt(np.maximum(np.diag(cov), 0.0)).reshape(n, q)
         blind = (std == 0) & (frozen(found.at.theta, found.at.held, found.projection.real_modes) == 0)
         std[blind.any(axis=1)] = np.nan  # the data do not tell such a mode
-        shape_std, mass_std = shape_deviations(found, cov, inflate, frf.outputs, frf.inputs)
+        own = inflate if scale_errors != "auto" else inflate / found.shared  # of one output by itself
+        shape_std, mass_std = shape_deviations(found, cov, own, frf.outputs, frf.inputs)
     pick = (np.arange(n)[:, None] * q + np.arange(2)).ravel()
     weight = found.projection.weight
     noise = 1.0 if found.known else np.sqrt(np.mean(found.sigma**2))

@@ -18,8 +18,9 @@ from modalax.identify.ascent import STATISTICAL
 from modalax.identify.host import PRECISE, modal_of, model_of, samples_of, shorter_side
 from modalax.identify.information import covariance
 from modalax.identify.kernels import residual_terms
-from modalax.identify.maximum import Maximum, Modal, Samples, linear_fit, maximise, response, whiteness_of
+from modalax.identify.maximum import Maximum, Modal, Samples, linear_fit, maximise, response
 from modalax.identify.refine import CONTRADICTION, CORRELATED, OUT_OF_STEPS, UNIT, Refined
+from modalax.identify.whiteness import whiteness_of
 
 WIDTH, LINES = 8.0, 16  # reach of a mode's window in half-bandwidths, and at least in lines, on either side
 SWEEPS = 3  # passes over all groups, each fitted with the responses of the others taken out

@@ -7,13 +7,14 @@ that of :mod:`modalax.identify.projection`. Error bars are left to :mod:`modalax
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import gammaincc
 
 from modalax.identify.ascent import STATISTICAL, Ascent, climb
 from modalax.identify.estimate import participation_of
 from modalax.identify.information import solution
 from modalax.identify.kernels import UNDAMPED, kernels, pack, pairs, residual_terms, unpack
 from modalax.identify.projection import Projection
+from modalax.identify.shared_noise import shared_noise
+from modalax.identify.whiteness import whiteness_of
 
 UNIT = 1e-9  # standard deviation assumed where none is known, relative to the FRF
 REACH = 2.0  # distance from the band, in half-bandwidths, beyond which a mode keeps the damping of its start
@@ -122,8 +123,11 @@ class Maximum(NamedTuple):
         Which of the given modes were not dropped on the way, as indices.
     residual
         Whitened residual, complex with unit variance, ``(f, o, i)``.
+    shared
+        By how much noise that the outputs share counts more than as much of each one's own, of
+        :func:`modalax.identify.shared_noise.shared_noise`.
     inflate
-        Factor on the variances: one where they are known and explain the residual.
+        Factor on the variances: one where they are known and explain the residual, times ``shared``.
     chi2, dof, whiteness, evidence, reason
         As in :class:`modalax.identify.Refined`.
     """
@@ -137,6 +141,7 @@ class Maximum(NamedTuple):
     residual: np.ndarray
     chi2: float
     dof: int
+    shared: float
     inflate: float
     whiteness: float
     evidence: np.ndarray
@@ -259,12 +264,14 @@ def _maximum(
         model = _modal(samples, modes.poles, np.einsum("onc,nc->no", x, modes.unit), modes.participation, terms)
         residual = _as_measured(samples, left)
         chi2, dof = 2 * at.sums.cost, max(projection.degrees_of_freedom(len(at.theta)), 1)
-        white = whiteness_of(residual)
+        white, shared = whiteness_of(residual), shared_noise(samples.H / sigma - residual, residual)
     variance = chi2 / dof
-    inflate = 1.0 if known and not variance > 1 + 5 * np.sqrt(2 / dof) else variance
+    inflate = shared * (1.0 if known and not variance > 1 + 5 * np.sqrt(2 / dof) else variance)
     evidence = evidence / inflate
     reason = _reason(at, start, chi2, samples.omega)
-    return Maximum(samples, projection, at, sigma, known, model, residual, chi2, dof, inflate, white, evidence, reason)
+    return Maximum(
+        samples, projection, at, sigma, known, model, residual, chi2, dof, shared, inflate, white, evidence, reason
+    )
 
 
 def _as_measured(samples: Samples, left: np.ndarray) -> np.ndarray:
@@ -286,14 +293,6 @@ def _modal(
         upper, lower = z[..., 0] / top**samples.power, z[..., 1] / top ** (samples.power - 2)
     model = Modal(poles, shapes, participation, upper.astype(complex), lower.astype(complex)).normalised()
     return model.transpose().normalised() if samples.turned else model
-
-
-def whiteness_of(residual: np.ndarray, lags: int = 3) -> float:
-    r"""Portmanteau test, :math:`2N\sum_k|\rho_k|^2 \sim \chi^2` over the first lags of every channel (Box-Pierce)."""
-    n = residual.shape[0]
-    power = np.maximum(np.sum(np.abs(residual) ** 2, axis=0), 1e-300)
-    rho = [np.sum(residual[k:] * residual[: n - k].conj(), axis=0) / power for k in range(1, lags + 1)]
-    return float(gammaincc(lags * power.size, n * np.sum(np.abs(rho) ** 2)))
 
 
 def _reason(at: Ascent, start: np.ndarray, chi2: float, omega: np.ndarray) -> int:

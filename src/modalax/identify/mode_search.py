@@ -91,10 +91,12 @@ class _Search:
         return sigma_of_error(samples.H, self.found.error, proportional, len(poles), left)
 
     def deviations(self) -> list[np.ndarray]:
-        """Possible noise levels; a mode must stand out of each of them."""
+        """Possible noise levels, as noise that outputs share counts; a mode must stand out of each of them."""
         if self.frf.variance is not None:
-            return [np.sqrt(np.asarray(self.frf.variance))]
-        return [self.weights(), self.weights(proportional=True)]
+            levels = [np.sqrt(np.asarray(self.frf.variance))]
+        else:
+            levels = [self.weights(), self.weights(proportional=True)]
+        return [np.sqrt(self.found.shared) * level for level in levels]
 
     def missing(self, window: list[float], avoid: list[float]) -> np.ndarray:
         """Poles at which the residual asks for a further mode."""

@@ -14,6 +14,7 @@ from jaxtyping import Complex, Float
 from modalax.data.frf import DERIVATIVES, FRF
 from modalax.identify.host import modal_of, samples_of
 from modalax.identify.maximum import response
+from modalax.identify.shared_noise import shared_noise
 from modalax.model.modal import ModalModel
 
 WIDTH, LINES = 8.0, 12  # reach of the lines on either side, in half-bandwidths and at least in lines
@@ -244,9 +245,25 @@ class Left(NamedTuple):
 
 
 def left_of(frf: FRF, model: ModalModel) -> Left:
-    """What a model leaves of an FRF."""
+    """What a model leaves of an FRF; noise that outputs share has the scatter by which it counts."""
     residual = residual_of(frf, model)
-    return Left(residual, scatter_of(frf, residual))
+    scatter = scatter_of(frf, residual)
+    return Left(residual, None if scatter is None else scatter * shared_of(frf, residual))
+
+
+def shared_of(frf: FRF, residual: Complex[np.ndarray, "f o i"]) -> float:
+    """By how much noise that the outputs share counts more, of :func:`modalax.identify.shared_noise.shared_noise`."""
+    sigma = 1.0
+    if frf.variance is not None:
+        variance = np.asarray(frf.variance)
+        sigma = np.sqrt(np.where(variance > 0, variance, np.inf))
+    return shared_noise((np.asarray(frf.H) - residual) / sigma, residual / sigma)
+
+
+def judged(frf: FRF, residual: Complex[np.ndarray, "f o i"]) -> FRF:
+    """The FRF by which modes are judged: with a variance by which noise counts that the outputs share."""
+    shared = 1.0 if frf.variance is None else shared_of(frf, residual)
+    return frf if shared == 1.0 else frf.replace(variance=shared * np.asarray(frf.variance))
 
 
 def scatter_of(frf: FRF, residual: Complex[np.ndarray, "f o i"]) -> Float[np.ndarray, "f c"] | None:

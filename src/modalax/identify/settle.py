@@ -18,7 +18,7 @@ from modalax.identify.flags import matters
 from modalax.identify.host import refine_on_host, residue_fits, residues_on_host
 from modalax.identify.likelihood import UNDAMPED
 from modalax.identify.local import fit_where_dominant
-from modalax.identify.neighbourhood import LINES, WIDTH, Left, around, left_of, residual_of
+from modalax.identify.neighbourhood import LINES, WIDTH, Left, around, judged, left_of, residual_of
 from modalax.identify.noise import residual_sigma
 from modalax.identify.one_mode import second_mode
 from modalax.identify.quality import CHANCE, ModeQuality, gains_of, quality_of
@@ -66,7 +66,8 @@ def settle(
     for _ in range(TURNS):
         bad = at_bound(frf, refined) | _in_noise(frf, refined)
         _require(frf, _inside(frf, refined.model) & ~bad)
-        bad |= doubled(frf, refined.model, np.asarray(refined.evidence), bad, asked, cut)
+        seen = judged(frf, residual_of(frf, refined.model))
+        bad |= doubled(seen, refined.model, np.asarray(refined.evidence), bad, asked, cut)
         if bad.any():
             tell(f"{int(bad.sum())} mode{'s' * int(bad.sum() > 1)} dropped that the data do not need")
             refined = _again(frf, refined, ~bad, **options)
@@ -78,7 +79,7 @@ def settle(
         if more is None:  # then all close modes are asked about once more
             cut = True
             asked.clear()
-    gains, by_chance = gains_of(frf, refined.model)
+    gains, by_chance = gains_of(judged(frf, residual_of(frf, refined.model)), refined.model)
     _require(frf, _inside(frf, refined.model) & (gains >= by_chance))
     return refined
 
@@ -86,6 +87,7 @@ def settle(
 def _cut_short(frf: FRF, model: ModalModel) -> bool:
     """Whether the resonances, or the modes that stand within a window of each other, plainly show records cut short."""
     inside, residual = _inside(frf, model), residual_of(frf, model)
+    frf = judged(frf, residual)
     record = record_of(frf, model, residual, np.flatnonzero(inside))
     if record is not None and record.plain:
         return True
@@ -120,18 +122,20 @@ def settle_diagram(
     fitted = residue_fits(frf, **options)
     model = fitted(poles)
     left = left_of(frf, model)
+    seen = judged(frf, left.residual)
     gains, by_chance = np.zeros((2, len(model.poles)))
     asked = np.ones(len(model.poles), bool)
     for _ in range(TURNS):
-        gains[asked], by_chance[asked] = gains_of(frf, model, np.flatnonzero(asked), searched=True, left=left)
+        gains[asked], by_chance[asked] = gains_of(seen, model, np.flatnonzero(asked), searched=True, left=left)
         weak = gains < by_chance
         _require(frf, _inside(frf, model) & ~weak)
-        bad = weak | doubled(frf, model, gains, weak, apart, left=left)
+        bad = weak | doubled(seen, model, gains, weak, apart, left=left)
         if not bad.any():
             break
         asked = _beside(frf, model, bad)[~bad]
         model = fitted(cut(model.poles, ~bad))
         left = left_of(frf, model)
+        seen = judged(frf, left.residual)
         gains, by_chance = gains[~bad], by_chance[~bad]
         again = {round(f, 6) for f in np.asarray(model.frequency_hz)[asked].tolist()}
         apart -= {pair for pair in apart if again & set(pair)}
@@ -239,9 +243,10 @@ def _with_seconds(
         return None
     f, width = np.asarray(model.frequency_hz), -np.asarray(model.poles.real) / (2 * np.pi)
     inside, residual = _inside(frf, model), residual_of(frf, model)
+    seen = judged(frf, residual)
     pairs: dict[int, np.ndarray] = {}
     for r in np.flatnonzero(inside):
-        pair = second_mode(frf, model, residual, int(r)) if all(abs(f[r] - g) >= width[r] for g in tried) else None
+        pair = second_mode(seen, model, residual, int(r)) if all(abs(f[r] - g) >= width[r] for g in tried) else None
         if pair is not None:
             pairs[int(r)] = pair
     tried += [float(f[r]) for r in pairs]
@@ -249,7 +254,7 @@ def _with_seconds(
         return None
     tell(f"{len(pairs)} resonance{'s' * (len(pairs) > 1)} of two close modes")
     new = _from_poles(frf, refined, _split(model, pairs), **options)
-    quality, poles = quality_of(frf, new.model), np.asarray(new.model.poles)
+    quality, poles = quality_of(seen, new.model), np.asarray(new.model.poles)
     sound = np.array([not (q.rest.plain or matters(q.inputs, w) or matters(q.outputs, w)) for q, w in
                       zip(quality, (-poles.real / (2 * np.pi)).tolist(), strict=True)])  # fmt: skip
     kept = {r: pair for r, pair in pairs.items() if all(sound[np.argmin(np.abs(poles - p))] for p in pair)}

@@ -15,7 +15,7 @@ from modalax.data.frf import DERIVATIVES, FRF
 from modalax.identify.host import modal_of
 from modalax.identify.kernels import kernels, residual_terms
 from modalax.identify.maximum import columns_of
-from modalax.identify.neighbourhood import channel_noise
+from modalax.identify.neighbourhood import Left, channel_noise
 from modalax.identify.projection import orthonormal, stacked
 from modalax.model.modal import ModalModel
 
@@ -31,9 +31,9 @@ class UntoldWindow(NamedTuple):
     gain: float
 
 
-def window_notes(frf: FRF, model: ModalModel, residual: np.ndarray) -> list[str]:
+def window_notes(frf: FRF, model: ModalModel, left: Left) -> list[str]:
     """A sentence on an exponential window that is not told, where :func:`untold_window` finds one."""
-    window = untold_window(frf, model, residual)
+    window = untold_window(frf, model, *left)
     if window is None:
         return []
     return [
@@ -43,7 +43,9 @@ def window_notes(frf: FRF, model: ModalModel, residual: np.ndarray) -> list[str]
     ]
 
 
-def untold_window(frf: FRF, model: ModalModel, residual: np.ndarray) -> UntoldWindow | None:
+def untold_window(
+    frf: FRF, model: ModalModel, residual: np.ndarray, scatter: np.ndarray | None = None
+) -> UntoldWindow | None:
     """The decay that an exponential window added to records, where the FRFs show one; None where they do not.
 
     Parameters
@@ -53,12 +55,14 @@ def untold_window(frf: FRF, model: ModalModel, residual: np.ndarray) -> UntoldWi
         terms could make is left to them.
     residual
         The FRF less what the model makes, shape ``(f, o, i)``.
+    scatter
+        Power by which noise that is not known counts, as for :func:`modalax.identify.neighbourhood.around`.
     """
     power, used = DERIVATIVES[frf.form], np.asarray(frf.freq) > 0
     if power == 0:
         return None
     s = (np.asarray(frf.added_decay) + 2j * np.pi * np.asarray(frf.freq))[used]
-    size, course = channel_noise(frf, residual, slice(int(np.argmax(used)), None), smooth=True)
+    size, course = channel_noise(frf, residual, slice(int(np.argmax(used)), None), True, scatter)
     poles = np.asarray(model.poles)
     columns = np.concatenate([kernels(s, power, poles), residual_terms(s, power, "complex")], axis=1)
     A = stacked((columns / course[:, None]).T).T
