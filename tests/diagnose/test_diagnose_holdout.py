@@ -1,9 +1,15 @@
-"""Which block of the data is held out."""
+"""Which block of the data is held out, and how far its prediction may miss it."""
 
 import numpy as np
 import pytest
+import scipy.linalg
 
-from modalax.diagnose.holdout import held_out_block
+from modalax import Measurement, Structure
+from modalax.diagnose.causes.channels import ChannelGain
+from modalax.diagnose.comparison import empty, make_comparison
+from modalax.diagnose.holdout import held_out_block, measure
+from modalax.diagnose.search.look import look
+from modalax.diagnose.search.singles import fit_single
 
 NAN = float("nan")
 
@@ -35,3 +41,29 @@ def test_stretches_of_lines_where_no_column_foretells_another(level, options, wh
     said, mask = held_out_block(np.array(level, float), ("a", "b"), (len(level), 64, 2, 2), 64, **options)
     assert said.startswith("every fourth of 16 blocks") and why in said
     assert mask[0, :, 0, 0].sum() == 16 and (mask == mask[:1, :, :1, :1]).all()
+
+
+@pytest.mark.parametrize(("gain", "other", "missed"), [(1.1, 1.1, False), (1.1, 1.3, True)])
+def test_a_mode_that_the_block_alone_shows_may_be_off_as_its_author_claims(gain, other, missed):
+    """The middle of three alike masses stands still in the second mode, whose frequency is one deviation off."""
+    M, K = np.eye(3), 1e4 * (2 * np.eye(3) - np.eye(3, k=1) - np.eye(3, k=-1))
+    w2, V = scipy.linalg.eigh(K)
+
+    def with_modes(w, **claims):
+        return Structure(M, (V * (0.02 * w)) @ V.T, (V * w**2) @ V.T, names, **claims)
+
+    names, claimed, freq = ("1", "2", "3"), 3e-3, np.linspace(8.0, 34.0, 300)
+    true, simulation = with_modes(np.sqrt(w2) * [1, 1 + claimed, 1]), with_modes(np.sqrt(w2), frequency_std=claimed)
+    H = np.array(true.frf(freq, inputs=("2", "1")).H)[None]
+    H[:, :, 2] *= np.array([gain, other])
+    sigma = 0.01 * np.sqrt((np.abs(H) ** 2).mean()) * np.ones(H.shape)
+    rng = np.random.default_rng(0)
+    H = H + sigma * (rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape)) / np.sqrt(2)
+    data = Measurement(freq, H, variance=sigma**2, outputs=names, inputs=("2", "1"))
+    comparison = make_comparison(data, simulation, "fixed")
+    seen = look(comparison, [ChannelGain()])
+    found = fit_single(seen.state, seen.screening.trials)[0]
+    assert found.names == {("channel_gain", ("3",))}
+    told = measure((comparison, comparison), comparison.fit([empty(comparison)], 14)[0], found)
+    assert told.held_out == "the column of input 1"
+    assert (told.missed > 4) == missed

@@ -3,6 +3,7 @@ r"""Prediction of data held out of the fit: a force level, a repeat, a column, o
 from dataclasses import replace
 
 import numpy as np
+import scipy.special
 
 from modalax.diagnose.causes.base import PatternCause
 from modalax.diagnose.comparison import Comparison
@@ -11,6 +12,8 @@ from modalax.diagnose.fitting.gauss_newton import ROUNDS
 from modalax.diagnose.fitting.hypothesis import Hypothesis, searched
 from modalax.diagnose.fitting.residual import jacobian_of
 from modalax.diagnose.screening.score_state import score_state_of
+from modalax.diagnose.screening.screen import nuisance_of
+from modalax.diagnose.search.explain import chi2_of
 from modalax.diagnose.search.rows import force_taken
 from modalax.diagnose.search.singles import refit
 
@@ -118,26 +121,35 @@ def _on(
         fitted = refit(score_state_of(seen, null), [h])[0]
     else:
         fitted = seen.fit([h], ROUNDS)[0]
-    residual = unseen.residual(fitted)
-    return residual, _missed(unseen, residual, h, fitted, tolerated)
+    return unseen.residual(fitted), _missed(seen, unseen, h, fitted, tolerated)
 
 
-def _missed(unseen: Comparison, residual: np.ndarray, h: Hypothesis, fitted: Hypothesis, tolerated: float) -> float:
-    r"""Excess of the block's chi-square over that of ``h``, in standard deviations of what parameter errors add.
+def _missed(seen: Comparison, unseen: Comparison, h: Hypothesis, fitted: Hypothesis, tolerated: float) -> float:
+    r"""How much worse parameters fitted to all explain what was kept, as a normal variable of the same chance.
 
-    Errors of covariance C add :math:`|J\delta|^2 - 2 e^T J\delta`, of mean :math:`\mathrm{tr}\,S`, :math:`S = J^T J C`,
-    and variance :math:`2\,\mathrm{tr}\,S^2 + 4\,\mathrm{tr}\,S`. What a law is too inexact for, ``tolerated``, is no
-    excess.
+    With the block the parameters move; what that adds to the chi-square of the rest is the block's predictive
+    chi-square less the one within it. Of parameters with information :math:`A` in the rest (the claimed spread of modal
+    parameters included) and :math:`B` in the block it is a sum of squares of normal variables with the weights
+    :math:`\lambda` that are the eigenvalues of :math:`B(A+B)^{-1}`. A mode that only the block shows weighs one,
+    however far it is off. That sum is taken for a multiple of a chi-square of the same mean and variance (Satterthwaite
+    1946, Biometrics Bulletin 2:110). What a law is too inexact for, ``tolerated``, does not count.
     """
     if fitted.covariance is None or not len(searched(fitted)):
         return 0.0
-    slopes = jacobian_of(
-        fitted.causes, fitted.index, fitted.extras, searched(fitted), fitted.theta, unseen.nuisance.spread,
-        unseen.nuisance.basis, unseen.problem,
-    )  # fmt: skip
-    J = np.asarray(slopes).reshape(len(searched(fitted)), -1)
-    S: np.ndarray = J @ J.T @ fitted.covariance[: len(J), : len(J)]
-    free = float((np.asarray(fitted.theta) != 0).sum())
-    mean, spread = np.trace(S) + free, np.sqrt(max(2 * np.trace(S @ S) + 4 * np.trace(S) + 6 * free, 1.0))
-    excess = float((np.abs(residual) ** 2).sum() - (np.abs(unseen.residual(h)) ** 2).sum())
-    return float((excess - mean - tolerated) / spread)
+    kept, J = _slopes(seen, fitted), _slopes(unseen, fitted)
+    claimed = 1.0 * (np.arange(len(J)) >= len(searched(fitted)))
+    weights = np.linalg.lstsq(kept @ kept.T + J @ J.T + np.diag(claimed), J @ J.T, rcond=None)[0]
+    total, squares = (max(float(np.trace(w)), 1e-300) for w in (weights, weights @ weights))
+    worse = max(chi2_of(seen, h) - chi2_of(seen, fitted) - tolerated, 0.0)
+    chance = scipy.special.chdtrc(total**2 / squares, worse * total / squares)
+    return -float(scipy.special.ndtri(min(chance, 0.5)))
+
+
+def _slopes(comparison: Comparison, h: Hypothesis) -> np.ndarray:
+    """Derivatives of the whitened residual by what is searched, then by the modal parameters over their spread."""
+    nuisance = comparison.nuisance
+    assert h.theta is not None
+    J = jacobian_of(
+        h.causes, h.index, h.extras, searched(h), h.theta, nuisance.spread, nuisance.basis, comparison.problem
+    )
+    return np.concatenate([np.asarray(x).reshape(len(x), -1) for x in (J, nuisance_of(h.theta, comparison))])

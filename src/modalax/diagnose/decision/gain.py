@@ -17,8 +17,8 @@ class Gain:
     log_likelihood_gain, log_likelihood_gain_std
         In nats, with its standard deviation by resampling blocks of lines.
     missed
-        By how many standard deviations the chi-square on the block exceeds that of a fit to all data by more than what
-        the errors of the parameters fitted without it explain. Not small where the causes are not the true ones.
+        How much worse the parameters of a fit to all data explain the rest than those fitted to the rest alone, as a
+        normal variable of the same chance under noise. Not small where the causes are not the true ones.
     chi2_within
         Per real sample of the block after a fit to all data.
     chi2_plain
