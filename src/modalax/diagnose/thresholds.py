@@ -76,7 +76,7 @@ class Thresholds:
     missed: float = _threshold(
         4.0, "standard deviations",
         "Causes fail on the held-out block where their parameters, once fitted to it too, explain the rest worse by "
-        "more than this than noise makes them; or, in the modal domain, where the block is likelier without them by more.",
+        "more than this than noise makes them; or, in the modal domain, where it is likelier without them by more.",
         SCORE,
     )  # fmt: skip
     farther: float = _threshold(
