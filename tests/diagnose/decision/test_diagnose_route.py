@@ -78,7 +78,13 @@ def test_one_force_is_looked_for_first_where_that_is_quick_and_can_be_right(task
         (Outcome("clean", 1.05, 0.3), SMALL, False),
         (Outcome("unknown", 1.05, 0.3, inaccuracy=OFF), SMALL, False),
         (Outcome("clean", 1.25, 0.3, inaccuracy=OFF), SMALL, False),  # does not predict
-        (Outcome("clean", 1.05, 0.009, inaccuracy=OFF), SMALL, False),  # something is left
+        (Outcome("clean", 1.05, 0.009, inaccuracy=OFF), SMALL, True),  # lines take for exact what is surely off
+        (
+            Outcome("clean", 1.05, 0.009, inaccuracy=mass_off(4e-3)),
+            SMALL,
+            False,
+        ),  # something is left, and mass may not be
+        (Outcome("clean", 1.05, 0.009, inaccuracy=EXACT), SMALL, False),
         (Outcome("named", 1.05, 0.009, inaccuracy=OFF), SMALL, True),  # which lines cannot name about such a simulation
         (Outcome("named", 1.25, 0.009, inaccuracy=OFF), SMALL, False),
         (Outcome("named", 1.4, 0.0, inaccuracy=OFF, joint=True), SMALL, True),  # its law leaves its higher harmonics

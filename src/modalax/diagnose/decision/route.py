@@ -183,18 +183,23 @@ def law_is_exact(modes: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
 
 
 def off_everywhere(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
-    """Whether stiffness or mass is certainly off everywhere, and with that nothing is left that lines could explain."""
+    """Whether stiffness or mass is certainly off everywhere, and with that nothing is left that lines could explain.
+
+    What little is left of frequencies that are off is for no line to explain; masses may only seem off, as the peaks of
+    a shaker that drops out are low.
+    """
     parts = certainly_off(found, limits)
     if found.verdict == "unknown" or not parts:
         return False
     if found.joint:
         return found.held_out < limits.unexplained
-    if found.verdict == "named" and any(p["interval"][0] > limits.surely_off for p in parts):
+    surely = {name for name, p in parts.items() if p["interval"][0] > limits.surely_off}
+    if found.verdict == "named" and surely or found.verdict == "clean" and "stiffness" in surely:
         return found.predicts < limits.as_noise
     return nothing_left(found, limits)
 
 
-def certainly_off(found: Outcome, limits: Thresholds = THRESHOLDS) -> list[Mapping[str, Any]]:
+def certainly_off(found: Outcome, limits: Thresholds = THRESHOLDS) -> Mapping[str, Mapping[str, Any]]:
     """General inaccuracy of stiffness and mass, where one of them is certainly off; else nothing.
 
     Masses are known better than stiffnesses: mass that seems a little off where stiffness may be exact is more likely
@@ -203,7 +208,7 @@ def certainly_off(found: Outcome, limits: Thresholds = THRESHOLDS) -> list[Mappi
     parts = {name: part for name, part in (found.inaccuracy or {}).items() if name in ("stiffness", "mass")}
     least = {"stiffness": 0.0, "mass": limits.surely_off}
     off = any(p["interval"][0] > least[name] and p["value"] > limits.off for name, p in parts.items())
-    return list(parts.values()) if off else []
+    return parts if off else {}
 
 
 def may_be_exact(found: Outcome) -> bool:
