@@ -149,7 +149,7 @@ def _slopes(comparison: Comparison, h: Hypothesis) -> np.ndarray:
     """Derivatives of the whitened residual by what is searched, then by the modal parameters over their spread."""
     nuisance = comparison.nuisance
     assert h.theta is not None
-    J = jacobian_of(
+    J = np.asarray(jacobian_of(
         h.causes, h.index, h.extras, searched(h), h.theta, nuisance.spread, nuisance.basis, comparison.problem
-    )
-    return np.concatenate([np.asarray(x).reshape(len(x), -1) for x in (J, nuisance_of(h.theta, comparison))])
+    )).reshape(len(searched(h)), -1)  # fmt: skip
+    return np.concatenate([J, nuisance_of(h.theta, comparison).reshape(-1, J.shape[1])])
