@@ -45,7 +45,7 @@ def files(tmp_path_factory):
 def unusable(files):
     """Beside them: five lines, names that the simulation has not, and records without a force."""
     two = load(files / "two.npz")
-    save(two.band(20, 20.4), files / "few.npz")
+    save(two.band(20.0, 20.4), files / "few.npz")
     save(two.replace(outputs=tuple(f"p{k}" for k in range(5)), inputs=("p0",)), files / "other.npz")
     rows = np.column_stack([np.arange(64) / 64, np.zeros(64), np.ones(64)])
     np.savetxt(files / "still.csv", rows, delimiter=",", header="time,a,b", comments="")
