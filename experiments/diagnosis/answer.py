@@ -2,7 +2,7 @@
 
 Writes ``FOLDER/answers/NAME.json``: what ``modalax.diagnose(...).to_dict()`` says, and the seconds it took. Answers
 that are there already are kept. ``--part 1/2`` and ``--part 2/2`` share a draw between two processes. ``--question
-free`` asks what no linear model explains, into ``FOLDER/answers-free``.
+free`` asks what no linear model explains, into ``FOLDER/answers-free``. ``--time`` is the budget of one diagnosis.
 """
 
 import argparse
@@ -17,14 +17,15 @@ import jax
 from rich.progress import track
 
 
-def answer(folder: Path, question: str = "auto") -> dict:
-    """The diagnosis of one case, or the error that it ended in."""
+def answer(folder: Path, question: str = "auto", seconds: float = 120.0) -> dict:
+    """The diagnosis of one case in a budget of seconds, or the error that it ended in."""
     from modalax.diagnose import diagnose
     from modalax.files import load
 
     start = time.perf_counter()
     try:
-        said = diagnose(load(folder / "measurement.npz"), load(folder / "simulation.npz"), question=question)
+        measured, simulated = load(folder / "measurement.npz"), load(folder / "simulation.npz")
+        said = diagnose(measured, simulated, question=question, time=seconds)
         result = said.to_dict()
     except Exception as error:  # one bad case must not end a long draw; it is counted and shown
         result = {"verdict": "error", "causes": [], "alternatives": [], "error": f"{type(error).__name__}: {error}"}
@@ -47,7 +48,12 @@ def answers_to(question: str) -> str:
 
 
 def run(
-    folder: Path, part: tuple[int, int] = (1, 1), only: str = "", redo: bool = False, question: str = "auto"
+    folder: Path,
+    part: tuple[int, int] = (1, 1),
+    only: str = "",
+    redo: bool = False,
+    question: str = "auto",
+    seconds: float = 120.0,
 ) -> None:
     prepare()
     cases = [p for p in (folder / "cases").iterdir() if only in p.name]
@@ -57,7 +63,7 @@ def run(
     out.mkdir(exist_ok=True)
     todo = [c for c in cases if redo or not (out / f"{c.name}.json").exists()]
     for case in track(todo, "diagnosing"):
-        (out / f"{case.name}.json").write_text(json.dumps(answer(case, question), indent=1))
+        (out / f"{case.name}.json").write_text(json.dumps(answer(case, question, seconds), indent=1))
 
 
 def main() -> None:
@@ -67,9 +73,10 @@ def main() -> None:
     parser.add_argument("--only", default="", help="cases whose name holds this")
     parser.add_argument("--redo", action="store_true")
     parser.add_argument("--question", default="auto", choices=("auto", "fixed", "free"))
+    parser.add_argument("--time", type=float, default=120.0, help="seconds that a diagnosis is given")
     args = parser.parse_args()
     first, parts = (int(n) for n in args.part.split("/"))
-    run(args.folder, (first, parts), args.only, args.redo, args.question)
+    run(args.folder, (first, parts), args.only, args.redo, args.question, args.time)
 
 
 if __name__ == "__main__":
