@@ -27,6 +27,7 @@ from modalax.diagnose.deadline import NEVER, Deadline
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.fitting.residual import modal_directions
 from modalax.diagnose.prediction.frf import gains_of
+from modalax.diagnose.screening.products import gains_and_ends
 from modalax.diagnose.setup.problem import Problem
 
 SHARES = (1.0, 0.5, 0.25, 0.1)  # of a step, tried one after the other
@@ -83,15 +84,11 @@ class Beside:
             J = J.reshape(*J.shape[:3], *problem.data.shape[:2], 2)
             slopes = (J[..., 0] + 1j * J[..., 1]).transpose(0, 3, 4, 1, 2)[(slice(None), *cut)]
         form = problem.modal_form
-        k, c, shapes, part = form.adapted(as_array(theta * nuisance.spread))
-        modes = ModalTerms(k[None], c[None], form.hysteresis[None])
-        s = as_array(1j * scene.omega)
-        both = np.asarray(gains_of(s, modes, form.poles, [], form.mixing is not None))[0]
+        both, shapes, part = map(
+            np.asarray, gains_and_ends(form, as_array(scene.omega), as_array(theta * nuisance.spread))
+        )
         half = both.shape[1] // 2
-        return cls(
-            comparison, theta, change, slopes, (both[:, :half], both[:, half:]), np.asarray(shapes), np.asarray(part),
-            weight,
-        )  # fmt: skip
+        return cls(comparison, theta, change, slopes, (both[:, :half], both[:, half:]), shapes, part, weight)
 
     def along(self, place: Place) -> tuple[np.ndarray, np.ndarray]:
         """Modal displacement across a place, and participation of a force there, shape ``(m,)`` each."""

@@ -153,7 +153,7 @@ def complex_of(value: np.ndarray, runs: int) -> np.ndarray:
 
 
 @eqx.filter_jit
-def _gains_and_ends(modal_form: ModalForm, omega: Array, theta: Array) -> tuple[Array, Array, Array]:
+def gains_and_ends(modal_form: ModalForm, omega: Array, theta: Array) -> tuple[Array, Array, Array]:
     """Gains of the modes, shape ``(f, m)``, their shapes and participation."""
     k, c, shapes, participation = modal_form.adapted(theta)
     still = ModalTerms(k[None], c[None], modal_form.hysteresis[None])
@@ -170,7 +170,7 @@ def reduce(problem: Problem, theta: np.ndarray, state: Residual) -> Reduced:
         Logarithmic changes of the modal frequencies and damping ratios, shape ``(2, n)``.
     """
     modal_form = problem.modal_form
-    gains, *ends_of = _gains_and_ends(modal_form, problem.omega, as_array(theta))
+    gains, *ends_of = gains_and_ends(modal_form, problem.omega, as_array(theta))
     gains = np.asarray(gains)
     psi, part = (np.concatenate([a, a.conj()]) for a in map(np.asarray, ends_of))
     there = np.abs(psi).max(axis=1) > 0  # the others only fill up
