@@ -47,8 +47,10 @@ from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.route import (
     Outcome,
     Route,
+    Task,
     by_claim,
     choice,
+    elements_surely,
     law_is_exact,
     nothing_left,
     one_place_first,
@@ -60,13 +62,13 @@ from modalax.diagnose.decision.verdict import verdict
 from modalax.diagnose.extend import ExtendedSimulation, extend
 from modalax.diagnose.holdout import measure
 from modalax.diagnose.jointed.answer import diagnose_joint, joint_comes_first, may_have_joint
-from modalax.diagnose.modal_domain.claimed_modes import elements_show
+from modalax.diagnose.modal_domain.claimed_modes import ClaimCompared, compared
 from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis, diagnose_modes
 from modalax.diagnose.modal_domain.measured import Measured
 from modalax.diagnose.modal_domain.stage import identified
 from modalax.diagnose.modal_domain.table import by_table
 from modalax.diagnose.result import Diagnosis
-from modalax.diagnose.routes import check_groups, named_before, outcome_of, task_of
+from modalax.diagnose.routes import check_groups, named_before, named_beside_claim, outcome_of, task_of
 from modalax.diagnose.screening.one_force import places_of_one_force
 from modalax.diagnose.search.explain import Explanation, check_imitations, explain
 from modalax.diagnose.search.look import look
@@ -156,11 +158,14 @@ def by_routes(
     """Diagnose line by line, in the modal domain or both; a free joint that ``follows`` is left some of the time."""
     data = as_measurement(measurement)
     task = task_of(data, simulation, question, causes)
-    measured = None
-    if by_claim(task):
-        measured, shown = by_modes_or_elements(data, simulation, late, progress)
-        task = replace(task, elements_show=shown)
+    claimed = by_claim(task)
+    measured, shown = by_modes_or_elements(data, simulation, late, progress) if claimed else (None, ClaimCompared())
+    task = replace(task, elements_show=shown.elements_show)
+    lines = partial(line_by_line, measurement, simulation, question, causes, progress)
     modal = cache(partial(in_modal_domain, data, simulation, causes, late, progress, measured))
+    said = beside_claim(lines, modal, shown, task, late) if claimed else None
+    if said is not None:
+        return said
     found = at_one_place(measurement, simulation, question, progress, late, modal) if one_place_first(task) else None
     said = None if found is None else sufficient(found, modal, late)
     if said is not None:
@@ -173,10 +178,7 @@ def by_routes(
         more = route == "lines" and not answers and (len(order(task)) > 1 or follows)
         until = late.part(FIRST_SHARE) if more else late
         try:
-            found = (
-                modal() if route == "modes"
-                else line_by_line(measurement, simulation, question, causes, progress, until, answers.get("modes"))
-            )  # fmt: skip
+            found = modal() if route == "modes" else lines(until, named_before(answers.get("modes")))
         except KeyboardInterrupt:  # what has been found is told
             if not answers:
                 raise
@@ -186,6 +188,22 @@ def by_routes(
             if suffices(route, outcomes[route], task):
                 break
     return answers[choice(outcomes)]
+
+
+def beside_claim(
+    lines: Callable[..., Diagnosis | None], modal: Callable[[], ModalDiagnosis | None], shown: ClaimCompared,
+    task: Task, late: Deadline,
+) -> Diagnosis | None:  # fmt: skip
+    """The answer where modes are claimed to be off and one cause is beyond doubt, which modes tell in seconds.
+
+    By lines where it explains these beside modes that are off as claimed; by modes where elements are surely off.
+    """
+    named = named_beside_claim(shown)
+    found = lines(late, named, only_named=True) if named else None
+    if found is not None and suffices("lines", outcome_of(found), task):
+        return found
+    modes = None if late() else modal()
+    return modes if modes is not None and elements_surely(outcome_of(modes)) else None
 
 
 def sufficient(found: Diagnosis, modal: Callable[[], ModalDiagnosis | None], late: Deadline) -> Diagnosis | None:
@@ -200,17 +218,17 @@ def sufficient(found: Diagnosis, modal: Callable[[], ModalDiagnosis | None], lat
 
 def by_modes_or_elements(
     measurement: Measurement, simulation: object, late: Deadline, progress: Callable[[str], None]
-) -> tuple[Measured | None, bool]:
-    """The measurement's own modes, and whether they show that elements are off where modes are claimed to be."""
+) -> tuple[Measured | None, ClaimCompared]:
+    """The measurement's own modes, and what they say where modes are claimed to be off."""
     if not isinstance(simulation, Structure):
-        return None, False
+        return None, ClaimCompared()
     try:
         measured = identified(measurement, simulation, progress)
         progress("comparing modes that are off by themselves with elements that are off")
-        return measured, elements_show(measurement, simulation, measured, late)
+        return measured, compared(measurement, simulation, measured, late)
     except (np.linalg.LinAlgError, ValueError) as error:  # line by line says what is wrong with the data
         progress(f"modes could not be compared: {error}")
-        return None, False
+        return None, ClaimCompared()
 
 
 def in_modal_domain(
@@ -234,13 +252,13 @@ def in_modal_domain(
 def line_by_line(
     measurement: Measurement | FRF, simulation: Structure | ModalModel | ExtendedSimulation, question: str,
     causes: Sequence[Cause] | None, progress: Callable[[str], None], late: Deadline = NEVER,
-    before: Diagnosis | None = None,
-) -> Diagnosis:  # fmt: skip
-    """Diagnose about the simulation as it is, from what the modal domain has named ``before``."""
+    named: Sequence[NamedCause] = (), only_named: bool = False,
+) -> Diagnosis | None:  # fmt: skip
+    """Diagnose about the simulation as it is, from what the modal domain has named."""
     release_programs()
     progress("preparing measurement and simulation")
     comparison = replace(with_noise_beside(make_comparison(measurement, simulation, question)), late=late)
-    return searched(comparison, causes, progress, named_before(before))
+    return searched(comparison, causes, progress, named, only_named)
 
 
 def at_one_place(
@@ -276,14 +294,19 @@ def at_one_place(
 
 def searched(
     comparison: Comparison, causes: Sequence[Cause] | None, progress: Callable[[str], None],
-    named: Sequence[NamedCause] = (),
-) -> Diagnosis:  # fmt: skip
-    """Screen, fit, check, predict and decide, line by line; ``named`` is where the search begins."""
+    named: Sequence[NamedCause] = (), only_named: bool = False,
+) -> Diagnosis | None:  # fmt: skip
+    """Screen, fit, check, predict and decide, line by line; ``named`` is where the search begins.
+
+    None where it is to end there as well (``only_named``) and something is left to explain.
+    """
     wanted = causes_of(causes, comparison, catalogue(comparison.problem.data.shape[0]))
     progress("screening every cause at every place and fitting the leading ones")
     late = comparison.late
     comparison = replace(comparison, late=late.part(NAMED_SHARE) if causes is None else late)
-    found = explain(look(comparison, wanted, finite=not named), wanted, named)
+    found = explain(look(comparison, wanted, finite=not named), wanted, named, only_named)
+    if only_named and not found.ranked:
+        return None
     if causes is None:
         progress("checking whether an unlisted cause explains the data better")
         found = check_imitations(found, causes_of(None, comparison, imitators()), late)

@@ -8,12 +8,15 @@ from modalax.data import Measurement
 from modalax.diagnose.causes import Cause
 from modalax.diagnose.causes.groups import GROUPS, GroupCause
 from modalax.diagnose.decision.route import Outcome, Task, surely_named
-from modalax.diagnose.modal_domain.causes import own_sizes, with_sizes
+from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
+from modalax.diagnose.modal_domain.claimed_modes import ClaimCompared
 from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis
+from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.judged import standing_out
 from modalax.diagnose.modal_domain.stage import KNOWN
 from modalax.diagnose.result import Diagnosis
 from modalax.diagnose.search.named_before import NamedCause
+from modalax.diagnose.thresholds import THRESHOLDS
 from modalax.model import Structure
 
 RANKED = 1000  # DoFs up to which a rank is read; larger models are never asked about line by line for long
@@ -55,8 +58,15 @@ def outcome_of(found: Diagnosis) -> Outcome:
         found.verdict, found.gain.chi2_after, after.p_value, causes[0]["probability"] if causes else 0.0,
         len(found.alternatives), found.inaccuracy if isinstance(found, ModalDiagnosis) else None,
         len({frozenset(c["where"]) for c in causes}), isinstance(found, ModalDiagnosis) and found.joint is not None,
-        any(c["name"] in GROUP_SLUGS for c in causes), found.gain.chi2_unforeseen,
+        any(c["name"] in GROUP_SLUGS for c in causes), of_elements(found), found.gain.chi2_unforeseen,
     )  # fmt: skip
+
+
+def of_elements(found: Diagnosis) -> bool:
+    """Whether a change of a whole element, or how its end is connected, is told: lines have neither."""
+    if not isinstance(found, ModalDiagnosis) or not found.causes:
+        return False
+    return any(c.kind == "K" and c.pattern is not None for c in standing_out(found.stage, found.chosen))
 
 
 def named_before(modes: Diagnosis | None) -> list[NamedCause]:
@@ -68,11 +78,23 @@ def named_before(modes: Diagnosis | None) -> list[NamedCause]:
         return []
     if modes.joint is not None or modes.forced is not None or modes.hum is not None:
         return []
-    chosen, named = modes.chosen, []
-    told = standing_out(modes.stage, chosen)
-    for k, (c, u) in enumerate(with_sizes(chosen.causes, chosen.fit.u)):
-        own = own_sizes(chosen.causes, k)
-        values, _, shape = c.as_catalogue(u, chosen.fit.covariance[own, own])
+    return in_catalogue(modes.chosen, standing_out(modes.stage, modes.chosen))
+
+
+def named_beside_claim(said: ClaimCompared) -> list[NamedCause]:
+    """The one cause that explains the measured modes beyond doubt beside frequencies and damping ratios as claimed."""
+    best = said.by_modes[0] if said.by_modes else None
+    if best is None or best.misfit > THRESHOLDS.misfit or best.probability < THRESHOLDS.decisive:
+        return []
+    return in_catalogue(best, best.causes)
+
+
+def in_catalogue(found: Explanation, told: Sequence[Change]) -> list[NamedCause]:
+    """The causes that are ``told``, in the words of lines; nothing where lines have no such cause."""
+    named = []
+    for k, (c, u) in enumerate(with_sizes(found.causes, found.fit.u)):
+        own = own_sizes(found.causes, k)
+        values, _, shape = c.as_catalogue(u, found.fit.covariance[own, own])
         if c not in told:
             continue
         if c.pattern is not None or shape is not None:

@@ -125,6 +125,11 @@ class Thresholds:
         0.8, "share of the largest inaccuracy searched for",
         "A simulation that is off by more than this is not one of this structure.", INACCURATE,
     )  # fmt: skip
+    far_beyond_claim: float = _threshold(
+        8.0, "ratio",
+        "An inaccuracy of elements is no longer the one that its author claims where it is this many times larger: "
+        "three standard deviations of a claim that is wrong by a factor of two.", INACCURATE,
+    )  # fmt: skip
     stands_out: float = _threshold(
         3.5, "standard deviations",
         "One place among hundreds shows an effect from this score on; a cause stands out that is so far from none.",

@@ -9,7 +9,7 @@ from chains_off import DOFS, FREQ, MASSES, SPRINGS, ZETA, as_measured, chain_off
 
 from modalax.diagnose.deadline import NEVER
 from modalax.diagnose.decision.route import by_claim, order
-from modalax.diagnose.modal_domain.claimed_modes import elements_show, off_by_modes
+from modalax.diagnose.modal_domain.claimed_modes import compared, off_by_modes
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.discrepancy import _root
 from modalax.diagnose.modal_domain.stage import identified
@@ -38,7 +38,7 @@ def test_elements_that_are_off_bend_shapes_as_no_frequency_does(structure, mass,
     M, C, K = structure
     data = as_measured(response(M + mass * np.outer(np.eye(5)[1], np.eye(5)[1]), C, K, FREQ), FREQ, 7)
     measured = identified(data, CLAIMED, lambda _: None)
-    assert elements_show(data, CLAIMED, measured, NEVER) is elements
+    assert compared(data, CLAIMED, measured, NEVER).elements_show is elements
     task = task_of(data, CLAIMED, "auto")
     assert by_claim(task)
     assert order(replace(task, elements_show=elements))[0] == ("modes" if elements else "lines")

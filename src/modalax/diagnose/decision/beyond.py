@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from modalax._numerics.text import percent
 from modalax.diagnose.decision.gain import Gain
@@ -55,6 +55,8 @@ class ModalCase:
         likeliest causes; None where there is none.
     needed
         Causes no larger than the general inaccuracy without which the measured modes are not explained.
+    claims
+        What the author claims, for those of stiffness and mass that have a claim.
     """
 
     sets: Sequence[BeyondUsual]
@@ -66,6 +68,7 @@ class ModalCase:
     limits: Thresholds
     odd: tuple[str, float] | None = None
     needed: Sequence[tuple[str, tuple[str | int, ...]]] = ()
+    claims: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def support(self) -> tuple[str, ...]:
@@ -84,6 +87,18 @@ def modes_are_not_explained(case: ModalCase) -> tuple[str, ...]:
         return ()
     off = ", ".join(f"{name} {percent(size)}" for name, size in case.inaccuracy.items())
     return (f"even with elements off by {off} the measured modes are not explained",)
+
+
+def claim_is_far_exceeded(case: ModalCase) -> tuple[str, ...]:
+    """Elements would have to be off by so much more than is claimed that one thing without a name is likelier."""
+    far = {n: v for n, v in case.claims.items() if v > 0 and case.inaccuracy[n] > case.limits.far_beyond_claim * v}
+    if not far:
+        return ()
+    off = " and ".join(f"{percent(case.inaccuracy[n])} in {n} where {percent(v)} is claimed" for n, v in far.items())
+    return (
+        f"elements would have to be off by {off}: either the claim is far too small, or something is wrong that no "
+        "cause explains",
+    )
 
 
 def the_usual_is_needed(case: ModalCase) -> tuple[str, ...]:
@@ -136,6 +151,7 @@ def other_places_compete(case: ModalCase) -> tuple[str, ...]:
 RULES: tuple[tuple[str, Rule], ...] = (
     ("unknown", one_output_differs),
     ("unknown", modes_are_not_explained),
+    ("unknown", claim_is_far_exceeded),
     ("unknown", the_usual_is_needed),
     ("clean", nothing_beyond_the_usual),
     ("ambiguous", other_causes_compete),

@@ -81,6 +81,8 @@ class Outcome:
         Whether the force levels differ by a joint, whose law in the modal domain is inexact by its higher harmonics.
     group
         Whether a parameter of a group of elements is among the causes.
+    of_elements
+        Whether a change of a whole element, or how its end is connected, is among the causes: lines have neither.
     """
 
     verdict: str
@@ -92,6 +94,7 @@ class Outcome:
     places: int = 0
     joint: bool = False
     group: bool = False
+    of_elements: bool = False
     unforeseen: float = math.nan
 
     @property
@@ -143,6 +146,8 @@ def suffices(route: Route, found: Outcome, task: Task, limits: Thresholds = THRE
         hopeful = unsettled and may_be_exact(found) and task.places <= limits.places_in_time
         return task.elements_off or not hopeful
     if found.group and found.verdict != "unknown" and nothing_left(found, limits):
+        return True
+    if found.of_elements and surely_named(found, limits):
         return True
     return off_everywhere(found, limits) or decisive(found, task, limits)
 
@@ -220,6 +225,11 @@ def may_be_exact(found: Outcome) -> bool:
 def decisive(found: Outcome, task: Task, limits: Thresholds = THRESHOLDS) -> bool:
     """Whether a cause of a large problem is named beyond doubt, and nothing is left to explain."""
     return task.places > limits.places_spared and surely_named(found, limits)
+
+
+def elements_surely(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
+    """Whether causes are named beyond doubt beside elements that are certainly off, whatever is claimed of modes."""
+    return surely_named(found, limits) and off_everywhere(found, limits)
 
 
 def surely_named(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:

@@ -1,6 +1,6 @@
 """Causes as finite changes in the modal domain, with their place, usual size and effect."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -176,6 +176,10 @@ class Change:
         std = float(np.sqrt(max(covariance[0, 0], 0.0))) * self.scale
         name += "_in_plane" if self.piece else ""
         return {name: {"value": float(u[0]) * self.scale, "std": std, "unit": unit}}
+
+    def variance_beside(self, u: np.ndarray, off: Mapping[str, float]) -> np.ndarray | float:
+        """What is added to the covariance of its sizes as the element that it acts on is itself ``off`` in general."""
+        return 0.0
 
     def as_catalogue(self, u: np.ndarray, covariance: np.ndarray) -> tuple[list[float], list[float], Any]:
         """Parameters of the catalogue's cause of this name, their standard deviations, and its shape over channels."""

@@ -5,14 +5,15 @@ beside them bends shapes in a way of its own; elements that are off bend every s
 modes, without and with each leading cause, and their evidence tells which it is.
 """
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from modalax.data import Measurement
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.coordinates import Coordinates
-from modalax.diagnose.modal_domain.explain import one_cause
+from modalax.diagnose.modal_domain.explain import Explanation, one_cause
 from modalax.diagnose.modal_domain.fit import SMALLEST
 from modalax.diagnose.modal_domain.inaccuracy import CLAIMED, Inaccuracy, own_damping
 from modalax.diagnose.modal_domain.measured import Measured
@@ -21,20 +22,38 @@ from modalax.diagnose.thresholds import THRESHOLDS
 from modalax.model import Structure
 
 
-def elements_show(measurement: Measurement, simulation: Structure, measured: Measured, late: Deadline) -> bool:
-    """Whether the measured modes are those of a simulation that is off in its elements, not mode by mode."""
+@dataclass(frozen=True)
+class ClaimCompared:
+    """What the measured modes say of a claim that modes are off.
+
+    Attributes
+    ----------
+    elements_show
+        Whether the modes are those of a simulation that is off in its elements, not mode by mode.
+    by_modes
+        The explanations by frequencies and damping ratios that are off, with at most one cause beside them, by falling
+        probability.
+    """
+
+    elements_show: bool = False
+    by_modes: Sequence[Explanation] = ()
+
+
+def compared(measurement: Measurement, simulation: Structure, measured: Measured, late: Deadline) -> ClaimCompared:
+    """Explain the measured modes as its author claims they are off, and by elements where that leaves something."""
     if not len(measured.features.poles):
-        return False
+        return ClaimCompared()
     task = posed(measurement, simulation, measured)
     highest = 2 * np.pi * float(measurement.freq[-1])
-    by_modes = replace(task.setting, inaccuracy=off_by_modes(simulation, task.coordinates, highest))
-    alone = one_cause(by_modes, task.candidates, late)
-    if alone and alone[0].misfit <= THRESHOLDS.misfit:  # as its author claims
-        return False
+    claimed = replace(task.setting, inaccuracy=off_by_modes(simulation, task.coordinates, highest))
+    alone = one_cause(claimed, task.candidates, late)
+    if alone and alone[0].misfit <= THRESHOLDS.misfit:
+        return ClaimCompared(by_modes=alone)
     bent = one_cause(task.setting, task.candidates, late)
     if late() or not bent or bent[0].misfit > THRESHOLDS.misfit:
-        return False
-    return not alone or alone[0].misfit > THRESHOLDS.elements_lead * max(bent[0].misfit, 1.0)
+        return ClaimCompared(by_modes=alone)
+    ahead = not alone or alone[0].misfit > THRESHOLDS.elements_lead * max(bent[0].misfit, 1.0)
+    return ClaimCompared(ahead, alone)
 
 
 def off_by_modes(simulation: Structure, c: Coordinates, highest: float) -> Inaccuracy:

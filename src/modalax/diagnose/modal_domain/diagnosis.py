@@ -28,7 +28,7 @@ from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.forced import Forced, force_beside, force_rivals, force_said, force_told
 from modalax.diagnose.modal_domain.held_out import gain_of
-from modalax.diagnose.modal_domain.judged import judge, of_the_joint, standing_out
+from modalax.diagnose.modal_domain.judged import inaccuracy_of_fit, judge, of_the_joint, standing_out
 from modalax.diagnose.modal_domain.levels.answer import causes_told, judge_levels, rivals_told
 from modalax.diagnose.modal_domain.levels.explain import JointFound
 from modalax.diagnose.modal_domain.levels.laws import NAMED
@@ -140,14 +140,14 @@ class ModalDiagnosis(Diagnosis):
     @property
     def _linear(self) -> list[dict[str, Any]]:
         core, sure = standing_out(self.stage, self.chosen), self.sets[0].probability
-        told, covariance = [], self.chosen.fit.covariance
+        told, covariance, off = [], self.chosen.fit.covariance, inaccuracy_of_fit(self.stage, self.chosen)
         for k, (c, u) in enumerate(with_sizes(self.chosen.causes, self.chosen.fit.u)):
             if c not in core:
                 continue
             own = own_sizes(self.chosen.causes, k)
             told.append(
                 {"name": c.slug, "where": list(c.where), "probability": float(min(sure, 1.0)),
-                 "parameters": c.told(u, covariance[own, own])}
+                 "parameters": c.told(u, covariance[own, own] + c.variance_beside(u, off))}
             )  # fmt: skip
         return told
 

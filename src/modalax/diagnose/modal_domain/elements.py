@@ -92,7 +92,7 @@ def nodes_of(dofs: tuple[str, ...]) -> Nodes:
     return Nodes([np.array(v) for v in found.values()], axis, sign)
 
 
-def _moves(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def rigid_moves(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Rigid motion at axes ``b`` of a node by that at axes ``a`` of another: constant, and by each component of r."""
     out = np.zeros((4, len(b), len(a)))
     out[0] = (b[:, None] == a) & (b[:, None] >= 0)
@@ -170,7 +170,7 @@ def _ends(
     """Diagonal blocks of what couples two nodes by ``block`` and does not resist rigid motion."""
     if (a < 0).any() or (b < 0).any():
         return -np.diag(block.sum(axis=1)), -np.diag(block.sum(axis=0))
-    forth, back = _moves(a, b), _moves(b, a)
+    forth, back = rigid_moves(a, b), rigid_moves(b, a)
     back[1:] *= -1
     at_a = -np.einsum("xy,ryz->rxz", block, forth) / size_a[:, None] / size_a
     at_b = -np.einsum("xy,rxz->ryz", block, back) / size_b[:, None] / size_b

@@ -109,6 +109,11 @@ def inaccuracy_of(simulation: Structure, c: Coordinates, highest: float) -> Inac
     return every
 
 
+def claims_of(a: Inaccuracy) -> dict[str, float]:
+    """Sizes that the author claims, by the group that they are of."""
+    return {name: float(u) for name, u, told in zip(a.groups, a.usual, a.claimed, strict=True) if told}
+
+
 def with_group(
     a: Inaccuracy, group: str, patterns: np.ndarray, usual: float, spread: float, claimed: bool = False,
     positive: bool = False,

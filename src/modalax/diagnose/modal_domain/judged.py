@@ -9,7 +9,7 @@ from modalax.diagnose.decision.beyond import BeyondUsual, ModalCase, Names, moda
 from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.fit import LARGEST, widths
-from modalax.diagnose.modal_domain.inaccuracy import TOLD, WITHIN
+from modalax.diagnose.modal_domain.inaccuracy import TOLD, WITHIN, claims_of
 from modalax.diagnose.modal_domain.levels.slipping import part_of_joint
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.thresholds import THRESHOLDS
@@ -61,6 +61,7 @@ def judge(stage: Stage) -> Judged:
         None if plain is None else best.log_posterior - plain.log_posterior, THRESHOLDS,
         None if stage.odd is None else (stage.odd.name, stage.odd.nats),
         tuple((c.slug, c.where) for c in small if not c.absent) if needs(stage, best, small) else (),
+        {name: size for name, size in claims_of(stage.setting.inaccuracy).items() if name in ("stiffness", "mass")},
     )  # fmt: skip
     word, reasons = modal_verdict(case)
     alone = word == "clean" and plain is not None and not any(of_the_joint(stage, c) for c in best.causes)

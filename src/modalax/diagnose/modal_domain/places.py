@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from modalax.diagnose.modal_domain.causes import ALL, Change
+from modalax.diagnose.modal_domain.connections import flexible_ends
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.elements import Nodes, Part, nodes_of
 from modalax.diagnose.modal_domain.given_elements import softened_elements, springs_within, told_parts
@@ -23,7 +24,7 @@ HELD, SUPPORTED = 6, 1e-5  # most DoFs of one support; stiffness, relative to al
 # Chances of places of springs and dampers relative to each other, each shared out among its places
 SHARES = {
     "named": 0.4, "spring": 0.3, "element": 0.2, "support": 0.15, "coupled": 0.05, "plane": 0.05, "ground": 0.05,
-    "apart": 0.03,
+    "apart": 0.03, "end": 0.1,
 }  # fmt: skip
 FEW = 80  # DoFs of which any two may be joined by a spring that the simulation has not; of more, the measured ones
 ABSENT = "ground", "apart"  # places where the simulation has no spring that could be off
@@ -134,7 +135,9 @@ def _elements(simulation: Structure, c: Coordinates, nodes: Nodes) -> list[Chang
     K = np.asarray(simulation.K)
     size = np.sqrt(np.maximum(np.diag(K), 1e-300))
     out = softened_elements(simulation, c, JOINT)
-    parts = parts_of(K, nodes) if not out else []
+    parts = parts_of(K, nodes) if not out else told_parts(simulation, nodes)
+    ends = flexible_ends(parts, nodes, simulation.dofs, c, JOINT)
+    parts = parts if not out else []
     for part in (p for p in parts if len(p.nodes) == 2 and len(p.dofs) > 2):
         for p in (part, *planes_of(part)):
             where = tuple(simulation.dofs[k] for k in ends_of(p, nodes))
@@ -151,7 +154,9 @@ def _elements(simulation: Structure, c: Coordinates, nodes: Nodes) -> list[Chang
         out.append(Change("joint_stiffness", (simulation.dofs[k],), JOINT, pattern=pattern))
     pieces = sum(e.piece for e in out)
     shares = {False: SHARES["element"] / max(len(out) - pieces, 1), True: SHARES["plane"] / max(pieces, 1)}
-    return [replace(e, weight=shares[e.piece]) for e in out]
+    return [replace(e, weight=shares[e.piece]) for e in out] + [
+        replace(e, weight=SHARES["end"] / len(ends)) for e in ends
+    ]
 
 
 def springs_of(

@@ -73,16 +73,21 @@ class Explanation:
         return self.ranked[0].best if self.ranked else self.look.null
 
 
-def explain(look: Look, causes: Sequence[Cause], named: Sequence[NamedCause] = ()) -> Explanation:
+def explain(
+    look: Look, causes: Sequence[Cause], named: Sequence[NamedCause] = (), only_named: bool = False
+) -> Explanation:
     """Search single causes, then one more at a time, if the residual of the simulation is more than noise.
 
-    What is ``named`` before stands for the search of single causes where it explains all.
+    What is ``named`` before stands for the search of single causes where it explains all; where it does not, nothing
+    is searched for if ``only_named``.
     """
     leftover = Leftover(alarm=look.detection.p_value)
     nothing = Explanation(look, look.comparison, [], leftover, look.omnibus)
     if not look.detection.anything:
         return nothing
     before, known = explained_by(look, named, causes)
+    if only_named and not before:
+        return nothing
     look = look if before or not named else first_look(look.comparison, causes)
     fitted = before or singles(look, causes)
     ranked = weigh(look, fitted)
