@@ -22,10 +22,12 @@ from modalax.diagnose.modal_domain.throughout import start_in, with_more
 from modalax.diagnose.thresholds import THRESHOLDS
 
 NONE = 0.5  # probability before the data that nothing stands out
-SECOND = 1e-4  # the same of a second cause, given a first one: what a first one leaves is mostly error of the model
+SECOND = 1e-4  # the same of each further cause, given the others: what they leave is mostly error of the model
 NEAR = 12.0  # nats behind the best up to which other places are fitted
 WORTH = 4.0  # nats that a further cause must promise beyond the cost of its prior probability
 MOST = 2  # causes in one answer
+MANY, CHAINS = 4, 2  # the same where the inaccuracy would be far from usual, and first causes that others are added to
+FAR = 3.0  # times as large as usual from which on an inaccuracy of stiffness or mass is far from it
 AGAIN = 6  # leading explanations that are fitted again together with the rest that no element explains
 
 
@@ -73,8 +75,8 @@ class Prior:
         """Of a set."""
         if not causes:
             return math.log(NONE)
-        order = math.log((1 - NONE) * (1 - SECOND) if len(causes) == 1 else (1 - NONE) * SECOND)
-        return order + sum(self.one(c) for c in causes)
+        order = math.log((1 - NONE) * (1 - SECOND)) if len(causes) == 1 else math.log(1 - NONE)
+        return order + (len(causes) - 1) * math.log(SECOND) + sum(self.one(c) for c in causes)
 
 
 @dataclass
@@ -186,6 +188,7 @@ def _all_steps(
         if late():
             return
     _attached(setting, found, candidates, prior, late)
+    _several(setting, found, candidates, prior, late)
     search.setting, search.found = setting, found = _beside_a_factor(search.bare, setting, found, prior)
     search.setting, search.found = setting, found = _beside_the_rest(setting, found, prior, late)
     for _ in range(MOST):
@@ -229,6 +232,35 @@ def _attached(
         if late():
             return
         _try(setting, found, (cause,), u, None)
+
+
+def _several(
+    setting: Setting, found: dict[tuple[Change, ...], Fit], candidates: list[Change], prior: Prior,
+    late: Callable[[], bool],
+) -> None:  # fmt: skip
+    """Add one cause after the other where all elements would be far more off than usual.
+
+    Of several things that are wrong each one alone explains little beside what is learnt of all elements; they show
+    where the inaccuracy is held to its usual size until they are found.
+    """
+    ranked, usual = _ranked(found, prior), setting.inaccuracy.usual
+    matrices = np.isin(setting.inaccuracy.groups, ("stiffness", "mass"))
+    if not (ranked[0].fit.epsilon > FAR * usual)[matrices].any():
+        return
+    for e in [e for e in ranked if len(e.causes) == 1 and e.causes[0].local][:CHAINS]:
+        f = e.fit
+        while len(f.causes) < MANY and not late():
+            about = replace(f, epsilon=np.minimum(f.epsilon, usual))
+            value = scores(setting, about, candidates)[0] + prior.each(candidates) + math.log(SECOND)
+            value[[k for k, c in enumerate(candidates) if c in f.causes]] = -np.inf
+            cause = candidates[int(np.argmax(value))]
+            u = np.append(f.u, cause.of_size(0.0))
+            wider = fit(setting, (*f.causes, cause), without_causes(about), u, temperatures=(3.0,))
+            if value.max() < WORTH or wider is None or not _possible(wider):
+                break
+            f, key = wider, _key((*f.causes, cause))
+            if key not in found or f.log_evidence > found[key].log_evidence:
+                found[key] = f
 
 
 def _beside_a_factor(

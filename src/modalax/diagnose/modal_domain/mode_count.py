@@ -20,7 +20,7 @@ FURTHER = 12  # most modes added in one round
 COARSE = 6  # steps of a refinement while modes are still added and dropped
 ROUNDS = 16  # most rounds of adding and dropping
 AT_ONCE = 0.1  # share of the best candidate's gain from which others are added in the same round
-BEYOND = 0.1  # part of the band's ends by which a mode may lie outside
+BEYOND, NEARBY = 0.2, 10  # part of the band's ends by which a mode may lie outside, and places there that are tried
 MOST = 80  # modes in one band
 LINES = 4  # fewest lines per mode
 
@@ -133,7 +133,7 @@ def _worth_keeping(found: Projected, channels: Channels) -> np.ndarray:
 def further_poles(found: Projected, channels: Channels) -> np.ndarray:
     """Poles that the residual asks for, the likeliest first."""
     rest = channels.weight * (channels.data - found.made(channels))
-    grid = np.abs(channels.s[:: max(1, len(channels.s) // CANDIDATES)])
+    grid = _grid(np.abs(channels.s))
     spacing = np.median(np.diff(np.abs(channels.s)))
     best, where = np.zeros(len(grid)), np.zeros(len(grid), complex)
     for zeta in DAMPINGS:
@@ -152,6 +152,15 @@ def further_poles(found: Projected, channels: Channels) -> np.ndarray:
     return np.array(chosen[:FURTHER], complex)
 
 
+def _grid(lines: np.ndarray) -> np.ndarray:
+    """Frequencies at which further modes are looked for: lines, and some on either side of the band, where tails end."""
+    low, high = (
+        np.linspace(1 - BEYOND, 1, NEARBY, endpoint=False) * lines[0],
+        lines[-1] * (1 + np.linspace(0, BEYOND, NEARBY + 1)[1:]),
+    )
+    return np.concatenate([low[low > 0], lines[:: max(1, len(lines) // CANDIDATES)], high])
+
+
 def _scanned(poles: np.ndarray, rest: np.ndarray, channels: Channels) -> np.ndarray:
     """Chi-square that each of some poles of rising frequency gains.
 
@@ -163,6 +172,8 @@ def _scanned(poles: np.ndarray, rest: np.ndarray, channels: Channels) -> np.ndar
         first = int(np.searchsorted(w, poles[part[0]].imag - REACH * half[part[0]]))
         last = int(np.searchsorted(w, poles[part[-1]].imag + REACH * half[part[-1]], "right"))
         inside = slice(first, last)
+        if last - first < LINES:
+            continue
         apart = np.diff(w[inside])
         stride = max(1, int(FINE * half[part[0]] / apart.max())) if len(apart) else 1
         edges = np.arange(0, last - first, stride)
