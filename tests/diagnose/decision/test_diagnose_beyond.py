@@ -62,6 +62,15 @@ def test_nothing_is_said_of_a_comparison_that_was_not_made():
     )
 
 
+@pytest.mark.parametrize(("claims", "far"), [({"stiffness": 0.001}, True), ({"stiffness": 0.002, "mass": 5e-4}, True),
+                                             ({"stiffness": 0.002}, False), ({}, False)])  # fmt: skip
+def test_elements_are_not_off_by_far_more_than_their_author_says(claims, far):
+    """Of 1 % in stiffness and 0.5 % in mass where a tenth of it is claimed, with a cause or without."""
+    for found in (case((1.0, SPRING)), case((1.0,))):
+        word, reasons = modal_verdict(replace(found, claims=claims))
+        assert (word == "unknown") == far and ("is claimed" in reasons[0]) == far
+
+
 @pytest.mark.parametrize(
     ("slug", "whole", "expected"),
     [

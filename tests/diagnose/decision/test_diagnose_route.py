@@ -7,7 +7,16 @@ import pytest
 
 from modalax.data import Measurement
 from modalax.diagnose.causes import catalogue
-from modalax.diagnose.decision.route import Outcome, Task, choice, one_place_first, order, settled, suffices
+from modalax.diagnose.decision.route import (
+    Outcome,
+    Task,
+    choice,
+    elements_surely,
+    one_place_first,
+    order,
+    settled,
+    suffices,
+)
 from modalax.diagnose.routes import task_of
 from modalax.model import Structure
 
@@ -92,6 +101,9 @@ def test_one_force_is_looked_for_first_where_that_is_quick_and_can_be_right(task
         (replace(SURE, group=True), SMALL, True),  # which lines know nothing of
         (replace(SURE, group=True, held_out=1.3), SMALL, False),
         (Outcome("unknown", 1.05, 0.3, inaccuracy=EXACT, group=True), SMALL, False),
+        (replace(SURE, inaccuracy=MAYBE, of_elements=True), SMALL, True),  # lines have no such cause
+        (replace(SURE, inaccuracy=MAYBE, of_elements=True, probability=0.99), SMALL, False),
+        (replace(SURE, inaccuracy=MAYBE), SMALL, False),
         (SURE, replace(SMALL, places=121.0), True),
         (replace(SURE, probability=0.99), replace(SMALL, places=121.0), False),
         (replace(SURE, alternatives=1), replace(SMALL, places=121.0), False),
@@ -181,3 +193,10 @@ def test_causes_that_modes_do_not_know_are_looked_for_line_by_line():
         asked = [c for c in catalogue() if c.slug in slugs]
         assert {c.slug for c in asked} == set(slugs)
         assert order(task_of(data, structure, "fixed", asked)) == expected
+
+
+def test_whatever_is_claimed_of_modes_a_sure_cause_beside_elements_that_are_off_is_the_answer():
+    sure = replace(SURE, inaccuracy=OFF)
+    assert elements_surely(sure) and not elements_surely(replace(sure, inaccuracy=MAYBE))
+    for doubt in ({"probability": 0.99}, {"alternatives": 1}, {"left": 1e-3}, {"verdict": "clean"}):
+        assert not elements_surely(replace(sure, **doubt))

@@ -7,13 +7,15 @@ import pytest
 import scipy.linalg
 from chains_off import DOFS, FREQ, MASSES, SPRINGS, ZETA, as_measured, chain_off, matrices, response
 
+from modalax.diagnose import diagnose, pipeline
 from modalax.diagnose.deadline import NEVER
 from modalax.diagnose.decision.route import by_claim, order
 from modalax.diagnose.modal_domain.claimed_modes import compared, off_by_modes
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
+from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis
 from modalax.diagnose.modal_domain.discrepancy import _root
 from modalax.diagnose.modal_domain.stage import identified
-from modalax.diagnose.routes import task_of
+from modalax.diagnose.routes import named_beside_claim, task_of
 from modalax.model import Structure
 
 CLAIMED = Structure(*matrices(MASSES, SPRINGS, ZETA), DOFS, frequency_std=0.01, damping_std=0.2)
@@ -42,6 +44,29 @@ def test_elements_that_are_off_bend_shapes_as_no_frequency_does(structure, mass,
     task = task_of(data, CLAIMED, "auto")
     assert by_claim(task)
     assert order(replace(task, elements_show=elements))[0] == ("modes" if elements else "lines")
+
+
+def answered(structure, gain, monkeypatch):
+    """The answer, its stages in words, and whether places of one force were looked for."""
+    M, C, K = structure
+    H = response(M, C, K, FREQ)
+    H[:, 1] *= gain
+    stages, asked = [], []
+    monkeypatch.setattr(pipeline, "places_of_one_force", lambda *a: asked.append(1) or ())
+    found = diagnose(as_measured(H, FREQ, 7), CLAIMED, progress=stages.append, time=300.0)
+    return found, stages, bool(asked)
+
+
+def test_what_modes_name_beside_modes_as_claimed_is_fitted_to_lines_before_all_else(monkeypatch):
+    found, stages, asked = answered(off_mode_by_mode(7), 1.3, monkeypatch)
+    assert found.verdict == "named" and not asked
+    assert [(c["name"], c["where"]) for c in found.causes] == [("channel_gain", [DOFS[1]])]
+    gain = found.causes[0]["parameters"]["gain"]
+    assert abs(gain["value"] - 0.3) < 4 * gain["std"] < 0.1
+    assert not isinstance(found, ModalDiagnosis) and "screening every cause" in " ".join(stages)
+    measured = identified(as_measured(response(*off_mode_by_mode(7), FREQ), FREQ, 7), CLAIMED, lambda _: None)
+    data = as_measured(response(*off_mode_by_mode(7), FREQ), FREQ, 7)
+    assert named_beside_claim(compared(data, CLAIMED, measured, NEVER)) == []  # nothing is wrong
 
 
 def test_each_mode_is_off_by_a_frequency_of_its_own_and_by_nothing_else():

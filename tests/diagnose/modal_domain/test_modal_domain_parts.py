@@ -403,3 +403,27 @@ def test_sizes_are_learnt_at_the_mean_or_where_a_fit_stands():
     np.testing.assert_allclose(linear.learnt(start, 1.0, 100), rms(x), rtol=1e-3)
     expected = np.minimum(rms(stands), [LARGEST["stiffness"], LARGEST["damping"]])
     np.testing.assert_allclose(linear.learnt(start, 1.0, 100, stands), expected, rtol=1e-3)
+
+
+@pytest.mark.parametrize("above", [1.04, 1.11])
+def test_a_mode_just_beyond_the_band_is_no_error_of_those_inside(above):
+    """What reaches into the band from a mode that nothing else stands for is not taken for other modes' residues."""
+    w, zeta = 2 * np.pi * np.array([20.0, 31.0, 50.0 * above]), np.array([0.01, 0.012, 0.01])
+    poles = w * (-zeta + 1j * np.sqrt(1 - zeta**2))
+    shapes = np.array([[1.0, 0.6, -0.8], [0.7, -1.0, 0.5], [0.4, 0.9, 1.0]])
+    s = 2j * np.pi * np.linspace(10.0, 50.0, 300)
+    H = sum(
+        np.outer(1 / (s - p) / (2j * p.imag) - 1 / (s - p.conj()) / (2j * p.imag), shape * shape[0])
+        for p, shape in zip(poles, shapes, strict=True)
+    )
+    sigma = 0.003 * np.sqrt((np.abs(H) ** 2).mean(axis=0)) * np.ones(H.shape)
+    rng = np.random.default_rng(4)
+    noise = (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)) / np.sqrt(2)
+    channels = Channels(s, H + sigma * noise, 2 / sigma**2, 0, np.zeros(0, complex))
+    found = blind_modes(channels)
+    assert misfit(found, channels) < 1.1
+    f = features_of(found, 3, 1, 1.0)
+    for p in poles[:2]:
+        k = int(np.argmin(np.abs(f.poles - p)))
+        std = np.abs(found.poles[k].real) * 0.02
+        assert abs(f.poles[k] - p) < std

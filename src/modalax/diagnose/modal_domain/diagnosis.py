@@ -283,9 +283,11 @@ def _diagnosed(
     judged = judge(stage)
     chosen, inaccuracy = judged.chosen, inaccuracy_told(stage.setting, judged.likeliest.fit)
     joined, further = judge_levels(stage.seen, stage.whole)
-    throughout = throughout_told(stage.setting, judged.likeliest.fit)
+    explained = judged.likeliest.misfit <= THRESHOLDS.misfit  # what a fit that failed has learnt is no finding
+    throughout = throughout_told(stage.setting, judged.likeliest.fit) if explained else {}
     word = outweighing(judged.word, joined)
-    reasons = [said(inaccuracy), *throughout_said(throughout), *judged.reasons, *further]
+    reasons = [said(inaccuracy)] if explained else []
+    reasons += [*throughout_said(throughout), *judged.reasons, *further]
     reasons += [
         f"{cause_at(c.slug, c.where)} of {c.size(u):.3g} {UNITS[c.slug][1]} counts as that joint's own at low amplitude"
         for c, u in with_sizes(chosen.causes, chosen.fit.u) if of_the_joint(stage, c) and stage.whole is None
