@@ -84,6 +84,15 @@ def test_springs_supports_and_points_without_directions_have_no_ends():
     assert flexible_ends([Part((0,), np.array([0]), np.eye(1))], loose, S.dofs, c, 0.4) == []
 
 
+def test_parts_of_no_node_or_of_three_have_no_ends():
+    nodes, S = nodes_of(DOFS), frames.simulation()
+    c = coordinates_of(S, DOFS[:2], DOFS[:1], HIGHEST)
+    clamped = next(p for p in parts_of(np.asarray(S.K), nodes) if len(p.nodes) == 1 and len(p.dofs) == 2)
+    assert len(flexible_ends([clamped], nodes, DOFS, c, 0.4)) == 1
+    for other in ((), (0, 1, 2)):
+        assert flexible_ends([Part(other, clamped.dofs, clamped.matrix)], nodes, DOFS, c, 0.4) == []
+
+
 def test_elements_that_are_told_have_ends_too():
     S, nodes = frames.simulation(), nodes_of(DOFS)
     part = next(p for p in parts_of(np.asarray(S.K), nodes) if set(p.nodes) == {2, 3})

@@ -62,7 +62,7 @@ def flexible_ends(parts: list[Part], nodes: Nodes, dofs: tuple[str, ...], c: Coo
     ``usual`` is the share of stiffness that is lost where something is wrong.
     """
     out, at = [], [c.names.index(name) for name in dofs]
-    for part in parts:
+    for part in (p for p in parts if 1 <= len(p.nodes) <= 2):
         for where, v, own in _of_pair(part, nodes) if len(part.nodes) == 2 else _of_root(part, nodes):
             if (np.abs(v) > NEGLIGIBLE * np.abs(v).max()).sum() < 2 + (len(part.nodes) == 2):
                 continue  # a spring, as in torsion, is a candidate by itself
