@@ -132,6 +132,8 @@ def test_where_a_beam_gives_way_is_named_beside_elements_that_are_off(element, e
     (cause,) = found.causes
     node = f"{element + 1}:+RY"
     assert cause["name"] == "joint_stiffness" and node in cause["where"]
+    turns = "turns against its clamp" if element == 0 else f"turns against its node at {cause['where'][0]}"
+    assert any(turns in reason for reason in found.reasons)
     told = cause["parameters"]["rotational_stiffness"]
     assert abs(told["value"] - rigid / 2) < 3 * told["std"] < 0.6 * rigid
     assert found.gain.chi2_after < 1.1 < found.gain.chi2_before

@@ -177,6 +177,10 @@ class Change:
         name += "_in_plane" if self.piece else ""
         return {name: {"value": float(u[0]) * self.scale, "std": std, "unit": unit}}
 
+    def said(self) -> str:
+        """What it means, in a sentence, where its name does not tell."""
+        return ""
+
     def variance_beside(self, u: np.ndarray, off: Mapping[str, float]) -> np.ndarray | float:
         """What is added to the covariance of its sizes as the element that it acts on is itself ``off`` in general."""
         return 0.0

@@ -43,6 +43,13 @@ class FlexibleEnd(Change):
         """What is rigid can only give way."""
         return False
 
+    def said(self) -> str:
+        """That an end is not rigid, and which."""
+        if len(self.where) == 1:
+            return f"the element at {self.where[0]} turns against its clamp, which the simulation has as rigid"
+        a, b = self.where
+        return f"the element from {a} to {b} turns against its node at {a}, where the simulation has it as rigid"
+
     def variance_beside(self, u: np.ndarray, off: Mapping[str, float]) -> np.ndarray | float:
         r"""An element stiffer by a share :math:`\delta` loses more stiffness, by :math:`\kappa(2-\kappa)\delta`."""
         lost = -self.size(u)

@@ -292,6 +292,8 @@ def _diagnosed(
         f"{cause_at(c.slug, c.where)} of {c.size(u):.3g} {UNITS[c.slug][1]} counts as that joint's own at low amplitude"
         for c, u in with_sizes(chosen.causes, chosen.fit.u) if of_the_joint(stage, c) and stage.whole is None
     ]  # fmt: skip
+    if word != "clean":
+        reasons += [c.said() for c in standing_out(stage, chosen) if c.said()]
     if not stage.in_time:
         reasons.append("time was up before every explanation had been tried")
     tell("predicting the held-out data")
