@@ -6,7 +6,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import threading
 from pathlib import Path
 
 import jaxlib.version
@@ -32,7 +31,6 @@ os.environ.setdefault("XLA_FLAGS", " ".join(FLAGS))
 
 import jax  # noqa: E402
 import matplotlib  # noqa: E402
-from jax._src.interpreters import mlir  # noqa: E402
 
 # A plugin of pytest may have loaded NumPy before the numbers of threads above were set.
 threadpoolctl.threadpool_limits(1, user_api="blas")
@@ -43,36 +41,6 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_traceback_in_locations_limit", 0)  # no lines of Python beside each operation of a program
 PROGRAMS = pytest.StashKey[str]()
 WORTH = 0.1  # seconds of compilation; to write down a smaller program takes longer than others save by it
-SHARE = 200  # programs that are written down in one context: few enough that it does not keep many of their constants
-
-
-def share_contexts():
-    """Let a thread write many programs down in one context of MLIR: to make one takes as long as a small program.
-
-    A program that is written down in the midst of another gets a context of its own, or it would become a part of the
-    other. This is no part of JAX's public interface; where it has other names nothing is shared.
-    """
-    make, own = getattr(mlir, "make_ir_context", None), threading.local()
-
-    def amidst_another():
-        try:
-            return mlir.ir.Context.current is not None
-        except ValueError:  # older versions say so that there is none
-            return False
-
-    def next_context():
-        if amidst_another():
-            return make()
-        if not getattr(own, "left", 0):
-            own.context, own.left = make(), SHARE
-        own.left -= 1
-        return own.context
-
-    if make is not None and hasattr(mlir, "ir"):
-        mlir.make_ir_context = next_context
-
-
-share_contexts()
 
 
 def pytest_configure(config):
@@ -102,7 +70,7 @@ def pytest_collection_finish():
     """JAX makes many small objects that stay or go by themselves: look for garbage among them seldom."""
     gc.collect()
     gc.freeze()
-    gc.set_threshold(1_000_000, 5, 50)
+    gc.set_threshold(200_000, 20, 50)
     gc.enable()
 
 

@@ -66,7 +66,14 @@ class FlexibleEnd(Change):
 def flexible_ends(parts: list[Part], nodes: Nodes, dofs: tuple[str, ...], c: Coordinates, usual: float) -> list[Change]:
     """Every rotation of an element's end that bends it, told at the rotations of both ends, or at that of the free one.
 
-    ``usual`` is the share of stiffness that is lost where something is wrong.
+    Parameters
+    ----------
+    parts
+        Elements over ``dofs``, whose nodes are ``nodes``; those of one or two nodes have ends.
+    c
+        The simulation in modal coordinates.
+    usual
+        Share of the stiffness that is lost where something is wrong.
     """
     out, at = [], [c.names.index(name) for name in dofs]
     for part in (p for p in parts if 1 <= len(p.nodes) <= 2):

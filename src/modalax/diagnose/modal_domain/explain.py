@@ -253,10 +253,12 @@ def _several(
             about = replace(f, epsilon=np.minimum(f.epsilon, usual))
             value = scores(setting, about, candidates)[0] + prior.each(candidates) + math.log(SECOND)
             value[[k for k, c in enumerate(candidates) if c in f.causes]] = -np.inf
+            if value.max() < WORTH:
+                break
             cause = candidates[int(np.argmax(value))]
             u = np.append(f.u, cause.of_size(0.0))
             wider = fit(setting, (*f.causes, cause), without_causes(about), u, temperatures=(3.0,))
-            if value.max() < WORTH or wider is None or not _possible(wider):
+            if wider is None or not _possible(wider):
                 break
             f, key = wider, _key((*f.causes, cause))
             if key not in found or f.log_evidence > found[key].log_evidence:

@@ -154,10 +154,8 @@ def further_poles(found: Projected, channels: Channels) -> np.ndarray:
 
 def _grid(lines: np.ndarray) -> np.ndarray:
     """Frequencies at which further modes are looked for: lines, and some on either side of the band."""
-    low, high = (
-        np.linspace(1 - BEYOND, 1, NEARBY, endpoint=False) * lines[0],
-        lines[-1] * (1 + np.linspace(0, BEYOND, NEARBY + 1)[1:]),
-    )
+    beyond = BEYOND * np.linspace(0, 1, NEARBY + 1)[1:]
+    low, high = lines[0] * (1 - beyond[::-1]), lines[-1] * (1 + beyond)
     return np.concatenate([low[low > 0], lines[:: max(1, len(lines) // CANDIDATES)], high])
 
 
