@@ -54,17 +54,27 @@ def measured(mounts: np.ndarray, wrong: dict[int, float], off: float, seed: int 
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("soft", [4, 3])
-def test_mounts_that_are_softer_are_named_one_by_one_beside_an_exact_machine(soft):
+@pytest.mark.parametrize(
+    ("soft", "off", "claims"),
+    [(4, 0.0, {}), (4, 0.01, {"stiffness_std": 0.01}), (4, 0.02, {}), (3, 0.0, {}), (2, 0.005, {})],
+)
+def test_mounts_that_are_softer_by_one_factor_are_named_one_by_one(soft, off, claims):
     mounts = np.where(np.arange(4) < soft, 0.7, 1.0)
-    found = diagnose_modes(measured(mounts, {}, 0.0), simulation())
+    found = diagnose_modes(measured(mounts, {}, off), simulation(**claims))
     assert found is not None and found.verdict == "named", found.reasons
     told = {c["where"][0]: c["parameters"]["stiffness"] for c in found.causes}
     assert set(told) == set(DOFS[:soft]) and {c["name"] for c in found.causes} == {"joint_stiffness"}
     for k in range(soft):
         value = told[DOFS[k]]
-        assert abs(value["value"] + 0.3 * MOUNTS[k]) < 4 * value["std"] < 0.02 * MOUNTS[k]
-    assert found.inaccuracy["stiffness"]["value"] < 1e-3
+        assert abs(value["value"] + 0.3 * MOUNTS[k]) < 4 * value["std"] + 2 * off * MOUNTS[k] < 0.2 * MOUNTS[k]
+    assert any("one and the same factor" in reason for reason in found.reasons)
+
+
+def test_mounts_that_are_softer_by_factors_of_their_own_are_named_too():
+    found = diagnose_modes(measured(np.array([0.8, 0.7, 0.6, 1.0]), {}, 0.0), simulation())
+    assert found is not None and found.verdict == "named", found.reasons
+    told = {c["where"][0]: c["parameters"]["stiffness"]["value"] for c in found.causes}
+    assert told == {f"foot {k + 1}": pytest.approx(-lost * MOUNTS[k], rel=0.02) for k, lost in enumerate((0.2, 0.3, 0.4))}
 
 
 def test_two_springs_off_in_either_way_are_both_named_beside_elements_that_are_off():

@@ -1,6 +1,6 @@
 """Causes as finite changes in the modal domain, with their place, usual size and effect."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from modalax.diagnose.causes import Cause
 from modalax.diagnose.causes.channels import CommonDelay
+from modalax.diagnose.decision.beyond import Names
 
 KIND_OF = {
     "added_mass": "M", "joint_stiffness": "K", "local_damper": "C", "modal_damping": "C", "element_group": "K",
@@ -78,6 +79,16 @@ class Change:
     def local(self) -> bool:
         """Whether it changes matrices."""
         return bool(self.kind)
+
+    @property
+    def told_as(self) -> Names:
+        """Names and places that the answer tells it by."""
+        return ((self.slug, self.where),)
+
+    def shares_place(self, causes: Iterable["Change"]) -> bool:
+        """Whether one of several places that it is told at, or that one of ``causes`` is, is another's as well."""
+        own = set(self.told_as)
+        return any(own & set(c.told_as) for c in causes if len(own) > 1 or len(c.told_as) > 1)
 
     @property
     def in_structure(self) -> bool:
@@ -176,6 +187,10 @@ class Change:
         std = float(np.sqrt(max(covariance[0, 0], 0.0))) * self.scale
         name += "_in_plane" if self.piece else ""
         return {name: {"value": float(u[0]) * self.scale, "std": std, "unit": unit}}
+
+    def told_each(self, u: np.ndarray, covariance: np.ndarray) -> list[dict[str, Any]]:
+        """Name, place and parameters of what the answer tells it as."""
+        return [{"name": self.slug, "where": list(self.where), "parameters": self.told(u, covariance)}]
 
     def said(self) -> str:
         """What it means, in a sentence, where its name does not tell."""

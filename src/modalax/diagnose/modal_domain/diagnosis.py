@@ -145,10 +145,8 @@ class ModalDiagnosis(Diagnosis):
             if c not in core:
                 continue
             own = own_sizes(self.chosen.causes, k)
-            told.append(
-                {"name": c.slug, "where": list(c.where), "probability": float(min(sure, 1.0)),
-                 "parameters": c.told(u, covariance[own, own] + c.variance_beside(u, off))}
-            )  # fmt: skip
+            variance = covariance[own, own] + c.variance_beside(u, off)
+            told += [{**each, "probability": float(min(sure, 1.0))} for each in c.told_each(u, variance)]
         return told
 
     @property

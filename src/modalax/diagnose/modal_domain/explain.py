@@ -197,6 +197,7 @@ def _all_steps(
             return
         if best.causes:
             _fewer(setting, found, best.fit)
+            _apart(setting, found, best.fit, candidates)
             _neighbours(setting, found, best.fit, candidates, prior, late)
             best = _ranked(found, prior)[0]
         if len(best.causes) >= MOST or not _further(setting, found, best.fit, candidates, prior, late):
@@ -252,7 +253,7 @@ def _several(
         while len(f.causes) < MANY and not late():
             about = replace(f, epsilon=np.minimum(f.epsilon, usual))
             value = scores(setting, about, candidates)[0] + prior.each(candidates) + math.log(SECOND)
-            value[[k for k, c in enumerate(candidates) if c in f.causes]] = -np.inf
+            value[[k for k, c in enumerate(candidates) if c in f.causes or c.shares_place(f.causes)]] = -np.inf
             if value.max() < WORTH:
                 break
             cause = candidates[int(np.argmax(value))]
@@ -332,6 +333,17 @@ def _fewer(setting: Setting, found: dict[tuple[Change, ...], Fit], best: Fit) ->
         _try(setting, found, kept, _without(best, k), without_causes(best), gentle=False)
 
 
+def _apart(setting: Setting, found: dict[tuple[Change, ...], Fit], best: Fit, candidates: list[Change]) -> None:
+    """Fit what is told at several places as a cause of its own at each."""
+    for k, together in enumerate(best.causes):
+        each = [c for name in together.told_as for c in candidates if c.told_as == (name,) and not c.absent]
+        others = tuple(c for j, c in enumerate(best.causes) if j != k)
+        if 1 < len(each) <= MANY - len(others) and len(each) == len(together.told_as):
+            sizes = [c.of_size(together.size(best.u[own_sizes(best.causes, k)]) * c.whole / c.scale) for c in each]
+            u = np.concatenate([_without(best, k), *sizes])
+            _try(setting, found, (*others, *each), u, without_causes(best), gentle=False)
+
+
 def _without(f: Fit, which: int) -> np.ndarray:
     """Sizes of all causes but one."""
     return np.delete(f.u, np.arange(len(f.u))[own_sizes(f.causes, which)])
@@ -349,9 +361,10 @@ def _neighbours(
         for j in np.argsort(-value)[: FITTED + NEXT]:
             causes = (*kept, candidates[j])
             known = any(set(key) == set(causes) and len(key) == len(causes) for key in found)
+            known = known or candidates[j] in kept or candidates[j].shares_place(kept)
             if late():
                 return
-            if known or candidates[j] in kept or not value[j] > max(value.max() - NEAR, -np.inf):
+            if known or not value[j] > max(value.max() - NEAR, -np.inf):
                 continue
             u = np.append(_without(best, k), candidates[j].of_size(float(np.clip(size[j], -3, 3))))
             _try(setting, found, causes, u, without_causes(best), gentle=False)
@@ -371,6 +384,7 @@ def _further(
         gain, _ = scores(setting, about, candidates)
         value = gain + prior.each(candidates) + math.log(SECOND)
         leading = [int(j) for j in np.argsort(-value)[:NEXT] if candidates[j] not in best.causes]
+        leading = [j for j in leading if not candidates[j].shares_place(best.causes)]
         worth |= {j: None for j in leading if value[j] > WORTH - math.log(10)}
     for j in worth:
         if late():

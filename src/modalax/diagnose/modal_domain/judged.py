@@ -55,12 +55,12 @@ def judge(stage: Stage) -> Judged:
     plain = next((e for e in stage.explanations if not e.causes), None)
     off, (_, small) = inaccuracy_of_fit(stage, best), told_by_size(stage, best)
     case = ModalCase(
-        sets, [(c.slug, c.where) for c in best.causes if not of_the_joint(stage, c)], off,
+        sets, [name for c in best.causes if not of_the_joint(stage, c) for name in c.told_as], off,
         max(off[name] / LARGEST[name] for name in ("stiffness", "mass")),
         best.misfit,
         None if plain is None else best.log_posterior - plain.log_posterior, THRESHOLDS,
         None if stage.odd is None else (stage.odd.name, stage.odd.nats),
-        tuple((c.slug, c.where) for c in small if not c.absent) if needs(stage, best, small) else (),
+        _told(tuple(c for c in small if not c.absent)) if needs(stage, best, small) else (),
         {name: size for name, size in claims_of(stage.setting.inaccuracy).items() if name in ("stiffness", "mass")},
     )  # fmt: skip
     word, reasons = modal_verdict(case)
@@ -106,7 +106,7 @@ def _by_data(e: Explanation, c: Change) -> float:
 
 
 def _told(causes: tuple[Change, ...]) -> Names:
-    return tuple((c.slug, tuple(c.where)) for c in causes)
+    return tuple(name for c in causes for name in c.told_as)
 
 
 def _key(names: Names) -> Names:

@@ -13,6 +13,7 @@ from modalax.diagnose.modal_domain.elements import Nodes, Part, nodes_of
 from modalax.diagnose.modal_domain.given_elements import softened_elements, springs_within, told_parts
 from modalax.diagnose.modal_domain.groups import group_factors, other_than
 from modalax.diagnose.modal_domain.parts import ends_of, parts_of, planes_of
+from modalax.diagnose.modal_domain.supports import supports_together
 from modalax.model import Structure
 
 COUPLED = 1e-6  # size of an element of K, relative to the diagonal, from which two DoFs are coupled
@@ -24,7 +25,7 @@ HELD, SUPPORTED = 6, 1e-5  # most DoFs of one support; stiffness, relative to al
 # Chances of places of springs and dampers relative to each other, each shared out among its places
 SHARES = {
     "named": 0.4, "spring": 0.3, "element": 0.2, "support": 0.15, "coupled": 0.05, "plane": 0.05, "ground": 0.05,
-    "apart": 0.03, "end": 0.1,
+    "apart": 0.03, "end": 0.1, "supports": 0.1, "some supports": 0.05,
 }  # fmt: skip
 FEW = 80  # DoFs of which any two may be joined by a spring that the simulation has not; of more, the measured ones
 ABSENT = "ground", "apart"  # places where the simulation has no spring that could be off
@@ -63,9 +64,12 @@ def candidates_of(
         damping = float((own / np.maximum(mobile, 1e-300)).min())  # that doubles the damping of one mode
         usual = float(own.mean() / mobile.mean())
         out.append(Change("local_damper", where, usual, b, reference=damping, weight=weight))
-    elements = _elements(simulation, c, nodes)
+    parts = _parts(simulation, nodes)
+    elements = _elements(simulation, c, nodes, parts)
     groups = group_factors(simulation, c, SHARES["element"] / max(sum(not e.piece for e in elements), 1))
     out = other_than(groups, out + elements) + groups
+    shares = SHARES["supports"], SHARES["some supports"]
+    out += other_than(groups, supports_together(simulation, c, parts, nodes, JOINT, *shares))
     out += [Change("channel_gain", (n,), GAIN, channel=(0, k)) for k, n in enumerate(outputs)]
     out += [Change("channel_sign", (n,), channel=(0, k)) for k, n in enumerate(outputs)]
     out += [Change("force_gain", (n,), GAIN, channel=(1, k)) for k, n in enumerate(inputs)]
@@ -127,7 +131,13 @@ def _damped_modes(c: Coordinates, inside: np.ndarray) -> list[Change]:
     return out
 
 
-def _elements(simulation: Structure, c: Coordinates, nodes: Nodes) -> list[Change]:
+def _parts(simulation: Structure, nodes: Nodes) -> list[Part]:
+    """Elements that are told, or else those of its stiffness matrix."""
+    told = simulation.elements is not None
+    return told_parts(simulation, nodes) if told else parts_of(np.asarray(simulation.K), nodes)
+
+
+def _elements(simulation: Structure, c: Coordinates, nodes: Nodes, parts: list[Part]) -> list[Change]:
     """Whole elements softer or stiffer, and planes in which they bend; told at the pair of DoFs that they couple most.
 
     An element that holds one node is told at one DoF.
@@ -135,7 +145,6 @@ def _elements(simulation: Structure, c: Coordinates, nodes: Nodes) -> list[Chang
     K = np.asarray(simulation.K)
     size = np.sqrt(np.maximum(np.diag(K), 1e-300))
     out = softened_elements(simulation, c, JOINT)
-    parts = parts_of(K, nodes) if not out else told_parts(simulation, nodes)
     ends = flexible_ends(parts, nodes, simulation.dofs, c, JOINT)
     parts = parts if not out else []
     for part in (p for p in parts if len(p.nodes) == 2 and len(p.dofs) > 2):
@@ -174,11 +183,11 @@ def springs_of(
     inside = np.flatnonzero((c.frequencies < highest) & (c.frequencies > 0.02 * highest))
     K, dofs = np.asarray(simulation.K), simulation.dofs
     asked = {frozenset(dofs.index(name) for name in p) for p in pairs or () if set(p) <= set(dofs)}
+    parts = _parts(simulation, nodes)
     if simulation.elements is None:
-        parts = parts_of(K, nodes)
         within = _read_within(K, parts, asked)
     else:
-        parts, within = told_parts(simulation, nodes), springs_within(simulation, nodes)
+        within = springs_within(simulation, nodes)
         joined = _joined(parts, nodes)
         asked = asked - joined if asked >= joined else asked  # to name all that elements join is to name none
     own = {frozenset(p.dofs.tolist()) for p in parts if len(p.nodes) == 2 and len(p.dofs) == 2}

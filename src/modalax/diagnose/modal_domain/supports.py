@@ -1,0 +1,126 @@
+"""Supports that are wrong together: mounts of one type, or the feet of a structure on one floor."""
+
+import itertools
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from modalax.diagnose.decision.beyond import Names
+from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.coordinates import Coordinates
+from modalax.diagnose.modal_domain.elements import Nodes, Part, nodes_of
+from modalax.model import Structure
+
+HOLDING = 0.5  # share of the nodes that supports hold, beyond which they are no supports
+FEW = 4  # supports of which any two or more may be wrong together; of more, all, or all but one
+
+
+@dataclass(frozen=True)
+class Supports(Change):
+    """Supports softer or stiffer by one factor, told one by one.
+
+    Attributes
+    ----------
+    springs
+        Stiffness [N/m] of each support in the simulation; NaN of one that is more than a spring.
+    """
+
+    springs: tuple[float, ...] = ()
+
+    @property
+    def told_as(self) -> Names:
+        """Each support by itself."""
+        return tuple((self.slug, (where,)) for where in self.where)
+
+    def said(self) -> str:
+        """That they are wrong together."""
+        return f"the supports at {', '.join(map(str, self.where))} are off by one and the same factor"
+
+    def told_each(self, u: np.ndarray, covariance: np.ndarray) -> list[dict[str, Any]]:
+        """The change of each."""
+        std = float(np.sqrt(max(covariance[0, 0], 0.0))) * self.scale
+        out = []
+        for where, k in zip(self.where, self.springs, strict=True):
+            name, unit, k = ("stiffness", "N/m", k) if np.isfinite(k) else ("relative_change", "-", 1.0)
+            value = {"value": self.size(u) * k, "std": std * k, "unit": unit}
+            out.append({"name": self.slug, "where": [where], "parameters": {name: value}})
+        return out
+
+
+@dataclass(frozen=True)
+class _Support:
+    """One support: its node, where it is told, its stiffness if it is a spring, and ``F`` of its ``F F'``."""
+
+    node: int
+    dof: str
+    spring: float
+    factor: np.ndarray
+
+
+def supports_together(
+    simulation: Structure, c: Coordinates, parts: list[Part], nodes: Nodes, usual: float, all_share: float,
+    some_share: float,
+) -> list[Change]:  # fmt: skip
+    """Supports off by one factor, as causes: all of them, or some.
+
+    Parameters
+    ----------
+    simulation, c
+        Simulation, and its modal coordinates.
+    parts, nodes
+        Of its stiffness matrix, and the nodes of its DoFs.
+    usual
+        Relative error of supports that are wrong.
+    all_share, some_share
+        Share of all together, and of some together, among the places of springs before the data.
+    """
+    told, n = simulation.elements, len(nodes.axis)
+    if told is not None and told.dofs:  # of DoFs that follow others, too
+        every = nodes_of(c.names)
+        factors = [F for F in np.asarray(told.stiffness) if len(set(every.of_dofs[F.any(axis=1)].tolist())) == 1]
+        each = [_support(F, every, c.names) for F in factors]
+        seen = c.everywhere
+    else:
+        each = [s for p in parts if len(p.nodes) == 1 for s in _springs(p, n, nodes, simulation.dofs)]
+        factors, seen = [], c.shapes
+    held = sorted({s.node for s in each})
+    if not 2 <= len(held) <= HOLDING * len(nodes.members):
+        return []
+    counts = range(2, len(held)) if len(held) <= FEW else (len(held) - 1,)
+    some = [set(which) for count in counts for which in itertools.combinations(held, count)]
+    out: list[Change] = []
+    for which in (set(held), *some):
+        of = [s for s in each if s.node in which]
+        F = np.hstack([s.factor for s in of])
+        inner = seen.T @ F
+        out.append(
+            Supports(
+                "joint_stiffness", tuple(s.dof for s in of), usual, pattern=inner @ inner.T,
+                factor=F if factors else None, weight=all_share if len(which) == len(held) else some_share / len(some),
+                springs=tuple(s.spring for s in of),
+            )
+        )  # fmt: skip
+    return out
+
+
+def _springs(p: Part, n: int, nodes: Nodes, names: tuple[str, ...]) -> list[_Support]:
+    """The springs that a part of one node is; one support if it is more."""
+    own = np.diag(p.matrix)
+    alone = not (p.matrix - np.diag(own)).any()
+    pieces = [np.array([j]) for j in range(len(own))] if alone else [np.arange(len(own))]
+    out = []
+    for at in pieces:
+        value, vectors = np.linalg.eigh(p.matrix[np.ix_(at, at)])
+        F = np.zeros((n, len(at)))
+        F[p.dofs[at]] = vectors * np.sqrt(np.maximum(value, 0.0))
+        out.append(_support(F, nodes, names))
+    return out
+
+
+def _support(F: np.ndarray, nodes: Nodes, names: tuple[str, ...]) -> _Support:
+    """A support, told at the displacement that it holds most, or else at a rotation."""
+    held, at = (F**2).sum(axis=1), np.flatnonzero(F.any(axis=1))
+    straight = at[nodes.axis[at] < 3]
+    k = max(straight if len(straight) else at, key=lambda j: held[j])
+    return _Support(int(nodes.of_dofs[k]), names[k], float(held[k]) if len(at) == 1 else np.nan, F)

@@ -1,0 +1,72 @@
+"""Supports that are wrong together, as patterns of change and in what the answer tells of them."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from modalax.diagnose.modal_domain.coordinates import coordinates_of
+from modalax.diagnose.modal_domain.elements import nodes_of
+from modalax.diagnose.modal_domain.parts import parts_of
+from modalax.diagnose.modal_domain.places import candidates_of
+from modalax.diagnose.modal_domain.supports import Supports, supports_together
+from modalax.model import Structure
+
+TOP = 2 * np.pi * 200.0
+
+
+def rail(held: dict[int, float], n: int = 12, own: np.ndarray | None = None) -> Structure:
+    """Masses in a row on springs to ground; ``own`` adds a stiffness between DoFs 1 and 2."""
+    K = np.diag([3e5] * n) + np.diag([-1.5e5] * (n - 1), 1) + np.diag([-1.5e5] * (n - 1), -1)
+    K[0, 0] = K[-1, -1] = 1.5e5
+    for k, stiffness in held.items():
+        K[k, k] += stiffness
+    if own is not None:
+        K[:2, :2] += own
+    M = np.eye(n)
+    return Structure(M, 1e-4 * K, K, tuple(f"{k + 1}:+Z" for k in range(n)))
+
+
+def together(S: Structure) -> list[Supports]:
+    c, nodes = coordinates_of(S, S.dofs, S.dofs[:1], TOP), nodes_of(S.dofs)
+    found = supports_together(S, c, parts_of(np.asarray(S.K), nodes), nodes, 0.4, 0.1, 0.05)
+    return [s for s in found if isinstance(s, Supports)]
+
+
+def test_any_of_a_few_supports_are_wrong_together_by_the_stiffness_that_they_have():
+    held = {0: 2e4, 5: 3e4, 11: 1e4}
+    S = rail(held)
+    found, c = together(S), coordinates_of(S, S.dofs, S.dofs[:1], TOP)
+    groups = [{0, 5, 11}, *map(set, itertools.combinations((0, 5, 11), 2))]
+    assert [{S.dofs.index(w) for w in s.where} for s in found] == groups
+    assert [s.weight for s in found] == pytest.approx([0.1, *[0.05 / 3] * 3])
+    for s, group in zip(found, groups, strict=True):
+        A = np.zeros((12, 12))
+        for k in group:
+            A[k, k] = held[k]
+        expected = np.asarray(c.shapes).T @ A @ np.asarray(c.shapes)
+        np.testing.assert_allclose(s.pattern, expected, atol=1e-6 * np.abs(expected).max())
+    told = found[0].told_each(np.array([-0.5]), np.full((1, 1), 0.01))
+    assert [t["where"] for t in told] == [["1:+Z"], ["6:+Z"], ["12:+Z"]]
+    for t, stiffness in zip(told, held.values(), strict=True):
+        value = t["parameters"]["stiffness"]
+        assert (value["value"], value["std"]) == pytest.approx((-0.2 * stiffness, 0.04 * stiffness), rel=1e-6)
+    assert found[0].told_as == tuple(("joint_stiffness", (w,)) for w in found[0].where)
+
+
+def test_of_many_supports_all_or_all_but_one_are_wrong_together():
+    assert [len(s.where) for s in together(rail({k: 1e4 for k in range(0, 12, 2)}))] == [6, *[5] * 6]
+
+
+@pytest.mark.parametrize("held", [{3: 1e4}, dict.fromkeys(range(7), 1e4), {}])
+def test_one_support_or_a_bed_under_most_nodes_is_no_group(held):
+    assert together(rail(held)) == []
+
+
+def test_a_cause_at_several_places_is_not_joined_with_one_at_the_same_place():
+    S = rail({0: 2e4, 5: 3e4, 11: 1e4})
+    every = candidates_of(S, coordinates_of(S, S.dofs, S.dofs[:1], TOP), S.dofs, S.dofs[:1], None, TOP)
+    some = next(c for c in every if c.told_as == (("joint_stiffness", ("1:+Z",)), ("joint_stiffness", ("6:+Z",))))
+    by_place = {c.where: c for c in every if c.slug == "joint_stiffness" and len(c.told_as) == 1}
+    assert some.shares_place([by_place["1:+Z",]]) and by_place["6:+Z",].shares_place([some])
+    assert not some.shares_place([by_place["12:+Z",]]) and not by_place["1:+Z",].shares_place([by_place["1:+Z",]])
