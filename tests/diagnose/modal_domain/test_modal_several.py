@@ -74,7 +74,8 @@ def test_mounts_that_are_softer_by_factors_of_their_own_are_named_too():
     found = diagnose_modes(measured(np.array([0.8, 0.7, 0.6, 1.0]), {}, 0.0), simulation())
     assert found is not None and found.verdict == "named", found.reasons
     told = {c["where"][0]: c["parameters"]["stiffness"]["value"] for c in found.causes}
-    assert told == {f"foot {k + 1}": pytest.approx(-lost * MOUNTS[k], rel=0.02) for k, lost in enumerate((0.2, 0.3, 0.4))}
+    lost = {"foot 1": 0.2 * MOUNTS[0], "foot 2": 0.3 * MOUNTS[1], "foot 3": 0.4 * MOUNTS[2]}
+    assert told == {foot: pytest.approx(-value, rel=0.02) for foot, value in lost.items()}
 
 
 def test_two_springs_off_in_either_way_are_both_named_beside_elements_that_are_off():
