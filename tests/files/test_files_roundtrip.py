@@ -118,6 +118,24 @@ def test_model_file_may_give_modal_a_or_modal_mass(tmp_path, scaling):
     np.testing.assert_allclose(loaded.frf(freq).H, model.frf(freq, inputs=["1"]).H, rtol=1e-11)
 
 
+def test_a_shape_that_stands_for_the_participation_is_scaled_by_the_modal_mass(tmp_path):
+    model = five_dof().modal()
+    names, path = np.array(model.outputs), tmp_path / "m.npz"
+    given = {
+        "frequency_hz": model.frequency_hz, "damping_ratio": model.damping_ratio, "shapes": model.shapes,
+        "modal_mass": np.asarray(model.modal_mass()), "outputs": names, "inputs": names,
+    }  # fmt: skip
+    freq, expected = np.linspace(0, 80, 17), model.frf(np.linspace(0, 80, 17)).H
+    for participation in (model.shapes, model.participation, np.asarray(model.participation) * 1.1):
+        np.savez(path, participation=participation, **given)
+        found = np.asarray(modalax.load(path).frf(freq).H)
+        factor = 1.1 if participation is not model.shapes and participation is not model.participation else 1.0
+        np.testing.assert_allclose(found, factor * np.asarray(expected), rtol=1e-9)
+    np.savez(path, participation=3.0 * np.asarray(model.participation), **given)
+    with pytest.raises(ValueError, match=r"m\.npz.*participation and modal_mass contradict each other: mode 1 has"):
+        modalax.load(path)
+
+
 def test_xarray_both_ways_and_in_any_order_of_axes():
     saved = measurement("mobility")
     dataset = to_xarray(saved)

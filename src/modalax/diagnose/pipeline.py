@@ -60,6 +60,7 @@ from modalax.diagnose.decision.route import (
 )
 from modalax.diagnose.decision.verdict import verdict
 from modalax.diagnose.extend import ExtendedSimulation, extend
+from modalax.diagnose.gains_said import gains_said
 from modalax.diagnose.holdout import measure
 from modalax.diagnose.jointed.answer import diagnose_joint, joint_comes_first, may_have_joint
 from modalax.diagnose.modal_domain.claimed_modes import ClaimCompared, compared
@@ -76,9 +77,11 @@ from modalax.diagnose.search.named_before import NamedCause
 from modalax.diagnose.search.one_place import explain_force
 from modalax.diagnose.search.rows import lines_aside
 from modalax.diagnose.search.tolerance import widened
+from modalax.diagnose.setup.turned import turned, turned_modes
 from modalax.model import ModalModel, Structure
 from modalax.model.entry import check_comparable
 from modalax.model.mode_table import ModeTable
+from modalax.model.receptance import dof_names
 
 FIRST_SHARE = 0.6  # of the time for a search line by line that the modal domain or a free joint may have to follow
 FITTED_EACH = 30  # places at each of which every law is fitted to the force; more are screened together
@@ -104,8 +107,8 @@ def diagnose(
         Runs of FRFs, of any form; force levels [N] where joints are in question. Or modes alone, a
         :class:`modalax.model.mode_table.ModeTable`, against matrices: chi-squares and gain then do not exist (NaN).
     simulation
-        What was expected; its DoFs hold all measured ones by name. An extended simulation keeps what it has, at the
-        parameters it has, and what is found comes on top.
+        What was expected; its DoFs hold all measured ones by name, in either direction (``8:-Z`` is ``8:+Z`` turned).
+        An extended simulation keeps what it has, at the parameters it has, and what is found comes on top.
     question
         ``fixed``: does the data agree with *this* simulation, within the spread its author claims? ``free``: does any
         linear modal model explain the data? ``auto`` takes ``free`` for a modal fit (a modal model with residual
@@ -135,10 +138,23 @@ def diagnose(
     """
     require_double("diagnose")
     check_groups(simulation, causes)
+    names = dof_names(simulation.base if isinstance(simulation, ExtendedSimulation) else simulation)
     if isinstance(measurement, ModeTable):
-        return by_table(measurement, simulation, causes, modal_std, time, progress)
+        table, renamed = turned_modes(measurement, names)
+        found = by_table(table, simulation, causes, modal_std, time, progress)
+        return replace(found, reasons=(*found.reasons, *renamed))
     check_comparable(measurement, simulation)
-    late = Deadline(time)
+    measurement, renamed = turned(measurement, names)
+    found = by_frfs(measurement, simulation, question, causes, Deadline(time), progress)
+    said = gains_said(found.causes) if found.verdict in ("named", "ambiguous") else []
+    return replace(found, reasons=(*found.reasons, *said, *renamed)) if said or renamed else found
+
+
+def by_frfs(
+    measurement: Measurement | FRF, simulation: Structure | ModalModel | ExtendedSimulation, question: str,
+    causes: Sequence[Cause] | None, late: Deadline, progress: Callable[[str], None],
+) -> Diagnosis:  # fmt: skip
+    """Diagnose FRFs; a joint whose law is free comes first or last where the levels tell of one."""
     data = as_measurement(measurement)
     follows = question != "fixed" and may_have_joint(data, simulation)
     if follows and joint_comes_first(data, simulation):

@@ -63,10 +63,11 @@ def outcome_of(found: Diagnosis) -> Outcome:
 
 
 def of_elements(found: Diagnosis) -> bool:
-    """Whether a change of a whole element, or how its end is connected, is told: lines have neither."""
+    """Whether a change of a whole element, of its end or of several places is told: lines have none of these."""
     if not isinstance(found, ModalDiagnosis) or not found.causes:
         return False
-    return any(c.kind == "K" and c.pattern is not None for c in standing_out(found.stage, found.chosen))
+    told = standing_out(found.stage, found.chosen)
+    return any((c.kind == "K" and c.pattern is not None) or len(c.told_as) > 1 for c in told)
 
 
 def named_before(modes: Diagnosis | None) -> list[NamedCause]:

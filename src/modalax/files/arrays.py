@@ -37,6 +37,8 @@ MODEL_KEYS = (
 )  # fmt: skip
 READ_KEYS = frozenset((*MEASUREMENT_KEYS, *STRUCTURE_KEYS, *MODEL_KEYS)) | PLAIN_KEYS
 NOTHING = Told()
+# Relative difference within which two participations are the same, and within which they may be estimates of one
+SAME, ALIKE = 1e-3, 0.5
 EXTENDED = "causes"  # the array that marks an extended simulation
 
 
@@ -336,20 +338,49 @@ def _participation(
     arrays: Arrays, poles: np.ndarray, shapes: np.ndarray, outputs: list[str]
 ) -> tuple[list[str], np.ndarray]:
     """Inputs and their participation, given as such or through modal a or modal mass and reciprocity."""
+    scaled = "modal_a" in arrays or "modal_mass" in arrays
     if "participation" in arrays:
         _need(arrays, ("participation", "inputs"), "modal model")
-        return _words(arrays, "inputs"), np.atleast_2d(_numbers(arrays, "participation", complex_=True))
-    if "modal_a" not in arrays and "modal_mass" not in arrays:
+        inputs, given = _words(arrays, "inputs"), np.atleast_2d(_numbers(arrays, "participation", complex_=True))
+        both = [(outputs.index(name), k) for k, name in enumerate(inputs) if name in outputs]
+        if not scaled or not both or given.shape != (len(poles), len(inputs)):
+            return inputs, given
+        at, column = (list(x) for x in zip(*both, strict=True))
+        expected = shapes[:, at] / _modal_a(arrays, poles)[:, None]
+        if _agree(given[:, column], expected, ALIKE):
+            return inputs, given
+        if len(both) == len(inputs) and _agree(given, shapes[:, at], SAME):
+            return inputs, expected  # the shape itself stands for it, and the modal mass tells its scale
+        k = int(np.argmax(np.abs(given[:, column] - expected).max(axis=1) / np.abs(expected).max(axis=1)))
+        scale = "modal_a" if "modal_a" in arrays else "modal_mass"
+        raise ValueError(
+            f"participation and {scale} contradict each other: mode {k + 1} "
+            f"has a participation of {given[k, column[0]]:.3g} at {inputs[column[0]]}, and {expected[k, 0]:.3g} by its "
+            "shape and scale; leave out the wrong one"
+        )
+    if not scaled:
         raise ValueError("no participation in it; a modal model file needs participation, modal_a or modal_mass")
-    if "modal_a" in arrays:
-        a = _numbers(arrays, "modal_a", complex_=True)
-    else:
-        a = 2j * np.imag(poles) * _numbers(arrays, "modal_mass", complex_=True).reshape(-1)
-    a = a.reshape(-1)
-    if len(a) != len(poles) or (a == 0).any():
-        raise ValueError(f"{len(a)} modal scalings, {int((a == 0).sum())} of them zero, for {len(poles)} poles")
+    a = _modal_a(arrays, poles)
     inputs = _words(arrays, "inputs") if "inputs" in arrays else outputs
     unknown = [name for name in inputs if name not in outputs]
     if unknown:
         raise ValueError(f"inputs {', '.join(unknown)} have no shape component: they are not among the outputs")
     return inputs, shapes[:, [outputs.index(name) for name in inputs]] / a[:, None]
+
+
+def _modal_a(arrays: Arrays, poles: np.ndarray) -> np.ndarray:
+    """Modal a of each mode, given as such or through the modal mass."""
+    if "modal_a" in arrays:
+        a = _numbers(arrays, "modal_a", complex_=True).reshape(-1)
+    else:
+        mass = _numbers(arrays, "modal_mass", complex_=True).reshape(-1)
+        a = 2j * np.imag(poles) * mass if len(mass) == len(poles) else mass
+    if len(a) != len(poles) or (a == 0).any():
+        raise ValueError(f"{len(a)} modal scalings, {int((a == 0).sum())} of them zero, for {len(poles)} poles")
+    return a
+
+
+def _agree(given: np.ndarray, expected: np.ndarray, share: float) -> bool:
+    """Whether the participations of every mode are as expected, within a share of the largest."""
+    size = np.abs(expected).max(axis=1, initial=1e-300)
+    return bool((np.abs(given - expected).max(axis=1, initial=0.0) <= share * size).all())

@@ -22,6 +22,48 @@ def test_wrong_units_are_named():
     assert [(c["name"], c["where"]) for c in answer["causes"]] == [("units", [])]
 
 
+@pytest.mark.parametrize("factor", [1 / 9.80665, -1.0, 1000.0])
+def test_a_factor_on_all_frfs_is_named_and_no_mass_and_stiffness_that_are_off_alike(factor):
+    data, _ = measured(20, 0.02)
+    answer = told(data.replace(H=np.asarray(data.H) * factor, variance=np.asarray(data.variance) * factor**2))
+    assert answer["verdict"] == "named", answer["reasons"]
+    assert [(c["name"], c["where"]) for c in answer["causes"]] == [("force_gain", [])]
+    gain = answer["causes"][0]["parameters"]["gain"]
+    assert abs(gain["value"] - (factor - 1)) < 4 * gain["std"] < 0.1 * abs(factor)
+
+
+def test_the_mass_of_all_sensors_is_one_cause():
+    S, off = simulation(), 0.01
+    M = np.asarray(S.M).copy()
+    data, K = measured(22, off)
+    at = [S.dofs.index(name) for name in data.outputs]
+    M[at, at] += 0.004
+    C = np.asarray(S.C)
+    freq, inputs = np.asarray(data.freq), [S.dofs.index(name) for name in data.inputs]
+    s = 2j * np.pi * freq[:, None, None]
+    H = np.linalg.inv(K + s * C + s**2 * M)[:, at][:, :, inputs] * s**2
+    rng, sigma = np.random.default_rng(22), np.sqrt(np.asarray(data.variance)[0])
+    noise = (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)) / np.sqrt(2)
+    answer = told(data.replace(H=(H + sigma * noise)[None]))
+    assert answer["verdict"] == "named", answer["reasons"]
+    assert [(c["name"], c["where"]) for c in answer["causes"]] == [("added_mass", [name]) for name in data.outputs]
+    assert any("added_mass at 8 places" in r for r in answer["reasons"])
+    for cause in answer["causes"]:
+        mass = cause["parameters"]["mass"]
+        assert abs(mass["value"] - 0.004) < 3 * mass["std"] < 0.002
+
+
+def test_noise_that_all_sensors_share_is_no_cause():
+    """It makes one error of each line, which tells less of a pole than as much noise of every sensor by itself."""
+    data, _ = measured(21, 0.0, lines=400, noise=0.002)
+    rng, H = np.random.default_rng(8), np.asarray(data.H)
+    line = (rng.standard_normal((1, 400, 1, 2)) + 1j * rng.standard_normal((1, 400, 1, 2))) / np.sqrt(2)
+    variance = np.asarray(data.variance) + 0.1**2 * np.abs(H) ** 2
+    answer = told(data.replace(H=H * (1 + 0.1 * line), variance=variance))
+    assert answer["verdict"] == "clean", answer["causes"]
+    assert any("noise of all outputs is common" in note for note in answer["notes"])
+
+
 def test_a_delay_of_all_sensors_is_named_as_one():
     data, _ = measured(12, 0.02)
     turn = np.exp(-2j * np.pi * np.asarray(data.freq) * 2e-4)[:, None, None]

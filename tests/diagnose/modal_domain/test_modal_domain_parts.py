@@ -18,7 +18,7 @@ from modalax.diagnose.modal_domain.coordinates import (
 )
 from modalax.diagnose.modal_domain.element_masses import mass_parts
 from modalax.diagnose.modal_domain.elements import nodes_of, stiffness_parts
-from modalax.diagnose.modal_domain.explain import Explanation, Prior
+from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.features import Features, features_of, paired
 from modalax.diagnose.modal_domain.fit import LARGEST, Linear
 from modalax.diagnose.modal_domain.free_residues import Channels, project, refine
@@ -29,6 +29,7 @@ from modalax.diagnose.modal_domain.levels.slipping import settled
 from modalax.diagnose.modal_domain.mode_count import blind_modes, misfit
 from modalax.diagnose.modal_domain.parts import coupled_rows, local_parts, parts_of
 from modalax.diagnose.modal_domain.places import candidates_of
+from modalax.diagnose.modal_domain.prior import Prior
 from modalax.model import Structure
 
 

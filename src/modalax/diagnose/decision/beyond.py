@@ -10,6 +10,7 @@ from modalax.diagnose.decision.sets import certainty, unplaced
 from modalax.diagnose.summary import cause_at
 from modalax.diagnose.thresholds import THRESHOLDS, Thresholds
 
+MANY = 5  # places of one cause beyond which a sentence only counts them
 Names = tuple[tuple[str, tuple[str | int, ...]], ...]
 
 
@@ -73,9 +74,17 @@ class ModalCase:
     @property
     def support(self) -> tuple[str, ...]:
         """What speaks for the leading set."""
-        what = " and ".join(cause_at(slug, where) for slug, where in self.sets[0].names)
+        what = _listed(self.sets[0].names)
         first = f"{what} stands out beyond the general inaccuracy (probability {certainty(self.sets):.3f})"
         return (first,) if self.nats is None else (first, f"without it the data are {self.nats:.3g} nats less likely")
+
+
+def _listed(names: Names) -> str:
+    """Causes with their places; only how many, of a cause at many."""
+    slugs = [slug for slug, _ in names]
+    many = [slug for slug in dict.fromkeys(slugs) if slugs.count(slug) > MANY]
+    each = [cause_at(slug, where) for slug, where in names if slug not in many]
+    return " and ".join([*each, *(f"{slug} at {slugs.count(slug)} places" for slug in many)])
 
 
 Rule = Callable[[ModalCase], tuple[str, ...]]

@@ -227,6 +227,8 @@ class Change:
         """Residues ``(k, o, i)``, or FRFs at ``poles`` on the imaginary axis, as this fault of a channel shows them."""
         if self.slug in ("channel_gain", "force_gain", "channel_sign"):
             factor = -1.0 if self.slug == "channel_sign" else 1 + self.scale * u[0]
+            if self.channel[0] == ALL:
+                return residues * factor
             out = residues.copy()
             if self.channel[0] == 0:
                 out[:, self.channel[1]] *= factor
@@ -253,6 +255,8 @@ class Change:
         """Derivative of :meth:`transform` by the size."""
         out = np.zeros_like(residues)
         if self.slug in ("channel_gain", "force_gain"):
+            if self.channel[0] == ALL:
+                return self.scale * residues
             if self.channel[0] == 0:
                 out[:, self.channel[1]] = self.scale * residues[:, self.channel[1]]
             else:

@@ -44,6 +44,7 @@ from modalax.diagnose.over_levels import levels_said
 from modalax.diagnose.result import Diagnosis, within
 from modalax.diagnose.summary import cause_at
 from modalax.diagnose.thresholds import THRESHOLDS
+from modalax.identify.shared_noise import shared_notes
 from modalax.model import Structure
 
 ROUNDS = 3  # most in which a force, and the structure without it, are looked for
@@ -316,6 +317,7 @@ def _diagnosed(
         stage.measured.noise.source,
         f"{len(stage.measured.features.poles)} modes were identified in the band from "
         f"{len(stage.measured.runs)} of {len(H)} runs, chi-square per sample {stage.measured.misfit:.3g}",
+        *shared_notes(stage.measured.shared),
     )
     if forced is not None:
         word = outweighing(word, "named" if forced.probability >= THRESHOLDS.certain else "ambiguous")

@@ -15,14 +15,13 @@ from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.discrepancy import learnt_rest
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
 from modalax.diagnose.modal_domain.oscillators import oscillators
+from modalax.diagnose.modal_domain.prior import SECOND, Prior
 from modalax.diagnose.modal_domain.screen import replaced, scores
 from modalax.diagnose.modal_domain.starts import FITTED, NEXT, in_place_of_one, starts
 from modalax.diagnose.modal_domain.state import Setting
 from modalax.diagnose.modal_domain.throughout import start_in, with_more
 from modalax.diagnose.thresholds import THRESHOLDS
 
-NONE = 0.5  # probability before the data that nothing stands out
-SECOND = 1e-4  # the same of each further cause, given the others: what they leave is mostly error of the model
 NEAR = 12.0  # nats behind the best up to which other places are fitted
 WORTH = 4.0  # nats that a further cause must promise beyond the cost of its prior probability
 MOST = 2  # causes in one answer
@@ -54,29 +53,6 @@ class Explanation:
     def causes(self) -> tuple[Change, ...]:
         """What stands out."""
         return self.fit.causes
-
-
-class Prior:
-    """Logarithmic prior probability of sets of causes."""
-
-    def __init__(self, candidates: Sequence[Change]):
-        self.kinds = {c.slug for c in candidates}
-        self.total = {slug: sum(c.weight for c in candidates if c.slug == slug) for slug in self.kinds}
-
-    def one(self, c: Change) -> float:
-        """Of a kind and a place."""
-        return math.log(c.rarity * max(c.weight, 1e-300) / self.total[c.slug] / len(self.kinds))
-
-    def each(self, candidates: Sequence[Change]) -> np.ndarray:
-        """Of each of some candidates."""
-        return np.array([self.one(c) for c in candidates])
-
-    def of(self, causes: Sequence[Change]) -> float:
-        """Of a set."""
-        if not causes:
-            return math.log(NONE)
-        order = math.log((1 - NONE) * (1 - SECOND)) if len(causes) == 1 else math.log(1 - NONE)
-        return order + (len(causes) - 1) * math.log(SECOND) + sum(self.one(c) for c in causes)
 
 
 @dataclass

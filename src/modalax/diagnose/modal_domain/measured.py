@@ -14,6 +14,7 @@ from modalax.diagnose.modal_domain.features import Features, chosen, features_of
 from modalax.diagnose.modal_domain.free_residues import Channels, Projected, refine
 from modalax.diagnose.modal_domain.mode_count import blind_modes, heavy, misfit
 from modalax.diagnose.setup.noise import Noise, noise_of
+from modalax.identify.shared_noise import shared_noise
 
 BELOW, ABOVE = 2, 3  # modes of the simulation on either side of the band that stand for all beyond it
 ASIDE = 0.1  # distance of these from the band, relative to its ends
@@ -45,6 +46,9 @@ class Measured:
         Which runs went into it; fewer than all where they differ by more than their noise.
     unlike
         Chi-square per sample of the runs about their mean; 1 under noise.
+    shared
+        By how much noise that the outputs share counts more than as much of each output's own; 1 where none is shared.
+        Modes know of it, single lines do not.
     """
 
     freq: np.ndarray
@@ -55,6 +59,7 @@ class Measured:
     features: Features
     runs: np.ndarray
     unlike: float
+    shared: float = 1.0
 
 
 def identify(measurement: Measurement, c: Coordinates) -> Measured:
@@ -71,11 +76,22 @@ def identify(measurement: Measurement, c: Coordinates) -> Measured:
         noise = noise_of(measurement, made)
         channels = channels_of(s, H[runs], noise.sigma[runs], order, outside)
         modes = blind_modes(channels, modes.poles)
+    shared = _shared(modes, channels, H.shape[2:])
+    if shared > 1.0:  # each output tells less of a mode than it seems to
+        channels = channels_of(s, H[runs], noise.sigma[runs] * np.sqrt(shared), order, outside)
+        modes = blind_modes(channels, modes.poles)
     modes = one_each(modes, channels)
     if not len(modes.poles):
         raise ValueError("no mode stands out of the noise in the band")
     left, features = _features(modes, channels, H.shape[2:])
-    return Measured(np.asarray(measurement.freq), noise, channels, modes, left, features, runs, unlike)
+    return Measured(np.asarray(measurement.freq), noise, channels, modes, left, features, runs, unlike, shared)
+
+
+def _shared(modes: Projected, channels: Channels, shape: tuple[int, ...]) -> float:
+    """By how much noise that the outputs share counts more than as much of each output's own."""
+    made, root = modes.made(channels), np.sqrt(channels.weight / 2)
+    response, residual = (a.reshape(-1, *shape) for a in (root * made, root * (channels.data - made)))
+    return shared_noise(response, residual)
 
 
 def prepared(measurement: Measurement, c: Coordinates) -> tuple[Channels, Noise, np.ndarray, float]:
@@ -95,7 +111,7 @@ def reidentified(measured: Measured, H: np.ndarray, error: np.ndarray) -> Measur
 
     ``error`` is the standard deviation of what was taken out of these runs.
     """
-    c, sigma = measured.channels, measured.noise.sigma[measured.runs]
+    c, sigma = measured.channels, measured.noise.sigma[measured.runs] * np.sqrt(measured.shared)
     sigma = np.where(sigma > 0, np.hypot(sigma, error), 0.0)
     channels = channels_of(c.s, H[measured.runs], sigma, c.order, c.outside)
     modes = one_each(blind_modes(channels, measured.modes.poles), channels)
@@ -105,7 +121,8 @@ def reidentified(measured: Measured, H: np.ndarray, error: np.ndarray) -> Measur
 
 def features_beside(measured: Measured, H: np.ndarray) -> np.ndarray:
     """Features of the same modes, shape ``(k, width)``, in FRFs ``(run, f, o, i)`` that differ a little."""
-    c, f, sigma = measured.channels, measured.features, measured.noise.sigma[measured.runs]
+    c, f = measured.channels, measured.features
+    sigma = measured.noise.sigma[measured.runs] * np.sqrt(measured.shared)
     modes = refine(measured.modes.poles, channels_of(c.s, H[measured.runs], sigma, c.order, c.outside))
     own = np.abs(measured.modes.poles[None] - f.poles[:, None]).argmin(axis=1)
     residues = modes.residues.reshape(len(modes.poles), *f.units.shape[1:])[own] / f.units

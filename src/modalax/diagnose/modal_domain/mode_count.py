@@ -122,12 +122,24 @@ def _worth_keeping(found: Projected, channels: Channels) -> np.ndarray:
     inside = _possible(found.poles, channels)
     if not inside.all():
         return inside
-    enough = mode_gains(found) > cost_of_mode(channels) * misfit(found, channels)
+    gains = np.minimum(mode_gains(found), beside_one_line(found, channels))
+    enough = gains > cost_of_mode(channels) * misfit(found, channels)
     if enough.all():
         return enough
     kept = np.ones(len(found.poles), bool)
-    kept[int(np.argmin(mode_gains(found)))] = False
+    kept[int(np.argmin(gains))] = False
     return kept
+
+
+def beside_one_line(found: Projected, channels: Channels) -> np.ndarray:
+    """Weighted energy that each mode has beside the line at which it has most, shape ``(n,)``.
+
+    What is seen at one line only is noise that all sensors share, or a disturbance, as soon as it is a mode.
+    """
+    columns = channels.kernels(found.poles)[:, : 2 * len(found.poles)].reshape(len(channels.s), -1, 2)
+    size = columns[:, :, 0, None] * found.residues.real + columns[:, :, 1, None] * found.residues.imag
+    energy = (channels.weight[:, None] * np.abs(size) ** 2).sum(axis=2)
+    return energy.sum(axis=0) - energy.max(axis=0, initial=0.0)
 
 
 def further_poles(found: Projected, channels: Channels) -> np.ndarray:

@@ -13,7 +13,6 @@ import numpy as np
 from modalax.data import Measurement
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import with_sizes
-from modalax.diagnose.modal_domain.explain import Prior
 from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.forced import Forced, fitted_from, told_force
 from modalax.diagnose.modal_domain.free_residues import refine
@@ -21,6 +20,7 @@ from modalax.diagnose.modal_domain.line_forces import RovingMass, roving_mass
 from modalax.diagnose.modal_domain.measured import Measured, channels_of
 from modalax.diagnose.modal_domain.mode_count import misfit, settled
 from modalax.diagnose.modal_domain.polish import Lines, chi2_of, frf_on_lines, lines_of
+from modalax.diagnose.modal_domain.prior import Prior
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.modal_domain.state import Setting
 

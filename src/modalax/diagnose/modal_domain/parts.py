@@ -71,10 +71,11 @@ def trimmed(p: Part, diagonal: np.ndarray) -> Part:
 def planes_of(p: Part) -> list[Part]:
     """Pieces of an element that have nothing to do with each other, as bending in two planes; none if it is one piece.
 
-    Springs from DoF to DoF, as an axial force or torque makes, are none of them.
+    Springs from DoF to DoF, as an axial force or torque makes, are places of their own; bending beside one is a piece.
     """
-    each = [k for k in _pieces(p) if len(k) > 2]
-    return [Part(p.nodes, p.dofs[k], p.matrix[np.ix_(k, k)]) for k in each] if len(each) > 1 else []
+    every = _pieces(p)
+    each = [k for k in every if len(k) > 2]
+    return [Part(p.nodes, p.dofs[k], p.matrix[np.ix_(k, k)]) for k in each] if len(every) > 1 else []
 
 
 def ends_of(p: Part, nodes: Nodes) -> tuple[int, ...]:

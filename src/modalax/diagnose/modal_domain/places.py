@@ -14,6 +14,7 @@ from modalax.diagnose.modal_domain.given_elements import softened_elements, spri
 from modalax.diagnose.modal_domain.groups import group_factors, other_than
 from modalax.diagnose.modal_domain.parts import ends_of, parts_of, planes_of
 from modalax.diagnose.modal_domain.supports import supports_together
+from modalax.diagnose.modal_domain.together import sensor_masses
 from modalax.model import Structure
 
 COUPLED = 1e-6  # size of an element of K, relative to the diagonal, from which two DoFs are coupled
@@ -29,6 +30,7 @@ SHARES = {
 }  # fmt: skip
 FEW = 80  # DoFs of which any two may be joined by a spring that the simulation has not; of more, the measured ones
 ABSENT = "ground", "apart"  # places where the simulation has no spring that could be off
+SENSORS = 0.3  # chance that all sensors have mass, relative to that of one lumped mass anywhere
 STILL = 1e-12  # square of a displacement, relative to the largest in the band, below which a DoF does not move
 UNLIKELY = 0.05  # weight of a pair of unlike directions, or of a rotation's inertia
 
@@ -53,6 +55,7 @@ def candidates_of(
         weight, usual = UNLIKELY if turns[k] else 1.0, LUMP / max(mobile, typical[k])
         out.append(Change("added_mass", (name,), usual, b, reference=float(own_mass[k]), weight=weight))
     out += _lumps(simulation, c, inside)
+    out += _sensor_masses(out, outputs, c)
     apart = next((some for some in (dofs, {*outputs, *inputs}) if len(some) <= FEW), ())
     for where, b, stiffness, weight, there in springs_of(simulation, c, nodes, pairs, highest, apart):
         mobile = b[inside] ** 2
@@ -73,6 +76,8 @@ def candidates_of(
     out += [Change("channel_gain", (n,), GAIN, channel=(0, k)) for k, n in enumerate(outputs)]
     out += [Change("channel_sign", (n,), channel=(0, k)) for k, n in enumerate(outputs)]
     out += [Change("force_gain", (n,), GAIN, channel=(1, k)) for k, n in enumerate(inputs)]
+    if len(inputs) > 1:  # a unit, of forces or sensors, is wrong in all FRFs
+        out.append(Change("force_gain", (), GAIN, channel=(ALL, 0), weight=float(len(inputs))))
     out += [
         Change("channel_swap", (outputs[a], outputs[b]), channel=(a, b))
         for a, b in itertools.combinations(range(len(outputs)), 2)
@@ -119,6 +124,14 @@ def _lumps(simulation: Structure, c: Coordinates, inside: np.ndarray) -> list[Ch
                    reference=float(np.mean(there or [0.0])))
         )  # fmt: skip
     return out
+
+
+def _sensor_masses(masses: list[Change], outputs: tuple[str, ...], c: Coordinates) -> list[Change]:
+    """The mass of all sensors, together as usual as one lumped mass."""
+    if not masses:
+        return []
+    usual, every = float(np.median([m.scale for m in masses])), sum(m.weight for m in masses)
+    return sensor_masses(outputs, c, usual / len(outputs), SENSORS * every)
 
 
 def _damped_modes(c: Coordinates, inside: np.ndarray) -> list[Change]:

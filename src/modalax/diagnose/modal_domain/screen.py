@@ -29,6 +29,7 @@ from modalax.diagnose.modal_domain.state import (
     whitened,
 )
 
+GAINS = "channel_gain", "force_gain"
 SIZES = (0.015, 0.04, 0.1, 0.25, 0.5, 0.9, 2.0)  # sizes of a change that are tried, over its usual size, of either sign
 STRONG = 5.0  # and of a force or damper, beside which the structure's own damping may be small
 UNDAMPED = 1e-9  # damping ratio that rounding may make of none
@@ -60,7 +61,7 @@ def finite(setting: Setting, candidates: list[Change], told: np.ndarray | None =
             trials = _changed(setting, cause, tried)
         elif not cause.local:
             poles, plain = state.modes.poles, state.plain
-            few = sizes if cause.sized else np.ones(1)
+            few = np.append(sizes, gain_asked(setting, cause, poles, plain)) if cause.sized else np.ones(1)
             trials = [(float(u), poles, cause.at_modes(np.array([u]), poles, plain)) for u in few]
         else:  # it has several sizes, a screening of its own
             continue
@@ -75,6 +76,22 @@ def finite(setting: Setting, candidates: list[Change], told: np.ndarray | None =
         if values[least] < np.inf:
             best[k], where[k] = values[least], u[least]
     return best, where
+
+
+def gain_asked(setting: Setting, cause: Change, poles: np.ndarray, plain: np.ndarray) -> np.ndarray:
+    """Size, over the usual one, of a gain that the median mode asks for; empty for any other fault of a channel.
+
+    A unit is wrong by a factor of ten or a thousand, and a sensor that points the other way by -1.
+    """
+    if cause.slug not in GAINS:
+        return np.zeros(0)
+    f = setting.features
+    simulated = plain[pairs_with(f, (cause,), poles, plain)]
+    own = cause.transform_slope(np.zeros(1), poles, simulated) / cause.scale
+    energy = (np.abs(own) ** 2).sum(axis=(1, 2))
+    seen = energy > 0
+    factor = ((own.conj() * f.residues * f.units).real.sum(axis=(1, 2))[seen]) / energy[seen]
+    return (np.median(factor, keepdims=True) - 1) / cause.scale if seen.any() else np.zeros(0)
 
 
 def cost_of_size(u: np.ndarray | float) -> np.ndarray:

@@ -12,7 +12,7 @@ from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import Coordinates, coordinates_of
 from modalax.diagnose.modal_domain.crosstalk import leaking_channels
 from modalax.diagnose.modal_domain.elements import nodes_of
-from modalax.diagnose.modal_domain.explain import Explanation, Prior, explain
+from modalax.diagnose.modal_domain.explain import Explanation, explain
 from modalax.diagnose.modal_domain.features import whitener_of
 from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.further_causes import StructuralDamping, missing_modes, tuned_masses
@@ -27,6 +27,7 @@ from modalax.diagnose.modal_domain.measured import Measured, identify
 from modalax.diagnose.modal_domain.odd_output import OddOutput, odd_output
 from modalax.diagnose.modal_domain.places import candidates_of, springs_of
 from modalax.diagnose.modal_domain.polish import leading_on_lines
+from modalax.diagnose.modal_domain.prior import Prior
 from modalax.diagnose.modal_domain.sensor_filters import sensor_filters
 from modalax.diagnose.modal_domain.state import Setting
 from modalax.diagnose.thresholds import THRESHOLDS

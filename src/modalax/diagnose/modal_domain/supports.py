@@ -2,50 +2,30 @@
 
 import itertools
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from modalax.diagnose.decision.beyond import Names
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.elements import Nodes, Part, nodes_of
+from modalax.diagnose.modal_domain.together import Together
 from modalax.model import Structure
 
 HOLDING = 0.5  # share of the nodes that supports hold, beyond which they are no supports
 FEW = 4  # supports of which any two or more may be wrong together; of more, all, or all but one
 
 
-@dataclass(frozen=True)
-class Supports(Change):
-    """Supports softer or stiffer by one factor, told one by one.
-
-    Attributes
-    ----------
-    springs
-        Stiffness [N/m] of each support in the simulation; NaN of one that is more than a spring.
-    """
-
-    springs: tuple[float, ...] = ()
-
-    @property
-    def told_as(self) -> Names:
-        """Each support by itself."""
-        return tuple((self.slug, (where,)) for where in self.where)
+class Supports(Together):
+    """Supports softer or stiffer by one factor; ``each`` is the stiffness [N/m] of one, NaN where it is no spring."""
 
     def said(self) -> str:
         """That they are wrong together."""
         return f"the supports at {', '.join(map(str, self.where))} are off by one and the same factor"
 
-    def told_each(self, u: np.ndarray, covariance: np.ndarray) -> list[dict[str, Any]]:
-        """The change of each."""
-        std = float(np.sqrt(max(covariance[0, 0], 0.0))) * self.scale
-        out = []
-        for where, k in zip(self.where, self.springs, strict=True):
-            name, unit, k = ("stiffness", "N/m", k) if np.isfinite(k) else ("relative_change", "-", 1.0)
-            value = {"value": self.size(u) * k, "std": std * k, "unit": unit}
-            out.append({"name": self.slug, "where": [where], "parameters": {name: value}})
-        return out
+    def parameter(self, which: int) -> tuple[str, str, float]:
+        """Change of a spring's stiffness, or relative to a support of several."""
+        k = self.each[which]
+        return ("stiffness", "N/m", k) if np.isfinite(k) else ("relative_change", "-", 1.0)
 
 
 @dataclass(frozen=True)
@@ -98,7 +78,7 @@ def supports_together(
             Supports(
                 "joint_stiffness", tuple(s.dof for s in of), usual, pattern=inner @ inner.T,
                 factor=F if factors else None, weight=all_share if len(which) == len(held) else some_share / len(some),
-                springs=tuple(s.spring for s in of),
+                each=tuple(s.spring for s in of),
             )
         )  # fmt: skip
     return out

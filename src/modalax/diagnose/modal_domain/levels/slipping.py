@@ -19,9 +19,10 @@ import numpy as np
 from modalax.diagnose.causes.joints import ElastoSlip
 from modalax.diagnose.causes.power_laws import IwanMicroSlip
 from modalax.diagnose.modal_domain.causes import Change, own_sizes
-from modalax.diagnose.modal_domain.explain import SECOND, Explanation, Prior, further
+from modalax.diagnose.modal_domain.explain import Explanation, further
 from modalax.diagnose.modal_domain.levels.explain import ByLevel, JointFound
 from modalax.diagnose.modal_domain.levels.laws import LawFit
+from modalax.diagnose.modal_domain.prior import SECOND, Prior
 from modalax.diagnose.modal_domain.state import Setting
 
 SLIPPING = (ElastoSlip, IwanMicroSlip)  # laws of a spring that slips
