@@ -143,6 +143,28 @@ class ClippedSensor(ChannelCause):
         return scaled_row(H, where[0], gain[:, :, None])
 
 
+class SensorPlace(ChannelCause):
+    """A sensor at another point than its name; found among modes (:mod:`modalax.diagnose.modal_domain.misplaced`)."""
+
+    slug = "sensor_place"
+    summary = "the point that a sensor is really at"
+    advice = "look where the sensor is, and follow its cable to the channel"
+    prior = RARE
+    rows = 1
+
+    def places(self, scene: Scene) -> list[Place]:
+        """Never looked for line by line."""
+        return []
+
+    def grid(self, scene: Scene, place: Place) -> np.ndarray:
+        """No unknowns."""
+        return np.zeros((1, 0))
+
+    def channels(self, H: Array, at: Channels, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
+        """The names of the channels are changed, not the FRFs."""
+        return H
+
+
 SENSORS: tuple[Any, ...] = (
-    AcCoupling(), SensorLowpass(1), SensorLowpass(2), SensorResonance(), ClippedSensor()
+    SensorPlace(), AcCoupling(), SensorLowpass(1), SensorLowpass(2), SensorResonance(), ClippedSensor()
 )  # fmt: skip

@@ -1,44 +1,42 @@
 """The answer of the modal domain, with the interface of every other diagnosis."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from modalax._numerics.text import percent
 from modalax.check.finding import Finding
 from modalax.data import Measurement
-from modalax.diagnose.causes import catalogue, imitators
-from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.causes.parameter import Parameter
-from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.decision.advice import advise_modes
 from modalax.diagnose.decision.beyond import BeyondUsual, held_out_verdict, lines_verdict
 from modalax.diagnose.decision.levels import outweighing
 from modalax.diagnose.decision.omnibus import Omnibus, omnibus
 from modalax.diagnose.decision.sets import rivals
-from modalax.diagnose.extend import ExtendedSimulation
 from modalax.diagnose.modal_domain.causes import UNITS, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
-from modalax.diagnose.modal_domain.corrected import corrected, frf_of, inaccuracy_told
+from modalax.diagnose.modal_domain.corrected import frf_of, inaccuracy_told
 from modalax.diagnose.modal_domain.explain import Explanation
-from modalax.diagnose.modal_domain.fit import Fit
+from modalax.diagnose.modal_domain.extension import extension_of
+from modalax.diagnose.modal_domain.fit import fit
 from modalax.diagnose.modal_domain.forced import Forced, force_beside, force_rivals, force_said, force_told
 from modalax.diagnose.modal_domain.held_out import gain_of
 from modalax.diagnose.modal_domain.judged import inaccuracy_of_fit, judge, of_the_joint, standing_out
 from modalax.diagnose.modal_domain.levels.answer import causes_told, judge_levels, rivals_told
 from modalax.diagnose.modal_domain.levels.explain import JointFound
-from modalax.diagnose.modal_domain.levels.laws import NAMED
 from modalax.diagnose.modal_domain.levels.seen import at_levels
 from modalax.diagnose.modal_domain.mains import hum_told, mains_hum
 from modalax.diagnose.modal_domain.measured import Measured
+from modalax.diagnose.modal_domain.misplaced import Moved, moved, other_places
 from modalax.diagnose.modal_domain.own_peaks import mass_of_sensor, own_peaks, without_output
+from modalax.diagnose.modal_domain.prior import NONE
 from modalax.diagnose.modal_domain.screen import errors_of
 from modalax.diagnose.modal_domain.short_records import short_record
-from modalax.diagnose.modal_domain.stage import Stage, identified, run_stage
+from modalax.diagnose.modal_domain.stage import Stage, identified, posed, run_stage
 from modalax.diagnose.modal_domain.throughout import throughout_said, throughout_told
 from modalax.diagnose.over_levels import levels_said
 from modalax.diagnose.result import Diagnosis, within
@@ -82,6 +80,8 @@ class ModalDiagnosis(Diagnosis):
         Mains hum, which shows on lines only; None where there is none.
     forced
         A force at one place that shows on lines only, without which everything else here is; None where there is none.
+    moved
+        Outputs that are at other DoFs than their names; None where all are where they should be.
     """
 
     found: None  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
@@ -95,6 +95,7 @@ class ModalDiagnosis(Diagnosis):
     after: Omnibus
     hum: Finding | None = None
     forced: Forced | None = None
+    moved: Moved | None = None
 
     @property
     def candidates(self) -> list[Any]:
@@ -134,9 +135,10 @@ class ModalDiagnosis(Diagnosis):
         """What stands out beyond the general inaccuracy."""
         if self.verdict == "clean":
             return []
+        elsewhere = [] if self.moved is None else self.moved.told()
         levels = [] if self.stage.seen is None else causes_told(self.stage.seen, self.stage.whole)
         on_lines = [] if self.forced is None else [force_told(self.forced)]
-        return self._linear + levels + on_lines + ([] if self.hum is None else [hum_told(self.hum)])
+        return elsewhere + self._linear + levels + on_lines + ([] if self.hum is None else [hum_told(self.hum)])
 
     @property
     def _linear(self) -> list[dict[str, Any]]:
@@ -227,6 +229,9 @@ def diagnose_modes(
     if ended is not None:
         return _diagnosed(measurement, simulation, question, late, wanted, tell, ended)
     measured = measured or identified(measurement, simulation, tell)
+    found = _elsewhere(measurement, simulation, question, late, wanted, tell, measured)
+    if found is not None:
+        return found
     found = _beside_own_peaks(measurement, simulation, question, late, wanted, tell, measured)
     found = found or _diagnosed(measurement, simulation, question, late, wanted, tell, measured=measured)
     if found is None or late() or found.after.p_value > THRESHOLDS.left_by_modes:
@@ -264,6 +269,32 @@ def _beside_own_peaks(
     return None if forced is None else _diagnosed(measurement, simulation, question, late, wanted, tell, forced)
 
 
+def _elsewhere(
+    measurement: Measurement, simulation: Structure, question: str, late: Deadline, wanted: Callable[[str], bool],
+    tell: Callable[[str], None], measured: Measured,
+) -> ModalDiagnosis | None:  # fmt: skip
+    """The diagnosis with outputs at other DoFs than their names, where some surely are and it explains the modes."""
+    if not wanted("sensor_place") or not len(measured.features.poles):
+        return None
+    setting = posed(measurement, simulation, measured).setting
+    places = other_places(setting, simulation.dofs, measurement.outputs)
+    plain = fit(setting) if places else None
+    if plain is None:
+        return None
+    tell(f"looking whether {' and '.join(f'{name} is at {at}' for name, at in places.items())}")
+    renamed = measurement.replace(outputs=tuple(places.get(name, name) for name in measurement.outputs))
+    names = {"outputs": measurement.outputs, "inputs": measurement.inputs}
+    before = np.asarray(simulation.frf(measured.freq, form=measurement.form, **names).H)[None]
+    found = _diagnosed(renamed, simulation, question, late, wanted, tell, measured=measured, before=before)
+    if found is None or found.verdict not in ("clean", "named"):
+        return None
+    among = len(measurement.outputs) * len(simulation.dofs)
+    there = moved(places, found.stage.explanations[0].log_posterior, plain.log_evidence + math.log(NONE), among)
+    if there.probability < THRESHOLDS.certain:
+        return None
+    return replace(found, verdict="named", moved=there, reasons=(there.said(), *found.reasons))
+
+
 def _named(found: ModalDiagnosis) -> set[tuple[str, frozenset[str]]]:
     """What stands out, by name and place."""
     return {(c["name"], frozenset(map(str, c["where"]))) for c in found.causes}
@@ -272,8 +303,12 @@ def _named(found: ModalDiagnosis) -> set[tuple[str, frozenset[str]]]:
 def _diagnosed(
     measurement: Measurement, simulation: Structure, question: str, late: Deadline, wanted: Callable[[str], bool],
     tell: Callable[[str], None], forced: Forced | None = None, measured: Measured | None = None,
+    before: np.ndarray | None = None,
 ) -> ModalDiagnosis | None:  # fmt: skip
-    """The diagnosis of what is left once a force that was found is taken out of the FRFs."""
+    """The diagnosis of what is left once a force that was found is taken out of the FRFs.
+
+    ``before`` are the simulation's FRFs where its outputs have other names.
+    """
     effect = 0.0 if forced is None else forced.effect
     less = measurement if forced is None else measurement.replace(H=np.asarray(measurement.H) - effect)
     stage = run_stage(less, simulation, late, wanted, tell, measured)
@@ -297,7 +332,7 @@ def _diagnosed(
         reasons.append("time was up before every explanation had been tried")
     tell("predicting the held-out data")
     H = np.asarray(measurement.H)
-    predicted = [frf_of(stage, None), frf_of(stage, chosen.fit)]
+    predicted = [frf_of(stage, None) if before is None else before, frf_of(stage, chosen.fit)]
     before, seen = predicted[0] - effect, stage.seen
     predicted[1] = predicted[1] + effect
     if seen is not None and seen.joint is not None:
@@ -339,42 +374,3 @@ def said(inaccuracy: dict[str, Any]) -> str:
         for name, v in inaccuracy.items()
     ]
     return f"the modes of the simulation are generally off by {', '.join(parts)}"
-
-
-def extension_of(stage: Stage, f: Fit, forced: Forced | None = None) -> ExtendedSimulation:
-    """The corrected simulation with the causes, as an ordinary simulation."""
-    known: dict[str, Cause] = {}
-    for cause in (*catalogue(), *imitators()):
-        known.setdefault(cause.slug, cause)
-    base, causes, places, params, spread, extras = corrected(stage, f), [], [], [], [], []
-    spring = stage.whole.spring if stage.whole is not None and stage.whole.alone else None
-    own = [own_sizes(f.causes, k) for k in range(len(f.causes))]
-    every = [(c, u, f.covariance[at, at]) for (c, u), at in zip(with_sizes(f.causes, f.u), own, strict=True)]
-    every += [] if forced is None else [(forced.cause, forced.u, forced.covariance)]
-    for c, u, covariance in every:
-        if c.in_structure or c.slug not in known or c == spring:
-            continue
-        m = stage.measurement
-        names = base.dofs if c.at_dofs else (m.inputs if c.slug == "force_gain" else m.outputs)
-        index = [names.index(str(w)) for w in c.where] + [-1, -1]
-        if c.slug == "units":
-            index[0] = c.channel[1]
-        values, errors, extra = c.as_catalogue(u, covariance)
-        causes.append(c.in_catalogue or known[c.slug])
-        places.append(Place(tuple(c.where), (index[0], index[1], c.variant)))
-        params.append(jnp.asarray(values))
-        spread.append(jnp.asarray(errors))
-        extras.append(None if extra is None else jnp.asarray(extra))
-    joint = None if stage.seen is None else stage.seen.joint
-    if joint is not None and joint.fit.law in NAMED:
-        index = [base.dofs.index(w) for w in joint.spot.where] + [-1]
-        law = joint.fit if stage.whole is None else stage.whole.fit
-        causes.append(law.law)
-        places.append(Place(joint.spot.where, (index[0], index[1], 0)))
-        params.append(jnp.asarray(law.p))
-        spread.append(jnp.asarray(law.std))
-        extras.append(None)
-    return ExtendedSimulation(
-        base, tuple(params), tuple(spread), jnp.zeros((2, len(base.dofs))), tuple(extras), tuple(causes),
-        tuple(places), stage.measurement.outputs, stage.measurement.inputs, float(stage.measured.freq[0]),
-    )  # fmt: skip
