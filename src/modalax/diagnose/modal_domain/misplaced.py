@@ -61,7 +61,10 @@ def other_places(setting: Setting, dofs: tuple[str, ...], outputs: tuple[str, ..
     c, f = setting.coordinates, setting.features
     if len(f.poles) < FEWEST:
         return {}
-    state = state_at(setting, np.zeros(len(setting.inaccuracy.group_of)))
+    try:
+        state = state_at(setting, np.zeros(len(setting.inaccuracy.group_of)))
+    except np.linalg.LinAlgError:  # a simulation of fewer modes than are measured
+        return {}
     simulated = state.modes.residues(replace(c, outputs=c.shapes))[state.pairs]
     measured = f.residues * f.units
     weight = 1 / (np.abs(measured) ** 2).mean(axis=1, keepdims=True)
