@@ -36,6 +36,11 @@ def test_sensors_at_other_points_are_named_with_these(at):
     )
 
 
+def test_two_sensors_that_are_exchanged_are_a_swap():
+    found = diagnose_modes(labelled({"3:+Z": "7:+Z", "7:+Z": "3:+Z"}), simulation())
+    assert [(c["name"], c["where"]) for c in found.causes] == [("channel_swap", ["3:+Z", "7:+Z"])]
+
+
 def test_a_wrong_gain_or_sign_or_element_is_no_other_place():
     for change in ({"5:+Z": 0.4}, {"5:+Z": -1.0}, {}):
         data = labelled({})

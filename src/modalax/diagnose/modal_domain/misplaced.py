@@ -51,7 +51,7 @@ class Moved:
 
 
 def other_places(setting: Setting, dofs: tuple[str, ...], outputs: tuple[str, ...]) -> dict[str, str]:
-    """Outputs that are at another DoF, and which; empty where none surely is, or two would be at one.
+    """Outputs that are at another DoF, and which; without two that are exchanged, and none where two would be at one.
 
     Parameters
     ----------
@@ -82,6 +82,7 @@ def other_places(setting: Setting, dofs: tuple[str, ...], outputs: tuple[str, ..
         name: dofs[at[k]] for k, name in enumerate(outputs)
         if at[k] != own[k] and off[k, at[k]] < min(NEARER * here[k], ALIKE * energy[k])
     }  # fmt: skip
+    found = {name: at for name, at in found.items() if found.get(at) != name}  # two exchanged are a cause by themselves
     names = [found.get(name, name) for name in outputs]
     return found if len(set(names)) == len(names) else {}
 
