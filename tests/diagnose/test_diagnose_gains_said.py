@@ -15,8 +15,8 @@ def told(factor, where=(), name="force_gain", std=1e-5):
 ])  # fmt: skip
 def test_a_unit_taken_for_another_is_guessed_from_the_factor(factor, unit):
     (sentence,) = gains_said([told(factor)])
-    assert sentence.startswith("measured all FRFs are") and f"({unit}" in sentence
-    assert ("sign turned" in sentence) == (factor < 0)
+    assert sentence.startswith("all measured FRFs are") and f"({unit}" in sentence
+    assert ("turned in sign" in sentence) == (factor < 0)
 
 
 def test_a_sensor_that_points_the_other_way_is_told_with_its_name():
@@ -27,7 +27,7 @@ def test_a_sensor_that_points_the_other_way_is_told_with_its_name():
 def test_errors_of_calibration_and_factors_of_no_unit_are_not_explained():
     assert gains_said([told(1.1), told(0.9, ["a"], "channel_gain"), {"name": "added_mass", "where": ["a"]}]) == []
     (sentence,) = gains_said([told(1.7)])
-    assert sentence == "measured all FRFs are 1.7 times what was expected"
+    assert sentence == "all measured FRFs are 1.7 times what was expected"
 
 
 def test_a_dead_channel_is_told():

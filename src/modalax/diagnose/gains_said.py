@@ -25,12 +25,12 @@ def gains_said(causes: Iterable[Mapping[str, Any]]) -> list[str]:
         factor, std = 1 + float(gain["value"]), float(gain["std"] or 0.0)
         if abs(factor - 1) < LARGE:
             continue
-        what = f"FRFs of {cause['where'][0]}" if cause["where"] else "all FRFs"
+        what = f"measured FRFs of {cause['where'][0]}" if cause["where"] else "all measured FRFs"
         if abs(factor) < NOTHING * std:
-            out.append(f"measured {what} hold nothing of what was expected: a dead sensor, or a cable that is off?")
+            out.append(f"{what} hold nothing of what was expected: a dead sensor, or a cable that is off?")
             continue
-        turned = "with the sign turned, " if factor < 0 else ""
-        out.append(f"measured {what} are {turned}{abs(factor):.4g} times what was expected{_source(factor)}")
+        turned = "turned in sign and " if factor < 0 else ""
+        out.append(f"{what} are {turned}{abs(factor):.4g} times what was expected{_source(factor)}")
     return out
 
 

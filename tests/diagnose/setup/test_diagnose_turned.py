@@ -37,6 +37,8 @@ def test_names_that_are_there_or_are_not_in_either_direction_stay():
     assert after is before and said == ()
     both = measured(("1:+Z", "1:-Z"))  # two sensors at one place: which is the simulation's is told by its name
     assert turned(both, SIMULATED)[0] is both
+    once, _ = turned(measured(("1:Z", "1:-Z")), SIMULATED)  # two that would be one: the second stays and is refused
+    assert once.outputs == ("1:+Z", "1:-Z")
 
 
 def test_shapes_of_modes_alone_are_turned():

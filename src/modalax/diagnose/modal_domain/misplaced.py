@@ -31,7 +31,7 @@ class Moved:
     places
         Name and DoF of each.
     probability
-        Against every explanation with all sensors where their names are.
+        Against the general inaccuracy alone with all sensors where their names are.
     """
 
     places: tuple[tuple[str, str], ...]

@@ -16,25 +16,20 @@ FEW = 4  # supports of which any two or more may be wrong together; of more, all
 
 
 class Supports(Together):
-    """Supports softer or stiffer by one factor; ``each`` is the stiffness [N/m] of one, NaN where it is no spring."""
+    """Supports softer or stiffer by one factor."""
 
     def said(self) -> str:
         """That they are wrong together."""
         return f"the supports at {', '.join(map(str, self.where))} are off by one and the same factor"
 
-    def parameter(self, which: int) -> tuple[str, str, float]:
-        """Change of a spring's stiffness, or relative to a support of several."""
-        k = self.each[which]
-        return ("stiffness", "N/m", k) if np.isfinite(k) else ("relative_change", "-", 1.0)
-
 
 @dataclass(frozen=True)
 class _Support:
-    """One support: its node, where it is told, its stiffness if it is a spring, and ``F`` of its ``F F'``."""
+    """One support: its node, where and as what it is told, and ``F`` of its ``F F'``, shape ``(n, r)``."""
 
     node: int
     dof: str
-    spring: float
+    told: tuple[str, str, float]
     factor: np.ndarray
 
 
@@ -78,7 +73,7 @@ def supports_together(
             Supports(
                 "joint_stiffness", tuple(s.dof for s in of), usual, pattern=inner @ inner.T,
                 factor=F if factors else None, weight=all_share if len(which) == len(held) else some_share / len(some),
-                each=tuple(s.spring for s in of),
+                each=tuple(s.told for s in of),
             )
         )  # fmt: skip
     return out
@@ -103,4 +98,5 @@ def _support(F: np.ndarray, nodes: Nodes, names: tuple[str, ...]) -> _Support:
     held, at = (F**2).sum(axis=1), np.flatnonzero(F.any(axis=1))
     straight = at[nodes.axis[at] < 3]
     k = max(straight if len(straight) else at, key=lambda j: held[j])
-    return _Support(int(nodes.of_dofs[k]), names[k], float(held[k]) if len(at) == 1 else np.nan, F)
+    told = ("stiffness", "N/m", float(held[k])) if len(at) == 1 else ("relative_change", "-", 1.0)
+    return _Support(int(nodes.of_dofs[k]), names[k], told, F)

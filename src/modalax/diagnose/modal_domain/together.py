@@ -19,25 +19,20 @@ class Together(Change):
     Attributes
     ----------
     each
-        What the size is relative to at each place.
+        Name and unit of what is told at each place, and how much of it there is for a size of one.
     """
 
-    each: tuple[float, ...] = ()
+    each: tuple[tuple[str, str, float], ...] = ()
 
     @property
     def told_as(self) -> Names:
         """Each place by itself."""
         return tuple((self.slug, (where,)) for where in self.where)
 
-    def parameter(self, which: int) -> tuple[str, str, float]:
-        """Name and unit of what is told at one place, and how much of it there is for a size of one."""
-        raise NotImplementedError
-
     def told_each(self, u: np.ndarray, covariance: np.ndarray) -> list[dict[str, Any]]:
         """The change at each place."""
         std, out = float(np.sqrt(max(covariance[0, 0], 0.0))) * self.scale, []
-        for k, where in enumerate(self.where):
-            name, unit, one = self.parameter(k)
+        for where, (name, unit, one) in zip(self.where, self.each, strict=True):
             value = {"value": self.size(u) * one, "std": std * abs(one), "unit": unit}
             out.append({"name": self.slug, "where": [where], "parameters": {name: value}})
         return out
@@ -49,10 +44,6 @@ class SensorMasses(Together):
     def said(self) -> str:
         """That it is as if all sensors had mass."""
         return "there is as much mass under every sensor, as that of sensors which the simulation lacks"
-
-    def parameter(self, which: int) -> tuple[str, str, float]:
-        """The mass of one."""
-        return "mass", "kg", self.each[which]
 
 
 def sensor_masses(outputs: Sequence[str], c: Coordinates, usual: float, weight: float) -> list[Change]:
@@ -77,8 +68,5 @@ def sensor_masses(outputs: Sequence[str], c: Coordinates, usual: float, weight: 
     factor = np.eye(len(c.names))[:, moved]
     pattern = c.everywhere[moved].T @ c.everywhere[moved]
     where = tuple(first.values())
-    return [
-        SensorMasses(
-            "added_mass", where, usual, pattern=pattern, factor=factor, weight=weight, each=(1.0,) * len(where)
-        )
-    ]
+    each = (("mass", "kg", 1.0),) * len(where)
+    return [SensorMasses("added_mass", where, usual, pattern=pattern, factor=factor, weight=weight, each=each)]

@@ -55,6 +55,6 @@ def _by_names(measured: tuple[str, ...], names: Sequence[str]) -> tuple[tuple[st
         if name in there:
             continue
         alike = [(other, sign) for other in names if (sign := same_place(name, other))]
-        if len(alike) == 1 and alike[0][0] not in measured:
+        if len(alike) == 1 and alike[0][0] not in found:
             found[k], signs[k] = alike[0]
     return tuple(found), signs
