@@ -12,7 +12,7 @@ from pathlib import Path
 
 RUNS: dict[str, list[str]] = {
     "identification": [], "fit_speed": [], "diagnosis": [], "harmonic_balance": [], "batch": [], "large": [],
-    "curves": [], "scheduler": [], "startup": [],
+    "curves": [], "scheduler": [], "startup": [], "devices": [],
 }  # fmt: skip
 
 
