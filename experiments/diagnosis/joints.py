@@ -1,22 +1,20 @@
 """Non-linear joints of any strength: how often one is named, and how often its stated intervals hold the truth.
 
-usage: python experiments/diagnosis/joints.py FOLDER [--first 0] [--count 60] [--seed 1] [--time 120] [--part 1/2]
+usage: python experiments/diagnosis/joints.py FOLDER [--first 0] [--count 60] [--seed 1] [--time 120] [--workers 2]
        python experiments/diagnosis/joints.py --report RESULTS.jsonl
 
 Draws joint cases on small spring-mass structures (5 to 10 degrees of freedom, three force levels, one input), all
 laws in turn, d from 10 to 10,000 and noise from 0.1 to 5 % in logarithmic steps at random, marched in time by the
 generator of hidden effects, which shares no code with the package and knows no harmonics. Each is diagnosed once, in
-at most ``--time`` seconds plus what a begun step takes; truth and answer are appended to ``FOLDER/answers.jsonl``, and
-a run that was stopped at any time goes on where it was. ``--first 60 --count 60`` answers the second sixty of a draw;
-``--part 1/2`` and ``--part 2/2`` share a draw between two processes. Cases of which more than a hundredth of the lines
+at most ``--time`` seconds plus what a begun step takes; truth and answer go to a file of the folder, and a
+run that was stopped at any time goes on where it was. ``--first 60 --count 60`` answers the second sixty of a draw;
+``--keep FILE`` writes all of the folder into one file, one a line. Cases of which more than a hundredth of the lines
 have no steady motion (``unsettled_rows`` in the truth) are left out: there is no FRF to answer to.
 """
 
 import argparse
-import json
 import sys
 import tempfile
-import time
 import zlib
 from pathlib import Path
 
@@ -67,44 +65,33 @@ def draw(seed: int, k: int) -> Case | None:
     return None
 
 
-def answered(path: Path) -> list[dict]:
-    """Lines of a results file, none if there is none."""
-    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-
-
-def run(folder: Path, cases: range, seed: int, seconds: float, part: tuple[int, int]) -> Path:
-    """Draw and answer what has no answer yet."""
-    from modalax.diagnose import diagnose
-    from modalax.files import load
-
+def one(seed: int, number: int, todo: list[int], folder: str, draw_seed: int, seconds: float) -> dict:
+    """One draw of the study: draw a case, answer it, and write truth and answer down."""
+    del seed
     answer.prepare()
+    k = todo[number]
+    case = draw(draw_seed, k)
+    if case is None:
+        return {"case": k, "verdict": "left out: no small structure shows this law at that size"}
+    with tempfile.TemporaryDirectory() as held:
+        case.save(Path(held))
+        said = answer.diagnosed(Path(held), seconds=seconds)
+    said = {key: said[key] for key in KEPT if key in said} | {"seconds": said["seconds"], "cpu": said["cpu_seconds"]}
+    answer.write(Path(folder) / f"{name_of(draw_seed, k)}.json", {"truth": case.truth, "said": said})
+    return {"case": k, "verdict": said["verdict"]}
+
+
+def name_of(seed: int, k: int) -> str:
+    """The name of a case."""
+    return f"{list(JOINTS)[k % len(JOINTS)]}-{seed}-{k:04d}"
+
+
+def run(folder: Path, cases: range, seed: int, seconds: float, workers: int) -> None:
+    """Draw and answer what has no answer yet."""
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"answers{f'-{part[0]}' if part[1] > 1 else ''}.jsonl"
-    done = {row["name"] for row in answered(path)}
-    for k in cases[part[0] - 1 :: part[1]]:
-        name = f"{list(JOINTS)[k % len(JOINTS)]}-{seed}-{k:04d}"
-        if name in done:
-            continue
-        case = draw(seed, k)
-        if case is None:
-            print(f"{name} is left out: no small structure shows it at that size", flush=True)
-            continue
-        start, spent = time.perf_counter(), time.process_time()
-        with tempfile.TemporaryDirectory() as held:
-            case.save(Path(held))
-            try:
-                said = diagnose(
-                    load(Path(held) / "measurement.npz"), load(Path(held) / "simulation.npz"), time=seconds
-                ).to_dict()
-            except Exception as error:  # one bad case must not end a long draw; it is counted and shown
-                said = {"verdict": "error", "causes": [], "error": f"{type(error).__name__}: {error}"}
-        said = {key: said[key] for key in KEPT if key in said}
-        said |= {"seconds": time.perf_counter() - start, "cpu": time.process_time() - spent}
-        with path.open("a") as file:
-            file.write(json.dumps({"name": name, "truth": case.truth, "said": said}) + "\n")
-        told = ", ".join(f"{c['name']} at {'-'.join(map(str, c['where']))}" for c in said["causes"])
-        print(f"{name} d = {case.truth['d']:.0f}: {said['verdict']} {told} ({said['cpu']:.0f} CPU s)", flush=True)
-    return path
+    todo = [k for k in cases if not (folder / f"{name_of(seed, k)}.json").exists()]
+    given = {"todo": todo, "folder": str(folder.resolve()), "draw_seed": seed, "seconds": seconds}
+    answer.shared_out(one, len(todo), given, workers)
 
 
 def outcomes(marks: list[Mark]) -> list[Share]:
@@ -154,15 +141,18 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=60)
     parser.add_argument("--seed", type=int, default=1, help="another seed, another draw")
     parser.add_argument("--time", type=float, default=120.0, help="seconds for each answer")
-    parser.add_argument("--part", default="1/1")
+    parser.add_argument("--workers", type=int, default=1, help="processes on this machine")
+    parser.add_argument("--keep", type=Path, help="file for all of the folder")
     parser.add_argument("--report", type=Path, nargs="+", help="print the marks of kept answers")
     args = parser.parse_args()
     if args.report:
-        return report([row for path in args.report for row in answered(path)])
+        return report([row for path in args.report for row in answer.answered(path)])
     if args.folder is None:
         parser.error("a folder for the answers is needed, or --report with kept ones")
-    first, parts = (int(n) for n in args.part.split("/"))
-    report(answered(run(args.folder, range(args.first, args.first + args.count), args.seed, args.time, (first, parts))))
+    run(args.folder, range(args.first, args.first + args.count), args.seed, args.time, args.workers)
+    if args.keep:
+        answer.keep(args.folder, args.keep)
+    report(answer.answered(args.folder))
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from answer_inaccurate import answered
+from answer import answered
 from draw_inaccurate import BANDS, LINES
 from marks import Share
 from score import table
@@ -95,8 +95,9 @@ class Mark:
 def load(folder: Path) -> list[Mark]:
     """Marks of all cases that have an answer."""
     found = []
-    for name, said in answered(folder).items():
-        found.append(Mark(name, json.loads((folder / "truth" / f"{name}.json").read_text()), said))
+    for said in answered(folder / "answers"):
+        truth = json.loads((folder / "truth" / f"{said['name']}.json").read_text())
+        found.append(Mark(said["name"], truth, said))
     return found
 
 
@@ -233,7 +234,7 @@ def main() -> None:
     args = parser.parse_args()
     marks = load(args.folder)
     if not marks:
-        raise SystemExit(f"no answers in {args.folder / 'answers.jsonl'}; answer_inaccurate.py writes them")
+        raise SystemExit(f"no answers in {args.folder / 'answers'}; answer.py writes them")
     again = [m for m in marks if m.name.startswith("same-")]
     single = [m for m in marks if not m.name.startswith("same-")]
     text = []

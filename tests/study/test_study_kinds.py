@@ -237,6 +237,19 @@ def test_a_function_under_vmap_is_the_function_itself(tmp_path):
         assert found.columns["pair_2"][k] == pytest.approx(float(expected["pair"][1]), rel=1e-12)
 
 
+@pytest.mark.parametrize("vmap", [False, True])
+def test_a_function_that_asks_for_the_number_of_the_draw_gets_it(tmp_path, vmap):
+    """Such as which of some files is its own."""
+    found = run(tmp_path, kind="function", draws=5, chunk=2, function=tenfold, vmap=vmap)
+    assert found.columns["value"].tolist() == [0, 10, 20, 30, 40]
+    given = {"kind": "function", "draws": 2, "function": tenfold, "parameters": {"number": 7}}
+    assert run(tmp_path / "given", **given).columns["value"].tolist() == [70, 70]
+
+
+def tenfold(seed, number):
+    return 10 * number
+
+
 def two_numbers(key):
     x = jax.random.normal(key, (2,))
     return {"sum": x.sum(), "pair": x}

@@ -88,6 +88,7 @@ sizes = [0.0, 0.01, 0.03]      # in the unit of its parameter; 0 shows false ala
 
 FUNCTION = """\
 # Any function of a seed, which gives a number, an array, or a dictionary of such: def one_draw(seed, noise=0.02): ...
+# A parameter called number, if it has one and it is not given below, is the number of the draw, from 0.
 kind = "function"
 draws = 1000
 seed = 1

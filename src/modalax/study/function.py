@@ -25,7 +25,8 @@ class FunctionWork(Work):
     ----------
     function
         ``function(seed, **parameters)`` gives a number, an array, or a dictionary of such; with ``vmap`` it is called
-        with a JAX key instead of the seed, and must be one that ``jax.vmap`` can run.
+        with a JAX key instead of the seed, and must be one that ``jax.vmap`` can run. Where it has a parameter
+        ``number`` that the settings do not give, that is the number of the draw, from 0.
     parameters
         Further arguments.
     vmap
@@ -42,7 +43,11 @@ class FunctionWork(Work):
 
     def item(self, index: int) -> Row:
         """The numbers that the function gives for one draw."""
-        return flat(self.function(seed_of(self.seed, index), **self.parameters))
+        return flat(self.function(seed_of(self.seed, index), **self.parameters, **self._number(index)))
+
+    def _number(self, index: Any) -> dict[str, Any]:
+        """The number of the draw, for a function that asks for it."""
+        return {"number": index} if numbered(self.function, self.parameters) else {}
 
     def _together(self, k: int) -> list[Row]:
         """All draws of a chunk in one program, which is not compiled anew for a last chunk of fewer draws."""
@@ -51,14 +56,19 @@ class FunctionWork(Work):
         try:
             numbers = np.arange(k * self.chunk, (k + 1) * self.chunk)
             key = jax.random.key(self.seed)
-            run = jax.jit(jax.vmap(lambda n: self.function(jax.random.fold_in(key, n), **self.parameters)))
-            found = jax.tree.map(np.asarray, run(over_devices(numbers)))
+            call = lambda n: self.function(jax.random.fold_in(key, n), **self.parameters, **self._number(n))
+            found = jax.tree.map(np.asarray, jax.jit(jax.vmap(call))(over_devices(numbers)))
         except Exception as error:  # the whole chunk fails; each of its draws tells why
             return [{"item": i, "failed": True, "reason": reason_of(error)} for i in self.items(k)]
         return [
             attempt(lambda _, j=j: flat(jax.tree.map(lambda a: a[j], found)), i, {})
             for j, i in enumerate(self.items(k))
         ]
+
+
+def numbered(function: Callable[..., Any], parameters: Mapping[str, Any]) -> bool:
+    """Whether a function asks for the number of the draw."""
+    return "number" in inspect.signature(function).parameters and "number" not in parameters
 
 
 def flat(value: Any) -> Row:
@@ -102,7 +112,8 @@ def prepare(settings: dict[str, Any], folder: Path) -> Work:
     given = settings["function"]
     function = given if callable(given) else imported(str(given), folder)
     try:
-        inspect.signature(function).bind(0, **settings["parameters"])
+        number = {"number": 0} if numbered(function, settings["parameters"]) else {}
+        inspect.signature(function).bind(0, **settings["parameters"], **number)
     except TypeError as error:
         names = ", ".join(settings["parameters"]) or "none"
         raise ValueError(f"function {given!r} does not take a seed and the parameters ({names}): {error}") from error
