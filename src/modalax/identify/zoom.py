@@ -55,11 +55,6 @@ def zoom(omega: Float[Array, " f"], arc: float, real: bool) -> Zoom:
     return Zoom((omega[0] + omega[-1]) / 2, 2 * jnp.pi * arc / span)
 
 
-def full_circle(n_lines: int) -> float:
-    """The arc at which ``n_lines`` equispaced lines fill the circle evenly."""
-    return (n_lines - 1) / n_lines
-
-
 def orthonormal_powers(
     u: Complex[Array, " f"], weight: Float[Array, " f"], degree: int, real: bool
 ) -> Complex[Array, "f k"] | Float[Array, "f2 k"]:

@@ -140,25 +140,9 @@ def _used(weights: Any, axis: int) -> list[bool]:
     return [bool(u) for u in np.any(np.asarray(weights) != 0, axis=axis)]
 
 
-def modify(
-    H_oi: Complex[Array, "f o i"],
-    H_ob: Complex[Array, "f o b"],
-    H_bb: Complex[Array, "f b b"],
-    H_bi: Complex[Array, "f b i"],
-    Z: Complex[Array, "f b b"],
-) -> Complex[Array, "f o i"]:
-    r"""Receptance after local changes, :math:`H_{oi} - H_{ob}(1 + Z H_{bb})^{-1} Z H_{bi}` [m/N].
-
-    Parameters
-    ----------
-    Z
-        Impedance of the changes between their directions [N/m].
-    """
-    return _modified(H_oi, H_ob, H_bb, H_bi, Z)
-
-
 @by_numpy
 def _modified(xp: ModuleType, H_oi: Any, H_ob: Any, H_bb: Any, H_bi: Any, Z: Any) -> Complex[Numbers, "f o i"]:
+    r"""Receptance after changes of impedance Z [N/m], :math:`H_{oi} - H_{ob}(1 + Z H_{bb})^{-1} Z H_{bi}` [m/N]."""
     inner = np.eye(Z.shape[-1]) + Z @ H_bb
     return H_oi - H_ob @ xp.linalg.solve(inner, Z @ H_bi)
 

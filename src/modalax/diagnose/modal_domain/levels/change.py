@@ -242,8 +242,3 @@ def change_by(base: Base, b: np.ndarray, force: np.ndarray) -> np.ndarray:
     """Change of the response, ``(level - 1, f, o, i)``, by a joint of direction ``b``, force ``(f, i, level - 1)``."""
     g = base.out @ b
     return -np.einsum("fo,fil->lfoi", g, force)
-
-
-def left_by(levels: Levels, base: Base, b: np.ndarray) -> np.ndarray:
-    """Chi-square that the best forces at each place leave, shape ``(p,)``."""
-    return np.concatenate([p.least for p in _blocks(levels, base, b)])
