@@ -43,7 +43,9 @@ def case(*sets, **changed):
         (case((0.97, SPRING), share_of_largest=0.8, misfit=2.0), "named", "12.3 nats"),
         (case((0.97, SPRING), odd=("7:+Z", 94.2)), "unknown", "the FRFs at 7:+Z alone"),
         (case((0.97, *NOTHING), odd=("7:+Z", 94.2)), "clean", "nothing stands out"),
-        (case((1.0, SPRING, MASS)), "named", "joint_stiffness at 3 - 4 and added_mass at 2"),
+        (case((1.0, SPRING, MASS)), "named", "joint_stiffness at 3 - 4 and added_mass at 2 stand out beyond"),
+        (case((1.0, SPRING, MASS)), "named", "without them the data are"),
+        (case((0.9, *NOTHING), fitted=[SPRING, MASS]), "clean", "added_mass at 2 are no larger than is usual"),
     ],
 )
 def test_each_rule_of_the_modal_domain(given, word, because):

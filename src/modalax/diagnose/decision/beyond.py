@@ -74,9 +74,10 @@ class ModalCase:
     @property
     def support(self) -> tuple[str, ...]:
         """What speaks for the leading set."""
-        what = _listed(self.sets[0].names)
-        first = f"{what} stands out beyond the general inaccuracy (probability {certainty(self.sets):.3f})"
-        return (first,) if self.nats is None else (first, f"without it the data are {self.nats:.3g} nats less likely")
+        names = self.sets[0].names
+        stand, it = ("stand", "them") if len(names) > 1 else ("stands", "it")
+        first = f"{_listed(names)} {stand} out beyond the general inaccuracy (probability {certainty(self.sets):.3f})"
+        return (first,) if self.nats is None else (first, f"without {it} the data are {self.nats:.3g} nats less likely")
 
 
 def _listed(names: Names) -> str:
@@ -115,9 +116,10 @@ def the_usual_is_needed(case: ModalCase) -> tuple[str, ...]:
     if not case.needed or case.sets[0].names:
         return ()
     what = " and ".join(cause_at(slug, where) for slug, where in case.needed)
+    are = "are" if len(case.needed) > 1 else "is"
     return (
-        f"errors of single elements do not explain the measured modes, and {what}, with which they would, is no larger "
-        "than these errors: several elements may be off by the same factor",
+        f"errors of single elements do not explain the measured modes, and {what}, with which they would, {are} no "
+        "larger than these errors: several elements may be off by the same factor",
     )
 
 
@@ -126,8 +128,9 @@ def nothing_beyond_the_usual(case: ModalCase) -> tuple[str, ...]:
     if case.sets[0].names:
         return ()
     if case.fitted:
-        what = ", ".join(cause_at(slug, where) for slug, where in case.fitted)
-        return (f"{what} is no larger than is usual, or may be none at all within its error",)
+        what = " and ".join(cause_at(slug, where) for slug, where in case.fitted)
+        are, its = ("are", "their errors") if len(case.fitted) > 1 else ("is", "its error")
+        return (f"{what} {are} no larger than is usual, or may be none at all within {its}",)
     return (f"nothing stands out beyond the general inaccuracy (probability {case.sets[0].probability:.3f})",)
 
 
