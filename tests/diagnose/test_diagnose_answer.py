@@ -242,3 +242,11 @@ def test_the_whole_catalogue_names_a_joint_at_three_levels():
     best = found.candidates[0]
     assert best.names == {("joint_stiffness", ("3", "5"))}
     assert found.verdict in ("named", "ambiguous")
+
+
+def test_where_modes_alone_leave_it_unknown_matrices_are_asked_for():
+    """Of one factor on each sensor but the first, which none of the causes asked about is."""
+    data = measured(five_dof(), 4, change=lambda H: H * np.array([1.0, 1.3, 0.8, 1.2, 0.7])[:, None])
+    said = [diagnose(data, s, causes=[ChannelSign()]) for s in (five_dof().modal(), five_dof())]
+    assert [d.verdict for d in said] == ["unknown", "unknown"]
+    assert [any("where its matrices are known" in r for r in d.reasons) for d in said] == [True, False]

@@ -72,7 +72,12 @@ def print_remarks(console: Console, answer: Mapping[str, Any]) -> None:
 
 
 def cause_table(causes: Sequence[Any]) -> Table:
-    """Make a table of causes; forms of a cause that share a name share a row."""
+    """Make a table of causes, with what an answer tells of each; forms of a cause that share a name share a row."""
+    import numpy as np
+
+    from modalax.diagnose.causes.base import JointCause
+    from modalax.diagnose.causes.scene import Place
+
     table = new_table("Causes that a diagnosis can name")
     table.add_column("Cause", no_wrap=True)
     table.add_column("Parameters")
@@ -80,7 +85,11 @@ def cause_table(causes: Sequence[Any]) -> Table:
     seen: dict[str, tuple[dict[str, None], str]] = {}
     for cause in causes:
         words, summary = seen.setdefault(cause.slug, ({}, cause.summary))
-        words.update({f"{p.name} [{p.unit}]": None for p in cause.parameters})
+        units = {p.name: p.unit for p in cause.parameters}
+        if isinstance(cause, JointCause):  # some of which are told by other numbers than they are fitted with
+            told = cause.report(np.ones(len(units)), Place(("", ""), (0, 1, 0)))
+            units = {name: unit for name, (_, unit) in told.items()}
+        words.update({f"{name} [{unit}]": None for name, unit in units.items()})
     for slug, (words, summary) in seen.items():
         table.add_row(slug, escape(", ".join(words)), escape(summary))
     return table

@@ -147,7 +147,15 @@ def diagnose(
     measurement, renamed = turned(measurement, names)
     found = by_frfs(measurement, simulation, question, causes, Deadline(time), progress)
     said = gains_said(found.causes) if found.verdict in ("named", "ambiguous") else []
+    if found.verdict == "unknown" and question != "free" and isinstance(simulation, ModalModel):
+        said = [MODES_ALONE]
     return replace(found, reasons=(*found.reasons, *said, *renamed)) if said or renamed else found
+
+
+MODES_ALONE = (
+    "the simulation is given as modes, of which neither its elements nor what further modes add can be told: where its "
+    "matrices are known, give these, with which it may be off everywhere"
+)
 
 
 def by_frfs(
@@ -336,7 +344,8 @@ def told(found: Explanation, progress: Callable[[str], None]) -> Diagnosis:
     gain = measure((found.look.comparison, found.comparison), found.look.null, found.best, found.leftover.tolerated)
     word, reasons = verdict(found.ranked, found.leftover, gain)
     if aside := lines_aside(found.best):
-        reasons = (*reasons, f"no steady motion of the joint explains {aside} lines, which were set aside")
+        lines = "1 line, which was" if aside == 1 else f"{aside} lines, which were"
+        reasons = (*reasons, f"no steady motion of the joint explains {lines} set aside")
     if comparison.late():
         reasons = (*reasons, "time was up before every explanation had been tried")
     null = found.look.null.chi2

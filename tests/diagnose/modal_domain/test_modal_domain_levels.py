@@ -17,7 +17,7 @@ from modalax.diagnose.modal_domain.levels.explain import apart_from_zero
 from modalax.diagnose.modal_domain.levels.laws import LawFit, regressed
 from modalax.diagnose.modal_domain.levels.motion import Motion, seen_force
 from modalax.diagnose.modal_domain.levels.series import in_series
-from modalax.diagnose.modal_domain.levels.weigh import set_aside
+from modalax.diagnose.modal_domain.levels.weigh import STEEP, off_folds, set_aside
 from modalax.simulate import joints, simulate
 
 TAU = 2 * np.pi * np.arange(512) / 512
@@ -242,3 +242,10 @@ def test_amplitudes_are_as_uncertain_as_the_noise_of_the_forces_makes_them():
         made.append(replace(m, seen=noisy).behind(0.0, levels).amplitude)
     scatter = np.std(made, axis=0) / m.behind(0.0, levels).amplitude
     np.testing.assert_allclose(m.blurred, scatter, rtol=0.06, atol=1e-12)
+
+
+def test_a_line_at_a_fold_tells_a_parameter_no_better_than_its_slope_holds():
+    """Of a cubic spring the force goes with the strength; at a fold it jumps, here by 2,600 times as much."""
+    N, p = np.array([3.0, 6.0, 9.0 - 1j]), np.array([3e9])
+    by = (N * [1.0, 2600.0, 4.0] / p)[:, None]
+    np.testing.assert_allclose(off_folds(N, by, p)[:, 0] * p / N, [1.0, STEEP, 4.0], rtol=1e-12)

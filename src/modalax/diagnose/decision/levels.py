@@ -84,7 +84,8 @@ class LevelsCase:
             f"{self.place_probability:.3f} of the place)",
         )
         if self.aside:
-            told = (*told, f"{self.aside} lines were set aside: the joint moves otherwise there than this law has it")
+            lines = "1 line was" if self.aside == 1 else f"{self.aside} lines were"
+            told = (*told, f"{lines} set aside: the joint moves otherwise there than this law has it")
         if self.holds is None:
             return told
         stiffness, std = self.holds

@@ -76,8 +76,10 @@ class Case:
 
     @property
     def names(self) -> str:
-        """The causes of the leading set, in words."""
-        return " and ".join(slug for slug, _ in sorted(self.best.names, key=str))
+        """The causes of the leading set, in words; how many of a kind."""
+        slugs = [slug for slug, _ in sorted(self.best.names, key=str)]
+        number = {slug: slugs.count(slug) for slug in slugs}
+        return " and ".join(slug if count == 1 else f"{slug} at {count} places" for slug, count in number.items())
 
     @property
     def subject(self) -> str:
@@ -130,8 +132,8 @@ def nameless_is_likelier(case: Case) -> str | None:
     """Something that the answer has no name for is likelier."""
     p = case.leftover.nameless
     return None if p <= case.limits.nameless else (
-        f"something beside the catalogue is likelier than any of its causes: {case.leftover.likeness or 'unlisted'} "
-        f"(probability {p:.2f})"
+        "something beside the catalogue is likelier than any of its causes: "
+        f"{case.leftover.likeness or f'unlisted (probability {p:.2f})'}"
     )  # fmt: skip
 
 

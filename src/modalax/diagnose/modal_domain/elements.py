@@ -17,6 +17,7 @@ NEGLIGIBLE = 1e-7  # size of a coupling, relative to the diagonal, below which t
 AXES = ("X", "Y", "Z", "RX", "RY", "RZ")
 # Names such as 12z, n3_ry or 12.RX, besides those written 12:+Z
 _SHORT = re.compile(r"(?P<node>.*?[^A-Za-z]|[A-Za-z]+?)[_.\- ]?(?P<direction>[rR]?[xyzXYZ])")
+_AHEAD = re.compile(r"u?(?P<turn>r|rot)?(?P<along>[xyz])[_.\- ]?(?P<node>\d+)", re.IGNORECASE)  # z12, rotx_3, ux4
 
 
 @dataclass(frozen=True)
@@ -81,15 +82,40 @@ def nodes_of(dofs: tuple[str, ...]) -> Nodes:
     """Nodes by the names of their DoFs; where names do not show the node, every DoF is a node of its own."""
     found: dict[object, list[int]] = {}
     axis, sign = np.full(len(dofs), -1), np.ones(len(dofs))
-    for k, name in enumerate(dofs):
-        node, direction, sign[k] = parse_dof(name)
-        short = None if direction is not None else _SHORT.fullmatch(name.strip())
-        if short is not None:
-            node, direction = short["node"].rstrip("_.- "), short["direction"].upper()
+    for k, (node, direction, way) in enumerate(_read(dofs)):
         if direction in AXES:
             axis[k] = AXES.index(direction)
-        found.setdefault((node,) if axis[k] >= 0 else name, []).append(k)
+        sign[k] = way
+        found.setdefault((node,) if axis[k] >= 0 else dofs[k], []).append(k)
     return Nodes([np.array(v) for v in found.values()], axis, sign)
+
+
+def _read(dofs: tuple[str, ...]) -> list[tuple[str, str | None, int]]:
+    """Node, direction and sign of each name.
+
+    Letters alone, and letters before a number, may also count points; they are directions where that shows: where a
+    body turns, and where one number has several directions.
+    """
+    names = [name.strip() for name in dofs]
+    alone = any(name.upper() in AXES[3:] for name in names)
+    ahead = [_AHEAD.fullmatch(name) for name in names]
+    numbered = [(m["node"], f"{'R' * bool(m['turn'])}{m['along'].upper()}") for m in ahead if m is not None]
+    many = len({node for node, _ in numbered}) < len(set(numbered))
+    found: list[tuple[str, str | None, int]] = []
+    for name, first in zip(names, ahead, strict=True):
+        node, direction, way = parse_dof(name)
+        last = _SHORT.fullmatch(name)
+        if direction is not None:
+            found.append((node, direction, way))
+        elif alone and name.upper() in AXES:
+            found.append(("", name.upper(), 1))
+        elif first is not None and many:
+            found.append((first["node"], f"{'R' * bool(first['turn'])}{first['along'].upper()}", 1))
+        elif last is not None:
+            found.append((last["node"].rstrip("_.- "), last["direction"].upper(), 1))
+        else:
+            found.append((name, None, 1))
+    return found
 
 
 def rigid_moves(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -167,7 +193,17 @@ def _springs_of(nodes: tuple[int, int], dofs: np.ndarray, matrix: np.ndarray) ->
 def _ends(
     block: np.ndarray, a: np.ndarray, b: np.ndarray, size_a: np.ndarray, size_b: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Diagonal blocks of what couples two nodes by ``block`` and does not resist rigid motion."""
+    """Diagonal blocks of what couples two nodes by ``block`` and does not resist rigid motion.
+
+    A point that moves in one direction, which its name does not tell, is joined to a node by a rod or spring: the force
+    that its displacement makes there is along that direction, and its length is the stiffness.
+    """
+    for k, rows in ((0, block), (1, block.T)):
+        mine, other = (a, b)[:: 1 - 2 * k]
+        stiffness = float(np.linalg.norm(rows[0, other < 3])) if mine.tolist() == [-1] and (other >= 0).all() else 0.0
+        if stiffness > 0:
+            found = np.array([[stiffness]]), np.outer(rows[0], rows[0]) / stiffness
+            return found[:: 1 - 2 * k]
     if (a < 0).any() or (b < 0).any():
         return -np.diag(block.sum(axis=1)), -np.diag(block.sum(axis=0))
     forth, back = rigid_moves(a, b), rigid_moves(b, a)

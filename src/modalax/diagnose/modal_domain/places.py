@@ -198,7 +198,7 @@ def springs_of(
     asked = {frozenset(dofs.index(name) for name in p) for p in pairs or () if set(p) <= set(dofs)}
     parts = _parts(simulation, nodes)
     if simulation.elements is None:
-        within = _read_within(K, parts, asked)
+        within = read_within(K, parts, asked)
     else:
         within = springs_within(simulation, nodes)
         joined = _joined(parts, nodes)
@@ -231,15 +231,20 @@ def springs_of(
     return out
 
 
-def _read_within(K: np.ndarray, parts: list[Part], asked: set[frozenset[int]]) -> dict[frozenset[int], float]:
-    """Pairs of DoFs that a matrix couples, with the stiffness there: the entry itself where parts can be read off."""
+def read_within(K: np.ndarray, parts: list[Part], asked: set[frozenset[int]]) -> dict[frozenset[int], float]:
+    """Pairs of DoFs that a matrix couples, with the stiffness there: the entry itself where parts can be read off.
+
+    Two DoFs with no third that is coupled to both can only be joined by a spring, whatever else cannot be read off.
+    """
     size = np.sqrt(np.maximum(np.diag(K), 1e-300))
     unit = np.abs(K) / size[:, None] / size
     read = {frozenset(pair) for p in parts if p.nodes for pair in itertools.combinations(p.dofs.tolist(), 2)}
-    out = {}
-    for a, b in np.argwhere(np.triu(unit, 1) >= COUPLED).tolist():
+    joined, out = unit >= COUPLED, {}
+    np.fill_diagonal(joined, False)
+    for a, b in np.argwhere(np.triu(joined)).tolist():
         pair = frozenset((a, b))
-        told = unit[a, b] > 1e-3 and (pair in asked or pair in read)
+        alone = K[a, b] < 0 and not (joined[a] & joined[b]).any()
+        told = unit[a, b] > 1e-3 and (pair in asked or pair in read) or alone
         out[pair] = float(abs(K[a, b]) if told else min(K[a, a], K[b, b]))
     return out
 

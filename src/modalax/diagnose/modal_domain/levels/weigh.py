@@ -23,6 +23,7 @@ PRICE = math.log(ASIDE / (1 - ASIDE))
 STEPS = 4  # points of a Gauss-Newton search
 BENT = 1e-5  # relative change of a parameter by which they are taken
 MOVED = 1e-3  # change of a shape at the joint, relative to its largest, by which derivatives are taken
+STEEP = 30.0  # relative change of a law's force over that of a parameter, beyond which a line is at a fold
 SHOWN = 1e-3  # size of an error of the shapes, relative to the largest, from which it counts
 
 
@@ -111,6 +112,7 @@ def weigh(
         motions = [told.along(one, levels.force) for one in motions_of(levels, base, every, P)]
         m = motions[0]
         N, by = derivatives_of(law, m, p)
+        by = off_folds(N, by, p)
         more = (stiffness_of(law, m, p, m.amplitude * (1 + BENT)) - N) / np.maximum(BENT * m.amplitude, 1e-300)
         forces = [force_at(one, N + more * (one.amplitude - m.amplitude)) for one in motions]
         made = [change_by(base, d, q) for d, q in zip(every, forces, strict=True)]
@@ -133,6 +135,20 @@ def weigh(
         best = Weighed(LawFit(law, p, own, chi2), sharp, evidence, rho, aside, now)
         z, p = x[: len(moves)], new
     return best
+
+
+def off_folds(N: np.ndarray, by: np.ndarray, p: np.ndarray) -> np.ndarray:
+    r"""Derivatives of describing functions with those at a fold cut to where :math:`|p\,dN/dp|` is ``STEEP`` times N.
+
+    There the motion jumps: the slope grows without bound and holds over no deviation, so that one line would seem to
+    tell the parameters better than all others.
+
+    Parameters
+    ----------
+    by
+        Derivatives, shape ``N.shape + (p,)``.
+    """
+    return by / np.maximum(np.abs(p * by) / np.maximum(STEEP * np.abs(N)[..., None], 1e-300), 1.0)
 
 
 def _products(levels: Levels, base: Base, b: np.ndarray, Q: np.ndarray, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
