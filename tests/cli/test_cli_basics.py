@@ -396,3 +396,16 @@ def test_without_plotly_a_report_is_refused_before_any_work(monkeypatch, tmp_pat
     assert "r.html cannot be written: a report needs plotly and jinja2" in capsys.readouterr().err
     assert main(["view", str(tmp_path / "none.npz")]) == 2
     assert "modalax[view]" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [("units", "--prior units: it needs SLUG=FACTOR"), ("units=much", "--prior units=much: it needs SLUG=FACTOR"),
+     ("gremlin=2", "prior names 'gremlin'"), ("units=-1", "the prior of units is -1; it must be above 0")],
+)  # fmt: skip
+def test_a_prior_that_cannot_be_held_is_an_error_that_says_so(tmp_path, capsys, given, said):
+    data, simulation = tmp_path / "data.npz", tmp_path / "simulation.npz"
+    save(five_dof().frf(np.linspace(20.0, 70.0, 60), inputs=["1"]), data)
+    save(five_dof(), simulation)
+    assert main(["diagnose", str(data), "--simulation", str(simulation), "--prior", given]) == 2
+    assert said in capsys.readouterr().err.replace("\n", " ")

@@ -65,7 +65,7 @@ def test_a_joint_never_comes_first_where_the_simulation_may_move_or_has_more_tha
 
 def test_the_joint_that_comes_first_is_the_answer(monkeypatch):
     """No search about the modes as they are takes place; without a joint it does."""
-    data, asked, joint = measured(LEVELS), [], SimpleNamespace(verdict="unknown", causes=[])
+    data, asked, joint = measured(LEVELS), [], SimpleNamespace(verdict="unknown", causes=[], question="free")
     monkeypatch.setattr(pipeline, "joint_comes_first", lambda *_: True)
     monkeypatch.setattr(pipeline, "diagnose_joint", lambda *_: asked.append("joint") or joint)
     monkeypatch.setattr(pipeline, "line_by_line", lambda *_: pytest.fail("searched line by line"))

@@ -68,6 +68,14 @@ def diagnose(
         str | None,
         typer.Option("--causes", metavar="SLUG,...", help="Look for these causes only; 'modalax causes' lists them."),
     ] = None,
+    prior: Annotated[
+        str | None,
+        typer.Option(
+            "--prior",
+            metavar="SLUG=F,...",
+            help="How much likelier than by itself you hold a cause to be, such as joint_stiffness=10.",
+        ),
+    ] = None,
     time: Annotated[
         float,
         typer.Option("--time", metavar="SECONDS", help="Time after which no further step of the modal domain begins."),
@@ -113,14 +121,15 @@ def diagnose(
     from modalax.diagnose import diagnose as answered
     from modalax.files import save as write_model
 
-    wanted = _named_causes(causes)
+    wanted, held = _named_causes(causes), _factors(prior)
     with naming(data):
         measurement = measurement if modes_alone else _selected(measurement, band, run)
     doing = "Diagnosing (slower the first time, when programs are compiled)"
     with naming(data, simulation), working(doing) as tell:
         result = answered(
-            measurement, model, question=question, causes=wanted, time=time, modal_std=modal_std, progress=tell
-        )
+            measurement, model, question=question, causes=wanted, time=time, modal_std=modal_std, prior=held,
+            progress=tell,
+        )  # fmt: skip
     answer = result.to_dict()
     print_diagnosis(Console(), answer)
     if json is not None:
@@ -170,6 +179,18 @@ def _selected(measurement: Any, band: tuple[float, float] | None, runs: list[int
             level=take(measurement.level), force=take(measurement.force),
         )  # fmt: skip
     return measurement if band is None else measurement.band(*band)
+
+
+def _factors(text: str | None) -> dict[str, float]:
+    """Factors by cause as ``SLUG=FACTOR,...``."""
+    found: dict[str, float] = {}
+    for item in (part.strip() for part in (text or "").split(",") if part.strip()):
+        name, _, number = (part.strip() for part in item.partition("="))
+        try:
+            found[name] = float(number)
+        except ValueError:
+            raise ValueError(f"--prior {item}: it needs SLUG=FACTOR, for example joint_stiffness=10") from None
+    return found
 
 
 def _named_causes(slugs: str | None) -> list[Any] | None:

@@ -28,7 +28,7 @@ then by laws that come near to that, judged by the highest level (``jointed``). 
 that no joint of any law explains the levels with the modes as they are (``jointed.bent``).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 
@@ -43,6 +43,7 @@ from modalax.diagnose.causes import catalogue, imitators
 from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.comparison import Comparison, as_measurement, causes_of, make_comparison, with_noise_beside
 from modalax.diagnose.deadline import NEVER, Deadline
+from modalax.diagnose.decision.beliefs import beliefs
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.route import (
     Outcome,
@@ -69,7 +70,7 @@ from modalax.diagnose.modal_domain.measured import Measured
 from modalax.diagnose.modal_domain.stage import identified
 from modalax.diagnose.modal_domain.table import by_table
 from modalax.diagnose.result import Diagnosis
-from modalax.diagnose.routes import check_groups, named_before, named_beside_claim, outcome_of, task_of
+from modalax.diagnose.routes import GROUP_SLUGS, check_groups, named_before, named_beside_claim, outcome_of, task_of
 from modalax.diagnose.screening.one_force import places_of_one_force
 from modalax.diagnose.search.explain import Explanation, check_imitations, explain
 from modalax.diagnose.search.look import look
@@ -97,6 +98,7 @@ def diagnose(
     causes: Sequence[Cause] | None = None,
     time: float = 120.0,
     modal_std: tuple[float, float, float] | None = None,
+    prior: Mapping[str, float] | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Diagnosis:
     """Find what a simulation gets wrong, name the cause, extend the simulation and measure the gain.
@@ -121,6 +123,9 @@ def diagnose(
     modal_std
         Of modes alone: relative standard deviations of frequency and damping ratio where the table states none, and
         that of shapes over their largest component.
+    prior
+        Factors by name of the cause: how much likelier than by itself you hold it to be before the data, such as
+        ``{"joint_stiffness": 10}`` where a mount is suspected. A factor multiplies the odds of what holds the cause.
     progress
         Called with each stage, in words.
 
@@ -138,6 +143,21 @@ def diagnose(
     """
     require_double("diagnose")
     check_groups(simulation, causes)
+    with beliefs(prior, every_name() | {c.slug for c in causes or ()}):
+        return _diagnosed(measurement, simulation, question, causes, time, modal_std, progress)
+
+
+def every_name() -> set[str]:
+    """Names of all causes that an answer can hold."""
+    return {c.slug for c in (*catalogue(), *imitators())} | GROUP_SLUGS | {"sensor_place"}
+
+
+def _diagnosed(
+    measurement: Measurement | FRF | ModeTable, simulation: Structure | ModalModel | ExtendedSimulation, question: str,
+    causes: Sequence[Cause] | None, time: float, modal_std: tuple[float, float, float] | None,
+    progress: Callable[[str], None],
+) -> Diagnosis:  # fmt: skip
+    """The answer, with what is known besides said beside it."""
     names = dof_names(simulation.base if isinstance(simulation, ExtendedSimulation) else simulation)
     if isinstance(measurement, ModeTable):
         table, renamed = turned_modes(measurement, names)
@@ -147,7 +167,7 @@ def diagnose(
     measurement, renamed = turned(measurement, names)
     found = by_frfs(measurement, simulation, question, causes, Deadline(time), progress)
     said = gains_said(found.causes) if found.verdict in ("named", "ambiguous") else []
-    if found.verdict == "unknown" and question != "free" and isinstance(simulation, ModalModel):
+    if found.verdict == "unknown" and found.question == "fixed" and isinstance(simulation, ModalModel):
         said = [MODES_ALONE]
     return replace(found, reasons=(*found.reasons, *said, *renamed)) if said or renamed else found
 

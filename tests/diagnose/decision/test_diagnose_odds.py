@@ -15,6 +15,7 @@ from modalax.data import Measurement
 from modalax.diagnose.causes import Cause, Parameter, PatternCause, Place, Scene, catalogue
 from modalax.diagnose.causes.local import JointStiffness
 from modalax.diagnose.causes.signals import HumLines
+from modalax.diagnose.decision.beliefs import beliefs
 from modalax.diagnose.decision.detection import detect
 from modalax.diagnose.decision.omnibus import Omnibus
 from modalax.diagnose.decision.posterior import evidence, posterior, promise
@@ -187,6 +188,12 @@ class TestEvidence:
 
         best = scipy.optimize.minimize_scalar(less, bounds=(0, 20), method="bounded", options={"xatol": 1e-10})
         assert got == pytest.approx(-best.fun, rel=1e-8)
+
+    def test_a_users_belief_multiplies_the_odds(self):
+        h = hypothesis(Shift(), chi2=90.0, freedom=1.0)
+        plain = evidence(h, SCENE, 100, 200.0)
+        with beliefs({"shift": 5.0}, {"shift"}):
+            assert evidence(h, SCENE, 100, 200.0) - plain == pytest.approx(np.log(5))
 
     def test_each_cause_after_the_first_costs_its_price(self):
         one, two, three = (

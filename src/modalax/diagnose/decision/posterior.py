@@ -7,6 +7,7 @@ from typing import Any
 
 from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.causes.scene import Place, Scene
+from modalax.diagnose.decision.beliefs import believed
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.screening.screen import Trial
 from modalax.diagnose.thresholds import THRESHOLDS
@@ -36,7 +37,8 @@ def evidence(h: Hypothesis, scene: Scene, samples: int, null_chi2: float) -> flo
             value += 0.5 * sizes * max(each - 1 - math.log(max((null_chi2 - h.chi2) / sizes, 1.0)), 0.0)
     value -= THRESHOLDS.several_causes * max(len(h.names) - 1, 0)
     for cause, place, p in zip(h.causes, h.places, h.params, strict=True):  # hum has one place and weight 1
-        value += math.log(cause.prior) + math.log(_weight(cause, place, scene)) + math.log(cause.likely(p, scene))
+        value += math.log(cause.prior) + believed(cause.slug)
+        value += math.log(_weight(cause, place, scene)) + math.log(cause.likely(p, scene))
     return value
 
 
@@ -56,7 +58,8 @@ def promise(t: Trial, scene: Scene, samples: int) -> float:
     cost, sizes = t.cause.promised_cost(t.extra) * each, t.cause.free_sizes(t.extra)
     if sizes:
         cost += sizes * min(each, 1 + math.log(max(t.gain / sizes, 1.0)))
-    return t.gain - cost + 2 * math.log(t.cause.prior) + 2 * math.log(_weight(t.cause, t.place, scene))
+    before = math.log(t.cause.prior) + believed(t.cause.slug) + math.log(_weight(t.cause, t.place, scene))
+    return t.gain - cost + 2 * before
 
 
 def _weight(cause: Cause, place: Place, scene: Scene) -> float:

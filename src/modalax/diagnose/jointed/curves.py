@@ -14,6 +14,7 @@ import numpy as np
 
 from modalax._numerics.checks import as_array
 from modalax.diagnose.causes.base import JointCause
+from modalax.diagnose.decision.beliefs import believed
 from modalax.diagnose.joint_laws import Explained, Task
 from modalax.diagnose.setup.modal_form import modal_form_of
 from modalax.diagnose.thresholds import THRESHOLDS
@@ -61,7 +62,9 @@ def likeliest_sets(
         if not np.isfinite(missed):
             continue
         unknowns = sum(len(law.parameters) for law in one)
-        prior = sum(math.log(law.prior) for law in one) - THRESHOLDS.several_causes * (len(one) - 1)
+        prior = sum(math.log(law.prior) + believed(law.slug) for law in one) - THRESHOLDS.several_causes * (
+            len(one) - 1
+        )
         size = -0.5 * count * math.log(missed + floor) - 0.5 * unknowns * math.log(count) + prior
         names = frozenset(law.slug for law in one)
         if names not in found or size > found[names][0]:

@@ -26,6 +26,7 @@ from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.causes.base import JointCause
 from modalax.diagnose.causes.free_law import FreeLaw
 from modalax.diagnose.deadline import Deadline
+from modalax.diagnose.decision.beliefs import believed
 from modalax.diagnose.fitting.hypothesis import to_search
 from modalax.diagnose.joint_laws import Explained, compare_laws, joint_task
 from modalax.diagnose.jointed.curves import likeliest_sets
@@ -219,7 +220,7 @@ def evidence(one: Fitted, length: float) -> float:
     r = np.abs(e.residual) ** 2
     held = float(r.sum()) - e.chi2
     count, out = e.samples / length, (2 * r.size - e.samples) / length
-    prior = sum(math.log(c.prior) for c in e.extended.causes)
+    prior = sum(math.log(c.prior) + believed(c.slug) for c in e.extended.causes)
     more = THRESHOLDS.several_causes * max(len(e.extended.causes) - 1, 0)
     size = -0.5 * count * math.log(e.chi2) - 0.5 * e.unknowns * math.log(count)
     return size - 0.5 * out * math.log(max(held, 1e-300)) + prior - more

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from modalax.diagnose.decision.beliefs import believed
 from modalax.diagnose.modal_domain.causes import Change
 
 NONE = 0.5  # probability before the data that nothing stands out
@@ -20,7 +21,8 @@ class Prior:
 
     def one(self, c: Change) -> float:
         """Of a kind and a place."""
-        return math.log(c.rarity * max(c.weight, 1e-300) / self.total[c.slug] / len(self.kinds))
+        usual = math.log(c.rarity * max(c.weight, 1e-300) / self.total[c.slug] / len(self.kinds))
+        return usual + believed(c.slug)
 
     def each(self, candidates: Sequence[Change]) -> np.ndarray:
         """Of each of some candidates."""

@@ -7,6 +7,7 @@ import numpy as np
 
 from modalax.diagnose.causes.base import Cause, ElementCause, PatternCause
 from modalax.diagnose.causes.joints import FRACTIONS
+from modalax.diagnose.decision.beliefs import believed
 from modalax.diagnose.fitting.gauss_newton import ROUNDS
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.screening.every_cause import chosen, screen_all
@@ -70,7 +71,7 @@ def fit_single(state: ScoreState, trials: list[Trial]) -> list[Hypothesis]:
     """
     comparison, null = state.comparison, state.hypothesis
     fine: list[Hypothesis] = []
-    by_promise = sorted(trials, key=lambda t: -(t.gain + 2 * np.log(t.cause.prior)))
+    by_promise = sorted(trials, key=lambda t: -(t.gain + 2 * np.log(t.cause.prior) + 2 * believed(t.cause.slug)))
     for cause in dict.fromkeys(t.cause for t in by_promise):
         if fine and comparison.late():
             break

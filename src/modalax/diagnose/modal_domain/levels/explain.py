@@ -8,6 +8,7 @@ import numpy as np
 
 from modalax.diagnose.causes.base import JointCause
 from modalax.diagnose.causes.joints import ElastoSlip, GapContact
+from modalax.diagnose.decision.beliefs import believed
 from modalax.diagnose.modal_domain.levels.change import Base, Levels, projected, unexplained
 from modalax.diagnose.modal_domain.levels.drift import Drift
 from modalax.diagnose.modal_domain.levels.laws import NAMED, NAMELESS, LawFit, fit_law, regressed
@@ -191,7 +192,7 @@ def apart_from_zero(f: LawFit) -> float:
 
 
 def _prior(spot: Spot, f: LawFit) -> float:
-    return math.log(max(spot.weight, 1e-300)) + math.log(f.law.prior)
+    return math.log(max(spot.weight, 1e-300)) + math.log(f.law.prior) + believed(f.law.slug)
 
 
 def _promising(
