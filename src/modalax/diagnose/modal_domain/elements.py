@@ -202,8 +202,8 @@ def _ends(
         mine, other = (a, b)[:: 1 - 2 * k]
         stiffness = float(np.linalg.norm(rows[0, other < 3])) if mine.tolist() == [-1] and (other >= 0).all() else 0.0
         if stiffness > 0:
-            found = np.array([[stiffness]]), np.outer(rows[0], rows[0]) / stiffness
-            return found[:: 1 - 2 * k]
+            point, node = np.array([[stiffness]]), np.outer(rows[0], rows[0]) / stiffness
+            return (node, point) if k else (point, node)
     if (a < 0).any() or (b < 0).any():
         return -np.diag(block.sum(axis=1)), -np.diag(block.sum(axis=0))
     forth, back = rigid_moves(a, b), rigid_moves(b, a)
