@@ -10,9 +10,12 @@ import subprocess
 import sys
 from pathlib import Path
 
-RUNS: dict[str, list[str]] = {
-    "identification": [], "fit_speed": [], "diagnosis": [], "harmonic_balance": [], "batch": [], "large": [],
-    "curves": [], "scheduler": [], "startup": [], "devices": [],
+CASES = ["--cases", "five", "small", "aeroplane", "large", "diagram"]
+RUNS: dict[str, list[str]] = {  # script, then its options
+    "identification": ["identification"], "fit_speed": ["fit_speed", *CASES], "diagnosis": ["diagnosis"],
+    "off_everywhere": ["diagnosis", "--off-everywhere"], "harmonic_balance": ["harmonic_balance"], "batch": ["batch"],
+    "large": ["large"], "curves": ["curves"], "scheduler": ["scheduler"], "startup": ["startup"],
+    "devices": ["devices"],
 }  # fmt: skip
 
 
@@ -54,8 +57,9 @@ def main() -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     told, numbers = [], [["benchmark", "machine", "row", "quantity", "value"]]
     for name in args.names or RUNS:
-        script = Path(__file__).with_name(f"{name}.py")
-        done = subprocess.run([sys.executable, script, *RUNS[name]], capture_output=True, text=True, check=False)
+        script, *options = RUNS[name]
+        command = [sys.executable, Path(__file__).with_name(f"{script}.py"), *options]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
         text = done.stdout if not done.returncode else f"{done.stdout}\nfails: {done.stderr.strip()[-300:]}"
         told.append(f"## {name}\n{text.strip()}\n")
         machine = next((line for line in text.splitlines() if " cores, load " in line), "")

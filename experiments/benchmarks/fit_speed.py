@@ -18,6 +18,8 @@ import tempfile
 import time
 from pathlib import Path
 
+from common import Table, machine
+
 CASES = {
     "five": "five DoFs, 5 x 5 x 701",
     "small": "3 x 1 x 1,000, noise unknown",
@@ -108,6 +110,7 @@ def main() -> None:
     if args.part:
         print(json.dumps(run(args.part, args.profile)))
         return
+    print(machine() + "\n")
     root = Path(__file__).parents[2]
     with tempfile.TemporaryDirectory() as old:
         sides = {"now": root / "src"}
@@ -117,17 +120,19 @@ def main() -> None:
             )
             subprocess.run(["tar", "-x", "-C", old], input=tree.stdout, check=True)
             sides = {"before": Path(old) / "src", **sides}
+        head = ("FRFs", "package", "cold CPU [s]", "warm CPU [s]", "memory [GB]", "modes", "all with deviations")
+        table = Table(head)
         for case in args.cases:
             found = {name: side(case, source, args.profile) for name, source in sides.items()}
             for name, r in found.items():
-                cold, warm = r["seconds"][0], r["seconds"][-1]
-                print(
-                    f"{CASES[case]:34} {name:7} cold {cold:7.1f} s  warm {warm:7.2f} s  {r['peak']:5.2f} GB  "
-                    f"{r['modes']} modes{', all with deviations' if r['deviations'] else ''}", flush=True,
-                )  # fmt: skip
+                times = r["seconds"]
+                warm = f"{times[-1]:.2f}" if len(times) > 1 else ""
+                table.add(CASES[case], name, f"{times[0]:.1f}", warm, f"{r['peak']:.2f}", r["modes"], r["deviations"])
             if args.before:
                 one, two = found["before"]["seconds"], found["now"]["seconds"]
-                print(f"{'':34} faster by {one[0] / two[0]:.1f} cold, {one[-1] / two[-1]:.1f} warm", flush=True)
+                table.add(
+                    CASES[case], "times as fast", f"{one[0] / two[0]:.1f}", f"{one[-1] / two[-1]:.1f}", "", "", ""
+                )
 
 
 if __name__ == "__main__":

@@ -87,6 +87,10 @@ from modalax.model.receptance import dof_names
 FIRST_SHARE = 0.6  # of the time for a search line by line that the modal domain or a free joint may have to follow
 FITTED_EACH = 30  # places at each of which every law is fitted to the force; more are screened together
 NAMED_SHARE = 0.85  # of the time for what is in the catalogue, before what is not is looked at
+MODES_ALONE = (
+    "the simulation is given as modes, of which neither its elements nor what further modes add can be told: where its "
+    "matrices are known, give these, with which it may be off everywhere"
+)
 
 
 @one_thread
@@ -125,7 +129,8 @@ def diagnose(
         that of shapes over their largest component.
     prior
         Factors by name of the cause: how much likelier than by itself you hold it to be before the data, such as
-        ``{"joint_stiffness": 10}`` where a mount is suspected. A factor multiplies the odds of what holds the cause.
+        ``{"joint_stiffness": 10}`` where a mount is suspected. A factor multiplies the odds of what holds the cause;
+        hum beside modes is judged by a test alone.
     progress
         Called with each stage, in words.
 
@@ -170,12 +175,6 @@ def _diagnosed(
     if found.verdict == "unknown" and found.question == "fixed" and isinstance(simulation, ModalModel):
         said = [MODES_ALONE]
     return replace(found, reasons=(*found.reasons, *said, *renamed)) if said or renamed else found
-
-
-MODES_ALONE = (
-    "the simulation is given as modes, of which neither its elements nor what further modes add can be told: where its "
-    "matrices are known, give these, with which it may be off everywhere"
-)
 
 
 def by_frfs(

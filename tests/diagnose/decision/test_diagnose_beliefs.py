@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from modalax.diagnose import diagnose
+from modalax.diagnose import diagnose, pipeline
 from modalax.diagnose.decision.beliefs import beliefs, believed
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.prior import Prior
@@ -24,6 +24,13 @@ def test_a_belief_multiplies_the_odds_of_a_cause_in_the_modal_domain():
         assert before.of([]) == math.log(0.5)
     assert held - plain == pytest.approx(math.log(16), rel=1e-12)
     assert believed("added_mass") == 0.0
+
+
+def test_a_belief_holds_while_a_diagnosis_runs_and_no_longer(monkeypatch):
+    monkeypatch.setattr(pipeline, "_diagnosed", lambda *_: (believed("added_mass"), believed("units")))
+    frf = five_dof().frf(np.linspace(20.0, 70.0, 60), inputs=["1"])
+    assert diagnose(frf, five_dof(), prior={"added_mass": 3.0}) == (math.log(3.0), 0.0)
+    assert diagnose(frf, five_dof()) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,8 @@
-"""How likely a user holds causes to be before the data, relative to what each is by itself."""
+"""How likely a user holds causes to be before the data, relative to what each is by itself.
+
+Causes are weighed in many places, each with the prior of its kind: a factor holds in all of them while a diagnosis
+runs, rather than being handed through everything on the way.
+"""
 
 import math
 from collections.abc import Collection, Iterator, Mapping

@@ -62,9 +62,8 @@ def likeliest_sets(
         if not np.isfinite(missed):
             continue
         unknowns = sum(len(law.parameters) for law in one)
-        prior = sum(math.log(law.prior) + believed(law.slug) for law in one) - THRESHOLDS.several_causes * (
-            len(one) - 1
-        )
+        prior = sum(math.log(law.prior) + believed(law.slug) for law in one)
+        prior -= THRESHOLDS.several_causes * (len(one) - 1)
         size = -0.5 * count * math.log(missed + floor) - 0.5 * unknowns * math.log(count) + prior
         names = frozenset(law.slug for law in one)
         if names not in found or size > found[names][0]:

@@ -13,6 +13,7 @@ from modalax.data import Measurement
 from modalax.diagnose.causes.parameter import Parameter
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.decision.advice import advise_modes
+from modalax.diagnose.decision.beliefs import believed
 from modalax.diagnose.decision.beyond import BeyondUsual, held_out_verdict, lines_verdict
 from modalax.diagnose.decision.levels import outweighing
 from modalax.diagnose.decision.omnibus import Omnibus, omnibus
@@ -289,7 +290,8 @@ def _elsewhere(
     if found is None or found.verdict not in ("clean", "named"):
         return None
     among = len(measurement.outputs) * len(simulation.dofs)
-    there = moved(places, found.stage.explanations[0].log_posterior, plain.log_evidence + math.log(NONE), among)
+    held = found.stage.explanations[0].log_posterior + believed("sensor_place")
+    there = moved(places, held, plain.log_evidence + math.log(NONE), among)
     if there.probability < THRESHOLDS.certain:
         return None
     return replace(found, verdict="named", moved=there, reasons=(there.said(), *found.reasons))

@@ -145,8 +145,10 @@ def off_folds(N: np.ndarray, by: np.ndarray, p: np.ndarray) -> np.ndarray:
 
     Parameters
     ----------
-    by
-        Derivatives, shape ``N.shape + (p,)``.
+    N, by
+        Describing functions [N/m], of any shape, and their derivatives by the parameters, shape ``N.shape + (p,)``.
+    p
+        Parameters, shape ``(p,)``.
     """
     return by / np.maximum(np.abs(p * by) / np.maximum(STEEP * np.abs(N)[..., None], 1e-300), 1.0)
 
