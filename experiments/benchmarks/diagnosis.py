@@ -20,7 +20,7 @@ os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 import jax
 import numpy as np
-from common import forget_peak, peak
+from common import forget_peak, machine, peak
 
 from modalax import Measurement, Structure
 from modalax.diagnose import diagnose
@@ -206,6 +206,7 @@ def main() -> None:
     parser.add_argument("--off-everywhere", action="store_true", help="only simulations whose every element is off")
     parser.add_argument("--cache", help="folder of the compilation cache; a new and empty one by default")
     args = parser.parse_args()
+    print(machine() + "\n")
     jax.config.update("jax_enable_x64", True)
     with tempfile.TemporaryDirectory() as folder:
         jax.config.update("jax_compilation_cache_dir", args.cache or folder)
