@@ -102,6 +102,22 @@ def test_a_measured_mode_is_told_once():
     assert [round(r["frequency_hz"]) for r in by_mode(c)] == [20, 45]
 
 
+def test_a_mode_in_channels_of_unlike_units_and_noise_is_found_where_it_is():
+    """The second output in other units, with most of the noise: as large as the others, it would pull the mode."""
+    gain, sigma = np.array([1.0, 1e4, 1.0])[:, None], 1e-7 * np.array([1.0, 4e6, 1.0])[:, None]
+    H = noisy(frf() * gain, sigma)
+    rows = by_mode(compared(H, frf() * gain, sigma=sigma))
+    assert [round(r["frequency_hz"]) for r in rows] == [20, 45]
+    assert max(abs(r["frequency_hz"] / f - 1) for r, (f, _) in zip(rows, MODES, strict=False)) < 1e-5
+
+
+def test_noise_at_a_line_is_no_mode():
+    """A mode that the simulation has and no channel sees."""
+    c = compared(noisy(frf()), frf(), sigma=1e-6)
+    for f in np.linspace(60.0, 80.0, 41):
+        assert local_pole(c, c.whitened(c.measured[0]), 2 * np.pi * f * complex(-0.001, 1.0)) is None
+
+
 def test_channels_and_levels_hold_their_share_of_the_residual():
     gain = np.ones((1, 1, 3, 2))
     gain[..., 1, 0] = 2.0

@@ -13,7 +13,7 @@ import scipy.special
 
 from modalax.diagnose.decision.omnibus import Omnibus
 
-REACH = 4.0  # half-bandwidths on either side of a mode that its local fit takes
+REACH = 2.0  # half-bandwidths on either side of a mode that its local fit takes; neighbours bend a wider one
 FEWEST = 5  # lines that a local fit needs
 ROUNDS = 6  # times that the window of a local fit follows its pole
 ASTRAY = 0.2  # relative distance from where it began beyond which a local fit is of another mode
@@ -63,6 +63,16 @@ class Compared:
         with np.errstate(divide="ignore", invalid="ignore"):
             found = 2 * np.abs(self.measured - self.before) ** 2 / r**2
         return np.where((r > 0) & np.isfinite(found) & (found > 0), found, np.inf)
+
+    def whitened(self, H: np.ndarray) -> np.ndarray:
+        """FRFs of one run ``(f, o, i)`` as ``(f, channel)``, each channel over its mean noise in the first run.
+
+        Channels then count by what they tell, whatever their units. One of unknown noise counts as the others do.
+        """
+        known = np.isfinite(self.variance[0])
+        power = np.where(known, self.variance[0], 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+        usual = power[power > 0].mean() if (power > 0).any() else 1.0
+        return (H / np.sqrt(np.where(power > 0, power, usual))).reshape(len(self.freq), -1)
 
 
 def evidence_of(c: Compared) -> dict[str, Any] | None:
@@ -203,12 +213,12 @@ def hilbert(c: Compared, H: np.ndarray) -> float | None:
 def by_mode(c: Compared) -> list[dict[str, Any]]:
     """Of each mode frequency, damping ratio and peak as measured, and their errors before and after; chi-square there.
 
-    Frequencies and dampings are those of a local fit to all channels of the first run, peaks those of the root mean
-    square over them. Errors are relative, of peaks in dB; None where a curve shows no such mode. Where the fits of two
+    Frequencies and dampings are those of a local fit to all channels of the first run, each over its noise, peaks those
+    of the root mean square over them. Errors are relative, of peaks in dB; None where a curve shows no such mode. Where the fits of two
     simulated modes end at one measured mode, it is that of the nearer one; the other does not show.
     """
     out = []
-    curves = [H[0].reshape(len(c.freq), -1) for H in (c.measured, c.before, c.after)]
+    curves = [c.whitened(H[0]) for H in (c.measured, c.before, c.after)]
     starts = [complex(2 * np.pi * f * (-zeta + 1j * math.sqrt(max(1 - zeta**2, 0.0)))) for f, zeta in c.modes.T]
     found = [(start, local_pole(c, curves[0], start)) for start in starts]
     for start, measured in found:
@@ -247,7 +257,10 @@ def local_pole(c: Compared, H: np.ndarray, start: complex) -> complex | None:
     r"""Pole of the mode nearest to ``start``, of FRFs ``(f, channel)``; None where it has none there.
 
     In a narrow window :math:`H_c = (r_c + d_c (s - s_0) + e_c (s - s_0)^2)/(s - \lambda)`, which is linear in
-    :math:`\lambda` and the numerators after multiplication, weighted by the last :math:`|s - \lambda|^{-1}`.
+    :math:`\lambda` and the numerators after multiplication, weighted by the last :math:`|s - \lambda|^{-1}`. What
+    lines show no better with a pole than by a parabola alone, as noise at a single line, is no mode: its pole and
+    residues lower :math:`n \log \sum |H - \hat H|^2` by no more than two each (Akaike 1974; n the real values less
+    the numbers that are fitted).
     """
     s, pole = 2j * np.pi * c.freq, start
     H = H / np.maximum(np.abs(s[:, None]) ** c.order, 1e-300) * (-1j) ** c.order
@@ -266,7 +279,13 @@ def local_pole(c: Compared, H: np.ndarray, start: complex) -> complex | None:
         energy = float((np.abs(left) ** 2).sum())
         if not energy > 0:
             return None
-        pole = 1j * pole.imag + complex((left.conj() * right).sum() / energy)
+        shift = complex((left.conj() * right).sum() / energy)
+        pole = 1j * pole.imag + shift
         if not pole.real < 0 or abs(abs(pole) / abs(start) - 1) > ASTRAY:
             return None
-    return pole
+    plain = np.linalg.qr(numerator / weight[:, None])[0]
+    without = float((np.abs(H[near] - plain @ (plain.conj().T @ H[near])) ** 2).sum())
+    beside = float((np.abs(right - shift * left) ** 2).sum())
+    freedom = 2 * (near.sum() - numerator.shape[1]) * H.shape[1] - 2
+    sure = freedom * math.log(max(without, 1e-300) / max(beside, 1e-300)) > 4 * (1 + H.shape[1])
+    return pole if sure else None

@@ -27,7 +27,7 @@ def over_levels(c: Compared) -> dict[str, Any] | None:
     for f, zeta in c.modes.T:
         start, rows = complex(2 * np.pi * f * (-zeta + 1j * np.sqrt(max(1 - zeta**2, 0.0)))), []
         for run in order:
-            found = _pole(c, c.measured[run].reshape(len(c.freq), -1), start)
+            found = _pole(c, c.whitened(c.measured[run]), start)
             if found is None:
                 break
             start = found[0]

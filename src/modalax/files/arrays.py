@@ -347,11 +347,12 @@ def _participation(
             return inputs, given
         at, column = (list(x) for x in zip(*both, strict=True))
         expected = shapes[:, at] / _modal_a(arrays, poles)[:, None]
-        if _agree(given[:, column], expected, ALIKE):
+        differs = _differ(given[:, column], expected, ALIKE)
+        if not differs.any():
             return inputs, given
-        if len(both) == len(inputs) and _agree(given, shapes[:, at], SAME):
+        if len(both) == len(inputs) and not _differ(given, shapes[:, at], SAME).any():
             return inputs, expected  # the shape itself stands for it, and the modal mass tells its scale
-        k = int(np.argmax(np.abs(given[:, column] - expected).max(axis=1) / np.abs(expected).max(axis=1)))
+        k = int(np.argmax(differs))
         scale = "modal_a" if "modal_a" in arrays else "modal_mass"
         raise ValueError(
             f"participation and {scale} contradict each other: mode {k + 1} "
@@ -380,7 +381,7 @@ def _modal_a(arrays: Arrays, poles: np.ndarray) -> np.ndarray:
     return a
 
 
-def _agree(given: np.ndarray, expected: np.ndarray, share: float) -> bool:
-    """Whether the participations of every mode are as expected, within a share of the largest."""
+def _differ(given: np.ndarray, expected: np.ndarray, share: float) -> np.ndarray:
+    """Modes whose participations are not as expected, within a share of the largest."""
     size = np.abs(expected).max(axis=1, initial=1e-300)
-    return bool((np.abs(given - expected).max(axis=1, initial=0.0) <= share * size).all())
+    return np.abs(given - expected).max(axis=1, initial=0.0) > share * size
