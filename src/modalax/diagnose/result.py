@@ -20,6 +20,7 @@ from modalax.diagnose.evidence import Compared, evidence_of
 from modalax.diagnose.extend import ExtendedSimulation
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.over_levels import levels_said, over_levels
+from modalax.diagnose.rotations import in_own_units
 from modalax.diagnose.search.explain import Explanation
 from modalax.diagnose.summary import causes_text, summary
 from modalax.diagnose.thresholds import THRESHOLDS
@@ -117,6 +118,11 @@ class Diagnosis:
     @property
     def causes(self) -> list[dict[str, Any]]:
         """What the extended model contains."""
+        return in_own_units(self._causes)
+
+    @property
+    def _causes(self) -> list[dict[str, Any]]:
+        """The same, with units as of displacements and forces everywhere."""
         if not self.found.ranked or self.verdict == "clean":
             return []
         return _told(self.found.best, self.found.ranked[0].probability)

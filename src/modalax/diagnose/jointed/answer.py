@@ -77,7 +77,7 @@ class JointDiagnosis(Diagnosis):
         return within(np.stack([np.asarray(base.frequency_hz), np.asarray(base.damping_ratio)]), self.freq)
 
     @property
-    def causes(self) -> list[dict[str, Any]]:
+    def _causes(self) -> list[dict[str, Any]]:
         """The leading set of laws, or the joint without one."""
         e, k, out = self.chosen.explained, 0, []
         for cause, place, p in zip(e.extended.causes, e.extended.places, e.extended.params, strict=True):

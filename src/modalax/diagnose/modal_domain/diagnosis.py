@@ -132,7 +132,7 @@ class ModalDiagnosis(Diagnosis):
         return within(np.stack([w / 2 / np.pi, np.diag(c.damping) / 2 / w]), self.freq)
 
     @property
-    def causes(self) -> list[dict[str, Any]]:
+    def _causes(self) -> list[dict[str, Any]]:
         """What stands out beyond the general inaccuracy."""
         if self.verdict == "clean":
             return []
