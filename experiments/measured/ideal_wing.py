@@ -1,6 +1,6 @@
 r"""What can be said at best of each virtual test of the wing: an ideal observer of the same FRFs.
 
-``MODALAX_DATA=... python experiments/measured/ideal_wing.py [--only N ...]`` prints for each case of
+``MODALAX_DATA=... python experiments/measured/ideal_wing.py [--only N ...] [--in-band]`` prints for each case of
 ``virtual_wing.py`` how much likelier, in nats, the FRFs are with an error at the true place than without one, and the
 probability of that place, where the sizes of the general inaccuracy are known, and where they are learnt with the
 priors of the package.
@@ -8,7 +8,9 @@ priors of the package.
 The observer knows the truth as the point about which the FRFs are linear in everything unknown: all elements, lumps,
 modal dampings and one further error (a part of an element's stiffness with a standard deviation of 0.4, or a mass of
 0.03 of the total). With derivatives J of FRFs of variance R, sizes S and data y, the log evidence is
-:math:`\tfrac12 b^TS(I+SAS)^{-1}Sb-\tfrac12\ln|I+SAS|` for :math:`A=J^TR^{-1}J` and :math:`b=J^TR^{-1}y`.
+:math:`\tfrac12 b^TS(I+SAS)^{-1}Sb-\tfrac12\ln|I+SAS|` for :math:`A=J^TR^{-1}J` and :math:`b=J^TR^{-1}y`. With
+``--in-band`` it knows the modes in the band alone: what the rigid body and the three next modes above would add to each
+FRF, by any residues, is projected out of J and y.
 """
 
 import argparse
@@ -22,6 +24,7 @@ from virtual_wing import DAMPING, FREQ, INPUTS, OUTPUTS, TOLD, Hidden, Visible, 
 
 from modalax.diagnose.modal_domain.inaccuracy import UNKNOWN, USUAL
 
+ABOVE = 1.03  # of the band's end, from where on a mode lies beyond it
 DAMPED = 30  # lowest modes whose damping is unknown
 SPREAD = 0.2  # of the logarithm of damping
 ERROR, LUMP = 0.4, 0.03  # usual gross error of an element, and mass relative to the total
@@ -30,10 +33,17 @@ ELEMENTS = 0.6  # chance of a whole element among all springs
 STIFFNESS, MASS = np.geomspace(0.004, 0.1, 14), np.geomspace(0.001, 0.04, 9)  # sizes of the inaccuracy that are tried
 
 
+def beyond(omega: np.ndarray) -> np.ndarray:
+    """Accelerance of a rigid body and of the next modes above the band, over the lines, orthonormal ``(f, 4)``."""
+    w = 2 * np.pi * FREQ
+    above = np.sort(omega[omega > ABOVE * w[-1]])[:3]
+    return np.linalg.qr(np.stack([np.ones_like(w), *(w**2 / (u**2 - w**2) for u in above)], axis=1))[0]
+
+
 class Ideal:
     """Information of a case's FRFs on everything unknown: elements, lumps, dampings, then masses that are added."""
 
-    def __init__(self, wing: Wing, hidden: Hidden):
+    def __init__(self, wing: Wing, hidden: Hidden, in_band: bool = False):
         self.wing, self.counts = wing, (len(wing.elements), len(wing.nodes))
         mass, k, phi = modes(hidden.K, hidden.M)
         c = 2 * hidden.zeta * np.sqrt(np.maximum(mass * k, 0.0))
@@ -55,8 +65,12 @@ class Ideal:
             of += [-1j * w * c[r] * D[r] ** 2 * np.outer(rows[:, r], columns[:, r]) for r in damped]
             of += [w**2 * (left[d].T @ right[d]) for d in Visible.lumps(wing)]
             slopes.append(-(w**2) * np.array(of))
-        J = (np.array(slopes) / hidden.sigma).transpose(1, 0, 2, 3).reshape(len(slopes[0]), -1)
-        noise = ((hidden.noisy - hidden.H) / hidden.sigma).ravel()
+        J = (np.array(slopes) / hidden.sigma).transpose(1, 0, 2, 3)
+        noise = (hidden.noisy - hidden.H) / hidden.sigma
+        if in_band:
+            Q = beyond(np.sqrt(np.maximum(k / np.maximum(mass, 1e-300), 0.0))[mass > 1e-12 * mass.max()])
+            J, noise = (x - np.einsum("fa,ga,...gij->...fij", Q, Q, x, optimize=True) for x in (J, noise))
+        J, noise = J.reshape(len(J), -1), noise.ravel()
         added = np.zeros(len(wing.nodes))
         truth = hidden.truth
         if truth["name"] == "added_mass":
@@ -107,6 +121,7 @@ def main() -> None:
     """Every case, and how many are surely told."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", type=int, nargs="*", default=range(60))
+    parser.add_argument("--in-band", action="store_true", help="know the modes in the band alone")
     options = parser.parse_args()
     wing = Wing(Path(os.environ["MODALAX_DATA"]) / "nastran" / "mAEWing1_v5p2")
     visible = Visible(wing)
@@ -114,7 +129,7 @@ def main() -> None:
     sure = []
     for case in options.only:
         hidden = draw(wing, case)
-        t, ideal = hidden.truth, Ideal(wing, hidden)
+        t, ideal = hidden.truth, Ideal(wing, hidden, options.in_band)
         nats = visible.nats(t)
         known, learnt = ideal.told(*ideal.evidence(t["spread"], t["spread"] / 3)), ideal.told(*ideal.learnt())
         sure.append((nats > TOLD, known[1] > 0.95, learnt[1] > 0.95))

@@ -214,8 +214,8 @@ def by_mode(c: Compared) -> list[dict[str, Any]]:
     """Of each mode frequency, damping ratio and peak as measured, and their errors before and after; chi-square there.
 
     Frequencies and dampings are those of a local fit to all channels of the first run, each over its noise, peaks those
-    of the root mean square over them. Errors are relative, of peaks in dB; None where a curve shows no such mode. Where the fits of two
-    simulated modes end at one measured mode, it is that of the nearer one; the other does not show.
+    of the root mean square over them. Errors are relative, of peaks in dB; None where a curve shows no such mode. Where
+    the fits of two simulated modes end at one measured mode, it is that of the nearer one; the other does not show.
     """
     out = []
     curves = [c.whitened(H[0]) for H in (c.measured, c.before, c.after)]

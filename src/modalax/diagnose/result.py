@@ -132,7 +132,9 @@ class Diagnosis:
         """Rivals of the leading set, without parameters; of a named one those that differ in the place."""
         if self.verdict not in ("ambiguous", "named"):
             return []
-        return [_names(r.best) for r in rivals(self.verdict, self.found.ranked)]
+        limit = [{"name": slug, "where": list(where)} for slug, where in self.found.best.at_limits]
+        others = [_names(r.best) for r in rivals(self.verdict, self.found.ranked)]
+        return [limit, *(o for o in others if o != limit)] if limit else others
 
     @property
     def strength_parameters(self) -> dict[str, Parameter]:

@@ -1,4 +1,4 @@
-"""Units of what is told at degrees of freedom that turn: moments over angles, in the place of forces over displacements."""
+"""Units of what is told at rotations: moments over angles in the place of forces over displacements."""
 
 from typing import Any
 

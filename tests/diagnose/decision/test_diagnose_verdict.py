@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modalax.diagnose.causes.joints import BilinearStiffness, CubicStiffness
+from modalax.diagnose.causes.joints import BilinearStiffness, CubicStiffness, ElastoSlip
 from modalax.diagnose.causes.local import AddedMass, JointStiffness
 from modalax.diagnose.causes.mains_hum import MainsHum
 from modalax.diagnose.causes.scene import Place
@@ -39,6 +39,13 @@ def sized(sets, value, deviation):
     """The leading cause with its only parameter."""
     best = replace(sets[0].best, params=(np.array([value]),), covariance=np.array([[deviation**2]]))
     return [replace(sets[0], best=best), *sets[1:]]
+
+
+def stuck(stiffness, deviation):
+    """An elasto-slip joint of which slip displacement and stiffness are known to a factor of three and a deviation."""
+    (found,) = ranked((1.0, (MASS, "2"), (ElastoSlip(False), "1")))
+    params, covariance = (np.array([0.1]), np.array([stiffness, 1e-6])), np.diag([0.01, deviation, 1.1]) ** 2
+    return [replace(found, best=replace(found.best, params=params, covariance=covariance))]
 
 
 ONE = ranked((0.99, (CUBIC, "1")), (0.01, (SPRING, "1")))
@@ -82,6 +89,8 @@ TABLE = [
     ),
     (sized(ONE, 5.0, 5.1), ALARM, MISSED, "ambiguous", ["no parameter of cubic_stiffness"]),
     (sized(ONE, 5.0, 4.9), ALARM, HELD, "named", ["0.99"]),
+    (stuck(1e6, 2e6), ALARM, HELD, "ambiguous", ["elasto_slip cannot be told from coulomb_friction"]),
+    (stuck(1e6, 9e5), ALARM, HELD, "named", ["over 0.999"]),
     (ranked((0.5, (CUBIC, "1"), (SPRING, "1")), (0.5, (MASS, "3"))), ALARM, MISSED, "ambiguous", ["", "", "one joint"]),
 ]  # fmt: skip
 
@@ -91,6 +100,11 @@ def test_truth_table(sets, leftover, held_out, word, reasons):
     said, why = verdict(sets, leftover, held_out)
     assert said == word
     assert len(why) == len(reasons) and all(part in one for part, one in zip(reasons, why, strict=True))
+
+
+def test_the_law_that_a_joint_without_a_size_is_the_limit_of_stands_beside_it():
+    assert stuck(1e6, 2e6)[0].best.at_limits == [("added_mass", ("2",)), ("coulomb_friction", ("1",))]
+    assert stuck(1e6, 9e5)[0].best.at_limits == [] == sized(ONE, 5.0, 5.1)[0].best.at_limits
 
 
 def test_every_rule_decides_a_row_and_the_last_always_does():

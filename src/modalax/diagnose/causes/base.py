@@ -35,8 +35,7 @@ RARE = 0.05  # prior, relative to other causes, of one that has no name in the a
 class Cause:
     """A thing that the simulation may lack: the base of all causes.
 
-    The classes below, one a stage of the prediction, add the map by which a cause acts; every other thing that the
-    diagnosis needs to know of a cause is one of these attributes and methods.
+    The classes below, one a stage of the prediction, add the map by which a cause acts; all else is told here.
 
     Attributes
     ----------
@@ -273,9 +272,12 @@ class JointCause(ElementCause):
     ----------
     rigid
         Whether the force does not follow from the motion where the joint sticks; its one parameter is where it slips.
+    limit
+        Name of the law that it cannot be told from where data determine none of its parameters; empty without one.
     """
 
     rigid: ClassVar[bool] = False
+    limit: ClassVar[str] = ""
     per_run = True
     visible_when_free = True
     told_by_levels = True
@@ -299,9 +301,7 @@ class JointCause(ElementCause):
         """The joint in series with a spring of some compliance [m/N], which only a rigid one takes."""
         return self.law(p)
 
-    def impedance_in_series(
-        self, A: Array, omega: Array, p: Float[Array, " p"], compliance: Array
-    ) -> Complex[Array, "..."]:
+    def impedance_in_series(self, A: Array, omega: Array, p: Array, compliance: Array) -> Complex[Array, "..."]:
         """The :meth:`impedance` of joint and spring together, of a rigid joint; of any other, its own."""
         return self.impedance(A, omega, p)
 

@@ -3,8 +3,6 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from modalax.diagnose.causes.base import ElementCause
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.posterior import Ranked
@@ -182,16 +180,13 @@ def elements_share_a_place(case: Case) -> str | None:
 
 def nothing_is_determined(case: Case) -> str | None:
     """A cause of whose parameters none is larger than its own deviation is at the end of what it can be."""
-    h, first, without = case.best.best, 0, []
-    for cause, p in zip(h.causes, h.params, strict=False):
-        own = slice(first, first := first + len(p))
-        if len(p) and h.covariance is not None:
-            deviation = np.sqrt(np.maximum(np.diag(h.covariance)[own], 0.0))
-            size = np.array([1.0 if q.log else abs(v) for q, v in zip(cause.parameters, p, strict=True)])
-            without += [cause.slug] if (deviation > size).all() else []
-    return None if not without else (
-        f"the data determine no parameter of {' and '.join(without)}: it stands for a limit, such as a joint that "
-        "never moves"
+    h = case.best.best
+    if not h.undetermined:
+        return None
+    limits = ", ".join(f"{h.causes[k].slug} cannot be told from {law}" for k, law in h.limits.items())
+    return (
+        f"the data determine no parameter of {' and '.join(h.causes[k].slug for k in h.undetermined)}: "
+        + (limits or "it stands for a limit, such as a joint that never moves")
     )  # fmt: skip
 
 

@@ -80,6 +80,30 @@ class Hypothesis:
         return [k for k, c in enumerate(self.causes) if isinstance(c, JointCause)]
 
     @property
+    def undetermined(self) -> list[int]:
+        """Numbers of the causes of whose parameters none is larger than its own standard deviation."""
+        found, first = [], 0
+        for k, (cause, p) in enumerate(zip(self.causes, self.params, strict=False)):
+            own = slice(first, first := first + len(p))
+            if len(p) and self.covariance is not None:
+                deviation = np.sqrt(np.maximum(np.diag(self.covariance)[own], 0.0))
+                size = np.array([1.0 if q.log else abs(v) for q, v in zip(cause.parameters, p, strict=True)])
+                found += [k] if (deviation > size).all() else []
+        return found
+
+    @property
+    def limits(self) -> dict[int, str]:
+        """Laws that joints cannot be told from, since the data determine none of their parameters."""
+        laws = {k: self.causes[k] for k in self.undetermined}
+        return {k: law.limit for k, law in laws.items() if isinstance(law, JointCause) and law.limit}
+
+    @property
+    def at_limits(self) -> list[tuple[str, tuple[Any, ...]]]:
+        """Slugs and places with :attr:`limits` in the place of such joints; empty where there is none."""
+        limits = self.limits
+        return [(limits.get(k, c.slug), p.where) for k, (c, p) in enumerate(self.parts)] if limits else []
+
+    @property
     def told(self) -> float:
         """Relative error of the predicted effect by one harmonic, as the laws tell it."""
         return max((c.fidelity for c in self.causes), default=0.0)
