@@ -130,6 +130,16 @@ class Thresholds:
         "An inaccuracy of elements is no longer the one that its author claims where it is this many times larger: "
         "three standard deviations of a claim that is wrong by a factor of two.", INACCURATE,
     )  # fmt: skip
+    kinds: int = _threshold(
+        2, "causes",
+        "More unlike causes than this are not named together, however well they explain the data: each is rare, and "
+        "one thing that is not listed is as likely.", SCORE,
+    )  # fmt: skip
+    over_a_factor: float = _threshold(
+        5.0, "nats",
+        "As much mass under every sensor is named only if it is so much likelier than one factor on all of the "
+        "simulation's mass or stiffness, which is what such a factor must gain to be fitted at all.", INACCURATE,
+    )  # fmt: skip
     stands_out: float = _threshold(
         3.5, "standard deviations",
         "One place among hundreds shows an effect from this score on; a cause stands out that is so far from none.",

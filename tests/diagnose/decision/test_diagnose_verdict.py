@@ -89,6 +89,8 @@ TABLE = [
     ),
     (sized(ONE, 5.0, 5.1), ALARM, MISSED, "ambiguous", ["no parameter of cubic_stiffness"]),
     (sized(ONE, 5.0, 4.9), ALARM, HELD, "named", ["0.99"]),
+    (ranked((1.0, (CUBIC, "1"), (MASS, "2"), (SPRING, "3"))), ALARM, HELD, "ambiguous", ["3 unlike causes at once"]),
+    (ranked((1.0, (SPRING, "1"), (MASS, "2"), (SPRING, "3"))), ALARM, HELD, "named", ["over 0.999"]),
     (stuck(1e6, 2e6), ALARM, HELD, "ambiguous", ["elasto_slip cannot be told from coulomb_friction"]),
     (stuck(1e6, 9e5), ALARM, HELD, "named", ["over 0.999"]),
     (ranked((0.5, (CUBIC, "1"), (SPRING, "1")), (0.5, (MASS, "3"))), ALARM, MISSED, "ambiguous", ["", "", "one joint"]),
@@ -108,7 +110,7 @@ def test_the_law_that_a_joint_without_a_size_is_the_limit_of_stands_beside_it():
 
 
 def test_every_rule_decides_a_row_and_the_last_always_does():
-    assert [word for word, _ in RULES] == ["clean", *["unknown"] * 3, *["ambiguous"] * 6, "unknown", "named"]
+    assert [word for word, _ in RULES] == ["clean", *["unknown"] * 3, *["ambiguous"] * 7, "unknown", "named"]
     reasons = " ".join(part for *_, parts in TABLE for part in parts)
     assert all(
         p in reasons for p in ("noise alone", "no cause", "still more", "beside", "compete", "tried", "elsewhere")

@@ -1,10 +1,13 @@
 """A sensor that is wrong in a way without a name is told as that, and not as an element or a mass at its place."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from frames import DOFS, measured, simulation
 
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.diagnose.modal_domain.odd_output import only_output
 
 
 def test_a_gain_that_wanders_over_the_lines_gets_no_name_but_its_sensor_is_told():
@@ -16,6 +19,30 @@ def test_a_gain_that_wanders_over_the_lines_gets_no_name_but_its_sensor_is_told(
     assert answer["verdict"] == "unknown"
     assert any(f"the FRFs at {DOFS[8]} alone differ" in r for r in answer["reasons"])
     assert f"the sensor at {DOFS[8]}" in answer["advice"] and "supports" not in answer["advice"]
+
+
+def test_a_mode_of_one_sensor_is_no_mode_that_the_simulation_lacks():
+    """The resonance of a cable or a mount, whose peak is as large as the channel and whose foot is 3 % of it."""
+    data, _ = measured(21, 0.0)
+    at, s = data.outputs.index(DOFS[8]), 2j * np.pi * np.asarray(data.freq)
+    own = 2 * np.pi * 1.07 * float(np.median(data.freq))
+    gain = np.ones(data.H.shape, complex)
+    gain[:, :, at] *= (1 + 0.03 * own**2 / (s**2 + 0.03 * own * s + own**2))[:, None]
+    answer = diagnose_modes(data.replace(H=data.H * gain), simulation()).to_dict()
+    assert answer["verdict"] == "unknown", answer["causes"]
+    assert any(f"shows at {DOFS[8]} alone" in r for r in answer["reasons"]), answer["reasons"]
+
+
+def test_a_mode_is_of_one_output_only_if_the_others_show_that_they_have_none():
+    rng = np.random.default_rng(3)
+    noise = (rng.standard_normal((4, 6, 2)) + 1j * rng.standard_normal((4, 6, 2))) / np.sqrt(2)
+    f = SimpleNamespace(residues=noise)
+    f.residues[0, 2] += 12.0  # clearly at one output
+    f.residues[1, 2] += 1.0  # so weak that others may have as much
+    f.residues[2] += 12.0 * rng.standard_normal((6, 1))
+    f.residues[3, 2:4] += 12.0  # at two
+    assert [only_output(f, k) for k in range(4)] == [2, None, None, None]
+    assert only_output(SimpleNamespace(residues=f.residues[:, 2:4]), 0) is None  # of two outputs nobody can tell
 
 
 @pytest.mark.slow  # of a smaller mass by default, where a mass stands out beyond the general inaccuracy

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from modalax._numerics.text import percent
 from modalax.diagnose.decision.gain import Gain
-from modalax.diagnose.decision.sets import certainty, unplaced
+from modalax.diagnose.decision.sets import certainty, many_kinds, unplaced
 from modalax.diagnose.summary import cause_at
 from modalax.diagnose.thresholds import THRESHOLDS, Thresholds
 
@@ -58,6 +58,11 @@ class ModalCase:
         Causes no larger than the general inaccuracy without which the measured modes are not explained.
     claims
         What the author claims, for those of stiffness and mass that have a claim.
+    at_one_output
+        Outputs that alone show a mode which the simulation is said to lack.
+    over_a_factor
+        By how many nats as much mass under every sensor is likelier than one factor on all of the simulation's mass or
+        stiffness; None where no such mass is told.
     """
 
     sets: Sequence[BeyondUsual]
@@ -70,6 +75,8 @@ class ModalCase:
     odd: tuple[str, float] | None = None
     needed: Sequence[tuple[str, tuple[str | int, ...]]] = ()
     claims: Mapping[str, float] = field(default_factory=dict)
+    at_one_output: Sequence[str] = ()
+    over_a_factor: float | None = None
 
     @property
     def support(self) -> tuple[str, ...]:
@@ -145,6 +152,32 @@ def one_output_differs(case: ModalCase) -> tuple[str, ...]:
     )
 
 
+def one_output_has_a_mode(case: ModalCase) -> tuple[str, ...]:
+    """A mode that the simulation lacks shows at one output alone, as none of a structure does."""
+    return tuple(
+        f"a mode that the simulation lacks shows at {name} alone: it is that of its sensor, cable or mounting, or of a "
+        "part at that point that the other outputs do not feel"
+        for name in case.at_one_output
+    )
+
+
+def causes_are_many(case: ModalCase) -> tuple[str, ...]:
+    """Unlike causes are too many to come together by chance."""
+    many = many_kinds(case.sets[0], case.limits)
+    return () if many is None else (*case.support, many)
+
+
+def all_of_a_matrix_may_be_off(case: ModalCase) -> tuple[str, ...]:
+    """As much mass under every sensor is not told from a factor on all of the mass or the stiffness."""
+    if case.over_a_factor is None or case.over_a_factor >= case.limits.over_a_factor:
+        return ()
+    return (
+        *case.support,
+        "as much mass under every sensor cannot be told from one factor on all of the simulation's mass or stiffness, "
+        f"or on all frequencies ({case.over_a_factor:.3g} nats)",
+    )
+
+
 def other_causes_compete(case: ModalCase) -> tuple[str, ...]:
     """The causes are not sure."""
     sure = certainty(case.sets) >= case.limits.certain
@@ -166,8 +199,11 @@ RULES: tuple[tuple[str, Rule], ...] = (
     ("unknown", claim_is_far_exceeded),
     ("unknown", the_usual_is_needed),
     ("clean", nothing_beyond_the_usual),
+    ("unknown", one_output_has_a_mode),
     ("ambiguous", other_causes_compete),
     ("ambiguous", other_places_compete),
+    ("ambiguous", causes_are_many),
+    ("ambiguous", all_of_a_matrix_may_be_off),
     ("named", lambda case: case.support),
 )
 

@@ -42,6 +42,14 @@ def unplaced(sets: Sequence[WeighedSet], thresholds: Thresholds = THRESHOLDS) ->
     return sorted(slug for (slug, _), p in by_place.items() if p <= thresholds.placed)
 
 
+def many_kinds(leading: WeighedSet, thresholds: Thresholds = THRESHOLDS) -> str | None:
+    """Why several unlike causes at once are not named; None where they are few."""
+    kinds = sorted({slug for slug, _ in leading.names})
+    return None if len(kinds) <= thresholds.kinds else (
+        f"{len(kinds)} unlike causes at once ({', '.join(kinds)}) are no likelier than one thing that is not listed"
+    )  # fmt: skip
+
+
 def rivals(word: str, sets: Sequence[S], thresholds: Thresholds = THRESHOLDS) -> list[S]:
     """Choose the sets that are reported beside the leading one.
 

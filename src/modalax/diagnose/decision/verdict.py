@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from modalax.diagnose.causes.base import ElementCause
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.posterior import Ranked
-from modalax.diagnose.decision.sets import certainty, unplaced
+from modalax.diagnose.decision.sets import certainty, many_kinds, unplaced
 from modalax.diagnose.thresholds import THRESHOLDS, Thresholds
 
 TOLD = 10.0  # chi-square put down to an inexact law from which on the reasons say so
@@ -178,6 +178,11 @@ def elements_share_a_place(case: Case) -> str | None:
     return None if len(set(at)) == len(at) else f"{case.names} at one place may be one joint of another law"
 
 
+def causes_are_many(case: Case) -> str | None:
+    """Unlike causes are too many to come together by chance."""
+    return many_kinds(case.best, case.limits)
+
+
 def nothing_is_determined(case: Case) -> str | None:
     """A cause of whose parameters none is larger than its own deviation is at the end of what it can be."""
     h = case.best.best
@@ -230,6 +235,7 @@ RULES: tuple[tuple[str, Rule], ...] = (
     ("ambiguous", law_is_inexact),
     ("ambiguous", places_compete),
     ("ambiguous", elements_share_a_place),
+    ("ambiguous", causes_are_many),
     ("ambiguous", nothing_is_determined),
     ("unknown", held_out_is_missed),
     ("named", named),

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg
 
-from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.inaccuracy import UNKNOWN
 from modalax.diagnose.modal_domain.state import Setting, State, evidence_of_free, slopes_at, state_at, unseen
 
@@ -265,3 +265,11 @@ def widths_of_sizes(f: Fit, setting: Setting) -> np.ndarray:
 def without_causes(f: Fit) -> Fit:
     """The same inaccuracy, as a start for other causes."""
     return replace(f, causes=(), u=np.zeros(0))
+
+
+def by_data(f: Fit, cause: Change) -> float:
+    """Log evidence less what the prior width of one cause's size adds: two kinds of cause have unlike usual sizes."""
+    own = own_sizes(f.causes, f.causes.index(cause))
+    wide = widths(f.u[own])
+    known = np.maximum(np.diag(f.covariance)[own] / wide**2, 1e-300)
+    return f.log_evidence + 0.5 * float(((f.u[own] / wide) ** 2 - np.log(known)).sum())

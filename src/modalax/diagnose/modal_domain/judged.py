@@ -8,10 +8,13 @@ import numpy as np
 from modalax.diagnose.decision.beyond import BeyondUsual, ModalCase, Names, modal_verdict, usual_size
 from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.explain import Explanation
-from modalax.diagnose.modal_domain.fit import LARGEST, widths
+from modalax.diagnose.modal_domain.fit import LARGEST, by_data
 from modalax.diagnose.modal_domain.inaccuracy import TOLD, WITHIN, claims_of
 from modalax.diagnose.modal_domain.levels.slipping import part_of_joint
+from modalax.diagnose.modal_domain.odd_output import only_output
 from modalax.diagnose.modal_domain.stage import Stage
+from modalax.diagnose.modal_domain.throughout import nats_over_a_factor
+from modalax.diagnose.modal_domain.together import SensorMasses
 from modalax.diagnose.thresholds import THRESHOLDS
 
 # What a cause does in a limit, and by how many nats the data must prefer the cause to be told from it: a filter far
@@ -20,6 +23,8 @@ LIMITS = {
     "sensor_filter": (("time_delay",), 1.0),
     "maxwell_joint": (("joint_stiffness", "local_damper"), 0.5 * THRESHOLDS.stands_out**2),
 }
+ADDING = {"missing_mode", "tuned_mass"}  # causes that add a mode
+NEAR = 0.3  # relative distance within which a mode of the simulation may be the measured one
 LIKELIER = 0.5  # probability of nothing beyond the inaccuracy above which nothing is what the answer is about
 
 
@@ -62,10 +67,34 @@ def judge(stage: Stage) -> Judged:
         None if stage.odd is None else (stage.odd.name, stage.odd.nats),
         _told(tuple(c for c in small if not c.absent)) if needs(stage, best, small) else (),
         {name: size for name, size in claims_of(stage.setting.inaccuracy).items() if name in ("stiffness", "mass")},
+        _at_one_output(stage, best), _as_a_factor(stage, best),
     )  # fmt: skip
     word, reasons = modal_verdict(case)
     alone = word == "clean" and plain is not None and not any(of_the_joint(stage, c) for c in best.causes)
     return Judged(word, reasons, plain if alone and plain is not None else best, sets, best)
+
+
+def _at_one_output(stage: Stage, e: Explanation) -> tuple[str, ...]:
+    """Outputs that alone show a measured mode, where a mode is added and the simulation has none like it near."""
+    f, plain = stage.measured.features, next((x for x in stage.explanations if not x.causes), None)
+    if plain is None or not any(c.slug in ADDING for c in standing_out(stage, e)):
+        return ()
+    state, found = plain.fit.state, set()
+    for k, pole in enumerate(f.poles):
+        output = only_output(f, k)
+        if output is None:
+            continue
+        energy = (np.abs(state.plain / f.units[k]) ** 2).sum(axis=2)
+        alike = energy[:, output] > 0.5 * energy.sum(axis=1)
+        near = np.abs(np.abs(state.modes.poles) / abs(pole) - 1) < NEAR
+        found |= set() if (alike & near).any() else {output}
+    return tuple(stage.measurement.outputs[k] for k in sorted(found))
+
+
+def _as_a_factor(stage: Stage, e: Explanation) -> float | None:
+    """By how many nats as much mass under every sensor is likelier than a factor throughout; None without such mass."""
+    at = [k for k, c in enumerate(e.causes) if isinstance(c, SensorMasses)]
+    return nats_over_a_factor(stage.setting, e.fit, at[0]) if at else None
 
 
 def sets_beyond(stage: Stage) -> tuple[BeyondUsual, ...]:
@@ -92,17 +121,9 @@ def _in_the_limit(stage: Stage, e: Explanation) -> Explanation:
             simple = next((y for y in x.causes if y.slug in slugs and y.where == c.where), None)
             if simple is None or {(y.slug, y.where) for y in x.causes if y is not simple} != rest:
                 continue
-            if _by_data(e, c) - _by_data(x, simple) < nats:
+            if by_data(e.fit, c) - by_data(x.fit, simple) < nats:
                 return x
     return e
-
-
-def _by_data(e: Explanation, c: Change) -> float:
-    """Log evidence less what the prior width of one cause's size adds: two kinds of cause have unlike usual sizes."""
-    own = own_sizes(e.causes, e.causes.index(c))
-    wide = widths(e.fit.u[own])
-    known = np.maximum(np.diag(e.fit.covariance)[own] / wide**2, 1e-300)
-    return e.fit.log_evidence + 0.5 * float(((e.fit.u[own] / wide) ** 2 - np.log(known)).sum())
 
 
 def _told(causes: tuple[Change, ...]) -> Names:

@@ -19,11 +19,14 @@ import numpy as np
 from modalax._numerics.triangles import forward
 from modalax.diagnose.causes.base import RARE
 from modalax.diagnose.modal_domain.explain import Explanation
-from modalax.diagnose.modal_domain.features import slopes_of_values
+from modalax.diagnose.modal_domain.features import Features, slopes_of_values
 from modalax.diagnose.modal_domain.fit import fit
 from modalax.diagnose.modal_domain.places import GAIN
 from modalax.diagnose.modal_domain.state import Setting
 
+FEWEST = 3  # outputs among which one can differ from the others
+OTHERS = 1 / 3  # mean square of a mode's residues at other outputs, relative to that at its largest
+SURE = 5.0  # nats by which a mode must be likelier at one output alone
 TRIED = 2  # outputs that are tried, those likeliest about the general inaccuracy alone
 
 
@@ -54,7 +57,7 @@ def odd_output(setting: Setting, explanations: Sequence[Explanation], outputs: S
         By falling probability.
     """
     plain = next((e for e in explanations if not e.causes), None)
-    if plain is None or not explanations[0].causes or len(outputs) < 3:
+    if plain is None or not explanations[0].causes or len(outputs) < FEWEST:
         return None
     r, roots = plain.fit.state.difference, [_root(setting, k) for k in range(len(outputs))]
     left = [float((forward(L, r) ** 2).sum()) + 2 * _volume(L) for L in roots]
@@ -67,6 +70,22 @@ def odd_output(setting: Setting, explanations: Sequence[Explanation], outputs: S
             found.append(OddOutput(outputs[k], value - explanations[0].log_posterior))
     best = max(found, key=lambda o: o.nats, default=None)
     return best if best is not None and best.nats > 0 else None
+
+
+def only_output(f: Features, mode: int) -> int | None:
+    r"""The output that alone shows a measured mode; None where others do, or where that is not sure.
+
+    A structure's mode moves other outputs as well: their residues, in units of their noise, would be normal with a
+    variance q, a third of that of the largest. For :math:`z_k^2`, the sum of squares at output k to n inputs, that they
+    are noise alone is likelier by :math:`\sum_k n\ln(1+q) - z_k^2 q/(1+q)`.
+    """
+    z = (np.abs(f.residues[mode]) ** 2).sum(axis=1)
+    inputs, largest = f.residues.shape[2], int(np.argmax(z))
+    if len(z) < FEWEST:
+        return None
+    q, others = z[largest] / inputs * OTHERS, np.delete(z, largest)
+    nats = float((inputs * np.log1p(q) - others * q / (1 + q)).sum())
+    return largest if nats > SURE else None
 
 
 def _root(setting: Setting, output: int) -> np.ndarray:

@@ -9,14 +9,16 @@ itself. Where elements that are off as a whole do not explain the modes, each :m
 :math:`F(I+\epsilon Z)F^T` with ``Z`` symmetric and random (Soize 2000).
 """
 
+import math
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from modalax._numerics.text import with_error
+from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.discrepancy import beside
-from modalax.diagnose.modal_domain.fit import Fit, fit, linear_at, without_causes
+from modalax.diagnose.modal_domain.fit import Fit, by_data, fit, linear_at, without_causes
 from modalax.diagnose.modal_domain.inaccuracy import THROUGHOUT, TOLD, UNKNOWN, USUAL, WITHIN, with_group
 from modalax.diagnose.modal_domain.state import Setting
 from modalax.diagnose.thresholds import THRESHOLDS
@@ -53,6 +55,20 @@ def _likeliest(setting: Setting, alone: Fit, trials: list[tuple[str, ...]]) -> t
         if trial is not None and trial.log_evidence - CLEARER * len(groups) > top:
             best, top = (wider, trial), trial.log_evidence - CLEARER * len(groups)
     return best
+
+
+def nats_over_a_factor(setting: Setting, f: Fit, which: int) -> float:
+    """By how much the data prefer a cause to a factor on all of the mass or the stiffness in its place."""
+    a, cause = setting.inaccuracy, f.causes[which]
+    others = tuple(c for c in f.causes if c is not cause)
+    u = np.delete(f.u, np.arange(len(f.u))[own_sizes(f.causes, which)])
+    found = [-math.inf]
+    for name, slug in (("mass", "added_mass"), ("stiffness", "joint_stiffness")):
+        pattern = a.patterns[a.groups.index(name)].sum(axis=0)
+        factor = Change(slug, (), WIDER * USUAL[name], pattern=pattern)
+        trial = fit(setting, (*others, factor), without_causes(f), np.append(u, 0.0), temperatures=(3.0,))
+        found += [] if trial is None else [by_data(trial, factor)]
+    return by_data(f, cause) - max(found)
 
 
 def start_in(setting: Setting, f: Fit) -> Fit:
