@@ -15,12 +15,17 @@ STAGES = {
     "LinesCause": "single lines",
     "GroupCause": "elements that the simulation names",
 }
-COLUMNS = ("summary", "parameters", "stage", "advice")
 
 TOP = """# Causes that a diagnosis can name
 
-Made from the catalogue by `.github/docs/causes_table.py`; `modalax causes` prints the same in a terminal. *Acts on* is
-the stage of the prediction that the cause changes. The first parameter is the strength; at 0 the cause is not there.
+Made from the catalogue by `.github/docs/causes_table.py`; `modalax causes` prints names, parameters and meaning in a
+terminal. *Acts on* is the stage of the prediction that the cause changes.
+
+*Parameters* are those that an answer gives. At rotations their units are those of moments and angles, N m/rad instead
+of N/m. A `gain` is a factor less one; factors of groups of elements are 1 where nothing is wrong. Where elements are
+read off the matrices, a `joint_stiffness` may have other parameters: `relative_change` [-] of the whole element,
+`relative_change_in_plane` [-] of a beam that is wrong in one plane of bending, or `rotational_stiffness` [N m/rad] of
+a beam's end that gives way against its node or its clamp.
 
 | Cause | The simulation lacks | Parameters | Acts on | Told best by |
 |---|---|---|---|---|
@@ -30,20 +35,20 @@ the stage of the prediction that the cause changes. The first parameter is the s
 def page() -> str:
     """The page as Markdown: a row for each name that an answer may give; forms that share one share the row."""
     from modalax.diagnose import catalogue
+    from modalax.diagnose.causes.listing import listing
 
-    rows: dict[str, dict[str, dict[str, None]]] = {}
-    for cause in catalogue():
-        row = rows.setdefault(cause.slug, {"summary": {}, "parameters": {}, "stage": {}, "advice": {}})
-        row["summary"][cause.summary] = None
-        row["parameters"].update({f"`{p.name}` [{p.unit}]": None for p in cause.parameters})
-        row["stage"][next(STAGES[kind.__name__] for kind in type(cause).__mro__ if kind.__name__ in STAGES)] = None
-        if cause.advice:
-            row["advice"][cause.advice] = None
-    lines = [
-        " | ".join([f"| `{slug}`", *("; ".join(row[key]) or "–" for key in COLUMNS)]) + " |"
-        for slug, row in rows.items()
-    ]
-    return TOP + "\n".join(line.replace("\n", " ") for line in lines) + "\n"
+    lines = []
+    for row in listing(catalogue()):
+        units = [f"`{name}` [{unit}]" for name, unit in row.units.items()]
+        stages = dict.fromkeys(stage(form) for form in row.forms)
+        cells = ("; ".join(each) or "–" for each in (row.summaries, units, stages, row.advice))
+        lines.append(" | ".join([f"| `{row.slug}`", *cells]).replace("\n", " ") + " |")
+    return TOP + "\n".join(lines) + "\n"
+
+
+def stage(cause) -> str:
+    """The stage of the prediction that a cause changes."""
+    return next(STAGES[kind.__name__] for kind in type(cause).__mro__ if kind.__name__ in STAGES)
 
 
 if __name__ == "__main__":

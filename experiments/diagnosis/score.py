@@ -45,7 +45,7 @@ def reliable(marks: list[Mark]) -> str:
 
 
 def must_show(marks: list[Mark]) -> str:
-    """The marks that count, each beside what is asked."""
+    """The marks that count, each beside its target."""
     clean = [m for m in marks if m.kind == "clean"]
     six = [m for m in clean if m.truth["noise"]["variance"] == "6"]
     missing = [m for m in clean if m.truth["noise"]["variance"] == "missing"]
@@ -84,7 +84,7 @@ def must_show(marks: list[Mark]) -> str:
         ["seconds: median, 95 %, longest", "5 warm", ", ".join(f"{q:.1f}" for q in spent)],
         ["errors", "0", sum(m.verdict == "error" for m in marks)],
     ]  # fmt: skip
-    return table(["mark", "asked", "got (hits/cases; 95 % limits)"], rows)
+    return table(["mark", "target", "got (hits/cases; 95 % limits)"], rows)
 
 
 NONLINEAR = (

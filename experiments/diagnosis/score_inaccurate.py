@@ -1,6 +1,6 @@
 """Score the answers of a draw: ``python experiments/diagnosis/score_inaccurate.py FOLDER [--by spread]``.
 
-Opens ``FOLDER/truth`` and prints each mark beside what is asked, then where name or place were wrong. Cases drawn with
+Opens ``FOLDER/truth`` and prints each mark beside its target, then where name or place were wrong. Cases drawn with
 ``--invariance`` are compared with each other.
 """
 
@@ -102,7 +102,7 @@ def load(folder: Path) -> list[Mark]:
 
 
 def marks_table(marks: list[Mark]) -> str:
-    """The marks that count, each beside what is asked."""
+    """The marks that count, each beside its target."""
     gross = [m for m in marks if m.gross]
     none = [m for m in marks if not m.gross]
     clear = [m for m in gross if m.clear]
@@ -123,7 +123,7 @@ def marks_table(marks: list[Mark]) -> str:
         ["errors", "0", sum(m.said["verdict"] == "error" for m in marks)],
         ["no answer in time", "0", sum(m.said["verdict"] == "no answer" for m in marks)],
     ]  # fmt: skip
-    return table(["mark", "asked", "got (hits/cases; 95 % limits)"], rows)
+    return table(["mark", "target", "got (hits/cases; 95 % limits)"], rows)
 
 
 def parts(marks: list[Mark], by: str) -> str:
@@ -206,7 +206,7 @@ def invariance(marks: list[Mark]) -> str:
         ["right answers of all", "", Share.of(marks, lambda m: m.right)],
     ]
     return "\n\n".join(
-        [table(["mark", "asked", "got (hits/cases; 95 % limits)"], rows),
+        [table(["mark", "target", "got (hits/cases; 95 % limits)"], rows),
          table(["test", "lines, band", "said", "lines, band", "then said"], broken)]
     )  # fmt: skip
 

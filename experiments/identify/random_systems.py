@@ -1,4 +1,4 @@
-r"""`modalax.fit` on systems drawn at random: ``python experiments/identify/random_systems.py``.
+r"""`modalax.identify.fit` on systems drawn at random: ``python experiments/identify/random_systems.py``.
 
 Systems of 1 to 6 modes between 25 and 185 Hz, at lines 0.5 Hz apart, with 0.5 to 20 lines in the half-power bandwidth
 of each mode (evenly in its logarithm; damping at most 8 %), real shapes drawn from a normal distribution, 1 to 4

@@ -5,6 +5,7 @@ the command, and ``toml`` is saved under the name in its first line. ``<!-- not 
 and ``<!-- slow -->`` marks a page that takes long.
 """
 
+import dataclasses
 import inspect
 import json
 import re
@@ -82,7 +83,28 @@ def test_how_to_pages_are_followed():
 def test_links_between_pages_lead_somewhere():
     for page in DOCS.rglob("*.md"):
         for target in re.findall(r"\]\(([^)#]+\.md)\)", page.read_text(encoding="utf-8")):
-            assert (page.parent / target).exists() or target.endswith("causes.md"), f"{page.name}: {target}"
+            assert (page.parent / target).exists() and target != "causes.md", f"{page.name}: {target}"
+
+
+def test_every_page_is_linked_from_the_first_one_where_toctrees_are_not_shown():
+    shown = re.sub(r"```.*?```", "", (DOCS / "index.md").read_text(encoding="utf-8"), flags=re.S)
+    pages = {str(p.relative_to(DOCS)) for p in DOCS.rglob("*.md")} - {"index.md", "causes.md", "api.md"}
+    assert sorted(p for p in pages if not p.startswith(("api/", "_build/")) and f"]({p})" not in shown) == []
+
+
+def test_words_of_a_check_and_laws_of_joints_stand_in_their_tables():
+    from modalax.check import WORDS
+    from modalax.simulate.joints import CATALOGUE
+
+    text = (DOCS / "words.md").read_text(encoding="utf-8")
+    check, laws = text.split("\n## ")[1], text.split("\n## Laws")[1]
+    assert re.findall(r"^\| `(\w+)` \|", check, re.M) == list(WORDS)
+    found = dict(re.findall(r"^\| `(\w+)` \| .+ \| (.+) \|$", laws, re.M))
+    assert list(found) == list(CATALOGUE)
+    for slug, law in CATALOGUE.items():
+        whole = [f.name for f in dataclasses.fields(law) if f.metadata.get("static")]
+        assert re.findall(r"`(\w+)`", found[slug]) == [*law.units, *whole], slug
+        assert set(re.findall(r"\[(.+?)\]", found[slug])) == set(law.units.values()), slug
 
 
 def test_every_cause_stands_in_the_table(monkeypatch):
@@ -94,6 +116,9 @@ def test_every_cause_stands_in_the_table(monkeypatch):
     rows = re.findall(r"^\| `(\w+)` \| (.+) \| (.+) \| (.+) \| (.+) \|$", causes_table.page(), re.M)
     assert [row[0] for row in rows] == list(dict.fromkeys(c.slug for c in catalogue()))
     assert all(cell.strip() for row in rows for cell in row)
+    told = {row[0]: re.findall(r"`(\w+)` \[", row[2]) for row in rows}
+    assert told["elasto_slip"] == ["stiffness", "slip_force"]  # as an answer gives them, not as they are fitted
+    assert told["leakage"] == ["record_length"] and told["sensor_filter"][:2] == ["high_pass_corner", "low_pass_corner"]
 
 
 def test_arrays_of_the_files_stand_in_their_table():

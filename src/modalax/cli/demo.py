@@ -28,7 +28,7 @@ def demo(
     seed: Annotated[int, typer.Option(help="Seed of the noise and of the randomly chosen hidden effect.")] = 0,
     overwrite: OverwriteOption = False,
 ) -> None:
-    """Identify and diagnose a virtual test of the aircraft modal-analysis review's five-degree-of-freedom system."""
+    """Identify and diagnose a virtual test of a system of five degrees of freedom."""
     if out is None and DEFAULT.exists() and not overwrite:
         out = free_folder(DEFAULT)
         note(f"{DEFAULT} exists already; writing to {out}")

@@ -39,7 +39,12 @@ from modalax.files.messages import naming
 def diagnose(
     data: DataArgument,
     simulation: Annotated[
-        Path | None, typer.Option("--simulation", metavar="SIM", help="Simulation: matrices M, C, K or a modal model.")
+        Path | None,
+        typer.Option(
+            "--simulation",
+            metavar="SIM",
+            help="Simulation: matrices M, C, K or a modal model (required).",
+        ),
     ] = None,
     json: JsonOption = None,
     report: ReportOption = None,
@@ -73,12 +78,16 @@ def diagnose(
         typer.Option(
             "--prior",
             metavar="SLUG=F,...",
-            help="How much likelier than by itself you hold a cause to be, such as joint_stiffness=10.",
+            help="Factor on the prior odds of a cause, such as joint_stiffness=10.",
         ),
     ] = None,
     time: Annotated[
         float,
-        typer.Option("--time", metavar="SECONDS", help="Time after which no further step of the modal domain begins."),
+        typer.Option(
+            "--time",
+            metavar="SECONDS",
+            help="Time limit in seconds; after it no new step begins, and the best answer so far is given.",
+        ),
     ] = 120.0,
     modal_std: Annotated[
         tuple[float, float, float] | None,
@@ -86,7 +95,7 @@ def diagnose(
             "--modal-std",
             metavar="F Z S",
             show_default=False,
-            help="Of modes alone: relative deviations of frequency, damping, shape (0.002 0.1 0.03).",
+            help="Of modes alone: relative deviations of frequency, damping and shape; default 0.002 0.1 0.03.",
         ),
     ] = None,
     save: Annotated[

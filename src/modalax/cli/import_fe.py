@@ -11,7 +11,11 @@ from modalax.cli.common import OverwriteOption, check_free, note, start
 def import_fe(
     source: Annotated[
         Path,
-        typer.Argument(metavar="FILE", help="Nastran punch (DMIG, eigenvectors), Ansys .full, or stiffness matrix."),
+        typer.Argument(
+            metavar="FILE",
+            help="Nastran punch (DMIG, eigenvectors), Ansys .full, or a stiffness matrix (Abaqus, Matrix Market, "
+            "Harwell-Boeing).",
+        ),
     ],
     target: Annotated[Path, typer.Option("-o", "--out", metavar="OUT", help="Simulation to write (.npz or .mat).")],
     mass: Annotated[Path | None, typer.Option("--mass", help="Mass matrix, if it has a file of its own.")] = None,

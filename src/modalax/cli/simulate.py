@@ -40,11 +40,12 @@ def simulate(
         list[float] | None, typer.Option("--force", metavar="N", help="Force amplitude in N; repeat for more runs.")
     ] = None,
     band: Annotated[
-        tuple[float, float] | None, typer.Option("--band", metavar="LO HI", help="Frequency band [Hz].")
+        tuple[float, float] | None, typer.Option("--band", metavar="LO HI", help="Frequency band [Hz] (required).")
     ] = None,
     step: Annotated[float, typer.Option("--step", metavar="HZ", help="Distance between frequency lines.")] = 0.1,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="DATA", help="File of FRFs to write.")
+        Path | None,
+        typer.Option("-o", "--out", "--output", metavar="DATA", help="File of FRFs to write (required)."),
     ] = None,
     joint: Annotated[
         list[str] | None, typer.Option("--joint", help="A joint, written as in JOINTS; repeat for several.")

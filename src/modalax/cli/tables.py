@@ -73,25 +73,15 @@ def print_remarks(console: Console, answer: Mapping[str, Any]) -> None:
 
 def cause_table(causes: Sequence[Any]) -> Table:
     """Make a table of causes, with what an answer tells of each; forms of a cause that share a name share a row."""
-    import numpy as np
-
-    from modalax.diagnose.causes.base import JointCause
-    from modalax.diagnose.causes.scene import Place
+    from modalax.diagnose.causes.listing import listing
 
     table = new_table("Causes that a diagnosis can name")
     table.add_column("Cause", no_wrap=True)
     table.add_column("Parameters")
     table.add_column("The simulation lacks")
-    seen: dict[str, tuple[dict[str, None], str]] = {}
-    for cause in causes:
-        words, summary = seen.setdefault(cause.slug, ({}, cause.summary))
-        units = {p.name: p.unit for p in cause.parameters}
-        if isinstance(cause, JointCause):  # some of which are told by other numbers than they are fitted with
-            told = cause.report(np.ones(len(units)), Place(("", ""), (0, 1, 0)))
-            units = {name: unit for name, (_, unit) in told.items()}
-        words.update({f"{name} [{unit}]": None for name, unit in units.items()})
-    for slug, (words, summary) in seen.items():
-        table.add_row(slug, escape(", ".join(words)), escape(summary))
+    for row in listing(causes):
+        words = ", ".join(f"{name} [{unit}]" for name, unit in row.units.items())
+        table.add_row(row.slug, escape(words), escape("; ".join(row.summaries)))
     return table
 
 

@@ -30,7 +30,7 @@ AxesOption = Annotated[
 
 CompleteOption = Annotated[
     bool,
-    typer.Option("--complete", help="Leave out the channels of which a universal file lacks some FRFs; they are told."),
+    typer.Option("--complete", help="Leave out the channels of which a universal file lacks some FRFs, and list them."),
 ]
 
 

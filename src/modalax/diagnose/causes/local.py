@@ -20,7 +20,7 @@ class JointStiffness(LocalCause):
     r"""A spring, :math:`Z = k`."""
 
     slug = "joint_stiffness"
-    summary = "stiffness of a joint differs"
+    summary = "the right stiffness of a joint"
     parameters = (Parameter("stiffness", "N/m"),)
 
     def grid(self, scene: Scene, place: Place) -> np.ndarray:
