@@ -1,5 +1,7 @@
 """A diagnosis whose time is up gives the best answer so far."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from modalax.data import Measurement
@@ -50,6 +52,18 @@ def test_what_was_not_compared_with_causes_beside_the_catalogue_is_not_named():
         word_now, reasons = verdict(checked.ranked, checked.leftover)
         assert word_now == word
         assert any("beside the catalogue" in reason for reason in reasons) == (word == "ambiguous")
+
+
+def test_several_unlike_causes_are_not_named_where_the_search_for_them_was_cut_short():
+    simulation, data = Structure(np.eye(3), 2e-4 * CHAIN, CHAIN, ["a", "b", "c"]), measured()
+    H, variance = np.array(data.H), np.array(data.variance)
+    H[:, :, 2], variance[:, :, 2] = 1.1 * H[:, :, 2], 1.1**2 * variance[:, :, 2]
+    found = line_by_line(data.replace(H=H, variance=variance), simulation, "fixed", ASKED, lambda _: None)
+    assert found.verdict == "named" and {c["name"] for c in found.causes} == {"added_mass", "channel_gain"}
+    cut = replace(found.found, comparison=replace(found.found.comparison, late=Deadline(0.0)))
+    again = pipeline.told(cut, lambda _: None)
+    assert again.verdict == "ambiguous" and again.causes == found.causes
+    assert any("before other sets of causes had been tried" in reason for reason in again.reasons)
 
 
 def test_modes_that_cannot_be_compared_are_told(monkeypatch):

@@ -361,7 +361,10 @@ def told(found: Explanation, progress: Callable[[str], None]) -> Diagnosis:
     comparison = found.comparison
     progress("predicting the held-out data")
     gain = measure((found.look.comparison, found.comparison), found.look.null, found.best, found.leftover.tolerated)
-    word, reasons = verdict(found.ranked, found.leftover, gain)
+    leftover = found.leftover
+    if comparison.late() and len({slug for slug, _ in found.best.names}) > 1 and not leftover.untried:
+        leftover = replace(leftover, untried=("other sets of causes",))
+    word, reasons = verdict(found.ranked, leftover, gain)
     if aside := lines_aside(found.best):
         lines = "1 line, which was" if aside == 1 else f"{aside} lines, which were"
         reasons = (*reasons, f"no steady motion of the joint explains {lines} set aside")

@@ -52,6 +52,7 @@ def case(*sets, **changed):
         (case((0.97, MASS), over_a_factor=4.9), "ambiguous", "cannot be told from one factor on all of"),
         (case((0.97, MASS), over_a_factor=5.0), "named", "12.3 nats"),
         (case((0.97, ("missing_mode", ())), at_one_output=("7:+Z",)), "unknown", "shows at 7:+Z alone"),
+        (case((0.97, ("gyroscopic", ("1", "2"))), one_sided=[("1", "2")]), "unknown", "gyroscopic at 1 - 2 would be"),
         (case((0.9, *NOTHING), at_one_output=("7:+Z",)), "clean", "nothing stands out"),
         (case((1.0, SPRING, MASS)), "named", "joint_stiffness at 3 - 4 and added_mass at 2 stand out beyond"),
         (case((1.0, SPRING, MASS)), "named", "without them the data are"),

@@ -95,6 +95,16 @@ def test_it_is_named_with_its_place_and_size(slug):
     assert np.abs(again.H - found.predicted_after[0]).max() < 0.02 * np.abs(found.predicted_after).max()
 
 
+def test_a_coupling_that_acts_on_one_end_alone_is_not_skew():
+    """A force on the third mass by the velocity of the second, and none back."""
+    lines, one_way = FREQ[::2], np.zeros((5, 5))
+    one_way[2, 1] = 20.0
+    Z = 2j * np.pi * lines[:, None, None] * one_way
+    answer = diagnose_modes(as_measured(response(*chain_off(8, 0.02), lines, Z), lines, 8), simulation()).to_dict()
+    assert answer["verdict"] == "unknown", answer["causes"]
+    assert any("acts on one end more than on the other" in r for r in answer["reasons"]), answer["reasons"]
+
+
 def test_a_weak_joint_that_loses_energy_is_no_damper():
     lines = FREQ[::2]
     data = as_measured(response(*chain_off(8, 0.02), lines, 4e3j * np.outer(B, B)), lines, 8)

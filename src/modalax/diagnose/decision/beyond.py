@@ -63,6 +63,8 @@ class ModalCase:
     over_a_factor
         By how many nats as much mass under every sensor is likelier than one factor on all of the simulation's mass or
         stiffness; None where no such mass is told.
+    one_sided
+        Places of couplings that are said to be skew and surely act on one end more than on the other.
     """
 
     sets: Sequence[BeyondUsual]
@@ -77,6 +79,7 @@ class ModalCase:
     claims: Mapping[str, float] = field(default_factory=dict)
     at_one_output: Sequence[str] = ()
     over_a_factor: float | None = None
+    one_sided: Sequence[tuple[str | int, ...]] = ()
 
     @property
     def support(self) -> tuple[str, ...]:
@@ -161,6 +164,15 @@ def one_output_has_a_mode(case: ModalCase) -> tuple[str, ...]:
     )
 
 
+def coupling_is_one_sided(case: ModalCase) -> tuple[str, ...]:
+    """A coupling that acts on one end more than on the other is not skew."""
+    return tuple(
+        f"{cause_at('gyroscopic', where)} would be a skew coupling, but this one acts on one end more than on the "
+        "other, which no cause explains"
+        for where in case.one_sided
+    )
+
+
 def causes_are_many(case: ModalCase) -> tuple[str, ...]:
     """Unlike causes are too many to come together by chance."""
     many = many_kinds(case.sets[0], case.limits)
@@ -200,6 +212,7 @@ RULES: tuple[tuple[str, Rule], ...] = (
     ("unknown", the_usual_is_needed),
     ("clean", nothing_beyond_the_usual),
     ("unknown", one_output_has_a_mode),
+    ("unknown", coupling_is_one_sided),
     ("ambiguous", other_causes_compete),
     ("ambiguous", other_places_compete),
     ("ambiguous", causes_are_many),

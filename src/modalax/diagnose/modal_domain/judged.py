@@ -8,9 +8,10 @@ import numpy as np
 from modalax.diagnose.decision.beyond import BeyondUsual, ModalCase, Names, modal_verdict, usual_size
 from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.explain import Explanation
-from modalax.diagnose.modal_domain.fit import LARGEST, by_data
+from modalax.diagnose.modal_domain.fit import LARGEST, by_data, fit, without_causes
 from modalax.diagnose.modal_domain.inaccuracy import TOLD, WITHIN, claims_of
 from modalax.diagnose.modal_domain.levels.slipping import part_of_joint
+from modalax.diagnose.modal_domain.line_forces import EvenCoupling, SkewCoupling
 from modalax.diagnose.modal_domain.odd_output import only_output
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.modal_domain.throughout import nats_over_a_factor
@@ -67,7 +68,7 @@ def judge(stage: Stage) -> Judged:
         None if stage.odd is None else (stage.odd.name, stage.odd.nats),
         _told(tuple(c for c in small if not c.absent)) if needs(stage, best, small) else (),
         {name: size for name, size in claims_of(stage.setting.inaccuracy).items() if name in ("stiffness", "mass")},
-        _at_one_output(stage, best), _as_a_factor(stage, best),
+        _at_one_output(stage, best), _as_a_factor(stage, best), _one_sided(stage, best),
     )  # fmt: skip
     word, reasons = modal_verdict(case)
     alone = word == "clean" and plain is not None and not any(of_the_joint(stage, c) for c in best.causes)
@@ -95,6 +96,19 @@ def _as_a_factor(stage: Stage, e: Explanation) -> float | None:
     """By how many nats as much mass under every sensor is likelier than a factor throughout; None without such mass."""
     at = [k for k, c in enumerate(e.causes) if isinstance(c, SensorMasses)]
     return nats_over_a_factor(stage.setting, e.fit, at[0]) if at else None
+
+
+def _one_sided(stage: Stage, e: Explanation) -> tuple[tuple[str | int, ...], ...]:
+    """Places of couplings that are said to be skew and surely act on one end more than on the other."""
+    found = []
+    for c in standing_out(stage, e):
+        if type(c) is SkewCoupling:
+            even = EvenCoupling(c.slug, c.where, c.scale, basis=c.basis, middle=c.middle)
+            u = np.append(e.fit.u, 0.0)
+            f = fit(stage.setting, (*e.causes, even), without_causes(e.fit), u, temperatures=(3.0,))
+            sure = f is not None and abs(f.u[-1]) > THRESHOLDS.stands_out * math.sqrt(max(f.covariance[-1, -1], 0.0))
+            found += [c.where] if sure else []
+    return tuple(found)
 
 
 def sets_beyond(stage: Stage) -> tuple[BeyondUsual, ...]:

@@ -29,7 +29,7 @@ COUPLED = 0.1  # usual skew coupling, relative to what would hold both DoFs as m
 MASS = 0.1  # usual mass of a sensor, relative to the modal mass seen from its place
 DECADE = math.log(10)  # standard deviation of the logarithm of a relaxation time about mid-band
 APART, TIMES = math.log(4), (-1, 0, 1)  # of its logarithm, the distance of times about which modes are asked for one
-SKEW = np.array([[0.0, 1.0], [-1.0, 0.0]])
+SKEW, EVEN = np.array([[0.0, 1.0], [-1.0, 0.0]]), np.array([[0.0, 1.0], [1.0, 0.0]])
 
 
 @dataclass(frozen=True)
@@ -158,6 +158,18 @@ class SkewCoupling(ModalForce):
     def load(self, u: np.ndarray) -> Load:
         """A skew damping matrix."""
         return Load(self.basis, np.zeros((2, 2)), self.scale * u[0] * SKEW)
+
+
+class EvenCoupling(SkewCoupling):
+    """Damping forces on two DoFs, each by the velocity of the other alike: what a skew coupling must not need."""
+
+    def unit(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """A symmetric matrix times s."""
+        return s[:, None, None] * EVEN
+
+    def load(self, u: np.ndarray) -> Load:
+        """A symmetric damping matrix without a diagonal."""
+        return Load(self.basis, np.zeros((2, 2)), self.scale * u[0] * EVEN)
 
 
 class LossyJoint(ModalForce):
