@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from chains_off import FREQ, MASSES, SPRINGS, ZETA, as_measured, chain_off, matrices, response, simulation
+from chains_off import DOFS, FREQ, MASSES, SPRINGS, ZETA, as_measured, chain_off, matrices, response, simulation
 
 from modalax.diagnose import diagnose
 from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis, diagnose_modes
 from modalax.diagnose.modal_domain.fit import fit
 from modalax.diagnose.modal_domain.state import state_at
+from modalax.model import Structure
 
 
 def test_a_column_is_predicted_as_well_as_the_fit_without_it_knows_the_elements():
@@ -94,3 +95,13 @@ def test_the_log_evidence_of_an_exact_simulation_is_that_of_noise_alone():
         told[name] = f.log_evidence - (-0.5 * float(nominal @ nominal) - np.log(2))
     assert told["nothing"] == pytest.approx(0, abs=0.7)
     assert told["claimed"] < -2
+
+
+def test_a_clock_that_is_wrong_is_no_mass_under_all_sensors():
+    """All frequencies are off by one factor, as by a mass under each of five sensors on five alike masses."""
+    S, off = Structure(*matrices(np.full(5, 1.2), SPRINGS, ZETA), DOFS), 1 + 6e-4
+    H = response(np.asarray(S.M), np.asarray(S.C), np.asarray(S.K), FREQ * off) / off**2
+    data = as_measured(H, FREQ, 3, outputs=(0, 1, 2, 3, 4), inputs=(0,))
+    found = diagnose_modes(data, S)
+    assert found.verdict == "ambiguous"
+    assert any("cannot be told from one factor" in r for r in found.reasons), found.reasons
