@@ -2,14 +2,13 @@
 
 import ast
 import builtins
-import dis
 import functools
 import os
 import subprocess
+import symtable
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from types import CodeType
 
 import pytest
 
@@ -206,18 +205,17 @@ def test_every_protocol_can_be_checked_as_the_package_runs():
 def undefined(source: str, path: str) -> list[str]:
     """Global names that functions use and neither the module nor Python defines."""
 
-    def within(code: CodeType) -> Iterator[CodeType]:
-        yield code
-        for part in code.co_consts:
-            if isinstance(part, CodeType):
-                yield from within(part)
+    def within(table: symtable.SymbolTable) -> Iterator[symtable.SymbolTable]:
+        for part in table.get_children():
+            yield part
+            yield from within(part)
 
-    whole = compile(source, path, "exec", dont_inherit=True)
-    told = {i.argval for code in within(whole) for i in dis.get_instructions(code)
-            if i.opname == "STORE_GLOBAL" or (i.opname == "STORE_NAME" and code is whole)}  # fmt: skip
-    used = [(i.argval, code.co_name) for code in within(whole) for i in dis.get_instructions(code)
-            if i.opname == "LOAD_GLOBAL"]  # fmt: skip
+    whole = symtable.symtable(source, path, "exec")
+    inner = [(symbol, table.get_name()) for table in within(whole) for symbol in table.get_symbols()]
+    told = {s.get_name() for s in whole.get_symbols() if s.is_assigned() or s.is_imported() or s.is_namespace()}
+    told |= {s.get_name() for s, _ in inner if s.is_declared_global() and s.is_assigned()}
     known = told | set(dir(builtins)) | {"__file__", "__name__"}
+    used = [(s.get_name(), where) for s, where in inner if s.is_global() and s.is_referenced()]
     return [f"{path}: {name} in {where}" for name, where in used if name not in known]
 
 
