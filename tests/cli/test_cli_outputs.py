@@ -81,3 +81,26 @@ def test_a_result_that_cannot_be_written_leaves_the_old_one(tmp_path):
     with pytest.raises(TypeError):
         write_json(path, {"a": object()})
     assert path.read_text() == '{\n "a": 1\n}\n' and os.listdir(tmp_path) == ["a.json"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["convert", "d.npz", "a.txt"], "a.txt: ending '.txt' is not one that can be written; use .npz, "),
+        (["simulate", "s.npz", "--band", "1", "2", "-o", "a"], "a: ending '' is not one that can be written; use .npz"),
+        (["frf", "r.csv", "-o", "a.json"], "a.json: ending '.json' is not one that can be written"),
+        (["import-fe", "s.npz", "-o", "a.uff"], "a.uff: the ending must be .npz or .mat for a simulation"),
+        (
+            ["diagnose", "d.npz", "--simulation", "s.npz", "--save", "a.mat"],
+            "a.mat: the ending must be .npz for an ext",
+        ),
+        (["fit", "d.npz", "--modes", "a.txt"], "a.txt"),
+    ],
+)
+def test_a_wrong_ending_of_an_output_is_refused_before_anything_is_read(
+    tmp_path, capsys, monkeypatch, arguments, words
+):
+    monkeypatch.chdir(tmp_path)
+    for name in ("d.npz", "s.npz", "r.csv"):  # of the right kind at first sight, but nothing can be read from them
+        (tmp_path / name).write_bytes(b"PK\x03\x04")
+    assert words in refused(capsys, *arguments)

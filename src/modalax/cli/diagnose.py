@@ -13,6 +13,7 @@ from modalax.cli.common import (
     PicturesOption,
     ReportOption,
     check_folder,
+    check_ending,
     check_free,
     check_readable,
     note,
@@ -113,6 +114,7 @@ def diagnose(
     if time <= 0:
         raise ValueError(f"--time is {time:g} s; it must be above zero")
     check_free(json, report, save, overwrite=overwrite, inputs=[data, simulation])
+    check_ending(save, (".npz",), "an extended simulation")
     require_report(report)
     check_folder(out, overwrite, inputs=[data, simulation])
     check_readable(data, simulation)
