@@ -151,6 +151,15 @@ def test_no_argument_shows_the_help(capsys):
         ),
         (["simulate", "a.npz", "--held", "3", "--band", "1", "2", "-o", "x.npz"], ["--held 3", "--amplitude"]),
         (["simulate", "a.npz", "--amplitude", "0", "--band", "1", "2", "-o", "x.npz"], ["--amplitude 0", "above 0"]),
+        (
+            ["simulate", "a.npz", "--amplitude", "1e-3", "--held", "2", "--band", "1", "2", "-o", "x.npz"],
+            ["--amplitude 0.001: without joints"],
+        ),
+        (
+            ["simulate", "a.npz", "cubic_stiffness:2:k3=1", "--amplitude", "1", "--sweep", "up", "--band", "1", "2"]
+            + ["-o", "x.npz"],
+            ["--sweep up", "--amplitude"],
+        ),
         (["diagnose", "absent.npz"], ["--simulation"]),
         (["convert", "absent.uff", "out.npz"], ["absent.uff"]),
     ],

@@ -55,15 +55,19 @@ def simulate(
     ] = None,
     form: Annotated[FRFForm, typer.Option(help="Form of the FRFs.")] = FRFForm.receptance,
     sweep: Annotated[
-        Sweep, typer.Option(help="Direction of the sweep; decides which response is found where several are stable.")
-    ] = Sweep.up,
+        Sweep | None,
+        typer.Option(
+            help="Direction of the sweep, up if not given; decides which response is found where several are stable.",
+            show_default=False,
+        ),
+    ] = None,
     amplitude: Annotated[
         list[float] | None,
         typer.Option(
             "--amplitude",
             metavar="M",
-            help="Displacement amplitude in metres that the force is controlled to hold, instead of --force; repeat "
-            "for more runs.",
+            help="Displacement amplitude in metres that the force is controlled to hold where there are joints, instead "
+            "of --force; repeat for more runs.",
         ),
     ] = None,
     held: Annotated[
@@ -80,9 +84,9 @@ def simulate(
         raise ValueError("simulate needs -o DATA, the file to write the FRFs to")
     if band is None:
         raise ValueError("simulate needs --band LO HI, the frequencies to simulate [Hz]")
-    levels, amplitudes = force or [], amplitude or []
+    levels, amplitudes, specs = force or [], amplitude or [], [*(joints or []), *(joint or [])]
     _check_control(levels, amplitudes, held)
-    specs = [*(joints or []), *(joint or [])]
+    _check_held(amplitudes, bool(specs), sweep)
     read = [simulation, *(Path(spec) for spec in specs if spec.endswith(".toml"))]
     check_free(output, overwrite=overwrite, inputs=read, data=True)
     check_readable(simulation)
@@ -97,12 +101,14 @@ def simulate(
         raise ValueError("joints make the response depend on the force: give --force N, or --amplitude M to hold it")
     known = getattr(structure, "dofs", None) or structure.inputs
     driven = known[0] if input is None else input
-    if amplitudes and parts:
+    if amplitudes:
         with naming(simulation), working(f"Simulating {len(freq)} lines at {len(amplitudes)} held amplitudes"):
             measurement = hold(structure, parts, freq, amplitudes, driven, held or driven, form.value, harmonics)
     else:
         with naming(simulation), working(f"Simulating {len(freq)} lines at {len(levels) or 1} force amplitudes"):
-            measurement = predict(structure, parts, freq, levels, driven, form.value, harmonics, sweep.value)
+            measurement = predict(
+                structure, parts, freq, levels, driven, form.value, harmonics, (sweep or Sweep.up).value
+            )
     if noise:
         measurement = with_noise(measurement, noise, seed)
     save(measurement, output, overwrite=overwrite)
@@ -188,6 +194,20 @@ def _check_control(levels: list[float], amplitudes: list[float], held: str | Non
         raise ValueError("--force holds the force and --amplitude the response: give one of them")
     if held is not None and not amplitudes:
         raise ValueError(f"--held {held}: says where --amplitude is held; give --amplitude M")
+
+
+def _check_held(amplitudes: list[float], joints: bool, sweep: Sweep | None) -> None:
+    """Refuse what a held amplitude has no use for, or what has no use for it."""
+    if amplitudes and not joints:
+        raise ValueError(
+            f"--amplitude {amplitudes[0]:g}: without joints the FRFs are the same at every amplitude; "
+            "give the joints, or leave it out"
+        )
+    if amplitudes and sweep is not None:
+        raise ValueError(
+            f"--sweep {sweep.value}: where --amplitude holds the response each line has one answer, whatever the "
+            "direction; leave one of them out"
+        )
 
 
 def with_noise(measurement: Any, relative: float, seed: int) -> Any:
