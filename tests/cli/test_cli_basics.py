@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import math
 import re
 import subprocess
 import sys
@@ -279,7 +280,7 @@ def test_simulated_noise_has_the_size_asked_for(files, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("lower", "upper", "step", "count"), [(20, 70, 0.1, 501), (0, 1, 0.3, 4), (33.3, 33.9, 0.2, 4), (5, 6, 2, 1)]
+    ("lower", "upper", "step", "count"), [(20, 70, 0.1, 501), (0, 1, 0.3, 4), (33.3, 33.9, 0.2, 4), (5, 6, 1, 2)]
 )
 def test_frequency_lines_hold_both_ends_where_the_step_meets_them(lower, upper, step, count):
     freq = frequencies(float(lower), float(upper), float(step))
@@ -288,7 +289,16 @@ def test_frequency_lines_hold_both_ends_where_the_step_meets_them(lower, upper, 
 
 @pytest.mark.parametrize(
     ("lines", "words"),
-    [((50.0, 20.0, 0.1), "--band 50 20: needs 0 <= LO < HI"), ((20.0, 50.0, 0.0), "--step 0: the distance")],
+    [
+        ((50.0, 20.0, 0.1), "--band 50 20: needs 0 <= LO < HI"),
+        ((50.0, math.inf, 0.1), "--band 50 inf: needs 0 <= LO < HI"),
+        ((20.0, 50.0, 0.0), "--step 0: the distance"),
+        ((20.0, 50.0, math.inf), "--step inf: the distance of the lines must be above 0 Hz and finite"),
+        ((20.0, 50.0, math.nan), "--step nan: the distance"),
+        ((20.0, 50.0, 31.0), "--step 31: wider than the band 20 to 50 Hz, which would leave one line"),
+        ((20.0, 50.0, 1e-9), r"--step 1e-09: makes 3e\+10 lines .*; at most 1000000 are computed"),
+        ((20.0, 50.0, 1e-310), "--step 1e-310: makes inf lines"),
+    ],
 )
 def test_a_band_without_lines_is_explained(lines, words):
     with pytest.raises(ValueError, match=words):

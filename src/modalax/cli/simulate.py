@@ -9,6 +9,8 @@ import typer
 from modalax.cli.common import OverwriteOption, check_free, check_readable, note, read_simulation, start, working
 from modalax.files.messages import naming
 
+MOST_LINES = 1_000_000  # frequency lines of a simulation; more are surely a mistake
+
 
 class Sweep(StrEnum):
     """Direction of a frequency sweep."""
@@ -66,8 +68,8 @@ def simulate(
         typer.Option(
             "--amplitude",
             metavar="M",
-            help="Displacement amplitude in metres that the force is controlled to hold where there are joints, instead "
-            "of --force; repeat for more runs.",
+            help="Displacement amplitude in metres that the force is controlled to hold where there are joints, "
+            "instead of --force; repeat for more runs.",
         ),
     ] = None,
     held: Annotated[
@@ -121,15 +123,23 @@ def frequencies(lower: float, upper: float, step: float) -> Any:
     Raises
     ------
     ValueError
-        If the band is empty or the step not positive.
+        If the band is empty, or the step is not positive, wider than the band or makes more than ``MOST_LINES`` lines.
     """
     import numpy as np
 
-    if not 0 <= lower < upper:
+    if not 0 <= lower < upper < np.inf:
         raise ValueError(f"--band {lower:g} {upper:g}: needs 0 <= LO < HI")
-    if not step > 0:
-        raise ValueError(f"--step {step:g}: the distance of the lines must be above 0 Hz")
-    return lower + step * np.arange(int(np.floor((upper - lower) / step * (1 + 1e-12))) + 1)
+    if not 0 < step < np.inf:
+        raise ValueError(f"--step {step:g}: the distance of the lines must be above 0 Hz and finite")
+    steps = np.floor((upper - lower) / step * (1 + 1e-12))
+    if steps < 1:
+        raise ValueError(f"--step {step:g}: wider than the band {lower:g} to {upper:g} Hz, which would leave one line")
+    if steps >= MOST_LINES:
+        raise ValueError(
+            f"--step {step:g}: makes {steps + 1:.3g} lines of the band {lower:g} to {upper:g} Hz; at most "
+            f"{MOST_LINES} are computed, which a step of {(upper - lower) / (MOST_LINES - 1):.2g} Hz makes"
+        )
+    return lower + step * np.arange(int(steps) + 1)
 
 
 def predict(
@@ -205,8 +215,7 @@ def _check_held(amplitudes: list[float], joints: bool, sweep: Sweep | None) -> N
         )
     if amplitudes and sweep is not None:
         raise ValueError(
-            f"--sweep {sweep.value}: where --amplitude holds the response each line has one answer, whatever the "
-            "direction; leave one of them out"
+            f"--sweep {sweep.value}: has no effect where --amplitude holds the response; leave one of them out"
         )
 
 
