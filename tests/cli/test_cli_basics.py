@@ -161,6 +161,8 @@ def test_no_argument_shows_the_help(capsys):
             + ["-o", "x.npz"],
             ["--sweep up", "--amplitude"],
         ),
+        (["simulate", "a.npz", "--noise", "-1", "--band", "1", "2", "-o", "x.npz"], ["--noise -1", "0 or above"]),
+        (["simulate", "a.npz", "--noise", "nan", "--band", "1", "2", "-o", "x.npz"], ["--noise nan"]),
         (["diagnose", "absent.npz"], ["--simulation"]),
         (["convert", "absent.uff", "out.npz"], ["absent.uff"]),
     ],

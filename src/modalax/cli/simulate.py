@@ -89,6 +89,8 @@ def simulate(
     levels, amplitudes, specs = force or [], amplitude or [], [*(joints or []), *(joint or [])]
     _check_control(levels, amplitudes, held)
     _check_held(amplitudes, bool(specs), sweep)
+    if not 0 <= noise < float("inf"):
+        raise ValueError(f"--noise {noise:g}: a fraction of the rms value of each channel, 0 or above, is needed")
     read = [simulation, *(Path(spec) for spec in specs if spec.endswith(".toml"))]
     check_free(output, overwrite=overwrite, inputs=read, data=True)
     check_readable(simulation)
