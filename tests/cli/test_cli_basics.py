@@ -353,13 +353,14 @@ def test_a_wrong_file_of_joints_is_explained(tmp_path):
     [
         ("elasto_slip", ["law:dofs:parameters"]),
         ("glue:3,5:k=1", ["glue", "elasto_slip"]),
-        ("elasto_slip:3,5:k=1", ["k [N/m]", "slip_force [N]"]),
-        ("elasto_slip:3,5:k=1,q=2", ["q", "slip_force [N]"]),
+        ("elasto_slip:3,5:k=1", ["k=1: elasto_slip needs slip_force [N]; optional: k0 [N/m]"]),
+        ("gap:3,5:k=1", ["gap needs gap [m]"]),
+        ("elasto_slip:3,5:k=1,q=2", ["no parameter q; it has k [N/m], slip_force [N]; optional: k0 [N/m]"]),
         ("elasto_slip:3,5:k=-1,slip_force=2", ["-1"]),
         ("elasto_slip:3,5:k=much,slip_force=2", ["much"]),
         ("elasto_slip:3,4,5:k=1,slip_force=2", ["3 DoFs"]),
         ("polynomial_stiffness:3,5:coefficients=1e3,powers=1.5", ["powers is 1.5", "whole numbers"]),
-        ("polynomial_stiffness:3,5:coefficients=1e3", ["coefficients [N/m^p]", "powers"]),
+        ("polynomial_stiffness:3,5:coefficients=1e3", ["polynomial_stiffness needs powers"]),
     ],
 )
 def test_a_wrong_joint_is_explained(spec, words):
