@@ -73,6 +73,7 @@ JOINT = '[[system.joint]]\nlaw = "gap"\nwhere = ["3", "88"]\nk = 1\ngap = 1'
             r"\[system\] inputs: no DoF named '77'; the structure has 1, 2",
         ),
         (("step = 0.5", 'step = 0.5\noutputs = ["1", "78"]'), r"\[system\] outputs: no DoF named '78'"),
+        (("step = 0.5", "step = 1e-9"), r"\[system\] step 1e-09: makes 5e\+10 lines"),
         (("step = 0.5", f"step = 0.5\nforce = [1]\n{JOINT}"), r"\[\[system.joint\]\] 1 where: no DoF named '88'"),
         (
             ('"noise"', '"diagnosis"\nhidden = {cause = "added_mass", where = ["99"], sizes = [1]}'),

@@ -9,8 +9,6 @@ import typer
 from modalax.cli.common import OverwriteOption, check_free, check_readable, note, read_simulation, start, working
 from modalax.files.messages import naming
 
-MOST_LINES = 1_000_000  # frequency lines of a simulation; more are surely a mistake
-
 
 class Sweep(StrEnum):
     """Direction of a frequency sweep."""
@@ -96,6 +94,7 @@ def simulate(
     check_readable(simulation)
     start()
     from modalax.files import save
+    from modalax.model.receptance import directions
     from modalax.simulate.joints.text import read_joints
 
     freq = frequencies(*band, step)
@@ -105,6 +104,8 @@ def simulate(
         raise ValueError("joints make the response depend on the force: give --force N, or --amplitude M to hold it")
     known = getattr(structure, "dofs", None) or structure.inputs
     driven = known[0] if input is None else input
+    with naming(simulation):
+        directions(structure, [[driven], [held or driven], *(where for _, where in parts)])
     if amplitudes:
         with naming(simulation), working(f"Simulating {len(freq)} lines at {len(amplitudes)} held amplitudes"):
             measurement = hold(structure, parts, freq, amplitudes, driven, held or driven, form.value, harmonics)
@@ -125,23 +126,13 @@ def frequencies(lower: float, upper: float, step: float) -> Any:
     Raises
     ------
     ValueError
-        If the band is empty, or the step is not positive, wider than the band or makes more than ``MOST_LINES`` lines.
+        If the band is empty, or the step is not positive, wider than the band or makes too many lines.
     """
-    import numpy as np
+    from modalax.data.lines import lines_of_band
 
-    if not 0 <= lower < upper < np.inf:
+    if not 0 <= lower < upper < float("inf"):
         raise ValueError(f"--band {lower:g} {upper:g}: needs 0 <= LO < HI")
-    if not 0 < step < np.inf:
-        raise ValueError(f"--step {step:g}: the distance of the lines must be above 0 Hz and finite")
-    steps = np.floor((upper - lower) / step * (1 + 1e-12))
-    if steps < 1:
-        raise ValueError(f"--step {step:g}: wider than the band {lower:g} to {upper:g} Hz, which would leave one line")
-    if steps >= MOST_LINES:
-        raise ValueError(
-            f"--step {step:g}: makes {steps + 1:.3g} lines of the band {lower:g} to {upper:g} Hz; at most "
-            f"{MOST_LINES} are computed, which a step of {(upper - lower) / (MOST_LINES - 1):.2g} Hz makes"
-        )
-    return lower + step * np.arange(int(steps) + 1)
+    return lines_of_band(lower, upper, step, "--step")
 
 
 def predict(

@@ -34,12 +34,6 @@ def load_simulation(name: str, folder: Path) -> Any:
     return found
 
 
-def frequency_lines(band: Any, step: float) -> np.ndarray:
-    """Lines from the lower end of a band in equal steps [Hz]; the upper end counts if a step meets it."""
-    low, high = band
-    return low + step * np.arange(int(np.floor((high - low) / step * (1 + 1e-12))) + 1)
-
-
 def response(structure: Any, settings: Mapping[str, Any], joints: Any = ()) -> Any:
     """FRFs without noise, as a measurement with a run for each force amplitude.
 
@@ -55,8 +49,9 @@ def response(structure: Any, settings: Mapping[str, Any], joints: Any = ()) -> A
     Raises
     ------
     ValueError
-        If there are joints and no force, or a DoF is not in the structure.
+        If there are joints and no force, a DoF is not in the structure, or the step makes one line or too many.
     """
+    from modalax.data.lines import lines_of_band
     from modalax.model.receptance import dof_names
     from modalax.simulate.harmonic import simulate
     from modalax.simulate.joints.text import joint_of_table
@@ -67,10 +62,11 @@ def response(structure: Any, settings: Mapping[str, Any], joints: Any = ()) -> A
             "[system] has joints, whose response depends on the force, but no force; give force = [N, ...]"
         )
     _check_dofs(structure, settings, placed)
+    low, high = settings["band"]
     options: dict[str, Any] = {"harmonics": settings["harmonics"]} if placed else {}
     return simulate(
         structure, [law for law, _ in placed], [where for _, where in placed],
-        frequency_lines(settings["band"], settings["step"]), np.array(settings["force"] or [np.nan]),
+        lines_of_band(low, high, settings["step"], "[system] step"), np.array(settings["force"] or [np.nan]),
         inputs=settings["inputs"] or [dof_names(structure)[0]], outputs=settings["outputs"], form=settings["form"],
         **options,
     )  # fmt: skip
