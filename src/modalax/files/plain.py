@@ -144,7 +144,7 @@ def check_told_form(stated: str | None, told: str | None, option: str = "") -> N
     if stated in DERIVATIVES and told is not None and told != stated:
         raise ValueError(
             f"it states that its FRFs are {stated}, and {option or f'form={told!r} (--form {told})'} says {told}; "
-            "a form is told only of a file that states none, and changes no numbers"
+            "leave that out, or correct the form in the file if it is wrong"
         )
 
 
