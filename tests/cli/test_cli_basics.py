@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import math
 import re
 import subprocess
 import sys
@@ -151,6 +152,17 @@ def test_no_argument_shows_the_help(capsys):
         ),
         (["simulate", "a.npz", "--held", "3", "--band", "1", "2", "-o", "x.npz"], ["--held 3", "--amplitude"]),
         (["simulate", "a.npz", "--amplitude", "0", "--band", "1", "2", "-o", "x.npz"], ["--amplitude 0", "above 0"]),
+        (
+            ["simulate", "a.npz", "--amplitude", "1e-3", "--held", "2", "--band", "1", "2", "-o", "x.npz"],
+            ["--amplitude 0.001: without joints"],
+        ),
+        (
+            ["simulate", "a.npz", "cubic_stiffness:2:k3=1", "--amplitude", "1", "--sweep", "up", "--band", "1", "2"]
+            + ["-o", "x.npz"],
+            ["--sweep up", "--amplitude"],
+        ),
+        (["simulate", "a.npz", "--noise", "-1", "--band", "1", "2", "-o", "x.npz"], ["--noise -1", "0 or above"]),
+        (["simulate", "a.npz", "--noise", "nan", "--band", "1", "2", "-o", "x.npz"], ["--noise nan"]),
         (["diagnose", "absent.npz"], ["--simulation"]),
         (["convert", "absent.uff", "out.npz"], ["absent.uff"]),
     ],
@@ -270,7 +282,7 @@ def test_simulated_noise_has_the_size_asked_for(files, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("lower", "upper", "step", "count"), [(20, 70, 0.1, 501), (0, 1, 0.3, 4), (33.3, 33.9, 0.2, 4), (5, 6, 2, 1)]
+    ("lower", "upper", "step", "count"), [(20, 70, 0.1, 501), (0, 1, 0.3, 4), (33.3, 33.9, 0.2, 4), (5, 6, 1, 2)]
 )
 def test_frequency_lines_hold_both_ends_where_the_step_meets_them(lower, upper, step, count):
     freq = frequencies(float(lower), float(upper), float(step))
@@ -279,7 +291,16 @@ def test_frequency_lines_hold_both_ends_where_the_step_meets_them(lower, upper, 
 
 @pytest.mark.parametrize(
     ("lines", "words"),
-    [((50.0, 20.0, 0.1), "--band 50 20: needs 0 <= LO < HI"), ((20.0, 50.0, 0.0), "--step 0: the distance")],
+    [
+        ((50.0, 20.0, 0.1), "--band 50 20: needs 0 <= LO < HI"),
+        ((50.0, math.inf, 0.1), "--band 50 inf: needs 0 <= LO < HI"),
+        ((20.0, 50.0, 0.0), "--step 0: the distance"),
+        ((20.0, 50.0, math.inf), "--step inf: the distance of the lines must be above 0 Hz and finite"),
+        ((20.0, 50.0, math.nan), "--step nan: the distance"),
+        ((20.0, 50.0, 31.0), "--step 31: wider than the band 20 to 50 Hz, which would leave one line"),
+        ((20.0, 50.0, 1e-9), r"--step 1e-09: makes 3e\+10 lines .*; at most 1000000 are computed"),
+        ((20.0, 50.0, 1e-310), "--step 1e-310: makes inf lines"),
+    ],
 )
 def test_a_band_without_lines_is_explained(lines, words):
     with pytest.raises(ValueError, match=words):
@@ -332,13 +353,14 @@ def test_a_wrong_file_of_joints_is_explained(tmp_path):
     [
         ("elasto_slip", ["law:dofs:parameters"]),
         ("glue:3,5:k=1", ["glue", "elasto_slip"]),
-        ("elasto_slip:3,5:k=1", ["k [N/m]", "slip_force [N]"]),
-        ("elasto_slip:3,5:k=1,q=2", ["q", "slip_force [N]"]),
+        ("elasto_slip:3,5:k=1", ["k=1: elasto_slip needs slip_force [N]; optional: k0 [N/m]"]),
+        ("gap:3,5:k=1", ["gap needs gap [m]"]),
+        ("elasto_slip:3,5:k=1,q=2", ["no parameter q; it has k [N/m], slip_force [N]; optional: k0 [N/m]"]),
         ("elasto_slip:3,5:k=-1,slip_force=2", ["-1"]),
         ("elasto_slip:3,5:k=much,slip_force=2", ["much"]),
         ("elasto_slip:3,4,5:k=1,slip_force=2", ["3 DoFs"]),
         ("polynomial_stiffness:3,5:coefficients=1e3,powers=1.5", ["powers is 1.5", "whole numbers"]),
-        ("polynomial_stiffness:3,5:coefficients=1e3", ["coefficients [N/m^p]", "powers"]),
+        ("polynomial_stiffness:3,5:coefficients=1e3", ["polynomial_stiffness needs powers"]),
     ],
 )
 def test_a_wrong_joint_is_explained(spec, words):

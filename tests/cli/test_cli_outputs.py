@@ -9,6 +9,7 @@ from modalax.cli import main
 from modalax.cli.common import check_folder, check_free, write_json
 from modalax.data import Measurement
 from modalax.files import save
+from modalax.model.examples import five_dof
 
 
 @pytest.fixture
@@ -81,3 +82,38 @@ def test_a_result_that_cannot_be_written_leaves_the_old_one(tmp_path):
     with pytest.raises(TypeError):
         write_json(path, {"a": object()})
     assert path.read_text() == '{\n "a": 1\n}\n' and os.listdir(tmp_path) == ["a.json"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["convert", "d.npz", "a.txt"], "a.txt: ending '.txt' is not one that can be written; use .npz, "),
+        (["simulate", "s.npz", "--band", "1", "2", "-o", "a"], "a: ending '' is not one that can be written; use .npz"),
+        (["frf", "r.csv", "-o", "a.json"], "a.json: ending '.json' is not one that can be written"),
+        (["import-fe", "s.npz", "-o", "a.uff"], "a.uff: the ending must be .npz or .mat for a simulation"),
+        (
+            ["diagnose", "d.npz", "--simulation", "s.npz", "--save", "a.mat"],
+            "a.mat: the ending must be .npz for an ext",
+        ),
+        (["fit", "d.npz", "--modes", "a.txt"], "a.txt"),
+    ],
+)
+def test_a_wrong_ending_of_an_output_is_refused_before_anything_is_read(
+    tmp_path, capsys, monkeypatch, arguments, words
+):
+    monkeypatch.chdir(tmp_path)
+    for name in ("d.npz", "s.npz", "r.csv"):  # of the right kind at first sight, but nothing can be read from them
+        (tmp_path / name).write_bytes(b"PK\x03\x04")
+    assert words in refused(capsys, *arguments)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [["--input", "77"], ["cubic_stiffness:2,77:k3=1", "--force", "1"]]
+    + [["cubic_stiffness:2:k3=1", "--amplitude", "1", "--held", "77"]],
+)
+def test_a_dof_that_is_not_there_is_refused_before_simulating(tmp_path, capsys, options):
+    path = tmp_path / "s.npz"
+    save(five_dof(), path)
+    line = refused(capsys, "simulate", path, *options, "--band", "1", "2", "-o", tmp_path / "a.npz")
+    assert "s.npz: no DoF named '77'" in line

@@ -319,3 +319,20 @@ def test_datasets_with_real_and_imaginary_parts():
     found = from_xarray(dataset)
     assert found.form == "receptance"
     np.testing.assert_array_equal(found.H, m.H)
+
+
+@pytest.mark.parametrize("ending", ["npz", "mat", "nc", "uff"])
+def test_a_form_that_differs_from_the_stated_one(tmp_path, ending):
+    path = tmp_path / f"a.{ending}"
+    pytest.importorskip({"nc": "h5netcdf", "uff": "pyuff"}.get(ending, "numpy"))
+    modalax.save(Measurement(F, H[None], form="mobility", outputs=["1", "2", "3"], inputs=["1", "2"]), path)
+    assert read(path, form="mobility").form == "mobility"
+    if ending == "uff":
+        note = "it states that its FRFs are mobility; they are taken as receptance"
+        assert read(path, note, form="receptance").form == "receptance"
+        return
+    words = r"its FRFs are mobility, and form='receptance' \(--form receptance\) says receptance"
+    with pytest.raises(ValueError, match=rf"a\.{ending}: it states that {words}"):
+        modalax.load(path, form="receptance")
+    with pytest.raises(ValueError, match=r"its FRFs are mobility, and unit='mm/N' \(--unit mm/N\) says receptance"):
+        modalax.load(path, unit="mm/N")

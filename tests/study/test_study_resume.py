@@ -121,6 +121,7 @@ def test_folders_that_are_no_study_are_left_alone(described, tmp_path):
     with pytest.raises(ValueError, match="holds other files, and no study"):
         study(described("other", 0), tmp_path / "mine", workers=0)
     assert (tmp_path / "mine" / "thesis.txt").read_text() == "years of work"
+    assert os.listdir(tmp_path / "mine") == ["thesis.txt"]
 
 
 def test_a_damaged_chunk_is_told(described, tmp_path):

@@ -203,7 +203,8 @@ def _finding(study: Study, power: int, evidence: str, sure: float) -> Finding:
     return Finding(
         "wrong_form", (), sure=sure, size=float(power - study.power), unit="time derivatives",
         evidence=f"{evidence}: these FRFs are {FORMS[power]}, not {study.form}",
-        advice=f"read the file as {FORMS[power]}, or correct the unit of the responses",
+        advice=f"correct the form in the file to {FORMS[power]} (--form does where it states none or is a universal "
+        "file), or the unit of the responses",
         picture=Picture(
             [("real part", study.freq, H.real), ("imaginary part", study.freq, H.imag)], "Frequency [Hz]",
             f"H({study.outputs[o]}, {study.inputs[i]})",

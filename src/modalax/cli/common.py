@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from modalax.files.json_text import json_text
-from modalax.files.sniff import sniff
+from modalax.files.sniff import kind_to_write, sniff
 
 DataArgument = Annotated[
     Path, typer.Argument(metavar="DATA", help="Measured FRFs (UFF, npz, mat, NetCDF, Zarr or CSV).")
@@ -78,12 +78,14 @@ def check_readable(*paths: Path) -> None:
 def check_free(*paths: Path | None, overwrite: bool, inputs: Sequence[Path | None] = (), data: bool = False) -> None:
     """Refuse outputs that would replace an existing file, an input or each other, before any work is done.
 
-    With ``data``, the outputs hold FRFs or models, and one whose name ends in ``.zarr`` may replace a Zarr store.
+    With ``data``, the outputs hold FRFs or models: their endings are those that can be written, and one whose name ends
+    in ``.zarr`` may replace a Zarr store.
 
     Raises
     ------
     ValueError
-        If an output exists and ``overwrite`` is not set, is among the inputs, is asked for twice, or is a folder.
+        If an output exists and ``overwrite`` is not set, is among the inputs, is asked for twice, is a folder, or has
+        an ending that cannot be written.
     OSError
         If the folder of an output does not exist, or the file is read-only.
     """
@@ -97,6 +99,20 @@ def check_free(*paths: Path | None, overwrite: bool, inputs: Sequence[Path | Non
         if twice:
             raise ValueError(f"{path} is asked for twice as an output; give each output its own name")
         check_target(path, overwrite, "add --overwrite", store=data and path.suffix.lower() == ".zarr")
+        if data:
+            kind_to_write(path)
+
+
+def check_ending(path: Path | None, endings: Sequence[str], what: str) -> None:
+    """Refuse an output whose name has not one of the endings of ``what`` it is to hold.
+
+    Raises
+    ------
+    ValueError
+        Naming the output and the endings.
+    """
+    if path is not None and path.suffix.lower() not in endings:
+        raise ValueError(f"{path}: the ending must be {' or '.join(endings)} for {what}")
 
 
 def check_folder(folder: Path | None, overwrite: bool, inputs: Sequence[Path | None] = ()) -> None:

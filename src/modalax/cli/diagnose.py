@@ -12,6 +12,7 @@ from modalax.cli.common import (
     OverwriteOption,
     PicturesOption,
     ReportOption,
+    check_ending,
     check_folder,
     check_free,
     check_readable,
@@ -113,6 +114,7 @@ def diagnose(
     if time <= 0:
         raise ValueError(f"--time is {time:g} s; it must be above zero")
     check_free(json, report, save, overwrite=overwrite, inputs=[data, simulation])
+    check_ending(save, (".npz",), "an extended simulation")
     require_report(report)
     check_folder(out, overwrite, inputs=[data, simulation])
     check_readable(data, simulation)

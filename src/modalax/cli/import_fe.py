@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from modalax.cli.common import OverwriteOption, check_free, note, start
+from modalax.cli.common import OverwriteOption, check_ending, check_free, note, start
 
 
 def import_fe(
@@ -58,8 +58,7 @@ def import_fe(
 ) -> None:
     """Read matrices or modes of a finite-element model and write them as a simulation."""
     check_free(target, overwrite=overwrite, inputs=[source, mass, damping_matrix, grids])
-    if target.suffix.lower() not in (".npz", ".mat"):
-        raise ValueError(f"{target}: the ending must be .npz or .mat, the formats of a simulation")
+    check_ending(target, (".npz", ".mat"), "a simulation")
     for path in (source, mass, damping_matrix, grids):
         if path is not None and not path.is_file():
             raise FileNotFoundError(f"{path}: no such file")

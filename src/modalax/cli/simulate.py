@@ -55,15 +55,19 @@ def simulate(
     ] = None,
     form: Annotated[FRFForm, typer.Option(help="Form of the FRFs.")] = FRFForm.receptance,
     sweep: Annotated[
-        Sweep, typer.Option(help="Direction of the sweep; decides which response is found where several are stable.")
-    ] = Sweep.up,
+        Sweep | None,
+        typer.Option(
+            help="Direction of the sweep, up if not given; decides which response is found where several are stable.",
+            show_default=False,
+        ),
+    ] = None,
     amplitude: Annotated[
         list[float] | None,
         typer.Option(
             "--amplitude",
             metavar="M",
-            help="Displacement amplitude in metres that the force is controlled to hold, instead of --force; repeat "
-            "for more runs.",
+            help="Displacement amplitude in metres that the force is controlled to hold where there are joints, "
+            "instead of --force; repeat for more runs.",
         ),
     ] = None,
     held: Annotated[
@@ -80,14 +84,17 @@ def simulate(
         raise ValueError("simulate needs -o DATA, the file to write the FRFs to")
     if band is None:
         raise ValueError("simulate needs --band LO HI, the frequencies to simulate [Hz]")
-    levels, amplitudes = force or [], amplitude or []
+    levels, amplitudes, specs = force or [], amplitude or [], [*(joints or []), *(joint or [])]
     _check_control(levels, amplitudes, held)
-    specs = [*(joints or []), *(joint or [])]
+    _check_held(amplitudes, bool(specs), sweep)
+    if not 0 <= noise < float("inf"):
+        raise ValueError(f"--noise {noise:g}: a fraction of the rms value of each channel, 0 or above, is needed")
     read = [simulation, *(Path(spec) for spec in specs if spec.endswith(".toml"))]
     check_free(output, overwrite=overwrite, inputs=read, data=True)
     check_readable(simulation)
     start()
     from modalax.files import save
+    from modalax.model.receptance import directions
     from modalax.simulate.joints.text import read_joints
 
     freq = frequencies(*band, step)
@@ -97,12 +104,16 @@ def simulate(
         raise ValueError("joints make the response depend on the force: give --force N, or --amplitude M to hold it")
     known = getattr(structure, "dofs", None) or structure.inputs
     driven = known[0] if input is None else input
-    if amplitudes and parts:
+    with naming(simulation):
+        directions(structure, [[driven], [held or driven], *(where for _, where in parts)])
+    if amplitudes:
         with naming(simulation), working(f"Simulating {len(freq)} lines at {len(amplitudes)} held amplitudes"):
             measurement = hold(structure, parts, freq, amplitudes, driven, held or driven, form.value, harmonics)
     else:
         with naming(simulation), working(f"Simulating {len(freq)} lines at {len(levels) or 1} force amplitudes"):
-            measurement = predict(structure, parts, freq, levels, driven, form.value, harmonics, sweep.value)
+            measurement = predict(
+                structure, parts, freq, levels, driven, form.value, harmonics, (sweep or Sweep.up).value
+            )
     if noise:
         measurement = with_noise(measurement, noise, seed)
     save(measurement, output, overwrite=overwrite)
@@ -115,15 +126,13 @@ def frequencies(lower: float, upper: float, step: float) -> Any:
     Raises
     ------
     ValueError
-        If the band is empty or the step not positive.
+        If the band is empty, or the step is not positive, wider than the band or makes too many lines.
     """
-    import numpy as np
+    from modalax.data.lines import lines_of_band
 
-    if not 0 <= lower < upper:
+    if not 0 <= lower < upper < float("inf"):
         raise ValueError(f"--band {lower:g} {upper:g}: needs 0 <= LO < HI")
-    if not step > 0:
-        raise ValueError(f"--step {step:g}: the distance of the lines must be above 0 Hz")
-    return lower + step * np.arange(int(np.floor((upper - lower) / step * (1 + 1e-12))) + 1)
+    return lines_of_band(lower, upper, step, "--step")
 
 
 def predict(
@@ -188,6 +197,19 @@ def _check_control(levels: list[float], amplitudes: list[float], held: str | Non
         raise ValueError("--force holds the force and --amplitude the response: give one of them")
     if held is not None and not amplitudes:
         raise ValueError(f"--held {held}: says where --amplitude is held; give --amplitude M")
+
+
+def _check_held(amplitudes: list[float], joints: bool, sweep: Sweep | None) -> None:
+    """Refuse what a held amplitude has no use for, or what has no use for it."""
+    if amplitudes and not joints:
+        raise ValueError(
+            f"--amplitude {amplitudes[0]:g}: without joints the FRFs are the same at every amplitude; "
+            "give the joints, or leave it out"
+        )
+    if amplitudes and sweep is not None:
+        raise ValueError(
+            f"--sweep {sweep.value}: has no effect where --amplitude holds the response; leave one of them out"
+        )
 
 
 def with_noise(measurement: Any, relative: float, seed: int) -> Any:

@@ -7,7 +7,10 @@ import typer
 FormOption = Annotated[
     str | None,
     typer.Option(
-        "--form", metavar="FORM", help="Form of the FRFs if the file has none: receptance, mobility or accelerance."
+        "--form",
+        metavar="FORM",
+        help="Form of the FRFs if the file has none (or a universal file a wrong one): receptance, mobility or "
+        "accelerance.",
     ),
 ]
 UnitOption = Annotated[

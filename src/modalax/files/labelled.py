@@ -11,7 +11,7 @@ from modalax.data.measurement import Measurement
 from modalax.files.arrays import NOTHING, Saved, from_arrays, to_arrays
 from modalax.files.guard import reading
 from modalax.files.inside import check_datasets, check_store
-from modalax.files.plain import PLAIN_KEYS, Told, plain_dataset
+from modalax.files.plain import PLAIN_KEYS, Told, check_told_form, plain_dataset
 from modalax.files.units import force_factor, frequency_factor, plain, response_unit
 
 UNITS = {"receptance": "m/N", "mobility": "(m/s)/N", "accelerance": "(m/s^2)/N"}
@@ -121,6 +121,8 @@ def _as_told(dataset: Any, told: Told) -> Any:
     if form is None and "H" in dataset and (told.unit is not None or "form" not in dataset.attrs):
         unit = dataset["H"].attrs.get("units")
         form = None if unit is None else response_unit(unit)[0]
+    told_by_unit = told.form is None and told.unit is not None
+    check_told_form(dataset.attrs.get("form"), form, f"unit={told.unit!r} (--unit {told.unit})" if told_by_unit else "")
     return dataset if form is None else dataset.assign_attrs(form=form)
 
 

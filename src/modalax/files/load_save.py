@@ -16,7 +16,7 @@ from modalax.data.measurement import Measurement
 from modalax.files.arrays import Saved, from_arrays
 from modalax.files.messages import about
 from modalax.files.npz import read_npz, write_npz
-from modalax.files.plain import Told
+from modalax.files.plain import Told, check_told_form
 from modalax.files.sniff import kind_to_write, sniff
 from modalax.files.table import names_of_columns, read_table
 from modalax.files.units import plain
@@ -55,7 +55,9 @@ def load(
     form, unit, frequency_unit, outputs, inputs, axes
         What a file of FRFs does not say itself (:class:`modalax.files.plain.Told`), as plain ``.npz`` and ``.mat``
         files of frequencies and FRFs, and CSV: the form or the unit (``g/N``), names of the channels, the order of the
-        axes (``f o i``). What is guessed is said in a warning; what may mean two things is asked for.
+        axes (``f o i``). What is guessed is said in a warning; what may mean two things is asked for. A form that
+        differs from the one in the file is an error, except of a universal file, where ``form`` and
+        ``frequency_unit`` count more.
     **options
         Choices for UFF files, passed to :func:`modalax.files.uff.read_uff`: ``complete``; for an extended
         simulation ``causes``, those of one's own that it holds; for finite elements those of
@@ -110,7 +112,7 @@ def _read(path: Path, kind: str, told: Told, options: dict[str, Any]) -> Saved:
 
         return read_uff(path, form=told.form, frequency_unit=told.frequency_unit, **options)
     if kind == "npz":
-        return _published(path) or read_npz(path, told, **options)
+        return _published(path, told) or read_npz(path, told, **options)
     if kind == "fe":
         from modalax.files.finite_elements import import_finite_elements
 
@@ -143,13 +145,20 @@ def _with_unit(told: Told, unit: str | None) -> Told:
     return told if unit is None else replace(told, unit=unit)
 
 
-def _published(path: Path) -> Measurement | None:
-    """A published measurement that is known here, whose file holds neither names nor units."""
+def _published(path: Path, told: Told) -> Measurement | None:
+    """A published measurement that is known here, whose file holds neither names nor units.
+
+    Raises
+    ------
+    ValueError
+        If the user told another form.
+    """
     from modalax.data.datasets import known_measurement
 
     known = known_measurement(path)
     if known is None:
         return None
+    check_told_form(known.form, told.form)
     warnings.warn(
         f"the published measurement {path.absolute().parent.name}, which modalax.data.datasets knows: names, signs and "
         "units are from there",

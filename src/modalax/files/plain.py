@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from modalax.data.frf import default_names
+from modalax.data.frf import DERIVATIVES, default_names
 from modalax.files.units import frequency_factor, plain, response_unit
 
 # Names that stand for those of the file contract, in this order where several are there.
@@ -118,10 +118,12 @@ def _in_si(arrays: dict[str, Any], told: Told) -> dict[str, Any]:
         form, factor = response_unit(told.unit)
         if told.form not in (None, form):
             raise ValueError(f"{told.unit} is the unit of {form}, and form says {told.form!r}; one is wrong")
+        check_told_form(_text(arrays.get("form")), form, f"unit={told.unit!r} (--unit {told.unit})")
         arrays["H"], arrays["form"] = np.asarray(arrays["H"]) * factor, np.array(form)
         if "variance" in arrays:
             arrays["variance"] = np.asarray(arrays["variance"]) * factor**2
     elif told.form is not None:
+        check_told_form(_text(arrays.get("form")), told.form)
         arrays["form"] = np.array(told.form)
     if "form" not in arrays:
         raise ValueError(
@@ -129,6 +131,21 @@ def _in_si(arrays: dict[str, Any], told: Told) -> dict[str, Any]:
             "or accelerance by form='accelerance' (--form accelerance), or by unit='g/N' (--unit g/N)"
         )
     return arrays
+
+
+def check_told_form(stated: str | None, told: str | None, option: str = "") -> None:
+    """Refuse a form that differs from the one that a file states; ``option`` is how it was told, if not by its name.
+
+    Raises
+    ------
+    ValueError
+        Naming both.
+    """
+    if stated in DERIVATIVES and told is not None and told != stated:
+        raise ValueError(
+            f"it states that its FRFs are {stated}, and {option or f'form={told!r} (--form {told})'} says {told}; "
+            "leave that out, or correct the form in the file if it is wrong"
+        )
 
 
 def _axes(arrays: Mapping[str, Any], told: Told) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from modalax.data.geometry import Geometry
 from modalax.data.measurement import Measurement
 from modalax.data.streaming import release
 from modalax.files.gaps import mended
-from modalax.files.uff_units import axis_unit, form_of, is_upside_down, response_scale
+from modalax.files.uff_units import axis_unit, form_of, is_upside_down, response_scale, tell_other_form
 from modalax.files.units import FREQUENCIES, frequency_factor
 
 FUNCTIONS = {
@@ -130,9 +130,9 @@ def measurement_of(
         If pairs are missing or stand unequally often, axes or forms differ, or the form is not known.
     """
     functions = _in_hertz(functions, frequency_unit)
-    if form is None:
-        functions = _of_one_form(functions)
+    functions = _of_one_form(functions) if form is None else functions
     frfs = [f for f in functions if f.kind == "frf"]
+    tell_other_form((f.form for f in frfs), form)
     form = form or _common_form(frfs)
     freq = _common_axis(frfs)
     cells = _cells(frfs)

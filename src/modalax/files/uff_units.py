@@ -1,7 +1,8 @@
 """Units of universal files: data set 164, and the labels of axes where there is none."""
 
 import re
-from collections.abc import Mapping
+import warnings
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 STANDARD_GRAVITY = 9.80665  # m/s^2, by definition
@@ -91,3 +92,15 @@ def form_of(found: Mapping[str, Any]) -> str | None:
         ("receptance", r"[mc]?m/n"),
     )
     return next((form for form, pattern in words if re.fullmatch(pattern, label)), None)
+
+
+def tell_other_form(stated: Iterable[str | None], told: str | None) -> None:
+    """Warn where FRFs state another form than the one that the user told, which counts more."""
+    others = sorted({form for form in stated if form} - {told})
+    if told is not None and others:
+        warnings.warn(
+            f"it states that its FRFs are {', '.join(others)}; they are taken as {told}, as was told, with their "
+            "numbers as they are",
+            UserWarning,
+            stacklevel=7,
+        )

@@ -45,7 +45,8 @@ def form_notes(frf: FRF, model: ModalModel, sure: Float[np.ndarray, " n"], misfi
     if turned.all():
         return [
             f"The residues of all modes are turned by 90 degrees: these FRFs are {' or '.join(options)}, not "
-            f"{frf.form} (--form), and shapes and modal masses are wrong until then."
+            f"{frf.form}, and shapes and modal masses are wrong until that is corrected in the file (or by --form, "
+            "where the file states no form or is a universal file)."
         ]
     names = ", ".join(name for name, told in zip(frf.outputs, turned, strict=True) if told)
     return [

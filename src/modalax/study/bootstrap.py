@@ -14,6 +14,7 @@ import numpy as np
 
 from modalax.study.fits import fit_row, quantities
 from modalax.study.noise import FITS
+from modalax.study.settings import of_key
 from modalax.study.work import Row, Work, chunk_for, key_of, seed_of
 
 FEWEST = 3  # repeats below which drawing among them says nothing
@@ -76,9 +77,10 @@ def prepare(settings: dict[str, Any], folder: Path) -> Work:
 
     data, fit = settings["data"], settings["fit"]
     path = folder / data["file"]
-    measured = load(path)
+    with of_key("[data] file"):
+        measured = load(path)
     if not isinstance(measured, Measurement):
-        raise ValueError(f"{path} holds a {type(measured).__name__}; measured FRFs are needed here")
+        raise ValueError(f"[data] file: {path} holds a {type(measured).__name__}; measured FRFs are needed")
     measured = measured if data["band"] is None else measured.band(*data["band"])
     level = np.asarray(measured.level)
     repeats = measured.runs >= FEWEST and bool(np.isnan(level).all() or np.ptp(level) <= 1e-3 * np.abs(level).max())
@@ -89,7 +91,7 @@ def prepare(settings: dict[str, Any], folder: Path) -> Work:
             f"{level.tolist()} N; at least {FEWEST} runs at one force amplitude are needed"
         )
     if data["run"] > measured.runs:
-        raise ValueError(f"{path}: there is no run {data['run']}; the runs are 1 to {measured.runs}")
+        raise ValueError(f"{path}: [data] run: there is no run {data['run']}; the runs are 1 to {measured.runs}")
     by_runs = repeats and resample != "variance"
     frf = _mean(measured) if by_runs else measured.run(data["run"] - 1)
     result = identify(frf, fit["method"], fit["order"], fit["refine"])

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from modalax.study.settings import of_key
 from modalax.study.system import load_simulation, response
 from modalax.study.work import Quantity, Row, Work, chunk_for, key_of
 
@@ -147,6 +148,9 @@ def with_effect(simulation: Any, system: Mapping[str, Any], hidden: Mapping[str,
     known = [*ELEMENTS, "tuned_mass", *CHANNELS, *CATALOGUE]
     if cause not in known:
         raise ValueError(f"[hidden] cause is {cause!r}; effects that can be hidden are {', '.join(known)}")
+    if cause not in CHANNELS:
+        with of_key("[hidden] where"):
+            receptance.directions(simulation, [where])
     if size == 0:
         return response(simulation, system)
     fixed = dict(hidden["fixed"] or {})

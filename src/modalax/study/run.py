@@ -4,7 +4,8 @@ import importlib
 import os
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -95,9 +96,11 @@ def study(
     folder = Path(out) if out is not None else path.with_name(f"{path.stem}-results")  # pyright: ignore
     home = Path.cwd() if path is None else path.parent
     store = Store(folder)
+    store.check_own()
     tell("preparing")
-    inputs = inputs_of(given, home)
-    work = prepared(given, home)
+    with _naming(path):
+        inputs = inputs_of(given, home)
+        work = prepared(given, home)
     with store.locked():
         for remark in store.open(_plain(given), inputs, work.chunk, work.count):
             tell(f"note: {remark}")
@@ -111,6 +114,19 @@ def study(
         file = store.finish(columns)
         write_text(folder / "summary.json", json.dumps(found, indent=1) + "\n")
     return Results(folder, file, columns, found)
+
+
+@contextmanager
+def _naming(path: Path | None) -> Iterator[None]:
+    """Put the name of the study's file, where there is one, before the messages of what its settings lead to."""
+    try:
+        yield
+    except (ValueError, FileNotFoundError) as error:
+        named_by_system = isinstance(error, OSError) and error.errno is not None
+        if path is None or named_by_system or str(error).startswith(str(path)):
+            raise
+        kind = FileNotFoundError if isinstance(error, OSError) else ValueError
+        raise kind(f"{path}: {error}") from error
 
 
 def _of_file(path: Path) -> tuple[dict[str, Any], Path]:
@@ -140,14 +156,14 @@ def inputs_of(settings: Mapping[str, Any], home: Path) -> dict[str, str]:
     FileNotFoundError
         If one does not exist.
     """
-    named = [settings.get("system", {}).get("simulation"), settings.get("data", {}).get("file")]
     found = {}
-    for name in filter(None, named):
-        path = home / name
-        if path.exists():
+    for table, key in (("system", "simulation"), ("data", "file")):
+        name = settings.get(table, {}).get(key)
+        path = home / (name or "")
+        if name and path.exists():
             found[name] = digest(path)
-        elif name != "five_dof":
-            raise FileNotFoundError(f"{path}: no such file")
+        elif name and name != "five_dof":
+            raise FileNotFoundError(f"[{table}] {key}: {path}: no such file")
     function = settings.get("function")
     if function is not None:
         module = sys.modules.get(getattr(function, "__module__", ""), None) if callable(function) else None

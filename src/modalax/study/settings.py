@@ -3,7 +3,8 @@
 import difflib
 import math
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -135,7 +136,7 @@ def checked(given: Mapping[str, Any], name: str = "study") -> dict[str, Any]:
     known = STUDY | (FUNCTION if kind == "function" else {})
     tables = TABLES[kind]
     top = {key: value for key, value in given.items() if key not in tables}
-    found = _table(name, known, top, also=tables)
+    found = _table(name, known, top, also=tables, colon=":")
     for table, keys in tables.items():
         value = given.get(table, {})
         if not isinstance(value, Mapping):
@@ -146,7 +147,25 @@ def checked(given: Mapping[str, Any], name: str = "study") -> dict[str, Any]:
     return found
 
 
-def _table(name: str, known: Mapping[str, Key], given: Mapping[str, Any], also: Any = ()) -> dict[str, Any]:
+@contextmanager
+def of_key(key: str) -> Iterator[None]:
+    """Put the name of a key, as ``[system] inputs``, before the message of an error that its value leads to.
+
+    Raises
+    ------
+    ValueError
+        In place of every one raised inside.
+    """
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{key}: {error}") from error
+
+
+def _table(
+    name: str, known: Mapping[str, Key], given: Mapping[str, Any], also: Any = (), colon: str = ""
+) -> dict[str, Any]:
+    """The values of a table by key, checked, with the defaults; ``colon`` parts its name from that of a key."""
     for key in given:
         if key not in known:
             near = difflib.get_close_matches(str(key), [*known, *also], 1)
@@ -154,7 +173,7 @@ def _table(name: str, known: Mapping[str, Key], given: Mapping[str, Any], also: 
             raise ValueError(
                 f"{name} has the key {key!r}, which is not known{hint}; known are {', '.join([*known, *also])}"
             )
-    return {key: _value(f"{name} {key}", spec, given.get(key, REQUIRED)) for key, spec in known.items()}
+    return {key: _value(f"{name}{colon} {key}", spec, given.get(key, REQUIRED)) for key, spec in known.items()}
 
 
 def _value(name: str, spec: Key, value: Any) -> Any:

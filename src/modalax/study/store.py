@@ -64,8 +64,7 @@ class Store:
         }  # fmt: skip
         path = self.folder / SETTINGS
         if not path.exists():
-            if self.folder.is_dir() and set(os.listdir(self.folder)) - {LOCK}:
-                raise ValueError(f"{self.folder} holds other files, and no study; choose another folder with --out")
+            self.check_own(locked=True)
             (self.folder / ROWS).mkdir(parents=True, exist_ok=True)
             write_text(path, json.dumps(now, indent=1) + "\n", overwrite=False)
             return []
@@ -88,6 +87,22 @@ class Store:
             for name, was in old["versions"].items()
             if now["versions"].get(name) != was
         ]
+
+    def check_own(self, locked: bool = False) -> None:
+        """Refuse a folder that holds other files, and no study, before anything is put there.
+
+        Where a lock lies in it that is not our own (``locked``), another process may be about to begin the study.
+
+        Raises
+        ------
+        ValueError
+            Naming the folder.
+        """
+        if (self.folder / SETTINGS).exists() or not self.folder.is_dir():
+            return
+        there = set(os.listdir(self.folder))
+        if there - {LOCK} and (locked or LOCK not in there):
+            raise ValueError(f"{self.folder} holds other files, and no study; choose another folder with --out")
 
     @contextmanager
     def locked(self) -> Iterator[None]:

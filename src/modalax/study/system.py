@@ -1,10 +1,12 @@
 """The structure that draws are taken from: its FRFs without noise, and its modes."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from modalax.study.settings import of_key
 
 BUILT_IN = "five_dof"
 
@@ -23,16 +25,13 @@ def load_simulation(name: str, folder: Path) -> Any:
 
     if name == BUILT_IN and not (folder / name).exists():
         return five_dof()
-    found = load(folder / name)
+    with of_key("[system] simulation"):
+        found = load(folder / name)
     if not isinstance(found, Structure | ModalModel):
-        raise ValueError(f"{folder / name} holds a {type(found).__name__}; matrices M, C, K or modes are needed here")
+        raise ValueError(
+            f"[system] simulation: {folder / name} holds a {type(found).__name__}; matrices M, C, K or modes are needed"
+        )
     return found
-
-
-def frequency_lines(band: Any, step: float) -> np.ndarray:
-    """Lines from the lower end of a band in equal steps [Hz]; the upper end counts if a step meets it."""
-    low, high = band
-    return low + step * np.arange(int(np.floor((high - low) / step * (1 + 1e-12))) + 1)
 
 
 def response(structure: Any, settings: Mapping[str, Any], joints: Any = ()) -> Any:
@@ -50,8 +49,9 @@ def response(structure: Any, settings: Mapping[str, Any], joints: Any = ()) -> A
     Raises
     ------
     ValueError
-        If there are joints and no force, or a DoF is not in the structure.
+        If there are joints and no force, a DoF is not in the structure, or the step makes one line or too many.
     """
+    from modalax.data.lines import lines_of_band
     from modalax.model.receptance import dof_names
     from modalax.simulate.harmonic import simulate
     from modalax.simulate.joints.text import joint_of_table
@@ -61,13 +61,27 @@ def response(structure: Any, settings: Mapping[str, Any], joints: Any = ()) -> A
         raise ValueError(
             "[system] has joints, whose response depends on the force, but no force; give force = [N, ...]"
         )
+    _check_dofs(structure, settings, placed)
+    low, high = settings["band"]
     options: dict[str, Any] = {"harmonics": settings["harmonics"]} if placed else {}
     return simulate(
         structure, [law for law, _ in placed], [where for _, where in placed],
-        frequency_lines(settings["band"], settings["step"]), np.array(settings["force"] or [np.nan]),
+        lines_of_band(low, high, settings["step"], "[system] step"), np.array(settings["force"] or [np.nan]),
         inputs=settings["inputs"] or [dof_names(structure)[0]], outputs=settings["outputs"], form=settings["form"],
         **options,
     )  # fmt: skip
+
+
+def _check_dofs(structure: Any, settings: Mapping[str, Any], placed: Sequence[Any]) -> None:
+    """Refuse names of DoFs that the structure has not, by the key that holds them."""
+    from modalax.model.receptance import directions
+
+    for key in ("inputs", "outputs"):
+        with of_key(f"[system] {key}"):
+            directions(structure, [[name] for name in settings[key] or ()])
+    for k in range(len(settings["joint"] or ())):
+        with of_key(f"[[system.joint]] {k + 1} where"):
+            directions(structure, [placed[k][1]])
 
 
 def poles_in(structure: Any, band: Any) -> np.ndarray:

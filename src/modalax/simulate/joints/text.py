@@ -61,15 +61,24 @@ def make_joint(what: str, law: str, where: list[str], parameters: dict[str, Any]
     whole = [f.name for f in dataclasses.fields(kind) if f.metadata.get("static")]  # powers, numbers of elements
     if not 1 <= len(where) <= 2:
         raise ValueError(f"joint {what}: sits at {len(where)} DoFs; it needs one (to ground) or two")
-    wanted = ", ".join([*(f"{name} [{unit}]" for name, unit in kind.units.items()), *whole])
-    unknown = set(parameters) - set(kind.units) - set(whole)
-    if unknown:
+    needed, optional = _wanted(kind, whole)
+    may = f"optional: {', '.join(optional.values())}" if optional else ""
+    if unknown := set(parameters) - set(needed) - set(optional):
+        wanted = "; ".join(filter(None, [", ".join(needed.values()), may]))
         raise ValueError(f"joint {what}: {law} has no parameter {', '.join(sorted(unknown))}; it has {wanted}")
     values = _values(what, kind, whole, parameters)
-    try:
-        return kind(**values), tuple(where)
-    except TypeError as error:
-        raise ValueError(f"joint {what}: {law} needs {wanted}") from error
+    if missing := [text for name, text in needed.items() if name not in parameters]:
+        raise ValueError(f"joint {what}: {law} needs {', '.join(missing)}" + (f"; {may}" if may else ""))
+    return kind(**values), tuple(where)
+
+
+def _wanted(kind: Any, whole: list[str]) -> tuple[dict[str, str], dict[str, str]]:
+    """Parameters that a law needs and those that have a default, each by name as name and unit."""
+    texts = {name: f"{name} [{unit}]" for name, unit in kind.units.items()} | {name: name for name in whole}
+    nothing = dataclasses.MISSING
+    fixed = {f.name for f in dataclasses.fields(kind) if f.default is nothing and f.default_factory is nothing}
+    needed = {name: text for name, text in texts.items() if name in fixed}
+    return needed, {name: text for name, text in texts.items() if name not in fixed}
 
 
 def _values(what: str, kind: Any, whole: list[str], parameters: dict[str, Any]) -> dict[str, Any]:
