@@ -264,7 +264,7 @@ def local_pole(c: Compared, H: np.ndarray, start: complex) -> complex | None:
     """
     s, pole = 2j * np.pi * c.freq, start
     H = H / np.maximum(np.abs(s[:, None]) ** c.order, 1e-300) * (-1j) ** c.order
-    for _ in range(ROUNDS):
+    for k in range(ROUNDS):
         distance = np.abs(s.imag - pole.imag)
         width = max(REACH * abs(pole.real), float(np.sort(distance)[min(FEWEST, len(s)) - 1]))
         near = distance <= width
@@ -283,9 +283,15 @@ def local_pole(c: Compared, H: np.ndarray, start: complex) -> complex | None:
         pole = 1j * pole.imag + shift
         if not pole.real < 0 or abs(abs(pole) / abs(start) - 1) > ASTRAY:
             return None
-    plain = np.linalg.qr(numerator / weight[:, None])[0]
-    without = float((np.abs(H[near] - plain @ (plain.conj().T @ H[near])) ** 2).sum())
-    beside = float((np.abs(right - shift * left) ** 2).sum())
-    freedom = 2 * (near.sum() - numerator.shape[1]) * H.shape[1] - 2
-    sure = freedom * math.log(max(without, 1e-300) / max(beside, 1e-300)) > 4 * (1 + H.shape[1])
-    return pole if sure else None
+        if k == ROUNDS - 1 and not _sharper(H[near], numerator / weight[:, None], right - shift * left):
+            return None
+    return pole
+
+
+def _sharper(H: np.ndarray, plain: np.ndarray, beside: np.ndarray) -> bool:
+    """Whether FRFs ``(f, channel)`` show a pole, beside which ``beside`` is left, by more than its numbers cost."""
+    Q = np.linalg.qr(plain)[0]
+    without = float((np.abs(H - Q @ (Q.conj().T @ H)) ** 2).sum())
+    left = float((np.abs(beside) ** 2).sum())
+    freedom = 2 * (len(H) - plain.shape[1]) * H.shape[1] - 2
+    return freedom * math.log(max(without, 1e-300) / max(left, 1e-300)) > 4 * (1 + H.shape[1])

@@ -267,9 +267,9 @@ def without_causes(f: Fit) -> Fit:
     return replace(f, causes=(), u=np.zeros(0))
 
 
-def by_data(f: Fit, cause: Change) -> float:
+def by_data(f: Fit, causes: tuple[Change, ...], cause: Change) -> float:
     """Log evidence less what the prior width of one cause's size adds: two kinds of cause have unlike usual sizes."""
-    own = own_sizes(f.causes, f.causes.index(cause))
+    own = own_sizes(causes, causes.index(cause))
     wide = widths(f.u[own])
     known = np.maximum(np.diag(f.covariance)[own] / wide**2, 1e-300)
     return f.log_evidence + 0.5 * float(((f.u[own] / wide) ** 2 - np.log(known)).sum())

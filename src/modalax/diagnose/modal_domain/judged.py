@@ -135,7 +135,7 @@ def _in_the_limit(stage: Stage, e: Explanation) -> Explanation:
             simple = next((y for y in x.causes if y.slug in slugs and y.where == c.where), None)
             if simple is None or {(y.slug, y.where) for y in x.causes if y is not simple} != rest:
                 continue
-            if by_data(e.fit, c) - by_data(x.fit, simple) < nats:
+            if by_data(e.fit, e.causes, c) - by_data(x.fit, x.causes, simple) < nats:
                 return x
     return e
 

@@ -67,8 +67,8 @@ def nats_over_a_factor(setting: Setting, f: Fit, which: int) -> float:
         pattern = a.patterns[a.groups.index(name)].sum(axis=0)
         factor = Change(slug, (), WIDER * USUAL[name], pattern=pattern)
         trial = fit(setting, (*others, factor), without_causes(f), np.append(u, 0.0), temperatures=(3.0,))
-        found += [] if trial is None else [by_data(trial, factor)]
-    return by_data(f, cause) - max(found)
+        found += [] if trial is None else [by_data(trial, (*others, factor), factor)]
+    return by_data(f, f.causes, cause) - max(found)
 
 
 def start_in(setting: Setting, f: Fit) -> Fit:
