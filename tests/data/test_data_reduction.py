@@ -186,12 +186,15 @@ def test_random_records_are_averaged_and_pooled():
     [
         ("N", "force", 1.0), ("kN", "force", 1e3), ("lbf", "force", 4.4482216152605), ("g", "accelerance", 9.80665),
         ("m/s²", "accelerance", 1.0), ("m/s^2", "accelerance", 1.0), ("[mm/s]", "mobility", 1e-3),
-        ("um", "receptance", 1e-6), ("in/s**2", "accelerance", 0.0254),
+        ("um", "receptance", 1e-6), ("in/s**2", "accelerance", 0.0254), ("MM/S", "mobility", 1e-3),
+        ("mg", "accelerance", 9.80665e-3), ("mN", "force", 1e-3), ("MN", "force", 1e6), ("KN", "force", 1e3),
+        ("kgf", "force", 9.80665), ("lb", "force", 4.4482216152605), ("nm/s", "mobility", 1e-9),
+        ("m s⁻²", "accelerance", 1.0), ("µm/s²", "accelerance", 1e-6),
     ],
 )  # fmt: skip
 def test_units_are_known_by_their_labels(label, kind, factor):
     assert unit_of(label) == (kind, factor)
-    assert unit_of("V") is None and unit_of("Pa") is None and unit_of("") is None
+    assert not any(unit_of(label) for label in ("V", "Pa", "", "Nm", "NM", "mn", "MG", "kg"))
 
 
 def record_of(names, units):
@@ -231,6 +234,21 @@ def test_channels_that_do_not_fit_are_refused():
     with pytest.raises(ValueError, match="records of 0.125 s"):
         two.between(0.1, 0.2)
     assert told(channels_of, two.scaled({"f": 2.0}), ["f"], ["x"])[0].force[0, 0, 0] == 2 * two.data[0, 0, 0]
+
+
+def test_a_label_that_cannot_be_read_is_never_replaced():
+    found, _ = told(channels_of, record_of(["f", "a"], ["mN", "mg"]), unit="g")
+    raw = record_of(["f", "a"], ["", ""]).data
+    assert np.allclose(found.force[..., 0], 1e-3 * raw[..., 0])
+    assert np.allclose(found.response[..., 0], 9.80665e-3 * raw[..., 1])
+    with pytest.raises(ValueError, match="unit 'mV' of channel a cannot be read.*--units a=g"):
+        told(channels_of, record_of(["f", "a"], ["N", "mV"]), unit="g")
+    with pytest.raises(ValueError, match="unit 'V' of force hammer is none of force"):
+        told(channels_of, record_of(["hammer", "a"], ["V", "g"]))
+    with pytest.raises(ValueError, match="the responses is not known .'mV' of a cannot be read"):
+        told(channels_of, record_of(["f", "a"], ["N", "mV"]))
+    as_given, _ = told(channels_of, record_of(["hammer", "a"], ["V", "mV"]).with_units({1: "N", "a": "g"}))
+    assert as_given.inputs == ["hammer"] and as_given.unit == "m/s^2"
 
 
 def test_records_are_joined_where_they_agree():
