@@ -1,6 +1,7 @@
 """Records of every kind of excitation become the FRF of the filter that made the response."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -273,6 +274,24 @@ def test_sep005_dictionaries():
         from_sep005({"name": "a", "data": t})
     with pytest.raises(ValueError, match="one length"):
         from_sep005([series[0], {**series[1], "data": t[:50]}])
+
+
+@pytest.mark.parametrize("rate", [51200 / 7, 51200 / 9, 25600 / 3, 44100.3])
+def test_rates_are_whole_numbers_only_where_the_digits_allow_it(rate):
+    t = np.arange(50_000) / rate
+    assert rate_of(t) == pytest.approx(rate, rel=1e-12)
+    assert rate_of(np.round(t, 7)) == pytest.approx(rate, rel=1e-7)
+    assert rate_of(np.arange(50_000) / 16384.0) == 16384
+    assert rate_of(np.round(np.arange(50_000) / 8192.0, 6)) == 8192
+    assert rate_of(np.cumsum(np.full(50_000, 1 / 51200))) == 51200
+    assert rate_of((np.arange(50_000) / 6000).astype(np.float32).astype(float)) == 6000
+
+
+def test_records_whose_rates_are_rounded_differently_are_of_one_rate():
+    a, b = (replace(record_of(["f", "x"], ["N", "m"]), fs=fs) for fs in (7314.2857, 7314.2864))
+    assert joined([a, b]).fs == 7314.2857
+    with pytest.raises(ValueError, match="same channels, units and rate"):
+        joined([a, replace(b, fs=7315.0)])
 
 
 def test_rate_of_instants():

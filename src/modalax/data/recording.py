@@ -12,6 +12,8 @@ from modalax._numerics.checks import require_finite
 from modalax.data.labels import FORCE, KNOWN, SI, Unit, kind_by_name, unit_of
 
 EVEN = 0.1  # largest error of an instant, relative to the time step
+SAME_CLOCK = 1e-9  # relative error of a rate that sums of many time steps make
+ONE_RATE = 1e-5  # rates that differ by less, relatively, are one that was rounded differently
 
 
 @dataclass(frozen=True)
@@ -149,7 +151,8 @@ def joined(recordings: Sequence[Recording]) -> Recording:
     recordings = [r.whole() for r in recordings]
     first = recordings[0]
     for k, other in enumerate(recordings[1:], start=2):
-        if (other.fs, other.channels, other.units) != (first.fs, first.channels, first.units):
+        same = (other.channels, other.units) == (first.channels, first.units)
+        if not same or abs(other.fs - first.fs) > ONE_RATE * first.fs:
             raise ValueError(
                 f"recording {k} has {other.listed()} at {other.fs:g} Hz, the first {first.listed()} at {first.fs:g} "
                 "Hz; records taken together need the same channels, units and rate"
@@ -158,7 +161,12 @@ def joined(recordings: Sequence[Recording]) -> Recording:
 
 
 def of_one_length(recordings: Sequence[Recording]) -> list[Recording]:
-    """The recordings cut to the shortest, with a warning where that leaves something out."""
+    """The recordings cut to the shortest, with a warning where that leaves something out.
+
+    Rates that are one but for their rounding become that of the first.
+    """
+    fs = recordings[0].fs
+    recordings = [replace(r, fs=fs) if abs(r.fs - fs) < ONE_RATE * fs else r for r in recordings]
     lengths = [r.data.shape[1] for r in recordings]
     if len(set(lengths)) > 1:
         warnings.warn(
@@ -335,7 +343,7 @@ def from_sep005(series: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> Reco
 
 
 def rate_of(time: Float[np.ndarray, " t"]) -> float:
-    """Sampling rate [Hz] of evenly spaced instants.
+    """Sampling rate [Hz] of evenly spaced instants; a whole number where the digits of the instants allow it.
 
     Raises
     ------
@@ -352,4 +360,15 @@ def rate_of(time: Float[np.ndarray, " t"]) -> float:
             "to one rate"
         )
     rate = 1 / step
-    return float(np.round(rate)) if abs(rate - np.round(rate)) < 1e-4 * rate and rate > 10 else rate
+    error = max(_last_digit(time) / (count * step), SAME_CLOCK)
+    return float(np.round(rate)) if abs(rate - np.round(rate)) < error * rate and rate > 10 else rate
+
+
+def _last_digit(time: Float[np.ndarray, " t"]) -> float:
+    """To how much the last of some instants are rounded [s]: to a decimal place, or to single precision."""
+    last = np.asarray(time, float)[-100:]
+    if np.array_equal(last, last.astype(np.float32)):
+        return float(np.spacing(np.abs(last).max().astype(np.float32)))
+    tiny = 4 * np.spacing(np.abs(last).max())
+    places = (10.0**-k for k in range(16) if np.abs(last - np.round(last, k)).max() <= tiny)
+    return next(places, float(tiny))
