@@ -103,6 +103,27 @@ def test_hits_of_a_long_record_with_one_double():
     assert np.asarray(frf.coherence).min() > 0.999
 
 
+def clipping_hits():
+    """Hits, the last two far stronger, the response cut at a level that the third touches for one sample."""
+    force = hits()
+    force[int(3.4 * FS) :] *= 3
+    x = response(force)
+    peaks = [x[int((0.1 + 1.1 * k) * FS) : int((1.1 + 1.1 * k) * FS)].max() for k in range(5)]
+    return force, np.minimum(x, peaks[2])
+
+
+def test_a_hit_that_reaches_the_level_at_which_others_clip_is_left_out():
+    force, x = clipping_hits()
+    _, notes = told(frf_from_recording, recording(force, x))
+    assert any("hits 3, 4, 5 of 5 left out: overloaded" in n for n in notes), notes
+    every = int(1.1 * FS)
+    apart = recording(*(np.stack([a[k * every :][:every] for k in range(5)]) for a in (force, x)))
+    _, notes = told(frf_from_recording, apart)
+    assert any("hits 3, 4, 5 of 5 left out: overloaded" in n for n in notes), notes
+    _, notes = told(frf_from_recording, apart, block=0.9)
+    assert any("hits 3, 4, 5 of 5 left out: overloaded" in n for n in notes), notes
+
+
 def test_an_exponential_window_is_recorded_and_only_then_silent():
     x = recording(hits(every=0.5))
     frf, notes = told(frf_from_recording, x, remainder=0.01, band=(10.0, 200.0))
