@@ -11,6 +11,7 @@ from modalax.data import Recording, frf_from_recording, from_sep005
 from modalax.data.excitation import excitation_of, excited, period_of
 from modalax.data.recording import channels_of, joined, rate_of, unit_of
 from modalax.data.reduction import common_lines
+from modalax.data.steps import steps_of
 
 FS = 512.0
 # two resonances, at 40 and 110 Hz, that die away within half a second
@@ -172,6 +173,44 @@ def test_a_sweep_has_its_level_and_its_band():
     assert float(frf.level) == pytest.approx(3.0, rel=0.05)
     H = exact(freq)
     assert np.abs(np.asarray(frf.H[:, 0, 0]) - H).max() < 1e-3 * np.abs(H).max()
+
+
+def stepped(freqs, seconds=4.0, gap=0):
+    parts = [np.sin(2 * np.pi * f * np.arange(int(seconds * FS)) / FS) for f in freqs]
+    return 3 * np.concatenate([np.append(part, np.zeros(gap)) for part in parts])
+
+
+@pytest.mark.parametrize(("freqs", "gap"), [(np.arange(20, 41), 0), (np.geomspace(15, 200, 12), 200)])
+def test_a_stepped_sine_has_a_line_for_each_frequency(freqs, gap):
+    force, rng = stepped(freqs, gap=gap), np.random.default_rng(0)
+    noisy = response(force) + 1e-4 * rng.normal(size=len(force))
+    frf, notes = told(frf_from_recording, recording(force, noisy))
+    assert any("taken as stepped" in n for n in notes)
+    assert np.allclose(np.asarray(frf.freq), freqs, rtol=0, atol=6e-4) and frf.averages == 8
+    wrong = np.abs(np.asarray(frf.H[:, 0, 0]) - exact(np.asarray(frf.freq)))
+    assert wrong.max() < 1e-5
+    assert np.mean(wrong**2 / np.asarray(frf.variance)[:, 0, 0]) == pytest.approx(1, abs=0.8)
+    assert float(frf.level) == pytest.approx(3, rel=1e-3)
+
+
+def test_steps_may_come_back_and_sweeps_or_noise_have_none():
+    up = np.arange(20.0, 30.0)
+    frf, notes = told(frf_from_recording, recording(stepped([*up, *up[-2::-1]], 3.0)))
+    assert np.allclose(np.asarray(frf.freq), up) and any("19 steps at 10 frequencies" in n for n in notes)
+    rng = np.random.default_rng(0)
+    slow = scipy.signal.chirp(np.arange(30 * int(FS)) / FS, 30, 30, 34)
+    noise = rng.normal(size=len(slow))
+    for force in (sweep(), slow, slow + 0.1 * noise, noise, np.sin(np.arange(8192))):
+        assert steps_of(force) == []
+    with pytest.raises(ValueError, match="does not stand at one frequency"):
+        told(frf_from_recording, recording(sweep()), kind="stepped")
+
+
+def test_steps_too_short_for_the_responses_are_told():
+    ringing = scipy.signal.lfilter([1e-3], np.poly(0.9997 * np.exp(np.array([1j, -1j]) * 2 * np.pi * 25 / FS)).real,
+                                   stepped(np.arange(20, 30), 1.0))  # fmt: skip
+    _, notes = told(frf_from_recording, recording(stepped(np.arange(20, 30), 1.0), ringing))
+    assert any("the responses still change" in n for n in notes), notes
 
 
 def test_runs_keep_the_lines_that_all_have():

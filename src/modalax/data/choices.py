@@ -10,7 +10,8 @@ class Reduction:
     Attributes
     ----------
     kind
-        ``hits``, ``multisine``, ``sweep``, ``blocks`` (each record a block) or ``random``.
+        ``hits``, ``multisine``, ``stepped`` (a sine, step by step), ``sweep``, ``blocks`` (each record a block) or
+        ``random``.
     block
         Length of a block of random excitation, or kept of each hit [s].
     overlap, window

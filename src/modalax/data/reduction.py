@@ -1,4 +1,4 @@
-"""FRFs of a recording with hits, periodic, sweep, burst or random excitation."""
+"""FRFs of a recording with hits, periodic, stepped, sweep, burst or random excitation."""
 
 import warnings
 from collections.abc import Sequence
@@ -16,6 +16,7 @@ from modalax.data.hits import Hits, clipped_records, contacts, find_hits, good_h
 from modalax.data.multisine import cut_periods
 from modalax.data.recording import Channels, Recording, channels_of
 from modalax.data.records import frf_from_blocks, frf_from_records, pooled_frfs
+from modalax.data.stepped import frf_from_steps
 from modalax.data.streaming import HEAD, Streamed, frfs_of_stream
 from modalax.data.windows import decay_to, force_window
 
@@ -73,6 +74,8 @@ def frf_from_recording(
         return _from_hits(channels, recording.fs, how, inputs)
     if found.kind == "multisine":
         return _from_periods(channels, recording.fs, how, found)
+    if found.kind == "stepped":
+        return frf_from_steps(channels, recording.fs, how.estimator, how.band)
     if found.kind == "random":
         return _from_random(channels, recording.fs, how)
     return _from_blocks(channels, recording.fs, how, found.kind)
