@@ -213,6 +213,28 @@ def test_steps_too_short_for_the_responses_are_told():
     assert any("the responses still change" in n for n in notes), notes
 
 
+@pytest.mark.parametrize(
+    ("force", "choices", "words"),
+    [
+        (hits(), {"window": "hamming", "overlap": 0.2}, "--overlap, --window do nothing for excitation by hits"),
+        (sweep(), {"kind": "blocks", "block": 2.0}, "--block does nothing for excitation by blocks"),
+        (multisine()[0], {"remainder": 0.1}, "--exponential does nothing for excitation by multisine"),
+        (np.random.default_rng(1).normal(size=8192), {"period": 512}, "--period does nothing for excitation by random"),
+    ],
+)
+def test_choices_that_do_nothing_are_told(force, choices, words):
+    _, notes = told(frf_from_recording, recording(force), **choices)
+    assert words in notes
+    fitting = {key: value for key, value in choices.items() if key == "kind"}
+    _, notes = told(frf_from_recording, recording(force), **fitting)
+    assert not any("nothing for" in n for n in notes)
+
+
+def test_a_roving_hammer_needs_hits():
+    with pytest.raises(ValueError, match="--roving is for hits; the excitation asked for is random"):
+        told(frf_from_recording, recording(hits()), kind="random", roving=2)
+
+
 def test_runs_keep_the_lines_that_all_have():
     frf, _ = told(frf_from_recording, recording(multisine()[0]))
     upper, lower = frf.band(20.0, 120.0), frf.band(15.0, 90.0)

@@ -1,6 +1,18 @@
 """How FRFs are estimated from records: what may be chosen."""
 
-from dataclasses import dataclass
+import warnings
+from dataclasses import dataclass, fields
+
+EVERY = {"kind", "estimator", "band"}
+USED = {
+    "hits": {"block", "trigger", "pretrigger", "contact", "remainder", "keep_all", "roving"},
+    "multisine": {"period", "skip"},
+    "stepped": set(),
+    "sweep": set(),
+    "blocks": set(),
+    "random": {"block", "overlap", "window"},
+}
+OPTIONS = {"contact": "force-window", "remainder": "exponential", "keep_all": "keep-all"}
 
 
 @dataclass(frozen=True)
@@ -50,3 +62,20 @@ class Reduction:
     remainder: float | None = None
     keep_all: bool = False
     roving: int = 0
+
+
+def tell_unused(how: Reduction, kind: str) -> None:
+    """Warn of choices that do nothing for a kind of excitation.
+
+    Raises
+    ------
+    ValueError
+        If a roving hammer is asked for and the excitation is no hits.
+    """
+    if how.roving and kind != "hits":
+        raise ValueError(f"--roving is for hits; the excitation asked for is {kind}: leave one of the two out")
+    set_apart = [f.name for f in fields(how) if getattr(how, f.name) != f.default]
+    idle = [f"--{OPTIONS.get(name, name)}" for name in set_apart if name not in EVERY | USED[kind]]
+    if idle:
+        verb = "does" if len(idle) == 1 else "do"
+        warnings.warn(f"{', '.join(idle)} {verb} nothing for excitation by {kind}", stacklevel=3)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from modalax.data.bla import bla_robust
-from modalax.data.choices import Reduction
+from modalax.data.choices import Reduction, tell_unused
 from modalax.data.excitation import KINDS, Excitation, excitation_of, excited
 from modalax.data.frf import FRF
 from modalax.data.hits import Hits, clipped_records, contacts, find_hits, good_hits
@@ -53,7 +53,8 @@ def frf_from_recording(
     Raises
     ------
     ValueError
-        If no force channel is found, no hit or period can be used, or the numbers of names and channels differ.
+        If no force channel is found, a roving hammer is asked for without hits, no hit or period can be used, or the
+        numbers of names and channels differ.
     """
     how = replace(how or Reduction(), **choices)
     if isinstance(recording, Streamed):
@@ -66,10 +67,11 @@ def frf_from_recording(
         raise ValueError(f"kind is {how.kind!r}; it must be one of {', '.join(KINDS)}")
     channels = _renamed(channels, outputs, None if how.roving else inputs)
     if how.roving:
-        how = replace(how, kind="hits")
+        how = replace(how, kind=how.kind or "hits")
     found = excitation_of(channels.force[:, :, 0]) if how.kind is None else Excitation(how.kind, "", 0)
     if how.kind is None:
         warnings.warn(f"taken as {found.kind}: {found.why}", stacklevel=2)
+    tell_unused(how, found.kind)
     if found.kind == "hits":
         return _from_hits(channels, recording.fs, how, inputs)
     if found.kind == "multisine":
@@ -123,6 +125,7 @@ def _of_stream(
         return None
     if how.kind is None:
         warnings.warn(f"taken as random: {found.why}", stacklevel=3)
+    tell_unused(how, "random")
     block = how.block or _block_of(recording.data.shape[1], recording.fs, MOST)
     parts = frfs_of_stream(
         recording, asked, _renamed(head, outputs, inputs), block=block, overlap=how.overlap, window=how.window,
