@@ -141,6 +141,20 @@ def test_what_does_not_fit_is_told_in_one_line(records, capsys, options, words):
     assert not (records / "y.npz").exists()
 
 
+def test_a_sample_that_is_no_number_is_told_with_its_place(records, capsys):
+    lines = (records / "run1.csv").read_text().splitlines()
+    cells = lines[1001].split(",")
+    lines[1001] = ",".join([*cells[:2], "nan"])
+    (records / "run1.csv").write_text("% exported\n" + "\n".join(lines))
+    asked = ["frf", str(records / "run1.csv"), "-o", str(records / "y.npz")]
+    assert main(asked) == 2
+    assert "line 1003: channel a is nan at 1.95312 s;" in capsys.readouterr().err
+    lines[1001] = ",".join(["nan", *cells[1:]])
+    (records / "run1.csv").write_text("\n".join(lines))
+    assert main(asked) == 2
+    assert f"line 1002: instant 1001 of {len(lines) - 1} is nan" in capsys.readouterr().err
+
+
 @pytest.mark.measured
 def test_measured_hits_have_their_peaks(measured, tmp_path, capsys):
     files = [str(p) for p in sorted((measured / "hammer_hits").glob("*.npy"))]

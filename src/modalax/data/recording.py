@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Real
 
-from modalax._numerics.checks import require_finite
 from modalax.data.labels import FORCE, KNOWN, SI, Unit, kind_by_name, unit_of
 
 EVEN = 0.1  # largest error of an instant, relative to the time step
@@ -49,7 +48,7 @@ class Recording:
             )
         if not (np.isfinite(self.fs) and self.fs > 0):
             raise ValueError(f"the sampling rate is {self.fs:g} Hz; it must be positive")
-        require_finite(self.data, "the records")
+        require_samples(self.data, self.fs, self.channels)
 
     def whole(self) -> "Recording":
         """The recording with all samples in memory."""
@@ -138,6 +137,29 @@ class Recording:
         for name, factor in factors.items():
             gain[self.index(name)] = factor
         return replace(self, data=self.data * gain)
+
+
+def require_samples(
+    data: Real[np.ndarray, "segment t channel"], fs: float, channels: Sequence[str], first: int = 0
+) -> None:
+    """Refuse samples that are not finite; ``first`` is the place in the record of the first sample given.
+
+    Raises
+    ------
+    ValueError
+        With the channel and the time of the first such sample [s from the beginning of the record].
+    """
+    if np.isfinite(data.sum()):  # quicker than to look at each sample
+        return
+    bad = np.argwhere(~np.isfinite(data))
+    if len(bad):
+        segment, sample, channel = bad[0]
+        of_record = f" of record {segment + 1}" if len(data) > 1 else ""
+        more = f"; {len(bad)} samples in all are not finite" if len(bad) > 1 else ""
+        raise ValueError(
+            f"channel {channels[channel]} is {data[segment, sample, channel]:g} at {(first + sample) / fs:g} s"
+            f"{of_record}{more}; every sample must be finite"
+        )
 
 
 def joined(recordings: Sequence[Recording]) -> Recording:
@@ -348,8 +370,11 @@ def rate_of(time: Float[np.ndarray, " t"]) -> float:
     Raises
     ------
     ValueError
-        If they are not evenly spaced and rising.
+        If they are not finite, evenly spaced and rising.
     """
+    if not np.isfinite(time).all():
+        k = int(np.argmin(np.isfinite(time)))
+        raise ValueError(f"instant {k + 1} of {len(time)} is {time[k]:g}; each needs to be a number of seconds")
     count = len(time) - 1
     step = float(time[-1] - time[0]) / count if count > 0 else 0.0
     # Rounding to a few digits moves an instant by a part of the step; a missing sample moves it by a whole step.
