@@ -132,6 +132,8 @@ def test_files_are_runs_or_repeats(records, capsys):
         (["--scale", "hammer=two"], "a number is needed"),
         (["--units", "a=V"], "unit of the responses is not known"),
         (["--estimator", "H3"], "estimator is 'H3'"),
+        (["--kind", "random", "--block", "400"], "blocks of 400 s (204800 samples)"),
+        (["--kind", "random", "--block", "400"], "from a record of 4.79883 s"),
     ],
 )
 def test_what_does_not_fit_is_told_in_one_line(records, capsys, options, words):
