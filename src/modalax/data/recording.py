@@ -385,13 +385,13 @@ def rate_of(time: Float[np.ndarray, " t"]) -> float:
             "to one rate"
         )
     rate = 1 / step
-    error = max(_last_digit(time) / (count * step), SAME_CLOCK)
+    error = max(1.1 * _last_digit(time) / (count * step), SAME_CLOCK)  # the first and the last are off by half of it
     return float(np.round(rate)) if abs(rate - np.round(rate)) < error * rate and rate > 10 else rate
 
 
 def _last_digit(time: Float[np.ndarray, " t"]) -> float:
     """To how much the last of some instants are rounded [s]: to a decimal place, or to single precision."""
-    last = np.asarray(time, float)[-100:]
+    last = np.asarray(time, float)[-10:]  # earlier ones may have more decimals
     if np.array_equal(last, last.astype(np.float32)):
         return float(np.spacing(np.abs(last).max().astype(np.float32)))
     tiny = 4 * np.spacing(np.abs(last).max())
