@@ -132,6 +132,8 @@ def test_files_are_runs_or_repeats(records, capsys):
         (["--scale", "hammer=two"], "a number is needed"),
         (["--units", "a=V"], "unit of the responses is not known"),
         (["--estimator", "H3"], "estimator is 'H3'"),
+        (["--kind", "random", "--block", "400"], "blocks of 400 s (204800 samples)"),
+        (["--kind", "random", "--block", "400"], "from a record of 4.79883 s"),
     ],
 )
 def test_what_does_not_fit_is_told_in_one_line(records, capsys, options, words):
@@ -139,6 +141,20 @@ def test_what_does_not_fit_is_told_in_one_line(records, capsys, options, words):
     error = [line for line in capsys.readouterr().err.splitlines() if line.startswith("modalax:")]
     assert len(error) == 1 and words in error[0], error
     assert not (records / "y.npz").exists()
+
+
+def test_a_sample_that_is_no_number_is_told_with_its_place(records, capsys):
+    lines = (records / "run1.csv").read_text().splitlines()
+    cells = lines[1001].split(",")
+    lines[1001] = ",".join([*cells[:2], "nan"])
+    (records / "run1.csv").write_text("% exported\n" + "\n".join(lines))
+    asked = ["frf", str(records / "run1.csv"), "-o", str(records / "y.npz")]
+    assert main(asked) == 2
+    assert "line 1003: channel a is nan at 1.95312 s;" in capsys.readouterr().err
+    lines[1001] = ",".join(["nan", *cells[1:]])
+    (records / "run1.csv").write_text("\n".join(lines))
+    assert main(asked) == 2
+    assert f"line 1002: instant 1001 of {len(lines) - 1} is nan" in capsys.readouterr().err
 
 
 @pytest.mark.measured

@@ -412,7 +412,7 @@ def test_continuous_records_under_jit():
         (lambda f, x: frf_from_blocks(f, x, FS, unit="m", band=(200.0, 300.0)), "the band 200 to 300 Hz holds no line"),
         (lambda f, x: frf_from_blocks(f.astype("float32"), x, FS, unit="m"), "force is in single precision"),
         (lambda f, x: frf_from_records(f[0], x[0][:-1], FS, unit="m", block=0.2), "256 samples and response 255"),
-        (lambda f, x: frf_from_records(f[0], x[0], FS, unit="m", block=2.0), "blocks of 512 samples"),
+        (lambda f, x: frf_from_records(f[0], x[0], FS, unit="m", block=2.0), r"blocks of 2 s .512 samples."),
         (lambda f, x: frf_from_records(f[0] * np.nan, x[0], FS, unit="m", block=0.2), "force holds 512 values"),
         (lambda f, x: frf_from_records(f[0], x[0], FS, unit="m", block=0.2, window="hat"), "no window named 'hat'"),
         (lambda f, x: frf_from_hits(f[0], x[0], FS, unit="m", block=0.2), "force has 2 channels; a record of hits"),

@@ -1,6 +1,7 @@
 """Records of every kind of excitation become the FRF of the filter that made the response."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from modalax.data import Recording, frf_from_recording, from_sep005
 from modalax.data.excitation import excitation_of, excited, period_of
 from modalax.data.recording import channels_of, joined, rate_of, unit_of
 from modalax.data.reduction import common_lines
+from modalax.data.steps import steps_of
 
 FS = 512.0
 # two resonances, at 40 and 110 Hz, that die away within half a second
@@ -102,6 +104,27 @@ def test_hits_of_a_long_record_with_one_double():
     assert np.asarray(frf.coherence).min() > 0.999
 
 
+def clipping_hits():
+    """Hits, the last two far stronger, the response cut at a level that the third touches for one sample."""
+    force = hits()
+    force[int(3.4 * FS) :] *= 3
+    x = response(force)
+    peaks = [x[int((0.1 + 1.1 * k) * FS) : int((1.1 + 1.1 * k) * FS)].max() for k in range(5)]
+    return force, np.minimum(x, peaks[2])
+
+
+def test_a_hit_that_reaches_the_level_at_which_others_clip_is_left_out():
+    force, x = clipping_hits()
+    _, notes = told(frf_from_recording, recording(force, x))
+    assert any("hits 3, 4, 5 of 5 left out: overloaded" in n for n in notes), notes
+    every = int(1.1 * FS)
+    apart = recording(*(np.stack([a[k * every :][:every] for k in range(5)]) for a in (force, x)))
+    _, notes = told(frf_from_recording, apart)
+    assert any("hits 3, 4, 5 of 5 left out: overloaded" in n for n in notes), notes
+    _, notes = told(frf_from_recording, apart, block=0.9)
+    assert any("hits 3, 4, 5 of 5 left out: overloaded" in n for n in notes), notes
+
+
 def test_an_exponential_window_is_recorded_and_only_then_silent():
     x = recording(hits(every=0.5))
     frf, notes = told(frf_from_recording, x, remainder=0.01, band=(10.0, 200.0))
@@ -152,6 +175,66 @@ def test_a_sweep_has_its_level_and_its_band():
     assert np.abs(np.asarray(frf.H[:, 0, 0]) - H).max() < 1e-3 * np.abs(H).max()
 
 
+def stepped(freqs, seconds=4.0, gap=0):
+    parts = [np.sin(2 * np.pi * f * np.arange(int(seconds * FS)) / FS) for f in freqs]
+    return 3 * np.concatenate([np.append(part, np.zeros(gap)) for part in parts])
+
+
+@pytest.mark.parametrize(("freqs", "gap"), [(np.arange(20, 41), 0), (np.geomspace(15, 200, 12), 200)])
+def test_a_stepped_sine_has_a_line_for_each_frequency(freqs, gap):
+    force, rng = stepped(freqs, gap=gap), np.random.default_rng(0)
+    noisy = response(force) + 1e-4 * rng.normal(size=len(force))
+    frf, notes = told(frf_from_recording, recording(force, noisy))
+    assert any("taken as stepped" in n for n in notes)
+    assert np.allclose(np.asarray(frf.freq), freqs, rtol=0, atol=6e-4) and frf.averages == 8
+    wrong = np.abs(np.asarray(frf.H[:, 0, 0]) - exact(np.asarray(frf.freq)))
+    assert wrong.max() < 1e-5
+    assert np.mean(wrong**2 / np.asarray(frf.variance)[:, 0, 0]) == pytest.approx(1, abs=0.8)
+    assert float(frf.level) == pytest.approx(3, rel=1e-3)
+
+
+def test_steps_may_come_back_and_sweeps_or_noise_have_none():
+    up = np.arange(20.0, 30.0)
+    frf, notes = told(frf_from_recording, recording(stepped([*up, *up[-2::-1]], 3.0)))
+    assert np.allclose(np.asarray(frf.freq), up) and any("19 steps at 10 frequencies" in n for n in notes)
+    rng = np.random.default_rng(0)
+    slow = scipy.signal.chirp(np.arange(30 * int(FS)) / FS, 30, 30, 34)
+    noise = rng.normal(size=len(slow))
+    for force in (sweep(), slow, slow + 0.1 * noise, noise, np.sin(np.arange(8192))):
+        assert steps_of(force) == []
+    with pytest.raises(ValueError, match="does not stand at one frequency"):
+        told(frf_from_recording, recording(sweep()), kind="stepped")
+
+
+def test_steps_too_short_for_the_responses_are_told():
+    ringing = scipy.signal.lfilter([1e-3], np.poly(0.9997 * np.exp(np.array([1j, -1j]) * 2 * np.pi * 25 / FS)).real,
+                                   stepped(np.arange(20, 30), 1.0))  # fmt: skip
+    _, notes = told(frf_from_recording, recording(stepped(np.arange(20, 30), 1.0), ringing))
+    assert any("the responses still change" in n for n in notes), notes
+
+
+@pytest.mark.parametrize(
+    ("force", "choices", "words"),
+    [
+        (hits(), {"window": "hamming", "overlap": 0.2}, "--overlap, --window do nothing for excitation by hits"),
+        (sweep(), {"kind": "blocks", "block": 2.0}, "--block does nothing for excitation by blocks"),
+        (multisine()[0], {"remainder": 0.1}, "--exponential does nothing for excitation by multisine"),
+        (np.random.default_rng(1).normal(size=8192), {"period": 512}, "--period does nothing for excitation by random"),
+    ],
+)
+def test_choices_that_do_nothing_are_told(force, choices, words):
+    _, notes = told(frf_from_recording, recording(force), **choices)
+    assert words in notes
+    fitting = {key: value for key, value in choices.items() if key == "kind"}
+    _, notes = told(frf_from_recording, recording(force), **fitting)
+    assert not any("nothing for" in n for n in notes)
+
+
+def test_a_roving_hammer_needs_hits():
+    with pytest.raises(ValueError, match="--roving is for hits; the excitation asked for is random"):
+        told(frf_from_recording, recording(hits()), kind="random", roving=2)
+
+
 def test_runs_keep_the_lines_that_all_have():
     frf, _ = told(frf_from_recording, recording(multisine()[0]))
     upper, lower = frf.band(20.0, 120.0), frf.band(15.0, 90.0)
@@ -186,12 +269,15 @@ def test_random_records_are_averaged_and_pooled():
     [
         ("N", "force", 1.0), ("kN", "force", 1e3), ("lbf", "force", 4.4482216152605), ("g", "accelerance", 9.80665),
         ("m/s²", "accelerance", 1.0), ("m/s^2", "accelerance", 1.0), ("[mm/s]", "mobility", 1e-3),
-        ("um", "receptance", 1e-6), ("in/s**2", "accelerance", 0.0254),
+        ("um", "receptance", 1e-6), ("in/s**2", "accelerance", 0.0254), ("MM/S", "mobility", 1e-3),
+        ("mg", "accelerance", 9.80665e-3), ("mN", "force", 1e-3), ("MN", "force", 1e6), ("KN", "force", 1e3),
+        ("kgf", "force", 9.80665), ("lb", "force", 4.4482216152605), ("nm/s", "mobility", 1e-9),
+        ("m s⁻²", "accelerance", 1.0), ("µm/s²", "accelerance", 1e-6),
     ],
 )  # fmt: skip
 def test_units_are_known_by_their_labels(label, kind, factor):
     assert unit_of(label) == (kind, factor)
-    assert unit_of("V") is None and unit_of("Pa") is None and unit_of("") is None
+    assert not any(unit_of(label) for label in ("V", "Pa", "", "Nm", "NM", "mn", "MG", "kg"))
 
 
 def record_of(names, units):
@@ -233,6 +319,21 @@ def test_channels_that_do_not_fit_are_refused():
     assert told(channels_of, two.scaled({"f": 2.0}), ["f"], ["x"])[0].force[0, 0, 0] == 2 * two.data[0, 0, 0]
 
 
+def test_a_label_that_cannot_be_read_is_never_replaced():
+    found, _ = told(channels_of, record_of(["f", "a"], ["mN", "mg"]), unit="g")
+    raw = record_of(["f", "a"], ["", ""]).data
+    assert np.allclose(found.force[..., 0], 1e-3 * raw[..., 0])
+    assert np.allclose(found.response[..., 0], 9.80665e-3 * raw[..., 1])
+    with pytest.raises(ValueError, match="unit 'mV' of channel a cannot be read.*--units a=g"):
+        told(channels_of, record_of(["f", "a"], ["N", "mV"]), unit="g")
+    with pytest.raises(ValueError, match="unit 'V' of force hammer is none of force"):
+        told(channels_of, record_of(["hammer", "a"], ["V", "g"]))
+    with pytest.raises(ValueError, match="the responses is not known .'mV' of a cannot be read"):
+        told(channels_of, record_of(["f", "a"], ["N", "mV"]))
+    as_given, _ = told(channels_of, record_of(["hammer", "a"], ["V", "mV"]).with_units({1: "N", "a": "g"}))
+    assert as_given.inputs == ["hammer"] and as_given.unit == "m/s^2"
+
+
 def test_records_are_joined_where_they_agree():
     a, b = record_of(["f", "x"], ["N", "m"]), record_of(["f", "y"], ["N", "m"])
     short = Recording(a.data[:, :50], FS, a.channels, a.units, a.numbers)
@@ -255,6 +356,24 @@ def test_sep005_dictionaries():
         from_sep005({"name": "a", "data": t})
     with pytest.raises(ValueError, match="one length"):
         from_sep005([series[0], {**series[1], "data": t[:50]}])
+
+
+@pytest.mark.parametrize("rate", [51200 / 7, 51200 / 9, 25600 / 3, 44100.3])
+def test_rates_are_whole_numbers_only_where_the_digits_allow_it(rate):
+    t = np.arange(50_000) / rate
+    assert rate_of(t) == pytest.approx(rate, rel=1e-12)
+    assert rate_of(np.round(t, 7)) == pytest.approx(rate, rel=1e-7)
+    assert rate_of(np.arange(50_000) / 16384.0) == 16384
+    assert rate_of(np.round(np.arange(50_000) / 8192.0, 6)) == 8192
+    assert rate_of(np.cumsum(np.full(50_000, 1 / 51200))) == 51200
+    assert rate_of((np.arange(50_000) / 6000).astype(np.float32).astype(float)) == 6000
+
+
+def test_records_whose_rates_are_rounded_differently_are_of_one_rate():
+    a, b = (replace(record_of(["f", "x"], ["N", "m"]), fs=fs) for fs in (7314.2857, 7314.2864))
+    assert joined([a, b]).fs == 7314.2857
+    with pytest.raises(ValueError, match="same channels, units and rate"):
+        joined([a, replace(b, fs=7315.0)])
 
 
 def test_rate_of_instants():

@@ -148,7 +148,7 @@ def test_negative_frequency(tmp_path):
 def test_frequency_that_is_not_finite(tmp_path, value):
     freq = np.array(good()["freq"])
     freq[5] = value
-    refused(with_npz(tmp_path, freq=freq), "freq holds 1 values that are not finite, the first at index")
+    refused(with_npz(tmp_path, freq=freq), "freq holds 1 value that is not finite, the first at index")
 
 
 def test_negative_variance(tmp_path):

@@ -31,5 +31,5 @@ def test_chunks_that_do_not_fit_are_told():
     with pytest.raises(ValueError, match="no FRFs"):
         diagram_of_chunks(freq, [], 4)
     good[3, 0, 0] = np.nan
-    with pytest.raises(ValueError, match="chunk 1 holds 1 values that are not finite"):
+    with pytest.raises(ValueError, match="chunk 1 holds 1 value that is not finite"):
         diagram_of_chunks(freq, [good], 4)

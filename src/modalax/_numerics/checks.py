@@ -66,7 +66,8 @@ def require_finite(value: Any, what: str) -> None:
     bad = ~np.isfinite(np.asarray(value))
     if bad.any():
         first = tuple(int(k) for k in np.argwhere(bad)[0])
-        raise ValueError(f"{what} holds {int(bad.sum())} values that are not finite, the first at index {first}")
+        several = "1 value that is" if bad.sum() == 1 else f"{int(bad.sum())} values that are"
+        raise ValueError(f"{what} holds {several} not finite, the first at index {first}")
 
 
 def require_range(value: Any, what: str, low: float, high: float, needs: str, unknown: bool = False) -> None:

@@ -26,7 +26,7 @@ def cut(records: Records) -> Records:
     if kind.kind == "multisine":
         count = records.force.shape[1] // kind.period
         return _parts(records, [k * kind.period for k in range(count)], kind.period, "periods")
-    if kind.kind == "sweep":
+    if kind.kind in ("sweep", "stepped"):
         return replace(records, kind="blocks")
     length = 2 * records.force.shape[1] // (RANDOM + 1)
     starts = [k * (length // 2) for k in range(RANDOM) if k * (length // 2) + length <= records.force.shape[1]]

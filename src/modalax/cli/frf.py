@@ -49,7 +49,9 @@ def frf(
     ] = None,
     kind: Annotated[
         str | None,
-        typer.Option("--kind", help="Excitation: hits, multisine, sweep, blocks or random; found from the force."),
+        typer.Option(
+            "--kind", help="Excitation: hits, multisine, stepped, sweep, blocks or random; found from the force."
+        ),
     ] = None,
     time: Annotated[
         tuple[float, float] | None,

@@ -1,11 +1,13 @@
-"""The kind of excitation of a recorded force: hits, periodic, a sweep, bursts or random."""
+"""The kind of excitation of a recorded force: hits, periodic, a stepped sine, a sweep, bursts or random."""
 
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
-KINDS = ("hits", "multisine", "sweep", "blocks", "random")
+from modalax.data.steps import steps_of
+
+KINDS = ("hits", "multisine", "stepped", "sweep", "blocks", "random")
 QUIET, BRIEF = 0.05, 0.08  # share of its peak below which a force is quiet; most of the time that hits may take up
 REPEATS = 0.98  # correlation of a periodic force with itself a period later
 ORDERED = 0.98  # rank correlation of a sweep's frequency with time
@@ -39,6 +41,8 @@ def excitation_of(force: Float[np.ndarray, "segment t"]) -> Excitation:
     loud = float(np.mean(size > QUIET * size.max()))
     if loud < BRIEF:
         return Excitation("hits", f"the force stands out in {100 * loud:.2g} % of the time only", 0)
+    if steps_of(whole[0]):
+        return Excitation("stepped", "its frequency stands still and then jumps to the next", 0)
     period = period_of(whole[0])
     if period:
         return Excitation("multisine", f"the force repeats every {period} samples", period)

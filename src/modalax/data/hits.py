@@ -131,18 +131,33 @@ def contacts(force: Float[np.ndarray, " t"]) -> int:
 
 
 def clipped_samples(channels: Float[np.ndarray, "t c"], full_scale: Any = None) -> Bool[np.ndarray, "t c"]:
-    """Samples at the full scale, or in a run of ``CLIPPED`` or more at the largest or smallest value of a channel."""
+    """Samples at the full scale, or at the largest or smallest value of a channel that stays there.
+
+    A channel clips at its extreme if ``CLIPPED`` or more samples in a row are there; then each sample there is clipped.
+    """
     flags = np.zeros(channels.shape, bool)
     if full_scale is not None:
         flags |= np.abs(channels) >= np.broadcast_to(np.asarray(full_scale, float), channels.shape[1:])
     for extreme in (channels.max(axis=0), channels.min(axis=0)):
         at = (channels == extreme) & (extreme != 0)
-        for c in range(channels.shape[1]):
-            edges = np.flatnonzero(np.diff(np.concatenate([[0], at[:, c].astype(int), [0]])))
-            for first, last in edges.reshape(-1, 2):
-                if last - first >= CLIPPED:
-                    flags[first:last, c] = True
+        flags |= at & _stays(at)
     return flags
+
+
+def _stays(at: Bool[np.ndarray, "t c"]) -> Bool[np.ndarray, " c"]:
+    """Whether a channel is there for ``CLIPPED`` or more samples in a row."""
+    ends = len(at) - CLIPPED + 1
+    return np.all([at[k : k + ends] for k in range(CLIPPED)], axis=0).any(axis=0) if ends > 0 else at[0] & False
+
+
+def clipped_records(force: Float[np.ndarray, "m t i"], response: Float[np.ndarray, "m t o"]) -> Bool[np.ndarray, "m t"]:
+    """Samples of several records at which a channel is clipped.
+
+    A level at which one record clips holds in all of them; a record may also clip at a lower level of its own.
+    """
+    records = np.concatenate([force, response], axis=2)
+    together = clipped_samples(records.reshape(-1, records.shape[2])).reshape(records.shape)
+    return np.any([together[k] | clipped_samples(record) for k, record in enumerate(records)], axis=2)
 
 
 def good_hits(hits: Hits) -> Hits:

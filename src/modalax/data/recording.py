@@ -1,6 +1,5 @@
 """A time recording of several channels: which of them is the force, and in which units they are."""
 
-import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,38 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Real
 
-from modalax._numerics.checks import require_finite
+from modalax.data.labels import FORCE, KNOWN, SI, Unit, kind_by_name, unit_of
 
-FORCE, RECEPTANCE, MOBILITY, ACCELERANCE = "force", "receptance", "mobility", "accelerance"
-SI = {FORCE: "N", RECEPTANCE: "m", MOBILITY: "m/s", ACCELERANCE: "m/s^2"}
 EVEN = 0.1  # largest error of an instant, relative to the time step
-_LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
-_FORCES = {"n": 1.0, "kn": 1e3, "lbf": 4.4482216152605}
-_BY_NAME = (
-    (FORCE, r"force|hammer|load ?cell"), (ACCELERANCE, r"acc(el(eration|erometer)?)?"), (MOBILITY, r"vel(ocity)?"),
-    (RECEPTANCE, r"disp(lacement)?"),
-)  # fmt: skip
-
-
-class Unit(NamedTuple):
-    """The quantity of a unit (force, or the form of an FRF with such a response), and the factor to SI units."""
-
-    kind: str
-    factor: float
-
-
-def unit_of(label: str) -> Unit | None:
-    """The unit that a label means, such as ``N``, ``lbf``, ``g``, ``mm/s``, ``m/s2``; None if it is none of these."""
-    text = re.sub(r"[\s()\[\]*]", "", label).lower().replace("²", "2").replace("^", "").replace("µ", "u")
-    text = text.replace("μ", "u")
-    if text in _FORCES:
-        return Unit(FORCE, _FORCES[text])
-    if text in ("g", "gn"):
-        return Unit(ACCELERANCE, 9.80665)
-    for ending, kind in (("/s2", ACCELERANCE), ("/s/s", ACCELERANCE), ("/s", MOBILITY), ("", RECEPTANCE)):
-        if text.endswith(ending) and text.removesuffix(ending) in _LENGTHS:
-            return Unit(kind, _LENGTHS[text.removesuffix(ending)])
-    return None
+SAME_CLOCK = 1e-9  # relative error of a rate that sums of many time steps make
+ONE_RATE = 1e-5  # rates that differ by less, relatively, are one that was rounded differently
 
 
 @dataclass(frozen=True)
@@ -76,7 +48,7 @@ class Recording:
             )
         if not (np.isfinite(self.fs) and self.fs > 0):
             raise ValueError(f"the sampling rate is {self.fs:g} Hz; it must be positive")
-        require_finite(self.data, "the records")
+        require_samples(self.data, self.fs, self.channels)
 
     def whole(self) -> "Recording":
         """The recording with all samples in memory."""
@@ -167,6 +139,29 @@ class Recording:
         return replace(self, data=self.data * gain)
 
 
+def require_samples(
+    data: Real[np.ndarray, "segment t channel"], fs: float, channels: Sequence[str], first: int = 0
+) -> None:
+    """Refuse samples that are not finite; ``first`` is the place in the record of the first sample given.
+
+    Raises
+    ------
+    ValueError
+        With the channel and the time of the first such sample [s from the beginning of the record].
+    """
+    if np.isfinite(data.sum()):  # quicker than to look at each sample
+        return
+    bad = np.argwhere(~np.isfinite(data))
+    if len(bad):
+        segment, sample, channel = bad[0]
+        of_record = f" of record {segment + 1}" if len(data) > 1 else ""
+        more = f"; {len(bad)} samples in all are not finite" if len(bad) > 1 else ""
+        raise ValueError(
+            f"channel {channels[channel]} is {data[segment, sample, channel]:g} at {(first + sample) / fs:g} s"
+            f"{of_record}{more}; every sample must be finite"
+        )
+
+
 def joined(recordings: Sequence[Recording]) -> Recording:
     """Several recordings of the same channels as the segments of one; longer ones are cut, with a warning.
 
@@ -178,7 +173,8 @@ def joined(recordings: Sequence[Recording]) -> Recording:
     recordings = [r.whole() for r in recordings]
     first = recordings[0]
     for k, other in enumerate(recordings[1:], start=2):
-        if (other.fs, other.channels, other.units) != (first.fs, first.channels, first.units):
+        same = (other.channels, other.units) == (first.channels, first.units)
+        if not same or abs(other.fs - first.fs) > ONE_RATE * first.fs:
             raise ValueError(
                 f"recording {k} has {other.listed()} at {other.fs:g} Hz, the first {first.listed()} at {first.fs:g} "
                 "Hz; records taken together need the same channels, units and rate"
@@ -187,7 +183,12 @@ def joined(recordings: Sequence[Recording]) -> Recording:
 
 
 def of_one_length(recordings: Sequence[Recording]) -> list[Recording]:
-    """The recordings cut to the shortest, with a warning where that leaves something out."""
+    """The recordings cut to the shortest, with a warning where that leaves something out.
+
+    Rates that are one but for their rounding become that of the first.
+    """
+    fs = recordings[0].fs
+    recordings = [replace(r, fs=fs) if abs(r.fs - fs) < ONE_RATE * fs else r for r in recordings]
     lengths = [r.data.shape[1] for r in recordings]
     if len(set(lengths)) > 1:
         warnings.warn(
@@ -227,40 +228,35 @@ def channels_of(
     Raises
     ------
     ValueError
-        If no force is found, a response has no known unit, or the responses are not of one form.
+        If no force is found, a label cannot be read as a unit, a response has no known unit, or the
+        responses are not of one form.
     """
     forces = [recording.index(c, force=True) for c in force] or _forces(recording)
     by_name: dict[str, list[str]] = {}
+    asked = None if unit is None else unit_of(unit)
+    if unit is not None and (asked is None or asked.kind == FORCE):
+        raise ValueError(f"unit is {unit!r}; a response is in {KNOWN} and the like")
     responses = [recording.index(c, force=False) for c in response]
     both = set(forces) & set(responses)
     if both:
         raise ValueError(f"channel {recording.channels[both.pop()]} is asked for as force and as response")
-    units = {k: _response_unit(recording, k, unit, by_name) for k in responses or range(len(recording.channels))}
+    others = [k for k in range(len(recording.channels)) if k not in forces]
+    units = {k: _response_unit(recording, k, unit, by_name) for k in responses or others}
     for label, named in by_name.items():
         warnings.warn(f"{', '.join(named)} without a unit: taken as {label} by name", stacklevel=2)
     if not responses:
-        responses = [k for k in units if k not in forces and units[k] is not None]
-        left = [recording.channels[k] for k in units if k not in (*forces, *responses)]
+        responses = [k for k in units if units[k] is not None]
+        left = [recording.channels[k] for k in units if k not in responses]
         if left and responses:
             warnings.warn(f"neither force nor response, left out: {', '.join(left)}", stacklevel=2)
-    unknown = [k for k in responses if units[k] is None]
+    unknown = [k for k in responses or others if units[k] is None]
     if unknown or not responses:
-        which = recording.channels[unknown[0]] if unknown else "the responses"
-        raise ValueError(
-            f"the unit of {which} is not known: give it (--unit: m, mm, m/s, mm/s, m/s^2, g); there are "
-            f"{recording.listed()}"
-        )
+        raise ValueError(_unknown_units(recording, unknown, bool(responses)))
     found = {k: u for k in responses if (u := units[k]) is not None}
     forms = sorted({u.kind for u in found.values()})
     if len(forms) > 1 or FORCE in forms:
         raise ValueError(f"the responses are of {' and '.join(forms)}; choose channels of one kind of motion")
-    factors = []
-    for k in forces:
-        known = unit_of(recording.units[k])
-        if known is None or known.kind != FORCE:
-            said = f"in {recording.units[k]!r}" if recording.units[k] else "without a unit"
-            warnings.warn(f"force {recording.channels[k]} is {said}: taken as N", stacklevel=2)
-        factors.append(known.factor if known is not None and known.kind == FORCE else 1.0)
+    factors = [_force_factor(recording, k) for k in forces]
     return Channels(
         recording.data[:, :, forces] * factors, recording.data[:, :, responses] * [u.factor for u in found.values()],
         SI[forms[0]], [recording.channels[k] for k in forces], [recording.channels[k] for k in responses],
@@ -270,7 +266,7 @@ def channels_of(
 def _forces(recording: Recording) -> list[int]:
     known = [unit_of(u) for u in recording.units]
     by_unit = [k for k, u in enumerate(known) if u is not None and u.kind == FORCE]
-    by_name = [k for k, u in enumerate(known) if u is None and _kind_by_name(recording.channels[k]) == FORCE]
+    by_name = [k for k, u in enumerate(known) if u is None and kind_by_name(recording.channels[k]) == FORCE]
     if not by_unit and not by_name:
         raise ValueError(f"which channel is the force is not known: name it (--force); there are {recording.listed()}")
     chosen, why = (by_unit, "unit") if by_unit else (by_name, "name")
@@ -279,29 +275,53 @@ def _forces(recording: Recording) -> list[int]:
     return chosen
 
 
+def _unknown_units(recording: Recording, unknown: Sequence[int], asked: bool) -> str:
+    """What to say of responses whose unit is not known, with the labels that could not be read."""
+    which = recording.channels[unknown[0]] if asked else "the responses"
+    unread = [f"{recording.units[k]!r} of {recording.channels[k]}" for k in unknown if recording.units[k]]
+    why = f" ({', '.join(unread)} cannot be read)" if unread else ""
+    return f"the unit of {which} is not known{why}: give it (--unit: {KNOWN}); there are {recording.listed()}"
+
+
+def _force_factor(recording: Recording, k: int) -> float:
+    """Newtons in the unit of a force; a warning tells that one without a unit is taken as N.
+
+    Raises
+    ------
+    ValueError
+        If its label cannot be read as a unit of force.
+    """
+    label, name = recording.units[k], recording.channels[k]
+    known = unit_of(label)
+    if known is not None and known.kind == FORCE:
+        return known.factor
+    if label:
+        raise ValueError(
+            f"the unit {label!r} of force {name} is none of force that can be read; give it with --units {name}=N "
+            "(or mN, kN, lbf, kgf)"
+        )
+    warnings.warn(f"force {name} is without a unit: taken as N", stacklevel=3)
+    return 1.0
+
+
 def _response_unit(recording: Recording, k: int, unit: str | None, by_name: dict[str, list[str]]) -> Unit | None:
     """Unit of a response; if it follows from the channel's name alone, the channel is added to ``by_name``."""
-    label = recording.units[k]
+    label, name = recording.units[k], recording.channels[k]
     known = unit_of(label)
     if known is not None or (label and unit is None):
         return known
+    if label:
+        raise ValueError(
+            f"the unit {label!r} of channel {name} cannot be read, and --unit is for channels without one; give "
+            f"its own with --units {name}={unit}, or name the channels to use (--response)"
+        )
     if unit is not None:
-        known = unit_of(unit)
-        if known is None or known.kind == FORCE:
-            raise ValueError(
-                f"unit is {unit!r}; a response is in m, mm, um or in, one of these per s or per s^2, or in g"
-            )
-        return known
-    kind = _kind_by_name(recording.channels[k])
+        return unit_of(unit)
+    kind = kind_by_name(recording.channels[k])
     if kind in (None, FORCE):
         return None
     by_name.setdefault(SI[kind], []).append(recording.channels[k])
     return Unit(kind, 1.0)
-
-
-def _kind_by_name(name: str) -> str | None:
-    text = name.lower().replace("_", " ")
-    return next((kind for kind, words in _BY_NAME if re.search(rf"\b({words})(\b|\d)", text)), None)
 
 
 def from_sep005(series: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> Recording:
@@ -345,13 +365,16 @@ def from_sep005(series: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> Reco
 
 
 def rate_of(time: Float[np.ndarray, " t"]) -> float:
-    """Sampling rate [Hz] of evenly spaced instants.
+    """Sampling rate [Hz] of evenly spaced instants; a whole number where the digits of the instants allow it.
 
     Raises
     ------
     ValueError
-        If they are not evenly spaced and rising.
+        If they are not finite, evenly spaced and rising.
     """
+    if not np.isfinite(time).all():
+        k = int(np.argmin(np.isfinite(time)))
+        raise ValueError(f"instant {k + 1} of {len(time)} is {time[k]:g}; each needs to be a number of seconds")
     count = len(time) - 1
     step = float(time[-1] - time[0]) / count if count > 0 else 0.0
     # Rounding to a few digits moves an instant by a part of the step; a missing sample moves it by a whole step.
@@ -362,4 +385,15 @@ def rate_of(time: Float[np.ndarray, " t"]) -> float:
             "to one rate"
         )
     rate = 1 / step
-    return float(np.round(rate)) if abs(rate - np.round(rate)) < 1e-4 * rate and rate > 10 else rate
+    error = max(1.1 * _last_digit(time) / (count * step), SAME_CLOCK)  # the first and the last are off by half of it
+    return float(np.round(rate)) if abs(rate - np.round(rate)) < error * rate and rate > 10 else rate
+
+
+def _last_digit(time: Float[np.ndarray, " t"]) -> float:
+    """To how much the last of some instants are rounded [s]: to a decimal place, or to single precision."""
+    last = np.asarray(time, float)[-10:]  # earlier ones may have more decimals
+    if np.array_equal(last, last.astype(np.float32)):
+        return float(np.spacing(np.abs(last).max().astype(np.float32)))
+    tiny = 4 * np.spacing(np.abs(last).max())
+    places = (10.0**-k for k in range(16) if np.abs(last - np.round(last, k)).max() <= tiny)
+    return next(places, float(tiny))

@@ -123,8 +123,8 @@ def welch_starts(length: int, fs: float, block: float, overlap: float) -> tuple[
     samples = round(block * fs)
     if not 0 <= overlap < 1 or not 3 <= samples <= length:
         raise ValueError(
-            f"blocks of {samples} samples with overlap {overlap:g} from a record of {length}; a block needs at "
-            "least 3 samples, no more than the record, and an overlap of at least 0 and below 1"
+            f"blocks of {block:g} s ({samples} samples) with overlap {overlap:g} from a record of {length / fs:g} s; a "
+            "block needs at least 3 samples, no more than the record, and an overlap of at least 0 and below 1"
         )
     step = max(1, round(samples * (1 - overlap)))
     return samples, np.arange(0, length - samples + 1, step), step

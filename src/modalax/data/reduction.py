@@ -1,72 +1,27 @@
-"""FRFs of a recording with hits, periodic, sweep, burst or random excitation."""
+"""FRFs of a recording with hits, periodic, stepped, sweep, burst or random excitation."""
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
 from modalax.data.bla import bla_robust
+from modalax.data.choices import Reduction, tell_unused
 from modalax.data.excitation import KINDS, Excitation, excitation_of, excited
 from modalax.data.frf import FRF
-from modalax.data.hits import Hits, clipped_samples, contacts, find_hits, good_hits
+from modalax.data.hits import Hits, clipped_records, contacts, find_hits, good_hits
 from modalax.data.multisine import cut_periods
 from modalax.data.recording import Channels, Recording, channels_of
 from modalax.data.records import frf_from_blocks, frf_from_records, pooled_frfs
+from modalax.data.stepped import frf_from_steps
 from modalax.data.streaming import HEAD, Streamed, frfs_of_stream
 from modalax.data.windows import decay_to, force_window
 
 MOST = 2**16  # samples of a block of records that are streamed, where none is given
 RINGING = 0.02  # share of its largest value above which a response at the end of a block has not died away
-
-
-@dataclass(frozen=True)
-class Reduction:
-    """How FRFs are estimated from records; what is None is chosen from the records, and a warning says how.
-
-    Attributes
-    ----------
-    kind
-        ``hits``, ``multisine``, ``sweep``, ``blocks`` (each record a block) or ``random``.
-    block
-        Length of a block of random excitation, or kept of each hit [s].
-    overlap, window
-        Of blocks of random excitation: share that the next repeats, taper by its name in ``scipy.signal``.
-    estimator
-        ``H1``, ``H2`` or ``Hv``.
-    band
-        Lines to keep [Hz].
-    period
-        Samples of one period of a periodic force.
-    skip
-        Periods left out at the start.
-    trigger, pretrigger
-        Threshold of a hit as a share of the largest force; time before it [s].
-    contact
-        Duration of the force window from the trigger on [s]; none if None.
-    remainder
-        What an exponential window leaves at the end of a block, such as 0.01; none if None.
-    keep_all
-        Keep double hits and overloads.
-    roving
-        Hits at each point, where the hammer goes from point to point; 0: all at one point.
-    """
-
-    kind: str | None = None
-    block: float | None = None
-    overlap: float = 0.5
-    window: str = "hann"
-    estimator: str = "H1"
-    band: tuple[float, float] | None = None
-    period: int | None = None
-    skip: int | None = None
-    trigger: float = 0.2
-    pretrigger: float | None = None
-    contact: float | None = None
-    remainder: float | None = None
-    keep_all: bool = False
-    roving: int = 0
 
 
 def frf_from_recording(
@@ -98,7 +53,8 @@ def frf_from_recording(
     Raises
     ------
     ValueError
-        If no force channel is found, no hit or period can be used, or the numbers of names and channels differ.
+        If no force channel is found, a roving hammer is asked for without hits, no hit or period can be used, or the
+        numbers of names and channels differ.
     """
     how = replace(how or Reduction(), **choices)
     if isinstance(recording, Streamed):
@@ -111,14 +67,17 @@ def frf_from_recording(
         raise ValueError(f"kind is {how.kind!r}; it must be one of {', '.join(KINDS)}")
     channels = _renamed(channels, outputs, None if how.roving else inputs)
     if how.roving:
-        how = replace(how, kind="hits")
+        how = replace(how, kind=how.kind or "hits")
     found = excitation_of(channels.force[:, :, 0]) if how.kind is None else Excitation(how.kind, "", 0)
     if how.kind is None:
         warnings.warn(f"taken as {found.kind}: {found.why}", stacklevel=2)
+    tell_unused(how, found.kind)
     if found.kind == "hits":
         return _from_hits(channels, recording.fs, how, inputs)
     if found.kind == "multisine":
         return _from_periods(channels, recording.fs, how, found)
+    if found.kind == "stepped":
+        return frf_from_steps(channels, recording.fs, how.estimator, how.band)
     if found.kind == "random":
         return _from_random(channels, recording.fs, how)
     return _from_blocks(channels, recording.fs, how, found.kind)
@@ -166,6 +125,7 @@ def _of_stream(
         return None
     if how.kind is None:
         warnings.warn(f"taken as random: {found.why}", stacklevel=3)
+    tell_unused(how, "random")
     block = how.block or _block_of(recording.data.shape[1], recording.fs, MOST)
     parts = frfs_of_stream(
         recording, asked, _renamed(head, outputs, inputs), block=block, overlap=how.overlap, window=how.window,
@@ -236,13 +196,13 @@ def _hit_blocks(channels: Channels, fs: float, how: Reduction):
     records = channels.force[:, :, 0]
     rises = [_rises(f, how.trigger) for f in records]
     one_each = len(records) > 1 and how.block is None
+    clipped = clipped_records(channels.force, channels.response)
     if one_each:
         length = records.shape[1]
         before = min(int(np.argmax(np.abs(f) > how.trigger * np.abs(f).max())) for f in records)
-        clipped = [clipped_samples(np.column_stack(p)) for p in zip(records, channels.response, strict=True)]
         hits = Hits(
             start=np.zeros(len(records), int), peak=np.abs(records).max(axis=1), samples=length,
-            double=np.array([contacts(f) > 1 for f in records]), overload=np.array([bool(c.any()) for c in clipped]),
+            double=np.array([contacts(f) > 1 for f in records]), overload=clipped.any(axis=1),
         )  # fmt: skip
         keep = _kept(hits, how)
         return channels.force[keep], channels.response[keep], max(0, before - 2)
@@ -257,8 +217,9 @@ def _hit_blocks(channels: Channels, fs: float, how: Reduction):
             stacklevel=5,
         )
     found = []
-    for f, x in zip(records, channels.response, strict=True):
-        found.append(find_hits(f, x, fs, block=block, trigger=how.trigger, pretrigger=pretrigger))
+    for f, x, c in zip(records, channels.response, clipped, strict=True):
+        hits = find_hits(f, x, fs, block=block, trigger=how.trigger, pretrigger=pretrigger)
+        found.append(eqx.tree_at(lambda h: h.overload, hits, hits.cut(c[:, None]).any(axis=(1, 2))))
     parts = [(h.cut(f), h.cut(x)) for h, f, x in zip(found, channels.force, channels.response, strict=True)]
     every = Hits(
         *(np.concatenate([getattr(h, name) for h in found]) for name in ("start", "peak", "double", "overload")),

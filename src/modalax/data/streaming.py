@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy.lib.stride_tricks import sliding_window_view
 
-from modalax._numerics.checks import as_array, require_finite
+from modalax._numerics.checks import as_array
 from modalax.data.frf import FRF
-from modalax.data.recording import Channels, Recording, channels_of
+from modalax.data.recording import Channels, Recording, channels_of, require_samples
 from modalax.data.records import frf_of_spectra, welch_starts
 from modalax.data.spectra import Spectra, spectral_lines
 from modalax.data.windows import effective_averages, taper
@@ -56,7 +56,7 @@ class Streamed(Recording):
             If some of them are not finite.
         """
         samples = self.data[:, first:last].astype(float)
-        require_finite(samples, f"the records from {first / self.fs:g} to {last / self.fs:g} s")
+        require_samples(samples, self.fs, self.channels, first)
         if any(gain != 1 for gain in self.gain):
             samples *= self.gain
         release(self.data)

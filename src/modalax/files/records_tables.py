@@ -194,7 +194,14 @@ def read_text(path: Path, fs: float | None) -> Recording:
 
     table = table_of(itertools.chain([first], rows), numbers, len(values))
     names, units = _headings([split(line) for line in heads], table.shape[1])
-    return recording_of(table, fs, names, units)
+    try:
+        return recording_of(table, fs, names, units)
+    except ValueError as error:
+        bad = ~np.isfinite(table).all(axis=1)
+        if not bad.any():
+            raise
+        place = next(itertools.islice(lines_of(path, "%"), len(heads) + int(bad.argmax()), None))[0]
+        raise ValueError(f"line {place}: {error}") from error
 
 
 def _last_line(path: Path) -> str:
