@@ -130,8 +130,8 @@ class Thresholds:
         "An inaccuracy of elements is no longer the one that its author claims where it is this many times larger: "
         "three standard deviations of a claim that is wrong by a factor of two.", INACCURATE,
     )  # fmt: skip
-    kinds: int = _threshold(
-        2, "causes",
+    kinds: float = _threshold(
+        2.0, "causes",
         "More unlike causes than this are not named together, however well they explain the data: each is rare, and "
         "one thing that is not listed is as likely.", SCORE,
     )  # fmt: skip
