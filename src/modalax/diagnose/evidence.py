@@ -69,8 +69,9 @@ class Compared:
 
         Channels then count by what they tell, whatever their units. One of unknown noise counts as the others do.
         """
-        known = np.isfinite(self.variance[0])
-        power = np.where(known, self.variance[0], 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+        variance = self.variance[0]
+        known = np.isfinite(variance)
+        power = np.where(known, variance, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
         usual = power[power > 0].mean() if (power > 0).any() else 1.0
         return (H / np.sqrt(np.where(power > 0, power, usual))).reshape(len(self.freq), -1)
 

@@ -23,11 +23,11 @@ def over_levels(c: Compared) -> dict[str, Any] | None:
     order = np.argsort(c.level)[: int(np.isfinite(c.level).sum())]
     if not len(order) or c.level[order[0]] == c.level[order[-1]]:
         return None
-    modes = []
+    modes, curves = [], {run: c.whitened(c.measured[run]) for run in order}
     for f, zeta in c.modes.T:
         start, rows = complex(2 * np.pi * f * (-zeta + 1j * np.sqrt(max(1 - zeta**2, 0.0)))), []
         for run in order:
-            found = _pole(c, c.whitened(c.measured[run]), start)
+            found = _pole(c, curves[run], start)
             if found is None:
                 break
             start = found[0]
