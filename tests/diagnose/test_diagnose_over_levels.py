@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 import test_diagnose_evidence as plain
 
-from modalax.diagnose.evidence import evidence_of
+from modalax.data.datasets import brake_reuss_beam
+from modalax.data.frf import DERIVATIVES
+from modalax.diagnose.decision.omnibus import Omnibus
+from modalax.diagnose.evidence import Compared, evidence_of
 from modalax.diagnose.over_levels import levels_said, over_levels
 
 SIGMA = 1e-6
@@ -43,7 +46,7 @@ def test_what_is_said_where_nothing_explains_the_data():
     (said,) = levels_said("unknown", e)
     most = max(e["over_levels"]["by_output"], key=e["over_levels"]["by_output"].get)
     assert f"force levels of 1, 4, 9 N differ by more than noise, most at {most} (by " in said
-    assert "a mode is at 45, 44.8, 44.499 Hz" in said and ", 1.3, 1.7 %" in said
+    assert "a mode is at 45, 44.8, 44.5 Hz" in said and ", 1.3, 1.7 %" in said
     assert "at 20" not in said  # which stays
     assert levels_said("named", e) == () == levels_said("unknown", None)
 
@@ -56,3 +59,18 @@ def test_nothing_is_said_without_levels(level):
 
 def test_nothing_is_said_of_a_linear_structure():
     assert levels_said("unknown", told(levels([plain.MODES] * 3, [1.0, 4.0, 9.0]))) == ()
+
+
+@pytest.mark.measured
+def test_a_bolted_joint_that_bends_its_peak_is_told_at_every_level(measured):
+    """One mode whose frequency falls and rises again and whose damping grows sixfold over four levels."""
+    data = brake_reuss_beam(drive_point=True)
+    H, near = np.asarray(data.H), np.zeros_like(np.asarray(data.H))
+    residuals = (np.sqrt(2) * H / (0.02 * np.abs(H).mean()),) * 2
+    c = Compared(
+        np.asarray(data.freq), H, near, near, residuals, (Omnibus(0.5, 1.0, "each run", (0.0, 0.0)),) * 2,
+        np.asarray(data.level), data.outputs, data.inputs, DERIVATIVES[data.form], np.array([[80.3], [0.002]]),
+    )  # fmt: skip
+    (mode,) = over_levels(c)["modes"]
+    assert len(mode["frequency_hz"]) == len(H) == 4 and max(mode["frequency_std_hz"]) < 0.05
+    assert mode["damping_ratio"][-1] > 4 * mode["damping_ratio"][0]

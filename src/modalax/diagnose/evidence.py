@@ -13,7 +13,7 @@ import scipy.special
 
 from modalax.diagnose.decision.omnibus import Omnibus
 
-REACH = 2.0  # half-bandwidths on either side of a mode that its local fit takes; neighbours bend a wider one
+REACH = 4.0  # half-bandwidths on either side of a mode that its local fit takes; bent peaks need as many
 FEWEST = 5  # lines that a local fit needs
 ROUNDS = 6  # times that the window of a local fit follows its pole
 ASTRAY = 0.2  # relative distance from where it began beyond which a local fit is of another mode
