@@ -11,16 +11,15 @@ from jaxtyping import Array, Complex, Float
 from modalax._numerics.checks import as_double, is_traced, require_finite, require_range
 from modalax._numerics.cuts import cut
 from modalax._numerics.known import circular, ends_of, stacked
+from modalax.data.checks import check_axis, check_beside, check_variance
 from modalax.data.frf import (
     FRF,
     band_slice,
-    check_axis,
-    check_beside,
     check_form,
     check_names,
-    check_variance,
     default_names,
 )
+from modalax.data.overview import counted, of_frfs
 
 
 class Measurement(eqx.Module):
@@ -130,6 +129,10 @@ class Measurement(eqx.Module):
             coherence=stack("coherence"), level=stack("level"), added_decay=first.added_decay,
             outputs=first.outputs, inputs=first.inputs, averages=first.averages,
         )  # fmt: skip
+
+    def __str__(self) -> str:
+        """Runs, lines, channels, forces and what is known of the noise."""
+        return of_frfs(self, f"Measurement of {counted(self.runs, 'run')}")
 
     @property
     def runs(self) -> int:

@@ -8,13 +8,13 @@ import numpy as np
 
 from modalax.data.frf import FRF
 from modalax.data.measurement import Measurement
+from modalax.data.overview import UNITS
 from modalax.files.arrays import NOTHING, Saved, from_arrays, to_arrays
 from modalax.files.guard import reading
 from modalax.files.inside import check_datasets, check_store
 from modalax.files.plain import PLAIN_KEYS, Told, check_told_form, plain_dataset
 from modalax.files.units import force_factor, frequency_factor, plain, response_unit
 
-UNITS = {"receptance": "m/N", "mobility": "(m/s)/N", "accelerance": "(m/s^2)/N"}
 DIMS = ("run", "freq", "output", "input")
 SAMPLES = ("H", "variance", "coherence")
 NAMES = {"o", "out", "outputs", "response", "i", "in", "inputs", "reference", "part", "complex", "reim"}

@@ -143,10 +143,10 @@ def _frfs_or_modes(
     if modes is not None:
         return modes.model()
     kinds = sorted({f.title for f in functions}) + sorted({f"type {s['type']}" for s in sets if s["type"] != 58})
-    raise ValueError(
-        f"holds {', '.join(kinds)} but neither FRFs nor mode shapes; nodes and lines are read by "
-        "modalax.files.load_geometry"
-    )
+    geometry = "nodes and lines are read by modalax.files.load_geometry"
+    records = "time records become FRFs by modalax frf" if "time responses" in kinds else ""
+    said = "; ".join(filter(None, (records, geometry if any(s["type"] != 58 for s in sets) else "")))
+    raise ValueError(f"holds {', '.join(kinds)} but neither FRFs nor mode shapes{said and f'; {said}'}")
 
 
 def load_geometry(path: Path | str) -> Geometry:

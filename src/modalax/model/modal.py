@@ -13,6 +13,7 @@ from modalax._numerics.checks import as_array, as_double, is_traced, require_fin
 from modalax._numerics.cuts import cut, spread_over
 from modalax._numerics.known import Numbers, by_numpy
 from modalax.data.frf import DERIVATIVES, FRF, check_form, check_names
+from modalax.model.overview import of_modes
 
 
 def poles_from(frequency_hz: Any, damping_ratio: Any) -> Complex[Array, " n"]:
@@ -137,6 +138,10 @@ class ModalModel(eqx.Module):
         phi = as_double(shapes, "shapes")
         mass = as_double(modal_mass, "modal_mass")
         return cls(poles, phi, _own_participation(phi, poles, mass), outputs=dofs, inputs=dofs)
+
+    def __str__(self) -> str:
+        """Channels and the table of modes."""
+        return of_modes(self)
 
     @property
     def frequency_hz(self) -> Float[Array, " n"]:

@@ -15,6 +15,7 @@ from modalax.data.frf import FRF, check_names, default_names, derivative
 from modalax.model.elements import Elements
 from modalax.model.groups import Groups
 from modalax.model.modal import ModalModel, claimed_std, in_order
+from modalax.model.overview import of_structure
 from modalax.model.solve import receptance_along
 
 ROUNDING = 1e-13  # rounding error of an eigenvalue per DoF, relative to the sum of the magnitudes in it
@@ -130,6 +131,10 @@ class Structure(eqx.Module):
         inverse = jnp.linalg.inv(P)
         build = lambda d: inverse.T @ (d[:, None] * inverse)
         return cls(build(mass), build(2 * zeta * omega * mass), build(omega**2 * mass), dofs, **claims)
+
+    def __str__(self) -> str:
+        """Degrees of freedom, damping, and what is claimed and named."""
+        return of_structure(self)
 
     def index(self, dof: str) -> int:
         """Position of a DoF by name; ``ValueError`` lists the names if there is no such one."""

@@ -11,7 +11,7 @@ import optimistix as optx
 from jaxtyping import Array, Complex, Float
 
 from modalax._numerics.checks import as_double, is_traced
-from modalax.data.frf import check_axis
+from modalax.data.checks import check_axis
 from modalax.data.measurement import Measurement
 from modalax.model.receptance import AnyStructure, directions, dof_names
 from modalax.simulate.aft import joint_forces

@@ -18,7 +18,8 @@ from jaxtyping import Array, Bool, Complex, Float
 from modalax._numerics.checks import as_array, as_double, is_traced
 from modalax._numerics.cuts import cut, spread_over
 from modalax._numerics.known import Numbers, by_numpy, circular, host, joined
-from modalax.data.frf import DERIVATIVES, check_axis, check_form
+from modalax.data.checks import check_axis
+from modalax.data.frf import DERIVATIVES, check_form
 from modalax.data.measurement import Measurement
 from modalax.model.receptance import AnyStructure, directions, dof_names, receptance
 from modalax.simulate.aft import Harmonics, joint_forces

@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from modalax._numerics.checks import as_double
-from modalax.data.frf import FRF, check_axis
+from modalax.data.checks import check_axis
+from modalax.data.frf import FRF
 from modalax.data.measurement import Measurement
 from modalax.data.multisine import cut_periods, excited_lines, multisine
 from modalax.data.records import frf_from_blocks, frf_from_hits, frf_from_records

@@ -11,7 +11,8 @@ from jaxtyping import Array, Bool, Complex, Float, Int
 
 from modalax._numerics.checks import as_array, as_double, is_traced
 from modalax._numerics.cuts import cut
-from modalax.data.frf import DERIVATIVES, check_axis, check_form
+from modalax.data.checks import check_axis
+from modalax.data.frf import DERIVATIVES, check_form
 from modalax.data.measurement import Measurement
 from modalax.model.receptance import AnyStructure
 from modalax.simulate.blocks import Propagator, propagator
