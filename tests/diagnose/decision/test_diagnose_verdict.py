@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from modalax.diagnose.causes.joints import BilinearStiffness, CubicStiffness, ElastoSlip
-from modalax.diagnose.causes.local import AddedMass, JointStiffness
+from modalax.diagnose.causes.local import AddedMass, JointStiffness, TunedMass
 from modalax.diagnose.causes.mains_hum import MainsHum
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.causes.signals import HumLines
@@ -48,6 +48,12 @@ def stuck(stiffness, deviation):
     return [replace(found, best=replace(found.best, params=params, covariance=covariance))]
 
 
+def damped(ratio):
+    """An oscillator of this damping ratio."""
+    (found,) = ranked((1.0, (TunedMass(), "1")))
+    return [replace(found, best=replace(found.best, params=(np.array([0.1, 20.0, ratio]),)))]
+
+
 ONE = ranked((0.99, (CUBIC, "1")), (0.01, (SPRING, "1")))
 TWO = ranked((0.99, (CUBIC, "1"), (MASS, "2")), (0.01, (CUBIC, "1")))
 TABLE = [
@@ -75,6 +81,8 @@ TABLE = [
     (ONE, replace(ALARM, p_value=1e-5, nameless=0.9), HELD, "unknown", ["more than noise", "beside the catalogue"]),
     (ranked((0.9, (CUBIC, "1")), (0.1, (SPRING, "1"))), ALARM, HELD, "ambiguous", ["other causes compete"]),
     (ranked((0.5, (CUBIC, "1")), (0.5, (CUBIC, "2"))), ALARM, HELD, "ambiguous", ["may sit elsewhere"]),
+    (damped(0.5), ALARM, HELD, "ambiguous", ["the damping ratio of tuned_mass ends at 0.5"]),
+    (damped(0.45), ALARM, HELD, "named", ["tuned_mass"]),
     (ONE, replace(ALARM, untried=("gap", "added_mass")), HELD, "ambiguous", ["before gap, added_mass had been tried"]),
     (ONE, replace(ALARM, p_value=0.0, inexact=0.02), MISSED, "ambiguous", ["explains it but for 2 % of its size"]),
     (ONE, replace(ALARM, inexact=0.02, ahead=50.0), HELD, "ambiguous", ["explains it but for 2 % of its size"]),
@@ -110,7 +118,7 @@ def test_the_law_that_a_joint_without_a_size_is_the_limit_of_stands_beside_it():
 
 
 def test_every_rule_decides_a_row_and_the_last_always_does():
-    assert [word for word, _ in RULES] == ["clean", *["unknown"] * 3, *["ambiguous"] * 7, "unknown", "named"]
+    assert [word for word, _ in RULES] == ["clean", *["unknown"] * 3, *["ambiguous"] * 8, "unknown", "named"]
     reasons = " ".join(part for *_, parts in TABLE for part in parts)
     assert all(
         p in reasons for p in ("noise alone", "no cause", "still more", "beside", "compete", "tried", "elsewhere")

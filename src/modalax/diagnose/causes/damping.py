@@ -50,7 +50,7 @@ class StructuralDamping(HystereticCause):
     summary = "hysteretic instead of viscous damping"
     prior = 0.5  # each of its two forms
 
-    parameters = (Parameter("share", "-", 0.0, 2.0),)
+    parameters = (Parameter("share", "-", 0.0, 2.0, ends=True),)
 
     def grid(self, scene: Scene, place: Place) -> np.ndarray:
         """From a little to all."""
@@ -72,7 +72,7 @@ class LossFactor(HystereticCause):
     advice = "calibrate the delay between the channels, and widen the band"
     summary = "one loss factor instead of viscous damping"
     prior = 0.5
-    parameters = (Parameter("loss_factor", "-", 1e-5, 1.0, log=True),)
+    parameters = (Parameter("loss_factor", "-", 1e-5, 1.0, log=True, ends=True),)
 
     def grid(self, scene: Scene, place: Place) -> np.ndarray:
         """Around twice the damping ratios."""

@@ -78,7 +78,7 @@ class TunedMass(LocalCause):
     parameters = (
         Parameter("mass", "kg", 0.0),
         Parameter("frequency", "Hz", 1e-3, log=True),
-        Parameter("damping_ratio", "-", 1e-4, 0.5, log=True),
+        Parameter("damping_ratio", "-", 1e-4, 0.5, log=True, ends=True),
     )
 
     def places(self, scene: Scene) -> list[Place]:

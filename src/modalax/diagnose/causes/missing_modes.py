@@ -20,7 +20,7 @@ class MissingMode(PatternCause):
     parameters = (
         Parameter("participation", "-"),
         Parameter("frequency", "Hz", 1e-3, log=True),
-        Parameter("damping_ratio", "-", 1e-4, 0.5, log=True),
+        Parameter("damping_ratio", "-", 1e-4, 0.5, log=True, ends=True),
     )
 
     def shapes(self, scene: Scene) -> np.ndarray:

@@ -10,13 +10,18 @@ INFINITE = float("inf")
 
 @dataclass(frozen=True)
 class Parameter:
-    """One unknown of a cause: name, SI unit, bounds, and whether it is searched on a logarithmic scale."""
+    """One unknown of a cause: name, SI unit, bounds, and whether it is searched on a logarithmic scale.
+
+    ``ends`` says that beyond the upper bound the cause is not what its name says, so that a fit that ends there is
+    likely of another kind.
+    """
 
     name: str
     unit: str
     lower: float = -INFINITE
     upper: float = INFINITE
     log: bool = False
+    ends: bool = False
 
 
 def strengths(

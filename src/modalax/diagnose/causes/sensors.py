@@ -87,7 +87,7 @@ class SensorResonance(ChannelCause):
     parameters = (
         Parameter("share", "-"),
         Parameter("frequency", "Hz", 1e-3, log=True),
-        Parameter("damping_ratio", "-", 1e-4, 0.5, log=True),
+        Parameter("damping_ratio", "-", 1e-4, 0.5, log=True, ends=True),
     )
 
     def places(self, scene: Scene) -> list[Place]:

@@ -9,6 +9,7 @@ from modalax.diagnose.decision.posterior import Ranked
 from modalax.diagnose.decision.sets import certainty, many_kinds, unplaced
 from modalax.diagnose.thresholds import THRESHOLDS, Thresholds
 
+NEAR_END = 0.99  # share of the largest value of a parameter from which on a fit counts as ended there
 TOLD = 10.0  # chi-square put down to an inexact law from which on the reasons say so
 
 
@@ -195,6 +196,17 @@ def nothing_is_determined(case: Case) -> str | None:
     )  # fmt: skip
 
 
+def range_ends(case: Case) -> str | None:
+    """A parameter stands at the end of what its cause can be: what acts there is likely of another kind."""
+    h, at = case.best.best, []
+    for cause, values in zip(h.causes, h.params, strict=False):
+        at += [
+            f"the {q.name.replace('_', ' ')} of {cause.slug} ends at {q.upper:g}, the largest that is looked for"
+            for q, value in zip(cause.parameters, values, strict=True) if q.ends and value > NEAR_END * q.upper
+        ]  # fmt: skip
+    return f"{' and '.join(at)}: something of another kind may act there" if at else None
+
+
 def held_out_is_missed(case: Case) -> str | None:
     """What imitates a third thing on what it is fitted to hardly predicts it elsewhere."""
     gain = case.held_out
@@ -237,6 +249,7 @@ RULES: tuple[tuple[str, Rule], ...] = (
     ("ambiguous", elements_share_a_place),
     ("ambiguous", causes_are_many),
     ("ambiguous", nothing_is_determined),
+    ("ambiguous", range_ends),
     ("unknown", held_out_is_missed),
     ("named", named),
 )
