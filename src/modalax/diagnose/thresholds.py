@@ -166,6 +166,11 @@ class Thresholds:
         "The modal domain leaves nothing to explain where what it leaves has more than this chance under noise alone.",
         INACCURATE,
     )  # fmt: skip
+    damping_off: float = _threshold(
+        0.01, "relative error",
+        "Line by line, which takes the dampings of all modes as exact, adds nothing to a named cause that leaves "
+        "nothing where these are certainly off by more than this.", INACCURATE,
+    )  # fmt: skip
     as_noise: float = _threshold(
         1.2, "chi-square per sample", "A fit predicts the held-out block where it leaves less than this on it.",
         INACCURATE,

@@ -149,7 +149,7 @@ def suffices(route: Route, found: Outcome, task: Task, limits: Thresholds = THRE
         return True
     if found.of_elements and surely_named(found, limits):
         return True
-    return off_everywhere(found, limits) or decisive(found, task, limits)
+    return off_everywhere(found, limits) or damping_off(found, limits) or decisive(found, task, limits)
 
 
 def choice(found: Mapping[Route, Outcome], limits: Thresholds = THRESHOLDS) -> Route:
@@ -202,6 +202,13 @@ def off_everywhere(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
     if found.verdict == "named" and surely or found.verdict == "clean" and "stiffness" in surely:
         return found.predicts < limits.as_noise
     return nothing_left(found, limits)
+
+
+def damping_off(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
+    """Whether causes are named, nothing is left, and the dampings, which lines take as exact, are certainly off."""
+    part = (found.inaccuracy or {}).get("damping")
+    off = part is not None and part["interval"][0] > limits.damping_off
+    return off and found.verdict == "named" and nothing_left(found, limits)
 
 
 def certainly_off(found: Outcome, limits: Thresholds = THRESHOLDS) -> Mapping[str, Mapping[str, Any]]:
