@@ -44,3 +44,12 @@ def test_a_quiet_channel_and_a_rigid_mass_are_sound():
 def test_no_mode_is_told_from_ten_lines():
     few = Bench(accelerance(FREQ[:10]), freq=FREQ[:10]).measured()
     assert [(f.what, f.size, f.unit) for f in few] == [("too_few_lines", 10, "lines")]
+
+
+def test_a_copied_channel_is_told_with_its_factor():
+    """The second output repeats the first, noise included, at twice the gain."""
+    H = accelerance()
+    H = H + 0.01 * np.abs(H).mean() * noise(H.shape)
+    H[:, 1] = 2 * H[:, 0]
+    (found,) = [f for f in told(H) if f.what == "duplicated"]
+    assert "the first is 0.5 times the second, noise included" in found.evidence

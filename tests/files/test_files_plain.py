@@ -66,6 +66,14 @@ def test_three_axes_in_any_order_by_names_or_as_told(tmp_path):
             modalax.load(path, form="receptance", axes=axes)
 
 
+@pytest.mark.parametrize("kept", [True, False])
+def test_three_axes_told_of_a_matlab_file_of_one_input(tmp_path, kept):
+    """With or without its last axis of length one, which MATLAB drops; a native file beside it has four axes."""
+    names = {"outputs": ["1", "2", "3"], "inputs": ["1"]}
+    path = saved(tmp_path / "a.mat", freq=F, H=H[:, :, :1] if kept else H[:, :, 0], form="receptance", **names)
+    np.testing.assert_array_equal(modalax.load(path, axes="f o i").H[0], H[:, :, :1])
+
+
 def test_as_many_lines_as_outputs_are_not_told_apart_by_length(tmp_path):
     square = saved(tmp_path / "a.npz", freq=F, H=np.ones((12, 12)) + 0j)
     with pytest.raises(ValueError, match="does not tell outputs from inputs"):

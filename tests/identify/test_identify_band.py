@@ -92,3 +92,11 @@ def test_the_lower_residual_term_is_left_out_at_0_hz(form):
 def test_one_line_at_0_hz_is_refused():
     with pytest.raises(ValueError, match="one line, at 0 Hz"):
         usable_lines(FRF([0.0], np.ones((1, 1, 1), complex)), choose=True)
+
+
+def test_a_first_resonance_with_closer_lines_is_no_drift():
+    """A stepped sine that starts on its upper flank, with lines 0.01 Hz apart there and 3 Hz elsewhere."""
+    shapes = np.random.default_rng(1).normal(size=(3, 4))
+    model = ModalModel.from_real_modes([12.0, 35.0, 70.0], [0.01, 0.02, 0.01], shapes, np.ones(3), list("abcd"))
+    freq = np.concatenate([12.0 + 0.01 * np.arange(24), np.arange(15.0, 260, 3)])
+    assert drift_ends(model.frf(freq, form="accelerance", inputs=["a"])) == (0, 0.0)

@@ -82,6 +82,44 @@ def test_modes_carry_flags_and_grades():
     assert np.argmin([m["grade"] for m in modes]) == 0  # the one that is nearly lost
 
 
+def test_a_quiet_sensor_is_not_the_only_one_that_shows_a_mode():
+    """Its noise is a hundredth of that of the others, which show the modes a thousand times over theirs."""
+    model = structure()
+    noise = 1e-4 * np.abs(np.asarray(noisy(model, 0.0).H)).max() * np.array([0.01, 1, 1, 1, 1, 1])[:, None]
+    rng = np.random.default_rng(1)
+    H = np.asarray(noisy(model, 0.0).H)
+    H = H + noise * (rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape)) / np.sqrt(2)
+    frf = FRF(FREQ, H, form="accelerance", variance=np.broadcast_to(noise**2, H.shape))
+    assert not any("one sensor" in flag for flags in fit(frf, order=12).flags for flag in flags)
+
+
+def test_two_inputs_tell_two_modes_of_one_frequency():
+    """As a disk of equal blades has them: each mode is sure and its frequency known, though which shapes is not."""
+    model = structure(frequency=(20.0, 52.0, 52.0, 90.0), zeta=0.02)
+    found = fit(noisy(model, 1e-3, ("1", "2")))
+    f = np.asarray(found.model.frequency_hz)
+    twins = np.flatnonzero(np.abs(f - 52) < 1)
+    assert len(twins) == 2
+    assert found.refined is not None
+    std = np.asarray(found.refined.frequency_std_hz)[twins]
+    assert np.all(np.abs(f[twins] - 52) < 4 * std)  # they scatter by the noise alone, 0.003 Hz here
+    assert np.all(std < 0.02)
+    assert not any("below the noise" in flag for r in twins for flag in found.flags[r])
+    assert np.asarray(found.grade)[twins].min() > 0.5
+
+
+def test_lines_of_a_stepped_sine_count_where_they_are():
+    """Lines 0.05 Hz apart about the resonances and 0.5 Hz elsewhere: no peak of 0.16 Hz falls between them."""
+    freq = np.unique(
+        np.concatenate([np.arange(10.0, 110, 0.5), *(f + np.arange(-20, 21) * 0.05 for f in (20, 52, 90))])
+    )
+    frf = noisy(structure(), 1e-3, freq=np.round(freq, 6))
+    none, still = np.zeros(3), Spread(np.zeros(1), np.zeros(1), (0.0, 0.0), (0.0, 0.0), 1.0)
+    quality = [ModeQuality(99.0, 9.0, 1.0, 9.0, 6.0, still, None, None)] * 3
+    narrow = structure(zeta=0.004)
+    assert flags_of(Modes(frf, narrow, none, none, True, none, np.ones(3), quality, None)) == ((), (), ())
+
+
 def test_columns_that_disagree_are_named_with_the_size():
     """The third hit finds all frequencies 0.5 % lower."""
     model = structure()

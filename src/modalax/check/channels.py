@@ -112,8 +112,8 @@ def duplicated(study: Study) -> Iterator[Finding]:
                 yield Finding(
                     "duplicated", (titles[a], titles[b]), sure=float(np.clip(1 - ratio, 0, 0.99)),
                     size=factor, unit="-",
-                    evidence=f"both hold the same data to {ratio:.2g} of their noise, times {factor:.4g}: two "
-                    "independent measurements never share their noise",
+                    evidence=f"the first is {factor:.4g} times the second, noise included (what differs is {ratio:.2g} "
+                    "of it): two independent measurements never share their noise",
                     advice="find out which of the two was really measured, and leave the other out",
                     picture=_pair(study, axis, a, b, titles),
                 )  # fmt: skip

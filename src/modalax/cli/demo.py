@@ -69,7 +69,7 @@ def identify_story(console: Any, out: Path, seed: int, report: bool) -> list[Any
     import jax
     import numpy as np
 
-    from modalax.cli.tables import mode_table
+    from modalax.cli.tables import mode_table, print_uncut
     from modalax.identify import fit as identify
     from modalax.model.examples import five_dof
     from modalax.show import save_fit_pictures
@@ -82,7 +82,7 @@ def identify_story(console: Any, out: Path, seed: int, report: bool) -> list[Any
         fit = identify(frf, progress=progress)
     answer = fit.to_dict()
     known = matched(answer, np.asarray(truth.frequency_hz), np.asarray(truth.damping_ratio))
-    console.print(mode_table(answer["modes"], known))
+    print_uncut(console, mode_table(answer["modes"], known))
     with working("Drawing"):
         save_fit_pictures(fit, out, truth=known)
         write_json(out / "modes.json", answer)

@@ -122,7 +122,7 @@ def fit(
     frf = one_run(measured, run, data)
     from rich.console import Console
 
-    from modalax.cli.tables import mode_table, print_remarks
+    from modalax.cli.tables import mode_table, print_remarks, print_uncut
     from modalax.identify import fit as identify
 
     name = None if method is None else method.value
@@ -133,7 +133,7 @@ def fit(
         )  # fmt: skip
     answer = result.to_dict()
     console = Console()
-    console.print(mode_table(answer["modes"]))
+    print_uncut(console, mode_table(answer["modes"]))
     print_remarks(console, answer)
     if not refine:
         note(

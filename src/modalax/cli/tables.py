@@ -6,14 +6,26 @@ from typing import Any
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
+from rich.measure import Measurement
 from rich.table import Table
 
 from modalax._numerics.text import with_error
+
+UNBOUNDED = 10_000  # columns of a line that any table fits
 
 
 def new_table(title: str) -> Table:
     """Make an empty table in the style of all tables on the terminal."""
     return Table(title=title, title_justify="left", caption_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+
+
+def print_uncut(console: Console, table: Table) -> None:
+    """Print a table of which no number is cut: with closer columns, then longer lines, where the console is narrow."""
+    unbounded = console.options.update(width=UNBOUNDED)
+    if Measurement.get(console, unbounded, table).maximum > console.width:
+        table.padding = (0, 1, 0, 0)
+        table.width = Measurement.get(console, unbounded, table).maximum
+    console.print(table, crop=False)
 
 
 def mode_table(modes: Sequence[Mapping[str, Any]], truth: tuple[Any, Any] | None = None) -> Table:

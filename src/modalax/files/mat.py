@@ -26,7 +26,7 @@ def read_mat(path: Path, told: Told = NOTHING) -> Saved:
     """
     with path.open("rb") as file:
         newest = file.read(19) == b"MATLAB 7.3 MAT-file"
-    return from_arrays(_with_short_axes(_newest(path) if newest else _classic(path)), told)
+    return from_arrays(_with_short_axes(_newest(path) if newest else _classic(path), told.axes), told)
 
 
 def _classic(path: Path) -> dict[str, Any]:
@@ -118,11 +118,12 @@ def _letters(node: Any, name: str) -> str:
     return "" if node.attrs.get("MATLAB_empty") else "".join(chr(c) for c in np.asarray(node[()]).ravel())
 
 
-def _with_short_axes(arrays: dict[str, Any]) -> dict[str, Any]:
-    """Put back axes of length one at the end, where the names say that there is one channel."""
+def _with_short_axes(arrays: dict[str, Any], told: str | None = None) -> dict[str, Any]:
+    """Put back axes of length one at the end, as told or else as the file says, where names tell of one channel."""
     shaped = dict(arrays)
     one = [key in arrays and np.size(arrays[key]) == 1 for key in ("outputs", "inputs")]
-    axes = " ".join(str(word) for word in np.ravel(arrays.get("axes", "run f o i"))).split()
+    said = arrays.get("axes", "run f o i") if told is None else told.replace(",", " ")
+    axes = " ".join(str(word) for word in np.ravel(said)).split()
     for name in ("H", "variance", "coherence"):
         if name not in arrays or not one[1]:
             continue

@@ -162,7 +162,10 @@ def _axes(arrays: Mapping[str, Any], told: Told) -> tuple[str, ...]:
     if said is not None:
         axes = tuple(said.replace(",", " ").split())
         if len(set(axes)) != len(axes) or not set(axes) <= set(AXES) or "f" not in axes or len(axes) != len(shape):
-            raise ValueError(f"axes says {said!r} for H of shape {shape}; it names each axis once out of run, f, o, i")
+            raise ValueError(
+                f"axes says {said!r} for H of shape {shape}; it names each axis once out of run, f, o, i, with spaces "
+                "between, such as 'f o i'"
+            )
         if not _fits(axes, shape, counts):
             raise ValueError(f"axes says {said!r}, but H has shape {shape} for {_counted(counts)}")
         return axes

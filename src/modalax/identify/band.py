@@ -10,7 +10,7 @@ from modalax.identify.neighbourhood import line_noise
 # suspension whose resonance lies a tenth below the first line makes 30.
 FALL = 100.0
 LEADING = 0.05  # share of the FRFs' sum of squares from which on lines with drift are left out
-FROM_ZERO = 5.0  # lines, in steps between them: data that starts above this may start on the flank of a resonance
+FROM_ZERO = 5.0  # lines, in steps between the first: data that starts above this may start on a resonance's flank
 STILL = 1.5  # fall over half an octave below which drift has ended; its power falls at least with the frequency
 BINS = 24  # lines, at least, among which drift is looked for
 MOST = 0.25  # part of the lines, at most, that drift may take
@@ -61,7 +61,8 @@ def drift_ends(frf: FRF) -> tuple[int, float]:
     line (:data:`SCATTERED`), as the noise of accelerometers does that was integrated to a receptance.
     """
     freq = np.asarray(frf.freq)
-    step = float(np.median(np.diff(freq))) if len(freq) > 1 else 0.0
+    # A stepped sine has lines close to its first resonance and far apart elsewhere.
+    step = float(np.median(np.diff(freq[:BINS]))) if len(freq) > 1 else 0.0
     if len(freq) < BINS or freq[0] > FROM_ZERO * step or freq[0] <= 0:
         return 0, 0.0
     energy = np.sum(np.abs(np.asarray(frf.H)) ** 2, axis=(1, 2))

@@ -27,6 +27,7 @@ BINS = {
     "burst_most": 1.0,
     "hann": 1.5,
 }  # equivalent noise bandwidths of the records' windows, in lines
+AROUND = 4  # lines on either side of a mode whose distances are those of the lines there
 HALF_SURE = 3.0  # gain over that of noise at which evidence is half sure
 
 
@@ -79,10 +80,12 @@ class Modes(NamedTuple):
         """Modes that the data do not tell from one of them."""
         return [b if a == r else a for a, b in self.pairs if r in (a, b)]
 
-    @property
-    def step(self) -> float:
-        """Distance between lines [Hz]."""
-        return float(np.median(np.diff(np.asarray(self.frf.freq))))
+    def step(self, r: int) -> float:
+        """Distance between the lines about a mode [Hz], which a stepped sine has closer there than elsewhere."""
+        freq = np.asarray(self.frf.freq)
+        k = int(np.searchsorted(freq, self.frequency[r]))
+        first = max(0, min(k - AROUND, len(freq) - 2 * AROUND))
+        return float(np.median(np.diff(freq[first : first + 2 * AROUND])))
 
 
 def flags_of(modes: Modes) -> tuple[tuple[str, ...], ...]:
@@ -92,7 +95,7 @@ def flags_of(modes: Modes) -> tuple[tuple[str, ...], ...]:
 
 def _words(modes: Modes, r: int) -> list[str]:
     """Flags of one mode; empty texts for those that do not apply."""
-    f, width, step, q = float(modes.frequency[r]), float(modes.half_bandwidth[r]), modes.step, modes.quality[r]
+    f, width, step, q = float(modes.frequency[r]), float(modes.half_bandwidth[r]), modes.step(r), modes.quality[r]
     zeta = float(np.asarray(modes.model.damping_ratio)[r])
     first, last = modes.frf.ends
     inside = first <= f <= last
@@ -124,24 +127,22 @@ def _unresolved(modes: Modes, r: int) -> str:
     """Whether a neighbour is nearer than the lines are, or the peak narrower."""
     others = np.delete(np.arange(len(modes.frequency)), r)
     apart = np.abs(modes.frequency[others] - modes.frequency[r])
-    twins = modes.twins(r)
+    twins, step = modes.twins(r), modes.step(r)
     if len(twins):
         f = float(modes.frequency[twins[0]])
         return f"unresolved: one mode explains this one and that at {f:.5g} Hz as well"
     wide = 1.0 if modes.record is None else 2 * BINS[modes.record.kind]
-    if len(others) and apart.min() < wide * modes.step:
+    if len(others) and apart.min() < wide * step:
         f = float(modes.frequency[others[np.argmin(apart)]])
         seen = "" if modes.record is None else f" and the window of the record makes each peak {wide / 2:.2g} wide"
-        return (
-            f"unresolved: {apart.min():.2g} Hz from the mode at {f:.5g} Hz, lines are {modes.step:.2g} Hz apart{seen}"
-        )
+        return f"unresolved: {apart.min():.2g} Hz from the mode at {f:.5g} Hz, lines are {step:.2g} Hz apart{seen}"
     q, width = modes.quality[r], float(modes.half_bandwidth[r])
     if modes.record is None and stands_for_two(q, width):
         return (
             f"unresolved: one mode leaves {100 * q.rest.part:.2g} % of its response here, more than noise; two close "
             "modes, or a frequency that is not the same in all channels, would explain it"
         )
-    lines = 2 * width / modes.step
+    lines = 2 * width / step
     return f"narrow: {lines:.2g} lines in its half-power bandwidth" if lines < 1 else ""
 
 
@@ -224,7 +225,7 @@ def _resolution(modes: Modes, r: int) -> float:
     alike = np.asarray(mac(np.asarray(shapes)[r][None], shapes))[0]
     apart = np.abs(modes.frequency - modes.frequency[r])
     bins = 0.5 if modes.record is None else BINS[modes.record.kind]
-    unit = np.maximum(bins * modes.step, 0.1 * (modes.half_bandwidth + modes.half_bandwidth[r]))
+    unit = np.maximum(bins * modes.step(r), 0.1 * (modes.half_bandwidth + modes.half_bandwidth[r]))
     same = alike / (1 + (apart / unit) ** 2)
     same[modes.twins(r)] = 1.0
     same[r] = 0.0
@@ -281,7 +282,9 @@ def _equal_decay(modes: Modes, grades: np.ndarray) -> list[str]:
     inside = [r for r, f in enumerate(modes.frequency) if first <= f <= last and grades[r] > 0.5]
     rates = 2 * np.pi * modes.half_bandwidth[inside]
     f = modes.frequency[inside]
-    if len(rates) < 3 or f.max() < 2 * f.min() or rates.max() > 1.3 * rates.min() or rates.min() < modes.step:
+    if len(rates) < 3 or f.max() < 2 * f.min() or rates.max() > 1.3 * rates.min():
+        return []
+    if rates.min() < min(modes.step(r) for r in inside):
         return []
     return [
         f"All modes decay at nearly the same rate, {rates.min():.3g} to {rates.max():.3g} 1/s, as an exponential "

@@ -22,6 +22,8 @@ MOST = 400  # lines; of more every second, third, ... is taken
 HALF, LEAST = 3, 0.1  # lines on either side over which noise is averaged, and its least part of the typical one
 LEADING = 12  # principal columns of the channels that a search for poles looks at
 PLAIN = 1e-5  # part of the data's sum of squares from which on a difference of sums tells what is left
+TWIN = 0.1  # distance of modes, in sums of half-bandwidths, below which residues tell them apart rather than poles
+INDEPENDENT = 1e-6  # part of residues from which on they are none of a neighbour's, rounding aside
 ROUNDING = 1e-12  # least noise, relative to the largest FRF around
 
 Kernel = Callable[[np.ndarray, complex], np.ndarray]
@@ -127,6 +129,36 @@ class Neighbourhood(NamedTuple):
         seen = np.linalg.qr(data @ (data.conj().T @ (data @ mix)))[0]
         vectors, sizes, _ = np.linalg.svd(seen.conj().T @ data, full_matrices=False)
         return seen @ (vectors * sizes)[:, :LEADING]
+
+    def beside_twins(self) -> "Neighbourhood | None":
+        r"""The lines of one mode in the one combination of channels in which neighbours of the same pole hold nothing.
+
+        However the shape :math:`\psi` and participation :math:`L` of a neighbour change, its residues change by
+        :math:`a L^T + \psi b^T` alone. What of the mode's own residues is orthogonal to this is no neighbour's: two
+        inputs tell two modes of one frequency. None without such neighbours (:data:`TWIN`), or where nothing is left
+        beside them, as with one input.
+        """
+        which = np.abs(self.near - self.poles[0]) < TWIN * -(self.near.real + self.poles[0].real)
+        if not which.any():
+            return None
+        held = (self.near_residues[which] * self.noise).reshape(int(which.sum()), -1, self.inputs)
+        columns = []
+        for residue in held:
+            left, _, right = np.linalg.svd(residue, full_matrices=False)
+            columns += [np.kron(row, right[0]) for row in np.eye(residue.shape[0])]
+            columns += [np.kron(left[:, 0], row) for row in np.eye(self.inputs)]
+        basis, sizes, _ = np.linalg.svd((np.array(columns) / self.noise).T, full_matrices=False)
+        basis = basis[:, sizes > INDEPENDENT * sizes[0]]
+        own = self.residues[0] - basis @ (basis.conj().T @ self.residues[0])
+        size = float(np.linalg.norm(own))
+        if size < INDEPENDENT * float(np.linalg.norm(self.residues[0])):
+            return None
+        mix, keep = own.conj()[:, None] / size, ~which
+        fixed = np.concatenate([self.fixed[:, : -len(which)], self.fixed[:, -len(which) :][:, keep]], axis=1)
+        return self._replace(
+            data=self.data @ mix, residues=self.residues @ mix, fixed=fixed, near=self.near[keep],
+            near_residues=self.near_residues[keep] @ mix, noise=np.ones(1), inputs=1,
+        )  # fmt: skip
 
     def channels(self, which: np.ndarray) -> "Neighbourhood":
         """The same lines of some channels."""

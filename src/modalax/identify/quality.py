@@ -39,7 +39,8 @@ class ModeQuality(NamedTuple):
     peak
         Largest response of the mode over the noise's standard deviation at any line and channel.
     channels
-        Number of channels that its response is spread over, the inverse participation ratio of their energies.
+        Number of channels that its response is spread over, the inverse participation ratio of their energies: in the
+        FRFs' units or over the noise, whichever is more.
     lines, inputs, outputs
         What the flanks of the resonance, the inputs and the outputs ask for; None where there is only one.
     rest
@@ -102,19 +103,28 @@ def _one(frf: FRF, hood: Neighbourhood) -> ModeQuality:
     distance = np.abs(hood.s.imag - hood.poles[0].imag)
     core = distance <= max(CORE * width, float(np.partition(distance, 2)[2]))
     mine, rest = np.sum(np.abs(own[core]) ** 2), np.sum(np.abs(left[core]) ** 2)
-    energy = np.abs(hood.residues[0]) ** 2
+    # Where the noise of one sensor is far below that of the others, these may still show the mode plainly.
+    spread = max(_spread_over(hood.residues[0]), _spread_over(hood.residues[0] * hood.noise))
     out, into = np.divmod(np.arange(count), n_in)
+    gain, twin = _gain(hood, float(np.vdot(left, left).real)), hood.beside_twins()
+    asked = None if twin is None else _gain(twin, twin.squares_left(twin.poles))
+    alone = twin if asked is not None and asked > gain else None
     return ModeQuality(
-        gain=_gain(hood, float(np.vdot(left, left).real)),
+        gain=gain if alone is None or asked is None else asked,
         chance_gain=_chance_gain(frf, left.size),
         share=float(mine / max(mine + rest, 1e-300)),
         peak=float(np.abs(own).max()),
-        channels=float(energy.sum() ** 2 / max(np.sum(energy**2), 1e-300)),
-        lines=of_lines(hood),
-        inputs=of_channels(hood, into) if n_in > 1 else None,
-        outputs=of_channels(hood, out) if n_out > 1 else None,
+        channels=spread,
+        lines=of_lines(hood if alone is None else alone),
+        inputs=of_channels(hood, into) if n_in > 1 and alone is None else None,
+        outputs=of_channels(hood, out) if n_out > 1 and alone is None else None,
         rest=rest_of(hood),
     )
+
+
+def _spread_over(residues: np.ndarray) -> float:
+    energy = np.abs(residues / max(float(np.abs(residues).max()), 1e-300)) ** 2
+    return float(energy.sum() ** 2 / max(np.sum(energy**2), 1e-300))
 
 
 def _chance_gain(frf: FRF, samples: int) -> float:

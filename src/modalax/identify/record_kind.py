@@ -150,7 +150,8 @@ def record_of(frf: FRF, model: ModalModel, residual: Complex[np.ndarray, "f o i"
         return None
     f, zeta = np.full(len(poles), np.nan), np.full(len(poles), np.nan)
     for r in which:
-        hood = through(around(frf, model, residual, [int(r)]), best, T)
+        hood = around(frf, model, residual, [int(r)])
+        hood = through(hood.beside_twins() or hood, best, T)
         pole = best_poles(hood, hood.poles)[0][0]
         f[r], zeta[r] = abs(pole) / (2 * np.pi), -pole.real / abs(pole)
     plain = gains[best] >= PLAIN and excess[best] <= 0.5 * excess["steady"]
