@@ -1,8 +1,10 @@
-"""What FRFs may not hold: frequencies out of order, variances below zero, impossible coherences, levels or averages."""
+"""What measured data may not hold: samples that are no numbers, frequencies out of order, impossible variances."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from jaxtyping import Real
 
 from modalax._numerics.checks import is_traced, require_finite, require_range
 
@@ -67,3 +69,26 @@ def check_beside(shape: tuple[int, ...], coherence: Any, level: Any, added_decay
     require_range(added_decay, "added_decay", 0.0, np.inf, "the decay that a window adds is 0 1/s or more")
     if averages is not None and (isinstance(averages, bool) or averages != int(averages) or averages < 1):
         raise ValueError(f"averages is {averages}; it needs a whole number of repeats, at least 1")
+
+
+def require_samples(
+    data: Real[np.ndarray, "segment t channel"], fs: float, channels: Sequence[str], first: int = 0
+) -> None:
+    """Refuse samples that are not finite; ``first`` is the place in the record of the first sample given.
+
+    Raises
+    ------
+    ValueError
+        With the channel and the time of the first such sample [s from the beginning of the record].
+    """
+    if np.isfinite(data.sum()):  # quicker than to look at each sample
+        return
+    bad = np.argwhere(~np.isfinite(data))
+    if len(bad):
+        segment, sample, channel = bad[0]
+        of_record = f" of record {segment + 1}" if len(data) > 1 else ""
+        more = f"; {len(bad)} samples in all are not finite" if len(bad) > 1 else ""
+        raise ValueError(
+            f"channel {channels[channel]} is {data[segment, sample, channel]:g} at {(first + sample) / fs:g} s"
+            f"{of_record}{more}; every sample must be finite"
+        )

@@ -19,6 +19,7 @@ from modalax.diagnose.causes.base import Cause, JointCause
 from modalax.diagnose.causes.free_law import free_law_of
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.overview import of_extended
 from modalax.diagnose.prediction.frf import predict
 from modalax.diagnose.prediction.harmonics import HIGHEST, with_harmonics
 from modalax.diagnose.setup.modal_form import kept_coupling, modal_form_of
@@ -70,6 +71,10 @@ class ExtendedSimulation(eqx.Module):
     inputs: tuple[str, ...] = eqx.field(static=True)
     lowest_hz: float = eqx.field(static=True)
     harmonics: tuple[int, ...] = eqx.field(static=True, default=())
+
+    def __str__(self) -> str:
+        """What was added where, and the simulation as it was."""
+        return of_extended(self)
 
     @property
     def slugs(self) -> tuple[str, ...]:

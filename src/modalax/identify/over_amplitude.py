@@ -24,6 +24,7 @@ from modalax._numerics.checks import require_double
 from modalax.data import FRF, Measurement
 from modalax.data.frf import DERIVATIVES
 from modalax.identify.fit import fit
+from modalax.identify.overview import of_levels
 from modalax.identify.residues import residues
 from modalax.identify.smooth_series import Smooth, smooth
 from modalax.model import ModalModel
@@ -67,6 +68,10 @@ class OverAmplitude(eqx.Module):
     _frequency: Smooth
     _damping: Smooth
     _linear: Smooth
+
+    def __str__(self) -> str:
+        """Frequency and damping of each mode at the lowest and the highest level."""
+        return of_levels(self)
 
     def modes(self, level: float) -> ModalModel:
         """The modal model at a level [N], with standard deviations of frequencies and damping ratios."""

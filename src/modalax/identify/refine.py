@@ -14,6 +14,7 @@ from modalax._numerics.checks import is_traced
 from modalax._numerics.levenberg import LevenbergMarquardt
 from modalax.data.frf import FRF
 from modalax.identify.likelihood import UNDAMPED, Parts, frozen_slots, make_problem, objective, pack, parts, unpack
+from modalax.identify.overview import of_refined
 from modalax.identify.residues import check_size, model_of, sigma_of
 from modalax.identify.shape_errors import shape_errors, spread_rest
 from modalax.model.modal import ModalModel
@@ -89,6 +90,10 @@ class Refined(eqx.Module):
     success: Bool[Array, ""]
     reason_code: Int[Array, ""]
     steps: Int[Array, ""]
+
+    def __str__(self) -> str:
+        """The table of modes, how the search ended and how well the model fits."""
+        return of_refined(self)
 
     @property
     def reason(self) -> str:

@@ -10,6 +10,7 @@ import scipy.optimize
 from jaxtyping import Array, Complex, Float, Int
 
 from modalax._numerics.cuts import cut
+from modalax.identify.overview import of_selection
 from modalax.identify.tables import PoleTable
 
 
@@ -36,6 +37,10 @@ class Selection(eqx.Module):
     score: Float[Array, " n"]
     spread: Float[Array, " n"]
     order: Int[Array, " n"]
+
+    def __str__(self) -> str:
+        """A table of the poles."""
+        return of_selection(self)
 
 
 class _Track:

@@ -24,6 +24,7 @@ from modalax._numerics.cuts import cut
 from modalax._numerics.known import Numbers, by_numpy, host, joined
 from modalax.data.frf import FRF, derivative
 from modalax.model.modal import ModalModel
+from modalax.model.overview import of_modified
 from modalax.model.structure import Structure
 
 
@@ -226,6 +227,10 @@ class Modified(eqx.Module):
     base: "Structure | ModalModel | Modified"
     b: Float[Array, "j n"]
     changes: tuple[Change, ...]
+
+    def __str__(self) -> str:
+        """The structure before, and what was put onto it where."""
+        return of_modified(self, dof_names(self.base))
 
     def along(self, omega: Any, rows: Any, columns: Any) -> Complex[Array, "f l r"]:
         """Receptance [m/N] between directions, as :func:`receptance`."""

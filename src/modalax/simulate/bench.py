@@ -14,6 +14,7 @@ from modalax.data.frf import check_form
 from modalax.model.receptance import AnyStructure, dof_names
 from modalax.simulate.joints import Joint
 from modalax.simulate.march import respond
+from modalax.simulate.overview import of_bench, of_records
 
 UNITS = {"receptance": "m", "mobility": "m/s", "accelerance": "m/s^2"}
 
@@ -84,6 +85,10 @@ class Records(eqx.Module):
     outputs: tuple[str, ...] = eqx.field(static=True)
     inputs: tuple[str, ...] = eqx.field(static=True)
 
+    def __str__(self) -> str:
+        """Runs, duration, rate and channels."""
+        return of_records(self)
+
 
 class Bench(eqx.Module):
     """Structure, joints and channels of a test.
@@ -139,6 +144,10 @@ class Bench(eqx.Module):
         self.force_sensor = _channels(force_sensor, len(self.inputs), "force_sensor")
         self.response_sensor = _channels(response_sensor, len(self.outputs), "response_sensor")
         self.fs, self.oversample, self.antialias, self.form = float(fs), oversample, antialias, check_form(form)
+
+    def __str__(self) -> str:
+        """Structure, joints, channels and sampling."""
+        return of_bench(self)
 
     @property
     def rate(self) -> float:

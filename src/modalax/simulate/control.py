@@ -18,6 +18,7 @@ from modalax.simulate.aft import joint_forces
 from modalax.simulate.balance import CLOSED, Line, Plan, make_plan, residual
 from modalax.simulate.harmonic import SAMPLES, Receptances, receptances
 from modalax.simulate.joints import Joint
+from modalax.simulate.overview import of_controlled
 
 
 class ControlledResponse(eqx.Module):
@@ -43,6 +44,10 @@ class ControlledResponse(eqx.Module):
     residual: Float[Array, " f"]
     outputs: tuple[str, ...] = eqx.field(static=True)
     input: str = eqx.field(static=True)
+
+    def __str__(self) -> str:
+        """Lines, force and channels."""
+        return of_controlled(self)
 
     @property
     def converged(self) -> Array:

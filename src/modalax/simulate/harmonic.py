@@ -25,6 +25,7 @@ from modalax.model.receptance import AnyStructure, directions, dof_names, recept
 from modalax.simulate.aft import Harmonics, joint_forces
 from modalax.simulate.balance import FOLD, Line, Plan, make_plan
 from modalax.simulate.joints import Joint
+from modalax.simulate.overview import of_response
 from modalax.simulate.sweep import solve_lines, solved
 
 SAMPLES = 128  # instants of a cycle at which joint forces are evaluated by default
@@ -61,6 +62,10 @@ class Response(eqx.Module):
     harmonics: Harmonics = eqx.field(static=True)
     outputs: tuple[str, ...] = eqx.field(static=True)
     inputs: tuple[str, ...] = eqx.field(static=True)
+
+    def __str__(self) -> str:
+        """Lines, levels, channels, and how many points are solved."""
+        return of_response(self)
 
     @property
     def converged(self) -> Bool[Array, "level f i"]:

@@ -18,6 +18,7 @@ from modalax.model.receptance import AnyStructure
 from modalax.simulate.blocks import Propagator, propagator
 from modalax.simulate.joints import Joint
 from modalax.simulate.march import Motion, Rig, advance, at_rest, check_agreement, make_rig, prepare, see_outputs
+from modalax.simulate.overview import of_stepped
 
 SWEEPS = ("up", "down", "each")
 
@@ -53,6 +54,10 @@ class SteppedSine(eqx.Module):
     settled: Bool[Array, "level f i"]
     outputs: tuple[str, ...] = eqx.field(static=True)
     inputs: tuple[str, ...] = eqx.field(static=True)
+
+    def __str__(self) -> str:
+        """Lines, levels, channels, and how many points are settled."""
+        return of_stepped(self)
 
     def measurement(self, form: str = "receptance") -> Measurement:
         """FRFs, fundamental over force, with a run for each level."""
