@@ -85,3 +85,10 @@ def test_inside_a_compiled_function_the_plain_text_is_shown():
     chosen = Selection(POLES, None, jnp.ones(2), jnp.ones(2), jnp.ones(2, int))
     jax.jit(lambda x: (seen.append(str(x)), 0.0)[1])(chosen)
     assert seen[0].startswith("Selection(")
+
+
+def test_residues_take_a_selection(measured):
+    _, frf = measured
+    chosen = identify.select(identify.plscf(frf, range(6, 20)))
+    named = identify.residues(frf, chosen.poles, chosen.participation)
+    assert np.array_equal(identify.residues(frf, chosen).shapes, named.shapes)

@@ -3,10 +3,11 @@
 from collections.abc import Sequence
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Real
+from jaxtyping import Array, Float, Real
 
-from modalax._numerics.checks import is_traced, require_finite, require_range
+from modalax._numerics.checks import as_double, is_traced, require_finite, require_range
 
 
 def check_axis(freq: Any) -> None:
@@ -21,6 +22,8 @@ def check_axis(freq: Any) -> None:
         return
     require_finite(freq, "freq")
     values = np.asarray(freq)
+    if values.ndim != 1:
+        raise ValueError(f"freq has shape {values.shape}; it needs (f,), a frequency for each line: [f] for one")
     if values.size == 0:
         raise ValueError("freq holds 0 lines; at least 1 is needed")
     if values[0] < 0:
@@ -92,3 +95,17 @@ def require_samples(
             f"channel {channels[channel]} is {data[segment, sample, channel]:g} at {(first + sample) / fs:g} s"
             f"{of_record}{more}; every sample must be finite"
         )
+
+
+def over_samples(value: Any, what: str, shape: tuple[int, ...]) -> Float[Array, "..."]:
+    """A statistic of each sample: ``value`` in double precision, repeated along axes that it lacks.
+
+    Raises
+    ------
+    ValueError
+        If its shape does not fit that of the FRFs.
+    """
+    found = as_double(value, what)
+    if found.ndim > len(shape) or any(n not in (1, m) for n, m in zip(found.shape[::-1], shape[::-1], strict=False)):
+        raise ValueError(f"{what} has shape {found.shape}; it needs that of H, {shape}, or one number")
+    return jnp.broadcast_to(found, shape)

@@ -12,6 +12,7 @@ from jaxtyping import Array, Complex, Float, Int
 from modalax._numerics.cuts import cut
 from modalax.identify.overview import of_selection
 from modalax.identify.tables import PoleTable
+from modalax.model.entry import refuse_traced
 
 
 class Selection(eqx.Module):
@@ -83,6 +84,7 @@ def select(
     Selection
         Each mode by the pole of its track that changes least between neighbouring orders.
     """
+    refuse_traced(table, "select")
     lower, upper = (0.0, float("inf")) if band is None else band
     physical = np.asarray(table.physical(lower, upper, max_damping))
     poles = np.asarray(table.poles)
