@@ -58,3 +58,17 @@ def test_a_mistake_is_told_in_words(case):
     call, words = WRONG[case]
     with pytest.raises(ValueError, match=words):
         call()
+
+
+def test_a_text_is_one_name():
+    model = ModalModel.from_real_modes([10.0], [0.01], [[1.0, 2.0]], [1.0], ["1:+Z", "2:+Z"])
+    frf = model.frf(F)
+    one = frf.pick(["2:+Z"], ["1:+Z"])
+    names = {"outputs": "2:+Z", "inputs": "1:+Z"}
+    structure = Structure(np.eye(2), np.eye(2), 1e4 * np.eye(2), ["1:+Z", "2:+Z"])
+    for same in (frf.pick(**names), model.frf(F, **names), structure.frf(F, **names)):
+        assert (same.outputs, same.inputs) == (one.outputs, one.inputs)
+    joint = [CubicSpring(1.0)], [["1:+Z"]]
+    assert simulate.harmonic_balance(structure, *joint, F[:3], 1.0, **names).inputs == ("1:+Z",)
+    assert simulate.stepped_sine(structure, *joint, F[:3], 1.0, **names).outputs == ("2:+Z",)
+    assert simulate.Bench(structure, fs=100.0, **names).inputs == ("1:+Z",)

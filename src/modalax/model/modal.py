@@ -13,6 +13,7 @@ from modalax._numerics.checks import as_array, as_double, is_traced, require_fin
 from modalax._numerics.cuts import cut, spread_over
 from modalax._numerics.known import Numbers, by_numpy
 from modalax.data.checks import check_axis
+from modalax.data.dofs import as_names
 from modalax.data.frf import DERIVATIVES, FRF, check_form, check_names
 from modalax.model.overview import of_modes
 
@@ -255,8 +256,8 @@ class ModalModel(eqx.Module):
         """
         check_axis(freq)
         freq = as_double(freq, "freq")
-        out_names = self.outputs if outputs is None else tuple(outputs)
-        in_names = self.inputs if inputs is None else tuple(inputs)
+        out_names = self.outputs if outputs is None else as_names(outputs)
+        in_names = self.inputs if inputs is None else as_names(inputs)
         unknown = [n for n in (*out_names, *in_names) if n not in self.outputs and n not in self.inputs]
         if unknown:
             raise ValueError(f"no DoF named {', '.join(unknown)}; the model has {', '.join(self.outputs)}")

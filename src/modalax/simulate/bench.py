@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from modalax._numerics.checks import as_double
+from modalax.data.dofs import as_names
 from modalax.data.frf import check_form
 from modalax.model.receptance import AnyStructure, dof_names
 from modalax.simulate.joints import Joint
@@ -139,8 +140,8 @@ class Bench(eqx.Module):
         form: str = "accelerance",
     ):
         self.structure, self.joints, self.places = structure, tuple(joints), tuple(tuple(p) for p in places)
-        self.inputs = tuple(inputs)
-        self.outputs = dof_names(structure) if outputs is None else tuple(outputs)
+        self.inputs = as_names(inputs)
+        self.outputs = dof_names(structure) if outputs is None else as_names(outputs)
         self.force_sensor = _channels(force_sensor, len(self.inputs), "force_sensor")
         self.response_sensor = _channels(response_sensor, len(self.outputs), "response_sensor")
         self.fs, self.oversample, self.antialias, self.form = float(fs), oversample, antialias, check_form(form)
