@@ -34,6 +34,9 @@ WRONG = {
     "residues of a measurement": (
         lambda: identify.residues(modalax.Measurement(F, FRF.H[None]), MODEL.poles), r"\.run\(0\)",
     ),
+    "poles of an array": (lambda: identify.plscf(FRF.H, 8), "an estimator of poles needs an FRF, not an array"),
+    "poles of several runs": (lambda: identify.lscf(modalax.Measurement(F, FRF.H[None]), 8), r"\.run\(0\)"),
+    "refinement of an array": (lambda: identify.refine(FRF.H, MODEL), "refine needs an FRF"),
     "MAC of models": (lambda: mac(MODEL, MODEL), "a is a ModalModel; give its shapes"),
     "CMIF of an array": (lambda: cmif(FRF.H), "CMIF needs an FRF"),
     "FRAC of arrays": (lambda: frac(FRF.H, FRF.H), "needs an FRF, not an array"),
