@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 
 import modalax
+from modalax.data import FRF, BestLinear, DetectionLines, Geometry, Recording
 from modalax.data.overview import shortened
 
 
@@ -50,3 +51,27 @@ def test_inside_a_compiled_function_the_plain_text_is_shown(what):
     seen = []
     jax.jit(lambda x: (seen.append(str(x)), x.H)[1])(what)
     assert "H=" in seen[0]
+
+
+def test_a_geometry_prints_its_extent():
+    geometry = Geometry(["1", "2"], [[0.0, 0.0, 0.0], [1.0, 0.5, 0.0]], [["1", "2"]])
+    assert str(geometry).splitlines() == ["Geometry of 2 nodes: 1, 2", "  1 line", "  extent in x, y, z: 1 x 0.5 x 0 m"]
+
+
+def test_a_recording_prints_its_duration_and_channels():
+    recording = Recording(np.zeros((3, 200, 2)), 100.0, ("hammer", "a"), ("N", "m/s^2"), (1, 2))
+    assert str(recording).splitlines() == [
+        "Recording: 3 records of 2 s, 200 samples at 100 Hz",
+        "  2 channels: 1 hammer [N], 2 a [m/s^2]",
+    ]
+
+
+def test_a_best_linear_approximation_prints_how_large_noise_and_distortion_are():
+    frf = FRF([10.0, 20.0], np.full((2, 1, 1), 2.0 + 0j), form="receptance")
+    none = DetectionLines(np.zeros(0), np.zeros((0, 1)), None)
+    text = str(BestLinear(frf, np.full((2, 1, 1), 4e-4), np.full((2, 1, 1), 4e-2), none, none)).splitlines()
+    assert text[0].startswith("Best linear approximation: receptance")
+    assert text[-2:] == [
+        "  part of the FRF (root mean square): noise 1 %, distortion 10 %",
+        "  lines without force: 0 even, 0 odd",
+    ]

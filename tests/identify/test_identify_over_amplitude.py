@@ -99,3 +99,29 @@ def test_levels_that_say_nothing_are_refused(level):
 def test_a_level_below_zero_is_refused(found):
     with pytest.raises(ValueError, match="level is -1"):
         found.modes(-1.0)
+
+
+def test_what_is_the_same_at_every_level_has_a_narrow_band():
+    """Two runs with the same numbers change by nothing; the unit of a quantity must not stand for its change."""
+    one = response(1.0)
+    same = over_amplitude(Measurement.from_frfs([one, one.replace(level=2.0)]))
+    model = same.modes(1.5)
+    assert np.asarray(model.frequency_std).max() < 1e-6 and np.asarray(model.damping_std).max() < 1e-6
+    np.testing.assert_allclose(same.frf(1.5).H, one.H, rtol=1e-6)
+
+
+def test_damping_that_would_pass_one_far_beyond_the_levels_stays_below():
+    s = 2j * np.pi * FREQ
+
+    def run(level: float) -> FRF:
+        w, z = 2 * np.pi * 30.0, 0.01 * np.sqrt(level)
+        return FRF(FREQ, (1 / (s**2 + 2 * z * w * s + w**2))[:, None, None], level=level)
+
+    found = over_amplitude(Measurement.from_frfs([run(v) for v in (1.0, 4.0, 9.0)]))
+    assert 0.9 < float(found.modes(4e4).damping_ratio[0]) < 1
+    assert np.isfinite(np.asarray(found.frf(4e4).variance)).all()
+
+
+def test_a_level_so_far_away_that_a_mode_has_no_frequency_is_refused(found):
+    with pytest.raises(ValueError, match="too far from those measured, 1 to 9 N"):
+        found.modes(1e9)

@@ -2,7 +2,10 @@ import jax
 import numpy as np
 import pytest
 
-from modalax.model import ModalModel, Structure
+from modalax.model import Mass, ModalModel, Spring, Structure, change
+from modalax.model.correlation import correlate
+from modalax.model.matching import match
+from modalax.model.mode_table import ModeTable
 from modalax.model.overview import ROWS
 
 
@@ -49,3 +52,26 @@ def test_inside_a_compiled_function_the_plain_text_is_shown(what):
     what = Structure(np.eye(1), np.eye(1), np.eye(1)) if what is None else what
     jax.jit(lambda x: (seen.append(str(x)), 0.0)[1])(what)
     assert seen[0].startswith(type(what).__name__ + "(")
+
+
+def test_a_modified_structure_prints_what_was_put_where():
+    plain = Structure(np.eye(2), np.zeros((2, 2)), np.eye(2), ["a", "b"])
+    assert str(change(change(plain, ["a"], Mass(0.5)), ["b", "a"], Spring(1e5))).splitlines()[2:] == [
+        "  with Mass(m = 0.5) at a",
+        "  with Spring(k = 100000) at b - a",
+    ]
+
+
+def test_a_match_prints_a_line_a_dof():
+    assert str(match(["1:+Z"], ["1:+Z", "2:+Z"])).splitlines() == [
+        "1 measured DoF matched to nodes of the model",
+        "  1:+Z -> 1 by name, 0 mm away",
+    ]
+
+
+def test_a_correlation_prints_its_pairs():
+    none = np.full(2, np.nan)
+    table = ModeTable(np.array([10.0, 20.0]), none, np.eye(3)[:2] + 0j, ("1:+Z", "2:+Z", "3:+Z"), none, none)
+    text = str(correlate(table, [10.5, 30.0], np.eye(3)[[0, 2]])).splitlines()
+    assert text[0] == "1 pair of 2 measured modes and 2 of the model"
+    assert [row.split() for row in text[3:]] == [["10", "1", "10.5", "+5.00", "1.000"], ["20", "-", "-", "-", "-"]]

@@ -32,7 +32,7 @@ def as_double(value: Any, what: str, complex_: bool = False) -> jax.Array:
     Raises
     ------
     ValueError
-        If 64-bit numbers are off, or ``value`` was stored in single precision.
+        If 64-bit numbers are off, or ``value`` was stored in single precision, is sparse or holds no numbers.
     """
     require_double(what)
     dtype = getattr(value, "dtype", None)
@@ -42,10 +42,17 @@ def as_double(value: Any, what: str, complex_: bool = False) -> jax.Array:
             f"Convert it knowingly with .astype('{'complex128' if complex_ else 'float64'}')"
         )
     wanted = np.dtype(np.complex128 if complex_ else np.float64)
-    if is_traced(*jax.tree.leaves(value)) or (dtype is not None and not np.can_cast(dtype, wanted)):
-        return jnp.asarray(value, dtype=wanted)
-    # NumPy converts without a program for each shape
-    return value if isinstance(value, jax.Array) and dtype == wanted else jax.device_put(np.asarray(value, wanted))
+    if hasattr(value, "toarray"):
+        raise ValueError(f"{what} is a sparse matrix ({type(value).__name__}); .toarray() makes it dense")
+    try:
+        if is_traced(*jax.tree.leaves(value)) or (dtype is not None and not np.can_cast(dtype, wanted)):
+            return jnp.asarray(value, dtype=wanted)
+        # NumPy converts without a program for each shape
+        return value if isinstance(value, jax.Array) and dtype == wanted else jax.device_put(np.asarray(value, wanted))
+    except TypeError as error:
+        if isinstance(error, jax.errors.JAXTypeError):
+            raise
+        raise ValueError(f"{what} is a {type(value).__name__}, no numbers: {error}") from error
 
 
 def as_array(value: Any) -> jax.Array:

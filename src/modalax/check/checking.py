@@ -29,6 +29,7 @@ from modalax.data.frf import FRF
 from modalax.data.measurement import Measurement
 from modalax.files import load
 from modalax.files.messages import about
+from modalax.model.entry import check_frf
 
 Detector = Callable[[Study], Iterator[Finding]]
 # The order matters: what a detector finds is corrected or left out before the later ones run.
@@ -68,6 +69,7 @@ def check(data: FRF | Measurement | Records | str | os.PathLike[str], **told: An
         raise ValueError(f"option {', '.join(told)} is for files of FRFs; this is a {type(data).__name__}")
     if isinstance(data, Records):
         return _check_records(data)
+    check_frf(data, "check", several=True)
     return Findings(_ordered(_findings(study_of(_measurement(data)), DETECTORS)))
 
 

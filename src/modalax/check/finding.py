@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from modalax.check.overview import of_finding, of_findings
+
 WORDS = (
     "reversed", "swapped", "dead", "duplicated", "clipped", "drift", "double_hit", "short_pulse", "force_rolloff",
     "record_too_short", "not_reciprocal", "calibration", "frequency_shift", "hum", "conjugated", "wrong_form", "delay",
@@ -74,6 +76,11 @@ class Finding:
         """Size of the fault, as text."""
         return "" if self.size is None else f"{self.size:.4g} {(self.unit or '').replace('-', '')}".strip()
 
+    def __str__(self) -> str:
+        """What was seen, how large and how sure it is, and what to do."""
+        size = f"{self.measure}, " if self.measure else ""
+        return f"{of_finding(self)}\n  {size}sure: {self.sure:.2f}"
+
     def to_dict(self) -> dict[str, Any]:
         """The finding as plain values."""
         return {
@@ -103,6 +110,10 @@ class Findings:
 
     def __iter__(self):
         return iter(self.findings)
+
+    def __str__(self) -> str:
+        """A table of the findings, and the evidence and the advice of each, as ``modalax check`` prints them."""
+        return of_findings(self)
 
     def to_dict(self) -> dict[str, Any]:
         """The findings as plain values, as ``modalax check --json`` writes them."""

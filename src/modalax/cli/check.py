@@ -74,19 +74,19 @@ def print_findings(console: Any, result: Any) -> None:
     """Print a table of the findings, and below it the evidence and the advice of each."""
     from rich.markup import escape
 
+    from modalax.check.overview import COLUMNS, SOUND, of_finding, row
     from modalax.cli.tables import new_table
 
     for line in result.about:
         console.print(line, highlight=False, markup=False)
     if not len(result):
-        console.print("nothing wrong was found")
+        console.print(SOUND)
         return
     table = new_table("Findings")
-    for name, justify in (("What", "left"), ("Where", "left"), ("Size", "right"), ("Sure", "right")):
+    for name, justify in zip(COLUMNS, ("left", "left", "right", "right"), strict=True):
         table.add_column(name, justify=justify)  # pyright: ignore[reportArgumentType]
     for f in result:
-        table.add_row(f.what, escape(f.place), f.measure, f"{f.sure:.2f}")
+        table.add_row(*map(escape, row(f)))
     console.print(table)
     for f in result:
-        console.print(f"{f.what} ({f.place}): {f.evidence}.", highlight=False, markup=False)
-        console.print(f"  to do: {f.advice}.", highlight=False, markup=False)
+        console.print(of_finding(f), highlight=False, markup=False)

@@ -78,40 +78,18 @@ WIDTH = 110  # characters in a line of the table where it is no terminal
 def print_summary(console: Any, told: dict[str, Any]) -> None:
     """Print a table of the statistics for each group of draws, and why draws failed."""
     from modalax.cli.tables import new_table
+    from modalax.study.overview import caption, table, title
     from modalax.study.statistics import reason_lines
 
     for group in told["groups"]:
-        where = ", ".join(f"{name} = {value}" for name, value in group["where"].items())
-        failed = f", {group['failed']} failed" if group["failed"] else ""
-        told_by_fits = any(q["stated_std"] is not None for q in group["quantities"])
-        table = new_table(f"{where + ': ' if where else ''}{group['draws']} draws{failed}")
-        table.caption = CAPTION if told_by_fits else None
-        shown = [name for name in COLUMNS if any(q[name] is not None for q in group["quantities"])]
-        table.add_column("Quantity", no_wrap=True)
-        for name in shown:
-            table.add_column(COLUMNS[name], justify="right", no_wrap=True)
-        for q in group["quantities"]:
-            missing = f" ({q['missing']} missing)" if q["missing"] else ""
-            table.add_row(q["name"] + missing, *(_number(q[name], name, q) for name in shown))
-        console.print(table)
+        printed = new_table(title(group))
+        printed.caption = caption(group)
+        header, rows = table(group)
+        printed.add_column(header[0], no_wrap=True)
+        for name in header[1:]:
+            printed.add_column(name, justify="right", no_wrap=True)
+        for row in rows:
+            printed.add_row(*row)
+        console.print(printed)
     for line in reason_lines(told):
         console.print(line, highlight=False, markup=False)
-
-
-COLUMNS = {
-    "truth": "True", "mean": "Mean", "std": "Std", "stated_std": "Stated", "bias": "Bias", "coverage": "In 95 %",
-}  # fmt: skip
-CAPTION = (
-    "Stated: mean of the standard deviations that the draws state. In 95 %: part of the draws [%] whose 95 % interval "
-    "holds the true value."
-)
-
-
-def _number(value: float | None, name: str, q: dict[str, Any]) -> str:
-    if value is None:
-        return ""
-    if name == "coverage":
-        return f"{100 * value:.1f}"
-    if name == "bias" and q["bias_std"] is not None:
-        return f"{value:+.2g} ± {q['bias_std']:.1g}"
-    return f"{value:.6g}" if name in ("truth", "mean") else f"{value:.2g}"

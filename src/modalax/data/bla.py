@@ -21,6 +21,7 @@ from jaxtyping import Array, Complex, Float, Int
 from modalax._numerics.checks import as_array, as_double
 from modalax.data.frf import FRF
 from modalax.data.multisine import check_lines
+from modalax.data.overview import of_best_linear
 from modalax.data.records import quantity
 
 
@@ -69,6 +70,10 @@ class BestLinear(eqx.Module):
     distortion_variance: Float[Array, "f o i"] | None
     even: DetectionLines
     odd: DetectionLines
+
+    def __str__(self) -> str:
+        """The FRF, and how large noise and distortion are beside it."""
+        return of_best_linear(self)
 
 
 def bla_robust(

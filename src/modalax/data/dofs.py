@@ -1,7 +1,7 @@
 """Names of degrees of freedom: a node and a direction, written ``12:+Z``."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -71,3 +71,8 @@ def direction_vectors(names: Sequence[str]) -> np.ndarray:
         if dof.direction is not None:
             row["XYZ".index(dof.direction[-1])] = dof.sign
     return vectors
+
+
+def as_names(names: str | Iterable[str]) -> tuple[str, ...]:
+    """Names as a tuple; a text is one name."""
+    return (names,) if isinstance(names, str) else tuple(names)

@@ -15,7 +15,8 @@ from jaxtyping import Array, Complex, Float
 from modalax._numerics.checks import as_double, is_traced, require_finite
 from modalax._numerics.cuts import cut
 from modalax._numerics.known import Numbers, by_numpy, circular, ends_of, host
-from modalax.data.checks import check_axis, check_beside, check_variance
+from modalax.data.checks import check_axis, check_beside, check_variance, over_samples
+from modalax.data.dofs import as_names
 from modalax.data.overview import of_frfs
 
 Form = Literal["receptance", "mobility", "accelerance"]
@@ -150,12 +151,10 @@ class FRF(eqx.Module):
             )
         require_finite(self.H, "H")
         check_beside(self.H.shape, coherence, level, added_decay, averages)
-        self.variance = None if variance is None else jnp.broadcast_to(as_double(variance, "variance"), self.H.shape)
+        self.variance = None if variance is None else over_samples(variance, "variance", self.H.shape)
         if self.variance is not None:
             check_variance(variance)
-        self.coherence = (
-            None if coherence is None else jnp.broadcast_to(as_double(coherence, "coherence"), self.H.shape)
-        )
+        self.coherence = None if coherence is None else over_samples(coherence, "coherence", self.H.shape)
         several = multiple_coherence
         self.multiple_coherence = None if several is None else as_double(several, "multiple_coherence")
         self.level = as_double(level, "level")
@@ -241,7 +240,7 @@ class FRF(eqx.Module):
         ValueError
             If a name is not measured, or no output or input is left.
         """
-        names = [names] if isinstance(names, str) else list(names)
+        names = as_names(names)
         unknown = [n for n in names if n not in self.outputs and n not in self.inputs]
         if unknown:
             there = ", ".join(dict.fromkeys((*self.outputs, *self.inputs)))
@@ -336,6 +335,7 @@ def derivative(H: Complex[Array, "f o i"], freq: Float[Array, " f"], form: str) 
 def _indices(names: tuple[str, ...], wanted: Sequence[str] | None, axis: str) -> list[int]:
     if wanted is None:
         return list(range(len(names)))
+    wanted = as_names(wanted)
     missing = [w for w in wanted if w not in names]
     if missing:
         raise ValueError(f"no {axis} named {', '.join(map(repr, missing))}; there are {', '.join(names)}")

@@ -10,6 +10,7 @@ from jaxtyping import Array, Complex, Float, Int
 from modalax._numerics.checks import as_double, require_finite
 from modalax.data.dofs import direction_vectors, parse_dof
 from modalax.data.frf import check_names
+from modalax.data.overview import of_geometry
 
 
 class Geometry(eqx.Module):
@@ -40,6 +41,10 @@ class Geometry(eqx.Module):
         unknown = sorted({n for line in self.lines for n in line} - known)
         if unknown:
             raise ValueError(f"lines go to nodes {', '.join(unknown[:6])}, which have no position")
+
+    def __str__(self) -> str:
+        """Number of nodes and lines, and the extent."""
+        return of_geometry(self)
 
     @property
     def segments(self) -> Int[np.ndarray, "segment 2"]:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Complex, Float
 from modalax._numerics.checks import as_double, is_traced, require_finite, require_range
 from modalax._numerics.cuts import cut
 from modalax._numerics.known import circular, ends_of, stacked
-from modalax.data.checks import check_axis, check_beside, check_variance
+from modalax.data.checks import check_axis, check_beside, check_variance, over_samples
 from modalax.data.frf import (
     FRF,
     band_slice,
@@ -85,12 +85,10 @@ class Measurement(eqx.Module):
         require_finite(self.H, "H")
         check_beside(self.H.shape, coherence, level, added_decay, averages)
         runs, _, n_out, n_in = self.H.shape
-        self.variance = None if variance is None else jnp.broadcast_to(as_double(variance, "variance"), self.H.shape)
+        self.variance = None if variance is None else over_samples(variance, "variance", self.H.shape)
         if self.variance is not None:
             check_variance(variance)
-        self.coherence = (
-            None if coherence is None else jnp.broadcast_to(as_double(coherence, "coherence"), self.H.shape)
-        )
+        self.coherence = None if coherence is None else over_samples(coherence, "coherence", self.H.shape)
         self.force = None if force is None else _forces(force, self.H.shape[:2])
         if level is None:
             level = jnp.full(runs, jnp.nan) if self.force is None else self.force.mean(axis=1)

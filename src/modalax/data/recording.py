@@ -8,7 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Real
 
+from modalax.data.checks import require_samples
 from modalax.data.labels import FORCE, KNOWN, SI, Unit, kind_by_name, unit_of
+from modalax.data.overview import of_recording
 
 EVEN = 0.1  # largest error of an instant, relative to the time step
 SAME_CLOCK = 1e-9  # relative error of a rate that sums of many time steps make
@@ -49,6 +51,10 @@ class Recording:
         if not (np.isfinite(self.fs) and self.fs > 0):
             raise ValueError(f"the sampling rate is {self.fs:g} Hz; it must be positive")
         require_samples(self.data, self.fs, self.channels)
+
+    def __str__(self) -> str:
+        """Duration, rate and channels."""
+        return of_recording(self)
 
     def whole(self) -> "Recording":
         """The recording with all samples in memory."""
@@ -137,29 +143,6 @@ class Recording:
         for name, factor in factors.items():
             gain[self.index(name)] = factor
         return replace(self, data=self.data * gain)
-
-
-def require_samples(
-    data: Real[np.ndarray, "segment t channel"], fs: float, channels: Sequence[str], first: int = 0
-) -> None:
-    """Refuse samples that are not finite; ``first`` is the place in the record of the first sample given.
-
-    Raises
-    ------
-    ValueError
-        With the channel and the time of the first such sample [s from the beginning of the record].
-    """
-    if np.isfinite(data.sum()):  # quicker than to look at each sample
-        return
-    bad = np.argwhere(~np.isfinite(data))
-    if len(bad):
-        segment, sample, channel = bad[0]
-        of_record = f" of record {segment + 1}" if len(data) > 1 else ""
-        more = f"; {len(bad)} samples in all are not finite" if len(bad) > 1 else ""
-        raise ValueError(
-            f"channel {channels[channel]} is {data[segment, sample, channel]:g} at {(first + sample) / fs:g} s"
-            f"{of_record}{more}; every sample must be finite"
-        )
 
 
 def joined(recordings: Sequence[Recording]) -> Recording:

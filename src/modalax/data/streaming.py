@@ -11,8 +11,9 @@ from jaxtyping import Float
 from numpy.lib.stride_tricks import sliding_window_view
 
 from modalax._numerics.checks import as_array
+from modalax.data.checks import require_samples
 from modalax.data.frf import FRF
-from modalax.data.recording import Channels, Recording, channels_of, require_samples
+from modalax.data.recording import Channels, Recording, channels_of
 from modalax.data.records import frf_of_spectra, welch_starts
 from modalax.data.spectra import Spectra, spectral_lines
 from modalax.data.windows import effective_averages, taper

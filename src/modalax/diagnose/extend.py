@@ -13,12 +13,14 @@ from modalax._numerics.checks import as_array, as_double
 from modalax._numerics.cuts import cut, spread_over
 from modalax._numerics.known import Numbers, by_numpy, circular
 from modalax.data import FRF
+from modalax.data.dofs import as_names
 from modalax.data.frf import DERIVATIVES, check_form
 from modalax.diagnose.causes import saved_causes
 from modalax.diagnose.causes.base import Cause, JointCause
 from modalax.diagnose.causes.free_law import free_law_of
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.overview import of_extended
 from modalax.diagnose.prediction.frf import predict
 from modalax.diagnose.prediction.harmonics import HIGHEST, with_harmonics
 from modalax.diagnose.setup.modal_form import kept_coupling, modal_form_of
@@ -71,6 +73,10 @@ class ExtendedSimulation(eqx.Module):
     lowest_hz: float = eqx.field(static=True)
     harmonics: tuple[int, ...] = eqx.field(static=True, default=())
 
+    def __str__(self) -> str:
+        """What was added where, and the simulation as it was."""
+        return of_extended(self)
+
     @property
     def slugs(self) -> tuple[str, ...]:
         """Causes by name."""
@@ -93,8 +99,8 @@ class ExtendedSimulation(eqx.Module):
         ValueError
             If a fault of a channel is to be shown on other channels than the measured ones.
         """
-        outputs = self.outputs if outputs is None else tuple(outputs)
-        inputs = self.inputs if inputs is None else tuple(inputs)
+        outputs = self.outputs if outputs is None else as_names(outputs)
+        inputs = self.inputs if inputs is None else as_names(inputs)
         keep = [k for k, c in enumerate(self.causes) if measured or c.in_structure]
         other = [self.causes[k].slug for k in keep if self.causes[k].on_measured_channels]
         if other and (outputs, inputs) != (self.outputs, self.inputs):

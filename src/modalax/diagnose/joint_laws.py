@@ -26,6 +26,7 @@ from modalax.diagnose.causes.base import Cause, JointCause
 from modalax.diagnose.causes.scene import Place, Scene
 from modalax.diagnose.extend import ExtendedSimulation
 from modalax.diagnose.fitting.hypothesis import bounds_of, from_search, split, to_search
+from modalax.diagnose.overview import of_explained
 from modalax.diagnose.prediction.frf import predict
 from modalax.diagnose.setup.modal_form import modal_form_of
 from modalax.diagnose.setup.problem import Problem
@@ -66,6 +67,10 @@ class Explained:
     residual: np.ndarray
     vector: np.ndarray
     covariance: np.ndarray
+
+    def __str__(self) -> str:
+        """Laws with their sizes, and how probable they are among those compared."""
+        return of_explained(self)
 
     @property
     def slugs(self) -> tuple[str, ...]:

@@ -80,7 +80,7 @@ from modalax.diagnose.search.rows import lines_aside
 from modalax.diagnose.search.tolerance import widened
 from modalax.diagnose.setup.turned import turned, turned_modes
 from modalax.model import ModalModel, Structure
-from modalax.model.entry import check_comparable
+from modalax.model.entry import check_comparable, check_simulation
 from modalax.model.mode_table import ModeTable
 from modalax.model.receptance import dof_names
 
@@ -163,6 +163,7 @@ def _diagnosed(
     progress: Callable[[str], None],
 ) -> Diagnosis:  # fmt: skip
     """The answer, with what is known besides said beside it."""
+    check_simulation(simulation, Structure, ModalModel, ExtendedSimulation)
     names = dof_names(simulation.base if isinstance(simulation, ExtendedSimulation) else simulation)
     if isinstance(measurement, ModeTable):
         table, renamed = turned_modes(measurement, names)

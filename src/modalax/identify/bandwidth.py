@@ -18,6 +18,7 @@ from jax.scipy.special import gammaincc
 from jaxtyping import Array, Bool, Float
 
 from modalax.data.frf import FRF
+from modalax.identify.overview import of_bandwidth
 from modalax.identify.refine import refine
 from modalax.identify.residues import residues
 
@@ -45,6 +46,10 @@ class BandwidthTest(eqx.Module):
     statistic: Float[Array, ""]
     p_value: Float[Array, ""]
     valid: Bool[Array, ""]
+
+    def __str__(self) -> str:
+        """The mode in both bands, and how likely such a difference is."""
+        return of_bandwidth(self)
 
 
 def bandwidth_test(

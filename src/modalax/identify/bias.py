@@ -18,6 +18,7 @@ from modalax._numerics.checks import as_double
 from modalax._numerics.cuts import cut
 from modalax.data.frf import FRF
 from modalax.identify.normal_equations import LinearProblem, expected_factor, factor, linear_problem, noise_rows
+from modalax.identify.overview import of_bias
 from modalax.identify.polynomial import poles_of_factor, without_window
 from modalax.identify.tables import PoleTable
 from modalax.identify.zoom import check_orders
@@ -50,6 +51,10 @@ class DampingBias(eqx.Module):
     relative_damping: Float[Array, "*order n"]
     relative_frequency: Float[Array, "*order n"]
     valid: Bool[Array, "*order n"]
+
+    def __str__(self) -> str:
+        """A table of the biases."""
+        return of_bias(self)
 
     @classmethod
     def between(

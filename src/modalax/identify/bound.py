@@ -4,6 +4,7 @@ import equinox as eqx
 from jaxtyping import Array, Complex, Float
 
 from modalax.data.frf import FRF
+from modalax.identify.overview import of_bound
 from modalax.identify.refine import refine
 from modalax.model.modal import ModalModel
 
@@ -22,6 +23,10 @@ class Bound(eqx.Module):
     frequency_std_hz: Float[Array, " n"]
     damping_std: Float[Array, " n"]
     shape_std: Complex[Array, "n o"]
+
+    def __str__(self) -> str:
+        """A table of the bounds."""
+        return of_bound(self)
 
 
 def cramer_rao(model: ModalModel, frf: FRF, *, residuals: str = "complex", real_modes: bool = False) -> Bound:

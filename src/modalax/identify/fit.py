@@ -32,7 +32,7 @@ from modalax.identify.stabilize import stabilization
 from modalax.identify.tables import PoleTable
 from modalax.identify.untold_window import window_notes
 from modalax.identify.wrong_form import form_notes
-from modalax.model.entry import check_measured, check_order
+from modalax.model.entry import check_frf, check_measured, check_order, refuse_traced
 from modalax.model.indicators import mpc
 from modalax.model.modal import ModalModel
 
@@ -95,6 +95,8 @@ def fit(
         to be.
     """
     tell = progress or (lambda text: None)
+    check_frf(frf, "fit", several=True)
+    refuse_traced(frf, "fit")
     frf = frf.frf if isinstance(frf, Measurement) else frf
     frf = frf if without is None else frf.drop(without)
     frf = frf if band is None else frf.band(*band)

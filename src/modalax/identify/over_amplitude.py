@@ -24,15 +24,17 @@ from modalax._numerics.checks import require_double
 from modalax.data import FRF, Measurement
 from modalax.data.frf import DERIVATIVES
 from modalax.identify.fit import fit
+from modalax.identify.overview import of_levels
 from modalax.identify.residues import residues
 from modalax.identify.smooth_series import Smooth, smooth
 from modalax.model import ModalModel
+from modalax.model.entry import refuse_traced
 from modalax.model.modal import poles_from
 
 FARTHEST = 0.08  # change of a frequency between neighbouring levels up to which a mode is the same
 UNLIKE = 0.02  # relative change of frequency that counts as much as shapes at right angles
 DRAWS = 100  # models drawn for the variance of a predicted FRF
-LEAST = 1e-5  # least damping ratio that is predicted
+LEAST, MOST = 1e-5, 0.999  # damping ratios that are predicted
 ALIKE = (0.02, 0.999)  # range of the correlation of what two levels' fits leave
 TINY = 1e-300  # a variance is above 0
 
@@ -68,11 +70,15 @@ class OverAmplitude(eqx.Module):
     _damping: Smooth
     _linear: Smooth
 
+    def __str__(self) -> str:
+        """Frequency and damping of each mode at the lowest and the highest level."""
+        return of_levels(self)
+
     def modes(self, level: float) -> ModalModel:
         """The modal model at a level [N], with standard deviations of frequencies and damping ratios."""
         x = self._checked(level)
         (f, df), (z, dz) = self._frequency.at(x), self._damping.at(x)
-        return self._model(f, np.maximum(z, LEAST), self._linear.at(x)[0], frequency_std=df / f, damping_std=dz / z)
+        return self._model(f, np.clip(z, LEAST, MOST), self._linear.at(x)[0], frequency_std=df / f, damping_std=dz / z)
 
     def frf(self, level: float, freq: Any = None, *, rest: bool = True) -> FRF:
         """FRF at a level [N], with the variance that the band of the modes gives.
@@ -140,15 +146,20 @@ class OverAmplitude(eqx.Module):
         return f, df, z, dz
 
     def _checked(self, level: float) -> float:
-        if not (np.isfinite(level) and level > 0):
-            raise ValueError(f"level is {level}; a force amplitude in N above 0 is needed")
+        if np.ndim(level) or not (np.isfinite(level) and level > 0):
+            raise ValueError(f"level is {level}; a force amplitude in N above 0 is needed, one at a time")
         return float(level)
 
     def _model(self, f: np.ndarray, z: np.ndarray, linear: np.ndarray, **std: Any) -> ModalModel:
         """Modal model of frequencies, damping ratios and the packed residues and residual terms."""
         own, count = self.models[0], len(f)
+        if not (f > 0).all():
+            raise ValueError(
+                f"a frequency falls below 0 at this level, too far from those measured, {self.level[0]:g} to "
+                f"{self.level[-1]:g} N"
+            )
         shape = (count + 2, len(own.outputs), len(own.inputs))
-        A, poles = _unpacked(linear, shape), np.asarray(poles_from(f, np.maximum(z, LEAST)))
+        A, poles = _unpacked(linear, shape), np.asarray(poles_from(f, np.clip(z, LEAST, MOST)))
         U, S, V = np.linalg.svd(A[:count], full_matrices=False)
         shapes, participation = U[:, :, 0] * S[:, :1], V[:, 0]
         return ModalModel(
@@ -182,6 +193,12 @@ def over_amplitude(
         If levels are missing, not positive or alike, or no mode is seen at all of them.
     """
     require_double("over_amplitude")
+    refuse_traced(measurement, "over_amplitude")
+    if not isinstance(measurement, Measurement):
+        raise ValueError(
+            f"over_amplitude needs a Measurement of several runs, not a {type(measurement).__name__}; "
+            "Measurement.from_frfs makes one of FRFs"
+        )
     level = np.asarray(measurement.level, float)
     if not (np.isfinite(level) & (level > 0)).all() or len(np.unique(level)) < max(len(level), 2):
         raise ValueError(
@@ -255,7 +272,7 @@ class Response:
 
     def __call__(self, f: np.ndarray, z: np.ndarray, linear: np.ndarray) -> Complex[np.ndarray, "f o i"]:
         """The FRF, residual terms included."""
-        A, z = _unpacked(linear, self.shape), np.maximum(z, LEAST)
+        A, z = _unpacked(linear, self.shape), np.clip(z, LEAST, MOST)
         poles = 2 * np.pi * f * (-z + 1j * np.sqrt(1 - z**2))
         count = len(f)
         H = np.tensordot(1 / (self.s - poles), A[:count], 1) + np.tensordot(

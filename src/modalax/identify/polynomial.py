@@ -20,6 +20,7 @@ from modalax.identify.fraction import check_constraint, coefficients, roots
 from modalax.identify.moments import factor_from_moments, with_spare
 from modalax.identify.tables import PoleTable
 from modalax.identify.zoom import Zoom, check_orders, moved_span, zoom
+from modalax.model.entry import check_frf
 
 SOLVERS = ("auto", "qr", "moments")
 LONG = 100  # poles of the highest order from which on a diagram is done in parts
@@ -37,6 +38,7 @@ def weights_of(frf: FRF, kind: str) -> Float[Array, "f o i"]:
     ValueError
         If the kind is unknown, or variance weights are asked for and there is no variance, or a zero one.
     """
+    check_frf(frf, "an estimator of poles")
     if kind not in WEIGHTS:
         raise ValueError(f"weights is {kind!r}; it must be one of {', '.join(WEIGHTS)}")
     if kind == "unit":

@@ -14,8 +14,10 @@ from modalax._numerics.checks import is_traced
 from modalax._numerics.levenberg import LevenbergMarquardt
 from modalax.data.frf import FRF
 from modalax.identify.likelihood import UNDAMPED, Parts, frozen_slots, make_problem, objective, pack, parts, unpack
+from modalax.identify.overview import of_refined
 from modalax.identify.residues import check_size, model_of, sigma_of
 from modalax.identify.shape_errors import shape_errors, spread_rest
+from modalax.model.entry import check_frf
 from modalax.model.modal import ModalModel
 
 REASONS = (
@@ -90,6 +92,10 @@ class Refined(eqx.Module):
     reason_code: Int[Array, ""]
     steps: Int[Array, ""]
 
+    def __str__(self) -> str:
+        """The table of modes, how the search ended and how well the model fits."""
+        return of_refined(self)
+
     @property
     def reason(self) -> str:
         """Why the search ended, in words."""
@@ -151,6 +157,7 @@ def refine(
     (1982) for the sandwich; Newey and West (1987), Liang and Zeger (1986) for its sums over lines and rows. The roles
     of outputs and inputs are exchanged where there are more inputs than outputs.
     """
+    check_frf(frf, "refine")
     if covariance not in COVARIANCES:
         raise ValueError(f"covariance is {covariance!r}; it must be gauss-newton, sandwich or robust")
     if scale_errors not in ("auto", "never", "always"):

@@ -11,6 +11,8 @@ from jaxtyping import Array, Complex, Float
 from modalax._numerics.checks import as_double, is_traced
 from modalax.data.frf import FRF
 from modalax.identify.likelihood import Problem, linear_solution, make_problem, pack, shapes_and_residuals
+from modalax.identify.select import Selection
+from modalax.model.entry import check_frf
 from modalax.model.modal import ModalModel
 
 RESIDUALS = ("none", "real", "complex")
@@ -37,7 +39,7 @@ def residues(
     frf
         The FRF in the band.
     poles
-        Poles with positive imaginary part, shape ``(n,)`` [rad/s].
+        Poles with positive imaginary part, shape ``(n,)`` [rad/s]; or a :class:`Selection`, participation included.
     participation
         Shape ``(n, i)``. If None it is found from the FRF itself: for several inputs by a fit of all residues, of
         which the best rank-one factor is taken.
@@ -57,13 +59,20 @@ def residues(
     Raises
     ------
     ValueError
-        If there are more unknowns than samples, or an option is unknown.
+        If there are more unknowns than samples, a pole has no positive imaginary part, or an option is unknown.
 
     Notes
     -----
     Guillaume et al. (2003), equation 13; the columns are scaled and solved by QR, never by normal equations.
     """
+    check_frf(frf, "residues")
+    if isinstance(poles, Selection):
+        poles, participation = poles.poles, poles.participation if participation is None else participation
     poles = as_double(poles, "poles", complex_=True)
+    if not is_traced(poles) and (np.asarray(poles).imag <= 0).any():
+        raise ValueError(
+            "a pole has no positive imaginary part; modalax.model.poles_from(frequency_hz, damping_ratio) makes poles"
+        )
     check_size(frf, poles.shape[0], residuals)
     sigma = sigma_of(frf, weights)
     if participation is None:

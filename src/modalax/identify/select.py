@@ -10,7 +10,9 @@ import scipy.optimize
 from jaxtyping import Array, Complex, Float, Int
 
 from modalax._numerics.cuts import cut
+from modalax.identify.overview import of_selection
 from modalax.identify.tables import PoleTable
+from modalax.model.entry import refuse_traced
 
 
 class Selection(eqx.Module):
@@ -36,6 +38,10 @@ class Selection(eqx.Module):
     score: Float[Array, " n"]
     spread: Float[Array, " n"]
     order: Int[Array, " n"]
+
+    def __str__(self) -> str:
+        """A table of the poles."""
+        return of_selection(self)
 
 
 class _Track:
@@ -78,6 +84,7 @@ def select(
     Selection
         Each mode by the pole of its track that changes least between neighbouring orders.
     """
+    refuse_traced(table, "select")
     lower, upper = (0.0, float("inf")) if band is None else band
     physical = np.asarray(table.physical(lower, upper, max_damping))
     poles = np.asarray(table.poles)

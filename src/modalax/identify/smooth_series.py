@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 POWERS = (0.25, 0.5, 0.75, 1.0)  # of the coordinate: from the logarithm's side to a straight line in the force
 BENDS = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0)  # of the spline, relative to each quantity's own change over the points
+DIGITS = 1e-12  # change of a quantity, relative to it, that is none
 SCATTER = (0.003, 0.01, 0.03, 0.1)  # beyond the stated errors, relative to the same
 
 
@@ -38,7 +39,7 @@ class Smooth(eqx.Module):
 
     def at(self, point: float) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, " q"]]:
         """Mean and standard deviation of each quantity at a point."""
-        scale = _range(self.values)
+        scale = _range(self.values, self.std)
         mean, square = np.zeros((2, self.values.shape[1]))
         for setting, weight in zip(self.settings, self.weights, strict=True):
             m, v = _predicted(self.points, self.values / scale, self.std / scale, point, setting)
@@ -49,7 +50,7 @@ class Smooth(eqx.Module):
 
 def smooth(points: Float[np.ndarray, " r"], values: Float[np.ndarray, "r q"], std: Float[np.ndarray, "r q"]) -> Smooth:
     """Learn how smooth the quantities are; two points say nothing of that, and the band is as wide as can be."""
-    scale = _range(values)
+    scale = _range(values, std)
     settings = np.array(list(itertools.product(POWERS, BENDS, SCATTER)))
     evidence = np.stack([_evidence(points, values / scale, std / scale, s) for s in settings])
     by_power = evidence.reshape(len(POWERS), -1, values.shape[1])
@@ -60,9 +61,11 @@ def smooth(points: Float[np.ndarray, " r"], values: Float[np.ndarray, "r q"], st
     return Smooth(points, values, std, settings, weights.reshape(len(settings), -1))
 
 
-def _range(values: np.ndarray) -> np.ndarray:
+def _range(values: np.ndarray, std: np.ndarray) -> np.ndarray:
+    """Change of each quantity over the points; of one that is the same at all, its error or its last digits."""
     span = np.ptp(values, axis=0)
-    return np.where(span > 0, span, 1.0)
+    same = np.maximum(std.max(axis=0), DIGITS * np.abs(values).max(axis=0))
+    return np.where(span > 0, span, np.maximum(same, np.finfo(float).tiny))
 
 
 def _coordinate(x: np.ndarray, points: np.ndarray, power: float) -> np.ndarray:

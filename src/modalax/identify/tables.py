@@ -7,6 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Complex, Float
 
+from modalax.identify.overview import of_poles
+
 
 class PoleTable(eqx.Module):
     r"""Poles of all orders of a stabilization diagram.
@@ -31,6 +33,10 @@ class PoleTable(eqx.Module):
     participation: Complex[Array, "order pole i"] | None
     orders: tuple[int, ...] = eqx.field(static=True)
     method: str = eqx.field(static=True)
+
+    def __str__(self) -> str:
+        """Estimator, orders and number of poles."""
+        return of_poles(self)
 
     @property
     def frequency_hz(self) -> Float[Array, "order pole"]:

@@ -131,9 +131,12 @@ def check_orders(orders: object, n_lines: int, band: tuple[float, float], floor:
         With the order asked for and the number of lines it needs.
     """
     try:
-        found = tuple(sorted({int(n) for n in np.atleast_1d(np.asarray(orders))}))
+        given = np.atleast_1d(np.asarray(orders))
+        found = tuple(sorted({int(n) for n in given}))
     except (TypeError, ValueError) as error:
         raise ValueError(f"orders is {orders!r}; it must be an integer or a sequence of integers") from error
+    if given.size and (given.dtype.kind not in "iuf" or (given != given.astype(int)).any()):
+        raise ValueError(f"orders is {orders!r}; it must be an integer or a sequence of integers")
     if not found:
         raise ValueError("orders is empty; at least one order is needed")
     if found[0] < floor:

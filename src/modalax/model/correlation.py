@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 
 from modalax.model.indicators import comac, ecomac, mac
 from modalax.model.mode_table import ModeTable
+from modalax.model.overview import of_correlation
 
 LEAST = 0.3  # MAC below which two modes are not called a pair
 
@@ -35,6 +36,10 @@ class Correlation:
     model_frequency_hz: Float[np.ndarray, " n"]
     comac: Float[np.ndarray, " dof"]
     ecomac: Float[np.ndarray, " dof"]
+
+    def __str__(self) -> str:
+        """A table of the pairs."""
+        return of_correlation(self)
 
     @property
     def change(self) -> Float[np.ndarray, " n"]:

@@ -2,8 +2,10 @@
 
 from typing import Any
 
+import jax
 import numpy as np
 
+from modalax._numerics.checks import is_traced
 from modalax.data.causality import looks_conjugated
 from modalax.data.frf import FRF
 from modalax.data.measurement import Measurement
@@ -29,6 +31,42 @@ def check_measured(measured: FRF | Measurement) -> None:
         raise ValueError(
             "the FRFs look conjugated (time convention e^-jwt), so that every mode would be unstable; take their "
             "complex conjugate: .replace(H=measured.H.conj())"
+        )
+
+
+def check_frf(data: Any, what: str, several: bool = False) -> None:
+    """Refuse what is no FRF, such as an array; with ``several``, a measurement is none of that.
+
+    Raises
+    ------
+    ValueError
+        The message says how to make one.
+    """
+    if isinstance(data, FRF) or (several and isinstance(data, Measurement)):
+        return
+    if isinstance(data, Measurement):
+        raise ValueError(f"{what} needs an FRF, not a Measurement; .run(0) is the FRF of its first run")
+    kind = "array" if hasattr(data, "shape") else type(data).__name__
+    raise ValueError(
+        f"{what} needs an FRF, not {'an' if kind == 'array' else 'a'} {kind}; modalax.FRF(freq, H) makes one"
+    )
+
+
+def refuse_traced(data: Any, what: str) -> None:
+    """Raise ``ValueError`` inside jit, vmap or grad, where a choice that depends on values cannot be made."""
+    if is_traced(*jax.tree_util.tree_leaves(data)):
+        raise ValueError(
+            f"{what} chooses modes by their values, which are not known inside jit, vmap or grad; call it outside, or "
+            "trace lscf, plscf, residues and refine"
+        )
+
+
+def check_simulation(simulation: Any, *kinds: type) -> None:
+    """Raise ``ValueError`` for what is none of the kinds of simulation that can be compared with a measurement."""
+    if not isinstance(simulation, kinds):
+        raise ValueError(
+            f"a simulation is a {', '.join(kind.__name__ for kind in kinds[:-1])} or {kinds[-1].__name__}, not a "
+            f"{type(simulation).__name__}; the measurement comes first, the simulation second"
         )
 
 

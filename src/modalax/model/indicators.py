@@ -6,6 +6,7 @@ line that is zero agrees with nothing: its indicator is 0 (unless said otherwise
 
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
@@ -13,6 +14,7 @@ from jaxtyping import Array, Complex, Float
 
 from modalax._numerics.checks import as_double
 from modalax.data.frf import DERIVATIVES, FRF
+from modalax.model.entry import check_frf
 
 # Size, relative to the FRF of the line, below which an excitation pattern counts as giving no response.
 NO_RESPONSE = 1e-12
@@ -245,6 +247,7 @@ def cmif(frf: FRF) -> Float[Array, "f k"]:
     C. Y. Shih, Y. G. Tsuei, R. J. Allemang, D. L. Brown, Complex mode indication function and its applications to
     spatial domain parameter estimation, Mechanical Systems and Signal Processing 2 (1988) 367-377.
     """
+    check_frf(frf, "CMIF")
     return jnp.linalg.svd(frf.H, compute_uv=False) ** 2
 
 
@@ -288,6 +291,8 @@ def mvmif(frf: FRF) -> Float[Array, "f i"]:
 
 
 def _shapes(value: Any, what: str) -> Complex[Array, "n o"]:
+    if isinstance(value, eqx.Module):
+        raise ValueError(f"{what} is a {type(value).__name__}; give its shapes: model.shapes, or fit.model.shapes")
     shapes = as_double(value, what, complex_=True)
     if shapes.ndim != 2:
         raise ValueError(
@@ -309,6 +314,8 @@ def _same(what: str, a: int, b: int) -> None:
 
 
 def _comparable(a: FRF, b: FRF) -> None:
+    check_frf(a, "a comparison")
+    check_frf(b, "a comparison")
     for what in ("form", "outputs", "inputs"):
         if getattr(a, what) != getattr(b, what):
             raise ValueError(f"the FRFs have {what} {getattr(a, what)} and {getattr(b, what)}; they must be the same")

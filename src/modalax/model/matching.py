@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from modalax.data.dofs import DIRECTIONS, direction_vectors, parse_dof
 from modalax.data.geometry import Geometry
+from modalax.model.overview import of_matched
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,10 @@ class Matched:
     distance: Float[np.ndarray, " dof"]
     transform: Float[np.ndarray, "dof n"]
     how: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """A line a DoF."""
+        return of_matched(self)
 
     def seen(self, shapes: Any) -> np.ndarray:
         """Shapes of the model, ``(mode, model dof)``, at the measured DoFs."""

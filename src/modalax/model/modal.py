@@ -12,6 +12,8 @@ from jaxtyping import Array, Complex, Float
 from modalax._numerics.checks import as_array, as_double, is_traced, require_finite, require_range
 from modalax._numerics.cuts import cut, spread_over
 from modalax._numerics.known import Numbers, by_numpy
+from modalax.data.checks import check_axis
+from modalax.data.dofs import as_names
 from modalax.data.frf import DERIVATIVES, FRF, check_form, check_names
 from modalax.model.overview import of_modes
 
@@ -134,8 +136,14 @@ class ModalModel(eqx.Module):
         shapes
             Real shapes, shape ``(n, dof)`` [-].
         """
+        require_range(damping_ratio, "damping_ratio", -1 + 1e-12, 1 - 1e-12, "it is a ratio below 1, 0.01 for 1 %")
         poles = poles_from(frequency_hz, damping_ratio)
         phi = as_double(shapes, "shapes")
+        if poles.ndim != 1 or phi.ndim != 2 or len(phi) != len(poles):
+            raise ValueError(
+                f"frequency_hz and damping_ratio make poles of shape {poles.shape}, shapes have {phi.shape}; they need "
+                "(n,) and (n, dof), a row for each mode"
+            )
         mass = as_double(modal_mass, "modal_mass")
         return cls(poles, phi, _own_participation(phi, poles, mass), outputs=dofs, inputs=dofs)
 
@@ -246,9 +254,10 @@ class ModalModel(eqx.Module):
         ValueError
             If a DoF is unknown, or an input that was not driven is asked for and there is no drive point.
         """
+        check_axis(freq)
         freq = as_double(freq, "freq")
-        out_names = self.outputs if outputs is None else tuple(outputs)
-        in_names = self.inputs if inputs is None else tuple(inputs)
+        out_names = self.outputs if outputs is None else as_names(outputs)
+        in_names = self.inputs if inputs is None else as_names(inputs)
         unknown = [n for n in (*out_names, *in_names) if n not in self.outputs and n not in self.inputs]
         if unknown:
             raise ValueError(f"no DoF named {', '.join(unknown)}; the model has {', '.join(self.outputs)}")

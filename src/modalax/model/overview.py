@@ -1,7 +1,7 @@
-"""What a structure or a modal model holds, as text for ``print``."""
+"""What a structure, a modal model or modes beside others hold, as text for ``print``."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -11,7 +11,10 @@ from modalax._numerics.text import text_table
 from modalax.data.overview import counted, shortened
 
 if TYPE_CHECKING:
+    from modalax.model.correlation import Correlation
+    from modalax.model.matching import Matched
     from modalax.model.modal import ModalModel
+    from modalax.model.receptance import Modified
     from modalax.model.structure import Structure
 
 ROWS = 40  # modes that a table shows before it leaves some out
@@ -83,3 +86,41 @@ def _mass(value: complex) -> str:
     if not np.isfinite(value):
         return "-"
     return f"{value.real:.4g}" if abs(value.imag) <= 1e-6 * abs(value) else f"{value:.4g}"
+
+
+def of_modified(structure: "Modified", names: Sequence[str]) -> str:
+    """The structure before, and what was put onto it where."""
+    if is_traced(*jax.tree_util.tree_leaves(structure)) or structure.b.ndim != 2:
+        return repr(structure)
+    said = [str(structure.base)]
+    for row, element in zip(np.asarray(structure.b), structure.changes, strict=True):
+        at = " - ".join(names[int(k)] for k in np.argsort(-row, kind="stable") if row[k])
+        sizes = ", ".join(f"{name} = {_size(value)}" for name, value in vars(element).items())
+        said.append(f"  with {type(element).__name__}({sizes}) at {at}")
+    return "\n".join(said)
+
+
+def _size(value: Any) -> str:
+    return f"{float(np.asarray(value)):.6g}" if np.ndim(value) == 0 else repr(value)
+
+
+def of_matched(matched: "Matched") -> str:
+    """A line a DoF, as its ``report`` has them."""
+    lines = matched.report()
+    left = [f"  ... and {len(lines) - ROWS} more"] if len(lines) > ROWS else []
+    shown = [f"  {line}" for line in lines[:ROWS]]
+    return "\n".join([f"{counted(len(lines), 'measured DoF')} matched to nodes of the model", *shown, *left])
+
+
+def of_correlation(found: "Correlation") -> str:
+    """A table of pairs: frequencies, their difference and MAC."""
+    header = ["Measured [Hz]", "Mode of the model", "Model [Hz]", "Change [%]", "MAC"]
+    rows = [
+        [f"{f:.6g}", str(k + 1), f"{g:.6g}", f"{100 * c:+.2f}", f"{m:.3f}"] if k >= 0 else [f"{f:.6g}", *4 * ["-"]]
+        for f, k, g, c, m in zip(
+            found.frequency_hz, found.pairs, found.model_frequency_hz, found.change, found.pair_mac, strict=True
+        )
+    ]
+    measured, modes = found.mac.shape
+    title = f"{counted(int(np.sum(found.pairs >= 0)), 'pair')} of {measured} measured modes and {modes} of the model"
+    return "\n".join([title, *([text_table(header, rows)] if rows else [])])

@@ -22,8 +22,10 @@ from typing_extensions import override
 from modalax._numerics.checks import as_array, as_double, is_traced
 from modalax._numerics.cuts import cut
 from modalax._numerics.known import Numbers, by_numpy, host, joined
+from modalax.data.dofs import as_names
 from modalax.data.frf import FRF, derivative
 from modalax.model.modal import ModalModel
+from modalax.model.overview import of_modified
 from modalax.model.structure import Structure
 
 
@@ -227,6 +229,10 @@ class Modified(eqx.Module):
     b: Float[Array, "j n"]
     changes: tuple[Change, ...]
 
+    def __str__(self) -> str:
+        """The structure before, and what was put onto it where."""
+        return of_modified(self, dof_names(self.base))
+
     def along(self, omega: Any, rows: Any, columns: Any) -> Complex[Array, "f l r"]:
         """Receptance [m/N] between directions, as :func:`receptance`."""
         omega, rows, columns = as_double(omega, "omega"), as_array(rows), as_array(columns)
@@ -272,8 +278,8 @@ def frf(
 ) -> FRF:
     """The FRF of a structure of any kind at frequencies [Hz] between DoFs by name (all of them by default)."""
     freq, names = as_double(freq, "freq"), dof_names(structure)
-    outputs = names if outputs is None else tuple(outputs)
-    inputs = names if inputs is None else tuple(inputs)
+    outputs = names if outputs is None else as_names(outputs)
+    inputs = names if inputs is None else as_names(inputs)
     rows, columns = directions(structure, [[n] for n in outputs]), directions(structure, [[n] for n in inputs]).T
     H = derivative(receptance(structure, 2 * np.pi * host(freq), rows, columns), freq, form)
     return FRF(freq, H, form=form, outputs=outputs, inputs=inputs)

@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Complex, Float
 
 from modalax._numerics.checks import as_array, as_double, is_traced, require_finite
 from modalax._numerics.known import host
+from modalax.data.dofs import as_names
 from modalax.data.frf import FRF, check_names, default_names, derivative
 from modalax.model.elements import Elements
 from modalax.model.groups import Groups
@@ -181,8 +182,8 @@ class Structure(eqx.Module):
     ) -> FRF:
         """The FRF at frequencies [Hz] between DoFs by name (all of them by default)."""
         freq = as_double(freq, "freq")
-        outputs = self.dofs if outputs is None else tuple(outputs)
-        inputs = self.dofs if inputs is None else tuple(inputs)
+        outputs = self.dofs if outputs is None else as_names(outputs)
+        inputs = self.dofs if inputs is None else as_names(inputs)
         H = derivative(self.receptance(2 * np.pi * host(freq), outputs, inputs), freq, form)
         return FRF(freq, H, form=form, outputs=outputs, inputs=inputs)
 

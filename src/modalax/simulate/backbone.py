@@ -24,6 +24,7 @@ from modalax.model.structure import Structure
 from modalax.simulate.aft import Harmonics, joint_forces
 from modalax.simulate.balance import CLOSED, Plan, make_plan
 from modalax.simulate.joints import Joint
+from modalax.simulate.overview import of_backbone
 
 COMPLEX = 0.05
 """Largest imaginary part of a mode shape of a modal model, relative to the shape, that is neglected."""
@@ -55,6 +56,10 @@ class Backbone(eqx.Module):
     modal: Complex[Array, "a n h"]
     residual: Float[Array, " a"]
     harmonics: Harmonics = eqx.field(static=True)
+
+    def __str__(self) -> str:
+        """How frequency and damping change over the amplitude."""
+        return of_backbone(self)
 
     @property
     def converged(self) -> Bool[Array, " a"]:

@@ -77,6 +77,12 @@ def make_plan(
     ValueError
         If joints and places differ in number, there is no joint, or harmonics and samples do not fit.
     """
+    strange = [j for j in joints if not isinstance(j, Joint)] if isinstance(joints, Sequence) else [joints]
+    if strange:
+        wrapped = ": write [joint]" if isinstance(strange[0], Joint) else ""
+        raise ValueError(
+            f"joints holds a {type(strange[0]).__name__}; it needs a list of joints of modalax.simulate.joints{wrapped}"
+        )
     if len(joints) != len(places) or not joints:
         raise ValueError(
             f"{len(joints)} joints for {len(places)} places; at least one joint, and a place for each, is needed"

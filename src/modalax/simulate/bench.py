@@ -10,10 +10,12 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from modalax._numerics.checks import as_double
+from modalax.data.dofs import as_names
 from modalax.data.frf import check_form
 from modalax.model.receptance import AnyStructure, dof_names
 from modalax.simulate.joints import Joint
 from modalax.simulate.march import respond
+from modalax.simulate.overview import of_bench, of_records
 
 UNITS = {"receptance": "m", "mobility": "m/s", "accelerance": "m/s^2"}
 
@@ -84,6 +86,10 @@ class Records(eqx.Module):
     outputs: tuple[str, ...] = eqx.field(static=True)
     inputs: tuple[str, ...] = eqx.field(static=True)
 
+    def __str__(self) -> str:
+        """Runs, duration, rate and channels."""
+        return of_records(self)
+
 
 class Bench(eqx.Module):
     """Structure, joints and channels of a test.
@@ -134,11 +140,15 @@ class Bench(eqx.Module):
         form: str = "accelerance",
     ):
         self.structure, self.joints, self.places = structure, tuple(joints), tuple(tuple(p) for p in places)
-        self.inputs = tuple(inputs)
-        self.outputs = dof_names(structure) if outputs is None else tuple(outputs)
+        self.inputs = as_names(inputs)
+        self.outputs = dof_names(structure) if outputs is None else as_names(outputs)
         self.force_sensor = _channels(force_sensor, len(self.inputs), "force_sensor")
         self.response_sensor = _channels(response_sensor, len(self.outputs), "response_sensor")
         self.fs, self.oversample, self.antialias, self.form = float(fs), oversample, antialias, check_form(form)
+
+    def __str__(self) -> str:
+        """Structure, joints, channels and sampling."""
+        return of_bench(self)
 
     @property
     def rate(self) -> float:

@@ -24,6 +24,7 @@ from modalax.model.structure import Structure
 from modalax.simulate.aft import Harmonics
 from modalax.simulate.balance import CLOSED, Line, Plan, find, make_plan, motion_scale, residual
 from modalax.simulate.joints import Joint
+from modalax.simulate.overview import of_branch
 
 CORRECTIONS = 8
 """Newton corrections allowed in a step."""
@@ -60,6 +61,10 @@ class Branch(eqx.Module):
     direction: Float[Array, " s"]
     valid: Bool[Array, " s"]
     harmonics: Harmonics = eqx.field(static=True)
+
+    def __str__(self) -> str:
+        """Points, range of frequencies and folds."""
+        return of_branch(self)
 
     def folds(self) -> np.ndarray:
         """Frequencies [Hz] at which the branch turns back; between two points the direction changes evenly."""

@@ -12,12 +12,14 @@ from jaxtyping import Array, Complex, Float
 
 from modalax._numerics.checks import as_double, is_traced
 from modalax.data.checks import check_axis
+from modalax.data.dofs import as_names
 from modalax.data.measurement import Measurement
 from modalax.model.receptance import AnyStructure, directions, dof_names
 from modalax.simulate.aft import joint_forces
 from modalax.simulate.balance import CLOSED, Line, Plan, make_plan, residual
 from modalax.simulate.harmonic import SAMPLES, Receptances, receptances
 from modalax.simulate.joints import Joint
+from modalax.simulate.overview import of_controlled
 
 
 class ControlledResponse(eqx.Module):
@@ -43,6 +45,10 @@ class ControlledResponse(eqx.Module):
     residual: Float[Array, " f"]
     outputs: tuple[str, ...] = eqx.field(static=True)
     input: str = eqx.field(static=True)
+
+    def __str__(self) -> str:
+        """Lines, force and channels."""
+        return of_controlled(self)
 
     @property
     def converged(self) -> Array:
@@ -129,7 +135,7 @@ def constant_response(
     if not is_traced(amplitude) and not bool(amplitude > 0):
         raise ValueError(f"amplitude is {float(amplitude):g} m; it must be above 0")
     plan = make_plan(joints, places, harmonics, samples)
-    names = dof_names(structure) if outputs is None else tuple(outputs)
+    names = dof_names(structure) if outputs is None else as_names(outputs)
     b, o, i = (directions(structure, p) for p in (places, [[n] for n in (held, *names)], [[input]]))
     R = receptances(structure, b, 2 * jnp.pi * freq, o, i, plan.harmonics)
     force, X, left = _hold(plan, tuple(joints), R, amplitude)

@@ -19,12 +19,14 @@ from modalax._numerics.checks import as_array, as_double, is_traced
 from modalax._numerics.cuts import cut, spread_over
 from modalax._numerics.known import Numbers, by_numpy, circular, host, joined
 from modalax.data.checks import check_axis
+from modalax.data.dofs import as_names
 from modalax.data.frf import DERIVATIVES, check_form
 from modalax.data.measurement import Measurement
 from modalax.model.receptance import AnyStructure, directions, dof_names, receptance
 from modalax.simulate.aft import Harmonics, joint_forces
 from modalax.simulate.balance import FOLD, Line, Plan, make_plan
 from modalax.simulate.joints import Joint
+from modalax.simulate.overview import of_response
 from modalax.simulate.sweep import solve_lines, solved
 
 SAMPLES = 128  # instants of a cycle at which joint forces are evaluated by default
@@ -61,6 +63,10 @@ class Response(eqx.Module):
     harmonics: Harmonics = eqx.field(static=True)
     outputs: tuple[str, ...] = eqx.field(static=True)
     inputs: tuple[str, ...] = eqx.field(static=True)
+
+    def __str__(self) -> str:
+        """Lines, levels, channels, and how many points are solved."""
+        return of_response(self)
 
     @property
     def converged(self) -> Bool[Array, "level f i"]:
@@ -248,11 +254,12 @@ def harmonic_balance(
     if not is_traced(level) and not (np.asarray(level) > 0).all():
         raise ValueError(f"level holds {float(np.min(level)):g} N; force amplitudes must be above 0")
     plan = make_plan(joints, places, harmonics, samples)
-    out_names = dof_names(structure) if outputs is None else tuple(outputs)
+    out_names = dof_names(structure) if outputs is None else as_names(outputs)
+    inputs = as_names(inputs)
     b, o, i = (directions(structure, p) for p in (places, [[n] for n in out_names], [[n] for n in inputs]))
     R = receptances(structure, b, circular(freq), o, i, plan.harmonics)
     q, left, margin, force, X = _answer(R, tuple(joints), level, plan, jnp.array(sweep == "down"))
-    return Response(freq, level, q, force, X, left, margin, plan.harmonics, out_names, tuple(inputs))
+    return Response(freq, level, q, force, X, left, margin, plan.harmonics, out_names, inputs)
 
 
 @eqx.filter_jit

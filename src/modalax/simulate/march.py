@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from modalax._numerics.checks import as_double, is_traced, require_finite
+from modalax.data.dofs import as_names
 from modalax.data.frf import DERIVATIVES, check_form
 from modalax.model.receptance import AnyStructure, directions, dof_names
 from modalax.simulate.blocks import MOMENTS, Blocks, Propagator, as_blocks, propagator
@@ -119,7 +120,7 @@ def make_rig(
     """
     if len(joints) != len(places):
         raise ValueError(f"{len(joints)} joints for {len(places)} places; each joint needs one place")
-    names = dof_names(structure) if outputs is None else tuple(outputs)
+    names = dof_names(structure) if outputs is None else as_names(outputs)
     b, o, i = (np.asarray(directions(structure, p)) for p in (places, [[n] for n in names], [[n] for n in inputs]))
     return Rig(as_blocks(structure, np.concatenate([b, o]), np.concatenate([b, i]).T), tuple(joints)), names
 
@@ -262,6 +263,7 @@ def respond(
         If shapes or names do not fit, or a joint is too stiff for the step.
     """
     force = as_double(force, "force")
+    inputs = as_names(inputs)
     if force.ndim not in (2, 3) or force.shape[-1] != len(inputs):
         raise ValueError(f"force has shape {force.shape} for {len(inputs)} inputs; it needs (t, i) or (run, t, i)")
     require_finite(force, "force")

@@ -12,12 +12,14 @@ from jaxtyping import Array, Bool, Complex, Float, Int
 from modalax._numerics.checks import as_array, as_double, is_traced
 from modalax._numerics.cuts import cut
 from modalax.data.checks import check_axis
+from modalax.data.dofs import as_names
 from modalax.data.frf import DERIVATIVES, check_form
 from modalax.data.measurement import Measurement
 from modalax.model.receptance import AnyStructure
 from modalax.simulate.blocks import Propagator, propagator
 from modalax.simulate.joints import Joint
 from modalax.simulate.march import Motion, Rig, advance, at_rest, check_agreement, make_rig, prepare, see_outputs
+from modalax.simulate.overview import of_stepped
 
 SWEEPS = ("up", "down", "each")
 
@@ -53,6 +55,10 @@ class SteppedSine(eqx.Module):
     settled: Bool[Array, "level f i"]
     outputs: tuple[str, ...] = eqx.field(static=True)
     inputs: tuple[str, ...] = eqx.field(static=True)
+
+    def __str__(self) -> str:
+        """Lines, levels, channels, and how many points are settled."""
+        return of_stepped(self)
 
     def measurement(self, form: str = "receptance") -> Measurement:
         """FRFs, fundamental over force, with a run for each level."""
@@ -193,6 +199,7 @@ def stepped_sine(
     turn = slice(None, None, -1) if sweep == "down" else slice(None)
     period = 1 / np.asarray(freq)[turn]
     plan = _Plan(steps, tolerance, limit, sweep != "each")
+    inputs = as_names(inputs)
     columns, names = [], ()
     for name in inputs:
         rig, names = make_rig(structure, joints, places, outputs, [name])
@@ -204,7 +211,7 @@ def stepped_sine(
     j = len(joints)
     q, X = as_array(X[:, :, :j]), as_array(X[:, :, j:])
     steady = as_array(periods), as_array(change), as_array(settled)
-    return SteppedSine(freq, level, X, q, *steady, names, tuple(inputs))
+    return SteppedSine(freq, level, X, q, *steady, names, inputs)
 
 
 def _columns(parts: Sequence[Any]) -> Any:

@@ -14,6 +14,7 @@ import numpy as np
 
 from modalax.files.write import write_text
 from modalax.study import engine
+from modalax.study.overview import of_summary
 from modalax.study.settings import checked, read_settings
 from modalax.study.statistics import summary
 from modalax.study.store import Store, digest
@@ -46,6 +47,10 @@ class Results:
     file: Path
     columns: dict[str, np.ndarray]
     summary: dict[str, Any]
+
+    def __str__(self) -> str:
+        """The statistics, as ``modalax study`` prints them, and where all rows are."""
+        return f"{of_summary(self.summary)}\nall rows: {self.file}"
 
 
 def study(

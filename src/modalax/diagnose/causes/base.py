@@ -27,7 +27,8 @@ from jaxtyping import Array, Complex, Float
 
 from modalax.diagnose.causes.parameter import Parameter
 from modalax.diagnose.causes.scene import Place, Scene
-from modalax.diagnose.causes.signals import Channels, HumLines, ModalTerms
+from modalax.diagnose.causes.signals import Channels, HumLines, ModalTerms, gather
+from modalax.diagnose.overview import of_cause
 
 RARE = 0.05  # prior, relative to other causes, of one that has no name in the answer
 
@@ -156,6 +157,10 @@ class Cause:
     def free_sizes(self, extra: Any) -> int:
         """Number of sizes in the channels that a few lines tell each, not all lines together."""
         return 0
+
+    def __str__(self) -> str:
+        """Name, what it means, and its unknowns."""
+        return of_cause(self)
 
     def __hash__(self) -> int:
         return hash((type(self), tuple(sorted(vars(self).items()))))
@@ -392,9 +397,3 @@ class LinesCause(Cause):
     def told(self, lines: HumLines) -> dict[str, tuple[Any, str]]:
         """Parameters of the lines as reported in the answer: value and unit by name."""
         raise NotImplementedError(f"{type(self).__name__} needs told(lines)")
-
-
-def gather(columns: Array, index: Array, axis: int = -1) -> Array:
-    """Column of a direction: that of the first DoF less that of the second, where there is one."""
-    second = jnp.take(columns, jnp.maximum(index[1], 0), axis=axis)
-    return jnp.take(columns, index[0], axis=axis) - jnp.where(index[1] >= 0, 1.0, 0.0) * second

@@ -77,3 +77,9 @@ class HumLines:
     amplitude: float
     frequency: float
     p_value: float
+
+
+def gather(columns: Array, index: Array, axis: int = -1) -> Array:
+    """Column of a direction: that of the first DoF less that of the second, where there is one."""
+    second = jnp.take(columns, jnp.maximum(index[1], 0), axis=axis)
+    return jnp.take(columns, index[0], axis=axis) - jnp.where(index[1] >= 0, 1.0, 0.0) * second

@@ -19,9 +19,8 @@ import numpy as np
 from jaxtyping import Array
 
 from modalax._numerics.checks import as_array
-from modalax.diagnose.causes.base import gather
 from modalax.diagnose.causes.scene import Place
-from modalax.diagnose.causes.signals import ModalTerms
+from modalax.diagnose.causes.signals import ModalTerms, gather
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.deadline import NEVER, Deadline
 from modalax.diagnose.fitting.hypothesis import Hypothesis

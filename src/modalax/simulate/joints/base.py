@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
 from modalax._numerics.checks import as_double
+from modalax.simulate.overview import of_joint
 
 POSITIVE = (0.0, math.inf)
 ANY = (-math.inf, math.inf)
@@ -57,6 +58,10 @@ class Joint(eqx.Module):
     units: ClassVar[dict[str, str]]
     bounds: ClassVar[dict[str, tuple[float, float]]]
     odd: ClassVar[bool] = True
+
+    def __str__(self) -> str:
+        """Name and parameters with units."""
+        return of_joint(self)
 
     @property
     def parameters(self) -> dict[str, Array]:

@@ -1,0 +1,79 @@
+import jax
+import numpy as np
+import pytest
+
+from modalax import simulate
+from modalax.model import Structure
+from modalax.simulate.joints import CubicSpring
+
+M, K = np.eye(2), np.array([[4000.0, -1000.0], [-1000.0, 3000.0]])
+JOINT = [CubicSpring(1e6)], [["a", "b"]]
+
+
+@pytest.fixture(scope="module")
+def structure():
+    return Structure(M, 1e-3 * K, K, ["a", "b"])
+
+
+def test_a_joint_prints_its_parameters_with_units():
+    assert str(JOINT[0][0]) == "cubic_stiffness(k3 = 1e+06 N/m^3)"
+
+
+def test_a_response_prints_what_is_solved(structure):
+    found = simulate.harmonic_balance(structure, *JOINT, [5.0, 6.0, 7.0], [0.1, 1.0], inputs=["a"])
+    assert str(found).splitlines()[:-1] == [
+        "Harmonic balance: 3 lines from 5 to 7 Hz, 1 Hz apart",
+        "  2 force levels: 0.1 to 1 N",
+        "  2 outputs: a, b",
+        "  1 input: a",
+        "  harmonics: 1",
+        "  solved: 6 of 6 points",
+    ]
+    largest = np.abs(found.fundamental).max()
+    assert str(found).splitlines()[-1] == f"  largest displacement at the frequency of the force: {largest:.4g} m"
+
+
+def test_a_stepped_sine_prints_what_is_settled(structure):
+    found = simulate.stepped_sine(structure, *JOINT, [5.0, 6.0], 0.1, inputs=["a"])
+    text = str(found).splitlines()
+    assert text[:2] == ["Stepped sine: 2 lines from 5 to 6 Hz, 1 Hz apart", "  1 force level: 0.1 N"]
+    assert text[4] == "  settled: 2 of 2 points"
+
+
+def test_a_backbone_prints_how_frequency_and_damping_change(structure):
+    found = simulate.backbone(structure, *JOINT, 1, [0.001, 0.01, 0.05])
+    text = str(found).splitlines()
+    f = found.frequency_hz
+    assert text[0] == "Backbone over 3 amplitudes: 0.001 to 0.05 m sqrt(kg)"
+    assert text[1] == f"  frequency: {f[0]:.6g} to {f[-1]:.6g} Hz"
+    assert text[-1] == "  solved: 3 of 3 amplitudes"
+
+
+def test_a_branch_and_a_held_response_print_their_range(structure):
+    branch = simulate.follow_branch(structure, *JOINT, (6.0, 8.0), 0.1, input="a", points=50)
+    assert str(branch).startswith("Branch of ") and str(branch).endswith("Hz: does not turn back")
+    held = simulate.constant_response(structure, *JOINT, [5.0, 6.0], 1e-3, held="a", input="a")
+    assert str(held).splitlines()[-1] == "  solved: 2 of 2 lines"
+
+
+def test_a_bench_and_its_records_print_channels_and_sampling(structure):
+    bench = simulate.Bench(structure, *JOINT, fs=100.0, inputs=["a"])
+    assert str(bench).splitlines()[:5] == [
+        "Bench: accelerance [(m/s^2)/N], sampled at 100 Hz",
+        "  2 outputs: a, b",
+        "  1 input: a",
+        "  cubic_stiffness(k3 = 1e+06 N/m^3) at a - b",
+        "Structure of 2 degrees of freedom: a, b",
+    ]
+    records = bench.record(jax.random.key(0), np.zeros((1, 1600, 1)))
+    assert str(records).splitlines() == [
+        "Records of 1 run: 2 s, 200 samples at 100 Hz",
+        "  2 outputs [m/s^2]: a, b",
+        "  1 input [N]: a",
+    ]
+
+
+def test_inside_a_compiled_function_the_plain_text_is_shown():
+    seen = []
+    jax.jit(lambda x: (seen.append(str(x)), 0.0)[1])(JOINT[0][0])
+    assert seen[0].startswith("CubicSpring(")
