@@ -301,6 +301,17 @@ def test_remarks_stand_in_a_table_of_their_own(fit):
     assert "Bias of damping [%]" in mode_rows(modes).head
 
 
+def test_modal_masses_stand_in_the_table_where_a_drive_point_tells_them(fit):
+    modes = [{**mode, "modal_mass_kg": None, "modal_mass_std_kg": None} for mode in fit.to_dict()["modes"]]
+    assert "Modal mass [kg]" not in mode_rows(modes).head
+    modes[0] |= {"modal_mass_kg": [2.5, 0.1], "modal_mass_std_kg": 0.01}
+    modes[1] |= {"modal_mass_kg": [float("nan"), float("nan")]}
+    table = mode_rows(modes)
+    at = table.head.index("Modal mass [kg]")
+    assert [row[at] for row in table.rows] == ["2.500 ± 0.010", "-", *["-"] * (len(modes) - 2)]
+    assert "its largest component 1" in table.caption
+
+
 def test_a_selected_mode_without_a_pole_is_explained(fit):
     plot = stabilization_plot(fit.table, fit.stability, fit.frf, [*fit.model.frequency_hz, 1234.5])
     assert "mode at 1234.5 Hz (dotted) has no pole" in plot.caption

@@ -14,6 +14,7 @@ from modalax.data.measurement import Measurement
 from modalax.identify.band import usable_lines
 from modalax.identify.bias import predicted_damping_bias
 from modalax.identify.chosen import by_frequency, choice_of, chosen_poles, fit_chosen
+from modalax.identify.cut_record import cut_notes
 from modalax.identify.diagram import ESTIMATORS, diagram
 from modalax.identify.flags import HEAVY, Modes, flags_of, grades_of, notes_of, stands_for_two
 from modalax.identify.host import residues_on_host as fit_residues
@@ -220,6 +221,7 @@ def summed_up(
             *notes,
             *form_notes(weighted, model, np.where(inside, grades, 0.0), unexplained - noise),
             *window_notes(judging, model, left),
+            *cut_notes(weighted, model, np.where(inside, grades, 0.0)),
             *shared_notes(shared_of(weighted, residual)),
             *notes_of(modes, grades, noise, unexplained),
         ),

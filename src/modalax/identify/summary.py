@@ -6,6 +6,7 @@ from typing import Any
 from modalax._numerics.text import text_table, with_error
 
 GRADE = "Grade: how sure it is that this is a mode, 0 to 1."
+MASS = "Modal mass: real part, for the shape as it is scaled here, its largest component 1."
 BIAS = (
     "Bias: predicted error of the damping in the stabilization diagram due to noise (empty: not known, or the mode is "
     "lost in noise); the refinement removes it."

@@ -1,5 +1,6 @@
 """The report of a fit."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -7,7 +8,7 @@ import numpy as np
 
 from modalax._numerics.text import with_error
 from modalax.data.geometry import Geometry
-from modalax.identify.summary import BIAS, GRADE
+from modalax.identify.summary import BIAS, GRADE, MASS
 from modalax.model.indicators import auto_mac
 from modalax.show.matrices import mode_names
 from modalax.show.report.moving import shapes_on
@@ -20,13 +21,15 @@ def mode_rows(modes: Sequence[Mapping[str, Any]], truth: tuple[Any, Any] | None 
     """Table of modes, from ``Fit.to_dict()["modes"]``."""
     biased = any(m.get("predicted_damping_bias") is not None for m in modes)
     refined = any(m["frequency_std_hz"] is not None for m in modes)
-    head = ["Mode", "Frequency [Hz]", "Damping [%]", "MPC [-]", "Grade [-]"]
+    massive = any(m.get("modal_mass_kg") is not None for m in modes)
+    head = ["Mode", "Frequency [Hz]", "Damping [%]", *(["Modal mass [kg]"] if massive else []), "MPC [-]", "Grade [-]"]
     head += ["Bias of damping [%]"] if biased else []
     rows = [
         [
             str(k + 1),
             with_error(m["frequency_hz"], m["frequency_std_hz"]),
             with_error(m["damping_ratio"], m["damping_ratio_std"], 100.0),
+            *([_mass(m)] if massive else []),
             f"{m['mpc']:.4f}",
             f"{m['grade']:.2f}" if "grade" in m else "",
             *([_bias(m)] if biased else []),
@@ -37,8 +40,8 @@ def mode_rows(modes: Sequence[Mapping[str, Any]], truth: tuple[Any, Any] | None 
         head += ["True frequency [Hz]", "True damping [%]"]
         for k, row in enumerate(rows):
             row += [f"{float(truth[0][k]):.5g}", f"{100 * float(truth[1][k]):.4g}"]
-    words = f"{'± is one standard deviation. ' if refined else ''}{GRADE} {BIAS if biased else ''}"
-    return Table(head, rows, words.strip(), text_columns=())
+    words = [(refined, "± is one standard deviation."), (massive, MASS), (True, GRADE), (biased, BIAS)]
+    return Table(head, rows, " ".join(text for said, text in words if said), text_columns=())
 
 
 def remarks(modes: Sequence[Mapping[str, Any]]) -> list[Table]:
@@ -47,6 +50,13 @@ def remarks(modes: Sequence[Mapping[str, Any]]) -> list[Table]:
         [str(k + 1), f"{m['frequency_hz']:.5g}", "; ".join(m["flags"])] for k, m in enumerate(modes) if m.get("flags")
     ]
     return [Table(["Mode", "Frequency [Hz]", "Remarks"], rows, text_columns=(2,))] if rows else []
+
+
+def _mass(mode: Mapping[str, Any]) -> str:
+    """Real part of the modal mass; a dash for a mode that does not move the drive point."""
+    mass = mode.get("modal_mass_kg")
+    known = mass is not None and math.isfinite(mass[0])
+    return with_error(mass[0], mode.get("modal_mass_std_kg")) if known else "-"
 
 
 def _bias(mode: Mapping[str, Any]) -> str:
