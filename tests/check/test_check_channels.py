@@ -1,5 +1,7 @@
 """Channels, and whole measurements, without data of their own."""
 
+import re
+
 import numpy as np
 import pytest
 from test_check_words import FREQ, NAMES, NOISE, Bench, accelerance
@@ -53,3 +55,13 @@ def test_a_copied_channel_is_told_with_its_factor():
     H[:, 1] = 2 * H[:, 0]
     (found,) = [f for f in told(H) if f.what == "duplicated"]
     assert "the first is 0.5 times the second, noise included" in found.evidence
+
+
+def test_a_channel_that_a_file_holds_no_number_of_is_dead(tmp_path):
+    H = noise((1, len(FREQ), 5, 1)) * 1e-3 + accelerance()[None, :, :, :1]
+    H[:, :, 3] = np.nan
+    np.savez(tmp_path / "a.npz", freq=FREQ, H=H, form="accelerance", outputs=NAMES, inputs=NAMES[:1])
+    with pytest.warns(UserWarning, match=re.escape(f"a.npz: no finite number at output {NAMES[3]}; left out")):
+        found = check(tmp_path / "a.npz")
+    (dead,) = [f for f in found if f.what == "dead"]
+    assert dead.where == (NAMES[3],) and "no finite number" in dead.evidence

@@ -23,6 +23,14 @@ SHARED, EQUAL = 0.01, 0.05
 ROUNDING = 1e-6
 
 
+def without_numbers(channel: str) -> Finding:
+    """A channel all of whose samples are missing in the file, so that nothing else is known of it."""
+    return Finding(
+        "dead", (channel,), sure=0.99, evidence="its FRFs hold no finite number at any line",
+        advice="check the cable, the sensor and the channel's range, and measure it again or leave it out",
+    )  # fmt: skip
+
+
 def dead(study: Study) -> Iterator[Finding]:
     """Find dead channels: in none of their FRFs are neighbouring lines alike, but for a constant, and no mode shows."""
     ratio = np.abs(study.residues) / np.maximum(study.residue_std, np.finfo(float).tiny)

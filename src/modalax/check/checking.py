@@ -1,6 +1,7 @@
 """The check of a measurement: every detector is run in turn."""
 
 import os
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from modalax.check.channels import conjugated, dead, duplicated
+from modalax.check.channels import conjugated, dead, duplicated, without_numbers
 from modalax.check.excitation import excitation
 from modalax.check.finding import Finding, Findings
 from modalax.check.form import FORMS, wrong_form
@@ -28,6 +29,7 @@ from modalax.check.study import Study, study_of
 from modalax.data.frf import FRF
 from modalax.data.measurement import Measurement
 from modalax.files import load
+from modalax.files.gaps import LeftOut
 from modalax.files.messages import about
 from modalax.model.entry import check_frf
 
@@ -63,14 +65,16 @@ def check(data: FRF | Measurement | Records | str | os.PathLike[str], **told: An
     ValueError
         If the file holds no measurement, or fewer than 8 lines above 0 Hz, or something is told of data that are none.
     """
+    empty: tuple[str, ...] = ()
     if isinstance(data, str | os.PathLike):
-        data = _read(Path(data), told)
+        data, empty = _read(Path(data), told)
     elif told:
         raise ValueError(f"option {', '.join(told)} is for files of FRFs; this is a {type(data).__name__}")
     if isinstance(data, Records):
         return _check_records(data)
     check_frf(data, "check", several=True)
-    return Findings(_ordered(_findings(study_of(_measurement(data)), DETECTORS)))
+    found = [without_numbers(name) for name in empty]
+    return Findings(_ordered(found + _findings(study_of(_measurement(data)), DETECTORS)))
 
 
 def _check_records(records: Records) -> Findings:
@@ -121,10 +125,12 @@ def _measurement(data: FRF | Measurement) -> Measurement:
     return Measurement.from_frfs([data]) if isinstance(data, FRF) else data
 
 
-def _read(path: Path, told: dict[str, Any]) -> Measurement | Records:
-    """FRFs in the time convention of their file, or else time records."""
+def _read(path: Path, told: dict[str, Any]) -> tuple[Measurement | Records, tuple[str, ...]]:
+    """FRFs in the time convention of their file, or else time records; channels of FRFs that hold no number."""
     try:
-        found = load(path, conjugate=False, **told)
+        with warnings.catch_warnings(record=True) as heard:
+            warnings.simplefilter("always")
+            found = load(path, conjugate=False, **told)
     except ValueError as error:
         if told:
             raise
@@ -132,10 +138,13 @@ def _read(path: Path, told: dict[str, Any]) -> Measurement | Records:
             records = read_records(path) if path.is_file() else None
         if records is None:
             raise error
-        return records
+        return records, ()
     if not isinstance(found, Measurement):
         raise ValueError(f"{path} holds a {type(found).__name__}; measured FRFs or time records are needed here")
-    return found
+    for warning in heard:
+        warnings.warn(warning.message, warning.category, stacklevel=3)
+    left_out = [w.message.channels for w in heard if isinstance(w.message, LeftOut)]
+    return found, tuple(name for names in left_out for name in names)
 
 
 def mended(study: Study, found: Sequence[Finding]) -> Study | None:

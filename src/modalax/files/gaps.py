@@ -9,6 +9,15 @@ import numpy as np
 SHOWN = 6  # names or frequencies that a sentence lists
 MOST = 0.5  # part of the lines that may be left out because samples are missing
 
+
+class LeftOut(UserWarning):
+    """What of a file was left out, as it holds no finite number: ``channels`` are the outputs and inputs."""
+
+    def __init__(self, text: str, channels: Sequence[str] = ()):
+        super().__init__(text)
+        self.channels = tuple(channels)
+
+
 Arrays = tuple[np.ndarray, np.ndarray, list[str], list[str], dict[str, Any]]
 
 
@@ -110,7 +119,9 @@ def _without_empty(
         ) if not kept.all()
     ]  # fmt: skip
     if told:
-        warnings.warn(f"no finite number at {' and at '.join(told)}; left out", UserWarning, stacklevel=stacklevel)
+        empty = [name for names, kept in ((outputs, o), (inputs, i)) for name in np.array(names)[~kept].tolist()]
+        said = f"no finite number at {' and at '.join(told)}; left out"
+        warnings.warn(LeftOut(said, empty), stacklevel=stacklevel)
     take = lambda name, v: v[:, f] if np.ndim(v) == 2 else v[:, f][:, :, o][..., i]
     named = lambda names, kept: [name for name, keep in zip(names, kept, strict=True) if keep]
     beside = _along_lines(beside, H.shape, take)

@@ -1,5 +1,6 @@
 """Errors and warnings that name the file they are about."""
 
+import copy
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -31,10 +32,12 @@ def about(path: Path) -> Iterator[None]:
             text = " ".join(str(error).split())
             raise ValueError(text if str(path) in text else f"{path}: {text}") from error
     for warning in heard:
-        text = str(warning.message)
+        text, said = str(warning.message), copy.copy(warning.message)
         if issubclass(warning.category, UserWarning) and str(path) not in text:
             text = f"{path}: {text}"
-        warnings.warn(text, warning.category, stacklevel=4)
+        if isinstance(said, Warning):
+            said.args = (text,)
+        warnings.warn(said, warning.category, stacklevel=4)
 
 
 @contextmanager

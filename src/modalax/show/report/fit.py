@@ -55,8 +55,9 @@ def remarks(modes: Sequence[Mapping[str, Any]]) -> list[Table]:
 def _mass(mode: Mapping[str, Any]) -> str:
     """Real part of the modal mass; a dash for a mode that does not move the drive point."""
     mass = mode.get("modal_mass_kg")
-    known = mass is not None and math.isfinite(mass[0])
-    return with_error(mass[0], mode.get("modal_mass_std_kg")) if known else "-"
+    if mass is None or not math.isfinite(mass[0]):
+        return "-"
+    return with_error(mass[0], mode.get("modal_mass_std_kg"))
 
 
 def _bias(mode: Mapping[str, Any]) -> str:
