@@ -165,8 +165,16 @@ def stiffness_parts(K: np.ndarray, nodes: Nodes) -> list[Part]:
     for i, a in enumerate(nodes.members):
         block = rest[np.ix_(a, a)]
         if (np.abs(block) / diagonal[a][:, None] / diagonal[a]).max() > NEGLIGIBLE:
-            parts.append(Part((i,), a, (block + block.T) / 2))
+            parts += _mounts_of(i, a, block, diagonal[a]) or [Part((i,), a, (block + block.T) / 2)]
     return parts
+
+
+def _mounts_of(node: int, dofs: np.ndarray, matrix: np.ndarray, size: np.ndarray) -> list[Part]:
+    """One part for each spring where a node is held by springs to ground in its own directions only; else none."""
+    unit = np.abs(matrix) / size[:, None] / size
+    if (unit - np.diag(np.diag(unit))).max() > NEGLIGIBLE or (np.diag(matrix) < 0).any():
+        return []
+    return [Part((node,), dofs[[k]], matrix[[k]][:, [k]]) for k in np.flatnonzero(np.diag(unit) > NEGLIGIBLE)]
 
 
 def _joined(K: np.ndarray, a: np.ndarray, b: np.ndarray) -> bool:

@@ -12,7 +12,7 @@ from modalax.diagnose.modal_domain.bent_peaks import one_each, widened
 from modalax.diagnose.modal_domain.coordinates import SPARED, Coordinates, modes_of
 from modalax.diagnose.modal_domain.features import Features, chosen, features_of, sure, values_of
 from modalax.diagnose.modal_domain.free_residues import Channels, Projected, refine
-from modalax.diagnose.modal_domain.mode_count import blind_modes, heavy, misfit
+from modalax.diagnose.modal_domain.mode_count import blind_modes, cost_of_mode, heavy, misfit, mode_gains
 from modalax.diagnose.setup.noise import Noise, noise_of
 from modalax.identify.shared_noise import shared_noise
 
@@ -21,6 +21,8 @@ ASIDE = 0.1  # distance of these from the band, relative to its ends
 EDGE = 0.003  # part of the band's ends by which a mode that is compared may lie outside
 ALIKE = 5.0  # standard deviations of chi-square by which runs may differ and still count as alike
 OFF = 1.3  # factor by which variances that were estimated may be too small at some lines
+DOUBLED = 0.02  # part of a pole's energy from which on what is no shape times a participation is a second mode
+EXPLAINED = 1.1  # chi-square per sample up to which modes explain the data
 UNLIKE = 1e-6  # chance under noise below which runs differ at three neighbouring lines, as where a peak is bent
 
 
@@ -135,7 +137,23 @@ def _features(modes: Projected, channels: Channels, shape: tuple[int, ...]) -> t
     features = features_of(modes, shape[0], shape[1], left)
     size = np.abs(features.poles)
     known = sure(features) & ~heavy(features.poles) & (size > abs(s[0]) * (1 - EDGE)) & (size < abs(s[-1]) * (1 + EDGE))
+    own = np.abs(modes.poles[None] - features.poles[:, None]).argmin(axis=1)
+    known &= ~doubled(modes, channels, shape)[own]
     return left, chosen(widened(features, modes, channels), known)
+
+
+def doubled(modes: Projected, channels: Channels, shape: tuple[int, ...]) -> np.ndarray:
+    """Whether each pole stands for two modes of one frequency: its residues are no shape times a participation.
+
+    Which two shapes they are is not told then. Only where modes explain the data: a peak that a joint bends by the
+    force that moves it has residues of its own for each input.
+    """
+    left = misfit(modes, channels)
+    U, size, V = np.linalg.svd(modes.residues.reshape(-1, *shape), full_matrices=False)
+    first = size[:, :1, None] * U[:, :, :1] * V[:, :1]
+    second = mode_gains(replace(modes, residues=modes.residues - first.reshape(modes.residues.shape)))
+    plain = second > np.maximum(cost_of_mode(channels) * left, DOUBLED * mode_gains(modes))
+    return plain & (left < EXPLAINED)
 
 
 def _first_guess(measurement: Measurement, H: np.ndarray) -> np.ndarray:
