@@ -179,6 +179,15 @@ def test_a_sensor_of_another_form_than_the_others_is_named(times):
     assert (found.what, found.where) == ("wrong_form", (NAMES[1],)) and "turned by 90 degrees" in found.evidence
 
 
+def test_hum_of_one_output_is_told_there_and_that_of_all_everywhere():
+    H, at = accelerance(), int(np.argmin(np.abs(FREQ - 50)))
+    H[at, 3] += 0.6 * np.abs(H[at]).mean()
+    (found,) = Bench(H).measured()
+    assert (found.what, found.where) == ("hum", (NAMES[3],))
+    (found,) = Bench(humming()).measured()
+    assert (found.what, found.where) == ("hum", ())
+
+
 def test_a_mains_a_line_off_is_as_large_a_hum():
     (found,) = Bench(humming(49.875)).measured()
     assert found.what == "hum" and found.size == pytest.approx(0.6, rel=0.2)

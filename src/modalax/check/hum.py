@@ -26,6 +26,8 @@ UNEXPLAINED = 30.0
 # Chance of noise alone below which a line stands out; chance that so many of the single lines of all frequencies are
 # multiples, from which on they may be no hum.
 SEEN, COINCIDENCE = 1e-3, 1e-3
+# The same for an output that holds no hum, above which it is free of it.
+ABSENT = 1e-2
 
 
 def hum(study: Study) -> Iterator[Finding]:
@@ -35,7 +37,8 @@ def hum(study: Study) -> Iterator[Finding]:
     mains_seen = [m for m in MAINS if step <= m / (6 * SPREAD)]
     if len(study.freq) < 4 * TAIL or not mains_seen:
         return
-    power = _left_over(study, float(step))
+    each = _left_over(study, float(step))
+    power = each.mean(axis=(1, 2, 3))
     # Where the lines are wider apart than modes are wide, a mode too is a single line.
     widths = lines_a_width(study)
     unresolved = len(widths) > 0 and float(np.median(widths)) < FEW
@@ -61,10 +64,11 @@ def hum(study: Study) -> Iterator[Finding]:
     if best is None:
         return
     score, mains, lines, seen = best
-    share = _share(study, power, _strongest(study, power, lines, float(step)))
+    which = _strongest(study, power, lines, float(step))
+    share = _share(study, power, which)
     shown = ", ".join(f"{f:g}" for f in lines[:6]) + (", ..." if len(lines) > 6 else "")
     yield Finding(
-        "hum", (), sure=sureness(score, 1.0), size=share, unit="of the FRF there",
+        "hum", _outputs(study, each, which), sure=sureness(score, 1.0), size=share, unit="of the FRF there",
         evidence=f"single lines stand out at {shown} Hz, multiples of {mains:g} Hz, without the flanks of a resonance",
         advice="look for ground loops, use insulated mounts and shielded cables, average more, or leave the lines out",
         picture=Picture([("left over by the modes, over the noise", study.freq, power)], "Frequency [Hz]", "[-]", True),
@@ -73,9 +77,10 @@ def hum(study: Study) -> Iterator[Finding]:
 
 
 def _left_over(study: Study, step: float) -> np.ndarray:
-    """Mean square of what the modes leave of all FRFs over their noise, with no mode narrower than two lines near a
-    multiple of the mains.
-    """  # noqa: D205, D400, D415
+    """Squares of what the modes leave over the noise, shape ``(f, run, o, i)``.
+
+    No mode near a multiple of the mains is narrower than two lines.
+    """
     poles = study.modes.poles
     f, width = np.abs(poles) / (2 * np.pi), -poles.real / np.pi
     near = np.zeros(len(poles), bool)
@@ -96,7 +101,7 @@ def _left_over(study: Study, step: float) -> np.ndarray:
     Y = lift(weight[:, None] * H)
     left = (Y - Phi @ least_squares(Phi[both], Y[both])[0]) / np.concatenate([weight, weight])[:, None]
     power = (left[:lines] ** 2 + left[lines:] ** 2) / _scale(H, sigma)
-    return power.mean(axis=1)
+    return power.reshape(lines, runs, *study.H.shape[2:])
 
 
 def _scale(H: np.ndarray, sigma: np.ndarray) -> np.ndarray:
@@ -157,6 +162,18 @@ def _again(study: Study, line: int) -> bool:
         return False
     unit = values / np.maximum(np.abs(values), np.finfo(float).tiny)
     return bool(np.abs(unit.mean(axis=0)).mean() < 0.8)
+
+
+def _outputs(study: Study, each: np.ndarray, which: list[int]) -> tuple[str, ...]:
+    """Outputs that hold the hum at these lines, where they are few and all others clearly do not; else none."""
+    others = np.ones(len(each), bool)
+    others[[k for line in which for k in range(max(0, line - SPREAD), line + SPREAD + 1) if k < len(each)]] = False
+    level = each[others].mean(axis=(0, 1, 3)) + 1e-300
+    count = len(which) * each.shape[1] * each.shape[3]  # squares of noise, each exponentially distributed
+    chance = gamma.sf(each[which].mean(axis=(0, 1, 3)) / level * count, count)
+    has, lacks = chance < CHANCE, chance > ABSENT
+    told = has.any() and (has | lacks).all() and 2 * has.sum() <= len(has)
+    return tuple(name for name, there in zip(study.outputs, has, strict=True) if there) if told else ()
 
 
 def _share(study: Study, power: np.ndarray, which: list[int]) -> float:
