@@ -281,6 +281,15 @@ def test_simulated_noise_has_the_size_asked_for(files, tmp_path, capsys):
     np.testing.assert_allclose(ratio, 0.2, rtol=0.16)
 
 
+def test_what_has_no_effect_without_joints_is_said(files, tmp_path, capsys):
+    arguments = ["simulate", files / "structure.npz", "--band", 20, 30, "-o", tmp_path / "a.npz"]
+    assert main([str(a) for a in [*arguments, "--sweep", "down", "--harmonics", 5]]) == 0
+    said = capsys.readouterr().err
+    assert "--sweep has no effect without joints" in said and "--harmonics has no effect without joints" in said
+    assert main([str(a) for a in [*arguments, "--overwrite"]]) == 0
+    assert "no effect" not in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("lower", "upper", "step", "count"), [(20, 70, 0.1, 501), (0, 1, 0.3, 4), (33.3, 33.9, 0.2, 4), (5, 6, 1, 2)]
 )

@@ -10,6 +10,9 @@ from modalax.cli.common import OverwriteOption, check_free, check_readable, note
 from modalax.files.messages import naming
 
 
+HARMONICS = 3  # where no number of them is given
+
+
 class Sweep(StrEnum):
     """Direction of a frequency sweep."""
 
@@ -74,7 +77,10 @@ def simulate(
         str | None,
         typer.Option("--held", metavar="DOF", help="DoF whose amplitude is held; the driven one by default."),
     ] = None,
-    harmonics: Annotated[int, typer.Option(help="Number of harmonics, where there are joints.")] = 3,
+    harmonics: Annotated[
+        int | None,
+        typer.Option(help="Number of harmonics, where there are joints; 3 if not given.", show_default=False),
+    ] = None,
     noise: Annotated[float, typer.Option(help="Noise to add, as a fraction of the rms value of each channel.")] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 0,
     overwrite: OverwriteOption = False,
@@ -102,18 +108,21 @@ def simulate(
     parts = [part for spec in specs for part in read_joints(spec)]
     if parts and not levels and not amplitudes:
         raise ValueError("joints make the response depend on the force: give --force N, or --amplitude M to hold it")
+    if not parts:
+        for name, given in (("--sweep", sweep), ("--harmonics", harmonics)):
+            if given is not None:
+                note(f"{name} has no effect without joints, where the response is the same at every force")
+    orders = HARMONICS if harmonics is None else harmonics
     known = getattr(structure, "dofs", None) or structure.inputs
     driven = known[0] if input is None else input
     with naming(simulation):
         directions(structure, [[driven], [held or driven], *(where for _, where in parts)])
     if amplitudes:
         with naming(simulation), working(f"Simulating {len(freq)} lines at {len(amplitudes)} held amplitudes"):
-            measurement = hold(structure, parts, freq, amplitudes, driven, held or driven, form.value, harmonics)
+            measurement = hold(structure, parts, freq, amplitudes, driven, held or driven, form.value, orders)
     else:
         with naming(simulation), working(f"Simulating {len(freq)} lines at {len(levels) or 1} force amplitudes"):
-            measurement = predict(
-                structure, parts, freq, levels, driven, form.value, harmonics, (sweep or Sweep.up).value
-            )
+            measurement = predict(structure, parts, freq, levels, driven, form.value, orders, (sweep or Sweep.up).value)
     if noise:
         measurement = with_noise(measurement, noise, seed)
     save(measurement, output, overwrite=overwrite)
