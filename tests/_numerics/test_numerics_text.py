@@ -13,6 +13,7 @@ from modalax._numerics.text import percent, text_table, with_error
         (1234.5, 23.0, 1.0, "1234 ± 23"),
         (3.14159, None, 1.0, "3.1416"),
         (3.14159, float("nan"), 1.0, "3.1416"),
+        (10.70869532, 3e-13, 1.0, "10.70869532 ± 3.0e-13"),
     ],
 )
 def test_a_value_is_written_to_the_place_of_its_error(value, std, unit, text):

@@ -3,6 +3,8 @@
 import math
 from collections.abc import Sequence
 
+EXACT = 1e-9  # standard deviation, relative to its value, below which digits up to it say nothing to a reader
+
 
 def with_error(value: float, std: float | None, unit: float = 1.0) -> str:
     """Write a value ± its standard deviation: the deviation with two digits, the value to the same decimal place."""
@@ -12,6 +14,8 @@ def with_error(value: float, std: float | None, unit: float = 1.0) -> str:
     std = std * unit
     if std >= 1e4:
         return f"{value:.3g} ± {std:.2g}"
+    if std < EXACT * abs(value):
+        return f"{value:.10g} ± {std:.1e}"
     places = max(0, 1 - math.floor(math.log10(std)))
     return f"{value:.{places}f} ± {std:.{places}f}"
 

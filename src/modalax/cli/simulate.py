@@ -9,7 +9,6 @@ import typer
 from modalax.cli.common import OverwriteOption, check_free, check_readable, note, read_simulation, start, working
 from modalax.files.messages import naming
 
-
 HARMONICS = 3  # where no number of them is given
 
 
