@@ -132,9 +132,11 @@ def test_outputs_and_inputs_exchanged(tmp_path):
     refused(with_npz(tmp_path, H=good()["H"].swapaxes(2, 3)), "axis 2 holds 2 for 3 outputs")
 
 
-def test_single_run_without_run_axis_is_taken_only_where_declared(tmp_path):
+def test_single_run_without_run_axis_is_taken_where_the_names_tell_every_axis(tmp_path):
     H = good()["H"][0]
-    refused(with_npz(tmp_path, H=H, level=None), r"H has 3 axes.*save H\[None\], or add axes = 'f o i'")
+    np.testing.assert_array_equal(modalax.load(with_npz(tmp_path, H=H, level=None)).H, H[None])
+    turned = with_npz(tmp_path, H=H.swapaxes(1, 2), level=None)
+    refused(turned, r"H has 3 axes.*save H\[None\], or add axes = 'f o i'")
     declared = modalax.load(with_npz(tmp_path, H=H, level=None, axes=np.array("f o i")))
     np.testing.assert_array_equal(declared.H, H[None])
     refused(with_npz(tmp_path, axes=np.array("o i f")), "axes says 'o i f'")

@@ -201,7 +201,8 @@ def _measurement(arrays: Arrays) -> Measurement:
     freq, H = _numbers(arrays, "freq").squeeze(), _numbers(arrays, "H", complex_=True)
     freq = np.atleast_1d(freq)
     outputs, inputs = _words(arrays, "outputs"), _words(arrays, "inputs")
-    axes = " ".join(_words(arrays, "axes")).split() if "axes" in arrays else ["run", "f", "o", "i"]
+    plain = H.shape == (len(freq), len(outputs), len(inputs))  # one run, of which freq and the names tell every axis
+    axes = " ".join(_words(arrays, "axes") if "axes" in arrays else ["f o i" if plain else "run f o i"]).split()
     if axes not in (["run", "f", "o", "i"], ["f", "o", "i"]):
         raise ValueError(f"axes says {' '.join(axes)!r}; it must be 'run f o i' or 'f o i'")
     single = axes == ["f", "o", "i"]
