@@ -5,7 +5,9 @@ import itertools
 import numpy as np
 import pytest
 
+from modalax.data import FRF, Measurement
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
+from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.elements import nodes_of
 from modalax.diagnose.modal_domain.parts import parts_of
 from modalax.diagnose.modal_domain.places import candidates_of
@@ -70,3 +72,42 @@ def test_a_cause_at_several_places_is_not_joined_with_one_at_the_same_place():
     by_place = {c.where: c for c in every if c.slug == "joint_stiffness" and len(c.told_as) == 1}
     assert some.shares_place([by_place["1:+Z",]]) and by_place["6:+Z",].shares_place([some])
     assert not some.shares_place([by_place["12:+Z",]]) and not by_place["1:+Z",].shares_place([by_place["1:+Z",]])
+
+
+PLANE = tuple(f"{k}:+{way}" for k in range(1, 9) for way in "XY")
+MOUNTS = {0: 4e4, 3: 5e4, 7: 6e4}
+
+
+def on_mounts(factor=1.0, off=0.0) -> Structure:
+    """Eight masses in a row that move along and across it, on three mounts that hold them in both directions."""
+    rng = np.random.default_rng(2)
+    K, M = np.zeros((16, 16)), np.diag(np.repeat(1 + off / 3 * rng.standard_normal(8), 2))
+    for way, stiffness in ((0, 3e5), (1, 2e5)):
+        for k in range(7):
+            at = [2 * k + way, 2 * k + 2 + way]
+            K[np.ix_(at, at)] += stiffness * (1 + off * rng.standard_normal()) * np.array([[1, -1], [-1, 1]])
+        for node, held in MOUNTS.items():
+            wrong = factor if node == 3 else 1.0
+            K[2 * node + way, 2 * node + way] += (1 + 0.2 * way) * held * wrong * (1 + off * rng.standard_normal())
+    return Structure(M, 5e-5 * K, K, PLANE)
+
+
+def test_one_mount_of_several_directions_is_wrong_in_all_of_them():
+    found = together(on_mounts())
+    nodes = [{int(name.split(":")[0]) for name in s.where} for s in found]
+    assert nodes[:4] == [{1, 4, 8}, {1}, {4}, {8}] and [len(s.where) for s in found[:4]] == [6, 2, 2, 2]
+    assert [s.weight for s in found] == pytest.approx([0.1, *[0.05 / 6] * 6])
+
+
+def test_a_mount_that_is_softer_in_all_its_directions_is_named_beside_elements_that_are_off():
+    freq, inputs, rng = np.arange(8.0, 90.0, 0.2), PLANE[2:4], np.random.default_rng(5)
+    H = np.asarray(on_mounts(0.4, 0.01).frf(freq, outputs=PLANE, inputs=inputs).H)
+    sigma = np.broadcast_to(0.01 * np.sqrt((np.abs(H) ** 2).mean(axis=0)).max(), H.shape)
+    H = H + sigma / np.sqrt(2) * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape))
+    data = Measurement.from_frfs([FRF(freq, H, variance=sigma**2, outputs=PLANE, inputs=inputs)])
+    found = diagnose_modes(data, on_mounts())
+    assert found.verdict == "named", found.reasons
+    told = {c["where"][0]: c["parameters"]["stiffness"] for c in found.causes}
+    assert set(told) == {"4:+X", "4:+Y"} and any("same factor" in reason for reason in found.reasons)
+    assert told["4:+X"]["value"] == pytest.approx(-0.6 * 5e4, rel=0.1)
+    assert told["4:+Y"]["value"] == pytest.approx(-0.6 * 6e4, rel=0.1)

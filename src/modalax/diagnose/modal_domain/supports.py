@@ -59,11 +59,13 @@ def supports_together(
     else:
         each = [s for p in parts if len(p.nodes) == 1 for s in _springs(p, n, nodes, simulation.dofs)]
         factors, seen = [], c.shapes
-    held = sorted({s.node for s in each})
-    if not 2 <= len(held) <= HOLDING * len(nodes.members):
+    nodes_held = [s.node for s in each]
+    held = sorted(set(nodes_held))
+    if len(each) < 2 or len(held) > HOLDING * len(nodes.members):
         return []
     counts = range(2, len(held)) if len(held) <= FEW else (len(held) - 1,)
-    some = [set(which) for count in counts for which in itertools.combinations(held, count)]
+    some = [{k} for k in held if nodes_held.count(k) > 1 and len(held) > 1]  # one, in all its directions
+    some += [set(which) for count in counts for which in itertools.combinations(held, count)]
     out: list[Change] = []
     for which in (set(held), *some):
         of = [s for s in each if s.node in which]
