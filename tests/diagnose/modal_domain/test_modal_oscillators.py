@@ -1,11 +1,16 @@
 """Heavy oscillators split a mode into two, far apart: where and how they are sought."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from chains_off import FREQ, as_measured, chain_off, response, simulation
 
+from modalax.diagnose.modal_domain.explain import _attached
+from modalax.diagnose.modal_domain.fit import fit
 from modalax.diagnose.modal_domain.further_causes import MissingMode, TunedMass
 from modalax.diagnose.modal_domain.oscillators import _heavy, oscillators
+from modalax.diagnose.modal_domain.prior import Prior
 from modalax.diagnose.modal_domain.stage import identified, posed
 
 MASS, TUNED, LOSS = 0.3, 37.0, 0.015  # kg, Hz, damping ratio: a sixth of the modal mass there
@@ -43,3 +48,18 @@ def test_its_place_leads_and_a_start_near_it_is_found_from_either_mode(task):
         assert places[0] == ("3:+Z",)
         mass, w, _ = next(c.values(u) for c, u in found[len(found) // 2 :] if c.where == ("3:+Z",))
         assert 0.4 * MASS < mass < 2.5 * MASS and abs(w / (2 * np.pi * TUNED) - 1) < 0.15
+
+
+@pytest.mark.parametrize("explained", [False, True])
+def test_it_is_sought_though_another_cause_leads_that_explains_nothing(task, explained):
+    """Beside elements that are off, one of these may come nearer to the modes than what is too many."""
+    setting, poles = task.setting, np.abs(task.setting.features.poles) / 2 / np.pi
+    number = int(np.argmin(np.abs(poles - TUNED)))
+    extra = next(c for c in task.candidates if isinstance(c, MissingMode) and c.freed == number)
+    mass = next(c for c in task.candidates if c.slug == "added_mass" and c.where == ("1:+Z",))
+    own = fit(setting, (extra,), None, np.zeros(extra.count))
+    ahead = replace(own, causes=(mass,), log_evidence=own.log_evidence + 50.0, chi2=1.0 if explained else 1e9)
+    found = {(extra,): own, (mass,): ahead}
+    _attached(setting, found, task.candidates, Prior(task.candidates), lambda: False)
+    tried = {c.where for causes in found for c in causes if isinstance(c, TunedMass)}
+    assert (("3:+Z",) in tried) is not explained

@@ -189,7 +189,12 @@ def _found(found: dict[tuple[Change, ...], Fit], cause: Change) -> bool:
     f, null = found.get((cause,)), found.get(())
     if f is None or null is None:
         return False
-    return f.log_evidence > null.log_evidence + WORTH and f.chi2 < THRESHOLDS.misfit * f.state.difference.size
+    return f.log_evidence > null.log_evidence + WORTH and _explains(f)
+
+
+def _explains(f: Fit) -> bool:
+    """Whether a fit explains the modes."""
+    return f.chi2 < THRESHOLDS.misfit * f.state.difference.size
 
 
 def _attached(
@@ -197,10 +202,13 @@ def _attached(
     late: Callable[[], bool],
 ) -> None:  # fmt: skip
     """Where a measured mode is one too many, try what may have moved one so far, and oscillators as what makes it."""
-    best = _ranked(found, prior)[0].fit
-    freed = [c for c in best.causes if c.freed is not None]
+    ranked = _ranked(found, prior)
+    if not _explains(ranked[0].fit):  # which mode is too many shows beside other errors that are too large as well
+        ranked = [e for e in ranked if any(c.freed is not None for c in e.causes)]
+    freed = [c for c in ranked[0].causes if c.freed is not None] if ranked else []
     if not freed:
         return
+    best = ranked[0].fit
     for cause, u, start in in_place_of_one(setting, best, candidates, prior.each(candidates)):
         if late():
             return
