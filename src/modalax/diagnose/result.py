@@ -15,7 +15,7 @@ from modalax.diagnose.decision.advice import advise
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.omnibus import Omnibus
 from modalax.diagnose.decision.posterior import Ranked
-from modalax.diagnose.decision.sets import rivals
+from modalax.diagnose.decision.sets import as_stated, rivals
 from modalax.diagnose.evidence import Compared, evidence_of
 from modalax.diagnose.extend import ExtendedSimulation
 from modalax.diagnose.fitting.hypothesis import Hypothesis
@@ -117,8 +117,8 @@ class Diagnosis:
 
     @property
     def causes(self) -> list[dict[str, Any]]:
-        """What the extended model contains."""
-        return in_own_units(self._causes)
+        """What the extended model contains, no likelier than the verdict leaves room for."""
+        return as_stated(self.verdict, in_own_units(self._causes))
 
     @property
     def _causes(self) -> list[dict[str, Any]]:

@@ -26,7 +26,9 @@ OFF = {"stiffness": {"value": 0.02, "interval": [0.01, 0.03]}, "mass": {"value":
 EXACT = {"stiffness": {"value": 1e-4, "interval": [5e-5, 2e-4]}, "mass": {"value": 0.01, "interval": [0.0, 0.02]}}
 MAYBE = {"stiffness": {"value": 1e-4, "interval": [0.0, 2e-4]}, "mass": {"value": 1e-4, "interval": [0.0, 2e-3]}}
 mass_off = lambda size: {**MAYBE, "mass": {"value": size, "interval": [0.75 * size, 2 * size]}}
-damped = lambda least: {**MAYBE, "damping": {"value": 0.1, "interval": [least, 0.3]}}
+damped = lambda least, most=3e-3: {
+    **MAYBE, "stiffness": {"value": 1e-4, "interval": [0.0, most]}, "damping": {"value": 0.1, "interval": [least, 0.3]}
+}  # fmt: skip
 SURE = Outcome("named", 1.05, 0.3, 0.9995, 0, EXACT)
 
 
@@ -112,6 +114,7 @@ def test_one_force_is_looked_for_first_where_that_is_quick_and_can_be_right(task
         (replace(SURE, held_out=1.3), replace(SMALL, places=121.0), False),
         (Outcome("named", 1.05, 0.3, inaccuracy=damped(0.02)), SMALL, True),  # lines take the dampings as exact
         (Outcome("named", 1.05, 0.3, inaccuracy=damped(0.005)), SMALL, False),
+        (Outcome("named", 1.05, 0.3, inaccuracy=damped(0.02, 1e-3)), SMALL, False),  # it may be one damper
         (Outcome("named", 1.05, 0.009, inaccuracy=damped(0.02)), SMALL, False),
         (Outcome("clean", 1.05, 0.3, inaccuracy=damped(0.02)), SMALL, False),  # a window may have added them
         (Outcome("unknown", 9.0, 0.0), LARGE, True),

@@ -14,7 +14,7 @@ from modalax.diagnose.causes.signals import HumLines
 from modalax.diagnose.decision.advice import advise
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.posterior import Ranked
-from modalax.diagnose.decision.sets import rivals
+from modalax.diagnose.decision.sets import as_stated, rivals
 from modalax.diagnose.decision.verdict import RULES, Leftover, told_chance, verdict
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.thresholds import THRESHOLDS, Thresholds
@@ -195,3 +195,10 @@ def test_advice_is_that_of_the_causes():
                                          (1.0, "over 0.999")])  # fmt: skip
 def test_no_chance_is_told_as_certain(p, told):
     assert told_chance(p) == told
+
+
+@pytest.mark.parametrize(("word", "most"), [("named", 0.999), ("ambiguous", 0.95), ("unknown", 0.5)])
+def test_no_cause_is_likelier_than_its_verdict_leaves_room_for(word, most):
+    causes = [{"name": "gap", "where": ["1"], "probability": 0.999}, {"name": "units", "where": [], "probability": 0.2}]
+    assert [c["probability"] for c in as_stated(word, causes)] == [most, 0.2]
+    assert causes[0]["probability"] == 0.999  # which is left as it was

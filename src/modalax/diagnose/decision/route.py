@@ -205,10 +205,16 @@ def off_everywhere(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
 
 
 def damping_off(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
-    """Whether causes are named, nothing is left, and the dampings, which lines take as exact, are certainly off."""
-    part = (found.inaccuracy or {}).get("damping")
-    off = part is not None and part["interval"][0] > limits.damping_off
-    return off and found.verdict == "named" and nothing_left(found, limits)
+    """Whether causes are named, nothing is left, and the dampings, which lines take as exact, are certainly off.
+
+    Where stiffness is certainly right, all may be exact but a damper, which lines can tell.
+    """
+    parts = found.inaccuracy or {}
+    if not parts.keys() >= {"stiffness", "damping"}:
+        return False
+    off = parts["damping"]["interval"][0] > limits.damping_off
+    right = parts["stiffness"]["interval"][1] < limits.surely_off
+    return off and not right and found.verdict == "named" and nothing_left(found, limits)
 
 
 def certainly_off(found: Outcome, limits: Thresholds = THRESHOLDS) -> Mapping[str, Mapping[str, Any]]:

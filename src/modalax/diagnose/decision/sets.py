@@ -50,6 +50,19 @@ def many_kinds(leading: WeighedSet, thresholds: Thresholds = THRESHOLDS) -> str 
     )  # fmt: skip
 
 
+def as_stated(
+    word: str, causes: Sequence[dict[str, Any]], thresholds: Thresholds = THRESHOLDS
+) -> list[dict[str, Any]]:  # fmt: skip
+    """The causes of an answer, none with a greater probability than its verdict leaves room for.
+
+    Weighed against one another are only causes that were looked for. Where something else speaks against a name
+    (``ambiguous``) they are less sure than a name must be; where something is left that none of them explains
+    (``unknown``), something else is likelier.
+    """
+    most = {"ambiguous": thresholds.certain, "unknown": thresholds.nameless}.get(word, 1.0)
+    return [{**c, "probability": min(c["probability"], most)} for c in causes]
+
+
 def rivals(word: str, sets: Sequence[S], thresholds: Thresholds = THRESHOLDS) -> list[S]:
     """Choose the sets that are reported beside the leading one.
 

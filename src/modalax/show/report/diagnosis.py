@@ -129,7 +129,7 @@ def diagnosis_facts(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> list[tup
     facts = [("Verdict", answer["verdict"])]
     if answer["causes"]:
         facts.append(("Cause", causes_text(answer["causes"])))
-        facts.append(("Probability", f"{answer['causes'][0]['probability']:.3f}"))
+        facts.append(("Probability", probability_text(answer, answer["causes"][0])))
         facts.append(
             ("Held-out chi-square", f"{answer['gain']['chi2_before']:.3g} to {answer['gain']['chi2_after']:.3g}")
         )
