@@ -233,6 +233,11 @@ class Thresholds:
         "Up to so many places a search line by line, which takes some minutes then, still follows a modal domain that "
         "answers unknown.", SECONDS,
     )  # fmt: skip
+    work_in_time: float = _threshold(
+        1.5e7, "places times samples",
+        "Up to so much work a search line by line, which takes half a minute then, still follows a modal domain that "
+        "finds nothing wrong and nothing off.", SECONDS,
+    )  # fmt: skip
     work_by_lines: float = _threshold(
         5e6, "places times samples", "The same where places times real samples are more than this.", SECONDS
     )

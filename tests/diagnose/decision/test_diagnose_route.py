@@ -123,7 +123,10 @@ def test_one_force_is_looked_for_first_where_that_is_quick_and_can_be_right(task
         (Outcome("unknown", 9.0, 0.0, inaccuracy=MAYBE), replace(LARGE, elements_off=True), True),
         (Outcome("unknown", 9.0, 0.0, inaccuracy=MAYBE), replace(LARGE, places=5001.0), True),  # would take too long
         (Outcome("unknown", 9.0, 0.0, inaccuracy=OFF), LARGE, True),
-        (Outcome("clean", 1.0, 0.3, inaccuracy=MAYBE), LARGE, True),
+        (Outcome("clean", 1.0, 0.3, inaccuracy=MAYBE), LARGE, False),  # lines see smaller things,
+        (Outcome("clean", 1.0, 0.3, inaccuracy=MAYBE), replace(LARGE, samples=50_000), True),  # but would take too long
+        (Outcome("clean", 1.0, 0.3, inaccuracy=damped(0.02)), LARGE, True),
+        (Outcome("clean", 1.0, 0.3, inaccuracy=MAYBE), replace(LARGE, elements_off=True), True),
         (Outcome("clean", 1.04, 1e-9, inaccuracy=MAYBE), LARGE, False),  # something is left that is no mode
         (Outcome("clean", 1.0, 0.3, inaccuracy=mass_off(4e-4)), SMALL, False),  # or one mass is
         (Outcome("clean", 1.0, 0.3, inaccuracy=mass_off(4e-3)), SMALL, True),

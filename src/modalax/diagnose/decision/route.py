@@ -144,12 +144,20 @@ def suffices(route: Route, found: Outcome, task: Task, limits: Thresholds = THRE
     if needs_modes(task, limits):
         unsettled = found.verdict == "unknown" or found.verdict == "clean" and not nothing_left(found, limits)
         hopeful = unsettled and may_be_exact(found) and task.places <= limits.places_in_time
-        return task.elements_off or not hopeful
+        return task.elements_off or not (hopeful or sharper_by_lines(found, task, limits))
     if found.group and found.verdict != "unknown" and nothing_left(found, limits):
         return True
     if found.of_elements and surely_named(found, limits):
         return True
     return off_everywhere(found, limits) or damping_off(found, limits) or decisive(found, task, limits)
+
+
+def sharper_by_lines(found: Outcome, task: Task, limits: Thresholds = THRESHOLDS) -> bool:
+    """Whether by its modes a simulation may be exact in all: single lines see smaller things that are wrong."""
+    damping = (found.inaccuracy or {}).get("damping")
+    exact = may_be_exact(found) and (damping is None or damping["interval"][0] <= 0)
+    in_time = task.places <= limits.places_in_time and task.places * task.samples <= limits.work_in_time
+    return found.verdict == "clean" and exact and in_time
 
 
 def choice(found: Mapping[Route, Outcome], limits: Thresholds = THRESHOLDS) -> Route:
