@@ -344,3 +344,16 @@ def test_a_form_that_differs_from_the_stated_one(tmp_path, ending):
         modalax.load(path, form="receptance")
     with pytest.raises(ValueError, match=r"its FRFs are mobility, and unit='mm/N' \(--unit mm/N\) says receptance"):
         modalax.load(path, unit="mm/N")
+
+
+def test_a_unit_that_differs_from_the_stated_one(tmp_path):
+    pytest.importorskip("h5netcdf")
+    path = tmp_path / "a.nc"
+    modalax.save(Measurement(F, H[None], form="mobility", outputs=["1", "2", "3"], inputs=["1", "2"]), path)
+    assert read(path, unit="m/s/N", frequency_unit="Hz").form == "mobility"
+    words = r"a\.nc: it states that its FRFs are in '\(m/s\)/N', and unit='mm/s/N' \(--unit mm/s/N\) says another"
+    with pytest.raises(ValueError, match=words):
+        modalax.load(path, unit="mm/s/N")
+    words = r"its lines are in 'Hz', and frequency_unit='kHz' \(--frequency-unit kHz\) says another"
+    with pytest.raises(ValueError, match=words):
+        modalax.load(path, frequency_unit="kHz")

@@ -1,6 +1,7 @@
 """Measurements as labelled arrays of xarray, which also reads and writes NetCDF and Zarr."""
 
 import io
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -114,8 +115,12 @@ def _as_told(dataset: Any, told: Told) -> Any:
         if names is not None:
             dataset = dataset.assign_coords({side: (side, [str(n) for n in names])})
     if "H" in dataset and told.unit is not None:
+        _check_unit(dataset["H"].attrs.get("units"), told.unit, "FRFs", "unit", response_unit)
         dataset = dataset.assign(H=dataset["H"].assign_attrs(units=told.unit))
     if "freq" in dataset.coords and told.frequency_unit is not None:
+        _check_unit(
+            dataset["freq"].attrs.get("units"), told.frequency_unit, "lines", "frequency_unit", frequency_factor
+        )
         dataset = dataset.assign_coords(freq=dataset["freq"].assign_attrs(units=told.frequency_unit))
     form = told.form
     if form is None and "H" in dataset and (told.unit is not None or "form" not in dataset.attrs):
@@ -124,6 +129,21 @@ def _as_told(dataset: Any, told: Told) -> Any:
     told_by_unit = told.form is None and told.unit is not None
     check_told_form(dataset.attrs.get("form"), form, f"unit={told.unit!r} (--unit {told.unit})" if told_by_unit else "")
     return dataset if form is None else dataset.assign_attrs(form=form)
+
+
+def _check_unit(stated: Any, told: str, what: str, option: str, read: Callable[[str], Any]) -> None:
+    """Refuse a unit of another size than the one that the dataset states; one that is not known may be corrected."""
+    try:
+        known, wanted = read(str(stated)), read(told)
+    except ValueError:
+        return
+    if known == wanted or option == "unit" and known[0] != wanted[0]:  # another form is told as that
+        return
+    flag = f"--{option.replace('_', '-')} {told}"
+    raise ValueError(
+        f"it states that its {what} are in {stated!r}, and {option}={told!r} ({flag}) says another; leave that out, or "
+        "correct the unit in the file if it is wrong"
+    )
 
 
 def _check_dims(dataset: Any) -> None:
