@@ -1,7 +1,7 @@
 """What stands out in each explanation beyond the general inaccuracy, made ready for the verdict."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,6 +25,7 @@ LIMITS = {
     "maxwell_joint": (("joint_stiffness", "local_damper"), 0.5 * THRESHOLDS.stands_out**2),
 }
 ADDING = {"missing_mode", "tuned_mass"}  # causes that add a mode
+LOSSES = {"local_damper", "hysteretic_joint", "maxwell_joint"}  # causes that take energy at a place
 NEAR = 0.3  # relative distance within which a mode of the simulation may be the measured one
 LIKELIER = 0.5  # probability of nothing beyond the inaccuracy above which nothing is what the answer is about
 
@@ -56,8 +57,8 @@ class Judged:
 
 def judge(stage: Stage) -> Judged:
     """Bring what the rules look at together, and apply them."""
-    sets = sets_beyond(stage)
-    best = next(e for e in stage.explanations if _key(_told(standing_out(stage, e))) == _key(sets[0].names))
+    stage = _without_one_sided(stage)
+    sets, best = _leading(stage)
     plain = next((e for e in stage.explanations if not e.causes), None)
     off, (_, small) = inaccuracy_of_fit(stage, best), told_by_size(stage, best)
     case = ModalCase(
@@ -66,13 +67,34 @@ def judge(stage: Stage) -> Judged:
         best.misfit,
         None if plain is None else best.log_posterior - plain.log_posterior, THRESHOLDS,
         None if stage.odd is None else (stage.odd.name, stage.odd.nats),
-        _told(tuple(c for c in small if not c.absent)) if needs(stage, best, small) else (),
+        _told(tuple(c for c in small if not (c.absent or c.slug in LOSSES))) if needs(stage, best, small) else (),
         {name: size for name, size in claims_of(stage.setting.inaccuracy).items() if name in ("stiffness", "mass")},
         _at_one_output(stage, best), _as_a_factor(stage, best), _one_sided(stage, best),
     )  # fmt: skip
     word, reasons = modal_verdict(case)
     alone = word == "clean" and plain is not None and not any(of_the_joint(stage, c) for c in best.causes)
     return Judged(word, reasons, plain if alone and plain is not None else best, sets, best)
+
+
+def _leading(stage: Stage) -> tuple[tuple[BeyondUsual, ...], Explanation]:
+    """What stands out, and the likeliest explanation in which just the first of that does."""
+    sets = sets_beyond(stage)
+    return sets, next(e for e in stage.explanations if _key(_told(standing_out(stage, e))) == _key(sets[0].names))
+
+
+def _without_one_sided(stage: Stage) -> Stage:
+    """The stage without skew couplings where one that is none takes up a small rest beside what explains the modes."""
+    best = _leading(stage)[1]
+    skew = tuple(c for c in best.causes if type(c) is SkewCoupling)
+    others = set(best.causes) - set(skew)
+    fitted = any(set(e.causes) == others for e in stage.explanations)
+    if not skew or not others or not fitted or needs(stage, best, skew) or not _one_sided(stage, best):
+        return stage
+    kept = [e for e in stage.explanations if not any(type(c) is SkewCoupling for c in e.causes)]
+    top = max(e.log_posterior for e in kept)
+    weight = [math.exp(e.log_posterior - top) for e in kept]
+    kept = [replace(e, probability=w / sum(weight)) for e, w in zip(kept, weight, strict=True)]
+    return replace(stage, explanations=kept)
 
 
 def _at_one_output(stage: Stage, e: Explanation) -> tuple[str, ...]:
@@ -152,11 +174,12 @@ def _key(names: Names) -> Names:
 def standing_out(stage: Stage, e: Explanation) -> tuple[Change, ...]:
     """Causes of an explanation that are larger than usual, surely not zero, and no joint's own linear part.
 
-    Springs where the simulation has none stand out as well where the modes are not explained without them.
+    Where the modes are not explained without them, springs where the simulation has none stand out as well, and losses
+    at a place, which are no part of an inaccuracy that has the damping off mode by mode.
     """
     out, small = told_by_size(stage, e)
     needed = small if needs(stage, e, small) else ()
-    return tuple(c for c in e.causes if c in out or (c in needed and c.absent))
+    return tuple(c for c in e.causes if c in out or (c in needed and (c.absent or c.slug in LOSSES)))
 
 
 def needs(stage: Stage, e: Explanation, small: tuple[Change, ...]) -> bool:
