@@ -310,6 +310,8 @@ def test_modal_masses_stand_in_the_table_where_a_drive_point_tells_them(fit):
     at = table.head.index("Modal mass [kg]")
     assert [row[at] for row in table.rows] == ["2.500 ± 0.010", "-", *["-"] * (len(modes) - 2)]
     assert "its largest component 1" in table.caption
+    truth = np.ones(len(modes)), np.ones(len(modes))
+    assert "Modal mass [kg]" not in mode_rows(modes, truth).head
 
 
 def test_a_selected_mode_without_a_pole_is_explained(fit):

@@ -21,7 +21,8 @@ def mode_rows(modes: Sequence[Mapping[str, Any]], truth: tuple[Any, Any] | None 
     """Table of modes, from ``Fit.to_dict()["modes"]``."""
     biased = any(m.get("predicted_damping_bias") is not None for m in modes)
     refined = any(m["frequency_std_hz"] is not None for m in modes)
-    massive = any(m.get("modal_mass_kg") is not None for m in modes)
+    # Beside the truth there is no room for them on a page.
+    massive = truth is None and any(m.get("modal_mass_kg") is not None for m in modes)
     head = ["Mode", "Frequency [Hz]", "Damping [%]", *(["Modal mass [kg]"] if massive else []), "MPC [-]", "Grade [-]"]
     head += ["Bias of damping [%]"] if biased else []
     rows = [
