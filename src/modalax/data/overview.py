@@ -29,6 +29,13 @@ def shortened(names: Sequence[str], most: int = NAMED) -> str:
     return ", ".join(names if len(names) <= most else [*names[: most - 2], "...", names[-1]])
 
 
+def channels_text(outputs: Sequence[str], inputs: Sequence[str]) -> list[str]:
+    """How many outputs and inputs there are, and their names, a line each."""
+    return [
+        f"  {counted(len(names), side)}: {shortened(names)}" for side, names in (("output", outputs), ("input", inputs))
+    ]
+
+
 def lines_text(freq: np.ndarray) -> str:
     """Number, range and spacing of lines [Hz]."""
     steps = np.diff(freq)
@@ -51,8 +58,7 @@ def of_frfs(data: "FRF | Measurement", title: str) -> str:
     said = [
         f"{title}: {data.form} [{UNITS[data.form]}]",
         f"  {lines_text(freq)}",
-        f"  {counted(len(data.outputs), 'output')}: {shortened(data.outputs)}",
-        f"  {counted(len(data.inputs), 'input')}: {shortened(data.inputs)}",
+        *channels_text(data.outputs, data.inputs),
         f"  force: {shortened(amplitudes)}" if np.isfinite(levels).any() else "",
         f"  noise: {_noise(data)}",
         f"  an exponential window added a decay of {decay:.4g} 1/s" if decay else "",

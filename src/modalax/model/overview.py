@@ -8,7 +8,7 @@ import numpy as np
 
 from modalax._numerics.checks import is_traced
 from modalax._numerics.text import text_table
-from modalax.data.overview import counted, shortened
+from modalax.data.overview import channels_text, counted, shortened
 
 if TYPE_CHECKING:
     from modalax.model.correlation import Correlation
@@ -37,8 +37,7 @@ def of_modes(model: "ModalModel") -> str:
     residuals = [side for side, term in terms if np.asarray(term).any()]
     said = [
         f"Modal model of {counted(len(frequency), 'mode')}",
-        f"  {counted(len(model.outputs), 'output')}: {shortened(model.outputs)}",
-        f"  {counted(len(model.inputs), 'input')}: {shortened(model.inputs)}",
+        *channels_text(model.outputs, model.inputs),
         f"  residual terms of modes {' and '.join(residuals)} the band" if residuals else "",
         *_claims(("frequency", model.frequency_std), ("damping ratio", model.damping_std)),
         text_table(header, rows) if rows else "",

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from modalax.data.overview import UNITS, counted, lines_text, shortened, unreadable
+from modalax.data.overview import UNITS, channels_text, counted, lines_text, shortened, unreadable
 
 if TYPE_CHECKING:
     from modalax.simulate.backbone import Backbone
@@ -83,8 +83,7 @@ def of_bench(bench: "Bench") -> str:
     joints = [f"  {joint} at {' - '.join(place)}" for joint, place in zip(bench.joints, bench.places, strict=True)]
     return "\n".join([
         f"Bench: {bench.form} [{UNITS[bench.form]}], sampled at {bench.fs:g} Hz",
-        f"  {counted(len(bench.outputs), 'output')}: {shortened(bench.outputs)}",
-        f"  {counted(len(bench.inputs), 'input')}: {shortened(bench.inputs)}",
+        *channels_text(bench.outputs, bench.inputs),
         *(joints or ["  no joints"]),
         str(bench.structure),
     ])  # fmt: skip
@@ -120,8 +119,7 @@ def _head(title: str, found: Any) -> list[str]:
     return [
         f"{title}: {lines_text(np.asarray(found.freq))}",
         f"  {counted(len(found.level), 'force level')}: {levels}",
-        f"  {counted(len(found.outputs), 'output')}: {shortened(found.outputs)}",
-        f"  {counted(len(found.inputs), 'input')}: {shortened(found.inputs)}",
+        *channels_text(found.outputs, found.inputs),
     ]
 
 
