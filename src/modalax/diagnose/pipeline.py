@@ -38,13 +38,11 @@ from modalax._numerics.checks import require_double
 from modalax._numerics.programs import release_programs
 from modalax._numerics.threads import one_thread
 from modalax.data import FRF, Measurement
-from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.causes import catalogue, imitators
-from modalax.diagnose.causes.base import Cause
+from modalax.diagnose.causes.base import Cause, LocalCause
 from modalax.diagnose.comparison import Comparison, as_measurement, causes_of, make_comparison, with_noise_beside
 from modalax.diagnose.deadline import NEVER, Deadline
 from modalax.diagnose.decision.beliefs import beliefs
-from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.route import (
     Outcome,
     Route,
@@ -58,11 +56,10 @@ from modalax.diagnose.decision.route import (
     order,
     settled,
     suffices,
+    surely_named,
 )
-from modalax.diagnose.decision.verdict import verdict
-from modalax.diagnose.extend import ExtendedSimulation, extend
+from modalax.diagnose.extend import ExtendedSimulation
 from modalax.diagnose.gains_said import gains_said
-from modalax.diagnose.holdout import measure
 from modalax.diagnose.jointed.answer import diagnose_joint, joint_comes_first, may_have_joint
 from modalax.diagnose.modal_domain.claimed_modes import ClaimCompared, compared
 from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis, diagnose_modes
@@ -70,15 +67,23 @@ from modalax.diagnose.modal_domain.measured import Measured
 from modalax.diagnose.modal_domain.stage import identified
 from modalax.diagnose.modal_domain.table import by_table
 from modalax.diagnose.result import Diagnosis
-from modalax.diagnose.routes import GROUP_SLUGS, check_groups, named_before, named_beside_claim, outcome_of, task_of
+from modalax.diagnose.routes import (
+    GROUP_SLUGS,
+    check_groups,
+    may_tell_joints,
+    named_before,
+    named_beside_claim,
+    of_elements,
+    outcome_of,
+    task_of,
+)
 from modalax.diagnose.screening.one_force import places_of_one_force
-from modalax.diagnose.search.explain import Explanation, check_imitations, explain
+from modalax.diagnose.search.explain import check_imitations, explain
 from modalax.diagnose.search.look import look
 from modalax.diagnose.search.named_before import NamedCause
 from modalax.diagnose.search.one_place import explain_force
-from modalax.diagnose.search.rows import lines_aside
-from modalax.diagnose.search.tolerance import widened
 from modalax.diagnose.setup.turned import turned, turned_modes
+from modalax.diagnose.told import told
 from modalax.model import ModalModel, Structure
 from modalax.model.entry import check_comparable, check_simulation
 from modalax.model.mode_table import ModeTable
@@ -256,7 +261,8 @@ def sufficient(found: Diagnosis, modal: Callable[[], ModalDiagnosis | None], lat
         return found
     if found.verdict == "ambiguous" and found.found.leftover.inexact and not late():
         modes = modal()
-        return modes if modes is not None and law_is_exact(outcome_of(modes)) else found
+        said = None if modes is None else outcome_of(modes)
+        return modes if said is not None and (law_is_exact(said) or surely_named(said)) else found
     return found if found.found.by_force or settled(outcome_of(found)) or late() else None
 
 
@@ -315,6 +321,7 @@ def at_one_place(
     takes seconds. If modes leave something to explain, the force may stand for several things, and all places are open
     again: None. Where places are too many to fit each, the whole catalogue is searched at these.
     """
+    data = as_measurement(measurement)
     progress("looking for a place at which one force explains the data")
     comparison = make_comparison(measurement, simulation, question)
     places = places_of_one_force(comparison, late.part(FIRST_SHARE))
@@ -325,7 +332,13 @@ def at_one_place(
     if len(places) <= FITTED_EACH:
         progress("fitting elements and joints to the force that is measured there")
         elements = causes_of(None, comparison, [*catalogue(comparison.problem.data.shape[0]), *imitators()])
-        found = explain_force(look(comparison, ()), elements)
+        alone = look(comparison, ())
+        near = explain_force(alone, [c for c in elements if isinstance(c, LocalCause)])
+        nearly = near is not None and near.leftover.inexact or near is None and not may_tell_joints(data)
+        modes = modal() if nearly and not late() else None
+        if modes is not None and of_elements(modes) and surely_named(outcome_of(modes)):
+            return modes  # a spring, mass or damper that damping goes with, for one
+        found = explain_force(alone, elements)
     said = None if found is None else told(found, progress)
     if said is not None and said.verdict in ("named", "ambiguous"):
         return said
@@ -355,40 +368,3 @@ def searched(
         progress("checking whether an unlisted cause explains the data better")
         found = check_imitations(found, causes_of(None, comparison, imitators()), late)
     return told(found, progress)
-
-
-def told(found: Explanation, progress: Callable[[str], None]) -> Diagnosis:
-    """Predict what was held out, and decide."""
-    comparison = found.comparison
-    progress("predicting the held-out data")
-    gain = measure((found.look.comparison, found.comparison), found.look.null, found.best, found.leftover.tolerated)
-    leftover = found.leftover
-    if comparison.late() and len({slug for slug, _ in found.best.names}) > 1 and not leftover.untried:
-        leftover = replace(leftover, untried=("other sets of causes",))
-    word, reasons = verdict(found.ranked, leftover, gain)
-    if aside := lines_aside(found.best):
-        lines = "1 line, which was" if aside == 1 else f"{aside} lines, which were"
-        reasons = (*reasons, f"no steady motion of the joint explains {lines} set aside")
-    if comparison.late():
-        reasons = (*reasons, "time was up before every explanation had been tried")
-    null = found.look.null.chi2
-    found = replace(found, ranked=[replace(r, best=widened(r.best, null)) for r in found.ranked])
-    return answer(word, reasons, found, gain)
-
-
-def answer(word: str, reasons: tuple[str, ...], found: Explanation, gain: Gain) -> Diagnosis:
-    """Lay out residuals and predictions before and after, in the form of the measurement."""
-    alone, comparison = found.look.comparison, found.comparison
-    n_out, n_in = comparison.problem.channels
-    order = DERIVATIVES[comparison.measurement.form]
-    unit = (2j * np.pi * comparison.scene.freq[:, None, None]) ** order
-
-    def cut(residual: np.ndarray) -> np.ndarray:
-        return residual[:, : comparison.problem.lines, :n_out, :n_in]
-
-    return Diagnosis(
-        word, reasons, found, comparison, extend(comparison, found.best) if found.best.causes else None,
-        gain, comparison.scene.freq,
-        cut(alone.residual(found.look.null)), cut(comparison.residual(found.best)),
-        alone.prediction(found.look.null) * unit, comparison.prediction(found.best) * unit,
-    )  # fmt: skip

@@ -63,11 +63,16 @@ def outcome_of(found: Diagnosis) -> Outcome:
 
 
 def of_elements(found: Diagnosis) -> bool:
-    """Whether a change of a whole element, of its end or of several places is told: lines have none of these."""
+    """Whether a change of a whole element, of its end, of several places or with damping is told: lines have none."""
     if not isinstance(found, ModalDiagnosis) or not found.causes:
         return False
     told = standing_out(found.stage, found.chosen)
-    return any((c.kind == "K" and c.pattern is not None) or len(c.told_as) > 1 for c in told)
+    return any((c.kind == "K" and c.pattern is not None) or len(c.told_as) > 1 or c.along for c in told)
+
+
+def may_tell_joints(measurement: Measurement) -> bool:
+    """Whether runs at several force levels could show that a joint is not linear."""
+    return len(np.unique(measurement.level[np.isfinite(measurement.level)])) > 1
 
 
 def named_before(modes: Diagnosis | None) -> list[NamedCause]:
@@ -98,7 +103,7 @@ def in_catalogue(found: Explanation, told: Sequence[Change]) -> list[NamedCause]
         values, _, shape = c.as_catalogue(u, found.fit.covariance[own, own])
         if c not in told:
             continue
-        if c.pattern is not None or shape is not None:
+        if c.pattern is not None or shape is not None or c.along:
             return []
         named.append(NamedCause(c.slug, c.where, tuple(map(float, values)), c.variant))
     return named

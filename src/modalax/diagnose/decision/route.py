@@ -82,7 +82,8 @@ class Outcome:
     group
         Whether a parameter of a group of elements is among the causes.
     of_elements
-        Whether a change of a whole element, or how its end is connected, is among the causes: lines have neither.
+        Whether a change of a whole element, how its end is connected, or one that damping goes with is among the
+        causes: lines have none of these.
     """
 
     verdict: str

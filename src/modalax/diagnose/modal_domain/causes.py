@@ -15,7 +15,9 @@ KIND_OF = {
     "element_group_mass": "M", "exponential_window": "C",
 }  # fmt: skip
 LONGEST = 50.0  # decays of a mode in one delay, beyond which a delay is none
+MOST_LOSS = 2.0  # times the usual ratio of damping to stiffness or mass that goes with a change of these at most
 ALL = 2  # axis of a fault of all channels
+SHARED = {"K": "a softer element", "M": "a heavier one"}
 UNSIZED = ("channel_sign", "channel_swap", "units")
 UNITS = {
     "added_mass": ("mass", "kg"), "joint_stiffness": ("stiffness", "N/m"), "local_damper": ("damping", "N s/m"),
@@ -56,6 +58,9 @@ class Change:
         Whether it is a spring where the simulation has none, so that no general inaccuracy is an inaccuracy of it.
     piece
         Whether its pattern is only a piece of an element, as bending in the plane of its ``where``.
+    along, loss
+        Of a change of stiffness or mass that damping goes with: how, and the usual ratio of that to each element of the
+        change in modal coordinates [s or 1/s], shape ``(n, n)``. Empty where the damping stays as it is.
     """
 
     slug: str
@@ -69,6 +74,8 @@ class Change:
     weight: float = 1.0
     absent: bool = False
     piece: bool = False
+    along: str = ""
+    loss: np.ndarray | None = field(default=None, compare=False)
 
     @property
     def kind(self) -> str:
@@ -123,7 +130,7 @@ class Change:
     @property
     def count(self) -> int:
         """Number of its sizes; 1 that does nothing for a cause without a size."""
-        return 1
+        return 2 if self.along else 1
 
     @property
     def linear(self) -> bool:
@@ -134,6 +141,10 @@ class Change:
     def signed(self) -> bool:
         """Whether its first size may be negative."""
         return True
+
+    def possible(self, u: np.ndarray) -> bool:
+        """Whether it may have these sizes: of its sign, and with no more damping than elements have."""
+        return (self.signed or u[0] > 0) and not (self.along and abs(u[1]) > MOST_LOSS)
 
     def of_size(self, u: float) -> np.ndarray:
         """Its sizes where all but the first are as usual."""
@@ -169,11 +180,15 @@ class Change:
 
     def changes(self, u: np.ndarray) -> dict[str, np.ndarray]:
         """Changes of the matrices, by ``K``, ``C`` and ``M``."""
-        return {self.kind: u[0] * self.matrix}
+        change = {self.kind: u[0] * self.matrix}
+        return change if self.loss is None else change | {"C": u[0] * u[1] * self.loss * self.matrix}
 
     def slopes(self, u: np.ndarray) -> list[dict[str, np.ndarray]]:
         """Derivatives of :meth:`changes` by each size."""
-        return [{self.kind: self.matrix}]
+        A = self.matrix
+        if self.loss is None:
+            return [{self.kind: A}]
+        return [{self.kind: A, "C": u[1] * self.loss * A}, {"C": u[0] * self.loss * A}]
 
     def size(self, u: np.ndarray) -> float:
         """The size that tells whether it stands out, in the unit of the cause."""
@@ -194,7 +209,7 @@ class Change:
 
     def said(self) -> str:
         """What it means, in a sentence, where its name does not tell."""
-        return ""
+        return f"the damping changes with it, as that of {SHARED[self.kind]} does" if self.along else ""
 
     def variance_beside(self, u: np.ndarray, off: Mapping[str, float]) -> np.ndarray | float:
         """What is added to the covariance of its sizes as the element that it acts on is itself ``off`` in general."""

@@ -1,5 +1,6 @@
 """A simulation corrected for the general inaccuracy: matrices, FRFs, and the size of the inaccuracy."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,10 +25,12 @@ LINES = 256  # lines solved at once
 
 
 def corrected(stage: Stage, f: Fit) -> Structure:
-    """The simulation corrected for the inaccuracy of a fit and for its whole elements that are off."""
+    """The simulation corrected for the inaccuracy of a fit, whole elements that are off, and damping along."""
     whole = tuple(c for c in f.causes if c.in_structure)
     u = np.array([v[0] for c, v in with_sizes(f.causes, f.u) if c.in_structure])
     s, sizes = stage.simulation, f.sizes
+    along = sum(c.changes(v)["C"] for c, v in with_sizes(f.causes, f.u) if c.along)
+    whole = tuple(replace(c, along="", loss=None) for c in whole)
     M, C, K = (np.asarray(A) for A in (s.M, s.C, s.K))
     if s.elements is not None and s.elements.dofs:
         own = {name: _of_elements(stage.setting, sizes, name) for name in THROUGHOUT}
@@ -37,6 +40,7 @@ def corrected(stage: Stage, f: Fit) -> Structure:
             sizes = np.where(_of_group(stage.setting, name), 0.0, sizes)
     change = changes_of(stage.setting, sizes, whole, u)
     left = np.asarray(s.M) @ stage.coordinates.shapes
+    change["dC"] = change["dC"] + along
     back = {key: left @ value @ left.T for key, value in change.items()}
     return s.replace(M=M + back["dM"], C=C + back["dC"], K=K + back["dK"])
 

@@ -12,11 +12,12 @@ import numpy as np
 
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
+from modalax.diagnose.modal_domain.damped_along import damped_along
 from modalax.diagnose.modal_domain.discrepancy import learnt_rest
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
 from modalax.diagnose.modal_domain.oscillators import oscillators
 from modalax.diagnose.modal_domain.prior import SECOND, Prior
-from modalax.diagnose.modal_domain.screen import replaced, scores
+from modalax.diagnose.modal_domain.screen import narrower, replaced, scores
 from modalax.diagnose.modal_domain.starts import FITTED, NEXT, in_place_of_one, starts
 from modalax.diagnose.modal_domain.state import Setting
 from modalax.diagnose.modal_domain.throughout import start_in, with_more
@@ -110,7 +111,7 @@ def again(setting: Setting, earlier: Sequence[Explanation], candidates: list[Cha
     found: dict[tuple[Change, ...], Fit] = {}
     _try(setting, found, (), np.zeros(0), None)
     best = earlier[0]
-    if best.causes and all(c in candidates for c in best.causes):
+    if best.causes and all(replace(c, along="") in candidates for c in best.causes):
         _try(setting, found, best.causes, best.fit.u, None, gentle=False)
     return _ranked(found, Prior(candidates)) if found else []
 
@@ -146,13 +147,9 @@ def _less_a_mode(setting: Setting, candidates: list[Change]) -> dict[tuple[Chang
 
 
 def _all_steps(
-    search: _Search,
-    null: Fit | None,
-    candidates: list[Change],
-    prior: Prior,
-    late: Deadline,
+    search: _Search, null: Fit | None, candidates: list[Change], prior: Prior, late: Deadline,
     tell: Callable[[str], None],
-) -> None:
+) -> None:  # fmt: skip
     """Screen, fit, seek a further cause and other places, as long as there is time."""
     setting, found = search.setting, search.found
     tell(f"screening {len(candidates)} causes and places")
@@ -175,6 +172,7 @@ def _all_steps(
             _fewer(setting, found, best.fit)
             _apart(setting, found, best.fit, candidates)
             _neighbours(setting, found, best.fit, candidates, prior, late)
+            _damped(setting, found, prior)
             best = _ranked(found, prior)[0]
         if len(best.causes) >= MOST or not _further(setting, found, best.fit, candidates, prior, late):
             return
@@ -302,12 +300,12 @@ def _try(
 
 
 def _possible(f: Fit) -> bool:
-    """Whether no size has a sign that its cause cannot have."""
-    return all(c.signed or u[0] > 0 for c, u in with_sizes(f.causes, f.u))
+    """Whether every cause may have the sizes that it has."""
+    return all(c.possible(u) for c, u in with_sizes(f.causes, f.u))
 
 
 def _key(causes: Sequence[Change]) -> tuple[Change, ...]:
-    return tuple(sorted(causes, key=lambda c: (c.slug, c.where, c.pattern is not None)))
+    return tuple(sorted(causes, key=lambda c: (c.slug, c.where, c.pattern is not None, c.along)))
 
 
 def _fewer(setting: Setting, found: dict[tuple[Change, ...], Fit], best: Fit) -> None:
@@ -370,12 +368,26 @@ def _further(
         leading = [int(j) for j in np.argsort(-value)[:NEXT] if candidates[j] not in best.causes]
         leading = [j for j in leading if not candidates[j].shares_place(best.causes)]
         worth |= {j: None for j in leading if value[j] > WORTH - math.log(10)}
-    for j in worth:
+    abouts = {j: best for j in worth}
+    gain, which, narrow = narrower(setting, best, candidates)
+    value = gain + prior.each(candidates) + math.log(SECOND)
+    free = [j for j in np.argsort(-value) if candidates[j] not in best.causes]
+    free = [int(j) for j in free[:NEXT] if not candidates[j].shares_place(best.causes)]
+    abouts |= {j: narrow[which[j]] for j in free if value[j] > WORTH}
+    for j, about in abouts.items():
         if late():
             break
         u = np.append(best.u, candidates[j].of_size(0.0))
-        _try(setting, found, (*best.causes, candidates[j]), u, without_causes(best), gentle=False)
-    return bool(worth)
+        _try(setting, found, (*best.causes, candidates[j]), u, without_causes(about), gentle=False)
+    return bool(abouts)
+
+
+def _damped(setting: Setting, found: dict[tuple[Change, ...], Fit], prior: Prior) -> None:
+    """Fit the leading explanations with damping that goes with one of their causes."""
+    ranked = _ranked(found, prior)
+    near = [e.fit for e in ranked[:AGAIN] if e.log_posterior > ranked[0].log_posterior - NEAR]
+    for causes, u, start in damped_along(setting, near):
+        _try(setting, found, causes, u, start, gentle=False)
 
 
 def _ranked(found: dict[tuple[Change, ...], Fit], prior: Prior) -> list[Explanation]:

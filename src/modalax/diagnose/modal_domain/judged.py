@@ -154,7 +154,7 @@ def _in_the_limit(stage: Stage, e: Explanation) -> Explanation:
         slugs, nats = LIMITS.get(c.slug, ((), 0.0))
         rest = {(x.slug, x.where) for x in e.causes if x is not c}
         for x in stage.explanations:  # by falling probability
-            simple = next((y for y in x.causes if y.slug in slugs and y.where == c.where), None)
+            simple = next((y for y in x.causes if y.slug in slugs and y.where == c.where and not y.along), None)
             if simple is None or {(y.slug, y.where) for y in x.causes if y is not simple} != rest:
                 continue
             if by_data(e.fit, e.causes, c) - by_data(x.fit, x.causes, simple) < nats:

@@ -3,7 +3,8 @@
 Finite changes of the simulation itself tell causes that move modes far; of many places those by which the measured
 frequencies come about at one size are tried so, for a linear score means nothing there. Linear scores where the
 inaccuracy alone explains the data tell those that it takes up; the same with the inaccuracy held to its usual size
-those that hide in it, and about the simulation without any those that are all that is wrong with it.
+those that hide in it, and with that of one matrix, or all, held to less than was learnt those that are all that is
+wrong there.
 """
 
 from dataclasses import replace
@@ -12,9 +13,9 @@ import numpy as np
 
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import modes_of
-from modalax.diagnose.modal_domain.fit import SMALLEST, Fit, without_causes
+from modalax.diagnose.modal_domain.fit import Fit, without_causes
 from modalax.diagnose.modal_domain.matched import FOLLOWED, missed_frequencies
-from modalax.diagnose.modal_domain.screen import SIZES, couples, finite, refined, scores, unchanged
+from modalax.diagnose.modal_domain.screen import SIZES, couples, finite, narrower, refined, scores, unchanged
 from modalax.diagnose.modal_domain.state import Setting, state_at
 
 MATCHED, PRESCREENED = (
@@ -68,7 +69,7 @@ def starts(setting: Setting, null: Fit, candidates: list[Change], share: np.ndar
     near = refined(setting, [candidates[k] for k in linear], told)
     out += [(candidates[k], v, None) for k, v in zip(linear, near, strict=True)]
     out += [(candidates[k], 0.0, start) for k in linear]
-    return out + _hidden(setting, start, candidates, share) + _alone(setting, null, candidates, share)
+    return out + _hidden(setting, start, candidates, share) + _taken_up(setting, null, candidates, share)
 
 
 def _leading_forces(candidates: list[Change], *gains: np.ndarray) -> list[int]:
@@ -92,17 +93,14 @@ def _hidden(setting: Setting, null: Fit, candidates: list[Change], share: np.nda
     return [(candidates[k], 0.0, usual) for k in leading]  # from where the data are, without the cause
 
 
-def _alone(setting: Setting, null: Fit, candidates: list[Change], share: np.ndarray) -> list[Start]:
-    """Causes that may be all that is wrong with a simulation which is exact but for them, and is not claimed not to be.
+def _taken_up(setting: Setting, null: Fit, candidates: list[Change], share: np.ndarray) -> list[Start]:
+    """Causes that are all that is wrong with a matrix, or with a simulation which is exact but for them.
 
-    Looked for where the inaccuracy that would explain the data is smaller than any usual one.
+    They show from where the inaccuracy alone stands, once that of their kind is held to less than was learnt.
     """
-    if any(setting.inaccuracy.claimed) or (null.epsilon > setting.inaccuracy.usual).any():
-        return []
-    exact = replace(_nominal(setting, null), epsilon=np.full(len(null.epsilon), SMALLEST))
-    gain, size = scores(setting, exact, candidates)
+    gain, which, narrow = narrower(setting, null, candidates)
     leading = [k for k in np.argsort(-(gain + share))[:NEXT] if np.isfinite(gain[k]) and gain[k] > 0]
-    return [(candidates[k], float(np.clip(size[k], -3, 3)), None) for k in leading]
+    return [(candidates[k], 0.0, without_causes(narrow[which[k]])) for k in leading]
 
 
 def _nominal(setting: Setting, null: Fit) -> Fit:

@@ -1,0 +1,86 @@
+"""Damping that changes with stiffness or mass, as an element's own does: no cause by itself, whatever it follows."""
+
+import numpy as np
+import pytest
+import scipy.linalg
+from chains_off import DOFS, FREQ, MASSES, SPRINGS, as_measured, response
+
+from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.coordinates import coordinates_of
+from modalax.diagnose.modal_domain.damped_along import with_loss
+from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.diagnose.pipeline import diagnose
+from modalax.model import Structure
+
+RATIO = 0.012
+
+
+def matrices(masses: np.ndarray, springs: np.ndarray, kind: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Mass, damping that follows stiffness, mass or the modes, and stiffness."""
+    B = np.eye(6, 5) - np.eye(6, 5, -1)
+    M, K = np.diag(masses), B.T @ np.diag(springs) @ B
+    w2, P = scipy.linalg.eigh(K, M)
+    C = {
+        "ratios": M @ P @ np.diag(2 * RATIO * np.sqrt(w2)) @ P.T @ M,
+        "stiffness": 6e-5 * K,
+        "both": 1.5 * M + 4e-5 * K,
+    }[kind]
+    return M, C, K
+
+
+def off(size: float, seed: int = 5) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return MASSES * (1 + size / 3 * rng.standard_normal(5)), SPRINGS * (1 + size * rng.standard_normal(6))
+
+
+@pytest.mark.parametrize("size", [0.0, 0.01])
+@pytest.mark.parametrize("kind", ["ratios", "stiffness", "both"])
+@pytest.mark.parametrize("cause", ["joint_stiffness", "added_mass"])
+def test_what_is_wrong_of_stiffness_or_mass_is_one_cause_whatever_its_damping_does(cause, kind, size):
+    """With damping held, a damper or a lossy joint had been named beside it, of a size that its damping has."""
+    masses, springs = off(size)
+    if cause == "added_mass":
+        masses[2] += 0.2
+        where, parameter, truth, scale = [DOFS[2]], "mass", 0.2, MASSES[2]
+    else:
+        springs[3] *= 0.7
+        where, parameter, truth, scale = [DOFS[2], DOFS[3]], "stiffness", -0.3 * SPRINGS[3], SPRINGS[3]
+    H = response(*matrices(masses, springs, kind), FREQ)
+    found = diagnose_modes(as_measured(H, FREQ, 5), Structure(*matrices(MASSES, SPRINGS, kind), DOFS))
+    assert found is not None and found.verdict == "named", found.reasons
+    assert [(c["name"], c["where"]) for c in found.causes] == [(cause, where)]
+    told = found.causes[0]["parameters"][parameter]
+    assert abs(told["value"] - truth) < 4 * told["std"] + 3 * size * scale
+    if size == 0:  # all DoFs but the middle one are measured, and the extension damps as the structure does
+        true, nominal = (matrices(*x, kind)[1] for x in ((masses, springs), (MASSES, SPRINGS)))
+        missed = np.asarray(found.extended.base.C) - true
+        assert np.linalg.norm(missed) < 0.2 * np.linalg.norm(true - nominal) + 1e-3 * np.linalg.norm(nominal)
+
+
+def test_a_softer_joint_of_a_simulation_that_is_exact_else_is_named_by_all_of_diagnose():
+    """By lines its damping is something more; that search took a minute, and ended without a sure name."""
+    springs = np.where(np.arange(6) == 3, 0.7, 1.0) * SPRINGS
+    H = response(*matrices(MASSES, springs, "ratios"), FREQ)
+    found = diagnose(as_measured(H, FREQ, 5), Structure(*matrices(MASSES, SPRINGS, "ratios"), DOFS))
+    assert found.verdict == "named" and [c["name"] for c in found.causes] == ["joint_stiffness"], found.reasons
+    assert any("damping changes with it" in reason for reason in found.reasons)
+
+
+@pytest.mark.parametrize("kind", ["K", "M"])
+def test_damping_that_keeps_the_ratios_is_the_slope_of_the_matrix_root(kind):
+    """Against the damping matrix of the changed structure, whose modes all have the same ratio."""
+    M, C, K = matrices(MASSES, SPRINGS, "ratios")
+    c = coordinates_of(Structure(M, C, K, DOFS), DOFS, DOFS[:1], 2 * np.pi * FREQ[-1])
+    b = np.eye(5)[2] - (np.eye(5)[3] if kind == "K" else 0.0)
+    slug, where = ("joint_stiffness", (DOFS[2], DOFS[3])) if kind == "K" else ("added_mass", (DOFS[2],))
+    direction = c.shapes.T @ b
+    along = with_loss(Change(slug, where, 1.0, direction), c, np.arange(5))[1]
+    ends = []
+    for step in (1e-6, -1e-6):
+        size = step * (SPRINGS[3] if kind == "K" else MASSES[2])
+        changed = {"K": K, "M": M, kind: (K if kind == "K" else M) + size * np.outer(b, b)}
+        w2, P = scipy.linalg.eigh(changed["K"], changed["M"])
+        ends.append(changed["M"] @ P @ np.diag(2 * RATIO * np.sqrt(w2)) @ P.T @ changed["M"])
+    slope = c.shapes.T @ (ends[0] - ends[1]) @ c.shapes / (2e-6 * (SPRINGS[3] if kind == "K" else MASSES[2]))
+    told = along.changes(np.ones(2))["C"][: c.size, : c.size]
+    np.testing.assert_allclose(told, slope, atol=1e-6 * np.abs(slope).max(), rtol=1e-4)
