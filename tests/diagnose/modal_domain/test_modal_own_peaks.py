@@ -10,20 +10,38 @@ from modalax.diagnose.modal_domain.stage import identified
 
 LINES = np.linspace(12.0, 110.0, 150)
 OUTPUTS, LOADED, MASS = (0, 1, 3, 4), 3, 0.15  # measured DoFs, the one with the roving sensor, and its mass [kg]
+LIGHT = 0.003  # mass of a sensor [kg] that moves one peak alone by more than the noise
 
 
-def loaded(seed: int):
+def loaded(seed: int, mass: float = MASS):
     """FRFs of which those at one output are of the structure with a sensor's mass there."""
     M, C, K = chain_off(seed, 0.02)
     H = response(M, C, K, LINES)
-    H[:, LOADED] = response(M + np.diag(np.eye(5)[LOADED] * MASS), C, K, LINES)[:, LOADED]
+    H[:, LOADED] = response(M + np.diag(np.eye(5)[LOADED] * mass), C, K, LINES)[:, LOADED]
     return as_measured(H, LINES, seed)
 
 
-def test_the_output_whose_peaks_are_its_own_is_told_without_a_simulation():
-    data = loaded(4)
+def on_a_soft_foot(seed: int):
+    """FRFs of which those at one output have the resonance of the sensor's own foot as well."""
+    H = response(*chain_off(seed, 0.02), LINES)
+    r = LINES / 75.0
+    H[:, LOADED] *= ((1 + 0.04j * r) / (1 - r**2 + 0.04j * r))[:, None]
+    return as_measured(H, LINES, seed)
+
+
+@pytest.mark.parametrize("mass", [MASS, 0.02])  # the lighter one moves peaks by less than their width
+def test_the_output_whose_peaks_are_its_own_is_told_without_a_simulation(mass):
+    data = loaded(4, mass)
     found = identified(data, simulation(), lambda _: None)
     assert own_peaks(found, *data.H.shape[2:]) == OUTPUTS.index(LOADED)
+
+
+@pytest.mark.parametrize(("light", "told"), [(True, OUTPUTS.index(LOADED)), (False, None)])
+def test_a_single_peak_of_its_own_tells_it_where_another_is_missing_there(light, told):
+    data = loaded(4, LIGHT) if light else on_a_soft_foot(4)
+    found = identified(data, simulation(), lambda _: None)
+    assert len(found.modes.poles) == 6
+    assert own_peaks(found, *data.H.shape[2:]) == told
 
 
 def test_no_output_is_told_where_all_have_the_same_peaks():
