@@ -17,7 +17,7 @@ import numpy as np
 import scipy.linalg
 
 from modalax._numerics.grams import weighted_grams
-from modalax.diagnose.modal_domain.windows import Window
+from modalax.diagnose.modal_domain.windows import Sweep, Window
 
 STEPS = 25  # most Gauss-Newton steps of one refinement
 SETTLED = 1e-3  # decrease of chi-square per number of poles' parameters at which a refinement has ended
@@ -42,7 +42,7 @@ class Channels:
     outside
         Fixed poles of modes beyond the band, shape ``(m,)`` [rad/s].
     window
-        The finite record through which modes are seen; None where they had decayed before it ended.
+        The finite record, or the fast sweep, through which modes are seen; None where they show as they are.
     """
 
     s: np.ndarray
@@ -50,7 +50,7 @@ class Channels:
     weight: np.ndarray
     order: int
     outside: np.ndarray
-    window: Window | None = None
+    window: Window | Sweep | None = None
 
     @property
     def samples(self) -> int:
