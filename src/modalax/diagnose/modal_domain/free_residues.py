@@ -22,6 +22,7 @@ from modalax.diagnose.modal_domain.windows import Sweep, Window
 STEPS = 25  # most Gauss-Newton steps of one refinement
 SETTLED = 1e-3  # decrease of chi-square per number of poles' parameters at which a refinement has ended
 WIDEST = 1e6  # damping of a step, relative to the information, at which there is no way on
+POWERS = 0, 1, 2, -1, -2, -3  # of s in the residual terms of modes beyond the band
 BLOCK = 20_000_000  # numbers that the products of columns may take at once
 
 
@@ -79,7 +80,7 @@ class Channels:
         """
         mid = np.sqrt(np.abs(self.s[0] * self.s[-1]))
         x = self.s / mid
-        terms = np.stack([np.ones_like(x), x, x**2, 1 / x, x**-2, x**-3], axis=1) * self.s[:, None] ** self.order
+        terms = np.stack([x**power for power in POWERS], axis=1) * self.s[:, None] ** self.order
         return np.concatenate([terms, self.kernels(self.outside)], axis=1)
 
 
