@@ -1,12 +1,15 @@
 """The mass of a sensor that roves, found in a chain whose every element is off."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from chains_off import DOFS, as_measured, chain_off, response, simulation
 
+from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
-from modalax.diagnose.modal_domain.own_peaks import own_peaks, without_output
-from modalax.diagnose.modal_domain.stage import identified
+from modalax.diagnose.modal_domain.own_peaks import mass_of_sensor, own_peaks, without_output
+from modalax.diagnose.modal_domain.stage import identified, run_stage
 
 LINES = np.linspace(12.0, 110.0, 150)
 OUTPUTS, LOADED, MASS = (0, 1, 3, 4), 3, 0.15  # measured DoFs, the one with the roving sensor, and its mass [kg]
@@ -56,6 +59,16 @@ def test_an_output_is_left_out_with_its_variance():
     assert less.outputs == tuple(data.outputs[k] for k in kept)
     assert np.array_equal(less.H, np.asarray(data.H)[:, :, kept])
     assert np.array_equal(less.variance, np.asarray(data.variance)[:, :, kept])
+
+
+def test_no_mass_is_told_where_the_output_only_tells_more_of_the_structure():
+    data = as_measured(response(*chain_off(4, 0.02), LINES), LINES, 4)
+    which, late = 0, Deadline()
+    stage = run_stage(without_output(data, which), simulation(), late, lambda _: False, lambda _: None)
+    assert stage is not None
+    sizes = stage.best.fit.sizes + 0.01  # as where the other outputs leave some of it open
+    vague = replace(stage, explanations=[replace(stage.best, fit=replace(stage.best.fit, sizes=sizes))])
+    assert mass_of_sensor(vague, data, identified(data, simulation(), lambda _: None), which, late) is None
 
 
 @pytest.mark.slow

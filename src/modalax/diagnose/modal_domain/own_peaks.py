@@ -19,7 +19,7 @@ from modalax.diagnose.modal_domain.free_residues import Channels, Projected, ref
 from modalax.diagnose.modal_domain.line_forces import RovingMass, roving_mass
 from modalax.diagnose.modal_domain.measured import Measured, channels_of
 from modalax.diagnose.modal_domain.mode_count import cost_of_mode, misfit, mode_gains, settled
-from modalax.diagnose.modal_domain.polish import Lines, chi2_of, frf_on_lines, lines_of
+from modalax.diagnose.modal_domain.polish import Lines, chi2_of, descended, frf_on_lines, lines_of
 from modalax.diagnose.modal_domain.prior import Prior
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.modal_domain.state import Setting
@@ -106,10 +106,11 @@ def mass_of_sensor(
         return None
     level = max(1.0, chi2_of(stage.setting, base, others) / max(others.samples, 1))
     starts = [(base, cause, np.array([m])) for m in _masses(setting, base, cause, lines)]
-    forced = told_force(
-        setting, fitted_from(setting, starts, lines, late), [base], Prior(stage.candidates), [cause], lines, own.s,
-        level,
-    )  # fmt: skip
+    trials = fitted_from(setting, starts, lines, late)
+    without = descended(setting, base, lines, late)  # it has to stand for the output as well, as the fit with a mass
+    n = len(base.sizes)
+    bases = [base if without is None else replace(base, sizes=without.x[:n], u=without.x[n:])]
+    forced = told_force(setting, trials, bases, Prior(stage.candidates), [cause], lines, own.s, level)
     return None if forced is None else replace(forced, effect=forced.effect[:, np.argsort(order)])
 
 
