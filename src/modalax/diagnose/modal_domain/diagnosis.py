@@ -38,6 +38,7 @@ from modalax.diagnose.modal_domain.prior import NONE
 from modalax.diagnose.modal_domain.screen import errors_of
 from modalax.diagnose.modal_domain.short_records import short_record
 from modalax.diagnose.modal_domain.stage import Stage, identified, posed, run_stage
+from modalax.diagnose.modal_domain.swept import fast_sweep
 from modalax.diagnose.modal_domain.throughout import throughout_said, throughout_told
 from modalax.diagnose.over_levels import levels_said
 from modalax.diagnose.result import Diagnosis, within
@@ -222,11 +223,11 @@ def diagnose_modes(
     ``measured`` is the measurement as :func:`identified`, where that is known.
     """
     late = late or Deadline()
-    ended = None
-    if wanted("leakage"):
-        highest = 2 * np.pi * float(measurement.freq[-1])
-        c = coordinates_of(simulation, measurement.outputs, measurement.inputs, highest)
-        ended = short_record(measurement, c, tell)
+    highest = 2 * np.pi * float(measurement.freq[-1])
+    c = coordinates_of(simulation, measurement.outputs, measurement.inputs, highest)
+    ended = short_record(measurement, c, tell) if wanted("leakage") else None
+    if ended is None and wanted("fast_sweep"):
+        ended = fast_sweep(measurement, c, tell)
     if ended is not None:
         return _diagnosed(measurement, simulation, question, late, wanted, tell, ended)
     measured = measured or identified(measurement, simulation, tell)

@@ -17,11 +17,12 @@ import numpy as np
 import scipy.linalg
 
 from modalax._numerics.grams import weighted_grams
-from modalax.diagnose.modal_domain.windows import Window
+from modalax.diagnose.modal_domain.windows import Sweep, Window
 
 STEPS = 25  # most Gauss-Newton steps of one refinement
 SETTLED = 1e-3  # decrease of chi-square per number of poles' parameters at which a refinement has ended
 WIDEST = 1e6  # damping of a step, relative to the information, at which there is no way on
+POWERS = 0, 1, 2, -1, -2, -3  # of s in the residual terms of modes beyond the band
 BLOCK = 20_000_000  # numbers that the products of columns may take at once
 
 
@@ -42,7 +43,7 @@ class Channels:
     outside
         Fixed poles of modes beyond the band, shape ``(m,)`` [rad/s].
     window
-        The finite record through which modes are seen; None where they had decayed before it ended.
+        The finite record, or the fast sweep, through which modes are seen; None where they show as they are.
     """
 
     s: np.ndarray
@@ -50,7 +51,7 @@ class Channels:
     weight: np.ndarray
     order: int
     outside: np.ndarray
-    window: Window | None = None
+    window: Window | Sweep | None = None
 
     @property
     def samples(self) -> int:
@@ -79,7 +80,7 @@ class Channels:
         """
         mid = np.sqrt(np.abs(self.s[0] * self.s[-1]))
         x = self.s / mid
-        terms = np.stack([np.ones_like(x), x, x**2, 1 / x, x**-2, x**-3], axis=1) * self.s[:, None] ** self.order
+        terms = np.stack([x**power for power in POWERS], axis=1) * self.s[:, None] ** self.order
         return np.concatenate([terms, self.kernels(self.outside)], axis=1)
 
 

@@ -15,36 +15,57 @@ from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import with_sizes
 from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.forced import Forced, fitted_from, told_force
-from modalax.diagnose.modal_domain.free_residues import refine
+from modalax.diagnose.modal_domain.free_residues import Channels, Projected, refine
 from modalax.diagnose.modal_domain.line_forces import RovingMass, roving_mass
 from modalax.diagnose.modal_domain.measured import Measured, channels_of
-from modalax.diagnose.modal_domain.mode_count import misfit, settled
-from modalax.diagnose.modal_domain.polish import Lines, chi2_of, frf_on_lines, lines_of
+from modalax.diagnose.modal_domain.mode_count import cost_of_mode, misfit, mode_gains, settled
+from modalax.diagnose.modal_domain.polish import Lines, chi2_of, descended, frf_on_lines, lines_of
 from modalax.diagnose.modal_domain.prior import Prior
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.modal_domain.state import Setting
 
 FEWEST = 3  # outputs of which one can be told apart from the others
-OWN = 2  # fewest modes that are an output's own; a single one may be that of what the sensor sits on
+OWN = 2  # fewest modes that are an output's own beside all others; one more may be that of what the sensor sits on
 AS_WELL = 1.1  # how much more chi-square per sample the others may leave by themselves
 MASSES = np.geomspace(1e-3, 30.0, 400)  # that are tried, over the usual one; a step moves no peak by half its width
 TRIED = 3  # of them that are taken on to the lines
 
 
 def own_peaks(measured: Measured, outputs: int, inputs: int) -> int | None:
-    """The output without which fewer modes explain all others as well; None where none or several are such."""
-    c, found = measured.channels, measured.modes
-    if outputs < FEWEST or len(found.poles) < 2 * OWN:
+    """The output without which fewer modes explain all others as well; None where none or several are such.
+
+    A single mode of its own is enough where it is in the place of another, which that output lacks.
+    """
+    if outputs < FEWEST or len(measured.modes.poles) < 2 * OWN:
         return None
-    counts = []
-    for k in range(outputs):
-        kept = np.arange(outputs * inputs) // inputs != k
-        rest = replace(c, data=c.data[:, kept], weight=c.weight[:, kept])
-        fewer = settled(refine(found.poles, rest), rest)
-        explained = misfit(fewer, rest) < AS_WELL * measured.misfit
-        counts.append(len(found.poles) - len(fewer.poles) if explained else 0)
-    best, second = np.argsort(counts)[[-1, -2]]
-    return int(best) if counts[best] >= OWN + counts[second] else None
+    rows = np.arange(outputs * inputs) // inputs
+    counts = np.array([_not_needed(measured, rows != k) for k in range(outputs)])
+    second, best = np.argsort(counts)[-2:]
+    own = counts[best] - counts[second]
+    return int(best) if own >= OWN or (own > 0 and _not_needed(measured, rows == best) > 0) else None
+
+
+def _not_needed(measured: Measured, kept: np.ndarray) -> int:
+    """How many of all modes those FRFs that are ``kept`` do without; none where they are explained worse."""
+    c, found = measured.channels, measured.modes
+    some = replace(c, data=c.data[:, kept], weight=c.weight[:, kept])
+    fewer = _paired(settled(refine(found.poles, some), some), some)
+    return len(found.poles) - len(fewer.poles) if misfit(fewer, some) < AS_WELL * measured.misfit else 0
+
+
+def _paired(found: Projected, channels: Channels) -> Projected:
+    """Modes of which none stands beside another in one peak that one of them explains once it has moved there."""
+    while len(found.poles) > 1:
+        apart = np.abs(found.poles[:, None] - found.poles) + np.where(np.eye(len(found.poles)), np.inf, 0.0)
+        weaker = np.argsort(mode_gains(found))
+        close = [k for k in weaker if apart[k].min() < -found.poles[[k, apart[k].argmin()]].real.sum()]
+        trials = (refine(np.delete(found.poles, k), channels) for k in close)
+        most = found.chi2 + cost_of_mode(channels) * misfit(found, channels)
+        fewer = next((trial for trial in trials if trial.chi2 < most), None)
+        if fewer is None:
+            break
+        found = fewer
+    return found
 
 
 def without_output(measurement: Measurement, which: int) -> Measurement:
@@ -85,10 +106,11 @@ def mass_of_sensor(
         return None
     level = max(1.0, chi2_of(stage.setting, base, others) / max(others.samples, 1))
     starts = [(base, cause, np.array([m])) for m in _masses(setting, base, cause, lines)]
-    forced = told_force(
-        setting, fitted_from(setting, starts, lines, late), [base], Prior(stage.candidates), [cause], lines, own.s,
-        level,
-    )  # fmt: skip
+    trials = fitted_from(setting, starts, lines, late)
+    without = descended(setting, base, lines, late)  # it has to stand for the output as well, as the fit with a mass
+    n = len(base.sizes)
+    bases = [base if without is None else replace(base, sizes=without.x[:n], u=without.x[n:])]
+    forced = told_force(setting, trials, bases, Prior(stage.candidates), [cause], lines, own.s, level)
     return None if forced is None else replace(forced, effect=forced.effect[:, np.argsort(order)])
 
 

@@ -131,7 +131,7 @@ def _at(channels: Channels, end: float) -> Found | None:
     if not len(poles):
         return None
     lengths = end + sample * np.arange(-FAR - WANDER, WANDER, FINE)  # the whole of its blur is left out after an end
-    few = _strongest(channels)
+    few = strongest(channels)
     for kind in KINDS:
         windows = [Window(kind, length) for length in lengths]
         left = [project(poles, replace(few, window=window))[0].chi2 for window in windows]
@@ -143,7 +143,7 @@ def _at(channels: Channels, end: float) -> Found | None:
     return _settled_length(window, blind_modes(through, modes.poles).poles, channels, sample)
 
 
-def _strongest(channels: Channels) -> Channels:
+def strongest(channels: Channels) -> Channels:
     """The channels of the largest response over its noise."""
     size = (channels.weight * np.abs(channels.data) ** 2).sum(axis=0)
     most = np.argsort(-size)[:STRONG]

@@ -1,15 +1,16 @@
-r"""What a finite record makes of a mode: the impulse response is seen through a window that falls with the delay.
+r"""What a finite record or a fast sweep makes of a mode: the impulse response is seen through a window of the delay.
 
 The transform :math:`1/x` of :math:`e^{-xt}` becomes :math:`\int_0^T w(t)e^{-xt}dt`. Blocks of a random force without a
 window give :math:`w = 1 - t/T`, with a Hann window its autocorrelation, and a record after a hit that ends too early is
-cut off, :math:`w = 1`. Sources: Bendat and Piersol (2010), Random Data, 4th ed., section 11.5; Harris (1978), Proc.
-IEEE 66:51, for the windows.
+cut off, :math:`w = 1`. A linear sweep of S rad/s in a second gives :math:`w = e^{jSt^2/2}`. Sources: Bendat and Piersol
+(2010), Random Data, 4th ed., section 11.5; Harris (1978), Proc. IEEE 66:51, for the windows.
 """
 
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import scipy.special
 
 Kind = Literal["hann", "boxcar", "cut"]
 KINDS: tuple[Kind, ...] = "hann", "boxcar", "cut"  # in the order of the catalogue's variants
@@ -30,6 +31,21 @@ class Window:
         if self.kind == "cut":
             return _cut(x, self.length)
         return (_boxcar if self.kind == "boxcar" else _hann)(x, self.length)
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A linear sweep of a rate [rad/s^2], down where it is negative; one of rate 0 shows modes as they are."""
+
+    rate: float
+
+    def transform(self, x: np.ndarray) -> Both:
+        r"""What :math:`1/x` becomes, :math:`\int_0^\infty e^{-xt + jSt^2/2}dt`, and its derivative by x."""
+        if self.rate == 0:
+            return 1 / x, -1 / x**2
+        root = np.sqrt(-0.5j * self.rate)
+        kernel = 0.5 * np.sqrt(np.pi) / root * scipy.special.wofz(0.5j * x / root)
+        return kernel, (1 - x * kernel) / (1j * self.rate)
 
 
 def _cut(x: np.ndarray, T: float) -> Both:

@@ -2,7 +2,8 @@ r"""A structure that changes from run to run: each run has natural frequencies a
 
 Against a joint's law stands that nothing depends on the amplitude: from one run to the next all frequencies shift by
 one share (temperature, loosened supports), or each mode by its own. The identified modes are moved by
-:math:`\delta\ln|\lambda|` and :math:`\delta\ln\zeta`, their residues kept.
+:math:`\delta\ln|\lambda|` and :math:`\delta\ln\zeta`. Masses and shapes stay, so that a residue
+:math:`\varphi\varphi^T/(2j\,\mathrm{Im}\,\lambda)` falls as its mode's frequency rises.
 """
 
 import math
@@ -10,11 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modalax.diagnose.modal_domain.free_residues import Channels, Projected
+from modalax.diagnose.modal_domain.free_residues import POWERS, Channels, Projected
 from modalax.diagnose.modal_domain.levels.change import Levels
 
 STEPS = 8  # Gauss-Newton steps
 FARTHEST = 0.5  # longest step, in half-bandwidths
+SMALL = 1e-6  # part of a shift, in which the slope of what is beyond the band is taken
 GROWTH = 0.05  # prior standard deviation of a shift of frequency; of damping ten times that
 
 
@@ -99,13 +101,31 @@ def _moved(modes: Projected, channels: Channels, shift: np.ndarray) -> tuple[np.
     s, order = channels.s, channels.s[:, None] ** channels.order
     upper, lower = 1 / (s[:, None] - poles), 1 / (s[:, None] - poles.conj())
     old = [1 / (s[:, None] - p) for p in (modes.poles, modes.poles.conj())]
-    R = modes.residues
-    change = order * ((upper - old[0]) @ R + (lower - old[1]) @ R.conj())
+    R = modes.residues * (modes.poles.imag / poles.imag)[:, None]
+    beyond = _beyond(modes, channels, shift[0])
+    change = beyond + order * (upper @ R - old[0] @ modes.residues + lower @ R.conj() - old[1] @ modes.residues.conj())
     slopes = []
-    for d in (by_size, by_zeta):
-        up, down = (order * upper**2 * d).T, (order * lower**2 * d.conj()).T
+    for d, falls in ((by_size, np.ones(len(zeta))), (by_zeta, -(zeta**2) / (1 - zeta**2))):
+        up, down = (order * (upper**2 * d - upper * falls)).T, (order * (lower**2 * d.conj() - lower * falls)).T
         slopes.append(up[:, :, None] * R[:, None] + down[:, :, None] * R.conj()[:, None])
+    if shift.shape[1] == 1:
+        slopes[0][0] += (_beyond(modes, channels, shift[0] + SMALL) - beyond) / SMALL
     return change, np.stack(slopes)
+
+
+def _beyond(modes: Projected, channels: Channels, shift: np.ndarray) -> np.ndarray | float:
+    r"""Change of what modes beyond the band add, where one shift moves all modes.
+
+    A structure stiffer by :math:`g^2` throughout has the receptance :math:`H(s/g)/g^2`.
+    """
+    if len(shift) > 1:
+        return 0.0
+    g, apart = float(np.exp(shift[0])), channels.background()
+    moved = apart.copy()
+    moved[:, : len(POWERS)] /= g ** np.array(POWERS, float)
+    scaled = Channels(channels.s / g, channels.data, channels.weight, 0, channels.outside)
+    moved[:, len(POWERS) :] = scaled.kernels(channels.outside) * channels.s[:, None] ** channels.order
+    return (moved / g**2 - apart) @ modes.background
 
 
 def by_run(H: np.ndarray, sigma: np.ndarray) -> Levels:
