@@ -47,7 +47,7 @@ def errors():
 
 def of_order(table, order):
     row = table.orders.index(order)
-    return np.asarray(table.poles[row])[np.asarray(table.valid[row])]
+    return np.asarray(table.poles)[row][np.asarray(table.valid)[row]]
 
 
 @pytest.fixture(scope="session")

@@ -9,9 +9,11 @@ import pytest
 from threadpoolctl import threadpool_info
 
 from modalax.data import FRF
+from modalax.data.windows import exponential_window
 from modalax.identify import ascent, fit, mode_scores, refine, residues
 from modalax.identify import mode_search as module
 from modalax.identify.ascent import climb
+from modalax.identify.fdpi import line_weight
 from modalax.identify.host import modal_of, refine_on_host, residues_on_host, samples_of
 from modalax.identify.information import inverse_information
 from modalax.identify.kernels import pack, turned_to_largest, unpack
@@ -200,3 +202,18 @@ def test_fit_compiles_no_refinement_and_leaves_the_threads_alone(monkeypatch):
     assert np.allclose(found.model.frequency_hz, [30.0, 37.0], rtol=1e-2)
     assert max(n for row in seen for n in row) == 1  # a library that has not begun says 0
     assert [pool["num_threads"] for pool in threadpool_info()] == before
+
+
+def test_known_weights_windows_and_a_single_inputs_participation_need_no_program(monkeypatch, caplog):
+    """They are of few numbers, and JAX would compile a program for every new shape of a measurement."""
+    lines = 83
+    freq = np.linspace(24, 44, lines)
+    frf = FRF(freq, np.asarray(MODEL.frf(freq, inputs=["a"]).H), outputs=MODEL.outputs, inputs=["a"])
+    with jax.log_compiles(), caplog.at_level("WARNING"):
+        window, weight = exponential_window(1237, 100.0, 0.5), line_weight(frf, "unit")
+    assert "Compiling" not in caplog.text
+    assert np.array_equal(window, np.exp(-0.5 * np.arange(1237) / 100.0)) and np.array_equal(
+        weight, np.ones((lines, 1))
+    )
+    monkeypatch.setattr(import_module("modalax.identify.residues"), "participation_of", None)
+    assert np.allclose(residues(frf, MODEL.poles).modal_mass("a"), MODEL.modal_mass("a"), rtol=1e-9)

@@ -12,6 +12,7 @@ from jaxtyping import Array, Complex, Float, Int
 
 from modalax._numerics.checks import as_array, as_double, is_traced, require_finite
 from modalax._numerics.cuts import cut
+from modalax._numerics.known import host
 from modalax.data.frf import FRF, band_slice
 from modalax.data.hits import find_hits, good_hits
 from modalax.data.spectra import Spectra, estimate, multiple_coherence, ordinary_coherence, spectra, spectral_lines
@@ -184,8 +185,8 @@ def frf_from_blocks(
             "m and t: block, sample, channel"
         )
     count, samples, _ = force.shape
-    factors = jnp.ones(samples) if window is None else as_double(window, "window")
-    factors = factors * exponential_window(samples, fs, decay)
+    factors = np.ones(samples) if window is None else as_double(window, "window")
+    factors = as_array(host(factors) * host(exponential_window(samples, fs, decay)))
     averaged = spectra(force, response, float(fs), factors, float(count))
     lines = spectral_lines(samples, fs)
     return frf_of_spectra(

@@ -3,15 +3,14 @@ r"""Windows on blocks of a time record: tapers for random excitation, force and 
 Every window is an array ``(t,)`` of factors [-] that multiplies a block of samples.
 """
 
+from types import ModuleType
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from modalax._numerics.checks import as_array, as_double
+from modalax._numerics.known import Numbers, by_numpy
 
 
 def taper(name: str, samples: int) -> Float[np.ndarray, " t"]:
@@ -76,9 +75,9 @@ def exponential_window(samples: int, fs: float, decay: Any) -> Float[Array, " t"
     return _exponential(as_double(decay, "decay"), np.arange(samples) / fs)
 
 
-@jax.jit
-def _exponential(decay: Float[Array, ""], time: Float[ArrayLike, " t"]) -> Float[Array, " t"]:
-    return jnp.exp(-decay * time)
+@by_numpy
+def _exponential(xp: ModuleType, decay: Numbers, time: Numbers) -> Numbers:
+    return xp.exp(-decay * time)
 
 
 def decay_to(remainder: float, duration: float) -> float:

@@ -13,7 +13,7 @@ from modalax._numerics.checks import as_array
 from modalax._numerics.powers import powers
 from modalax.data.frf import FRF
 from modalax.identify.fraction import polish
-from modalax.identify.polynomial import limits, weights_of, without_window
+from modalax.identify.polynomial import limits, mean_weight, weights_of, without_window
 from modalax.identify.tables import PoleTable
 from modalax.identify.zoom import check_orders
 
@@ -124,7 +124,7 @@ def _normal_modes(frf: FRF, weight: Float[Array, "f i"], order: int, residual: i
 
 def line_weight(frf: FRF, weights: str) -> Float[Array, "f i"]:
     """Weight of each line of each input, from the mean variance that the outputs' weights stand for."""
-    return 1 / jnp.sqrt(jnp.mean(weights_of(frf, weights) ** -2, axis=1))
+    return mean_weight(weights_of(frf, weights), over=1)
 
 
 def principal_responses(frf: FRF, weight: Float[Array, "f i"], count: int) -> tuple[Array, Array, Array, Array]:

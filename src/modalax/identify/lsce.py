@@ -12,7 +12,7 @@ from modalax._numerics.checks import is_traced
 from modalax.data.frf import FRF
 from modalax.identify.fraction import check_constraint
 from modalax.identify.lscf import RIDGE
-from modalax.identify.polynomial import limits, poles_of_factor, weights_of
+from modalax.identify.polynomial import limits, mean_weight, poles_of_factor, weights_of
 from modalax.identify.tables import PoleTable
 from modalax.identify.zoom import Zoom, check_orders
 
@@ -75,7 +75,7 @@ def lsce(
         raise ValueError(f"part is {part:g}; it is the part of the impulse response to use, above 0 and up to 1")
     samples = int(round(part * (2 * (frf.shape[0] - 1) if real else frf.shape[0])))
     found = check_orders(orders, samples - skip, limits(frf))
-    weight = 1 / jnp.sqrt(jnp.mean(weights_of(frf, weights) ** -2, axis=(0, 2)))
+    weight = mean_weight(weights_of(frf, weights), over=(0, 2))
     bare = frf.without_statistics()
     R, zoomed = _factor(bare, weight, jnp.asarray(ridge), found[-1], real, skip, samples)
     return poles_of_factor(

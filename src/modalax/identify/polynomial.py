@@ -6,6 +6,7 @@ references). The numerator is eliminated by projecting on the complement of an o
 
 from functools import partial
 from itertools import pairwise
+from types import ModuleType
 
 import equinox as eqx
 import jax
@@ -14,6 +15,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Complex, Float, Inexact
 
+from modalax._numerics.checks import as_array
+from modalax._numerics.known import Numbers, by_numpy
 from modalax._numerics.powers import powers
 from modalax.data.frf import FRF
 from modalax.identify.fraction import check_constraint, coefficients, roots
@@ -42,7 +45,7 @@ def weights_of(frf: FRF, kind: str) -> Float[Array, "f o i"]:
     if kind not in WEIGHTS:
         raise ValueError(f"weights is {kind!r}; it must be one of {', '.join(WEIGHTS)}")
     if kind == "unit":
-        return jnp.asarray(np.ones(frf.H.shape))
+        return as_array(np.ones(frf.H.shape))
     if kind == "magnitude":
         size = jnp.abs(frf.H)
         return 1 / jnp.maximum(size, 1e-12 * jnp.max(size))
@@ -53,10 +56,15 @@ def weights_of(frf: FRF, kind: str) -> Float[Array, "f o i"]:
     return 1 / jnp.sqrt(frf.variance)
 
 
-@jax.jit
+@by_numpy
+def mean_weight(xp: ModuleType, weight: Numbers, *, over: int | tuple[int, ...]) -> Numbers:
+    """One weight in place of those along some axes, from the mean variance that they stand for."""
+    return 1 / xp.sqrt(xp.mean(weight**-2, axis=over))
+
+
 def over_references(weight: Float[Array, "f o i"]) -> Float[Array, "f o"]:
-    """One weight a line and output, from the mean variance that those of its references stand for."""
-    return 1 / jnp.sqrt(jnp.mean(weight**-2, axis=2))
+    """One weight a line and output, from those of its references."""
+    return mean_weight(weight, over=2)
 
 
 @partial(jax.jit, static_argnames=("order", "numerator", "real", "shared"))

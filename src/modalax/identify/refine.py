@@ -10,7 +10,8 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
-from modalax._numerics.checks import is_traced
+from modalax._numerics.checks import as_array, is_traced
+from modalax._numerics.known import host, joined
 from modalax._numerics.levenberg import LevenbergMarquardt
 from modalax.data.frf import FRF
 from modalax.identify.likelihood import UNDAMPED, Parts, frozen_slots, make_problem, objective, pack, parts, unpack
@@ -177,7 +178,7 @@ def refine(
     asked = Asked(COVARIANCES.index(covariance), expected, known, max_steps)
     result = _refine(
         frf, _padded(model, empty), sigma, residuals, real_modes, jax.tree.map(jnp.asarray, asked), turned,
-        _is_shared(sigma), jnp.concatenate([jnp.ones(n), jnp.zeros(empty)]),
+        _is_shared(sigma), as_array(np.repeat([1.0, 0.0], [n, empty])),
     )  # fmt: skip
     result = _cut(result, n) if empty else result
     return _turned(result) if turned else result
@@ -217,10 +218,11 @@ def _is_shared(sigma: Array) -> bool:
 def _padded(model: ModalModel, empty: int) -> ModalModel:
     if not empty:
         return model
-    pad = lambda a, value: jnp.concatenate([a, jnp.full((empty, *a.shape[1:]), value, a.dtype)])
+    pad = lambda a, value: joined([a, *[value] * empty])
+    one = lambda a: np.ones((1, *a.shape[1:]), a.dtype)
     return model.replace(
-        poles=pad(model.poles, model.poles[0]), shapes=pad(model.shapes, 1.0),
-        participation=pad(model.participation, 1.0), frequency_std=0.0, damping_std=0.0,
+        poles=pad(model.poles, host(model.poles)[:1]), shapes=pad(model.shapes, one(model.shapes)),
+        participation=pad(model.participation, one(model.participation)), frequency_std=0.0, damping_std=0.0,
     )  # fmt: skip
 
 

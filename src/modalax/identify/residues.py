@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from modalax._numerics.checks import as_double, is_traced
+from modalax._numerics.checks import as_array, as_double, is_traced
 from modalax.data.frf import FRF
 from modalax.identify.likelihood import Problem, linear_solution, make_problem, pack, shapes_and_residuals
 from modalax.identify.select import Selection
@@ -81,7 +81,9 @@ def residues(
                 frf.transpose(), poles, residuals=residuals, real_modes=real_modes, weights=jnp.swapaxes(sigma, 1, 2)
             )
             return turned.transpose().normalised("max")
-        participation = participation_of(frf, poles, sigma, residuals, real_modes)
+        n = poles.shape[0]  # of one input there is nothing to find, and no program to compile
+        one = frf.shape[2] == 1
+        participation = np.ones((n, 1)) if one else participation_of(frf, poles, sigma, residuals, real_modes)
     participation = as_double(participation, "participation", complex_=True)
     return _fit(frf.without_statistics(), poles, participation, sigma, residuals, real_modes)
 
@@ -124,9 +126,9 @@ def sigma_of(frf: FRF, weights: str | Float[Array, "f o i"]) -> Float[Array, "f 
     if weights == "variance" and frf.variance is None:
         raise ValueError("weights 'variance' needs an FRF with a variance; this one has none")
     if weights == "unit" or frf.variance is None:
-        return jnp.ones(frf.H.shape)
+        return as_array(np.ones(frf.H.shape))
     if not is_traced(frf.variance) and not (np.asarray(frf.variance) > 0).any():
-        return jnp.ones(frf.H.shape)
+        return as_array(np.ones(frf.H.shape))
     return _root_above_zero(frf.variance)
 
 
@@ -159,11 +161,9 @@ def check_size(frf: FRF, n_modes: int, residuals: str) -> None:
 def participation_of(
     frf: FRF, poles: Complex[Array, " n"], sigma: Float[Array, "f o i"], residuals: str, real_modes: bool
 ) -> Complex[Array, "n i"]:
-    """Participation of each mode: the leading factor of its residue matrix when all residues are fitted freely."""
+    """Participation of each mode at several inputs: the leading factor of its residues, all of them fitted freely."""
     _, n_out, n_in = frf.shape
     n = poles.shape[0]
-    if n_in == 1:
-        return jnp.ones((n, 1), jnp.complex128)
     flat = FRF(frf.freq, frf.H.reshape(frf.H.shape[0], -1, 1), form=frf.form)
     pivot = jnp.zeros(n, int)
     problem = make_problem(flat, sigma.reshape(*flat.H.shape), pivot, residuals, real_modes)
