@@ -51,7 +51,8 @@ def test_a_joint_that_relaxes_counts_as_what_the_data_do_not_tell_it_from(simple
     """Six nats are what 3.5 standard deviations of the relaxation are worth; elsewhere it is another joint."""
     monkeypatch.setattr(judged, "standing_out", lambda _, e: e.causes)
     one = lambda slug, where, evidence, p, sizes: SimpleNamespace(
-        causes=(SimpleNamespace(slug=slug, where=where, told_as=((slug, where),), count=sizes),), probability=p,
+        causes=(SimpleNamespace(slug=slug, where=where, along="", told_as=((slug, where),), count=sizes),),
+        probability=p,
         fit=SimpleNamespace(log_evidence=evidence, u=np.zeros(sizes), covariance=np.eye(sizes)),
     )  # fmt: skip
     relaxing = one("maxwell_joint", ("a", "b"), 100.0 + ahead, 0.7, 2)
