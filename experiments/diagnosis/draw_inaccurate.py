@@ -74,6 +74,8 @@ def main() -> None:
     parser.add_argument("--noise", type=float)
     parser.add_argument("--lines", type=float)
     parser.add_argument("--widen", type=float)
+    parser.add_argument("--damping", choices=("kept", "follows", "either"), default="kept",
+                        help="whether damping follows stiffness or mass that is grossly wrong")  # fmt: skip
     args = parser.parse_args()
     for name, of, cause, settings in track(plan(args), "drawing"):
         truth = args.out / "truth" / f"{name}.json"
@@ -81,7 +83,10 @@ def main() -> None:
             continue
         case, structure = seeds(args.set, args.seed, of, args.structures)
         try:
-            drawn = draw_case(case, cause or gross_cause(case, args.linear), structure=structure, **settings)
+            follows = args.damping == "follows" or args.damping == "either" and case % 2 == 0
+            drawn = draw_case(
+                case, cause or gross_cause(case, args.linear), structure=structure, damping_follows=follows, **settings
+            )
         except ValueError as error:  # on some structures a joint has several answers wherever it sits
             print(f"{name} is left out: {error}")
             continue

@@ -8,6 +8,7 @@ from pathlib import Path
 import inaccurate
 import numpy as np
 import pytest
+import scipy.linalg
 from generator.effect import Setup
 from generator.laws import Bilinear, Cubic, Jenkins
 from generator.march import Joint, march
@@ -181,6 +182,17 @@ def test_a_case_holds_its_one_gross_error(cause, monkeypatch):
     assert (off > 1e-3).any() == acts_elsewhere
     error = (case.measurement["H"] - case.H_true) / case.sigma
     assert np.mean(np.abs(error) ** 2) == pytest.approx(1.0, abs=5 / np.sqrt(error.size))
+
+
+@pytest.mark.parametrize("cause", ["joint_stiffness", "added_mass"])
+def test_where_damping_follows_the_modes_with_the_gross_error_keep_their_ratios(cause):
+    kept, follows = (inaccurate.draw_case(5, cause, kind="shaft", damping_follows=x, **SMALL) for x in (False, True))
+    assert np.array_equal(kept.world.K, follows.world.K) and np.array_equal(kept.world.M, follows.world.M)
+    w2, P = scipy.linalg.eigh(follows.world.K, follows.world.M)
+    elastic = np.arange(len(w2)) >= follows.build.rigid
+    ratios = [np.diag(P.T @ w.C @ P)[elastic] / 2 / np.sqrt(w2[elastic]) for w in (kept.world, follows.world)]
+    assert np.allclose(ratios[1], follows.world.zeta[elastic], rtol=1e-6)
+    assert np.abs(ratios[0] / ratios[1] - 1).max() > 1e-3
 
 
 def test_frf_is_the_direct_solution():

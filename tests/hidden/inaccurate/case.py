@@ -190,14 +190,17 @@ def draw_case(
     noise: float | None = None,
     lines: float | None = None,
     widen: float | None = None,
+    damping_follows: bool = False,
 ) -> Case:
     """A case by seed; what is not given is drawn.
 
     ``cause``: one of :data:`CAUSES`; ``kind``: frame, plate or shaft; ``structure``: a seed of its own for the
     structure; ``spread``: relative standard deviation of every element's stiffness; ``claim``: none, right, half,
     double, by ``claimed`` matrices or modes; ``variance``: exact, 6 (repeats) or missing; ``noise``: share of the
-    signal; ``lines``: to a half-power bandwidth; ``widen``: how many times the identified band is measured. The same
-    seed with other ``lines`` and ``widen`` is the same structure, error and sensors, measured otherwise.
+    signal; ``lines``: to a half-power bandwidth; ``widen``: how many times the identified band is measured;
+    ``damping_follows``: modes keep their damping ratios where stiffness or mass is grossly wrong, so that the damping
+    matrix changes with it. The same seed with other ``lines`` and ``widen`` is the same structure, error and sensors,
+    measured otherwise.
 
     Raises
     ------
@@ -226,7 +229,8 @@ def draw_case(
     freq = draw_lines(realised(build, design, off), (low, high * plan.widen), plan.lines)
     test = Test(freq, form, outputs, inputs, level)
     same = replace(test, freq=draw_lines(realised(build, design, off), (low, high), 6.0))
-    gross, world, general, H, lost = _with_gross(build, design, off, test, same, inside, plan.cause, wrong)
+    general = build, design, off
+    gross, world, general, H, lost = _with_gross(*general, test, same, inside, plan.cause, wrong, damping_follows)
     sigma = noise_floor(H, plan.noise, floor)
     values, averages = stated_variance(floor, sigma, plan.variance)
     names = np.array(build.dofs)
@@ -244,11 +248,12 @@ def draw_case(
         "modes_inside": int(inside.sum()), "band": [low, high], "shape": list(H.shape), "form": form,
         "unsettled": lost, **said.described(),
     }  # fmt: skip
+    truth |= {"damping_follows": True} if damping_follows else {}
     simulation = simulation_file(build, design, plan, spread_of, inaccuracy, told)
     return Case(measurement, simulation, truth, H, sigma, build, design, world, test)
 
 
-def _with_gross(build: Build, design: World, off: Off, test: Test, same: Test, inside, cause: str, rng):
+def _with_gross(build: Build, design: World, off: Off, test: Test, same: Test, inside, cause: str, rng, follows: bool):
     """The gross error, the structure with and without it, and its FRF; another place where a joint has no one answer.
 
     The element that is grossly wrong is off by the gross error alone.
@@ -262,6 +267,9 @@ def _with_gross(build: Build, design: World, off: Off, test: Test, same: Test, i
             kept[gross.element] = 0.0
             bare = realised(build, design, replace(off, stiffness=kept))
         world = bare if gross is None else bare.changed(gross.M, gross.C, gross.K)
+        undamped = gross is not None and not np.any(gross.C) and (np.any(gross.M) or np.any(gross.K))
+        if undamped and follows:
+            world = bare.at_equal_ratios(gross.M, gross.K)
         H, lost = answer(world, test, gross)
         if lost == 0:
             return gross, world, bare, H, lost

@@ -41,6 +41,10 @@ class World:
     def changed(self, M=0.0, C=0.0, K=0.0) -> "World":
         return World(self.M + M, self.C + C, self.K + K, self.zeta)
 
+    def at_equal_ratios(self, M=0.0, K=0.0) -> "World":
+        """With other mass and stiffness, and modes that are damped as they were."""
+        return damped(self.M + M, self.K + K, self.zeta)
+
 
 def damped(M: np.ndarray, K: np.ndarray, zeta: np.ndarray) -> World:
     """A structure with the damping ratios ``zeta`` of its own modes."""
