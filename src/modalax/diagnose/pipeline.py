@@ -84,6 +84,7 @@ from modalax.diagnose.search.named_before import NamedCause
 from modalax.diagnose.search.one_place import explain_force
 from modalax.diagnose.setup.turned import turned, turned_modes
 from modalax.diagnose.told import told
+from modalax.diagnose.undamped import with_damping
 from modalax.model import ModalModel, Structure
 from modalax.model.entry import check_comparable, check_simulation
 from modalax.model.mode_table import ModeTable
@@ -172,20 +173,23 @@ def _diagnosed(
     names = dof_names(simulation.base if isinstance(simulation, ExtendedSimulation) else simulation)
     if isinstance(measurement, ModeTable):
         table, renamed = turned_modes(measurement, names)
+        simulation, damped = with_damping(table, simulation)
         found = by_table(table, simulation, causes, modal_std, time, progress)
-        return replace(found, reasons=(*found.reasons, *renamed))
+        return replace(found, reasons=(*found.reasons, *([damped] if damped else []), *renamed))
     check_comparable(measurement, simulation)
     measurement, renamed = turned(measurement, names)
-    found = by_frfs(measurement, simulation, question, causes, Deadline(time), progress)
-    said = gains_said(found.causes) if found.verdict in ("named", "ambiguous") else []
+    simulation, damped = with_damping(as_measurement(measurement), simulation, progress)
+    found = by_frfs(measurement, simulation, question, causes, Deadline(time), progress, undamped=bool(damped))
+    said = [damped] if damped else []
+    said += gains_said(found.causes) if found.verdict in ("named", "ambiguous") else []
     if found.verdict == "unknown" and found.question == "fixed" and isinstance(simulation, ModalModel):
-        said = [MODES_ALONE]
+        said.append(MODES_ALONE)
     return replace(found, reasons=(*found.reasons, *said, *renamed)) if said or renamed else found
 
 
 def by_frfs(
     measurement: Measurement | FRF, simulation: Structure | ModalModel | ExtendedSimulation, question: str,
-    causes: Sequence[Cause] | None, late: Deadline, progress: Callable[[str], None],
+    causes: Sequence[Cause] | None, late: Deadline, progress: Callable[[str], None], undamped: bool = False,
 ) -> Diagnosis:  # fmt: skip
     """Diagnose FRFs; a joint whose law is free comes first or last where the levels tell of one."""
     data = as_measurement(measurement)
@@ -194,7 +198,7 @@ def by_frfs(
         joint = diagnose_joint(data, simulation, causes, late, progress)
         if joint is not None:
             return joint
-    found = by_routes(measurement, simulation, question, causes, progress, late, follows)
+    found = by_routes(measurement, simulation, question, causes, progress, late, follows, undamped)
     if follows and found.verdict == "unknown" and not late():
         return diagnose_joint(data, simulation, causes, late, progress) or found
     return found
@@ -203,10 +207,11 @@ def by_frfs(
 def by_routes(
     measurement: Measurement | FRF, simulation: Structure | ModalModel | ExtendedSimulation, question: str,
     causes: Sequence[Cause] | None, progress: Callable[[str], None], late: Deadline, follows: bool,
+    undamped: bool = False,
 ) -> Diagnosis:  # fmt: skip
     """Diagnose line by line, in the modal domain or both; a free joint that ``follows`` is left some of the time."""
     data = as_measurement(measurement)
-    task = task_of(data, simulation, question, causes)
+    task = replace(task_of(data, simulation, question, causes), undamped=undamped)
     claimed = by_claim(task)
     measured, shown = by_modes_or_elements(data, simulation, late, progress) if claimed else (None, ClaimCompared())
     task = replace(task, elements_show=shown.elements_show)

@@ -171,6 +171,11 @@ class Thresholds:
         "Line by line, which takes the dampings of all modes as exact, adds nothing to a named cause that leaves "
         "nothing where these are certainly off by more than this.", INACCURATE,
     )  # fmt: skip
+    damping_far: float = _threshold(
+        0.1, "relative error",
+        "A simulation of which nothing is wrong but the dampings of its modes, certainly by more than this, is not "
+        "searched line by line, which takes these as exact.", INACCURATE,
+    )  # fmt: skip
     as_noise: float = _threshold(
         1.2, "chi-square per sample", "A fit predicts the held-out block where it leaves less than this on it.",
         INACCURATE,

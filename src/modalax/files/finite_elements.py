@@ -34,6 +34,7 @@ UNITS = {
 }  # fmt: skip
 DENSE = 3000  # DoFs up to which matrices are condensed as they are
 DOUBLE = 15  # significant digits of a number in double precision
+UNDAMPED = "no damping in the file and none given: all modes are undamped, and a diagnosis takes what is measured"
 FEW = 300  # DoFs from which a model is reduced to those named, where some are named and it does not part into elements
 RIGID = 1e-4  # part of the first elastic eigenvalue below which a mode of a file counts as rigid
 
@@ -185,7 +186,7 @@ class _Import:
         if self.C is None:
             zeta = 0.0 if damping_ratio is None else damping_ratio
             self.notes.append(
-                "no damping in the file and none given: all modes are undamped"
+                UNDAMPED
                 if damping_ratio is None else f"damping ratio of all modes {100 * zeta:g} %, as given"
             )  # fmt: skip
         simulation = self._condensed(damping_ratio, up_to_hz, keep)
@@ -371,7 +372,7 @@ def _modes(
     if rigid.any():
         notes.append(f"{int(rigid.sum())} rigid-body modes make the lower residual term")
     if damping_ratio is None:
-        notes.append("no damping in the file and none given: all modes are undamped")
+        notes.append(UNDAMPED)
     notes.append("modes that were not punched are missing: there is no static correction")
     names = [dof_name(*dof) for dof in dofs]
     frequency = np.sqrt(square[~rigid]) / (2 * np.pi)

@@ -117,6 +117,8 @@ def test_one_force_is_looked_for_first_where_that_is_quick_and_can_be_right(task
         (Outcome("named", 1.05, 0.3, inaccuracy=damped(0.02, 1e-3)), SMALL, False),  # it may be one damper
         (Outcome("named", 1.05, 0.009, inaccuracy=damped(0.02)), SMALL, False),
         (Outcome("clean", 1.05, 0.3, inaccuracy=damped(0.02)), SMALL, False),  # a window may have added them
+        (Outcome("clean", 1.05, 0.3, inaccuracy=damped(0.2)), SMALL, True),  # so far off they are in general
+        (Outcome("clean", 1.05, 0.009, inaccuracy=damped(0.2)), SMALL, False),
         (Outcome("unknown", 9.0, 0.0), LARGE, True),
         (Outcome("unknown", 9.0, 0.0), replace(SMALL, elements_off=True), True),
         (Outcome("unknown", 9.0, 0.0, inaccuracy=MAYBE), LARGE, False),  # lines may show what modes do not
@@ -159,6 +161,14 @@ def test_lines_that_explain_nothing_tell_nothing_of_a_simulation_that_is_certain
     modes = Outcome(verdict, 9.0, inaccuracy=inaccuracy)
     assert choice({"lines": Outcome("unknown", 3.0), "modes": modes}) == expected
     assert choice({"lines": Outcome("named", 1.2), "modes": modes}) == "lines"
+
+
+def test_a_simulation_without_damping_is_compared_by_modes_first_and_by_lines_if_these_say_nothing():
+    undamped = replace(SMALL, undamped=True)
+    assert order(undamped) == ("modes", "lines") == order(replace(undamped, modes_off=True))
+    assert not one_place_first(undamped)
+    assert all(suffices("modes", Outcome(word, 1.0), undamped) for word in ("clean", "named", "ambiguous"))
+    assert not suffices("modes", Outcome("unknown", 9.0), undamped)
 
 
 def test_a_simulation_with_massless_dofs_is_left_to_the_modal_domain():

@@ -63,6 +63,15 @@ def test_variable_projection_has_the_gradient_of_its_chi_square():
         assert -slope / 2 == pytest.approx(gradient[2 + k], rel=2e-2)
 
 
+@pytest.mark.parametrize("imag", [1e-4, 1e-3, 1e-2])
+def test_a_search_from_a_pole_without_vibration_ends_as_any_other(imag):
+    """Information on such a pole is lost in rounding; it had ended in an overflow, and with it the diagnosis."""
+    poles, _, channels = synthetic()
+    start = np.append(-5.0 + 1j * imag, poles * (1 + 0.002))
+    found = refine(start, channels)
+    assert np.all(np.isfinite(found.poles)) and found.chi2 <= project(start, channels)[0].chi2
+
+
 def test_poles_and_residues_come_back():
     poles, residues, channels = synthetic()
     found = refine(poles * (1 + 0.002), channels)

@@ -41,6 +41,8 @@ class Task:
         Whether DoFs of the simulation have no mass, with which only the modal domain can do.
     elements_show
         Whether the measured modes show that its elements are off, where the author claims an inaccuracy of modes.
+    undamped
+        Whether the simulation has no damping of its own, which line by line would be taken as exact.
     """
 
     has_modes: bool
@@ -53,6 +55,7 @@ class Task:
     known_to_modes: bool = True
     massless: bool = False
     elements_show: bool = False
+    undamped: bool = False
 
 
 @dataclass(frozen=True)
@@ -108,7 +111,7 @@ def order(task: Task, limits: Thresholds = THRESHOLDS) -> tuple[Route, ...]:
     """Methods in the order in which they are tried."""
     if not task.has_modes or not (task.known_to_modes or task.groups):  # what is not looked for is not told as absent
         return ("lines",)
-    if needs_modes(task, limits) or task.groups or task.massless:
+    if needs_modes(task, limits) or task.groups or task.massless or task.undamped:
         return "modes", "lines"
     if not task.whole_catalogue:  # what a part of the catalogue leaves must not be taken for inaccuracy
         return ("lines",)
@@ -120,13 +123,13 @@ def one_place_first(task: Task, limits: Thresholds = THRESHOLDS) -> bool:
 
     Not where elements are off, nor where modes may move and line by line takes minutes: they move beside every place.
     """
-    elsewhere = task.elements_off or task.elements_show or task.massless
+    elsewhere = task.elements_off or task.elements_show or task.massless or task.undamped
     return task.has_modes and task.whole_catalogue and not (elsewhere or task.modes_off and needs_modes(task, limits))
 
 
 def by_claim(task: Task, limits: Thresholds = THRESHOLDS) -> bool:
     """Whether lines come first only because the author claims that modes are off, not elements."""
-    other = needs_modes(task, limits) or task.groups or task.massless or not task.whole_catalogue
+    other = needs_modes(task, limits) or task.groups or task.massless or task.undamped or not task.whole_catalogue
     return task.has_modes and task.modes_off and not other
 
 
@@ -140,7 +143,7 @@ def suffices(route: Route, found: Outcome, task: Task, limits: Thresholds = THRE
     """Whether the answer of the method that was tried first is given without trying the other."""
     if route == "lines":
         return explained(found, limits)
-    if task.massless:
+    if task.massless or task.undamped and found.verdict != "unknown":
         return True
     if needs_modes(task, limits):
         unsettled = found.verdict == "unknown" or found.verdict == "clean" and not nothing_left(found, limits)
@@ -214,13 +217,16 @@ def off_everywhere(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
 
 
 def damping_off(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
-    """Whether causes are named, nothing is left, and the dampings, which lines take as exact, are certainly off.
+    """Whether nothing is left, and the dampings, which lines take as exact, are certainly off.
 
-    Where stiffness is certainly right, all may be exact but a damper, which lines can tell.
+    Where stiffness is certainly right, all may be exact but a damper, which lines can tell; where no damper is named
+    though, dampings that are far off are so in general.
     """
     parts = found.inaccuracy or {}
     if not parts.keys() >= {"stiffness", "damping"}:
         return False
+    if found.verdict == "clean":
+        return parts["damping"]["interval"][0] > limits.damping_far and nothing_left(found, limits)
     off = parts["damping"]["interval"][0] > limits.damping_off
     right = parts["stiffness"]["interval"][1] < limits.surely_off
     return off and not right and found.verdict == "named" and nothing_left(found, limits)

@@ -21,6 +21,7 @@ from modalax.diagnose.modal_domain.windows import Sweep, Window
 
 STEPS = 25  # most Gauss-Newton steps of one refinement
 SETTLED = 1e-3  # decrease of chi-square per number of poles' parameters at which a refinement has ended
+ROUNDING = 1e-24  # information on a pole, relative to the best known one, that counts as none
 WIDEST = 1e6  # damping of a step, relative to the information, at which there is no way on
 POWERS = 0, 1, 2, -1, -2, -3  # of s in the residual terms of modes beyond the band
 BLOCK = 20_000_000  # numbers that the products of columns may take at once
@@ -170,7 +171,8 @@ def refine(poles: np.ndarray, channels: Channels, steps: int = STEPS) -> Project
         return found
     damping = 1e-3
     for _ in range(steps):
-        scale = np.sqrt(np.maximum(np.diag(found.information), 1e-300))
+        known = np.diag(found.information)  # of a pole that is nearly real it is lost in rounding, to either sign
+        scale = np.sqrt(np.maximum(known, ROUNDING * np.abs(known).max()))
         unit = found.information / scale[:, None] / scale
         try:
             step = scipy.linalg.solve(unit + damping * np.eye(len(unit)), gradient / scale, assume_a="pos") / scale

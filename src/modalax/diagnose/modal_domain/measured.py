@@ -64,7 +64,7 @@ class Measured:
     shared: float = 1.0
 
 
-def identify(measurement: Measurement, c: Coordinates) -> Measured:
+def identify(measurement: Measurement, c: Coordinates | None) -> Measured:
     """Identify a measurement (no line at 0 Hz) blind; the simulation only stands for the modes beyond the band.
 
     Raises ``ValueError`` where no mode stands out of the noise.
@@ -96,12 +96,12 @@ def _shared(modes: Projected, channels: Channels, shape: tuple[int, ...]) -> flo
     return shared_noise(response, residual)
 
 
-def prepared(measurement: Measurement, c: Coordinates) -> tuple[Channels, Noise, np.ndarray, float]:
+def prepared(measurement: Measurement, c: Coordinates | None) -> tuple[Channels, Noise, np.ndarray, float]:
     """FRFs to identify, their noise before any mode is known, the runs in them, and how unlike all runs are."""
     freq, H = np.asarray(measurement.freq), np.asarray(measurement.H)
     order = DERIVATIVES[measurement.form]
     s = 2j * np.pi * freq
-    outside = _outside(c, abs(s[0]), abs(s[-1]))
+    outside = np.zeros(0, complex) if c is None else _outside(c, abs(s[0]), abs(s[-1]))
     noise = noise_of(measurement, _first_guess(measurement, H))
     runs, unlike = alike_runs(H, noise.sigma, np.asarray(measurement.level))
     channels = channels_of(s, H[runs], noise.sigma[runs], order, outside)
