@@ -9,6 +9,7 @@ from chains_off import as_measured, chain_off, response, simulation
 from modalax.data import Measurement
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.diagnose.modal_domain.measured import identify
 from modalax.diagnose.modal_domain.swept import fast_sweep, peaks
 from modalax.diagnose.modal_domain.windows import Sweep
 
@@ -50,7 +51,7 @@ def swept(seed: int, rate: float = RATE) -> Measurement:
 def found_in(data: Measurement):
     """The sweep in a measurement, by its FRFs alone."""
     c = coordinates_of(simulation(), data.outputs, data.inputs, 2 * np.pi * float(LINES[-1]))
-    return fast_sweep(data, c, lambda _: None)
+    return fast_sweep(data, simulation(), identify(data, c), lambda _: None)
 
 
 @pytest.mark.parametrize("rate", [RATE, pytest.param(-RATE, marks=pytest.mark.slow)])

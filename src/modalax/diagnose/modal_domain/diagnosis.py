@@ -223,14 +223,12 @@ def diagnose_modes(
     ``measured`` is the measurement as :func:`identified`, where that is known.
     """
     late = late or Deadline()
-    highest = 2 * np.pi * float(measurement.freq[-1])
-    c = coordinates_of(simulation, measurement.outputs, measurement.inputs, highest)
-    ended = short_record(measurement, c, tell) if wanted("leakage") else None
-    if ended is None and wanted("fast_sweep"):
-        ended = fast_sweep(measurement, c, tell)
-    if ended is not None:
+    ended = _short_record(measurement, simulation, wanted, tell)
+    if ended is None:
+        measured = measured or identified(measurement, simulation, tell)
+        ended = fast_sweep(measurement, simulation, measured, tell) if wanted("fast_sweep") else None
+    if ended is not None or measured is None:
         return _diagnosed(measurement, simulation, question, late, wanted, tell, ended)
-    measured = measured or identified(measurement, simulation, tell)
     found = _elsewhere(measurement, simulation, question, late, wanted, tell, measured)
     if found is not None:
         return found
@@ -255,6 +253,16 @@ def diagnose_modes(
         return found  # beside what is named already a small force may stand for an error of no element
     better = rest.verdict != "unknown" and rest.after.z < found.after.z
     return rest if better else found
+
+
+def _short_record(
+    measurement: Measurement, simulation: Structure, wanted: Callable[[str], bool], tell: Callable[[str], None]
+) -> Forced | None:  # fmt: skip
+    """What a record that ended too early adds to the FRFs."""
+    if not wanted("leakage"):
+        return None
+    highest = 2 * np.pi * float(measurement.freq[-1])
+    return short_record(measurement, coordinates_of(simulation, measurement.outputs, measurement.inputs, highest), tell)
 
 
 def _beside_own_peaks(

@@ -18,14 +18,15 @@ import scipy.optimize
 from modalax.data import Measurement
 from modalax.diagnose.causes.records import FastSweep
 from modalax.diagnose.modal_domain.causes import Change
-from modalax.diagnose.modal_domain.coordinates import Coordinates
+from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.forced import Forced
 from modalax.diagnose.modal_domain.free_residues import Channels, Projected, refine
-from modalax.diagnose.modal_domain.measured import prepared
+from modalax.diagnose.modal_domain.measured import Measured, prepared
 from modalax.diagnose.modal_domain.mode_count import blind_modes, cost_of_mode, misfit, mode_gains
 from modalax.diagnose.modal_domain.short_records import strongest
 from modalax.diagnose.modal_domain.windows import Sweep
 from modalax.diagnose.thresholds import THRESHOLDS
+from modalax.model import Structure
 
 TOGETHER = 2.0  # half-bandwidths of two poles, added, over their distance, from which on they are in one peak
 RATES = np.geomspace(1e-3, 3.0, 20)  # sweep rates that are tried, over the square of the width of a beating peak
@@ -68,11 +69,21 @@ class Swept(Change):
         return [self.rate / 2 / math.pi], [self.std / 2 / math.pi], None
 
 
-def fast_sweep(measurement: Measurement, c: Coordinates, tell: Callable[[str], None]) -> Forced | None:
-    """What a sweep too fast for the resonances adds to the FRFs; None where none explains them with fewer modes."""
-    H = np.asarray(measurement.H)
-    channels, _, runs, _ = prepared(measurement, c)
-    return sweep_in(channels, H.shape[1:], tell) if len(runs) == len(H) else None
+def fast_sweep(
+    measurement: Measurement, simulation: Structure, measured: Measured, tell: Callable[[str], None]
+) -> Forced | None:  # fmt: skip
+    """What a sweep too fast for the resonances adds to the FRFs; None where none explains them with fewer modes.
+
+    Looked for where all runs agree, and modes leave something or lie in one peak. What modes without a sweep leave is no
+    noise, so that this is taken as it was before any mode was known.
+    """
+    poles, H = measured.modes.poles, np.asarray(measurement.H)
+    explained = measured.misfit < THRESHOLDS.as_noise and len(peaks(poles)) == len(poles)
+    if explained or len(measured.runs) < len(H):
+        return None
+    highest = 2 * np.pi * float(measurement.freq[-1])
+    c = coordinates_of(simulation, measurement.outputs, measurement.inputs, highest)
+    return sweep_in(prepared(measurement, c)[0], H.shape[1:], tell)
 
 
 def sweep_in(channels: Channels, shape: tuple[int, ...], tell: Callable[[str], None]) -> Forced | None:
