@@ -56,7 +56,7 @@ from modalax.diagnose.decision.route import (
     order,
     settled,
     suffices,
-    surely_named,
+    surely_foretold,
 )
 from modalax.diagnose.extend import ExtendedSimulation
 from modalax.diagnose.gains_said import gains_said
@@ -267,7 +267,7 @@ def sufficient(found: Diagnosis, modal: Callable[[], ModalDiagnosis | None], lat
     if found.verdict == "ambiguous" and found.found.leftover.inexact and not late():
         modes = modal()
         said = None if modes is None else outcome_of(modes)
-        return modes if said is not None and (law_is_exact(said) or surely_named(said)) else found
+        return modes if said is not None and (law_is_exact(said) or surely_foretold(said)) else found
     return found if found.found.by_force or settled(outcome_of(found)) or late() else None
 
 
@@ -341,7 +341,7 @@ def at_one_place(
         near = explain_force(alone, [c for c in elements if isinstance(c, LocalCause)])
         nearly = near is not None and near.leftover.inexact or near is None and not may_tell_joints(data)
         modes = modal() if nearly and not late() else None
-        if modes is not None and of_elements(modes) and surely_named(outcome_of(modes)):
+        if modes is not None and of_elements(modes) and surely_foretold(outcome_of(modes)):
             return modes  # a spring, mass or damper that damping goes with, for one
         found = explain_force(alone, elements)
     said = None if found is None else told(found, progress)

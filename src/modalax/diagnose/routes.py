@@ -13,6 +13,7 @@ from modalax.diagnose.modal_domain.claimed_modes import ClaimCompared
 from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis
 from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.judged import standing_out
+from modalax.diagnose.modal_domain.measured import prepared
 from modalax.diagnose.modal_domain.stage import KNOWN
 from modalax.diagnose.result import Diagnosis
 from modalax.diagnose.search.named_before import NamedCause
@@ -71,8 +72,9 @@ def of_elements(found: Diagnosis) -> bool:
 
 
 def may_tell_joints(measurement: Measurement) -> bool:
-    """Whether runs at several force levels could show that a joint is not linear."""
-    return len(np.unique(measurement.level[np.isfinite(measurement.level)])) > 1
+    """Whether runs at several force levels differ by more than noise, as those of a joint that is not linear do."""
+    levels = np.unique(measurement.level[np.isfinite(measurement.level)])
+    return len(levels) > 1 and len(prepared(measurement, None)[2]) < len(measurement.H)
 
 
 def named_before(modes: Diagnosis | None) -> list[NamedCause]:

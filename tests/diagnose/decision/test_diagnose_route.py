@@ -16,6 +16,7 @@ from modalax.diagnose.decision.route import (
     order,
     settled,
     suffices,
+    surely_foretold,
 )
 from modalax.diagnose.routes import task_of
 from modalax.model import Structure
@@ -161,6 +162,14 @@ def test_lines_that_explain_nothing_tell_nothing_of_a_simulation_that_is_certain
     modes = Outcome(verdict, 9.0, inaccuracy=inaccuracy)
     assert choice({"lines": Outcome("unknown", 3.0), "modes": modes}) == expected
     assert choice({"lines": Outcome("named", 1.2), "modes": modes}) == "lines"
+
+
+def test_what_is_named_beyond_doubt_may_be_foretold_where_something_small_is_left():
+    left = replace(SURE, left=0.005)
+    assert surely_foretold(SURE) and surely_foretold(left)
+    assert not suffices("modes", replace(left, of_elements=True), SMALL)
+    for less in ({"held_out": 1.3}, {"probability": 0.9}, {"alternatives": 1}, {"verdict": "ambiguous"}):
+        assert not surely_foretold(replace(SURE, **less))
 
 
 def test_a_simulation_without_damping_is_compared_by_modes_first_and_by_lines_if_these_say_nothing():

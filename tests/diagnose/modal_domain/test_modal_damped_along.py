@@ -5,11 +5,13 @@ import pytest
 import scipy.linalg
 from chains_off import DOFS, FREQ, MASSES, SPRINGS, as_measured, response
 
+from modalax.data import Measurement
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.damped_along import with_loss
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.pipeline import diagnose
+from modalax.diagnose.routes import may_tell_joints
 from modalax.model import Structure
 
 RATIO = 0.012
@@ -64,6 +66,21 @@ def test_a_softer_joint_of_a_simulation_that_is_exact_else_is_named_by_all_of_di
     found = diagnose(as_measured(H, FREQ, 5), Structure(*matrices(MASSES, SPRINGS, "ratios"), DOFS))
     assert found.verdict == "named" and [c["name"] for c in found.causes] == ["joint_stiffness"], found.reasons
     assert any("damping changes with it" in reason for reason in found.reasons)
+
+
+def test_force_levels_that_agree_tell_of_no_joint():
+    """A spring whose sides differ had been told of three levels, after two minutes."""
+    springs = np.where(np.arange(6) == 3, 0.7, 1.0) * SPRINGS
+    H = response(*matrices(MASSES, springs, "ratios"), FREQ)
+    runs = [as_measured(H, FREQ, seed) for seed in (5, 6, 7)]
+    levels = Measurement(
+        FREQ, np.concatenate([m.H for m in runs]), form="accelerance", outputs=runs[0].outputs, inputs=runs[0].inputs,
+        variance=np.concatenate([m.variance for m in runs]), level=[1.0, 3.0, 9.0],
+    )  # fmt: skip
+    assert not may_tell_joints(levels)
+    assert may_tell_joints(levels.replace(H=levels.H * np.array([1.0, 1.0, 1.1])[:, None, None, None]))
+    found = diagnose(levels, Structure(*matrices(MASSES, SPRINGS, "ratios"), DOFS))
+    assert found.verdict == "named" and [c["name"] for c in found.causes] == ["joint_stiffness"], found.reasons
 
 
 @pytest.mark.parametrize("kind", ["K", "M"])

@@ -93,3 +93,12 @@ def test_elements_that_are_far_off_all_of_them_have_no_cause():
     assert found is not None and found.verdict == "clean" and not found.causes, found.reasons
     low, high = found.inaccuracy["stiffness"]["interval"]
     assert low < 0.1 < high and found.inaccuracy["stiffness"]["value"] > 0.03
+
+
+def test_a_turned_sensor_beside_another_that_is_miscalibrated_is_a_sign_and_no_gain():
+    """No linear score tells a sign, so that it had been told as a gain that is off by -2."""
+    m = measured(np.ones(4), {}, 0.01)
+    factor = np.where(np.arange(len(DOFS)) == 6, -1.0, np.where(np.arange(len(DOFS)) == 4, 1.06, 1.0))
+    found = diagnose_modes(m.replace(H=m.H * factor[:, None]), simulation())
+    assert found is not None and found.verdict == "named", found.reasons
+    assert {(c["name"], *c["where"]) for c in found.causes} == {("channel_sign", "motor"), ("channel_gain", "rail 1")}

@@ -262,5 +262,10 @@ def elements_surely(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
 
 def surely_named(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
     """Whether causes are named beyond doubt, and nothing is left to explain."""
+    return surely_foretold(found, limits) and nothing_left(found, limits)
+
+
+def surely_foretold(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
+    """Whether causes are named beyond doubt that predict the held-out block."""
     sure = found.verdict == "named" and found.probability >= limits.decisive and not found.alternatives
-    return sure and nothing_left(found, limits)
+    return sure and found.predicts < limits.as_noise

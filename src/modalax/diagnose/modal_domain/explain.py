@@ -18,7 +18,7 @@ from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
 from modalax.diagnose.modal_domain.oscillators import oscillators
 from modalax.diagnose.modal_domain.prior import SECOND, Prior
 from modalax.diagnose.modal_domain.screen import narrower, replaced, scores
-from modalax.diagnose.modal_domain.starts import FITTED, NEXT, in_place_of_one, starts
+from modalax.diagnose.modal_domain.starts import FITTED, NEXT, as_signs, in_place_of_one, starts
 from modalax.diagnose.modal_domain.state import Setting
 from modalax.diagnose.modal_domain.throughout import start_in, with_more
 from modalax.diagnose.thresholds import THRESHOLDS
@@ -172,7 +172,7 @@ def _all_steps(
             _fewer(setting, found, best.fit)
             _apart(setting, found, best.fit, candidates)
             _neighbours(setting, found, best.fit, candidates, prior, late)
-            _damped(setting, found, prior)
+            _other_forms(setting, found, candidates, prior)
             best = _ranked(found, prior)[0]
         if len(best.causes) >= MOST or not _further(setting, found, best.fit, candidates, prior, late):
             return
@@ -382,11 +382,11 @@ def _further(
     return bool(abouts)
 
 
-def _damped(setting: Setting, found: dict[tuple[Change, ...], Fit], prior: Prior) -> None:
-    """Fit the leading explanations with damping that goes with one of their causes."""
+def _other_forms(setting: Setting, found: dict[tuple[Change, ...], Fit], candidates: list[Change], prior: Prior):
+    """Fit the leading explanations with damping that goes with one of their causes, and signs in place of gains."""
     ranked = _ranked(found, prior)
     near = [e.fit for e in ranked[:AGAIN] if e.log_posterior > ranked[0].log_posterior - NEAR]
-    for causes, u, start in damped_along(setting, near):
+    for causes, u, start in (*damped_along(setting, near), *as_signs(near, candidates)):
         _try(setting, found, causes, u, start, gentle=False)
 
 

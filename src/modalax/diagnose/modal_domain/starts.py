@@ -7,11 +7,12 @@ those that hide in it, and with that of one matrix, or all, held to less than wa
 wrong there.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.coordinates import modes_of
 from modalax.diagnose.modal_domain.fit import Fit, without_causes
 from modalax.diagnose.modal_domain.matched import FOLLOWED, missed_frequencies
@@ -107,6 +108,20 @@ def _nominal(setting: Setting, null: Fit) -> Fit:
     """The simulation as it is, with its usual inaccuracy."""
     sizes = np.zeros_like(null.sizes)
     return replace(null, sizes=sizes, epsilon=setting.inaccuracy.usual, state=state_at(setting, sizes))
+
+
+def as_signs(fits: Sequence[Fit], candidates: list[Change]) -> Iterator[tuple[tuple[Change, ...], np.ndarray, Fit]]:
+    """Causes of each fit with the sign of an output in place of a negative gain; sizes and fit to start from.
+
+    A sign has no size that a linear score could tell, so that beside another cause it shows as a gain of -2.
+    """
+    for f in fits:
+        for k, cause in enumerate(f.causes):
+            own = own_sizes(f.causes, k)
+            for sign in (c for c in candidates if c.slug == "channel_sign" and c.where == cause.where):
+                if cause.slug == "channel_gain" and cause.size(f.u[own]) < -1:
+                    u = np.concatenate([f.u[: own.start], np.zeros(1), f.u[own.stop :]])
+                    yield (*f.causes[:k], sign, *f.causes[k + 1 :]), u, without_causes(f)
 
 
 def in_place_of_one(setting: Setting, f: Fit, candidates: list[Change], share: np.ndarray) -> list[Start]:

@@ -74,8 +74,8 @@ def fast_sweep(
 ) -> Forced | None:  # fmt: skip
     """What a sweep too fast for the resonances adds to the FRFs; None where none explains them with fewer modes.
 
-    Looked for where all runs agree, and modes leave something or lie in one peak. What modes without a sweep leave is no
-    noise, so that this is taken as it was before any mode was known.
+    Looked for where all runs agree, and modes leave something or lie in one peak. What modes without a sweep leave is
+    no noise, so that this is taken as it was before any mode was known.
     """
     poles, H = measured.modes.poles, np.asarray(measurement.H)
     explained = measured.misfit < THRESHOLDS.as_noise and len(peaks(poles)) == len(poles)
