@@ -7,10 +7,11 @@ import scipy.linalg
 from chains_off import as_measured, chain_off, response, simulation
 
 from modalax.data import Measurement
+from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.measured import identify
-from modalax.diagnose.modal_domain.swept import fast_sweep, peaks
+from modalax.diagnose.modal_domain.swept import beats, fast_sweep, peaks
 from modalax.diagnose.modal_domain.windows import Sweep
 
 LINES = np.linspace(12.0, 110.0, 400)
@@ -51,7 +52,7 @@ def swept(seed: int, rate: float = RATE) -> Measurement:
 def found_in(data: Measurement):
     """The sweep in a measurement, by its FRFs alone."""
     c = coordinates_of(simulation(), data.outputs, data.inputs, 2 * np.pi * float(LINES[-1]))
-    return fast_sweep(data, simulation(), identify(data, c), lambda _: None)
+    return fast_sweep(data, simulation(), identify(data, c), Deadline(), lambda _: None)
 
 
 @pytest.mark.parametrize("rate", [RATE, pytest.param(-RATE, marks=pytest.mark.slow)])
@@ -69,6 +70,8 @@ def test_sound_frfs_are_of_no_sweep():
 def test_poles_as_close_as_they_are_wide_are_in_one_peak():
     poles = np.array([-1 + 100j, -1 + 103j, -1 + 140j])
     assert [g.tolist() for g in peaks(poles)] == [[0, 1], [2]]
+    assert beats(poles) and not beats(np.append(poles, -1 + 170j))  # one pair of close modes among others
+    assert not beats(np.zeros(0, complex))
 
 
 @pytest.mark.slow

@@ -226,7 +226,7 @@ def diagnose_modes(
     ended = _short_record(measurement, simulation, wanted, tell)
     if ended is None:
         measured = measured or identified(measurement, simulation, tell)
-        ended = fast_sweep(measurement, simulation, measured, tell) if wanted("fast_sweep") else None
+        ended = fast_sweep(measurement, simulation, measured, late, tell) if wanted("fast_sweep") else None
     if ended is not None or measured is None:
         return _diagnosed(measurement, simulation, question, late, wanted, tell, ended)
     found = _elsewhere(measurement, simulation, question, late, wanted, tell, measured)

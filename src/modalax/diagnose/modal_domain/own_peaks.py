@@ -26,6 +26,7 @@ from modalax.diagnose.modal_domain.state import Setting
 
 FEWEST = 3  # outputs of which one can be told apart from the others
 OWN = 2  # fewest modes that are an output's own beside all others; one more may be that of what the sensor sits on
+HARDLY = 0.5  # part of what all FRFs show of a mode, below which some of them hardly do
 AS_WELL = 1.1  # how much more chi-square per sample the others may leave by themselves
 MASSES = np.geomspace(1e-3, 30.0, 400)  # that are tried, over the usual one; a step moves no peak by half its width
 TRIED = 3  # of them that are taken on to the lines
@@ -49,16 +50,22 @@ def _not_needed(measured: Measured, kept: np.ndarray) -> int:
     """How many of all modes those FRFs that are ``kept`` do without; none where they are explained worse."""
     c, found = measured.channels, measured.modes
     some = replace(c, data=c.data[:, kept], weight=c.weight[:, kept])
-    fewer = _paired(settled(refine(found.poles, some), some), some)
+    seen = np.abs(found.residues) ** 2 * c.weight.sum(axis=0)
+    hardly = found.poles[seen[:, kept].sum(axis=1) < HARDLY * seen.sum(axis=1)]
+    fewer = _paired(settled(refine(found.poles, some), some), some, hardly)
     return len(found.poles) - len(fewer.poles) if misfit(fewer, some) < AS_WELL * measured.misfit else 0
 
 
-def _paired(found: Projected, channels: Channels) -> Projected:
-    """Modes of which none stands beside another in one peak that one of them explains once it has moved there."""
-    while len(found.poles) > 1:
+def _paired(found: Projected, channels: Channels, hardly: np.ndarray) -> Projected:
+    """Modes of which none stands beside another in one peak that one of them explains once it has moved there.
+
+    Only modes nearest to poles that are ``hardly`` seen are done without: two close modes may well be two.
+    """
+    while len(found.poles) > 1 and len(hardly):
         apart = np.abs(found.poles[:, None] - found.poles) + np.where(np.eye(len(found.poles)), np.inf, 0.0)
         weaker = np.argsort(mode_gains(found))
-        close = [k for k in weaker if apart[k].min() < -found.poles[[k, apart[k].argmin()]].real.sum()]
+        some = set(np.abs(found.poles - hardly[:, None]).argmin(axis=1).tolist())
+        close = [k for k in weaker if apart[k].min() < -found.poles[[k, apart[k].argmin()]].real.sum() and k in some]
         trials = (refine(np.delete(found.poles, k), channels) for k in close)
         most = found.chi2 + cost_of_mode(channels) * misfit(found, channels)
         fewer = next((trial for trial in trials if trial.chi2 < most), None)

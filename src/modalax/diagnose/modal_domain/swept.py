@@ -17,6 +17,7 @@ import scipy.optimize
 
 from modalax.data import Measurement
 from modalax.diagnose.causes.records import FastSweep
+from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.forced import Forced
@@ -30,6 +31,9 @@ from modalax.model import Structure
 
 TOGETHER = 2.0  # half-bandwidths of two poles, added, over their distance, from which on they are in one peak
 RATES = np.geomspace(1e-3, 3.0, 20)  # sweep rates that are tried, over the square of the width of a beating peak
+SEVERAL = 1.5  # poles to a peak, on average, from which on a sweep is looked for
+BETTER = 0.5  # part of the chi-square of one pole a peak without a sweep that the best rate tried must come below
+SHARE = 0.2  # of the time, after which no sweep is looked for any more
 FEW, TURNS = 6, 2  # steps of a refinement at each rate, and turns of finding the rate and the modes
 NEARER = np.array([1.0, 0.1, 0.02])  # of the distance of rates that are tried, within which the best is sought in turns
 STEP = 0.03  # of such a distance, to which the best is found
@@ -70,34 +74,38 @@ class Swept(Change):
 
 
 def fast_sweep(
-    measurement: Measurement, simulation: Structure, measured: Measured, tell: Callable[[str], None]
+    measurement: Measurement, simulation: Structure, measured: Measured, late: Deadline, tell: Callable[[str], None]
 ) -> Forced | None:  # fmt: skip
     """What a sweep too fast for the resonances adds to the FRFs; None where none explains them with fewer modes.
 
-    Looked for where all runs agree, and modes leave something or lie in one peak. What modes without a sweep leave is
-    no noise, so that this is taken as it was before any mode was known.
+    Looked for where all runs agree, and modes leave something or several lie in a peak. What modes without a sweep
+    leave is no noise, so that this is taken as it was before any mode was known.
     """
-    poles, H = measured.modes.poles, np.asarray(measurement.H)
-    explained = measured.misfit < THRESHOLDS.as_noise and len(peaks(poles)) == len(poles)
+    H = np.asarray(measurement.H)
+    explained = measured.misfit < THRESHOLDS.as_noise and not beats(measured.modes.poles)
     if explained or len(measured.runs) < len(H):
         return None
     highest = 2 * np.pi * float(measurement.freq[-1])
     c = coordinates_of(simulation, measurement.outputs, measurement.inputs, highest)
-    return sweep_in(prepared(measurement, c)[0], H.shape[1:], tell)
+    return sweep_in(prepared(measurement, c)[0], H.shape[1:], late.part(SHARE), tell)
 
 
-def sweep_in(channels: Channels, shape: tuple[int, ...], tell: Callable[[str], None]) -> Forced | None:
+def sweep_in(
+    channels: Channels, shape: tuple[int, ...], late: Deadline, tell: Callable[[str], None]
+) -> Forced | None:  # fmt: skip
     """What a sweep adds to FRFs ``(f, o, i)``; None where none explains them with fewer modes."""
     few = strongest(channels)
     plain = blind_modes(few)
-    groups = peaks(plain.poles)
-    if len(groups) == len(plain.poles):
+    if not beats(plain.poles):
         return None
+    groups = peaks(plain.poles)
     tell("looking for a sweep too fast for the resonances, as several modes seem to lie in one peak")
     gains = mode_gains(plain)
     poles = np.array([plain.poles[g[np.argmax(gains[g])]] for g in groups])
     width = min(np.ptp(plain.poles[g].imag) - plain.poles[g].real.mean() for g in groups if len(g) > 1)
-    rate, modes = _tried(few, poles, width**2)
+    rate, modes = _tried(few, poles, width**2, late)
+    if late() or modes.chi2 > BETTER * refine(poles, few).chi2:
+        return None
     for _ in range(TURNS):
         rate, modes = _settled_rate(few, modes.poles, rate, 1)
         modes = blind_modes(_through(few, rate))
@@ -112,6 +120,11 @@ def sweep_in(channels: Channels, shape: tuple[int, ...], tell: Callable[[str], N
     effect = modes.made(through) - modes.made(_through(channels, 0.0))
     cause = Swept("fast_sweep", (), rate=rate, std=_error(channels, modes, rate))
     return Forced(cause, np.zeros(1), np.zeros((1, 1)), 1.0, nats, (), effect.reshape(shape))
+
+
+def beats(poles: np.ndarray) -> bool:
+    """Whether most peaks have several poles, as a sweep makes them; single pairs of close modes are nothing unusual."""
+    return len(poles) >= SEVERAL * len(peaks(poles)) > 0
 
 
 def peaks(poles: np.ndarray) -> list[np.ndarray]:
@@ -132,12 +145,14 @@ def _cost(modes: Projected, channels: Channels) -> float:
     return cost_of_mode(channels) * len(modes.poles)
 
 
-def _tried(channels: Channels, poles: np.ndarray, usual: float) -> tuple[float, Projected]:
+def _tried(channels: Channels, poles: np.ndarray, usual: float, late: Callable[[], bool]) -> tuple[float, Projected]:
     """The rate that leaves least, up or down, with poles that follow it from rate to rate."""
     found = []
     for way in (1, -1):
         at = poles
         for rate in way * usual * RATES:
+            if found and late():
+                break
             trial = refine(at, _through(channels, float(rate)), FEW)
             at = trial.poles
             found.append((float(rate), trial))
