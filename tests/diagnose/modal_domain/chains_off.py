@@ -43,6 +43,20 @@ def chain_off(seed: int, off: float) -> tuple[np.ndarray, np.ndarray, np.ndarray
     return matrices(masses, springs, zeta)
 
 
+def summed(seed: int, freq: np.ndarray, t: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Accelerances of a chain 2 % off, each mode summed over the times ``t`` [s] by the weights ``seen`` ``(f, t)``."""
+    M, C, K = chain_off(seed, 0.02)
+    w2, P = scipy.linalg.eigh(K, M)
+    w, step = np.sqrt(w2), t[1] - t[0]
+    zeta = np.diag(P.T @ C @ P) / 2 / w
+    poles = w * (-zeta + 1j * np.sqrt(1 - zeta**2))
+    residues = np.einsum("or,ir->roi", P, P) / (2j * poles.imag)[:, None, None] * (poles**2)[:, None, None]
+    direct = 2 * (residues / poles[:, None, None]).sum(axis=0).real
+    turned = np.exp(-2j * np.pi * freq[:, None] * t) * seen * step
+    both = [turned @ np.exp(t[:, None] * p) for p in (poles, poles.conj())]
+    return np.einsum("fr,roi->foi", both[0], residues) + np.einsum("fr,roi->foi", both[1], residues.conj()) + direct
+
+
 def as_measured(
     H: np.ndarray, freq: np.ndarray, seed: int, outputs: tuple[int, ...] = (0, 1, 3, 4),
     inputs: tuple[int, ...] = (0, 3), noise: float = 0.01,

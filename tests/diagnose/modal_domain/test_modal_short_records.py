@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 import scipy.integrate
-import scipy.linalg
-from chains_off import FREQ, as_measured, chain_off, response, simulation
+from chains_off import FREQ, as_measured, chain_off, response, simulation, summed
 
 from modalax.data import Measurement
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
@@ -36,17 +35,8 @@ def test_a_window_is_the_integral_over_its_record(kind):
 
 def measured(kind: str, freq: np.ndarray, seed: int, length: float = LENGTH) -> Measurement:
     """Accelerances of which each mode is summed over its record, by the integral in closed form of a fine sum."""
-    M, C, K = chain_off(seed, 0.02)
-    w2, P = scipy.linalg.eigh(K, M)
-    w = np.sqrt(w2)
-    zeta = np.diag(P.T @ C @ P) / 2 / w
-    poles = w * (-zeta + 1j * np.sqrt(1 - zeta**2))
-    residues = np.einsum("or,ir->roi", P, P) / (2j * poles.imag)[:, None, None] * (poles**2)[:, None, None]
     t = (np.arange(4000) + 0.5) * length / 4000
-    seen = np.exp(-2j * np.pi * freq[:, None] * t) * LAG[kind](t / length) * length / 4000
-    direct = 2 * (residues / poles[:, None, None]).sum(axis=0).real
-    both = [np.einsum("ft,tr->fr", seen, np.exp(t[:, None] * p)) for p in (poles, poles.conj())]
-    H = np.einsum("fr,roi->foi", both[0], residues) + np.einsum("fr,roi->foi", both[1], residues.conj()) + direct
+    H = summed(seed, freq, t, LAG[kind](t / length))
     return as_measured(H, freq, seed)
 
 

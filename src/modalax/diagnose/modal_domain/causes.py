@@ -17,7 +17,6 @@ KIND_OF = {
 LONGEST = 50.0  # decays of a mode in one delay, beyond which a delay is none
 MOST_LOSS = 2.0  # times the usual ratio of damping to stiffness or mass that goes with a change of these at most
 ALL = 2  # axis of a fault of all channels
-SHARED = {"K": "a softer element", "M": "a heavier one"}
 UNSIZED = ("channel_sign", "channel_swap", "units")
 UNITS = {
     "added_mass": ("mass", "kg"), "joint_stiffness": ("stiffness", "N/m"), "local_damper": ("damping", "N s/m"),
@@ -209,7 +208,7 @@ class Change:
 
     def said(self) -> str:
         """What it means, in a sentence, where its name does not tell."""
-        return f"the damping changes with it, as that of {SHARED[self.kind]} does" if self.along else ""
+        return f"the damping changes with it, {self.along}" if self.along else ""
 
     def variance_beside(self, u: np.ndarray, off: Mapping[str, float]) -> np.ndarray | float:
         """What is added to the covariance of its sizes as the element that it acts on is itself ``off`` in general."""

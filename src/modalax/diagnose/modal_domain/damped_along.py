@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from modalax.diagnose.modal_domain.causes import SHARED, Change, own_sizes
+from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.fit import Fit, without_causes
 from modalax.diagnose.modal_domain.state import Setting
@@ -25,7 +25,7 @@ def damped_along(setting: Setting, fits: Sequence[Fit]) -> Iterator[tuple[tuple[
     """Causes of each fit with the damping of one along, in place of a loss there; sizes and fit to start from."""
     for f in fits:
         for k, cause in enumerate(f.causes):
-            lossy = [j for j, c in enumerate(f.causes) if c.slug in LOSSY and c.where == cause.where]
+            lossy = [j for j, c in enumerate(f.causes) if c.slug in LOSSY and set(c.where) == set(cause.where)]
             kept = [j for j in range(len(f.causes)) if j not in lossy]
             sizes = [f.u[own_sizes(f.causes, j)] for j in kept]
             for along in with_loss(cause, setting.coordinates, f.state.pairs):
@@ -35,8 +35,11 @@ def damped_along(setting: Setting, fits: Sequence[Fit]) -> Iterator[tuple[tuple[
 
 
 def with_loss(cause: Change, c: Coordinates, inside: np.ndarray) -> list[Change]:
-    """The cause with damping along, as much as the most damped of the modes ``inside`` has; empty for any other."""
-    if cause.kind not in SHARED or cause.count != 1:
+    """The cause with damping along in either way, as much as the most damped of the modes ``inside`` has.
+
+    Empty for what changes neither stiffness nor mass, and for what has several sizes. ``inside`` are numbers of modes.
+    """
+    if cause.kind not in ("K", "M") or cause.count != 1:
         return []
     w = np.maximum(c.frequencies, STILL * c.frequencies[inside].max())
     damping = np.diag(c.damping)

@@ -358,22 +358,19 @@ def _further(
 ) -> bool:  # fmt: skip
     """Add a cause where one promises enough log evidence; whether one was tried.
 
-    A second cause, too, may hide in the inaccuracy, and show once that is held to its usual size.
+    A second cause, too, may hide in the inaccuracy, and show once that is held to its usual size, or to less.
     """
+    share = prior.each(candidates) + math.log(SECOND)
     usual = replace(best, epsilon=np.minimum(best.epsilon, setting.inaccuracy.usual))
-    worth: dict[int, None] = {}
-    for about in (best, usual):
-        gain, _ = scores(setting, about, candidates)
-        value = gain + prior.each(candidates) + math.log(SECOND)
-        leading = [int(j) for j in np.argsort(-value)[:NEXT] if candidates[j] not in best.causes]
-        leading = [j for j in leading if not candidates[j].shares_place(best.causes)]
-        worth |= {j: None for j in leading if value[j] > WORTH - math.log(10)}
-    abouts = {j: best for j in worth}
+
+    def leading(gain: np.ndarray, least: float) -> list[int]:
+        new = [int(j) for j in np.argsort(-(gain + share))[:NEXT] if candidates[j] not in best.causes]
+        return [j for j in new if gain[j] + share[j] > least and not candidates[j].shares_place(best.causes)]
+
+    screened = [scores(setting, about, candidates)[0] for about in (best, usual)]
+    abouts = {j: best for gain in screened for j in leading(gain, WORTH - math.log(10))}
     gain, which, narrow = narrower(setting, best, candidates)
-    value = gain + prior.each(candidates) + math.log(SECOND)
-    free = [j for j in np.argsort(-value) if candidates[j] not in best.causes]
-    free = [int(j) for j in free[:NEXT] if not candidates[j].shares_place(best.causes)]
-    abouts |= {j: narrow[which[j]] for j in free if value[j] > WORTH}
+    abouts |= {j: narrow[which[j]] for j in leading(gain, WORTH)}
     for j, about in abouts.items():
         if late():
             break
@@ -382,7 +379,9 @@ def _further(
     return bool(abouts)
 
 
-def _other_forms(setting: Setting, found: dict[tuple[Change, ...], Fit], candidates: list[Change], prior: Prior):
+def _other_forms(
+    setting: Setting, found: dict[tuple[Change, ...], Fit], candidates: list[Change], prior: Prior
+) -> None:  # fmt: skip
     """Fit the leading explanations with damping that goes with one of their causes, and signs in place of gains."""
     ranked = _ranked(found, prior)
     near = [e.fit for e in ranked[:AGAIN] if e.log_posterior > ranked[0].log_posterior - NEAR]

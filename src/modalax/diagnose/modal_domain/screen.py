@@ -292,7 +292,7 @@ def narrower(setting: Setting, f: Fit, candidates: list[Change]) -> tuple[np.nda
         gain[impossible(candidates, size)] = -np.inf
         without.append(alone + prior)
         gains.append(gain + alone + prior)
-    total = np.array(gains[1:]) - max(without[0], without[-1])
+    total = np.array(gains[1:]) - max(without)
     return total.max(axis=0), total.argmax(axis=0), [replace(f, epsilon=e) for e in sizes]
 
 

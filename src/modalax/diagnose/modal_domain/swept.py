@@ -54,11 +54,6 @@ class Swept(Change):
         return False
 
     @property
-    def variant(self) -> int:
-        """Number of the exact kernel in the catalogue."""
-        return 0
-
-    @property
     def in_catalogue(self) -> FastSweep:
         """The same line by line."""
         return FastSweep()
