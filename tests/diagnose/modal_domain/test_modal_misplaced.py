@@ -6,6 +6,7 @@ from frames import measured, simulation
 
 from modalax.diagnose.causes.base import RARE
 from modalax.diagnose.comparison import as_measurement
+from modalax.diagnose.modal_domain import diagnosis
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.misplaced import moved, other_places
 from modalax.diagnose.modal_domain.stage import identified, posed
@@ -37,6 +38,14 @@ def test_sensors_at_other_points_are_named_with_these(at):
 
 
 def test_two_sensors_that_are_exchanged_are_a_swap():
+    found = diagnose_modes(labelled({"3:+Z": "7:+Z", "7:+Z": "3:+Z"}), simulation())
+    assert [(c["name"], c["where"]) for c in found.causes] == [("channel_swap", ["3:+Z", "7:+Z"])]
+
+
+def test_an_exchange_is_tried_before_other_places_that_hold_one(monkeypatch):
+    """A place that moves much as that of one of the two had been taken for it: three sensors elsewhere for a swap."""
+    other = {"3:+Z": "7:+Z", "7:+Z": "2:+Z"}
+    monkeypatch.setattr(diagnosis, "other_places", lambda *_: other)
     found = diagnose_modes(labelled({"3:+Z": "7:+Z", "7:+Z": "3:+Z"}), simulation())
     assert [(c["name"], c["where"]) for c in found.causes] == [("channel_swap", ["3:+Z", "7:+Z"])]
 

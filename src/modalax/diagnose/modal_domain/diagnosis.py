@@ -291,6 +291,10 @@ def _elsewhere(
     plain = fit(setting) if places else None
     if plain is None:
         return None
+    if any(at in places for at in places.values()):  # sensors in each other's place: an exchange is tried before
+        found = _diagnosed(measurement, simulation, question, late, wanted, tell, measured=measured)
+        if found is not None and found.verdict == "named" and found.after.p_value > THRESHOLDS.left_by_modes:
+            return found
     tell(f"looking whether {' and '.join(f'{name} is at {at}' for name, at in places.items())}")
     renamed = measurement.replace(outputs=tuple(places.get(name, name) for name in measurement.outputs))
     names = {"outputs": measurement.outputs, "inputs": measurement.inputs}
