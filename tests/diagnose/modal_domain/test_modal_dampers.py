@@ -8,7 +8,9 @@ from chains_off import DOFS, FREQ, as_measured, chain_off, response, simulation
 
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain import judged
+from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.diagnose.modal_domain.line_forces import RelaxingJoint
 from modalax.diagnose.modal_domain.screen import finite
 from modalax.diagnose.modal_domain.stage import run_stage
 
@@ -50,13 +52,12 @@ def test_a_small_damper_beside_a_delay_is_not_taken_for_dampings_that_are_off(c,
 def test_a_joint_that_relaxes_counts_as_what_the_data_do_not_tell_it_from(simple, ahead, where, count, monkeypatch):
     """Six nats are what 3.5 standard deviations of the relaxation are worth; elsewhere it is another joint."""
     monkeypatch.setattr(judged, "standing_out", lambda _, e: e.causes)
-    one = lambda slug, where, evidence, p, sizes: SimpleNamespace(
-        causes=(SimpleNamespace(slug=slug, where=where, along="", told_as=((slug, where),), count=sizes),),
-        probability=p,
-        fit=SimpleNamespace(log_evidence=evidence, u=np.zeros(sizes), covariance=np.eye(sizes)),
+    one = lambda cause, evidence, p: SimpleNamespace(
+        causes=(cause,), probability=p,
+        fit=SimpleNamespace(log_evidence=evidence, u=np.zeros(cause.count), covariance=np.eye(cause.count)),
     )  # fmt: skip
-    relaxing = one("maxwell_joint", ("a", "b"), 100.0 + ahead, 0.7, 2)
-    stage = SimpleNamespace(explanations=[relaxing, one(simple, where, 100.0, 0.3, 1)])
+    relaxing = one(RelaxingJoint("maxwell_joint", ("a", "b")), 100.0 + ahead, 0.7)
+    stage = SimpleNamespace(explanations=[relaxing, one(Change(simple, where), 100.0, 0.3)])
     sets = judged.sets_beyond(stage)
     assert len(sets) == count
     assert sets[0].names == (((simple, where),) if count == 1 else (("maxwell_joint", ("a", "b")),))

@@ -7,7 +7,8 @@ import pytest
 import scipy.signal
 
 from modalax.diagnose.modal_domain import judged
-from modalax.diagnose.modal_domain.sensor_filters import sensor_filters
+from modalax.diagnose.modal_domain.channel_faults import Delay
+from modalax.diagnose.modal_domain.sensor_filters import SensorFilter, sensor_filters
 
 OMEGA = 2 * np.pi * np.linspace(10.0, 90.0, 9)
 FILTERS = {f.form: f for f in sensor_filters(("a", "b"), OMEGA[0], OMEGA[-1]) if f.where == ("b",)}
@@ -50,13 +51,15 @@ def test_no_filter_has_a_negative_corner():
 )
 def test_a_filter_that_the_data_do_not_tell_from_a_delay_counts_as_that_delay(ahead, width, count, monkeypatch):
     monkeypatch.setattr(judged, "standing_out", lambda _, e: e.causes)
-    one = lambda slug, evidence, p, std: SimpleNamespace(
-        causes=(SimpleNamespace(slug=slug, where=("b",), along="", told_as=((slug, ("b",)),), count=1),), probability=p,
+    one = lambda cause, evidence, p, std: SimpleNamespace(
+        causes=(cause,), probability=p,
         fit=SimpleNamespace(log_evidence=evidence, u=np.zeros(1), covariance=np.array([[std**2]])),
     )  # fmt: skip
     # a filter whose usual size is so much narrower that its size is known so much less well beside it
-    filtered = one("sensor_filter", 100.0 + ahead, 0.05, 0.01 * width)
-    stage = SimpleNamespace(explanations=[one("time_delay", 100.0, 0.95, 0.01), filtered])
+    filtered = one(SensorFilter("sensor_filter", ("b",), channel=(0, 1)), 100.0 + ahead, 0.05, 0.01 * width)
+    stage = SimpleNamespace(
+        explanations=[one(Delay("time_delay", ("b",), channel=(0, 1)), 100.0, 0.95, 0.01), filtered]
+    )
     sets = judged.sets_beyond(stage)
     assert len(sets) == count and sets[0].names == (("time_delay", ("b",)),)
     assert sets[0].probability == pytest.approx(1.0 if count == 1 else 0.95)

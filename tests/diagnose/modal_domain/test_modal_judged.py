@@ -7,11 +7,12 @@ import pytest
 
 from modalax.diagnose.modal_domain import judged
 from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.channel_faults import Sign
 from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.judged import _without_one_sided, standing_out
 from modalax.diagnose.modal_domain.line_forces import SkewCoupling
 
-SIGN, SPRING = Change("channel_sign", ("3",)), Change("joint_stiffness", ("1", "2"))
+SIGN, SPRING = Sign("channel_sign", ("3",), channel=(0, 2)), Change("joint_stiffness", ("1", "2"))
 DAMPER, ABSENT = Change("local_damper", ("1", "2")), Change("joint_stiffness", ("1", "5"), absent=True)
 SKEW = SkewCoupling("gyroscopic", ("1", "4"), 1.0)
 

@@ -7,6 +7,7 @@ import pytest
 import scipy.linalg
 
 from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.channel_faults import Gain
 from modalax.diagnose.modal_domain.matched import CLOSE, FAR, NEARER, missed_frequencies
 from modalax.diagnose.modal_domain.screen import SIZES, cost_of_size
 
@@ -30,7 +31,7 @@ K = 200.0 * np.eye(COUNT) + sum((900.0 + 70.0 * k) * np.outer(across(p), across(
 VALUES, SHAPES = scipy.linalg.eigh(K, M)
 CANDIDATES = [Change("joint_stiffness", p, scale=500.0, direction=SHAPES.T @ across(p)) for p in PAIRS]
 CANDIDATES += [Change("added_mass", (k,), scale=0.5, direction=SHAPES.T @ point(k)) for k in range(COUNT)]
-CANDIDATES += [Change("channel_gain", ("1",), channel=(0, 0))]
+CANDIDATES += [Gain("channel_gain", ("1",), channel=(0, 0))]
 
 
 def missed_by_all(values, sizes=TRIED, damping=0.01):

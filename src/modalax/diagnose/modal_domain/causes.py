@@ -7,17 +7,13 @@ from typing import Any
 import numpy as np
 
 from modalax.diagnose.causes import Cause
-from modalax.diagnose.causes.channels import CommonDelay
 from modalax.diagnose.decision.beyond import Names
 
 KIND_OF = {
     "added_mass": "M", "joint_stiffness": "K", "local_damper": "C", "modal_damping": "C", "element_group": "K",
     "element_group_mass": "M", "exponential_window": "C",
 }  # fmt: skip
-LONGEST = 50.0  # decays of a mode in one delay, beyond which a delay is none
 MOST_LOSS = 2.0  # times the usual ratio of damping to stiffness or mass that goes with a change of these at most
-ALL = 2  # axis of a fault of all channels
-UNSIZED = ("channel_sign", "channel_swap", "units")
 UNITS = {
     "added_mass": ("mass", "kg"), "joint_stiffness": ("stiffness", "N/m"), "local_damper": ("damping", "N s/m"),
     "channel_gain": ("gain", "-"), "force_gain": ("gain", "-"), "time_delay": ("delay", "s"),
@@ -30,8 +26,8 @@ class Change:
     """One cause at one place of the simulation.
 
     A cause has ``count`` sizes ``u`` over the usual ones, each normal before the data
-    (:func:`modalax.diagnose.modal_domain.fit.widths`). It changes matrices (``local``), or what
-    the channels show; the classes of :mod:`modalax.diagnose.modal_domain.further_causes` do other things.
+    (:func:`modalax.diagnose.modal_domain.fit.widths`). This class changes a matrix; classes made of
+    it in modules of their own change what the channels show, and do other things.
 
     Attributes
     ----------
@@ -47,8 +43,7 @@ class Change:
     factor
         F of such a change :math:`FF^T` over the DoFs that the simulation's elements know, shape ``(n, r)``.
     channel
-        Of a channel's fault: axis (0 output, 1 input) and number; for two outputs exchanged both numbers; of a fault of
-        all channels ``ALL`` and, for units, the power of ``s``.
+        Of a channel's fault: which one (:mod:`modalax.diagnose.modal_domain.channel_faults`).
     reference
         What the simulation has at this place, that a size may be compared with.
     weight
@@ -112,6 +107,35 @@ class Change:
         return self.local
 
     @property
+    def at_inputs(self) -> bool:
+        """Whether its places are inputs."""
+        return False
+
+    @property
+    def in_shapes(self) -> bool:
+        """Whether mode shapes show it, without the forces that they were measured by."""
+        return True
+
+    @property
+    def adds_mode(self) -> bool:
+        """Whether the structure has a mode more with it."""
+        return False
+
+    @property
+    def dissipates(self) -> bool:
+        """Whether it takes energy at a place."""
+        return self.slug == "local_damper"
+
+    def turned(self, u: np.ndarray) -> "Change | None":
+        """The cause without a size that it is in truth, where it has sizes as no cause of its kind has."""
+        return None
+
+    @property
+    def limits(self) -> tuple[tuple[str, ...], float]:
+        """What simpler causes it may be in a limit, and by how many nats the data must prefer it to be told."""
+        return (), 0.0
+
+    @property
     def relative(self) -> bool:
         """Whether its size is relative to what the simulation has."""
         return self.pattern is not None and self.slug != "added_mass"
@@ -124,7 +148,7 @@ class Change:
     @property
     def sized(self) -> bool:
         """Whether it has a size; a sign, a swap or a unit has none."""
-        return self.slug not in UNSIZED
+        return True
 
     @property
     def count(self) -> int:
@@ -223,7 +247,12 @@ class Change:
     @property
     def in_catalogue(self) -> Cause | None:
         """Its form in the catalogue, where several there bear its name."""
-        return CommonDelay() if self.slug == "time_delay" and not self.where else None
+        return None
+
+    @property
+    def first_index(self) -> int | None:
+        """What the catalogue's cause has for the number of a channel, where that is none."""
+        return None
 
     def added(self, s: np.ndarray) -> np.ndarray | float:
         """FRFs ``(f, o, i)`` that it adds to the simulation's, in the form of the measurement."""
@@ -233,54 +262,13 @@ class Change:
         """Residues ``(k, o, i)`` of modes as they show with this cause, changes of matrices apart."""
         return self.transform(u, poles, residues)
 
-    def _turn(self, u: np.ndarray, poles: np.ndarray) -> np.ndarray:
-        x = -poles * self.scale * u[0]
-        return np.exp(np.clip(x.real, -LONGEST, LONGEST) + 1j * x.imag)[:, None]
-
     def transform(self, u: np.ndarray, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
-        """Residues ``(k, o, i)``, or FRFs at ``poles`` on the imaginary axis, as this fault of a channel shows them."""
-        if self.slug in ("channel_gain", "force_gain", "channel_sign"):
-            factor = -1.0 if self.slug == "channel_sign" else 1 + self.scale * u[0]
-            if self.channel[0] == ALL:
-                return residues * factor
-            out = residues.copy()
-            if self.channel[0] == 0:
-                out[:, self.channel[1]] *= factor
-            else:
-                out[:, :, self.channel[1]] *= factor
-            return out
-        if self.slug == "channel_swap":
-            out = residues.copy()
-            a, b = self.channel
-            out[:, [a, b]] = residues[:, [b, a]]
-            return out
-        if self.slug == "units":
-            return residues * (poles ** float(self.channel[1]))[:, None, None]
-        if self.slug == "time_delay":
-            turn = self._turn(u, poles)
-            if self.channel[0] == ALL:
-                return residues * turn[:, None]
-            out = residues.copy()
-            out[:, self.channel[1]] *= turn
-            return out
+        """Residues ``(k, o, i)``, or FRFs at ``poles`` on the imaginary axis, as channels with this fault show them."""
         return residues
 
     def transform_slope(self, u: np.ndarray, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
         """Derivative of :meth:`transform` by the size."""
-        out = np.zeros_like(residues)
-        if self.slug in ("channel_gain", "force_gain"):
-            if self.channel[0] == ALL:
-                return self.scale * residues
-            if self.channel[0] == 0:
-                out[:, self.channel[1]] = self.scale * residues[:, self.channel[1]]
-            else:
-                out[:, :, self.channel[1]] = self.scale * residues[:, :, self.channel[1]]
-        elif self.slug == "time_delay":
-            turn = self._turn(u, poles)
-            if self.channel[0] == ALL:
-                return -self.scale * (poles[:, None] * turn)[:, None] * residues
-            out[:, self.channel[1]] = -self.scale * poles[:, None] * turn * residues[:, self.channel[1]]
-        return out
+        return np.zeros_like(residues)
 
 
 def with_sizes(causes: Sequence[Change], u: np.ndarray) -> Iterator[tuple[Change, np.ndarray]]:

@@ -18,14 +18,13 @@ from modalax.diagnose.modal_domain.fit import Fit, without_causes
 from modalax.diagnose.modal_domain.state import Setting
 
 STILL = 1e-3  # frequency, relative to the highest measured, below which a mode is that of a rigid body
-LOSSY = "local_damper", "hysteretic_joint"  # what else may stand for it at the same place
 
 
 def damped_along(setting: Setting, fits: Sequence[Fit]) -> Iterator[tuple[tuple[Change, ...], np.ndarray, Fit]]:
     """Causes of each fit with the damping of one along, in place of a loss there; sizes and fit to start from."""
     for f in fits:
         for k, cause in enumerate(f.causes):
-            lossy = [j for j, c in enumerate(f.causes) if c.slug in LOSSY and set(c.where) == set(cause.where)]
+            lossy = [j for j, c in enumerate(f.causes) if c.dissipates and set(c.where) == set(cause.where)]
             kept = [j for j in range(len(f.causes)) if j not in lossy]
             sizes = [f.u[own_sizes(f.causes, j)] for j in kept]
             for along in with_loss(cause, setting.coordinates, f.state.pairs):

@@ -45,6 +45,11 @@ class TunedMass(Change):
         return True
 
     @property
+    def adds_mode(self) -> bool:
+        """Its own."""
+        return True
+
+    @property
     def count(self) -> int:
         """Mass, frequency, damping ratio."""
         return 3
@@ -89,10 +94,6 @@ class TunedMass(Change):
     def size(self, u: np.ndarray) -> float:
         """Its mass."""
         return float(self.values(u)[0])
-
-    def transform(self, u: np.ndarray, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
-        """Channels show it as it is."""
-        return residues
 
     def told(self, u: np.ndarray, covariance: np.ndarray) -> dict[str, dict[str, Any]]:
         """Mass, frequency, damping ratio."""
@@ -141,6 +142,11 @@ class MissingMode(Change):
         return False
 
     @property
+    def adds_mode(self) -> bool:
+        """Its own."""
+        return True
+
+    @property
     def freed(self) -> int | None:
         """The mode itself."""
         return self.number
@@ -150,10 +156,6 @@ class MissingMode(Change):
         """Real product of shape and participation by outputs and inputs, for modal equations of unit mass."""
         assert self.residue is not None
         return (2j * self.pole.imag * self.residue).real
-
-    def transform(self, u: np.ndarray, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
-        """Other modes are as they are."""
-        return residues
 
     def added(self, s: np.ndarray) -> np.ndarray:
         """Its own FRF."""
@@ -195,10 +197,6 @@ class StructuralDamping(Change):
     def hysteretic(self) -> bool:
         """It is."""
         return True
-
-    def transform(self, u: np.ndarray, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
-        """FRFs have it in the matrices."""
-        return residues
 
     def at_modes(self, u: np.ndarray, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
         """Residues turned by the damping ratio."""

@@ -157,7 +157,7 @@ def _renumbered(cause: Change, kept: np.ndarray, setting: Setting) -> Change | N
         if abs(f.poles[k] - cause.pole) > BESIDE * abs(cause.pole.real):  # its peak is what was held out
             return None
         return replace(cause, number=k, pole=complex(f.poles[k]), residue=f.residues[k] * f.units[k])
-    if cause.slug != "force_gain" or not cause.where:
+    if not cause.at_inputs or not cause.where:
         return cause
     if not kept[cause.channel[1]]:
         return None

@@ -18,14 +18,6 @@ from modalax.diagnose.modal_domain.throughout import nats_over_a_factor
 from modalax.diagnose.modal_domain.together import SensorMasses
 from modalax.diagnose.thresholds import THRESHOLDS
 
-# What a cause does in a limit, and by how many nats the data must prefer the cause to be told from it: a filter far
-# above the band is a delay of its sensor, a joint that relaxes slowly a spring and one that relaxes at once a damper.
-LIMITS = {
-    "sensor_filter": (("time_delay",), 1.0),
-    "maxwell_joint": (("joint_stiffness", "local_damper"), 0.5 * THRESHOLDS.stands_out**2),
-}
-ADDING = {"missing_mode", "tuned_mass"}  # causes that add a mode
-LOSSES = {"local_damper", "hysteretic_joint", "maxwell_joint"}  # causes that take energy at a place
 NEAR = 0.3  # relative distance within which a mode of the simulation may be the measured one
 LIKELIER = 0.5  # probability of nothing beyond the inaccuracy above which nothing is what the answer is about
 
@@ -67,7 +59,7 @@ def judge(stage: Stage) -> Judged:
         best.misfit,
         None if plain is None else best.log_posterior - plain.log_posterior, THRESHOLDS,
         None if stage.odd is None else (stage.odd.name, stage.odd.nats),
-        _told(tuple(c for c in small if not (c.absent or c.slug in LOSSES))) if needs(stage, best, small) else (),
+        _told(tuple(c for c in small if not (c.absent or c.dissipates))) if needs(stage, best, small) else (),
         {name: size for name, size in claims_of(stage.setting.inaccuracy).items() if name in ("stiffness", "mass")},
         _at_one_output(stage, best), _as_a_factor(stage, best), _one_sided(stage, best),
     )  # fmt: skip
@@ -100,7 +92,7 @@ def _without_one_sided(stage: Stage) -> Stage:
 def _at_one_output(stage: Stage, e: Explanation) -> tuple[str, ...]:
     """Outputs that alone show a measured mode, where a mode is added and the simulation has none like it near."""
     f, plain = stage.measured.features, next((x for x in stage.explanations if not x.causes), None)
-    if plain is None or not any(c.slug in ADDING for c in standing_out(stage, e)):
+    if plain is None or not any(c.adds_mode for c in standing_out(stage, e)):
         return ()
     state, found = plain.fit.state, set()
     for k, pole in enumerate(f.poles):
@@ -149,9 +141,9 @@ def sets_beyond(stage: Stage) -> tuple[BeyondUsual, ...]:
 
 
 def _in_the_limit(stage: Stage, e: Explanation) -> Explanation:
-    """The likeliest explanation by one of the ``LIMITS`` of a cause that the data do not tell from it."""
+    """The likeliest explanation by one of the limits of a cause that the data do not tell from it."""
     for c in e.causes:
-        slugs, nats = LIMITS.get(c.slug, ((), 0.0))
+        slugs, nats = c.limits
         rest = {(x.slug, x.where) for x in e.causes if x is not c}
         for x in stage.explanations:  # by falling probability
             simple = next((y for y in x.causes if y.slug in slugs and y.where == c.where and not y.along), None)
@@ -179,7 +171,7 @@ def standing_out(stage: Stage, e: Explanation) -> tuple[Change, ...]:
     """
     out, small = told_by_size(stage, e)
     needed = small if needs(stage, e, small) else ()
-    return tuple(c for c in e.causes if c in out or (c in needed and (c.absent or c.slug in LOSSES)))
+    return tuple(c for c in e.causes if c in out or (c in needed and (c.absent or c.dissipates)))
 
 
 def needs(stage: Stage, e: Explanation, small: tuple[Change, ...]) -> bool:

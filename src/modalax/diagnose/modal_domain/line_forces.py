@@ -23,6 +23,7 @@ from modalax.diagnose.causes.viscoelastic import HystereticJoint, MaxwellJoint
 from modalax.diagnose.modal_domain.causes import Change, with_sizes
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.loads import Load
+from modalax.diagnose.thresholds import THRESHOLDS
 
 FEW = 40  # DoFs up to which any two may be coupled; of more, measured ones only
 COUPLED = 0.1  # usual skew coupling, relative to what would hold both DoFs as much as they hold themselves
@@ -176,6 +177,11 @@ class LossyJoint(ModalForce):
     """A joint that loses energy alike at all frequencies."""
 
     @property
+    def dissipates(self) -> bool:
+        """It loses energy."""
+        return True
+
+    @property
     def in_catalogue(self) -> Cause:
         """The same line by line."""
         return HystereticJoint()
@@ -203,6 +209,16 @@ class RelaxingJoint(ModalForce):
 
     about: float = 0.0
     width: float = DECADE
+
+    @property
+    def dissipates(self) -> bool:
+        """It loses energy."""
+        return True
+
+    @property
+    def limits(self) -> tuple[tuple[str, ...], float]:
+        """A joint that relaxes slowly is a spring, and one that relaxes at once a damper."""
+        return ("joint_stiffness", "local_damper"), 0.5 * THRESHOLDS.stands_out**2
 
     @property
     def count(self) -> int:

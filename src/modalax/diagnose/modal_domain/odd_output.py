@@ -18,10 +18,10 @@ import numpy as np
 
 from modalax._numerics.triangles import forward
 from modalax.diagnose.causes.base import RARE
+from modalax.diagnose.modal_domain.channel_faults import GAIN
 from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.features import Features, slopes_of_values
 from modalax.diagnose.modal_domain.fit import fit
-from modalax.diagnose.modal_domain.places import GAIN
 from modalax.diagnose.modal_domain.state import Setting
 
 FEWEST = 3  # outputs among which one can differ from the others

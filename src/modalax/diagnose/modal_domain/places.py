@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from modalax.diagnose.modal_domain.causes import ALL, Change
+from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.channel_faults import channel_faults
 from modalax.diagnose.modal_domain.connections import flexible_ends
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.elements import Nodes, Part, nodes_of
@@ -18,7 +19,6 @@ from modalax.diagnose.modal_domain.together import sensor_masses
 from modalax.model import Structure
 
 COUPLED = 1e-6  # size of an element of K, relative to the diagonal, from which two DoFs are coupled
-GAIN, DELAY = 0.3, 3e-2  # usual error of a channel's gain; of a delay, as phase at the highest mode over pi
 LUMP = 0.3  # usual lumped mass, relative to the modal masses seen from its place
 OVERDAMPED = 2.0  # usual relative error of a modal damping ratio that is wrong
 JOINT = 0.4  # usual relative error of a joint or element that is wrong
@@ -73,19 +73,7 @@ def candidates_of(
     out = other_than(groups, out + elements) + groups
     shares = SHARES["supports"], SHARES["some supports"]
     out += other_than(groups, supports_together(simulation, c, parts, nodes, JOINT, *shares))
-    out += [Change("channel_gain", (n,), GAIN, channel=(0, k)) for k, n in enumerate(outputs)]
-    out += [Change("channel_sign", (n,), channel=(0, k)) for k, n in enumerate(outputs)]
-    out += [Change("force_gain", (n,), GAIN, channel=(1, k)) for k, n in enumerate(inputs)]
-    if len(inputs) > 1:  # a unit, of forces or sensors, is wrong in all FRFs
-        out.append(Change("force_gain", (), GAIN, channel=(ALL, 0), weight=float(len(inputs))))
-    out += [
-        Change("channel_swap", (outputs[a], outputs[b]), channel=(a, b))
-        for a, b in itertools.combinations(range(len(outputs)), 2)
-    ]
-    out += [Change("time_delay", (n,), DELAY * np.pi / highest, channel=(0, k)) for k, n in enumerate(outputs)]
-    if len(outputs) > 1:
-        out.append(Change("time_delay", (), DELAY * np.pi / highest, channel=(ALL, 0), weight=float(len(outputs))))
-    out += [Change("units", (), channel=(ALL, k)) for k in (-1, 1)]
+    out += channel_faults(outputs, inputs, highest)
     return out + _damped_modes(c, inside)
 
 

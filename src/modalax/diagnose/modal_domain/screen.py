@@ -13,6 +13,7 @@ import scipy.optimize
 
 from modalax._numerics.triangles import forward
 from modalax.diagnose.modal_domain.causes import Change, own_sizes
+from modalax.diagnose.modal_domain.channel_faults import Gain
 from modalax.diagnose.modal_domain.coordinates import Modes, with_loads
 from modalax.diagnose.modal_domain.features import values_of
 from modalax.diagnose.modal_domain.fit import SMALLEST, Fit, hyperprior, scale_of, widths
@@ -31,7 +32,6 @@ from modalax.diagnose.modal_domain.state import (
     whitened,
 )
 
-GAINS = "channel_gain", "force_gain"
 SIZES = (0.015, 0.04, 0.1, 0.25, 0.5, 0.9, 2.0)  # sizes of a change that are tried, over its usual size, of either sign
 STRONG = 5.0  # and of a force or damper, beside which the structure's own damping may be small
 UNDAMPED = 1e-9  # damping ratio that rounding may make of none
@@ -86,11 +86,11 @@ def gain_asked(setting: Setting, cause: Change, poles: np.ndarray, plain: np.nda
 
     A unit is wrong by a factor of ten or a thousand, and a sensor that points the other way by -1.
     """
-    if cause.slug not in GAINS:
+    if not isinstance(cause, Gain):
         return np.zeros(0)
     f = setting.features
-    simulated = plain[pairs_with(f, (cause,), poles, plain)]
-    own = cause.transform_slope(np.zeros(1), poles, simulated) / cause.scale
+    pairs = pairs_with(f, (cause,), poles, plain)
+    own = cause.transform_slope(np.zeros(1), poles[pairs], plain[pairs]) / cause.scale
     energy = (np.abs(own) ** 2).sum(axis=(1, 2))
     seen = energy > 0
     factor = ((own.conj() * f.residues * f.units).real.sum(axis=(1, 2))[seen]) / energy[seen]

@@ -39,6 +39,11 @@ class SensorFilter(Change):
         """Chance of its kind relative to others."""
         return RARE
 
+    @property
+    def limits(self) -> tuple[tuple[str, ...], float]:
+        """Far above the band a filter is a delay of its sensor."""
+        return ("time_delay",), 1.0
+
     def _turn(self, u: np.ndarray, poles: np.ndarray) -> np.ndarray:
         """:math:`z` at the poles; no filter has a negative one."""
         x = self.scale * max(float(u[0]), 0.0)

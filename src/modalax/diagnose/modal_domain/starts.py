@@ -118,10 +118,10 @@ def as_signs(fits: Sequence[Fit], candidates: list[Change]) -> Iterator[tuple[tu
     for f in fits:
         for k, cause in enumerate(f.causes):
             own = own_sizes(f.causes, k)
-            for sign in (c for c in candidates if c.slug == "channel_sign" and c.where == cause.where):
-                if cause.slug == "channel_gain" and cause.size(f.u[own]) < -1:
-                    u = np.concatenate([f.u[: own.start], np.zeros(1), f.u[own.stop :]])
-                    yield (*f.causes[:k], sign, *f.causes[k + 1 :]), u, without_causes(f)
+            sign = cause.turned(f.u[own])
+            if sign in candidates:
+                u = np.concatenate([f.u[: own.start], np.zeros(1), f.u[own.stop :]])
+                yield (*f.causes[:k], sign, *f.causes[k + 1 :]), u, without_causes(f)
 
 
 def in_place_of_one(setting: Setting, f: Fit, candidates: list[Change], share: np.ndarray) -> list[Start]:

@@ -36,7 +36,6 @@ UNMEASURED = 3.0  # of ln damping where no damping ratio is told
 SEEN = 5.0  # standard deviations by which the reference DoF moves in every mode that is compared
 ABOVE = 1.02  # end of the band over the highest mode told
 TRIED = 3  # DoFs to which signs may refer, one after the other
-NOT_SEEN = ("force_gain", "time_delay")  # a table holds neither forces nor delays
 
 
 @dataclass(frozen=True)
@@ -126,7 +125,7 @@ def _staged(
     setting = replace(setting, sought=("stiffness",) if simulation.groups is None else ())
     pairs = None if simulation.pairs is None else list(simulation.pairs)
     every = candidates_of(simulation, c, facts.outputs, facts.inputs, pairs, highest)
-    candidates = [k for k in every if k.slug not in NOT_SEEN and wanted(k.slug)]
+    candidates = [k for k in every if k.in_shapes and wanted(k.slug)]
     setting, explanations = explain(setting, candidates, late, tell)
     if not explanations:
         raise ValueError("the simulation has fewer modes than the table in its band; none can be compared")

@@ -159,7 +159,7 @@ def base_of(setting: Setting, f: Fit, freq: np.ndarray, order: int) -> Base:
     for cause, u in with_sizes(f.causes, f.u):
         if cause.local:
             continue
-        if cause.slug == "force_gain":
+        if cause.at_inputs:
             inn = cause.transform(u, s, inn)
         else:
             out = cause.transform(u, s, out)

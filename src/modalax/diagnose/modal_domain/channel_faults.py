@@ -1,0 +1,171 @@
+"""Faults of single channels, or of all, that change how the structure shows and not the structure."""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from modalax.diagnose.causes import Cause
+from modalax.diagnose.causes.channels import CommonDelay
+from modalax.diagnose.modal_domain.causes import Change
+
+GAIN, DELAY = 0.3, 3e-2  # usual error of a channel's gain; of a delay, as phase at the highest mode over pi
+LONGEST = 50.0  # decays of a mode in one delay, beyond which a delay is none
+OUTPUTS, INPUTS, ALL = 0, 1, 2  # axis of a channel; that of a fault of all channels
+
+
+@dataclass(frozen=True)
+class ChannelFault(Change):
+    """A factor on the FRFs of one channel, or of all: ``channel`` holds the axis and, on that, the number."""
+
+    def factor_at(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """The factor at ``s`` [rad/s], shape ``(k,)``."""
+        raise NotImplementedError
+
+    def factor_slope(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Its derivative by the size, shape ``(k,)``."""
+        raise NotImplementedError
+
+    def _own(self) -> tuple[slice | int, ...]:
+        """Which of the residues ``(k, o, i)`` are its own."""
+        every, (axis, number) = slice(None), self.channel
+        return {OUTPUTS: (every, number), INPUTS: (every, every, number), ALL: (every,)}[axis]
+
+    def transform(self, u: np.ndarray, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
+        """Residues ``(k, o, i)``, or FRFs at ``poles`` on the imaginary axis, as the channel shows them."""
+        out, own = residues.copy(), self._own()
+        factor = self.factor_at(u, poles)
+        out[own] *= factor.reshape(-1, *[1] * (out[own].ndim - 1))
+        return out
+
+    def transform_slope(self, u: np.ndarray, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
+        """Derivative of :meth:`transform` by the size."""
+        out, own = np.zeros_like(residues), self._own()
+        factor = self.factor_slope(u, poles)
+        out[own] = factor.reshape(-1, *[1] * (out[own].ndim - 1)) * residues[own]
+        return out
+
+
+@dataclass(frozen=True)
+class Gain(ChannelFault):
+    """A sensor, or what measures a force, calibrated wrongly."""
+
+    def factor_at(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """One and the relative error."""
+        return np.full(len(s), 1 + self.scale * u[0])
+
+    def factor_slope(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """The usual error."""
+        return np.full(len(s), self.scale)
+
+    def turned(self, u: np.ndarray) -> Change | None:
+        """The sign of the same output."""
+        return Sign("channel_sign", self.where, channel=self.channel) if self.size(u) < -1 else None
+
+
+@dataclass(frozen=True)
+class ForceGain(Gain):
+    """A hammer or load cell calibrated wrongly, or all of them."""
+
+    @property
+    def at_inputs(self) -> bool:
+        """It is one of the inputs'."""
+        return True
+
+    @property
+    def in_shapes(self) -> bool:
+        """Mode shapes have no force."""
+        return False
+
+    def turned(self, u: np.ndarray) -> Change | None:
+        """No cause of its own."""
+        return None
+
+
+@dataclass(frozen=True)
+class Unsized(ChannelFault):
+    """What a channel either has or has not."""
+
+    @property
+    def sized(self) -> bool:
+        """It has no size."""
+        return False
+
+    def transform_slope(self, u: np.ndarray, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
+        """Nothing changes with a size."""
+        return np.zeros_like(residues)
+
+
+@dataclass(frozen=True)
+class Sign(Unsized):
+    """A sensor that points the other way."""
+
+    def factor_at(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Minus one."""
+        return np.full(len(s), -1.0)
+
+
+@dataclass(frozen=True)
+class WrongUnits(Unsized):
+    """All outputs once integrated or differentiated: ``channel[1]`` is the power of s that they lack."""
+
+    def factor_at(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """That power."""
+        return s ** float(self.channel[1])
+
+    @property
+    def first_index(self) -> int | None:
+        """That power."""
+        return self.channel[1]
+
+
+@dataclass(frozen=True)
+class Swap(Unsized):
+    """Two outputs exchanged: ``channel`` holds both numbers."""
+
+    def transform(self, u: np.ndarray, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
+        """Residues ``(k, o, i)``, or FRFs, with both exchanged."""
+        out, (a, b) = residues.copy(), self.channel
+        out[:, [a, b]] = residues[:, [b, a]]
+        return out
+
+
+@dataclass(frozen=True)
+class Delay(ChannelFault):
+    """A delay of one output, or of all."""
+
+    def factor_at(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+        r""":math:`e^{-s\tau}`."""
+        x = -s * self.scale * u[0]
+        return np.exp(np.clip(x.real, -LONGEST, LONGEST) + 1j * x.imag)
+
+    def factor_slope(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """By the delay over the usual one."""
+        return -self.scale * s * self.factor_at(u, s)
+
+    @property
+    def in_shapes(self) -> bool:
+        """Mode shapes are in phase."""
+        return False
+
+    @property
+    def in_catalogue(self) -> Cause | None:
+        """A delay of all outputs is one by itself."""
+        return None if self.where else CommonDelay()
+
+
+def channel_faults(outputs: Sequence[str], inputs: Sequence[str], highest: float) -> list[Change]:
+    """Each fault of each channel, and of all where there are several; ``highest`` is the end of the band [rad/s]."""
+    delay = DELAY * np.pi / highest
+    out: list[Change] = [Gain("channel_gain", (n,), GAIN, channel=(OUTPUTS, k)) for k, n in enumerate(outputs)]
+    out += [Sign("channel_sign", (n,), channel=(OUTPUTS, k)) for k, n in enumerate(outputs)]
+    out += [ForceGain("force_gain", (n,), GAIN, channel=(INPUTS, k)) for k, n in enumerate(inputs)]
+    if len(inputs) > 1:  # a unit, of forces or sensors, is wrong in all FRFs
+        out.append(ForceGain("force_gain", (), GAIN, channel=(ALL, 0), weight=float(len(inputs))))
+    pairs = itertools.combinations(range(len(outputs)), 2)
+    out += [Swap("channel_swap", (outputs[a], outputs[b]), channel=(a, b)) for a, b in pairs]
+    out += [Delay("time_delay", (n,), delay, channel=(OUTPUTS, k)) for k, n in enumerate(outputs)]
+    if len(outputs) > 1:
+        out.append(Delay("time_delay", (), delay, channel=(ALL, 0), weight=float(len(outputs))))
+    return out + [WrongUnits("units", (), channel=(ALL, k)) for k in (-1, 1)]
