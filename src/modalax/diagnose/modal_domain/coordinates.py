@@ -14,6 +14,7 @@ from scipy.linalg.lapack import dtrtrs
 
 from modalax.diagnose.modal_domain.elements import nodes_of
 from modalax.diagnose.modal_domain.enriched import ritz_basis
+from modalax.diagnose.modal_domain.factored import Factored
 from modalax.diagnose.modal_domain.loads import Load, loaded_modes, responses
 from modalax.diagnose.modal_domain.parts import parts_of
 from modalax.model import Structure
@@ -300,6 +301,18 @@ def pattern_slopes(t: Slopes, kind: str, patterns: np.ndarray) -> tuple[np.ndarr
     own = np.matmul(t.left[:, None], moved)[:, 0]
     out, inn = (np.matmul(at, by).transpose(0, 2, 1) for at, by in ((t.at_outputs, moved), (t.at_inputs, back)))
     return _with_norm(t, kind, factor, own, out, inn)
+
+
+def factored_slopes(t: Slopes, kind: str, changes: Factored) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Derivatives as :func:`pattern_slopes`, by changes that are given by their directions."""
+    right = changes.along(t.vectors)
+    left = right if t.left is t.vectors else changes.along(t.left)
+    own = changes.summed(changes.sign * left * right)
+    out, inn = (
+        changes.summed(changes.along(at) * (changes.sign * by)[:, None]).transpose(0, 2, 1)
+        for at, by in ((t.at_outputs, right), (t.at_inputs, left))
+    )
+    return _with_norm(t, kind, t.poles ** POWER[kind], own, out, inn)
 
 
 def direction_slopes(t: Slopes, kind: str, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

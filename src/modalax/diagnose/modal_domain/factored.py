@@ -31,6 +31,21 @@ class Factored:
         """The changes with rows and columns times factors, shape ``(n,)``."""
         return Factored(root[:, None] * self.basis, self.sign, self.first)
 
+    def combined(self, sizes: np.ndarray) -> np.ndarray:
+        """Sum of the changes, each times its size, shape ``(n, n)``."""
+        count = np.diff(np.append(self.first, len(self.sign)))
+        return (self.basis * (self.sign * np.repeat(sizes, count))) @ self.basis.T
+
+    def along(self, vectors: np.ndarray) -> np.ndarray:
+        """Complex vectors ``(..., n)`` along the directions, shape ``(..., r)``."""
+        out = np.empty((*vectors.shape[:-1], len(self.sign)), complex)
+        out.real, out.imag = vectors.real @ self.basis, vectors.imag @ self.basis
+        return out
+
+    def summed(self, each: np.ndarray) -> np.ndarray:
+        """What directions do, shape ``(..., r)``, added up for each change, shape ``(..., p)``."""
+        return each if len(self.first) == len(self.sign) else np.add.reduceat(each, self.first, axis=-1)
+
     def between(self, outer: np.ndarray, inner: np.ndarray) -> np.ndarray:
         """All changes between responses ``(f, n, o)`` and ``(f, n, i)``, shape ``(p, f, o, i)``."""
         left, right = (self._along(responses) for responses in (outer, inner))
@@ -54,5 +69,5 @@ def factored(patterns: np.ndarray) -> Factored:
     kept = size > NOTHING * size.max(axis=1, keepdims=True)
     kept[~kept.any(axis=1), -1] = True  # of a change that is none, one direction of no size
     basis = (vectors * np.sqrt(size)[:, None]).transpose(0, 2, 1)[kept].T
-    first = np.concatenate([[0], np.cumsum(kept.sum(axis=1))[:-1]]).astype(int)
-    return Factored(np.ascontiguousarray(basis), np.sign(values)[kept], first)
+    count = kept.sum(axis=1)
+    return Factored(np.ascontiguousarray(basis), np.sign(values)[kept], np.cumsum(count) - count)

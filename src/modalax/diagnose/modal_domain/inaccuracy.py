@@ -7,7 +7,6 @@ tenth of that, with a size of its own: modes that are hardly coupled do not tell
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -52,6 +51,8 @@ class Inaccuracy:
         Of which groups the author claims a size.
     positive
         Of each pattern, whether its size is the logarithm of a factor: a mode's own damping, or all of a matrix.
+    factors
+        The patterns of each group by their directions; found where they are not given.
     """
 
     groups: tuple[str, ...]
@@ -60,16 +61,16 @@ class Inaccuracy:
     spread: np.ndarray
     claimed: tuple[bool, ...]
     positive: np.ndarray
+    factors: tuple[Factored, ...] = ()
+
+    def __post_init__(self) -> None:
+        more = map(factored, self.patterns[len(self.factors) :])
+        object.__setattr__(self, "factors", (*self.factors, *more))
 
     @property
     def group_of(self) -> np.ndarray:
         """Group of each pattern, all in one row."""
         return np.repeat(np.arange(len(self.patterns)), [len(p) for p in self.patterns])
-
-    @cached_property
-    def factors(self) -> tuple[Factored, ...]:
-        """The patterns of each group by their directions."""
-        return tuple(map(factored, self.patterns))
 
 
 def inaccuracy_of(simulation: Structure, c: Coordinates, highest: float) -> Inaccuracy:

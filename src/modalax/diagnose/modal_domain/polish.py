@@ -270,9 +270,9 @@ def _slopes_of_all(
 
     J = np.empty((len(sizes) + len(u), *plain.shape), complex)
     start = 0
-    for (kind, patterns), P in zip(setting.patterns(), setting.inaccuracy.factors, strict=True):
-        between.columns(kind, P, J[start : start + len(patterns)])
-        start += len(patterns)
+    for kind, patterns in setting.patterns():
+        between.columns(kind, patterns, J[start : start + len(patterns.first)])
+        start += len(patterns.first)
     J[:start] *= factors_of(setting, sizes)[:, None, None, None]
     if any(k.in_channels for k in causes):
         for one in J[:start]:

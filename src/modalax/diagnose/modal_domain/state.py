@@ -14,11 +14,13 @@ from modalax.diagnose.modal_domain.coordinates import (
     Modes,
     Slopes,
     direction_slopes,
+    factored_slopes,
     load_slopes,
     modes_of,
     pattern_slopes,
     slopes_of,
 )
+from modalax.diagnose.modal_domain.factored import Factored
 from modalax.diagnose.modal_domain.features import Features, paired, slopes_of_values, values_of
 from modalax.diagnose.modal_domain.further_causes import MissingMode
 from modalax.diagnose.modal_domain.inaccuracy import KINDS, Inaccuracy
@@ -59,9 +61,9 @@ class Setting:
     sought: tuple[str, ...] = ()
     uneven: bool = False
 
-    def patterns(self) -> list[tuple[str, np.ndarray]]:
+    def patterns(self) -> list[tuple[str, Factored]]:
         """Kind and patterns of each group."""
-        return [(KINDS[g], p) for g, p in zip(self.inaccuracy.groups, self.inaccuracy.patterns, strict=True)]
+        return [(KINDS[g], p) for g, p in zip(self.inaccuracy.groups, self.inaccuracy.factors, strict=True)]
 
     @cached_property
     def triangle(self) -> np.ndarray:
@@ -118,9 +120,8 @@ def changes_of(setting: Setting, sizes: np.ndarray, causes: tuple[Change, ...], 
     out = {kind: np.zeros((n, n)) for kind in "KCM"}
     start, relative = 0, np.where(setting.inaccuracy.positive, np.expm1(np.minimum(sizes, FARTHEST)), sizes)
     for kind, patterns in setting.patterns():
-        part = relative[start : start + len(patterns)]
-        out[kind] += (part @ patterns.reshape(len(patterns), -1)).reshape(n, n)
-        start += len(patterns)
+        out[kind] += patterns.combined(relative[start : start + len(patterns.first)])
+        start += len(patterns.first)
     for cause, size in with_sizes(causes, u):
         for kind, change in cause.changes(size).items() if cause.local else ():
             out[kind] += change
@@ -245,7 +246,7 @@ def state_at(
 def slopes_at(setting: Setting, state: State, causes: tuple[Change, ...] = (), u: np.ndarray = NONE) -> np.ndarray:
     """Whitened derivatives of the features by the sizes of all patterns and those of causes, shape ``(m, p + u)``."""
     t = slopes_of(setting.coordinates, state.modes, state.pairs)
-    moves = zip(*(pattern_slopes(t, kind, patterns) for kind, patterns in setting.patterns()), strict=True)
+    moves = zip(*(factored_slopes(t, kind, patterns) for kind, patterns in setting.patterns()), strict=True)
     every = (np.concatenate(part, axis=1) for part in moves)
     columns = [feature_slopes(setting, state, t, causes, u, *every) * factors_of(setting, state.sizes)]
     for k, (cause, size) in enumerate(with_sizes(causes, u)):

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modalax.diagnose.modal_domain.coordinates import pattern_slopes, slopes_of
+from modalax.diagnose.modal_domain.coordinates import factored_slopes, slopes_of
 from modalax.diagnose.modal_domain.fit import Fit, scale_of
 from modalax.diagnose.modal_domain.levels.change import Base, Levels, change_by, projected
 from modalax.diagnose.modal_domain.levels.laws import LawFit, derivatives_of, force_at, scattered, stiffness_of
@@ -55,7 +55,7 @@ class Shapes:
         setting, f = self.setting, self.fit
         c = replace(setting.coordinates, outputs=b[None])
         t = slopes_of(c, f.state.modes, f.state.pairs)
-        parts = [pattern_slopes(t, kind, patterns)[1][:, :, 0] for kind, patterns in setting.patterns()]
+        parts = [factored_slopes(t, kind, patterns)[1][:, :, 0] for kind, patterns in setting.patterns()]
         D = (np.concatenate(parts, axis=1) * np.exp(-1j * self.phase)[:, None]).real @ self.half
         u, size, _ = np.linalg.svd(D, full_matrices=False)
         keep = size > SHOWN * max(size[0], 1e-300)
