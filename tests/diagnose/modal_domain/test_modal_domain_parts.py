@@ -12,6 +12,7 @@ from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import (
     coordinates_of,
     direction_slopes,
+    factored_slopes,
     modes_of,
     pattern_slopes,
     slopes_of,
@@ -19,8 +20,8 @@ from modalax.diagnose.modal_domain.coordinates import (
 from modalax.diagnose.modal_domain.element_masses import mass_parts
 from modalax.diagnose.modal_domain.elements import nodes_of, stiffness_parts
 from modalax.diagnose.modal_domain.explain import Explanation
+from modalax.diagnose.modal_domain.factored import factored
 from modalax.diagnose.modal_domain.features import Features, features_of, paired
-from modalax.diagnose.modal_domain.fit import LARGEST, Linear
 from modalax.diagnose.modal_domain.free_residues import Channels, project, refine
 from modalax.diagnose.modal_domain.inaccuracy import TOLD
 from modalax.diagnose.modal_domain.judged import standing_out
@@ -143,6 +144,7 @@ def test_derivatives_of_modes_match_differences(coordinates, kind, free):
     t = slopes_of(c, modes_of(c), which)
     patterns = [pattern_slopes(t, kind, unit * np.outer(b, b)[None])]
     patterns.append(tuple(unit * a for a in direction_slopes(t, kind, b[None])))
+    patterns.append(factored_slopes(t, kind, factored(unit * np.outer(b, b)[None])))
     step = 1e-3  # smaller ones differ by rounding
     up, down = (modes_of(c, **{f"d{kind}": sign * step * unit * np.outer(b, b)}) for sign in (1, -1))
     shape = lambda m: np.einsum("ko,ki->koi", m.vectors[which] @ c.outputs.T, m.vectors[which] @ c.inputs.T)
@@ -398,21 +400,6 @@ def test_beside_a_joint_a_cause_elsewhere_is_a_second_thing_that_is_wrong(law, w
     odds = {bool(e.causes): e.probability for e in ranked}
     assert odds[True] / odds[False] == pytest.approx(10 * share)
     assert found.joints[0].probability == pytest.approx(1.0)
-
-
-def test_sizes_are_learnt_at_the_mean_or_where_a_fit_stands():
-    """What is known exactly has a size of its own root mean square."""
-    x, stands = np.array([0.03, -0.04, 0.2]), np.array([0.3, -0.4, 0.7])
-    inaccuracy = SimpleNamespace(
-        group_of=np.array([0, 0, 1]), groups=("stiffness", "damping"), usual=np.full(2, 0.1), spread=np.full(2, 1e3)
-    )
-    gram = 1e10 * np.eye(3)
-    linear = Linear(SimpleNamespace(inaccuracy=inaccuracy), gram, gram @ x, np.zeros(0))
-    rms = lambda v: [np.sqrt(np.mean(v[:2] ** 2)), abs(v[2])]
-    start = np.full(2, 0.1)
-    np.testing.assert_allclose(linear.learnt(start, 1.0, 100), rms(x), rtol=1e-3)
-    expected = np.minimum(rms(stands), [LARGEST["stiffness"], LARGEST["damping"]])
-    np.testing.assert_allclose(linear.learnt(start, 1.0, 100, stands), expected, rtol=1e-3)
 
 
 @pytest.mark.parametrize("above", [1.04, 1.11])

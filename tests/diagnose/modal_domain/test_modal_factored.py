@@ -33,3 +33,19 @@ def test_what_changes_do_between_responses(patterns):
     assert alone.between(outer, inner) == pytest.approx(
         np.einsum("fno,pnm,fmi->pfoi", outer, patterns[:1], inner), abs=1e-12
     )
+
+
+def test_sums_of_changes_and_what_they_do_to_vectors(patterns):
+    rng = np.random.default_rng(7)
+    f, sizes = factored(patterns), rng.standard_normal(4)
+    assert f.combined(sizes) == pytest.approx(np.tensordot(sizes, patterns, 1), abs=1e-13)
+    left, right = (rng.standard_normal((3, 6)) + 1j * rng.standard_normal((3, 6)) for _ in range(2))
+    expected = np.einsum("kn,pnm,km->kp", left, patterns, right)
+    assert f.summed(f.sign * f.along(left) * f.along(right)) == pytest.approx(expected, abs=1e-12)
+    alone = factored(patterns[:1])
+    assert alone.summed(alone.sign * alone.along(left) * alone.along(right)) == pytest.approx(expected[:, :1])
+
+
+def test_no_changes_have_no_directions():
+    f = factored(np.zeros((0, 3, 3)))
+    assert len(f.first) == len(f.sign) == 0 and not f.combined(np.zeros(0)).any()

@@ -14,8 +14,8 @@ from modalax.data import Measurement
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.explain import Explanation, one_cause
-from modalax.diagnose.modal_domain.fit import SMALLEST
 from modalax.diagnose.modal_domain.inaccuracy import CLAIMED, Inaccuracy, own_damping
+from modalax.diagnose.modal_domain.linear import SMALLEST
 from modalax.diagnose.modal_domain.measured import Measured
 from modalax.diagnose.modal_domain.stage import posed
 from modalax.diagnose.thresholds import THRESHOLDS

@@ -10,10 +10,10 @@ rare, but no more a contradiction than an inaccuracy of that kind.
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.linalg
 
 from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.inaccuracy import UNKNOWN
+from modalax.diagnose.modal_domain.linear import SMALLEST, Linear, linear_of, widths
 from modalax.diagnose.modal_domain.state import Setting, State, evidence_of_free, slopes_at, state_at, unseen
 
 TEMPERATURES = (100.0, 10.0, 3.0)  # widening of the features' covariance in the first steps of a fit
@@ -22,11 +22,6 @@ LAST = 25  # most steps at the true covariance
 SETTLED = 0.02  # change of log evidence at which a fit has ended
 HOPELESS = 15.0  # nats behind another hypothesis from which a fit ends where its steps are cut short,
 SHORT, SHARE = 0.2, 0.12  # to less than this part, and gain less than this share of them: in its basin it gains most
-SMALLEST = 1e-5  # least relative size of an inaccuracy; no structure is known better
-# greatest relative sizes that are tried
-LARGEST = {"stiffness": 0.3, "mass": 0.3, "damping": 1.5, "damping between modes": 1.5, "rest": 0.3,
-           "stiffness throughout": 1.0, "mass throughout": 1.0, "stiffness within": 0.3,
-           "mass within": 0.3}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -66,74 +61,10 @@ class Fit:
     state: State
 
 
-class Linear:
-    """A linearised problem in the space of the unknowns, by its information and its right-hand side."""
-
-    def __init__(self, setting: Setting, gram: np.ndarray, right: np.ndarray, u: np.ndarray):
-        self.setting, self.group, self.widths = setting, setting.inaccuracy.group_of, widths(u)
-        self.gram, self.right = gram, right
-
-    def prior(self, epsilon: np.ndarray) -> np.ndarray:
-        """Standard deviation of each unknown."""
-        return np.concatenate([epsilon[self.group], self.widths])
-
-    def _factor(self, epsilon: np.ndarray, temperature: float) -> tuple[np.ndarray, np.ndarray]:
-        """Standard deviations of the prior, and the Cholesky factor of the information in units of them."""
-        s = self.prior(epsilon)
-        inner = self.gram * (s[:, None] * (s / temperature))
-        inner.ravel()[:: len(s) + 1] += 1.0
-        L, wrong = scipy.linalg.lapack.dpotrf(inner.T, lower=1, overwrite_a=1)  # symmetric: turned, it needs no copy
-        if wrong:
-            raise np.linalg.LinAlgError("the information of a linearised problem is not positive")
-        return s, L
-
-    def mean(self, epsilon: np.ndarray, temperature: float) -> np.ndarray:
-        """The mean alone, which costs a third of :meth:`solve`."""
-        s, L = self._factor(epsilon, temperature)
-        return s * scipy.linalg.lapack.dpotrs(L, s * self.right / temperature, lower=1)[0]
-
-    def known(self, epsilon: np.ndarray, temperature: float) -> tuple[np.ndarray, np.ndarray]:
-        """The mean, and by what part of the prior's each variance is reduced: 1 is known, 0 as unknown as before."""
-        s, L = self._factor(epsilon, temperature)
-        x = s * scipy.linalg.lapack.dpotrs(L, s * self.right / temperature, lower=1)[0]
-        inverse = scipy.linalg.lapack.dtrtri(L, lower=1, overwrite_c=1)[0]
-        return x, 1 - np.einsum("ij,ij->j", inverse, inverse)
-
-    def solve(self, epsilon: np.ndarray, temperature: float = 1.0) -> tuple[np.ndarray, np.ndarray, float]:
-        """Mean, covariance over the prior's, and half the logarithm of the determinant of that."""
-        s, L = self._factor(epsilon, temperature)
-        V = scipy.linalg.lapack.dpotri(L, lower=1)[0]  # of a lower triangle, nothing above it
-        V = V + V.T
-        V.ravel(order="K")[:: len(s) + 1] *= 0.5
-        return s * (V @ (s * self.right / temperature)), V, -float(np.log(L.diagonal()).sum())
-
-    def learnt(self, epsilon: np.ndarray, temperature: float, rounds: int, at: np.ndarray | None = None) -> np.ndarray:
-        """Sizes of greatest evidence, with their prior; with the unknowns ``at`` given values, if not at their mean."""
-        a = self.setting.inaccuracy
-        largest = np.array([LARGEST[g] for g in a.groups])
-        for _ in range(rounds):
-            x, known = self.known(epsilon, temperature)
-            x, known = x if at is None else at, known[: len(self.group)]
-            z2 = (x[: len(self.group)] / epsilon[self.group]) ** 2
-            total = np.bincount(self.group, z2 - known, len(epsilon))
-            gamma = np.bincount(self.group, known, len(epsilon))
-            slope = total - np.log(epsilon / a.usual) / a.spread**2
-            step = slope / (2 * np.maximum(gamma, total + gamma) + 1 / a.spread**2)
-            epsilon = np.clip(epsilon * np.exp(np.clip(step, -1.0, 1.0)), SMALLEST, largest)
-            if np.abs(step).max() < 0.01:
-                break
-        return epsilon
-
-
 def linear_at(setting: Setting, state: State, causes: tuple[Change, ...], sizes: np.ndarray, u: np.ndarray) -> Linear:
     """The problem linearised about a state."""
     J = slopes_at(setting, state, causes, u)
-    return Linear(setting, J.T @ J, J.T @ (state.difference + J @ np.concatenate([sizes, u])), u)
-
-
-def widths(u: np.ndarray) -> np.ndarray:
-    """Standard deviations before the data of causes' sizes over their usual ones: one, or the size itself beyond it."""
-    return np.maximum(1.0, np.abs(u))
+    return linear_of(setting.inaccuracy, J, state.difference + J @ np.concatenate([sizes, u]), u)
 
 
 def scale_of(setting: Setting, f: Fit, epsilon: np.ndarray | None = None) -> np.ndarray:
@@ -188,52 +119,48 @@ def fit(
             linear = linear_at(setting, state, causes, sizes, u)
             # once the linear problem has led astray, sizes learnt at its solution would go round in circles
             epsilon = linear.learnt(epsilon, 1.0, 8, None if straight else np.concatenate([sizes, u]))
-            x, V, volume = linear.solve(epsilon)
-            known = 1 - np.diag(V)[: len(linear.group)]
+            now = linear.solve(epsilon)
             scale = linear.prior(epsilon)
             # Laplace where the fit stands, not where the linear problem ends: at the optimum the same, elsewhere lower
-            here = float(state.difference @ state.difference) + float(((np.concatenate([sizes, u]) / scale) ** 2).sum())
-            evidence = -0.5 * here + volume + hyperprior(setting, epsilon, u) + free
+            chi2 = float(state.difference @ state.difference)
+            cost = chi2 + float(((np.concatenate([sizes, u]) / scale) ** 2).sum())
+            evidence = -0.5 * cost + now.volume + hyperprior(setting, epsilon, u) + free
             evidence -= 0.5 * unseen(setting.features, causes, state.modes.poles, state.residues, state.pairs)
-            count = len(u)
-            now = Fit(
-                causes, sizes, u, epsilon, evidence,
-                (V * np.outer(scale, scale))[len(V) - count :, len(V) - count :],
-                float(state.difference @ state.difference),
-                np.bincount(linear.group, known, len(epsilon)), state,
-            )  # fmt: skip
+            wide = linear.widths
+            here = Fit(
+                causes, sizes, u, epsilon, evidence, now.covariance * np.outer(wide, wide), chi2, now.determined, state
+            )
             gained = np.inf if best is None else evidence - best.log_evidence
             behind = best_else - evidence
             done = abs(gained) < SETTLED or lost or (behind > HOPELESS and gained < behind / LAST)
-            best = now
+            best = here
             if done:
                 break
-            state, sizes, u, moved, part = _step(setting, causes, state, sizes, u, x, scale, 1.0)
+            state, sizes, u, moved, part = _step(setting, causes, state, sizes, u, now.mean, scale, 1.0)
             straight &= part == 1.0
             lost = _lost(behind, moved, part)
             if moved < 1e-3:
                 break
     except np.linalg.LinAlgError:
         return None
-    return best if best is None else replace(best, log_evidence=_with_exact(best, linear, free))
+    return best if best is None else replace(best, log_evidence=_with_exact(setting, best, linear, free))
 
 
-def _with_exact(f: Fit, linear: Linear, free: float) -> float:
+def _with_exact(setting: Setting, f: Fit, linear: Linear, free: float) -> float:
     """Log evidence where a simulation of which nothing is claimed may also be exact, as that of a virtual test is.
 
     Before the data both are as likely. What is fitted is so near to an exact simulation that the linear problem tells
     what that leaves; where it is not, it leaves too much by any problem.
     """
-    if any(linear.setting.inaccuracy.claimed):
+    if any(linear.inaccuracy.claimed):
         return f.log_evidence
     exact, old, none = np.full(len(f.epsilon), SMALLEST), np.concatenate([f.sizes, f.u]), len(f.sizes)
-    x, _, volume = linear.solve(exact)
-    step = x - old
-    chi2 = f.chi2 - 2 * step @ (linear.right - linear.gram @ old) + step @ linear.gram @ step
-    here = chi2 + float(((x / linear.prior(exact)) ** 2).sum())
+    now = linear.solve(exact)
+    x = now.mean
+    here = f.chi2 + linear.rise(old, x) + float(((x / linear.prior(exact)) ** 2).sum())
     sizes = -0.5 * float(((np.log(widths(x[none:])) / UNKNOWN) ** 2).sum())
-    beside = -0.5 * unseen(linear.setting.features, f.causes, f.state.modes.poles, f.state.residues, f.state.pairs)
-    return float(np.logaddexp(f.log_evidence, -0.5 * here + volume + sizes + free + beside)) - np.log(2)
+    beside = -0.5 * unseen(setting.features, f.causes, f.state.modes.poles, f.state.residues, f.state.pairs)
+    return float(np.logaddexp(f.log_evidence, -0.5 * here + now.volume + sizes + free + beside)) - np.log(2)
 
 
 def _lost(behind: float, gained: float, part: float) -> bool:

@@ -8,10 +8,11 @@ import numpy as np
 from modalax.diagnose.decision.beyond import BeyondUsual, ModalCase, Names, modal_verdict, usual_size
 from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.explain import Explanation
-from modalax.diagnose.modal_domain.fit import LARGEST, by_data, fit, without_causes
+from modalax.diagnose.modal_domain.fit import by_data, fit, without_causes
 from modalax.diagnose.modal_domain.inaccuracy import TOLD, WITHIN, claims_of
 from modalax.diagnose.modal_domain.levels.slipping import part_of_joint
 from modalax.diagnose.modal_domain.line_forces import EvenCoupling, SkewCoupling
+from modalax.diagnose.modal_domain.linear import LARGEST
 from modalax.diagnose.modal_domain.odd_output import only_output
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.modal_domain.throughout import nats_over_a_factor

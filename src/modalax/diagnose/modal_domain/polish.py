@@ -17,9 +17,10 @@ from modalax.diagnose.modal_domain.coordinates import POWER, Coordinates
 from modalax.diagnose.modal_domain.discrepancy import beside, told_apart
 from modalax.diagnose.modal_domain.explain import Explanation
 from modalax.diagnose.modal_domain.factored import Factored, factored
-from modalax.diagnose.modal_domain.fit import Fit, Linear, fit, scale_of
+from modalax.diagnose.modal_domain.fit import Fit, fit, scale_of
 from modalax.diagnose.modal_domain.free_residues import Channels
 from modalax.diagnose.modal_domain.line_forces import LineForce, loaded
+from modalax.diagnose.modal_domain.linear import ByUnknowns
 from modalax.diagnose.modal_domain.measured import Measured
 from modalax.diagnose.modal_domain.state import Setting, factors_of, matrices_of, state_at
 from modalax.diagnose.thresholds import THRESHOLDS
@@ -102,7 +103,7 @@ def descended(setting: Setting, f: Fit, lines: Lines, late: Deadline, steps: int
         heat = max(1.0, chi2 / max(lines.samples, 1))
         gram, slope = _normal(setting, f.causes, x[:n], x[n:], lines)
         try:
-            new, V, _ = Linear(setting, gram, slope + gram @ x, f.u).solve(f.epsilon, heat)
+            new, V, _ = ByUnknowns(setting.inaccuracy, gram, slope + gram @ x, f.u).covariance(f.epsilon, heat)
         except np.linalg.LinAlgError:
             return None
         cost = 0.5 * chi2 / heat + 0.5 * float(((x / scale) ** 2).sum())

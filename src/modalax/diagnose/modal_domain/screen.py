@@ -16,9 +16,10 @@ from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.channel_faults import Gain
 from modalax.diagnose.modal_domain.coordinates import Modes, with_loads
 from modalax.diagnose.modal_domain.features import values_of
-from modalax.diagnose.modal_domain.fit import SMALLEST, Fit, hyperprior, scale_of, widths
+from modalax.diagnose.modal_domain.fit import Fit, hyperprior, scale_of
 from modalax.diagnose.modal_domain.inaccuracy import KINDS
 from modalax.diagnose.modal_domain.line_forces import ModalForce
+from modalax.diagnose.modal_domain.linear import SMALLEST, widths
 from modalax.diagnose.modal_domain.loads import Load
 from modalax.diagnose.modal_domain.state import (
     Setting,

@@ -18,9 +18,10 @@ import numpy as np
 from modalax._numerics.text import with_error
 from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.discrepancy import beside
-from modalax.diagnose.modal_domain.fit import Fit, by_data, fit, linear_at, without_causes
+from modalax.diagnose.modal_domain.fit import Fit, by_data, fit, without_causes
 from modalax.diagnose.modal_domain.inaccuracy import THROUGHOUT, TOLD, UNKNOWN, USUAL, WITHIN, with_group
-from modalax.diagnose.modal_domain.state import Setting
+from modalax.diagnose.modal_domain.linear import ByUnknowns
+from modalax.diagnose.modal_domain.state import Setting, slopes_at
 from modalax.diagnose.thresholds import THRESHOLDS
 
 CLEARER = 5.0  # nats of log evidence that each such factor must gain
@@ -117,8 +118,9 @@ def throughout_told(setting: Setting, f: Fit) -> dict[str, dict[str, float]]:
     a, told = setting.inaccuracy, {}
     if not set(THROUGHOUT.values()) & set(a.groups):
         return {}
-    linear = linear_at(setting, f.state, f.causes, f.sizes, f.u)
-    variance = np.diag(linear.solve(f.epsilon)[1]) * linear.prior(f.epsilon) ** 2
+    J, none = slopes_at(setting, f.state, f.causes, f.u), np.zeros(len(f.sizes) + len(f.u))
+    linear = ByUnknowns(a, J.T @ J, none, f.u)
+    variance = np.diag(linear.covariance(f.epsilon)[1]) * linear.prior(f.epsilon) ** 2
     for name, group in THROUGHOUT.items():
         if group not in a.groups:
             continue
