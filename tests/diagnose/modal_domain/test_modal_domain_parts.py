@@ -424,3 +424,21 @@ def test_a_mode_just_beyond_the_band_is_no_error_of_those_inside(above):
         k = int(np.argmin(np.abs(f.poles - p)))
         std = np.abs(found.poles[k].real) * 0.02
         assert abs(f.poles[k] - p) < std
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_parts_of_a_simply_supported_beam_are_no_larger_than_the_beam(seed):
+    """Where elements were read off a DoF there is nothing left of it but rounding, of either sign."""
+    count, length, EI = 12, 0.1, 2.1e11 * 4e-9 * np.random.default_rng(seed).normal(1.0, 0.01, 12)
+    unit = np.array([[12, 6, -12, 6], [6, 4, -6, 2], [-12, -6, 12, -6], [6, 2, -6, 4]]) * np.outer(
+        [1, length, 1, length], [1, length, 1, length]
+    )
+    K = np.zeros((2 * count + 2,) * 2)
+    for e in range(count):
+        K[2 * e : 2 * e + 4, 2 * e : 2 * e + 4] += EI[e] / length**3 * unit
+    kept = [k for k in range(len(K)) if k not in (0, 2 * count)]
+    dofs = [f"{k // 2 + 1}:+{'RY' if k % 2 else 'Z'}" for k in kept]
+    K = K[np.ix_(kept, kept)]
+    parts = parts_of(K, nodes_of(tuple(dofs)))
+    assert max(np.abs(p.matrix).max() for p in parts) < 1.01 * np.abs(K).max()
+    assert sum(p.full(len(K)) for p in parts) == pytest.approx(K, abs=1e-8 * K.max())

@@ -14,6 +14,7 @@ from modalax.diagnose.modal_domain.element_masses import mass_parts
 from modalax.diagnose.modal_domain.elements import NEGLIGIBLE, Nodes, Part, stiffness_parts
 
 MANY = 7  # coupled nodes, itself among them, beyond which a node's elements cannot be told apart
+ROUNDING = 1e-9  # part of a DoF's stiffness or mass that taking elements off it may leave of nothing
 GIVEN_AWAY = 1e-6  # energy that a part may give away, relative to what it can store; none but for rounding
 NEIGHBOURS, MOST = 8, 400  # nodes about one whose elements it shares, as on a grid; couplings that fits have time for
 FEW = 0.5  # share of the nodes that can rest on springs
@@ -45,9 +46,16 @@ def parts_of(A: np.ndarray, nodes: Nodes, mass: bool = False) -> list[Part]:
     rest = A - sum((p.full(len(A)) for p in known), np.zeros_like(A))
     if not passive(rest, diagonal):
         known, rest = [], A
+    rest = without_rounding(rest, diagonal)
     springs = [] if mass else supports(rest, nodes)
-    rest = rest - sum((p.full(len(A)) for p in springs), np.zeros_like(A))
+    rest = without_rounding(rest - sum((p.full(len(A)) for p in springs), np.zeros_like(A)), diagonal)
     return known + springs + local_parts(rest, nodes)
+
+
+def without_rounding(A: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """What is left of a matrix without DoFs at which that is rounding; ``size`` is the root of the whole's diagonal."""
+    there = np.abs(np.diag(A)) > ROUNDING * size**2
+    return np.where(there[:, None] & there, A, 0.0)
 
 
 def in_one_mesh(joined: np.ndarray, some: set[int]) -> set[int]:
