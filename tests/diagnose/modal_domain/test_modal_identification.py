@@ -16,11 +16,11 @@ FREQ = np.linspace(3.0, 60.0, 500)
 S = 2j * np.pi * FREQ
 
 
-def channels_of(H: np.ndarray, rng: np.random.Generator, noise: float = 0.01) -> Channels:
+def channels_of(H: np.ndarray, rng: np.random.Generator, noise: float = 0.01, s: np.ndarray = S) -> Channels:
     """FRFs ``(f, channel)`` with noise relative to each channel's rms."""
     sigma = noise * np.sqrt((np.abs(H) ** 2).mean(axis=0)) * np.ones(H.shape)
     e = rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)
-    return Channels(S, H + sigma * e / np.sqrt(2), 2 / sigma**2, 2, np.zeros(0, complex))
+    return Channels(s, H + sigma * e / np.sqrt(2), 2 / sigma**2, 2, np.zeros(0, complex))
 
 
 def poles_of(frequency: list[float], zeta: list[float]) -> np.ndarray:
@@ -29,12 +29,14 @@ def poles_of(frequency: list[float], zeta: list[float]) -> np.ndarray:
     return -z * w + 1j * w * np.sqrt(1 - z**2)
 
 
-def frf_of(poles: np.ndarray, rng: np.random.Generator, outputs: int = 5, inputs: int = 2) -> np.ndarray:
+def frf_of(
+    poles: np.ndarray, rng: np.random.Generator, outputs: int = 5, inputs: int = 2, s: np.ndarray = S
+) -> np.ndarray:
     """Accelerances ``(f, channel)`` of modes with random real shapes."""
     shapes = rng.standard_normal((len(poles), outputs))
     residues = shapes[:, :, None] * shapes[:, None, :inputs] / (2j * poles.imag)[:, None, None]
     R = residues.reshape(len(poles), -1)
-    return (1 / (S[:, None] - poles) @ R + 1 / (S[:, None] - poles.conj()) @ R.conj()) * S[:, None] ** 2
+    return (1 / (s[:, None] - poles) @ R + 1 / (s[:, None] - poles.conj()) @ R.conj()) * s[:, None] ** 2
 
 
 def test_relocation_ends_at_the_poles_from_afar():
@@ -52,6 +54,15 @@ def test_modes_within_a_bandwidth_and_a_heavily_damped_one_are_found_and_no_othe
     assert len(found.poles) == 6 and heavy(found.poles).sum() == 1
     light = np.sort_complex(found.poles[~heavy(found.poles)])
     np.testing.assert_allclose(light, np.sort_complex(np.delete(poles, 2)), rtol=1e-3)
+
+
+def test_peaks_that_were_measured_more_finely_than_the_rest_are_all_found():
+    """Their half-bandwidths are a hundredth of the usual distance of lines, and several of that at the peaks."""
+    poles, rng = poles_of([12.0, 27.0, 45.0], [2e-4, 2e-4, 3e-4]), np.random.default_rng(3)
+    fine = [np.abs(p) + np.linspace(-8, 8, 41) * -p.real for p in poles]
+    s = 1j * np.unique(np.concatenate([2 * np.pi * np.arange(3.0, 60.0, 0.25), *fine]))
+    found = blind_modes(channels_of(frf_of(poles, rng, s=s), rng, 1e-3, s))
+    np.testing.assert_allclose(np.sort_complex(found.poles), np.sort_complex(poles), rtol=1e-4)
 
 
 def test_levels_that_bend_one_narrow_peak_are_not_averaged():

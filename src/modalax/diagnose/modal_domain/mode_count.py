@@ -113,7 +113,13 @@ def _possible(poles: np.ndarray, channels: Channels) -> np.ndarray:
     """Whether each pole is inside the band, wider than what falls between lines, and oscillates."""
     size, (low, high) = np.abs(poles), np.abs(channels.s[[0, -1]])
     inside = (size > low * (1 - BEYOND)) & (size < high * (1 + BEYOND)) & (-poles.real < HEAVIEST * size)
-    return inside & (-poles.real > SHARP * np.median(np.diff(np.abs(channels.s))))
+    return inside & (-poles.real > SHARP * spacing_at(np.abs(channels.s), size))
+
+
+def spacing_at(lines: np.ndarray, w: np.ndarray) -> np.ndarray:
+    """Distance of the lines about each frequency: peaks may have been measured more finely than the rest."""
+    apart = np.diff(lines)
+    return apart[np.clip(np.searchsorted(lines, w) - 1, 0, len(apart) - 1)]
 
 
 def _worth_keeping(found: Projected, channels: Channels) -> np.ndarray:
@@ -146,7 +152,7 @@ def further_poles(found: Projected, channels: Channels) -> np.ndarray:
     """Poles that the residual asks for, the likeliest first."""
     rest = channels.weight * (channels.data - found.made(channels))
     grid = _grid(np.abs(channels.s))
-    spacing = np.median(np.diff(np.abs(channels.s)))
+    spacing = spacing_at(np.abs(channels.s), grid)
     best, where = np.zeros(len(grid)), np.zeros(len(grid), complex)
     for zeta in DAMPINGS:
         poles = -np.maximum(zeta * grid, 0.5 * spacing) + 1j * grid
@@ -158,7 +164,7 @@ def further_poles(found: Projected, channels: Channels) -> np.ndarray:
     peak = (padded[1:-1] >= padded[:-2]) & (padded[1:-1] > padded[2:]) & (best > max(least, AT_ONCE * best.max()))
     chosen: list[complex] = []
     for k in np.argsort(-best):
-        apart = all(abs(where[k] - x) > 3 * max(abs(x.real), spacing) for x in chosen)
+        apart = all(abs(where[k] - x) > 3 * max(abs(x.real), spacing[k]) for x in chosen)
         if peak[k] and apart:
             chosen.append(complex(where[k]))
     return np.array(chosen[:FURTHER], complex)
