@@ -11,7 +11,7 @@ from modalax.diagnose.decision.route import Outcome, Task, surely_named
 from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.claimed_modes import ClaimCompared
 from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis
-from modalax.diagnose.modal_domain.explain import Explanation
+from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.judged import standing_out
 from modalax.diagnose.modal_domain.measured import prepared
 from modalax.diagnose.modal_domain.stage import KNOWN

@@ -19,7 +19,7 @@ from modalax.diagnose.modal_domain.coordinates import (
 )
 from modalax.diagnose.modal_domain.element_masses import mass_parts
 from modalax.diagnose.modal_domain.elements import nodes_of, stiffness_parts
-from modalax.diagnose.modal_domain.explain import Explanation
+from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.factored import factored
 from modalax.diagnose.modal_domain.features import Features, features_of, paired
 from modalax.diagnose.modal_domain.free_residues import Channels, project, refine

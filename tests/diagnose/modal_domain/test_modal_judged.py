@@ -8,7 +8,7 @@ import pytest
 from modalax.diagnose.modal_domain import judged
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.channel_faults import Sign
-from modalax.diagnose.modal_domain.explain import Explanation
+from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.judged import _without_one_sided, standing_out
 from modalax.diagnose.modal_domain.line_forces import SkewCoupling
 

@@ -112,6 +112,11 @@ class Change:
         return False
 
     @property
+    def scales_all(self) -> bool:
+        """Whether it is one factor on all FRFs, as one on stiffness, mass and damping alike is."""
+        return False
+
+    @property
     def in_shapes(self) -> bool:
         """Whether mode shapes show it, without the forces that they were measured by."""
         return True

@@ -59,6 +59,11 @@ class Gain(ChannelFault):
         """The usual error."""
         return np.full(len(s), self.scale)
 
+    @property
+    def scales_all(self) -> bool:
+        """Where it is that of all channels."""
+        return self.channel[0] == ALL
+
     def turned(self, u: np.ndarray) -> Change | None:
         """The sign of the same output."""
         return Sign("channel_sign", self.where, channel=self.channel) if self.size(u) < -1 else None

@@ -13,7 +13,8 @@ import numpy as np
 from modalax.data import Measurement
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.coordinates import Coordinates
-from modalax.diagnose.modal_domain.explain import Explanation, one_cause
+from modalax.diagnose.modal_domain.explain import one_cause
+from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.inaccuracy import CLAIMED, Inaccuracy, own_damping
 from modalax.diagnose.modal_domain.linear import SMALLEST
 from modalax.diagnose.modal_domain.measured import Measured

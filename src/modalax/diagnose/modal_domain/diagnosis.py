@@ -21,7 +21,7 @@ from modalax.diagnose.decision.sets import rivals
 from modalax.diagnose.modal_domain.causes import UNITS, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.corrected import frf_of, inaccuracy_told
-from modalax.diagnose.modal_domain.explain import Explanation
+from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.extension import extension_of
 from modalax.diagnose.modal_domain.fit import fit
 from modalax.diagnose.modal_domain.forced import Forced, force_beside, force_rivals, force_said, force_told

@@ -14,13 +14,14 @@ from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.damped_along import damped_along
 from modalax.diagnose.modal_domain.discrepancy import learnt_rest
+from modalax.diagnose.modal_domain.explanation import Explanation, ranked_by
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
 from modalax.diagnose.modal_domain.oscillators import oscillators
 from modalax.diagnose.modal_domain.prior import SECOND, Prior
 from modalax.diagnose.modal_domain.screen import narrower, replaced, scores
 from modalax.diagnose.modal_domain.starts import FITTED, NEXT, as_signs, in_place_of_one, starts
 from modalax.diagnose.modal_domain.state import Setting
-from modalax.diagnose.modal_domain.throughout import start_in, with_more
+from modalax.diagnose.modal_domain.throughout import all_scaled, beside_one_factor, start_in, with_more
 from modalax.diagnose.thresholds import THRESHOLDS
 
 NEAR = 12.0  # nats behind the best up to which other places are fitted
@@ -29,31 +30,6 @@ MOST = 2  # causes in one answer
 MANY, CHAINS = 4, 2  # the same where the inaccuracy would be far from usual, and first causes that others are added to
 FAR = 3.0  # times as large as usual from which on an inaccuracy of stiffness or mass is far from it
 AGAIN = 6  # leading explanations that are fitted again together with the rest that no element explains
-
-
-@dataclass(frozen=True)
-class Explanation:
-    """A set of causes, fitted.
-
-    Attributes
-    ----------
-    log_posterior
-        Log evidence and log prior.
-    probability
-        Among all explanations that were fitted.
-    misfit
-        Chi-square per feature of the modes that was left, before all lines were looked at.
-    """
-
-    fit: Fit
-    log_posterior: float
-    probability: float
-    misfit: float = 1.0
-
-    @property
-    def causes(self) -> tuple[Change, ...]:
-        """What stands out."""
-        return self.fit.causes
 
 
 @dataclass
@@ -87,12 +63,13 @@ def explain(
         bare, setting = setting, with_more(setting, null)
         if setting is not bare:
             null = fit(setting) or start_in(setting, null)
-        search = _Search(setting, {(): null}, bare)
+        setting, found = beside_one_factor(bare, setting, null, candidates, prior)
+        null, search = found[()], _Search(setting, found, bare)
     try:
         _all_steps(search, null, candidates, prior, late, tell)
     except KeyboardInterrupt:
         late.stop()
-    return search.setting, _ranked(search.found, prior)
+    return search.setting, ranked_by(search.found, prior)
 
 
 def one_cause(setting: Setting, candidates: list[Change], late: Deadline) -> list[Explanation]:
@@ -103,7 +80,7 @@ def one_cause(setting: Setting, candidates: list[Change], late: Deadline) -> lis
         if late():
             break
         _try(setting, found, (cause,), cause.of_size(u), start, gentle=start is None)
-    return _ranked(found, prior) if found else []
+    return ranked_by(found, prior) if found else []
 
 
 def again(setting: Setting, earlier: Sequence[Explanation], candidates: list[Change]) -> list[Explanation]:
@@ -113,7 +90,7 @@ def again(setting: Setting, earlier: Sequence[Explanation], candidates: list[Cha
     best = earlier[0]
     if best.causes and all(replace(c, along="") in candidates for c in best.causes):
         _try(setting, found, best.causes, best.fit.u, None, gentle=False)
-    return _ranked(found, Prior(candidates)) if found else []
+    return ranked_by(found, Prior(candidates)) if found else []
 
 
 def further(
@@ -134,7 +111,7 @@ def further(
     if len(best.causes) < MOST:
         _try(setting, found, (*best.causes, cause), np.append(best.u, own), without_causes(best), gentle=False)
     left = {id(e.fit): e.misfit for e in explanations}
-    return [replace(e, misfit=left.get(id(e.fit), e.misfit)) for e in _ranked(found, Prior(candidates))]
+    return [replace(e, misfit=left.get(id(e.fit), e.misfit)) for e in ranked_by(found, Prior(candidates))]
 
 
 def _less_a_mode(setting: Setting, candidates: list[Change]) -> dict[tuple[Change, ...], Fit]:
@@ -165,7 +142,7 @@ def _all_steps(
     search.setting, search.found = setting, found = _beside_a_factor(search.bare, setting, found, prior)
     search.setting, search.found = setting, found = _beside_the_rest(setting, found, prior, late)
     for _ in range(MOST):
-        best = _ranked(found, prior)[0]
+        best = ranked_by(found, prior)[0]
         if late():
             return
         if best.causes:
@@ -173,12 +150,12 @@ def _all_steps(
             _apart(setting, found, best.fit, candidates)
             _neighbours(setting, found, best.fit, candidates, prior, late)
             _other_forms(setting, found, candidates, prior)
-            best = _ranked(found, prior)[0]
+            best = ranked_by(found, prior)[0]
         if len(best.causes) >= MOST or not _further(setting, found, best.fit, candidates, prior, late):
             return
-        if len(_ranked(found, prior)[0].causes) == len(best.causes):
+        if len(ranked_by(found, prior)[0].causes) == len(best.causes):
             return
-        _fewer(setting, found, _ranked(found, prior)[0].fit)
+        _fewer(setting, found, ranked_by(found, prior)[0].fit)
         search.setting, search.found = setting, found = _beside_the_rest(setting, found, prior, late)
 
 
@@ -200,7 +177,7 @@ def _attached(
     late: Callable[[], bool],
 ) -> None:  # fmt: skip
     """Where a measured mode is one too many, try what may have moved one so far, and oscillators as what makes it."""
-    ranked = _ranked(found, prior)
+    ranked = ranked_by(found, prior)
     if not _explains(ranked[0].fit):  # which mode is too many shows beside other errors that are too large as well
         ranked = [e for e in ranked if any(c.freed is not None for c in e.causes)]
     freed = [c for c in ranked[0].causes if c.freed is not None] if ranked else []
@@ -226,7 +203,7 @@ def _several(
     Of several things that are wrong each one alone explains little beside what is learnt of all elements; they show
     where the inaccuracy is held to its usual size until they are found.
     """
-    ranked, usual = _ranked(found, prior), setting.inaccuracy.usual
+    ranked, usual = ranked_by(found, prior), setting.inaccuracy.usual
     matrices = np.isin(setting.inaccuracy.groups, ("stiffness", "mass"))
     if not (ranked[0].fit.epsilon > FAR * usual)[matrices].any():
         return
@@ -255,11 +232,13 @@ def _beside_a_factor(
 
     Without a cause these may stand for it, and with one may have been hidden; ``bare`` is the setting without any.
     """
-    leading = _ranked(found, prior)[:AGAIN]
-    leading += [e for e in _ranked(found, prior)[AGAIN:] if not e.causes]
+    leading = ranked_by(found, prior)[:AGAIN]
+    leading += [e for e in ranked_by(found, prior)[AGAIN:] if not e.causes]
     best = leading[0]
     alone = fit(bare, best.causes, start_in(bare, best.fit), best.fit.u, temperatures=(3.0,)) if best.causes else None
     keep = alone is None or (setting is not bare and best.fit.log_evidence > alone.log_evidence)
+    if any(c.scales_all for c in best.causes):  # which stand for one of the mass
+        bare = replace(bare, sought=tuple(name for name in bare.sought if name != "mass"))
     asked = setting if alone is None or keep else with_more(bare, alone)
     if asked.inaccuracy.groups == setting.inaccuracy.groups:
         return setting, found
@@ -273,9 +252,9 @@ def _beside_the_rest(
     setting: Setting, found: dict[tuple[Change, ...], Fit], prior: Prior, late: Callable[[], bool]
 ) -> tuple[Setting, dict[tuple[Change, ...], Fit]]:
     """Fit the leading explanations again, together with the rest that no element explains."""
-    leading = _ranked(found, prior)[:AGAIN]
-    bare = [e for e in _ranked(found, prior) if not e.causes]
-    singles = [e for e in _ranked(found, prior) if len(e.causes) == 1][:2]
+    leading = ranked_by(found, prior)[:AGAIN]
+    bare = [e for e in ranked_by(found, prior) if not e.causes]
+    singles = [e for e in ranked_by(found, prior) if len(e.causes) == 1][:2]
     leading += [e for e in bare + singles if all(e is not other for other in leading)]
     some = [*leading[:2], *bare, *singles[:1]]
     new, size = learnt_rest(setting, [e.fit for e in some], [prior.of(e.causes) for e in some])
@@ -291,6 +270,8 @@ def _try(
     setting: Setting, found: dict[tuple[Change, ...], Fit], causes: tuple[Change, ...], u: np.ndarray,
     start: Fit | None, gentle: bool = True,
 ) -> None:  # fmt: skip
+    if all_scaled(setting) and any(c.scales_all for c in causes):
+        return
     temperatures = {} if gentle else {"temperatures": (3.0,)}
     best = max((f.log_evidence for f in found.values()), default=-np.inf)
     trial = fit(setting, causes, start, u, **temperatures, best_else=best)
@@ -383,17 +364,7 @@ def _other_forms(
     setting: Setting, found: dict[tuple[Change, ...], Fit], candidates: list[Change], prior: Prior
 ) -> None:  # fmt: skip
     """Fit the leading explanations with damping that goes with one of their causes, and signs in place of gains."""
-    ranked = _ranked(found, prior)
+    ranked = ranked_by(found, prior)
     near = [e.fit for e in ranked[:AGAIN] if e.log_posterior > ranked[0].log_posterior - NEAR]
     for causes, u, start in (*damped_along(setting, near), *as_signs(near, candidates)):
         _try(setting, found, causes, u, start, gentle=False)
-
-
-def _ranked(found: dict[tuple[Change, ...], Fit], prior: Prior) -> list[Explanation]:
-    values = {key: f.log_evidence + prior.of(key) for key, f in found.items()}
-    top = max(values.values())
-    weights = {key: math.exp(v - top) for key, v in values.items()}
-    total = sum(weights.values())
-    left = {key: f.chi2 / max(f.state.difference.size, 1) for key, f in found.items()}
-    ranked = [Explanation(found[key], values[key], weights[key] / total, left[key]) for key in found]
-    return sorted(ranked, key=lambda e: -e.log_posterior)

@@ -17,7 +17,7 @@ import numpy as np
 from modalax.data import Measurement
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import Change
-from modalax.diagnose.modal_domain.explain import Explanation
+from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.fit import Fit, scale_of
 from modalax.diagnose.modal_domain.line_forces import LineForce, roving_masses
 from modalax.diagnose.modal_domain.measured import channels_of

@@ -7,7 +7,7 @@ import numpy as np
 
 from modalax.diagnose.decision.beyond import BeyondUsual, ModalCase, Names, modal_verdict, usual_size
 from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
-from modalax.diagnose.modal_domain.explain import Explanation
+from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.fit import by_data, fit, without_causes
 from modalax.diagnose.modal_domain.inaccuracy import TOLD, WITHIN, claims_of
 from modalax.diagnose.modal_domain.levels.slipping import part_of_joint

@@ -19,7 +19,7 @@ import numpy as np
 from modalax._numerics.triangles import forward
 from modalax.diagnose.causes.base import RARE
 from modalax.diagnose.modal_domain.channel_faults import GAIN
-from modalax.diagnose.modal_domain.explain import Explanation
+from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.features import Features, slopes_of_values
 from modalax.diagnose.modal_domain.fit import fit
 from modalax.diagnose.modal_domain.state import Setting

@@ -15,7 +15,7 @@ from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import Change, own_sizes, shown, with_sizes
 from modalax.diagnose.modal_domain.coordinates import POWER, Coordinates
 from modalax.diagnose.modal_domain.discrepancy import beside, told_apart
-from modalax.diagnose.modal_domain.explain import Explanation
+from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.factored import Factored, factored
 from modalax.diagnose.modal_domain.fit import Fit, fit, scale_of
 from modalax.diagnose.modal_domain.free_residues import Channels

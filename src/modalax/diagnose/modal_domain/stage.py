@@ -12,7 +12,8 @@ from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import Coordinates, coordinates_of
 from modalax.diagnose.modal_domain.crosstalk import leaking_channels
 from modalax.diagnose.modal_domain.elements import nodes_of
-from modalax.diagnose.modal_domain.explain import Explanation, explain
+from modalax.diagnose.modal_domain.explain import explain
+from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.features import whitener_of
 from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.further_causes import StructuralDamping, missing_modes, tuned_masses

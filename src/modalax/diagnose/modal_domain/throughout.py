@@ -10,6 +10,7 @@ itself. Where elements that are off as a whole do not explain the modes, each :m
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -21,6 +22,7 @@ from modalax.diagnose.modal_domain.discrepancy import beside
 from modalax.diagnose.modal_domain.fit import Fit, by_data, fit, without_causes
 from modalax.diagnose.modal_domain.inaccuracy import THROUGHOUT, TOLD, UNKNOWN, USUAL, WITHIN, with_group
 from modalax.diagnose.modal_domain.linear import ByUnknowns
+from modalax.diagnose.modal_domain.prior import Prior
 from modalax.diagnose.modal_domain.state import Setting, slopes_at
 from modalax.diagnose.thresholds import THRESHOLDS
 
@@ -70,6 +72,33 @@ def nats_over_a_factor(setting: Setting, f: Fit, which: int) -> float:
         trial = fit(setting, (*others, factor), without_causes(f), np.append(u, 0.0), temperatures=(3.0,))
         found += [] if trial is None else [by_data(trial, (*others, factor), factor)]
     return by_data(f, f.causes, cause) - max(found)
+
+
+def all_scaled(setting: Setting) -> bool:
+    """Whether stiffness and mass may be off by factors throughout, as one on all FRFs is told from no data then."""
+    return set(THROUGHOUT.values()) <= set(setting.inaccuracy.groups)
+
+
+def beside_one_factor(
+    bare: Setting, setting: Setting, null: Fit, candidates: Sequence[Change], prior: Prior
+) -> tuple[Setting, dict[tuple[Change, ...], Fit]]:
+    r"""The setting and its first fits: with a factor on all FRFs in place of one on the mass, where that is likelier.
+
+    Factors :math:`a` on all of K, M and C make FRFs :math:`1/a` times as large, so that a gain of all FRFs says what
+    they do; with factors on stiffness and mass both there must be none beside them.
+    """
+    gain = next((c for c in candidates if c.scales_all), None)
+    if gain is None or not all_scaled(setting):
+        return setting, {(): null}
+    (k,) = np.flatnonzero(setting.inaccuracy.group_of == setting.inaccuracy.groups.index(THROUGHOUT["mass"]))
+    u, best = gain.of_size(float(np.expm1(-null.sizes[k])) / gain.scale), null.log_evidence + prior.of(())
+    chosen: tuple[Setting, dict[tuple[Change, ...], Fit]] = setting, {(): null}
+    for simpler in filter(None, (bare, _with(bare, (THROUGHOUT["stiffness"],)))):
+        trial, plain = fit(simpler, (gain,), None, u), fit(simpler)
+        if trial is None or plain is None or trial.log_evidence + prior.of((gain,)) < best:
+            continue
+        best, chosen = trial.log_evidence + prior.of((gain,)), (simpler, {(): plain, (gain,): trial})
+    return chosen
 
 
 def start_in(setting: Setting, f: Fit) -> Fit:

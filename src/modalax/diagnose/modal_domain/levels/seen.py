@@ -7,7 +7,8 @@ import numpy as np
 
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import Change
-from modalax.diagnose.modal_domain.explain import Explanation, again, explain
+from modalax.diagnose.modal_domain.explain import again, explain
+from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.features import Features, chosen, sure, whitener_of
 from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.further_causes import TunedMass

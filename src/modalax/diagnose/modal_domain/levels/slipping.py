@@ -19,7 +19,8 @@ import numpy as np
 from modalax.diagnose.causes.joints import ElastoSlip
 from modalax.diagnose.causes.power_laws import IwanMicroSlip
 from modalax.diagnose.modal_domain.causes import Change, own_sizes
-from modalax.diagnose.modal_domain.explain import Explanation, further
+from modalax.diagnose.modal_domain.explain import further
+from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.levels.explain import ByLevel, JointFound
 from modalax.diagnose.modal_domain.levels.laws import LawFit
 from modalax.diagnose.modal_domain.prior import SECOND, Prior

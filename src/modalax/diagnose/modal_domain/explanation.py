@@ -1,0 +1,45 @@
+"""What may explain measured modes, and how likely each explanation is."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.fit import Fit
+from modalax.diagnose.modal_domain.prior import Prior
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A set of causes, fitted.
+
+    Attributes
+    ----------
+    log_posterior
+        Log evidence and log prior.
+    probability
+        Among all explanations that were fitted.
+    misfit
+        Chi-square per feature of the modes that was left, before all lines were looked at.
+    """
+
+    fit: Fit
+    log_posterior: float
+    probability: float
+    misfit: float = 1.0
+
+    @property
+    def causes(self) -> tuple[Change, ...]:
+        """What stands out."""
+        return self.fit.causes
+
+
+def ranked_by(found: Mapping[tuple[Change, ...], Fit], prior: Prior) -> list[Explanation]:
+    """Explanations by falling probability, of fits by their causes."""
+    values = {key: f.log_evidence + prior.of(key) for key, f in found.items()}
+    top = max(values.values())
+    weights = {key: math.exp(v - top) for key, v in values.items()}
+    total = sum(weights.values())
+    left = {key: f.chi2 / max(f.state.difference.size, 1) for key, f in found.items()}
+    ranked = [Explanation(found[key], values[key], weights[key] / total, left[key]) for key in found]
+    return sorted(ranked, key=lambda e: -e.log_posterior)
