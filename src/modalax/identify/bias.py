@@ -168,10 +168,14 @@ def predicted_damping_bias(frf: FRF, poles: Complex[Array, " n"], orders: Any, *
     return jax.tree.map(lambda a: cut(a, 0), bias) if np.ndim(orders) == 0 else bias
 
 
-@eqx.filter_jit
 def _bias(problem: LinearProblem, poles: Array, decay: Array, orders: tuple[int, ...]) -> DampingBias:
+    # In two programs: the first, most of the work, does not ask how many modes there are.
     along, valid = _along(problem, jnp.geomspace(SMALLEST, 1.0, STEPS), orders)
+    return _followed(along, valid, poles, decay)
 
+
+@eqx.filter_jit
+def _followed(along: Array, valid: Array, poles: Array, decay: Array) -> DampingBias:
     def one(along: Array, valid: Array) -> DampingBias:
         found, certain = follow_poles(along, valid, poles - decay)
         return DampingBias.between(poles, found[-1] + decay, certain[-1])
@@ -206,6 +210,7 @@ def _table(problem: LinearProblem, R: Array, orders: tuple[int, ...]) -> PoleTab
     return poles_of_factor(R, orders, problem.size, problem.constraint, problem.real, problem.zoomed, problem.method)
 
 
+@eqx.filter_jit
 def _along(
     problem: LinearProblem, scales: Float[Array, " t"], orders: tuple[int, ...]
 ) -> tuple[Complex[Array, "t order p"], Bool[Array, "t order p"]]:
