@@ -1,5 +1,6 @@
 """What is off by one factor throughout is told with its sign, beside what single elements are off."""
 
+import chains_off
 import numpy as np
 import pytest
 from frames import measured, simulation
@@ -52,3 +53,43 @@ def test_nothing_is_told_where_elements_are_off_each_by_itself():
 def test_a_factor_is_told_apart_from_elements_that_scatter_widely():
     told = diagnose_modes(measured(3, 0.02)[0], scaled(1.08)).to_dict()["throughout"]
     assert list(told) == ["stiffness"] and abs(told["stiffness"]["value"] - 0.08) < 3 * told["stiffness"]["std"] < 0.05
+
+
+@pytest.mark.parametrize(
+    ("gain", "factors", "damping"),
+    [
+        (1.0, {"stiffness": 1.09, "mass": 1.03}, 1.0),  # as of a thickness, with the same damping ratios
+        (1.4, {}, 1.3),
+        (1.05, {}, 1.0),
+    ],
+)
+def test_a_gain_of_all_frfs_and_factors_on_all_of_a_matrix_are_not_told_beside_each_other(gain, factors, damping):
+    """Stiffness, mass and damping that are all a times as large make FRFs 1/a as large: data cannot tell three factors.
+
+    The first had been a gain of -5.6 % with the mass too high, as the damping of the simulation is right then.
+    """
+    a = {name: factors.get(name, 1.0) for name in ("stiffness", "mass")}
+    M, C, K = chains_off.chain_off(3, 0.0 if factors else 0.002)
+    C = damping * C * np.sqrt(a["stiffness"] * a["mass"])
+    H = gain * chains_off.response(a["mass"] * M, C, a["stiffness"] * K, chains_off.FREQ)
+    found = diagnose_modes(chains_off.as_measured(H, chains_off.FREQ, 3), chains_off.simulation())
+    assert [(c["name"], c["where"]) for c in found.causes] == [("force_gain", [])] * (gain != 1.0)
+    if gain != 1.0:
+        told = found.causes[0]["parameters"]["gain"]
+        assert abs(1 + told["value"] - gain) < 4 * told["std"] < 0.01
+    for name in ("stiffness", "mass"):
+        if name in factors:
+            assert 1 / (1 + found.throughout[name]["value"]) == pytest.approx(factors[name], abs=0.002)
+        else:
+            assert name not in found.throughout
+
+
+def test_a_factor_on_all_of_the_damping_is_told_as_one():
+    M, C, K = chains_off.chain_off(3, 0.002)
+    H = chains_off.response(M, 1.3 * C, K, chains_off.FREQ)
+    found = diagnose_modes(chains_off.as_measured(H, chains_off.FREQ, 3), chains_off.simulation())
+    assert found.verdict == "clean" and list(found.throughout) == ["damping"]
+    assert 1 / (1 + found.throughout["damping"]["value"]) == pytest.approx(1.3, abs=0.03)
+    assert any("the damping of the simulation is" in r and "% too low" in r for r in found.reasons)
+    base = found.extended.base
+    assert np.trace(np.asarray(base.C)) == pytest.approx(np.trace(1.3 * C), rel=0.05)

@@ -33,10 +33,10 @@ def corrected(stage: Stage, f: Fit) -> Structure:
     whole = tuple(replace(c, along="", loss=None) for c in whole)
     M, C, K = (np.asarray(A) for A in (s.M, s.C, s.K))
     if s.elements is not None and s.elements.dofs:
-        own = {name: _of_elements(stage.setting, sizes, name) for name in THROUGHOUT}
+        own = {name: _of_elements(stage.setting, sizes, name) for name in WITHIN}
         dK, dM = changed_by_elements(s, own, zip(whole, u.tolist(), strict=True))
         K, M, whole, u = K + dK, M + dM, (), np.zeros(0)
-        for name in (*THROUGHOUT, *THROUGHOUT.values()):
+        for name in (*own, *(THROUGHOUT[name] for name in own)):
             sizes = np.where(_of_group(stage.setting, name), 0.0, sizes)
     change = changes_of(stage.setting, sizes, whole, u)
     left = np.asarray(s.M) @ stage.coordinates.shapes

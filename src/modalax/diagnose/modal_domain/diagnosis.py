@@ -74,8 +74,8 @@ class ModalDiagnosis(Diagnosis):
     inaccuracy
         Relative error of stiffness, mass and damping, each with an interval.
     throughout
-        By how much stiffness or mass of the simulation are too high throughout, with standard deviations; empty where
-        neither surely is.
+        By how much stiffness, mass or damping of the simulation are too high throughout, with standard deviations;
+        empty where none surely is.
     before, after
         Tests of what the simulation and the extended one leave.
     hum

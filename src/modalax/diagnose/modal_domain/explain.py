@@ -21,7 +21,13 @@ from modalax.diagnose.modal_domain.prior import SECOND, Prior
 from modalax.diagnose.modal_domain.screen import narrower, replaced, scores
 from modalax.diagnose.modal_domain.starts import FITTED, NEXT, as_signs, in_place_of_one, starts
 from modalax.diagnose.modal_domain.state import Setting
-from modalax.diagnose.modal_domain.throughout import all_scaled, beside_one_factor, start_in, with_more
+from modalax.diagnose.modal_domain.throughout import (
+    all_scaled,
+    beside_one_factor,
+    instead_of_a_gain,
+    start_in,
+    with_more,
+)
 from modalax.diagnose.thresholds import THRESHOLDS
 
 NEAR = 12.0  # nats behind the best up to which other places are fitted
@@ -67,6 +73,8 @@ def explain(
         null, search = found[()], _Search(setting, found, bare)
     try:
         _all_steps(search, null, candidates, prior, late, tell)
+        if not late():
+            _without_a_gain(search, prior)
     except KeyboardInterrupt:
         late.stop()
     return search.setting, ranked_by(search.found, prior)
@@ -246,6 +254,18 @@ def _beside_a_factor(
     for e in leading:
         _try(asked, again, e.causes, e.fit.u, start_in(asked, e.fit), gentle=False)
     return (asked, again) if again else (setting, found)
+
+
+def _without_a_gain(search: _Search, prior: Prior) -> None:
+    """Where a gain of all FRFs is left, try factors on all of stiffness and mass in its place."""
+    leading = ranked_by(search.found, prior)[:AGAIN]
+    other = instead_of_a_gain(search.setting, search.bare.inaccuracy, leading[0].fit, prior)
+    if other is None:
+        return
+    search.setting, found = other[0], {_key(other[1].causes): other[1]}
+    for e in leading:
+        _try(search.setting, found, e.causes, e.fit.u, start_in(search.setting, e.fit), gentle=False)
+    search.found = found
 
 
 def _beside_the_rest(

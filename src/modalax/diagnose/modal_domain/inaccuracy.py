@@ -28,10 +28,11 @@ BETWEEN = 0.1  # damping between modes, relative to that of the modes themselves
 NEGLIGIBLE = 1e-12  # modal damping [1/s] of a mode without any
 NEAR = 8  # modes above each one that it may be coupled with by damping
 KINDS = {"stiffness": "K", "mass": "M", "damping": "C", "damping between modes": "C", "rest": "K",
-         "stiffness throughout": "K", "mass throughout": "M", "stiffness within": "K", "mass within": "M"}  # fmt: skip
+         "stiffness throughout": "K", "mass throughout": "M", "damping throughout": "C", "stiffness within": "K",
+         "mass within": "M"}  # fmt: skip
 WITHIN = {name: f"{name} within" for name in ("stiffness", "mass")}  # groups of what elements are off unevenly
-THROUGHOUT = {name: f"{name} throughout" for name in ("stiffness", "mass")}  # groups of one pattern: all by one factor
 TOLD = ("stiffness", "mass", "damping")  # what an answer tells
+THROUGHOUT = {name: f"{name} throughout" for name in TOLD}  # groups of one pattern: all by one factor
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class Inaccuracy:
     ----------
     groups
         What is off: ``stiffness``, ``mass``, ``damping``, ``damping between modes``, and where the data ask for them
-        ``stiffness throughout`` and ``mass throughout``, ``stiffness within`` and ``mass within``.
+        ``stiffness throughout``, ``mass throughout``, ``damping throughout``, ``stiffness within`` and ``mass within``.
     patterns
         Of each group, in modal coordinates, shape ``(p, n, n)``; a size of 1 is a change by the whole.
     usual, spread

@@ -20,7 +20,7 @@ from modalax.diagnose.modal_domain.inaccuracy import Inaccuracy
 SMALLEST = 1e-5  # least relative size of an inaccuracy; no structure is known better
 # greatest relative sizes that are tried
 LARGEST = {"stiffness": 0.3, "mass": 0.3, "damping": 1.5, "damping between modes": 1.5, "rest": 0.3,
-           "stiffness throughout": 1.0, "mass throughout": 1.0, "stiffness within": 0.3,
+           "stiffness throughout": 1.0, "mass throughout": 1.0, "damping throughout": 3.0, "stiffness within": 0.3,
            "mass within": 0.3}  # fmt: skip
 
 

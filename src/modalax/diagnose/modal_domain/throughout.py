@@ -20,7 +20,7 @@ from modalax._numerics.text import with_error
 from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.discrepancy import beside
 from modalax.diagnose.modal_domain.fit import Fit, by_data, fit, without_causes
-from modalax.diagnose.modal_domain.inaccuracy import THROUGHOUT, TOLD, UNKNOWN, USUAL, WITHIN, with_group
+from modalax.diagnose.modal_domain.inaccuracy import THROUGHOUT, TOLD, UNKNOWN, USUAL, WITHIN, Inaccuracy, with_group
 from modalax.diagnose.modal_domain.linear import ByUnknowns
 from modalax.diagnose.modal_domain.prior import Prior
 from modalax.diagnose.modal_domain.state import Setting, slopes_at
@@ -28,6 +28,7 @@ from modalax.diagnose.thresholds import THRESHOLDS
 
 CLEARER = 5.0  # nats of log evidence that each such factor must gain
 WIDER = 3.0  # a factor throughout before the data, relative to the usual errors of single elements
+FEWEST, SURE = 4, 4.0  # modes, and standard errors of their mean, from which on all dampings may be off alike
 RANK = 1e-9  # stiffness in one motion, relative to the stiffest, below which an element does not resist it
 MOST = 400  # patterns of uneven errors beyond which fits take too long
 BASE = len(TOLD) + 1  # groups that every inaccuracy begins with
@@ -39,11 +40,29 @@ def with_more(setting: Setting, alone: Fit) -> Setting:
     if alone.chi2 > THRESHOLDS.misfit * alone.state.difference.size:
         uneven = [(WITHIN[name],) for name in setting.sought if setting.uneven and WITHIN[name] not in there]
         setting, alone = _likeliest(setting, alone, uneven)
-    factors = [THROUGHOUT[name] for name in setting.sought if THROUGHOUT[name] not in there]
-    wider, found = _likeliest(setting, alone, [(name,) for name in factors])
-    if wider is setting or len(factors) < 2:
-        return wider
-    return _likeliest(wider, found, [tuple(g for g in factors if g not in wider.inaccuracy.groups)])[0]
+    sought = (*setting.sought, "damping") if _alike(setting, alone) else setting.sought
+    left = [(THROUGHOUT[name],) for name in sought if THROUGHOUT[name] not in there]
+    while left:
+        wider, alone = _likeliest(setting, alone, left)
+        if wider is setting:
+            break
+        setting, single = wider, [g for g in left if len(g) == 1 and g[0] not in wider.inaccuracy.groups]
+        left = [*single, *([tuple(g for (g,) in single)] if len(single) > 1 else [])]
+    return setting
+
+
+def _damped(setting: Setting, f: Fit) -> tuple[Setting, Fit]:
+    """The same with a factor on all of the damping, where that is likelier."""
+    return _likeliest(setting, f, [(THROUGHOUT["damping"],)]) if _alike(setting, f) else (setting, f)
+
+
+def _alike(setting: Setting, f: Fit) -> bool:
+    """Whether the dampings of modes are surely off in the mean, over their scatter."""
+    a = setting.inaccuracy
+    off = f.sizes[a.group_of == a.groups.index("damping")]
+    off = off[np.unique(f.state.pairs[f.state.pairs < len(off)])]
+    spread = float(off.std()) / math.sqrt(max(len(off) - 1, 1))
+    return len(off) >= FEWEST and abs(float(off.mean())) > SURE * spread
 
 
 def _likeliest(setting: Setting, alone: Fit, trials: list[tuple[str, ...]]) -> tuple[Setting, Fit]:
@@ -76,7 +95,7 @@ def nats_over_a_factor(setting: Setting, f: Fit, which: int) -> float:
 
 def all_scaled(setting: Setting) -> bool:
     """Whether stiffness and mass may be off by factors throughout, as one on all FRFs is told from no data then."""
-    return set(THROUGHOUT.values()) <= set(setting.inaccuracy.groups)
+    return {THROUGHOUT["stiffness"], THROUGHOUT["mass"]} <= set(setting.inaccuracy.groups)
 
 
 def beside_one_factor(
@@ -94,11 +113,33 @@ def beside_one_factor(
     u, best = gain.of_size(float(np.expm1(-null.sizes[k])) / gain.scale), null.log_evidence + prior.of(())
     chosen: tuple[Setting, dict[tuple[Change, ...], Fit]] = setting, {(): null}
     for simpler in filter(None, (bare, _with(bare, (THROUGHOUT["stiffness"],)))):
-        trial, plain = fit(simpler, (gain,), None, u), fit(simpler)
-        if trial is None or plain is None or trial.log_evidence + prior.of((gain,)) < best:
+        trial = fit(simpler, (gain,), None, u)
+        if trial is not None:
+            simpler, trial = _damped(simpler, trial)
+        if trial is None or trial.log_evidence + prior.of((gain,)) < best:
             continue
-        best, chosen = trial.log_evidence + prior.of((gain,)), (simpler, {(): plain, (gain,): trial})
+        best, plain = trial.log_evidence + prior.of((gain,)), fit(simpler) or start_in(simpler, null)
+        chosen = simpler, {(): plain, (gain,): trial}
     return chosen
+
+
+def instead_of_a_gain(setting: Setting, elements: Inaccuracy, f: Fit, prior: Prior) -> tuple[Setting, Fit] | None:
+    """The setting with factors on stiffness and mass, and a fit there without the gain of all FRFs, if likelier.
+
+    ``elements`` is the inaccuracy without any factor.
+    """
+    kept = [k for k, c in enumerate(f.causes) if not c.scales_all]
+    if "mass" not in setting.sought or len(kept) == len(f.causes):
+        return None
+    causes = tuple(f.causes[k] for k in kept)
+    u = np.concatenate([np.zeros(0), *(f.u[own_sizes(f.causes, k)] for k in kept)])
+    wider = _with(replace(setting, inaccuracy=elements), (THROUGHOUT["stiffness"], THROUGHOUT["mass"]))
+    found = None if wider is None else fit(wider, causes, None, u)
+    if wider is None or found is None:
+        return None
+    wider, found = _damped(wider, found)
+    better = found.log_evidence + prior.of(causes) > f.log_evidence + prior.of(f.causes)
+    return (wider, found) if better else None
 
 
 def start_in(setting: Setting, f: Fit) -> Fit:
@@ -115,7 +156,8 @@ def _with(setting: Setting, groups: tuple[str, ...]) -> Setting | None:
         name = group.split()[0]
         own = a.patterns[a.groups.index(name)]
         factor = group == THROUGHOUT[name]
-        patterns = own.sum(axis=0)[None] if factor else uneven_patterns(own)
+        whole = setting.coordinates.damping if name == "damping" else own.sum(axis=0)
+        patterns = whole[None] if factor else uneven_patterns(own)
         if not 0 < len(patterns) <= MOST:
             return None
         a = with_group(a, group, patterns, (WIDER if factor else 1.0) * USUAL[name], UNKNOWN, positive=factor)
@@ -140,7 +182,7 @@ def uneven_patterns(patterns: np.ndarray) -> np.ndarray:
 
 
 def throughout_told(setting: Setting, f: Fit) -> dict[str, dict[str, float]]:
-    """By how much the simulation's stiffness or mass is too high throughout, where it surely is off.
+    """By how much the simulation's stiffness, mass or damping is too high throughout, where it surely is off.
 
     The value is :math:`e^{-x}-1`, the simulation relative to the structure: positive where the simulation is too stiff.
     """
