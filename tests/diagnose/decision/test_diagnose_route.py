@@ -164,6 +164,13 @@ def test_lines_that_explain_nothing_tell_nothing_of_a_simulation_that_is_certain
     assert choice({"lines": Outcome("named", 1.2), "modes": modes}) == "lines"
 
 
+@pytest.mark.parametrize(("held_out", "expected"), [(2.0, "modes"), (9.0, "lines"), (float("nan"), "lines")])
+def test_of_two_attempts_that_explain_nothing_the_one_that_predicts_better_is_told(held_out, expected):
+    modes = Outcome("unknown", held_out, inaccuracy=OFF)
+    assert choice({"lines": Outcome("unknown", 3.0), "modes": modes}) == expected
+    assert choice({"lines": Outcome("named", 3.0), "modes": modes}) == "lines"
+
+
 def test_what_is_named_beyond_doubt_may_be_foretold_where_something_small_is_left():
     left = replace(SURE, left=0.005)
     assert surely_foretold(SURE) and surely_foretold(left)

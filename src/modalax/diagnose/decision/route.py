@@ -169,8 +169,10 @@ def choice(found: Mapping[Route, Outcome], limits: Thresholds = THRESHOLDS) -> R
     if len(found) == 1:
         return next(iter(found))
     lines, modes = found["lines"], found["modes"]
-    if modes.verdict == "unknown" or explained(lines, limits):
+    if explained(lines, limits):
         return "lines"
+    if modes.verdict == "unknown":  # of two attempts that explain nothing, the one that predicts better
+        return "modes" if lines.verdict == "unknown" and modes.held_out < lines.held_out else "lines"
     # lines that explain nothing tell nothing where the simulation is certainly off, which they take for exact
     told = lines.verdict == "unknown" and modes.verdict != "clean" and bool(certainly_off(modes, limits))
     return "modes" if told or modes.held_out < lines.held_out else "lines"
