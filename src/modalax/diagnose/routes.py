@@ -60,6 +60,7 @@ def outcome_of(found: Diagnosis) -> Outcome:
         len(found.alternatives), found.inaccuracy if isinstance(found, ModalDiagnosis) else None,
         len({frozenset(c["where"]) for c in causes}), isinstance(found, ModalDiagnosis) and found.joint is not None,
         any(c["name"] in GROUP_SLUGS for c in causes), of_elements(found), found.gain.chi2_unforeseen,
+        found.throughout if isinstance(found, ModalDiagnosis) else {},
     )  # fmt: skip
 
 

@@ -171,6 +171,19 @@ def test_of_two_attempts_that_explain_nothing_the_one_that_predicts_better_is_to
     assert choice({"lines": Outcome("named", 3.0), "modes": modes}) == "lines"
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [("mass", -0.03, True), ("stiffness", 0.08, True), ("stiffness", 1e-4, False), ("damping", -0.2, True),
+     ("damping", 0.02, False)],
+)  # fmt: skip
+def test_a_factor_throughout_is_for_no_line_to_explain(name, value, expected):
+    told = {name: {"value": value, "std": 1e-6}}
+    found = Outcome("clean", 1.0, 0.3, inaccuracy=MAYBE, throughout=told)
+    assert suffices("modes", found, SMALL) is expected
+    assert not suffices("modes", replace(found, verdict="unknown"), SMALL)
+    assert not suffices("modes", replace(found, left=1e-9), SMALL)
+
+
 def test_what_is_named_beyond_doubt_may_be_foretold_where_something_small_is_left():
     left = replace(SURE, left=0.005)
     assert surely_foretold(SURE) and surely_foretold(left)

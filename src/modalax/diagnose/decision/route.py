@@ -8,7 +8,7 @@ work grows with the number of places times the number of samples.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from modalax.diagnose.thresholds import THRESHOLDS, Thresholds
@@ -68,6 +68,8 @@ class Outcome:
         ``clean``, ``named``, ``ambiguous`` or ``unknown``.
     held_out
         Chi-square per real sample that the extended simulation leaves on the held-out block.
+    throughout
+        By how much all of the stiffness, mass or damping is too high, as in the answer; empty where none surely is.
     unforeseen
         The same, allowing for the errors of all that was fitted without that block; NaN where that is not told.
     left
@@ -100,6 +102,7 @@ class Outcome:
     group: bool = False
     of_elements: bool = False
     unforeseen: float = math.nan
+    throughout: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @property
     def predicts(self) -> float:
@@ -153,7 +156,8 @@ def suffices(route: Route, found: Outcome, task: Task, limits: Thresholds = THRE
         return True
     if found.of_elements and surely_named(found, limits):
         return True
-    return off_everywhere(found, limits) or damping_off(found, limits) or decisive(found, task, limits)
+    off = off_everywhere(found, limits) or damping_off(found, limits) or off_throughout(found, limits)
+    return off or decisive(found, task, limits)
 
 
 def sharper_by_lines(found: Outcome, task: Task, limits: Thresholds = THRESHOLDS) -> bool:
@@ -232,6 +236,13 @@ def damping_off(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
     off = parts["damping"]["interval"][0] > limits.damping_off
     right = parts["stiffness"]["interval"][1] < limits.surely_off
     return off and not right and found.verdict == "named" and nothing_left(found, limits)
+
+
+def off_throughout(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
+    """Whether nothing is left beside a factor on all of the stiffness, mass or damping, which lines take as exact."""
+    least = {"stiffness": limits.surely_off, "mass": limits.surely_off, "damping": limits.damping_far}
+    off = any(abs(v["value"]) > least[name] for name, v in found.throughout.items())
+    return off and found.verdict != "unknown" and nothing_left(found, limits)
 
 
 def certainly_off(found: Outcome, limits: Thresholds = THRESHOLDS) -> Mapping[str, Mapping[str, Any]]:

@@ -12,6 +12,7 @@ import numpy as np
 import scipy.linalg
 from scipy.linalg.lapack import dtrtrs
 
+from modalax._numerics.remembered import remembered
 from modalax.diagnose.modal_domain.elements import nodes_of
 from modalax.diagnose.modal_domain.enriched import ritz_basis
 from modalax.diagnose.modal_domain.factored import Factored
@@ -129,6 +130,7 @@ def _damping(simulation: Structure, frequencies: np.ndarray, shapes: np.ndarray,
     return shapes.T @ np.asarray(simulation.C) @ shapes + hysteretic / rate[:, None] / rate
 
 
+@remembered(4)
 def _solved(simulation: Structure, highest: float) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, int]:
     """DoFs, frequencies and shapes over them, and how many modes are in the band; of large simulations few shapes."""
     told = simulation.elements

@@ -10,6 +10,7 @@ import itertools
 import numpy as np
 import scipy.sparse.csgraph
 
+from modalax._numerics.remembered import remembered
 from modalax.diagnose.modal_domain.element_masses import mass_parts
 from modalax.diagnose.modal_domain.elements import NEGLIGIBLE, Nodes, Part, stiffness_parts
 
@@ -20,6 +21,7 @@ NEIGHBOURS, MOST = 8, 400  # nodes about one whose elements it shares, as on a g
 FEW = 0.5  # share of the nodes that can rest on springs
 
 
+@remembered(4)  # stiffness and mass, of a simulation and of the one before
 def parts_of(A: np.ndarray, nodes: Nodes, mass: bool = False) -> list[Part]:
     """Parts that sum to a stiffness or mass matrix: elements where these can be read off, and local parts of the rest.
 
