@@ -204,8 +204,10 @@ def throughout_told(setting: Setting, f: Fit) -> dict[str, dict[str, float]]:
 
 def throughout_said(told: dict[str, Any]) -> list[str]:
     """The same in sentences."""
-    return [
-        f"throughout, the {name} of the simulation is {with_error(abs(v['value']), v['std'], 100)} % too "
-        f"{'high' if v['value'] > 0 else 'low'}; the general inaccuracy is what elements are off beside that"
+    off = [
+        f"the {name} of the simulation is {with_error(abs(v['value']), v['std'], 100)} % too "
+        f"{'high' if v['value'] > 0 else 'low'}"
         for name, v in told.items()
     ]
+    beside = "what elements are off, and the sizes of causes, are told beside that"
+    return [f"throughout, {' and '.join(off)}; {beside}"] if off else []
