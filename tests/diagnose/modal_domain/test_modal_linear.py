@@ -5,7 +5,13 @@ import pytest
 import scipy.stats
 
 from modalax.diagnose.modal_domain.inaccuracy import Inaccuracy
-from modalax.diagnose.modal_domain.linear import LARGEST, ByFeatures, ByUnknowns, linear_of
+from modalax.diagnose.modal_domain.linear import (
+    LARGEST,
+    ByFeatures,
+    ByUnknowns,
+    linear_of,
+    root_of_information,
+)
 
 GROUPS = ("stiffness", "damping")
 
@@ -78,6 +84,20 @@ def test_sizes_are_learnt_at_the_mean_or_where_a_fit_stands(form):
     np.testing.assert_allclose(linear.learnt(start, 1.0, 100), rms(x), rtol=1e-3)
     expected = np.minimum(rms(stands), [LARGEST[g] for g in GROUPS])
     np.testing.assert_allclose(linear.learnt(start, 1.0, 100, stands), expected, rtol=1e-3)
+
+
+@pytest.mark.parametrize("size", [1.0, 1e10])
+def test_the_root_of_an_information_is_found_however_large_that_is(size):
+    J, s = size * np.random.default_rng(2).normal(size=(3, 8)), np.linspace(0.5, 1.5, 8)
+    L = root_of_information(J, J.T @ J, s)
+    assert np.allclose(L, np.tril(L)) and (np.diag(L) > 0).all()
+    assert L @ L.T == pytest.approx(np.eye(8) + s[:, None] * (J.T @ J) * s, rel=1e-12, abs=1e-8 * size**2)
+    assert np.linalg.slogdet(L)[1] == pytest.approx(0.5 * np.linalg.slogdet(np.eye(3) + (J * s**2) @ J.T)[1])
+
+
+def test_steep_features_are_left_to_the_space_of_the_unknowns(problem):
+    J, d, u = problem
+    assert isinstance(linear_of(inaccuracy(6, 3), 1e7 * J[:10], d[:10], u), ByUnknowns)
 
 
 def test_a_problem_of_no_information_is_refused():

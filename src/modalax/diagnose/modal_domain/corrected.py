@@ -12,6 +12,7 @@ from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.fit import Fit, scale_of, widths_of_sizes
 from modalax.diagnose.modal_domain.given_elements import changed_by_elements
 from modalax.diagnose.modal_domain.inaccuracy import KINDS, RIGID, THROUGHOUT, TOLD, WITHIN
+from modalax.diagnose.modal_domain.linear import root_of_information
 from modalax.diagnose.modal_domain.polish import frf_on_lines
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.modal_domain.state import FARTHEST, Setting, changes_of, slopes_at
@@ -103,7 +104,7 @@ def inaccuracy_told(setting: Setting, f: Fit) -> dict[str, Any]:
     for _ in range(DRAWS):
         epsilon = f.epsilon * np.exp(width * rng.standard_normal(len(width)))
         s = scale_of(setting, f, epsilon)
-        L = np.linalg.cholesky(np.eye(len(s)) + s[:, None] * gram * s)
+        L = root_of_information(J, gram, s)
         about_mean = forward(L, s * right)[:, None] + rng.standard_normal((len(s), BESIDE))
         sizes = (s[:, None] * backward(L, about_mean))[: len(group)]
         relative = np.where(a.positive[:, None], np.expm1(np.minimum(sizes, FARTHEST)), sizes)
@@ -115,7 +116,7 @@ def inaccuracy_told(setting: Setting, f: Fit) -> dict[str, Any]:
         middle = np.median(seen[k])
         few = rng.chisquare(independent[k], (len(seen[k]), BESIDE)) / independent[k]
         low, high = np.quantile(np.array(seen[k])[:, None] / np.sqrt(few), (0.025, 0.975))
-        if _may_be_none(setting, f, of[k], gram, right):
+        if _may_be_none(setting, f, of[k], J, gram, right):
             low = 0.0
         told[name] = {"value": float(middle), "interval": [float(low), float(high)]}
     return told
@@ -127,14 +128,16 @@ def _independent(share: np.ndarray) -> float:
     return max(1.0, float(np.trace(S) ** 2 / max(np.sum(S**2), 1e-300)))
 
 
-def _may_be_none(setting: Setting, f: Fit, which: list[int], gram: np.ndarray, right: np.ndarray) -> bool:
+def _may_be_none(
+    setting: Setting, f: Fit, which: list[int], J: np.ndarray, gram: np.ndarray, right: np.ndarray
+) -> bool:
     """Whether the data are nearly as likely without one kind of inaccuracy."""
     values = []
     for size in (f.epsilon[which], np.full(len(which), NONE)):
         epsilon = f.epsilon.copy()
         epsilon[which] = size
         s = scale_of(setting, f, epsilon)
-        L = np.linalg.cholesky(np.eye(len(s)) + s[:, None] * gram * s)
+        L = root_of_information(J, gram, s)
         h = forward(L, s * right)
         values.append(0.5 * float(h @ h) - np.log(np.diag(L)).sum())
     return bool(values[0] - values[1] < CONSISTENT)

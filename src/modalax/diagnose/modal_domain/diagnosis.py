@@ -29,7 +29,7 @@ from modalax.diagnose.modal_domain.held_out import gain_of
 from modalax.diagnose.modal_domain.judged import inaccuracy_of_fit, judge, of_the_joint, standing_out
 from modalax.diagnose.modal_domain.levels.answer import causes_told, judge_levels, rivals_told
 from modalax.diagnose.modal_domain.levels.explain import JointFound
-from modalax.diagnose.modal_domain.levels.seen import at_levels
+from modalax.diagnose.modal_domain.levels.seen import at_levels, drift_by_run
 from modalax.diagnose.modal_domain.mains import hum_told, mains_hum
 from modalax.diagnose.modal_domain.measured import Measured
 from modalax.diagnose.modal_domain.misplaced import Moved, moved, other_places
@@ -350,8 +350,11 @@ def _diagnosed(
     predicted = [frf_of(stage, None) if before is None else before, frf_of(stage, chosen.fit)]
     before, seen = predicted[0] - effect, stage.seen
     predicted[1] = predicted[1] + effect
+    level = np.asarray(measurement.level)
     if seen is not None and seen.joint is not None:
-        predicted[1] = at_levels(seen, seen.joint, np.asarray(measurement.level))
+        predicted[1] = at_levels(seen, seen.joint, level)
+    elif seen is not None:
+        predicted[1] = predicted[1] + drift_by_run(seen, stage.measured, level)
     sigma = stage.measured.noise.sigma
     residuals = [np.sqrt(2) * (H - p) / sigma for p in predicted]
     tests = [omnibus(r, np.ones(r.shape, bool), stage.measured.noise.freedom) for r in residuals]

@@ -14,7 +14,7 @@ from modalax.diagnose.modal_domain.features import Features, chosen, features_of
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
 from modalax.diagnose.modal_domain.free_residues import Channels
 from modalax.diagnose.modal_domain.further_causes import MissingMode
-from modalax.diagnose.modal_domain.levels.seen import foretold
+from modalax.diagnose.modal_domain.levels.seen import drift_by_run, foretold
 from modalax.diagnose.modal_domain.measured import channels_of
 from modalax.diagnose.modal_domain.mode_count import blind_modes, heavy, misfit
 from modalax.diagnose.modal_domain.polish import lines_of, on_lines, unforeseen
@@ -34,7 +34,7 @@ def gain_of(stage: Stage, found: Explanation, before: np.ndarray) -> Gain:
     m, seen = stage.measurement, stage.seen
     H, sigma, level = np.asarray(m.H), stage.measured.noise.sigma, np.asarray(m.level)
     joint = None if seen is None else foretold(seen)
-    drifts = seen is not None and seen.found.best == "drift"
+    drifts = seen is not None and seen.drift is not None
     levels = len(np.unique(level)) if np.isfinite(level).all() else 0
     alike = not drifts and (len(stage.measured.runs) == len(H) or joint is not None or levels > 2)
     lacking = any(c.freed is not None for c in found.causes)  # of a further column its shape tells nothing
@@ -47,6 +47,9 @@ def gain_of(stage: Stage, found: Explanation, before: np.ndarray) -> Gain:
         fitted = _without(stage, found.fit, rest)
         after, beyond = frf_of(stage, fitted), _beyond_errors(stage, fitted, mask)
         plain = None if alone is None else frf_of(stage, _without(stage, alone, rest))
+        if drifts and seen is not None:
+            moved, words = drift_by_run(seen, stage.measured, level), f"{words}; the drift was fitted to all"
+            after, plain = after + moved, None if plain is None else plain + moved
     else:
         after, plain = joint, seen.base.H
     weight = np.where(mask, np.sqrt(2) / sigma, 0.0)

@@ -17,6 +17,7 @@ import scipy.linalg
 
 from modalax.diagnose.modal_domain.inaccuracy import Inaccuracy
 
+STEEP = 1e7  # derivatives from which on an inaccuracy may move features so far that rounding hides their noise
 SMALLEST = 1e-5  # least relative size of an inaccuracy; no structure is known better
 # greatest relative sizes that are tried
 LARGEST = {"stiffness": 0.3, "mass": 0.3, "damping": 1.5, "damping between modes": 1.5, "rest": 0.3,
@@ -210,9 +211,20 @@ class ByFeatures(Linear):
 
 def linear_of(inaccuracy: Inaccuracy, J: np.ndarray, d: np.ndarray, u: np.ndarray) -> Linear:
     """The problem of derivatives ``(m, unknowns)`` and features ``(m,)``, in the space that is smaller."""
-    if len(J) < J.shape[1]:
+    if len(J) < J.shape[1] and np.abs(J).max() < STEEP:
         return ByFeatures(inaccuracy, J, d, u)
     return ByUnknowns(inaccuracy, J.T @ J, J.T @ d, u)
+
+
+def root_of_information(J: np.ndarray, gram: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """Lower triangular root of the information of a posterior in units of the prior's deviations ``s``, I + sJ'Js."""
+    inner = gram * (s[:, None] * s)
+    inner.ravel()[:: len(s) + 1] += 1.0
+    try:
+        return np.linalg.cholesky(inner)
+    except np.linalg.LinAlgError:  # of large derivatives rounding hides the one; their own triangle keeps it
+        R = np.linalg.qr(np.concatenate([np.eye(len(s)), J * s]), mode="r")
+        return (np.copysign(1.0, np.diag(R))[:, None] * R).T
 
 
 def _cholesky(matrix: np.ndarray) -> np.ndarray:

@@ -181,7 +181,10 @@ def channels_of(s: np.ndarray, H: np.ndarray, sigma: np.ndarray, order: int, out
 
 
 def alike_runs(H: np.ndarray, sigma: np.ndarray, level: np.ndarray) -> tuple[np.ndarray, float]:
-    """Runs that may be averaged: all where they agree, else those of the lowest level; and how far they disagree."""
+    """Runs that may be averaged, and how far all disagree: all where they agree, else those of the lowest level.
+
+    The first alone where those disagree as well.
+    """
     runs = len(H)
     every = np.arange(runs)
     if runs == 1:
@@ -196,4 +199,6 @@ def alike_runs(H: np.ndarray, sigma: np.ndarray, level: np.ndarray) -> tuple[np.
     if not somewhere.any() and (excess < ALIKE or chi2 < 1.05 * freedom):
         return every, chi2 / freedom
     lowest = every[level == np.nanmin(level)] if np.isfinite(level).any() else every[:1]
+    if len(lowest) > 1:
+        lowest = lowest[alike_runs(H[lowest], sigma[lowest], np.full(len(lowest), np.nan))[0]]
     return lowest, chi2 / freedom

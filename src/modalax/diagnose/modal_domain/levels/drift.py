@@ -7,7 +7,7 @@ one share (temperature, loosened supports), or each mode by its own. The identif
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -34,6 +34,8 @@ class Drift:
         Up to what joints share.
     chi2
         Of the changes from level to level that it leaves.
+    shifts
+        Of the logarithms of frequency and damping ratio at each later run or level, shape ``(run - 1, 2, 1 or modes)``.
     """
 
     frequency: float
@@ -41,6 +43,14 @@ class Drift:
     together: bool
     log_evidence: float
     chi2: float = 0.0
+    shifts: np.ndarray | None = field(default=None, compare=False)
+
+
+def change_of(d: Drift, modes: Projected, channels: Channels) -> np.ndarray:
+    """By what each run or level differs from the first, shape ``(run, f, channel)``."""
+    assert d.shifts is not None
+    later = [_moved(modes, channels, shift)[0] for shift in d.shifts]
+    return np.stack([np.zeros_like(channels.data), *later])
 
 
 def drifts(levels: Levels, modes: Projected, channels: Channels) -> list[Drift]:
@@ -80,7 +90,7 @@ def _fitted(levels: Levels, modes: Projected, channels: Channels, together: bool
         cov = np.linalg.inv(inner)
         if best is None or cost < best[0]:
             std = math.sqrt(cov.reshape(x.shape + x.shape)[-1, 0, :, -1, 0, :].sum()) / kinds
-            best = cost, Drift(float(x[-1, 0].mean()), std, together, -0.5 * cost - 0.5 * volume, chi2)
+            best = cost, Drift(float(x[-1, 0].mean()), std, together, -0.5 * cost - 0.5 * volume, chi2, x)
         step = (cov @ (right - x.ravel() / prior**2)).reshape(x.shape)
         half = float(np.median(-modes.poles.real / np.abs(modes.poles)))
         x = x + np.clip(step, -FARTHEST * np.array([half, 1.0])[:, None], FARTHEST * np.array([half, 1.0])[:, None])

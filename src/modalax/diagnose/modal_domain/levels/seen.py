@@ -13,7 +13,7 @@ from modalax.diagnose.modal_domain.features import Features, chosen, sure, white
 from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.further_causes import TunedMass
 from modalax.diagnose.modal_domain.levels.change import Base, Levels, base_of, by_level, change_by
-from modalax.diagnose.modal_domain.levels.drift import Drift, by_run, drifts
+from modalax.diagnose.modal_domain.levels.drift import Drift, by_run, change_of, drifts
 from modalax.diagnose.modal_domain.levels.explain import ByLevel, JointFound, Spot, explain_levels
 from modalax.diagnose.modal_domain.levels.laws import NAMED, LawFit, force_of, stiffness_of
 from modalax.diagnose.modal_domain.levels.motion import motion_of
@@ -52,6 +52,11 @@ class Seen:
         """The leading joint, where a joint is likeliest."""
         return self.found.joints[0] if self.found.best == "joint" else None
 
+    @property
+    def drift(self) -> Drift | None:
+        """The drift from run to run, where that is likeliest."""
+        return self.found.drift if self.found.best == "drift" else None
+
 
 # A look at the levels beside a linear structure, after an earlier one, whose leading places alone may be looked at.
 Look = Callable[[Measured, Setting, Fit, Seen | None, bool], Seen | None]
@@ -89,6 +94,15 @@ def at_levels(seen: Seen, j: JointFound, level: np.ndarray) -> np.ndarray:
     force = force_of(j.fit.law, motion, j.fit.p)
     every = np.concatenate([np.zeros_like(force[..., :1]), force], axis=2) + motion.first[..., None]
     return seen.base.H + change_by(seen.base, j.direction, every)[np.searchsorted(seen.levels.force, level)]
+
+
+def drift_by_run(seen: Seen, measured: Measured, level: np.ndarray) -> np.ndarray | float:
+    """By what a drift has changed each run since the first, shape ``(run, f, o, i)``; 0 where there is none."""
+    if seen.drift is None:
+        return 0.0
+    change = change_of(seen.drift, measured.modes, measured.channels).reshape(-1, *seen.levels.H.shape[1:])
+    force = seen.levels.force
+    return change[np.searchsorted(force, level)] if np.ptp(force) else change
 
 
 def force_taken(seen: Seen, level: np.ndarray, used: np.ndarray, p: np.ndarray | None = None) -> np.ndarray:
