@@ -40,3 +40,4 @@ def test_what_a_drift_changes_is_predicted_for_each_run(levels):
     assert [c["name"] for c in found.causes] == ["time_varying"]
     assert found.gain.chi2_before > 100 and found.gain.chi2_after < 1.2
     assert found.gain.held_out.endswith("the drift was fitted to all")
+    assert not any(reason.startswith("nothing stands out") for reason in found.reasons)

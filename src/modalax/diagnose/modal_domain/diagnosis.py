@@ -375,7 +375,7 @@ def _diagnosed(
     if forced is not None:
         word = outweighing(word, "named" if forced.probability >= THRESHOLDS.certain else "ambiguous")
         reasons = (*reasons, force_said(forced))
-    if forced is not None or joint or hum is not None:
+    if forced is not None or hum is not None or (seen is not None and (seen.joint or seen.drift)):
         reasons = tuple(reason.replace("nothing stands", "nothing else stands") for reason in reasons)
     extended = extension_of(stage, chosen.fit, forced)
     shape = H.shape
