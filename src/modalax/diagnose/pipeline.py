@@ -80,6 +80,7 @@ from modalax.diagnose.routes import (
 from modalax.diagnose.screening.one_force import places_of_one_force
 from modalax.diagnose.search.explain import check_imitations, explain
 from modalax.diagnose.search.look import look
+from modalax.diagnose.search.measured_force import differs_by_run, measured_forces
 from modalax.diagnose.search.named_before import NamedCause
 from modalax.diagnose.search.one_place import explain_force
 from modalax.diagnose.setup.turned import turned, turned_modes
@@ -339,7 +340,8 @@ def at_one_place(
         elements = causes_of(None, comparison, [*catalogue(comparison.problem.data.shape[0]), *imitators()])
         alone = look(comparison, ())
         near = explain_force(alone, [c for c in elements if isinstance(c, LocalCause)])
-        nearly = near is not None and near.leftover.inexact or near is None and not may_tell_joints(data)
+        alike = not may_tell_joints(data) and not differs_by_run(measured_forces(comparison, places)[0])
+        nearly = near.leftover.inexact if near is not None else alike
         modes = modal() if nearly and not late() else None
         if modes is not None and of_elements(modes) and surely_foretold(outcome_of(modes)):
             return modes  # a spring, mass or damper that damping goes with, for one

@@ -1,5 +1,7 @@
 """Damping that changes with stiffness or mass, as an element's own does: no cause by itself, whatever it follows."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import scipy.linalg
@@ -12,6 +14,7 @@ from modalax.diagnose.modal_domain.damped_along import with_loss
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.pipeline import diagnose
 from modalax.diagnose.routes import may_tell_joints
+from modalax.diagnose.search.measured_force import differs_by_run
 from modalax.model import Structure
 
 RATIO = 0.012
@@ -101,3 +104,13 @@ def test_damping_that_keeps_the_ratios_is_the_slope_of_the_matrix_root(kind):
     slope = c.shapes.T @ (ends[0] - ends[1]) @ c.shapes / (2e-6 * (SPRINGS[3] if kind == "K" else MASSES[2]))
     told = along.changes(np.ones(2))["C"][: c.size, : c.size]
     np.testing.assert_allclose(told, slope, atol=1e-6 * np.abs(slope).max(), rtol=1e-4)
+
+
+@pytest.mark.parametrize(("share", "expected"), [(0.0, False), (0.03, True)])
+def test_a_force_at_a_place_tells_levels_apart_that_noise_hides(share, expected):
+    """Of 200 lines each by itself differs by a part of its noise."""
+    rng = np.random.default_rng(1)
+    force = np.ones((3, 200, 1)) * (1 + share * np.arange(3))[:, None, None]
+    noise = (rng.standard_normal(force.shape) + 1j * rng.standard_normal(force.shape)) * 0.05
+    measured = SimpleNamespace(unit=force + noise, information=np.full(force.shape, 1 / 0.05**2))
+    assert differs_by_run(measured) is expected

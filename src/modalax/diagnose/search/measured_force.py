@@ -23,6 +23,7 @@ STRONG = 4.0  # chi-square per sample that the simulation leaves, from which on 
 PLACES, MORE = 3, 12  # places that are tried, and where a force at one place is known to explain the data
 STARTS = 2  # starts of each law at each place
 FITTED = 16  # starts in all
+SURELY = 5.0  # standard deviations of a chi-square beyond which runs differ
 REFINED = 40  # places at which the modes follow
 TELLING, ASKED, REWEIGHED = 100, 9, 10  # lines whose strengths are looked at, how many of these, and steps from each
 STRONGEST, BELOW = 40, (0.98, 0.9, 0.7)  # lines of the largest force, and parts of their motion that are thresholds
@@ -48,6 +49,8 @@ class MeasuredForce:
         Inverse standard deviation of each impedance [m/N].
     theta
         Modal parameters beside the force, in units of their spread, shape ``(2, n)``.
+    unit, information
+        The force for a unit force at the input, and the inverse variance of its real part, of the same shape.
     """
 
     place: Place
@@ -56,6 +59,8 @@ class MeasuredForce:
     impedance: np.ndarray
     weight: np.ndarray
     theta: np.ndarray
+    unit: np.ndarray
+    information: np.ndarray
 
 
 def measured_forces(comparison: Comparison, places: Sequence[Place]) -> list[MeasuredForce]:
@@ -93,8 +98,20 @@ def force_beside(place: Place, left: float, beside: Beside) -> MeasuredForce:
     size = np.abs(motion)
     return MeasuredForce(
         place, left + 2 * unit.size, level * motion, unit / np.where(size > 0, motion, 1.0), np.sqrt(length) * size,
-        beside.theta,
+        beside.theta, unit, length,
     )  # fmt: skip
+
+
+def differs_by_run(force: MeasuredForce) -> bool:
+    """Whether the force at a place, for a unit force at the input, differs from run to run by more than noise.
+
+    That of a joint does by level. Many sensors tell a small force at one place that differences of all FRFs hide in
+    their noise.
+    """
+    w = force.information
+    mean = (w * force.unit).sum(axis=0) / np.maximum(w.sum(axis=0), 1e-300)
+    chi2, freedom = float((w * np.abs(force.unit - mean) ** 2).sum()), 2 * (len(w) - 1) * mean.size
+    return bool(chi2 - freedom > SURELY * np.sqrt(2 * max(freedom, 1)))
 
 
 def starts_from_forces(comparison: Comparison, null: Hypothesis, causes: Sequence[Cause]) -> list[Hypothesis]:
