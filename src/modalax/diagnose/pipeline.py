@@ -340,8 +340,10 @@ def at_one_place(
         elements = causes_of(None, comparison, [*catalogue(comparison.problem.data.shape[0]), *imitators()])
         alone = look(comparison, ())
         near = explain_force(alone, [c for c in elements if isinstance(c, LocalCause)])
-        alike = not may_tell_joints(data) and not differs_by_run(measured_forces(comparison, places)[0])
-        nearly = near.leftover.inexact if near is not None else alike
+        if near is not None:
+            nearly = near.leftover.inexact
+        else:
+            nearly = not (may_tell_joints(data) or differs_by_run(measured_forces(comparison, places)[0]))
         modes = modal() if nearly and not late() else None
         if modes is not None and of_elements(modes) and surely_foretold(outcome_of(modes)):
             return modes  # a spring, mass or damper that damping goes with, for one

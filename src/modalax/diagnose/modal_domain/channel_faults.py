@@ -1,6 +1,7 @@
 """Faults of single channels, or of all, that change how the structure shows and not the structure."""
 
 import itertools
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,16 +17,16 @@ OUTPUTS, INPUTS, ALL = 0, 1, 2  # axis of a channel; that of a fault of all chan
 
 
 @dataclass(frozen=True)
-class ChannelFault(Change):
+class ChannelFactor(Change, ABC):
     """A factor on the FRFs of one channel, or of all: ``channel`` holds the axis and, on that, the number."""
 
+    @abstractmethod
     def factor_at(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
         """The factor at ``s`` [rad/s], shape ``(k,)``."""
-        raise NotImplementedError
 
     def factor_slope(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """Its derivative by the size, shape ``(k,)``."""
-        raise NotImplementedError
+        """Its derivative by the size, shape ``(k,)``; none of what a channel either has or has not."""
+        return np.zeros(len(s))
 
     def _own(self) -> tuple[slice | int, ...]:
         """Which of the residues ``(k, o, i)`` are its own."""
@@ -48,7 +49,7 @@ class ChannelFault(Change):
 
 
 @dataclass(frozen=True)
-class Gain(ChannelFault):
+class Gain(ChannelFactor):
     """A sensor, or what measures a force, calibrated wrongly."""
 
     def factor_at(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
@@ -89,22 +90,13 @@ class ForceGain(Gain):
 
 
 @dataclass(frozen=True)
-class Unsized(ChannelFault):
-    """What a channel either has or has not."""
+class Sign(ChannelFactor):
+    """A sensor that points the other way."""
 
     @property
     def sized(self) -> bool:
-        """It has no size."""
+        """It points one way or the other."""
         return False
-
-    def transform_slope(self, u: np.ndarray, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
-        """Nothing changes with a size."""
-        return np.zeros_like(residues)
-
-
-@dataclass(frozen=True)
-class Sign(Unsized):
-    """A sensor that points the other way."""
 
     def factor_at(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
         """Minus one."""
@@ -112,8 +104,13 @@ class Sign(Unsized):
 
 
 @dataclass(frozen=True)
-class WrongUnits(Unsized):
+class WrongUnits(ChannelFactor):
     """All outputs once integrated or differentiated: ``channel[1]`` is the power of s that they lack."""
+
+    @property
+    def sized(self) -> bool:
+        """Units are right or wrong."""
+        return False
 
     def factor_at(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
         """That power."""
@@ -126,8 +123,13 @@ class WrongUnits(Unsized):
 
 
 @dataclass(frozen=True)
-class Swap(Unsized):
+class Swap(Change):
     """Two outputs exchanged: ``channel`` holds both numbers."""
+
+    @property
+    def sized(self) -> bool:
+        """They are exchanged or not."""
+        return False
 
     def transform(self, u: np.ndarray, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
         """Residues ``(k, o, i)``, or FRFs, with both exchanged."""
@@ -137,7 +139,7 @@ class Swap(Unsized):
 
 
 @dataclass(frozen=True)
-class Delay(ChannelFault):
+class Delay(ChannelFactor):
     """A delay of one output, or of all."""
 
     def factor_at(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:

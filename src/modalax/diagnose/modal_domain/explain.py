@@ -259,7 +259,7 @@ def _beside_a_factor(
 def _without_a_gain(search: _Search, prior: Prior) -> None:
     """Where a gain of all FRFs is left, try factors on all of stiffness and mass in its place."""
     leading = ranked_by(search.found, prior)[:AGAIN]
-    other = instead_of_a_gain(search.setting, search.bare.inaccuracy, leading[0].fit, prior)
+    other = instead_of_a_gain(search.setting, search.bare, leading[0].fit, prior)
     if other is None:
         return
     search.setting, found = other[0], {_key(other[1].causes): other[1]}

@@ -1,8 +1,8 @@
 r"""What errors of single elements are not: one factor throughout, or elements that are off unevenly.
 
 A modulus or a thickness that is wrong is no scatter of elements. Where the data are clearly likelier with such a factor
-:math:`e^x` on all of the stiffness or mass, x is fitted beside the errors of single elements, which are then told as
-much smaller as they are.
+:math:`e^x` on all of the stiffness, mass or damping, x is fitted beside the errors of single elements, which are then
+told as much smaller as they are.
 
 What a matrix shows as one element between two nodes may be several, such as four columns under a floor, each off by
 itself. Where elements that are off as a whole do not explain the modes, each :math:`K_e=FF^T` may change to
@@ -20,7 +20,7 @@ from modalax._numerics.text import with_error
 from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.discrepancy import beside
 from modalax.diagnose.modal_domain.fit import Fit, by_data, fit, without_causes
-from modalax.diagnose.modal_domain.inaccuracy import THROUGHOUT, TOLD, UNKNOWN, USUAL, WITHIN, Inaccuracy, with_group
+from modalax.diagnose.modal_domain.inaccuracy import THROUGHOUT, TOLD, UNKNOWN, USUAL, WITHIN, with_group
 from modalax.diagnose.modal_domain.linear import ByUnknowns
 from modalax.diagnose.modal_domain.prior import Prior
 from modalax.diagnose.modal_domain.state import Setting, slopes_at
@@ -123,17 +123,17 @@ def beside_one_factor(
     return chosen
 
 
-def instead_of_a_gain(setting: Setting, elements: Inaccuracy, f: Fit, prior: Prior) -> tuple[Setting, Fit] | None:
+def instead_of_a_gain(setting: Setting, bare: Setting, f: Fit, prior: Prior) -> tuple[Setting, Fit] | None:
     """The setting with factors on stiffness and mass, and a fit there without the gain of all FRFs, if likelier.
 
-    ``elements`` is the inaccuracy without any factor.
+    ``bare`` is the setting without any factor, which tells for what one is sought.
     """
     kept = [k for k, c in enumerate(f.causes) if not c.scales_all]
-    if "mass" not in setting.sought or len(kept) == len(f.causes):
+    if "mass" not in bare.sought or len(kept) == len(f.causes):
         return None
     causes = tuple(f.causes[k] for k in kept)
     u = np.concatenate([np.zeros(0), *(f.u[own_sizes(f.causes, k)] for k in kept)])
-    wider = _with(replace(setting, inaccuracy=elements), (THROUGHOUT["stiffness"], THROUGHOUT["mass"]))
+    wider = _with(replace(setting, inaccuracy=bare.inaccuracy), (THROUGHOUT["stiffness"], THROUGHOUT["mass"]))
     found = None if wider is None else fit(wider, causes, None, u)
     if wider is None or found is None:
         return None
