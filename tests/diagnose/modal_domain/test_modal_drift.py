@@ -38,6 +38,8 @@ def test_what_a_drift_changes_is_predicted_for_each_run(levels):
     """Nothing but noise is left of any run; the drift had been named, and no run but the first was predicted."""
     found = diagnose_modes(drifting(levels), simulation())
     assert [c["name"] for c in found.causes] == ["time_varying"]
+    drift = found.causes[0]["parameters"]["relative_stiffness_drift"]
+    assert abs(drift["value"] - SHARES[-1]) < 4 * drift["std"]  # of the stiffness, not of its logarithm
     assert found.gain.chi2_before > 100 and found.gain.chi2_after < 1.2
     assert found.gain.held_out.endswith("the drift was fitted to all")
     assert not any(reason.startswith("nothing stands out") for reason in found.reasons)

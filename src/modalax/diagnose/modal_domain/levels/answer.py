@@ -1,5 +1,6 @@
 """The part of an answer that comes from the levels: a joint by its law, a drift, or differences without explanation."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -47,7 +48,8 @@ def causes_told(seen: Seen, whole: Whole | None = None) -> list[dict[str, Any]]:
     found = seen.found
     if found.best == "drift":
         d = found.drift
-        told = {"relative_stiffness_drift": {"value": 2 * d.frequency, "std": 2 * d.std, "unit": "-"}}
+        off = math.expm1(2 * d.frequency)  # stiffness goes with the square of frequencies, whose logarithm moved
+        told = {"relative_stiffness_drift": {"value": off, "std": 2 * d.std * (1 + off), "unit": "-"}}
         return [{"name": "time_varying", "where": [], "probability": found.drifting, "parameters": told}]
     j = seen.joint
     if j is None or j.fit.law in NAMELESS:
