@@ -9,14 +9,7 @@ from frames import DOFS, ELEMENTS, FLIP, beam, cantilever, simulation
 
 from modalax.diagnose.causes.joints import CubicStiffness, ElastoSlip
 from modalax.diagnose.modal_domain.causes import Change
-from modalax.diagnose.modal_domain.coordinates import (
-    coordinates_of,
-    direction_slopes,
-    factored_slopes,
-    modes_of,
-    pattern_slopes,
-    slopes_of,
-)
+from modalax.diagnose.modal_domain.coordinates import coordinates_of, modes_of
 from modalax.diagnose.modal_domain.element_masses import mass_parts
 from modalax.diagnose.modal_domain.elements import nodes_of, stiffness_parts
 from modalax.diagnose.modal_domain.explanation import Explanation
@@ -31,6 +24,7 @@ from modalax.diagnose.modal_domain.mode_count import blind_modes, misfit
 from modalax.diagnose.modal_domain.parts import coupled_rows, local_parts, parts_of
 from modalax.diagnose.modal_domain.places import candidates_of
 from modalax.diagnose.modal_domain.prior import Prior
+from modalax.diagnose.modal_domain.slopes import direction_slopes, factored_slopes, pattern_slopes, slopes_of
 from modalax.model import Structure
 
 

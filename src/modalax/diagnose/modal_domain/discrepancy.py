@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 
 from modalax._numerics.triangles import forward
-from modalax.diagnose.modal_domain.coordinates import pattern_slopes, slopes_of
 from modalax.diagnose.modal_domain.features import whitener_of
 from modalax.diagnose.modal_domain.fit import Fit, scale_of
 from modalax.diagnose.modal_domain.inaccuracy import with_group
+from modalax.diagnose.modal_domain.slopes import pattern_slopes, slopes_of
 from modalax.diagnose.modal_domain.state import Setting, feature_slopes, slopes_at, whitened
 
 SIZES = (0.0, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)  # relative sizes that are tried
@@ -28,7 +28,7 @@ def rest_slopes(setting: Setting, f: Fit) -> np.ndarray:
     """Whitened derivatives by all couplings, shape ``(m, p)``."""
     c = setting.coordinates
     couples, scale = _couples(setting, f, BESIDE)
-    t = slopes_of(c, f.state.modes, f.state.pairs)
+    t = slopes_of(c, f.state.modes, f.state.every)
     columns = []
     for kind in "KM":
         for start in range(0, len(couples), BLOCK):

@@ -7,12 +7,14 @@ feature it would hold nothing that the others do not, and bend every search.) Th
 FRF samples without loss, and shifts of fifty bandwidths are as easy to compare as shifts of a tenth.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy.optimize
 
 from modalax.diagnose.modal_domain.free_residues import Projected
+from modalax.diagnose.modal_domain.repeated import Beside, Origin, Pair, mean_of, pair_of
 
 # Deviations below which a feature says nothing about a model: ln frequency, ln damping, ln size, shape.
 FLOOR = (2e-6, 2e-4, 1e-4, 5e-5)
@@ -24,6 +26,9 @@ ALIKE = 1e-12  # least variance of a combination of features, relative to that o
 FARTHEST = 10.0  # half-bandwidths by which a pole that was found can be off
 NARROW = 1e-6  # least half-bandwidth of a pole, relative to its frequency
 INVISIBLE = 1e-100  # size of residues, over their uncertainty, of a mode that no channel sees
+
+SHOWN = 5.0  # size of a further shape in residues, over what noise makes of one, from which it is there
+TOUCHING = 0.01  # half-bandwidths between two poles below which residues tell all that poles would
 
 # Standard deviation of ln size beyond which a mode is too weak: its shape is no longer linear in its errors.
 FAINT = 0.1
@@ -47,6 +52,10 @@ class Features:
         Shape ``(k, 2 + 2 d)``.
     covariance
         Joint, shape ``(k (2 + 2 d), k (2 + 2 d))``.
+    pairs
+        Modes of one frequency, two by two: their features are those of both together.
+    origin
+        Which of the identified poles they were made from; None where none were identified.
     """
 
     poles: np.ndarray
@@ -55,35 +64,109 @@ class Features:
     tangent: np.ndarray
     values: np.ndarray
     covariance: np.ndarray
+    pairs: tuple[Pair, ...] = ()
+    origin: Origin | None = None
 
     @property
     def width(self) -> int:
         """Features of each mode."""
         return self.values.shape[1]
 
+    @cached_property
+    def along(self) -> np.ndarray:
+        """What residues are multiplied by and summed over for their part along the measured ones, ``(k, o, i)``."""
+        return self.tangent[:, 0].conj() / self.units
 
-def features_of(found: Projected, outputs: int, inputs: int, misfit: float = 1.0) -> Features:
-    """Features of identified modes; covariances are widened by ``misfit``, chi-square per sample."""
+    @property
+    def paired(self) -> np.ndarray:
+        """Whether each mode is one of two of one frequency, shape ``(k,)``."""
+        out = np.zeros(len(self.poles), bool)
+        out[[k for pair in self.pairs for k in pair.rows]] = True
+        return out
+
+    def predicted(self, poles: np.ndarray, residues: np.ndarray, sizes: np.ndarray | None = None) -> np.ndarray:
+        """Features that other modes in the place of these have; arguments as those of :func:`values_of`."""
+        values = values_of(poles, residues, self.tangent, sizes)
+        for pair in self.pairs:
+            values[..., pair.rows, :] = pair.values(poles[..., pair.rows], residues[..., pair.rows, :, :])
+        return values
+
+    def slopes(
+        self, poles: np.ndarray, residues: np.ndarray, dpoles: np.ndarray, dresidues: np.ndarray,
+        sizes: np.ndarray | None = None, turned: dict[int, np.ndarray] | None = None,
+    ) -> np.ndarray:  # fmt: skip
+        """Derivatives of what is predicted; arguments as those of :func:`slopes_of_values`.
+
+        By the first mode of some pairs ``turned`` holds what their first moments move by beside, ``(p, o, i)``.
+        """
+        out = slopes_of_values(poles, residues, self.tangent, dpoles, dresidues, sizes)
+        for pair in self.pairs:
+            own, more = list(pair.rows), (turned or {}).get(pair.rows[0], 0.0)
+            out[own] = pair.slopes(poles[own], residues[own], dpoles[own], dresidues[own], more)
+        return out
+
+
+def features_of(
+    found: Projected, outputs: int, inputs: int, misfit: float = 1.0, close: tuple[tuple[int, int], ...] = ()
+) -> Features:
+    """Features of identified modes; covariances are widened by ``misfit``, chi-square per sample.
+
+    Of poles that are ``close``, by their numbers, only what both make together is told: two modes where their residues
+    show as many shapes and participations, one where they show one, none where they show three.
+    """
     R = len(found.poles)
     raw = found.residues.reshape(R, outputs, inputs)
-    units = _units(found, raw)
-    residues = raw / units
-    tangent = np.stack([tangent_of(A) for A in residues]) if R else np.zeros((0, 1, outputs, inputs), complex)
-    covariance = _covariance(found, residues, units, tangent) * misfit
-    values = values_of(found.poles, residues, tangent)
-    width = values.shape[1]
-    floor = np.concatenate([FLOOR[:3], np.full(width - 3, FLOOR[3])])
-    covariance += np.diag(np.tile(floor**2, R))
-    return Features(found.poles, residues, units, tangent, values, covariance)
+    units = _units(found, raw, close)
+    own, ranks = raw / units, shapes_shown(found, outputs, inputs, close)
+    one = [two for two, rank in zip(close, ranks, strict=True) if rank < 2]
+    first = np.delete(np.arange(R), [b for _, b in one])
+    row = {int(m): k for k, m in enumerate(first)}
+    beside = Beside(np.array([row[a] for a, _ in one], int), np.array([b for _, b in one], int))
+    poles, residues, pairs = found.poles[first], own[first], []
+    np.add.at(residues, beside.rows, own[beside.numbers])
+    whole = residues.copy()
+    for a, b in (two for two, rank in zip(close, ranks, strict=True) if rank > 1):
+        pair = pair_of((row[a], row[b]), found.poles[[a, b]].mean(), own[[a, b]].sum(axis=0))
+        whole[list(pair.rows)], poles[list(pair.rows)] = pair.shown, pair.pole
+        pairs.append(pair)
+    tangent = np.stack([tangent_of(A) for A in whole]) if R else np.zeros((0, 1, outputs, inputs), complex)
+    mean = beside.merged(tangent[:, 0].conj(), found.poles, own, first)[0]
+    poles[beside.rows] = mean[beside.rows]
+    origin = Origin(first, beside, np.zeros(R, bool))
+    values = np.zeros((len(first), 2 + 2 * tangent.shape[1]))
+    f = Features(poles, whole, units[first], tangent, values, np.zeros((0, 0)), tuple(pairs), origin)
+    floor = np.concatenate([FLOOR[:3], np.full(f.width - 3, FLOOR[3])])
+    covariance = _covariance(found, own, f, close) * misfit + np.diag(np.tile(floor**2, len(first)))
+    told = np.ones(len(first), bool)
+    told[[row[a] for (a, _), rank in zip(close, ranks, strict=True) if rank > 2]] = False
+    return chosen(replace(f, values=f.predicted(mean, residues), covariance=covariance), told)
 
 
 def chosen(f: Features, which: np.ndarray) -> Features:
-    """Some modes only."""
+    """Some modes only; of two at one frequency both or none."""
+    which = which.copy()
+    for pair in f.pairs:
+        which[list(pair.rows)] = which[list(pair.rows)].all()
     index = (np.flatnonzero(which)[:, None] * f.width + np.arange(f.width)).ravel()
+    number = np.cumsum(which) - 1
+    pairs = (replace(p, rows=(int(number[p.rows[0]]), int(number[p.rows[1]]))) for p in f.pairs if which[p.rows[0]])
+    origin = f.origin
+    if origin is not None:
+        kept, also = which[origin.beside.rows], origin.beside
+        also = Beside(number[also.rows[kept]], also.numbers[kept])
+        origin = replace(origin, first=origin.first[which], beside=also)
     return Features(
         f.poles[which], f.residues[which], f.units[which], f.tangent[which], f.values[which],
-        f.covariance[np.ix_(index, index)],
+        f.covariance[np.ix_(index, index)], tuple(pairs), origin,
     )  # fmt: skip
+
+
+def shapes_shown(found: Projected, outputs: int, inputs: int, close: tuple[tuple[int, int], ...]) -> list[int]:
+    """How many shapes and participations the residues of each two poles show together; at least one."""
+    raw = found.residues.reshape(-1, outputs, inputs)
+    units, noise = _units(found, raw, close), np.sqrt(outputs) + np.sqrt(inputs)
+    sizes = (np.linalg.svd((raw[a] + raw[b]) / units[a], compute_uv=False) for a, b in close)
+    return [max(1, int(np.count_nonzero(size > SHOWN * noise))) for size in sizes]
 
 
 def whitener_of(f: Features) -> np.ndarray:
@@ -99,11 +182,15 @@ def sure(f: Features) -> np.ndarray:
     return (std[:, 0] < SMEARED) & (std[:, 2] < FAINT)
 
 
-def _units(found: Projected, raw: np.ndarray) -> np.ndarray:
+def _units(found: Projected, raw: np.ndarray, close: tuple[tuple[int, int], ...]) -> np.ndarray:
     """Uncertainties of residues, a product over outputs and inputs so that a shape times a participation stays one."""
     R = len(raw)
     own = np.einsum("ckk->kc", found.linear)[: 2 * R].reshape(R, 2, -1).sum(axis=1).reshape(raw.shape)
     size = (np.abs(raw) ** 2).mean(axis=(1, 2), keepdims=True)
+    for a, b in close:  # of both together
+        beside = sum(found.linear[:, 2 * a + j, 2 * b + j] for j in (0, 1))
+        own[[a, b]] = own[a] + own[b] + 2 * np.reshape(beside, raw.shape[1:])
+        size[[a, b]] = (np.abs(raw[a] + raw[b]) ** 2).mean()
     level = 0.5 * np.log(own + FLOOR[3] ** 2 * np.maximum(size, 1e-300) + 1e-300)
     mean = level.mean(axis=(1, 2), keepdims=True)
     return np.exp(level.mean(axis=2, keepdims=True) + level.mean(axis=1, keepdims=True) - mean)
@@ -171,38 +258,64 @@ def _sizes(own: np.ndarray, measured: np.ndarray | None) -> tuple[np.ndarray, np
     return np.where(np.isnan(measured), own, measured), ~np.isnan(measured)
 
 
-def _covariance(found: Projected, residues: np.ndarray, units: np.ndarray, tangent: np.ndarray) -> np.ndarray:
-    """Joint covariance of the features, to first order."""
+def _covariance(found: Projected, residues: np.ndarray, f: Features, close: tuple[tuple[int, int], ...]) -> np.ndarray:
+    """Joint covariance of the features, to first order; ``residues`` are those found, in units of the channels."""
     R, o, i = residues.shape
     if not R:
         return np.zeros((0, 0))
-    poles = found.poles
-    half = np.repeat(np.maximum(-poles.real, NARROW * np.abs(poles)), 2)
+    half = np.maximum(-found.poles.real, NARROW * np.abs(found.poles))
+    touching = [[a, b] for a, b in close if abs(found.poles[a] - found.poles[b]) < TOUCHING * half[a]]
+    half[sum(touching, [])] = 0.0
+    half = np.repeat(half, 2)
     sizes, directions = np.linalg.eigh(found.information * half[:, None] * half)
     # of poles on top of each other, or at an end of the band, there may be no information, or by rounding less than
     # none; what is not known of them must not make all other modes unknown
     spread = (directions / np.maximum(sizes, FARTHEST**-2)) @ directions.T * half[:, None] * half
-    # derivatives by the parts of each mode's pole, (k, f, 2), and of its residues, (k, f, channel, 2)
-    part = np.array([1.0, 1j])
-    still = np.zeros((R, 2, o, i), complex)
-    by_pole = slopes_of_values(poles, residues, tangent, np.broadcast_to(part, (R, 2)), still)
-    one = (part[:, None, None] * np.eye(o * i)[None]).transpose(1, 0, 2).reshape(1, -1, o, i) / units[:, None]
-    by_residue = slopes_of_values(poles, residues, tangent, np.zeros((R, 2 * o * i)), one).reshape(R, -1, o * i, 2)
-    width = by_pole.shape[1]
-    through = np.zeros((R, width, 2 * R))
-    for k in range(R):
-        through[k, :, 2 * k : 2 * k + 2] += by_pole[k]
+    count, width = f.values.shape
+    through, every = np.zeros((count, width, 2 * R)), []
     reaction = found.sensitivity[:, : 2 * R].reshape(o * i, R, 2, 2 * R)
-    through += np.einsum("kfcp,ckpl->kfl", by_residue, reaction, optimize=True)
-    through = through.reshape(R * width, 2 * R)
+    for m in range(R):
+        rows, slopes = _by_source(f, found.poles, residues, m)
+        by_residue = slopes[:, :, 2:].reshape(len(rows), width, o * i, 2)
+        through[rows, :, 2 * m : 2 * m + 2] += slopes[:, :, :2]
+        through[rows] += np.einsum("kfcp,cpl->kfl", by_residue, reaction[:, m], optimize=True)
+        every.append((rows, by_residue))
     own = found.linear[:, : 2 * R, : 2 * R].reshape(o * i, R, 2, R, 2)
-    covariance = through @ spread @ through.T
-    linear = np.zeros((R, width, R, width))
-    for k in range(R):
-        left = np.einsum("fcp,cplq->lfcq", by_residue[k], own[:, k], optimize=True)
-        for m in range(R):
-            linear[k, :, m] = left[m].reshape(width, -1) @ by_residue[m].reshape(width, -1).T
-    return _positive(covariance + linear.reshape(R * width, R * width))
+    linear = np.zeros((count, width, count, width))
+    for m, (rows, by_residue) in enumerate(every):
+        left = np.einsum("kfcp,cplq->lkfcq", by_residue, own[:, m], optimize=True).reshape(R, len(rows) * width, -1)
+        for part, (others, slope) in zip(left, every, strict=True):
+            block = (part @ slope.reshape(len(others) * width, -1).T).reshape(len(rows), width, len(others), width)
+            for k, row in enumerate(rows):
+                for n, other in enumerate(others):
+                    linear[row, :, other] += block[k, :, n]
+    through = through.reshape(count * width, 2 * R)
+    return _positive(through @ spread @ through.T + linear.reshape(count * width, -1))
+
+
+def _by_source(f: Features, poles: np.ndarray, residues: np.ndarray, m: int) -> tuple[list[int], np.ndarray]:
+    """Numbers of the modes that one identified pole is part of, and derivatives of their features.
+
+    By the parts of the pole, then those of its residue in each channel in turn, shape ``(k, width, 2 + 2 channel)``.
+    """
+    assert f.origin is not None
+    o, i = residues.shape[1:]
+    part = np.array([1.0, 1j])
+    dpole, moved = np.zeros((1, 2 + 2 * o * i), complex), np.zeros((1, 2 + 2 * o * i, o, i), complex)
+    dpole[0, :2] = part
+    k, own = f.origin.made_of(m)
+    moved[0, 2:] = (np.eye(o * i)[:, None] * part[:, None]).reshape(-1, o, i) / f.units[k]
+    for pair in f.pairs:
+        if k in pair.rows:
+            return list(pair.rows), pair.slopes(poles[[m]], residues[[m]], dpole, moved)
+    if len(own) > 1:
+        also, each = Beside(np.zeros(len(own) - 1, int), np.zeros(0, int)), np.array(own) == m
+        along = f.tangent[[k], 0].conj()
+        whole, mean = residues[own].sum(axis=0, keepdims=True), mean_of(along[0], poles[own], residues[own])
+        changes = (np.where(each.reshape(-1, *np.ones(a.ndim - 1, int)), a, 0.0) for a in (dpole, moved))
+        dpole, moved = also.merged_slopes(along, poles[own], residues[own], *changes)
+        return [k], slopes_of_values(np.array([mean]), whole, f.tangent[[k]], dpole, moved)
+    return [k], slopes_of_values(poles[[m]], residues[[m]], f.tangent[[k]], dpole, moved)
 
 
 def _positive(covariance: np.ndarray) -> np.ndarray:
@@ -212,21 +325,26 @@ def _positive(covariance: np.ndarray) -> np.ndarray:
     return (vectors * np.maximum(values, 1e-14)) @ vectors.T * size[:, None] * size
 
 
-def paired(f: Features, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
+def paired(f: Features, poles: np.ndarray, residues: np.ndarray, kept: np.ndarray | None = None) -> np.ndarray:
     """Number of the predicted mode that belongs to each measured one, by residues and frequency, shape ``(k,)``.
 
     Parameters
     ----------
     poles, residues
         Predicted, shapes ``(m,)`` and ``(m, o, i)``; at least as many as measured.
+    kept
+        Which of the measured modes are looked at; all if None.
     """
     size = lambda A: np.sqrt((np.abs(A) ** 2).sum(axis=(1, 2)))
     k, m = len(f.poles), len(poles)
     product = np.abs((f.residues.conj() / f.units).reshape(k, -1) @ residues.reshape(m, -1).T)
     sizes = np.sqrt((1 / f.units**2).reshape(k, -1) @ (np.abs(residues) ** 2).reshape(m, -1).T)
     alike = (product / size(f.residues)[:, None] / np.maximum(sizes, 1e-300)) ** 2
+    for pair in f.pairs:  # any two shapes in the space of these
+        alike[list(pair.rows)] = pair.alike(residues / f.units[pair.rows[0]])
     apart = np.log(np.abs(f.poles))[:, None] - np.log(np.abs(poles))
-    rows, columns = scipy.optimize.linear_sum_assignment(1 - alike + (apart / CLOSE) ** 2)
-    out = np.zeros(len(f.poles), int)
+    some = np.arange(k) if kept is None else np.flatnonzero(kept)
+    rows, columns = scipy.optimize.linear_sum_assignment((1 - alike + (apart / CLOSE) ** 2)[some])
+    out = np.zeros(len(some), int)
     out[rows] = columns
     return out

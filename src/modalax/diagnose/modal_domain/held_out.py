@@ -10,12 +10,12 @@ from modalax.diagnose.holdout import BLOCKS, RESAMPLED, held_out_block
 from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.corrected import frf_of
 from modalax.diagnose.modal_domain.explanation import Explanation
-from modalax.diagnose.modal_domain.features import Features, chosen, features_of, sure, whitener_of
+from modalax.diagnose.modal_domain.features import Features, chosen, sure, whitener_of
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
 from modalax.diagnose.modal_domain.free_residues import Channels
 from modalax.diagnose.modal_domain.further_causes import MissingMode
 from modalax.diagnose.modal_domain.levels.seen import drift_by_run, foretold
-from modalax.diagnose.modal_domain.measured import channels_of
+from modalax.diagnose.modal_domain.measured import channels_of, features_at
 from modalax.diagnose.modal_domain.mode_count import blind_modes, heavy, misfit
 from modalax.diagnose.modal_domain.polish import lines_of, on_lines, unforeseen
 from modalax.diagnose.modal_domain.stage import Stage
@@ -118,9 +118,9 @@ def _rest(stage: Stage, mask: np.ndarray) -> Rest | None:
     c = found.channels
     channels = Channels(c.s, mean.reshape(flat), 2 * total[:, :, kept].reshape(flat), c.order, c.outside)
     modes = blind_modes(channels, found.modes.poles)
-    features = features_of(modes, mean.shape[1], mean.shape[2], misfit(modes, channels))
+    features, several = features_at(modes, channels, mean.shape[1:], misfit(modes, channels))
     size = np.abs(features.poles)
-    known = sure(features) & ~heavy(features.poles) & (size > abs(c.s[0])) & (size < abs(c.s[-1]))
+    known = sure(features) & ~heavy(features.poles) & (size > abs(c.s[0])) & (size < abs(c.s[-1])) & ~several
     if not known.any():
         return None
     features = chosen(features, known)

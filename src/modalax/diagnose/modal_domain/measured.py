@@ -8,11 +8,12 @@ import scipy.stats
 
 from modalax.data import Measurement
 from modalax.data.frf import DERIVATIVES
-from modalax.diagnose.modal_domain.bent_peaks import one_each, widened
+from modalax.diagnose.modal_domain.bent_peaks import bent, one_each, widened
 from modalax.diagnose.modal_domain.coordinates import SPARED, Coordinates, modes_of
-from modalax.diagnose.modal_domain.features import Features, chosen, features_of, sure, values_of
+from modalax.diagnose.modal_domain.features import Features, chosen, features_of, shapes_shown, sure
 from modalax.diagnose.modal_domain.free_residues import Channels, Projected, refine
 from modalax.diagnose.modal_domain.mode_count import blind_modes, cost_of_mode, heavy, misfit, mode_gains
+from modalax.diagnose.modal_domain.repeated import close_pairs, twofold
 from modalax.diagnose.setup.noise import Noise, noise_of
 from modalax.identify.shared_noise import shared_noise
 
@@ -125,35 +126,59 @@ def features_beside(measured: Measured, H: np.ndarray) -> np.ndarray:
     """Features of the same modes, shape ``(k, width)``, in FRFs ``(run, f, o, i)`` that differ a little."""
     c, f = measured.channels, measured.features
     sigma = measured.noise.sigma[measured.runs] * np.sqrt(measured.shared)
-    modes = refine(measured.modes.poles, channels_of(c.s, H[measured.runs], sigma, c.order, c.outside))
-    own = np.abs(measured.modes.poles[None] - f.poles[:, None]).argmin(axis=1)
-    residues = modes.residues.reshape(len(modes.poles), *f.units.shape[1:])[own] / f.units
-    return values_of(modes.poles[own], residues, f.tangent)
+    channels = channels_of(c.s, H[measured.runs], sigma, c.order, c.outside)
+    assert f.origin is not None
+    modes, _ = twofold(refine(measured.modes.poles, channels), channels, f.origin.twice)
+    residues = modes.residues.reshape(len(modes.poles), *f.units.shape[1:])
+    poles, residues = f.origin.beside.merged(f.along, modes.poles, residues, f.origin.first)
+    return f.predicted(poles, residues / f.units)
 
 
 def _features(modes: Projected, channels: Channels, shape: tuple[int, ...]) -> tuple[float, Features]:
     """Misfit of modes, and the features of those that are known well enough and inside the band."""
     left, s = misfit(modes, channels), channels.s
-    features = features_of(modes, shape[0], shape[1], left)
+    features, several = features_at(modes, channels, shape, left)
     size = np.abs(features.poles)
     known = sure(features) & ~heavy(features.poles) & (size > abs(s[0]) * (1 - EDGE)) & (size < abs(s[-1]) * (1 + EDGE))
-    own = np.abs(modes.poles[None] - features.poles[:, None]).argmin(axis=1)
-    known &= ~doubled(modes, channels, shape)[own]
-    return left, chosen(widened(features, modes, channels), known)
+    return left, chosen(widened(features, modes, channels), known & ~several)
 
 
-def doubled(modes: Projected, channels: Channels, shape: tuple[int, ...]) -> np.ndarray:
-    """Whether each pole stands for two modes of one frequency: its residues are no shape times a participation.
+def features_at(
+    modes: Projected, channels: Channels, shape: tuple[int, ...], left: float
+) -> tuple[Features, np.ndarray]:
+    """Features of all modes, and which of them are three or more of one frequency."""
+    plain = np.flatnonzero(~heavy(modes.poles) & ~bent(modes, channels))
+    close = tuple((int(plain[a]), int(plain[b])) for a, b in close_pairs(modes.poles[plain]))
+    rank = together(modes, channels, shape)
+    rank[[k for two in close for k in two]] = 1
+    twice = rank == 2
+    apart, touching = twofold(modes, channels, twice)
+    number = np.arange(len(twice)) + np.cumsum(twice) - twice  # of each pole once others are two
+    close = tuple((int(number[a]), int(number[b])) for a, b in close)
+    f = features_of(apart, shape[0], shape[1], left, touching)
+    assert f.origin is not None
+    if close:  # of two that show as one and are known one by one, both are told
+        known = set(f.origin.first[sure(f)].tolist())
+        shown = shapes_shown(apart, shape[0], shape[1], close)
+        close = tuple(two for two, count in zip(close, shown, strict=True) if count > 1 or not known.issuperset(two))
+        f = features_of(apart, shape[0], shape[1], left, touching + close)
+        assert f.origin is not None
+    return replace(f, origin=replace(f.origin, twice=twice)), np.repeat(rank, 1 + twice)[f.origin.first] > 2
 
-    Which two shapes they are is not told then. Only where modes explain the data: a peak that a joint bends by the
-    force that moves it has residues of its own for each input.
+
+def together(modes: Projected, channels: Channels, shape: tuple[int, ...]) -> np.ndarray:
+    """How many modes of one frequency each pole stands for: its residues are a sum of so many of a single mode; to 3.
+
+    More than one only where modes explain the data: a peak that a joint bends by the force that moves it has residues
+    of its own for each input.
     """
-    left = misfit(modes, channels)
+    left, rank = misfit(modes, channels), np.ones(len(modes.poles), int)
     U, size, V = np.linalg.svd(modes.residues.reshape(-1, *shape), full_matrices=False)
-    first = size[:, :1, None] * U[:, :, :1] * V[:, :1]
-    second = mode_gains(replace(modes, residues=modes.residues - first.reshape(modes.residues.shape)))
-    plain = second > np.maximum(cost_of_mode(channels) * left, DOUBLED * mode_gains(modes))
-    return plain & (left < EXPLAINED)
+    least = np.maximum(cost_of_mode(channels) * left, DOUBLED * mode_gains(modes))
+    for few in range(1, min(3, size.shape[1]) if left < EXPLAINED else 1):
+        plain = modes.residues - ((size[:, None, :few] * U[:, :, :few]) @ V[:, :few]).reshape(modes.residues.shape)
+        rank += (rank == few) & (mode_gains(replace(modes, residues=plain)) > least)
+    return rank
 
 
 def _first_guess(measurement: Measurement, H: np.ndarray) -> np.ndarray:

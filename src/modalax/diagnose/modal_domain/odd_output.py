@@ -20,7 +20,7 @@ from modalax._numerics.triangles import forward
 from modalax.diagnose.causes.base import RARE
 from modalax.diagnose.modal_domain.channel_faults import GAIN
 from modalax.diagnose.modal_domain.explanation import Explanation
-from modalax.diagnose.modal_domain.features import Features, slopes_of_values
+from modalax.diagnose.modal_domain.features import Features
 from modalax.diagnose.modal_domain.fit import fit
 from modalax.diagnose.modal_domain.state import Setting
 
@@ -94,7 +94,7 @@ def _root(setting: Setting, output: int) -> np.ndarray:
     row = np.zeros_like(f.residues)
     row[:, output] = f.residues[:, output]
     still = np.zeros((len(f.poles), 2))
-    slopes = slopes_of_values(f.poles, f.residues, f.tangent, still, np.stack([row, 1j * row], axis=1))
+    slopes = f.slopes(f.poles, f.residues, still, np.stack([row, 1j * row], axis=1))
     D = np.zeros((len(f.poles), f.width, len(f.poles), 2))
     D[range(len(f.poles)), :, range(len(f.poles))] = GAIN * slopes
     W = setting.triangle @ D.reshape(len(f.poles) * f.width, -1)

@@ -13,7 +13,7 @@ from scipy.linalg.blas import dsyrk
 
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import Change, own_sizes, shown, with_sizes
-from modalax.diagnose.modal_domain.coordinates import POWER, Coordinates
+from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.discrepancy import beside, told_apart
 from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.factored import Factored, factored
@@ -22,6 +22,7 @@ from modalax.diagnose.modal_domain.free_residues import Channels
 from modalax.diagnose.modal_domain.line_forces import LineForce, loaded
 from modalax.diagnose.modal_domain.linear import ByUnknowns
 from modalax.diagnose.modal_domain.measured import Measured
+from modalax.diagnose.modal_domain.slopes import POWER
 from modalax.diagnose.modal_domain.state import Setting, factors_of, matrices_of, state_at
 from modalax.diagnose.thresholds import THRESHOLDS
 

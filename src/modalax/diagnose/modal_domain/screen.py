@@ -15,7 +15,6 @@ from modalax._numerics.triangles import forward
 from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.channel_faults import Gain
 from modalax.diagnose.modal_domain.coordinates import Modes, with_loads
-from modalax.diagnose.modal_domain.features import values_of
 from modalax.diagnose.modal_domain.fit import Fit, hyperprior, scale_of
 from modalax.diagnose.modal_domain.inaccuracy import KINDS
 from modalax.diagnose.modal_domain.line_forces import ModalForce
@@ -24,6 +23,7 @@ from modalax.diagnose.modal_domain.loads import Load
 from modalax.diagnose.modal_domain.state import (
     Setting,
     State,
+    compared,
     evidence_of_free,
     pairs_with,
     screening_slopes,
@@ -123,9 +123,8 @@ def distances(
     """Chi-squares as :func:`distance`, of several trials' poles and residues, which are compared together."""
     f = setting.features
     pairs = [pairs_with(f, causes, p, r) for p, r in trials]
-    poles, residues = (np.stack([a[which] for a, which in zip(part, pairs, strict=True)])
-                       for part in zip(*trials, strict=True))  # fmt: skip
-    values = values_of(poles, residues / f.units, f.tangent, setting.linear)
+    seen = (compared(f, p, r, which)[1:] for (p, r), which in zip(trials, pairs, strict=True))
+    values = f.predicted(*map(np.stack, zip(*seen, strict=True)), setting.linear)
     r = whitened(setting, (f.values - values).reshape(len(pairs), -1).T, causes)
     h = shrink @ r
     beside = [unseen(f, causes, p, r, which) for (p, r), which in zip(trials, pairs, strict=True)]

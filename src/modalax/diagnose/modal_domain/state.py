@@ -1,30 +1,28 @@
 """A hypothesis at given sizes: predicted features and their derivatives by everything unknown."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy.linalg.blas import dtrmm, dtrmv
 
 from modalax.diagnose.modal_domain.causes import Change, with_sizes
-from modalax.diagnose.modal_domain.coordinates import (
-    SPARED,
-    Coordinates,
-    Modes,
+from modalax.diagnose.modal_domain.coordinates import SPARED, Coordinates, Modes, modes_of
+from modalax.diagnose.modal_domain.factored import Factored
+from modalax.diagnose.modal_domain.features import Features, paired
+from modalax.diagnose.modal_domain.further_causes import MissingMode
+from modalax.diagnose.modal_domain.inaccuracy import KINDS, Inaccuracy
+from modalax.diagnose.modal_domain.line_forces import ModalForce, loads_of
+from modalax.diagnose.modal_domain.repeated import Beside, beside
+from modalax.diagnose.modal_domain.slopes import (
     Slopes,
     direction_slopes,
     factored_slopes,
     load_slopes,
-    modes_of,
     pattern_slopes,
     slopes_of,
 )
-from modalax.diagnose.modal_domain.factored import Factored
-from modalax.diagnose.modal_domain.features import Features, paired, slopes_of_values, values_of
-from modalax.diagnose.modal_domain.further_causes import MissingMode
-from modalax.diagnose.modal_domain.inaccuracy import KINDS, Inaccuracy
-from modalax.diagnose.modal_domain.line_forces import ModalForce, loads_of
 
 WILD = 1e12  # factor on a channel that no fault has
 UNSEEN = 1e-12  # residues of a mode, relative to the largest of all, below which no channel sees it
@@ -32,6 +30,7 @@ FARTHEST = 5.0  # logarithm of a factor on a modal damping that is not exceeded 
 HARDLY = 0.2  # size of a mode's residues, relative to the measured ones, below which the simulation hardly shows it
 UNSIZED = 1.0  # deviation of the logarithm of a mode's size from which on its size is not known: of shapes alone
 NONE = np.zeros(0)  # sizes where there is no cause
+NO_TWO = np.zeros((0, 2), int)  # no modes of one pole
 
 
 @dataclass(frozen=True)
@@ -100,8 +99,8 @@ class State:
         Whitened measured less predicted features.
     sizes
         Of the inaccuracy's patterns.
-    modes, pairs
-        Predicted modes, and the number of the predicted mode that belongs to each measured one.
+    modes, pairs, beside
+        Predicted modes, the number of the predicted mode that belongs to each measured one, and those beside these.
     plain, residues
         Predicted residues without and with faults of channels, shape ``(m, o, i)``.
     """
@@ -110,8 +109,14 @@ class State:
     sizes: np.ndarray
     modes: Modes
     pairs: np.ndarray
+    beside: Beside
     plain: np.ndarray
     residues: np.ndarray
+
+    @property
+    def every(self) -> np.ndarray:
+        """Numbers of the modes that belong to measured ones, then of those beside them."""
+        return np.concatenate([self.pairs, self.beside.numbers])
 
 
 def changes_of(setting: Setting, sizes: np.ndarray, causes: tuple[Change, ...], u: np.ndarray) -> dict[str, np.ndarray]:
@@ -182,10 +187,7 @@ def pairs_with(features: Features, causes: tuple[Change, ...], poles: np.ndarray
     apart = np.abs(np.log(np.abs(features.poles))[:, None] - np.log(np.abs(poles)))
     out = np.argmin(np.where(np.abs(residues).max(axis=(1, 2)) > 0, apart, np.inf), axis=1)
     if kept.any():
-        few = replace(
-            features, poles=features.poles[kept], residues=features.residues[kept], units=features.units[kept]
-        )
-        out[kept] = paired(few, poles, residues)
+        out[kept] = paired(features, poles, residues, kept)
     return out
 
 
@@ -239,13 +241,23 @@ def state_at(
         pairs = pairs_with(f, causes, modes.poles, residues)
     if (np.abs(modes.poles[pairs]) > SPARED * c.frequencies[-1]).any():
         raise np.linalg.LinAlgError("a mode measured has no partner but the spare coordinate")
-    values = values_of(modes.poles[pairs], residues[pairs] / f.units, f.tangent, setting.linear)
-    return State(whitened(setting, (f.values - values).ravel(), causes), sizes, modes, pairs, plain, residues)
+    also, *seen = compared(f, modes.poles, residues, pairs)
+    values = f.predicted(*seen, setting.linear)
+    return State(whitened(setting, (f.values - values).ravel(), causes), sizes, modes, pairs, also, plain, residues)
+
+
+def compared(
+    f: Features, poles: np.ndarray, residues: np.ndarray, pairs: np.ndarray
+) -> tuple[Beside, np.ndarray, np.ndarray]:
+    """Predicted modes beside those that belong to measured ones; poles and scaled residues in the place of these."""
+    also = beside(f.along, ~f.paired, poles, residues, pairs)
+    mean, whole = also.merged(f.along, poles, residues, pairs)
+    return also, mean, whole / f.units
 
 
 def slopes_at(setting: Setting, state: State, causes: tuple[Change, ...] = (), u: np.ndarray = NONE) -> np.ndarray:
     """Whitened derivatives of the features by the sizes of all patterns and those of causes, shape ``(m, p + u)``."""
-    t = slopes_of(setting.coordinates, state.modes, state.pairs)
+    t = slopes_of(setting.coordinates, state.modes, state.every)
     moves = zip(*(factored_slopes(t, kind, patterns) for kind, patterns in setting.patterns()), strict=True)
     every = (np.concatenate(part, axis=1) for part in moves)
     columns = [feature_slopes(setting, state, t, causes, u, *every) * factors_of(setting, state.sizes)]
@@ -271,7 +283,7 @@ def screening_slopes(
     u: np.ndarray = NONE,
 ) -> np.ndarray:  # fmt: skip
     """Whitened derivatives by sizes of further causes at zero, ``(m, candidates)``; zero for causes without a size."""
-    t = slopes_of(setting.coordinates, state.modes, state.pairs)
+    t = slopes_of(setting.coordinates, state.modes, state.every)
     out = np.zeros((len(setting.whitener), len(candidates)))
     for kind in "KCM":
         which = [k for k, c in enumerate(candidates) if c.kind == kind and c.pattern is None]
@@ -308,29 +320,51 @@ def feature_slopes(
     dpoles: np.ndarray, dout: np.ndarray, dinn: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
     """Derivatives of the features by changes of poles and shapes."""
-    f = setting.features
     moved = dout[..., None] * t.shape_inputs[:, None, None, :] + t.shape_outputs[:, None, :, None] * dinn[:, :, None]
-    k, p = dpoles.shape
+    k, p = dout.shape[:2]
+    moved = _in_channels(causes, u, np.repeat(t.poles, p), moved.reshape(k * p, *moved.shape[2:])).reshape(moved.shape)
+    a, b = t.two
+    both = np.einsum("ro,ri->roi", t.shape_outputs[a], t.shape_inputs[b])
+    both = both + np.einsum("ro,ri->roi", t.shape_outputs[b], t.shape_inputs[a])
+    turned = dpoles[k:, :, None, None] * _in_channels(causes, u, t.poles[a], both)[:, None]
+    return _in_features(setting, state, dpoles[:k], moved, t.repeated, turned).reshape(-1, p)
+
+
+def _in_channels(causes: tuple[Change, ...], u: np.ndarray, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
+    """Changes of residues as faults of channels show them."""
     for cause, size in with_sizes(causes, u):
         if cause.in_channels:
-            flat = moved.reshape(k * p, *moved.shape[2:])
-            moved = cause.at_modes(size, np.repeat(t.poles, p), flat).reshape(moved.shape)
-    slopes = slopes_of_values(
-        t.poles, state.residues[state.pairs] / f.units, f.tangent, dpoles, moved / f.units[:, None], setting.linear
-    )
-    return slopes.reshape(-1, p)
+            residues = cause.at_modes(size, poles, residues)
+    return residues
+
+
+def _in_features(
+    setting: Setting, state: State, dpoles: np.ndarray, dresidues: np.ndarray, repeated: np.ndarray = NO_TWO,
+    turned: np.ndarray = NO_TWO,
+) -> np.ndarray:  # fmt: skip
+    """Derivatives of the features by those of all modes that belong to them."""
+    f, every = setting.features, state.every
+    poles, residues, units = state.modes.poles, state.residues, f.units
+    row = np.append(np.arange(len(state.pairs)), state.beside.rows)
+    pair = {k: p.rows[0] for p in f.pairs for k in p.rows}
+    merged: dict[int, np.ndarray] = {}
+    paired: dict[int, np.ndarray] = {}
+    for (a, b), change in zip(repeated, turned, strict=True):
+        if row[a] == row[b]:
+            merged[row[a]] = merged.get(row[a], 0.0) + change
+        elif pair.get(row[a], -1) == pair.get(row[b], -2):
+            paired[pair[row[a]]] = change / units[row[a]]
+    mean, whole = state.beside.merged(f.along, poles, residues, state.pairs)
+    moved = state.beside.merged_slopes(f.along, poles[every], residues[every], dpoles, dresidues, merged)
+    return f.slopes(mean, whole / units, moved[0], moved[1] / units[:, None], setting.linear, paired)
 
 
 def _channel_slope(
     setting: Setting, state: State, t: Slopes, causes: tuple[Change, ...], u: np.ndarray, which: int
 ) -> np.ndarray:
     """Derivative by the size of one channel's fault."""
-    f = setting.features
-    residues = state.plain[state.pairs]
+    residues = state.plain[state.every]
     for k, (cause, size) in enumerate(with_sizes(causes, u)):
         act = cause.transform_slope if k == which else cause.at_modes
         residues = act(size, t.poles, residues)
-    still = np.zeros((len(t.poles), 1), complex)
-    moved = (residues / f.units)[:, None]
-    seen = state.residues[state.pairs] / f.units
-    return slopes_of_values(t.poles, seen, f.tangent, still, moved, setting.linear).reshape(-1, 1)
+    return _in_features(setting, state, np.zeros((len(t.poles), 1), complex), residues[:, None]).reshape(-1, 1)

@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modalax.diagnose.modal_domain.coordinates import factored_slopes, slopes_of
 from modalax.diagnose.modal_domain.fit import Fit, scale_of
 from modalax.diagnose.modal_domain.levels.change import Base, Levels, change_by, projected
 from modalax.diagnose.modal_domain.levels.laws import LawFit, derivatives_of, force_at, scattered, stiffness_of
 from modalax.diagnose.modal_domain.levels.motion import motion_of, motions_of, softened
+from modalax.diagnose.modal_domain.slopes import factored_slopes, slopes_of
 from modalax.diagnose.modal_domain.state import Setting, slopes_at
 
 TOLERANCES = (0.0, 0.003, 0.01, 0.02, 0.03, 0.045, 0.065, 0.1, 0.2)  # relative errors of a law's force that are tried
