@@ -11,7 +11,7 @@ from modalax.diagnose.modal_domain.free_residues import refine
 from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
 from modalax.diagnose.modal_domain.measured import channels_of, features_at, identify
 from modalax.diagnose.modal_domain.repeated import close_pairs
-from modalax.diagnose.modal_domain.state import Setting, slopes_at, state_at
+from modalax.diagnose.modal_domain.state import Setting, compared, slopes_at, state_at
 from modalax.model import Structure
 
 COUNT = 8
@@ -56,14 +56,14 @@ def test_two_modes_of_one_frequency_are_compared_as_a_pair_or_as_what_the_inputs
     exact = np.sort(np.abs(modes_of(coordinates_of(ring(), OUTPUTS, INPUTS, 2 * np.pi * FREQ[-1])).poles[:COUNT]))
     # shapes cos and sin of 1, 2 and 3 waves: two inputs three places apart see both of 1 and 3 waves, and of 2 as well
     np.testing.assert_allclose(np.sort(np.abs(found.features.poles)), exact, rtol=1e-4)
-    assert found.features.paired.tolist() == [False, *6 * [True], False]
+    assert found.features.grouped.tolist() == [False, *6 * [True], False]
     state = state_at(setting, np.zeros(len(setting.inaccuracy.group_of)))
-    assert np.unique(state.pairs).tolist() == list(range(COUNT)) and not len(state.beside.rows)
+    assert np.unique(state.pairs).tolist() == list(range(COUNT)) and not len(state.together.rows)
     # forces two places apart cannot tell the two modes of two waves apart, nor can one force those of any pair
     one = replace_inputs(measured(ring()), 1)
     found, setting = setting_of(one, uneven(0.01, 1))
-    assert len(found.features.poles) == 5 and not found.features.pairs
-    assert len(state_at(setting, np.zeros(len(setting.inaccuracy.group_of))).beside.rows) == 3
+    assert len(found.features.poles) == 5 and not found.features.groups
+    assert len(state_at(setting, np.zeros(len(setting.inaccuracy.group_of))).together.rows) == 3
 
 
 def replace_inputs(m, count):
@@ -99,7 +99,7 @@ def test_features_of_such_modes_move_as_their_derivatives_say(truth, simulation,
 def test_features_of_such_modes_scatter_as_their_covariance_says(truth):
     c = coordinates_of(truth, OUTPUTS, INPUTS, 2 * np.pi * FREQ[-1])
     found = identify(measured(truth), c)
-    assert found.features.paired.sum() == 6
+    assert found.features.grouped.sum() == 6
     modes, pulls = modes_of(c), []
     for seed in range(30):
         m = measured(truth, 10 + seed)
@@ -107,8 +107,8 @@ def test_features_of_such_modes_scatter_as_their_covariance_says(truth):
             2j * np.pi * FREQ, np.asarray(m.H), np.sqrt(np.asarray(m.variance)), 0, c.frequencies[:0]
         )
         f = features_at(refine(found.modes.poles, channels), channels, (len(OUTPUTS), len(INPUTS)), 1.0)[0]
-        exact = f.predicted(modes.poles[:COUNT], modes.residues(c)[:COUNT] / f.units)
-        pulls.append(((f.values - exact) / np.sqrt(np.diag(f.covariance)).reshape(f.values.shape))[f.paired])
+        exact = f.predicted(*compared(f, modes.poles[:COUNT], modes.residues(c)[:COUNT], np.arange(COUNT))[1:])
+        pulls.append(((f.values - exact) / np.sqrt(np.diag(f.covariance)).reshape(f.values.shape))[f.grouped])
     scatter = np.sqrt(np.mean(np.square(pulls), axis=0))
     assert 0.9 < np.sqrt(np.mean(scatter**2)) < 1.1 and scatter.min() > 0.4 and scatter.max() < 1.6, scatter
 

@@ -28,7 +28,7 @@ def rest_slopes(setting: Setting, f: Fit) -> np.ndarray:
     """Whitened derivatives by all couplings, shape ``(m, p)``."""
     c = setting.coordinates
     couples, scale = _couples(setting, f, BESIDE)
-    t = slopes_of(c, f.state.modes, f.state.every)
+    t = slopes_of(c, f.state.modes, f.state.together.every)
     columns = []
     for kind in "KM":
         for start in range(0, len(couples), BLOCK):

@@ -7,6 +7,7 @@ feature it would hold nothing that the others do not, and bend every search.) Th
 FRF samples without loss, and shifts of fifty bandwidths are as easy to compare as shifts of a tenth.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -14,7 +15,7 @@ import numpy as np
 import scipy.optimize
 
 from modalax.diagnose.modal_domain.free_residues import Projected
-from modalax.diagnose.modal_domain.repeated import Beside, Origin, Pair, mean_of, pair_of
+from modalax.diagnose.modal_domain.repeated import Group, Origin, Together, group_of
 
 # Deviations below which a feature says nothing about a model: ln frequency, ln damping, ln size, shape.
 FLOOR = (2e-6, 2e-4, 1e-4, 5e-5)
@@ -52,8 +53,8 @@ class Features:
         Shape ``(k, 2 + 2 d)``.
     covariance
         Joint, shape ``(k (2 + 2 d), k (2 + 2 d))``.
-    pairs
-        Modes of one frequency, two by two: their features are those of both together.
+    groups
+        Modes of one frequency: their features are those of all of them together.
     origin
         Which of the identified poles they were made from; None where none were identified.
     """
@@ -64,7 +65,7 @@ class Features:
     tangent: np.ndarray
     values: np.ndarray
     covariance: np.ndarray
-    pairs: tuple[Pair, ...] = ()
+    groups: tuple[Group, ...] = ()
     origin: Origin | None = None
 
     @property
@@ -72,100 +73,96 @@ class Features:
         """Features of each mode."""
         return self.values.shape[1]
 
+    @property
+    def grouped(self) -> np.ndarray:
+        """Whether each mode is one of several of one frequency, shape ``(k,)``."""
+        return np.isin(np.arange(len(self.poles)), [k for group in self.groups for k in group.rows])
+
     @cached_property
     def along(self) -> np.ndarray:
         """What residues are multiplied by and summed over for their part along the measured ones, ``(k, o, i)``."""
         return self.tangent[:, 0].conj() / self.units
 
-    @property
-    def paired(self) -> np.ndarray:
-        """Whether each mode is one of two of one frequency, shape ``(k,)``."""
-        out = np.zeros(len(self.poles), bool)
-        out[[k for pair in self.pairs for k in pair.rows]] = True
-        return out
-
     def predicted(self, poles: np.ndarray, residues: np.ndarray, sizes: np.ndarray | None = None) -> np.ndarray:
-        """Features that other modes in the place of these have; arguments as those of :func:`values_of`."""
+        """Features that other modes in the place of these have, as seen by :class:`Together`; see :func:`values_of`."""
         values = values_of(poles, residues, self.tangent, sizes)
-        for pair in self.pairs:
-            values[..., pair.rows, :] = pair.values(poles[..., pair.rows], residues[..., pair.rows, :, :])
+        for group in self.groups:
+            values[..., group.rows, :] = group.features(*(residues[..., k, :, :] for k in group.rows[:2]))
         return values
 
     def slopes(
         self, poles: np.ndarray, residues: np.ndarray, dpoles: np.ndarray, dresidues: np.ndarray,
-        sizes: np.ndarray | None = None, turned: dict[int, np.ndarray] | None = None,
+        sizes: np.ndarray | None = None,
     ) -> np.ndarray:  # fmt: skip
-        """Derivatives of what is predicted; arguments as those of :func:`slopes_of_values`.
-
-        By the first mode of some pairs ``turned`` holds what their first moments move by beside, ``(p, o, i)``.
-        """
+        """Derivatives of what is predicted; arguments as those of :func:`slopes_of_values`."""
         out = slopes_of_values(poles, residues, self.tangent, dpoles, dresidues, sizes)
-        for pair in self.pairs:
-            own, more = list(pair.rows), (turned or {}).get(pair.rows[0], 0.0)
-            out[own] = pair.slopes(poles[own], residues[own], dpoles[own], dresidues[own], more)
+        for group in self.groups:
+            out[list(group.rows)] = np.moveaxis(group.features(*(dresidues[k] for k in group.rows[:2])), 0, -1)
         return out
 
 
 def features_of(
-    found: Projected, outputs: int, inputs: int, misfit: float = 1.0, close: tuple[tuple[int, int], ...] = ()
+    found: Projected, outputs: int, inputs: int, misfit: float = 1.0, close: Sequence[tuple[int, ...]] = ()
 ) -> Features:
     """Features of identified modes; covariances are widened by ``misfit``, chi-square per sample.
 
-    Of poles that are ``close``, by their numbers, only what both make together is told: two modes where their residues
-    show as many shapes and participations, one where they show one, none where they show three.
+    Of poles that are ``close``, by their numbers, only what all make together is told: as many modes as their residues
+    show shapes and participations, none where that are more than the poles.
     """
     R = len(found.poles)
     raw = found.residues.reshape(R, outputs, inputs)
     units = _units(found, raw, close)
     own, ranks = raw / units, shapes_shown(found, outputs, inputs, close)
-    one = [two for two, rank in zip(close, ranks, strict=True) if rank < 2]
-    first = np.delete(np.arange(R), [b for _, b in one])
+    ranks = [min(rank, len(some)) * (rank <= len(some)) for rank, some in zip(ranks, close, strict=True)]
+    more = {m: some[0] for rank, some in zip(ranks, close, strict=True) for m in some[max(rank, 1) :]}
+    first = np.delete(np.arange(R), list(more))
     row = {int(m): k for k, m in enumerate(first)}
-    beside = Beside(np.array([row[a] for a, _ in one], int), np.array([b for _, b in one], int))
-    poles, residues, pairs = found.poles[first], own[first], []
-    np.add.at(residues, beside.rows, own[beside.numbers])
-    whole = residues.copy()
-    for a, b in (two for two, rank in zip(close, ranks, strict=True) if rank > 1):
-        pair = pair_of((row[a], row[b]), found.poles[[a, b]].mean(), own[[a, b]].sum(axis=0))
-        whole[list(pair.rows)], poles[list(pair.rows)] = pair.shown, pair.pole
-        pairs.append(pair)
+    groups = tuple(
+        group_of(tuple(row[m] for m in some[:rank]), found.poles[list(some)].mean(), own[list(some)].sum(axis=0))
+        for rank, some in zip(ranks, close, strict=True) if rank > 1
+    )  # fmt: skip
+    together = Together(first, np.array([row[m] for m in more.values()], int), np.array(list(more), int), groups)
+    whole = own[first]
+    np.add.at(whole, together.rows, own[together.numbers])
+    for group in groups:
+        whole[list(group.rows)] = group.shown
     tangent = np.stack([tangent_of(A) for A in whole]) if R else np.zeros((0, 1, outputs, inputs), complex)
-    mean = beside.merged(tangent[:, 0].conj(), found.poles, own, first)[0]
-    poles[beside.rows] = mean[beside.rows]
-    origin = Origin(first, beside, np.zeros(R, bool))
-    values = np.zeros((len(first), 2 + 2 * tangent.shape[1]))
-    f = Features(poles, whole, units[first], tangent, values, np.zeros((0, 0)), tuple(pairs), origin)
-    floor = np.concatenate([FLOOR[:3], np.full(f.width - 3, FLOOR[3])])
+    poles, seen = together.seen(tangent[:, 0].conj(), found.poles, own)
+    origin, width = Origin(together, np.zeros(R, bool)), 2 + 2 * tangent.shape[1]
+    values = np.zeros((len(first), width))
+    f = Features(poles, whole, units[first], tangent, values, np.zeros((0, 0)), groups, origin)
+    floor = np.concatenate([FLOOR[:3], np.full(width - 3, FLOOR[3])])
     covariance = _covariance(found, own, f, close) * misfit + np.diag(np.tile(floor**2, len(first)))
     told = np.ones(len(first), bool)
-    told[[row[a] for (a, _), rank in zip(close, ranks, strict=True) if rank > 2]] = False
-    return chosen(replace(f, values=f.predicted(mean, residues), covariance=covariance), told)
+    told[[row[some[0]] for rank, some in zip(ranks, close, strict=True) if not rank]] = False
+    return chosen(replace(f, values=f.predicted(poles, seen), covariance=covariance), told)
 
 
 def chosen(f: Features, which: np.ndarray) -> Features:
-    """Some modes only; of two at one frequency both or none."""
+    """Some modes only; of those of one frequency all or none."""
     which = which.copy()
-    for pair in f.pairs:
-        which[list(pair.rows)] = which[list(pair.rows)].all()
+    for group in f.groups:
+        which[list(group.rows)] = which[list(group.rows)].all()
     index = (np.flatnonzero(which)[:, None] * f.width + np.arange(f.width)).ravel()
     number = np.cumsum(which) - 1
-    pairs = (replace(p, rows=(int(number[p.rows[0]]), int(number[p.rows[1]]))) for p in f.pairs if which[p.rows[0]])
+    kept = (group for group in f.groups if which[group.rows[0]])
+    groups = tuple(replace(group, rows=tuple(int(number[k]) for k in group.rows)) for group in kept)
     origin = f.origin
     if origin is not None:
-        kept, also = which[origin.beside.rows], origin.beside
-        also = Beside(number[also.rows[kept]], also.numbers[kept])
-        origin = replace(origin, first=origin.first[which], beside=also)
+        t = origin.together
+        some = which[t.rows]
+        origin = replace(origin, together=Together(t.pairs[which], number[t.rows[some]], t.numbers[some], groups))
     return Features(
         f.poles[which], f.residues[which], f.units[which], f.tangent[which], f.values[which],
-        f.covariance[np.ix_(index, index)], tuple(pairs), origin,
+        f.covariance[np.ix_(index, index)], groups, origin,
     )  # fmt: skip
 
 
-def shapes_shown(found: Projected, outputs: int, inputs: int, close: tuple[tuple[int, int], ...]) -> list[int]:
-    """How many shapes and participations the residues of each two poles show together; at least one."""
+def shapes_shown(found: Projected, outputs: int, inputs: int, close: Sequence[tuple[int, ...]]) -> list[int]:
+    """How many shapes and participations the residues of some poles show together; at least one."""
     raw = found.residues.reshape(-1, outputs, inputs)
     units, noise = _units(found, raw, close), np.sqrt(outputs) + np.sqrt(inputs)
-    sizes = (np.linalg.svd((raw[a] + raw[b]) / units[a], compute_uv=False) for a, b in close)
+    sizes = (np.linalg.svd(raw[list(some)].sum(axis=0) / units[some[0]], compute_uv=False) for some in close)
     return [max(1, int(np.count_nonzero(size > SHOWN * noise))) for size in sizes]
 
 
@@ -182,15 +179,15 @@ def sure(f: Features) -> np.ndarray:
     return (std[:, 0] < SMEARED) & (std[:, 2] < FAINT)
 
 
-def _units(found: Projected, raw: np.ndarray, close: tuple[tuple[int, int], ...]) -> np.ndarray:
+def _units(found: Projected, raw: np.ndarray, close: Sequence[tuple[int, ...]]) -> np.ndarray:
     """Uncertainties of residues, a product over outputs and inputs so that a shape times a participation stays one."""
     R = len(raw)
     own = np.einsum("ckk->kc", found.linear)[: 2 * R].reshape(R, 2, -1).sum(axis=1).reshape(raw.shape)
     size = (np.abs(raw) ** 2).mean(axis=(1, 2), keepdims=True)
-    for a, b in close:  # of both together
-        beside = sum(found.linear[:, 2 * a + j, 2 * b + j] for j in (0, 1))
-        own[[a, b]] = own[a] + own[b] + 2 * np.reshape(beside, raw.shape[1:])
-        size[[a, b]] = (np.abs(raw[a] + raw[b]) ** 2).mean()
+    for some in map(list, close):  # of all together
+        parts = [found.linear[:, 2 * np.array(some)[:, None] + j, 2 * np.array(some) + j] for j in (0, 1)]
+        own[some] = np.sum(parts, axis=(0, 2, 3)).reshape(raw.shape[1:])
+        size[some] = (np.abs(raw[some].sum(axis=0)) ** 2).mean()
     level = 0.5 * np.log(own + FLOOR[3] ** 2 * np.maximum(size, 1e-300) + 1e-300)
     mean = level.mean(axis=(1, 2), keepdims=True)
     return np.exp(level.mean(axis=2, keepdims=True) + level.mean(axis=1, keepdims=True) - mean)
@@ -258,14 +255,15 @@ def _sizes(own: np.ndarray, measured: np.ndarray | None) -> tuple[np.ndarray, np
     return np.where(np.isnan(measured), own, measured), ~np.isnan(measured)
 
 
-def _covariance(found: Projected, residues: np.ndarray, f: Features, close: tuple[tuple[int, int], ...]) -> np.ndarray:
+def _covariance(found: Projected, residues: np.ndarray, f: Features, close: Sequence[tuple[int, ...]]) -> np.ndarray:
     """Joint covariance of the features, to first order; ``residues`` are those found, in units of the channels."""
     R, o, i = residues.shape
     if not R:
         return np.zeros((0, 0))
     half = np.maximum(-found.poles.real, NARROW * np.abs(found.poles))
-    touching = [[a, b] for a, b in close if abs(found.poles[a] - found.poles[b]) < TOUCHING * half[a]]
-    half[sum(touching, [])] = 0.0
+    for some in map(list, close):
+        if np.ptp(np.abs(found.poles[some])) < TOUCHING * half[some[0]]:
+            half[some] = 0.0
     half = np.repeat(half, 2)
     sizes, directions = np.linalg.eigh(found.information * half[:, None] * half)
     # of poles on top of each other, or at an end of the band, there may be no information, or by rounding less than
@@ -299,23 +297,23 @@ def _by_source(f: Features, poles: np.ndarray, residues: np.ndarray, m: int) -> 
     By the parts of the pole, then those of its residue in each channel in turn, shape ``(k, width, 2 + 2 channel)``.
     """
     assert f.origin is not None
-    o, i = residues.shape[1:]
-    part = np.array([1.0, 1j])
+    t, (o, i), part = f.origin.together, residues.shape[1:], np.array([1.0, 1j])
+    k = int(t.row[t.every == m][0])
     dpole, moved = np.zeros((1, 2 + 2 * o * i), complex), np.zeros((1, 2 + 2 * o * i, o, i), complex)
-    dpole[0, :2] = part
-    k, own = f.origin.made_of(m)
-    moved[0, 2:] = (np.eye(o * i)[:, None] * part[:, None]).reshape(-1, o, i) / f.units[k]
-    for pair in f.pairs:
-        if k in pair.rows:
-            return list(pair.rows), pair.slopes(poles[[m]], residues[[m]], dpole, moved)
+    dpole[0, :2], moved[0, 2:] = part, (np.eye(o * i)[:, None] * part[:, None]).reshape(-1, o, i) / f.units[k]
+    for group in f.groups:
+        if k == group.rows[0]:
+            first = (poles[m] - group.pole) * moved[0] + dpole[0, :, None, None] * residues[m]
+            return list(group.rows), np.moveaxis(group.features(moved[0], first), 0, -1)
+    own = t.every[t.row == k]
+    mean, whole = poles[[m]], residues[[m]]
     if len(own) > 1:
-        also, each = Beside(np.zeros(len(own) - 1, int), np.zeros(0, int)), np.array(own) == m
-        along = f.tangent[[k], 0].conj()
-        whole, mean = residues[own].sum(axis=0, keepdims=True), mean_of(along[0], poles[own], residues[own])
-        changes = (np.where(each.reshape(-1, *np.ones(a.ndim - 1, int)), a, 0.0) for a in (dpole, moved))
-        dpole, moved = also.merged_slopes(along, poles[own], residues[own], *changes)
-        return [k], slopes_of_values(np.array([mean]), whole, f.tangent[[k]], dpole, moved)
-    return [k], slopes_of_values(poles[[m]], residues[[m]], f.tangent[[k]], dpole, moved)
+        along, whole = f.tangent[k, 0].conj(), residues[own].sum(axis=0, keepdims=True)
+        weight, mean = np.einsum("oi,moi->m", along, residues[own]), f.poles[[k]]
+        dpole = (
+            weight[own == m, None] * dpole + (poles[m] - mean) * np.einsum("oi,mpoi->mp", along, moved)
+        ) / weight.sum()
+    return [k], slopes_of_values(mean, whole, f.tangent[[k]], dpole, moved)
 
 
 def _positive(covariance: np.ndarray) -> np.ndarray:
@@ -340,8 +338,8 @@ def paired(f: Features, poles: np.ndarray, residues: np.ndarray, kept: np.ndarra
     product = np.abs((f.residues.conj() / f.units).reshape(k, -1) @ residues.reshape(m, -1).T)
     sizes = np.sqrt((1 / f.units**2).reshape(k, -1) @ (np.abs(residues) ** 2).reshape(m, -1).T)
     alike = (product / size(f.residues)[:, None] / np.maximum(sizes, 1e-300)) ** 2
-    for pair in f.pairs:  # any two shapes in the space of these
-        alike[list(pair.rows)] = pair.alike(residues / f.units[pair.rows[0]])
+    for group in f.groups:  # any shapes in the space of these
+        alike[list(group.rows)] = group.alike(residues / f.units[group.rows[0]])
     apart = np.log(np.abs(f.poles))[:, None] - np.log(np.abs(poles))
     some = np.arange(k) if kept is None else np.flatnonzero(kept)
     rows, columns = scipy.optimize.linear_sum_assignment((1 - alike + (apart / CLOSE) ** 2)[some])

@@ -228,7 +228,7 @@ def missing_modes(f: Features, order: int, low: float, high: float) -> list[Chan
     """Each measured mode as one that the simulation lacks; the band is from ``low`` to ``high`` [rad/s]."""
     std = np.sqrt(np.maximum(np.diag(f.covariance), 0.0)).reshape(f.values.shape)
     raw, found = f.residues * f.units, []
-    for k in np.flatnonzero(~f.paired).tolist():  # of two of one frequency neither is told by itself
+    for k in np.flatnonzero(~f.grouped).tolist():  # of those of one frequency none is told by itself
         found.append(
             MissingMode(
                 "missing_mode", (), number=k, pole=complex(f.poles[k]), residue=raw[k], order=order,

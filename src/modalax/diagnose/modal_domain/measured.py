@@ -13,7 +13,7 @@ from modalax.diagnose.modal_domain.coordinates import SPARED, Coordinates, modes
 from modalax.diagnose.modal_domain.features import Features, chosen, features_of, shapes_shown, sure
 from modalax.diagnose.modal_domain.free_residues import Channels, Projected, refine
 from modalax.diagnose.modal_domain.mode_count import blind_modes, cost_of_mode, heavy, misfit, mode_gains
-from modalax.diagnose.modal_domain.repeated import close_pairs, twofold
+from modalax.diagnose.modal_domain.repeated import close_pairs, reach, twofold
 from modalax.diagnose.setup.noise import Noise, noise_of
 from modalax.identify.shared_noise import shared_noise
 
@@ -130,7 +130,7 @@ def features_beside(measured: Measured, H: np.ndarray) -> np.ndarray:
     assert f.origin is not None
     modes, _ = twofold(refine(measured.modes.poles, channels), channels, f.origin.twice)
     residues = modes.residues.reshape(len(modes.poles), *f.units.shape[1:])
-    poles, residues = f.origin.beside.merged(f.along, modes.poles, residues, f.origin.first)
+    poles, residues = f.origin.together.seen(f.along, modes.poles, residues)
     return f.predicted(poles, residues / f.units)
 
 
@@ -146,24 +146,27 @@ def _features(modes: Projected, channels: Channels, shape: tuple[int, ...]) -> t
 def features_at(
     modes: Projected, channels: Channels, shape: tuple[int, ...], left: float
 ) -> tuple[Features, np.ndarray]:
-    """Features of all modes, and which of them are three or more of one frequency."""
+    """Features of all modes, and which of them are more of one frequency than can be told."""
     plain = np.flatnonzero(~heavy(modes.poles) & ~bent(modes, channels))
-    close = tuple((int(plain[a]), int(plain[b])) for a, b in close_pairs(modes.poles[plain]))
-    rank = together(modes, channels, shape)
-    rank[[k for two in close for k in two]] = 1
-    twice = rank == 2
+    close = [tuple(plain[list(two)].tolist()) for two in close_pairs(modes.poles[plain])]
+    rank, alone = together(modes, channels, shape), np.ones(len(modes.poles), bool)
+    unsure = ~sure(features_of(modes, shape[0], shape[1], left)) if close else alone
+    alone[[k for two in close for k in two]] = False
+    for k in plain[(alone & (unsure | (rank > 1)))[plain]]:  # what is left beside two is part of what they make
+        near = [abs(modes.poles[list(some)].mean() - modes.poles[k]) for some in close]
+        if near and min(near) < reach(modes.poles[k]):
+            close[int(np.argmin(near))] += (int(k),)
+            alone[k] = False
+    twice = alone & (rank == 2)
     apart, touching = twofold(modes, channels, twice)
     number = np.arange(len(twice)) + np.cumsum(twice) - twice  # of each pole once others are two
-    close = tuple((int(number[a]), int(number[b])) for a, b in close)
-    f = features_of(apart, shape[0], shape[1], left, touching)
+    # those that are known one by one stay so where fewer would be told of them together
+    shown = shapes_shown(modes, shape[0], shape[1], close)
+    some = [k for k, n in zip(close, shown, strict=True) if n >= len(k) or unsure[list(k)].any()]
+    f = features_of(apart, shape[0], shape[1], left, touching + [tuple(number[list(k)].tolist()) for k in some])
     assert f.origin is not None
-    if close:  # of two that show as one and are known one by one, both are told
-        known = set(f.origin.first[sure(f)].tolist())
-        shown = shapes_shown(apart, shape[0], shape[1], close)
-        close = tuple(two for two, count in zip(close, shown, strict=True) if count > 1 or not known.issuperset(two))
-        f = features_of(apart, shape[0], shape[1], left, touching + close)
-        assert f.origin is not None
-    return replace(f, origin=replace(f.origin, twice=twice)), np.repeat(rank, 1 + twice)[f.origin.first] > 2
+    lost = np.repeat(alone & (rank > 2), 1 + twice)[f.origin.together.pairs]
+    return replace(f, origin=replace(f.origin, twice=twice)), lost
 
 
 def together(modes: Projected, channels: Channels, shape: tuple[int, ...]) -> np.ndarray:

@@ -1,16 +1,15 @@
-r"""Two modes of one frequency, as of a ring, a square plate or a tower of equal sides: what is known of both together.
+r"""Modes of one frequency, as of a ring, a square plate or a tower of equal sides: what is known of them together.
 
-Of which two shapes they are nothing is known, as little as of how far apart they are; any small error turns them. What
+Of which shapes they are nothing is known, as little as of how far apart they are; any small error turns them. What
 moves smoothly with the structure are the moments of their residues about a pole :math:`\mu` between them,
 
-.. math:: M_0 = A_1 + A_2, \qquad M_1 = (\lambda_1 - \mu) A_1 + (\lambda_2 - \mu) A_2,
+.. math:: M_0 = \sum_k A_k, \qquad M_1 = \sum_k (\lambda_k - \mu) A_k,
 
 by which the FRF about them is :math:`M_0/(s-\mu) + M_1/(s-\mu)^2 + \dots` With singular vectors ``U`` of outputs and
-``V`` of inputs of the measured :math:`M_0`, of rank two, :math:`U^H M_1 V` and what a matrix of rank two can move of
-:math:`M_0` are as many numbers as two shapes, two participations and two poles have.
-
-Where inputs are such that one measured mode stands for two of the simulation, it is :math:`M_0` of rank one and a pole
-that is the mean of both, :math:`\mu + t^H M_1/t^H M_0` along the measured residues ``t``.
+``V`` of inputs of the measured :math:`M_0`, of rank ``r``, :math:`U^H M_1 V` and what a matrix of rank ``r`` can move
+of :math:`M_0` are as many numbers as ``r`` modes have. The simulation may have more: those that the inputs cannot tell
+apart. Where they show as one mode, ``M_0`` is of rank one and the pole is the mean of all,
+:math:`\mu + t^H M_1/t^H M_0` along the measured residues ``t``.
 """
 
 from dataclasses import dataclass
@@ -27,8 +26,8 @@ CANCELLED = 0.2  # of residues along the measured ones, that two modes may leave
 
 
 @dataclass(frozen=True)
-class Pair:
-    """Two measured modes of one frequency.
+class Group:
+    """Two or more measured modes of one frequency.
 
     Attributes
     ----------
@@ -39,159 +38,156 @@ class Pair:
     left, right
         All singular vectors of outputs and inputs of the sum of their residues, shapes ``(o, o)`` and ``(i, i)``.
     sizes
-        The two singular values.
+        As many singular values as modes.
     """
 
-    rows: tuple[int, int]
+    rows: tuple[int, ...]
     pole: complex
     left: np.ndarray
     right: np.ndarray
     sizes: np.ndarray
 
     def alike(self, residues: np.ndarray) -> np.ndarray:
-        """Part of the energy of residues, shape ``(m, o, i)``, that is in the space of the two, shape ``(m,)``."""
-        inside = self.left[:, :2].conj().T @ residues @ self.right[:, :2]
+        """Part of the energy of residues, shape ``(m, o, i)``, that is in the space of these modes, shape ``(m,)``."""
+        few = len(self.rows)
+        inside = self.left[:, :few].conj().T @ residues @ self.right[:, :few]
         energy = lambda a: (np.abs(a) ** 2).sum(axis=(1, 2))
         return energy(inside) / np.maximum(energy(residues), 1e-300)
 
     @property
     def shown(self) -> np.ndarray:
-        """The sum of the residues as two of rank one, shape ``(2, o, i)``."""
-        return np.einsum("k,ok,ik->koi", self.sizes, self.left[:, :2], self.right[:, :2].conj())
+        """The sum of the residues as some of rank one, shape ``(r, o, i)``."""
+        few = len(self.rows)
+        return np.einsum("k,ok,ik->koi", self.sizes, self.left[:, :few], self.right[:, :few].conj())
 
-    def values(self, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
-        """Features of modes in their place, shape ``(..., 2, width)``, of ``(..., k)`` and ``(..., k, o, i)``."""
-        off = (poles - self.pole)[..., None, None]
-        return self._features(residues.sum(axis=-3), (off * residues).sum(axis=-3))
-
-    def slopes(
-        self, poles: np.ndarray, residues: np.ndarray, dpoles: np.ndarray, dresidues: np.ndarray,
-        turned: np.ndarray | float = 0.0,
-    ) -> np.ndarray:  # fmt: skip
-        """Derivatives of these, shape ``(2, width, p)``, by changes ``(k, p)`` and ``(k, p, o, i)``.
-
-        ``turned`` is what two modes of one pole move of the first moment by turning into each other, ``(p, o, i)``.
-        """
-        off = (poles - self.pole)[:, None, None, None]
-        first = off * dresidues + dpoles[:, :, None, None] * residues[:, None]
-        return np.moveaxis(self._features(dresidues.sum(axis=0), first.sum(axis=0) + turned), 0, -1)
-
-    def _features(self, whole: np.ndarray, first: np.ndarray) -> np.ndarray:
-        """Real features, which are linear in both moments, in the order of those of one mode."""
+    def features(self, whole: np.ndarray, first: np.ndarray) -> np.ndarray:
+        """Real features of moments ``(..., o, i)``, linear in both, in the order of one mode's, ``(..., r, width)``."""
+        few = len(self.rows)
         root = np.sqrt(self.sizes[:, None] * self.sizes)
         turned = self.left.conj().T @ whole @ self.right
-        moved = self.left[:, :2].conj().T @ first @ self.right[:, :2] / root
-        inner = turned[..., :2, :2] / root
+        moved = self.left[:, :few].conj().T @ first @ self.right[:, :few] / root
+        inner = turned[..., :few, :few] / root
         rows = []
-        for j in (0, 1):
+        for j in range(few):
+            other = [k for k in range(few) if k != j]
             frequency = (moved[..., j, j] / self.pole).real
             damping = moved[..., j, j].real / self.pole.real - frequency
             others = np.concatenate([
-                moved[..., j, 1 - j, None] / self.pole.real, inner[..., j, 1 - j, None],
-                turned[..., 2:, j] / self.sizes[j], turned[..., j, 2:] / self.sizes[j],
+                moved[..., j, other] / self.pole.real, inner[..., j, other],
+                turned[..., few:, j] / self.sizes[j], turned[..., j, few:] / self.sizes[j],
             ], axis=-1)  # fmt: skip
             leading = np.stack([frequency, damping, inner[..., j, j].real, inner[..., j, j].imag], axis=-1)
             rows.append(np.concatenate([leading, others.real, others.imag], axis=-1))
         return np.stack(rows, axis=-2)
 
 
-def pair_of(rows: tuple[int, int], pole: complex, residues: np.ndarray) -> Pair:
-    """Two modes about a pole, with the sum of their residues, shape ``(o, i)``, both at least 2."""
+def group_of(rows: tuple[int, ...], pole: complex, residues: np.ndarray) -> Group:
+    """Modes about a pole, with the sum of their residues, shape ``(o, i)``, both at least as many."""
     left, sizes, right = np.linalg.svd(residues)
-    return Pair(rows, complex(pole), left, right.conj().T, sizes[:2])
-
-
-def twofold(modes: Projected, channels: Channels, which: np.ndarray) -> tuple[Projected, tuple[tuple[int, int], ...]]:
-    """Modes with two poles in the place of ``which``, hardly apart, and the numbers of these.
-
-    Their residues tell both moments of what is there, channel by channel, with their covariance.
-    """
-    if not which.any():
-        return modes, ()
-    poles = np.repeat(modes.poles, 1 + which)
-    first = np.flatnonzero(which) + np.arange(np.count_nonzero(which))
-    half = APART * modes.poles.real[which]
-    poles[first], poles[first + 1] = poles[first] + 1j * half, poles[first] - 1j * half
-    return project(poles, channels)[0], tuple((int(k), int(k) + 1) for k in first)
+    return Group(rows, complex(pole), left, right.conj().T, sizes[: len(rows)])
 
 
 @dataclass(frozen=True)
-class Beside:
-    """Predicted modes that measured ones stand for as well, one of each further mode.
+class Together:
+    """Modes in the place of the measured ones.
 
     Attributes
     ----------
+    pairs
+        The mode that belongs to each measured one.
     rows, numbers
-        Of the measured modes, and of the predicted ones beside those that belong to them.
+        Of measured modes, and of further ones that these stand for as well.
+    groups
+        Measured modes of one frequency.
     """
 
+    pairs: np.ndarray
     rows: np.ndarray
     numbers: np.ndarray
+    groups: tuple[Group, ...] = ()
 
-    def merged(
-        self, along: np.ndarray, poles: np.ndarray, residues: np.ndarray, pairs: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Poles and residues in the place of the measured ones; arguments as those of :func:`beside`."""
-        if not len(self.rows):
-            return poles[pairs], residues[pairs]
-        which, mean, whole = np.concatenate([pairs, self.numbers]), poles[pairs], residues[pairs]
-        np.add.at(whole, self.rows, residues[self.numbers])
-        for k, own in self._together(len(pairs)):
-            mean[k] = mean_of(along[k], poles[which[own]], residues[which[own]])
+    @property
+    def every(self) -> np.ndarray:
+        """Numbers of the modes that belong to measured ones, then of the further ones."""
+        return np.concatenate([self.pairs, self.numbers])
+
+    @property
+    def row(self) -> np.ndarray:
+        """The measured mode that each of these is part of; the first of a group."""
+        first = np.arange(len(self.pairs))
+        for group in self.groups:
+            first[list(group.rows)] = group.rows[0]
+        return np.concatenate([first, first[self.rows]])
+
+    def seen(self, along: np.ndarray, poles: np.ndarray, residues: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Poles and residues in the place of the measured ones; of a group both moments in its first two places.
+
+        Parameters
+        ----------
+        along
+            What residues are multiplied by and summed over for their part along those of each measured mode, shape
+            ``(k, o, i)``.
+        poles, residues
+            Of all modes.
+        """
+        mean, whole = poles[self.pairs], residues[self.pairs]
+        every, row = self.every, self.row
+        for k in np.unique(row[len(self.pairs) :]):
+            own = every[row == k]
+            whole[k] = residues[own].sum(axis=0)
+            mean[k] = mean_of(along[k], poles[own], residues[own])
+        for group in self.groups:
+            own = every[row == group.rows[0]]
+            off = (poles[own] - group.pole)[:, None, None]
+            whole[group.rows[0]], whole[group.rows[1]] = residues[own].sum(axis=0), (off * residues[own]).sum(axis=0)
+            mean[list(group.rows)] = group.pole
         return mean, whole
 
-    def merged_slopes(
+    def moved(
         self, along: np.ndarray, poles: np.ndarray, residues: np.ndarray, dpoles: np.ndarray, dresidues: np.ndarray,
         turned: dict[int, np.ndarray] | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-        """Derivatives of these ``(k, p)`` and ``(k, p, o, i)``.
+        """Derivatives of what is seen, ``(k, p)`` and ``(k, p, o, i)``.
 
-        All arguments are of the modes that belong to measured ones, then of those beside them, but ``turned``: by the
-        numbers of measured modes, what modes of one pole move of the first moment by turning into each other.
+        Parameters
+        ----------
+        poles, residues
+            Of all modes.
+        dpoles, dresidues
+            Changes of the modes :attr:`every`, shapes ``(m, p)`` and ``(m, p, o, i)``.
+        turned
+            By the numbers of measured modes, what modes of one pole move of the first moment by turning into each
+            other, shape ``(p, o, i)``.
         """
-        if not len(self.rows):
+        every, row, count, turned = self.every, self.row, len(self.pairs), turned or {}
+        if not len(self.numbers) and not self.groups:
             return dpoles, dresidues
-        count = len(poles) - len(self.rows)
         mean, whole = dpoles[:count].copy(), dresidues[:count].copy()
-        np.add.at(whole, self.rows, dresidues[count:])
-        for k, own in self._together(count):
-            weight = _weights(along[k], residues[own])
-            off = poles[own] - mean_of(along[k], poles[own], residues[own])
-            moved = np.einsum("oi,mpoi->mp", along[k], dresidues[own])
-            mean[k] = (weight[:, None] * dpoles[own] + off[:, None] * moved).sum(axis=0) / weight.sum()
-            if turned and k in turned:
-                mean[k] += _weights(along[k], turned[k]) / weight.sum()
+        firsts = {group.rows[0]: group for group in self.groups}
+        for k in {*firsts, *row[count:].tolist()}:
+            own = np.flatnonzero(row == k)
+            here, A, dA = poles[every[own]], residues[every[own]], dresidues[own]
+            whole[k] = dA.sum(axis=0)
+            more = turned.get(k, 0.0)
+            if k in firsts:
+                off = here - firsts[k].pole
+                first = np.einsum("m,mpoi->poi", off, dA) + np.einsum("mp,moi->poi", dpoles[own], A)
+                whole[firsts[k].rows[1]] = first + more
+                continue
+            weight, off = _weights(along[k], A), here - mean_of(along[k], here, A)
+            moved = off[:, None] * np.einsum("oi,mpoi->mp", along[k], dA) + weight[:, None] * dpoles[own]
+            mean[k] = (
+                moved.sum(axis=0) + (np.einsum("oi,poi->p", along[k], more) if k in turned else 0.0)
+            ) / weight.sum()
         return mean, whole
-
-    def _together(self, count: int) -> list[tuple[int, np.ndarray]]:
-        """Each measured mode that stands for several, and the places of these in the list of all."""
-        rows = np.concatenate([np.arange(count), self.rows])
-        return [(int(k), np.flatnonzero(rows == k)) for k in np.unique(self.rows)]
 
 
 @dataclass(frozen=True)
 class Origin:
-    """What features were made from.
+    """What features were made from: poles that were identified, and which of them :func:`twofold` took apart."""
 
-    Attributes
-    ----------
-    first
-        Number of the pole of each mode, among those after some were taken apart.
-    beside
-        Numbers of further poles that are part of a mode.
-    twice
-        Which of the identified poles were taken apart, as by :func:`twofold`.
-    """
-
-    first: np.ndarray
-    beside: Beside
+    together: Together
     twice: np.ndarray
-
-    def made_of(self, pole: int) -> tuple[int, list[int]]:
-        """The mode that a pole is part of, and the numbers of all poles of that."""
-        further = np.flatnonzero(self.beside.numbers == pole)
-        k = int(self.beside.rows[further[0]]) if len(further) else int(np.flatnonzero(self.first == pole)[0])
-        return k, [int(self.first[k]), *(int(m) for m in self.beside.numbers[self.beside.rows == k])]
 
 
 def mean_of(along: np.ndarray, poles: np.ndarray, residues: np.ndarray) -> complex:
@@ -209,40 +205,56 @@ def reach(poles: np.ndarray) -> np.ndarray:
     return np.maximum(CLOSE * np.abs(poles.real), SPLIT * np.abs(poles))
 
 
-def close_pairs(poles: np.ndarray) -> tuple[tuple[int, int], ...]:
+def close_pairs(poles: np.ndarray) -> list[tuple[int, ...]]:
     """Poles about one frequency, two by two, the closest first."""
     near, found = reach(poles), []
     apart = np.abs(poles[:, None] - poles) / np.minimum(near[:, None], near)
-    for a, b in zip(*(k[np.argsort(apart[np.triu_indices(len(poles), 1)])] for k in np.triu_indices(len(poles), 1)),
-                    strict=True):  # fmt: skip
-        if apart[a, b] < 1 and not any(k in two for two in found for k in (a, b)):
-            found.append((int(a), int(b)))
-    return tuple(found)
+    a, b = np.triu_indices(len(poles), 1)
+    for k in np.argsort(apart[a, b]):
+        two = int(a[k]), int(b[k])
+        if apart[two] < 1 and not any(m in other for other in found for m in two):
+            found.append(two)
+    return found
 
 
-def beside(along: np.ndarray, alone: np.ndarray, poles: np.ndarray, residues: np.ndarray, pairs: np.ndarray) -> Beside:
-    """Further modes so close to one that belongs to a measured mode that this stands for both.
+def further(
+    groups: tuple[Group, ...], along: np.ndarray, poles: np.ndarray, residues: np.ndarray, pairs: np.ndarray
+) -> Together:
+    """Modes in the place of the measured ones, and further ones so close to these that they stand for both.
 
     Parameters
     ----------
+    groups
+        Measured modes of one frequency.
     along
-        What residues are multiplied by and summed over for their part along those of each measured mode, shape
-        ``(k, o, i)``.
-    alone
-        Whether each measured mode is one of its frequency.
+        As for :meth:`Together.seen`.
     poles, residues
         Of all predicted modes, shapes ``(m,)`` and ``(m, o, i)``.
     pairs
         The predicted mode that belongs to each measured one, shape ``(k,)``.
     """
-    further = np.delete(np.arange(len(poles)), pairs)
-    own = poles[pairs]
-    near = np.where(alone, reach(own), -1.0)
-    apart = np.abs(poles[further, None] - own) - near
+    others = np.delete(np.arange(len(poles)), pairs)
+    own, grouped = poles[pairs], [k for group in groups for k in group.rows]
+    apart = np.abs(poles[others, None] - own) - reach(own)
     rows, numbers = [], []
-    for j, k in zip(*np.nonzero(apart < 0), strict=True):
-        weight = _weights(along[k], residues[[pairs[k], further[j]]])
-        if k == apart[j].argmin() and abs(weight.sum()) > CANCELLED * np.abs(weight).sum():
-            rows.append(int(k))
-            numbers.append(int(further[j]))
-    return Beside(np.array(rows, int), np.array(numbers, int))
+    for j in np.flatnonzero((apart < 0).any(axis=1)):
+        k = int(apart[j].argmin())
+        weight = _weights(along[k], residues[[pairs[k], others[j]]])
+        if k in grouped or abs(weight.sum()) > CANCELLED * np.abs(weight).sum():
+            rows.append(k)
+            numbers.append(int(others[j]))
+    return Together(pairs, np.array(rows, int), np.array(numbers, int), groups)
+
+
+def twofold(modes: Projected, channels: Channels, which: np.ndarray) -> tuple[Projected, list[tuple[int, ...]]]:
+    """Modes with two poles in the place of ``which``, hardly apart, and the numbers of these.
+
+    Their residues tell both moments of what is there, channel by channel, with their covariance.
+    """
+    if not which.any():
+        return modes, []
+    poles = np.repeat(modes.poles, 1 + which)
+    first = np.flatnonzero(which) + np.arange(np.count_nonzero(which))
+    half = APART * modes.poles.real[which]
+    poles[first], poles[first + 1] = poles[first] + 1j * half, poles[first] - 1j * half
+    return project(poles, channels)[0], [(int(k), int(k) + 1) for k in first]

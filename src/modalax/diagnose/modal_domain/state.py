@@ -14,7 +14,7 @@ from modalax.diagnose.modal_domain.features import Features, paired
 from modalax.diagnose.modal_domain.further_causes import MissingMode
 from modalax.diagnose.modal_domain.inaccuracy import KINDS, Inaccuracy
 from modalax.diagnose.modal_domain.line_forces import ModalForce, loads_of
-from modalax.diagnose.modal_domain.repeated import Beside, beside
+from modalax.diagnose.modal_domain.repeated import Together, further
 from modalax.diagnose.modal_domain.slopes import (
     Slopes,
     direction_slopes,
@@ -99,8 +99,8 @@ class State:
         Whitened measured less predicted features.
     sizes
         Of the inaccuracy's patterns.
-    modes, pairs, beside
-        Predicted modes, the number of the predicted mode that belongs to each measured one, and those beside these.
+    modes, together
+        Predicted modes, and which of them are in the place of the measured ones.
     plain, residues
         Predicted residues without and with faults of channels, shape ``(m, o, i)``.
     """
@@ -108,15 +108,14 @@ class State:
     difference: np.ndarray
     sizes: np.ndarray
     modes: Modes
-    pairs: np.ndarray
-    beside: Beside
+    together: Together
     plain: np.ndarray
     residues: np.ndarray
 
     @property
-    def every(self) -> np.ndarray:
-        """Numbers of the modes that belong to measured ones, then of those beside them."""
-        return np.concatenate([self.pairs, self.beside.numbers])
+    def pairs(self) -> np.ndarray:
+        """Number of the predicted mode that belongs to each measured one."""
+        return self.together.pairs
 
 
 def changes_of(setting: Setting, sizes: np.ndarray, causes: tuple[Change, ...], u: np.ndarray) -> dict[str, np.ndarray]:
@@ -241,23 +240,23 @@ def state_at(
         pairs = pairs_with(f, causes, modes.poles, residues)
     if (np.abs(modes.poles[pairs]) > SPARED * c.frequencies[-1]).any():
         raise np.linalg.LinAlgError("a mode measured has no partner but the spare coordinate")
-    also, *seen = compared(f, modes.poles, residues, pairs)
-    values = f.predicted(*seen, setting.linear)
-    return State(whitened(setting, (f.values - values).ravel(), causes), sizes, modes, pairs, also, plain, residues)
+    together, *seen = compared(f, modes.poles, residues, pairs)
+    difference = (f.values - f.predicted(*seen, setting.linear)).ravel()
+    return State(whitened(setting, difference, causes), sizes, modes, together, plain, residues)
 
 
 def compared(
     f: Features, poles: np.ndarray, residues: np.ndarray, pairs: np.ndarray
-) -> tuple[Beside, np.ndarray, np.ndarray]:
-    """Predicted modes beside those that belong to measured ones; poles and scaled residues in the place of these."""
-    also = beside(f.along, ~f.paired, poles, residues, pairs)
-    mean, whole = also.merged(f.along, poles, residues, pairs)
-    return also, mean, whole / f.units
+) -> tuple[Together, np.ndarray, np.ndarray]:
+    """Predicted modes in the place of the measured ones, and their poles and residues in units of the channels."""
+    together = further(f.groups, f.along, poles, residues, pairs)
+    mean, whole = together.seen(f.along, poles, residues)
+    return together, mean, whole / f.units
 
 
 def slopes_at(setting: Setting, state: State, causes: tuple[Change, ...] = (), u: np.ndarray = NONE) -> np.ndarray:
     """Whitened derivatives of the features by the sizes of all patterns and those of causes, shape ``(m, p + u)``."""
-    t = slopes_of(setting.coordinates, state.modes, state.every)
+    t = slopes_of(setting.coordinates, state.modes, state.together.every)
     moves = zip(*(factored_slopes(t, kind, patterns) for kind, patterns in setting.patterns()), strict=True)
     every = (np.concatenate(part, axis=1) for part in moves)
     columns = [feature_slopes(setting, state, t, causes, u, *every) * factors_of(setting, state.sizes)]
@@ -283,7 +282,7 @@ def screening_slopes(
     u: np.ndarray = NONE,
 ) -> np.ndarray:  # fmt: skip
     """Whitened derivatives by sizes of further causes at zero, ``(m, candidates)``; zero for causes without a size."""
-    t = slopes_of(setting.coordinates, state.modes, state.every)
+    t = slopes_of(setting.coordinates, state.modes, state.together.every)
     out = np.zeros((len(setting.whitener), len(candidates)))
     for kind in "KCM":
         which = [k for k, c in enumerate(candidates) if c.kind == kind and c.pattern is None]
@@ -342,28 +341,22 @@ def _in_features(
     setting: Setting, state: State, dpoles: np.ndarray, dresidues: np.ndarray, repeated: np.ndarray = NO_TWO,
     turned: np.ndarray = NO_TWO,
 ) -> np.ndarray:  # fmt: skip
-    """Derivatives of the features by those of all modes that belong to them."""
-    f, every = setting.features, state.every
-    poles, residues, units = state.modes.poles, state.residues, f.units
-    row = np.append(np.arange(len(state.pairs)), state.beside.rows)
-    pair = {k: p.rows[0] for p in f.pairs for k in p.rows}
-    merged: dict[int, np.ndarray] = {}
-    paired: dict[int, np.ndarray] = {}
+    """Derivatives of the features by those of all modes in their place, and by what those of one pole turn."""
+    f, seen, row, more = setting.features, state.together, state.together.row, {}
     for (a, b), change in zip(repeated, turned, strict=True):
         if row[a] == row[b]:
-            merged[row[a]] = merged.get(row[a], 0.0) + change
-        elif pair.get(row[a], -1) == pair.get(row[b], -2):
-            paired[pair[row[a]]] = change / units[row[a]]
-    mean, whole = state.beside.merged(f.along, poles, residues, state.pairs)
-    moved = state.beside.merged_slopes(f.along, poles[every], residues[every], dpoles, dresidues, merged)
-    return f.slopes(mean, whole / units, moved[0], moved[1] / units[:, None], setting.linear, paired)
+            more[row[a]] = more.get(row[a], 0.0) + change
+    poles, residues = state.modes.poles, state.residues
+    mean, whole = seen.seen(f.along, poles, residues)
+    dmean, dwhole = seen.moved(f.along, poles, residues, dpoles, dresidues, more)
+    return f.slopes(mean, whole / f.units, dmean, dwhole / f.units[:, None], setting.linear)
 
 
 def _channel_slope(
     setting: Setting, state: State, t: Slopes, causes: tuple[Change, ...], u: np.ndarray, which: int
 ) -> np.ndarray:
     """Derivative by the size of one channel's fault."""
-    residues = state.plain[state.every]
+    residues = state.plain[state.together.every]
     for k, (cause, size) in enumerate(with_sizes(causes, u)):
         act = cause.transform_slope if k == which else cause.at_modes
         residues = act(size, t.poles, residues)
