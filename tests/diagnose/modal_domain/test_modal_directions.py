@@ -74,6 +74,6 @@ def test_a_pole_for_two_modes_of_one_frequency_is_known_by_its_residues():
     two = identify(measured(building(*off(3, 2))), c)
     shape = len(DOFS), len(INPUTS)
     assert together(two.modes, two.channels, shape).tolist().count(2) == 1
-    assert len(two.modes.poles) == 7 and len(two.features.poles) == 8 and two.features.grouped.sum() == 2
+    assert len(two.modes.poles) == 7 and len(two.features.poles) == 8 and two.features.origin.twice.sum() == 1
     plain = identify(measured(building(*off(3))), c)
     assert (together(plain.modes, plain.channels, shape) == 1).all()

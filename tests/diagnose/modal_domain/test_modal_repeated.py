@@ -113,9 +113,11 @@ def test_features_of_such_modes_scatter_as_their_covariance_says(truth):
     assert 0.9 < np.sqrt(np.mean(scatter**2)) < 1.1 and scatter.min() > 0.4 and scatter.max() < 1.6, scatter
 
 
-def test_only_poles_within_a_half_bandwidth_or_half_a_per_cent_are_close():
-    poles = np.array([-1 + 100j, -1 + 100.8j, -1 + 102.5j, -0.01 + 200j, -0.01 + 200.8j, -0.01 + 202.1j])
+def test_the_closest_poles_are_taken_together_two_by_two():
+    light = [-0.01 + 200j, -0.01 + 203j, -0.01 + 206.5j]
+    poles = np.array([-1 + 100j, -1 + 101.5j, -1 + 103.7j, *light, -6 + 300j, -6 + 307j])
     assert set(close_pairs(poles)) == {(0, 1), (3, 4)}
+    assert close_pairs(poles[[5, 4]]) == [(0, 1)] and not close_pairs(poles[[3, 5]])
 
 
 def test_a_ring_of_which_all_springs_are_off_by_a_per_cent_has_no_cause():

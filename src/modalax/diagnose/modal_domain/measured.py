@@ -160,13 +160,14 @@ def features_at(
     twice = alone & (rank == 2)
     apart, touching = twofold(modes, channels, twice)
     number = np.arange(len(twice)) + np.cumsum(twice) - twice  # of each pole once others are two
-    # those that are known one by one stay so where fewer would be told of them together
-    shown = shapes_shown(modes, shape[0], shape[1], close)
-    some = [k for k, n in zip(close, shown, strict=True) if n >= len(k) or unsure[list(k)].any()]
+    # fewer are told of them together only where one by one they are not known, and as close as one mode is wide
+    shown, poles = shapes_shown(modes, shape[0], shape[1], close), (modes.poles[list(k)] for k in close)
+    lost = [unsure[list(k)].any() and np.ptp(np.abs(p)) < reach(p).min() for k, p in zip(close, poles, strict=True)]
+    some = [k for k, n, one in zip(close, shown, lost, strict=True) if n >= len(k) or one]
     f = features_of(apart, shape[0], shape[1], left, touching + [tuple(number[list(k)].tolist()) for k in some])
     assert f.origin is not None
-    lost = np.repeat(alone & (rank > 2), 1 + twice)[f.origin.together.pairs]
-    return replace(f, origin=replace(f.origin, twice=twice)), lost
+    several = np.repeat(alone & (rank > 2), 1 + twice)[f.origin.together.pairs]
+    return replace(f, origin=replace(f.origin, twice=twice)), several
 
 
 def together(modes: Projected, channels: Channels, shape: tuple[int, ...]) -> np.ndarray:

@@ -22,6 +22,7 @@ from modalax.diagnose.modal_domain.free_residues import Channels, Projected, pro
 APART = 1e-3
 CLOSE = 1.0  # half-bandwidths within which one measured mode may stand for two of the simulation,
 SPLIT = 0.005  # or distance relative to their frequency: errors of elements of a per cent split repeated modes so far
+WIDE = 0.02  # relative distance within which errors of elements of some per cent turn modes into each other
 CANCELLED = 0.2  # of residues along the measured ones, that two modes may leave of their sum
 
 
@@ -206,8 +207,8 @@ def reach(poles: np.ndarray) -> np.ndarray:
 
 
 def close_pairs(poles: np.ndarray) -> list[tuple[int, ...]]:
-    """Poles about one frequency, two by two, the closest first."""
-    near, found = reach(poles), []
+    """Poles of modes that errors of elements may turn into each other, two by two, the closest first."""
+    near, found = np.maximum(reach(poles), WIDE * np.abs(poles)), []
     apart = np.abs(poles[:, None] - poles) / np.minimum(near[:, None], near)
     a, b = np.triu_indices(len(poles), 1)
     for k in np.argsort(apart[a, b]):
