@@ -257,10 +257,11 @@ def test_the_element_at_a_clamp_is_a_place_as_a_whole(coordinates):
     np.testing.assert_allclose(found, exact, rtol=1e-6)
 
 
+@pytest.mark.parametrize("slug", ["joint_stiffness", "gyroscopic"])
 @pytest.mark.parametrize(("size", "std", "stands"), [(4.0, 1.0, True), (3.0, 1.0, False), (40.0, 1.0, True)])
-def test_a_cause_that_its_error_lets_be_none_does_not_stand_out(size, std, stands):
-    """Of a place among hundreds three standard deviations say nothing; a usual size is one tenth of these."""
-    cause = Change("joint_stiffness", ("a", "b"), scale=100.0, reference=1000.0)
+def test_a_cause_that_its_error_lets_be_none_does_not_stand_out(slug, size, std, stands):
+    """Of a place among hundreds three standard deviations say nothing; a usual size is one tenth of these, or none."""
+    cause = Change(slug, ("a", "b"), scale=100.0, reference=1000.0)
     fitted = SimpleNamespace(causes=(cause,), u=np.array([size]), covariance=np.array([[std**2]]), epsilon=[0.01] * 3)
     stage = SimpleNamespace(
         measured=SimpleNamespace(freq=np.array([1.0, 100.0])),

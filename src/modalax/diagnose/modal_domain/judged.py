@@ -191,7 +191,8 @@ def told_by_size(stage: Stage, e: Explanation) -> tuple[tuple[Change, ...], tupl
             size = float(np.log(max(1 + size, 1e-9)))
         own = own_sizes(e.causes, k)
         apart = np.abs(e.fit.u[own]) / np.sqrt(np.maximum(np.diag(e.fit.covariance)[own], 1e-300))
-        sure = usual == -math.inf or bool(apart[0] > THRESHOLDS.stands_out)
+        at_any_size = usual == -math.inf and not (c.linear and c.signed)  # what may be of either sign may be none
+        sure = at_any_size or bool(apart[0] > THRESHOLDS.stands_out)
         if sure and not of_the_joint(stage, c):
             (out if abs(size) > usual else small).append(c)
     return tuple(out), tuple(small)
