@@ -132,16 +132,14 @@ class Together:
             Of all modes.
         """
         mean, whole = poles[self.pairs], residues[self.pairs]
-        every, row = self.every, self.row
-        for k in np.unique(row[len(self.pairs) :]):
-            own = every[row == k]
-            whole[k] = residues[own].sum(axis=0)
-            mean[k] = mean_of(along[k], poles[own], residues[own])
-        for group in self.groups:
-            own = every[row == group.rows[0]]
-            off = (poles[own] - group.pole)[:, None, None]
-            whole[group.rows[0]], whole[group.rows[1]] = residues[own].sum(axis=0), (off * residues[own]).sum(axis=0)
-            mean[list(group.rows)] = group.pole
+        for k, group, own in self._sums():
+            here, A = poles[self.every[own]], residues[self.every[own]]
+            whole[k] = A.sum(axis=0)
+            if group is None:
+                mean[k] = mean_of(along[k], here, A)
+            else:
+                whole[group.rows[1]] = ((here - group.pole)[:, None, None] * A).sum(axis=0)
+                mean[list(group.rows)] = group.pole
         return mean, whole
 
     def moved(
@@ -160,27 +158,29 @@ class Together:
             By the numbers of measured modes, what modes of one pole move of the first moment by turning into each
             other, shape ``(p, o, i)``.
         """
-        every, row, count, turned = self.every, self.row, len(self.pairs), turned or {}
+        count, turned = len(self.pairs), turned or {}
         if not len(self.numbers) and not self.groups:
             return dpoles, dresidues
         mean, whole = dpoles[:count].copy(), dresidues[:count].copy()
-        firsts = {group.rows[0]: group for group in self.groups}
-        for k in {*firsts, *row[count:].tolist()}:
-            own = np.flatnonzero(row == k)
-            here, A, dA = poles[every[own]], residues[every[own]], dresidues[own]
-            whole[k] = dA.sum(axis=0)
-            more = turned.get(k, 0.0)
-            if k in firsts:
-                off = here - firsts[k].pole
+        for k, group, own in self._sums():
+            here, A, dA = poles[self.every[own]], residues[self.every[own]], dresidues[own]
+            whole[k], more = dA.sum(axis=0), turned.get(k)
+            if group is not None:
+                off = here - group.pole
                 first = np.einsum("m,mpoi->poi", off, dA) + np.einsum("mp,moi->poi", dpoles[own], A)
-                whole[firsts[k].rows[1]] = first + more
+                whole[group.rows[1]] = first if more is None else first + more
                 continue
             weight, off = _weights(along[k], A), here - mean_of(along[k], here, A)
-            moved = off[:, None] * np.einsum("oi,mpoi->mp", along[k], dA) + weight[:, None] * dpoles[own]
-            mean[k] = (
-                moved.sum(axis=0) + (np.einsum("oi,poi->p", along[k], more) if k in turned else 0.0)
-            ) / weight.sum()
+            moved = (off[:, None] * np.einsum("oi,mpoi->mp", along[k], dA) + weight[:, None] * dpoles[own]).sum(axis=0)
+            moved = moved if more is None else moved + np.einsum("oi,poi->p", along[k], more)
+            mean[k] = moved / weight.sum()
         return mean, whole
+
+    def _sums(self) -> list[tuple[int, Group | None, np.ndarray]]:
+        """Measured modes that several are part of, the group that they begin, and places of these in :attr:`every`."""
+        groups, row = {group.rows[0]: group for group in self.groups}, self.row
+        several = sorted({*groups, *row[len(self.pairs) :].tolist()})
+        return [(k, groups.get(k), np.flatnonzero(row == k)) for k in several]
 
 
 @dataclass(frozen=True)

@@ -123,8 +123,9 @@ def distances(
     """Chi-squares as :func:`distance`, of several trials' poles and residues, which are compared together."""
     f = setting.features
     pairs = [pairs_with(f, causes, p, r) for p, r in trials]
-    seen = (compared(f, p, r, which)[1:] for (p, r), which in zip(trials, pairs, strict=True))
-    values = f.predicted(*map(np.stack, zip(*seen, strict=True)), setting.linear)
+    seen = [compared(f, p, r, which)[1:] for (p, r), which in zip(trials, pairs, strict=True)]
+    poles, residues = (np.stack(part) for part in zip(*seen, strict=True))
+    values = f.predicted(poles, residues, setting.linear)
     r = whitened(setting, (f.values - values).reshape(len(pairs), -1).T, causes)
     h = shrink @ r
     beside = [unseen(f, causes, p, r, which) for (p, r), which in zip(trials, pairs, strict=True)]

@@ -240,8 +240,8 @@ def state_at(
         pairs = pairs_with(f, causes, modes.poles, residues)
     if (np.abs(modes.poles[pairs]) > SPARED * c.frequencies[-1]).any():
         raise np.linalg.LinAlgError("a mode measured has no partner but the spare coordinate")
-    together, *seen = compared(f, modes.poles, residues, pairs)
-    difference = (f.values - f.predicted(*seen, setting.linear)).ravel()
+    together, mean, whole = compared(f, modes.poles, residues, pairs)
+    difference = (f.values - f.predicted(mean, whole, setting.linear)).ravel()
     return State(whitened(setting, difference, causes), sizes, modes, together, plain, residues)
 
 
