@@ -210,6 +210,22 @@ def test_masses_of_beams_are_read_off_the_matrix_beside_a_lump():
     assert parts[(3,)][0, 0] == pytest.approx(0.3)
 
 
+@pytest.mark.parametrize("mass", [False, True])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_elements_are_read_off_whatever_the_order_of_the_names(seed, mass):
+    """Also where a node's rotation comes before its displacement; nothing is made of rounding."""
+    rng = np.random.default_rng(seed)
+    A = cantilever(stiffness=rng.uniform(0.5, 2.0, ELEMENTS), mass=rng.uniform(0.5, 2.0, ELEMENTS))[int(mass)]
+    order = rng.permutation(len(A))
+    mixed = parts_of(A[np.ix_(order, order)], nodes_of(tuple(np.array(DOFS)[order])), mass=mass)
+    plain = parts_of(A, nodes_of(DOFS), mass=mass)
+    back = np.argsort(order)
+    turned = [p.full(len(A))[np.ix_(back, back)] for p in mixed]
+    assert len(turned) == len(plain)
+    for p in plain:
+        assert min(np.abs(a - p.full(len(A))).max() for a in turned) < 1e-9 * np.abs(A).max()
+
+
 def _swapped(A):
     """An element's matrix with its ends in the other order."""
     return np.roll(A, (2, 2), (0, 1))

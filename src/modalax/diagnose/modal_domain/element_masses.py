@@ -105,7 +105,8 @@ def _shared_out(M: np.ndarray, nodes: Nodes, size: np.ndarray, pairs: list[tuple
         strength = strength or np.linalg.norm(M[np.ix_(nodes.members[i], nodes.members[j])])
         coupling[i, j] = coupling[j, i] = strength
     share = coupling / np.maximum(coupling.sum(axis=1, keepdims=True), 1e-300)
-    own = np.array([np.trace(M[np.ix_(a, a)]) / len(a) for a in straight])
+    diagonal = np.where(np.diag(M) > ROUNDING * size**2, np.diag(M), 0.0)  # elsewhere nothing is left but rounding
+    own = np.array([diagonal[a].mean() for a in straight])
     left, parts = np.ones(count), []
     for i, j in pairs:
         ends = np.array([share[i, j] * own[i], share[j, i] * own[j]])

@@ -79,7 +79,10 @@ class Nodes:
 
 
 def nodes_of(dofs: tuple[str, ...]) -> Nodes:
-    """Nodes by the names of their DoFs; where names do not show the node, every DoF is a node of its own."""
+    """Nodes by the names of their DoFs, those of each in the order of its directions, whatever that of the names.
+
+    Where names do not show the node, every DoF is a node of its own.
+    """
     found: dict[object, list[int]] = {}
     axis, sign = np.full(len(dofs), -1), np.ones(len(dofs))
     for k, (node, direction, way) in enumerate(_read(dofs)):
@@ -87,7 +90,7 @@ def nodes_of(dofs: tuple[str, ...]) -> Nodes:
             axis[k] = AXES.index(direction)
         sign[k] = way
         found.setdefault((node,) if axis[k] >= 0 else dofs[k], []).append(k)
-    return Nodes([np.array(v) for v in found.values()], axis, sign)
+    return Nodes([np.array(sorted(v, key=lambda k: axis[k])) for v in found.values()], axis, sign)
 
 
 def _read(dofs: tuple[str, ...]) -> list[tuple[str, str | None, int]]:
