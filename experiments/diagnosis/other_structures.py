@@ -626,10 +626,12 @@ def judged(truth: dict, said: dict) -> str:
         return "right" if said["verdict"] == "clean" else "wrong" if named else "no name"
 
     def fits(causes: list[dict]) -> bool:
-        if len(causes) != 1 or causes[0]["name"] != truth["name"]:
+        if {c["name"] for c in causes} != {truth["name"]}:
             return False
+        nodes = sorted({str(w).split(":")[0] for c in causes for w in c["where"]})
+        if len(causes) > 1:  # a mount that is wrong in all its directions is told at each
+            return nodes == truth.get("nodes") and len(nodes) == 1
         where = sorted(map(str, causes[0]["where"]))
-        nodes = sorted({w.split(":")[0] for w in where})
         return where in truth["accepted"] or (bool(truth.get("nodes")) and nodes == truth["nodes"])
 
     if fits(said["causes"]):
@@ -651,7 +653,8 @@ def tell(folder: Path) -> None:
             f"{c['name']} {'-'.join(map(str, c['where']))} " + " ".join(
                 f"{p['value']:.3g}" for p in c["parameters"].values()) for c in said["causes"]
         )  # fmt: skip
-        off = "" if not said.get("inaccuracy") else f"{100 * said['inaccuracy']['stiffness']['value']:.2f}"
+        inaccuracy = ((said.get("inaccuracy") or {}).get("stiffness") or {}).get("value")
+        off = "" if inaccuracy is None else f"{100 * inaccuracy:.2f}"
         where = truth.get("nodes") or (truth["accepted"] or [""])[0]
         table.add_row(
             file.parent.name, f"{100 * truth['spread']:.0f} %", str(truth["lines"]),
