@@ -113,6 +113,16 @@ def test_features_of_such_modes_scatter_as_their_covariance_says(truth):
     assert 0.9 < np.sqrt(np.mean(scatter**2)) < 1.1 and scatter.min() > 0.4 and scatter.max() < 1.6, scatter
 
 
+def test_the_gain_of_one_output_moves_their_features_as_its_root_has_it():
+    f, gain = setting_of(measured(ring()), ring())[0].features, np.zeros((len(OUTPUTS), 1))
+    gain[1] = 1e-6
+    ends = [f.predicted(f.poles, f.seen * (1 + way * gain)) for way in (1, -1)]
+    moved = f.slopes(f.poles, f.seen, np.zeros((len(f.poles), 1)), (f.seen * (gain > 0))[:, None])[:, :, 0]
+    np.testing.assert_allclose((ends[0] - ends[1]) / 2e-6, moved, atol=1e-6)
+    # one of five outputs moves no frequency or damping, and of each pair a part of the size
+    assert np.abs(moved[:, :2]).max() < 1e-9 and 0 < moved[f.grouped, 2].max() < 1
+
+
 def test_the_closest_poles_are_taken_together_two_by_two():
     light = [-0.01 + 200j, -0.01 + 203j, -0.01 + 206.5j]
     poles = np.array([-1 + 100j, -1 + 101.5j, -1 + 103.7j, *light, -6 + 300j, -6 + 307j])

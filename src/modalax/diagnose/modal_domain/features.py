@@ -83,6 +83,15 @@ class Features:
         """What residues are multiplied by and summed over for their part along the measured ones, ``(k, o, i)``."""
         return self.tangent[:, 0].conj() / self.units
 
+    @property
+    def seen(self) -> np.ndarray:
+        """Measured residues as those that are compared with them, of groups both moments; shape ``(k, o, i)``."""
+        out = self.residues.copy()
+        for group in self.groups:
+            out[list(group.rows)] = 0.0  # about the measured pole the first moment is none
+            out[group.rows[0]] = group.shown.sum(axis=0)
+        return out
+
     def predicted(self, poles: np.ndarray, residues: np.ndarray, sizes: np.ndarray | None = None) -> np.ndarray:
         """Features that other modes in the place of these have, as seen by :class:`Together`; see :func:`values_of`."""
         values = values_of(poles, residues, self.tangent, sizes)

@@ -91,10 +91,11 @@ def only_output(f: Features, mode: int) -> int | None:
 def _root(setting: Setting, output: int) -> np.ndarray:
     """Root of the features' covariance, whitened, with one output free."""
     f = setting.features
-    row = np.zeros_like(f.residues)
-    row[:, output] = f.residues[:, output]
+    seen = f.seen
+    row = np.zeros_like(seen)
+    row[:, output] = seen[:, output]
     still = np.zeros((len(f.poles), 2))
-    slopes = f.slopes(f.poles, f.residues, still, np.stack([row, 1j * row], axis=1))
+    slopes = f.slopes(f.poles, seen, still, np.stack([row, 1j * row], axis=1))
     D = np.zeros((len(f.poles), f.width, len(f.poles), 2))
     D[range(len(f.poles)), :, range(len(f.poles))] = GAIN * slopes
     W = setting.triangle @ D.reshape(len(f.poles) * f.width, -1)

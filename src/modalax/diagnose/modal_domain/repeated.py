@@ -1,7 +1,8 @@
 r"""Modes of one frequency, as of a ring, a square plate or a tower of equal sides: what is known of them together.
 
 Of which shapes they are nothing is known, as little as of how far apart they are; any small error turns them. What
-moves smoothly with the structure are the moments of their residues about a pole :math:`\mu` between them,
+moves smoothly with the structure (Kato 1966, chapter II, section 2: the projection on the space of all of them) are the
+moments of their residues about a pole :math:`\mu` between them,
 
 .. math:: M_0 = \sum_k A_k, \qquad M_1 = \sum_k (\lambda_k - \mu) A_k,
 
