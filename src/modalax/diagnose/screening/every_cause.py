@@ -83,7 +83,9 @@ class _Screen:
             problem, nuisance, _ = self.comparison.side(cause.per_run)
             residual, theta = self.state.sides[cause.per_run], self.state.hypothesis.theta
             assert theta is not None
-            found = screen_cause(cause, self.comparison.scene, near, theta, residual, problem, nuisance, keep=True)
+            there = self.state.reduced[True].there if self.state.reduced else None
+            scene = self.comparison.scene
+            found = screen_cause(cause, scene, near, theta, residual, problem, nuisance, keep=True, there=there)
         return [replace(t, trials=round(t.trials * len(places) / len(near))) for t in found]
 
     def _pattern(self, cause: PatternCause) -> list[Trial]:

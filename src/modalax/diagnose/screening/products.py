@@ -11,7 +11,9 @@ from jaxtyping import Array
 from modalax._numerics.checks import as_array
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.causes.signals import ModalTerms
+from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.prediction.frf import gains_of
+from modalax.diagnose.screening.in_place import InPlace, in_place
 from modalax.diagnose.screening.sensitivities import BATCH, Residual
 from modalax.diagnose.setup.modal_form import ModalForm
 from modalax.diagnose.setup.problem import Problem
@@ -42,6 +44,8 @@ class Reduced:
         Inverse information of the nuisances, shape ``(k, k)``.
     factors
         Two matrices whose product the gains are, where that is much shorter (modes beyond the band are alike in it).
+    there
+        Linear elements that are in place; None where there are none.
     """
 
     gains: np.ndarray
@@ -58,6 +62,7 @@ class Reduced:
     omega: np.ndarray
     level: np.ndarray
     factors: tuple[np.ndarray, np.ndarray] | None = None
+    there: InPlace | None = None
     cache: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
 
     def motion(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -65,6 +70,8 @@ class Reduced:
         left, right = _along(self.shapes, a, b), self.participation[:, self.inputs]
         H = np.stack([self.gains @ (left * right[:, i, None]) for i in range(right.shape[1])], axis=-1)
         H = H + self._far(lambda R: _along(R[:, self.inputs].T, a, b).T[None])
+        if self.there is not None:
+            H = H - _across(self.there.left, a, b, 1) @ self.there.right[:, :, self.inputs]
         return H.transpose(1, 0, 2)
 
     def column(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -79,8 +86,10 @@ class Reduced:
         if np.abs(shape.imag).max(initial=0.0) > ROUNDING * np.abs(shape).max(initial=0.0):
             H = H + 1j * _times_real(own - conjugate, shape.imag)
         H = H.reshape(len(gains), -1) if lines is None else lines @ H.reshape(len(gains), -1)
-        H = H.reshape(len(self.gains), len(a), -1)
-        return H + self._far(lambda R: _along(R[self.outputs], a, b).T[None])
+        H = H.reshape(len(self.gains), len(a), -1) + self._far(lambda R: _along(R[self.outputs], a, b).T[None])
+        if self.there is None:
+            return H
+        return H - np.swapaxes(self.there.left[:, self.outputs] @ _across(self.there.right, a, b, 2), 1, 2)
 
     def summed(self, line: int, sums: np.ndarray) -> np.ndarray:
         """Receptance from every DoF to sums ``(q, o)`` of the outputs at one line, shape ``(q, dof)``."""
@@ -93,6 +102,8 @@ class Reduced:
         if self.upper is not None and self.lower is not None:
             far = self.upper[self.outputs] - self.lower[self.outputs] / self.omega[line] ** 2
             H = H + (sums @ far).T
+        if self.there is not None:
+            H = H - ((sums @ self.there.left[line, self.outputs]) @ self.there.right[line]).T
         return H.T
 
     def column_at(self, place: Place) -> np.ndarray:
@@ -106,7 +117,11 @@ class Reduced:
         """Receptance across places, shape ``(place, f)``."""
         H = self.gains @ (_along(self.shapes, a, b) * _along(self.participation, a, b))
         both = lambda R: np.einsum("kk->k", _along(_along(R, a, b).T, a, b))
-        return (H + self._far(lambda R: both(R)[None])).T
+        H = H + self._far(lambda R: both(R)[None])
+        if self.there is not None:
+            left, right = _across(self.there.left, a, b, 1), _across(self.there.right, a, b, 2)
+            H = H - np.einsum("fpq,fqp->fp", left, right)
+        return H.T
 
     def nuisances(self, a: Any, b: Any) -> np.ndarray:
         """Products with the nuisances at one place, shape ``(k, run, f, i)``; ``b`` below 0 is the ground."""
@@ -145,6 +160,13 @@ def _along(x: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return x[:, a] - np.where(b >= 0, 1.0, 0.0) * x[:, np.maximum(b, 0)]
 
 
+def _across(x: np.ndarray, a: np.ndarray, b: np.ndarray, axis: int) -> np.ndarray:
+    """Entries of the first DoFs less those of the second, where there is one, along an axis."""
+    shape = [1] * x.ndim
+    shape[axis] = -1
+    return np.take(x, a, axis) - (b >= 0).reshape(shape) * np.take(x, np.maximum(b, 0), axis)
+
+
 def complex_of(value: np.ndarray, runs: int) -> np.ndarray:
     """Whitened arrays ``(..., o, i, run f 2)`` as complex ``(..., run, f, o, i)``."""
     z = value.reshape(*value.shape[:-1], runs, -1, 2)
@@ -161,13 +183,17 @@ def gains_and_ends(modal_form: ModalForm, omega: Array, theta: Array) -> tuple[A
     return gains[0], shapes, participation
 
 
-def reduce(problem: Problem, theta: np.ndarray, state: Residual) -> Reduced:
+def reduce(problem: Problem, theta: np.ndarray, state: Residual, beside: Hypothesis | None = None) -> Reduced:
     """Make the products for one residual.
 
     Parameters
     ----------
     theta
         Logarithmic changes of the modal frequencies and damping ratios, shape ``(2, n)``.
+    state
+        The residual.
+    beside
+        The hypothesis that leaves it, whose linear elements are in place; none if None.
     """
     modal_form = problem.modal_form
     gains, *ends_of = gains_and_ends(modal_form, problem.omega, as_array(theta))
@@ -180,13 +206,18 @@ def reduce(problem: Problem, theta: np.ndarray, state: Residual) -> Reduced:
     far = bool(np.abs(upper).max(initial=0.0) + np.abs(lower).max(initial=0.0) > 0)
     weight = np.asarray(problem.weight)
     runs = weight.shape[0]
-    away = (upper[o] - lower[o] / np.asarray(problem.omega)[:, None, None] ** 2).conj() if far else None
+    omega = np.asarray(problem.omega)
+    away = (upper[o] - lower[o] / omega[:, None, None] ** 2).conj() if far else None
+    there = None if beside is None else in_place(beside, gains, psi, part, (upper, lower) if far else None, omega)
 
     def back(x: np.ndarray) -> np.ndarray:
         """From the outputs to every DoF, through the conjugate receptances."""
         modal = np.einsum("mo,rfoi->rfmi", psi[:, o].conj(), x, optimize=True) * gains.conj()[..., None]
         out = np.einsum("md,rfmi->rfdi", part.conj(), modal, optimize=True)
-        return out if away is None else out + np.einsum("fod,rfoi->rfdi", away, x, optimize=True)
+        out = out if away is None else out + np.einsum("fod,rfoi->rfdi", away, x, optimize=True)
+        if there is None:
+            return out
+        return out - np.einsum("fqd,foq,rfoi->rfdi", there.right.conj(), there.left[:, o].conj(), x, optimize=True)
 
     S = back(weight * complex_of(state.value, runs))
     G = complex_of(state.nuisance, runs) if len(state.nuisance) else np.zeros((0, *weight.shape), complex)
@@ -196,7 +227,7 @@ def reduce(problem: Problem, theta: np.ndarray, state: Residual) -> Reduced:
             T[:, k] = np.moveaxis(back(weight * g), 2, 0)
     return Reduced(
         gains, psi, part, upper if far else None, lower if far else None, o, i, S, T, weight**2, state.inner,
-        np.asarray(problem.omega), np.asarray(problem.level), factors_of(gains),
+        omega, np.asarray(problem.level), factors_of(gains), there,
     )  # fmt: skip
 
 

@@ -109,7 +109,7 @@ def score_state_of(comparison: Comparison, h: Hypothesis, jacobian: np.ndarray |
     sides = {True: apart, False: together}
     reduced = {}
     if comparison.question == "fixed" and comparison.scene.scaled and comparison.problem.held is None:
-        every = reduce(comparison.problem, theta, apart)
+        every = reduce(comparison.problem, theta, apart, h)
         reduced = {
             True: every,
             False: every if comparison.pooled is comparison.problem else as_one(every, comparison.pooled),

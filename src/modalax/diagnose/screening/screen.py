@@ -11,12 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from modalax.diagnose.causes.base import Cause
+from modalax.diagnose.causes.base import Cause, ChannelCause
 from modalax.diagnose.causes.scene import Place, Scene
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.fitting.nuisance import Nuisance
 from modalax.diagnose.fitting.residual import modal_directions
+from modalax.diagnose.screening.in_place import InPlace
 from modalax.diagnose.screening.screening_fit import Target, fit_from_screening
 from modalax.diagnose.screening.sensitivities import Residual, changes_in_batches, plain, rows_of
 from modalax.diagnose.setup.problem import Problem
@@ -72,7 +73,7 @@ def nuisance_of(theta: np.ndarray, comparison: Comparison) -> np.ndarray:
 
 def screen(
     causes: list[tuple[Cause, Place, np.ndarray]], theta: np.ndarray, residual: Residual, problem: Problem,
-    nuisance: Nuisance, keep: bool = False, exact: bool = False,
+    nuisance: Nuisance, keep: bool = False, exact: bool = False, there: InPlace | None = None,
 ) -> list[Trial]:  # fmt: skip
     """Scores of one kind of cause at all the places and parameters given.
 
@@ -84,6 +85,8 @@ def screen(
         Whether to keep the unit directions.
     exact
         Whether parameters stand for their own size alone, none for the derivative.
+    there
+        Linear elements in place, beside which channels are at fault; None where there are none.
     """
     if not causes:
         return []
@@ -92,6 +95,9 @@ def screen(
     params = np.concatenate([grid for *_, grid in causes])
     owner = np.concatenate([np.full(len(grid), k) for k, (*_, grid) in enumerate(causes)])
     before = plain(theta, nuisance.spread, problem)
+    if there is not None and isinstance(cause, ChannelCause):
+        H, channels = before
+        before = there.on(H, channels, np.asarray(problem.outputs), np.asarray(problem.inputs))
     small = np.concatenate([smallest(grid) for *_, grid in causes])
     # a few places stand for all where only the likeness of directions is wanted
     some = np.unique(np.linspace(0, len(causes) - 1, KEPT_PLACES).astype(int))
@@ -231,7 +237,7 @@ def _least_by_shape(grid: np.ndarray) -> np.ndarray:
 
 def screen_cause(
     cause: Cause, scene: Scene, places: Sequence[Place], theta: np.ndarray, residual: Residual, problem: Problem,
-    nuisance: Nuisance, keep: bool,
+    nuisance: Nuisance, keep: bool, there: InPlace | None = None,
 ) -> list[Trial]:  # fmt: skip
     """Screen one kind of cause at its places: the derivative at all, finite sizes where they may matter.
 
@@ -247,21 +253,24 @@ def screen_cause(
         Modal parameters that may adapt.
     keep
         Whether directions of the derivative are kept, to count independent tests.
+    there
+        Linear elements in place; None where there are none.
     """
     if not places:
         return []
     grids = [(cause, place, cause.grid(scene, place)) for place in places]
     if len(places) <= MANY_PLACES or not cause.parameters:
-        return screen(grids, theta, residual, problem, nuisance, keep)
+        return screen(grids, theta, residual, problem, nuisance, keep, there=there)
     first = [(c, place, grid[smallest(grid)]) for c, place, grid in grids]
-    trials = screen(first, theta, residual, problem, nuisance, keep)
+    trials = screen(first, theta, residual, problem, nuisance, keep, there=there)
     rows = {k: row for k, t in enumerate(trials) if (row := linear_size(t, cause)) is not None}
     sized = [(cause, places[k], row[None]) for k, row in rows.items()]
     gains = np.array([t.gain for t in trials])
-    for k, t in zip(rows, screen(sized, theta, residual, problem, nuisance, exact=True), strict=True):
+    sizes = screen(sized, theta, residual, problem, nuisance, exact=True, there=there)
+    for k, t in zip(rows, sizes, strict=True):
         gains[k] = t.gain
     order = np.argsort(-gains)[:KEPT]
-    better = screen([grids[k] for k in order], theta, residual, problem, nuisance, False)
+    better = screen([grids[k] for k in order], theta, residual, problem, nuisance, False, there=there)
     for k, trial in zip(order, better, strict=True):
         old = trials[k]
         trials[k] = replace(trial, direction=old.direction, z=old.z, error=old.error, trials=old.trials)

@@ -28,6 +28,7 @@ from modalax.diagnose.thresholds import THRESHOLDS
 
 LEADING, BEHIND = 2, 40.0  # hypotheses that a further cause is added to, and nats that these may be behind the best
 FURTHER = 3  # causes tried on each
+LOOKED_AT = 6  # hypotheses behind the leading ones that are screened for a further cause where these take up none
 
 
 def fit_further(comparison: Comparison, base: Hypothesis, trials: list[Trial]) -> list[Hypothesis]:
@@ -102,10 +103,10 @@ def _without(j: int, items: tuple[Any, ...]) -> tuple[Any, ...]:
 def one_more_cause(
     comparison: Comparison, ranked: list[Ranked], rest: Callable[[Hypothesis], "Rest"]
 ) -> list[Hypothesis]:
-    """Add one cause more to the leading hypotheses.
+    """Add one cause more to the leading hypotheses, and to others behind them that promise to overtake these with it.
 
-    Others are tried if none of those means what its name says any longer: a tuned mass that stood for an added mass and
-    a joint together becomes a mass once the joint is there.
+    A tuned mass that stands for an added mass and a damper together may leave least of all single causes and yet
+    nothing that a further cause takes up: the mass, some way behind, becomes right once the damper is there.
 
     Parameters
     ----------
@@ -127,14 +128,33 @@ def one_more_cause(
 
     leading = [r.best for r in ranked if r.log_evidence > ranked[0].log_evidence - BEHIND][:LEADING]
     found = tried(leading)
-    if found or comparison.late() or not worthy(leading[0]):
+    explained = rest(leading[0]).p_value > THRESHOLDS.left
+    taken_up = any(h.chi2 < leading[0].chi2 - _worth(comparison) for h in found)
+    if comparison.late() or taken_up or (explained and (found or not worthy(leading[0]))):
         return found
-    reach = max(BEHIND, 0.5 * rest(leading[0]).trials[0].gain)
+    least = leading[0].chi2 - _worth(comparison)
+    for h in _promising([r.best for r in ranked], leading, rest, comparison, least):
+        more = tried([h])
+        found += more
+        if any(one.chi2 < least for one in more):
+            break
+    return found
+
+
+def _promising(
+    ranked: list[Hypothesis], leading: list[Hypothesis], rest: Callable[[Hypothesis], "Rest"], comparison: Comparison,
+    least: float,
+) -> list[Hypothesis]:  # fmt: skip
+    """Hypotheses of other causes than the leading ones that promise less than a chi-square with a further cause."""
     others: dict[Any, Hypothesis] = {}
-    for r in ranked:
-        if r.log_evidence > ranked[0].log_evidence - reach and r.best.hum is None:
-            others.setdefault(frozenset(slug for slug, _ in r.names), r.best)
-    return tried([h for h in others.values() if not any(h is one for one in leading)][:FURTHER])
+    for h in ranked:
+        if h.hum is None and not any(h is one for one in leading):
+            others.setdefault(frozenset(slug for slug, _ in h.names), h)
+    promised: list[tuple[float, Hypothesis]] = []
+    for h in list(others.values())[:LOOKED_AT]:
+        if not comparison.late() and rest(h).trials:
+            promised.append((h.chi2 - max(t.gain for t in rest(h).trials), h))
+    return [h for chi2, h in sorted(promised, key=lambda one: one[0]) if chi2 < least][:FURTHER]
 
 
 @dataclass(frozen=True)
