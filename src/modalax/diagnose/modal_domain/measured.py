@@ -14,7 +14,7 @@ from modalax.diagnose.modal_domain.features import Features, chosen, features_of
 from modalax.diagnose.modal_domain.free_residues import Channels, Projected, refine
 from modalax.diagnose.modal_domain.mode_count import blind_modes, cost_of_mode, heavy, misfit, mode_gains
 from modalax.diagnose.modal_domain.repeated import close_pairs, reach, twofold
-from modalax.diagnose.setup.noise import Noise, noise_of
+from modalax.diagnose.setup.noise import Noise, noise_of, third_difference
 from modalax.identify.shared_noise import shared_noise
 
 BELOW, ABOVE = 2, 3  # modes of the simulation on either side of the band that stand for all beyond it
@@ -23,6 +23,9 @@ EDGE = 0.003  # part of the band's ends by which a mode that is compared may lie
 ALIKE = 5.0  # standard deviations of chi-square by which runs may differ and still count as alike
 OFF = 1.3  # factor by which variances that were estimated may be too small at some lines
 DOUBLED = 0.02  # part of a pole's energy from which on what is no shape times a participation is a second mode
+UNDERSTATED = 1.5  # chi-square per sample about a line from which stated variances may be too small there
+INDEPENDENT = 0.9, 1.15  # scatter between lines over what modes leave where that is noise: 1 if white, 0 if smooth
+AROUND_LINE = 15  # lines that tell of the noise about one, and twice as many are needed
 EXPLAINED = 1.1  # chi-square per sample up to which modes explain the data
 UNLIKE = 1e-6  # chance under noise below which runs differ at three neighbouring lines, as where a peak is bent
 
@@ -74,9 +77,15 @@ def identify(measurement: Measurement, c: Coordinates | None) -> Measured:
     channels, noise, runs, unlike = prepared(measurement, c)
     s, outside = channels.s, channels.outside
     modes = blind_modes(channels)
-    if np.isfinite(noise.freedom):  # noise that was estimated is known better beside what is no noise
+    made = modes.made(channels).reshape(H.shape[1:])
+    scattered = too_small(modes, channels)
+    if scattered is not None:
+        noise = _by_scatter(measurement, made, scattered)
+        channels = channels_of(s, H[runs], noise.sigma[runs], order, outside)
+        modes = blind_modes(channels)
         made = modes.made(channels).reshape(H.shape[1:])
-        noise = noise_of(measurement, made)
+    if np.isfinite(noise.freedom):  # noise that was estimated is known better beside what is no noise
+        noise = noise_of(measurement, made) if scattered is None else _by_scatter(measurement, made, scattered)
         channels = channels_of(s, H[runs], noise.sigma[runs], order, outside)
         modes = blind_modes(channels, modes.poles)
     shared = _shared(modes, channels, H.shape[2:])
@@ -88,6 +97,37 @@ def identify(measurement: Measurement, c: Coordinates | None) -> Measured:
         raise ValueError("no mode stands out of the noise in the band")
     left, features = _features(modes, channels, H.shape[2:])
     return Measured(np.asarray(measurement.freq), noise, channels, modes, left, features, runs, unlike, shared)
+
+
+def too_small(modes: Projected, channels: Channels) -> float | None:
+    """How many times larger than stated the noise is on the lines where it surely is larger; None if on none.
+
+    What modes leave is noise only as far as neighbouring lines are off independently of each other: then third
+    differences, which smooth curves have none of, are as large as it, on all samples and on the smaller ones alone.
+    The traces of a joint or of a record are curves, sharp peaks with too few lines a few large samples, and hum is on
+    single lines, of which differences reach the neighbours too.
+    """
+    residual = np.sqrt(channels.weight / 2) * (channels.data - modes.made(channels))
+    rough, whole = third_difference(residual[None])[0], np.abs(residual) ** 2
+    line = scipy.ndimage.uniform_filter1d(whole.mean(axis=1), AROUND_LINE, mode="nearest")
+    some = line > UNDERSTATED
+    if np.count_nonzero(some) < 2 * AROUND_LINE:
+        return None
+    rough, whole = rough[some], whole[some]
+    most = np.quantile(whole, 0.99)
+    scatter = [float(np.minimum(rough, m).mean() / np.minimum(whole, m).mean()) for m in (np.inf, most)]
+    white = INDEPENDENT[0] < min(scatter) and max(scatter) < INDEPENDENT[1]
+    return float(whole.mean()) if white else None
+
+
+def _by_scatter(measurement: Measurement, made: np.ndarray, times: float) -> Noise:
+    """Noise read off the lines, where the variances that are stated are too small."""
+    noise = noise_of(measurement.replace(variance=None, coherence=None), made)
+    source = (
+        f"the variances as given are too small, where they are by a factor of {times:.2g}: what modes leave scatters "
+        "by as much from line to line; the noise is taken from that scatter instead"
+    )
+    return replace(noise, source=source)
 
 
 def _shared(modes: Projected, channels: Channels, shape: tuple[int, ...]) -> float:

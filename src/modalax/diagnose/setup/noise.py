@@ -139,14 +139,14 @@ def _from_data(measurement: Measurement, H: np.ndarray, predicted: np.ndarray) -
             f"no variances given, and {H.shape[1]} lines are too few to estimate them; at least 8 are needed"
         )
     # whichever varies less around a line; chosen line by line, the smaller of two would be too small
-    plain, beside = _third_difference(H), _third_difference(H - predicted)
+    plain, beside = third_difference(H), third_difference(H - predicted)
     around = [uniform_filter1d(e, AROUND, axis=1, mode="nearest") for e in (plain, beside)]
     rough = np.where(around[0] <= around[1], plain, beside)
     variance = smoothed(rough, H, predicted, 2.0, clip=5.0)
     return Noise(np.sqrt(variance), "no variances given; estimated from the scatter between neighbouring lines", 2.0)
 
 
-def _third_difference(H: np.ndarray) -> np.ndarray:
+def third_difference(H: np.ndarray) -> np.ndarray:
     """Squared third differences, centred, scaled to the variance of white noise."""
     lines = H.shape[1]
     e = sum(c * H[:, k : lines - 3 + k] for k, c in enumerate(THIRD))
