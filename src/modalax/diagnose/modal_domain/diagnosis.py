@@ -26,7 +26,7 @@ from modalax.diagnose.modal_domain.extension import extension_of
 from modalax.diagnose.modal_domain.fit import fit
 from modalax.diagnose.modal_domain.forced import Forced, force_beside, force_rivals, force_said, force_told
 from modalax.diagnose.modal_domain.held_out import gain_of
-from modalax.diagnose.modal_domain.judged import inaccuracy_of_fit, judge, of_the_joint, standing_out
+from modalax.diagnose.modal_domain.judged import inaccuracy_of_fit, judge, of_the_joint, on_its_lines, standing_out
 from modalax.diagnose.modal_domain.levels.answer import causes_told, judge_levels, rivals_told
 from modalax.diagnose.modal_domain.levels.explain import JointFound
 from modalax.diagnose.modal_domain.levels.seen import at_levels, drift_by_run
@@ -330,6 +330,8 @@ def _diagnosed(
     if stage is None:
         return None
     judged = judge(stage)
+    if stage.seen is None or stage.seen.joint is None:
+        judged = replace(judged, chosen=on_its_lines(stage, judged.chosen))
     chosen, inaccuracy = judged.chosen, inaccuracy_told(stage.setting, judged.likeliest.fit)
     joined, further = judge_levels(stage.seen, stage.whole)
     explained = judged.likeliest.misfit <= THRESHOLDS.misfit  # what a fit that failed has learnt is no finding

@@ -19,6 +19,8 @@ from modalax.diagnose.modal_domain.state import Setting, State, evidence_of_free
 TEMPERATURES = (100.0, 10.0, 3.0)  # widening of the features' covariance in the first steps of a fit
 LEARNING = 10.0  # greatest of these at which sizes of the inaccuracy are estimated; far from the data all seem large
 LAST = 25  # most steps at the true covariance
+AGAIN, WORTH = 8, 1.0  # further times that these are taken, as long as the log evidence gains as many nats
+BASIN = 1000.0  # chi-square per feature from which on they are not: what is 30 deviations off may go anywhere
 SETTLED = 0.02  # change of log evidence at which a fit has ended
 HOPELESS = 15.0  # nats behind another hypothesis from which a fit ends where its steps are cut short,
 SHORT, SHARE = 0.2, 0.12  # to less than this part, and gain less than this share of them: in its basin it gains most
@@ -113,37 +115,60 @@ def fit(
                 lost = temperature <= LEARNING and _lost(behind, moved * temperature, part)
                 if moved < 0.5 or lost:
                     break
-        best: Fit | None = None
-        straight = True
-        for _ in range(LAST):
-            linear = linear_at(setting, state, causes, sizes, u)
-            # once the linear problem has led astray, sizes learnt at its solution would go round in circles
-            epsilon = linear.learnt(epsilon, 1.0, 8, None if straight else np.concatenate([sizes, u]))
-            now = linear.solve(epsilon)
-            scale = linear.prior(epsilon)
-            # Laplace where the fit stands, not where the linear problem ends: at the optimum the same, elsewhere lower
-            chi2 = float(state.difference @ state.difference)
-            cost = chi2 + float(((np.concatenate([sizes, u]) / scale) ** 2).sum())
-            evidence = -0.5 * cost + now.volume + hyperprior(setting, epsilon, u) + free
-            evidence -= 0.5 * unseen(setting.features, causes, state.modes.poles, state.residues, state.pairs)
-            wide = linear.widths
-            here = Fit(
-                causes, sizes, u, epsilon, evidence, now.covariance * np.outer(wide, wide), chi2, now.determined, state
-            )
-            gained = np.inf if best is None else evidence - best.log_evidence
-            behind = best_else - evidence
-            done = abs(gained) < SETTLED or lost or (behind > HOPELESS and gained < behind / LAST)
-            best = here
-            if done:
+        best, linear, ended = _at_true_covariance(setting, causes, state, sizes, u, epsilon, best_else, free, lost)
+        for _ in range(AGAIN):
+            if ended or not 1.0 < best.chi2 / setting.features.values.size < BASIN:
                 break
-            state, sizes, u, moved, part = _step(setting, causes, state, sizes, u, now.mean, scale, 1.0)
-            straight &= part == 1.0
-            lost = _lost(behind, moved, part)
-            if moved < 1e-3:
+            more = best.state, best.sizes, best.u, best.epsilon
+            again, at, ended = _at_true_covariance(setting, causes, *more, best_else, free, False)
+            gained = again.log_evidence - best.log_evidence
+            best, linear = (again, at) if gained > 0 else (best, linear)
+            if gained < WORTH:
                 break
     except np.linalg.LinAlgError:
         return None
-    return best if best is None else replace(best, log_evidence=_with_exact(setting, best, linear, free))
+    return replace(best, log_evidence=_with_exact(setting, best, linear, free))
+
+
+def _at_true_covariance(
+    setting: Setting, causes: tuple[Change, ...], state: State, sizes: np.ndarray, u: np.ndarray, epsilon: np.ndarray,
+    best_else: float, free: float, lost: bool,
+) -> tuple[Fit, Linear, bool]:  # fmt: skip
+    """Fit from a start at the covariance that the features have, and whether a further one is of no use.
+
+    It is of use where a step was cut short, from where on sizes are learnt at the place and not at the solution of the
+    linear problem: an inaccuracy that is far larger than where that happened would be learnt too slowly.
+    """
+    best: Fit | None = None
+    straight = True
+    for _ in range(LAST):
+        linear = linear_at(setting, state, causes, sizes, u)
+        # once the linear problem has led astray, sizes learnt at its solution would go round in circles
+        epsilon = linear.learnt(epsilon, 1.0, 8, None if straight else np.concatenate([sizes, u]))
+        now = linear.solve(epsilon)
+        scale = linear.prior(epsilon)
+        # Laplace where the fit stands, not where the linear problem ends: at the optimum the same, elsewhere lower
+        chi2 = float(state.difference @ state.difference)
+        cost = chi2 + float(((np.concatenate([sizes, u]) / scale) ** 2).sum())
+        evidence = -0.5 * cost + now.volume + hyperprior(setting, epsilon, u) + free
+        evidence -= 0.5 * unseen(setting.features, causes, state.modes.poles, state.residues, state.pairs)
+        wide = linear.widths
+        here = Fit(
+            causes, sizes, u, epsilon, evidence, now.covariance * np.outer(wide, wide), chi2, now.determined, state
+        )
+        gained = np.inf if best is None else evidence - best.log_evidence
+        behind = best_else - evidence
+        hopeless = lost or (behind > HOPELESS and gained < behind / LAST)
+        best = here
+        if hopeless or abs(gained) < SETTLED:
+            return best, linear, straight or hopeless
+        state, sizes, u, moved, part = _step(setting, causes, state, sizes, u, now.mean, scale, 1.0)
+        straight &= part == 1.0
+        lost = _lost(behind, moved, part)
+        if moved < 1e-3:
+            break
+    assert best is not None
+    return best, linear, straight
 
 
 def _with_exact(setting: Setting, f: Fit, linear: Linear, free: float) -> float:

@@ -14,12 +14,14 @@ from modalax.diagnose.modal_domain.levels.slipping import part_of_joint
 from modalax.diagnose.modal_domain.line_forces import EvenCoupling, SkewCoupling
 from modalax.diagnose.modal_domain.linear import LARGEST
 from modalax.diagnose.modal_domain.odd_output import only_output
+from modalax.diagnose.modal_domain.polish import taken_on
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.modal_domain.throughout import nats_over_a_factor
 from modalax.diagnose.modal_domain.together import SensorMasses
 from modalax.diagnose.thresholds import THRESHOLDS
 
 NEAR = 0.3  # relative distance within which a mode of the simulation may be the measured one
+ONE_SIDED = 0.5  # symmetric over skew part of a coupling that is none: between 0, of a skew one, and 1, of one-way
 LIKELIER = 0.5  # probability of nothing beyond the inaccuracy above which nothing is what the answer is about
 
 
@@ -65,7 +67,10 @@ def judge(stage: Stage) -> Judged:
         _at_one_output(stage, best), _as_a_factor(stage, best), _one_sided(stage, best),
     )  # fmt: skip
     word, reasons = modal_verdict(case)
-    alone = word == "clean" and plain is not None and not any(of_the_joint(stage, c) for c in best.causes)
+    # small causes without which the modes are much less likely stay in what the FRFs are corrected by
+    behind = math.inf if plain is None else best.log_posterior - plain.log_posterior
+    needed = behind > -math.log(1 - THRESHOLDS.certain) or any(of_the_joint(stage, c) for c in best.causes)
+    alone = word == "clean" and plain is not None and not needed
     return Judged(word, reasons, plain if alone and plain is not None else best, sets, best)
 
 
@@ -114,7 +119,11 @@ def _as_a_factor(stage: Stage, e: Explanation) -> float | None:
 
 
 def _one_sided(stage: Stage, e: Explanation) -> tuple[tuple[str | int, ...], ...]:
-    """Places of couplings that are said to be skew and surely act on one end more than on the other."""
+    """Places of couplings that are said to be skew and surely act on one end more than on the other.
+
+    One that acts on one end alone has a symmetric part as large as the skew one; beside elements that are off, a small
+    one is no wonder.
+    """
     found = []
     for c in standing_out(stage, e):
         if type(c) is SkewCoupling:
@@ -122,8 +131,19 @@ def _one_sided(stage: Stage, e: Explanation) -> tuple[tuple[str | int, ...], ...
             u = np.append(e.fit.u, 0.0)
             f = fit(stage.setting, (*e.causes, even), without_causes(e.fit), u, temperatures=(3.0,))
             sure = f is not None and abs(f.u[-1]) > THRESHOLDS.stands_out * math.sqrt(max(f.covariance[-1, -1], 0.0))
-            found += [c.where] if sure else []
+            own = own_sizes(e.causes, e.causes.index(c)).start
+            found += [c.where] if sure and f is not None and abs(f.u[-1]) > ONE_SIDED * abs(f.u[own]) else []
     return tuple(found)
+
+
+def on_its_lines(stage: Stage, e: Explanation) -> Explanation:
+    """The explanation that the answer is about, taken on to the lines where the same stands out in it there.
+
+    It need not have been among the likeliest, which were taken on before.
+    """
+    again = taken_on(stage.setting, e, stage.measured)
+    alike = again is e or set(standing_out(stage, again)) == set(standing_out(stage, e))
+    return again if alike else e
 
 
 def sets_beyond(stage: Stage) -> tuple[BeyondUsual, ...]:

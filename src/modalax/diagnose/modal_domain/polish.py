@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg.blas import dsyrk
 
-from modalax.diagnose.deadline import Deadline
+from modalax.diagnose.deadline import NEVER, Deadline
 from modalax.diagnose.modal_domain.causes import Change, own_sizes, shown, with_sizes
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.discrepancy import beside, told_apart
@@ -32,6 +32,7 @@ SETTLED = 0.1  # decrease of half chi-square at which it ends
 WORK = 3e9  # products for one set of derivatives; of larger problems every so many lines are taken
 BLOCK = 4e6  # numbers held at once
 MATTERS = 2e-4  # relative size of the rest from which it shows on lines: peaks move by half of it
+BEYOND_MODES = 1.5  # times what the measured modes leave on the lines, from which an answer's fit is taken on to these
 LIKELY, FEW = 0.01, 3  # probability from which, and most explanations that are taken on to the lines
 
 
@@ -151,8 +152,17 @@ def leading_on_lines(
             break
         again = fit(setting, e.causes, e.fit, e.fit.u, temperatures=()) if apart else None
         nearer = again is not None and chi2_of(setting, again, lines) < chi2_of(setting, e.fit, lines)
-        out[k] = replace(e, fit=on_lines(setting, again if nearer and again is not None else e.fit, lines, late))
+        start = again if nearer and again is not None else e.fit
+        out[k] = replace(e, fit=on_lines(setting, start, lines, late if k else NEVER))
     return setting, out
+
+
+def taken_on(setting: Setting, e: Explanation, measured: Measured) -> Explanation:
+    """An explanation taken on to the lines where it leaves more there than the modes do."""
+    lines = lines_of(measured.channels, setting, measured.misfit)
+    if chi2_of(setting, e.fit, lines) < BEYOND_MODES * measured.misfit * lines.samples:
+        return e
+    return replace(e, fit=on_lines(setting, e.fit, lines, NEVER))
 
 
 def unforeseen(setting: Setting, f: Fit, fitted: Lines, left_out: Lines) -> float:
