@@ -121,6 +121,11 @@ class Thresholds:
         "A fit explains the lines where it leaves at most this many times what the measured modes by themselves leave; "
         "beyond that lines only bend what modes tell, and nothing is clean or named.", INACCURATE,
     )  # fmt: skip
+    modes_miss: float = _threshold(
+        2.0, "chi-square per sample",
+        "Measured FRFs of which the best sum of modes leaves more than this are said to be none: twice the noise.",
+        INACCURATE,
+    )  # fmt: skip
     hopeless: float = _threshold(
         0.8, "share of the largest inaccuracy searched for",
         "A simulation that is off by more than this is not one of this structure.", INACCURATE,

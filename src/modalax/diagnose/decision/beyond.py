@@ -254,6 +254,13 @@ def lines_verdict(
         Chi-square per sample that the corrected simulation with its causes leaves, and that the measurement's own
         modes leave.
     """
+    if word in ("clean", "named") and by_modes > limits.modes_miss:
+        reasons = (
+            *reasons,
+            f"the measured FRFs themselves are no sum of modes: the best one leaves a chi-square of {by_modes:.3g} per "
+            "sample. Leakage, a force that drops at resonances, a non-linear joint or noise that is larger than stated "
+            "would do that, and what is small beside it is not seen here",
+        )  # fmt: skip
     if word not in ("clean", "named") or left <= limits.lines_missed * by_modes:
         return word, tuple(reasons)
     return "unknown", (
