@@ -1,0 +1,57 @@
+"""Which hypotheses a further cause is added to."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+
+from modalax.diagnose.causes.local import AddedMass, JointStiffness, TunedMass
+from modalax.diagnose.causes.scene import Place
+from modalax.diagnose.decision.omnibus import Omnibus
+from modalax.diagnose.decision.posterior import Ranked
+from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.search import compounds
+from modalax.diagnose.search.compounds import Rest, one_more_cause
+
+COMPARISON = SimpleNamespace(late=lambda: False, problem=SimpleNamespace(samples=400))
+PLACE = Place(("1",), (0, -1, 0))
+
+
+def ranked(cause, chi2):
+    h = Hypothesis(causes=(cause,), places=(PLACE,), extras=(None,), chi2=chi2)
+    return Ranked(h.names, h, -chi2 / 2, 0.0)
+
+
+OSCILLATOR, MASS, SPRING = ranked(TunedMass(), 1350.0), ranked(AddedMass(), 1610.0), ranked(JointStiffness(), 6800.0)
+
+
+def added_to(monkeypatch, gains, p_value):
+    """What a cause is added to, where one gains as much as it promises."""
+    asked = []
+
+    def fit_further(comparison, h, trials):
+        asked.append(h)
+        return [replace(h, chi2=h.chi2 - trials[0].gain)]
+
+    monkeypatch.setattr(compounds, "fit_further", fit_further)
+    rests = {
+        id(r.best): Rest([SimpleNamespace(gain=g)] if g else [], p_value, Omnibus(p_value, 9.0, "", (0.0, 0.0)))
+        for r, g in zip((OSCILLATOR, MASS, SPRING), gains, strict=True)
+    }  # fmt: skip
+    found = one_more_cause(COMPARISON, [OSCILLATOR, MASS, SPRING], lambda h: rests[id(h)])
+    return asked, found
+
+
+@pytest.mark.parametrize(
+    ("gains", "p_value", "expected"),
+    [
+        ((8.0, 1200.0, 900.0), 1e-9, [OSCILLATOR, MASS]),  # little helps the first, a damper makes the mass overtake it
+        ((300.0, 1200.0, 900.0), 1e-9, [OSCILLATOR]),  # a further cause is taken up by the first
+        ((8.0, 100.0, 900.0), 1e-9, [OSCILLATOR]),  # none behind promises to overtake
+        ((8.0, 1200.0, 900.0), 0.5, []),  # nothing is left to explain
+    ],
+)
+def test_a_cause_is_added_to_what_it_makes_overtake_the_first(monkeypatch, gains, p_value, expected):
+    asked, found = added_to(monkeypatch, gains, p_value)
+    assert asked == [r.best for r in expected]
+    assert len(found) == len(expected)
