@@ -254,7 +254,7 @@ def lines_verdict(
         Chi-square per sample that the corrected simulation with its causes leaves, and that the measurement's own
         modes leave.
     """
-    if word in ("clean", "named") and by_modes > limits.modes_miss:
+    if word in ("clean", "named") and min(left, by_modes) > limits.modes_miss:  # not where a joint explains it
         reasons = (
             *reasons,
             f"the measured FRFs themselves are no sum of modes: the best one leaves a chi-square of {by_modes:.3g} per "

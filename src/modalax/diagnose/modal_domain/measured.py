@@ -100,12 +100,14 @@ def identify(measurement: Measurement, c: Coordinates | None) -> Measured:
 
 
 def too_small(modes: Projected, channels: Channels) -> float | None:
-    """How many times larger than stated the noise is on the lines where it surely is larger; None if on none.
+    r"""How many times larger than stated the noise is on the lines where it surely is larger; None if on none.
 
     What modes leave is noise only as far as neighbouring lines are off independently of each other: then third
     differences, which smooth curves have none of, are as large as it, on all samples and on the smaller ones alone.
     The traces of a joint or of a record are curves, sharp peaks with too few lines a few large samples, and hum is on
-    single lines, of which differences reach the neighbours too.
+    single lines, of which differences reach the neighbours too. With the residual r of modes over the stated deviation
+    and its third differences, scaled to the variance of white noise, it is the ratio
+    :math:`\sum|\Delta^3r|^2/\sum|r|^2` that tells, and the answer is the mean of :math:`|r|^2` there.
     """
     residual = np.sqrt(channels.weight / 2) * (channels.data - modes.made(channels))
     rough, whole = third_difference(residual[None])[0], np.abs(residual) ** 2

@@ -209,7 +209,7 @@ def _assemble(s: Array, gains: Array, at: list[Any], problem: Problem) -> Linear
     H_ob, H_bi, H_bb = between(psi[:, o], right), between(left, part[:, i]), between(left, right)
     count = left.shape[1] - len(joints)
     if local:
-        Z = _block_diagonal([c.block(s, p) for c, _, p in local])
+        Z = block_diagonal([c.block(s, p) for c, _, p in local])
         inner = jnp.eye(count) + Z @ H_bb[:, :, :count, :count]
         X = jnp.linalg.solve(inner, jnp.broadcast_to(Z, inner.shape)) if count > 1 else Z / inner
         H = H - H_ob[..., :count] @ X @ H_bi[:, :, :count]
@@ -262,7 +262,8 @@ class Together:
         return jnp.sum(jnp.stack(parts), axis=0)
 
 
-def _block_diagonal(blocks: list[Array]) -> Array:
+def block_diagonal(blocks: list[Array]) -> Array:
+    """Matrices at every line, shape ``(f, n, n)`` each, one after the other along the diagonal."""
     size = sum(b.shape[-1] for b in blocks)
     out = jnp.zeros((blocks[0].shape[0], size, size), jnp.complex128)
     k = 0

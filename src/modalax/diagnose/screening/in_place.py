@@ -6,7 +6,6 @@ were found is screened on this one: a mass that moved a peak by its width makes 
 of the old peak no further element, and no fault of a channel, would look as it does.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +15,7 @@ from modalax._numerics.checks import as_array
 from modalax.diagnose.causes.base import CouplingCause, LocalCause
 from modalax.diagnose.causes.signals import Channels
 from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.prediction.frf import block_diagonal
 
 
 @dataclass(frozen=True)
@@ -78,16 +78,5 @@ def in_place(
         upper, lower = far
         left = left + upper @ b - lower @ b / omega[:, None, None] ** 2
         right = right + b.T @ upper - b.T @ lower / omega[:, None, None] ** 2
-    Z = _block_diagonal([np.asarray(h.causes[k].block(1j * omega, h.params[k])) for k in those])
+    Z = np.asarray(block_diagonal([h.causes[k].block(1j * as_array(omega), as_array(h.params[k])) for k in those]))
     return InPlace(left, np.linalg.solve(np.eye(Z.shape[1]) + Z @ (right @ b), Z @ right))
-
-
-def _block_diagonal(blocks: Sequence[np.ndarray]) -> np.ndarray:
-    """Matrices at every line, one after the other along the diagonal."""
-    size = sum(b.shape[-1] for b in blocks)
-    out, k = np.zeros((len(blocks[0]), size, size), complex), 0
-    for b in blocks:
-        n = b.shape[-1]
-        out[:, k : k + n, k : k + n] = b
-        k += n
-    return out

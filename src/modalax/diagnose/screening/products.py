@@ -71,7 +71,7 @@ class Reduced:
         H = np.stack([self.gains @ (left * right[:, i, None]) for i in range(right.shape[1])], axis=-1)
         H = H + self._far(lambda R: _along(R[:, self.inputs].T, a, b).T[None])
         if self.there is not None:
-            H = H - _across(self.there.left, a, b, 1) @ self.there.right[:, :, self.inputs]
+            H = H - _along(self.there.left, a, b) @ self.there.right[:, :, self.inputs]
         return H.transpose(1, 0, 2)
 
     def column(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -89,7 +89,7 @@ class Reduced:
         H = H.reshape(len(self.gains), len(a), -1) + self._far(lambda R: _along(R[self.outputs], a, b).T[None])
         if self.there is None:
             return H
-        return H - np.swapaxes(self.there.left[:, self.outputs] @ _across(self.there.right, a, b, 2), 1, 2)
+        return H - np.swapaxes(self.there.left[:, self.outputs] @ _along(self.there.right, a, b, 2), 1, 2)
 
     def summed(self, line: int, sums: np.ndarray) -> np.ndarray:
         """Receptance from every DoF to sums ``(q, o)`` of the outputs at one line, shape ``(q, dof)``."""
@@ -119,7 +119,7 @@ class Reduced:
         both = lambda R: np.einsum("kk->k", _along(_along(R, a, b).T, a, b))
         H = H + self._far(lambda R: both(R)[None])
         if self.there is not None:
-            left, right = _across(self.there.left, a, b, 1), _across(self.there.right, a, b, 2)
+            left, right = _along(self.there.left, a, b), _along(self.there.right, a, b, 2)
             H = H - np.einsum("fpq,fqp->fp", left, right)
         return H.T
 
@@ -155,16 +155,10 @@ def _times_real(z: np.ndarray, x: np.ndarray) -> np.ndarray:
     return out
 
 
-def _along(x: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Columns of the first DoFs less those of the second, where there is one."""
-    return x[:, a] - np.where(b >= 0, 1.0, 0.0) * x[:, np.maximum(b, 0)]
-
-
-def _across(x: np.ndarray, a: np.ndarray, b: np.ndarray, axis: int) -> np.ndarray:
+def _along(x: np.ndarray, a: np.ndarray, b: np.ndarray, axis: int = 1) -> np.ndarray:
     """Entries of the first DoFs less those of the second, where there is one, along an axis."""
-    shape = [1] * x.ndim
-    shape[axis] = -1
-    return np.take(x, a, axis) - (b >= 0).reshape(shape) * np.take(x, np.maximum(b, 0), axis)
+    second = (b >= 0).astype(float).reshape([-1 if k == axis else 1 for k in range(x.ndim)])
+    return np.take(x, a, axis) - second * np.take(x, np.maximum(b, 0), axis)
 
 
 def complex_of(value: np.ndarray, runs: int) -> np.ndarray:
