@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from modalax.diagnose.modal_domain import judged
@@ -63,3 +64,43 @@ def test_a_coupling_alone_stays(monkeypatch):
     monkeypatch.setattr(judged, "_one_sided", lambda stage, e: (SKEW.where,))
     alone = Few([explained(SKEW), explained(misfit=5.0)])
     assert _without_one_sided(alone) is alone
+
+
+@pytest.mark.parametrize(
+    ("even", "std", "told"),
+    [(0.3, 0.01, ()), (0.9, 0.01, (SKEW.where,)), (-0.9, 0.01, (SKEW.where,)), (0.9, 0.4, ())],
+)
+def test_a_coupling_is_one_sided_where_its_symmetric_part_is_sure_and_large(monkeypatch, even, std, told):
+    """Of one that acts on one end alone it is as large as the skew part; what elements that are off add is small."""
+    e = explained(SKEW)
+    e.fit.u = np.array([1.0])
+    beside = SimpleNamespace(u=np.array([1.0, even]), covariance=np.diag([1e-4, std**2]))
+    monkeypatch.setattr(judged, "standing_out", lambda stage, e: e.causes)
+    monkeypatch.setattr(judged, "without_causes", lambda f: f)
+    monkeypatch.setattr(judged, "fit", lambda *args, **kwargs: beside)
+    assert judged._one_sided(SimpleNamespace(setting=None), e) == told
+
+
+@pytest.mark.parametrize("alike", [True, False])
+def test_an_answer_is_taken_on_to_the_lines_where_it_says_the_same_there(monkeypatch, alike):
+    before, after = explained(SPRING, DAMPER), explained(SPRING, DAMPER)
+    monkeypatch.setattr(judged, "taken_on", lambda setting, e, measured: after)
+    monkeypatch.setattr(judged, "standing_out", lambda stage, e: (SPRING,) if e is after and not alike else e.causes)
+    found = judged.on_its_lines(SimpleNamespace(setting=None, measured=None), before)
+    assert found is (after if alike else before)
+
+
+@pytest.mark.parametrize(("behind", "about"), [(1.0, ()), (40.0, (SPRING,))])
+def test_a_small_cause_that_the_modes_need_stays_in_what_the_frfs_are_corrected_by(monkeypatch, behind, about):
+    best, plain = explained(SPRING, posterior=behind), explained(posterior=0.0)
+    stage = SimpleNamespace(explanations=[best, plain], odd=None, setting=SimpleNamespace(inaccuracy=None))
+    off = {"stiffness": 0.01, "mass": 0.01, "damping": 0.1}
+    for name, value in {
+        "_without_one_sided": lambda s: s, "_leading": lambda s: ((), best), "of_the_joint": lambda s, c: False,
+        "inaccuracy_of_fit": lambda s, e: off, "told_by_size": lambda s, e: ((), ()), "claims_of": lambda i: {},
+        "needs": lambda s, e, small: False, "_at_one_output": lambda s, e: (), "_as_a_factor": lambda s, e: None,
+        "_one_sided": lambda s, e: (), "modal_verdict": lambda case: ("clean", ()),
+    }.items():  # fmt: skip
+        monkeypatch.setattr(judged, name, value)
+    found = judged.judge(stage)
+    assert found.chosen.causes == about and found.likeliest is best
