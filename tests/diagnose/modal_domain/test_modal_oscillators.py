@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from chains_off import FREQ, as_measured, chain_off, response, simulation
 
-from modalax.diagnose.modal_domain.explain import _attached
+from modalax.diagnose.modal_domain.attached import acting_alike, attached
 from modalax.diagnose.modal_domain.fit import fit
 from modalax.diagnose.modal_domain.further_causes import MissingMode, TunedMass
-from modalax.diagnose.modal_domain.oscillators import _heavy, oscillators
+from modalax.diagnose.modal_domain.oscillators import _heavy, alike, oscillators
 from modalax.diagnose.modal_domain.prior import Prior
 from modalax.diagnose.modal_domain.stage import identified, posed
 
@@ -60,6 +60,21 @@ def test_it_is_sought_though_another_cause_leads_that_explains_nothing(task, exp
     own = fit(setting, (extra,), None, np.zeros(extra.count))
     ahead = replace(own, causes=(mass,), log_evidence=own.log_evidence + 50.0, chi2=1.0 if explained else 1e9)
     found = {(extra,): own, (mass,): ahead}
-    _attached(setting, found, task.candidates, Prior(task.candidates), lambda: False)
+    attached(setting, found, task.candidates, Prior(task.candidates), lambda: False)
     tried = {c.where for causes in found for c in causes if isinstance(c, TunedMass)}
     assert (("3:+Z",) in tried) is not explained
+
+
+def test_from_a_place_that_leads_those_that_act_alike_are_fitted_until_none_is_likelier(task):
+    """Beside what else is off, its own place may seem poor before it is fitted."""
+    at = {c.where[0]: c for c in task.candidates if isinstance(c, TunedMass)}
+    u = np.array([1.0, np.log(2 * np.pi * TUNED / at["3:+Z"].middle) / at["3:+Z"].width, 0.0])
+    assert len(alike(task.setting, list(at.values()), at["1:+Z"], u)) == 4
+    wrong = fit(task.setting, (at["1:+Z"],), None, u)
+    found = {(at["1:+Z"],): wrong}
+    acting_alike(task.setting, found, task.candidates, Prior(task.candidates), lambda: True)
+    assert list(found) == [(at["1:+Z"],)]
+    acting_alike(task.setting, found, task.candidates, Prior(task.candidates), lambda: False)
+    best = max(found.values(), key=lambda f: f.log_evidence)
+    assert best.causes[0].where == ("3:+Z",) and best.log_evidence > wrong.log_evidence + 20
+    assert abs(best.causes[0].values(best.u)[0] / MASS - 1) < 0.15

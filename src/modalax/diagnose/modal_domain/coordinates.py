@@ -143,7 +143,7 @@ def _solved(simulation: Structure, highest: float) -> tuple[tuple[str, ...], np.
         values, shapes = scipy.linalg.eigh(K, M)
         return names, np.sqrt(np.maximum(values, 0.0)), shapes, int(np.count_nonzero(values < highest**2))
     if told is None:
-        nodes = nodes_of(names)
+        nodes = nodes_of(names, K)
         parts = parts_of(K, nodes), parts_of(M, nodes, mass=True)
         stiffness, mass = ([(p.dofs, p.matrix) for p in some] for some in parts)
     else:

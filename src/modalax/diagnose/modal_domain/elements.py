@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modalax.data.dofs import parse_dof
+from modalax.diagnose.modal_domain.turns import directions_of, rotations_of
 
 NEGLIGIBLE = 1e-7  # size of a coupling, relative to the diagonal, below which there is none
 AXES = ("X", "Y", "Z", "RX", "RY", "RZ")
@@ -78,10 +79,10 @@ class Nodes:
         return out
 
 
-def nodes_of(dofs: tuple[str, ...]) -> Nodes:
+def nodes_of(dofs: tuple[str, ...], K: np.ndarray | None = None) -> Nodes:
     """Nodes by the names of their DoFs, those of each in the order of its directions, whatever that of the names.
 
-    Where names do not show the node, every DoF is a node of its own.
+    Where names do not show the node, every DoF is a node of its own, but for rotations that a stiffness matrix shows.
     """
     found: dict[object, list[int]] = {}
     axis, sign = np.full(len(dofs), -1), np.ones(len(dofs))
@@ -90,24 +91,51 @@ def nodes_of(dofs: tuple[str, ...]) -> Nodes:
             axis[k] = AXES.index(direction)
         sign[k] = way
         found.setdefault((node,) if axis[k] >= 0 else dofs[k], []).append(k)
+    told = None if K is None or (axis >= 0).all() else directions_of(dofs, axis, K)
+    if told is not None:
+        members, axis = (
+            [[k for k, own in enumerate(told[0]) if own == node] for node in dict.fromkeys(told[0])],
+            told[1],
+        )
+        return Nodes([np.array(sorted(v, key=lambda k: axis[k])) for v in members], axis, sign)
+    if K is not None and (axis < 0).all():
+        return _turning(rotations_of(K), Nodes([np.array(v) for v in found.values()], axis, sign))
     return Nodes([np.array(sorted(v, key=lambda k: axis[k])) for v in found.values()], axis, sign)
+
+
+def _turning(rotations: dict[int, int], plain: Nodes) -> Nodes:
+    """Nodes of displacements along one axis, with the rotations that turn with them, one about each other axis."""
+    bodies: dict[int, list[int]] = {}
+    for turn, moves in rotations.items():
+        bodies.setdefault(moves, []).append(turn)
+    if not bodies or any(len(turns) > 2 for turns in bodies.values()):
+        return plain
+    axis = np.full(len(plain.axis), 2)
+    for turns in bodies.values():
+        axis[turns] = (4,) if len(turns) == 1 else (3, 4)
+    moves = [k for k in range(len(axis)) if k not in rotations]
+    return Nodes([np.array([k, *bodies.get(k, ())]) for k in moves], axis, plain.sign)
 
 
 def _read(dofs: tuple[str, ...]) -> list[tuple[str, str | None, int]]:
     """Node, direction and sign of each name.
 
     Letters alone, and letters before a number, may also count points; they are directions where that shows: where a
-    body turns, and where one number has several directions.
+    body turns, and where one number has several directions. The last letter of a word, as of ``body``, is one where
+    all names end in one, or the rest of that word ends in several.
     """
     names = [name.strip() for name in dofs]
     alone = any(name.upper() in AXES[3:] for name in names)
     ahead = [_AHEAD.fullmatch(name) for name in names]
     numbered = [(m["node"], f"{'R' * bool(m['turn'])}{m['along'].upper()}") for m in ahead if m is not None]
     many = len({node for node, _ in numbered}) < len(set(numbered))
+    behind = [_SHORT.fullmatch(name) for name in names]
+    words = [m["node"] for m in behind if m is not None and m["node"].isalpha()]
     found: list[tuple[str, str | None, int]] = []
-    for name, first in zip(names, ahead, strict=True):
+    for name, first, last in zip(names, ahead, behind, strict=True):
         node, direction, way = parse_dof(name)
-        last = _SHORT.fullmatch(name)
+        if last is not None and words.count(last["node"]) == 1 and None in behind:
+            last = None
         if direction is not None:
             found.append((node, direction, way))
         elif alone and name.upper() in AXES:

@@ -11,24 +11,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modalax.diagnose.deadline import Deadline
-from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
+from modalax.diagnose.modal_domain.attached import acting_alike, attached
+from modalax.diagnose.modal_domain.attempts import attempt, explains, key_of, possible, without
+from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.damped_along import damped_along
 from modalax.diagnose.modal_domain.discrepancy import learnt_rest
 from modalax.diagnose.modal_domain.explanation import Explanation, ranked_by
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
-from modalax.diagnose.modal_domain.oscillators import oscillators
 from modalax.diagnose.modal_domain.prior import SECOND, Prior
 from modalax.diagnose.modal_domain.screen import narrower, replaced, scores
-from modalax.diagnose.modal_domain.starts import FITTED, NEXT, as_signs, in_place_of_one, starts
+from modalax.diagnose.modal_domain.starts import FITTED, NEXT, as_signs, starts
 from modalax.diagnose.modal_domain.state import Setting
 from modalax.diagnose.modal_domain.throughout import (
-    all_scaled,
     beside_one_factor,
     instead_of_a_gain,
     start_in,
     with_more,
 )
-from modalax.diagnose.thresholds import THRESHOLDS
 
 NEAR = 12.0  # nats behind the best up to which other places are fitted
 WORTH = 4.0  # nats that a further cause must promise beyond the cost of its prior probability
@@ -87,17 +86,17 @@ def one_cause(setting: Setting, candidates: list[Change], late: Deadline) -> lis
     for cause, u, start in [] if null is None else starts(setting, null, candidates, prior.each(candidates)):
         if late():
             break
-        _try(setting, found, (cause,), cause.of_size(u), start, gentle=start is None)
+        attempt(setting, found, (cause,), cause.of_size(u), start, gentle=start is None)
     return ranked_by(found, prior) if found else []
 
 
 def again(setting: Setting, earlier: Sequence[Explanation], candidates: list[Change]) -> list[Explanation]:
     """The likeliest of earlier explanations and the general inaccuracy alone, fitted to features that have changed."""
     found: dict[tuple[Change, ...], Fit] = {}
-    _try(setting, found, (), np.zeros(0), None)
+    attempt(setting, found, (), np.zeros(0), None)
     best = earlier[0]
     if best.causes and all(replace(c, along="") in candidates for c in best.causes):
-        _try(setting, found, best.causes, best.fit.u, None, gentle=False)
+        attempt(setting, found, best.causes, best.fit.u, None, gentle=False)
     return ranked_by(found, Prior(candidates)) if found else []
 
 
@@ -111,13 +110,13 @@ def further(
     u
         Size that it is fitted from.
     """
-    found = {_key(e.causes): e.fit for e in explanations}
+    found = {key_of(e.causes): e.fit for e in explanations}
     best, own = explanations[0].fit, cause.of_size(u)
     for k in range(len(best.causes)):
         kept = tuple(c for j, c in enumerate(best.causes) if j != k)
-        _try(setting, found, (*kept, cause), np.append(_without(best, k), own), without_causes(best), gentle=False)
+        attempt(setting, found, (*kept, cause), np.append(without(best, k), own), without_causes(best), gentle=False)
     if len(best.causes) < MOST:
-        _try(setting, found, (*best.causes, cause), np.append(best.u, own), without_causes(best), gentle=False)
+        attempt(setting, found, (*best.causes, cause), np.append(best.u, own), without_causes(best), gentle=False)
     left = {id(e.fit): e.misfit for e in explanations}
     return [replace(e, misfit=left.get(id(e.fit), e.misfit)) for e in ranked_by(found, Prior(candidates))]
 
@@ -127,7 +126,7 @@ def _less_a_mode(setting: Setting, candidates: list[Change]) -> dict[tuple[Chang
     found: dict[tuple[Change, ...], Fit] = {}
     for cause in candidates:
         if cause.freed is not None:
-            _try(setting, found, (cause,), np.zeros(cause.count), None)
+            attempt(setting, found, (cause,), np.zeros(cause.count), None)
     return found
 
 
@@ -142,10 +141,10 @@ def _all_steps(
     tell(f"fitting {len(trials)} of them")
     for cause, u, start in trials:
         if not _found(found, cause):
-            _try(setting, found, (cause,), cause.of_size(u), start, gentle=start is None)
+            attempt(setting, found, (cause,), cause.of_size(u), start, gentle=start is None)
         if late():
             return
-    _attached(setting, found, candidates, prior, late)
+    attached(setting, found, candidates, prior, late)
     _several(setting, found, candidates, prior, late)
     search.setting, search.found = setting, found = _beside_a_factor(search.bare, setting, found, prior)
     search.setting, search.found = setting, found = _beside_the_rest(setting, found, prior, late)
@@ -157,6 +156,7 @@ def _all_steps(
             _fewer(setting, found, best.fit)
             _apart(setting, found, best.fit, candidates)
             _neighbours(setting, found, best.fit, candidates, prior, late)
+            acting_alike(setting, found, candidates, prior, late)
             _other_forms(setting, found, candidates, prior)
             best = ranked_by(found, prior)[0]
         if len(best.causes) >= MOST or not _further(setting, found, best.fit, candidates, prior, late):
@@ -172,34 +172,7 @@ def _found(found: dict[tuple[Change, ...], Fit], cause: Change) -> bool:
     f, null = found.get((cause,)), found.get(())
     if f is None or null is None:
         return False
-    return f.log_evidence > null.log_evidence + WORTH and _explains(f)
-
-
-def _explains(f: Fit) -> bool:
-    """Whether a fit explains the modes."""
-    return f.chi2 < THRESHOLDS.misfit * f.state.difference.size
-
-
-def _attached(
-    setting: Setting, found: dict[tuple[Change, ...], Fit], candidates: list[Change], prior: Prior,
-    late: Callable[[], bool],
-) -> None:  # fmt: skip
-    """Where a measured mode is one too many, try what may have moved one so far, and oscillators as what makes it."""
-    ranked = ranked_by(found, prior)
-    if not _explains(ranked[0].fit):  # which mode is too many shows beside other errors that are too large as well
-        ranked = [e for e in ranked if any(c.freed is not None for c in e.causes)]
-    freed = [c for c in ranked[0].causes if c.freed is not None] if ranked else []
-    if not freed:
-        return
-    best = ranked[0].fit
-    for cause, u, start in in_place_of_one(setting, best, candidates, prior.each(candidates)):
-        if late():
-            return
-        _try(setting, found, (cause,), cause.of_size(u), start, gentle=False)
-    for cause, u in oscillators(setting, candidates, freed[0]):
-        if late():
-            return
-        _try(setting, found, (cause,), u, None)
+    return f.log_evidence > null.log_evidence + WORTH and explains(f)
 
 
 def _several(
@@ -226,9 +199,9 @@ def _several(
             cause = candidates[int(np.argmax(value))]
             u = np.append(f.u, cause.of_size(0.0))
             wider = fit(setting, (*f.causes, cause), without_causes(about), u, temperatures=(3.0,))
-            if wider is None or not _possible(wider):
+            if wider is None or not possible(wider):
                 break
-            f, key = wider, _key((*f.causes, cause))
+            f, key = wider, key_of((*f.causes, cause))
             if key not in found or f.log_evidence > found[key].log_evidence:
                 found[key] = f
 
@@ -252,7 +225,7 @@ def _beside_a_factor(
         return setting, found
     again: dict[tuple[Change, ...], Fit] = {}
     for e in leading:
-        _try(asked, again, e.causes, e.fit.u, start_in(asked, e.fit), gentle=False)
+        attempt(asked, again, e.causes, e.fit.u, start_in(asked, e.fit), gentle=False)
     return (asked, again) if again else (setting, found)
 
 
@@ -262,9 +235,9 @@ def _without_a_gain(search: _Search, prior: Prior) -> None:
     other = instead_of_a_gain(search.setting, search.bare, leading[0].fit, prior)
     if other is None:
         return
-    search.setting, found = other[0], {_key(other[1].causes): other[1]}
+    search.setting, found = other[0], {key_of(other[1].causes): other[1]}
     for e in leading:
-        _try(search.setting, found, e.causes, e.fit.u, start_in(search.setting, e.fit), gentle=False)
+        attempt(search.setting, found, e.causes, e.fit.u, start_in(search.setting, e.fit), gentle=False)
     search.found = found
 
 
@@ -282,38 +255,15 @@ def _beside_the_rest(
         return setting, found
     again: dict[tuple[Change, ...], Fit] = {}
     for e in leading:
-        _try(new, again, e.causes, e.fit.u, without_causes(e.fit), gentle=False)
+        attempt(new, again, e.causes, e.fit.u, without_causes(e.fit), gentle=False)
     return (new, again) if again else (setting, found)
-
-
-def _try(
-    setting: Setting, found: dict[tuple[Change, ...], Fit], causes: tuple[Change, ...], u: np.ndarray,
-    start: Fit | None, gentle: bool = True,
-) -> None:  # fmt: skip
-    if all_scaled(setting) and any(c.scales_all for c in causes):
-        return
-    temperatures = {} if gentle else {"temperatures": (3.0,)}
-    best = max((f.log_evidence for f in found.values()), default=-np.inf)
-    trial = fit(setting, causes, start, u, **temperatures, best_else=best)
-    key = _key(causes)
-    if trial is not None and _possible(trial) and (key not in found or trial.log_evidence > found[key].log_evidence):
-        found[key] = trial
-
-
-def _possible(f: Fit) -> bool:
-    """Whether every cause may have the sizes that it has."""
-    return all(c.possible(u) for c, u in with_sizes(f.causes, f.u))
-
-
-def _key(causes: Sequence[Change]) -> tuple[Change, ...]:
-    return tuple(sorted(causes, key=lambda c: (c.slug, c.where, c.pattern is not None, c.along)))
 
 
 def _fewer(setting: Setting, found: dict[tuple[Change, ...], Fit], best: Fit) -> None:
     """Fit the best explanation without each of its causes, starting from its own sizes."""
     for k in range(len(best.causes)):
         kept = tuple(c for j, c in enumerate(best.causes) if j != k)
-        _try(setting, found, kept, _without(best, k), without_causes(best), gentle=False)
+        attempt(setting, found, kept, without(best, k), without_causes(best), gentle=False)
 
 
 def _apart(setting: Setting, found: dict[tuple[Change, ...], Fit], best: Fit, candidates: list[Change]) -> None:
@@ -323,13 +273,8 @@ def _apart(setting: Setting, found: dict[tuple[Change, ...], Fit], best: Fit, ca
         others = tuple(c for j, c in enumerate(best.causes) if j != k)
         if 1 < len(each) <= MANY - len(others) and len(each) == len(together.told_as):
             sizes = [c.of_size(together.size(best.u[own_sizes(best.causes, k)]) * c.whole / c.scale) for c in each]
-            u = np.concatenate([_without(best, k), *sizes])
-            _try(setting, found, (*others, *each), u, without_causes(best), gentle=False)
-
-
-def _without(f: Fit, which: int) -> np.ndarray:
-    """Sizes of all causes but one."""
-    return np.delete(f.u, np.arange(len(f.u))[own_sizes(f.causes, which)])
+            u = np.concatenate([without(best, k), *sizes])
+            attempt(setting, found, (*others, *each), u, without_causes(best), gentle=False)
 
 
 def _neighbours(
@@ -349,8 +294,8 @@ def _neighbours(
                 return
             if known or not value[j] > max(value.max() - NEAR, -np.inf):
                 continue
-            u = np.append(_without(best, k), candidates[j].of_size(float(np.clip(size[j], -3, 3))))
-            _try(setting, found, causes, u, without_causes(best), gentle=False)
+            u = np.append(without(best, k), candidates[j].of_size(float(np.clip(size[j], -3, 3))))
+            attempt(setting, found, causes, u, without_causes(best), gentle=False)
 
 
 def _further(
@@ -376,7 +321,7 @@ def _further(
         if late():
             break
         u = np.append(best.u, candidates[j].of_size(0.0))
-        _try(setting, found, (*best.causes, candidates[j]), u, without_causes(about), gentle=False)
+        attempt(setting, found, (*best.causes, candidates[j]), u, without_causes(about), gentle=False)
     return bool(abouts)
 
 
@@ -387,4 +332,4 @@ def _other_forms(
     ranked = ranked_by(found, prior)
     near = [e.fit for e in ranked[:AGAIN] if e.log_posterior > ranked[0].log_posterior - NEAR]
     for causes, u, start in (*damped_along(setting, near), *as_signs(near, candidates)):
-        _try(setting, found, causes, u, start, gentle=False)
+        attempt(setting, found, causes, u, start, gentle=False)

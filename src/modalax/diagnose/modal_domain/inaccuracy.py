@@ -14,7 +14,7 @@ from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.elements import Part, nodes_of
 from modalax.diagnose.modal_domain.factored import Factored, factored
 from modalax.diagnose.modal_domain.given_elements import mass_patterns, stiffness_patterns
-from modalax.diagnose.modal_domain.parts import coupled_rows, parts_of
+from modalax.diagnose.modal_domain.parts import apart, coupled_rows, parts_of
 from modalax.model import Structure
 
 # Sizes where nothing is claimed, and the spread of their logarithms. Frequencies of finite-element models are off by
@@ -77,13 +77,14 @@ class Inaccuracy:
 def inaccuracy_of(simulation: Structure, c: Coordinates, highest: float) -> Inaccuracy:
     """Patterns of a structure whose band ends at ``highest`` [rad/s]."""
     M, K = np.asarray(simulation.M), np.asarray(simulation.K)
-    nodes = nodes_of(simulation.dofs)
+    nodes = nodes_of(simulation.dofs, K)
     stiffness, mass = stiffness_patterns(simulation, c), mass_patterns(simulation, c)
     shared = {name: np.zeros((0, c.size, c.size)) for name in WITHIN}
     if stiffness is None:
-        stiffness, shared["stiffness"] = _patterns(parts_of(K, nodes), c)
+        stiffness, shared["stiffness"] = _patterns([q for p in parts_of(K, nodes) for q in apart(p, nodes)], c)
     if mass is None:
-        mass, shared["mass"] = _patterns(parts_of(M, nodes, mass=True), c)
+        parts = [q for p in parts_of(M, nodes, mass=True) for q in apart(p, nodes, mass=True)]
+        mass, shared["mass"] = _patterns(parts, c)
     claims = {"stiffness": _claim(simulation, "stiffness_std"), "mass": _claim(simulation, "mass_std"),
               "damping": _claim(simulation, "damping_std")}  # fmt: skip
     frequency = _claim(simulation, "frequency_std")

@@ -19,6 +19,8 @@ OFF = np.array([0.975, 1.0, 1.025])  # frequencies at which the compliance is ta
 FARTHEST = 1.6  # of the oscillator from that mode, by a factor in frequency, of those that are tried
 LIGHT = 0.02  # root of a mass, over the usual, that changes no other mode
 LEADING = 6  # places that are fitted, of light and of heavy ones each
+ALIKE = 4  # further places that are fitted, which act on the modes most like the best so far
+BROAD = 0.1  # width of the compliance by which that is judged, relative to the oscillator's frequency
 
 
 def oscillators(
@@ -45,6 +47,26 @@ def oscillators(
     # each kind by itself: a light one fits its own mode wherever it is, and would crowd out heavy ones
     leading = [sorted(kind, key=lambda one: one[0])[:LEADING] for kind in (light, heavy)]
     return [(cause, u) for kind in leading for _, cause, u in kind]
+
+
+def alike(setting: Setting, candidates: list[Change], to: TunedMass, u: np.ndarray) -> list[TunedMass]:
+    """Other places of an oscillator, by how much its force there moves the structure as at the place that it has.
+
+    Modes count by their compliance about the oscillator's frequency. What is off in the simulation may make a place
+    seem poor until it is fitted; those next to the best are.
+    """
+    others = [c for c in candidates if isinstance(c, TunedMass) and c.where != to.where]
+    if not others:
+        return []
+    w, at = setting.coordinates.frequencies[:-1], to.values(u)[1]
+    weight = 1 / np.sqrt(np.abs(w**2 - at**2 + 1j * BROAD * w * at))
+    unit = []
+    for cause in (to, *others):
+        assert cause.direction is not None
+        moved = weight * cause.direction[:-1]
+        unit.append(moved / max(float(np.linalg.norm(moved)), 1e-300))
+    like = np.abs(np.array(unit[1:]) @ unit[0])
+    return [others[k] for k in np.argsort(-like)[:ALIKE]]
 
 
 def _heavy(setting: Setting, cause: TunedMass, near_to: float) -> list[np.ndarray]:

@@ -88,6 +88,19 @@ def planes_of(p: Part) -> list[Part]:
     return [Part(p.nodes, p.dofs[k], p.matrix[np.ix_(k, k)]) for k in each] if len(every) > 1 else []
 
 
+def apart(p: Part, nodes: Nodes, mass: bool = False) -> list[Part]:
+    """Pieces of an element that may each be off by itself: bending and twisting, as each other quantity of a section.
+
+    A node's mass is one in all directions, and its inertia another.
+    """
+    every = _pieces(p)
+    if mass:
+        moves = nodes.axis[p.dofs] < 3
+        one = [k for k in every if moves[k].any()]
+        every = [np.sort(np.concatenate(one))] * bool(one) + [k for k in every if not moves[k].any()]
+    return [p] if len(every) < 2 else [Part(p.nodes, p.dofs[k], p.matrix[np.ix_(k, k)]) for k in every]
+
+
 def ends_of(p: Part, nodes: Nodes) -> tuple[int, ...]:
     """The two DoFs of one direction that the largest piece of an element couples most, displacements before rotations.
 

@@ -40,7 +40,7 @@ def candidates_of(
     pairs: list[tuple[str, str]] | None, highest: float,
 ) -> list[Change]:  # fmt: skip
     """Causes at their places."""
-    dofs, nodes = simulation.dofs, nodes_of(simulation.dofs)
+    dofs, nodes = simulation.dofs, nodes_of(simulation.dofs, np.asarray(simulation.K))
     inside = np.flatnonzero((c.frequencies < highest) & (c.frequencies > 0.02 * highest))
     if not len(inside):
         inside = np.arange(min(3, c.size))

@@ -145,7 +145,7 @@ def posed(measurement: Measurement, simulation: Structure, measured: Measured) -
     pairs = None if simulation.pairs is None else list(simulation.pairs)
     every = candidates_of(simulation, c, measurement.outputs, measurement.inputs, pairs, highest)
     every += further_of(simulation, c, measured, measurement.outputs)
-    places = springs_of(simulation, c, nodes_of(simulation.dofs), pairs, highest)
+    places = springs_of(simulation, c, nodes_of(simulation.dofs, np.asarray(simulation.K)), pairs, highest)
     low, high = (float(abs(measured.channels.s[k])) for k in (0, -1))
     forces = line_forces(c, simulation.dofs, measurement.outputs, measurement.inputs, places, low, high)
     return Posed(c, setting, [*every, *asked_of_modes(forces)], places)

@@ -1,0 +1,142 @@
+"""Rotations are read off the stiffness matrix where names do not tell them: levers, beams, grids, frames."""
+
+import numpy as np
+import pytest
+
+from modalax.data import Measurement
+from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.diagnose.modal_domain.elements import nodes_of, stiffness_parts
+from modalax.diagnose.modal_domain.turns import directions_of, rotations_of
+from modalax.model import Structure
+
+CAR = ("front", "rear", "engine", "seat", "body", "pitch")
+ARMS = {"front": -1.2, "rear": 1.4, "engine": -1.1, "seat": 0.3}  # m
+SPRINGS = {"front": 22e3, "rear": 25e3, "engine": 180e3, "seat": 30e3}  # N/m
+TYRES = {"front": 190e3, "rear": 210e3}
+MASSES = np.diag([40.0, 45.0, 120.0, 70.0, 600.0, 800.0])
+
+
+def lever(name: str) -> np.ndarray:
+    """How a spring from a part to the body is strained by each DoF."""
+    g = np.zeros(6)
+    g[[CAR.index(name), 4, 5]] = 1, -1, -ARMS[name]
+    return g
+
+
+def car(springs: dict[str, float], tyres: dict[str, float]) -> np.ndarray:
+    K = sum(k * np.outer(lever(name), lever(name)) for name, k in springs.items())
+    for name, k in tyres.items():
+        K[CAR.index(name), CAR.index(name)] += k
+    K[2, 2] += 9e3
+    K[np.ix_([2, 3], [2, 3])] += 5e3 * np.array([[1, -1], [-1, 1]])
+    return K
+
+
+def test_a_body_that_pitches_is_found_whatever_it_is_called():
+    K = car(SPRINGS, TYRES)
+    assert rotations_of(K) == {5: 4}
+    order = np.random.default_rng(0).permutation(6)
+    assert rotations_of(K[np.ix_(order, order)]) == {order.tolist().index(5): order.tolist().index(4)}
+    nodes = nodes_of(CAR, K)
+    assert [m.tolist() for m in nodes.members] == [[0], [1], [2], [3], [4, 5]]
+    assert [len(m) for m in nodes_of(CAR).members] == [1] * 6  # the last letter of body is no direction
+    parts = stiffness_parts(K, nodes)
+    np.testing.assert_allclose(sum(p.full(6) for p in parts), K, atol=1e-6)
+    for name, k in SPRINGS.items():
+        (own,) = (p for p in parts if len(p.nodes) == 2 and p.full(6)[CAR.index(name), 5])
+        np.testing.assert_allclose(own.full(6), k * np.outer(lever(name), lever(name)), atol=1e-6)
+    assert sorted(p.matrix[0, 0] for p in parts if len(p.nodes) == 1) == pytest.approx([9e3, 190e3, 210e3])
+
+
+def test_no_rotation_is_seen_where_rows_do_not_show_one():
+    chain = np.diag([3.0, 4, 3, 2]) - np.diag([2.0, 2, 1], 1) - np.diag([2.0, 2, 1], -1)
+    rng = np.random.default_rng(1)
+    spread = rng.standard_normal((6, 6))
+    c, s = np.cos(0.4), np.sin(0.4)
+    bars = [(0, 1, 1.0, 0.0), (1, 2, c, s), (0, 2, 0.0, 1.0), (2, 3, 1.0, 0.0), (1, 3, 0.0, 1.0), (0, 3, s, c)]
+    truss = np.zeros((8, 8))
+    for a, b, x, y in bars:
+        g = np.zeros(8)
+        g[[2 * a, 2 * a + 1, 2 * b, 2 * b + 1]] = x, y, -x, -y
+        truss += np.outer(g, g)
+    for K in (chain, spread @ spread.T, truss, np.eye(3)):
+        assert rotations_of(K) == {}
+        assert (nodes_of(tuple(f"part {'abcdefgh'[k]}" for k in range(len(K))), K).axis == -1).all()
+    two = car(SPRINGS, TYRES)
+    two[0, 5] = two[5, 0] = 0.5 * two[0, 5]  # one row disagrees with the others
+    two[0, 0] -= two[0].sum()
+    assert rotations_of(two) == {}
+
+
+def beam(n: int, planes: bool) -> tuple[np.ndarray, list[str], list[str]]:
+    """A cantilever of unequal elements, bending or also stretching; names that tell directions and that do not."""
+    kinds, plain = (["x", "z", "r"], ["+X", "+Z", "+RY"]) if planes else (["z", "r"], ["+Z", "+RY"])
+    d, K = len(kinds), np.zeros((len(kinds) * (n + 1),) * 2)
+    for k in range(n):
+        L, EI = 0.1 + 0.02 * k, 20.0 + k
+        b = EI / L**3 * np.array([[12, 6 * L, -12, 6 * L], [6 * L, 4 * L * L, -6 * L, 2 * L * L],
+                                  [-12, -6 * L, 12, -6 * L], [6 * L, 2 * L * L, -6 * L, 4 * L * L]])  # fmt: skip
+        at = [d * k + d - 2, d * k + d - 1, d * (k + 1) + d - 2, d * (k + 1) + d - 1]
+        K[np.ix_(at, at)] += b
+        if planes:
+            at = [d * k, d * (k + 1)]
+            K[np.ix_(at, at)] += 1e5 / L * np.array([[1, -1], [-1, 1]])
+    keep = slice(d, None)
+    nodes = range(1, n + 1)
+    return K[keep, keep], [f"b{k}{kind}" for k in nodes for kind in kinds], [f"{k}:{w}" for k in nodes for w in plain]
+
+
+@pytest.mark.parametrize("planes", [False, True])
+def test_unnamed_rotations_of_beams_make_the_elements_of_named_ones(planes):
+    K, names, plain = beam(6, planes)
+    assert (nodes_of(tuple(names)).axis < 0).any()
+    aim = stiffness_parts(K, nodes_of(tuple(plain)))
+    short = [name.replace("z", "w").replace("r", "t").replace("x", "u") for name in names]
+    ahead = [f"{name[-1]}_{name[1:-1]}" for name in short]
+    for some in (names, short, ahead):
+        nodes = nodes_of(tuple(some), K)
+        assert [len(m) for m in nodes.members] == [3 if planes else 2] * 6
+        found = {p.nodes: p for p in stiffness_parts(K, nodes)}
+        assert set(found) == {p.nodes for p in aim}
+        for p in aim:
+            np.testing.assert_allclose(found[p.nodes].full(len(K)), p.full(len(K)), atol=1e-6 * K.max())
+
+
+def test_directions_stay_unknown_where_names_or_rows_do_not_tell_them():
+    K, names, _ = beam(5, False)
+    axis = np.full(len(K), -1)
+    assert directions_of(tuple(names), axis, K) is not None
+    assert directions_of(tuple("abcdefghij"), axis, K) is None  # no nodes
+    assert directions_of(tuple(f"b{k}" for k in range(10)), axis, K) is None
+    assert directions_of(tuple(f"b{k}z" for k in range(10)), axis, K) is None  # every node has one DoF
+    assert directions_of(tuple(names), axis, K + 0.1 * np.diag(np.diag(K))) is None  # the ground holds every row
+    both = axis.copy()
+    both[0] = 2  # z is read as a displacement in one name and in no other
+    assert directions_of(tuple(names), both, K) is None
+    turned = np.where([name.endswith("r") for name in names], 2, -1)  # what is called a displacement is none
+    assert directions_of(tuple(names), turned, K) is None
+
+
+def test_a_soft_mount_at_a_lever_is_named_beside_springs_that_are_off():
+    rng = np.random.default_rng(3)
+    off = lambda of: {name: k * (1 + 0.02 * rng.standard_normal()) for name, k in of.items()}
+    springs, M = off(SPRINGS), MASSES * (1 + 0.005 * rng.standard_normal(6))
+    lost = 0.3 * SPRINGS["engine"]
+    K = car(springs | {"engine": springs["engine"] - lost}, off(TYRES))
+    C, freq = 2e-4 * K + 0.3 * M, np.linspace(0.3, 14.0, 500)
+    s = 2j * np.pi * freq[:, None, None]
+    H = np.linalg.inv(s**2 * M + s * C + K)[:, :, [0, 2]]
+    sigma = 0.005 * np.sqrt((np.abs(H) ** 2).mean(axis=0)) * np.ones(H.shape)
+    H = H + sigma * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)) / np.sqrt(2)
+    data = Measurement(
+        freq, H[None], form="receptance", outputs=CAR, inputs=("front", "engine"), variance=sigma[None] ** 2
+    )
+    plain = car(SPRINGS, TYRES)
+    said = diagnose_modes(data, Structure(MASSES, 2e-4 * plain + 0.3 * MASSES, plain, CAR)).to_dict()
+    (cause,) = said["causes"]
+    assert said["verdict"] == "named" and (cause["name"], set(cause["where"])) == (
+        "joint_stiffness",
+        {"engine", "body"},
+    )
+    value = cause["parameters"]["relative_change"]
+    assert abs(value["value"] + 0.3) < 3.5 * value["std"] < 0.1
