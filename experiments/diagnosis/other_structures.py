@@ -591,9 +591,10 @@ def draw(name: str, effect: str, seed: int, how: dict) -> tuple[dict, dict, dict
     inputs = [int(k) for k in rng.choice(some, how.get("inputs", 2), replace=False)]
     zeta = world.zeta * np.exp(0.2 * rng.standard_normal(len(M)))
     t = Test(world, M, K, np.zeros_like(M), outputs, inputs, rng, (low, high), shape, zeta, f[first])
+    n, bare = len(M0), (t.M, t.K)
     EFFECTS[effect](t)
-    n = len(M0)
-    own = damping(t.M[:n, :n], t.K[:n, :n], t.zeta)
+    # an oscillator leaves the damping of the rest as it was
+    own = damping(*(bare if len(t.M) > n else (t.M, t.K)), t.zeta)
     C = np.pad(own, (0, len(t.M) - n)) + t.C_extra
     step = 2 * world.zeta * f[first] * 1.5 / how.get("lines", LINES)
     freq = np.arange(low, high, max(step, (high - low) / 1600))

@@ -67,7 +67,7 @@ def test_a_page_can_be_followed(page, tmp_path, monkeypatch, capsys):
 
 
 def test_the_keys_of_a_diagnosis_stand_in_its_table():
-    from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis
+    from modalax.diagnose.modal_domain.answer import ModalDiagnosis
     from modalax.diagnose.result import Diagnosis
 
     text = (DOCS / "formats.md").read_text(encoding="utf-8").split("## `diagnose --json`")[1].split("\n## ")[0]

@@ -188,7 +188,10 @@ class Measurement(eqx.Module):
 
     def band(self, lower: float, upper: float) -> "Measurement":
         """The lines with ``lower`` <= f <= ``upper`` [Hz]; ``ValueError`` if there is none."""
-        which = band_slice(self.freq, lower, upper)
+        return self.lines(band_slice(self.freq, lower, upper))
+
+    def lines(self, which: Any) -> "Measurement":
+        """Some lines only, by their numbers or a slice."""
         take = lambda a: None if a is None else cut(a, (slice(None), which))
         return self.replace(
             freq=cut(self.freq, which), H=take(self.H), variance=take(self.variance), coherence=take(self.coherence),

@@ -8,9 +8,9 @@ from modalax.data import Measurement
 from modalax.diagnose.causes import Cause
 from modalax.diagnose.causes.groups import GROUPS, GroupCause
 from modalax.diagnose.decision.route import Outcome, Task, surely_named
+from modalax.diagnose.modal_domain.answer import ModalDiagnosis
 from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.claimed_modes import ClaimCompared
-from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis
 from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.judged import standing_out
 from modalax.diagnose.modal_domain.measured import prepared
@@ -61,6 +61,7 @@ def outcome_of(found: Diagnosis) -> Outcome:
         len({frozenset(c["where"]) for c in causes}), isinstance(found, ModalDiagnosis) and found.joint is not None,
         any(c["name"] in GROUP_SLUGS for c in causes), of_elements(found), found.gain.chi2_unforeseen,
         found.throughout if isinstance(found, ModalDiagnosis) else {},
+        isinstance(found, ModalDiagnosis) and found.verdict == "clean" and bool(found.chosen.causes),
     )  # fmt: skip
 
 

@@ -10,9 +10,9 @@ from chains_off import DOFS, FREQ, MASSES, SPRINGS, ZETA, as_measured, chain_off
 from modalax.diagnose import diagnose, pipeline
 from modalax.diagnose.deadline import NEVER
 from modalax.diagnose.decision.route import by_claim, order
+from modalax.diagnose.modal_domain.answer import ModalDiagnosis
 from modalax.diagnose.modal_domain.claimed_modes import compared, off_by_modes
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
-from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis
 from modalax.diagnose.modal_domain.discrepancy import _root
 from modalax.diagnose.modal_domain.stage import identified
 from modalax.diagnose.routes import named_beside_claim, task_of

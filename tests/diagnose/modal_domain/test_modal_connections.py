@@ -11,8 +11,9 @@ from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.connections import flexible_ends
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
-from modalax.diagnose.modal_domain.elements import Part, nodes_of
+from modalax.diagnose.modal_domain.elements import Part
 from modalax.diagnose.modal_domain.given_elements import told_parts
+from modalax.diagnose.modal_domain.nodes import nodes_of
 from modalax.diagnose.modal_domain.parts import parts_of
 from modalax.model import Structure
 from modalax.model.elements import Elements

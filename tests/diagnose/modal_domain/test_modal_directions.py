@@ -6,8 +6,9 @@ import pytest
 from modalax.data import FRF, Measurement
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
-from modalax.diagnose.modal_domain.elements import nodes_of, stiffness_parts
+from modalax.diagnose.modal_domain.elements import stiffness_parts
 from modalax.diagnose.modal_domain.measured import identify, together
+from modalax.diagnose.modal_domain.nodes import nodes_of
 from modalax.model import Structure
 
 FLOORS = 4

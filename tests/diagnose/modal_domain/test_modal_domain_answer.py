@@ -10,7 +10,7 @@ from frames import DAMPING, DOFS, FLIP, cantilever, measured, simulation
 from modalax.diagnose import ExtendedSimulation
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.decision.beyond import BeyondUsual
-from modalax.diagnose.modal_domain import diagnosis
+from modalax.diagnose.modal_domain import answer as answers
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.discrepancy import beside, told_apart
@@ -149,13 +149,13 @@ def test_the_mass_next_to_a_clamp_is_off_by_itself():
 
 def test_rivals_of_the_linear_causes_hold_the_joint_as_well(monkeypatch):
     joint = {"name": "elasto_slip", "where": ["7:X"], "probability": 1.0, "parameters": {}}
-    monkeypatch.setattr(diagnosis, "rivals_told", lambda seen, named: [])
-    monkeypatch.setattr(diagnosis, "causes_told", lambda seen, whole: [joint])
+    monkeypatch.setattr(answers, "rivals_told", lambda seen, named: [])
+    monkeypatch.setattr(answers, "causes_told", lambda seen, whole: [joint])
     sets = (BeyondUsual((), 0.8), BeyondUsual((("joint_stiffness", ("6:X", "7:X")),), 0.2))
     given = SimpleNamespace(
         verdict="ambiguous", stage=SimpleNamespace(seen=object(), whole=None), sets=sets, _linear=[], forced=None
     )
-    rivals = diagnosis.ModalDiagnosis.alternatives.fget(given)
+    rivals = answers.ModalDiagnosis.alternatives.fget(given)
     assert [[(c["name"], c["where"]) for c in s] for s in rivals] == [
         [("joint_stiffness", ["6:X", "7:X"]), ("elasto_slip", ["7:X"])]
     ]

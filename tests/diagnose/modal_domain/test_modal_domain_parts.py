@@ -11,7 +11,7 @@ from modalax.diagnose.causes.joints import CubicStiffness, ElastoSlip
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import coordinates_of, modes_of
 from modalax.diagnose.modal_domain.element_masses import mass_parts
-from modalax.diagnose.modal_domain.elements import nodes_of, stiffness_parts
+from modalax.diagnose.modal_domain.elements import stiffness_parts
 from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.factored import factored
 from modalax.diagnose.modal_domain.features import Features, features_of, paired
@@ -21,6 +21,7 @@ from modalax.diagnose.modal_domain.judged import standing_out
 from modalax.diagnose.modal_domain.levels.explain import ByLevel, JointFound
 from modalax.diagnose.modal_domain.levels.slipping import settled
 from modalax.diagnose.modal_domain.mode_count import blind_modes, misfit
+from modalax.diagnose.modal_domain.nodes import nodes_of
 from modalax.diagnose.modal_domain.parts import coupled_rows, local_parts, parts_of
 from modalax.diagnose.modal_domain.places import candidates_of
 from modalax.diagnose.modal_domain.prior import Prior

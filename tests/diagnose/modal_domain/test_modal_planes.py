@@ -10,10 +10,11 @@ from modalax.data import Measurement
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
-from modalax.diagnose.modal_domain.elements import Part, nodes_of
+from modalax.diagnose.modal_domain.elements import Part
 from modalax.diagnose.modal_domain.features import Features
 from modalax.diagnose.modal_domain.given_elements import softened_elements
 from modalax.diagnose.modal_domain.held_out import last_is_foretold
+from modalax.diagnose.modal_domain.nodes import nodes_of
 from modalax.diagnose.modal_domain.parts import apart, ends_of, parts_of, planes_of
 from modalax.model import Structure
 from modalax.model.elements import Elements

@@ -7,7 +7,8 @@ import pytest
 from chains_off import DOFS, FREQ, MASSES, SPRINGS, ZETA, as_measured, chain_off, matrices, response, simulation
 
 from modalax.diagnose import diagnose
-from modalax.diagnose.modal_domain.diagnosis import ModalDiagnosis, diagnose_modes
+from modalax.diagnose.modal_domain.answer import ModalDiagnosis
+from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.fit import fit
 from modalax.diagnose.modal_domain.state import state_at
 from modalax.model import Structure

@@ -4,8 +4,8 @@ import numpy as np
 from frames import BENDING, LENGTH, beam
 
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
-from modalax.diagnose.modal_domain.elements import nodes_of
 from modalax.diagnose.modal_domain.given_elements import springs_within
+from modalax.diagnose.modal_domain.nodes import nodes_of
 from modalax.diagnose.modal_domain.places import springs_of
 from modalax.model import Structure
 from modalax.model.condense import follow

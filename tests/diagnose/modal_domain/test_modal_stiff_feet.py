@@ -6,7 +6,7 @@ import scipy.linalg
 
 from modalax.data import Measurement
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
-from modalax.diagnose.modal_domain.elements import nodes_of
+from modalax.diagnose.modal_domain.nodes import nodes_of
 from modalax.diagnose.modal_domain.parts import parts_of
 from modalax.diagnose.modal_domain.places import read_within
 from modalax.model import Structure

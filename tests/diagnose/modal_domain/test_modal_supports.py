@@ -8,7 +8,7 @@ import pytest
 from modalax.data import FRF, Measurement
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
-from modalax.diagnose.modal_domain.elements import nodes_of
+from modalax.diagnose.modal_domain.nodes import nodes_of
 from modalax.diagnose.modal_domain.parts import parts_of
 from modalax.diagnose.modal_domain.places import candidates_of
 from modalax.diagnose.modal_domain.supports import Supports, supports_together

@@ -5,8 +5,9 @@ import pytest
 
 from modalax.data import Measurement
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
-from modalax.diagnose.modal_domain.elements import nodes_of, stiffness_parts
-from modalax.diagnose.modal_domain.turns import directions_of, rotations_of
+from modalax.diagnose.modal_domain.elements import stiffness_parts
+from modalax.diagnose.modal_domain.nodes import nodes_of
+from modalax.diagnose.modal_domain.turns import directions_of, nodes_in, rotations_of
 from modalax.model import Structure
 
 CAR = ("front", "rear", "engine", "seat", "body", "pitch")
@@ -37,7 +38,7 @@ def test_a_body_that_pitches_is_found_whatever_it_is_called():
     assert rotations_of(K) == {5: 4}
     order = np.random.default_rng(0).permutation(6)
     assert rotations_of(K[np.ix_(order, order)]) == {order.tolist().index(5): order.tolist().index(4)}
-    nodes = nodes_of(CAR, K)
+    nodes = nodes_in(CAR, K)
     assert [m.tolist() for m in nodes.members] == [[0], [1], [2], [3], [4, 5]]
     assert [len(m) for m in nodes_of(CAR).members] == [1] * 6  # the last letter of body is no direction
     parts = stiffness_parts(K, nodes)
@@ -61,7 +62,7 @@ def test_no_rotation_is_seen_where_rows_do_not_show_one():
         truss += np.outer(g, g)
     for K in (chain, spread @ spread.T, truss, np.eye(3)):
         assert rotations_of(K) == {}
-        assert (nodes_of(tuple(f"part {'abcdefgh'[k]}" for k in range(len(K))), K).axis == -1).all()
+        assert (nodes_in(tuple(f"part {'abcdefgh'[k]}" for k in range(len(K))), K).axis == -1).all()
     two = car(SPRINGS, TYRES)
     two[0, 5] = two[5, 0] = 0.5 * two[0, 5]  # one row disagrees with the others
     two[0, 0] -= two[0].sum()
@@ -94,7 +95,7 @@ def test_unnamed_rotations_of_beams_make_the_elements_of_named_ones(planes):
     short = [name.replace("z", "w").replace("r", "t").replace("x", "u") for name in names]
     ahead = [f"{name[-1]}_{name[1:-1]}" for name in short]
     for some in (names, short, ahead):
-        nodes = nodes_of(tuple(some), K)
+        nodes = nodes_in(tuple(some), K)
         assert [len(m) for m in nodes.members] == [3 if planes else 2] * 6
         found = {p.nodes: p for p in stiffness_parts(K, nodes)}
         assert set(found) == {p.nodes for p in aim}
@@ -140,3 +141,27 @@ def test_a_soft_mount_at_a_lever_is_named_beside_springs_that_are_off():
     )
     value = cause["parameters"]["relative_change"]
     assert abs(value["value"] + 0.3) < 3.5 * value["std"] < 0.1
+
+
+@pytest.mark.parametrize("kinds", ["x rx", "y ry", "x rx y ry"])
+def test_rotations_called_after_their_plane_are_read_as_those_across_it(kinds):
+    """As in a rotor whose bending in two planes has the same matrices, though a turn about x moves y the other way."""
+    K1, _, _ = beam(6, False)
+    kinds = kinds.split()
+    K = np.zeros((6 * len(kinds),) * 2)
+    names = tuple(f"s{k}{kind}" for k in range(6) for kind in kinds)
+    for plane in range(len(kinds) // 2):
+        at = [len(kinds) * k + 2 * plane + way for k in range(6) for way in range(2)]
+        K[np.ix_(at, at)] = K1
+    parts = stiffness_parts(K, nodes_of(names))
+    assert min(np.linalg.eigvalsh(p.matrix)[0] for p in parts) < -1e-3 * K.max()  # not as they are called
+    nodes = nodes_in(names, K)
+    parts = stiffness_parts(K, nodes)
+    assert len(parts) == 6 and [len(m) for m in nodes.members] == [len(kinds)] * 6
+    np.testing.assert_allclose(sum(p.full(len(K)) for p in parts), K, atol=1e-9 * K.max())
+    assert min(np.linalg.eigvalsh(p.matrix)[0] for p in parts) > -1e-9 * K.max()
+    proper = nodes_of(tuple(f"{k}:+{way}" for k in range(6) for way in ("Z", "RY")))
+    assert (
+        nodes_in(tuple(f"{k}:+{way}" for k in range(6) for way in ("Z", "RY")), K1).axis.tolist()
+        == proper.axis.tolist()
+    )

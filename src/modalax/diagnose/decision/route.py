@@ -89,6 +89,8 @@ class Outcome:
     of_elements
         Whether a change of a whole element, how its end is connected, or one that damping goes with is among the
         causes: lines have none of these.
+    passed_over
+        Whether a cause explains the data best, but is no larger than what is usual of a simulation.
     """
 
     verdict: str
@@ -103,6 +105,7 @@ class Outcome:
     of_elements: bool = False
     unforeseen: float = math.nan
     throughout: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    passed_over: bool = False
 
     @property
     def predicts(self) -> float:
@@ -226,13 +229,14 @@ def damping_off(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
     """Whether nothing is left, and the dampings, which lines take as exact, are certainly off.
 
     Where stiffness is certainly right, all may be exact but a damper, which lines can tell; where no damper is named
-    though, dampings that are far off are so in general.
+    though, dampings that are far off are so in general, unless one thing explains them better.
     """
     parts = found.inaccuracy or {}
     if not parts.keys() >= {"stiffness", "damping"}:
         return False
     if found.verdict == "clean":
-        return parts["damping"]["interval"][0] > limits.damping_far and nothing_left(found, limits)
+        one = found.passed_over and may_be_exact(found)
+        return parts["damping"]["interval"][0] > limits.damping_far and not one and nothing_left(found, limits)
     off = parts["damping"]["interval"][0] > limits.damping_off
     right = parts["stiffness"]["interval"][1] < limits.surely_off
     return off and not right and found.verdict == "named" and nothing_left(found, limits)

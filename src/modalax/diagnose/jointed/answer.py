@@ -19,7 +19,7 @@ from modalax.diagnose.decision.omnibus import Omnibus, omnibus
 from modalax.diagnose.joint_laws import modes_at
 from modalax.diagnose.jointed.bent import modes_are_bent
 from modalax.diagnose.jointed.fits import Fitted, Jointed, fit_joints, suited
-from modalax.diagnose.modal_domain.diagnosis import Facts
+from modalax.diagnose.modal_domain.answer import Facts
 from modalax.diagnose.over_levels import levels_said
 from modalax.diagnose.result import Diagnosis, parameters_told, within
 from modalax.diagnose.summary import causes_text

@@ -18,7 +18,8 @@ import numpy as np
 
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import Coordinates
-from modalax.diagnose.modal_domain.elements import Nodes, Part, rigid_moves
+from modalax.diagnose.modal_domain.elements import Part
+from modalax.diagnose.modal_domain.nodes import Nodes, rigid_moves
 
 NEGLIGIBLE = 1e-6  # force, relative to the largest, below which an end holds a DoF by none
 TURNS = 3  # axes from here on are rotations

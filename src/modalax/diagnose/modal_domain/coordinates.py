@@ -12,10 +12,10 @@ import scipy.linalg
 from scipy.linalg.lapack import dtrtrs
 
 from modalax._numerics.remembered import remembered
-from modalax.diagnose.modal_domain.elements import nodes_of
 from modalax.diagnose.modal_domain.enriched import ritz_basis
 from modalax.diagnose.modal_domain.loads import Load, loaded_modes
 from modalax.diagnose.modal_domain.parts import parts_of
+from modalax.diagnose.modal_domain.turns import nodes_in
 from modalax.model import Structure
 
 QUICK = 1e3  # frequency of a DoF by itself, over that of the band, above which it is given mass
@@ -143,7 +143,7 @@ def _solved(simulation: Structure, highest: float) -> tuple[tuple[str, ...], np.
         values, shapes = scipy.linalg.eigh(K, M)
         return names, np.sqrt(np.maximum(values, 0.0)), shapes, int(np.count_nonzero(values < highest**2))
     if told is None:
-        nodes = nodes_of(names, K)
+        nodes = nodes_in(names, K)
         parts = parts_of(K, nodes), parts_of(M, nodes, mass=True)
         stiffness, mass = ([(p.dofs, p.matrix) for p in some] for some in parts)
     else:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from modalax._numerics.text import percent
 from modalax._numerics.triangles import backward, forward
 from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.modal_domain.causes import with_sizes
@@ -141,3 +142,12 @@ def _may_be_none(
         h = forward(L, s * right)
         values.append(0.5 * float(h @ h) - np.log(np.diag(L)).sum())
     return bool(values[0] - values[1] < CONSISTENT)
+
+
+def inaccuracy_said(inaccuracy: dict[str, Any]) -> str:
+    """General inaccuracy in one sentence."""
+    parts = [
+        f"{percent(v['value'])} ({percent(v['interval'][0])} to {percent(v['interval'][1])}) in {name}"
+        for name, v in inaccuracy.items()
+    ]
+    return f"the modes of the simulation are generally off by {', '.join(parts)}"

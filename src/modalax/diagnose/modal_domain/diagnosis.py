@@ -1,216 +1,43 @@
-"""The answer of the modal domain, with the interface of every other diagnosis."""
+"""The diagnosis in the modal domain: what to ask about, in which order, and what is left of the data then."""
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
-from modalax._numerics.text import percent
-from modalax.check.finding import Finding
 from modalax.data import Measurement
-from modalax.diagnose.causes.parameter import Parameter
 from modalax.diagnose.deadline import Deadline
-from modalax.diagnose.decision.advice import advise_modes
 from modalax.diagnose.decision.beliefs import believed
-from modalax.diagnose.decision.beyond import BeyondUsual, held_out_verdict, lines_verdict
+from modalax.diagnose.decision.beyond import held_out_verdict, lines_verdict
 from modalax.diagnose.decision.levels import outweighing
-from modalax.diagnose.decision.omnibus import Omnibus, omnibus
-from modalax.diagnose.decision.sets import rivals
-from modalax.diagnose.modal_domain.causes import UNITS, own_sizes, with_sizes
+from modalax.diagnose.decision.omnibus import omnibus
+from modalax.diagnose.modal_domain.answer import Facts, ModalDiagnosis
+from modalax.diagnose.modal_domain.causes import UNITS, with_sizes
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
-from modalax.diagnose.modal_domain.corrected import frf_of, inaccuracy_told
-from modalax.diagnose.modal_domain.explanation import Explanation
+from modalax.diagnose.modal_domain.corrected import frf_of, inaccuracy_said, inaccuracy_told
 from modalax.diagnose.modal_domain.extension import extension_of
 from modalax.diagnose.modal_domain.fit import fit
-from modalax.diagnose.modal_domain.forced import Forced, force_beside, force_rivals, force_said, force_told
+from modalax.diagnose.modal_domain.forced import Forced, force_beside, force_said
 from modalax.diagnose.modal_domain.held_out import gain_of
-from modalax.diagnose.modal_domain.judged import inaccuracy_of_fit, judge, of_the_joint, on_its_lines, standing_out
-from modalax.diagnose.modal_domain.levels.answer import causes_told, judge_levels, rivals_told
-from modalax.diagnose.modal_domain.levels.explain import JointFound
+from modalax.diagnose.modal_domain.judged import judge, of_the_joint, on_its_lines, standing_out
+from modalax.diagnose.modal_domain.levels.answer import judge_levels
 from modalax.diagnose.modal_domain.levels.seen import at_levels, drift_by_run
-from modalax.diagnose.modal_domain.mains import hum_told, mains_hum
+from modalax.diagnose.modal_domain.mains import lines_without_hum, mains_hum
 from modalax.diagnose.modal_domain.measured import Measured
-from modalax.diagnose.modal_domain.misplaced import Moved, moved, other_places
+from modalax.diagnose.modal_domain.misplaced import moved, other_places
 from modalax.diagnose.modal_domain.own_peaks import mass_of_sensor, own_peaks, without_output
 from modalax.diagnose.modal_domain.prior import NONE
-from modalax.diagnose.modal_domain.screen import errors_of
 from modalax.diagnose.modal_domain.short_records import short_record
-from modalax.diagnose.modal_domain.stage import Stage, identified, posed, run_stage
+from modalax.diagnose.modal_domain.stage import identified, posed, run_stage
 from modalax.diagnose.modal_domain.swept import fast_sweep
 from modalax.diagnose.modal_domain.throughout import throughout_said, throughout_told
-from modalax.diagnose.over_levels import levels_said
-from modalax.diagnose.result import Diagnosis, within
 from modalax.diagnose.summary import cause_at
 from modalax.diagnose.thresholds import THRESHOLDS
 from modalax.identify.shared_noise import shared_notes
 from modalax.model import Structure
 
 ROUNDS = 3  # most in which a force, and the structure without it, are looked for
-
-
-@dataclass(frozen=True)
-class Facts:
-    """What was compared: in the place of a comparison line by line."""
-
-    measurement: Any
-    question: str
-    notes: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class ModalDiagnosis(Diagnosis):
-    """A diagnosis that also gives the general inaccuracy of the simulation.
-
-    Attributes
-    ----------
-    stage
-        Modes, candidates and explanations behind it.
-    chosen
-        The explanation that the answer is about.
-    sets
-        What stands out: the set of the answer first, the others by falling probability.
-    inaccuracy
-        Relative error of stiffness, mass and damping, each with an interval.
-    throughout
-        By how much stiffness, mass or damping of the simulation are too high throughout, with standard deviations;
-        empty where none surely is.
-    before, after
-        Tests of what the simulation and the extended one leave.
-    hum
-        Mains hum, which shows on lines only; None where there is none.
-    forced
-        A force at one place that shows on lines only, without which everything else here is; None where there is none.
-    moved
-        Outputs that are at other DoFs than their names; None where all are where they should be.
-    """
-
-    found: None  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
-    comparison: Facts  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
-    stage: Stage
-    chosen: Explanation
-    sets: tuple[BeyondUsual, ...]
-    inaccuracy: dict[str, Any]
-    throughout: dict[str, dict[str, float]]
-    before: Omnibus
-    after: Omnibus
-    hum: Finding | None = None
-    forced: Forced | None = None
-    moved: Moved | None = None
-
-    @property
-    def candidates(self) -> list[Any]:
-        """Explanations by falling probability."""
-        return self.stage.explanations
-
-    @property
-    def candidate_rows(self) -> list[tuple[str, float, float]]:
-        """Name, probability and log evidence of each explanation."""
-        return [
-            (
-                " and ".join(cause_at(c.slug, c.where) for c in e.causes) or "the general inaccuracy alone",
-                e.probability, e.log_posterior,
-            )
-            for e in self.stage.explanations
-        ]  # fmt: skip
-
-    @property
-    def joint(self) -> JointFound | None:
-        """The joint that tells the force levels apart."""
-        return None if self.stage.seen is None else self.stage.seen.joint
-
-    @property
-    def tests(self) -> tuple[Omnibus, Omnibus]:
-        """What the simulation leaves, and what the extended one leaves."""
-        return self.before, self.after
-
-    @property
-    def modes_in_band(self) -> np.ndarray:
-        """Frequencies [Hz] and damping ratios of the simulation in the band, shape ``(2, n)``."""
-        c = self.stage.coordinates
-        w = np.maximum(c.frequencies, 1e-300)
-        return within(np.stack([w / 2 / np.pi, np.diag(c.damping) / 2 / w]), self.freq)
-
-    @property
-    def _causes(self) -> list[dict[str, Any]]:
-        """What stands out beyond the general inaccuracy."""
-        if self.verdict == "clean":
-            return []
-        elsewhere = [] if self.moved is None else self.moved.told()
-        levels = [] if self.stage.seen is None else causes_told(self.stage.seen, self.stage.whole)
-        on_lines = [] if self.forced is None else [force_told(self.forced)]
-        return elsewhere + self._linear + levels + on_lines + ([] if self.hum is None else [hum_told(self.hum)])
-
-    @property
-    def _linear(self) -> list[dict[str, Any]]:
-        core, sure = standing_out(self.stage, self.chosen), self.sets[0].probability
-        told, covariance, off = [], self.chosen.fit.covariance, inaccuracy_of_fit(self.stage, self.chosen)
-        for k, (c, u) in enumerate(with_sizes(self.chosen.causes, self.chosen.fit.u)):
-            if c not in core:
-                continue
-            own = own_sizes(self.chosen.causes, k)
-            variance = covariance[own, own] + c.variance_beside(u, off)
-            told += [{**each, "probability": float(min(sure, 1.0))} for each in c.told_each(u, variance)]
-        return told
-
-    @property
-    def alternatives(self) -> list[list[dict[str, Any]]]:
-        """Rivals of the leading set; of a named one those that are likely enough."""
-        if self.verdict not in ("ambiguous", "named"):
-            return []
-        others = [] if self.stage.seen is None else rivals_told(self.stage.seen, self.verdict == "named")
-        if self.forced is not None:
-            others = force_rivals(self.forced, self.verdict == "named")
-        if others:
-            kept = [{"name": c["name"], "where": c["where"]} for c in self._linear]
-            return [[*kept, *one] for one in others]
-        joint = [] if self.stage.seen is None else causes_told(self.stage.seen, self.stage.whole)
-        joint = joint if self.forced is None else [*joint, force_told(self.forced)]
-        beside = [{"name": c["name"], "where": c["where"]} for c in joint]
-        return [
-            [{"name": slug, "where": list(where)} for slug, where in s.names] + beside
-            for s in rivals(self.verdict, self.sets)
-        ]
-
-    @property
-    def strength_parameters(self) -> dict[str, Parameter]:
-        """What the strength of each cause is."""
-        return {slug: Parameter(*UNITS[slug]) for slug in UNITS}
-
-    @property
-    def smallest_detectable(self) -> dict[str, float]:
-        """Strength of each cause that nine in ten such measurements would have shown, at its median place."""
-        every = errors_of(self.stage.setting, self.chosen.fit, self.stage.candidates)
-        values: dict[str, list[float]] = {}
-        for c, error in zip(self.stage.candidates, every, strict=True):
-            if np.isfinite(error) and c.slug in UNITS and c.pattern is None:
-                values.setdefault(c.slug, []).append(float(error) * c.scale)
-        return {slug: float(np.median(v)) * (THRESHOLDS.stands_out + THRESHOLDS.power) for slug, v in values.items()}
-
-    @property
-    def advice(self) -> str | None:
-        """What would tell the alternatives apart."""
-        odd = self.stage.odd.name if self.stage.odd is not None and self.sets[0].names else None
-        return advise_modes(self.verdict, len(self.alternatives), odd)
-
-    def to_dict(self) -> dict[str, Any]:
-        """The answer as plain data, in the agreed form."""
-        return {
-            "verdict": self.verdict,
-            "causes": self.causes,
-            "alternatives": self.alternatives,
-            "advice": self.advice,
-            "smallest_detectable": self.smallest_detectable,
-            "inaccuracy": self.inaccuracy,
-            "throughout": self.throughout,
-            "reasons": [*self.reasons, *levels_said(self.verdict, self.evidence)],
-            "gain": self.gain.to_dict(),
-            "question": self.question,
-            "notes": list(self.notes),
-            "p_value": None,
-            "evidence": self.evidence,
-        }
 
 
 def diagnose_modes(
@@ -223,6 +50,21 @@ def diagnose_modes(
     ``measured`` is the measurement as :func:`identified`, where that is known.
     """
     late = late or Deadline()
+    asked = lambda data, these, known: _asked(data, simulation, question, late, these, tell, known)
+    found = asked(measurement, wanted, measured)
+    if found is None or found.hum is None or late():
+        return found
+    tell("looking beside the lines that hold mains hum")
+    less = measurement.lines(lines_without_hum(found.freq, found.residual_after))
+    again = asked(less, lambda slug: slug != "mains_hum" and wanted(slug), None)
+    return found if again is None or again.verdict == "unknown" else again.beside_hum(found.hum)
+
+
+def _asked(
+    measurement: Measurement, simulation: Structure, question: str, late: Deadline, wanted: Callable[[str], bool],
+    tell: Callable[[str], None], measured: Measured | None,
+) -> ModalDiagnosis | None:  # fmt: skip
+    """The diagnosis of all that is known to show in other ways than in modes alone, one after the other."""
     ended = _short_record(measurement, simulation, wanted, tell)
     if ended is None:
         measured = measured or identified(measurement, simulation, tell)
@@ -337,7 +179,7 @@ def _diagnosed(
     explained = judged.likeliest.misfit <= THRESHOLDS.misfit  # what a fit that failed has learnt is no finding
     throughout = throughout_told(stage.setting, judged.likeliest.fit) if explained else {}
     word = outweighing(judged.word, joined)
-    reasons = [said(inaccuracy)] if explained else []
+    reasons = [inaccuracy_said(inaccuracy)] if explained else []
     reasons += [*throughout_said(throughout), *judged.reasons, *further]
     reasons += [
         f"{cause_at(c.slug, c.where)} of {c.size(u):.3g} {UNITS[c.slug][1]} counts as that joint's own at low amplitude"
@@ -387,12 +229,3 @@ def _diagnosed(
         np.broadcast_to(predicted[1], shape), stage, chosen, judged.sets, inaccuracy, throughout,
         tests[0], tests[1], hum, forced,
     )  # fmt: skip
-
-
-def said(inaccuracy: dict[str, Any]) -> str:
-    """General inaccuracy in one sentence."""
-    parts = [
-        f"{percent(v['value'])} ({percent(v['interval'][0])} to {percent(v['interval'][1])}) in {name}"
-        for name, v in inaccuracy.items()
-    ]
-    return f"the modes of the simulation are generally off by {', '.join(parts)}"

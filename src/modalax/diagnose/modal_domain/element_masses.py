@@ -8,15 +8,25 @@ ones):
    M^e_{ii} = \begin{pmatrix} a_1\,\mathrm{tr}(T)\,I + a_2 T & b\,B \\ b\,B^T & c_1 |R| + c_2 R\end{pmatrix},
 
 ``T``, ``B`` and ``R`` the parts of :math:`M_{ij}` between displacements, between displacement and rotation, and between
-rotations. The five factors are those with which the elements leave nothing at most nodes; where they leave something,
-there is a lump, or an element that ends at a clamp.
+rotations. The five factors are those of consistent masses of beams, bars and shafts (Archer 1963), where these leave
+nothing at some nodes, or else those with which the elements leave least; where they leave something, there is a lump,
+or an element that ends at a clamp.
 """
+
+import math
+from collections.abc import Iterator
 
 import numpy as np
 
-from modalax.diagnose.modal_domain.elements import NEGLIGIBLE, Nodes, Part
+from modalax.diagnose.modal_domain.elements import Part
+from modalax.diagnose.modal_domain.nodes import NEGLIGIBLE, Nodes
 
+# Of a beam's mass between its ends, in displacement along and across it and in rotation: what is at one end over that
+LINEAR, CUBIC, TURNED, TURNING = 1 / 3 / (1 / 6), 156 / 54, -22 / 13, 4 / 3
+ALONG_TO_ACROSS = 70 / 54  # mass between the ends along a beam, relative to that across it
 ROUNDS = 30  # of the least sum of sizes of what is left, by reweighting (Weiszfeld 1937)
+BEAMS = 1e-6  # the same, below which a node's mass is that of its beams
+FEWEST = 2  # nodes that show that a mass is that of beams
 EXACT = 1e-9  # part of a node's mass below which what is left counts as nothing in that
 ROUNDING = 1e-9  # share of a mass that is none
 LACKING = 0.1  # share of its mass in any motion that a node may lack, where elements of two kinds meet
@@ -45,7 +55,7 @@ def _by_function(
 
     ``size`` is the root of the diagonal of ``M``.
     """
-    members, count = nodes.members, len(nodes.members)
+    members = nodes.members
     shapes = {(i, j): (_own(M, nodes, i, j), _own(M, nodes, j, i)) for i, j in pairs}
     total = [np.zeros((5, len(m), len(m))) for m in members]
     for (i, j), (at_i, at_j) in shapes.items():
@@ -54,12 +64,9 @@ def _by_function(
     scale = [size[m][:, None] * size[m] for m in members]
     columns = [(t / s).reshape(5, -1).T for t, s in zip(total, scale, strict=True)]
     target = [(M[np.ix_(m, m)] / s).ravel() for m, s in zip(members, scale, strict=True)]
-    weight, factors = np.ones(count), np.zeros(5)
-    for _ in range(ROUNDS if pairs else 0):
-        A, b = (np.concatenate([w * x for w, x in zip(weight, some, strict=True)]) for some in (columns, target))
-        factors = np.linalg.lstsq(A, b, rcond=1e-9)[0]
-        left = [np.linalg.norm(y - x @ factors) for x, y in zip(columns, target, strict=True)]
-        weight = 1 / np.sqrt(np.maximum(left, EXACT))
+    factors = _of_kinds(columns, target, nodes)
+    if factors is None:
+        factors = _least(columns, target) if pairs else np.zeros(5)
     lacking = [
         bool(np.linalg.eigvalsh((y - x @ factors).reshape(len(m), len(m)))[0] < -LACKING)
         for x, y, m in zip(columns, target, members, strict=True)
@@ -73,6 +80,40 @@ def _by_function(
         parts.append(Part((i, j), dofs, np.block([[own_i, block], [block.T, own_j]])))
         rest[np.ix_(dofs, dofs)] -= parts[-1].matrix
     return parts, rest
+
+
+def _least(columns: list[np.ndarray], target: list[np.ndarray]) -> np.ndarray:
+    """Factors with which elements leave least, in sum over the nodes."""
+    weight, factors = np.ones(len(columns)), np.zeros(5)
+    for _ in range(ROUNDS):
+        A, b = (np.concatenate([w * x for w, x in zip(weight, some, strict=True)]) for some in (columns, target))
+        factors = np.linalg.lstsq(A, b, rcond=1e-9)[0]
+        left = [np.linalg.norm(y - x @ factors) for x, y in zip(columns, target, strict=True)]
+        weight = 1 / np.sqrt(np.maximum(left, EXACT))
+    return factors
+
+
+def _of_kinds(columns: list[np.ndarray], target: list[np.ndarray], nodes: Nodes) -> np.ndarray | None:
+    """Factors of elements with linear or cubic shapes, where they leave no node with less than nothing; else None.
+
+    At some nodes they leave nothing at all, which no others do.
+    """
+    for factors in _kinds(len({int(axis) for axis in nodes.axis if 0 <= axis < 3})):
+        left = [y - x @ factors for x, y in zip(columns, target, strict=True) if x.any()]
+        least = [float(np.linalg.eigvalsh(a.reshape(2 * (math.isqrt(len(a)),)))[0]) for a in left]
+        if min(least, default=-1.0) > -BEAMS and sum(np.abs(a).max() < BEAMS for a in left) >= min(FEWEST, len(left)):
+            return factors
+    return None
+
+
+def _kinds(directions: int) -> Iterator[np.ndarray]:
+    """Factors of beams that bend across all directions but that along them, or across all; and of bars and shafts."""
+    for across, along in ((directions - 1, True), (directions, False)):
+        if 0 < across < 3:
+            trace = ALONG_TO_ACROSS * along + across
+            slope = (LINEAR * ALONG_TO_ACROSS - CUBIC) / (ALONG_TO_ACROSS - 1) if along else 0.0
+            yield np.array([(CUBIC - slope) / trace, slope, TURNED, TURNING, 0.0])
+    yield np.array([0.0, LINEAR, 0.0, 0.0, LINEAR])
 
 
 def _own(M: np.ndarray, nodes: Nodes, i: int, j: int) -> np.ndarray:
@@ -110,7 +151,9 @@ def _shared_out(M: np.ndarray, nodes: Nodes, size: np.ndarray, pairs: list[tuple
     left, parts = np.ones(count), []
     for i, j in pairs:
         ends = np.array([share[i, j] * own[i], share[j, i] * own[j]])
-        part = min(ends) / np.maximum(ends, 1e-300) * (share[i, j], share[j, i])
+        part = np.array([share[i, j], share[j, i]])
+        if not nodes.held_more(i, j):  # else they have no mass that compares
+            part = part * min(ends) / np.maximum(ends, 1e-300)
         a, b = nodes.members[i], nodes.members[j]
         block = M[np.ix_(a, b)]
         matrix = np.block([[part[0] * M[np.ix_(a, a)], block], [block.T, part[1] * M[np.ix_(b, b)]]])

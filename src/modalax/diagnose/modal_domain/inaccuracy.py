@@ -11,10 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modalax.diagnose.modal_domain.coordinates import Coordinates
-from modalax.diagnose.modal_domain.elements import Part, nodes_of
+from modalax.diagnose.modal_domain.elements import Part
 from modalax.diagnose.modal_domain.factored import Factored, factored
 from modalax.diagnose.modal_domain.given_elements import mass_patterns, stiffness_patterns
 from modalax.diagnose.modal_domain.parts import apart, coupled_rows, parts_of
+from modalax.diagnose.modal_domain.turns import nodes_in
 from modalax.model import Structure
 
 # Sizes where nothing is claimed, and the spread of their logarithms. Frequencies of finite-element models are off by
@@ -77,7 +78,7 @@ class Inaccuracy:
 def inaccuracy_of(simulation: Structure, c: Coordinates, highest: float) -> Inaccuracy:
     """Patterns of a structure whose band ends at ``highest`` [rad/s]."""
     M, K = np.asarray(simulation.M), np.asarray(simulation.K)
-    nodes = nodes_of(simulation.dofs, K)
+    nodes = nodes_in(simulation.dofs, K)
     stiffness, mass = stiffness_patterns(simulation, c), mass_patterns(simulation, c)
     shared = {name: np.zeros((0, c.size, c.size)) for name in WITHIN}
     if stiffness is None:

@@ -39,6 +39,12 @@ def mains_hum(
     return next(iter(hum(study_of(measurement))), None)
 
 
+def lines_without_hum(freq: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    """Numbers of the lines that tell of the structure: all but those near multiples of the mains that stand out."""
+    power = (np.abs(residual) ** 2).mean(axis=(0, 2, 3))
+    return np.flatnonzero(~near_mains(freq, power > SEEN * np.median(power)))
+
+
 def near_mains(freq: np.ndarray, which: np.ndarray) -> np.ndarray:
     """Which of some lines are near a multiple of the mains."""
     multiples = np.stack([m * np.maximum(np.round(freq / m), 1) for m in MAINS])

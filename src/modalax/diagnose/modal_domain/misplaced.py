@@ -14,7 +14,7 @@ import numpy as np
 import scipy.optimize
 
 from modalax.diagnose.causes.base import RARE
-from modalax.diagnose.modal_domain.elements import nodes_of
+from modalax.diagnose.modal_domain.nodes import nodes_of
 from modalax.diagnose.modal_domain.state import Setting, state_at
 
 NEARER = 0.25  # part of what an output is off by at its own place, with any factor, that it may be off by at another

@@ -12,7 +12,8 @@ import scipy.sparse.csgraph
 
 from modalax._numerics.remembered import remembered
 from modalax.diagnose.modal_domain.element_masses import mass_parts
-from modalax.diagnose.modal_domain.elements import NEGLIGIBLE, Nodes, Part, stiffness_parts
+from modalax.diagnose.modal_domain.elements import Part, stiffness_parts
+from modalax.diagnose.modal_domain.nodes import NEGLIGIBLE, Nodes
 
 MANY = 7  # coupled nodes, itself among them, beyond which a node's elements cannot be told apart
 ROUNDING = 1e-9  # part of a DoF's stiffness or mass that taking elements off it may leave of nothing

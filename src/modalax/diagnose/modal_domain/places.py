@@ -10,12 +10,14 @@ from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.channel_faults import channel_faults
 from modalax.diagnose.modal_domain.connections import flexible_ends
 from modalax.diagnose.modal_domain.coordinates import Coordinates
-from modalax.diagnose.modal_domain.elements import Nodes, Part, nodes_of
+from modalax.diagnose.modal_domain.elements import Part
 from modalax.diagnose.modal_domain.given_elements import softened_elements, springs_within, told_parts
 from modalax.diagnose.modal_domain.groups import group_factors, other_than
+from modalax.diagnose.modal_domain.nodes import Nodes, nodes_of
 from modalax.diagnose.modal_domain.parts import ends_of, parts_of, planes_of
 from modalax.diagnose.modal_domain.supports import supports_together
 from modalax.diagnose.modal_domain.together import sensor_masses
+from modalax.diagnose.modal_domain.turns import nodes_in
 from modalax.model import Structure
 
 COUPLED = 1e-6  # size of an element of K, relative to the diagonal, from which two DoFs are coupled
@@ -40,7 +42,7 @@ def candidates_of(
     pairs: list[tuple[str, str]] | None, highest: float,
 ) -> list[Change]:  # fmt: skip
     """Causes at their places."""
-    dofs, nodes = simulation.dofs, nodes_of(simulation.dofs, np.asarray(simulation.K))
+    dofs, nodes = simulation.dofs, nodes_in(simulation.dofs, np.asarray(simulation.K))
     inside = np.flatnonzero((c.frequencies < highest) & (c.frequencies > 0.02 * highest))
     if not len(inside):
         inside = np.arange(min(3, c.size))

@@ -11,7 +11,6 @@ from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import Coordinates, coordinates_of
 from modalax.diagnose.modal_domain.crosstalk import leaking_channels
-from modalax.diagnose.modal_domain.elements import nodes_of
 from modalax.diagnose.modal_domain.explain import explain
 from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.features import whitener_of
@@ -31,6 +30,7 @@ from modalax.diagnose.modal_domain.polish import leading_on_lines
 from modalax.diagnose.modal_domain.prior import Prior
 from modalax.diagnose.modal_domain.sensor_filters import sensor_filters
 from modalax.diagnose.modal_domain.state import Setting
+from modalax.diagnose.modal_domain.turns import nodes_in
 from modalax.diagnose.thresholds import THRESHOLDS
 from modalax.model import Structure
 
@@ -145,7 +145,7 @@ def posed(measurement: Measurement, simulation: Structure, measured: Measured) -
     pairs = None if simulation.pairs is None else list(simulation.pairs)
     every = candidates_of(simulation, c, measurement.outputs, measurement.inputs, pairs, highest)
     every += further_of(simulation, c, measured, measurement.outputs)
-    places = springs_of(simulation, c, nodes_of(simulation.dofs, np.asarray(simulation.K)), pairs, highest)
+    places = springs_of(simulation, c, nodes_in(simulation.dofs, np.asarray(simulation.K)), pairs, highest)
     low, high = (float(abs(measured.channels.s[k])) for k in (0, -1))
     forces = line_forces(c, simulation.dofs, measurement.outputs, measurement.inputs, places, low, high)
     return Posed(c, setting, [*every, *asked_of_modes(forces)], places)

@@ -7,7 +7,8 @@ import numpy as np
 
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import Coordinates
-from modalax.diagnose.modal_domain.elements import Nodes, Part, nodes_of
+from modalax.diagnose.modal_domain.elements import Part
+from modalax.diagnose.modal_domain.nodes import Nodes, nodes_of
 from modalax.diagnose.modal_domain.together import Together
 from modalax.model import Structure
 

@@ -15,9 +15,9 @@ from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.omnibus import Omnibus
+from modalax.diagnose.modal_domain.answer import Facts, ModalDiagnosis
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
-from modalax.diagnose.modal_domain.corrected import inaccuracy_told
-from modalax.diagnose.modal_domain.diagnosis import Facts, ModalDiagnosis, said
+from modalax.diagnose.modal_domain.corrected import inaccuracy_said, inaccuracy_told
 from modalax.diagnose.modal_domain.explain import explain
 from modalax.diagnose.modal_domain.extension import extension_of
 from modalax.diagnose.modal_domain.features import FLOOR, Features, tangent_of, values_of, whitener_of
@@ -137,7 +137,7 @@ def _answer(stage: Stage, notes: list[str]) -> ModalDiagnosis:
     judged = judge(stage)
     chosen, inaccuracy = judged.chosen, inaccuracy_told(stage.setting, judged.chosen.fit)
     throughout = throughout_told(stage.setting, judged.chosen.fit)
-    reasons = [said(inaccuracy), *throughout_said(throughout), *judged.reasons]
+    reasons = [inaccuracy_said(inaccuracy), *throughout_said(throughout), *judged.reasons]
     reasons.append("modes alone were given: causes that show in FRFs only are not seen")
     if not stage.in_time:
         reasons.append("time was up before every explanation had been tried")

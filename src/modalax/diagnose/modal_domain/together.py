@@ -9,7 +9,7 @@ import numpy as np
 from modalax.diagnose.decision.beyond import Names
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import Coordinates
-from modalax.diagnose.modal_domain.elements import nodes_of
+from modalax.diagnose.modal_domain.nodes import nodes_of
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,19 @@ one displacement that all it is coupled to are coupled to as well.
 
 import itertools
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
-NEGLIGIBLE = 1e-7  # coupling, or what a row sums to, relative to the diagonal, that counts as none
+from modalax._numerics.remembered import remembered
+from modalax.diagnose.modal_domain.elements import stiffness_parts
+from modalax.diagnose.modal_domain.nodes import NEGLIGIBLE, Nodes, nodes_of
+
 AT_ONCE = 2  # rotations that one row may be coupled to
 MOST = 60  # couplings of a row, of more of which no rotations are sought
 FEWEST = 2  # rows that must show a rotation
+FEW = 150  # nodes up to which other axes of rotation are tried than the names tell
+SOUND = 1e-6  # energy that an element may give away, or stiffness that none holds, relative to the diagonal
 # A node and a letter or word for the direction, as in 3w, 3_theta, or in w3, theta_3
 _PATTERNS = (
     re.compile(r"(?P<node>.*\d)[_.\- ]?(?P<kind>[A-Za-z]+)"),
@@ -115,3 +121,66 @@ def _axes(known: dict[str, int], moves: list[str], turns: list[str]) -> dict[str
     if not straight or len(turns) > len(across) or len(out) < len(known) - len(turns):
         return None
     return out | dict(zip(turns, across, strict=False))
+
+
+@remembered(4)  # of a simulation, which is asked about by several
+def nodes_in(dofs: tuple[str, ...], K: np.ndarray) -> Nodes:
+    """Nodes by the names of their DoFs, and by the stiffness matrix where names do not tell, or tell what is not so.
+
+    A rotation may be called after the plane in which it is, though what bends along x turns about y, and may count the
+    other way round.
+    """
+    plain = nodes_of(dofs)
+    unknown = plain.axis < 0
+    if not unknown.any():
+        return _about_other_axes(plain, K)
+    told = directions_of(dofs, plain.axis, K)
+    if told is not None:
+        members = [[k for k, own in enumerate(told[0]) if own == node] for node in dict.fromkeys(told[0])]
+        return Nodes([_in_order(some, told[1]) for some in members], told[1], plain.sign)
+    return _turning(rotations_of(K), plain) if unknown.all() else plain
+
+
+def _about_other_axes(plain: Nodes, K: np.ndarray) -> Nodes:
+    """The same with two axes of rotation exchanged or one turned, where elements can be read so and not otherwise."""
+    if (plain.axis < 3).all() or len(plain.members) > FEW or _read_off(K, plain):
+        return plain
+    turns = sorted(set(plain.axis[plain.axis > 2].tolist()))
+    pairs = [(one, other) for one, other in itertools.combinations((3, 4, 5), 2) if one in turns or other in turns]
+    for one, other in ((3, 3), *pairs):
+        axis = np.select([plain.axis == one, plain.axis == other], [other, one], plain.axis)
+        members = [_in_order(some, axis) for some in plain.members]
+        for turned in (-1, *sorted(set(axis[axis > 2].tolist()))[1:]):
+            nodes = Nodes(members, axis, np.where(axis == turned, -plain.sign, plain.sign))
+            if _read_off(K, nodes):
+                return nodes
+    return plain
+
+
+def _read_off(K: np.ndarray, nodes: Nodes) -> bool:
+    """Whether elements that give no energy away sum to a stiffness matrix."""
+    size = np.sqrt(np.maximum(np.abs(np.diag(K)), 1e-300))
+    left = K.copy()
+    for p in stiffness_parts(K, nodes):
+        if np.linalg.eigvalsh(p.matrix / size[p.dofs][:, None] / size[p.dofs])[0] < -SOUND:
+            return False
+        left[np.ix_(p.dofs, p.dofs)] -= p.matrix
+    return bool((np.abs(left) / size[:, None] / size).max() < SOUND)
+
+
+def _in_order(members: Sequence[int] | np.ndarray, axis: np.ndarray) -> np.ndarray:
+    return np.array(sorted(members, key=lambda k: axis[k]))
+
+
+def _turning(rotations: dict[int, int], plain: Nodes) -> Nodes:
+    """Nodes of displacements along one axis, with the rotations that turn with them, one about each other axis."""
+    bodies: dict[int, list[int]] = {}
+    for turn, moves in rotations.items():
+        bodies.setdefault(moves, []).append(turn)
+    if not bodies or any(len(turns) > 2 for turns in bodies.values()):
+        return plain
+    axis = np.full(len(plain.axis), 2)
+    for turns in bodies.values():
+        axis[turns] = (4,) if len(turns) == 1 else (3, 4)
+    moves = [k for k in range(len(axis)) if k not in rotations]
+    return Nodes([np.array([k, *bodies.get(k, ())]) for k in moves], axis, plain.sign)
