@@ -107,6 +107,8 @@ def test_what_may_be_off_by_itself_of_an_element():
     kinds = [{DOFS[k][2:] for k in p.dofs} for p in apart(lump, nodes, mass=True)]
     assert {"+X", "+Y", "+Z"} in kinds and len(kinds) == 3
     assert len(apart(planes_of(part)[0], nodes)) == 1
+    local = Part((), part.dofs, part.matrix)  # a plate's stiffness about a node, whichever of its DoFs it couples
+    assert apart(local, nodes) == [local]
 
 
 def test_a_beam_has_two_planes_and_is_told_at_displacements():

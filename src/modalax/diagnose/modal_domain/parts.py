@@ -92,8 +92,10 @@ def planes_of(p: Part) -> list[Part]:
 def apart(p: Part, nodes: Nodes, mass: bool = False) -> list[Part]:
     """Pieces of an element that may each be off by itself: bending and twisting, as each other quantity of a section.
 
-    A node's mass is one in all directions, and its inertia another.
+    A node's mass is one in all directions, and its inertia another. What is shared out about a node is one.
     """
+    if not p.nodes:
+        return [p]
     every = _pieces(p)
     if mass:
         moves = nodes.axis[p.dofs] < 3
