@@ -165,3 +165,53 @@ def test_rotations_called_after_their_plane_are_read_as_those_across_it(kinds):
         nodes_in(tuple(f"{k}:+{way}" for k in range(6) for way in ("Z", "RY")), K1).axis.tolist()
         == proper.axis.tolist()
     )
+
+
+def space_frame(count):
+    """Stiffness of a row of beams that point anywhere in space, clamped at the first end, over six DoFs a node."""
+    rng = np.random.default_rng(4)
+    K, parts = np.zeros((6 * (count + 1),) * 2), []
+    for e in range(count):
+        along = rng.uniform(0.3, 1.0, 3)
+        L = np.linalg.norm(along)
+        x = along / L
+        y = np.cross([0.0, 0, 1], x)
+        y /= np.linalg.norm(y)
+        own = np.zeros((12, 12))
+        for move, turn, sign, EI in ((1, 5, 1, 50.0 + e), (2, 4, -1, 80.0)):
+            at, a = [move, turn, move + 6, turn + 6], sign * L
+            b = [[12, 6 * a, -12, 6 * a], [6 * a, 4 * L * L, -6 * a, 2 * L * L], [-12, -6 * a, 12, -6 * a],
+                 [6 * a, 2 * L * L, -6 * a, 4 * L * L]]  # fmt: skip
+            own[np.ix_(at, at)] += EI / L**3 * np.array(b)
+        for move, k in ((0, 1e5 / L), (3, 40 / L)):
+            own[np.ix_([move, move + 6], [move, move + 6])] += k * np.array([[1, -1], [-1, 1]])
+        T = np.kron(np.eye(4), np.stack([x, y, np.cross(x, y)]))
+        full = np.zeros_like(K)
+        full[6 * e : 6 * e + 12, 6 * e : 6 * e + 12] = T.T @ own @ T
+        parts.append(full[6:, 6:])
+    return parts
+
+
+STYLES = {
+    "plain": lambda k, a: f"{k}:+{('X', 'Y', 'Z', 'RX', 'RY', 'RZ')[a]}",
+    "u and rot": lambda k, a: f"N{k}-{('UX', 'UY', 'UZ', 'ROTX', 'ROTY', 'ROTZ')[a]}",
+    "components": lambda k, a: f"{k}.{a + 1}",
+    "t and r": lambda k, a: f"{k}-{'TR'[a // 3]}{a % 3 + 1}",
+    "theta": lambda k, a: f"node{k} {('x', 'y', 'z', 'thetax', 'thetay', 'thetaz')[a]}",
+    "letters ahead": lambda k, a: f"{('u', 'v', 'w', 'phix', 'phiy', 'phiz')[a]}{k}",
+    "axes exchanged": lambda k, a: f"{('a', 'b', 'c', 'g', 'i', 'h')[a]}{k}",
+    "signs behind": lambda k, a: f"P{k}{('X', 'Y', 'Z', 'RX', 'RY', 'RZ')[a]}+",
+    "numbers alone": lambda k, a: f"{6 * k + a}",
+}
+
+
+@pytest.mark.parametrize("style", STYLES)
+def test_beams_in_space_are_read_whatever_their_dofs_are_called(style):
+    parts = space_frame(4)
+    K, names = sum(parts), tuple(STYLES[style](k, a) for k in range(1, 5) for a in range(6))
+    nodes = nodes_in(names, K)
+    assert [len(m) for m in nodes.members] == [6] * 4
+    found = [p.full(24) for p in stiffness_parts(K, nodes)]
+    assert len(found) == 4
+    for own in parts:
+        assert min(np.abs(some - own).max() for some in found) < 1e-7 * np.abs(own).max()

@@ -19,13 +19,16 @@ from modalax.diagnose.modal_domain.nodes import NEGLIGIBLE, Nodes, nodes_of
 AT_ONCE = 2  # rotations that one row may be coupled to
 MOST = 60  # couplings of a row, of more of which no rotations are sought
 FEWEST = 2  # rows that must show a rotation
-FEW = 150  # nodes up to which other axes of rotation are tried than the names tell
+MOST_DOFS = 6  # of one node
+FEW = 80  # nodes up to which other axes of rotation are tried than the names tell
 SOUND = 1e-6  # energy that an element may give away, or stiffness that none holds, relative to the diagonal
-# A node and a letter or word for the direction, as in 3w, 3_theta, or in w3, theta_3
+# A node and a letter or word for the direction, as in 3w, 3:X+, N3_UX, or its number, as in 3-T1, 3.4; or w3, theta_3
 _PATTERNS = (
-    re.compile(r"(?P<node>.*\d)[_.\- ]?(?P<kind>[A-Za-z]+)"),
-    re.compile(r"(?P<kind>[A-Za-z]+)[_.\- ]?(?P<node>\d.*)"),
+    re.compile(r"(?P<node>.*\d)[_.:\- ]*(?P<kind>[A-Za-z]+)[+]?"),
+    re.compile(r"(?P<node>.*\d)[_.:\- ]+(?P<kind>[A-Za-z]*[1-6])"),
+    re.compile(r"(?P<kind>[A-Za-z]+)[_.\- ]*(?P<node>\d.*)"),
 )
+_LAST = {"x": 0, "y": 1, "z": 2, "1": 0, "2": 1, "3": 2, "4": 0, "5": 1, "6": 2, "u": 0, "v": 1, "w": 2}  # of a kind
 
 
 def rotations_of(K: np.ndarray) -> dict[int, int]:
@@ -84,15 +87,23 @@ def directions_of(dofs: tuple[str, ...], axis: np.ndarray, K: np.ndarray) -> tup
     axis
         As far as the names tell it: 0 to 2 for displacements, 3 to 5 for rotations, -1 if unknown.
     """
-    read = next((m for m in ([p.fullmatch(d) for d in dofs] for p in _PATTERNS) if None not in m), None)
-    if read is None:
-        return None
-    nodes, kinds = ([m[part] for m in read if m is not None] for part in ("node", "kind"))
+    for pattern in _PATTERNS:
+        read = [m for m in map(pattern.fullmatch, dofs) if m is not None]
+        if len(read) == len(dofs):
+            told = _by_kind([m["node"] for m in read], [m["kind"].lower() for m in read], axis, K)
+            if told is not None:
+                return told
+    return None
+
+
+def _by_kind(
+    nodes: list[str], kinds: list[str], axis: np.ndarray, K: np.ndarray
+) -> tuple[list[str], np.ndarray] | None:  # fmt: skip
     known: dict[str, int] = {}
     for kind, one in zip(kinds, axis.tolist(), strict=True):
         if known.setdefault(kind, one) != one:
             return None
-    if len(set(zip(nodes, kinds, strict=True))) < len(dofs) or len(set(nodes)) == len(dofs):
+    if len(set(zip(nodes, kinds, strict=True))) < len(kinds) or len(set(nodes)) == len(kinds):
         return None
     alike = {kind: np.array([k == kind for k in kinds]) for kind in known}
     moves = [kind for kind, one in known.items() if one < 0 and _free(K, alike[kind])]
@@ -110,17 +121,27 @@ def _free(K: np.ndarray, moved: np.ndarray) -> bool:
 
 
 def _axes(known: dict[str, int], moves: list[str], turns: list[str]) -> dict[str, int] | None:
-    """An axis for every kind of DoF; None where that of a rotation would have to be guessed."""
+    """An axis for every kind of DoF, by its last letter or number where that tells; None where there are too many."""
     out = {kind: one for kind, one in known.items() if one >= 0}
-    for kind, one in zip(moves, [a for a in (2, 1, 0) if a not in out.values()], strict=False):
-        out[kind] = one
+    _share_out(moves, [a for a in (2, 1, 0) if a not in out.values()], out, 0)
     straight = [one for one in out.values() if one < 3]
-    across = [3 + a for a in (1, 2, 0) if 3 + a not in out.values() and (len(straight) > 1 or a not in straight)]
-    if len(straight) > 1:  # in a plane it turns about what is normal to it
+    across = [3 + a for a in (1, 2, 0) if 3 + a not in out.values()]
+    if len(straight) == 1:  # what bends along one axis turns about the others
         across = [one for one in across if one - 3 not in straight]
-    if not straight or len(turns) > len(across) or len(out) < len(known) - len(turns):
-        return None
-    return out | dict(zip(turns, across, strict=False))
+    elif len(straight) == 2 and len(turns) == 1:  # in a plane it turns about what is normal to it
+        across = [one for one in across if one - 3 not in straight]
+    _share_out(turns, across, out, 3)
+    return out if straight and len(out) == len(known) else None
+
+
+def _share_out(kinds: list[str], axes: list[int], out: dict[str, int], first: int) -> None:
+    """Give each kind the axis that its last letter tells, or else one that is left, as long as there are any."""
+    hinted = {kind: first + _LAST[kind[-1]] for kind in kinds if kind[-1] in _LAST}
+    if len(set(hinted.values())) == len(hinted) and set(hinted.values()) <= set(axes):
+        out |= hinted
+        axes = [one for one in axes if one not in hinted.values()]
+        kinds = [kind for kind in kinds if kind not in hinted]
+    out |= dict(zip(kinds, axes, strict=False))
 
 
 @remembered(4)  # of a simulation, which is asked about by several
@@ -137,23 +158,44 @@ def nodes_in(dofs: tuple[str, ...], K: np.ndarray) -> Nodes:
     told = directions_of(dofs, plain.axis, K)
     if told is not None:
         members = [[k for k, own in enumerate(told[0]) if own == node] for node in dict.fromkeys(told[0])]
-        return Nodes([_in_order(some, told[1]) for some in members], told[1], plain.sign)
-    return _turning(rotations_of(K), plain) if unknown.all() else plain
+        return _about_other_axes(Nodes([_in_order(some, told[1]) for some in members], told[1], plain.sign), K)
+    if not unknown.all():
+        return plain
+    turning = rotations_of(K)
+    return _turning(turning, plain) if turning else _by_order(plain, K)
+
+
+def _by_order(plain: Nodes, K: np.ndarray) -> Nodes:
+    """Nodes of as many DoFs each, one after the other, where elements can be read so and not DoF by DoF."""
+    count = len(K)
+    if count > MOST_DOFS * FEW or _read_off(K, plain):
+        return plain
+    for each in (k for k in range(2, MOST_DOFS + 1) if count % k == 0 and count > k):
+        told = _by_kind(
+            [str(k // each) for k in range(count)], ["abcdef"[k % each] for k in range(count)], plain.axis, K
+        )
+        if told is not None and (told[1] > 2).any():
+            members = [_in_order(range(k, k + each), told[1]) for k in range(0, count, each)]
+            nodes = _about_other_axes(Nodes(members, told[1], plain.sign), K)
+            if _read_off(K, nodes):
+                return nodes
+    return plain
 
 
 def _about_other_axes(plain: Nodes, K: np.ndarray) -> Nodes:
-    """The same with two axes of rotation exchanged or one turned, where elements can be read so and not otherwise."""
+    """The same with axes of rotation exchanged or one turned, where elements can be read so and not otherwise."""
     if (plain.axis < 3).all() or len(plain.members) > FEW or _read_off(K, plain):
         return plain
-    turns = sorted(set(plain.axis[plain.axis > 2].tolist()))
-    pairs = [(one, other) for one, other in itertools.combinations((3, 4, 5), 2) if one in turns or other in turns]
-    for one, other in ((3, 3), *pairs):
-        axis = np.select([plain.axis == one, plain.axis == other], [other, one], plain.axis)
+    seen = set()
+    for order in itertools.permutations((3, 4, 5)):
+        axis = np.select([plain.axis == one for one in (3, 4, 5)], order, plain.axis)
         members = [_in_order(some, axis) for some in plain.members]
         for turned in (-1, *sorted(set(axis[axis > 2].tolist()))[1:]):
             nodes = Nodes(members, axis, np.where(axis == turned, -plain.sign, plain.sign))
-            if _read_off(K, nodes):
+            key = axis.tobytes(), nodes.sign.tobytes()
+            if key not in seen and _read_off(K, nodes):
                 return nodes
+            seen.add(key)
     return plain
 
 
