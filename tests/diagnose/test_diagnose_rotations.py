@@ -5,7 +5,7 @@ import pytest
 
 from modalax import diagnose
 from modalax.data import FRF, Measurement
-from modalax.diagnose.rotations import in_own_units, turns
+from modalax.diagnose.rotations import in_own_units, rotations_in, turns
 from modalax.model import Structure
 
 INERTIA, STIFF = np.array([2.0, 1.5, 1.0]), 4e4  # kg m^2, N m/rad
@@ -50,3 +50,17 @@ def test_units_are_those_of_the_place(where, given, unit):
 
 def test_names_without_a_direction_do_not_turn():
     assert [turns(name) for name in ("R", "12", "RX", "wing:3:+RY", "3:+Y")] == [False, False, False, True, False]
+
+
+def test_a_body_that_pitches_turns_whatever_it_is_called():
+    """Two springs to the ground at levers of 1 and -1.5 m, and one between the body and a mass at 0.4 m."""
+    K = sum(k * np.outer(g, g) for k, g in ((2e4, [0, 1, 1]), (3e4, [0, 1, -1.5]), (1e4, [1, -1, -0.4])))
+    K = np.block([[K, np.zeros((3, 1))], [np.zeros((1, 3)), np.zeros((1, 1))]])  # and a further mass on the body
+    g = np.array([0, -1, 0.7, 1])
+    car = Structure(np.eye(4), 0 * K, K + 5e3 * np.outer(g, g), ("seat", "body", "pitch", "engine"))
+    assert rotations_in(car) == {"pitch"} and rotations_in(shaft()) == {"1:+RZ", "2:+RZ", "3:+RZ"}
+    assert rotations_in(object()) == frozenset()
+    cause = {"name": "a", "where": ["pitch"], "parameters": {"b": {"value": 1.0, "std": 0.1, "unit": "kg"}}}
+    (told,) = in_own_units([cause], rotations_in(car))
+    assert told["parameters"]["b"]["unit"] == "kg m^2"
+    assert in_own_units([cause])[0]["parameters"]["b"]["unit"] == "kg"

@@ -20,7 +20,7 @@ from modalax.diagnose.evidence import Compared, evidence_of
 from modalax.diagnose.extend import ExtendedSimulation
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.over_levels import levels_said, over_levels
-from modalax.diagnose.rotations import in_own_units
+from modalax.diagnose.rotations import in_own_units, rotations_in
 from modalax.diagnose.search.explain import Explanation
 from modalax.diagnose.summary import causes_text, summary
 from modalax.diagnose.thresholds import THRESHOLDS
@@ -118,7 +118,8 @@ class Diagnosis:
     @property
     def causes(self) -> list[dict[str, Any]]:
         """What the extended model contains, no likelier than the verdict leaves room for."""
-        return as_stated(self.verdict, in_own_units(self._causes))
+        rotations = rotations_in(None if self.extended is None else self.extended.base)
+        return as_stated(self.verdict, in_own_units(self._causes, rotations))
 
     @property
     def _causes(self) -> list[dict[str, Any]]:

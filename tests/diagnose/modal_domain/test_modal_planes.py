@@ -106,6 +106,11 @@ def test_what_may_be_off_by_itself_of_an_element():
     )
     kinds = [{DOFS[k][2:] for k in p.dofs} for p in apart(lump, nodes, mass=True)]
     assert {"+X", "+Y", "+Z"} in kinds and len(kinds) == 3
+    beam = Part((0,), lump.dofs, lump.matrix + 0.1 * np.outer([1, 0, 0, 0, 1], [1, 0, 0, 0, 1]))
+    kinds = [{DOFS[k][2:] for k in p.dofs} for p in apart(beam, nodes, mass=True)]  # what moves along X also turns
+    assert sorted(map(sorted, kinds)) == [["+RX"], ["+RY", "+X", "+Y", "+Z"]]
+    turns = Part((0,), lump.dofs[3:], np.diag([0.1, 0.2]))
+    assert [len(p.dofs) for p in apart(turns, nodes, mass=True)] == [1, 1]
     assert len(apart(planes_of(part)[0], nodes)) == 1
     local = Part((), part.dofs, part.matrix)  # a plate's stiffness about a node, whichever of its DoFs it couples
     assert apart(local, nodes) == [local]

@@ -100,7 +100,7 @@ def apart(p: Part, nodes: Nodes, mass: bool = False) -> list[Part]:
     if mass:
         moves = nodes.axis[p.dofs] < 3
         one = [k for k in every if moves[k].any()]
-        every = [np.sort(np.concatenate(one))] * bool(one) + [k for k in every if not moves[k].any()]
+        every = [k for k in every if not moves[k].any()] + ([np.sort(np.concatenate(one))] if one else [])
     return [p] if len(every) < 2 else [Part(p.nodes, p.dofs[k], p.matrix[np.ix_(k, k)]) for k in every]
 
 
