@@ -18,6 +18,7 @@ from modalax.diagnose.modal_domain.damped_along import damped_along
 from modalax.diagnose.modal_domain.discrepancy import learnt_rest
 from modalax.diagnose.modal_domain.explanation import Explanation, ranked_by
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
+from modalax.diagnose.modal_domain.line_forces import losses_at
 from modalax.diagnose.modal_domain.prior import SECOND, Prior
 from modalax.diagnose.modal_domain.screen import narrower, replaced, scores
 from modalax.diagnose.modal_domain.starts import FITTED, NEXT, as_signs, starts
@@ -34,6 +35,8 @@ WORTH = 4.0  # nats that a further cause must promise beyond the cost of its pri
 MOST = 2  # causes in one answer
 MANY, CHAINS = 4, 2  # the same where the inaccuracy would be far from usual, and first causes that others are added to
 FAR = 3.0  # times as large as usual from which on an inaccuracy of stiffness or mass is far from it
+JOINED = "joint_stiffness", "local_damper"  # what a joint may be taken for
+LOSS = 0.3  # strength of a joint's loss that is fitted from, over the usual one
 AGAIN = 6  # leading explanations that are fitted again together with the rest that no element explains
 
 
@@ -145,6 +148,7 @@ def _all_steps(
         if late():
             return
     attached(setting, found, candidates, prior, late)
+    candidates = _with_losses(setting, found, candidates, prior, late)
     _several(setting, found, candidates, prior, late)
     search.setting, search.found = setting, found = _beside_a_factor(search.bare, setting, found, prior)
     search.setting, search.found = setting, found = _beside_the_rest(setting, found, prior, late)
@@ -173,6 +177,28 @@ def _found(found: dict[tuple[Change, ...], Fit], cause: Change) -> bool:
     if f is None or null is None:
         return False
     return f.log_evidence > null.log_evidence + WORTH and explains(f)
+
+
+def _with_losses(
+    setting: Setting, found: dict[tuple[Change, ...], Fit], candidates: list[Change], prior: Prior,
+    late: Callable[[], bool],
+) -> list[Change]:  # fmt: skip
+    """Candidates, and losses of a joint where a spring or damper leads that the simulation has not; fitted at once.
+
+    A joint that nobody knew of is seldom a spring or damper alone, and while it is taken for one nothing else shows.
+    """
+    new: list[Change] = []
+    singles = [e for e in ranked_by(found, prior) if len(e.causes) == 1]
+    for e in [e for e in singles if e.causes[0].slug in JOINED][:CHAINS]:
+        springs = [c for c in candidates if c.slug == "joint_stiffness" and c.where == e.causes[0].where and c.absent]
+        for spring, loss in [(s, f) for s in springs for f in losses_at(s, [*candidates, *new], setting.coordinates)]:
+            new.append(loss)
+            u = np.full(loss.count, LOSS) * (np.arange(loss.count) == 0)
+            stiff = e.fit.u if e.causes[0] == spring else spring.of_size(LOSS)
+            for causes, sizes in (((loss,), u), ((spring, loss), np.concatenate([stiff, u]))):
+                if not late():
+                    attempt(setting, found, causes, sizes, without_causes(e.fit))
+    return [*candidates, *new]
 
 
 def _several(

@@ -17,9 +17,9 @@ from modalax.diagnose.modal_domain.further_causes import MissingMode
 from modalax.diagnose.modal_domain.levels.seen import drift_by_run, foretold
 from modalax.diagnose.modal_domain.measured import channels_of, features_at
 from modalax.diagnose.modal_domain.mode_count import blind_modes, heavy, misfit
-from modalax.diagnose.modal_domain.polish import lines_of, on_lines, unforeseen
+from modalax.diagnose.modal_domain.polish import BEYOND_MODES, chi2_of, lines_of, on_lines, unforeseen
 from modalax.diagnose.modal_domain.stage import Stage
-from modalax.diagnose.modal_domain.state import Setting
+from modalax.diagnose.modal_domain.state import Setting, state_at
 
 APART = 10.0  # times that the deviations of a mode may grow once a column is held out
 BESIDE = 5.0  # half-bandwidths by which a mode may move once a block is held out
@@ -133,7 +133,11 @@ def _rest(stage: Stage, mask: np.ndarray) -> Rest | None:
 
 
 def _without(stage: Stage, f: Fit, rest: Rest | None) -> Fit:
-    """The same explanation fitted to all but the held-out samples; the fit to all where that cannot be."""
+    """The same explanation fitted to all but the held-out samples; the fit to all where that cannot be.
+
+    FRFs that are no sum of modes, as those beside a joint that relaxes, have other modes in a part of them: what was
+    fitted to all is as good a start there as a fit to the modes of that part.
+    """
     if rest is None:
         return f
     setting, kept = rest.setting, rest.kept
@@ -144,7 +148,16 @@ def _without(stage: Stage, f: Fit, rest: Rest | None) -> Fit:
     again = fit(setting, causes, without_causes(f), f.u[some], temperatures=())
     if again is None:
         return f
-    again = on_lines(setting, again, lines_of(rest.channels, setting), Deadline())
+    lines = lines_of(rest.channels, setting)
+    again = on_lines(setting, again, lines, Deadline())
+    left = chi2_of(setting, again, lines)
+    if len(some) == len(f.u) and left > BEYOND_MODES * stage.measured.misfit * lines.samples:
+        try:
+            known = replace(f, causes=causes, state=state_at(setting, f.sizes, causes, f.u))
+        except np.linalg.LinAlgError:
+            known = again
+        known = on_lines(setting, known, lines, Deadline())
+        again = known if chi2_of(setting, known, lines) < left else again
     u = f.u.copy()
     u[some] = again.u
     every = tuple(whole if isinstance(whole, MissingMode) else cause for cause, (_, whole) in zip(

@@ -14,7 +14,7 @@ from modalax.diagnose.modal_domain.levels.slipping import part_of_joint
 from modalax.diagnose.modal_domain.line_forces import EvenCoupling, SkewCoupling
 from modalax.diagnose.modal_domain.linear import LARGEST
 from modalax.diagnose.modal_domain.odd_output import only_output
-from modalax.diagnose.modal_domain.polish import taken_on
+from modalax.diagnose.modal_domain.polish import taken_on, without_spare
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.modal_domain.throughout import nats_over_a_factor
 from modalax.diagnose.modal_domain.together import SensorMasses
@@ -139,11 +139,14 @@ def _one_sided(stage: Stage, e: Explanation) -> tuple[tuple[str | int, ...], ...
 def on_its_lines(stage: Stage, e: Explanation) -> Explanation:
     """The explanation that the answer is about, taken on to the lines where the same stands out in it there.
 
-    It need not have been among the likeliest, which were taken on before.
+    It need not have been among the likeliest, which were taken on before. Causes that may be none there are left out.
     """
     again = taken_on(stage.setting, e, stage.measured)
-    alike = again is e or set(standing_out(stage, again)) == set(standing_out(stage, e))
-    return again if alike else e
+    if again is not e and set(standing_out(stage, again)) != set(standing_out(stage, e)):
+        again = e
+    told = told_by_size(stage, again)
+    spare = [c for c in again.causes if not (c in told[0] or c in told[1] or of_the_joint(stage, c) or not c.sized)]
+    return without_spare(stage.setting, again, spare, stage.measured)
 
 
 def sets_beyond(stage: Stage) -> tuple[BeyondUsual, ...]:

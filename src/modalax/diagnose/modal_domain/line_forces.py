@@ -324,6 +324,24 @@ def asked_of_modes(forces: Sequence[LineForce]) -> list[Change]:
     return out
 
 
+def losses_at(spring: Change, candidates: Sequence[Change], c: Coordinates) -> list[LineForce]:
+    """Losses of a joint, each as others among candidates, at the place of a spring that none was looked for at."""
+    assert spring.direction is not None
+    b, inside, out = spring.direction, np.flatnonzero(c.frequencies[:-1] < c.frequencies[-2]), []
+    for slug in JOINTS:
+        alike = [f for f in candidates if isinstance(f, LineForce) and f.slug == slug]
+        if alike and all(f.where != spring.where for f in alike):
+            like = min(alike, key=lambda f: abs(f.about) if isinstance(f, RelaxingJoint) else 0.0)
+            damper = like.middle * _doubling(c, b, inside)
+            out.append(
+                replace(
+                    like, where=spring.where, scale=spring.scale, weight=spring.weight, basis=b[:, None],
+                    reference=damper,
+                )
+            )  # fmt: skip
+    return out
+
+
 def line_forces(
     c: Coordinates, dofs: Sequence[str], outputs: Sequence[str], inputs: Sequence[str],
     springs: Sequence[tuple[tuple[str, ...], np.ndarray, float, float, bool]], low: float, high: float,

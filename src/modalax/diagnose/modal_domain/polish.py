@@ -165,6 +165,26 @@ def taken_on(setting: Setting, e: Explanation, measured: Measured) -> Explanatio
     return replace(e, fit=on_lines(setting, e.fit, lines, NEVER))
 
 
+def without_spare(setting: Setting, e: Explanation, spare: list[Change], measured: Measured) -> Explanation:
+    """An explanation without causes that may be none, where the lines are explained as well without them."""
+    kept = [k for k, c in enumerate(e.causes) if c not in spare]
+    if not spare or not kept:
+        return e
+    own = np.concatenate([np.arange(len(e.fit.u))[own_sizes(e.causes, k)] for k in kept])
+    causes, u = tuple(e.causes[k] for k in kept), e.fit.u[own]
+    lines = lines_of(measured.channels, setting, measured.misfit)
+    try:
+        state = state_at(setting, e.fit.sizes, causes, u)
+    except np.linalg.LinAlgError:
+        return e
+    bare = replace(e.fit, causes=causes, u=u, covariance=e.fit.covariance[np.ix_(own, own)], state=state)
+    bare = on_lines(setting, bare, lines, NEVER)
+    more = chi2_of(setting, bare, lines) - chi2_of(setting, e.fit, lines)
+    beyond = max(chi2_of(setting, e.fit, lines) / max(lines.samples, 1), 1.0)
+    few = more < THRESHOLDS.stands_out**2 * beyond * (len(e.fit.u) - len(u))
+    return replace(e, fit=bare) if few else e
+
+
 def unforeseen(setting: Setting, f: Fit, fitted: Lines, left_out: Lines) -> float:
     r"""Part of the chi-square on lines that were left out that errors of a fit to others do not explain.
 
