@@ -135,3 +135,14 @@ def test_frfs_that_no_modes_make_are_said_to_be_so(word, left, by_modes, told):
     """
     found, reasons = lines_verdict(word, ["as before"], left, by_modes)
     assert found == word and any("no sum of modes" in reason for reason in reasons) == told
+
+
+@pytest.mark.parametrize(
+    ("word", "before", "after", "verdict"),
+    [("named", 50.0, 60.0, "unknown"), ("ambiguous", 50.0, 60.0, "unknown"), ("named", 50.0, 51.0, "named"),
+     ("named", 1.0, 1.1, "named"), ("clean", 50.0, 60.0, "clean"), ("unknown", 50.0, 60.0, "unknown")],
+)  # fmt: skip
+def test_what_predicts_worse_than_the_simulation_explains_nothing(word, before, after, verdict):
+    gain = Gain("a column", before, after, 0.0, 1.0)
+    found, reasons = held_out_verdict(word, ["as before"], gain)
+    assert found == verdict and (len(reasons) > 1) is (word != verdict)

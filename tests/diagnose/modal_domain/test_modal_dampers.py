@@ -10,7 +10,7 @@ from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain import judged
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
-from modalax.diagnose.modal_domain.line_forces import RelaxingJoint
+from modalax.diagnose.modal_domain.joint_forces import RelaxingJoint
 from modalax.diagnose.modal_domain.screen import finite
 from modalax.diagnose.modal_domain.stage import run_stage
 

@@ -6,8 +6,9 @@ from chains_off import DOFS, FREQ, as_measured, chain_off, response, simulation
 
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.diagnose.modal_domain.force_places import KINDS, line_forces
 from modalax.diagnose.modal_domain.forced import screened
-from modalax.diagnose.modal_domain.line_forces import KINDS, LineForce, line_forces
+from modalax.diagnose.modal_domain.line_forces import LineForce
 from modalax.diagnose.modal_domain.nodes import nodes_of
 from modalax.diagnose.modal_domain.places import springs_of
 from modalax.diagnose.modal_domain.polish import frf_on_lines, lines_of, slopes_on_lines

@@ -5,13 +5,15 @@ import pytest
 from chains_off import DOFS, FREQ, as_measured, chain_off, response, simulation
 
 from modalax.diagnose.deadline import Deadline
-from modalax.diagnose.modal_domain.line_forces import KINDS, LineForce
+from modalax.diagnose.modal_domain.force_places import KINDS
+from modalax.diagnose.modal_domain.line_forces import LineForce
 from modalax.diagnose.modal_domain.oscillators import oscillators
 from modalax.diagnose.modal_domain.stage import run_stage
 from modalax.diagnose.modal_domain.state import matrices_of, screening_slopes, slopes_at, state_at
 
-SLUGS = "gyroscopic", "hysteretic_joint", "maxwell_joint"
-STEP, EXACT, CLOSE = 1e-6, 1e-10, 1e-5  # of differences; of residues, relative; of derivatives, relative to the largest
+SLUGS = "gyroscopic", "hysteretic_joint", "maxwell_joint", "fractional_joint"
+STEP, CLOSE = 1e-6, 1e-5  # of differences; of derivatives, relative to the largest
+EXACT = {"fractional_joint": 2e-5}  # of residues, relative; a power is made of joints that relax
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +45,7 @@ def test_residues_are_those_of_the_whole_dynamic_stiffness(stage, slug):
         T = K + s[:, None, None] * C + s[:, None, None] ** 2 * M + f.basis @ f.stiffness(u, s) @ f.basis.T
         H = c.outputs @ np.linalg.inv(T) @ c.inputs.T
         integral = (H * around[:, None, None]).mean(axis=0)
-        assert np.abs(integral - residue).max() < EXACT * np.abs(integral).max()
+        assert np.abs(integral - residue).max() < EXACT.get(slug, 1e-10) * np.abs(integral).max()
 
 
 @pytest.mark.parametrize("slug", SLUGS)
@@ -77,3 +79,20 @@ def test_a_light_oscillator_is_sought_with_the_mass_that_its_own_mode_asks_for()
     assert cause.where == ("5:+Z",)
     assert cause.size(u) == pytest.approx(mass, rel=0.2)
     assert [c.where for c in stage.explanations[0].causes] == [("5:+Z",)]
+
+
+@pytest.mark.parametrize("order", [0.12, 0.45, 0.85])
+def test_a_power_of_frequency_is_a_sum_of_joints_that_relax(order):
+    f = KINDS["fractional_joint"]("fractional_joint", ("1",), 3e4, basis=np.ones((1, 1)), middle=250.0)
+    u = np.array([0.7, np.log(order / (1 - order))])
+    s = 2j * np.pi * np.geomspace(8.0, 200.0, 9) * np.exp(0.1j)  # a fortieth of the way about, as poles of 10 % damping
+    Z, slope, _ = f.load(u).expanded(s)
+    power = 0.7 * 3e4 * (s / 250.0) ** order
+    np.testing.assert_allclose(Z[:, 0, 0], power, rtol=1e-4)  # the slower, the better
+    np.testing.assert_allclose(slope[:, 0, 0], order * power / s, rtol=3e-4)
+    np.testing.assert_allclose(f.stiffness(u, s)[:, 0, 0], power, rtol=1e-12)
+    (c, a), errors, _ = f.as_catalogue(u, np.diag([0.01, 0.04]))
+    assert a == pytest.approx(order) and c * 250.0**order == pytest.approx(0.7 * 3e4)
+    draws = u + np.random.default_rng(0).standard_normal((40_000, 2)) * 0.01 * np.sqrt([0.01, 0.04])
+    told = np.array([f.as_catalogue(one, np.eye(2))[0] for one in draws])
+    np.testing.assert_allclose(told.std(axis=0) / 0.01, errors, rtol=0.03)

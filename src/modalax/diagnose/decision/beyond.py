@@ -232,7 +232,14 @@ def held_out_verdict(
     """The verdict once the held-out block is known: a cause without which it is surely predicted better is not named.
 
     That it is predicted as well says nothing: an inaccuracy of many elements may imitate a cause, only less likely.
+    Nothing is said to be wrong that predicts it worse than the simulation as it is.
     """
+    if word in ("named", "ambiguous") and gain.chi2_after > limits.farther * max(gain.chi2_before, limits.unexplained):
+        return "unknown", (
+            *reasons,
+            f"fitted without {gain.held_out}, this leaves a chi-square of {gain.chi2_after:.3g} per sample there, and "
+            f"the simulation as it is {gain.chi2_before:.3g}: it is no explanation",
+        )  # fmt: skip
     better = gain.chi2_after > limits.farther * gain.chi2_plain and gain.preferred > limits.missed
     if word != "named" or not better:
         return word, tuple(reasons)

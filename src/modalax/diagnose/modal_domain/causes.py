@@ -122,6 +122,11 @@ class Change:
         return True
 
     @property
+    def screened(self) -> bool:
+        """Whether it is looked for at all of its places, and not only where another cause leads."""
+        return True
+
+    @property
     def adds_mode(self) -> bool:
         """Whether the structure has a mode more with it."""
         return False

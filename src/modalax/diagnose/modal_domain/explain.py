@@ -18,7 +18,7 @@ from modalax.diagnose.modal_domain.damped_along import damped_along
 from modalax.diagnose.modal_domain.discrepancy import learnt_rest
 from modalax.diagnose.modal_domain.explanation import Explanation, ranked_by
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
-from modalax.diagnose.modal_domain.line_forces import losses_at
+from modalax.diagnose.modal_domain.force_places import JOINTS, losses_at
 from modalax.diagnose.modal_domain.prior import SECOND, Prior
 from modalax.diagnose.modal_domain.screen import narrower, replaced, scores
 from modalax.diagnose.modal_domain.starts import FITTED, NEXT, as_signs, starts
@@ -183,22 +183,31 @@ def _with_losses(
     setting: Setting, found: dict[tuple[Change, ...], Fit], candidates: list[Change], prior: Prior,
     late: Callable[[], bool],
 ) -> list[Change]:  # fmt: skip
-    """Candidates, and losses of a joint where a spring or damper leads that the simulation has not; fitted at once.
+    """Candidates, and losses of a joint where one leads and they were not looked for; these are fitted at once.
 
     A joint that nobody knew of is seldom a spring or damper alone, and while it is taken for one nothing else shows.
     """
-    new: list[Change] = []
-    singles = [e for e in ranked_by(found, prior) if len(e.causes) == 1]
-    for e in [e for e in singles if e.causes[0].slug in JOINED][:CHAINS]:
-        springs = [c for c in candidates if c.slug == "joint_stiffness" and c.where == e.causes[0].where and c.absent]
-        for spring, loss in [(s, f) for s in springs for f in losses_at(s, [*candidates, *new], setting.coordinates)]:
-            new.append(loss)
+    ranked = ranked_by(found, prior)
+    explained, every, seen = explains(ranked[0].fit), list(candidates), set()
+    singles = [e for e in ranked if len(e.causes) == 1]
+    leads = [e for some in (JOINED, JOINTS) for e in [e for e in singles if e.causes[0].slug in some][:CHAINS]]
+    for e in leads:
+        place = e.causes[0].where
+        spring = next((c for c in candidates if c.slug == "joint_stiffness" and c.where == place), None)
+        if spring is None or spring.direction is None or place in seen or (explained and e is not ranked[0]):
+            continue
+        seen.add(place)
+        for loss in losses_at(spring, candidates, setting.coordinates):
+            known = loss in candidates
+            every += [] if known else [loss]
             u = np.full(loss.count, LOSS) * (np.arange(loss.count) == 0)
             stiff = e.fit.u if e.causes[0] == spring else spring.of_size(LOSS)
-            for causes, sizes in (((loss,), u), ((spring, loss), np.concatenate([stiff, u]))):
+            alone = [] if known and loss.screened else [((loss,), u)]
+            both = [] if explained else [((spring, loss), np.concatenate([stiff, u]))]
+            for causes, sizes in alone + both:
                 if not late():
                     attempt(setting, found, causes, sizes, without_causes(e.fit))
-    return [*candidates, *new]
+    return every
 
 
 def _several(

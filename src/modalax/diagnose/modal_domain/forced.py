@@ -19,7 +19,8 @@ from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.fit import Fit, scale_of
-from modalax.diagnose.modal_domain.line_forces import LineForce, roving_masses
+from modalax.diagnose.modal_domain.force_places import roving_masses
+from modalax.diagnose.modal_domain.line_forces import LineForce
 from modalax.diagnose.modal_domain.measured import channels_of
 from modalax.diagnose.modal_domain.polish import (
     Lines,

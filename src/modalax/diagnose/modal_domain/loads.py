@@ -3,10 +3,10 @@ r"""Modes of a structure on which forces act at one place each that no symmetric
 A skew coupling, a joint that loses energy alike at all frequencies and one that relaxes have, between the directions B
 at which they act, the dynamic stiffness
 
-.. math:: Z(s) = K_0 + sC_0 - \kappa\,r/(s + r),
+.. math:: Z(s) = K_0 + sC_0 - \sum_q\kappa_q\,r_q/(s + r_q),
 
 so that poles and both kinds of vectors, right :math:`T(\lambda)\phi=0` and left :math:`\psi^TT(\lambda)=0` of the whole
-dynamic stiffness :math:`T`, follow from one linear problem with a further state for what relaxes (Tisseur and
+dynamic stiffness :math:`T`, follow from one linear problem with a further state for all that relaxes (Tisseur and
 Meerbergen 2001, SIAM Review 43:235, for what does not). Near a pole
 :math:`T^{-1}(s) = \phi\psi^T/(s-\lambda) + G + \dots` with :math:`\psi^TT'\phi=1`; the powers of
 :math:`s-\lambda` in :math:`TT^{-1}=I` give
@@ -33,26 +33,22 @@ class Load:
         Directions B, shape ``(n, k)``.
     stiffness, damping
         :math:`K_0` and :math:`C_0`, shapes ``(k, k)``.
-    relaxing, rate
-        :math:`\kappa` of each direction, and r [1/s].
+    relaxing, rates
+        :math:`\kappa_q` of each direction, and :math:`r_q` [1/s].
     """
 
     basis: np.ndarray
     stiffness: np.ndarray
     damping: np.ndarray
-    relaxing: float = 0.0
-    rate: float = 1.0
+    relaxing: tuple[float, ...] = ()
+    rates: tuple[float, ...] = ()
 
     def expanded(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Z, its derivative and half its second derivative by s, shapes ``(f, k, k)``."""
         eye, at = np.eye(self.basis.shape[1]), s[:, None, None]
-        fall = self.relaxing * self.rate / (at + self.rate)
-        zero = np.zeros((len(s), 1, 1))
-        return (
-            self.stiffness + at * self.damping - fall * eye,
-            zero + self.damping + fall / (at + self.rate) * eye,
-            zero - fall / (at + self.rate) ** 2 * eye,
-        )
+        k, r = np.array(self.relaxing), np.array(self.rates)
+        falls = [(k * r / (s[:, None] + r) ** (1 + p)).sum(axis=1)[:, None, None] * eye for p in range(3)]
+        return self.stiffness + at * self.damping - falls[0], self.damping + falls[1], -falls[2]
 
 
 def loaded_modes(
@@ -67,7 +63,7 @@ def loaded_modes(
         ``loads`` are.
     """
     n, w = len(squares), np.sqrt(np.abs(squares))
-    inner = [(load, b) for load in loads if load.relaxing for b in load.basis.T]
+    inner = [(k, r, b) for load in loads for k, r in zip(load.relaxing, load.rates, strict=True) for b in load.basis.T]
     K, C = (sum(load.basis @ getattr(load, part) @ load.basis.T for load in loads) for part in ("stiffness", "damping"))
     state, each = np.zeros((2 * n + len(inner),) * 2, np.result_type(K, float)), np.arange(n)
     # of displacements times their frequencies and of velocities, so that all parts are of one size
@@ -75,10 +71,10 @@ def loaded_modes(
     state[each, n + each] = unit
     state[n : 2 * n, :n] = -(np.diag(squares) + K) / unit
     state[n : 2 * n, n : 2 * n] = -(damping + C)
-    for k, (load, b) in enumerate(inner):
-        state[n : 2 * n, 2 * n + k] = load.relaxing * b
-        state[2 * n + k, :n] = load.rate * b / unit
-        state[2 * n + k, 2 * n + k] = -load.rate
+    for k, (relaxing, rate, b) in enumerate(inner):
+        state[n : 2 * n, 2 * n + k] = relaxing * b
+        state[2 * n + k, :n] = rate * b / unit
+        state[2 * n + k, 2 * n + k] = -rate
     both: Any = scipy.linalg.eig(state, left=True, right=True)
     poles, left, right = both
     up = poles.imag > REAL * w.max()

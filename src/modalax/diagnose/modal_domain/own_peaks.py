@@ -14,9 +14,10 @@ from modalax.data import Measurement
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import with_sizes
 from modalax.diagnose.modal_domain.fit import Fit
+from modalax.diagnose.modal_domain.force_places import roving_mass
 from modalax.diagnose.modal_domain.forced import Forced, fitted_from, told_force
 from modalax.diagnose.modal_domain.free_residues import Channels, Projected, refine
-from modalax.diagnose.modal_domain.line_forces import RovingMass, roving_mass
+from modalax.diagnose.modal_domain.line_forces import RovingMass
 from modalax.diagnose.modal_domain.measured import Measured, channels_of
 from modalax.diagnose.modal_domain.mode_count import cost_of_mode, misfit, mode_gains, settled
 from modalax.diagnose.modal_domain.polish import Lines, chi2_of, descended, frf_on_lines, lines_of

@@ -58,6 +58,8 @@ def finite(setting: Setting, candidates: list[Change], told: np.ndarray | None =
     sizes = np.array([-s for s in SIZES[::-1]] + [*SIZES])
     best, where = np.full(len(candidates), np.inf), np.zeros(len(candidates))
     for k, cause in enumerate(candidates):
+        if not cause.screened:
+            continue
         if couples(cause):
             trials = _loaded(setting, state.modes, cause, [*(sizes if cause.signed else sizes[sizes > 0]), STRONG])
         elif cause.kind:

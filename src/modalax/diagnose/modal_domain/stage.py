@@ -15,6 +15,7 @@ from modalax.diagnose.modal_domain.explain import explain
 from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.features import whitener_of
 from modalax.diagnose.modal_domain.fit import Fit
+from modalax.diagnose.modal_domain.force_places import KINDS, asked_of_modes, line_forces
 from modalax.diagnose.modal_domain.further_causes import StructuralDamping, missing_modes, tuned_masses
 from modalax.diagnose.modal_domain.impact_window import impact_windows
 from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
@@ -22,7 +23,6 @@ from modalax.diagnose.modal_domain.levels.explain import Spot
 from modalax.diagnose.modal_domain.levels.laws import NAMED
 from modalax.diagnose.modal_domain.levels.seen import Seen, joint_and_structure, look_at_levels
 from modalax.diagnose.modal_domain.levels.slipping import Whole, whole_joint
-from modalax.diagnose.modal_domain.line_forces import KINDS, asked_of_modes, line_forces
 from modalax.diagnose.modal_domain.measured import Measured, identify
 from modalax.diagnose.modal_domain.odd_output import OddOutput, odd_output
 from modalax.diagnose.modal_domain.places import candidates_of, springs_of

@@ -1,0 +1,101 @@
+"""Forces at one place that are no change of a matrix, at every place where one may be."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.coordinates import Coordinates
+from modalax.diagnose.modal_domain.joint_forces import LossyJoint, PowerLawJoint, RelaxingJoint
+from modalax.diagnose.modal_domain.line_forces import LineForce, ModalForce, RovingMass, SkewCoupling
+
+FEW = 40  # DoFs up to which any two may be coupled; of more, measured ones only
+COUPLED = 0.1  # usual skew coupling, relative to what would hold both DoFs as much as they hold themselves
+MASS = 0.1  # usual mass of a sensor, relative to the modal mass seen from its place
+APART, TIMES = math.log(4), (-1, 0, 1)  # of its logarithm, the distance of times about which modes are asked for one
+KINDS: dict[str, type[LineForce]] = {
+    "gyroscopic": SkewCoupling, "hysteretic_joint": LossyJoint, "maxwell_joint": RelaxingJoint,
+    "fractional_joint": PowerLawJoint,
+    "sensor_mass": RovingMass,
+}  # fmt: skip
+JOINTS = ("hysteretic_joint", "maxwell_joint", "fractional_joint")
+
+
+def asked_of_modes(forces: Sequence[LineForce]) -> list[Change]:
+    """Those that modes tell of; a joint that relaxes about one of several times each, so that all are of one size."""
+    out: list[Change] = []
+    for f in forces:
+        if isinstance(f, RelaxingJoint):
+            weight = f.weight / len(TIMES)
+            out += [replace(f, weight=weight, about=k * APART, width=APART) for k in TIMES]
+        elif isinstance(f, ModalForce):
+            out.append(f)
+    return out
+
+
+def losses_at(spring: Change, candidates: Sequence[Change], c: Coordinates) -> list[LineForce]:
+    """Losses of a joint at the place of a spring, one of each law that is looked for, of times about mid-band."""
+    assert spring.direction is not None
+    b, inside, out = spring.direction, np.flatnonzero(c.frequencies[:-1] < c.frequencies[-2]), []
+    for slug in JOINTS:
+        alike = [f for f in candidates if isinstance(f, LineForce) and f.slug == slug]
+        here = [f for f in alike if f.where == spring.where]
+        if alike:
+            like = min(here or alike, key=lambda f: abs(f.about) if isinstance(f, RelaxingJoint) else 0.0)
+            new = replace(
+                like, where=spring.where, scale=spring.scale, weight=spring.weight, basis=b[:, None],
+                reference=like.middle * _doubling(c, b, inside),
+            )  # fmt: skip
+            out.append(like if here else new)
+    return out
+
+
+def line_forces(
+    c: Coordinates, dofs: Sequence[str], outputs: Sequence[str], inputs: Sequence[str],
+    springs: Sequence[tuple[tuple[str, ...], np.ndarray, float, float, bool]], low: float, high: float,
+) -> list[LineForce]:  # fmt: skip
+    """Each such force at each place; ``springs`` are places of joints, ``low`` and ``high`` the band's ends [rad/s]."""
+    middle, found = math.sqrt(low * high), []
+    inside = np.flatnonzero(c.frequencies[:-1] < 1.5 * high)
+    mobile = (c.shapes[:, inside] ** 2).mean(axis=1)
+    for slug in JOINTS:
+        found += [
+            KINDS[slug](
+                slug, where, k, weight=w, basis=b[:, None], middle=middle, reference=middle * _doubling(c, b, inside)
+            )
+            for where, b, k, w, held in springs
+            if held
+        ]  # fmt: skip
+    some = [k for k, name in enumerate(dofs) if mobile[k] > 1e-6 * mobile.max()]
+    if len(some) > FEW:
+        some = [k for k in some if dofs[k] in {*outputs, *inputs}]
+    for j, a in enumerate(some):
+        for b in some[:j]:
+            size = COUPLED * middle / math.sqrt(mobile[a] * mobile[b])
+            pair = c.shapes[[b, a]].T
+            found.append(SkewCoupling("gyroscopic", (dofs[b], dofs[a]), size, basis=pair, middle=middle))
+    return found + roving_masses(c, outputs, low, high)
+
+
+def roving_masses(c: Coordinates, outputs: Sequence[str], low: float, high: float) -> list[LineForce]:
+    """The mass of a sensor at each output, the only such force that is no matter of the structure's modes."""
+    masses = (roving_mass(c, name, k, c.outputs[k], low, high) for k, name in enumerate(outputs))
+    return [mass for mass in masses if mass is not None]
+
+
+def _doubling(c: Coordinates, b: np.ndarray, inside: np.ndarray) -> float:
+    """Damper across a place that doubles the damping of one mode [N s/m]."""
+    return float((np.diag(c.damping)[inside] / np.maximum(b[inside] ** 2, 1e-300)).min())
+
+
+def roving_mass(
+    c: Coordinates, name: str, number: int, row: np.ndarray, low: float, high: float
+) -> RovingMass | None:  # fmt: skip
+    """The mass of a sensor at the output of a number and a row of shapes; None where that does not move in the band."""
+    seen = float((row[c.frequencies < 1.5 * high] ** 2).mean())
+    if not seen:
+        return None
+    middle = math.sqrt(low * high)
+    return RovingMass("sensor_mass", (name,), MASS / seen, basis=row[:, None], middle=middle, row=number)
