@@ -86,8 +86,12 @@ def test_an_answer_is_taken_on_to_the_lines_where_it_says_the_same_there(monkeyp
     before, after = explained(SPRING, DAMPER), explained(SPRING, DAMPER)
     monkeypatch.setattr(judged, "taken_on", lambda setting, e, measured: after)
     monkeypatch.setattr(judged, "standing_out", lambda stage, e: (SPRING,) if e is after and not alike else e.causes)
-    found = judged.on_its_lines(SimpleNamespace(setting=None, measured=None), before)
+    monkeypatch.setattr(judged, "told_by_size", lambda stage, e: ((SPRING,), ()))
+    monkeypatch.setattr(judged, "of_the_joint", lambda stage, c: False)
+    monkeypatch.setattr(judged, "without_spare", lambda setting, e, spare, measured: (e, spare))
+    found, spare = judged.on_its_lines(SimpleNamespace(setting=None, measured=None), before)
     assert found is (after if alike else before)
+    assert spare == [DAMPER]  # which may be none there
 
 
 @pytest.mark.parametrize(("behind", "about"), [(1.0, ()), (40.0, (SPRING,))])

@@ -4,7 +4,10 @@ import numpy as np
 from chains_off import FREQ, as_measured, chain_off, response, simulation
 
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.diagnose.modal_domain.explanation import Explanation
+from modalax.diagnose.modal_domain.fit import fit
 from modalax.diagnose.modal_domain.force_places import losses_at
+from modalax.diagnose.modal_domain.polish import without_spare
 from modalax.diagnose.modal_domain.stage import identified, posed
 
 STIFF, LOSS, TIME = 9e4, 0.35, 4e-3  # N/m; loss factor; relaxation time [s]
@@ -61,3 +64,18 @@ def test_losses_are_added_where_none_is_looked_for():
     assert losses_at(springs["3:+Z",], [*task.candidates, *found], task.coordinates) == found
     known = [f for f in task.candidates if f.slug in {f.slug for f in found}]
     assert all(f in known for f in losses_at(springs[known[0].where], task.candidates, task.coordinates))
+
+
+def test_a_cause_that_may_be_none_on_the_lines_is_left_out_and_one_that_is_needed_stays():
+    M, C, K = chain_off(5, 0.02)
+    M[2, 2] += 0.2
+    data = as_measured(response(M, C, K, FREQ[::3]), FREQ[::3], 5)
+    measured = identified(data, simulation(), lambda _: None)
+    task = posed(data, simulation(), measured)
+    mass = next(c for c in task.candidates if (c.slug, c.where) == ("added_mass", ("3:+Z",)))
+    skew = next(c for c in task.candidates if c.slug == "gyroscopic")
+    both = Explanation(fit(task.setting, (mass, skew), None, np.array([0.5, 0.0])), 0.0, 1.0)
+    kept = without_spare(task.setting, both, [skew], measured)
+    assert kept.causes == (mass,) and abs(kept.fit.u[0] * mass.scale / 0.2 - 1) < 0.2
+    assert without_spare(task.setting, both, [mass], measured) is both
+    assert without_spare(task.setting, both, [], measured) is both

@@ -29,6 +29,7 @@ from modalax.diagnose.modal_domain.throughout import (
     start_in,
     with_more,
 )
+from modalax.diagnose.thresholds import THRESHOLDS
 
 NEAR = 12.0  # nats behind the best up to which other places are fitted
 WORTH = 4.0  # nats that a further cause must promise beyond the cost of its prior probability
@@ -186,8 +187,11 @@ def _with_losses(
     """Candidates, and losses of a joint where one leads and they were not looked for; these are fitted at once.
 
     A joint that nobody knew of is seldom a spring or damper alone, and while it is taken for one nothing else shows.
+    Where one leaves no more than noise, there is nothing for another law to explain.
     """
     ranked = ranked_by(found, prior)
+    if ranked[0].misfit < THRESHOLDS.as_noise:
+        return candidates
     explained, every, seen = explains(ranked[0].fit), list(candidates), set()
     singles = [e for e in ranked if len(e.causes) == 1]
     leads = [e for some in (JOINED, JOINTS) for e in [e for e in singles if e.causes[0].slug in some][:CHAINS]]

@@ -128,6 +128,11 @@ class PowerLawJoint(ModalForce):
         return True
 
     @property
+    def rarity(self) -> float:
+        """As line by line, beside its limits."""
+        return self.in_catalogue.prior
+
+    @property
     def screened(self) -> bool:
         """Where a spring, a damper or another loss leads it is fitted; it lies between these."""
         return False
