@@ -37,6 +37,7 @@ MOST = 2  # causes in one answer
 MANY, CHAINS = 4, 2  # the same where the inaccuracy would be far from usual, and first causes that others are added to
 FAR = 3.0  # times as large as usual from which on an inaccuracy of stiffness or mass is far from it
 JOINED = "joint_stiffness", "local_damper"  # what a joint may be taken for
+PROMISING = 10.0  # times the misfit of the best explanation up to which one is worth a further cause beside it
 LOSS = 0.3  # strength of a joint's loss that is fitted from, over the usual one
 AGAIN = 6  # leading explanations that are fitted again together with the rest that no element explains
 
@@ -198,7 +199,8 @@ def _with_losses(
     for e in leads:
         place = e.causes[0].where
         spring = next((c for c in candidates if c.slug == "joint_stiffness" and c.where == place), None)
-        if spring is None or spring.direction is None or place in seen or (explained and e is not ranked[0]):
+        behind = e.misfit > (1.0 if explained else PROMISING) * ranked[0].misfit
+        if spring is None or spring.direction is None or place in seen or behind:
             continue
         seen.add(place)
         for loss in losses_at(spring, candidates, setting.coordinates):
