@@ -215,3 +215,21 @@ def test_beams_in_space_are_read_whatever_their_dofs_are_called(style):
     assert len(found) == 4
     for own in parts:
         assert min(np.abs(some - own).max() for some in found) < 1e-7 * np.abs(own).max()
+
+
+def test_letters_that_count_chains_are_no_directions():
+    """Two chains that are joined at one place; the ground holds no mass, or every mass, of the second."""
+    for held in (0.0, 0.3):
+        K = np.zeros((12, 12))
+        for chain in range(2):
+            for k in range(5):
+                at = [2 * k + chain, 2 * k + 2 + chain]
+                K[np.ix_(at, at)] += (1 + 0.1 * k) * np.array([[1, -1], [-1, 1]])
+        K += np.diag([0.0, held] * 6)
+        K[0, 0] += 1
+        K[np.ix_([4, 5], [4, 5])] += 0.5 * np.array([[1, -1], [-1, 1]])
+        for names in (
+            [f"{side}{k}" for k in range(6) for side in "LR"],
+            [f"{k}.{n}" for k in range(6) for n in (1, 2)],
+        ):
+            assert (nodes_in(tuple(names), K).axis == -1).all()

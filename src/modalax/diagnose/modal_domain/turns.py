@@ -107,7 +107,12 @@ def _by_kind(
         return None
     alike = {kind: np.array([k == kind for k in kinds]) for kind in known}
     moves = [kind for kind, one in known.items() if one < 0 and _free(K, alike[kind])]
-    along = _axes(known, moves, [kind for kind, one in known.items() if one < 0 and kind not in moves])
+    turns = [kind for kind, one in known.items() if one < 0 and kind not in moves]
+    if not turns and any(one < 0 and kind[-1] not in "xyzuvw" for kind, one in known.items()):
+        return None  # letters may count chains as well as directions
+    if not all(_bends(K, nodes, alike[kind], sum(alike[k] for k in known if k not in turns) > 0) for kind in turns):
+        return None
+    along = _axes(known, moves, turns)
     if along is None or not all(_free(K, alike[kind]) for kind, one in known.items() if 0 <= one < 3):
         return None
     return nodes, np.array([along[kind] for kind in kinds])
@@ -118,6 +123,14 @@ def _free(K: np.ndarray, moved: np.ndarray) -> bool:
     own = np.abs(K[:, moved]).max(axis=1)
     acted = own > NEGLIGIBLE * np.abs(np.diag(K))
     return bool(2 * (np.abs(K[:, moved].sum(axis=1))[acted] < NEGLIGIBLE * own[acted]).sum() > acted.sum())
+
+
+def _bends(K: np.ndarray, nodes: list[str], turns: np.ndarray, moves: np.ndarray) -> bool:
+    """Whether most of some rotations are coupled to displacements of other nodes, as those of beams and levers are."""
+    size = np.sqrt(np.maximum(np.abs(np.diag(K)), 1e-300))
+    own = np.array([[a == b for b in nodes] for a in nodes])
+    coupled = (np.abs(K) / size[:, None] / size > NEGLIGIBLE) & ~own & moves
+    return bool(2 * coupled[turns].any(axis=1).sum() >= turns.sum())
 
 
 def _axes(known: dict[str, int], moves: list[str], turns: list[str]) -> dict[str, int] | None:
