@@ -20,6 +20,7 @@ AT_ONCE = 2  # rotations that one row may be coupled to
 MOST = 60  # couplings of a row, of more of which no rotations are sought
 FEWEST = 2  # rows that must show a rotation
 MOST_DOFS = 6  # of one node
+MANY = 0.4  # share of the rotations of one kind that bend something
 FEW = 80  # nodes up to which other axes of rotation are tried than the names tell
 SOUND = 1e-6  # energy that an element may give away, or stiffness that none holds, relative to the diagonal
 # A node and a letter or word for the direction, as in 3w, 3:X+, N3_UX, or its number, as in 3-T1, 3.4; or w3, theta_3
@@ -126,11 +127,14 @@ def _free(K: np.ndarray, moved: np.ndarray) -> bool:
 
 
 def _bends(K: np.ndarray, nodes: list[str], turns: np.ndarray, moves: np.ndarray) -> bool:
-    """Whether most of some rotations are coupled to displacements of other nodes, as those of beams and levers are."""
+    """Whether many of some rotations are coupled to displacements of other nodes, as those of beams and levers are.
+
+    Not all of one kind need be: what turns with bending in a fuselage twists a wing.
+    """
     size = np.sqrt(np.maximum(np.abs(np.diag(K)), 1e-300))
     own = np.array([[a == b for b in nodes] for a in nodes])
     coupled = (np.abs(K) / size[:, None] / size > NEGLIGIBLE) & ~own & moves
-    return bool(2 * coupled[turns].any(axis=1).sum() >= turns.sum())
+    return bool(coupled[turns].any(axis=1).sum() >= MANY * turns.sum())
 
 
 def _axes(known: dict[str, int], moves: list[str], turns: list[str]) -> dict[str, int] | None:
