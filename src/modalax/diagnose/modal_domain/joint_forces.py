@@ -16,13 +16,31 @@ DECADE = math.log(10)  # standard deviation of the logarithm of a relaxation tim
 STEP, TERMS = 0.6, 14  # of the logarithms of rates by which a power is made, and how many on either side of mid-band
 
 
-class LossyJoint(ModalForce):
-    """A joint that loses energy alike at all frequencies."""
+class Loss(ModalForce):
+    """A joint that loses energy as no damper does."""
 
     @property
     def dissipates(self) -> bool:
         """It loses energy."""
         return True
+
+
+class Between(Loss):
+    """One between a spring and a damper: slow or of order 0 it is the one, at once or of order 1 the other."""
+
+    @property
+    def limits(self) -> tuple[tuple[str, ...], float]:
+        """Spring and damper."""
+        return ("joint_stiffness", "local_damper"), 0.5 * THRESHOLDS.stands_out**2
+
+    @property
+    def count(self) -> int:
+        """Its strength, and where between them it is."""
+        return 2
+
+
+class LossyJoint(Loss):
+    """A joint that loses energy alike at all frequencies."""
 
     @property
     def in_catalogue(self) -> Cause:
@@ -39,7 +57,7 @@ class LossyJoint(ModalForce):
 
 
 @dataclass(frozen=True)
-class RelaxingJoint(ModalForce):
+class RelaxingJoint(Between):
     """A joint of a spring in series with a damper, whose time is sought too.
 
     Attributes
@@ -52,21 +70,6 @@ class RelaxingJoint(ModalForce):
 
     about: float = 0.0
     width: float = DECADE
-
-    @property
-    def dissipates(self) -> bool:
-        """It loses energy."""
-        return True
-
-    @property
-    def limits(self) -> tuple[tuple[str, ...], float]:
-        """A joint that relaxes slowly is a spring, and one that relaxes at once a damper."""
-        return ("joint_stiffness", "local_damper"), 0.5 * THRESHOLDS.stands_out**2
-
-    @property
-    def count(self) -> int:
-        """Its strength and its time."""
-        return 2
 
     @property
     def in_catalogue(self) -> Cause:
@@ -111,21 +114,16 @@ class RelaxingJoint(ModalForce):
 
 
 @dataclass(frozen=True)
-class PowerLawJoint(ModalForce):
+class PowerLawJoint(Between):
     r"""A joint whose stiffness and loss grow with one power of frequency, :math:`Z = k(s/\omega_0)^\alpha`.
 
-    With :math:`\omega_0` mid-band it is, to one part in 1e5 there, a sum of joints that relax,
+    With :math:`\omega_0` mid-band it is, to one part in ten thousand there, a sum of joints that relax,
 
     .. math:: z^\alpha = \frac{\sin\pi\alpha}{\pi}\int_0^\infty \frac{x^{\alpha-1}z}{z+x}\,dx
 
-    by the trapezoidal rule in :math:`\ln x` (Trefethen and Weideman 2014, section 5), far below which they are a spring
+    by the trapezoidal rule in :math:`\ln x` (Trefethen and Weideman 2014), far below which they are a spring
     and far above a damper. Sizes: strength at mid-band, and :math:`\ln(\alpha/(1-\alpha))`.
     """
-
-    @property
-    def dissipates(self) -> bool:
-        """It loses energy."""
-        return True
 
     @property
     def rarity(self) -> float:
@@ -141,16 +139,6 @@ class PowerLawJoint(ModalForce):
     def linear(self) -> bool:
         """It has two sizes."""
         return False
-
-    @property
-    def limits(self) -> tuple[tuple[str, ...], float]:
-        """Of order 0 it is a spring, and of order 1 a damper."""
-        return ("joint_stiffness", "local_damper"), 0.5 * THRESHOLDS.stands_out**2
-
-    @property
-    def count(self) -> int:
-        """Its strength and its order."""
-        return 2
 
     @property
     def in_catalogue(self) -> Cause:

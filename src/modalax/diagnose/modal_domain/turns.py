@@ -86,7 +86,9 @@ def directions_of(dofs: tuple[str, ...], axis: np.ndarray, K: np.ndarray) -> tup
     Parameters
     ----------
     axis
-        As far as the names tell it: 0 to 2 for displacements, 3 to 5 for rotations, -1 if unknown.
+        As far as the names tell it: 0 to 2 for displacements, 3 to 5 for rotations, -1 if unknown; shape ``(n,)``.
+    K
+        Stiffness matrix, shape ``(n, n)``.
     """
     for pattern in _PATTERNS:
         read = [m for m in map(pattern.fullmatch, dofs) if m is not None]
@@ -100,6 +102,7 @@ def directions_of(dofs: tuple[str, ...], axis: np.ndarray, K: np.ndarray) -> tup
 def _by_kind(
     nodes: list[str], kinds: list[str], axis: np.ndarray, K: np.ndarray
 ) -> tuple[list[str], np.ndarray] | None:  # fmt: skip
+    """The same by a node and a kind for every DoF."""
     known: dict[str, int] = {}
     for kind, one in zip(kinds, axis.tolist(), strict=True):
         if known.setdefault(kind, one) != one:
@@ -143,9 +146,7 @@ def _axes(known: dict[str, int], moves: list[str], turns: list[str]) -> dict[str
     _share_out(moves, [a for a in (2, 1, 0) if a not in out.values()], out, 0)
     straight = [one for one in out.values() if one < 3]
     across = [3 + a for a in (1, 2, 0) if 3 + a not in out.values()]
-    if len(straight) == 1:  # what bends along one axis turns about the others
-        across = [one for one in across if one - 3 not in straight]
-    elif len(straight) == 2 and len(turns) == 1:  # in a plane it turns about what is normal to it
+    if len(straight) == 1 or (len(straight) == 2 and len(turns) == 1):  # it turns about what is normal to these
         across = [one for one in across if one - 3 not in straight]
     _share_out(turns, across, out, 3)
     return out if straight and len(out) == len(known) else None
@@ -167,6 +168,11 @@ def nodes_in(dofs: tuple[str, ...], K: np.ndarray) -> Nodes:
 
     A rotation may be called after the plane in which it is, though what bends along x turns about y, and may count the
     other way round.
+
+    Parameters
+    ----------
+    K
+        Stiffness matrix over the DoFs, shape ``(n, n)``.
     """
     plain = nodes_of(dofs)
     unknown = plain.axis < 0
@@ -207,6 +213,7 @@ def _about_other_axes(plain: Nodes, K: np.ndarray) -> Nodes:
     for order in itertools.permutations((3, 4, 5)):
         axis = np.select([plain.axis == one for one in (3, 4, 5)], order, plain.axis)
         members = [_in_order(some, axis) for some in plain.members]
+        # to turn all of them is to turn the distances between nodes, which are sought anyway
         for turned in (-1, *sorted(set(axis[axis > 2].tolist()))[1:]):
             nodes = Nodes(members, axis, np.where(axis == turned, -plain.sign, plain.sign))
             key = axis.tobytes(), nodes.sign.tobytes()
@@ -228,6 +235,7 @@ def _read_off(K: np.ndarray, nodes: Nodes) -> bool:
 
 
 def _in_order(members: Sequence[int] | np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """DoFs of a node by their axes."""
     return np.array(sorted(members, key=lambda k: axis[k]))
 
 
