@@ -11,6 +11,7 @@ from modalax.diagnose.decision.route import (
     Outcome,
     Task,
     choice,
+    damping_off,
     elements_surely,
     one_place_first,
     order,
@@ -250,3 +251,14 @@ def test_whatever_is_claimed_of_modes_a_sure_cause_beside_elements_that_are_off_
     assert elements_surely(sure) and not elements_surely(replace(sure, inaccuracy=MAYBE))
     for doubt in ({"probability": 0.99}, {"alternatives": 1}, {"left": 1e-3}, {"verdict": "clean"}):
         assert not elements_surely(replace(sure, **doubt))
+
+
+@pytest.mark.parametrize(("passed_over", "low", "enough"), [(False, 0.0, True), (True, 0.0, False), (True, 1e-4, True)])
+def test_dampings_that_one_thing_explains_better_are_looked_at_line_by_line(passed_over, low, enough):
+    """Where stiffness and mass may be exact; the damping is off by an eighth at least."""
+    parts = {
+        "stiffness": {"value": 2e-4, "interval": [low, 3e-3]}, "mass": {"value": 1e-4, "interval": [0.0, 1e-3]},
+        "damping": {"value": 0.2, "interval": [0.125, 0.5]},
+    }  # fmt: skip
+    found = Outcome("clean", 1.05, 0.3, inaccuracy=parts, passed_over=passed_over)
+    assert damping_off(found) is enough

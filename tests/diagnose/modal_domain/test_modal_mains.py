@@ -18,6 +18,7 @@ def test_hum_is_named_where_all_elements_are_off():
     assert (answer["verdict"], [c["name"] for c in answer["causes"]]) == ("named", ["mains_hum"])
     assert answer["causes"][0]["probability"] > 0.95
     assert any("50" in reason and "hum" in reason for reason in answer["reasons"])
+    assert answer["gain"]["chi2_after"] < 1.2  # of the lines without it
 
 
 def test_a_residual_of_noise_alone_is_not_looked_at_for_hum():
