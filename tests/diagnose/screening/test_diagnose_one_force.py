@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from chains import comparison_of, grid, sprung
 
+from modalax import Structure
 from modalax.diagnose import pipeline
 from modalax.diagnose.causes import catalogue
 from modalax.diagnose.causes.base import ElementCause
@@ -101,6 +102,23 @@ def test_a_joint_without_a_law_is_best_at_the_place_of_a_spring(a, b):
     assert gains[best] == pytest.approx(free[best] - count, abs=5 * np.sqrt(4 * count) + unknowns)
     few = one_force._likeliest(comparison, left, places)
     assert few[0].index[:2] == (a, b) and len(few) < len(places)
+
+
+@pytest.mark.parametrize(("kind", "size"), [("M", 0.05), ("M", 0.5), ("C", 20.0), ("C", 200.0), ("K", 2e5)])
+def test_a_joint_without_a_law_takes_away_all_that_a_linear_element_of_any_size_does(kind, size):
+    """In a band of a decade; the largest move modes by ten times their width and more."""
+    matrices = {name: np.array(getattr(STRUCTURE, name)) for name in "MCK"}
+    matrices[kind][3, 3] += size
+    comparison, _ = comparison_of(STRUCTURE, Structure(**matrices, dofs=STRUCTURE.dofs))
+    left = comparison.residual(empty(comparison))
+    reduced, places = one_force._reduced(comparison, left), comparison.scene.pairs()
+    at = at_places(reduced, [p for p in places if p.index[:2] == (3, -1)])
+    gains, unknowns = gains_without_law(at, reduced)
+    omega = reduced.omega[None, :, None]
+    Z = size * {"M": -(omega**2), "C": 1j * omega, "K": 1.0}[kind]
+    y = -Z / (1 + Z * at.drive[0][None, :, None]) * at.motion[0][None]
+    exact = float((2 * y.conj() * at.S[0]).real.sum() - (at.N[0] * np.abs(y) ** 2).sum())
+    assert exact < gains[0] + 1 < exact + 2 * unknowns
 
 
 @pytest.mark.parametrize(("a", "b"), [(2, 5), (1, 6)])
