@@ -47,8 +47,8 @@ from modalax.diagnose.decision.route import (
     Outcome,
     Route,
     Task,
-    by_claim,
     choice,
+    claim_compared,
     elements_surely,
     law_is_exact,
     nothing_left,
@@ -214,7 +214,7 @@ def by_routes(
     """Diagnose line by line, in the modal domain or both; a free joint that ``follows`` is left some of the time."""
     data = as_measurement(measurement)
     task = replace(task_of(data, simulation, question, causes), undamped=undamped)
-    claimed = by_claim(task)
+    claimed = claim_compared(task)
     measured, shown = by_modes_or_elements(data, simulation, late, progress) if claimed else (None, ClaimCompared())
     task = replace(task, elements_show=shown.elements_show)
     lines = partial(line_by_line, measurement, simulation, question, causes, progress)

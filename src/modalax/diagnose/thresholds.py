@@ -162,9 +162,8 @@ class Thresholds:
     )  # fmt: skip
     surely_off: float = _threshold(
         2e-3, "relative error",
-        "Line by line, which takes all but the causes as exact, adds nothing to a named cause where stiffness or mass, "
-        "nor to a clean answer where stiffness, is certainly off by more than this; mass alone is off in general from "
-        "here on.", INACCURATE,
+        "Line by line, which takes all but the causes as exact, adds nothing to a named cause where stiffness or mass "
+        "is certainly off by more than this; mass alone is off in general from here on.", INACCURATE,
     )  # fmt: skip
     left_by_modes: float = _threshold(
         0.01, "chance",

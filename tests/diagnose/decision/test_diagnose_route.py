@@ -10,7 +10,9 @@ from modalax.diagnose.causes import catalogue
 from modalax.diagnose.decision.route import (
     Outcome,
     Task,
+    by_claim,
     choice,
+    claim_compared,
     damping_off,
     elements_surely,
     one_place_first,
@@ -92,7 +94,8 @@ def test_one_force_is_looked_for_first_where_that_is_quick_and_can_be_right(task
         (Outcome("clean", 1.05, 0.3), SMALL, False),
         (Outcome("unknown", 1.05, 0.3, inaccuracy=OFF), SMALL, False),
         (Outcome("clean", 1.25, 0.3, inaccuracy=OFF), SMALL, False),  # does not predict
-        (Outcome("clean", 1.05, 0.009, inaccuracy=OFF), SMALL, True),  # lines take for exact what is surely off
+        (Outcome("clean", 1.05, 0.009, inaccuracy=OFF), SMALL, False),  # a record that leaks may look like this
+        (Outcome("clean", 1.05, 0.3, inaccuracy=OFF), SMALL, True),  # lines take for exact what is surely off
         (
             Outcome("clean", 1.05, 0.009, inaccuracy=mass_off(4e-3)),
             SMALL,
@@ -140,18 +143,26 @@ def test_the_modal_domain_suffices_where_nothing_is_left_to_explain(found, task,
     assert suffices("modes", found, task) is expected
 
 
-@pytest.mark.parametrize(("verdict", "held_out"), [("named", 1.5), ("unknown", 1.0), ("ambiguous", 1.51)])
-def test_line_by_line_suffices_where_its_answer_predicts(verdict, held_out):
+@pytest.mark.parametrize(
+    ("verdict", "held_out", "given"),
+    [("named", 1.2, "lines"), ("named", 1.5, "modes"), ("unknown", 1.0, "modes"), ("ambiguous", 1.51, "modes")],
+)
+def test_line_by_line_suffices_where_its_answer_predicts(verdict, held_out, given):
     found = Outcome(verdict, held_out)
-    predicts = verdict == "named"
-    assert suffices("lines", found, SMALL) is predicts
-    better = {"lines": found, "modes": Outcome("named", 0.9)}
-    assert choice(better) == ("lines" if predicts else "modes")
+    assert suffices("lines", found, SMALL) is (verdict == "named")
+    assert choice({"lines": found, "modes": Outcome("named", 0.9)}) == given
 
 
 @pytest.mark.parametrize("modes", [Outcome("unknown", 1.0), Outcome("named", 1.7), Outcome("named", 1.6)])
 def test_an_answer_of_the_modal_domain_must_predict_better_than_one_line_by_line(modes):
     assert choice({"lines": Outcome("named", 1.6), "modes": modes}) == "lines"
+
+
+@pytest.mark.parametrize(("lines", "expected"), [(1.4, "modes"), (1.15, "lines"), (1.01, "lines")])
+def test_lines_that_predict_little_of_what_modes_do_are_no_explanation(lines, expected):
+    found = {"lines": Outcome("named", lines), "modes": Outcome("clean", 1.05, 0.009, inaccuracy=OFF)}
+    assert choice(found) == expected
+    assert choice({**found, "modes": Outcome("unknown", 1.05)}) == "lines"
 
 
 @pytest.mark.parametrize(
@@ -183,6 +194,23 @@ def test_a_factor_throughout_is_for_no_line_to_explain(name, value, expected):
     assert suffices("modes", found, SMALL) is expected
     assert not suffices("modes", replace(found, verdict="unknown"), SMALL)
     assert not suffices("modes", replace(found, left=1e-9), SMALL)
+
+
+@pytest.mark.parametrize(
+    ("task", "expected"),
+    [
+        (SMALL, False),  # nothing is claimed
+        (replace(SMALL, modes_off=True), True),
+        (replace(LARGE, modes_off=True), True),
+        (replace(LARGE, modes_off=True, samples=50_000), False),  # would take too long
+        (replace(LARGE, modes_off=True, elements_off=True), False),
+        (replace(SMALL, modes_off=True, whole_catalogue=False), False),
+        (replace(SMALL, modes_off=True, undamped=True), False),
+    ],
+)
+def test_what_modes_say_of_a_claim_is_asked_wherever_lines_can_follow_it(task, expected):
+    assert claim_compared(task) is expected
+    assert by_claim(task) is (expected and task.places < 300)
 
 
 def test_what_is_named_beyond_doubt_may_be_foretold_where_something_small_is_left():

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from chains_off import FREQ, as_measured, chain_off, response, simulation
+from chains_off import FREQ, MASSES, SPRINGS, ZETA, as_measured, chain_off, matrices, response, simulation
 
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.explanation import Explanation
@@ -49,6 +49,20 @@ def test_a_strong_joint_of_one_law_is_named_and_predicts_what_it_was_not_fitted_
         told = cause["parameters"][name]
         assert abs(told["value"] - value) < 4 * told["std"] < close * value
     assert said["gain"]["chi2_after"] < 1.5
+
+
+@pytest.mark.parametrize(("coefficient", "order", "top"), [(40.0, 0.7, 70.0), (100.0, 0.5, 70.0), (10.0, 0.7, 200.0)])
+def test_a_weak_joint_between_a_spring_and_a_damper_is_named_as_neither(coefficient, order, top):
+    """In an exact chain; a spring or a damper beside dampings that are off in general leaves no more than noise."""
+    freq = FREQ[FREQ < top]
+    Z = np.zeros((len(freq), 5, 5), complex)
+    Z[:, 2, 2] = coefficient * (2j * np.pi * freq) ** order
+    H = response(*matrices(MASSES, SPRINGS, ZETA), freq, Z)
+    said = diagnose_modes(as_measured(H, freq, 8), simulation()).to_dict()
+    (cause,) = said["causes"]
+    assert said["verdict"] == "named" and (cause["name"], cause["where"]) == ("fractional_joint", ["3:+Z"])
+    told = cause["parameters"]["order"]
+    assert abs(told["value"] - order) < 4 * told["std"] < 0.5
 
 
 def test_losses_are_added_where_none_is_looked_for():

@@ -135,8 +135,23 @@ def one_place_first(task: Task, limits: Thresholds = THRESHOLDS) -> bool:
 
 def by_claim(task: Task, limits: Thresholds = THRESHOLDS) -> bool:
     """Whether lines come first only because the author claims that modes are off, not elements."""
-    other = needs_modes(task, limits) or task.groups or task.massless or task.undamped or not task.whole_catalogue
+    return _only_modes_off(task) and not needs_modes(task, limits)
+
+
+def claim_compared(task: Task, limits: Thresholds = THRESHOLDS) -> bool:
+    """Whether the measured modes are asked first what they say of such a claim, and lines about what they name."""
+    return _only_modes_off(task) and in_time(task, limits)
+
+
+def _only_modes_off(task: Task) -> bool:
+    """Whether an inaccuracy of modes is claimed, and nothing else that only the modal domain knows."""
+    other = task.elements_off or task.groups or task.massless or task.undamped or not task.whole_catalogue
     return task.has_modes and task.modes_off and not other
+
+
+def in_time(task: Task, limits: Thresholds = THRESHOLDS) -> bool:
+    """Whether a search line by line takes half a minute at most."""
+    return task.places <= limits.places_in_time and task.places * task.samples <= limits.work_in_time
 
 
 def needs_modes(task: Task, limits: Thresholds = THRESHOLDS) -> bool:
@@ -167,8 +182,7 @@ def sharper_by_lines(found: Outcome, task: Task, limits: Thresholds = THRESHOLDS
     """Whether by its modes a simulation may be exact in all: single lines see smaller things that are wrong."""
     damping = (found.inaccuracy or {}).get("damping")
     exact = may_be_exact(found) and (damping is None or damping["interval"][0] <= 0)
-    in_time = task.places <= limits.places_in_time and task.places * task.samples <= limits.work_in_time
-    return found.verdict == "clean" and exact and in_time
+    return found.verdict == "clean" and exact and in_time(task, limits)
 
 
 def choice(found: Mapping[Route, Outcome], limits: Thresholds = THRESHOLDS) -> Route:
@@ -176,7 +190,8 @@ def choice(found: Mapping[Route, Outcome], limits: Thresholds = THRESHOLDS) -> R
     if len(found) == 1:
         return next(iter(found))
     lines, modes = found["lines"], found["modes"]
-    if explained(lines, limits):
+    ahead = modes.verdict != "unknown" and lines.held_out > max(limits.as_noise, modes.held_out)
+    if explained(lines, limits) and not ahead:
         return "lines"
     if modes.verdict == "unknown":  # of two attempts that explain nothing, the one that predicts better
         return "modes" if lines.verdict == "unknown" and modes.held_out < lines.held_out else "lines"
@@ -211,18 +226,17 @@ def law_is_exact(modes: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
 def off_everywhere(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
     """Whether stiffness or mass is certainly off everywhere, and with that nothing is left that lines could explain.
 
-    What little is left of frequencies that are off is for no line to explain; masses may only seem off, as the peaks of
-    a shaker that drops out are low.
+    What little is left beside a cause that is named and frequencies that are off is for no line to explain. Where
+    nothing is named, one thing may only seem to be general: masses seem off where the peaks of a shaker that drops out
+    are low, and all of them where a record leaks.
     """
     parts = certainly_off(found, limits)
     if found.verdict == "unknown" or not parts:
         return False
     if found.joint:
         return found.held_out < limits.unexplained
-    surely = {name for name, p in parts.items() if p["interval"][0] > limits.surely_off}
-    if found.verdict == "named" and surely or found.verdict == "clean" and "stiffness" in surely:
-        return found.predicts < limits.as_noise
-    return nothing_left(found, limits)
+    surely = any(p["interval"][0] > limits.surely_off for p in parts.values())
+    return nothing_left(found, limits) or found.verdict == "named" and surely and found.predicts < limits.as_noise
 
 
 def damping_off(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:

@@ -188,14 +188,17 @@ def _with_losses(
     """Candidates, and losses of a joint where one leads and they were not looked for; these are fitted at once.
 
     A joint that nobody knew of is seldom a spring or damper alone, and while it is taken for one nothing else shows.
-    Where one leaves no more than noise, there is nothing for another law to explain.
+    Beside one that leaves no more than noise they are fitted too: few modes tell one law from another, and dampings
+    that are off in general hide that a spring loses energy.
     """
     ranked = ranked_by(found, prior)
-    if ranked[0].misfit < THRESHOLDS.as_noise:
+    noise, first = ranked[0].misfit < THRESHOLDS.as_noise, ranked[0].causes
+    if noise and [c.slug in (*JOINED, *JOINTS) for c in first] != [True]:
         return candidates
     explained, every, seen = explains(ranked[0].fit), list(candidates), set()
     singles = [e for e in ranked if len(e.causes) == 1]
     leads = [e for some in (JOINED, JOINTS) for e in [e for e in singles if e.causes[0].slug in some][:CHAINS]]
+    leads = ranked[:1] if noise else leads
     for e in leads:
         place = e.causes[0].where
         spring = next((c for c in candidates if c.slug == "joint_stiffness" and c.where == place), None)
