@@ -1,6 +1,6 @@
 """What ``print`` shows of a diagnosis."""
 
-from modalax.diagnose.summary import summary
+from modalax.diagnose.summary import parameters_text, summary
 
 GAIN = {"held_out": "run 3", "chi2_before": 7.52, "chi2_after": 1.012, "log_likelihood_gain": 512.0,
         "log_likelihood_gain_std": 4.0}  # fmt: skip
@@ -22,6 +22,13 @@ def test_a_named_diagnosis_is_told_in_a_table_and_its_gain():
         "on data left out of the fit (run 3): chi-square per real sample 7.52 before, 1.01 after (1 is noise alone); "
         "log-likelihood gain 512.0 ± 4.0 nats",
     ]
+
+
+def test_what_the_data_does_not_determine_has_no_number():
+    p = {"upper": {"value": 1.003, "std": 0.071, "unit": "-"}, "at": {"value": 1e7, "std": 1e15, "unit": "Hz"}}
+    assert parameters_text(p) == "upper = 1.003 ± 0.071, at is not determined by this data"
+    assert parameters_text({"a": {"value": 0.0, "std": 0.5, "unit": "m"}}) == "a = 0.00 ± 0.50 m"
+    assert parameters_text({"a": {"value": 2.0, "std": None, "unit": "m"}}) == "a = 2 m"
 
 
 def test_rivals_reasons_and_advice_are_told():

@@ -6,6 +6,7 @@ from typing import Any
 
 from modalax._numerics.text import text_table, with_error
 
+OPEN = 1e3  # standard deviation, over its value, from which on a parameter is not determined
 MEANING = {
     "clean": "this data shows nothing wrong with the simulation",
     "named": "the simulation lacks the causes listed here",
@@ -99,5 +100,17 @@ def place_text(where: Sequence[Any]) -> str:
 
 def parameters_text(values: Mapping[str, Mapping[str, Any]]) -> str:
     """Parameters of a cause with standard deviations and units."""
-    told = (f"{name} = {with_error(p['value'], p['std'])} {p['unit'].replace('-', '')}" for name, p in values.items())
-    return ", ".join(text.strip() for text in told)
+    told = (f"{name} = {size_text(p)} {p['unit'].replace('-', '')}" for name, p in values.items() if determined(p))
+    open_ones = (f"{name} is not determined by this data" for name, p in values.items() if not determined(p))
+    return ", ".join(text.strip() for text in (*told, *open_ones))
+
+
+def size_text(parameter: Mapping[str, Any]) -> str:
+    """A parameter with its standard deviation, where the data determines it."""
+    return with_error(parameter["value"], parameter["std"]) if determined(parameter) else "not determined"
+
+
+def determined(parameter: Mapping[str, Any]) -> bool:
+    """Whether the data tells a parameter at least to within a factor of a thousand."""
+    value, std = parameter["value"], parameter["std"]
+    return std is None or not math.isfinite(std) or value == 0 or std < OPEN * abs(value)

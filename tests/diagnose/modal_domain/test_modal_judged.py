@@ -10,7 +10,8 @@ from modalax.diagnose.modal_domain import judged
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.channel_faults import Sign
 from modalax.diagnose.modal_domain.explanation import Explanation
-from modalax.diagnose.modal_domain.judged import _without_one_sided, standing_out
+from modalax.diagnose.modal_domain.joint_forces import PowerLawJoint, RelaxingJoint
+from modalax.diagnose.modal_domain.judged import _in_the_limit, _without_one_sided, standing_out
 from modalax.diagnose.modal_domain.line_forces import SkewCoupling
 
 SIGN, SPRING = Sign("channel_sign", ("3",), channel=(0, 2)), Change("joint_stiffness", ("1", "2"))
@@ -108,3 +109,37 @@ def test_a_small_cause_that_the_modes_need_stays_in_what_the_frfs_are_corrected_
         monkeypatch.setattr(judged, name, value)
     found = judged.judge(stage)
     assert found.chosen.causes == about and found.likeliest is best
+
+
+RELAXES = RelaxingJoint("maxwell_joint", ("1", "2"), 1.0, basis=np.ones((1, 1)), middle=1.0)
+POWER = PowerLawJoint("fractional_joint", ("1", "2"), 1.0, basis=np.ones((1, 1)), middle=1.0)
+
+
+def of_one_joint(power_by, relaxing_by):
+    """A power, a relaxing joint and a damper at one place, by so many nats more of the data than the damper."""
+    found = {}
+    for cause, nats, posterior in ((RELAXES, relaxing_by, -1.0), (POWER, power_by, -2.0), (DAMPER, 0.0, -9.0)):
+        u, covariance = np.ones(cause.count), 0.01 * np.eye(cause.count)
+        f = SimpleNamespace(causes=(cause,), u=u, covariance=covariance, log_evidence=0.0)
+        f.log_evidence = nats - judged.by_data(f, f.causes, cause)
+        found[cause.slug] = Explanation(f, posterior, 0.3, 1.0)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("power_by", "relaxing_by", "power_told", "relaxing_told"),
+    [
+        (5.0, 5.0, "local_damper", "local_damper"),
+        (7.0, 5.0, "local_damper", "local_damper"),  # a likelier law is told from a damper no better
+        (5.0, 7.0, "local_damper", "maxwell_joint"),
+        (7.0, 7.0, "fractional_joint", "maxwell_joint"),
+    ],
+)
+def test_a_law_is_told_from_its_limit_where_those_that_are_likelier_are(
+    power_by, relaxing_by, power_told, relaxing_told
+):
+    found = of_one_joint(power_by, relaxing_by)
+    stage = Few(list(found.values()))
+    for slug, told in (("fractional_joint", power_told), ("maxwell_joint", relaxing_told)):
+        assert _in_the_limit(stage, found[slug]).causes[0].slug == told
+    assert _in_the_limit(stage, found["local_damper"]) is found["local_damper"]

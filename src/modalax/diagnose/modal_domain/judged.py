@@ -165,17 +165,27 @@ def sets_beyond(stage: Stage) -> tuple[BeyondUsual, ...]:
 
 
 def _in_the_limit(stage: Stage, e: Explanation) -> Explanation:
-    """The likeliest explanation by one of the limits of a cause that the data do not tell from it."""
+    """The likeliest explanation by one of the limits of a cause that the data do not tell from it.
+
+    What is no likelier than another cause of the same limits is told from them no better than that one.
+    """
     for c in e.causes:
         slugs, nats = c.limits
-        rest = {(x.slug, x.where) for x in e.causes if x is not c}
-        for x in stage.explanations:  # by falling probability
-            simple = next((y for y in x.causes if y.slug in slugs and y.where == c.where and not y.along), None)
-            if simple is None or {(y.slug, y.where) for y in x.causes if y is not simple} != rest:
-                continue
-            if by_data(e.fit, e.causes, c) - by_data(x.fit, x.causes, simple) < nats:
+        alike = [(x, _instead(x, e, c)) for x in stage.explanations if slugs]  # by falling probability
+        data = [(x, y, by_data(x.fit, x.causes, y)) for x, y in alike if y is not None]
+        ahead = [g for x, y, g in data if y.limits == c.limits and x.log_posterior >= e.log_posterior]
+        for x, y, g in data:
+            if y.slug in slugs and not y.along and min(ahead) - g < nats:
                 return x
     return e
+
+
+def _instead(x: Explanation, e: Explanation, cause: Change) -> Change | None:
+    """The cause that an explanation has at the place of another's, where all their other causes are the same."""
+    rest = {(y.slug, y.where) for y in e.causes if y is not cause}
+    found = [y for y in x.causes if y.where == cause.where and (y.slug, y.where) not in rest]
+    same = len(found) == 1 and {(y.slug, y.where) for y in x.causes if y is not found[0]} == rest
+    return found[0] if same else None
 
 
 def _told(causes: tuple[Change, ...]) -> Names:

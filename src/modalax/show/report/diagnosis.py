@@ -8,7 +8,16 @@ import numpy as np
 
 from modalax._numerics.text import with_error
 from modalax.diagnose.result import Diagnosis
-from modalax.diagnose.summary import advice_text, attempt_text, causes_text, meaning, place_text, probability_text
+from modalax.diagnose.summary import (
+    advice_text,
+    attempt_text,
+    causes_text,
+    determined,
+    meaning,
+    place_text,
+    probability_text,
+    size_text,
+)
 from modalax.show.diagnosis import residual_rows, run_names
 from modalax.show.report.evidence import evidence_sections
 from modalax.show.report.page import Page, Plot, Section, Table
@@ -32,7 +41,7 @@ def cause_rows(answer: Mapping[str, Any]) -> Table:
         items = list(cause["parameters"].items()) or [("", None)]
         for k, (name, p) in enumerate(items):
             cells = ["", "", ""] if p is None else [
-                f"{name} [{p['unit']}]", with_error(p["value"], p["std"]), interval(p["value"], p["std"])
+                f"{name} [{p['unit']}]", size_text(p), interval(p["value"], p["std"] if determined(p) else None)
             ]  # fmt: skip
             rows.append([*(first if k == 0 else ["", "", ""]), *cells])
     head = ["Cause", "Where", "Probability", "Parameter", "Value ± standard deviation", "95 % interval"]
