@@ -7,10 +7,10 @@ import pytest
 from chains_off import DOFS, FREQ, as_measured, chain_off, response, simulation
 
 from modalax.diagnose.deadline import Deadline
-from modalax.diagnose.modal_domain import judged
+from modalax.diagnose.modal_domain import diagnosis, judged
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
-from modalax.diagnose.modal_domain.joint_forces import RelaxingJoint
+from modalax.diagnose.modal_domain.joint_forces import PowerLawJoint, RelaxingJoint
 from modalax.diagnose.modal_domain.screen import finite
 from modalax.diagnose.modal_domain.stage import run_stage
 
@@ -28,6 +28,42 @@ def test_a_strong_damper_ranks_first_before_any_fit(where, c):
     k = int(np.argmin(distance))
     assert dampers[k].where == (DOFS[where],)
     assert 0.5 * c < size[k] * dampers[k].scale < 1.5 * c
+
+
+def joined_by(c, between, seed=7):
+    """FRFs of a chain 1 % off with a damper between two masses, of which the second has no sensor."""
+    M, C, K = chain_off(seed, 0.01)
+    v = np.eye(5)[between[0]] - np.eye(5)[between[1]]
+    outputs = tuple(k for k in range(5) if k != between[1])
+    return as_measured(response(M, C + c * np.outer(v, v), K, FREQ), FREQ, seed, outputs)
+
+
+@pytest.mark.parametrize(("c", "between"), [(3e3, (2, 1)), (5e4, (2, 1)), (1e4, (3, 2)), (1e4, (1, 0))])
+def test_a_damper_that_holds_two_points_together_is_named_with_its_size(c, between):
+    """It couples modes until those that it damps are gone; joints that relax lead to it."""
+    found = diagnose_modes(joined_by(c, between), simulation())
+    assert found.verdict == "named", found.reasons
+    assert [(x["name"], x["where"]) for x in found.causes] == [("local_damper", sorted(DOFS[k] for k in between))]
+    (size,) = found.causes[0]["parameters"].values()
+    assert abs(size["value"] - c) < 4 * size["std"] < 0.6 * c
+
+
+def test_a_sensor_that_moves_as_another_point_is_where_it_says_if_a_damper_joins_them(monkeypatch):
+    monkeypatch.setattr(diagnosis, "other_places", lambda *_: {DOFS[2]: DOFS[1]})
+    found = diagnose_modes(joined_by(5e4, (2, 1)), simulation())
+    assert [(x["name"], x["where"]) for x in found.causes] == [("local_damper", [DOFS[1], DOFS[2]])]
+
+
+@pytest.mark.parametrize(("kind", "more"), [(RelaxingJoint, -200.0), (PowerLawJoint, 200.0)])
+def test_a_joint_between_a_spring_and_a_damper_has_their_size_in_its_limits(kind, more):
+    """Slow to relax, or of order 0, it is a spring; relaxing at once, or of order 1, a damper."""
+    joint = kind("maxwell_joint", ("a",), 3.0, basis=np.ones((1, 1)), middle=20.0)
+    spring, damper = Change("joint_stiffness", ("a",), 0.5), Change("local_damper", ("a",), 0.1)
+    stiff, lossy = np.array([2.0, -more]), np.array([2.0, more])
+    assert joint.as_limit(stiff, spring) == pytest.approx(2.0 * 3.0 / 0.5, rel=0.05)
+    c = joint.as_limit(lossy, damper) * damper.scale
+    Z = 2.0 * 3.0 * complex(joint.unit(lossy, np.array([20j]))[0, 0, 0])
+    assert c * 20.0 == pytest.approx(abs(Z), rel=0.05)
 
 
 @pytest.mark.parametrize(("c", "off"), [(0.5, 0.0), (1.2, 0.003)])
@@ -53,7 +89,7 @@ def test_a_joint_that_relaxes_counts_as_what_the_data_do_not_tell_it_from(simple
     """Six nats are what 3.5 standard deviations of the relaxation are worth; elsewhere it is another joint."""
     monkeypatch.setattr(judged, "standing_out", lambda _, e: e.causes)
     one = lambda cause, evidence, p: SimpleNamespace(
-        causes=(cause,), probability=p,
+        causes=(cause,), probability=p, log_posterior=evidence,
         fit=SimpleNamespace(log_evidence=evidence, u=np.zeros(cause.count), covariance=np.eye(cause.count)),
     )  # fmt: skip
     relaxing = one(RelaxingJoint("maxwell_joint", ("a", "b")), 100.0 + ahead, 0.7)

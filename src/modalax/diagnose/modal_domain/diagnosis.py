@@ -133,22 +133,26 @@ def _elsewhere(
     plain = fit(setting) if places else None
     if plain is None:
         return None
-    if any(at in places for at in places.values()):  # sensors in each other's place: an exchange is tried before
-        found = _diagnosed(measurement, simulation, question, late, wanted, tell, measured=measured)
-        if found is not None and found.verdict == "named" and found.after.p_value > THRESHOLDS.left_by_modes:
-            return found
+    other = _diagnosed(measurement, simulation, question, late, wanted, tell, measured=measured)
+    named = other is not None and other.verdict == "named"
+    in_turn = any(at in places for at in places.values())  # sensors in each other's place may be an exchange
+    if other is not None and (late() or named and in_turn and other.after.p_value > THRESHOLDS.left_by_modes):
+        return other
     tell(f"looking whether {' and '.join(f'{name} is at {at}' for name, at in places.items())}")
     renamed = measurement.replace(outputs=tuple(places.get(name, name) for name in measurement.outputs))
     names = {"outputs": measurement.outputs, "inputs": measurement.inputs}
     before = np.asarray(simulation.frf(measured.freq, form=measurement.form, **names).H)[None]
     found = _diagnosed(renamed, simulation, question, late, wanted, tell, measured=measured, before=before)
     if found is None or found.verdict not in ("clean", "named"):
-        return None
+        return other if named else None
     among = len(measurement.outputs) * len(simulation.dofs)
     held = found.stage.explanations[0].log_posterior + believed("sensor_place")
-    there = moved(places, held, plain.log_evidence + math.log(NONE), among)
+    against = plain.log_evidence + math.log(NONE)
+    if other is not None and named:  # what holds two points together has one move as the other
+        against = max(against, other.stage.explanations[0].log_posterior)
+    there = moved(places, held, against, among)
     if there.probability < THRESHOLDS.certain:
-        return None
+        return other if named else None
     return replace(found, verdict="named", moved=there, reasons=(there.said(), *found.reasons))
 
 

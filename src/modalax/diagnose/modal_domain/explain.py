@@ -18,7 +18,7 @@ from modalax.diagnose.modal_domain.damped_along import damped_along
 from modalax.diagnose.modal_domain.discrepancy import learnt_rest
 from modalax.diagnose.modal_domain.explanation import Explanation, ranked_by
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
-from modalax.diagnose.modal_domain.force_places import JOINTS, losses_at
+from modalax.diagnose.modal_domain.force_places import JOINTS, as_limits, losses_at
 from modalax.diagnose.modal_domain.prior import SECOND, Prior
 from modalax.diagnose.modal_domain.screen import narrower, replaced, scores
 from modalax.diagnose.modal_domain.starts import FITTED, NEXT, as_signs, starts
@@ -372,8 +372,8 @@ def _further(
 def _other_forms(
     setting: Setting, found: dict[tuple[Change, ...], Fit], candidates: list[Change], prior: Prior
 ) -> None:  # fmt: skip
-    """Fit the leading explanations with damping that goes with one of their causes, and signs in place of gains."""
+    """Fit the leading explanations with damping that goes with a cause, signs in place of gains, and simpler joints."""
     ranked = ranked_by(found, prior)
     near = [e.fit for e in ranked[:AGAIN] if e.log_posterior > ranked[0].log_posterior - NEAR]
-    for causes, u, start in (*damped_along(setting, near), *as_signs(near, candidates)):
+    for causes, u, start in (*damped_along(setting, near), *as_signs(near, candidates), *as_limits(near, candidates)):
         attempt(setting, found, causes, u, start, gentle=False)

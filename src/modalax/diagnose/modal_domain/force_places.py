@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.coordinates import Coordinates
-from modalax.diagnose.modal_domain.joint_forces import LossyJoint, PowerLawJoint, RelaxingJoint
+from modalax.diagnose.modal_domain.fit import Fit, without_causes
+from modalax.diagnose.modal_domain.joint_forces import Between, LossyJoint, PowerLawJoint, RelaxingJoint
 from modalax.diagnose.modal_domain.line_forces import LineForce, ModalForce, RovingMass, SkewCoupling
 
 FEW = 40  # DoFs up to which any two may be coupled; of more, measured ones only
@@ -49,6 +50,22 @@ def losses_at(spring: Change, candidates: Sequence[Change], c: Coordinates) -> l
                 reference=like.middle * _doubling(c, b, inside),
             )  # fmt: skip
             out.append(like if here else new)
+    return out
+
+
+def as_limits(fits: Sequence[Fit], candidates: Sequence[Change]) -> list[tuple[tuple[Change, ...], np.ndarray, Fit]]:
+    """Explanations with a spring or damper in place of a joint between these, from the size that its force has.
+
+    A damper that holds two points together is far from all sizes that others start from.
+    """
+    out = []
+    for f in fits:
+        for k, (c, u) in enumerate(with_sizes(f.causes, f.u)):
+            if isinstance(c, Between):
+                others, kept = f.causes[:k] + f.causes[k + 1 :], np.delete(f.u, own_sizes(f.causes, k))
+                simple = [x for x in candidates if x.slug in c.limits[0] and x.where == c.where and not x.along]
+                simple = [x for x in simple if x.direction is not None and x not in others]
+                out += [((*others, x), np.append(kept, c.as_limit(u, x)), without_causes(f)) for x in simple]
     return out
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from modalax.diagnose.causes import Cause
 from modalax.diagnose.causes.viscoelastic import FractionalJoint, HystereticJoint, MaxwellJoint
+from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.line_forces import ModalForce
 from modalax.diagnose.modal_domain.loads import Load
 from modalax.diagnose.thresholds import THRESHOLDS
@@ -37,6 +38,11 @@ class Between(Loss):
     def count(self) -> int:
         """Its strength, and where between them it is."""
         return 2
+
+    def as_limit(self, u: np.ndarray, simple: Change) -> float:
+        """Size of a spring or damper that has the same force as this in the middle of the band, but for its phase."""
+        Z = complex(self.scale * u[0] * self.unit(u, np.array([1j * self.middle]))[0, 0, 0])
+        return (Z.imag / self.middle if simple.slug == "local_damper" else Z.real) / simple.scale
 
 
 class LossyJoint(Loss):

@@ -93,8 +93,8 @@ def moved(places: dict[str, str], beside: float, before: float, among: int) -> M
     Parameters
     ----------
     beside, before
-        Log probability of the likeliest explanation with them there, and of the general inaccuracy with all where their
-        names are; no gain or sign of theirs is likelier.
+        Log probability of the likeliest explanation with them there, and with all where their names are: that of the
+        general inaccuracy alone, as no gain or sign of theirs is likelier, or that of other causes.
     among
         Number of outputs times DoFs.
     """
