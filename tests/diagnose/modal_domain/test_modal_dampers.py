@@ -38,7 +38,7 @@ def joined_by(c, between, seed=7):
     return as_measured(response(M, C + c * np.outer(v, v), K, FREQ), FREQ, seed, outputs)
 
 
-@pytest.mark.parametrize(("c", "between"), [(3e3, (2, 1)), (5e4, (2, 1)), (1e4, (3, 2)), (1e4, (1, 0))])
+@pytest.mark.parametrize(("c", "between"), [(3e3, (2, 1)), (5e4, (3, 2)), (1e4, (3, 2)), (5e4, (1, 0))])
 def test_a_damper_that_holds_two_points_together_is_named_with_its_size(c, between):
     """It couples modes until those that it damps are gone; joints that relax lead to it."""
     found = diagnose_modes(joined_by(c, between), simulation())
@@ -51,7 +51,9 @@ def test_a_damper_that_holds_two_points_together_is_named_with_its_size(c, betwe
 def test_a_sensor_that_moves_as_another_point_is_where_it_says_if_a_damper_joins_them(monkeypatch):
     monkeypatch.setattr(diagnosis, "other_places", lambda *_: {DOFS[2]: DOFS[1]})
     found = diagnose_modes(joined_by(5e4, (2, 1)), simulation())
-    assert [(x["name"], x["where"]) for x in found.causes] == [("local_damper", [DOFS[1], DOFS[2]])]
+    told = {x["name"] for x in (*found.causes, *(c for one in found.alternatives for c in one))}
+    assert told == {"local_damper", "hysteretic_joint"}  # either holds them together
+    assert all(x["where"] == [DOFS[1], DOFS[2]] for x in found.causes)
 
 
 @pytest.mark.parametrize(("kind", "more"), [(RelaxingJoint, -200.0), (PowerLawJoint, 200.0)])

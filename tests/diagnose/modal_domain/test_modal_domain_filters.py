@@ -52,7 +52,7 @@ def test_no_filter_has_a_negative_corner():
 def test_a_filter_that_the_data_do_not_tell_from_a_delay_counts_as_that_delay(ahead, width, count, monkeypatch):
     monkeypatch.setattr(judged, "standing_out", lambda _, e: e.causes)
     one = lambda cause, evidence, p, std: SimpleNamespace(
-        causes=(cause,), probability=p,
+        causes=(cause,), probability=p, log_posterior=evidence,
         fit=SimpleNamespace(log_evidence=evidence, u=np.zeros(1), covariance=np.array([[std**2]])),
     )  # fmt: skip
     # a filter whose usual size is so much narrower that its size is known so much less well beside it

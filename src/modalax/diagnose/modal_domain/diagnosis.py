@@ -134,9 +134,11 @@ def _elsewhere(
     if plain is None:
         return None
     other = _diagnosed(measurement, simulation, question, late, wanted, tell, measured=measured)
-    named = other is not None and other.verdict == "named"
+    told = other is not None and other.verdict in ("named", "ambiguous")
     in_turn = any(at in places for at in places.values())  # sensors in each other's place may be an exchange
-    if other is not None and (late() or named and in_turn and other.after.p_value > THRESHOLDS.left_by_modes):
+    if other is not None and in_turn and other.verdict == "named" and other.after.p_value > THRESHOLDS.left_by_modes:
+        return other
+    if other is not None and late():
         return other
     tell(f"looking whether {' and '.join(f'{name} is at {at}' for name, at in places.items())}")
     renamed = measurement.replace(outputs=tuple(places.get(name, name) for name in measurement.outputs))
@@ -144,15 +146,15 @@ def _elsewhere(
     before = np.asarray(simulation.frf(measured.freq, form=measurement.form, **names).H)[None]
     found = _diagnosed(renamed, simulation, question, late, wanted, tell, measured=measured, before=before)
     if found is None or found.verdict not in ("clean", "named"):
-        return other if named else None
+        return other if told else None
     among = len(measurement.outputs) * len(simulation.dofs)
     held = found.stage.explanations[0].log_posterior + believed("sensor_place")
     against = plain.log_evidence + math.log(NONE)
-    if other is not None and named:  # what holds two points together has one move as the other
+    if other is not None and told:  # what holds two points together has one move as the other
         against = max(against, other.stage.explanations[0].log_posterior)
     there = moved(places, held, against, among)
     if there.probability < THRESHOLDS.certain:
-        return other if named else None
+        return other if told else None
     return replace(found, verdict="named", moved=there, reasons=(there.said(), *found.reasons))
 
 

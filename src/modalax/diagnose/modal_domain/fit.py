@@ -21,6 +21,7 @@ LEARNING = 10.0  # greatest of these at which sizes of the inaccuracy are estima
 LAST = 25  # most steps at the true covariance
 AGAIN, WORTH = 8, 1.0  # further times that these are taken, as long as the log evidence gains as many nats
 BASIN = 1000.0  # chi-square per feature from which on they are not: what is 30 deviations off may go anywhere
+FARTHEST = 1.5  # change of the logarithm of a size in one step
 SETTLED = 0.02  # change of log evidence at which a fit has ended
 HOPELESS = 15.0  # nats behind another hypothesis from which a fit ends where its steps are cut short,
 SHORT, SHARE = 0.2, 0.12  # to less than this part, and gain less than this share of them: in its basin it gains most
@@ -197,22 +198,38 @@ def _step(
     setting: Setting, causes: tuple[Change, ...], state: State, sizes: np.ndarray, u: np.ndarray, x: np.ndarray,
     scale: np.ndarray, temperature: float,
 ) -> tuple[State, np.ndarray, np.ndarray, float, float]:  # fmt: skip
-    """Step towards the solution of the linear problem as the cost falls; by how much, and the part taken."""
+    """Step towards the solution of the linear problem as the cost falls; by how much, and the part taken.
+
+    Causes far beyond their usual sizes act in proportion no longer: a spring that holds two points together does so at
+    any size above some. Where a step is larger than a size itself, one by a factor is tried too.
+    """
     old = np.concatenate([sizes, u])
     n = len(sizes)
     cost = lambda s, y: 0.5 * float(s.difference @ s.difference) / temperature + 0.5 * float(((y / scale) ** 2).sum())
     before, part = cost(state, old), 1.0
     for _ in range(7):
-        new = old + part * (x - old)
-        try:
-            trial = state_at(setting, new[:n], causes, new[n:])
-            after = cost(trial, new)
-            if after < before:
-                return trial, new[:n], new[n:], before - after, part
-        except np.linalg.LinAlgError:
-            pass
+        trials = []
+        for new in _ways(old, part * (x - old), n):
+            try:
+                trial = state_at(setting, new[:n], causes, new[n:])
+                trials.append((cost(trial, new), trial, new))
+            except np.linalg.LinAlgError:
+                pass
+        after, trial, new = min(trials, key=lambda one: one[0], default=(np.inf, state, old))
+        if after < before:
+            return trial, new[:n], new[n:], before - after, part
         part /= 3
     return state, sizes, u, 0.0, 0.0
+
+
+def _ways(old: np.ndarray, step: np.ndarray, n: int) -> list[np.ndarray]:
+    r"""Where a step leads: straight on, and, where that is far, also by :math:`\sinh^{-1}u` of the causes' sizes."""
+    u, du = old[n:], step[n:]
+    ways = [old + step]
+    if (np.abs(du) > widths(u)).any():
+        bent = np.sinh(np.arcsinh(u) + np.clip(du / np.sqrt(1 + u**2), -FARTHEST, FARTHEST))
+        ways.append(np.concatenate([ways[0][:n], bent]))
+    return ways
 
 
 def widths_of_sizes(f: Fit, setting: Setting) -> np.ndarray:

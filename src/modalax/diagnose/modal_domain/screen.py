@@ -20,6 +20,7 @@ from modalax.diagnose.modal_domain.inaccuracy import KINDS
 from modalax.diagnose.modal_domain.line_forces import ModalForce
 from modalax.diagnose.modal_domain.linear import SMALLEST, widths
 from modalax.diagnose.modal_domain.loads import Load
+from modalax.diagnose.modal_domain.matched import CLOSE, FAR
 from modalax.diagnose.modal_domain.state import (
     Setting,
     State,
@@ -34,7 +35,7 @@ from modalax.diagnose.modal_domain.state import (
 )
 
 SIZES = (0.015, 0.04, 0.1, 0.25, 0.5, 0.9, 2.0)  # sizes of a change that are tried, over its usual size, of either sign
-STRONG = 5.0  # and of a force or damper, beside which the structure's own damping may be small
+STRONG = (5.0, 15.0, 50.0, 200.0, 1000.0)  # and of a force or damper: one that holds two points together damps little
 UNDAMPED = 1e-9  # damping ratio that rounding may make of none
 FACTORS = np.array([0.4, 0.6, 0.8, 1.0, 1.25, 1.6, 2.2])  # multiples of a size that are tried to refine it
 STILL = 1e-4  # least frequency of a mode, relative to the highest; a rigid body has none
@@ -61,7 +62,7 @@ def finite(setting: Setting, candidates: list[Change], told: np.ndarray | None =
         if not cause.screened:
             continue
         if couples(cause):
-            trials = _loaded(setting, state.modes, cause, [*(sizes if cause.signed else sizes[sizes > 0]), STRONG])
+            trials = _loaded(setting, state.modes, cause, [*(sizes if cause.signed else sizes[sizes > 0]), *STRONG])
         elif cause.kind:
             tried = sizes if told is None or told[k] == 0 else np.append(sizes, told[k])
             trials = _changed(setting, cause, tried)
@@ -82,6 +83,22 @@ def finite(setting: Setting, candidates: list[Change], told: np.ndarray | None =
         if values[least] < np.inf:
             best[k], where[k] = values[least], u[least]
     return best, where
+
+
+def missed_by_lumps(setting: Setting, lumps: list[Change]) -> tuple[np.ndarray, np.ndarray]:
+    """Least sum of squared, bounded misses of the measured frequencies by masses that move in several directions.
+
+    Of no rank one, they are not among those of :mod:`modalax.diagnose.modal_domain.matched`, whose misses these are.
+    """
+    asked = np.abs(setting.features.poles)[:, None] ** 2
+    out, found = np.full(len(lumps), np.inf), np.zeros(len(lumps))
+    for k, cause in enumerate(lumps):
+        for u, poles, _ in _changed(setting, cause, np.array([*SIZES[-3:], *STRONG])):
+            apart = np.abs(np.abs(poles) ** 2 / asked - 1).min(axis=1) / CLOSE
+            missed = float((np.minimum(apart, FAR) ** 2).sum())
+            if missed < out[k]:
+                out[k], found[k] = missed, u
+    return out, found
 
 
 def gain_asked(setting: Setting, cause: Change, poles: np.ndarray, plain: np.ndarray) -> np.ndarray:

@@ -16,7 +16,16 @@ from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.coordinates import modes_of
 from modalax.diagnose.modal_domain.fit import Fit, without_causes
 from modalax.diagnose.modal_domain.matched import FOLLOWED, missed_frequencies
-from modalax.diagnose.modal_domain.screen import SIZES, couples, finite, narrower, refined, scores, unchanged
+from modalax.diagnose.modal_domain.screen import (
+    SIZES,
+    couples,
+    finite,
+    missed_by_lumps,
+    narrower,
+    refined,
+    scores,
+    unchanged,
+)
 from modalax.diagnose.modal_domain.state import Setting, state_at
 
 MATCHED, PRESCREENED = (
@@ -47,11 +56,15 @@ def starts(setting: Setting, null: Fit, candidates: list[Change], share: np.ndar
     nominal, _ = scores(setting, _nominal(setting, null), candidates)
     few = set(np.argsort(-(gain + share))[:PRESCREENED]) | set(np.argsort(-(nominal + share))[:PRESCREENED])
     missed, told = missed_frequencies(setting.features, modes_of(setting.coordinates), candidates, EITHER)
+    lumps = [k for k, c in enumerate(candidates) if c.kind == "M" and c.pattern is not None]
+    missed[lumps], told[lumps] = missed_by_lumps(setting, [candidates[k] for k in lumps])
     matched = missed - 2 * share
     few |= {k for k in np.argsort(matched)[:MATCHED] if np.isfinite(matched[k])}
     few |= {k for k, c in enumerate(candidates) if not c.local}
     forces = {k for k, c in enumerate(candidates) if couples(c)}
-    some = sorted([k for k in few - forces if candidates[k].count == 1] + _leading_forces(candidates, gain, nominal))
+    some = sorted(
+        [k for k in few - forces if candidates[k].count == 1] + _leading_forces(candidates, matched, gain, nominal)
+    )
     distance, where = finite(setting, [candidates[k] for k in some], told[some])
     least = dict(zip(some, distance, strict=True))
     value = dict(zip(some, -0.5 * distance + share[some], strict=True))
@@ -61,7 +74,10 @@ def starts(setting: Setting, null: Fit, candidates: list[Change], share: np.ndar
     leading = {candidates[k].slug: k for k in reversed(order)}
     chosen += [leading[slug] for slug in sorted(leading) if least[leading[slug]] < far]
     u = dict(zip(some, where, strict=True))
-    first = list(dict.fromkeys(chosen))
+    # of changes beyond all that are usual the simulation as it is says little; the frequencies that they give say more
+    large = [int(k) for k in np.argsort(matched)[:NEXT] if np.isfinite(matched[k]) and abs(told[k]) > SIZES[-1]]
+    u |= {k: float(told[k]) for k in large}
+    first = list(dict.fromkeys([*chosen, *large]))
     near = refined(setting, [candidates[k] for k in first], [float(u[k]) for k in first])
     out: list[Start] = [(candidates[k], v, None) for k, v in zip(first, near, strict=True)]
     linear = [k for k in np.argsort(-(gain + share)) if np.isfinite(gain[k]) and gain[k] > 0][:NEXT]
@@ -73,13 +89,20 @@ def starts(setting: Setting, null: Fit, candidates: list[Change], share: np.ndar
     return out + _hidden(setting, start, candidates, share) + _taken_up(setting, null, candidates, share)
 
 
-def _leading_forces(candidates: list[Change], *gains: np.ndarray) -> list[int]:
-    """Forces and dampers of each kind that are tried with finite sizes, each of which needs modes of its own."""
+def _leading_forces(candidates: list[Change], matched: np.ndarray, *gains: np.ndarray) -> list[int]:
+    """Forces and dampers of each kind that are tried with finite sizes, each of which needs modes of its own.
+
+    Besides the leading ones by linear scores, those where a spring gives the measured frequencies: a strong damper too
+    holds two points together.
+    """
+    springs = [int(k) for k in np.argsort(matched) if candidates[k].kind == "K" and np.isfinite(matched[k])][:FORCES]
+    held = {candidates[k].where for k in springs}
     out: set[int] = set()
     for slug in {c.slug for c in candidates if couples(c)}:
         own = [k for k, c in enumerate(candidates) if c.slug == slug]
         for gain in gains:
             out |= set(sorted((k for k in own if np.isfinite(gain[k])), key=lambda k: -gain[k])[:FORCES])
+        out |= {k for k in own if candidates[k].kind == "C" and candidates[k].where in held}
     return sorted(out)
 
 
