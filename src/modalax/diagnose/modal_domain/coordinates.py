@@ -13,7 +13,7 @@ from scipy.linalg.lapack import dtrtrs
 
 from modalax._numerics.remembered import remembered
 from modalax.diagnose.modal_domain.enriched import ritz_basis
-from modalax.diagnose.modal_domain.loads import Load, loaded_modes
+from modalax.diagnose.modal_domain.loads import REAL, Load, loaded_modes
 from modalax.diagnose.modal_domain.parts import parts_of
 from modalax.diagnose.modal_domain.turns import nodes_in
 from modalax.model import Structure
@@ -188,7 +188,7 @@ def modes_of(
     state, each = np.zeros((2 * m, 2 * m)), np.arange(m)
     state[each, m + each], state[m + each, each], state[m:, m:] = w, -np.sign(values[:m]) * w, -damping
     poles, vectors = np.linalg.eig(state)
-    up = poles.imag > 1e-6 * w.max()
+    up = poles.imag > REAL * w.max()
     poles, vectors = poles[up], (vectors[m:, up] / poles[up]).T
     order = np.argsort(np.abs(poles))
     poles, vectors = poles[order], vectors[order]

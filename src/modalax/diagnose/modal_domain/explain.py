@@ -165,6 +165,9 @@ def _all_steps(
             acting_alike(setting, found, candidates, prior, late)
             _other_forms(setting, found, candidates, prior)
             best = ranked_by(found, prior)[0]
+            if len(best.causes) > 1:  # another form of one cause may do without the others
+                _fewer(setting, found, best.fit)
+                best = ranked_by(found, prior)[0]
         if len(best.causes) >= MOST or not _further(setting, found, best.fit, candidates, prior, late):
             return
         if len(ranked_by(found, prior)[0].causes) == len(best.causes):

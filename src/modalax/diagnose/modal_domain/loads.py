@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 
-REAL = 1e-6  # imaginary part of a pole, over the highest frequency, below which it is no oscillation
+REAL = 1e-7  # imaginary part of a pole, over the highest frequency, below which it is no oscillation but rounding
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def loaded_modes(
     K, C = (sum(load.basis @ getattr(load, part) @ load.basis.T for load in loads) for part in ("stiffness", "damping"))
     state, each = np.zeros((2 * n + len(inner),) * 2, np.result_type(K, float)), np.arange(n)
     # of displacements times their frequencies and of velocities, so that all parts are of one size
-    unit = np.maximum(w, 1e-6 * w.max())
+    unit = np.maximum(w, REAL * w.max())
     state[each, n + each] = unit
     state[n : 2 * n, :n] = -(np.diag(squares) + K) / unit
     state[n : 2 * n, n : 2 * n] = -(damping + C)

@@ -25,6 +25,7 @@ from modalax.diagnose.modal_domain.features import Features
 CLOSE, FOLLOWED, FAR = 0.03, 0.01, 4.0
 NEARER = FAR * 0.6 ** np.arange(14)[::-1]  # distances, over that change, within which a mode is sought
 LIGHT = -0.95  # least mass over that of the structure at a place; below it nothing is left there
+UNSTABLE = -1.0  # stiffness over that of the structure at a place, below which it does not stand
 TOGETHER = 1000  # places that are looked at together
 
 
@@ -64,8 +65,8 @@ def missed_frequencies(
             within = counted[:, :, len(NEARER) + 1 :] > counted[:, :, len(NEARER) - 1 :: -1]
             nearest = np.where(within.any(axis=2), within.argmax(axis=2), len(NEARER))
             missed = misses[nearest].sum(axis=1)
-            if kind == "M":
-                missed = np.where(u[:, 0, 0] * b2.sum(axis=1) < LIGHT, np.inf, missed)
+            left = u[:, 0, 0] * (b2.sum(axis=1) if kind == "M" else (b2 / _nonzero(squares)).sum(axis=1))
+            missed = np.where(left < (LIGHT if kind == "M" else UNSTABLE), np.inf, missed)
             better = missed < out[which]
             out[which], found[which] = (np.where(better, a, b[which]) for a, b in ((missed, out), (u[:, 0, 0], found)))
     return out, found

@@ -36,9 +36,12 @@ from modalax.diagnose.modal_domain.state import (
 
 SIZES = (0.015, 0.04, 0.1, 0.25, 0.5, 0.9, 2.0)  # sizes of a change that are tried, over its usual size, of either sign
 STRONG = (5.0, 15.0, 50.0, 200.0, 1000.0)  # and of a force or damper: one that holds two points together damps little
+# Sizes of lumps, over the usual one, and of elements' stiffness, relative to the whole; and then about the best.
+LUMPS, RELATIVE = np.geomspace(0.5, 500.0, 18), np.array([-0.97, -0.93, -0.87, -0.75, -0.5, 0.8, 2.0, 5.0, 15.0, 50.0])
+NEARER = np.array([0.8, 0.87, 0.93, 0.97, 1.03, 1.07, 1.15, 1.24])
 UNDAMPED = 1e-9  # damping ratio that rounding may make of none
 FACTORS = np.array([0.4, 0.6, 0.8, 1.0, 1.25, 1.6, 2.2])  # multiples of a size that are tried to refine it
-STILL = 1e-4  # least frequency of a mode, relative to the highest; a rigid body has none
+STILL = 1e-7  # least frequency of a mode, relative to the highest; a rigid body has none
 UNUSABLE = 1e200  # distance that counts for a size that leaves no structure
 NARROWER = 0.3, 0.1, 0.01  # parts of what was learnt of a kind of inaccuracy that a cause is tried beside
 TOLERANT = 3.0  # times the usual inaccuracy that finite changes are screened with
@@ -85,19 +88,21 @@ def finite(setting: Setting, candidates: list[Change], told: np.ndarray | None =
     return best, where
 
 
-def missed_by_lumps(setting: Setting, lumps: list[Change]) -> tuple[np.ndarray, np.ndarray]:
-    """Least sum of squared, bounded misses of the measured frequencies by masses that move in several directions.
+def missed_by_elements(setting: Setting, elements: list[Change]) -> tuple[np.ndarray, np.ndarray]:
+    """Least sum of squared, bounded misses of the measured frequencies by changes of whole elements, and their sizes.
 
-    Of no rank one, they are not among those of :mod:`modalax.diagnose.modal_domain.matched`, whose misses these are.
+    As masses that move in several directions, they are of no rank one, and so not among those of
+    :mod:`modalax.diagnose.modal_domain.matched`, whose misses these are.
     """
     asked = np.abs(setting.features.poles)[:, None] ** 2
-    out, found = np.full(len(lumps), np.inf), np.zeros(len(lumps))
-    for k, cause in enumerate(lumps):
-        for u, poles, _ in _changed(setting, cause, np.array([*SIZES[-3:], *STRONG])):
-            apart = np.abs(np.abs(poles) ** 2 / asked - 1).min(axis=1) / CLOSE
-            missed = float((np.minimum(apart, FAR) ** 2).sum())
-            if missed < out[k]:
-                out[k], found[k] = missed, u
+    out, found = np.full(len(elements), np.inf), np.zeros(len(elements))
+    for k, cause in enumerate(elements):
+        for sizes in (LUMPS if cause.kind == "M" else RELATIVE / cause.scale, NEARER):
+            for u, poles, _ in _changed(setting, cause, sizes * (found[k] or 1.0)):
+                apart = np.abs(np.abs(poles) ** 2 / asked - 1).min(axis=1) / CLOSE
+                missed = float((np.minimum(apart, FAR) ** 2).sum())
+                if missed < out[k]:
+                    out[k], found[k] = missed, u
     return out, found
 
 

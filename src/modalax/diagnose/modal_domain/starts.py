@@ -18,9 +18,10 @@ from modalax.diagnose.modal_domain.fit import Fit, without_causes
 from modalax.diagnose.modal_domain.matched import FOLLOWED, missed_frequencies
 from modalax.diagnose.modal_domain.screen import (
     SIZES,
+    STRONG,
     couples,
     finite,
-    missed_by_lumps,
+    missed_by_elements,
     narrower,
     refined,
     scores,
@@ -36,7 +37,7 @@ FORCES = 8  # places of forces of each kind, of each of these scores, that are t
 FITTED, NEXT = 6, 4  # leading places of each screening that are fitted, and of the screening about the winner
 FARTHER = 2.0  # times as far from the data as the simulation as it is, beyond which no kind of cause is fitted
 
-EITHER = np.array([-s for s in SIZES] + [*SIZES])
+EITHER = np.array([-s for s in SIZES] + [*SIZES, *STRONG])
 
 # A cause, its size over the usual one, and a fit to start from; the simulation itself if None.
 Start = tuple[Change, float, Fit | None]
@@ -56,8 +57,9 @@ def starts(setting: Setting, null: Fit, candidates: list[Change], share: np.ndar
     nominal, _ = scores(setting, _nominal(setting, null), candidates)
     few = set(np.argsort(-(gain + share))[:PRESCREENED]) | set(np.argsort(-(nominal + share))[:PRESCREENED])
     missed, told = missed_frequencies(setting.features, modes_of(setting.coordinates), candidates, EITHER)
-    lumps = [k for k, c in enumerate(candidates) if c.kind == "M" and c.pattern is not None]
-    missed[lumps], told[lumps] = missed_by_lumps(setting, [candidates[k] for k in lumps])
+    if min(missed, default=0.0) > len(setting.features.poles):  # no change of rank one has the frequencies
+        whole = [k for k, c in enumerate(candidates) if c.kind in ("K", "M") and c.pattern is not None]
+        missed[whole], told[whole] = missed_by_elements(setting, [candidates[k] for k in whole])
     matched = missed - 2 * share
     few |= {k for k in np.argsort(matched)[:MATCHED] if np.isfinite(matched[k])}
     few |= {k for k, c in enumerate(candidates) if not c.local}
@@ -75,7 +77,8 @@ def starts(setting: Setting, null: Fit, candidates: list[Change], share: np.ndar
     chosen += [leading[slug] for slug in sorted(leading) if least[leading[slug]] < far]
     u = dict(zip(some, where, strict=True))
     # of changes beyond all that are usual the simulation as it is says little; the frequencies that they give say more
-    large = [int(k) for k in np.argsort(matched)[:NEXT] if np.isfinite(matched[k]) and abs(told[k]) > SIZES[-1]]
+    by_frequency = [int(k) for k in np.argsort(matched)[:NEXT] if np.isfinite(matched[k])]
+    large = [k for k in by_frequency if abs(told[k]) > SIZES[-1]]
     u |= {k: float(told[k]) for k in large}
     first = list(dict.fromkeys([*chosen, *large]))
     near = refined(setting, [candidates[k] for k in first], [float(u[k]) for k in first])
