@@ -262,6 +262,7 @@ class Test:
     joint: tuple[np.ndarray, Callable[[np.ndarray, np.ndarray], np.ndarray]] | None = None
     hysteretic: bool = False
     decay: float = 0.0  # of an impact window [1/s]
+    times: float = 1.0  # the usual size of masses, springs, dampers and elements
 
     def tell(self, name: str, *accepted: list[str], size: float | None = None) -> None:
         """Write down the truth."""
@@ -285,6 +286,7 @@ def effect_mass(t: Test) -> None:
     m = t.rng.uniform(0.04, 0.08) * np.trace(t.M[np.ix_(t.world.translations(), t.world.translations())]) / max(
         len({d.split(":")[-1] for d in t.world.dofs if "R" not in d.split(":")[-1]}), 1
     ) if ":" in t.world.dofs[k] else t.rng.uniform(0.04, 0.08) * np.trace(t.M)  # fmt: skip
+    m *= t.times
     t.M[own, own] += m
     t.tell("added_mass", *([t.world.dofs[j]] for j in own), size=float(m))
 
@@ -304,6 +306,7 @@ def effect_element(t: Test) -> None:
     k = int(t.rng.choice(few))
     at, matrix = t.world.stiffness[k]
     size = t.rng.choice([-0.5, 0.8])
+    size = size * t.times if size > 0 else 0.5 / t.times - 1
     t.K[np.ix_(at, at)] += size * matrix
     ends = sorted({t.world.node(j) if ":" in t.world.dofs[j] else t.world.dofs[j] for j in at})
     t.tell("joint_stiffness", size=float(size))
@@ -313,7 +316,7 @@ def effect_element(t: Test) -> None:
 def effect_ground(t: Test) -> None:
     """A spring to ground that the simulation has not."""
     k = t.lively(t.world.translations())
-    size = t.rng.uniform(0.15, 0.4) * _modal_stiffness(t, k)
+    size = t.times * t.rng.uniform(0.15, 0.4) * _modal_stiffness(t, k)
     t.K[k, k] += size
     t.tell("joint_stiffness", [t.world.dofs[k]], size=float(size))
 
@@ -332,7 +335,7 @@ def effect_off_topology(t: Test) -> None:
         if a < b and K0[a, b] == 0 and ways[a] == ways[b] and min(t.shape[[a, b]]) > 0.3 * t.shape[some].max()
     ]  # fmt: skip
     a, b = pairs[int(t.rng.integers(len(pairs)))]
-    size = t.rng.uniform(0.2, 0.5) * min(_modal_stiffness(t, a), _modal_stiffness(t, b))
+    size = t.times * t.rng.uniform(0.2, 0.5) * min(_modal_stiffness(t, a), _modal_stiffness(t, b))
     v = np.zeros(len(t.K))
     v[[a, b]] = 1, -1
     t.K += size * np.outer(v, v)
@@ -343,7 +346,7 @@ def effect_damper(t: Test) -> None:
     """A damper across a pair that is joined, or to ground."""
     k = t.lively(t.world.translations())
     w = 2 * np.pi * np.sqrt(t.band[0] * t.band[1])
-    size = t.rng.uniform(2, 5) * 2 * t.world.zeta * w / t.shape[k] ** 2
+    size = t.times * t.rng.uniform(2, 5) * 2 * t.world.zeta * w / t.shape[k] ** 2
     t.C_extra[k, k] += size
     t.tell("local_damper", [t.world.dofs[k]], size=float(size))
 
@@ -591,10 +594,11 @@ def draw(name: str, effect: str, seed: int, how: dict) -> tuple[dict, dict, dict
     inputs = [int(k) for k in rng.choice(some, how.get("inputs", 2), replace=False)]
     zeta = world.zeta * np.exp(0.2 * rng.standard_normal(len(M)))
     t = Test(world, M, K, np.zeros_like(M), outputs, inputs, rng, (low, high), shape, zeta, f[first])
+    t.times = how.get("times", 1.0)
     n, bare = len(M0), (t.M, t.K)
     EFFECTS[effect](t)
-    # an oscillator leaves the damping of the rest as it was
-    own = damping(*(bare if len(t.M) > n else (t.M, t.K)), t.zeta)
+    # an oscillator, or what outweighs the structure, leaves the damping of the rest as it was
+    own = damping(*(bare if len(t.M) > n or t.times > 1 else (t.M, t.K)), t.zeta)
     C = np.pad(own, (0, len(t.M) - n)) + t.C_extra
     step = 2 * world.zeta * f[first] * 1.5 / how.get("lines", LINES)
     freq = np.arange(low, high, max(step, (high - low) / 1600))
@@ -696,13 +700,14 @@ def main() -> None:
     parser.add_argument("--inputs", type=int, default=2)
     parser.add_argument("--lines", type=float, default=LINES)
     parser.add_argument("--skip", type=int, default=0, help="elastic modes below the band")
+    parser.add_argument("--times", type=float, default=1.0, help="the size of masses, springs, dampers and elements")
     parser.add_argument("--variance", choices=("repeats", "missing"), default="repeats")
     parser.add_argument("--levels", action="store_true", help="three force levels for every effect")
     parser.add_argument("--case", default="", help="STRUCTURE-EFFECT,... instead of all of both")
     parser.add_argument("--name", default="", help="added to the names of the cases")
     parser.add_argument("--time", type=float, default=600.0)
     args = parser.parse_args()
-    how = {k: getattr(args, k) for k in ("spread", "sensors", "inputs", "lines", "skip", "variance", "levels")}
+    how = {k: getattr(args, k) for k in ("spread", "sensors", "inputs", "lines", "skip", "times", "variance", "levels")}
     pairs = [(s, e) for e in args.effect for s in args.structure]
     known = [f"{structure}-{effect}" for structure in STRUCTURES for effect in EFFECTS]
     asked = [case for case in args.case.split(",") if case]
