@@ -10,9 +10,13 @@ from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain import diagnosis, judged
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.diagnose.modal_domain.fit import Fit
+from modalax.diagnose.modal_domain.force_places import as_limits
 from modalax.diagnose.modal_domain.joint_forces import PowerLawJoint, RelaxingJoint
 from modalax.diagnose.modal_domain.screen import finite
 from modalax.diagnose.modal_domain.stage import run_stage
+
+KINDS = ("local_damper", 0.2), ("joint_stiffness", 5.0)
 
 
 @pytest.mark.parametrize(("where", "c"), [(0, 300.0), (1, 120.0), (2, 300.0), (4, 120.0)])
@@ -66,6 +70,23 @@ def test_a_joint_between_a_spring_and_a_damper_has_their_size_in_its_limits(kind
     c = joint.as_limit(lossy, damper) * damper.scale
     Z = 2.0 * 3.0 * complex(joint.unit(lossy, np.array([20j]))[0, 0, 0])
     assert c * 20.0 == pytest.approx(abs(Z), rel=0.05)
+
+
+@pytest.mark.parametrize(("size", "beside", "count"), [(40.0, True, 2), (40.0, False, 1), (0.5, True, 0)])
+def test_a_spring_is_tried_where_a_damper_holds_two_points(size, beside, count):
+    """Of the same force at the mean frequency of the modes, in place of the damper and alone."""
+    b = np.ones(1)
+    damper, spring = (Change(slug, ("a", "b"), s, direction=b) for slug, s in KINDS)
+    mass = Change("added_mass", ("c",), direction=b)
+    causes = (mass, damper) if beside else (damper,)
+    u = np.array([0.3, size] if beside else [size])
+    state = SimpleNamespace(modes=SimpleNamespace(poles=np.array([-1 + 20j, -1 + 80j, 500j])), pairs=np.array([0, 1]))
+    made = Fit(causes, np.zeros(2), u, np.ones(1), 0.0, np.eye(len(u)), 0.0, np.ones(1), state)
+    found = as_limits([made], [mass, damper, spring])
+    assert [len(own) for own, *_ in found] == [2, 1][2 - count :] * bool(count)
+    for own, sizes, start in found:
+        assert own[-1] is spring and sizes[-1] == pytest.approx(40.0 * size * 0.2 / 5.0, rel=1e-3)
+        assert (start is None) is (beside and len(own) == 1)
 
 
 @pytest.mark.parametrize(("c", "off"), [(0.5, 0.0), (1.2, 0.003)])

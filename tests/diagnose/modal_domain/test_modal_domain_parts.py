@@ -275,16 +275,25 @@ def test_the_element_at_a_clamp_is_a_place_as_a_whole(coordinates):
 
 
 @pytest.mark.parametrize("slug", ["joint_stiffness", "gyroscopic"])
-@pytest.mark.parametrize(("size", "std", "stands"), [(4.0, 1.0, True), (3.0, 1.0, False), (40.0, 1.0, True)])
-def test_a_cause_that_its_error_lets_be_none_does_not_stand_out(slug, size, std, stands):
-    """Of a place among hundreds three standard deviations say nothing; a usual size is one tenth of these, or none."""
+@pytest.mark.parametrize(
+    ("size", "std", "behind", "stands"),
+    [
+        (4.0, 1.0, 0.0, True), (3.0, 1.0, 0.0, False), (40.0, 1.0, 0.0, True),
+        (4000.0, 5000.0, 5.0, False), (4000.0, 5000.0, 7.0, True), (0.9, 1.0, 7.0, False),
+    ],
+)  # fmt: skip
+def test_a_cause_that_its_error_lets_be_none_does_not_stand_out(slug, size, std, behind, stands):
+    """Of a place among hundreds three standard deviations say nothing; a usual size is one tenth of these, or none.
+
+    A size that has no upper end, as it holds two points together, is surely not zero where all is far less likely then.
+    """
     cause = Change(slug, ("a", "b"), scale=100.0, reference=1000.0)
     fitted = SimpleNamespace(causes=(cause,), u=np.array([size]), covariance=np.array([[std**2]]), epsilon=[0.01] * 3)
     stage = SimpleNamespace(
         measured=SimpleNamespace(freq=np.array([1.0, 100.0])),
         setting=SimpleNamespace(inaccuracy=SimpleNamespace(groups=TOLD)),
-        seen=None,
-    )
+        seen=None, explanations=[Explanation(SimpleNamespace(causes=()), -behind, 0.5)],
+    )  # fmt: skip
     assert (standing_out(stage, Explanation(fitted, 0.0, 1.0)) == (cause,)) == stands
 
 

@@ -379,4 +379,4 @@ def _other_forms(
     ranked = ranked_by(found, prior)
     near = [e.fit for e in ranked[:AGAIN] if e.log_posterior > ranked[0].log_posterior - NEAR]
     for causes, u, start in (*damped_along(setting, near), *as_signs(near, candidates), *as_limits(near, candidates)):
-        attempt(setting, found, causes, u, start, gentle=False)
+        attempt(setting, found, causes, u, start, gentle=start is None)

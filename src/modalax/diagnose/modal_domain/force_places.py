@@ -53,19 +53,26 @@ def losses_at(spring: Change, candidates: Sequence[Change], c: Coordinates) -> l
     return out
 
 
-def as_limits(fits: Sequence[Fit], candidates: Sequence[Change]) -> list[tuple[tuple[Change, ...], np.ndarray, Fit]]:
+def as_limits(
+    fits: Sequence[Fit], candidates: Sequence[Change]
+) -> list[tuple[tuple[Change, ...], np.ndarray, Fit | None]]:  # fmt: skip
     """Explanations with a spring or damper in place of a joint between these, from the size that its force has.
 
-    A damper that holds two points together is far from all sizes that others start from.
+    A damper that holds two points together is far from all sizes that others start from, and so is a spring that such a
+    damper is taken for. Alone it is fitted too: other causes may be what the joint had of the wrong kind.
     """
-    out = []
+    out: list[tuple[tuple[Change, ...], np.ndarray, Fit | None]] = []
     for f in fits:
+        middle = float(np.exp(np.log(np.abs(f.state.modes.poles[f.state.pairs])).mean()))
         for k, (c, u) in enumerate(with_sizes(f.causes, f.u)):
-            if isinstance(c, Between):
-                others, kept = f.causes[:k] + f.causes[k + 1 :], np.delete(f.u, own_sizes(f.causes, k))
-                simple = [x for x in candidates if x.slug in c.limits[0] and x.where == c.where and not x.along]
-                simple = [x for x in simple if x.direction is not None and x not in others]
-                out += [((*others, x), np.append(kept, c.as_limit(u, x)), without_causes(f)) for x in simple]
+            others, kept = f.causes[:k] + f.causes[k + 1 :], np.delete(f.u, own_sizes(f.causes, k))
+            holds = c.kind == "C" and c.direction is not None and abs(u[0]) > 1
+            slugs = c.limits[0] if isinstance(c, Between) else ("joint_stiffness",) if holds else ()
+            simple = [x for x in candidates if x.slug in slugs and x.where == c.where and x.direction is not None]
+            for x in simple:
+                size = c.as_limit(u, x) if isinstance(c, Between) else middle * c.scale * float(u[0]) / x.scale
+                out += [((*others, x), np.append(kept, size), without_causes(f))] if x not in others else []
+                out += [((x,), np.array([size]), None)] if others else []
     return out
 
 

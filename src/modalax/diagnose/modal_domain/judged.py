@@ -225,10 +225,19 @@ def told_by_size(stage: Stage, e: Explanation) -> tuple[tuple[Change, ...], tupl
         own = own_sizes(e.causes, k)
         apart = np.abs(e.fit.u[own]) / np.sqrt(np.maximum(np.diag(e.fit.covariance)[own], 1e-300))
         at_any_size = usual == -math.inf and not (c.linear and c.signed)  # what may be of either sign may be none
-        sure = at_any_size or bool(apart[0] > THRESHOLDS.stands_out)
+        sure = (
+            at_any_size or bool(apart[0] > THRESHOLDS.stands_out) or (abs(e.fit.u[own][0]) > 1 and _missed(stage, e, c))
+        )
         if sure and not of_the_joint(stage, c):
             (out if abs(size) > usual else small).append(c)
     return tuple(out), tuple(small)
+
+
+def _missed(stage: Stage, e: Explanation, cause: Change) -> bool:
+    """Whether an explanation is far less likely without a cause; one that holds two points may be of any size."""
+    rest = set(e.causes) - {cause}
+    without = [x.log_posterior for x in stage.explanations if set(x.causes) == rest]
+    return bool(without) and e.log_posterior - max(without) > 0.5 * THRESHOLDS.stands_out**2
 
 
 def of_the_joint(stage: Stage, c: Change) -> bool:
