@@ -71,11 +71,11 @@ def _asked(
         ended = fast_sweep(measurement, simulation, measured, late, tell) if wanted("fast_sweep") else None
     if ended is not None or measured is None:
         return _diagnosed(measurement, simulation, question, late, wanted, tell, ended)
-    found = _elsewhere(measurement, simulation, question, late, wanted, tell, measured)
-    if found is not None:
-        return found
+    moved_there, plain = _elsewhere(measurement, simulation, question, late, wanted, tell, measured)
+    if moved_there is not None:
+        return moved_there
     found = _beside_own_peaks(measurement, simulation, question, late, wanted, tell, measured)
-    found = found or _diagnosed(measurement, simulation, question, late, wanted, tell, measured=measured)
+    found = found or plain or _diagnosed(measurement, simulation, question, late, wanted, tell, measured=measured)
     if found is None or late() or found.after.p_value > THRESHOLDS.left_by_modes:
         return found
     if found.verdict in ("clean", "named") and found.gain.chi2_unforeseen < THRESHOLDS.as_noise:
@@ -124,38 +124,40 @@ def _beside_own_peaks(
 def _elsewhere(
     measurement: Measurement, simulation: Structure, question: str, late: Deadline, wanted: Callable[[str], bool],
     tell: Callable[[str], None], measured: Measured,
-) -> ModalDiagnosis | None:  # fmt: skip
-    """The diagnosis with outputs at other DoFs than their names, where some surely are and it explains the modes."""
+) -> tuple[ModalDiagnosis | None, ModalDiagnosis | None]:  # fmt: skip
+    """The diagnosis with outputs at other DoFs than their names, where some surely are and it explains the modes.
+
+    And that with all where they say, if it was asked for; either None.
+    """
     if not wanted("sensor_place") or not len(measured.features.poles):
-        return None
+        return None, None
     setting = posed(measurement, simulation, measured).setting
     places = other_places(setting, simulation.dofs, measurement.outputs)
     plain = fit(setting) if places else None
     if plain is None:
-        return None
+        return None, None
     other = _diagnosed(measurement, simulation, question, late, wanted, tell, measured=measured)
-    told = other is not None and other.verdict in ("named", "ambiguous")
+    told = other if other is not None and other.verdict in ("named", "ambiguous") else None
     in_turn = any(at in places for at in places.values())  # sensors in each other's place may be an exchange
-    if other is not None and in_turn and other.verdict == "named" and other.after.p_value > THRESHOLDS.left_by_modes:
-        return other
-    if other is not None and late():
-        return other
+    named = told is not None and told.verdict == "named" and told.after.p_value > THRESHOLDS.left_by_modes
+    if late() or in_turn and named:
+        return None, other
     tell(f"looking whether {' and '.join(f'{name} is at {at}' for name, at in places.items())}")
     renamed = measurement.replace(outputs=tuple(places.get(name, name) for name in measurement.outputs))
     names = {"outputs": measurement.outputs, "inputs": measurement.inputs}
     before = np.asarray(simulation.frf(measured.freq, form=measurement.form, **names).H)[None]
     found = _diagnosed(renamed, simulation, question, late, wanted, tell, measured=measured, before=before)
     if found is None or found.verdict not in ("clean", "named"):
-        return other if told else None
+        return None, other
     among = len(measurement.outputs) * len(simulation.dofs)
     held = found.stage.explanations[0].log_posterior + believed("sensor_place")
     against = plain.log_evidence + math.log(NONE)
-    if other is not None and told:  # what holds two points together has one move as the other
-        against = max(against, other.stage.explanations[0].log_posterior)
+    if told is not None:  # what holds two points together has one move as the other
+        against = max(against, told.stage.explanations[0].log_posterior)
     there = moved(places, held, against, among)
     if there.probability < THRESHOLDS.certain:
-        return other if told else None
-    return replace(found, verdict="named", moved=there, reasons=(there.said(), *found.reasons))
+        return None, other
+    return replace(found, verdict="named", moved=there, reasons=(there.said(), *found.reasons)), other
 
 
 def _named(found: ModalDiagnosis) -> set[tuple[str, frozenset[str]]]:

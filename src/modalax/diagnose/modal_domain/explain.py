@@ -196,7 +196,7 @@ def _with_losses(
     """
     ranked = ranked_by(found, prior)
     noise, first = ranked[0].misfit < THRESHOLDS.as_noise, ranked[0].causes
-    if noise and [c.slug in (*JOINED, *JOINTS) for c in first] != [True]:
+    if noise and not (len(first) == 1 and first[0].slug in (*JOINED, *JOINTS)):
         return candidates
     explained, every, seen = explains(ranked[0].fit), list(candidates), set()
     singles = [e for e in ranked if len(e.causes) == 1]
