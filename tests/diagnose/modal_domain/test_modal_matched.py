@@ -96,3 +96,19 @@ def test_where_nothing_has_changed_every_place_is_as_good_and_a_miss_is_bounded(
 def test_a_size_beyond_the_usual_one_costs_what_its_own_width_does():
     assert cost_of_size(np.array([0.5, 1.0, 10.0])) == pytest.approx([0.25, 1.0, 1 + 2 * np.log(10.0)])
     assert cost_of_size(-10.0) == cost_of_size(10.0)
+
+
+def test_a_free_structure_may_be_softer_and_none_has_less_than_no_stiffness():
+    """Rigid bodies have no frequency, or one of rounding; points that are joined move alike at any size above some."""
+    free = K - 200.0 * np.eye(COUNT)
+    values, shapes = scipy.linalg.eigh(free, M)
+    modes = SimpleNamespace(
+        low=(np.eye(COUNT)[:5], np.maximum(values, 0.0)[:5], None), high=(np.eye(COUNT)[5:], values[5:])
+    )
+    pair = Change("joint_stiffness", PAIRS[2], scale=500.0, direction=shapes.T @ across(PAIRS[2]))
+    for size in (-1.5, 1e5):
+        changed = free + size * 500.0 * np.outer(across(PAIRS[2]), across(PAIRS[2]))
+        poles = np.sqrt(scipy.linalg.eigh(changed, M)[0][1:5] * (1 + 1e-4 * np.array([1, -1, 1, -1]))) * 1j
+        (missed,), (found,) = missed_frequencies(SimpleNamespace(poles=poles), modes, [pair], TRIED)  # pyright: ignore
+        assert missed < 0.01
+        assert found == pytest.approx(size, rel=0.05) if size < 0 else found > 50.0

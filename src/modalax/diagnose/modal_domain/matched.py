@@ -25,6 +25,7 @@ from modalax.diagnose.modal_domain.features import Features
 CLOSE, FOLLOWED, FAR = 0.03, 0.01, 4.0
 NEARER = FAR * 0.6 ** np.arange(14)[::-1]  # distances, over that change, within which a mode is sought
 LIGHT = -0.95  # least mass over that of the structure at a place; below it nothing is left there
+RIGID = 1e-6  # square of a frequency, relative to the lowest measured, below which a mode is that of a rigid body
 UNSTABLE = -1.0  # stiffness over that of the structure at a place, below which it does not stand
 TOGETHER = 1000  # places that are looked at together
 
@@ -53,10 +54,12 @@ def missed_frequencies(
     apart = squares - at[..., None]
     apart = np.where(np.abs(apart) < 1e-9 * at[..., None], 1e-9 * at[..., None], apart)
     misses = np.concatenate([[0.0], NEARER]) ** 2
+    firm = squares > RIGID * at.min()
     for kind, which, b2 in _directions(candidates, shapes):
         flexible = np.tensordot(b2, 1 / apart, (1, 2))  # (place, mode, distance)
         if kind == "M":
             flexible *= -at
+        own, least = (b2.sum(axis=1), LIGHT) if kind == "M" else ((b2[:, firm] / squares[firm]).sum(axis=1), UNSTABLE)
         asked = -1 / _nonzero(flexible[:, :, len(NEARER)])
         tried = np.concatenate([np.broadcast_to(sizes, (len(which), len(sizes))), asked], axis=1)
         for u in tried.T[:, :, None, None]:
@@ -65,8 +68,7 @@ def missed_frequencies(
             within = counted[:, :, len(NEARER) + 1 :] > counted[:, :, len(NEARER) - 1 :: -1]
             nearest = np.where(within.any(axis=2), within.argmax(axis=2), len(NEARER))
             missed = misses[nearest].sum(axis=1)
-            left = u[:, 0, 0] * (b2.sum(axis=1) if kind == "M" else (b2 / _nonzero(squares)).sum(axis=1))
-            missed = np.where(left < (LIGHT if kind == "M" else UNSTABLE), np.inf, missed)
+            missed = np.where(u[:, 0, 0] * own < least, np.inf, missed)
             better = missed < out[which]
             out[which], found[which] = (np.where(better, a, b[which]) for a, b in ((missed, out), (u[:, 0, 0], found)))
     return out, found
