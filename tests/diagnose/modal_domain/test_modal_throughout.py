@@ -6,6 +6,11 @@ import pytest
 from frames import measured, simulation
 
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.diagnose.modal_domain.fit import fit
+from modalax.diagnose.modal_domain.inaccuracy import THROUGHOUT
+from modalax.diagnose.modal_domain.prior import Prior
+from modalax.diagnose.modal_domain.stage import identified, posed
+from modalax.diagnose.modal_domain.throughout import all_scaled, beside_one_factor, with_groups
 from modalax.model import Structure
 
 
@@ -93,3 +98,19 @@ def test_a_factor_on_all_of_the_damping_is_told_as_one():
     assert any("the damping of the simulation is" in r and "% too low" in r for r in found.reasons)
     base = found.extended.base
     assert np.trace(np.asarray(base.C)) == pytest.approx(np.trace(1.3 * C), rel=0.05)
+
+
+def test_a_gain_of_one_of_two_inputs_is_preferred_to_factors_throughout():
+    """With factors on stiffness and mass the error of one load cell is the opposite error of the other.
+
+    It had been told of the other, as factors had been sought first.
+    """
+    H = chains_off.response(*chains_off.chain_off(3, 0.01), chains_off.FREQ)
+    H[:, :, 3] *= 1.2
+    measurement = chains_off.as_measured(H, chains_off.FREQ, 3)
+    task = posed(measurement, chains_off.simulation(), identified(measurement, chains_off.simulation(), lambda _: None))
+    wide = with_groups(task.setting, (THROUGHOUT["stiffness"], THROUGHOUT["mass"]))
+    assert all_scaled(wide)
+    setting, found = beside_one_factor(task.setting, wide, fit(wide), task.candidates, Prior(task.candidates))
+    assert not all_scaled(setting)
+    assert [[(c.slug, c.where) for c in causes] for causes in found] == [[], [("force_gain", ("4:+Z",))]]

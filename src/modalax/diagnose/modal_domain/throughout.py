@@ -10,6 +10,7 @@ itself. Where elements that are off as a whole do not explain the modes, each :m
 """
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -29,6 +30,7 @@ from modalax.diagnose.thresholds import THRESHOLDS
 CLEARER = 5.0  # nats of log evidence that each such factor must gain
 WIDER = 3.0  # a factor throughout before the data, relative to the usual errors of single elements
 FEWEST, SURE = 4, 4.0  # modes, and standard errors of their mean, from which on all dampings may be off alike
+FEW = 3  # channels of which the gain of one may be taken for factors throughout
 RANK = 1e-9  # stiffness in one motion, relative to the stiffest, below which an element does not resist it
 MOST = 400  # patterns of uneven errors beyond which fits take too long
 BASE = len(TOLD) + 1  # groups that every inaccuracy begins with
@@ -69,7 +71,7 @@ def _likeliest(setting: Setting, alone: Fit, trials: list[tuple[str, ...]]) -> t
     """The setting with the groups, of several trials, that make the data likeliest, and the fit in it."""
     best, top = (setting, alone), alone.log_evidence
     for groups in trials:
-        wider = _with(setting, groups)
+        wider = with_groups(setting, groups)
         if wider is None:
             continue
         start = start_in(wider, alone) if alone.causes else None
@@ -101,26 +103,35 @@ def all_scaled(setting: Setting) -> bool:
 def beside_one_factor(
     bare: Setting, setting: Setting, null: Fit, candidates: Sequence[Change], prior: Prior
 ) -> tuple[Setting, dict[tuple[Change, ...], Fit]]:
-    r"""The setting and its first fits: with a factor on all FRFs in place of one on the mass, where that is likelier.
+    r"""The setting and its first fits: with a factor on FRFs in place of one on the mass, where that is likelier.
 
     Factors :math:`a` on all of K, M and C make FRFs :math:`1/a` times as large, so that a gain of all FRFs says what
-    they do; with factors on stiffness and mass both there must be none beside them.
+    they do; with factors on stiffness and mass both there must be none beside them. Of few channels, a gain of one and
+    such factors are the gain of another.
     """
-    gain = next((c for c in candidates if c.scales_all), None)
-    if gain is None or not all_scaled(setting):
+    if not all_scaled(setting):
         return setting, {(): null}
     (k,) = np.flatnonzero(setting.inaccuracy.group_of == setting.inaccuracy.groups.index(THROUGHOUT["mass"]))
-    u, best = gain.of_size(float(np.expm1(-null.sizes[k])) / gain.scale), null.log_evidence + prior.of(())
+    best = null.log_evidence + prior.of(())
     chosen: tuple[Setting, dict[tuple[Change, ...], Fit]] = setting, {(): null}
-    for simpler in filter(None, (bare, _with(bare, (THROUGHOUT["stiffness"],)))):
-        trial = fit(simpler, (gain,), None, u)
-        if trial is not None:
-            simpler, trial = _damped(simpler, trial)
-        if trial is None or trial.log_evidence + prior.of((gain,)) < best:
-            continue
-        best, plain = trial.log_evidence + prior.of((gain,)), fit(simpler) or start_in(simpler, null)
-        chosen = simpler, {(): plain, (gain,): trial}
+    for gain in _of_all_or_few(candidates):
+        u = gain.of_size(float(np.expm1(-null.sizes[k])) / gain.scale)
+        for simpler in filter(None, (bare, with_groups(bare, (THROUGHOUT["stiffness"],)))):
+            trial = fit(simpler, (gain,), None, u)
+            if trial is not None:
+                simpler, trial = _damped(simpler, trial)
+            if trial is None or trial.log_evidence + prior.of((gain,)) < best:
+                continue
+            best, plain = trial.log_evidence + prior.of((gain,)), fit(simpler) or start_in(simpler, null)
+            chosen = simpler, {(): plain, (gain,): trial}
     return chosen
+
+
+def _of_all_or_few(candidates: Sequence[Change]) -> list[Change]:
+    """Gains of all FRFs, and of inputs and outputs of which there are few."""
+    gains = [c for c in candidates if c.slug in ("channel_gain", "force_gain")]
+    count = Counter(c.slug for c in gains if not c.scales_all)
+    return [c for c in gains if c.scales_all or count[c.slug] <= FEW]
 
 
 def instead_of_a_gain(setting: Setting, bare: Setting, f: Fit, prior: Prior) -> tuple[Setting, Fit] | None:
@@ -133,7 +144,7 @@ def instead_of_a_gain(setting: Setting, bare: Setting, f: Fit, prior: Prior) -> 
         return None
     causes = tuple(f.causes[k] for k in kept)
     u = np.concatenate([np.zeros(0), *(f.u[own_sizes(f.causes, k)] for k in kept)])
-    wider = _with(replace(setting, inaccuracy=bare.inaccuracy), (THROUGHOUT["stiffness"], THROUGHOUT["mass"]))
+    wider = with_groups(replace(setting, inaccuracy=bare.inaccuracy), (THROUGHOUT["stiffness"], THROUGHOUT["mass"]))
     found = None if wider is None else fit(wider, causes, None, u)
     if wider is None or found is None:
         return None
@@ -149,7 +160,7 @@ def start_in(setting: Setting, f: Fit) -> Fit:
     return beside(setting, without_causes(few))
 
 
-def _with(setting: Setting, groups: tuple[str, ...]) -> Setting | None:
+def with_groups(setting: Setting, groups: tuple[str, ...]) -> Setting | None:
     """The setting with further groups; None where one of them is empty or too large."""
     a = setting.inaccuracy
     for group in groups:
