@@ -595,7 +595,7 @@ def draw(name: str, effect: str, seed: int, how: dict) -> tuple[dict, dict, dict
     zeta = world.zeta * np.exp(0.2 * rng.standard_normal(len(M)))
     t = Test(world, M, K, np.zeros_like(M), outputs, inputs, rng, (low, high), shape, zeta, f[first])
     t.times = how.get("times", 1.0)
-    n, bare = len(M0), (t.M, t.K)
+    n, bare = len(M0), (M.copy(), K.copy())  # effects change what the test holds
     EFFECTS[effect](t)
     # an oscillator, or what outweighs the structure, leaves the damping of the rest as it was
     own = damping(*(bare if len(t.M) > n or t.times > 1 else (t.M, t.K)), t.zeta)
