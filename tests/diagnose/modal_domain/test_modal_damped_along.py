@@ -86,24 +86,30 @@ def test_force_levels_that_agree_tell_of_no_joint():
     assert found.verdict == "named" and [c["name"] for c in found.causes] == ["joint_stiffness"], found.reasons
 
 
+@pytest.mark.parametrize("size", [-0.6, 1e-3, 3.0, 100.0])
 @pytest.mark.parametrize("kind", ["K", "M"])
-def test_damping_that_keeps_the_ratios_is_the_slope_of_the_matrix_root(kind):
-    """Against the damping matrix of the changed structure, whose modes all have the same ratio."""
+def test_damping_that_keeps_the_ratios_is_that_of_the_changed_structure(kind, size):
+    """Against the damping matrix of the changed structure, whose modes all have the same ratio, and its differences."""
     M, C, K = matrices(MASSES, SPRINGS, "ratios")
     c = coordinates_of(Structure(M, C, K, DOFS), DOFS, DOFS[:1], 2 * np.pi * FREQ[-1])
     b = np.eye(5)[2] - (np.eye(5)[3] if kind == "K" else 0.0)
     slug, where = ("joint_stiffness", (DOFS[2], DOFS[3])) if kind == "K" else ("added_mass", (DOFS[2],))
-    direction = c.shapes.T @ b
-    along = with_loss(Change(slug, where, 1.0, direction), c, np.arange(5))[1]
-    ends = []
-    for step in (1e-6, -1e-6):
-        size = step * (SPRINGS[3] if kind == "K" else MASSES[2])
-        changed = {"K": K, "M": M, kind: (K if kind == "K" else M) + size * np.outer(b, b)}
-        w2, P = scipy.linalg.eigh(changed["K"], changed["M"])
-        ends.append(changed["M"] @ P @ np.diag(2 * RATIO * np.sqrt(w2)) @ P.T @ changed["M"])
-    slope = c.shapes.T @ (ends[0] - ends[1]) @ c.shapes / (2e-6 * (SPRINGS[3] if kind == "K" else MASSES[2]))
-    told = along.changes(np.ones(2))["C"][: c.size, : c.size]
-    np.testing.assert_allclose(told, slope, atol=1e-6 * np.abs(slope).max(), rtol=1e-4)
+    scale = SPRINGS[3] if kind == "K" else MASSES[2]
+    along = with_loss(Change(slug, where, scale, c.shapes.T @ b), c, np.arange(5))[1]
+
+    def changed(x: float) -> np.ndarray:
+        both = {"K": K, "M": M, kind: (K if kind == "K" else M) + x * scale * np.outer(b, b)}
+        w2, P = scipy.linalg.eigh(both["K"], both["M"])
+        return c.shapes.T @ (both["M"] @ P @ np.diag(2 * RATIO * np.sqrt(w2)) @ P.T @ both["M"]) @ c.shapes
+
+    true = changed(size) - changed(0.0)
+    told = along.changes(np.array([size, 1.0]))["C"]
+    np.testing.assert_allclose(told, true, atol=1e-9 * np.abs(changed(0.0)).max(), rtol=1e-6)
+    step = 1e-6 * max(1.0, abs(size))
+    slope = (changed(size + step) - changed(size - step)) / (2 * step)
+    found = along.slopes(np.array([size, 0.7]))
+    np.testing.assert_allclose(found[0]["C"], 0.7 * slope, atol=1e-5 * np.abs(slope).max(), rtol=1e-4)
+    np.testing.assert_allclose(found[1]["C"], told)
 
 
 @pytest.mark.parametrize(("share", "expected"), [(0.0, False), (0.05, True)])

@@ -1,14 +1,19 @@
 """Records that ended before the response had decayed, found in a chain whose every element is off."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.integrate
 from chains_off import FREQ, as_measured, chain_off, response, simulation, summed
 
 from modalax.data import Measurement
+from modalax.diagnose.modal_domain import short_records
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
-from modalax.diagnose.modal_domain.short_records import end_of_record, short_record
+from modalax.diagnose.modal_domain.free_residues import refine
+from modalax.diagnose.modal_domain.measured import prepared
+from modalax.diagnose.modal_domain.short_records import end_of_record, record_that_ends, short_record
 from modalax.diagnose.modal_domain.windows import KINDS, Window
 
 LENGTH = 0.9  # s; a sixth to a third of the first mode is left then
@@ -77,3 +82,18 @@ def test_it_is_named_with_its_length():
     assert answer["causes"][0]["parameters"]["record_length"]["value"] == pytest.approx(LENGTH, rel=1e-3)
     again = found.extended.frf(found.freq, form="accelerance", outputs=data.outputs, inputs=data.inputs)
     assert np.abs(again.H - found.predicted_after[0]).max() < 0.05 * np.abs(found.predicted_after).max()
+
+
+def test_a_fit_through_a_window_that_is_all_rounding_is_no_record_that_ended(monkeypatch):
+    """Modes that decay at once hardly differ through a window as short; its chi-square had been -3e10."""
+    data = as_measured(response(*chain_off(5, 0.02), CLOSER), CLOSER, 5)
+    c = coordinates_of(simulation(), data.outputs, data.inputs, 2 * np.pi * float(CLOSER[-1]))
+    channels = prepared(data, c)[0]
+    through = replace(channels, window=Window("hann", LENGTH))
+    few = refine(np.array([-2 + 100j, -4 + 300j]), through)
+    ended = {}
+    for chi2 in (channels.data.size, -3e10):
+        found = through.window, replace(few, chi2=float(chi2)), through
+        monkeypatch.setattr(short_records, "_at", lambda *_, found=found: found)
+        ended[chi2] = record_that_ends(channels, LENGTH, data.H.shape[1:]) is not None
+    assert ended == {channels.data.size: True, -3e10: False}

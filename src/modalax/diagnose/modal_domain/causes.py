@@ -8,6 +8,7 @@ import numpy as np
 
 from modalax.diagnose.causes import Cause
 from modalax.diagnose.decision.beyond import Names
+from modalax.diagnose.modal_domain.losses import Loss
 
 KIND_OF = {
     "added_mass": "M", "joint_stiffness": "K", "local_damper": "C", "modal_damping": "C", "element_group": "K",
@@ -53,8 +54,8 @@ class Change:
     piece
         Whether its pattern is only a piece of an element, as bending in the plane of its ``where``.
     along, loss
-        Of a change of stiffness or mass that damping goes with: how, and the usual ratio of that to each element of the
-        change in modal coordinates [s or 1/s], shape ``(n, n)``. Empty where the damping stays as it is.
+        Of a change of stiffness or mass that damping goes with: how in words, and how much it usually is. Empty where
+        the damping stays as it is.
     """
 
     slug: str
@@ -69,7 +70,7 @@ class Change:
     absent: bool = False
     piece: bool = False
     along: str = ""
-    loss: np.ndarray | None = field(default=None, compare=False)
+    loss: Loss | None = field(default=None, compare=False)
 
     @property
     def kind(self) -> str:
@@ -214,14 +215,19 @@ class Change:
     def changes(self, u: np.ndarray) -> dict[str, np.ndarray]:
         """Changes of the matrices, by ``K``, ``C`` and ``M``."""
         change = {self.kind: u[0] * self.matrix}
-        return change if self.loss is None else change | {"C": u[0] * u[1] * self.loss * self.matrix}
+        return change if self.loss is None else change | {"C": u[1] * self.loss.change(float(u[0]), self.matrix)}
 
     def slopes(self, u: np.ndarray) -> list[dict[str, np.ndarray]]:
         """Derivatives of :meth:`changes` by each size."""
         A = self.matrix
         if self.loss is None:
             return [{self.kind: A}]
-        return [{self.kind: A, "C": u[1] * self.loss * A}, {"C": u[0] * self.loss * A}]
+        x = float(u[0])
+        return [{self.kind: A, "C": u[1] * self.loss.slope(x, A)}, {"C": self.loss.change(x, A)}]
+
+    def turn(self, u: np.ndarray) -> np.ndarray | None:
+        """Where what is off of the damping follows its changes, as :meth:`Loss.turn`."""
+        return None if self.loss is None else self.loss.turn(float(u[0]), self.matrix)
 
     def size(self, u: np.ndarray) -> float:
         """The size that tells whether it stands out, in the unit of the cause."""

@@ -16,7 +16,7 @@ from modalax.diagnose.modal_domain.inaccuracy import KINDS, RIGID, THROUGHOUT, T
 from modalax.diagnose.modal_domain.linear import root_of_information
 from modalax.diagnose.modal_domain.polish import frf_on_lines
 from modalax.diagnose.modal_domain.stage import Stage
-from modalax.diagnose.modal_domain.state import FARTHEST, Setting, changes_of, slopes_at
+from modalax.diagnose.modal_domain.state import FARTHEST, Setting, off_by, slopes_at
 from modalax.diagnose.modal_domain.throughout import throughout_told
 from modalax.model import Structure
 
@@ -40,11 +40,13 @@ def corrected(stage: Stage, f: Fit) -> Structure:
         K, M, whole, u = K + dK, M + dM, (), np.zeros(0)
         for name in (*own, *(THROUGHOUT[name] for name in own)):
             sizes = np.where(_of_group(stage.setting, name), 0.0, sizes)
-    change = changes_of(stage.setting, sizes, whole, u)
+    change = off_by(stage.setting, sizes, f.causes, f.u)
+    for cause, size in zip(whole, u, strict=True):
+        change[cause.kind] = change[cause.kind] + cause.changes(np.array([size]))[cause.kind]
     left = np.asarray(s.M) @ stage.coordinates.shapes
-    change["dC"] = change["dC"] + along
+    change["C"] = change["C"] + along
     back = {key: left @ value @ left.T for key, value in change.items()}
-    return s.replace(M=M + back["dM"], C=C + back["dC"], K=K + back["dK"])
+    return s.replace(M=M + back["M"], C=C + back["C"], K=K + back["K"])
 
 
 def _of_group(setting: Setting, name: str) -> np.ndarray:

@@ -1,10 +1,8 @@
-r"""Damping that goes with what is wrong of stiffness or mass, as an element's own damping goes with it.
+"""Damping that goes with what is wrong of stiffness or mass, as an element's own damping goes with it.
 
-A joint that is softer mostly damps less as well. Either damping is in proportion to stiffness and mass (Rayleigh 1877),
-or modes keep their damping ratios: with :math:`C = 2\zeta K^{1/2}` in coordinates of unit mass, a small change has
-:math:`\Delta C_{ij} = 2\zeta\,\Delta K_{ij}/(\omega_i+\omega_j)`, and one of mass
-:math:`2\zeta\,\Delta M_{ij}\,\omega_i\omega_j/(\omega_i+\omega_j)`. Whether, how and how much is for the data to
-tell: the change is fitted as it is and with either damping by a factor to be found, which is no second cause.
+A joint that is softer mostly damps less as well. Whether, how (:mod:`modalax.diagnose.modal_domain.losses`) and how
+much is for the data to tell: the change is fitted as it is and with either damping by a factor to be found, which is no
+second cause.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,8 +13,11 @@ import numpy as np
 from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.fit import Fit, without_causes
+from modalax.diagnose.modal_domain.inaccuracy import KINDS
+from modalax.diagnose.modal_domain.losses import AtEqualRatios, InProportion
 from modalax.diagnose.modal_domain.state import Setting
 
+START = 0.5  # of what usually goes along, that a fit begins with
 STILL = 1e-3  # frequency, relative to the highest measured, below which a mode is that of a rigid body
 
 
@@ -29,8 +30,16 @@ def damped_along(setting: Setting, fits: Sequence[Fit]) -> Iterator[tuple[tuple[
             sizes = [f.u[own_sizes(f.causes, j)] for j in kept]
             for along in with_loss(cause, setting.coordinates, f.state.pairs):
                 causes = tuple(along if j == k else f.causes[j] for j in kept)
-                u = [np.append(x, 0.0) if j == k else x for j, x in zip(kept, sizes, strict=True)]
-                yield causes, np.concatenate(u), without_causes(f)
+                u = [np.append(x, START) if j == k else x for j, x in zip(kept, sizes, strict=True)]
+                yield causes, np.concatenate(u), _as_simulated(setting, f)
+
+
+def _as_simulated(setting: Setting, f: Fit) -> Fit:
+    """The inaccuracy as a start with the damping as simulated, which had to stand for what goes along."""
+    a = setting.inaccuracy
+    damping = np.array([KINDS[g] == "C" for g in a.groups])
+    epsilon = np.where(damping, a.usual, f.epsilon)
+    return replace(without_causes(f), sizes=np.where(damping[a.group_of], 0.0, f.sizes), epsilon=epsilon)
 
 
 def with_loss(cause: Change, c: Coordinates, inside: np.ndarray) -> list[Change]:
@@ -40,15 +49,14 @@ def with_loss(cause: Change, c: Coordinates, inside: np.ndarray) -> list[Change]
     """
     if cause.kind not in ("K", "M") or cause.count != 1:
         return []
-    w = np.maximum(c.frequencies, STILL * c.frequencies[inside].max())
-    damping = np.diag(c.damping)
-    ratio = float((damping / w ** (2 if cause.kind == "K" else 0))[inside].max())
-    twice = float((damping / w)[inside].max())
+    least = STILL * float(c.frequencies[inside].max())
+    w = np.maximum(c.frequencies, least)
+    damping, of_mass = np.diag(c.damping), cause.kind == "M"
+    ratio = float((damping / w ** (0 if of_mass else 2))[inside].max())
     if ratio <= 0:
         return []
-    both = np.add.outer(w, w)
-    kept = twice * (1.0 if cause.kind == "K" else np.outer(w, w)) / both
+    kept = AtEqualRatios(float((damping / w)[inside].max()), w, least, of_mass)
     return [
-        replace(cause, along="in proportion", loss=np.full_like(both, ratio)),
+        replace(cause, along="in proportion", loss=InProportion(ratio)),
         replace(cause, along="at equal damping ratios", loss=kept),
     ]

@@ -15,11 +15,11 @@ from modalax.diagnose.modal_domain.attached import acting_alike, attached
 from modalax.diagnose.modal_domain.attempts import attempt, explains, key_of, possible, without
 from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.damped_along import damped_along
-from modalax.diagnose.modal_domain.discrepancy import learnt_rest
 from modalax.diagnose.modal_domain.explanation import Explanation, ranked_by
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
 from modalax.diagnose.modal_domain.force_places import JOINTS, as_limits, losses_at
 from modalax.diagnose.modal_domain.prior import SECOND, Prior
+from modalax.diagnose.modal_domain.refitted import AGAIN, beside_a_factor, beside_the_rest
 from modalax.diagnose.modal_domain.screen import narrower, replaced, scores
 from modalax.diagnose.modal_domain.starts import FITTED, NEXT, as_signs, starts
 from modalax.diagnose.modal_domain.state import Setting
@@ -39,7 +39,6 @@ FAR = 3.0  # times as large as usual from which on an inaccuracy of stiffness or
 JOINED = "joint_stiffness", "local_damper"  # what a joint may be taken for
 PROMISING = 10.0  # times the misfit of the best explanation up to which one is worth a further cause beside it
 LOSS = 0.3  # strength of a joint's loss that is fitted from, over the usual one
-AGAIN = 6  # leading explanations that are fitted again together with the rest that no element explains
 
 
 @dataclass
@@ -152,8 +151,8 @@ def _all_steps(
     attached(setting, found, candidates, prior, late)
     candidates = _with_losses(setting, found, candidates, prior, late)
     _several(setting, found, candidates, prior, late)
-    search.setting, search.found = setting, found = _beside_a_factor(search.bare, setting, found, prior)
-    search.setting, search.found = setting, found = _beside_the_rest(setting, found, prior, late)
+    search.setting, search.found = setting, found = beside_a_factor(search.bare, setting, found, prior)
+    search.setting, search.found = setting, found = beside_the_rest(setting, found, prior, late)
     for _ in range(MOST):
         best = ranked_by(found, prior)[0]
         if late():
@@ -173,7 +172,7 @@ def _all_steps(
         if len(ranked_by(found, prior)[0].causes) == len(best.causes):
             return
         _fewer(setting, found, ranked_by(found, prior)[0].fit)
-        search.setting, search.found = setting, found = _beside_the_rest(setting, found, prior, late)
+        search.setting, search.found = setting, found = beside_the_rest(setting, found, prior, late)
 
 
 def _found(found: dict[tuple[Change, ...], Fit], cause: Change) -> bool:
@@ -253,29 +252,6 @@ def _several(
                 found[key] = f
 
 
-def _beside_a_factor(
-    bare: Setting, setting: Setting, found: dict[tuple[Change, ...], Fit], prior: Prior
-) -> tuple[Setting, dict[tuple[Change, ...], Fit]]:
-    """Fit the leading explanations again with the factors throughout and uneven errors that the data ask for.
-
-    Without a cause these may stand for it, and with one may have been hidden; ``bare`` is the setting without any.
-    """
-    leading = ranked_by(found, prior)[:AGAIN]
-    leading += [e for e in ranked_by(found, prior)[AGAIN:] if not e.causes]
-    best = leading[0]
-    alone = fit(bare, best.causes, start_in(bare, best.fit), best.fit.u, temperatures=(3.0,)) if best.causes else None
-    keep = alone is None or (setting is not bare and best.fit.log_evidence > alone.log_evidence)
-    if any(c.scales_all for c in best.causes):  # which stand for one of the mass
-        bare = replace(bare, sought=tuple(name for name in bare.sought if name != "mass"))
-    asked = setting if alone is None or keep else with_more(bare, alone)
-    if asked.inaccuracy.groups == setting.inaccuracy.groups:
-        return setting, found
-    again: dict[tuple[Change, ...], Fit] = {}
-    for e in leading:
-        attempt(asked, again, e.causes, e.fit.u, start_in(asked, e.fit), gentle=False)
-    return (asked, again) if again else (setting, found)
-
-
 def _without_a_gain(search: _Search, prior: Prior) -> None:
     """Where a gain of all FRFs is left, try factors on all of stiffness and mass in its place."""
     leading = ranked_by(search.found, prior)[:AGAIN]
@@ -286,24 +262,6 @@ def _without_a_gain(search: _Search, prior: Prior) -> None:
     for e in leading:
         attempt(search.setting, found, e.causes, e.fit.u, start_in(search.setting, e.fit), gentle=False)
     search.found = found
-
-
-def _beside_the_rest(
-    setting: Setting, found: dict[tuple[Change, ...], Fit], prior: Prior, late: Callable[[], bool]
-) -> tuple[Setting, dict[tuple[Change, ...], Fit]]:
-    """Fit the leading explanations again, together with the rest that no element explains."""
-    leading = ranked_by(found, prior)[:AGAIN]
-    bare = [e for e in ranked_by(found, prior) if not e.causes]
-    singles = [e for e in ranked_by(found, prior) if len(e.causes) == 1][:2]
-    leading += [e for e in bare + singles if all(e is not other for other in leading)]
-    some = [*leading[:2], *bare, *singles[:1]]
-    new, size = learnt_rest(setting, [e.fit for e in some], [prior.of(e.causes) for e in some])
-    if size == 0.0 or late():
-        return setting, found
-    again: dict[tuple[Change, ...], Fit] = {}
-    for e in leading:
-        attempt(new, again, e.causes, e.fit.u, without_causes(e.fit), gentle=False)
-    return (new, again) if again else (setting, found)
 
 
 def _fewer(setting: Setting, found: dict[tuple[Change, ...], Fit], best: Fit) -> None:

@@ -31,6 +31,10 @@ class Factored:
         """The changes with rows and columns times factors, shape ``(n,)``."""
         return Factored(root[:, None] * self.basis, self.sign, self.first)
 
+    def turned(self, T: np.ndarray) -> "Factored":
+        """The changes :math:`TPT^T`."""
+        return Factored(T @ self.basis, self.sign, self.first)
+
     def combined(self, sizes: np.ndarray) -> np.ndarray:
         """Sum of the changes, each times its size, shape ``(n, n)``."""
         count = np.diff(np.append(self.first, len(self.sign)))

@@ -27,6 +27,9 @@ NEARER = FAR * 0.6 ** np.arange(14)[::-1]  # distances, over that change, within
 LIGHT = -0.95  # least mass over that of the structure at a place; below it nothing is left there
 RIGID = 1e-6  # square of a frequency, relative to the lowest measured, below which a mode is that of a rigid body
 UNSTABLE = -1.0  # stiffness over that of the structure at a place, below which it does not stand
+DAMPERS = np.geomspace(0.03, 1000.0, 50)  # sizes of dampers, over the usual one
+LIKELY = 0.3  # of logarithms of dampings that are off
+UNDAMPED = 1e-9  # least damping ratio that counts
 TOGETHER = 1000  # places that are looked at together
 
 
@@ -72,6 +75,30 @@ def missed_frequencies(
             better = missed < out[which]
             out[which], found[which] = (np.where(better, a, b[which]) for a, b in ((missed, out), (u[:, 0, 0], found)))
     return out, found
+
+
+def missed_dampings(features: Features, modes: Modes, which: np.ndarray, candidates: list[Change]) -> np.ndarray:
+    r"""Least sum of squared, bounded misses of the measured decay rates by a damper at each candidate's place.
+
+    A damper ``c`` along ``b`` adds :math:`c\,|\lambda (b^Tv)^2|` to the decay rate of a mode ``v`` of the pole
+    :math:`\lambda`, as long as it leaves the shapes as they are. Of candidates that are no dampers the sum is infinite.
+
+    Parameters
+    ----------
+    which
+        Mode of the simulation in the place of each measured one.
+    """
+    out = np.full(len(candidates), np.inf)
+    dampers = [k for k, c in enumerate(candidates) if c.kind == "C" and c.direction is not None]
+    poles, rate = modes.poles[which], np.maximum(-modes.poles[which].real, UNDAMPED * np.abs(modes.poles[which]))
+    measured = np.maximum(-features.poles.real, UNDAMPED * np.abs(features.poles))
+    for start in range(0, len(dampers), TOGETHER):
+        some = dampers[start : start + TOGETHER]
+        b = np.array([np.sqrt(candidates[k].scale) * candidates[k].direction for k in some])
+        added = np.abs(poles * (b @ modes.vectors[which].T) ** 2)
+        off = np.log((rate + added[..., None, :] * DAMPERS[:, None]) / measured) / LIKELY
+        out[some] = (np.minimum(np.abs(off), FAR) ** 2).sum(axis=-1).min(axis=-1)
+    return out
 
 
 def _directions(candidates: list[Change], shapes: np.ndarray) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:

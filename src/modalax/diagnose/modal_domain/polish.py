@@ -302,7 +302,7 @@ def _slopes_of_all(
 
     J = np.empty((len(sizes) + len(u), *plain.shape), complex)
     start = 0
-    for kind, patterns in setting.patterns():
+    for kind, patterns in setting.patterns(causes, u):
         between.columns(kind, patterns, J[start : start + len(patterns.first)])
         start += len(patterns.first)
     J[:start] *= factors_of(setting, sizes)[:, None, None, None]

@@ -36,6 +36,7 @@ FEW = 6  # steps of a refinement within these
 DECAYS = 4.0  # of an exponential window within a record, so that its end does not show
 ROUGH = 0.02  # error of FRFs, relative to their root mean square, up to which poles are identified to begin with
 LIGHT = 1e-3  # least damping ratio of a pole to begin with
+ROUNDING = 0.5  # chi-square per sample below which modes that hardly differ in a record that short fit by rounding
 STEP = 0.05  # of such a sample, in which the slope of chi-square is taken
 
 
@@ -104,6 +105,8 @@ def record_that_ends(channels: Channels, end: float, shape: tuple[int, ...]) -> 
     if found is None:
         return None
     _, modes, through = found
+    if modes.chi2 < ROUNDING * through.data.size:
+        return None
     gained = 0.5 * (refine(modes.poles, channels, FEW).chi2 - modes.chi2)
     if misfit(modes, through) > THRESHOLDS.as_noise or gained < THRESHOLDS.further_cause:
         return None

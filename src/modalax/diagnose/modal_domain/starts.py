@@ -15,7 +15,7 @@ import numpy as np
 from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.coordinates import modes_of
 from modalax.diagnose.modal_domain.fit import Fit, without_causes
-from modalax.diagnose.modal_domain.matched import FOLLOWED, missed_frequencies
+from modalax.diagnose.modal_domain.matched import FOLLOWED, missed_dampings, missed_frequencies
 from modalax.diagnose.modal_domain.screen import (
     SIZES,
     STRONG,
@@ -65,7 +65,8 @@ def starts(setting: Setting, null: Fit, candidates: list[Change], share: np.ndar
     few |= {k for k, c in enumerate(candidates) if not c.local}
     forces = {k for k, c in enumerate(candidates) if couples(c)}
     some = sorted(
-        [k for k in few - forces if candidates[k].count == 1] + _leading_forces(candidates, matched, gain, nominal)
+        [k for k in few - forces if candidates[k].count == 1]
+        + _leading_forces(candidates, matched, gain, nominal, -_dampings(setting, candidates))
     )
     distance, where = finite(setting, [candidates[k] for k in some], told[some])
     least = dict(zip(some, distance, strict=True))
@@ -92,11 +93,17 @@ def starts(setting: Setting, null: Fit, candidates: list[Change], share: np.ndar
     return out + _hidden(setting, start, candidates, share) + _taken_up(setting, null, candidates, share)
 
 
+def _dampings(setting: Setting, candidates: list[Change]) -> np.ndarray:
+    """How far measured dampings are from those with a damper at each place; infinite of all other candidates."""
+    state = state_at(setting, np.zeros(len(setting.inaccuracy.group_of)))
+    return missed_dampings(setting.features, state.modes, state.pairs, candidates)
+
+
 def _leading_forces(candidates: list[Change], matched: np.ndarray, *gains: np.ndarray) -> list[int]:
     """Forces and dampers of each kind that are tried with finite sizes, each of which needs modes of its own.
 
-    Besides the leading ones by linear scores, those where a spring gives the measured frequencies: a strong damper too
-    holds two points together.
+    Besides the leading ones of each of several scores, those where a spring gives the measured frequencies: a strong
+    damper too holds two points together.
     """
     springs = [int(k) for k in np.argsort(matched) if candidates[k].kind == "K" and np.isfinite(matched[k])][:FORCES]
     held = {candidates[k].where for k in springs}

@@ -60,9 +60,12 @@ class Setting:
     sought: tuple[str, ...] = ()
     uneven: bool = False
 
-    def patterns(self) -> list[tuple[str, Factored]]:
-        """Kind and patterns of each group."""
-        return [(KINDS[g], p) for g, p in zip(self.inaccuracy.groups, self.inaccuracy.factors, strict=True)]
+    def patterns(self, causes: tuple[Change, ...] = (), u: np.ndarray = NONE) -> list[tuple[str, Factored]]:
+        """Kind and patterns of each group; those of damping as causes turn them."""
+        out = [(KINDS[g], p) for g, p in zip(self.inaccuracy.groups, self.inaccuracy.factors, strict=True)]
+        for turn in filter(lambda T: T is not None, (cause.turn(size) for cause, size in with_sizes(causes, u))):
+            out = [(kind, p.turned(turn) if kind == "C" else p) for kind, p in out]
+        return out
 
     @cached_property
     def triangle(self) -> np.ndarray:
@@ -120,16 +123,22 @@ class State:
 
 def changes_of(setting: Setting, sizes: np.ndarray, causes: tuple[Change, ...], u: np.ndarray) -> dict[str, np.ndarray]:
     """Changes of the matrices; ``sizes`` are those of the patterns, relative to the whole."""
-    n = setting.coordinates.size
-    out = {kind: np.zeros((n, n)) for kind in "KCM"}
-    start, relative = 0, np.where(setting.inaccuracy.positive, np.expm1(np.minimum(sizes, FARTHEST)), sizes)
-    for kind, patterns in setting.patterns():
-        out[kind] += patterns.combined(relative[start : start + len(patterns.first)])
-        start += len(patterns.first)
+    out = off_by(setting, sizes, causes, u)
     for cause, size in with_sizes(causes, u):
         for kind, change in cause.changes(size).items() if cause.local else ():
             out[kind] += change
     return {f"d{kind}": value for kind, value in out.items()}
+
+
+def off_by(setting: Setting, sizes: np.ndarray, causes: tuple[Change, ...], u: np.ndarray) -> dict[str, np.ndarray]:
+    """What the matrices are off by beside causes, by ``K``, ``C`` and ``M``."""
+    n = setting.coordinates.size
+    out = {kind: np.zeros((n, n)) for kind in "KCM"}
+    start, relative = 0, np.where(setting.inaccuracy.positive, np.expm1(np.minimum(sizes, FARTHEST)), sizes)
+    for kind, patterns in setting.patterns(causes, u):
+        out[kind] += patterns.combined(relative[start : start + len(patterns.first)])
+        start += len(patterns.first)
+    return out
 
 
 def matrices_of(
@@ -257,7 +266,7 @@ def compared(
 def slopes_at(setting: Setting, state: State, causes: tuple[Change, ...] = (), u: np.ndarray = NONE) -> np.ndarray:
     """Whitened derivatives of the features by the sizes of all patterns and those of causes, shape ``(m, p + u)``."""
     t = slopes_of(setting.coordinates, state.modes, state.together.every)
-    moves = zip(*(factored_slopes(t, kind, patterns) for kind, patterns in setting.patterns()), strict=True)
+    moves = zip(*(factored_slopes(t, kind, patterns) for kind, patterns in setting.patterns(causes, u)), strict=True)
     every = (np.concatenate(part, axis=1) for part in moves)
     columns = [feature_slopes(setting, state, t, causes, u, *every) * factors_of(setting, state.sizes)]
     for k, (cause, size) in enumerate(with_sizes(causes, u)):

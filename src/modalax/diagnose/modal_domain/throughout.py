@@ -74,10 +74,13 @@ def _likeliest(setting: Setting, alone: Fit, trials: list[tuple[str, ...]]) -> t
         wider = with_groups(setting, groups)
         if wider is None:
             continue
-        start = start_in(wider, alone) if alone.causes else None
-        trial = fit(wider, alone.causes, start, alone.u, **({"temperatures": (3.0,)} if alone.causes else {}))
-        if trial is not None and trial.log_evidence - CLEARER * len(groups) > top:
-            best, top = (wider, trial), trial.log_evidence - CLEARER * len(groups)
+        starts: list[Fit | None] = [start_in(wider, alone)] if alone.causes else []
+        if not alone.causes or alone.chi2 > THRESHOLDS.misfit * alone.state.difference.size:
+            starts.append(None)  # errors of single elements may have stood for what they are not
+        for start in starts:
+            trial = fit(wider, alone.causes, start, alone.u, **({"temperatures": (3.0,)} if start else {}))
+            if trial is not None and trial.log_evidence - CLEARER * len(groups) > top:
+                best, top = (wider, trial), trial.log_evidence - CLEARER * len(groups)
     return best
 
 

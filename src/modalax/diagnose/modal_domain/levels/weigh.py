@@ -55,7 +55,7 @@ class Shapes:
         setting, f = self.setting, self.fit
         c = replace(setting.coordinates, outputs=b[None])
         t = slopes_of(c, f.state.modes, f.state.pairs)
-        parts = [factored_slopes(t, kind, patterns)[1][:, :, 0] for kind, patterns in setting.patterns()]
+        parts = [factored_slopes(t, kind, patterns)[1][:, :, 0] for kind, patterns in setting.patterns(f.causes, f.u)]
         D = (np.concatenate(parts, axis=1) * np.exp(-1j * self.phase)[:, None]).real @ self.half
         u, size, _ = np.linalg.svd(D, full_matrices=False)
         keep = size > SHOWN * max(size[0], 1e-300)
