@@ -29,6 +29,8 @@ def require_double(what: str) -> None:
 def as_double(value: Any, what: str, complex_: bool = False) -> jax.Array:
     """Return ``value`` as a float64 or complex128 array, and refuse single precision input that would look double.
 
+    What is done later to an array of NumPy does not change it, but for one that is read only, which is not copied.
+
     Raises
     ------
     ValueError
@@ -47,8 +49,11 @@ def as_double(value: Any, what: str, complex_: bool = False) -> jax.Array:
     try:
         if is_traced(*jax.tree.leaves(value)) or (dtype is not None and not np.can_cast(dtype, wanted)):
             return jnp.asarray(value, dtype=wanted)
-        # NumPy converts without a program for each shape
-        return value if isinstance(value, jax.Array) and dtype == wanted else jax.device_put(np.asarray(value, wanted))
+        if isinstance(value, jax.Array) and dtype == wanted:
+            return value
+        # NumPy converts without a program for each shape; JAX may share the memory of what it is given
+        shared = isinstance(value, np.ndarray) and value.flags.writeable
+        return jax.device_put(np.array(value, wanted) if shared else np.asarray(value, wanted))
     except TypeError as error:
         if isinstance(error, jax.errors.JAXTypeError):
             raise

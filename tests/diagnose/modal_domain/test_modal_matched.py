@@ -8,7 +8,7 @@ import scipy.linalg
 
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.channel_faults import Gain
-from modalax.diagnose.modal_domain.matched import CLOSE, FAR, NEARER, missed_frequencies
+from modalax.diagnose.modal_domain.matched import CLOSE, FAR, NEARER, missed_dampings, missed_frequencies
 from modalax.diagnose.modal_domain.screen import SIZES, cost_of_size
 
 COUNT = 7
@@ -112,3 +112,25 @@ def test_a_free_structure_may_be_softer_and_none_has_less_than_no_stiffness():
         (missed,), (found,) = missed_frequencies(SimpleNamespace(poles=poles), modes, [pair], TRIED)  # pyright: ignore
         assert missed < 0.01
         assert found == pytest.approx(size, rel=0.05) if size < 0 else found > 50.0
+
+
+def test_the_place_of_a_damper_is_the_first_by_the_dampings():
+    """Of exact poles of the structure with it, one of them damped ten times as much."""
+    where, damper = 4, 15.0  # N s/m
+    state = lambda c: np.block(
+        [[np.zeros((COUNT, COUNT)), np.eye(COUNT)], [-np.linalg.solve(M, K), -np.linalg.solve(M, c)]]
+    )
+    own = M @ SHAPES @ np.diag(2 * 0.01 * np.sqrt(VALUES)) @ SHAPES.T @ M
+    poles = np.linalg.eigvals(state(own + damper * np.outer(point(where), point(where))))
+    poles = poles[poles.imag > 0][np.argsort(np.abs(poles[poles.imag > 0]))][:5]
+    before = np.sqrt(VALUES[:5]) * (-0.01 + 1j * np.sqrt(1 - 0.01**2))
+    assert (poles.real / before.real).max() > 5
+    candidates = [Change("local_damper", (k,), scale=0.5, direction=SHAPES.T @ point(k)) for k in range(COUNT)]
+    candidates += [Change("local_damper", p, scale=0.5, direction=SHAPES.T @ across(p)) for p in PAIRS]
+    vectors = np.eye(COUNT)[:5] / np.sqrt(2j * before.imag)[:, None]
+    modes = SimpleNamespace(poles=before, vectors=vectors)
+    features = SimpleNamespace(poles=poles)
+    missed = missed_dampings(features, modes, np.arange(5), [*candidates, CANDIDATES[0]])  # pyright: ignore
+    assert np.argmin(missed) == where
+    assert missed[where] < 1 < np.sort(missed)[1]
+    assert missed[-1] == np.inf  # of what is no damper nothing is told

@@ -18,7 +18,7 @@ from modalax.diagnose.modal_domain.coordinates import Modes, with_loads
 from modalax.diagnose.modal_domain.fit import Fit, hyperprior, scale_of
 from modalax.diagnose.modal_domain.inaccuracy import KINDS
 from modalax.diagnose.modal_domain.line_forces import ModalForce
-from modalax.diagnose.modal_domain.linear import SMALLEST, widths
+from modalax.diagnose.modal_domain.linear import SMALLEST, root_of_information, widths
 from modalax.diagnose.modal_domain.loads import Load
 from modalax.diagnose.modal_domain.matched import CLOSE, FAR
 from modalax.diagnose.modal_domain.state import (
@@ -166,7 +166,7 @@ def tolerance(
     a, none = setting.inaccuracy, np.zeros(len(causes))
     state = state_at(setting, np.zeros(len(a.group_of)), (*causes, *lacking), np.zeros(len(causes) + len(lacking)))
     W = slopes_at(setting, state, causes, none)[:, : len(a.group_of)] * (TOLERANT * a.usual)[a.group_of]
-    L = np.linalg.cholesky(np.eye(W.shape[1]) + W.T @ W)
+    L = root_of_information(W, W.T @ W, np.ones(W.shape[1]))
     return state, forward(L, W.T)
 
 
@@ -323,7 +323,7 @@ def narrower(setting: Setting, f: Fit, candidates: list[Change]) -> tuple[np.nda
 
 def _beside(W: np.ndarray, target: np.ndarray, G: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """Log evidence of unknowns of unit width, what each further one gains beside them, and its size."""
-    L = np.linalg.cholesky(np.eye(W.shape[1]) + W.T @ W)
+    L = root_of_information(W, W.T @ W, np.ones(W.shape[1]))
     half = forward(L, W.T)
     apart, own = half @ G, half @ target
     product = G.T @ target - apart.T @ own
@@ -341,7 +341,7 @@ def errors_of(setting: Setting, f: Fit, candidates: list[Change]) -> np.ndarray:
     """Standard deviation of each candidate's size when added to a fit, over its usual size; NaN without one size."""
     J = slopes_at(setting, f.state, f.causes, f.u)
     W = J * scale_of(setting, f)
-    L = np.linalg.cholesky(np.eye(W.shape[1]) + W.T @ W)
+    L = root_of_information(W, W.T @ W, np.ones(W.shape[1]))
     G = screening_slopes(setting, f.state, candidates, f.causes, f.u)
     apart = forward(L, W.T) @ G
     energy = np.maximum((G**2).sum(axis=0) - (apart**2).sum(axis=0), 1e-300)

@@ -14,6 +14,7 @@ from modalax.diagnose.modal_domain.fit import Fit, scale_of
 from modalax.diagnose.modal_domain.levels.change import Base, Levels, change_by, projected
 from modalax.diagnose.modal_domain.levels.laws import LawFit, derivatives_of, force_at, scattered, stiffness_of
 from modalax.diagnose.modal_domain.levels.motion import motion_of, motions_of, softened
+from modalax.diagnose.modal_domain.linear import root_of_information
 from modalax.diagnose.modal_domain.slopes import factored_slopes, slopes_of
 from modalax.diagnose.modal_domain.state import Setting, slopes_at
 
@@ -38,7 +39,7 @@ class Shapes:
         M, _, K = base.matrices
         J = slopes_at(setting, f.state, f.causes, f.u)
         s = scale_of(setting, f)
-        L = np.linalg.cholesky(np.eye(len(s)) + s[:, None] * (J.T @ J) * s)
+        L = root_of_information(J, J.T @ J, s)
         count = len(setting.inaccuracy.group_of)
         self.half = (s[:, None] * np.linalg.inv(L).T)[:count]  # covariance of the sizes: half half'
         vectors = f.state.modes.vectors[f.state.pairs].real
