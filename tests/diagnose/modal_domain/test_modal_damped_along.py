@@ -12,12 +12,18 @@ from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.damped_along import with_loss
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.diagnose.modal_domain.features import Features
+from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
+from modalax.diagnose.modal_domain.state import Setting, changes_of
 from modalax.diagnose.pipeline import diagnose
 from modalax.diagnose.routes import may_tell_joints
 from modalax.diagnose.search.measured_force import differs_by_run
 from modalax.model import Structure
 
 RATIO = 0.012
+NO_FEATURES = Features(
+    np.zeros(0), *[np.zeros((0, 5, 1))] * 2, np.zeros((0, 1, 5, 1)), np.zeros((0, 5)), np.zeros((0, 0))
+)
 
 
 def matrices(masses: np.ndarray, springs: np.ndarray, kind: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -110,6 +116,29 @@ def test_damping_that_keeps_the_ratios_is_that_of_the_changed_structure(kind, si
     found = along.slopes(np.array([size, 0.7]))
     np.testing.assert_allclose(found[0]["C"], 0.7 * slope, atol=1e-5 * np.abs(slope).max(), rtol=1e-4)
     np.testing.assert_allclose(found[1]["C"], told)
+
+
+@pytest.mark.parametrize("kind", ["K", "M"])
+def test_beside_it_dampings_are_off_mode_by_mode_of_the_changed_structure(kind):
+    """Of modes that a strong change has mixed; each keeps its ratio, by the order of frequencies."""
+    M, C, K = matrices(MASSES, SPRINGS, "ratios")
+    simulation = Structure(M, C, K, DOFS)
+    highest = 2 * np.pi * 1.2 * FREQ[-1]
+    c = coordinates_of(simulation, DOFS, DOFS[:1], highest)
+    setting = Setting(c, inaccuracy_of(simulation, c, highest), NO_FEATURES, np.zeros((0, 0)))
+    b, size = np.eye(5)[1], 8.0 * (SPRINGS[1] if kind == "K" else MASSES[1])
+    slug = "joint_stiffness" if kind == "K" else "added_mass"
+    along = with_loss(Change(slug, (DOFS[1],), size, c.shapes.T @ b), c, np.arange(5))[1]
+    z = np.array([0.3, -0.2, 0.1, 0.25, -0.4])
+    own = np.flatnonzero(setting.inaccuracy.group_of == setting.inaccuracy.groups.index("damping"))[:5]
+    sizes = np.zeros(len(setting.inaccuracy.group_of))
+    sizes[own] = z
+    u = np.ones(2)
+    told = c.damping + changes_of(setting, sizes, (along,), u)["dC"]
+    both = {"K": K, "M": M, kind: (K if kind == "K" else M) + size * np.outer(b, b)}
+    w2, P = scipy.linalg.eigh(both["K"], both["M"])
+    true = both["M"] @ P @ np.diag(2 * RATIO * np.exp(z) * np.sqrt(w2)) @ P.T @ both["M"]
+    np.testing.assert_allclose(told[:5, :5], (c.shapes.T @ true @ c.shapes)[:5, :5], atol=1e-9 * np.abs(true).max())
 
 
 @pytest.mark.parametrize(("share", "expected"), [(0.0, False), (0.05, True)])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from modalax.diagnose.modal_domain.bent_peaks import bent, one_each, widened
+from modalax.diagnose.modal_domain.beside_band import with_modes_beside
 from modalax.diagnose.modal_domain.features import Features, features_of, sure, whitener_of
 from modalax.diagnose.modal_domain.free_residues import Channels, project
 from modalax.diagnose.modal_domain.measured import alike_runs
@@ -145,3 +146,19 @@ def test_a_bent_peak_is_one_mode_as_uncertain_as_the_joint_moved_it(force, part)
     off = [np.log(np.abs(pole) / 2 / np.pi / 30), np.log(-pole.real / 2 / np.pi / half)][part]
     assert abs(off) > 5 * plain[part]
     assert 0.3 * wide[part] < abs(off) < 3 * wide[part]
+
+
+def test_modes_beside_the_band_are_no_matter_of_residual_terms():
+    """The first mode lies a third below the first line, and another above the last one; neither is told."""
+    rng = np.random.default_rng(4)
+    poles = poles_of([2.1, 8.0, 25.0, 44.0, 75.0], [0.01, 0.012, 0.01, 0.004, 0.01])
+    channels = channels_of(frf_of(poles, rng), rng, 2e-3)
+    found = blind_modes(channels)
+    assert misfit(found, channels) > 1.2
+    beside = with_modes_beside(found, channels)
+    np.testing.assert_allclose(np.sort(np.abs(beside.outside)), np.abs(poles)[[0, -1]], rtol=0.1)
+    again = blind_modes(beside, found.poles)
+    assert misfit(again, beside) < 1.05
+    np.testing.assert_allclose(again.poles, poles[1:4], rtol=1e-3)
+    none = channels_of(frf_of(poles[1:4], rng), rng, 2e-3)
+    assert with_modes_beside(blind_modes(none), none) is none

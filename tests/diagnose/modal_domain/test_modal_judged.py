@@ -1,6 +1,6 @@
 """What is told of explanations: small causes that the modes cannot do without, and couplings that are none."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -143,3 +143,14 @@ def test_a_law_is_told_from_its_limit_where_those_that_are_likelier_are(
     for slug, told in (("fractional_joint", power_told), ("maxwell_joint", relaxing_told)):
         assert _in_the_limit(stage, found[slug]).causes[0].slug == told
     assert _in_the_limit(stage, found["local_damper"]) is found["local_damper"]
+
+
+def test_a_law_that_stands_twice_at_one_place_is_told_from_its_limit_too():
+    """Neither of the two is found alone in the place of the other; that had ended in an error."""
+    one = of_one_joint(5.0, 5.0)["maxwell_joint"]
+    pairs = []
+    for causes, nats in (((replace(RELAXES), RELAXES), 2.0), ((DAMPER, RELAXES), 0.0)):
+        count = sum(c.count for c in causes)
+        f = SimpleNamespace(causes=causes, u=np.ones(count), covariance=0.01 * np.eye(count), log_evidence=nats)
+        pairs.append(replace(one, fit=f, log_posterior=nats))
+    assert _in_the_limit(Few(pairs), pairs[0]) is pairs[1]

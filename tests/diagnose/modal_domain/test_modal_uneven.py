@@ -6,7 +6,9 @@ from frames import modal_damping
 
 from modalax.data import Measurement
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
-from modalax.diagnose.modal_domain.throughout import uneven_patterns
+from modalax.diagnose.modal_domain.fit import fit
+from modalax.diagnose.modal_domain.stage import identified, posed
+from modalax.diagnose.modal_domain.throughout import uneven_patterns, with_more
 from modalax.model import Structure
 
 FLOORS, HALF = 4, (3.0, 2.4)
@@ -55,19 +57,36 @@ def test_columns_that_are_off_each_by_itself_are_no_cause(columns):
     assert found.to_dict()["inaccuracy"]["stiffness"]["value"] < 0.02
 
 
-def test_beside_them_a_mass_that_outweighs_its_floor_is_named():
-    """Several causes together had stood for the columns, and with these the mass was not looked for alone."""
-    rng, columns = np.random.default_rng(3), (1.0, 1.1, 0.9, 1.05)
+def heavy(seed: int, floor: int, mass: float) -> tuple[Measurement, Structure]:
+    """A building whose columns are off, with a mass on one floor that outweighs it, and as its author has it."""
+    rng, columns = np.random.default_rng(seed), (1.0, 1.1, 0.9, 1.05)
     K, M = building(columns, np.zeros((FLOORS, 4)))
     simulation = Structure(M, modal_damping(M, K, 0.012), K, NAMES)
     K = building(columns, 0.03 * rng.standard_normal((FLOORS, 4)))[0]
     C = modal_damping(M, K, 0.012 * np.exp(0.2 * rng.standard_normal(len(K))))
-    M = M + np.diag(9e4 * np.isin(np.arange(len(M)), [3, 4]))
-    found = diagnose_modes(measured(K, M, C, rng), simulation)
+    M = M + np.diag(mass * np.isin(np.arange(len(K)), [3 * floor, 3 * floor + 1]))
+    return measured(K, M, C, rng), simulation
+
+
+def test_beside_them_a_mass_that_outweighs_its_floor_is_named():
+    """The two lowest modes are below the band, where the simulation has none: close modes had seemed one."""
+    found = diagnose_modes(*heavy(5, 0, 1e5), wanted=lambda slug: slug in ("added_mass", "joint_stiffness"))
     assert found.verdict == "named", found.reasons
-    assert [(c["name"], c["where"]) for c in found.causes] in ([("added_mass", [w])] for w in ("2:+X", "2:+Y"))
+    assert [(c["name"], c["where"]) for c in found.causes] in ([("added_mass", [w])] for w in ("1:+X", "1:+Y"))
     told = found.causes[0]["parameters"]["mass"]
-    assert abs(told["value"] - 9e4) < 4 * told["std"] < 2e3
+    assert abs(told["value"] - 1e5) < 4 * told["std"] < 500
+
+
+def test_uneven_errors_are_found_beside_a_mass_for_which_errors_of_elements_stood():
+    """From these the fit had not come back, so that no group was worth anything."""
+    data, simulation = heavy(14, 0, 1e5)
+    task = posed(data, simulation, identified(data, simulation, lambda _: None))
+    mass = next(c for c in task.candidates if c.where == ("1:+Y",) and c.kind == "M" and c.pattern is not None)
+    u = mass.of_size(1e5 / mass.scale)
+    setting = with_more(task.setting, fit(task.setting, (mass,), None, u))
+    assert setting.inaccuracy.groups[4:] == ("stiffness within",)
+    alone = fit(setting, (mass,), None, u)
+    assert alone.chi2 < alone.state.difference.size
 
 
 def test_uneven_changes_hold_every_change_of_parallel_springs():

@@ -174,6 +174,7 @@ def _in_the_limit(stage: Stage, e: Explanation) -> Explanation:
         alike = [(x, _instead(x, e, c)) for x in stage.explanations if slugs]  # by falling probability
         data = [(x, y, by_data(x.fit, x.causes, y)) for x, y in alike if y is not None]
         ahead = [g for x, y, g in data if y.limits == c.limits and x.log_posterior >= e.log_posterior]
+        ahead += [by_data(e.fit, e.causes, c)] if slugs else []  # of two causes at one place neither stands alone
         for x, y, g in data:
             if y.slug in slugs and not y.along and min(ahead) - g < nats:
                 return x

@@ -9,6 +9,7 @@ import scipy.stats
 from modalax.data import Measurement
 from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.modal_domain.bent_peaks import bent, one_each, widened
+from modalax.diagnose.modal_domain.beside_band import with_modes_beside
 from modalax.diagnose.modal_domain.coordinates import SPARED, Coordinates, modes_of
 from modalax.diagnose.modal_domain.features import Features, chosen, features_of, shapes_shown, sure
 from modalax.diagnose.modal_domain.free_residues import Channels, Projected, refine
@@ -75,8 +76,11 @@ def identify(measurement: Measurement, c: Coordinates | None) -> Measured:
     """
     H, order = np.asarray(measurement.H), DERIVATIVES[measurement.form]
     channels, noise, runs, unlike = prepared(measurement, c)
-    s, outside = channels.s, channels.outside
     modes = blind_modes(channels)
+    beside = with_modes_beside(modes, channels)
+    if beside is not channels:
+        channels, modes = beside, blind_modes(beside, modes.poles)
+    s, outside = channels.s, channels.outside
     made = modes.made(channels).reshape(H.shape[1:])
     scattered = too_small(modes, channels)
     if scattered is not None:
