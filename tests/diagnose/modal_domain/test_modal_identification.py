@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from modalax.diagnose.modal_domain.bent_peaks import bent, one_each, widened
-from modalax.diagnose.modal_domain.beside_band import with_modes_beside
+from modalax.diagnose.modal_domain.beside_band import DAMPING, gains_beside, with_modes_beside
 from modalax.diagnose.modal_domain.features import Features, features_of, sure, whitener_of
 from modalax.diagnose.modal_domain.free_residues import Channels, project
 from modalax.diagnose.modal_domain.measured import alike_runs
@@ -155,6 +155,9 @@ def test_modes_beside_the_band_are_no_matter_of_residual_terms():
     channels = channels_of(frf_of(poles, rng), rng, 2e-3)
     found = blind_modes(channels)
     assert misfit(found, channels) > 1.2
+    w = 2 * np.pi * np.array([1.1, 2.1, 2.9, 62.0, 75.0, 150.0])
+    left = [project(found.poles, replace(channels, outside=(1j - DAMPING) * w[k : k + 1]))[0].chi2 for k in range(6)]
+    np.testing.assert_allclose(gains_beside(found, channels, w), found.chi2 - np.array(left), rtol=1e-6)
     beside = with_modes_beside(found, channels)
     np.testing.assert_allclose(np.sort(np.abs(beside.outside)), np.abs(poles)[[0, -1]], rtol=0.1)
     again = blind_modes(beside, found.poles)

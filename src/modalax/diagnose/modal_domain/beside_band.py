@@ -3,14 +3,15 @@
 from dataclasses import replace
 
 import numpy as np
-import scipy.optimize
 
 from modalax.diagnose.modal_domain.free_residues import Channels, Projected, project
 from modalax.diagnose.modal_domain.mode_count import cost_of_mode, misfit
 
 MOST = 4  # such modes
 PLACES = np.array([0.35, 0.5, 0.6, 0.7, 0.8, 0.87, 0.93, 0.97])  # frequencies tried, over the lower end of the band
+FINER = 9  # places about the best of these, twice
 FEW = 4  # lines on which a mode that is narrower than their distance is seen
+NEW = 1e-10  # part of a kernel that is not in others, below which it is rounding
 DAMPING = 0.01  # ratio, which tails hardly tell
 
 
@@ -24,7 +25,7 @@ def with_modes_beside(found: Projected, channels: Channels) -> Channels:
         least = cost_of_mode(channels) * misfit(found, channels)
         if found.chi2 - (channels.samples - unknowns) < least:
             break
-        trial = _best(found.poles, channels)
+        trial = replace(channels, outside=np.append(channels.outside, (1j - DAMPING) * _best(found, channels)))
         again = project(found.poles, trial)[0]
         if _gained(found, channels, again, trial) < least:
             break
@@ -41,21 +42,41 @@ def _gained(found: Projected, channels: Channels, again: Projected, trial: Chann
     return float(np.sort(left - now)[:-FEW].sum())
 
 
-def _best(poles: np.ndarray, channels: Channels) -> Channels:
-    """The channels with one more pole in their background, at the best of all places on either side."""
-
-    def beside(w: float) -> Channels:
-        return replace(channels, outside=np.append(channels.outside, (1j - DAMPING) * w))
-
-    def left(w: float) -> float:
-        return project(poles, beside(w))[0].chi2
-
+def _best(found: Projected, channels: Channels) -> float:
+    """Frequency [rad/s] beside the band at which one more pole takes off most."""
     low, high = np.abs(channels.s[[0, -1]])
-    sides = low * PLACES, high / PLACES[::-1]
-    places = np.concatenate(sides)
-    best = int(np.argmin([left(w) for w in places]))
-    own = sides[0] if best < len(PLACES) else sides[1]
-    at = best % len(PLACES)
-    bounds = float(own[max(at - 1, 0)]), float(own[min(at + 1, len(own) - 1)])
-    found = scipy.optimize.minimize_scalar(left, bounds=bounds, method="bounded", options={"maxiter": 10})
-    return beside(float(found.x) if found.fun < left(places[best]) else float(places[best]))
+    places = np.concatenate([low * PLACES, high / PLACES[::-1]])
+    for finer in (FINER, FINER, 0):
+        best = int(np.argmax(gains_beside(found, channels, places)))
+        ends = places[max(best - 1, 0)], places[min(best + 1, len(places) - 1)]
+        if ends[0] < low < ends[1]:  # on either side of the band
+            ends = (ends[0], places[best]) if places[best] < low else (places[best], ends[1])
+        if not finer:
+            break
+        places = np.linspace(*ends, finer)
+    return float(places[best])
+
+
+def gains_beside(found: Projected, channels: Channels, w: np.ndarray) -> np.ndarray:
+    """Chi-square that each further pole of circular frequency ``w`` takes off with all that is linear fitted again.
+
+    What a pole's two kernels have in common with those that are there is taken out of them, channel by channel.
+    """
+    new = channels.kernels((1j - DAMPING) * w)
+    there = np.concatenate([channels.kernels(found.poles), channels.background()], axis=1)
+    rest, gain = channels.data - found.made(channels), np.zeros(len(w))
+    for k, weight in enumerate(channels.weight.T):
+        heavy = weight[:, None] * new
+        b = heavy.real.T @ rest[:, k].real + heavy.imag.T @ rest[:, k].imag
+        cross = there.real.T @ heavy.real + there.imag.T @ heavy.imag
+        apart = (cross * (found.linear[k] @ cross)).reshape(len(cross), -1, 2)
+        whole = (new.conj() * heavy).real.sum(axis=0).reshape(-1, 2)
+        both = whole - apart.sum(axis=0)
+        mixed = (new[:, ::2].conj() * heavy[:, 1::2]).real.sum(axis=0)
+        mixed -= np.einsum("xp,xp->p", cross[:, ::2], (found.linear[k] @ cross)[:, 1::2])
+        det = both[:, 0] * both[:, 1] - mixed**2
+        sound = (both > NEW * whole).all(axis=1) & (det > NEW * both[:, 0] * both[:, 1])
+        p, q = b.reshape(-1, 2).T
+        taken = p**2 * both[:, 1] - 2 * p * q * mixed + q**2 * both[:, 0]
+        gain[sound] += taken[sound] / det[sound]
+    return gain
