@@ -42,7 +42,8 @@ def corrected(stage: Stage, f: Fit) -> Structure:
             sizes = np.where(_of_group(stage.setting, name), 0.0, sizes)
     change = off_by(stage.setting, sizes, f.causes, f.u)
     for cause, size in zip(whole, u, strict=True):
-        change[cause.kind] = change[cause.kind] + cause.changes(np.array([size]))[cause.kind]
+        for kind, part in cause.changes(np.array([size])).items() if cause.local else ():
+            change[kind] = change[kind] + part
     left = np.asarray(s.M) @ stage.coordinates.shapes
     change["C"] = change["C"] + along
     back = {key: left @ value @ left.T for key, value in change.items()}
