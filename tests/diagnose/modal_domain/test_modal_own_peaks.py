@@ -7,6 +7,7 @@ import pytest
 from chains_off import DOFS, as_measured, chain_off, response, simulation
 
 from modalax.diagnose.deadline import Deadline
+from modalax.diagnose.modal_domain import diagnosis
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.own_peaks import mass_of_sensor, own_peaks, without_output
 from modalax.diagnose.modal_domain.stage import identified, run_stage
@@ -82,3 +83,17 @@ def test_its_mass_is_named_at_its_place():
     again = found.extended.frf(found.freq, form="accelerance", outputs=found.stage.measurement.outputs,
                                inputs=found.stage.measurement.inputs)  # fmt: skip
     assert np.abs(again.H - found.predicted_after[0]).max() < 0.02 * np.abs(found.predicted_after).max()
+
+
+@pytest.mark.parametrize(("load", "asked"), [(MASS, True), (0.0, False)])
+def test_no_mass_is_looked_for_where_what_explains_the_others_explains_all_outputs(monkeypatch, load, asked):
+    """An output that hardly shows a mode had seemed to have peaks of its own, and the search took a minute."""
+    monkeypatch.setattr(diagnosis, "own_peaks", lambda *_: OUTPUTS.index(LOADED))
+    sought = []
+    monkeypatch.setattr(diagnosis, "mass_of_sensor", lambda *_: sought.append(True))
+    data = loaded(4, load)
+    diagnosis._beside_own_peaks(
+        data, simulation(), "fixed", Deadline(), lambda slug: slug in ("added_mass", "sensor_mass"), lambda _: None,
+        identified(data, simulation(), lambda _: None),
+    )  # fmt: skip
+    assert sought == [True] * asked

@@ -13,11 +13,12 @@ from modalax.diagnose.decision.beyond import held_out_verdict, lines_verdict
 from modalax.diagnose.decision.levels import outweighing
 from modalax.diagnose.decision.omnibus import omnibus
 from modalax.diagnose.modal_domain.answer import Facts, ModalDiagnosis
+from modalax.diagnose.modal_domain.attempts import explains
 from modalax.diagnose.modal_domain.causes import UNITS, with_sizes
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.corrected import frf_of, inaccuracy_said, inaccuracy_told
 from modalax.diagnose.modal_domain.extension import extension_of
-from modalax.diagnose.modal_domain.fit import fit
+from modalax.diagnose.modal_domain.fit import fit, without_causes
 from modalax.diagnose.modal_domain.forced import Forced, force_beside, force_said
 from modalax.diagnose.modal_domain.held_out import gain_of
 from modalax.diagnose.modal_domain.judged import judge, of_the_joint, on_its_lines, standing_out
@@ -29,7 +30,8 @@ from modalax.diagnose.modal_domain.misplaced import moved, other_places
 from modalax.diagnose.modal_domain.own_peaks import mass_of_sensor, own_peaks, without_output
 from modalax.diagnose.modal_domain.prior import NONE
 from modalax.diagnose.modal_domain.short_records import short_record
-from modalax.diagnose.modal_domain.stage import identified, posed, run_stage
+from modalax.diagnose.modal_domain.stage import Stage, identified, posed, run_stage
+from modalax.diagnose.modal_domain.state import Setting
 from modalax.diagnose.modal_domain.swept import fast_sweep
 from modalax.diagnose.modal_domain.throughout import throughout_said, throughout_told
 from modalax.diagnose.summary import cause_at
@@ -117,8 +119,20 @@ def _beside_own_peaks(
         return None
     tell(f"looking for the mass of a sensor at {measurement.outputs[which]}, whose peaks are its own")
     stage = run_stage(without_output(measurement, which), simulation, late, wanted, tell)
+    if stage is not None and _explains_all(stage, posed(measurement, simulation, measured).setting):
+        return None  # a structure that is changed much may have modes that one output hardly shows
     forced = None if stage is None else mass_of_sensor(stage, measurement, measured, which, late)
     return None if forced is None else _diagnosed(measurement, simulation, question, late, wanted, tell, forced)
+
+
+def _explains_all(stage: Stage, whole: Setting) -> bool:
+    """Whether what explains the modes of some outputs explains those of all, ``whole``, too."""
+    best = stage.best.fit
+    if any(c.in_channels for c in best.causes):
+        return False
+    setting = replace(stage.setting, coordinates=whole.coordinates, features=whole.features, whitener=whole.whitener)
+    found = fit(setting, best.causes, without_causes(best), best.u, temperatures=(3.0,))
+    return found is not None and explains(found)
 
 
 def _elsewhere(
