@@ -1,8 +1,10 @@
 """What is done to an array of NumPy after an object was made of it does not change the object."""
 
+import jax
 import numpy as np
 import pytest
 
+from modalax._numerics.checks import own_copy
 from modalax.data import FRF, Measurement
 from modalax.model import ModalModel, Structure
 
@@ -37,3 +39,14 @@ def test_an_object_keeps_the_numbers_that_it_was_made_of(kind):
             part += 0.25
         for name, was in before.items():
             np.testing.assert_array_equal(np.asarray(getattr(whole, name)), was, err_msg=name)
+
+
+def test_a_copy_is_taken_over_without_another_one():
+    """Of large data each copy takes as much memory as all that was measured."""
+    given = np.arange(300_003.0).reshape(3, -1)[:, 1:]
+    copy = own_copy(given, np.dtype(complex))
+    np.testing.assert_array_equal(copy, given)
+    assert not np.shares_memory(copy, given)
+    assert np.shares_memory(np.asarray(jax.device_put(copy)), copy)
+    assert own_copy(np.zeros((0, 4)), np.dtype(float)).shape == (0, 4)
+    assert own_copy(np.array(2.0), np.dtype(float)) == 2.0

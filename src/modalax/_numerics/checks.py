@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+ALIGNED = 64  # bytes; JAX shares memory that begins at a multiple of these
 ENABLE_DOUBLE = 'jax.config.update("jax_enable_x64", True)'
 
 
@@ -52,12 +53,23 @@ def as_double(value: Any, what: str, complex_: bool = False) -> jax.Array:
         if isinstance(value, jax.Array) and dtype == wanted:
             return value
         # NumPy converts without a program for each shape; JAX may share the memory of what it is given
-        shared = isinstance(value, np.ndarray) and value.flags.writeable
-        return jax.device_put(np.array(value, wanted) if shared else np.asarray(value, wanted))
+        if isinstance(value, np.ndarray) and value.flags.writeable:
+            return jax.device_put(own_copy(value, wanted))
+        return jax.device_put(np.asarray(value, wanted))
     except TypeError as error:
         if isinstance(error, jax.errors.JAXTypeError):
             raise
         raise ValueError(f"{what} is a {type(value).__name__}, no numbers: {error}") from error
+
+
+def own_copy(value: np.ndarray, dtype: np.dtype) -> np.ndarray:
+    """A copy, aligned so that JAX takes its memory over and does not copy it again."""
+    size = value.size * dtype.itemsize
+    room = np.empty(size + ALIGNED, np.uint8)
+    start = -room.ctypes.data % ALIGNED
+    out = room[start : start + size].view(dtype).reshape(value.shape)
+    out[...] = value
+    return out
 
 
 def as_array(value: Any) -> jax.Array:
