@@ -58,8 +58,9 @@ def _best(found: Projected, channels: Channels) -> float:
 
 
 def gains_beside(found: Projected, channels: Channels, w: np.ndarray) -> np.ndarray:
-    """Chi-square that each further pole of circular frequency ``w`` takes off with all that is linear fitted again.
+    """Chi-square that each further pole takes off with all that is linear fitted again, shape ``(n,)``.
 
+    ``w`` are their circular frequencies [rad/s], shape ``(n,)``.
     What a pole's two kernels have in common with those that are there is taken out of them, channel by channel.
     """
     new = channels.kernels((1j - DAMPING) * w)

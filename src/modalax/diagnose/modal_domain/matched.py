@@ -78,7 +78,7 @@ def missed_frequencies(
 
 
 def missed_dampings(features: Features, modes: Modes, which: np.ndarray, candidates: list[Change]) -> np.ndarray:
-    r"""Least sum of squared, bounded misses of the measured decay rates by a damper at each candidate's place.
+    r"""Least sum of squared, bounded misses of the measured decay rates by a damper at each place, shape ``(p,)``.
 
     A damper ``c`` along ``b`` adds :math:`c\,|\lambda (b^Tv)^2|` to the decay rate of a mode ``v`` of the pole
     :math:`\lambda`, as long as it leaves the shapes as they are. Of candidates that are no dampers the sum is infinite.
@@ -86,7 +86,7 @@ def missed_dampings(features: Features, modes: Modes, which: np.ndarray, candida
     Parameters
     ----------
     which
-        Mode of the simulation in the place of each measured one.
+        Mode of the simulation in the place of each measured one, shape ``(k,)``.
     """
     out = np.full(len(candidates), np.inf)
     dampers = [k for k, c in enumerate(candidates) if c.kind == "C" and c.direction is not None]
