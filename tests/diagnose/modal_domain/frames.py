@@ -59,7 +59,7 @@ def measured(
     seed: int, off: float, *, mass: tuple[str, float] | None = None, spring: tuple[str, str, float] | None = None,
     noise: float = 0.01, lines: int = 120, top: float = 230.0, runs: int = 1, given: bool = True,
     shifts: tuple[float, ...] = (0.0,), damping: tuple[int, float] | None = None,
-    oscillator: tuple[str, float, float, float] | None = None, hysteretic: bool = False, extra: float | None = None,
+    oscillator: tuple[str, float, float, float] | None = None, hysteretic: float = 0.0, extra: float | None = None,
     decay: float = 0.0, ground: tuple[str, float] | None = None,
 ) -> tuple[Measurement, np.ndarray]:  # fmt: skip
     """Accelerances of a beam whose elements are off, and the true stiffness matrix.
@@ -67,7 +67,7 @@ def measured(
     All frequencies are shifted from run to run by ``shifts``, damping ratios and shapes are not; ``damping`` is a mode
     counted from 1 and how many times its damping ratio it has; ``oscillator`` is a DoF, a mass [kg], a frequency [Hz]
     and a damping ratio; ``extra`` the frequency [Hz] of a mode of 1 % damping and a shape that nobody expected;
-    ``decay`` that of an impact window [1/s].
+    ``decay`` that of an impact window [1/s]; ``hysteretic`` the share of the damping that is.
     """
     rng = np.random.default_rng(seed)
     K, M = cantilever(1 + off * rng.standard_normal(ELEMENTS), 1 + off / 3 * rng.standard_normal(ELEMENTS))
@@ -92,7 +92,8 @@ def measured(
     Z = K + s * C + s**2 * M
     if hysteretic:
         w2, P = scipy.linalg.eigh(K, M)
-        Z = K + 2j * (M @ P @ np.diag(zeta[: len(w2)] * w2) @ P.T @ M) + s**2 * M
+        lossy = 2j * (M @ P @ np.diag(zeta[: len(w2)] * w2) @ P.T @ M)
+        Z = K + hysteretic * lossy + (1 - hysteretic) * s * C + s**2 * M
     if oscillator is not None:
         dof, own, f, ratio = oscillator
         spring = (2 * np.pi * f) ** 2 + 2 * ratio * 2 * np.pi * f * s[..., 0, 0]

@@ -102,8 +102,11 @@ def test_a_mode_that_the_simulation_has_not_is_named(off):
     assert answer["gain"]["chi2_after"] < 0.01 * answer["gain"]["chi2_before"]
 
 
-@pytest.mark.parametrize("off", [pytest.param(0.01, marks=pytest.mark.slow), 0.02])
-def test_hysteretic_damping_is_named_by_the_phases_of_residues(off):
-    data, _ = measured(16, off, hysteretic=True)
+@pytest.mark.parametrize("off, share", [pytest.param(0.01, 1.0, marks=pytest.mark.slow), (0.02, 1.0), (0.02, 0.4)])
+def test_hysteretic_damping_is_named_by_the_phases_of_residues(off, share):
+    data, _ = measured(16, off, hysteretic=share)
     answer = told(data)
     assert [(c["name"], c["where"]) for c in answer["causes"]] == [("structural_damping", [])]
+    found = answer["causes"][0]["parameters"]["share"]
+    assert found["value"] == pytest.approx(share, abs=4 * found["std"])
+    assert found["std"] < 0.1

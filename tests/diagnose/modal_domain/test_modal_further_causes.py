@@ -13,6 +13,7 @@ from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.features import Features
 from modalax.diagnose.modal_domain.further_causes import MissingMode, StructuralDamping, TunedMass
 from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
+from modalax.diagnose.modal_domain.polish import frf_on_lines, slopes_on_lines
 from modalax.diagnose.modal_domain.state import (
     Setting,
     changes_of,
@@ -91,13 +92,37 @@ def test_derivatives_of_an_oscillator_match_differences(setting):
 def test_hysteretic_modes_have_the_residues_that_are_told(setting):
     """A single mode: 1/(k (1 + j eta) - w^2) has the residue 1/(2 pole), a viscous one of the same pole 1/(2j Im)."""
     cause = StructuralDamping("structural_damping", ())
-    pole, none = np.array([-3.0 + 200j]), np.zeros(1)
+    pole, every = np.array([-3.0 + 200j]), np.ones(1)
     viscous = np.ones((1, 1, 1)) / (2j * pole.imag)
-    np.testing.assert_allclose(cause.at_modes(none, pole, viscous)[0, 0, 0], 1 / (2 * pole[0]))
+    np.testing.assert_allclose(cause.at_modes(every, pole, viscous)[0, 0, 0], 1 / (2 * pole[0]))
+    np.testing.assert_allclose(cause.at_modes(0 * every, pole, viscous), viscous)
     c = setting.coordinates
-    M, C, K = matrices_of(setting, still(setting), (cause,), none)
-    assert np.abs(C).max() == 0
-    np.testing.assert_allclose(np.diag(K).imag[:5], np.diag(c.damping)[:5] * c.frequencies[:5])
+    for share in (1.0, 0.3):
+        M, C, K = matrices_of(setting, still(setting), (cause,), share * every)
+        np.testing.assert_allclose(C, (1 - share) * c.damping, atol=1e-12)
+        np.testing.assert_allclose(np.diag(K).imag[:5], share * np.diag(c.damping)[:5] * c.frequencies[:5])
+
+
+def test_a_share_of_hysteretic_damping_turns_a_residue_by_its_share(setting):
+    """Of 1/(w0^2 (1 + 2j u z) - w^2 + 2j (1 - u) z w0 w), whose residue is one over the derivative at its pole."""
+    cause, share, w0, z = StructuralDamping("structural_damping", ()), 0.37, 200.0, 0.02
+    pole = np.roots([1, 2 * (1 - share) * z * w0, w0**2 * (1 + 2j * share * z)])
+    pole = pole[pole.imag > 0]
+    exact = 1 / (2 * pole[0] + 2 * (1 - share) * z * w0)
+    viscous, u = np.ones((1, 1, 1)) / (2j * pole.imag), np.array([share])
+    told = cause.at_modes(u, pole, viscous)[0, 0, 0]
+    assert abs(told - exact) < 0.03 * abs(exact - viscous[0, 0, 0])  # to first order in the damping
+    up, down = (cause.at_modes(u + step, pole, viscous) for step in (1e-6, -1e-6))
+    np.testing.assert_allclose(cause.slope_at_modes(u, pole, viscous), (up - down) / 2e-6, rtol=1e-7)
+    c, s = setting.coordinates, 2j * np.pi * np.linspace(20, 300, 30)
+    other = Change("local_damper", ("7:+Z",), 10.0, c.shapes[DOFS.index("7:+Z")])
+    sizes = 0.01 * np.cos(np.arange(len(still(setting))))
+    x, n = np.concatenate([sizes, [share, 0.5]]), len(sizes)
+    _, J = slopes_on_lines(setting, (cause, other), sizes, x[n:], s, 2)
+    for k in (n, n + 1, *range(0, n, 9)):
+        moved = np.where(np.arange(len(x)) == k, 1e-6, 0.0)
+        up, down = (frf_on_lines(setting, (cause, other), y[:n], y[n:], s, 2) for y in (x + moved, x - moved))
+        assert np.abs((up - down) / 2e-6 - J[k]).max() < 1e-4 * np.abs(J[k]).max()
 
 
 def test_the_evidence_of_a_free_mode_is_its_integral(setting):

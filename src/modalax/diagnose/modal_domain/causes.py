@@ -199,10 +199,9 @@ class Change:
         """Chance of its kind before the data, relative to other kinds."""
         return 1.0
 
-    @property
-    def hysteretic(self) -> bool:
-        """Whether damping is hysteretic with it."""
-        return False
+    def hysteretic(self, u: np.ndarray) -> float:
+        """Share of the damping that is hysteretic with it."""
+        return 0.0
 
     @property
     def matrix(self) -> np.ndarray:
@@ -278,6 +277,10 @@ class Change:
         """Residues ``(k, o, i)`` of modes as they show with this cause, changes of matrices apart."""
         return self.transform(u, poles, residues)
 
+    def slope_at_modes(self, u: np.ndarray, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
+        """Derivative of :meth:`at_modes` by the size."""
+        return self.transform_slope(u, poles, residues)
+
     def transform(self, u: np.ndarray, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
         """Residues ``(k, o, i)``, or FRFs at ``poles`` on the imaginary axis, as channels with this fault show them."""
         return residues
@@ -299,6 +302,11 @@ def own_sizes(causes: Sequence[Change], which: int) -> slice:
     """Where the sizes of one cause stand among those of all."""
     start = sum(c.count for c in causes[:which])
     return slice(start, start + causes[which].count)
+
+
+def hysteretic_share(causes: Sequence[Change], u: np.ndarray) -> float:
+    """Share of all damping that is hysteretic."""
+    return sum(cause.hysteretic(size) for cause, size in with_sizes(causes, u))
 
 
 def shown(causes: Sequence[Change], u: np.ndarray, s: np.ndarray, H: np.ndarray) -> np.ndarray:

@@ -182,33 +182,35 @@ class MissingMode(Change):
 
 @dataclass(frozen=True)
 class StructuralDamping(Change):
-    r"""Hysteretic instead of viscous damping.
+    r"""Hysteretic instead of viscous damping, a share ``u`` of it.
 
     A hysteretic mode of the same pole :math:`\lambda` has the residue :math:`\phi\phi^T/(2\lambda)`, a viscous one
-    :math:`\phi\phi^T/(2j\,\mathrm{Im}\lambda)`, so that phases of residues tell them apart.
+    :math:`\phi\phi^T/(2j\,\mathrm{Im}\lambda)`, so that phases of residues tell them apart. Half way between, the
+    derivative of :math:`\lambda^2 + 2\zeta\omega(1-u)\lambda + 2ju\zeta\omega^2 + \omega^2` by :math:`\lambda` is
+    :math:`2j\,\mathrm{Im}\lambda + 2u\,\mathrm{Re}\lambda`.
     """
 
     @property
-    def sized(self) -> bool:
-        """All of the damping is hysteretic."""
+    def signed(self) -> bool:
+        """No damping is less hysteretic than viscous."""
         return False
 
-    @property
-    def hysteretic(self) -> bool:
-        """It is."""
-        return True
+    def hysteretic(self, u: np.ndarray) -> float:
+        """The share."""
+        return float(u[0])
 
     def at_modes(self, u: np.ndarray, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
-        """Residues turned by the damping ratio."""
-        return residues * (1j * poles.imag / poles)[:, None, None]
+        """Residues turned by a share of the damping ratio."""
+        return residues * (1j * poles.imag / (1j * poles.imag + u[0] * poles.real))[:, None, None]
+
+    def slope_at_modes(self, u: np.ndarray, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
+        """Derivative of :meth:`at_modes` by the share."""
+        turned = 1j * poles.imag + u[0] * poles.real
+        return residues * (-1j * poles.imag * poles.real / turned**2)[:, None, None]
 
     def told(self, u: np.ndarray, covariance: np.ndarray) -> dict[str, dict[str, Any]]:
-        """All of it."""
-        return {"share": {"value": 1.0, "std": None, "unit": "-"}}
-
-    def as_catalogue(self, u: np.ndarray, covariance: np.ndarray) -> tuple[list[float], list[float], Any]:
-        """All of it."""
-        return [1.0], [0.0], None
+        """The share."""
+        return {"share": {"value": float(u[0]), "std": float(np.sqrt(max(covariance[0, 0], 0.0))), "unit": "-"}}
 
 
 def tuned_masses(dofs: tuple[str, ...], c: Coordinates, inside: np.ndarray, low: float, high: float) -> list[Change]:

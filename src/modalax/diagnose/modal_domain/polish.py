@@ -12,18 +12,19 @@ import numpy as np
 from scipy.linalg.blas import dsyrk
 
 from modalax.diagnose.deadline import NEVER, Deadline
-from modalax.diagnose.modal_domain.causes import Change, own_sizes, shown, with_sizes
+from modalax.diagnose.modal_domain.causes import Change, hysteretic_share, own_sizes, shown, with_sizes
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.discrepancy import beside, told_apart
 from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.factored import Factored, factored
 from modalax.diagnose.modal_domain.fit import Fit, fit, scale_of
 from modalax.diagnose.modal_domain.free_residues import Channels
+from modalax.diagnose.modal_domain.further_causes import StructuralDamping
 from modalax.diagnose.modal_domain.line_forces import LineForce, loaded
 from modalax.diagnose.modal_domain.linear import ByUnknowns
 from modalax.diagnose.modal_domain.measured import Measured
 from modalax.diagnose.modal_domain.slopes import POWER
-from modalax.diagnose.modal_domain.state import Setting, factors_of, matrices_of, state_at
+from modalax.diagnose.modal_domain.state import Setting, changes_of, factors_of, hysteretic, matrices_of, state_at
 from modalax.diagnose.thresholds import THRESHOLDS
 
 STEPS = 8  # most Gauss-Newton steps
@@ -289,7 +290,7 @@ def _slopes_of_all(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The same with a force that one output alone shows in all outputs."""
     outer, inner = _responses(setting, causes, sizes, u, s)
-    between = _Between(setting.coordinates, s, order, outer, inner, any(cause.hysteretic for cause in causes))
+    between = _Between(setting.coordinates, s, order, outer, inner, hysteretic_share(causes, u))
     plain = (setting.coordinates.outputs @ inner) * between.form
     told = list(with_sizes(causes, u))
 
@@ -310,14 +311,13 @@ def _slopes_of_all(
         for one in J[:start]:
             one[:] = seen(one)
     for k, (cause, size) in enumerate(told):
-        if isinstance(cause, LineForce):
-            rows = [seen(one) for one in force_slopes(cause, size, s, outer, inner, between.form)]
-        elif cause.local:
-            rows = [seen(between.all(by)) for by in cause.slopes(size)]
-            if cause.in_channels:
-                rows[-1] = rows[-1] + seen(plain, k)
+        if isinstance(cause, StructuralDamping):
+            damping = setting.coordinates.damping + changes_of(setting, sizes, causes, u)["dC"]
+            rows = [seen(between.of_share(damping))]
         else:
-            rows = [seen(plain, k)]
+            rows = [seen(one) for one in between.by_sizes(cause, size)]
+            if cause.in_channels and not isinstance(cause, LineForce):
+                rows = [*rows[:-1], sum(rows[-1:]) + seen(plain, k)]
         J[start : start + len(rows)] = rows
         start += len(rows)
     return shown(causes, u, s, plain), J
@@ -329,8 +329,8 @@ class _Between:
 
     Attributes
     ----------
-    hysteretic
-        Whether damping is a loss of stiffness.
+    share
+        Of the damping, how much is a loss of stiffness.
     """
 
     coordinates: Coordinates
@@ -338,7 +338,7 @@ class _Between:
     order: int
     outer: np.ndarray
     inner: np.ndarray
-    hysteretic: bool
+    share: float
 
     @property
     def form(self) -> np.ndarray:
@@ -347,10 +347,23 @@ class _Between:
 
     def columns(self, kind: str, P: Factored, out: np.ndarray) -> None:
         """Derivatives of FRFs ``(p, f, o, i)`` by the sizes of changes of one matrix."""
-        lossy = kind == "C" and self.hysteretic
-        P = P.scaled(np.sqrt(self.coordinates.frequencies)) if lossy else P
-        factor = -self.form * (1j if lossy else self.s[:, None, None] ** POWER[kind])
+        viscous = 1 - self.share if kind == "C" else 1.0
+        factor = -self.form * self.s[:, None, None] ** POWER[kind] * viscous
         np.multiply(P.between(self.outer, self.inner), factor, out=out)
+        if kind == "C" and self.share:
+            lossy = P.scaled(np.sqrt(self.coordinates.frequencies))
+            out += lossy.between(self.outer, self.inner) * (-1j * self.form * self.share)
+
+    def of_share(self, C: np.ndarray) -> np.ndarray:
+        """Derivative by the share of the damping ``C`` that is hysteretic, shape ``(f, o, i)``."""
+        moved = hysteretic(self.coordinates, C) * 1j - self.s[:, None, None] * C
+        return -self.form * (self.outer.transpose(0, 2, 1) @ moved @ self.inner)
+
+    def by_sizes(self, cause: Change, u: np.ndarray) -> list[np.ndarray]:
+        """Derivatives by the sizes of what a cause changes in the structure, ``(f, o, i)`` each."""
+        if isinstance(cause, LineForce):
+            return force_slopes(cause, u, self.s, self.outer, self.inner, self.form)
+        return [self.all(by) for by in cause.slopes(u)] if cause.local else []
 
     def all(self, changes: dict[str, np.ndarray]) -> np.ndarray:
         """Derivative by one size that changes several matrices ``(n, n)``, shape ``(f, o, i)``."""

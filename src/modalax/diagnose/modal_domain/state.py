@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg.blas import dtrmm, dtrmv
 
-from modalax.diagnose.modal_domain.causes import Change, with_sizes
+from modalax.diagnose.modal_domain.causes import Change, hysteretic_share, with_sizes
 from modalax.diagnose.modal_domain.coordinates import SPARED, Coordinates, Modes, modes_of
 from modalax.diagnose.modal_domain.factored import Factored
 from modalax.diagnose.modal_domain.features import Features, paired
@@ -144,12 +144,11 @@ def off_by(setting: Setting, sizes: np.ndarray, causes: tuple[Change, ...], u: n
 def matrices_of(
     setting: Setting, sizes: np.ndarray, causes: tuple[Change, ...], u: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mass, damping and stiffness in modal coordinates; hysteretic damping makes the stiffness complex."""
+    """Mass, damping and stiffness in modal coordinates; a hysteretic share of it makes the stiffness complex."""
     c, change = setting.coordinates, changes_of(setting, sizes, causes, u)
     M, C, K = np.eye(c.size) + change["dM"], c.damping + change["dC"], np.diag(c.frequencies**2) + change["dK"]
-    if any(cause.hysteretic for cause in causes):
-        return M, 0 * C, K + 1j * hysteretic(c, C)
-    return M, C, K
+    share = hysteretic_share(causes, u)
+    return (M, (1 - share) * C, K + 1j * share * hysteretic(c, C)) if share else (M, C, K)
 
 
 def hysteretic(c: Coordinates, C: np.ndarray) -> np.ndarray:
@@ -367,6 +366,6 @@ def _channel_slope(
     """Derivative by the size of one channel's fault."""
     residues = state.plain[state.together.every]
     for k, (cause, size) in enumerate(with_sizes(causes, u)):
-        act = cause.transform_slope if k == which else cause.at_modes
+        act = cause.slope_at_modes if k == which else cause.at_modes
         residues = act(size, t.poles, residues)
     return _in_features(setting, state, np.zeros((len(t.poles), 1), complex), residues[:, None]).reshape(-1, 1)
