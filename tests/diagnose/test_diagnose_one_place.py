@@ -13,6 +13,7 @@ from modalax.diagnose.causes.joints import BilinearStiffness, CoulombFriction, C
 from modalax.diagnose.causes.local import JointStiffness, LocalDamper
 from modalax.diagnose.comparison import make_comparison
 from modalax.diagnose.deadline import Deadline
+from modalax.diagnose.decision.route import Task
 from modalax.diagnose.decision.verdict import verdict
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.pipeline import at_one_place
@@ -313,6 +314,6 @@ def test_laws_are_fitted_before_modes_are_asked_though_levels_hide_in_the_noise_
     measured, steps = exact.replace(H=H + noise, variance=sigma**2), []
     assert not may_tell_joints(measured)
     monkeypatch.setattr(pipeline, "explain_force", lambda look, causes: steps.append(len(causes)))
-    at_one_place(measured, structure, "auto", lambda text: None, Deadline(), lambda: steps.append("modes"))
+    at_one_place(measured, structure, "auto", Task(True), lambda text: None, Deadline(), lambda: steps.append("modes"))
     linear, all_laws, modes = steps
     assert linear < all_laws and modes == "modes"

@@ -222,7 +222,9 @@ def by_routes(
     said = beside_claim(lines, modal, shown, task, late) if claimed else None
     if said is not None:
         return said
-    found = at_one_place(measurement, simulation, question, progress, late, modal) if one_place_first(task) else None
+    found = (
+        at_one_place(measurement, simulation, question, task, progress, late, modal) if one_place_first(task) else None
+    )
     said = None if found is None else sufficient(found, modal, late)
     if said is not None:
         return said
@@ -320,7 +322,7 @@ def line_by_line(
 
 def at_one_place(
     measurement: Measurement | FRF, simulation: Structure | ModalModel | ExtendedSimulation, question: str,
-    progress: Callable[[str], None], late: Deadline, modal: Callable[[], ModalDiagnosis | None],
+    task: Task, progress: Callable[[str], None], late: Deadline, modal: Callable[[], ModalDiagnosis | None],
 ) -> Diagnosis | None:  # fmt: skip
     """Diagnose line by line by elements and joints alone, where a force at one place is all that is missing.
 
@@ -353,7 +355,8 @@ def at_one_place(
     if said is not None and said.verdict in ("named", "ambiguous"):
         return said
     modes = None if late() else modal()
-    if modes is not None and modes.verdict == "named" and nothing_left(outcome_of(modes)):
+    said = None if modes is None else outcome_of(modes)
+    if said is not None and said.verdict == "named" and nothing_left(said) and suffices("modes", said, task):
         return modes
     few = len(places) <= FITTED_EACH and found is None and not late()
     return None if few else searched(comparison, None, progress)

@@ -15,6 +15,7 @@ from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.judged import standing_out
 from modalax.diagnose.modal_domain.measured import prepared
 from modalax.diagnose.modal_domain.stage import KNOWN
+from modalax.diagnose.modal_domain.throughout import only_scaled
 from modalax.diagnose.result import Diagnosis
 from modalax.diagnose.search.named_before import NamedCause
 from modalax.diagnose.thresholds import THRESHOLDS
@@ -62,6 +63,7 @@ def outcome_of(found: Diagnosis) -> Outcome:
         any(c["name"] in GROUP_SLUGS for c in causes), of_elements(found), found.gain.chi2_unforeseen,
         found.throughout if isinstance(found, ModalDiagnosis) else {},
         isinstance(found, ModalDiagnosis) and found.verdict == "clean" and bool(found.chosen.causes),
+        isinstance(found, ModalDiagnosis) and only_scaled(found.stage.setting, found.chosen.fit),
     )  # fmt: skip
 
 

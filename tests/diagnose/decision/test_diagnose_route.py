@@ -112,7 +112,14 @@ def test_one_force_is_looked_for_first_where_that_is_quick_and_can_be_right(task
         (replace(SURE, inaccuracy=MAYBE, of_elements=True), SMALL, True),  # lines have no such cause
         (replace(SURE, inaccuracy=MAYBE, of_elements=True, probability=0.99), SMALL, False),
         (replace(SURE, inaccuracy=MAYBE), SMALL, False),
-        (SURE, replace(SMALL, places=121.0), True),
+        (SURE, replace(SMALL, places=121.0), False),  # lines show a smaller thing beside it,
+        (replace(SURE, inaccuracy=damped(0.005)), replace(SMALL, places=121.0), True),  # if all else is exact
+        (replace(SURE, inaccuracy=OFF), replace(SMALL, places=121.0), True),
+        (SURE, replace(LARGE, samples=10_000), True),  # mass may be off
+        (replace(SURE, inaccuracy=MAYBE), replace(LARGE, samples=10_000), False),
+        (replace(SURE, inaccuracy=MAYBE), replace(LARGE, samples=50_000), True),
+        (Outcome("clean", 1.05, 0.3, inaccuracy=OFF, scaled=True), SMALL, False),  # all FRFs are larger, as by a leak
+        (Outcome("clean", 1.05, 0.3, throughout={"mass": {"value": 0.01}}, scaled=True), SMALL, False),
         (replace(SURE, probability=0.99), replace(SMALL, places=121.0), False),
         (replace(SURE, alternatives=1), replace(SMALL, places=121.0), False),
         (replace(SURE, verdict="ambiguous"), replace(SMALL, places=121.0), False),

@@ -12,7 +12,7 @@ from modalax.diagnose.causes import catalogue
 from modalax.diagnose.causes.base import ElementCause
 from modalax.diagnose.comparison import causes_of, empty
 from modalax.diagnose.deadline import NEVER
-from modalax.diagnose.decision.route import Outcome
+from modalax.diagnose.decision.route import Outcome, Task
 from modalax.diagnose.screening import one_force
 from modalax.diagnose.screening.law_free import gains_without_law
 from modalax.diagnose.screening.products import at_places
@@ -161,7 +161,7 @@ def test_only_elements_at_these_places_are_searched(monkeypatch):
     asked = []
     monkeypatch.setattr(pipeline, "searched", lambda comparison, causes, tell: asked.append(comparison))
     monkeypatch.setattr(pipeline, "FITTED_EACH", 0)
-    pipeline.at_one_place(comparison.measurement, STRUCTURE, "auto", lambda _: None, NEVER, lambda: None)
+    pipeline.at_one_place(comparison.measurement, STRUCTURE, "auto", Task(True), lambda _: None, NEVER, lambda: None)
     (used,) = asked
     assert used.joint_places() == list(used.only) and 0 < len(used.only) < len(comparison.scene.pairs())
     assert all(isinstance(c, ElementCause) for c in causes_of(None, used, catalogue(2)))
@@ -169,19 +169,24 @@ def test_only_elements_at_these_places_are_searched(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("verdict", "left", "expected"), [("named", 0.3, "modes"), ("named", 1e-4, "open"), ("clean", 0.3, "open")]
-)
+    ("verdict", "left", "whole", "expected"),
+    [("named", 0.3, True, "modes"), ("named", 1e-4, True, "open"), ("clean", 0.3, True, "open"),
+     ("named", 0.3, False, "open")],
+)  # fmt: skip
 def test_modes_are_asked_before_the_whole_catalogue_and_answer_where_they_leave_nothing(
-    monkeypatch, verdict, left, expected
+    monkeypatch, verdict, left, whole, expected
 ):
     """No element or joint between two points is a beam that is softer as a whole, which modes name in seconds.
 
-    What else it may be is open: an oscillator and hum together had been an oscillator at another place.
+    What else it may be is open: an oscillator and hum together had been an oscillator at another place, and a delay of
+    all sensors hid a damper, as which lines tell dampings that are off.
     """
     comparison, _ = comparison_of(STRUCTURE, sprung(STRUCTURE, 2, 5, 5e3))
     monkeypatch.setattr(pipeline, "searched", lambda *_: "all")
     monkeypatch.setattr(pipeline, "explain_force", lambda look, causes: None)
-    monkeypatch.setattr(pipeline, "outcome_of", lambda found: Outcome(verdict, 1.0, left))
+    monkeypatch.setattr(pipeline, "outcome_of", lambda found: Outcome(verdict, 1.0, left, 1.0, of_elements=whole))
     modes = SimpleNamespace(verdict=verdict)
-    found = pipeline.at_one_place(comparison.measurement, STRUCTURE, "auto", lambda _: None, NEVER, lambda: modes)
+    monkeypatch.setattr(pipeline, "of_elements", lambda found: False)
+    tell = lambda _: None
+    found = pipeline.at_one_place(comparison.measurement, STRUCTURE, "auto", Task(True), tell, NEVER, lambda: modes)
     assert found == {"modes": modes, "open": None}[expected]

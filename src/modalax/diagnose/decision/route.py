@@ -91,6 +91,8 @@ class Outcome:
         causes: lines have none of these.
     passed_over
         Whether a cause explains the data best, but is no larger than what is usual of a simulation.
+    scaled
+        Whether stiffness and mass are off by what may be one factor on both, so that no frequency is off.
     """
 
     verdict: str
@@ -106,6 +108,7 @@ class Outcome:
     unforeseen: float = math.nan
     throughout: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     passed_over: bool = False
+    scaled: bool = False
 
     @property
     def predicts(self) -> float:
@@ -179,10 +182,8 @@ def suffices(route: Route, found: Outcome, task: Task, limits: Thresholds = THRE
 
 
 def sharper_by_lines(found: Outcome, task: Task, limits: Thresholds = THRESHOLDS) -> bool:
-    """Whether by its modes a simulation may be exact in all: single lines see smaller things that are wrong."""
-    damping = (found.inaccuracy or {}).get("damping")
-    exact = may_be_exact(found) and (damping is None or damping["interval"][0] <= 0)
-    return found.verdict == "clean" and exact and in_time(task, limits)
+    """Whether by its modes a simulation may be exact in all else: single lines see smaller things that are wrong."""
+    return found.verdict != "unknown" and may_be_exact(found) and not dampings_off(found) and in_time(task, limits)
 
 
 def choice(found: Mapping[Route, Outcome], limits: Thresholds = THRESHOLDS) -> Route:
@@ -260,15 +261,17 @@ def off_throughout(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
     """Whether nothing is left beside a factor on all of the stiffness, mass or damping, which lines take as exact."""
     least = {"stiffness": limits.surely_off, "mass": limits.surely_off, "damping": limits.damping_far}
     off = any(abs(v["value"]) > least[name] for name, v in found.throughout.items())
-    return off and found.verdict != "unknown" and nothing_left(found, limits)
+    return off and not found.scaled and found.verdict != "unknown" and nothing_left(found, limits)
 
 
 def certainly_off(found: Outcome, limits: Thresholds = THRESHOLDS) -> Mapping[str, Mapping[str, Any]]:
     """General inaccuracy of stiffness and mass, where one of them is certainly off; else nothing.
 
     Masses are known better than stiffnesses: mass that seems a little off where stiffness may be exact is more likely
-    one thing that is wrong.
+    one thing that is wrong. So is what only makes all FRFs larger or smaller.
     """
+    if found.scaled:
+        return {}
     parts = {name: part for name, part in (found.inaccuracy or {}).items() if name in ("stiffness", "mass")}
     least = {"stiffness": 0.0, "mass": limits.surely_off}
     off = any(p["interval"][0] > least[name] and p["value"] > limits.off for name, p in parts.items())
@@ -281,9 +284,19 @@ def may_be_exact(found: Outcome) -> bool:
     return bool(parts) and all(p["interval"][0] <= 0 for p in parts)
 
 
+def dampings_off(found: Outcome) -> bool:
+    """Whether the dampings are certainly off in general."""
+    return (found.inaccuracy or {}).get("damping", {"interval": (0.0, 0.0)})["interval"][0] > 0
+
+
 def decisive(found: Outcome, task: Task, limits: Thresholds = THRESHOLDS) -> bool:
-    """Whether a cause of a large problem is named beyond doubt, and nothing is left to explain."""
-    return task.places > limits.places_spared and surely_named(found, limits)
+    """Whether a cause of a large problem is named beyond doubt, and nothing is left to explain.
+
+    Beside a simulation that is exact in all else, a smaller one may show on lines alone.
+    """
+    exact = not certainly_off(found, limits) and not dampings_off(found)
+    spared = task.places > limits.places_spared and not (exact and in_time(task, limits))
+    return spared and surely_named(found, limits)
 
 
 def elements_surely(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:

@@ -200,20 +200,37 @@ def throughout_told(setting: Setting, f: Fit) -> dict[str, dict[str, float]]:
 
     The value is :math:`e^{-x}-1`, the simulation relative to the structure: positive where the simulation is too stiff.
     """
-    a, told = setting.inaccuracy, {}
-    if not set(THROUGHOUT.values()) & set(a.groups):
-        return {}
+    names, x, covariance = _factors(setting, f)
+    told = {}
+    for name, value, std in zip(names, x.tolist(), np.sqrt(np.diag(covariance)).tolist(), strict=True):
+        if abs(value) > THRESHOLDS.stands_out * std:
+            told[name] = {"value": float(np.expm1(-value)), "std": float(np.exp(-value) * std)}
+    return told
+
+
+def only_scaled(setting: Setting, f: Fit) -> bool:
+    """Whether stiffness and mass are off throughout by what may be one factor, which only makes all FRFs larger.
+
+    So do a record that leaks, a gain and much else that is nothing of the structure; no frequency is off then.
+    """
+    if not all_scaled(setting):
+        return False
+    names, x, covariance = _factors(setting, f)
+    apart = np.array([{"stiffness": 1.0, "mass": -1.0}.get(name, 0.0) for name in names])
+    return abs(float(apart @ x)) < THRESHOLDS.stands_out * float(np.sqrt(apart @ covariance @ apart))
+
+
+def _factors(setting: Setting, f: Fit) -> tuple[list[str], np.ndarray, np.ndarray]:
+    """Names of the matrices with a factor throughout, the logarithms of these and their covariance."""
+    a = setting.inaccuracy
+    names = [name for name, group in THROUGHOUT.items() if group in a.groups]
+    if not names:
+        return [], np.zeros(0), np.zeros((0, 0))
     J, none = slopes_at(setting, f.state, f.causes, f.u), np.zeros(len(f.sizes) + len(f.u))
     linear = ByUnknowns(a, J.T @ J, none, f.u)
-    variance = np.diag(linear.covariance(f.epsilon)[1]) * linear.prior(f.epsilon) ** 2
-    for name, group in THROUGHOUT.items():
-        if group not in a.groups:
-            continue
-        (k,) = np.flatnonzero(a.group_of == a.groups.index(group))
-        x, std = float(f.sizes[k]), float(np.sqrt(variance[k]))
-        if abs(x) > THRESHOLDS.stands_out * std:
-            told[name] = {"value": float(np.expm1(-x)), "std": float(np.exp(-x) * std)}
-    return told
+    scale, covariance = linear.prior(f.epsilon), linear.covariance(f.epsilon)[1]
+    own = np.concatenate([np.flatnonzero(a.group_of == a.groups.index(THROUGHOUT[name])) for name in names])
+    return names, f.sizes[own], covariance[np.ix_(own, own)] * np.outer(scale[own], scale[own])
 
 
 def throughout_said(told: dict[str, Any]) -> list[str]:
