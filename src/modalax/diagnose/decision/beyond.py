@@ -197,12 +197,9 @@ def other_causes_compete(case: ModalCase) -> tuple[str, ...]:
 
 
 def other_places_compete(case: ModalCase) -> tuple[str, ...]:
-    """A place is not likelier than all others together."""
-    return (
-        (*case.support, "its place is not certain: together, other places are at least as likely")
-        if unplaced(case.sets, case.limits)
-        else ()
-    )
+    """No place is sure among all."""
+    asked = f"its place is not certain: none has a probability of {case.limits.placed:g}"
+    return (*case.support, asked) if unplaced(case.sets, case.limits) else ()
 
 
 RULES: tuple[tuple[str, Rule], ...] = (

@@ -143,7 +143,7 @@ def force_is_not_explained_well(case: LevelsCase) -> tuple[str, ...] | None:
 
 def place_is_not_sure(case: LevelsCase) -> tuple[str, ...] | None:
     """Other places are likely too."""
-    sure = case.best != "joint" or case.place_probability >= case.limits.joint_placed
+    sure = case.best != "joint" or case.place_probability >= case.limits.placed
     return None if sure else (*case.support, "its place is not certain")
 
 

@@ -36,10 +36,10 @@ def certainty(sets: Sequence[WeighedSet]) -> float:
 
 
 def unplaced(sets: Sequence[WeighedSet], thresholds: Thresholds = THRESHOLDS) -> list[str]:
-    """Causes of the leading set whose place is not likelier than all other places together."""
+    """Causes of the leading set of which no place is sure among all."""
     alike = of_the_same_names(sets)
     by_place = {one: sum(s.probability for s in alike if one in s.names) for one in sets[0].names}
-    return sorted(slug for (slug, _), p in by_place.items() if p <= thresholds.placed)
+    return sorted(slug for (slug, _), p in by_place.items() if p < thresholds.placed)
 
 
 def many_kinds(leading: WeighedSet, thresholds: Thresholds = THRESHOLDS) -> str | None:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from modalax.diagnose.causes.base import ElementCause
+from modalax.diagnose.causes.base import ChannelCause, ElementCause
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.posterior import Ranked
 from modalax.diagnose.decision.sets import certainty, many_kinds, unplaced
@@ -165,11 +165,9 @@ def law_is_inexact(case: Case) -> str | None:
 
 
 def places_compete(case: Case) -> str | None:
-    """A place is not likelier than all others together."""
-    names = unplaced(case.ranked, case.limits)
-    return (
-        None if not names else f"{' and '.join(names)} may sit elsewhere: no place is likelier than all others together"
-    )
+    """No place is sure among all."""
+    names, asked = unplaced(case.ranked, case.limits), case.limits.placed
+    return None if not names else f"{' and '.join(names)} may sit elsewhere: no place has a probability of {asked:g}"
 
 
 def elements_share_a_place(case: Case) -> str | None:
@@ -179,8 +177,15 @@ def elements_share_a_place(case: Case) -> str | None:
     return None if len(set(at)) == len(at) else f"{case.names} at one place may be one joint of another law"
 
 
+def faults_share_a_sensor(case: Case) -> str | None:
+    """Several faults of one sensor may together be one fault that is not listed."""
+    h = case.best.best
+    at = [p.where[0] for c, p in zip(h.causes, h.places, strict=True) if isinstance(c, ChannelCause) and p.where]
+    return None if len(set(at)) == len(at) else f"{case.names} of one channel may be one fault of another kind"
+
+
 def causes_are_many(case: Case) -> str | None:
-    """Unlike causes are too many to come together by chance."""
+    """Causes are too many to come together by chance."""
     return many_kinds(case.best, case.limits)
 
 
@@ -247,6 +252,7 @@ RULES: tuple[tuple[str, Rule], ...] = (
     ("ambiguous", law_is_inexact),
     ("ambiguous", places_compete),
     ("ambiguous", elements_share_a_place),
+    ("ambiguous", faults_share_a_sensor),
     ("ambiguous", causes_are_many),
     ("ambiguous", nothing_is_determined),
     ("ambiguous", range_ends),
