@@ -3,11 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from modalax.data import Measurement
 from modalax.diagnose import pipeline
 from modalax.diagnose.causes import catalogue
 from modalax.diagnose.deadline import NEVER, Deadline
+from modalax.diagnose.decision.route import Outcome, Task
 from modalax.diagnose.decision.sets import as_stated
 from modalax.diagnose.decision.verdict import verdict
 from modalax.diagnose.pipeline import line_by_line
@@ -77,3 +79,28 @@ def test_modes_that_cannot_be_compared_are_told(monkeypatch):
     simulation, said = Structure(np.eye(3), 2e-4 * CHAIN, CHAIN, ["a", "b", "c"]), []
     assert pipeline.in_modal_domain(measured(), simulation, None, NEVER, said.append) is None
     assert said == ["modes could not be compared: no root"]
+
+
+@pytest.mark.parametrize("before", [True, False])
+def test_lines_have_all_the_time_where_what_modes_say_is_known_and_they_are_heard_in_the_end(monkeypatch, before):
+    late, given, asked = Deadline(1000.0), [], []
+
+    def at_one_place(*args):
+        return args[-1]() and None if before else None
+
+    def lines(*args, **_):
+        given.append(args[5])
+        late.stop()
+        return Outcome("unknown", 1.3)
+
+    monkeypatch.setattr(pipeline, "task_of", lambda *_: Task(True, 15.0, 2000, modes_off=True))
+    monkeypatch.setattr(pipeline, "claim_compared", lambda task: False)
+    monkeypatch.setattr(pipeline, "at_one_place", at_one_place)
+    monkeypatch.setattr(pipeline, "in_modal_domain", lambda *_: asked.append(1) or Outcome("clean", 1.0, 0.3))
+    monkeypatch.setattr(pipeline, "line_by_line", lines)
+    monkeypatch.setattr(pipeline, "outcome_of", lambda found: found)
+    simulation = Structure(np.eye(3), 2e-4 * CHAIN, CHAIN, ["a", "b", "c"])
+    found = pipeline.by_routes(measured(), simulation, "auto", None, lambda _: None, late, False)
+    assert found.verdict == ("clean" if before else "unknown")
+    assert len(asked) == (1 if before else 0)
+    assert (given[0] is late) is before

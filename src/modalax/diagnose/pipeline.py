@@ -231,9 +231,10 @@ def by_routes(
     answers: dict[Route, Diagnosis] = {}
     outcomes: dict[Route, Outcome] = {}
     for route in order(task):
-        if answers and late():
+        asked = bool(modal.cache_info().currsize)  # what modes say is known then, and takes no more time
+        if answers and late() and not (route == "modes" and asked):
             break
-        more = route == "lines" and not answers and (len(order(task)) > 1 or follows)
+        more = route == "lines" and not answers and ("modes" in order(task) and not asked or follows)
         until = late.part(FIRST_SHARE) if more else late
         try:
             found = modal() if route == "modes" else lines(until, named_before(answers.get("modes")))
