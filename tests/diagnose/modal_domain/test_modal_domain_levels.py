@@ -1,6 +1,7 @@
 """What differs from run to run: laws behind a compliance against time domain solutions, and a drift."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +13,7 @@ from modalax.data import Measurement
 from modalax.diagnose.causes.joints import CubicStiffness, GapContact, QuadraticDamping
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.levels import explain
+from modalax.diagnose.modal_domain.levels.answer import causes_told
 from modalax.diagnose.modal_domain.levels.change import Base, Levels, Projection
 from modalax.diagnose.modal_domain.levels.explain import apart_from_zero
 from modalax.diagnose.modal_domain.levels.laws import LawFit, regressed
@@ -203,6 +205,15 @@ def test_noise_of_a_force_says_nothing_for_a_place():
     cost = regressed(CubicStiffness(), m)[0][0]
     gained = float((np.abs(noise) ** 2).sum()) - cost
     assert 0 <= gained < 20  # chi-square of one parameter
+
+
+def test_a_joint_is_as_likely_as_its_law_and_its_place_together():
+    fitted = LawFit(CubicStiffness(), np.array([5.0]), np.eye(1), 1.0)
+    at = lambda k, p: explain.JointFound(explain.Spot((k,), np.ones(1), 0.2), fitted, np.ones(1), 0.0, 0, 0.0, p)
+    found = explain.ByLevel([at("3", 0.5), at("4", 0.4)], None, 0.0, 0.1, 9.0, 1.0)
+    assert found.placed("cubic_stiffness", ("3",)) == pytest.approx(0.5 / 0.9)
+    (told,) = causes_told(SimpleNamespace(found=found, joint=found.joints[0]))
+    assert (told["where"], told["probability"]) == (["3"], 0.5)
 
 
 def test_once_time_is_up_laws_are_fitted_at_no_further_place(monkeypatch):

@@ -59,7 +59,8 @@ def causes_told(seen: Seen, whole: Whole | None = None) -> list[dict[str, Any]]:
     parameters = parameters_told(f.law, Place(j.spot.where), f.p, f.covariance * np.outer(scale, scale))
     if whole is not None and not whole.alone:
         parameters = {"stiffness": {"value": whole.stiffness, "std": whole.std, "unit": "N/m"}, **parameters}
-    name = {"name": j.slug, "where": list(j.spot.where), "probability": float(min(found.sure(j.slug), 1.0))}
+    sure = found.sure_at(j.slug, j.spot.where)
+    name = {"name": j.slug, "where": list(j.spot.where), "probability": float(min(sure, 1.0))}
     return [{**name, "parameters": parameters}]
 
 

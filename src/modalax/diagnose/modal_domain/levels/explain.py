@@ -116,8 +116,11 @@ class ByLevel:
 
     def placed(self, slug: str, where: tuple[str, ...]) -> float:
         """Probability of a place among all places of a law."""
-        own = sum(j.probability for j in self.joints if j.slug == slug and j.spot.where == where)
-        return own / max(self.sure(slug), 1e-300)
+        return self.sure_at(slug, where) / max(self.sure(slug), 1e-300)
+
+    def sure_at(self, slug: str, where: tuple[str, ...]) -> float:
+        """Probability of a law at a place."""
+        return sum(j.probability for j in self.joints if j.slug == slug and j.spot.where == where)
 
 
 def explain_levels(
