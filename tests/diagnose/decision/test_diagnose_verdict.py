@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modalax.diagnose.causes.channels import ChannelGain, TimeDelay
+from modalax.diagnose.causes.channels import ChannelGain, ForceDropout, TimeDelay
 from modalax.diagnose.causes.joints import BilinearStiffness, CubicStiffness, ElastoSlip
 from modalax.diagnose.causes.local import AddedMass, JointStiffness, TunedMass
 from modalax.diagnose.causes.mains_hum import MainsHum
@@ -48,6 +48,14 @@ def stuck(stiffness, deviation):
     (found,) = ranked((1.0, (MASS, "2"), (ElastoSlip(False), "1")))
     params, covariance = (np.array([0.1]), np.array([stiffness, 1e-6])), np.diag([0.01, deviation, 1.1]) ** 2
     return [replace(found, best=replace(found.best, params=params, covariance=covariance))]
+
+
+def dropping_out(correlation):
+    """Noise and impedance of a shaker, each off by twice its size."""
+    (found,) = ranked((1.0, (ForceDropout(), "1")))
+    params, deviation = np.array([1e-4, 50.0]), np.array([2e-4, 100.0])
+    covariance = np.array([[1.0, correlation], [correlation, 1.0]]) * np.outer(deviation, deviation)
+    return [replace(found, best=replace(found.best, params=(params,), covariance=covariance))]
 
 
 def damped(ratio):
@@ -106,6 +114,8 @@ TABLE = [
     (ranked((1.0, (SPRING, "1"), (MASS, "2"), (SPRING, "3"))), ALARM, HELD, "named", ["over 0.999"]),
     (stuck(1e6, 2e6), ALARM, HELD, "ambiguous", ["elasto_slip cannot be told from coulomb_friction"]),
     (stuck(1e6, 9e5), ALARM, HELD, "named", ["over 0.999"]),
+    (dropping_out(-0.7), ALARM, HELD, "ambiguous", ["no parameter of force_dropout"]),
+    (dropping_out(-0.999), ALARM, HELD, "named", ["over 0.999"]),  # their product is known
     (ranked((0.5, (CUBIC, "1"), (SPRING, "1")), (0.5, (MASS, "3"))), ALARM, MISSED, "ambiguous", ["", "", "one joint"]),
 ]  # fmt: skip
 

@@ -85,6 +85,16 @@ def test_springs_supports_and_points_without_directions_have_no_ends():
     assert flexible_ends([Part((0,), np.array([0]), np.eye(1))], loose, S.dofs, c, 0.4) == []
 
 
+def test_an_element_that_is_strained_in_one_way_has_no_end_of_its_own():
+    """A spring at a lever is strained by the rotation too; what gives way there is that spring again."""
+    nodes, strain = nodes_of(("1:+Z", "1:+RY", "2:+Z", "2:+RY")), np.array([1.0, 0.3, -1.0, 0.2])
+    S = Structure(np.eye(4), 1e-3 * np.eye(4), np.diag([9.0, 8.0, 7.0, 6.0]), ("1:+Z", "1:+RY", "2:+Z", "2:+RY"))
+    c = coordinates_of(S, S.dofs[:1], S.dofs[:1], 10.0)
+    of = lambda matrix: flexible_ends([Part((0, 1), np.arange(4), matrix)], nodes, S.dofs, c, 0.4)
+    assert of(5 * np.outer(strain, strain)) == []
+    assert len(of(5 * np.outer(strain, strain) + np.outer(strain[::-1], strain[::-1]))) == 2
+
+
 def test_parts_of_no_node_or_of_three_have_no_ends():
     nodes, S = nodes_of(DOFS), frames.simulation()
     c = coordinates_of(S, DOFS[:2], DOFS[:1], HIGHEST)

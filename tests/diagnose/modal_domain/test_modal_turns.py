@@ -133,8 +133,11 @@ def test_a_soft_mount_at_a_lever_is_named_beside_springs_that_are_off():
         freq, H[None], form="receptance", outputs=CAR, inputs=("front", "engine"), variance=sigma[None] ** 2
     )
     plain = car(SPRINGS, TYRES)
-    said = diagnose_modes(data, Structure(MASSES, 2e-4 * plain + 0.3 * MASSES, plain, CAR)).to_dict()
+    found = diagnose_modes(data, Structure(MASSES, 2e-4 * plain + 0.3 * MASSES, plain, CAR))
+    assert not [c for c in found.stage.candidates if c.where == ("pitch",) and c.piece]  # that would be a spring again
+    said = found.to_dict()
     (cause,) = said["causes"]
+    assert cause["probability"] > 0.99
     assert said["verdict"] == "named" and (cause["name"], set(cause["where"])) == (
         "joint_stiffness",
         {"engine", "body"},

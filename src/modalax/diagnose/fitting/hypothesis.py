@@ -81,14 +81,21 @@ class Hypothesis:
 
     @property
     def undetermined(self) -> list[int]:
-        """Numbers of the causes of whose parameters none is larger than its own standard deviation."""
+        """Numbers of the causes of whose parameters none is larger than its own standard deviation.
+
+        Of a joint, which has another law for a limit, each parameter counts by itself. Of any other cause a product may
+        be known where its factors are not, as that of noise and impedance where a shaker drops out.
+        """
         found, first = [], 0
         for k, (cause, p) in enumerate(zip(self.causes, self.params, strict=False)):
             own = slice(first, first := first + len(p))
-            if len(p) and self.covariance is not None:
-                deviation = np.sqrt(np.maximum(np.diag(self.covariance)[own], 0.0))
-                size = np.array([1.0 if q.log else abs(v) for q, v in zip(cause.parameters, p, strict=True)])
-                found += [k] if (deviation > size).all() else []
+            if not len(p) or self.covariance is None:
+                continue
+            size = np.array([1.0 if q.log else abs(v) for q, v in zip(cause.parameters, p, strict=True)])
+            size = np.maximum(size, np.finfo(float).tiny)
+            variances = self.covariance[own, own] / np.outer(size, size)
+            each = np.diag(variances) if isinstance(cause, JointCause) else np.linalg.eigvalsh(variances)
+            found += [k] if (each > 1).all() else []
         return found
 
     @property

@@ -81,6 +81,8 @@ def flexible_ends(parts: list[Part], nodes: Nodes, dofs: tuple[str, ...], c: Coo
         for where, v, own in _of_pair(part, nodes) if len(part.nodes) == 2 else _of_root(part, nodes):
             if (np.abs(v) > NEGLIGIBLE * np.abs(v).max()).sum() < 2 + (len(part.nodes) == 2):
                 continue  # a spring, as in torsion, is a candidate by itself
+            if np.abs(np.outer(v, v) / own - part.matrix).max() < NEGLIGIBLE * np.abs(part.matrix).max():
+                continue  # so is an element that is strained in one way only, as a spring at a lever
             factor = np.zeros((len(c.names), 1))
             factor[np.array(at)[part.dofs], 0] = v / np.sqrt(own)
             b = c.everywhere.T @ factor[:, 0]
