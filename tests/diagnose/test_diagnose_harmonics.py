@@ -15,6 +15,7 @@ from modalax.diagnose.causes.joints import (
     CubicStiffness,
     ElastoSlip,
 )
+from modalax.diagnose.causes.power_laws import IwanJoint
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.comparison import Comparison, make_comparison, noise_beside, with_noise_beside
 from modalax.diagnose.extend import ExtendedSimulation, extend
@@ -266,6 +267,10 @@ def test_a_spring_that_slips_is_fitted_as_friction_too_where_no_data_bound_its_s
     assert limit_of(replace(slip, covariance=np.diag([1e8, 1.0]))) is None
     assert limit_of(replace(slip, causes=(ElastoSlip(True),))) is None
     assert joints_in_full(comparison, null, [slip, friction]) == []  # once is enough
+    iwan = replace(slip, causes=(IwanJoint(),), params=(np.array([1e7, 2e-7, 0.7]),))
+    simpler = limit_of(replace(iwan, covariance=np.diag([25e12, 1.0, 1.0])))
+    assert simpler.causes[0].slug == IwanJoint.limit == "coulomb_friction"
+    assert simpler.params[0][0] == pytest.approx(IwanJoint().report(iwan.params[0], iwan.places[0])["slip_force"][0])
 
 
 def test_noise_is_read_off_the_lines_beside_the_joint():

@@ -298,6 +298,10 @@ class JointCause(ElementCause):
         """
         return self.law(p).describing(A, omega)
 
+    def simpler(self, p: np.ndarray) -> "tuple[JointCause, np.ndarray] | None":
+        """The law that it becomes as its strength grows, with its parameters; None where there is none."""
+        return None
+
     def untold(self, p: np.ndarray) -> list[np.ndarray]:
         """Groups, ``(point, p)``, of parameters alike by one harmonic; the best of each is a start with more."""
         return [np.asarray(p, float)[None]]

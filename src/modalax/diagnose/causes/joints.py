@@ -68,6 +68,10 @@ class ElastoSlip(JointCause):
         """Stiffness, slip force and, where a spring is replaced, its absence."""
         return joints.ElastoSlip(p[0], p[0] * p[1], -p[0] if self.replaced else 0.0)
 
+    def simpler(self, p: np.ndarray) -> tuple[JointCause, np.ndarray] | None:
+        """An additional spring of any great stiffness that slips is dry friction."""
+        return None if self.replaced else (CoulombFriction(), np.array([p[0] * p[1]]))
+
     def report(self, p: np.ndarray, place: Place) -> dict[str, tuple[Any, str]]:
         """The slip force rather than the slip displacement."""
         return {"stiffness": (p[0], "N/m"), "slip_force": (p[0] * p[1], "N")}
@@ -161,16 +165,6 @@ class BilinearStiffness(JointCause):
         """The two stiffnesses; which of them is in push, the fundamental does not tell."""
         sides = p[0] * (1 + p[1]), p[0] * (1 - p[1])
         return {"stiffness_stiffer_side": (max(sides), "N/m"), "stiffness_softer_side": (min(sides), "N/m")}
-
-
-def limiting_law(cause: Any, p: np.ndarray) -> tuple[JointCause, np.ndarray] | None:
-    """The simpler law that a joint becomes as its strength grows, with its parameters; None where there is none.
-
-    An additional spring of any great stiffness that slips is dry friction.
-    """
-    if isinstance(cause, ElastoSlip) and not cause.replaced:
-        return CoulombFriction(), np.array([p[0] * p[1]])
-    return None
 
 
 JOINTS: tuple[Any, ...] = (

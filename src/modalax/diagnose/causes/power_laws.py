@@ -9,6 +9,7 @@ from jax.scipy.special import gammaln
 from jaxtyping import Array, Complex
 
 from modalax.diagnose.causes.base import RARE, JointCause
+from modalax.diagnose.causes.joints import CoulombFriction
 from modalax.diagnose.causes.local import median_omega
 from modalax.diagnose.causes.parameter import Parameter, strengths
 from modalax.diagnose.causes.scene import Place, Scene
@@ -119,6 +120,7 @@ class IwanJoint(JointCause):
     """
 
     slug = "iwan_joint"
+    limit = "coulomb_friction"
     summary = "an additional joint of Iwan's kind, which slips little by little"
     fidelity = 0.01
     prior = IWAN
@@ -144,6 +146,10 @@ class IwanJoint(JointCause):
         loss = 4 / jnp.pi * n * (x / (n + 1) - x**2 / (n + 2))
         slipped = 1j * loss - 8 / jnp.pi * x**1.5 * power_and_root(x, n + 0.5)
         return p[0] * (jenkins_describing(1.0, x, 1.0).real + jnp.minimum(r, 1.0) ** n * slipped)
+
+    def simpler(self, p: np.ndarray) -> tuple[JointCause, np.ndarray]:
+        """One of any great stiffness, all of which slips at once, is dry friction."""
+        return CoulombFriction(), np.array([float(macro_slip(p))])
 
     def report(self, p: np.ndarray, place: Place) -> dict[str, tuple[Any, str]]:
         """The force of macro-slip rather than the displacement."""

@@ -6,7 +6,6 @@ import numpy as np
 
 from modalax._numerics.checks import as_array
 from modalax.diagnose.causes.base import JointCause
-from modalax.diagnose.causes.joints import limiting_law
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.gauss_newton import covariance_of
 from modalax.diagnose.fitting.hypothesis import Hypothesis, from_search, searched, split
@@ -86,7 +85,8 @@ def limit_of(h: Hypothesis) -> Hypothesis | None:
     if strength > REACHED * std:
         return None
     k = h.joints[0]
-    simpler = limiting_law(h.causes[k], h.params[k])
+    joint = h.causes[k]
+    simpler = joint.simpler(h.params[k]) if isinstance(joint, JointCause) else None
     if simpler is None:
         return None
     swap = lambda items, new: (*items[:k], new, *items[k + 1 :])
