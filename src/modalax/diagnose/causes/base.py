@@ -277,12 +277,9 @@ class JointCause(ElementCause):
     ----------
     rigid
         Whether the force does not follow from the motion where the joint sticks; its one parameter is where it slips.
-    limit
-        Name of the law that it cannot be told from where data determine none of its parameters; empty without one.
     """
 
     rigid: ClassVar[bool] = False
-    limit: ClassVar[str] = ""
     per_run = True
     visible_when_free = True
     told_by_levels = True
@@ -299,7 +296,7 @@ class JointCause(ElementCause):
         return self.law(p).describing(A, omega)
 
     def simpler(self, p: np.ndarray) -> "tuple[JointCause, np.ndarray] | None":
-        """The law that it becomes as its strength grows, with its parameters; None where there is none."""
+        """The law, with parameters, that it becomes and cannot be told from as its strength grows; None without one."""
         return None
 
     def untold(self, p: np.ndarray) -> list[np.ndarray]:

@@ -49,7 +49,6 @@ class ElastoSlip(JointCause):
     r"""A spring in series with a slider; ``replaced`` where the spring was already in the simulation."""
 
     slug = "elasto_slip"
-    limit = "coulomb_friction"  # with a spring too stiff to move; the slip force is the product of both parameters
     has_threshold = True
     fidelity = 0.01
     prior = 0.5  # each of its two forms

@@ -120,7 +120,6 @@ class IwanJoint(JointCause):
     """
 
     slug = "iwan_joint"
-    limit = "coulomb_friction"
     summary = "an additional joint of Iwan's kind, which slips little by little"
     fidelity = 0.01
     prior = IWAN

@@ -101,8 +101,9 @@ class Hypothesis:
     @property
     def limits(self) -> dict[int, str]:
         """Laws that joints cannot be told from, since the data determine none of their parameters."""
-        laws = {k: self.causes[k] for k in self.undetermined}
-        return {k: law.limit for k, law in laws.items() if isinstance(law, JointCause) and law.limit}
+        laws = {k: law for k in self.undetermined if isinstance(law := self.causes[k], JointCause)}
+        simpler = {k: law.simpler(self.params[k]) for k, law in laws.items()}
+        return {k: found[0].slug for k, found in simpler.items() if found is not None}
 
     @property
     def at_limits(self) -> list[tuple[str, tuple[Any, ...]]]:
