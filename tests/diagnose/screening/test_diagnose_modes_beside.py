@@ -6,6 +6,7 @@ import pytest
 from modalax.data import Measurement
 from modalax.diagnose.comparison import make_comparison
 from modalax.diagnose.deadline import Deadline
+from modalax.diagnose.screening import one_force
 from modalax.diagnose.screening.modes_beside import Beside, modes_beside
 from modalax.diagnose.screening.one_force import places_of_one_force
 from modalax.model import Structure
@@ -55,3 +56,16 @@ def test_nothing_is_said_of_one_force_once_the_time_is_up(comparison):
         places_of_one_force(comparison, late) == ()
         and modes_beside(comparison, comparison.scene.pairs(), 9, late) == []
     )
+
+
+@pytest.mark.parametrize(("gain", "settled"), [(1.0, 15), (1.2, 2)])
+def test_modes_follow_at_a_few_places_where_none_of_the_likeliest_explains_all(comparison, monkeypatch, gain, settled):
+    data, seen = comparison.measurement, []
+    factor = np.where(np.arange(len(data.outputs)) == 2, gain, 1.0)[:, None]
+    given = make_comparison(data.replace(H=np.asarray(data.H) * factor), comparison.simulation, "fixed")
+    inner = Beside.settled
+    monkeypatch.setattr(Beside, "settled", lambda self, of, steps: (seen.append(1), inner(self, of, steps))[1])
+    monkeypatch.setattr(one_force, "FIRST", 2)
+    assert [p.where for p in places_of_one_force(given)] == ([PLACE] if gain == 1 else [])
+    by_place = len(seen) - (len(data.outputs) + 5 if gain == 1 else 0)  # with faults and modes
+    assert by_place == settled

@@ -224,8 +224,9 @@ def _changes_with_modes(theta: Array, spread: Array, ends: Array, problem: Probl
 
 
 def modes_beside(
-    comparison: Comparison, places: Sequence[Place], refined: int, late: Deadline = NEVER
-) -> list[tuple[Place, float, Beside]]:
+    comparison: Comparison, places: Sequence[Place], refined: int, late: Deadline = NEVER,
+    known: Sequence[tuple[Place, float, Beside]] = (),
+) -> list[tuple[Place, float, Beside]]:  # fmt: skip
     """Each place with the chi-square that a free force leaves, and the modes beside it; the likeliest are settled.
 
     Parameters
@@ -238,14 +239,18 @@ def modes_beside(
         How many of the places, the best by one step, are settled; at others the modes stay nominal.
     late
         From when on no further place is looked at; those that are left out are not returned.
+    known
+        What this has returned with fewer of them settled, which is gone on with.
     """
     nominal = Beside.nominal(comparison)
-    steps = ((nominal.step(nominal.direction(p), nominal.turned(p)), p) for p in places if not late())
-    first = sorted(steps, key=lambda one: one[0][1])
+    if not known:
+        steps = ((nominal.step(nominal.direction(p), nominal.turned(p)), p) for p in places if not late())
+        first = sorted(steps, key=lambda one: one[0][1])
+        known = [(place, here, nominal) for (here, _, _), place in first]
     out = []
-    for k, ((here, _, _), place) in enumerate(first):
-        if k < refined and comparison.nuisance.active and not late():
+    for k, (place, here, beside) in enumerate(known):
+        if k < refined and comparison.nuisance.active and not beside.theta.any() and not late():
             out.append((place, *nominal.settled(lambda b, p=place: (b.direction(p), b.turned(p)), STEPS)))
         else:
-            out.append((place, here, nominal))
+            out.append((place, here, beside))
     return out

@@ -25,7 +25,7 @@ from modalax.diagnose.thresholds import THRESHOLDS
 
 LOUDEST, SUMS = 300, 64  # lines, of all runs, from which very many places are ranked, and sums of outputs
 RESOLVED = 1e-9  # squared length of a difference of two columns, over their own, that is more than rounding
-REFINED = 60  # places at which claimed modes follow
+REFINED, FIRST = 60, 15  # places at which claimed modes follow, and the first of them, by one of which all is explained
 FEW = 12  # places from which on they are ranked once more, by a joint without a law
 OUTPUTS = 4  # fewest outputs by which a force at one place is told from other causes
 
@@ -84,24 +84,29 @@ def _with_modes(comparison: Comparison, late: Deadline) -> tuple[Place, ...]:
     if len(pairs) > MANY:
         return ()
     unknowns = 2 * int(live.any(axis=2).sum())
-    found = modes_beside(comparison, pairs, REFINED, late)
-    if late():
+    samples = comparison.problem.samples - unknowns
+    behind = THRESHOLDS.other_places + THRESHOLDS.one_force * np.sqrt(4 * unknowns)
+    found = modes_beside(comparison, pairs, FIRST, late)
+    best = min((chi2 for _, chi2, _ in found), default=np.inf)
+    if _exceeds_noise(best, samples) >= THRESHOLDS.one_force or _by_faults_or_modes(comparison, late) < best + behind:
         return ()
+    found = modes_beside(comparison, pairs, REFINED, late, found)
     ranked = sorted(((chi2, p) for p, chi2, _ in found), key=lambda one: one[0])
     best, first = ranked[0]
     driven = first.index[:2] in {(comparison.scene.dofs.index(name), -1) for name in comparison.scene.inputs}
-    samples = comparison.problem.samples - unknowns
-    if driven or _exceeds_noise(best, samples) >= THRESHOLDS.one_force:
+    if driven or late():
         return ()
-    behind = THRESHOLDS.other_places + THRESHOLDS.one_force * np.sqrt(4 * unknowns)
+    near = tuple(p for chi2, p in ranked if chi2 < best + behind)
+    return near if len(near) <= KEPT else ()
+
+
+def _by_faults_or_modes(comparison: Comparison, late: Deadline) -> float:
+    """Least chi-square that a fault of one output or one mode would leave, with modes that follow; 0 if time is up."""
     nominal = Beside.nominal(comparison)
     modes = np.flatnonzero(np.abs(nominal.shapes).max(axis=1) > 0)
     others = [lambda b, k=k: (b.fault(k),) for k in range(nominal.change.shape[2])]
     others += [lambda b, k=k: (b.of_mode(k),) for k in modes]
-    if any(late() or nominal.settled(other, STEPS)[0] < best + behind for other in others):
-        return ()
-    near = tuple(p for chi2, p in ranked if chi2 < best + behind)
-    return near if len(near) <= KEPT else ()
+    return min(0.0 if late() else nominal.settled(other, STEPS)[0] for other in others)
 
 
 def _exceeds_noise(chi2: float, samples: int) -> float:
