@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from modalax.diagnose.causes.channels import ChannelGain, ForceDropout, TimeDelay
+from modalax.diagnose.causes.forces import Crosstalk, ForceGain
 from modalax.diagnose.causes.joints import BilinearStiffness, CubicStiffness, ElastoSlip
 from modalax.diagnose.causes.local import AddedMass, JointStiffness, TunedMass
 from modalax.diagnose.causes.mains_hum import MainsHum
@@ -21,7 +22,7 @@ from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.thresholds import THRESHOLDS, Thresholds
 
 CUBIC, MASS, SPRING = CubicStiffness(), AddedMass(), JointStiffness()
-GAIN, DELAY = ChannelGain(), TimeDelay()
+GAIN, DELAY, HEARD = ChannelGain(), TimeDelay(), Crosstalk()
 ALARM = Leftover(alarm=1e-6, explained=900.0, p_value=0.4)
 HELD = Gain("run 3 at 9 N, the highest level", 40.0, 1.02, 500.0, 20.0, missed=0.5, chi2_within=1.0)
 MISSED = replace(HELD, chi2_after=3.0, missed=9.0)
@@ -93,7 +94,10 @@ TABLE = [
     (ranked((0.89, (CUBIC, "1")), (0.11, (CUBIC, "2"))), ALARM, HELD, "ambiguous", ["may sit elsewhere"]),
     (ranked((0.9, (CUBIC, "1")), (0.1, (CUBIC, "2"))), ALARM, HELD, "named", ["over 0.999"]),
     (ranked((1.0, (GAIN, "1"), (DELAY, "2"))), ALARM, HELD, "named", ["over 0.999"]),
-    (ranked((1.0, (GAIN, "1"), (DELAY, "1"))), ALARM, HELD, "ambiguous", ["one fault of another kind"]),
+    (ranked((1.0, (GAIN, "1"), (DELAY, "1"))), ALARM, HELD, "ambiguous", ["of one sensor may be one fault"]),
+    (ranked((1.0, (HEARD, "1", "2"), (HEARD, "1", "3"))), ALARM, HELD, "ambiguous", ["of one sensor may be one fault"]),
+    (ranked((1.0, (HEARD, "1", "2"), (HEARD, "3", "2"))), ALARM, HELD, "named", ["over 0.999"]),
+    (ranked((1.0, (GAIN, "1"), (ForceGain(), "1"))), ALARM, HELD, "named", ["over 0.999"]),  # of its load cell
     (damped(0.5), ALARM, HELD, "ambiguous", ["the damping ratio of tuned_mass ends at 0.5"]),
     (damped(0.45), ALARM, HELD, "named", ["tuned_mass"]),
     (ONE, replace(ALARM, untried=("gap", "added_mass")), HELD, "ambiguous", ["before gap, added_mass had been tried"]),

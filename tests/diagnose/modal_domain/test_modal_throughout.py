@@ -10,7 +10,7 @@ from modalax.diagnose.modal_domain.fit import fit
 from modalax.diagnose.modal_domain.inaccuracy import THROUGHOUT
 from modalax.diagnose.modal_domain.prior import Prior
 from modalax.diagnose.modal_domain.stage import identified, posed
-from modalax.diagnose.modal_domain.throughout import all_scaled, beside_one_factor, with_groups
+from modalax.diagnose.modal_domain.throughout import all_scaled, beside_one_factor, only_scaled, with_groups
 from modalax.model import Structure
 
 
@@ -98,6 +98,17 @@ def test_a_factor_on_all_of_the_damping_is_told_as_one():
     assert any("the damping of the simulation is" in r and "% too low" in r for r in found.reasons)
     base = found.extended.base
     assert np.trace(np.asarray(base.C)) == pytest.approx(np.trace(1.3 * C), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "mass", "expected"), [(1.03, 1.03, True), (1.03, 1.0, False), (1.03, 0.97, False)]
+)
+def test_one_factor_on_stiffness_and_mass_both_is_no_error_of_the_structure(stiffness, mass, expected):
+    data, model = measured(2, 0.0)[0], scaled(stiffness, mass)
+    setting = posed(data, model, identified(data, model, lambda _: None)).setting
+    assert not only_scaled(setting, fit(setting))  # nothing says so without such factors
+    wider = with_groups(setting, (THROUGHOUT["stiffness"], THROUGHOUT["mass"]))
+    assert only_scaled(wider, fit(wider)) is expected
 
 
 def test_a_gain_of_one_of_two_inputs_is_preferred_to_factors_throughout():

@@ -180,8 +180,9 @@ def elements_share_a_place(case: Case) -> str | None:
 def faults_share_a_sensor(case: Case) -> str | None:
     """Several faults of one sensor may together be one fault that is not listed."""
     h = case.best.best
-    at = [p.where[0] for c, p in zip(h.causes, h.places, strict=True) if isinstance(c, ChannelCause) and p.where]
-    return None if len(set(at)) == len(at) else f"{case.names} of one channel may be one fault of another kind"
+    faults = [(c, p.where) for c, p in zip(h.causes, h.places, strict=True) if isinstance(c, ChannelCause) and p.where]
+    at = [where[0] for c, where in faults if c.rows or len(where) > 1]  # a force's has one place, and no output to it
+    return None if len(set(at)) == len(at) else f"{case.names} of one sensor may be one fault of another kind"
 
 
 def causes_are_many(case: Case) -> str | None:
