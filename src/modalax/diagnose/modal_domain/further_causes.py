@@ -180,6 +180,22 @@ class MissingMode(Change):
         return [v["value"] for v in told], [v["std"] for v in told], (self.shape / np.linalg.norm(self.shape))[None]
 
 
+ROUNDS = 6  # of two equations for two unknowns, each nearer by the square of the damping ratio
+
+
+def viscous_terms(poles: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
+    r""":math:`\zeta\omega` and :math:`\omega^2` of modes, by their poles with a share of hysteretic damping.
+
+    They solve :math:`\lambda^2 + 2\zeta\omega(1-u)\lambda + \omega^2(1 + 2ju\zeta) = 0`, whose imaginary and real part are
+    taken one after the other.
+    """
+    a, b, square = -poles.real, poles.imag, np.abs(poles) ** 2
+    for _ in range(ROUNDS):
+        decay = a * b / ((1 - share) * b + share * np.sqrt(square))
+        square = b**2 - a**2 + 2 * (1 - share) * decay * a
+    return decay, square
+
+
 @dataclass(frozen=True)
 class StructuralDamping(Change):
     r"""Hysteretic instead of viscous damping, a share ``u`` of it.
@@ -200,8 +216,9 @@ class StructuralDamping(Change):
         return float(u[0])
 
     def at_modes(self, u: np.ndarray, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
-        """Residues turned by a share of the damping ratio."""
-        return residues * (1j * poles.imag / (1j * poles.imag + u[0] * poles.real))[:, None, None]
+        """Residues turned by a share of the damping ratio, from those of modes with as much viscous damping."""
+        decay, square = viscous_terms(poles, float(u[0]))
+        return residues * (1j * np.sqrt(square - decay**2) / (poles + (1 - u[0]) * decay))[:, None, None]
 
     def slope_at_modes(self, u: np.ndarray, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
         """Derivative of :meth:`at_modes` by the share."""

@@ -1,7 +1,7 @@
 """A hypothesis at given sizes: predicted features and their derivatives by everything unknown."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -157,6 +157,16 @@ def hysteretic(c: Coordinates, C: np.ndarray) -> np.ndarray:
     return root[:, None] * C * root
 
 
+def hysteretic_poles(poles: np.ndarray, share: float) -> np.ndarray:
+    r"""Poles of modes with a share of hysteretic damping, by those with as much viscous damping.
+
+    They solve :math:`\lambda^2 + 2\zeta\omega(1-u)\lambda + \omega^2(1 + 2ju\zeta) = 0` with :math:`\omega = |\lambda|`
+    and :math:`\zeta\omega = -\mathrm{Re}\lambda` of the viscous ones.
+    """
+    decay, square = -(1 - share) * poles.real, np.abs(poles) ** 2 - 2j * share * poles.real * np.abs(poles)
+    return -decay + 1j * np.sqrt(square - decay**2)
+
+
 def free_directions(setting: Setting, causes: tuple[Change, ...]) -> np.ndarray | None:
     """Orthonormal whitened directions of the modes that causes leave free; None where there are none."""
     freed = [c.freed for c in causes if c.freed is not None]
@@ -235,6 +245,9 @@ def state_at(
     c, f = setting.coordinates, setting.features
     modes = modes_of(c, **changes_of(setting, sizes, causes, u), loads=loads_of(causes, u))
     plain = modes.residues(c)
+    share = hysteretic_share(causes, u)
+    if share:
+        modes = replace(modes, poles=hysteretic_poles(modes.poles, share))
     seen = np.abs(plain).max(axis=(1, 2), initial=0.0)
     needed = np.isnan(setting.linear).sum() - sum(cause.freed is not None for cause in causes)
     if np.count_nonzero(seen > UNSEEN * seen.max(initial=0.0)) < needed:  # the spare coordinate is none
