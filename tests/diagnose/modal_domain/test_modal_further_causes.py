@@ -14,6 +14,7 @@ from modalax.diagnose.modal_domain.features import Features
 from modalax.diagnose.modal_domain.further_causes import MissingMode, StructuralDamping, TunedMass
 from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
 from modalax.diagnose.modal_domain.polish import frf_on_lines, slopes_on_lines
+from modalax.diagnose.modal_domain.stage import identified, posed
 from modalax.diagnose.modal_domain.state import (
     Setting,
     changes_of,
@@ -22,6 +23,7 @@ from modalax.diagnose.modal_domain.state import (
     hysteretic_poles,
     matrices_of,
     pairs_with,
+    state_at,
     unseen,
 )
 
@@ -105,6 +107,15 @@ def test_hysteretic_modes_have_the_residues_that_are_told(setting):
         M, C, K = matrices_of(setting, still(setting), (cause,), share * every)
         np.testing.assert_allclose(C, (1 - share) * c.damping, atol=1e-12)
         np.testing.assert_allclose(np.diag(K).imag[:5], share * np.diag(c.damping)[:5] * c.frequencies[:5])
+
+
+def test_a_state_has_the_poles_of_its_hysteretic_modes():
+    data, model = measured(2, 0.0)[0], simulation()
+    setting = posed(data, model, identified(data, model, lambda _: None)).setting
+    cause, u = StructuralDamping("structural_damping", ()), np.array([0.8])
+    plain, lossy = (state_at(setting, still(setting), *given).modes.poles for given in ((), ((cause,), u)))
+    np.testing.assert_allclose(lossy, hysteretic_poles(plain, 0.8))
+    assert np.abs(lossy - plain).max() > 0
 
 
 def test_a_share_of_hysteretic_damping_turns_a_residue_by_its_share(setting):

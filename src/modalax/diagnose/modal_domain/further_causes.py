@@ -186,8 +186,8 @@ ROUNDS = 6  # of two equations for two unknowns, each nearer by the square of th
 def viscous_terms(poles: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
     r""":math:`\zeta\omega` and :math:`\omega^2` of modes, by their poles with a share of hysteretic damping.
 
-    They solve :math:`\lambda^2 + 2\zeta\omega(1-u)\lambda + \omega^2(1 + 2ju\zeta) = 0`, whose imaginary and real part are
-    taken one after the other.
+    They solve :math:`\lambda^2 + 2\zeta\omega(1-u)\lambda + \omega^2(1 + 2ju\zeta) = 0`, whose imaginary and real parts
+    are taken one after the other.
     """
     a, b, square = -poles.real, poles.imag, np.abs(poles) ** 2
     for _ in range(ROUNDS):
