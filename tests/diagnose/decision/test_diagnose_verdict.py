@@ -13,6 +13,7 @@ from modalax.diagnose.causes.local import AddedMass, JointStiffness, TunedMass
 from modalax.diagnose.causes.mains_hum import MainsHum
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.causes.signals import HumLines
+from modalax.diagnose.causes.viscoelastic import MaxwellJoint
 from modalax.diagnose.decision.advice import advise
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.posterior import Ranked
@@ -57,6 +58,13 @@ def dropping_out(correlation):
     params, deviation = np.array([1e-4, 50.0]), np.array([2e-4, 100.0])
     covariance = np.array([[1.0, correlation], [correlation, 1.0]]) * np.outer(deviation, deviation)
     return [replace(found, best=replace(found.best, params=(params,), covariance=covariance))]
+
+
+def at_zero(variance):
+    """A relaxing joint, which is no joint with a force law, of whose three parameters the last is zero."""
+    (found,) = ranked((1.0, (MaxwellJoint(), "1", "2")))
+    best = replace(found.best, params=(np.array([80.0, 2e-4, 0.0]),), covariance=np.diag([variance, 9.0, 1.0]))
+    return [replace(found, best=best)]
 
 
 def damped(ratio):
@@ -118,6 +126,8 @@ TABLE = [
     (ranked((1.0, (SPRING, "1"), (MASS, "2"), (SPRING, "3"))), ALARM, HELD, "named", ["over 0.999"]),
     (stuck(1e6, 2e6), ALARM, HELD, "ambiguous", ["elasto_slip cannot be told from coulomb_friction"]),
     (stuck(1e6, 9e5), ALARM, HELD, "named", ["over 0.999"]),
+    (at_zero(1.0), ALARM, HELD, "named", ["over 0.999"]),
+    (at_zero(1e6), ALARM, HELD, "ambiguous", ["no parameter of maxwell_joint"]),
     (dropping_out(-0.7), ALARM, HELD, "ambiguous", ["no parameter of force_dropout"]),
     (dropping_out(-0.999), ALARM, HELD, "named", ["over 0.999"]),  # their product is known
     (ranked((0.5, (CUBIC, "1"), (SPRING, "1")), (0.5, (MASS, "3"))), ALARM, MISSED, "ambiguous", ["", "", "one joint"]),

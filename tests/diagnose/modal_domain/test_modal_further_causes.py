@@ -11,7 +11,7 @@ from modalax.diagnose.modal_domain.causes import Change, shown
 from modalax.diagnose.modal_domain.coordinates import coordinates_of, modes_of
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.features import Features
-from modalax.diagnose.modal_domain.further_causes import MissingMode, StructuralDamping, TunedMass
+from modalax.diagnose.modal_domain.further_causes import MissingMode, StructuralDamping, TunedMass, hysteretic_poles
 from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
 from modalax.diagnose.modal_domain.polish import frf_on_lines, slopes_on_lines
 from modalax.diagnose.modal_domain.stage import identified, posed
@@ -20,7 +20,6 @@ from modalax.diagnose.modal_domain.state import (
     changes_of,
     evidence_of_free,
     free_directions,
-    hysteretic_poles,
     matrices_of,
     pairs_with,
     state_at,

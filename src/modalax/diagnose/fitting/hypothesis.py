@@ -92,10 +92,11 @@ class Hypothesis:
             if not len(p) or self.covariance is None:
                 continue
             size = np.array([1.0 if q.log else abs(v) for q, v in zip(cause.parameters, p, strict=True)])
-            size = np.maximum(size, np.finfo(float).tiny)
-            variances = self.covariance[own, own] / np.outer(size, size)
-            each = np.diag(variances) if isinstance(cause, JointCause) else np.linalg.eigvalsh(variances)
-            found += [k] if (each > 1).all() else []
+            variances, some = self.covariance[own, own], size > 0  # what is zero is no larger than any deviation
+            relative = variances[np.ix_(some, some)] / np.outer(size[some], size[some])
+            alone = isinstance(cause, JointCause) or not np.isfinite(relative).all()
+            each = np.diag(relative) if alone else np.linalg.eigvalsh(relative)
+            found += [k] if (each > 1).all() and (np.diag(variances)[~some] > 0).all() else []
         return found
 
     @property

@@ -183,11 +183,20 @@ class MissingMode(Change):
 ROUNDS = 6  # of two equations for two unknowns, each nearer by the square of the damping ratio
 
 
-def viscous_terms(poles: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
-    r""":math:`\zeta\omega` and :math:`\omega^2` of modes, by their poles with a share of hysteretic damping.
+def hysteretic_poles(poles: np.ndarray, share: float) -> np.ndarray:
+    r"""Poles of modes with a share of hysteretic damping, by those with as much viscous damping.
 
-    They solve :math:`\lambda^2 + 2\zeta\omega(1-u)\lambda + \omega^2(1 + 2ju\zeta) = 0`, whose imaginary and real parts
-    are taken one after the other.
+    They solve :math:`\lambda^2 + 2\zeta\omega(1-u)\lambda + \omega^2(1 + 2ju\zeta) = 0` with :math:`\omega = |\lambda|`
+    and :math:`\zeta\omega = -\mathrm{Re}\lambda` of the viscous ones.
+    """
+    decay, square = -(1 - share) * poles.real, np.abs(poles) ** 2 - 2j * share * poles.real * np.abs(poles)
+    return -decay + 1j * np.sqrt(square - decay**2)
+
+
+def viscous_terms(poles: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
+    r""":math:`\zeta\omega` and :math:`\omega^2` of the viscous modes whose :func:`hysteretic_poles` are given.
+
+    Imaginary and real part of the equation that these solve are taken one after the other.
     """
     a, b, square = -poles.real, poles.imag, np.abs(poles) ** 2
     for _ in range(ROUNDS):
@@ -201,9 +210,8 @@ class StructuralDamping(Change):
     r"""Hysteretic instead of viscous damping, a share ``u`` of it.
 
     A hysteretic mode of the same pole :math:`\lambda` has the residue :math:`\phi\phi^T/(2\lambda)`, a viscous one
-    :math:`\phi\phi^T/(2j\,\mathrm{Im}\lambda)`, so that phases of residues tell them apart. Half way between, the
-    derivative of :math:`\lambda^2 + 2\zeta\omega(1-u)\lambda + 2ju\zeta\omega^2 + \omega^2` by :math:`\lambda` is
-    :math:`2j\,\mathrm{Im}\lambda + 2u\,\mathrm{Re}\lambda`.
+    :math:`\phi\phi^T/(2j\,\mathrm{Im}\lambda)`, so that phases of residues tell them apart. In between it is one
+    over :math:`2\lambda + 2\zeta\omega(1-u)`, the derivative of what the pole solves (:func:`hysteretic_poles`).
     """
 
     @property
@@ -221,7 +229,10 @@ class StructuralDamping(Change):
         return residues * (1j * np.sqrt(square - decay**2) / (poles + (1 - u[0]) * decay))[:, None, None]
 
     def slope_at_modes(self, u: np.ndarray, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
-        """Derivative of :meth:`at_modes` by the share."""
+        r"""Derivative of :meth:`at_modes` by the share, to first order in the damping ratio.
+
+        There the residue is one over :math:`2j\,\mathrm{Im}\lambda + 2u\,\mathrm{Re}\lambda`, and the pole stays.
+        """
         turned = 1j * poles.imag + u[0] * poles.real
         return residues * (-1j * poles.imag * poles.real / turned**2)[:, None, None]
 

@@ -11,7 +11,7 @@ from modalax.diagnose.modal_domain.causes import Change, hysteretic_share, with_
 from modalax.diagnose.modal_domain.coordinates import SPARED, Coordinates, Modes, modes_of
 from modalax.diagnose.modal_domain.factored import Factored
 from modalax.diagnose.modal_domain.features import Features, paired
-from modalax.diagnose.modal_domain.further_causes import MissingMode
+from modalax.diagnose.modal_domain.further_causes import MissingMode, hysteretic_poles
 from modalax.diagnose.modal_domain.inaccuracy import KINDS, Inaccuracy
 from modalax.diagnose.modal_domain.line_forces import ModalForce, loads_of
 from modalax.diagnose.modal_domain.repeated import Together, further
@@ -155,16 +155,6 @@ def hysteretic(c: Coordinates, C: np.ndarray) -> np.ndarray:
     """Damping of modes at their own frequencies as an imaginary stiffness, shape ``(..., n, n)``."""
     root = np.sqrt(c.frequencies)
     return root[:, None] * C * root
-
-
-def hysteretic_poles(poles: np.ndarray, share: float) -> np.ndarray:
-    r"""Poles of modes with a share of hysteretic damping, by those with as much viscous damping.
-
-    They solve :math:`\lambda^2 + 2\zeta\omega(1-u)\lambda + \omega^2(1 + 2ju\zeta) = 0` with :math:`\omega = |\lambda|`
-    and :math:`\zeta\omega = -\mathrm{Re}\lambda` of the viscous ones.
-    """
-    decay, square = -(1 - share) * poles.real, np.abs(poles) ** 2 - 2j * share * poles.real * np.abs(poles)
-    return -decay + 1j * np.sqrt(square - decay**2)
 
 
 def free_directions(setting: Setting, causes: tuple[Change, ...]) -> np.ndarray | None:

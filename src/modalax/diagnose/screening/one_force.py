@@ -88,7 +88,7 @@ def _with_modes(comparison: Comparison, late: Deadline) -> tuple[Place, ...]:
     behind = THRESHOLDS.other_places + THRESHOLDS.one_force * np.sqrt(4 * unknowns)
     found = modes_beside(comparison, pairs, FIRST, late)
     best = min((chi2 for _, chi2, _ in found), default=np.inf)
-    if _exceeds_noise(best, samples) >= THRESHOLDS.one_force or _by_faults_or_modes(comparison, late) < best + behind:
+    if _exceeds_noise(best, samples) >= THRESHOLDS.one_force or _fault_or_mode_does(comparison, best + behind, late):
         return ()
     found = modes_beside(comparison, pairs, REFINED, late, found)
     ranked = sorted(((chi2, p) for p, chi2, _ in found), key=lambda one: one[0])
@@ -100,13 +100,13 @@ def _with_modes(comparison: Comparison, late: Deadline) -> tuple[Place, ...]:
     return near if len(near) <= KEPT else ()
 
 
-def _by_faults_or_modes(comparison: Comparison, late: Deadline) -> float:
-    """Least chi-square that a fault of one output or one mode would leave, with modes that follow; 0 if time is up."""
+def _fault_or_mode_does(comparison: Comparison, most: float, late: Deadline) -> bool:
+    """Whether a fault of one output, or one mode, leaves less than ``most``, as modes follow, or time is up before."""
     nominal = Beside.nominal(comparison)
     modes = np.flatnonzero(np.abs(nominal.shapes).max(axis=1) > 0)
     others = [lambda b, k=k: (b.fault(k),) for k in range(nominal.change.shape[2])]
     others += [lambda b, k=k: (b.of_mode(k),) for k in modes]
-    return min(0.0 if late() else nominal.settled(other, STEPS)[0] for other in others)
+    return any(late() or nominal.settled(other, STEPS)[0] < most for other in others)
 
 
 def _exceeds_noise(chi2: float, samples: int) -> float:
