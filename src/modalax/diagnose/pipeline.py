@@ -255,14 +255,15 @@ def beside_claim(
 ) -> Diagnosis | None:  # fmt: skip
     """The answer where modes are claimed to be off and one cause is beyond doubt, which modes tell in seconds.
 
-    By lines where it explains these beside modes that are off as claimed; by modes where elements are surely off.
+    By lines where it explains these beside modes that are off as claimed; by modes where elements are surely off, or
+    where a force or a sensor surely is askew, which no cause is.
     """
     named = named_beside_claim(shown)
     found = lines(late, named, only_named=True) if named else None
     if found is not None and suffices("lines", outcome_of(found), task):
         return found
     modes = None if late() else modal()
-    return modes if modes is not None and elements_surely(outcome_of(modes)) else None
+    return modes if modes is not None and (modes.askew or elements_surely(outcome_of(modes))) else None
 
 
 def sufficient(found: Diagnosis, modal: Callable[[], ModalDiagnosis | None], late: Deadline) -> Diagnosis | None:

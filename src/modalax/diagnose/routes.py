@@ -64,6 +64,7 @@ def outcome_of(found: Diagnosis) -> Outcome:
         found.throughout if isinstance(found, ModalDiagnosis) else {},
         isinstance(found, ModalDiagnosis) and found.verdict == "clean" and bool(found.chosen.causes),
         isinstance(found, ModalDiagnosis) and only_scaled(found.stage.setting, found.chosen.fit),
+        isinstance(found, ModalDiagnosis) and found.askew,
     )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ import pytest
 from modalax.diagnose.decision.beyond import (
     BeyondUsual,
     ModalCase,
+    OddChannel,
     held_out_verdict,
     lines_verdict,
     modal_verdict,
@@ -41,8 +42,11 @@ def case(*sets, **changed):
         (case((0.97, *NOTHING), needed=[SPRING]), "unknown", "several elements may be off by the same factor"),
         (case((0.997, SPRING), needed=[SPRING]), "named", "stands out beyond the general inaccuracy"),
         (case((0.97, SPRING), share_of_largest=0.8, misfit=2.0), "named", "12.3 nats"),
-        (case((0.97, SPRING), odd=("7:+Z", 94.2)), "unknown", "the FRFs at 7:+Z alone"),
-        (case((0.97, *NOTHING), odd=("7:+Z", 94.2)), "clean", "nothing stands out"),
+        (case((0.97, SPRING), odd=OddChannel("7:+Z", False, 2.1)), "unknown", "the FRFs at 7:+Z alone"),
+        (case((0.97, SPRING), odd=OddChannel("7:+Z", True, 2.1)), "unknown", "the FRFs to the force at 7:+Z alone"),
+        (case((0.97, *NOTHING), odd=OddChannel("7:+Z", False, 2.9)), "clean", "nothing stands out"),
+        (case((0.97, *NOTHING), odd=OddChannel("7:+Z", True, 3.0, "8:+X", 0.1)), "unknown", "if 0.1 of it also acted"),
+        (case((0.97, *NOTHING), odd=OddChannel("7:+Z", False, 3.0, "7:+X", 0.1)), "unknown", "also measured 0.1 of"),
         (
             case((1.0, SPRING, MASS, ("channel_gain", ("1",)))),
             "ambiguous",

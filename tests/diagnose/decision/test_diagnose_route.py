@@ -236,6 +236,11 @@ def test_a_simulation_without_damping_is_compared_by_modes_first_and_by_lines_if
     assert not suffices("modes", Outcome("unknown", 9.0), undamped)
 
 
+def test_what_has_no_name_but_is_known_beyond_doubt_is_not_looked_for_again():
+    assert suffices("modes", Outcome("unknown", 9.0, askew=True), SMALL)
+    assert not suffices("modes", Outcome("unknown", 9.0), SMALL)
+
+
 def test_a_simulation_with_massless_dofs_is_left_to_the_modal_domain():
     massless = replace(SMALL, massless=True)
     assert order(massless)[0] == "modes" and suffices("modes", Outcome("unknown", 9.0), massless)

@@ -60,14 +60,17 @@ def measured(
     noise: float = 0.01, lines: int = 120, top: float = 230.0, runs: int = 1, given: bool = True,
     shifts: tuple[float, ...] = (0.0,), damping: tuple[int, float] | None = None,
     oscillator: tuple[str, float, float, float] | None = None, hysteretic: float = 0.0, extra: float | None = None,
-    decay: float = 0.0, ground: tuple[str, float] | None = None,
+    decay: float = 0.0, ground: tuple[str, float] | None = None, stray: tuple[str, float] | None = None,
+    tilted: tuple[str, str, float] | None = None,
 ) -> tuple[Measurement, np.ndarray]:  # fmt: skip
     """Accelerances of a beam whose elements are off, and the true stiffness matrix.
 
     All frequencies are shifted from run to run by ``shifts``, damping ratios and shapes are not; ``damping`` is a mode
     counted from 1 and how many times its damping ratio it has; ``oscillator`` is a DoF, a mass [kg], a frequency [Hz]
     and a damping ratio; ``extra`` the frequency [Hz] of a mode of 1 % damping and a shape that nobody expected;
-    ``decay`` that of an impact window [1/s]; ``hysteretic`` the share of the damping that is.
+    ``decay`` that of an impact window [1/s]; ``hysteretic`` the share of the damping that is;
+    ``stray`` a DoF that the first input's force also acts on, and what share of it; ``tilted`` an
+    output, a DoF that it also measures and what share of that.
     """
     rng = np.random.default_rng(seed)
     K, M = cantilever(1 + off * rng.standard_normal(ELEMENTS), 1 + off / 3 * rng.standard_normal(ELEMENTS))
@@ -99,7 +102,13 @@ def measured(
         spring = (2 * np.pi * f) ** 2 + 2 * ratio * 2 * np.pi * f * s[..., 0, 0]
         at = DOFS.index(dof)
         Z[..., at, at] += own * s[..., 0, 0] ** 2 * spring / (s[..., 0, 0] ** 2 + spring)
-    receptance = np.linalg.inv(Z)[..., rows, :][..., columns]
+    forces = np.eye(len(K))[:, columns]
+    if stray is not None:
+        forces[DOFS.index(stray[0]), 0] = stray[1]
+    motions = np.eye(len(K))[rows]
+    if tilted is not None:
+        motions[outputs.index(tilted[0]), DOFS.index(tilted[1])] = tilted[2]
+    receptance = motions @ np.linalg.inv(Z) @ forces
     if extra is not None:
         shape, w = 0.5 * rng.standard_normal(len(DOFS)), 2 * np.pi * extra
         receptance = receptance + np.outer(shape[rows], shape[columns]) / (s**2 + 2 * 0.01 * w * s + w**2)

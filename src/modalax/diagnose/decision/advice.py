@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from modalax.diagnose.decision.beyond import OddChannel
 from modalax.diagnose.decision.posterior import Ranked
 
 AT_LEVELS = "measure at three force levels or more, spread over a factor of ten, and look at the third harmonic"
@@ -45,7 +46,7 @@ def advise(verdict: str, sets: Sequence[Ranked], by_level: bool = False) -> str:
     return "; ".join(dict.fromkeys(parts)) or "measure another column of the FRF matrix"
 
 
-def advise_modes(verdict: str, rivals: int, odd: str | None = None) -> str | None:
+def advise_modes(verdict: str, rivals: int, odd: OddChannel | None = None) -> str | None:
     """What to do next after an answer of the modal domain, in one sentence; None where nothing is left open.
 
     Parameters
@@ -55,12 +56,14 @@ def advise_modes(verdict: str, rivals: int, odd: str | None = None) -> str | Non
     rivals
         How many other sets of causes are in question.
     odd
-        An output that differs from all others as no cause explains, where that is why the answer is ``unknown``.
+        A channel that differs from all others as no cause explains, where that is why the answer is ``unknown``.
     """
     if verdict == "clean" or (verdict == "named" and not rivals):
         return None
     if verdict == "unknown" and odd is not None:
-        return f"check the sensor at {odd} (mounting, cable, axis, range, calibration), or measure with another one"
+        what, instead = ("force", "excite at another point") if odd.force else ("sensor", "measure with another one")
+        of = "direction, contact elsewhere, load cell" if odd.force else "mounting, cable, axis, range, calibration"
+        return f"check the {what} at {odd.name} ({of}), or {instead}"
     if verdict == "unknown":
         return "check that the simulation is of this structure: its supports, its units and the names of its DoFs"
     return "measure at a further point near these places, or change one of them on purpose and measure again"

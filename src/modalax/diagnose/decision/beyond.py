@@ -31,6 +31,44 @@ class BeyondUsual:
 
 
 @dataclass(frozen=True)
+class OddChannel:
+    """A channel that differs from all others as no cause explains.
+
+    Attributes
+    ----------
+    name, force
+        The channel, and whether it is an input.
+    nats
+        Log probability that this has over the likeliest explanation by causes.
+    along, share
+        A DoF at which a share of the force also acts, or along which the sensor also measures; none where ``along`` is
+        empty, as what is odd about the channel is not known.
+    """
+
+    name: str
+    force: bool
+    nats: float
+    along: str = ""
+    share: float = 0.0
+
+    @property
+    def said(self) -> str:
+        """What is odd, and what to check."""
+        where, it = (f"to the force at {self.name}", "the force") if self.force else (f"at {self.name}", "the sensor")
+        likelier = f"({self.nats:.3g} nats likelier than what stands out)"
+        if not self.along:
+            check = "its direction, contact elsewhere and load cell" if self.force else "its cable, mounting and range"
+            return (
+                f"the FRFs {where} alone differ from all others in a way that no cause explains {likelier}: check "
+                f"{it}, {check}"
+            )
+        does = f"{self.share:.3g} of it also acted at" if self.force else f"it also measured {self.share:.3g} of"
+        return (
+            f"the FRFs {where} are those of the simulation if {does} {self.along} {likelier}: check how {it} is aligned"
+        )
+
+
+@dataclass(frozen=True)
 class ModalCase:
     """All that a rule of the modal domain may look at.
 
@@ -52,8 +90,7 @@ class ModalCase:
     limits
         Thresholds of the rules.
     odd
-        An output that differs from all others as no cause explains, and how many nats likelier that is than the
-        likeliest causes; None where there is none.
+        A channel that differs from all others as no cause explains; None where there is none.
     needed
         Causes no larger than the general inaccuracy without which the measured modes are not explained.
     claims
@@ -74,7 +111,7 @@ class ModalCase:
     misfit: float
     nats: float | None
     limits: Thresholds
-    odd: tuple[str, float] | None = None
+    odd: OddChannel | None = None
     needed: Sequence[tuple[str, tuple[str | int, ...]]] = ()
     claims: Mapping[str, float] = field(default_factory=dict)
     at_one_output: Sequence[str] = ()
@@ -144,15 +181,10 @@ def nothing_beyond_the_usual(case: ModalCase) -> tuple[str, ...]:
     return (f"nothing stands out beyond the general inaccuracy (probability {case.sets[0].probability:.3f})",)
 
 
-def one_output_differs(case: ModalCase) -> tuple[str, ...]:
-    """What stands out is less likely than that one output is wrong in a way without a name."""
-    if case.odd is None or not case.sets[0].names:
-        return ()
-    name, nats = case.odd
-    return (
-        f"the FRFs at {name} alone differ from all others in a way that no cause explains ({nats:.3g} nats likelier "
-        "than what stands out): check that sensor, its cable, mounting and range",
-    )
+def one_channel_differs(case: ModalCase) -> tuple[str, ...]:
+    """What stands out, or nothing, is less likely than that one channel is wrong in a way without a name."""
+    sure = case.odd is not None and case.odd.nats > math.log(case.limits.certain / (1 - case.limits.certain))
+    return () if case.odd is None or not (case.sets[0].names or sure) else (case.odd.said,)
 
 
 def one_output_has_a_mode(case: ModalCase) -> tuple[str, ...]:
@@ -203,7 +235,7 @@ def other_places_compete(case: ModalCase) -> tuple[str, ...]:
 
 
 RULES: tuple[tuple[str, Rule], ...] = (
-    ("unknown", one_output_differs),
+    ("unknown", one_channel_differs),
     ("unknown", modes_are_not_explained),
     ("unknown", claim_is_far_exceeded),
     ("unknown", the_usual_is_needed),

@@ -93,6 +93,8 @@ class Outcome:
         Whether a cause explains the data best, but is no larger than what is usual of a simulation.
     scaled
         Whether stiffness and mass are off by what may be one factor on both, so that no frequency is off.
+    askew
+        Whether it is told beyond doubt that a force or a sensor also acts or measures elsewhere, which has no name.
     """
 
     verdict: str
@@ -109,6 +111,7 @@ class Outcome:
     throughout: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     passed_over: bool = False
     scaled: bool = False
+    askew: bool = False
 
     @property
     def predicts(self) -> float:
@@ -167,7 +170,7 @@ def suffices(route: Route, found: Outcome, task: Task, limits: Thresholds = THRE
     """Whether the answer of the method that was tried first is given without trying the other."""
     if route == "lines":
         return explained(found, limits)
-    if task.massless or task.undamped and found.verdict != "unknown":
+    if task.massless or found.askew or task.undamped and found.verdict != "unknown":
         return True
     if needs_modes(task, limits):
         unsettled = found.verdict == "unknown" or found.verdict == "clean" and not nothing_left(found, limits)

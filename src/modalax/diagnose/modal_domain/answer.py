@@ -1,5 +1,6 @@
 """The answer of the modal domain, with the interface of every other diagnosis."""
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -173,10 +174,15 @@ class ModalDiagnosis(Diagnosis):
         return {slug: float(np.median(v)) * (THRESHOLDS.stands_out + THRESHOLDS.power) for slug, v in values.items()}
 
     @property
+    def askew(self) -> bool:
+        """Whether a force or a sensor beyond doubt also acts or measures elsewhere."""
+        odd, sure = self.stage.odd, math.log(THRESHOLDS.decisive / (1 - THRESHOLDS.decisive))
+        return odd is not None and bool(odd.along) and odd.nats > sure
+
+    @property
     def advice(self) -> str | None:
         """What would tell the alternatives apart."""
-        odd = self.stage.odd.name if self.stage.odd is not None and self.sets[0].names else None
-        return advise_modes(self.verdict, len(self.alternatives), odd)
+        return advise_modes(self.verdict, len(self.alternatives), self.stage.odd)
 
     def to_dict(self) -> dict[str, Any]:
         """The answer as plain data, in the agreed form."""

@@ -54,8 +54,15 @@ class Factored:
         """All changes between responses ``(f, n, o)`` and ``(f, n, i)``, shape ``(p, f, o, i)``."""
         left, right = (self._along(responses) for responses in (outer, inner))
         right *= self.sign[:, None, None]
-        each = left[..., None] * right[:, :, None]
-        return each if len(self.first) == len(self.sign) else np.add.reduceat(each, self.first, axis=0)
+        count = np.diff(np.append(self.first, len(self.sign)))
+        if len(count) == len(self.sign):
+            return left[..., None] * right[:, :, None]
+        out = np.empty((len(count), *left.shape[1:], right.shape[2]), complex)
+        for c in np.unique(count):  # a product of matrices each, ten times as fast as sums over directions
+            own = np.flatnonzero(count == c)
+            some = self.first[own, None] + np.arange(c)
+            out[own] = left[some].transpose(0, 2, 3, 1) @ right[some].transpose(0, 2, 1, 3)
+        return out
 
     def _along(self, responses: np.ndarray) -> np.ndarray:
         """Responses along the directions, shape ``(r, f, k)``: two real products cost half of a complex one."""

@@ -13,7 +13,7 @@ from modalax.diagnose.modal_domain.inaccuracy import TOLD, WITHIN, claims_of
 from modalax.diagnose.modal_domain.levels.slipping import part_of_joint
 from modalax.diagnose.modal_domain.line_forces import EvenCoupling, SkewCoupling
 from modalax.diagnose.modal_domain.linear import LARGEST
-from modalax.diagnose.modal_domain.odd_output import only_output
+from modalax.diagnose.modal_domain.odd_channel import only_output
 from modalax.diagnose.modal_domain.polish import taken_on, without_spare
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.modal_domain.throughout import nats_over_a_factor
@@ -61,7 +61,7 @@ def judge(stage: Stage) -> Judged:
         max(off[name] / LARGEST[name] for name in ("stiffness", "mass")),
         best.misfit,
         None if plain is None else best.log_posterior - plain.log_posterior, THRESHOLDS,
-        None if stage.odd is None else (stage.odd.name, stage.odd.nats),
+        stage.odd,
         _told(tuple(c for c in small if not (c.absent or c.dissipates))) if needs(stage, best, small) else (),
         {name: size for name, size in claims_of(stage.setting.inaccuracy).items() if name in ("stiffness", "mass")},
         _at_one_output(stage, best), _as_a_factor(stage, best), _one_sided(stage, best),

@@ -8,6 +8,8 @@ import numpy as np
 
 from modalax.data import Measurement
 from modalax.diagnose.deadline import Deadline
+from modalax.diagnose.decision.beyond import OddChannel
+from modalax.diagnose.modal_domain.askew import askew_channel
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import Coordinates, coordinates_of
 from modalax.diagnose.modal_domain.crosstalk import leaking_channels
@@ -24,7 +26,7 @@ from modalax.diagnose.modal_domain.levels.laws import NAMED
 from modalax.diagnose.modal_domain.levels.seen import Seen, joint_and_structure, look_at_levels
 from modalax.diagnose.modal_domain.levels.slipping import Whole, whole_joint
 from modalax.diagnose.modal_domain.measured import Measured, identify
-from modalax.diagnose.modal_domain.odd_output import OddOutput, odd_output
+from modalax.diagnose.modal_domain.odd_channel import odd_channel
 from modalax.diagnose.modal_domain.places import candidates_of, springs_of
 from modalax.diagnose.modal_domain.polish import leading_on_lines
 from modalax.diagnose.modal_domain.prior import Prior
@@ -64,7 +66,7 @@ class Stage:
     seen
         What force levels or repeated runs tell; None where there is one run.
     odd
-        An output that differs from all others as no cause explains; None where there is none.
+        A channel that differs from all others as no cause explains; None where there is none.
     whole
         The leading joint, where the simulation lacks it altogether and the linear structure shows its spring.
     """
@@ -78,7 +80,7 @@ class Stage:
     explanations: list[Explanation]
     in_time: bool
     seen: Seen | None = None
-    odd: OddOutput | None = None
+    odd: OddChannel | None = None
     whole: Whole | None = None
 
     @property
@@ -179,7 +181,10 @@ def run_stage(
     setting, explanations = explain(setting, candidates, first, tell)
     if not explanations:
         return None
-    odd = None if late() else odd_output(setting, explanations, measurement.outputs)
+    channels = measurement.outputs, measurement.inputs
+    odd = None if late() else odd_channel(setting, explanations, *channels)
+    turned = None if late() else askew_channel(setting, explanations, simulation.dofs, *channels)
+    odd = max((o for o in (odd, turned) if o is not None), key=lambda o: o.nats, default=None)
     setting, explanations = leading_on_lines(setting, explanations, measured, late)
     spots = [Spot(where, b, w, held) for where, b, _, w, held in places]
     seen = None

@@ -337,7 +337,7 @@ def feature_slopes(
     both = np.einsum("ro,ri->roi", t.shape_outputs[a], t.shape_inputs[b])
     both = both + np.einsum("ro,ri->roi", t.shape_outputs[b], t.shape_inputs[a])
     turned = dpoles[k:, :, None, None] * _in_channels(causes, u, t.poles[a], both)[:, None]
-    return _in_features(setting, state, dpoles[:k], moved, t.repeated, turned).reshape(-1, p)
+    return in_features(setting, state, dpoles[:k], moved, t.repeated, turned).reshape(-1, p)
 
 
 def _in_channels(causes: tuple[Change, ...], u: np.ndarray, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
@@ -348,7 +348,7 @@ def _in_channels(causes: tuple[Change, ...], u: np.ndarray, poles: np.ndarray, r
     return residues
 
 
-def _in_features(
+def in_features(
     setting: Setting, state: State, dpoles: np.ndarray, dresidues: np.ndarray, repeated: np.ndarray = NO_TWO,
     turned: np.ndarray = NO_TWO,
 ) -> np.ndarray:  # fmt: skip
@@ -371,4 +371,4 @@ def _channel_slope(
     for k, (cause, size) in enumerate(with_sizes(causes, u)):
         act = cause.slope_at_modes if k == which else cause.at_modes
         residues = act(size, t.poles, residues)
-    return _in_features(setting, state, np.zeros((len(t.poles), 1), complex), residues[:, None]).reshape(-1, 1)
+    return in_features(setting, state, np.zeros((len(t.poles), 1), complex), residues[:, None]).reshape(-1, 1)

@@ -7,7 +7,7 @@ import pytest
 from frames import DOFS, measured, simulation
 
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
-from modalax.diagnose.modal_domain.odd_output import only_output
+from modalax.diagnose.modal_domain.odd_channel import only_output
 
 
 def test_a_gain_that_wanders_over_the_lines_gets_no_name_but_its_sensor_is_told():
@@ -19,6 +19,25 @@ def test_a_gain_that_wanders_over_the_lines_gets_no_name_but_its_sensor_is_told(
     assert answer["verdict"] == "unknown"
     assert any(f"the FRFs at {DOFS[8]} alone differ" in r for r in answer["reasons"])
     assert f"the sensor at {DOFS[8]}" in answer["advice"] and "supports" not in answer["advice"]
+
+
+@pytest.mark.parametrize("share", [-0.05, 0.2])
+def test_a_force_that_also_acts_elsewhere_is_told_with_its_share_and_has_no_name(share):
+    data, _ = measured(23, 0.01, stray=(DOFS[10], share))
+    found = diagnose_modes(data, simulation())
+    answer, odd = found.to_dict(), found.stage.odd
+    assert answer["verdict"] == "unknown", answer["causes"]
+    assert odd is not None and (odd.name, odd.force, odd.along) == (DOFS[4], True, DOFS[10])
+    assert abs(odd.share / share - 1) < 0.1 and odd.nats > 20.0
+    assert any(f"of it also acted at {DOFS[10]}" in r for r in answer["reasons"]), answer["reasons"]
+    assert f"the force at {DOFS[4]}" in answer["advice"]
+
+
+def test_a_sensor_that_also_measures_the_rotation_of_its_point_is_told_as_that():
+    data, _ = measured(24, 0.01, tilted=(DOFS[8], DOFS[9], 0.03))
+    odd = diagnose_modes(data, simulation()).stage.odd
+    assert odd is not None and (odd.name, odd.force, odd.along) == (DOFS[8], False, DOFS[9])
+    assert abs(odd.share / 0.03 - 1) < 0.15
 
 
 def test_a_mode_of_one_sensor_is_no_mode_that_the_simulation_lacks():

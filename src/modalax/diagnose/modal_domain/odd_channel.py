@@ -1,23 +1,25 @@
-r"""Whether one output alone differs from all others, in a way that no cause of the catalogue explains.
+r"""Whether one channel alone differs from all others, in a way that no cause of the catalogue explains.
 
-What is wrong with one sensor may be nothing that has a name: a gain that wanders, a cable that resonates. An element or
-a mass at its place may then explain a part of it. Here each mode's residues at one output are free by a complex factor
-of usual size, which adds
+What is wrong with one sensor may be nothing that has a name: a gain that wanders, a cable that resonates. What is wrong
+with one force neither: a shaker that also pushes another point, a hammer that hits askew. An element, a mass or
+crosstalk at its place may then explain a part of it. Here each mode's residues at one channel are free by a complex
+factor of usual size, which adds
 
 .. math:: \sigma^2\sum_k D_k D_k^T,
 
 :math:`D_k` the derivatives of the features of mode k by real and imaginary part of that factor, to the covariance of
-the features. Where the general inaccuracy beside such an output is likelier than every cause, none is a name for it.
+the features. Where the general inaccuracy beside such a channel is likelier than every cause, none is a name for it.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from modalax._numerics.triangles import forward
 from modalax.diagnose.causes.base import RARE
+from modalax.diagnose.decision.beyond import OddChannel
 from modalax.diagnose.modal_domain.channel_faults import GAIN
 from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.features import Features
@@ -27,27 +29,13 @@ from modalax.diagnose.modal_domain.state import Setting
 FEWEST = 3  # outputs among which one can differ from the others
 OTHERS = 1 / 3  # mean square of a mode's residues at other outputs, relative to that at its largest
 SURE = 5.0  # nats by which a mode must be likelier at one output alone
-TRIED = 2  # outputs that are tried, those likeliest about the general inaccuracy alone
+TRIED = 2  # channels of each side that are tried, those likeliest about the general inaccuracy alone
 
 
-@dataclass(frozen=True)
-class OddOutput:
-    """An output that differs from all others.
-
-    Attributes
-    ----------
-    name
-        The output.
-    nats
-        Log probability that this has over the likeliest explanation by causes.
-    """
-
-    name: str
-    nats: float
-
-
-def odd_output(setting: Setting, explanations: Sequence[Explanation], outputs: Sequence[str]) -> OddOutput | None:
-    """The output that is likelier to be odd than every explanation is to be true; None where there is none.
+def odd_channel(
+    setting: Setting, explanations: Sequence[Explanation], outputs: Sequence[str], inputs: Sequence[str]
+) -> OddChannel | None:  # fmt: skip
+    """The channel that is likelier to be odd than every explanation is to be true; None where there is none.
 
     Parameters
     ----------
@@ -57,17 +45,20 @@ def odd_output(setting: Setting, explanations: Sequence[Explanation], outputs: S
         By falling probability.
     """
     plain = next((e for e in explanations if not e.causes), None)
-    if plain is None or not explanations[0].causes or len(outputs) < FEWEST:
+    if plain is None or not explanations[0].causes:
         return None
-    r, roots = plain.fit.state.difference, [_root(setting, k) for k in range(len(outputs))]
-    left = [float((forward(L, r) ** 2).sum()) + 2 * _volume(L) for L in roots]
-    found: list[OddOutput] = []
-    for k in np.argsort(left)[:TRIED]:
-        L = roots[k]
-        f = fit(replace(setting, whitener=forward(L, setting.triangle)))
-        if f is not None:
-            value = f.log_evidence - _volume(L) + math.log(RARE / len(outputs))
-            found.append(OddOutput(outputs[k], value - explanations[0].log_posterior))
+    found: list[OddChannel] = []
+    for force, names in ((False, outputs), (True, inputs)):
+        if len(names) < (2 if force else FEWEST):
+            continue
+        r, roots = plain.fit.state.difference, [_root(setting, force, k) for k in range(len(names))]
+        left = [float((forward(L, r) ** 2).sum()) + 2 * _volume(L) for L in roots]
+        for k in np.argsort(left)[:TRIED]:
+            L = roots[k]
+            f = fit(replace(setting, whitener=forward(L, setting.triangle)))
+            if f is not None:
+                value = f.log_evidence - _volume(L) + math.log(RARE / len(names))
+                found.append(OddChannel(names[k], force, value - explanations[0].log_posterior))
     best = max(found, key=lambda o: o.nats, default=None)
     return best if best is not None and best.nats > 0 else None
 
@@ -88,14 +79,14 @@ def only_output(f: Features, mode: int) -> int | None:
     return largest if nats > SURE else None
 
 
-def _root(setting: Setting, output: int) -> np.ndarray:
-    """Root of the features' covariance, whitened, with one output free."""
+def _root(setting: Setting, force: bool, channel: int) -> np.ndarray:
+    """Root of the features' covariance, whitened, with one channel free."""
     f = setting.features
-    seen = f.seen
-    row = np.zeros_like(seen)
-    row[:, output] = seen[:, output]
+    own = (slice(None), slice(None), channel) if force else (slice(None), channel)
+    row = np.zeros_like(f.seen)
+    row[own] = f.seen[own]
     still = np.zeros((len(f.poles), 2))
-    slopes = f.slopes(f.poles, seen, still, np.stack([row, 1j * row], axis=1))
+    slopes = f.slopes(f.poles, f.seen, still, np.stack([row, 1j * row], axis=1))
     D = np.zeros((len(f.poles), f.width, len(f.poles), 2))
     D[range(len(f.poles)), :, range(len(f.poles))] = GAIN * slopes
     W = setting.triangle @ D.reshape(len(f.poles) * f.width, -1)

@@ -1,0 +1,196 @@
+r"""Forces and sensors that are askew: a share of one also acts, or is seen, at another DoF.
+
+A hammer that hits obliquely, a shaker that also pushes another point: the force of input i acts along
+:math:`b_i + g b_d`, so that its column of the FRF matrix is :math:`H_{oi} + gH_{od}`. A sensor that is tilted moves as
+another direction of its node in the same way. Such a share has no name in the answer, but crosstalk, gains and masses
+imitate it. Each share is scored where the simulation is, linearised, beside an inaccuracy that is tolerated; for the
+leading ones the general inaccuracy is fitted with the structure seen by the channels so turned.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modalax._numerics.triangles import forward
+from modalax.diagnose.causes.base import RARE
+from modalax.diagnose.decision.beyond import OddChannel
+from modalax.diagnose.modal_domain.coordinates import Coordinates
+from modalax.diagnose.modal_domain.explanation import Explanation
+from modalax.diagnose.modal_domain.features import whitener_of
+from modalax.diagnose.modal_domain.fit import Fit, fit, scale_of
+from modalax.diagnose.modal_domain.linear import root_of_information
+from modalax.diagnose.modal_domain.nodes import nodes_of
+from modalax.diagnose.modal_domain.screen import NEARER, SIZES, cost_of_size, distances, tolerance
+from modalax.diagnose.modal_domain.state import (
+    Setting,
+    State,
+    evidence_of_free,
+    in_features,
+    slopes_at,
+    state_at,
+    whitened,
+)
+
+USUAL = 0.1  # usual share: the sine of six degrees
+BLOCK = 100  # places at once
+SHOWN = 1e-6  # motion of a DoF, relative to the largest, below which nothing shows there
+SCREENED, TRIED = 6, 2  # places that are tried with finite shares, and that are fitted
+STEPS, SETTLED = 5, 0.1  # most steps of a fit, and twice the nats that its last may gain
+NEAR = 10.0  # chi-square by which a share may be behind the leading causes where the simulation is, and be fitted
+
+
+def askew_channel(
+    setting: Setting, explanations: Sequence[Explanation], dofs: Sequence[str], outputs: Sequence[str],
+    inputs: Sequence[str],
+) -> OddChannel | None:  # fmt: skip
+    """The channel that is likelier to be askew than every explanation is to be true; None where there is none.
+
+    Parameters
+    ----------
+    setting
+        In which the explanations were fitted.
+    explanations
+        By falling probability.
+    dofs, outputs, inputs
+        Names of the simulation's DoFs and of the channels.
+    """
+    rest, setting = _volume(setting), replace(setting, whitener=whitener_of(setting.features), rest=0.0)
+    rest = _volume(setting) - rest  # what the causes leave may have made wide what no element explains
+    try:
+        state, shrink = tolerance(setting)
+    except np.linalg.LinAlgError:  # a simulation of fewer modes than are measured
+        return None
+    places = _places(setting.coordinates, state, dofs, outputs, inputs)
+    if not places:
+        return None
+    best, prior = explanations[0], math.log(RARE / len(places))
+    asked = _left_by(setting, shrink, best.fit) + 2 * (prior - best.log_posterior + best.fit.log_evidence) + NEAR
+    trials = [_nearest(setting, state, shrink, *p) for p in _leading(setting, state, shrink, places)]
+    found = [
+        (p, *_fitted(setting, p, share, prior + rest))
+        for left, share, p in sorted(trials, key=lambda t: t[0])[:TRIED] if left < asked
+    ]  # fmt: skip
+    if not found:
+        return None
+    place, share, value = max(found, key=lambda f: f[2])
+    name, nats = (inputs if place.force else outputs)[place.channel], value - best.log_posterior
+    return OddChannel(name, place.force, nats, dofs[place.dof], share) if nats > 0 else None
+
+
+@dataclass(frozen=True)
+class Place:
+    """A channel and a DoF at which a share of it may act or be seen; ``usual`` is a usual one."""
+
+    force: bool
+    channel: int
+    dof: int
+    usual: float
+
+    def at(self, setting: Setting, size: float) -> Setting:
+        """The simulation by channels of which this one is askew, by a share over its usual size."""
+        c = setting.coordinates
+        rows = (c.inputs if self.force else c.outputs).copy()
+        rows[self.channel] += size * self.usual * c.shapes[self.dof]
+        return replace(setting, coordinates=replace(c, inputs=rows) if self.force else replace(c, outputs=rows))
+
+
+def _places(
+    c: Coordinates, state: State, dofs: Sequence[str], outputs: Sequence[str], inputs: Sequence[str]
+) -> list[Place]:
+    """Every input with every other DoF, and every output with those of its node at which there is no other output.
+
+    A share of a rotation is a length, of which one moves the modes as much as one of a displacement does.
+    """
+    shapes = state.modes.vectors[state.pairs] @ c.shapes.T
+    nodes, moves = nodes_of(tuple(dofs)), np.sqrt((np.abs(shapes) ** 2).mean(axis=0))
+    near = lambda own, dof: nodes.of_dofs[own] == nodes.of_dofs[dof] and dofs[dof] not in outputs
+    usual = lambda own, dof: USUAL * (moves[own] / moves[dof] if nodes.axis[dof] > 2 else 1.0)
+    shown = np.flatnonzero(moves > SHOWN * moves.max())
+    return [
+        Place(force, k, int(dof), float(usual(dofs.index(name), dof)))
+        for force, names in ((True, inputs), (False, outputs)) for k, name in enumerate(names) for dof in shown
+        if dofs[dof] != name and (force or near(dofs.index(name), dof))
+    ]  # fmt: skip
+
+
+def _left_by(setting: Setting, shrink: np.ndarray, f: Fit) -> float:
+    """Chi-square beyond the tolerated inaccuracy that causes leave, with what their sizes cost."""
+    try:
+        r = state_at(setting, np.zeros(len(setting.inaccuracy.group_of)), f.causes, f.u).difference
+    except np.linalg.LinAlgError:
+        return math.inf
+    h = shrink @ r
+    free = 2 * evidence_of_free(setting, f.causes)
+    return float(r @ r - h @ h) - free + float(cost_of_size(f.u).sum())
+
+
+def _moved(setting: Setting, state: State, place: Place) -> np.ndarray:
+    """What a usual share adds to the residues of all modes, shape ``(m, o, i)``."""
+    turned = place.at(setting, 1.0).coordinates
+    return state.modes.residues(turned) - state.modes.residues(setting.coordinates)
+
+
+def _columns(setting: Setting, state: State, places: Sequence[Place]) -> np.ndarray:
+    """Whitened derivatives by shares over their usual size, shape ``(m, places)``."""
+    every, some = state.together.every, range(0, len(places), BLOCK)
+    moved = [np.stack([_moved(setting, state, p)[every] for p in places[k : k + BLOCK]], axis=1) for k in some]
+    columns = [in_features(setting, state, np.zeros(m.shape[:2], complex), m).reshape(-1, m.shape[1]) for m in moved]
+    return whitened(setting, np.concatenate(columns, axis=1), ())
+
+
+def _leading(setting: Setting, state: State, shrink: np.ndarray, places: Sequence[Place]) -> list[tuple[Place, float]]:
+    """Those that gain most, linearised, and shares over their usual size."""
+    G = _columns(setting, state, places)
+    r, apart, own = state.difference, shrink @ G, shrink @ state.difference
+    energy = 1 + np.maximum((G**2).sum(axis=0) - (apart**2).sum(axis=0), 0.0)
+    size = (G.T @ r - apart.T @ own) / energy
+    gain = size**2 * energy - np.log(energy)
+    return [(places[k], float(size[k])) for k in np.argsort(-gain)[:SCREENED]]
+
+
+def _nearest(
+    setting: Setting, state: State, shrink: np.ndarray, place: Place, size: float
+) -> tuple[float, float, Place]:
+    """Least chi-square beyond the tolerated inaccuracy, the share over its usual size, and the place."""
+    moved, least = _moved(setting, state, place), math.inf
+    for sizes in (np.array([-s for s in SIZES] + [*SIZES, size]), NEARER, NEARER**0.25):
+        tried = sizes * (size if least < math.inf else 1.0)
+        left = distances(setting, shrink, [(state.modes.poles, state.plain + u * moved) for u in tried])
+        left = left + cost_of_size(tried)
+        if left.min() < least:
+            least, size = float(left.min()), float(tried[np.argmin(left)])
+    return least, size, place
+
+
+def _volume(setting: Setting) -> float:
+    return float(np.log(np.abs(np.diag(setting.triangle))).sum())
+
+
+def _fitted(setting: Setting, place: Place, size: float, prior: float) -> tuple[float, float]:
+    r"""The likeliest share beside the general inaccuracy, and its log probability.
+
+    About a fit with the share ``u`` over its usual size the log evidence is
+    :math:`L(u) + p\,\delta - \tfrac12 q\,\delta^2` of a share larger by :math:`\delta`, all parts of the inaccuracy
+    following it. With the normal ``u`` before the data its integral is
+    :math:`L(u) - \tfrac12u^2 + \tfrac12(p-u)^2/(1+q) - \tfrac12\ln(1+q)`, and the next ``u`` its top.
+    """
+    f, value = None, -math.inf
+    for _ in range(STEPS):
+        at = place.at(setting, size)
+        again = fit(at, start=f)
+        if again is None:
+            break
+        f = again
+        J = slopes_at(at, f.state)
+        target, W = f.state.difference + J @ f.sizes, J * scale_of(at, f)
+        half = forward(root_of_information(W, W.T @ W, np.ones(W.shape[1])), W.T)
+        G = _columns(at, f.state, [place])[:, 0]
+        apart, own = half @ G, half @ target
+        pull, information = float(G @ target - apart @ own) - size, float(1 + G @ G - apart @ apart)
+        value = f.log_evidence - 0.5 * size**2 + 0.5 * pull**2 / information - 0.5 * math.log(information)
+        size += pull / information
+        if pull**2 < information * SETTLED:
+            break
+    return size * place.usual, value + prior
