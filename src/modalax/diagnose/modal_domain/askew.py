@@ -107,9 +107,9 @@ def _places(
     nodes, moves = nodes_of(tuple(dofs)), np.sqrt((np.abs(shapes) ** 2).mean(axis=0))
     near = lambda own, dof: nodes.of_dofs[own] == nodes.of_dofs[dof] and dofs[dof] not in outputs
     usual = lambda own, dof: USUAL * (moves[own] / moves[dof] if nodes.axis[dof] > 2 else 1.0)
-    shown = np.flatnonzero(moves > SHOWN * moves.max())
+    shown = np.flatnonzero(moves > SHOWN * moves.max()).tolist()
     return [
-        Place(force, k, int(dof), float(usual(dofs.index(name), dof)))
+        Place(force, k, dof, float(usual(dofs.index(name), dof)))
         for force, names in ((True, inputs), (False, outputs)) for k, name in enumerate(names) for dof in shown
         if dofs[dof] != name and (force or near(dofs.index(name), dof))
     ]  # fmt: skip
@@ -132,15 +132,17 @@ def _moved(setting: Setting, state: State, place: Place) -> np.ndarray:
     return state.modes.residues(turned) - state.modes.residues(setting.coordinates)
 
 
-def _columns(setting: Setting, state: State, places: Sequence[Place]) -> np.ndarray:
+def _columns(setting: Setting, state: State, places: list[Place]) -> np.ndarray:
     """Whitened derivatives by shares over their usual size, shape ``(m, places)``."""
-    every, some = state.together.every, range(0, len(places), BLOCK)
-    moved = [np.stack([_moved(setting, state, p)[every] for p in places[k : k + BLOCK]], axis=1) for k in some]
-    columns = [in_features(setting, state, np.zeros(m.shape[:2], complex), m).reshape(-1, m.shape[1]) for m in moved]
+    columns = []
+    for k in range(0, len(places), BLOCK):
+        moved = np.stack([_moved(setting, state, p)[state.together.every] for p in places[k : k + BLOCK]], axis=1)
+        still = np.zeros(moved.shape[:2], complex)
+        columns.append(in_features(setting, state, still, moved).reshape(-1, moved.shape[1]))
     return whitened(setting, np.concatenate(columns, axis=1), ())
 
 
-def _leading(setting: Setting, state: State, shrink: np.ndarray, places: Sequence[Place]) -> list[tuple[Place, float]]:
+def _leading(setting: Setting, state: State, shrink: np.ndarray, places: list[Place]) -> list[tuple[Place, float]]:
     """Those that gain most, linearised, and shares over their usual size."""
     G = _columns(setting, state, places)
     r, apart, own = state.difference, shrink @ G, shrink @ state.difference
