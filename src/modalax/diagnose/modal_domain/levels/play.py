@@ -13,6 +13,8 @@ import numpy as np
 from modalax.diagnose.modal_domain.levels.balance import HIGHER, ORDERS, POINTS
 
 NEARLY = 0.7  # amplitude over the free way below which no harmonics reach a stop
+TOGETHER = 1024  # motions followed at once, which a processor's cache holds
+_INSTANTS = np.arange(2 * POINTS, dtype=np.int16)[:, None]
 _LATER = HIGHER[:, POINTS:].T  # the harmonics over the second half of a cycle
 
 
@@ -29,25 +31,19 @@ class Play:
     def force(self, x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The play, and the instants of the cycle at which it last slipped, or -1.
 
-        What was before the greatest excursion does not count.
+        From rest the first half of a cycle ends as every other one does: what was before the greatest excursion does
+        not count.
         """
-        rows, count = np.arange(len(x))[:, None], POINTS
-        peak = np.abs(x).argmax(axis=1)[:, None]
-        at = (peak + np.arange(count)) % (2 * count)
-        sign = np.sign(x[rows, peak])
-        y = np.ascontiguousarray((np.where(at < count, sign, -sign) * x[rows, at % count]).T)
-        low, high = y - self.w, y + self.w
-        play = np.maximum(low, 0.0)
-        for n in range(1, count):
-            np.maximum(play[n - 1], low[n], out=play[n])
-            np.minimum(play[n], high[n], out=play[n])
-        moved = np.zeros(at.shape, int)
-        moved[:, 1:] = np.where(play[1:] != play[:-1], np.arange(1, count)[:, None], 0).T
-        last = at[rows, np.maximum.accumulate(moved, axis=1)]
-        z, instants = np.empty_like(x), np.empty_like(at)
-        z[rows, at % count] = np.where(at < count, -sign, sign) * play.T
-        instants[rows, at % count] = np.where(at < count, last + count, last) % (2 * count)
-        instants[low[0] <= 0] = -1
+        z, instants = np.empty_like(x), np.empty(x.shape, np.int16)
+        for k in range(0, len(x), TOGETHER):
+            y = np.concatenate([x[k : k + TOGETHER].T, -x[k : k + TOGETHER].T])
+            low, high, play = y - self.w, y + self.w, np.zeros((2 * POINTS + 1, y.shape[1]))
+            for n in range(2 * POINTS):
+                np.maximum(play[n], low[n], out=play[n + 1])
+                np.minimum(play[n + 1], high[n], out=play[n + 1])
+            moved = np.where(play[1:] != play[:-1], _INSTANTS, np.int16(-1))
+            z[k : k + TOGETHER] = play[POINTS + 1 :].T
+            instants[k : k + TOGETHER] = np.maximum.accumulate(moved)[POINTS:].T
         return z, instants
 
     def slope(self, kept: np.ndarray) -> np.ndarray:
@@ -84,7 +80,8 @@ class Cube:
 
     def force(self, x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The cube, and its derivative by the displacement."""
-        return -(x**3), 3 * x**2
+        square = x * x
+        return -(square * x), 3 * square
 
     def slope(self, kept: np.ndarray) -> np.ndarray:
         """By each harmonic of the displacement."""
