@@ -263,6 +263,7 @@ class Test:
     hysteretic: bool = False
     decay: float = 0.0  # of an impact window [1/s]
     times: float = 1.0  # the usual size of masses, springs, dampers and elements
+    askew: tuple[bool, int, int, float] | None = None  # whether a force, which channel, what DoF it shares, how much
 
     def tell(self, name: str, *accepted: list[str], size: float | None = None) -> None:
         """Write down the truth."""
@@ -459,6 +460,31 @@ def effect_crosstalk(t: Test) -> None:
     t.tell("crosstalk", [t.world.dofs[t.outputs[k]] for k in (a, b)], size=float(share))
 
 
+def _askew(t: Test, force: bool, channel: int, others: list[int], share: float) -> None:
+    """A channel that shares another DoF, at which a rotation counts as a displacement of the same size."""
+    own = (t.inputs if force else t.outputs)[channel]
+    dof = int(t.rng.choice(others))
+    turns = dof not in t.world.translations()
+    t.askew = force, channel, dof, share * (float(t.shape[own] / t.shape[dof]) if turns else 1.0)
+    t.tell("outside", size=float(t.askew[3]))
+    t.truth["where"] = [t.world.dofs[own], t.world.dofs[dof]]
+
+
+def effect_stray(t: Test) -> None:
+    """A shaker that also pushes another point, or a hammer that hits obliquely: no cause of the catalogue."""
+    c = int(t.rng.integers(len(t.inputs)))
+    others = [k for k in range(len(t.M)) if k != t.inputs[c] and t.shape[k] > 0.2 * t.shape.max()]
+    _askew(t, True, c, others, t.rng.uniform(0.05, 0.2))
+
+
+def effect_tilted(t: Test) -> None:
+    """A sensor that also measures another direction of its point: no cause of the catalogue."""
+    own = {c: [j for j in range(len(t.M)) if t.world.node(j) == t.world.node(k) and j not in t.outputs]
+           for c, k in enumerate(t.outputs)}  # fmt: skip
+    c = int(t.rng.choice([c for c, others in own.items() if others]))
+    _askew(t, False, c, own[c], t.rng.uniform(0.05, 0.2))
+
+
 def effect_hum(t: Test) -> None:
     """Mains hum at one line in each multiple of 50 Hz."""
 
@@ -527,9 +553,14 @@ def frf(t: Test, C: np.ndarray, f: np.ndarray, level: np.ndarray | None) -> np.n
     b = np.zeros(n) if t.joint is None else np.pad(t.joint[0], (0, n - len(t.joint[0])))
     right = np.zeros((n, len(t.inputs) + 1))
     right[t.inputs, np.arange(len(t.inputs))] = 1
+    if t.askew is not None and t.askew[0]:
+        right[t.askew[2], t.askew[1]] = t.askew[3]
     right[:, -1] = b
     X = np.linalg.solve(Z, np.broadcast_to(right, (len(f), *right.shape)))
     x, g = X[:, :, :-1], X[:, :, -1]
+    if t.askew is not None and not t.askew[0]:
+        x = x.copy()
+        x[:, t.outputs[t.askew[1]]] += t.askew[3] * x[:, t.askew[2]]
     if t.joint is None or level is None:
         return (x[:, t.outputs] * s[:, None, None] ** 2)[None]
     runs = []
@@ -627,6 +658,9 @@ def draw(name: str, effect: str, seed: int, how: dict) -> tuple[dict, dict, dict
 def judged(truth: dict, said: dict) -> str:
     """``right``, ``leading`` (right, not named), ``set`` (among the rivals), ``wrong`` or ``no name``."""
     named = said["verdict"] == "named"
+    if truth["name"] == "outside":  # without a name, but the reasons may tell the channel and the DoF
+        told = any(all(f" {dof} " in f"{r} " for dof in truth["where"]) for r in said["reasons"])
+        return "wrong" if named else "right" if told and said["verdict"] == "unknown" else "no name"
     if truth["name"] == "none":
         return "right" if said["verdict"] == "clean" else "wrong" if named else "no name"
 
@@ -660,7 +694,7 @@ def tell(folder: Path) -> None:
         )  # fmt: skip
         inaccuracy = ((said.get("inaccuracy") or {}).get("stiffness") or {}).get("value")
         off = "" if inaccuracy is None else f"{100 * inaccuracy:.2f}"
-        where = truth.get("nodes") or (truth["accepted"] or [""])[0]
+        where = truth.get("nodes") or truth.get("where") or (truth["accepted"] or [""])[0]
         table.add_row(
             file.parent.name, f"{100 * truth['spread']:.0f} %", str(truth["lines"]),
             f"{truth['name']} {'-'.join(where)}", f"{truth.get('size') or 0:.3g}", what, f"{said['verdict']} {told}",

@@ -10,10 +10,12 @@ class Deadline:
     ----------
     seconds
         From now on.
+    whole
+        The time that this is a part of, which ends with it where it is stopped.
     """
 
-    def __init__(self, seconds: float = float("inf")):
-        self.end = clock.monotonic() + seconds
+    def __init__(self, seconds: float = float("inf"), whole: "Deadline | None" = None):
+        self.end, self.whole = clock.monotonic() + seconds, whole
 
     def __call__(self) -> bool:
         """Whether the time is up."""
@@ -22,11 +24,13 @@ class Deadline:
     def part(self, share: float) -> "Deadline":
         """A share of what is left of the time."""
         left = self.end - clock.monotonic()
-        return Deadline(share * left)
+        return Deadline(share * left, self)
 
     def stop(self) -> None:
         """End the time now."""
         self.end = -float("inf")
+        if self.whole is not None:
+            self.whole.stop()
 
 
 NEVER = Deadline()

@@ -55,7 +55,7 @@ class OddChannel:
     def said(self) -> str:
         """What is odd, and what to check."""
         where, it = (f"to the force at {self.name}", "the force") if self.force else (f"at {self.name}", "the sensor")
-        likelier = f"({self.nats:.3g} nats likelier than what stands out)"
+        likelier = f"({self.nats:.3g} nats likelier than any cause)"
         if not self.along:
             check = "its direction, contact elsewhere and load cell" if self.force else "its cable, mounting and range"
             return (

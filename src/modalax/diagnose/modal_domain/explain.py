@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modalax.diagnose.deadline import Deadline
+from modalax.diagnose.deadline import NEVER, Deadline
 from modalax.diagnose.modal_domain.attached import acting_alike, attached
 from modalax.diagnose.modal_domain.attempts import attempt, explains, key_of, possible, without
 from modalax.diagnose.modal_domain.causes import Change, own_sizes
@@ -62,12 +62,12 @@ def explain(
     tell
         Called with what is being done.
     """
-    prior = Prior(candidates)
+    prior, setting = Prior(candidates), replace(setting, late=late)
     null = fit(setting)
     if null is None:  # a simulation of too few modes for those measured is compared without one of them
         search = _Search(setting, _less_a_mode(setting, candidates), setting)
         if not search.found:
-            return setting, []
+            return replace(setting, late=NEVER), []
     else:
         bare, setting = setting, with_more(setting, null)
         if setting is not bare:
@@ -80,7 +80,7 @@ def explain(
             _without_a_gain(search, prior)
     except KeyboardInterrupt:
         late.stop()
-    return search.setting, ranked_by(search.found, prior)
+    return replace(search.setting, late=NEVER), ranked_by(search.found, prior)
 
 
 def one_cause(setting: Setting, candidates: list[Change], late: Deadline) -> list[Explanation]:

@@ -159,7 +159,7 @@ def _at_true_covariance(
         )
         gained = np.inf if best is None else evidence - best.log_evidence
         behind = best_else - evidence
-        hopeless = lost or (behind > HOPELESS and gained < behind / LAST)
+        hopeless = lost or (behind > HOPELESS and gained < behind / LAST) or setting.late()
         best = here
         if hopeless or abs(gained) < SETTLED:
             return best, linear, straight or hopeless

@@ -43,7 +43,8 @@ KNOWN = frozenset({
     "sensor_filter", "time_varying", "crosstalk", "exponential_window", "mains_hum",
     *KINDS, *(law.slug for law in NAMED),
 })  # fmt: skip
-FIRST_SHARE = 0.6  # of the time for linear causes, where runs may have to be told apart after them
+FIRST_SHARE = 0.6  # of the time for linear causes, where runs may have to be told apart after them,
+ALONE_SHARE = 0.85  # and where not: channels that no cause explains are looked for after them
 
 
 @dataclass(frozen=True)
@@ -177,7 +178,7 @@ def run_stage(
     c, setting, places = task.coordinates, task.setting, task.places
     candidates = [k for k in task.candidates if wanted(k.slug)]
     H, level = np.asarray(measurement.H), np.asarray(measurement.level)
-    first = late.part(FIRST_SHARE) if len(H) > 1 else late
+    first = late.part(FIRST_SHARE if len(H) > 1 else ALONE_SHARE)
     setting, explanations = explain(setting, candidates, first, tell)
     if not explanations:
         return None

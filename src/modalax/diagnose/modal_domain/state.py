@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg.blas import dtrmm, dtrmv
 
+from modalax.diagnose.deadline import NEVER, Deadline
 from modalax.diagnose.modal_domain.causes import Change, hysteretic_share, with_sizes
 from modalax.diagnose.modal_domain.coordinates import SPARED, Coordinates, Modes, modes_of
 from modalax.diagnose.modal_domain.factored import Factored
@@ -50,6 +51,8 @@ class Setting:
         Of what a factor throughout is looked for: ``stiffness``, ``mass``.
     uneven
         Whether elements may be off unevenly.
+    late
+        When fits end where they are.
     """
 
     coordinates: Coordinates
@@ -59,6 +62,7 @@ class Setting:
     rest: float = 0.0
     sought: tuple[str, ...] = ()
     uneven: bool = False
+    late: Deadline = NEVER
 
     def patterns(self, causes: tuple[Change, ...] = (), u: np.ndarray = NONE) -> list[tuple[str, Factored]]:
         """Kind and patterns of each group; those of damping as causes turn them."""

@@ -1,0 +1,34 @@
+"""Fits end where they are once time is up, and an interrupt ends all of it."""
+
+from dataclasses import replace
+
+import numpy as np
+from frames import DOFS, measured, simulation
+
+from modalax.diagnose.deadline import NEVER, Deadline
+from modalax.diagnose.modal_domain import fit as fits
+from modalax.diagnose.modal_domain.explain import explain
+from modalax.diagnose.modal_domain.stage import identified, posed
+
+
+def test_a_fit_ends_where_it_is_once_time_is_up(monkeypatch):
+    """Where nothing explains the modes a fit goes on for seconds, and a search holds a hundred of them."""
+    data, _ = measured(25, 0.01, mass=(DOFS[8], 0.3))
+    task = posed(data, simulation(), identified(data, simulation(), lambda _: None))
+    steps, linear_at = [], fits.linear_at
+    monkeypatch.setattr(fits, "linear_at", lambda *a: steps.append(1) or linear_at(*a))
+    whole, count = fits.fit(task.setting), len(steps)
+    steps.clear()
+    short = fits.fit(replace(task.setting, late=Deadline(-1.0)))
+    assert len(steps) <= 3 * len(fits.TEMPERATURES) + 1 < count
+    assert np.isfinite(short.log_evidence) and short.log_evidence < whole.log_evidence
+    setting, found = explain(task.setting, task.candidates[:3], Deadline(-1.0))
+    assert found and setting.late is NEVER  # what is fitted to the answer afterwards takes the time that it needs
+
+
+def test_stopping_a_part_of_the_time_stops_all_of_it():
+    late = Deadline(100.0)
+    part, other = late.part(0.5), late.part(0.5)
+    assert not (late() or part() or other())
+    part.stop()
+    assert part() and late() and not other()
