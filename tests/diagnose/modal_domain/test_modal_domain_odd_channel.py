@@ -30,6 +30,7 @@ def test_a_force_that_also_acts_elsewhere_is_told_with_its_share_and_has_no_name
     assert odd is not None and (odd.name, odd.force, odd.along) == (DOFS[4], True, DOFS[10])
     assert abs(odd.share / share - 1) < 0.1 and odd.nats > 20.0
     assert any(f"of it also acted at {DOFS[10]}" in r for r in answer["reasons"]), answer["reasons"]
+    assert not any("generally off" in r for r in answer["reasons"])  # which stood for the share
     assert f"the force at {DOFS[4]}" in answer["advice"]
 
 

@@ -198,7 +198,9 @@ def _diagnosed(
         judged = replace(judged, chosen=on_its_lines(stage, judged.chosen))
     chosen, inaccuracy = judged.chosen, inaccuracy_told(stage.setting, judged.likeliest.fit)
     joined, further = judge_levels(stage.seen, stage.whole)
-    explained = judged.likeliest.misfit <= THRESHOLDS.misfit  # what a fit that failed has learnt is no finding
+    askew = stage.odd is not None and bool(stage.odd.along)
+    # what a fit has learnt that failed, or that took a channel askew for errors of elements, is no finding
+    explained = judged.likeliest.misfit <= THRESHOLDS.misfit and not askew
     throughout = throughout_told(stage.setting, judged.likeliest.fit) if explained else {}
     word = outweighing(judged.word, joined)
     reasons = [inaccuracy_said(inaccuracy)] if explained else []
