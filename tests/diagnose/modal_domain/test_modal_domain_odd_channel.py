@@ -1,12 +1,15 @@
 """A sensor that is wrong in a way without a name is told as that, and not as an element or a mass at its place."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from frames import DOFS, measured, simulation
 
+from modalax.diagnose.decision.beyond import OddChannel
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.diagnose.modal_domain.judged import judge
 from modalax.diagnose.modal_domain.odd_channel import only_output
 
 
@@ -63,6 +66,18 @@ def test_a_mode_is_of_one_output_only_if_the_others_show_that_they_have_none():
     f.residues[3, 2:4] += 12.0  # at two
     assert [only_output(f, k) for k in range(4)] == [2, None, None, None]
     assert only_output(SimpleNamespace(residues=f.residues[:, 2:4]), 0) is None  # of two outputs nobody can tell
+
+
+def test_a_channel_that_is_hardly_likelier_than_nothing_is_not_told():
+    """A clean answer keeps its general inaccuracy and has no advice then."""
+    data, _ = measured(22, 0.01)
+    found = diagnose_modes(data, simulation())
+    assert found.verdict == "clean" and found.stage.odd is None and found.advice is None
+    for nats, told in ((2.0, False), (4.0, True)):
+        odd = OddChannel(DOFS[4], True, nats, DOFS[10], 0.1)
+        judged = judge(replace(found.stage, odd=odd))
+        assert (judged.odd is odd, judged.word) == (told, "unknown" if told else "clean")
+    assert any("generally off" in r for r in found.reasons)
 
 
 @pytest.mark.slow  # of a smaller mass by default, where a mass stands out beyond the general inaccuracy

@@ -181,10 +181,16 @@ def nothing_beyond_the_usual(case: ModalCase) -> tuple[str, ...]:
     return (f"nothing stands out beyond the general inaccuracy (probability {case.sets[0].probability:.3f})",)
 
 
+def odd_told(case: ModalCase) -> OddChannel | None:
+    """The odd channel that is told: where nothing stands out only one that is as certain as a cause must be."""
+    sure = case.odd is not None and case.odd.nats > math.log(case.limits.certain / (1 - case.limits.certain))
+    return case.odd if case.sets[0].names or sure else None
+
+
 def one_channel_differs(case: ModalCase) -> tuple[str, ...]:
     """What stands out, or nothing, is less likely than that one channel is wrong in a way without a name."""
-    sure = case.odd is not None and case.odd.nats > math.log(case.limits.certain / (1 - case.limits.certain))
-    return () if case.odd is None or not (case.sets[0].names or sure) else (case.odd.said,)
+    odd = odd_told(case)
+    return () if odd is None else (odd.said,)
 
 
 def one_output_has_a_mode(case: ModalCase) -> tuple[str, ...]:

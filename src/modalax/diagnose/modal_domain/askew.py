@@ -22,6 +22,7 @@ from modalax.diagnose.modal_domain.features import whitener_of
 from modalax.diagnose.modal_domain.fit import Fit, fit, scale_of
 from modalax.diagnose.modal_domain.linear import root_of_information
 from modalax.diagnose.modal_domain.nodes import nodes_of
+from modalax.diagnose.modal_domain.odd_channel import volume
 from modalax.diagnose.modal_domain.screen import NEARER, SIZES, cost_of_size, distances, tolerance
 from modalax.diagnose.modal_domain.state import (
     Setting,
@@ -49,15 +50,13 @@ def askew_channel(
 
     Parameters
     ----------
-    setting
-        In which the explanations were fitted.
-    explanations
-        By falling probability.
+    setting, explanations
+        As of :func:`modalax.diagnose.modal_domain.odd_channel.odd_channel`.
     dofs, outputs, inputs
         Names of the simulation's DoFs and of the channels.
     """
-    rest, setting = _volume(setting), replace(setting, whitener=whitener_of(setting.features), rest=0.0)
-    rest = _volume(setting) - rest  # what the causes leave may have made wide what no element explains
+    wide, setting = setting.triangle, replace(setting, whitener=whitener_of(setting.features), rest=0.0)
+    rest = volume(setting.triangle) - volume(wide)  # what causes leave may have made wide what no element explains
     try:
         state, shrink = tolerance(setting)
     except np.linalg.LinAlgError:  # a simulation of fewer modes than are measured
@@ -166,17 +165,14 @@ def _nearest(
     return least, size, place
 
 
-def _volume(setting: Setting) -> float:
-    return float(np.log(np.abs(np.diag(setting.triangle))).sum())
-
-
 def _fitted(setting: Setting, place: Place, size: float, prior: float) -> tuple[float, float]:
     r"""The likeliest share beside the general inaccuracy, and its log probability.
 
     About a fit with the share ``u`` over its usual size the log evidence is
     :math:`L(u) + p\,\delta - \tfrac12 q\,\delta^2` of a share larger by :math:`\delta`, all parts of the inaccuracy
     following it. With the normal ``u`` before the data its integral is
-    :math:`L(u) - \tfrac12u^2 + \tfrac12(p-u)^2/(1+q) - \tfrac12\ln(1+q)`, and the next ``u`` its top.
+    :math:`L(u) - \tfrac12u^2 + \tfrac12(p-u)^2/(1+q) - \tfrac12\ln(1+q)`, and the next ``u`` its top: Laplace's
+    method, exact where the problem is linear.
     """
     f, value = None, -math.inf
     for _ in range(STEPS):

@@ -194,13 +194,13 @@ def _diagnosed(
     if stage is None:
         return None
     judged = judge(stage)
+    stage = replace(stage, odd=judged.odd)
     if stage.seen is None or stage.seen.joint is None:
         judged = replace(judged, chosen=on_its_lines(stage, judged.chosen))
     chosen, inaccuracy = judged.chosen, inaccuracy_told(stage.setting, judged.likeliest.fit)
     joined, further = judge_levels(stage.seen, stage.whole)
-    askew = stage.odd is not None and bool(stage.odd.along)
     # what a fit has learnt that failed, or that took a channel askew for errors of elements, is no finding
-    explained = judged.likeliest.misfit <= THRESHOLDS.misfit and not askew
+    explained = judged.likeliest.misfit <= THRESHOLDS.misfit and not (judged.odd is not None and judged.odd.along)
     throughout = throughout_told(stage.setting, judged.likeliest.fit) if explained else {}
     word = outweighing(judged.word, joined)
     reasons = [inaccuracy_said(inaccuracy)] if explained else []

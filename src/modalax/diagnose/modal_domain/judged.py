@@ -5,7 +5,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modalax.diagnose.decision.beyond import BeyondUsual, ModalCase, Names, modal_verdict, usual_size
+from modalax.diagnose.decision.beyond import (
+    BeyondUsual,
+    ModalCase,
+    Names,
+    OddChannel,
+    modal_verdict,
+    odd_told,
+    usual_size,
+)
 from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.fit import by_data, fit, without_causes
@@ -41,6 +49,8 @@ class Judged:
     likeliest
         The likeliest explanation of that kind, with causes that are no larger than usual: what these do is no
         inaccuracy of all elements.
+    odd
+        The channel that is told to be odd; None where none is.
     """
 
     word: str
@@ -48,6 +58,7 @@ class Judged:
     chosen: Explanation
     sets: tuple[BeyondUsual, ...]
     likeliest: Explanation
+    odd: OddChannel | None = None
 
 
 def judge(stage: Stage) -> Judged:
@@ -71,7 +82,7 @@ def judge(stage: Stage) -> Judged:
     behind = math.inf if plain is None else best.log_posterior - plain.log_posterior
     needed = behind > -math.log(1 - THRESHOLDS.certain) or any(of_the_joint(stage, c) for c in best.causes)
     alone = word == "clean" and plain is not None and not needed
-    return Judged(word, reasons, plain if alone and plain is not None else best, sets, best)
+    return Judged(word, reasons, plain if alone and plain is not None else best, sets, best, odd_told(case))
 
 
 def _leading(stage: Stage) -> tuple[tuple[BeyondUsual, ...], Explanation]:

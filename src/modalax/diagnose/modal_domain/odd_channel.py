@@ -52,12 +52,12 @@ def odd_channel(
         if len(names) < (2 if force else FEWEST):
             continue
         r, roots = plain.fit.state.difference, [_root(setting, force, k) for k in range(len(names))]
-        left = [float((forward(L, r) ** 2).sum()) + 2 * _volume(L) for L in roots]
+        left = [float((forward(L, r) ** 2).sum()) + 2 * volume(L) for L in roots]
         for k in np.argsort(left)[:TRIED]:
             L = roots[k]
             f = fit(replace(setting, whitener=forward(L, setting.triangle)))
             if f is not None:
-                value = f.log_evidence - _volume(L) + math.log(RARE / len(names))
+                value = f.log_evidence - volume(L) + math.log(RARE / len(names))
                 found.append(OddChannel(names[k], force, value - explanations[0].log_posterior))
     best = max(found, key=lambda o: o.nats, default=None)
     return best if best is not None and best.nats > 0 else None
@@ -93,5 +93,6 @@ def _root(setting: Setting, force: bool, channel: int) -> np.ndarray:
     return np.linalg.cholesky(np.eye(len(W)) + W @ W.T)
 
 
-def _volume(L: np.ndarray) -> float:
+def volume(L: np.ndarray) -> float:
+    """Logarithm of the determinant of a triangular root with a positive diagonal, shape ``(m, m)``."""
     return float(np.log(np.diag(L)).sum())

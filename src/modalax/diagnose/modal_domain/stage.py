@@ -67,7 +67,7 @@ class Stage:
     seen
         What force levels or repeated runs tell; None where there is one run.
     odd
-        A channel that differs from all others as no cause explains; None where there is none.
+        A channel that differs from all others as no cause explains; None where there is none, or where it is not told.
     whole
         The leading joint, where the simulation lacks it altogether and the linear structure shows its spring.
     """
