@@ -183,7 +183,9 @@ def nothing_beyond_the_usual(case: ModalCase) -> tuple[str, ...]:
 
 def odd_told(case: ModalCase) -> OddChannel | None:
     """The odd channel that is told: where nothing stands out only one that is as certain as a cause must be."""
-    sure = case.odd is not None and case.odd.nats > math.log(case.limits.certain / (1 - case.limits.certain))
+    if case.odd is None:
+        return None
+    sure = case.odd.nats > math.log(case.limits.certain / (1 - case.limits.certain))
     return case.odd if case.sets[0].names or sure else None
 
 
