@@ -17,3 +17,11 @@ def test_gram_matrices_are_the_weighted_sums_of_products_of_columns(numbers):
 
 def test_no_columns_have_an_empty_gram_matrix():
     assert weighted_grams(np.zeros((4, 0)), np.zeros((4, 0)), np.ones((2, 4)), 10).shape == (2, 0, 0)
+
+
+def test_channels_whose_weights_are_alike_but_for_a_factor_have_the_same_gram_matrix_but_for_it():
+    rng = np.random.default_rng(1)
+    A, profile = rng.normal(size=(23, 5)) + 1j * rng.normal(size=(23, 5)), rng.uniform(size=23)
+    weight = np.array([0.0, 1.0, 3e-7, 2e9])[:, None] * profile
+    for gram, w in zip(weighted_grams(A.real, A.imag, weight, 100), weight, strict=True):
+        np.testing.assert_allclose(gram, (A.conj().T @ (w[:, None] * A)).real, rtol=1e-11, atol=1e-12 * w.max())

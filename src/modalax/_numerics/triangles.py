@@ -1,7 +1,7 @@
 """Systems of triangular matrices, which cost a fraction of what a general solver takes for them."""
 
 import numpy as np
-from scipy.linalg.lapack import dtrtrs
+from scipy.linalg.lapack import dtrtri, dtrtrs
 
 
 def forward(L: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -12,6 +12,14 @@ def forward(L: np.ndarray, b: np.ndarray) -> np.ndarray:
 def backward(L: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Solution of ``L' x = b`` for a lower triangular ``L`` and one or more right-hand sides, shape ``(n, ...)``."""
     return _solved(L, b, turned=0)
+
+
+def inverse_of(L: np.ndarray) -> np.ndarray:
+    """Inverse of a lower triangular ``L``, shape ``(n, n)``."""
+    inverse, wrong = dtrtri(L.T, lower=0)
+    if wrong:
+        raise np.linalg.LinAlgError("a triangular matrix has a zero on its diagonal")
+    return inverse.T
 
 
 def _solved(L: np.ndarray, b: np.ndarray, turned: int) -> np.ndarray:

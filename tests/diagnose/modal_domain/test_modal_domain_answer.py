@@ -121,7 +121,7 @@ def test_an_interrupt_gives_the_best_answer_so_far():
     data, _ = measured(2, 0.01, mass=("5:+Z", 0.05), lines=120)
 
     def interrupted(step: str) -> None:
-        if step.startswith("fitting"):
+        if step.startswith("screening"):
             raise KeyboardInterrupt
 
     found = diagnose_modes(data, simulation(), tell=interrupted)

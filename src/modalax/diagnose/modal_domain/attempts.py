@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
-from modalax.diagnose.modal_domain.fit import Fit, fit
+from modalax.diagnose.modal_domain.fit import BASIN, Fit, fit
 from modalax.diagnose.modal_domain.state import Setting
 from modalax.diagnose.modal_domain.throughout import all_scaled
 from modalax.diagnose.thresholds import THRESHOLDS
@@ -13,14 +13,14 @@ from modalax.diagnose.thresholds import THRESHOLDS
 
 def attempt(
     setting: Setting, found: dict[tuple[Change, ...], Fit], causes: tuple[Change, ...], u: np.ndarray,
-    start: Fit | None, gentle: bool = True,
+    start: Fit | None, gentle: bool = True, basin: float = BASIN,
 ) -> None:  # fmt: skip
     """Fit causes from sizes ``u`` and the inaccuracy of a start, gently from far off, and keep what is likelier."""
     if all_scaled(setting) and any(c.scales_all for c in causes):
         return
     temperatures = {} if gentle else {"temperatures": (3.0,)}
     best = max((f.log_evidence for f in found.values()), default=-np.inf)
-    trial = fit(setting, causes, start, u, **temperatures, best_else=best)
+    trial = fit(setting, causes, start, u, **temperatures, best_else=best, basin=basin)
     key = key_of(causes)
     if trial is not None and possible(trial) and (key not in found or trial.log_evidence > found[key].log_evidence):
         found[key] = trial

@@ -60,8 +60,19 @@ def learnt_rest(setting: Setting, fits: list[Fit], priors: list[float]) -> tuple
         return setting, 0.0
     weight = np.exp(found - found.max())
     size = float(np.sqrt((weight * np.array(SIZES) ** 2).sum() / weight.sum()))
-    whitener = forward(_root(np.eye(len(chosen)) + size**2 * chosen), setting.triangle)
-    return replace(setting, whitener=whitener, rest=float(np.hypot(setting.rest, size))), size
+    return _allowing(setting, chosen, size), size
+
+
+def with_rest(setting: Setting, f: Fit, size: float) -> Setting:
+    """The setting with a rest of known size about a fit."""
+    slopes = rest_slopes(setting, f)
+    return _allowing(setting, slopes @ slopes.T, size)
+
+
+def _allowing(setting: Setting, rest: np.ndarray, size: float) -> Setting:
+    """The setting whose features scatter by so much more."""
+    whitener = forward(_root(np.eye(len(rest)) + size**2 * rest), setting.triangle)
+    return replace(setting, whitener=whitener, rest=float(np.hypot(setting.rest, size)))
 
 
 def told_apart(setting: Setting, f: Fit) -> Setting:

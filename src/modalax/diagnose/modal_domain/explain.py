@@ -7,6 +7,7 @@ A second cause is added where it raises the log evidence by more than its low pr
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
@@ -18,10 +19,11 @@ from modalax.diagnose.modal_domain.damped_along import damped_along
 from modalax.diagnose.modal_domain.explanation import Explanation, ranked_by
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
 from modalax.diagnose.modal_domain.force_places import JOINTS, as_limits, losses_at
+from modalax.diagnose.modal_domain.narrowed import narrowed
 from modalax.diagnose.modal_domain.prior import SECOND, Prior
-from modalax.diagnose.modal_domain.refitted import AGAIN, beside_a_factor, beside_the_rest
+from modalax.diagnose.modal_domain.refitted import AGAIN, beside_a_factor, beside_the_rest, in_full
 from modalax.diagnose.modal_domain.screen import narrower, replaced, scores
-from modalax.diagnose.modal_domain.starts import FITTED, NEXT, as_signs, starts
+from modalax.diagnose.modal_domain.starts import FITTED, NEXT, Start, as_signs, starts
 from modalax.diagnose.modal_domain.state import Setting
 from modalax.diagnose.modal_domain.throughout import (
     beside_one_factor,
@@ -33,6 +35,7 @@ from modalax.diagnose.thresholds import THRESHOLDS
 
 NEAR = 12.0  # nats behind the best up to which other places are fitted
 WORTH = 4.0  # nats that a further cause must promise beyond the cost of its prior probability
+UNLIKE = 10.0  # chi-square per feature beside the general inaccuracy from which on a cause is tried before all else
 MOST = 2  # causes in one answer
 MANY, CHAINS = 4, 2  # the same where the inaccuracy would be far from usual, and first causes that others are added to
 FAR = 3.0  # times as large as usual from which on an inaccuracy of stiffness or mass is far from it
@@ -62,25 +65,82 @@ def explain(
     tell
         Called with what is being done.
     """
+    few = narrowed(setting)
+    few, explanations = _searched(few or setting, candidates, late, tell)
+    if few.features is setting.features or not explanations:
+        return few, explanations
+    tell("fitting the leading ones to all channels")
+    prior = Prior(candidates)
+    whole, found = in_full(setting, replace(few, late=late), explanations, late)
+    if not found:
+        return few, explanations
+    best = ranked_by(found, prior)[0]
+    if not late() and len(best.causes) < MOST:
+        _further(whole, found, best.fit, [c for c in candidates if not c.local], prior, late)
+    return replace(whole, late=NEVER), ranked_by(found, prior)
+
+
+def _searched(
+    setting: Setting, candidates: list[Change], late: Deadline, tell: Callable[[str], None]
+) -> tuple[Setting, list[Explanation]]:
+    """Explanations by falling probability, by all features of a setting."""
     prior, setting = Prior(candidates), replace(setting, late=late)
-    null = fit(setting)
+    null = fit(setting, basin=UNLIKE)
+    led = null is not None and _led(setting, null, candidates, prior, late, tell)
     if null is None:  # a simulation of too few modes for those measured is compared without one of them
         search = _Search(setting, _less_a_mode(setting, candidates), setting)
         if not search.found:
             return replace(setting, late=NEVER), []
+    elif led:
+        search = _Search(setting, led, setting)
     else:
+        null = fit(setting) if _far_off(null) else null
+        assert null is not None
         bare, setting = setting, with_more(setting, null)
         if setting is not bare:
             null = fit(setting) or start_in(setting, null)
         setting, found = beside_one_factor(bare, setting, null, candidates, prior)
         null, search = found[()], _Search(setting, found, bare)
     try:
-        _all_steps(search, null, candidates, prior, late, tell)
+        trials: list[Start] = []
+        if not (led or null is None or late()):
+            tell(f"screening {len(candidates)} causes and places")
+            trials = list(starts(setting, null, candidates, prior.each(candidates)))
+        if trials:
+            tell(f"fitting {len(trials)} of them")
+        if not late():
+            _all_steps(search, trials, candidates, prior, late)
         if not late():
             _without_a_gain(search, prior)
     except KeyboardInterrupt:
         late.stop()
     return replace(search.setting, late=NEVER), ranked_by(search.found, prior)
+
+
+def _far_off(null: Fit) -> bool:
+    """Whether the general inaccuracy alone does not come near to the measured modes."""
+    return null.chi2 > UNLIKE * null.state.difference.size
+
+
+def _led(
+    setting: Setting, null: Fit, candidates: list[Change], prior: Prior, late: Deadline, tell: Callable[[str], None]
+) -> dict[tuple[Change, ...], Fit]:
+    """The leading causes by finite changes, where one of them explains what the inaccuracy is far from; else nothing.
+
+    Others are then looked for beside it and in its place, and no inaccuracy is, that would do without it.
+    """
+    if not _far_off(null):
+        return {}
+    found = {(): null}
+    try:
+        tell(f"screening {len(candidates)} causes and places")
+        for cause, u, start in islice(starts(setting, null, candidates, prior.each(candidates)), FITTED):
+            attempt(setting, found, (cause,), cause.of_size(u), start, basin=UNLIKE)
+            if late():
+                break
+    except KeyboardInterrupt:
+        late.stop()
+    return found if explains(ranked_by(found, prior)[0].fit) else {}
 
 
 def one_cause(setting: Setting, candidates: list[Change], late: Deadline) -> list[Explanation]:
@@ -135,14 +195,10 @@ def _less_a_mode(setting: Setting, candidates: list[Change]) -> dict[tuple[Chang
 
 
 def _all_steps(
-    search: _Search, null: Fit | None, candidates: list[Change], prior: Prior, late: Deadline,
-    tell: Callable[[str], None],
-) -> None:  # fmt: skip
-    """Screen, fit, seek a further cause and other places, as long as there is time."""
+    search: _Search, trials: Sequence[Start], candidates: list[Change], prior: Prior, late: Deadline
+) -> None:
+    """Fit what was screened, seek a further cause and other places, as long as there is time."""
     setting, found = search.setting, search.found
-    tell(f"screening {len(candidates)} causes and places")
-    trials = [] if null is None else starts(setting, null, candidates, prior.each(candidates))
-    tell(f"fitting {len(trials)} of them")
     for cause, u, start in trials:
         if not _found(found, cause):
             attempt(setting, found, (cause,), cause.of_size(u), start, gentle=start is None)

@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 import scipy.optimize
 
+from modalax._numerics.triangles import inverse_of
 from modalax.diagnose.modal_domain.free_residues import Projected
 from modalax.diagnose.modal_domain.repeated import Group, Origin, Together, group_of
 
@@ -23,6 +24,7 @@ CLOSE = 0.25  # change of ln frequency that counts as much against a pair of mod
 SMEARED = 0.05  # standard deviation of ln frequency beyond which a mode is too uncertain to compare
 FLAT = 1e-4  # square of the part along the measured residues below which its phase says nothing
 
+LEAST = 1e-14  # eigenvalue of a covariance, relative to those of each feature, below which rounding tells it
 ALIKE = 1e-12  # least variance of a combination of features, relative to that of each
 FARTHEST = 10.0  # half-bandwidths by which a pole that was found can be off
 NARROW = 1e-6  # least half-bandwidth of a pole, relative to its frequency
@@ -176,9 +178,16 @@ def shapes_shown(found: Projected, outputs: int, inputs: int, close: Sequence[tu
 
 
 def whitener_of(f: Features) -> np.ndarray:
-    """Inverse of a root of the covariance, for features of unlike size and of any correlation."""
+    """Inverse of a root of the covariance, for features of unlike size and of any correlation.
+
+    It is upper triangular, but where combinations of features are known better than all others are.
+    """
     size = np.sqrt(np.diag(f.covariance))
-    values, vectors = np.linalg.eigh(f.covariance / size[:, None] / size)
+    unit = f.covariance / size[:, None] / size
+    if _above(unit, ALIKE):  # a root from the last row up, whose inverse is an upper triangle
+        lower = np.linalg.cholesky(unit[::-1, ::-1])
+        return inverse_of(lower)[::-1, ::-1] / size
+    values, vectors = np.linalg.eigh(unit)
     return (vectors / np.sqrt(np.maximum(values, ALIKE))).T / size
 
 
@@ -240,14 +249,26 @@ def slopes_of_values(
 ) -> np.ndarray:  # fmt: skip
     """Derivatives of the features, shape ``(k, 2 + 2 d, p)``, by changes ``(k, p)`` and ``(k, p, o, i)``."""
     own2 = np.maximum((np.abs(residues) ** 2).sum(axis=(1, 2)), INVISIBLE**2)
-    relative = dpoles / poles[:, None]
-    real = poles.real[:, None]
-    size, linear = _sizes(np.sqrt(own2), sizes)
     change = dresidues.reshape(*dresidues.shape[:2], -1).transpose(0, 2, 1)
     flat, axes = residues.reshape(len(poles), -1), tangent.conj().reshape(*tangent.shape[:2], -1)
-    dsize = np.where(linear[:, None], 0.0, np.matmul(flat.conj()[:, None], change)[:, 0].real / own2[:, None])
-    along = np.matmul(axes, flat[:, :, None])[:, :, 0] / size[:, None]
-    moved = np.matmul(axes, change) / size[:, None, None]
+    grown = np.matmul(flat.conj()[:, None], change)[:, 0].real / own2[:, None]
+    along, moved = np.matmul(axes, flat[:, :, None])[:, :, 0], np.matmul(axes, change)
+    return slopes_along(poles, dpoles, np.sqrt(own2), grown, along, moved, sizes)
+
+
+def slopes_along(
+    poles: np.ndarray, dpoles: np.ndarray, own: np.ndarray, grown: np.ndarray, along: np.ndarray, moved: np.ndarray,
+    sizes: np.ndarray | None = None,
+) -> np.ndarray:  # fmt: skip
+    """The same by the sizes of residues ``own``, shape ``(k,)``, and by what changes make them grow by, ``(k, p)``.
+
+    And by the parts of residues and of their changes along the tangent, shapes ``(k, d)`` and ``(k, d, p)``.
+    """
+    relative = dpoles / poles[:, None]
+    real = poles.real[:, None]
+    size, linear = _sizes(own, sizes)
+    dsize = np.where(linear[:, None], 0.0, grown)
+    along, moved = along / size[:, None], moved / size[:, None, None]
     first = along[:, :1]
     turned = (first.conj() * moved[:, 0]).imag / np.maximum(np.abs(first) ** 2, FLAT)
     grown, turned = np.where(linear[:, None], (moved[:, 0].real, moved[:, 0].imag), (dsize, turned))
@@ -328,8 +349,20 @@ def _by_source(f: Features, poles: np.ndarray, residues: np.ndarray, m: int) -> 
 def _positive(covariance: np.ndarray) -> np.ndarray:
     """A covariance without eigenvalues that rounding makes negative, as for two modes that are nearly one."""
     size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    values, vectors = np.linalg.eigh((covariance + covariance.T) / 2 / size[:, None] / size)
-    return (vectors * np.maximum(values, 1e-14)) @ vectors.T * size[:, None] * size
+    unit = (covariance + covariance.T) / 2 / size[:, None] / size
+    if _above(unit, LEAST):
+        return unit * size[:, None] * size
+    values, vectors = np.linalg.eigh(unit)
+    return (vectors * np.maximum(values, LEAST)) @ vectors.T * size[:, None] * size
+
+
+def _above(unit: np.ndarray, least: float) -> bool:
+    """Whether all eigenvalues of a symmetric matrix are above some value."""
+    try:
+        np.linalg.cholesky(unit - least * np.eye(len(unit)))
+    except np.linalg.LinAlgError:
+        return False
+    return True
 
 
 def paired(f: Features, poles: np.ndarray, residues: np.ndarray, kept: np.ndarray | None = None) -> np.ndarray:

@@ -84,7 +84,7 @@ def hyperprior(setting: Setting, epsilon: np.ndarray, u: np.ndarray) -> float:
 
 def fit(
     setting: Setting, causes: tuple[Change, ...] = (), start: Fit | None = None, u: np.ndarray | None = None,
-    temperatures: tuple[float, ...] = TEMPERATURES, best_else: float = -np.inf,
+    temperatures: tuple[float, ...] = TEMPERATURES, best_else: float = -np.inf, basin: float = BASIN,
 ) -> Fit | None:  # fmt: skip
     """Fit a hypothesis; None where the search leads to matrices without enough modes.
 
@@ -96,6 +96,8 @@ def fit(
         Sizes of the causes to start from.
     best_else
         Log evidence of the best other hypothesis: a fit that is far behind and hardly gains ends where it is.
+    basin
+        Chi-square per feature from which on no further steps are taken once these have been.
     """
     a = setting.inaccuracy
     sizes = np.zeros(len(a.group_of)) if start is None else start.sizes
@@ -118,7 +120,7 @@ def fit(
                     break
         best, linear, ended = _at_true_covariance(setting, causes, state, sizes, u, epsilon, best_else, free, lost)
         for _ in range(AGAIN):
-            if ended or not 1.0 < best.chi2 / setting.features.values.size < BASIN:
+            if ended or not 1.0 < best.chi2 / setting.features.values.size < basin:
                 break
             more = best.state, best.sizes, best.u, best.epsilon
             again, at, ended = _at_true_covariance(setting, causes, *more, best_else, free, False)

@@ -143,9 +143,12 @@ def beside_one_line(found: Projected, channels: Channels) -> np.ndarray:
     What is seen at one line only is noise that all sensors share, or a disturbance, as soon as it is a mode.
     """
     columns = channels.kernels(found.poles)[:, : 2 * len(found.poles)].reshape(len(channels.s), -1, 2)
-    size = columns[:, :, 0, None] * found.residues.real + columns[:, :, 1, None] * found.residues.imag
-    energy = (channels.weight[:, None] * np.abs(size) ** 2).sum(axis=2)
-    return energy.sum(axis=0) - energy.max(axis=0, initial=0.0)
+    out = np.zeros(len(found.poles))
+    for k, A in enumerate(found.residues):
+        size = columns[:, k, :1] * A.real + columns[:, k, 1:] * A.imag
+        energy = (channels.weight * (size.real**2 + size.imag**2)).sum(axis=1)
+        out[k] = energy.sum() - energy.max(initial=0.0)
+    return out
 
 
 def further_poles(found: Projected, channels: Channels) -> np.ndarray:

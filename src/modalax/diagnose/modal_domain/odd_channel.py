@@ -51,14 +51,13 @@ def odd_channel(
     for force, names in ((False, outputs), (True, inputs)):
         if len(names) < (2 if force else FEWEST):
             continue
-        r, roots = plain.fit.state.difference, [_root(setting, force, k) for k in range(len(names))]
-        left = [float((forward(L, r) ** 2).sum()) + 2 * volume(L) for L in roots]
-        for k in np.argsort(left)[:TRIED]:
-            L = roots[k]
-            f = fit(replace(setting, whitener=forward(L, setting.triangle)))
+        r, free = plain.fit.state.difference, [_freed(setting, force, k) for k in range(len(names))]
+        for k in np.argsort([_left_beside(W, r) for W in free])[:TRIED]:
+            L = np.linalg.cholesky(np.eye(len(r)) + free[k] @ free[k].T)
+            beside = math.log(RARE / len(names)) - volume(L) - explanations[0].log_posterior
+            f = fit(replace(setting, whitener=forward(L, setting.triangle)), best_else=-beside)
             if f is not None:
-                value = f.log_evidence - volume(L) + math.log(RARE / len(names))
-                found.append(OddChannel(names[k], force, value - explanations[0].log_posterior))
+                found.append(OddChannel(names[k], force, f.log_evidence + beside))
     best = max(found, key=lambda o: o.nats, default=None)
     return best if best is not None and best.nats > 0 else None
 
@@ -79,8 +78,8 @@ def only_output(f: Features, mode: int) -> int | None:
     return largest if nats > SURE else None
 
 
-def _root(setting: Setting, force: bool, channel: int) -> np.ndarray:
-    """Root of the features' covariance, whitened, with one channel free."""
+def _freed(setting: Setting, force: bool, channel: int) -> np.ndarray:
+    """Whitened derivatives by the factors of one channel, over their usual size, two of each mode."""
     f = setting.features
     own = (slice(None), slice(None), channel) if force else (slice(None), channel)
     row = np.zeros_like(f.seen)
@@ -89,8 +88,13 @@ def _root(setting: Setting, force: bool, channel: int) -> np.ndarray:
     slopes = f.slopes(f.poles, f.seen, still, np.stack([row, 1j * row], axis=1))
     D = np.zeros((len(f.poles), f.width, len(f.poles), 2))
     D[range(len(f.poles)), :, range(len(f.poles))] = GAIN * slopes
-    W = setting.triangle @ D.reshape(len(f.poles) * f.width, -1)
-    return np.linalg.cholesky(np.eye(len(W)) + W @ W.T)
+    return setting.triangle @ D.reshape(len(f.poles) * f.width, -1)
+
+
+def _left_beside(W: np.ndarray, r: np.ndarray) -> float:
+    r"""Chi-square left beside what is free, and its volume: :math:`r^T(I+WW^T)^{-1}r + \ln\det(I+W^TW)`."""
+    L = np.linalg.cholesky(np.eye(W.shape[1]) + W.T @ W)
+    return float(r @ r - (forward(L, W.T @ r) ** 2).sum()) + 2 * volume(L)
 
 
 def volume(L: np.ndarray) -> float:

@@ -28,6 +28,7 @@ from modalax.diagnose.modal_domain.state import Setting
 FEWEST = 3  # outputs of which one can be told apart from the others
 OWN = 2  # fewest modes that are an output's own beside all others; one more may be that of what the sensor sits on
 HARDLY = 0.5  # part of what all FRFs show of a mode, below which some of them hardly do
+ITS_OWN = 0.15  # part of what all FRFs show of a mode, below which that is no mode of one output alone
 AS_WELL = 1.1  # how much more chi-square per sample the others may leave by themselves
 MASSES = np.geomspace(1e-3, 30.0, 400)  # that are tried, over the usual one; a step moves no peak by half its width
 TRIED = 3  # of them that are taken on to the lines
@@ -41,10 +42,21 @@ def own_peaks(measured: Measured, outputs: int, inputs: int) -> int | None:
     if outputs < FEWEST or len(measured.modes.poles) < 2 * OWN:
         return None
     rows = np.arange(outputs * inputs) // inputs
-    counts = np.array([_not_needed(measured, rows != k) for k in range(outputs)])
+    own = _share(measured, rows)
+    if own.max() < ITS_OWN:
+        return None
+    some = (own >= ITS_OWN) | (own >= np.sort(own)[-FEWEST])
+    counts = np.array([_not_needed(measured, rows != k) if some[k] else 0 for k in range(outputs)])
     second, best = np.argsort(counts)[-2:]
-    own = counts[best] - counts[second]
-    return int(best) if own >= OWN or (own > 0 and _not_needed(measured, rows == best) > 0) else None
+    more = counts[best] - counts[second]
+    return int(best) if more >= OWN or (more > 0 and _not_needed(measured, rows == best) > 0) else None
+
+
+def _share(measured: Measured, rows: np.ndarray) -> np.ndarray:
+    """Largest part that each output has in what all FRFs show of a mode; ``rows`` is the output of each FRF."""
+    seen = np.abs(measured.modes.residues) ** 2 * measured.channels.weight.sum(axis=0)
+    by_output = np.stack([seen[:, rows == k].sum(axis=1) for k in range(rows[-1] + 1)], axis=1)
+    return (by_output / np.maximum(by_output.sum(axis=1, keepdims=True), 1e-300)).max(axis=0)
 
 
 def _not_needed(measured: Measured, kept: np.ndarray) -> int:

@@ -1,18 +1,19 @@
-"""Explanations fitted again in another setting: beside factors throughout, uneven errors, or the rest."""
+"""Explanations fitted again in another setting: beside factors throughout, uneven errors, the rest, or all features."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from modalax.diagnose.modal_domain.attempts import attempt, explains
 from modalax.diagnose.modal_domain.causes import Change
-from modalax.diagnose.modal_domain.discrepancy import learnt_rest
+from modalax.diagnose.modal_domain.discrepancy import learnt_rest, with_rest
 from modalax.diagnose.modal_domain.explanation import Explanation, ranked_by
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
 from modalax.diagnose.modal_domain.prior import Prior
 from modalax.diagnose.modal_domain.state import Setting
 from modalax.diagnose.modal_domain.throughout import start_in, with_more
 
-AGAIN = 6  # leading explanations that are fitted again
+AGAIN = 6  # leading explanations that are fitted again,
+NEAR = 12.0  # and nats behind the first up to which they are, where few features told of them
 
 
 def beside_a_factor(
@@ -74,3 +75,22 @@ def beside_the_rest(
     for e in leading:
         attempt(new, again, e.causes, e.fit.u, without_causes(e.fit), gentle=False)
     return (new, again) if again else (setting, found)
+
+
+def in_full(
+    whole: Setting, few: Setting, explanations: Sequence[Explanation], late: Callable[[], bool]
+) -> tuple[Setting, dict[tuple[Change, ...], Fit]]:
+    """Fit the leading explanations of a search by ``few`` features again, to the whole of them.
+
+    Beside what the search has learnt of the simulation: what it is off by, and the rest.
+    """
+    setting = replace(few, features=whole.features, whitener=whole.whitener, rest=0.0)
+    best = explanations[0]
+    if few.rest:
+        setting = with_rest(setting, best.fit, few.rest)
+    leading = [e for e in explanations[:AGAIN] if e.log_posterior > best.log_posterior - NEAR]
+    again: dict[tuple[Change, ...], Fit] = {}
+    for e in leading + [e for e in explanations if not e.causes and e not in leading]:
+        if not (again and late()):
+            attempt(setting, again, e.causes, e.fit.u, without_causes(e.fit), gentle=False)
+    return setting, again

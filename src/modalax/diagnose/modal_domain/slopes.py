@@ -33,6 +33,7 @@ class Slopes:
     shape_outputs: np.ndarray
     shape_inputs: np.ndarray
     repeated: np.ndarray
+    along: bool = False
 
     @property
     def two(self) -> tuple[np.ndarray, np.ndarray]:

@@ -33,6 +33,7 @@ MATCHED, PRESCREENED = (
     60,
     40,
 )  # places by frequencies, and by each of two linear scores, that are tried with finite sizes
+MISSED = 0.1  # squared miss of a frequency, over what counts as close, from which on no place has it
 FORCES = 8  # places of forces of each kind, of each of these scores, that are tried so
 FITTED, NEXT = 6, 4  # leading places of each screening that are fitted, and of the screening about the winner
 FARTHER = 2.0  # times as far from the data as the simulation as it is, beyond which no kind of cause is fitted
@@ -43,8 +44,8 @@ EITHER = np.array([-s for s in SIZES] + [*SIZES, *STRONG])
 Start = tuple[Change, float, Fit | None]
 
 
-def starts(setting: Setting, null: Fit, candidates: list[Change], share: np.ndarray) -> list[Start]:
-    """Causes worth a fit, with sizes and inaccuracies to start from.
+def starts(setting: Setting, null: Fit, candidates: list[Change], share: np.ndarray) -> Iterator[Start]:
+    """Causes worth a fit, with sizes and inaccuracies to start from; first the leading ones by finite changes.
 
     Parameters
     ----------
@@ -57,7 +58,7 @@ def starts(setting: Setting, null: Fit, candidates: list[Change], share: np.ndar
     nominal, _ = scores(setting, _nominal(setting, null), candidates)
     few = set(np.argsort(-(gain + share))[:PRESCREENED]) | set(np.argsort(-(nominal + share))[:PRESCREENED])
     missed, told = missed_frequencies(setting.features, modes_of(setting.coordinates), candidates, EITHER)
-    if min(missed, default=0.0) > len(setting.features.poles):  # no change of rank one has the frequencies
+    if min(missed, default=0.0) > MISSED * len(setting.features.poles):  # no change of rank one has the frequencies
         whole = [k for k, c in enumerate(candidates) if c.kind in ("K", "M") and c.pattern is not None]
         missed[whole], told[whole] = missed_by_elements(setting, [candidates[k] for k in whole])
     matched = missed - 2 * share
@@ -83,14 +84,15 @@ def starts(setting: Setting, null: Fit, candidates: list[Change], share: np.ndar
     u |= {k: float(told[k]) for k in large}
     first = list(dict.fromkeys([*chosen, *large]))
     near = refined(setting, [candidates[k] for k in first], [float(u[k]) for k in first])
-    out: list[Start] = [(candidates[k], v, None) for k, v in zip(first, near, strict=True)]
+    yield from ((candidates[k], v, None) for k, v in zip(first, near, strict=True))
     linear = [k for k in np.argsort(-(gain + share)) if np.isfinite(gain[k]) and gain[k] > 0][:NEXT]
     start = without_causes(null)
     told = [float(np.clip(size[k], -3, 3)) for k in linear]
     near = refined(setting, [candidates[k] for k in linear], told)
-    out += [(candidates[k], v, None) for k, v in zip(linear, near, strict=True)]
-    out += [(candidates[k], 0.0, start) for k in linear]
-    return out + _hidden(setting, start, candidates, share) + _taken_up(setting, null, candidates, share)
+    yield from ((candidates[k], v, None) for k, v in zip(linear, near, strict=True))
+    yield from ((candidates[k], 0.0, start) for k in linear)
+    yield from _hidden(setting, start, candidates, share)
+    yield from _taken_up(setting, null, candidates, share)
 
 
 def _dampings(setting: Setting, candidates: list[Change]) -> np.ndarray:

@@ -10,6 +10,7 @@ from scipy.linalg.blas import dtrmm, dtrmv
 from modalax.diagnose.deadline import NEVER, Deadline
 from modalax.diagnose.modal_domain.causes import Change, hysteretic_share, with_sizes
 from modalax.diagnose.modal_domain.coordinates import SPARED, Coordinates, Modes, modes_of
+from modalax.diagnose.modal_domain.directions import along_features, by_features
 from modalax.diagnose.modal_domain.factored import Factored
 from modalax.diagnose.modal_domain.features import Features, paired
 from modalax.diagnose.modal_domain.further_causes import MissingMode, hysteretic_poles
@@ -74,7 +75,10 @@ class Setting:
     @cached_property
     def triangle(self) -> np.ndarray:
         """The upper triangular root that makes the same scalar products as ``whitener``, in half of the products."""
-        R = np.linalg.qr(self.whitener, mode="r")
+        W = self.whitener
+        if not np.tril(W, -1).any() and (np.diag(W) > 0).all():
+            return W
+        R = np.linalg.qr(W, mode="r")
         return np.copysign(1.0, np.diag(R))[:, None] * R  # the only one, which changes little where a covariance does
 
     @cached_property
@@ -269,9 +273,23 @@ def compared(
     return together, mean, whole / f.units
 
 
+def _slopes_of(setting: Setting, state: State, causes: tuple[Change, ...]) -> Slopes:
+    """Slopes along the directions of the features, where these are fewer than the channels, which have no faults."""
+    t, f = slopes_of(setting.coordinates, state.modes, state.together.every), setting.features
+    o, i = f.residues.shape[1:]
+    if f.tangent.shape[1] >= o + i - 1 or any(c.in_channels for c in causes):
+        return t
+    return by_features(t, f, state.together, _whole(f, state))
+
+
+def _whole(f: Features, state: State) -> np.ndarray:
+    """Residues in the place of the measured ones, in units of the channels, shape ``(k, o, i)``."""
+    return state.together.seen(f.along, state.modes.poles, state.residues)[1] / f.units
+
+
 def slopes_at(setting: Setting, state: State, causes: tuple[Change, ...] = (), u: np.ndarray = NONE) -> np.ndarray:
     """Whitened derivatives of the features by the sizes of all patterns and those of causes, shape ``(m, p + u)``."""
-    t = slopes_of(setting.coordinates, state.modes, state.together.every)
+    t = _slopes_of(setting, state, causes)
     moves = zip(*(factored_slopes(t, kind, patterns) for kind, patterns in setting.patterns(causes, u)), strict=True)
     every = (np.concatenate(part, axis=1) for part in moves)
     columns = [feature_slopes(setting, state, t, causes, u, *every) * factors_of(setting, state.sizes)]
@@ -297,7 +315,7 @@ def screening_slopes(
     u: np.ndarray = NONE,
 ) -> np.ndarray:  # fmt: skip
     """Whitened derivatives by sizes of further causes at zero, ``(m, candidates)``; zero for causes without a size."""
-    t = slopes_of(setting.coordinates, state.modes, state.together.every)
+    t = _slopes_of(setting, state, causes)
     out = np.zeros((len(setting.whitener), len(candidates)))
     for kind in "KCM":
         which = [k for k, c in enumerate(candidates) if c.kind == kind and c.pattern is None]
@@ -334,6 +352,9 @@ def feature_slopes(
     dpoles: np.ndarray, dout: np.ndarray, dinn: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
     """Derivatives of the features by changes of poles and shapes."""
+    if t.along:
+        own = np.linalg.norm(_whole(setting.features, state), axis=(1, 2))
+        return along_features(t, state.together, own, dpoles, dout, dinn, setting.linear)
     moved = dout[..., None] * t.shape_inputs[:, None, None, :] + t.shape_outputs[:, None, :, None] * dinn[:, :, None]
     k, p = dout.shape[:2]
     moved = _in_channels(causes, u, np.repeat(t.poles, p), moved.reshape(k * p, *moved.shape[2:])).reshape(moved.shape)

@@ -1,0 +1,111 @@
+"""Many sensors: causes are looked for by the leading directions of shapes, and fitted to all in the end."""
+
+import numpy as np
+import pytest
+import scipy.linalg
+from frames import measured, simulation
+from test_modal_repeated import measured as measured_ring
+from test_modal_repeated import setting_of, uneven
+
+from modalax.diagnose.modal_domain import explain as search
+from modalax.diagnose.modal_domain import narrowed as module
+from modalax.diagnose.modal_domain import state as states
+from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.diagnose.modal_domain.features import Features, whitener_of
+from modalax.diagnose.modal_domain.narrowed import narrowed
+from modalax.diagnose.modal_domain.stage import identified, posed
+from modalax.diagnose.modal_domain.state import screening_slopes, slopes_at, state_at
+
+
+def beam_setting():
+    data = measured(2, 0.01, mass=("5:+Z", 0.05), lines=120)[0]
+    return posed(data, simulation(), identified(data, simulation(), lambda _: None))
+
+
+def few_of(setting, monkeypatch, leading=2):
+    monkeypatch.setattr(module, "LEADING", leading)
+    few = narrowed(setting)
+    assert few is not None
+    return few
+
+
+@pytest.mark.parametrize("repeated", [False, True], ids=["single modes", "modes of one frequency"])
+def test_leading_directions_are_some_of_all_turned(repeated, monkeypatch):
+    whole = setting_of(measured_ring(uneven(0.01, 1)), uneven(0.01, 2))[1] if repeated else beam_setting().setting
+    assert bool(whole.features.groups) == repeated
+    few = few_of(whole, monkeypatch)
+    count, width = len(few.features.poles), few.features.width
+    assert width == 4 + 2 * (2 + min(2, whole.features.residues.shape[2] - 1)) < whole.features.width
+    still = np.zeros(len(whole.inaccuracy.group_of))
+    seen, state = few.features, state_at(few, still)
+    np.testing.assert_allclose(few.whitener @ seen.covariance @ few.whitener.T, np.eye(count * width), atol=1e-6)
+    # of what was measured the values are those of its own poles and residues along the directions that are left
+    own = seen.predicted(seen.poles, seen.seen) if not repeated else seen.values
+    np.testing.assert_allclose(own[:, 3], seen.values[:, 3], atol=1e-3)
+    # derivatives along the directions are those of residues over all channels, and those of small steps
+    J = slopes_at(few, state)
+    with monkeypatch.context() as patch:
+        patch.setattr(states, "by_features", lambda t, *_: t)
+        np.testing.assert_allclose(J, slopes_at(few, state), rtol=1e-6, atol=1e-9 * np.abs(J).max())
+    for k in range(0, len(still), 7):
+        step = 1e-6 * (np.arange(len(still)) == k)
+        moved = (state_at(few, -step).difference - state_at(few, step).difference) / 2e-6
+        np.testing.assert_allclose(J[:, k], moved, atol=2e-4 * np.abs(J[:, k]).max() + 1e-3)
+
+
+def test_screening_by_the_directions_is_that_over_all_channels(monkeypatch):
+    task = beam_setting()
+    few = few_of(task.setting, monkeypatch)
+    state = state_at(few, np.zeros(len(few.inaccuracy.group_of)))
+    G = screening_slopes(few, state, task.candidates)
+    monkeypatch.setattr(states, "by_features", lambda t, *_: t)
+    np.testing.assert_allclose(G, screening_slopes(few, state, task.candidates), atol=1e-8 * np.abs(G).max())
+
+
+def test_a_mass_is_named_by_few_directions_and_fitted_to_all(monkeypatch):
+    data, _ = measured(2, 0.01, mass=("5:+Z", 0.05), lines=120)
+    plain = diagnose_modes(data, simulation())
+    monkeypatch.setattr(module, "LEADING", 2)
+    steps = []
+    found = diagnose_modes(data, simulation(), tell=steps.append)
+    assert "fitting the leading ones to all channels" in steps
+    assert found.verdict == plain.verdict == "named"
+    assert [(c["name"], c["where"]) for c in found.causes] == [("added_mass", ["5:+Z"])]
+    assert found.stage.setting.features.values.shape == plain.stage.setting.features.values.shape
+    told, other = (f.causes[0]["parameters"]["mass"] for f in (found, plain))
+    assert told["value"] == pytest.approx(other["value"], abs=0.3 * other["std"])
+    assert 0.6 < told["std"] / other["std"] < 1.7  # the rest that no element explains is learnt from the few
+
+
+def test_where_the_inaccuracy_is_far_off_and_one_cause_explains_all_no_others_are_fitted_first(monkeypatch):
+    data, _ = measured(2, 0.01, mass=("5:+Z", 0.5), lines=120)
+    fitted, steps = [], []
+    attempt = search.attempt
+
+    def counted(setting, found, causes, *rest, **more):
+        fitted.append(causes)
+        attempt(setting, found, causes, *rest, **more)
+
+    monkeypatch.setattr(search, "attempt", counted)
+    found = diagnose_modes(data, simulation(), tell=steps.append)
+    assert [(c["name"], c["where"]) for c in found.causes] == [("added_mass", ["5:+Z"])]
+    assert not any(step.startswith("fitting") for step in steps)
+    first = [causes for causes in fitted if len(causes) == 1][: search.FITTED]
+    assert any(c.slug == "added_mass" and c.where == ("5:+Z",) for (c,) in first)
+
+
+@pytest.mark.parametrize("known", [1.0, 1e-18], ids=["alike", "a combination that is known far better"])
+def test_whitened_features_are_uncorrelated_and_of_unit_variance(known):
+    rng = np.random.default_rng(0)
+    size = np.geomspace(1e-5, 1.0, 6)
+    A = rng.standard_normal((6, 6)) * size[:, None]
+    covariance = A @ np.diag([1.0, 1.0, 1.0, 1.0, 1.0, known]) @ A.T
+    f = Features(*(np.zeros((1, 1, 1)) for _ in range(4)), np.zeros((1, 6)), covariance)
+    W = whitener_of(f)
+    kept = 6 if known == 1.0 else 5
+    values = np.sort(np.linalg.eigvalsh(W @ covariance @ W.T))
+    np.testing.assert_allclose(values[-kept:], 1.0, rtol=1e-5)
+    assert (np.abs(np.tril(W, -1)).max() == 0) == (known == 1.0)
+    if known == 1.0:
+        expected = scipy.linalg.inv(covariance)
+        np.testing.assert_allclose(W.T @ W, expected, rtol=1e-7)
