@@ -135,7 +135,7 @@ def measured(element: int, end: int, spring: float, off: float) -> Measurement:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(("element", "end", "off"), [(0, 0, 0.01), (4, 1, 0.01)])
+@pytest.mark.parametrize(("element", "end", "off"), [(0, 0, 0.01), pytest.param(4, 1, 0.01, marks=pytest.mark.slow)])
 def test_where_a_beam_gives_way_is_named_beside_elements_that_are_off(element, end, off):
     rigid = frames.beam()[0][1, 1]
     found = diagnose_modes(measured(element, end, rigid / 2, off), frames.simulation(), late=Deadline(300.0))

@@ -19,7 +19,10 @@ from modalax.diagnose.modal_domain.stage import run_stage
 KINDS = ("local_damper", 0.2), ("joint_stiffness", 5.0)
 
 
-@pytest.mark.parametrize(("where", "c"), [(0, 300.0), (1, 120.0), (2, 300.0), (4, 120.0)])
+@pytest.mark.parametrize(("where", "c"), [
+    pytest.param(0, 300.0, marks=pytest.mark.slow), pytest.param(1, 120.0, marks=pytest.mark.slow), (2, 300.0),
+    (4, 120.0),
+])  # fmt: skip
 def test_a_strong_damper_ranks_first_before_any_fit(where, c):
     """Mode by mode up to eleven of the 15 places had ranked before that of a damper of a fifth of critical."""
     M, C, K = chain_off(3, 0.003)
@@ -42,7 +45,10 @@ def joined_by(c, between, seed=7):
     return as_measured(response(M, C + c * np.outer(v, v), K, FREQ), FREQ, seed, outputs)
 
 
-@pytest.mark.parametrize(("c", "between"), [(3e3, (2, 1)), (5e4, (3, 2)), (1e4, (3, 2)), (5e4, (1, 0))])
+@pytest.mark.parametrize(("c", "between"), [
+    pytest.param(3e3, (2, 1), marks=pytest.mark.slow), pytest.param(5e4, (3, 2), marks=pytest.mark.slow),
+    (1e4, (3, 2)), (5e4, (1, 0)),
+])  # fmt: skip
 def test_a_damper_that_holds_two_points_together_is_named_with_its_size(c, between):
     """It couples modes until those that it damps are gone; joints that relax lead to it."""
     found = diagnose_modes(joined_by(c, between), simulation())
@@ -54,7 +60,8 @@ def test_a_damper_that_holds_two_points_together_is_named_with_its_size(c, betwe
 
 def test_a_sensor_that_moves_as_another_point_is_where_it_says_if_a_damper_joins_them(monkeypatch):
     monkeypatch.setattr(diagnosis, "other_places", lambda *_: {DOFS[2]: DOFS[1]})
-    found = diagnose_modes(joined_by(5e4, (2, 1)), simulation())
+    known = {"sensor_place", "local_damper", "joint_stiffness", "hysteretic_joint", "maxwell_joint", "fractional_joint"}
+    found = diagnose_modes(joined_by(5e4, (2, 1)), simulation(), wanted=known.__contains__)
     told = {x["name"] for x in (*found.causes, *(c for one in found.alternatives for c in one))}
     assert told == {"local_damper", "hysteretic_joint"}  # either holds them together
     assert all(x["where"] == [DOFS[1], DOFS[2]] for x in found.causes)
@@ -89,7 +96,7 @@ def test_a_spring_is_tried_where_a_damper_holds_two_points(size, beside, count):
         assert (start is None) is (beside and len(own) == 1)
 
 
-@pytest.mark.parametrize(("c", "off"), [(0.5, 0.0), (1.2, 0.003)])
+@pytest.mark.parametrize(("c", "off"), [(0.5, 0.0), pytest.param(1.2, 0.003, marks=pytest.mark.slow)])
 def test_a_small_damper_beside_a_delay_is_not_taken_for_dampings_that_are_off(c, off):
     """It makes all dampings 2 to 5 % larger; without the delay's help it shows at once."""
     nominal = simulation()

@@ -1,31 +1,57 @@
-"""Causes that touch every channel, or one mode, in a beam whose every element is off."""
+"""Causes that touch every channel, or one mode, in a chain or a beam whose every element is off."""
 
+import chains_off
 import numpy as np
 import pytest
+import scipy.linalg
 from frames import measured, simulation
 
+from modalax.data import Measurement
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.model import Structure
+
+EITHER = pytest.mark.parametrize("structure", ["chain", pytest.param("beam", marks=pytest.mark.slow)])
 
 
-def told(data) -> dict:
-    found = diagnose_modes(data, simulation())
+def sound(structure: str, seed: int) -> tuple[Measurement, Structure]:
+    """Accelerances of a structure whose every element is 2 % off, and what its author has of it."""
+    return (measured(seed, 0.02)[0], simulation()) if structure == "beam" else chain(chains_off.chain_off(5, 0.02))
+
+
+def chain(matrices: tuple, more: np.ndarray | float = 0.0) -> tuple[Measurement, Structure]:
+    """Accelerances of a chain, ``more`` added, and what its author has of it."""
+    H = chains_off.response(*matrices, chains_off.FREQ) + more
+    return chains_off.as_measured(H, chains_off.FREQ, 5), chains_off.simulation()
+
+
+def told(data: Measurement, model: Structure | None = None) -> dict:
+    found = diagnose_modes(data, model or simulation())
     again = found.extended.frf(found.freq, form="accelerance", outputs=data.outputs, inputs=data.inputs)
     assert again.H.shape == found.predicted_after[0].shape
     return found.to_dict()
 
 
-def test_wrong_units_are_named():
-    data, _ = measured(11, 0.02)
+@EITHER
+def test_wrong_units_are_named(structure):
+    data, model = sound(structure, 11)
     s = 2j * np.pi * np.asarray(data.freq)[:, None, None]
-    answer = told(data.replace(H=np.asarray(data.H) / s, variance=np.asarray(data.variance) / np.abs(s) ** 2))
+    answer = told(data.replace(H=np.asarray(data.H) / s, variance=np.asarray(data.variance) / np.abs(s) ** 2), model)
     assert answer["verdict"] == "named"
     assert [(c["name"], c["where"]) for c in answer["causes"]] == [("units", [])]
 
 
-@pytest.mark.parametrize("factor", [1 / 9.80665, -1.0, 1000.0])
-def test_a_factor_on_all_frfs_is_named_and_no_mass_and_stiffness_that_are_off_alike(factor):
-    data, _ = measured(20, 0.02)
-    answer = told(data.replace(H=np.asarray(data.H) * factor, variance=np.asarray(data.variance) * factor**2))
+@pytest.mark.parametrize(
+    ("structure", "factor"),
+    [
+        ("chain", 1 / 9.80665),
+        ("beam", -1.0),
+        pytest.param("beam", 1 / 9.80665, marks=pytest.mark.slow),
+        pytest.param("beam", 1000.0, marks=pytest.mark.slow),
+    ],
+)
+def test_a_factor_on_all_frfs_is_named_and_no_mass_and_stiffness_that_are_off_alike(structure, factor):
+    data, model = sound(structure, 20)
+    answer = told(data.replace(H=np.asarray(data.H) * factor, variance=np.asarray(data.variance) * factor**2), model)
     assert answer["verdict"] == "named", answer["reasons"]
     assert [(c["name"], c["where"]) for c in answer["causes"]] == [("force_gain", [])]
     gain = answer["causes"][0]["parameters"]["gain"]
@@ -64,10 +90,11 @@ def test_noise_that_all_sensors_share_is_no_cause():
     assert any("noise of all outputs is common" in note for note in answer["notes"])
 
 
-def test_a_delay_of_all_sensors_is_named_as_one():
-    data, _ = measured(12, 0.02)
+@EITHER
+def test_a_delay_of_all_sensors_is_named_as_one(structure):
+    data, model = sound(structure, 12)
     turn = np.exp(-2j * np.pi * np.asarray(data.freq) * 2e-4)[:, None, None]
-    answer = told(data.replace(H=np.asarray(data.H) * turn))
+    answer = told(data.replace(H=np.asarray(data.H) * turn), model)
     assert [(c["name"], c["where"]) for c in answer["causes"]] == [("time_delay", [])]
     delay = answer["causes"][0]["parameters"]["delay"]
     assert delay["value"] == pytest.approx(2e-4, abs=5 * delay["std"])
@@ -81,7 +108,8 @@ def test_the_damping_of_one_mode_stands_out_beyond_what_is_usual():
     assert answer["causes"][0]["parameters"]["relative_change"]["value"] == pytest.approx(3.0, rel=0.2)
 
 
-@pytest.mark.parametrize("off", [pytest.param(0.01, marks=pytest.mark.slow), 0.03])
+@pytest.mark.slow  # by default at a chain of fewer modes than are measured, among what a small chain shows
+@pytest.mark.parametrize("off", [0.01, 0.03])
 def test_an_attached_oscillator_is_named_at_its_place(off):
     data, _ = measured(14, off, oscillator=("7:+Z", 0.02, 75.0, 0.01))
     answer = told(data)
@@ -92,20 +120,44 @@ def test_an_attached_oscillator_is_named_at_its_place(off):
         assert values[name]["std"] < 0.2 * true
 
 
-@pytest.mark.parametrize("off", [pytest.param(0.01, marks=pytest.mark.slow), 0.03])
-def test_a_mode_that_the_simulation_has_not_is_named(off):
-    data, _ = measured(15, off, extra=150.0)
-    answer = told(data)
+@pytest.mark.parametrize(
+    ("structure", "hz", "off"),
+    [
+        ("chain", 75.0, 0.02),
+        pytest.param("beam", 150.0, 0.01, marks=pytest.mark.slow),
+        pytest.param("beam", 150.0, 0.03, marks=pytest.mark.slow),
+    ],
+)
+def test_a_mode_that_the_simulation_has_not_is_named(structure, hz, off):
+    if structure == "beam":
+        answer = told(measured(15, off, extra=hz)[0])
+    else:
+        shape, s, w = (
+            np.array([0.9, -1.2, 0.2, -0.3, -0.2]),
+            2j * np.pi * chains_off.FREQ[:, None, None],
+            2 * np.pi * hz,
+        )
+        more = s**2 * np.outer(shape, shape) / (s**2 + 2 * 0.01 * w * s + w**2)
+        answer = told(*chain(chains_off.chain_off(5, off), more))
     assert [(c["name"], c["where"]) for c in answer["causes"]] == [("missing_mode", [])]
     frequency = answer["causes"][0]["parameters"]["frequency"]
-    assert frequency["value"] == pytest.approx(150.0, abs=5 * frequency["std"])
+    assert frequency["value"] == pytest.approx(hz, abs=5 * frequency["std"])
     assert answer["gain"]["chi2_after"] < 0.01 * answer["gain"]["chi2_before"]
 
 
-@pytest.mark.parametrize("off, share", [pytest.param(0.01, 1.0, marks=pytest.mark.slow), (0.02, 1.0), (0.02, 0.4)])
-def test_hysteretic_damping_is_named_by_the_phases_of_residues(off, share):
-    data, _ = measured(16, off, hysteretic=share)
-    answer = told(data)
+@pytest.mark.parametrize("share", [1.0, 0.4])
+@pytest.mark.parametrize(
+    ("structure", "off"),
+    [("chain", 0.02), *(pytest.param("beam", off, marks=pytest.mark.slow) for off in (0.01, 0.02))],
+)
+def test_hysteretic_damping_is_named_by_the_phases_of_residues(structure, off, share):
+    if structure == "beam":
+        answer = told(measured(16, off, hysteretic=share)[0])
+    else:
+        M, C, K = chains_off.chain_off(5, off)
+        w2, P = scipy.linalg.eigh(K, M)
+        lossy = M @ P @ np.diag(1j * np.diag(P.T @ C @ P) * np.sqrt(w2)) @ P.T @ M
+        answer = told(*chain((M, (1 - share) * C, K + share * lossy)))
     assert [(c["name"], c["where"]) for c in answer["causes"]] == [("structural_damping", [])]
     found = answer["causes"][0]["parameters"]["share"]
     assert found["value"] == pytest.approx(share, abs=4 * found["std"])

@@ -1,42 +1,89 @@
 """A sensor that is wrong in a way without a name is told as that, and not as an element or a mass at its place."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 
+import chains_off
 import numpy as np
 import pytest
 from frames import DOFS, measured, simulation
 
+from modalax.data import Measurement
 from modalax.diagnose.decision.beyond import OddChannel
+from modalax.diagnose.modal_domain.askew import askew_channel
+from modalax.diagnose.modal_domain.attempts import attempt
+from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.diagnose.modal_domain.explanation import ranked_by
 from modalax.diagnose.modal_domain.judged import judge
+from modalax.diagnose.modal_domain.measured import Measured
 from modalax.diagnose.modal_domain.odd_channel import only_output
+from modalax.diagnose.modal_domain.prior import Prior
+from modalax.diagnose.modal_domain.stage import Stage, identified, posed
+from modalax.model import Structure
+
+EITHER = pytest.mark.parametrize("structure", ["chain", pytest.param("beam", marks=pytest.mark.slow)])
 
 
-def test_a_gain_that_wanders_over_the_lines_gets_no_name_but_its_sensor_is_told():
-    data, _ = measured(21, 0.01)
-    at, along = data.outputs.index(DOFS[8]), np.linspace(-1.0, 1.0, len(data.freq))
+def stage_of(data: Measurement, simulation: Structure, asked: Callable[[Change, Measured], bool]) -> Stage:
+    """The general inaccuracy and the causes that are asked for beside it, one by one and without a search."""
+    modes = identified(data, simulation, lambda _: None)
+    task = posed(data, simulation, modes)
+    found = {}
+    attempt(task.setting, found, (), np.zeros(0), None)
+    for cause in (c for c in task.candidates if asked(c, modes)):
+        attempt(task.setting, found, (cause,), cause.of_size(0.1), None)
+    explanations = ranked_by(found, Prior(task.candidates))
+    return Stage(data, simulation, task.coordinates, modes, task.setting, task.candidates, explanations, True)
+
+
+@EITHER
+def test_a_gain_that_wanders_over_the_lines_gets_no_name_but_its_sensor_is_told(structure):
+    if structure == "beam":
+        data, model, name = measured(21, 0.01)[0], simulation(), DOFS[8]
+    else:
+        H = chains_off.response(*chains_off.chain_off(5, 0.02), chains_off.FREQ)
+        data, model, name = chains_off.as_measured(H, chains_off.FREQ, 5), chains_off.simulation(), chains_off.DOFS[1]
+    at, along = data.outputs.index(name), np.linspace(-1.0, 1.0, len(data.freq))
     gain = np.ones(data.H.shape)
     gain[:, :, at] *= (1 + 0.3 * np.sin(4 * along))[:, None]
-    answer = diagnose_modes(data.replace(H=data.H * gain, variance=data.variance * gain**2), simulation()).to_dict()
+    answer = diagnose_modes(data.replace(H=data.H * gain, variance=data.variance * gain**2), model).to_dict()
     assert answer["verdict"] == "unknown"
-    assert any(f"the FRFs at {DOFS[8]} alone differ" in r for r in answer["reasons"])
-    assert f"the sensor at {DOFS[8]}" in answer["advice"] and "supports" not in answer["advice"]
+    assert any(f"the FRFs at {name} alone differ" in r for r in answer["reasons"])
+    assert f"the sensor at {name}" in answer["advice"] and "supports" not in answer["advice"]
 
 
-@pytest.mark.parametrize("share", [-0.05, 0.2])
-def test_a_force_that_also_acts_elsewhere_is_told_with_its_share_and_has_no_name(share):
-    data, _ = measured(23, 0.01, stray=(DOFS[10], share))
-    found = diagnose_modes(data, simulation())
+@EITHER
+@pytest.mark.parametrize("share", [pytest.param(-0.05, marks=pytest.mark.slow), 0.2])
+def test_a_force_that_also_acts_elsewhere_is_told_with_its_share_and_has_no_name(structure, share):
+    if structure == "beam":
+        data, model, name, along = measured(23, 0.01, stray=(DOFS[10], share))[0], simulation(), DOFS[4], DOFS[10]
+    else:
+        H = chains_off.response(*chains_off.chain_off(5, 0.02), chains_off.FREQ)
+        H[:, :, 0] += share * H[:, :, 2]
+        data, model = chains_off.as_measured(H, chains_off.FREQ, 5), chains_off.simulation()
+        name, along = chains_off.DOFS[0], chains_off.DOFS[2]
+    found = diagnose_modes(data, model)
     answer, odd = found.to_dict(), found.stage.odd
     assert answer["verdict"] == "unknown", answer["causes"]
-    assert odd is not None and (odd.name, odd.force, odd.along) == (DOFS[4], True, DOFS[10])
+    assert odd is not None and (odd.name, odd.force, odd.along) == (name, True, along)
     assert abs(odd.share / share - 1) < 0.1 and odd.nats > 20.0
-    assert any(f"of it also acted at {DOFS[10]}" in r for r in answer["reasons"]), answer["reasons"]
+    assert any(f"of it also acted at {along}" in r for r in answer["reasons"]), answer["reasons"]
     assert not any("generally off" in r for r in answer["reasons"])  # which stood for the share
-    assert f"the force at {DOFS[4]}" in answer["advice"]
+    assert f"the force at {name}" in answer["advice"]
 
 
+def test_a_tilted_sensor_is_likelier_than_the_crosstalk_that_imitates_it():
+    data, _ = measured(24, 0.01, tilted=(DOFS[8], DOFS[9], 0.03))
+    stage = stage_of(data, simulation(), lambda c, _: (c.slug, c.where) == ("crosstalk", (DOFS[8], DOFS[6])))
+    assert [c.slug for c in stage.best.causes] == ["crosstalk"]
+    odd = askew_channel(stage.setting, stage.explanations, DOFS, data.outputs, data.inputs)
+    assert odd is not None and (odd.name, odd.force, odd.along) == (DOFS[8], False, DOFS[9])
+    assert abs(odd.share / 0.03 - 1) < 0.15
+
+
+@pytest.mark.slow  # without the search by default
 def test_a_sensor_that_also_measures_the_rotation_of_its_point_is_told_as_that():
     data, _ = measured(24, 0.01, tilted=(DOFS[8], DOFS[9], 0.03))
     odd = diagnose_modes(data, simulation()).stage.odd
@@ -44,14 +91,34 @@ def test_a_sensor_that_also_measures_the_rotation_of_its_point_is_told_as_that()
     assert abs(odd.share / 0.03 - 1) < 0.15
 
 
-def test_a_mode_of_one_sensor_is_no_mode_that_the_simulation_lacks():
-    """The resonance of a cable or a mount, whose peak is as large as the channel and whose foot is 3 % of it."""
+def with_a_mode_of_its_own() -> Measurement:
+    """One sensor with the resonance of a cable or a mount, as large as the channel, and whose foot is 3 % of it."""
     data, _ = measured(21, 0.0)
     at, s = data.outputs.index(DOFS[8]), 2j * np.pi * np.asarray(data.freq)
     own = 2 * np.pi * 1.07 * float(np.median(data.freq))
     gain = np.ones(data.H.shape, complex)
     gain[:, :, at] *= (1 + 0.03 * own**2 / (s**2 + 0.03 * own * s + own**2))[:, None]
-    answer = diagnose_modes(data.replace(H=data.H * gain), simulation()).to_dict()
+    return data.replace(H=data.H * gain)
+
+
+def test_a_mode_that_one_sensor_alone_shows_is_told_as_its_own():
+    data = with_a_mode_of_its_own()
+    own = 1.07 * float(np.median(data.freq))
+
+    def asked(cause: Change, modes: Measured) -> bool:
+        hz = np.abs(modes.features.poles) / 2 / np.pi
+        return cause.slug == "missing_mode" and cause.number == np.argmin(np.abs(hz - own))
+
+    stage = stage_of(data, simulation(), asked)
+    explained = [replace(e, misfit=0.0) for e in stage.explanations]  # as if with it the modes were
+    judged = judge(replace(stage, explanations=explained))
+    assert [c.slug for c in stage.best.causes] == ["missing_mode"] and judged.word == "unknown"
+    assert any(f"shows at {DOFS[8]} alone" in r for r in judged.reasons), judged.reasons
+
+
+@pytest.mark.slow  # without the search by default
+def test_a_mode_of_one_sensor_is_no_mode_that_the_simulation_lacks():
+    answer = diagnose_modes(with_a_mode_of_its_own(), simulation()).to_dict()
     assert answer["verdict"] == "unknown", answer["causes"]
     assert any(f"shows at {DOFS[8]} alone" in r for r in answer["reasons"]), answer["reasons"]
 

@@ -1,5 +1,6 @@
-"""Sensors at other points than their names, in a beam whose every element is off."""
+"""Sensors at other points than their names, in a chain or a beam whose every element is off."""
 
+import chains_off
 import numpy as np
 import pytest
 from frames import measured, simulation
@@ -11,22 +12,36 @@ from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.misplaced import moved, other_places
 from modalax.diagnose.modal_domain.stage import identified, posed
 
+EITHER = pytest.mark.parametrize("structure", ["chain", pytest.param("beam", marks=pytest.mark.slow)])
+SIMULATIONS = {"beam": simulation(), "chain": chains_off.simulation()}
 
-def labelled(at: dict[str, str], seed: int = 31, off: float = 0.01):
-    """The beam's outputs but 6:+Z, those of ``at`` measured at other points than they are called."""
-    data, _ = measured(seed, off)
-    names = [name for name in data.outputs if name != "6:+Z"]
+
+def labelled(at: dict[str, str], structure: str = "beam"):
+    """Outputs of the beam but 6:+Z, or the chain's but 3:+Z, those of ``at`` elsewhere than they are called."""
+    if structure == "beam":
+        data, unmeasured = measured(31, 0.01)[0], "6:+Z"
+    else:
+        H = chains_off.response(*chains_off.chain_off(5, 0.02), chains_off.FREQ)
+        data, unmeasured = chains_off.as_measured(H, chains_off.FREQ, 5, (0, 1, 2, 3, 4)), "3:+Z"
+    names = [name for name in data.outputs if name != unmeasured]
     rows = [data.outputs.index(at.get(name, name)) for name in names]
     take = lambda a: np.asarray(a)[:, :, rows]
     return data.replace(H=take(data.H), variance=take(data.variance), outputs=tuple(names))
 
 
-@pytest.mark.parametrize("at", [
-    {"5:+Z": "6:+Z"}, {"2:+Z": "3:+Z", "3:+Z": "4:+Z", "4:+Z": "2:+Z"},
-], ids=["one", "three in turn"])  # fmt: skip
-def test_sensors_at_other_points_are_named_with_these(at):
-    data = labelled(at)
-    found = diagnose_modes(data, simulation())
+KNOWN = {"sensor_place", "channel_gain", "channel_sign", "channel_swap", "crosstalk", "added_mass"}
+
+
+@pytest.mark.parametrize(("structure", "at", "wanted"), [
+    ("chain", {"2:+Z": "3:+Z"}, KNOWN), ("chain", {"1:+Z": "2:+Z", "2:+Z": "4:+Z", "4:+Z": "1:+Z"}, KNOWN),
+    pytest.param("beam", {"5:+Z": "6:+Z"}, None, marks=pytest.mark.slow),
+    pytest.param("beam", {"2:+Z": "3:+Z", "3:+Z": "4:+Z", "4:+Z": "2:+Z"}, None, marks=pytest.mark.slow),
+], ids=["one", "three in turn", "one of a beam", "three of a beam"])  # fmt: skip
+def test_sensors_at_other_points_are_named_with_these(structure, at, wanted):
+    """Among all causes in the slow run."""
+    data = labelled(at, structure)
+    asked = (lambda slug: True) if wanted is None else wanted.__contains__
+    found = diagnose_modes(data, SIMULATIONS[structure], wanted=asked)
     assert found.verdict == "named", found.reasons
     assert [(c["name"], *c["where"]) for c in found.causes] == [("sensor_place", *pair) for pair in at.items()]
     assert all(c["probability"] > 0.99 for c in found.causes)
@@ -37,17 +52,23 @@ def test_sensors_at_other_points_are_named_with_these(at):
     )
 
 
-def test_two_sensors_that_are_exchanged_are_a_swap():
-    found = diagnose_modes(labelled({"3:+Z": "7:+Z", "7:+Z": "3:+Z"}), simulation())
-    assert [(c["name"], c["where"]) for c in found.causes] == [("channel_swap", ["3:+Z", "7:+Z"])]
+EXCHANGED = {"chain": ("1:+Z", "4:+Z"), "beam": ("3:+Z", "7:+Z")}
 
 
-def test_an_exchange_is_tried_before_other_places_that_hold_one(monkeypatch):
+@EITHER
+def test_two_sensors_that_are_exchanged_are_a_swap(structure):
+    one, two = EXCHANGED[structure]
+    found = diagnose_modes(labelled({one: two, two: one}, structure), SIMULATIONS[structure])
+    assert [(c["name"], c["where"]) for c in found.causes] == [("channel_swap", [one, two])]
+
+
+@EITHER
+def test_an_exchange_is_tried_before_other_places_that_hold_one(structure, monkeypatch):
     """A place that moves much as that of one of the two had been taken for it: three sensors elsewhere for a swap."""
-    other = {"3:+Z": "7:+Z", "7:+Z": "2:+Z"}
-    monkeypatch.setattr(diagnosis, "other_places", lambda *_: other)
-    found = diagnose_modes(labelled({"3:+Z": "7:+Z", "7:+Z": "3:+Z"}), simulation())
-    assert [(c["name"], c["where"]) for c in found.causes] == [("channel_swap", ["3:+Z", "7:+Z"])]
+    one, two = EXCHANGED[structure]
+    monkeypatch.setattr(diagnosis, "other_places", lambda *_: {one: two, two: "2:+Z"})
+    found = diagnose_modes(labelled({one: two, two: one}, structure), SIMULATIONS[structure])
+    assert [(c["name"], c["where"]) for c in found.causes] == [("channel_swap", [one, two])]
 
 
 def test_a_wrong_gain_or_sign_or_element_is_no_other_place():

@@ -51,7 +51,10 @@ def test_a_strong_joint_of_one_law_is_named_and_predicts_what_it_was_not_fitted_
     assert said["gain"]["chi2_after"] < 1.5
 
 
-@pytest.mark.parametrize(("coefficient", "order", "top"), [(40.0, 0.7, 70.0), (100.0, 0.5, 70.0), (10.0, 0.7, 200.0)])
+@pytest.mark.parametrize(("coefficient", "order", "top"), [
+    pytest.param(40.0, 0.7, 70.0, marks=pytest.mark.slow), (100.0, 0.5, 70.0),
+    pytest.param(10.0, 0.7, 200.0, marks=pytest.mark.slow),
+])  # fmt: skip
 def test_a_weak_joint_between_a_spring_and_a_damper_is_named_as_neither(coefficient, order, top):
     """In an exact chain; a spring or a damper beside dampings that are off in general leaves no more than noise."""
     freq = FREQ[FREQ < top]

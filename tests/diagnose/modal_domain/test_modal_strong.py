@@ -20,7 +20,10 @@ def held(kind: str, where: tuple[int, ...], size: float, seed: int = 5):
     return as_measured(response(*(matrices[name] for name in "MCK"), FREQ), FREQ, seed)
 
 
-STRONG = [("K", (2,), 1e7), ("K", (0, 3), 1e7), ("K", (3,), 1e6), ("M", (3,), 40.0)]
+STRONG = [
+    pytest.param("K", (2,), 1e7, marks=pytest.mark.slow), ("K", (0, 3), 1e7),
+    pytest.param("K", (3,), 1e6, marks=pytest.mark.slow), ("M", (3,), 40.0),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("kind", "where", "size"), STRONG)
