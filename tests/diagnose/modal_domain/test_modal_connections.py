@@ -4,6 +4,7 @@ import frames
 import numpy as np
 import pytest
 from frames import DOFS, ELEMENTS, FLIP
+from kinds import FEW_OR_ALL
 
 from modalax.data import Measurement
 from modalax.diagnose import diagnose
@@ -135,10 +136,13 @@ def measured(element: int, end: int, spring: float, off: float) -> Measurement:
     )  # fmt: skip
 
 
+@FEW_OR_ALL
 @pytest.mark.parametrize(("element", "end", "off"), [(0, 0, 0.01), pytest.param(4, 1, 0.01, marks=pytest.mark.slow)])
-def test_where_a_beam_gives_way_is_named_beside_elements_that_are_off(element, end, off):
+def test_where_a_beam_gives_way_is_named_beside_elements_that_are_off(element, end, off, wanted):
     rigid = frames.beam()[0][1, 1]
-    found = diagnose_modes(measured(element, end, rigid / 2, off), frames.simulation(), late=Deadline(300.0))
+    found = diagnose_modes(
+        measured(element, end, rigid / 2, off), frames.simulation(), late=Deadline(300.0), wanted=wanted
+    )
     assert found is not None and found.verdict == "named", found.reasons
     (cause,) = found.causes
     node = f"{element + 1}:+RY"

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from frames import DAMPING, DOFS, FLIP, cantilever, measured, simulation
+from kinds import FEW_OR_ALL
 
 from modalax.diagnose import ExtendedSimulation
 from modalax.diagnose.deadline import Deadline
@@ -93,19 +94,21 @@ def test_a_mass_stands_out_beyond_the_general_inaccuracy():
     np.testing.assert_allclose(again.H, found.predicted_after[0], atol=1e-6 * np.abs(found.predicted_after).max())
 
 
-def test_an_exact_simulation_is_told_from_one_that_is_off():
+@FEW_OR_ALL
+def test_an_exact_simulation_is_told_from_one_that_is_off(wanted):
     data, _ = measured(3, 0.0, mass=("3:+Z", 0.02))
-    answer = diagnose_modes(data, simulation()).to_dict()
+    answer = diagnose_modes(data, simulation(), wanted=wanted).to_dict()
     assert [(c["name"], c["where"]) for c in answer["causes"]] == [("added_mass", ["3:+Z"])]
     assert answer["inaccuracy"]["stiffness"]["interval"][0] == 0
     assert answer["inaccuracy"]["stiffness"]["interval"][1] < 1e-3
 
 
-def test_a_channel_gain_is_no_matter_of_the_structure_and_noise_need_not_be_given():
+@FEW_OR_ALL
+def test_a_channel_gain_is_no_matter_of_the_structure_and_noise_need_not_be_given(wanted):
     data, _ = measured(4, 0.01, given=False)
     gain = np.ones(len(data.outputs))
     gain[2] = 1.2
-    answer = diagnose_modes(data.replace(H=np.asarray(data.H) * gain[:, None]), simulation()).to_dict()
+    answer = diagnose_modes(data.replace(H=np.asarray(data.H) * gain[:, None]), simulation(), wanted=wanted).to_dict()
     assert [(c["name"], c["where"]) for c in answer["causes"]] == [("channel_gain", [DOFS[4]])]
     assert answer["causes"][0]["parameters"]["gain"]["value"] == pytest.approx(0.2, abs=0.02)
 
@@ -129,13 +132,14 @@ def test_an_interrupt_gives_the_best_answer_so_far():
     assert any("time was up" in reason for reason in found.reasons)
 
 
+@FEW_OR_ALL
 @pytest.mark.parametrize(
     ("seed", "dof", "stiffness"),
     [(13, "6:+Z", 500.0), pytest.param(14, "2:+Z", 2e4, marks=pytest.mark.slow)],  # the smaller one by default
 )
-def test_a_spring_to_ground_is_named_however_small_beside_the_elements(seed, dof, stiffness):
+def test_a_spring_to_ground_is_named_however_small_beside_the_elements(seed, dof, stiffness, wanted):
     """Next to a node of the lowest mode it is half a per cent of what a wrong element does; yet none can replace it."""
-    answer = diagnose_modes(measured(seed, 0.01, ground=(dof, stiffness))[0], simulation()).to_dict()
+    answer = diagnose_modes(measured(seed, 0.01, ground=(dof, stiffness))[0], simulation(), wanted=wanted).to_dict()
     assert answer["verdict"] == "named"
     assert [(c["name"], c["where"]) for c in answer["causes"]] == [("joint_stiffness", [dof])]
     told = answer["causes"][0]["parameters"]["stiffness"]

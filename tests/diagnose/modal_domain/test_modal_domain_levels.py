@@ -3,6 +3,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import chains_off
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from modalax.diagnose.modal_domain.levels.series import in_series
 from modalax.diagnose.modal_domain.levels.weigh import STEEP, off_folds, set_aside
 from modalax.simulate import joints, simulate
 
+EITHER = pytest.mark.parametrize("structure", ["chain", pytest.param("beam", marks=pytest.mark.slow)])
 TAU = 2 * np.pi * np.arange(512) / 512
 
 
@@ -78,9 +80,16 @@ def test_a_structure_that_drifts_from_run_to_run_is_told_from_one_with_a_joint()
     assert "column of input" in answer["gain"]["held_out"] and "parameters of its own" in answer["gain"]["held_out"]
 
 
-def test_runs_that_agree_say_nothing_of_joints():
-    data, _ = measured(6, 0.01, runs=3)
-    found = diagnose_modes(data.replace(level=np.array([1.0, 2.5, 6.0])), simulation())
+@EITHER
+def test_runs_that_agree_say_nothing_of_joints(structure):
+    if structure == "beam":
+        data, model = measured(6, 0.01, runs=3)[0], simulation()
+    else:
+        H, model = chains_off.response(*chains_off.chain_off(6, 0.01), chains_off.FREQ), chains_off.simulation()
+        every = [chains_off.as_measured(H, chains_off.FREQ, seed) for seed in range(3)]
+        together = {name: np.concatenate([getattr(r, name) for r in every]) for name in ("H", "variance")}
+        data = every[0].replace(**together, level=np.ones(3))
+    found = diagnose_modes(data.replace(level=np.array([1.0, 2.5, 6.0])), model)
     assert found.verdict == "clean"
     assert found.stage.seen.found.best == "nothing"
     assert found.gain.held_out == "run 3 at 6 N, the highest level"
@@ -108,11 +117,19 @@ def test_parameters_that_are_known_only_together_are_known(correlation, together
     assert apart_from_zero(gap) == pytest.approx(together, rel=1e-6)
 
 
-def damped_by_drag(coefficient: float) -> Measurement:
-    """The beam, its simulation exact, with drag at one point that bends the peaks of every level."""
-    freq, outputs = np.linspace(4.0, 140.0, 140), list(DOFS[::2])
+SCENES = {  # simulation, frequencies [Hz], outputs, input, where drag is and of which coefficient, ratios of the modes
+    "chain": (
+        chains_off.simulation(), np.linspace(12.0, 110.0, 100), [chains_off.DOFS[k] for k in (0, 1, 3, 4)],
+        "3:+Z", "3:+Z", 3000.0, chains_off.ZETA,
+    ),
+    "beam": (simulation(), np.linspace(4.0, 140.0, 140), list(DOFS[::2]), "3:+Z", "6:+Z", 200.0, 0.01),
+}  # fmt: skip
+
+
+def damped_by_drag(model, freq, outputs, force, where, coefficient) -> Measurement:
+    """A structure, its simulation exact, with drag at one point that bends the peaks of every level."""
     plain = simulate(
-        simulation(), [joints.QuadraticDamping(coefficient)], [["6:+Z"]], freq, [1.0, 3.0, 8.0], inputs=["3:+Z"],
+        model, [joints.QuadraticDamping(coefficient)], [[where]], freq, [1.0, 3.0, 8.0], inputs=[force],
         outputs=outputs, form="accelerance", harmonics=7,
     )  # fmt: skip
     H, rng = np.asarray(plain.H), np.random.default_rng(0)
@@ -121,21 +138,22 @@ def damped_by_drag(coefficient: float) -> Measurement:
     return plain.replace(H=H + sigma * noise / np.sqrt(2), variance=sigma**2)
 
 
-def test_a_joint_that_bends_even_the_lowest_level_is_found_beside_the_structure_without_it():
-    """Drag that triples a mode's damping at the lowest level already: law, place, value, and the modes without it.
+@EITHER
+def test_a_joint_that_bends_even_the_lowest_level_is_found_beside_the_structure_without_it(structure):
+    """Drag that doubles a mode's damping, or triples it, at the lowest level already: law, place, value, and the modes without it.
 
-    What one look tells of it leaves a chi-square of 3.2 per sample, and is 2 % off.
+    What one look tells of it in the beam leaves a chi-square of 3.2 per sample, and is 2 % off.
     """
-    coefficient = 200.0
-    found = diagnose_modes(damped_by_drag(coefficient), simulation(stiffness_std=0.01))
+    model, *_, where, coefficient, ratios = SCENES[structure]
+    found = diagnose_modes(damped_by_drag(*SCENES[structure][:-1]), model.replace(stiffness_std=0.01))
     answer = found.to_dict()
     assert answer["verdict"] == "named"
-    assert [(c["name"], c["where"]) for c in answer["causes"]] == [("quadratic_damping", ["6:+Z"])]
+    assert [(c["name"], c["where"]) for c in answer["causes"]] == [("quadratic_damping", [where])]
     value = answer["causes"][0]["parameters"]["coefficient"]
     assert value["std"] < 0.01 * coefficient
     assert value["value"] == pytest.approx(coefficient, abs=4 * value["std"])
     poles = found.stage.measured.features.poles
-    assert -poles.real / np.abs(poles) == pytest.approx(0.01, rel=0.01)
+    assert -poles.real / np.abs(poles) == pytest.approx(ratios, rel=0.01)
 
 
 def test_a_threshold_is_sought_between_those_that_are_tried():

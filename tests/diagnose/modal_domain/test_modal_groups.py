@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 from frames import DAMPING, DOFS, ELEMENTS, FLIP, beam, cantilever, modal_damping, simulation
+from kinds import FEW_OR_ALL
 
 from modalax.data import Measurement
 from modalax.diagnose import catalogue, diagnose
@@ -82,12 +83,13 @@ def test_a_factor_changes_the_share_of_the_group(slug, kind, which):
     np.testing.assert_allclose(np.abs(poles[:8]), np.sqrt(expected[:8]), rtol=1e-8)
 
 
+@FEW_OR_ALL
 @pytest.mark.parametrize(
     ("seed", "part", "factors", "slug"),
     [(1, "inner", {"stiffness": 1.15}, "element_group"), (3, "outer", {"mass": 0.85}, "element_group_mass")],
 )
-def test_a_wrong_parameter_is_named_where_every_element_is_off(seed, part, factors, slug):
-    answer = diagnose_modes(built(seed, part, **factors), told()).to_dict()
+def test_a_wrong_parameter_is_named_where_every_element_is_off(seed, part, factors, slug, wanted):
+    answer = diagnose_modes(built(seed, part, **factors), told(), wanted=wanted).to_dict()
     ((name, value),) = factors.items()
     (cause,) = answer["causes"]
     assert (answer["verdict"], cause["name"], cause["where"]) == ("named", slug, [part])
@@ -96,9 +98,10 @@ def test_a_wrong_parameter_is_named_where_every_element_is_off(seed, part, facto
     assert answer["gain"]["chi2_after"] < 1.1 < 100 < answer["gain"]["chi2_before"]
 
 
-def test_a_parameter_of_the_whole_structure_is_named():
+@FEW_OR_ALL
+def test_a_parameter_of_the_whole_structure_is_named(wanted):
     simulated = simulation().replace(groups=shares(["whole"]))
-    (cause,) = diagnose_modes(built(9, "whole", stiffness=1.1), simulated).causes
+    (cause,) = diagnose_modes(built(9, "whole", stiffness=1.1), simulated, wanted=wanted).causes
     assert (cause["name"], cause["where"]) == ("element_group", ["whole"])
     assert abs(cause["parameters"]["stiffness_factor"]["value"] - 1.1) < 0.01
 
@@ -118,8 +121,9 @@ def test_an_element_that_is_a_group_by_itself_is_told_by_its_name():
     assert 0 < group.rarity <= 0.2 < 1 == gone[0].rarity
 
 
-def test_a_spring_that_is_missing_is_no_group():
-    (cause,) = diagnose_modes(built(4, spring=8e3), told()).causes
+@FEW_OR_ALL
+def test_a_spring_that_is_missing_is_no_group(wanted):
+    (cause,) = diagnose_modes(built(4, spring=8e3), told(), wanted=wanted).causes
     assert (cause["name"], cause["where"]) == ("joint_stiffness", ["3:+Z"])
     assert abs(cause["parameters"]["stiffness"]["value"] - 8e3) < 400
 

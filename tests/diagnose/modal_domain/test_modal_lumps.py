@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 import scipy.linalg
+from kinds import FEW_OR_ALL
 
 from modalax.data import Measurement
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
@@ -71,7 +72,7 @@ def test_a_mass_where_nothing_moves_in_the_band_is_no_heavier_than_the_structure
     assert 0.1 < usual["5:+Y"] < 10.0 and usual["5:+Y"] == max(usual.values())
 
 
-def diagnosed(K, M, rng):
+def diagnosed(K, M, rng, wanted):
     """The diagnosis of the truss as built, by a test with noise of 1 %."""
     C = 1.1 * LOSS * truss(np.ones(len(RODS)))[0]
     freq = np.linspace(8, TOP, 240)
@@ -85,26 +86,28 @@ def diagnosed(K, M, rng):
         freq=freq, H=seen, outputs=OUTPUTS, inputs=INPUTS, form="accelerance", variance=sigma[None] ** 2,
         level=np.full(1, np.nan),
     )  # fmt: skip
-    return diagnose_modes(measurement, simulation())
+    return diagnose_modes(measurement, simulation(), wanted=wanted)
 
 
-def test_one_is_named_where_every_rod_is_off():
+@FEW_OR_ALL
+def test_one_is_named_where_every_rod_is_off(wanted):
     rng = np.random.default_rng(5)
     K, M = truss(1 + 0.02 * rng.standard_normal(len(RODS)))
     for dof in ("6:+X", "6:+Y"):
         M[DOFS.index(dof), DOFS.index(dof)] += 0.35
-    found = diagnosed(K, M, rng)
+    found = diagnosed(K, M, rng, wanted)
     (cause,) = found.causes
     assert found.verdict == "named" and cause["name"] == "added_mass" and cause["where"][0] in ("6:+X", "6:+Y")
     assert abs(cause["parameters"]["mass"]["value"] - 0.35) < 4 * cause["parameters"]["mass"]["std"] < 0.1
 
 
-def test_a_spring_is_named_where_nothing_joins_two_points():
+@FEW_OR_ALL
+def test_a_spring_is_named_where_nothing_joins_two_points(wanted):
     rng = np.random.default_rng(6)
     K, M = truss(1 + 0.02 * rng.standard_normal(len(RODS)))
     at = [DOFS.index("4:+X"), DOFS.index("7:+X")]
     K[np.ix_(at, at)] += 1.5e5 * np.array([[1.0, -1.0], [-1.0, 1.0]])
-    found = diagnosed(K, M, rng)
+    found = diagnosed(K, M, rng, wanted)
     (cause,) = found.causes
     assert found.verdict == "named" and cause["name"] == "joint_stiffness"
     assert sorted(cause["where"]) == ["4:+X", "7:+X"]

@@ -1,20 +1,28 @@
 """Mains hum beside a simulation that is off: seen on lines only, and not where there is none."""
 
+import chains_off
 import numpy as np
+import pytest
 from frames import measured, simulation
 
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.mains import mains_hum, near_mains
 
 
-def test_hum_is_named_where_all_elements_are_off():
-    data, _ = measured(6, 0.01, lines=327)  # a line each hertz
+@pytest.mark.parametrize("structure", ["chain", pytest.param("beam", marks=pytest.mark.slow)])
+def test_hum_is_named_where_all_elements_are_off(structure):
+    if structure == "beam":
+        data, model, tones = measured(6, 0.01, lines=327)[0], simulation(), (50.0, 150.0)
+    else:
+        freq, model, tones = np.arange(12.0, 161.0, 0.5), chains_off.simulation(), (50.0, 150.0)
+        H = chains_off.response(*chains_off.chain_off(5, 0.02), freq)
+        data = chains_off.as_measured(H, freq, 5)
     H = np.array(data.H)
     rng = np.random.default_rng(1)
-    for f in (50.0, 150.0):
+    for f in tones:
         k = int(np.abs(data.freq - f).argmin())
         H[:, k] += 0.5 * np.abs(H).max() * np.exp(2j * np.pi * rng.random(H[:, k].shape))
-    answer = diagnose_modes(data.replace(H=H), simulation()).to_dict()
+    answer = diagnose_modes(data.replace(H=H), model).to_dict()
     assert (answer["verdict"], [c["name"] for c in answer["causes"]]) == ("named", ["mains_hum"])
     assert answer["causes"][0]["probability"] > 0.95
     assert any("50" in reason and "hum" in reason for reason in answer["reasons"])

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.linalg
+from kinds import FEW_OR_ALL
 
 from modalax.data import Measurement
 from modalax.diagnose.deadline import Deadline
@@ -178,8 +179,9 @@ def test_a_column_is_foretold_where_the_others_see_its_modes_too(other, told):
     assert last_is_foretold(turned)  # the first input then sees all of it
 
 
-def test_an_element_wrong_in_one_plane_is_told_with_its_plane(plane=1, size=0.5):
-    found = diagnose_modes(built(3, plane, size), simulation(), late=Deadline(200.0))
+@FEW_OR_ALL
+def test_an_element_wrong_in_one_plane_is_told_with_its_plane(wanted, plane=1, size=0.5):
+    found = diagnose_modes(built(3, plane, size), simulation(), late=Deadline(200.0), wanted=wanted)
     said = found.to_dict()
     assert said["verdict"] == "named" and [c["name"] for c in said["causes"]] == ["joint_stiffness"]
     assert set(said["causes"][0]["where"]) == {f"2:+{AXES[plane]}", f"3:+{AXES[plane]}"}

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from kinds import FEW_OR_ALL
 
 from modalax.data import FRF, Measurement
 from modalax.diagnose.modal_domain.coordinates import coordinates_of, modes_of
@@ -136,9 +137,10 @@ def test_a_ring_of_which_all_springs_are_off_by_a_per_cent_has_no_cause():
     assert d.inaccuracy["stiffness"]["interval"][0] < 0.01 < d.inaccuracy["stiffness"]["interval"][1]
 
 
+@FEW_OR_ALL
 @pytest.mark.parametrize("spread", [0.0, pytest.param(0.002, marks=pytest.mark.slow)])
-def test_a_gain_is_told_on_a_ring_whose_modes_are_or_nearly_are_repeated(spread):
-    d = diagnose_modes(measured(uneven(spread, 4), gain=1.08), uneven(0.01, 1))
+def test_a_gain_is_told_on_a_ring_whose_modes_are_or_nearly_are_repeated(spread, wanted):
+    d = diagnose_modes(measured(uneven(spread, 4), gain=1.08), uneven(0.01, 1), wanted=wanted)
     assert d.verdict == "named" and [(c["name"], c["where"]) for c in d.causes] == [("channel_gain", ["4:+Z"])]
     gain = d.causes[0]["parameters"]["gain"]
     assert abs(gain["value"] - 0.08) < 3 * gain["std"] < 0.01

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import scipy.linalg
+from kinds import FEW_OR_ALL
 
 from modalax.data import Measurement
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
@@ -54,6 +55,7 @@ def measured(mounts: np.ndarray, wrong: dict[int, float], off: float, seed: int 
     )  # fmt: skip
 
 
+@FEW_OR_ALL
 @pytest.mark.parametrize(
     ("soft", "off", "claims"),
     [
@@ -64,9 +66,9 @@ def measured(mounts: np.ndarray, wrong: dict[int, float], off: float, seed: int 
         (2, 0.005, {}),
     ],
 )
-def test_mounts_that_are_softer_by_one_factor_are_named_one_by_one(soft, off, claims):
+def test_mounts_that_are_softer_by_one_factor_are_named_one_by_one(soft, off, claims, wanted):
     mounts = np.where(np.arange(4) < soft, 0.7, 1.0)
-    found = diagnose_modes(measured(mounts, {}, off), simulation(**claims))
+    found = diagnose_modes(measured(mounts, {}, off), simulation(**claims), wanted=wanted)
     assert found is not None and found.verdict == "named", found.reasons
     told = {c["where"][0]: c["parameters"]["stiffness"] for c in found.causes}
     assert set(told) == set(DOFS[:soft]) and {c["name"] for c in found.causes} == {"joint_stiffness"}
@@ -76,16 +78,20 @@ def test_mounts_that_are_softer_by_one_factor_are_named_one_by_one(soft, off, cl
     assert any("one and the same factor" in reason for reason in found.reasons)
 
 
-def test_mounts_that_are_softer_by_factors_of_their_own_are_named_too():
-    found = diagnose_modes(measured(np.array([0.8, 0.7, 0.6, 1.0]), {}, 0.0), simulation())
+@FEW_OR_ALL
+def test_mounts_that_are_softer_by_factors_of_their_own_are_named_too(wanted):
+    found = diagnose_modes(measured(np.array([0.8, 0.7, 0.6, 1.0]), {}, 0.0), simulation(), wanted=wanted)
     assert found is not None and found.verdict == "named", found.reasons
     told = {c["where"][0]: c["parameters"]["stiffness"]["value"] for c in found.causes}
     lost = {"foot 1": 0.2 * MOUNTS[0], "foot 2": 0.3 * MOUNTS[1], "foot 3": 0.4 * MOUNTS[2]}
     assert told == {foot: pytest.approx(-value, rel=0.02) for foot, value in lost.items()}
 
 
-def test_two_springs_off_in_either_way_are_both_named_beside_elements_that_are_off():
-    found = diagnose_modes(measured(np.ones(4), {4: 0.4, 7: 1.6}, 0.005), simulation(stiffness_std=0.005))
+@FEW_OR_ALL
+def test_two_springs_off_in_either_way_are_both_named_beside_elements_that_are_off(wanted):
+    found = diagnose_modes(
+        measured(np.ones(4), {4: 0.4, 7: 1.6}, 0.005), simulation(stiffness_std=0.005), wanted=wanted
+    )
     assert found is not None and found.verdict == "named", found.reasons
     told = {frozenset(c["where"]): c["parameters"]["stiffness"]["value"] for c in found.causes}
     assert set(told) == {frozenset({"rail 1", "rail 2"}), frozenset({"motor", "pump"})}
@@ -101,13 +107,11 @@ def test_elements_that_are_far_off_all_of_them_have_no_cause():
     assert low < 0.1 < high and found.inaccuracy["stiffness"]["value"] > 0.03
 
 
-KNOWN = {"channel_gain", "channel_sign", "channel_swap", "force_gain", "joint_stiffness", "added_mass"}
-
-
-def test_a_turned_sensor_beside_another_that_is_miscalibrated_is_a_sign_and_no_gain():
+@FEW_OR_ALL
+def test_a_turned_sensor_beside_another_that_is_miscalibrated_is_a_sign_and_no_gain(wanted):
     """No linear score tells a sign, so that it had been told as a gain that is off by -2."""
     m = measured(np.ones(4), {}, 0.01)
     factor = np.where(np.arange(len(DOFS)) == 6, -1.0, np.where(np.arange(len(DOFS)) == 4, 1.06, 1.0))
-    found = diagnose_modes(m.replace(H=m.H * factor[:, None]), simulation(), wanted=KNOWN.__contains__)
+    found = diagnose_modes(m.replace(H=m.H * factor[:, None]), simulation(), wanted=wanted)
     assert found is not None and found.verdict == "named", found.reasons
     assert {(c["name"], *c["where"]) for c in found.causes} == {("channel_sign", "motor"), ("channel_gain", "rail 1")}

@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
+from kinds import FEW_OR_ALL
 
 from modalax.data import FRF, Measurement
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
@@ -99,13 +100,14 @@ def test_one_mount_of_several_directions_is_wrong_in_all_of_them():
     assert [s.weight for s in found] == pytest.approx([0.1, *[0.05 / 6] * 6])
 
 
-def test_a_mount_that_is_softer_in_all_its_directions_is_named_beside_elements_that_are_off():
+@FEW_OR_ALL
+def test_a_mount_that_is_softer_in_all_its_directions_is_named_beside_elements_that_are_off(wanted):
     freq, inputs, rng = np.arange(8.0, 90.0, 0.2), PLANE[2:4], np.random.default_rng(5)
     H = np.asarray(on_mounts(0.4, 0.01).frf(freq, outputs=PLANE, inputs=inputs).H)
     sigma = np.broadcast_to(0.01 * np.sqrt((np.abs(H) ** 2).mean(axis=0)).max(), H.shape)
     H = H + sigma / np.sqrt(2) * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape))
     data = Measurement.from_frfs([FRF(freq, H, variance=sigma**2, outputs=PLANE, inputs=inputs)])
-    found = diagnose_modes(data, on_mounts())
+    found = diagnose_modes(data, on_mounts(), wanted=wanted)
     assert found.verdict == "named", found.reasons
     told = {c["where"][0]: c["parameters"]["stiffness"] for c in found.causes}
     assert set(told) == {"4:+X", "4:+Y"} and any("same factor" in reason for reason in found.reasons)

@@ -33,9 +33,9 @@ def building(columns: tuple[float, ...], off: np.ndarray) -> tuple[np.ndarray, n
 def measured(K: np.ndarray, M: np.ndarray, C: np.ndarray, rng: np.random.Generator) -> Measurement:
     """Accelerances of all DoFs by two forces over the lower modes, with noise of known variance."""
     top = np.sqrt(np.linalg.eigvals(np.linalg.solve(M, K)).real.max()) / 2 / np.pi
-    freq, inputs = np.linspace(0.1 * top, 0.6 * top, 400), [0, 7]
+    freq, inputs = np.linspace(0.1 * top, 0.6 * top, 240), [0, 7]
     s = 2j * np.pi * freq[:, None, None]
-    H = s**2 * np.linalg.solve(K + s * C + s**2 * M, np.broadcast_to(np.eye(len(K))[:, inputs], (400, len(K), 2)))
+    H = s**2 * np.linalg.solve(K + s * C + s**2 * M, np.broadcast_to(np.eye(len(K))[:, inputs], (240, len(K), 2)))
     sigma = 0.01 * np.sqrt((np.abs(H) ** 2).mean(axis=0)) * np.ones(H.shape)
     H = H + sigma * (rng.standard_normal((2, *H.shape)) * [[[[1]]], [[[1j]]]]).sum(axis=0) / np.sqrt(2)
     names = [NAMES[k] for k in inputs]
