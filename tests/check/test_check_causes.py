@@ -64,7 +64,7 @@ def test_a_delay_is_told_by_two_modes(late, where):
     assert found.size == pytest.approx(tau, rel=0.15)
 
 
-@pytest.mark.parametrize("turns", [0.4, 1.2, -2.2])
+@pytest.mark.parametrize("turns", [0.4, 1.2, pytest.param(-2.2, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("late", "where"), [([3], (NAMES[3],)), ([0, 1, 2, 3, 4], ())])
 def test_a_delay_of_turns_at_the_end_of_the_band_is_told_with_its_size(turns, late, where):
     """As of a laser vibrometer or a radio link: no other form, no turned sign, and no smaller delay of like angles."""

@@ -177,6 +177,7 @@ def test_a_slipping_joint_is_found_within_its_error_bars(seed):
     assert np.abs(pull).max() < 3
 
 
+@pytest.mark.slow  # by default of a strong one, from an asymmetry that one harmonic left anywhere
 def test_harmonics_tell_a_bilinear_spring_from_a_spring():
     data = test_of(joints.BilinearSpring(5000.0, 1000.0), noise=0.002, harmonics=HIGHEST)
     comparison = with_noise_beside(make_comparison(data, five_dof(), "fixed"))

@@ -62,9 +62,9 @@ def test_a_change_of_any_size_is_taken_up_at_its_place_alone():
 @pytest.mark.parametrize(
     ("slug", "joint", "value"),
     [
-        ("cubic_stiffness", joints.CubicSpring(3e10), 3e10),
+        pytest.param("cubic_stiffness", joints.CubicSpring(3e10), 3e10, marks=pytest.mark.slow),
         ("elasto_slip", joints.ElastoSlip(30000.0, 3.0), 30000.0),
-        ("quadratic_damping", joints.QuadraticDamping(400.0), 400.0),
+        pytest.param("quadratic_damping", joints.QuadraticDamping(400.0), 400.0, marks=pytest.mark.slow),
     ],
 )
 def test_the_law_is_read_off_the_force(slug, joint, value):

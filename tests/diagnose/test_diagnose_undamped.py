@@ -62,7 +62,7 @@ def test_a_right_simulation_without_damping_is_clean_and_its_damping_is_the_meas
     assert found.gain.chi2_after < 1.1
 
 
-@pytest.mark.parametrize("off", [0.0, 0.01])
+@pytest.mark.parametrize("off", [pytest.param(0.0, marks=pytest.mark.slow), 0.01])
 def test_a_soft_spring_is_found_beside_damping_that_nobody_stated(off):
     rng = np.random.default_rng(7)
     springs, masses = SPRINGS * (1 + off * rng.standard_normal(7)), MASSES * (1 + off / 3 * rng.standard_normal(6))
@@ -74,11 +74,22 @@ def test_a_soft_spring_is_found_beside_damping_that_nobody_stated(off):
     assert abs(told["value"] + 0.3 * SPRINGS[3]) < 4 * told["std"] + 3 * off * SPRINGS[3]
 
 
-def test_a_modal_model_without_damping_agrees_with_what_it_was_made_of():
+def modal_model() -> ModalModel:
     M, K = matrices(MASSES, SPRINGS)
     w2, P = scipy.linalg.eigh(K, M)
-    model = ModalModel.from_real_modes(np.sqrt(w2) / 2 / np.pi, np.zeros(6), P.T, np.ones(6), DOFS)
-    found = diagnose(measured(), model)
+    return ModalModel.from_real_modes(np.sqrt(w2) / 2 / np.pi, np.zeros(6), P.T, np.ones(6), DOFS)
+
+
+def test_a_modal_model_without_damping_gets_that_of_the_structure_that_it_was_made_of():
+    modal, said = with_damping(measured(), modal_model())
+    structure, same = with_damping(measured(), undamped())
+    np.testing.assert_allclose(modal.damping_ratio, structure.modal().damping_ratio, rtol=1e-6)
+    assert said == same != ""
+
+
+@pytest.mark.slow  # what it is given by default
+def test_a_modal_model_without_damping_agrees_with_what_it_was_made_of():
+    found = diagnose(measured(), modal_model())
     assert found.verdict == "clean" and len(said_of(found)) == 1, found.reasons
 
 

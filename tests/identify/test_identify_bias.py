@@ -58,8 +58,8 @@ CASES = {
 }
 
 
-# The other options change one factor each of what these three go through.
-QUICK = ("complex, arc 0.6", "real", "variance weights")
+# The other options change one factor each of what these two go through.
+QUICK = ("real", "variance weights")
 
 
 @pytest.mark.parametrize("case", [c if c in QUICK else pytest.param(c, marks=pytest.mark.slow) for c in CASES])

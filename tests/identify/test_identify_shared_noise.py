@@ -68,7 +68,7 @@ def test_error_bars_know_shared_noise(part):
     assert abs(np.sqrt(np.mean(np.square(z))) - 1) < 4 / np.sqrt(2 * np.size(z))
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_shared_noise_makes_no_modes_and_no_window(seed):
     found = fit(measured(seed, 1.0))
     assert np.asarray(found.model.frequency_hz)[np.asarray(found.inside)] == pytest.approx([20, 45], rel=2e-3)

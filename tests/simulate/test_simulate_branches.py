@@ -83,6 +83,7 @@ def test_structural_damping_takes_half_its_loss_factor_times_the_frequency():
     np.testing.assert_allclose(np.asarray(exponents.real).max(), exact, rtol=1e-9)
 
 
+@pytest.mark.slow  # by default of a slider, of two masses and of five
 def test_duffing_backbone_is_the_closed_form():
     A = np.geomspace(1e-4, 2e-2, 12)
     found = backbone(DUFFING, [CubicSpring(K3)], [["x"]], 1, A)

@@ -93,6 +93,7 @@ def test_two_masses_with_cubic_springs_turn_back_and_become_quasi_periodic():
         assert multiplier == pytest.approx(np.exp(leading[i].real * 2 * np.pi / omega[i]), rel=1e-6)  # measured 2e-7
 
 
+@pytest.mark.slow  # through its folds by default
 def test_a_hard_stop_is_followed_round_the_corner_where_contact_begins():
     M, K = np.eye(2), np.array([[1.0, -1.0], [-1.0, 2.0]])
     C, force = 0.03 * K, np.array([0.0, 0.1])

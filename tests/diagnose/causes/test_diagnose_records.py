@@ -38,7 +38,7 @@ def scene_of(freq):
     return Scene(freq, one, one, one, np.array([25.0, 50.0]), np.full(2, 0.01), np.ones(1), None)
 
 
-@pytest.mark.parametrize("length", [0.613, 1.213])
+@pytest.mark.parametrize("length", [pytest.param(0.613, marks=pytest.mark.slow), 1.213])
 def test_a_record_that_ends_in_a_step_is_named_whatever_its_length(length):
     """The step leaves ripples that are much alike only for lengths within a tenth of a decay."""
     data = measured(lambda x: (1 - np.exp(-x * length)) / x, 0.02)

@@ -54,7 +54,7 @@ def answered(structure, gain, monkeypatch):
     H[:, 1] *= gain
     stages, asked = [], []
     monkeypatch.setattr(pipeline, "places_of_one_force", lambda *a: asked.append(1) or ())
-    some = [c for c in catalogue() if c.slug in FEW]
+    some = [c for c in catalogue() if c.slug in FEW and not c.slug.startswith("element")]
     found = diagnose(as_measured(H, FREQ, 7), CLAIMED, causes=some, progress=stages.append, time=300.0)
     return found, stages, bool(asked)
 

@@ -140,7 +140,7 @@ def damped_by_drag(model, freq, outputs, force, where, coefficient) -> Measureme
 
 @EITHER
 def test_a_joint_that_bends_even_the_lowest_level_is_found_beside_the_structure_without_it(structure):
-    """Drag that doubles a mode's damping, or triples it, at the lowest level already: law, place, value, and the modes without it.
+    """Drag that doubles a mode's damping at the lowest level already: law, place, value, and the modes without it.
 
     What one look tells of it in the beam leaves a chi-square of 3.2 per sample, and is 2 % off.
     """

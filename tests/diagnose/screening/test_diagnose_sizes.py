@@ -73,7 +73,7 @@ def test_products_with_the_nuisances_are_made_a_place_at_a_time():
     assert replace(reduced, T=reduced.T[:, :0]).nuisances(2, 0).shape == (0, 1, 2, 2)
 
 
-@pytest.mark.parametrize("lines", [160, *(pytest.param(n, marks=pytest.mark.slow) for n in (317, 792))])
+@pytest.mark.parametrize("lines", [80, *(pytest.param(n, marks=pytest.mark.slow) for n in (160, 317, 792))])
 def test_a_mass_and_a_gain_are_named_with_few_lines_and_with_many(lines):
     said = diagnose(measured(lines), chain(), causes=FEW).to_dict()
     assert said["verdict"] == "named"

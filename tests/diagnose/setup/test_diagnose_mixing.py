@@ -213,7 +213,14 @@ def test_modal_damping_of_coupled_modes_is_followed_as_a_claimed_error_is(relati
     assert np.abs(H[0, : len(FREQ), :5, :5] - exact).max() < 1e-9 * np.abs(exact).max()
 
 
-@pytest.mark.parametrize(("damper", "std", "ratio"), [(4.0, 0.003, 0.7), (4.0, 0.0, 3.0), (20.0, 0.0, 0.4)])
+@pytest.mark.parametrize(
+    ("damper", "std", "ratio"),
+    [
+        pytest.param(4.0, 0.003, 0.7, marks=pytest.mark.slow),
+        (4.0, 0.0, 3.0),
+        (20.0, 0.0, 0.4),
+    ],
+)
 def test_large_modal_damping_is_named_where_dampers_couple_the_modes(damper, std, ratio):
     """Followed to first order only, it left more than it explained: nothing was found, or other causes."""
     structure, rng = coupled(damper, std), np.random.default_rng(2)
