@@ -167,7 +167,14 @@ def test_harmonic_balance_agrees_with_marching_in_time(law):
 SMALL = {"spread": 0.01, "lines": 2.0, "widen": 1.0}
 
 
-@pytest.mark.parametrize("cause", [c for c in inaccurate.CAUSES if c not in ("gap", "quadratic_damping")])
+@pytest.mark.parametrize(
+    "cause",
+    [
+        # of joints a spring by default
+        pytest.param(c, marks=pytest.mark.slow if c == "elasto_slip" else ())
+        for c in inaccurate.CAUSES if c not in ("gap", "quadratic_damping")
+    ],
+)  # fmt: skip
 def test_a_case_holds_its_one_gross_error(cause, monkeypatch):
     monkeypatch.setattr(inaccurate.case, "MOST_LINES", 150)
     case = inaccurate.draw_case(5, cause, kind="shaft", **SMALL)

@@ -108,6 +108,7 @@ def test_backbone_of_a_jenkins_oscillator_is_its_describing_function():
         found.force([1.0, 0.5])
 
 
+@pytest.mark.slow  # by default of a slider, and of five masses
 def test_backbone_of_the_two_dof_system_of_kerschen_peeters_golinval_and_vakakis():
     """Mech. Syst. Signal Process. 23 (2009) 170-194: x1'' + 2 x1 - x2 + x1^3/2 = 0, x2'' + 2 x2 - x1 = 0.
 

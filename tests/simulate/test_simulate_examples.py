@@ -51,6 +51,7 @@ def force_harmonics(law, x, harmonics, samples=4096):
     return np.where(k == 0, 1, 2) * (np.exp(-1j * np.outer(k, tau)) @ f) / samples
 
 
+@pytest.mark.slow  # by default the exponents of a branch that turns back, and those of linear modes
 def test_two_masses_with_cubic_springs_turn_back_and_become_quasi_periodic():
     M = np.diag([1.0, 0.05])
     K, C = (np.array([[a + b, -b], [-b, b]]) for a, b in ((1.0, 0.0453), (0.002, 0.013)))

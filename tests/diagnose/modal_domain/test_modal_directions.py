@@ -61,7 +61,8 @@ def test_springs_that_hold_a_node_in_its_own_directions_are_elements_of_their_ow
     np.testing.assert_allclose([part.matrix[0, 0] for part in held], [3e4, 2.9e4])
 
 
-@pytest.mark.parametrize("together", [None, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.slow  # by default what its elements are, and which modes it has
+@pytest.mark.parametrize("together", [None, 2])
 def test_a_building_whose_directions_are_off_by_factors_of_their_own_has_no_cause(together):
     simulation = building(*np.ones((2, FLOORS)))
     found = diagnose_modes(measured(building(*off(3, together))), simulation)

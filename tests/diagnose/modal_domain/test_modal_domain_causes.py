@@ -145,7 +145,7 @@ def test_a_mode_that_the_simulation_has_not_is_named(structure, hz, off):
     assert answer["gain"]["chi2_after"] < 0.01 * answer["gain"]["chi2_before"]
 
 
-@pytest.mark.parametrize("share", [1.0, 0.4])
+@pytest.mark.parametrize("share", [pytest.param(1.0, marks=pytest.mark.slow), 0.4])
 @pytest.mark.parametrize(
     ("structure", "off"),
     [("chain", 0.02), *(pytest.param("beam", off, marks=pytest.mark.slow) for off in (0.01, 0.02))],

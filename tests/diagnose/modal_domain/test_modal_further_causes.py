@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import scipy.integrate
 from frames import DOFS, measured, simulation
-from kinds import FEW_OR_ALL
 
 from modalax.diagnose.modal_domain.causes import Change, shown
 from modalax.diagnose.modal_domain.coordinates import coordinates_of, modes_of
@@ -184,11 +183,11 @@ def test_a_mode_in_place_of_another_is_no_mode_too_many():
     assert unseen(seen, (), poles, residues, np.array([0, 2])) == 0
 
 
-@FEW_OR_ALL
-def test_a_mass_is_as_certain_as_told(wanted):
+@pytest.mark.slow  # by default where a mass stands out beyond the general inaccuracy
+def test_a_mass_is_as_certain_as_told():
     """Elements of the simulation are off, and not only as whole elements: noise alone would be told far too small."""
     data, _ = measured(24, 0.02, mass=("5:+Z", 0.05), lines=120)
-    mass = diagnose_modes(data, simulation(), wanted=wanted).causes[0]["parameters"]["mass"]
+    mass = diagnose_modes(data, simulation()).causes[0]["parameters"]["mass"]
     assert abs(mass["value"] - 0.05) < 3 * mass["std"] < 0.003
 
 

@@ -29,7 +29,7 @@ def labelled(at: dict[str, str], structure: str = "beam"):
     return data.replace(H=take(data.H), variance=take(data.variance), outputs=tuple(names))
 
 
-KNOWN = {"sensor_place", "channel_gain", "channel_sign", "channel_swap", "crosstalk", "added_mass"}
+KNOWN = {"sensor_place", "channel_gain", "channel_sign", "channel_swap"}
 
 
 @pytest.mark.parametrize(("structure", "at", "wanted"), [

@@ -85,6 +85,7 @@ def built_of(rng, sizes):
     )  # fmt: skip
 
 
+@pytest.mark.slow  # by default what may be off by itself of an element
 def test_planes_that_are_each_off_by_a_factor_of_their_own_are_no_cause():
     """An element's bending in two planes, its twist and its axial stiffness are known with errors of their own."""
     rng = np.random.default_rng(2)

@@ -63,7 +63,7 @@ def measured(mounts: np.ndarray, wrong: dict[int, float], off: float, seed: int 
         (4, 0.01, {"stiffness_std": 0.01}),
         pytest.param(4, 0.02, {}, marks=pytest.mark.slow),
         pytest.param(3, 0.0, {}, marks=pytest.mark.slow),
-        (2, 0.005, {}),
+        pytest.param(2, 0.005, {}, marks=pytest.mark.slow),
     ],
 )
 def test_mounts_that_are_softer_by_one_factor_are_named_one_by_one(soft, off, claims, wanted):

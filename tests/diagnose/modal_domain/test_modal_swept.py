@@ -13,7 +13,7 @@ from modalax.diagnose.modal_domain.measured import identify
 from modalax.diagnose.modal_domain.swept import beats, fast_sweep, peaks
 from modalax.diagnose.modal_domain.windows import Sweep
 
-LINES = np.linspace(12.0, 110.0, 400)
+LINES = np.linspace(12.0, 110.0, 300)
 END = 10.0  # s, after which every mode has decayed
 RATE = 2.0  # Hz/s; the first mode, of a half-bandwidth of 0.23 Hz, takes 0.7 s to decay
 

@@ -23,7 +23,6 @@ def scaled(stiffness: float = 1.0, mass: float = 1.0) -> Structure:
 
 @pytest.mark.parametrize(
     ("stiffness", "mass", "name", "value", "word"),
-    # the first by default beside elements that scatter more widely, see below
     [
         pytest.param(1.08, 1.0, "stiffness", 0.08, "high", marks=pytest.mark.slow),
         (0.9, 1.0, "stiffness", -0.1, "low"),
@@ -63,6 +62,7 @@ def test_nothing_is_told_where_elements_are_off_each_by_itself():
     assert diagnose_modes(measured(6, 0.02)[0], simulation()).to_dict()["throughout"] == {}
 
 
+@pytest.mark.slow  # by default of elements that scatter less
 def test_a_factor_is_told_apart_from_elements_that_scatter_widely():
     told = diagnose_modes(measured(3, 0.02)[0], scaled(1.08)).to_dict()["throughout"]
     assert list(told) == ["stiffness"] and abs(told["stiffness"]["value"] - 0.08) < 3 * told["stiffness"]["std"] < 0.05

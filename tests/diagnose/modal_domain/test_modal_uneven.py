@@ -68,6 +68,7 @@ def heavy(seed: int, floor: int, mass: float) -> tuple[Measurement, Structure]:
     return measured(K, M, C, rng), simulation
 
 
+@pytest.mark.slow  # by default what it is fitted beside, and such a mass of a chain
 def test_beside_them_a_mass_that_outweighs_its_floor_is_named():
     """The two lowest modes are below the band, where the simulation has none: close modes had seemed one."""
     found = diagnose_modes(*heavy(5, 0, 1e5), wanted=lambda slug: slug in ("added_mass", "joint_stiffness"))
