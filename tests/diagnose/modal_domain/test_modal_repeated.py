@@ -131,7 +131,6 @@ def test_the_closest_poles_are_taken_together_two_by_two():
     assert close_pairs(poles[[5, 4]]) == [(0, 1)] and not close_pairs(poles[[3, 5]])
 
 
-@pytest.mark.slow  # by default beside a gain, which is told
 def test_a_ring_of_which_all_springs_are_off_by_a_per_cent_has_no_cause():
     d = diagnose_modes(measured(ring()), uneven(0.01, 1))
     assert d.verdict == "clean"
