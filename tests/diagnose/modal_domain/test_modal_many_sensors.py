@@ -1,5 +1,7 @@
 """Many sensors: causes are looked for by the leading directions of shapes, and fitted to all in the end."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.linalg
@@ -12,7 +14,7 @@ from modalax.diagnose.modal_domain import narrowed as module
 from modalax.diagnose.modal_domain import state as states
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.features import Features, whitener_of
-from modalax.diagnose.modal_domain.narrowed import narrowed
+from modalax.diagnose.modal_domain.narrowed import along_leading, narrowed
 from modalax.diagnose.modal_domain.stage import identified, posed
 from modalax.diagnose.modal_domain.state import screening_slopes, slopes_at, state_at
 
@@ -38,10 +40,16 @@ def test_leading_directions_are_some_of_all_turned(repeated, monkeypatch):
     assert width == 4 + 2 * (2 + min(2, whole.features.residues.shape[2] - 1)) < whole.features.width
     still = np.zeros(len(whole.inaccuracy.group_of))
     seen, state = few.features, state_at(few, still)
+    # all of the directions, turned, are as far from the simulation and know as much of its errors
+    o, i = whole.features.residues.shape[1:]
+    turned = along_leading(whole.features, whole.coordinates, o - 1, i - 1)
+    turned = replace(whole, features=turned, whitener=whitener_of(turned))
+    there, here = state_at(whole, still), state_at(turned, still)
+    assert np.linalg.norm(here.difference) == pytest.approx(np.linalg.norm(there.difference), rel=1e-5)
+    assert np.linalg.norm(state.difference) < np.linalg.norm(there.difference)  # as a part of them is
+    A, B = slopes_at(whole, there), slopes_at(turned, here)
+    np.testing.assert_allclose(B.T @ B, A.T @ A, rtol=1e-4, atol=1e-5 * np.abs(A.T @ A).max())
     np.testing.assert_allclose(few.whitener @ seen.covariance @ few.whitener.T, np.eye(count * width), atol=1e-6)
-    # of what was measured the values are those of its own poles and residues along the directions that are left
-    own = seen.predicted(seen.poles, seen.seen) if not repeated else seen.values
-    np.testing.assert_allclose(own[:, 3], seen.values[:, 3], atol=1e-3)
     # derivatives along the directions are those of residues over all channels, and those of small steps
     J = slopes_at(few, state)
     with monkeypatch.context() as patch:

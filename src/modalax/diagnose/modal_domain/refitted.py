@@ -90,7 +90,8 @@ def in_full(
         setting = with_rest(setting, best.fit, few.rest)
     leading = [e for e in explanations[:AGAIN] if e.log_posterior > best.log_posterior - NEAR]
     again: dict[tuple[Change, ...], Fit] = {}
-    for e in leading + [e for e in explanations if not e.causes and e not in leading]:
+    bare = [e for e in explanations if not e.causes and all(e is not other for other in leading)]
+    for e in leading + bare:
         if not (again and late()):
             attempt(setting, again, e.causes, e.fit.u, without_causes(e.fit), gentle=False)
     return setting, again
