@@ -13,7 +13,7 @@ from modalax.diagnose.modal_domain import explain as search
 from modalax.diagnose.modal_domain import narrowed as module
 from modalax.diagnose.modal_domain import state as states
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
-from modalax.diagnose.modal_domain.features import Features, whitener_of
+from modalax.diagnose.modal_domain.features import Features, chosen, whitener_of
 from modalax.diagnose.modal_domain.narrowed import along_leading, narrowed
 from modalax.diagnose.modal_domain.stage import identified, posed
 from modalax.diagnose.modal_domain.state import screening_slopes, slopes_at, state_at
@@ -31,9 +31,13 @@ def few_of(setting, monkeypatch, leading=2):
     return few
 
 
-@pytest.mark.parametrize("repeated", [False, True], ids=["single modes", "modes of one frequency"])
-def test_leading_directions_are_some_of_all_turned(repeated, monkeypatch):
+@pytest.mark.parametrize(("repeated", "below"), [(False, 0), (True, 0), (True, 1)])
+def test_leading_directions_are_some_of_all_turned(repeated, below, monkeypatch):
+    """Also where modes of one frequency are the first of all, those ``below`` left out."""
     whole = setting_of(measured_ring(uneven(0.01, 1)), uneven(0.01, 2))[1] if repeated else beam_setting().setting
+    f = chosen(whole.features, np.arange(len(whole.features.poles)) >= below)
+    whole = replace(whole, features=f, whitener=whitener_of(f))
+    assert not below or f.grouped[0]
     assert bool(whole.features.groups) == repeated
     few = few_of(whole, monkeypatch)
     count, width = len(few.features.poles), few.features.width

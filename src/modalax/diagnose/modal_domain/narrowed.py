@@ -36,9 +36,14 @@ def narrowed(setting: Setting) -> Setting | None:
 
 
 def along_leading(f: Features, c: Coordinates, outputs: int, inputs: int) -> Features:
-    """Features along so many directions of the shape and of the participation of each mode."""
+    """Features along so many ``outputs`` of a shape's directions and ``inputs`` of a participation's.
+
+    With unitary B of the directions that are kept, as rows, they are ``B z`` of complex features z, their covariance
+    that of their real and imaginary parts; shapes ``(k, 4 + 2 (outputs + inputs))``.
+    """
     o, count, width = f.residues.shape[1], len(f.poles), 4 + 2 * (outputs + inputs)
-    tangent, T = f.tangent[:, : 1 + outputs + inputs].copy(), np.zeros((count, width, f.width))
+    tangent = f.tangent[:, np.r_[: 1 + outputs, o : o + inputs]]  # those of groups are not turned, as none reads them
+    T = np.zeros((count, width, f.width))
     groups = {k: (n, row) for n, group in enumerate(f.groups) for row, k in enumerate(group.rows)}
     turned: list[Group] = list(f.groups)
     for k, pole in enumerate(f.poles):
