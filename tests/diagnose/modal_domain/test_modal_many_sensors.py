@@ -19,8 +19,10 @@ from modalax.diagnose.modal_domain.stage import identified, posed
 from modalax.diagnose.modal_domain.state import screening_slopes, slopes_at, state_at
 
 
-def beam_setting():
+def beam_setting(inputs=2):
     data = measured(2, 0.01, mass=("5:+Z", 0.05), lines=120)[0]
+    few = {name: getattr(data, name)[..., :inputs] for name in ("H", "variance")}
+    data = data.replace(**few, inputs=data.inputs[:inputs])
     return posed(data, simulation(), identified(data, simulation(), lambda _: None))
 
 
@@ -65,8 +67,9 @@ def test_leading_directions_are_some_of_all_turned(repeated, below, monkeypatch)
         np.testing.assert_allclose(J[:, k], moved, atol=2e-4 * np.abs(J[:, k]).max() + 1e-3)
 
 
-def test_screening_by_the_directions_is_that_over_all_channels(monkeypatch):
-    task = beam_setting()
+@pytest.mark.parametrize("inputs", [1, 2])
+def test_screening_by_the_directions_is_that_over_all_channels(inputs, monkeypatch):
+    task = beam_setting(inputs)
     few = few_of(task.setting, monkeypatch)
     state = state_at(few, np.zeros(len(few.inaccuracy.group_of)))
     G = screening_slopes(few, state, task.candidates)
