@@ -22,7 +22,7 @@ def test_a_fit_ends_where_it_is_once_time_is_up(monkeypatch):
     short = fits.fit(replace(task.setting, late=Deadline(-1.0)))
     assert len(steps) <= 3 * len(fits.TEMPERATURES) + 1 < count
     assert np.isfinite(short.log_evidence) and short.log_evidence < whole.log_evidence
-    setting, found = explain(task.setting, task.candidates[:3], Deadline(-1.0))
+    setting, _, found = explain(task.setting, task.candidates[:3], Deadline(-1.0))
     assert found and setting.late is NEVER  # what is fitted to the answer afterwards takes the time that it needs
 
 

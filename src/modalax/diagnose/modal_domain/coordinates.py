@@ -14,6 +14,7 @@ from scipy.linalg.lapack import dtrtrs
 from modalax._numerics.remembered import remembered
 from modalax.diagnose.modal_domain.enriched import ritz_basis
 from modalax.diagnose.modal_domain.loads import REAL, Load, loaded_modes
+from modalax.diagnose.modal_domain.nodes import nodes_of
 from modalax.diagnose.modal_domain.parts import parts_of
 from modalax.diagnose.modal_domain.turns import nodes_in
 from modalax.model import Structure
@@ -106,10 +107,14 @@ class Modes:
 
 
 def coordinates_of(
-    simulation: Structure, outputs: tuple[str, ...], inputs: tuple[str, ...], highest: float
-) -> Coordinates:
-    """Modal coordinates of a simulation whose band ends at ``highest`` [rad/s]."""
-    names, frequencies, shapes, inside = _solved(simulation, highest)
+    simulation: Structure, outputs: tuple[str, ...], inputs: tuple[str, ...], highest: float,
+    exact: tuple[str, ...] = (),
+) -> Coordinates:  # fmt: skip
+    """Modal coordinates of a simulation whose band ends at ``highest`` [rad/s].
+
+    A large one has few; by these it moves as the whole does if what acts on the nodes of the DoFs ``exact`` changes.
+    """
+    names, frequencies, shapes, inside = _solved(simulation, highest, LARGEST, exact)
     spare = SPARE * max(float(frequencies[-1]), highest)
     frequencies, everywhere = np.append(frequencies, spare), np.pad(shapes, ((0, 0), (0, 1)))
     shapes = everywhere if names == simulation.dofs else everywhere[[names.index(name) for name in simulation.dofs]]
@@ -129,7 +134,9 @@ def _damping(simulation: Structure, frequencies: np.ndarray, shapes: np.ndarray,
 
 
 @remembered(4)
-def _solved(simulation: Structure, highest: float) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, int]:
+def _solved(
+    simulation: Structure, highest: float, largest: int, exact: tuple[str, ...]
+) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, int]:
     """DoFs, frequencies and shapes over them, and how many modes are in the band; of large simulations few shapes."""
     told = simulation.elements
     if told is None or not told.dofs:
@@ -137,7 +144,7 @@ def _solved(simulation: Structure, highest: float) -> tuple[tuple[str, ...], np.
     else:
         names = told.dofs
         K, M = (np.einsum("enr,emr->nm", a, a, optimize=True) for a in map(np.asarray, (told.stiffness, told.mass)))
-    if len(K) <= LARGEST:
+    if len(K) <= largest:
         # a DoF without mass, as a rotation of a lumped model, moves as its stiffness demands
         M = M + np.diag(np.maximum(np.diag(K) / (QUICK * highest) ** 2 - np.diag(M), 0.0))
         values, shapes = scipy.linalg.eigh(K, M)
@@ -148,7 +155,14 @@ def _solved(simulation: Structure, highest: float) -> tuple[tuple[str, ...], np.
         stiffness, mass = ([(p.dofs, p.matrix) for p in some] for some in parts)
     else:
         stiffness, mass = ([_piece(F) for F in np.asarray(factors)] for factors in (told.stiffness, told.mass))
-    return names, *ritz_basis(K, M, stiffness, mass, highest, LARGEST)
+    about = [members for members in nodes_of(names).members if {names[k] for k in members} & set(exact)]
+    return names, *ritz_basis(K, M, stiffness, mass, highest, largest, np.array([k for m in about for k in m], int))
+
+
+def is_large(simulation: Structure) -> bool:
+    """Whether few modal coordinates stand for a simulation."""
+    told = simulation.elements
+    return len(simulation.dofs if told is None or not told.dofs else told.dofs) > LARGEST
 
 
 def _piece(F: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -7,7 +7,6 @@ A second cause is added where it raises the log evidence by more than its low pr
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
 
 import numpy as np
 
@@ -16,14 +15,16 @@ from modalax.diagnose.modal_domain.attached import acting_alike, attached
 from modalax.diagnose.modal_domain.attempts import attempt, explains, key_of, possible, without
 from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.damped_along import damped_along
+from modalax.diagnose.modal_domain.exact_places import Finer, Found, made_exact
 from modalax.diagnose.modal_domain.explanation import Explanation, ranked_by
+from modalax.diagnose.modal_domain.far_off import UNLIKE, far_off, leading
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
 from modalax.diagnose.modal_domain.force_places import JOINTS, as_limits, losses_at
 from modalax.diagnose.modal_domain.narrowed import narrowed
 from modalax.diagnose.modal_domain.prior import SECOND, Prior
 from modalax.diagnose.modal_domain.refitted import AGAIN, beside_a_factor, beside_the_rest, in_full
 from modalax.diagnose.modal_domain.screen import narrower, replaced, scores
-from modalax.diagnose.modal_domain.starts import FITTED, NEXT, Start, as_signs, starts
+from modalax.diagnose.modal_domain.starts import FITTED, NEXT, as_signs, starts
 from modalax.diagnose.modal_domain.state import Setting
 from modalax.diagnose.modal_domain.throughout import (
     beside_one_factor,
@@ -35,7 +36,6 @@ from modalax.diagnose.thresholds import THRESHOLDS
 
 NEAR = 12.0  # nats behind the best up to which other places are fitted
 WORTH = 4.0  # nats that a further cause must promise beyond the cost of its prior probability
-UNLIKE = 10.0  # chi-square per feature beside the general inaccuracy from which on a cause is tried before all else
 MOST = 2  # causes in one answer
 MANY, CHAINS = 4, 2  # the same where the inaccuracy would be far from usual, and first causes that others are added to
 FAR = 3.0  # times as large as usual from which on an inaccuracy of stiffness or mass is far from it
@@ -44,19 +44,29 @@ PROMISING = 10.0  # times the misfit of the best explanation up to which one is 
 LOSS = 0.3  # strength of a joint's loss that is fitted from, over the usual one
 
 
+Tell = Callable[[str], None]
+# What hypotheses were fitted in, every cause and place there, and the explanations by falling probability.
+Searched = tuple[Setting, list[Change], list[Explanation]]
+
+
 @dataclass
 class _Search:
     """What a search has found so far; ``bare`` is the setting with errors of single elements alone."""
 
     setting: Setting
-    found: dict[tuple[Change, ...], Fit]
+    found: Found
     bare: Setting
+    candidates: list[Change]
+
+    @property
+    def prior(self) -> Prior:  # noqa: D102
+        return Prior(self.candidates)
 
 
 def explain(
-    setting: Setting, candidates: list[Change], late: Deadline, tell: Callable[[str], None] = lambda _: None,
-) -> tuple[Setting, list[Explanation]]:  # fmt: skip
-    """Explanations by falling probability, and the setting that they were fitted in; the best so far if interrupted.
+    setting: Setting, candidates: list[Change], late: Deadline, tell: Tell = lambda _: None, finer: Finer | None = None
+) -> Searched:
+    """Explanations by falling probability, with what they were fitted in; the best so far if interrupted.
 
     Parameters
     ----------
@@ -64,83 +74,77 @@ def explain(
         Whether time is up; an interrupt ends it.
     tell
         Called with what is being done.
+    finer
+        The simulation with all its exactness about some places, and the candidates there; None where it has it all.
     """
-    few = narrowed(setting)
-    few, explanations = _searched(few or setting, candidates, late, tell)
+    few, candidates, explanations = _searched(narrowed(setting) or setting, candidates, late, tell, finer)
     if few.features is setting.features or not explanations:
-        return few, explanations
+        return few, candidates, explanations
     tell("fitting the leading ones to all channels")
     prior = Prior(candidates)
     whole, found = in_full(setting, replace(few, late=late), explanations, late)
     if not found:
-        return few, explanations
+        return few, candidates, explanations
     best = ranked_by(found, prior)[0]
     if not late() and len(best.causes) < MOST:
         _further(whole, found, best.fit, [c for c in candidates if not c.local], prior, late)
-    return replace(whole, late=NEVER), ranked_by(found, prior)
+    return replace(whole, late=NEVER), candidates, ranked_by(found, prior)
 
 
-def _searched(
-    setting: Setting, candidates: list[Change], late: Deadline, tell: Callable[[str], None]
-) -> tuple[Setting, list[Explanation]]:
+def _searched(setting: Setting, candidates: list[Change], late: Deadline, tell: Tell, finer: Finer | None) -> Searched:
     """Explanations by falling probability, by all features of a setting."""
-    prior, setting = Prior(candidates), replace(setting, late=late)
+    setting = replace(setting, late=late)
     null = fit(setting, basin=UNLIKE)
-    led = null is not None and _led(setting, null, candidates, prior, late, tell)
+    setting, candidates, led = leading(setting, null, candidates, late, tell, finer)
     if null is None:  # a simulation of too few modes for those measured is compared without one of them
-        search = _Search(setting, _less_a_mode(setting, candidates), setting)
+        search = _Search(setting, _less_a_mode(setting, candidates), setting, candidates)
         if not search.found:
-            return replace(setting, late=NEVER), []
-    elif led:
-        search = _Search(setting, led, setting)
+            return replace(setting, late=NEVER), candidates, []
     else:
-        null = fit(setting) if _far_off(null) else null
-        assert null is not None
-        bare, setting = setting, with_more(setting, null)
-        if setting is not bare:
-            null = fit(setting) or start_in(setting, null)
-        setting, found = beside_one_factor(bare, setting, null, candidates, prior)
-        null, search = found[()], _Search(setting, found, bare)
+        search = _Search(setting, led, setting, candidates) if led else _beside_the_null(setting, null, candidates)
     try:
-        trials: list[Start] = []
         if not (led or null is None or late()):
-            tell(f"screening {len(candidates)} causes and places")
-            trials = list(starts(setting, null, candidates, prior.each(candidates)))
-        if trials:
-            tell(f"fitting {len(trials)} of them")
+            _first_fits(search, late, tell)
+            _about_the_leading(search, late, tell, finer)
         if not late():
-            _all_steps(search, trials, candidates, prior, late)
+            _all_steps(search, late)
         if not late():
-            _without_a_gain(search, prior)
+            _without_a_gain(search)
     except KeyboardInterrupt:
         late.stop()
-    return replace(search.setting, late=NEVER), ranked_by(search.found, prior)
+    return replace(search.setting, late=NEVER), search.candidates, ranked_by(search.found, search.prior)
 
 
-def _far_off(null: Fit) -> bool:
-    """Whether the general inaccuracy alone does not come near to the measured modes."""
-    return null.chi2 > UNLIKE * null.state.difference.size
+def _beside_the_null(setting: Setting, null: Fit, candidates: list[Change]) -> _Search:
+    """The search that begins where the general inaccuracy alone stands, with all that the data ask of that."""
+    found = fit(setting) if far_off(null) else null
+    assert found is not None
+    bare, setting = setting, with_more(setting, found)
+    if setting is not bare:
+        found = fit(setting) or start_in(setting, found)
+    setting, first = beside_one_factor(bare, setting, found, candidates, Prior(candidates))
+    return _Search(setting, first, bare, candidates)
 
 
-def _led(
-    setting: Setting, null: Fit, candidates: list[Change], prior: Prior, late: Deadline, tell: Callable[[str], None]
-) -> dict[tuple[Change, ...], Fit]:
-    """The leading causes by finite changes, where one of them explains what the inaccuracy is far from; else nothing.
+def _first_fits(search: _Search, late: Deadline, tell: Tell) -> None:
+    """Screen all causes and places, and fit the leading ones."""
+    setting, found, candidates = search.setting, search.found, search.candidates
+    tell(f"screening {len(candidates)} causes and places")
+    trials = list(starts(setting, found[()], candidates, search.prior.each(candidates)))
+    if trials:
+        tell(f"fitting {len(trials)} of them")
+    for cause, u, start in trials:
+        if late():
+            return
+        if not _found(found, cause):
+            attempt(setting, found, (cause,), cause.of_size(u), start, gentle=start is None)
 
-    Others are then looked for beside it and in its place, and no inaccuracy is, that would do without it.
-    """
-    if not _far_off(null):
-        return {}
-    found = {(): null}
-    try:
-        tell(f"screening {len(candidates)} causes and places")
-        for cause, u, start in islice(starts(setting, null, candidates, prior.each(candidates)), FITTED):
-            attempt(setting, found, (cause,), cause.of_size(u), start, basin=UNLIKE)
-            if late():
-                break
-    except KeyboardInterrupt:
-        late.stop()
-    return found if explains(ranked_by(found, prior)[0].fit) else {}
+
+def _about_the_leading(search: _Search, late: Deadline, tell: Tell, finer: Finer | None) -> None:
+    """Make a large simulation exact about the places that lead; errors beside them are then asked for again."""
+    exact, there, found = made_exact(search.setting, search.candidates, search.found, None if late() else finer, tell)
+    if exact is not search.setting:
+        search.setting, search.bare, search.candidates, search.found = exact, exact, there, found
 
 
 def one_cause(setting: Setting, candidates: list[Change], late: Deadline) -> list[Explanation]:
@@ -156,7 +160,7 @@ def one_cause(setting: Setting, candidates: list[Change], late: Deadline) -> lis
 
 def again(setting: Setting, earlier: Sequence[Explanation], candidates: list[Change]) -> list[Explanation]:
     """The likeliest of earlier explanations and the general inaccuracy alone, fitted to features that have changed."""
-    found: dict[tuple[Change, ...], Fit] = {}
+    found: Found = {}
     attempt(setting, found, (), np.zeros(0), None)
     best = earlier[0]
     if best.causes and all(replace(c, along="") in candidates for c in best.causes):
@@ -185,25 +189,18 @@ def further(
     return [replace(e, misfit=left.get(id(e.fit), e.misfit)) for e in ranked_by(found, Prior(candidates))]
 
 
-def _less_a_mode(setting: Setting, candidates: list[Change]) -> dict[tuple[Change, ...], Fit]:
+def _less_a_mode(setting: Setting, candidates: list[Change]) -> Found:
     """Fits in which one measured mode is none of the simulation's."""
-    found: dict[tuple[Change, ...], Fit] = {}
+    found: Found = {}
     for cause in candidates:
         if cause.freed is not None:
             attempt(setting, found, (cause,), np.zeros(cause.count), None)
     return found
 
 
-def _all_steps(
-    search: _Search, trials: Sequence[Start], candidates: list[Change], prior: Prior, late: Deadline
-) -> None:
-    """Fit what was screened, seek a further cause and other places, as long as there is time."""
-    setting, found = search.setting, search.found
-    for cause, u, start in trials:
-        if not _found(found, cause):
-            attempt(setting, found, (cause,), cause.of_size(u), start, gentle=start is None)
-        if late():
-            return
+def _all_steps(search: _Search, late: Deadline) -> None:
+    """Seek a further cause and other places beside what was fitted first, as long as there is time."""
+    setting, found, candidates, prior = search.setting, search.found, search.candidates, search.prior
     attached(setting, found, candidates, prior, late)
     candidates = _with_losses(setting, found, candidates, prior, late)
     _several(setting, found, candidates, prior, late)
@@ -231,7 +228,7 @@ def _all_steps(
         search.setting, search.found = setting, found = beside_the_rest(setting, found, prior, late)
 
 
-def _found(found: dict[tuple[Change, ...], Fit], cause: Change) -> bool:
+def _found(found: Found, cause: Change) -> bool:
     """Whether a cause was fitted from another start, explains the modes, and is likelier than none."""
     f, null = found.get((cause,)), found.get(())
     if f is None or null is None:
@@ -240,7 +237,7 @@ def _found(found: dict[tuple[Change, ...], Fit], cause: Change) -> bool:
 
 
 def _with_losses(
-    setting: Setting, found: dict[tuple[Change, ...], Fit], candidates: list[Change], prior: Prior,
+    setting: Setting, found: Found, candidates: list[Change], prior: Prior,
     late: Callable[[], bool],
 ) -> list[Change]:  # fmt: skip
     """Candidates, and losses of a joint where one leads and they were not looked for; these are fitted at once.
@@ -278,7 +275,7 @@ def _with_losses(
 
 
 def _several(
-    setting: Setting, found: dict[tuple[Change, ...], Fit], candidates: list[Change], prior: Prior,
+    setting: Setting, found: Found, candidates: list[Change], prior: Prior,
     late: Callable[[], bool],
 ) -> None:  # fmt: skip
     """Add one cause after the other where all elements would be far more off than usual.
@@ -308,26 +305,26 @@ def _several(
                 found[key] = f
 
 
-def _without_a_gain(search: _Search, prior: Prior) -> None:
+def _without_a_gain(search: _Search) -> None:
     """Where a gain of all FRFs is left, try factors on all of stiffness and mass in its place."""
-    leading = ranked_by(search.found, prior)[:AGAIN]
-    other = instead_of_a_gain(search.setting, search.bare, leading[0].fit, prior)
+    near = ranked_by(search.found, search.prior)[:AGAIN]
+    other = instead_of_a_gain(search.setting, search.bare, near[0].fit, search.prior)
     if other is None:
         return
     search.setting, found = other[0], {key_of(other[1].causes): other[1]}
-    for e in leading:
+    for e in near:
         attempt(search.setting, found, e.causes, e.fit.u, start_in(search.setting, e.fit), gentle=False)
     search.found = found
 
 
-def _fewer(setting: Setting, found: dict[tuple[Change, ...], Fit], best: Fit) -> None:
+def _fewer(setting: Setting, found: Found, best: Fit) -> None:
     """Fit the best explanation without each of its causes, starting from its own sizes."""
     for k in range(len(best.causes)):
         kept = tuple(c for j, c in enumerate(best.causes) if j != k)
         attempt(setting, found, kept, without(best, k), without_causes(best), gentle=False)
 
 
-def _apart(setting: Setting, found: dict[tuple[Change, ...], Fit], best: Fit, candidates: list[Change]) -> None:
+def _apart(setting: Setting, found: Found, best: Fit, candidates: list[Change]) -> None:
     """Fit what is told at several places as a cause of its own at each."""
     for k, together in enumerate(best.causes):
         each = [c for name in together.told_as for c in candidates if c.told_as == (name,) and not c.absent]
@@ -339,7 +336,7 @@ def _apart(setting: Setting, found: dict[tuple[Change, ...], Fit], best: Fit, ca
 
 
 def _neighbours(
-    setting: Setting, found: dict[tuple[Change, ...], Fit], best: Fit, candidates: list[Change], prior: Prior,
+    setting: Setting, found: Found, best: Fit, candidates: list[Change], prior: Prior,
     late: Callable[[], bool],
 ) -> None:  # fmt: skip
     """Replace each cause of the best explanation by other places and kinds, screened about that explanation."""
@@ -360,7 +357,7 @@ def _neighbours(
 
 
 def _further(
-    setting: Setting, found: dict[tuple[Change, ...], Fit], best: Fit, candidates: list[Change], prior: Prior,
+    setting: Setting, found: Found, best: Fit, candidates: list[Change], prior: Prior,
     late: Callable[[], bool],
 ) -> bool:  # fmt: skip
     """Add a cause where one promises enough log evidence; whether one was tried.
@@ -387,10 +384,15 @@ def _further(
 
 
 def _other_forms(
-    setting: Setting, found: dict[tuple[Change, ...], Fit], candidates: list[Change], prior: Prior
+    setting: Setting, found: Found, candidates: list[Change], prior: Prior
 ) -> None:  # fmt: skip
     """Fit the leading explanations with damping that goes with a cause, signs in place of gains, and simpler joints."""
     ranked = ranked_by(found, prior)
     near = [e.fit for e in ranked[:AGAIN] if e.log_posterior > ranked[0].log_posterior - NEAR]
-    for causes, u, start in (*damped_along(setting, near), *as_signs(near, candidates), *as_limits(near, candidates)):
+    limits = as_limits(near, candidates)
+    for causes, u, start in (*as_signs(near, candidates), *limits):
         attempt(setting, found, causes, u, start, gentle=start is None)
+    # a joint that loses energy may be a spring with damping along: what that leaves tells, not what the spring does
+    simple = {key_of(causes): found.get(key_of(causes)) for causes, _, _ in limits}
+    for causes, u, start in damped_along(setting, near + [f for f in simple.values() if f is not None]):
+        attempt(setting, found, causes, u, start, gentle=False)

@@ -11,7 +11,7 @@ from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.decision.beyond import OddChannel
 from modalax.diagnose.modal_domain.askew import askew_channel
 from modalax.diagnose.modal_domain.causes import Change
-from modalax.diagnose.modal_domain.coordinates import Coordinates, coordinates_of
+from modalax.diagnose.modal_domain.coordinates import Coordinates, coordinates_of, is_large
 from modalax.diagnose.modal_domain.crosstalk import leaking_channels
 from modalax.diagnose.modal_domain.explain import explain
 from modalax.diagnose.modal_domain.explanation import Explanation
@@ -136,10 +136,10 @@ class Posed:
     places: list[Any]
 
 
-def posed(measurement: Measurement, simulation: Structure, measured: Measured) -> Posed:
-    """What modes that were identified are compared with."""
+def posed(measurement: Measurement, simulation: Structure, measured: Measured, exact: tuple[str, ...] = ()) -> Posed:
+    """What modes that were identified are compared with; a large simulation is as exact as the whole at some nodes."""
     highest = 2 * np.pi * float(measurement.freq[-1])
-    c = coordinates_of(simulation, measurement.outputs, measurement.inputs, highest)
+    c = coordinates_of(simulation, measurement.outputs, measurement.inputs, highest, exact)
     whitener = whitener_of(measured.features)
     setting = Setting(c, inaccuracy_of(simulation, c, highest), measured.features, whitener)
     if simulation.groups is None:  # all of the mass and stiffness is, where there is one force, its constant as well
@@ -175,13 +175,20 @@ def run_stage(
     if not len(measured.features.poles):
         return None
     task = posed(measurement, simulation, measured)
-    c, setting, places = task.coordinates, task.setting, task.places
-    candidates = [k for k in task.candidates if wanted(k.slug)]
+    tasks, candidates = [task], [k for k in task.candidates if wanted(k.slug)]
+
+    def finer(exact: tuple[str, ...]) -> tuple[Setting, list[Change]]:
+        tasks.append(posed(measurement, simulation, measured, exact))
+        return tasks[-1].setting, [k for k in tasks[-1].candidates if wanted(k.slug)]
+
     H, level = np.asarray(measurement.H), np.asarray(measurement.level)
     first = late.part(FIRST_SHARE if len(H) > 1 else ALONE_SHARE)
-    setting, explanations = explain(setting, candidates, first, tell)
+    setting, candidates, explanations = explain(
+        task.setting, candidates, first, tell, finer if is_large(simulation) else None
+    )
     if not explanations:
         return None
+    c, places = next((t.coordinates, t.places) for t in tasks if t.coordinates is setting.coordinates)
     channels = measurement.outputs, measurement.inputs
     odd = None if late() else odd_channel(setting, explanations, *channels)
     turned = None if late() else askew_channel(setting, explanations, simulation.dofs, *channels)

@@ -126,7 +126,7 @@ def _staged(
     pairs = None if simulation.pairs is None else list(simulation.pairs)
     every = candidates_of(simulation, c, facts.outputs, facts.inputs, pairs, highest)
     candidates = [k for k in every if k.in_shapes and wanted(k.slug)]
-    setting, explanations = explain(setting, candidates, late, tell)
+    setting, candidates, explanations = explain(setting, candidates, late, tell)
     if not explanations:
         raise ValueError("the simulation has fewer modes than the table in its band; none can be compared")
     seen: Any = facts  # in the place of a measurement, of which only names and the band are looked at

@@ -165,7 +165,7 @@ def joint_and_structure(
         raw, taken, measured, setting, explanations = after, now, freed, alone, found
         seen = beside(explanations, raw, prior)[1]
     if taken is not None:
-        setting, explanations = explain(setting, some, late, tell)
+        setting, _, explanations = explain(setting, some, late, tell)
         after = look(measured, setting, explanations[0].fit, seen, True) if explanations else None
         raw = raw if after is None or after.joint is None else after
     if raw is not None and explanations and not late():

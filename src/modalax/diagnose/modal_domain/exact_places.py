@@ -1,0 +1,56 @@
+"""A large simulation, made exact about the places of the leading causes.
+
+It keeps few shapes, by which it moves a little otherwise once an element is far off. What is compared with measured
+modes is therefore posed again with the static responses to forces at those places, so that what the causes leave is
+what they do not explain.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from modalax.diagnose.modal_domain.attempts import attempt
+from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.explanation import Explanation, ranked_by
+from modalax.diagnose.modal_domain.fit import Fit
+from modalax.diagnose.modal_domain.prior import Prior
+from modalax.diagnose.modal_domain.refitted import AGAIN
+from modalax.diagnose.modal_domain.state import Setting
+from modalax.diagnose.modal_domain.throughout import start_in
+
+LEADING = 3  # explanations about whose places it is made exact
+
+Found = dict[tuple[Change, ...], Fit]
+Finer = Callable[[tuple[str, ...]], tuple[Setting, list[Change]]]  # of DoFs about which it is to be exact
+
+
+def made_exact(
+    setting: Setting, candidates: list[Change], found: Found, finer: Finer | None, tell: Callable[[str], None],
+) -> tuple[Setting, list[Change], Found]:  # fmt: skip
+    """The setting, its candidates and the leading fits with the simulation exact about the places that lead.
+
+    The same as before where no place leads, or ``finer`` is None, as the simulation has all its exactness everywhere.
+    """
+    ranked = ranked_by(found, Prior(candidates))
+    leading = [e for e in ranked[:AGAIN] if _places(e)][:LEADING]
+    if finer is None or not leading or not _places(ranked[0]):
+        return setting, candidates, found
+    tell("making the simulation exact about the leading places")
+    exact, there = finer(tuple(dict.fromkeys(name for e in leading for name in _places(e))))
+    exact = replace(exact, features=setting.features, whitener=setting.whitener, late=setting.late)
+    again: Found = {}
+    for e in [*ranked[:AGAIN], *(e for e in ranked[AGAIN:] if not e.causes)]:
+        causes = tuple(_same(c, candidates, there) for c in e.causes)
+        attempt(exact, again, causes, e.fit.u, start_in(exact, e.fit), gentle=False)
+    explained = any(causes for causes in again) and () in again
+    return (exact, there, again) if explained else (setting, candidates, found)
+
+
+def _places(e: Explanation) -> list[str]:
+    """DoFs at which causes of an explanation change mass, damping or stiffness."""
+    return [str(name) for c in e.causes if c.local for name in c.where]
+
+
+def _same(cause: Change, before: Sequence[Change], after: Sequence[Change]) -> Change:
+    """The cause among those ``after`` that one of those ``before`` is: of several alike the one of its number."""
+    alike = [[c for c in some if (c.slug, c.where) == (cause.slug, cause.where)] for some in (before, after)]
+    return alike[1][next(k for k, c in enumerate(alike[0]) if c is cause)]
