@@ -8,12 +8,16 @@ import scipy.linalg
 from chains_off import DOFS, FREQ, MASSES, SPRINGS, as_measured, response
 
 from modalax.data import Measurement
+from modalax.diagnose.modal_domain.attempts import attempt
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.damped_along import with_loss
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.diagnose.modal_domain.explain import _other_forms
 from modalax.diagnose.modal_domain.features import Features
 from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
+from modalax.diagnose.modal_domain.prior import Prior
+from modalax.diagnose.modal_domain.stage import identified, posed
 from modalax.diagnose.modal_domain.state import Setting, changes_of
 from modalax.diagnose.pipeline import diagnose
 from modalax.diagnose.routes import may_tell_joints
@@ -156,3 +160,24 @@ def test_a_force_at_a_place_tells_levels_apart_that_noise_hides(share, expected)
     noise = (rng.standard_normal(force.shape) + 1j * rng.standard_normal(force.shape)) * 0.05
     measured = SimpleNamespace(unit=force + noise, information=np.full(force.shape, 1 / 0.05**2))
     assert differs_by_run(measured) is expected
+
+
+def test_a_spring_is_fitted_with_damping_along_where_a_joint_that_relaxes_leads():
+    """The joint stood for what the damping of a spring does, and was likelier than the spring with none by 32 nats."""
+    M, C, K = matrices(*off(0.01), "ratios")
+    K = K + 0.6 * SPRINGS[3] * np.diag(np.eye(5)[0])
+    w2, P = scipy.linalg.eigh(K, M)
+    H = response(M, M @ P @ np.diag(2 * RATIO * np.sqrt(w2)) @ P.T @ M, K, FREQ)
+    data, simulation = as_measured(H, FREQ, 5), Structure(*matrices(MASSES, SPRINGS, "ratios"), DOFS)
+    task = posed(data, simulation, identified(data, simulation, lambda _: None))
+    joint, spring = (
+        next(c for c in task.candidates if (c.slug, c.where) == (slug, (DOFS[0],)))
+        for slug in ("maxwell_joint", "joint_stiffness")
+    )
+    found = {}
+    attempt(task.setting, found, (joint,), np.array([0.6 * SPRINGS[3] / joint.scale, 3.0]), None)
+    _other_forms(task.setting, found, task.candidates, Prior(task.candidates))
+    best = max((f for f in found.values()), key=lambda f: f.log_evidence)
+    assert (joint,) in found and (spring,) in found
+    assert best.causes[0].slug == "joint_stiffness" and best.causes[0].along == "at equal damping ratios"
+    assert best.log_evidence > found[(spring,)].log_evidence + 5

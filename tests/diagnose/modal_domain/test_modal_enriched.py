@@ -16,7 +16,9 @@ from modalax.diagnose.modal_domain.given_elements import (
     stiffness_patterns,
 )
 from modalax.diagnose.modal_domain.groups import group_factors
+from modalax.diagnose.modal_domain.inaccuracy import _pieces, forces_of_errors, inaccuracy_of
 from modalax.diagnose.modal_domain.places import candidates_of
+from modalax.diagnose.modal_domain.turns import nodes_in
 from modalax.model import Structure
 from modalax.model.condense import follow
 from modalax.model.elements import Elements, factor_of
@@ -78,7 +80,7 @@ def test_about_some_nodes_a_basis_moves_as_the_whole_structure_does():
     heavier = free_beam(one, np.where(np.arange(COUNT) == 17, 4.0, one))
     errors = {}
     for exact in ((), PLACES[17]):
-        w, shapes, _ = ritz_basis(K, M, *parts, TOP, 42, np.array(exact, int))
+        w, shapes, _ = ritz_basis(K, M, *parts, TOP, 42, np.eye(SIZE)[:, list(exact)])
         assert len(w) == 42 + len(exact)
         np.testing.assert_allclose(shapes.T @ M @ shapes, np.eye(len(w)), atol=1e-7)
         errors[len(exact)] = [
@@ -176,6 +178,30 @@ def _seen(structure, share):
     K = np.einsum("enr,emr->nm", *2 * [np.asarray(told.stiffness)])
     T = follow(K, np.isin(told.dofs, structure.dofs))
     return T.T @ share @ T
+
+
+def test_errors_of_all_elements_are_exact_as_forces(monkeypatch):
+    """Forces of errors that are known make the basis move as all elements do, and not only about some nodes."""
+    monkeypatch.setattr("modalax.diagnose.modal_domain.coordinates.LARGEST", 30)
+    data, simulation = measured_beam(0.3)
+    c = coordinates_of(simulation, data.outputs, data.inputs, TOP)
+    rng, nodes = np.random.default_rng(1), nodes_in(simulation.dofs, np.asarray(simulation.K))
+    patterns = inaccuracy_of(simulation, c, TOP)
+    off = {name: 0.05 * rng.standard_normal(len(patterns.patterns[k])) for k, name in enumerate(("stiffness", "mass"))}
+    K, M = np.array(simulation.K), np.array(simulation.M)
+    for A, name in ((K, "stiffness"), (M, "mass")):
+        for p, size in zip(_pieces(A.copy(), nodes, name == "mass"), off[name], strict=True):
+            A[np.ix_(p.dofs, p.dofs)] += size * p.matrix
+    squares, shapes = scipy.linalg.eigh(K, M, subset_by_index=[0, 5])
+    acting = forces_of_errors(simulation, off, shapes, squares)
+    dK, dM = K - np.asarray(simulation.K), M - np.asarray(simulation.M)
+    np.testing.assert_allclose(acting, dK @ shapes - dM @ shapes * squares, atol=1e-9 * np.abs(acting).max())
+    errors = []
+    for extra in (None, acting):
+        B = coordinates_of(simulation, data.outputs, data.inputs, TOP, (), extra).shapes[:, :-1]
+        found = scipy.linalg.eigh(B.T @ K @ B, B.T @ M @ B, eigvals_only=True)[:6]
+        errors.append(np.abs(np.sqrt(found / squares) - 1).max())
+    assert errors[1] < 1e-8 < 1e-6 < errors[0], errors
 
 
 def measured_beam(softer: float) -> tuple[Measurement, Structure]:

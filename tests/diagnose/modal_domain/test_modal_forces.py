@@ -9,9 +9,10 @@ from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.force_places import KINDS, line_forces
 from modalax.diagnose.modal_domain.forced import screened
 from modalax.diagnose.modal_domain.line_forces import LineForce
+from modalax.diagnose.modal_domain.lines import lines_of
 from modalax.diagnose.modal_domain.nodes import nodes_of
 from modalax.diagnose.modal_domain.places import springs_of
-from modalax.diagnose.modal_domain.polish import frf_on_lines, lines_of, slopes_on_lines
+from modalax.diagnose.modal_domain.polish import frf_on_lines, slopes_on_lines
 from modalax.diagnose.modal_domain.stage import run_stage
 
 B = np.array([0, 1.0, -1.0, 0, 0])

@@ -8,7 +8,7 @@ from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.fit import FARTHEST, _ways, fit
 from modalax.diagnose.modal_domain.matched import CLOSE, FAR
-from modalax.diagnose.modal_domain.screen import missed_by_elements
+from modalax.diagnose.modal_domain.matched_elements import missed_by_elements
 from modalax.diagnose.modal_domain.stage import identified, posed
 
 
@@ -63,7 +63,7 @@ def test_misses_of_frequencies_by_a_lump_are_those_of_its_modes():
     setting = posed(data, simulation(), identified(data, simulation(), lambda _: None)).setting
     c = setting.coordinates
     lump = Change("added_mass", (DOFS[3],), pattern=np.outer(c.shapes[3], c.shapes[3]), reference=1.0)
-    (missed,), (size,) = missed_by_elements(setting, [lump])
+    (missed,), (size,) = missed_by_elements(setting.features, setting.coordinates, [lump])
     assert 0.85 * 40.0 < size < 1.15 * 40.0
     S = simulation()
     M = np.array(S.M)

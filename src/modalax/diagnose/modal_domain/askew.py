@@ -21,9 +21,10 @@ from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.features import whitener_of
 from modalax.diagnose.modal_domain.fit import Fit, fit, scale_of
 from modalax.diagnose.modal_domain.linear import root_of_information
+from modalax.diagnose.modal_domain.matched_elements import NEARER
 from modalax.diagnose.modal_domain.nodes import nodes_of
 from modalax.diagnose.modal_domain.odd_channel import volume
-from modalax.diagnose.modal_domain.screen import NEARER, SIZES, cost_of_size, distances, tolerance
+from modalax.diagnose.modal_domain.screen import SIZES, cost_of_size, distances, tolerance
 from modalax.diagnose.modal_domain.state import (
     Setting,
     State,

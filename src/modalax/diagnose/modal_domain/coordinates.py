@@ -23,6 +23,7 @@ QUICK = 1e3  # frequency of a DoF by itself, over that of the band, above which 
 SPARED = 0.99  # frequency, relative to the spare coordinate's, above which a mode is that coordinate
 SPARE = 4.0  # frequency of a coordinate to which nothing is attached, over the highest of all
 LARGEST = 120  # modal coordinates of large simulations
+NEXT_TO = 60  # DoFs about which a large simulation is made exact up to which those of nodes next to them are too
 FURTHER, AT_LEAST = 10, 60  # modes above the band, and in all, that are solved with their damping
 ROUNDING = 1e-10  # relative distance of two poles below which nothing but rounding tells them apart
 
@@ -108,13 +109,14 @@ class Modes:
 
 def coordinates_of(
     simulation: Structure, outputs: tuple[str, ...], inputs: tuple[str, ...], highest: float,
-    exact: tuple[str, ...] = (),
+    exact: tuple[str, ...] = (), errors: np.ndarray | None = None,
 ) -> Coordinates:  # fmt: skip
     """Modal coordinates of a simulation whose band ends at ``highest`` [rad/s].
 
-    A large one has few; by these it moves as the whole does if what acts on the nodes of the DoFs ``exact`` changes.
+    A large one has few; by these it moves as the whole does if what acts on the nodes of the DoFs ``exact`` changes,
+    and under the forces of ``errors`` of elements, shape ``(n, f)`` over the DoFs that these know.
     """
-    names, frequencies, shapes, inside = _solved(simulation, highest, LARGEST, exact)
+    names, frequencies, shapes, inside = _solved(simulation, highest, LARGEST, exact, errors)
     spare = SPARE * max(float(frequencies[-1]), highest)
     frequencies, everywhere = np.append(frequencies, spare), np.pad(shapes, ((0, 0), (0, 1)))
     shapes = everywhere if names == simulation.dofs else everywhere[[names.index(name) for name in simulation.dofs]]
@@ -135,7 +137,7 @@ def _damping(simulation: Structure, frequencies: np.ndarray, shapes: np.ndarray,
 
 @remembered(4)
 def _solved(
-    simulation: Structure, highest: float, largest: int, exact: tuple[str, ...]
+    simulation: Structure, highest: float, largest: int, exact: tuple[str, ...], errors: np.ndarray | None
 ) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, int]:
     """DoFs, frequencies and shapes over them, and how many modes are in the band; of large simulations few shapes."""
     told = simulation.elements
@@ -155,8 +157,17 @@ def _solved(
         stiffness, mass = ([(p.dofs, p.matrix) for p in some] for some in parts)
     else:
         stiffness, mass = ([_piece(F) for F in np.asarray(factors)] for factors in (told.stiffness, told.mass))
-    about = [members for members in nodes_of(names).members if {names[k] for k in members} & set(exact)]
-    return names, *ritz_basis(K, M, stiffness, mass, highest, largest, np.array([k for m in about for k in m], int))
+    unit = np.eye(len(K))[:, _about(names, K, exact)]
+    acting = unit if errors is None else np.hstack([unit, errors])
+    return names, *ritz_basis(K, M, stiffness, mass, highest, largest, acting)
+
+
+def _about(names: tuple[str, ...], K: np.ndarray, exact: tuple[str, ...]) -> list[int]:
+    """DoFs of the nodes of some, and of those next to them, which may be what is meant, as far as these are few."""
+    node = nodes_of(names).of_dofs
+    here = np.isin(node, node[[names.index(name) for name in exact if name in names]])
+    near = np.isin(node, node[(np.abs(K[:, here]) > 0).any(axis=1)])
+    return np.flatnonzero(near if np.count_nonzero(near) <= NEXT_TO else here).tolist()
 
 
 def is_large(simulation: Structure) -> bool:

@@ -9,11 +9,11 @@ from modalax._numerics.text import percent
 from modalax._numerics.triangles import backward, forward
 from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.modal_domain.causes import with_sizes
-from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.fit import Fit, scale_of, widths_of_sizes
 from modalax.diagnose.modal_domain.given_elements import changed_by_elements
 from modalax.diagnose.modal_domain.inaccuracy import KINDS, RIGID, THROUGHOUT, TOLD, WITHIN
 from modalax.diagnose.modal_domain.linear import root_of_information
+from modalax.diagnose.modal_domain.many_lines import receptance
 from modalax.diagnose.modal_domain.polish import frf_on_lines
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.modal_domain.state import FARTHEST, Setting, off_by, slopes_at
@@ -23,7 +23,6 @@ from modalax.model import Structure
 DRAWS, BESIDE = 16, 24  # draws of the sizes of the inaccuracy, and of its parts for each
 CONSISTENT = 3.0  # nats of log evidence by which an inaccuracy must be better than none to exclude none
 NONE = 1e-5  # relative size that counts as no inaccuracy
-LINES = 256  # lines solved at once
 
 
 def corrected(stage: Stage, f: Fit) -> Structure:
@@ -63,18 +62,12 @@ def _of_elements(setting: Setting, sizes: np.ndarray, name: str) -> np.ndarray:
 
 def frf_of(stage: Stage, f: Fit | None) -> np.ndarray:
     """FRFs ``(f, o, i)`` of the simulation, or of a fit, at the measured lines and in their form."""
-    c, freq = stage.coordinates, stage.measured.freq
-    s = 2j * np.pi * freq
-    order, parts = DERIVATIVES[stage.measurement.form], np.array_split(s, max(1, len(s) // LINES))
+    c, s = stage.coordinates, 2j * np.pi * stage.measured.freq
+    order = DERIVATIVES[stage.measurement.form]
     if f is None:
         M, C, K = np.eye(c.size), c.damping, np.diag(c.frequencies**2)
-        return np.concatenate([_solved(part, M, C, K, c) for part in parts]) * s[:, None, None] ** order
-    return np.concatenate([frf_on_lines(stage.setting, f.causes, f.sizes, f.u, part, order) for part in parts])
-
-
-def _solved(s: np.ndarray, M: np.ndarray, C: np.ndarray, K: np.ndarray, c: Coordinates) -> np.ndarray:
-    Z = K + s[:, None, None] * C + s[:, None, None] ** 2 * M
-    return c.outputs @ np.linalg.solve(Z, np.broadcast_to(c.inputs.T, (len(s), *c.inputs.T.shape)))
+        return receptance(M, C, K, c.outputs, c.inputs, s) * s[:, None, None] ** order
+    return frf_on_lines(stage.setting, f.causes, f.sizes, f.u, s, order)
 
 
 def inaccuracy_told(setting: Setting, f: Fit) -> dict[str, Any]:

@@ -17,14 +17,13 @@ QUICKEST = 300.0  # frequency over that of the band above which a direction foll
 MASSLESS = 1e-14  # inverse eigenvalue, relative to the largest, below which a direction has no mass
 NULL = 1e-10  # energy of a direction, relative to the largest, below which it is a combination of others
 
-NO_DOFS = np.zeros(0, int)
 
 Piece = tuple[np.ndarray, np.ndarray]  # DoFs of an element, and its matrix over them
 
 
 def ritz_basis(
     K: np.ndarray, M: np.ndarray, stiffness: Iterable[Piece], mass: Iterable[Piece], highest: float, count: int,
-    exact: np.ndarray = NO_DOFS,
+    acting: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, int]:  # fmt: skip
     """Circular frequencies and shapes of unit mass ``(n, count)`` at most, and how many are inside the band.
 
@@ -34,9 +33,9 @@ def ritz_basis(
         Elements of both matrices.
     highest
         End of the band [rad/s].
-    exact
-        DoFs whose static responses to forces at each join the basis, beyond ``count``: what changes between them then
-        changes the motion in the band as it changes that of the whole structure.
+    acting
+        Further forces ``(n, f)`` to which static responses join the basis, beyond ``count``. With forces at all DoFs of
+        an element it changes the motion in the band as it changes that of the whole structure.
     """
     A = K + (0.3 * highest) ** 2 * M
     size = np.sqrt(np.diag(A))
@@ -58,13 +57,13 @@ def ritz_basis(
     kept = np.flatnonzero(energy > NULL * energy[-1])[::-1][:further]
     more = scipy.linalg.solve_triangular(L, turn[:, kept], lower=True, trans="T") / size[:, None]
     B = np.concatenate([base, more], axis=1)
-    if len(exact):
-        unit = np.eye(len(K))[:, exact] / size[:, None]
-        there, seen = scipy.linalg.solve_triangular(L, unit, lower=True), L.T @ (size[:, None] * B)
-        known = np.linalg.qr(seen)[0]
+    if acting is not None and acting.size:
+        there = scipy.linalg.solve_triangular(L, acting / size[:, None], lower=True)
+        there /= np.maximum(np.linalg.norm(there, axis=0), 1e-300)
+        known = np.linalg.qr(L.T @ (size[:, None] * B))[0]
         there -= known @ (known.T @ there)
         u, s, _ = np.linalg.svd(there, full_matrices=False)
-        there = u[:, s > np.sqrt(NULL) * s[0]]
+        there = u[:, s > np.sqrt(NULL)]
         B = np.hstack([B, scipy.linalg.solve_triangular(L, there, lower=True, trans="T") / size[:, None]])
     values, inner = _modes(B.T @ M @ B, B.T @ A @ B, (0.3 * highest) ** 2, (QUICKEST * highest) ** 2)
     return np.sqrt(np.maximum(values, 0.0)), B @ inner, inside

@@ -1,8 +1,8 @@
 """A large simulation, made exact about the places of the leading causes.
 
 It keeps few shapes, by which it moves a little otherwise once an element is far off. What is compared with measured
-modes is therefore posed again with the static responses to forces at those places, so that what the causes leave is
-what they do not explain.
+modes is therefore posed again with the static responses to forces at those places, and to the forces of the errors of
+all elements that were found, so that what the causes leave is what they do not explain.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,7 +20,8 @@ from modalax.diagnose.modal_domain.throughout import start_in
 LEADING = 3  # explanations about whose places it is made exact
 
 Found = dict[tuple[Change, ...], Fit]
-Finer = Callable[[tuple[str, ...]], tuple[Setting, list[Change]]]  # of DoFs about which it is to be exact
+# Of DoFs about which, and the errors of a fit with which, the simulation is to be exact: it, and the candidates there.
+Finer = Callable[[tuple[str, ...], Fit], tuple[Setting, list[Change]]]
 
 
 def made_exact(
@@ -35,7 +36,7 @@ def made_exact(
     if finer is None or not leading or not _places(ranked[0]):
         return setting, candidates, found
     tell("making the simulation exact about the leading places")
-    exact, there = finer(tuple(dict.fromkeys(name for e in leading for name in _places(e))))
+    exact, there = finer(tuple(dict.fromkeys(name for e in leading for name in _places(e))), ranked[0].fit)
     exact = replace(exact, features=setting.features, whitener=setting.whitener, late=setting.late)
     again: Found = {}
     for e in [*ranked[:AGAIN], *(e for e in ranked[AGAIN:] if not e.causes)]:

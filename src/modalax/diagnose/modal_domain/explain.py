@@ -23,7 +23,7 @@ from modalax.diagnose.modal_domain.force_places import JOINTS, as_limits, losses
 from modalax.diagnose.modal_domain.narrowed import narrowed
 from modalax.diagnose.modal_domain.prior import SECOND, Prior
 from modalax.diagnose.modal_domain.refitted import AGAIN, beside_a_factor, beside_the_rest, in_full
-from modalax.diagnose.modal_domain.screen import narrower, replaced, scores
+from modalax.diagnose.modal_domain.screen import about, narrower, replaced, scores
 from modalax.diagnose.modal_domain.starts import FITTED, NEXT, as_signs, starts
 from modalax.diagnose.modal_domain.state import Setting
 from modalax.diagnose.modal_domain.throughout import (
@@ -290,14 +290,14 @@ def _several(
     for e in [e for e in ranked if len(e.causes) == 1 and e.causes[0].local][:CHAINS]:
         f = e.fit
         while len(f.causes) < MANY and not late():
-            about = replace(f, epsilon=np.minimum(f.epsilon, usual))
-            value = scores(setting, about, candidates)[0] + prior.each(candidates) + math.log(SECOND)
+            held, at = replace(f, epsilon=np.minimum(f.epsilon, usual)), about(setting, f, candidates)
+            value = scores(setting, held, at)[0] + prior.each(candidates) + math.log(SECOND)
             value[[k for k, c in enumerate(candidates) if c in f.causes or c.shares_place(f.causes)]] = -np.inf
             if value.max() < WORTH:
                 break
             cause = candidates[int(np.argmax(value))]
             u = np.append(f.u, cause.of_size(0.0))
-            wider = fit(setting, (*f.causes, cause), without_causes(about), u, temperatures=(3.0,))
+            wider = fit(setting, (*f.causes, cause), without_causes(held), u, temperatures=(3.0,))
             if wider is None or not possible(wider):
                 break
             f, key = wider, key_of((*f.causes, cause))
@@ -340,9 +340,10 @@ def _neighbours(
     late: Callable[[], bool],
 ) -> None:  # fmt: skip
     """Replace each cause of the best explanation by other places and kinds, screened about that explanation."""
+    at = about(setting, best, candidates)
     for k in range(len(best.causes)):
         kept = tuple(c for j, c in enumerate(best.causes) if j != k)
-        gain, size = replaced(setting, best, k, candidates)
+        gain, size = replaced(setting, best, k, at)
         value = gain + prior.each(candidates)
         for j in np.argsort(-value)[: FITTED + NEXT]:
             causes = (*kept, candidates[j])
@@ -367,20 +368,21 @@ def _further(
     share = prior.each(candidates) + math.log(SECOND)
     usual = replace(best, epsilon=np.minimum(best.epsilon, setting.inaccuracy.usual))
 
-    def leading(gain: np.ndarray, least: float) -> list[int]:
+    def promising(gain: np.ndarray, least: float) -> list[int]:
         new = [int(j) for j in np.argsort(-(gain + share))[:NEXT] if candidates[j] not in best.causes]
         return [j for j in new if gain[j] + share[j] > least and not candidates[j].shares_place(best.causes)]
 
-    screened = [scores(setting, about, candidates)[0] for about in (best, usual)]
-    abouts = {j: best for gain in screened for j in leading(gain, WORTH - math.log(10))}
-    gain, which, narrow = narrower(setting, best, candidates)
-    abouts |= {j: narrow[which[j]] for j in leading(gain, WORTH)}
-    for j, about in abouts.items():
+    at = about(setting, best, candidates)
+    screened = [scores(setting, f, at)[0] for f in (best, usual)]
+    starts_of = {j: best for gain in screened for j in promising(gain, WORTH - math.log(10))}
+    gain, which, narrow = narrower(setting, best, at)
+    starts_of |= {j: narrow[which[j]] for j in promising(gain, WORTH)}
+    for j, f in starts_of.items():
         if late():
             break
         u = np.append(best.u, candidates[j].of_size(0.0))
-        attempt(setting, found, (*best.causes, candidates[j]), u, without_causes(about), gentle=False)
-    return bool(abouts)
+        attempt(setting, found, (*best.causes, candidates[j]), u, without_causes(f), gentle=False)
+    return bool(starts_of)
 
 
 def _other_forms(

@@ -11,8 +11,9 @@ from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.fit import Fit, without_causes
 from modalax.diagnose.modal_domain.joint_forces import Between, LossyJoint, PowerLawJoint, RelaxingJoint
 from modalax.diagnose.modal_domain.line_forces import LineForce, ModalForce, RovingMass, SkewCoupling
+from modalax.diagnose.modal_domain.nodes import nodes_of
 
-FEW = 40  # DoFs up to which any two may be coupled; of more, measured ones only
+FEW = 40  # DoFs up to which any two may be coupled; of more, measured ones only, of still as many those of one node
 COUPLED = 0.1  # usual skew coupling, relative to what would hold both DoFs as much as they hold themselves
 MASS = 0.1  # usual mass of a sensor, relative to the modal mass seen from its place
 APART, TIMES = math.log(4), (-1, 0, 1)  # of its logarithm, the distance of times about which modes are asked for one
@@ -95,8 +96,9 @@ def line_forces(
     some = [k for k, name in enumerate(dofs) if mobile[k] > 1e-6 * mobile.max()]
     if len(some) > FEW:
         some = [k for k in some if dofs[k] in {*outputs, *inputs}]
+    node, many = nodes_of(tuple(dofs)).of_dofs, len(some) > FEW
     for j, a in enumerate(some):
-        for b in some[:j]:
+        for b in (k for k in some[:j] if not many or node[k] == node[a]):
             size = COUPLED * middle / math.sqrt(mobile[a] * mobile[b])
             pair = c.shapes[[b, a]].T
             found.append(SkewCoupling("gyroscopic", (dofs[b], dofs[a]), size, basis=pair, middle=middle))

@@ -21,16 +21,15 @@ from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.fit import Fit, scale_of
 from modalax.diagnose.modal_domain.force_places import roving_masses
 from modalax.diagnose.modal_domain.line_forces import LineForce
+from modalax.diagnose.modal_domain.lines import Lines, lines_of
 from modalax.diagnose.modal_domain.measured import channels_of
 from modalax.diagnose.modal_domain.polish import (
-    Lines,
     OnLines,
     blocks,
     chi2_of,
     descended,
     force_columns,
     frf_on_lines,
-    lines_of,
     slopes_on_lines,
 )
 from modalax.diagnose.modal_domain.prior import SECOND, Prior
@@ -245,7 +244,7 @@ def screened(
     gram, cross, own = np.zeros((p, p)), np.zeros((p, m)), np.zeros(m)
     slope, score, chi2 = np.zeros(p), np.zeros(m), 0.0
     every: tuple[Change, ...] = base.causes
-    for part in blocks(setting, lines, (p + m) * lines.H[0].size):
+    for part in blocks(setting, lines.s, (p + m) * lines.H[0].size):
         s, root = lines.s[part], np.sqrt(lines.weight[part])
         H, J = slopes_on_lines(setting, every, base.sizes, base.u, s, lines.order)
         g = force_columns(setting, base, [(forces[k], u) for k, u in trials], s, lines.order)

@@ -15,13 +15,15 @@ from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
 from modalax.diagnose.modal_domain.free_residues import Channels
 from modalax.diagnose.modal_domain.further_causes import MissingMode
 from modalax.diagnose.modal_domain.levels.seen import drift_by_run, foretold
+from modalax.diagnose.modal_domain.lines import lines_of
 from modalax.diagnose.modal_domain.measured import channels_of, features_at
 from modalax.diagnose.modal_domain.mode_count import blind_modes, heavy, misfit
-from modalax.diagnose.modal_domain.polish import BEYOND_MODES, chi2_of, lines_of, on_lines, unforeseen
+from modalax.diagnose.modal_domain.polish import BEYOND_MODES, chi2_of, on_lines, unforeseen
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.modal_domain.state import Setting, state_at
 
 APART = 10.0  # times that the deviations of a mode may grow once a column is held out
+ELSEWHERE = 3.0  # half-bandwidths by which a peak is beyond what steps on the lines reach
 BESIDE = 5.0  # half-bandwidths by which a mode may move once a block is held out
 
 
@@ -148,6 +150,8 @@ def _without(stage: Stage, f: Fit, rest: Rest | None) -> Fit:
     again = fit(setting, causes, without_causes(f), f.u[some], temperatures=())
     if again is None:
         return f
+    if _peaks_elsewhere(again, setting.features):
+        return replace(f, sizes=again.sizes)
     lines = lines_of(rest.channels, setting)
     again = on_lines(setting, again, lines, Deadline())
     left = chi2_of(setting, again, lines)
@@ -163,6 +167,15 @@ def _without(stage: Stage, f: Fit, rest: Rest | None) -> Fit:
     every = tuple(whole if isinstance(whole, MissingMode) else cause for cause, (_, whole) in zip(
         f.causes, moved, strict=True))  # fmt: skip
     return replace(f, causes=every, sizes=again.sizes, u=u)
+
+
+def _peaks_elsewhere(f: Fit, features: Features) -> bool:
+    """Whether the general inaccuracy alone leaves most peaks elsewhere, from where no steps on the lines lead to them.
+
+    Of a hypothesis with causes that is for the lines to say, which know it better than its modes do.
+    """
+    apart = np.abs(f.state.modes.poles[f.state.pairs] - features.poles)
+    return not f.causes and bool(np.median(apart / np.abs(features.poles.real)) > ELSEWHERE)
 
 
 def _renumbered(cause: Change, kept: np.ndarray, setting: Setting) -> Change | None:

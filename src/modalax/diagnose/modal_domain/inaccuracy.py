@@ -14,6 +14,7 @@ from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.elements import Part
 from modalax.diagnose.modal_domain.factored import Factored, factored
 from modalax.diagnose.modal_domain.given_elements import mass_patterns, stiffness_patterns
+from modalax.diagnose.modal_domain.nodes import Nodes
 from modalax.diagnose.modal_domain.parts import apart, coupled_rows, parts_of
 from modalax.diagnose.modal_domain.turns import nodes_in
 from modalax.model import Structure
@@ -82,10 +83,9 @@ def inaccuracy_of(simulation: Structure, c: Coordinates, highest: float) -> Inac
     stiffness, mass = stiffness_patterns(simulation, c), mass_patterns(simulation, c)
     shared = {name: np.zeros((0, c.size, c.size)) for name in WITHIN}
     if stiffness is None:
-        stiffness, shared["stiffness"] = _patterns([q for p in parts_of(K, nodes) for q in apart(p, nodes)], c)
+        stiffness, shared["stiffness"] = _patterns(_pieces(K, nodes, mass=False), c)
     if mass is None:
-        parts = [q for p in parts_of(M, nodes, mass=True) for q in apart(p, nodes, mass=True)]
-        mass, shared["mass"] = _patterns(parts, c)
+        mass, shared["mass"] = _patterns(_pieces(M, nodes, mass=True), c)
     claims = {"stiffness": _claim(simulation, "stiffness_std"), "mass": _claim(simulation, "mass_std"),
               "damping": _claim(simulation, "damping_std")}  # fmt: skip
     frequency = _claim(simulation, "frequency_std")
@@ -113,6 +113,29 @@ def inaccuracy_of(simulation: Structure, c: Coordinates, highest: float) -> Inac
     return every
 
 
+def forces_of_errors(
+    simulation: Structure, sizes: dict[str, np.ndarray], shapes: np.ndarray, squares: np.ndarray
+) -> np.ndarray:
+    r"""Forces :math:`(\delta K - \omega_r^2\,\delta M)\phi_r` of errors of single elements in some modes ``(n, r)``.
+
+    Parameters
+    ----------
+    sizes
+        Relative errors of ``stiffness`` and ``mass``, of each pattern.
+    shapes, squares
+        Modes over the DoFs that elements know, shape ``(n, r)``, and their squared circular frequencies.
+    """
+    told, nodes, out = simulation.elements, nodes_in(simulation.dofs, np.asarray(simulation.K)), np.zeros_like(shapes)
+    for name, matrix, scale in (("stiffness", simulation.K, np.ones_like(squares)), ("mass", simulation.M, -squares)):
+        if told is not None:
+            F = np.asarray(getattr(told, name))
+            out += np.einsum("e,enr,erk->nk", sizes[name], F, F.transpose(0, 2, 1) @ shapes, optimize=True) * scale
+            continue
+        for p, size in zip(_pieces(np.asarray(matrix), nodes, name == "mass"), sizes[name], strict=True):
+            out[p.dofs] += size * (p.matrix @ shapes[p.dofs]) * scale
+    return out
+
+
 def claims_of(a: Inaccuracy) -> dict[str, float]:
     """Sizes that the author claims, by the group that they are of."""
     return {name: float(u) for name, u, told in zip(a.groups, a.usual, a.claimed, strict=True) if told}
@@ -130,6 +153,11 @@ def with_group(
         spread=np.append(a.spread, spread), claimed=(*a.claimed, claimed),
         positive=np.append(a.positive, np.full(len(patterns), positive)),
     )  # fmt: skip
+
+
+def _pieces(matrix: np.ndarray, nodes: Nodes, mass: bool) -> list[Part]:
+    """What of the elements of a matrix may each be off by itself."""
+    return [q for p in parts_of(matrix, nodes, mass=mass) for q in apart(p, nodes, mass=mass)]
 
 
 def _patterns(parts: list[Part], c: Coordinates) -> tuple[np.ndarray, np.ndarray]:

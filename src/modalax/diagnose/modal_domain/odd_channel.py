@@ -22,9 +22,11 @@ from modalax.diagnose.causes.base import RARE
 from modalax.diagnose.decision.beyond import OddChannel
 from modalax.diagnose.modal_domain.channel_faults import GAIN
 from modalax.diagnose.modal_domain.explanation import Explanation
+from modalax.diagnose.modal_domain.far_off import UNLIKE
 from modalax.diagnose.modal_domain.features import Features
 from modalax.diagnose.modal_domain.fit import fit
 from modalax.diagnose.modal_domain.state import Setting
+from modalax.diagnose.thresholds import THRESHOLDS
 
 FEWEST = 3  # outputs among which one can differ from the others
 OTHERS = 1 / 3  # mean square of a mode's residues at other outputs, relative to that at its largest
@@ -60,6 +62,20 @@ def odd_channel(
                 found.append(OddChannel(names[k], force, f.log_evidence + beside))
     best = max(found, key=lambda o: o.nats, default=None)
     return best if best is not None and best.nats > 0 else None
+
+
+def is_of_the_structure(explanations: Sequence[Explanation], f: Features) -> bool:
+    """Whether changes of the structure leave no more than noise, and frequencies are far off without them.
+
+    All channels tell frequencies alike, so that no channel is what these changes stand for.
+    """
+    best, plain = explanations[0], next((e for e in explanations if not e.causes), None)
+    if plain is None or not best.causes or not all(c.local and c.kind for c in best.causes):
+        return False
+    state, alone = plain.fit.state, ~f.grouped
+    apart = np.log(np.abs(state.modes.poles[state.pairs] / f.poles))[alone]
+    known = np.diag(f.covariance).reshape(f.values.shape)[alone, 0]
+    return bool(alone.any() and best.misfit < THRESHOLDS.as_noise and (apart**2 / known).mean() > UNLIKE)
 
 
 def only_output(f: Features, mode: int) -> int | None:

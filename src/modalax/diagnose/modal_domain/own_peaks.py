@@ -18,9 +18,10 @@ from modalax.diagnose.modal_domain.force_places import roving_mass
 from modalax.diagnose.modal_domain.forced import Forced, fitted_from, told_force
 from modalax.diagnose.modal_domain.free_residues import Channels, Projected, refine
 from modalax.diagnose.modal_domain.line_forces import RovingMass
+from modalax.diagnose.modal_domain.lines import Lines, lines_of
 from modalax.diagnose.modal_domain.measured import Measured, channels_of
 from modalax.diagnose.modal_domain.mode_count import cost_of_mode, misfit, mode_gains, settled
-from modalax.diagnose.modal_domain.polish import Lines, chi2_of, descended, frf_on_lines, lines_of
+from modalax.diagnose.modal_domain.polish import chi2_of, descended, frf_on_lines
 from modalax.diagnose.modal_domain.prior import Prior
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.modal_domain.state import Setting

@@ -18,10 +18,11 @@ from modalax.diagnose.modal_domain.discrepancy import beside, told_apart
 from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.factored import Factored, factored
 from modalax.diagnose.modal_domain.fit import Fit, fit, scale_of
-from modalax.diagnose.modal_domain.free_residues import Channels
 from modalax.diagnose.modal_domain.further_causes import StructuralDamping
 from modalax.diagnose.modal_domain.line_forces import LineForce, loaded
 from modalax.diagnose.modal_domain.linear import ByUnknowns
+from modalax.diagnose.modal_domain.lines import Lines, lines_of
+from modalax.diagnose.modal_domain.many_lines import BLOCK, receptance
 from modalax.diagnose.modal_domain.measured import Measured
 from modalax.diagnose.modal_domain.slopes import POWER
 from modalax.diagnose.modal_domain.state import Setting, changes_of, factors_of, hysteretic, matrices_of, state_at
@@ -30,49 +31,10 @@ from modalax.diagnose.thresholds import THRESHOLDS
 STEPS = 8  # most Gauss-Newton steps
 PARTS = (1.0, 0.3, 0.1)  # of a step that are tried
 SETTLED = 0.1  # decrease of half chi-square at which it ends
-WORK = 3e9  # products for one set of derivatives; of larger problems every so many lines are taken
-BLOCK = 4e6  # numbers held at once
 MATTERS = 2e-4  # relative size of the rest from which it shows on lines: peaks move by half of it
 BEYOND_MODES = 1.5  # times what the measured modes leave on the lines, from which an answer's fit is taken on to these
+AS_MODES = 1.05  # times what the measured modes leave on the lines, up to which few lines have nothing to add
 LIKELY, FEW = 0.01, 3  # probability from which, and most explanations that are taken on to the lines
-
-
-@dataclass(frozen=True)
-class Lines:
-    """FRFs that a fit is taken on to.
-
-    Attributes
-    ----------
-    s
-        Laplace variable [rad/s], shape ``(f,)``.
-    H, weight
-        In the form of the measurement, and one over the variance of a real part, shape ``(f, o, i)``.
-    order
-        Derivatives of the displacement that were measured.
-    left
-        Chi-square per sample that the measurement's own modes leave.
-    """
-
-    s: np.ndarray
-    H: np.ndarray
-    weight: np.ndarray
-    order: int
-    left: float = 1.0
-
-    @property
-    def samples(self) -> int:
-        """Real numbers that count."""
-        return 2 * int(np.count_nonzero(self.weight))
-
-
-def lines_of(channels: Channels, setting: Setting, left: float = 1.0) -> Lines:
-    """The FRFs that the modes were identified from; of very many every so many lines."""
-    c = setting.coordinates
-    o, i = len(c.outputs), len(c.inputs)
-    work = len(setting.inaccuracy.group_of) * c.size * (c.size * min(o, i) + o * i)
-    step = max(1, int(np.ceil(len(channels.s) * work / WORK)))
-    H, weight = (a.reshape(-1, o, i)[::step] for a in (channels.data, channels.weight))
-    return Lines(channels.s[::step], H, weight, channels.order, left)
 
 
 @dataclass(frozen=True)
@@ -85,11 +47,21 @@ class OnLines:
 
 
 def on_lines(setting: Setting, f: Fit, lines: Lines, late: Deadline) -> Fit:
-    """A fit taken on to the lines; as it was where that does not improve it, or leaves far more than the modes do."""
+    """A fit taken on to the lines; as it was where that does not improve it, or leaves far more than the modes do.
+
+    Every so many lines tell less than all modes do: where all lines are left worse by them, or are left as the measured
+    modes leave them already, the fit stays as well.
+    """
+    every = lines.whole
+    before = np.inf if every is None else chi2_of(setting, f, every)
+    if every is not None and before < AS_MODES * every.left * every.samples:
+        return f
     found, n = descended(setting, f, lines, late), len(f.sizes)
     if found is None or found.chi2 > THRESHOLDS.lines_missed * lines.left * max(lines.samples, 1):
         return f
     x = found.x
+    if every is not None and chi2_of(setting, replace(f, sizes=x[:n], u=x[n:]), every) > before:
+        return f
     try:
         state = state_at(setting, x[:n], f.causes, x[n:])
     except np.linalg.LinAlgError:
@@ -220,8 +192,13 @@ def frf_on_lines(
     setting: Setting, causes: tuple[Change, ...], sizes: np.ndarray, u: np.ndarray, s: np.ndarray, order: int
 ) -> np.ndarray:  # fmt: skip
     """FRFs ``(f, o, i)`` as the channels show them."""
-    _, inner = _responses(setting, causes, sizes, u, s)
-    H = shown(causes, u, s, (setting.coordinates.outputs @ inner) * s[:, None, None] ** order)
+    c = setting.coordinates
+    if any(isinstance(cause, LineForce) for cause in causes):
+        parts = [_responses(setting, causes, sizes, u, s[part])[1] for part in blocks(setting, s, 0)]
+        H = np.concatenate([c.outputs @ inner for inner in parts])
+    else:
+        H = receptance(*matrices_of(setting, sizes, causes, u), c.outputs, c.inputs, s)
+    H = shown(causes, u, s, H * s[:, None, None] ** order)
     for k, cause in enumerate(causes):
         if isinstance(cause, LineForce) and cause.row is not None:
             kept, own = _apart(causes, u, k)
@@ -236,19 +213,16 @@ def _apart(causes: tuple[Change, ...], u: np.ndarray, which: int) -> tuple[tuple
     return causes[:which] + causes[which + 1 :], np.delete(u, np.r_[own_sizes(causes, which)])
 
 
-def blocks(setting: Setting, lines: Lines, each: int) -> list[slice]:
+def blocks(setting: Setting, s: np.ndarray, each: int) -> list[slice]:
     """Lines worked on at once, so that ``each`` numbers a line stay within what is held."""
     size = max(1, int(BLOCK / max(each, setting.coordinates.size**2)))
-    return [slice(k, k + size) for k in range(0, len(lines.s), size)]
+    return [slice(k, k + size) for k in range(0, len(s), size)]
 
 
 def chi2_of(setting: Setting, f: Fit, lines: Lines) -> float:
     """Chi-square that a fit leaves on the lines."""
-    total = 0.0
-    for part in blocks(setting, lines, 0):
-        H = frf_on_lines(setting, f.causes, f.sizes, f.u, lines.s[part], lines.order)
-        total += float((lines.weight[part] * np.abs(lines.H[part] - H) ** 2).sum())
-    return total
+    H = frf_on_lines(setting, f.causes, f.sizes, f.u, lines.s, lines.order)
+    return float((lines.weight * np.abs(lines.H - H) ** 2).sum())
 
 
 def _normal(
@@ -259,7 +233,7 @@ def _normal(
     gram, slope = np.zeros((count, count)), np.zeros(count)
     c = setting.coordinates
     directions = sum(len(f.sign) for f in setting.inaccuracy.factors)
-    for part in blocks(setting, lines, directions * (c.size + lines.H[0].size)):
+    for part in blocks(setting, lines.s, directions * (c.size + lines.H[0].size)):
         H, J = slopes_on_lines(setting, causes, sizes, u, lines.s[part], lines.order)
         root = np.sqrt(lines.weight[part])
         J *= root

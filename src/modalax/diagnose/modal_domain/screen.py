@@ -5,8 +5,9 @@ particular change of the matrices, and the general inaccuracy can imitate nearly
 the data, and each cause is scored by how much likelier it makes the change that was needed.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy.optimize
@@ -20,7 +21,6 @@ from modalax.diagnose.modal_domain.inaccuracy import KINDS
 from modalax.diagnose.modal_domain.line_forces import ModalForce
 from modalax.diagnose.modal_domain.linear import SMALLEST, root_of_information, widths
 from modalax.diagnose.modal_domain.loads import Load
-from modalax.diagnose.modal_domain.matched import CLOSE, FAR
 from modalax.diagnose.modal_domain.state import (
     Setting,
     State,
@@ -36,16 +36,15 @@ from modalax.diagnose.modal_domain.state import (
 
 SIZES = (0.015, 0.04, 0.1, 0.25, 0.5, 0.9, 2.0)  # sizes of a change that are tried, over its usual size, of either sign
 STRONG = (5.0, 15.0, 50.0, 200.0, 1000.0)  # and of a force or damper: one that holds two points together damps little
-# Sizes of lumps, over the usual one, and of elements' stiffness, relative to the whole; and then about the best.
-LUMPS, RELATIVE = np.geomspace(0.5, 500.0, 18), np.array([-0.97, -0.93, -0.87, -0.75, -0.5, 0.8, 2.0, 5.0, 15.0, 50.0])
-LEADING = 60  # elements whose sizes are then sought nearer
-NEARER = np.array([0.8, 0.87, 0.93, 0.97, 1.03, 1.07, 1.15, 1.24])
 UNDAMPED = 1e-9  # damping ratio that rounding may make of none
 FACTORS = np.array([0.4, 0.6, 0.8, 1.0, 1.25, 1.6, 2.2])  # multiples of a size that are tried to refine it
 STILL = 1e-7  # least frequency of a mode, relative to the highest; a rigid body has none
 UNUSABLE = 1e200  # distance that counts for a size that leaves no structure
 NARROWER = 0.3, 0.1, 0.01  # parts of what was learnt of a kind of inaccuracy that a cause is tried beside
+TOGETHER = 100  # sizes of causes, with their modes, that are compared together
 TOLERANT = 3.0  # times the usual inaccuracy that finite changes are screened with
+
+Trials = list[tuple[float, np.ndarray, np.ndarray]]  # size of a cause, poles and residues with it
 
 
 def finite(setting: Setting, candidates: list[Change], told: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -60,68 +59,44 @@ def finite(setting: Setting, candidates: list[Change], told: np.ndarray | None =
         A further size of each change of one matrix that is tried, over the usual one; zero tries none.
     """
     state, shrink = tolerance(setting)
-    sizes = np.array([-s for s in SIZES[::-1]] + [*SIZES])
     best, where = np.full(len(candidates), np.inf), np.zeros(len(candidates))
+    waiting: list[tuple[int, Trials]] = []  # those that are compared with the same modes, together
+
+    def compare(some: list[tuple[int, Trials]], own: np.ndarray, causes: tuple[Change, ...]) -> None:
+        values = distances(setting, own, [modes for _, trials in some for _, *modes in trials], causes)
+        values -= 2 * evidence_of_free(setting, causes)
+        ends = np.cumsum([len(trials) for _, trials in some])[:-1]
+        for (k, trials), left in zip(some, np.split(values, ends), strict=True):
+            u = np.array([u for u, _, _ in trials])
+            left = left + cost_of_size(u) if candidates[k].sized else left
+            least = int(np.argmin(np.where(np.isnan(left), np.inf, left)))
+            if left[least] < np.inf:
+                best[k], where[k] = left[least], u[least]
+
     for k, cause in enumerate(candidates):
-        if not cause.screened:
-            continue
-        if couples(cause):
-            trials = _loaded(setting, state.modes, cause, [*(sizes if cause.signed else sizes[sizes > 0]), *STRONG])
-        elif cause.kind:
-            tried = sizes if told is None or told[k] == 0 else np.append(sizes, told[k])
-            trials = _changed(setting, cause, tried)
-        elif not cause.local:
-            poles, plain = state.modes.poles, state.plain
-            few = np.append(sizes, gain_asked(setting, cause, poles, plain)) if cause.sized else np.ones(1)
-            trials = [(float(u), poles, cause.at_modes(np.array([u]), poles, plain)) for u in few]
-        else:  # it has several sizes, a screening of its own
-            continue
-        own = shrink if cause.freed is None else tolerance(setting, (cause,))[1]
-        free = 2 * evidence_of_free(setting, (cause,))
-        if not trials:
-            continue
-        u = np.array([u for u, _, _ in trials])
-        values = distances(setting, own, [modes for _, *modes in trials], (cause,)) - free
-        values += cost_of_size(u) if cause.sized else 0.0
-        least = int(np.argmin(np.where(np.isnan(values), np.inf, values)))
-        if values[least] < np.inf:
-            best[k], where[k] = values[least], u[least]
+        trials = _trials(setting, state, cause, 0.0 if told is None else float(told[k])) if cause.screened else []
+        if trials and cause.freed is not None:
+            compare([(k, trials)], tolerance(setting, (cause,))[1], (cause,))
+        elif trials:
+            waiting.append((k, trials))
+        if waiting and (k == len(candidates) - 1 or sum(len(t) for _, t in waiting) > TOGETHER):
+            compare(waiting, shrink, ())
+            waiting = []
     return best, where
 
 
-def missed_by_elements(setting: Setting, elements: list[Change]) -> tuple[np.ndarray, np.ndarray]:
-    """Least sum of squared, bounded misses of the measured frequencies by changes of whole elements, and their sizes.
-
-    As masses that move in several directions, they are of no rank one, and so not among those of
-    :mod:`modalax.diagnose.modal_domain.matched`, whose misses these are.
-    """
-    asked = np.abs(setting.features.poles)[:, None] ** 2
-    out, found = np.full(len(elements), np.inf), np.zeros(len(elements))
-
-    def tried(k: int, sizes: np.ndarray) -> None:
-        for u, squares in _squares(setting, elements[k], sizes):
-            apart = np.abs(np.maximum(squares, 0.0) / asked - 1).min(axis=1) / CLOSE
-            missed = float((np.minimum(apart, FAR) ** 2).sum())
-            if missed < out[k]:
-                out[k], found[k] = missed, u
-
-    for k, cause in enumerate(elements):
-        tried(k, LUMPS if cause.kind == "M" else RELATIVE / cause.scale)
-    for k in np.argsort(out)[:LEADING]:
-        tried(int(k), NEARER * (found[k] or 1.0))
-    return out, found
-
-
-def _squares(setting: Setting, cause: Change, sizes: np.ndarray) -> Iterator[tuple[float, np.ndarray]]:
-    """Size, and squared circular frequencies of the simulation with it, of a change of mass or stiffness."""
-    A, change = np.diag(setting.coordinates.frequencies**2), cause.matrix
-    if cause.kind == "K":
-        yield from ((float(u), np.linalg.eigvalsh(A + u * change)) for u in sizes)
-        return
-    b, V = np.linalg.eigh(change)
-    for u in sizes[sizes * b.max() > -0.95]:
-        half = V / np.sqrt(1 + u * b) @ V.T
-        yield float(u), np.linalg.eigvalsh(half @ A @ half)
+def _trials(setting: Setting, state: State, cause: Change, told: float) -> Trials:
+    """Size, poles and residues of the simulation with each size of a cause that is tried; none of several sizes."""
+    sizes = np.array([-s for s in SIZES[::-1]] + [*SIZES])
+    if couples(cause):
+        return _loaded(setting, state.modes, cause, [*(sizes if cause.signed else sizes[sizes > 0]), *STRONG])
+    if cause.kind:
+        return _changed(setting, cause, np.append(sizes, told) if told else sizes)
+    if cause.local:  # it has a screening of its own
+        return []
+    poles, plain = state.modes.poles, state.plain
+    few = np.append(sizes, gain_asked(setting, cause, poles, plain)) if cause.sized else np.ones(1)
+    return [(float(u), poles, cause.at_modes(np.array([u]), poles, plain)) for u in few]
 
 
 def gain_asked(setting: Setting, cause: Change, poles: np.ndarray, plain: np.ndarray) -> np.ndarray:
@@ -282,30 +257,60 @@ def _changed(setting: Setting, cause: Change, sizes: np.ndarray) -> list[tuple[f
     return [(float(u), p, r) for u, p, r in zip(sizes, poles, plain, strict=True)]
 
 
-def scores(setting: Setting, f: Fit, candidates: list[Change]) -> tuple[np.ndarray, np.ndarray]:
-    """Gain of log evidence by adding each candidate to a fit, and its size over the usual one; -inf without a size."""
-    return _scores(setting, f, candidates, np.arange(len(f.sizes) + len(f.u)))
+@dataclass(frozen=True)
+class About:
+    """Whitened features and derivatives where a fit stands, which sizes of the inaccuracy do not change.
+
+    Attributes
+    ----------
+    fitted
+        Derivatives by all sizes of the fit.
+    target
+        Measured less predicted features, were all of these zero.
+    candidates, further
+        Further causes, and the derivatives by the size of each.
+    """
+
+    fitted: np.ndarray
+    target: np.ndarray
+    candidates: list[Change]
+    further: np.ndarray
+
+    @cached_property
+    def products(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Scalar products of the derivatives by further causes with those of the fit, the target, and themselves."""
+        G = self.further
+        return self.fitted.T @ G, G.T @ self.target, np.einsum("mk,mk->k", G, G)
 
 
-def replaced(setting: Setting, f: Fit, which: int, candidates: list[Change]) -> tuple[np.ndarray, np.ndarray]:
-    """Gain as :func:`scores` by each candidate in place of one cause of a fit, linearised about that fit."""
-    if not f.causes[which].sized:
-        return np.full(len(candidates), -np.inf), np.zeros(len(candidates))
-    own = np.arange(len(f.u))[own_sizes(f.causes, which)] + len(f.sizes)
-    return _scores(setting, f, candidates, np.delete(np.arange(len(f.sizes) + len(f.u)), own))
-
-
-def _scores(setting: Setting, f: Fit, candidates: list[Change], keep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same beside those unknowns of a fit that are kept."""
+def about(setting: Setting, f: Fit, candidates: list[Change]) -> About:
+    """What each candidate does beside a fit, linearised."""
     J = slopes_at(setting, f.state, f.causes, f.u)
     target = f.state.difference + J @ np.concatenate([f.sizes, f.u])
-    G = screening_slopes(setting, f.state, candidates, f.causes, f.u)
-    _, gain, size = _beside((J * scale_of(setting, f))[:, keep], target, G)
-    gain[impossible(candidates, size)] = -np.inf
+    return About(J, target, candidates, screening_slopes(setting, f.state, candidates, f.causes, f.u))
+
+
+def scores(setting: Setting, f: Fit, at: About) -> tuple[np.ndarray, np.ndarray]:
+    """Gain of log evidence by adding each candidate to a fit, and its size over the usual one; -inf without a size."""
+    return _scores(setting, f, at, np.arange(len(f.sizes) + len(f.u)))
+
+
+def replaced(setting: Setting, f: Fit, which: int, at: About) -> tuple[np.ndarray, np.ndarray]:
+    """Gain as :func:`scores` by each candidate in place of one cause of a fit, linearised about that fit."""
+    if not f.causes[which].sized:
+        return np.full(len(at.candidates), -np.inf), np.zeros(len(at.candidates))
+    own = np.arange(len(f.u))[own_sizes(f.causes, which)] + len(f.sizes)
+    return _scores(setting, f, at, np.delete(np.arange(len(f.sizes) + len(f.u)), own))
+
+
+def _scores(setting: Setting, f: Fit, at: About, keep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same beside those unknowns of a fit that are kept."""
+    _, gain, size = _beside(at, scale_of(setting, f), keep)
+    gain[impossible(at.candidates, size)] = -np.inf
     return gain, size
 
 
-def narrower(setting: Setting, f: Fit, candidates: list[Change]) -> tuple[np.ndarray, np.ndarray, list[Fit]]:
+def narrower(setting: Setting, f: Fit, at: About) -> tuple[np.ndarray, np.ndarray, list[Fit]]:
     """What each candidate gains where the inaccuracy is smaller than was learnt without it.
 
     A cause that little else is wrong beside is taken up by what is learnt of its kind: one damper makes all dampings
@@ -326,27 +331,27 @@ def narrower(setting: Setting, f: Fit, candidates: list[Change]) -> tuple[np.nda
     if not any(a.claimed):  # it may be exact, which costs nothing before the data
         sizes.append(np.full(len(kinds), SMALLEST))
         before.append(hyperprior(setting, a.usual, f.u))
-    J = slopes_at(setting, f.state, f.causes, f.u)
-    target = f.state.difference + J @ np.concatenate([f.sizes, f.u])
-    G = screening_slopes(setting, f.state, candidates, f.causes, f.u)
     without, gains = [], []
     for epsilon, prior in zip([f.epsilon, *sizes], before, strict=True):
-        alone, gain, size = _beside(J * scale_of(setting, f, epsilon), target, G)
-        gain[impossible(candidates, size)] = -np.inf
+        alone, gain, size = _beside(at, scale_of(setting, f, epsilon))
+        gain[impossible(at.candidates, size)] = -np.inf
         without.append(alone + prior)
         gains.append(gain + alone + prior)
     total = np.array(gains[1:]) - max(without)
     return total.max(axis=0), total.argmax(axis=0), [replace(f, epsilon=e) for e in sizes]
 
 
-def _beside(W: np.ndarray, target: np.ndarray, G: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """Log evidence of unknowns of unit width, what each further one gains beside them, and its size."""
+def _beside(
+    at: About, scale: np.ndarray, keep: np.ndarray | slice = slice(None)
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """Log evidence of some unknowns of a fit, what each further one gains beside them, and its size."""
+    across, along, energy = at.products
+    W = (at.fitted * scale)[:, keep]
     L = root_of_information(W, W.T @ W, np.ones(W.shape[1]))
-    half = forward(L, W.T)
-    apart, own = half @ G, half @ target
-    product = G.T @ target - apart.T @ own
-    energy = np.maximum((G**2).sum(axis=0) - (apart**2).sum(axis=0), 0.0)
-    alone = 0.5 * float(own @ own - target @ target) - float(np.log(L.diagonal()).sum())
+    apart, own = forward(L, scale[keep, None] * across[keep]), forward(L, W.T @ at.target)
+    product = along - apart.T @ own
+    energy = np.maximum(energy - np.einsum("pk,pk->k", apart, apart), 0.0)
+    alone = 0.5 * float(own @ own - at.target @ at.target) - float(np.log(L.diagonal()).sum())
     return alone, 0.5 * product**2 / (1 + energy) - 0.5 * np.log1p(energy), product / (1 + energy)
 
 
@@ -357,10 +362,9 @@ def impossible(candidates: list[Change], size: np.ndarray) -> np.ndarray:
 
 def errors_of(setting: Setting, f: Fit, candidates: list[Change]) -> np.ndarray:
     """Standard deviation of each candidate's size when added to a fit, over its usual size; NaN without one size."""
-    J = slopes_at(setting, f.state, f.causes, f.u)
-    W = J * scale_of(setting, f)
+    at = about(setting, f, candidates)
+    W = at.fitted * scale_of(setting, f)
     L = root_of_information(W, W.T @ W, np.ones(W.shape[1]))
-    G = screening_slopes(setting, f.state, candidates, f.causes, f.u)
-    apart = forward(L, W.T) @ G
-    energy = np.maximum((G**2).sum(axis=0) - (apart**2).sum(axis=0), 1e-300)
+    apart = forward(L, W.T @ at.further)
+    energy = np.maximum(at.products[2] - np.einsum("pk,pk->k", apart, apart), 1e-300)
     return np.where([c.linear for c in candidates], 1 / np.sqrt(energy), np.nan)

@@ -20,13 +20,13 @@ from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.force_places import KINDS, asked_of_modes, line_forces
 from modalax.diagnose.modal_domain.further_causes import StructuralDamping, missing_modes, tuned_masses
 from modalax.diagnose.modal_domain.impact_window import impact_windows
-from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
+from modalax.diagnose.modal_domain.inaccuracy import forces_of_errors, inaccuracy_of
 from modalax.diagnose.modal_domain.levels.explain import Spot
 from modalax.diagnose.modal_domain.levels.laws import NAMED
 from modalax.diagnose.modal_domain.levels.seen import Seen, joint_and_structure, look_at_levels
 from modalax.diagnose.modal_domain.levels.slipping import Whole, whole_joint
 from modalax.diagnose.modal_domain.measured import Measured, identify
-from modalax.diagnose.modal_domain.odd_channel import odd_channel
+from modalax.diagnose.modal_domain.odd_channel import is_of_the_structure, odd_channel
 from modalax.diagnose.modal_domain.places import candidates_of, springs_of
 from modalax.diagnose.modal_domain.polish import leading_on_lines
 from modalax.diagnose.modal_domain.prior import Prior
@@ -43,6 +43,7 @@ KNOWN = frozenset({
     "sensor_filter", "time_varying", "crosstalk", "exponential_window", "mains_hum",
     *KINDS, *(law.slug for law in NAMED),
 })  # fmt: skip
+BEYOND = 1.2  # frequency, over that of the highest measured mode, up to which errors of elements are made exact
 FIRST_SHARE = 0.6  # of the time for linear causes, where runs may have to be told apart after them,
 ALONE_SHARE = 0.85  # and where not: channels that no cause explains are looked for after them
 
@@ -136,10 +137,13 @@ class Posed:
     places: list[Any]
 
 
-def posed(measurement: Measurement, simulation: Structure, measured: Measured, exact: tuple[str, ...] = ()) -> Posed:
-    """What modes that were identified are compared with; a large simulation is as exact as the whole at some nodes."""
+def posed(
+    measurement: Measurement, simulation: Structure, measured: Measured, exact: tuple[str, ...] = (),
+    errors: np.ndarray | None = None,
+) -> Posed:  # fmt: skip
+    """What modes that were identified are compared with; a large simulation as :func:`coordinates_of` makes it."""
     highest = 2 * np.pi * float(measurement.freq[-1])
-    c = coordinates_of(simulation, measurement.outputs, measurement.inputs, highest, exact)
+    c = coordinates_of(simulation, measurement.outputs, measurement.inputs, highest, exact, errors)
     whitener = whitener_of(measured.features)
     setting = Setting(c, inaccuracy_of(simulation, c, highest), measured.features, whitener)
     if simulation.groups is None:  # all of the mass and stiffness is, where there is one force, its constant as well
@@ -152,6 +156,14 @@ def posed(measurement: Measurement, simulation: Structure, measured: Measured, e
     low, high = (float(abs(measured.channels.s[k])) for k in (0, -1))
     forces = line_forces(c, simulation.dofs, measurement.outputs, measurement.inputs, places, low, high)
     return Posed(c, setting, [*every, *asked_of_modes(forces)], places)
+
+
+def _forces(simulation: Structure, setting: Setting, f: Fit) -> np.ndarray:
+    """Forces of the errors of single elements in the modes of a fit that are near the measured ones, ``(n, r)``."""
+    a, (shapes, squares, _) = setting.inaccuracy, f.state.modes.low
+    sizes = {name: f.sizes[a.group_of == a.groups.index(name)] for name in ("stiffness", "mass")}
+    few = squares < (BEYOND * np.abs(setting.features.poles).max()) ** 2
+    return forces_of_errors(simulation, sizes, setting.coordinates.everywhere @ shapes[few].T, squares[few])
 
 
 def run_stage(
@@ -177,8 +189,8 @@ def run_stage(
     task = posed(measurement, simulation, measured)
     tasks, candidates = [task], [k for k in task.candidates if wanted(k.slug)]
 
-    def finer(exact: tuple[str, ...]) -> tuple[Setting, list[Change]]:
-        tasks.append(posed(measurement, simulation, measured, exact))
+    def finer(exact: tuple[str, ...], f: Fit) -> tuple[Setting, list[Change]]:
+        tasks.append(posed(measurement, simulation, measured, exact, _forces(simulation, tasks[0].setting, f)))
         return tasks[-1].setting, [k for k in tasks[-1].candidates if wanted(k.slug)]
 
     H, level = np.asarray(measurement.H), np.asarray(measurement.level)
@@ -190,8 +202,9 @@ def run_stage(
         return None
     c, places = next((t.coordinates, t.places) for t in tasks if t.coordinates is setting.coordinates)
     channels = measurement.outputs, measurement.inputs
-    odd = None if late() else odd_channel(setting, explanations, *channels)
-    turned = None if late() else askew_channel(setting, explanations, simulation.dofs, *channels)
+    structure = is_of_the_structure(explanations, setting.features)
+    odd = None if structure or late() else odd_channel(setting, explanations, *channels)
+    turned = None if structure or late() else askew_channel(setting, explanations, simulation.dofs, *channels)
     odd = max((o for o in (odd, turned) if o is not None), key=lambda o: o.nats, default=None)
     setting, explanations = leading_on_lines(setting, explanations, measured, late)
     spots = [Spot(where, b, w, held) for where, b, _, w, held in places]

@@ -13,15 +13,18 @@ from dataclasses import replace
 import numpy as np
 
 from modalax.diagnose.modal_domain.causes import Change, own_sizes
+from modalax.diagnose.modal_domain.channel_faults import Swap
 from modalax.diagnose.modal_domain.coordinates import modes_of
 from modalax.diagnose.modal_domain.fit import Fit, without_causes
 from modalax.diagnose.modal_domain.matched import FOLLOWED, missed_dampings, missed_frequencies
+from modalax.diagnose.modal_domain.matched_elements import missed_by_elements
 from modalax.diagnose.modal_domain.screen import (
     SIZES,
     STRONG,
+    About,
+    about,
     couples,
     finite,
-    missed_by_elements,
     narrower,
     refined,
     scores,
@@ -34,6 +37,7 @@ MATCHED, PRESCREENED = (
     40,
 )  # places by frequencies, and by each of two linear scores, that are tried with finite sizes
 MISSED = 0.1  # squared miss of a frequency, over what counts as close, from which on no place has it
+SWAPS = 200  # exchanges of two outputs that are tried so
 FORCES = 8  # places of forces of each kind, of each of these scores, that are tried so
 FITTED, NEXT = 6, 4  # leading places of each screening that are fitted, and of the screening about the winner
 FARTHER = 2.0  # times as far from the data as the simulation as it is, beyond which no kind of cause is fitted
@@ -54,16 +58,18 @@ def starts(setting: Setting, null: Fit, candidates: list[Change], share: np.ndar
     share
         Logarithmic prior probability of each candidate.
     """
-    gain, size = scores(setting, null, candidates)
-    nominal, _ = scores(setting, _nominal(setting, null), candidates)
+    at, as_it_is = about(setting, null, candidates), _nominal(setting, null)
+    gain, size = scores(setting, null, at)
+    nominal, _ = scores(setting, as_it_is, about(setting, as_it_is, candidates))
     few = set(np.argsort(-(gain + share))[:PRESCREENED]) | set(np.argsort(-(nominal + share))[:PRESCREENED])
-    missed, told = missed_frequencies(setting.features, modes_of(setting.coordinates), candidates, EITHER)
-    if min(missed, default=0.0) > MISSED * len(setting.features.poles):  # no change of rank one has the frequencies
+    f = setting.features
+    missed, told = missed_frequencies(f, modes_of(setting.coordinates), candidates, EITHER)
+    if min(missed, default=0.0) > MISSED * len(f.poles):  # no change of rank one has the frequencies
         whole = [k for k, c in enumerate(candidates) if c.kind in ("K", "M") and c.pattern is not None]
-        missed[whole], told[whole] = missed_by_elements(setting, [candidates[k] for k in whole])
+        missed[whole], told[whole] = missed_by_elements(f, setting.coordinates, [candidates[k] for k in whole])
     matched = missed - 2 * share
     few |= {k for k in np.argsort(matched)[:MATCHED] if np.isfinite(matched[k])}
-    few |= {k for k, c in enumerate(candidates) if not c.local}
+    few |= {k for k, c in enumerate(candidates) if not c.local} - _unlikely_swaps(setting, candidates)
     forces = {k for k, c in enumerate(candidates) if couples(c)}
     some = sorted(
         [k for k in few - forces if candidates[k].count == 1]
@@ -91,8 +97,29 @@ def starts(setting: Setting, null: Fit, candidates: list[Change], share: np.ndar
     near = refined(setting, [candidates[k] for k in linear], told)
     yield from ((candidates[k], v, None) for k, v in zip(linear, near, strict=True))
     yield from ((candidates[k], 0.0, start) for k in linear)
-    yield from _hidden(setting, start, candidates, share)
-    yield from _taken_up(setting, null, candidates, share)
+    yield from _hidden(setting, start, at, share)
+    yield from _taken_up(setting, null, at, share)
+
+
+def _unlikely_swaps(setting: Setting, candidates: list[Change]) -> set[int]:
+    r"""Of many exchanges of two outputs, all but those that bring shapes nearest.
+
+    Outputs a and b are as far apart as :math:`\sum_k w_{ka}|A_{ka} - \alpha_k P_{kb}|^2`, with measured and predicted
+    residues A and P, the factor :math:`\alpha_k` between the whole of both, and one over the variances w.
+    """
+    swaps = np.array([k for k, c in enumerate(candidates) if isinstance(c, Swap)], int)
+    if len(swaps) <= SWAPS:
+        return set()
+    f, state = setting.features, state_at(setting, np.zeros(len(setting.inaccuracy.group_of)))
+    P, A, w = state.plain[state.pairs], f.residues * f.units, 1 / np.abs(f.units) ** 2
+    energy = np.maximum((w * np.abs(P) ** 2).sum(axis=(1, 2)), 1e-300)
+    P = P * ((w * P.conj() * A).sum(axis=(1, 2)) / energy)[:, None, None]
+    own = (w * np.abs(A) ** 2).sum(axis=(0, 2))
+    apart = own[:, None] + np.einsum("kai,kbi->ab", w, np.abs(P) ** 2, optimize=True)
+    apart -= 2 * np.einsum("kai,kbi->ab", w * A.conj(), P, optimize=True).real
+    a, b = np.array([candidates[k].channel for k in swaps]).T
+    nearer = apart[a, a] + apart[b, b] - apart[a, b] - apart[b, a]
+    return set(swaps[np.argsort(-nearer)[SWAPS:]].tolist())
 
 
 def _dampings(setting: Setting, candidates: list[Change]) -> np.ndarray:
@@ -118,25 +145,25 @@ def _leading_forces(candidates: list[Change], matched: np.ndarray, *gains: np.nd
     return sorted(out)
 
 
-def _hidden(setting: Setting, null: Fit, candidates: list[Change], share: np.ndarray) -> list[Start]:
+def _hidden(setting: Setting, null: Fit, at: About, share: np.ndarray) -> list[Start]:
     """Causes that hide in the inaccuracy: one part far beyond the others makes all seem as inaccurate as itself.
 
     They show from where the inaccuracy alone stands, once it is held to its usual size.
     """
     usual = replace(null, epsilon=np.minimum(null.epsilon, setting.inaccuracy.usual))
-    gain, _ = scores(setting, usual, candidates)
+    gain, _ = scores(setting, usual, at)
     leading = [k for k in np.argsort(-(gain + share))[:NEXT] if np.isfinite(gain[k]) and gain[k] > 0]
-    return [(candidates[k], 0.0, usual) for k in leading]  # from where the data are, without the cause
+    return [(at.candidates[k], 0.0, usual) for k in leading]  # from where the data are, without the cause
 
 
-def _taken_up(setting: Setting, null: Fit, candidates: list[Change], share: np.ndarray) -> list[Start]:
+def _taken_up(setting: Setting, null: Fit, at: About, share: np.ndarray) -> list[Start]:
     """Causes that are all that is wrong with a matrix, or with a simulation which is exact but for them.
 
     They show from where the inaccuracy alone stands, once that of their kind is held to less than was learnt.
     """
-    gain, which, narrow = narrower(setting, null, candidates)
+    gain, which, narrow = narrower(setting, null, at)
     leading = [k for k in np.argsort(-(gain + share))[:NEXT] if np.isfinite(gain[k]) and gain[k] > 0]
-    return [(candidates[k], 0.0, without_causes(narrow[which[k]])) for k in leading]
+    return [(at.candidates[k], 0.0, without_causes(narrow[which[k]])) for k in leading]
 
 
 def _nominal(setting: Setting, null: Fit) -> Fit:

@@ -1,0 +1,94 @@
+"""Many lines and many causes: FRFs by poles and residues, what few lines may tell, causes compared together."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from chains_off import DOFS, FREQ, as_measured, chain_off, response, simulation
+
+from modalax.diagnose.deadline import NEVER
+from modalax.diagnose.modal_domain import lines as module
+from modalax.diagnose.modal_domain import polish, starts
+from modalax.diagnose.modal_domain.attempts import attempt
+from modalax.diagnose.modal_domain.lines import lines_of
+from modalax.diagnose.modal_domain.many_lines import MANY, by_poles, receptance
+from modalax.diagnose.modal_domain.polish import chi2_of, on_lines
+from modalax.diagnose.modal_domain.screen import finite
+from modalax.diagnose.modal_domain.stage import identified, posed
+
+S = 2j * np.pi * np.linspace(3.0, 120.0, MANY + 50)
+
+
+def at_each_line(M, C, K, out, inn):
+    return np.stack([out @ np.linalg.inv(s**2 * M + s * C + K) @ inn.T for s in S])
+
+
+@pytest.mark.parametrize("kind", ["real", "lossy", "heavy"])
+def test_poles_and_residues_give_what_each_line_does(kind):
+    M, C, K = chain_off(3, 0.02)
+    C, K = 300 * C if kind == "heavy" else C, K * (1 + 0.03j) if kind == "lossy" else K
+    out, inn = np.eye(5)[[0, 1, 3]], np.eye(5)[[0, 4]]
+    found = by_poles(M, C, K, out, inn, S)
+    exact = at_each_line(M, C, K, out, inn)
+    np.testing.assert_allclose(found, exact, atol=1e-10 * np.abs(exact).max())
+    np.testing.assert_array_equal(receptance(M, C, K, out, inn, S), found)
+
+
+def test_a_rigid_body_without_damping_is_no_sum_of_poles():
+    """Its two poles at rest are one, so that each line is solved."""
+    M, C, K = chain_off(3, 0.02)
+    K = K - np.diag(K.sum(axis=1))  # held nowhere
+    C = np.zeros_like(C)
+    out, inn = np.eye(5)[[0, 1]], np.eye(5)[[4]]
+    exact = at_each_line(M, C, K, out, inn)
+    np.testing.assert_allclose(receptance(M, C, K, out, inn, S), exact, rtol=1e-7)
+    assert by_poles(np.eye(1), np.zeros((1, 1)), np.zeros((1, 1)), np.ones((1, 1)), np.ones((1, 1)), S) is None
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    """A chain, a mass that is fitted to its modes, and the FRFs."""
+    M, C, K = chain_off(4, 0.01)
+    data = as_measured(response(M + np.diag([0, 0.2, 0, 0, 0]), C, K, FREQ), FREQ, 4)
+    modes = identified(data, simulation(), lambda _: None)
+    task, found = posed(data, simulation(), modes), {}
+    mass = next(c for c in task.candidates if (c.slug, c.where) == ("added_mass", (DOFS[1],)))
+    attempt(task.setting, found, (mass,), mass.of_size(0.5), None)
+    return modes, task, found[(mass,)]
+
+
+def test_every_so_many_lines_bend_no_fit_that_explains_all(fitted, monkeypatch):
+    modes, task, f = fitted
+    every = lines_of(modes.channels, task.setting)
+    assert every.whole is None and chi2_of(task.setting, f, every) < 1.05 * every.samples
+    monkeypatch.setattr(module, "WORK", 3e5)
+    few = lines_of(modes.channels, task.setting)
+    assert few.whole is not None and len(few.s) < 0.5 * len(every.s) == 0.5 * len(few.whole.s)
+    assert on_lines(task.setting, f, few, NEVER) is f
+    # a fit that leaves more than the modes do is taken on, where all lines are left better by it
+    worse = replace(f, sizes=f.sizes + 0.003)
+    left = [chi2_of(task.setting, x, every) for x in (worse, on_lines(task.setting, worse, few, NEVER), f)]
+    assert left[1] - left[2] < 0.5 * (left[0] - left[2])
+    monkeypatch.setattr(polish, "AS_MODES", 0.0)
+    assert chi2_of(task.setting, on_lines(task.setting, f, few, NEVER), every) <= left[2]
+
+
+def test_causes_compared_together_are_compared_as_each_by_itself(fitted):
+    _, task, _ = fitted
+    some = [c for c in task.candidates if c.slug in ("added_mass", "channel_gain", "channel_swap", "missing_mode")]
+    distance, size = finite(task.setting, some)
+    alone = [finite(task.setting, [c]) for c in some]
+    np.testing.assert_allclose(distance, [d[0] for d, _ in alone], rtol=1e-6)
+    np.testing.assert_array_equal(size, [u[0] for _, u in alone])
+
+
+def test_of_many_exchanges_those_that_bring_shapes_nearest_are_tried(monkeypatch):
+    H = response(*chain_off(6, 0.02), FREQ)
+    H = H[:, [3, 1, 2, 0, 4]]  # outputs 1 and 4 are exchanged
+    data = as_measured(H, FREQ, 6, outputs=(0, 1, 2, 3, 4))
+    task = posed(data, simulation(), identified(data, simulation(), lambda _: None))
+    swaps = [k for k, c in enumerate(task.candidates) if c.slug == "channel_swap"]
+    assert len(swaps) == 10 and starts._unlikely_swaps(task.setting, task.candidates) == set()
+    monkeypatch.setattr(starts, "SWAPS", 1)
+    left = set(swaps) - starts._unlikely_swaps(task.setting, task.candidates)
+    assert [set(task.candidates[k].where) for k in left] == [{DOFS[0], DOFS[3]}]
