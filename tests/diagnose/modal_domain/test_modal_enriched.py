@@ -1,5 +1,7 @@
 """Few coordinates of a large structure hold what its modes become once elements change, and where a mass may sit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.linalg
@@ -9,6 +11,7 @@ from modalax.data import Measurement
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.enriched import ritz_basis
+from modalax.diagnose.modal_domain.fit import fit
 from modalax.diagnose.modal_domain.given_elements import (
     changed_by_elements,
     mass_patterns,
@@ -18,6 +21,8 @@ from modalax.diagnose.modal_domain.given_elements import (
 from modalax.diagnose.modal_domain.groups import group_factors
 from modalax.diagnose.modal_domain.inaccuracy import _pieces, forces_of_errors, inaccuracy_of
 from modalax.diagnose.modal_domain.places import candidates_of
+from modalax.diagnose.modal_domain.stage import _forces, identified, posed
+from modalax.diagnose.modal_domain.throughout import with_groups
 from modalax.diagnose.modal_domain.turns import nodes_in
 from modalax.model import Structure
 from modalax.model.condense import follow
@@ -227,6 +232,19 @@ def measured_beam(softer: float) -> tuple[Measurement, Structure]:
     H = H + sigma * error / np.sqrt(2)
     data = Measurement(freq, H, form="accelerance", outputs=outputs, inputs=inputs, variance=sigma**2)
     return data, Structure(*matrices(np.ones(COUNT), np.ones(COUNT)), names)
+
+
+def test_errors_are_made_exact_where_the_data_have_asked_for_a_factor_as_well(monkeypatch):
+    """The sizes of a fit were taken for those of single elements alone, which ended a search with an error."""
+    monkeypatch.setattr("modalax.diagnose.modal_domain.coordinates.LARGEST", 30)
+    data, simulation = measured_beam(1.0)
+    setting = posed(data, simulation, identified(data, simulation, lambda _: None)).setting
+    wider = with_groups(setting, ("stiffness throughout",))
+    f = fit(wider)
+    alone = replace(f, sizes=f.sizes[: len(setting.inaccuracy.group_of)])
+    acting = _forces(simulation, setting, f)
+    assert len(f.sizes) == len(alone.sizes) + 1 and acting.shape[1] >= len(setting.features.poles)
+    np.testing.assert_array_equal(acting, _forces(simulation, setting, alone))
 
 
 @pytest.mark.parametrize("few", [30, pytest.param(42, marks=pytest.mark.slow)])

@@ -7,7 +7,8 @@ over the same poles; its zeros are better poles. Noise bends them a little, so t
 import numpy as np
 import scipy.linalg
 
-from modalax.diagnose.modal_domain.free_residues import Channels
+from modalax._numerics.grams import weighted_grams
+from modalax.diagnose.modal_domain.free_residues import BLOCK, Channels
 
 ROUNDS = 3  # relocations, each from the poles of the last
 RIDGE = 1e-12  # of the information, relative to its diagonal
@@ -24,22 +25,24 @@ def relocated(poles: np.ndarray, channels: Channels, rounds: int = ROUNDS) -> np
 
 def _factor(poles: np.ndarray, channels: Channels) -> np.ndarray:
     """Sizes of the kernels of each pole in the common factor, shape ``(2 n,)``."""
-    own = np.concatenate([channels.kernels(poles), channels.background()], axis=1)
-    common = channels.kernels(poles) / channels.s[:, None] ** channels.order
-    own, common = (a / np.maximum(np.linalg.norm(a, axis=0), 1e-300) for a in (own, common))
-    size = np.maximum(np.linalg.norm(channels.kernels(poles) / channels.s[:, None] ** channels.order, axis=0), 1e-300)
-    count = common.shape[1]
-    gram, right = np.zeros((count, count)), np.zeros(count)
-    for weight, H in zip(channels.weight.T, channels.data.T, strict=True):
-        root = np.sqrt(weight)
-        A, B, y = root[:, None] * own, -(root * H)[:, None] * common, root * H
-        A, B, y = (np.concatenate([a.real, a.imag]) for a in (A, B, y))
-        inner, across = A.T @ A, A.T @ np.column_stack([B, y])
-        inner += RIDGE * np.diag(np.maximum(np.diag(inner), 1e-300))
-        beside = scipy.linalg.solve(inner, across, assume_a="pos")
-        left = B.T @ np.column_stack([B, y]) - across[:, :-1].T @ beside
-        gram += left[:, :-1]
-        right += left[:, -1]
+    kernels = channels.kernels(poles)
+    own, common = (
+        np.concatenate([kernels, channels.background()], axis=1),
+        kernels / channels.s[:, None] ** channels.order,
+    )
+    size = np.maximum(np.linalg.norm(common, axis=0), 1e-300)
+    own, common = own / np.maximum(np.linalg.norm(own, axis=0), 1e-300), common / size
+    weighted, energy = channels.weight * channels.data, channels.weight * np.abs(channels.data) ** 2
+    inner = weighted_grams(own.real, own.imag, channels.weight.T, BLOCK)
+    inner[:, *np.diag_indices(own.shape[1])] *= 1 + RIDGE
+    turned, own = own.conj().T, (own.conj().T @ weighted).real
+    gram = weighted_grams(common.real, common.imag, energy.sum(axis=1)[None], BLOCK)[0]
+    right = -(common.real.T @ energy).sum(axis=1)
+    for A, a, wH in zip(inner, own.T, weighted.T, strict=True):
+        across = np.column_stack([-(turned @ (wH[:, None] * common)).real, a])
+        left = across[:, :-1].T @ scipy.linalg.solve(A, across, assume_a="pos")
+        gram -= left[:, :-1]
+        right -= left[:, -1]
     gram += RIDGE * np.diag(np.maximum(np.diag(gram), 1e-300))
     return np.linalg.lstsq(gram, right, rcond=None)[0] / size
 

@@ -161,7 +161,8 @@ def posed(
 def _forces(simulation: Structure, setting: Setting, f: Fit) -> np.ndarray:
     """Forces of the errors of single elements in the modes of a fit that are near the measured ones, ``(n, r)``."""
     a, (shapes, squares, _) = setting.inaccuracy, f.state.modes.low
-    sizes = {name: f.sizes[a.group_of == a.groups.index(name)] for name in ("stiffness", "mass")}
+    single = f.sizes[: len(a.group_of)]  # before those of groups that the data have asked for
+    sizes = {name: single[a.group_of == a.groups.index(name)] for name in ("stiffness", "mass")}
     few = squares < (BEYOND * np.abs(setting.features.poles).max()) ** 2
     return forces_of_errors(simulation, sizes, setting.coordinates.everywhere @ shapes[few].T, squares[few])
 
