@@ -235,3 +235,12 @@ def test_large_modal_damping_is_named_where_dampers_couple_the_modes(damper, std
     answer = diagnose(data, structure, causes=causes).to_dict()
     assert answer["verdict"] == "named"
     assert [(c["name"], c["where"]) for c in answer["causes"]] == [("modal_damping", [2])]
+
+
+def test_modes_without_any_damping_stay_so_beside_coupled_ones():
+    """Of a model whose damping is that of its lowest modes; a user saw a warning of a division by zero."""
+    M, K = np.eye(4), np.diag([1.0, 2.0, 3.0, 4.0]) * 1e4
+    C = np.zeros((4, 4))
+    C[:2, :2] = [[1.0, 0.6], [0.6, 2.0]]
+    form = modal_form_of(Structure(M, C, K, NAMES[:4]), 20.0, np.zeros((2, 4)))
+    assert all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree_util.tree_leaves(form))

@@ -187,14 +187,24 @@ def loaded(
     inner: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Responses to forces at outputs and inputs with some forces; ``own`` is GB of all, shape ``(f, n, k)``."""
-    B = np.concatenate([cause.basis for cause, _ in forces], axis=1)
-    Z, start = np.zeros((len(s), B.shape[1], B.shape[1]), complex), 0
+    B = bases_of(forces)
+    T = joined(forces, s, B.T @ own)
+    return outer - own @ T.transpose(0, 2, 1) @ (B.T @ outer), inner - own @ T @ (B.T @ inner)
+
+
+def bases_of(forces: Sequence[tuple[LineForce, np.ndarray]]) -> np.ndarray:
+    """Directions of all forces together, shape ``(n, k)``."""
+    return np.concatenate([cause.basis for cause, _ in forces], axis=1)
+
+
+def joined(forces: Sequence[tuple[LineForce, np.ndarray]], s: np.ndarray, between: np.ndarray) -> np.ndarray:
+    """Forces by motions without them, :math:`(I+ZB^TGB)^{-1}Z`; ``between`` is B'GB, shapes ``(f, k, k)``."""
+    Z, start = np.zeros(between.shape, complex), 0
     for cause, u in forces:
         end = start + cause.basis.shape[1]
         Z[:, start:end, start:end] = cause.stiffness(u, s)
         start = end
-    T = np.linalg.solve(np.eye(B.shape[1]) + Z @ (B.T @ own), Z)
-    return outer - own @ T.transpose(0, 2, 1) @ (B.T @ outer), inner - own @ T @ (B.T @ inner)
+    return np.linalg.solve(np.eye(Z.shape[1]) + Z @ between, Z)
 
 
 def added_stiffness(forces: Sequence[tuple[LineForce, np.ndarray]], s: np.ndarray) -> np.ndarray | float:

@@ -19,7 +19,7 @@ from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.factored import Factored, factored
 from modalax.diagnose.modal_domain.fit import Fit, fit, scale_of
 from modalax.diagnose.modal_domain.further_causes import StructuralDamping
-from modalax.diagnose.modal_domain.line_forces import LineForce, loaded
+from modalax.diagnose.modal_domain.line_forces import LineForce, bases_of, joined, loaded
 from modalax.diagnose.modal_domain.linear import ByUnknowns
 from modalax.diagnose.modal_domain.lines import Lines, lines_of
 from modalax.diagnose.modal_domain.many_lines import BLOCK, receptance
@@ -179,7 +179,7 @@ def _responses(
     """Receptances of all coordinates to forces at the outputs and at the inputs, ``(f, n, o)`` and ``(f, n, i)``."""
     c = setting.coordinates
     M, C, K = matrices_of(setting, sizes, causes, u)
-    forces = [(cause, size) for cause, size in with_sizes(causes, u) if isinstance(cause, LineForce)]
+    forces = _forces(causes, u)
     every = np.concatenate([c.outputs.T, c.inputs.T, *(cause.basis for cause, _ in forces)], axis=1)
     Z = K + s[:, None, None] * C + s[:, None, None] ** 2 * M
     solved = np.linalg.solve(Z, np.broadcast_to(every, (len(s), *every.shape)))
@@ -188,16 +188,23 @@ def _responses(
     return loaded(forces, s, solved[:, :, o + i :], outer, inner) if forces else (outer, inner)
 
 
+def _forces(causes: tuple[Change, ...], u: np.ndarray) -> list[tuple[LineForce, np.ndarray]]:
+    return [(cause, size) for cause, size in with_sizes(causes, u) if isinstance(cause, LineForce)]
+
+
 def frf_on_lines(
     setting: Setting, causes: tuple[Change, ...], sizes: np.ndarray, u: np.ndarray, s: np.ndarray, order: int
 ) -> np.ndarray:  # fmt: skip
     """FRFs ``(f, o, i)`` as the channels show them."""
-    c = setting.coordinates
-    if any(isinstance(cause, LineForce) for cause in causes):
-        parts = [_responses(setting, causes, sizes, u, s[part])[1] for part in blocks(setting, s, 0)]
-        H = np.concatenate([c.outputs @ inner for inner in parts])
-    else:
-        H = receptance(*matrices_of(setting, sizes, causes, u), c.outputs, c.inputs, s)
+    c, rows, columns = setting.coordinates, setting.coordinates.outputs, setting.coordinates.inputs
+    forces = _forces(causes, u)
+    if forces:
+        B = bases_of(forces).T
+        rows, columns = np.concatenate([rows, B]), np.concatenate([columns, B])
+    H = receptance(*matrices_of(setting, sizes, causes, u), rows, columns, s)
+    if forces:
+        o, i = len(c.outputs), len(c.inputs)
+        H = H[:, :o, :i] - H[:, :o, i:] @ joined(forces, s, H[:, o:, i:]) @ H[:, o:, :i]
     H = shown(causes, u, s, H * s[:, None, None] ** order)
     for k, cause in enumerate(causes):
         if isinstance(cause, LineForce) and cause.row is not None:

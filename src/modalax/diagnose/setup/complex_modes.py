@@ -116,12 +116,18 @@ def uncoupled_of(
     return Uncoupled(
         *map(jnp.asarray, (
             np.stack([squares[own], np.abs(middle[0][order]) ** 2]) / np.abs(poles) ** 2,
-            np.stack([damping[own], -2 * middle[0][order].real]) / (-2 * poles.real),
+            np.stack([damping[own], -2 * middle[0][order].real]) / _rate(poles),
             np.stack([alike * length, middle[1][order] * scale, shapes]),
             np.stack([alike / length / (2j * poles.imag[:, None]), middle[2][order] / scale, participation]),
             at,
         )),
     )  # fmt: skip
+
+
+def _rate(poles: np.ndarray) -> np.ndarray:
+    """Damping of each mode, which others are told relative to; one where there is none, of which nothing is."""
+    rate = -2 * poles.real
+    return np.where(rate == 0, 1.0, rate)
 
 
 def _own(shapes: np.ndarray, inverse: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -158,7 +164,7 @@ def mixing_of(
     near = np.abs(away) < 1e-12 * np.abs(poles).max()
     away = np.where(near, 1.0, away)
     disp, part = (right.T @ shapes.T), (left @ shapes.T)  # every eigenvector at the DoFs
-    k, c = np.abs(poles[kept]) ** 2, -2 * poles[kept].real
+    k, c = np.abs(poles[kept]) ** 2, _rate(poles[kept])
     out = [np.zeros((2, n, n)), np.zeros((2, n, n)), *(np.zeros((2, n, n, len(shapes)), complex) for _ in range(2))]
     for kind, p in itertools.product(range(2), range(n)):
         change = (2 * stiffness[p, p] if kind == 0 else 0.0) + poles * damping[p, p]  # of each mode r
