@@ -199,12 +199,12 @@ def bases_of(forces: Sequence[tuple[LineForce, np.ndarray]]) -> np.ndarray:
 
 def joined(forces: Sequence[tuple[LineForce, np.ndarray]], s: np.ndarray, between: np.ndarray) -> np.ndarray:
     """Forces by motions without them, :math:`(I+ZB^TGB)^{-1}Z`; ``between`` is B'GB, shapes ``(f, k, k)``."""
-    Z, start = np.zeros(between.shape, complex), 0
+    Z, start = np.zeros_like(between, dtype=complex), 0
     for cause, u in forces:
         end = start + cause.basis.shape[1]
         Z[:, start:end, start:end] = cause.stiffness(u, s)
         start = end
-    return np.linalg.solve(np.eye(Z.shape[1]) + Z @ between, Z)
+    return np.linalg.solve(np.eye(between.shape[1]) + Z @ between, Z)
 
 
 def added_stiffness(forces: Sequence[tuple[LineForce, np.ndarray]], s: np.ndarray) -> np.ndarray | float:
