@@ -8,9 +8,11 @@ import scipy.linalg
 from frames import beam, modal_damping
 
 from modalax.data import Measurement
+from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.enriched import ritz_basis
+from modalax.diagnose.modal_domain.exact_places import _same
 from modalax.diagnose.modal_domain.fit import fit
 from modalax.diagnose.modal_domain.given_elements import (
     changed_by_elements,
@@ -258,3 +260,10 @@ def test_an_element_of_a_large_simulation_is_told_as_soft_as_it_is(few, monkeypa
     assert change["value"] == pytest.approx(-0.7, abs=3 * change["std"]) and change["std"] < 0.015
     assert found.verdict == "named" and found.stage.coordinates is found.stage.setting.coordinates
     assert few < found.stage.coordinates.size < SIZE
+
+
+def test_a_cause_is_the_same_among_as_many_alike_only():
+    one, other, more = (Change("joint_stiffness", ("1", "2"), size) for size in (1.0, 2.0, 3.0))
+    there = [Change("added_mass", ("1",), 1.0), replace(one, scale=5.0), replace(other, scale=6.0)]
+    assert [c.scale for c in _same(other, [one, other], there)] == [6.0]
+    assert _same(other, [one, other, more], there) == [] == _same(more, [one, other], there)

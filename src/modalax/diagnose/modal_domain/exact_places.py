@@ -40,8 +40,9 @@ def made_exact(
     exact = replace(exact, features=setting.features, whitener=setting.whitener, late=setting.late)
     again: Found = {}
     for e in [*ranked[:AGAIN], *(e for e in ranked[AGAIN:] if not e.causes)]:
-        causes = tuple(_same(c, candidates, there) for c in e.causes)
-        attempt(exact, again, causes, e.fit.u, start_in(exact, e.fit), gentle=False)
+        causes = tuple(same for c in e.causes for same in _same(c, candidates, there))
+        if len(causes) == len(e.causes):
+            attempt(exact, again, causes, e.fit.u, start_in(exact, e.fit), gentle=False)
     explained = any(causes for causes in again) and () in again
     return (exact, there, again) if explained else (setting, candidates, found)
 
@@ -51,7 +52,8 @@ def _places(e: Explanation) -> list[str]:
     return [str(name) for c in e.causes if c.local for name in c.where]
 
 
-def _same(cause: Change, before: Sequence[Change], after: Sequence[Change]) -> Change:
-    """The cause among those ``after`` that one of those ``before`` is: of several alike the one of its number."""
+def _same(cause: Change, before: Sequence[Change], after: Sequence[Change]) -> list[Change]:
+    """The cause among those ``after`` that one of those ``before`` is; none where there are more or fewer alike."""
     alike = [[c for c in some if (c.slug, c.where) == (cause.slug, cause.where)] for some in (before, after)]
-    return alike[1][next(k for k, c in enumerate(alike[0]) if c is cause)]
+    which = [k for k, c in enumerate(alike[0]) if c is cause]
+    return [alike[1][k] for k in which] if len(alike[0]) == len(alike[1]) else []
