@@ -20,7 +20,7 @@ from modalax.diagnose.modal_domain.inaccuracy import TOLD
 from modalax.diagnose.modal_domain.judged import standing_out
 from modalax.diagnose.modal_domain.levels.explain import ByLevel, JointFound
 from modalax.diagnose.modal_domain.levels.slipping import settled
-from modalax.diagnose.modal_domain.mode_count import blind_modes, misfit
+from modalax.diagnose.modal_domain.mode_count import beside_one_line, blind_modes, misfit
 from modalax.diagnose.modal_domain.nodes import nodes_of
 from modalax.diagnose.modal_domain.parts import coupled_rows, local_parts, parts_of
 from modalax.diagnose.modal_domain.places import candidates_of
@@ -45,6 +45,15 @@ def synthetic(noise=0.0, seed=0, lines=240):
     error = rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)
     weight = np.broadcast_to(2 / sigma**2, H.shape)
     return poles, residues, Channels(s, H + sigma * error / np.sqrt(2), weight, 0, np.zeros(0, complex))
+
+
+def test_the_energy_of_a_mode_beside_its_line_is_that_of_its_samples():
+    poles, _, channels = synthetic(0.01)
+    found = project(poles, channels)[0]
+    for told, A, pole in zip(beside_one_line(found, channels), found.residues, found.poles, strict=True):
+        u, v = (1 / (channels.s - x) for x in (pole, pole.conj()))
+        energy = (channels.weight * np.abs(np.outer(u, A) + np.outer(v, A.conj())) ** 2).sum(axis=1)
+        assert told == pytest.approx(energy.sum() - energy.max(), rel=1e-9)
 
 
 def test_variable_projection_has_the_gradient_of_its_chi_square():

@@ -10,6 +10,7 @@ from test_modal_repeated import measured as measured_ring
 from test_modal_repeated import setting_of, uneven
 
 from modalax.diagnose.modal_domain import explain as search
+from modalax.diagnose.modal_domain import held_out
 from modalax.diagnose.modal_domain import narrowed as module
 from modalax.diagnose.modal_domain import state as states
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
@@ -65,6 +66,29 @@ def test_leading_directions_are_some_of_all_turned(repeated, below, monkeypatch)
         step = 1e-6 * (np.arange(len(still)) == k)
         moved = (state_at(few, -step).difference - state_at(few, step).difference) / 2e-6
         np.testing.assert_allclose(J[:, k], moved, atol=2e-4 * np.abs(J[:, k]).max() + 1e-3)
+
+
+def test_so_many_more_directions_hold_next_to_all_that_very_many_sensors_tell():
+    """And where there are hardly more of them, all are kept."""
+    setting = beam_setting().setting
+    assert narrowed(setting) is None is narrowed(setting, 6)
+    whole, some = setting, narrowed(setting, 4)
+    assert some is not None and some.features.width == 4 + 2 * (4 + 1) < whole.features.width
+    still = np.zeros(len(whole.inaccuracy.group_of))
+    told = [np.linalg.norm(slopes_at(x, state_at(x, still)), axis=0) for x in (some, whole)]
+    stiffness = whole.inaccuracy.group_of == 0
+    assert (told[0] <= told[1] * (1 + 1e-6)).all() and (told[0] > 0.9 * told[1])[stiffness].all()
+
+
+@pytest.mark.slow
+def test_very_many_sensors_are_fitted_by_many_directions_in_the_end(monkeypatch):
+    data, _ = measured(2, 0.01, mass=("5:+Z", 0.05), lines=120)
+    monkeypatch.setattr(module, "LEADING", 2)
+    for part in (search, held_out):
+        monkeypatch.setattr(part, "DIRECTIONS", 4)
+    found = diagnose_modes(data, simulation())
+    assert found.verdict == "named" and found.stage.setting.features.width == 4 + 2 * (4 + 1)
+    assert [(c["name"], c["where"]) for c in found.causes] == [("added_mass", ["5:+Z"])]
 
 
 @pytest.mark.parametrize("inputs", [1, 2])

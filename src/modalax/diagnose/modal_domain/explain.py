@@ -20,7 +20,7 @@ from modalax.diagnose.modal_domain.explanation import Explanation, ranked_by
 from modalax.diagnose.modal_domain.far_off import UNLIKE, far_off, leading
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
 from modalax.diagnose.modal_domain.force_places import JOINTS, as_limits, losses_at
-from modalax.diagnose.modal_domain.narrowed import narrowed
+from modalax.diagnose.modal_domain.narrowed import DIRECTIONS, narrowed
 from modalax.diagnose.modal_domain.prior import SECOND, Prior
 from modalax.diagnose.modal_domain.refitted import AGAIN, beside_a_factor, beside_the_rest, in_full
 from modalax.diagnose.modal_domain.screen import about, narrower, replaced, scores
@@ -82,7 +82,7 @@ def explain(
         return few, candidates, explanations
     tell("fitting the leading ones to all channels")
     prior = Prior(candidates)
-    whole, found = in_full(setting, replace(few, late=late), explanations, late)
+    whole, found = in_full(narrowed(setting, DIRECTIONS) or setting, replace(few, late=late), explanations, late)
     if not found:
         return few, candidates, explanations
     best = ranked_by(found, prior)[0]

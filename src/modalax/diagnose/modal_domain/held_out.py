@@ -18,6 +18,7 @@ from modalax.diagnose.modal_domain.levels.seen import drift_by_run, foretold
 from modalax.diagnose.modal_domain.lines import lines_of
 from modalax.diagnose.modal_domain.measured import channels_of, features_at
 from modalax.diagnose.modal_domain.mode_count import blind_modes, heavy, misfit
+from modalax.diagnose.modal_domain.narrowed import DIRECTIONS, narrowed
 from modalax.diagnose.modal_domain.polish import BEYOND_MODES, chi2_of, on_lines, unforeseen
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.modal_domain.state import Setting, state_at
@@ -131,7 +132,7 @@ def _rest(stage: Stage, mask: np.ndarray) -> Rest | None:
     setting = replace(
         stage.setting, coordinates=replace(stage.coordinates, inputs=inputs), features=features, whitener=whitener
     )
-    return Rest(setting, channels, kept)
+    return Rest(narrowed(setting, DIRECTIONS) or setting, channels, kept)
 
 
 def _without(stage: Stage, f: Fit, rest: Rest | None) -> Fit:

@@ -142,13 +142,11 @@ def beside_one_line(found: Projected, channels: Channels) -> np.ndarray:
 
     What is seen at one line only is noise that all sensors share, or a disturbance, as soon as it is a mode.
     """
-    columns = channels.kernels(found.poles)[:, : 2 * len(found.poles)].reshape(len(channels.s), -1, 2)
-    out = np.zeros(len(found.poles))
-    for k, A in enumerate(found.residues):
-        size = columns[:, k, :1] * A.real + columns[:, k, 1:] * A.imag
-        energy = (channels.weight * (size.real**2 + size.imag**2)).sum(axis=1)
-        out[k] = energy.sum() - energy.max(initial=0.0)
-    return out
+    p, q = np.moveaxis(channels.kernels(found.poles).reshape(len(channels.s), -1, 2), 2, 0)
+    a, b = found.residues.real.T, found.residues.imag.T  # of |a p + b q|^2, summed over channels
+    energy = np.abs(p) ** 2 * (channels.weight @ a**2) + np.abs(q) ** 2 * (channels.weight @ b**2)
+    energy += 2 * (p.conj() * q).real * (channels.weight @ (a * b))
+    return energy.sum(axis=0) - energy.max(axis=0, initial=0.0)
 
 
 def further_poles(found: Projected, channels: Channels) -> np.ndarray:

@@ -6,7 +6,8 @@ Errors of a simulation move the shape of mode r along those of all others (Fox a
 
 for errors of a part :math:`\epsilon` about :math:`\epsilon\,\omega_r\omega_s/|\omega_r^2-\omega_s^2|` of it. Most of
 this lies in a few directions at the sensors, and a cause moves shapes along them as well. Causes are looked for by
-these; the leading explanations are then fitted to all that the sensors tell.
+these; the leading explanations are then fitted to all that the sensors tell, of very many sensors to so many more
+directions that the others hold next to nothing.
 """
 
 from dataclasses import replace
@@ -20,15 +21,16 @@ from modalax.diagnose.modal_domain.repeated import Group
 from modalax.diagnose.modal_domain.state import Setting
 
 LEADING = 24  # directions of the shape and of the participation of each mode that causes are looked for by
+DIRECTIONS = 60  # the same that explanations are fitted to in the end
 SPARED = 1.5  # times as many as these there must be, so that doing without the others is worth it
 OFF = 0.1  # relative error of elements that directions are weighed by
 
 
-def narrowed(setting: Setting) -> Setting | None:
-    """The setting by the leading directions alone; None where there are hardly more of them."""
-    f = setting.features
+def narrowed(setting: Setting, count: int | None = None) -> Setting | None:
+    """The setting by ``count`` leading directions alone, ``LEADING`` by default; None where there are hardly more."""
+    f, count = setting.features, LEADING if count is None else count
     o, i = f.residues.shape[1:]
-    kept = min(o - 1, LEADING), min(i - 1, LEADING)
+    kept = min(o - 1, count), min(i - 1, count)
     if not len(f.poles) or o + i - 2 <= SPARED * sum(kept):
         return None
     few = along_leading(f, setting.coordinates, *kept)
