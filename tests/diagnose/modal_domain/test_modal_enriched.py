@@ -9,7 +9,7 @@ from frames import beam, modal_damping
 
 from modalax.data import Measurement
 from modalax.diagnose.modal_domain.causes import Change
-from modalax.diagnose.modal_domain.coordinates import coordinates_of
+from modalax.diagnose.modal_domain.coordinates import _about, coordinates_of
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.enriched import ritz_basis
 from modalax.diagnose.modal_domain.exact_places import _same
@@ -267,3 +267,14 @@ def test_a_cause_is_the_same_among_as_many_alike_only():
     there = [Change("added_mass", ("1",), 1.0), replace(one, scale=5.0), replace(other, scale=6.0)]
     assert [c.scale for c in _same(other, [one, other], there)] == [6.0]
     assert _same(other, [one, other, more], there) == [] == _same(more, [one, other], there)
+
+
+def test_the_nodes_next_to_those_that_lead_are_exact_too_as_far_as_they_are_few(monkeypatch):
+    """A mass had been named one node beside its own, about which the model was not exact."""
+    K, _ = free_beam(np.ones(COUNT), np.ones(COUNT))
+    names = tuple(f"{p + 1}:+{way}" for p in range(COUNT + 1) for way in ("Z", "RY"))
+    at = lambda *nodes: [2 * n + k for n in nodes for k in (0, 1)]
+    assert _about(names, K, ("11:+Z", "40:+RY", "not there")) == at(9, 10, 11, 38, 39, 40)
+    monkeypatch.setattr("modalax.diagnose.modal_domain.coordinates.NEXT_TO", 11)
+    assert _about(names, K, ("11:+Z", "40:+RY")) == at(10, 39)
+    assert _about(names, K, ()) == []

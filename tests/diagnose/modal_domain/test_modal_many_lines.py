@@ -10,11 +10,15 @@ from modalax.diagnose.deadline import NEVER
 from modalax.diagnose.modal_domain import lines as module
 from modalax.diagnose.modal_domain import polish, starts
 from modalax.diagnose.modal_domain.attempts import attempt
+from modalax.diagnose.modal_domain.explanation import Explanation
+from modalax.diagnose.modal_domain.held_out import _peaks_elsewhere
 from modalax.diagnose.modal_domain.lines import lines_of
 from modalax.diagnose.modal_domain.many_lines import MANY, by_poles, receptance
+from modalax.diagnose.modal_domain.odd_channel import is_of_the_structure
 from modalax.diagnose.modal_domain.polish import chi2_of, on_lines
 from modalax.diagnose.modal_domain.screen import finite
 from modalax.diagnose.modal_domain.stage import identified, posed
+from modalax.diagnose.modal_domain.state import state_at
 
 S = 2j * np.pi * np.linspace(3.0, 120.0, MANY + 50)
 
@@ -92,3 +96,37 @@ def test_of_many_exchanges_those_that_bring_shapes_nearest_are_tried(monkeypatch
     monkeypatch.setattr(starts, "SWAPS", 1)
     left = set(swaps) - starts._unlikely_swaps(task.setting, task.candidates)
     assert [set(task.candidates[k].where) for k in left] == [{DOFS[0], DOFS[3]}]
+
+
+def test_what_moves_frequencies_far_and_explains_all_is_no_channel(fitted):
+    """Then no odd channel is looked for, which takes long with many sensors."""
+    _, task, f = fitted
+    found = {}
+    attempt(task.setting, found, (), np.zeros(0), None)
+    gain = next(c for c in task.candidates if c.slug == "channel_gain")
+    near, far = (
+        replace(found[()], state=replace(found[()].state, modes=nominal(task, factor))) for factor in (1.0, 1.1)
+    )
+
+    def told(*some, left=1.0):
+        return is_of_the_structure([Explanation(x, 0.0, 0.5, left) for x in some], task.setting.features)
+
+    assert told(f, far)
+    assert not (told(f, near) or told(far, f) or told(f) or told(f, far, left=1.5))
+    assert not told(replace(f, causes=(gain,)), far)
+
+
+def nominal(task, factor):
+    """The modes that were measured, all frequencies by a factor, in the place of the predicted ones."""
+    still = state_at(task.setting, np.zeros(len(task.setting.inaccuracy.group_of)))
+    poles = still.modes.poles.copy()
+    poles[still.pairs] = factor * task.setting.features.poles
+    return replace(still.modes, poles=poles)
+
+
+def test_peaks_are_elsewhere_where_most_are_missed_by_their_widths(fitted):
+    _, task, f = fitted
+    features = task.setting.features
+    for factor, causes, elsewhere in ((1.0, (), False), (1.2, (), True), (1.2, f.causes, False)):
+        x = replace(f, causes=causes, state=replace(f.state, modes=nominal(task, factor)))
+        assert _peaks_elsewhere(x, features) == elsewhere

@@ -59,7 +59,8 @@ class _Search:
     candidates: list[Change]
 
     @property
-    def prior(self) -> Prior:  # noqa: D102
+    def prior(self) -> Prior:
+        """What is as likely before the data, of the candidates."""
         return Prior(self.candidates)
 
 
@@ -85,9 +86,9 @@ def explain(
     whole, found = in_full(narrowed(setting, DIRECTIONS) or setting, replace(few, late=late), explanations, late)
     if not found:
         return few, candidates, explanations
-    best = ranked_by(found, prior)[0]
+    best = ranked_by(found, prior)[0].fit
     if not late() and len(best.causes) < MOST:
-        _further(whole, found, best.fit, [c for c in candidates if not c.local], prior, late)
+        _further(whole, found, best, [c for c in candidates if not c.local], prior, late)
     return replace(whole, late=NEVER), candidates, ranked_by(found, prior)
 
 
@@ -131,8 +132,7 @@ def _first_fits(search: _Search, late: Deadline, tell: Tell) -> None:
     setting, found, candidates = search.setting, search.found, search.candidates
     tell(f"screening {len(candidates)} causes and places")
     trials = list(starts(setting, found[()], candidates, search.prior.each(candidates)))
-    if trials:
-        tell(f"fitting {len(trials)} of them")
+    tell(f"fitting {len(trials)} of them")
     for cause, u, start in trials:
         if late():
             return
@@ -395,6 +395,6 @@ def _other_forms(
     for causes, u, start in (*as_signs(near, candidates), *limits):
         attempt(setting, found, causes, u, start, gentle=start is None)
     # a joint that loses energy may be a spring with damping along: what that leaves tells, not what the spring does
-    simple = {key_of(causes): found.get(key_of(causes)) for causes, _, _ in limits}
-    for causes, u, start in damped_along(setting, near + [f for f in simple.values() if f is not None]):
+    simple = [found[key] for key in dict.fromkeys(key_of(causes) for causes, _, _ in limits) if key in found]
+    for causes, u, start in damped_along(setting, near + simple):
         attempt(setting, found, causes, u, start, gentle=False)
