@@ -13,12 +13,11 @@ from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.damped_along import with_loss
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
-from modalax.diagnose.modal_domain.explain import _other_forms
 from modalax.diagnose.modal_domain.features import Features
 from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
-from modalax.diagnose.modal_domain.prior import Prior
 from modalax.diagnose.modal_domain.stage import identified, posed
 from modalax.diagnose.modal_domain.state import Setting, changes_of
+from modalax.diagnose.modal_domain.steps import Search, other_forms
 from modalax.diagnose.pipeline import diagnose
 from modalax.diagnose.routes import may_tell_joints
 from modalax.diagnose.search.measured_force import differs_by_run
@@ -176,7 +175,7 @@ def test_a_spring_is_fitted_with_damping_along_where_a_joint_that_relaxes_leads(
     )
     found = {}
     attempt(task.setting, found, (joint,), np.array([0.6 * SPRINGS[3] / joint.scale, 3.0]), None)
-    _other_forms(task.setting, found, task.candidates, Prior(task.candidates))
+    other_forms(Search(task.setting, found, task.setting, task.candidates))
     best = max((f for f in found.values()), key=lambda f: f.log_evidence)
     assert (joint,) in found and (spring,) in found
     assert best.causes[0].slug == "joint_stiffness" and best.causes[0].along == "at equal damping ratios"

@@ -10,7 +10,7 @@ from test_modal_repeated import measured as measured_ring
 from test_modal_repeated import setting_of, uneven
 
 from modalax.diagnose.modal_domain import explain as search
-from modalax.diagnose.modal_domain import held_out
+from modalax.diagnose.modal_domain import held_out, steps
 from modalax.diagnose.modal_domain import narrowed as module
 from modalax.diagnose.modal_domain import state as states
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
@@ -118,18 +118,18 @@ def test_a_mass_is_named_by_few_directions_and_fitted_to_all(monkeypatch):
 
 def test_where_the_inaccuracy_is_far_off_and_one_cause_explains_all_no_others_are_fitted_first(monkeypatch):
     data, _ = measured(2, 0.01, mass=("5:+Z", 0.5), lines=120)
-    fitted, steps = [], []
-    attempt = search.attempt
+    fitted, told = [], []
+    attempt = steps.attempt
 
     def counted(setting, found, causes, *rest, **more):
         fitted.append(causes)
         attempt(setting, found, causes, *rest, **more)
 
-    monkeypatch.setattr(search, "attempt", counted)
-    found = diagnose_modes(data, simulation(), tell=steps.append)
+    monkeypatch.setattr(steps, "attempt", counted)
+    found = diagnose_modes(data, simulation(), tell=told.append)
     assert [(c["name"], c["where"]) for c in found.causes] == [("added_mass", ["5:+Z"])]
-    assert not any(step.startswith("fitting") for step in steps)
-    first = [causes for causes in fitted if len(causes) == 1][: search.FITTED]
+    assert not any(step.startswith("fitting") for step in told)
+    first = [causes for causes in fitted if len(causes) == 1][: steps.FITTED]
     assert any(c.slug == "added_mass" and c.where == ("5:+Z",) for (c,) in first)
 
 

@@ -13,7 +13,7 @@ from modalax.diagnose.decision.beyond import BeyondUsual
 from modalax.diagnose.decision.levels import outweighing
 from modalax.diagnose.decision.omnibus import Omnibus
 from modalax.diagnose.decision.sets import rivals
-from modalax.diagnose.modal_domain.causes import UNITS, own_sizes, with_sizes
+from modalax.diagnose.modal_domain.causes import UNITS, Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.forced import Forced, force_rivals, force_told
 from modalax.diagnose.modal_domain.judged import inaccuracy_of_fit, standing_out
@@ -27,6 +27,8 @@ from modalax.diagnose.over_levels import levels_said
 from modalax.diagnose.result import Diagnosis, within
 from modalax.diagnose.summary import cause_at
 from modalax.diagnose.thresholds import THRESHOLDS
+
+PLACES = 300  # of each kind of cause of which the median of what is detectable is taken, of more an even choice
 
 
 @dataclass(frozen=True)
@@ -166,10 +168,14 @@ class ModalDiagnosis(Diagnosis):
     @property
     def smallest_detectable(self) -> dict[str, float]:
         """Strength of each cause that nine in ten such measurements would have shown, at its median place."""
-        every = errors_of(self.stage.setting, self.chosen.fit, self.stage.candidates)
+        places: dict[str, list[Change]] = {}
+        for c in self.stage.candidates:
+            if c.slug in UNITS and c.pattern is None:
+                places.setdefault(c.slug, []).append(c)
+        some = [c for own in places.values() for c in own[:: 1 + len(own) // PLACES]]
         values: dict[str, list[float]] = {}
-        for c, error in zip(self.stage.candidates, every, strict=True):
-            if np.isfinite(error) and c.slug in UNITS and c.pattern is None:
+        for c, error in zip(some, errors_of(self.stage.setting, self.chosen.fit, some), strict=True):
+            if np.isfinite(error):
                 values.setdefault(c.slug, []).append(float(error) * c.scale)
         return {slug: float(np.median(v)) * (THRESHOLDS.stands_out + THRESHOLDS.power) for slug, v in values.items()}
 

@@ -34,7 +34,7 @@ def leading(
     prior, found = Prior(candidates), {(): null}
     try:
         tell(f"screening {len(candidates)} causes and places")
-        for cause, u, start in islice(starts(setting, null, candidates, prior.each(candidates)), FITTED):
+        for cause, u, start in islice(starts(setting, null, candidates, prior.each(candidates), far=UNLIKE), FITTED):
             attempt(setting, found, (cause,), cause.of_size(u), start, basin=UNLIKE)
             if late():
                 break

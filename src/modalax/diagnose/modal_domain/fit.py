@@ -97,7 +97,8 @@ def fit(
     best_else
         Log evidence of the best other hypothesis: a fit that is far behind and hardly gains ends where it is.
     basin
-        Chi-square per feature from which on no further steps are taken once these have been.
+        Chi-square per feature from which on no further steps are taken once these have been, and none where they would
+        not lead below it.
     """
     a = setting.inaccuracy
     sizes = np.zeros(len(a.group_of)) if start is None else start.sizes
@@ -118,7 +119,9 @@ def fit(
                 lost = temperature <= LEARNING and _lost(behind, moved * temperature, part)
                 if moved < 0.5 or lost:
                     break
-        best, linear, ended = _at_true_covariance(setting, causes, state, sizes, u, epsilon, best_else, free, lost)
+        best, linear, ended = _at_true_covariance(
+            setting, causes, state, sizes, u, epsilon, best_else, free, lost, basin
+        )
         for _ in range(AGAIN):
             if ended or not 1.0 < best.chi2 / setting.features.values.size < basin:
                 break
@@ -135,7 +138,7 @@ def fit(
 
 def _at_true_covariance(
     setting: Setting, causes: tuple[Change, ...], state: State, sizes: np.ndarray, u: np.ndarray, epsilon: np.ndarray,
-    best_else: float, free: float, lost: bool,
+    best_else: float, free: float, lost: bool, basin: float = np.inf,
 ) -> tuple[Fit, Linear, bool]:  # fmt: skip
     """Fit from a start at the covariance that the features have, and whether a further one is of no use.
 
@@ -162,6 +165,7 @@ def _at_true_covariance(
         gained = np.inf if best is None else evidence - best.log_evidence
         behind = best_else - evidence
         hopeless = lost or (behind > HOPELESS and gained < behind / LAST) or setting.late()
+        hopeless |= gained < (0.5 * chi2 - 0.5 * basin * setting.features.values.size) / LAST
         best = here
         if hopeless or abs(gained) < SETTLED:
             return best, linear, straight or hopeless

@@ -10,6 +10,7 @@ from modalax.diagnose.holdout import BLOCKS, RESAMPLED, held_out_block
 from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.corrected import frf_of
 from modalax.diagnose.modal_domain.explanation import Explanation
+from modalax.diagnose.modal_domain.far_off import far_off
 from modalax.diagnose.modal_domain.features import Features, chosen, sure, whitener_of
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
 from modalax.diagnose.modal_domain.free_residues import Channels
@@ -141,7 +142,7 @@ def _without(stage: Stage, f: Fit, rest: Rest | None) -> Fit:
     FRFs that are no sum of modes, as those beside a joint that relaxes, have other modes in a part of them: what was
     fitted to all is as good a start there as a fit to the modes of that part.
     """
-    if rest is None:
+    if rest is None or (not f.causes and far_off(f)):
         return f
     setting, kept = rest.setting, rest.kept
     moved = [(k, _renumbered(cause, kept, setting)) for k, cause in enumerate(f.causes)]

@@ -3,7 +3,11 @@ r"""The general inaccuracy of a simulation: every element of stiffness, mass and
 A part is an element of the simulation, read off its matrices, off by :math:`\epsilon z` with ``z`` standard normal; the
 sizes :math:`\epsilon` of stiffness, mass and damping are claimed by the author or learnt. Damping is off mode by mode,
 by a factor :math:`e^{\epsilon z}` so that it stays positive. Between modes it is off as well (Soize 2000), usually by a
-tenth of that, with a size of its own: modes that are hardly coupled do not tell how well their damping is known.
+tenth of that, with a size of its own: modes that are hardly coupled do not tell how well their damping is known. Close
+modes are turned into one another by what elements are off by, and what their dampings differ by then couples them: by
+an angle :math:`\theta`, :math:`\tan2\theta=2\sigma_{rs}/(\omega_s^2-\omega_r^2)`, with :math:`\sigma_{rs}` the usual
+size of the change between them, dampings off by :math:`\epsilon z_r` and :math:`\epsilon z_s` couple by
+:math:`\epsilon(z_r-z_s)\tfrac12\sin2\theta` of what they are.
 """
 
 from dataclasses import dataclass, replace
@@ -27,6 +31,7 @@ UNKNOWN = 2.0  # standard deviation of the logarithm of a size that nobody claim
 CLAIMED = 0.7  # the same of a size that the author claims, who may be wrong by a factor of two
 RIGID = 1e-3  # frequency, relative to the highest, below which a mode is that of a rigid body
 BETWEEN = 0.1  # damping between modes, relative to that of the modes themselves
+CLOSE = 0.01  # share of what dampings of two modes are off by, from which on it counts as a coupling of them
 NEGLIGIBLE = 1e-12  # modal damping [1/s] of a mode without any
 NEAR = 8  # modes above each one that it may be coupled with by damping
 KINDS = {"stiffness": "K", "mass": "M", "damping": "C", "damping between modes": "C", "rest": "K",
@@ -100,9 +105,10 @@ def inaccuracy_of(simulation: Structure, c: Coordinates, highest: float) -> Inac
         known = USUAL["mass"]
     usual = np.array([claims[g] or (known if g == "mass" else USUAL[g]) for g in TOLD])
     told = np.array([claims[g] > 0 for g in TOLD])
-    own, between = _damping(c, highest)
-    patterns = stiffness, mass, own, between
-    positive = np.repeat([False, False, True, False], [len(p) for p in patterns])
+    own, turned, between = _damping(c, highest, _turned(c, (stiffness, mass), usual))
+    parts = (stiffness, False), (mass, False), (own, True), (turned, False), (between, False)
+    positive = np.repeat([factor for _, factor in parts], [len(p) for p, _ in parts])
+    patterns = stiffness, mass, np.concatenate([own, turned]), between
     every = Inaccuracy(
         (*TOLD, "damping between modes"), patterns, np.append(usual, usual[-1]),
         np.append(np.where(told, CLAIMED, UNKNOWN), UNKNOWN), (*told.tolist(), False), positive,
@@ -173,15 +179,29 @@ def _claim(simulation: Structure, name: str) -> float:
     return float(np.sqrt(np.mean(value**2))) if value.size else 0.0
 
 
-def _damping(c: Coordinates, highest: float) -> tuple[np.ndarray, np.ndarray]:
-    """Patterns of damping, of each mode by itself and between modes, those in the band and others near them."""
+def _turned(c: Coordinates, patterns: tuple[np.ndarray, np.ndarray], usual: np.ndarray) -> np.ndarray:
+    r"""How much of what the dampings of two modes are off by couples them, :math:`\sin2\theta/\sqrt2` ``(n, n)``."""
+    squares = c.frequencies**2
+    stiffness, mass = (u * np.sqrt(np.einsum("prs,prs->rs", p, p)) for u, p in zip(usual, patterns, strict=False))
+    twice = 2 * np.hypot(stiffness, np.sqrt(np.multiply.outer(squares, squares)) * mass)
+    apart = np.maximum(np.abs(np.subtract.outer(squares, squares)), 1e-300)
+    return twice / np.hypot(twice, apart) / np.sqrt(2)
+
+
+def _damping(c: Coordinates, highest: float, turned: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Patterns of damping, of each mode by itself and between modes, those in the band and others near them.
+
+    Those between close modes, that are off as much as the modes' own, stand apart from what any modes have.
+    """
     own = np.sqrt(np.maximum(np.diag(c.damping), NEGLIGIBLE))
     inside = int(np.count_nonzero(c.frequencies < highest))
     pairs = [(r, s) for r in range(min(inside + 1, c.size)) for s in range(r + 1, min(c.size, r + NEAR + 1))]
-    between = np.zeros((len(pairs), c.size, c.size))
+    every = np.zeros((len(pairs), c.size, c.size))
     for k, (r, s) in enumerate(pairs):
-        between[k, r, s] = between[k, s, r] = BETWEEN * own[r] * own[s]
-    return own_damping(c, highest), between
+        every[k, r, s] = every[k, s, r] = own[r] * own[s]
+    shares = np.array([turned[pair] for pair in pairs])
+    close = shares > CLOSE
+    return own_damping(c, highest), shares[close, None, None] * every[close], BETWEEN * every
 
 
 def own_damping(c: Coordinates, highest: float) -> np.ndarray:

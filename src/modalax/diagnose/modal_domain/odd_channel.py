@@ -50,11 +50,15 @@ def odd_channel(
     if plain is None or not explanations[0].causes:
         return None
     found: list[OddChannel] = []
+    settled = all(c.local and c.kind for c in explanations[0].causes) and explanations[0].misfit < THRESHOLDS.as_noise
     for force, names in ((False, outputs), (True, inputs)):
         if len(names) < (2 if force else FEWEST):
             continue
         r, free = plain.fit.state.difference, [_freed(setting, force, k) for k in range(len(names))]
-        for k in np.argsort([_left_beside(W, r) for W in free])[:TRIED]:
+        left = np.array([_left_beside(W, r) for W in free])
+        for k in np.argsort(left)[:TRIED]:
+            if settled and left[k] > UNLIKE * len(r):  # channels besides that one are far off as well
+                continue
             L = np.linalg.cholesky(np.eye(len(r)) + free[k] @ free[k].T)
             beside = math.log(RARE / len(names)) - volume(L) - explanations[0].log_posterior
             f = fit(replace(setting, whitener=forward(L, setting.triangle)), best_else=-beside)

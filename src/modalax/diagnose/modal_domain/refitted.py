@@ -1,5 +1,6 @@
 """Explanations fitted again in another setting: beside factors throughout, uneven errors, the rest, or all features."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -13,6 +14,7 @@ from modalax.diagnose.modal_domain.state import Setting
 from modalax.diagnose.modal_domain.throughout import start_in, with_more
 
 AGAIN = 6  # leading explanations that are fitted again,
+FAR = 60.0  # nats behind one that explains the modes from which on what no element explains does not matter
 NEAR = 12.0  # and nats behind the first up to which they are, where few features told of them
 
 
@@ -27,8 +29,10 @@ def beside_a_factor(
     leading = ranked[:AGAIN] + [e for e in ranked[AGAIN:] if not e.causes]
     if explains(leading[0].fit):
         asked = _asked_beside(bare, setting, leading[0])
+        if asked.inaccuracy.groups == setting.inaccuracy.groups:
+            return setting, found
         again = _fitted_again(asked, leading)
-        return (asked, again) if again and asked.inaccuracy.groups != setting.inaccuracy.groups else (setting, found)
+        return (asked, again) if again else (setting, found)
     trials = [(setting, found)]  # several causes may stand for what elements are off unevenly
     for e in leading[:1] + [e for e in ranked if len(e.causes) == 1][:1]:
         asked = _asked_beside(bare, setting, e)
@@ -63,9 +67,10 @@ def beside_the_rest(
     setting: Setting, found: dict[tuple[Change, ...], Fit], prior: Prior, late: Callable[[], bool]
 ) -> tuple[Setting, dict[tuple[Change, ...], Fit]]:
     """Fit the leading explanations again, together with the rest that no element explains."""
-    leading = ranked_by(found, prior)[:AGAIN]
-    bare = [e for e in ranked_by(found, prior) if not e.causes]
-    singles = [e for e in ranked_by(found, prior) if len(e.causes) == 1][:2]
+    ranked = ranked_by(found, prior)
+    least = ranked[0].log_posterior - FAR if explains(ranked[0].fit) else -math.inf
+    leading, bare = [e for e in ranked[:AGAIN] if e.log_posterior > least], [e for e in ranked if not e.causes]
+    singles = [e for e in ranked if len(e.causes) == 1][:2]
     leading += [e for e in bare + singles if all(e is not other for other in leading)]
     some = [*leading[:2], *bare, *singles[:1]]
     new, size = learnt_rest(setting, [e.fit for e in some], [prior.of(e.causes) for e in some])

@@ -48,7 +48,9 @@ EITHER = np.array([-s for s in SIZES] + [*SIZES, *STRONG])
 Start = tuple[Change, float, Fit | None]
 
 
-def starts(setting: Setting, null: Fit, candidates: list[Change], share: np.ndarray) -> Iterator[Start]:
+def starts(
+    setting: Setting, null: Fit, candidates: list[Change], share: np.ndarray, far: float = 0.0
+) -> Iterator[Start]:
     """Causes worth a fit, with sizes and inaccuracies to start from; first the leading ones by finite changes.
 
     Parameters
@@ -57,6 +59,8 @@ def starts(setting: Setting, null: Fit, candidates: list[Change], share: np.ndar
         The general inaccuracy alone.
     share
         Logarithmic prior probability of each candidate.
+    far
+        Chi-square per feature below which another change makes it needless to try forces as well.
     """
     at, as_it_is = about(setting, null, candidates), _nominal(setting, null)
     gain, size = scores(setting, null, at)
@@ -71,11 +75,13 @@ def starts(setting: Setting, null: Fit, candidates: list[Change], share: np.ndar
     few |= {k for k in np.argsort(matched)[:MATCHED] if np.isfinite(matched[k])}
     few |= {k for k, c in enumerate(candidates) if not c.local} - _unlikely_swaps(setting, candidates)
     forces = {k for k, c in enumerate(candidates) if couples(c)}
-    some = sorted(
-        [k for k in few - forces if candidates[k].count == 1]
-        + _leading_forces(candidates, matched, gain, nominal, -_dampings(setting, candidates))
-    )
+    some = [k for k in few - forces if candidates[k].count == 1]
     distance, where = finite(setting, [candidates[k] for k in some], told[some])
+    if not min(distance, default=np.inf) < far * f.values.size:
+        coupling = _leading_forces(candidates, matched, gain, nominal, -_dampings(setting, candidates))
+        more = finite(setting, [candidates[k] for k in coupling])
+        some += coupling
+        distance, where = np.append(distance, more[0]), np.append(where, more[1])
     least = dict(zip(some, distance, strict=True))
     value = dict(zip(some, -0.5 * distance + share[some], strict=True))
     order = sorted(some, key=lambda k: -value[k])

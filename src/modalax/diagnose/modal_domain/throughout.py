@@ -61,7 +61,7 @@ def _damped(setting: Setting, f: Fit) -> tuple[Setting, Fit]:
 def _alike(setting: Setting, f: Fit) -> bool:
     """Whether the dampings of modes are surely off in the mean, over their scatter."""
     a = setting.inaccuracy
-    off = f.sizes[a.group_of == a.groups.index("damping")]
+    off = f.sizes[(a.group_of == a.groups.index("damping")) & a.positive]
     off = off[np.unique(f.state.pairs[f.state.pairs < len(off)])]
     spread = float(off.std()) / math.sqrt(max(len(off) - 1, 1))
     return len(off) >= FEWEST and abs(float(off.mean())) > SURE * spread

@@ -5,7 +5,9 @@ one number :math:`q` for each run, line and input. With :math:`q` free the chi-s
 
 .. math:: \chi_b^2 = |r|^2 - \sum \frac{|(wH_b)^H r|^2}{|wH_b|^2},
 
-with r the whitened residual of the simulation and w its weights. Where the least of these is no more than noise, only
+with r the whitened residual of the simulation and w its weights. Whatever the place, what is left of the FRFs of
+several inputs is then of rank one at each line; where that leaves more than noise, no place is asked for. Where the
+least of these is no more than noise, only
 elements and joints are worth a search, at the places that come near it. With several outputs a fault of one output, of
 one mode or at an input alone can look like that too; where one would do, nothing is said.
 """
@@ -47,6 +49,11 @@ def places_of_one_force(comparison: Comparison, late: Deadline = NEVER) -> tuple
     left, live = comparison.residual(empty(comparison)), comparison.live()
     by_output, samples = (np.abs(left) ** 2).sum(axis=(0, 1, 3)), 2 * live.sum(axis=(0, 1, 3))
     chi2, count, unknowns = by_output.sum(), samples.sum(), 2 * int(live.any(axis=2).sum())
+    if (
+        _exceeds_noise(left_by_any_column(left, np.asarray(comparison.problem.weight)), count - unknowns)
+        > THRESHOLDS.one_force
+    ):
+        return ()
     gains, places = _gains(comparison, left)
     order = np.argsort(-gains)
     best = float(gains[order[0]])
@@ -112,6 +119,26 @@ def _fault_or_mode_does(comparison: Comparison, most: float, late: Deadline) -> 
 def _exceeds_noise(chi2: float, samples: int) -> float:
     """Chi-square above that of noise in so many real samples, in standard deviations."""
     return (chi2 - samples) / np.sqrt(2 * max(samples, 1))
+
+
+def left_by_any_column(left: np.ndarray, weight: np.ndarray) -> float:
+    r"""Chi-square that any one column over the outputs leaves at least, with a free factor for each line and input.
+
+    With smaller weights :math:`a_ob_i\leq w_{oi}` that is, at each line, the sum of all squared singular values of
+    :math:`a_o\Delta_{oi}b_i` but the largest (Eckart and Young 1936).
+
+    Parameters
+    ----------
+    left
+        Whitened residual :math:`w\Delta`, complex, shape ``(run, f, o, i)``.
+    weight
+        Its weights, 0 of what is left out, same shape.
+    """
+    b = np.maximum(weight.max(axis=(1, 2), keepdims=True), 1e-300)
+    a = (weight / b).min(axis=3, keepdims=True)
+    part = np.divide(a * b * left, weight, out=np.zeros(left.shape, complex), where=weight > 0)
+    gram = part.conj().swapaxes(2, 3) @ part
+    return float(np.linalg.eigvalsh(gram)[..., :-1].sum())
 
 
 def _gains(comparison: Comparison, left: np.ndarray) -> tuple[np.ndarray, list[Place]]:
