@@ -58,6 +58,37 @@ def test_gain_of_a_free_force_is_that_of_least_squares_at_every_line():
         assert gains[k] == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.parametrize("alike", [True, False])
+def test_what_any_column_leaves_is_no_more_than_the_best_one_does(alike):
+    rng = np.random.default_rng(2)
+    draw = lambda *shape: rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
+    weight = np.exp(rng.standard_normal((2, 5, 4, 1))) * np.array([1.0, 3.0, 0.5])
+    weight = weight if alike else weight * np.exp(0.3 * rng.standard_normal(weight.shape))
+    weight[0, 0, 1, 2] = 0.0  # left out
+    one = draw(2, 5, 4, 1) * draw(2, 5, 1, 3)
+    assert one_force.left_by_any_column(weight * one, weight) < 1e-12 * (np.abs(weight * one) ** 2).sum()
+    other = one + 0.5 * draw(2, 5, 4, 3)
+    bound, least = one_force.left_by_any_column(weight * other, weight), 0.0
+    for run, line in np.ndindex(2, 5):  # the best column, by alternating least squares
+        W, D = weight[run, line], other[run, line]
+        column = np.linalg.svd(W * D)[0][:, 0]
+        for _ in range(400):
+            factor = (W**2 * column.conj()[:, None] * D).sum(axis=0) / (W**2 * np.abs(column[:, None]) ** 2).sum(axis=0)
+            column = (W**2 * D * factor.conj()).sum(axis=1) / (W**2 * np.abs(factor) ** 2).sum(axis=1)
+        least += (np.abs(W * (D - column[:, None] * factor)) ** 2).sum()
+    assert 0.2 * least < bound <= least * (1 + 1e-9)
+    if alike:  # but for what was left out it is the very least
+        assert bound > 0.9 * least
+
+
+def test_no_place_is_asked_for_where_no_column_explains_the_data(monkeypatch):
+    comparison, _ = comparison_of(STRUCTURE, sprung(STRUCTURE, 2, 5, 5e3), lines=20)
+    assert one_force.places_of_one_force(comparison)
+    monkeypatch.setattr(one_force, "left_by_any_column", lambda left, weight: 1e4)
+    monkeypatch.setattr(one_force, "_gains", lambda *a: pytest.fail("no place can be it"))
+    assert one_force.places_of_one_force(comparison) == ()
+
+
 def test_all_pairs_at_once_are_the_same(monkeypatch):
     monkeypatch.setattr(one_force, "LOUDEST", 10**6)
     comparison, state = comparison_of(STRUCTURE, sprung(STRUCTURE, 2, 5, 5e3), lines=20)

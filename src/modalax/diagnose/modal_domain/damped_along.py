@@ -55,7 +55,9 @@ def with_loss(cause: Change, c: Coordinates, inside: np.ndarray) -> list[Change]
     ratio = float((damping / w ** (0 if of_mass else 2))[inside].max())
     if ratio <= 0:
         return []
-    kept = AtEqualRatios(float((damping / w)[inside].max()), w, least, of_mass)
+    twice = damping / w
+    twice[-1] = twice[-2]  # the spare coordinate, which a stiffer mode may pass
+    kept = AtEqualRatios(twice, w, least, of_mass)
     return [
         replace(cause, along="in proportion", loss=InProportion(ratio)),
         replace(cause, along="at equal damping ratios", loss=kept),

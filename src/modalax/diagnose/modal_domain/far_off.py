@@ -14,6 +14,7 @@ from modalax.diagnose.modal_domain.starts import FITTED, starts
 from modalax.diagnose.modal_domain.state import Setting
 
 UNLIKE = 10.0  # chi-square per feature beside the general inaccuracy from which on a cause is tried before all else
+MOSTLY = 0.25  # share of what the simulation leaves, below which a change of the structure explains most of it
 
 
 def far_off(null: Fit) -> bool:
@@ -34,7 +35,7 @@ def leading(
     prior, found = Prior(candidates), {(): null}
     try:
         tell(f"screening {len(candidates)} causes and places")
-        for cause, u, start in islice(starts(setting, null, candidates, prior.each(candidates), far=UNLIKE), FITTED):
+        for cause, u, start in islice(starts(setting, null, candidates, prior.each(candidates), far=MOSTLY), FITTED):
             attempt(setting, found, (cause,), cause.of_size(u), start, basin=UNLIKE)
             if late():
                 break

@@ -6,8 +6,8 @@ by a factor :math:`e^{\epsilon z}` so that it stays positive. Between modes it i
 tenth of that, with a size of its own: modes that are hardly coupled do not tell how well their damping is known. Close
 modes are turned into one another by what elements are off by, and what their dampings differ by then couples them: by
 an angle :math:`\theta`, :math:`\tan2\theta=2\sigma_{rs}/(\omega_s^2-\omega_r^2)`, with :math:`\sigma_{rs}` the usual
-size of the change between them, dampings off by :math:`\epsilon z_r` and :math:`\epsilon z_s` couple by
-:math:`\epsilon(z_r-z_s)\tfrac12\sin2\theta` of what they are.
+size of the change between them, modal dampings :math:`c_r` and :math:`c_s` couple by
+:math:`\tfrac12\sin2\theta\,(c_r-c_s)`.
 """
 
 from dataclasses import dataclass, replace
@@ -180,12 +180,16 @@ def _claim(simulation: Structure, name: str) -> float:
 
 
 def _turned(c: Coordinates, patterns: tuple[np.ndarray, np.ndarray], usual: np.ndarray) -> np.ndarray:
-    r"""How much of what the dampings of two modes are off by couples them, :math:`\sin2\theta/\sqrt2` ``(n, n)``."""
-    squares = c.frequencies**2
+    r"""Usual coupling of two modes' dampings by turning them, over what one of them is off by, shape ``(n, n)``.
+
+    It is :math:`\tfrac12\sin2\theta\sqrt{2+(c_r-c_s)^2/(c_rc_s\epsilon^2)}`, as both are off by :math:`\epsilon`.
+    """
+    squares, damping = c.frequencies**2, np.maximum(np.diag(c.damping), NEGLIGIBLE)
     stiffness, mass = (u * np.sqrt(np.einsum("prs,prs->rs", p, p)) for u, p in zip(usual, patterns, strict=False))
     twice = 2 * np.hypot(stiffness, np.sqrt(np.multiply.outer(squares, squares)) * mass)
     apart = np.maximum(np.abs(np.subtract.outer(squares, squares)), 1e-300)
-    return twice / np.hypot(twice, apart) / np.sqrt(2)
+    unlike = np.subtract.outer(damping, damping) ** 2 / np.multiply.outer(damping, damping) / usual[2] ** 2
+    return 0.5 * twice / np.hypot(twice, apart) * np.sqrt(2 + unlike)
 
 
 def _damping(c: Coordinates, highest: float, turned: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

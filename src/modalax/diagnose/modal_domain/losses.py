@@ -1,10 +1,12 @@
 r"""Damping that goes with a change of stiffness or mass, in coordinates of unit mass and stiffness :math:`\Lambda`.
 
-Either it is in proportion to the change (Rayleigh 1877), or all modes of the changed structure have the damping ratio
-of those before, however large the change: with :math:`(\Lambda+\Delta K)\Phi=(I+\Delta M)\Phi\Omega^2` and modes of
-unit mass, :math:`\Delta C=2\zeta[(I+\Delta M)\Phi\Omega\Phi^T(I+\Delta M)-\Lambda^{1/2}]`. By small further changes
-that moves by :math:`2\zeta\,\delta K_{ij}/(\omega_i+\omega_j)` and :math:`2\zeta\,\delta
-M_{ij}\,\omega_i\omega_j/(\omega_i+\omega_j)` between its modes (Higham 2008, theorem 3.11).
+Either it is in proportion to the change (Rayleigh 1877), or each mode of the changed structure has the damping ratio
+:math:`\zeta_r` of that before it, by the order of frequencies, however large the change: with
+:math:`(\Lambda+\Delta K)\Phi=(I+\Delta M)\Phi\Omega^2` and modes of unit mass, :math:`\Delta
+C=(I+\Delta M)\Phi\,2\zeta\Omega\,\Phi^T(I+\Delta M)-2\zeta\Lambda^{1/2}`. By small further changes that moves between its
+modes by :math:`\delta K_{ij}\,q_{ij}` and :math:`\delta M_{ij}\,(f_i\omega_j^2-f_j\omega_i^2)/(\omega_j^2-\omega_i^2)`, with
+:math:`f=2\zeta\omega` and its divided differences :math:`q_{ij}=(f_i-f_j)/(\omega_i^2-\omega_j^2)` (Higham 2008, theorem
+3.11).
 """
 
 from dataclasses import dataclass
@@ -13,6 +15,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import scipy.linalg
 
+CLOSE = 1e-6  # distance of two frequencies, over their sum, within which the modes count as one
 SMALLEST = 1e-6  # mass of a mode, relative to that before, below which a change leaves none
 
 
@@ -54,19 +57,19 @@ class InProportion:
 
 @dataclass(frozen=True)
 class AtEqualRatios:
-    """Damping with which all modes keep half of ``twice`` as damping ratio.
+    """Damping with which each mode keeps half of ``twice`` as damping ratio.
 
     Attributes
     ----------
-    twice
-        Two times that ratio.
-    frequencies, least
-        Of the modes before [rad/s], shape ``(n,)``, and the least that a mode counts with.
+    twice, frequencies
+        Two times the damping ratio and the frequency [rad/s] of each mode before, shape ``(n,)``.
+    least
+        Frequency that a mode counts with at least [rad/s].
     of_mass
         Whether the mass changes, and not the stiffness.
     """
 
-    twice: float
+    twice: np.ndarray
     frequencies: np.ndarray
     least: float
     of_mass: bool
@@ -74,14 +77,17 @@ class AtEqualRatios:
     def change(self, x: float, A: np.ndarray) -> np.ndarray:
         """Damping of the changed structure, less that before."""
         w, P = self._modes(x, A)
-        return self.twice * ((P * w) @ P.T - np.diag(self.frequencies))
+        return (P * (self.twice * w)) @ P.T - np.diag(self.twice * self.frequencies)
 
     def slope(self, x: float, A: np.ndarray) -> np.ndarray:
         """Its derivative by ``x``."""
         w, P = self._modes(x, A)
         shapes = np.linalg.inv(P).T if self.of_mass else P
-        moved = shapes.T @ A @ shapes / np.add.outer(w, w)
-        return self.twice * P @ (moved * np.multiply.outer(w, w) if self.of_mass else moved) @ P.T
+        both, apart = np.add.outer(w, w), np.subtract.outer(w, w)
+        mean, half = np.add.outer(self.twice, self.twice) / 2, np.subtract.outer(self.twice, self.twice) / 2
+        unlike = half * apart / (apart**2 + (CLOSE * both) ** 2)
+        q = np.multiply.outer(w, w) * (mean / both - unlike) if self.of_mass else mean / both + unlike
+        return P @ (shapes.T @ A @ shapes * q) @ P.T
 
     def turn(self, x: float, A: np.ndarray) -> np.ndarray | None:
         """What is off of a mode's damping ratio is so of the changed structure's modes, in the order of frequencies."""

@@ -60,7 +60,8 @@ def starts(
     share
         Logarithmic prior probability of each candidate.
     far
-        Chi-square per feature below which another change makes it needless to try forces as well.
+        Share of what the simulation leaves as it is, below which another change of the structure makes it needless to
+        try forces as well.
     """
     at, as_it_is = about(setting, null, candidates), _nominal(setting, null)
     gain, size = scores(setting, null, at)
@@ -77,7 +78,8 @@ def starts(
     forces = {k for k, c in enumerate(candidates) if couples(c)}
     some = [k for k in few - forces if candidates[k].count == 1]
     distance, where = finite(setting, [candidates[k] for k in some], told[some])
-    if not min(distance, default=np.inf) < far * f.values.size:
+    local = np.array([candidates[k].local for k in some], bool)
+    if not distance[local].min(initial=np.inf) < far * unchanged(setting):
         coupling = _leading_forces(candidates, matched, gain, nominal, -_dampings(setting, candidates))
         more = finite(setting, [candidates[k] for k in coupling])
         some += coupling
