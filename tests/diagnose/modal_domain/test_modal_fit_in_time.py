@@ -32,3 +32,14 @@ def test_stopping_a_part_of_the_time_stops_all_of_it():
     assert not (late() or part() or other())
     part.stop()
     assert part() and late() and not other()
+
+
+def test_what_leads_is_fitted_to_its_end_though_time_is_up():
+    """A fit cut short says less than it knows, and an odd channel that was not cut would be told in its place."""
+    data, _ = measured(25, 0.01, mass=(DOFS[8], 0.3))
+    task = posed(data, simulation(), identified(data, simulation(), lambda _: None))
+    cut = fits.fit(replace(task.setting, late=Deadline(-1.0)))
+    setting, _, found = explain(task.setting, task.candidates[:3], Deadline(-1.0))
+    best = found[0].fit
+    whole = fits.fit(setting, best.causes, best, best.u, temperatures=())
+    assert cut.log_evidence + 100 < best.log_evidence and whole.log_evidence < best.log_evidence + 1

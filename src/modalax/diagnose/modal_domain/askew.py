@@ -19,7 +19,7 @@ from modalax.diagnose.decision.beyond import OddChannel
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.features import whitener_of
-from modalax.diagnose.modal_domain.fit import Fit, fit, scale_of
+from modalax.diagnose.modal_domain.fit import TEMPERATURES, Fit, fit, scale_of
 from modalax.diagnose.modal_domain.linear import root_of_information
 from modalax.diagnose.modal_domain.matched_elements import NEARER
 from modalax.diagnose.modal_domain.nodes import nodes_of
@@ -69,7 +69,7 @@ def askew_channel(
     asked = _left_by(setting, shrink, best.fit) + 2 * (prior - best.log_posterior + best.fit.log_evidence) + NEAR
     trials = [_nearest(setting, state, shrink, *p) for p in _leading(setting, state, shrink, places)]
     found = [
-        (p, *_fitted(setting, p, share, prior + rest))
+        (p, *_fitted(setting, p, share, prior + rest, best.log_posterior))
         for left, share, p in sorted(trials, key=lambda t: t[0])[:TRIED] if left < asked
     ]  # fmt: skip
     if not found:
@@ -166,7 +166,7 @@ def _nearest(
     return least, size, place
 
 
-def _fitted(setting: Setting, place: Place, size: float, prior: float) -> tuple[float, float]:
+def _fitted(setting: Setting, place: Place, size: float, prior: float, best_else: float) -> tuple[float, float]:
     r"""The likeliest share beside the general inaccuracy, and its log probability.
 
     About a fit with the share ``u`` over its usual size the log evidence is
@@ -178,7 +178,7 @@ def _fitted(setting: Setting, place: Place, size: float, prior: float) -> tuple[
     f, value = None, -math.inf
     for _ in range(STEPS):
         at = place.at(setting, size)
-        again = fit(at, start=f)
+        again = fit(at, start=f, temperatures=TEMPERATURES if f is None else (), best_else=best_else - prior)
         if again is None:
             break
         f = again

@@ -93,6 +93,9 @@ def _searched(setting: Setting, candidates: list[Change], late: Deadline, tell: 
             _all_steps(search, late)
         if not late():
             _without_a_gain(search)
+        if late():  # which may have cut the fit of what leads short: others are compared with it
+            best = search.best
+            attempt(replace(search.setting, late=NEVER), search.found, best.causes, best.u, best, gentle=False)
     except KeyboardInterrupt:
         late.stop()
     return replace(search.setting, late=NEVER), search.candidates, search.ranked

@@ -2,11 +2,13 @@ r"""Damping that goes with a change of stiffness or mass, in coordinates of unit
 
 Either it is in proportion to the change (Rayleigh 1877), or each mode of the changed structure has the damping ratio
 :math:`\zeta_r` of that before it, by the order of frequencies, however large the change: with
-:math:`(\Lambda+\Delta K)\Phi=(I+\Delta M)\Phi\Omega^2` and modes of unit mass, :math:`\Delta
-C=(I+\Delta M)\Phi\,2\zeta\Omega\,\Phi^T(I+\Delta M)-2\zeta\Lambda^{1/2}`. By small further changes that moves between its
-modes by :math:`\delta K_{ij}\,q_{ij}` and :math:`\delta M_{ij}\,(f_i\omega_j^2-f_j\omega_i^2)/(\omega_j^2-\omega_i^2)`, with
-:math:`f=2\zeta\omega` and its divided differences :math:`q_{ij}=(f_i-f_j)/(\omega_i^2-\omega_j^2)` (Higham 2008, theorem
-3.11).
+:math:`(\Lambda+\Delta K)\Phi=(I+\Delta M)\Phi\Omega^2` and modes of unit mass,
+
+.. math:: \Delta C=(I+\Delta M)\Phi\,2\zeta\Omega\,\Phi^T(I+\Delta M)-2\zeta\Lambda^{1/2}.
+
+By small further changes that moves, between its modes and with :math:`f=2\zeta\omega`, by :math:`\delta
+K_{ij}(f_i-f_j)/(\omega_i^2-\omega_j^2)` and :math:`\delta
+M_{ij}(f_i\omega_j^2-f_j\omega_i^2)/(\omega_j^2-\omega_i^2)` (Higham 2008, theorem 3.11, for one ratio).
 """
 
 from dataclasses import dataclass

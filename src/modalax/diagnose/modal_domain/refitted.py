@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from modalax.diagnose.deadline import NEVER
 from modalax.diagnose.modal_domain.attempts import attempt, explains
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.discrepancy import learnt_rest, with_rest
@@ -98,5 +99,6 @@ def in_full(
     bare = [e for e in explanations if not e.causes and all(e is not other for other in leading)]
     for e in leading + bare:
         if not (again and late()):
-            attempt(setting, again, e.causes, e.fit.u, without_causes(e.fit), gentle=False)
+            within = setting if again else replace(setting, late=NEVER)  # what leads is fitted to its end
+            attempt(within, again, e.causes, e.fit.u, without_causes(e.fit), gentle=False)
     return setting, again
