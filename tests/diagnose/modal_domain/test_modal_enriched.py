@@ -8,6 +8,8 @@ import scipy.linalg
 from frames import beam, modal_damping
 
 from modalax.data import Measurement
+from modalax.diagnose.deadline import NEVER, Deadline
+from modalax.diagnose.modal_domain import explain
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import _about, coordinates_of
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
@@ -260,6 +262,29 @@ def test_an_element_of_a_large_simulation_is_told_as_soft_as_it_is(few, monkeypa
     assert change["value"] == pytest.approx(-0.7, abs=3 * change["std"]) and change["std"] < 0.015
     assert found.verdict == "named" and found.stage.coordinates is found.stage.setting.coordinates
     assert few < found.stage.coordinates.size < SIZE
+
+
+def test_the_place_in_a_large_simulation_is_looked_for_though_time_is_up(monkeypatch):
+    """After one fit time was up; a mass had been named five nodes from its own with probability 1."""
+    monkeypatch.setattr("modalax.diagnose.modal_domain.coordinates.LARGEST", 30)
+    up, attempt, settled = [], explain.attempt, explain.settled
+    late = lambda self: bool(up) and self is not NEVER
+
+    def first(*args, **more):
+        attempt(*args, **more)
+        up.append("time")
+
+    def then(search, late):
+        assert up and search.setting.late is NEVER is late and not settled(search, late)
+        up.append("settled")
+
+    monkeypatch.setattr(Deadline, "__call__", late)
+    monkeypatch.setattr(explain, "attempt", first)
+    monkeypatch.setattr(explain, "settled", then)
+    data, simulation = measured_beam(0.3)
+    found = diagnose_modes(data, simulation, wanted={"joint_stiffness", "added_mass"}.__contains__)
+    assert up[:2] == ["time", "settled"] and any("time was up" in reason for reason in found.to_dict()["reasons"])
+    assert [(c["name"], sorted(c["where"])) for c in found.causes] == [("joint_stiffness", ["18:+Z", "19:+Z"])]
 
 
 def test_a_cause_is_the_same_among_as_many_alike_only():

@@ -122,6 +122,18 @@ def test_a_pole_without_information_leaves_the_other_modes_known():
     np.testing.assert_allclose(std[0], std[1], rtol=0.3)
 
 
+def test_how_well_a_mode_is_known_needs_one_direction_of_its_residues():
+    rng = np.random.default_rng(4)
+    poles = poles_of([20.0, 31.0, 33.0], [0.01, 0.02, 0.015])
+    found = project(poles, channels_of(frf_of(poles, rng), rng))[0]
+    whole, one = features_of(found, 5, 2, 1.3), features_of(found, 5, 2, 1.3, directions=1)
+    assert one.width == 4 < whole.width
+    errors = [np.diag(f.covariance).reshape(f.values.shape)[:, :4] for f in (whole, one)]
+    np.testing.assert_allclose(errors[1], errors[0], rtol=1e-9)
+    np.testing.assert_array_equal(sure(one), sure(whole))
+    assert whitener_of(whole) is whitener_of(whole)  # which takes seconds where hundreds of sensors were measured
+
+
 @pytest.mark.parametrize(("force", "part"), [(lambda h: 1.0j * h, 1), (lambda h: 0.8 * h**2, 0)])
 def test_a_bent_peak_is_one_mode_as_uncertain_as_the_joint_moved_it(force, part):
     """One mode with drag or a cubic spring, H (delta + i + h(|H|)) = 1 over the detuning, solved at each line."""

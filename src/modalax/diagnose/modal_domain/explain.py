@@ -91,6 +91,9 @@ def _searched(setting: Setting, candidates: list[Change], late: Deadline, tell: 
             _about_the_leading(search, late, tell, finer)
         if not late():
             _all_steps(search, late)
+        elif finer is not None:  # few shapes do not tell a place from those beside it; it takes no more than seconds
+            search.setting = replace(search.setting, late=NEVER)
+            settled(search, NEVER)
         if not late():
             _without_a_gain(search)
         if late():  # which may have cut the fit of what leads short: others are compared with it

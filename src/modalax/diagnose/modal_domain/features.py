@@ -81,6 +81,19 @@ class Features:
         return np.isin(np.arange(len(self.poles)), [k for group in self.groups for k in group.rows])
 
     @cached_property
+    def whitener(self) -> np.ndarray:
+        """Inverse of a root of the covariance, for features of unlike size and of any correlation.
+
+        It is upper triangular, but where combinations of features are known better than all others are.
+        """
+        size = np.sqrt(np.diag(self.covariance))
+        unit = self.covariance / size[:, None] / size
+        if _above(unit, ALIKE):  # a root from the last row up, whose inverse is an upper triangle
+            return inverse_of(np.linalg.cholesky(unit[::-1, ::-1]))[::-1, ::-1] / size
+        values, vectors = np.linalg.eigh(unit)
+        return (vectors / np.sqrt(np.maximum(values, ALIKE))).T / size
+
+    @cached_property
     def along(self) -> np.ndarray:
         """What residues are multiplied by and summed over for their part along the measured ones, ``(k, o, i)``."""
         return self.tangent[:, 0].conj() / self.units
@@ -113,12 +126,14 @@ class Features:
 
 
 def features_of(
-    found: Projected, outputs: int, inputs: int, misfit: float = 1.0, close: Sequence[tuple[int, ...]] = ()
-) -> Features:
+    found: Projected, outputs: int, inputs: int, misfit: float = 1.0, close: Sequence[tuple[int, ...]] = (),
+    directions: int | None = None,
+) -> Features:  # fmt: skip
     """Features of identified modes; covariances are widened by ``misfit``, chi-square per sample.
 
     Of poles that are ``close``, by their numbers, only what all make together is told: as many modes as their residues
-    show shapes and participations, none where that are more than the poles.
+    show shapes and participations, none where that are more than the poles. Of ``directions`` in which residues can
+    move some may do.
     """
     R = len(found.poles)
     raw = found.residues.reshape(R, outputs, inputs)
@@ -137,7 +152,7 @@ def features_of(
     np.add.at(whole, together.rows, own[together.numbers])
     for group in groups:
         whole[list(group.rows)] = group.shown
-    tangent = np.stack([tangent_of(A) for A in whole]) if R else np.zeros((0, 1, outputs, inputs), complex)
+    tangent = np.stack([tangent_of(A)[:directions] for A in whole]) if R else np.zeros((0, 1, outputs, inputs), complex)
     poles, seen = together.seen(tangent[:, 0].conj(), found.poles, own)
     origin, width = Origin(together, np.zeros(R, bool)), 2 + 2 * tangent.shape[1]
     values = np.zeros((len(first), width))
@@ -178,17 +193,8 @@ def shapes_shown(found: Projected, outputs: int, inputs: int, close: Sequence[tu
 
 
 def whitener_of(f: Features) -> np.ndarray:
-    """Inverse of a root of the covariance, for features of unlike size and of any correlation.
-
-    It is upper triangular, but where combinations of features are known better than all others are.
-    """
-    size = np.sqrt(np.diag(f.covariance))
-    unit = f.covariance / size[:, None] / size
-    if _above(unit, ALIKE):  # a root from the last row up, whose inverse is an upper triangle
-        lower = np.linalg.cholesky(unit[::-1, ::-1])
-        return inverse_of(lower)[::-1, ::-1] / size
-    values, vectors = np.linalg.eigh(unit)
-    return (vectors / np.sqrt(np.maximum(values, ALIKE))).T / size
+    """As :attr:`Features.whitener`."""
+    return f.whitener
 
 
 def sure(f: Features) -> np.ndarray:

@@ -196,7 +196,7 @@ def features_at(
     plain = np.flatnonzero(~heavy(modes.poles) & ~bent(modes, channels))
     close = [tuple(plain[list(two)].tolist()) for two in close_pairs(modes.poles[plain])]
     rank, alone = together(modes, channels, shape), np.ones(len(modes.poles), bool)
-    unsure = ~sure(features_of(modes, shape[0], shape[1], left)) if close else alone
+    unsure = ~sure(features_of(modes, shape[0], shape[1], left, directions=1)) if close else alone
     alone[[k for two in close for k in two]] = False
     for k in plain[(alone & (unsure | (rank > 1)))[plain]]:  # what is left beside two is part of what they make
         near = [abs(modes.poles[list(some)].mean() - modes.poles[k]) for some in close]
