@@ -39,8 +39,8 @@ def made_exact(
     exact, there = finer(tuple(dict.fromkeys(name for e in leading for name in _places(e))), ranked[0].fit)
     exact = replace(exact, features=setting.features, whitener=setting.whitener, late=setting.late)
     again: Found = {}
-    there_or_none = [e for e in ranked[:AGAIN] if not _places(e) or any(e is other for other in leading)]
-    for e in [*there_or_none, *(e for e in ranked[AGAIN:] if not e.causes)]:
+    others = [e for e in ranked[:AGAIN] if not _places(e)] + [e for e in ranked[AGAIN:] if not e.causes]
+    for e in [*leading, *others]:
         causes = tuple(same for c in e.causes for same in _same(c, candidates, there))
         if len(causes) == len(e.causes):
             attempt(exact, again, causes, e.fit.u, start_in(exact, e.fit), gentle=False)

@@ -88,12 +88,10 @@ def _searched(setting: Setting, candidates: list[Change], late: Deadline, tell: 
     try:
         if not (led or null is None or late()):
             _first_fits(search, late, tell)
-            _about_the_leading(search, late, tell, finer)
+            _about_the_leading(search, tell, finer)
+        _settled(search, late, finer)
         if not late():
             _all_steps(search, late)
-        elif finer is not None:  # few shapes do not tell a place from those beside it; it takes no more than seconds
-            search.setting = replace(search.setting, late=NEVER)
-            settled(search, NEVER)
         if not late():
             _without_a_gain(search)
         if late():  # which may have cut the fit of what leads short: others are compared with it
@@ -128,12 +126,25 @@ def _first_fits(search: Search, late: Deadline, tell: Tell) -> None:
             attempt(setting, found, (cause,), cause.of_size(u), start, gentle=start is None)
 
 
-def _about_the_leading(search: Search, late: Deadline, tell: Tell, finer: Finer | None) -> None:
+def _about_the_leading(search: Search, tell: Tell, finer: Finer | None) -> None:
     """Make a large simulation exact about the places that lead; errors beside them are then asked for again."""
-    exact, there, found = made_exact(search.setting, search.candidates, search.found, None if late() else finer, tell)
+    exact, there, found = made_exact(search.setting, search.candidates, search.found, finer, tell)
     if exact is not search.setting:
         search.setting, search.bare, search.found = exact, exact, found
         search.candidates = search.asked = there
+
+
+def _settled(search: Search, late: Deadline, finer: Finer | None) -> None:
+    """Settle place and form of one cause that explains the modes; in a large simulation whatever the time.
+
+    Few shapes do not tell a place from those beside it, of which one may leave no more than noise.
+    """
+    if finer is None:
+        settled(search, late)
+        return
+    setting, search.setting = search.setting, replace(search.setting, late=NEVER)
+    settled(search, NEVER)
+    search.setting = setting
 
 
 def one_cause(setting: Setting, candidates: list[Change], late: Deadline) -> list[Explanation]:
@@ -189,7 +200,6 @@ def _less_a_mode(setting: Setting, candidates: list[Change]) -> Found:
 
 def _all_steps(search: Search, late: Deadline) -> None:
     """Seek a further cause and other places beside what was fitted first, as long as there is time."""
-    settled(search, late)
     attached(search.setting, search.found, search.candidates, search.prior, late)
     with_losses(search, late)
     several(search, late)

@@ -31,7 +31,7 @@ UNKNOWN = 2.0  # standard deviation of the logarithm of a size that nobody claim
 CLAIMED = 0.7  # the same of a size that the author claims, who may be wrong by a factor of two
 RIGID = 1e-3  # frequency, relative to the highest, below which a mode is that of a rigid body
 BETWEEN = 0.1  # damping between modes, relative to that of the modes themselves
-CLOSE = 0.01  # share of what dampings of two modes are off by, from which on it counts as a coupling of them
+CLOSE = 0.01  # coupling of turned modes, over what their dampings are off by, from which on it has a pattern of its own
 NEGLIGIBLE = 1e-12  # modal damping [1/s] of a mode without any
 NEAR = 8  # modes above each one that it may be coupled with by damping
 KINDS = {"stiffness": "K", "mass": "M", "damping": "C", "damping between modes": "C", "rest": "K",
@@ -193,9 +193,10 @@ def _turned(c: Coordinates, patterns: tuple[np.ndarray, np.ndarray], usual: np.n
 
 
 def _damping(c: Coordinates, highest: float, turned: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Patterns of damping, of each mode by itself and between modes, those in the band and others near them.
+    """Patterns of each mode's damping, of couplings of close modes, and of such between all, shapes ``(p, n, n)``.
 
-    Those between close modes, that are off as much as the modes' own, stand apart from what any modes have.
+    Of modes in the band and others near them. ``turned`` is what close modes have, as :func:`_turned` tells it, over
+    what their own dampings are off by.
     """
     own = np.sqrt(np.maximum(np.diag(c.damping), NEGLIGIBLE))
     inside = int(np.count_nonzero(c.frequencies < highest))

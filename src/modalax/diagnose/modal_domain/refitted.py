@@ -15,8 +15,8 @@ from modalax.diagnose.modal_domain.state import Setting
 from modalax.diagnose.modal_domain.throughout import start_in, with_more
 
 AGAIN = 6  # leading explanations that are fitted again,
-FAR = 60.0  # nats behind one that explains the modes from which on what no element explains does not matter
 NEAR = 12.0  # and nats behind the first up to which they are, where few features told of them
+FAR = 60.0  # the same where the first explains the modes, and the rest that no element explains is fitted as well
 
 
 def beside_a_factor(

@@ -23,6 +23,7 @@ from modalax.diagnose.thresholds import THRESHOLDS
 NEAR = 12.0  # nats behind the best up to which other places are fitted
 WORTH = 4.0  # nats that a further cause must promise beyond the cost of its prior probability
 MOST = 2  # causes in one answer
+MOVES = 2  # times that the place of a cause that explains the modes by itself may change before others are sought
 MANY, CHAINS = 4, 2  # the same where the inaccuracy would be far from usual, and first causes that others are added to
 FAR = 3.0  # times as large as usual from which on an inaccuracy of stiffness or mass is far from it
 JOINED = "joint_stiffness", "local_damper"  # what a joint may be taken for
@@ -53,7 +54,7 @@ class Search:
     bare: Setting
     candidates: list[Change]
     asked: list[Change] = field(default_factory=list)
-    _seen: tuple[Setting, Fit, About] | None = field(default=None, repr=False)
+    _seen: tuple[Setting, list[Change], Fit, About] | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         self.asked = self.asked or self.candidates
@@ -74,10 +75,11 @@ class Search:
         return self.ranked[0].fit
 
     def about(self, f: Fit) -> About:
-        """What each candidate does beside a fit; the last such fit is remembered, as several steps ask about it."""
-        if self._seen is None or self._seen[0] is not self.setting or self._seen[1] is not f:
-            self._seen = self.setting, f, about(self.setting, f, self.asked)
-        return self._seen[2]
+        """What all that is asked does beside a fit; the last is remembered, as several steps ask about the same fit."""
+        key = self.setting, self.asked, f
+        if self._seen is None or any(a is not b for a, b in zip(key, self._seen, strict=False)):
+            self._seen = *key, about(self.setting, f, self.asked)
+        return self._seen[-1]
 
     def fit(self, causes: tuple[Change, ...], u: np.ndarray, start: Fit | None) -> None:
         """Fit causes from sizes ``u`` and a start, gently from the simulation as it is, and keep what is likelier."""
@@ -137,7 +139,7 @@ def settled(search: Search, late: Late) -> None:
 
     What a cause leaves at a neighbour's place, or without the damping that goes along, looks like a second one.
     """
-    for _ in range(MOST):
+    for _ in range(MOVES):
         best = search.best
         if late() or len(best.causes) != 1 or not explains(best):
             return
