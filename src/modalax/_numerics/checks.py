@@ -23,7 +23,7 @@ def require_double(what: str) -> None:
     ValueError
         If 64-bit numbers are not enabled in JAX; the message holds the line to add.
     """
-    if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+    if not jax.config.jax_enable_x64:
         raise ValueError(f"{what} needs double precision; add this line before the first use of JAX: {ENABLE_DOUBLE}")
 
 

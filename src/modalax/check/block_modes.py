@@ -22,7 +22,7 @@ def _block(study: Study, block) -> tuple[np.ndarray, np.ndarray]:
     """FRFs and noise of a block, ``(f, k)``."""
     run, o, i = block
     lines = len(study.freq)
-    return tuple(a[run][:, o].reshape(lines, -1) if isinstance(i, slice) else a[run][:, :, i]  # pyright: ignore
+    return tuple(a[run][:, o].reshape(lines, -1) if isinstance(i, slice) else a[run][:, :, i]
                  for a in (study.H, study.sigma))  # fmt: skip
 
 

@@ -98,7 +98,7 @@ def one_line(error: BaseException) -> str:
     if isinstance(error, OSError) and error.filename is not None and error.strerror:
         text = f"{error.filename}: {error.strerror}"
     elif isinstance(error, USAGE_ERROR):
-        text = f"{error.format_message()} (modalax --help lists the commands and options)"  # pyright: ignore
+        text = f"{error.format_message()} (modalax --help lists the commands and options)"
     else:
         text = str(error) or type(error).__name__
     return " ".join(text.split())

@@ -84,7 +84,7 @@ def print_findings(console: Any, result: Any) -> None:
         return
     table = new_table("Findings")
     for name, justify in zip(COLUMNS, ("left", "left", "right", "right"), strict=True):
-        table.add_column(name, justify=justify)  # pyright: ignore[reportArgumentType]
+        table.add_column(name, justify=justify)
     for f in result:
         table.add_row(*map(escape, row(f)))
     console.print(table)

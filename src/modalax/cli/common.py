@@ -40,7 +40,7 @@ def start() -> None:
     if "JAX_LOGGING_LEVEL" not in os.environ:
         # Otherwise each program taken from the cache logs two screens of text about processor features as an error.
         jax.config.update("jax_logging_level", "CRITICAL")
-    if jax.config.jax_compilation_cache_dir is None and "JAX_COMPILATION_CACHE_DIR" not in os.environ:  # pyright: ignore
+    if jax.config.jax_compilation_cache_dir is None and "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         folder = cache_folder()
         try:
             folder.mkdir(parents=True, exist_ok=True)

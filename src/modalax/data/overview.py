@@ -46,7 +46,7 @@ def lines_text(freq: np.ndarray) -> str:
 
 def unreadable(data: object, *first: object) -> bool:
     """Whether values are being traced, or are those of many at once (``first`` has more than one axis)."""
-    return is_traced(*jax.tree_util.tree_leaves(data)) or any(np.ndim(a) != 1 for a in first)  # pyright: ignore
+    return is_traced(*jax.tree_util.tree_leaves(data)) or any(np.ndim(a) != 1 for a in first)
 
 
 def of_frfs(data: "FRF | Measurement", title: str) -> str:

@@ -275,10 +275,7 @@ def _from_arrays(arrays: Any, causes: Sequence[Cause] | None) -> ExtendedSimulat
             f"{', '.join(sorted(known))}"
         )
     every = range(len(keys))
-    places = tuple(
-        Place(tuple(names(f"where_{k}")), tuple(int(v) for v in arrays[f"index_{k}"]))  # pyright: ignore[reportArgumentType]
-        for k in every
-    )
+    places = tuple(Place(tuple(names(f"where_{k}")), tuple(int(v) for v in arrays[f"index_{k}"])) for k in every)
     return ExtendedSimulation(
         base, tuple(as_array(arrays[f"params_{k}"]) for k in every),
         tuple(as_array(arrays[f"spread_{k}"]) for k in every), as_array(arrays["theta"]),

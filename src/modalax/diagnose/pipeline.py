@@ -179,7 +179,7 @@ def _diagnosed(
         found = by_table(table, simulation, causes, modal_std, time, progress)
         return replace(found, reasons=(*found.reasons, *([damped] if damped else []), *renamed))
     check_comparable(measurement, simulation)
-    measurement, renamed = turned(measurement, names)
+    measurement, renamed = turned(measurement, names)  # pyrefly: ignore[bad-specialization]
     simulation, damped = with_damping(as_measurement(measurement), simulation, progress)
     found = by_frfs(measurement, simulation, question, causes, Deadline(time), progress, undamped=bool(damped))
     said = [damped] if damped else []

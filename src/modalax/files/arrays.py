@@ -207,7 +207,7 @@ def _measurement(arrays: Arrays) -> Measurement:
         raise ValueError(f"axes says {' '.join(axes)!r}; it must be 'run f o i' or 'f o i'")
     single = axes == ["f", "o", "i"]
     _check_axes(H, axes, {"f": len(freq), "o": len(outputs), "i": len(inputs)})
-    optional = {}
+    optional: dict[str, Any] = {}
     for name in ("variance", "coherence"):
         if name in arrays:
             value = _numbers(arrays, name)

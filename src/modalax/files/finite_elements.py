@@ -311,7 +311,7 @@ class _Import:
 
     def _mass(self) -> dict[str, float]:
         """Mass that a unit translation of all points moves, by axis."""
-        out = {}
+        out: dict[str, float] = {}
         for k, way in enumerate("XYZ"):
             r = np.array([float(component == k + 1) for _, component in self.dofs])
             if r.any():

@@ -79,4 +79,4 @@ def check_header(stream: Any, size: int, what: str) -> None:
 def write_npz(what: Any, path: Path) -> None:
     """Write a measurement, structure, modal model or extended simulation."""
     with path.open("wb") as file:
-        np.savez(file, **to_arrays(what))  # pyright: ignore[reportArgumentType]
+        np.savez(file, **to_arrays(what))

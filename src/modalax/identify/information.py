@@ -75,11 +75,12 @@ def inverse_information(S: np.ndarray) -> np.ndarray:
     """
     root = np.sqrt(np.where(np.diag(S) > 0, np.diag(S), 1.0))
     scaled, rounding = S / np.outer(root, root), len(S) * np.finfo(float).eps
+    inverse, sound = scaled, False
     try:
         inverse = np.linalg.inv(scaled)
         sound = bool((np.diag(inverse) > 0.5).all() and (np.diag(inverse) < 1 / rounding).all())
     except np.linalg.LinAlgError:
-        sound = False
+        pass
     if not np.isfinite(scaled).all():
         return np.zeros(S.shape)
     if not sound:

@@ -308,7 +308,7 @@ def objective(flat: Float[Array, " p"], problem: Problem) -> tuple[Array, tuple[
     C, dC = _columns(frozen, data), _column_derivatives(frozen, data)
 
     def row(pair: tuple[Array, Array]) -> tuple[Array, Array, Array]:
-        return _normal_of_row(C, dC, *pair, problem.samples, problem.inputs, full=False)  # pyright: ignore[reportReturnType]
+        return _normal_of_row(C, dC, *pair, problem.samples, problem.inputs, full=False)  # pyrefly: ignore[bad-return]
 
     if problem.shared:
         cost, gradient, matrix = _normal_of_all(C, dC, data.weight[0], data.y)
@@ -348,7 +348,7 @@ def parts(theta: Float[Array, "n q"], problem: Problem) -> Parts:
     C, dC = _columns(theta, problem), _column_derivatives(theta, problem)
 
     def row(pair: tuple[Array, Array]) -> Parts:
-        return _normal_of_row(C, dC, *pair, problem.samples, problem.inputs, full=True)  # pyright: ignore[reportReturnType]
+        return _normal_of_row(C, dC, *pair, problem.samples, problem.inputs, full=True)  # pyrefly: ignore[bad-return]
 
     return lax.map(row, (problem.weight, problem.y))
 

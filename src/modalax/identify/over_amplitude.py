@@ -251,7 +251,7 @@ class _Run(eqx.Module):
 
 def carried(poles: list[np.ndarray], shapes: list[np.ndarray]) -> list[tuple[int, ...]]:
     """Modes seen at every level, each as its number in every run: pairs between neighbours, by frequency and MAC."""
-    chains = [(k,) for k in range(len(poles[0]))]
+    chains: list[tuple[int, ...]] = [(k,) for k in range(len(poles[0]))]
     for run in range(1, len(poles)):
         a, b = poles[run - 1], poles[run]
         moved = np.abs(np.log(np.abs(b)[None, :] / np.abs(a)[:, None]))

@@ -128,7 +128,7 @@ def reduce_to_modes(
     sigma = -((2 * np.pi * shift_hz) ** 2)
     M, K = scipy.sparse.csc_matrix(M), scipy.sparse.csc_matrix(K)
     solve = scipy.sparse.linalg.splu(K - sigma * M).solve
-    operator = scipy.sparse.linalg.LinearOperator((n, n), matvec=solve)  # pyright: ignore[reportCallIssue]
+    operator = scipy.sparse.linalg.LinearOperator((n, n), matvec=solve)
     start = np.random.default_rng(0).standard_normal(n)
     square, phi = scipy.sparse.linalg.eigsh(K, modes, M, sigma=sigma, OPinv=operator, v0=start)
     order = np.argsort(square)

@@ -48,7 +48,7 @@ class _Shifted:
         if self.size <= SMALL or 2 * count >= self.size:
             value, phi = lowest_modes(self.M.toarray(), self.K.toarray())
             return value[:count], phi[:, :count]
-        inverse = scipy.sparse.linalg.LinearOperator(self.K.shape, matvec=solve)  # pyright: ignore[reportCallIssue]
+        inverse = scipy.sparse.linalg.LinearOperator(self.K.shape, matvec=solve)
         start = np.random.default_rng(0).standard_normal(self.size)
         value, phi = scipy.sparse.linalg.eigsh(self.K, count, self.M, sigma=-self.shift, OPinv=inverse, v0=start)
         order = np.argsort(value)

@@ -53,7 +53,7 @@ class Picture(Figure):
         from matplotlib._pylab_helpers import Gcf
 
         window = plt.figure()  # of the kind in use
-        kind, number = type(window.canvas), window.number  # pyright: ignore[reportAttributeAccessIssue]
+        kind, number = type(window.canvas), window.number
         plt.close(window)
         before = self.canvas
         Gcf._set_new_active_manager(kind.new_manager(self, number))

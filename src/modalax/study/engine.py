@@ -84,6 +84,7 @@ def on_dask(
         ahead = AHEAD * max(1, sum(client.ncores().values()))
         numbers = {hand(k): k for k in islice(waiting, ahead)}
         running = as_completed(list(numbers), loop=client.loop)
+        k = 0
         try:
             for future in running:
                 k = numbers.pop(future)

@@ -98,7 +98,7 @@ def study(
     given, path = (checked(settings), None) if isinstance(settings, Mapping) else _of_file(Path(settings))
     if out is None and path is None:
         raise ValueError("a study that is not read from a file needs out, a folder for its results")
-    folder = Path(out) if out is not None else path.with_name(f"{path.stem}-results")  # pyright: ignore
+    folder = Path(out) if out is not None else path.with_name(f"{path.stem}-results")
     home = Path.cwd() if path is None else path.parent
     store = Store(folder)
     store.check_own()

@@ -219,7 +219,7 @@ def write_rows(path: Path, columns: Mapping[str, np.ndarray]) -> None:
     """Write columns to a Parquet or NumPy file, complete or not at all."""
     with replacing(path) as part:
         if path.suffix == ".npz":
-            np.savez(part, **{name: np.asarray(values) for name, values in columns.items()})  # pyright: ignore
+            np.savez(part, **{name: np.asarray(values) for name, values in columns.items()})
             return
         import pyarrow
         import pyarrow.parquet

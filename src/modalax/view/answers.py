@@ -143,7 +143,7 @@ class Answers:
         own = shapes[mode - 1]
         u = moving(self.geometry, self.moved[1], own[self.moved[0]])
         top = float(np.abs(u).max()) or 1.0
-        found = {"mode": mode, "u": packed(_parts(u / top)), "other": None}
+        found: dict[str, Any] = {"mode": mode, "u": packed(_parts(u / top)), "other": None}
         if beside is not None and beside["partners"][mode - 1] is not None:
             other = moving(self.geometry, beside["dofs"], beside["partners"][mode - 1])
             found["other"] = packed(_parts(_aligned(other, u) / top))

@@ -100,7 +100,7 @@ def _of_result(path: Path) -> ModeTable:
         frequency, damping = ([float(mode[key]) for mode in modes] for key in ("frequency_hz", "damping_ratio"))
         shapes = np.array([mode[side] for mode in modes], float) @ [1, 1j]
         return ModeTable.of(frequency, damping, shapes, found["inputs"] if turned else found["outputs"])
-    except (ValueError, KeyError, TypeError, UnicodeDecodeError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{path}: holds no result with modes and shapes, as modalax fit --json writes it") from error
 
 

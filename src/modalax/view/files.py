@@ -68,7 +68,7 @@ def read_selection(path: Path) -> tuple[list[Pick], tuple[float, float] | None, 
             picks.append(Pick(pole, None if order is None else int(order), str(mode.get("name", ""))))
         band, order = found.get("band_hz"), found.get("highest_order")
         return picks, None if band is None else (float(band[0]), float(band[1])), None if order is None else int(order)
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError, UnicodeDecodeError) as error:
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
         raise ValueError(
             f"{path}: holds no selection; it needs modes with frequency_hz and damping_ratio above 0, as a view or "
             "modalax fit --json writes them"

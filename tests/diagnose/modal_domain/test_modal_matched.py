@@ -39,7 +39,7 @@ def missed_by_all(values, sizes=TRIED, damping=0.01):
     poles = np.sqrt(values) * (-damping + 1j * np.sqrt(1 - damping**2))
     eye = np.eye(COUNT)
     modes = SimpleNamespace(low=(eye[:5], VALUES[:5], eye), high=(eye[5:], VALUES[5:]))
-    return missed_frequencies(SimpleNamespace(poles=poles), modes, CANDIDATES, sizes)  # pyright: ignore
+    return missed_frequencies(SimpleNamespace(poles=poles), modes, CANDIDATES, sizes)
 
 
 @pytest.mark.parametrize(("which", "size"), [(2, 1.3), (6, -1.5), (10, 2.6), (14, -0.9)])
@@ -109,7 +109,7 @@ def test_a_free_structure_may_be_softer_and_none_has_less_than_no_stiffness():
     for size in (-1.5, 1e5):
         changed = free + size * 500.0 * np.outer(across(PAIRS[2]), across(PAIRS[2]))
         poles = np.sqrt(scipy.linalg.eigh(changed, M)[0][1:5] * (1 + 1e-4 * np.array([1, -1, 1, -1]))) * 1j
-        (missed,), (found,) = missed_frequencies(SimpleNamespace(poles=poles), modes, [pair], TRIED)  # pyright: ignore
+        (missed,), (found,) = missed_frequencies(SimpleNamespace(poles=poles), modes, [pair], TRIED)
         assert missed < 0.01
         assert found == pytest.approx(size, rel=0.05) if size < 0 else found > 50.0
 
@@ -130,7 +130,7 @@ def test_the_place_of_a_damper_is_the_first_by_the_dampings():
     vectors = np.eye(COUNT)[:5] / np.sqrt(2j * before.imag)[:, None]
     modes = SimpleNamespace(poles=before, vectors=vectors)
     features = SimpleNamespace(poles=poles)
-    missed = missed_dampings(features, modes, np.arange(5), [*candidates, CANDIDATES[0]])  # pyright: ignore
+    missed = missed_dampings(features, modes, np.arange(5), [*candidates, CANDIDATES[0]])
     assert np.argmin(missed) == where
     assert missed[where] < 1 < np.sort(missed)[1]
     assert missed[-1] == np.inf  # of what is no damper nothing is told

@@ -38,7 +38,7 @@ class FreeLaw(JointCause):
     def __init__(self, count: int, reach: float):
         self.count, self.reach = count, f"{reach:.3e}"
         each = range(1, count + 1)
-        self.parameters = (  # pyright: ignore[reportAttributeAccessIssue, reportIncompatibleVariableOverride]
+        self.parameters = (
             *(Parameter(f"stiffness_{k}", "N/m") for k in each), *(Parameter(f"loss_{k}", "N/m") for k in each),
         )  # fmt: skip
 

@@ -5,6 +5,7 @@ its amplitude, noise only as its square root, so that it is seen at a third of t
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.special
@@ -53,7 +54,7 @@ def omnibus(residual: np.ndarray, live: np.ndarray, freedom: float, tolerated: f
     r = np.where(live, residual, 0.0)
     spread = 1.0 + (4.0 / freedom if np.isfinite(freedom) else 0.0)
     tests = []
-    kinds = {"each run": (r, live)}
+    kinds: dict[str, tuple[np.ndarray, Any]] = {"each run": (r, live)}
     if r.shape[0] > 1:
         count = np.maximum(live.sum(axis=0, keepdims=True), 1)
         kinds["all runs"] = (r.sum(axis=0, keepdims=True) / np.sqrt(count), live.any(axis=0, keepdims=True))

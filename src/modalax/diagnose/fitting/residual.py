@@ -42,7 +42,7 @@ def modal_directions(theta, spread, basis, problem):
 
 def projected(r: Any, basis: Any) -> Any:
     """Real and imaginary parts of whitened residuals, shape ``(o, i, run f 2)``, free directions taken out."""
-    xp = jnp if is_traced(r) else np
+    xp: Any = jnp if is_traced(r) else np
     real = xp.stack([r.real, r.imag], axis=-1)
     real = xp.moveaxis(real, (2, 3), (0, 1)).reshape(*r.shape[2:], -1)
     if basis is None:

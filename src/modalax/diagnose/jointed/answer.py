@@ -47,8 +47,8 @@ class JointDiagnosis(Diagnosis):
         Tests of what modes alone and the extended simulation leave.
     """
 
-    found: None  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
-    comparison: Facts  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
+    found: None
+    comparison: Facts
     joints: Jointed
     chosen: Fitted
     before: Omnibus
@@ -134,7 +134,7 @@ class JointDiagnosis(Diagnosis):
     def reach(self) -> float:
         """Largest amplitude across the joint at the fitted levels [m]."""
         free = self.joints.free[0].explained.extended.causes[0]
-        return float(free.reach)  # pyright: ignore[reportAttributeAccessIssue]
+        return float(free.reach)
 
     def to_dict(self) -> dict[str, Any]:
         """The answer as plain data, in the agreed form."""

@@ -67,8 +67,8 @@ class ModalDiagnosis(Diagnosis):
         Outputs that are at other DoFs than their names; None where all are where they should be.
     """
 
-    found: None  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
-    comparison: Facts  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
+    found: None
+    comparison: Facts
     stage: Stage
     chosen: Explanation
     sets: tuple[BeyondUsual, ...]

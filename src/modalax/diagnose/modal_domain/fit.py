@@ -175,7 +175,7 @@ def _at_true_covariance(
         if moved < 1e-3:
             break
     assert best is not None
-    return best, linear, straight
+    return best, linear, straight  # pyrefly: ignore[unbound-name]
 
 
 def _with_exact(setting: Setting, f: Fit, linear: Linear, free: float) -> float:

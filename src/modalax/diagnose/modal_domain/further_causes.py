@@ -202,7 +202,7 @@ def viscous_terms(poles: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarr
     for _ in range(ROUNDS):
         decay = a * b / ((1 - share) * b + share * np.sqrt(square))
         square = b**2 - a**2 + 2 * (1 - share) * decay * a
-    return decay, square
+    return decay, square  # pyrefly: ignore[unbound-name]
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ LENGTH = 2048  # samples of a piece; longer ones take as long a sample, and a pr
 def _one(cause: Cause, solve: bool, p: Any, motion: Any, drive: Any, omega: Any, level: Any) -> Any:
     """At one line, for one input: motion and drive are numbers, ``level`` holds the runs, shape ``(run or 1,)``."""
     if isinstance(cause, LocalCause):
-        Z = cause.impedance(1j * omega[None], p)  # pyright: ignore[reportAttributeAccessIssue]
+        Z = cause.impedance(1j * omega[None], p)
         if jnp.shape(Z) != (1,):
             raise ValueError(
                 f"the impedance of {cause.slug!r} has the shape {jnp.shape(Z)} at one line; it must have that of its "
@@ -32,7 +32,7 @@ def _one(cause: Cause, solve: bool, p: Any, motion: Any, drive: Any, omega: Any,
         Z = equivalent(cause, p, omega[None], drive[None, None], motion[None, None, None], level[:, None])[:, 0, 0]
         return -Z / (1 + Z * drive) * motion
     A = level[:, None, None] * jnp.abs(motion) + 1e-300
-    return -cause.impedance(A, omega[None, None, None], p)[:, 0, 0] * motion  # pyright: ignore[reportAttributeAccessIssue]
+    return -cause.impedance(A, omega[None, None, None], p)[:, 0, 0] * motion
 
 
 @partial(jax.jit, static_argnames=("cause", "solve"), compiler_options={"xla_backend_optimization_level": 1})

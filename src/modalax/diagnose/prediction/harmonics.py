@@ -110,7 +110,8 @@ def linear_factor(
         at = causes, index, extras, moved, theta, problem
         if causes[k].rigid:
             return sliding_factor(*at, FEWER_INSTANTS if kept is not None and kept < highest else INSTANTS)
-        return *harmonic_factor(*at, highest, kept or highest, near=near), None
+        factor, series = harmonic_factor(*at, highest, kept or highest, near=near)
+        return factor, series, None
 
     def at(p: Any) -> np.ndarray:
         return np.asarray(all_of(p)[0])

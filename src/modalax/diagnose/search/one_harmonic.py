@@ -44,7 +44,7 @@ def impedances(cause: ElementCause, A: np.ndarray, omega: np.ndarray, p: np.ndar
     """
     given = as_array(np.asarray(p, float))
     if not isinstance(cause, JointCause):
-        Z = cause.impedance(as_array(1j * omega), given)  # pyright: ignore[reportAttributeAccessIssue]
+        Z = cause.impedance(as_array(1j * omega), given)
         return np.broadcast_to(np.asarray(Z)[:, None], A.shape)
     if cause.each_run:
         return np.asarray(cause.impedance(as_array(A), as_array(omega[:, None]), given))

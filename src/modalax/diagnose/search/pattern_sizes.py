@@ -28,7 +28,7 @@ def settle_pattern(comparison: Comparison, h: Hypothesis) -> Hypothesis:
             bare = replace(h, params=(*h.params[:k], off, *h.params[k + 1 :]))
             fixed = _Fixed(cause, h.params[k][cause.terms :])
             side = score_state_of(comparison, bare).sides[False]
-            t = screen_pattern(fixed, comparison.scene, side, comparison.pooled)  # pyright: ignore[reportArgumentType]
+            t = screen_pattern(fixed, comparison.scene, side, comparison.pooled)
             trial = replace(
                 h, extras=(*h.extras[:k], t.extra, *h.extras[k + 1 :]),
                 params=(*h.params[:k], t.start, *h.params[k + 1 :]),
@@ -48,7 +48,7 @@ class _Fixed(PatternCause):
     q: np.ndarray
 
     @property
-    def several(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def several(self) -> bool:
         return self.cause.several
 
     @property

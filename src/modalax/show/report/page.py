@@ -75,8 +75,9 @@ class Page:
         environment = jinja2.Environment(
             loader=jinja2.FileSystemLoader(HERE), autoescape=True, undefined=jinja2.StrictUndefined
         )
-        environment.tests["table"] = lambda part: isinstance(part, Table)
-        environment.tests["moving"] = lambda part: isinstance(part, Shapes)
+        tests: dict = environment.tests
+        tests["table"] = lambda part: isinstance(part, Table)
+        tests["moving"] = lambda part: isinstance(part, Shapes)
         environment.filters["figure_json"] = figure_json
         return environment.get_template("page.html.j2").render(
             page=self,

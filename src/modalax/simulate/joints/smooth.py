@@ -78,7 +78,7 @@ class _Polynomial(Memoryless):
         self.powers = tuple(powers)
 
     @property
-    def odd(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def odd(self) -> bool:
         """Whether there are odd powers only."""
         return all(p % 2 for p in self.powers)
 
