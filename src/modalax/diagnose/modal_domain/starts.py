@@ -4,14 +4,16 @@ Finite changes of the simulation itself tell causes that move modes far; of many
 frequencies come about at one size are tried so, for a linear score means nothing there. Linear scores where the
 inaccuracy alone explains the data tell those that it takes up; the same with the inaccuracy held to its usual size
 those that hide in it, and with that of one matrix, or all, held to less than was learnt those that are all that is
-wrong there.
+wrong there. Where the inaccuracy alone explains the data and none of these promises anything, nothing else is tried.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from modalax.diagnose.modal_domain.attempts import explains
 from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.channel_faults import Swap
 from modalax.diagnose.modal_domain.coordinates import modes_of
@@ -32,14 +34,12 @@ from modalax.diagnose.modal_domain.screen import (
 )
 from modalax.diagnose.modal_domain.state import Setting, state_at
 
-MATCHED, PRESCREENED = (
-    60,
-    40,
-)  # places by frequencies, and by each of two linear scores, that are tried with finite sizes
+MATCHED, PRESCREENED = 60, 40  # places by frequencies, and by each of two linear scores, that are tried at finite sizes
 MISSED = 0.1  # squared miss of a frequency, over what counts as close, from which on no place has it
 SWAPS = 200  # exchanges of two outputs that are tried so
 FORCES = 8  # places of forces of each kind, of each of these scores, that are tried so
 FITTED, NEXT = 6, 4  # leading places of each screening that are fitted, and of the screening about the winner
+PROMISING = math.log(0.05)  # odds, by linear scores where the inaccuracy explains the data, that are worth a search
 FARTHER = 2.0  # times as far from the data as the simulation as it is, beyond which no kind of cause is fitted
 
 EITHER = np.array([-s for s in SIZES] + [*SIZES, *STRONG])
@@ -65,6 +65,12 @@ def starts(
     """
     at, as_it_is = about(setting, null, candidates), _nominal(setting, null)
     gain, size = scores(setting, null, at)
+    start = without_causes(null)
+    linear = [k for k in np.argsort(-(gain + share)) if np.isfinite(gain[k]) and gain[k] > 0][:NEXT]
+    taken = narrower(setting, null, at)
+    if explains(null) and not (np.maximum(gain, taken[0]) + share > PROMISING).any():
+        yield from ((candidates[k], 0.0, start) for k in linear)
+        return
     nominal, _ = scores(setting, as_it_is, about(setting, as_it_is, candidates))
     few = set(np.argsort(-(gain + share))[:PRESCREENED]) | set(np.argsort(-(nominal + share))[:PRESCREENED])
     f = setting.features
@@ -99,14 +105,12 @@ def starts(
     first = list(dict.fromkeys([*chosen, *large]))
     near = refined(setting, [candidates[k] for k in first], [float(u[k]) for k in first])
     yield from ((candidates[k], v, None) for k, v in zip(first, near, strict=True))
-    linear = [k for k in np.argsort(-(gain + share)) if np.isfinite(gain[k]) and gain[k] > 0][:NEXT]
-    start = without_causes(null)
     told = [float(np.clip(size[k], -3, 3)) for k in linear]
     near = refined(setting, [candidates[k] for k in linear], told)
     yield from ((candidates[k], v, None) for k, v in zip(linear, near, strict=True))
     yield from ((candidates[k], 0.0, start) for k in linear)
     yield from _hidden(setting, start, at, share)
-    yield from _taken_up(setting, null, at, share)
+    yield from _taken_up(at, share, *taken)
 
 
 def _unlikely_swaps(setting: Setting, candidates: list[Change]) -> set[int]:
@@ -164,12 +168,13 @@ def _hidden(setting: Setting, null: Fit, at: About, share: np.ndarray) -> list[S
     return [(at.candidates[k], 0.0, usual) for k in leading]  # from where the data are, without the cause
 
 
-def _taken_up(setting: Setting, null: Fit, at: About, share: np.ndarray) -> list[Start]:
+def _taken_up(
+    at: About, share: np.ndarray, gain: np.ndarray, which: np.ndarray, narrow: list[Fit]
+) -> list[Start]:  # fmt: skip
     """Causes that are all that is wrong with a matrix, or with a simulation which is exact but for them.
 
     They show from where the inaccuracy alone stands, once that of their kind is held to less than was learnt.
     """
-    gain, which, narrow = narrower(setting, null, at)
     leading = [k for k in np.argsort(-(gain + share))[:NEXT] if np.isfinite(gain[k]) and gain[k] > 0]
     return [(at.candidates[k], 0.0, without_causes(narrow[which[k]])) for k in leading]
 
