@@ -11,6 +11,7 @@ from frames import DOFS, measured, simulation
 
 from modalax.data import Measurement
 from modalax.diagnose.decision.beyond import OddChannel
+from modalax.diagnose.modal_domain import askew
 from modalax.diagnose.modal_domain.askew import askew_channel
 from modalax.diagnose.modal_domain.attempts import attempt
 from modalax.diagnose.modal_domain.causes import Change
@@ -133,6 +134,23 @@ def test_a_mode_is_of_one_output_only_if_the_others_show_that_they_have_none():
     f.residues[3, 2:4] += 12.0  # at two
     assert [only_output(f, k) for k in range(4)] == [2, None, None, None]
     assert only_output(SimpleNamespace(residues=f.residues[:, 2:4]), 0) is None  # of two outputs nobody can tell
+
+
+@pytest.mark.parametrize("share", [0.0, 0.002])
+def test_where_nothing_else_stands_out_a_force_askew_is_looked_for_by_its_linear_score(share, monkeypatch):
+    """No share that promises nothing is fitted; a small one is found as before."""
+    fitted, tried = askew._fitted, []
+    monkeypatch.setattr(askew, "_fitted", lambda *a: tried.append(a[1]) or fitted(*a))
+    monkeypatch.setattr(askew, "_nearest", lambda *a: pytest.fail("linear scores tell"))
+    H = chains_off.response(*chains_off.chain_off(5, 0.002), chains_off.FREQ)
+    H[..., 0] = H[..., 0] + share * H[..., 3]
+    data, names = chains_off.as_measured(H, chains_off.FREQ, 5), chains_off.DOFS
+    stage = stage_of(data, chains_off.simulation(), lambda c, _: False)
+    odd = askew_channel(stage.setting, stage.explanations, names, data.outputs, data.inputs)
+    assert (share == 0.0) == (odd is None) == (not tried)
+    if odd is not None:
+        assert (odd.name, odd.force, odd.along) == (names[0], True, names[3])
+        assert odd.share == pytest.approx(share, rel=0.3)
 
 
 def test_a_channel_that_is_hardly_likelier_than_nothing_is_not_told():

@@ -160,3 +160,42 @@ def test_what_is_detectable_is_the_median_of_an_even_choice_of_places(task, null
     for slug, value in some.items():
         chosen = [whole[c] * c.scale for c in few if c.slug == slug]
         assert value == pytest.approx(np.nanmedian(chosen) * (THRESHOLDS.stands_out + THRESHOLDS.power))
+
+
+def test_where_the_inaccuracy_explains_all_and_nothing_promises_more_no_finite_change_is_tried(monkeypatch):
+    """Some twenty fits from the simulation as it is took half of the time where nothing is wrong among many sensors."""
+    task = task_of(mass=0.0)
+    null = fits.fit(task.setting)
+    share = Prior(task.candidates).each(task.candidates)
+    monkeypatch.setattr(starts, "finite", lambda *a: pytest.fail("nothing promises anything"))
+    assert list(starts.starts(task.setting, null, task.candidates, share)) == []
+    assert list(starts.starts(task.setting, null, [], np.zeros(0))) == []
+    # what is likelier before the data, or where much is left, is worth it
+    for likelier in (share + 20.0, None):
+        tried = []
+        monkeypatch.setattr(starts, "finite", lambda setting, some, *a, tried=tried: tried.append(some) or tuple(
+            np.full((2, len(some)), 1e3)))  # fmt: skip
+        if likelier is None:
+            monkeypatch.setattr(starts, "explains", lambda f: False)
+        list(starts.starts(task.setting, null, task.candidates, share if likelier is None else likelier))
+        assert tried
+
+
+@pytest.mark.parametrize(("slugs", "fitted"), [((), 1), (("added_mass",), 3)])
+def test_where_no_cause_is_needed_only_what_is_hardly_less_likely_is_fitted_again(slugs, fitted, task, null):
+    causes = tuple(cause(task, slug, DOFS[2]) for slug in slugs)
+    first = Explanation(replace(null, causes=causes, chi2=1.0), 0.0, 0.9)
+    others = [Explanation(null, -behind, 0.05) for behind in (4.0, 10.0, 20.0)]
+    assert len(refitted.near_the_first([first, *others], 12.0)) == fitted
+    assert len(refitted.near_the_first([first, replace(others[0], log_posterior=-2.0)], 12.0)) == 2
+
+
+def test_what_linear_scores_favour_at_all_is_fitted_from_where_the_inaccuracy_stands(monkeypatch):
+    task = task_of(mass=0.2)
+    null = fits.fit(task.setting)
+    assert starts.explains(null)
+    monkeypatch.setattr(starts, "PROMISING", np.inf)
+    asked = list(starts.starts(task.setting, null, task.candidates, Prior(task.candidates).each(task.candidates)))
+    assert 0 < len(asked) <= starts.NEXT
+    assert all(u == 0.0 and start is not None and start.causes == () for _, u, start in asked)
+    assert ("added_mass", (DOFS[2],)) in {(c.slug, c.where) for c, _, _ in asked}

@@ -43,7 +43,7 @@ def driven(H):
 def test_gain_of_a_free_force_is_that_of_least_squares_at_every_line():
     comparison, _ = comparison_of(STRUCTURE, sprung(STRUCTURE, 2, 5, 5e3), lines=20)
     left = comparison.residual(empty(comparison))
-    gains, places = one_force._gains(comparison, left)
+    gains, places = one_force._gains(comparison, one_force._reduced(comparison, left), left)
     names, freq = list(STRUCTURE.dofs), comparison.scene.freq
     H = np.asarray(STRUCTURE.frf(freq, outputs=names, inputs=names).H)
     weight = np.asarray(comparison.problem.weight)
@@ -89,11 +89,28 @@ def test_no_place_is_asked_for_where_no_column_explains_the_data(monkeypatch):
     assert one_force.places_of_one_force(comparison) == ()
 
 
+def test_of_very_many_places_the_loudest_lines_tell_that_none_explains(monkeypatch):
+    comparison, state = comparison_of(STRUCTURE, sprung(STRUCTURE, 2, 5, 5e3), lines=20)
+    left, reduced = comparison.residual(empty(comparison)), state.reduced[True]
+    monkeypatch.setattr(one_force, "ENOUGH", 10**6)  # of all lines it is what the best place leaves
+    gains, _ = one_force._gains(comparison, reduced, left)
+    chi2 = float((np.abs(left) ** 2).sum()) - 2 * int(comparison.live().sum())
+    assert one_force._left_where_loudest(reduced, left) == pytest.approx(chi2 - gains.max(), rel=1e-5)
+    monkeypatch.setattr(one_force, "MANY", 3)
+    assert one_force.places_of_one_force(comparison)
+    both = sprung(STRUCTURE, 2, 5, 5e3)
+    two, _ = comparison_of(STRUCTURE, sprung(both, 0, 3, 5e3), lines=20)
+    monkeypatch.setattr(one_force, "ENOUGH", 20)
+    monkeypatch.setattr(one_force, "left_by_any_column", lambda left, weight: 0.0)
+    monkeypatch.setattr(one_force, "_gains", lambda *a: pytest.fail("no place can be it"))
+    assert one_force.places_of_one_force(two) == ()
+
+
 def test_all_pairs_at_once_are_the_same(monkeypatch):
     monkeypatch.setattr(one_force, "LOUDEST", 10**6)
     comparison, state = comparison_of(STRUCTURE, sprung(STRUCTURE, 2, 5, 5e3), lines=20)
     left = comparison.residual(empty(comparison))
-    gains, places = one_force._gains(comparison, left)
+    gains, places = one_force._gains(comparison, one_force._reduced(comparison, left), left)
     every, _ = one_force._at_loudest_lines(state.reduced[True], left)
     at = [p.index[:2] if p.index[1] >= 0 else (p.index[0],) * 2 for p in places]
     np.testing.assert_allclose([every[a, b] for a, b in at], gains, rtol=1e-5)
@@ -128,7 +145,7 @@ def test_a_joint_without_a_law_is_best_at_the_place_of_a_spring(a, b):
     gains, unknowns = gains_without_law(at_places(reduced, places), reduced)
     best = int(np.argmax(gains))
     assert places[best].index[:2] == (a, b)
-    free, _ = one_force._gains(comparison, left)
+    free, _ = one_force._gains(comparison, one_force._reduced(comparison, left), left)
     count = 2 * comparison.live().any(axis=2).sum()
     assert gains[best] == pytest.approx(free[best] - count, abs=5 * np.sqrt(4 * count) + unknowns)
     few = one_force._likeliest(comparison, left, places)

@@ -4,7 +4,8 @@ A hammer that hits obliquely, a shaker that also pushes another point: the force
 :math:`b_i + g b_d`, so that its column of the FRF matrix is :math:`H_{oi} + gH_{od}`. A sensor that is tilted moves as
 another direction of its node in the same way. Such a share has no name in the answer, but crosstalk, gains and masses
 imitate it. Each share is scored where the simulation is, linearised, beside an inaccuracy that is tolerated; for the
-leading ones the general inaccuracy is fitted with the structure seen by the channels so turned.
+leading ones the general inaccuracy is fitted with the structure seen by the channels so turned. Where that explains all
+by itself, only shares that promise something about its fit are looked at.
 """
 
 import math
@@ -16,6 +17,7 @@ import numpy as np
 from modalax._numerics.triangles import forward
 from modalax.diagnose.causes.base import RARE
 from modalax.diagnose.decision.beyond import OddChannel
+from modalax.diagnose.modal_domain.attempts import explains
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.features import whitener_of
@@ -25,6 +27,7 @@ from modalax.diagnose.modal_domain.matched_elements import NEARER
 from modalax.diagnose.modal_domain.nodes import nodes_of
 from modalax.diagnose.modal_domain.odd_channel import volume
 from modalax.diagnose.modal_domain.screen import SIZES, cost_of_size, distances, tolerance
+from modalax.diagnose.modal_domain.starts import PROMISING
 from modalax.diagnose.modal_domain.state import (
     Setting,
     State,
@@ -56,8 +59,10 @@ def askew_channel(
     dofs, outputs, inputs
         Names of the simulation's DoFs and of the channels.
     """
-    wide, setting = setting.triangle, replace(setting, whitener=whitener_of(setting.features), rest=0.0)
-    rest = volume(setting.triangle) - volume(wide)  # what causes leave may have made wide what no element explains
+    seen_by, setting = setting, replace(setting, whitener=whitener_of(setting.features), rest=0.0)
+    rest = volume(setting.triangle) - volume(
+        seen_by.triangle
+    )  # what causes leave may have made wide what no element explains
     try:
         state, shrink = tolerance(setting)
     except np.linalg.LinAlgError:  # a simulation of fewer modes than are measured
@@ -66,12 +71,13 @@ def askew_channel(
     if not places:
         return None
     best, prior = explanations[0], math.log(RARE / len(places))
-    asked = _left_by(setting, shrink, best.fit) + 2 * (prior - best.log_posterior + best.fit.log_evidence) + NEAR
-    trials = [_nearest(setting, state, shrink, *p) for p in _leading(setting, state, shrink, places)]
-    found = [
-        (p, *_fitted(setting, p, share, prior + rest, best.log_posterior))
-        for left, share, p in sorted(trials, key=lambda t: t[0])[:TRIED] if left < asked
-    ]  # fmt: skip
+    if not best.causes and explains(best.fit):
+        trials = _promising(seen_by, best.fit, places, prior)
+    else:
+        asked = _left_by(setting, shrink, best.fit) + 2 * (prior - best.log_posterior + best.fit.log_evidence) + NEAR
+        near = [_nearest(setting, state, shrink, *p) for p in _leading(setting, state, shrink, places)]
+        trials = [(p, share) for left, share, p in sorted(near, key=lambda t: t[0]) if left < asked]
+    found = [(p, *_fitted(setting, p, share, prior + rest, best.log_posterior)) for p, share in trials[:TRIED]]
     if not found:
         return None
     place, share, value = max(found, key=lambda f: f[2])
@@ -152,6 +158,13 @@ def _leading(setting: Setting, state: State, shrink: np.ndarray, places: list[Pl
     return [(places[k], float(size[k])) for k in np.argsort(-gain)[:SCREENED]]
 
 
+def _promising(setting: Setting, f: Fit, places: list[Place], prior: float) -> list[tuple[Place, float]]:
+    """Those that promise something beside a fit that explains the modes, the first first, and their shares."""
+    pull, information = _pulls(setting, f, places)
+    gain = 0.5 * (pull**2 / information - np.log(information)) + prior
+    return [(places[k], float(pull[k] / information[k])) for k in np.argsort(-gain) if gain[k] > PROMISING]
+
+
 def _nearest(
     setting: Setting, state: State, shrink: np.ndarray, place: Place, size: float
 ) -> tuple[float, float, Place]:
@@ -164,6 +177,16 @@ def _nearest(
         if left.min() < least:
             least, size = float(left.min()), float(tried[np.argmin(left)])
     return least, size, place
+
+
+def _pulls(setting: Setting, f: Fit, places: list[Place]) -> tuple[np.ndarray, np.ndarray]:
+    """Slopes p of the log evidence by shares at places about a fit, and 1 + q, q its curvatures."""
+    J = slopes_at(setting, f.state)
+    target, W = f.state.difference + J @ f.sizes, J * scale_of(setting, f)
+    half = forward(root_of_information(W, W.T @ W, np.ones(W.shape[1])), W.T)
+    G = _columns(setting, f.state, places)
+    apart, own = half @ G, half @ target
+    return G.T @ target - apart.T @ own, 1 + np.maximum((G**2).sum(axis=0) - (apart**2).sum(axis=0), 0.0)
 
 
 def _fitted(setting: Setting, place: Place, size: float, prior: float, best_else: float) -> tuple[float, float]:
@@ -182,12 +205,8 @@ def _fitted(setting: Setting, place: Place, size: float, prior: float, best_else
         if again is None:
             break
         f = again
-        J = slopes_at(at, f.state)
-        target, W = f.state.difference + J @ f.sizes, J * scale_of(at, f)
-        half = forward(root_of_information(W, W.T @ W, np.ones(W.shape[1])), W.T)
-        G = _columns(at, f.state, [place])[:, 0]
-        apart, own = half @ G, half @ target
-        pull, information = float(G @ target - apart @ own) - size, float(1 + G @ G - apart @ apart)
+        pulls, informations = _pulls(at, f, [place])
+        pull, information = float(pulls[0]) - size, float(informations[0])
         value = f.log_evidence - 0.5 * size**2 + 0.5 * pull**2 / information - 0.5 * math.log(information)
         size += pull / information
         if pull**2 < information * SETTLED:

@@ -23,6 +23,7 @@ QUICK = 1e3  # frequency of a DoF by itself, over that of the band, above which 
 SPARED = 0.99  # frequency, relative to the spare coordinate's, above which a mode is that coordinate
 SPARE = 4.0  # frequency of a coordinate to which nothing is attached, over the highest of all
 LARGEST = 120  # modal coordinates of large simulations
+DRIVEN = 20  # channels of one side up to which the static responses to forces at these are kept as well
 NEXT_TO = 60  # DoFs about which a large simulation is made exact up to which those of nodes next to them are too
 FURTHER, AT_LEAST = 10, 60  # modes above the band, and in all, that are solved with their damping
 ROUNDING = 1e-10  # relative distance of two poles below which nothing but rounding tells them apart
@@ -116,7 +117,9 @@ def coordinates_of(
     A large one has few; by these it moves as the whole does if what acts on the nodes of the DoFs ``exact`` changes,
     and under the forces of ``errors`` of elements, shape ``(n, f)`` over the DoFs that these know.
     """
-    names, frequencies, shapes, inside = _solved(simulation, highest, LARGEST, exact, errors)
+    fewer = min(outputs, inputs, key=len)  # by static responses to forces at one side the FRFs follow at the other
+    driven = fewer if len(fewer) <= DRIVEN else ()
+    names, frequencies, shapes, inside = _solved(simulation, highest, LARGEST, exact, errors, driven)
     spare = SPARE * max(float(frequencies[-1]), highest)
     frequencies, everywhere = np.append(frequencies, spare), np.pad(shapes, ((0, 0), (0, 1)))
     shapes = everywhere if names == simulation.dofs else everywhere[[names.index(name) for name in simulation.dofs]]
@@ -137,7 +140,12 @@ def _damping(simulation: Structure, frequencies: np.ndarray, shapes: np.ndarray,
 
 @remembered(4)
 def _solved(
-    simulation: Structure, highest: float, largest: int, exact: tuple[str, ...], errors: np.ndarray | None
+    simulation: Structure,
+    highest: float,
+    largest: int,
+    exact: tuple[str, ...],
+    errors: np.ndarray | None,
+    driven: tuple[str, ...] = (),
 ) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, int]:
     """DoFs, frequencies and shapes over them, and how many modes are in the band; of large simulations few shapes."""
     told = simulation.elements
@@ -157,7 +165,7 @@ def _solved(
         stiffness, mass = ([(p.dofs, p.matrix) for p in some] for some in parts)
     else:
         stiffness, mass = ([_piece(F) for F in np.asarray(factors)] for factors in (told.stiffness, told.mass))
-    unit = np.eye(len(K))[:, _about(names, K, exact)]
+    unit = np.eye(len(K))[:, [names.index(name) for name in driven] + _about(names, K, exact)]
     acting = unit if errors is None else np.hstack([unit, errors])
     return names, *ritz_basis(K, M, stiffness, mass, highest, largest, acting)
 

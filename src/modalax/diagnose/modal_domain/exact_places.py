@@ -5,6 +5,7 @@ modes is therefore posed again with the static responses to forces at those plac
 all elements that were found, so that what the causes leave is what they do not explain.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -13,7 +14,7 @@ from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.explanation import Explanation, ranked_by
 from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.prior import Prior
-from modalax.diagnose.modal_domain.refitted import AGAIN
+from modalax.diagnose.modal_domain.refitted import AGAIN, near_the_first
 from modalax.diagnose.modal_domain.state import Setting
 from modalax.diagnose.modal_domain.throughout import start_in
 
@@ -29,13 +30,13 @@ def made_exact(
 ) -> tuple[Setting, list[Change], Found]:  # fmt: skip
     """The setting, its candidates and the leading fits with the simulation exact about the places that lead.
 
-    The same as before where no place leads, or ``finer`` is None, as the simulation has all its exactness everywhere.
+    The same as before where ``finer`` is None, as the simulation has all its exactness everywhere.
     """
     ranked = ranked_by(found, Prior(candidates))
-    leading = [e for e in ranked[:AGAIN] if _places(e)][:LEADING]
-    if finer is None or not leading or not _places(ranked[0]):
+    leading = [e for e in near_the_first(ranked[:AGAIN], math.inf) if _places(e)][:LEADING]
+    if finer is None:
         return setting, candidates, found
-    tell("making the simulation exact about the leading places")
+    tell(f"making the simulation exact about {'the leading places' if leading else 'what its elements are off by'}")
     exact, there = finer(tuple(dict.fromkeys(name for e in leading for name in _places(e))), ranked[0].fit)
     exact = replace(exact, features=setting.features, whitener=setting.whitener, late=setting.late)
     again: Found = {}
@@ -44,8 +45,8 @@ def made_exact(
         causes = tuple(same for c in e.causes for same in _same(c, candidates, there))
         if len(causes) == len(e.causes):
             attempt(exact, again, causes, e.fit.u, start_in(exact, e.fit), gentle=False)
-    explained = any(causes for causes in again) and () in again
-    return (exact, there, again) if explained else (setting, candidates, found)
+    same = () in again and (not leading or any(causes for causes in again))
+    return (exact, there, again) if same else (setting, candidates, found)
 
 
 def _places(e: Explanation) -> list[str]:

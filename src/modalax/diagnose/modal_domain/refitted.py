@@ -17,6 +17,7 @@ from modalax.diagnose.modal_domain.throughout import start_in, with_more
 AGAIN = 6  # leading explanations that are fitted again,
 NEAR = 12.0  # and nats behind the first up to which they are, where few features told of them
 FAR = 60.0  # the same where the first explains the modes, and the rest that no element explains is fitted as well
+HARDLY = -math.log(0.05)  # the same where no cause is needed: one that is as much less likely is not told
 
 
 def beside_a_factor(
@@ -69,8 +70,8 @@ def beside_the_rest(
 ) -> tuple[Setting, dict[tuple[Change, ...], Fit]]:
     """Fit the leading explanations again, together with the rest that no element explains."""
     ranked = ranked_by(found, prior)
-    least = ranked[0].log_posterior - FAR if explains(ranked[0].fit) else -math.inf
-    leading, bare = [e for e in ranked[:AGAIN] if e.log_posterior > least], [e for e in ranked if not e.causes]
+    leading, bare = near_the_first(ranked[:AGAIN], FAR), [e for e in ranked if not e.causes]
+    leading = leading if explains(ranked[0].fit) else ranked[:AGAIN]
     singles = [e for e in ranked if len(e.causes) == 1][:2]
     leading += [e for e in bare + singles if all(e is not other for other in leading)]
     some = [*leading[:2], *bare, *singles[:1]]
@@ -81,6 +82,12 @@ def beside_the_rest(
     for e in leading:
         attempt(new, again, e.causes, e.fit.u, without_causes(e.fit), gentle=False)
     return (new, again) if again else (setting, found)
+
+
+def near_the_first(ranked: Sequence[Explanation], nats: float) -> list[Explanation]:
+    """Those hardly less likely than the first, by so many nats at most; by fewer where that needs no cause."""
+    nats = nats if ranked[0].causes or not explains(ranked[0].fit) else HARDLY
+    return [e for e in ranked if e.log_posterior > ranked[0].log_posterior - nats]
 
 
 def in_full(
@@ -94,7 +101,7 @@ def in_full(
     best = explanations[0]
     if few.rest:
         setting = with_rest(setting, best.fit, few.rest)
-    leading = [e for e in explanations[:AGAIN] if e.log_posterior > best.log_posterior - NEAR]
+    leading = near_the_first(explanations[:AGAIN], NEAR)
     again: dict[tuple[Change, ...], Fit] = {}
     bare = [e for e in explanations if not e.causes and all(e is not other for other in leading)]
     for e in leading + bare:

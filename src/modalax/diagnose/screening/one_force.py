@@ -26,6 +26,7 @@ from modalax.diagnose.setup.noise import TRUSTED
 from modalax.diagnose.thresholds import THRESHOLDS
 
 LOUDEST, SUMS = 300, 64  # lines, of all runs, from which very many places are ranked, and sums of outputs
+ENOUGH = 20  # of these, by which it shows that none of so many places explains even where most is left
 RESOLVED = 1e-9  # squared length of a difference of two columns, over their own, that is more than rounding
 REFINED, FIRST = 60, 15  # places at which claimed modes follow, and the first of them, by one of which all is explained
 FEW = 12  # places from which on they are ranked once more, by a joint without a law
@@ -54,7 +55,12 @@ def places_of_one_force(comparison: Comparison, late: Deadline = NEVER) -> tuple
         > THRESHOLDS.one_force
     ):
         return ()
-    gains, places = _gains(comparison, left)
+    reduced = _reduced(comparison, left)
+    if len(comparison.scene.pairs()) > MANY and _left_where_loudest(reduced, left) > THRESHOLDS.one_force * np.sqrt(
+        2 * (count - unknowns)
+    ):
+        return ()
+    gains, places = _gains(comparison, reduced, left)
     order = np.argsort(-gains)
     best = float(gains[order[0]])
     behind = THRESHOLDS.other_places + THRESHOLDS.one_force * np.sqrt(4 * unknowns)  # the noise of a difference
@@ -141,9 +147,9 @@ def left_by_any_column(left: np.ndarray, weight: np.ndarray) -> float:
     return float(np.linalg.eigvalsh(gram)[..., :-1].sum())
 
 
-def _gains(comparison: Comparison, left: np.ndarray) -> tuple[np.ndarray, list[Place]]:
+def _gains(comparison: Comparison, reduced: Reduced, left: np.ndarray) -> tuple[np.ndarray, list[Place]]:
     """Chi-square that a free force takes away, and the places it was computed for: of very many the likeliest."""
-    places, reduced = comparison.scene.pairs(), _reduced(comparison, left)
+    places = comparison.scene.pairs()
     if len(places) > MANY:
         a, b = ends(places)
         ranked = [np.argsort(-gain[a, np.where(b >= 0, b, a)]) for gain in _at_loudest_lines(reduced, left)]
@@ -163,6 +169,25 @@ def _reduced(comparison: Comparison, left: np.ndarray) -> Reduced:
     return reduce(problem, np.zeros((2, problem.modal_form.stiffness.shape[0])), none)
 
 
+def _loudest(left: np.ndarray, count: int) -> np.ndarray:
+    """Run, line and input of a whitened residual's loudest lines, shape ``(count, 3)``."""
+    energy = (np.abs(left) ** 2).sum(axis=2)
+    return np.stack(np.unravel_index(np.argsort(-energy.ravel())[:count], energy.shape), axis=-1)
+
+
+def _left_where_loudest(reduced: Reduced, left: np.ndarray) -> float:
+    """Chi-square beyond the mean of noise that the best of all places leaves where most is left."""
+    free, total = 0.0, 0.0
+    for run, line, i in _loudest(left, ENOUGH):
+        H = reduced.summed(int(line), np.diag(np.sqrt(reduced.weight2[run, line, :, i])))
+        length, product = _lengths(H), _between(reduced.S[run, line, :, i])
+        free = free + np.abs(product) ** 2 / length
+        total += float((np.abs(left[run, line, :, i]) ** 2).sum()) - 2 * int(
+            (reduced.weight2[run, line, :, i] > 0).sum()
+        )
+    return total - float(np.max(free))
+
+
 def _at_loudest_lines(reduced: Reduced, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Chi-square that forces take away where most is left, each of shape ``(dof, dof)``, to ground on the diagonal.
 
@@ -176,7 +201,6 @@ def _at_loudest_lines(reduced: Reduced, left: np.ndarray) -> tuple[np.ndarray, n
         Whitened residual, complex, shape ``(run, f, o, i)``.
     """
     rng, count = np.random.default_rng(0), left.shape[2]
-    energy = (np.abs(left) ** 2).sum(axis=2)
     dofs = reduced.shapes.shape[1]
     motion = reduced.motion(np.arange(dofs), np.full(dofs, -1))
     free, along, size = (
@@ -184,17 +208,21 @@ def _at_loudest_lines(reduced: Reduced, left: np.ndarray) -> tuple[np.ndarray, n
         np.zeros((len(left), dofs, dofs), complex),
         np.zeros((len(left), dofs, dofs)),
     )
-    for k in np.argsort(-energy.ravel())[:LOUDEST]:
-        run, line, i = np.unravel_index(k, energy.shape)
+    for run, line, i in _loudest(left, LOUDEST):
         signs = rng.choice([-1.0, 1.0], (SUMS, count)) / np.sqrt(SUMS) if count > 2 * SUMS else np.eye(count)
         H = reduced.summed(int(line), signs * np.sqrt(reduced.weight2[run, line, :, i]))
-        gram, own = H.conj().T @ H, (np.abs(H) ** 2).sum(axis=0)
-        length = np.maximum(_across(own, -2 * np.real(gram)), RESOLVED * np.maximum(own[:, None], own[None]) + 1e-300)
+        length = _lengths(H)
         product, x = (_between(v) for v in (reduced.S[run, line, :, i], motion[:, line, i]))
         free += np.abs(product) ** 2 / length
         along[run] += product * x.conj()
         size[run] += length * np.abs(x) ** 2
     return free, (np.abs(along) ** 2 / np.maximum(size, 1e-300)).sum(axis=0)
+
+
+def _lengths(H: np.ndarray) -> np.ndarray:
+    """Squared lengths of the columns of forces between DoFs, and to ground on the diagonal, shape ``(dof, dof)``."""
+    gram, own = H.conj().T @ H, (np.abs(H) ** 2).sum(axis=0)
+    return np.maximum(_across(own, -2 * np.real(gram)), RESOLVED * np.maximum(own[:, None], own[None]) + 1e-300)
 
 
 def _between(v: np.ndarray) -> np.ndarray:
