@@ -1,5 +1,6 @@
 """Facts about a task, and about an answer, on which the choice of the method depends."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -55,12 +56,15 @@ def check_groups(simulation: object, causes: Sequence[Cause] | None) -> None:
 
 def outcome_of(found: Diagnosis) -> Outcome:
     """What the choice of the method depends on once it has answered."""
-    causes, (_, after) = found.causes, found.tests
+    causes, (_, after), gain = found.causes, found.tests, found.gain
+    unforeseen = gain.chi2_unforeseen
+    if math.isnan(unforeseen) and gain.missed <= THRESHOLDS.missed and gain.chi2_within < gain.chi2_after:
+        unforeseen = gain.chi2_within  # what errors of a fit without the block miss there by no more than chance
     return Outcome(
         found.verdict, found.gain.chi2_after, after.p_value, causes[0]["probability"] if causes else 0.0,
         len(found.alternatives), found.inaccuracy if isinstance(found, ModalDiagnosis) else None,
         len({frozenset(c["where"]) for c in causes}), isinstance(found, ModalDiagnosis) and found.joint is not None,
-        any(c["name"] in GROUP_SLUGS for c in causes), of_elements(found), found.gain.chi2_unforeseen,
+        any(c["name"] in GROUP_SLUGS for c in causes), of_elements(found), unforeseen,
         found.throughout if isinstance(found, ModalDiagnosis) else {},
         isinstance(found, ModalDiagnosis) and found.verdict == "clean" and bool(found.chosen.causes),
         isinstance(found, ModalDiagnosis) and only_scaled(found.stage.setting, found.chosen.fit),

@@ -1,12 +1,15 @@
 """Which method answers: the order of the two, when the first one suffices, and which of two answers is given."""
 
+import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from modalax.data import Measurement
 from modalax.diagnose.causes import catalogue
+from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.route import (
     Outcome,
     Task,
@@ -21,7 +24,7 @@ from modalax.diagnose.decision.route import (
     suffices,
     surely_foretold,
 )
-from modalax.diagnose.routes import task_of
+from modalax.diagnose.routes import outcome_of, task_of
 from modalax.model import Structure
 
 SMALL = Task(has_modes=True, places=15.0, samples=2000)
@@ -158,6 +161,29 @@ def test_line_by_line_suffices_where_its_answer_predicts(verdict, held_out, give
     found = Outcome(verdict, held_out)
     assert suffices("lines", found, SMALL) is (verdict == "named")
     assert choice({"lines": found, "modes": Outcome("named", 0.9)}) == given
+
+
+@pytest.mark.parametrize(("unforeseen", "given"), [(1.04, "lines"), (1.6, "modes"), (float("nan"), "modes")])
+def test_a_block_that_hides_a_peak_is_no_reason_against_lines_that_foretell_it_within_their_errors(unforeseen, given):
+    """A joint and a mass, of a misfit of 15 deviations, had been \"clean\" as either answer missed that peak."""
+    lines, modes = Outcome("ambiguous", 3.8, unforeseen=unforeseen), Outcome("clean", 2.7, unforeseen=1.04)
+    assert suffices("lines", lines, SMALL) is (given == "lines")
+    assert choice({"lines": lines, "modes": modes}) == given
+
+
+@pytest.mark.parametrize(
+    ("missed", "within", "told"),
+    [(0.5, 1.04, 1.04), (9.0, 1.04, math.nan), (0.0, math.nan, math.nan), (0.5, 5.0, math.nan)],
+)  # fmt: skip
+def test_what_errors_of_the_fit_miss_in_a_block_is_taken_from_the_fit_to_all(missed, within, told):
+    gain = Gain("some lines", 1.6, 3.8, 10.0, 1.0, missed, within)
+    found = SimpleNamespace(
+        verdict="named", causes=[], tests=(None, SimpleNamespace(p_value=0.5)), gain=gain, alternatives=[]
+    )
+    assert outcome_of(found).unforeseen == pytest.approx(told, nan_ok=True)
+    assert outcome_of(found).held_out == 3.8
+    modal = SimpleNamespace(**{**vars(found), "gain": replace(gain, chi2_unforeseen=1.2)})
+    assert outcome_of(modal).unforeseen == 1.2
 
 
 @pytest.mark.parametrize("modes", [Outcome("unknown", 1.0), Outcome("named", 1.7), Outcome("named", 1.6)])

@@ -194,7 +194,7 @@ def choice(found: Mapping[Route, Outcome], limits: Thresholds = THRESHOLDS) -> R
     if len(found) == 1:
         return next(iter(found))
     lines, modes = found["lines"], found["modes"]
-    ahead = modes.verdict != "unknown" and lines.held_out > max(limits.as_noise, modes.held_out)
+    ahead = modes.verdict != "unknown" and lines.predicts > max(limits.as_noise, modes.predicts)
     if explained(lines, limits) and not ahead:
         return "lines"
     if modes.verdict == "unknown":  # of two attempts that explain nothing, the one that predicts better
@@ -206,7 +206,7 @@ def choice(found: Mapping[Route, Outcome], limits: Thresholds = THRESHOLDS) -> R
 
 def explained(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
     """Whether a search line by line found an explanation that predicts the held-out block."""
-    return found.verdict != "unknown" and found.held_out <= limits.unexplained
+    return found.verdict != "unknown" and found.predicts <= limits.unexplained
 
 
 def nothing_left(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
