@@ -90,6 +90,25 @@ def test_a_law_is_not_followed_beyond_the_time_or_far_behind_another(monkeypatch
     assert same.chi2 == fit.chi2 and as_many == whole
 
 
+@pytest.mark.parametrize(
+    ("missed", "chi2", "asked"), [(3e5, 0.0, True), (1e5, 0.0, False), (3e5, 1e9, False), (0, 0, False)]
+)
+def test_a_law_that_explains_all_elsewhere_is_fitted_where_it_misses_as_much_by_one_harmonic(
+    missed, chi2, asked, monkeypatch
+):  # fmt: skip
+    """A slip of one of two springs in series was named at the other, as the law had not been tried at its own place."""
+    comparison, force = compared(joined(joints.CubicSpring(3e10)))
+    seen, law = seen_at(comparison, force, several=False), ElastoSlip(True)
+    aside = np.zeros(len(seen.force), bool)
+    found = force_fit.ForceFit(law, np.ones(2), seen.left, aside, seen.force, seen.force[None], seen.force[None], seen)
+    monkeypatch.setattr(force_fit, "seen_at", lambda *a, **k: seen)
+    monkeypatch.setattr(force_fit, "sized", lambda *a: (1.0, 5e5, [np.ones(2)]))
+    monkeypatch.setattr(force_fit, "fit_with_modes", lambda *a: found)
+    elsewhere = [replace(found, missed=float(missed), chi2=seen.left + chi2)] if missed else []
+    fits = laws_by_force(comparison, [law], force, 1e6, seen.left, True, elsewhere)
+    assert [(f.cause, f.missed) for f in fits] == ([(law, 5e5)] if asked else [])
+
+
 def test_a_slider_is_followed_with_as_many_harmonics_as_the_data_ask_for():
     """Nine leave more than noise of a force that many more make; where they leave noise, none further is taken."""
     made = simulate(

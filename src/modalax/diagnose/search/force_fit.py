@@ -11,7 +11,7 @@ are fitted with those of the law, about modal parameters that are moved until th
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,7 @@ ROUGHLY, SETTLED = 1.0, 1e-2  # changes of chi-square at which the first and the
 CHOSEN = 128  # lines by which starts are compared
 MOST_LAWS = 8  # that are fitted where none leaves no more than noise
 BEHIND = 40.0  # chi-square behind the best, harmonics apart, from which on a law is not fitted
+ALIKE = 2.0  # times what a law misses by one harmonic at one place, up to which it is fitted at another too
 FARTHEST = 3.0  # largest change of the logarithm of a parameter in a step
 DAMPED = 1e-3  # first damping of a step, over the diagonal
 MEASURED_AGAIN, SAME = 4, 0.1  # times that the force is measured about modes moved on, and chi-square that ends it
@@ -64,6 +65,8 @@ class ForceFit:
         What was measured there, with the modes beside this law.
     highest
         Highest harmonic that was balanced.
+    missed
+        Chi-square between the measured force and the law's by one harmonic.
     """
 
     cause: ElementCause
@@ -75,6 +78,7 @@ class ForceFit:
     motion: np.ndarray
     seen: Seen
     highest: int = HIGHEST
+    missed: float = np.inf
 
     @property
     def alone(self) -> np.ndarray:
@@ -295,12 +299,12 @@ def _descended(
 
 def laws_by_force(
     comparison: Comparison, causes: Sequence[ElementCause], force: MeasuredForce, effect: float,
-    least: float = np.inf, several: bool = True,
+    least: float = np.inf, several: bool = True, elsewhere: Sequence[ForceFit] = (),
 ) -> list[ForceFit]:  # fmt: skip
     """Fit causes that can sit at the place of a measured force, those first that one harmonic shows to be the nearest.
 
-    Once one leaves no more than noise, a law is fitted only if its harmonics may bring it as near; by one harmonic all
-    are fitted, which costs no more than to ask.
+    Once one leaves no more than noise, a law is fitted only if its harmonics may bring it as near, as they have brought
+    it elsewhere where it misses as much by one; by one harmonic all are fitted, which costs no more than to ask.
 
     Parameters
     ----------
@@ -316,6 +320,8 @@ def laws_by_force(
         What is left by the best that was fitted elsewhere.
     several
         Whether harmonics above the first count.
+    elsewhere
+        Laws that were fitted at other places.
     """
     scene, seen = comparison.scene, seen_at(comparison, force, several=several)
     order: list[tuple[float, float, int, list[np.ndarray]]] = []
@@ -332,9 +338,10 @@ def laws_by_force(
         done = best - seen.samples < THRESHOLDS.one_force * np.sqrt(2 * seen.samples)
         noise = min(missed, 2 * len(seen.force))  # of the rest, three quarters may be the error of one harmonic
         far = seen.left + noise + (missed - noise) / 4 > near if done else count >= MOST_LAWS
+        far = far and not any(f.cause is causes[k] and f.chi2 < near and missed < ALIKE * f.missed for f in elsewhere)
         if several and far and (not isinstance(causes[k], LocalCause) or seen.left > near):
             continue
         rival = min((misfit(f.residual, True) + f.seen.left for f in out), default=np.inf)
         found = fit_with_modes(comparison, causes[k], starts, force, seen, near, rival)
-        out += [] if found is None else [found]
+        out += [] if found is None else [replace(found, missed=missed)]
     return out
