@@ -114,8 +114,9 @@ def coordinates_of(
 ) -> Coordinates:  # fmt: skip
     """Modal coordinates of a simulation whose band ends at ``highest`` [rad/s].
 
-    A large one has few; by these it moves as the whole does if what acts on the nodes of the DoFs ``exact`` changes,
-    and under the forces of ``errors`` of elements, shape ``(n, f)`` over the DoFs that these know.
+    A large one has few; by these it gives way as the whole does under forces at the inputs, or at the outputs where
+    these are fewer, moves as that does if what acts on the nodes of the DoFs ``exact`` changes, and under the forces of
+    ``errors`` of elements, shape ``(n, f)`` over the DoFs that these know.
     """
     fewer = min(outputs, inputs, key=len)  # by static responses to forces at one side the FRFs follow at the other
     driven = fewer if len(fewer) <= DRIVEN else ()
