@@ -217,7 +217,6 @@ def test_errors_of_all_elements_are_exact_as_forces(monkeypatch):
 def test_few_shapes_hold_what_gives_way_at_the_forces(many, monkeypatch):
     """Without it some per cent of the motion at the force was missing beside 60 sensors, three deviations of noise."""
     monkeypatch.setattr("modalax.diagnose.modal_domain.coordinates.LARGEST", 30)
-    monkeypatch.setattr("modalax.diagnose.modal_domain.coordinates.DRIVEN", 2)
     _, simulation = measured_beam(1.0)
     channels = [simulation.dofs[0:SIZE:8], (simulation.dofs[6], simulation.dofs[41])]
     outputs, inputs = (tuple(one) for one in (channels if many == "outputs" else channels[::-1]))

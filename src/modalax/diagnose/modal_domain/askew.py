@@ -60,9 +60,8 @@ def askew_channel(
         Names of the simulation's DoFs and of the channels.
     """
     seen_by, setting = setting, replace(setting, whitener=whitener_of(setting.features), rest=0.0)
-    rest = volume(setting.triangle) - volume(
-        seen_by.triangle
-    )  # what causes leave may have made wide what no element explains
+    # what causes leave may have made wide what no element explains
+    rest = volume(setting.triangle) - volume(seen_by.triangle)
     try:
         state, shrink = tolerance(setting)
     except np.linalg.LinAlgError:  # a simulation of fewer modes than are measured

@@ -141,13 +141,9 @@ def _damping(simulation: Structure, frequencies: np.ndarray, shapes: np.ndarray,
 
 @remembered(4)
 def _solved(
-    simulation: Structure,
-    highest: float,
-    largest: int,
-    exact: tuple[str, ...],
-    errors: np.ndarray | None,
-    driven: tuple[str, ...] = (),
-) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, int]:
+    simulation: Structure, highest: float, largest: int, exact: tuple[str, ...], errors: np.ndarray | None,
+    driven: tuple[str, ...],
+) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, int]:  # fmt: skip
     """DoFs, frequencies and shapes over them, and how many modes are in the band; of large simulations few shapes."""
     told = simulation.elements
     if told is None or not told.dofs:

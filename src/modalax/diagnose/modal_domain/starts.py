@@ -63,7 +63,7 @@ def starts(
         Share of what the simulation leaves as it is, below which another change of the structure makes it needless to
         try forces as well.
     """
-    at, as_it_is = about(setting, null, candidates), _nominal(setting, null)
+    at = about(setting, null, candidates)
     gain, size = scores(setting, null, at)
     start = without_causes(null)
     linear = [k for k in np.argsort(-(gain + share)) if np.isfinite(gain[k]) and gain[k] > 0][:NEXT]
@@ -71,6 +71,7 @@ def starts(
     if explains(null) and not (np.maximum(gain, taken[0]) + share > PROMISING).any():
         yield from ((candidates[k], 0.0, start) for k in linear)
         return
+    as_it_is = _nominal(setting, null)
     nominal, _ = scores(setting, as_it_is, about(setting, as_it_is, candidates))
     few = set(np.argsort(-(gain + share))[:PRESCREENED]) | set(np.argsort(-(nominal + share))[:PRESCREENED])
     f = setting.features

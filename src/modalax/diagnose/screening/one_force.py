@@ -55,10 +55,9 @@ def places_of_one_force(comparison: Comparison, late: Deadline = NEVER) -> tuple
         > THRESHOLDS.one_force
     ):
         return ()
-    reduced = _reduced(comparison, left)
-    if len(comparison.scene.pairs()) > MANY and _left_where_loudest(reduced, left) > THRESHOLDS.one_force * np.sqrt(
-        2 * (count - unknowns)
-    ):
+    reduced, noise = _reduced(comparison, left), np.sqrt(2 * max(count - unknowns, 1))
+    many = len(comparison.scene.pairs()) > MANY
+    if many and _left_where_loudest(reduced, left) > THRESHOLDS.one_force * noise:
         return ()
     gains, places = _gains(comparison, reduced, left)
     order = np.argsort(-gains)
@@ -182,9 +181,8 @@ def _left_where_loudest(reduced: Reduced, left: np.ndarray) -> float:
         H = reduced.summed(int(line), np.diag(np.sqrt(reduced.weight2[run, line, :, i])))
         length, product = _lengths(H), _between(reduced.S[run, line, :, i])
         free = free + np.abs(product) ** 2 / length
-        total += float((np.abs(left[run, line, :, i]) ** 2).sum()) - 2 * int(
-            (reduced.weight2[run, line, :, i] > 0).sum()
-        )
+        samples = 2 * np.count_nonzero(reduced.weight2[run, line, :, i])
+        total += float((np.abs(left[run, line, :, i]) ** 2).sum()) - samples
     return total - float(np.max(free))
 
 
