@@ -9,6 +9,7 @@ from modalax.data import Measurement
 from modalax.diagnose.causes import Cause
 from modalax.diagnose.causes.groups import GROUPS, GroupCause
 from modalax.diagnose.decision.route import Outcome, Task, surely_named
+from modalax.diagnose.decision.verdict import fails
 from modalax.diagnose.modal_domain.answer import ModalDiagnosis
 from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.claimed_modes import ClaimCompared
@@ -58,10 +59,10 @@ def outcome_of(found: Diagnosis) -> Outcome:
     """What the choice of the method depends on once it has answered."""
     causes, (_, after), gain = found.causes, found.tests, found.gain
     unforeseen = gain.chi2_unforeseen
-    if math.isnan(unforeseen) and gain.missed <= THRESHOLDS.missed and gain.chi2_within < gain.chi2_after:
+    if math.isnan(unforeseen) and not fails(gain) and gain.chi2_within < gain.chi2_after:
         unforeseen = gain.chi2_within  # what errors of a fit without the block miss there by no more than chance
     return Outcome(
-        found.verdict, found.gain.chi2_after, after.p_value, causes[0]["probability"] if causes else 0.0,
+        found.verdict, gain.chi2_after, after.p_value, causes[0]["probability"] if causes else 0.0,
         len(found.alternatives), found.inaccuracy if isinstance(found, ModalDiagnosis) else None,
         len({frozenset(c["where"]) for c in causes}), isinstance(found, ModalDiagnosis) and found.joint is not None,
         any(c["name"] in GROUP_SLUGS for c in causes), of_elements(found), unforeseen,

@@ -68,10 +68,10 @@ class Outcome:
         ``clean``, ``named``, ``ambiguous`` or ``unknown``.
     held_out
         Chi-square per real sample that the extended simulation leaves on the held-out block.
-    throughout
-        By how much all of the stiffness, mass or damping is too high, as in the answer; empty where none surely is.
     unforeseen
         The same, allowing for the errors of all that was fitted without that block; NaN where that is not told.
+    throughout
+        By how much all of the stiffness, mass or damping is too high, as in the answer; empty where none surely is.
     left
         Chance under noise alone of what the extended simulation leaves.
     probability
