@@ -109,6 +109,22 @@ def test_a_law_that_explains_all_elsewhere_is_fitted_where_it_misses_as_much_by_
     assert [(f.cause, f.missed) for f in fits] == ([(law, 5e5)] if asked else [])
 
 
+def test_a_place_knows_what_was_fitted_at_those_before(monkeypatch):
+    comparison, force = compared(joined(joints.CubicSpring(3e10)))
+    seen = seen_at(comparison, force, several=False)
+    start = np.array([2e10])
+    fit, asked = fit_to_force(CubicStiffness(), [start], seen, lambda: True), []
+
+    def laws(*given):
+        asked.append(list(given[-1]))
+        return [fit] if len(asked) == 1 else []
+
+    monkeypatch.setattr(one_place, "measured_forces", lambda *a: [force, force])
+    monkeypatch.setattr(one_place, "laws_by_force", laws)
+    explain_force(look(_only(comparison, force), ()), [CubicStiffness()])
+    assert asked == [[], [fit]]
+
+
 def test_a_slider_is_followed_with_as_many_harmonics_as_the_data_ask_for():
     """Nine leave more than noise of a force that many more make; where they leave noise, none further is taken."""
     made = simulate(
@@ -233,7 +249,7 @@ def test_a_law_that_does_not_come_near_is_no_explanation():
 
 def test_harmonics_are_balanced_only_where_they_count(monkeypatch):
     asked = []
-    monkeypatch.setattr(one_place, "laws_by_force", lambda *a: asked.append(a[-1]) or [])
+    monkeypatch.setattr(one_place, "laws_by_force", lambda *a: asked.append(a[-2]) or [])
     s = five_dof()
     e = np.eye(5)[s.index(PLACE[0])] - np.eye(5)[s.index(PLACE[1])]
     for noise, several in ((0.01, True), (1.0, False)):

@@ -48,7 +48,7 @@ def amplitude(miss: Callable[[Array], tuple[Array, Array]], free: Array, near: A
     near
         Amplitude that was measured [m], no logarithm, 0 where none was.
     known
-        Whether those are motions of this very joint, each at its root, also where the balance falls.
+        Whether a root right at those is theirs, also where the balance falls.
     """
     low, high = _bracket(lambda x: miss(x)[0], free, near)
 

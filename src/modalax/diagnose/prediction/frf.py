@@ -304,7 +304,8 @@ def equivalent(
 
     The smallest amplitude that solves it, or the one nearest to what was measured, is found by bisection on a
     logarithmic scale and polished by one Newton step, which also carries the derivatives. Where three solve it, as for
-    a cubic spring under a large force, the middle one is of no steady motion and is not taken.
+    a cubic spring under a large force, the middle one is of no steady motion and is not taken, unless it is the one
+    that is known: with the effect of higher harmonics held, the balance may fall at a motion that is steady.
 
     Parameters
     ----------
@@ -333,7 +334,8 @@ def equivalent(
 
     fixed = jax.lax.stop_gradient((free, flat, p))
     near = jnp.zeros(free.shape) if harmonics is None else jax.lax.stop_gradient(harmonics[NEAR].real)
-    root = jax.lax.stop_gradient(amplitude(lambda x: miss(x, *fixed), jnp.log(fixed[0]), near, cause.rigid))
+    known = harmonics is not None
+    root = jax.lax.stop_gradient(amplitude(lambda x: miss(x, *fixed), jnp.log(fixed[0]), near, known))
     slope = jnp.where(jnp.abs(root.slope) > 0.05, root.slope, jnp.where(root.slope < 0, -0.05, 0.05))
     # one more step, to first order, carries the derivatives
     value, Z = miss(root.at, free, flat, p)

@@ -49,7 +49,8 @@ def explain_force(look: Look, causes: Sequence[Cause]) -> Explanation | None:
     several = max((c.fidelity for c in elements), default=0.0) * np.sqrt(max(effect, 0.0)) >= TELLING
     for force in forces:
         least = min((h.chi2 for h, _ in found), default=np.inf)
-        for fit in laws_by_force(comparison, elements, force, null.chi2 - force.chi2, least, several):
+        fitted = [f for _, f in found]
+        for fit in laws_by_force(comparison, elements, force, null.chi2 - force.chi2, least, several, fitted):
             place = next(p for p in fit.cause.places(comparison.scene) if p.index[:2] == force.place.index[:2])
             found.append((_hypothesis(null, fit, place), fit))
     if not found:
