@@ -20,6 +20,7 @@ FREQ = np.linspace(20.0, 70.0, 128)
 CAUSES = [JointStiffness(), LocalDamper(), AddedMass(), ChannelGain(), ChannelSign(), TimeDelay()]
 STIFFNESS = 2500.0
 SPRING = NamedCause("joint_stiffness", ("5", "3"), (2400.0,))
+MASS = NamedCause("added_mass", ("1",), (0.1,))  # nowhere
 
 
 def measured(gain=1.0, noise=0.02):
@@ -61,19 +62,28 @@ def test_what_explains_the_lines_is_fitted_to_them_and_rivals_are_those_that_exp
     assert len(others) <= 3 and all(h.chi2 > best.chi2 for h in others if h.names != best.names)
 
 
-def test_where_something_is_left_all_is_searched_again():
-    assert explained_by(seen(measured(1.1)), [SPRING], CAUSES) == ([], None)
-    assert explained_by(seen(measured()), [NamedCause("added_mass", ("1",), (0.1,))], CAUSES) == ([], None)
+def test_a_further_cause_is_looked_for_beside_what_was_named_and_leaves_something():
+    first = seen(measured(1.1))
+    alone, rest = explained_by(first, [SPRING], CAUSES)
+    assert {h.names for h in alone} == {frozenset({("joint_stiffness", ("3", "5"))})}
+    assert rest is not None and rest.p_value < 1e-6
+    (best, *_), left = explain.beside_named(first, alone, rest, CAUSES)
+    assert best.names == {("joint_stiffness", ("3", "5")), ("channel_gain", ("2",))}
+    assert left is not None and left.p_value > 0.01
 
 
-@pytest.mark.parametrize("gain", [1.0, 1.1])
-def test_a_search_begins_with_what_was_named_and_ends_there_only_if_all_is_explained(gain, monkeypatch):
+@pytest.mark.parametrize(
+    ("gain", "named", "all_again"), [(1.0, SPRING, False), (1.1, SPRING, False), (1.0, MASS, True)]
+)
+def test_a_search_begins_with_what_was_named_and_ends_there_only_if_all_is_explained(
+    gain, named, all_again, monkeypatch
+):  # fmt: skip
     calls = []
     singles = explain.singles
     monkeypatch.setattr(explain, "singles", lambda *a: calls.append(1) or singles(*a))
     comparison = make_comparison(measured(gain), five_dof(), "fixed")
-    found = searched(comparison, CAUSES, lambda _: None, [SPRING])
-    assert found.verdict == "named" and len(calls) == (gain != 1.0)
+    found = searched(comparison, CAUSES, lambda _: None, [named])
+    assert found.verdict == "named" and len(calls) == all_again
     assert {c["name"] for c in found.causes} == {"joint_stiffness", *(["channel_gain"] if gain != 1.0 else [])}
 
 

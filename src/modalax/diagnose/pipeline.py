@@ -253,17 +253,18 @@ def beside_claim(
     lines: Callable[..., Diagnosis | None], modal: Callable[[], ModalDiagnosis | None], shown: ClaimCompared,
     task: Task, late: Deadline,
 ) -> Diagnosis | None:  # fmt: skip
-    """The answer where modes are claimed to be off and one cause is beyond doubt, which modes tell in seconds.
+    """The answer where modes are claimed to be off and causes are beyond doubt, which modes tell in seconds.
 
-    By lines where it explains these beside modes that are off as claimed; by modes where elements are surely off, or
-    where a force or a sensor surely is askew, which no cause is.
+    By lines where they explain these beside modes that are off as claimed; by modes where elements are surely off, and
+    modes as claimed do not explain what was measured, or where a force or a sensor surely is askew, which no cause is.
     """
     named = named_beside_claim(shown)
     found = lines(late, named, only_named=True) if named else None
     if found is not None and suffices("lines", outcome_of(found), task):
         return found
     modes = None if late() else modal()
-    return modes if modes is not None and (modes.askew or elements_surely(outcome_of(modes))) else None
+    surely = modes is not None and (modes.askew or not shown.explained and elements_surely(outcome_of(modes)))
+    return modes if surely else None
 
 
 def sufficient(found: Diagnosis, modal: Callable[[], ModalDiagnosis | None], late: Deadline) -> Diagnosis | None:

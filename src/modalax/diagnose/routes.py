@@ -100,11 +100,10 @@ def named_before(modes: Diagnosis | None) -> list[NamedCause]:
 
 
 def named_beside_claim(said: ClaimCompared) -> list[NamedCause]:
-    """The one cause that explains the measured modes beyond doubt beside frequencies and damping ratios as claimed."""
-    best = said.by_modes[0] if said.by_modes else None
-    if best is None or best.misfit > THRESHOLDS.misfit or best.probability < THRESHOLDS.decisive:
+    """The causes that explain the measured modes beyond doubt beside frequencies and damping ratios as claimed."""
+    if not said.explained or said.by_modes[0].probability < THRESHOLDS.decisive:
         return []
-    return in_catalogue(best, best.causes)
+    return in_catalogue(said.by_modes[0], said.by_modes[0].causes)
 
 
 def in_catalogue(found: Explanation, told: Sequence[Change]) -> list[NamedCause]:

@@ -71,6 +71,19 @@ def test_what_modes_name_beside_modes_as_claimed_is_fitted_to_lines_before_all_e
     assert named_beside_claim(compared(data, CLAIMED, measured, NEVER)) == []  # nothing is wrong
 
 
+def test_two_causes_beside_modes_as_claimed_are_no_elements_that_are_off():
+    """A damper beside a gain was taken for elements that are off, which bend shapes alike but far less likely."""
+    M, C, K = off_mode_by_mode(7)
+    H = response(M + MASS * np.outer(np.eye(5)[1], np.eye(5)[1]), C, K, FREQ)
+    H[:, 3] *= 1.3
+    data = as_measured(H, FREQ, 7)
+    said = compared(data, CLAIMED, identified(data, CLAIMED, lambda _: None), NEVER)
+    assert said.explained and not said.elements_show
+    named = {(one.slug, one.where): one.values[0] for one in named_beside_claim(said)}
+    assert named.keys() == {("added_mass", (DOFS[1],)), ("channel_gain", (DOFS[3],))}
+    assert named["added_mass", (DOFS[1],)] == pytest.approx(MASS, rel=0.2)
+
+
 def test_each_mode_is_off_by_a_frequency_of_its_own_and_by_nothing_else():
     c = coordinates_of(CLAIMED, DOFS[:2], DOFS[:1], 2 * np.pi * FREQ[-1])
     off = off_by_modes(CLAIMED, c, 2 * np.pi * FREQ[-1])

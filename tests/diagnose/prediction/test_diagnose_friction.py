@@ -33,9 +33,34 @@ def test_a_mass_that_is_held_takes_the_whole_push():
     np.testing.assert_allclose(found.force[0], PUSH, rtol=1e-9)
 
 
+@pytest.mark.parametrize("share", [0.05, 0.15, 1.001])
+def test_the_slope_by_the_limit(share):
+    """That of the force as it is found, by the difference to one found anew with a limit that is a little larger."""
+    step = 1e-2 * share * PUSH
+    here, there = (mass_alone(share * PUSH + d) for d in (0.0, step))
+    assert here.slope[0] == pytest.approx((there.force[0] - here.force[0]) / step, rel=1e-2, abs=1e-9)
+    if share > 1:
+        assert abs(here.slope[0]) < 1e-9  # what is held takes the push, whatever the limit
+
+
 def test_too_few_harmonics_are_refused():
     with pytest.raises(ValueError, match="harmonics"):
         sliding(np.zeros((1, 3), complex), np.ones(1, complex), np.ones(1), 1.0, COUNT)
+
+
+def test_each_motion_is_found_whatever_sticks():
+    """Two modes near resonance: each of 400 pushes has a motion, in which friction takes up work."""
+    rng, h = np.random.default_rng(3), np.arange(1, COUNT, 2)
+    omega = rng.uniform(20.0, 60.0, 400)
+    s = 1j * np.outer(omega, h)
+    G = sum(1 / (w**2 + 2 * 0.01 * w * s + s**2) for w in (25.0, 41.0))
+    u = G[:, 0] * np.exp(rng.uniform(-1.0, 1.0, 400))
+    found = sliding(G, u, omega, 1.0, COUNT)
+    assert found.sound.all()
+    # friction takes up work, of no more than a square wave of its limit
+    work = (found.force * (1j * omega * (u - G[:, 0] * found.force)).conj()).real / (omega * np.abs(u))
+    assert (work > -1e-9).all() and (np.abs(found.force) < 4 / np.pi + 1e-4).all()
+    assert 0.3 < (work > 1e-3).mean() < 0.95  # these slide, the others stick
 
 
 @pytest.mark.parametrize("share", [0.15, 0.3])

@@ -13,7 +13,7 @@ import numpy as np
 from modalax.data import Measurement
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.coordinates import Coordinates
-from modalax.diagnose.modal_domain.explain import one_cause
+from modalax.diagnose.modal_domain.explain import one_cause, one_more
 from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.inaccuracy import CLAIMED, Inaccuracy, own_damping
 from modalax.diagnose.modal_domain.linear import SMALLEST
@@ -32,29 +32,43 @@ class ClaimCompared:
     elements_show
         Whether the modes are those of a simulation that is off in its elements, not mode by mode.
     by_modes
-        The explanations by frequencies and damping ratios that are off, with at most one cause beside them, by falling
+        The explanations by frequencies and damping ratios that are off, with at most two causes beside them, by falling
         probability.
     """
 
     elements_show: bool = False
     by_modes: Sequence[Explanation] = ()
 
+    @property
+    def explained(self) -> bool:
+        """Whether the best of these leaves no more of the measured modes than usual."""
+        return bool(self.by_modes) and self.by_modes[0].misfit <= THRESHOLDS.misfit
+
 
 def compared(measurement: Measurement, simulation: Structure, measured: Measured, late: Deadline) -> ClaimCompared:
-    """Explain the measured modes as its author claims they are off, and by elements where that leaves something."""
+    """Explain the measured modes as its author claims they are off, and by elements where that leaves something.
+
+    Of two causes beside modes as claimed and one beside elements that are off, the likelier is told.
+    """
     if not len(measured.features.poles):
         return ClaimCompared()
     task = posed(measurement, simulation, measured)
     highest = 2 * np.pi * float(measurement.freq[-1])
     claimed = replace(task.setting, inaccuracy=off_by_modes(simulation, task.coordinates, highest))
     alone = one_cause(claimed, task.candidates, late)
-    if alone and alone[0].misfit <= THRESHOLDS.misfit:
-        return ClaimCompared(by_modes=alone)
+    said = ClaimCompared(by_modes=alone)
+    if said.explained:
+        return said
     bent = one_cause(task.setting, task.candidates, late)
-    if late() or not bent or bent[0].misfit > THRESHOLDS.misfit:
-        return ClaimCompared(by_modes=alone)
-    ahead = not alone or alone[0].misfit > THRESHOLDS.elements_lead * max(bent[0].misfit, 1.0)
-    return ClaimCompared(ahead, alone)
+    if late():
+        return said
+    bends = bool(bent) and bent[0].misfit <= THRESHOLDS.misfit
+    if bends and (not alone or alone[0].misfit > THRESHOLDS.elements_lead * max(bent[0].misfit, 1.0)):
+        return ClaimCompared(True, alone)
+    if not alone or not alone[0].causes:
+        return said
+    two = ClaimCompared(by_modes=one_more(claimed, alone, task.candidates, late))
+    return said if bends and two.by_modes[0].fit.log_evidence < bent[0].fit.log_evidence else two
 
 
 def off_by_modes(simulation: Structure, c: Coordinates, highest: float) -> Inaccuracy:

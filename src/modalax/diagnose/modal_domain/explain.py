@@ -158,6 +158,15 @@ def one_cause(setting: Setting, candidates: list[Change], late: Deadline) -> lis
     return ranked_by(found, prior) if found else []
 
 
+def one_more(
+    setting: Setting, explanations: Sequence[Explanation], candidates: list[Change], late: Deadline
+) -> list[Explanation]:
+    """Explanations together with those by a further cause beside the likeliest, by falling probability."""
+    search = Search(setting, {key_of(e.causes): e.fit for e in explanations}, setting, candidates)
+    further_cause(search, search.best, late)
+    return search.ranked
+
+
 def again(setting: Setting, earlier: Sequence[Explanation], candidates: list[Change]) -> list[Explanation]:
     """The likeliest of earlier explanations and the general inaccuracy alone, fitted to features that have changed."""
     found: Found = {}

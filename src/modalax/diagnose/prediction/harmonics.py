@@ -81,13 +81,9 @@ def _balanced_extra(causes: Any, index: Any, extras: Any, params: Any, theta: An
 
 
 def _sliding_extra(causes: Any, index: Any, extras: Any, params: Any, theta: Any, problem: Any) -> Array:
-    """The same of dry friction, its motion found at instants; the factor's slope by the slip force is a difference."""
-    k = next(k for k, c in enumerate(causes) if isinstance(c, JointCause))
-    p = params[k][0]
-    step = STEP * jnp.where(p != 0, jnp.abs(p), 1.0)
-    more = (*params[:k], params[k] + step, *params[k + 1 :])
-    rho, series, amplitude = sliding_factor(causes, index, extras, params, theta, problem, INSTANTS)
-    slope = (sliding_factor(causes, index, extras, more, theta, problem, INSTANTS)[0] - rho) / step
+    """The same of dry friction, its motion found at instants."""
+    p = next(p for c, p in zip(causes, params, strict=True) if isinstance(c, JointCause))[0]
+    rho, slope, series, amplitude = sliding_factor(causes, index, extras, params, theta, problem, INSTANTS)
     return jnp.stack([rho - slope * p, slope, series, amplitude + 0j, jnp.zeros(rho.shape, complex)])
 
 
@@ -100,34 +96,26 @@ def linear_factor(
     Parameters are those of :func:`harmonic_factor`, and ``rows``: amplitude and force that were measured, shape
     ``(2, run, f, i)``, none if None; and ``follows``: whether the factor has slopes by the parameters.
     """
-    near = None if rows is None else rows[0].real
-
     k = next(k for k, c in enumerate(causes) if isinstance(c, JointCause))
     p = np.asarray(params[k], float)
+    if causes[k].rigid:
+        instants = FEWER_INSTANTS if kept is not None and kept < highest else INSTANTS
+        found = sliding_factor(causes, index, extras, params, theta, problem, instants)
+        middle, slope, series, amplitude = (np.asarray(a) for a in found)
+        given = np.zeros(middle.shape) if rows is None else rows[1]
+        rows = np.stack([amplitude, given])  # it has one steady motion, whatever was measured
+        slopes = [slope if follows else np.zeros_like(slope)]
+    else:
+        near = None if rows is None else rows[0].real
 
-    def all_of(p: Any) -> tuple[Any, Any, Any]:
-        moved = tuple(p if j == k else q for j, q in enumerate(params))
-        at = causes, index, extras, moved, theta, problem
-        if causes[k].rigid:
-            return sliding_factor(*at, FEWER_INSTANTS if kept is not None and kept < highest else INSTANTS)
-        factor, series = harmonic_factor(*at, highest, kept or highest, near=near)
-        return factor, series, None
+        def at(p: Any) -> tuple[Array, Array]:
+            moved = tuple(p if j == k else q for j, q in enumerate(params))
+            return harmonic_factor(causes, index, extras, moved, theta, problem, highest, kept or highest, near=near)
 
-    def at(p: Any) -> np.ndarray:
-        return np.asarray(all_of(p)[0])
-
-    rho, series, amplitude = all_of(jnp.asarray(p))
-    middle = np.asarray(rho)
-    rows = np.zeros((2, *middle.shape)) if rows is None else np.asarray(rows)
-    if amplitude is not None:  # dry friction has one steady motion, whatever was measured
-        rows = np.stack([amplitude, rows[1]])
-    slopes = []
-    for j in range(len(p)):
-        if not follows:
-            slopes.append(np.zeros_like(middle))
-            continue
-        step = STEP * (abs(p[j]) or 1.0)
-        slopes.append((at(as_array(p + step * np.eye(len(p))[j])) - middle) / step)
+        middle, series = (np.asarray(a) for a in at(as_array(p)))
+        rows = np.zeros((2, *middle.shape)) if rows is None else np.asarray(rows)
+        steps = [STEP * (abs(v) or 1.0) * one for v, one in zip(p, np.eye(len(p)), strict=True)]
+        slopes = [(np.asarray(at(as_array(p + s))[0]) - middle) / s.sum() if follows else 0 * middle for s in steps]
     flat = middle - sum(s * v for s, v in zip(slopes, p, strict=True))
     return np.stack([flat, *slopes, np.asarray(series), *rows])
 
@@ -164,10 +152,11 @@ def receptance_across(cause: Any, place: Any, theta: Array, problem: Problem, ti
 
 def sliding_factor(
     causes: Any, index: Any, extras: Any, params: Any, theta: Float[Array, "two n"], problem: Problem, instants: int
-) -> tuple[Any, Any, Any]:
-    r"""Factor :math:`\rho`, compliance in series and amplitude of a rigid joint, by its motion at instants.
+) -> tuple[Any, Any, Any, Any]:
+    r"""Factor :math:`\rho` of a rigid joint, its slope by the slip force, compliance in series and amplitude.
 
-    The amplitude [m] is that of joint and compliance together, 0 where no steady motion was found.
+    The motion is found at instants. The amplitude [m] is that of joint and compliance together, 0 where no steady
+    motion was found.
 
     Parameters
     ----------
@@ -185,13 +174,19 @@ def sliding_factor(
     free = level[:, :, None] * motion[0]
     spread = lambda a: xp.broadcast_to(a[None, :, None], (*free.shape, *a.shape[1:])).reshape(free.size, *a.shape[1:])
     G, u, omega = spread(xp.stack(G, axis=-1)), free.ravel(), spread(frequencies)
-    q, sound = _slid(G, u, omega, p[0], instants)
-    series = xp.abs(G[:, 0])
-    z = u - (G[:, 0] - series) * q
-    plainly = _impedance_in_series(cause, xp.abs(z), omega, p, series) * z
-    sound = sound & (xp.abs(plainly) > 0)
-    rho, amplitude = xp.where(sound, q / xp.where(sound, plainly, 1.0), 1.0), xp.where(sound, xp.abs(z), 0.0)
-    return rho.reshape(free.shape), series.reshape(free.shape) + 0j, amplitude.reshape(free.shape)
+    q, slope, sound = _slid(G, u, omega, p[0], instants)
+    series, step = xp.abs(G[:, 0]), STEP * xp.where(p[0] != 0, xp.abs(p[0]), 1.0)
+
+    def factor(further: Any) -> tuple[Any, Any]:
+        force = q + further * slope
+        z = u - (G[:, 0] - series) * force
+        plainly = _impedance_in_series(cause, xp.abs(z), omega, p + further, series) * z
+        known = sound & (xp.abs(plainly) > 0)
+        return xp.where(known, force / xp.where(known, plainly, 1.0), 1.0), xp.where(known, xp.abs(z), 0.0)
+
+    (rho, amplitude), (other, _) = factor(0.0), factor(step)
+    lay = lambda a: a.reshape(free.shape)
+    return lay(rho), lay((other - rho) / step), lay(series) + 0j, lay(amplitude)
 
 
 @partial(jax.jit, static_argnames="cause")
@@ -207,7 +202,7 @@ def _slid(G: Any, u: Any, omega: Any, limit: Any, instants: int) -> Sliding:
 
     if not any(isinstance(a, jax.core.Tracer) for a in (G, u, omega, limit)):
         return motion(G, u, omega, limit)
-    shapes = Sliding(jax.ShapeDtypeStruct(u.shape, complex), jax.ShapeDtypeStruct(u.shape, bool))
+    shapes = Sliding(*(jax.ShapeDtypeStruct(u.shape, kind) for kind in (complex, complex, bool)))
     return jax.pure_callback(motion, shapes, G, u, omega, limit)
 
 

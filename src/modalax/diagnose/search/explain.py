@@ -78,14 +78,16 @@ def explain(
 ) -> Explanation:
     """Search single causes, then one more at a time, if the residual of the simulation is more than noise.
 
-    What is ``named`` before stands for the search of single causes where it explains all; where it does not, nothing
-    is searched for if ``only_named``.
+    What is ``named`` before stands for the search of single causes where it explains all, alone or with further causes
+    beside it; where it does not, nothing is searched for if ``only_named``.
     """
     leftover = Leftover(alarm=look.detection.p_value)
     nothing = Explanation(look, look.comparison, [], leftover, look.omnibus)
     if not look.detection.anything:
         return nothing
     before, known = explained_by(look, named, causes)
+    if known is not None and known.p_value < THRESHOLDS.left_by_several:
+        before, known = beside_named(look, before, known, causes)
     if only_named and not before:
         return nothing
     look = look if before or not named else first_look(look.comparison, causes)
@@ -287,8 +289,9 @@ def leader_in_full(
 
 
 def together(
-    look: Look, comparison: Comparison, fitted: list[Hypothesis], ranked: list[Ranked], causes: Sequence[Cause]
-) -> tuple[list[Ranked], list[Hypothesis], Rest]:
+    look: Look, comparison: Comparison, fitted: list[Hypothesis], ranked: list[Ranked], causes: Sequence[Cause],
+    known: Sequence[tuple[Hypothesis, Rest]] = (),
+) -> tuple[list[Ranked], list[Hypothesis], Rest]:  # fmt: skip
     """Add one cause at a time, as long as what is left asks for one and the leading set takes it up.
 
     Parameters
@@ -303,8 +306,10 @@ def together(
         Sets of causes by falling probability.
     causes
         What to look for.
+    known
+        Hypotheses of which it is known what they leave.
     """
-    rests: dict[int, tuple[Hypothesis, Rest]] = {}  # the hypothesis is kept, so that its number stays its own
+    rests = {id(h): (h, rest) for h, rest in known}  # the hypothesis is kept, so that its number stays its own
 
     def rest(h: Hypothesis) -> Rest:
         if id(h) not in rests:
@@ -323,6 +328,30 @@ def together(
         fitted = fitted + exchanged(comparison, ranked[0].best, lambda h: rest(h).trials, FURTHER)
         fitted, ranked = leader_in_full(look, comparison, fitted, weigh(look, fitted, comparison))
     return ranked, fitted, rest(ranked[0].best)
+
+
+def beside_named(
+    look: Look, fitted: list[Hypothesis], rest: Rest, causes: Sequence[Cause]
+) -> tuple[list[Hypothesis], Rest | None]:
+    """Named causes with further ones beside them, the likeliest set first; nothing where these leave more than noise.
+
+    Parameters
+    ----------
+    look
+        The simulation alone.
+    fitted
+        The named causes, fitted.
+    rest
+        What the first of them leaves.
+    causes
+        What to look for.
+    """
+    named = fitted[0]
+    ranked, fitted, left = together(look, look.comparison, fitted, weigh(look, fitted), causes, [(named, rest)])
+    best = ranked[0].best
+    if left.p_value < THRESHOLDS.left_by_several or len(best.causes) <= len(named.causes):
+        return [], None
+    return [best, *(h for h in fitted if h is not best)], left
 
 
 def _explained(look: Look, best: Ranked) -> float:

@@ -25,7 +25,7 @@ from modalax.diagnose.search.measured_force import MeasuredForce
 from modalax.diagnose.search.one_harmonic import described
 
 FEWER = 5  # highest harmonic of a second balance, which shows the error of truncation
-STEP = 1e-3  # relative change of a parameter by which slopes of friction and of linear elements are taken
+STEP = 1e-3  # relative change of a parameter by which slopes of linear elements are taken
 
 
 @dataclass(frozen=True)
@@ -267,9 +267,7 @@ def _linear(cause: LocalCause, p: np.ndarray, seen: Seen) -> tuple[np.ndarray, n
 
 
 def _sliding(p: np.ndarray, seen: Seen, instants: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Force of dry friction, and its slopes by a difference: with motion and limit alike it grows as they do."""
-    given, step = (seen.receptance[:, 1::2], seen.free, seen.omega), STEP * max(abs(float(p[0])), 1e-300)
-    here, there = (sliding(*given, float(p[0]) + d, instants // 2) for d in (0.0, step))
-    found = with_more_instants(here, sliding(*given, float(p[0]), instants))
-    slope = (there.force - here.force) / step
-    return found.force, np.stack([slope, found.force - p[0] * slope]), found.sound & there.sound
+    """Force of dry friction, and its slopes: with motion and limit alike it grows as they do."""
+    given = seen.receptance[:, 1::2], seen.free, seen.omega, float(p[0])
+    force, slope, sound = with_more_instants(*(sliding(*given, count) for count in (instants // 2, instants)))
+    return force, np.stack([slope, force - p[0] * slope]), sound

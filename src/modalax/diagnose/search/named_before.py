@@ -49,7 +49,7 @@ class NamedCause:
 def explained_by(
     look: Look, named: Sequence[NamedCause], causes: Sequence[Cause]
 ) -> tuple[list[Hypothesis], Rest | None]:
-    """The named causes fitted to all lines, with their rivals, and what the first leaves; nothing if more than noise.
+    """The named causes fitted to all lines, and what they leave; with their rivals where that is no more than noise.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def explained_by(
     fitted = best_of_each([h for one in starts for h in fit_together(comparison, [one])], comparison)
     rest = rest_of(comparison, fitted[0], null, causes) if fitted else None
     if rest is None or rest.p_value < THRESHOLDS.left_by_several:
-        return [], None
+        return fitted, rest
     least = (1 - SHORT) * (null.chi2 - fitted[0].chi2) - NEAR
     rivals = [t for t in chosen(look.screening.trials) if t.gain > least]
     return [*fitted, *fit_single(look.state, rivals)], rest
