@@ -1,5 +1,7 @@
 """What a diagnosis takes: modal models, missing variances, single levels and references, extended simulations again."""
 
+import os
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,7 +10,7 @@ import pytest
 
 import modalax
 from modalax import Measurement, ModalModel
-from modalax._numerics.programs import release_programs
+from modalax._numerics import programs
 from modalax.diagnose import ExtendedSimulation, JointCause, Parameter, diagnose
 from modalax.diagnose.causes import catalogue
 from modalax.diagnose.causes.channels import ChannelGain
@@ -245,16 +247,25 @@ def test_a_stiff_joint_that_lets_go_is_told_from_one_that_drifts():
 
 
 def test_compiled_programs_go_before_a_process_is_full(tmp_path, monkeypatch):
-    """A process that has used up its memory maps ends without an exception."""
+    """A process that has used up its memory maps ends without an exception, and batches held gigabytes of programs."""
     gone = []
     monkeypatch.setattr(jax, "clear_caches", lambda: gone.append(True))
-    maps, limit = tmp_path / "maps", tmp_path / "limit"
+    monkeypatch.setattr(programs, "_kept", [0])
+    given = maps, limit, used = [tmp_path / name for name in ("maps", "limit", "statm")]
+    pages, tenth = "9000000 {} 4000 1 0 1 0\n", os.sysconf("SC_PHYS_PAGES") // 10
     limit.write_text("100\n")
     maps.write_text("a map\n" * 59)
-    assert not release_programs(maps, limit) and not gone
+    used.write_text(pages.format(1000))
+    assert not programs.release_programs(*given) and not gone
     maps.write_text("a map\n" * 61)
-    assert release_programs(maps, limit) and gone
-    assert not release_programs(tmp_path / "no such file", limit)
+    assert programs.release_programs(*given) and len(gone) == 1
+    maps.write_text("a map\n")
+    used.write_text(pages.format(tenth + 900))
+    assert not programs.release_programs(*given)  # it has grown by less than a tenth of the machine's since
+    used.write_text(pages.format(tenth + 1100))
+    assert programs.release_programs(*given) and len(gone) == 2
+    assert not programs.release_programs(*given)
+    assert not programs.release_programs(tmp_path / "no such file", limit, used)
 
 
 def test_the_line_at_0_hz_is_left_out():

@@ -171,6 +171,7 @@ def _diagnosed(
     progress: Callable[[str], None],
 ) -> Diagnosis:  # fmt: skip
     """The answer, with what is known besides said beside it."""
+    release_programs()
     check_simulation(simulation, Structure, ModalModel, ExtendedSimulation)
     names = dof_names(simulation.base if isinstance(simulation, ExtendedSimulation) else simulation)
     if isinstance(measurement, ModeTable):
@@ -317,7 +318,6 @@ def line_by_line(
     named: Sequence[NamedCause] = (), only_named: bool = False,
 ) -> Diagnosis | None:  # fmt: skip
     """Diagnose about the simulation as it is, from what the modal domain has named."""
-    release_programs()
     progress("preparing measurement and simulation")
     comparison = replace(with_noise_beside(make_comparison(measurement, simulation, question)), late=late)
     return searched(comparison, causes, progress, named, only_named)
