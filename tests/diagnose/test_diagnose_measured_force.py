@@ -11,8 +11,10 @@ from modalax.diagnose.causes import catalogue
 from modalax.diagnose.comparison import make_comparison, with_noise_beside
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.screening.modes_beside import modes_beside
+from modalax.diagnose.search import measured_force
 from modalax.diagnose.search.joints_by_force import joints_by_force
-from modalax.diagnose.search.measured_force import measured_forces, starts_from_forces
+from modalax.diagnose.search.measured_force import FIRST, REFINED, measured_forces, starts_from_forces
 from modalax.model import Structure
 from modalax.model.examples import five_dof
 from modalax.simulate import joints
@@ -91,3 +93,17 @@ def test_a_nearly_right_simulation_is_left_to_the_linear_screening():
     chi2 = [f.chi2 for f in measured_forces(comparison, comparison.scene.pairs())]
     spread = 4 * np.sqrt(2 * comparison.problem.samples)
     assert all(abs(x - y) < spread for x, y in itertools.pairwise(chi2))
+
+
+def test_modes_follow_beside_many_places_only_where_one_of_the_first_explains_enough(monkeypatch):
+    """Beside two causes no single force explains anything, and 40 places took ten seconds to show it."""
+    asked = []
+    monkeypatch.setattr(measured_force, "modes_beside", lambda *a: asked.append((a[2], len(a) > 4)) or modes_beside(*a))
+    clean = Measurement.from_frfs([five_dof().frf(FREQ[::4], inputs=["1"])])
+    claimed = replace(five_dof(), frequency_std=0.003, damping_std=0.05)
+    comparison = make_comparison(noisy(clean, 3), claimed, "fixed")
+    places = comparison.scene.pairs()[:2]
+    alone = measured_forces(comparison, places, enough=0.0)
+    assert asked == [(FIRST, False)] and len(alone) == 2
+    measured_forces(comparison, places, enough=1.1 * alone[0].chi2)
+    assert asked[1:] == [(FIRST, False), (REFINED, True)]

@@ -46,13 +46,13 @@ def joints_by_force(
     blind = problem.channels[0] < 2 or problem.held is not None or comparison.question == "free" or best.hum is not None
     if blind or as_noise(comparison, best.chi2):
         return []
-    forces = measured_forces(comparison, comparison.joint_places())[:MOST_PLACES]
+    less = best.chi2 - THRESHOLDS.one_force * np.sqrt(2 * problem.samples)
+    enough = min(less, THRESHOLDS.unexplained * problem.samples)
+    forces = measured_forces(comparison, comparison.joint_places(), enough)[:MOST_PLACES]
     if not forces:  # there was no time
         return []
     close = THRESHOLDS.other_places + THRESHOLDS.one_force * np.sqrt(4 * forces[0].motion.size)  # noise of a difference
     forces = [f for k, f in enumerate(forces) if k < PLACES or f.chi2 < forces[0].chi2 + close]
-    less = best.chi2 - THRESHOLDS.one_force * np.sqrt(2 * problem.samples)
-    enough = min(less, THRESHOLDS.unexplained * problem.samples)
     order = [
         (cost + 0.5 * force.chi2, h)
         for force in forces

@@ -24,7 +24,7 @@ PLACES, MORE = 3, 12  # places that are tried, and where a force at one place is
 STARTS = 2  # starts of each law at each place
 FITTED = 16  # starts in all
 SURELY = 5.0  # standard deviations of a chi-square beyond which runs differ
-REFINED = 40  # places at which the modes follow
+REFINED, FIRST = 40, 15  # places at which the modes follow, and those by which it shows whether more are worth it
 TELLING, ASKED, REWEIGHED = 100, 9, 10  # lines whose strengths are looked at, how many of these, and steps from each
 STRONGEST, BELOW = 40, (0.98, 0.9, 0.7)  # lines of the largest force, and parts of their motion that are thresholds
 LIKELIEST = 4  # joints that are fitted beside lines set aside
@@ -63,7 +63,7 @@ class MeasuredForce:
     information: np.ndarray
 
 
-def measured_forces(comparison: Comparison, places: Sequence[Place]) -> list[MeasuredForce]:
+def measured_forces(comparison: Comparison, places: Sequence[Place], enough: float = np.inf) -> list[MeasuredForce]:
     """The force that an element must have at each place that there is time for, the best place first.
 
     Parameters
@@ -72,9 +72,18 @@ def measured_forces(comparison: Comparison, places: Sequence[Place]) -> list[Mea
         Data and simulation; its modes follow within the spread that is claimed.
     places
         Pairs of degrees of freedom, or single ones to the ground.
+    enough
+        Chi-square that one of the first places must come to, for modes to follow beside further ones.
     """
-    found = modes_beside(comparison, places, REFINED, comparison.late)
-    return sorted((force_beside(place, left, beside) for place, left, beside in found), key=lambda m: m.chi2)
+
+    def ranked(found: list[tuple[Place, float, Beside]]) -> list[MeasuredForce]:
+        return sorted((force_beside(place, left, beside) for place, left, beside in found), key=lambda m: m.chi2)
+
+    found = modes_beside(comparison, places, FIRST, comparison.late)
+    first = ranked(found)
+    if not first or not comparison.nuisance.active or first[0].chi2 >= enough:
+        return first
+    return ranked(modes_beside(comparison, places, REFINED, comparison.late, found))
 
 
 def force_beside(place: Place, left: float, beside: Beside) -> MeasuredForce:
