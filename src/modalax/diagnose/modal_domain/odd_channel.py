@@ -50,7 +50,8 @@ def odd_channel(
     if plain is None or not explanations[0].causes:
         return None
     found: list[OddChannel] = []
-    settled = all(c.local and c.kind for c in explanations[0].causes) and explanations[0].misfit < THRESHOLDS.as_noise
+    named = all(c.local and c.kind or c.in_channels for c in explanations[0].causes)
+    settled = named and explanations[0].misfit < THRESHOLDS.as_noise
     for force, names in ((False, outputs), (True, inputs)):
         if len(names) < (2 if force else FEWEST):
             continue
