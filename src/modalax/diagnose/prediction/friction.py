@@ -80,9 +80,12 @@ def sliding(
         raise ValueError(f"{count} instants need to be even, with {count // 2} odd harmonics; {G.shape[1]} are given")
     sums, counts = np.zeros((2, len(u)), complex), np.zeros((2, len(u)))
     for part in np.array_split(np.arange(len(u)), -(-len(u) * count**2 // TOGETHER)):
-        for force, sound, slope, also in _on_grids(G[part], u[part] / max(limit, 1e-300), omega[part], count, shifts):
-            sums[:, part] += np.where([sound, also], [limit * force, slope], 0.0)
-            counts[:, part] += sound, also
+        with np.errstate(all="ignore"):  # a motion that is lost becomes too large for numbers, and is not sound
+            for force, sound, slope, also in _on_grids(
+                G[part], u[part] / max(limit, 1e-300), omega[part], count, shifts
+            ):
+                sums[:, part] += np.where([sound, also], [limit * force, slope], 0.0)
+                counts[:, part] += sound, also
     force, slope = sums / np.maximum(counts, 1)
     return Sliding(force, slope, counts[0] >= len(shifts) / 2)
 
@@ -140,10 +143,8 @@ def _followed(
         fixed = np.stack([s, np.zeros_like(s)], axis=-1)
         x = _solved(np.where(sticks[..., None], A[left], eye), np.where(sticks[..., None], v, fixed))
         w = s[..., None] * (v - A[left] @ x)
-        with np.errstate(all="ignore"):
-            stuck = (np.sign(x[..., 1]) - x[..., 0]) / x[..., 1]
-            sliding = np.where(w[..., 1] < 0, -w[..., 0] / w[..., 1], np.inf)
-        until = np.where(sticks, np.where(x[..., 1] != 0, stuck, np.inf), sliding)
+        stuck = np.where(x[..., 1] != 0, (np.sign(x[..., 1]) - x[..., 0]) / x[..., 1], np.inf)
+        until = np.where(sticks, stuck, np.where(w[..., 1] < 0, -w[..., 0] / w[..., 1], np.inf))
         moved = until[rows, last[left]] > at[:, 0] + SAME
         until[rows, last[left]] = np.where((last[left] < 0) | moved, until[rows, last[left]], np.inf)
         until = np.maximum(until, at)
