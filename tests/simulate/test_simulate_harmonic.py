@@ -213,7 +213,9 @@ def test_messages_say_what_was_seen():
         harmonic_balance(free, [BilinearSpring(1.0, 2.0)], [["a"]], freq, 1.0, inputs=["a"])
 
 
-@pytest.mark.parametrize("harmonics", [(1, 3), (0, 1, 2)], ids=["half a cycle", "whole"])
+@pytest.mark.parametrize(
+    "harmonics", [pytest.param((1, 3), id="half a cycle", marks=pytest.mark.slow), pytest.param((0, 1, 2), id="whole")]
+)
 def test_bouc_wen_loop_is_closed_where_little_is_lost_a_cycle(harmonics):
     class Patient(BoucWen):
         settle = 80

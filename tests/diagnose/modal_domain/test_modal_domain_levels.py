@@ -138,6 +138,7 @@ def damped_by_drag(model, freq, outputs, force, where, coefficient) -> Measureme
     return plain.replace(H=H + sigma * noise / np.sqrt(2), variance=sigma**2)
 
 
+@pytest.mark.slow  # by default one that the simulation lacks altogether, among hidden effects
 @EITHER
 def test_a_joint_that_bends_even_the_lowest_level_is_found_beside_the_structure_without_it(structure):
     """Drag that doubles a mode's damping at the lowest level already: law, place, value, and the modes without it.

@@ -34,7 +34,8 @@ def test_a_shift_of_all_modes_moves_those_beyond_the_band_and_what_modes_contrib
 
 
 @pytest.mark.parametrize(
-    "levels", [[np.nan] * 3, [1.0, 2.0, 4.0], pytest.param([2.0, 2.0, 2.0], marks=pytest.mark.slow)]
+    "levels",
+    [[np.nan] * 3, *(pytest.param(some, marks=pytest.mark.slow) for some in ([1.0, 2.0, 4.0], [2.0, 2.0, 2.0]))],
 )
 def test_what_a_drift_changes_is_predicted_for_each_run(levels):
     """Nothing but noise is left of any run; the drift had been named, and no run but the first was predicted."""

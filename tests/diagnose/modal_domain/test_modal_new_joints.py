@@ -27,6 +27,7 @@ def joined(law, seed):
     return as_measured(response(M, C, K, FREQ, Z), FREQ, seed)
 
 
+@pytest.mark.slow  # by default among hidden effects, as the fractional joint below
 def test_a_strong_spring_with_loss_is_named_with_its_loss():
     said = diagnose_modes(joined("hysteretic_joint", 3), simulation()).to_dict()
     assert said["verdict"] == "named" and all(c["where"] == ["3:+Z"] for c in said["causes"])
@@ -39,7 +40,7 @@ def test_a_strong_spring_with_loss_is_named_with_its_loss():
 @pytest.mark.parametrize(
     ("law", "seed", "true", "close"),
     [("maxwell_joint", 4, {"relaxing_stiffness": STIFF, "relaxation_time": TIME}, 0.3),
-     ("fractional_joint", 6, {"coefficient": COEFFICIENT, "order": ORDER}, 0.4)],
+     pytest.param("fractional_joint", 6, {"coefficient": COEFFICIENT, "order": ORDER}, 0.4, marks=pytest.mark.slow)],
 )  # fmt: skip
 def test_a_strong_joint_of_one_law_is_named_and_predicts_what_it_was_not_fitted_to(law, seed, true, close):
     said = diagnose_modes(joined(law, seed), simulation()).to_dict()

@@ -25,7 +25,7 @@ def scaled(stiffness: float = 1.0, mass: float = 1.0) -> Structure:
     ("stiffness", "mass", "name", "value", "word"),
     [
         pytest.param(1.08, 1.0, "stiffness", 0.08, "high", marks=pytest.mark.slow),
-        (0.9, 1.0, "stiffness", -0.1, "low"),
+        pytest.param(0.9, 1.0, "stiffness", -0.1, "low", marks=pytest.mark.slow),
         (1.0, 1.05, "mass", 0.05, "high"),
     ],
 )
