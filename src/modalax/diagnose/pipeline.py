@@ -50,6 +50,8 @@ from modalax.diagnose.decision.route import (
     choice,
     claim_compared,
     elements_surely,
+    hardly_off,
+    in_time,
     law_is_exact,
     nothing_left,
     one_place_first,
@@ -64,6 +66,7 @@ from modalax.diagnose.jointed.answer import diagnose_joint, joint_comes_first, m
 from modalax.diagnose.modal_domain.answer import ModalDiagnosis
 from modalax.diagnose.modal_domain.claimed_modes import ClaimCompared, compared
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.diagnose.modal_domain.few_causes import few_causes_near
 from modalax.diagnose.modal_domain.measured import Measured
 from modalax.diagnose.modal_domain.stage import identified
 from modalax.diagnose.modal_domain.table import by_table
@@ -245,6 +248,9 @@ def by_routes(
             break
         if found is not None:
             answers[route], outcomes[route] = found, outcome_of(found)
+            small = in_time(task) and not task.elements_off and hardly_off(outcomes[route])
+            if small and isinstance(found, ModalDiagnosis):
+                outcomes[route] = replace(outcomes[route], exact_near=few_causes_near(found.stage, late))
             if suffices(route, outcomes[route], task):
                 break
     return answers[choice(outcomes)]

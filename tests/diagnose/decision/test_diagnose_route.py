@@ -18,6 +18,7 @@ from modalax.diagnose.decision.route import (
     claim_compared,
     damping_off,
     elements_surely,
+    hardly_off,
     one_place_first,
     order,
     settled,
@@ -317,6 +318,23 @@ def test_whatever_is_claimed_of_modes_a_sure_cause_beside_elements_that_are_off_
     assert elements_surely(sure) and not elements_surely(replace(sure, inaccuracy=MAYBE))
     for doubt in ({"probability": 0.99}, {"alternatives": 1}, {"left": 1e-3}, {"verdict": "clean"}):
         assert not elements_surely(replace(sure, **doubt))
+
+
+TENTH = {"stiffness": {"value": 1e-3, "interval": [6e-4, 3e-3]}, "mass": {"value": 7e-4, "interval": [3e-4, 2e-3]}}
+
+
+@pytest.mark.parametrize(("inaccuracy", "verdict", "hardly"), [
+    (TENTH, "clean", True), (TENTH, "named", False), (OFF, "clean", False), (MAYBE, "clean", False),
+])  # fmt: skip
+def test_an_inaccuracy_far_below_the_usual_may_be_a_few_things_that_lines_tell(inaccuracy, verdict, hardly):
+    modes = Outcome(verdict, 1.02, 0.3, 0.0, 0, inaccuracy)
+    assert hardly_off(modes) is hardly
+    if not hardly:
+        return
+    near = replace(modes, exact_near=True)
+    assert suffices("modes", modes, SMALL) and not suffices("modes", near, SMALL)
+    for lines, told in ((0.99, "lines"), (1.03, "modes")):  # whose answer foretells better, though either leaves noise
+        assert choice({"modes": near, "lines": Outcome("named", lines, 0.5, 0.99)}) == told
 
 
 @pytest.mark.parametrize(("passed_over", "low", "enough"), [(False, 0.0, True), (True, 0.0, False), (True, 1e-4, True)])

@@ -95,6 +95,8 @@ class Outcome:
         Whether stiffness and mass are off by what may be one factor on both, so that no frequency is off.
     askew
         Whether it is told beyond doubt that a force or a sensor also acts or measures elsewhere, which has no name.
+    exact_near
+        Whether a few causes of a simulation that is exact in all else explain the modes about as well.
     """
 
     verdict: str
@@ -112,6 +114,7 @@ class Outcome:
     passed_over: bool = False
     scaled: bool = False
     askew: bool = False
+    exact_near: bool = False
 
     @property
     def predicts(self) -> float:
@@ -180,8 +183,18 @@ def suffices(route: Route, found: Outcome, task: Task, limits: Thresholds = THRE
         return True
     if found.of_elements and surely_named(found, limits):
         return True
+    if found.exact_near:
+        return False
     off = off_everywhere(found, limits) or damping_off(found, limits) or off_throughout(found, limits)
     return off or decisive(found, task, limits)
+
+
+def hardly_off(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
+    """Whether nothing is named beside stiffness and mass that are certainly off, by less than is usual."""
+    parts = certainly_off(found, limits)
+    return (
+        found.verdict == "clean" and bool(parts) and all(p["interval"][0] < limits.surely_off for p in parts.values())
+    )
 
 
 def sharper_by_lines(found: Outcome, task: Task, limits: Thresholds = THRESHOLDS) -> bool:
@@ -194,7 +207,8 @@ def choice(found: Mapping[Route, Outcome], limits: Thresholds = THRESHOLDS) -> R
     if len(found) == 1:
         return next(iter(found))
     lines, modes = found["lines"], found["modes"]
-    ahead = modes.verdict != "unknown" and lines.predicts > max(limits.as_noise, modes.predicts)
+    least = 0.0 if modes.exact_near else limits.as_noise
+    ahead = modes.verdict != "unknown" and lines.predicts > max(least, modes.predicts)
     if explained(lines, limits) and not ahead:
         return "lines"
     if modes.verdict == "unknown":  # of two attempts that explain nothing, the one that predicts better
