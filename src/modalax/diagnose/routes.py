@@ -74,11 +74,20 @@ def outcome_of(found: Diagnosis) -> Outcome:
 
 
 def of_elements(found: Diagnosis) -> bool:
-    """Whether a change of a whole element, of its end, of several places or with damping is told: lines have none."""
+    """Whether a change of a whole element, of its end, of several places or with damping is told: lines have none.
+
+    Not where the modes do not tell it from one that lines have, which tell more of that.
+    """
     if not isinstance(found, ModalDiagnosis) or not found.causes:
         return False
-    told = standing_out(found.stage, found.chosen)
-    return any((c.kind == "K" and c.pattern is not None) or len(c.told_as) > 1 or c.along for c in told)
+    if not _unknown_to_lines(standing_out(found.stage, found.chosen)):
+        return False
+    others = (e.probability for e in found.stage.explanations if not _unknown_to_lines(e.causes))
+    return sum(others) < 1 - THRESHOLDS.certain
+
+
+def _unknown_to_lines(causes: Sequence[Change]) -> bool:
+    return any((c.kind == "K" and c.pattern is not None) or len(c.told_as) > 1 or bool(c.along) for c in causes)
 
 
 def may_tell_joints(measurement: Measurement) -> bool:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from modalax.data import Measurement
+from modalax.diagnose import routes
 from modalax.diagnose.causes import catalogue
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.route import (
@@ -25,7 +26,7 @@ from modalax.diagnose.decision.route import (
     suffices,
     surely_foretold,
 )
-from modalax.diagnose.routes import outcome_of, task_of
+from modalax.diagnose.routes import of_elements, outcome_of, task_of
 from modalax.model import Structure
 
 SMALL = Task(has_modes=True, places=15.0, samples=2000)
@@ -323,11 +324,19 @@ def test_whatever_is_claimed_of_modes_a_sure_cause_beside_elements_that_are_off_
 TENTH = {"stiffness": {"value": 1e-3, "interval": [6e-4, 3e-3]}, "mass": {"value": 7e-4, "interval": [3e-4, 2e-3]}}
 
 
-@pytest.mark.parametrize(("inaccuracy", "verdict", "hardly"), [
-    (TENTH, "clean", True), (TENTH, "named", False), (OFF, "clean", False), (MAYBE, "clean", False),
-])  # fmt: skip
-def test_an_inaccuracy_far_below_the_usual_may_be_a_few_things_that_lines_tell(inaccuracy, verdict, hardly):
-    modes = Outcome(verdict, 1.02, 0.3, 0.0, 0, inaccuracy)
+@pytest.mark.parametrize(
+    ("inaccuracy", "verdict", "joint", "hardly"),
+    [
+        (TENTH, "clean", False, True),
+        (TENTH, "named", False, True),
+        (TENTH, "named", True, False),
+        (TENTH, "unknown", False, False),
+        (OFF, "clean", False, False),
+        (MAYBE, "clean", False, False),
+    ],
+)
+def test_an_inaccuracy_far_below_the_usual_may_be_a_few_things_that_lines_tell(inaccuracy, verdict, joint, hardly):
+    modes = Outcome(verdict, 1.02, 0.3, 0.0, 0, inaccuracy, joint=joint)
     assert hardly_off(modes) is hardly
     if not hardly:
         return
@@ -346,3 +355,16 @@ def test_dampings_that_one_thing_explains_better_are_looked_at_line_by_line(pass
     }  # fmt: skip
     found = Outcome("clean", 1.05, 0.3, inaccuracy=parts, passed_over=passed_over)
     assert damping_off(found) is enough
+
+
+@pytest.mark.parametrize(("with_damping", "plain", "said"), [(0.99, 0.01, True), (0.6, 0.4, False), (0.0, 0.99, False)])
+def test_what_modes_do_not_tell_from_a_cause_that_lines_have_is_left_to_these(with_damping, plain, said, monkeypatch):
+    """A drift of all stiffness was named as a spring with damping, which modes did not tell from a plain spring."""
+    spring = lambda along: SimpleNamespace(kind="K", pattern=None, told_as=("joint_stiffness",), along=along)
+    each = [SimpleNamespace(causes=(spring("in proportion"),), probability=with_damping)]
+    each += [SimpleNamespace(causes=(spring(""),), probability=plain)]
+    chosen = max(each, key=lambda e: e.probability)
+    found = SimpleNamespace(causes=[{}], stage=SimpleNamespace(explanations=each), chosen=chosen)
+    monkeypatch.setattr(routes, "ModalDiagnosis", SimpleNamespace)
+    monkeypatch.setattr(routes, "standing_out", lambda stage, chosen: chosen.causes)
+    assert of_elements(found) is said

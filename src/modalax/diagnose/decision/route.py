@@ -190,11 +190,9 @@ def suffices(route: Route, found: Outcome, task: Task, limits: Thresholds = THRE
 
 
 def hardly_off(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
-    """Whether nothing is named beside stiffness and mass that are certainly off, by less than is usual."""
-    parts = certainly_off(found, limits)
-    return (
-        found.verdict == "clean" and bool(parts) and all(p["interval"][0] < limits.surely_off for p in parts.values())
-    )
+    """Whether all is explained by stiffness and mass that are certainly off, by less than is usual, and no joint."""
+    parts = certainly_off(found, limits) if found.verdict in ("clean", "named") and not found.joint else {}
+    return bool(parts) and all(p["interval"][0] < limits.surely_off for p in parts.values())
 
 
 def sharper_by_lines(found: Outcome, task: Task, limits: Thresholds = THRESHOLDS) -> bool:
