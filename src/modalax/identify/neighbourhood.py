@@ -80,7 +80,7 @@ class Neighbourhood(NamedTuple):
         kernel = self.pole_kernel if self.kernel is None else self.kernel
         return np.array([kernel(self.s, complex(p)) for p in poles]).reshape(-1, len(self.s)).T * self.weight[:, None]
 
-    def columns(self, poles: Sequence[complex] | np.ndarray) -> Complex[np.ndarray, "m n+k"]:
+    def columns(self, poles: Sequence[complex] | np.ndarray) -> Complex[np.ndarray, "m columns"]:
         """Kernels of some poles with the fixed columns, each of unit norm."""
         A = np.concatenate([self.seen(poles), self.fixed], axis=1)
         return A / np.maximum(np.linalg.norm(A, axis=0), 1e-300)
