@@ -78,7 +78,8 @@ class Neighbourhood(NamedTuple):
     def seen(self, poles: Sequence[complex] | np.ndarray) -> Complex[np.ndarray, "m n"]:
         """Kernels of some poles as they are seen here, times the weight."""
         kernel = self.pole_kernel if self.kernel is None else self.kernel
-        return np.array([kernel(self.s, complex(p)) for p in poles]).reshape(-1, len(self.s)).T * self.weight[:, None]
+        each = np.array([kernel(self.s, complex(p)) for p in poles], complex)
+        return each.reshape(-1, len(self.s)).T * self.weight[:, None]
 
     def columns(self, poles: Sequence[complex] | np.ndarray) -> Complex[np.ndarray, "m columns"]:
         """Kernels of some poles with the fixed columns, each of unit norm."""
