@@ -14,7 +14,7 @@ from modalax.diagnose.modal_domain.explain import one_cause, one_more
 from modalax.diagnose.modal_domain.stage import Stage
 
 EXACT, HELD = 1e-6, 0.1  # size that a general inaccuracy is held to, and the spread of its logarithm
-BEHIND = 40.0  # nats that they may be behind: what a cause that modes do not know may add
+BEHIND = 40.0  # nats that they may be behind, as a further cause may bring line by line (``search.compounds``)
 
 
 def few_causes_near(stage: Stage, late: Deadline) -> bool:

@@ -41,7 +41,7 @@ class Sliding(NamedTuple):
     force
         First harmonic of the force [N], shape ``(p,)``.
     slope
-        Its derivative by the limit, shape ``(p,)``: by a difference over which samples stick that slid before.
+        Its derivative by the limit, shape ``(p,)``: by a difference wide enough for samples to change sides.
     sound
         Whether it was found on half of the grids at least, shape ``(p,)``.
     """
