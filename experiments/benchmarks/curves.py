@@ -23,7 +23,8 @@ from common import Table, machine
 
 from modalax.data import FRF
 from modalax.identify import lscf
-from modalax.identify.host import refine_on_host, residues_on_host
+from modalax.identify.host import refine_on_host
+from modalax.identify.residues import residues
 from modalax.model import ModalModel
 from modalax.study import study
 
@@ -62,7 +63,7 @@ def diagram(outputs: int = 100, lines: int = 2000, order: int = 40) -> float:
 def refinement(modes: int) -> float:
     """One step of maximum likelihood: the difference of four steps and one."""
     model, frf = system(modes, 20, 2000)
-    moved = residues_on_host(frf, np.asarray(model.poles) * (1 + 2e-3j))
+    moved = residues(frf, np.asarray(model.poles) * (1 + 2e-3j))
     few, more = refine_on_host(frf, moved, max_steps=1), refine_on_host(frf, moved, max_steps=4)
     steps = int(more.steps) - int(few.steps)
     return (

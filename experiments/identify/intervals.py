@@ -16,8 +16,9 @@ from random_systems import circular
 from threadpoolctl import threadpool_limits
 
 from modalax.data.frf import FRF
-from modalax.identify.host import refine_on_host, residues_on_host
+from modalax.identify.host import refine_on_host
 from modalax.identify.noise import residual_sigma
+from modalax.identify.residues import residues
 from modalax.model.modal import ModalModel
 
 jax.config.update("jax_enable_x64", True)
@@ -42,7 +43,7 @@ def draw(seed: int, outputs: int, inputs: int) -> tuple[ModalModel, FRF]:
 
 def deviations(model: ModalModel, frf: FRF, proportional: bool) -> np.ndarray:
     """Errors of frequency and damping over their standard deviations, shape ``(n, 2)``."""
-    found = refine_on_host(frf, residues_on_host(frf, model.poles), covariance="robust")
+    found = refine_on_host(frf, residues(frf, model.poles), covariance="robust")
     sigma = "auto"
     for _ in range(2):
         sigma = residual_sigma(frf, found, sigma, proportional)

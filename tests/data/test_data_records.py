@@ -70,8 +70,8 @@ def test_records_agree_with_scipy():
     np.testing.assert_allclose(frf.H[:, 0, 0], (cross / power)[1:-1], rtol=1e-11)
     np.testing.assert_allclose(frf.coherence[:, 0, 0], coherence[1:-1], rtol=1e-11)
     blocks = np.stack([force[k : k + 256] for k in range(0, 5000 - 255, 128)])
-    s = spectra(*(jnp.asarray(b - b.mean(1, keepdims=True))[..., None] for b in (blocks, blocks)), FS,
-                jnp.asarray(taper("hann", 256)), 1.0)  # fmt: skip
+    s = spectra(*(jnp.asarray(b - b.mean(1, keepdims=True))[..., None] for b in (blocks, blocks)),
+                jnp.asarray(taper("hann", 256)), fs=FS, averages=1.0)  # fmt: skip
     np.testing.assert_allclose(s.force[:, 0, 0].real, power[1:-1], rtol=1e-11)
 
 
@@ -87,7 +87,7 @@ def test_total_least_squares_of_two_inputs_solves_the_eigenproblem():
     rng = np.random.default_rng(3)
     F, X = complex_noise(rng, 6, 4, 2), complex_noise(rng, 6, 4, 3)
     s = spectra_of(F, X)
-    H = np.asarray(estimate(s, "Hv")[0])
+    H = np.asarray(estimate(s, estimator="Hv")[0])
     for f in range(4):
         for o in range(3):
             z = np.concatenate([F[:, f], X[:, f, o : o + 1]], axis=1)
@@ -109,13 +109,13 @@ def test_estimators_are_consistent_where_their_noise_is():
     noisy_X = X + np.sqrt(share * power_x) * complex_noise(rng, *X.shape)
     # Error of the mean over all lines; 3e-3 was seen with noise as expected, 0.1 to 0.26 without.
     bound = 6e-3
-    error = lambda F, X, e: np.abs(np.asarray(estimate(spectra_of(F, X), e)[0]).mean(axis=0) - H).max()
+    error = lambda F, X, e: np.abs(np.asarray(estimate(spectra_of(F, X), estimator=e)[0]).mean(axis=0) - H).max()
     assert error(F, noisy_X, "H1") < bound
     assert error(noisy_F, X, "H2") < bound
     assert error(noisy_F, noisy_X, "Hv") < bound
     for F_, X_, e in ((noisy_F, X, "H1"), (F, noisy_X, "H2"), (noisy_F, X, "Hv")):
         assert error(F_, X_, e) > 0.04
-    found = np.asarray(input_noise(spectra_of(noisy_F, noisy_X), "Hv")).mean()
+    found = np.asarray(input_noise(np, spectra_of(noisy_F, noisy_X), "Hv")).mean()
     assert found == pytest.approx(share / (1 + share), rel=0.02)
 
 
@@ -133,7 +133,7 @@ def test_variance_of_h1_is_unbiased_with_its_degrees_of_freedom(inputs, blocks, 
     H = complex_noise(rng, 2, inputs)
     noise = np.array([0.3, 2.0])
     X = np.einsum("oi,mfi->mfo", H, F) + noise * complex_noise(rng, blocks, draws, 2)
-    estimated, variance = (np.asarray(a) for a in estimate(spectra_of(F, X), "H1"))
+    estimated, variance = (np.asarray(a) for a in estimate(spectra_of(F, X), estimator="H1"))
     true = np.mean(np.abs(estimated - H) ** 2, axis=0)
     # Scatter of 40,000 draws: 0.5 to 2 % was seen, for a fixed force and where its power varies too.
     np.testing.assert_allclose(variance.mean(axis=0), true, rtol=0.03)
@@ -150,7 +150,7 @@ def test_variance_of_one_input_is_the_expression_in_the_coherence():
     F = complex_noise(rng, 7, 20, 1)
     X = 2 * F + 0.5 * complex_noise(rng, 7, 20, 1)
     s = spectra_of(F, X)
-    H, variance = estimate(s, "H1")
+    H, variance = estimate(s, estimator="H1")
     gamma2 = np.asarray(ordinary_coherence(s))
     np.testing.assert_allclose(variance, (1 - gamma2) / gamma2 * np.abs(H) ** 2 / 6, rtol=1e-12)
     np.testing.assert_allclose(multiple_coherence(s), gamma2[..., 0], rtol=1e-12)
@@ -163,7 +163,7 @@ def test_variance_of_h2_and_hv_holds_to_first_order_in_noise(estimator):
     F = complex_noise(rng, blocks, draws, 1)
     noise_f = np.sqrt(share) * complex_noise(rng, *F.shape)
     noise_x = 3 * np.sqrt(share) * complex_noise(rng, *F.shape) * (estimator == "Hv")
-    H, variance = (np.asarray(a) for a in estimate(spectra_of(F + noise_f, 3 * F + noise_x), estimator))
+    H, variance = (np.asarray(a) for a in estimate(spectra_of(F + noise_f, 3 * F + noise_x), estimator=estimator))
     # 1 % was seen for H2, 3 % for Hv; the second order is about the share of noise.
     assert variance.mean() == pytest.approx(np.mean(np.abs(H - 3) ** 2), rel=0.05)
 
@@ -183,7 +183,7 @@ def test_frfs_of_several_forces_carry_the_multiple_coherence():
     force = rng.normal(size=(40, 64, 2))
     response = force @ rng.normal(size=(2, 3)) + 0.1 * rng.normal(size=(40, 64, 3))
     frf = frf_from_blocks(force, response, 64.0, unit="m", outputs=["a", "b", "c"])
-    s = spectra(force, response, 64.0, np.ones(64), 40.0)
+    s = spectra(force, response, np.ones(64), fs=64.0, averages=40.0)
     np.testing.assert_allclose(frf.multiple_coherence, multiple_coherence(s), rtol=1e-12)
     part = frf.lines(slice(3, 9)).pick(["c", "a"])
     np.testing.assert_array_equal(part.multiple_coherence, np.asarray(frf.multiple_coherence)[3:9, [2, 0]])

@@ -2,6 +2,7 @@
 
 from importlib import import_module
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,10 +15,11 @@ from modalax.identify import ascent, fit, mode_scores, refine, residues
 from modalax.identify import mode_search as module
 from modalax.identify.ascent import climb
 from modalax.identify.fdpi import line_weight
-from modalax.identify.host import modal_of, refine_on_host, residues_on_host, samples_of
+from modalax.identify.host import refine_on_host
 from modalax.identify.information import inverse_information
 from modalax.identify.kernels import pack, turned_to_largest, unpack
 from modalax.identify.maximum import response
+from modalax.identify.plain import modal_of, samples_of
 from modalax.identify.scan import Grid, _Scan
 from modalax.model import ModalModel
 from modalax.model.modal import poles_from
@@ -43,8 +45,8 @@ KINDS = {
 def test_residues_of_both(name, real_modes):
     frf, weights, _ = KINDS[name]
     weights = jnp.abs(frf.H) if weights == "noisy" else weights
-    one = residues(frf, MODEL.poles, weights=weights, real_modes=real_modes)
-    two = residues_on_host(frf, MODEL.poles, weights=weights, real_modes=real_modes)
+    one = eqx.filter_jit(residues)(frf, MODEL.poles, weights=weights, real_modes=real_modes)
+    two = residues(frf, MODEL.poles, weights=weights, real_modes=real_modes)
     for part in ("shapes", "participation", "upper", "lower"):
         a, b = getattr(one, part), getattr(two, part)
         np.testing.assert_allclose(b, a, rtol=1e-8, atol=1e-9 * float(jnp.abs(a).max()))
@@ -74,7 +76,7 @@ def test_refinement_of_both(name):
 def test_intervals_hold_the_truth_as_often_as_they_say():
     """80 refinements at 10 % noise: standardised errors of mean 0 and spread 1, 95 % intervals that hold the truth."""
     clean = MODEL.frf(FREQ, inputs=["a", "b"], form="accelerance")
-    start = residues_on_host(clean, MODEL.poles * (1 + 0.003j))
+    start = residues(clean, MODEL.poles * (1 + 0.003j))
     true, z = np.concatenate([MODEL.frequency_hz, MODEL.damping_ratio]), []
     for k in range(80):
         found = refine_on_host(clean.add_noise(jax.random.key(k), 0.1), start)
@@ -89,8 +91,8 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
 def test_two_modes_at_one_place_have_no_deviation():
     """The third mode has that of a fit without the second: within 20 %."""
     first, third = np.asarray(MODEL.poles)
-    found = refine_on_host(FRF_, residues_on_host(FRF_, np.array([first, first, third])), max_steps=0)
-    alone = refine_on_host(FRF_, residues_on_host(FRF_, MODEL.poles))
+    found = refine_on_host(FRF_, residues(FRF_, np.array([first, first, third])), max_steps=0)
+    alone = refine_on_host(FRF_, residues(FRF_, MODEL.poles))
     assert np.isnan(found.frequency_std_hz).tolist() == np.isnan(found.damping_std).tolist() == [True, True, False]
     assert float(found.damping_std[2]) == pytest.approx(float(alone.damping_std[1]), rel=0.2)
 
@@ -106,7 +108,7 @@ def test_a_mode_that_comes_into_the_band_has_its_damping_fitted():
     """A start 0.03 Hz below the band, its damping ratio of 0.05 % held there; the mode is 0.05 Hz inside."""
     model = ModalModel.from_real_modes([24.05], [0.002], [[1.0, 0.6, -0.4]], [1.0], list("abc"))
     frf = model.frf(np.linspace(24, 34, 101), inputs=["a", "b"], form="accelerance").add_noise(jax.random.key(0), 0.002)
-    found = refine_on_host(frf, residues_on_host(frf, poles_from([23.97], [0.0005])))
+    found = refine_on_host(frf, residues(frf, poles_from([23.97], [0.0005])))
     assert abs(float(found.model.damping_ratio[0]) - 0.002) < 4 * float(found.damping_std[0]) < 1e-5
 
 
@@ -215,5 +217,5 @@ def test_known_weights_windows_and_a_single_inputs_participation_need_no_program
     assert np.array_equal(window, np.exp(-0.5 * np.arange(1237) / 100.0)) and np.array_equal(
         weight, np.ones((lines, 1))
     )
-    monkeypatch.setattr(import_module("modalax.identify.residues"), "participation_of", None)
+    monkeypatch.setattr(import_module("modalax.identify.residues"), "_fit", None)
     assert np.allclose(residues(frf, MODEL.poles).modal_mass("a"), MODEL.modal_mass("a"), rtol=1e-9)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from modalax.identify import fit
-from modalax.identify.host import refine_on_host, residues_on_host
+from modalax.identify.host import refine_on_host
+from modalax.identify.residues import residues
 from modalax.identify.shared_noise import shared_noise
 from modalax.model import ModalModel
 
@@ -59,7 +60,7 @@ def test_misfit_is_no_shared_noise():
 @pytest.mark.parametrize("part", [0.0, 1.0])
 def test_error_bars_know_shared_noise(part):
     """40 refinements: standardised errors are of root mean square 1, within 4 of its standard deviations."""
-    start, z = residues_on_host(CLEAN, MODEL.poles), []
+    start, z = residues(CLEAN, MODEL.poles), []
     true = np.concatenate([MODEL.frequency_hz, MODEL.damping_ratio])
     for seed in range(40):
         found = refine_on_host(measured(seed, part), start)

@@ -1,18 +1,16 @@
 """FRFs from time records: continuous random excitation, repeated blocks, hammer hits."""
 
 from collections.abc import Sequence
-from functools import partial
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 from jaxtyping import Array, Complex, Float, Int
 
 from modalax._numerics.checks import as_array, as_double, is_traced, require_finite
 from modalax._numerics.cuts import cut
-from modalax._numerics.known import host
+from modalax._numerics.known import Numbers, by_numpy, host, stacked
 from modalax.data.frf import FRF, band_slice
 from modalax.data.hits import find_hits, good_hits
 from modalax.data.spectra import Spectra, estimate, multiple_coherence, ordinary_coherence, spectra, spectral_lines
@@ -108,7 +106,7 @@ def frf_from_records(
     factors = taper(window, samples)
     averages = effective_averages(factors, step, len(starts))
     blocks = (_still_blocks(a, starts[:, None] + np.arange(samples)) for a in (force, response))
-    averaged = spectra(*blocks, float(fs), as_array(factors), averages)
+    averaged = spectra(*blocks, as_array(factors), fs=float(fs), averages=averages)
     lines = spectral_lines(samples, fs)
     return frf_of_spectra(averaged, lines, estimator, unit, band, level=level, outputs=outputs, inputs=inputs)
 
@@ -187,7 +185,7 @@ def frf_from_blocks(
     count, samples, _ = force.shape
     factors = np.ones(samples) if window is None else as_double(window, "window")
     factors = as_array(host(factors) * host(exponential_window(samples, fs, decay)))
-    averaged = spectra(force, response, float(fs), factors, float(count))
+    averaged = spectra(force, response, factors, fs=float(fs), averages=float(count))
     lines = spectral_lines(samples, fs)
     return frf_of_spectra(
         averaged, lines, estimator, unit, band, level=level, outputs=outputs, inputs=inputs, added_decay=decay
@@ -289,22 +287,20 @@ def average_frfs(frfs: Sequence[FRF]) -> FRF:
                 f"FRF {k} has an added decay of {float(frf.added_decay):g} 1/s and FRF 0 of "
                 f"{float(first.added_decay):g}; average FRFs of one exponential window only"
             )
-    mean, variance = _mean_of([frf.H for frf in frfs])
+    mean, variance = _mean_of(stacked([frf.H for frf in frfs]))
     return first.replace(H=mean, variance=variance, coherence=None, multiple_coherence=None, averages=len(frfs))
 
 
-@jax.jit
-def _mean_of(repeats: list[Complex[Array, "f o i"]]) -> tuple[Complex[Array, "f o i"], Float[Array, "f o i"]]:
+@by_numpy
+def _mean_of(xp: ModuleType, repeats: Numbers) -> tuple[Complex[Numbers, "f o i"], Float[Numbers, "f o i"]]:
     """Mean of repeats and the variance of it."""
-    stack = jnp.stack(repeats)
-    mean = stack.mean(axis=0)
-    scatter = stack - mean
-    count = len(repeats)
-    return mean, jnp.sum(scatter.real**2 + scatter.imag**2, axis=0) / (count * (count - 1))
+    mean = repeats.mean(axis=0)
+    scatter, count = repeats - mean, len(repeats)
+    return mean, xp.sum(scatter.real**2 + scatter.imag**2, axis=0) / (count * (count - 1))
 
 
-@jax.jit
-def _still_blocks(record: Float[Array, "t c"], samples: Int[ArrayLike, "m s"]) -> Float[Array, "m s c"]:
+@by_numpy
+def _still_blocks(xp: ModuleType, record: Numbers, samples: Int[np.ndarray, "m s"]) -> Float[Numbers, "m s c"]:
     """Blocks of the record at these samples, each without its mean."""
     blocks = record[samples]
     return blocks - blocks.mean(axis=1, keepdims=True)
@@ -348,7 +344,8 @@ def frf_of_spectra(
         freq = freq[which]
         s = jax.tree.map(lambda a: cut(a, which), s)
     _check_forces(s, freq)
-    H, variance, coherence = _in_si_units(s, estimator, factor)
+    H, variance = _in_si_units(*estimate(s, estimator=estimator), factor)
+    coherence = ordinary_coherence(s)
     # With as many blocks as inputs an H fits them exactly, so that nothing is known about the noise.
     inputs = s.force.shape[-1]
     freedom = s.averages - inputs
@@ -360,13 +357,9 @@ def frf_of_spectra(
     )  # fmt: skip
 
 
-@partial(jax.jit, static_argnames="estimator")
-def _in_si_units(
-    s: Spectra, estimator: str, factor: Any
-) -> tuple[Complex[Array, "f o i"], Float[Array, "f o i"], Float[Array, "f o i"]]:
-    """FRF, its variance and the ordinary coherence."""
-    H, variance = estimate(s, estimator)
-    return factor * H, factor**2 * variance, ordinary_coherence(s)
+@by_numpy
+def _in_si_units(xp: ModuleType, H: Numbers, variance: Numbers, factor: Numbers) -> tuple[Numbers, Numbers]:
+    return factor * H, factor**2 * variance
 
 
 def _check_forces(s: Spectra, freq: Float[np.ndarray, " f"]) -> None:

@@ -3,13 +3,13 @@ r"""From blocks of samples to averaged spectra, and from those to FRFs with thei
 The model is :math:`x = H(f - n_f) + n_x` for the measured forces f and responses x of each block and line.
 """
 
-from functools import partial
+from types import ModuleType
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
+
+from modalax._numerics.known import Numbers, by_numpy, solved
 
 ESTIMATORS = ("H1", "H2", "Hv")
 
@@ -43,12 +43,14 @@ def spectral_lines(samples: int, fs: float) -> Float[np.ndarray, " f"]:
     return np.arange(1, (samples + 1) // 2) * fs / samples
 
 
-@partial(jax.jit, static_argnames=("fs", "averages"))
+@by_numpy
 def spectra(
-    force: Float[Array, "m t i"],
-    response: Float[Array, "m t o"],
+    xp: ModuleType,
+    force: Float[Numbers, "m t i"],
+    response: Float[Numbers, "m t o"],
+    window: Float[Numbers, " t"],
+    *,
     fs: float,
-    window: Float[Array, " t"],
     averages: float,
 ) -> Spectra:
     """Average the spectra of blocks, each multiplied by the window first, at :func:`spectral_lines`.
@@ -57,27 +59,27 @@ def spectra(
     ----------
     force, response
         Blocks of samples, shapes ``(m, t, i)`` and ``(m, t, o)``.
-    fs
-        Sampling rate [Hz].
     window
         Factors ``(t,)``; ones where the blocks are windowed already or need none.
+    fs
+        Sampling rate [Hz].
     averages
         Number of independent blocks that they are worth; ``m`` unless they overlap.
     """
     samples = force.shape[1]
     lines = slice(1, (samples + 1) // 2)
-    F, X = (jnp.fft.rfft(a * window[:, None], axis=1)[:, lines] for a in (force, response))
-    density = 2 / (fs * jnp.sum(window**2))
+    F, X = (xp.fft.rfft(a * window[:, None], axis=1)[:, lines] for a in (force, response))
+    density, conjugate = 2 / (fs * xp.sum(window**2)), xp.swapaxes(F.conj(), 0, 1)
     return Spectra(
-        freq=jnp.asarray(spectral_lines(samples, fs)),
-        force=density * jnp.einsum("mfi,mfj->fij", F, F.conj()) / len(F),
-        cross=density * jnp.einsum("mfo,mfi->foi", X, F.conj()) / len(F),
-        response=density * jnp.mean(X.real**2 + X.imag**2, axis=0),
+        freq=xp.asarray(spectral_lines(samples, fs)),
+        force=density * (xp.transpose(F, (1, 2, 0)) @ conjugate) / len(F),
+        cross=density * (xp.transpose(X, (1, 2, 0)) @ conjugate) / len(F),
+        response=density * xp.mean(X.real**2 + X.imag**2, axis=0),
         averages=averages,
     )
 
 
-def input_noise(s: Spectra, estimator: str) -> Float[Array, "f o"]:
+def input_noise(xp: ModuleType, s: Spectra, estimator: str) -> Float[Numbers, "f o"]:
     r"""Share :math:`\lambda` of each force's power that the estimator takes to be noise.
 
     0 for H1. For Hv the smallest eigenvalue of the coherency matrix of the forces and one response,
@@ -87,22 +89,24 @@ def input_noise(s: Spectra, estimator: str) -> Float[Array, "f o"]:
     and for H2, whose responses are exact, that of its Schur complement :math:`C_{ff} - c_{fx}c_{xf}`. With one input
     these are :math:`1 - |\gamma|` and :math:`1 - \gamma^2`.
     """
-    C, c = _coherency(s)
+    C, c = _coherency(xp, s)
     if estimator == "H1":
-        return jnp.zeros(c.shape[:2])
+        return xp.zeros(c.shape[:2])
     if C.shape[-1] == 1:
-        gamma2 = jnp.minimum(c[..., 0].real ** 2 + c[..., 0].imag ** 2, 1.0)
-        return 1 - (gamma2 if estimator == "H2" else jnp.sqrt(gamma2))
-    forces = jnp.broadcast_to(C[:, None], (*c.shape[:2], *C.shape[1:]))
+        gamma2 = xp.minimum(c[..., 0].real ** 2 + c[..., 0].imag ** 2, 1.0)
+        return 1 - (gamma2 if estimator == "H2" else xp.sqrt(gamma2))
+    forces = xp.broadcast_to(C[:, None], (*c.shape[:2], *C.shape[1:]))
     if estimator == "H2":
-        return jnp.linalg.eigvalsh(forces - c.conj()[..., :, None] * c[..., None, :])[..., 0]
-    top = jnp.concatenate([forces, c.conj()[..., :, None]], axis=-1)
-    bottom = jnp.concatenate([c, jnp.ones((*c.shape[:2], 1))], axis=-1)[..., None, :]
-    return jnp.linalg.eigvalsh(jnp.concatenate([top, bottom], axis=-2))[..., 0]
+        return xp.linalg.eigvalsh(forces - c.conj()[..., :, None] * c[..., None, :])[..., 0]
+    top = xp.concatenate([forces, c.conj()[..., :, None]], axis=-1)
+    bottom = xp.concatenate([c, xp.ones((*c.shape[:2], 1))], axis=-1)[..., None, :]
+    return xp.linalg.eigvalsh(xp.concatenate([top, bottom], axis=-2))[..., 0]
 
 
-@partial(jax.jit, static_argnames="estimator")
-def estimate(s: Spectra, estimator: str = "H1") -> tuple[Complex[Array, "f o i"], Float[Array, "f o i"]]:
+@by_numpy
+def estimate(
+    xp: ModuleType, s: Spectra, *, estimator: str = "H1"
+) -> tuple[Complex[Numbers, "f o i"], Float[Numbers, "f o i"]]:
     r"""FRF of an estimator and its variance, the noise of the forces taken out of their spectra.
 
     .. math:: H = S_{xf} G, \qquad \mathrm{var}\,H_{oi} = \frac{S_{ee,o}\,G_{ii}}{M - n_i}, \qquad
@@ -124,45 +128,46 @@ def estimate(s: Spectra, estimator: str = "H1") -> tuple[Complex[Array, "f o i"]
     """
     if estimator not in ESTIMATORS:
         raise ValueError(f"estimator is {estimator!r}; it must be one of {', '.join(ESTIMATORS)}")
-    C, c = _coherency(s)
-    size_f, size_x = _sizes(s)
-    share = input_noise(s, estimator)
+    C, c = _coherency(xp, s)
+    size_f, size_x = _sizes(xp, s)
+    share = input_noise(xp, s, estimator)
     if estimator == "H1":
         share = share[:, :1]  # One inverse serves every output.
     inputs = C.shape[-1]
-    inverse = jnp.linalg.inv(C[:, None] - share[..., None, None] * jnp.eye(inputs))
-    h = jnp.einsum("foi,foij->foj", c, jnp.broadcast_to(inverse, (*c.shape, inputs)))
-    unit = jnp.where(s.response > 0, 1.0, 0.0)
-    left = unit - 2 * jnp.sum(h * c.conj(), axis=-1).real + jnp.einsum("foi,fij,foj->fo", h, C, h.conj()).real
+    forces = C[:, None] - share[..., None, None] * xp.eye(inputs)
+    inverse = 1 / forces if inputs == 1 else solved(xp, forces, xp.broadcast_to(xp.eye(inputs), forces.shape))
+    h = (c[:, :, None, :] @ inverse)[:, :, 0]
+    unit = xp.where(s.response > 0, 1.0, 0.0)
+    left = unit - 2 * xp.sum(h * c.conj(), axis=-1).real + xp.sum((h @ C) * h.conj(), axis=-1).real
     freedom = max(s.averages - inputs, 0.0)
-    spread = jnp.diagonal(inverse, axis1=-2, axis2=-1).real
+    spread = xp.diagonal(inverse, axis1=-2, axis2=-1).real
     scale = size_x[:, :, None] / size_f[:, None, :]
-    variance = scale**2 * jnp.maximum(left, 0.0)[..., None] * spread / freedom
+    variance = scale**2 * xp.maximum(left, 0.0)[..., None] * spread / freedom
     return scale * h, variance
 
 
-@jax.jit
-def ordinary_coherence(s: Spectra) -> Float[Array, "f o i"]:
+@by_numpy
+def ordinary_coherence(xp: ModuleType, s: Spectra) -> Float[Numbers, "f o i"]:
     r"""Ordinary coherence of each response and force, :math:`\gamma^2_{oi} = |S_{xf,oi}|^2/(S_{xx,o} S_{ff,ii})`."""
-    c = _coherency(s)[1]
+    c = _coherency(xp, s)[1]
     return c.real**2 + c.imag**2
 
 
-@jax.jit
-def multiple_coherence(s: Spectra) -> Float[Array, "f o"]:
+@by_numpy
+def multiple_coherence(xp: ModuleType, s: Spectra) -> Float[Numbers, "f o"]:
     r"""Share of each response's power that all forces together explain, :math:`S_{xf}S_{ff}^{-1}S_{fx}/S_{xx}`."""
-    C, c = _coherency(s)
-    h = jnp.linalg.solve(C[:, None], c.conj()[..., None])[..., 0]
-    return jnp.sum(c * h, axis=-1).real
+    C, c = _coherency(xp, s)
+    h = solved(xp, xp.broadcast_to(C[:, None], (*c.shape, C.shape[-1])), c.conj()[..., None])[..., 0]
+    return xp.sum(c * h, axis=-1).real
 
 
-def _sizes(s: Spectra) -> tuple[Float[Array, "f i"], Float[Array, "f o"]]:
+def _sizes(xp: ModuleType, s: Spectra) -> tuple[Float[Numbers, "f i"], Float[Numbers, "f o"]]:
     """Root of each channel's power; 1 for a channel without any."""
-    root = lambda power: jnp.sqrt(jnp.where(power > 0, power, 1.0))
-    return root(jnp.diagonal(s.force, axis1=1, axis2=2).real), root(s.response)
+    root = lambda power: xp.sqrt(xp.where(power > 0, power, 1.0))
+    return root(xp.diagonal(s.force, axis1=1, axis2=2).real), root(s.response)
 
 
-def _coherency(s: Spectra) -> tuple[Complex[Array, "f i i"], Complex[Array, "f o i"]]:
+def _coherency(xp: ModuleType, s: Spectra) -> tuple[Complex[Numbers, "f i i"], Complex[Numbers, "f o i"]]:
     """Spectra of channels each scaled to power 1."""
-    size_f, size_x = _sizes(s)
+    size_f, size_x = _sizes(xp, s)
     return s.force / (size_f[:, :, None] * size_f[:, None, :]), s.cross / (size_x[:, :, None] * size_f[:, None, :])

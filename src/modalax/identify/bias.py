@@ -5,21 +5,22 @@ solve, because in over-modelled orders :math:`M_0` is singular and no expansion 
 from small noise to the full one, so that its pole is known even where it ends far from where it began.
 """
 
+from types import ModuleType
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Array, Bool, Complex, Float
 
-from modalax._numerics.checks import as_double
+from modalax._numerics.checks import as_array, as_double
 from modalax._numerics.cuts import cut
+from modalax._numerics.known import Numbers, by_numpy, by_numpy_beside, over_first, scan
 from modalax.data.frf import FRF
-from modalax.identify.normal_equations import LinearProblem, expected_factor, factor, linear_problem, noise_rows
+from modalax.identify.normal_equations import LinearProblem, expected_factor, factor_of, linear_problem, rows_of_noise
 from modalax.identify.overview import of_bias
-from modalax.identify.polynomial import poles_of_factor, without_window
+from modalax.identify.polynomial import poles_of_factor, poles_of_orders, without_window
 from modalax.identify.tables import PoleTable
 from modalax.identify.zoom import check_orders
 
@@ -61,8 +62,8 @@ class DampingBias(eqx.Module):
         cls, true: Complex[Array, " n"], expected: Complex[Array, " n"], known: Bool[Array, " n"]
     ) -> "DampingBias":
         """The bias of the expected poles; not valid either where they are unstable."""
-        zeta, mean = -true.real / jnp.abs(true), -expected.real / jnp.abs(expected)
-        shift = jnp.abs(expected) / jnp.abs(true) - 1
+        zeta, mean = -true.real / abs(true), -expected.real / abs(expected)
+        shift = abs(expected) / abs(true) - 1
         return cls(expected, mean - zeta, mean / zeta - 1, shift, known & (mean > 0))
 
 
@@ -93,7 +94,9 @@ def expected_poles(frf: FRF, orders: Any, *, scale: Any = 1.0, **options: Any) -
     """
     found = check_orders(orders, frf.freq.shape[0], (float("nan"), float("nan")))
     problem = linear_problem(frf, found[-1], **options)
-    return without_window(_table(problem, expected_factor(problem, scale), found), frf)
+    R = expected_factor(problem, scale)
+    chosen = problem.constraint, problem.real, problem.zoomed, problem.method
+    return without_window(poles_of_factor(R, found, problem.size, *chosen), frf)
 
 
 def pole_paths(
@@ -118,7 +121,7 @@ def pole_paths(
         Shape ``(t, n)``; ``certain`` is False from where a mode's successor was in doubt.
     """
     problem = linear_problem(frf, order, **options)
-    along, valid = _along(problem, scales, (order,))
+    along, valid = _along(problem, as_array(scales), orders=(order,))
     found, certain = follow_poles(along[:, 0], valid[:, 0], poles - frf.added_decay)
     return found + frf.added_decay, certain
 
@@ -164,23 +167,21 @@ def predicted_damping_bias(frf: FRF, poles: Complex[Array, " n"], orders: Any, *
     found = check_orders(orders, frf.freq.shape[0], (float("nan"), float("nan")))
     problem = linear_problem(frf, found[-1], **options)
     poles = as_double(poles, "poles", complex_=True)
-    bias = _bias(problem, poles, frf.added_decay, found)
+    bias = _bias(problem, poles, as_array(frf.added_decay), orders=found)
     return jax.tree.map(lambda a: cut(a, 0), bias) if np.ndim(orders) == 0 else bias
 
 
-def _bias(problem: LinearProblem, poles: Array, decay: Array, orders: tuple[int, ...]) -> DampingBias:
-    # In two programs: the first, most of the work, does not ask how many modes there are.
-    along, valid = _along(problem, jnp.geomspace(SMALLEST, 1.0, STEPS), orders)
-    return _followed(along, valid, poles, decay)
+@by_numpy_beside
+def _bias(
+    xp: ModuleType, problem: LinearProblem, poles: Numbers, decay: Numbers, *, orders: tuple[int, ...]
+) -> DampingBias:
+    along, valid = along_scales(xp, problem, np.geomspace(SMALLEST, 1.0, STEPS), orders=orders)
 
-
-@eqx.filter_jit
-def _followed(along: Array, valid: Array, poles: Array, decay: Array) -> DampingBias:
-    def one(along: Array, valid: Array) -> DampingBias:
-        found, certain = follow_poles(along, valid, poles - decay)
+    def one(along: Numbers, valid: Numbers) -> DampingBias:
+        found, certain = paths_from(xp, along, valid, poles - decay)
         return DampingBias.between(poles, found[-1] + decay, certain[-1])
 
-    return jax.vmap(one, in_axes=1)(along, valid)
+    return over_first(xp, one, xp.swapaxes(along, 0, 1), xp.swapaxes(valid, 0, 1))
 
 
 def one_pole_shift(noise: Any, energy: Any, step: Any) -> Float[Array, ""]:
@@ -206,48 +207,50 @@ def one_pole_shift(noise: Any, energy: Any, step: Any) -> Float[Array, ""]:
     return jnp.log1p(jnp.asarray(noise) / energy) / step
 
 
-def _table(problem: LinearProblem, R: Array, orders: tuple[int, ...]) -> PoleTable:
-    return poles_of_factor(R, orders, problem.size, problem.constraint, problem.real, problem.zoomed, problem.method)
-
-
-@eqx.filter_jit
-def _along(
-    problem: LinearProblem, scales: Float[Array, " t"], orders: tuple[int, ...]
-) -> tuple[Complex[Array, "t order p"], Bool[Array, "t order p"]]:
+def along_scales(
+    xp: ModuleType, problem: LinearProblem, scales: Float[Numbers, " t"], *, orders: tuple[int, ...]
+) -> tuple[Complex[Numbers, "t order p"], Bool[Numbers, "t order p"]]:
     """Expected poles of every order at every scale, and which are poles; signal and noise are factorised once."""
     # The ridge of the signal alone: it only decides where signal and noise leave the coefficients open.
-    signal, noise = factor(problem), jnp.linalg.qr(noise_rows(problem), mode="r")
+    signal, noise = factor_of(xp, problem), xp.linalg.qr(rows_of_noise(xp, problem), mode="r")
+    chosen = dict(orders=orders, size=problem.size, constraint=problem.constraint, real=problem.real)
 
-    def at(scale: Array) -> tuple[Array, Array]:
-        table = _table(problem, jnp.linalg.qr(jnp.concatenate([signal, jnp.sqrt(scale) * noise]), mode="r"), orders)
-        return table.poles, table.valid
+    def at(_: None, scale: Numbers) -> tuple[None, tuple[Numbers, Numbers]]:
+        R = xp.linalg.qr(xp.concatenate([signal, xp.sqrt(scale) * noise]), mode="r")
+        return None, poles_of_orders(xp, R, problem.zoomed, None, 0.0, **chosen)[:2]
 
-    return lax.map(at, scales)
+    return scan(xp, at, None, scales)[1]
 
 
-def follow_poles(
-    poles: Complex[Array, "t p"], valid: Bool[Array, "t p"], start: Complex[Array, " n"]
-) -> tuple[Complex[Array, "t n"], Bool[Array, "t n"]]:
+_along = by_numpy_beside(along_scales)
+
+
+def paths_from(
+    xp: ModuleType, poles: Complex[Numbers, "t p"], valid: Bool[Numbers, "t p"], start: Complex[Numbers, " n"]
+) -> tuple[Complex[Numbers, "t n"], Bool[Numbers, "t n"]]:
     """Follow roots along the first axis from ``start``; a path is certain while no other root is nearly as close."""
 
-    def step(state: tuple[Array, Array, Array], row: tuple[Array, Array]) -> tuple[Any, Any]:
+    def step(state: tuple[Numbers, Numbers, Numbers], row: tuple[Numbers, Numbers]) -> tuple[Any, Any]:
         last, drift, certain = state
         here, good = row
         aim = last + drift
-        distance = jnp.where(good, jnp.abs(here[None, :] - aim[:, None]), jnp.inf)
-        near = jnp.argmin(distance, axis=1)
-        best = jnp.min(distance, axis=1)
-        second = jnp.min(jnp.where(jnp.arange(here.shape[0])[None, :] == near[:, None], jnp.inf, distance), axis=1)
+        distance = xp.where(good, xp.abs(here[None, :] - aim[:, None]), np.inf)
+        near = xp.argmin(distance, axis=1)
+        best = xp.min(distance, axis=1)
+        second = xp.min(xp.where(np.arange(here.shape[0])[None, :] == near[:, None], np.inf, distance), axis=1)
         certain = certain & (best < 0.5 * second)
         now = here[near]
         return (now, now - last, certain), (now, certain)
 
-    first = (start, jnp.zeros_like(start), jnp.ones(start.shape, bool))
-    _, (found, certain) = lax.scan(step, first, (poles, valid))
-    return found, certain & ~is_shared(found)
+    first = (start, xp.zeros_like(start), xp.ones(start.shape, bool))
+    _, (found, certain) = scan(xp, step, first, (poles, valid))
+    return found, certain & ~is_shared(xp, found)
 
 
-def is_shared(poles: Complex[Array, "t n"]) -> Bool[Array, "t n"]:
+follow_poles = by_numpy(paths_from)
+
+
+def is_shared(xp: ModuleType, poles: Complex[Numbers, "t n"]) -> Bool[Numbers, "t n"]:
     """Whether each mode ended on the same root as another one."""
-    same = jnp.abs(poles[:, :, None] - poles[:, None, :]) == 0
-    return jnp.sum(same, axis=2) > 1
+    same = xp.abs(poles[:, :, None] - poles[:, None, :]) == 0
+    return xp.sum(same, axis=2) > 1

@@ -7,9 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from modalax.data.frf import FRF
-from modalax.identify.host import refine_on_host, residues_on_host
+from modalax.identify.host import refine_on_host
 from modalax.identify.noise import residual_sigma
 from modalax.identify.refine import Refined
+from modalax.identify.residues import residues
 from modalax.identify.select import select_near
 from modalax.identify.tables import PoleTable
 from modalax.model.modal import ModalModel, in_order, poles_from
@@ -109,7 +110,7 @@ def fit_chosen(
     options
         ``residuals`` and ``real_modes``, as for :func:`modalax.identify.residues.residues`.
     """
-    model = residues_on_host(frf, poles, **options)
+    model = residues(frf, poles, **options)
     if not refined:
         return model, None
     tell(f"maximum likelihood of the {len(poles)} modes chosen")

@@ -5,21 +5,18 @@ be kept: with ``i`` inputs and order ``n`` it has ``i (n + 1)`` rows, whatever t
 """
 
 from collections.abc import Iterable, Sequence
-from functools import partial
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from modalax._numerics.checks import as_array, require_finite
+from modalax._numerics.known import Numbers
 from modalax.identify.lscf import ARC, RIDGE
 from modalax.identify.moments import factor_of_normal, normal_from_moments, with_spare
 from modalax.identify.polynomial import poles_of_factor
 from modalax.identify.select import Selection, select
 from modalax.identify.tables import PoleTable
-from modalax.identify.zoom import check_orders, zoom
+from modalax.identify.zoom import check_orders, on_circle, zoom
 
 CHUNK_MB = 64.0  # memory of the FRFs that are read at once; the products of it take about six times as much
 MARGIN = 0.05  # part of the band by which a mode may lie outside
@@ -69,8 +66,8 @@ def diagram_of_chunks(
     """
     freq = np.asarray(freq, dtype=float)
     found = check_orders(orders, len(freq), (freq[0], freq[-1]))
-    omega = as_array(2 * np.pi * freq)
-    G, energy, inputs = jnp.zeros(()), jnp.zeros(()), 0
+    omega = 2 * np.pi * freq
+    G, energy, inputs = np.zeros(()), np.zeros(()), 0
     for k, H in enumerate(chunks):
         if H.ndim != 3 or len(H) != len(freq) or (inputs and H.shape[2] != inputs):
             raise ValueError(
@@ -79,18 +76,18 @@ def diagram_of_chunks(
             )
         require_finite(H, f"chunk {k + 1}")
         inputs = H.shape[2]
-        more, power = _normal(as_array(H), omega, found[-1], arc)
+        more, power = _normal(H, omega, found[-1], arc)
         G, energy = G + more, energy + power
     if not inputs:
         raise ValueError("there are no FRFs; at least one chunk of outputs is needed")
     zoomed = zoom(omega, arc, False)
-    R, added = factor_of_normal(G, energy, found[-1], as_array(RIDGE))
-    table = poles_of_factor(R, found, inputs, "a0", False, zoomed, "plscf", added)
+    R, added = factor_of_normal(np, G, energy, found[-1], RIDGE)
+    table = poles_of_factor(as_array(R), found, inputs, "a0", False, zoomed, "plscf", as_array(added))
     margin = MARGIN * (freq[-1] - freq[0])
     return table, select(table, band=(max(freq[0] - margin, 0.0), freq[-1] + margin))
 
 
-@partial(jax.jit, static_argnums=(2, 3))
-def _normal(H: Array, omega: Array, order: int, arc: float) -> tuple[Array, Array]:
-    u = zoom(omega, arc, False).circle(omega)
-    return normal_from_moments(H, jnp.ones(len(omega)), u, order, with_spare(order, len(omega)), False)
+def _normal(H: np.ndarray, omega: np.ndarray, order: int, arc: float) -> tuple[Numbers, Numbers]:
+    zoomed = zoom(omega, arc, False)
+    u = on_circle(np, omega, zoomed.centre, zoomed.step)
+    return normal_from_moments(np, H, np.ones(len(omega)), u, order, with_spare(order, len(omega)), False)

@@ -10,6 +10,7 @@ from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Bool, Complex, Float, Int
 
 from modalax._numerics.checks import as_array
+from modalax._numerics.known import Numbers
 from modalax._numerics.powers import powers
 from modalax.data.frf import FRF
 from modalax.identify.fraction import polish
@@ -114,7 +115,7 @@ def _normal_modes(frf: FRF, weight: Float[Array, "f i"], order: int, residual: i
     A = _blocks(R, order, as_array(order), 2)
     values, vectors = jnp.linalg.eig(lax.stop_gradient(A[0]))
     pencil = jnp.stack([A[0].T, -jnp.eye(order)]).astype(jnp.complex128)  # w^T (A_0^T - u I) = 0
-    squares, vectors = jax.vmap(polish, in_axes=(None, 0, 0))(pencil, values, vectors.T)
+    squares, vectors = polish(jnp, pencil, values, vectors.T)
     rank = jnp.argsort(jnp.where(squares.real > 0, squares.real, jnp.inf))
     shapes = (vectors[rank] @ V.T).real
     top_component = jnp.take_along_axis(shapes, jnp.argmax(jnp.abs(shapes), axis=1)[:, None], axis=1)
@@ -196,7 +197,7 @@ def _blocks(R: Float[Array, "m m"], comps: int, used: Int[Array, ""], degree: in
 
 def system_poles(
     R: Float[Array, "m m"], comps: int, used: Int[Array, ""], degree: int
-) -> tuple[Complex[Array, " p"], Bool[Array, " p"]]:
+) -> tuple[Complex[Numbers, " p"], Bool[Array, " p"]]:
     """Eigenvalues in the scaled variable for the first ``used`` components, and which of them belong to these."""
     A = _blocks(R, comps, used, degree)
     fixed = lax.stop_gradient(A)
@@ -209,5 +210,5 @@ def system_poles(
     inside = jnp.arange(comps) < used
     valid = jnp.sum(jnp.abs(shapes) ** 2 * inside, axis=1) > 0.5
     # polish() takes row vectors w with w^T A = 0; the shapes are its columns, so it gets the transposed blocks.
-    u, _ = jax.vmap(polish, in_axes=(None, 0, 0))(jnp.swapaxes(A, 1, 2).astype(jnp.complex128), values, shapes)
+    u, _ = polish(jnp, jnp.swapaxes(A, 1, 2).astype(jnp.complex128), values, shapes)
     return u, valid & jnp.isfinite(u)

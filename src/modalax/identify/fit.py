@@ -17,7 +17,6 @@ from modalax.identify.chosen import by_frequency, choice_of, chosen_poles, fit_c
 from modalax.identify.cut_record import cut_notes
 from modalax.identify.diagram import ESTIMATORS, diagram
 from modalax.identify.flags import HEAVY, Modes, flags_of, grades_of, notes_of, stands_for_two
-from modalax.identify.host import residues_on_host as fit_residues
 from modalax.identify.mode_search import diagram_poles, likelihood_rounds, synthesis
 from modalax.identify.neighbourhood import Left, judged, left_of, shared_of
 from modalax.identify.noise import smooth_variance
@@ -25,6 +24,7 @@ from modalax.identify.one_mode import NOTHING_LEFT
 from modalax.identify.quality import noise_part, quality_of, scatter_over_orders
 from modalax.identify.record_kind import record_of
 from modalax.identify.refine import HELD, Refined
+from modalax.identify.residues import residues as fit_residues
 from modalax.identify.result import Fit
 from modalax.identify.select import Selection, best_order
 from modalax.identify.settle import pairs_of_one, settle, settle_diagram, with_misfit, with_record, with_seconds

@@ -1,71 +1,25 @@
-"""Refinement and residues on the host, with the arguments and results of those in JAX.
+"""Refinement on the host, with the arguments and results of that in JAX.
 
-They give the numbers of :func:`modalax.identify.refine` and :func:`modalax.identify.residues` without compiling
-anything, and cannot be differentiated: for searches, whose sizes change from step to step.
+It gives the numbers of :func:`modalax.identify.refine` without compiling anything, and cannot be differentiated: for
+searches, whose sizes change from step to step.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from modalax._numerics.checks import as_array
-from modalax.data.frf import DERIVATIVES, FRF
+from modalax.data.frf import FRF
 from modalax.identify.ascent import frozen
 from modalax.identify.deviations import shape_deviations
 from modalax.identify.information import covariance
-from modalax.identify.maximum import Maximum, Modal, Samples, linear_fit, maximise
+from modalax.identify.maximum import Maximum, maximise
+from modalax.identify.plain import modal_of, model_of, samples_of, shorter_side
 from modalax.identify.refine import CORRELATED, Refined
-from modalax.identify.residues import check_size, sigma_of
+from modalax.identify.sample_weights import check_size, sigma_of
 from modalax.model.modal import ModalModel
 
 PRECISE = 1e-13  # part of a degree of freedom's sum of squares that a last step gains
-
-
-def samples_of(frf: FRF, residuals: str = "complex", real_modes: bool = False) -> Samples:
-    """The FRF as plain arrays."""
-    s = float(frf.added_decay) + 1j * np.asarray(frf.omega)
-    return Samples(s, np.asarray(frf.H), DERIVATIVES[frf.form], residuals, real_modes)
-
-
-def modal_of(model: ModalModel) -> Modal:
-    """The model as plain arrays."""
-    return Modal(*(np.asarray(a) for a in (model.poles, model.shapes, model.participation, model.upper, model.lower)))
-
-
-def model_of(modal: Modal, frf: FRF) -> ModalModel:
-    """The modal model of plain arrays, with the names of an FRF."""
-    still = np.zeros(len(modal.poles))
-    return ModalModel(
-        modal.poles, modal.shapes, modal.participation, outputs=frf.outputs, inputs=frf.inputs, upper=modal.upper,
-        lower=modal.lower, frequency_std=still, damping_std=still,
-    )  # fmt: skip
-
-
-def shorter_side(model: Modal, samples: Samples) -> np.ndarray:
-    """Participation along the shorter of outputs and inputs, which is what a search starts from."""
-    return model.shapes if samples.turned else model.participation
-
-
-def residues_on_host(
-    frf: FRF, poles: Any, *, residuals: str = "complex", real_modes: bool = False, weights: Any = "auto"
-) -> ModalModel:
-    """Residues as :func:`modalax.identify.residues` gives them for the same arguments."""
-    return residue_fits(frf, residuals=residuals, real_modes=real_modes, weights=weights)(poles)
-
-
-def residue_fits(
-    frf: FRF, *, residuals: str = "complex", real_modes: bool = False, weights: Any = "auto"
-) -> Callable[[Any], ModalModel]:
-    """:func:`residues_on_host` for some sets of poles, one after the other: the FRFs are weighed once."""
-    samples = samples_of(frf, residuals, real_modes)
-    projection = samples.projection(np.asarray(sigma_of(frf, weights)))
-
-    def fitted(poles: Any) -> ModalModel:
-        check_size(frf, len(poles), residuals)
-        return model_of(linear_fit(samples, projection, np.asarray(poles))[0], frf)
-
-    return fitted
 
 
 def refine_on_host(

@@ -15,10 +15,11 @@ import numpy as np
 from modalax._numerics.checks import as_array
 from modalax.data.frf import FRF
 from modalax.identify.ascent import STATISTICAL
-from modalax.identify.host import PRECISE, modal_of, model_of, samples_of, shorter_side
+from modalax.identify.host import PRECISE
 from modalax.identify.information import covariance
 from modalax.identify.kernels import residual_terms
 from modalax.identify.maximum import Maximum, Modal, Samples, linear_fit, maximise, response
+from modalax.identify.plain import modal_of, model_of, samples_of, shorter_side
 from modalax.identify.refine import CONTRADICTION, CORRELATED, OUT_OF_STEPS, UNIT, Refined
 from modalax.identify.whiteness import whiteness_of
 

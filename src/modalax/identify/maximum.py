@@ -215,7 +215,9 @@ def maximise(
     return _maximum(samples, projection, at, start, sigma, known)
 
 
-def linear_fit(samples: Samples, projection: Projection, poles: np.ndarray) -> tuple[Modal, np.ndarray]:
+def linear_fit(
+    samples: Samples, projection: Projection, poles: np.ndarray, participation: np.ndarray | None = None
+) -> tuple[Modal, np.ndarray]:
     """Shapes and residual terms at given poles, as :func:`modalax.identify.residues`, and what they leave, whitened.
 
     Parameters
@@ -224,8 +226,10 @@ def linear_fit(samples: Samples, projection: Projection, poles: np.ndarray) -> t
         The FRFs, and the same weighed as :meth:`Samples.projection` does.
     poles
         Shape ``(n,)`` [rad/s].
+    participation
+        Along the shorter side, shape ``(n, i)``; of the FRFs themselves if None.
     """
-    part = participation_of(projection, poles)
+    part = participation_of(projection, poles) if participation is None else participation
     pivot = np.argmax(np.abs(part), axis=1)
     theta = pack(poles, part, pivot)
     modes = unpack(theta, pivot, samples.real_modes)

@@ -10,13 +10,14 @@ import scipy.special
 from jaxtyping import Array, Float
 
 from modalax.data.frf import FRF
-from modalax.identify.host import PRECISE, modal_of, refine_on_host, refined_of, samples_of, shorter_side
+from modalax.identify.host import PRECISE, refine_on_host, refined_of
 from modalax.identify.kernels import UNDAMPED
 from modalax.identify.local import fit_where_dominant
 from modalax.identify.maximum import Maximum, Samples, maximise
 from modalax.identify.noise import left_by_fit, several, sigma_of_error
+from modalax.identify.plain import modal_of, samples_of, shorter_side
 from modalax.identify.refine import CORRELATED, HELD, Refined
-from modalax.identify.residues import sigma_of
+from modalax.identify.sample_weights import sigma_of
 from modalax.identify.scan import NEAR, Grid, poles_missing
 from modalax.model.modal import ModalModel
 

@@ -17,11 +17,12 @@ orthonormal, so that nothing is lost but what squaring costs: :math:`10^{-8}` of
 displacement rank is treated by Kailath and Sayed (1995), SIAM Review 37, 297.
 """
 
-import jax.numpy as jnp
-from jax import lax
-from jaxtyping import Array, Complex, Float, Inexact
+from types import ModuleType
 
-from modalax._numerics.powers import powers
+from jaxtyping import Complex, Float, Inexact
+
+from modalax._numerics.known import Numbers, cholesky, scan
+from modalax._numerics.powers import powers_of
 from modalax.identify.zoom import moved_span
 
 RIDGE = 1e-15  # ridge for each row of the normal matrix, relative to its mean diagonal: ten times its rounding errors
@@ -40,68 +41,70 @@ def with_spare(order: int, lines: int) -> int:
 
 
 def normal_from_moments(
-    H: Complex[Array, "f row i"],
-    weight: Float[Array, " f"],
-    u: Complex[Array, " f"],
+    xp: ModuleType,
+    H: Complex[Numbers, "f row i"],
+    weight: Float[Numbers, " f"],
+    u: Complex[Numbers, " f"],
     order: int,
     numerator: int,
     real: bool,
-) -> tuple[Inexact[Array, "m m"], Float[Array, ""]]:
+) -> tuple[Inexact[Numbers, "m m"], Float[Numbers, ""]]:
     r"""Normal matrix :math:`\sum_o D_o^H P_n D_o` of some outputs, and the mean diagonal of it with :math:`P_n = I`.
 
     Parameters are those of :func:`triangular_factor` with one weight a line for all outputs.
     """
     f, _, size = H.shape
     h = (H * weight[:, None, None]).reshape(f, -1)
-    Q, phi, psi = moved_span(u, weight, numerator, real)
-    span = powers(u, order + 1)
-    stack = lambda x: jnp.concatenate([x.real, x.imag]) if real else x
+    Q, phi, psi = moved_span(xp, u, weight, numerator, real)
+    span = powers_of(xp, u, order + 1)
+    stack = lambda x: xp.concatenate([x.real, x.imag]) if real else x
     given = stack(h)
     left = given - stack(Q) @ (stack(Q).conj().T @ given)
     left = left[:f] + 1j * left[f:] if real else left
-    first = jnp.einsum("fri,frj->fij", left.reshape(H.shape).conj(), h.reshape(H.shape))
-    first = jnp.einsum("fij,fk->ikj", first, span)
+    first = xp.swapaxes(left.reshape(H.shape).conj(), 1, 2) @ h.reshape(H.shape)
+    first = xp.swapaxes(xp.tensordot(first, span, axes=(0, 0)), 1, 2)  # (i, k, i)
     first = first.real if real else first
 
-    def products(direction: Array) -> Array:
+    def products(direction: Numbers) -> Numbers:
         """Sum over the outputs of the products of their columns along one direction, ``(k, i, k, i)``."""
         moved = direction.conj()[:, None] * span
         # with real coefficients the product is the real part of that of complex columns
         a = stack(moved.conj() if real else moved).T @ given
-        a = jnp.swapaxes(a.reshape(order + 1, -1, size), 0, 1).reshape(-1, (order + 1) * size)
+        a = xp.swapaxes(a.reshape(order + 1, -1, size), 0, 1).reshape(-1, (order + 1) * size)
         return (a.conj().T @ a).reshape(order + 1, size, order + 1, size)
 
-    def below(row: Array, given: tuple[Array, Array]) -> tuple[Array, Array]:
+    def below(row: Numbers, given: tuple[Numbers, Numbers]) -> tuple[Numbers, Numbers]:
         change, start = given
-        row = jnp.concatenate([start[:, None], (row + change)[:, :-1]], axis=1)
+        row = xp.concatenate([start[:, None], (row + change)[:, :-1]], axis=1)
         return row, row
 
     change = (products(phi) - products(psi))[:-1]
-    starts = jnp.transpose(first, (1, 2, 0)).conj()[1:]  # the first column, by symmetry
-    _, rest = lax.scan(below, first, (change, starts))
-    M = jnp.concatenate([first[None], rest]).reshape((order + 1) * size, -1)
-    return (M + M.conj().T) / 2, jnp.sum(h.real**2 + h.imag**2) / size
+    starts = xp.transpose(first, (1, 2, 0)).conj()[1:]  # the first column, by symmetry
+    _, rest = scan(xp, below, first, (change, starts))
+    M = xp.concatenate([first[None], rest]).reshape((order + 1) * size, -1)
+    return (M + M.conj().T) / 2, xp.sum(h.real**2 + h.imag**2) / size
 
 
 def factor_of_normal(
-    M: Inexact[Array, "m m"], energy: Float[Array, ""], order: int, ridge: Float[Array, ""]
-) -> tuple[Inexact[Array, "m m"], Float[Array, ""]]:
+    xp: ModuleType, M: Inexact[Numbers, "m m"], energy: Float[Numbers, ""], order: int, ridge: Float[Numbers, ""]
+) -> tuple[Inexact[Numbers, "m m"], Float[Numbers, ""]]:
     """Triangular factor of a normal matrix with a ridge, and what of the ridge was not asked for."""
     m = len(M)
     asked, needed = ridge * (order + 1) * energy, RIDGE * m * energy
-    factor = jnp.linalg.cholesky(M + jnp.maximum(asked, needed) * jnp.eye(m)).conj().T
-    return factor, jnp.maximum(needed - asked, 0.0)
+    factor = cholesky(xp, M + xp.maximum(asked, needed) * xp.eye(m)).conj().T
+    return factor, xp.maximum(needed - asked, 0.0)
 
 
 def factor_from_moments(
-    H: Complex[Array, "f row i"],
-    weight: Float[Array, " f"],
-    u: Complex[Array, " f"],
+    xp: ModuleType,
+    H: Complex[Numbers, "f row i"],
+    weight: Float[Numbers, " f"],
+    u: Complex[Numbers, " f"],
     order: int,
     numerator: int,
     real: bool,
-    ridge: Float[Array, ""],
-) -> tuple[Inexact[Array, "m m"], Float[Array, ""]]:
+    ridge: Float[Numbers, ""],
+) -> tuple[Inexact[Numbers, "m m"], Float[Numbers, ""]]:
     """Triangular factor of :func:`normal_from_moments`, and the ridge in it that was not asked for."""
-    M, energy = normal_from_moments(H, weight, u, order, numerator, real)
-    return factor_of_normal(M, energy, order, ridge)
+    M, energy = normal_from_moments(xp, H, weight, u, order, numerator, real)
+    return factor_of_normal(xp, M, energy, order, ridge)

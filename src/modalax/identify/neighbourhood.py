@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from modalax.data.frf import DERIVATIVES, FRF
-from modalax.identify.host import modal_of, samples_of
 from modalax.identify.maximum import response
+from modalax.identify.plain import modal_of, samples_of
 from modalax.identify.shared_noise import shared_noise
 from modalax.model.modal import ModalModel
 

@@ -9,19 +9,20 @@ with :math:`\Phi_{kj} = u_k^j` the powers of the variable on the lines and :math
 kept as triangular factors, so that nothing is squared.
 """
 
+from types import ModuleType
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, Complex, Float, Inexact
 
-from modalax._numerics.checks import as_double
-from modalax._numerics.powers import powers
+from modalax._numerics.checks import as_array, as_double
+from modalax._numerics.known import Numbers, by_numpy, scan
+from modalax._numerics.powers import powers, powers_of
 from modalax.data.frf import FRF
 from modalax.identify.fraction import check_constraint
 from modalax.identify.lscf import ARC, RIDGE
-from modalax.identify.polynomial import limits, over_references, triangular_factor, weights_of
+from modalax.identify.polynomial import factor_of_rows, limits, over_references, weights_of
 from modalax.identify.zoom import Zoom, check_orders, orthonormal_powers, zoom
 
 METHODS = ("lscf", "plscf")
@@ -72,9 +73,9 @@ class LinearProblem(eqx.Module):
         """The powers 0 to ``order`` of the variable on the lines."""
         return powers(self.u, self.order + 1)
 
-    def basis_of(self, weight: Float[Array, " f"]) -> Array:
-        """Orthonormal basis of the numerators of a row with this weight."""
-        return orthonormal_powers(self.u, weight, self.numerator, self.real)
+    def basis_of(self, weight: Float[Numbers, " f"], xp: ModuleType = jnp) -> Numbers:
+        """Orthonormal basis of the numerators of a row with this weight, by JAX or NumPy."""
+        return orthonormal_powers(xp, self.u, weight, self.numerator, self.real)
 
 
 def variance_of(frf: FRF, variance: Any) -> Float[Array, "f o i"]:
@@ -124,60 +125,64 @@ def linear_problem(
     else:
         weight = over_references(weight)
     return LinearProblem(
-        H, weight, sigma2, zoomed, zoomed.circle(frf.omega), jnp.asarray(ridge), order,
+        H, weight, sigma2, zoomed, zoomed.circle(frf.omega), as_array(ridge), order,
         order if numerator is None else numerator, real, weights == "unit", constraint, method,
     )  # fmt: skip
 
 
-@eqx.filter_jit
-def leverage(problem: LinearProblem) -> Float[Array, "f row"]:
+def leverage(xp: ModuleType, problem: LinearProblem) -> Float[Numbers, "f row"]:
     """Leverage of each line on the numerator of each row: the part of its noise that the numerator takes up."""
 
-    def one(weight: Array) -> Array:
-        Q = problem.basis_of(weight)
-        taken = jnp.sum(jnp.abs(Q) ** 2, axis=1)
+    def one(weight: Numbers) -> Numbers:
+        Q = problem.basis_of(weight, xp)
+        taken = xp.sum(xp.abs(Q) ** 2, axis=1)
         # Stacked real rows: the noise of a line is shared evenly by its real and imaginary parts.
         return taken.reshape(2, -1).mean(axis=0) if problem.real else taken
 
     if problem.shared:
-        return jnp.broadcast_to(one(problem.weight[:, 0])[:, None], problem.weight.shape)
-    return lax.map(one, problem.weight.T).T
+        return xp.broadcast_to(one(problem.weight[:, 0])[:, None], problem.weight.shape)
+    return scan(xp, lambda _, weight: (None, one(weight)), None, problem.weight.T)[1].T
 
 
-@eqx.filter_jit
-def noise_density(problem: LinearProblem) -> Float[Array, "f i"]:
+def density_of(xp: ModuleType, problem: LinearProblem) -> Float[Numbers, "f i"]:
     r"""Noise that reaches the normal matrix from each line, :math:`\sum_o w_o^2\sigma_{oi}^2(1-\ell_o)`."""
-    kept = problem.weight**2 * (1 - leverage(problem))
-    return jnp.sum(kept[:, :, None] * problem.variance, axis=1)
+    kept = problem.weight**2 * (1 - leverage(xp, problem))
+    return xp.sum(kept[:, :, None] * problem.variance, axis=1)
 
 
-@eqx.filter_jit
-def noise_rows(problem: LinearProblem) -> Inexact[Array, "row m"]:
+noise_density = by_numpy(density_of)
+
+
+def rows_of_noise(xp: ModuleType, problem: LinearProblem) -> Inexact[Numbers, "row m"]:
     """Rows whose Gram matrix is the noise matrix C."""
-    density = jnp.maximum(noise_density(problem), 0.0)
+    density = xp.maximum(density_of(xp, problem), 0.0)
     f, m = problem.u.shape[0], (problem.order + 1) * problem.size
-    eye = jnp.eye(problem.size)
-    rows = problem.powers()[None, :, :, None] * (jnp.sqrt(density).T[:, :, None, None] * eye[:, None, None, :])
+    eye = xp.eye(problem.size)
+    columns = powers_of(xp, problem.u, problem.order + 1)
+    rows = columns[None, :, :, None] * (xp.sqrt(density).T[:, :, None, None] * eye[:, None, None, :])
     rows = rows.reshape(problem.size * f, m)
-    return jnp.concatenate([rows.real, rows.imag]) if problem.real else rows
+    return xp.concatenate([rows.real, rows.imag]) if problem.real else rows
 
 
-def factor(problem: LinearProblem, noise: Any = None, ridge: Any = None) -> Inexact[Array, "m m"]:
+noise_rows = by_numpy(rows_of_noise)
+
+
+def factor_of(
+    xp: ModuleType, problem: LinearProblem, noise: Numbers | None = None, ridge: Numbers | None = None
+) -> Inexact[Numbers, "m m"]:
     """Triangular factor of the normal matrix of the FRFs as they are, with rows ``noise`` added if there are any."""
-    ridge = problem.ridge if ridge is None else jnp.asarray(ridge)
-    return triangular_factor(
-        problem.H, problem.weight, problem.u, problem.order, problem.numerator, problem.real, ridge,
-        problem.shared, noise,
+    return factor_of_rows(
+        xp, problem.H, problem.weight, problem.u, problem.ridge if ridge is None else ridge, noise,
+        order=problem.order, numerator=problem.numerator, real=problem.real, shared=problem.shared,
     )  # fmt: skip
 
 
-@eqx.filter_jit
-def louder(problem: LinearProblem, scale: Any) -> Float[Array, ""]:
-    """Factor by which noise of ``scale`` times the variance raises the energy, and so the ridge relative to it."""
+@by_numpy
+def expected_factor(xp: ModuleType, problem: LinearProblem, scale: Numbers | float = 1.0) -> Inexact[Numbers, "m m"]:
+    """Triangular factor of the expected normal matrix at ``scale`` times the noise variance, ridge included.
+
+    The noise raises the energy, and so the ridge relative to it.
+    """
     w2 = problem.weight[:, :, None] ** 2
-    return 1 + scale * jnp.sum(w2 * problem.variance) / jnp.sum(w2 * jnp.abs(problem.H) ** 2)
-
-
-def expected_factor(problem: LinearProblem, scale: Any = 1.0) -> Inexact[Array, "m m"]:
-    """Triangular factor of the expected normal matrix at ``scale`` times the noise variance, ridge included."""
-    return factor(problem, jnp.sqrt(scale) * noise_rows(problem), problem.ridge * louder(problem, scale))
+    louder = 1 + scale * xp.sum(w2 * problem.variance) / xp.sum(w2 * xp.abs(problem.H) ** 2)
+    return factor_of(xp, problem, xp.sqrt(scale) * rows_of_noise(xp, problem), problem.ridge * louder)

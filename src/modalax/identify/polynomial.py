@@ -7,22 +7,22 @@ references). The numerator is eliminated by projecting on the complement of an o
 from functools import partial
 from itertools import pairwise
 from types import ModuleType
+from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
-from jaxtyping import Array, Complex, Float, Inexact
+from jaxtyping import Array, Bool, Complex, Float, Inexact
 
 from modalax._numerics.checks import as_array
-from modalax._numerics.known import Numbers, by_numpy
-from modalax._numerics.powers import powers
+from modalax._numerics.known import Numbers, by_numpy, by_numpy_beside, scan
+from modalax._numerics.powers import powers_of
+from modalax._numerics.threads import one_thread
 from modalax.data.frf import FRF
 from modalax.identify.fraction import check_constraint, coefficients, roots
 from modalax.identify.moments import factor_from_moments, with_spare
 from modalax.identify.tables import PoleTable
-from modalax.identify.zoom import Zoom, check_orders, moved_span, zoom
+from modalax.identify.zoom import Zoom, check_orders, moved_span, on_circle, zoom
 from modalax.model.entry import check_frf
 
 SOLVERS = ("auto", "qr", "moments")
@@ -67,18 +67,19 @@ def over_references(weight: Float[Array, "f o i"]) -> Float[Array, "f o"]:
     return mean_weight(weight, over=2)
 
 
-@partial(jax.jit, static_argnames=("order", "numerator", "real", "shared"))
-def triangular_factor(
-    H: Complex[Array, "f row i"],
-    weight: Float[Array, "f row"],
-    u: Complex[Array, " f"],
+def factor_of_rows(
+    xp: ModuleType,
+    H: Complex[Numbers, "f row i"],
+    weight: Float[Numbers, "f row"],
+    u: Complex[Numbers, " f"],
+    ridge: Float[Numbers, ""],
+    also: Inexact[Numbers, "row2 m"] | None = None,
+    *,
     order: int,
     numerator: int,
     real: bool,
-    ridge: Float[Array, ""],
     shared: bool,
-    also: Inexact[Array, "row2 m"] | None = None,
-) -> Inexact[Array, "m m"]:
+) -> Inexact[Numbers, "m m"]:
     r"""Triangular factor of the projected columns :math:`P^\perp [H u^0, H u^1, \dots]`, all rows stacked.
 
     One row after the other is added to the factor (a sequential QR), so the memory does not grow with the number
@@ -87,28 +88,37 @@ def triangular_factor(
     """
     size = H.shape[2]
     m = (order + 1) * size
-    common = moved_span(u, weight[:, 0], numerator, real) if shared else None
-    energy = jnp.sum(jnp.abs(H * weight[:, :, None]) ** 2) / size
-    start = jnp.sqrt(ridge * energy) * jnp.eye(m)
+    common = moved_span(xp, u, weight[:, 0], numerator, real) if shared else None
+    energy = xp.sum(xp.abs(H * weight[:, :, None]) ** 2) / size
+    columns = powers_of(xp, u, order)
+    start = xp.sqrt(ridge * energy) * xp.eye(m)
 
-    def add(R: Array, row: tuple[Array, Array]) -> tuple[Array, None]:
+    def add(R: Numbers, row: tuple[Numbers, Numbers]) -> tuple[Numbers, None]:
         h, w = row
-        span = moved_span(u, w, numerator, real) if common is None else common
-        Y = projected_columns(h * w[:, None], u, order, span, real)
-        return jnp.linalg.qr(jnp.concatenate([R, Y]), mode="r"), None
+        span = moved_span(xp, u, w, numerator, real) if common is None else common
+        Y = projected_columns(xp, h * w[:, None], u, columns, span, real)
+        return xp.linalg.qr(xp.concatenate([R, Y]), mode="r"), None
 
-    rows = (jnp.swapaxes(H, 0, 1), jnp.swapaxes(weight, 0, 1))
-    start = start if real else start.astype(jnp.complex128)
+    rows = (xp.swapaxes(H, 0, 1), xp.swapaxes(weight, 0, 1))
+    start = start if real else start.astype(np.complex128)
     if also is not None:
-        start = jnp.linalg.qr(jnp.concatenate([start, also]), mode="r")
-    R, _ = lax.scan(add, start, rows)
+        start = xp.linalg.qr(xp.concatenate([start, also]), mode="r")
+    R, _ = scan(xp, add, start, rows)
     return R
 
 
+triangular_factor = by_numpy_beside(factor_of_rows)
+
+
 def projected_columns(
-    h: Complex[Array, "f i"], u: Complex[Array, " f"], order: int, span: tuple[Array, Array, Array], real: bool
-) -> Inexact[Array, "f2 m"]:
-    r"""Columns :math:`y_k = P_n h u^k`, of which only the first is projected.
+    xp: ModuleType,
+    h: Complex[Numbers, "f i"],
+    u: Complex[Numbers, " f"],
+    columns: Complex[Numbers, "f k"],
+    span: tuple[Numbers, Numbers, Numbers],
+    real: bool,
+) -> Inexact[Numbers, "f2 m"]:
+    r"""Columns :math:`y_k = P_n h u^k`, of which only the first is projected; ``columns`` are the powers but the last.
 
     On the unit circle :math:`u P_n u^{-1}` differs from :math:`P_n` by two directions (see :mod:`.moments`), so that
 
@@ -116,51 +126,87 @@ def projected_columns(
     """
     f, size = h.shape
     Q, *ends = span
-    stack = lambda x: jnp.concatenate([x.real, x.imag]) if real else x
+    stack = lambda x: xp.concatenate([x.real, x.imag]) if real else x
     Q, given = stack(Q), stack(h)
     first = given - Q @ (Q.conj().T @ given)
     first = first[:f] + 1j * first[f:] if real else first
-    along = [(end.conj()[:, None] * powers(u, order)).T @ h for end in ends]
+    along = [(end.conj()[:, None] * columns).T @ h for end in ends]
     phi, psi = (end[:, None] for end in ends)
 
-    def following(y: Array, parts: tuple[Array, Array]) -> tuple[Array, Array]:
+    def following(y: Numbers, parts: tuple[Numbers, Numbers]) -> tuple[Numbers, Numbers]:
         y = u[:, None] * (y + phi * parts[0] - psi * parts[1])
         return y, y
 
-    _, rest = lax.scan(following, first, tuple(a.real if real else a for a in along))
-    Y = jnp.concatenate([first[None], rest])
-    return stack(jnp.swapaxes(Y, 0, 1).reshape(f, -1))
+    _, rest = scan(xp, following, first, tuple(a.real if real else a for a in along))
+    Y = xp.concatenate([first[None], rest])
+    return stack(xp.swapaxes(Y, 0, 1).reshape(f, -1))
 
 
-@eqx.filter_jit
 def poles_of_factor(
     R: Inexact[Array, "m m"], orders: tuple[int, ...], size: int, constraint: str, real: bool, zoomed: Zoom,
     method: str, added: Float[Array, ""] | None = None, decay: Float[Array, ""] | float = 0.0,
 ) -> PoleTable:  # fmt: skip
-    """All orders of a stabilization diagram from the factor of the largest: one vmap for orders of about a size.
+    """All orders of a stabilization diagram from the factor of the largest.
 
     ``added`` is the ridge in the factor whose effect is to be taken out of the coefficients, ``decay`` the one of an
-    exponential window that is taken out of the poles [1/s]. Eigenvalues cost the cube of the size they are padded to,
-    so long diagrams are done in up to four parts.
+    exponential window that is taken out of the poles [1/s].
     """
-    count = orders[-1] * size
-    last = LAST[check_constraint(constraint)]
-    mended = {} if added is None else {"added": added, "steps": STEPS}
-    parts = []
+    arrays = (R, zoomed, added, as_array(decay))
+    check_constraint(constraint)
+    poles, valid, participation = _poles_of(*arrays, orders=orders, size=size, constraint=constraint, real=real)
+    return PoleTable(poles, valid, participation if size > 1 else None, orders, method)
+
+
+def poles_of_orders(
+    xp: ModuleType, R: Inexact[Numbers, "m m"], zoomed: Zoom, added: Numbers | None, decay: Numbers | float, *,
+    orders: tuple[int, ...], size: int, constraint: str, real: bool,
+) -> tuple[Complex[Numbers, "order p"], Bool[Numbers, "order p"], Complex[Numbers, "order p i"]]:  # fmt: skip
+    """Poles of every order, which of them mean anything, and their participation of length 1."""
+    last, mended = LAST[constraint], {} if added is None else {"added": added, "steps": STEPS}
+    u, w, valid = (_roots_together if xp is jnp else _roots_in_turn)(R, orders, size, last, mended)
+    valid = valid & (u != 0)  # a root at 0 is no pole
+    poles = 1j * zoomed.centre - xp.log(xp.where(valid, u, 1.0)) / zoomed.step
+    if real:  # each root has a mirror image below the band, which means nothing
+        valid = valid & (poles.imag > zoomed.centre)
+    w = w / xp.maximum(xp.linalg.norm(w, axis=-1, keepdims=True), 1e-300)
+    return xp.where(valid, poles + decay, 0.0), valid, w
+
+
+_poles_of = by_numpy_beside(poles_of_orders)
+
+
+def _roots_together(
+    R: Array, orders: tuple[int, ...], size: int, last: str, mended: dict[str, Any]
+) -> tuple[Array, Array, Array]:
+    """All orders in one program: one vmap for orders of about a size.
+
+    Eigenvalues cost the cube of the size they are padded to, so long diagrams are done in up to four parts.
+    """
+    count, parts = orders[-1] * size, []
     for part in _parts_of(orders, size):
         m = (part[-1] + 1) * size
         given = jnp.asarray(part)
-        A = jax.vmap(lambda n, m=m: coefficients(R[:m, :m], n, size, last, **mended))(given)
+        A = jax.vmap(lambda n, m=m: coefficients(jnp, R[:m, :m], n, size, last, **mended))(given)
         pad = count - part[-1] * size
-        u, w, valid = jax.vmap(roots)(A, given)
+        u, w, valid = jax.vmap(partial(roots, jnp))(A, given)
         rows = ((0, 0), (0, pad))
         parts.append((jnp.pad(u, rows), jnp.pad(w, (*rows, (0, 0))), jnp.pad(valid, rows)))
     u, w, valid = (jnp.concatenate([p[k] for p in parts]) for k in range(3))
-    poles = zoomed.poles(jnp.where(valid, u, 1.0))
-    if real:  # each root has a mirror image below the band, which means nothing
-        valid = valid & (poles.imag > zoomed.centre)
-    w = w / jnp.maximum(jnp.linalg.norm(w, axis=-1, keepdims=True), 1e-300)
-    return PoleTable(jnp.where(valid, poles + decay, 0.0), valid, w if size > 1 else None, orders, method)
+    return u, w, valid
+
+
+@one_thread
+def _roots_in_turn(
+    R: np.ndarray, orders: tuple[int, ...], size: int, last: str, mended: dict[str, Any]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """One order after the other by NumPy, each from its own corner of the factor."""
+    shape = len(orders), orders[-1] * size
+    u, w, valid = np.ones(shape, complex), np.zeros((*shape, size), complex), np.zeros(shape, bool)
+    for k, order in enumerate(orders if np.isfinite(R).all() else ()):  # of what is no number there are no roots
+        m = order * size
+        A = coefficients(np, R[: m + size, : m + size], order, size, last, **mended)
+        u[k, :m], w[k, :m], valid[k, :m] = roots(np, A, order)
+    return u, w, valid
 
 
 def _parts_of(orders: tuple[int, ...], size: int) -> list[tuple[int, ...]]:
@@ -194,27 +240,26 @@ def matrix_fraction(
     moments = use_moments(solver, H.shape, found[-1], shared)
     if numerator is None:
         numerator = with_spare(found[-1], frf.freq.shape[0]) if moments else found[-1]
-    R, added, zoomed, decay = _factor(
-        frf.without_statistics(), H, weight, jnp.asarray(ridge), found[-1], real, arc, numerator, shared, moments
-    )
-    return poles_of_factor(R, found, H.shape[2], constraint, real, zoomed, method, added, decay)
+    R, added, zoomed = _factor(
+        frf.omega, H, weight, as_array(ridge), order=found[-1], real=real, arc=arc, numerator=numerator,
+        shared=shared, moments=moments,
+    )  # fmt: skip
+    return poles_of_factor(R, found, H.shape[2], constraint, real, zoomed, method, added, as_array(frf.added_decay))
 
 
-@eqx.filter_jit
+@by_numpy_beside
 def _factor(
-    frf: FRF, H: Array, weight: Array, ridge: Array, order: int, real: bool, arc: float, numerator: int, shared: bool,
-    moments: bool,
-) -> tuple[Array, Array | None, Zoom, Array]:  # fmt: skip
-    """Triangular factor of the highest order, its ridge to be taken out, the map on the circle, and the added decay.
-
-    A program of its own: diagrams of other lines share that of the poles, which takes longest to compile.
-    """
-    zoomed = zoom(frf.omega, arc, real)
-    u, decay = zoomed.circle(frf.omega), jnp.asarray(frf.added_decay)
+    xp: ModuleType, omega: Numbers, H: Numbers, weight: Numbers, ridge: Numbers, *, order: int, real: bool, arc: float,
+    numerator: int, shared: bool, moments: bool,
+) -> tuple[Numbers, Numbers | None, Zoom]:  # fmt: skip
+    """Triangular factor of the highest order, its ridge to be taken out, and the map on the circle."""
+    zoomed = zoom(omega, arc, real)
+    u = on_circle(xp, omega, zoomed.centre, zoomed.step)
     if moments:
-        R, added = factor_from_moments(H, weight[:, 0], u, order, numerator, real, ridge)
-        return R, added, zoomed, decay
-    return triangular_factor(H, weight, u, order, numerator, real, ridge, shared), None, zoomed, decay
+        R, added = factor_from_moments(xp, H, weight[:, 0], u, order, numerator, real, ridge)
+        return R, added, zoomed
+    chosen = dict(order=order, numerator=numerator, real=real, shared=shared)
+    return factor_of_rows(xp, H, weight, u, ridge, **chosen), None, zoomed
 
 
 def use_moments(solver: str, shape: tuple[int, ...], order: int, shared: bool) -> bool:

@@ -16,7 +16,8 @@ from modalax._numerics.levenberg import LevenbergMarquardt
 from modalax.data.frf import FRF
 from modalax.identify.likelihood import UNDAMPED, Parts, frozen_slots, make_problem, objective, pack, parts, unpack
 from modalax.identify.overview import of_refined
-from modalax.identify.residues import check_size, model_of, sigma_of
+from modalax.identify.residues import model_of
+from modalax.identify.sample_weights import check_size, sigma_of
 from modalax.identify.shape_errors import shape_errors, spread_rest
 from modalax.model.entry import check_frf
 from modalax.model.modal import ModalModel

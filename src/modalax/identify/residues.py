@@ -8,14 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from modalax._numerics.checks import as_array, as_double, is_traced
+from modalax._numerics.checks import as_double, is_traced
 from modalax.data.frf import FRF
 from modalax.identify.likelihood import Problem, linear_solution, make_problem, pack, shapes_and_residuals
+from modalax.identify.plain import residue_fits
+from modalax.identify.sample_weights import check_size, sigma_of
 from modalax.identify.select import Selection
 from modalax.model.entry import check_frf
 from modalax.model.modal import ModalModel
-
-RESIDUALS = ("none", "real", "complex")
 
 
 def residues(
@@ -63,7 +63,8 @@ def residues(
 
     Notes
     -----
-    Guillaume et al. (2003), equation 13; the columns are scaled and solved by QR, never by normal equations.
+    Guillaume et al. (2003), equation 13, by an orthogonal factorisation of the columns. Known numbers are fitted
+    without compiling anything (:mod:`modalax.identify.projection`), traced ones in JAX.
     """
     check_frf(frf, "residues")
     if isinstance(poles, Selection):
@@ -75,16 +76,19 @@ def residues(
         )
     check_size(frf, poles.shape[0], residuals)
     sigma = sigma_of(frf, weights)
+    if participation is not None:
+        participation = as_double(participation, "participation", complex_=True)
+    turned = frf.shape[2] > frf.shape[1]  # the shorter axis carries the participation, the longer one is linear
+    known = not is_traced(*jax.tree.leaves((frf, poles, sigma, participation)))
+    if known and (participation is None or not turned):
+        fits = residue_fits(frf, residuals=residuals, real_modes=real_modes, weights=sigma)
+        return fits(poles, None if participation is None else np.asarray(participation))
+    if participation is None and turned:
+        swapped = jnp.swapaxes(sigma, 1, 2)
+        found = residues(frf.transpose(), poles, residuals=residuals, real_modes=real_modes, weights=swapped)
+        return found.transpose().normalised("max")
     if participation is None:
-        if frf.shape[2] > frf.shape[1]:  # the shorter axis carries the participation, the longer one is linear
-            turned = residues(
-                frf.transpose(), poles, residuals=residuals, real_modes=real_modes, weights=jnp.swapaxes(sigma, 1, 2)
-            )
-            return turned.transpose().normalised("max")
-        n = poles.shape[0]  # of one input there is nothing to find, and no program to compile
-        one = frf.shape[2] == 1
-        participation = np.ones((n, 1)) if one else participation_of(frf, poles, sigma, residuals, real_modes)
-    participation = as_double(participation, "participation", complex_=True)
+        participation = participation_of(frf, poles, sigma, residuals, real_modes)
     return _fit(frf.without_statistics(), poles, participation, sigma, residuals, real_modes)
 
 
@@ -109,52 +113,6 @@ def model_of(
         poles, shapes, participation, outputs=frf.outputs, inputs=frf.inputs, upper=upper, lower=lower
     )  # fmt: skip
     return model.normalised("max")
-
-
-def sigma_of(frf: FRF, weights: str | Float[Array, "f o i"]) -> Float[Array, "f o i"]:
-    r"""Standard deviation :math:`\sigma` that weighs each complex sample; 1 where all count the same.
-
-    Raises
-    ------
-    ValueError
-        If variance weights are asked for without a variance, or the word is unknown.
-    """
-    if not isinstance(weights, str):
-        return jnp.broadcast_to(as_double(weights, "weights"), frf.H.shape)
-    if weights not in ("auto", "unit", "variance"):
-        raise ValueError(f"weights is {weights!r}; it must be auto, unit, variance, or standard deviations (f, o, i)")
-    if weights == "variance" and frf.variance is None:
-        raise ValueError("weights 'variance' needs an FRF with a variance; this one has none")
-    if weights == "unit" or frf.variance is None:
-        return as_array(np.ones(frf.H.shape))
-    if not is_traced(frf.variance) and not (np.asarray(frf.variance) > 0).any():
-        return as_array(np.ones(frf.H.shape))
-    return _root_above_zero(frf.variance)
-
-
-@jax.jit
-def _root_above_zero(variance: Float[Array, "f o i"]) -> Float[Array, "f o i"]:
-    """Standard deviations; a sample said to be exact would outweigh all others: it gets the smallest above zero."""
-    return jnp.sqrt(jnp.maximum(variance, jnp.min(jnp.where(variance > 0, variance, jnp.inf))))
-
-
-def check_size(frf: FRF, n_modes: int, residuals: str) -> None:
-    """Refuse a fit with more unknowns than samples, or an unknown kind of residual term.
-
-    Raises
-    ------
-    ValueError
-        With the numbers.
-    """
-    if residuals not in RESIDUALS:
-        raise ValueError(f"residuals is {residuals!r}; it must be one of {', '.join(RESIDUALS)}")
-    lines, _, n_in = frf.shape
-    unknowns = 2 * n_modes + (0 if residuals == "none" else (2 if residuals == "real" else 4) * n_in)
-    if 2 * lines * n_in < unknowns:
-        raise ValueError(
-            f"{n_modes} modes have {unknowns} unknowns an output, but {lines} lines x {n_in} inputs give "
-            f"{2 * lines * n_in} equations; widen the band or fit fewer modes"
-        )
 
 
 @eqx.filter_jit

@@ -13,11 +13,12 @@ from jax import lax
 from jaxtyping import Array, Complex, Float, Int
 
 from modalax._numerics.checks import as_array
+from modalax._numerics.known import Numbers
 from modalax._numerics.powers import powers
 from modalax.data.frf import FRF
 from modalax.identify.fraction import coefficients, roots
 from modalax.identify.lscf import RIDGE
-from modalax.identify.polynomial import LAST, limits, triangular_factor, weights_of, without_window
+from modalax.identify.polynomial import LAST, factor_of_rows, limits, weights_of, without_window
 from modalax.identify.tables import PoleTable
 from modalax.identify.zoom import check_orders, zoom
 
@@ -63,19 +64,20 @@ def reweighted(
     H, weight = frf.H.reshape(f, -1, 1), weights_of(frf, weights).reshape(f, -1)
     degree = top if numerator is None else numerator
     columns = powers(u, top + 1)
+    chosen = dict(order=top, numerator=degree, real=False, shared=weights == "unit")
 
-    def one(order: Int[Array, ""]) -> tuple[Array, Array]:
-        def solve(size: Float[Array, " f"]) -> Complex[Array, "k i i"]:
-            R = triangular_factor(H, weight / size[:, None], u, top, degree, False, as_array(ridge), weights == "unit")
-            return coefficients(R, order, 1, LAST[constraint])
+    def one(order: Int[Array, ""]) -> tuple[Numbers, Numbers]:
+        def solve(size: Float[Array, " f"]) -> Complex[Numbers, "k i i"]:
+            R = factor_of_rows(jnp, H, weight / size[:, None], u, as_array(ridge), **chosen)
+            return coefficients(jnp, R, order, 1, LAST[constraint])
 
-        def again(_: Array, A: Array) -> Array:
+        def again(_: Array, A: Numbers) -> Numbers:
             size = jnp.abs(columns @ A[:, 0, 0])
             # A floor keeps a root on the circle from taking all the weight.
             return solve(jnp.maximum(size / jnp.max(size), 1e-4))
 
         A = lax.fori_loop(0, iterations, again, solve(jnp.ones(f)))
-        u_r, _, valid = roots(A, order)
+        u_r, _, valid = roots(jnp, A, order)
         return u_r, valid
 
     u_r, valid = lax.map(one, as_array(found))

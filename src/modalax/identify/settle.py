@@ -15,15 +15,17 @@ from modalax.data.frf import FRF
 from modalax.identify.close_modes import NEAR, two_modes, windows_split
 from modalax.identify.disagreement import CERTAIN, together
 from modalax.identify.flags import matters
-from modalax.identify.host import refine_on_host, residue_fits, residues_on_host
+from modalax.identify.host import refine_on_host
 from modalax.identify.likelihood import UNDAMPED
 from modalax.identify.local import fit_where_dominant
 from modalax.identify.neighbourhood import LINES, WIDTH, Left, around, judged, left_of, residual_of
 from modalax.identify.noise import residual_sigma
 from modalax.identify.one_mode import second_mode
+from modalax.identify.plain import residue_fits
 from modalax.identify.quality import CHANCE, ModeQuality, gains_of, quality_of
 from modalax.identify.record_kind import Record, record_of
 from modalax.identify.refine import CONTRADICTION, CORRELATED, HELD, UNIT, Refined
+from modalax.identify.residues import residues
 from modalax.model.modal import ModalModel
 
 TURNS = 5  # most times that modes are dropped and the others refined again
@@ -274,7 +276,7 @@ def _from_poles(frf: FRF, refined: Refined, poles: np.ndarray, **options: Any) -
     """A refinement from other poles, with the noise that the residual of the present one shows."""
     known = frf.variance is not None
     weights: Any = "auto" if known else _weights(frf, refined)
-    start = residues_on_host(frf, poles[np.argsort(np.abs(poles))], weights=weights, **options)
+    start = residues(frf, poles[np.argsort(np.abs(poles))], weights=weights, **options)
     return refine_on_host(frf, start, weights=weights, covariance="gauss-newton" if known else "robust", **options)
 
 

@@ -125,7 +125,7 @@ def moments_of(
         That decay, taken out of the result [rad/s].
     """
     order = basis.shape[1] - 1
-    A = coefficients(R, jnp.asarray(order), 1, LAST[constraint])[:, 0, 0]
+    A = coefficients(jnp, R, jnp.asarray(order), 1, LAST[constraint])[:, 0, 0]
     keep = jnp.delete(jnp.arange(order + 1), FIXED[constraint])
     T = jnp.linalg.qr(R[:, keep], mode="r")
     half = _solve(T, basis[:, keep])  # half half^H = Phi K Phi^H

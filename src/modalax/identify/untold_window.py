@@ -12,10 +12,10 @@ import numpy as np
 import scipy.special
 
 from modalax.data.frf import DERIVATIVES, FRF
-from modalax.identify.host import modal_of
 from modalax.identify.kernels import kernels, residual_terms
 from modalax.identify.maximum import columns_of
 from modalax.identify.neighbourhood import Left, channel_noise
+from modalax.identify.plain import modal_of
 from modalax.identify.projection import orthonormal, stacked
 from modalax.model.modal import ModalModel
 

@@ -10,8 +10,8 @@ from jaxtyping import Float
 
 from modalax.data.frf import DERIVATIVES, FRF
 from modalax.identify.diagram import diagram
-from modalax.identify.host import residues_on_host
 from modalax.identify.neighbourhood import residual_of
+from modalax.identify.residues import residues
 from modalax.model.modal import ModalModel
 
 SURE = 0.5  # grade from which on a mode is asked
@@ -76,6 +76,6 @@ def _inverse_is_modal(frf: FRF, misfit: float) -> bool:
     selection = diagram(inverse, "lscf", None)[1]
     if not selection.poles.size:
         return False
-    left = residual_of(inverse, residues_on_host(inverse, selection.poles))
+    left = residual_of(inverse, residues(inverse, selection.poles))
     rest = float(np.sum(np.abs(left) ** 2) / np.sum(np.abs(np.asarray(inverse.H)) ** 2))
     return rest < BETTER * misfit

@@ -5,12 +5,14 @@ band covers a chosen part of the circle, every power of :math:`u` has magnitude 
 and a pole follows from a root by :math:`\lambda = j\omega_c - \ln(u)/T`.
 """
 
+from types import ModuleType
+
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Array, Complex, Float, Inexact
+
+from modalax._numerics.known import Numbers, by_numpy, host, scan
 
 
 class Zoom(eqx.Module):
@@ -36,9 +38,12 @@ class Zoom(eqx.Module):
         return 1j * self.centre - jnp.log(roots) / self.step
 
 
-@jax.jit
-def _circle(omega: Float[Array, " f"], centre: Array, step: Array) -> Complex[Array, " f"]:
-    return jnp.exp(-1j * (omega - centre) * step)
+def on_circle(xp: ModuleType, omega: Numbers, centre: Numbers, step: Numbers) -> Numbers:
+    """:meth:`Zoom.circle` by JAX or NumPy."""
+    return xp.exp(-1j * (omega - centre) * step)
+
+
+_circle = by_numpy(on_circle)
 
 
 def zoom(omega: Float[Array, " f"], arc: float, real: bool) -> Zoom:
@@ -47,17 +52,18 @@ def zoom(omega: Float[Array, " f"], arc: float, real: bool) -> Zoom:
     With complex coefficients the band's centre goes to :math:`u = 1`. With real ones the roots come in conjugate
     pairs, so the band must lie on the upper half of the circle, and its mirror image on the lower half.
     """
+    omega = host(omega)
     span = omega[-1] - omega[0]
     if real:
-        step = jnp.pi * arc / span
-        margin = (jnp.pi - step * span) / 2
+        step = np.pi * arc / span
+        margin = (np.pi - step * span) / 2
         return Zoom(omega[0] - margin / step, step)
-    return Zoom((omega[0] + omega[-1]) / 2, 2 * jnp.pi * arc / span)
+    return Zoom((omega[0] + omega[-1]) / 2, 2 * np.pi * arc / span)
 
 
 def orthonormal_powers(
-    u: Complex[Array, " f"], weight: Float[Array, " f"], degree: int, real: bool
-) -> Complex[Array, "f k"] | Float[Array, "f2 k"]:
+    xp: ModuleType, u: Complex[Numbers, " f"], weight: Float[Numbers, " f"], degree: int, real: bool
+) -> Complex[Numbers, "f k"] | Float[Numbers, "f2 k"]:
     r"""Orthonormal basis of :math:`w\,u^k, k = 0 \dots` ``degree``, by Szegő's recurrence.
 
     Powers on an arc are nearly dependent, so the plain Vandermonde matrix loses all digits at a few dozen degrees.
@@ -71,12 +77,12 @@ def orthonormal_powers(
     :math:`\tfrac12 Q(3I - Q^HQ)`, within the same space. With ``real`` the basis spans real combinations: real and
     imaginary parts are stacked, shape ``(2 f, k)``.
     """
-    return _recurrence(u, weight, degree + 1, real)[0]
+    return _recurrence(xp, u, weight, degree + 1, real)[0]
 
 
 def moved_span(
-    u: Complex[Array, " f"], weight: Float[Array, " f"], degree: int, real: bool
-) -> tuple[Complex[Array, "f k"], Complex[Array, " f"], Complex[Array, " f"]]:
+    xp: ModuleType, u: Complex[Numbers, " f"], weight: Float[Numbers, " f"], degree: int, real: bool
+) -> tuple[Complex[Numbers, "f k"], Complex[Numbers, " f"], Complex[Numbers, " f"]]:
     r"""Orthonormal basis of the powers 0 to ``degree``, and what their span gains and loses when it is moved.
 
     The span of :math:`w\,u^{-1} \dots w\,u^{n-1}` has all of that of :math:`w\,u^0 \dots w\,u^n` but :math:`\varphi`,
@@ -88,37 +94,37 @@ def moved_span(
         The basis, its last vector, and the vector beyond it, orthonormal to all of the basis but the last. With
         ``real`` orthonormal in the real part of the scalar product.
     """
-    common, (phi, reverse) = _recurrence(u, weight, degree, real)
-    stack = lambda x: jnp.concatenate([x.real, x.imag]) if real else x
+    common, (phi, reverse) = _recurrence(xp, u, weight, degree, real)
+    stack = lambda x: xp.concatenate([x.real, x.imag]) if real else x
 
-    def beyond(x: Array) -> Array:
+    def beyond(x: Numbers) -> Numbers:
         x = stack(x)
         for _ in range(2):  # what rounding left along the basis, and then what the first pass left
             x = x - common @ (common.conj().T @ x)
-            x = x / jnp.linalg.norm(x)
+            x = x / xp.linalg.norm(x)
         return x
 
     whole = lambda x: x[: len(u)] + 1j * x[len(u) :] if real else x
     last = beyond(phi)
-    return whole(jnp.concatenate([common, last[:, None]], axis=1)), whole(last), whole(beyond(reverse / u))
+    return whole(xp.concatenate([common, last[:, None]], axis=1)), whole(last), whole(beyond(reverse / u))
 
 
 def _recurrence(
-    u: Complex[Array, " f"], weight: Float[Array, " f"], count: int, real: bool
-) -> tuple[Inexact[Array, "row k"], tuple[Complex[Array, " f"], Complex[Array, " f"]]]:
+    xp: ModuleType, u: Complex[Numbers, " f"], weight: Float[Numbers, " f"], count: int, real: bool
+) -> tuple[Inexact[Numbers, "row k"], tuple[Complex[Numbers, " f"], Complex[Numbers, " f"]]]:
     """The first ``count`` vectors of Szegő's recurrence, and the pair that follows them."""
 
-    def step(pair: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], Array]:
+    def step(pair: tuple[Numbers, Numbers], _: None) -> tuple[tuple[Numbers, Numbers], Numbers]:
         phi, reverse = pair
         turned = u * phi
-        gamma = jnp.vdot(reverse, turned)
+        gamma = xp.vdot(reverse, turned)
         gamma = gamma.real if real else gamma
-        following, reverse = turned - gamma * reverse, reverse - jnp.conj(gamma) * turned
-        return (following / jnp.linalg.norm(following), reverse / jnp.linalg.norm(reverse)), phi
+        following, reverse = turned - gamma * reverse, reverse - xp.conj(gamma) * turned
+        return (following / xp.linalg.norm(following), reverse / xp.linalg.norm(reverse)), phi
 
-    first = (weight / jnp.linalg.norm(weight)).astype(jnp.complex128)
-    after, rows = lax.scan(step, (first, first), None, length=count)
-    rows = jnp.concatenate([rows.real, rows.imag], axis=1) if real else rows
+    first = (weight / xp.linalg.norm(weight)).astype(np.complex128)
+    after, rows = scan(xp, step, (first, first), length=count)
+    rows = xp.concatenate([rows.real, rows.imag], axis=1) if real else rows
     return (1.5 * rows - 0.5 * (rows @ rows.conj().T) @ rows).T, after
 
 

@@ -15,9 +15,9 @@ from modalax.identify.band import usable_lines
 from modalax.identify.chosen import by_frequency, fit_chosen
 from modalax.identify.diagram import ESTIMATORS, diagram
 from modalax.identify.fit import Fit, summed_up
-from modalax.identify.host import residues_on_host
 from modalax.identify.noise import smooth_variance
 from modalax.identify.refine import Refined
+from modalax.identify.residues import residues
 from modalax.identify.select import Selection
 from modalax.identify.settle import settle_diagram
 from modalax.identify.stabilize import Stability, stabilization
@@ -311,7 +311,7 @@ class Session:
         self._require()
         if self.state.refined is not None:
             return self.state.refined.model
-        return residues_on_host(self.diagram.weighted, self.poles)
+        return residues(self.diagram.weighted, self.poles)
 
     def fit(self) -> Fit:
         """The picks as a :class:`modalax.identify.Fit`, with flags, grades and notes.
