@@ -11,7 +11,7 @@ from modalax.diagnose.decision.omnibus import Omnibus
 from modalax.diagnose.decision.posterior import Ranked
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.search import compounds
-from modalax.diagnose.search.compounds import Rest, one_more_cause
+from modalax.diagnose.search.compounds import Rest, exchanged, one_more_cause
 
 COMPARISON = SimpleNamespace(late=lambda: False, problem=SimpleNamespace(samples=400))
 PLACE = Place(("1",), (0, -1, 0))
@@ -38,7 +38,9 @@ def added_to(monkeypatch, gains, p_value):
         id(r.best): Rest([SimpleNamespace(gain=g)] if g else [], p_value, Omnibus(p_value, 9.0, "", (0.0, 0.0)))
         for r, g in zip((OSCILLATOR, MASS, SPRING), gains, strict=True)
     }  # fmt: skip
-    found = one_more_cause(COMPARISON, [OSCILLATOR, MASS, SPRING], lambda h: rests[id(h)])
+    done = []
+    found = one_more_cause(COMPARISON, [OSCILLATOR, MASS, SPRING], lambda h: rests[id(h)], done)
+    assert done == asked
     return asked, found
 
 
@@ -55,3 +57,19 @@ def test_a_cause_is_added_to_what_it_makes_overtake_the_first(monkeypatch, gains
     asked, found = added_to(monkeypatch, gains, p_value)
     assert asked == [r.best for r in expected]
     assert len(found) == len(expected)
+
+
+@pytest.mark.parametrize(("chi2", "expected"), [(1610.2, 1), (1650.0, 2)])
+def test_what_has_been_added_to_is_not_added_to_again(monkeypatch, chi2, expected):
+    """With the spring taken away the mass is left, as it was before or fitted to something else."""
+    asked, mass, spring = [], MASS.best, SPRING.best
+    monkeypatch.setattr(compounds, "fit_together", lambda comparison, starts: [
+        replace(h, chi2=chi2 if h.causes == mass.causes else 6800.0) for h in starts
+    ])  # fmt: skip
+    monkeypatch.setattr(compounds, "fit_further", lambda comparison, h, trials: asked.append(h.causes) or [])
+    both = Hypothesis(
+        causes=(*mass.causes, *spring.causes), places=(PLACE, PLACE), extras=(None, None), params=((1.0,), (1.0,))
+    )
+    out = exchanged(COMPARISON, both, lambda h: [], 3, [mass])
+    assert len(asked) == expected and asked[0] == spring.causes
+    assert [h.causes for h in out] == [spring.causes, mass.causes]

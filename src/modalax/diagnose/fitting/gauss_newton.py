@@ -1,14 +1,14 @@
-"""Damped Gauss-Newton search for many hypotheses side by side, the modal parameters adapting with them."""
+"""Damped Gauss-Newton search for the parameters of hypotheses, the modal parameters adapting with them."""
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from modalax._numerics.compiler import lightly
 from modalax.diagnose.deadline import NEVER, Deadline
 from modalax.diagnose.fitting.hypothesis import Hypothesis, bounds_of, from_search, searched, split
 from modalax.diagnose.fitting.nuisance import Nuisance
@@ -16,12 +16,11 @@ from modalax.diagnose.fitting.residual import whitened
 from modalax.diagnose.setup.problem import Problem
 
 ROUNDS, SETTLED = 14, 5e-3  # steps of the search; change of chi-square at which it ends
+LONG = 30_000  # samples from which on to run a program longer costs more than to compile it better
 UNSEEN = 1e-12  # share of the information below which a combination of unknowns is not seen
-BATCH_SAMPLES = 400_000  # complex numbers times unknowns that one batch of candidates may hold
 
 
-@partial(jax.jit, static_argnames=("causes",))
-def _normal_one(causes, index, extras, x, chooser, spread, basis, problem):
+def _normal(causes, index, extras, x, chooser, spread, basis, problem):
     count = x.shape[0] - chooser.shape[0]
 
     def residual(x):
@@ -38,15 +37,14 @@ def _normal_one(causes, index, extras, x, chooser, spread, basis, problem):
     return chi2 + jnp.sum(prior * x**2), A + jnp.diag(prior), g + prior * x
 
 
-@partial(jax.jit, static_argnames=("causes",))
-def _normal_many(causes, index, extras, x, chooser, spread, basis, problem):
-    return jax.vmap(lambda k, e, v: _normal_one(causes, k, e, v, chooser, spread, basis, problem))(index, extras, x)
+_quickly = jax.jit(_normal, static_argnames="causes", compiler_options=lightly(0))
+_at_length = jax.jit(_normal, static_argnames="causes", compiler_options=lightly(1))
 
 
 def fit_many(
     starts: Sequence[Hypothesis], problem: Problem, nuisance: Nuisance, rounds: int = ROUNDS, late: Deadline = NEVER
 ) -> list[Hypothesis]:
-    """Fit hypotheses of the same causes at different places or from different starts, in batches of a fixed size.
+    """Fit hypotheses of the same causes at different places or from different starts, one after the other.
 
     Parameters
     ----------
@@ -59,51 +57,29 @@ def fit_many(
     late
         When no further step begins.
     """
-    if not starts:
-        return []
-    unknowns = max(1, len(searched(starts[0])) + len(nuisance.chooser))
-    size = 4 if problem.data.size * unknowns * 4 <= 40 * BATCH_SAMPLES and len(starts) > 1 else 1
-    out: list[Hypothesis] = []
-    for k in range(0, len(starts), size):
-        part = list(starts[k : k + size])
-        out += _fit_batch(part + [part[-1]] * (size - len(part)), problem, nuisance, rounds, late)[: len(part)]
-    return out
+    return [_fitted(h, problem, nuisance, rounds, late) for h in starts]
 
 
-def _fit_batch(
-    starts: list[Hypothesis], problem: Problem, nuisance: Nuisance, rounds: int, late: Deadline
-) -> list[Hypothesis]:
-    causes = starts[0].causes
-    n = problem.modal_form.stiffness.shape[0]
-    u = np.stack([searched(h) for h in starts])
-    theta = np.stack([np.zeros((2, n)) if h.theta is None else h.theta for h in starts])
-    index = np.stack([h.index for h in starts])
-    extras = tuple(
-        None if starts[0].extras[k] is None else np.stack([h.extras[k] for h in starts]) for k in range(len(causes))
-    )
-    low, high = bounds_of(causes)
-    count = u.shape[1]
-
-    chooser = nuisance.chooser
+def _fitted(h: Hypothesis, problem: Problem, nuisance: Nuisance, rounds: int, late: Deadline) -> Hypothesis:
+    shape = 2, problem.modal_form.stiffness.shape[0]
+    u, chooser = searched(h), nuisance.chooser
+    low, high = bounds_of(h.causes)
+    count = len(u)
+    run = _at_length if problem.data.size > LONG else _quickly
 
     def normal(x: np.ndarray, _: np.ndarray) -> Any:
-        return _normal_many(causes, index, extras, x, chooser, nuisance.spread, nuisance.basis, problem)
+        found = run(h.causes, h.index, h.extras, x[0], chooser, nuisance.spread, nuisance.basis, problem)
+        return [np.asarray(part)[None] for part in found]
 
     free = np.full(len(chooser), np.inf)
-    start = np.concatenate([u, theta.reshape(len(u), -1) @ chooser.T], axis=1)
+    theta = np.zeros(shape) if h.theta is None else h.theta
+    start = np.concatenate([u, chooser @ theta.ravel()])[None]
     x, chi2, A, open_ = damped(normal, start, np.concatenate([low, -free]), np.concatenate([high, free]), rounds, late)
-    u, theta = x[:, :count], (x[:, count:] @ chooser).reshape(theta.shape)
-    out = []
-    for b, h in enumerate(starts):
-        params = [np.asarray(from_search(c, v)) for c, v in zip(causes, split(causes, u[b]), strict=True)]
-        out.append(
-            replace(
-                h, params=tuple(params), theta=theta[b], chi2=float(chi2[b]),
-                covariance=covariance_of(A[b])[:count, :count],
-                reason="still moving" if open_[b] else "settled",
-            )
-        )  # fmt: skip
-    return out
+    params = [np.asarray(from_search(c, v)) for c, v in zip(h.causes, split(h.causes, x[0, :count]), strict=True)]
+    return replace(
+        h, params=tuple(params), theta=(x[0, count:] @ chooser).reshape(shape), chi2=float(chi2[0]),
+        covariance=covariance_of(A[0])[:count, :count], reason="still moving" if open_[0] else "settled",
+    )  # fmt: skip
 
 
 def damped(

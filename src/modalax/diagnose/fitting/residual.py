@@ -10,13 +10,14 @@ import numpy as np
 from jaxtyping import Array
 
 from modalax._numerics.checks import is_traced
+from modalax._numerics.compiler import lightly
 from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.fitting.hypothesis import from_search, split
 from modalax.diagnose.prediction.frf import predict
 from modalax.diagnose.setup.problem import Problem
 
 
-@partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+@partial(jax.jit, compiler_options=lightly(0))
 def modal_directions(theta, spread, basis, problem):
     """Change of the whitened prediction by one standard deviation of each modal parameter.
 
@@ -78,7 +79,7 @@ def residual_of(H: np.ndarray, basis: Any, problem: Problem) -> np.ndarray:
         return projected(np.asarray(problem.weight) * (np.asarray(problem.data) - H), basis)
 
 
-@partial(jax.jit, static_argnames=("causes",))
+@partial(jax.jit, static_argnames=("causes",), compiler_options=lightly(0))
 def jacobian_of(causes, index, extras, u, theta, spread, basis, problem):
     """Derivatives of the whitened residual by the searched unknowns, shape ``(unknown, o, i, run f 2)``."""
     J = jax.jacfwd(lambda v: whitened(causes, index, extras, v, theta, spread, basis, problem))(u)

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
+from modalax._numerics.compiler import lightly
 from modalax.diagnose.causes.base import (
     ChannelCause,
     CouplingCause,
@@ -51,7 +52,7 @@ def predict(
     return predict_with_channels(causes, index, extras, params, theta, problem)[0]
 
 
-_compiled = jax.jit(predict, static_argnums=0)
+_compiled = jax.jit(predict, static_argnums=0, compiler_options=lightly(0))  # which runs once or twice
 
 
 def predicted(

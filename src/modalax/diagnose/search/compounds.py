@@ -28,6 +28,7 @@ from modalax.diagnose.thresholds import THRESHOLDS
 
 LEADING, BEHIND = 2, 40.0  # hypotheses that a further cause is added to, and nats that these may be behind the best
 FURTHER = 3  # causes tried on each
+SAME = 1.0  # chi-square within which the same causes at the same places are the same hypothesis
 LOOKED_AT = 6  # hypotheses behind the leading ones that are screened for a further cause where these take up none
 
 
@@ -68,8 +69,9 @@ def fit_together(comparison: Comparison, starts: list[Hypothesis]) -> list[Hypot
 
 
 def exchanged(
-    comparison: Comparison, h: Hypothesis, rest: Callable[[Hypothesis], list[Trial]], count: int
-) -> list[Hypothesis]:
+    comparison: Comparison, h: Hypothesis, rest: Callable[[Hypothesis], list[Trial]], count: int,
+    done: Sequence[Hypothesis] = (),
+) -> list[Hypothesis]:  # fmt: skip
     """Replace one of several causes after the other by the most promising others.
 
     Parameters
@@ -82,6 +84,8 @@ def exchanged(
         Gives the promising further causes of a hypothesis.
     count
         How many of these are tried for each.
+    done
+        Hypotheses for which they have been tried before.
     """
     out: list[Hypothesis] = []
     for j in range(0 if comparison.late() else len(h.causes)):
@@ -91,7 +95,8 @@ def exchanged(
         )  # fmt: skip
         base = replace(base, freedom=cost_of(base.causes, base.extras) + (h.hum.freedom if h.hum else 0.0))
         base = fit_together(comparison, [base])[0]
-        out += [base, *fit_further(comparison, base, rest(base)[:count])]
+        known = any(set(k.names) == set(base.names) and abs(k.chi2 - base.chi2) < SAME for k in done)
+        out += [base, *([] if known else fit_further(comparison, base, rest(base)[:count]))]
     return out
 
 
@@ -101,7 +106,7 @@ def _without(j: int, items: tuple[Any, ...]) -> tuple[Any, ...]:
 
 
 def one_more_cause(
-    comparison: Comparison, ranked: list[Ranked], rest: Callable[[Hypothesis], "Rest"]
+    comparison: Comparison, ranked: list[Ranked], rest: Callable[[Hypothesis], "Rest"], done: list[Hypothesis]
 ) -> list[Hypothesis]:
     """Add one cause more to the leading hypotheses, and to others behind them that promise to overtake these with it.
 
@@ -116,6 +121,8 @@ def one_more_cause(
         Sets of causes by falling probability.
     rest
         Gives what a hypothesis leaves.
+    done
+        To which the hypotheses are added for which further causes have been tried.
     """
 
     def worthy(h: Hypothesis) -> bool:
@@ -123,8 +130,12 @@ def one_more_cause(
         return bool(rest(h).trials) and rest(h).trials[0].gain > worth + rest(h).tolerated
 
     def tried(some: list[Hypothesis]) -> list[Hypothesis]:
-        some = [h for h in some if not comparison.late() and worthy(h)]
-        return [k for h in some if not comparison.late() for k in fit_further(comparison, h, rest(h).trials[:FURTHER])]
+        found: list[Hypothesis] = []
+        for h in [h for h in some if not comparison.late() and worthy(h)]:
+            if not comparison.late():
+                found += fit_further(comparison, h, rest(h).trials[:FURTHER])
+                done.append(h)
+        return found
 
     leading = [r.best for r in ranked if r.log_evidence > ranked[0].log_evidence - BEHIND][:LEADING]
     found = tried(leading)

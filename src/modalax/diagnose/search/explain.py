@@ -316,16 +316,17 @@ def together(
             rests[id(h)] = h, rest_of(comparison, h, look.null, causes)
         return rests[id(h)][1]
 
+    done: list[Hypothesis] = []
     for depth in range(2, DEEPEST + 1):
         if comparison.late() or (depth > 2 and _explained(look, ranked[0]) < HOPEFUL):
             break
-        more = one_more_cause(comparison, ranked, rest)
+        more = one_more_cause(comparison, ranked, rest, done)
         fitted = fitted + more
         fitted, ranked = leader_in_full(look, comparison, fitted, weigh(look, fitted, comparison))
         if not more or len(ranked[0].names) < depth:
             break
         # the first cause was found while the second still hid its like
-        fitted = fitted + exchanged(comparison, ranked[0].best, lambda h: rest(h).trials, FURTHER)
+        fitted = fitted + exchanged(comparison, ranked[0].best, lambda h: rest(h).trials, FURTHER, done)
         fitted, ranked = leader_in_full(look, comparison, fitted, weigh(look, fitted, comparison))
     return ranked, fitted, rest(ranked[0].best)
 
