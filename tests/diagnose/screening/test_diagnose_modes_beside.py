@@ -69,3 +69,26 @@ def test_modes_follow_at_a_few_places_where_none_of_the_likeliest_explains_all(c
     assert [p.where for p in places_of_one_force(given)] == ([PLACE] if gain == 1 else [])
     by_place = len(seen) - (len(data.outputs) + 5 if gain == 1 else 0)  # with faults and modes
     assert by_place == settled
+
+
+@pytest.mark.parametrize("coupled", [False, True])
+def test_changes_by_the_modal_parameters_are_those_of_small_steps(comparison, coupled):
+    """Of modes on their own, and of modes that a damper at one place couples, whose shapes turn with them."""
+    s = comparison.simulation
+    C = np.array(s.C)
+    C[0, 0] += 20 * C.max() * coupled
+    claimed = Structure(s.M, C, s.K, s.dofs, frequency_std=STD, damping_std=0.05)
+    given = make_comparison(comparison.measurement, claimed, "fixed")
+    assert (given.problem.modal_form.mixing is not None) == coupled
+    place = next(p for p in given.scene.pairs() if p.where == PLACE)
+    theta = 0.3 * np.random.default_rng(1).standard_normal((2, given.problem.modal_form.stiffness.shape[0]))
+    here = Beside.at(given, theta)
+    slopes = here.turned(place), *here.across_by_parameters(place)
+    kept = [len(theta[0]) + 1, 2, 0]
+    for k in kept:
+        step = np.zeros(theta.size)
+        step[k] = 1e-3
+        low, high = (Beside.at(given, theta + sign * step.reshape(theta.shape)) for sign in (-1, 1))
+        for J, name in zip(slopes, ("direction", "motion", "drive"), strict=True):
+            difference = (getattr(high, name)(place) - getattr(low, name)(place)) / 2e-3
+            assert np.abs(J[k] - difference).max() < 1e-5 * np.abs(J[k]).max()

@@ -11,7 +11,8 @@ and Newton (variable projection in the form of Kaufman 1975, BIT 15:49).
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property, partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,8 +20,9 @@ import numpy as np
 from jaxtyping import Array
 
 from modalax._numerics.checks import as_array
+from modalax._numerics.compiler import lightly
 from modalax.diagnose.causes.scene import Place
-from modalax.diagnose.causes.signals import ModalTerms, gather
+from modalax.diagnose.causes.signals import ModalTerms
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.deadline import NEVER, Deadline
 from modalax.diagnose.fitting.hypothesis import Hypothesis
@@ -91,9 +93,7 @@ class Beside:
 
     def along(self, place: Place) -> tuple[np.ndarray, np.ndarray]:
         """Modal displacement across a place, and participation of a force there, shape ``(m,)`` each."""
-        a, b = place.index[:2]
-        across = lambda x: x[:, a] - (x[:, b] if b >= 0 else 0.0)
-        return across(self.shapes), across(self.participation)
+        return across(self.shapes, place), across(self.participation, place)
 
     def between(self, psi: np.ndarray, part: np.ndarray) -> np.ndarray:
         """Receptance from forces of some participation to displacements of some shapes, ``(f, *)``."""
@@ -110,18 +110,38 @@ class Beside:
         """Change of that response by each modal parameter, ``(2 n, run, f, o, i)``; none where modes are exact."""
         if not len(self.slopes):
             return self.slopes
-        J = self._by_parameters(place)[0]
-        return self.weight * J[:, None, : self.change.shape[1], : self.change.shape[2], None]
+        out = np.asarray(self.comparison.problem.outputs)[: self.change.shape[2]]
+        J = self._by_parameters(lambda psi, part: across(part, place)[..., None] * psi[..., out])
+        return self.weight * J[:, None, ..., None]
 
     def across_by_parameters(self, place: Place) -> tuple[np.ndarray, np.ndarray]:
         """Change of :meth:`motion` and :meth:`drive` by each modal parameter, ``(2 n, f, i)`` and ``(2 n, f)``."""
-        _, motion, drive = self._by_parameters(place)
-        return motion[:, : self.change.shape[1], : self.change.shape[3]], drive[:, : self.change.shape[1]]
+        inputs = np.asarray(self.comparison.problem.inputs)[: self.change.shape[3]]
+        motion = self._by_parameters(lambda psi, part: across(psi, place)[..., None] * part[..., inputs])
+        drive = self._by_parameters(lambda psi, part: (across(psi, place) * across(part, place))[..., None])
+        return motion, drive[..., 0]
 
-    def _by_parameters(self, place: Place) -> tuple[np.ndarray, ...]:
-        ends = np.array(place.index[:2])
-        made = _changes_with_modes(self.theta, self.comparison.nuisance.spread, ends, self.comparison.problem)
-        return tuple(np.asarray(x) for x in made)
+    @cached_property
+    def _by_modes(self) -> "ByModes":
+        problem = self.comparison.problem
+        omega = as_array(self.comparison.scene.omega)
+        return ByModes(*map(np.asarray, _by_modes(self.theta, self.comparison.nuisance.spread, omega, problem)))
+
+    def _by_parameters(self, residues: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
+        """Change of receptances by each modal parameter, ``(2 n, f, x)``, of residues of shapes and participation."""
+        by, n = self._by_modes, self.theta.shape[1]
+        X = residues(self.shapes, self.participation)
+        made = [(G[:, :n, None] * X + G[:, n:, None] * X.conj()).swapaxes(0, 1) for G in (by.k_gains, by.c_gains)]
+        if by.shapes is None or by.participation is None:  # each parameter is of one mode
+            own = [np.diagonal(a, axis1=1, axis2=2)[:, :, None, None] for a in (by.k, by.c)]
+            return (own[0] * made[0] + own[1] * made[1]).reshape(2 * n, *made[0].shape[1:])
+        flat = lambda a: a.reshape(2 * n, n)
+        J = np.tensordot(flat(by.k), made[0], 1) + np.tensordot(flat(by.c), made[1], 1)
+        # the residues are products, whose change is that of either factor
+        moved = residues(self.shapes, by.participation) + residues(by.shapes, self.participation)
+        dX = np.moveaxis(moved, 2, 0).reshape(n, -1)
+        more = (self.gains[0] @ dX + self.gains[1] @ dX.conj()).reshape(-1, 2 * n, J.shape[2])
+        return J + more.swapaxes(0, 1)
 
     def motion(self, place: Place) -> np.ndarray:
         """Displacement across a place for each input, shape ``(f, i)`` [m/N]."""
@@ -200,27 +220,48 @@ class Beside:
         return here, now
 
 
-@jax.jit
-def _changes_with_modes(theta: Array, spread: Array, ends: Array, problem: Problem) -> tuple[Array, ...]:
-    """Changes by each modal parameter of the response to a force across a place, of the motion and of the receptance.
+def across(x: np.ndarray, place: Place) -> np.ndarray:
+    """What shapes or participation, ``(..., dof)``, are across a place."""
+    a, b = place.index[:2]
+    return x[..., a] - (x[..., b] if b >= 0 else 0.0)
 
-    Shapes ``(2 n, f, o)``, ``(2 n, f, i)`` and ``(2 n, f)``.
+
+class ByModes(NamedTuple):
+    """Changes of the modes by each modal parameter, and of their gains by stiffness and damping.
+
+    Attributes
+    ----------
+    k_gains, c_gains
+        Change of the gains of the modes and their conjugates by each mode's own, shape ``(f, m)``.
+    k, c
+        Change of each mode's stiffness and damping, shape ``(2, n, n)``: parameters, then modes.
+    shapes, participation
+        Change of these, shape ``(2, n, n, dof)``; None where they do not.
     """
+
+    k_gains: np.ndarray
+    c_gains: np.ndarray
+    k: np.ndarray
+    c: np.ndarray
+    shapes: np.ndarray | None = None
+    participation: np.ndarray | None = None
+
+
+@partial(jax.jit, compiler_options=lightly(0))
+def _by_modes(theta: Array, spread: Array, omega: Array, problem: Problem) -> tuple[Array, ...]:
     form = problem.modal_form
+    follow = form.mixing is not None
+    made = lambda t: form.adapted(t * spread)[: 4 if follow else 2]
+    k, c = made(theta)[:2]
+    parameters_first = lambda J: jnp.moveaxis(J, (-2, -1), (0, 1))
 
-    def made(t: Array) -> tuple[Array, Array, Array]:
-        k, c, shapes, part = form.adapted(t * spread)
+    def gains(k: Array, c: Array) -> Array:
         modes = ModalTerms(k[None], c[None], form.hysteresis[None])
-        gains = gains_of(1j * problem.omega, modes, form.poles, [], form.mixing is not None)[0]
-        between = lambda x: gains @ jnp.concatenate([x, x.conj()])
-        psi, into = gather(shapes, ends)[:, None], gather(part, ends)[:, None]
-        return (
-            between(into * shapes[:, problem.outputs]), between(psi * part[:, problem.inputs]),
-            between(psi * into)[:, 0],
-        )  # fmt: skip
+        return gains_of(1j * omega, modes, form.poles, [], follow)[0]
 
-    slopes = jax.jacfwd(made)(theta)
-    return tuple(jnp.moveaxis(J, (-2, -1), (0, 1)).reshape(theta.size, *J.shape[:-2]) for J in slopes)
+    one, none = jnp.ones_like(k), jnp.zeros_like(k)
+    both = [jax.jvp(gains, (k, c), along)[1] for along in ((one, none), (none, one))]
+    return *both, *map(parameters_first, jax.jacfwd(made)(theta))
 
 
 def modes_beside(
