@@ -67,6 +67,16 @@ def _by_either(formula: Callable[..., Any], by_jax: Callable[..., bool]) -> Call
     return run
 
 
+def module_of(*arrays: Any) -> ModuleType:
+    """JAX where one of ``arrays`` is of it, else NumPy."""
+    return jnp if any(isinstance(a, jax.Array) for a in arrays) else np
+
+
+def constant(xp: ModuleType, x: Numbers) -> Numbers:
+    """Numbers of which no derivative is taken."""
+    return lax.stop_gradient(x) if xp is jnp else x
+
+
 def scan(
     xp: ModuleType, step: Callable[[Any, Any], tuple[Any, Any]], start: Any, rows: Any = None, *,
     length: int | None = None,

@@ -11,12 +11,10 @@ whole stabilization diagram, and nothing is squared.
 
 from types import ModuleType
 
-import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Bool, Complex, Float, Inexact, Int
 
-from modalax._numerics.known import Numbers, solved, triangular_solved
+from modalax._numerics.known import Numbers, constant, solved, triangular_solved
 from modalax._numerics.powers import powers_of
 
 CONSTRAINTS = ("a0", "aN", "norm")
@@ -105,11 +103,6 @@ def roots(
 
 
 _DUMMY = 1e6  # magnitude of eigenvalues that only pad the array
-
-
-def constant(xp: ModuleType, x: Numbers) -> Numbers:
-    """Numbers of which no derivative is taken."""
-    return lax.stop_gradient(x) if xp is jnp else x
 
 
 def _companion(xp: ModuleType, A: Numbers, order: Numbers | int) -> tuple[Numbers, Numbers]:

@@ -4,15 +4,17 @@ Shapes are arrays ``(n, o)``, mode by row, real or complex; FRFs are :class:`mod
 line that is zero agrees with nothing: its indicator is 0 (unless said otherwise), never NaN, and so is its gradient.
 """
 
+from types import ModuleType
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import lax
+import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from modalax._numerics.checks import as_double
+from modalax._numerics.known import Numbers, by_numpy, constant, module_of
 from modalax.data.frf import DERIVATIVES, FRF
 from modalax.model.entry import check_frf
 
@@ -20,7 +22,6 @@ from modalax.model.entry import check_frf
 NO_RESPONSE = 1e-12
 
 
-@jax.jit
 def mac(a: Any, b: Any) -> Float[Array, "n m"]:
     r"""Modal assurance criterion between every two shapes, :math:`|a_r^H b_s|^2 / (a_r^H a_r \; b_s^H b_s)`.
 
@@ -42,17 +43,20 @@ def mac(a: Any, b: Any) -> Float[Array, "n m"]:
     """
     a, b = _shapes(a, "a"), _shapes(b, "b")
     _same("DoFs", a.shape[1], b.shape[1])
+    return _mac(a, b)
+
+
+@by_numpy
+def _mac(xp: ModuleType, a: Numbers, b: Numbers) -> Float[Numbers, "n m"]:
     # Unit vectors first: squares of very small or large shapes would leave the range of numbers.
     return _square(_unit(a).conj() @ _unit(b).T)
 
 
-@jax.jit
 def auto_mac(shapes: Any) -> Float[Array, "n n"]:
     """MAC of a set of shapes with itself: large values off the diagonal mean that the DoFs cannot tell modes apart."""
     return mac(shapes, shapes)
 
 
-@jax.jit
 def comac(a: Any, b: Any) -> Float[Array, " o"]:
     r"""Coordinate MAC of paired shapes, DoF by DoF.
 
@@ -71,12 +75,16 @@ def comac(a: Any, b: Any) -> Float[Array, " o"]:
     N. A. J. Lieven, D. J. Ewins, Spatial correlation of mode shapes, the coordinate modal assurance criterion
     (COMAC), IMAC 6, 1988.
     """
-    a, b = (_unit(s) for s in _pairs(a, b))
+    return _comac(*_pairs(a, b))
+
+
+@by_numpy
+def _comac(xp: ModuleType, a: Numbers, b: Numbers) -> Float[Numbers, " o"]:
+    a, b = _unit(a), _unit(b)
     product = _abs(a * b.conj()).sum(axis=0)
     return _ratio(product**2, _square(a).sum(axis=0) * _square(b).sum(axis=0))
 
 
-@jax.jit
 def ecomac(a: Any, b: Any) -> Float[Array, " o"]:
     r"""Enhanced CoMAC, the mean distance of paired shapes at each DoF, :math:`\frac1{2n}\sum_r |a_{ro} - b_{ro}|`.
 
@@ -92,12 +100,16 @@ def ecomac(a: Any, b: Any) -> Float[Array, " o"]:
     ----------
     D. L. Hunt, Application of an enhanced coordinate modal assurance criterion, IMAC 10, 1992.
     """
-    a, b = (_unit(s) * jnp.sqrt(1.0 * s.shape[1]) for s in _pairs(a, b))
+    return _ecomac(*_pairs(a, b))
+
+
+@by_numpy
+def _ecomac(xp: ModuleType, a: Numbers, b: Numbers) -> Float[Numbers, " o"]:
+    a, b = (_unit(s) * np.sqrt(1.0 * s.shape[1]) for s in (a, b))
     turn = _direction((a * b.conj()).sum(axis=1, keepdims=True))
     return _abs(a - turn * b).mean(axis=0) / 2
 
 
-@jax.jit
 def msf(a: Any, b: Any) -> Complex[Array, " n"]:
     r"""Modal scale factor of paired shapes, :math:`(b_r^H a_r)/(b_r^H b_r)`: times ``b`` it is closest to ``a``.
 
@@ -110,12 +122,14 @@ def msf(a: Any, b: Any) -> Complex[Array, " n"]:
     ----------
     R. J. Allemang, D. L. Brown, A correlation coefficient for modal vector analysis, IMAC 1, 1982, 110-116.
     """
-    a, b = _pairs(a, b)
-    size = _size(b)
-    return _ratio((_unit(b).conj() * a).sum(axis=1), size[:, 0])
+    return _msf(*_pairs(a, b))
 
 
-@jax.jit
+@by_numpy
+def _msf(xp: ModuleType, a: Numbers, b: Numbers) -> Complex[Numbers, " n"]:
+    return _ratio((_unit(b).conj() * a).sum(axis=1), _size(b)[:, 0])
+
+
 def mpc(shapes: Any) -> Float[Array, " n"]:
     r"""Modal phase collinearity, :math:`|\psi^T\psi|^2 / (\psi^H\psi)^2`.
 
@@ -133,11 +147,12 @@ def mpc(shapes: Any) -> Float[Array, " n"]:
     R. S. Pappa, K. B. Elliott, A. Schenk, Consistent-mode indicator for the eigensystem realization algorithm,
     Journal of Guidance, Control, and Dynamics 16 (1993) 852-858.
     """
-    unit = _unit(_shapes(shapes, "shapes"))
-    return _square((unit**2).sum(axis=1))
+    return _mpc(_shapes(shapes, "shapes"))
 
 
-@jax.jit
+_mpc = by_numpy(lambda xp, shapes: _square((_unit(shapes) ** 2).sum(axis=1)))
+
+
 def mean_phase(shapes: Any) -> Float[Array, " n"]:
     r"""Phase :math:`\theta = \frac12\mathrm{arg}(\psi^T\psi)` [rad] of the line through 0 nearest to the components.
 
@@ -149,10 +164,17 @@ def mean_phase(shapes: Any) -> Float[Array, " n"]:
     shapes
         Shape ``(n, o)`` [-].
     """
-    return jnp.angle(_direction((_unit(_shapes(shapes, "shapes")) ** 2).sum(axis=1))) / 2
+    return _mean_phase(_shapes(shapes, "shapes"))
 
 
-@jax.jit
+def phase_of(xp: ModuleType, shapes: Numbers) -> Float[Numbers, " n"]:
+    """:func:`mean_phase` by JAX or NumPy."""
+    return xp.angle(_direction((_unit(shapes) ** 2).sum(axis=1))) / 2
+
+
+_mean_phase = by_numpy(phase_of)
+
+
 def mpd(shapes: Any) -> Float[Array, " n"]:
     r"""Mean phase deviation [rad]: how far the components lie from the line of :func:`mean_phase`.
 
@@ -171,17 +193,21 @@ def mpd(shapes: Any) -> Float[Array, " n"]:
     E. Reynders, J. Houbrechts, G. De Roeck, Fully automated (operational) modal analysis, Mechanical Systems and
     Signal Processing 29 (2012) 228-250.
     """
-    unit = _unit(_shapes(shapes, "shapes"))
-    turned = unit * jnp.exp(-1j * mean_phase(unit))[:, None]
+    return _mpd(_shapes(shapes, "shapes"))
+
+
+@by_numpy
+def _mpd(xp: ModuleType, shapes: Numbers) -> Float[Numbers, " n"]:
+    unit = _unit(shapes)
+    turned = unit * xp.exp(-1j * phase_of(xp, unit))[:, None]
     still = turned == 0
-    turned = jnp.where(still, 1.0, turned)
-    angle = jnp.arctan2(jnp.abs(turned.imag), jnp.abs(turned.real))
+    turned = xp.where(still, 1.0, turned)
+    angle = xp.arctan2(xp.abs(turned.imag), xp.abs(turned.real))
     weight = _abs(unit)
     total = weight.sum(axis=1)
-    return jnp.where(total > 0, _ratio((weight * angle).sum(axis=1), total), jnp.pi / 4)
+    return xp.where(total > 0, _ratio((weight * angle).sum(axis=1), total), np.pi / 4)
 
 
-@jax.jit
 def frac(a: FRF, b: FRF) -> Float[Array, "o i"]:
     r"""Frequency response assurance criterion of each channel.
 
@@ -202,11 +228,15 @@ def frac(a: FRF, b: FRF) -> Float[Array, "o i"]:
     _comparable(a, b)
     if a.shape[0] != b.shape[0]:
         raise ValueError(f"the FRFs have {a.shape[0]} and {b.shape[0]} lines; FRAC needs the same lines")
-    series = [jnp.moveaxis(frf.H, 0, -1) for frf in (a, b)]
-    return _square((_unit(series[0]).conj() * _unit(series[1])).sum(axis=-1))
+    return _frac(a.H, b.H)
 
 
-@jax.jit
+@by_numpy
+def _frac(xp: ModuleType, a: Numbers, b: Numbers) -> Float[Numbers, "o i"]:
+    a, b = (_unit(xp.moveaxis(H, 0, -1)) for H in (a, b))
+    return _square((a.conj() * b).sum(axis=-1))
+
+
 def fdac(a: FRF, b: FRF) -> Float[Array, "f g i"]:
     r"""Frequency domain assurance criterion: MAC of the deflection of ``a`` at line f and of ``b`` at line g.
 
@@ -225,14 +255,21 @@ def fdac(a: FRF, b: FRF) -> Float[Array, "f g i"]:
     updating, IMAC 15, 1997.
     """
     _comparable(a, b)
-    left, right = (_unit(jnp.moveaxis(frf.H, 1, -1)) for frf in (a, b))
-    return _square(jnp.einsum("fio,gio->fgi", left.conj(), right))
+    return _fdac(a.H, b.H)
 
 
-@jax.jit
+@by_numpy
+def _fdac(xp: ModuleType, a: Numbers, b: Numbers) -> Float[Numbers, "f g i"]:
+    left, right = (_unit(xp.transpose(H, (2, 0, 1))) for H in (a, b))
+    return _square(xp.moveaxis(left.conj() @ xp.swapaxes(right, 1, 2), 0, -1))
+
+
 def sum_frf(frf: FRF) -> Float[Array, " f"]:
     r"""Sum of the magnitudes of all FRFs, :math:`\sum_{oi} |H_{oi}(\omega_f)|` [unit of the FRF]."""
-    return _abs(frf.H).sum(axis=(1, 2))
+    return _sum(frf.H)
+
+
+_sum = by_numpy(lambda xp, H: _abs(H).sum(axis=(1, 2)))
 
 
 @jax.jit
@@ -321,38 +358,41 @@ def _comparable(a: FRF, b: FRF) -> None:
             raise ValueError(f"the FRFs have {what} {getattr(a, what)} and {getattr(b, what)}; they must be the same")
 
 
-def _square(x: Complex[Array, "..."]) -> Float[Array, "..."]:
+def _square(x: Complex[Numbers, "..."]) -> Float[Numbers, "..."]:
     """|x|^2, with a gradient at 0 too."""
     return x.real**2 + x.imag**2
 
 
-def _abs(x: Complex[Array, "..."]) -> Float[Array, "..."]:
+def _abs(x: Complex[Numbers, "..."]) -> Float[Numbers, "..."]:
     """|x|, with gradient 0 at 0."""
     zero = x == 0
-    return jnp.where(zero, 0.0, jnp.abs(jnp.where(zero, 1.0, x)))
+    xp = module_of(x)
+    return xp.where(zero, 0.0, xp.abs(xp.where(zero, 1.0, x)))
 
 
-def _direction(x: Complex[Array, "..."]) -> Complex[Array, "..."]:
+def _direction(x: Complex[Numbers, "..."]) -> Complex[Numbers, "..."]:
     """x/|x|, and 1 at 0."""
-    x = jnp.where(x == 0, 1.0, x)
-    return x / jnp.abs(x)
+    xp = module_of(x)
+    x = xp.where(x == 0, 1.0, x)
+    return x / xp.abs(x)
 
 
-def _ratio(numerator: Array, denominator: Float[Array, "..."]) -> Array:
+def _ratio(numerator: Numbers, denominator: Float[Numbers, "..."]) -> Numbers:
     """Quotient, and 0 where the denominator is 0."""
-    zero = denominator == 0
-    return jnp.where(zero, 0.0, numerator / jnp.where(zero, 1.0, denominator))
+    xp, zero = module_of(numerator, denominator), denominator == 0
+    return xp.where(zero, 0.0, numerator / xp.where(zero, 1.0, denominator))
 
 
-def _size(x: Complex[Array, "..."]) -> Float[Array, "..."]:
+def _size(x: Complex[Numbers, "..."]) -> Float[Numbers, "..."]:
     """2-norm over the last axis, kept as an axis of length 1; gradient 0 for a zero vector."""
     # The scale guards squares against overflow; the norm does not depend on it, nor does its gradient.
-    top = lax.stop_gradient(jnp.max(_abs(x), axis=-1, keepdims=True))
-    scale = jnp.where(top > 0, top, 1.0)
+    xp = module_of(x)
+    top = constant(xp, xp.max(_abs(x), axis=-1, keepdims=True))
+    scale = xp.where(top > 0, top, 1.0)
     total = _square(x / scale).sum(axis=-1, keepdims=True)
-    return jnp.where(top > 0, scale * jnp.sqrt(jnp.where(top > 0, total, 1.0)), 0.0)
+    return xp.where(top > 0, scale * xp.sqrt(xp.where(top > 0, total, 1.0)), 0.0)
 
 
-def _unit(x: Complex[Array, "..."]) -> Complex[Array, "..."]:
+def _unit(x: Complex[Numbers, "..."]) -> Complex[Numbers, "..."]:
     """Vectors of the last axis over their 2-norm; a zero vector stays zero."""
     return _ratio(x, _size(x))
