@@ -1,11 +1,13 @@
 """How samples are weighed against each other, and whether there are enough of them for the unknowns of a model."""
 
-import jax
+from types import ModuleType
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from modalax._numerics.checks import as_array, as_double, is_traced
+from modalax._numerics.known import Numbers, by_numpy
 from modalax.data.frf import FRF
 
 RESIDUALS = ("none", "real", "complex")
@@ -32,10 +34,10 @@ def sigma_of(frf: FRF, weights: str | Float[Array, "f o i"]) -> Float[Array, "f 
     return _root_above_zero(frf.variance)
 
 
-@jax.jit
-def _root_above_zero(variance: Float[Array, "f o i"]) -> Float[Array, "f o i"]:
+@by_numpy
+def _root_above_zero(xp: ModuleType, variance: Float[Numbers, "f o i"]) -> Float[Numbers, "f o i"]:
     """Standard deviations; a sample said to be exact would outweigh all others: it gets the smallest above zero."""
-    return jnp.sqrt(jnp.maximum(variance, jnp.min(jnp.where(variance > 0, variance, jnp.inf))))
+    return xp.sqrt(xp.maximum(variance, xp.min(xp.where(variance > 0, variance, np.inf))))
 
 
 def check_size(frf: FRF, n_modes: int, residuals: str) -> None:

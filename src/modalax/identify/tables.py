@@ -1,12 +1,13 @@
 """The result of a pole estimator: poles of every order, padded to one shape."""
 
+from types import ModuleType
 from typing import Any
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
+from modalax._numerics.known import Numbers, by_numpy
 from modalax.identify.overview import of_poles
 
 
@@ -60,15 +61,18 @@ class PoleTable(eqx.Module):
         return PoleTable(self.poles[rows], self.valid[rows], part, self.orders[rows], self.method)
 
 
-@jax.jit
-def _frequency_and_damping(poles: Complex[Array, "..."]) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-    size = jnp.abs(poles)
-    return size / (2 * jnp.pi), -poles.real / jnp.maximum(size, jnp.finfo(float).tiny)
+def frequency_and_damping(xp: ModuleType, poles: Complex[Numbers, "..."]) -> tuple[Numbers, Numbers]:
+    """Natural frequencies [Hz] and damping ratios of poles."""
+    size = xp.abs(poles)
+    return size / (2 * np.pi), -poles.real / xp.maximum(size, np.finfo(float).tiny)
 
 
-@jax.jit
+_frequency_and_damping = by_numpy(frequency_and_damping)
+
+
+@by_numpy
 def _physical(
-    poles: Complex[Array, "..."], valid: Bool[Array, "..."], lower_hz: Any, upper_hz: Any, max_damping: Any
-) -> Bool[Array, "..."]:
-    f, zeta = _frequency_and_damping(poles)
+    xp: ModuleType, poles: Numbers, valid: Numbers, lower_hz: Any, upper_hz: Any, max_damping: Any
+) -> Bool[Numbers, "..."]:
+    f, zeta = frequency_and_damping(xp, poles)
     return valid & (poles.imag > 0) & (zeta > 0) & (zeta < max_damping) & (f >= lower_hz) & (f <= upper_hz)
