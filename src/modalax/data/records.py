@@ -300,7 +300,7 @@ def _mean_of(xp: ModuleType, repeats: Numbers) -> tuple[Complex[Numbers, "f o i"
 
 
 @by_numpy
-def _still_blocks(xp: ModuleType, record: Numbers, samples: Int[np.ndarray, "m s"]) -> Float[Numbers, "m s c"]:
+def _still_blocks(xp: ModuleType, record: Numbers, samples: Any) -> Float[Numbers, "m s c"]:
     """Blocks of the record at these samples, each without its mean."""
     blocks = record[samples]
     return blocks - blocks.mean(axis=1, keepdims=True)

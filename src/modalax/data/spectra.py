@@ -7,7 +7,7 @@ from types import ModuleType
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Complex, Float
+from jaxtyping import Complex, Float
 
 from modalax._numerics.known import Numbers, by_numpy, solved
 
@@ -31,10 +31,10 @@ class Spectra(eqx.Module):
         Number of independent blocks averaged; no integer where blocks overlap.
     """
 
-    freq: Float[Array, " f"]
-    force: Complex[Array, "f i i"]
-    cross: Complex[Array, "f o i"]
-    response: Float[Array, "f o"]
+    freq: Float[Numbers, " f"]
+    force: Complex[Numbers, "f i i"]
+    cross: Complex[Numbers, "f o i"]
+    response: Float[Numbers, "f o"]
     averages: float = eqx.field(static=True)
 
 

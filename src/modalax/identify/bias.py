@@ -47,11 +47,11 @@ class DampingBias(eqx.Module):
         stable half, or another root came as close), or it is not among the noise-free poles of this order.
     """
 
-    poles: Complex[Array, "*order n"]
-    damping: Float[Array, "*order n"]
-    relative_damping: Float[Array, "*order n"]
-    relative_frequency: Float[Array, "*order n"]
-    valid: Bool[Array, "*order n"]
+    poles: Complex[Numbers, "*order n"]
+    damping: Float[Numbers, "*order n"]
+    relative_damping: Float[Numbers, "*order n"]
+    relative_frequency: Float[Numbers, "*order n"]
+    valid: Bool[Numbers, "*order n"]
 
     def __str__(self) -> str:
         """A table of the biases."""
@@ -59,7 +59,7 @@ class DampingBias(eqx.Module):
 
     @classmethod
     def between(
-        cls, true: Complex[Array, " n"], expected: Complex[Array, " n"], known: Bool[Array, " n"]
+        cls, true: Complex[Numbers, " n"], expected: Complex[Numbers, " n"], known: Bool[Numbers, " n"]
     ) -> "DampingBias":
         """The bias of the expected poles; not valid either where they are unstable."""
         zeta, mean = -true.real / abs(true), -expected.real / abs(expected)
@@ -215,7 +215,7 @@ def along_scales(
     signal, noise = factor_of(xp, problem), xp.linalg.qr(rows_of_noise(xp, problem), mode="r")
     chosen = dict(orders=orders, size=problem.size, constraint=problem.constraint, real=problem.real)
 
-    def at(_: None, scale: Numbers) -> tuple[None, tuple[Numbers, Numbers]]:
+    def at(_: None, scale: Any) -> tuple[None, tuple[Numbers, Numbers]]:
         R = xp.linalg.qr(xp.concatenate([signal, xp.sqrt(scale) * noise]), mode="r")
         return None, poles_of_orders(xp, R, problem.zoomed, None, 0.0, **chosen)[:2]
 

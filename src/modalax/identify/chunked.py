@@ -87,7 +87,7 @@ def diagram_of_chunks(
     return table, select(table, band=(max(freq[0] - margin, 0.0), freq[-1] + margin))
 
 
-def _normal(H: np.ndarray, omega: np.ndarray, order: int, arc: float) -> tuple[Numbers, Numbers]:
+def _normal(H: np.ndarray, omega: np.ndarray, order: int, arc: float) -> tuple[Numbers, Numbers | float]:
     zoomed = zoom(omega, arc, False)
     u = on_circle(np, omega, zoomed.centre, zoomed.step)
     return normal_from_moments(np, H, np.ones(len(omega)), u, order, with_spare(order, len(omega)), False)

@@ -10,9 +10,10 @@ whole stabilization diagram, and nothing is squared.
 """
 
 from types import ModuleType
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Complex, Float, Inexact, Int
+from jaxtyping import Bool, Complex, Inexact, Int
 
 from modalax._numerics.known import Numbers, constant, solved, triangular_solved
 from modalax._numerics.powers import powers_of
@@ -33,7 +34,7 @@ def coefficients(
     order: Int[Numbers, ""] | int,
     size: int,
     constraint: str,
-    added: Float[Numbers, ""] | float = 0.0,
+    added: Numbers | float = 0.0,
     steps: int = 0,
 ) -> Inexact[Numbers, "k i i"]:
     r"""Blocks :math:`A_0 \dots A_n` of order ``order``, padded with zeros to the largest.
@@ -63,7 +64,7 @@ def coefficients(
             x = start + added * triangular_solved(xp, T, triangular_solved(xp, T, x, adjoint=True))
         return x
 
-    def inside_or(count: Numbers, square: Numbers, diagonal: Numbers) -> Numbers:
+    def inside_or(count: Any, square: Numbers, diagonal: Any) -> Numbers:
         """The leading corner of a matrix, and ``diagonal`` outside."""
         inside = np.arange(len(square)) < count
         return xp.where(inside[None, :] & inside[:, None], square, 0.0) + xp.diag(xp.where(inside, 0.0, diagonal))

@@ -48,7 +48,7 @@ def normal_from_moments(
     order: int,
     numerator: int,
     real: bool,
-) -> tuple[Inexact[Numbers, "m m"], Float[Numbers, ""]]:
+) -> tuple[Inexact[Numbers, "m m"], Numbers | float]:
     r"""Normal matrix :math:`\sum_o D_o^H P_n D_o` of some outputs, and the mean diagonal of it with :math:`P_n = I`.
 
     Parameters are those of :func:`triangular_factor` with one weight a line for all outputs.
@@ -86,8 +86,8 @@ def normal_from_moments(
 
 
 def factor_of_normal(
-    xp: ModuleType, M: Inexact[Numbers, "m m"], energy: Float[Numbers, ""], order: int, ridge: Float[Numbers, ""]
-) -> tuple[Inexact[Numbers, "m m"], Float[Numbers, ""]]:
+    xp: ModuleType, M: Inexact[Numbers, "m m"], energy: Numbers | float, order: int, ridge: Numbers | float
+) -> tuple[Inexact[Numbers, "m m"], Numbers | float]:
     """Triangular factor of a normal matrix with a ridge, and what of the ridge was not asked for."""
     m = len(M)
     asked, needed = ridge * (order + 1) * energy, RIDGE * m * energy
@@ -103,8 +103,8 @@ def factor_from_moments(
     order: int,
     numerator: int,
     real: bool,
-    ridge: Float[Numbers, ""],
-) -> tuple[Inexact[Numbers, "m m"], Float[Numbers, ""]]:
+    ridge: Numbers | float,
+) -> tuple[Inexact[Numbers, "m m"], Numbers | float]:
     """Triangular factor of :func:`normal_from_moments`, and the ridge in it that was not asked for."""
     M, energy = normal_from_moments(xp, H, weight, u, order, numerator, real)
     return factor_of_normal(xp, M, energy, order, ridge)

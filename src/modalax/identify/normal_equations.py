@@ -168,7 +168,7 @@ noise_rows = by_numpy(rows_of_noise)
 
 
 def factor_of(
-    xp: ModuleType, problem: LinearProblem, noise: Numbers | None = None, ridge: Numbers | None = None
+    xp: ModuleType, problem: LinearProblem, noise: Numbers | None = None, ridge: Any = None
 ) -> Inexact[Numbers, "m m"]:
     """Triangular factor of the normal matrix of the FRFs as they are, with rows ``noise`` added if there are any."""
     return factor_of_rows(

@@ -72,7 +72,7 @@ def factor_of_rows(
     H: Complex[Numbers, "f row i"],
     weight: Float[Numbers, "f row"],
     u: Complex[Numbers, " f"],
-    ridge: Float[Numbers, ""],
+    ridge: Numbers | float,
     also: Inexact[Numbers, "row2 m"] | None = None,
     *,
     order: int,
@@ -251,7 +251,7 @@ def matrix_fraction(
 def _factor(
     xp: ModuleType, omega: Numbers, H: Numbers, weight: Numbers, ridge: Numbers, *, order: int, real: bool, arc: float,
     numerator: int, shared: bool, moments: bool,
-) -> tuple[Numbers, Numbers | None, Zoom]:  # fmt: skip
+) -> tuple[Numbers, Numbers | float | None, Zoom]:  # fmt: skip
     """Triangular factor of the highest order, its ridge to be taken out, and the map on the circle."""
     zoomed = zoom(omega, arc, real)
     u = on_circle(xp, omega, zoomed.centre, zoomed.step)

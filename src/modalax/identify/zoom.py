@@ -6,6 +6,7 @@ and a pole follows from a root by :math:`\lambda = j\omega_c - \ln(u)/T`.
 """
 
 from types import ModuleType
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -21,13 +22,13 @@ class Zoom(eqx.Module):
     Attributes
     ----------
     centre
-        :math:`\omega_c`, the frequency that goes to :math:`u = 1` [rad/s].
+        :math:`\omega_c`, the frequency that goes to :math:`u = 1`, a number of JAX or NumPy [rad/s].
     step
         :math:`T`, the sampling time of the zoomed signal [s].
     """
 
-    centre: Float[Array, ""]
-    step: Float[Array, ""]
+    centre: Any
+    step: Any
 
     def circle(self, omega: Float[Array, " f"]) -> Complex[Array, " f"]:
         r""":math:`u = e^{-j(\omega-\omega_c)T}` of each line."""
@@ -38,7 +39,7 @@ class Zoom(eqx.Module):
         return 1j * self.centre - jnp.log(roots) / self.step
 
 
-def on_circle(xp: ModuleType, omega: Numbers, centre: Numbers, step: Numbers) -> Numbers:
+def on_circle(xp: ModuleType, omega: Numbers, centre: Any, step: Any) -> Numbers:
     """:meth:`Zoom.circle` by JAX or NumPy."""
     return xp.exp(-1j * (omega - centre) * step)
 
@@ -46,7 +47,7 @@ def on_circle(xp: ModuleType, omega: Numbers, centre: Numbers, step: Numbers) ->
 _circle = by_numpy(on_circle)
 
 
-def zoom(omega: Float[Array, " f"], arc: float, real: bool) -> Zoom:
+def zoom(omega: Float[Numbers, " f"], arc: float, real: bool) -> Zoom:
     r"""The map that spreads the band of ``omega`` over the part ``arc`` of the circle.
 
     With complex coefficients the band's centre goes to :math:`u = 1`. With real ones the roots come in conjugate
