@@ -358,7 +358,7 @@ def test_traced_numbers_give_what_known_ones_do(estimator, options, paper):
     assert np.array_equal(np.sum(known.valid, axis=1), np.sum(traced.valid, axis=1))
     for a, b in zip(np.asarray(known.poles), np.asarray(traced.poles), strict=True):
         near = np.abs(np.sort_complex(a[a != 0])[:, None] - b[b != 0][None, :]).min(axis=1)
-        assert near.max() < 1e-6 * np.abs(b).max()  # computational poles scatter; measured 1e-9
+        assert near.max() < 1e-9 * np.abs(b).max()  # measured 2e-12
 
 
 @pytest.mark.parametrize("constraint", ["a0", "aN", "norm"])

@@ -29,7 +29,7 @@ def set_up() -> None:
 def lightly(level: int = 1) -> dict[str, int]:
     """Compiler options of a program that runs a few times only, or once: level 1 or 0 of 3.
 
-    At level 0 a program compiles in half of the time and runs twice as long. Where ``XLA_FLAGS`` name a level, that
+    The lower the level, the sooner a program is compiled and the longer it runs. Where ``XLA_FLAGS`` name a level, that
     counts.
     """
     name = "xla_backend_optimization_level"
