@@ -19,6 +19,7 @@ from modalax.identify import (
     lsce,
     lscf,
     plscf,
+    polynomial,
     residues,
     select,
     select_near,
@@ -224,7 +225,7 @@ def test_moments_give_the_same_normal_matrix(paper):
     for real in (False, True):
         u = zoom(frf.omega, 0.8, real).circle(frf.omega)
         w = jnp.ones((501, 5))
-        R = triangular_factor(frf.H, w, u, jnp.asarray(0.0), order=12, numerator=12, real=real, shared=True)
+        R = triangular_factor(np, *map(np.asarray, (frf.H, w, u, 0.0)), order=12, numerator=12, real=real, shared=True)
         M, _ = normal_from_moments(np, np.asarray(frf.H), np.asarray(w[:, 0]), np.asarray(u), 12, 12, real)
         G = R.conj().T @ R
         assert float(jnp.abs(M - G).max() / jnp.abs(G).max()) < 1e-14  # measured 3e-15
@@ -368,6 +369,20 @@ def test_an_frf_of_zeros_has_no_poles_and_no_warning(constraint, solver):
     table = lscf(frf, (3, 6), constraint=constraint, solver=solver)
     traced = jax.jit(lambda frf: lscf(frf, (3, 6), constraint=constraint, solver=solver))(frf)
     assert not np.any(table.valid) and not np.any(traced.valid)
+
+
+def test_an_order_whose_eigenvalues_do_not_converge_has_no_poles(paper_frf, monkeypatch):
+    inner = polynomial.roots
+
+    def roots(xp, A, order):
+        if order == 6:
+            raise np.linalg.LinAlgError("Eigenvalues did not converge")
+        return inner(xp, A, order)
+
+    expected = lscf(paper_frf, (5, 6, 7)).valid
+    monkeypatch.setattr(polynomial, "roots", roots)
+    found = lscf(paper_frf, (5, 6, 7)).valid
+    assert np.array_equal(found[::2], expected[::2]) and np.any(expected[1]) and not np.any(found[1])
 
 
 class TestRefusals:

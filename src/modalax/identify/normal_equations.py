@@ -22,7 +22,7 @@ from modalax._numerics.powers import powers, powers_of
 from modalax.data.frf import FRF
 from modalax.identify.fraction import check_constraint
 from modalax.identify.lscf import ARC, RIDGE
-from modalax.identify.polynomial import factor_of_rows, limits, over_references, weights_of
+from modalax.identify.polynomial import limits, over_references, triangular_factor, weights_of
 from modalax.identify.zoom import Zoom, check_orders, orthonormal_powers, zoom
 
 METHODS = ("lscf", "plscf")
@@ -164,14 +164,11 @@ def rows_of_noise(xp: ModuleType, problem: LinearProblem) -> Inexact[Numbers, "r
     return xp.concatenate([rows.real, rows.imag]) if problem.real else rows
 
 
-noise_rows = by_numpy(rows_of_noise)
-
-
 def factor_of(
     xp: ModuleType, problem: LinearProblem, noise: Numbers | None = None, ridge: Any = None
 ) -> Inexact[Numbers, "m m"]:
     """Triangular factor of the normal matrix of the FRFs as they are, with rows ``noise`` added if there are any."""
-    return factor_of_rows(
+    return triangular_factor(
         xp, problem.H, problem.weight, problem.u, problem.ridge if ridge is None else ridge, noise,
         order=problem.order, numerator=problem.numerator, real=problem.real, shared=problem.shared,
     )  # fmt: skip

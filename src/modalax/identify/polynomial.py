@@ -4,6 +4,7 @@ Shared by :func:`lscf` (every FRF a row of its own, one reference) and :func:`pl
 references). The numerator is eliminated by projecting on the complement of an orthonormal basis of its powers.
 """
 
+import contextlib
 from functools import partial
 from itertools import pairwise
 from types import ModuleType
@@ -67,7 +68,7 @@ def over_references(weight: Float[Array, "f o i"]) -> Float[Array, "f o"]:
     return mean_weight(weight, over=2)
 
 
-def factor_of_rows(
+def triangular_factor(
     xp: ModuleType,
     H: Complex[Numbers, "f row i"],
     weight: Float[Numbers, "f row"],
@@ -105,9 +106,6 @@ def factor_of_rows(
         start = xp.linalg.qr(xp.concatenate([start, also]), mode="r")
     R, _ = scan(xp, add, start, rows)
     return R
-
-
-triangular_factor = by_numpy_beside(factor_of_rows)
 
 
 def projected_columns(
@@ -204,8 +202,9 @@ def _roots_in_turn(
     u, w, valid = np.ones(shape, complex), np.zeros((*shape, size), complex), np.zeros(shape, bool)
     for k, order in enumerate(orders if np.isfinite(R).all() else ()):  # of what is no number there are no roots
         m = order * size
-        A = coefficients(np, R[: m + size, : m + size], order, size, last, **mended)
-        u[k, :m], w[k, :m], valid[k, :m] = roots(np, A, order)
+        with contextlib.suppress(np.linalg.LinAlgError):  # of an order whose eigenvalues do not converge neither
+            A = coefficients(np, R[: m + size, : m + size], order, size, last, **mended)
+            u[k, :m], w[k, :m], valid[k, :m] = roots(np, A, order)
     return u, w, valid
 
 
@@ -259,7 +258,7 @@ def _factor(
         R, added = factor_from_moments(xp, H, weight[:, 0], u, order, numerator, real, ridge)
         return R, added, zoomed
     chosen = dict(order=order, numerator=numerator, real=real, shared=shared)
-    return factor_of_rows(xp, H, weight, u, ridge, **chosen), None, zoomed
+    return triangular_factor(xp, H, weight, u, ridge, **chosen), None, zoomed
 
 
 def use_moments(solver: str, shape: tuple[int, ...], order: int, shared: bool) -> bool:

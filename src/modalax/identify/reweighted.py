@@ -18,7 +18,7 @@ from modalax._numerics.powers import powers
 from modalax.data.frf import FRF
 from modalax.identify.fraction import coefficients, roots
 from modalax.identify.lscf import RIDGE
-from modalax.identify.polynomial import LAST, factor_of_rows, limits, weights_of, without_window
+from modalax.identify.polynomial import LAST, limits, triangular_factor, weights_of, without_window
 from modalax.identify.tables import PoleTable
 from modalax.identify.zoom import check_orders, zoom
 
@@ -68,7 +68,7 @@ def reweighted(
 
     def one(order: Int[Array, ""]) -> tuple[Numbers, Numbers]:
         def solve(size: Float[Array, " f"]) -> Complex[Numbers, "k i i"]:
-            R = factor_of_rows(jnp, H, weight / size[:, None], u, as_array(ridge), **chosen)
+            R = triangular_factor(jnp, H, weight / size[:, None], u, as_array(ridge), **chosen)
             return coefficients(jnp, R, order, 1, LAST[constraint])
 
         def again(_: Array, A: Numbers) -> Numbers:
