@@ -7,10 +7,11 @@ import pytest
 import scipy.special
 
 from modalax.diagnose.causes import LocalCause, catalogue
-from modalax.diagnose.causes.channels import SensorMass
+from modalax.diagnose.causes.channels import ForceDropout, SensorMass
 from modalax.diagnose.causes.couplings import Gyroscopic
 from modalax.diagnose.causes.damping import ModalDamping
 from modalax.diagnose.causes.drift import DriftingSpring
+from modalax.diagnose.causes.forces import StrayForce
 from modalax.diagnose.causes.joints import CubicStiffness, ElastoSlip
 from modalax.diagnose.causes.local import AddedMass, JointStiffness, LocalDamper, TunedMass
 from modalax.diagnose.causes.records import ExponentialWindow, FastSweep, Leakage, _hann, erfcx
@@ -131,6 +132,34 @@ def test_a_sensor_loads_its_own_row_only():
     got = predicted(S, SensorMass(), (2, -1, 0), [m])[0]
     assert np.abs(got[:, 2] - loaded[:, 2]).max() < 10 * ROUNDING * np.abs(loaded).max()
     assert np.abs(got[:, :2] - bare[:, :2]).max() < 10 * ROUNDING * np.abs(bare).max()
+
+
+def test_faults_of_channels_act_on_the_structure_with_its_elements():
+    """A sensor's mass, a force that is lost at resonances and a stray force, each beside a spring and a dashpot."""
+    S, k, c, m, share = five_dof(), -6e3, 30.0, 0.3, 0.2
+    M, C, K = np.asarray(S.M), np.asarray(S.C) + c * direction(5, 0), np.asarray(S.K) + k * direction(5, 2, 4)
+    elements = (JointStiffness(), LocalDamper()), [(2, 4, 0), (0, -1, 0)], (np.array([k]), np.array([c]))
+    problem = problem_of(S)
+    theta = np.zeros((2, problem.modal_form.stiffness.shape[0]))
+
+    def got(cause, index, p):
+        causes, at, params = elements
+        at = np.array([*at, index])
+        H = PREDICT((*causes, cause), at, (None,) * 3, (*params, np.asarray(p, float)), theta, problem)
+        return np.asarray(H)[0, : len(FREQ), :3, :2]
+
+    bare, loaded = from_matrices(M, C, K), from_matrices(M + m * direction(5, 4), C, K)
+    every = np.asarray(Structure(M, C, K, [str(k + 1) for k in range(5)]).frf(FREQ).H)
+    sensor = got(SensorMass(), (2, -1, 0), [m])
+    assert np.abs(sensor[:, 2] - loaded[:, 2]).max() < 30 * ROUNDING * np.abs(loaded).max()
+    assert np.abs(sensor[:, :2] - bare[:, :2]).max() < 30 * ROUNDING * np.abs(bare).max()
+    mobility = np.stack([every[:, 0, 0], every[:, 2, 2]], axis=-1) * (2j * np.pi * FREQ)[:, None]
+    lost = 0.1 * np.abs(1 + 3.0 * mobility / np.abs(mobility).max(axis=0)) ** 2
+    dropped = bare / (1 + lost[:, None])
+    assert np.abs(got(ForceDropout(), (0, -1, 0), [0.1, 3.0]) - dropped).max() < 30 * ROUNDING * np.abs(bare).max()
+    askew = bare.copy()
+    askew[:, :, 1] += share * every[:, [1, 0, 4], 3]
+    assert np.abs(got(StrayForce(), (1, 3, 0), [share]) - askew).max() < 30 * ROUNDING * np.abs(bare).max()
 
 
 def test_an_exponential_window_shifts_every_pole():

@@ -6,8 +6,9 @@ import numpy as np
 from chains import comparison_of, grid, sprung
 
 from modalax import Structure
-from modalax.diagnose.causes.channels import ChannelGain, ChannelSign
+from modalax.diagnose.causes.channels import ChannelGain, ChannelSign, SensorMass
 from modalax.diagnose.causes.couplings import Gyroscopic
+from modalax.diagnose.causes.forces import StrayForce
 from modalax.diagnose.causes.local import AddedMass, JointStiffness, LocalDamper
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.fitting.hypothesis import Hypothesis
@@ -63,7 +64,7 @@ def test_products_beside_elements_are_those_of_the_structure_that_has_them():
 def test_a_further_cause_beside_elements_is_judged_as_if_they_were_built_in():
     """The mass is found at its place, at its size, and its gain is that beside the true structure; channels too."""
     beside, built_in = both_states()
-    causes = [AddedMass(), JointStiffness(), ChannelGain(), ChannelSign()]
+    causes = [AddedMass(), JointStiffness(), ChannelGain(), ChannelSign(), SensorMass(), StrayForce()]
     found, exact = (screen_all(state, causes, finite=False).ranked for state in (beside, built_in))
     assert found[0].cause == AddedMass() and found[0].place.where == ("4",)
     assert abs(found[0].start[0] - 0.05) < 0.002

@@ -24,13 +24,16 @@ class Channels(eqx.Module):
     s
         Laplace variable of each line, shape ``(f,)`` [rad/s].
     own
-        Receptance of each output's DoF at itself, shape ``(f, o)`` [m/N].
+        Receptance of each output's DoF at itself, shape ``(f, o)`` [m/N], with linear elements in place.
     drive
         The same of each input's DoF, shape ``(f, i)`` [m/N].
     level
         Force amplitudes of each run and line [N].
     gains, shapes, participation
         Of the modes and their conjugates, shapes ``(f, m)``, ``(m, o)`` at the outputs and ``(m, dof)``.
+    taken, reach
+        Linear elements on q directions: what they take from the outputs by a unit of free motion along these, shape
+        ``(f, o, q)``, and that motion by a unit of force at any DoF, ``(f, q, dof)``.
     """
 
     s: Complex[Array, " f"]
@@ -40,14 +43,18 @@ class Channels(eqx.Module):
     gains: Complex[Array, "f m"]
     shapes: Complex[Array, "m o"]
     participation: Complex[Array, "m dof"]
+    taken: Complex[Array, "f o q"]
+    reach: Complex[Array, "f q dof"]
 
     def column(self, dof: Array) -> Complex[Array, "f o"]:
         """Receptance from any DoF to the outputs [m/N]."""
-        return (self.gains * jnp.take(self.participation, dof, axis=1)) @ self.shapes
+        free = (self.gains * jnp.take(self.participation, dof, axis=1)) @ self.shapes
+        return free - jnp.einsum("foq,fq->fo", self.taken, jnp.take(self.reach, dof, axis=2))
 
     def at(self, outputs: Array) -> "Channels":
         """Those of some outputs."""
-        return eqx.tree_at(lambda c: (c.own, c.shapes), self, (self.own[:, outputs], self.shapes[:, outputs]))
+        of = lambda c: (c.own, c.shapes, c.taken)
+        return eqx.tree_at(of, self, (self.own[:, outputs], self.shapes[:, outputs], self.taken[:, outputs]))
 
 
 @dataclass(frozen=True)

@@ -195,16 +195,23 @@ def _assemble(s: Array, gains: Array, at: list[Any], problem: Problem) -> Linear
     def between(left: Array, right: Array) -> Array:
         return jnp.einsum("rfm,mx,my->rfxy", gains, left, right)
 
+    def at_itself(d: Array) -> Array:
+        modal = jnp.einsum("fm,md->fd", gains[0], psi[:, d] * part[:, d])
+        return modal + modal_form.upper[d, d] + modal_form.lower[d, d] / s[:, None] ** 2
+
     o, i = problem.outputs, problem.inputs
     H = between(psi[:, o], part[:, i]) + far[0](o, i) + far[1](o, i) / s[:, None, None] ** 2
-    own = jnp.einsum("fm,mo->fo", gains[0], psi[:, o] * part[:, o])
-    drive = jnp.einsum("fm,mi->fi", gains[0], psi[:, i] * part[:, i])
-    channels = Channels(s, own, drive, problem.level, gains[0], psi[:, o], part)
+    own, drive = at_itself(o), at_itself(i)
+    taken, reach = between(psi[:, o], part[:, :0]), between(psi[:, :0], part)  # by no elements, of no direction
+
+    def channels() -> Channels:
+        return Channels(s, own, drive, problem.level, gains[0], psi[:, o], part, taken[0], reach[0])
+
     local = [(c, w, p) for c, w, _, p in of((LocalCause, CouplingCause), at)]
     joints = [(c, w, p) for c, w, _, p in of(JointCause, at)]
     if not local and not joints:
         none = H[..., :0, :0]
-        return Linear(H, H[..., :0], H[..., :0, :], none, channels)
+        return Linear(H, H[..., :0], H[..., :0, :], none, channels())
     blocks = [(c.ends(psi, w), c.ends(part, w)) for c, w, _ in local + joints]
     left, right = (jnp.concatenate([b[k] for b in blocks], axis=1) for k in (0, 1))
     H_ob, H_bi, H_bb = between(psi[:, o], right), between(left, part[:, i]), between(left, right)
@@ -213,13 +220,17 @@ def _assemble(s: Array, gains: Array, at: list[Any], problem: Problem) -> Linear
         Z = block_diagonal([c.block(s, p) for c, _, p in local])
         inner = jnp.eye(count) + Z @ H_bb[:, :, :count, :count]
         X = jnp.linalg.solve(inner, jnp.broadcast_to(Z, inner.shape)) if count > 1 else Z / inner
-        H = H - H_ob[..., :count] @ X @ H_bi[:, :, :count]
+        taken, reach = H_ob[..., :count] @ X, between(left[:, :count], part)
+        H = H - taken @ H_bi[:, :, :count]
+        own = own - jnp.einsum("foq,fqo->fo", taken[0], reach[0][:, :, o])
+        from_inputs = between(psi[:, i], right[:, :count]) @ X
+        drive = drive - jnp.einsum("fiq,fqi->fi", from_inputs[0], reach[0][:, :, i])
         H_ob, H_bi, H_bb = (
-            H_ob[..., count:] - H_ob[..., :count] @ X @ H_bb[:, :, :count, count:],
+            H_ob[..., count:] - taken @ H_bb[:, :, :count, count:],
             H_bi[:, :, count:] - H_bb[:, :, count:, :count] @ X @ H_bi[:, :, :count],
             H_bb[:, :, count:, count:] - H_bb[:, :, count:, :count] @ X @ H_bb[:, :, :count, count:],
         )
-    return Linear(H, H_ob, H_bi, H_bb, channels)
+    return Linear(H, H_ob, H_bi, H_bb, channels())
 
 
 def _with_joints(without: Linear, joints: list[Any], problem: Problem) -> Array:

@@ -43,7 +43,7 @@ class InPlace:
         own, drive = np.asarray(channels.own) - at(outputs), np.asarray(channels.drive) - at(inputs)
         there = Channels(
             channels.s, as_array(own), as_array(drive), channels.level, channels.gains, channels.shapes,
-            channels.participation,
+            channels.participation, as_array(self.left[:, outputs]), as_array(self.right),
         )  # fmt: skip
         return as_array(np.asarray(H) - self.between(outputs, inputs)), there
 
