@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from modalax.diagnose.causes.joints import ElastoSlip
 from modalax.diagnose.causes.local import AddedMass, JointStiffness, TunedMass
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.decision.omnibus import Omnibus
@@ -25,6 +26,19 @@ def ranked(cause, chi2):
 OSCILLATOR, MASS, SPRING = ranked(TunedMass(), 1350.0), ranked(AddedMass(), 1610.0), ranked(JointStiffness(), 6800.0)
 
 
+def weighed(found):
+    """By chi-square, less ten nats for the further cause."""
+    return [Ranked(h.names, h, -h.chi2 / 2 - 10.0, 0.0) for h in found]
+
+
+def test_the_limit_of_a_law_takes_no_turn_of_another_explanation():
+    slip = replace(SPRING.best, causes=(ElastoSlip(False),), chi2=SPRING.best.chi2 + 0.1)
+    elsewhere = replace(slip, places=(Place(("2",), (1, -1, 0)),))
+    worse = replace(slip, chi2=slip.chi2 + 30.0)
+    every = [SPRING.best, slip, elsewhere, worse]
+    assert compounds._different(every) == [SPRING.best, elsewhere, worse]
+
+
 def added_to(monkeypatch, gains, p_value):
     """What a cause is added to, where one gains as much as it promises."""
     asked = []
@@ -39,7 +53,7 @@ def added_to(monkeypatch, gains, p_value):
         for r, g in zip((OSCILLATOR, MASS, SPRING), gains, strict=True)
     }  # fmt: skip
     done = []
-    found = one_more_cause(COMPARISON, [OSCILLATOR, MASS, SPRING], lambda h: rests[id(h)], done)
+    found = one_more_cause(COMPARISON, [OSCILLATOR, MASS, SPRING], lambda h: rests[id(h)], done, weighed)
     assert done == asked
     return asked, found
 

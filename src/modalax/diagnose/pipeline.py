@@ -7,9 +7,10 @@ r"""The method of the diagnosis, from a measurement and a simulation to an answe
 2. **Detect.** Is anything wrong at all? Every cause at every place is screened by its efficient score, and tests that
    know no cause look at the same residual. Their chances under noise alone, corrected for the number of tests, give one
    chance; where that is not small, the answer is *clean* (``search.look``, ``screening``, ``decision.detection``).
-3. **Explain.** The most promising trials are fitted by damped Gauss-Newton, each alone, then with one cause more as
-   long as what is left asks for one. Sets of causes are weighed by Schwarz's criterion and by what is known of causes
-   and places before the data (``search``, ``fitting``, ``decision.posterior``).
+3. **Explain.** The most promising trials are fitted by damped Gauss-Newton, each alone; where one leaves more than
+   noise, the pairs that promise most together (``search.in_pairs``), then one cause more as long as what is left asks
+   for one. Sets of causes are weighed by Schwarz's criterion and by what is known of causes and places before the data
+   (``search``, ``fitting``, ``decision.posterior``).
 4. **Check for imitations.** Causes that the answer has no name for are fitted as well; where one of them is likelier,
    no name is given (``search.imitator_check``).
 5. **Predict.** Simulation and extended simulation are fitted without a block of the data, a force level if there are

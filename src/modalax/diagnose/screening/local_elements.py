@@ -150,7 +150,7 @@ def screen_elements(
         mine = [kept[k, j] for j in range(len(small[k])) if (k, j) in kept][:KEPT_SHAPES]
         if mine:
             column = np.ascontiguousarray(reduced.column_at(place).T)
-            trial = replace(trial, direction=np.stack([_direction(laid_out, column, y) for y in mine]))
+            trial = replace(trial, direction=np.stack([direction_of(laid_out, column, y) for y in mine]))
         trials.append(trial)
     linear = isinstance(cause, LocalCause)
     if not finite and not linear:
@@ -184,7 +184,7 @@ def _sizes(trial: Trial, grid: np.ndarray, linear: bool) -> np.ndarray:
     return rows if own is None else np.concatenate([rows, own[None]])
 
 
-def _direction(weight: np.ndarray, column: np.ndarray, y: np.ndarray) -> np.ndarray:
+def direction_of(weight: np.ndarray, column: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Whitened change, flat, of weights ``(o, i, run, f)``, a column ``(o, f)`` and numbers ``(run, f, i)``."""
     change = column[:, None, None] * np.ascontiguousarray(y.transpose(2, 0, 1))
     change *= weight

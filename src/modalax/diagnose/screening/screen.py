@@ -109,7 +109,7 @@ def screen(
         here = None if rows is None else rows[row : row + len(y)]
         parts.append(_products(y, residual.target(here)))
         for k in np.flatnonzero(wanted[row : row + len(y)]):
-            directions[row + int(k)] = _whole(y[k], None if here is None else here[k], residual.value.shape)
+            directions[row + int(k)] = whole_change(y[k], None if here is None else here[k], residual.value.shape)
         row += len(y)
     square, product, across = (np.concatenate(p) for p in zip(*parts, strict=True))
     if len(residual.inner):
@@ -132,7 +132,7 @@ def _products(y: np.ndarray, aim: Target) -> tuple[np.ndarray, np.ndarray, np.nd
     return square, np.einsum("pn,pn->p", y, aim.toward), (aim.nuisance @ y[..., None])[..., 0]
 
 
-def _whole(y: np.ndarray, rows: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:
+def whole_change(y: np.ndarray, rows: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:
     """A change in all samples, from that of some outputs."""
     if rows is None:
         return y.copy()

@@ -106,8 +106,9 @@ def _without(j: int, items: tuple[Any, ...]) -> tuple[Any, ...]:
 
 
 def one_more_cause(
-    comparison: Comparison, ranked: list[Ranked], rest: Callable[[Hypothesis], "Rest"], done: list[Hypothesis]
-) -> list[Hypothesis]:
+    comparison: Comparison, ranked: list[Ranked], rest: Callable[[Hypothesis], "Rest"], done: list[Hypothesis],
+    weigh: Callable[[list[Hypothesis]], list[Ranked]],
+) -> list[Hypothesis]:  # fmt: skip
     """Add one cause more to the leading hypotheses, and to others behind them that promise to overtake these with it.
 
     A tuned mass that stands for an added mass and a damper together may leave least of all single causes and yet
@@ -123,6 +124,8 @@ def one_more_cause(
         Gives what a hypothesis leaves.
     done
         To which the hypotheses are added for which further causes have been tried.
+    weigh
+        Gives hypotheses their evidence.
     """
 
     def worthy(h: Hypothesis) -> bool:
@@ -137,10 +140,10 @@ def one_more_cause(
                 done.append(h)
         return found
 
-    leading = [r.best for r in ranked if r.log_evidence > ranked[0].log_evidence - BEHIND][:LEADING]
+    leading = _different([r.best for r in ranked if r.log_evidence > ranked[0].log_evidence - BEHIND])[:LEADING]
     found = tried(leading)
     explained = rest(leading[0]).p_value > THRESHOLDS.left
-    taken_up = any(h.chi2 < leading[0].chi2 - _worth(comparison) for h in found)
+    taken_up = any(r.log_evidence > ranked[0].log_evidence for r in weigh(found))
     if comparison.late() or taken_up or (explained and (found or not worthy(leading[0]))):
         return found
     least = leading[0].chi2 - _worth(comparison)
@@ -150,6 +153,15 @@ def one_more_cause(
         if any(one.chi2 < least for one in more):
             break
     return found
+
+
+def _different(ranked: list[Hypothesis]) -> list[Hypothesis]:
+    """Without the laws whose limit explains just what a simpler one at the same places does."""
+    out: list[Hypothesis] = []
+    for h in ranked:
+        if not any(set(k.places) == set(h.places) and abs(k.chi2 - h.chi2) < SAME for k in out):
+            out.append(h)
+    return out
 
 
 def _promising(

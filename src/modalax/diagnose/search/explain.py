@@ -1,6 +1,6 @@
 """The causes that explain the residual of a simulation: one alone, several together, and the check for imitations."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,10 +14,11 @@ from modalax.diagnose.decision.verdict import Leftover, verdict
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.screening.every_cause import chosen
 from modalax.diagnose.screening.score_state import score_state_of
-from modalax.diagnose.search.candidates import best_of_each
+from modalax.diagnose.search.candidates import best_of_each, moderate
 from modalax.diagnose.search.compounds import FURTHER, Rest, exchanged, one_more_cause, rest_of
 from modalax.diagnose.search.harmonics import is_limit, joints_in_full
 from modalax.diagnose.search.imitator_check import apart, imitations, likeness
+from modalax.diagnose.search.in_pairs import best_pairs
 from modalax.diagnose.search.joints_by_force import joints_by_force
 from modalax.diagnose.search.look import Look
 from modalax.diagnose.search.look import look as first_look
@@ -30,6 +31,7 @@ from modalax.diagnose.thresholds import THRESHOLDS
 
 NEAR = 12.0  # nats behind the best up to which hypotheses are fitted again with complex modes made exact
 DEEPEST = 3  # causes in one answer
+NEARLY = 0.05  # share of what a pair promised in linear order by which its fit may differ to be taken for linear
 HOPEFUL = 0.5  # share of the residual beyond noise that two causes must explain before a third is looked for
 
 
@@ -317,10 +319,11 @@ def together(
         return rests[id(h)][1]
 
     done: list[Hypothesis] = []
-    for depth in range(2, DEEPEST + 1):
+    fitted, ranked, settled = both_at_once(look, comparison, fitted, ranked, rest)
+    for depth in range(2, 2 if settled else DEEPEST + 1):
         if comparison.late() or (depth > 2 and _explained(look, ranked[0]) < HOPEFUL):
             break
-        more = one_more_cause(comparison, ranked, rest, done)
+        more = one_more_cause(comparison, ranked, rest, done, lambda some: weigh(look, some, comparison))
         fitted = fitted + more
         fitted, ranked = leader_in_full(look, comparison, fitted, weigh(look, fitted, comparison))
         if not more or len(ranked[0].names) < depth:
@@ -331,10 +334,36 @@ def together(
     return ranked, fitted, rest(ranked[0].best)
 
 
+def both_at_once(
+    look: Look, comparison: Comparison, fitted: list[Hypothesis], ranked: list[Ranked],
+    rest: Callable[[Hypothesis], Rest],
+) -> tuple[list[Hypothesis], list[Ranked], bool]:  # fmt: skip
+    """Fit the pairs of causes that promise most at once, where the leading cause leaves more than noise.
+
+    The search is settled where one of these pairs leads, leaves no more than noise and takes away what it promised in
+    linear order, so that other pairs keep what they promise as well.
+    """
+    best = ranked[0].best
+    if len(best.causes) != 1 or best.hum is not None or rest(best).p_value > THRESHOLDS.left or comparison.late():
+        return fitted, ranked, False
+    state = look.state if comparison is look.comparison else score_state_of(comparison, look.null)
+    pairs = best_pairs(state, look.screening.trials)
+    if not pairs or comparison.late():
+        return fitted, ranked, False
+    found = [h for h in comparison.fit([p.start(look.null) for p in pairs], PATIENT) if moderate(h, comparison)]
+    fitted = fitted + found
+    fitted, ranked = leader_in_full(look, comparison, fitted, weigh(look, fitted, comparison))
+    lead = ranked[0].best
+    promised = {frozenset((t.cause.slug, t.place.where) for t in p.trials): p.gain for p in pairs}.get(lead.names)
+    if promised is None or rest(lead).p_value < THRESHOLDS.left_by_several:
+        return fitted, ranked, False
+    return fitted, ranked, abs(look.null.chi2 - lead.chi2 - promised) < NEARLY * promised
+
+
 def beside_named(
     look: Look, fitted: list[Hypothesis], rest: Rest, causes: Sequence[Cause]
 ) -> tuple[list[Hypothesis], Rest | None]:
-    """Named causes with further ones beside them, the likeliest set first; nothing where these leave more than noise.
+    """Named causes with further ones beside them, the likeliest set first; nothing where these do not explain it best.
 
     Parameters
     ----------
@@ -350,8 +379,8 @@ def beside_named(
     named = fitted[0]
     ranked, fitted, left = together(look, look.comparison, fitted, weigh(look, fitted), causes, [(named, rest)])
     best = ranked[0].best
-    if left.p_value < THRESHOLDS.left_by_several or len(best.causes) <= len(named.causes):
-        return [], None
+    if left.p_value < THRESHOLDS.left_by_several or not named.names < best.names:
+        return [], None  # others that explain as much without what was named cast doubt on it
     return [best, *(h for h in fitted if h is not best)], left
 
 
