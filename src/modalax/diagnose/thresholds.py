@@ -55,6 +55,11 @@ class Thresholds:
         "What several causes leave holds something more below this chance, as several can imitate a third thing.",
         SCORE,
     )  # fmt: skip
+    doubtful: float = _threshold(
+        0.1, "chance",
+        "Where a single cause leaves what has less than this chance under noise alone, pairs are weighed against it.",
+        SCORE,
+    )  # fmt: skip
     further_cause: float = _threshold(
         22.0, "chi-square",
         "A further cause is tried where it promises more than this and the logarithm of the number of samples.", SCORE,

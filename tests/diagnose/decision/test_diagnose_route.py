@@ -292,12 +292,22 @@ def test_the_only_answer_is_given():
         (Outcome("clean", 1.05, 0.3), False),
         (Outcome("unknown", 1.05, 0.3), False),
         (Outcome("ambiguous", 1.05, 0.3, places=3), False),  # three forces may stand for none
-        (Outcome("named", 1.05, 0.009, places=1), False),  # something is left
+        (Outcome("named", 1.05, 0.05, places=1), False),  # two things may be left for one
         (Outcome("named", 1.25, 0.3, places=1), False),  # does not predict
     ],
 )
 def test_a_search_at_one_place_settles_the_matter_where_it_leaves_nothing(found, expected):
     assert settled(found) is expected
+
+
+@pytest.mark.parametrize(
+    ("low", "verdict", "expected"), [(1e-4, "ambiguous", False), (1e-4, "named", True), (0.01, "ambiguous", True)]
+)
+def test_modes_that_cannot_tell_beside_elements_that_are_hardly_off_leave_it_to_lines(low, verdict, expected):
+    """Two small causes of an exact simulation look like a general inaccuracy of a few hundredths of a per cent."""
+    off = {"stiffness": {"value": 0.011, "interval": (low, 0.02)}}
+    found = Outcome(verdict, 1.0, 0.5, 0.6, alternatives=3, inaccuracy=off, joint=True)
+    assert suffices("modes", found, SMALL) is expected
 
 
 def test_causes_that_modes_do_not_know_are_looked_for_line_by_line():

@@ -183,7 +183,7 @@ def suffices(route: Route, found: Outcome, task: Task, limits: Thresholds = THRE
         return True
     if found.of_elements and surely_named(found, limits):
         return True
-    if found.exact_near:
+    if found.exact_near or found.verdict == "ambiguous" and in_time(task, limits) and not surely_off(found, limits):
         return False
     off = off_everywhere(found, limits) or damping_off(found, limits) or off_throughout(found, limits)
     return off or decisive(found, task, limits)
@@ -191,8 +191,13 @@ def suffices(route: Route, found: Outcome, task: Task, limits: Thresholds = THRE
 
 def hardly_off(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
     """Whether all is explained by stiffness and mass that are certainly off, by less than is usual, and no joint."""
-    parts = certainly_off(found, limits) if found.verdict in ("clean", "named") and not found.joint else {}
-    return bool(parts) and all(p["interval"][0] < limits.surely_off for p in parts.values())
+    explained = found.verdict in ("clean", "named") and not found.joint
+    return explained and bool(certainly_off(found, limits)) and not surely_off(found, limits)
+
+
+def surely_off(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
+    """Whether stiffness or mass is off in general by more than a few small causes of an exact simulation look like."""
+    return any(p["interval"][0] >= limits.surely_off for p in certainly_off(found, limits).values())
 
 
 def sharper_by_lines(found: Outcome, task: Task, limits: Thresholds = THRESHOLDS) -> bool:
@@ -231,7 +236,8 @@ def settled(found: Outcome, limits: Thresholds = THRESHOLDS) -> bool:
 
     Forces at several places that explain a thing together may stand for one that is no force.
     """
-    return found.verdict in ("named", "ambiguous") and found.places == 1 and nothing_left(found, limits)
+    one = found.verdict in ("named", "ambiguous") and found.places == 1
+    return one and found.left > limits.doubtful and nothing_left(found, limits)
 
 
 def law_is_exact(modes: Outcome, limits: Thresholds = THRESHOLDS) -> bool:

@@ -224,6 +224,34 @@ def rest_of(comparison: Comparison, h: Hypothesis, null: Hypothesis, causes: Seq
     return Rest(sorted(trials, key=lambda t: -promise(t, comparison.scene, samples)), p_value, after, allowed)
 
 
+class Leavings:
+    """What hypotheses leave, each screened once.
+
+    Parameters
+    ----------
+    comparison
+        Data and simulation.
+    null
+        The simulation alone.
+    causes
+        What to look for.
+    """
+
+    def __init__(self, comparison: Comparison, null: Hypothesis, causes: Sequence[Cause]):
+        self._comparison, self._null, self._causes = comparison, null, causes
+        self._known: dict[int, tuple[Hypothesis, Rest]] = {}  # the hypothesis is kept, so that its number stays its own
+
+    def know(self, h: Hypothesis, rest: Rest) -> None:
+        """Keep what is known already."""
+        self._known[id(h)] = h, rest
+
+    def __call__(self, h: Hypothesis) -> Rest:
+        """What a hypothesis leaves."""
+        if id(h) not in self._known:
+            self.know(h, rest_of(self._comparison, h, self._null, self._causes))
+        return self._known[id(h)][1]
+
+
 def _worth(comparison: Comparison) -> float:
     """Chi-square that a further cause must promise."""
     return THRESHOLDS.further_cause + math.log(max(comparison.problem.samples, 30))

@@ -1,6 +1,6 @@
 """The causes that explain the residual of a simulation: one alone, several together, and the check for imitations."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.screening.every_cause import chosen
 from modalax.diagnose.screening.score_state import score_state_of
 from modalax.diagnose.search.candidates import best_of_each, moderate
-from modalax.diagnose.search.compounds import FURTHER, Rest, exchanged, one_more_cause, rest_of
+from modalax.diagnose.search.compounds import FURTHER, Leavings, Rest, exchanged, one_more_cause
 from modalax.diagnose.search.harmonics import is_limit, joints_in_full
 from modalax.diagnose.search.imitator_check import apart, imitations, likeness
 from modalax.diagnose.search.in_pairs import best_pairs
@@ -31,6 +31,7 @@ from modalax.diagnose.thresholds import THRESHOLDS
 
 NEAR = 12.0  # nats behind the best up to which hypotheses are fitted again with complex modes made exact
 DEEPEST = 3  # causes in one answer
+SEVERAL = THRESHOLDS.left_by_several
 NEARLY = 0.05  # share of what a pair promised in linear order by which its fit may differ to be taken for linear
 HOPEFUL = 0.5  # share of the residual beyond noise that two causes must explain before a third is looked for
 
@@ -88,7 +89,7 @@ def explain(
     if not look.detection.anything:
         return nothing
     before, known = explained_by(look, named, causes)
-    if known is not None and known.p_value < THRESHOLDS.left_by_several:
+    if known is not None and known.p_value < SEVERAL:
         before, known = beside_named(look, before, known, causes)
     if only_named and not before:
         return nothing
@@ -101,15 +102,18 @@ def explain(
         return replace(nothing, leftover=leftover)
     look, fitted, ranked = with_noise_again(look, fitted, ranked)
     comparison, fitted, ranked = centred(look, fitted, ranked)
-    best, rest = ranked[0].best, None
-    if before and best.names == before[0].names:
-        rest = known if best is before[0] else rest_of(comparison, best, look.null, causes)
-    if rest is None or rest.p_value < THRESHOLDS.left_by_several:
+    rest = Leavings(comparison, look.null, causes)
+    if before and ranked[0].best is before[0] and known is not None:
+        rest.know(before[0], known)
+    if not (before and ranked[0].best.names == before[0].names) or rest(ranked[0].best).p_value < SEVERAL:
         fitted, ranked = in_full(look, comparison, fitted, ranked)
-        fitted, ranked = by_force(look, comparison, fitted, ranked, causes)
-        ranked, fitted, rest = together(look, comparison, fitted, ranked, causes)
-    leftover = replace(leftover, p_value=rest.p_value, tolerated=rest.tolerated)
-    return Explanation(look, comparison, ranked, leftover, rest.omnibus, fitted)
+        fitted, ranked, settled = both_at_once(look, comparison, fitted, ranked, rest)
+        if not settled:
+            fitted, ranked = by_force(look, comparison, fitted, ranked, causes)
+            fitted, ranked = together(look, comparison, fitted, ranked, rest)
+    left = rest(ranked[0].best)
+    leftover = replace(leftover, p_value=left.p_value, tolerated=left.tolerated)
+    return Explanation(look, comparison, ranked, leftover, left.omnibus, fitted)
 
 
 def check_imitations(found: Explanation, imitators: Sequence[Cause], late: Deadline) -> Explanation:
@@ -291,9 +295,8 @@ def leader_in_full(
 
 
 def together(
-    look: Look, comparison: Comparison, fitted: list[Hypothesis], ranked: list[Ranked], causes: Sequence[Cause],
-    known: Sequence[tuple[Hypothesis, Rest]] = (),
-) -> tuple[list[Ranked], list[Hypothesis], Rest]:  # fmt: skip
+    look: Look, comparison: Comparison, fitted: list[Hypothesis], ranked: list[Ranked], rest: Leavings
+) -> tuple[list[Hypothesis], list[Ranked]]:
     """Add one cause at a time, as long as what is left asks for one and the leading set takes it up.
 
     Parameters
@@ -306,21 +309,11 @@ def together(
         All hypotheses so far.
     ranked
         Sets of causes by falling probability.
-    causes
-        What to look for.
-    known
-        Hypotheses of which it is known what they leave.
+    rest
+        What hypotheses leave.
     """
-    rests = {id(h): (h, rest) for h, rest in known}  # the hypothesis is kept, so that its number stays its own
-
-    def rest(h: Hypothesis) -> Rest:
-        if id(h) not in rests:
-            rests[id(h)] = h, rest_of(comparison, h, look.null, causes)
-        return rests[id(h)][1]
-
     done: list[Hypothesis] = []
-    fitted, ranked, settled = both_at_once(look, comparison, fitted, ranked, rest)
-    for depth in range(2, 2 if settled else DEEPEST + 1):
+    for depth in range(2, DEEPEST + 1):
         if comparison.late() or (depth > 2 and _explained(look, ranked[0]) < HOPEFUL):
             break
         more = one_more_cause(comparison, ranked, rest, done, lambda some: weigh(look, some, comparison))
@@ -331,31 +324,32 @@ def together(
         # the first cause was found while the second still hid its like
         fitted = fitted + exchanged(comparison, ranked[0].best, lambda h: rest(h).trials, FURTHER, done)
         fitted, ranked = leader_in_full(look, comparison, fitted, weigh(look, fitted, comparison))
-    return ranked, fitted, rest(ranked[0].best)
+    return fitted, ranked
 
 
 def both_at_once(
-    look: Look, comparison: Comparison, fitted: list[Hypothesis], ranked: list[Ranked],
-    rest: Callable[[Hypothesis], Rest],
-) -> tuple[list[Hypothesis], list[Ranked], bool]:  # fmt: skip
+    look: Look, comparison: Comparison, fitted: list[Hypothesis], ranked: list[Ranked], rest: Leavings
+) -> tuple[list[Hypothesis], list[Ranked], bool]:
     """Fit the pairs of causes that promise most at once, where the leading cause leaves more than noise.
 
     The search is settled where one of these pairs leads, leaves no more than noise and takes away what it promised in
     linear order, so that other pairs keep what they promise as well.
     """
     best = ranked[0].best
-    if len(best.causes) != 1 or best.hum is not None or rest(best).p_value > THRESHOLDS.left or comparison.late():
+    if len(best.causes) != 1 or best.hum is not None or comparison.late() or rest(best).p_value > THRESHOLDS.doubtful:
         return fitted, ranked, False
     state = look.state if comparison is look.comparison else score_state_of(comparison, look.null)
     pairs = best_pairs(state, look.screening.trials)
+    if rest(best).p_value > THRESHOLDS.left:  # no more than noise, unless a pair promises to be likelier
+        pairs = [p for p in pairs if p.worth > 2 * ranked[0].log_evidence + look.null.chi2]
     if not pairs or comparison.late():
         return fitted, ranked, False
-    found = [h for h in comparison.fit([p.start(look.null) for p in pairs], PATIENT) if moderate(h, comparison)]
-    fitted = fitted + found
+    found = comparison.fit([p.start(look.null) for p in pairs], PATIENT)
+    fitted = fitted + [h for h in found if moderate(h, comparison)]
     fitted, ranked = leader_in_full(look, comparison, fitted, weigh(look, fitted, comparison))
     lead = ranked[0].best
     promised = {frozenset((t.cause.slug, t.place.where) for t in p.trials): p.gain for p in pairs}.get(lead.names)
-    if promised is None or rest(lead).p_value < THRESHOLDS.left_by_several:
+    if promised is None or rest(lead).p_value < SEVERAL:
         return fitted, ranked, False
     return fitted, ranked, abs(look.null.chi2 - lead.chi2 - promised) < NEARLY * promised
 
@@ -376,10 +370,14 @@ def beside_named(
     causes
         What to look for.
     """
-    named = fitted[0]
-    ranked, fitted, left = together(look, look.comparison, fitted, weigh(look, fitted), causes, [(named, rest)])
+    named, leaves = fitted[0], Leavings(look.comparison, look.null, causes)
+    leaves.know(named, rest)
+    fitted, ranked, settled = both_at_once(look, look.comparison, fitted, weigh(look, fitted), leaves)
+    if not settled:
+        fitted, ranked = together(look, look.comparison, fitted, ranked, leaves)
+    left = leaves(ranked[0].best)
     best = ranked[0].best
-    if left.p_value < THRESHOLDS.left_by_several or not named.names < best.names:
+    if left.p_value < SEVERAL or not named.names < best.names:
         return [], None  # others that explain as much without what was named cast doubt on it
     return [best, *(h for h in fitted if h is not best)], left
 

@@ -21,6 +21,7 @@ from modalax.diagnose.screening.score_state import ScoreState
 from modalax.diagnose.screening.screen import Trial, smallest, whole_change
 from modalax.diagnose.screening.sensitivities import changes_in_batches, plain, rows_of
 from modalax.diagnose.search.candidates import start_from
+from modalax.diagnose.thresholds import THRESHOLDS
 
 ROWS, BYTES = (
     1500,
@@ -33,10 +34,14 @@ PAIRS, KINDS = 12, 4  # pairs that are fitted, and kinds of pairs, each of which
 
 @dataclass(frozen=True)
 class Pair:
-    """Two causes at their places, with sizes to start from, and the chi-square that they promise to take away."""
+    """Two causes at their places, with sizes to start from.
+
+    ``gain`` is the chi-square that they promise to take away, ``worth`` twice the log evidence.
+    """
 
     trials: tuple[Trial, Trial]
     gain: float
+    worth: float
 
     def start(self, null: Hypothesis) -> Hypothesis:
         """Both beside the simulation alone, not fitted yet."""
@@ -79,7 +84,7 @@ def best_pairs(state: ScoreState, trials: Sequence[Trial]) -> list[Pair]:
         return []
     gain, a = _together(state, rows)
     cost = np.array([r.cost for r in rows])
-    worth = np.where(gain > 0, gain + cost + cost[:, None], -np.inf)
+    worth = np.where(gain > 0, gain + cost + cost[:, None] - 2 * THRESHOLDS.several_causes, -np.inf)
     worth[np.tril_indices(len(rows))] = -np.inf
     order = np.argsort(-worth, axis=None)[: 100 * PAIRS]
     out: dict[frozenset, Pair] = {}
@@ -90,7 +95,7 @@ def best_pairs(state: ScoreState, trials: Sequence[Trial]) -> list[Pair]:
         key = frozenset((t.cause, t.place) for t in both)
         kinds = {frozenset(t.cause for t in p.trials) for p in out.values()}
         if len(key) == 2 and key not in out and (len(kinds) < KINDS or frozenset(t.cause for t in both) in kinds):
-            out[key] = Pair((both[0], both[1]), float(gain[i, j]))
+            out[key] = Pair((both[0], both[1]), float(gain[i, j]), float(worth[i, j]))
     return list(out.values())
 
 

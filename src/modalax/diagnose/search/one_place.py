@@ -79,7 +79,8 @@ def explain_force(look: Look, causes: Sequence[Cause]) -> Explanation | None:
         float(sum(r.probability for r in nameless)), notes[0] if notes else "", inexact=inexact,
         ahead=_ahead(first, fit, found),
     )  # fmt: skip
-    return Explanation(look, comparison, ranked, leftover, after, [h for h, _ in found], notes, by_force=several)
+    by_force = several and (inexact > 0 or leftover.p_value > THRESHOLDS.doubtful)
+    return Explanation(look, comparison, ranked, leftover, after, [h for h, _ in found], notes, by_force=by_force)
 
 
 def _ahead(h: Hypothesis, fit: ForceFit, others: Sequence[tuple[Hypothesis, ForceFit]]) -> float:
