@@ -61,8 +61,11 @@ def imported(tree: ast.AST, inside_functions: bool = True) -> list[tuple[str, in
 
 
 def statements(tree: ast.AST, inside_functions: bool) -> Iterator[ast.AST]:
+    """Every statement below a node, in turn; expressions hold none."""
     for node in ast.iter_child_nodes(tree):
-        if isinstance(node, ast.FunctionDef | ast.Lambda) and not inside_functions:
+        if not isinstance(node, ast.stmt | ast.excepthandler | ast.match_case):
+            continue
+        if isinstance(node, ast.FunctionDef) and not inside_functions:
             continue
         if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING"):
             continue
@@ -184,7 +187,7 @@ def test_only_the_declared_import_runs_upward():
 def test_no_file_imports_a_private_name_of_another():
     """A name that begins with an underscore belongs to its file; what others need has a public name."""
     for path in MODULES:
-        for node in ast.walk(parsed(path.read_text(encoding="utf-8"))):
+        for node in statements(parsed(path.read_text(encoding="utf-8")), inside_functions=True):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("modalax"):
                 private = [a.name for a in node.names if a.name.startswith("_") and not a.name.startswith("__")]
                 assert private == [] or node.module == "modalax", f"{path}: imports {', '.join(private)}"
@@ -195,7 +198,7 @@ def test_every_protocol_can_be_checked_as_the_package_runs():
     unmarked = [
         f"{path}: {node.name}"
         for path in MODULES
-        for node in ast.walk(parsed(path.read_text(encoding="utf-8")))
+        for node in statements(parsed(path.read_text(encoding="utf-8")), inside_functions=True)
         if isinstance(node, ast.ClassDef) and "Protocol" in map(ast.unparse, node.bases)
         and "runtime_checkable" not in map(ast.unparse, node.decorator_list)
     ]  # fmt: skip
