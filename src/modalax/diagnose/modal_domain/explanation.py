@@ -1,8 +1,8 @@
 """What may explain measured modes, and how likely each explanation is."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.fit import Fit
@@ -36,10 +36,13 @@ class Explanation:
 
 def ranked_by(found: Mapping[tuple[Change, ...], Fit], prior: Prior) -> list[Explanation]:
     """Explanations by falling probability, of fits by their causes."""
-    values = {key: f.log_evidence + prior.of(key) for key, f in found.items()}
-    top = max(values.values())
-    weights = {key: math.exp(v - top) for key, v in values.items()}
-    total = sum(weights.values())
     left = {key: f.chi2 / max(f.state.difference.size, 1) for key, f in found.items()}
-    ranked = [Explanation(found[key], values[key], weights[key] / total, left[key]) for key in found]
+    return weighed([Explanation(f, f.log_evidence + prior.of(key), 0.0, left[key]) for key, f in found.items()])
+
+
+def weighed(explanations: Sequence[Explanation]) -> list[Explanation]:
+    """Explanations by falling probability, which follows from what each is worth."""
+    top = max(e.log_posterior for e in explanations)
+    total = sum(math.exp(e.log_posterior - top) for e in explanations)
+    ranked = [replace(e, probability=math.exp(e.log_posterior - top) / total) for e in explanations]
     return sorted(ranked, key=lambda e: -e.log_posterior)

@@ -13,6 +13,7 @@ from modalax.diagnose.modal_domain.askew import askew_channel
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import Coordinates, coordinates_of, is_large
 from modalax.diagnose.modal_domain.crosstalk import leaking_channels
+from modalax.diagnose.modal_domain.damping_on_lines import damping_by_lines
 from modalax.diagnose.modal_domain.explain import explain
 from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.features import whitener_of
@@ -201,6 +202,7 @@ def run_stage(
     )
     if not explanations:
         return None
+    explanations = damping_by_lines(setting, explanations, measured, late)
     c, places = next((t.coordinates, t.places) for t in tasks if t.coordinates is setting.coordinates)
     channels = measurement.outputs, measurement.inputs
     structure = is_of_the_structure(explanations, setting.features)

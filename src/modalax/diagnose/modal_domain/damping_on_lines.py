@@ -1,0 +1,70 @@
+r"""Whether damping is hysteretic, which the lines tell in full and the modes only in part.
+
+Modes are identified as viscous ones. What is hysteretic shows in them by the phases of residues; between the
+resonances, where a viscous force falls with the frequency and a hysteretic one does not, the lines show the rest. The
+likeliest explanation with hysteretic damping and the likeliest without are both taken on to the lines, and the part of
+their odds that the modes gave, :math:`-\tfrac12(\chi^2 + x^T\Sigma^{-1}x)` with sizes :math:`x` and what is known of
+these beforehand, is replaced by that of the lines. What the sizes' own uncertainty adds stays.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from modalax.diagnose.deadline import Deadline
+from modalax.diagnose.modal_domain.causes import hysteretic_share
+from modalax.diagnose.modal_domain.discrepancy import beside, told_apart
+from modalax.diagnose.modal_domain.explanation import Explanation, weighed
+from modalax.diagnose.modal_domain.fit import Fit, scale_of
+from modalax.diagnose.modal_domain.lines import Lines, lines_of
+from modalax.diagnose.modal_domain.measured import Measured
+from modalax.diagnose.modal_domain.polish import MATTERS, descended
+from modalax.diagnose.modal_domain.state import Setting
+
+CLOSE = 60.0  # nats by the modes up to which the lines are asked; measured ones were within 14
+
+
+def damping_by_lines(
+    setting: Setting, explanations: list[Explanation], measured: Measured, late: Deadline
+) -> list[Explanation]:
+    """Explanations by falling probability, those with hysteretic damping against those without by the lines."""
+    of_kind = {is_hysteretic(e.fit): e for e in reversed(explanations)}  # the likeliest of each
+    best = explanations[0]
+    if len(of_kind) < 2 or not best.causes or late():
+        return explanations
+    if abs(of_kind[True].log_posterior - of_kind[False].log_posterior) > CLOSE:
+        return explanations
+    apart = told_apart(setting, best.fit) if setting.rest > MATTERS else setting
+    lines = lines_of(measured.channels, apart, measured.misfit)
+    by_lines = {kind: _on_lines(apart, setting, e.fit, lines, late) for kind, e in of_kind.items()}
+    if late() or not np.isfinite(list(by_lines.values())).all():
+        return explanations
+    heat = max(1.0, min(by_lines.values()) / max(lines.samples, 1))
+    gained = {kind: -0.5 * by_lines[kind] / heat - _by_modes(setting, e.fit) for kind, e in of_kind.items()}
+    more = gained[True] - gained[False]
+    return weighed([
+        replace(e, log_posterior=e.log_posterior + more) if is_hysteretic(e.fit) else e for e in explanations
+    ])  # fmt: skip
+
+
+def is_hysteretic(f: Fit) -> bool:
+    """Whether a part of all damping is hysteretic in a fit."""
+    return hysteretic_share(f.causes, f.u) > 0
+
+
+def _by_modes(setting: Setting, f: Fit) -> float:
+    """Log posterior density of a fit's sizes by the modes."""
+    return -0.5 * f.chi2 - 0.5 * _beforehand(setting, f, np.concatenate([f.sizes, f.u]))
+
+
+def _on_lines(apart: Setting, setting: Setting, f: Fit, lines: Lines, late: Deadline) -> float:
+    """Chi-square on the lines and of the sizes beforehand, at the least of both; infinite where there is no fit."""
+    start = f if apart is setting else beside(apart, f)
+    found = descended(apart, start, lines, late)
+    return math.inf if found is None else found.chi2 + _beforehand(apart, start, found.x)
+
+
+def _beforehand(setting: Setting, f: Fit, x: np.ndarray) -> float:
+    """Chi-square of sizes by what is known of them before the data."""
+    return float(((x / scale_of(setting, f)) ** 2).sum())
