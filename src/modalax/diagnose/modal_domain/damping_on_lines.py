@@ -4,11 +4,12 @@ Modes are identified as viscous ones. What is hysteretic shows in them by the ph
 resonances, where a viscous force falls with the frequency and a hysteretic one does not, the lines show the rest. The
 likeliest explanation with hysteretic damping and the likeliest without are both taken on to the lines, and the part of
 their odds that the modes gave, :math:`-\tfrac12(\chi^2 + x^T\Sigma^{-1}x)` with sizes :math:`x` and what is known of
-these beforehand, is replaced by that of the lines. What the sizes' own uncertainty adds stays.
+these beforehand, is replaced by that of the lines. What the sizes' own uncertainty adds stays. All odds stay where even
+the better of both leaves more on the lines than the measured modes do together with what it leaves of these: what
+nobody explains, as of modes far beyond the band, may prefer either.
 """
 
-import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -37,11 +38,17 @@ def damping_by_lines(
         return explanations
     apart = told_apart(setting, best.fit) if setting.rest > MATTERS else setting
     lines = lines_of(measured.channels, apart, measured.misfit)
-    by_lines = {kind: _on_lines(apart, setting, e.fit, lines, late) for kind, e in of_kind.items()}
-    if late() or not np.isfinite(list(by_lines.values())).all():
+    found = {kind: _on_lines(apart, setting, e.fit, lines, late) for kind, e in of_kind.items()}
+    if late() or None in found.values():
         return explanations
-    heat = max(1.0, min(by_lines.values()) / max(lines.samples, 1))
-    gained = {kind: -0.5 * by_lines[kind] / heat - _by_modes(setting, e.fit) for kind, e in of_kind.items()}
+    least = min(found, key=lambda kind: found[kind].chi2)
+    if found[least].chi2 > lines.left * lines.samples + of_kind[least].fit.chi2:
+        return explanations
+    heat = max(1.0, found[least].chi2 / max(lines.samples, 1))
+    gained = {
+        kind: _worth(found[kind].chi2 / heat, found[kind].known) - _worth(e.fit.chi2, _beforehand(setting, e.fit))
+        for kind, e in of_kind.items()
+    }
     more = gained[True] - gained[False]
     return weighed([
         replace(e, log_posterior=e.log_posterior + more) if is_hysteretic(e.fit) else e for e in explanations
@@ -53,18 +60,28 @@ def is_hysteretic(f: Fit) -> bool:
     return hysteretic_share(f.causes, f.u) > 0
 
 
-def _by_modes(setting: Setting, f: Fit) -> float:
-    """Log posterior density of a fit's sizes by the modes."""
-    return -0.5 * f.chi2 - 0.5 * _beforehand(setting, f, np.concatenate([f.sizes, f.u]))
+@dataclass(frozen=True)
+class _Least:
+    """Chi-square on the lines, and of the sizes by what is known beforehand, at the least of both."""
+
+    chi2: float
+    known: float
 
 
-def _on_lines(apart: Setting, setting: Setting, f: Fit, lines: Lines, late: Deadline) -> float:
-    """Chi-square on the lines and of the sizes beforehand, at the least of both; infinite where there is no fit."""
+def _on_lines(apart: Setting, setting: Setting, f: Fit, lines: Lines, late: Deadline) -> _Least | None:
+    """What a fit comes to on the lines; None where there is no step."""
     start = f if apart is setting else beside(apart, f)
     found = descended(apart, start, lines, late)
-    return math.inf if found is None else found.chi2 + _beforehand(apart, start, found.x)
+    if found is None:
+        return None
+    n = len(start.sizes)
+    return _Least(found.chi2, _beforehand(apart, replace(start, sizes=found.x[:n], u=found.x[n:])))
 
 
-def _beforehand(setting: Setting, f: Fit, x: np.ndarray) -> float:
-    """Chi-square of sizes by what is known of them before the data."""
-    return float(((x / scale_of(setting, f)) ** 2).sum())
+def _beforehand(setting: Setting, f: Fit) -> float:
+    """Chi-square of a fit's sizes by what is known of them before the data."""
+    return float(((np.concatenate([f.sizes, f.u]) / scale_of(setting, f)) ** 2).sum())
+
+
+def _worth(chi2: float, known: float) -> float:
+    return -0.5 * (chi2 + known)
