@@ -16,7 +16,7 @@ import modalax
 from modalax import Measurement
 from modalax.files import guard, inside
 from modalax.files.labelled import from_xarray, to_xarray
-from modalax.files.load_save import as_path
+from modalax.files.load_save import as_path, save
 from modalax.files.units import force_factor, frequency_factor, response_unit
 
 F = np.linspace(10.0, 21.0, 12)
@@ -354,3 +354,8 @@ def test_what_is_no_file_name():
     for wrong in (3, None, ["a.npz"], io.BytesIO()):
         with pytest.raises(ValueError, match="a file is named by text or a path, not by"):
             as_path(wrong)
+
+
+def test_a_path_before_what_is_saved_is_told(tmp_path):
+    with pytest.raises(ValueError, match="takes the dict first and the path after it"):
+        save(tmp_path / "a.npz", {})

@@ -86,7 +86,10 @@ def load(
 def as_path(path: Any) -> Path:
     """Return ``path`` as a path; ``ValueError`` if it is none."""
     if not isinstance(path, str | os.PathLike) or "\0" in str(path):
-        raise ValueError(f"a file is named by text or a path, not by {path!r} ({type(path).__name__})")
+        named = (
+            repr(path) if path is None or isinstance(path, str | bytes | int | float) else f"a {type(path).__name__}"
+        )
+        raise ValueError(f"a file is named by text or a path, not by {named}")
     return Path(path)
 
 
@@ -230,6 +233,8 @@ def save(
     OSError
         If the disk is full or the folder read-only; what stood there is then unchanged.
     """
+    if isinstance(what, str | os.PathLike) and not isinstance(path, str | os.PathLike):
+        raise ValueError(f"save(what, path) takes the {type(path).__name__} first and the path after it")
     path = as_path(path)
     with about(path):
         kind = kind_to_write(path)
