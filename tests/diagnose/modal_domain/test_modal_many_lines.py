@@ -86,12 +86,15 @@ def test_causes_compared_together_are_compared_as_each_by_itself(fitted):
     np.testing.assert_array_equal(size, [u[0] for _, u in alone])
 
 
-def test_of_many_exchanges_those_that_bring_shapes_nearest_are_tried(monkeypatch):
+@pytest.mark.parametrize("at_inputs", [False, True])
+def test_of_many_exchanges_those_that_bring_shapes_nearest_are_tried(at_inputs, monkeypatch):
     H = response(*chain_off(6, 0.02), FREQ)
-    H = H[:, [3, 1, 2, 0, 4]]  # outputs 1 and 4 are exchanged
-    data = as_measured(H, FREQ, 6, outputs=(0, 1, 2, 3, 4))
+    order = [3, 1, 2, 0, 4]  # 1 and 4 are exchanged
+    H = H[:, :, order] if at_inputs else H[:, order]
+    few, every = (0, 2), (0, 1, 2, 3, 4)
+    data = as_measured(H, FREQ, 6, outputs=few if at_inputs else every, inputs=every if at_inputs else (0, 3))
     task = posed(data, simulation(), identified(data, simulation(), lambda _: None))
-    swaps = [k for k, c in enumerate(task.candidates) if c.slug == "channel_swap"]
+    swaps = [k for k, c in enumerate(task.candidates) if c.slug == "channel_swap" and c.at_inputs == at_inputs]
     assert len(swaps) == 10 and starts._unlikely_swaps(task.setting, task.candidates) == set()
     monkeypatch.setattr(starts, "SWAPS", 1)
     left = set(swaps) - starts._unlikely_swaps(task.setting, task.candidates)

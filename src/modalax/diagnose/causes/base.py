@@ -84,7 +84,7 @@ class Cause:
         Whether the effect is whole lines that are left out of every other fit.
     shortlist_by
         How its likeliest places are found where there are very many: as those of an ``element``, of a skew
-        ``coupling``, of an ``exchange`` of outputs, or not at all (``none``).
+        ``coupling``, of an ``exchange`` of outputs, an ``exchange of inputs``, or not at all (``none``).
     """
 
     slug: ClassVar[str] = ""
@@ -108,7 +108,7 @@ class Cause:
     needs_several_outputs: ClassVar[bool] = False
     strength_is_bounded: ClassVar[bool] = True
     leaves_out_lines: ClassVar[bool] = False
-    shortlist_by: ClassVar[Literal["element", "coupling", "exchange", "none"]] = "none"
+    shortlist_by: ClassVar[Literal["element", "coupling", "exchange", "exchange of inputs", "none"]] = "none"
 
     @property
     def judged_by(self) -> Literal["scores", "patterns", "hum", "none"]:

@@ -37,6 +37,29 @@ class ForceGain(ChannelCause):
         return H * (1 + p[0] * which)
 
 
+class ForceSwap(ChannelCause):
+    """Two inputs exchanged: hits written down at each other's points, or the cables of two load cells."""
+
+    slug = "channel_swap"
+    shortlist_by = "exchange of inputs"
+    summary = "two inputs exchanged"
+    advice = "hit, or drive, each of the two points again and check which FRFs come back"
+
+    def places(self, scene: Scene) -> list[Place]:
+        """Every pair of inputs."""
+        names, count = scene.inputs, len(scene.inputs)
+        return [Place((names[a], names[b]), (a, b, 0)) for a in range(count) for b in range(a + 1, count)]
+
+    def grid(self, scene: Scene, place: Place) -> np.ndarray:
+        """No unknowns."""
+        return np.zeros((1, 0))
+
+    def channels(self, H: Array, at: Channels, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
+        """Exchange two columns."""
+        k = jnp.arange(H.shape[3])
+        return jnp.take(H, jnp.where(k == where[0], where[1], jnp.where(k == where[1], where[0], k)), axis=3)
+
+
 class Crosstalk(ChannelCause):
     """A share of one channel leaks into another."""
 
@@ -91,4 +114,4 @@ class StrayForce(ChannelCause):
         return H + p[0] * at.column(where[1])[None, :, :, None] * which
 
 
-FORCES: tuple[Any, ...] = (ForceGain(), Crosstalk(), StrayForce())
+FORCES: tuple[Any, ...] = (ForceGain(), ForceSwap(), Crosstalk(), StrayForce())

@@ -112,6 +112,10 @@ class Change:
         """Whether its places are inputs."""
         return False
 
+    def among(self, kept: np.ndarray) -> "Change | None":
+        """The same where only the inputs ``kept``, shape ``(i,)``, are left; None where it sits on another."""
+        return self
+
     @property
     def scales_all(self) -> bool:
         """Whether it is one factor on all FRFs, as one on stiffness, mass and damping alike is."""

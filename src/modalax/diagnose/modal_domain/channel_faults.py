@@ -3,11 +3,11 @@
 import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modalax.diagnose.causes import Cause
+from modalax.diagnose.causes import Cause, forces
 from modalax.diagnose.causes.channels import CommonDelay
 from modalax.diagnose.modal_domain.causes import Change
 
@@ -79,6 +79,13 @@ class ForceGain(Gain):
         """It is one of the inputs'."""
         return True
 
+    def among(self, kept: np.ndarray) -> Change | None:
+        """At its new number."""
+        axis, number = self.channel
+        if axis == ALL:
+            return self
+        return replace(self, channel=(axis, int(kept[:number].sum()))) if kept[number] else None
+
     @property
     def in_shapes(self) -> bool:
         """Mode shapes have no force."""
@@ -139,6 +146,35 @@ class Swap(Change):
 
 
 @dataclass(frozen=True)
+class ForceSwap(Swap):
+    """Two inputs exchanged, as hits at each other's points."""
+
+    @property
+    def at_inputs(self) -> bool:
+        """They are inputs."""
+        return True
+
+    def among(self, kept: np.ndarray) -> Change | None:
+        """At their new numbers, where both are left."""
+        a, b = self.channel
+        return replace(self, channel=(int(kept[:a].sum()), int(kept[:b].sum()))) if kept[a] and kept[b] else None
+
+    @property
+    def in_shapes(self) -> bool:
+        """Mode shapes have no force."""
+        return False
+
+    @property
+    def in_catalogue(self) -> Cause | None:
+        """Of inputs it is one by itself."""
+        return forces.ForceSwap()
+
+    def transform(self, u: np.ndarray, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
+        """Residues ``(k, o, i)``, or FRFs, with both exchanged."""
+        return super().transform(u, poles, residues.swapaxes(1, 2)).swapaxes(1, 2)
+
+
+@dataclass(frozen=True)
 class Delay(ChannelFactor):
     """A delay of one output, or of all."""
 
@@ -170,8 +206,9 @@ def channel_faults(outputs: Sequence[str], inputs: Sequence[str], highest: float
     out += [ForceGain("force_gain", (n,), GAIN, channel=(INPUTS, k)) for k, n in enumerate(inputs)]
     if len(inputs) > 1:  # a unit, of forces or sensors, is wrong in all FRFs
         out.append(ForceGain("force_gain", (), GAIN, channel=(ALL, 0), weight=float(len(inputs))))
-    pairs = itertools.combinations(range(len(outputs)), 2)
-    out += [Swap("channel_swap", (outputs[a], outputs[b]), channel=(a, b)) for a, b in pairs]
+    for swap, names in ((Swap, outputs), (ForceSwap, inputs)):
+        pairs = itertools.combinations(range(len(names)), 2)
+        out += [swap("channel_swap", (names[a], names[b]), channel=(a, b)) for a, b in pairs]
     out += [Delay("time_delay", (n,), delay, channel=(OUTPUTS, k)) for k, n in enumerate(outputs)]
     if len(outputs) > 1:
         out.append(Delay("time_delay", (), delay, channel=(ALL, 0), weight=float(len(outputs))))

@@ -42,7 +42,8 @@ def gain_of(stage: Stage, found: Explanation, before: np.ndarray) -> Gain:
     levels = len(np.unique(level)) if np.isfinite(level).all() else 0
     alike = not drifts and (len(stage.measured.runs) == len(H) or joint is not None or levels > 2)
     lacking = any(c.freed is not None for c in found.causes)  # of a further column its shape tells nothing
-    column = not lacking and last_is_foretold(stage.measured.features)
+    exchanged = any(c.at_inputs and len(c.where) > 1 and m.inputs[-1] in c.where for c in found.causes)
+    column = not lacking and not exchanged and last_is_foretold(stage.measured.features)
     words, mask = held_out_block(level, m.inputs, H.shape, H.shape[1], alike, column)
     beyond = float("nan")
     if joint is None or seen is None:
@@ -188,8 +189,4 @@ def _renumbered(cause: Change, kept: np.ndarray, setting: Setting) -> Change | N
         if abs(f.poles[k] - cause.pole) > BESIDE * abs(cause.pole.real):  # its peak is what was held out
             return None
         return replace(cause, number=k, pole=complex(f.poles[k]), residue=f.residues[k] * f.units[k])
-    if not cause.at_inputs or not cause.where:
-        return cause
-    if not kept[cause.channel[1]]:
-        return None
-    return replace(cause, channel=(1, int(kept[: cause.channel[1]].sum())))
+    return cause.among(kept)

@@ -115,24 +115,29 @@ def starts(
 
 
 def _unlikely_swaps(setting: Setting, candidates: list[Change]) -> set[int]:
-    r"""Of many exchanges of two outputs, all but those that bring shapes nearest.
+    r"""Of many exchanges of two outputs, or of two inputs, all but those that bring shapes nearest.
 
     Outputs a and b are as far apart as :math:`\sum_k w_{ka}|A_{ka} - \alpha_k P_{kb}|^2`, with measured and predicted
     residues A and P, the factor :math:`\alpha_k` between the whole of both, and one over the variances w.
     """
-    swaps = np.array([k for k, c in enumerate(candidates) if isinstance(c, Swap)], int)
-    if len(swaps) <= SWAPS:
-        return set()
-    f, state = setting.features, state_at(setting, np.zeros(len(setting.inaccuracy.group_of)))
-    P, A, w = state.plain[state.pairs], f.residues * f.units, 1 / np.abs(f.units) ** 2
-    energy = np.maximum((w * np.abs(P) ** 2).sum(axis=(1, 2)), 1e-300)
-    P = P * ((w * P.conj() * A).sum(axis=(1, 2)) / energy)[:, None, None]
-    own = (w * np.abs(A) ** 2).sum(axis=(0, 2))
-    apart = own[:, None] + np.einsum("kai,kbi->ab", w, np.abs(P) ** 2, optimize=True)
-    apart -= 2 * np.einsum("kai,kbi->ab", w * A.conj(), P, optimize=True).real
-    a, b = np.array([candidates[k].channel for k in swaps]).T
-    nearer = apart[a, a] + apart[b, b] - apart[a, b] - apart[b, a]
-    return set(swaps[np.argsort(-nearer)[SWAPS:]].tolist())
+    out: set[int] = set()
+    for at_inputs in (False, True):
+        own = [k for k, c in enumerate(candidates) if isinstance(c, Swap) and c.at_inputs == at_inputs]
+        if len(own) <= SWAPS:
+            continue
+        f, state = setting.features, state_at(setting, np.zeros(len(setting.inaccuracy.group_of)))
+        P, A, w = state.plain[state.pairs], f.residues * f.units, 1 / np.abs(f.units) ** 2
+        energy = np.maximum((w * np.abs(P) ** 2).sum(axis=(1, 2)), 1e-300)
+        P = P * ((w * P.conj() * A).sum(axis=(1, 2)) / energy)[:, None, None]
+        if at_inputs:
+            P, A, w = (x.swapaxes(1, 2) for x in (P, A, w))
+        alone = (w * np.abs(A) ** 2).sum(axis=(0, 2))
+        apart = alone[:, None] + np.einsum("kai,kbi->ab", w, np.abs(P) ** 2, optimize=True)
+        apart -= 2 * np.einsum("kai,kbi->ab", w * A.conj(), P, optimize=True).real
+        a, b = np.array([candidates[k].channel for k in own]).T
+        nearer = apart[a, a] + apart[b, b] - apart[a, b] - apart[b, a]
+        out |= {own[k] for k in np.argsort(-nearer)[SWAPS:]}
+    return out
 
 
 def _dampings(setting: Setting, candidates: list[Change]) -> np.ndarray:

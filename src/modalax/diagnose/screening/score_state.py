@@ -50,20 +50,23 @@ class ScoreState:
 
     def nearest(self, cause: Cause, places: list[Any]) -> list[Any]:
         """The places of a cause, of very many those that are worth a look, or those that the comparison asks for."""
-        skew, swap = cause.shortlist_by == "coupling", cause.shortlist_by == "exchange"
+        skew, swap = cause.shortlist_by == "coupling", cause.shortlist_by in ("exchange", "exchange of inputs")
         if self.comparison.only and cause.shortlist_by == "element":
             near = {p.index[:2] for p in self.comparison.only}
             return [p for p in places if p.index[:2] in near]
         between_dofs = bool(self.reduced) and cause.shortlist_by in ("element", "coupling")
         if len(places) <= MANY or not (swap or between_dofs):
             return places
-        key = (swap, skew, *alike(places))
+        key = (cause.shortlist_by if swap else skew, *alike(places))
         if key not in self.cache:
-            problem = self.comparison.problem
-            self.cache[key] = (
-                likely_swaps(np.asarray(problem.data), np.asarray(problem.weight), self.whole, places) if swap
-                else shortlist(self.reduced[True], self._few(), places, skew)
-            )  # fmt: skip
+            if swap:
+                problem = self.comparison.problem
+                every = (np.asarray(problem.data), np.asarray(problem.weight), self.whole)
+                turned = cause.shortlist_by == "exchange of inputs"
+                data, weight, residual = (np.swapaxes(x, 2, 3) if turned else x for x in every)
+                self.cache[key] = likely_swaps(data, weight, residual, places)
+            else:
+                self.cache[key] = shortlist(self.reduced[True], self._few(), places, skew)
         return [places[k] for k in self.cache[key]]
 
     def _few(self) -> Sketch:
