@@ -4,7 +4,13 @@ import chains_off
 import numpy as np
 import pytest
 
+from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.diagnose.modal_domain.fit import fit
+from modalax.diagnose.modal_domain.further_causes import StructuralDamping
+from modalax.diagnose.modal_domain.impact_window import impact_windows
+from modalax.diagnose.modal_domain.stage import identified, posed
+from modalax.diagnose.modal_domain.starts import as_alike
 
 DECAY = 5.0  # 1/s
 
@@ -28,3 +34,19 @@ def test_hysteretic_damping_that_decays_as_a_window_does_is_told_from_one(hyster
     answer = diagnose_modes(data, model.replace(C=0.1 * np.asarray(model.C))).to_dict()
     name = "structural_damping" if hysteretic else "exponential_window"
     assert (answer["verdict"], [c["name"] for c in answer["causes"]]) == ("named", [name])
+
+
+def test_hysteretic_damping_takes_the_place_of_a_window_beside_another_cause():
+    """The window had been fitted first, and hysteretic damping beside a mass never."""
+    chain, model = chains_off.chain_off(5, 0.02), chains_off.simulation()
+    c = coordinates_of(model, model.dofs, model.dofs[:1], 2 * np.pi * chains_off.FREQ[-1])
+    window = impact_windows(c, np.arange(5), 2)[0]
+    damping = StructuralDamping("structural_damping", ())
+    data = chains_off.as_measured(chains_off.response(*chain, chains_off.FREQ), chains_off.FREQ, 5)
+    task = posed(data, model, identified(data, model, lambda _: None))
+    mass = next(k for k in task.candidates if k.slug == "added_mass")
+    for one, other in ((window, damping), (damping, window)):
+        f = fit(task.setting, (mass, one), None, np.array([0.1, 0.5]))
+        told = list(as_alike([f], [mass, window, damping]))
+        assert [(causes, u.tolist()) for causes, u, _ in told] == [((mass, other), [f.u[0], 1.0])]
+    assert not list(as_alike([fit(task.setting, (mass,), None, np.array([0.1]))], [mass, window, damping]))

@@ -112,6 +112,11 @@ class Change:
         """Whether its places are inputs."""
         return False
 
+    @property
+    def alike(self) -> str:
+        """The slug of a cause that modes may not tell from this one, of one size; empty where there is none."""
+        return ""
+
     def among(self, kept: np.ndarray) -> "Change | None":
         """The same where only the inputs ``kept``, shape ``(i,)``, are left; None where it sits on another."""
         return self

@@ -215,6 +215,11 @@ class StructuralDamping(Change):
     """
 
     @property
+    def alike(self) -> str:
+        """A window may decay likewise."""
+        return "exponential_window"
+
+    @property
     def signed(self) -> bool:
         """No damping is less hysteretic than viscous."""
         return False

@@ -29,6 +29,11 @@ class ImpactWindow(Change):
     order: int = 0
 
     @property
+    def alike(self) -> str:
+        """Hysteretic damping may decay likewise."""
+        return "structural_damping"
+
+    @property
     def in_channels(self) -> bool:
         """Also the measured derivative is windowed."""
         return self.order > 0

@@ -198,11 +198,25 @@ def as_signs(fits: Sequence[Fit], candidates: list[Change]) -> Iterator[tuple[tu
     """
     for f in fits:
         for k, cause in enumerate(f.causes):
-            own = own_sizes(f.causes, k)
-            sign = cause.turned(f.u[own])
+            sign = cause.turned(f.u[own_sizes(f.causes, k)])
             if sign in candidates:
-                u = np.concatenate([f.u[: own.start], np.zeros(1), f.u[own.stop :]])
-                yield (*f.causes[:k], sign, *f.causes[k + 1 :]), u, without_causes(f)
+                yield _instead(f, k, sign, 0.0)
+
+
+def as_alike(fits: Sequence[Fit], candidates: list[Change]) -> Iterator[tuple[tuple[Change, ...], np.ndarray, Fit]]:
+    """Causes of each fit with what modes may not tell from one of them in its place; sizes and fit to start from."""
+    for f in fits:
+        for k, cause in enumerate(f.causes):
+            others = [c for c in candidates if cause.alike and c.slug == cause.alike]
+            if others and others[0] not in f.causes:
+                yield _instead(f, k, others[0], 1.0)
+
+
+def _instead(f: Fit, k: int, cause: Change, u: float) -> tuple[tuple[Change, ...], np.ndarray, Fit]:
+    """Causes and sizes of a fit with another of one size in place of cause ``k``, and where to start."""
+    own = own_sizes(f.causes, k)
+    sizes = np.concatenate([f.u[: own.start], [u], f.u[own.stop :]])
+    return (*f.causes[:k], cause, *f.causes[k + 1 :]), sizes, without_causes(f)
 
 
 def in_place_of_one(setting: Setting, f: Fit, candidates: list[Change], share: np.ndarray) -> list[Start]:

@@ -16,7 +16,7 @@ from modalax.diagnose.modal_domain.force_places import JOINTS, as_limits, losses
 from modalax.diagnose.modal_domain.prior import SECOND, Prior
 from modalax.diagnose.modal_domain.refitted import AGAIN
 from modalax.diagnose.modal_domain.screen import About, about, narrower, replaced, scores
-from modalax.diagnose.modal_domain.starts import FITTED, NEXT, as_signs
+from modalax.diagnose.modal_domain.starts import FITTED, NEXT, as_alike, as_signs
 from modalax.diagnose.modal_domain.state import Setting
 from modalax.diagnose.thresholds import THRESHOLDS
 
@@ -126,7 +126,7 @@ def other_forms(search: Search) -> None:
     ranked, found = search.ranked, search.found
     near = [e.fit for e in ranked[:AGAIN] if e.log_posterior > ranked[0].log_posterior - NEAR]
     limits = as_limits(near, search.asked)
-    for causes, u, start in (*as_signs(near, search.asked), *limits):
+    for causes, u, start in (*as_signs(near, search.asked), *as_alike(near, search.asked), *limits):
         search.fit(causes, u, start)
     # a joint that loses energy may be a spring with damping along: what that leaves tells, not what the spring does
     simple = [found[key] for key in dict.fromkeys(key_of(causes) for causes, _, _ in limits) if key in found]
