@@ -1,6 +1,7 @@
 """Laws fitted to the force that is measured at one place."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import scipy.stats
 
 from modalax.data import Measurement
 from modalax.diagnose import pipeline
+from modalax.diagnose.causes.base import LocalCause
 from modalax.diagnose.causes.joints import BilinearStiffness, CoulombFriction, CubicStiffness, ElastoSlip, GapContact
 from modalax.diagnose.causes.local import JointStiffness, LocalDamper
 from modalax.diagnose.comparison import make_comparison
@@ -352,3 +354,34 @@ def test_laws_are_fitted_before_modes_are_asked_though_levels_hide_in_the_noise_
     at_one_place(measured, structure, "auto", Task(True), lambda text: None, Deadline(), lambda: steps.append("modes"))
     linear, all_laws, modes = steps
     assert linear < all_laws and modes == "modes"
+
+
+@pytest.mark.parametrize(
+    ("left", "levels", "answer"),
+    [(0.5, 3, "law"), (0.01, 3, "modes"), (0.5, 1, "modes")],
+    ids=["law", "worse", "one level"],
+)
+def test_a_law_that_leaves_noise_comes_before_a_spring_that_damping_goes_with(left, levels, answer, monkeypatch):
+    """A one-sided spring looks like one whose damping rises with it, and has no level by which it differs."""
+    every = joined(joints.BilinearSpring(60000.0, 0.0))
+    data = every.replace(
+        H=every.H[:levels], level=every.level[:levels], variance=1e-16 + np.zeros(every.H[:levels].shape)
+    )
+    near = SimpleNamespace(leftover=SimpleNamespace(inexact=0.1))
+    best = SimpleNamespace(best=SimpleNamespace(causes=(BilinearStiffness(),)))
+    law = SimpleNamespace(ranked=[best], leftover=SimpleNamespace(inexact=0.0, p_value=left))
+    linear = lambda causes: all(isinstance(c, LocalCause) for c in causes)
+    monkeypatch.setattr(pipeline, "explain_force", lambda look, causes: near if linear(causes) else law)
+    monkeypatch.setattr(pipeline, "told", lambda found, tell: SimpleNamespace(verdict="named", of="law"))
+    for name in ("of_elements", "outcome_of", "surely_foretold"):
+        monkeypatch.setattr(pipeline, name, lambda found: True)
+    said = at_one_place(
+        data, five_dof(), "auto", Task(True), lambda text: None, Deadline(), lambda: SimpleNamespace(of="modes")
+    )
+    assert said.of == answer
+
+
+def test_steps_towards_a_one_sided_spring_go_on_as_long_as_they_gain():
+    comparison, force = compared(joined(joints.BilinearSpring(60000.0, 0.0)), 0.001)
+    fit = fit_to_force(BilinearStiffness(), [np.array([1.8e4, 0.02])], seen_at(comparison, force))
+    assert fit.params == pytest.approx([3e4, 1.0], rel=0.02)

@@ -75,6 +75,7 @@ from modalax.diagnose.result import Diagnosis
 from modalax.diagnose.routes import (
     GROUP_SLUGS,
     check_groups,
+    has_levels,
     may_tell_joints,
     named_before,
     named_beside_claim,
@@ -87,7 +88,7 @@ from modalax.diagnose.search.explain import check_imitations, explain
 from modalax.diagnose.search.look import look
 from modalax.diagnose.search.measured_force import differs_by_run, measured_forces
 from modalax.diagnose.search.named_before import NamedCause
-from modalax.diagnose.search.one_place import explain_force
+from modalax.diagnose.search.one_place import explain_force, law_leaves_noise
 from modalax.diagnose.setup.turned import turned, turned_modes
 from modalax.diagnose.told import told
 from modalax.diagnose.undamped import with_damping
@@ -358,9 +359,11 @@ def at_one_place(
         else:
             nearly = not (may_tell_joints(data) or differs_by_run(measured_forces(comparison, places)[0]))
         modes = modal() if nearly and not late() else None
-        if modes is not None and of_elements(modes) and surely_foretold(outcome_of(modes)):
-            return modes  # a spring, mass or damper that damping goes with, for one
-        found = explain_force(alone, elements)
+        # a spring, mass or damper that damping goes with, for one; at several levels a law may explain as much
+        foretold = modes is not None and of_elements(modes) and surely_foretold(outcome_of(modes))
+        found = explain_force(alone, elements) if not foretold or has_levels(data) else None
+        if foretold and not (found is not None and law_leaves_noise(found)):
+            return modes
     said = None if found is None else told(found, progress)
     if said is not None and said.verdict in ("named", "ambiguous"):
         return said

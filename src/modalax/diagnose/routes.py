@@ -90,10 +90,14 @@ def _unknown_to_lines(causes: Sequence[Change]) -> bool:
     return any((c.kind == "K" and c.pattern is not None) or len(c.told_as) > 1 or bool(c.along) for c in causes)
 
 
+def has_levels(measurement: Measurement) -> bool:
+    """Whether runs were measured at several force levels."""
+    return len(np.unique(measurement.level[np.isfinite(measurement.level)])) > 1
+
+
 def may_tell_joints(measurement: Measurement) -> bool:
     """Whether runs at several force levels differ by more than noise, as those of a joint that is not linear do."""
-    levels = np.unique(measurement.level[np.isfinite(measurement.level)])
-    return len(levels) > 1 and len(prepared(measurement, None)[2]) < len(measurement.H)
+    return has_levels(measurement) and len(prepared(measurement, None)[2]) < len(measurement.H)
 
 
 def named_before(modes: Diagnosis | None) -> list[NamedCause]:

@@ -29,7 +29,8 @@ from modalax.diagnose.search.measured_force import MeasuredForce, force_beside
 from modalax.diagnose.search.rows import CLEAR, HALF, MOST, OUTLYING
 from modalax.diagnose.thresholds import THRESHOLDS
 
-ROUNDS = 12  # steps of a fit, with lines far off counting little, and again as least squares
+ROUNDS = 40  # most steps of a fit, with lines far off counting little, and again as least squares
+HOPED = 12  # of these, in which a fit that gains no more by each should come near another law
 ROUGHLY, SETTLED = 1.0, 1e-2  # changes of chi-square at which the first and the second end
 CHOSEN = 128  # lines by which starts are compared
 MOST_LAWS = 8  # that are fitted where none leaves no more than noise
@@ -286,7 +287,7 @@ def _descended(
         there = at(moved, further, motion)
         if there[0] < cost:
             gain = cost - there[0]
-            done = gain < enough or robust and there[0] - (ROUNDS - turn) * gain > rival + BEHIND
+            done = gain < enough or robust and there[0] - max(HOPED - turn, 1) * gain > rival + BEHIND
             u, seen, (cost, r, J, motion, sound), damping = moved, further, there, 0.1 * damping
             if done:
                 break

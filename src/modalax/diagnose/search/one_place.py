@@ -83,6 +83,12 @@ def explain_force(look: Look, causes: Sequence[Cause]) -> Explanation | None:
     return Explanation(look, comparison, ranked, leftover, after, [h for h, _ in found], notes, by_force=by_force)
 
 
+def law_leaves_noise(found: Explanation) -> bool:
+    """Whether the law of a joint leads, and leaves no more than noise of the data."""
+    joint = any(isinstance(c, JointCause) for c in found.ranked[0].best.causes)
+    return joint and not found.leftover.inexact and found.leftover.p_value > THRESHOLDS.doubtful
+
+
 def _ahead(h: Hypothesis, fit: ForceFit, others: Sequence[tuple[Hypothesis, ForceFit]]) -> float:
     """How many times as much of the force the nearest other law leaves, at any place, or the same law elsewhere."""
     rest = [f.chi2 for other, f in others if other.parts != h.parts]
