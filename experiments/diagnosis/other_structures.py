@@ -9,12 +9,13 @@ only. A joint is solved at its first harmonic.
 
 import argparse
 import contextlib
+import functools
 import io
 import json
 import time
 import zlib
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -627,7 +628,7 @@ def draw(name: str, effect: str, seed: int, how: dict) -> tuple[dict, dict, dict
     t = Test(world, M, K, np.zeros_like(M), outputs, inputs, rng, (low, high), shape, zeta, f[first])
     t.times = how.get("times", 1.0)
     n, bare = len(M0), (M.copy(), K.copy())  # effects change what the test holds
-    EFFECTS[effect](t)
+    effect_both(t, effect.split("+")) if "+" in effect else EFFECTS[effect](t)
     # an oscillator, or what outweighs the structure, leaves the damping of the rest as it was
     own = damping(*(bare if len(t.M) > n or t.times > 1 else (t.M, t.K)), t.zeta)
     C = np.pad(own, (0, len(t.M) - n)) + t.C_extra
@@ -655,9 +656,24 @@ def draw(name: str, effect: str, seed: int, how: dict) -> tuple[dict, dict, dict
     return data, simulation, {**t.truth, "structure": name, "effect": effect, "spread": spread, "lines": len(freq)}
 
 
+def effect_both(t: Test, effects: Sequence[str]) -> None:
+    """One effect after the other."""
+    truths, on_channels = [], []
+    for effect in effects:
+        t.on_channels = None
+        EFFECTS[effect](t)
+        truths.append(t.truth)
+        on_channels += [] if t.on_channels is None else [t.on_channels]
+    if on_channels:
+        t.on_channels = lambda H, f: functools.reduce(lambda x, channel: channel(x, f), on_channels, H)
+    t.truth = {"name": " + ".join(truth["name"] for truth in truths), "accepted": [], "both": truths}
+
+
 def judged(truth: dict, said: dict) -> str:
-    """``right``, ``leading`` (right, not named), ``set`` (among the rivals), ``wrong`` or ``no name``."""
+    """``right``, ``leading`` (right, not named), ``set`` (among the rivals), ``half``, ``wrong`` or ``no name``."""
     named = said["verdict"] == "named"
+    if "both" in truth:
+        return judged_both(truth["both"], said)
     if truth["name"] == "outside":  # without a name, but the reasons may tell the channel and the DoF
         told = any(all(f" {dof} " in f"{r} " for dof in truth["where"]) for r in said["reasons"])
         return "wrong" if named else "right" if told and said["verdict"] == "unknown" else "no name"
@@ -678,6 +694,25 @@ def judged(truth: dict, said: dict) -> str:
     if named:
         return "wrong"
     return "set" if any(fits(s) for s in said["alternatives"]) else "no name"
+
+
+def judged_both(truths: list[dict], said: dict) -> str:
+    """The same of several effects; ``half`` where some are named and nothing else is."""
+
+    def told(causes: list[dict]) -> tuple[int, int]:
+        """How many effects are among the causes, and how many causes are none of them."""
+        own = [[c for c in causes if c["name"] == truth["name"]] for truth in truths]
+        alone = [{"verdict": "named", "causes": some, "alternatives": []} for some in own]
+        hit = [bool(a["causes"]) and judged(t, a) == "right" for t, a in zip(truths, alone, strict=True)]
+        fitting = sum(len(some) for some, right in zip(own, hit, strict=True) if right)
+        return sum(hit), len(causes) - fitting
+
+    count, others = told(said["causes"])
+    if (count, others) == (len(truths), 0):
+        return "right" if said["verdict"] == "named" else "leading"
+    if said["verdict"] == "named":
+        return "half" if count and not others else "wrong"
+    return "set" if any(told(s) == (len(truths), 0) for s in said["alternatives"]) else "no name"
 
 
 def tell(folder: Path) -> None:
@@ -737,7 +772,7 @@ def main() -> None:
     parser.add_argument("--times", type=float, default=1.0, help="the size of masses, springs, dampers and elements")
     parser.add_argument("--variance", choices=("repeats", "missing"), default="repeats")
     parser.add_argument("--levels", action="store_true", help="three force levels for every effect")
-    parser.add_argument("--case", default="", help="STRUCTURE-EFFECT,... instead of all of both")
+    parser.add_argument("--case", default="", help="STRUCTURE-EFFECT or STRUCTURE-EFFECT+EFFECT,... instead of all")
     parser.add_argument("--name", default="", help="added to the names of the cases")
     parser.add_argument("--time", type=float, default=600.0)
     args = parser.parse_args()
@@ -745,7 +780,8 @@ def main() -> None:
     pairs = [(s, e) for e in args.effect for s in args.structure]
     known = [f"{structure}-{effect}" for structure in STRUCTURES for effect in EFFECTS]
     asked = [case for case in args.case.split(",") if case]
-    if other := [case for case in asked if case not in known]:
+    every = [f"{case.split('-')[0]}-{effect}" for case in asked for effect in case.split("-", 1)[-1].split("+")]
+    if other := [case for case in every if case not in known]:
         parser.error(f"--case {','.join(other)} is none of {', '.join(known)}")
     for structure, effect in [tuple(case.split("-")) for case in asked] or pairs:
         folder = args.out / f"{structure}-{effect}-{args.seed}{args.name}"
