@@ -1,5 +1,7 @@
 """Hysteretic damping whose rates of decay are those of an impact window: lines tell them apart, modes do not."""
 
+from dataclasses import replace
+
 import chains_off
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ import pytest
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.fit import fit
-from modalax.diagnose.modal_domain.further_causes import StructuralDamping
+from modalax.diagnose.modal_domain.further_causes import FACTOR, ZETA, StructuralDamping
 from modalax.diagnose.modal_domain.impact_window import impact_windows
 from modalax.diagnose.modal_domain.stage import identified, posed
 from modalax.diagnose.modal_domain.starts import as_alike
@@ -50,3 +52,24 @@ def test_hysteretic_damping_takes_the_place_of_a_window_beside_another_cause():
         told = list(as_alike([f], [mass, window, damping]))
         assert [(causes, u.tolist()) for causes, u, _ in told] == [((mass, other), [f.u[0], 1.0])]
     assert not list(as_alike([fit(task.setting, (mass,), None, np.array([0.1]))], [mass, window, damping]))
+
+
+def test_an_oscillator_that_a_damper_holds_to_its_place_is_a_mass_there():
+    """Beside a window it had been named so, with sixty times the critical damping."""
+    M, C, K = chains_off.chain_off(5, 0.02)
+    M = M + np.diag([0.0, 0.0, 0.3, 0.0, 0.0])
+    s = 2j * np.pi * chains_off.FREQ[:, None, None] + DECAY
+    data = chains_off.as_measured(s**2 * np.linalg.inv(s**2 * M + s * C + K), chains_off.FREQ, 5)
+    model = chains_off.simulation()
+    task = posed(data, model, identified(data, model, lambda _: None))
+    tuned = next(k for k in task.candidates if k.slug == "tuned_mass" and k.where == ("3:+Z",))
+    mass = next(k for k in task.candidates if k.slug == "added_mass" and k.where == ("3:+Z",))
+    window = next(k for k in task.candidates if k.slug == "exponential_window")
+    held = np.array([np.sqrt(0.3 / tuned.scale), 0.0, np.log(60 / ZETA) / FACTOR])
+    f = replace(fit(task.setting, (mass, window), None, np.ones(2)), causes=(tuned, window), u=np.append(held, 1.0))
+    assert tuned.possible(np.append(held[:2], 0.0)) and not tuned.possible(held)
+    (causes, u, _), *others = as_alike([f], task.candidates)
+    assert causes == (mass, window) and u == pytest.approx([0.3 / mass.scale, 1.0])
+    assert [causes for causes, _, _ in others] == [(tuned, StructuralDamping("structural_damping", ()))]
+    answer = diagnose_modes(data, model).to_dict()
+    assert {c["name"] for c in answer["causes"]} == {"added_mass", "exponential_window"}

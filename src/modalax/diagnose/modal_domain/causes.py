@@ -112,10 +112,9 @@ class Change:
         """Whether its places are inputs."""
         return False
 
-    @property
-    def alike(self) -> str:
-        """The slug of a cause that modes may not tell from this one, of one size; empty where there is none."""
-        return ""
+    def alike(self, u: np.ndarray) -> tuple[str, float | None] | None:
+        """Slug and size of a cause at the same place that this one may be taken for; of its usual size where None."""
+        return None
 
     def among(self, kept: np.ndarray) -> "Change | None":
         """The same where only the inputs ``kept``, shape ``(i,)``, are left; None where it sits on another."""

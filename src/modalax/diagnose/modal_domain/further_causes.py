@@ -95,6 +95,14 @@ class TunedMass(Change):
         """Its mass."""
         return float(self.values(u)[0])
 
+    def possible(self, u: np.ndarray) -> bool:
+        """What is damped beyond the critical damping oscillates no more: a damper holds it there as a mass."""
+        return super().possible(u) and bool(self.values(u)[2] < 1)
+
+    def alike(self, u: np.ndarray) -> tuple[str, float | None]:
+        """What its spring holds to its place is a mass there."""
+        return "added_mass", self.size(u)
+
     def told(self, u: np.ndarray, covariance: np.ndarray) -> dict[str, dict[str, Any]]:
         """Mass, frequency, damping ratio."""
         m, w, zeta = (float(v) for v in self.values(u))
@@ -214,10 +222,9 @@ class StructuralDamping(Change):
     over :math:`2\lambda + 2\zeta\omega(1-u)`, the derivative of what the pole solves (:func:`hysteretic_poles`).
     """
 
-    @property
-    def alike(self) -> str:
+    def alike(self, u: np.ndarray) -> tuple[str, float | None]:
         """A window may decay likewise."""
-        return "exponential_window"
+        return "exponential_window", None
 
     @property
     def signed(self) -> bool:

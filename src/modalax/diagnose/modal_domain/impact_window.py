@@ -28,10 +28,9 @@ class ImpactWindow(Change):
     damping: np.ndarray | None = field(default=None, compare=False)
     order: int = 0
 
-    @property
-    def alike(self) -> str:
+    def alike(self, u: np.ndarray) -> tuple[str, float | None]:
         """Hysteretic damping may decay likewise."""
-        return "structural_damping"
+        return "structural_damping", None
 
     @property
     def in_channels(self) -> bool:

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from modalax.diagnose.modal_domain.attempts import explains
-from modalax.diagnose.modal_domain.causes import Change, own_sizes
+from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.channel_faults import Swap
 from modalax.diagnose.modal_domain.coordinates import modes_of
 from modalax.diagnose.modal_domain.fit import Fit, without_causes
@@ -204,12 +204,13 @@ def as_signs(fits: Sequence[Fit], candidates: list[Change]) -> Iterator[tuple[tu
 
 
 def as_alike(fits: Sequence[Fit], candidates: list[Change]) -> Iterator[tuple[tuple[Change, ...], np.ndarray, Fit]]:
-    """Causes of each fit with what modes may not tell from one of them in its place; sizes and fit to start from."""
+    """Causes of each fit with what one of them may be taken for in its place; sizes and fit to start from."""
     for f in fits:
-        for k, cause in enumerate(f.causes):
-            others = [c for c in candidates if cause.alike and c.slug == cause.alike]
+        for k, (cause, u) in enumerate(with_sizes(f.causes, f.u)):
+            slug, size = cause.alike(u) or ("", None)
+            others = [c for c in candidates if c.slug == slug and c.where == cause.where and c.count == 1]
             if others and others[0] not in f.causes:
-                yield _instead(f, k, others[0], 1.0)
+                yield _instead(f, k, others[0], 1.0 if size is None else size / others[0].scale)
 
 
 def _instead(f: Fit, k: int, cause: Change, u: float) -> tuple[tuple[Change, ...], np.ndarray, Fit]:

@@ -122,11 +122,11 @@ def neighbours(search: Search, best: Fit, late: Late) -> None:
 
 
 def other_forms(search: Search) -> None:
-    """Fit the leading explanations with damping that goes with a cause, signs in place of gains, and simpler joints."""
+    """Fit the leading explanations with damping that goes with a cause, signs in place of gains, and simpler causes."""
     ranked, found = search.ranked, search.found
     near = [e.fit for e in ranked[:AGAIN] if e.log_posterior > ranked[0].log_posterior - NEAR]
-    limits = as_limits(near, search.asked)
-    for causes, u, start in (*as_signs(near, search.asked), *as_alike(near, search.asked), *limits):
+    limits = [*as_alike(near, search.asked), *as_limits(near, search.asked)]
+    for causes, u, start in (*as_signs(near, search.asked), *limits):
         search.fit(causes, u, start)
     # a joint that loses energy may be a spring with damping along: what that leaves tells, not what the spring does
     simple = [found[key] for key in dict.fromkeys(key_of(causes) for causes, _, _ in limits) if key in found]
