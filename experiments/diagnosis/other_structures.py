@@ -389,6 +389,15 @@ def effect_swap(t: Test) -> None:
     t.tell("channel_swap", [t.world.dofs[t.outputs[a]], t.world.dofs[t.outputs[b]]])
 
 
+def effect_hits(t: Test) -> None:
+    """Two hits written down at each other's points."""
+    a, b = t.rng.choice(len(t.inputs), 2, replace=False)
+    turn = np.arange(len(t.inputs))
+    turn[[a, b]] = turn[[b, a]]
+    t.on_channels = lambda H, f: H[..., turn]
+    t.tell("channel_swap", [t.world.dofs[t.inputs[a]], t.world.dofs[t.inputs[b]]])
+
+
 def effect_delay(t: Test) -> None:
     """One channel late."""
     c = int(t.rng.integers(len(t.outputs)))
@@ -628,7 +637,7 @@ def draw(name: str, effect: str, seed: int, how: dict) -> tuple[dict, dict, dict
     t = Test(world, M, K, np.zeros_like(M), outputs, inputs, rng, (low, high), shape, zeta, f[first])
     t.times = how.get("times", 1.0)
     n, bare = len(M0), (M.copy(), K.copy())  # effects change what the test holds
-    effect_both(t, effect.split("+")) if "+" in effect else EFFECTS[effect](t)
+    several_effects(t, effect.split("+")) if "+" in effect else EFFECTS[effect](t)
     # an oscillator, or what outweighs the structure, leaves the damping of the rest as it was
     own = damping(*(bare if len(t.M) > n or t.times > 1 else (t.M, t.K)), t.zeta)
     C = np.pad(own, (0, len(t.M) - n)) + t.C_extra
@@ -656,7 +665,7 @@ def draw(name: str, effect: str, seed: int, how: dict) -> tuple[dict, dict, dict
     return data, simulation, {**t.truth, "structure": name, "effect": effect, "spread": spread, "lines": len(freq)}
 
 
-def effect_both(t: Test, effects: Sequence[str]) -> None:
+def several_effects(t: Test, effects: Sequence[str]) -> None:
     """One effect after the other."""
     truths, on_channels = [], []
     for effect in effects:
