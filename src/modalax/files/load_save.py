@@ -86,9 +86,7 @@ def load(
 def as_path(path: Any) -> Path:
     """Return ``path`` as a path; ``ValueError`` if it is none."""
     if not isinstance(path, str | os.PathLike) or "\0" in str(path):
-        named = (
-            repr(path) if path is None or isinstance(path, str | bytes | int | float) else f"a {type(path).__name__}"
-        )
+        named = repr(path) if isinstance(path, str) else f"a value of type {type(path).__name__}"
         raise ValueError(f"a file is named by text or a path, not by {named}")
     return Path(path)
 

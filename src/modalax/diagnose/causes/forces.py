@@ -43,6 +43,7 @@ class ForceSwap(ChannelCause):
     slug = "channel_swap"
     shortlist_by = "exchange of inputs"
     summary = "two inputs exchanged"
+    prior = 0.5  # as of what else is wrong of a single input
     advice = "hit, or drive, each of the two points again and check which FRFs come back"
 
     def places(self, scene: Scene) -> list[Place]:

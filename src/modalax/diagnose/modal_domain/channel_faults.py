@@ -71,13 +71,23 @@ class Gain(ChannelFactor):
 
 
 @dataclass(frozen=True)
-class ForceGain(Gain):
-    """A hammer or load cell calibrated wrongly, or all of them."""
+class OfInputs(Change):
+    """A fault of the force."""
 
     @property
     def at_inputs(self) -> bool:
-        """It is one of the inputs'."""
+        """Its places are inputs."""
         return True
+
+    @property
+    def in_shapes(self) -> bool:
+        """Mode shapes have no force."""
+        return False
+
+
+@dataclass(frozen=True)
+class ForceGain(OfInputs, Gain):
+    """A hammer or load cell calibrated wrongly, or all of them."""
 
     def among(self, kept: np.ndarray) -> Change | None:
         """At its new number."""
@@ -85,11 +95,6 @@ class ForceGain(Gain):
         if axis == ALL:
             return self
         return replace(self, channel=(axis, int(kept[:number].sum()))) if kept[number] else None
-
-    @property
-    def in_shapes(self) -> bool:
-        """Mode shapes have no force."""
-        return False
 
     def turned(self, u: np.ndarray) -> Change | None:
         """No cause of its own."""
@@ -146,23 +151,13 @@ class Swap(Change):
 
 
 @dataclass(frozen=True)
-class ForceSwap(Swap):
+class ForceSwap(OfInputs, Swap):
     """Two inputs exchanged, as hits at each other's points."""
-
-    @property
-    def at_inputs(self) -> bool:
-        """They are inputs."""
-        return True
 
     def among(self, kept: np.ndarray) -> Change | None:
         """At their new numbers, where both are left."""
         a, b = self.channel
         return replace(self, channel=(int(kept[:a].sum()), int(kept[:b].sum()))) if kept[a] and kept[b] else None
-
-    @property
-    def in_shapes(self) -> bool:
-        """Mode shapes have no force."""
-        return False
 
     @property
     def in_catalogue(self) -> Cause | None:

@@ -23,10 +23,8 @@ from modalax.diagnose.screening.sensitivities import changes_in_batches, plain, 
 from modalax.diagnose.search.candidates import start_from
 from modalax.diagnose.thresholds import THRESHOLDS
 
-ROWS, BYTES = (
-    1500,
-    3e8,
-)  # most directions that are compared, those that explain most alone, and the memory they may take
+ROWS = 1500  # most directions that are compared, those that promise most alone
+BYTES = 3e8  # of memory that they may take
 ALIKE = 0.999  # likeness of two directions beyond which they are one
 NEAR = 24.0  # twice the log evidence that a pair may promise less than the best to be fitted
 PAIRS, KINDS = 12, 4  # pairs that are fitted, and kinds of pairs, each of which is a program to compile
@@ -36,7 +34,14 @@ PAIRS, KINDS = 12, 4  # pairs that are fitted, and kinds of pairs, each of which
 class Pair:
     """Two causes at their places, with sizes to start from.
 
-    ``gain`` is the chi-square that they promise to take away, ``worth`` twice the log evidence.
+    Attributes
+    ----------
+    trials
+        Each cause at its place.
+    gain
+        Chi-square that they promise to take away.
+    worth
+        Twice the log evidence that they promise.
     """
 
     trials: tuple[Trial, Trial]
