@@ -128,7 +128,7 @@ class ByUnknowns(Linear):
         """The mean, and the number of well-determined unknowns of each group."""
         s, L = self._factor(epsilon, temperature)
         x = s * scipy.linalg.lapack.dpotrs(L, s * self.right / temperature, lower=1)[0]
-        inverse = scipy.linalg.lapack.dtrtri(L, lower=1, overwrite_c=1)[0]
+        inverse = scipy.linalg.lapack.dtrtri(L, lower=1, overwrite_c=1)[0] if len(L) else L  # it prints of no rows
         return x, self._grouped(1 - np.einsum("ij,ij->j", inverse, inverse))
 
     def rise(self, old: np.ndarray, new: np.ndarray) -> float:
