@@ -19,7 +19,7 @@ from modalax.diagnose.causes import saved_causes
 from modalax.diagnose.causes.base import Cause, JointCause
 from modalax.diagnose.causes.free_law import free_law_of
 from modalax.diagnose.causes.scene import Place
-from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.fitting.hypothesis import Hypothesis, slopes
 from modalax.diagnose.overview import of_extended
 from modalax.diagnose.prediction.frf import predict
 from modalax.diagnose.prediction.harmonics import HIGHEST, with_harmonics
@@ -189,8 +189,7 @@ def extend(comparison: Any, h: Hypothesis) -> ExtendedSimulation:
     for cause, p in zip(h.causes, h.params, strict=True):
         count = len(p)
         variance = np.diag(h.covariance)[k : k + count] if h.covariance is not None else np.full(count, np.nan)
-        scale = np.array([p[j] if q.log else 1.0 for j, q in enumerate(cause.parameters)])
-        spread.append(as_array(np.sqrt(np.maximum(variance, 0.0)) * np.abs(scale)))
+        spread.append(as_array(np.sqrt(np.maximum(variance, 0.0)) * np.abs(slopes(cause, p))))
         k += count
     n_out, n_in = comparison.problem.channels
     in_full = [isinstance(c, JointCause) and e is not None for c, e in zip(h.causes, h.extras, strict=True)]

@@ -25,7 +25,7 @@ from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.causes.base import Cause, JointCause
 from modalax.diagnose.causes.scene import Place, Scene
 from modalax.diagnose.extend import ExtendedSimulation
-from modalax.diagnose.fitting.hypothesis import bounds_of, from_search, split, to_search
+from modalax.diagnose.fitting.hypothesis import bounds_of, from_search, slopes, split, to_search
 from modalax.diagnose.overview import of_explained
 from modalax.diagnose.prediction.frf import predict
 from modalax.diagnose.setup.modal_form import modal_form_of
@@ -315,10 +315,7 @@ def _at_own_motion(task: Task, causes: tuple[Any, ...], fits: list[Any]) -> Expl
     )
     params = [np.asarray(p) for p in _unpack(causes, x[:count])]
     std = np.sqrt(np.maximum(np.diag(covariance)[:count], 0.0))
-    spread = [
-        s * np.array([abs(v) if q.log else 1.0 for v, q in zip(p, c.parameters, strict=True)])
-        for s, p, c in zip(split(causes, std), params, causes, strict=True)
-    ]
+    spread = [s * np.abs(slopes(c, p)) for s, p, c in zip(split(causes, std), params, causes, strict=True)]
     extended = ExtendedSimulation(
         base, tuple(map(jnp.asarray, params)), tuple(map(jnp.asarray, spread)), theta, (None,) * len(causes), causes,
         (task.place,) * len(causes), task.scene.outputs, task.scene.inputs, task.lowest_hz,

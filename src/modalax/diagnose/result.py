@@ -18,7 +18,7 @@ from modalax.diagnose.decision.posterior import Ranked
 from modalax.diagnose.decision.sets import as_stated, rivals
 from modalax.diagnose.evidence import Compared, evidence_of
 from modalax.diagnose.extend import ExtendedSimulation
-from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.fitting.hypothesis import Hypothesis, slopes
 from modalax.diagnose.over_levels import levels_said, over_levels
 from modalax.diagnose.rotations import in_own_units, rotations_in
 from modalax.diagnose.search.explain import Explanation
@@ -203,7 +203,7 @@ def _told(h: Hypothesis, probability: float) -> list[dict[str, Any]]:
     for cause, place, p in zip(h.causes, h.places, h.params, strict=True):
         count = len(p)
         cov = np.zeros((count, count)) if h.covariance is None else h.covariance[k : k + count, k : k + count]
-        scale = np.array([p[j] if q.log else 1.0 for j, q in enumerate(cause.parameters)])
+        scale = slopes(cause, p)
         out.append(
             {
                 "name": cause.slug, "where": list(place.where), "probability": float(probability),

@@ -18,7 +18,7 @@ class ModalDamping(UndampedCause):
     slug = "modal_damping"
     advice = "check the settings of window and record length, or repeat without a window"
     summary = "damping ratio of one mode"
-    parameters = (Parameter("relative_change", "-", -0.999),)
+    parameters = (Parameter("relative_change", "-", -0.999, relative=True),)
 
     def places(self, scene: Scene) -> list[Place]:
         """Every mode in or near the band."""

@@ -12,6 +12,8 @@ from modalax.diagnose.causes.mains_hum import MainsHum
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.causes.signals import HumLines
 
+HIGHEST = 690.0  # logarithm up to which a parameter is a number
+
 
 @dataclass(frozen=True)
 class Hypothesis:
@@ -91,7 +93,7 @@ class Hypothesis:
             own = slice(first, first := first + len(p))
             if not len(p) or self.covariance is None:
                 continue
-            size = np.array([1.0 if q.log else abs(v) for q, v in zip(cause.parameters, p, strict=True)])
+            size = np.abs(p / slopes(cause, p))
             variances, some = self.covariance[own, own], size > 0  # what is zero is no larger than any deviation
             relative = variances[np.ix_(some, some)] / np.outer(size[some], size[some])
             alone = isinstance(cause, JointCause) or not np.isfinite(relative).all()
@@ -133,16 +135,23 @@ class Hypothesis:
 
 def to_search(cause: Cause, p: np.ndarray) -> np.ndarray:
     """Parameters in the variables of the search, which are logarithms where a parameter says so."""
-    log = np.array([q.log for q in cause.parameters], bool)
-    return np.where(log, np.log(np.maximum(p, 1e-300)), p) if len(log) else np.zeros(0)
+    return np.array([q.searched(v) for q, v in zip(cause.parameters, p, strict=True)])
 
 
 def from_search(cause: Cause, u: Any) -> Any:
-    """Parameters from the variables of the search."""
-    log = np.array([q.log for q in cause.parameters], bool)
+    """Parameters from the variables of the search, shape ``(..., parameter)``: NumPy's of NumPy's, else JAX's."""
+    log, relative = (np.array([getattr(q, kind) for q in cause.parameters], bool) for kind in ("log", "relative"))
+    xp: Any = np if isinstance(u, np.ndarray) else jnp
     if not len(log):
-        return jnp.zeros(0)
-    return jnp.where(log, jnp.exp(jnp.where(log, u, 0.0)), u)
+        return u
+    within = xp.minimum(xp.where(log | relative, u, 0.0), HIGHEST)
+    value = xp.where(log, xp.exp(within), u)
+    return xp.where(relative, xp.expm1(within), value) if relative.any() else value
+
+
+def slopes(cause: Cause, p: np.ndarray) -> np.ndarray:
+    """Derivatives of parameters by the variables of the search."""
+    return np.array([q.slope(v) for q, v in zip(cause.parameters, p, strict=True)])
 
 
 def split(causes: Sequence[Cause], u: Any) -> list[Any]:
@@ -157,11 +166,8 @@ def split(causes: Sequence[Cause], u: Any) -> list[Any]:
 
 def bounds_of(causes: Sequence[Cause]) -> tuple[np.ndarray, np.ndarray]:
     """Limits of the searched unknowns."""
-    low, high = [], []
-    for q in (q for cause in causes for q in cause.parameters):
-        low.append(np.log(max(q.lower, 1e-300)) if q.log else q.lower)
-        high.append(np.log(q.upper) if q.log else q.upper)
-    return np.array(low), np.array(high)
+    every = [q for cause in causes for q in cause.parameters]
+    return np.array([q.searched(q.lower) for q in every]), np.array([q.searched(q.upper) for q in every])
 
 
 def searched(h: Hypothesis) -> np.ndarray:

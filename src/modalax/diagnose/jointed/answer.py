@@ -16,6 +16,7 @@ from modalax.diagnose.decision.advice import advise_joint
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.joint import joint_verdict
 from modalax.diagnose.decision.omnibus import Omnibus, omnibus
+from modalax.diagnose.fitting.hypothesis import slopes
 from modalax.diagnose.joint_laws import modes_at
 from modalax.diagnose.jointed.bent import modes_are_bent
 from modalax.diagnose.jointed.fits import Fitted, Jointed, fit_joints, suited
@@ -82,7 +83,7 @@ class JointDiagnosis(Diagnosis):
         e, k, out = self.chosen.explained, 0, []
         for cause, place, p in zip(e.extended.causes, e.extended.places, e.extended.params, strict=True):
             own, p = slice(k, k + len(p)), np.asarray(p)
-            scale = np.array([v if q.log else 1.0 for v, q in zip(p, cause.parameters, strict=True)])
+            scale = slopes(cause, p)
             told = parameters_told(cause, place, p, e.covariance[own, own] * np.outer(scale, scale))
             out.append(
                 {"name": cause.slug, "where": list(place.where), "probability": self.chosen.probability,

@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.gauss_newton import covariance_of, damped
-from modalax.diagnose.fitting.hypothesis import Hypothesis, bounds_of, to_search
+from modalax.diagnose.fitting.hypothesis import Hypothesis, bounds_of, from_search, to_search
 
 STEP = 1e-4  # relative step of an unknown for differences
 AT_ONCE = 8  # hypotheses fitted side by side
@@ -59,12 +58,6 @@ class Target:
         return value, A, g
 
 
-def plain(cause: Cause, u: np.ndarray) -> np.ndarray:
-    """Parameters from what is searched."""
-    log = np.array([q.log for q in cause.parameters], bool)
-    return np.where(log, np.exp(np.clip(np.where(log, u, 0.0), -690.0, 690.0)), u)
-
-
 def fit_from_screening(
     comparison: Comparison, base: Hypothesis, starts: list[Hypothesis], target: Callable[[list[Hypothesis]], Target],
     changes: Callable[[list[Hypothesis], np.ndarray, np.ndarray], np.ndarray], rounds: int,
@@ -80,23 +73,24 @@ def fit_from_screening(
     """
     cause = starts[0].causes[0]
     low, high = bounds_of((cause,))
+    logarithmic = [q.logarithmic for q in cause.parameters]
     out: list[Hypothesis] = []
     for k in range(0, len(starts), AT_ONCE):
         part = starts[k : k + AT_ONCE]
         aim = target(part)
         u0 = np.stack([to_search(cause, h.params[0]) for h in part])
-        size = np.where([q.log for q in cause.parameters], 1.0, np.maximum(np.abs(u0), 1e-12)) if u0.size else u0
+        size = np.where(logarithmic, 1.0, np.maximum(np.abs(u0), 1e-12)) if u0.size else u0
 
         def normal(
             u: np.ndarray, moving: np.ndarray, part: Any = part, aim: Target = aim, size: np.ndarray = size
         ) -> Any:
             rows, every, count = np.flatnonzero(moving), len(u), u.shape[1]
             u = u[rows]
-            step = STEP * np.maximum(np.where([q.log for q in cause.parameters], 1.0, np.abs(u)), 1e-3 * size[rows])
+            step = STEP * np.maximum(np.where(logarithmic, 1.0, np.abs(u)), 1e-3 * size[rows])
             step = np.where(u + step > high, -step, step)
             points = np.concatenate([u[:, None], u[:, None] + step[:, None, :] * np.eye(count)[None]], axis=1)
             owner = np.repeat(rows, count + 1)
-            E = changes(part, owner, plain(cause, points.reshape(len(u) * (count + 1), count)))
+            E = changes(part, owner, from_search(cause, points.reshape(len(u) * (count + 1), count)))
             E = E.reshape(len(u), count + 1, -1)
             J = (
                 np.swapaxes((E[:, 1:] - E[:, :1]) / step[..., None], 1, 2)
@@ -112,12 +106,12 @@ def fit_from_screening(
         beside = _beside(comparison, part, aim, changes, u, value)
         if beside is not None:
             u, value, A, still = damped(normal, beside, low, high, rounds)
-        last = changes(part, np.arange(len(part)), plain(cause, u))
+        last = changes(part, np.arange(len(part)), from_search(cause, u))
         c = np.einsum("bks,bs->bk", np.broadcast_to(aim.nuisance, (len(part), *aim.nuisance.shape[1:])), last)
         for j, h in enumerate(part):
             out.append(
                 replace(
-                    h, params=(plain(cause, u[j]),), chi2=base.chi2 + float(value[j]),
+                    h, params=(from_search(cause, u[j]),), chi2=base.chi2 + float(value[j]),
                     theta=_moved(comparison, base, aim.inner @ c[j]), covariance=covariance_of(A[j]),
                     reason="still moving" if still[j] else "settled",
                 )
@@ -131,7 +125,7 @@ def _beside(
     """Unknowns with those of the best hypothesis where its cause has a deeper minimum beside; None if it has none."""
     best = int(np.argmin(value))
     cause, place = part[best].causes[0], part[best].places[0]
-    points = cause.nearby(plain(cause, u[best]), place, comparison.scene)
+    points = cause.nearby(from_search(cause, u[best]), place, comparison.scene)
     points = points[: max(NEAREST, int(BESIDE / max(aim.toward.shape[1], 1)))]
     found = []
     for k in range(0, len(points), AT_ONCE):

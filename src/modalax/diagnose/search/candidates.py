@@ -29,9 +29,8 @@ def start_from(base: Hypothesis, trial: Trial, p: np.ndarray) -> Hypothesis:
     p
         Parameters to start from.
     """
-    low = np.array([q.lower for q in trial.cause.parameters])
-    high = np.array([q.upper for q in trial.cause.parameters])
-    h = base.with_cause(trial.cause, trial.place, trial.extra, np.clip(p, low, high) if len(low) else p)
+    within = np.array([q.within(v) for q, v in zip(trial.cause.parameters, p, strict=True)])
+    h = base.with_cause(trial.cause, trial.place, trial.extra, within)
     return replace(h, freedom=cost_of(h.causes, h.extras) + (h.hum.freedom if h.hum is not None else 0.0))
 
 

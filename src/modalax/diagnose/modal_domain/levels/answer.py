@@ -7,6 +7,7 @@ import numpy as np
 
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.decision.levels import LevelsCase, levels_verdict
+from modalax.diagnose.fitting.hypothesis import slopes
 from modalax.diagnose.modal_domain.levels.explain import JointFound
 from modalax.diagnose.modal_domain.levels.laws import NAMELESS, stiffness_of
 from modalax.diagnose.modal_domain.levels.motion import motion_of
@@ -55,7 +56,7 @@ def causes_told(seen: Seen, whole: Whole | None = None) -> list[dict[str, Any]]:
     if j is None or j.fit.law in NAMELESS:
         return []
     f = j.fit if whole is None else whole.fit
-    scale = np.array([v if q.log else 1.0 for v, q in zip(f.p, f.law.parameters, strict=True)])
+    scale = slopes(f.law, f.p)
     parameters = parameters_told(f.law, Place(j.spot.where), f.p, f.covariance * np.outer(scale, scale))
     if whole is not None and not whole.alone:
         parameters = {"stiffness": {"value": whole.stiffness, "std": whole.std, "unit": "N/m"}, **parameters}

@@ -20,7 +20,7 @@ import scipy.optimize
 from modalax.diagnose.causes.base import JointCause
 from modalax.diagnose.causes.joints import CoulombFriction, CubicStiffness, ElastoSlip, GapContact, QuadraticDamping
 from modalax.diagnose.causes.power_laws import IwanMicroSlip, PowerDamper, PowerSpring
-from modalax.diagnose.fitting.hypothesis import bounds_of, to_search
+from modalax.diagnose.fitting.hypothesis import bounds_of, from_search, slopes, to_search
 from modalax.diagnose.modal_domain.levels.balance import ORDERS, balanced
 from modalax.diagnose.modal_domain.levels.motion import Motion, padded
 from modalax.diagnose.modal_domain.levels.play import Cube, Drag, Play, Stop
@@ -75,7 +75,7 @@ class LawFit:
     def std(self) -> np.ndarray:
         """Standard deviations of the parameters themselves."""
         error = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-        return error * np.array([v if q.log else 1.0 for v, q in zip(self.p, self.law.parameters, strict=True)])
+        return error * slopes(self.law, self.p)
 
 
 @partial(jax.jit, static_argnums=0)
@@ -179,12 +179,7 @@ def _jacobian(law: JointCause, m: Motion, p: np.ndarray) -> np.ndarray:
     at = (m.still * m.turn)[..., None] / (1 + dN * m.drive[..., None]) ** 2
     by = (D[1:] - D[0]).transpose(1, 2, 0, 3) * at[..., None]
     r = (m.root @ by).reshape(-1, len(p))
-    log = np.array([q.log for q in law.parameters])
-    return np.nan_to_num(np.concatenate([r.real, r.imag]) * np.where(log, p, 1.0))
-
-
-def _from_search(law: JointCause, u: np.ndarray) -> np.ndarray:
-    return np.array([np.exp(min(v, 600.0)) if q.log else v for v, q in zip(u, law.parameters, strict=True)])
+    return np.nan_to_num(np.concatenate([r.real, r.imag]) * slopes(law, p))
 
 
 def _shapes(law: JointCause, m: Motion) -> list[tuple[float, ...]]:
@@ -271,14 +266,14 @@ def _followed(law: JointCause, m: Motion) -> np.ndarray | None:
         scale = np.array([abs(v) if not q.log else 1.0 for v, q in zip(x, law.parameters, strict=True)])
         scale = np.maximum(scale, 1e-12 * scale.max())
         found = scipy.optimize.least_squares(
-            lambda y, scale=scale: _difference(law, m, _from_search(law, y * scale)),
+            lambda y, scale=scale: _difference(law, m, from_search(law, y * scale)),
             np.clip(x / scale, low / scale + 1e-12, high / scale - 1e-12),
-            lambda y, scale=scale: _jacobian(law, m, _from_search(law, y * scale)) * scale,
+            lambda y, scale=scale: _jacobian(law, m, from_search(law, y * scale)) * scale,
             bounds=(low / scale, high / scale), max_nfev=STEPS,
         )  # fmt: skip
         if best is None or found.cost < best[0]:
             best = found.cost, found.x * scale
-    return None if best is None else _from_search(law, best[1])
+    return None if best is None else from_search(law, best[1])
 
 
 def fit_law(law: JointCause, m: Motion, begun: np.ndarray | None = None) -> LawFit | None:
@@ -298,7 +293,7 @@ def fit_law(law: JointCause, m: Motion, begun: np.ndarray | None = None) -> LawF
     for _ in range(3):  # on all lines, from where the few have led
         size = np.maximum(np.linalg.norm(J, axis=0), 1e-300)
         step = np.linalg.lstsq(J / size, -r, rcond=1e-8)[0] / size
-        trial = _from_search(law, np.clip(to_search(law, p) + step, low, high))
+        trial = from_search(law, np.clip(to_search(law, p) + step, low, high))
         moved = _difference(law, m, trial)
         if moved @ moved >= r @ r:
             break
