@@ -99,6 +99,10 @@ class Comparison:
         """Whitened residual of a hypothesis, real and imaginary parts, shape ``(o, i, run f 2)`` as padded."""
         return residual_of(self._predicted(h), self.nuisance.basis, self.problem)
 
+    def chi2(self, h: Hypothesis) -> float:
+        """Chi-square of a hypothesis at its parameters, that of the claimed spread of modal parameters included."""
+        return float((np.abs(self.residual(h)) ** 2).sum() + (np.asarray(h.theta) ** 2).sum())
+
     def prediction(self, h: Hypothesis) -> np.ndarray:
         """Receptances of a hypothesis at the measured lines and channels, shape ``(run, f, o, i)``, unpadded."""
         H = self._predicted(h)

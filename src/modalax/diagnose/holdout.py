@@ -13,7 +13,6 @@ from modalax.diagnose.fitting.hypothesis import Hypothesis, searched
 from modalax.diagnose.fitting.residual import jacobian_of
 from modalax.diagnose.screening.score_state import score_state_of
 from modalax.diagnose.screening.screen import nuisance_of
-from modalax.diagnose.search.explain import chi2_of
 from modalax.diagnose.search.rows import force_taken
 from modalax.diagnose.search.singles import refit
 
@@ -140,7 +139,7 @@ def _missed(seen: Comparison, unseen: Comparison, h: Hypothesis, fitted: Hypothe
     claimed = 1.0 * (np.arange(len(J)) >= len(searched(fitted)))
     weights = np.linalg.lstsq(kept @ kept.T + J @ J.T + np.diag(claimed), J @ J.T, rcond=None)[0]
     total, squares = (max(float(np.trace(w)), 1e-300) for w in (weights, weights @ weights))
-    worse = max(chi2_of(seen, h) - chi2_of(seen, fitted) - tolerated, 0.0)
+    worse = max(seen.chi2(h) - seen.chi2(fitted) - tolerated, 0.0)
     chance = scipy.special.chdtrc(total**2 / squares, worse * total / squares)
     return -float(scipy.special.ndtri(min(chance, 0.5)))
 

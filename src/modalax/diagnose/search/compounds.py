@@ -89,20 +89,20 @@ def exchanged(
     """
     out: list[Hypothesis] = []
     for j in range(0 if comparison.late() else len(h.causes)):
-        base = replace(
-            h, causes=_without(j, h.causes), places=_without(j, h.places), extras=_without(j, h.extras),
-            params=_without(j, h.params), covariance=None, freedom=0.0, fidelity=None, since=None,
-        )  # fmt: skip
-        base = replace(base, freedom=cost_of(base.causes, base.extras) + (h.hum.freedom if h.hum else 0.0))
-        base = fit_together(comparison, [base])[0]
+        base = fit_together(comparison, [without_cause(h, j)])[0]
         known = any(set(k.names) == set(base.names) and abs(k.chi2 - base.chi2) < SAME for k in done)
         out += [base, *([] if known else fit_further(comparison, base, rest(base)[:count]))]
     return out
 
 
-def _without(j: int, items: tuple[Any, ...]) -> tuple[Any, ...]:
-    """All but one."""
-    return items[:j] + items[j + 1 :]
+def without_cause(h: Hypothesis, j: int) -> Hypothesis:
+    """The hypothesis without its cause of a number, not fitted again."""
+    rest = lambda items: items[:j] + items[j + 1 :]
+    causes, extras = rest(h.causes), rest(h.extras)
+    return replace(
+        h, causes=causes, places=rest(h.places), extras=extras, params=rest(h.params), covariance=None, fidelity=None,
+        since=None, freedom=cost_of(causes, extras) + (h.hum.freedom if h.hum else 0.0),
+    )  # fmt: skip
 
 
 def one_more_cause(
@@ -212,7 +212,7 @@ def rest_of(comparison: Comparison, h: Hypothesis, null: Hypothesis, causes: Seq
     after = omnibus(used.residual(h), used.live(), comparison.noise.freedom, allowed)
     if comparison.late():
         return Rest([], after.p_value, after)
-    state = score_state_of(used, h, _jacobian(used, h))
+    state = score_state_of(used, h, free_directions(used, h))
     trials = screen_all(state, causes, finite=False).trials
     if h.hum is not None:
         trials = [t for t in trials if not t.cause.leaves_out_lines]
@@ -257,8 +257,8 @@ def _worth(comparison: Comparison) -> float:
     return THRESHOLDS.further_cause + math.log(max(comparison.problem.samples, 30))
 
 
-def _jacobian(comparison: Comparison, h: Hypothesis) -> np.ndarray:
-    """Directions of the fitted parameters, long enough to count as free."""
+def free_directions(comparison: Comparison, h: Hypothesis) -> np.ndarray:
+    """Directions of the fitted parameters, long enough to count as free, shape ``(unknown, o, i, run f 2)``."""
     problem, nuisance = comparison.problem, comparison.nuisance
     if not h.causes or not len(searched(h)):
         return np.zeros((0, *problem.data.shape[2:], 2 * problem.data.shape[0] * problem.data.shape[1]))

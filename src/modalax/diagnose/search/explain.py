@@ -3,8 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
 from modalax.diagnose.causes.base import Cause, UndampedCause
 from modalax.diagnose.comparison import Comparison, noise_beside
 from modalax.diagnose.deadline import Deadline
@@ -16,6 +14,7 @@ from modalax.diagnose.screening.every_cause import chosen
 from modalax.diagnose.screening.score_state import score_state_of
 from modalax.diagnose.search.candidates import best_of_each, moderate
 from modalax.diagnose.search.compounds import FURTHER, Leavings, Rest, exchanged, one_more_cause
+from modalax.diagnose.search.elsewhere import elsewhere
 from modalax.diagnose.search.harmonics import is_limit, joints_in_full
 from modalax.diagnose.search.imitator_check import apart, imitations, likeness
 from modalax.diagnose.search.in_pairs import best_pairs
@@ -26,13 +25,14 @@ from modalax.diagnose.search.measured_force import STRONG, robust_starts, starts
 from modalax.diagnose.search.named_before import NamedCause, explained_by
 from modalax.diagnose.search.rows import fitted_beside_outliers
 from modalax.diagnose.search.singles import IN_FULL, PATIENT, fit_single, from_nominal_modes, joints_for_drifts, refit
-from modalax.diagnose.search.tolerance import uncounted
+from modalax.diagnose.search.tolerance import tolerated, uncounted
 from modalax.diagnose.thresholds import THRESHOLDS
 
 NEAR = 12.0  # nats behind the best up to which hypotheses are fitted again with complex modes made exact
 DEEPEST = 3  # causes in one answer
 SEVERAL = THRESHOLDS.left_by_several
 NEARLY = 0.05  # share of what a pair promised in linear order by which its fit may differ to be taken for linear
+SLIGHT = 1.0  # chi-square that harmonics may change at most for pairs to be fitted before them
 HOPEFUL = 0.5  # share of the residual beyond noise that two causes must explain before a third is looked for
 
 
@@ -106,11 +106,11 @@ def explain(
     if before and ranked[0].best is before[0] and known is not None:
         rest.know(before[0], known)
     if not (before and ranked[0].best.names == before[0].names) or rest(ranked[0].best).p_value < SEVERAL:
-        fitted, ranked = in_full(look, comparison, fitted, ranked)
-        fitted, ranked, settled = both_at_once(look, comparison, fitted, ranked, rest)
+        fitted, ranked, settled = with_harmonics_or_pairs(look, comparison, fitted, ranked, rest)
         if not settled:
             fitted, ranked = by_force(look, comparison, fitted, ranked, causes)
             fitted, ranked = together(look, comparison, fitted, ranked, rest)
+    fitted, ranked = at_other_places(look, comparison, fitted, ranked)
     left = rest(ranked[0].best)
     leftover = replace(leftover, p_value=left.p_value, tolerated=left.tolerated)
     return Explanation(look, comparison, ranked, leftover, left.omnibus, fitted)
@@ -207,15 +207,6 @@ def with_noise_again(
 
     Scatter between neighbouring lines holds the curvature of what the simulation misses; beside an explanation it does
     not. The hypotheses keep their parameters, but for those near the best, which are fitted again.
-
-    Parameters
-    ----------
-    look
-        The simulation alone.
-    fitted
-        All hypotheses so far.
-    ranked
-        Sets of causes by falling probability.
     """
     best = ranked[0].best
     if best.hum is not None or look.null.chi2 - best.chi2 < look.comparison.problem.samples:
@@ -229,13 +220,8 @@ def with_noise_again(
     look = replace(look, state=state, omnibus=omnibus(comparison.residual(null), comparison.live(), noise.freedom))
     near = [r.best for r in ranked if r.log_evidence > ranked[0].log_evidence - NEAR and r.best.hum is None]
     others = [h for h in fitted if h.hum is None and not any(h is one for one in near)]
-    fitted = comparison.fit(near, PATIENT) + [replace(h, chi2=chi2_of(comparison, h)) for h in others]
+    fitted = comparison.fit(near, PATIENT) + [replace(h, chi2=comparison.chi2(h)) for h in others]
     return look, fitted, weigh(look, fitted)
-
-
-def chi2_of(comparison: Comparison, h: Hypothesis) -> float:
-    """Chi-square of a hypothesis at its parameters, that of the claimed spread of modal parameters included."""
-    return float((np.abs(comparison.residual(h)) ** 2).sum() + (np.asarray(h.theta) ** 2).sum())
 
 
 def centred(
@@ -297,21 +283,7 @@ def leader_in_full(
 def together(
     look: Look, comparison: Comparison, fitted: list[Hypothesis], ranked: list[Ranked], rest: Leavings
 ) -> tuple[list[Hypothesis], list[Ranked]]:
-    """Add one cause at a time, as long as what is left asks for one and the leading set takes it up.
-
-    Parameters
-    ----------
-    look
-        The simulation alone.
-    comparison
-        In which hypotheses are fitted.
-    fitted
-        All hypotheses so far.
-    ranked
-        Sets of causes by falling probability.
-    rest
-        What hypotheses leave.
-    """
+    """Add one cause at a time, as long as what is left asks for one and the leading set takes it up."""
     done: list[Hypothesis] = []
     for depth in range(2, DEEPEST + 1):
         if comparison.late() or (depth > 2 and _explained(look, ranked[0]) < HOPEFUL):
@@ -325,6 +297,39 @@ def together(
         fitted = fitted + exchanged(comparison, ranked[0].best, lambda h: rest(h).trials, FURTHER, done)
         fitted, ranked = leader_in_full(look, comparison, fitted, weigh(look, fitted, comparison))
     return fitted, ranked
+
+
+def with_harmonics_or_pairs(
+    look: Look, comparison: Comparison, fitted: list[Hypothesis], ranked: list[Ranked], rest: Leavings
+) -> tuple[list[Hypothesis], list[Ranked], bool]:
+    """Fit single joints with their harmonics and pairs of causes, first what may make the other needless.
+
+    What harmonics can change is known before they are fitted (:func:`tolerated`). Where that is nothing beside what the
+    leading cause leaves, pairs come first. Tells whether the search is settled, too (:func:`both_at_once`).
+    """
+    first = tolerated(ranked[0].best, look.null.chi2) < SLIGHT
+    before, settled = fitted, False
+    if first:
+        fitted, ranked, settled = both_at_once(look, comparison, fitted, ranked, rest)
+    if not settled:
+        tried = len(fitted) > len(before)
+        fitted, ranked = in_full(look, comparison, fitted, ranked)
+        if not tried:
+            fitted, ranked, settled = both_at_once(look, comparison, fitted, ranked, rest)
+    return fitted, ranked, settled
+
+
+def at_other_places(
+    look: Look, comparison: Comparison, fitted: list[Hypothesis], ranked: list[Ranked]
+) -> tuple[list[Hypothesis], list[Ranked]]:
+    """Fit linear elements of the leading set at other places, begun from what was fitted where they are."""
+    best = ranked[0].best
+    if len(best.causes) < 2 and all(len(p) < 2 for p in best.params):
+        return fitted, ranked
+    known = {r.names for r in ranked if r.log_evidence > ranked[0].log_evidence - NEAR}
+    starts = [h for h in elsewhere(comparison, best) if h.names not in known]
+    more = [h for h in comparison.fit(starts, PATIENT) if moderate(h, comparison)] if starts else []
+    return (fitted + more, weigh(look, fitted + more, comparison)) if more else (fitted, ranked)
 
 
 def both_at_once(

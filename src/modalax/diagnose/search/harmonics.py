@@ -173,7 +173,7 @@ def balanced(comparison: Comparison, h: Hypothesis, rows: np.ndarray | None = No
     factor = _factor(comparison, h, rows, slopes=slopes)
     extras = (*h.extras[:k], factor, *h.extras[k + 1 :])
     h = replace(h, extras=extras, freedom=h.freedom + cost_of(h.causes, extras) - cost_of(h.causes, h.extras))
-    left = float((np.abs(comparison.residual(h)) ** 2).sum() + (np.asarray(h.theta) ** 2).sum())
+    left = comparison.chi2(h)
     return replace(h, chi2=left if np.isfinite(left) else np.inf)
 
 

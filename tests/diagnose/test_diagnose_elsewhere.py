@@ -1,0 +1,89 @@
+"""Causes of the leading set at other places, begun from where they are; and what is fitted before what."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from modalax.data import FRF
+from modalax.diagnose.causes.channels import ChannelGain
+from modalax.diagnose.causes.joints import CubicStiffness
+from modalax.diagnose.causes.local import TunedMass
+from modalax.diagnose.causes.scene import Place
+from modalax.diagnose.comparison import make_comparison
+from modalax.diagnose.decision.posterior import Ranked
+from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.search import explain
+from modalax.diagnose.search.elsewhere import NEAR, elsewhere
+from modalax.model import Structure
+
+N, TRUE = 6, np.array([0.02, 9.0, 0.02])  # mass, frequency and damping ratio of the oscillator
+GAIN = 0.05
+
+
+@pytest.fixture(scope="module")
+def compared():
+    """A chain with an oscillator at its DoF 3 and a sensor 5 % off, beside the chain without."""
+    freq = np.linspace(3.0, 25.0, 240)
+    K = 4e3 * (2 * np.eye(N) - np.eye(N, k=1) - np.eye(N, k=-1))
+    C, names = 2e-4 * K, [str(k + 1) for k in range(N)]
+    s = 2j * np.pi * freq[:, None, None]
+    mass, w, zeta = TRUE[0], 2 * np.pi * TRUE[1], TRUE[2]
+    spring = w**2 + 2 * zeta * w * s
+    at = np.zeros((N, N))
+    at[2, 2] = 1.0
+    H = np.linalg.inv(s**2 * np.eye(N) + s * C + K + s**2 * mass * spring / (s**2 + spring) * at)[:, :, :2]
+    H = H * np.array([1.0] * (N - 1) + [1 + GAIN])[:, None]
+    sigma, rng = 0.02 * np.abs(H).std(), np.random.default_rng(5)
+    H = H + sigma / np.sqrt(2) * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape))
+    measured = FRF(freq, H, outputs=names, inputs=names[:2], form="receptance", variance=np.full(H.shape, sigma**2))
+    return make_comparison(measured, Structure(M=np.eye(N), C=C, K=K, dofs=names))
+
+
+def with_oscillator(compared, dof, params):
+    null = compared.fit([Hypothesis()], 5)[0]
+    place = Place((str(dof + 1),), (dof, -1, 0))
+    h = null.with_cause(TunedMass(), place, None, params)
+    return h.with_cause(ChannelGain(), Place((str(N),), (N - 1, -1, 0)), None, np.array([GAIN]))
+
+
+def test_an_oscillator_is_followed_from_a_wrong_place_to_the_right_one(compared):
+    """Its mass there is what has the same effect; the fit from there ends where that from the truth does."""
+    true, wrong = (compared.fit([with_oscillator(compared, d, TRUE)], 40)[0] for d in (2, 3))
+    assert wrong.chi2 > true.chi2 + 100
+    starts = elsewhere(compared, wrong)
+    first = starts[0]
+    assert first.places[0].index[0] == 2 and first.places[1:] == wrong.places[1:]  # promises most; the gain stays
+    assert 0.3 < first.params[0][0] / TRUE[0] < 3
+    np.testing.assert_array_equal(first.params[0][1:], wrong.params[0][1:])
+    assert abs(compared.fit([first], 40)[0].chi2 - true.chi2) < 0.1
+
+
+def test_places_that_promise_far_less_are_not_fitted(compared):
+    true = compared.fit([with_oscillator(compared, 2, TRUE)], 40)[0]
+    every = [compared.fit([with_oscillator(compared, d, true.params[0])], 40)[0].chi2 for d in range(N) if d != 2]
+    assert min(every) > true.chi2 + 2 * NEAR  # noise this small leaves no doubt
+    assert elsewhere(compared, true) == []
+
+
+@pytest.mark.parametrize("explained, order", [(2000.0, ["pairs", "harmonics"]), (1e5, ["harmonics", "pairs"])])
+@pytest.mark.parametrize("settled", [True, False])
+def test_pairs_come_before_harmonics_that_can_change_nothing(monkeypatch, explained, order, settled):
+    """One harmonic is exact to 1 %: of a chi-square of 2,000 that is 0.2, of 100,000 it is 10."""
+    asked = []
+    lone = Hypothesis(causes=(CubicStiffness(),), places=(Place(("1",), (0, -1, 0)),), extras=(None,), chi2=500.0)
+    ranked = [Ranked(lone.names, lone, -250.0, 1.0)]
+
+    def pairs(look, comparison, fitted, ranked, rest):
+        asked.append("pairs")
+        return [*fitted, lone], ranked, settled
+
+    def harmonics(look, comparison, fitted, ranked):
+        asked.append("harmonics")
+        return fitted, ranked
+
+    monkeypatch.setattr(explain, "both_at_once", pairs)
+    monkeypatch.setattr(explain, "in_full", harmonics)
+    look = SimpleNamespace(null=SimpleNamespace(chi2=500.0 + explained))
+    assert explain.with_harmonics_or_pairs(look, None, [lone], ranked, None)[2] == settled
+    assert asked == (order[:1] if settled and order[0] == "pairs" else order)
