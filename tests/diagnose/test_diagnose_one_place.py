@@ -13,6 +13,7 @@ from modalax.diagnose import pipeline
 from modalax.diagnose.causes.base import LocalCause
 from modalax.diagnose.causes.joints import BilinearStiffness, CoulombFriction, CubicStiffness, ElastoSlip, GapContact
 from modalax.diagnose.causes.local import JointStiffness, LocalDamper
+from modalax.diagnose.causes.viscoelastic import MaxwellJoint
 from modalax.diagnose.comparison import make_comparison
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.decision.route import Task
@@ -23,7 +24,7 @@ from modalax.diagnose.routes import may_tell_joints
 from modalax.diagnose.search import force_fit, one_place
 from modalax.diagnose.search.balanced_force import balanced, harmonics_of
 from modalax.diagnose.search.force_fit import fit_to_force, laws_by_force
-from modalax.diagnose.search.law_force import seen_at
+from modalax.diagnose.search.law_force import force_of, seen_at
 from modalax.diagnose.search.look import look
 from modalax.diagnose.search.measured_force import measured_forces
 from modalax.diagnose.search.one_harmonic import described, impedances
@@ -109,6 +110,33 @@ def test_a_law_that_explains_all_elsewhere_is_fitted_where_it_misses_as_much_by_
     elsewhere = [replace(found, missed=float(missed), chi2=seen.left + chi2)] if missed else []
     fits = laws_by_force(comparison, [law], force, 1e6, seen.left, True, elsewhere)
     assert [(f.cause, f.missed) for f in fits] == ([(law, 5e5)] if asked else [])
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3])
+def test_slopes_of_a_linear_element_are_those_of_differences_at_nothing_too(share):
+    """What lasts of a joint that relaxes begins at nothing, where steps in proportion to it told of no slope."""
+    comparison, force = compared(joined(joints.CubicSpring(3e10)))
+    seen, law, p = seen_at(comparison, force, several=False), MaxwellJoint(), np.array([2e5, 3e-3, share])
+    here, slopes = force_of(law, p, seen)[:2]
+    assert slopes.shape == (3, len(here))
+    for slope, step in zip(slopes, np.diag([1.0, 1e-7, 1e-6]), strict=True):
+        there, back = (force_of(law, p + way * step, seen)[0] for way in (1, -1))
+        expected = (there - back) / (2 * step.sum())
+        np.testing.assert_allclose(slope, expected, atol=1e-5 * np.abs(expected).max())
+        assert np.abs(slope).max() > 0
+
+
+def test_a_parameter_that_does_nothing_ends_no_fit_in_an_error(monkeypatch):
+    comparison, force = compared(joined(joints.CubicSpring(3e10)))
+    seen, follow = seen_at(comparison, force, several=False), force_fit.force_of
+
+    def blind(cause, p, seen, *a, **k):
+        force, slopes, sound, motion = follow(cause, p, seen, *a, **k)
+        return force, slopes * np.array([1.0, 1.0, 0.0])[:, None], sound, motion
+
+    monkeypatch.setattr(force_fit, "force_of", blind)
+    fit = fit_to_force(MaxwellJoint(), [np.array([2e5, 3e-3, 0.0])], seen)
+    assert fit is not None and np.isfinite(fit.params).all() and fit.params[2] == 0
 
 
 def test_a_place_knows_what_was_fitted_at_those_before(monkeypatch):

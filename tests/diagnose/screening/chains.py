@@ -20,13 +20,13 @@ def grid(count, claimed):
     return Structure(M, 1e-4 * K + 0.5 * M, K, names, frequency_std=0.01 * claimed, damping_std=0.1 * claimed)
 
 
-def comparison_of(structure, changed, lines=80, seed=0):
+def comparison_of(structure, changed, lines=80, seed=0, level=(1.0, 2.0)):
     rng, freq = np.random.default_rng(seed), np.linspace(10.0, 120.0, lines)
     names = structure.dofs
     H = np.stack([np.asarray(changed.frf(freq, outputs=names, inputs=names[:2]).H)] * 2)
     sigma = 0.03 * np.sqrt((np.abs(H) ** 2).mean(axis=1, keepdims=True)) * np.ones(H.shape)
     e = (rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape)) * sigma / np.sqrt(2)
-    data = Measurement(freq, H + e, variance=sigma**2, outputs=names, inputs=names[:2], level=[1.0, 2.0])
+    data = Measurement(freq, H + e, variance=sigma**2, outputs=names, inputs=names[:2], level=level)
     comparison = make_comparison(data, structure)
     count = comparison.problem.modal_form.stiffness.shape[0]
     null = comparison.fit([Hypothesis(theta=np.zeros((2, count)))], 10)[0]

@@ -169,6 +169,43 @@ def test_a_joint_without_a_law_takes_away_all_that_a_linear_element_of_any_size_
     assert exact < gains[0] + 1 < exact + 2 * unknowns
 
 
+class Stiffening:
+    """The grid with a cubic spring between two DoFs, driven at one, solved at the first harmonic by Newton's method."""
+
+    def __init__(self, cubic, a, b, level):
+        self.cubic, self.a, self.b, self.level = cubic, a, b, level
+
+    def frf(self, freq, outputs, inputs):
+        found = STRUCTURE.frf(freq, outputs=outputs, inputs=outputs)
+        H = np.asarray(found.H)
+        column = H[:, :, self.a] - H[:, :, self.b]
+        free = self.level * column[:, [outputs.index(name) for name in inputs]]
+        drive = (column[:, self.a] - column[:, self.b])[:, None]
+        x, k = np.zeros_like(free), 0.75 * self.cubic
+        for share in np.linspace(0.02, 1.0, 50):  # from small forces to the whole
+            for _ in range(20):
+                r = x + drive * k * np.abs(x) ** 2 * x - share * free
+                there, back = 1 + 2 * drive * k * np.abs(x) ** 2, drive * k * x**2
+                x = x - (there.conj() * r - back * r.conj()) / (np.abs(there) ** 2 - np.abs(back) ** 2)
+        assert np.abs(r).max() < 1e-9 * np.abs(free).max()
+        H = H[:, :, [outputs.index(name) for name in inputs]]
+        return found.replace(H=H - column[:, :, None] * (k * np.abs(x) ** 2 * x / self.level)[:, None], inputs=inputs)
+
+
+def test_a_joint_without_a_law_takes_away_what_a_cubic_spring_does_over_decades_of_amplitude():
+    """Hats over the logarithm alone leave four times what noise does, of some structures more than at other places."""
+    level, cubic = 2.0, 1e13
+    comparison, _ = comparison_of(STRUCTURE, Stiffening(cubic, 2, 5, level), level=(level, level))
+    left = comparison.residual(empty(comparison))
+    reduced, places = one_force._reduced(comparison, left), comparison.scene.pairs()
+    gains, unknowns = gains_without_law(at_places(reduced, places), reduced)
+    free, _ = one_force._gains(comparison, reduced, left)
+    count = 2 * comparison.live().any(axis=2).sum()
+    best = int(np.argmax(gains))
+    assert places[best].index[:2] == (2, 5)
+    assert gains[best] == pytest.approx(free[best] - count, abs=5 * np.sqrt(4 * count) + unknowns)
+
+
 @pytest.mark.parametrize(("a", "b"), [(2, 5), (1, 6)])
 def test_the_place_of_a_spring_is_among_a_few(a, b):
     comparison, _ = comparison_of(STRUCTURE, sprung(STRUCTURE, a, b, 5e3))

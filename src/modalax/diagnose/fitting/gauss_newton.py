@@ -112,7 +112,7 @@ def damped(
             break
         # what stands at a bound and is pushed against it stays there; the others do not step as if it moved
         held = ((x <= low) & (g > 0)) | ((x >= high) & (g < 0))
-        step = np.stack([_step(A[b], g[b], damping[b], held[b]) for b in range(len(x))])
+        step = np.stack([damped_step(A[b], g[b], damping[b], held[b]) for b in range(len(x))])
         trial = np.where(moving[:, None], np.clip(x + step, low, high), x)
         new_chi2, new_A, new_g = checked(trial, moving)
         better = moving & (new_chi2 <= chi2)
@@ -126,7 +126,8 @@ def damped(
     return x, chi2, A, moving
 
 
-def _step(A: np.ndarray, g: np.ndarray, damping: float, held: np.ndarray) -> np.ndarray:
+def damped_step(A: np.ndarray, g: np.ndarray, damping: float, held: np.ndarray) -> np.ndarray:
+    """Levenberg's and Marquardt's step of the unknowns that are not held, by normal matrix and gradient."""
     free, out = ~held, np.zeros(len(g))
     scale = np.sqrt(np.maximum(np.diag(A)[free], 1e-300))
     scaled = A[np.ix_(free, free)] / scale[:, None] / scale[None]

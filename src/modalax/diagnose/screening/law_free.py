@@ -6,10 +6,12 @@ element or joint is, its force is near to :math:`Z\,x`, with the motion x across
 .. math:: Z = \sum_k (a_k + j b_k)\,\varphi_k(\ln A) + (c + j d)\,\ln\frac{\omega}{\bar\omega} - m\,\omega^2
     + j g\,\omega + e_r,
 
-hats :math:`\varphi_k` over the amplitudes A, a mass m and a damper g, which the logarithm does not come near to over a
-wide band, and a constant :math:`e_r` for each run after the first. These unknowns are fitted by steps of Gauss and
-Newton to the force that was measured there, from none and from that at the measured motion; x follows from the force
-that is found, since the measured one would bring its noise to both sides.
+hats :math:`\varphi_k` over the logarithm of the amplitude A and, as these do not come near to laws that grow or
+fall with a power of it, :math:`A^2` and :math:`1/A`, the stiffening of a cubic spring and the softening of a slider; a
+mass m and a damper g, which the logarithm does not come near to over a wide band, and a constant :math:`e_r` for each
+run after the first. These unknowns are fitted by steps of Gauss and Newton to the force that was measured there, from
+none and from that at the measured motion; x follows from the force that is found, since the measured one would bring
+its noise to both sides.
 """
 
 import numpy as np
@@ -78,9 +80,11 @@ def _least_squares(J: np.ndarray, N: np.ndarray, aim: np.ndarray) -> np.ndarray:
 def _laws(x: np.ndarray, reduced: Reduced) -> np.ndarray:
     """Impedances of each unknown at a motion ``(run, f, i)``, their sign turned, shape ``(unknown, run, f, i)``."""
     size = np.log(np.maximum(reduced.level[:, :, None] * np.abs(x), 1e-300))
-    nodes = np.linspace(np.quantile(size, LOWEST), size.max() + 1e-9, HATS)
+    low, high = np.quantile(size, LOWEST), size.max() + 1e-9
+    nodes = np.linspace(low, high, HATS)
     w = np.broadcast_to((reduced.omega / np.median(reduced.omega))[None, :, None], x.shape)
-    over = [*(np.interp(size, nodes, row) for row in np.eye(HATS)), np.log(w)]
+    over = [*(np.interp(size, nodes, row) for row in np.eye(HATS)), np.exp(2 * (size - high)), np.log(w)]
+    over.append(np.exp(np.minimum(low - size, 0.0)))
     runs = np.arange(len(x))[:, None, None]
     each = [np.broadcast_to(np.where(runs == r, 1.0, 0.0), x.shape) for r in range(1, len(x))]
     return np.stack([*over, -(w**2), *each, *(1j * b for b in over), 1j * w])

@@ -18,7 +18,7 @@ import numpy as np
 
 from modalax.diagnose.causes.base import ElementCause, JointCause, LocalCause
 from modalax.diagnose.comparison import Comparison
-from modalax.diagnose.fitting.gauss_newton import covariance_of
+from modalax.diagnose.fitting.gauss_newton import covariance_of, damped_step
 from modalax.diagnose.fitting.hypothesis import bounds_of, from_search, to_search
 from modalax.diagnose.prediction.harmonics import FEWER_INSTANTS, HIGHEST, INSTANTS, MORE_INSTANTS
 from modalax.diagnose.screening.modes_beside import Beside
@@ -278,12 +278,14 @@ def _descended(
         if seen.follow is not None:
             A[own:, own:] += seen.follow.curvature
             g[own:] -= seen.follow.downhill
-        D = np.diag(np.maximum(np.diag(A), 1e-300))
-        step = np.linalg.solve(A + damping * D, g)
-        if step @ g < enough:
+        held = np.concatenate(
+            [((u <= low) & (g[:own] > 0)) | ((u >= high) & (g[:own] < 0)), np.zeros(len(g) - own, bool)]
+        )
+        step = damped_step(A, g, damping, held)
+        if -step @ g < enough:
             break
-        moved = np.clip(u - np.clip(step[:own], -farthest, farthest), low, high)
-        further = seen.moved(-step[own:])
+        moved = np.clip(u + np.clip(step[:own], -farthest, farthest), low, high)
+        further = seen.moved(step[own:])
         there = at(moved, further, motion)
         if there[0] < cost:
             gain = cost - there[0]

@@ -6,6 +6,7 @@ steady motions apart, and its slopes by the parameters follow from the same equa
 
 from dataclasses import dataclass, replace
 
+import jax
 import numpy as np
 
 from modalax._numerics.checks import as_array
@@ -25,7 +26,6 @@ from modalax.diagnose.search.measured_force import MeasuredForce
 from modalax.diagnose.search.one_harmonic import described
 
 FEWER = 5  # highest harmonic of a second balance, which shows the error of truncation
-STEP = 1e-3  # relative change of a parameter by which slopes of linear elements are taken
 
 
 @dataclass(frozen=True)
@@ -252,17 +252,12 @@ def _of_all(force: np.ndarray, slopes: np.ndarray, seen: Seen) -> np.ndarray:
 
 
 def _linear(cause: LocalCause, p: np.ndarray, seen: Seen) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Force of a linear element, which grows with the motion, and its slopes by differences."""
-    G, s = seen.receptance[:, 1], as_array(1j * seen.omega)
-
-    def force(p: np.ndarray) -> np.ndarray:
-        Z = np.asarray(cause.impedance(s, as_array(p)))
-        return Z / (1 + G * Z) * seen.free
-
+    """Force of a linear element, which grows with the motion, and its slopes."""
+    G, s, at = seen.receptance[:, 1], as_array(1j * seen.omega), as_array(p)
+    Z, slope = np.asarray(cause.impedance(s, at)), np.asarray(jax.jacfwd(cause.impedance, 1)(s, at))
     with np.errstate(all="ignore"):
-        here = force(p)
-        steps = [STEP * max(abs(float(v)), 1e-300) * row for v, row in zip(p, np.eye(len(p)), strict=True)]
-        slopes = np.stack([*((force(p + step) - here) / step.sum() for step in steps), here])
+        here = Z / (1 + G * Z) * seen.free
+        slopes = np.stack([*(slope.T / (1 + G * Z) ** 2 * seen.free), here])
     return here, slopes, np.isfinite(here) & np.isfinite(slopes).all(axis=0)
 
 
