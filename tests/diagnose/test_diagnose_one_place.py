@@ -126,19 +126,6 @@ def test_slopes_of_a_linear_element_are_those_of_differences_at_nothing_too(shar
         assert np.abs(slope).max() > 0
 
 
-def test_a_parameter_that_does_nothing_ends_no_fit_in_an_error(monkeypatch):
-    comparison, force = compared(joined(joints.CubicSpring(3e10)))
-    seen, follow = seen_at(comparison, force, several=False), force_fit.force_of
-
-    def blind(cause, p, seen, *a, **k):
-        force, slopes, sound, motion = follow(cause, p, seen, *a, **k)
-        return force, slopes * np.array([1.0, 1.0, 0.0])[:, None], sound, motion
-
-    monkeypatch.setattr(force_fit, "force_of", blind)
-    fit = fit_to_force(MaxwellJoint(), [np.array([2e5, 3e-3, 0.0])], seen)
-    assert fit is not None and np.isfinite(fit.params).all() and fit.params[2] == 0
-
-
 def test_a_place_knows_what_was_fitted_at_those_before(monkeypatch):
     comparison, force = compared(joined(joints.CubicSpring(3e10)))
     seen = seen_at(comparison, force, several=False)

@@ -11,7 +11,7 @@ from modalax.diagnose.causes.damping import ModalDamping
 from modalax.diagnose.causes.parameter import Parameter
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.comparison import make_comparison
-from modalax.diagnose.fitting.gauss_newton import covariance_of, damped
+from modalax.diagnose.fitting.gauss_newton import covariance_of, damped, damped_step
 from modalax.diagnose.fitting.hypothesis import Hypothesis, bounds_of, from_search, slopes, to_search
 from modalax.diagnose.screening.screen import Trial
 from modalax.diagnose.search.candidates import start_from
@@ -41,6 +41,14 @@ def test_an_unknown_pushed_against_its_bound_does_not_bend_the_steps_of_the_othe
     np.testing.assert_allclose(x, [[3 - 0.999 * 3, 0.0]] * 2, atol=1e-5)
     np.testing.assert_allclose(chi2, 9 * (1 - 0.999**2), rtol=1e-6)
     assert not moving.any()
+
+
+def test_an_unknown_without_a_slope_stays_where_it_is_and_stops_no_step():
+    """However small the damping has become; one that is held stays as well, and the others step without it."""
+    A, g = np.array([[4.0, 1.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 0.0]]), np.array([2.0, 3.0, 0.0])
+    free = np.zeros(3, bool)
+    np.testing.assert_allclose(damped_step(A, g, 1e-24, free), [*-np.linalg.solve(A[:2, :2], g[:2]), 0.0])
+    np.testing.assert_allclose(damped_step(A, g, 1e-24, np.array([False, True, False])), [-0.5, 0.0, 0.0])
 
 
 @pytest.fixture(scope="module")
