@@ -13,7 +13,6 @@ from modalax.data import Measurement
 from modalax.files import save
 
 SEED = 700_000
-SOUND = 6
 
 
 @cache
@@ -28,9 +27,10 @@ def measurement_of(test):
     return Measurement(arrays.pop("freq"), arrays.pop("H"), **arrays)
 
 
-def test_sound_tests_have_no_findings():
+@pytest.mark.parametrize("first", [0, pytest.param(3, marks=pytest.mark.slow)])
+def test_sound_tests_have_no_findings(first):
     """Of 2 % false alarms, none is likely in a dozen."""
-    for seed in range(SEED, SEED + SOUND):
+    for seed in range(SEED + first, SEED + first + 3):
         assert not [(seed, f) for f in check(measurement_of(draw_test(seed)))]
 
 
@@ -52,7 +52,7 @@ def test_a_fault_is_found_at_its_place(fault, seed):
 
 
 def test_the_answer_holds_the_agreed_keys():
-    answer = answer_to(SEED, "reversed")[0].to_dict()
+    answer = answer_to(SEED, "clipped")[0].to_dict()
     assert set(answer) == {"findings"}
     for f in answer["findings"]:
         assert {"what", "where", "size", "unit", "sure", "evidence", "advice"} <= set(f)

@@ -23,7 +23,7 @@ def loaded(rows, mass):
     return H
 
 
-@pytest.mark.parametrize("mass", [0.02, 0.05])
+@pytest.mark.parametrize("mass", [0.02, pytest.param(0.05, marks=pytest.mark.slow)])
 def test_a_heavy_sensor_at_one_place_moves_the_frequencies_of_its_row(mass):
     """By up to 0.6 and 1.5 % at this place, 0.3 and 0.7 half-power bandwidths."""
     (found,) = Bench(loaded([3], mass)).measured()

@@ -192,7 +192,10 @@ def test_frfs_of_several_forces_carry_the_multiple_coherence():
     assert frf_from_blocks(force[..., :1], response, 64.0, unit="m").multiple_coherence is None
 
 
-@pytest.mark.parametrize(("window", "overlap"), [("hann", 0.0), ("hann", 0.5), ("hann", 0.75), ("boxcar", 0.5)])
+@pytest.mark.parametrize(("window", "overlap"), [
+    pytest.param("hann", 0.0, marks=pytest.mark.slow), pytest.param("hann", 0.5, marks=pytest.mark.slow),
+    ("hann", 0.75), ("boxcar", 0.5),
+])  # fmt: skip
 def test_overlapping_blocks_count_for_what_they_are_worth(window, overlap):
     """Stated variance of a Welch FRF against its scatter over 250 records of white noise, pooled over lines."""
     rng = np.random.default_rng(8)

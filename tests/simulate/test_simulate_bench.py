@@ -96,7 +96,7 @@ def test_stepped_sine_through_sensors_is_the_branch_of_harmonic_balance_times_th
     held = bench(force_sensor=load_cell, response_sensor=accelerometer, **joint)
     measured = stepped_test(held, KEY, PUSH, LINES, downward=sweep == "down", **STEPS)
     balanced = harmonic_balance(
-        STRUCTURE, freq=LINES, level=PUSH, inputs=["m"], harmonics=5, samples=64, sweep=sweep, **joint
+        STRUCTURE, freq=LINES, level=PUSH, inputs=["m"], harmonics=7, samples=256, sweep=sweep, **joint
     )
     s = 2j * np.pi * LINES
     b, a = scipy.signal.butter(2, 2 * np.pi * 60.0, analog=True)

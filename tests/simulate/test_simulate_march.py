@@ -186,7 +186,7 @@ def test_both_routes_agree(joint, damping, freq):
 
 @pytest.mark.parametrize(
     ("start", "lines", "steps", "harmonics"),
-    [(22.5, 7, 64, 7), pytest.param(20.0, 17, 128, 15, marks=pytest.mark.slow)],
+    [(22.5, 8, 64, 7), pytest.param(20.0, 17, 128, 15, marks=pytest.mark.slow)],
 )
 def test_both_routes_agree_past_the_fold_on_both_branches(start, lines, steps, harmonics):
     structure, joint = oscillator(hz=20.0), CubicSpring(4e8)

@@ -1,6 +1,7 @@
 import jax
 import numpy as np
 import pytest
+from test_simulate_branches import DUFFING, K3
 
 from modalax import simulate
 from modalax.model import Structure
@@ -49,11 +50,12 @@ def test_a_backbone_prints_how_frequency_and_damping_change(structure):
     assert text[-1] == "  solved: 3 of 3 amplitudes"
 
 
-def test_a_branch_and_a_held_response_print_their_range(structure):
-    branch = simulate.follow_branch(structure, *JOINT, (6.0, 8.0), 0.1, input="a", points=50)
+def test_a_branch_and_a_held_response_print_their_range():
+    duffing = DUFFING, [CubicSpring(K3)], [["x"]]  # whose branch and response, of as many points, are compiled already
+    branch = simulate.follow_branch(*duffing, (10.0, 26.0), 0.1, input="x", points=260)
     assert str(branch).startswith("Branch of ") and str(branch).endswith("Hz: does not turn back")
-    held = simulate.constant_response(structure, *JOINT, [5.0, 6.0], 1e-3, held="a", input="a")
-    assert str(held).splitlines()[-1] == "  solved: 2 of 2 lines"
+    held = simulate.constant_response(*duffing, np.linspace(12.0, 24.0, 61), 1e-3, held="x", input="x")
+    assert str(held).splitlines()[-1] == "  solved: 61 of 61 lines"
 
 
 def test_a_bench_and_its_records_print_channels_and_sampling(structure):
