@@ -64,7 +64,7 @@ def test_forms_and_offsets_of_a_tone_are_counted_for_what_they_are(step, known):
     """They are much alike: corrected as if each were a test of its own, a chance would be ten times too large."""
     freq, rng, values = np.arange(30.0, 110.0, step), np.random.default_rng(6), []
     live = np.ones((4, 6, len(freq)), bool)
-    for _ in range(600):
+    for _ in range(300):
         noise = rng.normal(size=live.shape) + 1j * rng.normal(size=live.shape)
         if np.isfinite(known):
             noise /= np.sqrt(rng.gamma(known / 2, 2 / known, live.shape))
