@@ -34,7 +34,7 @@ def periods(joints: list, places: list, form: str = "receptance") -> tuple[np.nd
     return force[None], np.asarray(record.response)[None, -8 * PERIOD :: 8]
 
 
-@pytest.mark.parametrize("form", ["receptance", "accelerance"])
+@pytest.mark.parametrize("form", [pytest.param("receptance", marks=pytest.mark.slow), "accelerance"])  # others below
 def test_a_cubic_spring_and_the_modes_are_found_together(form):
     true = CubicSpring(1e7)
     force, response = periods([true], [["a", "b"]], form)

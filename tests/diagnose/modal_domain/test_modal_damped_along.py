@@ -90,7 +90,7 @@ def test_a_softer_joint_of_a_simulation_that_is_exact_else_is_named_by_all_of_di
 
 
 def test_force_levels_that_agree_tell_of_no_joint(monkeypatch):
-    """A spring whose sides differ had been told of three levels, after two minutes; that law and the linear ones here."""
+    """A spring whose sides differ had been told of three levels, after two minutes: its law and the linear ones."""
     laws = {"joint_stiffness", "local_damper", "added_mass", "bilinear_stiffness"}
     monkeypatch.setattr(pipeline, "catalogue", lambda *a: [c for c in catalogue(*a) if c.slug in laws])
     monkeypatch.setattr(pipeline, "imitators", list)

@@ -22,7 +22,7 @@ KINDS = ("local_damper", 0.2), ("joint_stiffness", 5.0)
 
 @pytest.mark.parametrize(("where", "c"), [
     pytest.param(0, 300.0, marks=pytest.mark.slow), pytest.param(1, 120.0, marks=pytest.mark.slow), (2, 300.0),
-    (4, 120.0),
+    pytest.param(4, 120.0, marks=pytest.mark.slow),
 ])  # fmt: skip
 def test_a_strong_damper_ranks_first_before_any_fit(where, c):
     """Mode by mode up to eleven of the 15 places had ranked before that of a damper of a fifth of critical."""
