@@ -361,6 +361,8 @@ def at_one_place(
         modes = modal() if nearly and not late() else None
         # a spring, mass or damper that damping goes with, for one; at several levels a law may explain as much
         foretold = modes is not None and of_elements(modes) and surely_foretold(outcome_of(modes))
+        if foretold and not may_tell_joints(data):  # laws that depend on the level are none where levels agree
+            elements = [c for c in elements if not c.told_by_levels]
         found = explain_force(alone, elements) if not foretold or has_levels(data) else None
         if foretold and not (found is not None and law_leaves_noise(found)):
             return modes

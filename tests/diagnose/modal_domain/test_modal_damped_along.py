@@ -90,10 +90,12 @@ def test_a_softer_joint_of_a_simulation_that_is_exact_else_is_named_by_all_of_di
 
 
 def test_force_levels_that_agree_tell_of_no_joint(monkeypatch):
-    """A spring whose sides differ had been told of three levels, after two minutes: its law and the linear ones."""
-    laws = {"joint_stiffness", "local_damper", "added_mass", "bilinear_stiffness"}
+    """A spring whose sides differ had been told of three levels, after two minutes; slip is not asked about at all."""
+    laws, asked = {"joint_stiffness", "local_damper", "added_mass", "bilinear_stiffness", "elasto_slip"}, []
     monkeypatch.setattr(pipeline, "catalogue", lambda *a: [c for c in catalogue(*a) if c.slug in laws])
     monkeypatch.setattr(pipeline, "imitators", list)
+    follow = pipeline.explain_force
+    monkeypatch.setattr(pipeline, "explain_force", lambda s, c: asked.append({k.slug for k in c}) or follow(s, c))
     springs, freq = np.where(np.arange(6) == 3, 1.4, 1.0) * SPRINGS, FREQ[::5]
     H = response(*matrices(MASSES, springs, "ratios"), freq)
     runs = [as_measured(H, freq, seed) for seed in (5, 6, 7)]
@@ -105,6 +107,7 @@ def test_force_levels_that_agree_tell_of_no_joint(monkeypatch):
     assert may_tell_joints(levels.replace(H=levels.H * np.array([1.0, 1.0, 1.1])[:, None, None, None]))
     found = diagnose(levels, Structure(*matrices(MASSES, SPRINGS, "ratios"), DOFS))
     assert found.verdict == "named" and [c["name"] for c in found.causes] == ["joint_stiffness"], found.reasons
+    assert asked == [laws - {"bilinear_stiffness", "elasto_slip"}, laws - {"elasto_slip"}]
 
 
 @pytest.mark.parametrize("size", [-0.6, 1e-3, 3.0, 100.0])

@@ -143,6 +143,7 @@ class BilinearStiffness(JointCause):
     summary = "a spring that differs in push and pull"
     fidelity = 0.01
     prior = 0.02  # its fundamental FRF is a spring's: the spring is named, and this stands among its rivals
+    told_by_levels = False
     unseen = 1
     parameters = (Parameter("mean_stiffness", "N/m"), Parameter("asymmetry", "-", 0.0, 3.0))
     asymmetries = (0.3, 1.0)
