@@ -22,6 +22,7 @@ from modalax.diagnose.modal_domain.state import Setting, changes_of
 from modalax.diagnose.modal_domain.steps import Search, other_forms
 from modalax.diagnose.pipeline import diagnose
 from modalax.diagnose.routes import may_tell_joints
+from modalax.diagnose.search import law_force
 from modalax.diagnose.search.measured_force import differs_by_run
 from modalax.model import Structure
 
@@ -96,7 +97,9 @@ def test_force_levels_that_agree_tell_of_no_joint(monkeypatch):
     monkeypatch.setattr(pipeline, "imitators", list)
     follow = pipeline.explain_force
     monkeypatch.setattr(pipeline, "explain_force", lambda s, c: asked.append({k.slug for k in c}) or follow(s, c))
-    springs, freq = np.where(np.arange(6) == 3, 1.4, 1.0) * SPRINGS, FREQ[::5]
+    balance, unlike = law_force.balanced, []
+    monkeypatch.setattr(law_force, "balanced", lambda law, p, *a: unlike.append(p[1]) or balance(law, p, *a))
+    springs, freq = np.where(np.arange(6) == 3, 0.7, 1.0) * SPRINGS, FREQ[::5]
     H = response(*matrices(MASSES, springs, "ratios"), freq)
     runs = [as_measured(H, freq, seed) for seed in (5, 6, 7)]
     levels = Measurement(
@@ -108,6 +111,7 @@ def test_force_levels_that_agree_tell_of_no_joint(monkeypatch):
     found = diagnose(levels, Structure(*matrices(MASSES, SPRINGS, "ratios"), DOFS))
     assert found.verdict == "named" and [c["name"] for c in found.causes] == ["joint_stiffness"], found.reasons
     assert asked == [laws - {"bilinear_stiffness", "elasto_slip"}, laws - {"elasto_slip"}]
+    assert 0 in unlike and max(unlike) <= 1  # sides alike tell nothing of how unlike they are: no leap to the bound
 
 
 @pytest.mark.parametrize("size", [-0.6, 1e-3, 3.0, 100.0])

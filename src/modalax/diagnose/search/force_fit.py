@@ -36,7 +36,7 @@ CHOSEN = 128  # lines by which starts are compared
 MOST_LAWS = 8  # that are fitted where none leaves no more than noise
 BEHIND = 40.0  # chi-square behind the best, harmonics apart, from which on a law is not fitted
 ALIKE = 2.0  # times what a law misses by one harmonic at one place, up to which it is fitted at another too
-FARTHEST = 3.0  # largest change of the logarithm of a parameter in a step
+FARTHEST, PART = 3.0, 0.2  # largest changes in a step: of a logarithm, and over what lies between two bounds
 DAMPED = 1e-3  # first damping of a step, over the diagonal
 MEASURED_AGAIN, SAME = 4, 0.1  # times that the force is measured about modes moved on, and chi-square that ends it
 MAY = 3.0  # times what harmonics left out are expected to do, up to which they may be why a law leaves more than noise
@@ -254,7 +254,7 @@ def _descended(
     """Damped Gauss-Newton steps of law and modes: where they end, motion, residual, slopes and soundness there."""
     low, high = bounds_of([cause])
     logarithmic, own = np.array([q.log for q in cause.parameters]), len(cause.parameters)
-    farthest = np.where(logarithmic, FARTHEST, np.inf)
+    farthest = np.where(logarithmic, FARTHEST, PART * (high - low))
 
     def at(u: np.ndarray, seen: Seen, motion: np.ndarray | None) -> tuple[Any, ...]:
         p = np.asarray(from_search(cause, u))
