@@ -1,7 +1,9 @@
 """Causes of the leading set at other places, begun from where they are; and what is fitted before what."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
+import equinox as eqx
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from modalax.diagnose.causes.channels import ChannelGain
 from modalax.diagnose.causes.joints import CubicStiffness
 from modalax.diagnose.causes.local import TunedMass
 from modalax.diagnose.causes.scene import Place
+from modalax.diagnose.causes.signals import HumLines
 from modalax.diagnose.comparison import make_comparison
 from modalax.diagnose.decision.posterior import Ranked
 from modalax.diagnose.fitting.hypothesis import Hypothesis
@@ -57,6 +60,19 @@ def test_an_oscillator_is_followed_from_a_wrong_place_to_the_right_one(compared)
     assert 0.3 < first.params[0][0] / TRUE[0] < 3
     np.testing.assert_array_equal(first.params[0][1:], wrong.params[0][1:])
     assert abs(compared.fit([first], 40)[0].chi2 - true.chi2) < 0.1
+
+
+def test_lines_that_hum_reaches_are_left_out(compared):
+    """Three lines far off, which hum explains, change nothing."""
+    mask = np.isin(np.arange(compared.problem.data.shape[1]), (60, 61, 120))
+    data = np.asarray(compared.problem.data) * np.where(mask, 30.0, 1.0)[:, None, None]
+    loud = replace(compared, problem=eqx.tree_at(lambda p: p.data, compared.problem, data), cache={})
+    wrong = compared.fit([with_oscillator(compared, 3, TRUE)], 40)[0]
+    hum = HumLines(mask[: compared.problem.lines], 0.0, 1.0, 9.0, 50.0, 1e-9)
+    expected = elsewhere(compared.without(hum.lines), wrong)
+    found = elsewhere(loud, replace(wrong, hum=hum))
+    assert [h.places for h in found] == [h.places for h in expected] and found
+    np.testing.assert_allclose([h.params[0] for h in found], [h.params[0] for h in expected], rtol=1e-9)
 
 
 def test_places_that_promise_far_less_are_not_fitted(compared):

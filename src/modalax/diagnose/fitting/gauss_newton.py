@@ -127,7 +127,7 @@ def damped(
 
 
 def damped_step(A: np.ndarray, g: np.ndarray, damping: float, held: np.ndarray) -> np.ndarray:
-    """Levenberg's and Marquardt's step of the unknowns that are not held, by normal matrix and gradient."""
+    """Step of the unknowns that are not held, by normal matrix ``(n, n)`` and gradient ``(n,)`` (Marquardt 1963)."""
     free, out = ~held, np.zeros(len(g))
     scale = np.sqrt(np.maximum(np.diag(A)[free], 1e-300))
     scaled = A[np.ix_(free, free)] / scale[:, None] / scale[None]

@@ -134,7 +134,7 @@ class Hypothesis:
 
 
 def to_search(cause: Cause, p: np.ndarray) -> np.ndarray:
-    """Parameters in the variables of the search, which are logarithms where a parameter says so."""
+    """Parameters ``(parameter,)`` in the variables of the search, which are logarithms where a parameter says so."""
     return np.array([q.searched(v) for q, v in zip(cause.parameters, p, strict=True)])
 
 
@@ -150,7 +150,7 @@ def from_search(cause: Cause, u: Any) -> Any:
 
 
 def slopes(cause: Cause, p: np.ndarray) -> np.ndarray:
-    """Derivatives of parameters by the variables of the search."""
+    """Derivatives of parameters by the variables of the search, both of shape ``(parameter,)``."""
     return np.array([q.slope(v) for q, v in zip(cause.parameters, p, strict=True)])
 
 

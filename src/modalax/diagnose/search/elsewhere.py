@@ -36,11 +36,12 @@ def elsewhere(comparison: Comparison, h: Hypothesis) -> list[Hypothesis]:
     h
         The hypothesis, fitted.
     """
+    used = comparison if h.hum is None else comparison.without(h.hum.lines)
     return [
         replace(h, places=_with(h.places, j, place), params=_with(h.params, j, p), covariance=None, chi2=np.inf)
         for j, cause in enumerate(h.causes)
         if isinstance(cause, LocalCause) and not comparison.late()
-        for place, p in _others(comparison, h, j, cause)
+        for place, p in _others(used, h, j, cause)
     ]
 
 
@@ -60,11 +61,13 @@ def _others(comparison: Comparison, h: Hypothesis, j: int, cause: LocalCause) ->
     grids = [cause.grid(comparison.scene, place) for place in places]
     small = [np.array([[g[smallest(g)][0, 0], *h.params[j][1:]]]) for g in grids]
     length = np.sqrt(np.maximum(np.concatenate(score(cause, reduced, at, small, False)[0]), 0.0))
+    if not length[0] > 0:  # the other causes do all that this one does
+        return []
     unit = np.array([s[0, 0] for s in small]) / np.where(length > 0, length, np.inf)
     strength = h.params[j][0] * unit / unit[0]
     sizes = [np.array([[t * size, *h.params[j][1:]] for t in TIMES]) for size in strength]
     square, product, _ = score(cause, reduced, at, sizes, True)
     gains = 2 * np.stack(product) - np.stack(square)
     best = gains.max(axis=1)
-    order = [k for k in np.argsort(-best[1:])[:MOST] + 1 if best[k] > best[0] - NEAR]
+    order = [k for k in np.argsort(-best[1:])[:MOST] + 1 if length[k] > 0 and best[k] > best[0] - NEAR]
     return [(places[k], sizes[k][gains[k].argmax()]) for k in order]

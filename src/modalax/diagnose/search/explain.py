@@ -13,7 +13,7 @@ from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.screening.every_cause import chosen
 from modalax.diagnose.screening.score_state import score_state_of
 from modalax.diagnose.search.candidates import best_of_each, moderate
-from modalax.diagnose.search.compounds import FURTHER, Leavings, Rest, exchanged, one_more_cause
+from modalax.diagnose.search.compounds import FURTHER, Leavings, Rest, exchanged, fit_together, one_more_cause
 from modalax.diagnose.search.elsewhere import elsewhere
 from modalax.diagnose.search.harmonics import is_limit, joints_in_full
 from modalax.diagnose.search.imitator_check import apart, imitations, likeness
@@ -328,7 +328,7 @@ def at_other_places(
         return fitted, ranked
     known = {r.names for r in ranked if r.log_evidence > ranked[0].log_evidence - NEAR}
     starts = [h for h in elsewhere(comparison, best) if h.names not in known]
-    more = [h for h in comparison.fit(starts, PATIENT) if moderate(h, comparison)] if starts else []
+    more = [h for h in fit_together(comparison, starts) if moderate(h, comparison)] if starts else []
     return (fitted + more, weigh(look, fitted + more, comparison)) if more else (fitted, ranked)
 
 
