@@ -20,6 +20,7 @@ from modalax.diagnose.decision.route import Task
 from modalax.diagnose.decision.verdict import verdict
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.pipeline import at_one_place
+from modalax.diagnose.prediction.impedances import impedances
 from modalax.diagnose.routes import may_tell_joints
 from modalax.diagnose.search import force_fit, one_place
 from modalax.diagnose.search.balanced_force import balanced, harmonics_of
@@ -27,7 +28,7 @@ from modalax.diagnose.search.force_fit import fit_to_force, laws_by_force
 from modalax.diagnose.search.law_force import force_of, seen_at
 from modalax.diagnose.search.look import look
 from modalax.diagnose.search.measured_force import measured_forces
-from modalax.diagnose.search.one_harmonic import described, impedances
+from modalax.diagnose.search.one_harmonic import described
 from modalax.diagnose.search.one_place import chance_of, explain_force, joint_extra
 from modalax.diagnose.thresholds import THRESHOLDS
 from modalax.model import Structure
@@ -290,7 +291,7 @@ def test_one_harmonic_of_a_joint_solves_its_equation_and_has_its_slopes(cause, p
     assert sound.all()
     slides = np.abs(motion) > 0
     assert np.abs(motion - (free - G * force)).max() < 1e-8 * np.abs(free).max()
-    law = impedances(cause, np.where(slides, np.abs(motion), 1.0), omega, p) * motion
+    law = impedances(cause, p, omega, np.where(slides, np.abs(motion), 1.0)) * motion
     # the describing function of a slip after 1 pm is rounded
     assert np.abs(force - law)[slides].max() < (1e-5 if cause.rigid else 1e-7) * np.abs(force).max()
     for k, size in enumerate(p):

@@ -1,47 +1,36 @@
 r"""The number :math:`y = -\frac{Z}{1 + Z\,b^THb}\,b^TH` of an element at a place, sample by sample.
 
-Trials, lines and inputs are laid out in a row and worked on in pieces of one length, so that what is compiled depends
-on the cause alone: measurements of any size share it.
+Where the amplitude across a joint is solved for, trials, lines and inputs are laid out in a row and worked on in pieces
+of one length, so that what is compiled depends on the cause alone: measurements of any size share it.
 """
 
 import math
 from functools import partial
-from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from modalax.diagnose.causes.base import Cause, JointCause, LocalCause
+from modalax.diagnose.causes.base import ElementCause, LocalCause
+from modalax.diagnose.prediction.amplitude import TINY
 from modalax.diagnose.prediction.frf import equivalent
+from modalax.diagnose.prediction.impedances import impedances, linear_impedances
 
 LENGTH = 2048  # samples of a piece; longer ones take as long a sample, and a program more
 
 
-def _one(cause: Cause, solve: bool, p: Any, motion: Any, drive: Any, omega: Any, level: Any) -> Any:
-    """At one line, for one input: motion and drive are numbers, ``level`` holds the runs, shape ``(run or 1,)``."""
-    if isinstance(cause, LocalCause):
-        Z = cause.impedance(1j * omega[None], p)
-        if jnp.shape(Z) != (1,):
-            raise ValueError(
-                f"the impedance of {cause.slug!r} has the shape {jnp.shape(Z)} at one line; it must have that of its "
-                "argument s, (1,) here: what it takes from a table of lines has to be interpolated at s"
-            )
-        return -Z / (1 + Z * drive) * motion
-    if solve:
+@partial(jax.jit, static_argnames="cause", compiler_options={"xla_backend_optimization_level": 1})
+def _piece(cause, p, motion, drive, omega, level):
+    """Samples of a joint in balance: of one line and input each, ``level`` holds the runs, shape ``(run or 1,)``."""
+
+    def one(p, motion, drive, omega, level):
         Z = equivalent(cause, p, omega[None], drive[None, None], motion[None, None, None], level[:, None])[:, 0, 0]
         return -Z / (1 + Z * drive) * motion
-    A = level[:, None, None] * jnp.abs(motion) + 1e-300
-    return -cause.impedance(A, omega[None, None, None], p)[:, 0, 0] * motion
 
-
-@partial(jax.jit, static_argnames=("cause", "solve"), compiler_options={"xla_backend_optimization_level": 1})
-def _piece(cause, solve, p, motion, drive, omega, level):
-    return jax.vmap(partial(_one, cause, solve))(p, motion, drive, omega, level)
+    return jax.vmap(one)(p, motion, drive, omega, level)
 
 
 def coefficients(
-    cause: Cause, solve: bool, params: np.ndarray, owner: np.ndarray, motion: np.ndarray, drive: np.ndarray,
+    cause: ElementCause, solve: bool, params: np.ndarray, owner: np.ndarray, motion: np.ndarray, drive: np.ndarray,
     omega: np.ndarray, level: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
     """The number y of each trial at the place that owns it, shape ``(trial, run or 1, f, i)``.
@@ -62,11 +51,16 @@ def coefficients(
     ValueError
         If an impedance does not have the shape of the lines that it is asked at.
     """
+    if isinstance(cause, LocalCause):
+        Z = linear_impedances(cause, params, omega)[0]
+        with np.errstate(all="ignore"):
+            return (-Z / (1 + Z * drive[owner]))[:, None, :, None] * motion[owner][:, None]
+    if not solve:
+        A = level[:, :, None] * np.abs(motion[owner])[:, None] + TINY
+        with np.errstate(all="ignore"):
+            return -impedances(cause, params, omega, A) * motion[owner][:, None]
     # trial, run, line, input; where the law follows the number of the run, all runs are in one sample
-    if isinstance(cause, JointCause):
-        force = level.T[None, None, :, None] if cause.each_run else level[None, :, :, None, None]
-    else:
-        force = np.ones((1, 1, 1, 1, 1))
+    force = level.T[None, None, :, None] if cause.each_run else level[None, :, :, None, None]
     shape = len(params), force.shape[1], *motion.shape[1:]
 
     def flat(x: np.ndarray) -> np.ndarray:
@@ -79,7 +73,7 @@ def coefficients(
     ]  # fmt: skip
     size = math.prod(shape)
     out = [
-        _piece(cause, solve, *(_filled(x[start : start + LENGTH], LENGTH) for x in samples))
+        _piece(cause, *(_filled(x[start : start + LENGTH], LENGTH) for x in samples))
         for start in range(0, size, LENGTH)
     ]
     every = np.concatenate([np.asarray(y) for y in out])[:size]

@@ -4,7 +4,7 @@ The motion :math:`x_h + G_h\,f_h(x) = u_h` is sought from one that is given, by 
 force of the law and its slopes alone, for rows of one length; the steps are taken in NumPy.
 """
 
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
 
 import jax
@@ -24,6 +24,7 @@ NEIGHBOURS = 4  # times that motions which were not found start from those on ei
 BALANCED = 1e-6  # residual, over the motion without the force, below which a balance is as good as any measurement
 
 
+@lru_cache(maxsize=256)
 def has_law(cause: ElementCause) -> bool:
     """Whether harmonics are balanced: there is a force law in time, and no more than one slider to follow."""
     if not isinstance(cause, JointCause) or type(cause).law is JointCause.law:

@@ -5,10 +5,10 @@ import numpy as np
 from modalax.diagnose.causes.base import ElementCause, JointCause
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.comparison import Comparison
+from modalax.diagnose.prediction.impedances import impedances
 from modalax.diagnose.search.balanced_force import has_law
 from modalax.diagnose.search.law_force import Seen
 from modalax.diagnose.search.measured_force import MeasuredForce, robust_sizes, sizes_by_force
-from modalax.diagnose.search.one_harmonic import impedances
 from modalax.diagnose.search.rows import CLEAR
 
 AROUND = (0.75, 1.0, 1.3)  # strengths that are balanced, over the one that was read off
@@ -48,7 +48,7 @@ def sized(
 def _misfits_by_one_harmonic(cause: ElementCause, p: np.ndarray, seen: Seen) -> tuple[float, float]:
     """Robust and plain misfit of force that an element's impedance leaves at the measured motion, beside its modes."""
     lay = lambda x: x.reshape(seen.shape)
-    Z = impedances(cause, lay(np.abs(seen.motion)), lay(seen.omega)[0, :, 0], p).ravel()
+    Z = impedances(cause, p, lay(seen.omega)[0, :, 0], lay(np.abs(seen.motion))).ravel()
     G, f = seen.receptance[:, 1], seen.follow
     with np.errstate(all="ignore"):
         share = np.nan_to_num(seen.precision / (1 + G * Z))

@@ -6,7 +6,6 @@ steady motions apart, and its slopes by the parameters follow from the same equa
 
 from dataclasses import dataclass, replace
 
-import jax
 import numpy as np
 
 from modalax._numerics.checks import as_array
@@ -20,6 +19,7 @@ from modalax.diagnose.prediction.harmonics import (
     MORE_INSTANTS,
     receptance_across,
 )
+from modalax.diagnose.prediction.impedances import linear_impedances
 from modalax.diagnose.screening.modes_beside import Beside
 from modalax.diagnose.search.balanced_force import balanced, harmonics_of, has_law
 from modalax.diagnose.search.measured_force import MeasuredForce
@@ -253,8 +253,8 @@ def _of_all(force: np.ndarray, slopes: np.ndarray, seen: Seen) -> np.ndarray:
 
 def _linear(cause: LocalCause, p: np.ndarray, seen: Seen) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Force of a linear element, which grows with the motion, and its slopes."""
-    G, s, at = seen.receptance[:, 1], as_array(1j * seen.omega), as_array(p)
-    Z, slope = np.asarray(cause.impedance(s, at)), np.asarray(jax.jacfwd(cause.impedance, 1)(s, at))
+    G = seen.receptance[:, 1]
+    Z, slope = linear_impedances(cause, p, seen.omega)
     with np.errstate(all="ignore"):
         here = Z / (1 + G * Z) * seen.free
         slopes = np.stack([*(slope.T / (1 + G * Z) ** 2 * seen.free), here])

@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modalax.diagnose.causes.base import Cause, ElementCause, JointCause, LocalCause
-from modalax.diagnose.causes.scene import Place
+from modalax.diagnose.causes.scene import Place, Scene
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.prediction.impedances import impedances
 from modalax.diagnose.screening.modes_beside import Beside, modes_beside
 from modalax.diagnose.search.candidates import cost_of
-from modalax.diagnose.search.one_harmonic import impedances
 
 STRONG = 4.0  # chi-square per sample that the simulation leaves, from which on places are ranked by their force
 PLACES, MORE = 3, 12  # places that are tried, and where a force at one place is known to explain the data
@@ -179,8 +179,8 @@ def sizes_by_force(
     """
     scene, found = comparison.scene, []
     everything = float((np.abs(force.weight * force.impedance) ** 2).sum())
-    for shape in _shapes(cause, cause.grid(scene, place), np.abs(force.motion)):
-        Z = impedances(cause, np.abs(force.motion), scene.omega, np.array([1.0, *shape]))
+    shapes = _shapes(cause, cause.grid(scene, place), np.abs(force.motion))
+    for shape, Z in zip(shapes, _of_unit_strength(cause, shapes, np.abs(force.motion), scene), strict=True):
         with np.errstate(all="ignore"):
             whitened = np.nan_to_num(force.weight * Z)
             norm = float((np.abs(whitened) ** 2).sum())
@@ -218,8 +218,7 @@ def robust_sizes(
     if cause.has_threshold and motion.any():
         loudest = motion.ravel()[np.argsort(everything)[-STRONGEST:]]
         shapes = np.concatenate([shapes, np.outer(loudest[loudest > 0], BELOW).reshape(-1, 1)])
-    for shape in shapes:
-        Z = impedances(cause, motion, scene.omega, np.array([1.0, *shape]))
+    for shape, Z in zip(shapes, _of_unit_strength(cause, shapes, motion, scene), strict=True):
         unit = np.nan_to_num(force.weight * Z).ravel()
         cost, strength = _agreed(unit, seen, everything, low, high)
         if np.isfinite(cost) and (best is None or cost < best[0]):
@@ -272,6 +271,11 @@ def robust_starts(comparison: Comparison, null: Hypothesis, causes: Sequence[Cau
                 found.append((sized[0] + 0.5 * force.chi2, about.with_cause(cause, at, None, sized[1])))
     found.sort(key=lambda one: one[0])
     return [replace(h, freedom=cost_of(h.causes, h.extras)) for _, h in found[:LIKELIEST]]
+
+
+def _of_unit_strength(cause: ElementCause, shapes: np.ndarray, motion: np.ndarray, scene: Scene) -> np.ndarray:
+    """Impedances of an element at trials of the parameters besides its strength, shape ``(trial, run, f, i)``."""
+    return impedances(cause, np.column_stack([np.ones(len(shapes)), shapes]), scene.omega, motion)
 
 
 def _shapes(cause: ElementCause, grid: np.ndarray, motion: np.ndarray) -> np.ndarray:

@@ -1,57 +1,22 @@
-r"""Impedances of elements at given amplitudes, and the force of a joint by one harmonic alone.
+r"""The force of a joint by one harmonic alone.
 
 The motion across a joint is :math:`x = u - G\,N(|x|)\,x` for the motion u without it, so that its amplitude solves
 
 .. math:: |x|\,|1 + G\,N(|x|)| = |u|,
 
-one real equation a line, run and input. Impedances are evaluated in rows of one length, so that what is compiled serves
-measurements of any size.
+one real equation a line, run and input.
 """
 
-from functools import partial
-from typing import Any
-
-import jax
 import numpy as np
 
-from modalax._numerics.checks import as_array
-from modalax.diagnose.causes.base import ElementCause, JointCause
+from modalax.diagnose.causes.base import JointCause
+from modalax.diagnose.prediction.impedances import impedances
 
-ROW = 2048  # amplitudes that are evaluated together
 STEPS = 40  # of a search for the amplitude
 STEP = 1e-5  # relative change by which slopes are taken
 LEAST = 1e-3  # smallest parameter to which such a change relates
 FLATTEST = 0.05  # least slope of the equation, on logarithmic scales, in a step
 SOLVED = 1e-9  # misfit of the amplitude, on a logarithmic scale
-
-
-@partial(jax.jit, static_argnames="cause")
-def _row(cause: JointCause, A: Any, omega: Any, p: Any) -> Any:
-    return cause.impedance(A[None, :, None], omega[:, None], p)[0, :, 0]
-
-
-def impedances(cause: ElementCause, A: np.ndarray, omega: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Force over displacement [N/m] of an element, or of one harmonic of a joint, shape ``(run, f, i)``.
-
-    Parameters
-    ----------
-    cause, p
-        The element and its parameters.
-    A
-        Amplitudes across it [m], shape ``(run, f, i)``.
-    omega
-        Circular frequencies [rad/s], shape ``(f,)``.
-    """
-    given = as_array(np.asarray(p, float))
-    if not isinstance(cause, JointCause):
-        Z = cause.impedance(as_array(1j * omega), given)
-        return np.broadcast_to(np.asarray(Z)[:, None], A.shape)
-    if cause.each_run:
-        return np.asarray(cause.impedance(as_array(A), as_array(omega[:, None]), given))
-    size, flat = A.size, np.broadcast_to(omega[:, None], A.shape).ravel()
-    kept = np.resize(np.arange(size), -(-size // ROW) * ROW).reshape(-1, ROW)
-    rows = [_row(cause, a, w, given) for a, w in zip(A.ravel()[kept], flat[kept], strict=True)]
-    return np.concatenate([np.asarray(r) for r in rows])[:size].reshape(A.shape)
 
 
 def described(
@@ -82,13 +47,12 @@ def described(
         return _rubbing(cause, p, G, free, omega)
     with np.errstate(all="ignore"):
         a, sound = _amplitude(cause, p, G, np.abs(free), omega, near)
-        N = impedances(cause, a, omega, p)
-        by_a = (impedances(cause, a * (1 + STEP), omega, p) - N) / STEP  # by the logarithm of the amplitude
-        each = []
-        for k, value in enumerate(p):
-            step = STEP * max(abs(float(value)), LEAST)
-            step = -step if value + step > cause.parameters[k].upper else step
-            each.append((impedances(cause, a, omega, p + step * np.eye(len(p))[k]) - N) / step)
+        steps = STEP * np.maximum(np.abs(p), LEAST)
+        steps = np.where(p + steps > [q.upper for q in cause.parameters], -steps, steps)
+        further = np.array([1.0, 1.0 + STEP, *np.ones(len(p))])[:, None, None, None] * a
+        N, louder, *other = impedances(cause, np.stack([p, p, *(p + np.diag(steps))]), omega, further)
+        by_a = (louder - N) / STEP  # by the logarithm of the amplitude
+        each = [(Z - N) / step for Z, step in zip(other, steps, strict=True)]
         share = 1 / (1 + G * N)
         bent = 1 + (G * by_a * share).real  # how the motion without the joint grows with that with it
         moved = [by_p - by_a * (G * by_p * share).real / bent for by_p in each]
@@ -110,20 +74,21 @@ def _amplitude(
     x, goal = np.log(np.where(near > 0, near, np.maximum(size, 1e-300))), np.log(np.maximum(size, 1e-300))
     low, high = np.full(x.shape, -np.inf), np.full(x.shape, np.inf)
 
-    def miss(x: np.ndarray) -> Any:
-        a = np.exp(x)
-        return x + np.log(np.abs(1 + G * impedances(cause, a, omega, p))) - goal
+    def missed(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Misfit and slope."""
+        both = np.stack([x, x + STEP])
+        left, further = both + np.log(np.abs(1 + G * impedances(cause, p, omega, np.exp(both)))) - goal
+        return left, np.maximum((further - left) / STEP, FLATTEST)
 
-    left = miss(x)
+    left, slope = missed(x)
     for _ in range(STEPS):
         if not (np.abs(left) > SOLVED).any():
             break
-        slope = np.maximum((miss(x + STEP) - left) / STEP, FLATTEST)
         low, high = np.where(left < 0, x, low), np.where(left > 0, x, high)
         new = x - np.clip(left / slope, -1.0, 1.0)
         between = np.where(np.isfinite(low) & np.isfinite(high), 0.5 * (low + high), new)
         x = np.where(np.abs(left) > SOLVED, np.where((new > low) & (new < high), new, between), x)
-        left = miss(x)
+        left, slope = missed(x)
     return np.exp(x), (np.abs(left) <= SOLVED) & (size > 0)
 
 
@@ -132,7 +97,7 @@ def _rubbing(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Of dry friction, whose force has one size where it slides, and holds the motion at nothing where it sticks."""
     size = np.abs(free)
-    unit = size * impedances(cause, np.where(size > 0, size, 1.0), omega, p)  # of one size at any amplitude
+    unit = size * impedances(cause, p, omega, np.where(size > 0, size, 1.0))  # of one size at any amplitude
 
     def at(unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         across = G * unit

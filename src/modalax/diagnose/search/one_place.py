@@ -14,6 +14,7 @@ from modalax.diagnose.decision.omnibus import omnibus
 from modalax.diagnose.decision.verdict import Leftover
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.prediction.harmonics import MORE_INSTANTS
+from modalax.diagnose.prediction.impedances import impedances
 from modalax.diagnose.search.balanced_force import has_law
 from modalax.diagnose.search.candidates import cost_of
 from modalax.diagnose.search.explain import Explanation, weigh
@@ -185,7 +186,10 @@ def joint_extra(comparison: Comparison, fit: ForceFit) -> np.ndarray:
 
     def factor(p: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         z = seen.free - (G - series) * force
-        Z = np.asarray(cause.impedance_in_series(as_array(np.abs(z)), as_array(seen.omega), as_array(p), series))
+        if cause.rigid:
+            Z = np.asarray(cause.impedance_in_series(as_array(np.abs(z)), as_array(seen.omega), as_array(p), series))
+        else:
+            Z = impedances(cause, p, seen.omega, np.abs(z)[None, :, None])[0, :, 0]
         known = sound & (np.abs(Z * z) > 0)
         return np.where(known, force / np.where(known, Z * z, 1.0), 1.0), np.abs(z)
 
