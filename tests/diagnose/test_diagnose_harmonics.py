@@ -20,7 +20,8 @@ from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.comparison import Comparison, make_comparison, noise_beside, with_noise_beside
 from modalax.diagnose.extend import ExtendedSimulation, extend
 from modalax.diagnose.fitting.hypothesis import Hypothesis
-from modalax.diagnose.prediction.harmonics import HIGHEST, linear_factor
+from modalax.diagnose.prediction.harmonic_rows import linear_factor
+from modalax.diagnose.prediction.harmonics import HIGHEST
 from modalax.diagnose.search import harmonics as search
 from modalax.diagnose.search.harmonics import fitted_in_full, is_limit, joints_in_full, limit_of
 from modalax.diagnose.search.joints_by_force import joints_by_force
@@ -75,7 +76,7 @@ def test_prediction_with_harmonics_is_the_harmonic_balance(cause, p, joint, time
     comparison = make_comparison(exact, five_dof(), "fixed")
     null, h = hypothesis(comparison, cause, p)
     theta = jnp.zeros(h.theta.shape)
-    extra = linear_factor(h.causes, h.index, (None,), h.params, theta, comparison.problem, HIGHEST)
+    extra = linear_factor(h.causes, h.index, (None,), h.params, theta, comparison.problem)
     effect = np.abs(exact.H - comparison.prediction(null)).max()
     one = np.abs(exact.H - comparison.prediction(h)).max()
     full = np.abs(exact.H - comparison.prediction(replace(h, extras=(extra,)))).max()
@@ -92,7 +93,7 @@ def test_the_extended_simulation_predicts_a_joint_as_it_was_fitted(cause, p, tmp
     comparison = make_comparison(data, five_dof(), "fixed")
     _, h = hypothesis(comparison, cause, p)
     theta = jnp.zeros(h.theta.shape)
-    extra = np.asarray(linear_factor(h.causes, h.index, (None,), h.params, theta, comparison.problem, HIGHEST))
+    extra = np.asarray(linear_factor(h.causes, h.index, (None,), h.params, theta, comparison.problem))
     full = replace(h, extras=(extra,), theta=np.zeros(h.theta.shape))
     extended = extend(comparison, full)
     extended.save(tmp_path / "extended.npz")
@@ -113,7 +114,7 @@ def test_friction_is_predicted_at_the_instants_at_which_it_is_fitted():
     frf = five_dof().frf(freq, inputs=["1"]).replace(level=jnp.asarray(level))
     comparison = make_comparison(Measurement.from_frfs([frf]), five_dof(), "fixed")
     _, h = hypothesis(comparison, CoulombFriction(), [2.0])
-    extra = linear_factor(h.causes, h.index, (None,), h.params, jnp.zeros(h.theta.shape), comparison.problem, HIGHEST)
+    extra = linear_factor(h.causes, h.index, (None,), h.params, jnp.zeros(h.theta.shape), comparison.problem)
     full = replace(h, extras=(np.asarray(extra),))
     expected, extended = comparison.prediction(full)[0], extend(comparison, full)
     assert np.abs(np.asarray(extended.predict(level, freq).H) - expected).max() < 1e-9 * np.abs(expected).max()

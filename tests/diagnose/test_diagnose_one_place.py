@@ -20,15 +20,15 @@ from modalax.diagnose.decision.route import Task
 from modalax.diagnose.decision.verdict import verdict
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.pipeline import at_one_place
+from modalax.diagnose.prediction.balanced_force import balanced, harmonics_of
 from modalax.diagnose.prediction.impedances import impedances
+from modalax.diagnose.prediction.one_harmonic import described
 from modalax.diagnose.routes import may_tell_joints
 from modalax.diagnose.search import force_fit, one_place
-from modalax.diagnose.search.balanced_force import balanced, harmonics_of
 from modalax.diagnose.search.force_fit import fit_to_force, laws_by_force
 from modalax.diagnose.search.law_force import force_of, seen_at
 from modalax.diagnose.search.look import look
 from modalax.diagnose.search.measured_force import measured_forces
-from modalax.diagnose.search.one_harmonic import described
 from modalax.diagnose.search.one_place import chance_of, explain_force, joint_extra
 from modalax.diagnose.thresholds import THRESHOLDS
 from modalax.model import Structure

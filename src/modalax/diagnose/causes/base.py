@@ -303,10 +303,6 @@ class JointCause(ElementCause):
         """Groups, ``(point, p)``, of parameters alike by one harmonic; the best of each is a start with more."""
         return [np.asarray(p, float)[None]]
 
-    def law_in_series(self, p: Float[Array, " p"], compliance: Array) -> Any:
-        """The joint in series with a spring of some compliance [m/N], which only a rigid one takes."""
-        return self.law(p)
-
     def impedance_in_series(self, A: Array, omega: Array, p: Array, compliance: Array) -> Complex[Array, "..."]:
         """The :meth:`impedance` of joint and spring together, of a rigid joint; of any other, its own."""
         return self.impedance(A, omega, p)

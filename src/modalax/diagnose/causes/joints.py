@@ -36,10 +36,6 @@ class CoulombFriction(JointCause):
         """Friction force."""
         return joints.CoulombFriction(p[0])
 
-    def law_in_series(self, p: Array, compliance: Array) -> Any:
-        """The creep of a contact takes the part of the spring."""
-        return joints.CoulombFriction(p[0], (p[0] + 1e-30) * compliance)
-
     def impedance_in_series(self, A: Array, omega: Array, p: Array, compliance: Array) -> Complex[Array, "..."]:
         """The describing function of a spring in series with a slider."""
         return jenkins_describing(1 / compliance, p[0] * compliance, A)

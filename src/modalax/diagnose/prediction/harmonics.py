@@ -23,9 +23,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from modalax._numerics.checks import as_array, is_traced
+from modalax._numerics.checks import is_traced
 from modalax._numerics.known import host
 from modalax.diagnose.causes.base import JointCause
+from modalax.diagnose.causes.joints import CubicStiffness
 from modalax.diagnose.prediction.frf import Linear, equivalent, of, without_joints
 from modalax.diagnose.prediction.friction import Sliding, sliding
 from modalax.diagnose.setup.problem import Problem
@@ -36,6 +37,7 @@ from modalax.simulate.sweep import in_chunks
 HIGHEST = 9  # highest harmonic kept where harmonics are asked for
 NEARLY_STILL = 1e-3  # circular frequency of the receptance for the mean displacement, over that of the line
 SAMPLES_A_HARMONIC = 16  # instants of a cycle at which forces are evaluated, for each harmonic kept
+STAND_IN = CubicStiffness()  # of any joint
 STEP = 1e-2  # relative change of a parameter by which slopes are taken
 TURNS = (1.0, 0.5, 0.9, 1.1, 1.5)  # motions that a balance starts from, over that of the fundamental alone
 NEWTON = 20  # Newton steps from each
@@ -73,11 +75,10 @@ def with_harmonics(
 
 def _balanced_extra(causes: Any, index: Any, extras: Any, params: Any, theta: Any, problem: Any, highest: int) -> Array:
     """What a joint needs besides its parameters; its factor follows them by the implicit function theorem."""
-    rho, series = harmonic_factor(causes, index, extras, params, theta, problem, highest, highest, True)
+    rho = harmonic_factor(causes, index, extras, params, theta, problem, highest)
     p = next(p for c, p in zip(causes, params, strict=True) if isinstance(c, JointCause))
-    none = jnp.zeros((len(p), *rho.shape), complex)
-    rows = jnp.zeros((2, *rho.shape), complex)  # nothing was measured of what is predicted
-    return jnp.concatenate([rho[None], none, series[None], rows])
+    # no slopes, nothing in series, and nothing that was measured of what is predicted
+    return jnp.concatenate([rho[None], jnp.zeros((len(p) + 3, *rho.shape), complex)])
 
 
 def _sliding_extra(causes: Any, index: Any, extras: Any, params: Any, theta: Any, problem: Any) -> Array:
@@ -87,47 +88,44 @@ def _sliding_extra(causes: Any, index: Any, extras: Any, params: Any, theta: Any
     return jnp.stack([rho - slope * p, slope, series, amplitude + 0j, jnp.zeros(rho.shape, complex)])
 
 
-def linear_factor(
-    causes: Any, index: Any, extras: Any, params: Any, theta: Float[Array, "two n"], problem: Problem,
-    highest: int, kept: int | None = None, rows: Any = None, follows: bool = True,
-) -> Complex[np.ndarray, "four_p run f i"]:  # fmt: skip
-    r"""Factor :math:`\rho` as :func:`~modalax.diagnose.prediction.frf.factor_at` takes it, and compliance in series.
-
-    Parameters are those of :func:`harmonic_factor`, and ``rows``: amplitude and force that were measured, shape
-    ``(2, run, f, i)``, none if None; and ``follows``: whether the factor has slopes by the parameters.
-    """
-    k = next(k for k, c in enumerate(causes) if isinstance(c, JointCause))
-    p = np.asarray(params[k], float)
-    if causes[k].rigid:
-        instants = FEWER_INSTANTS if kept is not None and kept < highest else INSTANTS
-        found = sliding_factor(causes, index, extras, params, theta, problem, instants)
-        middle, slope, series, amplitude = (np.asarray(a) for a in found)
-        given = np.zeros(middle.shape) if rows is None else rows[1]
-        rows = np.stack([amplitude, given])  # it has one steady motion, whatever was measured
-        slopes = [slope if follows else np.zeros_like(slope)]
-    else:
-        near = None if rows is None else rows[0].real
-
-        def at(p: Any) -> tuple[Array, Array]:
-            moved = tuple(p if j == k else q for j, q in enumerate(params))
-            return harmonic_factor(causes, index, extras, moved, theta, problem, highest, kept or highest, near=near)
-
-        middle, series = (np.asarray(a) for a in at(as_array(p)))
-        rows = np.zeros((2, *middle.shape)) if rows is None else np.asarray(rows)
-        steps = [STEP * (abs(v) or 1.0) * one for v, one in zip(p, np.eye(len(p)), strict=True)]
-        slopes = [(np.asarray(at(as_array(p + s))[0]) - middle) / s.sum() if follows else 0 * middle for s in steps]
-    flat = middle - sum(s * v for s, v in zip(slopes, p, strict=True))
-    return np.stack([flat, *slopes, np.asarray(series), *rows])
-
-
 @partial(jax.jit, static_argnames=("causes",))
+def _beside_joints(causes: Any, index: Any, extras: Any, params: Any, theta: Any, problem: Any, times: Any) -> Any:
+    at = [one for one in zip(causes, index, extras, params, strict=True) if one[0].in_structure]
+    return _at_harmonic(times, at, theta, problem)[:4]
+
+
+def beside_joints(
+    causes: Any, index: Any, extras: Any, params: Any, theta: Any, problem: Problem, times: int = 1
+) -> tuple[Array, Array, Array, Array]:
+    """Receptances without the joints at a multiple of every frequency; at nearly 0 Hz for the mean.
+
+    Parameters
+    ----------
+    causes, index, extras, params, theta
+        As :func:`~modalax.diagnose.prediction.frf.predict` takes them.
+    problem
+        Frequencies, channels and the simulation.
+    times
+        The multiple.
+
+    Returns
+    -------
+    tuple
+        Between channels, from the joints to the outputs, from the inputs to the joints and across the joints, shapes
+        ``(run or 1, f, ...)`` [m/N].
+    """
+    joints = [isinstance(c, JointCause) for c in causes]  # whose laws are not asked for: one program serves all
+    plain = lambda given, stand_in: tuple(stand_in if j else x for j, x in zip(joints, given, strict=True))
+    parts = plain(causes, STAND_IN), index, plain(extras, None), plain(params, np.ones(1))
+    return _beside_joints(*parts, theta, problem, float(times or NEARLY_STILL))
+
+
 def _across(
-    causes: Any, index: Any, extras: Any, params: Any, theta: Any, problem: Problem, times: Any
+    causes: Any, index: Any, extras: Any, params: Any, theta: Any, problem: Problem, times: int
 ) -> tuple[Any, Any]:  # fmt: skip
     """Receptance across the joint, ``(f,)``, and motion there, ``(f, i)``, at a multiple of every frequency."""
-    at = [one for one in zip(causes, index, extras, params, strict=True) if one[0].in_structure]
-    linear = _at_harmonic(times, at, theta, problem)
-    return linear.H_bb[0, :, 0, 0], linear.H_bi[0, :, 0]
+    _, _, motion, drive = beside_joints(causes, index, extras, params, theta, problem, times)
+    return drive[0, :, 0, 0], motion[0, :, 0]
 
 
 def receptance_across(cause: Any, place: Any, theta: Array, problem: Problem, times: int) -> Array:
@@ -146,8 +144,7 @@ def receptance_across(cause: Any, place: Any, theta: Array, problem: Problem, ti
     times
         The multiple.
     """
-    p = jnp.ones(len(cause.parameters))
-    return _across((cause,), np.array([place.index]), (None,), (p,), theta, problem, float(times or NEARLY_STILL))[0]
+    return _across((cause,), np.array([place.index]), (None,), (None,), theta, problem, times)[0]
 
 
 def sliding_factor(
@@ -167,7 +164,7 @@ def sliding_factor(
     """
     k = next(k for k, c in enumerate(causes) if isinstance(c, JointCause))
     cause, p = causes[k], params[k]
-    across = (_across(causes, index, extras, params, theta, problem, float(h)) for h in range(1, instants, 2))
+    across = (_across(causes, index, extras, params, theta, problem, h) for h in range(1, instants, 2))
     G, motion = zip(*(map(host, pair) for pair in across), strict=True)
     level, frequencies = host(problem.level), host(problem.omega)
     xp = jnp if is_traced(p, level, frequencies, *G, *motion) else np  # known numbers need no program of their shapes
@@ -206,14 +203,15 @@ def _slid(G: Any, u: Any, omega: Any, limit: Any, instants: int) -> Sliding:
     return jax.pure_callback(motion, shapes, G, u, omega, limit)
 
 
-@partial(jax.jit, static_argnames=("causes", "highest", "differentiable"))
+@partial(jax.jit, static_argnames=("causes", "highest"))
 def harmonic_factor(
     causes: Any, index: Any, extras: Any, params: Any, theta: Float[Array, "two n"], problem: Problem,
-    highest: int, kept: Any, differentiable: bool = False, near: Any = None,
-) -> tuple[Complex[Array, "run f i"], Complex[Array, "run f i"]]:  # fmt: skip
-    r"""Factor :math:`\rho` on the describing function of one joint, and the compliance in series with it [m/N].
+    highest: int,
+) -> Complex[Array, "run f i"]:  # fmt: skip
+    r"""Factor :math:`\rho` on the describing function of one joint that is not rigid.
 
-    The factor is 1 where the harmonic balance does not settle.
+    The factor is 1 where the harmonic balance does not settle; it has derivatives by the parameters, by the implicit
+    function theorem.
 
     Parameters
     ----------
@@ -223,12 +221,6 @@ def harmonic_factor(
         The data and the simulation.
     highest
         Highest harmonic: the odd ones up to it where the law is odd, else all with the mean.
-    kept
-        Highest harmonic of which the structure is let move; one program serves all.
-    near
-        Amplitude across the joint near which the motion is sought [m], shape ``(run, f, i)``; 0 where none is known.
-    differentiable
-        Whether the factor has derivatives by the parameters, by the implicit function theorem.
     """
     at = list(zip(causes, index, extras, params, strict=True))
     ((cause, _, _, p),) = of(JointCause, at)
@@ -239,35 +231,27 @@ def harmonic_factor(
     drive, motion = one.H_bb[:, :, 0, 0], one.H_bi[:, :, 0]
     shape = (problem.level.shape[0], *motion.shape[1:])
     free = problem.level[:, :, None] * motion
-    series = jnp.broadcast_to(jnp.abs(drive)[..., None] if cause.rigid else 0.0, shape)
-    series = jax.lax.stop_gradient(series)
-    near = jnp.zeros(shape) if near is None else near
-    plain = [jnp.ones((1, *shape)), jnp.zeros((len(p), *shape)), series[None], near[None], jnp.zeros((1, *shape))]
-    plain = jnp.concatenate(plain) + 0j
-    Z = equivalent(cause, p, problem.omega, drive, motion, problem.level, plain)
-    first = free / (1 + Z * (drive[..., None] - series))
+    first = free / (1 + equivalent(cause, p, problem.omega, drive, motion, problem.level) * drive[..., None])
     G = jnp.stack([jnp.broadcast_to(a.H_bb[:, :, :1, :1], (*shape[:2], 1, 1)) for a in linear], axis=2)
-    G = jnp.where((jnp.array(harmonics) <= kept)[:, None, None], G, 0.0)
 
     def factor(k: Any) -> Array:
         r, f, i = jnp.unravel_index(k, shape)
-        joint = cause.law_in_series(p, series[r, f, i])
+        joint = cause.law(p)
         u = jnp.zeros((len(harmonics), 1), complex).at[harmonics.index(1), 0].set(free[r, f, i])
-        line = Line(G[r, f] - series[r, f, i], u, problem.omega[f])
+        line = Line(G[r, f], u, problem.omega[f])
         scale = motion_scale(line)
         start = jnp.zeros((1, len(harmonics)), complex).at[0, harmonics.index(1)].set(first[r, f, i])
         starts = jnp.stack([plan.real(turn * start) / scale for turn in TURNS])
         fixed, still, turned = stop(((joint,), line, starts))
         y, left = find(plan, fixed, still, turned, NEWTON)
-        q = polish(plan, (joint,), line, y)[0] if differentiable else scale * plan.complex(y)
+        q = polish(plan, (joint,), line, y)[0]
         force = joint_forces((joint,), q, line.omega, harmonics, plan.samples)[0, harmonics.index(1)]
         q1 = q[0, harmonics.index(1)]
         plainly = joint.describing(jnp.abs(q1), line.omega) * q1
         sound = (left < CLOSED) & (jnp.abs(plainly) > 0)
         return jnp.where(sound, force / jnp.where(sound, plainly, 1.0), 1.0)
 
-    rho = in_chunks(factor, jnp.arange(shape[0] * shape[1] * shape[2])).reshape(shape)
-    return rho, series + 0j
+    return in_chunks(factor, jnp.arange(shape[0] * shape[1] * shape[2])).reshape(shape)
 
 
 def _at_harmonic(h: Any, at: list[Any], theta: Array, problem: Problem) -> Linear:

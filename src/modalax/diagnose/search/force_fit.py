@@ -20,9 +20,9 @@ from modalax.diagnose.causes.base import ElementCause, JointCause, LocalCause
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.gauss_newton import covariance_of, damped_step
 from modalax.diagnose.fitting.hypothesis import bounds_of, from_search, to_search
+from modalax.diagnose.prediction.balanced_force import harmonics_of, has_law
 from modalax.diagnose.prediction.harmonics import FEWER_INSTANTS, HIGHEST, INSTANTS, MORE_INSTANTS
 from modalax.diagnose.screening.modes_beside import Beside
-from modalax.diagnose.search.balanced_force import harmonics_of, has_law
 from modalax.diagnose.search.force_sizes import misfit, sized
 from modalax.diagnose.search.law_force import Seen, beyond, force_of, seen_at
 from modalax.diagnose.search.measured_force import MeasuredForce, force_beside

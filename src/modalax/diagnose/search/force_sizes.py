@@ -5,8 +5,8 @@ import numpy as np
 from modalax.diagnose.causes.base import ElementCause, JointCause
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.comparison import Comparison
+from modalax.diagnose.prediction.balanced_force import has_law
 from modalax.diagnose.prediction.impedances import impedances
-from modalax.diagnose.search.balanced_force import has_law
 from modalax.diagnose.search.law_force import Seen
 from modalax.diagnose.search.measured_force import MeasuredForce, robust_sizes, sizes_by_force
 from modalax.diagnose.search.rows import CLEAR

@@ -11,7 +11,8 @@ from modalax.diagnose.fitting.gauss_newton import covariance_of
 from modalax.diagnose.fitting.hypothesis import Hypothesis, from_search, searched, split
 from modalax.diagnose.fitting.residual import jacobian_of
 from modalax.diagnose.prediction.frf import NEAR
-from modalax.diagnose.prediction.harmonics import HIGHEST, linear_factor
+from modalax.diagnose.prediction.harmonic_rows import linear_factor
+from modalax.diagnose.prediction.harmonics import HIGHEST
 from modalax.diagnose.search.candidates import cost_of
 from modalax.diagnose.search.law_force import FEWER, beyond
 from modalax.diagnose.search.rows import measured_rows
@@ -222,7 +223,7 @@ def _factor(
     theta = as_array(h.theta * comparison.nuisance.spread)
     params = tuple(as_array(p) for p in h.params)
     plain = tuple(None if isinstance(c, JointCause) else e for c, e in zip(h.causes, h.extras, strict=True))
-    return linear_factor(h.causes, h.index, plain, params, theta, comparison.problem, HIGHEST, kept, rows, slopes)
+    return linear_factor(h.causes, h.index, plain, params, theta, comparison.problem, kept, rows, slopes)
 
 
 def with_what_is_left_out(comparison: Comparison, null: Hypothesis, h: Hypothesis, k: int) -> Hypothesis:

@@ -12,6 +12,7 @@ from modalax._numerics.checks import as_array
 from modalax.diagnose.causes.base import ElementCause, JointCause, LocalCause
 from modalax.diagnose.causes.joints import CubicStiffness
 from modalax.diagnose.comparison import Comparison
+from modalax.diagnose.prediction.balanced_force import balanced, harmonics_of, has_law
 from modalax.diagnose.prediction.friction import sliding, with_more_instants
 from modalax.diagnose.prediction.harmonics import (
     HIGHEST,
@@ -20,10 +21,9 @@ from modalax.diagnose.prediction.harmonics import (
     receptance_across,
 )
 from modalax.diagnose.prediction.impedances import linear_impedances
+from modalax.diagnose.prediction.one_harmonic import described
 from modalax.diagnose.screening.modes_beside import Beside
-from modalax.diagnose.search.balanced_force import balanced, harmonics_of, has_law
 from modalax.diagnose.search.measured_force import MeasuredForce
-from modalax.diagnose.search.one_harmonic import described
 
 FEWER = 5  # highest harmonic of a second balance, which shows the error of truncation
 
@@ -119,7 +119,7 @@ class Seen:
         """Some lines alone: evenly taken of the louder half by the size of the force over its deviation."""
         size = self.precision * np.abs(self.force)
         loud = np.argsort(-size, kind="stable")[: max(len(size) // 2, count)]
-        kept = np.sort(loud[:: max(len(loud) // count, 1)])
+        kept = np.sort(loud[:: -(-len(loud) // count)])
         take = lambda x: x[kept]
         f = self.follow
         lines = ("force", "precision", "motion", "free", "receptance", "omega", "level")

@@ -6,16 +6,15 @@ from dataclasses import replace
 import numpy as np
 import scipy.stats
 
-from modalax._numerics.checks import as_array
 from modalax.diagnose.causes.base import Cause, JointCause, LocalCause
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.decision.omnibus import omnibus
 from modalax.diagnose.decision.verdict import Leftover
 from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.prediction.balanced_force import has_law
+from modalax.diagnose.prediction.harmonic_rows import factor_rows
 from modalax.diagnose.prediction.harmonics import MORE_INSTANTS
-from modalax.diagnose.prediction.impedances import impedances
-from modalax.diagnose.search.balanced_force import has_law
 from modalax.diagnose.search.candidates import cost_of
 from modalax.diagnose.search.explain import Explanation, weigh
 from modalax.diagnose.search.force_fit import ForceFit, laws_by_force
@@ -26,7 +25,6 @@ from modalax.diagnose.search.measured_force import measured_forces
 from modalax.diagnose.thresholds import THRESHOLDS
 
 TELLING = 1.0  # standard deviations that one harmonic of a law may miss, from which on all are balanced
-SLOPE = 1e-3  # relative change of a parameter by which slopes of a factor are taken
 
 
 def explain_force(look: Look, causes: Sequence[Cause]) -> Explanation | None:
@@ -180,27 +178,10 @@ def joint_extra(comparison: Comparison, fit: ForceFit) -> np.ndarray:
     cause, p, seen = fit.cause, fit.params, fit.seen
     assert isinstance(cause, JointCause)
     force, slopes, sound, _ = force_of(cause, p, seen, fit.motion, instants=MORE_INSTANTS, highest=fit.highest)
-    force, slopes = np.where(sound, force, 0.0), np.where(sound, slopes, 0.0)
-    G = seen.receptance[:, 1]
-    series = np.abs(G) if cause.rigid else np.zeros(len(G))
-
-    def factor(p: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        z = seen.free - (G - series) * force
-        if cause.rigid:
-            Z = np.asarray(cause.impedance_in_series(as_array(np.abs(z)), as_array(seen.omega), as_array(p), series))
-        else:
-            Z = impedances(cause, p, seen.omega, np.abs(z)[None, :, None])[0, :, 0]
-        known = sound & (np.abs(Z * z) > 0)
-        return np.where(known, force / np.where(known, Z * z, 1.0), 1.0), np.abs(z)
-
-    rho, amplitude = factor(p, force)
-    by_p = []
-    for j in range(len(p)):
-        step = SLOPE * max(abs(float(p[j])), 1e-300) * np.eye(len(p))[j]
-        by_p.append((factor(p + step, force + slopes[j] * step[j])[0] - rho) / step[j])
+    made = factor_rows(cause, p, force, slopes[: len(p)], sound, seen.receptance[:, 1], seen.free, seen.omega)
     level = seen.level
     given = np.where(fit.aside, seen.force / np.where(level > 0, level, 1.0), 0.0)
-    rows = np.stack([rho - sum(s * v for s, v in zip(by_p, p, strict=True)), *by_p, series, amplitude, given])
+    rows = np.concatenate([made, given[None]])
     runs, padded, _, all_inputs = comparison.problem.data.shape
     lines, inputs = comparison.problem.lines, comparison.problem.channels[1]
     rows = rows.reshape(len(rows), runs, lines, inputs)

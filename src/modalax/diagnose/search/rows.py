@@ -8,16 +8,14 @@ measured there stands in for the law's, and its two numbers are paid for as unkn
 """
 
 from dataclasses import replace
-from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jax
 import numpy as np
 
-from modalax.diagnose.causes.base import JointCause
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.hypothesis import Hypothesis
-from modalax.diagnose.prediction.frf import GIVEN, without_joints
+from modalax.diagnose.prediction.frf import GIVEN
+from modalax.diagnose.prediction.harmonics import beside_joints
 from modalax.diagnose.search.candidates import cost_of, set_aside
 from modalax.diagnose.search.singles import PATIENT
 
@@ -53,18 +51,12 @@ class Measured(NamedTuple):
     effect: np.ndarray
 
 
-@partial(jax.jit, static_argnames=("causes",))
-def _linear(causes: Any, index: Any, extras: Any, params: Any, theta: Any, problem: Any) -> Any:
-    at = [one for one in zip(causes, index, extras, params, strict=True) if one[0].in_structure]
-    return without_joints(1j * problem.omega, at, theta, problem)[:4]
-
-
 def measured(comparison: Comparison, h: Hypothesis) -> Measured:
     """Force and amplitude of the one joint of a hypothesis, whose other parameters are taken as they are."""
     problem, k = comparison.problem, h.joints[0]
-    plain = tuple(None if isinstance(c, JointCause) else e for c, e in zip(h.causes, h.extras, strict=True))
     theta = h.theta * comparison.nuisance.spread
-    H, H_ob, H_bi, H_bb = (np.asarray(a) for a in _linear(h.causes, h.index, plain, h.params, theta, problem))
+    found = beside_joints(h.causes, h.index, h.extras, h.params, theta, problem)
+    H, H_ob, H_bi, H_bb = (np.asarray(a) for a in found)
     weight = np.asarray(problem.weight)
     column = weight * H_ob[..., 0][..., None]
     length = np.maximum((np.abs(column) ** 2).sum(axis=2), 1e-300)
