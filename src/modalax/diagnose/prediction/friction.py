@@ -106,8 +106,11 @@ def _on_grids(
     h = np.arange(1, count, 2)
     turning = lambda shift: np.exp(1j * np.outer(np.pi * (np.arange(count) + shift) / count, h))
     rate, wave = 1j * h * omega[:, None], turning(0.0)
-    A = ((wave * (rate * G[:, : len(h)])[:, None]) @ ((2 / count) * wave.conj().T)).real  # on every grid
-    gamma = WEIGHT * np.sqrt(count) / np.maximum(np.linalg.norm(A, axis=(1, 2)), 1e-300)
+    # velocity by the force of so many instants before; half a cycle later both have changed their signs
+    before, later = (2 / count) * ((rate * G[:, : len(h)]) @ wave.T).real, np.arange(count)
+    ago = later[:, None] - later
+    A = np.where(ago < 0, -1.0, 1.0) * before[:, ago]  # on every grid
+    gamma = WEIGHT / np.maximum(np.linalg.norm(before, axis=1), 1e-300)
     f, sound, before = np.zeros((len(u), count)), np.zeros(len(u), bool), np.zeros((len(u), count))
     for shift in shifts:
         wave = turning(shift)
