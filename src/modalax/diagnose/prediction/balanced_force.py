@@ -144,7 +144,7 @@ def _solved(J: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 def balanced(
     cause: JointCause, p: np.ndarray, G: np.ndarray, free: np.ndarray, omega: np.ndarray, near: np.ndarray,
-    highest: int = HIGHEST,
+    highest: int = HIGHEST, neighbours: int = NEIGHBOURS,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """The force of a law at the fundamental [N], its slopes, whether a motion was found, and that motion [m].
 
@@ -163,6 +163,8 @@ def balanced(
         and what was found of neighbours in the row.
     highest
         Highest of these orders.
+    neighbours
+        Times that motions which were not found start from those on either side.
 
     Returns
     -------
@@ -175,7 +177,7 @@ def balanced(
     alone[:, b.fundamental[0]] = near[:, b.fundamental[0]]
     y, left = b.real(near), np.full(len(free), np.inf)
     with np.errstate(all="ignore"):
-        for n in range(3 + 2 * NEIGHBOURS):
+        for n in range(3 + 2 * neighbours):
             k = np.flatnonzero(left > CLOSED)
             if not len(k) or (n >= 3 and len(k) == len(y)):
                 break

@@ -42,6 +42,9 @@ MEASURED_AGAIN, SAME = 4, 0.1  # times that the force is measured about modes mo
 MAY = 3.0  # times what harmonics left out are expected to do, up to which they may be why a law leaves more than noise
 MORE_HARMONICS = 21  # highest harmonic where those up to the usual one leave more than noise, and may be why
 
+# Of a law by one harmonic: its robust and its plain misfit, its number, and parameters to start from.
+_Sized = tuple[float, float, int, list[np.ndarray]]
+
 
 @dataclass(frozen=True)
 class ForceFit:
@@ -129,7 +132,7 @@ def fit_to_force(
     """
     first, rival = (FEWER_INSTANTS, np.inf) if slides(cause, seen) else (INSTANTS, rival)
     some = seen.telling(CHOSEN) if len(starts) > 1 and seen.several else seen
-    left = [_residual(some, *force_of(cause, p, some, instants=first)[::2]) for p in starts]
+    left = [_residual(some, *force_of(cause, p, some, instants=first, neighbours=0)[::2]) for p in starts]
     tried = [(misfit(r, True), k) for k, r in enumerate(left)]
     if not tried or not np.isfinite(min(tried)[0]):
         return None
@@ -327,13 +330,13 @@ def laws_by_force(
         Laws that were fitted at other places.
     """
     scene, seen = comparison.scene, seen_at(comparison, force, several=several)
-    order: list[tuple[float, float, int, list[np.ndarray]]] = []
+    order: list[_Sized] = []
     for k, cause in enumerate(causes):
         at = next((p for p in cause.places(scene) if p.index[:2] == force.place.index[:2]), None)
         if at is not None and not (cause.each_run and several) and cause.parameters:
             order += [(*one[:2], k, one[2]) for one in [sized(comparison, cause, at, force, seen)] if one is not None]
     out: list[ForceFit] = []
-    for count, (_, missed, k, starts) in enumerate(sorted(order, key=lambda one: one[:3])):
+    for count, (_, missed, k, starts) in enumerate(_limits_first(order, causes)):
         if comparison.late():
             break
         best = min([least, *(f.chi2 for f in out)])
@@ -348,3 +351,21 @@ def laws_by_force(
         found = fit_with_modes(comparison, causes[k], starts, force, seen, near, rival)
         out += [] if found is None else [replace(found, missed=missed)]
     return out
+
+
+def _limits_first(order: Sequence[_Sized], causes: Sequence[ElementCause]) -> list[_Sized]:
+    """The nearest laws first; after the law that one becomes as its strength grows, where that is about as near.
+
+    A fit of the former to the latter's force follows its strength without an end.
+    """
+    near = {causes[k]: robust for robust, _, k, _ in order}
+
+    def rank(one: _Sized) -> tuple[float, bool, float, int]:
+        robust, missed, k, starts = one
+        cause = causes[k]
+        limit = cause.simpler(starts[0]) if isinstance(cause, JointCause) else None
+        of_limit = np.inf if limit is None else near.get(limit[0], np.inf)
+        after = of_limit < ALIKE * robust
+        return max(robust, of_limit) if after else robust, after, missed, k
+
+    return sorted(order, key=rank)

@@ -12,7 +12,7 @@ from modalax._numerics.checks import as_array
 from modalax.diagnose.causes.base import ElementCause, JointCause, LocalCause
 from modalax.diagnose.causes.joints import CubicStiffness
 from modalax.diagnose.comparison import Comparison
-from modalax.diagnose.prediction.balanced_force import balanced, harmonics_of, has_law
+from modalax.diagnose.prediction.balanced_force import NEIGHBOURS, balanced, harmonics_of, has_law
 from modalax.diagnose.prediction.friction import sliding, with_more_instants
 from modalax.diagnose.prediction.harmonics import (
     HIGHEST,
@@ -187,6 +187,7 @@ def force_of(
     fewer: bool = False,
     instants: int = INSTANTS,
     highest: int = HIGHEST,
+    neighbours: int = NEIGHBOURS,
 ) -> tuple[np.ndarray, ...]:
     """A law's force [N], its slopes by the parameters, whether a motion was found, and that motion.
 
@@ -205,6 +206,8 @@ def force_of(
         Of half a cycle, at which dry friction is followed.
     highest
         Highest harmonic of other laws that are odd.
+    neighbours
+        Times that motions which were not found start from those of neighbouring lines.
 
     Returns
     -------
@@ -233,7 +236,7 @@ def force_of(
     else:
         start[:, : near.shape[1]] = near
     G = np.where(np.array(orders) > (FEWER if fewer else orders[-1]), 0.0, seen.receptance[:, list(orders)])
-    force, slopes, sound, motion = balanced(cause, p, G, seen.free, seen.omega, start, highest)
+    force, slopes, sound, motion = balanced(cause, p, G, seen.free, seen.omega, start, highest, neighbours)
     return force, _of_all(force, slopes, seen), sound, motion
 
 
