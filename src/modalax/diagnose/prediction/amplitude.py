@@ -7,26 +7,15 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-BRACKET, GRID, HALVINGS, POLISH = 60.0, 12, 6, 3  # range of the search, its points, bisections, and Newton's steps
+BRACKET, GRID, STEPS, POLISH = 60.0, 12, 10, 3  # range of the search, its points, steps between two, and Newton's
 DENSER = 2.0  # power by which the points of the search lie closer about a measured amplitude
 KNOWN = 0.05  # distance, as a logarithm, from an amplitude that is known, within which its own root lies
 TINY = 1e-300  # added to magnitudes so that their logarithm exists at zero
 
 
 class Root(NamedTuple):
-    """Search for the logarithm of an amplitude.
+    """The logarithm of an amplitude, what the balance misses there, and how that and the force change with it."""
 
-    Attributes
-    ----------
-    following, low, high
-        Where it is looked at next, and the ends between which it lies.
-    at, value, slope, change
-        Where it was looked at last; what the balance missed there, and how that and the force change with it.
-    """
-
-    following: Array
-    low: Array
-    high: Array
     at: Array
     value: Array
     slope: Array
@@ -50,20 +39,43 @@ def amplitude(miss: Callable[[Array], tuple[Array, Array]], free: Array, near: A
     known
         Whether a root right at those is theirs, also where the balance falls.
     """
-    low, high = _bracket(lambda x: miss(x)[0], free, near)
+    value = lambda x: miss(x)[0]
+    (low, f_low), (high, f_high) = _bracket(value, free, near)
+    ends = _Ends(low, high, high, f_low, f_high, f_high, jnp.full_like(low, 0.5))
+    ends = jax.lax.fori_loop(0, STEPS, lambda _, ends: _closer(value, ends), ends)
+    x = jnp.where(jnp.abs(ends.f_new) < jnp.abs(ends.f_far), ends.new, ends.far)
+    return _at_known(miss, near, x) if known else Root(x, *_at(miss, x))
 
-    def closer(k: Any, at: Root) -> Root:
-        """Look at ``following`` and go on: by bisection first, then by Newton's steps that stay between the ends."""
-        x = at.following
-        value, slope, change = _at(miss, x)
-        a, b = jnp.where(value >= 0, at.low, x), jnp.where(value >= 0, x, at.high)
-        new = x - value / jnp.where(jnp.abs(slope) > 0.05, slope, 0.05)
-        inside = (k >= HALVINGS) & (new >= a) & (new <= b)
-        return Root(jnp.where(inside, new, 0.5 * (a + b)), a, b, x, value, slope, change)
 
-    start = Root(0.5 * (low + high), low, high, low, low, low, low + 0j)
-    root = jax.lax.fori_loop(0, HALVINGS + POLISH + 1, closer, start)
-    return _at_known(miss, near, root) if known else root
+class _Ends(NamedTuple):
+    """Where a root was looked for last, the other end between which it lies, and the point before, with their values.
+
+    ``share`` is that of the way from the first to the second at which it is looked for next.
+    """
+
+    new: Array
+    far: Array
+    old: Array
+    f_new: Array
+    f_far: Array
+    f_old: Array
+    share: Array
+
+
+def _closer(value: Callable[[Array], Array], ends: _Ends) -> _Ends:
+    """One step: inverse quadratic interpolation where that is safe, else half of the way.
+
+    Source: Chandrupatla (1997), Adv. Eng. Softw. 28:145.
+    """
+    a, b, _, fa, fb, _, share = ends
+    x = a + share * (b - a)
+    f = value(x)
+    same = (f >= 0) == (fa >= 0)
+    (c, b), (fc, fb) = (jnp.where(same, jnp.stack(ends), jnp.stack(ends[::-1])) for ends in ((a, b), (fa, fb)))
+    part, rise = (x - b) / (c - b), (f - fb) / (fc - fb)
+    share = f / (fb - f) * fc / (fb - fc) + (c - x) / (b - x) * f / (fc - f) * fb / (fc - fb)
+    safe = (rise**2 < part) & ((1 - rise) ** 2 < 1 - part) & (share >= 0) & (share <= 1)
+    return _Ends(x, b, c, f, fb, fc, jnp.where(f == 0, 0.0, jnp.where(safe, share, 0.5)))
 
 
 def _at(miss: Any, x: Array) -> tuple[Array, Array, Array]:
@@ -72,24 +84,26 @@ def _at(miss: Any, x: Array) -> tuple[Array, Array, Array]:
     return value, slope, change
 
 
-def _bracket(miss: Any, free: Array, near: Array) -> tuple[Array, Array]:
-    """Logarithms of amplitudes between which ``miss`` rises through 0: first of all, or nearest to one measured."""
+def _bracket(miss: Any, free: Array, near: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """Amplitudes between which ``miss`` rises through 0, first or nearest to the measured one, each with its value."""
     even = jnp.linspace(-1.0, 1.0, GRID)
     measured = near > 0
     start = jnp.where(measured, jnp.log(near + TINY), free)
     closer = jnp.sign(even) * jnp.abs(even) ** DENSER
     steps = jnp.log(BRACKET) * jnp.stack([even, closer], axis=1)[(..., *(None,) * free.ndim)]
     points = start + jnp.where(measured, steps[:, 1], steps[:, 0])
-    above = jax.lax.map(miss, points) >= 0
+    values = jax.lax.map(miss, points)
+    above = values >= 0
     rises = above & ~jnp.concatenate([jnp.zeros_like(above[:1]), above[:-1]])
     far = jnp.abs(jnp.arange(GRID) - 0.5 * (GRID - 1))[(..., *(None,) * free.ndim)]
     order = jnp.where(measured, far, jnp.arange(GRID)[(..., *(None,) * free.ndim)])
     first = jnp.where(rises.any(axis=0), jnp.argmin(jnp.where(rises, order, jnp.inf), axis=0), GRID - 1)
-    take = lambda k: jnp.take_along_axis(points, k[None], axis=0)[0]
-    return take(jnp.maximum(first - 1, 0)), take(first)
+    take = lambda a, k: jnp.take_along_axis(a, k[None], axis=0)[0]
+    before = jnp.maximum(first - 1, 0)
+    return (take(points, before), take(values, before)), (take(points, first), take(values, first))
 
 
-def _at_known(miss: Any, near: Array, root: Root) -> Root:
+def _at_known(miss: Any, near: Array, root: Array) -> Root:
     """The root that Newton's steps find right at a known amplitude, else the one that was searched."""
     start = jnp.log(near + TINY)
 
@@ -98,6 +112,6 @@ def _at_known(miss: Any, near: Array, root: Root) -> Root:
         return x - jnp.clip(value / jnp.where(slope == 0, 1.0, slope), -KNOWN, KNOWN)
 
     x = jax.lax.fori_loop(0, POLISH, step, start)
-    here = (near > 0) & (jnp.abs(x - start) < KNOWN) & (jnp.abs(_at(miss, x)[0]) < 1e-6)
-    x = jnp.where(here, x, root.at)
-    return root._replace(at=x, **dict(zip(("value", "slope", "change"), _at(miss, x), strict=True)))
+    here = (near > 0) & (jnp.abs(x - start) < KNOWN) & (jnp.abs(miss(x)[0]) < 1e-6)
+    x = jnp.where(here, x, root)
+    return Root(x, *_at(miss, x))
