@@ -138,6 +138,10 @@ class Cause:
         """
         return np.zeros((0, len(p)))
 
+    def alike(self, other: "Cause", p: np.ndarray) -> np.ndarray | None:
+        """Parameters with which FRFs hardly tell it from another cause at the same place; None where they do."""
+        return None
+
     def likely(self, p: np.ndarray, scene: Scene) -> float:
         """How likely parameters are before the data, relative to the likeliest."""
         return 1.0

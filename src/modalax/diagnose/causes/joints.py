@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Complex
 
-from modalax.diagnose.causes.base import JointCause
+from modalax.diagnose.causes.base import Cause, JointCause
+from modalax.diagnose.causes.local import JointStiffness
 from modalax.diagnose.causes.parameter import Parameter, strengths
 from modalax.diagnose.causes.scene import Place, Scene
 from modalax.simulate import joints
@@ -148,6 +149,10 @@ class BilinearStiffness(JointCause):
     def grid(self, scene: Scene, place: Place) -> np.ndarray:
         """Around the stiffness that matters."""
         return strengths(scene.stiffness_scale(place), [(a,) for a in self.asymmetries], (1e-4, 0.03, 0.2, 1.0))
+
+    def alike(self, other: Cause, p: np.ndarray) -> np.ndarray | None:
+        """A spring of its mean stiffness, to first order."""
+        return np.array([p[0], self.asymmetries[0]]) if isinstance(other, JointStiffness) else None
 
     def law(self, p: Array) -> Any:
         """Stiffness in push and in pull."""

@@ -70,7 +70,21 @@ def explained_by(
         return fitted, rest
     least = (1 - SHORT) * (null.chi2 - fitted[0].chi2) - NEAR
     rivals = [t for t in chosen(look.screening.trials) if t.gain > least]
-    return [*fitted, *fit_single(look.state, rivals)], rest
+    alike = [h for one in alike_at_places(comparison, fitted[0], causes) for h in fit_together(comparison, [one])]
+    return [*fitted, *alike, *fit_single(look.state, rivals)], rest
+
+
+def alike_at_places(comparison: Comparison, h: Hypothesis, causes: Sequence[Cause]) -> list[Hypothesis]:
+    """Hypotheses in which another cause, which FRFs hardly tell from it, takes the place of one; not fitted."""
+    out = []
+    for k, (one, place, p) in enumerate(zip(h.causes, h.places, h.params, strict=True)):
+        for cause in causes:
+            start = cause.alike(one, p)
+            if start is not None and place.where in {p.where for p in cause.places(comparison.scene)}:
+                other = tuple(cause if j == k else c for j, c in enumerate(h.causes))
+                params = tuple(start if j == k else q for j, q in enumerate(h.params))
+                out.append(replace(h, causes=other, params=params, freedom=cost_of(other, h.extras)))
+    return out
 
 
 def starts_of(
