@@ -7,9 +7,10 @@ import pytest
 import scipy.optimize
 from chains import comparison_of, grid
 
+from modalax.diagnose.causes.base import PatternCause
 from modalax.diagnose.causes.missing_modes import OutOfBand
 from modalax.diagnose.extend import _key
-from modalax.diagnose.screening.patterns import low_rank, screen_pattern, settled_rank
+from modalax.diagnose.screening.patterns import independent, low_rank, screen_pattern, settled_rank
 
 
 def test_several_far_modes_of_unlike_shapes_are_residual_terms_in_every_channel():
@@ -55,3 +56,18 @@ def test_a_shape_of_rank_one_is_the_best_however_unlike_the_channels_noise_is():
     assert explained(start) < best - 10  # what the unlike weights cost
     assert explained(found) == pytest.approx(best, abs=0.05)
     assert np.linalg.matrix_rank(found[..., 0], tol=1e-9 * np.abs(found).max()) == 1
+
+
+def test_a_mode_that_a_fit_has_moved_out_of_all_bounds_explains_nothing_and_is_no_error():
+    class Gone(PatternCause):
+        def shapes(self, scene):
+            return np.array([[1e300]])
+
+        def curves(self, s, q):
+            return np.zeros((1, len(s)), complex)
+
+    structure = grid(8, False)
+    comparison, state = comparison_of(structure, structure, lines=60)
+    found = screen_pattern(Gone(), comparison.scene, state.sides[True], comparison.problem)
+    assert found.gain == 0 and found.trials == 1
+    assert independent(np.eye(3)) == pytest.approx(3) and independent(np.ones((3, 3))) == pytest.approx(1)

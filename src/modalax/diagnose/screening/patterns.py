@@ -63,10 +63,11 @@ def _over_lines(curves: np.ndarray, weight2: np.ndarray) -> np.ndarray:
 def independent(correlation: np.ndarray) -> float:
     r"""Number of independent scores that correlated ones behave like, :math:`(\sum\sqrt\lambda)^2/\sum\lambda`.
 
-    Galwey (2009), Genetic Epidemiology 33:559, for the eigenvalues of the correlation matrix.
+    Galwey (2009), Genetic Epidemiology 33:559, for the eigenvalues of the correlation matrix. One, of curves that are
+    nothing at all lines, as that of a mode that a fit has moved out of all bounds.
     """
     values = np.maximum(np.linalg.eigvalsh(correlation), 0.0)
-    return float(np.sqrt(values).sum() ** 2 / values.sum())
+    return float(np.sqrt(values).sum() ** 2 / values.sum()) if values.any() else 1.0
 
 
 def low_rank(a: np.ndarray, gram: np.ndarray) -> np.ndarray:
