@@ -29,7 +29,7 @@ SLOPE = 1e-3  # relative change of a parameter by which slopes of a factor are t
 
 
 def factor_rows(
-    cause: JointCause, p: np.ndarray, force: np.ndarray, slopes: np.ndarray, sound: np.ndarray, G: np.ndarray,
+    cause: JointCause, p: np.ndarray, force: np.ndarray, slopes: np.ndarray | None, sound: np.ndarray, G: np.ndarray,
     free: np.ndarray, omega: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
     r"""Factor :math:`\rho_0` and its slopes, compliance in series [m/N] and amplitude [m], shape ``(3 + p, n)``.
@@ -39,7 +39,8 @@ def factor_rows(
     cause, p
         The joint and its parameters.
     force, slopes
-        Its force at the fundamental [N], shape ``(n,)``, and that by its parameters, ``(p, n)``.
+        Its force at the fundamental [N], shape ``(n,)``, and that by its parameters, ``(p, n)``; None where the factor
+        is to have no slopes.
     sound
         Where a motion was found, shape ``(n,)``; elsewhere the factor is 1.
     G
@@ -47,7 +48,7 @@ def factor_rows(
     free, omega
         Motion across it without its force [m], and circular frequency [rad/s], shape ``(n,)``.
     """
-    force, slopes = np.where(sound, force, 0.0), np.where(sound, slopes, 0.0)
+    force = np.where(sound, force, 0.0)
     series = np.abs(G) if cause.rigid else np.zeros(len(G))
 
     def factor(p: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -61,10 +62,10 @@ def factor_rows(
         return np.where(sound & np.isfinite(rho) & (np.abs(Z * z) > 0), rho, 1.0), np.abs(z)
 
     rho, amplitude = factor(p, force)
-    by_p = []
-    for k, value in enumerate(p):
-        step = SLOPE * max(abs(float(value)), 1e-300) * np.eye(len(p))[k]
-        by_p.append((factor(p + step, force + slopes[k] * step[k])[0] - rho) / step[k])
+    by_p = [np.zeros_like(rho) for _ in p]
+    for k, by_force in enumerate([] if slopes is None else np.where(sound, slopes, 0.0)):
+        step = SLOPE * max(abs(float(p[k])), 1e-300) * np.eye(len(p))[k]
+        by_p[k] = (factor(p + step, force + by_force * step[k])[0] - rho) / step[k]
     return np.stack([rho - sum(s * v for s, v in zip(by_p, p, strict=True)), *by_p, series, amplitude])
 
 
@@ -112,8 +113,6 @@ def linear_factor(
     lines = flat(spread(omega[:, None]))
     moved = flat(np.where(np.array(orders) <= kept, G, 0.0))
     force, slopes, sound, _ = balanced(cause, p, moved, flat(free), lines, np.nan_to_num(flat(start)))
-    slopes = slopes[:-1] if follows else np.zeros_like(slopes[:-1])
-    made = factor_rows(cause, p, force, slopes, sound, flat(G)[:, orders.index(1)], flat(free), lines)
-    if not follows:
-        made[0], made[1:-2] = made[0] + p @ made[1:-2], 0.0
+    own = slopes[:-1] if follows else None
+    made = factor_rows(cause, p, force, own, sound, flat(G)[:, orders.index(1)], flat(free), lines)
     return np.concatenate([made[:-1].reshape(-1, *shape), rows])

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from modalax._numerics.checks import as_array
 from modalax.diagnose.causes.base import JointCause
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.gauss_newton import covariance_of
@@ -220,10 +219,8 @@ def between(h: Hypothesis, other: Hypothesis, share: float) -> Hypothesis:
 def _factor(
     comparison: Comparison, h: Hypothesis, rows: np.ndarray, kept: int = HIGHEST, slopes: bool = True
 ) -> np.ndarray:
-    theta = as_array(h.theta * comparison.nuisance.spread)
-    params = tuple(as_array(p) for p in h.params)
-    plain = tuple(None if isinstance(c, JointCause) else e for c, e in zip(h.causes, h.extras, strict=True))
-    return linear_factor(h.causes, h.index, plain, params, theta, comparison.problem, kept, rows, slopes)
+    theta = h.theta * comparison.nuisance.spread
+    return linear_factor(h.causes, h.index, h.extras, h.params, theta, comparison.problem, kept, rows, slopes)
 
 
 def with_what_is_left_out(comparison: Comparison, null: Hypothesis, h: Hypothesis, k: int) -> Hypothesis:
