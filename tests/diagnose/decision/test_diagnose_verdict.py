@@ -22,7 +22,7 @@ from modalax.diagnose.decision.verdict import RULES, Leftover, told_chance, verd
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.thresholds import THRESHOLDS, Thresholds
 
-CUBIC, MASS, SPRING = CubicStiffness(), AddedMass(), JointStiffness()
+CUBIC, MASS, SPRING, BILINEAR = CubicStiffness(), AddedMass(), JointStiffness(), BilinearStiffness()
 GAIN, DELAY, HEARD = ChannelGain(), TimeDelay(), Crosstalk()
 ALARM = Leftover(alarm=1e-6, explained=900.0, p_value=0.4)
 HELD = Gain("run 3 at 9 N, the highest level", 40.0, 1.02, 500.0, 20.0, missed=0.5, chi2_within=1.0)
@@ -73,6 +73,14 @@ def damped(ratio):
     return [replace(found, best=replace(found.best, params=(np.array([0.1, 20.0, ratio]),)))]
 
 
+def untold(where, worse=0.0):
+    """A spring, and one that differs in push and pull, which leaves a larger chi-square."""
+    spring, other = ranked((0.98, (SPRING, "1")), (0.02, (BILINEAR, where)))
+    return [
+        replace(spring, best=replace(spring.best, chi2=1e3)), replace(other, best=replace(other.best, chi2=1e3 + worse))
+    ]  # fmt: skip
+
+
 ONE = ranked((0.99, (CUBIC, "1")), (0.01, (SPRING, "1")))
 TWO = ranked((0.99, (CUBIC, "1"), (MASS, "2")), (0.01, (CUBIC, "1")))
 TABLE = [
@@ -83,6 +91,10 @@ TABLE = [
     (ONE, replace(ALARM, explained=8.9), HELD, "unknown", ["no cause"]),
     (ONE, replace(ALARM, explained=9.0), HELD, "named", ["0.99"]),
     (ONE, ALARM, HELD, "named", ["cubic_stiffness has a probability of 0.99"]),
+    (untold("1"), ALARM, HELD, "named", ["0.98", "bilinear_stiffness there explains the data about as well"]),
+    (untold("1", worse=8.9), ALARM, HELD, "named", ["0.98", "record the mean displacement and the even harmonics"]),
+    (untold("1", worse=9.1), ALARM, HELD, "named", ["0.98"]),
+    (untold("2"), ALARM, HELD, "named", ["0.98"]),
     (ONE, ALARM, MISSED, "unknown", ["cubic_stiffness leaves a chi-square of 3.00 per sample there"]),
     (ONE, ALARM, replace(MISSED, missed=4.0), "named", ["0.99"]),
     (ONE, ALARM, replace(MISSED, chi2_within=2.9), "named", ["0.99"]),
@@ -147,7 +159,7 @@ def test_the_law_that_a_joint_without_a_size_is_the_limit_of_stands_beside_it():
 
 
 def test_every_rule_decides_a_row_and_the_last_always_does():
-    assert [word for word, _ in RULES] == ["clean", *["unknown"] * 3, *["ambiguous"] * 9, "unknown", "named"]
+    assert [word for word, _ in RULES] == ["clean", *["unknown"] * 3, *["ambiguous"] * 9, "unknown", "named", "named"]
     reasons = " ".join(part for *_, parts in TABLE for part in parts)
     assert all(
         p in reasons for p in ("noise alone", "no cause", "still more", "beside", "compete", "tried", "elsewhere")

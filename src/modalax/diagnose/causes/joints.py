@@ -139,7 +139,7 @@ class BilinearStiffness(JointCause):
     advice = "record the mean displacement and the even harmonics"
     summary = "a spring that differs in push and pull"
     fidelity = 0.01
-    prior = 0.02  # its fundamental FRF is a spring's: the spring is named, and this stands among its rivals
+    prior = 0.02  # its fundamental FRF is a spring's: the spring is named, and the reasons say so
     told_by_levels = False
     unseen = 1
     parameters = (Parameter("mean_stiffness", "N/m"), Parameter("asymmetry", "-", 0.0, 3.0))

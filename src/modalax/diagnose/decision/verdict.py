@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from modalax.diagnose.causes.base import ChannelCause, ElementCause
 from modalax.diagnose.decision.gain import Gain
@@ -243,6 +244,24 @@ def named(case: Case) -> str | None:
     )
 
 
+def frfs_hardly_tell(case: Case) -> str | None:
+    """A cause that differs by what FRFs do not show explains the data about as well at the same places."""
+    own = case.best
+    alike = (
+        r for r in case.ranked[1:] if _places(r) == _places(own) and r.best.chi2 < own.best.chi2 + case.limits.explains
+    )
+    others = {c.slug: c.advice for r in alike for c in r.best.causes if c.unseen and c not in own.best.causes}
+    return None if not others else (
+        f"{' and '.join(others)} there explains the data about as well, as FRFs hardly show how it differs: "
+        f"{'; '.join(filter(None, others.values()))} to tell them apart"
+    )  # fmt: skip
+
+
+def _places(r: Ranked) -> list[tuple[Any, ...]]:
+    """Where the causes of a set sit."""
+    return sorted((where for _, where in r.names), key=str)
+
+
 RULES: tuple[tuple[str, Rule], ...] = (
     ("clean", nothing_stands_out),
     ("unknown", nothing_explains),
@@ -259,6 +278,7 @@ RULES: tuple[tuple[str, Rule], ...] = (
     ("ambiguous", range_ends),
     ("unknown", held_out_is_missed),
     ("named", named),
+    ("named", frfs_hardly_tell),
 )
 
 
