@@ -136,16 +136,18 @@ def mains_hum(setup: Setup, rng) -> Effect:
 def force_dropout(setup: Setup, rng) -> Effect:
     """A shaker's force falls where the drive point moves easily; noise on its signal then biases H1 low."""
     stinger = float(log_uniform(rng, 3, 30))
-    ratio = []
-    for i in setup.inputs:
-        e = setup.system.direction(i, -1)
-        mobility = setup.plant.receptance(1j * setup.omega, e[None], e[None])[:, 0, 0] * 1j * setup.omega
-        ratio.append(np.abs(1 + stinger * mobility / np.abs(mobility).max()) ** 2)
-    ratio = np.stack(ratio, axis=1)
-    return Effect(
-        "force_dropout", [], 1e-5, 1e2, lambda s: {"noise_to_force": (s, "-")},
-        post=lambda H, setup, s, plants: H / (1 + s * ratio)[None, :, None, :],
-    )  # fmt: skip
+    drive = [setup.system.direction(i, -1)[None] for i in setup.inputs]
+
+    def post(H, setup, size, plants):
+        H = H.copy()
+        for k, plant in enumerate(plants):  # of the structure as it is, whatever else is hidden in it
+            for i, e in enumerate(drive):
+                mobility = plant.receptance(1j * setup.omega, e, e)[:, 0, 0] * 1j * setup.omega
+                lost = np.abs(1 + stinger * mobility / np.abs(mobility).max()) ** 2
+                H[k, :, :, i] /= (1 + size * lost)[:, None]
+        return H
+
+    return Effect("force_dropout", [], 1e-5, 1e2, lambda s: {"noise_to_force": (s, "-")}, post=post)
 
 
 def crosstalk(setup: Setup, rng) -> Effect:
