@@ -68,3 +68,11 @@ def test_a_step_is_looked_for_at_every_stage_of_the_decay():
     slow = 2 * np.pi * 25.0 * 0.01
     inside = lengths[(lengths > 1 / slow) & (lengths < 9.0 / slow)]
     assert np.abs(np.diff(inside)).max() <= 0.101 / slow
+
+
+def test_no_minimum_is_looked_for_beside_a_record_after_whose_decay_nothing_is_cut_off():
+    """A fit without leakage ends at a million seconds, and millions of ripples lie before that."""
+    scene, slow = scene_of(FREQ), 2 * np.pi * 25.0 * 0.01
+    place = Leakage().places(scene)[CUT]
+    beside = {length: Leakage().nearby(np.array([1 / length]), place, scene) for length in (9 / slow, 11 / slow, 1e6)}
+    assert len(beside[9 / slow]) > 200 and not len(beside[11 / slow]) and not len(beside[1e6])

@@ -65,10 +65,11 @@ class Leakage(KernelCause):
 
     def nearby(self, p: np.ndarray, place: Place, scene: Scene) -> np.ndarray:
         """Lines far from the resonances make chi-square ripple with the length of a record that ends in a step."""
-        if place.index[2] != CUT:
-            return np.zeros((0, 1))
         apart, rates = RIPPLE / (scene.freq[-1] - scene.freq[0]), _decays(scene)
         length = 1 / p[0]
+        decayed = len(rates) and length * rates.min() > DECAYED  # nothing is cut off, and nothing ripples
+        if place.index[2] != CUT or decayed:
+            return np.zeros((0, 1))
         first, last = length - RIPPLES * apart, length + RIPPLES * apart
         if len(rates):
             first, last = min(first, 0.5 / rates.max()), max(last, DECAYED / rates.min())
