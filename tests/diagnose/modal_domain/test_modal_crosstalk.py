@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from frames import DOFS, measured, simulation
 
-from modalax.diagnose.modal_domain.crosstalk import leaking_channels
+from modalax.diagnose.modal_domain.channel_faults import leaking_channels
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 
 OUTPUTS = DOFS[::2]

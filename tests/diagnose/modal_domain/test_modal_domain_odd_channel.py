@@ -16,11 +16,10 @@ from modalax.diagnose.modal_domain.askew import askew_channel
 from modalax.diagnose.modal_domain.attempts import attempt
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
-from modalax.diagnose.modal_domain.explanation import ranked_by
+from modalax.diagnose.modal_domain.explanation import Prior, ranked_by
 from modalax.diagnose.modal_domain.judged import judge
 from modalax.diagnose.modal_domain.measured import Measured
 from modalax.diagnose.modal_domain.odd_channel import only_output
-from modalax.diagnose.modal_domain.prior import Prior
 from modalax.diagnose.modal_domain.stage import Stage, identified, posed
 from modalax.model import Structure
 

@@ -12,7 +12,7 @@ from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import coordinates_of, modes_of
 from modalax.diagnose.modal_domain.element_masses import mass_parts
 from modalax.diagnose.modal_domain.elements import stiffness_parts
-from modalax.diagnose.modal_domain.explanation import Explanation
+from modalax.diagnose.modal_domain.explanation import Explanation, Prior
 from modalax.diagnose.modal_domain.factored import factored
 from modalax.diagnose.modal_domain.features import Features, features_of, paired
 from modalax.diagnose.modal_domain.free_residues import Channels, project, refine
@@ -24,7 +24,6 @@ from modalax.diagnose.modal_domain.mode_count import beside_one_line, blind_mode
 from modalax.diagnose.modal_domain.nodes import nodes_of
 from modalax.diagnose.modal_domain.parts import coupled_rows, local_parts, parts_of
 from modalax.diagnose.modal_domain.places import candidates_of
-from modalax.diagnose.modal_domain.prior import Prior
 from modalax.diagnose.modal_domain.slopes import direction_slopes, factored_slopes, pattern_slopes, slopes_of
 from modalax.model import Structure
 

@@ -14,7 +14,6 @@ from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.coordinates import _about, coordinates_of
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.enriched import ritz_basis
-from modalax.diagnose.modal_domain.exact_places import _same
 from modalax.diagnose.modal_domain.fit import fit
 from modalax.diagnose.modal_domain.given_elements import (
     changed_by_elements,
@@ -25,6 +24,7 @@ from modalax.diagnose.modal_domain.given_elements import (
 from modalax.diagnose.modal_domain.groups import group_factors
 from modalax.diagnose.modal_domain.inaccuracy import _pieces, forces_of_errors, inaccuracy_of
 from modalax.diagnose.modal_domain.places import candidates_of
+from modalax.diagnose.modal_domain.refitted import _same
 from modalax.diagnose.modal_domain.stage import _forces, identified, posed
 from modalax.diagnose.modal_domain.throughout import with_groups
 from modalax.diagnose.modal_domain.turns import nodes_in

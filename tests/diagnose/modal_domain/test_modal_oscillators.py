@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from chains_off import FREQ, as_measured, chain_off, response, simulation
 
-from modalax.diagnose.modal_domain.attached import acting_alike, attached
+from modalax.diagnose.modal_domain.explanation import Prior
 from modalax.diagnose.modal_domain.fit import fit
 from modalax.diagnose.modal_domain.further_causes import MissingMode, TunedMass
-from modalax.diagnose.modal_domain.oscillators import _heavy, alike, oscillators
-from modalax.diagnose.modal_domain.prior import Prior
+from modalax.diagnose.modal_domain.oscillators import _heavy, acting_alike, alike, attached, oscillators
 from modalax.diagnose.modal_domain.stage import identified, posed
 
 MASS, TUNED, LOSS = 0.3, 37.0, 0.015  # kg, Hz, damping ratio: a sixth of the modal mass there

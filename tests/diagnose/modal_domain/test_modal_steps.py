@@ -8,11 +8,10 @@ import pytest
 from chains_off import DOFS, FREQ, as_measured, chain_off, response, simulation
 
 from modalax.diagnose.deadline import Deadline
-from modalax.diagnose.modal_domain import answer, far_off, held_out, odd_channel, refitted, starts, steps
+from modalax.diagnose.modal_domain import answer, explain, held_out, odd_channel, refitted, starts, steps
 from modalax.diagnose.modal_domain import fit as fits
 from modalax.diagnose.modal_domain.attempts import attempt
-from modalax.diagnose.modal_domain.explanation import Explanation, ranked_by
-from modalax.diagnose.modal_domain.prior import Prior
+from modalax.diagnose.modal_domain.explanation import Explanation, Prior, ranked_by
 from modalax.diagnose.modal_domain.screen import couples
 from modalax.diagnose.modal_domain.stage import identified, posed
 from modalax.diagnose.thresholds import THRESHOLDS
@@ -77,7 +76,7 @@ def test_what_candidates_do_beside_a_fit_is_worked_out_once(task, null, monkeypa
     assert len(search.about(null).candidates) == len(task.candidates) - 1 and len(calls) == 4
 
 
-@pytest.mark.parametrize(("far", "tried"), [(0.0, True), (far_off.MOSTLY, False)])
+@pytest.mark.parametrize(("far", "tried"), [(0.0, True), (explain.MOSTLY, False)])
 def test_forces_are_not_tried_where_another_change_explains_most(task, null, far, tried, monkeypatch):
     asked, finite = [], starts.finite
     monkeypatch.setattr(starts, "finite", lambda s, some, *a: asked.extend(some) or finite(s, some, *a))
@@ -128,7 +127,7 @@ def test_beside_the_rest_only_what_may_still_lead_is_fitted_again(task, null, mo
 
 
 def test_the_general_inaccuracy_alone_is_not_fitted_without_a_block_where_it_is_far_off(task, null):
-    away = replace(null, chi2=2 * far_off.UNLIKE * null.state.difference.size)
+    away = replace(null, chi2=2 * explain.UNLIKE * null.state.difference.size)
     assert held_out._without(SimpleNamespace(), away, SimpleNamespace()) is away
 
 

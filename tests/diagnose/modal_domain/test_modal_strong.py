@@ -7,8 +7,7 @@ from chains_off import DOFS, FREQ, as_measured, chain_off, response, simulation
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.fit import FARTHEST, _ways, fit
-from modalax.diagnose.modal_domain.matched import CLOSE, FAR
-from modalax.diagnose.modal_domain.matched_elements import missed_by_elements
+from modalax.diagnose.modal_domain.matched import CLOSE, FAR, missed_by_elements
 from modalax.diagnose.modal_domain.stage import identified, posed
 
 

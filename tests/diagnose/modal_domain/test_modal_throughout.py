@@ -6,9 +6,9 @@ import pytest
 from frames import measured, simulation
 
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.diagnose.modal_domain.explanation import Prior
 from modalax.diagnose.modal_domain.fit import fit
 from modalax.diagnose.modal_domain.inaccuracy import THROUGHOUT
-from modalax.diagnose.modal_domain.prior import Prior
 from modalax.diagnose.modal_domain.stage import identified, posed
 from modalax.diagnose.modal_domain.throughout import all_scaled, beside_one_factor, only_scaled, with_groups
 from modalax.model import Structure

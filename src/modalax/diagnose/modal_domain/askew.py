@@ -23,7 +23,7 @@ from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.features import whitener_of
 from modalax.diagnose.modal_domain.fit import TEMPERATURES, Fit, fit, scale_of
 from modalax.diagnose.modal_domain.linear import root_of_information
-from modalax.diagnose.modal_domain.matched_elements import NEARER
+from modalax.diagnose.modal_domain.matched import ABOUT
 from modalax.diagnose.modal_domain.nodes import nodes_of
 from modalax.diagnose.modal_domain.odd_channel import volume
 from modalax.diagnose.modal_domain.screen import SIZES, cost_of_size, distances, tolerance
@@ -169,7 +169,7 @@ def _nearest(
 ) -> tuple[float, float, Place]:
     """Least chi-square beyond the tolerated inaccuracy, the share over its usual size, and the place."""
     moved, least = _moved(setting, state, place), math.inf
-    for sizes in (np.array([-s for s in SIZES] + [*SIZES, size]), NEARER, NEARER**0.25):
+    for sizes in (np.array([-s for s in SIZES] + [*SIZES, size]), ABOUT, ABOUT**0.25):
         tried = sizes * (size if least < math.inf else 1.0)
         left = distances(setting, shrink, [(state.modes.poles, state.plain + u * moved) for u in tried])
         left = left + cost_of_size(tried)

@@ -5,14 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
-from modalax.diagnose.modal_domain.fit import BASIN, Fit, fit
+from modalax.diagnose.modal_domain.fit import BASIN, Fit, Found, fit
 from modalax.diagnose.modal_domain.state import Setting
 from modalax.diagnose.modal_domain.throughout import all_scaled
 from modalax.diagnose.thresholds import THRESHOLDS
 
 
 def attempt(
-    setting: Setting, found: dict[tuple[Change, ...], Fit], causes: tuple[Change, ...], u: np.ndarray,
+    setting: Setting, found: Found, causes: tuple[Change, ...], u: np.ndarray,
     start: Fit | None, gentle: bool = True, basin: float = BASIN,
 ) -> None:  # fmt: skip
     """Fit causes from sizes ``u`` and the inaccuracy of a start, gently from far off, and keep what is likelier."""

@@ -1,17 +1,23 @@
-"""A simulation corrected for the general inaccuracy: matrices, FRFs, and the size of the inaccuracy."""
+"""A simulation corrected for the general inaccuracy: matrices, FRFs, and what is told of it and of its causes."""
 
 from dataclasses import replace
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from modalax._numerics.text import percent
 from modalax._numerics.triangles import backward, forward
 from modalax.data.frf import DERIVATIVES
-from modalax.diagnose.modal_domain.causes import with_sizes
+from modalax.diagnose.causes import Cause, catalogue, imitators
+from modalax.diagnose.causes.scene import Place
+from modalax.diagnose.extend import ExtendedSimulation
+from modalax.diagnose.modal_domain.causes import own_sizes, with_sizes
 from modalax.diagnose.modal_domain.fit import Fit, scale_of, widths_of_sizes
+from modalax.diagnose.modal_domain.forced import Forced
 from modalax.diagnose.modal_domain.given_elements import changed_by_elements
 from modalax.diagnose.modal_domain.inaccuracy import KINDS, RIGID, THROUGHOUT, TOLD, WITHIN
+from modalax.diagnose.modal_domain.levels.laws import NAMED
 from modalax.diagnose.modal_domain.linear import root_of_information
 from modalax.diagnose.modal_domain.many_lines import receptance
 from modalax.diagnose.modal_domain.polish import frf_on_lines
@@ -147,3 +153,41 @@ def inaccuracy_said(inaccuracy: dict[str, Any]) -> str:
         for name, v in inaccuracy.items()
     ]
     return f"the modes of the simulation are generally off by {', '.join(parts)}"
+
+
+def extension_of(stage: Stage, f: Fit, forced: Forced | None = None) -> ExtendedSimulation:
+    """The corrected simulation with the causes, as an ordinary simulation."""
+    known: dict[str, Cause] = {}
+    for cause in (*catalogue(), *imitators()):
+        known.setdefault(cause.slug, cause)
+    base, causes, places, params, spread, extras = corrected(stage, f), [], [], [], [], []
+    spring = stage.whole.spring if stage.whole is not None and stage.whole.alone else None
+    own = [own_sizes(f.causes, k) for k in range(len(f.causes))]
+    every = [(c, u, f.covariance[at, at]) for (c, u), at in zip(with_sizes(f.causes, f.u), own, strict=True)]
+    every += [] if forced is None else [(forced.cause, forced.u, forced.covariance)]
+    for c, u, covariance in every:
+        if c.in_structure or c.slug not in known or c == spring:
+            continue
+        m = stage.measurement
+        names = base.dofs if c.at_dofs else (m.inputs if c.at_inputs else m.outputs)
+        index = [names.index(str(w)) for w in c.where] + [-1, -1]
+        index[0] = index[0] if c.first_index is None else c.first_index
+        values, errors, extra = c.as_catalogue(u, covariance)
+        causes.append(c.in_catalogue or known[c.slug])
+        places.append(Place(tuple(c.where), (index[0], index[1], c.variant)))
+        params.append(jnp.asarray(values))
+        spread.append(jnp.asarray(errors))
+        extras.append(None if extra is None else jnp.asarray(extra))
+    joint = None if stage.seen is None else stage.seen.joint
+    if joint is not None and joint.fit.law in NAMED:
+        index = [base.dofs.index(w) for w in joint.spot.where] + [-1]
+        law = joint.fit if stage.whole is None else stage.whole.fit
+        causes.append(law.law)
+        places.append(Place(joint.spot.where, (index[0], index[1], 0)))
+        params.append(jnp.asarray(law.p))
+        spread.append(jnp.asarray(law.std))
+        extras.append(None)
+    return ExtendedSimulation(
+        base, tuple(params), tuple(spread), jnp.zeros((2, len(base.dofs))), tuple(extras), tuple(causes),
+        tuple(places), stage.measurement.outputs, stage.measurement.inputs, float(stage.measured.freq[0]),
+    )  # fmt: skip

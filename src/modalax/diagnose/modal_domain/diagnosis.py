@@ -16,8 +16,8 @@ from modalax.diagnose.modal_domain.answer import Facts, ModalDiagnosis
 from modalax.diagnose.modal_domain.attempts import explains
 from modalax.diagnose.modal_domain.causes import UNITS, with_sizes
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
-from modalax.diagnose.modal_domain.corrected import frf_of, inaccuracy_said, inaccuracy_told
-from modalax.diagnose.modal_domain.extension import extension_of
+from modalax.diagnose.modal_domain.corrected import extension_of, frf_of, inaccuracy_said, inaccuracy_told
+from modalax.diagnose.modal_domain.explanation import NONE
 from modalax.diagnose.modal_domain.fit import fit, without_causes
 from modalax.diagnose.modal_domain.forced import Forced, force_beside, force_said
 from modalax.diagnose.modal_domain.held_out import gain_of
@@ -28,7 +28,6 @@ from modalax.diagnose.modal_domain.mains import lines_without_hum, mains_hum
 from modalax.diagnose.modal_domain.measured import Measured
 from modalax.diagnose.modal_domain.misplaced import moved, other_places
 from modalax.diagnose.modal_domain.own_peaks import mass_of_sensor, own_peaks, without_output
-from modalax.diagnose.modal_domain.prior import NONE
 from modalax.diagnose.modal_domain.short_records import short_record
 from modalax.diagnose.modal_domain.stage import Stage, identified, posed, run_stage
 from modalax.diagnose.modal_domain.state import Setting

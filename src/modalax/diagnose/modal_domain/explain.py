@@ -6,21 +6,26 @@ A second cause is added where it raises the log evidence by more than its low pr
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
 from modalax.diagnose.deadline import NEVER, Deadline
-from modalax.diagnose.modal_domain.attached import acting_alike, attached
 from modalax.diagnose.modal_domain.attempts import attempt, explains, key_of, without
 from modalax.diagnose.modal_domain.causes import Change
-from modalax.diagnose.modal_domain.exact_places import Finer, Found, made_exact
-from modalax.diagnose.modal_domain.explanation import Explanation, ranked_by
-from modalax.diagnose.modal_domain.far_off import UNLIKE, far_off, leading
-from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
+from modalax.diagnose.modal_domain.explanation import Explanation, Prior, ranked_by
+from modalax.diagnose.modal_domain.fit import Fit, Found, fit, without_causes
 from modalax.diagnose.modal_domain.narrowed import DIRECTIONS, narrowed
-from modalax.diagnose.modal_domain.prior import Prior
-from modalax.diagnose.modal_domain.refitted import AGAIN, beside_a_factor, beside_the_rest, in_full
-from modalax.diagnose.modal_domain.starts import starts
+from modalax.diagnose.modal_domain.oscillators import acting_alike, attached
+from modalax.diagnose.modal_domain.refitted import (
+    AGAIN,
+    Finer,
+    beside_a_factor,
+    beside_the_rest,
+    in_full,
+    made_exact,
+)
+from modalax.diagnose.modal_domain.starts import FITTED, starts
 from modalax.diagnose.modal_domain.state import Setting
 from modalax.diagnose.modal_domain.steps import (
     MOST,
@@ -41,6 +46,9 @@ from modalax.diagnose.modal_domain.throughout import (
     start_in,
     with_more,
 )
+
+UNLIKE = 10.0  # chi-square per feature beside the general inaccuracy from which on a cause is tried before all else
+MOSTLY = 0.25  # share of what the simulation leaves, below which a change of the structure explains most of it
 
 Tell = Callable[[str], None]
 # What hypotheses were fitted in, every cause and place there, and the explanations by falling probability.
@@ -253,3 +261,33 @@ def _without_a_gain(search: Search) -> None:
     for e in near:
         attempt(search.setting, found, e.causes, e.fit.u, start_in(search.setting, e.fit), gentle=False)
     search.found = found
+
+
+def far_off(null: Fit) -> bool:
+    """Whether the general inaccuracy alone does not come near to the measured modes."""
+    return null.chi2 > UNLIKE * null.state.difference.size
+
+
+def leading(
+    setting: Setting, null: Fit | None, candidates: list[Change], late: Deadline, tell: Callable[[str], None],
+    finer: Finer | None,
+) -> tuple[Setting, list[Change], Found]:  # fmt: skip
+    """The leading causes by finite changes, where one of them explains what the inaccuracy is far from; else nothing.
+
+    Others are then looked for beside it and in its place, and no inaccuracy is, that would do without it.
+    """
+    if null is None or not far_off(null):
+        return setting, candidates, {}
+    prior, found = Prior(candidates), {(): null}
+    try:
+        tell(f"screening {len(candidates)} causes and places")
+        for cause, u, start in islice(starts(setting, null, candidates, prior.each(candidates), far=MOSTLY), FITTED):
+            attempt(setting, found, (cause,), cause.of_size(u), start, basin=UNLIKE)
+            if late():
+                break
+        exact, there, found = made_exact(setting, candidates, found, finer, tell)
+        if explains(ranked_by(found, Prior(there))[0].fit):
+            return exact, there, found
+    except KeyboardInterrupt:
+        late.stop()
+    return setting, candidates, {}

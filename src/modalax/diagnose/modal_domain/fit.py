@@ -64,6 +64,9 @@ class Fit:
     state: State
 
 
+Found = dict[tuple[Change, ...], Fit]  # fits that a search has made, by their causes
+
+
 def linear_at(setting: Setting, state: State, causes: tuple[Change, ...], sizes: np.ndarray, u: np.ndarray) -> Linear:
     """The problem linearised about a state."""
     J = slopes_at(setting, state, causes, u)

@@ -10,7 +10,7 @@ from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.coordinates import Coordinates
 from modalax.diagnose.modal_domain.fit import Fit, without_causes
 from modalax.diagnose.modal_domain.joint_forces import Between, LossyJoint, PowerLawJoint, RelaxingJoint
-from modalax.diagnose.modal_domain.line_forces import LineForce, ModalForce, RovingMass, SkewCoupling
+from modalax.diagnose.modal_domain.line_forces import LineForce, RovingMass, SkewCoupling
 from modalax.diagnose.modal_domain.nodes import nodes_of
 
 FEW = 40  # DoFs up to which any two may be coupled; of more, measured ones only, of still as many those of one node
@@ -23,18 +23,6 @@ KINDS: dict[str, type[LineForce]] = {
     "sensor_mass": RovingMass,
 }  # fmt: skip
 JOINTS = ("hysteretic_joint", "maxwell_joint", "fractional_joint")
-
-
-def asked_of_modes(forces: Sequence[LineForce]) -> list[Change]:
-    """Those that modes tell of; a joint that relaxes about one of several times each, so that all are of one size."""
-    out: list[Change] = []
-    for f in forces:
-        if isinstance(f, RelaxingJoint):
-            weight = f.weight / len(TIMES)
-            out += [replace(f, weight=weight, about=k * APART, width=APART) for k in TIMES]
-        elif isinstance(f, ModalForce):
-            out.append(f)
-    return out
 
 
 def losses_at(spring: Change, candidates: Sequence[Change], c: Coordinates) -> list[LineForce]:
@@ -81,18 +69,25 @@ def line_forces(
     c: Coordinates, dofs: Sequence[str], outputs: Sequence[str], inputs: Sequence[str],
     springs: Sequence[tuple[tuple[str, ...], np.ndarray, float, float, bool]], low: float, high: float,
 ) -> list[LineForce]:  # fmt: skip
-    """Each such force at each place; ``springs`` are places of joints, ``low`` and ``high`` the band's ends [rad/s]."""
-    middle, found = math.sqrt(low * high), []
+    """Each such force of which modes tell, at each place.
+
+    A joint that relaxes is one about each of several times, so that all are of one size. ``springs`` are places of
+    joints, ``low`` and ``high`` the band's ends [rad/s].
+    """
+    middle = math.sqrt(low * high)
+    found: list[LineForce] = []
     inside = np.flatnonzero(c.frequencies[:-1] < 1.5 * high)
     mobile = (c.shapes[:, inside] ** 2).mean(axis=1)
     for slug in JOINTS:
-        found += [
-            KINDS[slug](
-                slug, where, k, weight=w, basis=b[:, None], middle=middle, reference=middle * _doubling(c, b, inside)
-            )
-            for where, b, k, w, held in springs
-            if held
-        ]  # fmt: skip
+        for where, b, k, w, held in springs:
+            if not held:
+                continue
+            reference = middle * _doubling(c, b, inside)
+            joint = KINDS[slug](slug, where, k, weight=w, basis=b[:, None], middle=middle, reference=reference)
+            if isinstance(joint, RelaxingJoint):
+                found += [replace(joint, weight=w / len(TIMES), about=n * APART, width=APART) for n in TIMES]
+            else:
+                found.append(joint)
     some = [k for k, name in enumerate(dofs) if mobile[k] > 1e-6 * mobile.max()]
     if len(some) > FEW:
         some = [k for k in some if dofs[k] in {*outputs, *inputs}]
@@ -102,7 +97,7 @@ def line_forces(
             size = COUPLED * middle / math.sqrt(mobile[a] * mobile[b])
             pair = c.shapes[[b, a]].T
             found.append(SkewCoupling("gyroscopic", (dofs[b], dofs[a]), size, basis=pair, middle=middle))
-    return found + roving_masses(c, outputs, low, high)
+    return found
 
 
 def roving_masses(c: Coordinates, outputs: Sequence[str], low: float, high: float) -> list[LineForce]:

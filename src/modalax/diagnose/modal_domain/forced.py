@@ -17,7 +17,7 @@ import numpy as np
 from modalax.data import Measurement
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import Change
-from modalax.diagnose.modal_domain.explanation import Explanation
+from modalax.diagnose.modal_domain.explanation import SECOND, Explanation, Prior
 from modalax.diagnose.modal_domain.fit import Fit, scale_of
 from modalax.diagnose.modal_domain.force_places import roving_masses
 from modalax.diagnose.modal_domain.line_forces import LineForce
@@ -32,7 +32,6 @@ from modalax.diagnose.modal_domain.polish import (
     frf_on_lines,
     slopes_on_lines,
 )
-from modalax.diagnose.modal_domain.prior import SECOND, Prior
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.modal_domain.state import Setting
 from modalax.diagnose.summary import cause_at
@@ -152,7 +151,7 @@ def find_force(
             k for slug in sorted({f.slug for f in forces})
             for k in sorted((k for k, f in enumerate(forces) if f.slug == slug), key=lambda k: -gain[k])[:FITTED]
         ]  # fmt: skip
-        starts = [(base, forces[k], size[k]) for k in leading if gain[k] > WORTH]
+        starts = [(base, forces[k], size[k : k + 1]) for k in leading if gain[k] > WORTH]
         trials += fitted_from(setting, starts, lines, late)
         if late():
             break
@@ -236,18 +235,16 @@ def _trial(setting: Setting, base: Fit, both: Fit, end: OnLines) -> Trial:
 
 def screened(
     setting: Setting, base: Fit, forces: Sequence[LineForce], lines: Lines
-) -> tuple[np.ndarray, list[np.ndarray]]:  # fmt: skip
-    """Nats that each force promises, and sizes to fit it from."""
-    trials = [(k, u) for k, f in enumerate(forces) for u in f.starts]
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Nats that each force of one size promises, and the size to fit it from."""
     scale, x = scale_of(setting, base), np.concatenate([base.sizes, base.u])
-    p, m = len(x), len(trials)
+    p, m = len(x), len(forces)
     gram, cross, own = np.zeros((p, p)), np.zeros((p, m)), np.zeros(m)
     slope, score, chi2 = np.zeros(p), np.zeros(m), 0.0
-    every: tuple[Change, ...] = base.causes
     for part in blocks(setting, lines.s, (p + m) * lines.H[0].size):
         s, root = lines.s[part], np.sqrt(lines.weight[part])
-        H, J = slopes_on_lines(setting, every, base.sizes, base.u, s, lines.order)
-        g = force_columns(setting, base, [(forces[k], u) for k, u in trials], s, lines.order)
+        H, J = slopes_on_lines(setting, base.causes, base.sizes, base.u, s, lines.order)
+        g = force_columns(setting, base, forces, s, lines.order)
         J, g = ((a * root).reshape(len(a), -1).view(float) for a in (J, g))
         e = (root * (lines.H[part] - H)).ravel().view(float)
         gram, cross, own = gram + J @ J.T, cross + J @ g.T, own + (g**2).sum(axis=1)
@@ -259,9 +256,5 @@ def screened(
     direct = score / heat - through.T @ both[:, -1]
     left = 1 + own / heat - (through * both[:, :-1]).sum(axis=0)
     size = direct / left
-    gain, start = np.full(len(forces), -np.inf), [f.starts[0] for f in forces]
-    for j, (k, u) in enumerate(trials):
-        value = 0.5 * float(direct[j] ** 2 / left[j])
-        if value > gain[k] and (forces[k].signed or size[j] > 0):
-            gain[k], start[k] = value, np.append(size[j], u[1:])
-    return gain, start
+    possible = (size > 0) | np.array([f.signed for f in forces])
+    return np.where(possible, 0.5 * (direct**2 / left), -np.inf), size

@@ -9,8 +9,8 @@ from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.holdout import BLOCKS, RESAMPLED, held_out_block
 from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.corrected import frf_of
+from modalax.diagnose.modal_domain.explain import far_off
 from modalax.diagnose.modal_domain.explanation import Explanation
-from modalax.diagnose.modal_domain.far_off import far_off
 from modalax.diagnose.modal_domain.features import Features, chosen, sure, whitener_of
 from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
 from modalax.diagnose.modal_domain.free_residues import Channels

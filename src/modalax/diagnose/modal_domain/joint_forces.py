@@ -82,11 +82,6 @@ class RelaxingJoint(Between):
         """The same line by line."""
         return MaxwellJoint()
 
-    @property
-    def starts(self) -> list[np.ndarray]:
-        """Three times, a factor of three apart."""
-        return [np.array([0.0, x * math.log(3) / self.width]) for x in (-1.0, 0.0, 1.0)]
-
     def _time(self, u: np.ndarray) -> float:
         return math.exp(self.about + float(np.clip(u[1], -4.0, 4.0)) * self.width) / self.middle
 
@@ -150,11 +145,6 @@ class PowerLawJoint(Between):
     def in_catalogue(self) -> Cause:
         """The same line by line."""
         return FractionalJoint()
-
-    @property
-    def starts(self) -> list[np.ndarray]:
-        """Half way between a spring and a damper."""
-        return [np.zeros(2)]
 
     @staticmethod
     def order(u: np.ndarray) -> float:

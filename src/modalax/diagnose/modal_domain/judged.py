@@ -24,8 +24,8 @@ from modalax.diagnose.modal_domain.linear import LARGEST
 from modalax.diagnose.modal_domain.odd_channel import only_output
 from modalax.diagnose.modal_domain.polish import taken_on, without_spare
 from modalax.diagnose.modal_domain.stage import Stage
+from modalax.diagnose.modal_domain.supports import SensorMasses
 from modalax.diagnose.modal_domain.throughout import nats_over_a_factor
-from modalax.diagnose.modal_domain.together import SensorMasses
 from modalax.diagnose.thresholds import THRESHOLDS
 
 NEAR = 0.3  # relative distance within which a mode of the simulation may be the measured one

@@ -48,18 +48,8 @@ class LineForce(Change):
         return False
 
     @property
-    def at_dofs(self) -> bool:
-        """All but a sensor's mass."""
-        return self.row is None
-
-    @property
     def local(self) -> bool:
         """It moves modes, but for what only one output shows."""
-        return self.row is None
-
-    @property
-    def linear(self) -> bool:
-        """Small strengths act in proportion."""
         return self.row is None
 
     def changes(self, u: np.ndarray) -> dict[str, np.ndarray]:
@@ -75,11 +65,6 @@ class LineForce(Change):
     def signed(self) -> bool:
         """Whether it may have either sign."""
         return False
-
-    @property
-    def starts(self) -> list[np.ndarray]:
-        """Sizes about which its strength is screened."""
-        return [np.zeros(1)]
 
     def unit(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
         r"""Dynamic stiffness of strength one, shape ``(f, k, k)``; ``s`` is :math:`\sigma + j\omega` [rad/s]."""

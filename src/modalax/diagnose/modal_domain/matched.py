@@ -1,7 +1,7 @@
-r"""Places ranked by the sizes of a change of rank one at which the structure has the measured frequencies.
+r"""Places and elements ranked by the sizes of a change at which the structure has the measured frequencies.
 
-With a change :math:`u\,bb^T` of the stiffness, in modal coordinates of circular frequencies :math:`\omega_k`, the
-structure has a mode of :math:`\lambda = \omega^2` exactly where
+With a change of rank one :math:`u\,bb^T` of the stiffness, in modal coordinates of circular frequencies
+:math:`\omega_k`, the structure has a mode of :math:`\lambda = \omega^2` exactly where
 :math:`f(\lambda) = 1 + u\sum_k b_k^2/(\omega_k^2 - \lambda) = 0`, and with one of the mass where
 :math:`1 - u\lambda\sum_k b_k^2/(\omega_k^2 - \lambda) = 0` (Golub 1973, section 5). So each measured frequency tells at
 once which size of each place it asks for, however far it has moved, and at the right place all ask for one.
@@ -17,7 +17,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from modalax.diagnose.modal_domain.causes import Change
-from modalax.diagnose.modal_domain.coordinates import Modes
+from modalax.diagnose.modal_domain.coordinates import Coordinates, Modes
 from modalax.diagnose.modal_domain.features import Features
 
 # Relative change of a squared frequency that an inaccuracy of the elements may make, and what is left of it once the
@@ -28,6 +28,10 @@ LIGHT = -0.95  # least mass over that of the structure at a place; below it noth
 RIGID = 1e-6  # square of a frequency, relative to the lowest measured, below which a mode is that of a rigid body
 UNSTABLE = -1.0  # stiffness over that of the structure at a place, below which it does not stand
 DAMPERS = np.geomspace(0.03, 1000.0, 50)  # sizes of dampers, over the usual one
+# Sizes of lumps, over the usual one, and of elements' stiffness, relative to the whole; and then about the best.
+LUMPS, RELATIVE = np.geomspace(0.5, 500.0, 18), np.array([-0.97, -0.93, -0.87, -0.75, -0.5, 0.8, 2.0, 5.0, 15.0, 50.0])
+LEADING = 60  # elements whose sizes are then sought nearer
+ABOUT = np.array([0.8, 0.87, 0.93, 0.97, 1.03, 1.07, 1.15, 1.24])
 LIKELY = 0.3  # of logarithms of dampings that are off
 UNDAMPED = 1e-9  # least damping ratio that counts
 TOGETHER = 1000  # places that are looked at together
@@ -114,3 +118,37 @@ def _directions(candidates: list[Change], shapes: np.ndarray) -> Iterator[tuple[
 
 def _nonzero(x: np.ndarray) -> np.ndarray:
     return np.where(x == 0, 1e-300, x)
+
+
+def missed_by_elements(f: Features, c: Coordinates, elements: list[Change]) -> tuple[np.ndarray, np.ndarray]:
+    """Least sum of squared, bounded misses of the measured frequencies by changes of whole elements, and their sizes.
+
+    As masses that move in several directions, they are of no rank one: what is tried are sizes one by one.
+    """
+    asked = np.abs(f.poles)[:, None] ** 2
+    out, found = np.full(len(elements), np.inf), np.zeros(len(elements))
+
+    def tried(k: int, sizes: np.ndarray) -> None:
+        for u, squares in _squares(c, elements[k], sizes):
+            apart = np.abs(np.maximum(squares, 0.0) / asked - 1).min(axis=1) / CLOSE
+            missed = float((np.minimum(apart, FAR) ** 2).sum())
+            if missed < out[k]:
+                out[k], found[k] = missed, u
+
+    for k, cause in enumerate(elements):
+        tried(k, LUMPS if cause.kind == "M" else RELATIVE / cause.scale)
+    for k in np.argsort(out)[:LEADING]:
+        tried(int(k), ABOUT * (found[k] or 1.0))
+    return out, found
+
+
+def _squares(c: Coordinates, cause: Change, sizes: np.ndarray) -> Iterator[tuple[float, np.ndarray]]:
+    """Size, and squared circular frequencies of the simulation with it, of a change of mass or stiffness."""
+    A, change = np.diag(c.frequencies**2), cause.matrix
+    if cause.kind == "K":
+        yield from ((float(u), np.linalg.eigvalsh(A + u * change)) for u in sizes)
+        return
+    b, V = np.linalg.eigh(change)
+    for u in sizes[sizes * b.max() > -0.95]:
+        half = V / np.sqrt(1 + u * b) @ V.T
+        yield float(u), np.linalg.eigvalsh(half @ A @ half)

@@ -21,8 +21,8 @@ from modalax._numerics.triangles import forward
 from modalax.diagnose.causes.base import RARE
 from modalax.diagnose.decision.beyond import OddChannel
 from modalax.diagnose.modal_domain.channel_faults import GAIN
+from modalax.diagnose.modal_domain.explain import UNLIKE
 from modalax.diagnose.modal_domain.explanation import Explanation
-from modalax.diagnose.modal_domain.far_off import UNLIKE
 from modalax.diagnose.modal_domain.features import Features
 from modalax.diagnose.modal_domain.fit import fit
 from modalax.diagnose.modal_domain.state import Setting

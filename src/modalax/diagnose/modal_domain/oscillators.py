@@ -1,4 +1,4 @@
-r"""Where an attached oscillator may sit, by finite sizes: its places are screened once a measured mode is too many.
+r"""Oscillators that may be attached, tried by finite sizes at all places once a measured mode is one too many.
 
 A light one has the pole that was measured, and at each place just one mass makes the residue as large as it was
 measured: residues of its own mode grow as the mass. A heavy one splits a mode into two, far apart, and neither is near
@@ -7,11 +7,17 @@ its own frequency: with the compliance :math:`H` of its place a mass :math:`m` m
 .. math:: \omega_0^2 = \frac{\omega^2}{1 - m\omega^2 H(\omega)}.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 
-from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.attempts import attempt, explains, key_of, without
+from modalax.diagnose.modal_domain.causes import Change, own_sizes
+from modalax.diagnose.modal_domain.explanation import Prior, ranked_by
+from modalax.diagnose.modal_domain.fit import Found, without_causes
 from modalax.diagnose.modal_domain.further_causes import FACTOR, ZETA, TunedMass
 from modalax.diagnose.modal_domain.screen import STILL, distance, tolerance
+from modalax.diagnose.modal_domain.starts import in_place_of_one
 from modalax.diagnose.modal_domain.state import Setting
 
 MASSES = np.array([0.1, 0.2, 0.3, 0.45, 0.65, 1.0, 1.5])  # roots of masses that are tried, over the usual
@@ -112,3 +118,47 @@ def _modes(setting: Setting, cause: TunedMass, trials: list[np.ndarray]) -> list
     poles = -own / 2 + 1j * np.sqrt(w**2 - own**2 / 4)
     residues = np.einsum("kom,kim->kmoi", c.outputs @ Q, c.inputs @ Q) / (2j * poles.imag)[:, :, None, None]
     return list(zip(poles, residues, strict=True))
+
+
+def attached(
+    setting: Setting, found: Found, candidates: list[Change], prior: Prior,
+    late: Callable[[], bool],
+) -> None:  # fmt: skip
+    """Where a measured mode is one too many, try what may have moved one so far, and oscillators as what makes it."""
+    ranked = ranked_by(found, prior)
+    if not explains(ranked[0].fit):  # which mode is too many shows beside other errors that are too large as well
+        ranked = [e for e in ranked if any(c.freed is not None for c in e.causes)]
+    freed = [c for c in ranked[0].causes if c.freed is not None] if ranked else []
+    if not freed:
+        return
+    best = ranked[0].fit
+    for cause, u, start in in_place_of_one(setting, best, candidates, prior.each(candidates)):
+        if late():
+            return
+        attempt(setting, found, (cause,), cause.of_size(u), start, gentle=False)
+    for cause, u in oscillators(setting, candidates, freed[0]):
+        if late():
+            return
+        attempt(setting, found, (cause,), u, None)
+    acting_alike(setting, found, candidates, prior, late)
+
+
+def acting_alike(
+    setting: Setting, found: Found, candidates: list[Change], prior: Prior,
+    late: Callable[[], bool],
+) -> None:  # fmt: skip
+    """Fit an oscillator that leads at places that act like its own, until none of them is likelier."""
+    while True:
+        best = ranked_by(found, prior)[0].fit
+        k = next((k for k, c in enumerate(best.causes) if isinstance(c, TunedMass)), None)
+        if k is None:
+            return
+        kept, own = tuple(c for j, c in enumerate(best.causes) if j != k), best.u[own_sizes(best.causes, k)]
+        for cause in alike(setting, candidates, best.causes[k], own):
+            if late():
+                return
+            if key_of((*kept, cause)) not in found:
+                u = np.append(without(best, k), own)
+                attempt(setting, found, (*kept, cause), u, without_causes(best), gentle=False)
+        if ranked_by(found, prior)[0].fit is best:
+            return

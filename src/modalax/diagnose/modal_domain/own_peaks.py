@@ -13,6 +13,7 @@ import numpy as np
 from modalax.data import Measurement
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import with_sizes
+from modalax.diagnose.modal_domain.explanation import Prior
 from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.force_places import roving_mass
 from modalax.diagnose.modal_domain.forced import Forced, fitted_from, told_force
@@ -22,7 +23,6 @@ from modalax.diagnose.modal_domain.lines import Lines, lines_of
 from modalax.diagnose.modal_domain.measured import Measured, channels_of
 from modalax.diagnose.modal_domain.mode_count import cost_of_mode, misfit, mode_gains, settled
 from modalax.diagnose.modal_domain.polish import chi2_of, descended, frf_on_lines
-from modalax.diagnose.modal_domain.prior import Prior
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.modal_domain.state import Setting
 

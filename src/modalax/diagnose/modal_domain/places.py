@@ -15,8 +15,7 @@ from modalax.diagnose.modal_domain.given_elements import softened_elements, spri
 from modalax.diagnose.modal_domain.groups import group_factors, other_than
 from modalax.diagnose.modal_domain.nodes import Nodes, nodes_of
 from modalax.diagnose.modal_domain.parts import ends_of, parts_of, planes_of
-from modalax.diagnose.modal_domain.supports import supports_together
-from modalax.diagnose.modal_domain.together import sensor_masses
+from modalax.diagnose.modal_domain.supports import sensor_masses, supports_together
 from modalax.diagnose.modal_domain.turns import nodes_in
 from modalax.model import Structure
 

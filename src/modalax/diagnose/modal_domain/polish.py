@@ -297,7 +297,7 @@ def _slopes_of_all(
             rows = [seen(between.of_share(damping))]
         else:
             rows = [seen(one) for one in between.by_sizes(cause, size)]
-            if cause.in_channels and not isinstance(cause, LineForce):
+            if cause.in_channels:
                 rows = [*rows[:-1], sum(rows[-1:]) + seen(plain, k)]
         J[start : start + len(rows)] = rows
         start += len(rows)
@@ -363,13 +363,13 @@ def force_slopes(
 
 
 def force_columns(
-    setting: Setting, f: Fit, trials: list[tuple[LineForce, np.ndarray]], s: np.ndarray, order: int
+    setting: Setting, f: Fit, forces: Sequence[LineForce], s: np.ndarray, order: int
 ) -> np.ndarray:  # fmt: skip
-    """Derivatives of FRFs by strengths of forces that are none yet, shape ``(trial, f, o, i)``."""
+    """Derivatives of FRFs by strengths of forces of one size that are none yet, shape ``(force, f, o, i)``."""
     outer, inner = _responses(setting, f.causes, f.sizes, f.u, s)
     form, out = s[:, None, None] ** order, []
-    for cause, u in trials:
-        column = force_slopes(cause, u, s, outer, inner, form)[0]
+    for cause in forces:
+        column = force_slopes(cause, np.zeros(1), s, outer, inner, form)[0]
         for fault, size in with_sizes(f.causes, f.u):
             column = fault.transform(size, s, column)
         if cause.row is not None:

@@ -11,14 +11,14 @@ from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.decision.beyond import OddChannel
 from modalax.diagnose.modal_domain.askew import askew_channel
 from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.channel_faults import leaking_channels
 from modalax.diagnose.modal_domain.coordinates import Coordinates, coordinates_of, is_large
-from modalax.diagnose.modal_domain.crosstalk import leaking_channels
 from modalax.diagnose.modal_domain.damping_on_lines import damping_by_lines
 from modalax.diagnose.modal_domain.explain import explain
-from modalax.diagnose.modal_domain.explanation import Explanation
+from modalax.diagnose.modal_domain.explanation import Explanation, Prior
 from modalax.diagnose.modal_domain.features import whitener_of
 from modalax.diagnose.modal_domain.fit import Fit
-from modalax.diagnose.modal_domain.force_places import KINDS, asked_of_modes, line_forces
+from modalax.diagnose.modal_domain.force_places import KINDS, line_forces
 from modalax.diagnose.modal_domain.further_causes import StructuralDamping, missing_modes, tuned_masses
 from modalax.diagnose.modal_domain.impact_window import impact_windows
 from modalax.diagnose.modal_domain.inaccuracy import forces_of_errors, inaccuracy_of
@@ -30,7 +30,6 @@ from modalax.diagnose.modal_domain.measured import Measured, identify
 from modalax.diagnose.modal_domain.odd_channel import is_of_the_structure, odd_channel
 from modalax.diagnose.modal_domain.places import candidates_of, springs_of
 from modalax.diagnose.modal_domain.polish import leading_on_lines
-from modalax.diagnose.modal_domain.prior import Prior
 from modalax.diagnose.modal_domain.sensor_filters import sensor_filters
 from modalax.diagnose.modal_domain.state import Setting
 from modalax.diagnose.modal_domain.turns import nodes_in
@@ -156,7 +155,7 @@ def posed(
     places = springs_of(simulation, c, nodes_in(simulation.dofs, np.asarray(simulation.K)), pairs, highest)
     low, high = (float(abs(measured.channels.s[k])) for k in (0, -1))
     forces = line_forces(c, simulation.dofs, measurement.outputs, measurement.inputs, places, low, high)
-    return Posed(c, setting, [*every, *asked_of_modes(forces)], places)
+    return Posed(c, setting, [*every, *forces], places)
 
 
 def _forces(simulation: Structure, setting: Setting, f: Fit) -> np.ndarray:

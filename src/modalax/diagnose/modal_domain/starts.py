@@ -18,8 +18,7 @@ from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.channel_faults import Swap
 from modalax.diagnose.modal_domain.coordinates import modes_of
 from modalax.diagnose.modal_domain.fit import Fit, without_causes
-from modalax.diagnose.modal_domain.matched import FOLLOWED, missed_dampings, missed_frequencies
-from modalax.diagnose.modal_domain.matched_elements import missed_by_elements
+from modalax.diagnose.modal_domain.matched import FOLLOWED, missed_by_elements, missed_dampings, missed_frequencies
 from modalax.diagnose.modal_domain.screen import (
     SIZES,
     STRONG,

@@ -9,11 +9,9 @@ import numpy as np
 from modalax.diagnose.modal_domain.attempts import attempt, explains, key_of, possible, without
 from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.damped_along import damped_along
-from modalax.diagnose.modal_domain.exact_places import Found
-from modalax.diagnose.modal_domain.explanation import Explanation, ranked_by
-from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
+from modalax.diagnose.modal_domain.explanation import SECOND, Explanation, Prior, ranked_by
+from modalax.diagnose.modal_domain.fit import Fit, Found, fit, without_causes
 from modalax.diagnose.modal_domain.force_places import JOINTS, as_limits, losses_at
-from modalax.diagnose.modal_domain.prior import SECOND, Prior
 from modalax.diagnose.modal_domain.refitted import AGAIN
 from modalax.diagnose.modal_domain.screen import About, about, narrower, replaced, scores
 from modalax.diagnose.modal_domain.starts import FITTED, NEXT, as_alike, as_signs

@@ -17,9 +17,8 @@ from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.omnibus import Omnibus
 from modalax.diagnose.modal_domain.answer import Facts, ModalDiagnosis
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
-from modalax.diagnose.modal_domain.corrected import inaccuracy_said, inaccuracy_told
+from modalax.diagnose.modal_domain.corrected import extension_of, inaccuracy_said, inaccuracy_told
 from modalax.diagnose.modal_domain.explain import explain
-from modalax.diagnose.modal_domain.extension import extension_of
 from modalax.diagnose.modal_domain.features import FLOOR, Features, tangent_of, values_of, whitener_of
 from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
 from modalax.diagnose.modal_domain.judged import judge

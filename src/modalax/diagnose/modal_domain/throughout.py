@@ -20,10 +20,10 @@ import numpy as np
 from modalax._numerics.text import with_error
 from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.discrepancy import beside
-from modalax.diagnose.modal_domain.fit import Fit, by_data, fit, without_causes
+from modalax.diagnose.modal_domain.explanation import Prior
+from modalax.diagnose.modal_domain.fit import Fit, Found, by_data, fit, without_causes
 from modalax.diagnose.modal_domain.inaccuracy import THROUGHOUT, TOLD, UNKNOWN, USUAL, WITHIN, with_group
 from modalax.diagnose.modal_domain.linear import ByUnknowns
-from modalax.diagnose.modal_domain.prior import Prior
 from modalax.diagnose.modal_domain.state import Setting, slopes_at
 from modalax.diagnose.thresholds import THRESHOLDS
 
@@ -105,7 +105,7 @@ def all_scaled(setting: Setting) -> bool:
 
 def beside_one_factor(
     bare: Setting, setting: Setting, null: Fit, candidates: Sequence[Change], prior: Prior
-) -> tuple[Setting, dict[tuple[Change, ...], Fit]]:
+) -> tuple[Setting, Found]:
     r"""The setting and its first fits: with a factor on FRFs in place of one on the mass, where that is likelier.
 
     Factors :math:`a` on all of K, M and C make FRFs :math:`1/a` times as large, so that a gain of all FRFs says what
@@ -116,7 +116,7 @@ def beside_one_factor(
         return setting, {(): null}
     (k,) = np.flatnonzero(setting.inaccuracy.group_of == setting.inaccuracy.groups.index(THROUGHOUT["mass"]))
     best = null.log_evidence + prior.of(())
-    chosen: tuple[Setting, dict[tuple[Change, ...], Fit]] = setting, {(): null}
+    chosen: tuple[Setting, Found] = setting, {(): null}
     for gain in _of_all_or_few(candidates):
         u = gain.of_size(float(np.expm1(-null.sizes[k])) / gain.scale)
         for simpler in filter(None, (bare, with_groups(bare, (THROUGHOUT["stiffness"],)))):

@@ -8,7 +8,7 @@ import numpy as np
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.explain import again, explain
-from modalax.diagnose.modal_domain.explanation import Explanation
+from modalax.diagnose.modal_domain.explanation import Explanation, Prior
 from modalax.diagnose.modal_domain.features import Features, chosen, sure, whitener_of
 from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.further_causes import TunedMass
@@ -20,7 +20,6 @@ from modalax.diagnose.modal_domain.levels.motion import motion_of
 from modalax.diagnose.modal_domain.levels.slipping import is_spring_at, settled, with_springs
 from modalax.diagnose.modal_domain.levels.weigh import Shapes, weigh
 from modalax.diagnose.modal_domain.measured import Measured, features_beside, reidentified
-from modalax.diagnose.modal_domain.prior import Prior
 from modalax.diagnose.modal_domain.state import Setting
 
 MOST = 4_000_000  # samples times modes that are worked on at once, some 0.5 GB

@@ -20,10 +20,9 @@ from modalax.diagnose.causes.joints import ElastoSlip
 from modalax.diagnose.causes.power_laws import IwanMicroSlip
 from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.explain import further
-from modalax.diagnose.modal_domain.explanation import Explanation
+from modalax.diagnose.modal_domain.explanation import SECOND, Explanation, Prior
 from modalax.diagnose.modal_domain.levels.explain import ByLevel, JointFound
 from modalax.diagnose.modal_domain.levels.laws import LawFit
-from modalax.diagnose.modal_domain.prior import SECOND, Prior
 from modalax.diagnose.modal_domain.state import Setting
 
 SLIPPING = (ElastoSlip, IwanMicroSlip)  # laws of a spring that slips
