@@ -53,7 +53,7 @@ def test_slopes_are_those_of_finite_differences(stage, slug):
     f, u = force(stage, slug)
     x, n = np.concatenate([off(stage), u]), len(off(stage))
     state = state_at(stage.setting, x[:n], (f,), x[n:])
-    at = lambda x: state_at(stage.setting, x[:n], (f,), x[n:], state.pairs).difference
+    at = lambda x: state_at(stage.setting, x[:n], (f,), x[n:]).difference
     J = slopes_at(stage.setting, state, (f,), u)
     for k in (0, 8, n // 2, *range(n, len(x))):
         step = STEP * np.eye(len(x))[k]

@@ -86,7 +86,7 @@ class HumLines:
     p_value: float
 
 
-def gather(columns: Array, index: Array, axis: int = -1) -> Array:
+def gather(columns: Array, index: Array) -> Array:
     """Column of a direction: that of the first DoF less that of the second, where there is one."""
-    second = jnp.take(columns, jnp.maximum(index[1], 0), axis=axis)
-    return jnp.take(columns, index[0], axis=axis) - jnp.where(index[1] >= 0, 1.0, 0.0) * second
+    second = jnp.take(columns, jnp.maximum(index[1], 0), axis=-1)
+    return jnp.take(columns, index[0], axis=-1) - jnp.where(index[1] >= 0, 1.0, 0.0) * second

@@ -55,12 +55,12 @@ def one_each(found: Projected, channels: Channels) -> Projected:
         if not (other < 1).any():
             break
         k, m = np.unravel_index(int(other.argmin()), other.shape)
-        poles = np.append(np.delete(p, (k, m)), _middle(p[[k, m]], R[[k, m]]))
+        poles = np.append(np.delete(p, (k, m)), _middle(p[[k, m]]))
         found = refine(poles[np.argsort(np.abs(poles))], channels)
     return found
 
 
-def _middle(poles: np.ndarray, residues: np.ndarray) -> complex:
+def _middle(poles: np.ndarray) -> complex:
     """A pole for two: between them in frequency, of the damping of the wider."""
     return complex(poles.real.min() + 1j * poles.imag.mean())
 

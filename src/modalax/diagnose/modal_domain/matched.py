@@ -67,7 +67,8 @@ def missed_frequencies(
         if kind == "M":
             flexible *= -at
         own, least = (b2.sum(axis=1), LIGHT) if kind == "M" else ((b2[:, firm] / squares[firm]).sum(axis=1), UNSTABLE)
-        asked = -1 / _nonzero(flexible[:, :, len(NEARER)])
+        here = flexible[:, :, len(NEARER)]
+        asked = -1 / np.where(here == 0, 1e-300, here)
         tried = np.concatenate([np.broadcast_to(sizes, (len(which), len(sizes))), asked], axis=1)
         for u in tried.T[:, :, None, None]:
             fewer = (u > 0) == (kind == "K")
@@ -114,10 +115,6 @@ def _directions(candidates: list[Change], shapes: np.ndarray) -> Iterator[tuple[
             which = one[start : start + TOGETHER]
             directions = np.array([np.sqrt(candidates[k].scale) * candidates[k].direction for k in which])
             yield kind, np.array(which), (directions @ shapes.T) ** 2
-
-
-def _nonzero(x: np.ndarray) -> np.ndarray:
-    return np.where(x == 0, 1e-300, x)
 
 
 def missed_by_elements(f: Features, c: Coordinates, elements: list[Change]) -> tuple[np.ndarray, np.ndarray]:

@@ -16,7 +16,7 @@ from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.explanation import Prior, ranked_by
 from modalax.diagnose.modal_domain.fit import Found, without_causes
 from modalax.diagnose.modal_domain.further_causes import FACTOR, ZETA, TunedMass
-from modalax.diagnose.modal_domain.screen import STILL, distance, tolerance
+from modalax.diagnose.modal_domain.screen import STILL, distances, tolerance
 from modalax.diagnose.modal_domain.starts import in_place_of_one
 from modalax.diagnose.modal_domain.state import Setting
 
@@ -43,8 +43,8 @@ def oscillators(
             continue
         trials = [*_heavy(setting, cause, near_to), _light(setting, cause, extra.freed)]
         values = [
-            distance(setting, shrink, poles, residues) + float(u @ u)
-            for u, (poles, residues) in zip(trials, _modes(setting, cause, trials), strict=True)
+            float(distances(setting, shrink, [modes])[0]) + float(u @ u)
+            for u, modes in zip(trials, _modes(setting, cause, trials), strict=True)
         ]
         light.append((values[-1], cause, trials[-1]))
         if len(trials) > 1:

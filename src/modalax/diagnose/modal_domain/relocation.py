@@ -14,9 +14,9 @@ ROUNDS = 3  # relocations, each from the poles of the last
 RIDGE = 1e-12  # of the information, relative to its diagonal
 
 
-def relocated(poles: np.ndarray, channels: Channels, rounds: int = ROUNDS) -> np.ndarray:
+def relocated(poles: np.ndarray, channels: Channels) -> np.ndarray:
     """As many stable poles, moved; those that end without oscillation are left out."""
-    for _ in range(rounds):
+    for _ in range(ROUNDS):
         if not len(poles):
             break
         poles = _zeros(poles, _factor(poles, channels))

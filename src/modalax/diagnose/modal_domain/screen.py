@@ -127,13 +127,6 @@ def unchanged(setting: Setting) -> float:
     return float(state.difference @ state.difference - h @ h)
 
 
-def distance(
-    setting: Setting, shrink: np.ndarray, poles: np.ndarray, residues: np.ndarray, causes: tuple[Change, ...] = ()
-) -> float:
-    """Chi-square that predicted modes leave beyond the inaccuracy that is tolerated."""
-    return float(distances(setting, shrink, [(poles, residues)], causes)[0])
-
-
 def distances(
     setting: Setting, shrink: np.ndarray, trials: Sequence[Sequence[np.ndarray]], causes: tuple[Change, ...] = ()
 ) -> np.ndarray:

@@ -91,12 +91,11 @@ def short_record(
     """What a record that ended too early adds to the FRFs; None where they do not end, or no window explains it."""
     freq, H = np.asarray(measurement.freq), np.asarray(measurement.H)
     end = end_of_record(freq, H.mean(axis=0).reshape(len(freq), -1))
-    if end is not None:
-        tell(f"the FRFs end after {end:.3g} s: identifying modes through a record as long")
-        channels, _, runs, _ = prepared(measurement, c)
-        found = record_that_ends(channels, end, H.shape[1:]) if len(runs) == len(H) else None
-        return found
-    return None
+    if end is None:
+        return None
+    tell(f"the FRFs end after {end:.3g} s: identifying modes through a record as long")
+    channels, _, runs, _ = prepared(measurement, c)
+    return record_that_ends(channels, end, H.shape[1:]) if len(runs) == len(H) else None
 
 
 def record_that_ends(channels: Channels, end: float, shape: tuple[int, ...]) -> Forced | None:
@@ -130,19 +129,16 @@ def _at(channels: Channels, end: float) -> Found | None:
     """Windows of a record that ends where the FRFs do in the time domain."""
     freq = np.abs(channels.s) / 2 / np.pi
     sample = 1 / (len(freq) * float(np.median(np.diff(freq))))
-    poles, best = _decayed(channels, end), None
+    poles = _decayed(channels, end)
     if not len(poles):
         return None
     lengths = end + sample * np.arange(-FAR - WANDER, WANDER, FINE)  # the whole of its blur is left out after an end
-    few = strongest(channels)
+    few, found = strongest(channels), []
     for kind in KINDS:
         windows = [Window(kind, length) for length in lengths]
         left = [project(poles, replace(few, window=window))[0].chi2 for window in windows]
-        trial = _settled_length(windows[int(np.argmin(left))], poles, channels, sample)
-        best = trial if best is None or trial[1].chi2 < best[1].chi2 else best
-    if best is None:
-        return None
-    window, modes, through = best
+        found.append(_settled_length(windows[int(np.argmin(left))], poles, channels, sample))
+    window, modes, through = min(found, key=lambda trial: trial[1].chi2)
     return _settled_length(window, blind_modes(through, modes.poles).poles, channels, sample)
 
 

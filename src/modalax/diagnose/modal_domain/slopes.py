@@ -17,7 +17,7 @@ REPEATED = 1e-6  # relative distance of two poles below which they count as repe
 
 @dataclass(frozen=True)
 class Slopes:
-    """Matrices from which derivatives of some modes follow; ``which`` holds the numbers of the modes.
+    """Matrices from which derivatives of some modes follow.
 
     For a change ``B`` of the dynamic stiffness at the pole, the pole moves by ``-y' B v`` and the shape at the outputs
     by ``-G_o B v`` (at the inputs by ``-G_i B' y``), ``v`` the mode's vector and ``y`` that from the left. Two modes

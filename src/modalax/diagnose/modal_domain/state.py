@@ -229,11 +229,8 @@ def factors_of(setting: Setting, sizes: np.ndarray) -> np.ndarray:
     return np.where(setting.inaccuracy.positive, np.exp(np.minimum(sizes, FARTHEST)), 1.0)
 
 
-def state_at(
-    setting: Setting, sizes: np.ndarray, causes: tuple[Change, ...] = (), u: np.ndarray = NONE,
-    pairs: np.ndarray | None = None,
-) -> State:  # fmt: skip
-    """Predict the features; measured and predicted modes are paired unless ``pairs`` is given.
+def state_at(setting: Setting, sizes: np.ndarray, causes: tuple[Change, ...] = (), u: np.ndarray = NONE) -> State:
+    """Predict the features.
 
     Raises
     ------
@@ -255,8 +252,7 @@ def state_at(
         residues = cause.at_modes(size, modes.poles, residues)
     if not np.abs(residues).max(initial=0.0) < WILD * np.abs(plain).max(initial=1.0):
         raise np.linalg.LinAlgError("a channel out of all bounds")
-    if pairs is None:
-        pairs = pairs_with(f, causes, modes.poles, residues)
+    pairs = pairs_with(f, causes, modes.poles, residues)
     if (np.abs(modes.poles[pairs]) > SPARED * c.frequencies[-1]).any():
         raise np.linalg.LinAlgError("a mode measured has no partner but the spare coordinate")
     together, mean, whole = compared(f, modes.poles, residues, pairs)

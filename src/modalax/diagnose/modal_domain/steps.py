@@ -113,7 +113,7 @@ def neighbours(search: Search, best: Fit, late: Late) -> None:
             known = known or candidates[j] in kept or candidates[j].shares_place(kept)
             if late():
                 return
-            if known or not value[j] > max(value.max() - NEAR, -np.inf):
+            if known or not value[j] > value.max() - NEAR:
                 continue
             u = np.append(without(best, k), candidates[j].of_size(float(np.clip(size[j], -3, 3))))
             search.fit(causes, u, without_causes(best))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modalax.diagnose.causes.base import JointCause
-from modalax.diagnose.causes.joints import ElastoSlip, GapContact
+from modalax.diagnose.causes.joints import ElastoSlip
 from modalax.diagnose.decision.beliefs import believed
 from modalax.diagnose.modal_domain.levels.change import Base, Levels, projected, unexplained
 from modalax.diagnose.modal_domain.levels.drift import Drift
@@ -257,7 +257,7 @@ def _screened(
 def _both(levels: Levels, base: Base, b: np.ndarray) -> list[tuple[Motion, Motion]]:
     """Motions across places, and behind their compliances."""
     P = projected(levels, base, b)
-    return list(zip(motions_of(levels, base, b, P), motions_of(levels, base, b, P, GapContact()), strict=True))
+    return list(zip(motions_of(levels, base, b, P), motions_of(levels, base, b, P, behind=True), strict=True))
 
 
 def _fitted(

@@ -78,9 +78,7 @@ class LawFit:
         return error * slopes(self.law, self.p)
 
 
-@partial(jax.jit, static_argnums=0)
-def _stiffness(law: JointCause, A: Any, omega: Any, p: Any, g: Any) -> Any:
-    return in_series(law, A, omega, p, g)
+_stiffness = jax.jit(in_series, static_argnums=0)
 
 
 @partial(jax.jit, static_argnums=0)

@@ -13,7 +13,6 @@ from modalax.diagnose.causes.base import JointCause
 from modalax.diagnose.causes.joints import CubicStiffness, ElastoSlip, GapContact, QuadraticDamping
 from modalax.diagnose.modal_domain.levels.balance import ORDERS
 from modalax.diagnose.modal_domain.levels.change import Base, Levels, Projection, beyond_noise, projected
-from modalax.diagnose.modal_domain.levels.series import SERIES
 
 BALANCED = (ElastoSlip, CubicStiffness, GapContact, QuadraticDamping)  # laws that are told with all harmonics
 FARTHEST = 30.0  # factor on a displacement
@@ -147,17 +146,11 @@ class Motion:
         return np.concatenate([self.still[..., None], above], axis=2).transpose(2, 0, 1)
 
 
-def motions_of(levels: Levels, base: Base, b: np.ndarray, p: Projection, law: JointCause | None = None) -> list[Motion]:
-    """What laws are fitted to at places of directions ``b``, shape ``(p, n)``.
-
-    Parameters
-    ----------
-    law
-        One that is to be told behind the place's compliance, if its kind can be.
-    """
+def motions_of(levels: Levels, base: Base, b: np.ndarray, p: Projection, behind: bool = False) -> list[Motion]:
+    """What laws are fitted to at places of directions ``b``, shape ``(p, n)``, or ``behind`` the compliance there."""
     across = base.across(b)
     compliance = np.zeros(len(b))
-    if isinstance(law, SERIES):
+    if behind:
         high = base.across(b, 3.0, max(1, len(base.s) // HARMONIC)).real
         compliance = np.maximum(np.median(high, axis=0), 0.0)
     still = np.einsum("pn,fni->pfi", b, base.inn)

@@ -42,7 +42,6 @@ class Shapes:
         L = root_of_information(J, J.T @ J, s)
         count = len(setting.inaccuracy.group_of)
         self.half = (s[:, None] * np.linalg.inv(L).T)[:count]  # covariance of the sizes: half half'
-        vectors = f.state.modes.vectors[f.state.pairs].real
         turned = f.state.modes.vectors[f.state.pairs]
         # residues are y x', so that vectors carry a common phase; turned to the real axis they are shapes
         angle = 0.5 * np.angle((turned**2).sum(axis=1))
