@@ -224,7 +224,7 @@ def diagnose_joint(
         "joint without a law leaves",
     )
     return JointDiagnosis(
-        word, (*reasons, said), None, Facts(measurement, "free", notes), chosen.explained.extended,
+        word, (*reasons, said), None, Facts(measurement, notes, "free"), chosen.explained.extended,
         gain_of(residuals[0][held], residuals[1][held], f"run {held + 1} at {level:.4g} N, the highest level"),
         np.asarray(measurement.freq), residuals[0], residuals[1],
         H + residuals[0] * sigma / np.sqrt(2), H + residuals[1] * sigma / np.sqrt(2), found, chosen, tests[0], tests[1],

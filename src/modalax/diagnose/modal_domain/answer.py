@@ -36,8 +36,8 @@ class Facts:
     """What was compared: in the place of a comparison line by line."""
 
     measurement: Any
-    question: str
     notes: tuple[str, ...]
+    question: str = "fixed"
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,8 +41,18 @@ from modalax.model import Structure
 ROUNDS = 3  # most in which a force, and the structure without it, are looked for
 
 
+@dataclass(frozen=True)
+class _Task:
+    """What measurements are compared with, until when, which causes are wanted, and who is told each step."""
+
+    simulation: Structure
+    late: Deadline
+    wanted: Callable[[str], bool]
+    tell: Callable[[str], None]
+
+
 def diagnose_modes(
-    measurement: Measurement, simulation: Structure, *, question: str = "fixed", late: Deadline | None = None,
+    measurement: Measurement, simulation: Structure, *, late: Deadline | None = None,
     wanted: Callable[[str], bool] = lambda _: True, tell: Callable[[str], None] = lambda _: None,
     measured: Measured | None = None,
 ) -> ModalDiagnosis | None:  # fmt: skip
@@ -50,33 +60,30 @@ def diagnose_modes(
 
     ``measured`` is the measurement as :func:`identified`, where that is known.
     """
-    late = late or Deadline()
-    asked = lambda data, these, known: _asked(data, simulation, question, late, these, tell, known)
-    found = asked(measurement, wanted, measured)
-    if found is None or found.hum is None or late():
+    task = _Task(simulation, late or Deadline(), wanted, tell)
+    found = _asked(measurement, task, measured)
+    if found is None or found.hum is None or task.late():
         return found
     tell("looking beside the lines that hold mains hum")
     less = measurement.lines(lines_without_hum(found.freq, found.residual_after))
-    again = asked(less, lambda slug: slug != "mains_hum" and wanted(slug), None)
-    return found if again is None or again.verdict == "unknown" or late() else again.beside_hum(found.hum)
+    again = _asked(less, replace(task, wanted=lambda slug: slug != "mains_hum" and wanted(slug)), None)
+    return found if again is None or again.verdict == "unknown" or task.late() else again.beside_hum(found.hum)
 
 
-def _asked(
-    measurement: Measurement, simulation: Structure, question: str, late: Deadline, wanted: Callable[[str], bool],
-    tell: Callable[[str], None], measured: Measured | None,
-) -> ModalDiagnosis | None:  # fmt: skip
+def _asked(measurement: Measurement, task: _Task, measured: Measured | None) -> ModalDiagnosis | None:
     """The diagnosis of all that is known to show in other ways than in modes alone, one after the other."""
-    ended = _short_record(measurement, simulation, wanted, tell)
+    late, tell = task.late, task.tell
+    ended = _short_record(measurement, task)
     if ended is None:
-        measured = measured or identified(measurement, simulation, tell)
-        ended = fast_sweep(measurement, simulation, measured, late, tell) if wanted("fast_sweep") else None
+        measured = measured or identified(measurement, task.simulation, tell)
+        sweeps = task.wanted("fast_sweep")
+        ended = fast_sweep(measurement, task.simulation, measured, late, tell) if sweeps else None
     if ended is not None or measured is None:
-        return _diagnosed(measurement, simulation, question, late, wanted, tell, ended)
-    moved_there, plain = _elsewhere(measurement, simulation, question, late, wanted, tell, measured)
+        return _diagnosed(measurement, task, ended)
+    moved_there, plain = _elsewhere(measurement, task, measured)
     if moved_there is not None:
         return moved_there
-    found = _beside_own_peaks(measurement, simulation, question, late, wanted, tell, measured)
-    found = found or plain or _diagnosed(measurement, simulation, question, late, wanted, tell, measured=measured)
+    found = _beside_own_peaks(measurement, task, measured) or plain or _diagnosed(measurement, task, measured=measured)
     if found is None or late() or found.after.p_value > THRESHOLDS.left_by_modes:
         return found
     if found.verdict in ("clean", "named") and found.gain.chi2_unforeseen < THRESHOLDS.as_noise:
@@ -84,12 +91,12 @@ def _asked(
     rest: ModalDiagnosis | None = found
     nats = None
     for _ in range(ROUNDS):  # the modes without the force are known once it is
-        forced = None if rest is None else force_beside(rest.stage, measurement, wanted, late, tell)
+        forced = None if rest is None else force_beside(rest.stage, measurement, task.wanted, late, tell)
         if forced is None:
             return found
         nats = forced.nats if nats is None else nats
         forced = replace(forced, nats=nats)
-        rest = _diagnosed(measurement, simulation, question, late, wanted, tell, forced)
+        rest = _diagnosed(measurement, task, forced)
         if rest is None or rest.after.p_value > THRESHOLDS.left_by_modes or late():
             break
     if rest is None or (found.verdict == "named" and _named(found) <= _named(rest)):
@@ -98,30 +105,28 @@ def _asked(
     return rest if better else found
 
 
-def _short_record(
-    measurement: Measurement, simulation: Structure, wanted: Callable[[str], bool], tell: Callable[[str], None]
-) -> Forced | None:  # fmt: skip
+def _short_record(measurement: Measurement, task: _Task) -> Forced | None:
     """What a record that ended too early adds to the FRFs."""
-    if not wanted("leakage"):
+    if not task.wanted("leakage"):
         return None
     highest = 2 * np.pi * float(measurement.freq[-1])
-    return short_record(measurement, coordinates_of(simulation, measurement.outputs, measurement.inputs, highest), tell)
+    c = coordinates_of(task.simulation, measurement.outputs, measurement.inputs, highest)
+    return short_record(measurement, c, task.tell)
 
 
-def _beside_own_peaks(
-    measurement: Measurement, simulation: Structure, question: str, late: Deadline, wanted: Callable[[str], bool],
-    tell: Callable[[str], None], measured: Measured,
-) -> ModalDiagnosis | None:  # fmt: skip
+def _beside_own_peaks(measurement: Measurement, task: _Task, measured: Measured) -> ModalDiagnosis | None:
     """The diagnosis beside the mass of one sensor, where its output has peaks of its own and a mass explains them."""
-    which = own_peaks(measured, len(measurement.outputs), len(measurement.inputs)) if wanted("sensor_mass") else None
+    if not task.wanted("sensor_mass"):
+        return None
+    which = own_peaks(measured, len(measurement.outputs), len(measurement.inputs))
     if which is None:
         return None
-    tell(f"looking for the mass of a sensor at {measurement.outputs[which]}, whose peaks are its own")
-    stage = run_stage(without_output(measurement, which), simulation, late, wanted, tell)
-    if stage is not None and _explains_all(stage, posed(measurement, simulation, measured).setting):
+    task.tell(f"looking for the mass of a sensor at {measurement.outputs[which]}, whose peaks are its own")
+    stage = run_stage(without_output(measurement, which), task.simulation, task.late, task.wanted, task.tell)
+    if stage is not None and _explains_all(stage, posed(measurement, task.simulation, measured).setting):
         return None  # a structure that is changed much may have modes that one output hardly shows
-    forced = None if stage is None else mass_of_sensor(stage, measurement, measured, which, late)
-    return None if forced is None else _diagnosed(measurement, simulation, question, late, wanted, tell, forced)
+    forced = None if stage is None else mass_of_sensor(stage, measurement, measured, which, task.late)
+    return None if forced is None else _diagnosed(measurement, task, forced)
 
 
 def _explains_all(stage: Stage, whole: Setting) -> bool:
@@ -135,31 +140,31 @@ def _explains_all(stage: Stage, whole: Setting) -> bool:
 
 
 def _elsewhere(
-    measurement: Measurement, simulation: Structure, question: str, late: Deadline, wanted: Callable[[str], bool],
-    tell: Callable[[str], None], measured: Measured,
+    measurement: Measurement, task: _Task, measured: Measured
 ) -> tuple[ModalDiagnosis | None, ModalDiagnosis | None]:  # fmt: skip
     """The diagnosis with outputs at other DoFs than their names, where some surely are and it explains the modes.
 
     And that with all where they say, if it was asked for; either None.
     """
-    if not wanted("sensor_place") or not len(measured.features.poles):
+    if not task.wanted("sensor_place") or not len(measured.features.poles):
         return None, None
+    simulation = task.simulation
     setting = posed(measurement, simulation, measured).setting
     places = other_places(setting, simulation.dofs, measurement.outputs)
     plain = fit(setting) if places else None
     if plain is None:
         return None, None
-    other = _diagnosed(measurement, simulation, question, late, wanted, tell, measured=measured)
+    other = _diagnosed(measurement, task, measured=measured)
     told = other if other is not None and other.verdict in ("named", "ambiguous") else None
     in_turn = any(at in places for at in places.values())  # sensors in each other's place may be an exchange
     named = told is not None and told.verdict == "named" and told.after.p_value > THRESHOLDS.left_by_modes
-    if late() or in_turn and named:
+    if task.late() or in_turn and named:
         return None, other
-    tell(f"looking whether {' and '.join(f'{name} is at {at}' for name, at in places.items())}")
+    task.tell(f"looking whether {' and '.join(f'{name} is at {at}' for name, at in places.items())}")
     renamed = measurement.replace(outputs=tuple(places.get(name, name) for name in measurement.outputs))
     names = {"outputs": measurement.outputs, "inputs": measurement.inputs}
     before = np.asarray(simulation.frf(measured.freq, form=measurement.form, **names).H)[None]
-    found = _diagnosed(renamed, simulation, question, late, wanted, tell, measured=measured, before=before)
+    found = _diagnosed(renamed, task, measured=measured, before=before)
     if found is None or found.verdict not in ("clean", "named"):
         return None, other
     among = len(measurement.outputs) * len(simulation.dofs)
@@ -179,8 +184,7 @@ def _named(found: ModalDiagnosis) -> set[tuple[str, frozenset[str]]]:
 
 
 def _diagnosed(
-    measurement: Measurement, simulation: Structure, question: str, late: Deadline, wanted: Callable[[str], bool],
-    tell: Callable[[str], None], forced: Forced | None = None, measured: Measured | None = None,
+    measurement: Measurement, task: _Task, forced: Forced | None = None, measured: Measured | None = None,
     before: np.ndarray | None = None,
 ) -> ModalDiagnosis | None:  # fmt: skip
     """The diagnosis of what is left once a force that was found is taken out of the FRFs.
@@ -189,7 +193,7 @@ def _diagnosed(
     """
     effect = 0.0 if forced is None else forced.effect
     less = measurement if forced is None else measurement.replace(H=np.asarray(measurement.H) - effect)
-    stage = run_stage(less, simulation, late, wanted, tell, measured)
+    stage = run_stage(less, task.simulation, task.late, task.wanted, task.tell, measured)
     if stage is None:
         return None
     judged = judge(stage)
@@ -212,7 +216,7 @@ def _diagnosed(
         reasons += [c.said() for c in standing_out(stage, chosen) if c.said()]
     if not stage.in_time:
         reasons.append("time was up before every explanation had been tried")
-    tell("predicting the held-out data")
+    task.tell("predicting the held-out data")
     H = np.asarray(measurement.H)
     predicted = [frf_of(stage, None) if before is None else before, frf_of(stage, chosen.fit)]
     before, seen = predicted[0] - effect, stage.seen
@@ -230,7 +234,7 @@ def _diagnosed(
     left = float((np.abs(residuals[1][stage.measured.runs]) ** 2).mean() / 2)
     word, reasons = lines_verdict(word, reasons, left, stage.measured.misfit)
     joint = seen is not None and seen.joint is not None
-    hum = mains_hum(measurement, stage.measured.freq, residuals[1], joint) if wanted("mains_hum") else None
+    hum = mains_hum(measurement, stage.measured.freq, residuals[1], joint) if task.wanted("mains_hum") else None
     if hum is not None:
         word, reasons = outweighing(word, "named"), (*reasons, f"beside it there is mains hum: {hum.evidence}")
     notes = (
@@ -247,7 +251,7 @@ def _diagnosed(
     extended = extension_of(stage, chosen.fit, forced)
     shape = H.shape
     return ModalDiagnosis(
-        word, reasons, None, Facts(measurement, question, notes), extended, gain,
+        word, reasons, None, Facts(measurement, notes), extended, gain,
         stage.measured.freq, residuals[0], residuals[1], np.broadcast_to(predicted[0], shape),
         np.broadcast_to(predicted[1], shape), stage, chosen, judged.sets, inaccuracy, throughout,
         tests[0], tests[1], hum, forced,

@@ -6,6 +6,7 @@ peaks are elsewhere, they would not. For a change ``P`` of the dynamic stiffness
 noise, the data count for as much less: an inaccuracy of no element must not be forced upon one.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np

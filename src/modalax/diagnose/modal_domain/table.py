@@ -145,7 +145,7 @@ def _answer(stage: Stage, notes: list[str]) -> ModalDiagnosis:
     test = Omnibus(none, none, "none: no samples", (none, none))
     facts: Any = stage.measurement
     return ModalDiagnosis(
-        judged.word, tuple(reasons), None, Facts(facts, "fixed", tuple(notes)), extension_of(stage, chosen.fit), gain,
+        judged.word, tuple(reasons), None, Facts(facts, tuple(notes)), extension_of(stage, chosen.fit), gain,
         np.zeros(0), unknown, unknown, unknown, unknown, stage, chosen, judged.sets, inaccuracy, throughout,
         test, test,
     )  # fmt: skip
