@@ -15,7 +15,6 @@ from modalax.diagnose.decision.beyond import (
     usual_size,
 )
 from modalax.diagnose.decision.gain import Gain
-from modalax.diagnose.thresholds import THRESHOLDS
 
 OFF = {"stiffness": 0.01, "mass": 0.005, "damping": 0.3}
 SPRING, MASS, NOTHING = ("joint_stiffness", ("3", "4")), ("added_mass", ("2",)), ()
@@ -24,7 +23,7 @@ SPRING, MASS, NOTHING = ("joint_stiffness", ("3", "4")), ("added_mass", ("2",)),
 def case(*sets, **changed):
     """Sets given as probability and names."""
     found = [BeyondUsual(tuple(names), p) for p, *names in sets]
-    return replace(ModalCase(found, found[0].names, OFF, 0.1, 1.0, 12.3, THRESHOLDS), **changed)
+    return replace(ModalCase(found, found[0].names, OFF, 0.1, 1.0, 12.3), **changed)
 
 
 @pytest.mark.parametrize(

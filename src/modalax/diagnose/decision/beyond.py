@@ -8,7 +8,7 @@ from modalax._numerics.text import percent
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.sets import certainty, many_kinds, unplaced
 from modalax.diagnose.summary import cause_at
-from modalax.diagnose.thresholds import THRESHOLDS, Thresholds
+from modalax.diagnose.thresholds import THRESHOLDS
 
 MANY = 5  # places of one cause beyond which a sentence only counts them
 Names = tuple[tuple[str, tuple[str | int, ...]], ...]
@@ -87,8 +87,6 @@ class ModalCase:
     nats
         Log probability that the likeliest explanation has over the general inaccuracy alone; None where the latter
         could not be fitted.
-    limits
-        Thresholds of the rules.
     odd
         A channel that differs from all others as no cause explains; None where there is none.
     needed
@@ -110,7 +108,6 @@ class ModalCase:
     share_of_largest: float
     misfit: float
     nats: float | None
-    limits: Thresholds
     odd: OddChannel | None = None
     needed: Sequence[tuple[str, tuple[str | int, ...]]] = ()
     claims: Mapping[str, float] = field(default_factory=dict)
@@ -140,7 +137,7 @@ Rule = Callable[[ModalCase], tuple[str, ...]]
 
 def modes_are_not_explained(case: ModalCase) -> tuple[str, ...]:
     """Even an inaccuracy as large as is searched for does not explain the measured modes."""
-    if case.share_of_largest <= case.limits.hopeless and case.misfit <= case.limits.misfit:
+    if case.share_of_largest <= THRESHOLDS.hopeless and case.misfit <= THRESHOLDS.misfit:
         return ()
     off = ", ".join(f"{name} {percent(size)}" for name, size in case.inaccuracy.items())
     return (f"even with elements off by {off} the measured modes are not explained",)
@@ -148,7 +145,7 @@ def modes_are_not_explained(case: ModalCase) -> tuple[str, ...]:
 
 def claim_is_far_exceeded(case: ModalCase) -> tuple[str, ...]:
     """Elements would have to be off by so much more than is claimed that one thing without a name is likelier."""
-    far = {n: v for n, v in case.claims.items() if v > 0 and case.inaccuracy[n] > case.limits.far_beyond_claim * v}
+    far = {n: v for n, v in case.claims.items() if v > 0 and case.inaccuracy[n] > THRESHOLDS.far_beyond_claim * v}
     if not far:
         return ()
     off = " and ".join(f"{percent(case.inaccuracy[n])} in {n} where {percent(v)} is claimed" for n, v in far.items())
@@ -185,7 +182,7 @@ def odd_told(case: ModalCase) -> OddChannel | None:
     """The odd channel that is told: where nothing stands out only one that is as certain as a cause must be."""
     if case.odd is None:
         return None
-    sure = case.odd.nats > math.log(case.limits.certain / (1 - case.limits.certain))
+    sure = case.odd.nats > math.log(THRESHOLDS.certain / (1 - THRESHOLDS.certain))
     return case.odd if case.sets[0].names or sure else None
 
 
@@ -215,13 +212,13 @@ def coupling_is_one_sided(case: ModalCase) -> tuple[str, ...]:
 
 def causes_are_many(case: ModalCase) -> tuple[str, ...]:
     """Unlike causes are too many to come together by chance."""
-    many = many_kinds(case.sets[0], case.limits)
+    many = many_kinds(case.sets[0])
     return () if many is None else (*case.support, many)
 
 
 def all_of_a_matrix_may_be_off(case: ModalCase) -> tuple[str, ...]:
     """As much mass under every sensor is not told from a factor on all of the mass or the stiffness."""
-    if case.over_a_factor is None or case.over_a_factor >= case.limits.over_a_factor:
+    if case.over_a_factor is None or case.over_a_factor >= THRESHOLDS.over_a_factor:
         return ()
     return (
         *case.support,
@@ -232,14 +229,14 @@ def all_of_a_matrix_may_be_off(case: ModalCase) -> tuple[str, ...]:
 
 def other_causes_compete(case: ModalCase) -> tuple[str, ...]:
     """The causes are not sure."""
-    sure = certainty(case.sets) >= case.limits.certain
+    sure = certainty(case.sets) >= THRESHOLDS.certain
     return () if sure else (*case.support, "other causes cannot be excluded")
 
 
 def other_places_compete(case: ModalCase) -> tuple[str, ...]:
     """No place is sure among all."""
-    asked = f"its place is not certain: none has a probability of {case.limits.placed:g}"
-    return (*case.support, asked) if unplaced(case.sets, case.limits) else ()
+    asked = f"its place is not certain: none has a probability of {THRESHOLDS.placed:g}"
+    return (*case.support, asked) if unplaced(case.sets) else ()
 
 
 RULES: tuple[tuple[str, Rule], ...] = (
@@ -263,21 +260,21 @@ def modal_verdict(case: ModalCase) -> tuple[str, tuple[str | int, ...]]:
     return next((word, reasons) for word, rule in RULES if (reasons := rule(case)))
 
 
-def held_out_verdict(
-    word: str, reasons: Sequence[str], gain: Gain, limits: Thresholds = THRESHOLDS
-) -> tuple[str, tuple[str, ...]]:
+def held_out_verdict(word: str, reasons: Sequence[str], gain: Gain) -> tuple[str, tuple[str, ...]]:
     """The verdict once the held-out block is known: a cause without which it is surely predicted better is not named.
 
     That it is predicted as well says nothing: an inaccuracy of many elements may imitate a cause, only less likely.
     Nothing is said to be wrong that predicts it worse than the simulation as it is.
     """
-    if word in ("named", "ambiguous") and gain.chi2_after > limits.farther * max(gain.chi2_before, limits.unexplained):
+    if word in ("named", "ambiguous") and gain.chi2_after > THRESHOLDS.farther * max(
+        gain.chi2_before, THRESHOLDS.unexplained
+    ):
         return "unknown", (
             *reasons,
             f"fitted without {gain.held_out}, this leaves a chi-square of {gain.chi2_after:.3g} per sample there, and "
             f"the simulation as it is {gain.chi2_before:.3g}: it is no explanation",
         )  # fmt: skip
-    better = gain.chi2_after > limits.farther * gain.chi2_plain and gain.preferred > limits.missed
+    better = gain.chi2_after > THRESHOLDS.farther * gain.chi2_plain and gain.preferred > THRESHOLDS.missed
     if word != "named" or not better:
         return word, tuple(reasons)
     return "unknown", (
@@ -287,9 +284,7 @@ def held_out_verdict(
     )  # fmt: skip
 
 
-def lines_verdict(
-    word: str, reasons: Sequence[str], left: float, by_modes: float, limits: Thresholds = THRESHOLDS
-) -> tuple[str, tuple[str, ...]]:
+def lines_verdict(word: str, reasons: Sequence[str], left: float, by_modes: float) -> tuple[str, tuple[str, ...]]:
     """The verdict once all lines are known: nothing is `clean` or `named` whose lines are not explained with it.
 
     Parameters
@@ -298,14 +293,14 @@ def lines_verdict(
         Chi-square per sample that the corrected simulation with its causes leaves, and that the measurement's own
         modes leave.
     """
-    if word in ("clean", "named") and min(left, by_modes) > limits.modes_miss:  # not where a joint explains it
+    if word in ("clean", "named") and min(left, by_modes) > THRESHOLDS.modes_miss:  # not where a joint explains it
         reasons = (
             *reasons,
             f"the measured FRFs themselves are no sum of modes: the best one leaves a chi-square of {by_modes:.3g} per "
             "sample. Leakage, a force that drops at resonances, a non-linear joint or noise that is larger than stated "
             "would do that, and what is small beside it is not seen here",
         )  # fmt: skip
-    if word not in ("clean", "named") or left <= limits.lines_missed * by_modes:
+    if word not in ("clean", "named") or left <= THRESHOLDS.lines_missed * by_modes:
         return word, tuple(reasons)
     return "unknown", (
         *reasons,
@@ -314,9 +309,7 @@ def lines_verdict(
     )  # fmt: skip
 
 
-def usual_size(
-    slug: str, whole: float, inaccuracy: Mapping[str, float], highest: float, limits: Thresholds = THRESHOLDS
-) -> float:
+def usual_size(slug: str, whole: float, inaccuracy: Mapping[str, float], highest: float) -> float:
     r"""Size above which a cause stands out, in its own unit; minus infinity for causes that stand out at any size.
 
     Parameters
@@ -334,17 +327,17 @@ def usual_size(
         of a sensor's filter is such a phase itself.
     """
     return {
-        "joint_stiffness": limits.beyond * inaccuracy["stiffness"] * whole,
-        "added_mass": limits.beyond * inaccuracy["mass"] * whole,
-        "local_damper": limits.beyond * inaccuracy.get("damping", 0.0) * whole,
-        "hysteretic_joint": limits.beyond * inaccuracy.get("damping", 0.0) * whole,
-        "maxwell_joint": limits.beyond * inaccuracy.get("damping", 0.0) * whole,
-        "modal_damping": limits.beyond * inaccuracy.get("damping", 0.0),
-        "element_group": limits.beyond * inaccuracy["stiffness"] * whole,
-        "element_group_mass": limits.beyond * inaccuracy["mass"] * whole,
-        "channel_gain": limits.calibration,
-        "force_gain": limits.calibration,
-        "crosstalk": limits.calibration,
-        "time_delay": limits.angle / (2 * math.pi * highest),
-        "sensor_filter": limits.angle,
+        "joint_stiffness": THRESHOLDS.beyond * inaccuracy["stiffness"] * whole,
+        "added_mass": THRESHOLDS.beyond * inaccuracy["mass"] * whole,
+        "local_damper": THRESHOLDS.beyond * inaccuracy.get("damping", 0.0) * whole,
+        "hysteretic_joint": THRESHOLDS.beyond * inaccuracy.get("damping", 0.0) * whole,
+        "maxwell_joint": THRESHOLDS.beyond * inaccuracy.get("damping", 0.0) * whole,
+        "modal_damping": THRESHOLDS.beyond * inaccuracy.get("damping", 0.0),
+        "element_group": THRESHOLDS.beyond * inaccuracy["stiffness"] * whole,
+        "element_group_mass": THRESHOLDS.beyond * inaccuracy["mass"] * whole,
+        "channel_gain": THRESHOLDS.calibration,
+        "force_gain": THRESHOLDS.calibration,
+        "crosstalk": THRESHOLDS.calibration,
+        "time_delay": THRESHOLDS.angle / (2 * math.pi * highest),
+        "sensor_filter": THRESHOLDS.angle,
     }.get(slug, -math.inf)

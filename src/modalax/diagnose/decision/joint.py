@@ -2,12 +2,11 @@
 
 from collections.abc import Sequence
 
-from modalax.diagnose.thresholds import THRESHOLDS, Thresholds
+from modalax.diagnose.thresholds import THRESHOLDS
 
 
 def joint_verdict(
-    names: Sequence[tuple[str, tuple[str, ...]]] | None, probability: float, placed: bool,
-    thresholds: Thresholds = THRESHOLDS,
+    names: Sequence[tuple[str, tuple[str, ...]]] | None, probability: float, placed: bool
 ) -> tuple[str, tuple[str, ...]]:  # fmt: skip
     """Decide, with reasons, where a joint explains the levels.
 
@@ -19,8 +18,6 @@ def joint_verdict(
         Of that set among all sets of laws.
     placed
         Whether the joint can sit nowhere else.
-    thresholds
-        Limits.
     """
     if names is None:
         return "unknown", (
@@ -29,10 +26,10 @@ def joint_verdict(
         )
     laws = " and ".join(slug for slug, _ in names)
     reasons = []
-    if probability < thresholds.certain:
+    if probability < THRESHOLDS.certain:
         reasons.append(
             f"the laws {laws} have a probability of {probability:.3g} among those that were compared, less than "
-            f"{thresholds.certain:g}"
+            f"{THRESHOLDS.certain:g}"
         )
     if len(names) > 1:
         reasons.append(f"{laws} at one place may be one joint of another law")

@@ -6,7 +6,7 @@ from typing import Literal
 
 from modalax._numerics.text import percent
 from modalax.diagnose.summary import cause_at
-from modalax.diagnose.thresholds import THRESHOLDS, Thresholds
+from modalax.diagnose.thresholds import THRESHOLDS
 
 WEIGHT = ("clean", "named", "ambiguous", "unknown")  # verdicts; each outweighs those before it
 
@@ -41,8 +41,6 @@ class LevelsCase:
         The leading joint's equivalent stiffness against its amplitude, as a clause.
     holds
         Stiffness of the leading joint until it slips, and its standard deviation [N/m], where the simulation lacks it.
-    limits
-        Thresholds of the rules.
     """
 
     best: Literal["nothing", "drift", "joint"]
@@ -61,7 +59,6 @@ class LevelsCase:
     untried: bool = False
     behaviour: str = ""
     holds: tuple[float, float] | None = None
-    limits: Thresholds = THRESHOLDS
 
     @property
     def observed(self) -> tuple[str, ...]:
@@ -110,7 +107,7 @@ def joints_were_not_tried(case: LevelsCase) -> tuple[str, ...] | None:
 
 def nothing_explains(case: LevelsCase) -> tuple[str, ...] | None:
     """Every law of a joint, or a drift, leaves too much of the differences."""
-    if case.after <= case.limits.unexplained:
+    if case.after <= THRESHOLDS.unexplained:
         return None
     what = "no law" if case.best == "joint" else "neither a joint nor a shift of the frequencies from run to run"
     return *case.observed, f"{what} explains it (chi-square {case.after:.3g} per sample is left)"
@@ -118,32 +115,32 @@ def nothing_explains(case: LevelsCase) -> tuple[str, ...] | None:
 
 def law_has_no_name(case: LevelsCase) -> tuple[str, ...] | None:
     """A law without a name in the answer is likelier than those with one."""
-    if case.best != "joint" or case.nameless <= case.limits.nameless:
+    if case.best != "joint" or case.nameless <= THRESHOLDS.nameless:
         return None
     return *case.observed, "it follows none of the laws that have a name, but a power of the amplitude"
 
 
 def drift_is_not_sure(case: LevelsCase) -> tuple[str, ...] | None:
     """A drift is the likeliest, but not sure."""
-    return case.support if case.best == "drift" and case.drifting < case.limits.certain else None
+    return case.support if case.best == "drift" and case.drifting < THRESHOLDS.certain else None
 
 
 def law_is_not_sure(case: LevelsCase) -> tuple[str, ...] | None:
     """Other laws are likely too."""
-    sure = case.best != "joint" or case.law_probability >= case.limits.certain
+    sure = case.best != "joint" or case.law_probability >= THRESHOLDS.certain
     return None if sure else (*case.support, "other laws cannot be excluded")
 
 
 def force_is_not_explained_well(case: LevelsCase) -> tuple[str, ...] | None:
     """The law explains the force across the place roughly only, so that another law or place may be right."""
-    if case.best != "joint" or case.inexact < case.limits.inexact:
+    if case.best != "joint" or case.inexact < THRESHOLDS.inexact:
         return None
     return *case.support, f"it explains the force there to {percent(case.inexact)} only: law and place are not certain"
 
 
 def place_is_not_sure(case: LevelsCase) -> tuple[str, ...] | None:
     """Other places are likely too."""
-    sure = case.best != "joint" or case.place_probability >= case.limits.placed
+    sure = case.best != "joint" or case.place_probability >= THRESHOLDS.placed
     return None if sure else (*case.support, "its place is not certain")
 
 

@@ -50,20 +50,18 @@ def many_kinds(leading: WeighedSet, thresholds: Thresholds = THRESHOLDS) -> str 
     )  # fmt: skip
 
 
-def as_stated(
-    word: str, causes: Sequence[dict[str, Any]], thresholds: Thresholds = THRESHOLDS
-) -> list[dict[str, Any]]:  # fmt: skip
+def as_stated(word: str, causes: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """The causes of an answer, none with a greater probability than its verdict leaves room for.
 
     Weighed against one another are only causes that were looked for. Where something else speaks against a name
     (``ambiguous``) they are less sure than a name must be; where something is left that none of them explains
     (``unknown``), something else is likelier.
     """
-    most = {"ambiguous": thresholds.certain, "unknown": thresholds.nameless}.get(word, 1.0)
+    most = {"ambiguous": THRESHOLDS.certain, "unknown": THRESHOLDS.nameless}.get(word, 1.0)
     return [{**c, "probability": min(c["probability"], most)} for c in causes]
 
 
-def rivals(word: str, sets: Sequence[S], thresholds: Thresholds = THRESHOLDS) -> list[S]:
+def rivals(word: str, sets: Sequence[S]) -> list[S]:
     """Choose the sets that are reported beside the leading one.
 
     Of a named set these are its other places; of any other verdict the rivals, the next best at least.
@@ -74,12 +72,10 @@ def rivals(word: str, sets: Sequence[S], thresholds: Thresholds = THRESHOLDS) ->
         The verdict.
     sets
         Sets of causes, the leading one first, the others by falling probability.
-    thresholds
-        Least probability of another place of what is named, and of a rival of an ambiguous set.
     """
     if word == "named":
-        return [s for s in sets[1:] if s.probability >= thresholds.elsewhere]
-    return [s for s in sets[1:] if s.probability >= thresholds.rival] or list(sets[1:2])
+        return [s for s in sets[1:] if s.probability >= THRESHOLDS.elsewhere]
+    return [s for s in sets[1:] if s.probability >= THRESHOLDS.rival] or list(sets[1:2])
 
 
 def _slugs(s: WeighedSet) -> list[str]:

@@ -71,7 +71,7 @@ def judge(stage: Stage) -> Judged:
         sets, [name for c in best.causes if not of_the_joint(stage, c) for name in c.told_as], off,
         max(off[name] / LARGEST[name] for name in ("stiffness", "mass")),
         best.misfit,
-        None if plain is None else best.log_posterior - plain.log_posterior, THRESHOLDS,
+        None if plain is None else best.log_posterior - plain.log_posterior,
         stage.odd,
         _told(tuple(c for c in small if not (c.absent or c.dissipates))) if needs(stage, best, small) else (),
         {name: size for name, size in claims_of(stage.setting.inaccuracy).items() if name in ("stiffness", "mass")},
