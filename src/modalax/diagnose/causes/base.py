@@ -124,18 +124,17 @@ class Cause:
         return np.full(len(places), 1 / max(len(places), 1))
 
     def grid(self, scene: Scene, place: Place) -> np.ndarray:
-        """Parameter vectors to screen at, shape ``(start, parameter)``."""
-        raise NotImplementedError(f"{type(self).__name__} needs grid(scene, place)")
+        """Parameter vectors to screen at, shape ``(start, parameter)``; one and empty without unknowns."""
+        if self.parameters:
+            raise NotImplementedError(f"{type(self).__name__} needs grid(scene, place)")
+        return np.zeros((1, 0))
 
     def fits(self, p: np.ndarray, scene: Scene) -> bool:
         """Whether fitted parameters still mean this cause at the lines that were measured."""
         return True
 
     def nearby(self, p: np.ndarray, place: Place, scene: Scene) -> np.ndarray:
-        """Parameters beside fitted ones where chi-square may have a deeper minimum, the nearest first.
-
-        Shape ``(point, parameter)``.
-        """
+        """Parameters ``(point, parameter)`` beside fitted ones where chi-square may be less, the nearest first."""
         return np.zeros((0, len(p)))
 
     def alike(self, other: "Cause", p: np.ndarray) -> np.ndarray | None:

@@ -22,18 +22,23 @@ def scaled_row(H: Array, k: Array, gain: Array) -> Array:
     return H * (1 + (gain - 1) * one_row(H, k))
 
 
-class ChannelGain(ChannelCause):
+class SensorCause(ChannelCause):
+    """A fault that any one sensor may have."""
+
+    rows = 1
+
+    def places(self, scene: Scene) -> list[Place]:
+        """Every output."""
+        return scene.channels()
+
+
+class ChannelGain(SensorCause):
     r"""Calibration of one sensor, row times :math:`1 + g`."""
 
     slug = "channel_gain"
     advice = "exchange the two sensors, or calibrate them"
     summary = "calibration of one sensor"
-    rows = 1
     parameters = (Parameter("gain", "-", -0.999),)
-
-    def places(self, scene: Scene) -> list[Place]:
-        """Every output."""
-        return scene.channels()
 
     def grid(self, scene: Scene, place: Place) -> np.ndarray:
         """Linear in the gain, so one size does."""
@@ -44,21 +49,12 @@ class ChannelGain(ChannelCause):
         return scaled_row(H, where[0], 1 + p[0])
 
 
-class ChannelSign(ChannelCause):
+class ChannelSign(SensorCause):
     """One sensor with the wrong sign."""
 
     slug = "channel_sign"
     advice = "turn one sensor and repeat"
     summary = "sign of one sensor"
-    rows = 1
-
-    def places(self, scene: Scene) -> list[Place]:
-        """Every output."""
-        return scene.channels()
-
-    def grid(self, scene: Scene, place: Place) -> np.ndarray:
-        """No unknowns."""
-        return np.zeros((1, 0))
 
     def channels(self, H: Array, at: Channels, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
         """Turn one row."""
@@ -78,10 +74,6 @@ class ChannelSwap(ChannelCause):
         """Every pair of outputs."""
         names = scene.outputs
         return [Place((names[a], names[b]), (a, b, 0)) for a in range(len(names)) for b in range(a + 1, len(names))]
-
-    def grid(self, scene: Scene, place: Place) -> np.ndarray:
-        """No unknowns."""
-        return np.zeros((1, 0))
 
     def channels(self, H: Array, at: Channels, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
         """Exchange two rows."""
@@ -138,10 +130,6 @@ class Units(ChannelCause):
     def places(self, scene: Scene) -> list[Place]:
         """Down and up."""
         return [Place((), (k, -1, 0)) for k in (-1, 1)]
-
-    def grid(self, scene: Scene, place: Place) -> np.ndarray:
-        """No unknowns."""
-        return np.zeros((1, 0))
 
     def channels(self, H: Array, at: Channels, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
         """Differentiate or integrate."""

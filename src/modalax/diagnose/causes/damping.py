@@ -41,8 +41,7 @@ class ModalDamping(UndampedCause):
 class StructuralDamping(HystereticCause):
     r"""Hysteretic instead of viscous damping, :math:`2 j\zeta\omega_r\omega \to 2 j\zeta\omega_r^2` in a share.
 
-    What couples the modes in the viscous damping goes with that share. The second variant takes one loss factor for all
-    modes instead of :math:`2\zeta_r`.
+    What couples the modes in the viscous damping goes with that share.
     """
 
     slug = "structural_damping"

@@ -51,10 +51,6 @@ class ForceSwap(ChannelCause):
         names, count = scene.inputs, len(scene.inputs)
         return [Place((names[a], names[b]), (a, b, 0)) for a in range(count) for b in range(a + 1, count)]
 
-    def grid(self, scene: Scene, place: Place) -> np.ndarray:
-        """No unknowns."""
-        return np.zeros((1, 0))
-
     def channels(self, H: Array, at: Channels, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
         """Exchange two columns."""
         k = jnp.arange(H.shape[3])

@@ -8,25 +8,20 @@ from jaxtyping import Array, Complex
 
 from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.causes.base import RARE, ChannelCause
-from modalax.diagnose.causes.channels import scaled_row
+from modalax.diagnose.causes.channels import SensorCause, scaled_row
 from modalax.diagnose.causes.parameter import Parameter, strengths
 from modalax.diagnose.causes.scene import Place, Scene
 from modalax.diagnose.causes.signals import Channels
 
 
-class AcCoupling(ChannelCause):
+class AcCoupling(SensorCause):
     r"""One sensor through a high-pass filter of first order, :math:`s/(s + \omega_c)`."""
 
     slug = "sensor_filter"
     summary = "high-pass filter of one sensor"
     advice = "compare the sensor with another at the same place, below and above the band"
     prior = RARE
-    rows = 1
     parameters = (Parameter("high_pass_corner", "Hz", 0.0),)
-
-    def places(self, scene: Scene) -> list[Place]:
-        """Every output."""
-        return scene.channels()
 
     def grid(self, scene: Scene, place: Place) -> np.ndarray:
         """Around the start of the band."""
@@ -38,7 +33,7 @@ class AcCoupling(ChannelCause):
         return scaled_row(H, where[0], gain[:, None, None])
 
 
-class SensorLowpass(ChannelCause):
+class SensorLowpass(SensorCause):
     r"""One sensor through a low-pass filter, where weak nearly a delay.
 
     :math:`1/(1 + s\tau)` of first order, :math:`1/(1 + s\tau + s^2\tau^2/2)` (Butterworth's) of second.
@@ -47,16 +42,11 @@ class SensorLowpass(ChannelCause):
     slug = "sensor_filter"
     advice = AcCoupling.advice
     prior = RARE / 2  # each order
-    rows = 1
     parameters = (Parameter("time_constant", "s", 0.0),)
 
     def __init__(self, order: int):
         self.order = order
         self.summary = f"low-pass filter of one sensor, of order {order}"
-
-    def places(self, scene: Scene) -> list[Place]:
-        """Every output."""
-        return scene.channels()
 
     def grid(self, scene: Scene, place: Place) -> np.ndarray:
         """Around the end of the band."""
@@ -73,7 +63,7 @@ class SensorLowpass(ChannelCause):
         return {"low_pass_corner": (corner, "Hz"), "order": (float(self.order), "-")}
 
 
-class SensorResonance(ChannelCause):
+class SensorResonance(SensorCause):
     r"""One sensor on a mount or cable that resonates.
 
     Row times :math:`1 - g s^2/(s^2 + 2\zeta\omega_c s + \omega_c^2)`.
@@ -83,16 +73,11 @@ class SensorResonance(ChannelCause):
     summary = "a resonance of the mount of one sensor"
     named = False
     prior = RARE
-    rows = 1
     parameters = (
         Parameter("share", "-"),
         Parameter("frequency", "Hz", 1e-3, log=True),
         Parameter("damping_ratio", "-", 1e-4, 0.5, log=True, ends=True),
     )
-
-    def places(self, scene: Scene) -> list[Place]:
-        """Every output."""
-        return scene.channels()
 
     def grid(self, scene: Scene, place: Place) -> np.ndarray:
         """Frequencies dense enough that no resonance falls between two; linear in the share, so one size does."""
@@ -155,10 +140,6 @@ class SensorPlace(ChannelCause):
     def places(self, scene: Scene) -> list[Place]:
         """Never looked for line by line."""
         return []
-
-    def grid(self, scene: Scene, place: Place) -> np.ndarray:
-        """No unknowns."""
-        return np.zeros((1, 0))
 
     def channels(self, H: Array, at: Channels, where: Array, extra: Any, p: Array) -> Complex[Array, "run f o i"]:
         """The names of the channels are changed, not the FRFs."""
