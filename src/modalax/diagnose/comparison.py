@@ -18,10 +18,10 @@ from modalax.diagnose.causes.signals import HumLines
 from modalax.diagnose.deadline import NEVER, Deadline
 from modalax.diagnose.extend import ExtendedSimulation
 from modalax.diagnose.fitting.gauss_newton import ROUNDS, fit_many
-from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.fitting.hypothesis import Hypothesis, searched
 from modalax.diagnose.fitting.nuisance import WIDE, Nuisance, make_nuisance
-from modalax.diagnose.fitting.residual import free_basis, residual_of
-from modalax.diagnose.prediction.frf import predicted
+from modalax.diagnose.fitting.residual import complex_of, free_basis, jacobian_of, residual_of
+from modalax.diagnose.prediction.frf import NOWHERE, predicted
 from modalax.diagnose.prediction.harmonics import with_harmonics
 from modalax.diagnose.setup.modal_form import kept_coupling, modal_form_of
 from modalax.diagnose.setup.noise import TRUSTED, Noise, noise_of
@@ -91,13 +91,17 @@ class Comparison:
 
     def residual(self, h: Hypothesis) -> np.ndarray:
         """Whitened residual of a hypothesis, complex, shape ``(run, f, o, i)`` as padded."""
-        r = self.real_residual(h)
-        r = r.reshape(*r.shape[:2], self.problem.data.shape[0], -1, 2)
-        return (r[..., 0] + 1j * r[..., 1]).transpose(2, 3, 0, 1)
+        return complex_of(self.real_residual(h), self.problem.data.shape[0])
 
     def real_residual(self, h: Hypothesis) -> np.ndarray:
         """Whitened residual of a hypothesis, real and imaginary parts, shape ``(o, i, run f 2)`` as padded."""
         return residual_of(self._predicted(h), self.nuisance.basis, self.problem)
+
+    def slopes(self, h: Hypothesis) -> np.ndarray:
+        """Derivatives of that by all unknowns of the causes as searched, shape ``(unknown, o, i, run f 2)``."""
+        nuisance = self.nuisance
+        at = h.causes, h.index, h.extras, searched(h), h.theta, nuisance.spread, nuisance.basis, self.problem
+        return np.asarray(jacobian_of(*at))
 
     def chi2(self, h: Hypothesis) -> float:
         """Chi-square of a hypothesis at its parameters, that of the claimed spread of modal parameters included."""
@@ -260,7 +264,7 @@ def make_comparison(
         draft = replace(draft, held=held)
     n_out, n_in = draft.channels
     still = np.zeros((2, draft.modal_form.stiffness.shape[0]))
-    alone = predicted((), np.zeros((0, 3), int), (), (), still, draft)[0, : len(freq), :n_out, :n_in]
+    alone = predicted((), NOWHERE, (), (), still, draft)[0, : len(freq), :n_out, :n_in]
     noise = noise_of(measurement, alone * unit)
     notes.append(noise.source)
     sigma = noise.sigma / np.abs(unit)

@@ -10,7 +10,6 @@ from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.fitting.gauss_newton import ROUNDS
 from modalax.diagnose.fitting.hypothesis import Hypothesis, searched
-from modalax.diagnose.fitting.residual import jacobian_of
 from modalax.diagnose.screening.score_state import score_state_of
 from modalax.diagnose.screening.screen import nuisance_of
 from modalax.diagnose.search.rows import force_taken
@@ -99,13 +98,17 @@ def measure(
     if count == 0:
         return Gain(words, float("nan"), float("nan"), 0.0, 0.0)
     by_line = 0.5 * (np.abs(before) ** 2 - np.abs(after) ** 2).sum(axis=(0, 2, 3))[:lines]
-    blocks = np.array([b.sum() for b in np.array_split(by_line, min(BLOCKS, len(by_line)))])
-    rng = np.random.default_rng(0)
-    draws = blocks[rng.integers(len(blocks), size=(RESAMPLED, len(blocks)))].sum(axis=1)
     return Gain(
         words, float((np.abs(before) ** 2).sum() / count), float((np.abs(after) ** 2).sum() / count),
-        float(by_line.sum()), float(draws.std()), missed, float(within.sum() / count),
+        float(by_line.sum()), deviation_of_sum(by_line), missed, float(within.sum() / count),
     )  # fmt: skip
+
+
+def deviation_of_sum(by_line: np.ndarray) -> float:
+    """Standard deviation of a sum over lines, by resampling blocks of neighbours."""
+    blocks = np.array([b.sum() for b in np.array_split(by_line, min(BLOCKS, len(by_line)))])
+    draws = blocks[np.random.default_rng(0).integers(len(blocks), size=(RESAMPLED, len(blocks)))].sum(axis=1)
+    return float(draws.std())
 
 
 def _on(
@@ -146,9 +149,6 @@ def _missed(seen: Comparison, unseen: Comparison, h: Hypothesis, fitted: Hypothe
 
 def _slopes(comparison: Comparison, h: Hypothesis) -> np.ndarray:
     """Derivatives of the whitened residual by what is searched, then by the modal parameters over their spread."""
-    nuisance = comparison.nuisance
     assert h.theta is not None
-    J = np.asarray(jacobian_of(
-        h.causes, h.index, h.extras, searched(h), h.theta, nuisance.spread, nuisance.basis, comparison.problem
-    )).reshape(len(searched(h)), -1)  # fmt: skip
+    J = comparison.slopes(h).reshape(len(searched(h)), -1)
     return np.concatenate([J, nuisance_of(h.theta, comparison).reshape(-1, J.shape[1])])

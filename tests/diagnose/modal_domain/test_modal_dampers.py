@@ -81,12 +81,12 @@ def test_a_sensor_is_elsewhere_only_if_nothing_that_is_named_explains_as_much(mo
         return Told(verdict, SimpleNamespace(explanations=[explanation]), SimpleNamespace(p_value=0.5))
 
     monkeypatch.setattr(diagnosis, "other_places", lambda *_: {DOFS[2]: DOFS[1]})
-    late, every, there = Deadline(), lambda _: True, told("clean", 0.0)
+    task, there = diagnosis._Task(simulation(), Deadline(), lambda _: True, lambda _: None), told("clean", 0.0)
     for ahead, verdict, stays in ((50.0, "named", True), (-50.0, "named", False), (50.0, "unknown", False)):
         here = told(verdict, ahead)
         answers = {data.outputs: here}
         monkeypatch.setattr(diagnosis, "_diagnosed", lambda m, *_, own=answers, **__: own.get(m.outputs, there))
-        found, left = diagnosis._elsewhere(data, simulation(), "fixed", late, every, lambda _: None, measured)
+        found, left = diagnosis._elsewhere(data, task, measured)
         assert (found is None) is stays and (not stays or left is here)
         assert stays or (found.verdict, found.moved.told()[0]["where"]) == ("named", [DOFS[2], DOFS[1]])
 

@@ -92,8 +92,7 @@ def test_no_mass_is_looked_for_where_what_explains_the_others_explains_all_outpu
     sought = []
     monkeypatch.setattr(diagnosis, "mass_of_sensor", lambda *_: sought.append(True))
     data = loaded(4, load)
-    diagnosis._beside_own_peaks(
-        data, simulation(), "fixed", Deadline(), lambda slug: slug in ("added_mass", "sensor_mass"), lambda _: None,
-        identified(data, simulation(), lambda _: None),
-    )  # fmt: skip
+    wanted = lambda slug: slug in ("added_mass", "sensor_mass")
+    task = diagnosis._Task(simulation(), Deadline(), wanted, lambda _: None)
+    diagnosis._beside_own_peaks(data, task, identified(data, simulation(), lambda _: None))
     assert sought == [True] * asked

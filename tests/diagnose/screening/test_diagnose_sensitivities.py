@@ -21,7 +21,7 @@ def test_causes_of_single_sensors_explain_what_they_would_over_all_outputs(cause
 
     def screened():
         theta = np.zeros((2, problem.modal_form.stiffness.shape[0]))
-        return screen_cause(cause, comparison.scene, places, theta, residual, problem, nuisance, True)
+        return screen_cause(cause, comparison.scene, places, theta, residual, problem, nuisance)
 
     own = screened()
     monkeypatch.setattr(changes, "rows_of", lambda *_: None)

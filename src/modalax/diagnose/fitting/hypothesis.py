@@ -133,6 +133,11 @@ class Hypothesis:
         )  # fmt: skip
 
 
+def exchanged(items: tuple, k: int, new: Any) -> tuple:
+    """The items with another one in the place of one."""
+    return (*items[:k], new, *items[k + 1 :])
+
+
 def to_search(cause: Cause, p: np.ndarray) -> np.ndarray:
     """Parameters ``(parameter,)`` in the variables of the search, which are logarithms where a parameter says so."""
     return np.array([q.searched(v) for q, v in zip(cause.parameters, p, strict=True)])

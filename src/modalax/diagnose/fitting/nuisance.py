@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 
 from modalax.diagnose.fitting.residual import modal_directions
-from modalax.diagnose.prediction.frf import predicted
+from modalax.diagnose.prediction.frf import NOWHERE, predicted
 from modalax.diagnose.setup.problem import Problem, bucket
 
 WIDE = 0.2  # prior spread of log frequency and log damping when the modes are free
 NEGLIGIBLE = 3e-4  # squared length of a modal parameter's effect, in standard deviations, below which it is left out
-NOWHERE = np.zeros((0, 3), np.int64)
 
 
 @dataclass(frozen=True)

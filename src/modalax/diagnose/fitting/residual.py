@@ -13,7 +13,7 @@ from modalax._numerics.checks import is_traced
 from modalax._numerics.compiler import lightly
 from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.fitting.hypothesis import from_search, split
-from modalax.diagnose.prediction.frf import predict
+from modalax.diagnose.prediction.frf import NOWHERE, predict
 from modalax.diagnose.setup.problem import Problem
 
 
@@ -34,18 +34,31 @@ def modal_directions(theta, spread, basis, problem):
     """
 
     def one(t):
-        H = predict((), np.zeros((0, 3), np.int64), (), (), t * spread, problem)
+        H = predict((), NOWHERE, (), (), t * spread, problem)
         return projected(problem.weight * H, basis)
 
     J = jax.jacfwd(one)(theta)
     return jnp.moveaxis(J.reshape(*J.shape[:3], -1), -1, 0)
 
 
+def complex_of(value: np.ndarray, runs: int) -> np.ndarray:
+    """Whitened arrays ``(..., o, i, run f 2)`` as complex ``(..., run, f, o, i)``."""
+    z = value.reshape(*value.shape[:-1], runs, -1, 2)
+    z = z[..., 0] + 1j * z[..., 1]
+    return np.moveaxis(z, (-4, -3), (-2, -1))
+
+
+def laid_out(z: Any) -> Any:
+    """Complex ``(..., run, f, o, i)`` as whitened residuals are, ``(..., o, i, run f 2)``."""
+    xp: Any = jnp if is_traced(z) else np
+    z = xp.moveaxis(xp.stack([z.real, z.imag], axis=-1), (-3, -2), (-5, -4))
+    return z.reshape(*z.shape[:-3], -1)
+
+
 def projected(r: Any, basis: Any) -> Any:
     """Real and imaginary parts of whitened residuals, shape ``(o, i, run f 2)``, free directions taken out."""
     xp: Any = jnp if is_traced(r) else np
-    real = xp.stack([r.real, r.imag], axis=-1)
-    real = xp.moveaxis(real, (2, 3), (0, 1)).reshape(*r.shape[2:], -1)
+    real = laid_out(r)
     if basis is None:
         return real
     return real - xp.einsum("oink,oik->oin", basis, xp.einsum("oink,oin->oik", basis, real))

@@ -103,11 +103,6 @@ class Change:
         return not self.local
 
     @property
-    def at_dofs(self) -> bool:
-        """Whether its places are DoFs, and no channels."""
-        return self.local
-
-    @property
     def at_inputs(self) -> bool:
         """Whether its places are inputs."""
         return False

@@ -169,7 +169,7 @@ def extension_of(stage: Stage, f: Fit, forced: Forced | None = None) -> Extended
         if c.in_structure or c.slug not in known or c == spring:
             continue
         m = stage.measurement
-        names = base.dofs if c.at_dofs else (m.inputs if c.at_inputs else m.outputs)
+        names = base.dofs if c.local else (m.inputs if c.at_inputs else m.outputs)
         index = [names.index(str(w)) for w in c.where] + [-1, -1]
         index[0] = index[0] if c.first_index is None else c.first_index
         values, errors, extra = c.as_catalogue(u, covariance)

@@ -6,7 +6,7 @@ import numpy as np
 
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.decision.gain import Gain
-from modalax.diagnose.holdout import BLOCKS, RESAMPLED, held_out_block
+from modalax.diagnose.holdout import deviation_of_sum, held_out_block
 from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.corrected import frf_of
 from modalax.diagnose.modal_domain.explain import far_off
@@ -62,14 +62,14 @@ def gain_of(stage: Stage, found: Explanation, before: np.ndarray) -> Gain:
     chi2 = [np.abs(weight * (H - p)) ** 2 for p in (before, after)]
     by_line = 0.5 * (chi2[0] - chi2[1]).sum(axis=(0, 2, 3))
     gain = Gain(
-        words, float(chi2[0].sum() / count), float(chi2[1].sum() / count), float(by_line.sum()), _deviation(by_line),
-        chi2_unforeseen=beyond,
+        words, float(chi2[0].sum() / count), float(chi2[1].sum() / count), float(by_line.sum()),
+        deviation_of_sum(by_line), chi2_unforeseen=beyond,
     )  # fmt: skip
     if plain is None:
         return gain
     alone_chi2 = np.abs(weight * (H - plain)) ** 2
     worse = 0.5 * (chi2[1] - alone_chi2).sum(axis=(0, 2, 3))[mask.any(axis=(0, 2, 3))]
-    preferred = float(worse.sum()) / max(_deviation(worse), 1e-300)
+    preferred = float(worse.sum()) / max(deviation_of_sum(worse), 1e-300)
     return replace(gain, chi2_plain=float(alone_chi2.sum() / count), preferred=preferred)
 
 
@@ -91,13 +91,6 @@ def _beyond_errors(stage: Stage, f: Fit, mask: np.ndarray) -> float:
         for some in (~mask & used, mask)
     )
     return unforeseen(stage.setting, f, fitted, left_out) / max(left_out.samples, 1)
-
-
-def _deviation(by_line: np.ndarray) -> float:
-    """Standard deviation of a sum over lines, by resampling blocks of neighbours."""
-    blocks = np.array([b.sum() for b in np.array_split(by_line, min(BLOCKS, len(by_line)))])
-    draws = blocks[np.random.default_rng(0).integers(len(blocks), size=(RESAMPLED, len(blocks)))].sum(axis=1)
-    return float(draws.std())
 
 
 @dataclass(frozen=True)

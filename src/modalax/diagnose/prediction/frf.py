@@ -30,6 +30,8 @@ from modalax.diagnose.causes.signals import Channels, ModalTerms
 from modalax.diagnose.prediction.amplitude import TINY, amplitude
 from modalax.diagnose.setup.problem import Problem
 
+NOWHERE = np.zeros((0, 3), np.int64)  # places of no cause
+
 
 @eqx.filter_jit
 def predict(

@@ -85,7 +85,7 @@ class _Screen:
             assert theta is not None
             there = self.state.reduced[True].there if self.state.reduced else None
             scene = self.comparison.scene
-            found = screen_cause(cause, scene, near, theta, residual, problem, nuisance, keep=True, there=there)
+            found = screen_cause(cause, scene, near, theta, residual, problem, nuisance, there)
         return [replace(t, trials=round(t.trials * len(places) / len(near))) for t in found]
 
     def _pattern(self, cause: PatternCause) -> list[Trial]:

@@ -17,6 +17,7 @@ import numpy as np
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.comparison import Comparison, empty
 from modalax.diagnose.deadline import NEVER, Deadline
+from modalax.diagnose.fitting.residual import laid_out
 from modalax.diagnose.screening.law_free import gains_without_law
 from modalax.diagnose.screening.modes_beside import STEPS, Beside, modes_beside
 from modalax.diagnose.screening.products import Reduced, at_places, ends, reduce
@@ -62,11 +63,10 @@ def places_of_one_force(comparison: Comparison, late: Deadline = NEVER) -> tuple
     gains, places = _gains(comparison, reduced, left)
     order = np.argsort(-gains)
     best = float(gains[order[0]])
-    behind = THRESHOLDS.other_places + THRESHOLDS.one_force * np.sqrt(4 * unknowns)  # the noise of a difference
+    behind = _behind(unknowns)
     others = max(0.0, (by_output - samples).max(), _by_one_mode(comparison, left).max() - unknowns)  # 0: nothing at all
-    driven = places[order[0]].index[:2] in {(comparison.scene.dofs.index(name), -1) for name in comparison.scene.inputs}
     explained = _exceeds_noise(chi2 - best, count - unknowns) < THRESHOLDS.one_force
-    if driven or not explained or others > best - unknowns - behind:
+    if _driven(comparison, places[order[0]]) or not explained or others > best - unknowns - behind:
         return ()
     near = [places[k] for k in order if gains[k] > best - behind]
     if len(near) > FEW:
@@ -80,8 +80,19 @@ def _likeliest(comparison: Comparison, left: np.ndarray, places: list[Place]) ->
     gains, unknowns = gains_without_law(at_places(reduced, places), reduced)
     best = float(gains.max())
     inexact = THRESHOLDS.inexact_law**2 * max(best, 0.0)  # what a law of more than one harmonic leaves at its place
-    behind = THRESHOLDS.other_places + THRESHOLDS.one_force * np.sqrt(4 * unknowns) + inexact
+    behind = _behind(unknowns) + inexact
     return [places[k] for k in np.argsort(-gains) if gains[k] > best - behind]
+
+
+def _behind(unknowns: int) -> float:
+    """Chi-square by which another place may be behind the best, by the noise of a difference."""
+    return THRESHOLDS.other_places + THRESHOLDS.one_force * np.sqrt(4 * unknowns)
+
+
+def _driven(comparison: Comparison, place: Place) -> bool:
+    """Whether an input drives the structure there."""
+    scene = comparison.scene
+    return place.index[:2] in {(scene.dofs.index(name), -1) for name in scene.inputs}
 
 
 def _can_tell(comparison: Comparison) -> bool:
@@ -97,7 +108,7 @@ def _with_modes(comparison: Comparison, late: Deadline) -> tuple[Place, ...]:
         return ()
     unknowns = 2 * int(live.any(axis=2).sum())
     samples = comparison.problem.samples - unknowns
-    behind = THRESHOLDS.other_places + THRESHOLDS.one_force * np.sqrt(4 * unknowns)
+    behind = _behind(unknowns)
     found = modes_beside(comparison, pairs, FIRST, late)
     best = min((chi2 for _, chi2, _ in found), default=np.inf)
     if _exceeds_noise(best, samples) >= THRESHOLDS.one_force or _fault_or_mode_does(comparison, best + behind, late):
@@ -105,8 +116,7 @@ def _with_modes(comparison: Comparison, late: Deadline) -> tuple[Place, ...]:
     found = modes_beside(comparison, pairs, REFINED, late, found)
     ranked = sorted(((chi2, p) for p, chi2, _ in found), key=lambda one: one[0])
     best, first = ranked[0]
-    driven = first.index[:2] in {(comparison.scene.dofs.index(name), -1) for name in comparison.scene.inputs}
-    if driven or late():
+    if _driven(comparison, first) or late():
         return ()
     near = tuple(p for chi2, p in ranked if chi2 < best + behind)
     return near if len(near) <= KEPT else ()
@@ -162,8 +172,7 @@ def _gains(comparison: Comparison, reduced: Reduced, left: np.ndarray) -> tuple[
 def _reduced(comparison: Comparison, left: np.ndarray) -> Reduced:
     """Products of receptances with a whitened residual, complex, shape ``(run, f, o, i)``, and no nuisances."""
     problem = comparison.problem
-    value = np.moveaxis(np.stack([left.real, left.imag], axis=-1), (2, 3), (0, 1))
-    value = value.reshape(*value.shape[:2], -1)
+    value = laid_out(left)
     none = Residual(value, np.zeros((0, *value.shape)), np.zeros((0, 0)))
     return reduce(problem, np.zeros((2, problem.modal_form.stiffness.shape[0])), none)
 

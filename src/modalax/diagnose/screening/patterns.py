@@ -4,6 +4,7 @@ import numpy as np
 
 from modalax.diagnose.causes.base import PatternCause
 from modalax.diagnose.causes.scene import Place, Scene
+from modalax.diagnose.fitting.residual import complex_of
 from modalax.diagnose.screening.screen import Trial
 from modalax.diagnose.screening.sensitivities import Residual
 from modalax.diagnose.setup.problem import Problem
@@ -27,9 +28,7 @@ def screen_pattern(cause: PatternCause, scene: Scene, residual: Residual, proble
     """
     s = 1j * np.asarray(problem.omega)
     weight = np.asarray(problem.weight)
-    runs = weight.shape[0]
-    r = residual.value.reshape(*residual.value.shape[:2], runs, -1, 2)
-    r = (r[..., 0] + 1j * r[..., 1]).transpose(2, 3, 0, 1)
+    r = complex_of(residual.value, len(weight))
     best, found, at = -np.inf, None, None
     w2 = (weight**2).sum(axis=0)
     wr = (weight * r).sum(axis=0)

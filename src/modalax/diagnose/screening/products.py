@@ -12,6 +12,7 @@ from modalax._numerics.checks import as_array
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.causes.signals import ModalTerms
 from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.fitting.residual import complex_of
 from modalax.diagnose.prediction.frf import gains_of
 from modalax.diagnose.screening.in_place import InPlace, in_place
 from modalax.diagnose.screening.sensitivities import BATCH, Residual
@@ -159,13 +160,6 @@ def _along(x: np.ndarray, a: np.ndarray, b: np.ndarray, axis: int = 1) -> np.nda
     """Entries of the first DoFs less those of the second, where there is one, along an axis."""
     second = (b >= 0).astype(float).reshape([-1 if k == axis else 1 for k in range(x.ndim)])
     return np.take(x, a, axis) - second * np.take(x, np.maximum(b, 0), axis)
-
-
-def complex_of(value: np.ndarray, runs: int) -> np.ndarray:
-    """Whitened arrays ``(..., o, i, run f 2)`` as complex ``(..., run, f, o, i)``."""
-    z = value.reshape(*value.shape[:-1], runs, -1, 2)
-    z = z[..., 0] + 1j * z[..., 1]
-    return np.moveaxis(z, (-4, -3), (-2, -1))
 
 
 @eqx.filter_jit

@@ -10,7 +10,8 @@ from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.hypothesis import Hypothesis
-from modalax.diagnose.screening.products import Reduced, as_one, complex_of, reduce
+from modalax.diagnose.fitting.residual import complex_of, laid_out
+from modalax.diagnose.screening.products import Reduced, as_one, reduce
 from modalax.diagnose.screening.screen import nuisance_of
 from modalax.diagnose.screening.sensitivities import Residual
 from modalax.diagnose.screening.shortlist import MANY, Sketch, likely_swaps, shortlist, sketch
@@ -94,7 +95,7 @@ def score_state_of(comparison: Comparison, h: Hypothesis, jacobian: np.ndarray |
     """
     assert h.theta is not None
     whole = comparison.residual(h)
-    value = _real(whole)
+    value = laid_out(whole)
     G = nuisance_of(h.theta, comparison)
     width = bucket(len(G) + SPARE)
     more = G[:0] if jacobian is None else jacobian[:width]
@@ -123,12 +124,6 @@ def score_state_of(comparison: Comparison, h: Hypothesis, jacobian: np.ndarray |
     return ScoreState(comparison, h, sides, reduced, whole, drop, shift.reshape(h.theta.shape))
 
 
-def _real(z: np.ndarray) -> np.ndarray:
-    """Complex ``(..., run, f, o, i)`` laid out as whitened residuals, ``(..., o, i, run f 2)``."""
-    z = np.moveaxis(np.stack([z.real, z.imag], axis=-1), (-3, -2), (-5, -4))
-    return z.reshape(*z.shape[:-3], -1)
-
-
 def _pooled(comparison: Comparison, value: np.ndarray) -> np.ndarray:
     """All runs as one: what a direction that is the same in every run sees."""
     runs = comparison.problem.weight.shape[0]
@@ -138,4 +133,4 @@ def _pooled(comparison: Comparison, value: np.ndarray) -> np.ndarray:
         return value[..., : value.shape[-1] // runs]
     weight, total = np.asarray(comparison.problem.weight), np.asarray(comparison.pooled.weight)
     z = (complex_of(value, runs) * weight).sum(axis=-4, keepdims=True) / np.where(total > 0, total, 1.0)
-    return _real(z)
+    return laid_out(z)

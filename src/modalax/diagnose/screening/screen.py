@@ -237,9 +237,11 @@ def _least_by_shape(grid: np.ndarray) -> np.ndarray:
 
 def screen_cause(
     cause: Cause, scene: Scene, places: Sequence[Place], theta: np.ndarray, residual: Residual, problem: Problem,
-    nuisance: Nuisance, keep: bool, there: InPlace | None = None,
+    nuisance: Nuisance, there: InPlace | None = None,
 ) -> list[Trial]:  # fmt: skip
     """Screen one kind of cause at its places: the derivative at all, finite sizes where they may matter.
+
+    Directions of the derivative are kept, to count independent tests.
 
     Parameters
     ----------
@@ -251,8 +253,6 @@ def screen_cause(
         What is to be explained.
     nuisance
         Modal parameters that may adapt.
-    keep
-        Whether directions of the derivative are kept, to count independent tests.
     there
         Linear elements in place; None where there are none.
     """
@@ -260,9 +260,9 @@ def screen_cause(
         return []
     grids = [(cause, place, cause.grid(scene, place)) for place in places]
     if len(places) <= MANY_PLACES or not cause.parameters:
-        return screen(grids, theta, residual, problem, nuisance, keep, there=there)
+        return screen(grids, theta, residual, problem, nuisance, True, there=there)
     first = [(c, place, grid[smallest(grid)]) for c, place, grid in grids]
-    trials = screen(first, theta, residual, problem, nuisance, keep, there=there)
+    trials = screen(first, theta, residual, problem, nuisance, True, there=there)
     rows = {k: row for k, t in enumerate(trials) if (row := linear_size(t, cause)) is not None}
     sized = [(cause, places[k], row[None]) for k, row in rows.items()]
     gains = np.array([t.gain for t in trials])

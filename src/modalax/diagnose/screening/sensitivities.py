@@ -16,12 +16,11 @@ from modalax._numerics.compiler import lightly
 from modalax.diagnose.causes.base import Cause, ChannelCause
 from modalax.diagnose.fitting.nuisance import Nuisance
 from modalax.diagnose.fitting.residual import projected
-from modalax.diagnose.prediction.frf import predict, predict_with_channels
+from modalax.diagnose.prediction.frf import NOWHERE, predict, predict_with_channels
 from modalax.diagnose.screening.screening_fit import Target
 from modalax.diagnose.setup.problem import Problem
 
 BATCH, WHOLE = 32, 8  # trials computed together: of single rows or elements, and of all channels
-NOWHERE = np.zeros((0, 3), np.int64)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from modalax.diagnose.causes.scene import Place
-from modalax.diagnose.screening.products import Reduced, complex_of, ends
+from modalax.diagnose.fitting.residual import complex_of
+from modalax.diagnose.screening.products import Reduced, ends
 
 MANY = 450  # places beyond which only a shortlist is screened
 KEPT = 100  # places on the shortlist

@@ -15,7 +15,6 @@ from modalax.diagnose.decision.detection import detect
 from modalax.diagnose.decision.omnibus import Omnibus, omnibus
 from modalax.diagnose.decision.posterior import Ranked, promise
 from modalax.diagnose.fitting.hypothesis import Hypothesis, searched
-from modalax.diagnose.fitting.residual import jacobian_of
 from modalax.diagnose.screening.every_cause import chosen, screen_all
 from modalax.diagnose.screening.score_state import score_state_of
 from modalax.diagnose.screening.screen import Trial
@@ -259,11 +258,9 @@ def _worth(comparison: Comparison) -> float:
 
 def free_directions(comparison: Comparison, h: Hypothesis) -> np.ndarray:
     """Directions of the fitted parameters, long enough to count as free, shape ``(unknown, o, i, run f 2)``."""
-    problem, nuisance = comparison.problem, comparison.nuisance
+    problem = comparison.problem
     if not h.causes or not len(searched(h)):
         return np.zeros((0, *problem.data.shape[2:], 2 * problem.data.shape[0] * problem.data.shape[1]))
-    J = np.asarray(
-        jacobian_of(h.causes, h.index, h.extras, searched(h), h.theta, nuisance.spread, nuisance.basis, problem)
-    )
+    J = comparison.slopes(h)
     norm = np.sqrt((J**2).sum(axis=(1, 2, 3), keepdims=True))
     return J / np.where(norm > 0, norm, 1.0) * 1e4

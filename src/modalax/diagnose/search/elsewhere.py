@@ -14,7 +14,7 @@ import numpy as np
 from modalax.diagnose.causes.base import LocalCause
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.comparison import Comparison
-from modalax.diagnose.fitting.hypothesis import Hypothesis
+from modalax.diagnose.fitting.hypothesis import Hypothesis, exchanged
 from modalax.diagnose.screening.local_elements import score
 from modalax.diagnose.screening.products import at_places
 from modalax.diagnose.screening.score_state import score_state_of
@@ -38,15 +38,11 @@ def elsewhere(comparison: Comparison, h: Hypothesis) -> list[Hypothesis]:
     """
     used = comparison if h.hum is None else comparison.without(h.hum.lines)
     return [
-        replace(h, places=_with(h.places, j, place), params=_with(h.params, j, p), covariance=None, chi2=np.inf)
+        replace(h, places=exchanged(h.places, j, place), params=exchanged(h.params, j, p), covariance=None, chi2=np.inf)
         for j, cause in enumerate(h.causes)
         if isinstance(cause, LocalCause) and not comparison.late()
         for place, p in _others(used, h, j, cause)
     ]
-
-
-def _with(items: tuple, j: int, new: object) -> tuple:
-    return (*items[:j], new, *items[j + 1 :])
 
 
 def _others(comparison: Comparison, h: Hypothesis, j: int, cause: LocalCause) -> list[tuple[Place, np.ndarray]]:

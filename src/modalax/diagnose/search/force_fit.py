@@ -332,7 +332,7 @@ def laws_by_force(
     scene, seen = comparison.scene, seen_at(comparison, force, several=several)
     order: list[_Sized] = []
     for k, cause in enumerate(causes):
-        at = next((p for p in cause.places(scene) if p.index[:2] == force.place.index[:2]), None)
+        at = force.place_of(cause, scene)
         if at is not None and not (cause.each_run and several) and cause.parameters:
             order += [(*one[:2], k, one[2]) for one in [sized(comparison, cause, at, force, seen)] if one is not None]
     out: list[ForceFit] = []

@@ -7,8 +7,7 @@ import numpy as np
 from modalax.diagnose.causes.base import JointCause
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.gauss_newton import covariance_of
-from modalax.diagnose.fitting.hypothesis import Hypothesis, from_search, searched, split
-from modalax.diagnose.fitting.residual import jacobian_of
+from modalax.diagnose.fitting.hypothesis import Hypothesis, exchanged, from_search, searched, split
 from modalax.diagnose.prediction.frf import NEAR
 from modalax.diagnose.prediction.harmonic_rows import linear_factor
 from modalax.diagnose.prediction.harmonics import HIGHEST
@@ -89,10 +88,9 @@ def limit_of(h: Hypothesis) -> Hypothesis | None:
     simpler = joint.simpler(h.params[k]) if isinstance(joint, JointCause) else None
     if simpler is None:
         return None
-    swap = lambda items, new: (*items[:k], new, *items[k + 1 :])
-    causes, extras = swap(h.causes, simpler[0]), swap(h.extras, None)
+    causes, extras = exchanged(h.causes, k, simpler[0]), exchanged(h.extras, k, None)
     return replace(
-        h, causes=causes, params=swap(h.params, simpler[1]), extras=extras, covariance=None, fidelity=None,
+        h, causes=causes, params=exchanged(h.params, k, simpler[1]), extras=extras, covariance=None, fidelity=None,
         freedom=cost_of(causes, extras) + (h.hum.freedom if h.hum else 0.0),
     )  # fmt: skip
 
@@ -141,12 +139,12 @@ def fitted_in_full(comparison: Comparison, null: Hypothesis, h: Hypothesis) -> H
         A hypothesis with one joint.
     """
     k = h.joints[0]
-    cause, shift = h.causes[k], lambda p: (*h.params[:k], p, *h.params[k + 1 :])
+    cause = h.causes[k]
     assert isinstance(cause, JointCause)
     found: list[Hypothesis] = []
     for group in cause.untold(h.params[k]):
         if not found or not comparison.late():
-            starts = [balanced(comparison, replace(h, params=shift(p))) for p in group]
+            starts = [balanced(comparison, replace(h, params=exchanged(h.params, k, p))) for p in group]
             found.append(settled(comparison, min(starts, key=lambda one: one.chi2)))
     h = min(found, key=lambda one: one.chi2)
     seen = sum(c.unseen for c in h.causes)  # what one harmonic does not show, the others do
@@ -171,7 +169,7 @@ def balanced(comparison: Comparison, h: Hypothesis, rows: np.ndarray | None = No
     k = h.joints[0]
     rows = measured_rows(comparison, h)[1] if rows is None else rows
     factor = _factor(comparison, h, rows, slopes=slopes)
-    extras = (*h.extras[:k], factor, *h.extras[k + 1 :])
+    extras = exchanged(h.extras, k, factor)
     h = replace(h, extras=extras, freedom=h.freedom + cost_of(h.causes, extras) - cost_of(h.causes, h.extras))
     left = comparison.chi2(h)
     return replace(h, chi2=left if np.isfinite(left) else np.inf)
@@ -233,7 +231,7 @@ def with_what_is_left_out(comparison: Comparison, null: Hypothesis, h: Hypothesi
     cause = h.causes[k]
     share = 1.0 if isinstance(cause, JointCause) and cause.rigid else beyond(HIGHEST)
     fewer = _factor(comparison, h, h.extras[k][NEAR:], FEWER)
-    other = replace(h, extras=(*h.extras[:k], fewer, *h.extras[k + 1 :]))
+    other = replace(h, extras=exchanged(h.extras, k, fewer))
     change = comparison.residual(h) - comparison.residual(other)
     effect = comparison.residual(h) - comparison.residual(null)
     fidelity = share * float(np.linalg.norm(change) / max(np.linalg.norm(effect), 1e-300))
@@ -258,10 +256,8 @@ def inflation(comparison: Comparison, h: Hypothesis) -> np.ndarray:
     h
         A fitted hypothesis.
     """
-    problem, nuisance = comparison.problem, comparison.nuisance
-    at = h.causes, h.index, h.extras, searched(h), h.theta, nuisance.spread, nuisance.basis, problem
-    r, J = comparison.real_residual(h), np.asarray(jacobian_of(*at))
-    runs, lines = problem.data.shape[:2]
+    r, J = comparison.real_residual(h), comparison.slopes(h)
+    runs, lines = comparison.problem.data.shape[:2]
     score = (J * r).reshape(len(J), -1, runs * lines, 2).sum(axis=(1, 3))
     flat = J.reshape(len(J), -1)
     A = flat @ flat.T

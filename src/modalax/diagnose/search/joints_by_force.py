@@ -94,7 +94,7 @@ def started(
     force
         The force that was measured.
     """
-    at = next((p for p in cause.places(comparison.scene) if p.index[:2] == force.place.index[:2]), None)
+    at = force.place_of(cause, comparison.scene)
     sized = None if at is None else robust_sizes(comparison, cause, at, force)
     if at is None or sized is None:
         return []

@@ -62,6 +62,10 @@ class MeasuredForce:
     unit: np.ndarray
     information: np.ndarray
 
+    def place_of(self, cause: ElementCause, scene: Scene) -> Place | None:
+        """Where a cause is as an element at the same degrees of freedom; None where it cannot be there."""
+        return next((p for p in cause.places(scene) if p.index[:2] == self.place.index[:2]), None)
+
 
 def measured_forces(comparison: Comparison, places: Sequence[Place], enough: float = np.inf) -> list[MeasuredForce]:
     """The force that an element must have at each place that there is time for, the best place first.
@@ -144,7 +148,7 @@ def starts_from_forces(comparison: Comparison, null: Hypothesis, causes: Sequenc
     out = []
     for force in ranked:
         for cause in laws:
-            at = next((p for p in cause.places(comparison.scene) if p.index[:2] == force.place.index[:2]), None)
+            at = force.place_of(cause, comparison.scene)
             if at is not None and not cause.each_run:
                 sized = sizes_by_force(comparison, cause, at, force)
                 out += [(force.chi2 + m, cause, at, p, force.theta) for m, p in sized]
@@ -264,7 +268,7 @@ def robust_starts(comparison: Comparison, null: Hypothesis, causes: Sequence[Cau
     found = []
     for force in measured_forces(comparison, comparison.joint_places())[:PLACES]:
         for cause in laws:
-            at = next((p for p in cause.places(comparison.scene) if p.index[:2] == force.place.index[:2]), None)
+            at = force.place_of(cause, comparison.scene)
             sized = None if at is None else robust_sizes(comparison, cause, at, force)
             if at is not None and sized is not None:
                 about = replace(null, theta=force.theta)

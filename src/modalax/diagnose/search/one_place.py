@@ -50,7 +50,8 @@ def explain_force(look: Look, causes: Sequence[Cause]) -> Explanation | None:
         least = min((h.chi2 for h, _ in found), default=np.inf)
         fitted = [f for _, f in found]
         for fit in laws_by_force(comparison, elements, force, null.chi2 - force.chi2, least, several, fitted):
-            place = next(p for p in fit.cause.places(comparison.scene) if p.index[:2] == force.place.index[:2])
+            place = force.place_of(fit.cause, comparison.scene)
+            assert place is not None
             found.append((_hypothesis(null, fit, place), fit))
     if not found:
         return None
