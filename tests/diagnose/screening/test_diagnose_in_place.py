@@ -65,7 +65,9 @@ def test_a_further_cause_beside_elements_is_judged_as_if_they_were_built_in():
     """The mass is found at its place, at its size, and its gain is that beside the true structure; channels too."""
     beside, built_in = both_states()
     causes = [AddedMass(), JointStiffness(), ChannelGain(), ChannelSign(), SensorMass(), StrayForce()]
-    found, exact = (screen_all(state, causes, finite=False).ranked for state in (beside, built_in))
+    found, exact = (
+        sorted(screen_all(state, causes, finite=False).trials, key=lambda t: -t.gain) for state in (beside, built_in)
+    )
     assert found[0].cause == AddedMass() and found[0].place.where == ("4",)
     assert abs(found[0].start[0] - 0.05) < 0.002
     by_place = {(t.cause, t.place.where): t.gain for t in exact}

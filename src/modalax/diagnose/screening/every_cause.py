@@ -25,20 +25,12 @@ class Screening:
     ----------
     trials
         All trials.
-    theta
-        The modal parameters about which they were made, shape ``(2, n)``.
     unscreened
         Causes for which there was no time.
     """
 
     trials: list[Trial]
-    theta: np.ndarray
     unscreened: tuple[Cause, ...] = ()
-
-    @property
-    def ranked(self) -> list[Trial]:
-        """By falling gain."""
-        return sorted(self.trials, key=lambda t: -t.gain)
 
 
 @dataclass(frozen=True)
@@ -140,14 +132,13 @@ def screen_all(state: ScoreState, causes: Sequence[Cause], finite: bool = True) 
     finite
         Whether larger sizes of elements are tried too.
     """
-    assert state.hypothesis.theta is not None
     screen = _Screen(state, finite)
     trials: list[Trial] = []
     for k, cause in enumerate(causes):
         if trials and state.comparison.late():
-            return Screening(trials, state.hypothesis.theta, tuple(causes[k:]))
+            return Screening(trials, tuple(causes[k:]))
         trials += screen.trials(cause)
-    return Screening(trials, state.hypothesis.theta)
+    return Screening(trials)
 
 
 def chosen(trials: list[Trial]) -> list[Trial]:
