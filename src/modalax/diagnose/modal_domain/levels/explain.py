@@ -12,7 +12,14 @@ from modalax.diagnose.decision.beliefs import believed
 from modalax.diagnose.modal_domain.levels.change import Base, Levels, projected, unexplained
 from modalax.diagnose.modal_domain.levels.drift import Drift
 from modalax.diagnose.modal_domain.levels.laws import NAMED, NAMELESS, LawFit, fit_law, regressed
-from modalax.diagnose.modal_domain.levels.motion import BALANCED, Motion, for_law, in_harmonics, motions_of
+from modalax.diagnose.modal_domain.levels.motion import (
+    BALANCED,
+    Motion,
+    compliances_of,
+    for_law,
+    in_harmonics,
+    motions_of,
+)
 from modalax.diagnose.modal_domain.levels.series import SERIES
 from modalax.diagnose.modal_domain.levels.weigh import Shapes, weigh
 from modalax.diagnose.thresholds import THRESHOLDS
@@ -256,8 +263,8 @@ def _screened(
 
 def _both(levels: Levels, base: Base, b: np.ndarray) -> list[tuple[Motion, Motion]]:
     """Motions across places, and behind their compliances."""
-    P = projected(levels, base, b)
-    return list(zip(motions_of(levels, base, b, P), motions_of(levels, base, b, P, behind=True), strict=True))
+    motions = motions_of(levels, base, b, projected(levels, base, b))
+    return [(m, m.behind(float(g), levels.force)) for m, g in zip(motions, compliances_of(base, b), strict=True)]
 
 
 def _fitted(

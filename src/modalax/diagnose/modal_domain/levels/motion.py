@@ -146,13 +146,9 @@ class Motion:
         return np.concatenate([self.still[..., None], above], axis=2).transpose(2, 0, 1)
 
 
-def motions_of(levels: Levels, base: Base, b: np.ndarray, p: Projection, behind: bool = False) -> list[Motion]:
-    """What laws are fitted to at places of directions ``b``, shape ``(p, n)``, or ``behind`` the compliance there."""
+def motions_of(levels: Levels, base: Base, b: np.ndarray, p: Projection) -> list[Motion]:
+    """What laws are fitted to at places of directions ``b``, shape ``(p, n)``."""
     across = base.across(b)
-    compliance = np.zeros(len(b))
-    if behind:
-        high = base.across(b, 3.0, max(1, len(base.s) // HARMONIC)).real
-        compliance = np.maximum(np.median(high, axis=0), 0.0)
     still = np.einsum("pn,fni->pfi", b, base.inn)
     out = []
     for k in range(len(b)):
@@ -164,8 +160,14 @@ def motions_of(levels: Levels, base: Base, b: np.ndarray, p: Projection, behind:
             p.force[k], root, float(p.least[k]), p.first[k], still[k] * turn, turn, d * turn,
             np.zeros(0), seen, base.s.imag, 0.0, error=error_of(p, k),
         )  # fmt: skip
-        out.append(plain.behind(float(compliance[k]), levels.force))
+        out.append(plain.behind(0.0, levels.force))
     return out
+
+
+def compliances_of(base: Base, b: np.ndarray) -> np.ndarray:
+    """Compliances that harmonics of the lines meet across places of directions ``b`` [m/N], shape ``(p,)``."""
+    high = base.across(b, 3.0, max(1, len(base.s) // HARMONIC)).real
+    return np.maximum(np.median(high, axis=0), 0.0)
 
 
 def motion_of(levels: Levels, base: Base, b: np.ndarray, law: JointCause, within: bool = True) -> Motion:
