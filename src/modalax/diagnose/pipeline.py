@@ -65,9 +65,8 @@ from modalax.diagnose.extend import ExtendedSimulation
 from modalax.diagnose.gains_said import gains_said
 from modalax.diagnose.jointed.answer import diagnose_joint, joint_comes_first, may_have_joint
 from modalax.diagnose.modal_domain.answer import ModalDiagnosis
-from modalax.diagnose.modal_domain.claimed_modes import ClaimCompared, compared
+from modalax.diagnose.modal_domain.claimed_modes import ClaimCompared, compared, few_causes_near
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
-from modalax.diagnose.modal_domain.few_causes import few_causes_near
 from modalax.diagnose.modal_domain.measured import Measured
 from modalax.diagnose.modal_domain.stage import identified
 from modalax.diagnose.modal_domain.table import by_table

@@ -5,7 +5,7 @@ import pytest
 from chains_off import FREQ, MASSES, SPRINGS, ZETA, as_measured, chain_off, matrices, response, simulation
 
 from modalax.diagnose.deadline import NEVER
-from modalax.diagnose.modal_domain.few_causes import few_causes_near
+from modalax.diagnose.modal_domain.claimed_modes import few_causes_near
 from modalax.diagnose.modal_domain.stage import run_stage
 
 

@@ -1,8 +1,12 @@
-r"""Whether a simulation of which an inaccuracy of its modes is claimed is off in its elements.
+r"""Whether measured modes have another account than elements that are all off: modes as claimed, or few causes.
 
 Where only frequencies and damping ratios are off, mode by mode, all shapes are those of the simulation, and one cause
 beside them bends shapes in a way of its own; elements that are off bend every shape. Both are fitted to the measured
 modes, without and with each leading cause, and their evidence tells which it is.
+
+Where every element is off by a little, no two causes bend all modes alike. Two small things that are wrong of a
+simulation that is exact do look like a general inaccuracy, of a size far below what any simulation has; the search line
+by line, which takes all else as exact, tells them.
 """
 
 from collections.abc import Sequence
@@ -18,9 +22,12 @@ from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.inaccuracy import CLAIMED, Inaccuracy, own_damping
 from modalax.diagnose.modal_domain.linear import SMALLEST
 from modalax.diagnose.modal_domain.measured import Measured
-from modalax.diagnose.modal_domain.stage import posed
+from modalax.diagnose.modal_domain.stage import Stage, posed
 from modalax.diagnose.thresholds import THRESHOLDS
 from modalax.model import Structure
+
+EXACT, HELD = 1e-6, 0.1  # size that a general inaccuracy is held to, and the spread of its logarithm
+BEHIND = 40.0  # nats that they may be behind, as a further cause may bring line by line (``search.compounds``)
 
 
 @dataclass(frozen=True)
@@ -86,3 +93,22 @@ def off_by_modes(simulation: Structure, c: Coordinates, highest: float) -> Inacc
         ("stiffness", "damping"), (stiffness, few), np.array(usual), np.full(2, CLAIMED), (True, True),
         np.repeat([False, True], len(few)),
     )  # fmt: skip
+
+
+def few_causes_near(stage: Stage, late: Deadline) -> bool:
+    """Whether at most two causes beside no general inaccuracy are hardly less likely than what was found.
+
+    Parameters
+    ----------
+    stage
+        The diagnosis by modes.
+    late
+        When no further step begins.
+    """
+    a = stage.setting.inaccuracy
+    exact = replace(a, usual=np.full_like(a.usual, EXACT), spread=np.full_like(a.spread, HELD))
+    setting = replace(stage.setting, inaccuracy=exact)
+    found = one_cause(setting, stage.candidates, late)
+    if found and found[0].causes:
+        found = one_more(setting, found, stage.candidates, late)
+    return bool(found and found[0].log_posterior > stage.explanations[0].log_posterior - BEHIND)
