@@ -125,9 +125,13 @@ class ModalDiagnosis(Diagnosis):
         if self.verdict == "clean":
             return []
         elsewhere = [] if self.moved is None else self.moved.told()
+        return elsewhere + self._linear + self._beyond_modes + ([] if self.hum is None else [hum_told(self.hum)])
+
+    @property
+    def _beyond_modes(self) -> list[dict[str, Any]]:
+        """What tells the force levels apart, and the force that shows on lines only."""
         levels = [] if self.stage.seen is None else causes_told(self.stage.seen, self.stage.whole)
-        on_lines = [] if self.forced is None else [force_told(self.forced)]
-        return elsewhere + self._linear + levels + on_lines + ([] if self.hum is None else [hum_told(self.hum)])
+        return levels + ([] if self.forced is None else [force_told(self.forced)])
 
     @property
     def _linear(self) -> list[dict[str, Any]]:
@@ -152,9 +156,7 @@ class ModalDiagnosis(Diagnosis):
         if others:
             kept = [{"name": c["name"], "where": c["where"]} for c in self._linear]
             return [[*kept, *one] for one in others]
-        joint = [] if self.stage.seen is None else causes_told(self.stage.seen, self.stage.whole)
-        joint = joint if self.forced is None else [*joint, force_told(self.forced)]
-        beside = [{"name": c["name"], "where": c["where"]} for c in joint]
+        beside = [{"name": c["name"], "where": c["where"]} for c in self._beyond_modes]
         return [
             [{"name": slug, "where": list(where)} for slug, where in s.names] + beside
             for s in rivals(self.verdict, self.sets)
