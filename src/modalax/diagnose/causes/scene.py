@@ -21,6 +21,12 @@ class Place:
     index: tuple[int, int, int] = (0, -1, 0)
 
 
+def across(x: np.ndarray, place: Place) -> np.ndarray:
+    """What shapes or participation, ``(..., dof)``, are across a place."""
+    a, b = place.index[:2]
+    return x[..., a] - (x[..., b] if b >= 0 else 0.0)
+
+
 @dataclass
 class Scene:
     """Facts from which causes choose places and starting values, as NumPy arrays without padding.
@@ -69,8 +75,7 @@ class Scene:
     def direction(self, place: Place) -> tuple[np.ndarray, np.ndarray]:
         """Modal displacement across a place, and modal participation of a force there, shape ``(m,)`` each."""
         psi, part = np.asarray(self.modal_form.shapes), np.asarray(self.modal_form.participation)
-        a, b = place.index[:2]
-        return (psi[:, a] - psi[:, b], part[:, a] - part[:, b]) if b >= 0 else (psi[:, a], part[:, a])
+        return across(psi, place), across(part, place)
 
     def drive(self, place: Place) -> np.ndarray:
         """Receptance across a place, shape ``(f,)`` [m/N]."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from modalax._numerics.checks import as_array
 from modalax.diagnose.causes.base import JointCause
+from modalax.diagnose.causes.scene import across
 from modalax.diagnose.decision.beliefs import believed
 from modalax.diagnose.joint_laws import Explained, Task
 from modalax.diagnose.setup.modal_form import modal_form_of
@@ -81,9 +82,8 @@ def _curve(free: Explained, task: Task) -> tuple[np.ndarray, np.ndarray, np.ndar
     assert isinstance(law, JointCause)
     N = np.asarray(law.impedance(as_array(A), as_array(omega), e.params[0]))
     k, c, psi, part = (np.asarray(x) for x in form.adapted(e.theta))
-    a, b = e.places[0].index[:2]
-    across = lambda x: x[:, a] - (x[:, b] if b >= 0 else 0.0)
-    R, poles, s = across(psi) * across(part), np.asarray(form.poles), 1j * omega[:, None]
+    place = e.places[0]
+    R, poles, s = across(psi, place) * across(part, place), np.asarray(form.poles), 1j * omega[:, None]
     H = ((R * (s - poles.conj()) + R.conj() * (s - poles)) / (s**2 + c * s + k)).sum(axis=1)
     size = np.linalg.norm(weight * np.abs(np.asarray(task.problem.data)), axis=2)[on]
     return A, N, size * np.sqrt(free.samples / free.chi2) * np.abs(H / (1 + N * H)), omega

@@ -21,12 +21,12 @@ from jaxtyping import Array
 
 from modalax._numerics.checks import as_array
 from modalax._numerics.compiler import lightly
-from modalax.diagnose.causes.scene import Place
+from modalax.diagnose.causes.scene import Place, across
 from modalax.diagnose.causes.signals import ModalTerms
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.deadline import NEVER, Deadline
 from modalax.diagnose.fitting.hypothesis import Hypothesis
-from modalax.diagnose.fitting.residual import modal_directions
+from modalax.diagnose.fitting.residual import complex_of, modal_directions
 from modalax.diagnose.prediction.frf import gains_of
 from modalax.diagnose.screening.products import gains_and_ends
 from modalax.diagnose.setup.problem import Problem
@@ -82,8 +82,7 @@ class Beside:
         slopes = np.zeros((0, *change.shape), complex)
         if nuisance.active:
             J = np.asarray(modal_directions(theta, nuisance.spread, None, problem))
-            J = J.reshape(*J.shape[:3], *problem.data.shape[:2], 2)
-            slopes = (J[..., 0] + 1j * J[..., 1]).transpose(0, 3, 4, 1, 2)[(slice(None), *cut)]
+            slopes = complex_of(J, problem.data.shape[0])[(slice(None), *cut)]
         form = problem.modal_form
         both, shapes, part = map(
             np.asarray, gains_and_ends(form, as_array(scene.omega), as_array(theta * nuisance.spread))
@@ -218,12 +217,6 @@ class Beside:
             if done:
                 break
         return here, now
-
-
-def across(x: np.ndarray, place: Place) -> np.ndarray:
-    """What shapes or participation, ``(..., dof)``, are across a place."""
-    a, b = place.index[:2]
-    return x[..., a] - (x[..., b] if b >= 0 else 0.0)
 
 
 class ByModes(NamedTuple):
