@@ -159,6 +159,7 @@ def test_rivals_of_the_linear_causes_hold_the_joint_as_well(monkeypatch):
     given = SimpleNamespace(
         verdict="ambiguous", stage=SimpleNamespace(seen=object(), whole=None), sets=sets, _linear=[], forced=None
     )
+    given._beyond_modes = answers.ModalDiagnosis._beyond_modes.fget(given)
     rivals = answers.ModalDiagnosis.alternatives.fget(given)
     assert [[(c["name"], c["where"]) for c in s] for s in rivals] == [
         [("joint_stiffness", ["6:X", "7:X"]), ("elasto_slip", ["7:X"])]
