@@ -235,16 +235,19 @@ def _parts(
     else: few lines, those at an antiresonance, tell how small it is, and one channel's may be nothing by chance.
     """
     mean = np.maximum(value.mean(axis=1, keepdims=True), 1e-290)
-    value = value / mean  # squares of the smallest variances would be nothing
-    parts = [np.ones_like(mean) / len(basis) for _ in basis]
-    model = np.sum([a * g for a, g in zip(parts, basis, strict=True)], axis=0)
+    along = lambda x: np.ascontiguousarray(np.moveaxis(x, 1, -1))
+    told = along(value / mean)  # squares of the smallest variances would be nothing
+    each = np.stack([along(np.broadcast_to(g, value.shape)) for g in basis])
+    parts = np.full((len(basis), *told.shape[:-1]), 1 / len(basis))
+    model = np.einsum("p...,p...f->...f", parts, each)
     for _ in range(rounds):
-        up = [(g * value / model**2).sum(axis=1, keepdims=True) for g in basis]
-        down = [(g / model).sum(axis=1, keepdims=True) for g in basis]
+        inverse = 1 / model
+        up = np.einsum("p...f,...f->p...", each, told * inverse**2)
+        down = np.einsum("p...f,...f->p...", each, inverse)
         if tied:
             first = np.maximum(parts[0], 1e-12)
-            up[0], down[0] = up[0] + tied * first.mean() / first**2, down[0] + tied / first
-        parts = [a * np.sqrt(u / np.maximum(d, 1e-300)) for a, u, d in zip(parts, up, down, strict=True)]
-        total = np.sum([a * g for a, g in zip(parts, basis, strict=True)], axis=0)
-        model = np.maximum(total, 1e-12)
-    return [a * mean for a in parts], model * mean
+            up[0] += tied * first.mean() / first**2
+            down[0] += tied / first
+        parts = parts * np.sqrt(up / np.maximum(down, 1e-300))
+        model = np.maximum(np.einsum("p...,p...f->...f", parts, each), 1e-12)
+    return [a[:, None] * mean for a in parts], np.moveaxis(model, -1, 1) * mean
