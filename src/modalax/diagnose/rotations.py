@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from modalax.data.dofs import parse_dof
+from modalax.diagnose.modal_domain.nodes import nodes_of
 from modalax.diagnose.modal_domain.turns import nodes_in
 from modalax.model import Structure
 
@@ -25,7 +26,9 @@ def rotations_in(simulation: object) -> frozenset[str]:
     """Degrees of freedom of a structure that are rotations though their names do not tell, by its stiffness."""
     if not isinstance(simulation, Structure):
         return frozenset()
-    axis = nodes_in(simulation.dofs, np.asarray(simulation.K)).axis
+    axis = nodes_of(simulation.dofs).axis
+    if (axis < 0).any():  # else the stiffness tells at most about which axis a rotation is
+        axis = nodes_in(simulation.dofs, np.asarray(simulation.K)).axis
     return frozenset(name for name, one in zip(simulation.dofs, axis.tolist(), strict=True) if one > 2)
 
 
