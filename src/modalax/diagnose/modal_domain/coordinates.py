@@ -233,8 +233,10 @@ def _orthogonal(poles: np.ndarray, vectors: np.ndarray, damping: np.ndarray) -> 
     Any vectors of a repeated pole are such ones. With the factors :math:`G = U\Sigma U^T` (Takagi 1924) of their
     products in that norm, which always exist, :math:`\Sigma^{-1/2}U^H` times them are orthogonal.
     """
-    out = vectors.copy()
     same = np.abs(np.diff(poles)) < ROUNDING * np.abs(poles[1:])
+    if not same.any():
+        return vectors
+    out = vectors.copy()
     for some in np.split(np.arange(len(poles)), np.flatnonzero(~same) + 1):
         if len(some) < 2:
             continue

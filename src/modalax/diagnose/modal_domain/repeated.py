@@ -235,10 +235,11 @@ def further(
     pairs
         The predicted mode that belongs to each measured one, shape ``(k,)``.
     """
-    others = np.delete(np.arange(len(poles)), pairs)
-    own, grouped = poles[pairs], [k for group in groups for k in group.rows]
+    free = np.ones(len(poles), bool)
+    free[pairs] = False
+    others, own = np.flatnonzero(free), poles[pairs]
+    grouped, rows, numbers = [k for group in groups for k in group.rows], [], []
     apart = np.abs(poles[others, None] - own) - reach(own)
-    rows, numbers = [], []
     for j in np.flatnonzero((apart < 0).any(axis=1)):
         k = int(apart[j].argmin())
         weight = _weights(along[k], residues[[pairs[k], others[j]]])
