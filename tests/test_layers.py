@@ -156,21 +156,28 @@ def test_compiler_flags_of_the_user_stay():
 def test_names_load_when_they_are_asked_for():
     """The packages and the names at the top are listed, are there without an import of their own, and lead home.
 
-    None imports pyplot, which keeps every figure alive and picks a window system.
+    None imports pyplot, which keeps every figure alive and picks a window system, and none switches warnings off
+    wholesale (NumPy does so with three texts).
     """
     told, _ = in_fresh_python(
-        "import modalax, sys\n"
+        "import sys, warnings\n"
+        "before = list(warnings.filters)\n"
+        "import modalax\n"
         "assert {n for n in dir(modalax) if not n.startswith('__')} == {*modalax.__all__} - {'__version__'}\n"
         "assert '__version__' in dir(modalax)\n"
         "loaded = {name: getattr(modalax, name) for name in modalax.__all__}\n"
-        "import modalax.diagnose, modalax.files, modalax.simulate, jax\n"
+        "import modalax.diagnose, modalax.files, modalax.identify, modalax.simulate, jax\n"
         "assert all(sys.modules[f'modalax.{p}'] is loaded[p] for p in modalax.PACKAGES)\n"
         "assert loaded['FRF'] is modalax.data.FRF and loaded['load'] is modalax.files.load\n"
         "assert callable(modalax.diagnose) and callable(modalax.diagnose.diagnose)\n"
         "told = ('pyuff', 'plotly', 'xarray', 'matplotlib.pyplot')\n"
-        "print(modalax.show.plot_frf and jax.config.jax_enable_x64, [m for m in told if m in sys.modules])"
+        "print(modalax.show.plot_frf and jax.config.jax_enable_x64, [m for m in told if m in sys.modules])\n"
+        "print([f for f in warnings.filters if f not in before and f[0] == 'ignore' and f[1] is None])\n"
+        "for kind in (UserWarning, RuntimeWarning, FutureWarning):\n"
+        "    try: warnings.warn('unheard', kind)\n"
+        "    except kind: print('heard')"
     )
-    assert told == "False []\n"
+    assert told == "False []\n[]\n" + 3 * "heard\n"
 
 
 def test_a_name_that_does_not_exist_is_told():

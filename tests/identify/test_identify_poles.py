@@ -1,6 +1,4 @@
 import dataclasses
-import subprocess
-import sys
 from functools import partial
 
 import jax
@@ -209,18 +207,6 @@ class TestPeersDefects:
         for thing, name in ((noisy, "H"), (first, "poles"), (selection, "score")):
             with pytest.raises(dataclasses.FrozenInstanceError):
                 setattr(thing, name, getattr(thing, name))
-
-    def test_warnings_are_heard_after_the_import(self):
-        """In an interpreter of its own: no warnings are switched off wholesale (NumPy does so with three texts)."""
-        code = (
-            "import warnings; before = list(warnings.filters)\n"
-            "import modalax, modalax.identify, modalax.files, modalax.diagnose\n"
-            "print([f for f in warnings.filters if f not in before and f[0] == 'ignore' and f[1] is None])\n"
-            "for kind in (UserWarning, RuntimeWarning, FutureWarning): warnings.warn('heard', kind)"
-        )
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-        assert done.stdout.strip() == "[]"
-        assert done.stderr.count("Warning: heard") == 3
 
 
 def test_moments_give_the_same_normal_matrix(paper):
