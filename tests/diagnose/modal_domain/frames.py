@@ -1,5 +1,7 @@
 """A small frame whose elements can be off, and its FRFs, by plain NumPy."""
 
+from functools import cache
+
 import jax
 
 jax.config.update("jax_enable_x64", True)
@@ -8,6 +10,8 @@ import numpy as np  # noqa: E402
 import scipy.linalg  # noqa: E402
 
 from modalax.data import Measurement  # noqa: E402
+from modalax.diagnose.modal_domain.answer import ModalDiagnosis  # noqa: E402
+from modalax.diagnose.modal_domain.diagnosis import diagnose_modes  # noqa: E402
 from modalax.model import Structure  # noqa: E402
 
 ELEMENTS, LENGTH, BENDING, MASS = 8, 0.15, 60.0, 0.8  # a number, m, N m^2, kg/m
@@ -122,3 +126,10 @@ def measured(
         variance=np.broadcast_to(sigma**2, (runs, *sigma.shape)) if given else None,
     )  # fmt: skip
     return data, true
+
+
+@cache
+def heavier() -> tuple[Measurement, ModalDiagnosis | None]:
+    """A beam whose elements are off by 1 %, with 50 g at node 5, and its diagnosis, for several tests to look at."""
+    data, _ = measured(2, 0.01, mass=("5:+Z", 0.05))
+    return data, diagnose_modes(data, simulation())

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from frames import DAMPING, DOFS, FLIP, cantilever, measured, simulation
+from frames import DAMPING, DOFS, FLIP, cantilever, heavier, measured, simulation
 from kinds import FEW_OR_ALL
 
 from modalax.diagnose import ExtendedSimulation
@@ -76,8 +76,7 @@ def test_the_inaccuracy_of_damping_is_that_of_the_modes_though_damping_hardly_co
 
 
 def test_a_mass_stands_out_beyond_the_general_inaccuracy():
-    data, _ = measured(2, 0.01, mass=("5:+Z", 0.05))
-    found = diagnose_modes(data, simulation())
+    data, found = heavier()
     answer = found.to_dict()
     assert answer["verdict"] == "named"
     assert [(c["name"], c["where"]) for c in answer["causes"]] == [("added_mass", ["5:+Z"])]

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.linalg
-from frames import measured, simulation
+from frames import heavier, measured, simulation
 from test_modal_repeated import measured as measured_ring
 from test_modal_repeated import setting_of, uneven
 
@@ -102,8 +102,7 @@ def test_screening_by_the_directions_is_that_over_all_channels(inputs, monkeypat
 
 
 def test_a_mass_is_named_by_few_directions_and_fitted_to_all(monkeypatch):
-    data, _ = measured(2, 0.01, mass=("5:+Z", 0.05), lines=120)
-    plain = diagnose_modes(data, simulation())
+    data, plain = heavier()
     monkeypatch.setattr(module, "LEADING", 2)
     steps = []
     found = diagnose_modes(data, simulation(), tell=steps.append)
