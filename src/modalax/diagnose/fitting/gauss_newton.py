@@ -16,7 +16,7 @@ from modalax.diagnose.fitting.residual import whitened
 from modalax.diagnose.setup.problem import Problem
 
 ROUNDS, SETTLED = 14, 5e-3  # steps of the search; change of chi-square at which it ends
-LONG = 30_000  # samples from which on to run a program longer costs more than to compile it better
+LONG = 8_000  # samples from which on ten steps of a program cost more than to compile it better
 UNSEEN = 1e-12  # share of the information below which a combination of unknowns is not seen
 
 
@@ -38,7 +38,7 @@ def _normal(causes, index, extras, x, chooser, spread, basis, problem):
 
 
 _quickly = jax.jit(_normal, static_argnames="causes", compiler_options=lightly(0))
-_at_length = jax.jit(_normal, static_argnames="causes", compiler_options=lightly(1))
+_at_length = jax.jit(_normal, static_argnames="causes", compiler_options=lightly(2))
 
 
 def fit_many(
