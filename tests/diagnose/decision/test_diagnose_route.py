@@ -35,8 +35,9 @@ OFF = {"stiffness": {"value": 0.02, "interval": [0.01, 0.03]}, "mass": {"value":
 EXACT = {"stiffness": {"value": 1e-4, "interval": [5e-5, 2e-4]}, "mass": {"value": 0.01, "interval": [0.0, 0.02]}}
 MAYBE = {"stiffness": {"value": 1e-4, "interval": [0.0, 2e-4]}, "mass": {"value": 1e-4, "interval": [0.0, 2e-3]}}
 mass_off = lambda size: {**MAYBE, "mass": {"value": size, "interval": [0.75 * size, 2 * size]}}
-damped = lambda least, most=3e-3: {
-    **MAYBE, "stiffness": {"value": 1e-4, "interval": [0.0, most]}, "damping": {"value": 0.1, "interval": [least, 0.3]}
+damped = lambda least, most=3e-3, value=0.1: {
+    **MAYBE, "stiffness": {"value": 1e-4, "interval": [0.0, most]},
+    "damping": {"value": value, "interval": [least, 3 * value]},
 }  # fmt: skip
 SURE = Outcome("named", 1.05, 0.3, 0.9995, 0, EXACT)
 
@@ -145,6 +146,8 @@ def test_one_force_is_looked_for_first_where_that_is_quick_and_can_be_right(task
         (Outcome("clean", 1.0, 0.3, inaccuracy=MAYBE), LARGE, False),  # lines see smaller things,
         (Outcome("clean", 1.0, 0.3, inaccuracy=MAYBE), replace(LARGE, samples=50_000), True),  # but would take too long
         (Outcome("clean", 1.0, 0.3, inaccuracy=damped(0.02)), LARGE, True),
+        (Outcome("clean", 1.0, 0.3, inaccuracy=damped(0.002, value=0.009)), LARGE, False),  # one small thing rather
+        (Outcome("clean", 1.0, 0.3, inaccuracy=damped(0.002, value=0.011)), LARGE, True),
         (Outcome("clean", 1.0, 0.3, inaccuracy=MAYBE), replace(LARGE, elements_off=True), True),
         (Outcome("clean", 1.04, 1e-9, inaccuracy=MAYBE), LARGE, False),  # something is left that is no mode
         (Outcome("clean", 1.0, 0.3, inaccuracy=mass_off(4e-4)), SMALL, False),  # or one mass is

@@ -306,8 +306,12 @@ def may_be_exact(found: Outcome) -> bool:
 
 
 def dampings_off(found: Outcome) -> bool:
-    """Whether the dampings are certainly off in general."""
-    return (found.inaccuracy or {}).get("damping", {"interval": (0.0, 0.0)})["interval"][0] > 0
+    """Whether the dampings are certainly off in general.
+
+    By less than any simulation's are, one thing that is wrong elsewhere is more likely what seems to be all of them.
+    """
+    damping = (found.inaccuracy or {}).get("damping", {"value": 0.0, "interval": (0.0, 0.0)})
+    return damping["interval"][0] > 0 and damping["value"] > THRESHOLDS.damping_off
 
 
 def decisive(found: Outcome, task: Task) -> bool:
