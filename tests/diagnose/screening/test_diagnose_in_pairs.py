@@ -9,7 +9,10 @@ from modalax.diagnose.causes.channels import ChannelGain, ChannelSign, SensorMas
 from modalax.diagnose.causes.joints import ElastoSlip
 from modalax.diagnose.causes.local import AddedMass, JointStiffness, TunedMass
 from modalax.diagnose.screening.every_cause import screen_all
+from modalax.diagnose.search import explain
+from modalax.diagnose.search.compounds import Leavings
 from modalax.diagnose.search.in_pairs import best_pairs
+from modalax.diagnose.search.look import look
 
 CAUSES = [AddedMass(), JointStiffness(), TunedMass(), ElastoSlip(False), ChannelGain(), ChannelSign(), SensorMass()]
 SPRING, MASS = 1500.0, 0.02  # 0.8 % of a spring, 2 % of a mass
@@ -78,3 +81,19 @@ def test_masses_are_added_and_no_cause_is_paired_with_itself():
         assert pair.trials[0].place != pair.trials[1].place or pair.trials[0].cause != pair.trials[1].cause
         assert all(t.start[0] > 0 for t in pair.trials if t.cause.parameters[0].lower >= 0)
     assert best_pairs(state, trials[:1]) == []
+
+
+def test_one_cause_of_a_pair_that_explains_all_stands_alone(monkeypatch):
+    """The search of single causes came by another only; beside the right one its partner has no size."""
+    _, _, _, trials = drawn(False)
+    pair = next(p for p in best_pairs(drawn(False)[2], trials) if names(p) == TRUTH)
+    nominal = grid(7, False)
+    comparison, state = comparison_of(nominal, heavier(nominal, 5, MASS))
+    seen = look(comparison, CAUSES, finite=False)
+    wrong = next(t for t in seen.screening.trials if (t.cause.slug, t.place.where) == ("added_mass", ("3",)))
+    fitted = comparison.fit([state.hypothesis.with_cause(wrong.cause, wrong.place, None, np.array([MASS]))], 20)
+    monkeypatch.setattr(explain, "best_pairs", lambda *_: [pair])
+    rest = Leavings(comparison, seen.null, CAUSES)
+    _, ranked, _ = explain.both_at_once(seen, comparison, fitted, explain.weigh(seen, fitted), rest)
+    assert ranked[0].names == {("added_mass", ("6",))}
+    assert any(len(r.names) == 2 for r in ranked)

@@ -13,7 +13,15 @@ from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.screening.every_cause import chosen
 from modalax.diagnose.screening.score_state import score_state_of
 from modalax.diagnose.search.candidates import best_of_each, moderate
-from modalax.diagnose.search.compounds import FURTHER, Leavings, Rest, exchanged, fit_together, one_more_cause
+from modalax.diagnose.search.compounds import (
+    FURTHER,
+    Leavings,
+    Rest,
+    exchanged,
+    fit_together,
+    one_more_cause,
+    without_cause,
+)
 from modalax.diagnose.search.elsewhere import elsewhere
 from modalax.diagnose.search.harmonics import is_limit, joints_in_full
 from modalax.diagnose.search.imitator_check import apart, imitations, likeness
@@ -337,8 +345,8 @@ def both_at_once(
 ) -> tuple[list[Hypothesis], list[Ranked], bool]:
     """Fit the pairs of causes that promise most at once, where the leading cause leaves more than noise.
 
-    The search is settled where one of these pairs leads, leaves no more than noise and takes away what it promised in
-    linear order, so that other pairs keep what they promise as well.
+    Either cause of the leading pair is fitted alone, too. The search is settled where what leads then leaves no more
+    than noise and the pair takes away what it promised in linear order, so that other pairs keep what they promise.
     """
     best = ranked[0].best
     if len(best.causes) != 1 or best.hum is not None or comparison.late() or rest(best).p_value > THRESHOLDS.doubtful:
@@ -352,11 +360,14 @@ def both_at_once(
     found = comparison.fit([p.start(look.null) for p in pairs], PATIENT)
     fitted = fitted + [h for h in found if moderate(h, comparison)]
     fitted, ranked = leader_in_full(look, comparison, fitted, weigh(look, fitted, comparison))
-    lead = ranked[0].best
-    promised = {frozenset((t.cause.slug, t.place.where) for t in p.trials): p.gain for p in pairs}.get(lead.names)
-    if promised is None or rest(lead).p_value < SEVERAL:
+    pair = ranked[0].best
+    if len(pair.causes) > 1 and not comparison.late():  # one that no search of single causes came by may explain all
+        fitted = fitted + fit_together(comparison, [without_cause(pair, j) for j in range(len(pair.causes))])
+        fitted, ranked = leader_in_full(look, comparison, fitted, weigh(look, fitted, comparison))
+    promised = {frozenset((t.cause.slug, t.place.where) for t in p.trials): p.gain for p in pairs}.get(pair.names)
+    if promised is None or rest(ranked[0].best).p_value < SEVERAL:
         return fitted, ranked, False
-    return fitted, ranked, abs(look.null.chi2 - lead.chi2 - promised) < NEARLY * promised
+    return fitted, ranked, abs(look.null.chi2 - pair.chi2 - promised) < NEARLY * promised
 
 
 def beside_named(
