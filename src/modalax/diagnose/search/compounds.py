@@ -104,6 +104,11 @@ def without_cause(h: Hypothesis, j: int) -> Hypothesis:
     )  # fmt: skip
 
 
+def alone(comparison: Comparison, h: Hypothesis) -> list[Hypothesis]:
+    """Without one of its causes after the other, fitted; of two causes these are either alone."""
+    return fit_together(comparison, [without_cause(h, j) for j in range(len(h.causes))])
+
+
 def one_more_cause(
     comparison: Comparison, ranked: list[Ranked], rest: Callable[[Hypothesis], "Rest"], done: list[Hypothesis],
     weigh: Callable[[list[Hypothesis]], list[Ranked]],

@@ -13,15 +13,7 @@ from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.screening.every_cause import chosen
 from modalax.diagnose.screening.score_state import score_state_of
 from modalax.diagnose.search.candidates import best_of_each, moderate
-from modalax.diagnose.search.compounds import (
-    FURTHER,
-    Leavings,
-    Rest,
-    exchanged,
-    fit_together,
-    one_more_cause,
-    without_cause,
-)
+from modalax.diagnose.search.compounds import FURTHER, Leavings, Rest, alone, exchanged, fit_together, one_more_cause
 from modalax.diagnose.search.elsewhere import elsewhere
 from modalax.diagnose.search.harmonics import is_limit, joints_in_full
 from modalax.diagnose.search.imitator_check import apart, imitations, likeness
@@ -362,7 +354,7 @@ def both_at_once(
     fitted, ranked = leader_in_full(look, comparison, fitted, weigh(look, fitted, comparison))
     pair = ranked[0].best
     if len(pair.causes) > 1 and not comparison.late():  # one that no search of single causes came by may explain all
-        fitted = fitted + fit_together(comparison, [without_cause(pair, j) for j in range(len(pair.causes))])
+        fitted = fitted + alone(comparison, pair)
         fitted, ranked = leader_in_full(look, comparison, fitted, weigh(look, fitted, comparison))
     promised = {frozenset((t.cause.slug, t.place.where) for t in p.trials): p.gain for p in pairs}.get(pair.names)
     if promised is None or rest(ranked[0].best).p_value < SEVERAL:
