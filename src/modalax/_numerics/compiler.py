@@ -27,7 +27,7 @@ def set_up() -> None:
 
 
 def lightly(level: int = 1) -> dict[str, int]:
-    """Compiler options of a program that runs often but is small, a few times only, or once: level 2, 1 or 0 of 3.
+    """Compiler options of a program that runs tens of times, a few times, or once: level 2, 1 or 0 of 3.
 
     The lower the level, the sooner a program is compiled and the longer it runs. Where ``XLA_FLAGS`` name a level, that
     counts.

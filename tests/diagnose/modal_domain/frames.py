@@ -2,17 +2,13 @@
 
 from functools import cache
 
-import jax
+import numpy as np
+import scipy.linalg
 
-jax.config.update("jax_enable_x64", True)
-
-import numpy as np  # noqa: E402
-import scipy.linalg  # noqa: E402
-
-from modalax.data import Measurement  # noqa: E402
-from modalax.diagnose.modal_domain.answer import ModalDiagnosis  # noqa: E402
-from modalax.diagnose.modal_domain.diagnosis import diagnose_modes  # noqa: E402
-from modalax.model import Structure  # noqa: E402
+from modalax.data import Measurement
+from modalax.diagnose.modal_domain.answer import ModalDiagnosis
+from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.model import Structure
 
 ELEMENTS, LENGTH, BENDING, MASS = 8, 0.15, 60.0, 0.8  # a number, m, N m^2, kg/m
 DAMPING = 0.01

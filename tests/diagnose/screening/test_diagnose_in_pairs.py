@@ -85,9 +85,8 @@ def test_masses_are_added_and_no_cause_is_paired_with_itself():
 
 def test_one_cause_of_a_pair_that_explains_all_stands_alone(monkeypatch):
     """The search of single causes came by another only; beside the right one its partner has no size."""
-    _, _, _, trials = drawn(False)
-    pair = next(p for p in best_pairs(drawn(False)[2], trials) if names(p) == TRUTH)
-    nominal = grid(7, False)
+    nominal, _, both, trials = drawn(False)
+    pair = next(p for p in best_pairs(both, trials) if names(p) == TRUTH)
     comparison, state = comparison_of(nominal, heavier(nominal, 5, MASS))
     seen = look(comparison, CAUSES, finite=False)
     wrong = next(t for t in seen.screening.trials if (t.cause.slug, t.place.where) == ("added_mass", ("3",)))

@@ -133,8 +133,8 @@ class Hypothesis:
         )  # fmt: skip
 
 
-def exchanged(items: tuple, k: int, new: Any) -> tuple:
-    """The items with another one in the place of one."""
+def with_item(items: tuple, k: int, new: Any) -> tuple:
+    """The items with another one at number k."""
     return (*items[:k], new, *items[k + 1 :])
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from modalax.diagnose.causes.base import LocalCause
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.comparison import Comparison
-from modalax.diagnose.fitting.hypothesis import Hypothesis, exchanged
+from modalax.diagnose.fitting.hypothesis import Hypothesis, with_item
 from modalax.diagnose.screening.local_elements import score
 from modalax.diagnose.screening.products import at_places
 from modalax.diagnose.screening.score_state import score_state_of
@@ -38,7 +38,7 @@ def elsewhere(comparison: Comparison, h: Hypothesis) -> list[Hypothesis]:
     """
     used = comparison if h.hum is None else comparison.without(h.hum.lines)
     return [
-        replace(h, places=exchanged(h.places, j, place), params=exchanged(h.params, j, p), covariance=None, chi2=np.inf)
+        replace(h, places=with_item(h.places, j, place), params=with_item(h.params, j, p), covariance=None, chi2=np.inf)
         for j, cause in enumerate(h.causes)
         if isinstance(cause, LocalCause) and not comparison.late()
         for place, p in _others(used, h, j, cause)

@@ -7,7 +7,7 @@ import numpy as np
 from modalax.diagnose.causes.base import JointCause
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.gauss_newton import covariance_of
-from modalax.diagnose.fitting.hypothesis import Hypothesis, exchanged, from_search, searched, split
+from modalax.diagnose.fitting.hypothesis import Hypothesis, from_search, searched, split, with_item
 from modalax.diagnose.prediction.frf import NEAR
 from modalax.diagnose.prediction.harmonic_rows import linear_factor
 from modalax.diagnose.prediction.harmonics import HIGHEST
@@ -88,9 +88,9 @@ def limit_of(h: Hypothesis) -> Hypothesis | None:
     simpler = joint.simpler(h.params[k]) if isinstance(joint, JointCause) else None
     if simpler is None:
         return None
-    causes, extras = exchanged(h.causes, k, simpler[0]), exchanged(h.extras, k, None)
+    causes, extras = with_item(h.causes, k, simpler[0]), with_item(h.extras, k, None)
     return replace(
-        h, causes=causes, params=exchanged(h.params, k, simpler[1]), extras=extras, covariance=None, fidelity=None,
+        h, causes=causes, params=with_item(h.params, k, simpler[1]), extras=extras, covariance=None, fidelity=None,
         freedom=cost_of(causes, extras) + (h.hum.freedom if h.hum else 0.0),
     )  # fmt: skip
 
@@ -144,7 +144,7 @@ def fitted_in_full(comparison: Comparison, null: Hypothesis, h: Hypothesis) -> H
     found: list[Hypothesis] = []
     for group in cause.untold(h.params[k]):
         if not found or not comparison.late():
-            starts = [balanced(comparison, replace(h, params=exchanged(h.params, k, p))) for p in group]
+            starts = [balanced(comparison, replace(h, params=with_item(h.params, k, p))) for p in group]
             found.append(settled(comparison, min(starts, key=lambda one: one.chi2)))
     h = min(found, key=lambda one: one.chi2)
     seen = sum(c.unseen for c in h.causes)  # what one harmonic does not show, the others do
@@ -169,7 +169,7 @@ def balanced(comparison: Comparison, h: Hypothesis, rows: np.ndarray | None = No
     k = h.joints[0]
     rows = measured_rows(comparison, h)[1] if rows is None else rows
     factor = _factor(comparison, h, rows, slopes=slopes)
-    extras = exchanged(h.extras, k, factor)
+    extras = with_item(h.extras, k, factor)
     h = replace(h, extras=extras, freedom=h.freedom + cost_of(h.causes, extras) - cost_of(h.causes, h.extras))
     left = comparison.chi2(h)
     return replace(h, chi2=left if np.isfinite(left) else np.inf)
@@ -231,7 +231,7 @@ def with_what_is_left_out(comparison: Comparison, null: Hypothesis, h: Hypothesi
     cause = h.causes[k]
     share = 1.0 if isinstance(cause, JointCause) and cause.rigid else beyond(HIGHEST)
     fewer = _factor(comparison, h, h.extras[k][NEAR:], FEWER)
-    other = replace(h, extras=exchanged(h.extras, k, fewer))
+    other = replace(h, extras=with_item(h.extras, k, fewer))
     change = comparison.residual(h) - comparison.residual(other)
     effect = comparison.residual(h) - comparison.residual(null)
     fidelity = share * float(np.linalg.norm(change) / max(np.linalg.norm(effect), 1e-300))

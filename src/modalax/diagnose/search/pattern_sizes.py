@@ -7,7 +7,7 @@ import numpy as np
 
 from modalax.diagnose.causes.base import PatternCause
 from modalax.diagnose.comparison import Comparison
-from modalax.diagnose.fitting.hypothesis import Hypothesis, exchanged
+from modalax.diagnose.fitting.hypothesis import Hypothesis, with_item
 from modalax.diagnose.screening.patterns import screen_pattern
 from modalax.diagnose.screening.score_state import score_state_of
 
@@ -25,11 +25,11 @@ def settle_pattern(comparison: Comparison, h: Hypothesis) -> Hypothesis:
             cause = h.causes[k]
             assert isinstance(cause, PatternCause)
             off = np.concatenate([np.zeros(cause.terms), h.params[k][cause.terms :]])
-            bare = replace(h, params=exchanged(h.params, k, off))
+            bare = replace(h, params=with_item(h.params, k, off))
             fixed = _Fixed(cause, h.params[k][cause.terms :])
             side = score_state_of(comparison, bare).sides[False]
             t = screen_pattern(fixed, comparison.scene, side, comparison.pooled)
-            trial = replace(h, extras=exchanged(h.extras, k, t.extra), params=exchanged(h.params, k, t.start))
+            trial = replace(h, extras=with_item(h.extras, k, t.extra), params=with_item(h.params, k, t.start))
             new = comparison.fit([trial], FIRST_ROUNDS)[0]
             h = new if new.chi2 < h.chi2 else h
         if before - h.chi2 < 0.1:

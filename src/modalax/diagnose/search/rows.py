@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from modalax.diagnose.comparison import Comparison
-from modalax.diagnose.fitting.hypothesis import Hypothesis, exchanged
+from modalax.diagnose.fitting.hypothesis import Hypothesis, with_item
 from modalax.diagnose.prediction.frf import GIVEN
 from modalax.diagnose.prediction.harmonics import beside_joints
 from modalax.diagnose.search.candidates import cost_of, set_aside
@@ -79,7 +79,7 @@ def _by_law(h: Hypothesis) -> Hypothesis:
         return h
     extra = np.array(h.extras[k])
     extra[GIVEN] = 0.0
-    return replace(h, extras=exchanged(h.extras, k, extra))
+    return replace(h, extras=with_item(h.extras, k, extra))
 
 
 def measured_rows(comparison: Comparison, h: Hypothesis) -> tuple[Measured, np.ndarray]:
@@ -115,7 +115,7 @@ def with_rows(comparison: Comparison, h: Hypothesis) -> Hypothesis:
     shape = found.force.shape
     one, none = np.ones((1, *shape)), np.zeros((len(h.params[k]), *shape))
     extra = np.concatenate([one, none, found.series[None], rows])
-    extras = exchanged(h.extras, k, extra)
+    extras = with_item(h.extras, k, extra)
     return replace(h, extras=extras, freedom=cost_of(h.causes, extras))
 
 
