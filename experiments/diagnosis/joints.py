@@ -4,9 +4,9 @@ usage: python experiments/diagnosis/joints.py FOLDER [--first 0] [--count 60] [-
        python experiments/diagnosis/joints.py --report RESULTS.jsonl
 
 Draws joint cases on small spring-mass structures (5 to 10 degrees of freedom, three force levels, one input), all
-laws in turn, d from 10 to 10,000 and noise from 0.1 to 5 % in logarithmic steps at random, marched in time by the
-generator of hidden effects, which shares no code with the package and knows no harmonics. Each is diagnosed once, in
-at most ``--time`` seconds plus what a begun step takes; truth and answer go to a file of the folder, and a
+laws in turn, d from 10 to 10,000 (``--sizes``) and noise from 0.1 to 5 % in logarithmic steps at random, marched in
+time by the generator of hidden effects, which shares no code with the package and knows no harmonics. Each is diagnosed
+once, in at most ``--time`` seconds plus what a begun step takes; truth and answer go to a file of the folder, and a
 run that was stopped at any time goes on where it was. ``--first 60 --count 60`` answers the second sixty of a draw;
 ``--keep FILE`` writes all of the folder into one file, one a line. Cases of which more than a hundredth of the lines
 have no steady motion (``unsettled_rows`` in the truth) are left out: there is no FRF to answer to.
@@ -46,12 +46,12 @@ def small_structure(rng: np.random.Generator) -> int:
             return seed
 
 
-def draw(seed: int, k: int) -> Case | None:
-    """Case ``k`` of a draw; None where no small structure shows that law at that size in a few attempts."""
+def draw(seed: int, k: int, sizes: tuple[float, float] = SIZES) -> Case | None:
+    """Case ``k`` of a draw; None where no small structure shows that law at such a size in a few attempts."""
     slug = list(JOINTS)[k % len(JOINTS)]
     for attempt in range(4):
         rng = np.random.default_rng([zlib.crc32(b"joints"), seed, k, attempt])
-        d, noise = (float(np.exp(rng.uniform(*np.log(range_)))) for range_ in (SIZES, NOISE))
+        d, noise = (float(np.exp(rng.uniform(*np.log(range_)))) for range_ in (sizes, NOISE))
         variance = str(rng.choice(["exact", "16"]))
         plan = {"noise_level": noise, "variance": variance, "runs": 3, "inputs": 1, "structure": small_structure(rng)}
         try:
@@ -65,12 +65,14 @@ def draw(seed: int, k: int) -> Case | None:
     return None
 
 
-def one(seed: int, number: int, todo: list[int], folder: str, draw_seed: int, seconds: float) -> dict:
+def one(
+    seed: int, number: int, todo: list[int], folder: str, draw_seed: int, seconds: float, sizes: tuple[float, float]
+) -> dict:
     """One draw of the study: draw a case, answer it, and write truth and answer down."""
     del seed
     answer.prepare()
     k = todo[number]
-    case = draw(draw_seed, k)
+    case = draw(draw_seed, k, sizes)
     if case is None:
         return {"case": k, "verdict": "left out: no small structure shows this law at that size"}
     with tempfile.TemporaryDirectory() as held:
@@ -86,11 +88,11 @@ def name_of(seed: int, k: int) -> str:
     return f"{list(JOINTS)[k % len(JOINTS)]}-{seed}-{k:04d}"
 
 
-def run(folder: Path, cases: range, seed: int, seconds: float, workers: int) -> None:
+def run(folder: Path, cases: range, seed: int, seconds: float, workers: int, sizes: tuple[float, float]) -> None:
     """Draw and answer what has no answer yet."""
     folder.mkdir(parents=True, exist_ok=True)
     todo = [k for k in cases if not (folder / f"{name_of(seed, k)}.json").exists()]
-    given = {"todo": todo, "folder": str(folder.resolve()), "draw_seed": seed, "seconds": seconds}
+    given = {"todo": todo, "folder": str(folder.resolve()), "draw_seed": seed, "seconds": seconds, "sizes": sizes}
     answer.shared_out(one, len(todo), given, workers)
 
 
@@ -140,6 +142,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="number of the first case")
     parser.add_argument("--count", type=int, default=60)
     parser.add_argument("--seed", type=int, default=1, help="another seed, another draw")
+    parser.add_argument("--sizes", type=float, nargs=2, default=SIZES, help="range of d, another one, another draw")
     parser.add_argument("--time", type=float, default=120.0, help="seconds for each answer")
     parser.add_argument("--workers", type=int, default=1, help="processes on this machine")
     parser.add_argument("--keep", type=Path, help="file for all of the folder")
@@ -149,7 +152,7 @@ def main() -> None:
         return report([row for path in args.report for row in answer.answered(path)])
     if args.folder is None:
         parser.error("a folder for the answers is needed, or --report with kept ones")
-    run(args.folder, range(args.first, args.first + args.count), args.seed, args.time, args.workers)
+    run(args.folder, range(args.first, args.first + args.count), args.seed, args.time, args.workers, tuple(args.sizes))
     if args.keep:
         answer.keep(args.folder, args.keep)
     report(answer.answered(args.folder))

@@ -14,13 +14,15 @@ from modalax.diagnose.causes.joints import (
     CoulombFriction,
     CubicStiffness,
     ElastoSlip,
+    GapContact,
 )
 from modalax.diagnose.causes.power_laws import IwanJoint
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.comparison import Comparison, make_comparison, noise_beside, with_noise_beside
 from modalax.diagnose.extend import ExtendedSimulation, extend
 from modalax.diagnose.fitting.hypothesis import Hypothesis
-from modalax.diagnose.prediction.harmonic_rows import linear_factor
+from modalax.diagnose.prediction.balanced_force import balanced, harmonics_of
+from modalax.diagnose.prediction.harmonic_rows import factor_rows, linear_factor
 from modalax.diagnose.prediction.harmonics import HIGHEST
 from modalax.diagnose.search import harmonics as search
 from modalax.diagnose.search.harmonics import fitted_in_full, is_limit, joints_in_full, limit_of
@@ -82,6 +84,28 @@ def test_prediction_with_harmonics_is_the_harmonic_balance(cause, p, joint, time
     full = np.abs(exact.H - comparison.prediction(replace(h, extras=(extra,)))).max()
     assert full < 1e-4 * effect
     assert one > 10 * full
+
+
+def test_a_stop_that_is_hardly_touched_has_a_force_of_its_own_and_ordinary_slopes():
+    """A little wider, the stop is not touched at all, and nothing is a multiple of no force; slopes by differences."""
+    p, omega, level = np.array([8000.0, 3e-4]), np.full(2, 300.0), np.full(2, 2.0)
+    free = p[1] * np.array([1.0002, 1.5])  # nearly touched, and well beyond
+    orders = harmonics_of(GapContact(), p)
+    G = np.tile(1e-6 * (1 + 0.3j) / np.array(orders), (2, 1))
+    start = np.where(np.array(orders) == 1, free[:, None] + 0j, 0.0)
+
+    def force(p):
+        return balanced(GapContact(), p, G, free, omega, start)[0]
+
+    found, slopes, sound, _ = balanced(GapContact(), p, G, free, omega, start)
+    made = factor_rows(GapContact(), p, found, slopes[:2], sound, G[:, 0], free, omega, level)
+    nearly = made[0] + p @ made[1:3]
+    assert made[3].tolist() == [1, 0]
+    np.testing.assert_allclose(nearly[0], found[0] / level[0], rtol=1e-9)
+    assert 0.5 < abs(nearly[1]) < 2  # a factor
+    for k, step in enumerate(np.diag(1e-7 * p)):
+        by_differences = (force(p + step) - force(p - step))[0] / (2 * step[k]) / level[0]
+        np.testing.assert_allclose(made[1 + k, 0], by_differences, rtol=1e-2)
 
 
 @pytest.mark.slow

@@ -70,7 +70,7 @@ def test_of_several_steady_motions_the_measured_one_is_taken():
     balanced = jax.jit(equivalent, static_argnums=0)
 
     def amplitude(near: float) -> float:
-        extra = np.array([1.0, 0.0, 0.0, near, 0.0], complex).reshape(5, 1, 1, 1)
+        extra = np.array([1.0, 0.0, 0.0, 0.0, near, 0.0], complex).reshape(6, 1, 1, 1)
         motion = drive[None, :, None]
         Z = balanced(CubicStiffness(), np.array([k3]), omega, drive[None], motion, level, extra)
         return float(np.sqrt(Z.item().real / cube[0]))

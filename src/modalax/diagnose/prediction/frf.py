@@ -254,6 +254,7 @@ def _with_joints(without: Linear, joints: list[Any], problem: Problem) -> Array:
         Z = first * equivalent(cause, p, problem.omega, drive_bb, motion, problem.level, harmonics)
         force = Z / (1 + Z * (drive_bb[..., None] - in_series(harmonics))) * motion
         if harmonics is not None:
+            force = jnp.where(harmonics[DIRECT] != 0, by_parameters(harmonics, p), force)
             force = jnp.where(harmonics[GIVEN] != 0, harmonics[GIVEN], force)
         H = H - H_ob[..., k, None] * force[:, :, None]
     return H
@@ -288,22 +289,28 @@ def block_diagonal(blocks: list[Array]) -> Array:
     return out
 
 
-SERIES, NEAR, GIVEN = -3, -2, -1  # what stands after the factor's numbers; see factor_at
+DIRECT, SERIES, NEAR, GIVEN = -4, -3, -2, -1  # what stands after the factor's numbers; see factor_at
 
 
-def factor_at(harmonics: Complex[Array, "two_p run f i"], p: Float[Array, " p"]) -> Complex[Array, "run f i"]:
+def by_parameters(harmonics: Complex[Array, "five_p run f i"], p: Float[Array, " p"]) -> Complex[Array, "run f i"]:
+    """What is linear in a joint's parameters: the factor of :func:`factor_at`, or the force itself."""
+    return harmonics[0] + jnp.tensordot(p, harmonics[1:DIRECT], 1)
+
+
+def factor_at(harmonics: Complex[Array, "five_p run f i"], p: Float[Array, " p"]) -> Complex[Array, "run f i"]:
     r"""Factor :math:`\rho(p) = \rho_0 + \sum_k \rho_k p_k` of higher harmonics on a describing function.
 
     Parameters
     ----------
     harmonics
-        What a joint needs besides its parameters: :math:`\rho_0`, the slope by each parameter, the compliance in series
-        with the joint (:mod:`~modalax.diagnose.prediction.harmonics`), the amplitude that was measured across it [m]
-        (0 where it was not), and the force that was measured there over that at the input (0 where the law gives it).
+        What a joint needs besides its parameters: :math:`\rho_0`, the slope by each parameter, 1 where these two give
+        the force over that at the input and no factor (else 0), the compliance in series with the joint
+        (:mod:`~modalax.diagnose.prediction.harmonics`), the amplitude that was measured across it [m] (0 where it was
+        not), and the force that was measured there over that at the input (0 where the law gives it).
     p
         Parameters of the joint.
     """
-    return harmonics[0] + jnp.tensordot(p, harmonics[1:SERIES], 1)
+    return jnp.where(harmonics[DIRECT] != 0, 1.0, by_parameters(harmonics, p))
 
 
 def in_series(harmonics: Complex[Array, "two_p run f i"] | None) -> Any:
@@ -329,7 +336,7 @@ def equivalent(
         :math:`b^TH`, shape ``(run or 1, f, i)`` [m/N].
     harmonics
         By what factor higher harmonics change the force at the fundamental, and what else :func:`factor_at` tells,
-        shape ``(4 + p, run, f, i)``; no factor, no compliance and no measured amplitude if None.
+        shape ``(5 + p, run, f, i)``; no factor, no compliance and no measured amplitude if None.
     """
     free = level[:, :, None] * jnp.abs(motion) + TINY
     flat = jnp.broadcast_to(drive[..., None] - in_series(harmonics), free.shape)

@@ -4,7 +4,8 @@ r"""Effect of the higher harmonics of the motion across a joint on its force at 
 :math:`A = |x_1|`. The force of a non-linear law drives other harmonics too, :math:`x_h = -H_{bb}(h\omega)\,f_h`, and
 these change the force at the fundamental to :math:`f_1 = \rho\,N(A)\,x_1`. The factor :math:`\rho` and its slopes by
 the joint's parameters are found by harmonic balance at the parameters of a hypothesis; the hypothesis is then fitted
-again with :math:`\rho` linear in them. A few rounds of both settle.
+again with :math:`\rho` linear in them. A few rounds of both settle. Where the other harmonics make most of the force,
+as where their motion and not the fundamental's reaches a stop, the force itself is taken as linear in the parameters.
 
 Rigid friction has no force that follows from the motion while it sticks. It is the same as a spring of any stiffness
 :math:`1/c` in series with the slider, in a structure whose receptance across the joint is less by c: the displacement
@@ -21,7 +22,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Complex, Float
+from jaxtyping import Array, Bool, Complex, Float
 
 from modalax._numerics.checks import is_traced
 from modalax._numerics.known import host
@@ -38,6 +39,7 @@ HIGHEST = 9  # highest harmonic kept where harmonics are asked for
 NEARLY_STILL = 1e-3  # circular frequency of the receptance for the mean displacement, over that of the line
 SAMPLES_A_HARMONIC = 16  # instants of a cycle at which forces are evaluated, for each harmonic kept
 STAND_IN = CubicStiffness()  # of any joint
+MOSTLY = 3.0  # force over that of the fundamental alone from which on it is no factor on that
 STEP = 1e-2  # relative change of a parameter by which slopes are taken
 TURNS = (1.0, 0.5, 0.9, 1.1, 1.5)  # motions that a balance starts from, over that of the fundamental alone
 NEWTON = 20  # Newton steps from each
@@ -75,17 +77,20 @@ def with_harmonics(
 
 def _balanced_extra(causes: Any, index: Any, extras: Any, params: Any, theta: Any, problem: Any, highest: int) -> Array:
     """What a joint needs besides its parameters; its factor follows them by the implicit function theorem."""
-    rho = harmonic_factor(causes, index, extras, params, theta, problem, highest)
+    factor, direct = harmonic_factor(causes, index, extras, params, theta, problem, highest)
     p = next(p for c, p in zip(causes, params, strict=True) if isinstance(c, JointCause))
-    # no slopes, nothing in series, and nothing that was measured of what is predicted
-    return jnp.concatenate([rho[None], jnp.zeros((len(p) + 3, *rho.shape), complex)])
+    no_slopes = jnp.zeros((len(p), *factor.shape), complex)
+    # nothing in series, and nothing that was measured of what is predicted
+    nothing = jnp.zeros((3, *factor.shape), complex)
+    return jnp.concatenate([factor[None], no_slopes, direct[None] + 0j, nothing])
 
 
 def _sliding_extra(causes: Any, index: Any, extras: Any, params: Any, theta: Any, problem: Any) -> Array:
     """The same of dry friction, its motion found at instants."""
     p = next(p for c, p in zip(causes, params, strict=True) if isinstance(c, JointCause))[0]
     rho, slope, series, amplitude = sliding_factor(causes, index, extras, params, theta, problem, INSTANTS)
-    return jnp.stack([rho - slope * p, slope, series, amplitude + 0j, jnp.zeros(rho.shape, complex)])
+    none = jnp.zeros(rho.shape, complex)
+    return jnp.stack([rho - slope * p, slope, none, series, amplitude + 0j, none])
 
 
 @partial(jax.jit, static_argnames=("causes",))
@@ -207,10 +212,11 @@ def _slid(G: Any, u: Any, omega: Any, limit: Any, instants: int) -> Sliding:
 def harmonic_factor(
     causes: Any, index: Any, extras: Any, params: Any, theta: Float[Array, "two n"], problem: Problem,
     highest: int,
-) -> Complex[Array, "run f i"]:  # fmt: skip
-    r"""Factor :math:`\rho` on the describing function of one joint that is not rigid.
+) -> tuple[Complex[Array, "run f i"], Bool[Array, "run f i"]]:  # fmt: skip
+    r"""Factor :math:`\rho` on the describing function of one joint that is not rigid, or its force, and where.
 
-    The factor is 1 where the harmonic balance does not settle; it has derivatives by the parameters, by the implicit
+    The factor is 1 where the harmonic balance does not settle; where the force is ``MOSTLY`` times that of the
+    fundamental alone it is the force over that at the input. It has derivatives by the parameters, by the implicit
     function theorem.
 
     Parameters
@@ -234,7 +240,7 @@ def harmonic_factor(
     first = free / (1 + equivalent(cause, p, problem.omega, drive, motion, problem.level) * drive[..., None])
     G = jnp.stack([jnp.broadcast_to(a.H_bb[:, :, :1, :1], (*shape[:2], 1, 1)) for a in linear], axis=2)
 
-    def factor(k: Any) -> Array:
+    def factor(k: Any) -> tuple[Array, Array]:
         r, f, i = jnp.unravel_index(k, shape)
         joint = cause.law(p)
         u = jnp.zeros((len(harmonics), 1), complex).at[harmonics.index(1), 0].set(free[r, f, i])
@@ -248,10 +254,13 @@ def harmonic_factor(
         force = joint_forces((joint,), q, line.omega, harmonics, plan.samples)[0, harmonics.index(1)]
         q1 = q[0, harmonics.index(1)]
         plainly = joint.describing(jnp.abs(q1), line.omega) * q1
-        sound = (left < CLOSED) & (jnp.abs(plainly) > 0)
-        return jnp.where(sound, force / jnp.where(sound, plainly, 1.0), 1.0)
+        direct = (left < CLOSED) & (jnp.abs(force) > MOSTLY * jnp.abs(plainly))
+        sound = (left < CLOSED) & (jnp.abs(plainly) > 0) & ~direct
+        rho = jnp.where(sound, force / jnp.where(sound, plainly, 1.0), 1.0)
+        return jnp.where(direct, force / problem.level[r, f], rho), direct
 
-    return in_chunks(factor, jnp.arange(shape[0] * shape[1] * shape[2])).reshape(shape)
+    made = in_chunks(factor, jnp.arange(shape[0] * shape[1] * shape[2]))
+    return made[0].reshape(shape), made[1].reshape(shape)
 
 
 def _at_harmonic(h: Any, at: list[Any], theta: Array, problem: Problem) -> Linear:

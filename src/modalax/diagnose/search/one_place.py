@@ -179,8 +179,8 @@ def joint_extra(comparison: Comparison, fit: ForceFit) -> np.ndarray:
     cause, p, seen = fit.cause, fit.params, fit.seen
     assert isinstance(cause, JointCause)
     force, slopes, sound, _ = force_of(cause, p, seen, fit.motion, instants=MORE_INSTANTS, highest=fit.highest)
-    made = factor_rows(cause, p, force, slopes[: len(p)], sound, seen.receptance[:, 1], seen.free, seen.omega)
-    level = seen.level
+    G, level = seen.receptance[:, 1], seen.level
+    made = factor_rows(cause, p, force, slopes[: len(p)], sound, G, seen.free, seen.omega, level)
     given = np.where(fit.aside, seen.force / np.where(level > 0, level, 1.0), 0.0)
     rows = np.concatenate([made, given[None]])
     runs, padded, _, all_inputs = comparison.problem.data.shape

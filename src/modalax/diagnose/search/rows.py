@@ -113,7 +113,7 @@ def with_rows(comparison: Comparison, h: Hypothesis) -> Hypothesis:
     k = h.joints[0]
     found, rows = measured_rows(comparison, h)
     shape = found.force.shape
-    one, none = np.ones((1, *shape)), np.zeros((len(h.params[k]), *shape))
+    one, none = np.ones((1, *shape)), np.zeros((len(h.params[k]) + 1, *shape))
     extra = np.concatenate([one, none, found.series[None], rows])
     extras = with_item(h.extras, k, extra)
     return replace(h, extras=extras, freedom=cost_of(h.causes, extras))
