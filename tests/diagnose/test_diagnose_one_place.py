@@ -391,6 +391,7 @@ def test_a_law_that_leaves_noise_comes_before_a_spring_that_damping_goes_with(le
     monkeypatch.setattr(pipeline, "told", lambda found, tell: SimpleNamespace(verdict="named", of="law"))
     for name in ("of_elements", "outcome_of", "surely_foretold"):
         monkeypatch.setattr(pipeline, name, lambda found: True)
+    monkeypatch.setattr(pipeline, "all_in_general", lambda modes, task, late: False)
     said = at_one_place(
         data, five_dof(), "auto", Task(True), lambda text: None, Deadline(), lambda: SimpleNamespace(of="modes")
     )

@@ -51,8 +51,6 @@ from modalax.diagnose.decision.route import (
     choice,
     claim_compared,
     elements_surely,
-    hardly_off,
-    in_time,
     law_is_exact,
     nothing_left,
     one_place_first,
@@ -65,7 +63,7 @@ from modalax.diagnose.extend import ExtendedSimulation
 from modalax.diagnose.gains_said import gains_said
 from modalax.diagnose.jointed.answer import diagnose_joint, joint_comes_first, may_have_joint
 from modalax.diagnose.modal_domain.answer import ModalDiagnosis
-from modalax.diagnose.modal_domain.claimed_modes import ClaimCompared, compared, few_causes_near
+from modalax.diagnose.modal_domain.claimed_modes import ClaimCompared, compared
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.measured import Measured
 from modalax.diagnose.modal_domain.stage import identified
@@ -73,12 +71,14 @@ from modalax.diagnose.modal_domain.table import by_table
 from modalax.diagnose.result import Diagnosis
 from modalax.diagnose.routes import (
     GROUP_SLUGS,
+    all_in_general,
     check_groups,
     has_levels,
     may_tell_joints,
     named_before,
     named_beside_claim,
     of_elements,
+    outcome_beside_few,
     outcome_of,
     task_of,
 )
@@ -248,10 +248,7 @@ def by_routes(
                 raise
             break
         if found is not None:
-            answers[route], outcomes[route] = found, outcome_of(found)
-            small = in_time(task) and not task.elements_off and hardly_off(outcomes[route])
-            if small and isinstance(found, ModalDiagnosis):
-                outcomes[route] = replace(outcomes[route], exact_near=few_causes_near(found.stage, late))
+            answers[route], outcomes[route] = found, outcome_beside_few(found, task, late)
             if suffices(route, outcomes[route], task):
                 break
     return answers[choice(outcomes)]
@@ -337,8 +334,9 @@ def at_one_place(
     """Diagnose line by line by elements and joints alone, where a force at one place is all that is missing.
 
     Where none of them is that force, as none is a beam that is softer as a whole, the modal domain is asked, which
-    takes seconds. If modes leave something to explain, the force may stand for several things, and all places are open
-    again: None. Where places are too many to fit each, the whole catalogue is searched at these.
+    takes seconds; elements that are all off may look like one force too. If modes leave something to explain, the force
+    may stand for several things, and all places are open again: None. Where places are too many to fit each, the whole
+    catalogue is searched at these.
     """
     data = as_measurement(measurement)
     progress("looking for a place at which one force explains the data")
@@ -358,6 +356,8 @@ def at_one_place(
         else:
             nearly = not (may_tell_joints(data) or differs_by_run(measured_forces(comparison, places)[0]))
         modes = modal() if nearly and not late() else None
+        if modes is not None and not has_levels(data) and all_in_general(modes, task, late):
+            return modes
         # a spring, mass or damper that damping goes with, for one; at several levels a law may explain as much
         foretold = modes is not None and of_elements(modes) and surely_foretold(outcome_of(modes))
         if foretold and not may_tell_joints(data):  # laws that depend on the level are none where levels agree
@@ -370,7 +370,8 @@ def at_one_place(
         return said
     modes = None if late() else modal()
     said = None if modes is None else outcome_of(modes)
-    if said is not None and said.verdict == "named" and nothing_left(said) and suffices("modes", said, task):
+    named = said is not None and said.verdict == "named" and nothing_left(said) and suffices("modes", said, task)
+    if named or modes is not None and all_in_general(modes, task, late):
         return modes
     few = len(places) <= FITTED_EACH and found is None and not late()
     return None if few else searched(comparison, None, progress)

@@ -2,17 +2,19 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from modalax.data import Measurement
 from modalax.diagnose.causes import Cause
 from modalax.diagnose.causes.groups import GROUPS, GroupCause
-from modalax.diagnose.decision.route import Outcome, Task, surely_named
+from modalax.diagnose.deadline import Deadline
+from modalax.diagnose.decision.route import Outcome, Task, hardly_off, in_time, nothing_left, suffices, surely_named
 from modalax.diagnose.decision.verdict import fails
 from modalax.diagnose.modal_domain.answer import ModalDiagnosis
 from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
-from modalax.diagnose.modal_domain.claimed_modes import ClaimCompared
+from modalax.diagnose.modal_domain.claimed_modes import ClaimCompared, few_causes_near
 from modalax.diagnose.modal_domain.explanation import Explanation
 from modalax.diagnose.modal_domain.judged import standing_out
 from modalax.diagnose.modal_domain.measured import prepared
@@ -71,6 +73,21 @@ def outcome_of(found: Diagnosis) -> Outcome:
         isinstance(found, ModalDiagnosis) and only_scaled(found.stage.setting, found.chosen.fit),
         isinstance(found, ModalDiagnosis) and found.askew,
     )  # fmt: skip
+
+
+def outcome_beside_few(found: Diagnosis, task: Task, late: Deadline) -> Outcome:
+    """The same, modes that are hardly off being asked whether a few causes of an exact simulation are as likely."""
+    outcome = outcome_of(found)
+    small = in_time(task) and not task.elements_off and hardly_off(outcome)
+    if small and isinstance(found, ModalDiagnosis):
+        return replace(outcome, exact_near=few_causes_near(found.stage, late))
+    return outcome
+
+
+def all_in_general(found: Diagnosis, task: Task, late: Deadline) -> bool:
+    """Whether by their modes elements that are off explain all, so that no cause is missing at any one place."""
+    said = outcome_beside_few(found, task, late)
+    return said.verdict == "clean" and nothing_left(said) and suffices("modes", said, task)
 
 
 def of_elements(found: Diagnosis) -> bool:

@@ -116,6 +116,7 @@ def test_one_force_is_looked_for_first_where_that_is_quick_and_can_be_right(task
         (replace(SURE, group=True, held_out=1.3), SMALL, False),
         (Outcome("unknown", 1.05, 0.3, inaccuracy=EXACT, group=True), SMALL, False),
         (replace(SURE, inaccuracy=MAYBE, of_elements=True), SMALL, True),  # lines have no such cause
+        (replace(SURE, inaccuracy=MAYBE, of_elements=True), replace(LARGE, samples=10_000), True),
         (replace(SURE, inaccuracy=MAYBE, of_elements=True, probability=0.99), SMALL, False),
         (replace(SURE, inaccuracy=MAYBE), SMALL, False),
         (SURE, replace(SMALL, places=121.0), False),  # lines show a smaller thing beside it,

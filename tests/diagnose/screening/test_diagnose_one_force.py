@@ -7,7 +7,7 @@ import pytest
 from chains import comparison_of, grid, sprung
 
 from modalax import Structure
-from modalax.diagnose import pipeline
+from modalax.diagnose import pipeline, routes
 from modalax.diagnose.causes import catalogue
 from modalax.diagnose.causes.base import ElementCause
 from modalax.diagnose.comparison import causes_of, empty
@@ -254,14 +254,17 @@ def test_only_elements_at_these_places_are_searched(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("verdict", "left", "whole", "expected"),
-    [("named", 0.3, True, "modes"), ("named", 1e-4, True, "open"), ("clean", 0.3, True, "open"),
-     ("named", 0.3, False, "open")],
+    ("verdict", "left", "whole", "off", "expected"),
+    [("named", 0.3, True, None, "modes"), ("named", 1e-4, True, None, "open"), ("clean", 0.3, True, None, "open"),
+     ("named", 0.3, False, None, "open"), ("clean", 0.3, False, [4e-3, 2e-2], "modes"),
+     ("clean", 1e-4, False, [4e-3, 2e-2], "open"), ("clean", 0.3, False, [0.0, 2e-2], "open")],
 )  # fmt: skip
 def test_modes_are_asked_before_the_whole_catalogue_and_answer_where_they_leave_nothing(
-    monkeypatch, verdict, left, whole, expected
+    monkeypatch, verdict, left, whole, off, expected
 ):
     """No element or joint between two points is a beam that is softer as a whole, which modes name in seconds.
+
+    Nor are elements that are all off: at 8 sensors of a plate one force had stood for them, for two minutes.
 
     What else it may be is open: an oscillator and hum together had been an oscillator at another place, and a delay of
     all sensors hid a damper, as which lines tell dampings that are off.
@@ -269,7 +272,10 @@ def test_modes_are_asked_before_the_whole_catalogue_and_answer_where_they_leave_
     comparison, _ = comparison_of(STRUCTURE, sprung(STRUCTURE, 2, 5, 5e3))
     monkeypatch.setattr(pipeline, "searched", lambda *_: "all")
     monkeypatch.setattr(pipeline, "explain_force", lambda look, causes: None)
-    monkeypatch.setattr(pipeline, "outcome_of", lambda found: Outcome(verdict, 1.0, left, 1.0, of_elements=whole))
+    inaccuracy = {} if off is None else {"stiffness": {"value": 8e-3, "interval": off}}
+    said = Outcome(verdict, 1.0, left, 1.0, inaccuracy=inaccuracy, of_elements=whole)
+    for module in (pipeline, routes):
+        monkeypatch.setattr(module, "outcome_of", lambda found: said)
     modes = SimpleNamespace(verdict=verdict)
     monkeypatch.setattr(pipeline, "of_elements", lambda found: False)
     tell = lambda _: None

@@ -8,8 +8,9 @@ import scipy.optimize
 from chains import comparison_of, grid
 
 from modalax.diagnose.causes.base import PatternCause
-from modalax.diagnose.causes.missing_modes import OutOfBand
+from modalax.diagnose.causes.missing_modes import MISSING_MODES, OutOfBand
 from modalax.diagnose.extend import _key
+from modalax.diagnose.fitting.hypothesis import bounds_of
 from modalax.diagnose.screening.patterns import independent, low_rank, screen_pattern, settled_rank
 
 
@@ -71,3 +72,14 @@ def test_a_mode_that_a_fit_has_moved_out_of_all_bounds_explains_nothing_and_is_n
     found = screen_pattern(Gone(), comparison.scene, state.sides[True], comparison.problem)
     assert found.gain == 0 and found.trials == 1
     assert independent(np.eye(3)) == pytest.approx(3) and independent(np.ones((3, 3))) == pytest.approx(1)
+
+
+@pytest.mark.parametrize("cause", MISSING_MODES, ids=lambda cause: cause.summary)
+def test_curves_are_numbers_however_far_a_fit_moves_a_mode(cause):
+    """A search without an end had moved a frequency to 1e299 Hz, where its receptance is none, and nothing fitted."""
+    s = 2j * np.pi * np.linspace(10.0, 100.0, 7)
+    for end in (0, 1):
+        u = bounds_of([cause])[end][cause.terms :]
+        q = np.array([np.exp(v) if p.log else v for p, v in zip(cause.parameters[cause.terms :], u, strict=True)])
+        value = np.asarray(cause.curves(s, q))
+        assert np.isfinite(value).all() and np.abs(value).max() > 0

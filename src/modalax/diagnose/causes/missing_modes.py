@@ -19,7 +19,7 @@ class MissingMode(PatternCause):
     summary = "a whole mode in band"
     parameters = (
         Parameter("participation", "-"),
-        Parameter("frequency", "Hz", 1e-3, log=True),
+        Parameter("frequency", "Hz", 1e-3, 1e7, log=True),
         Parameter("damping_ratio", "-", 1e-4, 0.5, log=True, ends=True),
     )
 

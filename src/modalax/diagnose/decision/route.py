@@ -175,13 +175,13 @@ def suffices(route: Route, found: Outcome, task: Task) -> bool:
         return explained(found)
     if task.massless or found.askew or task.undamped and found.verdict != "unknown":
         return True
+    if found.of_elements and surely_named(found):  # lines have no such cause, and would find nothing beside it
+        return True
     if needs_modes(task):
         unsettled = found.verdict == "unknown" or found.verdict == "clean" and not nothing_left(found)
         hopeful = unsettled and may_be_exact(found) and task.places <= THRESHOLDS.places_in_time
         return task.elements_off or not (hopeful or sharper_by_lines(found, task))
     if found.group and found.verdict != "unknown" and nothing_left(found):
-        return True
-    if found.of_elements and surely_named(found):
         return True
     if found.exact_near or found.verdict == "ambiguous" and in_time(task) and not surely_off(found):
         return False
