@@ -26,7 +26,7 @@ from modalax.diagnose.thresholds import THRESHOLDS
 
 JOINT, DRIFT = 0.2, 0.05  # chances before the data that a joint, or a drift, tells levels or runs apart
 SAMPLED = 2000  # forces that places are screened on
-CLOSER, HALVINGS = 40, 4  # leading places at which thresholds are sought, halving the distance of those tried
+HALVINGS = 4  # times that the distance of the thresholds that are tried is halved about the best of them
 FITTED = 12  # leading places at which laws are fitted, where one at a few sizes gains enough to stand out
 ALIKE, HARMONICS = 0.01, 300  # share of the gain that first harmonics do not tell, and forces on which all harmonics do
 NEIGHBOURS = 8  # lines over which errors of a law's force go together
@@ -208,23 +208,13 @@ def _prior(spot: Spot, f: LawFit) -> float:
 def _promising(
     levels: Levels, base: Base, spots: Sequence[Spot], laws: Sequence[JointCause], late: Callable[[], bool]
 ) -> tuple[list[Spot], list[float], dict[tuple[str, ...], np.ndarray]]:
-    """The leading places, what the best law gains there at a few sizes [nats], and how a spring would slip there.
-
-    Thresholds at a few sizes order places roughly only, so that of many places they are sought at the better ones.
-    """
-    gain: list[float] = []
-    begun: dict[tuple[str, ...], np.ndarray] = {}
-    for most, halvings in ((CLOSER, 0), (FITTED, HALVINGS)):
-        if len(spots) <= most and not halvings:
-            continue
-        weights = np.log([max(s.weight, 1e-300) for s in spots])
-        found = _screened(levels, base, np.array([s.direction for s in spots]), laws, halvings)
-        order = np.argsort(-(found + weights))
-        if most == FITTED and any(isinstance(law, ElastoSlip) for law in laws):
-            order, begun = _by_harmonics(levels, base, spots, found, order, late)
-        order = order[:most].tolist()
-        spots, gain = [spots[k] for k in order], [float(found[k]) for k in order]
-    return list(spots), gain, begun
+    """The leading places, what the best law gains there [nats], and how a spring would slip there."""
+    gain = _screened(levels, base, np.array([s.direction for s in spots]), laws)
+    order, begun = np.argsort(-(gain + np.log([max(s.weight, 1e-300) for s in spots]))), {}
+    if any(isinstance(law, ElastoSlip) for law in laws):
+        order, begun = _by_harmonics(levels, base, spots, gain, order, late)
+    leading = order[:FITTED].tolist()
+    return [spots[k] for k in leading], [float(gain[k]) for k in leading], begun
 
 
 def _by_harmonics(
@@ -246,17 +236,18 @@ def _by_harmonics(
     return np.concatenate([like[np.argsort(cost)], order[~np.isin(order, like)]]), begun
 
 
-def _screened(
-    levels: Levels, base: Base, b: np.ndarray, laws: Sequence[JointCause], halvings: int = 0
-) -> np.ndarray:  # fmt: skip
-    """What the best law gains at each place at a few sizes, on some lines as if on all [nats], shape ``(p,)``."""
+def _screened(levels: Levels, base: Base, b: np.ndarray, laws: Sequence[JointCause]) -> np.ndarray:
+    """What the best law gains at each place, on some lines as if on all [nats], shape ``(p,)``.
+
+    Its threshold is sought at every place: one of those tried may be far from it, as they reach over orders of size.
+    """
     out = []
     step = max(1, levels.H[1:, :, 0].size // SAMPLED)
     levels, base = levels.thinned(step), base.thinned(step)
     before = unexplained(levels)
     for part in np.array_split(np.arange(len(b)), max(1, len(b) // TOGETHER)):
         for both in _both(levels, base, b[part]):
-            cost = [c for law in laws for c, _ in regressed(law, both[isinstance(law, SERIES)], 2, halvings)[:1]]
+            cost = [c for law in laws for c, _ in regressed(law, both[isinstance(law, SERIES)], 2, HALVINGS)[:1]]
             out.append(0.5 * step * (before - min(cost, default=np.inf)))
     return np.array(out)
 
