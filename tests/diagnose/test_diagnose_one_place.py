@@ -402,3 +402,17 @@ def test_steps_towards_a_one_sided_spring_go_on_as_long_as_they_gain():
     comparison, force = compared(joined(joints.BilinearSpring(60000.0, 0.0)), 0.001)
     fit = fit_to_force(BilinearStiffness(), [np.array([1.8e4, 0.02])], seen_at(comparison, force).telling(15))
     assert fit.params == pytest.approx([3e4, 1.0], rel=0.02)
+
+
+def test_no_step_begins_where_the_slopes_of_a_force_are_no_numbers(monkeypatch):
+    """Modes that had moved out of all bounds had ended a diagnosis in an error of linear algebra."""
+    comparison, force = compared(joined(joints.BilinearSpring(60000.0, 0.0)), 0.001)
+    seen, of = seen_at(comparison, force).telling(15), force_fit.force_of
+
+    def broken(*a, **k):
+        f, slopes, sound, moved = of(*a, **k)
+        return f, slopes * np.nan, sound, moved
+
+    monkeypatch.setattr(force_fit, "force_of", broken)
+    start = np.array([1.8e4, 0.02])
+    assert fit_to_force(BilinearStiffness(), [start], seen).params == pytest.approx(start)

@@ -11,16 +11,17 @@ import scipy.optimize
 from frames import DOFS, measured, simulation
 
 from modalax.data import Measurement
-from modalax.diagnose.causes.joints import CubicStiffness, GapContact, QuadraticDamping
+from modalax.diagnose.causes.joints import CubicStiffness, ElastoSlip, GapContact, QuadraticDamping
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.levels import explain
 from modalax.diagnose.modal_domain.levels.answer import causes_told
+from modalax.diagnose.modal_domain.levels.balance import ORDERS
 from modalax.diagnose.modal_domain.levels.change import Base, Levels, Projection
 from modalax.diagnose.modal_domain.levels.explain import apart_from_zero
-from modalax.diagnose.modal_domain.levels.laws import LawFit, regressed
+from modalax.diagnose.modal_domain.levels.laws import LOWER, LawFit, regressed, stiffness_of, with_fewer
 from modalax.diagnose.modal_domain.levels.motion import Motion, seen_force
 from modalax.diagnose.modal_domain.levels.series import in_series
-from modalax.diagnose.modal_domain.levels.weigh import STEEP, off_folds, set_aside
+from modalax.diagnose.modal_domain.levels.weigh import STEEP, _best, off_folds, set_aside
 from modalax.simulate import joints, simulate
 
 EITHER = pytest.mark.parametrize("structure", ["chain", pytest.param("beam", marks=pytest.mark.slow)])
@@ -280,3 +281,29 @@ def test_a_line_at_a_fold_tells_a_parameter_no_better_than_its_slope_holds():
     N, p = np.array([3.0, 6.0, 9.0 - 1j]), np.array([3e9])
     by = (N * [1.0, 2600.0, 4.0] / p)[:, None]
     np.testing.assert_allclose(off_folds(N, by, p)[:, 0] * p / N, [1.0, STEEP, 4.0], rtol=1e-12)
+
+
+def test_parameters_are_as_uncertain_as_harmonics_left_out_move_them_together():
+    """What a law leaves out moves all lines in one direction, which their number does not average."""
+    rng, lines = np.random.default_rng(3), 200
+    by, left_out, Q = rng.uniform(1, 2, lines), 0.5 * rng.uniform(1, 2, lines), np.full((lines, 1, 1, 1), 4.0)
+    noise = 0.5 * rng.standard_normal(lines)
+    columns = np.stack([by, left_out, noise])
+    G, forces = 4 * columns @ columns.T, columns[:, :, None, None] + 0j
+    cov, sharp = _best(G, forces, Q, by[:, None] + 0j, np.zeros((lines, 1, 1)), np.zeros(0), 0)[-2:]
+    plainly, moved = 1 / (4 * by @ by), (by @ left_out) / (by @ by)
+    np.testing.assert_allclose(sharp, plainly, rtol=1e-6)
+    np.testing.assert_allclose(cov, plainly + moved**2, rtol=1e-6)
+
+
+def test_harmonics_left_out_are_those_above_the_ninth():
+    kept = np.where(ORDERS <= LOWER, -2e-5 + 1e-6j, 0.0)
+    of = lambda g: Motion(
+        *[np.zeros((1, 1, 1))] * 2, 0.0, *[np.ones((1, 1))] * 4, np.array([[[1e-4]], [[3e-4]]]), np.zeros((1, 1, 1)),
+        np.array([300.0]), 0.0, harmonic=g[None],
+    )  # fmt: skip
+    law, p = ElastoSlip(True), np.array([8000.0, 1e-4])
+    np.testing.assert_allclose(with_fewer(law, of(kept), p), stiffness_of(law, of(kept), p), rtol=1e-9)
+    every = of(np.full(len(ORDERS), -2e-5 + 1e-6j))
+    off = np.abs(with_fewer(law, every, p) - stiffness_of(law, every, p)).max()
+    assert 1e-5 * 8000 < off < 0.05 * 8000

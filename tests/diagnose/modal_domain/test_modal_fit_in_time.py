@@ -6,6 +6,7 @@ import numpy as np
 from frames import DOFS, measured, simulation
 
 from modalax.diagnose.deadline import NEVER, Deadline
+from modalax.diagnose.modal_domain import explain as search
 from modalax.diagnose.modal_domain import fit as fits
 from modalax.diagnose.modal_domain.explain import explain
 from modalax.diagnose.modal_domain.stage import identified, posed
@@ -43,3 +44,18 @@ def test_what_leads_is_fitted_to_its_end_though_time_is_up():
     best = found[0].fit
     whole = fits.fit(setting, best.causes, best, best.u, temperatures=())
     assert cut.log_evidence + 100 < best.log_evidence and whole.log_evidence < best.log_evidence + 1
+
+
+def test_no_further_causes_are_looked_for_where_levels_tell_of_a_joint(monkeypatch):
+    """Asked where one cause does not explain the modes: two would stand for a part of the joint, in a minute."""
+    data, _ = measured(25, 0.01, mass=(DOFS[8], 0.3))
+    task = posed(data, simulation(), identified(data, simulation(), lambda _: None))
+    asked: list[int] = []
+    enough = lambda setting, explanations: asked.append(len(explanations)) or True
+    steps = lambda search, late: asked.append(0)
+    monkeypatch.setattr(search, "_all_steps", steps)
+    for explained, expected in ((True, [0]), (False, [1])):
+        monkeypatch.setattr(search, "explains", lambda f, explained=explained: explained)
+        asked.clear()
+        assert search.explain(task.setting, task.candidates[:3], Deadline(), enough=enough)[2]
+        assert [min(n, 1) for n in asked] == expected

@@ -12,7 +12,7 @@ from modalax.diagnose.causes.mains_hum import MainsHum
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.causes.signals import HumLines
 
-HIGHEST = 690.0  # logarithm up to which a parameter is a number
+HIGHEST = 69.0  # logarithm up to which a parameter and its powers are numbers
 
 
 @dataclass(frozen=True)

@@ -51,13 +51,15 @@ UNLIKE = 10.0  # chi-square per feature beside the general inaccuracy from which
 MOSTLY = 0.25  # share of what the simulation leaves, below which a change of the structure explains most of it
 
 Tell = Callable[[str], None]
+Enough = Callable[[Setting, list[Explanation]], bool]
 # What hypotheses were fitted in, every cause and place there, and the explanations by falling probability.
 Searched = tuple[Setting, list[Change], list[Explanation]]
 
 
 def explain(
-    setting: Setting, candidates: list[Change], late: Deadline, tell: Tell = lambda _: None, finer: Finer | None = None
-) -> Searched:
+    setting: Setting, candidates: list[Change], late: Deadline, tell: Tell = lambda _: None,
+    finer: Finer | None = None, enough: Enough | None = None,
+) -> Searched:  # fmt: skip
     """Explanations by falling probability, with what they were fitted in; the best so far if interrupted.
 
     Parameters
@@ -68,8 +70,10 @@ def explain(
         Called with what is being done.
     finer
         The simulation with all its exactness about some places, and the candidates there; None where it has it all.
+    enough
+        Asked where one cause at most does not explain the modes, whether further ones are not to be looked for.
     """
-    few, candidates, explanations = _searched(narrowed(setting) or setting, candidates, late, tell, finer)
+    few, candidates, explanations = _searched(narrowed(setting) or setting, candidates, late, tell, finer, enough)
     if few.features is setting.features or not explanations:
         return few, candidates, explanations
     tell("fitting the leading ones to all channels")
@@ -82,7 +86,10 @@ def explain(
     return replace(whole, late=NEVER), candidates, search.ranked
 
 
-def _searched(setting: Setting, candidates: list[Change], late: Deadline, tell: Tell, finer: Finer | None) -> Searched:
+def _searched(
+    setting: Setting, candidates: list[Change], late: Deadline, tell: Tell, finer: Finer | None,
+    enough: Enough | None,
+) -> Searched:  # fmt: skip
     """Explanations by falling probability, by all features of a setting."""
     setting = replace(setting, late=late)
     null = fit(setting, basin=UNLIKE)
@@ -98,6 +105,9 @@ def _searched(setting: Setting, candidates: list[Change], late: Deadline, tell: 
             _first_fits(search, late, tell)
             _about_the_leading(search, tell, finer)
         _settled(search, late, finer)
+        asked = enough is not None and not late() and not explains(search.best)
+        if asked and enough(search.setting, search.ranked):
+            return replace(search.setting, late=NEVER), search.candidates, search.ranked
         if not late():
             _all_steps(search, late)
         if not late():

@@ -1,7 +1,7 @@
 """The diagnosis in the modal domain as one call: identify, screen, fit, weigh, within a budget of time."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -22,9 +22,10 @@ from modalax.diagnose.modal_domain.force_places import KINDS, line_forces
 from modalax.diagnose.modal_domain.further_causes import StructuralDamping, missing_modes, tuned_masses
 from modalax.diagnose.modal_domain.impact_window import impact_windows
 from modalax.diagnose.modal_domain.inaccuracy import forces_of_errors, inaccuracy_of
+from modalax.diagnose.modal_domain.levels.change import levels_differ
 from modalax.diagnose.modal_domain.levels.explain import Spot
 from modalax.diagnose.modal_domain.levels.laws import NAMED
-from modalax.diagnose.modal_domain.levels.seen import Seen, joint_and_structure, look_at_levels
+from modalax.diagnose.modal_domain.levels.seen import Look, Seen, felt, force_taken, joint_and_structure, look_at_levels
 from modalax.diagnose.modal_domain.levels.slipping import Whole, whole_joint
 from modalax.diagnose.modal_domain.measured import Measured, identify
 from modalax.diagnose.modal_domain.odd_channel import is_of_the_structure, odd_channel
@@ -167,6 +168,42 @@ def _forces(simulation: Structure, setting: Setting, f: Fit) -> np.ndarray:
     return forces_of_errors(simulation, sizes, setting.coordinates.everywhere @ shapes[few].T, squares[few])
 
 
+@dataclass
+class _Early:
+    """Whether the lowest level holds the force of a joint too, for which further causes would stand."""
+
+    look: Look
+    measured: Measured
+    level: np.ndarray
+    differ: bool
+    seen: list[Seen] = field(default_factory=list)
+
+    def __call__(self, setting: Setting, explanations: list[Explanation]) -> bool:
+        raw = self.look(self.measured, setting, explanations[0].fit, None, False) if self.differ else None
+        if raw is not None and raw.joint is not None:
+            if felt(force_taken(raw, self.level, self.measured.runs), self.measured):
+                self.seen.append(raw)
+        return bool(self.seen)
+
+
+def _spots(tasks: list[Posed], setting: Setting) -> list[Spot]:
+    """Where a joint may be, in the coordinates of a setting."""
+    task = next(t for t in tasks if t.coordinates is setting.coordinates)
+    return [Spot(where, b, w, held) for where, b, _, w, held in task.places]
+
+
+def _odd(
+    measurement: Measurement, simulation: Structure, setting: Setting, explanations: list[Explanation], late: Deadline
+) -> OddChannel | None:
+    """A channel that differs from all others as no cause explains, where the structure does not."""
+    if is_of_the_structure(explanations, setting.features):
+        return None
+    channels = measurement.outputs, measurement.inputs
+    odd = None if late() else odd_channel(setting, explanations, *channels)
+    turned = None if late() else askew_channel(setting, explanations, simulation.dofs, *channels)
+    return max((o for o in (odd, turned) if o is not None), key=lambda o: o.nats, default=None)
+
+
 def run_stage(
     measurement: Measurement, simulation: Structure, late: Deadline, wanted: Callable[[str], bool],
     tell: Callable[[str], None], measured: Measured | None = None,
@@ -196,39 +233,34 @@ def run_stage(
 
     H, level = np.asarray(measurement.H), np.asarray(measurement.level)
     first = late.part(FIRST_SHARE if len(H) > 1 else ALONE_SHARE)
-    setting, candidates, explanations = explain(
-        task.setting, candidates, first, tell, finer if is_large(simulation) else None
-    )
-    if not explanations:
-        return None
-    explanations = damping_by_lines(setting, explanations, measured, late)
-    c, places = next((t.coordinates, t.places) for t in tasks if t.coordinates is setting.coordinates)
-    channels = measurement.outputs, measurement.inputs
-    structure = is_of_the_structure(explanations, setting.features)
-    odd = None if structure or late() else odd_channel(setting, explanations, *channels)
-    turned = None if structure or late() else askew_channel(setting, explanations, simulation.dofs, *channels)
-    odd = max((o for o in (odd, turned) if o is not None), key=lambda o: o.nats, default=None)
-    setting, explanations = leading_on_lines(setting, explanations, measured, late)
-    spots = [Spot(where, b, w, held) for where, b, _, w, held in places]
-    seen = None
 
     def look(measured: Measured, setting: Setting, f: Fit, earlier: Seen | None, there: bool) -> Seen | None:
-        places = spots if earlier is None or not there else earlier.found.places
+        places = _spots(tasks, setting) if earlier is None or not there else earlier.found.places
         drift = None if earlier is None else earlier.found.drift
         return look_at_levels(H, level, measured, setting, f, places, wanted, tell, late, drift)
 
+    early = _Early(look, measured, level, levels_differ(H, measured.noise.sigma, level))
+    setting, candidates, explanations = explain(
+        task.setting, candidates, first, tell, *((finer, None) if is_large(simulation) else (None, early))
+    )
+    if not explanations:
+        return None
+    c, odd, seen = setting.coordinates, None, None
+    if not early.seen:
+        explanations = damping_by_lines(setting, explanations, measured, late)
+        odd = _odd(measurement, simulation, setting, explanations, late)
+        setting, explanations = leading_on_lines(setting, explanations, measured, late)
     try:
         before = explanations
         measured, setting, explanations, seen = joint_and_structure(
-            H, level, measured, setting, explanations, candidates, look, late, tell
+            H, level, measured, setting, explanations, candidates, look, late, tell, early.seen
         )
         if explanations is not before:
             setting, explanations = leading_on_lines(setting, explanations, measured, late)
     except KeyboardInterrupt:
         late.stop()
+    whole = None
     if seen is not None and seen.joint is not None:  # which bends the modes themselves
-        odd = None
-    joint = None if seen is None else seen.joint
-    whole = None if joint is None else whole_joint(explanations[0], joint, Prior(candidates))
+        odd, whole = None, whole_joint(explanations[0], seen.joint, Prior(candidates))
     in_time = not (late() or first())
     return Stage(measurement, simulation, c, measured, setting, candidates, explanations, in_time, seen, odd, whole)

@@ -267,14 +267,16 @@ def _descended(
         if seen.follow is not None:
             slopes[own:] -= np.where(sound, seen.follow.force.T, 0.0)
         r, kept = _residual(seen, force, sound), 0.0 if motion is None else motion
-        cost = misfit(r[~aside], robust) + seen.left
+        J = seen.precision * slopes
+        # where modes have moved out of all bounds nothing is a number, and no step begins there
+        cost = misfit(r[~aside], robust) + seen.left if np.isfinite(J).all() else np.inf
         moved = np.where(sound[:, None], moved, kept if np.shape(kept)[1:] == moved.shape[1:] else 0.0)
-        return cost, r, seen.precision * slopes, moved, sound
+        return cost, r, J, moved, sound
 
     cost, r, J, motion, sound = at(u, seen, motion)
     damping, enough = DAMPED, ROUGHLY if robust else SETTLED
     for turn in range(ROUNDS):
-        if late():
+        if late() or not np.isfinite(cost):
             break
         w = np.where(aside, 0.0, 1 / (1 + np.abs(r) ** 2) if robust else 1.0)
         A, g = ((J.conj() * w) @ J.T).real, ((J.conj() * w) @ r).real

@@ -27,6 +27,7 @@ from modalax.diagnose.modal_domain.fit import Fit
 from modalax.diagnose.modal_domain.inaccuracy import TOLD, WITHIN
 from modalax.diagnose.modal_domain.line_forces import LineForce, added_stiffness, loaded
 from modalax.diagnose.modal_domain.state import Setting, matrices_of
+from modalax.diagnose.thresholds import THRESHOLDS
 
 LINES = 256  # lines solved at once
 PRETENDED = 0.01  # chance that noise alone makes a force seen at any line of a place
@@ -195,6 +196,12 @@ def unexplained(levels: Levels) -> float:
     w, H = levels.weight, levels.H
     mean = (w * H).sum(axis=0) / np.maximum(w.sum(axis=0), 1e-300)
     return float((w * np.abs(H - mean) ** 2).sum())
+
+
+def levels_differ(H: np.ndarray, sigma: np.ndarray, level: np.ndarray) -> bool:
+    """Whether runs at several force levels differ by more than an error of their noise could be."""
+    levels = by_level(H, sigma, level)
+    return levels is not None and unexplained(levels) > THRESHOLDS.as_noise * levels.samples
 
 
 def _blocks(levels: Levels, base: Base, b: np.ndarray) -> Iterator[Projection]:

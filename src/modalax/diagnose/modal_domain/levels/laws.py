@@ -8,7 +8,7 @@ so that no equation has to be solved for the amplitude, and no jump of the respo
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -41,6 +41,7 @@ EXPONENTS = (-0.5, 0.5, 1.0, 2.0)  # of power laws, likewise
 FEW = 1500  # forces that starts are compared on
 FEWER = 300  # the same with all harmonics
 STRENGTHS = 2.0 ** np.arange(-2, 1.1, 1 / 3)  # factors on the strength by first harmonics, with all harmonics
+LOWER = 9  # harmonics up to which the motion is compared with that by all that are kept
 SIMPLEX, SOUGHT = 0.1, 60  # relative size of the search about a start, and its most trials
 BENT = 1e-5  # relative change of a parameter by which derivatives with all harmonics are taken
 BEGUN, STEPS = 2, 15  # starts that are followed, or turns with all harmonics, and most steps of one fit
@@ -158,6 +159,14 @@ def scattered(law: JointCause, m: Motion, p: np.ndarray) -> np.ndarray:
     q = force_at(m, N)
     others = (force_at(other, _in_balance(law, other, p, other.amplitude, X)[0]) for other in m.others)
     return 0.5 * sum((np.abs(other - q) ** 2 for other in others), np.zeros(q.shape))
+
+
+def with_fewer(law: JointCause, m: Motion, p: np.ndarray) -> np.ndarray:
+    """Describing function without the highest harmonics that are kept: those beyond them do no more than these."""
+    if m.harmonic is None:
+        return stiffness_of(law, m, p)
+    fewer = replace(m, harmonic=np.where(ORDERS <= LOWER, m.harmonic, 0.0))
+    return _in_balance(law, fewer, p, m.amplitude)[0]
 
 
 def _difference(law: JointCause, m: Motion, p: np.ndarray) -> np.ndarray:

@@ -135,25 +135,30 @@ def without_joint(
     return again, replace(setting, features=again.features, whitener=whitener_of(again.features))
 
 
+def felt(change: np.ndarray, measured: Measured) -> bool:
+    """Whether a change of the runs that the linear structure is identified from, ``(run, f, o, i)``, may move it."""
+    return 2 * float((np.abs(change / measured.noise.sigma[measured.runs]) ** 2).sum()) >= BENT
+
+
 def joint_and_structure(
     H: np.ndarray, level: np.ndarray, measured: Measured, setting: Setting, explanations: list[Explanation],
-    candidates: list[Change], look: Look, late: Deadline, tell: Callable[[str], None],
+    candidates: list[Change], look: Look, late: Deadline, tell: Callable[[str], None], early: Sequence[Seen] = (),
 ) -> tuple[Measured, Setting, list[Explanation], Seen | None]:  # fmt: skip
     """What the levels tell, and the linear structure beside it; each is looked for again until neither moves the other.
 
     What describes the lowest level still holds some of a joint. What is found without it describes the levels better.
+    ``early`` is what they tell beside the explanations, if anything, where these hold one cause at most.
     """
     # what a law leaves of a peak that it distorts looks like a mode too many
     some = [c for c in candidates if c.freed is None and not isinstance(c, TunedMass)]
     prior, taken = Prior(candidates), None
-    raw = look(measured, setting, explanations[0].fit, None, False)
+    raw = early[0] if early else look(measured, setting, explanations[0].fit, None, False)
     seen = beside(explanations, raw, prior)[1]
     for _ in range(PASSES):
         if seen is None or seen.joint is None or late():
             break
         now = force_taken(seen, level, measured.runs)
-        change = (now if taken is None else now - taken) / measured.noise.sigma[measured.runs]
-        if 2 * float((np.abs(change) ** 2).sum()) < BENT:
+        if not felt(now if taken is None else now - taken, measured):
             break
         tell("identifying the structure without its joint")
         freed, alone = without_joint(H, measured, setting, seen, now, level)
@@ -163,9 +168,10 @@ def joint_and_structure(
             break
         raw, taken, measured, setting, explanations = after, now, freed, alone, found
         seen = beside(explanations, raw, prior)[1]
-    if taken is not None:
+    if taken is not None or early:
+        some = candidates if taken is None else some
         setting, _, explanations = explain(setting, some, late, tell)
-        after = look(measured, setting, explanations[0].fit, seen, True) if explanations else None
+        after = look(measured, setting, explanations[0].fit, seen, taken is not None) if explanations else None
         raw = raw if after is None or after.joint is None else after
     if raw is not None and explanations and not late():
         explanations = with_springs(setting, explanations, raw.found, candidates)

@@ -12,7 +12,14 @@ import numpy as np
 
 from modalax.diagnose.modal_domain.fit import Fit, scale_of
 from modalax.diagnose.modal_domain.levels.change import Base, Levels, change_by, projected
-from modalax.diagnose.modal_domain.levels.laws import LawFit, derivatives_of, force_at, scattered, stiffness_of
+from modalax.diagnose.modal_domain.levels.laws import (
+    LawFit,
+    derivatives_of,
+    force_at,
+    scattered,
+    stiffness_of,
+    with_fewer,
+)
 from modalax.diagnose.modal_domain.levels.motion import motion_of, motions_of, softened
 from modalax.diagnose.modal_domain.linear import root_of_information
 from modalax.diagnose.modal_domain.slopes import factored_slopes, slopes_of
@@ -120,10 +127,11 @@ def weigh(
         q = forces[0]
         for k in range(len(p)):
             columns.append(change_by(base, now, force_at(m, N + BENT * p[k] * by[..., k]) - q) / BENT)
+        left_out = change_by(base, now, force_at(m, with_fewer(law, m, p)) - q)
         e = levels.H[1:] - levels.H[:1] - made[0]
-        if not all(np.isfinite(y).all() for y in (*columns, e)):
+        if not all(np.isfinite(y).all() for y in (*columns, left_out, e)):
             break
-        G, parts = _products(levels, base, now, P.Q[0], np.stack([*columns, e]))
+        G, parts = _products(levels, base, now, P.Q[0], np.stack([*columns, left_out, e]))
         chi2, evidence, rho, aside, x, cov, sharp = _best(G, parts, P.Q[0], q, scattered(law, m, p), z, len(moves))
         evidence -= 0.5 * len(p) * math.log(levels.samples)
         size = np.where(log, 1.0, np.abs(p))
@@ -168,7 +176,8 @@ def _best(
 ) -> tuple[float, float, float, int, np.ndarray, np.ndarray, np.ndarray]:
     """Chi-square, log evidence, tolerance and lines set aside here, and the next point with its covariance.
 
-    Last comes the covariance of the law's parameters alone, were the shapes known.
+    That holds how harmonics left out, the last column but one, move all parameters together. Last comes the covariance
+    of the law's parameters alone, were the shapes known.
     """
     best = None
     for rho in TOLERANCES:
@@ -176,20 +185,20 @@ def _best(
         lost = np.einsum("afik,fikl,bfil->ab", forces.conj(), Q - soft, forces, optimize=True).real
         A = G - lost
         volume = float((np.linalg.slogdet(soft)[1] - np.linalg.slogdet(Q)[1]).sum()) + aside * PRICE
-        prior = np.concatenate([np.ones(free), np.zeros(len(A) - 1 - free)])
-        old = np.concatenate([z, np.zeros(len(A) - 1 - free)])
-        inner = A[:-1, :-1] + np.diag(prior)
-        right = A[:-1, -1] - prior * old
+        prior = np.concatenate([np.ones(free), np.zeros(len(A) - 2 - free)])
+        old = np.concatenate([z, np.zeros(len(A) - 2 - free)])
+        inner = A[:-2, :-2] + np.diag(prior)
+        right = A[:-2, -1] - prior * old
         size = np.sqrt(np.maximum(np.diag(inner), 1e-300))
         unit = inner / size[:, None] / size
         cov = np.linalg.pinv(unit, rcond=1e-12) / size[:, None] / size
         sharp = np.linalg.pinv(unit[free:, free:], rcond=1e-12) / size[free:, None] / size[free:]
-        dx = cov @ right
+        dx, moved = cov @ right, cov @ A[:-2, -2]
         bend = np.eye(free) + A[:free, :free]
         chi2 = float(A[-1, -1] + z @ z)
         evidence = -0.5 * chi2 + volume - 0.5 * float(np.linalg.slogdet(bend)[1])
         if best is None or evidence > best[1]:
-            best = chi2, evidence, rho, aside, old + dx, cov, sharp
+            best = chi2, evidence, rho, aside, old + dx, cov + np.outer(moved, moved), sharp
     assert best is not None
     return best
 
