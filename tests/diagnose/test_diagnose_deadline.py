@@ -99,6 +99,7 @@ def test_lines_have_all_the_time_where_what_modes_say_is_known_and_they_are_hear
     monkeypatch.setattr(pipeline, "in_modal_domain", lambda *_: asked.append(1) or Outcome("clean", 1.0, 0.3))
     monkeypatch.setattr(pipeline, "line_by_line", lines)
     monkeypatch.setattr(pipeline, "outcome_of", lambda found: found)
+    monkeypatch.setattr(pipeline, "outcome_beside_few", lambda found, task, late: found)
     simulation = Structure(np.eye(3), 2e-4 * CHAIN, CHAIN, ["a", "b", "c"])
     found = pipeline.by_routes(measured(), simulation, "auto", None, lambda _: None, late, False)
     assert found.verdict == ("clean" if before else "unknown")
