@@ -1,10 +1,13 @@
 """Elements that a matrix shows as one may be several, each off by itself, and what that makes of symmetric ones."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from frames import modal_damping
 
 from modalax.data import Measurement
+from modalax.diagnose.modal_domain import explain as search
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.fit import fit
 from modalax.diagnose.modal_domain.stage import identified, posed
@@ -99,3 +102,26 @@ def test_uneven_changes_hold_every_change_of_parallel_springs():
         change = np.outer(spring, spring).ravel()
         assert np.linalg.norm(A @ np.linalg.lstsq(A, change, rcond=None)[0] - change) < 1e-9
     assert len(uneven_patterns(np.einsum("eki,ekj->eij", B[:, :1], B[:, :1]))) == 0  # single springs
+
+
+@pytest.mark.parametrize(
+    ("uneven", "evidence", "explained", "expected"),
+    [
+        (True, -298.0, True, True),
+        (True, -304.0, True, False),
+        (True, -298.0, False, False),
+        (False, -298.0, True, False),
+    ],
+)
+def test_a_cause_that_leads_is_weighed_against_elements_that_are_off_unevenly(
+    monkeypatch, uneven, evidence, explained, expected
+):
+    """A leg and a brace to one support, each off by itself, had been a spring there, which the modes are far from."""
+    wider = SimpleNamespace()
+    monkeypatch.setattr(search, "with_more", lambda setting, null: wider)
+    monkeypatch.setattr(search, "fit", lambda setting: SimpleNamespace(log_evidence=evidence, of=setting))
+    monkeypatch.setattr(search, "explains", lambda f: f.of is wider and explained)
+    best = SimpleNamespace(causes=("a spring",), log_posterior=-302.0)
+    prior = SimpleNamespace(of=lambda causes: np.log(0.5))
+    assert search._unevenly_off(SimpleNamespace(uneven=uneven), None, best, prior) is expected
+    assert not search._unevenly_off(SimpleNamespace(uneven=uneven), None, SimpleNamespace(causes=()), prior)

@@ -296,8 +296,16 @@ def leading(
             if late():
                 break
         exact, there, found = made_exact(setting, candidates, found, finer, tell)
-        if explains(ranked_by(found, Prior(there))[0].fit):
+        best = ranked_by(found, Prior(there))[0]
+        if explains(best.fit) and not _unevenly_off(setting, null, best, prior):
             return exact, there, found
     except KeyboardInterrupt:
         late.stop()
     return setting, candidates, {}
+
+
+def _unevenly_off(setting: Setting, null: Fit, best: Explanation, prior: Prior) -> bool:
+    """Whether elements that are off unevenly, as parallel members of two kinds are, are likelier than what leads."""
+    wider = with_more(setting, null) if setting.uneven and best.causes else setting
+    found = None if wider is setting else fit(wider)
+    return found is not None and explains(found) and bool(found.log_evidence + prior.of(()) > best.log_posterior)
