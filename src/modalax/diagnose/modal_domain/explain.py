@@ -15,6 +15,7 @@ from modalax.diagnose.modal_domain.attempts import attempt, explains, key_of, wi
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.explanation import Explanation, Prior, ranked_by
 from modalax.diagnose.modal_domain.fit import Fit, Found, fit, without_causes
+from modalax.diagnose.modal_domain.inaccuracy import WITHIN
 from modalax.diagnose.modal_domain.narrowed import DIRECTIONS, narrowed
 from modalax.diagnose.modal_domain.oscillators import acting_alike, attached
 from modalax.diagnose.modal_domain.refitted import (
@@ -44,6 +45,7 @@ from modalax.diagnose.modal_domain.throughout import (
     beside_one_factor,
     instead_of_a_gain,
     start_in,
+    with_groups,
     with_more,
 )
 
@@ -297,15 +299,19 @@ def leading(
                 break
         exact, there, found = made_exact(setting, candidates, found, finer, tell)
         best = ranked_by(found, Prior(there))[0]
-        if explains(best.fit) and not _unevenly_off(setting, null, best, prior):
+        if explains(best.fit) and not _unevenly_off(setting, best, prior):
             return exact, there, found
     except KeyboardInterrupt:
         late.stop()
     return setting, candidates, {}
 
 
-def _unevenly_off(setting: Setting, null: Fit, best: Explanation, prior: Prior) -> bool:
+def _unevenly_off(setting: Setting, best: Explanation, prior: Prior) -> bool:
     """Whether elements that are off unevenly, as parallel members of two kinds are, are likelier than what leads."""
-    wider = with_more(setting, null) if setting.uneven and best.causes else setting
-    found = None if wider is setting else fit(wider)
-    return found is not None and explains(found) and bool(found.log_evidence + prior.of(()) > best.log_posterior)
+    least = best.log_posterior - prior.of(())
+    for name in setting.sought if setting.uneven and best.causes else ():
+        wider = with_groups(setting, (WITHIN[name],))
+        found = None if wider is None else fit(wider, best_else=least, basin=UNLIKE)
+        if found is not None and explains(found) and found.log_evidence > least:
+            return True
+    return False

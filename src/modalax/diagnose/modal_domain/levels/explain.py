@@ -27,7 +27,7 @@ from modalax.diagnose.thresholds import THRESHOLDS
 JOINT, DRIFT = 0.2, 0.05  # chances before the data that a joint, or a drift, tells levels or runs apart
 SAMPLED = 2000  # forces that places are screened on
 HALVINGS = 4  # times that the distance of the thresholds that are tried is halved about the best of them
-FITTED = 12  # leading places at which laws are fitted, where one at a few sizes gains enough to stand out
+FITTED = 12  # leading places at which laws are fitted, where one gains enough to stand out
 ALIKE, HARMONICS = 0.01, 300  # share of the gain that first harmonics do not tell, and forces on which all harmonics do
 NEIGHBOURS = 8  # lines over which errors of a law's force go together
 TOGETHER = 32  # places that are worked on at once

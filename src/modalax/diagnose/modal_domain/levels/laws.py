@@ -162,7 +162,10 @@ def scattered(law: JointCause, m: Motion, p: np.ndarray) -> np.ndarray:
 
 
 def with_fewer(law: JointCause, m: Motion, p: np.ndarray) -> np.ndarray:
-    """Describing function without the highest harmonics that are kept: those beyond them do no more than these."""
+    """Describing function without the highest harmonics that are kept [N/m], shape ``(level, f, i)``.
+
+    Harmonics beyond those that are kept do no more than these.
+    """
     if m.harmonic is None:
         return stiffness_of(law, m, p)
     fewer = replace(m, harmonic=np.where(ORDERS <= LOWER, m.harmonic, 0.0))
