@@ -103,3 +103,19 @@ def test_pairs_come_before_harmonics_that_can_change_nothing(monkeypatch, explai
     look = SimpleNamespace(null=SimpleNamespace(chi2=500.0 + explained))
     assert explain.with_harmonics_or_pairs(look, None, [lone], ranked, None)[2] == settled
     assert asked == (order[:1] if settled and order[0] == "pairs" else order)
+
+
+@pytest.mark.parametrize("changed, order", [(False, ["pairs"]), (True, ["pairs", "pairs"])])
+def test_pairs_that_promise_nothing_are_weighed_again_only_beside_new_harmonics(monkeypatch, changed, order):
+    asked = []
+    lone = Hypothesis(causes=(CubicStiffness(),), places=(Place(("1",), (0, -1, 0)),), extras=(None,), chi2=500.0)
+
+    def pairs(look, comparison, fitted, ranked, rest):
+        asked.append("pairs")
+        return fitted, ranked, False
+
+    monkeypatch.setattr(explain, "both_at_once", pairs)
+    monkeypatch.setattr(explain, "in_full", lambda _, __, fitted, ranked: ([*fitted] if changed else fitted, ranked))
+    look, ranked = SimpleNamespace(null=SimpleNamespace(chi2=500.0)), [Ranked(lone.names, lone, -250.0, 1.0)]
+    explain.with_harmonics_or_pairs(look, None, [lone], ranked, None)
+    assert asked == order

@@ -1,6 +1,7 @@
 """Pictures and report of a diagnosis."""
 
 import json
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -11,7 +12,7 @@ from modalax.diagnose.summary import causes_text
 from modalax.model import Structure
 from modalax.model.examples import five_dof
 from modalax.show.diagnosis import MOST_ROWS, residual_rows, run_names
-from modalax.show.report.diagnosis import cause_rows, gain_rows, interval
+from modalax.show.report.diagnosis import cause_rows, gain_rows, interval, smallest_sections
 from modalax.show.report.evidence import evidence_sections
 
 
@@ -67,6 +68,13 @@ def test_answers_as_tables():
     assert table.rows[1][2] == "50.0 ± 4.0"
 
 
+def test_smallest_effects_have_a_section_where_they_are_told():
+    diagnosis = SimpleNamespace(strength_parameters={"added_mass": SimpleNamespace(name="mass", unit="kg")})
+    (section,) = smallest_sections(diagnosis, {"smallest_detectable": {"added_mass": 0.01234}})
+    assert section.parts[0].rows == [["added_mass", "mass [kg]", "0.0123"]]
+    assert smallest_sections(diagnosis, {"smallest_detectable": {}}) == []
+
+
 def test_what_the_data_show_as_tables():
     chance = {"chi2": 3.0, "freedom": 2, "p_value": 0.223}
     mode = {"frequency_hz": 20.5, "damping_ratio": 0.012, "chi2_before": 90.0, "chi2_after": None}
@@ -74,7 +82,7 @@ def test_what_the_data_show_as_tables():
              for name in ("frequency_error", "damping_error", "peak_error_db")}  # fmt: skip
     evidence = {
         "tests": {"reciprocity": chance, "level_homogeneity": None, "band": {"before": chance, "after": None},
-                  "whiteness": {"before": {"p_value": 1e-9}, "after": {"p_value": 0.4}}},
+                  "whiteness": {"before": {"p_value": 0.0}, "after": {"p_value": 0.4}}},
         "by_mode": [mode],
         "by_channel": [{"output": "a", "input": "b", "chi2_before": 7.0, "chi2_after": 1.0, "frac_before": 0.5,
                         "frac_after": 0.999}],
@@ -83,7 +91,7 @@ def test_what_the_data_show_as_tables():
     }  # fmt: skip
     assert evidence_sections(None) == []
     tests, modes, levels, channels = evidence_sections(evidence)[0].parts
-    assert [row[1:] for row in tests.rows] == [["0.223", ""], ["0.223", ""], ["1e-09", "0.4"]]
+    assert [row[1:] for row in tests.rows] == [["0.223", ""], ["0.223", ""], ["< 1e-300", "0.4"]]
     assert modes.rows == [["20.5", "1.2", "+2.1 / -", "+2.1 / -", "+0.021 / -", "90 / -"]]
     assert levels.rows == [["1", "", "7 / 1", "", "0.01"]]
     assert channels.rows == [["a", "b", "7 / 1", "0.5 / 0.999"]]

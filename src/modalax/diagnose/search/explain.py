@@ -311,11 +311,13 @@ def with_harmonics_or_pairs(
     before, settled = fitted, False
     if first:
         fitted, ranked, settled = both_at_once(look, comparison, fitted, ranked, rest)
-    if not settled:
-        tried = len(fitted) > len(before)
-        fitted, ranked = in_full(look, comparison, fitted, ranked)
-        if not tried:
-            fitted, ranked, settled = both_at_once(look, comparison, fitted, ranked, rest)
+    if settled:
+        return fitted, ranked, True
+    with_pairs = fitted
+    fitted, ranked = in_full(look, comparison, fitted, ranked)
+    # beside the same hypotheses no pair would promise more than it did
+    if not first or (with_pairs is before and fitted is not before):
+        fitted, ranked, settled = both_at_once(look, comparison, fitted, ranked, rest)
     return fitted, ranked, settled
 
 

@@ -86,7 +86,7 @@ def diagnosis_sections(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> list[
     sections += evidence_sections(diagnosis.evidence)
     if diagnosis.candidates:
         sections.append(Section("Candidates", [], _candidates(diagnosis)))
-    sections.append(Section("Smallest effects that would have been seen", [], [_smallest(diagnosis, answer)]))
+    sections += smallest_sections(diagnosis, answer)
     sections.append(Section("What was assumed", [_sentence(note) for note in diagnosis.notes]))
     return sections
 
@@ -122,14 +122,18 @@ def _candidates(diagnosis: Diagnosis) -> list[Table | Plot]:
     return [chart, Table(head, rows, caption)]
 
 
-def _smallest(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> Table:
+def smallest_sections(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> list[Section]:
+    """Smallest detectable effects; no section where only force levels were compared, which do not tell them."""
+    if not answer["smallest_detectable"]:
+        return []
     strengths = diagnosis.strength_parameters
     rows = [
         [slug, f"{strengths[slug].name} [{strengths[slug].unit}]", f"{value:.3g}"]
         for slug, value in sorted(answer["smallest_detectable"].items())
     ]
     caption = "Strength that nine in ten such measurements would have shown, at a place of median sensitivity."
-    return Table(["Cause", "Strength", "Smallest"], rows, caption, text_columns=(0, 1))
+    table = Table(["Cause", "Strength", "Smallest"], rows, caption, text_columns=(0, 1))
+    return [Section("Smallest effects that would have been seen", [], [table])]
 
 
 def diagnosis_facts(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> list[tuple[str, str]]:

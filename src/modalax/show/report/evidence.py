@@ -21,15 +21,22 @@ def _number(value: float | None, text: str = "{:.3g}") -> str:
     return "" if value is None else text.format(value)
 
 
+def _chance(test: Mapping[str, Any] | None) -> str:
+    """A p-value; one too small for a double is a bound, as no chance is 0."""
+    if test is None:
+        return ""
+    return "< 1e-300" if test["p_value"] < 1e-300 else _number(test["p_value"])
+
+
 def test_rows(tests: Mapping[str, Any]) -> Table:
     """What is usually assumed, and the chance under noise alone of so large a deviation from it."""
     single = {"Reciprocity": tests["reciprocity"], "Same response in every run and at every level":
               tests["level_homogeneity"]}  # fmt: skip
-    rows = [[name, _number(test["p_value"]), ""] for name, test in single.items() if test is not None]
+    rows = [[name, _chance(test), ""] for name, test in single.items() if test is not None]
     both = {"Same factor in the lower half of the band (Hausman)": tests["band"],
             "Residuals of neighbouring lines are independent": tests["whiteness"]}  # fmt: skip
     for name, pair in both.items():
-        rows.append([name, *(_number(None if t is None else t["p_value"]) for t in (pair["before"], pair["after"]))])
+        rows.append([name, *(_chance(t) for t in (pair["before"], pair["after"]))])
     return Table(["Test", "Chance, data or simulation", "Chance, extended"], rows, "Small chances speak against.")
 
 
