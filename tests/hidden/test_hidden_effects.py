@@ -11,6 +11,7 @@ import pytest
 from modalax.diagnose import diagnose, pipeline
 from modalax.diagnose.causes import ChannelCause, JointCause, LinesCause, LocalCause, ModesCause, catalogue
 from modalax.diagnose.causes.drift import DriftingSpring
+from modalax.diagnose.causes.groups import GroupCause
 from modalax.diagnose.causes.joints import ElastoSlip
 from modalax.diagnose.causes.power_laws import IwanJoint
 from modalax.diagnose.comparison import empty, make_comparison
@@ -153,7 +154,8 @@ def test_units_are_looked_for_where_the_simulation_has_its_modes(tmp_path):
     comparison = make_comparison(load(tmp_path / "measurement.npz"), load(tmp_path / "simulation.npz"))
     null = comparison.fit([empty(comparison)], 14)[0]
     found = from_nominal_modes(
-        score_state_of(comparison, null), [c for c in catalogue() if not isinstance(c, JointCause | LinesCause)]
+        score_state_of(comparison, null),
+        [c for c in catalogue() if not isinstance(c, JointCause | LinesCause | GroupCause)],
     )
     assert np.abs(null.theta).max() > STRAYED
     assert found[0].chi2 < 1.2 * comparison.problem.samples < 1e-3 * null.chi2

@@ -27,6 +27,7 @@ GAIN, DELAY, HEARD = ChannelGain(), TimeDelay(), Crosstalk()
 ALARM = Leftover(alarm=1e-6, explained=900.0, p_value=0.4)
 HELD = Gain("run 3 at 9 N, the highest level", 40.0, 1.02, 500.0, 20.0, missed=0.5, chi2_within=1.0)
 MISSED = replace(HELD, chi2_after=3.0, missed=9.0)
+WORSE = replace(HELD, chi2_before=1.01, chi2_after=1.02, missed=2.1, log_likelihood_gain=-9.0)  # with the cause
 
 
 def ranked(*sets):
@@ -95,7 +96,11 @@ TABLE = [
     (untold("1", worse=8.9), ALARM, HELD, "named", ["0.98", "record the mean displacement and the even harmonics"]),
     (untold("1", worse=9.1), ALARM, HELD, "named", ["0.98"]),
     (untold("2"), ALARM, HELD, "named", ["0.98"]),
-    (ONE, ALARM, MISSED, "unknown", ["cubic_stiffness leaves a chi-square of 3.00 per sample there"]),
+    (ONE, ALARM, MISSED, "unknown", ["cubic_stiffness leaves a chi-square of 3.000 per sample there"]),
+    (ONE, ALARM, WORSE, "unknown", ["there, the simulation alone 1.010: it imitates"]),
+    (TWO, ALARM, WORSE, "unknown", ["they imitate something else"]),
+    (ONE, ALARM, replace(WORSE, missed=2.0), "named", ["0.99"]),
+    (ONE, ALARM, replace(WORSE, log_likelihood_gain=0.1), "named", ["0.99"]),
     (ONE, ALARM, replace(MISSED, missed=4.0), "named", ["0.99"]),
     (ONE, ALARM, replace(MISSED, chi2_within=2.9), "named", ["0.99"]),
     (ONE, replace(ALARM, p_value=0.0019), HELD, "unknown", ["still more than noise"]),

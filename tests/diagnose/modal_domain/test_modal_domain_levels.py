@@ -212,6 +212,13 @@ def test_receptances_at_harmonics_are_those_of_the_matrices_with_damping_that_co
     b, orders = rng.normal(size=(3, 15)), np.array([3, 5, 7])
     exact = np.stack([base.across(b, float(h)) for h in orders], axis=-1)
     np.testing.assert_allclose(base.at_harmonics(b, orders), exact, rtol=2e-3)
+    # beside a coordinate without damping that no force moves, at a multiple of a line
+    spare = np.diag(np.append(np.zeros(15), 1.0))
+    M, C, K = (np.pad(part, ((0, 1), (0, 1))) for part in matrices)
+    beside = replace(base, matrices=(M + spare, C, K + (5 * 2 * np.pi * np.linspace(10, 150, 40)[7]) ** 2 * spare))
+    there = np.pad(b, ((0, 0), (0, 1)))
+    np.testing.assert_allclose(beside.at_harmonics(there, orders), exact, rtol=2e-3)
+    np.testing.assert_allclose(beside.across(there, 5.0), exact[..., 1], rtol=1e-6)
 
 
 def test_noise_of_a_force_says_nothing_for_a_place():

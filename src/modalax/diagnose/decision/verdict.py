@@ -222,9 +222,12 @@ def held_out_is_missed(case: Case) -> str | None:
     if case.leftover.inexact and gain.chi2_after < case.limits.unexplained:  # what a law leaves there too
         return None
     several = len(case.best.best.causes) > 1
+    other = "fitted with it", gain.chi2_within
+    if gain.log_likelihood_gain < 0:
+        other = "the simulation alone", gain.chi2_before
     return (
         f"fitted without {gain.held_out}, {case.names} leave{'' if several else 's'} a chi-square of "
-        f"{gain.chi2_after:.2f} per sample there, fitted with it {gain.chi2_within:.2f}: "
+        f"{gain.chi2_after:.3f} per sample there, {other[0]} {other[1]:.3f}: "
         f"{'they imitate' if several else 'it imitates'} something else"
     )
 
@@ -317,5 +320,9 @@ def verdict(
 
 
 def fails(gain: Gain, thresholds: Thresholds = THRESHOLDS) -> bool:
-    """Whether causes fail to predict the block held out: beyond their parameters' errors, and by more than a little."""
-    return gain.missed > thresholds.missed and gain.chi2_after > thresholds.farther * gain.chi2_within
+    """Whether causes fail to predict the block held out, beyond their parameters' errors.
+
+    They do so where it is less likely with them than without, and where they miss it by far and by more than a little.
+    """
+    far = gain.missed > thresholds.missed and gain.chi2_after > thresholds.farther * gain.chi2_within
+    return far or (gain.missed > thresholds.contradicted and gain.log_likelihood_gain < 0)

@@ -32,6 +32,7 @@ from modalax.diagnose.thresholds import THRESHOLDS
 LINES = 256  # lines solved at once
 PRETENDED = 0.01  # chance that noise alone makes a force seen at any line of a place
 COUPLED = 2  # steps to what damping couples modes by
+LOSS = 1e-9j  # loss factor of all stiffness, so that no multiple of a line meets a mode without any damping
 BLOCK = 2e6  # numbers of a product of places, lines and outputs at once
 
 
@@ -113,7 +114,7 @@ class Base:
         M, C, K = self.matrices
         parts = []
         for s in np.array_split(times * self.s[::step], max(1, len(self.s) // LINES)):
-            Z = K + s[:, None, None] * C + s[:, None, None] ** 2 * M + added_stiffness(self.forces, s)
+            Z = (1 + LOSS) * K + s[:, None, None] * C + s[:, None, None] ** 2 * M + added_stiffness(self.forces, s)
             parts.append(np.einsum("pn,fnp->fp", b, np.linalg.solve(Z, np.broadcast_to(b.T, (len(s), *b.T.shape)))))
         return np.concatenate(parts)
 
@@ -132,7 +133,7 @@ class Base:
         parts = []
         for line in np.array_split(self.s, max(1, len(self.s) // LINES)):
             s = (line[:, None] * orders)[:, None, :, None]
-            Z = squares + s * own + s**2
+            Z = (1 + LOSS) * squares + s * own + s**2
             x = seen[:, None] / Z  # (f, p, h, n)
             for _ in range(COUPLED):
                 x = (seen[:, None] - s * (x @ coupled)) / Z
