@@ -13,7 +13,7 @@ from modalax.diagnose import pipeline
 from modalax.diagnose.causes.base import LocalCause
 from modalax.diagnose.causes.joints import BilinearStiffness, CoulombFriction, CubicStiffness, ElastoSlip, GapContact
 from modalax.diagnose.causes.local import JointStiffness, LocalDamper
-from modalax.diagnose.causes.viscoelastic import MaxwellJoint
+from modalax.diagnose.causes.viscoelastic import ZenerJoint
 from modalax.diagnose.comparison import make_comparison
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.decision.route import Task
@@ -117,7 +117,7 @@ def test_a_law_that_explains_all_elsewhere_is_fitted_where_it_misses_as_much_by_
 def test_slopes_of_a_linear_element_are_those_of_differences_at_nothing_too(share):
     """What lasts of a joint that relaxes begins at nothing, where steps in proportion to it told of no slope."""
     comparison, force = compared(joined(joints.CubicSpring(3e10)))
-    seen, law, p = seen_at(comparison, force, several=False), MaxwellJoint(), np.array([2e5, 3e-3, share])
+    seen, law, p = seen_at(comparison, force, several=False), ZenerJoint(), np.array([2e5, 3e-3, share])
     here, slopes = force_of(law, p, seen)[:2]
     assert slopes.shape == (3, len(here))
     for slope, step in zip(slopes, np.diag([1.0, 1e-7, 1e-6]), strict=True):

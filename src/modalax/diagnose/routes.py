@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from modalax.data import Measurement
-from modalax.diagnose.causes import Cause
+from modalax.diagnose.causes import Cause, catalogue
 from modalax.diagnose.causes.groups import GROUPS, GroupCause
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.decision.route import Outcome, Task, hardly_off, in_time, nothing_left, suffices, surely_named
@@ -48,9 +48,13 @@ def task_of(measurement: Measurement, simulation: object, question: str, causes:
 
 
 def check_groups(simulation: object, causes: Sequence[Cause] | None) -> None:
-    """Raise ``ValueError`` where a parameter of groups is asked about that the simulation does not name."""
+    """Raise ``ValueError`` where a parameter of groups is asked about that the simulation does not name.
+
+    Not where the whole catalogue is asked for, with further causes beside it.
+    """
     asked = [c.slug for c in causes or () if isinstance(c, GroupCause)]
-    if asked and getattr(simulation, "groups", None) is None:
+    whole = {c.slug for c in catalogue()} <= {c.slug for c in causes or ()}
+    if asked and not whole and getattr(simulation, "groups", None) is None:
         raise ValueError(
             f"cause {asked[0]} needs a simulation with groups of elements (group_names, group_K and group_M in its "
             "file); this one names none"

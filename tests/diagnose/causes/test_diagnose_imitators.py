@@ -20,7 +20,7 @@ from modalax.diagnose.causes.power_laws import (
 )
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.causes.sensors import AcCoupling, ClippedSensor, SensorLowpass, SensorResonance
-from modalax.diagnose.causes.viscoelastic import FractionalJoint, HystereticJoint, MaxwellJoint
+from modalax.diagnose.causes.viscoelastic import FractionalJoint, HystereticJoint, MaxwellJoint, ZenerJoint
 from modalax.diagnose.decision.posterior import posterior
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.prediction.frf import predict
@@ -92,7 +92,8 @@ ONE[0, 1, 3] = 1.0
     ("cause", "index", "p", "change"),
     [
         (FractionalJoint(), (1, 3, 0), [900.0, 0.4], 900.0 * S[:, None, None] ** 0.4 * across(1, 3)),
-        (MaxwellJoint(), (1, 3, 0), [5e3, 4e-3, 0.6], (3e3 + 20 * S / (1 + S * 4e-3))[:, None, None] * across(1, 3)),
+        (MaxwellJoint(), (1, 3, 0), [5e3, 4e-3], (20 * S / (1 + S * 4e-3))[:, None, None] * across(1, 3)),
+        (ZenerJoint(), (1, 3, 0), [5e3, 4e-3, 0.6], (3e3 + 20 * S / (1 + S * 4e-3))[:, None, None] * across(1, 3)),
         (HystereticJoint(), (1, 3, 0), [2e3], 2e3j * across(1, 3)),
         (OneWayDamper(False), (1, 3, 0), [30.0], 30.0 * S[:, None, None] * ONE),
         (OneWayDamper(True), (1, 3, 0), [30.0], 30.0 * S[:, None, None] * ONE.transpose(0, 2, 1)),

@@ -13,7 +13,7 @@ from modalax.diagnose.causes.local import AddedMass, JointStiffness, TunedMass
 from modalax.diagnose.causes.mains_hum import MainsHum
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.causes.signals import HumLines
-from modalax.diagnose.causes.viscoelastic import MaxwellJoint
+from modalax.diagnose.causes.viscoelastic import ZenerJoint
 from modalax.diagnose.decision.advice import advise
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.posterior import Ranked
@@ -63,7 +63,7 @@ def dropping_out(correlation):
 
 def at_zero(variance):
     """A relaxing joint, which is no joint with a force law, of whose three parameters the last is zero."""
-    (found,) = ranked((1.0, (MaxwellJoint(), "1", "2")))
+    (found,) = ranked((1.0, (ZenerJoint(), "1", "2")))
     best = replace(found.best, params=(np.array([80.0, 2e-4, 0.0]),), covariance=np.diag([variance, 9.0, 1.0]))
     return [replace(found, best=best)]
 

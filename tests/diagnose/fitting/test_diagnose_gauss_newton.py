@@ -10,7 +10,7 @@ from modalax.data import FRF
 from modalax.diagnose.causes.damping import ModalDamping
 from modalax.diagnose.causes.parameter import Parameter
 from modalax.diagnose.causes.scene import Place
-from modalax.diagnose.causes.viscoelastic import MaxwellJoint
+from modalax.diagnose.causes.viscoelastic import ZenerJoint
 from modalax.diagnose.comparison import make_comparison
 from modalax.diagnose.fitting.gauss_newton import covariance_of, damped, damped_step
 from modalax.diagnose.fitting.hypothesis import Hypothesis, bounds_of, from_search, slopes, to_search
@@ -108,5 +108,5 @@ def test_parameters_go_to_the_search_and_back():
 
 def test_a_logarithm_that_nothing_bounds_ends_where_powers_of_the_value_are_numbers():
     """A search without an end had moved the time of a relaxation to 1e299 s, and nothing was a number beside it."""
-    value = from_search(MaxwellJoint(), np.array([1.0, 1e4, 0.5]))
+    value = from_search(ZenerJoint(), np.array([1.0, 1e4, 0.5]))
     assert 1e20 < value[1] and np.isfinite(value[1] ** 8)

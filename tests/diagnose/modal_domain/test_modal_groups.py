@@ -8,6 +8,7 @@ from kinds import FEW_OR_ALL
 
 from modalax.data import Measurement
 from modalax.diagnose import catalogue, diagnose
+from modalax.diagnose.causes.local import JointStiffness
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.features import Features
@@ -16,6 +17,7 @@ from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
 from modalax.diagnose.modal_domain.places import candidates_of
 from modalax.diagnose.modal_domain.screen import _changed
 from modalax.diagnose.modal_domain.state import Setting, matrices_of
+from modalax.diagnose.routes import check_groups
 from modalax.model import Structure
 from modalax.model.groups import Groups
 
@@ -141,3 +143,10 @@ def test_groups_are_asked_about_in_the_modal_domain_and_the_extended_simulation_
     assert np.abs(got - expected).max() < 0.003 * np.abs(expected).max()
     with pytest.raises(ValueError, match="element_group needs a simulation with groups"):
         diagnose(data, simulation(), causes=asked)
+
+
+def test_the_whole_catalogue_may_be_asked_about_with_a_cause_of_ones_own_where_no_groups_are_named():
+    own = type("Own", (JointStiffness,), {"slug": "own"})()
+    check_groups(simulation(), [*catalogue(), own])
+    with pytest.raises(ValueError, match="element_group needs a simulation with groups"):
+        check_groups(simulation(), [c for c in [*catalogue(), own] if c.slug != "gap"])

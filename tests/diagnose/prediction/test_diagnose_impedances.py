@@ -7,7 +7,7 @@ from modalax.diagnose.causes.drift import DriftingSpring
 from modalax.diagnose.causes.free_law import FreeLaw
 from modalax.diagnose.causes.joints import CubicStiffness, ElastoSlip
 from modalax.diagnose.causes.power_laws import IwanJoint
-from modalax.diagnose.causes.viscoelastic import FractionalJoint, MaxwellJoint
+from modalax.diagnose.causes.viscoelastic import FractionalJoint, ZenerJoint
 from modalax.diagnose.prediction import impedances as rows
 from modalax.diagnose.prediction.impedances import impedances, linear_impedances
 
@@ -18,7 +18,7 @@ OMEGA = np.linspace(60.0, 90.0, 17)
     ("cause", "typical"),
     [
         (CubicStiffness(), [1e9]), (ElastoSlip(True), [4e4, 2e-5]), (IwanJoint(), [4e4, 2e-5, 0.5]),
-        (FreeLaw(2, 1e-4), [1e3, 2e3, 3e2, 4e2]), (DriftingSpring(), [4e4]), (MaxwellJoint(), [4e4, 0.01, 0.5]),
+        (FreeLaw(2, 1e-4), [1e3, 2e3, 3e2, 4e2]), (DriftingSpring(), [4e4]), (ZenerJoint(), [4e4, 0.01, 0.5]),
     ],
 )  # fmt: skip
 def test_trials_in_rows_are_each_trial_by_itself(cause, typical, monkeypatch):
@@ -29,7 +29,7 @@ def test_trials_in_rows_are_each_trial_by_itself(cause, typical, monkeypatch):
     found = impedances(cause, p, OMEGA, A)
     assert found.shape == (5, *A.shape)
     for Z, one in zip(found, p, strict=True):
-        if isinstance(cause, MaxwellJoint):
+        if isinstance(cause, ZenerJoint):
             alone = np.asarray(cause.impedance(1j * OMEGA, one))[:, None]
         else:
             alone = np.asarray(cause.impedance(A, OMEGA[:, None], one))

@@ -1,6 +1,6 @@
 """Elements at one place whose stiffness and loss follow frequency in other ways than a spring and a damper."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Array, Complex, Float
@@ -31,26 +31,43 @@ class FractionalJoint(LocalCause):
 
 
 class MaxwellJoint(LocalCause):
-    r"""A relaxation joint: a spring in parallel with a spring and a damper in series.
+    r"""A joint that relaxes: a spring in series with a damper, :math:`Z = k\,s\tau/(1 + s\tau)`.
 
-    :math:`Z = k\left(r + \frac{s\tau}{1 + s\tau}\right)`, from :math:`kr` at rest to :math:`k(1 + r)` far above
-    :math:`1/\tau` (the standard linear solid; Zener 1948, Elasticity and Anelasticity of Metals).
+    It is at rest no spring and far above :math:`1/\tau` one of stiffness k (Maxwell 1867, Phil. Trans. R. Soc. 157:49).
     """
 
     slug = "maxwell_joint"
-    summary = "a joint that relaxes: a spring in parallel with a spring and a damper in series"
+    summary = "a joint that relaxes: a spring and a damper in series"
     advice = "widen the band on both sides of the frequency at which the joint relaxes"
     prior = 0.2  # a spring and a damper are its limits
     parameters = (
         Parameter("relaxing_stiffness", "N/m", 0.0),
         Parameter("relaxation_time", "s", 1e-9, log=True),
-        Parameter("lasting_share", "-", 0.0, 100.0),
-    )
+    )  # fmt: skip
+    shares: ClassVar[tuple[float, ...]] = ()
 
     def grid(self, scene: Scene, place: Place) -> np.ndarray:
-        """Relaxing about mid-band, with nothing and with as much that lasts."""
-        shapes = [(x / median_omega(scene), share) for x in (0.3, 1.0, 3.0) for share in (0.0, 1.0)]
+        """Relaxing about mid-band, with nothing and with as much that lasts if any does."""
+        times = [x / median_omega(scene) for x in (0.3, 1.0, 3.0)]
+        shapes = [(time, share) for time in times for share in self.shares] or [(time,) for time in times]
         return strengths(scene.stiffness_scale(place), shapes, both=False)
+
+    def impedance(self, s: Complex[Array, " f"], p: Float[Array, " p"]) -> Complex[Array, " f"]:
+        r""":math:`k\,s\tau/(1 + s\tau)`."""
+        return p[0] * (s * p[1] / (1 + s * p[1]))
+
+
+class ZenerJoint(MaxwellJoint):
+    r"""The same with a spring in parallel, of which the share r lasts.
+
+    :math:`Z = k\left(r + \frac{s\tau}{1 + s\tau}\right)`, from :math:`kr` at rest to :math:`k(1 + r)` far above
+    :math:`1/\tau` (the standard linear solid; Zener 1948, Elasticity and Anelasticity of Metals).
+    """
+
+    summary = "a joint that relaxes: a spring in parallel with a spring and a damper in series"
+    prior = 0.1  # half as likely as that of which nothing lasts
+    parameters = (*MaxwellJoint.parameters, Parameter("lasting_share", "-", 0.0, 100.0))
+    shares = (0.0, 1.0)
 
     def impedance(self, s: Complex[Array, " f"], p: Float[Array, " p"]) -> Complex[Array, " f"]:
         r""":math:`k(r + s\tau/(1 + s\tau))`."""
@@ -83,4 +100,4 @@ class HystereticJoint(LocalCause):
         return 1j * p[0] + 0 * s
 
 
-VISCOELASTIC: tuple[Any, ...] = (FractionalJoint(), MaxwellJoint(), HystereticJoint())
+VISCOELASTIC: tuple[Any, ...] = (FractionalJoint(), MaxwellJoint(), ZenerJoint(), HystereticJoint())

@@ -108,10 +108,10 @@ class RelaxingJoint(Between):
         return [*super().slopes_at(u, s), (by_time, grown)]
 
     def as_catalogue(self, u: np.ndarray, covariance: np.ndarray) -> tuple[list[float], list[float], Any]:
-        """With its time; no stiffness lasts."""
+        """With its time."""
         values, errors, extra = super().as_catalogue(u, covariance)
         spread = math.sqrt(max(float(covariance[1, 1]), 0.0))
-        return [*values, self._time(u), 0.0], [*errors, self._time(u) * self.width * spread, 0.0], extra
+        return [*values, self._time(u)], [*errors, self._time(u) * self.width * spread], extra
 
 
 @dataclass(frozen=True)

@@ -98,7 +98,7 @@ class LineForce(Change):
         values, errors, _ = self.as_catalogue(u, covariance)
         return {
             p.name: {"value": v, "std": e, "unit": p.unit}
-            for p, v, e in zip(self.in_catalogue.parameters, values, errors, strict=True) if p.name != "lasting_share"
+            for p, v, e in zip(self.in_catalogue.parameters, values, errors, strict=True)
         }  # fmt: skip
 
 
