@@ -74,5 +74,5 @@ def test_the_first_example_in_python_runs():
     code = re.findall(r"^```python\n(.*?)^```$", README, re.M | re.S)[0]
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    modes = re.findall(r"^ +\d  (\d+\.\d+) ± (\d\.\d+)  (\d\.\d+) ± (\d\.\d+)  [01]\.\d{3}$", done.stdout, re.M)
+    modes = re.findall(r"^ +\d +(\d+\.\d+) ± (\d\.\d+) +(\d\.\d+) ± (\d\.\d+) +[01]\.\d{3}$", done.stdout, re.M)
     assert len(modes) == 5 and 25 < float(modes[0][0]) < 27 and 1.5 < float(modes[0][2]) < 2.5, done.stdout

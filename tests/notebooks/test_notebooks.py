@@ -1,6 +1,8 @@
 """Every notebook runs from top to bottom without an error, in an empty folder."""
 
+import ast
 import os
+from importlib import import_module
 from pathlib import Path
 
 import nbformat
@@ -40,6 +42,20 @@ def test_a_notebook_runs_in_a_kernel_up_to_its_structure(tmp_path):
     notebook.cells = notebook.cells[: second + 1]
     NotebookClient(notebook, timeout=SECONDS, resources={"metadata": {"path": str(tmp_path)}}).execute()
     assert "first modes with the interface stuck" in notebook.cells[-1].outputs[0].text
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_what_a_notebook_imports_is_there(path):
+    cells = [
+        "\n".join(line for line in cell.source.splitlines() if not line.startswith(("%", "!")))  # no Python
+        for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "code"
+    ]  # fmt: skip
+    asked = [
+        (node.module, name.name) for source in cells for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.ImportFrom) and node.module for name in node.names
+    ]  # fmt: skip
+    assert any(module.startswith("modalax") for module, _ in asked)
+    assert [(m, n) for m, n in asked if m.startswith("modalax") and not hasattr(import_module(m), n)] == []
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)

@@ -164,6 +164,9 @@ def rows_of_noise(xp: ModuleType, problem: LinearProblem) -> Inexact[Numbers, "r
     return xp.concatenate([rows.real, rows.imag]) if problem.real else rows
 
 
+noise_rows = by_numpy(rows_of_noise)
+
+
 def factor_of(
     xp: ModuleType, problem: LinearProblem, noise: Numbers | None = None, ridge: Any = None
 ) -> Inexact[Numbers, "m m"]:
@@ -172,6 +175,9 @@ def factor_of(
         xp, problem.H, problem.weight, problem.u, problem.ridge if ridge is None else ridge, noise,
         order=problem.order, numerator=problem.numerator, real=problem.real, shared=problem.shared,
     )  # fmt: skip
+
+
+factor = by_numpy(factor_of)
 
 
 @by_numpy

@@ -127,6 +127,15 @@ def test_nothing_is_clean_or_named_whose_lines_are_not_explained(word, left, by_
     assert ("own modes" in reasons[-1]) == (left > 20 * by_modes and word != "unknown")
 
 
+@pytest.mark.parametrize(("word", "left", "said"), [
+    ("named", 1.9, "named"), ("named", 2.1, "unknown"), ("clean", 2.1, "clean"),
+])  # fmt: skip
+def test_several_causes_must_explain_the_lines_better_than_one(word, left, said):
+    """On few modes they stand for much: a gain that wanders was told as two of crosstalk and a soft joint."""
+    assert lines_verdict(word, ["as before"], left, 1.0, several=True)[0] == said
+    assert lines_verdict(word, ["as before"], left, 1.0)[0] == word
+
+
 @pytest.mark.parametrize(("word", "left", "by_modes", "told"), [
     ("clean", 12.0, 11.5, True), ("named", 2.3, 2.1, True), ("clean", 1.9, 1.9, False), ("unknown", 12.0, 11.5, False),
     ("named", 1.02, 11.5, False),

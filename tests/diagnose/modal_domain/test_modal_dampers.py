@@ -96,7 +96,7 @@ def test_a_sensor_that_moves_as_another_point_is_where_it_says_if_a_damper_joins
     monkeypatch.setattr(diagnosis, "other_places", lambda *_: {DOFS[2]: DOFS[1]})
     found = diagnose_modes(joined_by(5e4, (2, 1)), simulation())
     told = {x["name"] for x in (*found.causes, *(c for one in found.alternatives for c in one))}
-    assert told == {"local_damper", "hysteretic_joint"}  # either holds them together
+    assert "local_damper" in told <= {"local_damper", "hysteretic_joint"}  # either may hold them together
     assert all(x["where"] == [DOFS[1], DOFS[2]] for x in found.causes)
 
 

@@ -284,7 +284,9 @@ def held_out_verdict(word: str, reasons: Sequence[str], gain: Gain) -> tuple[str
     )  # fmt: skip
 
 
-def lines_verdict(word: str, reasons: Sequence[str], left: float, by_modes: float) -> tuple[str, tuple[str, ...]]:
+def lines_verdict(
+    word: str, reasons: Sequence[str], left: float, by_modes: float, several: bool = False
+) -> tuple[str, tuple[str, ...]]:
     """The verdict once all lines are known: nothing is `clean` or `named` whose lines are not explained with it.
 
     Parameters
@@ -292,6 +294,8 @@ def lines_verdict(word: str, reasons: Sequence[str], left: float, by_modes: floa
     left, by_modes
         Chi-square per sample that the corrected simulation with its causes leaves, and that the measurement's own
         modes leave.
+    several
+        Whether several causes stand out, which together can stand for much that is none of them.
     """
     if word in ("clean", "named") and min(left, by_modes) > THRESHOLDS.modes_miss:  # not where a joint explains it
         reasons = (
@@ -300,7 +304,8 @@ def lines_verdict(word: str, reasons: Sequence[str], left: float, by_modes: floa
             "sample. Leakage, a force that drops at resonances, a non-linear joint or noise that is larger than stated "
             "would do that, and what is small beside it is not seen here",
         )  # fmt: skip
-    if word not in ("clean", "named") or left <= THRESHOLDS.lines_missed * by_modes:
+    most = THRESHOLDS.lines_missed_by_several if several and word == "named" else THRESHOLDS.lines_missed
+    if word not in ("clean", "named") or left <= most * by_modes:
         return word, tuple(reasons)
     return "unknown", (
         *reasons,

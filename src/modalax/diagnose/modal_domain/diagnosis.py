@@ -232,7 +232,8 @@ def _diagnosed(
     gain = gain_of(stage, chosen, before)
     word, reasons = held_out_verdict(word, reasons, gain)
     left = float((np.abs(residuals[1][stage.measured.runs]) ** 2).mean() / 2)
-    word, reasons = lines_verdict(word, reasons, left, stage.measured.misfit)
+    several = len(standing_out(stage, chosen)) > 1
+    word, reasons = lines_verdict(word, reasons, left, stage.measured.misfit, several)
     joint = seen is not None and seen.joint is not None
     hum = mains_hum(measurement, stage.measured.freq, residuals[1], joint) if task.wanted("mains_hum") else None
     if hum is not None:
