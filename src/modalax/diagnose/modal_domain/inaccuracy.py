@@ -10,7 +10,8 @@ size of the change between them, modal dampings :math:`c_r` and :math:`c_s` coup
 :math:`\tfrac12\sin2\theta\,(c_r-c_s)`.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -61,6 +62,8 @@ class Inaccuracy:
         Of each pattern, whether its size is the logarithm of a factor: a mode's own damping, or all of a matrix.
     factors
         The patterns of each group by their directions; found where they are not given.
+    elements
+        Of ``stiffness`` and ``mass``, as far as a matrix shows elements in pieces, the number of each pattern's element.
     """
 
     groups: tuple[str, ...]
@@ -70,6 +73,7 @@ class Inaccuracy:
     claimed: tuple[bool, ...]
     positive: np.ndarray
     factors: tuple[Factored, ...] = ()
+    elements: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         more = map(factored, self.patterns[len(self.factors) :])
@@ -87,10 +91,13 @@ def inaccuracy_of(simulation: Structure, c: Coordinates, highest: float) -> Inac
     nodes = nodes_in(simulation.dofs, K)
     stiffness, mass = stiffness_patterns(simulation, c), mass_patterns(simulation, c)
     shared = {name: np.zeros((0, c.size, c.size)) for name in WITHIN}
+    elements = {}
     if stiffness is None:
-        stiffness, shared["stiffness"] = _patterns(_pieces(K, nodes, mass=False), c)
+        pieces = _pieces(K, nodes, mass=False)
+        (stiffness, shared["stiffness"]), elements["stiffness"] = _patterns(pieces, c), _elements(pieces)
     if mass is None:
-        mass, shared["mass"] = _patterns(_pieces(M, nodes, mass=True), c)
+        pieces = _pieces(M, nodes, mass=True)
+        (mass, shared["mass"]), elements["mass"] = _patterns(pieces, c), _elements(pieces)
     claims = {"stiffness": _claim(simulation, "stiffness_std"), "mass": _claim(simulation, "mass_std"),
               "damping": _claim(simulation, "damping_std")}  # fmt: skip
     frequency = _claim(simulation, "frequency_std")
@@ -111,7 +118,7 @@ def inaccuracy_of(simulation: Structure, c: Coordinates, highest: float) -> Inac
     patterns = stiffness, mass, np.concatenate([own, turned]), between
     every = Inaccuracy(
         (*TOLD, "damping between modes"), patterns, np.append(usual, usual[-1]),
-        np.append(np.where(told, CLAIMED, UNKNOWN), UNKNOWN), (*told.tolist(), False), positive,
+        np.append(np.where(told, CLAIMED, UNKNOWN), UNKNOWN), (*told.tolist(), False), positive, elements=elements,
     )  # fmt: skip
     for name, couplings in shared.items():
         k = TOLD.index(name)
@@ -164,6 +171,13 @@ def with_group(
 def _pieces(matrix: np.ndarray, nodes: Nodes, mass: bool) -> list[Part]:
     """What of the elements of a matrix may each be off by itself."""
     return [q for p in parts_of(matrix, nodes, mass=mass) for q in apart(p, nodes, mass=mass)]
+
+
+def _elements(pieces: list[Part]) -> np.ndarray:
+    """The number of the element that each piece is of: those between the same nodes are of one."""
+    keys = [p.nodes or (-1, k) for k, p in enumerate(pieces)]
+    numbers = {key: k for k, key in enumerate(dict.fromkeys(keys))}
+    return np.array([numbers[key] for key in keys])
 
 
 def _patterns(parts: list[Part], c: Coordinates) -> tuple[np.ndarray, np.ndarray]:

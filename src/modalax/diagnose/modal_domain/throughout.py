@@ -171,11 +171,23 @@ def with_groups(setting: Setting, groups: tuple[str, ...]) -> Setting | None:
         own = a.patterns[a.groups.index(name)]
         factor = group == THROUGHOUT[name]
         whole = setting.coordinates.damping if name == "damping" else own.sum(axis=0)
-        patterns = whole[None] if factor else uneven_patterns(own)
+        patterns = whole[None] if factor else _within(own, a.elements.get(name))
         if not 0 < len(patterns) <= MOST:
             return None
         a = with_group(a, group, patterns, (WIDER if factor else 1.0) * USUAL[name], UNKNOWN, positive=factor)
     return replace(setting, inaccuracy=a)
+
+
+def _within(own: np.ndarray, elements: np.ndarray | None) -> np.ndarray:
+    """Uneven changes of pieces of elements or, where each is a spring, of the whole elements that they are of.
+
+    Of a symmetric building the columns of a storey are three springs, for either sway and the twist, that only such
+    changes couple.
+    """
+    found = uneven_patterns(own)
+    if len(found) or elements is None:
+        return found
+    return uneven_patterns(np.stack([own[elements == k].sum(axis=0) for k in range(elements.max() + 1)]))
 
 
 def uneven_patterns(patterns: np.ndarray) -> np.ndarray:
