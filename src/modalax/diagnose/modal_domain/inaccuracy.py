@@ -63,7 +63,7 @@ class Inaccuracy:
     factors
         The patterns of each group by their directions; found where they are not given.
     elements
-        Of ``stiffness`` and ``mass``, as far as a matrix shows elements in pieces, the number of each pattern's element.
+        Of ``stiffness`` and ``mass``, where a matrix shows elements in pieces, the number of each pattern's element.
     """
 
     groups: tuple[str, ...]
