@@ -1,20 +1,13 @@
 """One thread for the linear algebra library, whose threads mostly wait for each other on matrices of a few 100 rows."""
 
 from collections.abc import Callable
-from functools import cache, wraps
+from functools import wraps
 from typing import ParamSpec, TypeVar
 
-import scipy.linalg  # noqa: F401  which brings a library of its own, to be found with NumPy's
-from threadpoolctl import ThreadpoolController
+from threadpoolctl import threadpool_limits
 
 P = ParamSpec("P")
 R = TypeVar("R")
-
-
-@cache
-def _libraries() -> ThreadpoolController:
-    """The libraries of this process, looked for once, as that takes some milliseconds."""
-    return ThreadpoolController()
 
 
 def one_thread(function: Callable[P, R]) -> Callable[P, R]:
@@ -22,7 +15,7 @@ def one_thread(function: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(function)
     def limited(*args: P.args, **kwargs: P.kwargs) -> R:
-        with _libraries().limit(limits=1, user_api="blas"):
+        with threadpool_limits(1, "blas"):
             return function(*args, **kwargs)
 
     return limited

@@ -10,6 +10,7 @@ def _threshold(value: float, unit: str, meaning: str, measured_by: str) -> Any:
 
 ALARMS = "experiments/diagnosis/alarms.py"
 SCORE = "experiments/diagnosis/score.py"
+PREDICTED = "experiments/diagnosis/predicted.py"
 HUM = "experiments/diagnosis/hum.py"
 INACCURATE = "experiments/diagnosis/score_inaccurate.py"
 JOINTS = "experiments/diagnosis/joints.py"
@@ -93,7 +94,7 @@ class Thresholds:
     contradicted: float = _threshold(
         2.0, "standard deviations",
         "They fail from here on where the block is less likely with them than by the simulation alone. Of 411 names "
-        "given line by line to hidden effects five had such a block, by more than a nat; all five were wrong.", SCORE,
+        "given line by line to hidden effects five had such a block, by more than a nat; all were wrong.", PREDICTED,
     )  # fmt: skip
     rival: float = _threshold(
         0.005, "probability", "A rival of an ambiguous set is reported from this probability on.", SCORE
@@ -135,8 +136,8 @@ class Thresholds:
     )  # fmt: skip
     lines_missed_by_several: float = _threshold(
         2.0, "ratio of chi-squares",
-        "The same of several causes, which can stand for much on few modes: right ones leave 0.97 to 1 times as much, "
-        "three that stood for a gain that wanders 4.9 times.", INACCURATE,
+        "The same of several causes, which can stand for much on few modes: right ones leave about as much as the "
+        "measured modes do.", INACCURATE,
     )  # fmt: skip
     modes_miss: float = _threshold(
         2.0, "chi-square per sample",

@@ -43,13 +43,12 @@ class MaxwellJoint(LocalCause):
     parameters = (
         Parameter("relaxing_stiffness", "N/m", 0.0),
         Parameter("relaxation_time", "s", 1e-9, log=True),
-    )  # fmt: skip
-    shares: ClassVar[tuple[float, ...]] = ()
+    )
+    lasting: ClassVar[tuple[tuple[float, ...], ...]] = ((),)  # shares that last, tried with each time
 
     def grid(self, scene: Scene, place: Place) -> np.ndarray:
-        """Relaxing about mid-band, with nothing and with as much that lasts if any does."""
-        times = [x / median_omega(scene) for x in (0.3, 1.0, 3.0)]
-        shapes = [(time, share) for time in times for share in self.shares] or [(time,) for time in times]
+        """Relaxing about mid-band."""
+        shapes = [(x / median_omega(scene), *share) for x in (0.3, 1.0, 3.0) for share in self.lasting]
         return strengths(scene.stiffness_scale(place), shapes, both=False)
 
     def impedance(self, s: Complex[Array, " f"], p: Float[Array, " p"]) -> Complex[Array, " f"]:
@@ -67,7 +66,7 @@ class ZenerJoint(MaxwellJoint):
     summary = "a joint that relaxes: a spring in parallel with a spring and a damper in series"
     prior = 0.1  # half as likely as that of which nothing lasts
     parameters = (*MaxwellJoint.parameters, Parameter("lasting_share", "-", 0.0, 100.0))
-    shares = (0.0, 1.0)
+    lasting = ((0.0,), (1.0,))
 
     def impedance(self, s: Complex[Array, " f"], p: Float[Array, " p"]) -> Complex[Array, " f"]:
         r""":math:`k(r + s\tau/(1 + s\tau))`."""
