@@ -221,7 +221,6 @@ class TestRefine:
         assert float(missing.whiteness) < 1e-12
         assert float(missing.noise_scale) > 2
 
-    @pytest.mark.slow
     def test_same_maximum_from_lscf_as_from_the_truth_in_loud_noise(self, paper_frf, paper):
         """25 % noise: LSCF gives the third mode a damping that is low by four fifths and more, or none."""
         for seed in range(6):

@@ -17,7 +17,7 @@ from modalax.identify.chosen import by_frequency, choice_of, chosen_poles, fit_c
 from modalax.identify.cut_record import cut_notes
 from modalax.identify.diagram import ESTIMATORS, diagram
 from modalax.identify.flags import HEAVY, Modes, flags_of, grades_of, notes_of, stands_for_two
-from modalax.identify.mode_search import diagram_poles, likelihood_rounds, synthesis
+from modalax.identify.mode_search import SHARP, diagram_poles, likelihood_rounds, synthesis, with_poles_beyond
 from modalax.identify.neighbourhood import Left, judged, left_of, shared_of
 from modalax.identify.noise import smooth_variance
 from modalax.identify.one_mode import NOTHING_LEFT
@@ -122,10 +122,13 @@ def fit(
     how = {"residuals": residuals, "real_modes": real_modes}
     if choice.pick is None and not refine:
         model, left = settle_diagram(weighted, selection.poles, apart, **how)
+        if float(jnp.median(selection.spread)) <= SHARP:
+            poles, _ = with_poles_beyond(table, frf.ends, np.asarray(model.poles))
+            model, left = fit_residues(weighted, poles, **how), None
     else:
         model = fit_residues(weighted, selection.poles, **how)
     if choice.pick is None and refine:  # what is picked is all there is to fit
-        refined = diagram_poles(weighted, model, selection.spread, tell, **how)
+        refined = diagram_poles(weighted, model, table, selection, tell, **how)
         refined = settle(weighted, refined or likelihood_rounds(weighted, model, tell, **how), tell, apart, **how)
         model = refined.model
     if choice.any:
@@ -191,6 +194,8 @@ def summed_up(
     pairs = []
     if not held:
         background = np.asarray(model.damping_ratio) > HEAVY  # which no mode is a part of
+        if float(jnp.median(selection.spread)) <= SHARP:
+            background |= ~np.asarray(inside)  # what the diagram has there besides modes
         gains = np.array([q.gain for q in quality])
         pairs = pairs_of_one(judging, model, gains, background, apart or set(), plain is not None, left)
     modes = Modes(

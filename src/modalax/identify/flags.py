@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from modalax.data.frf import FRF
 from modalax.identify.disagreement import CERTAIN, Spread
-from modalax.identify.likelihood import UNDAMPED
+from modalax.identify.kernels import UNDAMPED
 from modalax.identify.quality import ModeQuality
 from modalax.identify.record_kind import Record
 from modalax.model.indicators import mac

@@ -14,15 +14,19 @@ from typing import NamedTuple
 import numpy as np
 
 UNDAMPED = 1e-7  # damping ratio below which a mode has none
+GROWING = 1e-3  # damping ratio that a pole gets whose motion grows or lasts
 FAR = (-20.0, 25.0)  # logarithms of the circular frequencies that a mode may run off to
 
 
 def pack(poles: np.ndarray, participation: np.ndarray, pivot: np.ndarray) -> np.ndarray:
-    r"""Real unknowns ``(n, 2 + 2 (i - 1))``: :math:`\ln\omega, \ln\zeta`, and participation relative to the pivot's."""
+    r"""Real unknowns ``(n, 2 + 2 (i - 1))``: :math:`\ln\omega, \ln\zeta`, and participation relative to the pivot's.
+
+    A pole without damping counts as one that has ``GROWING``.
+    """
     omega = np.abs(poles)
     relative = participation / np.take_along_axis(participation, pivot[:, None], axis=1)
     rest = np.take_along_axis(relative, others(pivot, participation.shape[1]), axis=1)
-    own = np.stack([np.log(omega), np.log(-poles.real / omega)], axis=1)
+    own = np.stack([np.log(omega), np.log(np.where(poles.real < 0, -poles.real / omega, GROWING))], axis=1)
     return np.concatenate([own, rest.real, rest.imag], axis=1)
 
 

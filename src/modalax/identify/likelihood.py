@@ -17,9 +17,8 @@ from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Complex, Float, Int
 
 from modalax.data.frf import DERIVATIVES, FRF
+from modalax.identify.kernels import FAR, GROWING, UNDAMPED
 
-UNDAMPED = 1e-7  # damping ratio below which a mode has none
-FAR = (-20.0, 25.0)  # logarithms of the circular frequencies that a mode may run off to
 LAGS = 8  # lines over which a residual that is not white is taken to be correlated
 
 
@@ -106,9 +105,12 @@ def make_problem(
 
 
 def pack(poles: Complex[Array, " n"], participation: Complex[Array, "n i"], pivot: Int[Array, " n"]) -> Array:
-    r"""Real unknowns ``(n, 2 + 2 (i - 1))``: :math:`\ln\omega, \ln\zeta`, and participation relative to the pivot's."""
+    r"""Real unknowns ``(n, 2 + 2 (i - 1))``: :math:`\ln\omega, \ln\zeta`, and participation relative to the pivot's.
+
+    A pole without damping counts as one that has ``GROWING``.
+    """
     omega = jnp.abs(poles)
-    zeta = -poles.real / omega
+    zeta = jnp.where(poles.real < 0, -poles.real / omega, GROWING)
     n, i = participation.shape
     relative = participation / jnp.take_along_axis(participation, pivot[:, None], axis=1)
     rest = jnp.take_along_axis(relative, _others(pivot, i), axis=1)

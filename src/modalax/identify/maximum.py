@@ -11,7 +11,7 @@ import numpy as np
 from modalax.identify.ascent import STATISTICAL, Ascent, climb
 from modalax.identify.estimate import participation_of
 from modalax.identify.information import solution
-from modalax.identify.kernels import UNDAMPED, kernels, pack, pairs, residual_terms, unpack
+from modalax.identify.kernels import GROWING, UNDAMPED, kernels, pack, pairs, residual_terms, unpack
 from modalax.identify.projection import Projection
 from modalax.identify.shared_noise import shared_noise
 from modalax.identify.whiteness import whiteness_of
@@ -195,7 +195,7 @@ def maximise(
     projection = samples.projection(sigma)
     omega0 = np.abs(poles)
     zeta0 = -poles.real / omega0
-    zeta0 = np.where(poles.real < 0, np.maximum(zeta0, UNDAMPED), np.clip(zeta0, 1e-3, 0.5))
+    zeta0 = np.where(poles.real < 0, np.maximum(zeta0, UNDAMPED), GROWING)
     poles = omega0 * (-zeta0 + 1j * np.sqrt(1 - zeta0**2))
     if participation is None:
         participation = participation_of(projection, poles)

@@ -7,7 +7,6 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import scipy.special
-from jaxtyping import Array, Float
 
 from modalax.data.frf import FRF
 from modalax.identify.host import PRECISE, refine_on_host, refined_of
@@ -17,8 +16,11 @@ from modalax.identify.maximum import Maximum, Samples, maximise
 from modalax.identify.noise import left_by_fit, several, sigma_of_error
 from modalax.identify.plain import modal_of, samples_of, shorter_side
 from modalax.identify.refine import CORRELATED, HELD, Refined
+from modalax.identify.residues import residues
 from modalax.identify.sample_weights import sigma_of
 from modalax.identify.scan import NEAR, Grid, poles_missing
+from modalax.identify.select import Selection
+from modalax.identify.tables import PoleTable
 from modalax.model.modal import ModalModel
 
 ROUNDS, LAST = 8, 3  # most rounds of adding and dropping modes, and of refinements with new weights
@@ -127,19 +129,20 @@ class _Search:
 
 
 def diagram_poles(
-    frf: FRF, model: ModalModel, spread: Float[Array, " n"], tell: Callable[[str], None], **options: Any
+    frf: FRF, model: ModalModel, table: PoleTable, selection: Selection, tell: Callable[[str], None], **options: Any
 ) -> Refined | None:
     r"""The model with the poles of the diagram, where these are more accurate than maximum likelihood can be.
 
     With next to no noise, modes beyond the band are all that keeps a modal model of the band from the FRFs, and the
     likelihood bends those inside to make what they do. The diagram's polynomials hold them. So where its poles repeat
     within ``SHARP`` and the likelihood leaves a residual that is not white, the poles stay; their deviation is the
-    change from order to order (forty modes, noise of 0 to 1e-6: errors were a fifth of that, root mean square).
+    change from order to order (forty modes, noise of 0 to 1e-6: errors were a fifth of that, root mean square). The
+    diagram's poles beyond the band take up what the modes there make inside it, so that shapes are as exact as poles.
 
     Parameters
     ----------
-    spread
-        Change of each pole from order to order of the diagram, relative to its size, shape ``(n,)``.
+    table, selection
+        The diagram, and the modes that were taken from it, whose poles the model has.
     frf, model, tell, options
         As for :func:`likelihood_rounds`.
 
@@ -148,19 +151,48 @@ def diagram_poles(
     Refined or None
         None where the likelihood is the better judge.
     """
-    if float(jnp.median(spread)) > SHARP:
+    if float(jnp.median(selection.spread)) > SHARP:
         return None
     search = _Search(frf, model, tell, options)
     if search.exact() or search.found.whiteness >= CORRELATED:
         return None
     tell("the diagram's poles are kept")
-    held = refine_on_host(frf, model, covariance=search.kind, max_steps=0, **options)
+    both = with_poles_beyond(table, frf.ends, np.asarray(selection.poles), np.asarray(selection.spread))
+    poles, spread = map(jnp.asarray, both)
+    held = refine_on_host(frf, residues(frf, poles, **options), covariance=search.kind, max_steps=0, **options)
     old = jnp.sqrt(jnp.diag(held.covariance))
-    scale = jnp.stack([spread, spread / model.damping_ratio], axis=1).ravel() / jnp.where(old > 0, old, 1.0)
+    scale = jnp.stack([spread, spread / held.model.damping_ratio], axis=1).ravel() / jnp.where(old > 0, old, 1.0)
     return dataclasses.replace(
-        held, frequency_std_hz=spread * model.frequency_hz, damping_std=spread,
+        held, frequency_std_hz=spread * held.model.frequency_hz, damping_std=spread,
         covariance=scale[:, None] * held.covariance * scale, success=jnp.array(True), reason_code=jnp.array(HELD),
     )  # fmt: skip
+
+
+def with_poles_beyond(
+    table: PoleTable, band: tuple[float, float], poles: np.ndarray, spread: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    r"""The modes of a diagram, and its poles beyond a band [Hz] of the order that its modes are nearest to.
+
+    Both by rising frequency with their relative changes from order to order, shapes ``(n,)``. What is not damped, or
+    above ``GONE``, makes no steady response; it is left out.
+    """
+    rows = [np.asarray(row)[np.asarray(valid)] for row, valid in zip(table.poles, table.valid, strict=True)]
+    off = [np.median(_nearest(poles, row)) for row in rows]
+    k = int(np.argmin(off))
+    there = rows[k]
+    hz, damping = np.abs(there) / (2 * np.pi), -there.real / np.abs(there)
+    beyond = (there.imag > 0) & ((hz < band[0]) | (hz > band[1])) & (damping > 0) & (damping < GONE)
+    further = there[beyond]
+    further = further[_nearest(further, poles) > np.sqrt(SHARP)]
+    both = np.append(poles, further)
+    change = np.append(np.zeros(len(poles)) if spread is None else spread, _nearest(further, rows[max(k - 1, 0)]))
+    order = np.argsort(np.abs(both))
+    return both[order], change[order]
+
+
+def _nearest(poles: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Distance of each pole to the nearest of others, relative to its size, shape ``(n,)``."""
+    return np.abs(poles[:, None] - others).min(axis=1, initial=np.inf) / np.abs(poles)
 
 
 def likelihood_rounds(frf: FRF, model: ModalModel, tell: Callable[[str], None], **options: Any) -> Refined:

@@ -14,7 +14,8 @@ from modalax._numerics.checks import as_array, is_traced
 from modalax._numerics.known import host, joined
 from modalax._numerics.levenberg import LevenbergMarquardt
 from modalax.data.frf import FRF
-from modalax.identify.likelihood import UNDAMPED, Parts, frozen_slots, make_problem, objective, pack, parts, unpack
+from modalax.identify.kernels import GROWING, UNDAMPED
+from modalax.identify.likelihood import Parts, frozen_slots, make_problem, objective, pack, parts, unpack
 from modalax.identify.overview import of_refined
 from modalax.identify.residues import model_of
 from modalax.identify.sample_weights import check_size, sigma_of
@@ -254,8 +255,7 @@ def _refine(
     shared: bool, active: Array,
 ) -> Refined:  # fmt: skip
     omega0 = jnp.abs(model.poles)
-    zeta0 = jnp.clip(-model.poles.real / omega0, 1e-3, 0.5)
-    zeta0 = jnp.where(model.poles.real < 0, jnp.maximum(-model.poles.real / omega0, UNDAMPED), zeta0)
+    zeta0 = jnp.where(model.poles.real < 0, jnp.maximum(-model.poles.real / omega0, UNDAMPED), GROWING)
     poles = -zeta0 * omega0 + 1j * omega0 * jnp.sqrt(1 - zeta0**2)
     pivot = jax.lax.stop_gradient(jnp.argmax(jnp.abs(model.participation), axis=1))
     reach = REACH * zeta0 * omega0

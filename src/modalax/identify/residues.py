@@ -40,6 +40,7 @@ def residues(
         The FRF in the band.
     poles
         Poles with positive imaginary part, shape ``(n,)`` [rad/s]; or a :class:`Selection`, participation included.
+        One whose motion grows or lasts counts as one with a damping ratio of 0.1 %.
     participation
         Shape ``(n, i)``. If None it is found from the FRF itself: for several inputs by a fit of all residues, of
         which the best rank-one factor is taken.

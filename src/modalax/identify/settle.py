@@ -16,7 +16,7 @@ from modalax.identify.close_modes import NEAR, two_modes, windows_split
 from modalax.identify.disagreement import CERTAIN, together
 from modalax.identify.flags import matters
 from modalax.identify.host import refine_on_host
-from modalax.identify.likelihood import UNDAMPED
+from modalax.identify.kernels import UNDAMPED
 from modalax.identify.local import fit_where_dominant
 from modalax.identify.neighbourhood import LINES, WIDTH, Left, around, judged, left_of, residual_of
 from modalax.identify.noise import residual_sigma
