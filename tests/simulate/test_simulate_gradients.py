@@ -34,7 +34,7 @@ JOINTS = [
     (PolynomialStiffness([1e3, 1e5, 5e7], (1, 2, 3)), (18.5,)),
     (Gap(5e3, 2e-3), (18.0,)),
     (OneSidedGap(1.5e4, 2e-3), (17.8,)),
-    (PreloadedGap(5e3, 1e-4, 5.0), (17.0, 20.0)),
+    (PreloadedGap(5e3, 2e-4, 5.0), (17.0, 20.0)),
     (BilinearSpring(4e3, 1e3), (17.0, 18.5)),
     (QuadraticDamping(20.0), (15.5, 16.5)),
     (PolynomialDamping([1.0, 2.0, 5.0], (1, 2, 3)), (15.5, 16.5)),

@@ -208,16 +208,12 @@ def _named_causes(slugs: str | None) -> list[Any] | None:
     """Causes of the catalogue whose names were given, separated by commas; None where no name was given."""
     if slugs is None:
         return None
-    from modalax.diagnose.causes import catalogue, imitators
+    from modalax.diagnose.causes import as_causes
 
-    every = [*catalogue(), *imitators()]
     names = [s.strip() for s in slugs.split(",") if s.strip()]
-    for name in names:
-        if all(c.slug != name for c in every):
-            raise ValueError(f"--causes {name}: unknown; known are {', '.join(sorted({c.slug for c in every}))}")
     if not names:
         raise ValueError("--causes needs at least one name, for example --causes added_mass,joint_stiffness")
-    return [c for c in every if c.slug in names]
+    return as_causes(names)
 
 
 def causes() -> None:

@@ -39,7 +39,7 @@ from modalax._numerics.checks import require_double
 from modalax._numerics.programs import release_programs
 from modalax._numerics.threads import one_thread
 from modalax.data import FRF, Measurement
-from modalax.diagnose.causes import catalogue, imitators
+from modalax.diagnose.causes import as_causes, catalogue, imitators
 from modalax.diagnose.causes.base import Cause, LocalCause
 from modalax.diagnose.comparison import Comparison, as_measurement, causes_of, make_comparison, with_noise_beside
 from modalax.diagnose.deadline import NEVER, Deadline
@@ -111,7 +111,7 @@ def diagnose(
     simulation: Structure | ModalModel | ExtendedSimulation,
     *,
     question: str = "auto",
-    causes: Sequence[Cause] | None = None,
+    causes: Sequence[Cause | str] | None = None,
     time: float = 120.0,
     modal_std: tuple[float, float, float] | None = None,
     prior: Mapping[str, float] | None = None,
@@ -132,7 +132,7 @@ def diagnose(
         linear modal model explain the data? ``auto`` takes ``free`` for a modal fit (a modal model with residual
         terms), else ``fixed``.
     causes
-        What to look for; the whole catalogue if None.
+        What to look for, by name or as causes; the whole catalogue if None.
     time
         Seconds after which the search begins no further step and gives the best answer so far. An interrupt (Ctrl-C)
         does the same, once there is an answer.
@@ -159,9 +159,10 @@ def diagnose(
         (:func:`modalax.model.entry.check_comparable`).
     """
     require_double("diagnose")
-    check_groups(simulation, causes)
-    with beliefs(prior, every_name() | {c.slug for c in causes or ()}):
-        return _diagnosed(measurement, simulation, question, causes, time, modal_std, progress)
+    asked = as_causes(causes)
+    check_groups(simulation, asked)
+    with beliefs(prior, every_name() | {c.slug for c in asked or ()}):
+        return _diagnosed(measurement, simulation, question, asked, time, modal_std, progress)
 
 
 def every_name() -> set[str]:

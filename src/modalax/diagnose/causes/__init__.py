@@ -1,5 +1,7 @@
 """The catalogue of causes, one family a file."""
 
+from collections.abc import Sequence
+
 from modalax.diagnose.causes.base import (
     Cause,
     ChannelCause,
@@ -57,6 +59,24 @@ def imitators() -> list[Cause]:
     return [c for c in EVERY if not c.named]
 
 
+def as_causes(asked: Sequence[Cause | str] | str | None) -> list[Cause] | None:
+    """Causes for names: each name stands for all forms of its cause, a cause for itself; None for None.
+
+    Raises
+    ------
+    ValueError
+        If a name is not in the catalogue.
+    """
+    if asked is None:
+        return None
+    every, found = [*catalogue(), *imitators()], list[Cause]()
+    for name in [asked] if isinstance(asked, str) else asked:
+        if isinstance(name, str) and all(c.slug != name for c in every):
+            raise ValueError(f"cause {name!r} is unknown; known are {', '.join(sorted({c.slug for c in every}))}")
+        found += [c for c in every if c.slug == name] if isinstance(name, str) else [name]
+    return found
+
+
 def saved_causes() -> list[Cause]:
     """All causes that an extended simulation in a file may hold."""
     return [*catalogue(), MicroSlip(), *(TimeVaryingSteps(runs) for runs in range(3, MOST_RUNS))]
@@ -65,5 +85,5 @@ def saved_causes() -> list[Cause]:
 __all__ = [
     "Cause", "ChannelCause", "CouplingCause", "ElementCause", "HystereticCause", "JointCause", "KernelCause",
     "LinesCause", "LocalCause", "ModesCause", "Parameter", "PatternCause", "Place", "Scene", "UndampedCause",
-    "WindowCause", "catalogue", "imitators", "saved_causes", "strengths",
+    "WindowCause", "as_causes", "catalogue", "imitators", "saved_causes", "strengths",
 ]  # fmt: skip
