@@ -12,6 +12,7 @@ from modalax.diagnose.decision.beyond import (
     held_out_verdict,
     lines_verdict,
     modal_verdict,
+    one_missed,
     usual_size,
 )
 from modalax.diagnose.decision.gain import Gain
@@ -125,6 +126,29 @@ def test_nothing_is_clean_or_named_whose_lines_are_not_explained(word, left, by_
     found, reasons = lines_verdict(word, ["as before"], left, by_modes)
     assert found == said and reasons[0] == "as before"
     assert ("own modes" in reasons[-1]) == (left > 20 * by_modes and word != "unknown")
+
+
+@pytest.mark.parametrize(
+    ("squares", "name", "samples"),
+    [
+        ([[1.0, 1.1], [30.0, 34.0], [1.2, 0.9]], "b", 200),
+        ([[1.0, 30.0], [1.2, 34.0], [0.9, 32.0]], "q", 300),
+        ([[30.0, 34.0], [31.0, 33.0], [1.2, 0.9]], None, 0),
+        ([[1.0, 1.1], [1.5, 1.2], [1.2, 0.9]], None, 0),
+    ],
+    ids=["output", "input", "two of them", "none"],
+)
+def test_a_channel_that_alone_is_missed_is_told(squares, name, samples):
+    """By how much is a likelihood ratio, here the mean over draws of noise that is 32 times as strong as stated."""
+    odd = one_missed(np.array(squares), 100, 1.0, ("a", "b", "c"), ("p", "q"))
+    if name is None:
+        assert odd is None
+        return
+    assert (odd.name, odd.force, odd.along) == (name, name in "pq", "")
+    z = np.random.default_rng(3).standard_normal((400, samples, 2)) * np.sqrt(32 / 2)  # of complex samples
+    likelier = (np.abs(z) ** 2).sum(axis=(1, 2)) * (1 - 1 / 32) - samples * np.log(32)
+    assert odd.nats == pytest.approx(likelier.mean(), rel=0.01)
+    assert f"{name} alone" in odd.said
 
 
 @pytest.mark.parametrize(("word", "left", "said"), [

@@ -4,6 +4,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from modalax._numerics.text import percent
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.sets import certainty, many_kinds, unplaced
@@ -312,6 +314,35 @@ def lines_verdict(
         f"but the corrected simulation leaves a chi-square of {left:.3g} per sample, the measurement's own modes "
         f"{by_modes:.3g}: the FRFs differ from it in a way that no error of elements explains",
     )  # fmt: skip
+
+
+def one_missed(
+    squares: np.ndarray, lines: int, by_modes: float, outputs: Sequence[str], inputs: Sequence[str]
+) -> OddChannel | None:
+    r"""The channel that alone is not explained on its lines; None where others are not either, or none is.
+
+    With noise of its own size, unknown, its n complex samples of chi-square :math:`c` are likelier by
+    :math:`n(c - 1 - \ln c)`.
+
+    Parameters
+    ----------
+    squares
+        Chi-square per sample that is left, shape ``(o, i)``.
+    lines
+        Samples behind each.
+    by_modes
+        Chi-square per sample that the measurement's own modes leave.
+    outputs, inputs
+        Names of the channels.
+    """
+    most = THRESHOLDS.lines_missed_by_several * max(by_modes, 1.0)
+    for names, force, axis in ((outputs, False, 1), (inputs, True, 0)):
+        each = squares.mean(axis=axis)
+        missed = np.flatnonzero(each > most)
+        if len(missed) == 1 and len(names) > (1 if force else 2):
+            c = float(each[missed[0]])
+            return OddChannel(names[missed[0]], force, lines * squares.shape[axis] * (c - 1 - math.log(c)))
+    return None
 
 
 def usual_size(slug: str, whole: float, inaccuracy: Mapping[str, float], highest: float) -> float:

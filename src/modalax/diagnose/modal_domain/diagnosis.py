@@ -9,7 +9,7 @@ import numpy as np
 from modalax.data import Measurement
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.decision.beliefs import believed
-from modalax.diagnose.decision.beyond import held_out_verdict, lines_verdict
+from modalax.diagnose.decision.beyond import held_out_verdict, lines_verdict, one_missed
 from modalax.diagnose.decision.levels import outweighing
 from modalax.diagnose.decision.omnibus import omnibus
 from modalax.diagnose.modal_domain.answer import Facts, ModalDiagnosis
@@ -183,6 +183,16 @@ def _named(found: ModalDiagnosis) -> set[tuple[str, frozenset[str]]]:
     return {(c["name"], frozenset(map(str, c["where"]))) for c in found.causes}
 
 
+def _missed_alone(stage: Stage, residual: np.ndarray, asked: bool) -> tuple[Stage, tuple[str, ...]]:
+    """The stage with the only channel whose lines are not explained, and what is said of it; as it is if not asked."""
+    if not asked or stage.odd is not None:
+        return stage, ()
+    each = np.abs(residual[stage.measured.runs]) ** 2 / 2
+    channels = stage.measurement.outputs, stage.measurement.inputs
+    odd = one_missed(each.mean(axis=(0, 1)), each.shape[0] * each.shape[1], stage.measured.misfit, *channels)
+    return replace(stage, odd=odd), () if odd is None else (odd.said,)
+
+
 def _diagnosed(
     measurement: Measurement, task: _Task, forced: Forced | None = None, measured: Measured | None = None,
     before: np.ndarray | None = None,
@@ -234,6 +244,8 @@ def _diagnosed(
     left = float((np.abs(residuals[1][stage.measured.runs]) ** 2).mean() / 2)
     several = len(standing_out(stage, chosen)) > 1
     word, reasons = lines_verdict(word, reasons, left, stage.measured.misfit, several)
+    stage, further = _missed_alone(stage, residuals[1], word == "unknown" and joined == "clean")
+    reasons = (*reasons, *further)
     joint = seen is not None and seen.joint is not None
     hum = mains_hum(measurement, stage.measured.freq, residuals[1], joint) if task.wanted("mains_hum") else None
     if hum is not None:
