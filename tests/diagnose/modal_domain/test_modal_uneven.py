@@ -13,6 +13,7 @@ from modalax.diagnose.modal_domain.explain import UNLIKE, far_off, leading
 from modalax.diagnose.modal_domain.fit import fit
 from modalax.diagnose.modal_domain.stage import identified, posed
 from modalax.diagnose.modal_domain.throughout import uneven_patterns, with_more
+from modalax.diagnose.modal_domain.uneven_element import UnevenElement
 from modalax.model import Structure
 
 FLOORS, HALF = 4, (3.0, 2.4)
@@ -64,6 +65,46 @@ def test_columns_that_are_off_each_by_itself_are_no_cause(columns):
     assert found.verdict == "clean"
     assert found.gain.chi2_after < 0.2 * found.gain.chi2_before
     assert found.to_dict()["inaccuracy"]["stiffness"]["value"] < 0.02
+
+
+@pytest.mark.parametrize("columns", [pytest.param((1.0, 1.1, 0.9, 1.05), marks=pytest.mark.slow), (1.0,) * 4])
+def test_one_of_four_columns_that_is_half_as_stiff_is_named_with_its_storey(columns):
+    """As a storey that is softer as a whole it was hardly likelier than elements that are off, and so `clean`."""
+    rng, off = np.random.default_rng(5), 0.03 * np.random.default_rng(6).standard_normal((FLOORS, 4))
+    off[1, 2] = -0.5
+    K, M = building(columns, np.zeros((FLOORS, 4)))
+    simulation = Structure(M, modal_damping(M, K, 0.012), K, NAMES)
+    K = building(columns, off)[0]
+    C = modal_damping(M, K, 0.012 * np.exp(0.2 * rng.standard_normal(len(K))))
+    found = diagnose_modes(
+        measured(K, M, C, rng), simulation, wanted=lambda slug: slug in ("added_mass", "joint_stiffness")
+    )
+    (cause,) = found.to_dict()["causes"]
+    assert (found.verdict, cause["name"]) == ("named", "joint_stiffness")
+    assert {str(where).split(":")[0] for where in cause["where"]} == {"1", "2"}
+    told, share = cause["parameters"]["relative_change"], np.array(columns) / np.sum(columns)
+    # in the twist a column is strained as in the sways, so that each motion is softer by its share
+    assert abs(told["value"] - share @ off[1]) < 3 * told["std"] < 0.06
+    assert any("members in parallel" in reason for reason in found.reasons)
+    again = found.extended.frf(found.freq, form="accelerance", outputs=NAMES, inputs=[NAMES[0], NAMES[7]])
+    assert np.abs(again.H - found.predicted_after[0]).max() < 1e-6 * np.abs(again.H).max()
+
+
+def test_changes_of_an_element_are_those_of_its_ways_of_being_strained():
+    """One of four columns is taken away."""
+    T = np.array([[1.0, 0.0, -1.0], [0.0, 1.0, 1.0]])
+    whole = sum(np.outer(a, a) for x in (1, -1) for y in (1, -1) for a in ([1.0, 0.0, -y], [0.0, 1.0, x]))
+    cause = UnevenElement("joint_stiffness", ("1", "2"), 0.4, ways=uneven_patterns(whole[None]))
+    A = np.stack([way.ravel() for way in cause.ways], axis=1)
+    u = np.linalg.lstsq(A, -(T.T @ T).ravel(), rcond=None)[0] / 0.4
+    np.testing.assert_allclose(cause.changes(u)["K"], -T.T @ T, atol=1e-12)
+    np.testing.assert_allclose(sum(x * by["K"] for x, by in zip(u, cause.slopes(u), strict=True)), -T.T @ T, atol=1e-12)
+    F = np.linalg.inv(np.linalg.cholesky(whole))
+    expected = np.linalg.eigvalsh(-F @ T.T @ T @ F.T)
+    np.testing.assert_allclose(cause.relative_changes(u), expected, atol=1e-12)
+    assert cause.size(u) == pytest.approx(expected[0]) and cause.possible(u) and not cause.possible(3 * u)
+    told = cause.told(u, 0.01 * np.eye(6))["relative_change"]
+    assert told["value"] == pytest.approx(expected.mean()) and told["std"] == pytest.approx(0.4 * 0.1 / np.sqrt(3))
 
 
 def heavy(seed: int, floor: int, mass: float) -> tuple[Measurement, Structure]:

@@ -170,6 +170,11 @@ class Change:
         return 2 if self.along else 1
 
     @property
+    def telling(self) -> int:
+        """Number of its sizes, of the first, that tell whether it is there."""
+        return 1
+
+    @property
     def linear(self) -> bool:
         """Whether small sizes act in proportion, so that it can be scored without a fit."""
         return self.sized

@@ -34,20 +34,20 @@ NONE = 1e-5  # relative size that counts as no inaccuracy
 def corrected(stage: Stage, f: Fit) -> Structure:
     """The simulation corrected for the inaccuracy of a fit, whole elements that are off, and damping along."""
     whole = tuple(c for c in f.causes if c.in_structure)
-    u = np.array([v[0] for c, v in with_sizes(f.causes, f.u) if c.in_structure])
+    u = [v for c, v in with_sizes(f.causes, f.u) if c.in_structure]
     s, sizes = stage.simulation, f.sizes
     along = sum(c.changes(v)["C"] for c, v in with_sizes(f.causes, f.u) if c.along)
     whole = tuple(replace(c, along="", loss=None) for c in whole)
     M, C, K = (np.asarray(A) for A in (s.M, s.C, s.K))
     if s.elements is not None and s.elements.dofs:
         own = {name: _of_elements(stage.setting, sizes, name) for name in WITHIN}
-        dK, dM = changed_by_elements(s, own, zip(whole, u.tolist(), strict=True))
-        K, M, whole, u = K + dK, M + dM, (), np.zeros(0)
+        dK, dM = changed_by_elements(s, own, zip(whole, [float(v[0]) for v in u], strict=True))
+        K, M, whole, u = K + dK, M + dM, (), []
         for name in (*own, *(THROUGHOUT[name] for name in own)):
             sizes = np.where(_of_group(stage.setting, name), 0.0, sizes)
     change = off_by(stage.setting, sizes, f.causes, f.u)
     for cause, size in zip(whole, u, strict=True):
-        for kind, part in cause.changes(np.array([size])).items() if cause.local else ():
+        for kind, part in cause.changes(size).items() if cause.local else ():
             change[kind] = change[kind] + part
     left = np.asarray(s.M) @ stage.coordinates.shapes
     change["C"] = change["C"] + along

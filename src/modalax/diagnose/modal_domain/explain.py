@@ -48,6 +48,7 @@ from modalax.diagnose.modal_domain.throughout import (
     with_groups,
     with_more,
 )
+from modalax.diagnose.modal_domain.uneven_element import off_unevenly
 
 UNLIKE = 10.0  # chi-square per feature beside the general inaccuracy from which on a cause is tried before all else
 MOSTLY = 0.25  # share of what the simulation leaves, below which a change of the structure explains most of it
@@ -114,6 +115,7 @@ def _searched(
             _all_steps(search, late)
         if not late():
             _without_a_gain(search)
+            off_unevenly(search, late)
         if late():  # which may have cut the fit of what leads short: others are compared with it
             best = search.best
             attempt(replace(search.setting, late=NEVER), search.found, best.causes, best.u, best, gentle=False)

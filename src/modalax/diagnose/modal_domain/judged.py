@@ -238,7 +238,9 @@ def told_by_size(stage: Stage, e: Explanation) -> tuple[tuple[Change, ...], tupl
         apart = np.abs(e.fit.u[own]) / np.sqrt(np.maximum(np.diag(e.fit.covariance)[own], 1e-300))
         at_any_size = usual == -math.inf and not (c.linear and c.signed)  # what may be of either sign may be none
         sure = (
-            at_any_size or bool(apart[0] > THRESHOLDS.stands_out) or (abs(e.fit.u[own][0]) > 1 and _missed(stage, e, c))
+            at_any_size
+            or bool(apart[: c.telling].max() > THRESHOLDS.stands_out)
+            or (abs(e.fit.u[own][0]) > 1 and _missed(stage, e, c))
         )
         if sure and not of_the_joint(stage, c):
             (out if abs(size) > usual else small).append(c)

@@ -179,23 +179,33 @@ def with_groups(setting: Setting, groups: tuple[str, ...]) -> Setting | None:
 
 
 def _within(own: np.ndarray, elements: np.ndarray | None) -> np.ndarray:
-    """Uneven changes of pieces of elements or, where each is a spring, of the whole elements that they are of.
+    """Uneven changes of :func:`coupled_elements`."""
+    return uneven_patterns(coupled_elements(own, elements))
+
+
+def coupled_elements(own: np.ndarray, elements: np.ndarray | None) -> np.ndarray:
+    """Pieces of elements or, where each is a spring, the whole elements that they are of, shape ``(p, n, n)``.
 
     Of a symmetric building the columns of a storey are three springs, for either sway and the twist, that only such
     changes couple.
     """
-    found = uneven_patterns(own)
-    if len(found) or elements is None:
-        return found
-    return uneven_patterns(np.stack([own[elements == k].sum(axis=0) for k in range(elements.max() + 1)]))
+    if elements is None or any(len(ways_of(P)) > 1 for P in own):
+        return own
+    return np.stack([own[elements == k].sum(axis=0) for k in range(elements.max() + 1)])
+
+
+def ways_of(P: np.ndarray) -> np.ndarray:
+    """Ways in which an element can be strained: rows ``f`` of ``P``, the sum of their ``f f'``, shape ``(r, n)``."""
+    values, vectors = np.linalg.eigh(P)
+    kept = values > RANK * values[-1]
+    return (vectors[:, kept] * np.sqrt(values[kept])).T
 
 
 def uneven_patterns(patterns: np.ndarray) -> np.ndarray:
     """Changes within each element that is no single spring, shape ``(p, n, n)``; empty if there are too many."""
     out: list[np.ndarray] = []
     for P in patterns:
-        values, vectors = np.linalg.eigh(P)
-        F = vectors[:, values > RANK * values[-1]] * np.sqrt(values[values > RANK * values[-1]])
+        F = ways_of(P).T
         rank = F.shape[1]
         if rank > 1 and len(out) + rank * (rank + 1) // 2 > MOST:
             return np.zeros((0, *P.shape))
