@@ -1,7 +1,6 @@
 """Stabilization diagrams of the whole band and of parts of it, and the stable modes in them."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import scipy.special
 from jaxtyping import Complex, Float
@@ -12,7 +11,6 @@ from modalax.identify.fdpi import fdpi
 from modalax.identify.kernels import kernels, residual_terms
 from modalax.identify.lsce import lsce
 from modalax.identify.lscf import lscf
-from modalax.identify.mode_search import SHARP
 from modalax.identify.neighbourhood import line_noise
 from modalax.identify.plscf import plscf
 from modalax.identify.projection import orthonormal, stacked
@@ -54,8 +52,7 @@ def diagram(frf: FRF, name: str, order: int | None) -> tuple[PoleTable, Selectio
     table, selection = _whole(frf, name, order)
     lines = len(frf.freq)
     parts = min(lines // LINES, PARTS)
-    exact = selection.poles.size > 0 and float(jnp.median(selection.spread)) <= SHARP
-    if order is not None or parts < 2 or exact:
+    if order is not None or parts < 2 or selection.sharp:
         return table, selection
     size = 2 * lines // (parts + 1)
     starts = np.linspace(0, lines - size, parts).astype(int)

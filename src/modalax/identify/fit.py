@@ -17,7 +17,7 @@ from modalax.identify.chosen import by_frequency, choice_of, chosen_poles, fit_c
 from modalax.identify.cut_record import cut_notes
 from modalax.identify.diagram import ESTIMATORS, diagram
 from modalax.identify.flags import HEAVY, Modes, flags_of, grades_of, notes_of, stands_for_two
-from modalax.identify.mode_search import SHARP, diagram_poles, likelihood_rounds, synthesis, with_poles_beyond
+from modalax.identify.mode_search import diagram_poles, likelihood_rounds, synthesis, with_poles_beyond
 from modalax.identify.neighbourhood import Left, judged, left_of, shared_of
 from modalax.identify.noise import smooth_variance
 from modalax.identify.one_mode import NOTHING_LEFT
@@ -122,7 +122,7 @@ def fit(
     how = {"residuals": residuals, "real_modes": real_modes}
     if choice.pick is None and not refine:
         model, left = settle_diagram(weighted, selection.poles, apart, **how)
-        if float(jnp.median(selection.spread)) <= SHARP:
+        if selection.sharp:
             poles, _ = with_poles_beyond(table, frf.ends, np.asarray(model.poles))
             model, left = fit_residues(weighted, poles, **how), None
     else:
@@ -194,7 +194,7 @@ def summed_up(
     pairs = []
     if not held:
         background = np.asarray(model.damping_ratio) > HEAVY  # which no mode is a part of
-        if float(jnp.median(selection.spread)) <= SHARP:
+        if selection.sharp:
             background |= ~np.asarray(inside)  # what the diagram has there besides modes
         gains = np.array([q.gain for q in quality])
         pairs = pairs_of_one(judging, model, gains, background, apart or set(), plain is not None, left)

@@ -19,7 +19,7 @@ from modalax.identify.refine import CORRELATED, HELD, Refined
 from modalax.identify.residues import residues
 from modalax.identify.sample_weights import sigma_of
 from modalax.identify.scan import NEAR, Grid, poles_missing
-from modalax.identify.select import Selection
+from modalax.identify.select import SHARP, Selection
 from modalax.identify.tables import PoleTable
 from modalax.model.modal import ModalModel
 
@@ -32,7 +32,6 @@ GONE = 0.9  # damping ratio above which a mode is given up
 NARROW = 0.01  # half-bandwidth in lines below which a pole is one bad line, not a mode
 MANY_DOFS, ALIKE, CLOSE = 10, 0.9, 3.0  # fewest DoFs, MAC, and distance in half-bandwidths, of halves of a mode
 DROP, ADD = 1e-6, 1e-6  # chances of keeping, or of adding, a mode that is not there
-SHARP = 1e-6  # change of the diagram's poles from order to order below which they are kept where the model lacks modes
 
 
 def synthesis(model: ModalModel, frf: FRF) -> FRF:
@@ -151,7 +150,7 @@ def diagram_poles(
     Refined or None
         None where the likelihood is the better judge.
     """
-    if float(jnp.median(selection.spread)) > SHARP:
+    if not selection.sharp:
         return None
     search = _Search(frf, model, tell, options)
     if search.exact() or search.found.whiteness >= CORRELATED:

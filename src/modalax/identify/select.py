@@ -14,6 +14,8 @@ from modalax.identify.overview import of_selection
 from modalax.identify.tables import PoleTable
 from modalax.model.entry import refuse_traced
 
+SHARP = 1e-6  # change of the diagram's poles from order to order below which they are kept where the model lacks modes
+
 
 class Selection(eqx.Module):
     r"""Poles taken for modes, by rising frequency.
@@ -38,6 +40,11 @@ class Selection(eqx.Module):
     score: Float[Array, " n"]
     spread: Float[Array, " n"]
     order: Int[Array, " n"]
+
+    @property
+    def sharp(self) -> bool:
+        """Whether the poles repeat from order to order within ``SHARP``, as those of FRFs all but free of noise do."""
+        return self.poles.size > 0 and float(jnp.median(self.spread)) <= SHARP
 
     def __str__(self) -> str:
         """A table of the poles."""

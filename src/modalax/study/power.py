@@ -56,9 +56,11 @@ class PowerWork(Work):
         clean = self.measurements[self.hidden["sizes"].index(size)]
         keys = jax.random.split(key_of(self.seed, index), clean.runs)
         runs = [clean.run(r).add_noise(keys[r], self.noise, self.reference) for r in range(clean.runs)]
-        wanted = causes_named(self.diagnose["causes"])
         answer = diagnose(
-            Measurement.from_frfs(runs), self.simulation, question=self.diagnose["question"], causes=wanted
+            Measurement.from_frfs(runs),
+            self.simulation,
+            question=self.diagnose["question"],
+            causes=self.diagnose["causes"],
         ).to_dict()
         return judged(answer, self.hidden, size)
 
@@ -93,24 +95,6 @@ def judged(answer: Mapping[str, Any], hidden: Mapping[str, Any], size: float) ->
     }
 
 
-def causes_named(slugs: Any) -> Any:
-    """Causes of the catalogue by name; None for all.
-
-    Raises
-    ------
-    ValueError
-        If a name is not in the catalogue.
-    """
-    from modalax.diagnose import catalogue
-
-    if slugs is None:
-        return None
-    known = {cause.slug for cause in catalogue()}
-    if unknown := [slug for slug in slugs if slug not in known]:
-        raise ValueError(f"[diagnose] causes names {', '.join(unknown)}; the catalogue has {', '.join(sorted(known))}")
-    return [cause for cause in catalogue() if cause.slug in slugs]
-
-
 def prepare(settings: dict[str, Any], folder: Path) -> Work:
     """The work of a diagnosis study.
 
@@ -119,8 +103,10 @@ def prepare(settings: dict[str, Any], folder: Path) -> Work:
     ValueError
         If the effect, a place or a parameter is unknown.
     """
+    from modalax.diagnose.causes import as_causes
+
     system, hidden = settings["system"], settings["hidden"]
-    causes_named(settings["diagnose"]["causes"])
+    as_causes(settings["diagnose"]["causes"])  # which knows all names
     simulation = load_simulation(system["simulation"], folder)
     measurements = tuple(with_effect(simulation, system, hidden, size) for size in hidden["sizes"])
     count = settings["draws"] * len(measurements)

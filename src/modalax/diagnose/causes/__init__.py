@@ -62,6 +62,8 @@ def imitators() -> list[Cause]:
 def as_causes(asked: Sequence[Cause | str] | str | None) -> list[Cause] | None:
     """Causes for names: each name stands for all forms of its cause, a cause for itself; None for None.
 
+    Those that were named come first, in the order of the catalogue and each once.
+
     Raises
     ------
     ValueError
@@ -69,12 +71,12 @@ def as_causes(asked: Sequence[Cause | str] | str | None) -> list[Cause] | None:
     """
     if asked is None:
         return None
-    every, found = [*catalogue(), *imitators()], list[Cause]()
-    for name in [asked] if isinstance(asked, str) else asked:
-        if isinstance(name, str) and all(c.slug != name for c in every):
-            raise ValueError(f"cause {name!r} is unknown; known are {', '.join(sorted({c.slug for c in every}))}")
-        found += [c for c in every if c.slug == name] if isinstance(name, str) else [name]
-    return found
+    asked = [asked] if isinstance(asked, str) else asked
+    names, every = {name for name in asked if isinstance(name, str)}, [*catalogue(), *imitators()]
+    known = {c.slug for c in every}
+    if unknown := sorted(names - known):
+        raise ValueError(f"unknown causes: {', '.join(unknown)}; known are {', '.join(sorted(known))}")
+    return [*(c for c in every if c.slug in names), *(c for c in asked if not isinstance(c, str))]
 
 
 def saved_causes() -> list[Cause]:

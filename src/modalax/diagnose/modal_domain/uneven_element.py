@@ -104,7 +104,7 @@ def off_unevenly(search: Search, late: Callable[[], bool]) -> None:
     """Fit the leading explanation with the elements that seem to be farthest off as causes, and each of these alone."""
     best = search.best
     for element, u in _farthest(search, best):
-        kept = tuple(c for c in best.causes if not set(c.where) & set(element.where) or c.kind != "K")
+        kept = tuple(c for c in best.causes if set(c.where) != set(element.where) or c.kind != "K")
         sizes = [best.u[own_sizes(best.causes, best.causes.index(c))] for c in kept]
         for causes, start in {kept: sizes, (): []}.items():
             if not late() and len(causes) < MOST:
