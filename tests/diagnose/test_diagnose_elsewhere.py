@@ -10,18 +10,18 @@ import pytest
 from modalax.data import FRF
 from modalax.diagnose.causes.channels import ChannelGain
 from modalax.diagnose.causes.joints import CubicStiffness
-from modalax.diagnose.causes.local import TunedMass
+from modalax.diagnose.causes.local import JointStiffness, LocalDamper, TunedMass
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.causes.signals import HumLines
 from modalax.diagnose.comparison import make_comparison
 from modalax.diagnose.decision.posterior import Ranked
 from modalax.diagnose.fitting.hypothesis import Hypothesis
 from modalax.diagnose.search import explain
-from modalax.diagnose.search.elsewhere import NEAR, elsewhere
+from modalax.diagnose.search.elsewhere import NEAR, elsewhere, restarted
 from modalax.model import Structure
 
 N, TRUE = 6, np.array([0.02, 9.0, 0.02])  # mass, frequency and damping ratio of the oscillator
-GAIN = 0.05
+GAIN, CLAIM = 0.05, 0.004
 
 
 @pytest.fixture(scope="module")
@@ -119,3 +119,52 @@ def test_pairs_that_promise_nothing_are_weighed_again_only_beside_new_harmonics(
     look, ranked = SimpleNamespace(null=SimpleNamespace(chi2=500.0)), [Ranked(lone.names, lone, -250.0, 1.0)]
     explain.with_harmonics_or_pairs(look, None, [lone], ranked, None)
     assert asked == order
+
+
+def spring_at(null, dof, stiffness=500.0):
+    return null.with_cause(JointStiffness(), Place((str(dof + 1),), (dof, -1, 0)), None, np.array([stiffness]))
+
+
+@pytest.fixture(scope="module")
+def claimed():
+    """A chain with a spring at its DoF 3 whose modes are off as claimed; fits of a spring at each DoF."""
+    freq, rng = np.linspace(3.0, 22.0, 120), np.random.default_rng(3)
+    K = 4e3 * (2 * np.eye(N) - np.eye(N, k=1) - np.eye(N, k=-1))
+    names, s = [str(k + 1) for k in range(N)], 2j * np.pi * freq[:, None, None]
+    w2, shapes = np.linalg.eigh(K)
+    own = shapes @ np.diag(w2 * np.exp(2 * CLAIM * rng.standard_normal(N))) @ shapes.T
+    own[2, 2] += 900.0
+    H = np.linalg.inv(s**2 * np.eye(N) + s * 2e-4 * K + own)[:, :, :1]
+    sigma = 0.01 * np.abs(H).std()
+    H = H + sigma / np.sqrt(2) * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape))
+    measured = FRF(freq, H, outputs=names, inputs=names[:1], form="receptance", variance=np.full(H.shape, sigma**2))
+    simulation = Structure(M=np.eye(N), C=2e-4 * K, K=K, dofs=names, frequency_std=CLAIM, damping_std=0.02)
+    comparison = make_comparison(measured, simulation)
+    null = comparison.fit([Hypothesis()], 40)[0]
+    return comparison, null, comparison.fit([spring_at(null, dof) for dof in range(N)], 160)
+
+
+def test_other_places_are_fitted_again_from_the_modes_beside_the_leading_one(claimed):
+    """Fits that were caught where the modes are ten claimed deviations off leave them."""
+    comparison, null, springs = claimed
+    best = min(springs, key=lambda h: h.chi2)
+    assert best.places[0].index[0] == 2
+    others = [h for h in springs if h is not best]
+    far = np.full_like(best.theta, 10.0)
+    caught = [replace(h, theta=far, chi2=comparison.chi2(replace(h, theta=far))) for h in others]
+    damper = null.with_cause(LocalDamper(), best.places[0], None, np.array([1.0]))
+    elsewhere_too = null.with_cause(LocalDamper(), others[0].places[0], None, np.array([1.0]))
+    damper, elsewhere_too = (replace(h, chi2=1e12) for h in (damper, elsewhere_too))
+    found = restarted(comparison, best, [*caught, damper, elsewhere_too])
+    assert [h.names for h in found] == [h.names for h in (*caught, damper)]  # another cause at another place is not
+    assert max(h.chi2 / before.chi2 for h, before in zip(found, caught, strict=False)) < 0.5
+
+
+def test_a_fit_that_comes_no_lower_is_not_kept(claimed, compared):
+    comparison, _, springs = claimed
+    best = min(springs, key=lambda h: h.chi2)
+    others = [h for h in springs if h is not best]
+    least = [min([h, *restarted(comparison, best, [h])], key=lambda one: one.chi2) for h in others]
+    assert restarted(comparison, best, least) == []
+    true = compared.fit([with_oscillator(compared, 2, TRUE)], 40)[0]
+    assert restarted(compared, true, [replace(true, chi2=np.inf)]) == []  # modes are exact

@@ -5,8 +5,12 @@ the search may end in another minimum there, and the place is missing among thos
 effect, the strength at another place follows from the lengths of the two changes of the whitened FRFs. Which places are
 worth a fit is told by what a change e there takes from chi-square, :math:`2\langle e, r\rangle - |e|^2`, where r is
 left without the cause.
+
+Beside a joint modes that are off as claimed follow, and a fit at another place may end in another minimum of these, far
+above the one that it reaches from the modes beside the leading set.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +24,9 @@ from modalax.diagnose.screening.products import at_places
 from modalax.diagnose.screening.score_state import score_state_of
 from modalax.diagnose.screening.screen import smallest
 from modalax.diagnose.search.compounds import free_directions, without_cause
+from modalax.diagnose.search.singles import PATIENT
 
+SLIGHT = 1.0  # chi-square by which a fit must come lower than before to be another
 TIMES = (0.5, 1.0, 2.0)  # of the strength with the same effect, which are tried
 NEAR = 12.0  # chi-square behind the place where it is, within which a place is fitted
 MOST = 8  # other places that are fitted for each cause
@@ -43,6 +49,25 @@ def elsewhere(comparison: Comparison, h: Hypothesis) -> list[Hypothesis]:
         if isinstance(cause, LocalCause) and not comparison.late()
         for place, p in _others(used, h, j, cause)
     ]
+
+
+def restarted(comparison: Comparison, best: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Fits of the leading causes at other places, and of other causes at its places, from the modes beside it.
+
+    Parameters
+    ----------
+    comparison
+        Data and simulation.
+    best
+        The leading hypothesis, fitted.
+    others
+        Other hypotheses, fitted; those that come no lower from there are left out.
+    """
+    alike = [h for h in others if h.hum is None and (h.causes == best.causes or h.places == best.places)]
+    if not (comparison.nuisance.active and alike):
+        return []
+    again = comparison.fit([replace(h, theta=best.theta) for h in alike], PATIENT)
+    return [now for h, now in zip(alike, again, strict=True) if now.chi2 < h.chi2 - SLIGHT]
 
 
 def _others(comparison: Comparison, h: Hypothesis, j: int, cause: LocalCause) -> list[tuple[Place, np.ndarray]]:

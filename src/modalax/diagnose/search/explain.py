@@ -3,28 +3,27 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-from modalax.diagnose.causes.base import Cause, UndampedCause
+from modalax.diagnose.causes.base import Cause
 from modalax.diagnose.comparison import Comparison, noise_beside
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.decision.omnibus import Omnibus, omnibus
 from modalax.diagnose.decision.posterior import Ranked, evidence, posterior
 from modalax.diagnose.decision.verdict import Leftover, verdict
 from modalax.diagnose.fitting.hypothesis import Hypothesis
-from modalax.diagnose.screening.every_cause import chosen
 from modalax.diagnose.screening.score_state import score_state_of
 from modalax.diagnose.search.candidates import best_of_each, moderate
 from modalax.diagnose.search.compounds import FURTHER, Leavings, Rest, alone, exchanged, fit_together, one_more_cause
-from modalax.diagnose.search.elsewhere import elsewhere
+from modalax.diagnose.search.elsewhere import elsewhere, restarted
 from modalax.diagnose.search.harmonics import is_limit, joints_in_full
 from modalax.diagnose.search.imitator_check import apart, imitations, likeness
 from modalax.diagnose.search.in_pairs import best_pairs
 from modalax.diagnose.search.joints_by_force import joints_by_force
 from modalax.diagnose.search.look import Look
 from modalax.diagnose.search.look import look as first_look
-from modalax.diagnose.search.measured_force import STRONG, robust_starts, starts_from_forces
+from modalax.diagnose.search.measured_force import STRONG
 from modalax.diagnose.search.named_before import NamedCause, explained_by
-from modalax.diagnose.search.rows import fitted_beside_outliers
-from modalax.diagnose.search.singles import IN_FULL, PATIENT, fit_single, from_nominal_modes, joints_for_drifts, refit
+from modalax.diagnose.search.one_cause import singles, untried
+from modalax.diagnose.search.singles import PATIENT
 from modalax.diagnose.search.tolerance import tolerated, uncounted
 from modalax.diagnose.thresholds import THRESHOLDS
 
@@ -102,6 +101,7 @@ def explain(
         return replace(nothing, leftover=leftover)
     look, fitted, ranked = with_noise_again(look, fitted, ranked)
     comparison, fitted, ranked = centred(look, fitted, ranked)
+    fitted, ranked = from_leading_modes(look, comparison, fitted, ranked)
     rest = Leavings(comparison, look.null, causes)
     if before and ranked[0].best is before[0] and known is not None:
         rest.know(before[0], known)
@@ -161,45 +161,6 @@ def weigh(look: Look, fitted: list[Hypothesis], comparison: Comparison | None = 
     return posterior([(h, evidence(h, used.scene, samples, null) - 0.5 * uncounted(h, each, null)) for h in each])
 
 
-def singles(look: Look, causes: Sequence[Cause]) -> list[Hypothesis]:
-    """Hypotheses of a single cause each, fitted."""
-    found = fit_single(look.state, chosen(look.screening.trials))
-    found += from_nominal_modes(look.state, causes)
-    # a modal parameter far off is found where the modes follow it exactly
-    if look.again is not None and not look.comparison.late():
-        other = look.again
-        trials = [t for t in chosen(other.screening.trials) if isinstance(t.cause, UndampedCause)]
-        found += fit_single(other.state, trials) if trials else []
-    strong = [] if look.comparison.late() else starts_from_forces(look.comparison, look.null, causes)
-    if look.comparison.nuisance.active:  # the modes stand elsewhere beside the force, where nothing else is linear
-        found += look.comparison.fit(strong[:IN_FULL], PATIENT)
-    else:
-        for cause in dict.fromkeys(h.causes[0] for h in strong):
-            found += refit(look.state, [h for h in strong if h.causes[0] == cause])
-    found += beside_outliers(look, found, causes) if strong else []
-    return found + joints_for_drifts(look.state, best_of_each(found, look.comparison), causes)
-
-
-def untried(look: Look, fitted: Sequence[Hypothesis]) -> tuple[str, ...]:
-    """Kinds of causes that were to be looked for or fitted alone when time was up."""
-    if not look.comparison.late():
-        return ()
-    done = {c for h in fitted for c in h.causes}
-    promising = [t.cause for t in chosen(look.screening.trials) if t.cause not in done]
-    return tuple(dict.fromkeys(c.slug for c in (*promising, *look.screening.unscreened)))
-
-
-def beside_outliers(look: Look, found: list[Hypothesis], causes: Sequence[Cause]) -> list[Hypothesis]:
-    """Joints fitted beside lines at which they have no steady motion, where nothing has explained the data so far."""
-    comparison = look.comparison
-    enough = STRONG * comparison.problem.samples
-    out: list[Hypothesis] = []
-    for h in [] if min(h.chi2 for h in found) < enough else robust_starts(comparison, look.null, causes):
-        if not comparison.late():
-            out.append(fitted_beside_outliers(comparison, h))
-    return out
-
-
 def with_noise_again(
     look: Look, fitted: list[Hypothesis], ranked: list[Ranked]
 ) -> tuple[Look, list[Hypothesis], list[Ranked]]:
@@ -244,6 +205,15 @@ def centred(
     near = [r.best for r in ranked if r.log_evidence > ranked[0].log_evidence - NEAR and r.best.hum is None]
     fitted = comparison.fit(near, PATIENT) + [h for h in fitted if not any(h is other for other in near)]
     return comparison, fitted, weigh(look, fitted, comparison)
+
+
+def from_leading_modes(
+    look: Look, comparison: Comparison, fitted: list[Hypothesis], ranked: list[Ranked]
+) -> tuple[list[Hypothesis], list[Ranked]]:
+    """Fit what a strong effect may have kept in another minimum of the modes again, begun from those of the leader."""
+    strong = look.null.chi2 > STRONG * comparison.problem.samples and not comparison.late()
+    more = restarted(comparison, ranked[0].best, [r.best for r in ranked[1:]]) if strong else []
+    return (fitted + more, weigh(look, fitted + more, comparison)) if more else (fitted, ranked)
 
 
 def in_full(
