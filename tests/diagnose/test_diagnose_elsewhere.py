@@ -7,9 +7,9 @@ import equinox as eqx
 import numpy as np
 import pytest
 
-from modalax.data import FRF
+from modalax.data import FRF, Measurement
 from modalax.diagnose.causes.channels import ChannelGain
-from modalax.diagnose.causes.joints import CubicStiffness
+from modalax.diagnose.causes.joints import CubicStiffness, GapContact, QuadraticDamping
 from modalax.diagnose.causes.local import JointStiffness, LocalDamper, TunedMass
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.causes.signals import HumLines
@@ -168,3 +168,72 @@ def test_a_fit_that_comes_no_lower_is_not_kept(claimed, compared):
     assert restarted(comparison, best, least) == []
     true = compared.fit([with_oscillator(compared, 2, TRUE)], 40)[0]
     assert restarted(compared, true, [replace(true, chi2=np.inf)]) == []  # modes are exact
+
+
+def bare(h):
+    return replace(h, causes=(), places=(), extras=(), params=(), freedom=0.0)
+
+
+def joint_at(null, dof, law, params):
+    h = null.with_cause(law, Place((str(dof + 1),), (dof, -1, 0)), None, params)
+    return h.with_cause(ChannelGain(), Place((str(N),), (N - 1, -1, 0)), None, np.array([GAIN]))
+
+
+@pytest.fixture(scope="module")
+def hardening():
+    """A chain with a hardening spring at its DoF 3 and a sensor 5 % off, at three levels, and its true hypothesis."""
+    freq, rng, level = np.linspace(3.0, 22.0, 80), np.random.default_rng(7), np.array([1.0, 3.0, 9.0])
+    K = 4e3 * (2 * np.eye(N) - np.eye(N, k=1) - np.eye(N, k=-1))
+    names = [str(k + 1) for k in range(N)]
+    s = 2j * np.pi * freq[:, None, None]
+    linear = np.linalg.inv(s**2 * np.eye(N) + s * 2e-3 * K + K)[:, :, :1]
+    sigma = 0.02 * np.abs(linear).std()
+
+    def compared(H):
+        measured = Measurement(
+            freq,
+            H,
+            outputs=names,
+            inputs=names[:1],
+            form="receptance",
+            level=level,
+            variance=np.full(H.shape, sigma**2),
+        )
+        return make_comparison(measured, Structure(M=np.eye(N), C=2e-3 * K, K=K, dofs=names))
+
+    first = compared(np.stack([linear] * 3))
+    true = joint_at(first.fit([Hypothesis()], 1)[0], 2, CubicStiffness(), np.array([2e5]))
+    H = first.prediction(true)
+    comparison = compared(H + sigma / np.sqrt(2) * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)))
+    return comparison, comparison.fit([true], 40)[0]
+
+
+LAWS = (CubicStiffness(), GapContact(), QuadraticDamping(), ChannelGain())
+
+
+def test_a_joint_beside_another_cause_is_looked_for_at_other_places(hardening):
+    """Screened beside the sensor alone, the right place is among those that are about as good."""
+    comparison, true = hardening
+    wrong = comparison.fit([joint_at(bare(true), 3, LAWS[0], true.params[0])], 40)[0]
+    assert wrong.chi2 > true.chi2 + 30
+    starts = [h for h in elsewhere(comparison, wrong, LAWS) if h.causes[0] == LAWS[0]]
+    assert all(h.causes[1:] == true.causes[1:] and h.extras[0] is None and h.covariance is None for h in starts)
+    best = min(comparison.fit(starts, 40), key=lambda h: h.chi2)
+    assert best.places == true.places and abs(best.chi2 - true.chi2) < 0.1
+
+
+def test_a_joint_beside_another_cause_is_looked_for_by_other_laws(hardening):
+    """Each law at its best place and at the joint's, where it comes near; one that comes nowhere near is left out."""
+    comparison, true = hardening
+    gap = comparison.fit([joint_at(bare(true), 2, LAWS[1], np.array([40.0, 0.004]))], 40)[0]
+    found = elsewhere(comparison, gap, LAWS)
+    cubic = [h for h in found if h.causes[0] == LAWS[0]]
+    assert true.places in [h.places for h in cubic]
+    assert all(h.freedom == 2 for h in cubic)  # its stiffness and the sensor
+    assert not any(h.causes[0] == LAWS[2] for h in elsewhere(comparison, true, LAWS))  # it loses energy
+
+
+def test_a_joint_alone_has_been_looked_for_everywhere(hardening):
+    comparison, true = hardening
+    alone = replace(true, causes=true.causes[:1], places=true.places[:1], extras=(None,), params=true.params[:1])
+    assert elsewhere(comparison, alone, LAWS) == []

@@ -15,25 +15,31 @@ from dataclasses import replace
 
 import numpy as np
 
-from modalax.diagnose.causes.base import LocalCause
+from modalax.diagnose.causes.base import Cause, JointCause, LocalCause
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.comparison import Comparison
 from modalax.diagnose.fitting.hypothesis import Hypothesis, with_item
+from modalax.diagnose.screening.every_cause import screen_all
 from modalax.diagnose.screening.local_elements import score
 from modalax.diagnose.screening.products import at_places
 from modalax.diagnose.screening.score_state import score_state_of
-from modalax.diagnose.screening.screen import smallest
+from modalax.diagnose.screening.screen import Trial, smallest
+from modalax.diagnose.search.candidates import cost_of
 from modalax.diagnose.search.compounds import free_directions, without_cause
 from modalax.diagnose.search.singles import PATIENT
 
 SLIGHT = 1.0  # chi-square by which a fit must come lower than before to be another
 TIMES = (0.5, 1.0, 2.0)  # of the strength with the same effect, which are tried
 NEAR = 12.0  # chi-square behind the place where it is, within which a place is fitted
-MOST = 8  # other places that are fitted for each cause
+SHORT = 0.15  # share of the whole effect by which the screening of a joint, at a few strengths, may fall short
+MOST, ALIKE = 8, 40  # other places that are fitted for each linear element, and for a joint beside other causes
 
 
-def elsewhere(comparison: Comparison, h: Hypothesis) -> list[Hypothesis]:
-    """The hypothesis with each of its linear elements at the other places that may explain as much, not fitted yet.
+def elsewhere(comparison: Comparison, h: Hypothesis, causes: Sequence[Cause] = ()) -> list[Hypothesis]:
+    """The hypothesis with each of its elements at the other places that may explain as much, not fitted yet.
+
+    A joint that is not alone was found beside one other cause after the other, at few places and by few laws each time:
+    other laws may explain as much, too.
 
     Parameters
     ----------
@@ -41,14 +47,29 @@ def elsewhere(comparison: Comparison, h: Hypothesis) -> list[Hypothesis]:
         Data and simulation.
     h
         The hypothesis, fitted.
+    causes
+        What is looked for; laws of a joint are taken from it.
     """
     used = comparison if h.hum is None else comparison.without(h.hum.lines)
-    return [
-        replace(h, places=with_item(h.places, j, place), params=with_item(h.params, j, p), covariance=None, chi2=np.inf)
-        for j, cause in enumerate(h.causes)
-        if isinstance(cause, LocalCause) and not comparison.late()
-        for place, p in _others(used, h, j, cause)
-    ]
+    out: list[Hypothesis] = []
+    for j, cause in enumerate(h.causes):
+        if comparison.late():
+            break
+        if isinstance(cause, LocalCause):
+            out += [_with(h, j, cause, place, p) for place, p in _others(used, h, j, cause)]
+        elif isinstance(cause, JointCause) and len(h.causes) > 1:
+            out += [_with(h, j, t.cause, t.place, t.start) for t in _joints(used, h, j, causes)]
+    return out
+
+
+def _with(h: Hypothesis, j: int, cause: Cause, place: Place, p: np.ndarray) -> Hypothesis:
+    """The hypothesis with another cause or place for one of its own, not fitted yet."""
+    causes, extras = with_item(h.causes, j, cause), with_item(h.extras, j, None)
+    return replace(
+        h, causes=causes, places=with_item(h.places, j, place), extras=extras, params=with_item(h.params, j, p),
+        freedom=cost_of(causes, extras) + (h.hum.freedom if h.hum else 0.0), covariance=None, fidelity=None, since=None,
+        chi2=np.inf,
+    )  # fmt: skip
 
 
 def restarted(comparison: Comparison, best: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -92,3 +113,20 @@ def _others(comparison: Comparison, h: Hypothesis, j: int, cause: LocalCause) ->
     best = gains.max(axis=1)
     order = [k for k in np.argsort(-best[1:])[:MOST] + 1 if length[k] > 0 and best[k] > best[0] - NEAR]
     return [(places[k], sizes[k][gains[k].argmax()]) for k in order]
+
+
+def _joints(comparison: Comparison, h: Hypothesis, j: int, causes: Sequence[Cause]) -> list[Trial]:
+    """Trials of a joint that screening beside the other causes shows to be about as good as it is, the best first.
+
+    They are the same law elsewhere, and each other law at its best place and at that of the joint.
+    """
+    own, here, base = h.causes[j], h.places[j].index, without_cause(h, j)
+    laws = [own, *(c for c in causes if isinstance(c, JointCause) and c != own)]
+    state = score_state_of(comparison, base, free_directions(comparison, base))
+    trials = sorted(screen_all(state, laws).trials, key=lambda t: -t.gain)
+    promised = max((t.gain for t in trials if t.cause == own and t.place.index == here), default=np.inf)
+    near = [t for t in trials if t.gain > (1 - SHORT) * promised - NEAR]
+    others = [t for t in near if t.cause == own and t.place.index != here][:ALIKE]
+    best = {t.cause: t for t in reversed(near) if t.cause != own}
+    at_home = {t.cause: t for t in reversed(near) if t.cause != own and t.place.index == here}
+    return [*others, *{id(t): t for t in (*best.values(), *at_home.values())}.values()]

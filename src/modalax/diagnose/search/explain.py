@@ -110,7 +110,7 @@ def explain(
         if not settled:
             fitted, ranked = by_force(look, comparison, fitted, ranked, causes)
             fitted, ranked = together(look, comparison, fitted, ranked, rest)
-    fitted, ranked = at_other_places(look, comparison, fitted, ranked)
+    fitted, ranked = at_other_places(look, comparison, fitted, ranked, causes)
     left = rest(ranked[0].best)
     leftover = replace(leftover, p_value=left.p_value, tolerated=left.tolerated)
     return Explanation(look, comparison, ranked, leftover, left.omnibus, fitted)
@@ -292,16 +292,22 @@ def with_harmonics_or_pairs(
 
 
 def at_other_places(
-    look: Look, comparison: Comparison, fitted: list[Hypothesis], ranked: list[Ranked]
+    look: Look, comparison: Comparison, fitted: list[Hypothesis], ranked: list[Ranked], causes: Sequence[Cause]
 ) -> tuple[list[Hypothesis], list[Ranked]]:
-    """Fit linear elements of the leading set at other places, begun from what was fitted where they are."""
-    best = ranked[0].best
-    if len(best.causes) < 2 and all(len(p) < 2 for p in best.params):
-        return fitted, ranked
-    known = {r.names for r in ranked if r.log_evidence > ranked[0].log_evidence - NEAR}
-    starts = [h for h in elsewhere(comparison, best) if h.names not in known]
-    more = [h for h in fit_together(comparison, starts) if moderate(h, comparison)] if starts else []
-    return (fitted + more, weigh(look, fitted + more, comparison)) if more else (fitted, ranked)
+    """Fit elements of the leading set at other places, begun from what was fitted where they are, until it stays."""
+    for _ in range(DEEPEST):
+        best = ranked[0].best
+        if len(best.causes) < 2 and all(len(p) < 2 for p in best.params):
+            break
+        known = {r.names for r in ranked if r.log_evidence > ranked[0].log_evidence - NEAR}
+        starts = [h for h in elsewhere(comparison, best, causes) if h.names not in known]
+        more = [h for h in fit_together(comparison, starts) if moderate(h, comparison)] if starts else []
+        if not more:
+            break
+        fitted, ranked = leader_in_full(look, comparison, fitted + more, weigh(look, fitted + more, comparison))
+        if ranked[0].names == best.names:
+            break
+    return fitted, ranked
 
 
 def both_at_once(
