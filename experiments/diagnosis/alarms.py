@@ -14,7 +14,7 @@ from answer import prepare
 from marks import Share
 from rich.progress import track
 
-COLUMNS = ("case", "variance", "noise", "spread", "p", "scores", "patterns", "hum", "omnibus")
+COLUMNS = ("case", "variance", "noise", "spread", "p", "scores", "patterns", "hum", "lengths", "omnibus")
 
 
 def chances(case: Path) -> dict[str, float]:

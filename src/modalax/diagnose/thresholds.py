@@ -30,7 +30,7 @@ class Thresholds:
         "Something is wrong where what the simulation leaves has less than this chance under noise alone.", ALARMS,
     )  # fmt: skip
     share_of_scores: float = _threshold(
-        0.6, "share of alarm", "The scores of all causes at all places together may raise this share of the alarms.",
+        0.55, "share of alarm", "The scores of all causes at all places together may raise this share of the alarms.",
         ALARMS,
     )  # fmt: skip
     share_of_patterns: float = _threshold(
@@ -39,6 +39,10 @@ class Thresholds:
     share_of_hum: float = _threshold(
         0.1, "share of alarm", "Hum at the mains frequency may raise this share of the alarms.", HUM
     )
+    share_of_lengths: float = _threshold(
+        0.05, "share of alarm", "Records that are cut off, at the best of all lengths, may raise this share of alarms.",
+        ALARMS,
+    )  # fmt: skip
     share_of_omnibus: float = _threshold(
         0.2, "share of alarm", "The tests that know no cause may raise this share of the alarms.", ALARMS
     )
@@ -269,7 +273,7 @@ class Thresholds:
         """Shares of the alarms by kind of test, summing to 1."""
         return {
             "scores": self.share_of_scores, "patterns": self.share_of_patterns, "hum": self.share_of_hum,
-            "omnibus": self.share_of_omnibus,
+            "lengths": self.share_of_lengths, "omnibus": self.share_of_omnibus,
         }  # fmt: skip
 
     def table(self) -> list[tuple[str, float, str, str, str]]:

@@ -26,7 +26,7 @@ from modalax.diagnose.setup.noise import noise_of, scatter_freedom
 
 QUIET = Omnibus(1.0, 0.0, "", (0.0, 0.0))
 HERE = Place(("1",), (0, -1, 0))
-OF_SCORES, ALARM = 0.6, 0.01  # share of the alarms that scores may make, and their chance where nothing is wrong
+OF_SCORES, ALARM = 0.55, 0.01  # share of the alarms that scores may make, and their chance where nothing is wrong
 FURTHER = 5.0  # nats that each cause after the first costs
 
 

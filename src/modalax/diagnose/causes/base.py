@@ -213,6 +213,7 @@ class KernelCause(Cause):
 
     only_one = True
     visible_when_free = True
+    cut_off: ClassVar[int | None] = None  # variant of its place in which all that comes after a length of 1/p is lost
 
     def kernel(self, x: Complex[Array, "..."], where: Array, p: Float[Array, " p"]) -> Complex[Array, "..."]:
         r"""What :math:`1/x`, the transform of :math:`e^{-xt}`, becomes."""

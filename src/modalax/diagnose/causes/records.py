@@ -45,6 +45,7 @@ class Leakage(KernelCause):
     advice = "repeat with a record twice as long"
     fidelity = 0.02
     summary = "finite record length"
+    cut_off = CUT
     parameters = (Parameter("inverse_record_length", "Hz", 1e-6, log=True),)
 
     def places(self, scene: Scene) -> list[Place]:

@@ -86,6 +86,7 @@ def detect(
         "scores": -math.expm1(count * math.log1p(-min(2 * scipy.special.ndtr(-top / spread), 1 - 1e-12))),
         "patterns": min((_pattern_p(t, spread, tolerated) for t in patterns), default=1.0),
         "hum": min((_hum_p(t) for t in trials if t.cause.judged_by == "hum"), default=1.0),
+        "lengths": min((_ripple_p(t, spread, tolerated) for t in trials if t.ripples), default=1.0),
         "omnibus": remains.p_value,
     }
     single = -math.expm1(math.log1p(-THRESHOLDS.alarm * THRESHOLDS.share_of_scores) / count)
@@ -108,6 +109,11 @@ def _pattern_p(t: Trial, spread: float, tolerated: float) -> float:
     gain = max(t.gain - tolerated, 0.0) / spread**2
     one_shape = math.exp(terms * log_kappa) * scipy.special.chdtrc(terms * (o + i - 1), gain)
     return float(min(1.0, WHEREABOUTS * t.trials * min(one_shape, scipy.special.chdtrc(terms * o * i, gain))))
+
+
+def _ripple_p(t: Trial, spread: float, tolerated: float) -> float:
+    """Chance that one of many sizes takes away so much; a change e does by 2<e, r> - |e|^2, never more than its z^2."""
+    return min(1.0, t.ripples * float(scipy.special.ndtr(-math.sqrt(max(t.gain - tolerated, 0.0)) / spread)))
 
 
 def _hum_p(t: Trial) -> float:

@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from modalax.diagnose.causes.base import Cause, ElementCause, LinesCause, LocalCause, PatternCause
+from modalax.diagnose.causes.base import Cause, ElementCause, KernelCause, LinesCause, LocalCause, PatternCause
 from modalax.diagnose.comparison import Comparison, hum_of
 from modalax.diagnose.screening.local_elements import screen_elements
 from modalax.diagnose.screening.patterns import screen_pattern
 from modalax.diagnose.screening.products import at_places
+from modalax.diagnose.screening.record_lengths import promising_lengths
 from modalax.diagnose.screening.score_state import ScoreState, alike
 from modalax.diagnose.screening.screen import Trial, screen_cause
 
@@ -78,7 +79,22 @@ class _Screen:
             there = self.state.reduced[True].there if self.state.reduced else None
             scene = self.comparison.scene
             found = screen_cause(cause, scene, near, theta, residual, problem, nuisance, there)
+            if isinstance(cause, KernelCause) and self.comparison.question == "fixed" and problem.held is None:
+                found += self._cut_off(cause, near)
         return [replace(t, trials=round(t.trials * len(places) / len(near))) for t in found]
+
+    def _cut_off(self, cause: KernelCause, places: list[Any]) -> list[Trial]:
+        """Where a record is cut off, the best of all lengths that it may have had; the modes stay meanwhile."""
+        residual, theta = self.state.sides[cause.per_run], self.state.hypothesis.theta
+        problem, nuisance, _ = self.comparison.side(cause.per_run)
+        assert theta is not None
+        out = []
+        for place in (p for p in places if p.index[2] == cause.cut_off):
+            lengths, gains, count = promising_lengths(residual, problem, theta * nuisance.spread)
+            starts = list(1 / lengths[:, None])
+            if starts and gains[0] > 0:
+                out.append(Trial(cause, place, float(gains[0]), np.nan, starts[0], starts, ripples=count))
+        return out
 
     def _pattern(self, cause: PatternCause) -> list[Trial]:
         problem = self.comparison.side(cause.per_run)[0]

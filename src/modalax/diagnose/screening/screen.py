@@ -48,6 +48,8 @@ class Trial:
         Standard deviation of the strength from the derivative.
     trials
         Number of derivatives looked at.
+    ripples
+        Number of independent sizes that were tried, where these are so many that the best is judged by itself; else 0.
     """
 
     cause: Cause
@@ -61,6 +63,7 @@ class Trial:
     error: float = np.nan
     trials: int = 1
     linear: float = 0.0
+    ripples: float = 0.0
 
 
 def nuisance_of(theta: np.ndarray, comparison: Comparison) -> np.ndarray:
