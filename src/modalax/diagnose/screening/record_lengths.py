@@ -15,7 +15,7 @@ from chi-square, where the sums over channels and lines are the same for all len
 
 import numpy as np
 
-from modalax.diagnose.causes.records import DECAYED, RIPPLE
+from modalax.diagnose.causes.records import RIPPLE
 from modalax.diagnose.fitting.residual import complex_of
 from modalax.diagnose.screening.sensitivities import Residual
 from modalax.diagnose.setup.problem import Problem
@@ -24,7 +24,8 @@ FAINT = 4.0  # squared length of a change, in variances, below which it is not s
 LOUD = 16.0  # and over the residual's chi-square, above which it cannot be what was measured
 ABOVE = 2.0  # times the highest line, up to which modes are taken
 AT_ONCE, MOST = 512, 3e7  # lengths side by side, and most lengths times lines
-KEPT, COARSE = 8, 200  # best lengths that are given, and lengths at which the square is looked at first
+DECAYED, COARSE = 30.0, 400  # decay up to which lengths are looked at, at how many of them the square at first
+KEPT = 8  # lengths that are given
 
 
 def promising_lengths(residual: Residual, problem: Problem, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
@@ -42,22 +43,21 @@ def promising_lengths(residual: Residual, problem: Problem, theta: np.ndarray) -
     Returns
     -------
     tuple
-        Lengths [s], the best first, the chi-square that each takes away while the modal parameters stay, and the number
-        of independent lengths that were looked at.
+        Lengths [s] at which chi-square is least, the best first, the chi-square that each takes away while the modal
+        parameters stay, and the number of independent lengths that were looked at.
     """
     poles, product, square = _of_poles(residual, problem, theta)
     omega = np.asarray(problem.omega)[: problem.lines]
-    decays = -poles.real[poles.imag > 0]
-    inside = decays[(poles.imag[poles.imag > 0] > omega[0]) & (poles.imag[poles.imag > 0] < omega[-1]) & (decays > 0)]
+    rates = -poles.real[poles.real < 0]  # modes below the band decay for longest, and may show in all of it
     none = np.zeros(0)
-    if not len(inside) or len(omega) < 2:
+    if not len(rates) or len(omega) < 2:
         return none, none, 0.0
 
     def squares(T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         alive = np.exp(np.outer(T, poles))
         return alive, np.einsum("tm,mt->t", alive.conj(), square @ alive.T).real
 
-    coarse = np.geomspace(0.5 / inside.max(), DECAYED / inside.min(), COARSE)
+    coarse = np.geomspace(0.5 / rates.max(), DECAYED / rates.min(), COARSE)
     most = np.abs(np.exp(np.outer(coarse, 2 * poles.real)) @ np.diag(square).real)
     seen = coarse[(most > FAINT) & (most < LOUD * float((residual.value**2).sum()))]
     if not len(seen):
@@ -70,7 +70,9 @@ def promising_lengths(residual: Residual, problem: Problem, theta: np.ndarray) -
         alive, length = squares(T)
         along = (np.exp(-1j * np.outer(T, omega)) @ product * alive).sum(axis=1).real
         gains[k : k + AT_ONCE] = 2 * along - length
-    best = np.argsort(-gains)[:KEPT]
+    about = np.pad(gains, 1, constant_values=-np.inf)
+    peaks = np.flatnonzero((gains >= about[:-2]) & (gains >= about[2:]))
+    best = peaks[np.argsort(-gains[peaks])[:KEPT]]
     return lengths[best], gains[best], len(lengths) * RIPPLE
 
 
