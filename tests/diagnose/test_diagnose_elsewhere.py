@@ -233,6 +233,15 @@ def test_a_joint_beside_another_cause_is_looked_for_by_other_laws(hardening):
     assert not any(h.causes[0] == LAWS[2] for h in elsewhere(comparison, true, LAWS))  # it loses energy
 
 
+def test_how_exact_a_joint_is_stays_known_where_another_cause_moves(compared, hardening):
+    oscillator = replace(compared.fit([with_oscillator(compared, 3, TRUE)], 40)[0], fidelity=1e-3, freedom=7.0)
+    starts = elsewhere(compared, oscillator)
+    assert starts and all(h.fidelity == 1e-3 and h.freedom == 7.0 for h in starts)
+    comparison, true = hardening
+    starts = elsewhere(comparison, replace(true, fidelity=1e-3), LAWS)
+    assert starts and all(h.fidelity is None for h in starts)  # by one harmonic again
+
+
 def test_a_joint_alone_has_been_looked_for_everywhere(hardening):
     comparison, true = hardening
     alone = replace(true, causes=true.causes[:1], places=true.places[:1], extras=(None,), params=true.params[:1])

@@ -56,20 +56,25 @@ def elsewhere(comparison: Comparison, h: Hypothesis, causes: Sequence[Cause] = (
         if comparison.late():
             break
         if isinstance(cause, LocalCause):
-            out += [_with(h, j, cause, place, p) for place, p in _others(used, h, j, cause)]
+            out += [_at(h, j, place, p) for place, p in _others(used, h, j, cause)]
         elif isinstance(cause, JointCause) and len(h.causes) > 1:
-            out += [_with(h, j, t.cause, t.place, t.start) for t in _joints(used, h, j, causes)]
+            out += [_with_joint(h, j, trial) for trial in _joints(used, h, j, causes)]
     return out
 
 
-def _with(h: Hypothesis, j: int, cause: Cause, place: Place, p: np.ndarray) -> Hypothesis:
-    """The hypothesis with another cause or place for one of its own, not fitted yet."""
-    causes, extras = with_item(h.causes, j, cause), with_item(h.extras, j, None)
+def _at(h: Hypothesis, j: int, place: Place, p: np.ndarray) -> Hypothesis:
+    """The hypothesis with one of its causes at another place, not fitted yet."""
     return replace(
-        h, causes=causes, places=with_item(h.places, j, place), extras=extras, params=with_item(h.params, j, p),
-        freedom=cost_of(causes, extras) + (h.hum.freedom if h.hum else 0.0), covariance=None, fidelity=None, since=None,
-        chi2=np.inf,
-    )  # fmt: skip
+        h, places=with_item(h.places, j, place), params=with_item(h.params, j, p), covariance=None, chi2=np.inf
+    )
+
+
+def _with_joint(h: Hypothesis, j: int, trial: Trial) -> Hypothesis:
+    """The hypothesis with another joint for one of its own, by one harmonic, not fitted yet."""
+    causes, extras = with_item(h.causes, j, trial.cause), with_item(h.extras, j, None)
+    freedom = cost_of(causes, extras) + (h.hum.freedom if h.hum else 0.0)
+    h = replace(h, causes=causes, extras=extras, freedom=freedom, fidelity=None, since=None)
+    return _at(h, j, trial.place, trial.start)
 
 
 def restarted(comparison: Comparison, best: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
