@@ -12,6 +12,7 @@ from modalax.diagnose.comparison import empty, make_comparison
 from modalax.diagnose.decision.detection import detect
 from modalax.diagnose.decision.omnibus import Omnibus
 from modalax.diagnose.fitting.residual import laid_out
+from modalax.diagnose.screening import record_lengths
 from modalax.diagnose.screening.every_cause import screen_all
 from modalax.diagnose.screening.record_lengths import promising_lengths
 from modalax.diagnose.screening.score_state import score_state_of
@@ -102,6 +103,18 @@ def test_under_noise_alone_its_chance_is_no_smaller_than_stated():
     for level in (0.02, 0.1, 0.3):
         assert np.mean(np.array(chances) < level) < level + 3 * np.sqrt(level / len(chances))
     assert min(chances) < 0.2  # yet it says something
+
+
+def test_where_there_is_little_time_slow_modes_and_long_records_come_first(monkeypatch):
+    case = compared()
+    lengths, _, count = looked_through(*case)
+    monkeypatch.setattr(record_lengths, "WORK", 4.04 * 150 * N * 2)  # enough for one mode at all samples
+    few, _, fewer = looked_through(*case)
+    assert 0 < fewer < count and few.min() > lengths.max()
+    poles, product, _ = record_lengths._of_poles(case[2].sides[False], case[0].pooled, np.zeros((2, N)))
+    assert product.shape == (150, 2)
+    slowest = 0.5 * (1e-4 * 1e4 * (2 - np.sqrt(2)) + 0.2)  # the first mode's decay [1/s]
+    np.testing.assert_allclose(poles.real, -slowest, rtol=1e-9)
 
 
 def test_a_structure_without_damping_or_modes_in_band_has_no_such_length():
