@@ -11,7 +11,8 @@ the residual r, the change :math:`e_T` takes
     |e_T|^2 = \sum_{\lambda\mu} e^{(\lambda^* + \mu)T}\,\langle g_\lambda, g_\mu\rangle
 
 from chi-square, where the sums over channels and lines are the same for all lengths. Of many modes and channels those
-modes are taken that decay most slowly; what chi-square loses is exact for the change that they make.
+modes are taken that decay most slowly; what chi-square loses is exact for the change that they make. Damping is taken
+as viscous.
 """
 
 import numpy as np
@@ -22,9 +23,9 @@ from modalax.diagnose.screening.sensitivities import Residual
 from modalax.diagnose.setup.problem import Problem
 
 FAINT = 9.0  # squared length of a change, in variances, below which it is not seen
-LOUD = 16.0  # and over the residual's chi-square, above which it cannot be what was measured
+LOUD = 16.0  # times the residual's chi-square, above which it cannot be what was measured
 ABOVE = 2.0  # times the highest line, up to which modes are taken
-AT_ONCE = 512  # lengths side by side
+AT_ONCE = 1e6  # lengths times lines side by side
 WORK = 5e8  # products of two numbers for which there is time, about half a second
 DECAYED, COARSE = 30.0, 400  # decay up to which lengths are looked at, at how many of them the square at first
 KEPT = 8  # lengths that are given
@@ -61,13 +62,15 @@ def promising_lengths(residual: Residual, problem: Problem, theta: np.ndarray) -
     if not len(seen):
         return none, none, 0.0
     apart = RIPPLE * 2 * np.pi / (omega[-1] - omega[0])
-    lengths = np.arange(seen[0], seen[-1] + apart, apart)[-int(WORK / product.size) :]  # shorter ones show anyway
-    turn, gains = np.exp(-1j * apart * np.outer(np.arange(AT_ONCE), omega)), np.empty(len(lengths))
-    for k in range(0, len(lengths), AT_ONCE):
-        T = lengths[k : k + AT_ONCE]
+    lengths = np.arange(seen[0], seen[-1] + apart, apart)
+    lengths = lengths[-max(int(WORK / product.size), 1) :]  # shorter ones show anyway
+    side = min(max(int(AT_ONCE / len(omega)), 1), len(lengths))
+    turn, gains = np.exp(-1j * apart * np.outer(np.arange(side), omega)), np.empty(len(lengths))
+    for k in range(0, len(lengths), side):
+        T = lengths[k : k + side]
         alive = np.exp(np.outer(T, poles))
         along = (turn[: len(T)] @ (np.exp(-1j * T[0] * omega)[:, None] * product) * alive).sum(axis=1).real
-        gains[k : k + AT_ONCE] = 2 * along - np.einsum("tm,mt->t", alive.conj(), square @ alive.T).real
+        gains[k : k + side] = 2 * along - np.einsum("tm,mt->t", alive.conj(), square @ alive.T).real
     about = np.pad(gains, 1, constant_values=-np.inf)
     peaks = np.flatnonzero((gains >= about[:-2]) & (gains >= about[2:]))
     best = peaks[np.argsort(-gains[peaks])[:KEPT]]

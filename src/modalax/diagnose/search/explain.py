@@ -29,6 +29,7 @@ from modalax.diagnose.thresholds import THRESHOLDS
 
 NEAR = 12.0  # nats behind the best up to which hypotheses are fitted again with complex modes made exact
 DEEPEST = 3  # causes in one answer
+MOVES = 3  # times that the leading set is looked for at other places, as long as another comes to lead
 SEVERAL = THRESHOLDS.left_by_several
 NEARLY = 0.05  # share of what a pair promised in linear order by which its fit may differ to be taken for linear
 SLIGHT = 1.0  # chi-square that harmonics may change at most for pairs to be fitted before them
@@ -295,7 +296,7 @@ def at_other_places(
     look: Look, comparison: Comparison, fitted: list[Hypothesis], ranked: list[Ranked], causes: Sequence[Cause]
 ) -> tuple[list[Hypothesis], list[Ranked]]:
     """Fit elements of the leading set at other places, begun from what was fitted where they are, until it stays."""
-    for _ in range(DEEPEST):
+    for _ in range(MOVES):
         best = ranked[0].best
         if len(best.causes) < 2 and all(len(p) < 2 for p in best.params):
             break
