@@ -50,9 +50,15 @@ def with_oscillator(compared, dof, params):
     return h.with_cause(ChannelGain(), Place((str(N),), (N - 1, -1, 0)), None, np.array([GAIN]))
 
 
-def test_an_oscillator_is_followed_from_a_wrong_place_to_the_right_one(compared):
+@pytest.fixture(scope="module")
+def oscillators(compared):
+    """Fits of an oscillator at DoF 3, the true one, and at DoF 4."""
+    return [compared.fit([with_oscillator(compared, d, TRUE)], 40)[0] for d in (2, 3)]
+
+
+def test_an_oscillator_is_followed_from_a_wrong_place_to_the_right_one(compared, oscillators):
     """Its mass there is what has the same effect; the fit from there ends where that from the truth does."""
-    true, wrong = (compared.fit([with_oscillator(compared, d, TRUE)], 40)[0] for d in (2, 3))
+    true, wrong = oscillators
     assert wrong.chi2 > true.chi2 + 100
     starts = elsewhere(compared, wrong)
     first = starts[0]
@@ -62,12 +68,12 @@ def test_an_oscillator_is_followed_from_a_wrong_place_to_the_right_one(compared)
     assert abs(compared.fit([first], 40)[0].chi2 - true.chi2) < 0.1
 
 
-def test_lines_that_hum_reaches_are_left_out(compared):
+def test_lines_that_hum_reaches_are_left_out(compared, oscillators):
     """Three lines far off, which hum explains, change nothing."""
     mask = np.isin(np.arange(compared.problem.data.shape[1]), (60, 61, 120))
     data = np.asarray(compared.problem.data) * np.where(mask, 30.0, 1.0)[:, None, None]
     loud = replace(compared, problem=eqx.tree_at(lambda p: p.data, compared.problem, data), cache={})
-    wrong = compared.fit([with_oscillator(compared, 3, TRUE)], 40)[0]
+    _, wrong = oscillators
     hum = HumLines(mask[: compared.problem.lines], 0.0, 1.0, 9.0, 50.0, 1e-9)
     expected = elsewhere(compared.without(hum.lines), wrong)
     found = elsewhere(loud, replace(wrong, hum=hum))
@@ -75,8 +81,8 @@ def test_lines_that_hum_reaches_are_left_out(compared):
     np.testing.assert_allclose([h.params[0] for h in found], [h.params[0] for h in expected], rtol=1e-9)
 
 
-def test_places_that_promise_far_less_are_not_fitted(compared):
-    true = compared.fit([with_oscillator(compared, 2, TRUE)], 40)[0]
+def test_places_that_promise_far_less_are_not_fitted(compared, oscillators):
+    true, _ = oscillators
     every = [compared.fit([with_oscillator(compared, d, true.params[0])], 40)[0].chi2 for d in range(N) if d != 2]
     assert min(every) > true.chi2 + 2 * NEAR  # noise this small leaves no doubt
     assert elsewhere(compared, true) == []
@@ -160,13 +166,13 @@ def test_other_places_are_fitted_again_from_the_modes_beside_the_leading_one(cla
     assert max(h.chi2 / before.chi2 for h, before in zip(found, caught, strict=False)) < 0.5
 
 
-def test_a_fit_that_comes_no_lower_is_not_kept(claimed, compared):
+def test_a_fit_that_comes_no_lower_is_not_kept(claimed, compared, oscillators):
     comparison, _, springs = claimed
     best = min(springs, key=lambda h: h.chi2)
     others = [h for h in springs if h is not best]
     least = [min([h, *restarted(comparison, best, [h])], key=lambda one: one.chi2) for h in others]
     assert restarted(comparison, best, least) == []
-    true = compared.fit([with_oscillator(compared, 2, TRUE)], 40)[0]
+    true, _ = oscillators
     assert restarted(compared, true, [replace(true, chi2=np.inf)]) == []  # modes are exact
 
 
@@ -233,8 +239,8 @@ def test_a_joint_beside_another_cause_is_looked_for_by_other_laws(hardening):
     assert not any(h.causes[0] == LAWS[2] for h in elsewhere(comparison, true, LAWS))  # it loses energy
 
 
-def test_how_exact_a_joint_is_stays_known_where_another_cause_moves(compared, hardening):
-    oscillator = replace(compared.fit([with_oscillator(compared, 3, TRUE)], 40)[0], fidelity=1e-3, freedom=7.0)
+def test_how_exact_a_joint_is_stays_known_where_another_cause_moves(compared, oscillators, hardening):
+    oscillator = replace(oscillators[1], fidelity=1e-3, freedom=7.0)
     starts = elsewhere(compared, oscillator)
     assert starts and all(h.fidelity == 1e-3 and h.freedom == 7.0 for h in starts)
     comparison, true = hardening

@@ -248,8 +248,9 @@ def test_a_stiff_joint_that_lets_go_is_told_from_one_that_drifts():
 
 def test_compiled_programs_go_before_a_process_is_full(tmp_path, monkeypatch):
     """A process that has used up its memory maps ends without an exception, and batches held gigabytes of programs."""
-    gone = []
+    gone, collected = [], []
     monkeypatch.setattr(jax, "clear_caches", lambda: gone.append(True))
+    monkeypatch.setattr(programs.gc, "collect", lambda: collected.append(True))
     monkeypatch.setattr(programs, "_kept", [0])
     given = maps, limit, used = [tmp_path / name for name in ("maps", "limit", "statm")]
     pages, tenth = "9000000 {} 4000 1 0 1 0\n", os.sysconf("SC_PHYS_PAGES") // 10
@@ -266,6 +267,7 @@ def test_compiled_programs_go_before_a_process_is_full(tmp_path, monkeypatch):
     assert programs.release_programs(*given) and len(gone) == 2
     assert not programs.release_programs(*given)
     assert not programs.release_programs(tmp_path / "no such file", limit, used)
+    assert len(collected) == len(gone)
 
 
 def test_the_line_at_0_hz_is_left_out():

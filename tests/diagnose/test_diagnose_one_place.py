@@ -1,6 +1,7 @@
 """Laws fitted to the force that is measured at one place."""
 
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -52,9 +53,23 @@ def compared(H, noise_level=0.01):
     return comparison, force
 
 
-def joined(joint):
+@cache
+def joined(law, *values):
     """FRFs of the five masses with a joint."""
+    joint = law(*values)
     return simulate(five_dof(), [joint], [PLACE], FREQ, np.array([1.0, 3.0, 6.0]), inputs=["1"], harmonics=9)
+
+
+@cache
+def hardened():
+    """The comparison and the force of a cubic spring."""
+    return compared(joined(joints.CubicSpring, 3e10))
+
+
+@cache
+def one_sided():
+    """The comparison and the force of a spring that acts on one side only."""
+    return compared(joined(joints.BilinearSpring, 60000.0, 0.0), 0.001)
 
 
 def test_an_elements_force_leaves_what_the_element_leaves_of_all_data():
@@ -73,7 +88,7 @@ def test_an_elements_force_leaves_what_the_element_leaves_of_all_data():
 
 def test_a_law_is_not_followed_beyond_the_time_or_far_behind_another(monkeypatch):
     """A weak spring from a start a third off: fitted to its end, not at all once time is up, and not behind another."""
-    comparison, force = compared(joined(joints.CubicSpring(3e10)))
+    comparison, force = hardened()
     seen, start, asked = seen_at(comparison, force, several=False), [np.array([2e10])], []
     follow = force_fit.force_of
     monkeypatch.setattr(force_fit, "force_of", lambda *a, **k: asked.append(a[1]) or follow(*a, **k))
@@ -101,7 +116,7 @@ def test_a_law_that_explains_all_elsewhere_is_fitted_where_it_misses_as_much_by_
     missed, chi2, asked, monkeypatch
 ):  # fmt: skip
     """A slip of one of two springs in series was named at the other, as the law had not been tried at its own place."""
-    comparison, force = compared(joined(joints.CubicSpring(3e10)))
+    comparison, force = hardened()
     seen, law = seen_at(comparison, force, several=False), ElastoSlip(True)
     aside = np.zeros(len(seen.force), bool)
     found = force_fit.ForceFit(law, np.ones(2), seen.left, aside, seen.force, seen.force[None], seen.force[None], seen)
@@ -116,7 +131,7 @@ def test_a_law_that_explains_all_elsewhere_is_fitted_where_it_misses_as_much_by_
 @pytest.mark.parametrize("share", [0.0, 0.3])
 def test_slopes_of_a_linear_element_are_those_of_differences_at_nothing_too(share):
     """What lasts of a joint that relaxes begins at nothing, where steps in proportion to it told of no slope."""
-    comparison, force = compared(joined(joints.CubicSpring(3e10)))
+    comparison, force = hardened()
     seen, law, p = seen_at(comparison, force, several=False), ZenerJoint(), np.array([2e5, 3e-3, share])
     here, slopes = force_of(law, p, seen)[:2]
     assert slopes.shape == (3, len(here))
@@ -128,7 +143,7 @@ def test_slopes_of_a_linear_element_are_those_of_differences_at_nothing_too(shar
 
 
 def test_a_place_knows_what_was_fitted_at_those_before(monkeypatch):
-    comparison, force = compared(joined(joints.CubicSpring(3e10)))
+    comparison, force = hardened()
     seen = seen_at(comparison, force, several=False)
     start = np.array([2e10])
     fit, asked = fit_to_force(CubicStiffness(), [start], seen, lambda: True), []
@@ -160,7 +175,7 @@ def test_a_slider_is_followed_with_as_many_harmonics_as_the_data_ask_for():
 
 def test_dry_friction_is_followed_to_its_end_whatever_else_was_fitted():
     """It begins with few instants, so that it leaves more at first than it will."""
-    comparison, force = compared(joined(joints.CubicSpring(3e10)))
+    comparison, force = hardened()
     seen, start = seen_at(comparison, force).telling(15), [np.array([0.2])]
     alone, beside = (fit_to_force(CoulombFriction(), start, seen, rival=r) for r in (np.inf, -1e9))
     assert alone is not None and beside is not None
@@ -169,7 +184,7 @@ def test_dry_friction_is_followed_to_its_end_whatever_else_was_fitted():
 
 @pytest.mark.slow
 def test_a_law_at_the_force_leaves_what_it_leaves_of_all_data():
-    comparison, force = compared(joined(joints.CubicSpring(3e10)))
+    comparison, force = hardened()
     (fit,) = laws_by_force(comparison, [CubicStiffness()], force, 1e6)
     assert fit.params[0] == pytest.approx(3e10, rel=5e-3)
     samples = comparison.problem.samples
@@ -184,7 +199,7 @@ def test_a_law_at_the_force_leaves_what_it_leaves_of_all_data():
 
 @pytest.mark.slow
 def test_both_sides_of_a_one_sided_spring_follow_from_its_force():
-    comparison, force = compared(joined(joints.BilinearSpring(60000.0, 0.0)), 0.001)
+    comparison, force = one_sided()
     fits = laws_by_force(comparison, [JointStiffness(), BilinearStiffness()], force, 1e6)
     fit = min(fits, key=lambda f: f.chi2)
     assert isinstance(fit.cause, BilinearStiffness)
@@ -259,7 +274,7 @@ def _said(found):
 
 @pytest.mark.slow
 def test_a_law_that_does_not_come_near_is_no_explanation():
-    comparison, force = compared(joined(joints.ElastoSlip(30000.0, 3.0)))
+    comparison, force = compared(joined(joints.ElastoSlip, 30000.0, 3.0))
     at = _only(comparison, force)
     assert explain_force(look(at, ()), [CubicStiffness()]) is None
     assert explain_force(look(at, ()), []) is None
@@ -304,7 +319,7 @@ def test_one_harmonic_of_a_joint_solves_its_equation_and_has_its_slopes(cause, p
 
 def test_a_balance_across_a_joint_is_harmonic_balance():
     """The force at every line makes of the motion without the joint that of the structure with it."""
-    s, found = five_dof(), joined(joints.CubicSpring(2e11))
+    s, found = five_dof(), joined(joints.CubicSpring, 2e11)
     at = [s.index(n) for n in PLACE]
     H = lambda order, dofs: np.asarray(s.frf(FREQ * order, outputs=list(PLACE), inputs=dofs).H)
     cause, p = CubicStiffness(), np.array([2e11])
@@ -379,7 +394,7 @@ def test_laws_are_fitted_before_modes_are_asked_though_levels_hide_in_the_noise_
 )
 def test_a_law_that_leaves_noise_comes_before_a_spring_that_damping_goes_with(left, levels, answer, monkeypatch):
     """A one-sided spring looks like one whose damping rises with it, and has no level by which it differs."""
-    every = joined(joints.BilinearSpring(60000.0, 0.0))
+    every = joined(joints.BilinearSpring, 60000.0, 0.0)
     data = every.replace(
         H=every.H[:levels], level=every.level[:levels], variance=1e-16 + np.zeros(every.H[:levels].shape)
     )
@@ -399,14 +414,14 @@ def test_a_law_that_leaves_noise_comes_before_a_spring_that_damping_goes_with(le
 
 
 def test_steps_towards_a_one_sided_spring_go_on_as_long_as_they_gain():
-    comparison, force = compared(joined(joints.BilinearSpring(60000.0, 0.0)), 0.001)
+    comparison, force = one_sided()
     fit = fit_to_force(BilinearStiffness(), [np.array([1.8e4, 0.02])], seen_at(comparison, force).telling(15))
     assert fit.params == pytest.approx([3e4, 1.0], rel=0.02)
 
 
 def test_no_step_begins_where_the_slopes_of_a_force_are_no_numbers(monkeypatch):
     """Modes that had moved out of all bounds had ended a diagnosis in an error of linear algebra."""
-    comparison, force = compared(joined(joints.BilinearSpring(60000.0, 0.0)), 0.001)
+    comparison, force = one_sided()
     seen, of = seen_at(comparison, force).telling(15), force_fit.force_of
 
     def broken(*a, **k):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from modalax.diagnose import diagnose, pipeline
-from modalax.diagnose.causes import ChannelCause, JointCause, LinesCause, LocalCause, ModesCause, catalogue
+from modalax.diagnose.causes import ChannelCause, JointCause, LinesCause, LocalCause, ModesCause, catalogue, imitators
 from modalax.diagnose.causes.drift import DriftingSpring
 from modalax.diagnose.causes.groups import GroupCause
 from modalax.diagnose.causes.joints import ElastoSlip
@@ -63,8 +63,9 @@ def answer(case, folder):
 
 
 def answer_among(kinds, case, folder, monkeypatch):
-    """With a part of the catalogue, and beside the simulation's modes, for which there is no modal domain."""
+    """With a part of all causes, and beside the simulation's modes, for which there is no modal domain."""
     monkeypatch.setattr(pipeline, "catalogue", lambda *a: [c for c in catalogue(*a) if isinstance(c, kinds)])
+    monkeypatch.setattr(pipeline, "imitators", lambda: [c for c in imitators() if isinstance(c, kinds)])
     case.save(folder)
     return diagnose(load(folder / "measurement.npz"), load(folder / "simulation.npz").modal()).to_dict()
 

@@ -9,6 +9,7 @@ import generator
 import numpy as np
 import pytest
 import scipy.integrate
+import scipy.linalg
 import scipy.signal
 from generator import laws, rivals
 from generator.case import EFFECTS
@@ -83,7 +84,7 @@ def test_size_allows_for_the_claimed_spread():
     delta = (np.sqrt(2) / case.sigma * (case.H_true - base)).ravel()
     J = np.concatenate([yard.J.real, yard.J.imag])
     stacked = np.concatenate([delta.real, delta.imag])
-    full = stacked @ np.linalg.solve(np.eye(len(J)) + J @ J.T, stacked)
+    full = stacked @ scipy.linalg.solve(np.eye(len(J)) + J @ J.T, stacked, assume_a="pos", overwrite_a=True)
     assert case.truth["d"] <= np.sqrt(full)
     assert yard.distance(1e-6 * (case.H_true - base)) == pytest.approx(1e-6 * np.sqrt(full), rel=1e-4)
     assert case.truth["d"] == pytest.approx(8.0, rel=1e-3)

@@ -78,8 +78,10 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     clean = MODEL.frf(FREQ, inputs=["a", "b"], form="accelerance")
     start = residues(clean, MODEL.poles * (1 + 0.003j))
     true, z = np.concatenate([MODEL.frequency_hz, MODEL.damping_ratio]), []
-    for k in range(80):
-        found = refine_on_host(clean.add_noise(jax.random.key(k), 0.1), start)
+    rng, noisy = np.random.default_rng(0), clean.add_noise(jax.random.key(0), 0.1)
+    sigma, shape = np.sqrt(np.asarray(noisy.variance) / 2), (80, *clean.shape)
+    for noise in sigma * (rng.normal(size=shape) + 1j * rng.normal(size=shape)):
+        found = refine_on_host(noisy.replace(H=np.asarray(clean.H) + noise), start)
         assert bool(found.success), found.reason
         got = np.concatenate([found.model.frequency_hz, found.model.damping_ratio])
         z.append((got - true) / np.concatenate([found.frequency_std_hz, found.damping_std]))

@@ -246,7 +246,7 @@ def test_columns_that_follow_from_the_first_are_those_projected_one_by_one(arc, 
 def test_coefficients_of_every_order_are_least_squares(constraint, fixed):
     rng, size = np.random.default_rng(0), 3
     R = np.triu(rng.normal(size=(21, 21)) + 1j * rng.normal(size=(21, 21)))
-    found = jax.vmap(lambda n: coefficients(jnp, jnp.asarray(R), n, size, constraint))(jnp.arange(1, 7))
+    found = jax.jit(jax.vmap(lambda n: coefficients(jnp, R, n, size, constraint)))(np.arange(1, 7))
     for n, A in enumerate(np.asarray(found), 1):
         blocks = np.split(R[:, : (n + 1) * size], n + 1, axis=1)
         right = blocks.pop(fixed)

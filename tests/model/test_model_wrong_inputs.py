@@ -73,5 +73,5 @@ def test_a_text_is_one_name():
         assert (same.outputs, same.inputs) == (one.outputs, one.inputs)
     joint = [CubicSpring(1.0)], [["1:+Z"]]
     assert simulate.harmonic_balance(structure, *joint, F[:3], 1.0, **names).inputs == ("1:+Z",)
-    assert simulate.stepped_sine(structure, *joint, F[:3], 1.0, **names).outputs == ("2:+Z",)
+    assert simulate.stepped_sine(structure, [], [], F[:3], 1.0, **names).outputs == ("2:+Z",)
     assert simulate.Bench(structure, fs=100.0, **names).inputs == ("1:+Z",)

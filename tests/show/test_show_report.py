@@ -273,23 +273,56 @@ PAPER = """
 """
 
 
-def test_shapes_move_on_screen_and_stand_side_by_side_on_paper(browse, tmp_path):
-    names = [str(k) for k in range(5)]
-    beam = Geometry(names, np.stack([np.linspace(0, 2, 5), np.zeros(5), np.zeros(5)], axis=1), [names])
-    dofs, psi = [f"{k}:+Z" for k in names], np.array([[0, 1, 2, 1, 0], [0, 1, 0, -1, 0], [1.0, 1, 1, 1, 1]])
-    parts = [shapes_on(beam, dofs, psi, [1, 2, 3]), shape_plot(psi, dofs, [1, 2, 3])]
-    page = tmp_path / "shapes.html"
-    text = Page("S", sections=[Section("S", [], parts)]).html().replace("</body>", PAPER + "</body>")
-    page.write_text(text.replace("<head>", "<head>" + FRAMES))
-    dom, console = browse(page, "--dump-dom")
-    assert console == []
-    seen = json.loads(html_module.unescape(re.search(r'<pre id="seen">(.*?)</pre>', dom, re.S).group(1)))
+SCROLLED = """<script>
+window.addEventListener("load", () => {
+  const [wide, narrow] = document.querySelectorAll(".scroll");
+  wide.scrollLeft = 1e6;
+  const box = (element) => element.getBoundingClientRect(), text = box(wide.querySelector("caption span"));
+  const told = {moved: wide.scrollLeft, left: text.left - box(wide).left, over: text.right - box(wide).right,
+                share: box(narrow.querySelector("table")).width / box(narrow).width};
+  document.body.append(
+    Object.assign(document.createElement("pre"), {id: "scrolled", textContent: JSON.stringify(told)}));
+});
+</script>
+"""
+SHAPES_AND_TABLES = {}  # what one browser has told of a page that holds both
+
+
+@pytest.fixture
+def shapes_and_tables(browse, tmp_path):
+    """What the two scripts above saw on a page of shapes and tables, and the console's lines."""
+    if not SHAPES_AND_TABLES:
+        names, said = [str(k) for k in range(5)], "what is said of it, in many words " * 20
+        beam = Geometry(names, np.stack([np.linspace(0, 2, 5), np.zeros(5), np.zeros(5)], axis=1), [names])
+        dofs, psi = [f"{k}:+Z" for k in names], np.array([[0, 1, 2, 1, 0], [0, 1, 0, -1, 0], [1.0, 1, 1, 1, 1]])
+        parts = [shapes_on(beam, dofs, psi, [1, 2, 3]), shape_plot(psi, dofs, [1, 2, 3])]
+        tables = [Table([f"column {k}" for k in range(n)], [["1234.5"] * n], said[: 20 * n]) for n in (80, 2)]
+        page = tmp_path / "page.html"
+        text = Page("S", sections=[Section("S", [], parts), Section("both", [], tables)]).html()
+        text = text.replace("<head>", "<head>" + FRAMES)
+        page.write_text(text.replace("</body>", PAPER + SCROLLED + "</body>"))
+        dom, SHAPES_AND_TABLES["console"] = browse(page, "--dump-dom")
+        for name in ("seen", "scrolled"):
+            told = re.search(rf'<pre id="{name}">(.*?)</pre>', dom, re.S).group(1)
+            SHAPES_AND_TABLES[name] = json.loads(html_module.unescape(told))
+    return SHAPES_AND_TABLES
+
+
+def test_shapes_move_on_screen_and_stand_side_by_side_on_paper(shapes_and_tables):
+    assert shapes_and_tables["console"] == []
+    seen = dict(shapes_and_tables["seen"])
     assert seen.pop("wide") <= 0.5  # pixels beyond the paper
     every = ["1: 1 Hz", "2: 2 Hz", "3: 3 Hz"]
     assert seen == {
         "moved": True, "stopped": True, "shapes": 3, "bars": every, "left": 0, "told": "2 of 3 on paper",
         "fewer": every[1:], "shown": True,
     }  # fmt: skip
+
+
+def test_what_is_said_of_a_wide_table_stays_in_sight(shapes_and_tables):
+    seen = shapes_and_tables["scrolled"]
+    assert seen["moved"] > 1000 and abs(seen["left"]) < 10 and seen["over"] < 1
+    assert seen["share"] < 0.5  # a narrow table stays narrow
 
 
 def test_remarks_stand_in_a_table_of_their_own(fit):
@@ -348,28 +381,6 @@ def test_the_strongest_channels_stand_on_paper(fit):
     names = [f"a{k}" for k in range(8)]
     many = FRF(fit.frf.freq, H[:, :1, :1] * size[:, None], form=fit.frf.form, outputs=names, inputs=["1"])
     assert list(frf_plot(many, None).on_paper) == [0, 1, 3, 5, 6, 7]
-
-
-SCROLLED = """<script>
-window.addEventListener("load", () => {
-  const [wide, narrow] = document.querySelectorAll(".scroll");
-  wide.scrollLeft = 1e6;
-  const box = (element) => element.getBoundingClientRect(), text = box(wide.querySelector("caption span"));
-  const seen = {moved: wide.scrollLeft, left: text.left - box(wide).left, over: text.right - box(wide).right,
-                share: box(narrow.querySelector("table")).width / box(narrow).width};
-  document.body.append(Object.assign(document.createElement("pre"), {id: "seen", textContent: JSON.stringify(seen)}));
-});
-</script></body>"""
-
-
-def test_what_is_said_of_a_wide_table_stays_in_sight(browse, tmp_path):
-    page, said = tmp_path / "tables.html", "what is said of it, in many words " * 20
-    tables = [Table([f"column {k}" for k in range(n)], [["1234.5"] * n], said[: 20 * n]) for n in (80, 2)]
-    page.write_text(Page("Tables", sections=[Section("both", [], tables)]).html().replace("</body>", SCROLLED))
-    dom, _ = browse(page, "--dump-dom")
-    seen = json.loads(html_module.unescape(re.search(r'<pre id="seen">(.*?)</pre>', dom, re.S).group(1)))
-    assert seen["moved"] > 1000 and abs(seen["left"]) < 10 and seen["over"] < 1
-    assert seen["share"] < 0.5  # a narrow table stays narrow
 
 
 @pytest.mark.skipif(shutil.which("pdftotext") is None, reason="no pdftotext on this machine")

@@ -1,5 +1,6 @@
 """Continuation through folds, stability, backbone curves: the Duffing oscillator and a Jenkins joint in closed form."""
 
+import jax
 import numpy as np
 import pytest
 
@@ -93,10 +94,16 @@ def test_duffing_backbone_is_the_closed_form():
     np.testing.assert_allclose(found.damping_ratio, C / (2 * omega), rtol=1e-9)
 
 
-def test_backbone_of_a_jenkins_oscillator_is_its_describing_function():
+@pytest.fixture(scope="module")
+def slider():
+    """Amplitudes, joint and backbone of a Jenkins oscillator."""
     A, joint = np.geomspace(1e-5, 2e-2, 15), ElastoSlip(5e3, 4.0)
-    found = backbone(DUFFING, [joint], [["x"]], 1, A)
-    N = np.asarray(joint.describing(A, 100.0))
+    return A, joint, backbone(DUFFING, [joint], [["x"]], 1, A)
+
+
+def test_backbone_of_a_jenkins_oscillator_is_its_describing_function(slider):
+    A, joint, found = slider
+    N = np.asarray(jax.jit(lambda: joint.describing(A, 100.0))())
     omega = np.sqrt(K + N.real)
     assert bool(found.converged.all())
     np.testing.assert_allclose(found.frequency_hz, omega / (2 * np.pi), rtol=1e-9)
@@ -106,6 +113,14 @@ def test_backbone_of_a_jenkins_oscillator_is_its_describing_function():
     np.testing.assert_allclose(found.force([1.0]), lost / (np.pi * A), rtol=1e-8)
     with pytest.raises(ValueError, match=r"shape is \(2,\); the backbone holds 1 modes"):
         found.force([1.0, 0.5])
+
+
+def test_a_backbone_prints_how_frequency_and_damping_change(slider):
+    found = slider[2]
+    text, f = str(found).splitlines(), found.frequency_hz
+    assert text[0] == "Backbone over 15 amplitudes: 1e-05 to 0.02 m sqrt(kg)"
+    assert text[1] == f"  frequency: {f[0]:.6g} to {f[-1]:.6g} Hz"
+    assert text[-1] == "  solved: 15 of 15 amplitudes"
 
 
 @pytest.mark.slow  # by default of a slider, and of five masses
@@ -206,3 +221,11 @@ def test_force_that_holds_a_duffing_oscillator_is_the_closed_form():
     np.testing.assert_allclose(held.force, A * np.hypot(K + 0.75 * K3 * A**2 - M * w**2, C * w), rtol=1e-8)
     np.testing.assert_allclose(np.abs(held.X[:, 0]), A, rtol=1e-9)
     assert held.measurement("accelerance").inputs == ("x",)
+
+
+def test_a_branch_and_a_held_response_print_their_range():
+    duffing = DUFFING, [CubicSpring(K3)], [["x"]]  # of as many points as above: compiled once
+    branch = follow_branch(*duffing, (10.0, 26.0), 0.1, input="x", points=260)
+    assert str(branch).startswith("Branch of ") and str(branch).endswith("Hz: does not turn back")
+    held = constant_response(*duffing, np.linspace(12.0, 24.0, 61), 1e-3, held="x", input="x")
+    assert str(held).splitlines()[-1] == "  solved: 61 of 61 lines"

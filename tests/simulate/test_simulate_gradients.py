@@ -110,7 +110,7 @@ def test_gradients_of_the_force_harmonics_by_motion_frequency_and_parameters(joi
     weights = np.random.default_rng(5).standard_normal((2, len(harmonics)))  # one sum shows an error of any harmonic
 
     def answer(law, real, imag, omega):
-        f = joint_forces((law,), real + 1j * imag, omega, harmonics, 64)[0]
+        f = joint_forces((law,), real + 1j * imag, omega, harmonics, 32)[0]
         return weights[0] @ f.real + weights[1] @ f.imag
 
     flat, build = ravel_pytree((joint, q.real, q.imag, 2 * np.pi * at[0]))

@@ -1,7 +1,6 @@
 import jax
 import numpy as np
 import pytest
-from test_simulate_branches import DUFFING, K3
 
 from modalax import simulate
 from modalax.model import Structure
@@ -35,27 +34,10 @@ def test_a_response_prints_what_is_solved(structure):
 
 
 def test_a_stepped_sine_prints_what_is_settled(structure):
-    found = simulate.stepped_sine(structure, *JOINT, [5.0, 6.0], 0.1, inputs=["a"])
+    found = simulate.stepped_sine(structure, [], [], [5.0, 6.0], 0.1, inputs=["a"])
     text = str(found).splitlines()
     assert text[:2] == ["Stepped sine: 2 lines from 5 to 6 Hz, 1 Hz apart", "  1 force level: 0.1 N"]
     assert text[4] == "  settled: 2 of 2 points"
-
-
-def test_a_backbone_prints_how_frequency_and_damping_change(structure):
-    found = simulate.backbone(structure, *JOINT, 1, [0.001, 0.01, 0.05])
-    text = str(found).splitlines()
-    f = found.frequency_hz
-    assert text[0] == "Backbone over 3 amplitudes: 0.001 to 0.05 m sqrt(kg)"
-    assert text[1] == f"  frequency: {f[0]:.6g} to {f[-1]:.6g} Hz"
-    assert text[-1] == "  solved: 3 of 3 amplitudes"
-
-
-def test_a_branch_and_a_held_response_print_their_range():
-    duffing = DUFFING, [CubicSpring(K3)], [["x"]]  # whose branch and response, of as many points, are compiled already
-    branch = simulate.follow_branch(*duffing, (10.0, 26.0), 0.1, input="x", points=260)
-    assert str(branch).startswith("Branch of ") and str(branch).endswith("Hz: does not turn back")
-    held = simulate.constant_response(*duffing, np.linspace(12.0, 24.0, 61), 1e-3, held="x", input="x")
-    assert str(held).splitlines()[-1] == "  solved: 61 of 61 lines"
 
 
 def test_a_bench_and_its_records_print_channels_and_sampling(structure):
@@ -67,7 +49,8 @@ def test_a_bench_and_its_records_print_channels_and_sampling(structure):
         "  cubic_stiffness(k3 = 1e+06 N/m^3) at a - b",
         "Structure of 2 degrees of freedom: a, b",
     ]
-    records = bench.record(jax.random.key(0), np.zeros((1, 1600, 1)))
+    linear = simulate.Bench(structure, fs=100.0, inputs=["a"])
+    records = linear.record(jax.random.key(0), np.zeros((1, 1600, 1)))
     assert str(records).splitlines() == [
         "Records of 1 run: 2 s, 200 samples at 100 Hz",
         "  2 outputs [m/s^2]: a, b",

@@ -66,8 +66,8 @@ def test_what_modes_name_beside_modes_as_claimed_is_fitted_to_lines_before_all_e
     gain = found.causes[0]["parameters"]["gain"]
     assert abs(gain["value"] - 0.3) < 4 * gain["std"] < 0.1
     assert not isinstance(found, ModalDiagnosis) and "screening every cause" in " ".join(stages)
-    measured = identified(as_measured(response(*off_mode_by_mode(7), FREQ), FREQ, 7), CLAIMED, lambda _: None)
     data = as_measured(response(*off_mode_by_mode(7), FREQ), FREQ, 7)
+    measured = identified(data, CLAIMED, lambda _: None)
     assert named_beside_claim(compared(data, CLAIMED, measured, NEVER)) == []  # nothing is wrong
 
 

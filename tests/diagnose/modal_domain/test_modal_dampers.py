@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from chains_off import DOFS, FREQ, as_measured, chain_off, response, simulation
+from kinds import FEW_OR_ALL, few_or_all
 
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain import diagnosis, judged
@@ -46,13 +47,14 @@ def joined_by(c, between, seed=7):
     return as_measured(response(M, C + c * np.outer(v, v), K, FREQ), FREQ, seed, outputs)
 
 
+@few_or_all("hysteretic_joint", "maxwell_joint", "fractional_joint")
 @pytest.mark.parametrize(("c", "between"), [
     pytest.param(3e3, (2, 1), marks=pytest.mark.slow), pytest.param(5e4, (3, 2), marks=pytest.mark.slow),
     pytest.param(1e4, (3, 2), marks=pytest.mark.slow), (5e4, (1, 0)),
 ])  # fmt: skip
-def test_a_damper_that_holds_two_points_together_is_named_with_its_size(c, between):
+def test_a_damper_that_holds_two_points_together_is_named_with_its_size(c, between, wanted):
     """It couples modes until those that it damps are gone; joints that relax lead to it."""
-    found = diagnose_modes(joined_by(c, between), simulation())
+    found = diagnose_modes(joined_by(c, between), simulation(), wanted=wanted)
     assert found.verdict == "named", found.reasons
     assert [(x["name"], x["where"]) for x in found.causes] == [("local_damper", sorted(DOFS[k] for k in between))]
     (size,) = found.causes[0]["parameters"].values()
@@ -129,15 +131,16 @@ def test_a_spring_is_tried_where_a_damper_holds_two_points(size, beside, count):
         assert (start is None) is (beside and len(own) == 1)
 
 
+@FEW_OR_ALL
 @pytest.mark.parametrize(("c", "off"), [(0.5, 0.0), pytest.param(1.2, 0.003, marks=pytest.mark.slow)])
-def test_a_small_damper_beside_a_delay_is_not_taken_for_dampings_that_are_off(c, off):
+def test_a_small_damper_beside_a_delay_is_not_taken_for_dampings_that_are_off(c, off, wanted):
     """It makes all dampings 2 to 5 % larger; without the delay's help it shows at once."""
     nominal = simulation()
     M, _, K = chain_off(3, off)
     v = (np.arange(5) == 2) - 1.0 * (np.arange(5) == 3)
     C = np.asarray(nominal.C) + c * np.outer(v, v)
     late = np.exp(-2j * np.pi * FREQ * 1e-4)[:, None, None]
-    found = diagnose_modes(as_measured(response(M, C, K, FREQ) * late, FREQ, 3), nominal)
+    found = diagnose_modes(as_measured(response(M, C, K, FREQ) * late, FREQ, 3), nominal, wanted=wanted)
     assert found is not None and found.verdict == "named", found.reasons
     told = {(cause["name"], tuple(cause["where"])): cause["parameters"] for cause in found.causes}
     assert set(told) == {("time_delay", ()), ("local_damper", (DOFS[2], DOFS[3]))}

@@ -5,6 +5,7 @@ from dataclasses import replace
 import chains_off
 import numpy as np
 import pytest
+from kinds import few_or_all
 
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
@@ -17,8 +18,9 @@ from modalax.diagnose.modal_domain.starts import as_alike
 DECAY = 5.0  # 1/s
 
 
+@few_or_all("structural_damping", "exponential_window", "hysteretic_joint", "maxwell_joint")
 @pytest.mark.parametrize("hysteretic", [True, False])
-def test_hysteretic_damping_that_decays_as_a_window_does_is_told_from_one(hysteretic):
+def test_hysteretic_damping_that_decays_as_a_window_does_is_told_from_one(hysteretic, wanted):
     """All modes of a simulation that is hardly damped decay alike, by a complex stiffness or by a window."""
     M, C, K = chains_off.chain_off(5, 0.02)
     model = chains_off.simulation()
@@ -33,7 +35,7 @@ def test_hysteretic_damping_that_decays_as_a_window_does_is_told_from_one(hyster
         s = s + DECAY
         H = s**2 * np.linalg.inv(s**2 * M + 0.1 * s * C + K)
     data = chains_off.as_measured(H, freq, 5)
-    answer = diagnose_modes(data, model.replace(C=0.1 * np.asarray(model.C))).to_dict()
+    answer = diagnose_modes(data, model.replace(C=0.1 * np.asarray(model.C)), wanted=wanted).to_dict()
     name = "structural_damping" if hysteretic else "exponential_window"
     assert (answer["verdict"], [c["name"] for c in answer["causes"]]) == ("named", [name])
 
@@ -54,7 +56,8 @@ def test_hysteretic_damping_takes_the_place_of_a_window_beside_another_cause():
     assert not list(as_alike([fit(task.setting, (mass,), None, np.array([0.1]))], [mass, window, damping]))
 
 
-def test_an_oscillator_that_a_damper_holds_to_its_place_is_a_mass_there():
+@few_or_all("tuned_mass", "exponential_window", "structural_damping")
+def test_an_oscillator_that_a_damper_holds_to_its_place_is_a_mass_there(wanted):
     """Beside a window it had been named so, with sixty times the critical damping."""
     M, C, K = chains_off.chain_off(5, 0.02)
     M = M + np.diag([0.0, 0.0, 0.3, 0.0, 0.0])
@@ -71,5 +74,5 @@ def test_an_oscillator_that_a_damper_holds_to_its_place_is_a_mass_there():
     (causes, u, _), *others = as_alike([f], task.candidates)
     assert causes == (mass, window) and u == pytest.approx([0.3 / mass.scale, 1.0])
     assert [causes for causes, _, _ in others] == [(tuned, StructuralDamping("structural_damping", ()))]
-    answer = diagnose_modes(data, model).to_dict()
+    answer = diagnose_modes(data, model, wanted=wanted).to_dict()
     assert {c["name"] for c in answer["causes"]} == {"added_mass", "exponential_window"}

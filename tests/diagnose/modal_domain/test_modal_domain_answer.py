@@ -113,7 +113,7 @@ def test_a_channel_gain_is_no_matter_of_the_structure_and_noise_need_not_be_give
 
 
 def test_time_that_is_up_still_gives_an_answer():
-    data, _ = measured(2, 0.01, mass=("5:+Z", 0.05), lines=200)
+    data, _ = measured(2, 0.01, mass=("5:+Z", 0.05))
     found = diagnose_modes(data, simulation(), late=Deadline(1e-3))
     assert found.verdict in ("clean", "named", "ambiguous", "unknown")
     assert any("time was up" in reason for reason in found.reasons)

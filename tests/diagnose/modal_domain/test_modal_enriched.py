@@ -262,7 +262,7 @@ def measured_beam(softer: float) -> tuple[Measurement, Structure]:
     stiffness[17] *= softer
     M, C, K = matrices(stiffness, mass)
     freq = np.linspace(0.5, 12.0, 200)
-    s, outputs, inputs = 2j * np.pi * freq[:, None, None], np.arange(0, SIZE, 8), [4, 40]
+    s, outputs, inputs = 2j * np.pi * freq[:, None, None], np.arange(0, SIZE, 16), [4, 40]
     H = (s**2 * np.linalg.inv(K + s * C + s**2 * M))[None][..., outputs, :][..., inputs]
     sigma = 0.01 * np.sqrt((np.abs(H) ** 2).mean(axis=1, keepdims=True)) * np.ones(H.shape)
     error = rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)

@@ -4,6 +4,7 @@ import chains_off
 import numpy as np
 import pytest
 from frames import DOFS, measured, simulation
+from kinds import few_or_all
 
 from modalax.diagnose.modal_domain.coordinates import coordinates_of, modes_of
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
@@ -45,15 +46,16 @@ def test_slopes_are_those_of_finite_differences_and_no_window_grows(coordinates)
     assert np.allclose(change / step, window.transform_slope(np.array([0.3]), poles, R), atol=1e-5)
 
 
+@few_or_all("exponential_window", "structural_damping", "modal_damping", "hysteretic_joint")
 @pytest.mark.parametrize("structure", ["chain", pytest.param("beam", marks=pytest.mark.slow)])
-def test_an_impact_window_is_named_where_all_elements_are_off(structure):
+def test_an_impact_window_is_named_where_all_elements_are_off(structure, wanted):
     if structure == "beam":
         data, model = measured(3, 0.01, decay=8.0)[0], simulation()
     else:
         (M, C, K), s = chains_off.chain_off(5, 0.02), 2j * np.pi * chains_off.FREQ[:, None, None] + 8.0
         H = s**2 * np.linalg.inv(s**2 * M + s * C + K)
         data, model = chains_off.as_measured(H, chains_off.FREQ, 5), chains_off.simulation()
-    found = diagnose_modes(data, model)
+    found = diagnose_modes(data, model, wanted=wanted)
     answer = found.to_dict()
     assert (answer["verdict"], [c["name"] for c in answer["causes"]]) == ("named", ["exponential_window"])
     decay = answer["causes"][0]["parameters"]["decay"]

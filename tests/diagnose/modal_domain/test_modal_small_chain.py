@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from chains_off import DOFS, FREQ, MASSES, SPRINGS, ZETA, as_measured, chain_off, matrices, response, simulation
+from kinds import FEW_OR_ALL, few_or_all
 
 from modalax.diagnose import diagnose
 from modalax.diagnose.modal_domain.answer import ModalDiagnosis
@@ -36,28 +37,31 @@ def test_an_oscillator_is_named_where_the_simulation_has_fewer_modes_than_are_me
     assert found["inaccuracy"]["damping"]["interval"][1] < 1.0  # the oscillator is none of the simulation's modes
 
 
-def test_a_delay_is_none_of_the_filters_that_turn_the_phase_as_it_does():
+@few_or_all("sensor_filter")
+def test_a_delay_is_none_of_the_filters_that_turn_the_phase_as_it_does(wanted):
     H = response(*chain_off(5, 0.02), FREQ)
     H[:, 3] *= np.exp(-2j * np.pi * FREQ * 3e-4)[:, None]
-    found = diagnose_modes(as_measured(H, FREQ, 5), simulation())
+    found = diagnose_modes(as_measured(H, FREQ, 5), simulation(), wanted=wanted)
     assert found.verdict == "named"
     assert [(c["name"], c["where"]) for c in found.causes] == [("time_delay", ["4:+Z"])]
     beside = {c.slug for e in found.stage.explanations for c in e.causes if e.probability > 0.01}
     assert "sensor_filter" in beside  # of a second order, whose phase is the delay's up to a 500th: told by its prior
 
 
-def test_a_delay_far_beyond_the_usual_needs_no_filter_beside_it():
+@few_or_all("sensor_filter")
+def test_a_delay_far_beyond_the_usual_needs_no_filter_beside_it(wanted):
     """Twenty times the usual size: two causes that share it would each be more usual."""
     H = response(*chain_off(5, 0.02), FREQ)
     H[:, 3] *= np.exp(-2j * np.pi * FREQ * 3e-3)[:, None]
-    found = diagnose_modes(as_measured(H, FREQ, 5), simulation())
+    found = diagnose_modes(as_measured(H, FREQ, 5), simulation(), wanted=wanted)
     assert [(c["name"], c["where"]) for c in found.causes] == [("time_delay", ["4:+Z"])]
     told = found.causes[0]["parameters"]["delay"]
     assert told["value"] == pytest.approx(3e-3, abs=4 * told["std"])
 
 
+@FEW_OR_ALL
 @pytest.mark.parametrize("stiffness", [60.0, pytest.param(120.0, marks=pytest.mark.slow)])
-def test_one_tiny_fault_of_an_exact_simulation_is_named(stiffness):
+def test_one_tiny_fault_of_an_exact_simulation_is_named(stiffness, wanted):
     """A spring to ground of a thousandth of those beside it.
 
     Elements that are all off by a tenth of a per cent explain the modes too, but at the price of an inaccuracy that is
@@ -65,7 +69,7 @@ def test_one_tiny_fault_of_an_exact_simulation_is_named(stiffness):
     """
     M, C, K = matrices(MASSES, SPRINGS, ZETA)
     K[2, 2] += stiffness
-    found = diagnose_modes(as_measured(response(M, C, K, FREQ), FREQ, 7), simulation())
+    found = diagnose_modes(as_measured(response(M, C, K, FREQ), FREQ, 7), simulation(), wanted=wanted)
     assert found.verdict == "named" and [(c["name"], c["where"]) for c in found.causes] == [
         ("joint_stiffness", ["3:+Z"])
     ]
@@ -98,11 +102,12 @@ def test_the_log_evidence_of_an_exact_simulation_is_that_of_noise_alone():
     assert told["claimed"] < -2
 
 
-def test_a_clock_that_is_wrong_is_no_mass_under_all_sensors():
+@FEW_OR_ALL
+def test_a_clock_that_is_wrong_is_no_mass_under_all_sensors(wanted):
     """All frequencies are off by one factor, as by a mass under each of five sensors on five alike masses."""
     S, off = Structure(*matrices(np.full(5, 1.2), SPRINGS, ZETA), DOFS), 1 + 6e-4
     H = response(np.asarray(S.M), np.asarray(S.C), np.asarray(S.K), FREQ * off) / off**2
     data = as_measured(H, FREQ, 3, outputs=(0, 1, 2, 3, 4), inputs=(0,))
-    found = diagnose_modes(data, S)
+    found = diagnose_modes(data, S, wanted=wanted)
     assert found.verdict == "ambiguous"
     assert any("cannot be told from one factor" in r for r in found.reasons), found.reasons

@@ -24,9 +24,9 @@ def test_variances_an_eighth_of_the_noise_are_taken_from_the_lines_instead():
     np.testing.assert_allclose(np.abs(eighth.features.poles), np.abs(true.features.poles), rtol=1e-3)
 
 
-def missing_noise_at_peaks():
+def missing_noise_at_peaks(lines):
     """Noise that follows the response, by one mean variance and by its own."""
-    data, _ = measured(6, 0.0, lines=700, noise=1e-9)
+    data, _ = measured(6, 0.0, lines=lines, noise=1e-9)
     H, rng = np.asarray(data.H), np.random.default_rng(1)
     sigma = 0.01 * np.abs(H)
     H = H + sigma * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)) / np.sqrt(2)
@@ -36,14 +36,14 @@ def missing_noise_at_peaks():
 
 def test_variances_that_miss_the_noise_at_peaks_alone_make_no_mode():
     """It was a mode of a single line beside a peak."""
-    mean, own = (identified(data) for data in missing_noise_at_peaks())
+    mean, own = (identified(data) for data in missing_noise_at_peaks(350))
     assert "too small, where they are by a factor of" in mean.noise.source
     np.testing.assert_allclose(np.abs(mean.features.poles), np.abs(own.features.poles), rtol=1e-3)
 
 
 @pytest.mark.slow  # their modes by default
 def test_a_diagnosis_under_variances_that_miss_the_noise_at_peaks_is_clean():
-    found = diagnose_modes(missing_noise_at_peaks()[0], simulation())
+    found = diagnose_modes(missing_noise_at_peaks(700)[0], simulation())
     assert found is not None and found.verdict == "clean", found.reasons
     assert any("too small" in note for note in found.notes)
 

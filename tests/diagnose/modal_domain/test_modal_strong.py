@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from chains_off import DOFS, FREQ, as_measured, chain_off, response, simulation
+from kinds import FEW_OR_ALL
 
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
@@ -25,9 +26,10 @@ STRONG = [
 ]  # fmt: skip
 
 
+@FEW_OR_ALL
 @pytest.mark.parametrize(("kind", "where", "size"), STRONG)
-def test_what_holds_points_or_outweighs_the_structure_is_named_with_its_size(kind, where, size):
-    found = diagnose_modes(held(kind, where, size), simulation())
+def test_what_holds_points_or_outweighs_the_structure_is_named_with_its_size(kind, where, size, wanted):
+    found = diagnose_modes(held(kind, where, size), simulation(), wanted=wanted)
     assert found.verdict == "named", found.reasons
     slug = {"K": "joint_stiffness", "M": "added_mass"}[kind]
     assert [(c["name"], sorted(c["where"])) for c in found.causes] == [(slug, sorted(DOFS[k] for k in where))]

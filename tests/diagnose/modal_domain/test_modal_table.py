@@ -101,8 +101,15 @@ def test_the_command_takes_files_of_modes(tmp_path, capsys, ending):
     model = ModalModel(poles, table.shapes, table.shapes, outputs=DOFS, inputs=DOFS)
     path, json_ = tmp_path / f"modes.{ending}", tmp_path / "a.json"
     save_modes(model, path)
-    np.testing.assert_allclose(load_mode_table(path).frequency_hz, table.frequency_hz, rtol=1e-4)
-    if ending == "uff":
+    loaded = load_mode_table(path)
+    np.testing.assert_allclose(loaded.frequency_hz, table.frequency_hz, rtol=1e-4)
+    np.testing.assert_allclose(loaded.damping_ratio, table.damping_ratio, rtol=1e-4)
+    one, two = (t.shapes / t.shapes[:, :1] for t in (loaded, table))
+    np.testing.assert_allclose(one, two, rtol=1e-4)
+    assert loaded.dofs == table.dofs
+    assert main(["diagnose", str(path), "--simulation", str(sim), "--report", str(tmp_path / "r.html")]) == 2
+    assert "holds modes alone" in capsys.readouterr().err
+    if ending != "npz":  # what is read is diagnosed alike
         return
     options = ["--simulation", str(sim), "--modal-std", "0.001", "0.1", "0.02", "--json", str(json_)]
     assert main(["diagnose", str(path), *options]) == 0
@@ -110,8 +117,6 @@ def test_the_command_takes_files_of_modes(tmp_path, capsys, ending):
     assert answer["verdict"] == "named" and answer["causes"][0]["where"] == ["4:+Z"]
     assert answer["gain"]["chi2_before"] is None
     assert "no gain can be told" in capsys.readouterr().out.replace("\n", " ")
-    assert main(["diagnose", str(path), "--simulation", str(sim), "--report", str(tmp_path / "r.html")]) == 2
-    assert "holds modes alone" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ import chains_off
 import numpy as np
 import pytest
 from frames import measured, simulation
+from kinds import few_or_all
 
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.explanation import Prior
@@ -43,8 +44,9 @@ def test_a_factor_on_all_of_a_matrix_is_told_apart_from_the_elements(stiffness, 
     assert np.trace(extended) == pytest.approx(np.trace(own), rel=0.02)
 
 
+@few_or_all("force_gain")
 @pytest.mark.parametrize("structure", ["chain", pytest.param("beam", marks=pytest.mark.slow)])
-def test_a_factor_is_found_behind_a_cause_too(structure):
+def test_a_factor_is_found_behind_a_cause_too(structure, wanted):
     if structure == "beam":
         data, model, at = measured(5, 0.01, mass=("5:+Z", 0.05))[0], scaled(1.08), "5:+Z"
     else:
@@ -52,7 +54,7 @@ def test_a_factor_is_found_behind_a_cause_too(structure):
         H = chains_off.response(M + 0.2 * np.diag(np.arange(5) == 2), C, K, chains_off.FREQ)
         data, model, at = chains_off.as_measured(H, chains_off.FREQ, 5), chains_off.simulation(), chains_off.DOFS[2]
         model = model.replace(C=np.sqrt(1.08) * np.asarray(model.C), K=1.08 * np.asarray(model.K))
-    answer = diagnose_modes(data, model).to_dict()
+    answer = diagnose_modes(data, model, wanted=wanted).to_dict()
     assert [(c["name"], c["where"]) for c in answer["causes"]] == [("added_mass", [at])]
     assert answer["throughout"]["stiffness"]["value"] == pytest.approx(0.08, abs=0.01)
 
@@ -68,6 +70,7 @@ def test_a_factor_is_told_apart_from_elements_that_scatter_widely():
     assert list(told) == ["stiffness"] and abs(told["stiffness"]["value"] - 0.08) < 3 * told["stiffness"]["std"] < 0.05
 
 
+@few_or_all("force_gain")
 @pytest.mark.parametrize(
     ("gain", "factors", "damping"),
     [
@@ -76,7 +79,9 @@ def test_a_factor_is_told_apart_from_elements_that_scatter_widely():
         pytest.param(1.05, {}, 1.0, marks=pytest.mark.slow),
     ],
 )
-def test_a_gain_of_all_frfs_and_factors_on_all_of_a_matrix_are_not_told_beside_each_other(gain, factors, damping):
+def test_a_gain_of_all_frfs_and_factors_on_all_of_a_matrix_are_not_told_beside_each_other(
+    gain, factors, damping, wanted
+):
     """Stiffness, mass and damping that are all a times as large make FRFs 1/a as large: data cannot tell three factors.
 
     The first had been a gain of -5.6 % with the mass too high, as the damping of the simulation is right then.
@@ -85,7 +90,8 @@ def test_a_gain_of_all_frfs_and_factors_on_all_of_a_matrix_are_not_told_beside_e
     M, C, K = chains_off.chain_off(3, 0.0 if factors else 0.002)
     C = damping * C * np.sqrt(a["stiffness"] * a["mass"])
     H = gain * chains_off.response(a["mass"] * M, C, a["stiffness"] * K, chains_off.FREQ)
-    found = diagnose_modes(chains_off.as_measured(H, chains_off.FREQ, 3), chains_off.simulation())
+    data = chains_off.as_measured(H, chains_off.FREQ, 3)
+    found = diagnose_modes(data, chains_off.simulation(), wanted=wanted)
     assert [(c["name"], c["where"]) for c in found.causes] == [("force_gain", [])] * (gain != 1.0)
     if gain != 1.0:
         told = found.causes[0]["parameters"]["gain"]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from kinds import FEW_OR_ALL
 
 from modalax.data import Measurement
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
@@ -118,7 +119,8 @@ def test_directions_stay_unknown_where_names_or_rows_do_not_tell_them():
     assert directions_of(tuple(names), turned, K) is None
 
 
-def test_a_soft_mount_at_a_lever_is_named_beside_springs_that_are_off():
+@FEW_OR_ALL
+def test_a_soft_mount_at_a_lever_is_named_beside_springs_that_are_off(wanted):
     rng = np.random.default_rng(3)
     off = lambda of: {name: k * (1 + 0.02 * rng.standard_normal()) for name, k in of.items()}
     springs, M = off(SPRINGS), MASSES * (1 + 0.005 * rng.standard_normal(6))
@@ -133,7 +135,8 @@ def test_a_soft_mount_at_a_lever_is_named_beside_springs_that_are_off():
         freq, H[None], form="receptance", outputs=CAR, inputs=("front", "engine"), variance=sigma[None] ** 2
     )
     plain = car(SPRINGS, TYRES)
-    found = diagnose_modes(data, Structure(MASSES, 2e-4 * plain + 0.3 * MASSES, plain, CAR))
+    author = Structure(MASSES, 2e-4 * plain + 0.3 * MASSES, plain, CAR)
+    found = diagnose_modes(data, author, wanted=wanted)
     assert not [c for c in found.stage.candidates if c.where == ("pitch",) and c.piece]  # that would be a spring again
     said = found.to_dict()
     (cause,) = said["causes"]

@@ -1,5 +1,7 @@
 """Two causes that are found at once, by derivatives alone."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from chains import comparison_of, grid, sprung
@@ -24,11 +26,13 @@ def heavier(structure, k, mass):
     return Structure(M, structure.C, structure.K, structure.dofs)
 
 
+@cache
 def drawn(claimed):
-    """A row whose spring and mass are a little off, as screened."""
+    """A row whose spring and mass are a little off, as screened, and the best pairs."""
     nominal = grid(7, claimed)
     comparison, state = comparison_of(nominal, heavier(sprung(nominal, 1, 4, SPRING), 5, MASS))
-    return nominal, comparison, state, screen_all(state, CAUSES, finite=False).trials
+    trials = screen_all(state, CAUSES, finite=False).trials
+    return nominal, comparison, state, trials, best_pairs(state, trials)
 
 
 def names(pair):
@@ -40,8 +44,8 @@ TRUTH = {("joint_stiffness", ("2", "5")), ("added_mass", ("6",))}
 
 def test_what_a_pair_promises_is_least_squares():
     """Against changes of the matrices: the chi-square that their best sizes take away, and these sizes."""
-    nominal, comparison, state, trials = drawn(False)
-    pair = next(p for p in best_pairs(state, trials) if names(p) == TRUTH)
+    nominal, comparison, _, _, pairs = drawn(False)
+    pair = next(p for p in pairs if names(p) == TRUTH)
     data, freq, inputs = comparison.measurement, comparison.measurement.freq, nominal.dofs[:2]
     H = np.asarray(nominal.frf(freq, outputs=nominal.dofs, inputs=inputs).H)
     sigma = np.sqrt(np.asarray(data.variance) / 2)
@@ -64,8 +68,7 @@ def test_what_a_pair_promises_is_least_squares():
 @pytest.mark.parametrize("claimed", [False, True])
 def test_the_true_pair_comes_first_and_takes_what_it_promised(claimed):
     """Also where modes may be off; the spring alone leaves the mass, and a fit of both leaves noise."""
-    _, comparison, state, trials = drawn(claimed)
-    pairs = best_pairs(state, trials)
+    _, comparison, state, trials, pairs = drawn(claimed)
     assert names(pairs[0]) == TRUTH
     fitted = comparison.fit([pairs[0].start(state.hypothesis)], 20)[0]
     assert state.hypothesis.chi2 - fitted.chi2 == pytest.approx(pairs[0].gain, rel=0.03)
@@ -74,8 +77,7 @@ def test_the_true_pair_comes_first_and_takes_what_it_promised(claimed):
 
 
 def test_masses_are_added_and_no_cause_is_paired_with_itself():
-    _, _, state, trials = drawn(True)
-    pairs = best_pairs(state, trials)
+    _, _, state, trials, pairs = drawn(True)
     assert len(pairs) > 1
     for pair in pairs:
         assert pair.trials[0].place != pair.trials[1].place or pair.trials[0].cause != pair.trials[1].cause
@@ -85,8 +87,8 @@ def test_masses_are_added_and_no_cause_is_paired_with_itself():
 
 def test_one_cause_of_a_pair_that_explains_all_stands_alone(monkeypatch):
     """The search of single causes came by another only; beside the right one its partner has no size."""
-    nominal, _, both, trials = drawn(False)
-    pair = next(p for p in best_pairs(both, trials) if names(p) == TRUTH)
+    nominal, _, _, _, pairs = drawn(False)
+    pair = next(p for p in pairs if names(p) == TRUTH)
     comparison, state = comparison_of(nominal, heavier(nominal, 5, MASS))
     seen = look(comparison, CAUSES, finite=False)
     wrong = next(t for t in seen.screening.trials if (t.cause.slug, t.place.where) == ("added_mass", ("3",)))

@@ -1,6 +1,7 @@
 """Screening beside elements that were found, against the same structure with these built in."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from chains import comparison_of, grid, sprung
@@ -27,6 +28,7 @@ def softened(structure, k):
     return Structure(structure.M, C, changed.K, structure.dofs)
 
 
+@cache
 def both_states():
     """A grid whose spring is 60 % softer, with a further mass: beside both elements, and with both built in."""
     structure = grid(9, False)

@@ -1,6 +1,7 @@
 """Records that end before the response has: every length at which they may, beside the fits that brute force makes."""
 
 from dataclasses import replace
+from functools import cache
 
 import equinox as eqx
 import numpy as np
@@ -24,6 +25,7 @@ CAUSES = (Leakage(), FastSweep(), ExponentialWindow())
 ORDER = {"receptance": 0, "mobility": 1, "accelerance": 2}
 
 
+@cache
 def compared(form="accelerance", record=RECORD, seed=1, noise=0.03, lowest=4.0, **claim):
     """A chain, and its FRFs of impacts whose records are cut off, in noise that is a share of each sample."""
     freq, names = np.linspace(lowest, 40.0, 150), [str(k + 1) for k in range(N)]

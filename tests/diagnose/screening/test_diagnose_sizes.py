@@ -42,7 +42,7 @@ def measured(lines):
     return Measurement(freq, noisy[None], form="accelerance", outputs=NAMES, inputs=("2", "9"))
 
 
-def masses(lines=160):
+def masses(lines=80):
     comparison = with_noise_beside(make_comparison(measured(lines), chain()))
     null = comparison.fit([empty(comparison)], 4)[0]
     return screen_all(score_state_of(comparison, null), [AddedMass()]).trials
@@ -57,7 +57,7 @@ def test_finite_sizes_put_the_right_place_first_where_the_derivative_does_not():
 
 def test_every_size_that_is_tried_is_exact():
     """The gain is the chi-square that the start takes away, found by fitting nothing at that start."""
-    comparison = with_noise_beside(make_comparison(measured(120), chain()))
+    comparison = with_noise_beside(make_comparison(measured(80), chain()))
     null = comparison.fit([empty(comparison)], 4)[0]
     for t in screen_all(score_state_of(comparison, null), [AddedMass(), JointStiffness()]).trials[:30:7]:
         there = comparison.fit([null.with_cause(t.cause, t.place, None, t.start)], 0)[0]

@@ -160,19 +160,20 @@ def solve_size(distance, target: float, start: float, limit: float, accuracy: fl
     return None
 
 
-def _size_of(setup, base, yard, effect: Effect, target: float) -> tuple[float | None, float]:
-    """Size that stands ``target`` out of the noise, and the distance that it really has."""
+def _size_of(setup, base, yard, effect: Effect, target: float) -> tuple[float | None, float, tuple]:
+    """Size that stands ``target`` out of the noise, the distance that it really has, and what it evaluates to."""
     steps = 96 if effect.marched else 256
     if effect.natural is not None:
-        change = evaluate(setup, [(effect, effect.natural)])[0] - base
-        return effect.natural, yard.distance(change)
+        reached = evaluate(setup, [(effect, effect.natural)])
+        return effect.natural, yard.distance(reached[0] - base), reached
     distance = lambda s: yard.distance(evaluate(setup, [(effect, s)], steps)[0] - base)
     size = solve_size(distance, target, effect.start, effect.limit, 0.01 if effect.marched else 1e-4)
     if size is None and effect.slug == "structural_damping":
         size = effect.limit
     if size is None:
-        return None, 0.0
-    return size, yard.distance(evaluate(setup, [(effect, size)])[0] - base)
+        return None, 0.0, ()
+    reached = evaluate(setup, [(effect, size)])
+    return size, yard.distance(reached[0] - base), reached
 
 
 def simulated(setup: Setup, rng, frequency_std: float, damping_std: float) -> dict[str, np.ndarray]:
@@ -240,10 +241,10 @@ def draw_case(
         raise ValueError(f"cause {unknown[0]!r} is unknown; there are clean, {', '.join(EFFECTS)}")
     if target == 0:
         causes = ()
-    setup, effects, sigma, yard, base, level = _reachable(
+    setup, effects, sigma, yard, base, alone, level = _reachable(
         (place, build, floor), family, causes, target, noise, level, claims, form, inputs, runs
     )
-    H, remarks = evaluate(setup, [(e, s) for e, s, _ in effects]) if effects else (base, {})
+    H, remarks = evaluate(setup, [(e, s) for e, s, _ in effects]) if len(effects) > 1 else alone
     values, averages = stated_variance(floor, sigma, variance)
     names = np.array(setup.system.dofs)
     measurement = {
@@ -320,15 +321,15 @@ def _reachable(streams, family, causes, target, noise, level, claims, form, inpu
         for quiet in (1.0, 1.0, 1.0, 0.5, 0.25, 0.1):
             sigma = np.maximum(unit * level * quiet, 1e-300)
             yard = Yardstick.of(setup, sigma, *claims)
-            effects = []
+            effects, alone = [], (base, {})
             for cause in causes:
                 effect = EFFECTS[cause](setup, place)
-                size, got = _size_of(setup, base, yard, effect, target)
+                size, got, alone = _size_of(setup, base, yard, effect, target)
                 if size is None:
                     break
                 effects.append((effect, size, got))
             if len(effects) == len(causes) and _compatible(effects):
-                return setup, effects, sigma, yard, base, level * quiet
+                return setup, effects, sigma, yard, base, alone, level * quiet
     raise ValueError(f"no structure found on which {'+'.join(causes)} reaches d = {target:g}")
 
 
