@@ -17,7 +17,7 @@ from modalax.diagnose.modal_domain.explanation import Explanation, Prior, ranked
 from modalax.diagnose.modal_domain.fit import Fit, Found, fit, without_causes
 from modalax.diagnose.modal_domain.inaccuracy import WITHIN
 from modalax.diagnose.modal_domain.narrowed import DIRECTIONS, narrowed
-from modalax.diagnose.modal_domain.oscillators import acting_alike, attached
+from modalax.diagnose.modal_domain.oscillators import acting_alike, attached, attached_beside
 from modalax.diagnose.modal_domain.refitted import (
     AGAIN,
     Finer,
@@ -245,6 +245,7 @@ def _all_steps(search: Search, late: Deadline) -> None:
             apart(search, best)
             neighbours(search, best, late)
             acting_alike(search.setting, search.found, search.asked, search.prior, late)
+            attached_beside(search.setting, search.found, search.candidates, search.prior, late)
             other_forms(search)
             if len(search.best.causes) > 1:  # another form of one cause may do without the others
                 fewer(search, search.best)
