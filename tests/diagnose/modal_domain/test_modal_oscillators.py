@@ -6,23 +6,44 @@ import numpy as np
 import pytest
 from chains_off import FREQ, as_measured, chain_off, response, simulation
 
+from modalax.diagnose.modal_domain.attempts import key_of
+from modalax.diagnose.modal_domain.causes import own_sizes
 from modalax.diagnose.modal_domain.explanation import Prior
 from modalax.diagnose.modal_domain.fit import fit
 from modalax.diagnose.modal_domain.further_causes import MissingMode, TunedMass
-from modalax.diagnose.modal_domain.oscillators import _heavy, acting_alike, alike, attached, oscillators
+from modalax.diagnose.modal_domain.oscillators import (
+    _heavy,
+    _modes,
+    acting_alike,
+    alike,
+    attached,
+    attached_beside,
+    oscillators,
+)
 from modalax.diagnose.modal_domain.stage import identified, posed
+from modalax.diagnose.modal_domain.state import state_at
 
 MASS, TUNED, LOSS = 0.3, 37.0, 0.015  # kg, Hz, damping ratio: a sixth of the modal mass there
 
 
-@pytest.fixture(scope="module", params=[1, 2])
-def task(request):
-    M, C, K = (np.pad(A, (0, 1)) for A in chain_off(request.param, 0.02))
+def with_oscillator(seed, signs=1.0):
+    """A chain that is off and carries the oscillator, its sensors times ``signs``."""
+    M, C, K = (np.pad(A, (0, 1)) for A in chain_off(seed, 0.02))
     v, w = np.array([0.0, 0, 1, 0, 0, -1]), 2 * np.pi * TUNED
     M[5, 5] = MASS
     H = response(M, C + 2 * LOSS * w * MASS * np.outer(v, v), K + w**2 * MASS * np.outer(v, v), FREQ)
-    data = as_measured(H, FREQ, request.param)
+    data = as_measured(H * signs, FREQ, seed)
     return posed(data, simulation(), identified(data, simulation(), lambda _: None))
+
+
+@pytest.fixture(scope="module", params=[1, 2])
+def task(request):
+    return with_oscillator(request.param)
+
+
+@pytest.fixture(scope="module")
+def turned():
+    return with_oscillator(1, np.array([1, -1, 1, 1, 1])[:, None])
 
 
 def test_each_mass_is_tuned_so_that_one_mode_is_where_one_is_too_many(task):
@@ -77,3 +98,34 @@ def test_from_a_place_that_leads_those_that_act_alike_are_fitted_until_none_is_l
     best = max(found.values(), key=lambda f: f.log_evidence)
     assert best.causes[0].where == ("3:+Z",) and best.log_evidence > wrong.log_evidence + 20
     assert abs(best.causes[0].values(best.u)[0] / MASS - 1) < 0.15
+
+
+def test_it_is_sought_anew_beside_a_cause_that_was_found_after_it(turned):
+    """What a turned sensor does to all modes hides which mode is too many, and where the oscillator is."""
+    setting, candidates = turned.setting, turned.candidates
+    at = {c.where[0]: c for c in candidates if isinstance(c, TunedMass)}
+    gain = next(c for c in candidates if c.slug == "channel_gain" and c.where == ("2:+Z",))
+    astray = np.array([0.3, np.log(2 * np.pi * 3 * TUNED / at["1:+Z"].middle) / at["1:+Z"].width, 0.0])
+    sign = gain.of_size(-2.0 / gain.scale)
+    wrong = fit(setting, (at["1:+Z"], gain), None, np.append(astray, sign), temperatures=(3.0,))
+    found = {key_of(wrong.causes): wrong}
+    attached_beside(setting, found, candidates, Prior(candidates), lambda: True)
+    assert list(found) == [key_of(wrong.causes)]
+    attached_beside(setting, found, candidates, Prior(candidates), lambda: False)
+    best = max(found.values(), key=lambda f: f.log_evidence)
+    tuned = next(k for k, c in enumerate(best.causes) if isinstance(c, TunedMass))
+    assert best.causes[tuned].where == ("3:+Z",) and best.log_evidence > wrong.log_evidence + 20
+    assert abs(best.causes[tuned].values(best.u[own_sizes(best.causes, tuned)])[0] / MASS - 1) < 0.15
+
+
+def test_modes_that_are_tried_hold_what_is_found_already(turned):
+    """A mass that was added and a sensor that points the other way, to the precision of proportional damping."""
+    setting = turned.setting
+    cause = next(c for c in turned.candidates if isinstance(c, TunedMass) and c.where == ("3:+Z",))
+    mass = next(c for c in turned.candidates if c.slug == "added_mass" and c.where == ("1:+Z",))
+    sign = next(c for c in turned.candidates if c.slug == "channel_gain" and c.where == ("2:+Z",))
+    u, kept = np.array([0.8, 0.1, 0.0]), np.array([0.7, -2.0 / sign.scale])
+    ((poles, residues),) = _modes(setting, cause, [u], ((mass, sign), kept))
+    exact = state_at(setting, np.zeros(len(setting.inaccuracy.group_of)), (cause, mass, sign), np.append(u, kept))
+    assert np.allclose(np.abs(poles), np.abs(exact.modes.poles[: len(poles)]), rtol=2e-3)
+    assert np.allclose(residues, exact.residues[: len(poles)], atol=0.02 * np.abs(exact.residues).max())
