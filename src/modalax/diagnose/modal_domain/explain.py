@@ -25,6 +25,7 @@ from modalax.diagnose.modal_domain.refitted import (
     beside_the_rest,
     in_full,
     made_exact,
+    rest_anew,
 )
 from modalax.diagnose.modal_domain.starts import FITTED, starts
 from modalax.diagnose.modal_domain.state import Setting
@@ -236,6 +237,17 @@ def _all_steps(search: Search, late: Deadline) -> None:
     several(search, late)
     search.setting, search.found = beside_a_factor(search.bare, search.setting, search.found, search.prior)
     search.setting, search.found = beside_the_rest(search.setting, search.found, search.prior, late)
+    _beside(search, late)
+    best = search.best
+    if not late():
+        attached_beside(search.setting, search.found, search.candidates, search.prior, late)
+    if search.best is not best:
+        search.setting, search.found = rest_anew(search.setting, search.found, search.prior, late)
+        _beside(search, late)
+
+
+def _beside(search: Search, late: Deadline) -> None:
+    """Seek a further cause and other places and forms beside what leads."""
     for _ in range(MOST):
         best = search.best
         if late():
@@ -245,7 +257,6 @@ def _all_steps(search: Search, late: Deadline) -> None:
             apart(search, best)
             neighbours(search, best, late)
             acting_alike(search.setting, search.found, search.asked, search.prior, late)
-            attached_beside(search.setting, search.found, search.candidates, search.prior, late)
             other_forms(search)
             if len(search.best.causes) > 1:  # another form of one cause may do without the others
                 fewer(search, search.best)
@@ -255,7 +266,7 @@ def _all_steps(search: Search, late: Deadline) -> None:
         if len(search.best.causes) == len(best.causes):
             return
         fewer(search, search.best)
-        search.setting, search.found = beside_the_rest(search.setting, search.found, search.prior, late)
+        search.setting, search.found = rest_anew(search.setting, search.found, search.prior, late)
 
 
 def _found(found: Found, cause: Change) -> bool:

@@ -14,7 +14,8 @@ import numpy as np
 from modalax.diagnose.modal_domain.attempts import attempt, explains, key_of, without
 from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.explanation import Prior, ranked_by
-from modalax.diagnose.modal_domain.fit import Found, without_causes
+from modalax.diagnose.modal_domain.faults_beside import faults_beside_a_mode
+from modalax.diagnose.modal_domain.fit import Fit, Found, without_causes
 from modalax.diagnose.modal_domain.further_causes import FACTOR, ZETA, TunedMass
 from modalax.diagnose.modal_domain.screen import STILL, distances, tolerance
 from modalax.diagnose.modal_domain.starts import in_place_of_one
@@ -26,6 +27,7 @@ FARTHEST = 1.6  # of the oscillator from that mode, by a factor in frequency, of
 LIGHT = 0.02  # root of a mass, over the usual, that changes no other mode
 LEADING = 6  # places that are fitted, of light and of heavy ones each
 ALIKE = 4  # further places that are fitted, which act on the modes most like the best so far
+PAIRS, FEW = 6, 2  # of a mode too many and a fault of a channel that are fitted, and of these asked what made the mode
 BROAD = 0.1  # width of the compliance by which that is judged, relative to the oscillator's frequency
 
 
@@ -162,31 +164,33 @@ def attached(
 def attached_beside(
     setting: Setting, found: Found, candidates: list[Change], prior: Prior, late: Callable[[], bool]
 ) -> None:
-    """Seek an oscillator anew beside the other causes of a best explanation that leaves more than noise.
+    """Seek an oscillator beside what else leads where one mode is too many, and beside a fault of a channel.
 
-    It was sought before these were known, when which mode was too many, and what was left of the others, was another.
+    The latter where what leads is no explanation, or one of many causes: while either is unknown the other is hidden by
+    it, and several causes of other kinds come nearer to the modes.
     """
-    best = ranked_by(found, prior)[0].fit
-    k = next((k for k, c in enumerate(best.causes) if isinstance(c, TunedMass)), None)
-    if k is None or len(best.causes) == 1 or explains(best):
-        return
-    kept, own = tuple(c for j, c in enumerate(best.causes) if j != k), without(best, k)
-    free: Found = {}
-    for cause in candidates:
-        if late():
-            return
-        if cause.freed is not None:
-            start = without_causes(best)
-            attempt(setting, free, (*kept, cause), np.append(own, np.zeros(cause.count)), start, gentle=False)
-    if not free:
-        return
-    led = ranked_by(free, prior)[0].fit
-    extra = next(c for c in led.causes if c.freed is not None)
-    for cause, u in oscillators(setting, candidates, extra, (kept, own)):
-        if late():
-            return
-        attempt(setting, found, (*kept, cause), np.append(own, u), None)
+    for f in _less_a_mode(setting, ranked_by(found, prior)[0].fit, candidates, prior, late):
+        k = next(k for k, c in enumerate(f.causes) if c.freed is not None)
+        kept, own = f.causes[:k] + f.causes[k + 1 :], without(f, k)
+        for cause, u in oscillators(setting, candidates, f.causes[k], (kept, own)):
+            if late():
+                return
+            attempt(setting, found, (*kept, cause), np.append(own, u), None)
     acting_alike(setting, found, candidates, prior, late)
+
+
+def _less_a_mode(
+    setting: Setting, best: Fit, candidates: list[Change], prior: Prior, late: Callable[[], bool]
+) -> list[Fit]:
+    """Fits in which a mode is one too many beside something else, likelier ones first."""
+    if explains(best) and len(best.causes) <= FEW:
+        return [best] if len(best.causes) == FEW and any(c.freed is not None for c in best.causes) else []
+    free: Found = {}
+    for extra, fault, u in faults_beside_a_mode(setting, candidates, PAIRS):
+        if late():
+            return []
+        attempt(setting, free, (*fault, extra), np.append(u, np.zeros(extra.count)), None)
+    return [e.fit for e in ranked_by(free, prior)[:FEW]] if free else []
 
 
 def acting_alike(
