@@ -169,7 +169,7 @@ def attached_beside(
     The latter where what leads is no explanation, or one of many causes: while either is unknown the other is hidden by
     it, and several causes of other kinds come nearer to the modes.
     """
-    for f in _less_a_mode(setting, ranked_by(found, prior)[0].fit, candidates, prior, late):
+    for f in _less_a_mode(setting, found, candidates, prior, late):
         k = next(k for k, c in enumerate(f.causes) if c.freed is not None)
         kept, own = f.causes[:k] + f.causes[k + 1 :], without(f, k)
         for cause, u in oscillators(setting, candidates, f.causes[k], (kept, own)):
@@ -180,9 +180,10 @@ def attached_beside(
 
 
 def _less_a_mode(
-    setting: Setting, best: Fit, candidates: list[Change], prior: Prior, late: Callable[[], bool]
+    setting: Setting, found: Found, candidates: list[Change], prior: Prior, late: Callable[[], bool]
 ) -> list[Fit]:
-    """Fits in which a mode is one too many beside something else, likelier ones first."""
+    """Fits in which a mode is one too many beside something else, likelier ones first; they are kept as well."""
+    best = ranked_by(found, prior)[0].fit
     if explains(best) and len(best.causes) <= FEW:
         return [best] if len(best.causes) == FEW and any(c.freed is not None for c in best.causes) else []
     free: Found = {}
@@ -190,6 +191,9 @@ def _less_a_mode(
         if late():
             return []
         attempt(setting, free, (*fault, extra), np.append(u, np.zeros(extra.count)), None)
+    for key, f in free.items():
+        if key not in found or f.log_evidence > found[key].log_evidence:
+            found[key] = f
     return [e.fit for e in ranked_by(free, prior)[:FEW]] if free else []
 
 

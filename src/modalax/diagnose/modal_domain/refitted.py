@@ -95,7 +95,8 @@ def rest_anew(setting: Setting, found: Found, prior: Prior, late: Callable[[], b
     if setting.rest == 0.0:
         return beside_the_rest(setting, found, prior, late)
     plain = replace(setting, whitener=whitener_of(setting.features), rest=0.0)
-    ranked, again = ranked_by(found, prior), Found()
+    ranked = ranked_by(found, prior)
+    again: Found = {}
     for e in near_the_first(ranked[:AGAIN], FAR) + [e for e in ranked if not e.causes]:
         attempt(plain, again, e.causes, e.fit.u, without_causes(e.fit), gentle=False)
     return beside_the_rest(plain, again, prior, late) if again else (setting, found)
