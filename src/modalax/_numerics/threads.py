@@ -1,13 +1,21 @@
 """One thread for the linear algebra library, whose threads mostly wait for each other on matrices of a few 100 rows."""
 
 from collections.abc import Callable
-from functools import wraps
+from functools import cache, wraps
 from typing import ParamSpec, TypeVar
 
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 P = ParamSpec("P")
 R = TypeVar("R")
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    """The libraries of this process, looked through once: that takes milliseconds in a process with many of them."""
+    import scipy.linalg  # noqa: F401 - which brings a library of its own beside NumPy's
+
+    return ThreadpoolController()
 
 
 def one_thread(function: Callable[P, R]) -> Callable[P, R]:
@@ -15,7 +23,7 @@ def one_thread(function: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(function)
     def limited(*args: P.args, **kwargs: P.kwargs) -> R:
-        with threadpool_limits(1, "blas"):
+        with _libraries().limit(limits=1, user_api="blas"):
             return function(*args, **kwargs)
 
     return limited

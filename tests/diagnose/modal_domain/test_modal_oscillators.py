@@ -6,23 +6,47 @@ import numpy as np
 import pytest
 from chains_off import FREQ, as_measured, chain_off, response, simulation
 
+from modalax.diagnose.modal_domain.attempts import key_of
+from modalax.diagnose.modal_domain.causes import own_sizes
+from modalax.diagnose.modal_domain.discrepancy import learnt_rest
 from modalax.diagnose.modal_domain.explanation import Prior
+from modalax.diagnose.modal_domain.faults_beside import faults_beside_a_mode
 from modalax.diagnose.modal_domain.fit import fit
 from modalax.diagnose.modal_domain.further_causes import MissingMode, TunedMass
-from modalax.diagnose.modal_domain.oscillators import _heavy, acting_alike, alike, attached, oscillators
+from modalax.diagnose.modal_domain.oscillators import (
+    _heavy,
+    _modes,
+    acting_alike,
+    alike,
+    attached,
+    attached_beside,
+    oscillators,
+)
+from modalax.diagnose.modal_domain.refitted import rest_anew
 from modalax.diagnose.modal_domain.stage import identified, posed
+from modalax.diagnose.modal_domain.state import state_at
 
 MASS, TUNED, LOSS = 0.3, 37.0, 0.015  # kg, Hz, damping ratio: a sixth of the modal mass there
 
 
-@pytest.fixture(scope="module", params=[1, 2])
-def task(request):
-    M, C, K = (np.pad(A, (0, 1)) for A in chain_off(request.param, 0.02))
+def with_oscillator(seed, signs=1.0):
+    """A chain that is off and carries the oscillator, its sensors times ``signs``."""
+    M, C, K = (np.pad(A, (0, 1)) for A in chain_off(seed, 0.02))
     v, w = np.array([0.0, 0, 1, 0, 0, -1]), 2 * np.pi * TUNED
     M[5, 5] = MASS
     H = response(M, C + 2 * LOSS * w * MASS * np.outer(v, v), K + w**2 * MASS * np.outer(v, v), FREQ)
-    data = as_measured(H, FREQ, request.param)
+    data = as_measured(H * signs, FREQ, seed)
     return posed(data, simulation(), identified(data, simulation(), lambda _: None))
+
+
+@pytest.fixture(scope="module", params=[1, 2])
+def task(request):
+    return with_oscillator(request.param)
+
+
+@pytest.fixture(scope="module")
+def turned():
+    return with_oscillator(1, np.array([1, -1, 1, 1, 1])[:, None])
 
 
 def test_each_mass_is_tuned_so_that_one_mode_is_where_one_is_too_many(task):
@@ -77,3 +101,69 @@ def test_from_a_place_that_leads_those_that_act_alike_are_fitted_until_none_is_l
     best = max(found.values(), key=lambda f: f.log_evidence)
     assert best.causes[0].where == ("3:+Z",) and best.log_evidence > wrong.log_evidence + 20
     assert abs(best.causes[0].values(best.u)[0] / MASS - 1) < 0.15
+
+
+def test_a_fault_of_a_channel_shows_beside_the_mode_that_is_too_many(turned):
+    """Neither by itself comes near to the measured modes."""
+    pairs = faults_beside_a_mode(turned.setting, turned.candidates, 400)
+    assert {(c.slug, c.where) for c in pairs[0][1]} <= {(f"channel_{k}", ("2:+Z",)) for k in ("sign", "gain")}
+    free = [c for c in turned.candidates if c.freed is not None]
+    assert {mode for mode, fault, _ in pairs if not fault} == set(free)
+    assert abs(abs(pairs[0][0].pole) / 2 / np.pi / TUNED - 1) < 0.15
+
+
+def test_it_is_sought_together_with_a_fault_of_a_channel(turned):
+    """What a turned sensor does to all modes hides which mode is too many, and where the oscillator is."""
+    setting, candidates, prior = turned.setting, turned.candidates, Prior(turned.candidates)
+    at = next(c for c in candidates if isinstance(c, TunedMass) and c.where == ("1:+Z",))
+    wrong = fit(setting, (at,), None, np.array([0.3, 0.0, 0.0]), temperatures=(3.0,))
+    found = {(at,): wrong}
+    attached_beside(setting, found, candidates, prior, lambda: True)
+    assert list(found) == [(at,)]
+    attached_beside(setting, found, candidates, prior, lambda: False)
+    best = max(found.values(), key=lambda f: f.log_evidence)
+    k = next(k for k, c in enumerate(best.causes) if isinstance(c, TunedMass))
+    assert best.causes[k].where == ("3:+Z",) and {c.where for c in best.causes} == {("2:+Z",), ("3:+Z",)}
+    assert abs(best.causes[k].values(best.u[own_sizes(best.causes, k)])[0] / MASS - 1) < 0.15
+    # nothing is sought where one or two causes explain the modes, of which none is a mode too many
+    again = {key_of(best.causes): best}
+    attached_beside(setting, again, [c for c in candidates if not isinstance(c, TunedMass)], prior, lambda: False)
+    assert list(again) == [key_of(best.causes)]
+
+
+def test_what_made_a_mode_too_many_is_sought_beside_a_cause_that_explains_all_else(turned):
+    setting, candidates, prior = turned.setting, turned.candidates, Prior(turned.candidates)
+    sign = next(c for c in candidates if c.slug == "channel_sign" and c.where == ("2:+Z",))
+    poles = np.abs(setting.features.poles) / 2 / np.pi
+    extra = next(c for c in candidates if c.freed == int(np.argmin(np.abs(poles - TUNED))))
+    both = fit(setting, (sign, extra), None, np.zeros(sign.count + extra.count))
+    found = {key_of(both.causes): replace(both, chi2=1.0)}
+    attached_beside(setting, found, candidates, prior, lambda: False)
+    best = max(found.values(), key=lambda f: f.log_evidence)
+    assert {(c.slug, c.where) for c in best.causes} == {("channel_sign", ("2:+Z",)), ("tuned_mass", ("3:+Z",))}
+
+
+def test_the_rest_is_learnt_anew_about_what_leads(turned):
+    """About what explained nothing it is as large as may be, and lines are then fitted by it."""
+    setting, candidates, prior = turned.setting, turned.candidates, Prior(turned.candidates)
+    at = next(c for c in candidates if isinstance(c, TunedMass) and c.where == ("3:+Z",))
+    sign = next(c for c in candidates if c.slug == "channel_sign" and c.where == ("2:+Z",))
+    u = np.array([0.0, np.sqrt(MASS / at.scale), np.log(2 * np.pi * TUNED / at.middle) / at.width, 0.0])
+    wide, size = learnt_rest(setting, [fit(setting, (at,), None, u[1:])], [0.0])
+    assert size > 0.02
+    found = {key_of((sign, at)): fit(wide, (sign, at), None, u)}
+    setting, again = rest_anew(wide, found, prior, lambda: False)
+    assert setting.rest < 0.1 * size and list(again) == list(found)
+
+
+def test_modes_that_are_tried_hold_what_is_found_already(turned):
+    """A mass that was added and a sensor that points the other way, to the precision of proportional damping."""
+    setting = turned.setting
+    cause = next(c for c in turned.candidates if isinstance(c, TunedMass) and c.where == ("3:+Z",))
+    mass = next(c for c in turned.candidates if c.slug == "added_mass" and c.where == ("1:+Z",))
+    sign = next(c for c in turned.candidates if c.slug == "channel_gain" and c.where == ("2:+Z",))
+    u, kept = np.array([0.8, 0.1, 0.0]), np.array([0.7, -2.0 / sign.scale])
+    ((poles, residues),) = _modes(setting, cause, [u], ((mass, sign), kept))
+    exact = state_at(setting, np.zeros(len(setting.inaccuracy.group_of)), (cause, mass, sign), np.append(u, kept))
+    assert np.allclose(np.abs(poles), np.abs(exact.modes.poles[: len(poles)]), rtol=2e-3)
+    assert np.allclose(residues, exact.residues[: len(poles)], atol=0.02 * np.abs(exact.residues).max())

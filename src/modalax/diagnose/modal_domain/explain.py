@@ -17,7 +17,7 @@ from modalax.diagnose.modal_domain.explanation import Explanation, Prior, ranked
 from modalax.diagnose.modal_domain.fit import Fit, Found, fit, without_causes
 from modalax.diagnose.modal_domain.inaccuracy import WITHIN
 from modalax.diagnose.modal_domain.narrowed import DIRECTIONS, narrowed
-from modalax.diagnose.modal_domain.oscillators import acting_alike, attached
+from modalax.diagnose.modal_domain.oscillators import acting_alike, attached, attached_beside
 from modalax.diagnose.modal_domain.refitted import (
     AGAIN,
     Finer,
@@ -25,6 +25,7 @@ from modalax.diagnose.modal_domain.refitted import (
     beside_the_rest,
     in_full,
     made_exact,
+    rest_anew,
 )
 from modalax.diagnose.modal_domain.starts import FITTED, starts
 from modalax.diagnose.modal_domain.state import Setting
@@ -236,6 +237,17 @@ def _all_steps(search: Search, late: Deadline) -> None:
     several(search, late)
     search.setting, search.found = beside_a_factor(search.bare, search.setting, search.found, search.prior)
     search.setting, search.found = beside_the_rest(search.setting, search.found, search.prior, late)
+    _beside(search, late)
+    best = search.best
+    if not late():
+        attached_beside(search.setting, search.found, search.candidates, search.prior, late)
+    if search.best is not best:
+        search.setting, search.found = rest_anew(search.setting, search.found, search.prior, late)
+        _beside(search, late)
+
+
+def _beside(search: Search, late: Deadline) -> None:
+    """Seek a further cause and other places and forms beside what leads."""
     for _ in range(MOST):
         best = search.best
         if late():
@@ -254,7 +266,7 @@ def _all_steps(search: Search, late: Deadline) -> None:
         if len(search.best.causes) == len(best.causes):
             return
         fewer(search, search.best)
-        search.setting, search.found = beside_the_rest(search.setting, search.found, search.prior, late)
+        search.setting, search.found = rest_anew(search.setting, search.found, search.prior, late)
 
 
 def _found(found: Found, cause: Change) -> bool:

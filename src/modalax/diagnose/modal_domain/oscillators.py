@@ -12,13 +12,14 @@ from collections.abc import Callable
 import numpy as np
 
 from modalax.diagnose.modal_domain.attempts import attempt, explains, key_of, without
-from modalax.diagnose.modal_domain.causes import Change, own_sizes
+from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.explanation import Prior, ranked_by
-from modalax.diagnose.modal_domain.fit import Found, without_causes
+from modalax.diagnose.modal_domain.faults_beside import faults_beside_a_mode
+from modalax.diagnose.modal_domain.fit import Fit, Found, without_causes
 from modalax.diagnose.modal_domain.further_causes import FACTOR, ZETA, TunedMass
 from modalax.diagnose.modal_domain.screen import STILL, distances, tolerance
 from modalax.diagnose.modal_domain.starts import in_place_of_one
-from modalax.diagnose.modal_domain.state import Setting
+from modalax.diagnose.modal_domain.state import NONE, Setting, matrices_of
 
 MASSES = np.array([0.1, 0.2, 0.3, 0.45, 0.65, 1.0, 1.5])  # roots of masses that are tried, over the usual
 OFF = np.array([0.975, 1.0, 1.025])  # frequencies at which the compliance is taken, over that of the mode too many
@@ -26,13 +27,24 @@ FARTHEST = 1.6  # of the oscillator from that mode, by a factor in frequency, of
 LIGHT = 0.02  # root of a mass, over the usual, that changes no other mode
 LEADING = 6  # places that are fitted, of light and of heavy ones each
 ALIKE = 4  # further places that are fitted, which act on the modes most like the best so far
+PAIRS, FEW = 6, 2  # of a mode too many and a fault of a channel that are fitted, and of these asked what made the mode
 BROAD = 0.1  # width of the compliance by which that is judged, relative to the oscillator's frequency
 
 
+Causes = tuple[tuple[Change, ...], np.ndarray]  # and their sizes
+NOTHING: Causes = ((), NONE)
+
+
 def oscillators(
-    setting: Setting, candidates: list[Change], extra: Change
+    setting: Setting, candidates: list[Change], extra: Change, kept: Causes = NOTHING
 ) -> list[tuple[TunedMass, np.ndarray]]:  # fmt: skip
-    """Leading places of an oscillator near the pole of the mode that is too many, with sizes to start from."""
+    """Leading places of an oscillator near the pole of the mode that is too many, with sizes to start from.
+
+    Parameters
+    ----------
+    kept
+        Causes beside it, and their sizes.
+    """
     assert extra.freed is not None
     near_to = abs(setting.features.poles[extra.freed])
     shrink = tolerance(setting, lacking=(extra,))[1]
@@ -41,10 +53,10 @@ def oscillators(
     for cause in candidates:
         if not isinstance(cause, TunedMass):
             continue
-        trials = [*_heavy(setting, cause, near_to), _light(setting, cause, extra.freed)]
+        trials = [*_heavy(setting, cause, near_to), _light(setting, cause, extra.freed, kept)]
         values = [
             float(distances(setting, shrink, [modes])[0]) + float(u @ u)
-            for u, modes in zip(trials, _modes(setting, cause, trials), strict=True)
+            for u, modes in zip(trials, _modes(setting, cause, trials, kept), strict=True)
         ]
         light.append((values[-1], cause, trials[-1]))
         if len(trials) > 1:
@@ -93,30 +105,36 @@ def _heavy(setting: Setting, cause: TunedMass, near_to: float) -> list[np.ndarra
     return trials
 
 
-def _light(setting: Setting, cause: TunedMass, mode: int) -> np.ndarray:
+def _light(setting: Setting, cause: TunedMass, mode: int, kept: Causes) -> np.ndarray:
     """Sizes of a light oscillator whose own mode is as large as a measured one."""
     f = setting.features
     pole = f.poles[mode]
     zeta = np.log(max(-pole.real / abs(pole), 1e-6) / ZETA) / FACTOR
     u = np.array([LIGHT, np.log(abs(pole) / cause.middle) / cause.width, zeta])
-    ((poles, residues),) = _modes(setting, cause, [u])
+    ((poles, residues),) = _modes(setting, cause, [u], kept)
     own = residues[np.argmin(np.abs(poles - pole))] / f.units[mode]
     larger = np.linalg.norm(f.residues[mode]) / max(float(np.linalg.norm(own)), 1e-300)
     return np.array([min(LIGHT * np.sqrt(larger), MASSES[-1]), *u[1:]])
 
 
-def _modes(setting: Setting, cause: TunedMass, trials: list[np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:
+def _modes(
+    setting: Setting, cause: TunedMass, trials: list[np.ndarray], kept: Causes
+) -> list[tuple[np.ndarray, np.ndarray]]:
     """Poles and residues of the simulation with an oscillator, damping mode by mode, which is exact enough to rank."""
-    c = setting.coordinates
+    c, still = setting.coordinates, np.zeros(len(setting.inaccuracy.group_of))
+    M, C, K = matrices_of(setting, still, *kept)
+    T = np.linalg.inv(np.linalg.cholesky(M)).T  # coordinates of unit mass
     changes = [cause.changes(u) for u in trials]
-    values, Q = np.linalg.eigh(np.diag(c.frequencies**2) + np.stack([change["K"] for change in changes]))
+    values, Q = np.linalg.eigh(T.T @ (K.real + np.stack([change["K"] for change in changes])) @ T)
     m = c.solved
-    w, Q = np.sqrt(np.maximum(values[:, :m], 0.0)), Q[:, :, :m]
+    w, Q = np.sqrt(np.maximum(values[:, :m], 0.0)), T @ Q[:, :, :m]
     w = np.maximum(w, STILL * c.frequencies[-2])
-    damping = c.damping + np.stack([change["C"] for change in changes])
+    damping = C + np.stack([change["C"] for change in changes])
     own = np.clip(np.einsum("knr,knr->kr", Q, damping @ Q), 1e-6 * w, 1.9 * w)
     poles = -own / 2 + 1j * np.sqrt(w**2 - own**2 / 4)
     residues = np.einsum("kom,kim->kmoi", c.outputs @ Q, c.inputs @ Q) / (2j * poles.imag)[:, :, None, None]
+    for other, u in with_sizes(*kept):
+        residues = np.stack([other.at_modes(u, *modes) for modes in zip(poles, residues, strict=True)])
     return list(zip(poles, residues, strict=True))
 
 
@@ -141,6 +159,42 @@ def attached(
             return
         attempt(setting, found, (cause,), u, None)
     acting_alike(setting, found, candidates, prior, late)
+
+
+def attached_beside(
+    setting: Setting, found: Found, candidates: list[Change], prior: Prior, late: Callable[[], bool]
+) -> None:
+    """Seek an oscillator beside what else leads where one mode is too many, and beside a fault of a channel.
+
+    The latter where what leads is no explanation, or one of many causes: while either is unknown the other is hidden by
+    it, and several causes of other kinds come nearer to the modes.
+    """
+    for f in _less_a_mode(setting, found, candidates, prior, late):
+        k = next(k for k, c in enumerate(f.causes) if c.freed is not None)
+        kept, own = f.causes[:k] + f.causes[k + 1 :], without(f, k)
+        for cause, u in oscillators(setting, candidates, f.causes[k], (kept, own)):
+            if late():
+                return
+            attempt(setting, found, (*kept, cause), np.append(own, u), None)
+    acting_alike(setting, found, candidates, prior, late)
+
+
+def _less_a_mode(
+    setting: Setting, found: Found, candidates: list[Change], prior: Prior, late: Callable[[], bool]
+) -> list[Fit]:
+    """Fits in which a mode is one too many beside something else, likelier ones first; they are kept as well."""
+    best = ranked_by(found, prior)[0].fit
+    if explains(best) and len(best.causes) <= FEW:
+        return [best] if len(best.causes) == FEW and any(c.freed is not None for c in best.causes) else []
+    free: Found = {}
+    for extra, fault, u in faults_beside_a_mode(setting, candidates, PAIRS):
+        if late():
+            return []
+        attempt(setting, free, (*fault, extra), np.append(u, np.zeros(extra.count)), None)
+    for key, f in free.items():
+        if key not in found or f.log_evidence > found[key].log_evidence:
+            found[key] = f
+    return [e.fit for e in ranked_by(free, prior)[:FEW]] if free else []
 
 
 def acting_alike(

@@ -15,6 +15,7 @@ from modalax.diagnose.modal_domain.attempts import attempt, explains
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.discrepancy import learnt_rest, with_rest
 from modalax.diagnose.modal_domain.explanation import Explanation, Prior, ranked_by
+from modalax.diagnose.modal_domain.features import whitener_of
 from modalax.diagnose.modal_domain.fit import Fit, Found, fit, without_causes
 from modalax.diagnose.modal_domain.state import Setting
 from modalax.diagnose.modal_domain.throughout import start_in, with_more
@@ -87,6 +88,18 @@ def beside_the_rest(setting: Setting, found: Found, prior: Prior, late: Callable
     for e in leading:
         attempt(new, again, e.causes, e.fit.u, without_causes(e.fit), gentle=False)
     return (new, again) if again else (setting, found)
+
+
+def rest_anew(setting: Setting, found: Found, prior: Prior, late: Callable[[], bool]) -> tuple[Setting, Found]:
+    """Learn the rest again about what leads now: beside what explained nothing it was as large as may be."""
+    if setting.rest == 0.0:
+        return beside_the_rest(setting, found, prior, late)
+    plain = replace(setting, whitener=whitener_of(setting.features), rest=0.0)
+    ranked = ranked_by(found, prior)
+    again: Found = {}
+    for e in near_the_first(ranked[:AGAIN], FAR) + [e for e in ranked if not e.causes]:
+        attempt(plain, again, e.causes, e.fit.u, without_causes(e.fit), gentle=False)
+    return beside_the_rest(plain, again, prior, late) if again else (setting, found)
 
 
 def near_the_first(ranked: Sequence[Explanation], nats: float) -> list[Explanation]:

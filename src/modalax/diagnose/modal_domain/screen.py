@@ -35,6 +35,7 @@ from modalax.diagnose.modal_domain.state import (
 )
 
 SIZES = (0.015, 0.04, 0.1, 0.25, 0.5, 0.9, 2.0)  # sizes of a change that are tried, over its usual size, of either sign
+SIDES = np.array([-s for s in SIZES[::-1]] + [*SIZES])
 STRONG = (5.0, 15.0, 50.0, 200.0, 1000.0)  # and of a force or damper: one that holds two points together damps little
 UNDAMPED = 1e-9  # damping ratio that rounding may make of none
 FACTORS = np.array([0.4, 0.6, 0.8, 1.0, 1.25, 1.6, 2.2])  # multiples of a size that are tried to refine it
@@ -87,16 +88,19 @@ def finite(setting: Setting, candidates: list[Change], told: np.ndarray | None =
 
 def _trials(setting: Setting, state: State, cause: Change, told: float) -> Trials:
     """Size, poles and residues of the simulation with each size of a cause that is tried; none of several sizes."""
-    sizes = np.array([-s for s in SIZES[::-1]] + [*SIZES])
     if couples(cause):
-        return _loaded(setting, state.modes, cause, [*(sizes if cause.signed else sizes[sizes > 0]), *STRONG])
+        return _loaded(setting, state.modes, cause, [*(SIDES if cause.signed else SIDES[SIDES > 0]), *STRONG])
     if cause.kind:
-        return _changed(setting, cause, np.append(sizes, told) if told else sizes)
+        return _changed(setting, cause, np.append(SIDES, told) if told else SIDES)
     if cause.local:  # it has a screening of its own
         return []
-    poles, plain = state.modes.poles, state.plain
-    few = np.append(sizes, gain_asked(setting, cause, poles, plain)) if cause.sized else np.ones(1)
-    return [(float(u), poles, cause.at_modes(np.array([u]), poles, plain)) for u in few]
+    return channel_trials(setting, cause, state.modes.poles, state.plain)
+
+
+def channel_trials(setting: Setting, cause: Change, poles: np.ndarray, plain: np.ndarray) -> Trials:
+    """Each size that is tried of what channels do to modes, given as poles and residues."""
+    sizes = np.append(SIDES, gain_asked(setting, cause, poles, plain)) if cause.sized else np.ones(1)
+    return [(float(u), poles, cause.at_modes(np.array([u]), poles, plain)) for u in sizes]
 
 
 def gain_asked(setting: Setting, cause: Change, poles: np.ndarray, plain: np.ndarray) -> np.ndarray:

@@ -44,7 +44,7 @@ def rotations_of(K: np.ndarray) -> dict[int, int]:
     joined = np.abs(K) / size[:, None] / size > NEGLIGIBLE
     shown, straight, told = np.zeros(len(K), int), np.zeros(len(K), bool), 0
     for row, near in zip(K, map(np.flatnonzero, joined), strict=True):
-        turning = _left_out(row[near]) if len(near) <= MOST else None
+        turning = _left_out(row[near]) if 0 < len(near) <= MOST else None  # a mass on a damper alone shows nothing
         if turning is not None:
             told += 1
             shown[near[turning]] += 1
