@@ -40,6 +40,7 @@ matplotlib.rcParams["savefig.dpi"] = 40  # nobody looks at them
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_traceback_in_locations_limit", 0)  # no lines of Python beside each operation of a program
 PROGRAMS = pytest.StashKey[str]()
+ROOM = 0.4  # share of the machine's memory that all processes may grow by before they let their programs go
 WORTH = 0.1  # seconds of compilation; to write down a smaller program takes longer than others save by it
 
 
@@ -82,9 +83,10 @@ def pytest_unconfigure(config):
 @pytest.fixture(scope="module", autouse=True)
 def room_for_programs():
     """A process that has compiled for many tests lets its programs go before it runs out of memory maps."""
-    from modalax._numerics.programs import release_programs
+    from modalax._numerics import programs
 
-    release_programs()
+    programs.GROWN = ROOM / int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    programs.release_programs()
 
 
 @pytest.fixture(scope="module")

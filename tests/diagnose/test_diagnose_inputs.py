@@ -252,6 +252,7 @@ def test_compiled_programs_go_before_a_process_is_full(tmp_path, monkeypatch):
     monkeypatch.setattr(jax, "clear_caches", lambda: gone.append(True))
     monkeypatch.setattr(programs.gc, "collect", lambda: collected.append(True))
     monkeypatch.setattr(programs, "_kept", [0])
+    monkeypatch.setattr(programs, "GROWN", 0.1)
     given = maps, limit, used = [tmp_path / name for name in ("maps", "limit", "statm")]
     pages, tenth = "9000000 {} 4000 1 0 1 0\n", os.sysconf("SC_PHYS_PAGES") // 10
     limit.write_text("100\n")
