@@ -41,7 +41,7 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_traceback_in_locations_limit", 0)  # no lines of Python beside each operation of a program
 PROGRAMS = pytest.StashKey[str]()
 ROOM = 0.4  # share of the machine's memory that all processes may grow by before they let their programs go
-WORTH = 0.1  # seconds of compilation; to write down a smaller program takes longer than others save by it
+WORTH = 0.3  # seconds of compilation; to write down a smaller program takes longer than others save by it
 
 
 def pytest_configure(config):
