@@ -50,6 +50,15 @@ def test_a_body_that_pitches_is_found_whatever_it_is_called():
     assert sorted(p.matrix[0, 0] for p in parts if len(p.nodes) == 1) == pytest.approx([9e3, 190e3, 210e3])
 
 
+def test_a_mass_that_no_spring_holds_is_no_rotation():
+    """As where a simulation lacks a joint altogether."""
+    K = np.pad(car(SPRINGS, TYRES), (0, 1))
+    assert rotations_of(K) == {5: 4}
+    nodes = nodes_in((*CAR, "seat"), K)
+    assert [m.tolist() for m in nodes.members] == [[0], [1], [2], [3], [4, 5], [6]]
+    assert rotations_of(np.zeros((3, 3))) == {}
+
+
 def test_no_rotation_is_seen_where_rows_do_not_show_one():
     chain = np.diag([3.0, 4, 3, 2]) - np.diag([2.0, 2, 1], 1) - np.diag([2.0, 2, 1], -1)
     rng = np.random.default_rng(1)

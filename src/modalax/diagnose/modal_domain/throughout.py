@@ -18,12 +18,13 @@ from typing import Any
 import numpy as np
 
 from modalax._numerics.text import with_error
+from modalax._numerics.triangles import forward
 from modalax.diagnose.modal_domain.causes import Change, own_sizes
 from modalax.diagnose.modal_domain.discrepancy import beside
 from modalax.diagnose.modal_domain.explanation import Prior
-from modalax.diagnose.modal_domain.fit import Fit, Found, by_data, fit, without_causes
+from modalax.diagnose.modal_domain.fit import Fit, Found, by_data, fit, scale_of, without_causes
 from modalax.diagnose.modal_domain.inaccuracy import THROUGHOUT, TOLD, UNKNOWN, USUAL, WITHIN, with_group
-from modalax.diagnose.modal_domain.linear import ByUnknowns
+from modalax.diagnose.modal_domain.linear import root_of_information
 from modalax.diagnose.modal_domain.state import Setting, slopes_at
 from modalax.diagnose.thresholds import THRESHOLDS
 
@@ -248,11 +249,11 @@ def _factors(setting: Setting, f: Fit) -> tuple[list[str], np.ndarray, np.ndarra
     names = [name for name, group in THROUGHOUT.items() if group in a.groups]
     if not names:
         return [], np.zeros(0), np.zeros((0, 0))
-    J, none = slopes_at(setting, f.state, f.causes, f.u), np.zeros(len(f.sizes) + len(f.u))
-    linear = ByUnknowns(a, J.T @ J, none, f.u)
-    scale, covariance = linear.prior(f.epsilon), linear.covariance(f.epsilon)[1]
+    J, scale = slopes_at(setting, f.state, f.causes, f.u), scale_of(setting, f)
+    root = root_of_information(J, J.T @ J, scale)
     own = np.concatenate([np.flatnonzero(a.group_of == a.groups.index(THROUGHOUT[name])) for name in names])
-    return names, f.sizes[own], covariance[np.ix_(own, own)] * np.outer(scale[own], scale[own])
+    columns = forward(root, np.diag(scale)[:, own])
+    return names, f.sizes[own], columns.T @ columns
 
 
 def throughout_said(told: dict[str, Any]) -> list[str]:
