@@ -55,7 +55,7 @@ def test_sensors_at_other_points_are_named_with_these(structure, at, wanted):
 
 
 def test_steep_derivatives_of_what_explains_little_end_no_diagnosis():
-    """Before other places are tried factors throughout stand for one, of derivatives that hide the prior in rounding."""
+    """Factors throughout stand for another place at first; their derivatives hide the prior in rounding."""
     found = diagnose_modes(labelled({"2:+Z": "3:+Z"}, "chain", 2), SIMULATIONS["chain"], wanted=KNOWN.__contains__)
     assert [(c["name"], *c["where"]) for c in found.causes] == [("sensor_place", "2:+Z", "3:+Z")]
 

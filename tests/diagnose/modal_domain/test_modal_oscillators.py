@@ -141,6 +141,13 @@ def test_what_made_a_mode_too_many_is_sought_beside_a_cause_that_explains_all_el
     attached_beside(setting, found, candidates, prior, lambda: False)
     best = max(found.values(), key=lambda f: f.log_evidence)
     assert {(c.slug, c.where) for c in best.causes} == {("channel_sign", ("2:+Z",)), ("tuned_mass", ("3:+Z",))}
+    # and where a mode too many that leads by itself leaves hardly more
+    alone = fit(setting, (extra,), None, np.zeros(extra.count))
+    for behind, sought in ((0.0, True), (50.0, False)):
+        ahead = replace(alone, chi2=1.0, log_evidence=both.log_evidence + behind)
+        found = {(extra,): ahead, key_of(both.causes): both}
+        attached_beside(setting, found, candidates, prior, lambda: False)
+        assert any(isinstance(c, TunedMass) for causes in found for c in causes) is sought
 
 
 def test_the_rest_is_learnt_anew_about_what_leads(turned):

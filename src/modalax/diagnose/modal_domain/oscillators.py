@@ -28,6 +28,7 @@ LIGHT = 0.02  # root of a mass, over the usual, that changes no other mode
 LEADING = 6  # places that are fitted, of light and of heavy ones each
 ALIKE = 4  # further places that are fitted, which act on the modes most like the best so far
 PAIRS, FEW = 6, 2  # of a mode too many and a fault of a channel that are fitted, and of these asked what made the mode
+NEAR = 20.0  # nats behind the first, of pairs of a mode too many and another cause that are asked so too
 BROAD = 0.1  # width of the compliance by which that is judged, relative to the oscillator's frequency
 
 
@@ -183,9 +184,12 @@ def _less_a_mode(
     setting: Setting, found: Found, candidates: list[Change], prior: Prior, late: Callable[[], bool]
 ) -> list[Fit]:
     """Fits in which a mode is one too many beside something else, likelier ones first; they are kept as well."""
-    best = ranked_by(found, prior)[0].fit
+    ranked = ranked_by(found, prior)
+    best = ranked[0].fit
     if explains(best) and len(best.causes) <= FEW:
-        return [best] if len(best.causes) == FEW and any(c.freed is not None for c in best.causes) else []
+        lacks = any(c.freed is not None for c in best.causes)
+        near = [e.fit for e in ranked if len(e.causes) == FEW and e.log_posterior > ranked[0].log_posterior - NEAR]
+        return [f for f in near if lacks and any(c.freed is not None for c in f.causes)][:FEW]
     free: Found = {}
     for extra, fault, u in faults_beside_a_mode(setting, candidates, PAIRS):
         if late():

@@ -50,7 +50,7 @@ def rotations_of(K: np.ndarray) -> dict[int, int]:
             shown[near[turning]] += 1
             straight[np.delete(near, turning)] = True
     turns = np.flatnonzero(shown >= FEWEST)
-    if not len(turns) or straight[shown > 0].any() or 2 * told < len(K):
+    if not len(turns) or straight[shown > 0].any() or 2 * told < np.count_nonzero(joined.any(axis=1)):
         return {}
     moves = np.setdiff1d(np.arange(len(K)), turns)
     joined |= np.eye(len(K), dtype=bool)
