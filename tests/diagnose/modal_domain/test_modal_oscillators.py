@@ -7,10 +7,10 @@ import pytest
 from chains_off import FREQ, as_measured, chain_off, response, simulation
 
 from modalax.diagnose.modal_domain.attempts import key_of
+from modalax.diagnose.modal_domain.beside_a_mode import causes_beside_a_mode
 from modalax.diagnose.modal_domain.causes import own_sizes
 from modalax.diagnose.modal_domain.discrepancy import learnt_rest
 from modalax.diagnose.modal_domain.explanation import Prior
-from modalax.diagnose.modal_domain.faults_beside import faults_beside_a_mode
 from modalax.diagnose.modal_domain.fit import fit
 from modalax.diagnose.modal_domain.further_causes import MissingMode, TunedMass
 from modalax.diagnose.modal_domain.oscillators import (
@@ -105,7 +105,7 @@ def test_from_a_place_that_leads_those_that_act_alike_are_fitted_until_none_is_l
 
 def test_a_fault_of_a_channel_shows_beside_the_mode_that_is_too_many(turned):
     """Neither by itself comes near to the measured modes."""
-    pairs = faults_beside_a_mode(turned.setting, turned.candidates, 400)
+    pairs = causes_beside_a_mode(turned.setting, turned.candidates, 400)
     assert {(c.slug, c.where) for c in pairs[0][1]} <= {(f"channel_{k}", ("2:+Z",)) for k in ("sign", "gain")}
     free = [c for c in turned.candidates if c.freed is not None]
     assert {mode for mode, fault, _ in pairs if not fault} == set(free)

@@ -12,9 +12,9 @@ from collections.abc import Callable
 import numpy as np
 
 from modalax.diagnose.modal_domain.attempts import attempt, explains, key_of, without
+from modalax.diagnose.modal_domain.beside_a_mode import causes_beside_a_mode
 from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.explanation import Prior, ranked_by
-from modalax.diagnose.modal_domain.faults_beside import faults_beside_a_mode
 from modalax.diagnose.modal_domain.fit import Fit, Found, without_causes
 from modalax.diagnose.modal_domain.further_causes import FACTOR, ZETA, TunedMass
 from modalax.diagnose.modal_domain.screen import STILL, distances, tolerance
@@ -27,7 +27,7 @@ FARTHEST = 1.6  # of the oscillator from that mode, by a factor in frequency, of
 LIGHT = 0.02  # root of a mass, over the usual, that changes no other mode
 LEADING = 6  # places that are fitted, of light and of heavy ones each
 ALIKE = 4  # further places that are fitted, which act on the modes most like the best so far
-PAIRS, FEW = 6, 2  # of a mode too many and a fault of a channel that are fitted, and of these asked what made the mode
+PAIRS, FEW = 6, 2  # of a mode too many and another cause that are fitted, and of these asked what made the mode
 NEAR = 20.0  # nats behind the first, of pairs of a mode too many and another cause that are asked so too
 BROAD = 0.1  # width of the compliance by which that is judged, relative to the oscillator's frequency
 
@@ -165,7 +165,7 @@ def attached(
 def attached_beside(
     setting: Setting, found: Found, candidates: list[Change], prior: Prior, late: Callable[[], bool]
 ) -> None:
-    """Seek an oscillator beside what else leads where one mode is too many, and beside a fault of a channel.
+    """Seek an oscillator beside what else leads where one mode is too many, and together with another cause.
 
     The latter where what leads is no explanation, or one of many causes: while either is unknown the other is hidden by
     it, and several causes of other kinds come nearer to the modes.
@@ -191,10 +191,10 @@ def _less_a_mode(
         near = [e.fit for e in ranked if len(e.causes) == FEW and e.log_posterior > ranked[0].log_posterior - NEAR]
         return [f for f in near if lacks and any(c.freed is not None for c in f.causes)][:FEW]
     free: Found = {}
-    for extra, fault, u in faults_beside_a_mode(setting, candidates, PAIRS):
+    for extra, other, u in causes_beside_a_mode(setting, candidates, PAIRS):
         if late():
             return []
-        attempt(setting, free, (*fault, extra), np.append(u, np.zeros(extra.count)), None)
+        attempt(setting, free, (*other, extra), np.append(u, np.zeros(extra.count)), None)
     for key, f in free.items():
         if key not in found or f.log_evidence > found[key].log_evidence:
             found[key] = f

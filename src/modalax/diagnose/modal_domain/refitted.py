@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from modalax.diagnose.deadline import NEVER
-from modalax.diagnose.modal_domain.attempts import attempt, explains
+from modalax.diagnose.modal_domain.attempts import attempt, explains, key_of
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.discrepancy import learnt_rest, with_rest
 from modalax.diagnose.modal_domain.explanation import Explanation, Prior, ranked_by
@@ -99,7 +99,8 @@ def rest_anew(setting: Setting, found: Found, prior: Prior, late: Callable[[], b
     again: Found = {}
     for e in near_the_first(ranked[:AGAIN], FAR) + [e for e in ranked if not e.causes]:
         attempt(plain, again, e.causes, e.fit.u, without_causes(e.fit), gentle=False)
-    return beside_the_rest(plain, again, prior, late) if again else (setting, found)
+    kept = key_of(ranked[0].causes) in again
+    return beside_the_rest(plain, again, prior, late) if kept else (setting, found)
 
 
 def near_the_first(ranked: Sequence[Explanation], nats: float) -> list[Explanation]:

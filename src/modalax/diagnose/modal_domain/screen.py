@@ -75,7 +75,7 @@ def finite(setting: Setting, candidates: list[Change], told: np.ndarray | None =
                 best[k], where[k] = left[least], u[least]
 
     for k, cause in enumerate(candidates):
-        trials = _trials(setting, state, cause, 0.0 if told is None else float(told[k])) if cause.screened else []
+        trials = trials_of(setting, state, cause, 0.0 if told is None else float(told[k])) if cause.screened else []
         if trials and cause.freed is not None:
             compare([(k, trials)], tolerance(setting, (cause,))[1], (cause,))
         elif trials:
@@ -86,19 +86,15 @@ def finite(setting: Setting, candidates: list[Change], told: np.ndarray | None =
     return best, where
 
 
-def _trials(setting: Setting, state: State, cause: Change, told: float) -> Trials:
-    """Size, poles and residues of the simulation with each size of a cause that is tried; none of several sizes."""
+def trials_of(setting: Setting, state: State, cause: Change, told: float = 0.0) -> Trials:
+    """The simulation with each size of a cause that is tried; none of several sizes."""
     if couples(cause):
         return _loaded(setting, state.modes, cause, [*(SIDES if cause.signed else SIDES[SIDES > 0]), *STRONG])
     if cause.kind:
         return _changed(setting, cause, np.append(SIDES, told) if told else SIDES)
     if cause.local:  # it has a screening of its own
         return []
-    return channel_trials(setting, cause, state.modes.poles, state.plain)
-
-
-def channel_trials(setting: Setting, cause: Change, poles: np.ndarray, plain: np.ndarray) -> Trials:
-    """Each size that is tried of what channels do to modes, given as poles and residues."""
+    poles, plain = state.modes.poles, state.plain
     sizes = np.append(SIDES, gain_asked(setting, cause, poles, plain)) if cause.sized else np.ones(1)
     return [(float(u), poles, cause.at_modes(np.array([u]), poles, plain)) for u in sizes]
 
