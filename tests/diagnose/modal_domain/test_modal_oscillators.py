@@ -110,6 +110,9 @@ def test_a_fault_of_a_channel_shows_beside_the_mode_that_is_too_many(turned):
     free = [c for c in turned.candidates if c.freed is not None]
     assert {mode for mode, fault, _ in pairs if not fault} == set(free)
     assert abs(abs(pairs[0][0].pole) / 2 / np.pi / TUNED - 1) < 0.15
+    assert {c.kind for _, other, _ in pairs for c in other} >= {"", "K", "M"}
+    over = replace(turned.setting, late=lambda: True)
+    assert [other for _, other, _ in causes_beside_a_mode(over, turned.candidates, 400)] == [()] * len(free)
 
 
 def test_it_is_sought_together_with_a_fault_of_a_channel(turned):

@@ -24,7 +24,7 @@ def causes_beside_a_mode(setting: Setting, candidates: list[Change], most: int) 
     if not free:
         return []
     state = tolerance(setting, free[:1])[0]
-    each = lambda some: [(cause, trials_of(setting, state, cause)) for cause in some if cause.screened]
+    each = lambda some: [(c, trials_of(setting, state, c)) for c in some if c.screened and not setting.late()]
     faults = each(c for c in candidates if isinstance(c, ChannelFactor | Swap))
     found = [_beside(setting, mode, faults) for mode in free]
     found.sort(key=lambda pairs: pairs[0][0])
