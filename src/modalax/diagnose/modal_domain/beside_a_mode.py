@@ -30,7 +30,7 @@ def causes_beside_a_mode(setting: Setting, candidates: list[Change], most: int) 
     found.sort(key=lambda pairs: pairs[0][0])
     changes = each(c for c in candidates if c.kind and not couples(c))
     for pairs in found[:MODES]:
-        pairs += _beside(setting, pairs[0][1][0], changes)
+        pairs += [pair for pair in _beside(setting, pairs[0][1][0], changes) if pair[1][1]]
     return [pair for _, pair in sorted((pair for pairs in found for pair in pairs), key=lambda one: one[0])[:most]]
 
 
