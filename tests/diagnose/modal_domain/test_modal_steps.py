@@ -124,6 +124,11 @@ def test_beside_the_rest_only_what_may_still_lead_is_fitted_again(task, null, mo
     assert ranked_by(found, prior)[0].causes == (one,)
     refitted.beside_the_rest(task.setting, found, prior, lambda: False)
     assert set(again) == {(one,), near, ()} and len(again) == 3
+    # what leads is not lost where it has no fit there
+    monkeypatch.setattr(refitted, "attempt", lambda s, new, causes, *a, **k: new.update({(): null}))
+    for step in (refitted.beside_the_rest, refitted.rest_anew):
+        setting, same = step(replace(task.setting, rest=0.01), found, prior, lambda: False)
+        assert same is found and setting.rest == 0.01
 
 
 def test_the_general_inaccuracy_alone_is_not_fitted_without_a_block_where_it_is_far_off(task, null):

@@ -87,7 +87,7 @@ def beside_the_rest(setting: Setting, found: Found, prior: Prior, late: Callable
     again: Found = {}
     for e in leading:
         attempt(new, again, e.causes, e.fit.u, without_causes(e.fit), gentle=False)
-    return (new, again) if again else (setting, found)
+    return (new, again) if key_of(leading[0].causes) in again else (setting, found)
 
 
 def rest_anew(setting: Setting, found: Found, prior: Prior, late: Callable[[], bool]) -> tuple[Setting, Found]:
@@ -99,8 +99,8 @@ def rest_anew(setting: Setting, found: Found, prior: Prior, late: Callable[[], b
     again: Found = {}
     for e in near_the_first(ranked[:AGAIN], FAR) + [e for e in ranked if not e.causes]:
         attempt(plain, again, e.causes, e.fit.u, without_causes(e.fit), gentle=False)
-    kept = key_of(ranked[0].causes) in again
-    return beside_the_rest(plain, again, prior, late) if kept else (setting, found)
+    found_again = key_of(ranked[0].causes) in again
+    return beside_the_rest(plain, again, prior, late) if found_again else (setting, found)
 
 
 def near_the_first(ranked: Sequence[Explanation], nats: float) -> list[Explanation]:
