@@ -185,15 +185,14 @@ def _less_a_mode(
 ) -> list[Fit]:
     """Fits in which a mode is one too many beside something else, likelier ones first; they are kept as well."""
     ranked = ranked_by(found, prior)
-    best = ranked[0].fit
+    best, near = ranked[0].fit, [e.fit for e in ranked if e.log_posterior > ranked[0].log_posterior - NEAR]
+    lacking = [f for f in near if len(f.causes) == FEW and any(c.freed is not None for c in f.causes)]
     if explains(best) and len(best.causes) <= FEW:
-        lacks = any(c.freed is not None for c in best.causes)
-        near = [e.fit for e in ranked if len(e.causes) == FEW and e.log_posterior > ranked[0].log_posterior - NEAR]
-        return [f for f in near if lacks and any(c.freed is not None for c in f.causes)][:FEW]
-    free: Found = {}
+        return lacking[:FEW] if any(c.freed is not None for c in best.causes) else []
+    free: Found = {key_of(f.causes): f for f in lacking}
     for extra, other, u in causes_beside_a_mode(setting, candidates, PAIRS):
         if late():
-            return []
+            break
         attempt(setting, free, (*other, extra), np.append(u, np.zeros(extra.count)), None)
     for key, f in free.items():
         if key not in found or f.log_evidence > found[key].log_evidence:
