@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from chains_off import FREQ, as_measured, chain_off, response, simulation
 
+from modalax.diagnose.modal_domain import beside_a_mode
 from modalax.diagnose.modal_domain.attempts import key_of
 from modalax.diagnose.modal_domain.beside_a_mode import causes_beside_a_mode
 from modalax.diagnose.modal_domain.causes import own_sizes
@@ -113,6 +114,28 @@ def test_a_fault_of_a_channel_shows_beside_the_mode_that_is_too_many(turned):
     assert {c.kind for _, other, _ in pairs for c in other} >= {"", "K", "M"}
     over = replace(turned.setting, late=lambda: True)
     assert [other for _, other, _ in causes_beside_a_mode(over, turned.candidates, 400)] == [()] * len(free)
+
+
+def test_nothing_is_paired_where_no_trial_has_all_modes(turned, monkeypatch):
+    def lacking(*args):
+        raise np.linalg.LinAlgError("fewer modes than measured")
+
+    monkeypatch.setattr(
+        beside_a_mode, "distances", lambda setting, shrink, trials, causes: np.full(len(trials), np.nan)
+    )
+    assert causes_beside_a_mode(turned.setting, turned.candidates, 6) == []
+    monkeypatch.setattr(beside_a_mode, "tolerance", lacking)
+    assert causes_beside_a_mode(turned.setting, turned.candidates, 6) == []
+
+
+def test_modes_are_tried_beside_a_mass_that_is_taken_away(turned):
+    setting, u = turned.setting, np.array([0.8, 0.1, 0.0])
+    cause = next(c for c in turned.candidates if isinstance(c, TunedMass) and c.where == ("3:+Z",))
+    mass = next(c for c in turned.candidates if c.slug == "added_mass" and c.where == ("1:+Z",))
+    whole = -1.0 / float(np.linalg.eigvalsh(mass.matrix).max())
+    for size in (0.5 * whole, 2.0 * whole):  # beyond all that is there no mode is one, and none is infinite
+        ((poles, residues),) = _modes(setting, cause, [u], ((mass,), np.array([size])))
+        assert np.isfinite(poles).all() and np.isfinite(residues).all() and (poles.real < 0).all()
 
 
 def test_it_is_sought_together_with_a_fault_of_a_channel(turned):

@@ -10,7 +10,7 @@ import numpy as np
 from modalax.diagnose.modal_domain.causes import Change
 from modalax.diagnose.modal_domain.channel_faults import ChannelFactor, Swap
 from modalax.diagnose.modal_domain.screen import Trials, cost_of_size, couples, distances, tolerance, trials_of
-from modalax.diagnose.modal_domain.state import NONE, Setting, evidence_of_free
+from modalax.diagnose.modal_domain.state import NONE, Setting, State, evidence_of_free
 
 MODES = 3  # that are free, the nearest with a fault of a channel or none, beside which changes of matrices are tried
 
@@ -19,24 +19,33 @@ Pair = tuple[Change, tuple[Change, ...], np.ndarray]
 
 
 def causes_beside_a_mode(setting: Setting, candidates: list[Change], most: int) -> list[Pair]:
-    """Pairs of a free mode and another cause, or none, that come nearest to the measured modes, by rising distance."""
+    """Pairs of a free mode and another cause, or none, that come nearest to the measured modes, by rising distance.
+
+    Empty where the simulation lacks more than one of the measured modes.
+    """
     free = [c for c in candidates if c.freed is not None]
-    if not free:
+    try:
+        nominal = [(mode, *tolerance(setting, (mode,))) for mode in free]
+    except np.linalg.LinAlgError:
         return []
-    state = tolerance(setting, free[:1])[0]
+    if not nominal:
+        return []
+    state = nominal[0][1]
     each = lambda some: [(c, trials_of(setting, state, c)) for c in some if c.screened and not setting.late()]
     faults = each(c for c in candidates if isinstance(c, ChannelFactor | Swap))
-    found = [_beside(setting, mode, faults) for mode in free]
-    found.sort(key=lambda pairs: pairs[0][0])
+    found = [(_beside(setting, *mode, faults), mode) for mode in nominal]
+    found = sorted((one for one in found if one[0]), key=lambda one: one[0][0][0])
     changes = each(c for c in candidates if c.kind and not couples(c))
-    for pairs in found[:MODES]:
-        pairs += [pair for pair in _beside(setting, pairs[0][1][0], changes) if pair[1][1]]
-    return [pair for _, pair in sorted((pair for pairs in found for pair in pairs), key=lambda one: one[0])[:most]]
+    for pairs, mode in found[:MODES]:
+        pairs += [pair for pair in _beside(setting, *mode, changes) if pair[1][1]]
+    every = sorted((pair for pairs, _ in found for pair in pairs), key=lambda one: one[0])
+    return [pair for _, pair in every[:most]]
 
 
-def _beside(setting: Setting, free: Change, causes: list[tuple[Change, Trials]]) -> list[tuple[float, Pair]]:
+def _beside(
+    setting: Setting, free: Change, state: State, shrink: np.ndarray, causes: list[tuple[Change, Trials]]
+) -> list[tuple[float, Pair]]:
     """Every cause beside one mode that is free, and none, at the size of least distance of those that are tried."""
-    state, shrink = tolerance(setting, (free,))
     trials = [((), 0.0, state.modes.poles, state.plain)]
     trials += [((cause,), *trial) for cause, some in causes for trial in some]
     left = distances(setting, shrink, [modes for _, _, *modes in trials], (free,))

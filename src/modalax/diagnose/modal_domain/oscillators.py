@@ -29,6 +29,7 @@ LEADING = 6  # places that are fitted, of light and of heavy ones each
 ALIKE = 4  # further places that are fitted, which act on the modes most like the best so far
 PAIRS, FEW = 6, 2  # of a mode too many and another cause that are fitted, and of these asked what made the mode
 NEAR = 20.0  # nats behind the first, of pairs of a mode too many and another cause that are asked so too
+LEAST = 0.01  # of a mass beside a cause that takes some of it away, relative to that of the simulation
 BROAD = 0.1  # width of the compliance by which that is judged, relative to the oscillator's frequency
 
 
@@ -124,7 +125,8 @@ def _modes(
     """Poles and residues of the simulation with an oscillator, damping mode by mode, which is exact enough to rank."""
     c, still = setting.coordinates, np.zeros(len(setting.inaccuracy.group_of))
     M, C, K = matrices_of(setting, still, *kept)
-    T = np.linalg.inv(np.linalg.cholesky(M)).T  # coordinates of unit mass
+    b, V = np.linalg.eigh(M)
+    T = V / np.sqrt(np.maximum(b, LEAST))  # coordinates of unit mass
     changes = [cause.changes(u) for u in trials]
     values, Q = np.linalg.eigh(T.T @ (K.real + np.stack([change["K"] for change in changes])) @ T)
     m = c.solved
