@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import cache, wraps
+from importlib import import_module
 from typing import ParamSpec, TypeVar
 
 from threadpoolctl import ThreadpoolController
@@ -13,8 +14,7 @@ R = TypeVar("R")
 @cache
 def _libraries() -> ThreadpoolController:
     """The libraries of this process, looked through once: that takes milliseconds in a process with many of them."""
-    import scipy.linalg  # noqa: F401 - which brings a library of its own beside NumPy's
-
+    import_module("scipy.linalg")  # brings a library of its own, beside NumPy's
     return ThreadpoolController()
 
 

@@ -1,8 +1,14 @@
-"""Causes beside a measured mode that is one too many, before it is known what made it one.
+r"""Causes beside a measured mode that is one too many, before it is known what made it one.
 
 A fault of a channel or an element that is far off shows in many modes, and an attached oscillator most in the one that
-it adds. Neither is seen while the other is unknown: pairs of a mode that is left free and another cause are screened
-by the finite sizes of the latter.
+it adds. Neither is seen while the other is unknown: pairs of a mode k that is left free and another cause are screened
+by finite sizes u of the latter, over its usual one, for the least
+
+.. math:: r_k^T\Sigma_k^{-1}r_k + u^2 - 2\log p_k,
+
+with the differences :math:`r_k` of all features but those of the mode, their covariance :math:`\Sigma_k` by noise and
+the general inaccuracy, and the density :math:`p_k` of any mode of the band. One cause by itself is screened likewise
+(:func:`modalax.diagnose.modal_domain.screen.finite`).
 """
 
 import numpy as np
@@ -22,6 +28,13 @@ def causes_beside_a_mode(setting: Setting, candidates: list[Change], most: int) 
     """Pairs of a free mode and another cause, or none, that come nearest to the measured modes, by rising distance.
 
     Empty where the simulation lacks more than one of the measured modes.
+
+    Parameters
+    ----------
+    candidates
+        Modes that may be free, and causes: of channels gains, signs, units, delays and exchanges; of matrices one each.
+    most
+        Pairs at most.
     """
     free = [c for c in candidates if c.freed is not None]
     try:

@@ -19,7 +19,8 @@ from modalax.diagnose.modal_domain.fit import Fit, Found, without_causes
 from modalax.diagnose.modal_domain.further_causes import FACTOR, ZETA, TunedMass
 from modalax.diagnose.modal_domain.screen import STILL, distances, tolerance
 from modalax.diagnose.modal_domain.starts import in_place_of_one
-from modalax.diagnose.modal_domain.state import NONE, Setting, matrices_of
+from modalax.diagnose.modal_domain.state import NONE, Setting, changes_of
+from modalax.diagnose.modal_domain.steps import MOST
 
 MASSES = np.array([0.1, 0.2, 0.3, 0.45, 0.65, 1.0, 1.5])  # roots of masses that are tried, over the usual
 OFF = np.array([0.975, 1.0, 1.025])  # frequencies at which the compliance is taken, over that of the mode too many
@@ -27,7 +28,7 @@ FARTHEST = 1.6  # of the oscillator from that mode, by a factor in frequency, of
 LIGHT = 0.02  # root of a mass, over the usual, that changes no other mode
 LEADING = 6  # places that are fitted, of light and of heavy ones each
 ALIKE = 4  # further places that are fitted, which act on the modes most like the best so far
-PAIRS, FEW = 6, 2  # of a mode too many and another cause that are fitted, and of these asked what made the mode
+PAIRS, ASKED = 6, 2  # of a mode too many and another cause that are fitted, and of these asked what made the mode
 NEAR = 20.0  # nats behind the first, of pairs of a mode too many and another cause that are asked so too
 LEAST = 0.01  # of a mass beside a cause that takes some of it away, relative to that of the simulation
 BROAD = 0.1  # width of the compliance by which that is judged, relative to the oscillator's frequency
@@ -124,15 +125,16 @@ def _modes(
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Poles and residues of the simulation with an oscillator, damping mode by mode, which is exact enough to rank."""
     c, still = setting.coordinates, np.zeros(len(setting.inaccuracy.group_of))
-    M, C, K = matrices_of(setting, still, *kept)
-    b, V = np.linalg.eigh(M)
+    beside = changes_of(setting, still, *kept)
+    b, V = np.linalg.eigh(np.eye(c.size) + beside["dM"])
     T = V / np.sqrt(np.maximum(b, LEAST))  # coordinates of unit mass
     changes = [cause.changes(u) for u in trials]
-    values, Q = np.linalg.eigh(T.T @ (K.real + np.stack([change["K"] for change in changes])) @ T)
+    K = np.diag(c.frequencies**2) + beside["dK"] + np.stack([change["K"] for change in changes])
+    values, Q = np.linalg.eigh(T.T @ K @ T)
     m = c.solved
     w, Q = np.sqrt(np.maximum(values[:, :m], 0.0)), T @ Q[:, :, :m]
     w = np.maximum(w, STILL * c.frequencies[-2])
-    damping = C + np.stack([change["C"] for change in changes])
+    damping = c.damping + beside["dC"] + np.stack([change["C"] for change in changes])
     own = np.clip(np.einsum("knr,knr->kr", Q, damping @ Q), 1e-6 * w, 1.9 * w)
     poles = -own / 2 + 1j * np.sqrt(w**2 - own**2 / 4)
     residues = np.einsum("kom,kim->kmoi", c.outputs @ Q, c.inputs @ Q) / (2j * poles.imag)[:, :, None, None]
@@ -172,7 +174,7 @@ def attached_beside(
     The latter where what leads is no explanation, or one of many causes: while either is unknown the other is hidden by
     it, and several causes of other kinds come nearer to the modes.
     """
-    for f in _less_a_mode(setting, found, candidates, prior, late):
+    for f in _with_a_mode_too_many(setting, found, candidates, prior, late):
         k = next(k for k, c in enumerate(f.causes) if c.freed is not None)
         kept, own = f.causes[:k] + f.causes[k + 1 :], without(f, k)
         for cause, u in oscillators(setting, candidates, f.causes[k], (kept, own)):
@@ -182,15 +184,15 @@ def attached_beside(
     acting_alike(setting, found, candidates, prior, late)
 
 
-def _less_a_mode(
+def _with_a_mode_too_many(
     setting: Setting, found: Found, candidates: list[Change], prior: Prior, late: Callable[[], bool]
 ) -> list[Fit]:
     """Fits in which a mode is one too many beside something else, likelier ones first; they are kept as well."""
     ranked = ranked_by(found, prior)
     best, near = ranked[0].fit, [e.fit for e in ranked if e.log_posterior > ranked[0].log_posterior - NEAR]
-    lacking = [f for f in near if len(f.causes) == FEW and any(c.freed is not None for c in f.causes)]
-    if explains(best) and len(best.causes) <= FEW:
-        return lacking[:FEW] if any(c.freed is not None for c in best.causes) else []
+    lacking = [f for f in near if len(f.causes) == MOST and any(c.freed is not None for c in f.causes)]
+    if explains(best) and len(best.causes) <= MOST:
+        return lacking[:ASKED] if any(c.freed is not None for c in best.causes) else []
     free: Found = {key_of(f.causes): f for f in lacking}
     for extra, other, u in causes_beside_a_mode(setting, candidates, PAIRS):
         if late():
@@ -199,7 +201,7 @@ def _less_a_mode(
     for key, f in free.items():
         if key not in found or f.log_evidence > found[key].log_evidence:
             found[key] = f
-    return [e.fit for e in ranked_by(free, prior)[:FEW]] if free else []
+    return [e.fit for e in ranked_by(free, prior)[:ASKED]] if free else []
 
 
 def acting_alike(
