@@ -62,7 +62,7 @@ Searched = tuple[Setting, list[Change], list[Explanation]]
 
 def explain(
     setting: Setting, candidates: list[Change], late: Deadline, tell: Tell = lambda _: None,
-    finer: Finer | None = None, enough: Enough | None = None,
+    finer: Finer | None = None, enough: Enough | None = None, known: Found | None = None,
 ) -> Searched:  # fmt: skip
     """Explanations by falling probability, with what they were fitted in; the best so far if interrupted.
 
@@ -76,8 +76,11 @@ def explain(
         The simulation with all its exactness about some places, and the candidates there; None where it has it all.
     enough
         Asked where one cause at most does not explain the modes, whether further ones are not to be looked for.
+    known
+        Fits of the same features that explain them, which others are looked for beside and in place of.
     """
-    few, candidates, explanations = _searched(narrowed(setting) or setting, candidates, late, tell, finer, enough)
+    start = narrowed(setting) or setting
+    few, candidates, explanations = _searched(start, candidates, late, tell, finer, enough, known)
     if few.features is setting.features or not explanations:
         return few, candidates, explanations
     tell("fitting the leading ones to all channels")
@@ -92,14 +95,14 @@ def explain(
 
 def _searched(
     setting: Setting, candidates: list[Change], late: Deadline, tell: Tell, finer: Finer | None,
-    enough: Enough | None,
+    enough: Enough | None, known: Found | None,
 ) -> Searched:  # fmt: skip
     """Explanations by falling probability, by all features of a setting."""
     setting = replace(setting, late=late)
     null = fit(setting, basin=UNLIKE)
-    setting, candidates, led = leading(setting, null, candidates, late, tell, finer)
+    setting, candidates, led = leading(setting, null, candidates, late, tell, finer, known)
     if null is None:  # a simulation of too few modes for those measured is compared without one of them
-        search = Search(setting, _less_a_mode(setting, candidates), setting, candidates)
+        search = Search(setting, led or _less_a_mode(setting, candidates), setting, candidates)
         if not search.found:
             return replace(setting, late=NEVER), candidates, []
     else:
@@ -296,12 +299,15 @@ def far_off(null: Fit) -> bool:
 
 def leading(
     setting: Setting, null: Fit | None, candidates: list[Change], late: Deadline, tell: Callable[[str], None],
-    finer: Finer | None,
+    finer: Finer | None, known: Found | None = None,
 ) -> tuple[Setting, list[Change], Found]:  # fmt: skip
     """The leading causes by finite changes, where one of them explains what the inaccuracy is far from; else nothing.
 
-    Others are then looked for beside it and in its place, and no inaccuracy is, that would do without it.
+    Others are then looked for beside it and in its place, and no inaccuracy is, that would do without it. So are those
+    beside what is ``known`` to explain the modes.
     """
+    if known:
+        return made_exact(setting, candidates, known if null is None else {(): null, **known}, finer, tell)
     if null is None or not far_off(null):
         return setting, candidates, {}
     prior, found = Prior(candidates), {(): null}

@@ -116,7 +116,7 @@ def _rest(stage: Stage, mask: np.ndarray) -> Rest | None:
     c = found.channels
     channels = Channels(c.s, mean.reshape(flat), 2 * total[:, :, kept].reshape(flat), c.order, c.outside)
     modes = blind_modes(channels, found.modes.poles)
-    features, several = features_at(modes, channels, mean.shape[1:], misfit(modes, channels))
+    features, several = features_at(modes, channels, mean.shape[1:], misfit(modes, channels), found.apart)
     size = np.abs(features.poles)
     known = sure(features) & ~heavy(features.poles) & (size > abs(c.s[0])) & (size < abs(c.s[-1])) & ~several
     if not known.any():

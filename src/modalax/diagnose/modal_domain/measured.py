@@ -56,6 +56,8 @@ class Measured:
     shared
         By how much noise that the outputs share counts more than as much of each output's own; 1 where none is shared.
         Modes know of it, single lines do not.
+    apart
+        Whether close modes that are known one by one are told so.
     """
 
     freq: np.ndarray
@@ -67,6 +69,7 @@ class Measured:
     runs: np.ndarray
     unlike: float
     shared: float = 1.0
+    apart: bool = False
 
 
 def identify(measurement: Measurement, c: Coordinates | None) -> Measured:
@@ -164,7 +167,7 @@ def reidentified(measured: Measured, H: np.ndarray, error: np.ndarray) -> Measur
     sigma = np.where(sigma > 0, np.hypot(sigma, error), 0.0)
     channels = channels_of(c.s, H[measured.runs], sigma, c.order, c.outside)
     modes = one_each(blind_modes(channels, measured.modes.poles), channels)
-    left, features = _features(modes, channels, H.shape[2:])
+    left, features = _features(modes, channels, H.shape[2:], measured.apart)
     return replace(measured, channels=channels, modes=modes, misfit=left, features=features)
 
 
@@ -180,19 +183,35 @@ def features_beside(measured: Measured, H: np.ndarray) -> np.ndarray:
     return f.predicted(poles, residues / f.units)
 
 
-def _features(modes: Projected, channels: Channels, shape: tuple[int, ...]) -> tuple[float, Features]:
+def _features(
+    modes: Projected, channels: Channels, shape: tuple[int, ...], apart: bool = False
+) -> tuple[float, Features]:
     """Misfit of modes, and the features of those that are known well enough and inside the band."""
     left, s = misfit(modes, channels), channels.s
-    features, several = features_at(modes, channels, shape, left)
+    features, several = features_at(modes, channels, shape, left, apart)
     size = np.abs(features.poles)
     known = sure(features) & ~heavy(features.poles) & (size > abs(s[0]) * (1 - EDGE)) & (size < abs(s[-1]) * (1 + EDGE))
     return left, chosen(widened(features, modes, channels), known & ~several)
 
 
+def told_one_by_one(measured: Measured) -> Measured | None:
+    """The same with the features of each mode that is known by itself, however close others are.
+
+    None where no mode is told together with another that it could be told from.
+    """
+    features = measured.features
+    left, apart = _features(measured.modes, measured.channels, features.units.shape[1:], apart=True)
+    more = int(np.count_nonzero(~apart.grouped)) > int(np.count_nonzero(~features.grouped))
+    return replace(measured, misfit=left, features=apart, apart=True) if more else None
+
+
 def features_at(
-    modes: Projected, channels: Channels, shape: tuple[int, ...], left: float
+    modes: Projected, channels: Channels, shape: tuple[int, ...], left: float, apart: bool = False
 ) -> tuple[Features, np.ndarray]:
-    """Features of all modes, and which of them are more of one frequency than can be told."""
+    """Features of all modes, and which of them are more of one frequency than can be told.
+
+    ``apart``: whether close modes that are known one by one are told so.
+    """
     plain = np.flatnonzero(~heavy(modes.poles) & ~bent(modes, channels))
     close = [tuple(plain[list(two)].tolist()) for two in close_pairs(modes.poles[plain])]
     rank, alone = together(modes, channels, shape), np.ones(len(modes.poles), bool)
@@ -204,13 +223,14 @@ def features_at(
             close[int(np.argmin(near))] += (int(k),)
             alone[k] = False
     twice = alone & (rank == 2)
-    apart, touching = twofold(modes, channels, twice)
+    split, touching = twofold(modes, channels, twice)
     number = np.arange(len(twice)) + np.cumsum(twice) - twice  # of each pole once others are two
     # fewer are told of them together only where one by one they are not known, and as close as one mode is wide
     shown, poles = shapes_shown(modes, shape[0], shape[1], close), (modes.poles[list(k)] for k in close)
     lost = [unsure[list(k)].any() and np.ptp(np.abs(p)) < reach(p).min() for k, p in zip(close, poles, strict=True)]
     some = [k for k, n, one in zip(close, shown, lost, strict=True) if n >= len(k) or one]
-    f = features_of(apart, shape[0], shape[1], left, touching + [tuple(number[list(k)].tolist()) for k in some])
+    some = [k for k in some if not apart or unsure[list(k)].any()]
+    f = features_of(split, shape[0], shape[1], left, touching + [tuple(number[list(k)].tolist()) for k in some])
     assert f.origin is not None
     several = np.repeat(alone & (rank > 2), 1 + twice)[f.origin.together.pairs]
     return replace(f, origin=replace(f.origin, twice=twice)), several

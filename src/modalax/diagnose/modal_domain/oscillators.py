@@ -27,6 +27,7 @@ OFF = np.array([0.975, 1.0, 1.025])  # frequencies at which the compliance is ta
 FARTHEST = 1.6  # of the oscillator from that mode, by a factor in frequency, of those that are tried
 LIGHT = 0.02  # root of a mass, over the usual, that changes no other mode
 LEADING = 6  # places that are fitted, of light and of heavy ones each
+TRIED = 3  # measured modes that are tried in an oscillator's place, the nearest to its frequency
 ALIKE = 4  # further places that are fitted, which act on the modes most like the best so far
 PAIRS, ASKED = 6, 2  # of a mode too many and another cause that are fitted, and of these asked what made the mode
 NEAR = 20.0  # nats behind the first, of pairs of a mode too many and another cause that are asked so too
@@ -182,6 +183,28 @@ def attached_beside(
                 return
             attempt(setting, found, (*kept, cause), np.append(own, u), None)
     acting_alike(setting, found, candidates, prior, late)
+    _a_mode_instead(setting, found, candidates, prior, late)
+
+
+def _a_mode_instead(
+    setting: Setting, found: Found, candidates: list[Change], prior: Prior, late: Callable[[], bool]
+) -> None:
+    """Fit measured modes near an oscillator that leads beside others as ones too many in its place.
+
+    An oscillator may be found before the others are known, and then hides that no place explains its mode.
+    """
+    best = ranked_by(found, prior)[0].fit
+    k = next((k for k, c in enumerate(best.causes) if isinstance(c, TunedMass)), None)
+    if k is None or len(best.causes) == 1:
+        return
+    oscillator, kept, own = best.causes[k], best.causes[:k] + best.causes[k + 1 :], without(best, k)
+    at = np.log(oscillator.values(best.u[own_sizes(best.causes, k)])[1])
+    off = {c: abs(np.log(abs(setting.features.poles[c.freed])) - at) for c in candidates if c.freed is not None}
+    for mode in sorted(off, key=lambda c: off[c])[:TRIED]:
+        if late():
+            return
+        if key_of((*kept, mode)) not in found:
+            attempt(setting, found, (*kept, mode), np.append(own, np.zeros(mode.count)), None)
 
 
 def _with_a_mode_too_many(

@@ -17,7 +17,7 @@ from modalax.diagnose.modal_domain.damping_on_lines import damping_by_lines
 from modalax.diagnose.modal_domain.explain import explain
 from modalax.diagnose.modal_domain.explanation import Explanation, Prior
 from modalax.diagnose.modal_domain.features import whitener_of
-from modalax.diagnose.modal_domain.fit import Fit
+from modalax.diagnose.modal_domain.fit import Fit, Found
 from modalax.diagnose.modal_domain.force_places import KINDS, line_forces
 from modalax.diagnose.modal_domain.further_causes import StructuralDamping, missing_modes, tuned_masses
 from modalax.diagnose.modal_domain.impact_window import impact_windows
@@ -27,8 +27,9 @@ from modalax.diagnose.modal_domain.levels.explain import Spot
 from modalax.diagnose.modal_domain.levels.laws import NAMED
 from modalax.diagnose.modal_domain.levels.seen import Look, Seen, felt, force_taken, joint_and_structure, look_at_levels
 from modalax.diagnose.modal_domain.levels.slipping import Whole, whole_joint
-from modalax.diagnose.modal_domain.measured import Measured, identify
+from modalax.diagnose.modal_domain.measured import Measured, identify, told_one_by_one
 from modalax.diagnose.modal_domain.odd_channel import is_of_the_structure, odd_channel
+from modalax.diagnose.modal_domain.one_of_two import has_fewer, lacking_one_of_two
 from modalax.diagnose.modal_domain.places import candidates_of, springs_of
 from modalax.diagnose.modal_domain.polish import leading_on_lines
 from modalax.diagnose.modal_domain.sensor_filters import sensor_filters
@@ -90,6 +91,11 @@ class Stage:
     def best(self) -> Explanation:
         """The likeliest explanation."""
         return self.explanations[0]
+
+    @property
+    def jointed(self) -> bool:
+        """Whether force levels tell of a joint."""
+        return self.seen is not None and self.seen.joint is not None
 
 
 def further_of(
@@ -204,6 +210,18 @@ def _odd(
     return max((o for o in (odd, turned) if o is not None), key=lambda o: o.nats, default=None)
 
 
+def _one_by_one(
+    measurement: Measurement, simulation: Structure, measured: Measured, wanted: Callable[[str], bool]
+) -> tuple[Measured, Posed, Found] | None:
+    """What is compared with close modes one by one, where one of two is none of the simulation's, and fits of that."""
+    apart = told_one_by_one(measured) if wanted("missing_mode") else None
+    if apart is None:
+        return None
+    task = posed(measurement, simulation, apart)
+    found = lacking_one_of_two(task.setting, [k for k in task.candidates if wanted(k.slug)], measured.features)
+    return (apart, task, found) if found else None
+
+
 def run_stage(
     measurement: Measurement, simulation: Structure, late: Deadline, wanted: Callable[[str], bool],
     tell: Callable[[str], None], measured: Measured | None = None,
@@ -225,6 +243,19 @@ def run_stage(
     if not len(measured.features.poles):
         return None
     task = posed(measurement, simulation, measured)
+    apart = _one_by_one(measurement, simulation, measured, wanted) if has_fewer(task.setting) else None
+    stage = _searched(measurement, simulation, late, wanted, tell, *(apart or (measured, task, None)))
+    if apart or late() or (stage is not None and (stage.jointed or stage.best.misfit < THRESHOLDS.misfit)):
+        return stage
+    apart = _one_by_one(measurement, simulation, measured, wanted)
+    return stage if apart is None else _searched(measurement, simulation, late, wanted, tell, *apart)
+
+
+def _searched(
+    measurement: Measurement, simulation: Structure, late: Deadline, wanted: Callable[[str], bool],
+    tell: Callable[[str], None], measured: Measured, task: Posed, known: Found | None,
+) -> Stage | None:  # fmt: skip
+    """What explains the modes, ``known`` fits to begin with; None where nothing can be compared with them."""
     tasks, candidates = [task], [k for k in task.candidates if wanted(k.slug)]
 
     def finer(exact: tuple[str, ...], f: Fit) -> tuple[Setting, list[Change]]:
@@ -240,9 +271,9 @@ def run_stage(
         return look_at_levels(H, level, measured, setting, f, places, wanted, tell, late, drift)
 
     early = _Early(look, measured, level, levels_differ(H, measured.noise.sigma, level))
-    setting, candidates, explanations = explain(
-        task.setting, candidates, first, tell, *((finer, None) if is_large(simulation) else (None, early))
-    )
+    also = (finer, None) if is_large(simulation) else (None, early)
+
+    setting, candidates, explanations = explain(task.setting, candidates, first, tell, *also, known)
     if not explanations:
         return None
     c, odd, seen = setting.coordinates, None, None
