@@ -3,15 +3,19 @@
 import numpy as np
 import pytest
 import scipy.linalg
-from frames import DOFS, simulation
+from frames import DOFS
+from frames import simulation as frame
+from kinds import FEW
 
+from modalax.data import Measurement
 from modalax.diagnose.modal_domain.coordinates import coordinates_of
+from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.inaccuracy import NEAR, USUAL, inaccuracy_of
 from modalax.model import Structure
 
 
 def test_the_highest_mode_of_the_band_is_coupled_with_those_above():
-    s, top = simulation(), 2 * np.pi * 330
+    s, top = frame(), 2 * np.pi * 330
     c = coordinates_of(s, DOFS[::2], (DOFS[6],), top)
     a = inaccuracy_of(s, c, top)
     patterns = a.patterns[a.groups.index("damping between modes")]
@@ -45,3 +49,26 @@ def test_close_modes_are_coupled_by_damping_as_elements_that_are_off_turn_them(a
         drawn.append((P.T @ off @ P)[0, 1])
     found = np.sqrt(np.mean(np.square(drawn)))
     assert told == pytest.approx(found, rel=0.15)
+
+
+def test_the_tails_of_modes_far_above_the_band_are_off_by_their_damping():
+    """Each below noise, together they show in sums over neighbouring lines."""
+    n, rng = 12, np.random.default_rng(4)
+    B = np.eye(n + 1, n) - np.eye(n + 1, n, -1)
+    K, dofs = 1e5 * B.T @ B, tuple(f"{k}:+Z" for k in range(1, n + 1))
+    w2, P = scipy.linalg.eigh(K)
+    w, zeta = np.sqrt(w2), 0.02
+    true = zeta * np.exp(0.4 * rng.standard_normal(n))
+    top = 1.04 * w[3]
+    freq = np.linspace(0.3 * w[0], top, 400) / 2 / np.pi
+    s = 2j * np.pi * freq[:, None]
+    modal = s**2 / (s**2 + 2 * true * w * s + w2)
+    H = np.einsum("or,fr,ir->foi", P, modal, P[[0, 4]])
+    sigma = 0.004 * np.sqrt(np.mean(np.abs(H) ** 2, axis=0))
+    H = H + sigma * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)) / np.sqrt(2)
+    variance = np.broadcast_to(sigma**2, H.shape)[None].copy()
+    data = Measurement(freq, H[None], form="accelerance", outputs=dofs, inputs=(dofs[0], dofs[4]), variance=variance)
+    found = diagnose_modes(
+        data, Structure(np.eye(n), P @ np.diag(2 * zeta * w) @ P.T, K, dofs), wanted=FEW.__contains__
+    )
+    assert found.verdict == "clean" and found.after.p_value > 1e-3

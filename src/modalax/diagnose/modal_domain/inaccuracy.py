@@ -34,6 +34,7 @@ RIGID = 1e-3  # frequency, relative to the highest, below which a mode is that o
 BETWEEN = 0.1  # damping between modes, relative to that of the modes themselves
 CLOSE = 0.01  # coupling of turned modes, over what their dampings are off by, from which on it has a pattern of its own
 NEGLIGIBLE = 1e-12  # modal damping [1/s] of a mode without any
+TAILS = 2.0  # times the band's end up to which the damping of modes shows in it: by 1.3 times the damping ratio
 NEAR = 8  # modes above each one that it may be coupled with by damping
 KINDS = {"stiffness": "K", "mass": "M", "damping": "C", "damping between modes": "C", "rest": "K",
          "stiffness throughout": "K", "mass throughout": "M", "damping throughout": "C", "stiffness within": "K",
@@ -224,8 +225,12 @@ def _damping(c: Coordinates, highest: float, turned: np.ndarray) -> tuple[np.nda
 
 
 def own_damping(c: Coordinates, highest: float) -> np.ndarray:
-    """Patterns of damping of each mode by itself, those in the band and two more, shape ``(p, n, n)``."""
-    few = min(int(np.count_nonzero(c.frequencies < highest)) + 2, c.size)
+    """Patterns of damping of each mode by itself, those up to ``TAILS`` times the band's end, ``(p, n, n)``.
+
+    At least two beyond the band: the sum of their tails shows in what measured modes leave.
+    """
+    inside, near = (int(np.count_nonzero(c.frequencies < top * highest)) for top in (1.0, TAILS))
+    few = min(max(inside + 2, near), c.size)
     alone = np.zeros((few, c.size, c.size))
     for r in range(few):
         alone[r, r, r] = max(c.damping[r, r], NEGLIGIBLE)
