@@ -71,7 +71,9 @@ def test_a_change_of_any_size_is_taken_up_at_its_place_alone():
     ],
 )
 def test_the_law_is_read_off_the_force(slug, joint, value):
-    comparison, null = look(noisy(simulate(five_dof(), [joint], [PLACE], FREQ, LEVELS, inputs=["1"], harmonics=HIGHEST), 1))
+    comparison, null = look(
+        noisy(simulate(five_dof(), [joint], [PLACE], FREQ, LEVELS, inputs=["1"], harmonics=HIGHEST), 1)
+    )
     first = starts_from_forces(comparison, null, catalogue(3))[0]
     assert (first.causes[0].slug, first.places[0].where) == (slug, PLACE)
     assert first.params[0][0] == pytest.approx(value, rel=0.1)
