@@ -79,11 +79,13 @@ def test_fit_draws_the_shapes_on_the_nodes_of_a_universal_file(name, tmp_path, c
 
 
 def test_demo_tells_its_story_from_start_to_end(tmp_path, monkeypatch, capsys):
-    """As a user runs it, but for most of the lines and of the catalogue, which the slow test has."""
+    """As a user runs it, but for most of the lines, harmonics and of the catalogue, which the slow test has."""
     seed = 0  # draws a sensor's sign
     hidden = random_effect(seed, five_dof().dofs)
     quick = [c for c in catalogue() if c.slug in ("elasto_slip", hidden.name)]
     monkeypatch.setattr(virtual, "FREQ", np.arange(20.0, 70.0, 1.0))  # as in other tests, whose programs it shares
+    made = virtual.simulate
+    monkeypatch.setattr(virtual, "simulate", lambda *given, harmonics=1, **more: made(*given, **more))
     monkeypatch.setattr(modalax.diagnose, "diagnose", partial(modalax.diagnose.diagnose, causes=quick))
     monkeypatch.chdir(tmp_path)
     assert main(["demo", "--seed", str(seed)]) == 0

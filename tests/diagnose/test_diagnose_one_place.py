@@ -161,7 +161,7 @@ def test_a_place_knows_what_was_fitted_at_those_before(monkeypatch):
 def test_a_slider_is_followed_with_as_many_harmonics_as_the_data_ask_for():
     """Nine leave more than noise of a force that many more make; where they leave noise, none further is taken."""
     made = simulate(
-        five_dof(), [joints.ElastoSlip(6e4, 0.6)], [PLACE], FREQ[::3], np.array([6.0]), inputs=["1"], harmonics=25,
+        five_dof(), [joints.ElastoSlip(6e4, 0.6)], [PLACE], FREQ[1::4], np.array([6.0]), inputs=["1"], harmonics=25,
     )  # fmt: skip
     left = []
     for noise in (3e-5, 1e-3):

@@ -32,7 +32,7 @@ def test_a_joint_is_placed_and_its_law_named_where_every_element_is_off(law, see
 
 def test_a_slipping_joint_that_the_simulation_lacks_altogether_is_one_cause(tmp_path):
     case = draw_case(
-        3, "elasto_slip", kind="shaft", spread=0.02, claim="none", variance="exact", noise=0.01, lines=2.0, widen=1.0
+        3, "elasto_slip", kind="shaft", spread=0.02, claim="none", variance="exact", noise=0.01, lines=1.0, widen=1.0
     )
     hidden = case.truth["causes"][0]
     stiffness, slip = (hidden["parameters"][name]["value"] for name in ("stiffness", "slip_force"))

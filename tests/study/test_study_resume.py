@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from modalax.cli import main
 from modalax.study import study
 from modalax.study.engine import has_dask
 from modalax.study.store import read_rows
@@ -59,17 +60,16 @@ def rows_by_hand(folder: Path) -> dict[str, list]:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="processes are killed by POSIX signals")
-def test_a_killed_study_goes_on_where_it_was(described, tmp_path):
+def test_a_killed_study_goes_on_where_it_was(described, tmp_path, capsys):
     path = described("killed", DEADLY)
-    command = [sys.executable, "-m", "modalax", "study", str(path), "--workers", "0"]
-    first = subprocess.run(command, capture_output=True, text=True, check=False)
+    command = ["study", str(path), "--workers", "0"]
+    first = subprocess.run([sys.executable, "-m", "modalax", *command], capture_output=True, text=True, check=False)
     assert first.returncode == -signal.SIGKILL
     done = sorted(p.name for p in (tmp_path / "killed-results" / "rows").iterdir())
     assert len(done) == (DEADLY - 1) // CHUNK
 
-    second = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert second.returncode == 0, second.stderr
-    assert "9 of 20 draws were done before" in second.stderr
+    assert main(command) == 0
+    assert "9 of 20 draws were done before" in capsys.readouterr().err
     logged = (tmp_path / "killed.log").read_text().split()
     # Chunks that were stored are not computed again; the one under way is, whose second draw was the last.
     assert len(logged) == DRAWS + DEADLY - (DEADLY - 1) // CHUNK * CHUNK
@@ -91,9 +91,7 @@ def test_a_killed_study_goes_on_where_it_was(described, tmp_path):
 @pytest.mark.skipif(not has_dask() or os.name == "nt", reason="needs Dask distributed and POSIX signals")
 def test_a_killed_worker_is_replaced(described, tmp_path):
     """Two processes, one of which is killed at work, store the same bits as one process does."""
-    command = [sys.executable, "-m", "modalax", "study", str(described("workers", DEADLY)), "--workers", "2"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    assert main(["study", str(described("workers", DEADLY)), "--workers", "2"]) == 0
     study(described("alone", 0), workers=0)
     (one,) = (tmp_path / "workers-results").glob("results.*")
     (other,) = (tmp_path / "alone-results").glob("results.*")

@@ -97,7 +97,7 @@ def test_under_noise_alone_its_chance_is_no_smaller_than_stated():
     live = laid_out(np.where(np.asarray(comparison.problem.weight) > 0, 1 + 1j, 0))
     side, rng, chances = state.sides[False], np.random.default_rng(5), []
     place = Leakage().places(comparison.scene)[CUT]
-    for _ in range(400):
+    for _ in range(250):
         noise = replace(side, value=live * rng.standard_normal(live.shape))
         _, gains, count = promising_lengths(noise, comparison.pooled, null.theta * comparison.nuisance.spread)
         best = Trial(Leakage(), place, gains[0], np.nan, np.ones(1), ripples=count)
