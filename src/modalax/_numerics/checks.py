@@ -50,7 +50,7 @@ def as_double(value: Any, what: str, complex_: bool = False) -> jax.Array:
     try:
         if is_traced(*jax.tree.leaves(value)) or (dtype is not None and not np.can_cast(dtype, wanted)):
             return jnp.asarray(value, dtype=wanted)
-        if isinstance(value, jax.Array) and dtype == wanted:
+        if isinstance(value, jax.Array) and dtype == wanted and not value.weak_type:  # which other programs are for
             return value
         # NumPy converts without a program for each shape; JAX may share the memory of what it is given
         if isinstance(value, np.ndarray) and value.flags.writeable:
