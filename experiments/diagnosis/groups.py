@@ -21,16 +21,16 @@ jax.config.update("jax_enable_x64", True)
 
 from modalax import Measurement, Structure, diagnose  # noqa: E402
 from modalax.diagnose.deadline import NEVER  # noqa: E402
-from modalax.diagnose.modal_domain.coordinates import coordinates_of  # noqa: E402
-from modalax.diagnose.modal_domain.discrepancy import learnt_rest  # noqa: E402
-from modalax.diagnose.modal_domain.explain import Explanation  # noqa: E402
-from modalax.diagnose.modal_domain.features import whitener_of  # noqa: E402
-from modalax.diagnose.modal_domain.fit import fit  # noqa: E402
-from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of  # noqa: E402
-from modalax.diagnose.modal_domain.measured import identify  # noqa: E402
-from modalax.diagnose.modal_domain.places import candidates_of  # noqa: E402
-from modalax.diagnose.modal_domain.polish import leading_on_lines  # noqa: E402
-from modalax.diagnose.modal_domain.state import Setting  # noqa: E402
+from modalax.diagnose.modal_domain.causes.places import candidates_of  # noqa: E402
+from modalax.diagnose.modal_domain.fitting.discrepancy import learnt_rest  # noqa: E402
+from modalax.diagnose.modal_domain.fitting.fit import fit  # noqa: E402
+from modalax.diagnose.modal_domain.fitting.inaccuracy import inaccuracy_of  # noqa: E402
+from modalax.diagnose.modal_domain.fitting.state import Setting  # noqa: E402
+from modalax.diagnose.modal_domain.modes.features import whitener_of  # noqa: E402
+from modalax.diagnose.modal_domain.modes.measured import identify  # noqa: E402
+from modalax.diagnose.modal_domain.on_lines.polish import leading_on_lines  # noqa: E402
+from modalax.diagnose.modal_domain.search.explain import Explanation  # noqa: E402
+from modalax.diagnose.modal_domain.structure.coordinates import coordinates_of  # noqa: E402
 from modalax.model.groups import Groups  # noqa: E402
 
 ALONG, ACROSS, SPAN = 5, 3, (0.4, 0.3)  # nodes each way, and their distances [m]

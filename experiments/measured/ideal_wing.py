@@ -22,7 +22,7 @@ from rich.console import Console
 from rich.table import Table
 from virtual_wing import DAMPING, FREQ, INPUTS, OUTPUTS, TOLD, Hidden, Visible, Wing, draw, modes
 
-from modalax.diagnose.modal_domain.inaccuracy import UNKNOWN, USUAL
+from modalax.diagnose.modal_domain.fitting.inaccuracy import UNKNOWN, USUAL
 
 ABOVE = 1.03  # of the band's end, from where on a mode lies beyond it
 DAMPED = 30  # lowest modes whose damping is unknown

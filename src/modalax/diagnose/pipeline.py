@@ -65,7 +65,7 @@ from modalax.diagnose.jointed.answer import diagnose_joint, joint_comes_first, m
 from modalax.diagnose.modal_domain.answer import ModalDiagnosis
 from modalax.diagnose.modal_domain.claimed_modes import ClaimCompared, compared
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
-from modalax.diagnose.modal_domain.measured import Measured
+from modalax.diagnose.modal_domain.modes.measured import Measured
 from modalax.diagnose.modal_domain.stage import identified
 from modalax.diagnose.modal_domain.table import by_table
 from modalax.diagnose.result import Diagnosis

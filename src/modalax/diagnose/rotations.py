@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from modalax.data.dofs import parse_dof
-from modalax.diagnose.modal_domain.nodes import nodes_of
-from modalax.diagnose.modal_domain.turns import nodes_in
+from modalax.diagnose.modal_domain.structure.nodes import nodes_of
+from modalax.diagnose.modal_domain.structure.turns import nodes_in
 from modalax.model import Structure
 
 UNITS = {

@@ -13,13 +13,13 @@ from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.decision.route import Outcome, Task, hardly_off, in_time, nothing_left, suffices, surely_named
 from modalax.diagnose.decision.verdict import fails
 from modalax.diagnose.modal_domain.answer import ModalDiagnosis
-from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
+from modalax.diagnose.modal_domain.causes.change import Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.claimed_modes import ClaimCompared, few_causes_near
-from modalax.diagnose.modal_domain.explanation import Explanation
+from modalax.diagnose.modal_domain.fitting.explanation import Explanation
+from modalax.diagnose.modal_domain.fitting.throughout import only_scaled
 from modalax.diagnose.modal_domain.judged import standing_out
-from modalax.diagnose.modal_domain.measured import prepared
+from modalax.diagnose.modal_domain.modes.measured import prepared
 from modalax.diagnose.modal_domain.stage import KNOWN
-from modalax.diagnose.modal_domain.throughout import only_scaled
 from modalax.diagnose.result import Diagnosis
 from modalax.diagnose.search.named_before import NamedCause
 from modalax.diagnose.thresholds import THRESHOLDS

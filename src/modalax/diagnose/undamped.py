@@ -12,9 +12,9 @@ import numpy as np
 
 from modalax._numerics.text import percent
 from modalax.data import Measurement
-from modalax.diagnose.modal_domain.coordinates import Coordinates, coordinates_of
-from modalax.diagnose.modal_domain.inaccuracy import RIGID, USUAL
-from modalax.diagnose.modal_domain.measured import identify
+from modalax.diagnose.modal_domain.fitting.inaccuracy import RIGID, USUAL
+from modalax.diagnose.modal_domain.modes.measured import identify
+from modalax.diagnose.modal_domain.structure.coordinates import Coordinates, coordinates_of
 from modalax.model import ModalModel, Structure
 from modalax.model.modal import poles_from
 from modalax.model.mode_table import ModeTable

@@ -7,8 +7,8 @@ import pytest
 
 from modalax.diagnose import diagnose, pipeline
 from modalax.diagnose.decision.beliefs import beliefs, believed
-from modalax.diagnose.modal_domain.causes import Change
-from modalax.diagnose.modal_domain.explanation import Prior
+from modalax.diagnose.modal_domain.causes.change import Change
+from modalax.diagnose.modal_domain.fitting.explanation import Prior
 from modalax.diagnose.pipeline import every_name
 from modalax.model.examples import five_dof
 

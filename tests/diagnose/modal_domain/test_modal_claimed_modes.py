@@ -13,9 +13,9 @@ from modalax.diagnose.deadline import NEVER
 from modalax.diagnose.decision.route import by_claim, order
 from modalax.diagnose.modal_domain.answer import ModalDiagnosis
 from modalax.diagnose.modal_domain.claimed_modes import compared, off_by_modes
-from modalax.diagnose.modal_domain.coordinates import coordinates_of
-from modalax.diagnose.modal_domain.discrepancy import _root
+from modalax.diagnose.modal_domain.fitting.discrepancy import _root
 from modalax.diagnose.modal_domain.stage import identified
+from modalax.diagnose.modal_domain.structure.coordinates import coordinates_of
 from modalax.diagnose.routes import named_beside_claim, task_of
 from modalax.model import Structure
 

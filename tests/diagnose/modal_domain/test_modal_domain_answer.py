@@ -12,15 +12,15 @@ from modalax.diagnose import ExtendedSimulation
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.decision.beyond import BeyondUsual
 from modalax.diagnose.modal_domain import answer as answers
-from modalax.diagnose.modal_domain.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
-from modalax.diagnose.modal_domain.discrepancy import beside, told_apart
-from modalax.diagnose.modal_domain.features import whitener_of
-from modalax.diagnose.modal_domain.fit import fit
-from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
-from modalax.diagnose.modal_domain.measured import identify
-from modalax.diagnose.modal_domain.screen import errors_of
-from modalax.diagnose.modal_domain.state import Setting
+from modalax.diagnose.modal_domain.fitting.discrepancy import beside, told_apart
+from modalax.diagnose.modal_domain.fitting.fit import fit
+from modalax.diagnose.modal_domain.fitting.inaccuracy import inaccuracy_of
+from modalax.diagnose.modal_domain.fitting.state import Setting
+from modalax.diagnose.modal_domain.modes.features import whitener_of
+from modalax.diagnose.modal_domain.modes.measured import identify
+from modalax.diagnose.modal_domain.search.screen import errors_of
+from modalax.diagnose.modal_domain.structure.coordinates import coordinates_of
 
 
 def drawn(data_stiffness: np.ndarray) -> float:

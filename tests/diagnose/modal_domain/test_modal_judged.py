@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from modalax.diagnose.modal_domain import judged
-from modalax.diagnose.modal_domain.causes import Change
-from modalax.diagnose.modal_domain.channel_faults import Sign
-from modalax.diagnose.modal_domain.explanation import Explanation
-from modalax.diagnose.modal_domain.joint_forces import PowerLawJoint, RelaxingJoint
+from modalax.diagnose.modal_domain.causes.change import Change
+from modalax.diagnose.modal_domain.causes.channel_faults import Sign
+from modalax.diagnose.modal_domain.causes.joint_forces import PowerLawJoint, RelaxingJoint
+from modalax.diagnose.modal_domain.causes.line_forces import SkewCoupling
+from modalax.diagnose.modal_domain.fitting.explanation import Explanation
 from modalax.diagnose.modal_domain.judged import _in_the_limit, _without_one_sided, standing_out
-from modalax.diagnose.modal_domain.line_forces import SkewCoupling
 
 SIGN, SPRING = Sign("channel_sign", ("3",), channel=(0, 2)), Change("joint_stiffness", ("1", "2"))
 DAMPER, ABSENT = Change("local_damper", ("1", "2")), Change("joint_stiffness", ("1", "5"), absent=True)

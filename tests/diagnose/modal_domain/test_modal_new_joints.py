@@ -6,10 +6,10 @@ from chains_off import FREQ, MASSES, SPRINGS, ZETA, as_measured, chain_off, matr
 from kinds import few_or_all
 
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
-from modalax.diagnose.modal_domain.explanation import Explanation
-from modalax.diagnose.modal_domain.fit import fit
-from modalax.diagnose.modal_domain.force_places import losses_at
-from modalax.diagnose.modal_domain.polish import without_spare
+from modalax.diagnose.modal_domain.fitting.explanation import Explanation
+from modalax.diagnose.modal_domain.fitting.fit import fit
+from modalax.diagnose.modal_domain.on_lines.polish import without_spare
+from modalax.diagnose.modal_domain.search.force_places import losses_at
 from modalax.diagnose.modal_domain.stage import identified, posed
 
 STIFF, LOSS, TIME = 9e4, 0.35, 4e-3  # N/m; loss factor; relaxation time [s]

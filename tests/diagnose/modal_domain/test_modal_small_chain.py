@@ -10,8 +10,8 @@ from kinds import FEW_OR_ALL, few_or_all
 from modalax.diagnose import diagnose
 from modalax.diagnose.modal_domain.answer import ModalDiagnosis
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
-from modalax.diagnose.modal_domain.fit import fit
-from modalax.diagnose.modal_domain.state import state_at
+from modalax.diagnose.modal_domain.fitting.fit import fit
+from modalax.diagnose.modal_domain.fitting.state import state_at
 from modalax.model import Structure
 
 

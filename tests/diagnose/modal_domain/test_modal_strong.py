@@ -5,10 +5,10 @@ import pytest
 from chains_off import DOFS, FREQ, as_measured, chain_off, response, simulation
 from kinds import FEW_OR_ALL
 
-from modalax.diagnose.modal_domain.causes import Change
+from modalax.diagnose.modal_domain.causes.change import Change
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
-from modalax.diagnose.modal_domain.fit import FARTHEST, _ways, fit
-from modalax.diagnose.modal_domain.matched import CLOSE, FAR, missed_by_elements
+from modalax.diagnose.modal_domain.fitting.fit import FARTHEST, _ways, fit
+from modalax.diagnose.modal_domain.search.matched import CLOSE, FAR, missed_by_elements
 from modalax.diagnose.modal_domain.stage import identified, posed
 
 

@@ -8,10 +8,10 @@ import pytest
 import modalax
 from modalax.cli import main
 from modalax.diagnose import diagnose
-from modalax.diagnose.modal_domain.coordinates import coordinates_of
-from modalax.diagnose.modal_domain.features import whitener_of
-from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
-from modalax.diagnose.modal_domain.state import Setting, state_at
+from modalax.diagnose.modal_domain.fitting.inaccuracy import inaccuracy_of
+from modalax.diagnose.modal_domain.fitting.state import Setting, state_at
+from modalax.diagnose.modal_domain.modes.features import whitener_of
+from modalax.diagnose.modal_domain.structure.coordinates import coordinates_of
 from modalax.diagnose.modal_domain.table import facts_of, references
 from modalax.files import load_mode_table, save_modes
 from modalax.model import ModalModel, Structure

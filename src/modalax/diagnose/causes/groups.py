@@ -9,7 +9,7 @@ from modalax.diagnose.causes.parameter import Parameter
 class GroupCause(Cause):
     """A parameter of a group of elements that the simulation names; only its matrices show it, not its receptances.
 
-    It is looked for in the modal domain (:mod:`modalax.diagnose.modal_domain.groups`), never line by line.
+    It is looked for in the modal domain (:mod:`modalax.diagnose.modal_domain.causes.groups`), never line by line.
     """
 
     in_structure = True

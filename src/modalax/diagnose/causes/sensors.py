@@ -129,7 +129,10 @@ class ClippedSensor(ChannelCause):
 
 
 class SensorPlace(ChannelCause):
-    """A sensor at another point than its name; found among modes (:mod:`modalax.diagnose.modal_domain.misplaced`)."""
+    """A sensor at another point than its name.
+
+    It is found among modes (:mod:`modalax.diagnose.modal_domain.odd_channels.misplaced`).
+    """
 
     slug = "sensor_place"
     summary = "the point that a sensor is really at"

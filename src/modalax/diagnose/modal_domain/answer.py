@@ -13,15 +13,15 @@ from modalax.diagnose.decision.beyond import BeyondUsual
 from modalax.diagnose.decision.levels import outweighing
 from modalax.diagnose.decision.omnibus import Omnibus
 from modalax.diagnose.decision.sets import rivals
-from modalax.diagnose.modal_domain.causes import UNITS, Change, own_sizes, with_sizes
-from modalax.diagnose.modal_domain.explanation import Explanation
-from modalax.diagnose.modal_domain.forced import Forced, force_rivals, force_told
+from modalax.diagnose.modal_domain.causes.change import UNITS, Change, own_sizes, with_sizes
+from modalax.diagnose.modal_domain.fitting.explanation import Explanation
 from modalax.diagnose.modal_domain.judged import inaccuracy_of_fit, standing_out
 from modalax.diagnose.modal_domain.levels.answer import causes_told, rivals_told
 from modalax.diagnose.modal_domain.levels.explain import JointFound
-from modalax.diagnose.modal_domain.mains import hum_told
-from modalax.diagnose.modal_domain.misplaced import Moved
-from modalax.diagnose.modal_domain.screen import errors_of
+from modalax.diagnose.modal_domain.odd_channels.misplaced import Moved
+from modalax.diagnose.modal_domain.records.forced import Forced, force_rivals, force_told
+from modalax.diagnose.modal_domain.records.mains import hum_told
+from modalax.diagnose.modal_domain.search.screen import errors_of
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.over_levels import levels_said
 from modalax.diagnose.result import Diagnosis, within

@@ -16,13 +16,13 @@ import numpy as np
 
 from modalax.data import Measurement
 from modalax.diagnose.deadline import Deadline
-from modalax.diagnose.modal_domain.coordinates import Coordinates
-from modalax.diagnose.modal_domain.explain import one_cause, one_more
-from modalax.diagnose.modal_domain.explanation import Explanation
-from modalax.diagnose.modal_domain.inaccuracy import CLAIMED, Inaccuracy, own_damping
-from modalax.diagnose.modal_domain.linear import SMALLEST
-from modalax.diagnose.modal_domain.measured import Measured
+from modalax.diagnose.modal_domain.fitting.explanation import Explanation
+from modalax.diagnose.modal_domain.fitting.inaccuracy import CLAIMED, Inaccuracy, own_damping
+from modalax.diagnose.modal_domain.fitting.linear import SMALLEST
+from modalax.diagnose.modal_domain.modes.measured import Measured
+from modalax.diagnose.modal_domain.search.explain import one_cause, one_more
 from modalax.diagnose.modal_domain.stage import Stage, posed
+from modalax.diagnose.modal_domain.structure.coordinates import Coordinates
 from modalax.diagnose.thresholds import THRESHOLDS
 from modalax.model import Structure
 

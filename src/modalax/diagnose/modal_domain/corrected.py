@@ -12,18 +12,18 @@ from modalax.data.frf import DERIVATIVES
 from modalax.diagnose.causes import Cause, catalogue, imitators
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.extend import ExtendedSimulation
-from modalax.diagnose.modal_domain.causes import own_sizes, with_sizes
-from modalax.diagnose.modal_domain.fit import Fit, scale_of, widths_of_sizes
-from modalax.diagnose.modal_domain.forced import Forced
-from modalax.diagnose.modal_domain.given_elements import changed_by_elements
-from modalax.diagnose.modal_domain.inaccuracy import KINDS, RIGID, THROUGHOUT, TOLD, WITHIN
+from modalax.diagnose.modal_domain.causes.change import own_sizes, with_sizes
+from modalax.diagnose.modal_domain.causes.given_elements import changed_by_elements
+from modalax.diagnose.modal_domain.fitting.fit import Fit, scale_of, widths_of_sizes
+from modalax.diagnose.modal_domain.fitting.inaccuracy import KINDS, RIGID, THROUGHOUT, TOLD, WITHIN
+from modalax.diagnose.modal_domain.fitting.linear import root_of_information
+from modalax.diagnose.modal_domain.fitting.state import FARTHEST, Setting, off_by, slopes_at
+from modalax.diagnose.modal_domain.fitting.throughout import throughout_told
 from modalax.diagnose.modal_domain.levels.laws import NAMED
-from modalax.diagnose.modal_domain.linear import root_of_information
-from modalax.diagnose.modal_domain.many_lines import receptance
-from modalax.diagnose.modal_domain.polish import frf_on_lines
+from modalax.diagnose.modal_domain.on_lines.polish import frf_on_lines
+from modalax.diagnose.modal_domain.records.forced import Forced
 from modalax.diagnose.modal_domain.stage import Stage
-from modalax.diagnose.modal_domain.state import FARTHEST, Setting, off_by, slopes_at
-from modalax.diagnose.modal_domain.throughout import throughout_told
+from modalax.diagnose.modal_domain.structure.many_lines import receptance
 from modalax.model import Structure
 
 DRAWS, BESIDE = 16, 24  # draws of the sizes of the inaccuracy, and of its parts for each

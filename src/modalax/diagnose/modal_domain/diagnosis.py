@@ -13,26 +13,26 @@ from modalax.diagnose.decision.beyond import held_out_verdict, lines_verdict, on
 from modalax.diagnose.decision.levels import outweighing
 from modalax.diagnose.decision.omnibus import omnibus
 from modalax.diagnose.modal_domain.answer import Facts, ModalDiagnosis
-from modalax.diagnose.modal_domain.attempts import explains
-from modalax.diagnose.modal_domain.causes import UNITS, with_sizes
-from modalax.diagnose.modal_domain.coordinates import coordinates_of
+from modalax.diagnose.modal_domain.causes.change import UNITS, with_sizes
 from modalax.diagnose.modal_domain.corrected import extension_of, frf_of, inaccuracy_said, inaccuracy_told
-from modalax.diagnose.modal_domain.explanation import NONE
-from modalax.diagnose.modal_domain.fit import fit, without_causes
-from modalax.diagnose.modal_domain.forced import Forced, force_beside, force_said
+from modalax.diagnose.modal_domain.fitting.attempts import explains
+from modalax.diagnose.modal_domain.fitting.explanation import NONE
+from modalax.diagnose.modal_domain.fitting.fit import fit, without_causes
+from modalax.diagnose.modal_domain.fitting.state import Setting
+from modalax.diagnose.modal_domain.fitting.throughout import throughout_said, throughout_told
 from modalax.diagnose.modal_domain.held_out import gain_of
 from modalax.diagnose.modal_domain.judged import judge, of_the_joint, on_its_lines, standing_out
 from modalax.diagnose.modal_domain.levels.answer import judge_levels
 from modalax.diagnose.modal_domain.levels.seen import at_levels, drift_by_run
-from modalax.diagnose.modal_domain.mains import lines_without_hum, mains_hum
-from modalax.diagnose.modal_domain.measured import Measured
-from modalax.diagnose.modal_domain.misplaced import moved, other_places
-from modalax.diagnose.modal_domain.own_peaks import mass_of_sensor, own_peaks, without_output
-from modalax.diagnose.modal_domain.short_records import short_record
+from modalax.diagnose.modal_domain.modes.measured import Measured
+from modalax.diagnose.modal_domain.odd_channels.misplaced import moved, other_places
+from modalax.diagnose.modal_domain.records.forced import Forced, force_beside, force_said
+from modalax.diagnose.modal_domain.records.mains import lines_without_hum, mains_hum
+from modalax.diagnose.modal_domain.records.own_peaks import mass_of_sensor, own_peaks, without_output
+from modalax.diagnose.modal_domain.records.short_records import short_record
+from modalax.diagnose.modal_domain.records.swept import fast_sweep
 from modalax.diagnose.modal_domain.stage import Stage, identified, posed, run_stage
-from modalax.diagnose.modal_domain.state import Setting
-from modalax.diagnose.modal_domain.swept import fast_sweep
-from modalax.diagnose.modal_domain.throughout import throughout_said, throughout_told
+from modalax.diagnose.modal_domain.structure.coordinates import coordinates_of
 from modalax.diagnose.summary import cause_at
 from modalax.diagnose.thresholds import THRESHOLDS
 from modalax.identify.shared_noise import shared_notes

@@ -7,22 +7,22 @@ import numpy as np
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.holdout import deviation_of_sum, held_out_block
-from modalax.diagnose.modal_domain.causes import Change, own_sizes
+from modalax.diagnose.modal_domain.causes.change import Change, own_sizes
+from modalax.diagnose.modal_domain.causes.further_causes import MissingMode
 from modalax.diagnose.modal_domain.corrected import frf_of
-from modalax.diagnose.modal_domain.explain import far_off
-from modalax.diagnose.modal_domain.explanation import Explanation
-from modalax.diagnose.modal_domain.features import Features, chosen, sure, whitener_of
-from modalax.diagnose.modal_domain.fit import Fit, fit, without_causes
-from modalax.diagnose.modal_domain.free_residues import Channels
-from modalax.diagnose.modal_domain.further_causes import MissingMode
+from modalax.diagnose.modal_domain.fitting.explanation import Explanation
+from modalax.diagnose.modal_domain.fitting.fit import Fit, fit, without_causes
+from modalax.diagnose.modal_domain.fitting.narrowed import DIRECTIONS, narrowed
+from modalax.diagnose.modal_domain.fitting.state import Setting, state_at
 from modalax.diagnose.modal_domain.levels.seen import drift_by_run, foretold
-from modalax.diagnose.modal_domain.lines import lines_of
-from modalax.diagnose.modal_domain.measured import channels_of, features_at
-from modalax.diagnose.modal_domain.mode_count import blind_modes, heavy, misfit
-from modalax.diagnose.modal_domain.narrowed import DIRECTIONS, narrowed
-from modalax.diagnose.modal_domain.polish import BEYOND_MODES, chi2_of, on_lines, unforeseen
+from modalax.diagnose.modal_domain.modes.features import Features, chosen, sure, whitener_of
+from modalax.diagnose.modal_domain.modes.free_residues import Channels
+from modalax.diagnose.modal_domain.modes.measured import channels_of, features_at
+from modalax.diagnose.modal_domain.modes.mode_count import blind_modes, heavy, misfit
+from modalax.diagnose.modal_domain.on_lines.lines import lines_of
+from modalax.diagnose.modal_domain.on_lines.polish import BEYOND_MODES, chi2_of, on_lines, unforeseen
+from modalax.diagnose.modal_domain.search.explain import far_off
 from modalax.diagnose.modal_domain.stage import Stage
-from modalax.diagnose.modal_domain.state import Setting, state_at
 
 APART = 10.0  # times that the deviations of a mode may grow once a column is held out
 ELSEWHERE = 3.0  # half-bandwidths by which a peak is beyond what steps on the lines reach

@@ -14,18 +14,18 @@ from modalax.diagnose.decision.beyond import (
     odd_told,
     usual_size,
 )
-from modalax.diagnose.modal_domain.causes import Change, own_sizes, with_sizes
-from modalax.diagnose.modal_domain.explanation import Explanation
-from modalax.diagnose.modal_domain.fit import by_data, fit, without_causes
-from modalax.diagnose.modal_domain.inaccuracy import TOLD, WITHIN, claims_of
+from modalax.diagnose.modal_domain.causes.change import Change, own_sizes, with_sizes
+from modalax.diagnose.modal_domain.causes.line_forces import EvenCoupling, SkewCoupling
+from modalax.diagnose.modal_domain.causes.supports import SensorMasses
+from modalax.diagnose.modal_domain.fitting.explanation import Explanation
+from modalax.diagnose.modal_domain.fitting.fit import by_data, fit, without_causes
+from modalax.diagnose.modal_domain.fitting.inaccuracy import TOLD, WITHIN, claims_of
+from modalax.diagnose.modal_domain.fitting.linear import LARGEST
+from modalax.diagnose.modal_domain.fitting.throughout import nats_over_a_factor
 from modalax.diagnose.modal_domain.levels.slipping import part_of_joint
-from modalax.diagnose.modal_domain.line_forces import EvenCoupling, SkewCoupling
-from modalax.diagnose.modal_domain.linear import LARGEST
-from modalax.diagnose.modal_domain.odd_channel import only_output
-from modalax.diagnose.modal_domain.polish import taken_on, without_spare
+from modalax.diagnose.modal_domain.odd_channels.odd_channel import only_output
+from modalax.diagnose.modal_domain.on_lines.polish import taken_on, without_spare
 from modalax.diagnose.modal_domain.stage import Stage
-from modalax.diagnose.modal_domain.supports import SensorMasses
-from modalax.diagnose.modal_domain.throughout import nats_over_a_factor
 from modalax.diagnose.thresholds import THRESHOLDS
 
 NEAR = 0.3  # relative distance within which a mode of the simulation may be the measured one

@@ -9,32 +9,32 @@ import numpy as np
 from modalax.data import Measurement
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.decision.beyond import OddChannel
-from modalax.diagnose.modal_domain.askew import askew_channel
-from modalax.diagnose.modal_domain.causes import Change
-from modalax.diagnose.modal_domain.channel_faults import leaking_channels
-from modalax.diagnose.modal_domain.coordinates import Coordinates, coordinates_of, is_large
-from modalax.diagnose.modal_domain.damping_on_lines import damping_by_lines
-from modalax.diagnose.modal_domain.explain import explain
-from modalax.diagnose.modal_domain.explanation import Explanation, Prior
-from modalax.diagnose.modal_domain.features import whitener_of
-from modalax.diagnose.modal_domain.fit import Fit, Found
-from modalax.diagnose.modal_domain.force_places import KINDS, line_forces
-from modalax.diagnose.modal_domain.further_causes import StructuralDamping, missing_modes, tuned_masses
-from modalax.diagnose.modal_domain.impact_window import impact_windows
-from modalax.diagnose.modal_domain.inaccuracy import forces_of_errors, inaccuracy_of
+from modalax.diagnose.modal_domain.causes.change import Change
+from modalax.diagnose.modal_domain.causes.channel_faults import leaking_channels
+from modalax.diagnose.modal_domain.causes.further_causes import StructuralDamping, missing_modes, tuned_masses
+from modalax.diagnose.modal_domain.causes.impact_window import impact_windows
+from modalax.diagnose.modal_domain.causes.places import candidates_of, springs_of
+from modalax.diagnose.modal_domain.causes.sensor_filters import sensor_filters
+from modalax.diagnose.modal_domain.fitting.explanation import Explanation, Prior
+from modalax.diagnose.modal_domain.fitting.fit import Fit, Found
+from modalax.diagnose.modal_domain.fitting.inaccuracy import forces_of_errors, inaccuracy_of
+from modalax.diagnose.modal_domain.fitting.state import Setting
 from modalax.diagnose.modal_domain.levels.change import levels_differ
 from modalax.diagnose.modal_domain.levels.explain import Spot
 from modalax.diagnose.modal_domain.levels.laws import NAMED
 from modalax.diagnose.modal_domain.levels.seen import Look, Seen, felt, force_taken, joint_and_structure, look_at_levels
 from modalax.diagnose.modal_domain.levels.slipping import Whole, whole_joint
-from modalax.diagnose.modal_domain.measured import Measured, identify, told_one_by_one
-from modalax.diagnose.modal_domain.odd_channel import is_of_the_structure, odd_channel
-from modalax.diagnose.modal_domain.one_of_two import has_fewer, lacking_one_of_two
-from modalax.diagnose.modal_domain.places import candidates_of, springs_of
-from modalax.diagnose.modal_domain.polish import leading_on_lines
-from modalax.diagnose.modal_domain.sensor_filters import sensor_filters
-from modalax.diagnose.modal_domain.state import Setting
-from modalax.diagnose.modal_domain.turns import nodes_in
+from modalax.diagnose.modal_domain.modes.features import whitener_of
+from modalax.diagnose.modal_domain.modes.measured import Measured, identify, told_one_by_one
+from modalax.diagnose.modal_domain.odd_channels.askew import askew_channel
+from modalax.diagnose.modal_domain.odd_channels.odd_channel import is_of_the_structure, odd_channel
+from modalax.diagnose.modal_domain.on_lines.damping_on_lines import damping_by_lines
+from modalax.diagnose.modal_domain.on_lines.polish import leading_on_lines
+from modalax.diagnose.modal_domain.search.explain import explain
+from modalax.diagnose.modal_domain.search.force_places import KINDS, line_forces
+from modalax.diagnose.modal_domain.search.one_of_two import has_fewer, lacking_one_of_two
+from modalax.diagnose.modal_domain.structure.coordinates import Coordinates, coordinates_of, is_large
+from modalax.diagnose.modal_domain.structure.turns import nodes_in
 from modalax.diagnose.thresholds import THRESHOLDS
 from modalax.model import Structure
 

@@ -16,16 +16,16 @@ from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.omnibus import Omnibus
 from modalax.diagnose.modal_domain.answer import Facts, ModalDiagnosis
-from modalax.diagnose.modal_domain.coordinates import coordinates_of
+from modalax.diagnose.modal_domain.causes.places import candidates_of
 from modalax.diagnose.modal_domain.corrected import extension_of, inaccuracy_said, inaccuracy_told
-from modalax.diagnose.modal_domain.explain import explain
-from modalax.diagnose.modal_domain.features import FLOOR, Features, tangent_of, values_of, whitener_of
-from modalax.diagnose.modal_domain.inaccuracy import inaccuracy_of
+from modalax.diagnose.modal_domain.fitting.inaccuracy import inaccuracy_of
+from modalax.diagnose.modal_domain.fitting.state import Setting
+from modalax.diagnose.modal_domain.fitting.throughout import throughout_said, throughout_told
 from modalax.diagnose.modal_domain.judged import judge
-from modalax.diagnose.modal_domain.places import candidates_of
+from modalax.diagnose.modal_domain.modes.features import FLOOR, Features, tangent_of, values_of, whitener_of
+from modalax.diagnose.modal_domain.search.explain import explain
 from modalax.diagnose.modal_domain.stage import Stage
-from modalax.diagnose.modal_domain.state import Setting
-from modalax.diagnose.modal_domain.throughout import throughout_said, throughout_told
+from modalax.diagnose.modal_domain.structure.coordinates import coordinates_of
 from modalax.model import Structure
 from modalax.model.entry import check_passive
 from modalax.model.mode_table import USUAL, ModeTable

@@ -21,12 +21,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg
 
-from modalax.diagnose.modal_domain.causes import shown, with_sizes
-from modalax.diagnose.modal_domain.coordinates import Coordinates
-from modalax.diagnose.modal_domain.fit import Fit
-from modalax.diagnose.modal_domain.inaccuracy import TOLD, WITHIN
-from modalax.diagnose.modal_domain.line_forces import LineForce, added_stiffness, loaded
-from modalax.diagnose.modal_domain.state import Setting, matrices_of
+from modalax.diagnose.modal_domain.causes.change import shown, with_sizes
+from modalax.diagnose.modal_domain.causes.line_forces import LineForce, added_stiffness, loaded
+from modalax.diagnose.modal_domain.fitting.fit import Fit
+from modalax.diagnose.modal_domain.fitting.inaccuracy import TOLD, WITHIN
+from modalax.diagnose.modal_domain.fitting.state import Setting, matrices_of
+from modalax.diagnose.modal_domain.structure.coordinates import Coordinates
 from modalax.diagnose.thresholds import THRESHOLDS
 
 LINES = 256  # lines solved at once

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from modalax.diagnose.modal_domain.free_residues import POWERS, Channels, Projected
 from modalax.diagnose.modal_domain.levels.change import Levels
+from modalax.diagnose.modal_domain.modes.free_residues import POWERS, Channels, Projected
 
 STEPS = 8  # Gauss-Newton steps
 FARTHEST = 0.5  # longest step, in half-bandwidths

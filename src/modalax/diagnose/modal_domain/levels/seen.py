@@ -6,12 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modalax.diagnose.deadline import Deadline
-from modalax.diagnose.modal_domain.causes import Change
-from modalax.diagnose.modal_domain.explain import again, explain
-from modalax.diagnose.modal_domain.explanation import Explanation, Prior
-from modalax.diagnose.modal_domain.features import Features, chosen, sure, whitener_of
-from modalax.diagnose.modal_domain.fit import Fit
-from modalax.diagnose.modal_domain.further_causes import TunedMass
+from modalax.diagnose.modal_domain.causes.change import Change
+from modalax.diagnose.modal_domain.causes.further_causes import TunedMass
+from modalax.diagnose.modal_domain.fitting.explanation import Explanation, Prior
+from modalax.diagnose.modal_domain.fitting.fit import Fit
+from modalax.diagnose.modal_domain.fitting.state import Setting
 from modalax.diagnose.modal_domain.levels.change import Base, Levels, base_of, by_level, change_by
 from modalax.diagnose.modal_domain.levels.drift import Drift, by_run, change_of, drifts
 from modalax.diagnose.modal_domain.levels.explain import ByLevel, JointFound, Spot, explain_levels
@@ -19,8 +18,9 @@ from modalax.diagnose.modal_domain.levels.laws import NAMED, LawFit, force_of, s
 from modalax.diagnose.modal_domain.levels.motion import motion_of
 from modalax.diagnose.modal_domain.levels.slipping import is_spring_at, settled, with_springs
 from modalax.diagnose.modal_domain.levels.weigh import Shapes, weigh
-from modalax.diagnose.modal_domain.measured import Measured, features_beside, reidentified
-from modalax.diagnose.modal_domain.state import Setting
+from modalax.diagnose.modal_domain.modes.features import Features, chosen, sure, whitener_of
+from modalax.diagnose.modal_domain.modes.measured import Measured, features_beside, reidentified
+from modalax.diagnose.modal_domain.search.explain import again, explain
 
 MOST = 4_000_000  # samples times modes that are worked on at once, some 0.5 GB
 BENT = 10.0  # chi-square of a joint's force at the lowest level from which the linear structure is sought without it

@@ -18,12 +18,12 @@ import numpy as np
 
 from modalax.diagnose.causes.joints import ElastoSlip
 from modalax.diagnose.causes.power_laws import IwanMicroSlip
-from modalax.diagnose.modal_domain.causes import Change, own_sizes
-from modalax.diagnose.modal_domain.explain import further
-from modalax.diagnose.modal_domain.explanation import SECOND, Explanation, Prior
+from modalax.diagnose.modal_domain.causes.change import Change, own_sizes
+from modalax.diagnose.modal_domain.fitting.explanation import SECOND, Explanation, Prior
+from modalax.diagnose.modal_domain.fitting.state import Setting
 from modalax.diagnose.modal_domain.levels.explain import ByLevel, JointFound
 from modalax.diagnose.modal_domain.levels.laws import LawFit
-from modalax.diagnose.modal_domain.state import Setting
+from modalax.diagnose.modal_domain.search.explain import further
 
 SLIPPING = (ElastoSlip, IwanMicroSlip)  # laws of a spring that slips
 LINEAR_PART = "joint_stiffness", "local_damper"  # what a joint may do at any amplitude

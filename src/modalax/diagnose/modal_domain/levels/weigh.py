@@ -10,7 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modalax.diagnose.modal_domain.fit import Fit, scale_of
+from modalax.diagnose.modal_domain.fitting.fit import Fit, scale_of
+from modalax.diagnose.modal_domain.fitting.linear import root_of_information
+from modalax.diagnose.modal_domain.fitting.state import Setting, slopes_at
 from modalax.diagnose.modal_domain.levels.change import Base, Levels, change_by, projected
 from modalax.diagnose.modal_domain.levels.laws import (
     LawFit,
@@ -21,9 +23,7 @@ from modalax.diagnose.modal_domain.levels.laws import (
     with_fewer,
 )
 from modalax.diagnose.modal_domain.levels.motion import motion_of, motions_of, softened
-from modalax.diagnose.modal_domain.linear import root_of_information
-from modalax.diagnose.modal_domain.slopes import factored_slopes, slopes_of
-from modalax.diagnose.modal_domain.state import Setting, slopes_at
+from modalax.diagnose.modal_domain.structure.slopes import factored_slopes, slopes_of
 
 TOLERANCES = (0.0, 0.003, 0.01, 0.02, 0.03, 0.045, 0.065, 0.1, 0.2)  # relative errors of a law's force that are tried
 ASIDE = 0.02  # chance of a line on another branch of the motion than the law's

@@ -1,0 +1,1 @@
+"""Channels that differ from all others as no cause explains."""

@@ -1,0 +1,1 @@
+"""Explanations taken on from the modes to the lines of the FRFs."""

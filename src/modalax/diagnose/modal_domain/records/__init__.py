@@ -1,0 +1,1 @@
+"""What shows in FRFs and not in modes alone: short records, fast sweeps, hum, and forces on single lines."""

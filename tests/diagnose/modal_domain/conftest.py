@@ -1,0 +1,1 @@
+"""What tests of several rooms share (``chains_off``, ``frames``, ``kinds``) is found from all of them."""

@@ -1,0 +1,80 @@
+"""A measured mode close to another, which the simulation has not: told, also beside a second cause."""
+
+import numpy as np
+import pytest
+from chains_off import FREQ, as_measured, chain_off, response, simulation
+from kinds import few_or_all
+
+from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.diagnose.modal_domain.modes.measured import reidentified, told_one_by_one
+from modalax.diagnose.modal_domain.search.one_of_two import has_fewer, lacking_one_of_two
+from modalax.diagnose.modal_domain.stage import identified, posed
+
+BESIDE, DAMPING = 1.011, 0.007  # frequency, relative to that of the chain's third mode, and damping ratio of the mode
+SHAPE, FORCE = np.array([0.4, -0.7, 0.5, 0.8, -0.3]), np.array([0.6, 0.2, -0.4, 0.5, 0.7])
+
+
+def third_mode(seed):
+    M, _, K = chain_off(seed, 0.02)
+    return np.sqrt(np.sort(np.linalg.eigvals(np.linalg.solve(M, K)).real)[2])
+
+
+def with_a_mode(seed, gain=1.0, extra=1.0):
+    """Accelerances of a chain that is off, of which one sensor has a ``gain``, and a mode ``extra`` times as large."""
+    w, s = BESIDE * third_mode(seed), 2j * np.pi * FREQ[:, None, None]
+    own = np.outer(SHAPE, FORCE) * s**2 / (w**2 + 2 * DAMPING * w * s + s**2)
+    H = response(*chain_off(seed, 0.02), FREQ) + extra * own
+    H[:, 1] *= gain
+    return as_measured(H, FREQ, seed)
+
+
+@pytest.fixture(scope="module")
+def data():
+    return with_a_mode(3, 1.2)
+
+
+@pytest.fixture(scope="module")
+def measured(data):
+    return identified(data, simulation(), lambda _: None)
+
+
+def test_each_of_two_close_modes_is_compared_by_itself(data, measured):
+    assert np.count_nonzero(measured.features.grouped) == 2
+    apart = told_one_by_one(measured)
+    assert apart is not None and not apart.features.grouped.any()
+    both = apart.features.poles[np.argsort(np.abs(np.abs(apart.features.poles) - third_mode(3)))[:2]]
+    assert np.allclose(np.abs(both), third_mode(3) * np.array([1.0, BESIDE]), rtol=1e-3)
+    again = reidentified(apart, np.asarray(data.H), 0.0 * np.asarray(data.H)[0].real)
+    assert not again.features.grouped.any() and np.allclose(again.features.poles, apart.features.poles, rtol=1e-6)
+    assert told_one_by_one(identified(with_a_mode(3, extra=0.0), simulation(), lambda _: None)) is None
+
+
+def test_a_simulation_of_fewer_modes_lacks_one(data, measured):
+    apart = told_one_by_one(measured)
+    task = posed(data, simulation(), apart)
+    assert has_fewer(task.setting)
+    found = lacking_one_of_two(task.setting, task.candidates, measured.features)
+    best = max(found.values(), key=lambda f: f.log_evidence)
+    assert {(c.slug, c.where) for c in best.causes} == {("missing_mode", ()), ("channel_gain", ("2:+Z",))}
+    # not where all that is told together is one thing
+    assert lacking_one_of_two(task.setting, task.candidates, apart.features) == {}
+    others = [c for c in task.candidates if c.freed is None]
+    assert lacking_one_of_two(task.setting, others, measured.features) == {}
+    whole = with_a_mode(3, extra=0.0)
+    assert not has_fewer(posed(whole, simulation(), identified(whole, simulation(), lambda _: None)).setting)
+
+
+@few_or_all("missing_mode", "tuned_mass")
+@pytest.mark.parametrize("gain", [1.0, 1.2])
+def test_it_is_named_beside_another_cause_and_alone(gain, wanted):
+    found = diagnose_modes(with_a_mode(4, gain), simulation(), wanted=wanted)
+    told = {c["name"]: c for c in found.causes}
+    assert found.verdict == "named" and set(told) == {"missing_mode"} | ({"channel_gain"} if gain != 1 else set())
+    mode = told["missing_mode"]["parameters"]
+    for name, true in (("frequency", BESIDE * third_mode(4) / 2 / np.pi), ("damping_ratio", DAMPING)):
+        assert abs(mode[name]["value"] - true) < 4 * mode[name]["std"] < 0.2 * true
+    assert found.gain.chi2_unforeseen < 1.2 and found.gain.chi2_after < 1e-3 * found.gain.chi2_before
+    if gain != 1:
+        assert told["channel_gain"]["where"] == ["2:+Z"]
+        size = told["channel_gain"]["parameters"]["gain"]
+        assert abs(size["value"] - 0.2) < 4 * size["std"] < 0.05
