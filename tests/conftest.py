@@ -40,7 +40,7 @@ matplotlib.rcParams["savefig.dpi"] = 40  # nobody looks at them
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_traceback_in_locations_limit", 0)  # no lines of Python beside each operation of a program
 PROGRAMS = pytest.StashKey[str]()
-ROOM = 0.4  # share of the machine's memory that all processes may grow by before they let their programs go
+ROOM = 0.6  # share of the machine's memory that all processes may grow by before they let their programs go
 WORTH = 0.3  # seconds of compilation; to write down a smaller program takes longer than others save by it
 
 

@@ -19,6 +19,7 @@ from modalax.diagnose.decision.gain import Gain
 
 OFF = {"stiffness": 0.01, "mass": 0.005, "damping": 0.3}
 SPRING, MASS, NOTHING = ("joint_stiffness", ("3", "4")), ("added_mass", ("2",)), ()
+MODE = ("missing_mode", ())
 
 
 def case(*sets, **changed):
@@ -58,6 +59,11 @@ def case(*sets, **changed):
         (case((0.97, ("missing_mode", ())), at_one_output=("7:+Z",)), "unknown", "shows at 7:+Z alone"),
         (case((0.97, ("gyroscopic", ("1", "2"))), one_sided=[("1", "2")]), "unknown", "gyroscopic at 1 - 2 would be"),
         (case((0.9, *NOTHING), at_one_output=("7:+Z",)), "clean", "nothing stands out"),
+        (
+            case((1.0, MODE, MODE, SPRING)),
+            "named",
+            "missing_mode (2 times) and joint_stiffness at 3 - 4 stand out",
+        ),
         (case((1.0, SPRING, MASS)), "named", "joint_stiffness at 3 - 4 and added_mass at 2 stand out beyond"),
         (case((1.0, SPRING, MASS)), "named", "without them the data are"),
         (case((0.9, *NOTHING), fitted=[SPRING, MASS]), "clean", "added_mass at 2 are no larger than is usual"),

@@ -127,10 +127,13 @@ class ModalCase:
 
 
 def _listed(names: Names) -> str:
-    """Causes with their places; only how many, of a cause at many."""
-    slugs = [slug for slug, _ in names]
+    """Causes with their places; only how many, of a cause at many or of one that is there several times."""
+    slugs, names = [slug for slug, _ in names], list(names)
     many = [slug for slug in dict.fromkeys(slugs) if slugs.count(slug) > MANY]
-    each = [cause_at(slug, where) for slug, where in names if slug not in many]
+    each = [
+        cause_at(*one) + (f" ({names.count(one)} times)" if names.count(one) > 1 else "")
+        for one in dict.fromkeys(names) if one[0] not in many
+    ]  # fmt: skip
     return " and ".join([*each, *(f"{slug} at {slugs.count(slug)} places" for slug in many)])
 
 

@@ -30,9 +30,10 @@ from modalax.diagnose.modal_domain.odd_channels.askew import askew_channel
 from modalax.diagnose.modal_domain.odd_channels.odd_channel import is_of_the_structure, odd_channel
 from modalax.diagnose.modal_domain.on_lines.damping_on_lines import damping_by_lines
 from modalax.diagnose.modal_domain.on_lines.polish import leading_on_lines
+from modalax.diagnose.modal_domain.search.beside_modes import shortage
 from modalax.diagnose.modal_domain.search.explain import explain
 from modalax.diagnose.modal_domain.search.force_places import KINDS, line_forces
-from modalax.diagnose.modal_domain.search.one_of_two import has_fewer, lacking_one_of_two
+from modalax.diagnose.modal_domain.search.lacking_modes import lacking_modes
 from modalax.diagnose.modal_domain.structure.coordinates import Coordinates, coordinates_of, is_large
 from modalax.diagnose.modal_domain.structure.turns import nodes_in
 from modalax.diagnose.thresholds import THRESHOLDS
@@ -210,15 +211,18 @@ def _odd(
     return max((o for o in (odd, turned) if o is not None), key=lambda o: o.nats, default=None)
 
 
-def _one_by_one(
-    measurement: Measurement, simulation: Structure, measured: Measured, wanted: Callable[[str], bool]
-) -> tuple[Measured, Posed, Found] | None:
-    """What is compared with close modes one by one, where one of two is none of the simulation's, and fits of that."""
-    apart = told_one_by_one(measured) if wanted("missing_mode") else None
-    if apart is None:
+def _lacking(
+    measurement: Measurement, simulation: Structure, measured: Measured, wanted: Callable[[str], bool], several: bool,
+) -> tuple[Measured, Posed, Found] | None:  # fmt: skip
+    """What is compared where modes surely are none of the simulation's, one of two close ones or ``several``; and fits.
+
+    Close modes are then told one by one.
+    """
+    apart = told_one_by_one(measured) or (measured if several else None)
+    if apart is None or not wanted("missing_mode"):
         return None
     task = posed(measurement, simulation, apart)
-    found = lacking_one_of_two(task.setting, [k for k in task.candidates if wanted(k.slug)], measured.features)
+    found = lacking_modes(task.setting, [k for k in task.candidates if wanted(k.slug)], measured.features)
     return (apart, task, found) if found else None
 
 
@@ -243,11 +247,12 @@ def run_stage(
     if not len(measured.features.poles):
         return None
     task = posed(measurement, simulation, measured)
-    apart = _one_by_one(measurement, simulation, measured, wanted) if has_fewer(task.setting) else None
+    few = shortage(task.setting)
+    apart = _lacking(measurement, simulation, measured, wanted, few > 1) if few else None
     stage = _searched(measurement, simulation, late, wanted, tell, *(apart or (measured, task, None)))
     if apart or late() or (stage is not None and (stage.jointed or stage.best.misfit < THRESHOLDS.misfit)):
         return stage
-    apart = _one_by_one(measurement, simulation, measured, wanted)
+    apart = _lacking(measurement, simulation, measured, wanted, False)
     return stage if apart is None else _searched(measurement, simulation, late, wanted, tell, *apart)
 
 

@@ -13,8 +13,8 @@ from modalax.diagnose.modal_domain.fitting.discrepancy import learnt_rest
 from modalax.diagnose.modal_domain.fitting.explanation import Prior
 from modalax.diagnose.modal_domain.fitting.fit import fit
 from modalax.diagnose.modal_domain.fitting.state import state_at
-from modalax.diagnose.modal_domain.search import beside_a_mode
-from modalax.diagnose.modal_domain.search.beside_a_mode import causes_beside_a_mode
+from modalax.diagnose.modal_domain.search import beside_modes
+from modalax.diagnose.modal_domain.search.beside_modes import causes_beside_modes
 from modalax.diagnose.modal_domain.search.oscillators import (
     _a_mode_instead,
     _heavy,
@@ -107,26 +107,24 @@ def test_from_a_place_that_leads_those_that_act_alike_are_fitted_until_none_is_l
 
 def test_a_fault_of_a_channel_shows_beside_the_mode_that_is_too_many(turned):
     """Neither by itself comes near to the measured modes."""
-    pairs = causes_beside_a_mode(turned.setting, turned.candidates, 400)
+    pairs = causes_beside_modes(turned.setting, turned.candidates, 400)
     assert {(c.slug, c.where) for c in pairs[0][1]} <= {(f"channel_{k}", ("2:+Z",)) for k in ("sign", "gain")}
     free = [c for c in turned.candidates if c.freed is not None]
-    assert {mode for mode, fault, _ in pairs if not fault} == set(free)
-    assert abs(abs(pairs[0][0].pole) / 2 / np.pi / TUNED - 1) < 0.15
+    assert {modes for modes, fault, _ in pairs if not fault} == {(mode,) for mode in free}
+    assert abs(abs(pairs[0][0][0].pole) / 2 / np.pi / TUNED - 1) < 0.15
     assert {c.kind for _, other, _ in pairs for c in other} >= {"", "K", "M"}
     over = replace(turned.setting, late=lambda: True)
-    assert [other for _, other, _ in causes_beside_a_mode(over, turned.candidates, 400)] == [()] * len(free)
+    assert [other for _, other, _ in causes_beside_modes(over, turned.candidates, 400)] == [()] * len(free)
 
 
 def test_nothing_is_paired_where_no_trial_has_all_modes(turned, monkeypatch):
     def lacking(*args):
         raise np.linalg.LinAlgError("fewer modes than measured")
 
-    monkeypatch.setattr(
-        beside_a_mode, "distances", lambda setting, shrink, trials, causes: np.full(len(trials), np.nan)
-    )
-    assert causes_beside_a_mode(turned.setting, turned.candidates, 6) == []
-    monkeypatch.setattr(beside_a_mode, "tolerance", lacking)
-    assert causes_beside_a_mode(turned.setting, turned.candidates, 6) == []
+    monkeypatch.setattr(beside_modes, "distances", lambda setting, shrink, trials, causes: np.full(len(trials), np.nan))
+    assert causes_beside_modes(turned.setting, turned.candidates, 6) == []
+    monkeypatch.setattr(beside_modes, "tolerance", lacking)
+    assert causes_beside_modes(turned.setting, turned.candidates, 6) == []
 
 
 def test_modes_are_tried_beside_a_mass_that_is_taken_away(turned):

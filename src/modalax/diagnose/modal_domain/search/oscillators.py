@@ -17,7 +17,7 @@ from modalax.diagnose.modal_domain.fitting.attempts import attempt, explains, ke
 from modalax.diagnose.modal_domain.fitting.explanation import Prior, ranked_by
 from modalax.diagnose.modal_domain.fitting.fit import Fit, Found, without_causes
 from modalax.diagnose.modal_domain.fitting.state import NONE, Setting, changes_of
-from modalax.diagnose.modal_domain.search.beside_a_mode import causes_beside_a_mode
+from modalax.diagnose.modal_domain.search.beside_modes import causes_beside_modes, with_free
 from modalax.diagnose.modal_domain.search.screen import STILL, distances, tolerance
 from modalax.diagnose.modal_domain.search.starts import in_place_of_one
 from modalax.diagnose.modal_domain.search.steps import MOST
@@ -51,7 +51,8 @@ def oscillators(
     """
     assert extra.freed is not None
     near_to = abs(setting.features.poles[extra.freed])
-    shrink = tolerance(setting, lacking=(extra,))[1]
+    free = tuple(c for c in kept[0] if c.freed is not None)
+    shrink = tolerance(setting, free, lacking=(extra,))[1]
     heavy: list[tuple[float, TunedMass, np.ndarray]] = []
     light: list[tuple[float, TunedMass, np.ndarray]] = []
     for cause in candidates:
@@ -59,7 +60,7 @@ def oscillators(
             continue
         trials = [*_heavy(setting, cause, near_to), _light(setting, cause, extra.freed, kept)]
         values = [
-            float(distances(setting, shrink, [modes])[0]) + float(u @ u)
+            float(distances(setting, shrink, [modes], free)[0]) + float(u @ u)
             for u, modes in zip(trials, _modes(setting, cause, trials, kept), strict=True)
         ]
         light.append((values[-1], cause, trials[-1]))
@@ -153,7 +154,7 @@ def attached(
     if not explains(ranked[0].fit):  # which mode is too many shows beside other errors that are too large as well
         ranked = [e for e in ranked if any(c.freed is not None for c in e.causes)]
     freed = [c for c in ranked[0].causes if c.freed is not None] if ranked else []
-    if not freed:
+    if len(freed) != 1:  # beside several each is asked about together with the others
         return
     best = ranked[0].fit
     for cause, u, start in in_place_of_one(setting, best, candidates, prior.each(candidates)):
@@ -176,12 +177,12 @@ def attached_beside(
     it, and several causes of other kinds come nearer to the modes.
     """
     for f in _with_a_mode_too_many(setting, found, candidates, prior, late):
-        k = next(k for k, c in enumerate(f.causes) if c.freed is not None)
-        kept, own = f.causes[:k] + f.causes[k + 1 :], without(f, k)
-        for cause, u in oscillators(setting, candidates, f.causes[k], (kept, own)):
-            if late():
-                return
-            attempt(setting, found, (*kept, cause), np.append(own, u), None)
+        for k in (k for k, c in enumerate(f.causes) if c.freed is not None):
+            kept, own = f.causes[:k] + f.causes[k + 1 :], without(f, k)
+            for cause, u in oscillators(setting, candidates, f.causes[k], (kept, own)):
+                if late():
+                    return
+                attempt(setting, found, (*kept, cause), np.append(own, u), None)
     acting_alike(setting, found, candidates, prior, late)
     _a_mode_instead(setting, found, candidates, prior, late)
 
@@ -213,14 +214,15 @@ def _with_a_mode_too_many(
     """Fits in which a mode is one too many beside something else, likelier ones first; they are kept as well."""
     ranked = ranked_by(found, prior)
     best, near = ranked[0].fit, [e.fit for e in ranked if e.log_posterior > ranked[0].log_posterior - NEAR]
-    lacking = [f for f in near if len(f.causes) == MOST and any(c.freed is not None for c in f.causes)]
-    if explains(best) and len(best.causes) <= MOST:
+    few = lambda f: sum(c.freed is None for c in f.causes) < MOST  # one cause at most beside modes that are free
+    lacking = [f for f in near if few(f) and len(f.causes) > 1 and any(c.freed is not None for c in f.causes)]
+    if explains(best) and (few(best) or len(best.causes) == MOST):
         return lacking[:ASKED] if any(c.freed is not None for c in best.causes) else []
     free: Found = {key_of(f.causes): f for f in lacking}
-    for extra, other, u in causes_beside_a_mode(setting, candidates, PAIRS):
+    for extra, other, u in causes_beside_modes(setting, candidates, PAIRS):
         if late():
             break
-        attempt(setting, free, (*other, extra), np.append(u, np.zeros(extra.count)), None)
+        attempt(setting, free, (*other, *extra), with_free(u, extra), None)
     for key, f in free.items():
         if key not in found or f.log_evidence > found[key].log_evidence:
             found[key] = f

@@ -1,4 +1,4 @@
-"""A measured mode close to another, which the simulation has not: told, also beside a second cause."""
+"""Measured modes that the simulation has not: one close to another, also beside a second cause, and several."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,8 @@ from kinds import few_or_all
 
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.modes.measured import reidentified, told_one_by_one
-from modalax.diagnose.modal_domain.search.one_of_two import has_fewer, lacking_one_of_two
+from modalax.diagnose.modal_domain.search.beside_modes import shortage
+from modalax.diagnose.modal_domain.search.lacking_modes import lacking_modes
 from modalax.diagnose.modal_domain.stage import identified, posed
 
 BESIDE, DAMPING = 1.011, 0.007  # frequency, relative to that of the chain's third mode, and damping ratio of the mode
@@ -52,16 +53,16 @@ def test_each_of_two_close_modes_is_compared_by_itself(data, measured):
 def test_a_simulation_of_fewer_modes_lacks_one(data, measured):
     apart = told_one_by_one(measured)
     task = posed(data, simulation(), apart)
-    assert has_fewer(task.setting)
-    found = lacking_one_of_two(task.setting, task.candidates, measured.features)
+    assert shortage(task.setting) == 1
+    found = lacking_modes(task.setting, task.candidates, measured.features)
     best = max(found.values(), key=lambda f: f.log_evidence)
     assert {(c.slug, c.where) for c in best.causes} == {("missing_mode", ()), ("channel_gain", ("2:+Z",))}
     # not where all that is told together is one thing
-    assert lacking_one_of_two(task.setting, task.candidates, apart.features) == {}
+    assert lacking_modes(task.setting, task.candidates, apart.features) == {}
     others = [c for c in task.candidates if c.freed is None]
-    assert lacking_one_of_two(task.setting, others, measured.features) == {}
+    assert lacking_modes(task.setting, others, measured.features) == {}
     whole = with_a_mode(3, extra=0.0)
-    assert not has_fewer(posed(whole, simulation(), identified(whole, simulation(), lambda _: None)).setting)
+    assert shortage(posed(whole, simulation(), identified(whole, simulation(), lambda _: None)).setting) == 0
 
 
 @few_or_all("missing_mode", "tuned_mass")
@@ -78,3 +79,21 @@ def test_it_is_named_beside_another_cause_and_alone(gain, wanted):
         assert told["channel_gain"]["where"] == ["2:+Z"]
         size = told["channel_gain"]["parameters"]["gain"]
         assert abs(size["value"] - 0.2) < 4 * size["std"] < 0.05
+
+
+@few_or_all("missing_mode", "tuned_mass")
+@pytest.mark.parametrize("gain", [1.0, pytest.param(1.2, marks=pytest.mark.slow)])
+def test_several_are_named_each_with_its_frequency(gain, wanted):
+    """Beside one that is left free another would be taken for a mode of elements that are all far off."""
+    hertz, s = (51.0, 80.0), 2j * np.pi * FREQ[:, None, None]
+    H = response(*chain_off(5, 0.02), FREQ)
+    for k, w in enumerate(2 * np.pi * np.array(hertz)):
+        H += np.outer(np.roll(SHAPE, k), np.roll(FORCE, 2 * k)) * s**2 / (w**2 + 2 * DAMPING * w * s + s**2)
+    H[:, 1] *= gain
+    data = as_measured(H, FREQ, 5)
+    assert shortage(posed(data, simulation(), identified(data, simulation(), lambda _: None)).setting) == 2
+    found = diagnose_modes(data, simulation(), wanted=wanted)
+    told = [c["parameters"]["frequency"] for c in found.causes if c["name"] == "missing_mode"]
+    assert found.verdict == "named" and len(found.causes) == (2 if gain == 1 else 3)
+    assert all(abs(f["value"] - true) < 4 * f["std"] < 0.1 for f, true in zip(told, hertz, strict=True))
+    assert found.gain.chi2_unforeseen < 1.2
