@@ -128,7 +128,7 @@ class ModalCase:
 
 def _listed(names: Names) -> str:
     """Causes with their places; only how many, of a cause at many or of one that is there several times."""
-    slugs, names = [slug for slug, _ in names], list(names)
+    slugs = [slug for slug, _ in names]
     many = [slug for slug in dict.fromkeys(slugs) if slugs.count(slug) > MANY]
     each = [
         cause_at(*one) + (f" ({names.count(one)} times)" if names.count(one) > 1 else "")
