@@ -19,9 +19,7 @@ from modalax.diagnose.modal_domain.causes.channel_faults import ChannelFactor, S
 from modalax.diagnose.modal_domain.fitting.state import NONE, Setting, State, evidence_of_free
 from modalax.diagnose.modal_domain.search.screen import Trials, cost_of_size, couples, distances, tolerance, trials_of
 
-MODES = (
-    3  # sets of free modes, the nearest with a fault of a channel or none, beside which changes of matrices are tried
-)
+MODES = 3  # sets of free modes, the nearest with a channel's fault or none, beside which changes of matrices are tried
 LACKING = 3  # measured modes at most that are left free together
 BEYOND = 0.05  # relative distance from the measured modes within which modes of the simulation may be among them
 NEAR = 4.0  # chi-square per feature of the nearest up to which no further mode is left free
@@ -58,20 +56,20 @@ def causes_beside_modes(setting: Setting, candidates: list[Change], most: int) -
     changes = each(c for c in candidates if c.kind and not couples(c))
     every: list[tuple[float, Pair]] = []
     leading: list[Free] = [()]
+    in_time = lambda modes: _beside(setting, modes, state, faults) if not (every and setting.late()) else []
     for _ in range(min(max(shortage(setting), 1), LACKING)):
         sets = _with_one_more(leading, free)
-        found = [pairs for modes in sets if (pairs := _beside(setting, modes, state, faults))]
+        found = [pairs for pairs in map(in_time, sets) if pairs]
         nearest = sorted(found, key=lambda pairs: pairs[0][0])[:MODES]
         leading = [pairs[0][1][0] for pairs in nearest] or sets  # with too few modes for any of them more are left free
-        every += [pair for pairs in found for pair in pairs]
-        every += [pair for modes in leading for pair in _beside(setting, modes, state, changes) if pair[1][1]]
+        every.extend(pair for pairs in found for pair in pairs)
+        every.extend(p for modes in leading for p in _beside(setting, modes, state, changes) if p[1][1])
         every.sort(key=lambda one: one[0])
         if every and every[0][0] < NEAR * setting.features.values.size or setting.late():
             break
-    chosen = every[:most]
-    sets = {free for _, (free, _, _) in chosen}
-    alone = [one for one in every[most:] if one[1][0] in sets and not one[1][1]]
-    return [pair for _, pair in chosen + alone]
+    chosen, others = ([pair for _, pair in some] for some in (every[:most], every[most:]))
+    told = {modes for modes, _, _ in chosen}
+    return chosen + [(modes, other, u) for modes, other, u in others if modes in told and not other]
 
 
 def with_free(u: np.ndarray, free: Free) -> np.ndarray:
