@@ -17,21 +17,21 @@ import jax
 import numpy as np
 import scipy.linalg
 
-jax.config.update("jax_enable_x64", True)
+from modalax import Measurement, Structure, diagnose
+from modalax.diagnose.deadline import NEVER
+from modalax.diagnose.modal_domain.causes.places import candidates_of
+from modalax.diagnose.modal_domain.fitting.discrepancy import learnt_rest
+from modalax.diagnose.modal_domain.fitting.fit import fit
+from modalax.diagnose.modal_domain.fitting.inaccuracy import inaccuracy_of
+from modalax.diagnose.modal_domain.fitting.state import Setting
+from modalax.diagnose.modal_domain.modes.features import whitener_of
+from modalax.diagnose.modal_domain.modes.measured import identify
+from modalax.diagnose.modal_domain.on_lines.polish import leading_on_lines
+from modalax.diagnose.modal_domain.search.explain import Explanation
+from modalax.diagnose.modal_domain.structure.coordinates import coordinates_of
+from modalax.model.groups import Groups
 
-from modalax import Measurement, Structure, diagnose  # noqa: E402
-from modalax.diagnose.deadline import NEVER  # noqa: E402
-from modalax.diagnose.modal_domain.causes.places import candidates_of  # noqa: E402
-from modalax.diagnose.modal_domain.fitting.discrepancy import learnt_rest  # noqa: E402
-from modalax.diagnose.modal_domain.fitting.fit import fit  # noqa: E402
-from modalax.diagnose.modal_domain.fitting.inaccuracy import inaccuracy_of  # noqa: E402
-from modalax.diagnose.modal_domain.fitting.state import Setting  # noqa: E402
-from modalax.diagnose.modal_domain.modes.features import whitener_of  # noqa: E402
-from modalax.diagnose.modal_domain.modes.measured import identify  # noqa: E402
-from modalax.diagnose.modal_domain.on_lines.polish import leading_on_lines  # noqa: E402
-from modalax.diagnose.modal_domain.search.explain import Explanation  # noqa: E402
-from modalax.diagnose.modal_domain.structure.coordinates import coordinates_of  # noqa: E402
-from modalax.model.groups import Groups  # noqa: E402
+jax.config.update("jax_enable_x64", True)
 
 ALONG, ACROSS, SPAN = 5, 3, (0.4, 0.3)  # nodes each way, and their distances [m]
 BENDING, TORSION, MASS, SPRING = 220.0, 90.0, 1.1, 4e4  # N m^2, N m^2, kg/m, N/m

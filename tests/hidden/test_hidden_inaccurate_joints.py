@@ -1,14 +1,11 @@
 """Joints at three levels in structures whose every element is off: law and place."""
 
-import jax
 import numpy as np
 import pytest
 from inaccurate import draw_case
 
-jax.config.update("jax_enable_x64", True)
-
-from modalax.diagnose.modal_domain.diagnosis import diagnose_modes  # noqa: E402
-from modalax.files import load  # noqa: E402
+from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.files import load
 
 
 @pytest.mark.slow  # by default of a joint that the simulation lacks altogether, which is harder, see below

@@ -34,7 +34,7 @@ RIGID = 1e-3  # frequency, relative to the highest, below which a mode is that o
 BETWEEN = 0.1  # damping between modes, relative to that of the modes themselves
 CLOSE = 0.01  # coupling of turned modes, over what their dampings are off by, from which on it has a pattern of its own
 NEGLIGIBLE = 1e-12  # modal damping [1/s] of a mode without any
-TAILS = 2.0  # times the band's end up to which the damping of modes shows in it: by 1.3 times the damping ratio
+TAILS = 2.0  # times the band's end up to which modes are off in damping by themselves: :func:`own_damping`
 NEAR = 8  # modes above each one that it may be coupled with by damping
 KINDS = {"stiffness": "K", "mass": "M", "damping": "C", "damping between modes": "C", "rest": "K",
          "stiffness throughout": "K", "mass throughout": "M", "damping throughout": "C", "stiffness within": "K",
@@ -225,9 +225,11 @@ def _damping(c: Coordinates, highest: float, turned: np.ndarray) -> tuple[np.nda
 
 
 def own_damping(c: Coordinates, highest: float) -> np.ndarray:
-    """Patterns of damping of each mode by itself, those up to ``TAILS`` times the band's end, ``(p, n, n)``.
+    r"""Patterns of damping of each mode by itself, shape ``(p, n, n)`` [1/s].
 
-    At least two beyond the band: the sum of their tails shows in what measured modes leave.
+    Of those up to ``TAILS`` times the band's end ``highest`` [rad/s], and of two beyond the band at least. A mode r
+    times as high turns its share of the FRF there by :math:`2\zeta r/(r^2 - 1)`: each tail is small, all together show
+    in sums over neighbouring lines.
     """
     inside, near = (int(np.count_nonzero(c.frequencies < top * highest)) for top in (1.0, TAILS))
     few = min(max(inside + 2, near), c.size)

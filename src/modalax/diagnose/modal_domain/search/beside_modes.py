@@ -44,7 +44,12 @@ def causes_beside_modes(setting: Setting, candidates: list[Change], most: int) -
     candidates
         Modes that may be free, and causes: of channels gains, signs, units, delays and exchanges; of matrices one each.
     most
-        Of them at most, beside those modes without another cause.
+        Pairs at most; the same modes without another cause are added where they are not among them.
+
+    Returns
+    -------
+    list
+        Modes, the cause beside them or none, and its sizes over the usual ones, shape ``(count,)``.
     """
     free = [c for c in candidates if c.freed is not None]
     try:

@@ -205,7 +205,7 @@ def _a_mode_instead(
         if late():
             return
         if key_of((*kept, mode)) not in found:
-            attempt(setting, found, (*kept, mode), np.append(own, np.zeros(mode.count)), None)
+            attempt(setting, found, (*kept, mode), with_free(own, (mode,)), None)
 
 
 def _with_a_mode_too_many(
