@@ -11,7 +11,7 @@ from modalax.diagnose.modal_domain.fitting.state import Setting, compared, slope
 from modalax.diagnose.modal_domain.modes.features import whitener_of
 from modalax.diagnose.modal_domain.modes.free_residues import refine
 from modalax.diagnose.modal_domain.modes.measured import channels_of, features_at, identify
-from modalax.diagnose.modal_domain.modes.repeated import close_pairs
+from modalax.diagnose.modal_domain.modes.repeated import close_pairs, of_rank
 from modalax.diagnose.modal_domain.structure.coordinates import coordinates_of, modes_of
 from modalax.model import Structure
 
@@ -144,3 +144,47 @@ def test_a_gain_is_told_on_a_ring_whose_modes_are_or_nearly_are_repeated(spread,
     assert d.verdict == "named" and [(c["name"], c["where"]) for c in d.causes] == [("channel_gain", ["4:+Z"])]
     gain = d.causes[0]["parameters"]["gain"]
     assert abs(gain["value"] - 0.08) < 3 * gain["std"] < 0.01
+
+
+@pytest.mark.parametrize("rank", [1, 2])
+def test_a_sum_of_shapes_leaves_no_more_than_noise_whatever_the_channels_deviations_are(rank):
+    """Chi-square of ``oi - r(o + i - r)`` complex numbers; singular vectors leave some thirty times as much."""
+    rng = np.random.default_rng(rank)
+    draw = lambda *shape: rng.standard_normal((200, *shape)) + 1j * rng.standard_normal((200, *shape))
+    deviation = 10.0 ** rng.uniform(-2, 0, (200, 7, 3))
+    residues = 100 * draw(7, rank) @ draw(rank, 3)
+    noise = deviation * draw(7, 3) / np.sqrt(2)
+    off = (residues + noise - of_rank(residues + noise, deviation**2, rank)) / deviation
+    left = (np.abs(off) ** 2).sum(axis=(1, 2))
+    freedom = 21 - rank * (10 - rank)
+    assert abs(np.median(left) / freedom - 1) < 0.15 and np.mean(left < 3 * freedom) > 0.95
+
+
+def test_a_channel_without_weight_and_one_without_response_decide_nothing():
+    A = np.outer([1.0, 2.0, 3.0], [1.0, -2.0])
+    dead = np.zeros((4, 3))
+    dead[:3, :2], dead[3, 2] = A, 1e-9  # a motion of its own that hardly anything tells of
+    deviation = np.full((4, 3), 1e-3)
+    deviation[3], deviation[:, 2] = 1e-15, 1e-15
+    deviation[3, 2] = 1e-6
+    deviation[0, 0] = 0.0
+    found = of_rank(dead[None] + 0j, deviation[None] ** 2, 1)[0]
+    np.testing.assert_allclose(found[:3, :2], A, atol=1e-6)
+
+
+def test_a_mode_that_one_input_hardly_moves_is_one_mode():
+    """Noise is a share of each FRF: where another mode is large, it is large on the peak of the small one too."""
+    poles = 2 * np.pi * np.array([10.0, 14.0, 30.0]) * (-0.01 + 1j)
+    across = np.array([[1.0, 0.8, 0.5, 0.3, 0.9, 0.6], [0, 0, 0.1, 1.0, 0.7, 0.9], [0.9, -0.7, 0.4, 0.5, 0.2, -0.8]])
+    along = np.array([[1e-3, 30.0], [0.06, 0.3], [1e-3, 30.0]])
+    freq = np.linspace(6.0, 40.0, 700)
+    s = 2j * np.pi * freq[:, None]
+    gain = 1 / (s - poles) / (2j * poles.imag) + 1 / (s - poles.conj()) / (-2j * poles.imag)
+    H = np.einsum("fm,mo,mi->foi", gain, across, along) * s[:, :, None] ** 2
+    sigma = 0.01 * np.sqrt((np.abs(H) ** 2).mean(axis=0)) * np.ones(H.shape)
+    rng = np.random.default_rng(3)
+    noise = (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)) / np.sqrt(2)
+    m = Measurement(freq, (H + sigma * noise)[None], form="accelerance", variance=sigma[None] ** 2)
+    found = identify(m, None)
+    assert not found.features.origin.twice.any()
+    np.testing.assert_allclose(np.abs(found.features.poles), np.abs(poles), rtol=2e-4)

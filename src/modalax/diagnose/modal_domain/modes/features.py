@@ -205,8 +205,7 @@ def sure(f: Features) -> np.ndarray:
 
 def _units(found: Projected, raw: np.ndarray, close: Sequence[tuple[int, ...]]) -> np.ndarray:
     """Uncertainties of residues, a product over outputs and inputs so that a shape times a participation stays one."""
-    R = len(raw)
-    own = np.einsum("ckk->kc", found.linear)[: 2 * R].reshape(R, 2, -1).sum(axis=1).reshape(raw.shape)
+    own = found.variance.reshape(raw.shape)
     size = (np.abs(raw) ** 2).mean(axis=(1, 2), keepdims=True)
     for some in map(list, close):  # of all together
         parts = [found.linear[:, 2 * np.array(some)[:, None] + j, 2 * np.array(some) + j] for j in (0, 1)]

@@ -115,6 +115,12 @@ class Projected:
     linear: np.ndarray
     sensitivity: np.ndarray
 
+    @property
+    def variance(self) -> np.ndarray:
+        """Of each residue, shape ``(n, channel)``."""
+        R = len(self.poles)
+        return np.einsum("ckk->kc", self.linear)[: 2 * R].reshape(R, 2, -1).sum(axis=1)
+
     def made(self, channels: Channels) -> np.ndarray:
         """FRFs of the fit, shape ``(f, channel)``."""
         x = np.stack([self.residues.real, self.residues.imag], axis=1).reshape(-1, self.residues.shape[1])

@@ -13,7 +13,7 @@ from modalax.diagnose.modal_domain.modes.beside_band import with_modes_beside
 from modalax.diagnose.modal_domain.modes.features import Features, chosen, features_of, shapes_shown, sure
 from modalax.diagnose.modal_domain.modes.free_residues import Channels, Projected, refine
 from modalax.diagnose.modal_domain.modes.mode_count import blind_modes, cost_of_mode, heavy, misfit, mode_gains
-from modalax.diagnose.modal_domain.modes.repeated import close_pairs, reach, twofold
+from modalax.diagnose.modal_domain.modes.repeated import close_pairs, of_rank, reach, twofold
 from modalax.diagnose.modal_domain.structure.coordinates import SPARED, Coordinates, modes_of
 from modalax.diagnose.setup.noise import Noise, noise_of, third_difference
 from modalax.identify.shared_noise import shared_noise
@@ -239,14 +239,15 @@ def features_at(
 def together(modes: Projected, channels: Channels, shape: tuple[int, ...]) -> np.ndarray:
     """How many modes of one frequency each pole stands for: its residues are a sum of so many of a single mode; to 3.
 
+    The sum that is nearest by their uncertainties: residues of channels where other modes are large say little.
     More than one only where modes explain the data: a peak that a joint bends by the force that moves it has residues
     of its own for each input.
     """
     left, rank = misfit(modes, channels), np.ones(len(modes.poles), int)
-    U, size, V = np.linalg.svd(modes.residues.reshape(-1, *shape), full_matrices=False)
+    raw, variance = (a.reshape(-1, *shape) for a in (modes.residues, modes.variance))
     least = np.maximum(cost_of_mode(channels) * left, DOUBLED * mode_gains(modes))
-    for few in range(1, min(3, size.shape[1]) if left < EXPLAINED else 1):
-        plain = modes.residues - ((size[:, None, :few] * U[:, :, :few]) @ V[:, :few]).reshape(modes.residues.shape)
+    for few in range(1, min(3, *shape) if left < EXPLAINED else 1):
+        plain = modes.residues - of_rank(raw, variance, few).reshape(modes.residues.shape)
         rank += (rank == few) & (mode_gains(replace(modes, residues=plain)) > least)
     return rank
 

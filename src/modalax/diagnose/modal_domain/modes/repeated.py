@@ -24,6 +24,7 @@ APART = 1e-3
 CLOSE = 1.0  # half-bandwidths within which one measured mode may stand for two of the simulation,
 SPLIT = 0.005  # or distance relative to their frequency: errors of elements of a per cent split repeated modes so far
 WIDE = 0.02  # relative distance within which errors of elements of some per cent turn modes into each other
+TURNS, NOTHING = 10, 1e-12  # fits of shapes and of participations in turn; weight, relative to all, that is rounding
 CANCELLED = 0.2  # of residues along the measured ones, that two modes may leave of their sum
 
 
@@ -247,6 +248,41 @@ def further(
             rows.append(k)
             numbers.append(int(others[j]))
     return Together(pairs, np.array(rows, int), np.array(numbers, int), groups)
+
+
+def of_rank(residues: np.ndarray, variance: np.ndarray, few: int) -> np.ndarray:
+    """Sums of so many shapes times participations nearest to residues ``(n, o, i)`` of known variances.
+
+    Shapes and participations are fitted in turn by weighted least squares (Gabriel and Zamir 1979, Technometrics
+    21:489), from the singular vectors of the residues, and from those of residues over their deviations, as far as
+    these are a product over outputs and inputs.
+    """
+    there = variance > 0  # none where a channel has no weight
+    weight = np.where(there, 1 / np.where(there, variance, 1.0), 0.0)
+    level = 0.5 * np.log(np.where(there, variance, variance.max(axis=(1, 2), keepdims=True, initial=1e-300)))
+    rows, columns, mean = (level.mean(axis=axis, keepdims=True) for axis in (2, 1, (1, 2)))
+    tried = [_in_turn(residues, weight, scale, few) for scale in (np.ones_like(level), np.exp(rows + columns - mean))]
+    left = [(weight * np.abs(residues - A) ** 2).sum(axis=(1, 2)) for A in tried]
+    return np.where((left[0] < left[1])[:, None, None], *tried)
+
+
+def _in_turn(residues: np.ndarray, weight: np.ndarray, scale: np.ndarray, few: int) -> np.ndarray:
+    """The same from the singular vectors of residues over a scale."""
+    participation = np.linalg.svd(residues / scale, full_matrices=False)[2][:, :few] * scale[:, :1]
+    turned, heavy = residues.transpose(0, 2, 1), weight.transpose(0, 2, 1)
+    for _ in range(TURNS):
+        shapes = _given(participation, residues, weight)
+        participation = _given(shapes.transpose(0, 2, 1), turned, heavy).transpose(0, 2, 1)
+    return _given(participation, residues, weight) @ participation
+
+
+def _given(rows: np.ndarray, A: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """X nearest to ``A = X rows`` by weights, ``rows`` of shape ``(n, k, i)`` and A ``(n, o, i)``; ``(n, o, k)``."""
+    heavy = weight[:, :, None] * rows.conj()[:, None]
+    gram = heavy @ rows.transpose(0, 2, 1)[:, None]
+    size = np.trace(gram, axis1=2, axis2=3).real[..., None, None]
+    gram = gram + NOTHING * np.maximum(size, 1e-300) * np.eye(gram.shape[-1])
+    return np.linalg.solve(gram, heavy @ A[..., None])[..., 0]
 
 
 def twofold(modes: Projected, channels: Channels, which: np.ndarray) -> tuple[Projected, list[tuple[int, ...]]]:
